@@ -15,7 +15,7 @@ from typing import Protocol
 import numpy as np
 
 from ffcomp.measurement.frf import FrequencyResponse
-from ffcomp.measurement.modes import window_kernel
+from ffcomp.measurement.modal import SMALLEST_ERROR, WindowedPower, single_modes, slopes_of_modes
 from ffcomp.measurement.swept import SweptBand, cut_off
 from models.arrays import ComplexArray, FloatArray
 
@@ -26,7 +26,6 @@ DELAYS_MS = np.linspace(-40.0, 40.0, 161)  # tried: a capture that is upside dow
 USUAL_AVERAGES = 400  # segments of half a second or so, half overlapping, of a test that takes two minutes
 FLOOR_SHARE = 0.1
 COARSE = 0.3  # model error while the modes are looked for
-SMALLEST_ERROR = 1e-4
 WRONG_SCALE = 0.15  # of a sensor's gain
 
 
@@ -64,19 +63,19 @@ class Datum(Protocol):
     def begin(self, modes: FloatArray) -> FloatArray:
         """Estimate the nuisance parameters (2,) with given modes (m, 3)."""
 
-    def model(self, modes: FloatArray, own: FloatArray) -> FloatArray | ComplexArray:
+    def model(self, modes: FloatArray, nuisance: FloatArray) -> FloatArray | ComplexArray:
         """Predict the value (k,) from modes (m, 3) and nuisance parameters (2,)."""
 
-    def residual(self, modes: FloatArray, own: FloatArray) -> FloatArray:
+    def residual(self, modes: FloatArray, nuisance: FloatArray) -> FloatArray:
         """Compare value and model: (n,) real."""
 
-    def slopes(self, modes: FloatArray, own: FloatArray) -> FloatArray:
+    def slopes(self, modes: FloatArray, nuisance: FloatArray) -> FloatArray:
         """Differentiate the residual: (n, p)."""
 
     def variance(self, error: float) -> FloatArray:
         """Return the residual's variance (n,) for a relative model error."""
 
-    def remarks(self, own: FloatArray) -> list[str]:
+    def remarks(self, nuisance: FloatArray) -> list[str]:
         """Describe oddities that the nuisance parameters show, in sentences."""
 
     def beyond(self, frequency_hz: float, damping_ratio: float) -> str:
@@ -85,23 +84,16 @@ class Datum(Protocol):
 
 def closed_form(modes: FloatArray, frequency_hz: FloatArray) -> ComplexArray:
     """Evaluate H at any frequencies; modes (m, 3), columns frequency Hz, damping ratio, share."""
-    total = np.zeros(frequency_hz.shape, dtype=np.complex128)
-    for frequency, damping, share in modes:
-        ratio = frequency_hz / frequency
-        total += share / (1 - ratio**2 + 2j * damping * ratio)
-    return total
+    return np.asarray(np.tensordot(modes[:, 2], single_modes(modes[:, 0], modes[:, 1], frequency_hz), axes=1))
 
 
 def closed_form_slopes(modes: FloatArray, frequency_hz: FloatArray) -> ComplexArray:
     """Differentiate H by ln f and ln ζ of each mode, then by the first's share if there are two: (p, …)."""
-    found, alone = [], []
-    for frequency, damping, share in modes:
-        ratio = frequency_hz / frequency
-        damped = 2j * damping * ratio
-        alone.append(1 / (1 - ratio**2 + damped))
-        steep = share * alone[-1] ** 2
-        found += [-steep * (2 * ratio**2 - damped), -steep * damped]
-    return np.stack([*found, *([alone[0] - alone[1]] if len(modes) == 2 else [])])
+    by_shape = slopes_of_modes(*modes.T, frequency_hz)
+    if len(modes) == 1:
+        return by_shape
+    first, second = single_modes(modes[:, 0], modes[:, 1], frequency_hz)
+    return np.concatenate([by_shape, (first - second)[None]])
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,11 +125,8 @@ class Spectrum:
         return np.array([[-np.inf, np.inf], [lowest - NO_FLOOR, lowest + 1.0]])
 
     @cached_property
-    def _fine(self) -> tuple[FloatArray, FloatArray]:
-        """Frequencies (k, w) around each line, and the window's weights (w,)."""
-        offset, weight = window_kernel()
-        line = float(self.frequency_hz[1] - self.frequency_hz[0])
-        return np.maximum(self.frequency_hz[:, None] + offset * line, 1e-3), weight
+    def _lines(self) -> WindowedPower:
+        return WindowedPower(self.frequency_hz, float(self.frequency_hz[1] - self.frequency_hz[0]))
 
     def begin(self, modes: FloatArray) -> FloatArray:
         """Estimate ln g and ln c with given modes."""
@@ -145,24 +134,21 @@ class Spectrum:
         ratio = np.log(self.value / self.model(modes, np.array([0.0, -100.0])))
         return np.array([np.average(ratio, weights=1 / self.variance(1.0)), floor])
 
-    def model(self, modes: FloatArray, own: FloatArray) -> FloatArray:
+    def model(self, modes: FloatArray, nuisance: FloatArray) -> FloatArray:
         """Predict the power through the window."""
-        fine, weight = self._fine
-        power = ((fine / fine.mean()) ** 2 * np.abs(closed_form(modes, fine)) ** 2) @ weight
-        return np.asarray(np.exp(own[0]) * power + np.exp(own[1]))
+        power = self._lines.power(closed_form(modes, self._lines.fine_hz))
+        return np.asarray(np.exp(nuisance[0]) * power + np.exp(nuisance[1]))
 
-    def residual(self, modes: FloatArray, own: FloatArray) -> FloatArray:
+    def residual(self, modes: FloatArray, nuisance: FloatArray) -> FloatArray:
         """Compare logarithms: (k,)."""
-        return np.log(self.value / self.model(modes, own))
+        return np.log(self.value / self.model(modes, nuisance))
 
-    def slopes(self, modes: FloatArray, own: FloatArray) -> FloatArray:
+    def slopes(self, modes: FloatArray, nuisance: FloatArray) -> FloatArray:
         """Differentiate the residual: (k, p)."""
-        fine, weight = self._fine
-        excitation = (fine / fine.mean()) ** 2
-        h, steep = closed_form(modes, fine), closed_form_slopes(modes, fine)
-        gain, floor = np.exp(own)
-        power = gain * (excitation * np.abs(h) ** 2) @ weight
-        by_modes = gain * (2 * excitation * (h.conj() * steep).real) @ weight
+        fine = self._lines.fine_hz
+        response, slopes = closed_form(modes, fine), closed_form_slopes(modes, fine)
+        gain, floor = np.exp(nuisance)
+        power, by_modes = gain * self._lines.power(response), gain * self._lines.slopes(response, slopes)
         columns = np.stack([*by_modes, power, np.full_like(power, floor)], axis=1)
         return np.asarray(-columns / (power + floor)[:, None])
 
@@ -170,10 +156,10 @@ class Spectrum:
         """Return the variance of ln S, (k,)."""
         answer = self.value / self.frequency_hz**2  # of the axis to even accelerations
         noise = self.value.min() / self.value  # at most: it is even, and there is some motion everywhere
-        own = max(error, SMALLEST_ERROR) ** 2 * (1 + FLOOR_SHARE * answer.max() / answer)
-        return np.asarray(own + (2 * noise + noise**2) / self.averages)
+        model = max(error, SMALLEST_ERROR) ** 2 * (1 + FLOOR_SHARE * answer.max() / answer)
+        return np.asarray(model + (2 * noise + noise**2) / self.averages)
 
-    def remarks(self, own: FloatArray) -> list[str]:
+    def remarks(self, nuisance: FloatArray) -> list[str]:
         """Pass on the remark made while reading."""
         return [self.remark] if self.remark else []
 
@@ -250,22 +236,22 @@ class Response:
         best = int(np.argmax(np.abs(gain)))
         return np.array([gain[best], DELAYS_MS[best]])
 
-    def model(self, modes: FloatArray, own: FloatArray) -> ComplexArray:
+    def model(self, modes: FloatArray, nuisance: FloatArray) -> ComplexArray:
         """Predict the response."""
         s = self.measured.s
         h = closed_form(modes, self.frequency_hz) * (s**2 if self._accelerates else 1.0)
-        return np.asarray(own[0] * np.exp(-1e-3 * own[1] * s) * h)
+        return np.asarray(nuisance[0] * np.exp(-1e-3 * nuisance[1] * s) * h)
 
-    def residual(self, modes: FloatArray, own: FloatArray) -> FloatArray:
+    def residual(self, modes: FloatArray, nuisance: FloatArray) -> FloatArray:
         """Compare real, then imaginary parts: (2 k,)."""
-        error = self.value - self.model(modes, own)
+        error = self.value - self.model(modes, nuisance)
         return np.concatenate([error.real, error.imag])
 
-    def slopes(self, modes: FloatArray, own: FloatArray) -> FloatArray:
+    def slopes(self, modes: FloatArray, nuisance: FloatArray) -> FloatArray:
         """Differentiate the residual: (2 k, p)."""
-        model, h = self.model(modes, own), closed_form(modes, self.frequency_hz)
+        model, h = self.model(modes, nuisance), closed_form(modes, self.frequency_hz)
         by_modes = model / h * closed_form_slopes(modes, self.frequency_hz)
-        columns = np.stack([*by_modes, model / own[0], -1e-3 * self.measured.s * model], axis=1)
+        columns = np.stack([*by_modes, model / nuisance[0], -1e-3 * self.measured.s * model], axis=1)
         return -np.concatenate([columns.real, columns.imag])
 
     def variance(self, error: float) -> FloatArray:
@@ -278,9 +264,9 @@ class Response:
         """Say nothing: phase and gain show where the mode lies."""
         return ""
 
-    def remarks(self, own: FloatArray) -> list[str]:
+    def remarks(self, nuisance: FloatArray) -> list[str]:
         """Describe a reversed sensor, a wrong scale or an unknown delay."""
-        gain, delay_ms = own
+        gain, delay_ms = nuisance
         what = f"{Path(self.source).name}, {self.measured.input} to {self.measured.output}"
         if gain < 0:
             return [f"{what}: it moves against its command. A sensor on a bed that moves does; else turn --axes-map."]

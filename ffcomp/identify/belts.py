@@ -14,15 +14,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from ffcomp.errors import MeasurementError
-from ffcomp.identify.axis_spectra import COARSE, SMALLEST_ERROR
-from ffcomp.identify.modal_fit import independent_share
+from ffcomp.identify.axis_spectra import COARSE
 from ffcomp.identify.resonance_tests import BeltTest
 from ffcomp.identify.uncertainty import NINETY_PERCENT, Estimate, normal
-from ffcomp.measurement.modes import window_kernel
+from ffcomp.measurement.modal import WindowedPower, independent_share, model_error, single_modes
 from ffcomp.numerics.least_squares import central_differences, minimise
 from models.arrays import FloatArray
 from models.machine import Machine
@@ -73,12 +73,13 @@ def compare_belts(machine: Machine, tests: Sequence[BeltTest]) -> BeltComparison
     problem = _problem(machine, tests)
     coarse = np.full(len(tests), COARSE)
     starts = sorted(_starts(problem), key=lambda at: _cost(problem, at, coarse))[:TRIED]
-    found = min((_solved(problem, start, coarse, 15) for start in starts), key=lambda at: _cost(problem, at, coarse))
+    theta = min((_solved(problem, start, coarse, 15) for start in starts), key=lambda at: _cost(problem, at, coarse))
     errors = coarse
     for _ in range(ROUNDS):
-        found = _solved(problem, found, errors, 40)
-        errors = np.array([_level(r, t) for r, t in zip(problem.residuals(found), problem.tests, strict=True)])
-    return _result(problem, found, errors)
+        theta = _solved(problem, theta, errors, 40)
+        pairs = zip(problem.residuals(theta), problem.tests, strict=True)
+        errors = np.array([model_error(r, t.spectrum.variance, 3) for r, t in pairs])
+    return _result(problem, theta, errors)
 
 
 # ---- the model -----------------------------------------------------------------------------------
@@ -93,6 +94,12 @@ class _Problem:
     rows: FloatArray  # (m, 2) motion of each motor or carriage by x and y
     free_ratio: bool  # of the masses along y and x
     tests: tuple[BeltTest, ...]
+
+    @cached_property
+    def lines(self) -> tuple[WindowedPower, ...]:
+        """How each test's spectrum shows a response."""
+        grids = (test.spectrum.frequency_hz for test in self.tests)
+        return tuple(WindowedPower(grid, float(grid[1] - grid[0])) for grid in grids)
 
     @property
     def shared(self) -> int:
@@ -110,22 +117,18 @@ class _Problem:
         square, shape = np.linalg.eigh(k / k.trace() * 2 * np.outer(root, root))
         return np.exp(theta[0]) * np.sqrt(np.maximum(square, 1e-9)), shape * root[:, None]
 
-    def power(self, test: BeltTest, theta: FloatArray) -> FloatArray:
-        """Return f² |H d|² through the window, (k,)."""
+    def power(self, number: int, theta: FloatArray) -> FloatArray:
+        """Return f² |H d|² of a test through the window, (k,)."""
         frequency, shape = self.modes(theta)
-        offset, weight = window_kernel()
-        lines = test.spectrum.frequency_hz
-        fine = np.maximum(lines[:, None] + offset * (lines[1] - lines[0]), 1e-3)
         mass = np.array([1.0, np.exp(theta[1])]) if self.free_ratio else np.ones(2)
-        moved: FloatArray = shape * (shape.T @ (mass * test.direction))  # (2, modes)
-        ratio = fine[..., None] / frequency
-        answer = (1.0 / (1 - ratio**2 + 2j * np.exp(theta[2:4]) * ratio)) @ moved.T  # (k, w, 2)
-        excitation = (fine / lines.mean()) ** 2
-        return np.asarray((excitation * (np.abs(answer) ** 2).sum(axis=2)) @ weight)
+        moved: FloatArray = shape * (shape.T @ (mass * self.tests[number].direction))  # (2, modes)
+        lines = self.lines[number]
+        along = np.tensordot(moved, single_modes(frequency, np.exp(theta[2:4]), lines.fine_hz), axes=1)  # (2, k, w)
+        return np.asarray(lines.power(along[0]) + lines.power(along[1]))
 
     def model(self, number: int, theta: FloatArray) -> FloatArray:
         gain, floor = theta[self.shared + 2 * number : self.shared + 2 * number + 2]
-        return np.exp(gain) * self.power(self.tests[number], theta) + np.exp(floor)
+        return np.exp(gain) * self.power(number, theta) + np.exp(floor)
 
     def residuals(self, theta: FloatArray) -> list[FloatArray]:
         """Compare logarithms, (k,) each."""
@@ -180,7 +183,7 @@ def _starts(problem: _Problem) -> list[FloatArray]:
             theta[:4] = np.log([frequency, ratio, START_DAMPING, START_DAMPING])
             for number, test in enumerate(problem.tests):
                 s = test.spectrum
-                gain = np.mean(np.log(s.value / problem.power(test, theta)))
+                gain = np.mean(np.log(s.value / problem.power(number, theta)))
                 theta[problem.shared + 2 * number :][:2] = gain, np.log(s.value.min()) - 1.0
             starts.append(theta)
     return starts
@@ -238,16 +241,6 @@ def _solved(problem: _Problem, start: FloatArray, errors: FloatArray, steps: int
     ).x
 
 
-def _level(residual: FloatArray, test: BeltTest) -> float:
-    """Find the model error that gives a test's χ² its expected value."""
-    low, high = SMALLEST_ERROR, 10.0
-    for _ in range(30):
-        middle = float(np.sqrt(low * high))
-        excess = float(np.sum(residual**2 / test.spectrum.variance(middle))) - (len(residual) - 3)
-        low, high = (middle, high) if excess > 0 else (low, middle)
-    return low
-
-
 def _covariance(problem: _Problem, theta: FloatArray, errors: FloatArray) -> FloatArray:
     """(p, p); neighbouring lines are correlated, and count as fewer."""
     shares = [
@@ -299,12 +292,12 @@ def _check_resonance(problem: _Problem, frequency: float, damping: float, errors
         raise MeasurementError(sources, [f"{rule}. Fasten what rattles, and the sensor, and test them again."])
 
 
-def _relative(problem: _Problem, theta: FloatArray, covariance: FloatArray, own: int) -> Estimate:
+def _relative(problem: _Problem, theta: FloatArray, covariance: FloatArray, number: int) -> Estimate:
     """Compare one stiffness with the mean of the others."""
 
     def against(at: FloatArray) -> FloatArray:
         k = np.log(problem.stiffness(at))
-        return np.array([k[own] - np.delete(k, own).mean()])
+        return np.array([k[number] - np.delete(k, number).mean()])
 
     slope = central_differences(against, theta, np.full(len(theta), STEP))[0]
     sd = float(np.sqrt(slope @ covariance @ slope + REPEATABLE_SD**2))

@@ -17,8 +17,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from ffcomp.identify.axis_spectra import Response, closed_form
-from ffcomp.identify.modal_fit import AxisFit, independent_share
+from ffcomp.identify.modal_fit import AxisFit
 from ffcomp.identify.uncertainty import Estimate, normal
+from ffcomp.measurement.modal import independent_share
 from models.arrays import ComplexArray, FloatArray
 
 OTHER = {"x": "y", "y": "x"}

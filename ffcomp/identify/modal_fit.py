@@ -26,8 +26,9 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.signal import find_peaks
 
 from ffcomp.errors import MeasurementError
-from ffcomp.identify.axis_spectra import COARSE, SMALLEST_ERROR, Datum, Spectrum
+from ffcomp.identify.axis_spectra import COARSE, Datum, Spectrum
 from ffcomp.identify.uncertainty import Estimate, lognormal, normal
+from ffcomp.measurement.modal import SMALLEST_ERROR, independent_share, model_error
 from ffcomp.numerics.least_squares import minimise
 from models.arrays import ComplexArray, FloatArray
 
@@ -89,7 +90,7 @@ class _Fit:
         return _modes(self.theta, self.count)
 
     @property
-    def own(self) -> FloatArray:
+    def nuisances(self) -> FloatArray:
         """(d, 2) nuisance parameters of each datum."""
         return self.theta[_of_modes(self.count) :].reshape(-1, 2)
 
@@ -131,8 +132,12 @@ def fit_axis(name: str, data: Sequence[Datum]) -> AxisFit:
     accepted, verdict = _at_the_peak(name, accepted, verdict)
     _within(name, accepted)
     modes, disagreement = _with_scatter(name, _estimated(accepted), accepted)
-    remarks = [text for datum, own in zip(data, accepted.own, strict=True) for text in datum.remarks(own)]
-    fitted = tuple(datum.model(accepted.modes, own) for datum, own in zip(data, accepted.own, strict=True))
+    remarks = [
+        text for datum, nuisances in zip(data, accepted.nuisances, strict=True) for text in datum.remarks(nuisances)
+    ]
+    fitted = tuple(
+        datum.model(accepted.modes, nuisances) for datum, nuisances in zip(data, accepted.nuisances, strict=True)
+    )
     errors = tuple(float(e) if e > SMALLEST_ERROR else 0.0 for e in accepted.errors)
     advice = (*disagreement, *_weak(name, modes, errors), *remarks)
     return AxisFit(name, modes, tuple(data), fitted, errors, verdict, advice)
@@ -143,8 +148,8 @@ def _one_or_two(name: str, data: Sequence[Datum]) -> tuple[_Fit, str]:
     peaks = _peaks(data)
     starts = [*peaks, *_even(data)]
     one = _refined(_searched(data, starts, 1))
-    found = [np.log(one.modes[:, :2]), *peaks]
-    two = _refined(_searched(data, [np.vstack([first, second]) for first in found for second in starts], 2))
+    firsts = [np.log(one.modes[:, :2]), *peaks]
+    two = _refined(_searched(data, [np.vstack([first, second]) for first in firsts for second in starts], 2))
     return _accepted(name, one, two)
 
 
@@ -205,8 +210,10 @@ def _searched(data: Sequence[Datum], starts: Sequence[FloatArray], count: int) -
     fits = []
     for start in starts:
         begin = np.concatenate([start.ravel(), [START_SHARE] * (count - 1)])
-        own = [datum.begin(_modes(begin, count)) for datum in data]
-        fits.append(_Fit(data, _solved(data, np.concatenate([begin, *own]), count, equal, SEARCHED), count, equal))
+        nuisances = [datum.begin(_modes(begin, count)) for datum in data]
+        fits.append(
+            _Fit(data, _solved(data, np.concatenate([begin, *nuisances]), count, equal, SEARCHED), count, equal)
+        )
     return min(fits, key=lambda fit: sum(float(r @ r) for r in fit.residuals))
 
 
@@ -224,9 +231,9 @@ def _refined(fit: _Fit) -> _Fit:
 def _solved(
     data: Sequence[Datum], theta: FloatArray, count: int, errors: FloatArray, evaluations: int = 60
 ) -> FloatArray:
-    own = np.concatenate([datum.limits for datum in data])
+    limits = np.concatenate([datum.limits for datum in data])
     free = np.full(_of_modes(count), np.inf)
-    low, high = np.concatenate([-free, own[:, 0]]), np.concatenate([free, own[:, 1]])
+    low, high = np.concatenate([-free, limits[:, 0]]), np.concatenate([free, limits[:, 1]])
     bottom, top = _band(data)
     for mode in range(count):
         low[2 * mode : 2 * mode + 2] = np.log([bottom / OUTSIDE, DAMPINGS[0]])
@@ -234,28 +241,30 @@ def _solved(
     if count == 2:
         low[4], high[4] = SHARES
     with np.errstate(divide="ignore", over="ignore", invalid="ignore"):  # of a step too far, which is taken back
-        found = minimise(
+        solution = minimise(
             lambda at: np.concatenate(_residuals(data, at, count, errors)),
             np.clip(theta, low + 1e-9, high - 1e-9),
             lambda at: _jacobian(data, at, count, errors),
             evaluations=evaluations,
             bounds=(low, high),
         )
-    return found.x
+    return solution.x
 
 
 def _residuals(data: Sequence[Datum], theta: FloatArray, count: int, errors: FloatArray) -> list[FloatArray]:
-    modes, own = _modes(theta, count), theta[_of_modes(count) :].reshape(-1, 2)
-    return [d.residual(modes, mine) / np.sqrt(d.variance(e)) for d, mine, e in zip(data, own, errors, strict=True)]
+    modes, nuisances = _modes(theta, count), theta[_of_modes(count) :].reshape(-1, 2)
+    return [
+        d.residual(modes, each) / np.sqrt(d.variance(e)) for d, each, e in zip(data, nuisances, errors, strict=True)
+    ]
 
 
 def _jacobian(data: Sequence[Datum], theta: FloatArray, count: int, errors: FloatArray) -> FloatArray:
     """Stack the derivatives of all files' residuals, (n, p)."""
     p = _of_modes(count)
-    modes, own = _modes(theta, count), theta[p:].reshape(-1, 2)
+    modes, nuisances = _modes(theta, count), theta[p:].reshape(-1, 2)
     blocks = []
-    for i, (datum, mine, error) in enumerate(zip(data, own, errors, strict=True)):
-        slopes = datum.slopes(modes, mine) / np.sqrt(datum.variance(error))[:, None]
+    for i, (datum, each, error) in enumerate(zip(data, nuisances, errors, strict=True)):
+        slopes = datum.slopes(modes, each) / np.sqrt(datum.variance(error))[:, None]
         block = np.zeros((len(slopes), len(theta)))
         block[:, :p], block[:, p + 2 * i : p + 2 * i + 2] = slopes[:, :p], slopes[:, p:]
         blocks.append(block)
@@ -264,26 +273,11 @@ def _jacobian(data: Sequence[Datum], theta: FloatArray, count: int, errors: Floa
 
 def _model_errors(data: Sequence[Datum], theta: FloatArray, count: int) -> FloatArray:
     """Find the ε, (d,), that gives each file's χ² its expected value; the smallest one where noise explains it all."""
-    modes, own = _modes(theta, count), theta[_of_modes(count) :].reshape(-1, 2)
+    modes, nuisances = _modes(theta, count), theta[_of_modes(count) :].reshape(-1, 2)
     used = _of_modes(count) / len(data) + 2
-    return np.array([_level(d.residual(modes, mine), d, used) for d, mine in zip(data, own, strict=True)])
-
-
-def _level(residual: FloatArray, datum: Datum, used: float) -> float:
-    low, high = SMALLEST_ERROR, 10.0
-    for _ in range(40):
-        middle = np.sqrt(low * high)
-        excess = float(np.sum(residual**2 / datum.variance(middle))) - (len(residual) - used)
-        low, high = (middle, high) if excess > 0 else (low, middle)
-    return float(low)
-
-
-def independent_share(residual: FloatArray, lines: int) -> float:
-    """Return (1 − ρ)/(1 + ρ): neighbouring lines are correlated by window and by model error."""
-    parts = residual.reshape(-1, lines)  # of a response, real and imaginary
-    rho = float(np.sum(parts[:, 1:] * parts[:, :-1]) / max(float(np.sum(parts**2)), 1e-300))
-    rho = min(max(rho, 0.0), 0.95)
-    return (1 - rho) / (1 + rho)
+    return np.array(
+        [model_error(d.residual(modes, each), d.variance, used) for d, each in zip(data, nuisances, strict=True)]
+    )
 
 
 # ---- one mode or two -----------------------------------------------------------------------------
@@ -329,7 +323,7 @@ def _unclear(two: _Fit) -> str:
 def _estimated(fit: _Fit) -> tuple[AxisMode, ...]:
     sd = np.sqrt(np.diag(fit.covariance))
     share_sd = float(sd[4]) if fit.count == 2 else 0.0
-    found = [
+    modes = [
         AxisMode(
             lognormal(float(frequency), float(sd[2 * i])),
             lognormal(float(damping), float(sd[2 * i + 1])),
@@ -337,7 +331,7 @@ def _estimated(fit: _Fit) -> tuple[AxisMode, ...]:
         )
         for i, (frequency, damping, share) in enumerate(fit.modes)
     ]
-    return tuple(sorted(found, key=lambda mode: -mode.share.value))
+    return tuple(sorted(modes, key=lambda mode: -mode.share.value))
 
 
 def _with_scatter(name: str, modes: tuple[AxisMode, ...], fit: _Fit) -> tuple[tuple[AxisMode, ...], list[str]]:
@@ -359,8 +353,8 @@ def _main_frequency(data: Sequence[Datum], fit: _Fit) -> float:
     """Return the frequency of the mode with the largest share, fitted to one file by itself, Hz."""
     begin = fit.theta[: _of_modes(fit.count)]
     theta = np.concatenate([begin, *(datum.begin(fit.modes) for datum in data)])
-    found = _solved(data, theta, fit.count, np.full(len(data), COARSE))
-    modes = _modes(found, fit.count)
+    solution = _solved(data, theta, fit.count, np.full(len(data), COARSE))
+    modes = _modes(solution, fit.count)
     return float(modes[np.argmax(modes[:, 2]), 0])
 
 

@@ -7,9 +7,7 @@ The spectrum is fitted, in logarithms, by the power of single-mode responses wit
 The responses are added before the power is taken: where two modes cancel, the spectrum has a notch that no sum of
 powers has (38 and 82 Hz side by side: a factor 16 at 48 Hz, and the first mode 1.2 Hz off).
 
-Klipper's resonance test sweeps at 1 Hz/s with an acceleration proportional to f, so the power density of its
-command grows with f²: e = f². Nothing known about the excitation: e = 1. A window of 0.6 s is as wide as a mode of
-ζ = 0.03 at 40 Hz; without the convolution with |W|² (its shape in lines is known) dampings come out too high.
+The excitation e and the window W are those of `modal.py`.
 """
 
 from __future__ import annotations
@@ -25,15 +23,13 @@ from ffcomp.errors import MeasurementError
 from ffcomp.measurement.capture import Capture
 from ffcomp.measurement.estimators import lines_of_dft
 from ffcomp.measurement.klipper import Resonances
+from ffcomp.measurement.modal import KAISER_BETA, WindowedPower, single_modes, slopes_of_modes
 from ffcomp.measurement.swept import SweptBand, cut_off, swept_band, swept_band_of_spectrum
 from ffcomp.measurement.vibration import read_vibration
 from ffcomp.numerics.least_squares import minimise
-from models.arrays import ComplexArray, FloatArray
+from models.arrays import FloatArray
 
 LOWEST_HZ, HIGHEST_HZ = 10.0, 130.0  # Klipper's sweep ends at 133 Hz; below 10 Hz its spectra are attenuated
-_KAISER_BETA = 6.0  # of Klipper's window, and ours
-_FINE = 4  # points of the model to a line of the spectrum
-_KERNEL_LINES = 4  # to each side: beyond, the window is at −44 dB
 _MOST_MODES = 5
 _DAMPING = (0.005, 0.5)
 _BLOCKS = 4  # interleaved groups of segments of a capture
@@ -217,9 +213,7 @@ class _Model:
     def __init__(self, frequency_hz: FloatArray, line_hz: float, exponent: float) -> None:
         self.frequency_hz = frequency_hz  # (k,)
         self._line_hz = line_hz
-        offset, self._window = window_kernel()  # (w,)
-        self._fine = np.maximum(frequency_hz[:, None] + offset * line_hz, 1e-3)  # (k, w)
-        self._excitation = (self._fine / frequency_hz.mean()) ** exponent
+        self._lines = WindowedPower(frequency_hz, line_hz, exponent)
 
     def fit(self, target: FloatArray, peaks: FloatArray, signs: FloatArray) -> _Fit:
         """Fit ln S, (k,), starting from peaks (p, 3)."""
@@ -243,35 +237,24 @@ class _Model:
 
     def log(self, parameters: FloatArray, signs: FloatArray) -> FloatArray:
         """Predict ln S, (k,)."""
-        total, _ = self._responses(parameters, signs)
-        return np.asarray(np.log((self._excitation * np.abs(total) ** 2) @ self._window + np.exp(parameters[-1])))
+        frequency, damping, amplitude, root = _peaks(parameters, signs)
+        response = np.tensordot(amplitude, single_modes(frequency, damping, self._lines.fine_hz), axes=1) + root
+        return np.log(self._lines.power(response) + np.exp(parameters[-1]))
 
     def slopes(self, parameters: FloatArray, signs: FloatArray) -> FloatArray:
         """Differentiate ln S by the parameters, (k, 3 p + 2), in closed form."""
-        total, parts = self._responses(parameters, signs)
-        along = []  # of the summed response
-        for (_, log_f, log_zeta), (part, denominator) in zip(parameters[:-2].reshape(-1, 3), parts, strict=True):
-            ratio, zeta = self._fine / np.exp(log_f), np.exp(log_zeta)
-            damped = 2j * zeta * ratio
-            along += [part / 2, -part * (2 * ratio**2 - damped) / denominator, -part * damped / denominator]
-        along.append(np.full_like(total, np.exp(parameters[-2] / 2) / 2))
-        columns = [(2 * self._excitation * (total.conj() * one).real) @ self._window for one in along]
+        frequency, damping, amplitude, root = _peaks(parameters, signs)
+        fine = self._lines.fine_hz
+        parts = amplitude[:, None, None] * single_modes(frequency, damping, fine)
+        response = parts.sum(axis=0) + root
+        by_shape = slopes_of_modes(frequency, damping, amplitude, fine).reshape(-1, 2, *fine.shape)
+        by_peak = np.concatenate([parts[:, None] / 2, by_shape], axis=1).reshape(-1, *fine.shape)
+        derivatives = np.concatenate([by_peak, np.full((1, *fine.shape), root / 2, dtype=np.complex128)])
         floor = np.exp(parameters[-1])
-        power = (self._excitation * np.abs(total) ** 2) @ self._window + floor
-        return np.column_stack([*columns, np.full(len(power), floor)]) / power[:, None]
-
-    def _responses(
-        self, parameters: FloatArray, signs: FloatArray
-    ) -> tuple[ComplexArray, list[tuple[ComplexArray, ComplexArray]]]:
-        """Return the sum (k, w), and each peak's part with its denominator."""
-        total = np.full(self._fine.shape, np.exp(parameters[-2] / 2), dtype=np.complex128)
-        parts = []
-        for sign, (log_a, log_f, log_zeta) in zip(signs, parameters[:-2].reshape(-1, 3), strict=True):
-            ratio = self._fine / np.exp(log_f)
-            denominator = 1 - ratio**2 + 2j * np.exp(log_zeta) * ratio
-            parts.append((sign * np.exp(log_a / 2) / denominator, denominator))
-            total += parts[-1][0]
-        return total, parts
+        power = self._lines.power(response) + floor
+        return (
+            np.column_stack([*self._lines.slopes(response, derivatives), np.full(len(power), floor)]) / power[:, None]
+        )
 
     def height(self, peak: FloatArray) -> float:
         """Return the most that a peak alone, (3,), adds to S in the band."""
@@ -290,7 +273,7 @@ class _Model:
         tops, _ = find_peaks(smooth)
         starts = []
         for at in tops[np.argsort(-smooth[tops])][:_TOPS]:
-            height = float(fit.target[at] - np.log(self._excitation[at].mean()))
+            height = float(fit.target[at] - np.log(self._lines.excitation[at].mean()))
             new = [height + 2 * np.log(2 * _START_DAMPING), np.log(self.frequency_hz[at]), np.log(_START_DAMPING)]
             starts += [(np.vstack([fit.peaks, new]), np.append(fit.signs, sign)) for sign in (1.0, -1.0)]
         return starts
@@ -302,13 +285,10 @@ def _weight(target: FloatArray) -> FloatArray:
     return np.asarray(np.sqrt(power / (power + _FULL_WEIGHT)))
 
 
-def window_kernel() -> tuple[FloatArray, FloatArray]:
-    """Return |W|² of a Kaiser window between the lines: offsets (w,) in lines, weights (w,) of sum one."""
-    taper = np.kaiser(64, _KAISER_BETA)
-    power = np.abs(np.fft.fft(taper, 64 * _FINE)) ** 2
-    reach = np.arange(-_KERNEL_LINES * _FINE, _KERNEL_LINES * _FINE + 1)
-    weight = power[reach]
-    return reach / _FINE, weight / weight.sum()
+def _peaks(parameters: FloatArray, signs: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, float]:
+    """Return frequencies, damping ratios and amplitudes (p,), and √b."""
+    log_a, log_f, log_zeta = parameters[:-2].reshape(-1, 3).T
+    return np.exp(log_f), np.exp(log_zeta), signs * np.exp(log_a / 2), float(np.exp(parameters[-2] / 2))
 
 
 def _modes(model: _Model, fit: _Fit, line_hz: float) -> tuple[Mode, ...]:
@@ -374,7 +354,7 @@ def segment_powers(capture: Capture, axes: list[int]) -> tuple[FloatArray, Float
     """Return frequencies (k,) Hz and the power spectral density of each segment without gaps, (s, k) (m/s²)²/Hz."""
     rate = capture.sample_rate_hz
     length = 2 ** int(np.ceil(np.log2(_WINDOW_S * rate)))
-    taper = np.kaiser(length, _KAISER_BETA)
+    taper = np.kaiser(length, KAISER_BETA)
     starts = range(0, len(capture.time_s) - length + 1, length // 2)
     cuts = [capture.acceleration[start : start + length, axes] for start in starts]
     whole = [cut for cut in cuts if np.isfinite(cut).all()]

@@ -15,9 +15,9 @@ import numpy as np
 
 from ffcomp.measurement.capture import Capture
 from ffcomp.measurement.estimators import lines_of_dft
+from ffcomp.measurement.modal import KAISER_BETA
 from models.arrays import FloatArray
 
-_KAISER_BETA = 6.0
 _WINDOW_S = 0.5
 _MOST_WINDOWS = 240
 _FEWEST_WINDOWS = 12  # about three seconds
@@ -81,7 +81,7 @@ def _spectrogram(capture: Capture) -> tuple[FloatArray, FloatArray, FloatArray]:
     starts = np.arange(0, len(record) - length + 1, hop)
     frequency = lines_of_dft(length, rate)
     frequency = frequency[frequency <= _HIGHEST_HZ]
-    taper = np.kaiser(length, _KAISER_BETA)[:, None]
+    taper = np.kaiser(length, KAISER_BETA)[:, None]
     cuts = (np.fft.rfft(record[start : start + length] * taper, axis=0)[: len(frequency)] for start in starts)
     power = np.array([(np.abs(cut) ** 2).sum(axis=1) for cut in cuts]).reshape(len(starts), len(frequency))
     median = np.median(power[:, frequency >= _LOWEST_HZ], axis=1, keepdims=True)

@@ -1,0 +1,86 @@
+"""Sums of modes, and how a spectrum shows them: the model that every fit of a spectrum shares.
+
+    H(f) = Σ_j A_j h_j(f),   h_j = 1/(1 − (f/f_j)² + 2i ζ_j f/f_j)
+
+    S(f) = e(f) |H(f)|²  seen through the window's |W|²
+
+A firmware's resonance test sweeps at 1 Hz/s with an acceleration proportional to f, so the power density of its command
+grows with f²: e = f². Nothing known about the excitation: e = 1. A window of 0.6 s is as wide as a mode of ζ = 0.03 at
+40 Hz; without the convolution with |W|² (its shape in lines is known) dampings come out too high.
+
+`modes.py` fits free amplitudes over a floor, `ffcomp.identify.modal_fit` shares of one axis that sum to one, and
+`ffcomp.identify.belts` those that follow from the stiffness of belts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from models.arrays import ComplexArray, FloatArray
+
+KAISER_BETA = 6.0  # of the firmwares' window, and ours
+LINES_TO_EACH_SIDE, POINTS_A_LINE = 4, 4  # of the model: beyond four lines, the window is at −44 dB
+SMALLEST_ERROR, LARGEST_ERROR = 1e-4, 10.0  # of a model
+
+
+def single_modes(frequency_hz: FloatArray, damping_ratio: FloatArray, at_hz: FloatArray) -> ComplexArray:
+    """Evaluate h_j of m modes at any frequencies (…): (m, …)."""
+    expand = (slice(None), *[None] * at_hz.ndim)
+    ratio = at_hz / frequency_hz[expand]
+    return np.asarray(1 / (1 - ratio**2 + 2j * damping_ratio[expand] * ratio))
+
+
+def slopes_of_modes(
+    frequency_hz: FloatArray, damping_ratio: FloatArray, amplitude: FloatArray, at_hz: FloatArray
+) -> ComplexArray:
+    """Differentiate H by ln f and ln ζ of each mode in turn, in closed form: (2 m, …)."""
+    expand = (slice(None), *[None] * at_hz.ndim)
+    ratio = at_hz / frequency_hz[expand]
+    damped = 2j * damping_ratio[expand] * ratio
+    steep = amplitude[expand] / (1 - ratio**2 + damped) ** 2
+    by_mode = np.stack([-steep * (2 * ratio**2 - damped), -steep * damped], axis=1)
+    return np.asarray(by_mode.reshape(-1, *at_hz.shape))
+
+
+class WindowedPower:
+    """What the lines of a spectrum (k,) show of a response, through a Kaiser window (β = 6) of one line's width."""
+
+    def __init__(self, frequency_hz: FloatArray, line_hz: float, exponent: float = 2.0) -> None:
+        offset, self._window = window_kernel()  # (w,)
+        self.fine_hz = np.maximum(frequency_hz[:, None] + offset * line_hz, 1e-3)  # (k, w)
+        self.excitation = (self.fine_hz / frequency_hz.mean()) ** exponent
+
+    def power(self, response: ComplexArray) -> FloatArray:
+        """Return S, (k,), of a response (k, w) at `fine_hz`."""
+        return np.asarray((self.excitation * np.abs(response) ** 2) @ self._window)
+
+    def slopes(self, response: ComplexArray, derivatives: ComplexArray) -> FloatArray:
+        """Differentiate S, (p, k), of a response (k, w) with derivatives (p, k, w)."""
+        return np.asarray((2 * self.excitation * (response.conj() * derivatives).real) @ self._window)
+
+
+def window_kernel() -> tuple[FloatArray, FloatArray]:
+    """Return |W|² of a Kaiser window between the lines: offsets (w,) in lines, weights (w,) of sum one."""
+    power = np.abs(np.fft.fft(np.kaiser(64, KAISER_BETA), 64 * POINTS_A_LINE)) ** 2
+    reach = np.arange(-LINES_TO_EACH_SIDE * POINTS_A_LINE, LINES_TO_EACH_SIDE * POINTS_A_LINE + 1)
+    return reach / POINTS_A_LINE, power[reach] / power[reach].sum()
+
+
+def model_error(residual: FloatArray, variance: Callable[[float], FloatArray], unknowns: float) -> float:
+    """Find the model's own error ε that gives χ² = Σ r²/v(ε) its expected value; the smallest if noise explains it."""
+    low, high = SMALLEST_ERROR, LARGEST_ERROR
+    for _ in range(40):
+        middle = float(np.sqrt(low * high))
+        excess = float(np.sum(residual**2 / variance(middle))) - (len(residual) - unknowns)
+        low, high = (middle, high) if excess > 0 else (low, middle)
+    return low
+
+
+def independent_share(residual: FloatArray, lines: int) -> float:
+    """Return (1 − ρ)/(1 + ρ): neighbouring lines are correlated by window and by model error."""
+    parts = residual.reshape(-1, lines)  # of a response, real and imaginary
+    rho = float(np.sum(parts[:, 1:] * parts[:, :-1]) / max(float(np.sum(parts**2)), 1e-300))
+    rho = min(max(rho, 0.0), 0.95)
+    return (1 - rho) / (1 + rho)
