@@ -89,7 +89,7 @@ def closed_form(modes: FloatArray, frequency_hz: FloatArray) -> ComplexArray:
 
 def closed_form_slopes(modes: FloatArray, frequency_hz: FloatArray) -> ComplexArray:
     """Differentiate H by ln f and ln ζ of each mode, then by the first's share if there are two: (p, …)."""
-    by_shape = slopes_of_modes(*modes.T, frequency_hz)
+    by_shape = slopes_of_modes(modes[:, 0], modes[:, 1], modes[:, 2], frequency_hz)
     if len(modes) == 1:
         return by_shape
     first, second = single_modes(modes[:, 0], modes[:, 1], frequency_hz)
