@@ -125,7 +125,7 @@ def diagnosed(folder: Path, candidates: Sequence[str] = ()) -> dict[str, Any]:
     from ffcomp.diagnose import printer_problem
     from ffcomp.diagnose.diagnosis import diagnose
     from ffcomp.diagnose.result import result_of
-    from ffcomp.record.load import load_recordings
+    from ffcomp.record.join import load_recordings
     from models.effects.catalogue import CATALOGUE
     from models.file import load_machine
     from models.printer.printer import simulate_printer
@@ -223,8 +223,8 @@ def _rising(path: Callable[[Any], Any], place: Sequence[float]) -> Callable[[Any
 
 
 def _joined(folder: Path, effect: str) -> None:
-    from ffcomp.record.plan import Request, make_plan
-    from ffcomp.record.plan_files import save_plan
+    from ffcomp.record.moves import Request, make_plan
+    from ffcomp.record.plan import save_plan
     from models.file import load_machine
     from validation.blind.delta.real import played
     from validation.blind.printer.motions import Motion

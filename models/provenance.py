@@ -30,7 +30,7 @@ def assumed_modes(machine: Machine) -> str | None:
     part = "" if len(assumed) == len(keys) else f" in part ({', '.join(assumed)})"
     return (
         f"The modes of {name} are assumed{part}, not measured, so how much less your printer vibrates is not known: "
-        "measure yours with `ffcomp identify plan`, then `ffcomp identify fit`."
+        "measure yours with `ffcomp record plan --for identify`, then `ffcomp identify fit`."
     )
 
 

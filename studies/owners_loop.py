@@ -22,8 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-from ffcomp.record.plan import Experiment, MovesPlan
-from ffcomp.record.plan_files import load_moves
+from ffcomp.record.plan import Experiment, Plan, load_plan
 from models.file import load_machine, updated_text
 from studies.diagnosis import ffcomp
 from studies.diagnosis_proof import Printer, hidden, kept, owners_file, printed
@@ -108,7 +107,7 @@ def recorded(folder: Path, owner: Path, real: Real, kind: str) -> tuple[list[Pat
     if not notes.exists():
         planned(plan, owner, kind)
         planned(folder / "host.gcode", owner, "klipper")  # what the host reads; the moves are the same
-        moves = load_moves(plan.with_suffix(".json"))
+        moves = load_plan(plan.with_suffix(".json"))
         found = as_captures(folder / "captures", moves, firmware_plan(folder / "host.gcode", moves), real, kind)
         notes.write_text(json.dumps(found, indent=1), encoding="utf-8")
         print(notes, file=sys.stderr, flush=True)
@@ -124,7 +123,7 @@ def planned(path: Path, owner: Path, flavor: str) -> None:
             raise SystemExit(answer["why"])
 
 
-def firmware_plan(plan: Path, moves: MovesPlan) -> list[Nozzle]:
+def firmware_plan(plan: Path, moves: Plan) -> list[Nozzle]:
     """Return each execution's motion as the real host plans the file, from its begin."""
     lines = [line for line in plan.read_bytes().splitlines(keepends=True) if line.startswith(MOTION_ONLY)]
     found = kalico_plan(
@@ -157,7 +156,7 @@ def _from(found: FloatArray, begin_s: float) -> Nozzle:
     return lambda t: sample(found, begin_s + t)
 
 
-def as_captures(folder: Path, moves: MovesPlan, motions: Sequence[Nozzle], real: Real, kind: str) -> dict[str, float]:
+def as_captures(folder: Path, moves: Plan, motions: Sequence[Nozzle], real: Real, kind: str) -> dict[str, float]:
     """Make every execution on the printer and record it; say when each capture's first row was taken."""
     folder.mkdir(exist_ok=True)
     rng = np.random.default_rng([7, len(motions)])

@@ -29,8 +29,7 @@ from ffcomp.compare.evaluation import Execution, contour
 from ffcomp.compare.methods import COMPENSATED, inversion, none
 from ffcomp.compare.sampling import Print, PrintSlice, Sampling
 from ffcomp.inverse.settings import settings_for
-from ffcomp.record.plan import Experiment, MovesPlan
-from ffcomp.record.plan_files import load_moves
+from ffcomp.record.plan import Experiment, Plan, load_plan
 from models.file import load_machine
 from studies.diagnosis import ffcomp
 from studies.owners_loop import with_lost_rows
@@ -249,7 +248,7 @@ def recorded(folder: Path, owner: Path, plant: Plant, kind: Kind, hidden: Hidden
         chips = ["--chip", "adxl345", "--chip", "bed"] if kind.bed_moves else []
         told = ("--height-mm", str(height_mm), "--flavor", "klipper", "--seconds", "2", "--json")
         answer = ffcomp("record", "plan", "-m", owner, "-o", plan, *places, *chips, *told)
-        moves = load_moves(plan.with_suffix(".json"))
+        moves = load_plan(plan.with_suffix(".json"))
         captures = as_captures(folder / f"captures-{height_mm:.0f}", moves, plant, kind, height_mm)
         given = ("--plan", plan.with_suffix(".json"), "-m", owner)
         answer = ffcomp("record", "join", *captures, "-o", runs, *given, "--json")
@@ -262,7 +261,7 @@ def recorded(folder: Path, owner: Path, plant: Plant, kind: Kind, hidden: Hidden
     return sorted(runs.glob("*.csv"))
 
 
-def as_captures(folder: Path, moves: MovesPlan, plant: Plant, kind: Kind, height_mm: float) -> list[Path]:
+def as_captures(folder: Path, moves: Plan, plant: Plant, kind: Kind, height_mm: float) -> list[Path]:
     """Make every execution on the printer and record it with each of its chips."""
     folder.mkdir(exist_ok=True)
     rng = np.random.default_rng([7, len(kind.hidden)])

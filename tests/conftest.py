@@ -40,7 +40,7 @@ SLOW = (  # folders and files; single tests have the marker themselves
     "unit/ffcomp/compare/test_quickest.py",
     "unit/ffcomp/compensate/test_gcode_layout.py",
     "unit/ffcomp/diagnose",
-    "unit/ffcomp/identify/test_experiment.py",
+    "unit/ffcomp/record/test_excitation.py",
     "unit/ffcomp/identify/test_identify.py",
     "unit/ffcomp/identify/test_modal_fit.py",
     "unit/ffcomp/inverse/nonlinear/test_correction.py",

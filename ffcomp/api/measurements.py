@@ -20,9 +20,9 @@ from ffcomp.diagnose.result import DiagnosisResult, better_file, result_of
 from ffcomp.diagnose.settings import SETTINGS
 from ffcomp.diagnose.validation import Recorded
 from ffcomp.errors import RequestError, extras_told
+from ffcomp.identify.fitting import FitRequest, fit_files
 from ffcomp.identify.identify import Identified
 from ffcomp.identify.machine_fit import MachineFit, Method, hash_of
-from ffcomp.record.fitting import FitRequest, fit_files
 from gcode.atomic_write import replace_atomically
 from models.file import check_text
 
@@ -102,7 +102,7 @@ def identify(
     data : frequency responses, recordings, captures of a plan, or a firmware's resonance tests
     machine : the machine to start from
     output : the machine file to write; None: write nothing
-    plan : the file that `ffcomp identify plan` or `ffcomp record plan` wrote beside its G-code, for its captures
+    plan : the file that `ffcomp record plan` wrote beside its G-code, for its captures
     known : value and standard deviation of parameters that are known, e.g. by a scale
     method : "direct", the output-error fit, or "stepwise", the paper's method
     name : of the new machine; "": the output file's

@@ -15,7 +15,7 @@ from scipy.signal import butter, sosfiltfilt
 
 from ffcomp.errors import MeasurementError
 from ffcomp.record.clock import without_gaps
-from ffcomp.record.plan import MovesPlan
+from ffcomp.record.plan import Plan
 from ffcomp.record.result import Joined
 from models.arrays import FloatArray
 
@@ -59,7 +59,7 @@ def in_band(rows: FloatArray, rate_hz: float) -> FloatArray:
     return np.asarray(sosfiltfilt(band, rows, axis=0))
 
 
-def felt_of(joined: Sequence[Joined], plan: MovesPlan) -> list[Felt]:
+def felt_of(joined: Sequence[Joined], plan: Plan) -> list[Felt]:
     """Thin what was joined, in the order of the plan; an experiment without any recording is missing."""
     found = []
     for experiment in plan.experiments:

@@ -17,8 +17,7 @@ import numpy as np
 
 from ffcomp.check.felt import Felt
 from ffcomp.errors import MeasurementError
-from ffcomp.record.plan import MovesPlan
-from ffcomp.record.plan_files import account
+from ffcomp.record.plan import Plan, plan_dict
 from gcode.atomic_write import replace_atomically
 
 SCHEMA = "ffcomp-check-history/1"
@@ -51,9 +50,9 @@ class Check:
         return bool(felt) and all(each.name in own and np.array_equal(own[each.name], _whole(each)) for each in felt)
 
 
-def plan_hash(plan: MovesPlan) -> str:
+def plan_hash(plan: Plan) -> str:
     """Return what tells moves from others."""
-    moves = account(plan)["experiments"]
+    moves = plan_dict(plan)["experiments"]
     return hashlib.sha256(json.dumps(moves, sort_keys=True).encode()).hexdigest()
 
 

@@ -14,7 +14,7 @@ from ffcomp.check.felt import Felt, felt_of
 from ffcomp.check.history import Check, plan_hash
 from ffcomp.check.signatures import Signatures, fitted
 from ffcomp.check.verdict import FIRST, SAME, UNKNOWN, Verdict, verdict
-from ffcomp.record.plan import MovesPlan
+from ffcomp.record.plan import Plan
 from ffcomp.record.result import JoinResult
 from models.machine import Machine
 
@@ -87,9 +87,7 @@ class CheckResult:
         }
 
 
-def check_result(
-    joined: JoinResult, plan: MovesPlan, machine: Machine, history: Sequence[Check], date: str
-) -> CheckResult:
+def check_result(joined: JoinResult, plan: Plan, machine: Machine, history: Sequence[Check], date: str) -> CheckResult:
     """Compare what was joined with the machine file and with the history."""
     felt = felt_of(joined.joined, plan)
     moves = plan_hash(plan)
@@ -179,7 +177,7 @@ def _total(sizes: Sequence[Size], felt: Sequence[Felt]) -> Size:
     return Size("all", gap, noise, None)
 
 
-def _notes(known: Sequence[Check], plan: MovesPlan, names: set[str], last: Check | None, machine: Machine) -> list[str]:
+def _notes(known: Sequence[Check], plan: Plan, names: set[str], last: Check | None, machine: Machine) -> list[str]:
     notes = []
     if known:
         notes.append(f"These captures are in the history already, of {_day(known[0].date)}; it was not changed.")

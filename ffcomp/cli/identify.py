@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 
-from ffcomp.cli.identify_plan import plan as write_plan
 from ffcomp.cli.options import AsJson, Figure, Force, HighestFitted, LowestFitted, MachineFile, MachineName, Quiet
 from ffcomp.request import ACCURACY, ADVANCED, MACHINE, OUTPUT
 
@@ -19,10 +18,9 @@ if TYPE_CHECKING:
 app = typer.Typer(
     no_args_is_help=True,
     help="Identify a machine file's parameters from measurements.\n\n"
-    "With an accelerometer and no laboratory: ffcomp identify plan, run its G-code, ffcomp identify fit. "
+    "With an accelerometer and no laboratory: ffcomp record plan --for identify, run its G-code, ffcomp identify fit. "
     "With frequency responses of your own: ffcomp identify fit responses.csv … (CSV or UFF 58).",
 )
-app.command("plan")(write_plan)
 
 Data = Annotated[
     list[Path],
@@ -38,7 +36,7 @@ PlanFile = Annotated[
         "--plan",
         metavar="FILE",
         rich_help_panel=MACHINE,
-        help="Plan (.json) that `identify plan` or `record plan` wrote, for its captures.",
+        help="Plan (.json) that `record plan` wrote, for its captures.",
     ),
 ]
 Known = Annotated[
@@ -139,9 +137,9 @@ def fit(
         raise typer.BadParameter(f"{output} exists already; give another --output, or --force.")
     with exit_codes():
         from ffcomp.cli.search_progress import SearchProgress
+        from ffcomp.identify.fitting import FitRequest, fit_files
         from ffcomp.identify.machine_fit import USUAL_S
         from ffcomp.identify.shaper_advice import in_words
-        from ffcomp.record.fitting import FitRequest, fit_files
         from models.file import load_plant
 
         start = load_plant(machine)

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ffcomp.cli.options import AsJson, CaptureAxes, Force, MachineName, PlanOutput, Quiet, check_choice
+from ffcomp.cli.options import AsJson, CaptureAxes, Force, MachineName, PlanOutput, Quiet
 from ffcomp.request import ACCURACY, ADVANCED, MACHINE, OUTPUT
 
 if TYPE_CHECKING:
-    from ffcomp.record.firmware import Firmware
-    from ffcomp.record.plan import MovesPlan
+    from ffcomp.record.plan import Plan
+    from ffcomp.record.planning import PlanResult
     from ffcomp.record.result import JoinResult
 
 app = typer.Typer(
@@ -23,23 +23,54 @@ app = typer.Typer(
     "them as measured runs with ffcomp record join.",
 )
 
+For = Annotated[
+    str,
+    typer.Option(
+        "--for",
+        metavar="VERB",
+        rich_help_panel=MACHINE,
+        help="What the captures are for: identify (the numbers of a machine file), diagnose (what it lacks) or check "
+        "(whether the printer has changed).",
+    ),
+]
 At = Annotated[
     list[str] | None,
     typer.Option(
         metavar="X,Y",
         rich_help_panel=MACHINE,
-        help="Place of experiments, mm. May be repeated; places are 40 mm apart or more. Default: the centre, and "
-        "three places around it.",
+        help="Place of experiments, mm. May be repeated; for diagnose, places are 40 mm apart or more. centre: the "
+        "middle of the bed (default of identify). line-of-action: for identify, three places away from each tower of a "
+        "delta, where the dynamics differ most. Default of diagnose: the centre, and three places around it.",
+    ),
+]
+Kind = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--kind",
+        metavar="NAME",
+        rich_help_panel=ADVANCED,
+        help="For diagnose, only such moves: zigzag, reversals, loop or multisine; may be repeated. For identify, the "
+        "excitation: multisine (low peaks, whole periods; default), sweep or log-sweep.",
     ),
 ]
 Seconds = Annotated[
-    float,
-    typer.Option(metavar="S", rich_help_panel=ACCURACY, min=2.0, max=20.0, help="Duration of an experiment, about."),
+    float | None,
+    typer.Option(
+        metavar="S",
+        rich_help_panel=ACCURACY,
+        min=2.0,
+        max=20.0,
+        help="Duration of an experiment for diagnose, about. Default: 4.",
+    ),
 ]
 Repeats = Annotated[
-    int,
+    int | None,
     typer.Option(
-        metavar="N", rich_help_panel=ACCURACY, min=1, max=9, help="How often each is made. Repeats show the noise."
+        metavar="N",
+        rich_help_panel=ACCURACY,
+        min=1,
+        max=9,
+        help="How often each is made. Repeats show the noise. Default: 2; 1 for identify, whose periods do.",
     ),
 ]
 Amplitude = Annotated[
@@ -49,11 +80,18 @@ Amplitude = Annotated[
         metavar="A",
         rich_help_panel=ACCURACY,
         min=1.0,
-        help="Acceleration of the nozzle. Default: the machine file's limit.",
+        help="Acceleration of the nozzle for diagnose (default: the machine file's limit), peak of the excitation for "
+        "identify (default: a safe share of the machine's limits).",
     ),
 ]
 Height = Annotated[
-    float, typer.Option("--height-mm", metavar="MM", rich_help_panel=MACHINE, help="Nozzle height above the bed.")
+    float | None,
+    typer.Option(
+        "--height-mm",
+        metavar="MM",
+        rich_help_panel=MACHINE,
+        help="Nozzle height above the bed. Default: 30; 50 for identify.",
+    ),
 ]
 FirmwareName = Annotated[
     str,
@@ -84,6 +122,96 @@ ShaperBack = Annotated[
         "them by itself.",
     ),
 ]
+ShaperOff = Annotated[
+    bool | None,
+    typer.Option(
+        "--shaper-off/--no-shaper-off",
+        rich_help_panel=MACHINE,
+        help="For identify: switch the firmware's input shaper off at the beginning. Default: yes.",
+    ),
+]
+Print = Annotated[
+    Path | None,
+    typer.Option(
+        "--print",
+        metavar="FILE",
+        rich_help_panel=OUTPUT,
+        help="For diagnose: record this print instead of ffcomp's own moves, up to 12 stretches of its first layers. "
+        "Print the file that -o names.",
+    ),
+]
+Axes = Annotated[
+    str | None,
+    typer.Option(
+        "--axes",
+        metavar="AXES",
+        rich_help_panel=MACHINE,
+        help="For identify. towers: each carriage alone (default of a delta); all: towers and xyz; or the nozzle along "
+        "x, y, z, xy (default of cartesian and CoreXY) or xyz.",
+    ),
+]
+Lowest = Annotated[
+    float | None,
+    typer.Option(metavar="HZ", rich_help_panel=ACCURACY, min=0.5, help="Lowest frequency for identify. Default: 5."),
+]
+Highest = Annotated[
+    float | None,
+    typer.Option(metavar="HZ", rich_help_panel=ACCURACY, min=1.0, help="Highest frequency for identify. Default: 150."),
+]
+ZAcceleration = Annotated[
+    float | None,
+    typer.Option(
+        "--z-acceleration-mm-per-s2",
+        metavar="A",
+        rich_help_panel=MACHINE,
+        min=1.0,
+        help="For identify: the firmware's limit in Z (Klipper: max_z_accel). Default: the machine file's "
+        "acceleration.",
+    ),
+]
+Period = Annotated[
+    float | None,
+    typer.Option(
+        metavar="S",
+        rich_help_panel=ADVANCED,
+        min=2.0,
+        max=60.0,
+        help="Period for identify. Its inverse is the frequency step. Default: 4.",
+    ),
+]
+Periods = Annotated[
+    int | None,
+    typer.Option(
+        metavar="N",
+        rich_help_panel=ADVANCED,
+        min=1,
+        help="Periods to average for identify, after a first one that settles. Default: 6.",
+    ),
+]
+Realisations = Annotated[
+    int | None,
+    typer.Option(
+        metavar="N",
+        rich_help_panel=ADVANCED,
+        min=1,
+        help="Repetitions of the multisine with other random phases, for identify. Default: 1.",
+    ),
+]
+Rate = Annotated[
+    float | None,
+    typer.Option(
+        "--segments-per-second",
+        metavar="RATE",
+        rich_help_panel=ADVANCED,
+        min=125.0,
+        max=500.0,
+        help="Segment rate for identify. It rises if the highest frequency needs more. Default: 250.",
+    ),
+]
+Seed = Annotated[
+    int | None,
+    typer.Option(metavar="N", rich_help_panel=ADVANCED, min=0, help="Seed of the moves or the phases. Default: 1."),
+]
 Captures = Annotated[
     list[Path],
     typer.Argument(
@@ -100,202 +228,118 @@ Folder = Annotated[
     Path,
     typer.Option("--output", "-o", metavar="FOLDER", rich_help_panel=OUTPUT, help="Folder for the measured runs."),
 ]
-Print = Annotated[
-    Path | None,
-    typer.Option(
-        "--print",
-        metavar="FILE",
-        rich_help_panel=OUTPUT,
-        help="Record this print instead of ffcomp's own moves: up to 12 stretches of its first layers. Print the file "
-        "that -o names.",
-    ),
-]
-Kind = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--kind",
-        metavar="NAME",
-        rich_help_panel=ADVANCED,
-        help="Only such moves: zigzag, reversals, loop or multisine. May be repeated. Default: all of them.",
-    ),
-]
-Seed = Annotated[int, typer.Option(metavar="N", rich_help_panel=ADVANCED, min=0, help="Seed of the moves.")]
 
 
 @app.command("plan")
 def plan(
     machine: MachineName,
     output_file: PlanOutput,
+    purpose: For = "diagnose",
     at: At = None,
-    seconds: Seconds = 4.0,
-    repeats: Repeats = 2,
+    kind: Kind = None,
+    axes: Axes = None,
+    seconds: Seconds = None,
+    repeats: Repeats = None,
+    lowest_hz: Lowest = None,
+    highest_hz: Highest = None,
     amplitude_mm_per_s2: Amplitude = None,
-    height_mm: Height = 30.0,
+    z_acceleration_mm_per_s2: ZAcceleration = None,
+    period_s: Period = None,
+    periods: Periods = None,
+    realisations: Realisations = None,
+    segments_per_second: Rate = None,
+    height_mm: Height = None,
     flavor: FirmwareName = "",
     chip: Chips = None,
     shaper: ShaperBack = "",
+    shaper_off: ShaperOff = None,
     print_file: Print = None,
-    kind: Kind = None,
-    seed: Seed = 1,
+    seed: Seed = None,
     as_json: AsJson = False,
 ) -> None:
     """Write the G-code of moves that are worth recording.
 
-    At most 12 experiments and 5 minutes: hard zigzags, slow reversals, loops and multisines at several places, each
-    made twice. The capture commands are inside. With --print, a print is recorded while it prints; nothing is repeated
-    then, and ffcomp diagnose needs --without-repeats.
+    For diagnose, at most 12 experiments and 5 minutes: hard zigzags, slow reversals, loops and multisines at several
+    places, each made twice. For identify, a periodic excitation of each carriage or axis by itself. For check, half a
+    minute in the middle of the bed. The capture commands are inside. With --print, a print is recorded while it prints;
+    nothing is repeated then, and ffcomp diagnose needs --without-repeats.
 
     Example: ffcomp record plan -m mp-delta-pro -o moves.gcode
     """
-    from ffcomp.cli.common import exit_codes
-    from gcode.dialects import FLAVORS, KLIPPER
-
-    if flavor:
-        check_choice("--flavor", flavor, sorted(FLAVORS))
-    from ffcomp.record.moves import KINDS
-
-    for each in kind or []:
-        check_choice("--kind", each, list(KINDS))
-    account = account_of(output_file)
-    with exit_codes():
-        from ffcomp.record.firmware import DEFAULT_CHIPS, Firmware
-        from ffcomp.record.gcode_text import gcode_lines
-        from ffcomp.record.plan import Request, make_plan
-        from ffcomp.record.prints import plan_print, print_lines
-        from models.file import load_machine
-
-        loaded = load_machine(machine)
-        request = Request(
-            places_mm=[pair("--at", text) for text in at or []],
-            height_mm=height_mm,
-            seconds=seconds,
-            repeats=repeats,
-            acceleration_mm_per_s2=amplitude_mm_per_s2,
-            seed=seed,
-            kinds=list(dict.fromkeys(kind or KINDS)),
-        )
-        spoken = flavor or loaded.flavor or KLIPPER
-        firmware = Firmware(spoken, chip or DEFAULT_CHIPS[spoken], pair("--shaper", shaper) if shaper else None)
-        if print_file is None:
-            made = make_plan(loaded, request)
-            lines = gcode_lines(made, loaded, firmware)
-        else:
-            made, program = plan_print(print_file, loaded, spoken)
-            lines = print_lines(made, program, firmware)
-        then = _next(made, account, machine, loaded.vibration.diagnosable)
-        finish_plan(made, lines, firmware, output_file, then, as_json)
+    write_plan(
+        as_json,
+        machine=machine,
+        output=output_file,
+        purpose=purpose,
+        at=at,
+        kind=kind,
+        axes=axes,
+        seconds=seconds,
+        repeats=repeats,
+        lowest_hz=lowest_hz,
+        highest_hz=highest_hz,
+        amplitude_mm_per_s2=amplitude_mm_per_s2,
+        z_acceleration_mm_per_s2=z_acceleration_mm_per_s2,
+        period_s=period_s,
+        periods=periods,
+        realisations=realisations,
+        segments_per_second=segments_per_second,
+        height_mm=height_mm,
+        flavor=flavor,
+        chip=chip,
+        shaper=shaper,
+        shaper_off=shaper_off,
+        print_file=print_file,
+        seed=seed,
+    )
 
 
-def account_of(output_file: Path) -> Path:
-    """Return where the plan of a G-code file is written."""
-    account = output_file.with_suffix(".json")
-    if account == output_file:
-        raise typer.BadParameter(f"-o {output_file}: the G-code needs another ending, for .json is that of its plan.")
-    return account
-
-
-def finish_plan(
-    made: MovesPlan, lines: Iterable[bytes], firmware: Firmware, target: Path, then: str, as_json: bool
-) -> None:
+def write_plan(as_json: bool, **options: Any) -> None:
     """Write the G-code and its plan, and say what comes next."""
-    from ffcomp.cli.common import print_json
-    from ffcomp.record.plan_files import save_plan
-    from gcode.atomic_write import replace_atomically
+    from ffcomp.cli.common import exit_codes, print_json
 
-    account = account_of(target)
-    replace_atomically(target, lines)
-    save_plan(made, account)
-    result = _result(made, firmware, target, account, then)
-    if as_json:
-        print_json(result)
-    else:
-        _report(result)
+    with exit_codes():
+        from ffcomp.record.planning import PlanRequest, plan_recording
+
+        result = plan_recording(PlanRequest(**options))
+        if as_json:
+            print_json(result.to_dict())
+        else:
+            _report(result)
 
 
-def pair(option: str, text: str) -> tuple[float, float]:
-    """Parse the two numbers of an option."""
-    try:
-        x, y = (float(part) for part in text.split(","))
-    except ValueError:
-        raise typer.BadParameter(f"{option} {text!r}: two numbers with a comma between them.") from None
-    return x, y
-
-
-def _next(made: MovesPlan, account: Path, machine: str, diagnosable: bool) -> str:
-    if not diagnosable:
-        return f"ffcomp record join CAPTURES --plan {account} -m {machine} -o runs/"
-    repeated = "" if made.repeats > 1 else " --without-repeats"
-    return f"ffcomp diagnose CAPTURES --plan {account} -m {machine}{repeated}"
-
-
-def _result(made: MovesPlan, firmware: Firmware, target: Path, account: Path, then: str) -> dict[str, Any]:
-    from ffcomp.record.plan_files import capture_name
-
-    experiments = [
-        {
-            "name": each.name,
-            "kind": each.kind,
-            "position_mm": each.position_mm,
-            "duration_s": each.duration_s,
-            "moves": len(each.motion.speed),
-            "microstep_error": each.rounding,
-        }
-        for each in made.experiments
-    ]
-    return {
-        "schema": "ffcomp-record-plan/1",
-        "machine": {"name": made.machine, "sha256": made.machine_sha256},
-        "output": str(target),
-        "plan": str(account),
-        "flavor": firmware.flavor,
-        "duration_s": made.duration_s,
-        "repeats": made.repeats,
-        "experiments": experiments,
-        "captures": [capture_name(each.name, repeat) for each, repeat in made.runs()],
-        "restores": firmware.restores(),
-        "warnings": _warnings(experiments),
-        "next": then,
-    }
-
-
-def _warnings(experiments: list[dict[str, Any]]) -> list[str]:
-    from ffcomp.record.plan import MOST_ROUNDING
-
-    coarse = [each for each in experiments if each["microstep_error"] > MOST_ROUNDING]
-    if not coarse:
-        return []
-    worst = max(coarse, key=lambda each: float(each["microstep_error"]))
-    return [
-        f"In {len(coarse)} of {len(experiments)} experiments rounding to microsteps is more than {MOST_ROUNDING:.0%} "
-        f"of the command; most in {worst['name']}, {worst['microstep_error']:.0%}. Finer microsteps or higher limits "
-        "in the machine file make it smaller."
-    ]
-
-
-def _report(result: dict[str, Any]) -> None:
+def _report(result: PlanResult) -> None:
     """Describe the file and the next steps."""
     from rich.console import Console
     from rich.table import Table
 
     console = Console()
-    table = Table("experiment", "at, mm", "s", "microstep error")
-    for each in result["experiments"]:
-        place = "{:g}, {:g}".format(*each["position_mm"])
-        table.add_row(each["name"], place, f"{each['duration_s']:.1f}", f"{100 * each['microstep_error']:.0f} %")
+    peaks = [result.peaks(each) for each in result.plan.experiments]
+    columns = ("carriage mm/s", "m/s²", "nozzle mm/s", "m/s²") if peaks[0] else ("s",)
+    table = Table("experiment", "at, mm", *columns, "microstep error")
+    for each, peak in zip(result.plan.experiments, peaks, strict=True):
+        cells = [f"{each.duration_s:.1f}"]
+        if peak is not None:
+            carriage = peak.carriage_velocity_mm_per_s, peak.carriage_acceleration_mm_per_s2 / 1e3
+            nozzle = peak.nozzle_velocity_mm_per_s, peak.nozzle_acceleration_mm_per_s2 / 1e3
+            cells = [text for v, a in (carriage, nozzle) for text in (f"{v:.0f}", f"{a:.1f}")]
+        table.add_row(each.name, "{:g}, {:g}".format(*each.position_mm), *cells, f"{each.rounding:.0%}")
     console.print(table)
     for sentence in _sentences(result):
         console.print(sentence, highlight=False, soft_wrap=True)
 
 
-def _sentences(result: dict[str, Any]) -> list[str]:
-    count, minutes = len(result["experiments"]), result["duration_s"] / 60
-    return [
-        *(f"warning: {warning}" for warning in result["warnings"]),
-        f"{result['output']}: {count} experiments, {result['repeats']} times each, {minutes:.1f} min recorded.",
-        *result["restores"],
-        f"Bring back the captures, {len(result['captures'])} for each accelerometer, and keep {result['plan']}.",
-        f"Then: {result['next']}",
-    ]
+def _sentences(result: PlanResult) -> Iterator[str]:
+    plan, minutes = result.plan, result.plan.duration_s / 60
+    yield from (f"warning: {warning}" for warning in result.warnings)
+    often = f", {plan.repeats} times each" if plan.repeats > 1 else ""
+    yield f"{result.output}: {len(plan.experiments)} experiments{often}, {minutes:.1f} min recorded."
+    if places := result.missing_places_mm:
+        options = " ".join(f"--at {x:g},{y:g}" for x, y in places)
+        yield f"Places that would tell more: {options} (or --at line-of-action)."
+    yield from result.firmware.restores()
+    yield f"Bring back the captures, {len(result.captures)} for each accelerometer, and keep {result.plan_file}."
+    yield f"Then: {result.next}"
 
 
 @app.command("join")
@@ -321,12 +365,12 @@ def join(
     with exit_codes():
         from ffcomp.record.axes import turn_of
         from ffcomp.record.join import join_captures
-        from ffcomp.record.plan_files import load_moves
+        from ffcomp.record.plan import load_plan
         from ffcomp.record.result import recording_lines
         from gcode.atomic_write import replace_atomically
         from models.file import load_machine
 
-        made, loaded = load_moves(plan_file), load_machine(machine)
+        made, loaded = load_plan(plan_file), load_machine(machine)
         found = join_captures(captures, made, loaded, turn_of(axes_map), lambda text: say(f"ffcomp: {text}", quiet))
         targets = [output / f"{each.name}.csv" for each in found.joined]
         if taken := [path for path in targets if path.exists() and not force]:
@@ -344,7 +388,7 @@ def join(
         found.check()
 
 
-def _report_join(found: JoinResult, output: Path, plan: MovesPlan, machine: str, diagnosable: bool) -> None:
+def _report_join(found: JoinResult, output: Path, plan: Plan, machine: str, diagnosable: bool) -> None:
     for each in found.joined:
         clock = each.clock
         print(

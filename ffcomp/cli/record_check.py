@@ -8,14 +8,11 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ffcomp.cli.options import AsJson, CaptureAxes, Figure, Force, MachineName, MovesPlanFile, Quiet
-from ffcomp.cli.record import Chips, FirmwareName, ShaperBack, account_of, finish_plan, pair
+from ffcomp.cli.record import Chips, FirmwareName, ShaperBack, write_plan
 from ffcomp.request import OUTPUT
 
 if TYPE_CHECKING:
     from ffcomp.check.result import CheckResult
-
-KINDS = ("multisine", "loop", "reversals")
-SECONDS, REPEATS, SEED = 2.0, 2, 17
 
 Captures = Annotated[
     list[Path] | None,
@@ -59,44 +56,22 @@ def check(
 ) -> None:
     """Check in half a minute whether the printer moves as last time, and if not, what changed.
 
-    First write the G-code with -o, and run it whenever you want to know. Then give its captures with --plan: they are
-    compared with the machine file and with the earlier checks.
+    First write the G-code with -o, as ffcomp record plan --for check does, and run it whenever you want to know. Then
+    give its captures with --plan: they are compared with the machine file and with the earlier checks.
 
     Example: ffcomp record check captures/*.csv --plan check.json -m my-delta.toml
     """
     if bool(captures) == bool(output_file):
         raise typer.BadParameter("Either -o check.gcode, to write the G-code; or its captures, with --plan check.json.")
     if output_file is not None:
-        _write(machine, output_file, flavor, chip, shaper, as_json)
+        options = {"flavor": flavor, "chip": chip, "shaper": shaper}
+        write_plan(as_json, machine=machine, output=output_file, purpose="check", **options)
     elif plan is None:
         raise typer.BadParameter("Captures need --plan: the .json file that was written beside the check's G-code.")
     elif figure is not None and figure.exists() and not force:
         raise typer.BadParameter(f"{figure} exists already; give another --figure, or --force.")
     else:
         _compare(machine, captures or [], plan, history or _beside(machine), figure, axes_map, as_json, quiet)
-
-
-def _write(machine: str, target: Path, flavor: str, chip: list[str] | None, shaper: str, as_json: bool) -> None:
-    from ffcomp.cli.common import exit_codes
-    from ffcomp.cli.options import check_choice
-    from gcode.dialects import FLAVORS, KLIPPER
-
-    if flavor:
-        check_choice("--flavor", flavor, sorted(FLAVORS))
-    account = account_of(target)
-    with exit_codes():
-        from ffcomp.record.firmware import DEFAULT_CHIPS, Firmware
-        from ffcomp.record.gcode_text import gcode_lines
-        from ffcomp.record.plan import Request, make_plan
-        from models.file import load_machine
-
-        loaded = load_machine(machine)
-        centre = [loaded.kinematics.centre_mm]
-        made = make_plan(loaded, Request(centre, seconds=SECONDS, repeats=REPEATS, seed=SEED, kinds=KINDS))
-        spoken = flavor or loaded.flavor or KLIPPER
-        firmware = Firmware(spoken, chip or DEFAULT_CHIPS[spoken], pair("--shaper", shaper) if shaper else None)
-        then = f"ffcomp record check CAPTURES --plan {account} -m {machine}"
-        finish_plan(made, gcode_lines(made, loaded, firmware), firmware, target, then, as_json)
 
 
 def _beside(machine: str) -> Path:
@@ -124,10 +99,10 @@ def _compare(
         from ffcomp.check.result import check_result
         from ffcomp.record.axes import turn_of
         from ffcomp.record.join import join_captures
-        from ffcomp.record.plan_files import load_moves
+        from ffcomp.record.plan import load_plan
         from models.file import load_machine
 
-        made, loaded, before = load_moves(plan), load_machine(machine), read_history(history)
+        made, loaded, before = load_plan(plan), load_machine(machine), read_history(history)
         joined = join_captures(captures, made, loaded, turn_of(axes_map), lambda text: say(f"ffcomp: {text}", quiet))
         joined = joined.with_accelerations
         for refused in joined.refused if joined.joined else ():

@@ -65,7 +65,7 @@ PlanOfCaptures = Annotated[
         "--plan",
         metavar="FILE",
         rich_help_panel=OUTPUT,
-        help="Plan (.json) of --as-captures, as record plan or identify plan wrote it beside the G-code.",
+        help="Plan (.json) of --as-captures, as record plan wrote it beside the G-code.",
     ),
 ]
 Noise = Annotated[

@@ -19,7 +19,7 @@ from ffcomp.diagnose.validation import Recorded, check_alike, check_repeating, c
 from ffcomp.errors import RequestError
 from ffcomp.measurement.axis_run import AxisRun, read_axis_run
 from ffcomp.measurement.recording import Recording
-from ffcomp.record.load import load_recordings
+from ffcomp.record.join import load_recordings
 from models.arrays import FloatArray
 from models.axis.machine import AxisMachine
 from models.effects.catalogue import CATALOGUE
@@ -41,7 +41,7 @@ def recordings_of(
 
     Parameters
     ----------
-    plan, turn, progress : as `ffcomp.record.load.load_recordings` takes them
+    plan, turn, progress : as `ffcomp.record.join.load_recordings` takes them
     """
     raise TypeError(plant)
 

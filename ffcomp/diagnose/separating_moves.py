@@ -29,8 +29,8 @@ from ffcomp.diagnose.score_test import confounded_with
 from ffcomp.diagnose.separation import Separation
 from ffcomp.diagnose.settings import SETTINGS
 from ffcomp.errors import FfcompError
-from ffcomp.record.moves import KINDS
-from ffcomp.record.plan import Experiment, Request, default_places, make_plan
+from ffcomp.record.moves import KINDS, Request, default_places, make_plan
+from ffcomp.record.plan import Experiment
 from models.arrays import FloatArray
 from models.effects.catalogue import CATALOGUE
 from models.finding import machine_paths

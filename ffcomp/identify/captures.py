@@ -9,24 +9,35 @@ the plan's whole periods. The remaining error of the start is a delay that is fi
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 from ffcomp.errors import MeasurementError
-from ffcomp.identify.experiment import AXES, TOWERS, Experiment, Plan
 from ffcomp.measurement.alignment import align
 from ffcomp.measurement.capture import Capture
 from ffcomp.measurement.estimators import periodic_frf
 from ffcomp.measurement.frf import FrequencyResponse
+from ffcomp.measurement.recording import Recording
+from ffcomp.measurement.recording_frfs import frfs_from_recordings
 from ffcomp.measurement.vibration import read_capture
+from ffcomp.record.axes import STRAIGHT, turning
+from ffcomp.record.excitation import excited_coordinate
+from ffcomp.record.plan import Experiment, Plan
+from ffcomp.record.result import NO_ACCELERATIONS
 from models.arrays import FloatArray
 from models.machine import Machine
 from models.printer.printer import simulate_printer
 
 RATE_HZ = 3200.0
 TAIL_S = 0.5  # simulated beyond the end of the motion, where a capture may still run
-STRAIGHT = ("x", "y", "z")
+BAND_HZ = (5.0, 150.0)  # that such motions excite
+HALF_WIDTH_HZ = 2.0  # zigzags and loops have a few lines in a hertz only
+VARIANCE_FACTOR = 4.0  # polynomials of such wide windows err by twice the noise, measured on simulated captures
+MOST_NOISE = 0.15  # of a response's values: beyond it, as across the axes at the centre, it tells nothing
+INPUTS = ("cmd_x", "cmd_y")  # z moves too little beside them
 
 
 def frfs_from_captures(
@@ -49,27 +60,6 @@ def frfs_from_captures(
     return [r for path in paths for r in _responses(_experiment_of(plan, path), read_capture(path), machine, turn)]
 
 
-def turning(axes: Sequence[str]) -> FloatArray:
-    """Return the matrix (3, 3) from sensor axes to printer axes.
-
-    Raises
-    ------
-    MeasurementError
-        If the three are not x, y and z with signs.
-    """
-    turn = np.zeros((3, 3))
-    for row, text in enumerate(axes):
-        name = text.strip().lstrip("+-")
-        if name not in STRAIGHT:
-            raise MeasurementError(
-                "--axes-map", [f"{text!r} is no axis; it is x, y or z, with a minus if it points back."]
-            )
-        turn[row, STRAIGHT.index(name)] = -1.0 if text.strip().startswith("-") else 1.0
-    if abs(np.linalg.det(turn)) != 1.0:
-        raise MeasurementError("--axes-map", [f"{', '.join(axes)} does not name each of x, y and z once."])
-    return turn
-
-
 def _experiment_of(plan: Plan, path: str | Path) -> Experiment:
     stem = Path(path).stem
     for experiment in plan.experiments:
@@ -80,19 +70,24 @@ def _experiment_of(plan: Plan, path: str | Path) -> Experiment:
 
 
 def _responses(experiment: Experiment, capture: Capture, machine: Machine, turn: FloatArray) -> list[FrequencyResponse]:
+    excitation = experiment.excitation
+    if excitation is None:
+        raise MeasurementError(capture.source, [f"{experiment.name} is no periodic excitation."])
     measured = capture.acceleration @ turn.T
     t, expected = _expected(experiment, machine)
-    found = align(capture.time_s, measured, t, expected, capture.source, experiment.period_s)
-    when = experiment.measured_from_s + np.arange(_samples(experiment) * experiment.periods) / RATE_HZ
-    own = capture.time_s[0] + (when - found.offset_s) / found.clock_ratio
-    if own[0] < capture.time_s[0] or own[-1] > capture.time_s[-1]:
+    clock = align(capture.time_s, measured, t, expected, capture.source, excitation.band.period_s)
+    samples = round(excitation.band.period_s * RATE_HZ)
+    when = experiment.measured_from_s + np.arange(samples * excitation.periods) / RATE_HZ
+    capture_time = capture.time_s[0] + (when - clock.offset_s) / clock.clock_ratio
+    if capture_time[0] < capture.time_s[0] or capture_time[-1] > capture.time_s[-1]:
         rule = f"It covers {capture.time_s[-1] - capture.time_s[0]:.1f} s, not all of the motion to be measured."
         raise MeasurementError(capture.source, [f"{rule} Start capturing before the motion, stop after it."])
-    y = _resampled(capture.time_s, measured, own)
-    matrix = periodic_frf(_excited(experiment, when), y, RATE_HZ, _samples(experiment), transient_periods=0)
-    band = matrix.between(experiment.band.lowest_hz, experiment.band.highest_hz)
+    y = CubicSpline(capture.time_s, measured)(capture_time)
+    moved = excited_coordinate(machine.kinematics, excitation.direction, experiment.motion, when)
+    matrix = periodic_frf(((moved - moved.mean()) * 1e-3)[:, None], y, RATE_HZ, samples, transient_periods=0)
+    band = matrix.between(excitation.band.lowest_hz, excitation.band.highest_hz)
     return band.responses(
-        [f"cmd_{experiment.direction}"],
+        [f"cmd_{excitation.direction}"],
         [f"acc_{axis}" for axis in STRAIGHT],
         position_mm=experiment.position_mm,
         source=Path(capture.source).name,
@@ -100,27 +95,72 @@ def _responses(experiment: Experiment, capture: Capture, machine: Machine, turn:
     )
 
 
-def _samples(experiment: Experiment) -> int:
-    return round(experiment.period_s * RATE_HZ)
-
-
 def _expected(experiment: Experiment, machine: Machine) -> tuple[FloatArray, FloatArray]:
     """Simulate the nozzle's acceleration: (n,) s and (n, 3) m/s²."""
     t = np.arange(0.0, experiment.duration_s + TAIL_S, 1 / RATE_HZ)
-    motion = simulate_printer(machine, experiment.command(t), 1 / RATE_HZ, hold="linear")
-    return t, motion.nozzle_acceleration
+    command = machine.kinematics.inverse(experiment.motion.nozzle(t))
+    return t, simulate_printer(machine, command, 1 / RATE_HZ, hold="linear").nozzle_acceleration
 
 
-def _excited(experiment: Experiment, t: FloatArray) -> FloatArray:
-    """Return the one coordinate that the experiment moves, (n, 1) m."""
-    if experiment.direction in TOWERS:
-        moved = experiment.command(t)[:, TOWERS.index(experiment.direction)]
-    else:
-        moved = experiment.nozzle(t)[:, AXES.index(experiment.direction)]
-    return ((moved - moved.mean()) * 1e-3)[:, None]
+# The rest is of moves that are no periodic excitation
 
 
-def _resampled(time_s: FloatArray, values: FloatArray, at: FloatArray) -> FloatArray:
-    from scipy.interpolate import CubicSpline
+def responses_of(recordings: Sequence[Recording], plan: Plan, band_hz: tuple[float, float]) -> list[FrequencyResponse]:
+    """Estimate the responses to x and y at each place of a plan, from all its experiments there together.
 
-    return np.asarray(CubicSpline(time_s, values)(at))
+    Raises
+    ------
+    MeasurementError
+        For a log of a motor.
+    """
+    for recording in recordings:
+        if not recording.acceleration:
+            raise MeasurementError(recording.comments["capture"], [NO_ACCELERATIONS])
+    experiments = {each.name: each for each in plan.experiments}
+    places: dict[int, list[Recording]] = {}
+    for recording in recordings:
+        places.setdefault(experiments[recording.comments["experiment"]].place, []).append(recording)
+    found = []
+    for place, members in sorted(places.items()):
+        at = _position(experiments[members[0].comments["experiment"]])
+        found += _of_place(members, place, at, (max(BAND_HZ[0], band_hz[0]), min(BAND_HZ[1], band_hz[1])))
+    return found
+
+
+def _position(experiment: Experiment) -> tuple[float, float, float]:
+    x, y, z = (float(c) for c in experiment.position_mm)
+    return x, y, z
+
+
+def _of_place(
+    members: Sequence[Recording], place: int, position: tuple[float, float, float], band_hz: tuple[float, float]
+) -> list[FrequencyResponse]:
+    """Estimate the responses at one place; a capture's start is known to a fraction of a millisecond: one clock."""
+    longest = max(len(recording.time_s) for recording in members)
+    alike = [_resting(recording, longest) for recording in members]
+    found = frfs_from_recordings(alike, *band_hz, half_width_hz=HALF_WIDTH_HZ, position_mm=position)
+    name = f"place {place}, {len(members)} captures"
+    known = [r for r in found if r.input in INPUTS and _noise(r) < MOST_NOISE]
+    return [replace(r, variance=r.variance * VARIANCE_FACTOR, source=name, clock=f"place-{place}") for r in known]
+
+
+def _noise(response: FrequencyResponse) -> float:
+    """Return the noise as a share of the values."""
+    return float(np.sqrt(response.variance.sum() / np.sum(np.abs(response.value) ** 2)))
+
+
+def _resting(recording: Recording, count: int) -> Recording:
+    """Lengthen a recording, which ends at rest, to so many rows."""
+    more = count - len(recording.time_s)
+    return replace(
+        recording,
+        time_s=np.arange(count) / recording.sample_rate_hz,
+        command=np.concatenate([recording.command, np.repeat(recording.command[-1:], more, axis=0)]),
+        acceleration={name: _with_zeros(values, more) for name, values in recording.acceleration.items()},
+        position={},
+        gaps=np.concatenate([recording.gaps, np.zeros(more, dtype=bool)]),
+    )
+
+
+def _with_zeros(values: FloatArray, more: int) -> FloatArray:
+    return np.concatenate([values, np.zeros(more)])

@@ -5,35 +5,33 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 
 from ffcomp.errors import MeasurementError
 from ffcomp.identify.axis_spectra import Spectrum
-from ffcomp.identify.captures import STRAIGHT, frfs_from_captures
-from ffcomp.identify.experiment import Plan
+from ffcomp.identify.captures import frfs_from_captures, responses_of
 from ffcomp.identify.from_resonances import Resonance
 from ffcomp.identify.predict import AXES
 from ffcomp.identify.resonance_tests import BeltTest, Found, no_test, read_test
 from ffcomp.measurement.frf import FrequencyResponse
 from ffcomp.measurement.frf_files import read_frfs
-from ffcomp.measurement.klipper import Resonances, is_stdata
+from ffcomp.measurement.kinds import kind_of
+from ffcomp.measurement.klipper import Resonances
 from ffcomp.measurement.modes import ModeFit, modes_in
-from ffcomp.measurement.printer_logs import is_closed_loop, is_motion_log
 from ffcomp.measurement.recording import Recording, read_recording
 from ffcomp.measurement.recording_frfs import frfs_from_recordings
-from ffcomp.measurement.table import read_text
-from ffcomp.measurement.uff import is_universal
-from ffcomp.measurement.vibration import columns_of, read_vibrations
+from ffcomp.measurement.vibration import read_vibrations
 from ffcomp.numerics.stages import Stage
+from ffcomp.record.axes import STRAIGHT, turning
+from ffcomp.record.join import load_recordings
+from ffcomp.record.plan import load_plan
 from models.machine import Machine
 
-Kind = Literal["frf", "recording", "vibration"]
 _OURS = "ffcomp-"  # in the names that our plans give to captures
 _NEEDS_PLAN = (
-    "By its name it is a capture of a plan of ffcomp's, and holds no resonance test. Captures of `identify plan` need "
-    "the .json file beside its G-code (--plan); those of `record plan` its moves.json."
+    "By its name it is a capture of a plan of ffcomp's, and holds no resonance test. Captures of `record plan` need "
+    "the .json file beside its G-code (--plan)."
 )
 POSITION_PITCH_MM = 5.0  # recordings whose middles are nearer than this were made at one position
 LARGEST_MOTION_MM = 25.0  # of the nozzle about its middle: beyond it one linear response does not describe a recording
@@ -60,7 +58,7 @@ def gather(
     machine: Machine,
     *,
     band_hz: tuple[float, float],
-    plan: Plan | None = None,
+    plan: str | Path | None = None,
     axes: Sequence[str] = STRAIGHT,
     shaken_axis: Sequence[str] = (),
     column: str | None = None,
@@ -70,7 +68,9 @@ def gather(
 
     Parameters
     ----------
-    axes : the printer's axes in the sensor's own, of captures of a plan.
+    plan : the file that `record plan` wrote beside its G-code; None: there are no captures of it.
+    axes : the printer's axes in the sensor's own, of captures of a plan. Where the plan is no periodic excitation,
+        x, y, z means that they are found.
     shaken_axis : the excited axis of resonance tests whose names do not say it: x, y, z or a direction such as
         "1,-1"; one for all of them, or one each in their order.
     column : the spectrum to be taken of files with several.
@@ -80,8 +80,9 @@ def gather(
     MeasurementError
         For the first file that cannot be used, with all that is wrong with it.
     """
-    found, recordings = Gathered(), []
+    found, recordings = Gathered(), list[Recording]()
     tests: list[Found] = []
+    captures: list[Path] = []
     for path in paths:
         progress(Stage(1, f"reading {path.name}"))
         kind = kind_of(path)
@@ -90,7 +91,7 @@ def gather(
         elif kind == "recording":
             recordings.append(read_recording(path))
         elif plan is not None:
-            found.responses += [r.between(*band_hz) for r in frfs_from_captures(plan, [path], machine, axes)]
+            captures.append(path)
         elif _OURS in path.stem:
             raise MeasurementError(str(path), [_NEEDS_PLAN])
         else:
@@ -103,7 +104,26 @@ def gather(
     for position, members in _by_position(recordings, machine, found.skipped).items():
         found.responses += frfs_from_recordings(members, *band_hz, position_mm=position)
     found.responses = [r for r in found.responses if len(r.frequency_hz)]
+    if plan is not None and captures:
+        found.responses += _of_plan(captures, plan, machine, band_hz, axes, progress)
     return found
+
+
+def _of_plan(
+    captures: Sequence[Path],
+    plan_file: str | Path,
+    machine: Machine,
+    band_hz: tuple[float, float],
+    axes: Sequence[str],
+    progress: Callable[[str], None],
+) -> list[FrequencyResponse]:
+    """Estimate the responses that captures of a plan show."""
+    plan = load_plan(plan_file)
+    if all(each.excitation is not None for each in plan.experiments):
+        responses = [r.between(*band_hz) for r in frfs_from_captures(plan, captures, machine, axes)]
+        return [r for r in responses if len(r.frequency_hz)]
+    turn = None if tuple(axes) == STRAIGHT else turning(axes)
+    return responses_of(load_recordings(captures, machine, plan_file, turn, progress), plan, band_hz)
 
 
 def _with_axes(tests: Sequence[Found], said: list[str], skipped: list[str]) -> list[tuple[Found, str | None]]:
@@ -144,33 +164,6 @@ def _take(
         found.belts.append(read)
     else:
         found.shaken.append(read)
-
-
-def kind_of(path: Path) -> Kind:
-    """Tell the kind of a file by its first line that is no comment of ours.
-
-    Raises
-    ------
-    MeasurementError
-        If it cannot be read, or is of no known kind.
-    """
-    if not path.is_file():
-        raise MeasurementError(str(path), ["There is no such file."])
-    if is_stdata(path) or is_motion_log(path) or is_closed_loop(path):
-        return "vibration"
-    if is_universal(path):
-        return "frf"
-    lines = [line.strip().lower() for line in read_text(path).splitlines() if line.strip()]
-    if not lines:
-        raise MeasurementError(str(path), ["The file is empty."])
-    header = next((line for line in lines if not line.startswith("# ") and ":" not in line.split(",")[0]), lines[0])
-    if header.startswith("frequency_hz"):
-        return "frf"
-    if columns_of(header) is not None and "cmd_" not in header:
-        return "vibration"
-    if "t_s" in [name.strip() for name in header.split(",")] or "cmd_" in header:
-        return "recording"
-    return "vibration"
 
 
 def _by_position(

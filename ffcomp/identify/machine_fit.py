@@ -220,7 +220,7 @@ class _Task:
         answer: dict[str, Any] = {**self._head(), "method": "modes", "spectra": spectra}
         answer["advice"] = [
             "Spectra hold no phase and no command: they say where it resonates, not why. For a model that can be "
-            "compensated with, run `ffcomp identify plan` and bring its captures."
+            "compensated with, run `ffcomp record plan --for identify` and bring its captures."
         ]
         usable = [fit for fit in self.gathered.spectra if self.rough or fit.misfit <= ROUGH]
         left_out = [_left_out(fit) for fit in self.gathered.spectra if fit not in usable]

@@ -52,7 +52,7 @@ def no_test(found: Found) -> str:
         seconds = float(found.time_s[-1] - found.time_s[0])
         return (
             f"{name}: there is no sweep in its {seconds:.3g} s, so it is no capture of a resonance test. Run the "
-            "firmware's (Klipper: TEST_RESONANCES AXIS=X OUTPUT=raw_data), or `ffcomp identify plan`."
+            "firmware's (Klipper: TEST_RESONANCES AXIS=X OUTPUT=raw_data), or `ffcomp record plan --for identify`."
         )
     return ""
 

@@ -7,7 +7,7 @@ from typing import Any
 
 from models.provenance import is_assumed
 
-IDENTIFY = "measure: ffcomp identify plan, run its G-code with an accelerometer, then ffcomp identify fit"
+IDENTIFY = "measure: ffcomp record plan --for identify, run its G-code with an accelerometer, then ffcomp identify fit"
 HINTS = {  # the beginning of a key -> how to get its value
     "kinematics.effector_height_mm": "measure from the arms' lower joints down to the nozzle's tip",
     "kinematics.print_radius_mm": "how far from the centre the nozzle may go, from the printer's description",

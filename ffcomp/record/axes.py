@@ -1,4 +1,4 @@
-"""Which axis of the printer each axis of a sensor measures: told by the user, or found in the captures.
+"""Which axis of the printer each axis of a sensor measures: stated by the user, or found in the captures.
 
 Gravity tells which of the sensor's axes is vertical, and the commanded motion below 20 Hz which of the others is x.
 What gravity is then still off the vertical is the sensor's tilt, and is turned away.
@@ -11,14 +11,14 @@ from itertools import permutations, product
 
 import numpy as np
 
-from ffcomp.identify.captures import turning
+from ffcomp.errors import MeasurementError
 from ffcomp.measurement.sensors import G
 from ffcomp.record.clock import Matches
 from models.arrays import FloatArray
 
 NEARLY_G = 0.25  # of g: less or more at rest, and gravity is not in the capture
 UPRIGHT = 0.8  # of gravity along the axis that is taken for the vertical
-_NAMES = "xyz"
+STRAIGHT = ("x", "y", "z")
 
 
 def turn_of(axes_map: str | None) -> FloatArray | None:
@@ -30,6 +30,27 @@ def turn_of(axes_map: str | None) -> FloatArray | None:
         If the three are not x, y and z with signs.
     """
     return None if axes_map is None else turning(axes_map.split(","))
+
+
+def turning(axes: Sequence[str]) -> FloatArray:
+    """Return the matrix (3, 3) from sensor axes to printer axes.
+
+    Raises
+    ------
+    MeasurementError
+        If the three are not x, y and z with signs.
+    """
+    turn = np.zeros((3, 3))
+    for row, text in enumerate(axes):
+        name = text.strip().lstrip("+-")
+        if name not in STRAIGHT:
+            raise MeasurementError(
+                "--axes-map", [f"{text!r} is no axis; it is x, y or z, with a minus if it points back."]
+            )
+        turn[row, STRAIGHT.index(name)] = -1.0 if text.strip().startswith("-") else 1.0
+    if abs(np.linalg.det(turn)) != 1.0:
+        raise MeasurementError("--axes-map", [f"{', '.join(axes)} does not name each of x, y and z once."])
+    return turn
 
 
 def candidates(gravity: FloatArray) -> list[FloatArray]:
@@ -81,4 +102,4 @@ def tilt(gravity: FloatArray) -> FloatArray:
 def words(turn: FloatArray) -> str:
     """Name a signed permutation (3, 3) as --axes-map does: the printer's axes in the sensor's own."""
     places = np.abs(turn).argmax(axis=1)
-    return ",".join(("-" if turn[row, i] < 0 else "") + _NAMES[i] for row, i in enumerate(places.tolist()))
+    return ",".join(("-" if turn[row, i] < 0 else "") + STRAIGHT[i] for row, i in enumerate(places.tolist()))

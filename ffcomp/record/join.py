@@ -16,16 +16,16 @@ from scipy.signal import resample_poly
 
 from ffcomp.errors import MeasurementError
 from ffcomp.measurement.faults import SHAPER_REMEDY, wrong_gravity
+from ffcomp.measurement.kinds import kind_of
 from ffcomp.measurement.printer_logs import is_closed_loop, read_closed_loop
-from ffcomp.measurement.recording import Recording
+from ffcomp.measurement.recording import Recording, read_recording
 from ffcomp.record.axes import best_score, find_turn, tilt, words
 from ffcomp.record.chips import of_all_chips, without_deaf_axes, without_lacking_runs
 from ffcomp.record.clock import ClockFit, felt_shares, fit_clock, long_gaps, without_gaps
 from ffcomp.record.expected import Expectation
 from ffcomp.record.faults import check_repeats, left_handed, shapers_left_on, unlike
 from ffcomp.record.motor_runs import BLIND, motor_runs
-from ffcomp.record.plan import MovesPlan
-from ffcomp.record.plan_files import run_name
+from ffcomp.record.plan import Plan, load_plan, run_name
 from ffcomp.record.result import (
     DELAY_SD_S,
     KEPT_REST_S,
@@ -51,7 +51,7 @@ LOWEST_RATE_HZ = 800.0  # of a recording
 
 def join_captures(
     paths: Sequence[str | Path],
-    plan: MovesPlan,
+    plan: Plan,
     machine: Machine,
     turn: FloatArray | None = None,
     progress: Callable[[str], None] = lambda sentence: None,
@@ -94,7 +94,7 @@ def join_captures(
     )
 
 
-def _join_chip(tasks: Sequence[Task], plan: MovesPlan, turn: FloatArray | None) -> tuple[list[Joined], list[Refused]]:
+def _join_chip(tasks: Sequence[Task], plan: Plan, turn: FloatArray | None) -> tuple[list[Joined], list[Refused]]:
     """Join the captures of one accelerometer."""
     axes = turn if turn is not None else find_turn([task.matches for task in tasks], tasks[0].gravity)
     clocks, refused = _of_these_motions([(task, _clock(task, plan, axes)) for task in tasks])
@@ -113,6 +113,42 @@ def _join_chip(tasks: Sequence[Task], plan: MovesPlan, turn: FloatArray | None) 
     return good, refused
 
 
+def load_recordings(
+    paths: Sequence[str | Path],
+    machine: Machine,
+    plan: str | Path | None = None,
+    turn: FloatArray | None = None,
+    progress: Callable[[str], None] = lambda sentence: None,
+) -> list[Recording]:
+    """Read measured runs, and join captures with the commands of their plan.
+
+    Parameters
+    ----------
+    plan : the file that `ffcomp record plan` wrote beside its G-code; None: there are no captures
+    turn : (3, 3) from the accelerometer's axes to the printer's; None: found in the captures
+    progress : told what is read, joined, and refused
+
+    Raises
+    ------
+    MeasurementError
+        For a run that cannot be used, for captures without a plan, and if no capture can be joined.
+    """
+    if plan is None:
+        return [read_recording(path) for path in paths]  # which says what to do with a capture
+    captures = [path for path in paths if kind_of(Path(path)) == "vibration"]
+    runs = [read_recording(path) for path in paths if path not in captures]
+    if not captures:
+        return runs
+    moves = load_plan(plan)
+    joined = join_captures(captures, moves, machine, turn, progress)
+    joined.check()
+    for each in joined.refused:
+        progress(f"left out {each.file}: {each.why}")
+    for sentence in joined.notes(moves, machine):
+        progress(sentence)
+    return [*runs, *joined.recordings]
+
+
 # The clock
 
 
@@ -126,7 +162,7 @@ class _Clock:
     ratio: float = 1.0  # of its clock, if that were free and the motion is late
 
 
-def _clock(task: Task, plan: MovesPlan, axes: FloatArray) -> _Clock:
+def _clock(task: Task, plan: Plan, axes: FloatArray) -> _Clock:
     record, reference = task.record @ axes.T, task.reference
     if task.capture.clock == "free":
         found = fit_clock(task.since, record, reference, best_score(task.matches, axes)[1], free_ratio=True)

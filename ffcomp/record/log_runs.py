@@ -18,8 +18,7 @@ from ffcomp.measurement.capture import Capture, make_capture
 from ffcomp.measurement.printer_logs import MotionLog, Samples, Steps
 from ffcomp.measurement.table import Table
 from ffcomp.record.motion import Commanded
-from ffcomp.record.plan import Experiment, MovesPlan
-from ffcomp.record.plan_files import run_name
+from ffcomp.record.plan import Experiment, Plan, run_name
 from ffcomp.record.split import Execution
 from models.arrays import FloatArray
 from models.kinematics.base import Kinematics
@@ -48,7 +47,7 @@ class Played:
         return np.asarray(self.spline(np.clip(t_s, self.begin_s, self.end_s)))
 
 
-def executions(log: MotionLog, plan: MovesPlan, machine: Machine) -> tuple[list[Execution], list[str]]:
+def executions(log: MotionLog, plan: Plan, machine: Machine) -> tuple[list[Execution], list[str]]:
     """Return the captures of every execution that the log holds, and sentences about what is in it.
 
     Raises
@@ -94,9 +93,7 @@ def _is(log: MotionLog, begin: float, experiment: Experiment) -> bool:
     return bool(np.abs(log.nozzle.at(begin + t) - experiment.motion.nozzle(t)).max() < NEAR_MM)
 
 
-def _capture(
-    log: MotionLog, samples: Samples, begin: float, experiment: Experiment, plan: MovesPlan, name: str
-) -> Capture:
+def _capture(log: MotionLog, samples: Samples, begin: float, experiment: Experiment, plan: Plan, name: str) -> Capture:
     first, last = begin - plan.rest_before_s, begin + experiment.duration_s + plan.rest_after_s
     own = (samples.time_s >= first) & (samples.time_s <= last)
     rows = np.column_stack([samples.time_s[own], samples.acceleration[own]])
@@ -111,7 +108,7 @@ def _capture(
 
 
 def _played(
-    log: MotionLog, begin: float, experiment: Experiment, plan: MovesPlan, kinematics: Kinematics
+    log: MotionLog, begin: float, experiment: Experiment, plan: Plan, kinematics: Kinematics
 ) -> tuple[Commanded | None, str]:
     """Return the command from the steps where they differ from the plan, and a sentence; None: they do not."""
     steppers = next(([log.steps[n] for n in names] for names in STEPPERS if all(n in log.steps for n in names)), None)

@@ -17,8 +17,7 @@ from scipy.signal import fftconvolve
 from ffcomp.errors import MeasurementError
 from ffcomp.measurement.printer_logs import MotorLog
 from ffcomp.record.clock import ClockFit
-from ffcomp.record.plan import Experiment, MovesPlan
-from ffcomp.record.plan_files import run_name
+from ffcomp.record.plan import Experiment, Plan, run_name
 from ffcomp.record.result import KEPT_REST_S, Joined, joined_comments, measured_run
 from models.arrays import FloatArray
 from models.machine import Machine
@@ -64,7 +63,7 @@ class _Fit:
         return begin, begin + self.experiment.duration_s / self.clock.ratio
 
 
-def motor_runs(log: MotorLog, plan: MovesPlan, machine: Machine, before: Sequence[Joined]) -> list[Joined]:
+def motor_runs(log: MotorLog, plan: Plan, machine: Machine, before: Sequence[Joined]) -> list[Joined]:
     """Make a measured run of each execution that the log of a motor holds.
 
     Parameters
@@ -247,7 +246,7 @@ def _check_motor(log: MotorLog, fit: _Fit, fits: Sequence[_Fit]) -> None:
         )
 
 
-def _refusal(log: MotorLog, plan: MovesPlan, machine: Machine, fits: Sequence[_Fit]) -> str:
+def _refusal(log: MotorLog, plan: Plan, machine: Machine, fits: Sequence[_Fit]) -> str:
     """Say why a log holds none of the plan's experiments, by the one that is nearest."""
     near = min(fits, key=lambda each: (not each.own_size, each.apart), default=None)
     lasts, shortest = log.time_s[-1] - log.time_s[0], min(each.duration_s for each in plan.experiments)

@@ -1,75 +1,72 @@
-"""Plan what a printer does so that its own sensor shows what its machine file lacks.
+"""A plan of experiments, and the JSON file (ffcomp-moves/1) that keeps the command of each.
 
-Up to twelve experiments, each made twice: every place gets three of the four kinds of moves, so that each kind is made
-at three places of four. What is found at some places can then be tested at others.
+Vertices, speeds and limits are those of the G-code, so that planning them gives the command at any time. Derived values
+(durations, spectra, names of captures) are there for other readers, and are not read back.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from ffcomp.errors import LimitsError
-from ffcomp.inverse.settings import settings_for
-from ffcomp.planner.limits import SLOW_RATIOS
-from ffcomp.planner.machine_limits import planner_limits
-from ffcomp.record.motion import Motion
-from ffcomp.record.moves import HIGHEST_HZ, KINDS, LOWEST_HZ, MODES_HZ, Demand
+from ffcomp.errors import MeasurementError
+from ffcomp.planner.limits import DeltaSlowZones, PlannerLimits
+from ffcomp.planner.segment_timing import SegmentLimits
+from ffcomp.record.motion import LIMIT_COLUMNS, Motion, segment_motion
+from ffcomp.record.multisine import Band, Lines
+from gcode.atomic_write import replace_atomically
 from models.arrays import FloatArray
-from models.errors import UnreachableError
-from models.kinematics.base import Kinematics
-from models.machine import Machine
 
-MOST_EXPERIMENTS, KINDS_AT_A_PLACE = 12, 3
-NEAREST_MM, OUT = 40.0, 0.6  # between two places; share of the bed's radius
-MARGIN_MM = 22.0  # that the moves need around their place
-CARRIAGE_SHARE = 0.5  # of the carriages' limits: motors keep reserves
+SCHEMA, EARLIER_SCHEMA = "ffcomp-moves/1", "ffcomp-excitation/1"
 REST_BEFORE_S, REST_AFTER_S = 1.0, 0.5  # in the capture: gravity and noise; ringing
 SETTLE_S = 0.5  # before a capture begins, so that the firmware has time in hand and begins exactly
-LONGEST_S = 300.0
-TRAVEL_SHARE = 0.2  # of the machine's velocity, between experiments
-MOST_ROUNDING = 0.15  # of the command, by microsteps
-LOWEST_TOP_HZ = 40.0  # of a multisine, which is narrowed until microsteps do not matter
-MOST_PACE = 3.0  # of slow moves, which become faster until then
-RATE_HZ = 3200.0
-
-Place = tuple[float, float]
 
 
-@dataclass(frozen=True, slots=True)
-class Request:
-    """The requested recording."""
+@dataclass(frozen=True, eq=False)
+class Excitation:
+    """The periodic part of an experiment that excites one coordinate: after a marker and what settles, whole periods.
 
-    places_mm: Sequence[Place] = ()  # none: the centre, and three around it
-    height_mm: float = 30.0
-    seconds: float = 4.0  # of each experiment, about
-    repeats: int = 2
-    acceleration_mm_per_s2: float | None = None  # of the nozzle; None: the machine file's limit
-    seed: int = 1
-    kinds: Sequence[str] = tuple(KINDS)
+    Times count from the experiment's first move.
+    """
+
+    direction: str  # A B C: this carriage alone; x y z: the nozzle along this axis
+    band: Band
+    marker_knots: int  # segments of the marker, which begins at 0, and of its rest
+    first_knot: int  # where the first whole period begins that is not transient
+    periods: int
+    lines: Lines = field(repr=False)  # of the excited coordinate in one measured period, as it is executed
 
 
 @dataclass(frozen=True, eq=False)
 class Experiment:
-    """One motion, and where."""
+    """One motion from rest to rest, and where."""
 
-    name: str  # ffcomp-<kind>-<place>
+    name: str  # ffcomp-<kind>-<place>; of an excitation ffcomp-<direction>-<place>-<realisation>
     kind: str
     place: int
     position_mm: tuple[float, float, float]  # of the nozzle at rest
     motion: Motion = field(repr=False)
     rounding: float  # by microsteps, as a share of the command
+    excitation: Excitation | None = None
 
     @property
     def duration_s(self) -> float:
         """From rest to rest."""
         return self.motion.duration_s
 
+    @property
+    def measured_from_s(self) -> float:
+        """Start of the first period whose response is periodic; its lines' phases count from here."""
+        return 0.0 if self.excitation is None else float(self.motion.trajectory.start_t[self.excitation.first_knot])
+
 
 @dataclass(frozen=True, eq=False)
-class MovesPlan:
+class Plan:
     """All experiments of a file, in the order of their first execution."""
 
     machine: str
@@ -92,147 +89,189 @@ class MovesPlan:
         return self.repeats * sum(each.duration_s + resting for each in self.experiments)
 
 
-def make_plan(machine: Machine, request: Request) -> MovesPlan:
-    """Choose and check the experiments.
+def run_name(name: str, repeat: int) -> str:
+    """Return the name of one execution of an experiment."""
+    return f"{name}-{repeat}"
+
+
+def capture_name(name: str, repeat: int) -> str:
+    """Return the pattern of a capture's file name; Klipper's begins with the chip."""
+    return f"*{run_name(name, repeat)}.csv"
+
+
+# To JSON
+
+
+def save_plan(plan: Plan, path: Path) -> None:
+    """Write the JSON file, replacing it atomically."""
+    replace_atomically(path, [json.dumps(plan_dict(plan), ensure_ascii=False).encode(), b"\n"])
+
+
+def plan_dict(plan: Plan) -> dict[str, Any]:
+    """Return the object ffcomp-moves/1."""
+    return {
+        "schema": SCHEMA,
+        "machine": {"name": plan.machine, "sha256": plan.machine_sha256},
+        "seed": plan.seed,
+        "print": plan.print_file,
+        "repeats": plan.repeats,
+        "rest_before_s": plan.rest_before_s,
+        "rest_after_s": plan.rest_after_s,
+        "shaper": "off",
+        "experiments": [_experiment_dict(each) for each in plan.experiments],
+        "runs": [
+            {"name": each.name, "repeat": repeat, "capture": capture_name(each.name, repeat)}
+            for each, repeat in plan.runs()
+        ],
+    }
+
+
+def _experiment_dict(experiment: Experiment) -> dict[str, Any]:
+    motion = experiment.motion
+    columns = zip(LIMIT_COLUMNS, motion.move_limits.T, strict=True)
+    optional = {
+        "own_limits": {name: _without_nan(column) for name, column in columns if not np.isnan(column).all()},
+        "stops": np.flatnonzero(motion.stop_before).tolist(),
+        "waits_s": {str(i): float(motion.wait_before[i]) for i in np.flatnonzero(motion.wait_before).tolist()},
+        "excitation": experiment.excitation and _excitation_dict(experiment.excitation),
+    }
+    return {
+        "name": experiment.name,
+        "kind": experiment.kind,
+        "place": experiment.place,
+        "position_mm": experiment.position_mm,
+        "duration_s": experiment.duration_s,
+        "measured_from_s": experiment.measured_from_s,
+        "microstep_error": experiment.rounding,
+        "limits": {key: value for key, value in asdict(motion.limits).items() if value is not None},
+        "start_mm": motion.start_mm.tolist(),
+        "ends_mm": motion.ends_mm.tolist(),
+        "speed_mm_per_s": motion.speed.tolist(),
+        **{key: value for key, value in optional.items() if value},
+    }
+
+
+def _without_nan(values: FloatArray) -> list[float | None]:
+    """List values (n,), None where there is none: JSON has no NaN."""
+    return [None if x != x else x for x in values.tolist()]
+
+
+def _excitation_dict(excitation: Excitation) -> dict[str, Any]:
+    return {
+        "direction": excitation.direction,
+        "band": asdict(excitation.band),
+        "marker_knots": excitation.marker_knots,
+        "first_knot": excitation.first_knot,
+        "periods": excitation.periods,
+        "segment_s": excitation.band.segment_s,
+        "lines": {key: value.tolist() for key, value in asdict(excitation.lines).items()},
+    }
+
+
+# From JSON
+
+
+def load_plan(path: str | Path) -> Plan:
+    """Load a plan from its JSON file; one of version 0.9's `identify plan` (ffcomp-excitation/1) too.
 
     Raises
     ------
-    LimitsError
-        For places out of reach or too near to each other, or a file that would take too long.
+    MeasurementError
+        For a file that is no such plan, or an incomplete one.
     """
-    places = list(request.places_mm) or default_places(machine)
-    _check_places(machine, places, request.height_mm)
-    experiments = []
-    for kind, place in schedule(len(places), request.kinds):
-        x, y = places[place]
-        at = np.array([x, y, request.height_mm])
-        rng = np.random.default_rng([request.seed, place, list(KINDS).index(kind)])
-        motion, rounding = _fitting(machine, kind, at, request, rng)
-        _check_reach(machine, f"ffcomp-{kind}-{place}", motion)
-        experiments.append(
-            Experiment(f"ffcomp-{kind}-{place}", kind, place, (x, y, request.height_mm), motion, rounding)
-        )
-    plan = MovesPlan(machine.name, machine.sha256, tuple(experiments), request.repeats, seed=request.seed)
-    if plan.duration_s > LONGEST_S:
-        raise LimitsError(
-            f"The file would take {plan.duration_s / 60:.1f} min, and may take {LONGEST_S / 60:.0f}: choose fewer "
-            "places (--at), fewer --seconds or fewer --repeats."
-        )
-    return plan
-
-
-def default_places(machine: Machine) -> list[Place]:
-    """Return the centre and three places around it, 0.6 of the way out; fewer where the bed is small."""
-    centre = machine.kinematics.centre_mm
-    around = machine.kinematics.around(OUT, MARGIN_MM)[::2]
-    chosen: list[Place] = [centre]
-    for x, y in np.round(around, 1).tolist():
-        if all(np.hypot(x - a, y - b) >= NEAREST_MM for a, b in chosen):
-            chosen.append((x, y))
-    return chosen
-
-
-def schedule(places: int, kinds: Sequence[str] = tuple(KINDS)) -> list[tuple[str, int]]:
-    """List kind and place of each experiment, at most twelve, every kind about equally often."""
-    if places == 1:
-        return [(kind, 0) for kind in kinds]
-    each = min(KINDS_AT_A_PLACE, len(kinds), MOST_EXPERIMENTS // places)
-    if each < 1:
-        raise LimitsError(f"There are {places} places, and a file has at most {MOST_EXPERIMENTS} experiments.")
-    return [(kinds[(place + k) % len(kinds)], place) for place in range(places) for k in range(each)]
-
-
-# Checks
-
-
-def _check_places(machine: Machine, places: Sequence[Place], height_mm: float) -> None:
-    for x, y in places:
-        try:
-            machine.kinematics.check_reach(np.array([[x, y, height_mm]]))
-        except UnreachableError as error:
-            raise LimitsError(f"The nozzle cannot be moved there: {error}") from error
-    for i, (x, y) in enumerate(places):
-        for a, b in places[:i]:
-            if np.hypot(x - a, y - b) < NEAREST_MM:
-                raise LimitsError(
-                    f"The places {x:g},{y:g} and {a:g},{b:g} are {np.hypot(x - a, y - b):.0f} mm apart; places are at "
-                    f"least {NEAREST_MM:g} mm apart, so that what is found at one can be tested at another."
-                )
-
-
-def _check_reach(machine: Machine, name: str, motion: Motion) -> None:
-    xyz = motion.vertices_mm
     try:
-        machine.kinematics.check_reach(xyz)
-    except UnreachableError as error:
-        raise LimitsError(f"{name} leaves the bed: {error} Choose a place farther from its border.") from error
-    zones = planner_limits(machine).delta
-    radius, widest = float(np.hypot(xyz[:, 0], xyz[:, 1]).max()), zones and zones.radius_of_ratio(SLOW_RATIOS[0][0])
-    if widest and radius > widest:
-        raise LimitsError(
-            f"{name} reaches {radius:.1f} mm from the centre; beyond {widest:.1f} mm a delta's firmware slows down. "
-            "Choose a place farther in."
-        )
+        read = json.loads(Path(path).read_text(encoding="utf-8"))
+        schema = read["schema"]
+        if schema not in _READERS:
+            raise MeasurementError(str(path), [f"The schema is {schema!r}; {SCHEMA!r} is needed."])
+        return _READERS[schema](read)
+    except OSError as error:
+        raise MeasurementError(str(path), [f"The plan cannot be read: {error.strerror}."]) from None
+    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+        raise MeasurementError(str(path), [f"This is not JSON: {error}."]) from None
+    except KeyError as error:
+        raise MeasurementError(str(path), [f"The key {error} is missing; it belongs to a plan ({SCHEMA})."]) from None
+    except (TypeError, ValueError, IndexError, AttributeError) as error:
+        if isinstance(error, MeasurementError):
+            raise
+        raise MeasurementError(str(path), [f"This is no complete plan ({SCHEMA}): {error}."]) from None
 
 
-# How hard
-
-
-def _fitting(
-    machine: Machine, kind: str, at: FloatArray, request: Request, rng: np.random.Generator
-) -> tuple[Motion, float]:
-    """Make a motion whose rounding to microsteps is small: faster, or of fewer high frequencies."""
-    demand, seed = _demand(machine, at, request), int(rng.integers(2**31))
-    while True:
-        motion = KINDS[kind](at, demand, request.seconds, np.random.default_rng(seed))
-        top = demand.highest_hz if kind == "multisine" else MODES_HZ
-        rounding = rounding_share(motion, machine.kinematics, machine.steps.per_motor, top)
-        if rounding <= MOST_ROUNDING or demand.pace > MOST_PACE:
-            return motion, rounding
-        narrower = max(0.85 * demand.highest_hz, LOWEST_TOP_HZ)
-        demand = replace(demand, highest_hz=narrower, pace=1.25 * demand.pace)
-
-
-def _demand(machine: Machine, at: FloatArray, request: Request) -> Demand:
-    """Return what the limits of nozzle and carriages allow at a place (3,) mm."""
-    own, output = machine.limits, settings_for(machine).output
-    gain = _carriage_gain(machine.kinematics, at)
-    rising = own.velocity_mm_per_s if own.z_velocity_mm_per_s is None else own.z_velocity_mm_per_s
-    acceleration = min(own.acceleration_mm_per_s2, CARRIAGE_SHARE * own.carriage_acceleration_mm_per_s2 / gain)
-    wanted = request.acceleration_mm_per_s2
-    if wanted is not None and wanted > acceleration:
-        raise LimitsError(
-            f"{wanted:g} mm/s² is more than the machine's limits allow at {at[0]:g},{at[1]:g} mm; {acceleration:.0f} "
-            "would fit."
-        )
-    return Demand(
-        velocity_mm_per_s=min(own.velocity_mm_per_s, CARRIAGE_SHARE * own.carriage_velocity_mm_per_s / gain),
-        acceleration_mm_per_s2=wanted or acceleration,
-        corner_mm_per_s=own.square_corner_velocity_mm_per_s,
-        z_velocity_mm_per_s=rising if "Z" in machine.kinematics.raisable_axes else 0.0,
-        segments=output,
-        highest_hz=HIGHEST_HZ,
+def _plan(read: Mapping[str, Any]) -> Plan:
+    return Plan(
+        machine=read["machine"]["name"],
+        machine_sha256=read["machine"]["sha256"],
+        experiments=tuple(_experiment(entry) for entry in read["experiments"]),
+        repeats=int(read["repeats"]),
+        rest_before_s=float(read["rest_before_s"]),
+        rest_after_s=float(read["rest_after_s"]),
+        seed=int(read["seed"]),
+        print_file=read["print"],
     )
 
 
-def _carriage_gain(kinematics: Kinematics, at: FloatArray) -> float:
-    """Return the speed of the fastest carriage while the nozzle moves at 1 mm/s in the plane."""
-    inverse = np.linalg.inv(kinematics.jacobian(at[None, :2])[0])
-    return float(np.linalg.norm(inverse[:, :2], axis=1).max())
-
-
-def rounding_share(motion: Motion, kinematics: Kinematics, steps_per_mm: FloatArray, highest_hz: float) -> float:
-    """Compute the rounding to microsteps as a share of the command, both as accelerations of the motors in a band.
-
-    Motors step when the command crosses half a step.
-    """
-    t = np.arange(0.0, motion.duration_s, 1 / RATE_HZ)
-    motors = kinematics.inverse(motion.nozzle(t)) @ kinematics.motors.T
-    rounded = np.rint(motors * steps_per_mm) / steps_per_mm - motors
-    frequency = np.fft.rfftfreq(len(t), 1 / RATE_HZ)
-    weight = frequency**2 * ((frequency >= LOWEST_HZ) & (frequency <= highest_hz))
-    wanted, error = (
-        float(np.linalg.norm(weight[:, None] * np.fft.rfft(each * np.hanning(len(t))[:, None], axis=0)))
-        for each in (motors - motors.mean(axis=0), rounded)
+def _experiment(entry: Mapping[str, Any]) -> Experiment:
+    x, y, z = entry["position_mm"]
+    return Experiment(
+        name=entry["name"],
+        kind=entry["kind"],
+        place=int(entry["place"]),
+        position_mm=(x, y, z),
+        motion=_motion(entry),
+        rounding=float(entry["microstep_error"]),
+        excitation=_excitation(entry["excitation"]) if "excitation" in entry else None,
     )
-    return error / wanted
+
+
+def _motion(entry: Mapping[str, Any]) -> Motion:
+    ends = np.array(entry["ends_mm"], dtype=np.float64)
+    n = len(ends)
+    move_limits = np.full((n, len(LIMIT_COLUMNS)), np.nan)
+    for i, name in enumerate(LIMIT_COLUMNS):
+        if name in entry.get("own_limits", {}):
+            move_limits[:, i] = np.array(entry["own_limits"][name], dtype=np.float64)
+    stops, waits = np.zeros(n, dtype=np.bool_), np.zeros(n)
+    stops[entry.get("stops", [])] = True
+    for index, wait in entry.get("waits_s", {}).items():
+        waits[int(index)] = wait
+    limits = entry["limits"]
+    zones = {"delta": DeltaSlowZones(*limits["delta"])} if "delta" in limits else {}
+    return Motion(
+        start_mm=np.array(entry["start_mm"], dtype=np.float64),
+        ends_mm=ends,
+        speed=np.array(entry["speed_mm_per_s"], dtype=np.float64),
+        limits=PlannerLimits(**{**limits, **zones}),
+        move_limits=move_limits,
+        stop_before=stops,
+        wait_before=waits,
+    )
+
+
+def _excitation(entry: Mapping[str, Any]) -> Excitation:
+    return Excitation(
+        direction=entry["direction"],
+        band=Band(**entry["band"]),
+        marker_knots=int(entry["marker_knots"]),
+        first_knot=int(entry["first_knot"]),
+        periods=int(entry["periods"]),
+        lines=Lines(**{key: np.array(value, dtype=np.float64) for key, value in entry["lines"].items()}),
+    )
+
+
+def _earlier_plan(read: Mapping[str, Any]) -> Plan:
+    """Read ffcomp-excitation/1: vertices and the time between them, and limits that are those of all experiments."""
+    output, machine = SegmentLimits(**read["output"]), read["machine"]
+    places = list(dict.fromkeys(tuple(entry["position_mm"]) for entry in read["experiments"]))
+    experiments = []
+    for entry in read["experiments"]:
+        x, y, z = position = tuple(entry["position_mm"])
+        excitation = _excitation(entry)
+        vertices = np.array(entry["vertices_mm"], dtype=np.float64)
+        motion = segment_motion(vertices, excitation.band.segment_s, output)
+        experiments.append(
+            Experiment(entry["name"], read["kind"], places.index(position), (x, y, z), motion, 0.0, excitation)
+        )
+    return Plan(machine["name"], machine["sha256"], tuple(experiments), repeats=1, seed=int(read["seed"]))
+
+
+_READERS = {SCHEMA: _plan, EARLIER_SCHEMA: _earlier_plan}

@@ -17,11 +17,10 @@ from ffcomp.planner.lookahead import stops_and_waits
 from ffcomp.planner.machine_limits import planner_limits
 from ffcomp.planner.program import firmware_plan
 from ffcomp.planner.sections import Section, split_sections
-from ffcomp.record.firmware import Firmware
-from ffcomp.record.motion import OWN, Motion
-from ffcomp.record.moves import MODES_HZ
-from ffcomp.record.plan import MOST_EXPERIMENTS, SETTLE_S, Experiment, MovesPlan, rounding_share
-from ffcomp.record.plan_files import run_name
+from ffcomp.record.gcode_writer import Firmware, rest
+from ffcomp.record.motion import LIMIT_COLUMNS, Motion
+from ffcomp.record.moves import MODES_HZ, MOST_EXPERIMENTS, rounding_share
+from ffcomp.record.plan import SETTLE_S, Experiment, Plan, run_name
 from gcode.program import Program
 from gcode.reader import read_program
 from models.machine import Machine
@@ -31,7 +30,7 @@ WITHIN_S = 1800.0  # of the print: its first layers
 REST_BEFORE_S, REST_AFTER_S = 0.5, 0.3  # shorter than elsewhere: filament oozes
 
 
-def plan_print(path: Path, machine: Machine, flavor: str) -> tuple[MovesPlan, Program]:
+def plan_print(path: Path, machine: Machine, flavor: str) -> tuple[Plan, Program]:
     """Choose up to twelve sections of a print, those with the hardest motion among its first layers.
 
     Raises
@@ -55,7 +54,7 @@ def plan_print(path: Path, machine: Machine, flavor: str) -> tuple[MovesPlan, Pr
         replace(e, rounding=rounding_share(e.motion, machine.kinematics, machine.steps.per_motor, MODES_HZ))
         for e in chosen
     ]
-    plan = MovesPlan(machine.name, machine.sha256, tuple(rounded), 1, REST_BEFORE_S, REST_AFTER_S, print_file=path.name)
+    plan = Plan(machine.name, machine.sha256, tuple(rounded), 1, REST_BEFORE_S, REST_AFTER_S, print_file=path.name)
     return plan, program
 
 
@@ -75,7 +74,7 @@ def _experiment(section: Section, program: Program, machine: Machine) -> Experim
         ends_mm=moves.end[part],
         speed=moves.speed[part],
         limits=planner_limits(machine),
-        own=np.column_stack([getattr(moves, name)[part] for name in OWN]),
+        move_limits=np.column_stack([getattr(moves, name)[part] for name in LIMIT_COLUMNS]),
         stop_before=np.zeros(n, dtype=np.bool_),
         wait_before=np.zeros(n),
     )
@@ -89,7 +88,7 @@ def _hardness(experiment: Experiment) -> float:
     return float(np.sqrt((acceleration**2).sum(axis=1).mean()))
 
 
-def print_lines(plan: MovesPlan, program: Program, firmware: Firmware) -> Iterator[bytes]:
+def print_lines(plan: Plan, program: Program, firmware: Firmware) -> Iterator[bytes]:
     """Yield the print's lines, with captures around the plan's sections."""
     before: dict[int, list[str]] = {}
     after: dict[int, list[str]] = {}
@@ -97,9 +96,9 @@ def print_lines(plan: MovesPlan, program: Program, firmware: Firmware) -> Iterat
         first = _first_move(each, program)
         name = run_name(each.name, 1)
         lasting = plan.rest_before_s + each.duration_s + plan.rest_after_s
-        rests = [f"G4 P{1e3 * seconds:.0f}" for seconds in (SETTLE_S, plan.rest_before_s, plan.rest_after_s)]
-        before[int(program.moves.line[first])] = ["M400", rests[0], *firmware.start(name, lasting), rests[1]]
-        after[int(program.moves.line[first + len(each.motion.speed) - 1])] = [rests[2], *firmware.stop(name, lasting)]
+        start, stop = firmware.start(name, lasting), firmware.stop(name, lasting)
+        before[int(program.moves.line[first])] = ["M400", rest(SETTLE_S), *start, rest(plan.rest_before_s)]
+        after[int(program.moves.line[first + len(each.motion.speed) - 1])] = [rest(plan.rest_after_s), *stop]
     yield from (f"; {sentence}\n".encode() for sentence in firmware.explained())
     yield from (f"{line}\n".encode() for line in firmware.shaper_off())
     for number, line in enumerate(program.lines):

@@ -14,8 +14,7 @@ from ffcomp.measurement.capture import ClockKind
 from ffcomp.measurement.recording import Recording
 from ffcomp.record.clock import ClockFit
 from ffcomp.record.motion import Commanded
-from ffcomp.record.plan import MovesPlan
-from ffcomp.record.plan_files import run_name
+from ffcomp.record.plan import Plan, run_name
 from models.arrays import FloatArray
 from models.machine import Machine
 
@@ -84,7 +83,7 @@ class JoinResult:
         reasons = [f"{each.file}: {each.why}" for each in self.refused]
         raise MeasurementError("captures", ["None of them could be joined.", *reasons])
 
-    def notes(self, plan: MovesPlan, machine: Machine) -> list[str]:
+    def notes(self, plan: Plan, machine: Machine) -> list[str]:
         """Say in sentences what the user should know, though it is no reason to refuse anything."""
         notes = list(self.remarks)
         if plan.machine_sha256 and plan.machine_sha256 != machine.sha256:

@@ -15,8 +15,7 @@ from scipy.signal import fftconvolve
 from ffcomp.measurement.capture import Capture
 from ffcomp.record.clock import Reference, thinned
 from ffcomp.record.motion import Commanded
-from ffcomp.record.plan import Experiment, MovesPlan
-from ffcomp.record.plan_files import run_name
+from ffcomp.record.plan import Experiment, Plan, run_name
 from models.arrays import FloatArray
 
 LEAST_LIKENESS = 0.8  # of a place in the record and an experiment, 0 to 1
@@ -56,9 +55,7 @@ class _Place:
         return self.begin_s + self.experiment.duration_s
 
 
-def split_capture(
-    capture: Capture, plan: MovesPlan, references: Sequence[Reference], taken: set[str]
-) -> list[Execution]:
+def split_capture(capture: Capture, plan: Plan, references: Sequence[Reference], taken: set[str]) -> list[Execution]:
     """Cut a capture into the plan's executions, each with its experiment and the number of its repeat.
 
     Parameters
@@ -136,7 +133,7 @@ def _likeness(record: FloatArray, expected: FloatArray) -> FloatArray:
     return found
 
 
-def _cut(capture: Capture, place: _Place, repeat: int, plan: MovesPlan) -> Execution:
+def _cut(capture: Capture, place: _Place, repeat: int, plan: Plan) -> Execution:
     experiment = place.experiment
     since = capture.time_s - capture.time_s[0]
     first = place.begin_s - plan.rest_before_s + MARGIN_S

@@ -16,8 +16,7 @@ from ffcomp.record.clock import Matches, Reference, every_clock, known_clock, th
 from ffcomp.record.expected import Expectation, expectation
 from ffcomp.record.log_runs import executions
 from ffcomp.record.motion import Commanded
-from ffcomp.record.plan import Experiment, MovesPlan
-from ffcomp.record.plan_files import run_name
+from ffcomp.record.plan import Experiment, Plan, run_name
 from ffcomp.record.split import Execution, split_capture
 from models.arrays import FloatArray
 from models.machine import Machine
@@ -29,7 +28,7 @@ LONGEST, LONGER_S = 1.5, 3.0  # a capture of one execution: RepRapFirmware's go 
 class Expected(dict[str, tuple[Expectation, Reference]]):
     """What each experiment of a plan is expected to feel like, computed when first needed."""
 
-    def __init__(self, plan: MovesPlan, machine: Machine) -> None:
+    def __init__(self, plan: Plan, machine: Machine) -> None:
         super().__init__()
         self._plan, self._machine = plan, machine
 
@@ -68,7 +67,7 @@ class Task:
 
 
 def read_tasks(
-    path: str | Path, plan: MovesPlan, machine: Machine, expected: Expected, taken: set[str]
+    path: str | Path, plan: Plan, machine: Machine, expected: Expected, taken: set[str]
 ) -> tuple[list[Task], list[str]]:
     """Return what a file holds of the plan, and sentences about it.
 
@@ -92,7 +91,7 @@ def read_tasks(
     return [_task(each, plan, expected) for each in found], notes
 
 
-def _task(each: Execution, plan: MovesPlan, expected: Expected) -> Task:
+def _task(each: Execution, plan: Plan, expected: Expected) -> Task:
     own = each.capture
     _check_rows(own)
     ready, reference = expected.of(each)
@@ -106,7 +105,7 @@ def _task(each: Execution, plan: MovesPlan, expected: Expected) -> Task:
     return Task(own, each.experiment, each.repeat, each.chip, since, record, matches, each.motion, ready, reference)
 
 
-def _executions(capture: Capture, plan: MovesPlan, expected: Expected, taken: set[str]) -> list[Execution]:
+def _executions(capture: Capture, plan: Plan, expected: Expected, taken: set[str]) -> list[Execution]:
     """Tell by name or motion which of the plan's executions a capture holds, of which chip."""
     named = _belongs(capture, plan)
     if named is not None:
@@ -129,7 +128,7 @@ def _executions(capture: Capture, plan: MovesPlan, expected: Expected, taken: se
     return found
 
 
-def _belongs(capture: Capture, plan: MovesPlan) -> tuple[Experiment, int, str] | None:
+def _belongs(capture: Capture, plan: Plan) -> tuple[Experiment, int, str] | None:
     """Find experiment, repeat and chip by the name that the capture's command gave it."""
     stem = capture.name or Path(capture.source).stem
     for experiment in sorted(plan.experiments, key=lambda each: -len(each.name)):
@@ -156,7 +155,7 @@ def _check_rows(capture: Capture) -> None:
         )
 
 
-def stated(capture: Capture, plan: MovesPlan, experiment: Experiment) -> tuple[float, float]:
+def stated(capture: Capture, plan: Plan, experiment: Experiment) -> tuple[float, float]:
     """Return between which times of the experiment the firmware has the first row, s.
 
     The first row is the first one at or after the beginning of the rest, the last row the last one at or before the end

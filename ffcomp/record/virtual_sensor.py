@@ -6,7 +6,7 @@ the join where the motion begins, nor how the chip sits.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,12 +14,8 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from ffcomp.errors import RequestError
-from ffcomp.identify.experiment import Plan
-from ffcomp.identify.experiment_files import DECAY_S, NOISE_S, load_plan
 from ffcomp.measurement.sensors import G
-from ffcomp.record.motion import Commanded
-from ffcomp.record.plan import MovesPlan
-from ffcomp.record.plan_files import is_moves_plan, load_moves, run_name
+from ffcomp.record.plan import Experiment, Plan, load_plan, run_name
 from gcode.atomic_write import replace_atomically
 from gcode.dialects import KLIPPER, REPRAPFIRMWARE
 from gcode.program import Program
@@ -47,14 +43,6 @@ class Sensor:
     seed: int = 1
 
 
-@dataclass(frozen=True)
-class _Run:
-    name: str
-    motion: Commanded
-    rest_before_s: float
-    rest_after_s: float
-
-
 def write_captures(
     plan_file: Path,
     program: Program,
@@ -65,7 +53,7 @@ def write_captures(
     flavor: str = KLIPPER,
     progress: Callable[[float], None] = lambda share: None,
 ) -> list[Path]:
-    """Write one capture for each execution of a plan of `record plan` or `identify plan`.
+    """Write one capture for each execution of a plan.
 
     Parameters
     ----------
@@ -80,19 +68,20 @@ def write_captures(
     """
     if flavor not in NAMES:
         raise RequestError(f"{flavor} has no accelerometer; --flavor klipper or reprapfirmware.")
-    runs = list(_runs(load_moves(plan_file) if is_moves_plan(plan_file) else load_plan(plan_file)))
-    _check_program(program, runs, plan_file)
+    plan = load_plan(plan_file)
+    _check_program(program, plan, plan_file)
     rng = np.random.default_rng(sensor.seed)
     turn, rate = _tilt(rng, sensor.tilt_deg), sensor.rate_hz * rng.uniform(1 - WORST_RATE, 1 + WORST_RATE)
     folder.mkdir(parents=True, exist_ok=True)
     written = []
-    for k, run in enumerate(runs):
-        begin, end = -run.rest_before_s, run.motion.duration_s + run.rest_after_s
+    runs = plan.runs()
+    for k, (experiment, repeat) in enumerate(runs):
+        begin, end = -plan.rest_before_s, experiment.duration_s + plan.rest_after_s
         late = rng.uniform() / rate if flavor == KLIPPER else rng.uniform(0.0, LATEST_S)
         t = np.arange(begin + late, end, 1.0 / rate)
-        own = _felt(run, machine, plant, t) @ turn.T
-        counts = np.rint((own + sensor.noise_m_per_s2 * rng.standard_normal(own.shape)) / COUNT) * COUNT
-        path = folder / NAMES[flavor].format(run.name)
+        signal = _sensor_signal(experiment, machine, plant, t) @ turn.T
+        counts = np.rint((signal + sensor.noise_m_per_s2 * rng.standard_normal(signal.shape)) / COUNT) * COUNT
+        path = folder / NAMES[flavor].format(run_name(experiment.name, repeat))
         if flavor == KLIPPER:
             lines = _klipper(t - begin + 60.0 + 20.0 * k, counts)
         else:
@@ -103,22 +92,13 @@ def write_captures(
     return written
 
 
-def _runs(plan: MovesPlan | Plan) -> Iterator[_Run]:
-    if isinstance(plan, MovesPlan):
-        for each, repeat in plan.runs():
-            yield _Run(run_name(each.name, repeat), each.motion, plan.rest_before_s, plan.rest_after_s)
-    else:
-        for experiment in plan.experiments:
-            yield _Run(experiment.name, experiment, NOISE_S, DECAY_S)
-
-
-def _check_program(program: Program, runs: Sequence[_Run], plan_file: Path) -> None:
+def _check_program(program: Program, plan: Plan, plan_file: Path) -> None:
     """Refuse G-code that does not end each experiment where the plan does."""
     ends = program.moves.end[:, :3]
-    for run in runs:
-        middle = run.motion.nozzle(np.array([0.0, run.motion.duration_s]))
-        if not all((np.abs(ends - place).max(axis=1) < 1e-3).any() for place in middle):
-            raise RequestError(f"{run.name} of {plan_file} is not in the G-code: give the file written with it.")
+    for experiment in plan.experiments:
+        corners = experiment.motion.nozzle(np.array([0.0, experiment.duration_s]))
+        if not all((np.abs(ends - place).max(axis=1) < 1e-3).any() for place in corners):
+            raise RequestError(f"{experiment.name} of {plan_file} is not in the G-code: give the file written with it.")
 
 
 def _tilt(rng: np.random.Generator, tilt_deg: float) -> FloatArray:
@@ -129,12 +109,12 @@ def _tilt(rng: np.random.Generator, tilt_deg: float) -> FloatArray:
     return np.asarray(np.eye(3) + np.sin(angle) * skew + (1.0 - np.cos(angle)) * skew @ skew)
 
 
-def _felt(run: _Run, machine: Machine, plant: Machine, t: FloatArray) -> FloatArray:
+def _sensor_signal(experiment: Experiment, machine: Machine, plant: Machine, t: FloatArray) -> FloatArray:
     """Return what the nozzle holder feels at times (n,) of an experiment, gravity included: (n, 3) m/s²."""
     played = np.arange(float(t[0]) - SPARE_S, float(t[-1]) + 0.01, 1.0 / PLAYED_HZ)
-    motion = simulate_printer(plant, machine.kinematics.inverse(run.motion.nozzle(played)), 1.0 / PLAYED_HZ)
-    felt = CubicSpline(played, measured(plant, motion.signals).nozzle)(t)
-    return np.asarray(felt + np.array([0.0, 0.0, G]))
+    motion = simulate_printer(plant, machine.kinematics.inverse(experiment.motion.nozzle(played)), 1.0 / PLAYED_HZ)
+    signal = CubicSpline(played, measured(plant, motion.signals).nozzle)(t)
+    return np.asarray(signal + np.array([0.0, 0.0, G]))
 
 
 def _klipper(print_time_s: FloatArray, acceleration: FloatArray) -> list[str]:

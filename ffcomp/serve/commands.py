@@ -54,16 +54,18 @@ def compare(request: Request) -> list[Step]:
 
 def plan(request: Request) -> list[Step]:
     """Write moves that are worth recording."""
-    target = str(request.out / MOVES)
-    words = ("record", "plan", "-m", request.machine, "-o", target, "--json", *_words(request.options))
-    return [Step(words, "planning moves")]
+    return [Step(_planned(request, "diagnose"), "planning moves")]
 
 
 def excite(request: Request) -> list[Step]:
     """Write moves that excite what a fit of the machine file's numbers needs."""
+    return [Step(_planned(request, "identify"), "planning moves")]
+
+
+def _planned(request: Request, purpose: str) -> tuple[str, ...]:
     target = str(request.out / MOVES)
-    words = ("identify", "plan", "-m", request.machine, "-o", target, "--json", *_words(request.options))
-    return [Step(words, "planning moves")]
+    words = ("record", "plan", "--for", purpose, "-m", request.machine, "-o", target, "--json")
+    return (*words, *_words(request.options))
 
 
 def diagnose(request: Request) -> list[Step]:

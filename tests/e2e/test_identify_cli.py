@@ -13,10 +13,10 @@ from scipy.interpolate import CubicSpline
 
 from ffcomp.cli.app import app
 from ffcomp.identify.accuracy import error_reduction, mean_absolute_percentage_accuracy
-from ffcomp.identify.experiment_files import load_plan
 from ffcomp.identify.output_error import TOTAL_MASS, fit_machine
 from ffcomp.identify.predict import predicted
 from ffcomp.measurement.frf_files import write_frf
+from ffcomp.record.plan import load_plan
 from models.file import LIBRARY, load_machine
 from models.parameters import value_of, with_values
 from tests.support.cli import CliRunner, Result
@@ -46,7 +46,7 @@ def capture(folder: Path, experiment: Any, rng: np.random.Generator) -> Path:
     lead, after = 0.7, 1.2
     count = 2 * int((lead + experiment.duration_s + after) / STEP_S) + 1
     t = np.arange(count) * STEP_S / 2 - lead
-    command = experiment.command(np.clip(t, 0.0, experiment.duration_s))
+    command = TRUTH.kinematics.inverse(experiment.motion.nozzle(np.clip(t, 0.0, experiment.duration_s)))
     felt = delta_plant.simulate(delta_plant.load_machine(TRUTH_FILE), command, STEP_S, gravity=True, keep_every=4)
     t = felt["t"] - lead
     own = np.arange(rng.uniform(-0.6, -0.2), t[-1] - 0.1, 1 / 3200)
@@ -62,7 +62,8 @@ def capture(folder: Path, experiment: Any, rng: np.random.Generator) -> Path:
 def test_from_a_plan_through_captures_to_a_machine_file(tmp_path: Path) -> None:
     plan = tmp_path / "excite.gcode"
     arguments = ("--period-s", 2, "--periods", 3, "--lowest-hz", 10)
-    assert call("plan", "-m", TRUTH_FILE, "-o", plan, *arguments).exit_code == 0
+    verb = ("record", "plan", "--for", "identify", "-m", TRUTH_FILE, "-o", plan, *arguments)
+    assert CliRunner().invoke(app, [*map(str, verb)]).exit_code == 0
     account = load_plan(tmp_path / "excite.json")
     rng = np.random.default_rng(4)
     files = [capture(tmp_path, experiment, rng) for experiment in account.experiments]

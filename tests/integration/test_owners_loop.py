@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from ffcomp.measurement.recording import read_recording
-from ffcomp.record.plan_files import load_moves
+from ffcomp.record.plan import load_plan
 from studies.diagnosis import ffcomp
 from studies.diagnosis_proof import hidden
 from studies.owners_loop import as_captures, firmware_plan, worst_offset
@@ -21,7 +21,7 @@ def test_captures_of_the_hosts_motion_are_joined_with_their_command(tmp_path: Pa
     plan, told = tmp_path / "moves.gcode", ("-m", judge.MACHINE_FILE, "--json")
     made = ffcomp("record", "plan", "-o", plan, "--seconds", "2", "--at", "0,0", *told)
     assert "why" not in made, made["why"]
-    moves = load_moves(plan.with_suffix(".json"))
+    moves = load_plan(plan.with_suffix(".json"))
     _, real = hidden("effector_mass", 5)
     begun = as_captures(tmp_path / "captures", moves, firmware_plan(plan, moves), real, "klipper")
     captures = [tmp_path / "captures" / name for name in begun]

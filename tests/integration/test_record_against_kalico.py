@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ffcomp.record.firmware import Firmware
-from ffcomp.record.gcode_text import gcode_lines
-from ffcomp.record.plan import Request, make_plan
+from ffcomp.record.gcode_writer import Firmware, gcode_lines
+from ffcomp.record.moves import Request, make_plan
 from models.file import load_machine
 from validation.kalico import ARM_LENGTH_MM, RADIUS_MM, kalico_plan, sample
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-from ffcomp.record.plan_files import load_moves
+from ffcomp.record.plan import load_plan
 from ffcomp.shapers.pulses import Shaper
 from models.machine import Machine
 from models.printer.printer import simulate_printer
@@ -30,7 +30,7 @@ def write_captures(
 
     shapers : of x and y, which the firmware has left on
     """
-    moves, rng = load_moves(plan), np.random.default_rng(1)
+    moves, rng = load_plan(plan), np.random.default_rng(1)
     chip = draw_chip(rng, np.eye(3) if axes is None else axes)
     object.__setattr__(chip, "noise_m_per_s2", noise_m_per_s2)
     folder.mkdir(exist_ok=True)

@@ -17,7 +17,8 @@ from scipy.interpolate import CubicSpline
 from scipy.signal import lfilter
 
 from ffcomp.record.join import join_captures
-from ffcomp.record.plan import Experiment, MovesPlan, Request, make_plan
+from ffcomp.record.moves import Request, make_plan
+from ffcomp.record.plan import Experiment, Plan
 from ffcomp.record.result import recording_lines
 from models.file import load_machine
 from models.machine import Machine
@@ -42,7 +43,7 @@ def planned_motions(machine_file: str, seed: int, seconds: float) -> tuple[tuple
 
 
 @lru_cache(maxsize=2)
-def _planned(machine_file: str, seed: int, seconds: float) -> tuple[Machine, MovesPlan]:
+def _planned(machine_file: str, seed: int, seconds: float) -> tuple[Machine, Plan]:
     with TemporaryDirectory() as folder:
         path = Path(folder) / "machine.toml"
         path.write_text(machine_file, encoding="utf-8")
@@ -89,7 +90,7 @@ class _Chip:
         self.level = rng.uniform(0.1, 0.2)
         self.rng = rng
 
-    def capture(self, reading: Reading, duration_s: float, plan: MovesPlan) -> str:
+    def capture(self, reading: Reading, duration_s: float, plan: Plan) -> str:
         """Return the text of a capture as Klipper writes it: s of print time, mm/s²; some rows are lost."""
         first = BEFORE_S - plan.rest_before_s + self.rng.uniform() / self.rate_hz
         t = np.arange(first, BEFORE_S + duration_s + plan.rest_after_s, 1 / self.rate_hz)

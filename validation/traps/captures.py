@@ -15,8 +15,8 @@ from typing import Any, TypeAlias
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from ffcomp.record.plan import Experiment, MovesPlan, Request, make_plan
-from ffcomp.record.plan_files import save_plan
+from ffcomp.record.moves import Request, make_plan
+from ffcomp.record.plan import Experiment, Plan, save_plan
 from models.file import load_machine
 from validation.blind.delta.machines import draw_machine, file_of
 from validation.blind.delta.numbers import FloatArray
@@ -124,13 +124,13 @@ def _scale(tables: Tables, factors: Mapping[str, float]) -> None:
         tables[table][name] = [factor * x for x in value] if isinstance(value, list) else factor * value
 
 
-def plan_for(machine_file: Path, seed: int = 1) -> MovesPlan:
+def plan_for(machine_file: Path, seed: int = 1) -> Plan:
     """Three motions at three places, each made twice."""
     made = make_plan(load_machine(str(machine_file)), Request(places_mm=AT_MM, seconds=2.0, seed=seed))
     return replace(made, experiments=tuple(each for each in made.experiments if each.name in MADE))
 
 
-def recorded(bench: CaptureBench, sensing: Sensing, plan: MovesPlan, kept: Path) -> list[Taken]:
+def recorded(bench: CaptureBench, sensing: Sensing, plan: Plan, kept: Path) -> list[Taken]:
     """Make every execution, and record it by every chip."""
     taken = []
     rng = np.random.default_rng([bench.seed, 31])
@@ -154,7 +154,7 @@ def _taken(
     chip: Chip,
     felt: CubicSpline,
     experiment: Experiment,
-    plan: MovesPlan,
+    plan: Plan,
     rng: np.random.Generator,
 ) -> Taken:
     first = -plan.rest_before_s + rng.uniform() / chip.rate_hz

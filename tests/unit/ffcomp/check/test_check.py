@@ -18,7 +18,8 @@ from ffcomp.check.signatures import Signatures
 from ffcomp.errors import MeasurementError
 from ffcomp.measurement.recording import Recording
 from ffcomp.record.clock import ClockFit
-from ffcomp.record.plan import MovesPlan, Request, make_plan
+from ffcomp.record.moves import Request, make_plan
+from ffcomp.record.plan import Plan
 from ffcomp.record.result import Joined, JoinResult
 from ffcomp.report.check import checks_figure
 from models.file import load_machine
@@ -36,7 +37,7 @@ Nozzle = Callable[[np.ndarray], np.ndarray]
 @dataclass(frozen=True, eq=False)
 class Bench:
     machine: Machine
-    plan: MovesPlan
+    plan: Plan
     felt: Callable[[Any, Nozzle, np.ndarray], np.ndarray]  # of a hidden printer, (n, 3) m/s²
 
     def joined(self, hidden: Any, seed: int, noise: float = 0.15, yaw_deg: float = 0.0, axes: str = AXES) -> JoinResult:

@@ -19,7 +19,7 @@ from ffcomp.diagnose.separation import ENOUGH, Separation
 from ffcomp.diagnose.what_to_do import what_to_do
 from ffcomp.diagnose.words import digits
 from ffcomp.measurement.recording import Recording
-from ffcomp.record.plan import Request, make_plan
+from ffcomp.record.moves import Request, make_plan
 from models.arrays import FloatArray
 from models.file import load_machine
 from models.machine import Machine

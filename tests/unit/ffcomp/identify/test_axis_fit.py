@@ -10,8 +10,8 @@ import pytest
 
 from ffcomp.errors import RequestError
 from ffcomp.identify.axis_fit import fitted_axis
+from ffcomp.identify.fitting import FitRequest, fit_files
 from ffcomp.measurement.axis_run import AxisRun
-from ffcomp.record.fitting import FitRequest, fit_files
 from models.axis.machine import AxisMachine, AxisParameters
 from models.axis.simulate import simulate_axis
 from models.file import load_plant

@@ -19,14 +19,13 @@ from ffcomp.cli.app import app
 from ffcomp.errors import MeasurementError
 from ffcomp.identify.all_axes import identify_axes
 from ffcomp.identify.axis_spectra import Response, Spectrum, closed_form
-from ffcomp.identify.experiment import Experiment
-from ffcomp.identify.experiment_files import load_plan
 from ffcomp.identify.modal_fit import AxisFit, fit_axis
 from ffcomp.identify.resonance_tests import spectrum_of
 from ffcomp.measurement.frf import FrequencyResponse
 from ffcomp.measurement.frf_files import write_frf
 from ffcomp.measurement.klipper import Resonances
 from ffcomp.measurement.vibration import read_vibration
+from ffcomp.record.plan import Experiment, load_plan
 from ffcomp.shapers.calibration import calibrated, normalised, resonance_test
 from models.arrays import constant
 from models.file import LIBRARY, load_machine
@@ -212,9 +211,10 @@ def test_from_a_simulated_print(tmp_path: Path) -> None:
 
 def nozzle_capture(folder: Path, experiment: Experiment, modes: FloatArray, sign: float, rng: Any) -> Path:
     """What a sensor writes while the axis plays an experiment: late, its clock off, noisy, with weight."""
-    axis = "xyz".index(experiment.direction)
+    assert experiment.excitation is not None
+    axis = "xyz".index(experiment.excitation.direction)
     t = np.arange(-0.6, experiment.duration_s + 0.8, STEP_S)
-    told = experiment.nozzle(np.clip(t, 0.0, experiment.duration_s))[:, axis]
+    told = experiment.motion.nozzle(np.clip(t, 0.0, experiment.duration_s))[:, axis]
     answer = sum(_filtered(told - told[0], *mode) for mode in modes)
     felt = np.zeros((len(t[::4]), 3))
     felt[:, axis] = sign * 1e-3 * np.gradient(np.gradient(answer, STEP_S), STEP_S)[::4]
@@ -236,14 +236,29 @@ def test_from_a_plan_through_captures(tmp_path: Path) -> None:
     """The sensor of y sits on a bed that moves against the nozzle."""
     plan, account = tmp_path / "excite.gcode", tmp_path / "excite.json"
     ender = LIBRARY / "ender-3.toml"
-    made = answer_of("identify", "plan", "-m", ender, "-o", plan, "--period-s", 2, "--periods", 3, "--highest-hz", 110)
+    made = answer_of(
+        "record",
+        "plan",
+        "--for",
+        "identify",
+        "-m",
+        ender,
+        "-o",
+        plan,
+        "--period-s",
+        2,
+        "--periods",
+        3,
+        "--highest-hz",
+        110,
+    )
     assert [e["position_mm"] for e in made["experiments"]] == [[117.5, 117.5, 50.0]] * 2 and not made["warnings"]
     text = plan.read_text()
     assert "screwed to the bed" in text and "G1 X117.5 Y117.5 Z50" in text and "max_z_accel" not in text
     rng = np.random.default_rng(3)
     experiments = load_plan(account).experiments
     true = {"x": (TWO * [0.85, 1, 1], 1.0), "y": (ONE * [0.8, 1, 1], -1.0)}
-    files = [nozzle_capture(tmp_path, each, *true[each.direction], rng) for each in experiments]
+    files = [nozzle_capture(tmp_path, each, *true[each.excitation.direction], rng) for each in experiments]
     answer = answer_of("identify", "fit", *files, "-m", ender, "--plan", account, "--quiet")
     for name, (modes, _) in true.items():
         table = answer["axes"][name]["modes"]
@@ -255,7 +270,7 @@ def test_from_a_plan_through_captures(tmp_path: Path) -> None:
 
 def test_a_plan_of_a_corexy_stays_within_its_box_and_its_motors(tmp_path: Path) -> None:
     out = tmp_path / "e.gcode"
-    short = ("identify", "plan", "-m", VORON, "-o", out, "--period-s", 2, "--periods", 1)
+    short = ("record", "plan", "--for", "identify", "-m", VORON, "-o", out, "--period-s", 2, "--periods", 1)
     peaks = answer_of(*short)["experiments"][0]["peaks"]
     assert peaks["carriage_acceleration_mm_per_s2"] == pytest.approx(peaks["nozzle_acceleration_mm_per_s2"])
     assert peaks["z_acceleration_mm_per_s2"] == 0

@@ -9,7 +9,8 @@ import pytest
 
 from ffcomp.diagnose.gap import measure_gap
 from ffcomp.record.join import join_captures
-from ffcomp.record.plan import MovesPlan, Request, make_plan
+from ffcomp.record.moves import Request, make_plan
+from ffcomp.record.plan import Plan
 from ffcomp.record.result import JoinResult
 from models.file import load_machine
 from models.machine import Machine
@@ -19,7 +20,7 @@ SLINGER = KINDS["cartesian"]
 
 
 @pytest.fixture(scope="module")
-def bench(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[Path], MovesPlan, Machine]:
+def bench(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[Path], Plan, Machine]:
     folder = tmp_path_factory.mktemp("slinger")
     (folder / "box.toml").write_text(machine_text(SLINGER), encoding="utf-8")
     machine = load_machine(folder / "box.toml")
@@ -27,12 +28,12 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[Path], MovesPl
     return as_captures(folder / "captures", plan, SLINGER.plant, SLINGER, 30.0), plan, machine
 
 
-def joined(bench: tuple[list[Path], MovesPlan, Machine], *, bed: bool, head: bool = True) -> JoinResult:
+def joined(bench: tuple[list[Path], Plan, Machine], *, bed: bool, head: bool = True) -> JoinResult:
     captures, plan, machine = bench
     return join_captures([p for p in captures if (bed if "-bed-" in p.name else head)], plan, machine)
 
 
-def test_each_axis_comes_from_the_chip_that_feels_it(bench: tuple[list[Path], MovesPlan, Machine]) -> None:
+def test_each_axis_comes_from_the_chip_that_feels_it(bench: tuple[list[Path], Plan, Machine]) -> None:
     found = joined(bench, bed=True)
     assert len(found.joined) == 4 and not found.refused
     assert all(min(each.felt[:2]) > 0.9 for each in found.joined)
@@ -48,7 +49,7 @@ def test_each_axis_comes_from_the_chip_that_feels_it(bench: tuple[list[Path], Mo
     assert all("clocks" not in each.comments for each in joined(bench, bed=False).recordings)
 
 
-def test_friction_of_the_bed_is_no_other_motion(bench: tuple[list[Path], MovesPlan, Machine], tmp_path: Path) -> None:
+def test_friction_of_the_bed_is_no_other_motion(bench: tuple[list[Path], Plan, Machine], tmp_path: Path) -> None:
     """Friction of x, which the bed's chip does not feel, must not be weighed against that of the bed."""
     _, plan, machine = bench
     rough = replace(SLINGER.plant, friction_n=(0.7, 3.0), bristle_n_per_m=8e4)
@@ -58,7 +59,7 @@ def test_friction_of_the_bed_is_no_other_motion(bench: tuple[list[Path], MovesPl
     assert min(found.joined[0].felt[:2]) > 0.8
 
 
-def test_an_axis_that_no_chip_feels_is_left_out_and_said(bench: tuple[list[Path], MovesPlan, Machine]) -> None:
+def test_an_axis_that_no_chip_feels_is_left_out_and_said(bench: tuple[list[Path], Plan, Machine]) -> None:
     for chip, missing in (("head", "y"), ("bed", "x")):
         found = joined(bench, bed=chip == "bed", head=chip == "head")
         assert all(
@@ -70,7 +71,7 @@ def test_an_axis_that_no_chip_feels_is_left_out_and_said(bench: tuple[list[Path]
 
 
 def test_a_run_without_the_beds_capture_does_not_say_that_the_bed_rests(
-    bench: tuple[list[Path], MovesPlan, Machine],
+    bench: tuple[list[Path], Plan, Machine],
 ) -> None:
     captures, plan, machine = bench
     missing = next(p for p in captures if "-bed-" in p.name and "zigzag" in p.name and p.stem.endswith("-1"))
@@ -80,7 +81,7 @@ def test_a_run_without_the_beds_capture_does_not_say_that_the_bed_rests(
     assert any("feels y is missing" in sentence for sentence in found.remarks)
 
 
-def test_a_corexy_keeps_every_axis(bench: tuple[list[Path], MovesPlan, Machine]) -> None:
+def test_a_corexy_keeps_every_axis(bench: tuple[list[Path], Plan, Machine]) -> None:
     """There everything is on the toolhead: a chip that is deaf along y is broken, and its column says so."""
     captures, plan, machine = bench
     assert machine.kinematics.bed_may_move

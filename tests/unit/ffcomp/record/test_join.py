@@ -17,10 +17,9 @@ from scipy.interpolate import CubicSpline
 from ffcomp.errors import MeasurementError
 from ffcomp.measurement.recording import read_recording
 from ffcomp.record.axes import tilt, turn_of, words
-from ffcomp.record.join import join_captures
-from ffcomp.record.load import load_recordings
-from ffcomp.record.plan import MovesPlan, Request, make_plan
-from ffcomp.record.plan_files import save_plan
+from ffcomp.record.join import join_captures, load_recordings
+from ffcomp.record.moves import Request, make_plan
+from ffcomp.record.plan import Plan, save_plan
 from ffcomp.record.result import JoinResult, Refused, recording_lines
 from models.file import load_machine
 from models.machine import Machine
@@ -37,7 +36,7 @@ class Bench:
     """A printer with something hidden, and what its sensor recorded."""
 
     folder: Path
-    plan: MovesPlan
+    plan: Plan
     machine: Machine
     chip: Chip
     felt: dict[str, CubicSpline]
@@ -48,7 +47,7 @@ class Bench:
         return sorted((self.folder / kind).glob("*.csv"))
 
 
-def short_plan(machine: Machine) -> MovesPlan:
+def short_plan(machine: Machine) -> Plan:
     plan = make_plan(machine, Request(seconds=2.5, places_mm=[machine.kinematics.centre_mm]))
     return replace(plan, experiments=tuple(each for each in plan.experiments if each.kind in KINDS))
 

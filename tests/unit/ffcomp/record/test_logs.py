@@ -14,11 +14,10 @@ from scipy.interpolate import CubicSpline
 from ffcomp.errors import MeasurementError
 from ffcomp.measurement.printer_logs import read_motion_log
 from ffcomp.measurement.vibration import read_captures
-from ffcomp.record.join import join_captures
-from ffcomp.record.load import load_recordings
+from ffcomp.record.join import join_captures, load_recordings
 from ffcomp.record.log_runs import differences
-from ffcomp.record.plan import MovesPlan, Request, make_plan
-from ffcomp.record.plan_files import save_plan
+from ffcomp.record.moves import Request, make_plan
+from ffcomp.record.plan import Plan, save_plan
 from ffcomp.shapers.kinds import SHAPERS
 from ffcomp.shapers.pulses import Shaper
 from models.file import load_machine
@@ -39,19 +38,19 @@ def machine() -> Machine:
 
 
 @pytest.fixture(scope="module")
-def plan(machine: Machine) -> MovesPlan:
+def plan(machine: Machine) -> Plan:
     made = make_plan(machine, Request(seconds=2.0, repeats=1, places_mm=[(0.0, 0.0)]))
     return replace(made, experiments=tuple(each for each in made.experiments if each.kind == "zigzag"))
 
 
 @pytest.fixture(scope="module")
-def logged(plan: MovesPlan, machine: Machine, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def logged(plan: Plan, machine: Machine, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return log_of(tmp_path_factory.mktemp("log") / "mylog.json.gz", plan, machine)
 
 
 def log_of(
     path: Path,
-    plan: MovesPlan,
+    plan: Plan,
     machine: Machine,
     shapers: Sequence[Shaper | None] = (None, None),
     settings: dict[str, Any] = SETTINGS,
@@ -74,7 +73,7 @@ def log_of(
     return path
 
 
-def test_a_log_is_joined_exactly(plan: MovesPlan, machine: Machine, logged: Path) -> None:
+def test_a_log_is_joined_exactly(plan: Plan, machine: Machine, logged: Path) -> None:
     index = logged.with_name("mylog.index.gz")
     found = join_captures([logged, index], plan, machine)
     (joined,) = found.joined
@@ -85,7 +84,7 @@ def test_a_log_is_joined_exactly(plan: MovesPlan, machine: Machine, logged: Path
     np.testing.assert_allclose(joined.recording.command, plan.experiments[0].motion.nozzle(t), atol=1e-9)
 
 
-def test_a_shaper_that_was_on_is_in_the_command(plan: MovesPlan, machine: Machine, tmp_path: Path) -> None:
+def test_a_shaper_that_was_on_is_in_the_command(plan: Plan, machine: Machine, tmp_path: Path) -> None:
     both = (SHAPERS["mzv"](45.0, 0.1),) * 2
     path = log_of(tmp_path / "mylog.json.gz", plan, machine, both)
     found = join_captures([path], plan, machine)
@@ -99,7 +98,7 @@ def test_a_shaper_that_was_on_is_in_the_command(plan: MovesPlan, machine: Machin
 
 
 def test_a_configuration_that_contradicts_the_file_and_lost_samples_are_said(
-    plan: MovesPlan, machine: Machine, tmp_path: Path
+    plan: Plan, machine: Machine, tmp_path: Path
 ) -> None:
     other = {**SETTINGS["stepper_a"], "rotation_distance": 32.0, "arm_length": 300.0}
     counted = [0] * 10 + [2] * 90
@@ -112,7 +111,7 @@ def test_a_configuration_that_contradicts_the_file_and_lost_samples_are_said(
 
 
 def test_a_log_that_was_cut_off_is_read_as_far_as_it_goes(
-    plan: MovesPlan, machine: Machine, logged: Path, tmp_path: Path
+    plan: Plan, machine: Machine, logged: Path, tmp_path: Path
 ) -> None:
     cut = tmp_path / "cut.json.gz"
     cut.write_bytes(logged.read_bytes()[:-400])
@@ -121,7 +120,7 @@ def test_a_log_that_was_cut_off_is_read_as_far_as_it_goes(
     assert "there is no index beside the log" in " ".join(found.remarks)
 
 
-def test_logs_without_what_is_needed_are_refused(plan: MovesPlan, machine: Machine, tmp_path: Path) -> None:
+def test_logs_without_what_is_needed_are_refused(plan: Plan, machine: Machine, tmp_path: Path) -> None:
     path = tmp_path / "mylog.json.gz"
     write_log(path, [{"id": 1, "result": {}}], {})
     with pytest.raises(MeasurementError, match=r"holds no commanded motion"):
@@ -137,7 +136,7 @@ def test_logs_without_what_is_needed_are_refused(plan: MovesPlan, machine: Machi
 
 
 def test_another_motion_is_refused_and_diagnose_takes_logs(
-    plan: MovesPlan, machine: Machine, logged: Path, tmp_path: Path
+    plan: Plan, machine: Machine, logged: Path, tmp_path: Path
 ) -> None:
     other = make_plan(machine, Request(seconds=2.0, repeats=1, seed=9, places_mm=[(0.0, 0.0)]))
     assert (

@@ -9,15 +9,14 @@ import numpy as np
 import pytest
 
 from ffcomp.errors import MeasurementError
+from ffcomp.identify.captures import responses_of
 from ffcomp.identify.load import kind_of
 from ffcomp.measurement.printer_logs import read_closed_loop
 from ffcomp.measurement.recording import read_recording
 from ffcomp.measurement.vibration import read_captures
-from ffcomp.record.join import join_captures
-from ffcomp.record.load import load_recordings
-from ffcomp.record.plan import MovesPlan, Request, make_plan
-from ffcomp.record.plan_files import save_plan
-from ffcomp.record.responses import responses_of
+from ffcomp.record.join import join_captures, load_recordings
+from ffcomp.record.moves import Request, make_plan
+from ffcomp.record.plan import Plan, save_plan
 from ffcomp.record.result import recording_lines
 from ffcomp.shapers.kinds import SHAPERS
 from models.arrays import FloatArray
@@ -37,13 +36,13 @@ def machine() -> Machine:
 
 
 @pytest.fixture(scope="module")
-def plan(machine: Machine) -> MovesPlan:
+def plan(machine: Machine) -> Plan:
     made = make_plan(machine, Request(seconds=2.0, repeats=2, places_mm=[(20.0, 10.0)]))
     return replace(made, experiments=tuple(each for each in made.experiments if each.kind == "zigzag"))
 
 
 @pytest.fixture(scope="module")
-def played(plan: MovesPlan, machine: Machine) -> tuple[FloatArray, FloatArray, FloatArray]:
+def played(plan: Plan, machine: Machine) -> tuple[FloatArray, FloatArray, FloatArray]:
     """The plan's motion by a printer with friction: times, the carriages' command and place."""
     rubbing = replace(machine, effects={"coulomb_friction": {"force_n": 3.0}})
     t = np.arange(-0.6, plan.experiments[0].duration_s + 0.5, 1 / 3200)
@@ -75,7 +74,7 @@ def log(
 
 @pytest.mark.parametrize(("motor", "steps_per_mm"), [(0, -80.0), (2, 5.0)])  # microsteps, and full ones
 def test_a_log_becomes_a_run_of_its_motor(
-    plan: MovesPlan,
+    plan: Plan,
     machine: Machine,
     played: tuple[FloatArray, FloatArray, FloatArray],
     tmp_path: Path,
@@ -98,7 +97,7 @@ def test_a_log_becomes_a_run_of_its_motor(
 
 
 def test_a_log_that_begins_with_the_motion_has_a_gap_before_it_and_a_second_one_is_the_repeat(
-    plan: MovesPlan, machine: Machine, played: tuple[FloatArray, FloatArray, FloatArray], tmp_path: Path
+    plan: Plan, machine: Machine, played: tuple[FloatArray, FloatArray, FloatArray], tmp_path: Path
 ) -> None:
     paths = [log(tmp_path / f"{k}.csv", played, begin_s=0.01) for k in (1, 2, 3)]
     found = join_captures(paths, plan, machine)
@@ -116,9 +115,9 @@ def test_a_log_that_begins_with_the_motion_has_a_gap_before_it_and_a_second_one_
 
 
 def test_what_is_no_execution_of_the_plan_is_refused_with_what_was_found(
-    plan: MovesPlan, machine: Machine, played: tuple[FloatArray, FloatArray, FloatArray], tmp_path: Path
+    plan: Plan, machine: Machine, played: tuple[FloatArray, FloatArray, FloatArray], tmp_path: Path
 ) -> None:
-    def why(path: Path, made: MovesPlan = plan, told: Machine = machine) -> str:
+    def why(path: Path, made: Plan = plan, told: Machine = machine) -> str:
         found = join_captures([path], made, told)
         assert not found.joined and found.refused[0].file == str(path)
         return found.refused[0].why
@@ -151,7 +150,7 @@ def test_a_log_is_told_apart_from_other_files(
 
 
 def test_what_needs_accelerations_refuses_a_log(
-    plan: MovesPlan, machine: Machine, played: tuple[FloatArray, FloatArray, FloatArray], tmp_path: Path
+    plan: Plan, machine: Machine, played: tuple[FloatArray, FloatArray, FloatArray], tmp_path: Path
 ) -> None:
     found = join_captures([log(tmp_path / "50_2026.csv", played)], plan, machine)
     assert not found.with_accelerations.joined

@@ -8,14 +8,12 @@ import numpy as np
 import pytest
 
 from ffcomp.errors import LimitsError, MeasurementError
-from ffcomp.identify.experiment_files import load_plan
 from ffcomp.identify.load import gather
 from ffcomp.planner.limits import PlannerLimits
 from ffcomp.planner.lookahead import plan_moves, stops_and_waits
-from ffcomp.record.firmware import DEFAULT_CHIPS, RESTORE, Firmware
-from ffcomp.record.gcode_text import gcode_lines
-from ffcomp.record.plan import MOST_ROUNDING, NEAREST_MM, MovesPlan, Request, make_plan, schedule
-from ffcomp.record.plan_files import load_moves, save_plan
+from ffcomp.record.gcode_writer import DEFAULT_CHIPS, RESTORE, Firmware, gcode_lines
+from ffcomp.record.moves import MOST_ROUNDING, NEAREST_MM, Request, make_plan, schedule
+from ffcomp.record.plan import Plan, load_plan, save_plan
 from gcode.reader import read_program
 from models.file import load_machine
 from models.machine import Machine
@@ -29,7 +27,7 @@ def delta() -> Machine:
 
 
 @pytest.fixture(scope="module")
-def plan(delta: Machine) -> MovesPlan:
+def plan(delta: Machine) -> Plan:
     return make_plan(delta, Request(seconds=2.0))
 
 
@@ -52,13 +50,13 @@ def test_every_kind_is_made_at_three_of_four_places() -> None:
         assert len({place for k, place in found if k == kind}) == 3
 
 
-def test_repeats_follow_when_everything_was_made_once(plan: MovesPlan) -> None:
+def test_repeats_follow_when_everything_was_made_once(plan: Plan) -> None:
     names = [(each.name, repeat) for each, repeat in plan.runs()]
     assert names[: len(plan.experiments)] == [(each.name, 1) for each in plan.experiments]
     assert len(names) == 24 and len({name for name, _ in names}) == 12
 
 
-def test_each_motion_begins_and_ends_at_its_place(plan: MovesPlan) -> None:
+def test_each_motion_begins_and_ends_at_its_place(plan: Plan) -> None:
     for each in plan.experiments:
         ends = each.motion.nozzle(np.array([0.0, each.duration_s]))
         np.testing.assert_allclose(ends, [each.position_mm, each.position_mm], atol=2e-3)
@@ -66,9 +64,9 @@ def test_each_motion_begins_and_ends_at_its_place(plan: MovesPlan) -> None:
         assert np.abs(away).max() < 22.0
 
 
-def test_the_json_file_holds_the_command(plan: MovesPlan, tmp_path: Path) -> None:
+def test_the_json_file_holds_the_command(plan: Plan, tmp_path: Path) -> None:
     save_plan(plan, tmp_path / "moves.json")
-    again = load_moves(tmp_path / "moves.json")
+    again = load_plan(tmp_path / "moves.json")
     assert (again.machine_sha256, again.repeats) == (plan.machine_sha256, plan.repeats)
     for a, b in zip(plan.experiments, again.experiments, strict=True):
         t = np.linspace(-0.1, a.duration_s + 0.1, 999)
@@ -79,21 +77,21 @@ def test_the_json_file_holds_the_command(plan: MovesPlan, tmp_path: Path) -> Non
     ("text", "words"),
     [
         ("{", "This is not JSON"),
-        ('{"schema": "ffcomp-excitation/1"}', "Plans of `identify plan` belong to `identify fit`"),
+        ('{"schema": "ffcomp-print/1"}', "The schema is 'ffcomp-print/1'; 'ffcomp-moves/1' is needed"),
         ('{"schema": "ffcomp-moves/1"}', "The key 'machine' is missing"),
     ],
 )
 def test_another_file_is_refused(tmp_path: Path, text: str, words: str) -> None:
     (tmp_path / "moves.json").write_text(text, encoding="utf-8")
     with pytest.raises(MeasurementError, match=words):
-        load_moves(tmp_path / "moves.json")
+        load_plan(tmp_path / "moves.json")
 
 
-def text_of(plan: MovesPlan, machine: Machine, flavor: str, shaper: tuple[float, float] | None = None) -> str:
+def text_of(plan: Plan, machine: Machine, flavor: str, shaper: tuple[float, float] | None = None) -> str:
     return b"".join(gcode_lines(plan, machine, Firmware(flavor, DEFAULT_CHIPS[flavor], shaper))).decode()
 
 
-def test_the_gcode_is_the_command(plan: MovesPlan, delta: Machine) -> None:
+def test_the_gcode_is_the_command(plan: Plan, delta: Machine) -> None:
     """Read back and planned with the limits that the file sets, the moves of each execution take their time."""
     program = read_program(text_of(plan, delta, "klipper").encode(), "moves.gcode")
     stops, waits = stops_and_waits(program)
@@ -110,7 +108,7 @@ def test_the_gcode_is_the_command(plan: MovesPlan, delta: Machine) -> None:
         )
 
 
-def test_captures_are_started_and_stopped_with_time_in_hand(plan: MovesPlan, delta: Machine) -> None:
+def test_captures_are_started_and_stopped_with_time_in_hand(plan: Plan, delta: Machine) -> None:
     lines = text_of(plan, delta, "klipper").splitlines()
     toggles = [i for i, line in enumerate(lines) if line.startswith("ACCELEROMETER_MEASURE")]
     assert len(toggles) == 48
@@ -134,21 +132,19 @@ def test_captures_are_started_and_stopped_with_time_in_hand(plan: MovesPlan, del
         ("reprapfirmware", 'M593 P"none"', "M593 P{var.ffcompShaper} F{var.ffcompFrequency} S{var.ffcompDamping}"),
     ],
 )
-def test_the_shaper_is_switched_off_and_on_again(
-    plan: MovesPlan, delta: Machine, flavor: str, off: str, on: str
-) -> None:
+def test_the_shaper_is_switched_off_and_on_again(plan: Plan, delta: Machine, flavor: str, off: str, on: str) -> None:
     text = text_of(plan, delta, flavor, (47.0, 50.2))
     first_move = text.index("\nG1 ")
     assert text.index(f"\n{off}\n") < first_move < text.rindex("\nG1 ") < text.index(f"\n{on}\n")
 
 
-def test_klipper_restores_by_a_macro_that_the_file_prints(plan: MovesPlan, delta: Machine) -> None:
+def test_klipper_restores_by_a_macro_that_the_file_prints(plan: Plan, delta: Machine) -> None:
     text = text_of(plan, delta, "klipper")
     assert text.endswith(f"\n{RESTORE}\n") and f"; [gcode_macro {RESTORE}]" in text
     assert "SHAPER_FREQ_X=0" in text and "--shaper X,Y" in text  # says that the shaper would stay off
 
 
-def test_reprapfirmware_records_long_enough_with_a_fast_chip(plan: MovesPlan, delta: Machine) -> None:
+def test_reprapfirmware_records_long_enough_with_a_fast_chip(plan: Plan, delta: Machine) -> None:
     lines = text_of(plan, delta, "reprapfirmware").splitlines()
     starts = [line for line in lines if line.startswith("M956")]
     assert len(starts) == 24 and starts[0].endswith('F"ffcomp-zigzag-0-1.csv"')
@@ -171,11 +167,8 @@ def test_what_cannot_be_planned_says_what_would_fit(delta: Machine, request_: Re
         make_plan(delta, request_)
 
 
-def test_its_captures_need_its_plan_and_no_other_verb_takes_it(plan: MovesPlan, delta: Machine, tmp_path: Path) -> None:
+def test_its_captures_need_its_plan(delta: Machine, tmp_path: Path) -> None:
     capture = tmp_path / "adxl345-ffcomp-zigzag-0-1.csv"
     capture.write_text("#time,accel_x,accel_y,accel_z\n1,2,3,4\n", encoding="utf-8")
-    with pytest.raises(MeasurementError, match=r"those of `record plan` its moves.json"):
+    with pytest.raises(MeasurementError, match=r"need the .json file beside its G-code"):
         gather([capture], delta, band_hz=(2.0, 200.0))
-    save_plan(plan, tmp_path / "moves.json")
-    with pytest.raises(MeasurementError, match=r"Plans of `record plan` belong to `ffcomp diagnose`"):
-        load_plan(tmp_path / "moves.json")

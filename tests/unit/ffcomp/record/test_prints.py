@@ -9,10 +9,9 @@ import pytest
 
 from ffcomp.errors import NothingToDo
 from ffcomp.planner.program import firmware_plan
-from ffcomp.record.firmware import DEFAULT_CHIPS, Firmware
+from ffcomp.record.gcode_writer import DEFAULT_CHIPS, Firmware
 from ffcomp.record.join import join_captures
-from ffcomp.record.plan import MovesPlan
-from ffcomp.record.plan_files import load_moves, save_plan
+from ffcomp.record.plan import Plan, load_plan, save_plan
 from ffcomp.record.prints import plan_print, print_lines
 from gcode.program import Program
 from gcode.reader import read_program
@@ -29,15 +28,15 @@ def machine() -> Machine:
 
 
 @pytest.fixture(scope="module")
-def planned(machine: Machine) -> tuple[MovesPlan, Program]:
+def planned(machine: Machine) -> tuple[Plan, Program]:
     return plan_print(EXAMPLE, machine, "klipper")
 
 
-def text_of(planned: tuple[MovesPlan, Program]) -> list[bytes]:
+def text_of(planned: tuple[Plan, Program]) -> list[bytes]:
     return list(print_lines(*planned, Firmware("klipper", DEFAULT_CHIPS["klipper"])))
 
 
-def test_the_print_stays_what_it_is(planned: tuple[MovesPlan, Program]) -> None:
+def test_the_print_stays_what_it_is(planned: tuple[Plan, Program]) -> None:
     ours = (b"; ", b";\n", b"SET_INPUT_SHAPER", b"M400\n", b"G4 P", b"ACCELEROMETER_MEASURE", b"FFCOMP_RESTORE")
     lines, original = text_of(planned), EXAMPLE.read_bytes().splitlines(keepends=True)
     kept = iter(lines)
@@ -48,7 +47,7 @@ def test_the_print_stays_what_it_is(planned: tuple[MovesPlan, Program]) -> None:
     assert added < sum(line.startswith(ours) for line in lines) + 1
 
 
-def test_the_plan_is_the_printed_motion(planned: tuple[MovesPlan, Program], machine: Machine) -> None:
+def test_the_plan_is_the_printed_motion(planned: tuple[Plan, Program], machine: Machine) -> None:
     """Read back, each section between two toggles takes its time, and goes where the plan says."""
     lines = [
         line for line in text_of(planned) if not line.startswith(b"ACCELEROMETER_MEASURE")
@@ -66,9 +65,9 @@ def test_the_plan_is_the_printed_motion(planned: tuple[MovesPlan, Program], mach
         )
 
 
-def test_captures_of_a_print_are_joined(planned: tuple[MovesPlan, Program], machine: Machine, tmp_path: Path) -> None:
+def test_captures_of_a_print_are_joined(planned: tuple[Plan, Program], machine: Machine, tmp_path: Path) -> None:
     save_plan(planned[0], tmp_path / "p.json")
-    again = load_moves(tmp_path / "p.json")
+    again = load_plan(tmp_path / "p.json")
     assert again.print_file == "print.gcode" and again.repeats == 1
     captures = write_captures(tmp_path / "p.json", machine, tmp_path)
     found = join_captures(captures, again, machine)

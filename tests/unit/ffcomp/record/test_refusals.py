@@ -12,8 +12,8 @@ import pytest
 from numpy.typing import NDArray
 
 from ffcomp.record.join import join_captures
-from ffcomp.record.plan import MovesPlan, Request, make_plan
-from ffcomp.record.plan_files import save_plan
+from ffcomp.record.moves import Request, make_plan
+from ffcomp.record.plan import Plan, save_plan
 from ffcomp.record.result import JoinResult
 from ffcomp.shapers.kinds import SHAPERS
 from models.file import load_machine
@@ -31,17 +31,17 @@ def machine() -> Machine:
 
 
 @pytest.fixture(scope="module")
-def plan(machine: Machine) -> MovesPlan:
+def plan(machine: Machine) -> Plan:
     made = make_plan(machine, Request(seconds=2.0, places_mm=[machine.kinematics.centre_mm]))
     return replace(made, experiments=tuple(each for each in made.experiments if each.kind in KINDS))
 
 
 @pytest.fixture(scope="module")
-def captures(plan: MovesPlan, machine: Machine, tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+def captures(plan: Plan, machine: Machine, tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     return captured(plan, machine, tmp_path_factory.mktemp("captures"))
 
 
-def captured(plan: MovesPlan, plant: Machine, folder: Path, **options: object) -> list[Path]:
+def captured(plan: Plan, plant: Machine, folder: Path, **options: object) -> list[Path]:
     save_plan(plan, folder / "moves.json")
     return write_captures(folder / "moves.json", plant, folder, **options)  # type: ignore[arg-type]
 
@@ -52,7 +52,7 @@ def reasons(found: JoinResult) -> list[str]:
 
 @pytest.mark.parametrize(("kind", "frequency_hz"), [("mzv", 45.0), ("ei", 60.0)])
 def test_a_shaper_left_on_is_named(
-    plan: MovesPlan, machine: Machine, tmp_path: Path, kind: str, frequency_hz: float
+    plan: Plan, machine: Machine, tmp_path: Path, kind: str, frequency_hz: float
 ) -> None:
     on = SHAPERS[kind](frequency_hz, 0.1)
     once = replace(plan, repeats=1)
@@ -63,7 +63,7 @@ def test_a_shaper_left_on_is_named(
     assert "SET_INPUT_SHAPER SHAPER_FREQ_X=0 SHAPER_FREQ_Y=0" in why
 
 
-def test_a_machine_file_that_is_wrong_is_no_shaper(plan: MovesPlan, machine: Machine, tmp_path: Path) -> None:
+def test_a_machine_file_that_is_wrong_is_no_shaper(plan: Plan, machine: Machine, tmp_path: Path) -> None:
     values = {each.name: each.value for each in machine.vibration.parameters()}
     off = {name: value * (3.0 if "damping" in name else 0.8) for name, value in values.items()}
     plant = replace(machine, vibration=machine.vibration.with_parameters(off))
@@ -95,7 +95,7 @@ def stretched(captures: Sequence[Path], folder: Path, factor: float) -> list[Pat
 
 
 def test_a_machine_that_is_late_by_milliseconds_makes_no_other_motion(
-    plan: MovesPlan, machine: Machine, captures: Sequence[Path], tmp_path: Path
+    plan: Plan, machine: Machine, captures: Sequence[Path], tmp_path: Path
 ) -> None:
     """It is as late in every capture and keeps their pace; one capture alone, or another pace, is another motion."""
     late = replace(machine, effects={"command_delay": {"delay_s": [4e-3, 4e-3, 0.0]}})
@@ -111,7 +111,7 @@ def test_a_machine_that_is_late_by_milliseconds_makes_no_other_motion(
     assert all("at 99.7% of the plan's pace" in why for why in reasons(slower))
 
 
-def test_a_shaper_left_on_is_named_on_a_machine_that_is_late(plan: MovesPlan, machine: Machine, tmp_path: Path) -> None:
+def test_a_shaper_left_on_is_named_on_a_machine_that_is_late(plan: Plan, machine: Machine, tmp_path: Path) -> None:
     late = replace(machine, effects={"command_delay": {"delay_s": [1.5e-3, 1.5e-3, 0.0]}})
     once = replace(plan, repeats=1)
     found = join_captures(captured(once, late, tmp_path, shapers=(None, SHAPERS["zvd"](40.0, 0.1))), once, machine)
@@ -121,7 +121,7 @@ def test_a_shaper_left_on_is_named_on_a_machine_that_is_late(plan: MovesPlan, ma
 
 
 def test_repeats_that_do_not_repeat_are_refused_with_the_number(
-    plan: MovesPlan, machine: Machine, captures: Sequence[Path], tmp_path: Path
+    plan: Plan, machine: Machine, captures: Sequence[Path], tmp_path: Path
 ) -> None:
     values = {each.name: each.value for each in machine.vibration.parameters()}
     warm = {name: value * (0.85 if "stiffness" in name else 1.0) for name, value in values.items()}
@@ -135,7 +135,7 @@ def test_repeats_that_do_not_repeat_are_refused_with_the_number(
 
 
 def test_of_three_repeats_the_one_that_differs_is_refused(
-    plan: MovesPlan, machine: Machine, captures: Sequence[Path], tmp_path: Path
+    plan: Plan, machine: Machine, captures: Sequence[Path], tmp_path: Path
 ) -> None:
     thrice = replace(plan, repeats=3)
     odd = tmp_path / captures[0].name.replace("-1.csv", "-3.csv")
@@ -147,7 +147,7 @@ def test_of_three_repeats_the_one_that_differs_is_refused(
     assert len(found.joined) == 4 and [each.file for each in found.refused] == [str(odd)]
 
 
-def test_a_late_repeat_is_said(plan: MovesPlan, machine: Machine, captures: Sequence[Path], tmp_path: Path) -> None:
+def test_a_late_repeat_is_said(plan: Plan, machine: Machine, captures: Sequence[Path], tmp_path: Path) -> None:
     late = tmp_path / captures[-1].name
     rows = captures[-1].read_text().splitlines()
     late.write_text("\n".join([rows[0], *rows[2:]]) + "\n")  # as if it had begun a sample later
@@ -171,13 +171,13 @@ def one_file(captures: Sequence[Path], rate_error: float) -> str:
     return "t_s,ax_m_per_s2,ay_m_per_s2,az_m_per_s2\n" + "".join(rows)
 
 
-def in_order(plan: MovesPlan, captures: Sequence[Path]) -> list[Path]:
+def in_order(plan: Plan, captures: Sequence[Path]) -> list[Path]:
     stems = [f"{each.name}-{repeat}" for each, repeat in plan.runs()]
     return [next(path for path in captures if path.stem.endswith(stem)) for stem in stems]
 
 
 def test_one_long_capture_is_cut_at_the_experiments(
-    plan: MovesPlan, machine: Machine, captures: Sequence[Path], tmp_path: Path
+    plan: Plan, machine: Machine, captures: Sequence[Path], tmp_path: Path
 ) -> None:
     phone = tmp_path / "phone.csv"
     phone.write_text(one_file(in_order(plan, captures), 1.004))
@@ -189,7 +189,7 @@ def test_one_long_capture_is_cut_at_the_experiments(
 
 
 def test_a_capture_of_another_plan_is_refused_whatever_its_name(
-    plan: MovesPlan, machine: Machine, captures: Sequence[Path], tmp_path: Path
+    plan: Plan, machine: Machine, captures: Sequence[Path], tmp_path: Path
 ) -> None:
     other = make_plan(machine, Request(seconds=2.0, seed=5, places_mm=[machine.kinematics.centre_mm], repeats=1))
     alone = replace(other, experiments=tuple(each for each in other.experiments if each.kind == "multisine"))
@@ -208,7 +208,7 @@ def rewritten(path: Path, folder: Path, turned: NDArray[np.float64]) -> Path:
     return new
 
 
-def test_a_copy_is_no_repeat(plan: MovesPlan, machine: Machine, captures: Sequence[Path], tmp_path: Path) -> None:
+def test_a_copy_is_no_repeat(plan: Plan, machine: Machine, captures: Sequence[Path], tmp_path: Path) -> None:
     first = next(path for path in captures if path.stem.endswith("zigzag-0-1"))
     copy = tmp_path / first.name.replace("-1.csv", "-2.csv")
     copy.write_bytes(first.read_bytes())
@@ -219,7 +219,7 @@ def test_a_copy_is_no_repeat(plan: MovesPlan, machine: Machine, captures: Sequen
 
 
 def test_numbers_that_gravity_denies_are_refused(
-    plan: MovesPlan, machine: Machine, captures: Sequence[Path], tmp_path: Path
+    plan: Plan, machine: Machine, captures: Sequence[Path], tmp_path: Path
 ) -> None:
     found = join_captures([rewritten(captures[0], tmp_path, 0.5 * np.eye(3)), captures[1]], plan, machine)
     assert len(found.joined) == 1
@@ -227,7 +227,7 @@ def test_numbers_that_gravity_denies_are_refused(
 
 
 def test_one_axis_exported_twice_is_refused(
-    plan: MovesPlan, machine: Machine, captures: Sequence[Path], tmp_path: Path
+    plan: Plan, machine: Machine, captures: Sequence[Path], tmp_path: Path
 ) -> None:
     twice = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 1.0], [0.0, 0.0, 0.0]])
     found = join_captures([rewritten(captures[0], tmp_path, twice)], plan, machine)
@@ -235,7 +235,7 @@ def test_one_axis_exported_twice_is_refused(
 
 
 def test_a_mirror_image_is_joined_and_named(
-    plan: MovesPlan, machine: Machine, captures: Sequence[Path], tmp_path: Path
+    plan: Plan, machine: Machine, captures: Sequence[Path], tmp_path: Path
 ) -> None:
     found = join_captures([rewritten(captures[0], tmp_path, np.diag([-1.0, 1.0, 1.0]))], plan, machine)
     assert found.joined[0].axes_map == "-x,y,z" and "as in a mirror" in found.remarks[-1]
@@ -243,7 +243,7 @@ def test_a_mirror_image_is_joined_and_named(
 
 
 def test_a_printer_that_is_shaken_is_told_from_another_motion(
-    plan: MovesPlan, machine: Machine, captures: Sequence[Path], tmp_path: Path
+    plan: Plan, machine: Machine, captures: Sequence[Path], tmp_path: Path
 ) -> None:
     table = np.loadtxt(captures[0], delimiter=",", skiprows=1)
     table[:, 1:] += 15e3 * np.sin(2 * np.pi * 9.0 * table[:, [0]] + np.arange(3))

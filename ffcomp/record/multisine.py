@@ -7,7 +7,7 @@ knots is executed, at its own frequency, as one of amplitude sinc²(f S) A, and
     A (2 sin(π f S) / S)²  =  sinc²(f S) A (2π f)²
 
 is the amplitude both of its second difference and of the acceleration that is executed. So the signals are designed by
-their second differences, and no frequency is weaker in the machine than it was asked for. Images stand at |f ± n/S|.
+their second differences, and no frequency is weaker in the machine than it was designed. Images stand at |f ± n/S|.
 
 mm, s, mm/s, mm/s²; one period of a signal is (knots,) mm.
 """
@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from math import ceil, floor
 
 import numpy as np
@@ -73,13 +74,13 @@ def band(lowest_hz: float, highest_hz: float, period_s: float, segments_per_seco
             f"{highest_hz:g} Hz needs {rate:.0f} segments a second; firmwares follow {FASTEST_RATE:.0f}, "
             f"which is enough for {HIGHEST_SHARE * FASTEST_RATE:.0f} Hz."
         )
-    found = Band(lowest_hz, highest_hz, period_s, ceil(rate * period_s - 1e-9))
-    if not 0.0 < lowest_hz < highest_hz or not found.lines.size:
+    result = Band(lowest_hz, highest_hz, period_s, ceil(rate * period_s - 1e-9))
+    if not 0.0 < lowest_hz < highest_hz or not result.lines.size:
         raise LimitsError(
             f"The band from {lowest_hz:g} to {highest_hz:g} Hz must rise from above zero and hold a multiple of "
             f"{1.0 / period_s:g} Hz, as all frequencies of a period of {period_s:g} s are."
         )
-    return found
+    return result
 
 
 def polyline_gain(frequency_hz: FloatArray, segment_s: float) -> FloatArray:
@@ -193,7 +194,7 @@ def peak_acceleration(wave: FloatArray, segment_s: float) -> float:
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Excitation:
+class Signal:
     """Motion of one coordinate in one experiment: marker, transient, whole periods, rest."""
 
     displacement_mm: FloatArray  # (n + 1,) at the knots, zero at both ends
@@ -202,7 +203,7 @@ class Excitation:
     periods: int
 
 
-def excitation(kind: str, band: Band, periods: int, acceleration: float, velocity: float, seed: int) -> Excitation:
+def excitation(kind: str, band: Band, periods: int, acceleration: float, velocity: float, seed: int) -> Signal:
     """Join the marker and the signal, whose transient ends before the first of its `periods` begins.
 
     The marker is a chirp and a rest. A multisine is faded in over the end of a period, and one whole period goes by
@@ -215,7 +216,18 @@ def excitation(kind: str, band: Band, periods: int, acceleration: float, velocit
     ramp, settling = (round(RAMP_S / s), band.knots) if kind == "multisine" else (0, 0)
     at = np.arange(-ramp - settling, periods * band.knots + ramp + 1)
     faded = smooth_step((at - at[0]) / max(ramp, 1)) * smooth_step((at[-1] - at) / max(ramp, 1))
-    return Excitation(np.concatenate([marker, faded * wave[at % band.knots]]), knots, knots + ramp + settling, periods)
+    return Signal(np.concatenate([marker, faded * wave[at % band.knots]]), knots, knots + ramp + settling, periods)
+
+
+def always_moving(counts: list[list[int]], axis: int) -> FloatArray:
+    """Make every vertex (n + 1, 3), in counts, differ from the one before.
+
+    A segment that goes nowhere would be left out, and its time lost: its end is moved by one count along an axis.
+    """
+    for before, here in pairwise(counts):
+        if here == before:
+            here[axis] += 1
+    return np.array(counts, dtype=np.float64)
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -9,16 +9,16 @@ from pathlib import Path
 
 from ffcomp.errors import RequestError
 from ffcomp.identify.axis_fit import fit_axis
-from ffcomp.identify.captures import STRAIGHT
+from ffcomp.identify.load import gather
 from ffcomp.identify.machine_fit import MachineFit, Method, fit_measurements
-from ffcomp.record.load import gather_measurements
+from ffcomp.record.axes import STRAIGHT
 from models.axis.machine import AxisMachine
 from models.machine import Machine
 
 
 @dataclass(frozen=True)
 class FitRequest:
-    """What is asked of a fit; see `fit_measurements` and `gather_measurements`."""
+    """What is asked of a fit; see `fit_measurements` and `ffcomp.identify.load.gather`."""
 
     name: str
     plan: str | Path | None = None
@@ -52,11 +52,11 @@ def fit_files(
 def _(
     start: Machine, data: Sequence[Path], asked: FitRequest, progress: Callable[[str], None] = lambda _: None
 ) -> MachineFit:
-    gathered = gather_measurements(
+    gathered = gather(
         data,
         start,
-        asked.plan,
         band_hz=asked.band_hz,
+        plan=asked.plan,
         axes=asked.axes,
         shaken_axis=asked.shaken_axis,
         column=asked.column,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import asdict, replace
 from functools import cache
 from pathlib import Path
 
@@ -14,24 +14,28 @@ import pytest
 
 from ffcomp.cli.app import app
 from ffcomp.errors import LimitsError, MeasurementError
-from ffcomp.identify.experiment import (
+from ffcomp.inverse.settings import settings_for
+from ffcomp.planner.lookahead import plan_moves, stops_and_waits
+from ffcomp.planner.machine_limits import planner_limits
+from ffcomp.planner.trajectory import Trajectory
+from ffcomp.record.excitation import (
     AXES,
     CLEARANCE_MM,
     CONSERVATIVE,
     TOWERS,
-    Experiment,
-    Plan,
-    Request,
+    ExcitationRequest,
+    Peaks,
+    excited_coordinate,
     limits_of,
     line_of_action,
-    make_plan,
+    make_excitation_plan,
     microstep_error,
+    peaks_of,
 )
-from ffcomp.identify.experiment_files import gcode_lines, load_plan, save_plan, segment_lines
-from ffcomp.identify.multisine import lines_of, polyline_gain
-from ffcomp.planner.lookahead import plan_moves, stops_and_waits
-from ffcomp.planner.machine_limits import planner_limits
-from ffcomp.planner.trajectory import Trajectory
+from ffcomp.record.gcode_writer import DEFAULT_CHIPS, Firmware, gcode_lines
+from ffcomp.record.motion import segment_motion
+from ffcomp.record.multisine import lines_of, polyline_gain
+from ffcomp.record.plan import Excitation, Experiment, Plan, load_plan, plan_dict, save_plan
 from gcode.program import EventKind, Program
 from gcode.reader import read_program
 from models.arrays import FloatArray, constant
@@ -41,7 +45,7 @@ from models.vibration.state_space import discretise
 from tests.support.cli import CliRunner
 from validation import kalico
 
-SHORT = Request(directions=TOWERS + AXES, period_s=2.0, periods=1, highest_hz=110.0, places_mm=((0.0, 0.0),))
+SHORT = ExcitationRequest(directions=TOWERS + AXES, period_s=2.0, periods=1, highest_hz=110.0, places_mm=((0.0, 0.0),))
 BEGINS = re.compile(rb"; (ffcomp-\S+):")
 MOTION = re.compile(rb"\s*(G[0-4]|G9[0-2]|M204|SET_VELOCITY_LIMIT)\b")
 
@@ -53,27 +57,52 @@ def machine() -> Machine:
 
 @cache
 def short() -> Plan:
-    return make_plan(machine(), SHORT)
+    return make_excitation_plan(machine(), SHORT)
+
+
+def excited(experiment: Experiment) -> Excitation:
+    assert experiment.excitation is not None
+    return experiment.excitation
 
 
 def named(plan: Plan, direction: str) -> Experiment:
-    return next(each for each in plan.experiments if each.direction == direction)
+    return next(each for each in plan.experiments if excited(each).direction == direction)
+
+
+def command(experiment: Experiment, t: FloatArray) -> FloatArray:
+    return machine().kinematics.inverse(experiment.motion.nozzle(t))
+
+
+def peaks(experiment: Experiment) -> Peaks:
+    return peaks_of(experiment.motion.vertices_mm, segment_s(experiment), machine().kinematics)
+
+
+def written(plan: Plan, printer: Machine, flavor: str, *chips: str, **options: bool) -> list[bytes]:
+    return list(gcode_lines(plan, printer, Firmware(flavor, chips or DEFAULT_CHIPS[flavor], **options)))
+
+
+def segment_s(experiment: Experiment) -> float:
+    return excited(experiment).band.segment_s
+
+
+def moves_of(experiment: Experiment) -> FloatArray:
+    return np.column_stack([experiment.motion.ends_mm, experiment.motion.speed])
 
 
 def dense(experiment: Experiment) -> FloatArray:
     """Times all over an experiment, not in step with its segments; (k,) s."""
-    return np.linspace(0.0, experiment.duration_s, 7 * len(experiment.vertices_mm))
+    return np.linspace(0.0, experiment.duration_s, 7 * len(experiment.motion.vertices_mm))
 
 
 def first_segments(program: Program, plan: Plan) -> list[int]:
     """For each experiment, the first of its moves: the one that goes where its account goes first."""
     first, found = 0, []
     for experiment in plan.experiments:
-        begins = (np.abs(program.moves.start[first:, :3] - experiment.vertices_mm[0]) < 1e-9).all(axis=1)
-        goes_on = (np.abs(program.moves.end[first:, :3] - experiment.vertices_mm[1]) < 1e-9).all(axis=1)
+        begins = (np.abs(program.moves.start[first:, :3] - experiment.motion.vertices_mm[0]) < 1e-9).all(axis=1)
+        goes_on = (np.abs(program.moves.end[first:, :3] - experiment.motion.vertices_mm[1]) < 1e-9).all(axis=1)
         first += int(np.flatnonzero(begins & goes_on)[0])
         found.append(first)
-        first += len(experiment.vertices_mm) - 1
+        first += len(experiment.motion.vertices_mm) - 1
     return found
 
 
@@ -87,33 +116,33 @@ def planned(program: Program, machine: Machine) -> Trajectory:
 
 @pytest.mark.parametrize("kind", ["multisine", "sweep"])
 def test_the_account_is_what_our_planner_makes_of_the_file(kind: str) -> None:
-    plan = make_plan(machine(), replace(SHORT, kind=kind))
-    text = b"".join(gcode_lines(plan, machine(), "klipper"))
+    plan = make_excitation_plan(machine(), replace(SHORT, kind=kind))
+    text = b"".join(written(plan, machine(), "klipper"))
     program = read_program(text)
     trajectory = planned(program, machine())
     for first, experiment in zip(first_segments(program, plan), plan.experiments, strict=True):
-        last = first + len(experiment.vertices_mm) - 1
+        last = first + len(experiment.motion.vertices_mm) - 1
         begins = trajectory.start_t[first]
-        ours = experiment.trajectory.start_t
+        ours = experiment.motion.trajectory.start_t
         np.testing.assert_allclose(trajectory.start_t[first:last] - begins, ours, atol=1e-8)
         t = dense(experiment)[:-1]
         there = trajectory.position(begins + t)[:, :3]
-        np.testing.assert_allclose(experiment.nozzle(t), there, atol=1e-6)
+        np.testing.assert_allclose(experiment.motion.nozzle(t), there, atol=1e-6)
 
 
 def test_every_segment_lasts_as_long_as_it_should() -> None:
     """F has three decimals, and slow segments feel it; what one is late, the next makes up for."""
     for experiment in short().experiments:
-        wanted = experiment.segment_s * np.arange(len(experiment.vertices_mm) - 1)
-        assert np.abs(experiment.trajectory.start_t - wanted).max() < 2e-5
-        assert np.abs(experiment.trajectory.duration - experiment.segment_s).max() < 5e-6
+        wanted = segment_s(experiment) * np.arange(len(experiment.motion.vertices_mm) - 1)
+        assert np.abs(experiment.motion.trajectory.start_t - wanted).max() < 2e-5
+        assert np.abs(experiment.motion.trajectory.duration - segment_s(experiment)).max() < 5e-6
 
 
 @pytest.mark.parametrize("direction", TOWERS)
 def test_the_other_carriages_stand_still(direction: str) -> None:
     """But for the last decimal of the G-code, and chords instead of arcs."""
     experiment = named(short(), direction)
-    moved = np.ptp(experiment.command(dense(experiment)), axis=0)
+    moved = np.ptp(command(experiment, dense(experiment)), axis=0)
     i = TOWERS.index(direction)
     assert moved[i] > 1.0
     assert np.delete(moved, i).max() < 1e-3
@@ -122,31 +151,36 @@ def test_the_other_carriages_stand_still(direction: str) -> None:
 @pytest.mark.parametrize("direction", AXES)
 def test_the_nozzle_stays_on_its_axis(direction: str) -> None:
     experiment = named(short(), direction)
-    moved = np.ptp(experiment.nozzle(dense(experiment)), axis=0)
+    moved = np.ptp(experiment.motion.nozzle(dense(experiment)), axis=0)
     i = AXES.index(direction)
     assert moved[i] > 0.5
     assert np.delete(moved, i).max() < 1.5e-4
 
 
-def test_command_and_nozzle_are_one_motion_and_rest_outside() -> None:
+def test_the_nozzle_rests_outside() -> None:
     experiment = short().experiments[0]
     t = np.array([-1.0, 0.0, experiment.duration_s, experiment.duration_s + 1.0])
-    np.testing.assert_allclose(experiment.nozzle(t), np.tile(experiment.position_mm, (4, 1)), atol=2e-4)
+    np.testing.assert_allclose(experiment.motion.nozzle(t), np.tile(experiment.position_mm, (4, 1)), atol=2e-4)
     inside = dense(experiment)
-    np.testing.assert_array_equal(experiment.command(inside), machine().kinematics.inverse(experiment.nozzle(inside)))
+    np.testing.assert_array_equal(
+        command(experiment, inside), machine().kinematics.inverse(experiment.motion.nozzle(inside))
+    )
 
 
 def test_the_lines_are_those_of_the_polyline_that_quick_ramps_come_near() -> None:
     """Ramps between segments take part of the S; the quicker they are, the nearer is what is played to the lines."""
     experiment = named(short(), "A")
-    band, first = experiment.band, experiment.first_knot
-    period = experiment.vertices_mm[first : first + band.knots]
-    at_knots = lines_of(experiment.geometry.inverse(period)[:, 0], band).complex_mm
+    band, first = excited(experiment).band, excited(experiment).first_knot
+    period = experiment.motion.vertices_mm[first : first + band.knots]
+    at_knots = lines_of(machine().kinematics.inverse(period)[:, 0], band).complex_mm
     designed = at_knots * polyline_gain(band.frequencies_hz, band.segment_s)
 
     def error(acceleration: float) -> float:
-        output = replace(experiment.output, acceleration_mm_per_s2=acceleration, z_acceleration_mm_per_s2=acceleration)
-        lines = replace(experiment, output=output).lines
+        output = replace(settings_for(machine()).output, acceleration_mm_per_s2=acceleration)
+        output = replace(output, z_acceleration_mm_per_s2=acceleration)
+        motion = segment_motion(experiment.motion.vertices_mm, band.segment_s, output)
+        begin, t = motion.trajectory.start_t[first], np.arange(32 * band.knots) * band.segment_s / 32
+        lines = lines_of(excited_coordinate(machine().kinematics, "A", motion, begin + t), band)
         upper = slice(len(designed) // 2, None)
         return float(np.linalg.norm((lines.complex_mm - designed)[upper]) / np.linalg.norm(designed[upper]))
 
@@ -160,10 +194,10 @@ def test_the_lines_are_those_of_the_polyline_that_quick_ramps_come_near() -> Non
 def test_the_lines_are_what_is_commanded(direction: str) -> None:
     """Their sum is the excited coordinate but for what is played above the band; its acceleration is even."""
     experiment = named(short(), direction)
-    lines = experiment.lines
-    t = experiment.measured_from_s + np.linspace(0.0, experiment.period_s, 1001)
+    lines = excited(experiment).lines
+    t = experiment.measured_from_s + np.linspace(0.0, excited(experiment).band.period_s, 1001)
     column = "ABCxyz".index(direction)
-    moved = np.column_stack([experiment.command(t), experiment.nozzle(t)])[:, column]
+    moved = np.column_stack([command(experiment, t), experiment.motion.nozzle(t)])[:, column]
     turns = np.outer(t - experiment.measured_from_s, lines.frequency_hz)
     total = np.cos(2 * np.pi * turns + lines.phase_rad) @ lines.amplitude_mm
     assert np.std(moved - total) < 0.02 * np.std(moved)
@@ -173,30 +207,35 @@ def test_the_lines_are_what_is_commanded(direction: str) -> None:
 
 
 def test_measured_periods_repeat_exactly() -> None:
-    plan = make_plan(machine(), replace(SHORT, periods=3, directions=("A", "z")))
+    plan = make_excitation_plan(machine(), replace(SHORT, periods=3, directions=("A", "z")))
     for experiment in plan.experiments:
-        within = np.linspace(0.0, experiment.period_s, 5000)
-        periods = [experiment.command(experiment.measured_from_s + k * experiment.period_s + within) for k in (0, 1, 2)]
+        within = np.linspace(0.0, excited(experiment).band.period_s, 5000)
+        periods = [
+            command(experiment, experiment.measured_from_s + k * excited(experiment).band.period_s + within)
+            for k in (0, 1, 2)
+        ]
         np.testing.assert_allclose(periods[1], periods[0], atol=2e-4)
         np.testing.assert_allclose(periods[2], periods[0], atol=2e-4)
 
 
 def test_same_seed_same_file_other_seed_other_phases() -> None:
-    one, again, other = (make_plan(machine(), replace(SHORT, directions=("A",), seed=seed)) for seed in (1, 1, 2))
-    assert segment_lines(one.experiments[0]) == segment_lines(again.experiments[0])
-    phases = [plan.experiments[0].lines.phase_rad for plan in (one, other)]
+    one, again, other = (
+        make_excitation_plan(machine(), replace(SHORT, directions=("A",), seed=seed)) for seed in (1, 1, 2)
+    )
+    assert np.array_equal(moves_of(one.experiments[0]), moves_of(again.experiments[0]))
+    phases = [excited(plan.experiments[0]).lines.phase_rad for plan in (one, other)]
     assert np.abs(phases[0] - phases[1]).max() > 1.0
-    power = [np.linalg.norm(plan.experiments[0].lines.amplitude_mm[50:]) for plan in (one, other)]
+    power = [np.linalg.norm(excited(plan.experiments[0]).lines.amplitude_mm[50:]) for plan in (one, other)]
     assert power[0] == pytest.approx(power[1], rel=0.05)
 
 
 def test_every_place_realisation_and_direction_has_its_experiment() -> None:
     request = replace(SHORT, places_mm=((0.0, 0.0), (-80.0, 0.0)), realisations=2, directions=("A", "B"))
-    plan = make_plan(machine(), request)
+    plan = make_excitation_plan(machine(), request)
     names = [experiment.name for experiment in plan.experiments]
     assert names == [f"ffcomp-{d}-{place}-{r}" for place in (0, 1) for r in (0, 1) for d in "AB"]
     assert {each.position_mm[:2] for each in plan.experiments} == set(request.places_mm)
-    first, second = plan.experiments[0].lines, plan.experiments[2].lines
+    first, second = (excited(plan.experiments[k]).lines for k in (0, 2))
     assert np.abs(first.phase_rad - second.phase_rad).max() > 1.0
 
 
@@ -204,22 +243,22 @@ def test_a_plant_that_plays_it_shows_its_frequency_response() -> None:
     """From the first measured period alone: it has settled, and input and output are known exactly."""
     experiment = named(short(), "B")
     substeps = 16
-    step = experiment.segment_s / substeps
-    periods = experiment.first_knot + experiment.band.knots
-    command = experiment.command(step * np.arange(periods * substeps + 1))
+    step = segment_s(experiment) / substeps
+    periods = excited(experiment).first_knot + excited(experiment).band.knots
+    carriages_mm = command(experiment, step * np.arange(periods * substeps + 1))
     plant = discretise(machine().vibration.state_space(np.zeros((1, 2))), step)
     rest = machine().equilibrium(np.array(experiment.position_mm))
     a, b0, b1 = plant.a[0], plant.b0[0], plant.b1[0]
-    carriages = np.empty((len(command) - 1, 3))
+    carriages = np.empty((len(carriages_mm) - 1, 3))
     for k in range(len(carriages)):
-        rest = a @ rest + b0 @ command[k] + b1 @ command[k + 1]
+        rest = a @ rest + b0 @ carriages_mm[k] + b1 @ carriages_mm[k + 1]
         carriages[k] = rest[6:9]
-    frequency = experiment.lines.frequency_hz
-    period = slice(experiment.first_knot * substeps, periods * substeps)
-    given = lines_of(command[period, 1], experiment.band).complex_mm * polyline_gain(frequency, step)
+    frequency = excited(experiment).lines.frequency_hz
+    period = slice(excited(experiment).first_knot * substeps, periods * substeps)
+    given = lines_of(carriages_mm[period, 1], excited(experiment).band).complex_mm * polyline_gain(frequency, step)
     wanted = machine().vibration.frequency_response(np.zeros(2), frequency)[:, :, 1]
     for output in range(3):
-        answer = lines_of(carriages[period.start - 1 : period.stop - 1, output], experiment.band).complex_mm
+        answer = lines_of(carriages[period.start - 1 : period.stop - 1, output], excited(experiment).band).complex_mm
         assert np.abs(answer / given - wanted[:, output]).max() < 3e-3 * np.abs(wanted).max()
 
 
@@ -227,10 +266,10 @@ def test_a_plant_that_plays_it_shows_its_frequency_response() -> None:
 
 
 def test_the_amplitude_chosen_keeps_every_reserve() -> None:
-    limits = limits_of(machine(), short().experiments[0].output)
+    limits = limits_of(machine(), settings_for(machine()).output)
     for experiment in short().experiments:
         shares = [
-            getattr(experiment.peaks, name) / getattr(limits, name) / getattr(CONSERVATIVE, name)
+            getattr(peaks(experiment), name) / getattr(limits, name) / getattr(CONSERVATIVE, name)
             for name in CONSERVATIVE.__dataclass_fields__
         ]
         assert 0.9 < max(shares) < 1.03
@@ -248,28 +287,28 @@ def test_the_amplitude_chosen_keeps_every_reserve() -> None:
 )
 def test_too_much_is_refused_with_an_amplitude_that_fits(changes: dict[str, object], rule: str) -> None:
     with pytest.raises(LimitsError, match=rule) as refused:
-        make_plan(machine(), replace(SHORT, **changes))
+        make_excitation_plan(machine(), replace(SHORT, **changes))
     amplitude = float(re.findall(r"amplitude of (\d+) mm/s² would fit", str(refused.value))[0])
     request = replace(SHORT, **{**changes, "acceleration_mm_per_s2": amplitude})
     _make_until_it_fits(request)
 
 
-def _make_until_it_fits(request: Request) -> None:
+def _make_until_it_fits(request: ExcitationRequest) -> None:
     """One rule's advice may meet the next rule, whose advice is smaller; but it ends."""
     for _ in range(2):
         try:
-            make_plan(machine(), request)
+            make_excitation_plan(machine(), request)
             return
         except LimitsError as error:
             smaller = float(re.findall(r"amplitude of (\d+) mm/s² would fit", str(error))[0])
             assert smaller < request.acceleration_mm_per_s2
             request = replace(request, acceleration_mm_per_s2=smaller)
-    make_plan(machine(), request)
+    make_excitation_plan(machine(), request)
 
 
 def test_the_firmwares_own_limit_in_z_is_the_users_to_tell() -> None:
     request = replace(SHORT, directions=("z",), acceleration_mm_per_s2=9_000.0, z_acceleration_mm_per_s2=50_000.0)
-    assert make_plan(machine(), request).experiments[0].peaks.z_acceleration_mm_per_s2 == pytest.approx(
+    assert peaks(make_excitation_plan(machine(), request).experiments[0]).z_acceleration_mm_per_s2 == pytest.approx(
         9_000.0, rel=0.02
     )
 
@@ -277,32 +316,32 @@ def test_the_firmwares_own_limit_in_z_is_the_users_to_tell() -> None:
 def test_a_place_at_the_rim_is_refused_with_one_that_fits() -> None:
     request = replace(SHORT, directions=("x",), places_mm=((134.9, 0.0),))
     with pytest.raises(LimitsError, match="reaches") as refused:
-        make_plan(machine(), request)
+        make_excitation_plan(machine(), request)
     radius = float(re.findall(r"farther out than ([\d.]+) mm", str(refused.value))[0])
     assert 125.0 < radius < 134.9
-    make_plan(machine(), replace(request, places_mm=((radius - 0.1, 0.0),)))
+    make_excitation_plan(machine(), replace(request, places_mm=((radius - 0.1, 0.0),)))
 
 
 def test_a_height_too_low_is_refused_with_one_that_fits() -> None:
     request = replace(SHORT, directions=("z",), height_mm=CLEARANCE_MM)
     with pytest.raises(LimitsError, match="above the bed") as refused:
-        make_plan(machine(), request)
+        make_excitation_plan(machine(), request)
     low, high = (float(number) for number in re.findall(r"from ([\d.]+) to ([\d.]+) mm would", str(refused.value))[0])
     for height in (low + 0.1, high - 0.1):
-        make_plan(machine(), replace(request, height_mm=height))
+        make_excitation_plan(machine(), replace(request, height_mm=height))
 
 
 @pytest.mark.parametrize(("place", "height"), [((200.0, 0.0), 50.0), ((0.0, 0.0), 301.0)])
 def test_places_outside_are_refused(place: tuple[float, float], height: float) -> None:
     with pytest.raises(LimitsError, match="cannot be excited there: The point"):
-        make_plan(machine(), replace(SHORT, places_mm=(place,), height_mm=height))
+        make_excitation_plan(machine(), replace(SHORT, places_mm=(place,), height_mm=height))
 
 
 def test_where_the_firmware_slows_down_is_refused() -> None:
     """Arms of 250 mm: beyond 3 L/√10 − R = 97 mm a carriage may have to move three times as fast as the nozzle."""
     short_arms = replace(machine().kinematics, arm_lengths_mm=constant([250.0] * 3))
     with pytest.raises(LimitsError, match=r"beyond 97\.2 mm a delta's firmware slows down"):
-        make_plan(replace(machine(), kinematics=short_arms), replace(SHORT, places_mm=((100.0, 0.0),)))
+        make_excitation_plan(replace(machine(), kinematics=short_arms), replace(SHORT, places_mm=((100.0, 0.0),)))
 
 
 def test_line_of_action_is_where_the_paper_measured() -> None:
@@ -312,7 +351,12 @@ def test_line_of_action_is_where_the_paper_measured() -> None:
 def test_microsteps_matter_less_the_finer_they_are() -> None:
     """Ten times finer steps, at most a fifth of the error; steps of a nanometre, none."""
     experiment = named(short(), "A")
-    coarse, fine, none = (microstep_error(experiment, steps) for steps in (80.0, 800.0, 1e6))
+    band, geometry = excited(experiment).band, machine().kinematics
+    coarse, fine, none = (
+        microstep_error(experiment.motion, band, experiment.measured_from_s, geometry, steps)
+        for steps in (80.0, 800.0, 1e6)
+    )
+    assert experiment.rounding == coarse
     assert 0.01 < coarse < 0.3
     assert fine < coarse / 5
     assert none < 1e-4
@@ -321,37 +365,59 @@ def test_microsteps_matter_less_the_finer_they_are() -> None:
 # Files
 
 
-def test_an_account_comes_back_as_it_was(tmp_path: Path) -> None:
+def assert_same(ours: Plan, theirs: Plan) -> None:
+    for a, b in zip(ours.experiments, theirs.experiments, strict=True):
+        t = dense(a)
+        np.testing.assert_array_equal(a.motion.nozzle(t), b.motion.nozzle(t))
+        np.testing.assert_array_equal(excited(a).lines.phase_rad, excited(b).lines.phase_rad)
+        assert (a.name, a.position_mm, a.measured_from_s) == (b.name, b.position_mm, b.measured_from_s)
+        assert (excited(a).band, excited(a).periods) == (excited(b).band, excited(b).periods)
+
+
+def test_a_plan_comes_back_as_it_was(tmp_path: Path) -> None:
     path = tmp_path / "excite.json"
     save_plan(short(), path)
     loaded = load_plan(path)
-    assert (loaded.machine, loaded.machine_sha256, loaded.kind, loaded.seed) == (
-        machine().name,
-        machine().sha256,
-        "multisine",
-        1,
-    )
-    for ours, theirs in zip(short().experiments, loaded.experiments, strict=True):
-        t = dense(ours)
-        np.testing.assert_array_equal(theirs.command(t), ours.command(t))
-        np.testing.assert_array_equal(theirs.lines.phase_rad, ours.lines.phase_rad)
-        assert (theirs.name, theirs.position_mm, theirs.periods) == (ours.name, ours.position_mm, ours.periods)
-        assert theirs.measured_from_s == ours.measured_from_s
+    assert (loaded.machine, loaded.machine_sha256, loaded.seed) == (machine().name, machine().sha256, 1)
+    assert {each.kind for each in loaded.experiments} == {"multisine"}
+    assert_same(short(), loaded)
+
+
+def test_a_plan_of_the_earlier_format_is_read(tmp_path: Path) -> None:
+    """ffcomp-excitation/1 of `identify plan`: one table of limits, and the time between vertices, for all."""
+    new, output = plan_dict(short()), settings_for(machine()).output
+    entries = [
+        {**each["excitation"], **each, "vertices_mm": np.array(each["ends_mm"])[:, :3].tolist()}
+        for each in new["experiments"]
+    ]
+    for entry in entries:
+        entry["vertices_mm"].insert(0, entry["start_mm"][:3])
+    old = {
+        "schema": "ffcomp-excitation/1",
+        "machine": new["machine"],
+        "kind": "multisine",
+        "seed": 1,
+        "output": asdict(output),
+        "experiments": entries,
+    }
+    path = tmp_path / "excite.json"
+    path.write_text(json.dumps(old), encoding="utf-8")
+    assert_same(short(), load_plan(path))
 
 
 @pytest.mark.parametrize(
     ("spoil", "sentence"),
     [
         (lambda text: text[:100], "not JSON"),
-        (lambda text: text.replace("excitation/1", "excitation/9"), "'ffcomp-excitation/9'"),
-        (lambda text: text.replace('"periods"', '"perods"'), "no complete plan"),
-        (lambda text: text.replace('"vertices_mm"', '"vertexes"'), "'vertices_mm' is missing"),
+        (lambda text: text.replace("moves/1", "moves/9"), "'ffcomp-moves/9'"),
+        (lambda text: text.replace('"periods"', '"perods"'), "'periods' is missing"),
+        (lambda text: text.replace('"ends_mm"', '"ends"'), "'ends_mm' is missing"),
         (lambda text: "[]", "no complete plan"),
     ],
 )
-def test_a_spoilt_account_is_refused(tmp_path: Path, spoil: Callable[[str], str], sentence: str) -> None:
+def test_a_spoilt_plan_is_refused(tmp_path: Path, spoil: Callable[[str], str], sentence: str) -> None:
     path = tmp_path / "excite.json"
-    save_plan(Plan("m", "0", "multisine", 1, short().experiments[:1]), path)
+    save_plan(Plan("m", "0", short().experiments[:1], 1), path)
     path.write_text(spoil(path.read_text()))
     with pytest.raises(MeasurementError, match=sentence):
         load_plan(path)
@@ -359,14 +425,14 @@ def test_a_spoilt_account_is_refused(tmp_path: Path, spoil: Callable[[str], str]
 
 @pytest.mark.parametrize("flavor", ["klipper", "marlin", "reprapfirmware"])
 def test_a_file_moves_nothing_but_the_nozzle_and_puts_limits_back(flavor: str) -> None:
-    lines = list(gcode_lines(short(), machine(), flavor))
+    lines = written(short(), machine(), flavor)
     program = read_program(b"".join(lines), flavor=flavor)
     codes = [line.split(b";")[0] for line in lines]
     assert not any(re.search(rb"\bE[-\d]|^M1(04|09|40|90)\b", code) for code in codes)
     assert codes.index(b"G28\n") < next(i for i, code in enumerate(codes) if code.startswith(b"G1"))
     assert np.ptp(program.moves.end[:, 3]) == 0.0
-    ends = [i for i, code in enumerate(codes) if code.startswith(b"G4 P500")]
-    assert len(ends) == len(short().experiments)
+    rests = [code for code in codes if code.startswith(b"G4 P500")]
+    assert len(rests) == 2 * len(short().experiments)  # to settle, and behind
     opened = {"klipper": b"ACCEL=100000 ", "marlin": b"M204 P100000", "reprapfirmware": b"M204 P100000"}[flavor]
     closed = {"klipper": b"ACCEL=10000 ", "marlin": b"M204 P10000 ", "reprapfirmware": b"M204 P10000 "}[flavor]
     told = [opened in code for code in codes if opened in code or closed in code]
@@ -374,10 +440,10 @@ def test_a_file_moves_nothing_but_the_nozzle_and_puts_limits_back(flavor: str) -
 
 
 def test_every_capture_is_started_and_stopped_at_rest() -> None:
-    lines = list(gcode_lines(short(), machine(), "klipper", ("hotend", "belt_a")))
+    lines = written(short(), machine(), "klipper", "hotend", "belt_a")
     toggles = [line for line in lines if line.startswith(b"ACCELEROMETER_MEASURE")]
     wanted = [
-        b"ACCELEROMETER_MEASURE CHIP=%b NAME=%b\n" % (chip, each.name.encode())
+        b"ACCELEROMETER_MEASURE CHIP=%b NAME=%b-1\n" % (chip, each.name.encode())
         for each in short().experiments
         for _ in ("start", "stop")
         for chip in (b"hotend", b"belt_a")
@@ -389,19 +455,18 @@ def test_every_capture_is_started_and_stopped_at_rest() -> None:
 
 
 def test_other_firmwares_get_no_klipper_commands() -> None:
-    text = b"".join(gcode_lines(short(), machine(), "marlin"))
+    text = b"".join(written(short(), machine(), "marlin"))
     assert b"ACCELEROMETER" not in text and b"SET_" not in text
     assert b"M593 F0" in text
-    assert b"M593" not in b"".join(gcode_lines(short(), machine(), "marlin", switch_shaper_off=False))
+    assert b"M593" not in b"".join(written(short(), machine(), "marlin", switches_shaper=False))
 
 
 # The command line
 
 
 def run(*arguments: str) -> tuple[int, str, str]:
-    done = CliRunner().invoke(
-        app, ["identify", "plan", "-m", "mp-delta-pro", "--period-s", "2", "--periods", "1", *arguments]
-    )
+    common = ["record", "plan", "--for", "identify", "-m", "mp-delta-pro", "--period-s", "2", "--periods", "1"]
+    done = CliRunner().invoke(app, [*common, *arguments])
     return done.exit_code, done.stdout, done.stderr
 
 
@@ -410,20 +475,23 @@ def test_the_verb_writes_both_files_and_says_what_to_do_next(tmp_path: Path) -> 
     code, out, _ = run("-o", str(target), "--at", "0,0", "--at", "line-of-action", "--highest-hz", "100", "--json")
     assert code == 0
     result = json.loads(out)
-    assert result["schema"] == "ffcomp-identify-plan/1"
-    assert result["places_mm"] == result["recommended_places_mm"]
-    plan = load_plan(result["account"])
+    assert result["schema"] == "ffcomp-record-plan/1"
+    assert {tuple(each["position_mm"][:2]) for each in result["experiments"]} == {
+        tuple(place) for place in result["recommended_places_mm"]
+    }
+    plan = load_plan(result["plan"])
     assert [each["name"] for each in result["experiments"]] == [each.name for each in plan.experiments]
-    assert len(plan.experiments) == 12
-    total = sum(len(each.vertices_mm) - 1 for each in plan.experiments)
-    assert sum(each["segments"] for each in result["experiments"]) == total
+    assert [each["direction"] for each in result["experiments"]] == 4 * ["A", "B", "C"]
+    assert result["captures"] == [f"*{each.name}-1.csv" for each in plan.experiments]
+    total = sum(len(each.motion.speed) for each in plan.experiments)
+    assert sum(each["moves"] for each in result["experiments"]) == total
     assert target.read_bytes().count(b"\nG1 ") == total + 2 * 12 + 1
 
 
 def test_the_verb_reports_to_people(tmp_path: Path) -> None:
     code, out, _ = run("-o", str(tmp_path / "excite.gcode"))
     assert code == 0
-    for words in ("min and homing", "--at line-of-action", "*-ffcomp-*.csv", "ffcomp identify fit -m mp-delta-pro"):
+    for words in ("min recorded", "--at line-of-action", "3 for each", "ffcomp identify fit -m mp-delta-pro"):
         assert words in out
 
 
@@ -439,9 +507,11 @@ def test_coarse_microsteps_are_warned_of(tmp_path: Path) -> None:
         (["--highest-hz", "400"], 6, "enough for 225 Hz"),
         (["--amplitude-mm-per-s2", "90000"], 6, "would fit"),
         (["--kind", "noise"], 2, "multisine, sweep or log-sweep"),
+        (["--kind", "sweep", "--kind", "multisine"], 2, "one excitation"),
         (["--axes", "q"], 2, "towers, xyz, all"),
         (["--flavor", "grbl"], 2, "klipper, marlin"),
         (["--at", "1;2"], 2, "two numbers"),
+        (["--seconds", "3"], 2, "--seconds is for --for diagnose, not for --for identify"),
     ],
 )
 def test_what_cannot_be_done_is_said_and_nothing_is_written(
@@ -453,9 +523,9 @@ def test_what_cannot_be_done_is_said_and_nothing_is_written(
     assert not list(tmp_path.iterdir())
 
 
-def test_the_account_never_takes_the_place_of_the_file(tmp_path: Path) -> None:
+def test_the_plan_never_takes_the_place_of_the_file(tmp_path: Path) -> None:
     code, _, err = run("-o", str(tmp_path / "excite.json"))
-    assert code == 2 and "account" in err
+    assert code == 2 and "that of its plan" in " ".join(err.split())
     assert not list(tmp_path.iterdir())
 
 
@@ -474,8 +544,8 @@ def test_the_real_host_plays_the_account() -> None:
     )
     limits = replace(machine().limits, acceleration_mm_per_s2=3000.0)
     printer = replace(machine(), kinematics=geometry, limits=limits)
-    plan = make_plan(printer, replace(SHORT, directions=("A", "C", "y", "z"), places_mm=((30.0, -20.0),)))
-    lines = b"".join(gcode_lines(plan, printer, "klipper")).splitlines()
+    plan = make_excitation_plan(printer, replace(SHORT, directions=("A", "C", "y", "z"), places_mm=((30.0, -20.0),)))
+    lines = b"".join(written(plan, printer, "klipper")).splitlines()
     text = b"\n".join(line for line in lines if MOTION.match(line)) + b"\n"
     theirs = kalico.kalico_plan(text)
     program = read_program(text, start=kalico.START_MM)
@@ -486,14 +556,14 @@ def test_the_real_host_plays_the_account() -> None:
 
 
 def _assert_played(theirs: dict[str, FloatArray], first: int, experiment: Experiment) -> None:
-    last = first + len(experiment.vertices_mm) - 1
+    last = first + len(experiment.motion.vertices_mm) - 1
     begins = theirs["moves"][first, 0]
-    assert np.abs(theirs["moves"][first:last, 0] - begins - experiment.trajectory.start_t).max() < 1e-6
+    assert np.abs(theirs["moves"][first:last, 0] - begins - experiment.motion.trajectory.start_t).max() < 1e-6
     t = dense(experiment)[:-1]
-    assert np.abs(kalico.sample(theirs["moves"], begins + t) - experiment.nozzle(t)).max() < 1e-5
+    assert np.abs(kalico.sample(theirs["moves"], begins + t) - experiment.motion.nozzle(t)).max() < 1e-5
     steps = [_steps(theirs, tower, begins, experiment.duration_s) for tower in "abc"]
-    if experiment.direction in TOWERS:
-        assert [count > 50 for count in steps] == [tower == experiment.direction for tower in TOWERS]
+    if excited(experiment).direction in TOWERS:
+        assert [count > 50 for count in steps] == [tower == excited(experiment).direction for tower in TOWERS]
         assert sorted(steps)[1] <= 1
     else:
         assert min(steps) > 20

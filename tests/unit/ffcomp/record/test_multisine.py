@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ffcomp.errors import LimitsError
-from ffcomp.identify.multisine import (
+from ffcomp.record.multisine import (
     KINDS,
     QUIET_S,
     band,

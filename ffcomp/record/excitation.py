@@ -1,0 +1,340 @@
+"""The plan of an identification: each experiment excites one coordinate with a periodic signal, at one place.
+
+One carriage alone moves (A, B, C; the nozzle follows by forward kinematics) or the nozzle along one axis (x, y, z),
+which suffices for a cartesian machine. The motion between the knots, ramps included, follows from the vertices and the
+limits they are executed under.
+
+mm, s, mm/s, mm/s²; carriages in the order A, B, C. Times of an experiment begin with its first segment.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+
+from ffcomp.errors import LimitsError
+from ffcomp.inverse.settings import settings_for
+from ffcomp.planner.limits import SLOW_RATIOS
+from ffcomp.planner.machine_limits import planner_limits
+from ffcomp.planner.segment_timing import SegmentLimits
+from ffcomp.record import multisine
+from ffcomp.record.motion import Motion, segment_motion
+from ffcomp.record.multisine import Band, always_moving, band, lines_of
+from ffcomp.record.plan import Excitation, Experiment, Plan
+from gcode.emit import XYZ_COUNTS
+from models.arrays import FloatArray
+from models.errors import UnreachableError
+from models.kinematics.base import Kinematics
+from models.machine import Machine
+
+TOWERS, AXES = ("A", "B", "C"), ("x", "y", "z")
+CLEARANCE_MM = 5.0  # kept between nozzle and bed
+LINE_OF_ACTION = 80.0 / 135.0  # of the print radius: where the paper measured, away from each tower
+COARSE_ROUNDING = 0.25  # by microsteps, of the upper half of the band: from here on the user is warned
+SUBSTEPS = 32  # samples per segment where a spectrum is taken
+
+
+@dataclass(frozen=True, slots=True)
+class Peaks:
+    """The largest speeds and accelerations of a command, or how large they may be."""
+
+    carriage_velocity_mm_per_s: float
+    carriage_acceleration_mm_per_s2: float
+    nozzle_velocity_mm_per_s: float
+    nozzle_acceleration_mm_per_s2: float
+    z_acceleration_mm_per_s2: float  # of the nozzle; a G-code file cannot raise the firmware's own limit
+
+
+# Without an amplitude from the user, these shares of the machine file's limits: motors keep reserves, the nozzle is
+# excited no harder than in a print, and segments that turn back in Z keep their time. With one, only the limits of the
+# motors and of the nozzle's speed count, as in compensation.
+CONSERVATIVE = Peaks(0.5, 0.25, 0.5, 0.9, 0.2)
+HARD = ("carriage_velocity_mm_per_s", "carriage_acceleration_mm_per_s2", "nozzle_velocity_mm_per_s")
+
+
+@dataclass(frozen=True, slots=True)
+class ExcitationRequest:
+    """What an identification excites, where and how."""
+
+    places_mm: Sequence[tuple[float, float]] = ((0.0, 0.0),)
+    height_mm: float = 50.0
+    directions: Sequence[str] = TOWERS
+    kind: str = "multisine"
+    lowest_hz: float = 5.0
+    highest_hz: float = 150.0
+    period_s: float = 4.0
+    periods: int = 6
+    realisations: int = 1  # of the random phases
+    z_acceleration_mm_per_s2: float | None = None  # the firmware's own limit; None: the machine file's acceleration
+    acceleration_mm_per_s2: float | None = None  # peak of what is excited; None: what the limits allow
+    repeats: int = 1
+    segments_per_second: float = 250.0  # or more, if the highest frequency needs them
+    seed: int = 1
+
+
+def line_of_action(geometry: Kinematics) -> list[tuple[float, float]]:
+    """Return places away from each tower through the centre, whole mm: there its carriage's dynamics differ most."""
+    reach, towards = geometry.bed_radius_mm, geometry.tower_directions.values()
+    places = [np.round(-LINE_OF_ACTION * reach * tower) + 0.0 for tower in towards]
+    return [(float(x), float(y)) for x, y in places]
+
+
+def make_excitation_plan(machine: Machine, request: ExcitationRequest) -> Plan:
+    """Design every experiment, and check that the machine can do it.
+
+    Raises
+    ------
+    LimitsError
+        For a motion out of reach, too fast or too hard, with one that would fit.
+    """
+    spectrum_band = band(request.lowest_hz, request.highest_hz, request.period_s, request.segments_per_second)
+    output = settings_for(machine).output
+    if request.z_acceleration_mm_per_s2:
+        output = replace(output, z_acceleration_mm_per_s2=request.z_acceleration_mm_per_s2)
+    allowed = limits_of(machine, output)
+    for x, y in request.places_mm:
+        _check_place(machine, x, y, request.height_mm)
+    experiments = []
+    for place, (x, y) in enumerate(request.places_mm):
+        for realisation in range(request.realisations):
+            for direction in request.directions:
+                top_a, top_v = _allowed(machine, request, direction, allowed)
+                signal = multisine.excitation(
+                    request.kind, spectrum_band, request.periods, top_a, top_v, request.seed + realisation
+                )
+                target = _Target(
+                    machine, output, f"ffcomp-{direction}-{place}-{realisation}", direction, (x, y, request.height_mm)
+                )
+                motion = _checked_motion(target, spectrum_band, signal.displacement_mm, top_a, allowed)
+                experiments.append(_experiment(target, motion, request.kind, place, spectrum_band, signal))
+    return Plan(machine.name, machine.sha256, tuple(experiments), request.repeats, seed=request.seed)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _Target:
+    """What an experiment moves, and on which machine."""
+
+    machine: Machine
+    output: SegmentLimits
+    name: str
+    direction: str
+    position_mm: tuple[float, float, float]
+
+    def vertices(self, displacement_mm: FloatArray) -> FloatArray:
+        """Move the coordinate by (n + 1,) mm: the nozzle's vertices, (n + 1, 3) mm, as the file can state them."""
+        geometry, rest = self.machine.kinematics, np.array([self.position_mm])
+        if self.direction in TOWERS:
+            q = geometry.inverse(rest) + displacement_mm[:, None] * np.eye(3)[TOWERS.index(self.direction)]
+            try:
+                nozzle = geometry.forward(q)
+            except UnreachableError as error:
+                raise LimitsError(f"Carriage {self.direction} cannot be moved so far: {error}") from error
+        else:
+            nozzle = rest + displacement_mm[:, None] * np.eye(3)[AXES.index(self.direction)]
+        nudged = AXES.index("z" if self.direction in TOWERS else self.direction)
+        return always_moving(np.rint(nozzle * XYZ_COUNTS).astype(np.int64).tolist(), nudged) / XYZ_COUNTS
+
+
+def _checked_motion(
+    target: _Target, spectrum_band: Band, displacement_mm: FloatArray, acceleration: float, allowed: Peaks
+) -> Motion:
+    vertices = target.vertices(displacement_mm)
+    _check_vertices(target, vertices, spectrum_band.segment_s, acceleration, allowed)
+    try:
+        return segment_motion(vertices, spectrum_band.segment_s, target.output)
+    except LimitsError as error:
+        share = _feasible_share(target, spectrum_band.segment_s, displacement_mm)
+        raise LimitsError(
+            f"{target.name}: {error} An amplitude of {share * acceleration:.0f} mm/s² would fit."
+        ) from None
+
+
+def _feasible_share(target: _Target, segment_s: float, displacement_mm: FloatArray) -> float:
+    """Return the largest tried share of the displacement that can be executed."""
+    for share in np.geomspace(0.98, 0.02, 80).tolist():
+        try:
+            segment_motion(target.vertices(share * displacement_mm), segment_s, target.output)
+        except LimitsError:
+            continue
+        return float(share)
+    return 0.0
+
+
+def _experiment(
+    target: _Target, motion: Motion, kind: str, place: int, spectrum_band: Band, signal: multisine.Signal
+) -> Experiment:
+    begin = float(motion.trajectory.start_t[signal.first_knot])
+    moved = excited_coordinate(target.machine.kinematics, target.direction, motion, begin + _period(spectrum_band))
+    rounding = microstep_error(motion, spectrum_band, begin, target.machine.kinematics, target.machine.steps.per_motor)
+    excitation = Excitation(
+        direction=target.direction,
+        band=spectrum_band,
+        marker_knots=signal.marker_knots,
+        first_knot=signal.first_knot,
+        periods=signal.periods,
+        lines=lines_of(moved, spectrum_band),
+    )
+    return Experiment(target.name, kind, place, target.position_mm, motion, rounding, excitation)
+
+
+def _period(spectrum_band: Band) -> FloatArray:
+    """Return the times of one period from its beginning, (k,) s."""
+    count = spectrum_band.knots * SUBSTEPS
+    return spectrum_band.period_s / count * np.arange(count, dtype=np.float64)
+
+
+def excited_coordinate(geometry: Kinematics, direction: str, motion: Motion, t_s: FloatArray) -> FloatArray:
+    """Return the coordinate that a direction excites, (k,) mm: a carriage's height, or the nozzle along an axis.
+
+    NOTE: between segments the firmware ramps; that lifts the highest lines of its spectrum by up to 15 % over those of
+    straight lines between the knots, which were designed.
+    """
+    if direction in TOWERS:
+        return geometry.inverse(motion.nozzle(t_s))[:, TOWERS.index(direction)]
+    return motion.nozzle(t_s)[:, AXES.index(direction)]
+
+
+# How hard
+
+
+def limits_of(machine: Machine, output: SegmentLimits) -> Peaks:
+    """Return the peaks that the machine file allows."""
+    limits = machine.limits
+    return Peaks(
+        limits.carriage_velocity_mm_per_s,
+        limits.carriage_acceleration_mm_per_s2,
+        limits.velocity_mm_per_s,
+        limits.acceleration_mm_per_s2,
+        output.z_acceleration_mm_per_s2,
+    )
+
+
+def _allowed(machine: Machine, request: ExcitationRequest, direction: str, limits: Peaks) -> tuple[float, float]:
+    """Return acceleration and velocity of the excited coordinate that suit every position, mm/s² and mm/s."""
+    gains = [_gains(machine.kinematics, place, direction) for place in request.places_mm]
+    fitting = {
+        each.name: min(
+            getattr(CONSERVATIVE, each.name) * getattr(limits, each.name) / max(getattr(gain, each.name), 1e-9)
+            for gain in gains
+        )
+        for each in fields(Peaks)
+    }
+    acceleration = min(value for name, value in fitting.items() if "acceleration" in name)
+    velocity = min(value for name, value in fitting.items() if "velocity" in name)
+    return request.acceleration_mm_per_s2 or acceleration, velocity
+
+
+def _gains(geometry: Kinematics, place: tuple[float, float], direction: str) -> Peaks:
+    """Return the speeds of carriages and nozzle when the excited coordinate moves at 1 mm/s (Eq. 12: Ẋ = J q̇)."""
+    j = geometry.jacobian(np.array([place]))[0]
+    if direction in TOWERS:
+        carriage, nozzle = 1.0, j[:, TOWERS.index(direction)]
+    else:
+        nozzle = np.eye(3)[AXES.index(direction)]
+        carriage = float(np.abs(np.linalg.solve(j, nozzle)).max())
+    length = float(np.linalg.norm(nozzle))
+    return Peaks(carriage, carriage, length, length, float(abs(nozzle[2])))
+
+
+def peaks_of(vertices_mm: FloatArray, segment_s: float, geometry: Kinematics) -> Peaks:
+    """Return the largest differences from knot to knot of a path (n + 1, 3) mm."""
+    carriages = geometry.inverse(vertices_mm) @ geometry.motors.T
+    bends = np.diff(vertices_mm, 2, axis=0) / segment_s**2
+    return Peaks(
+        float(np.abs(np.diff(carriages, axis=0)).max()) / segment_s,
+        float(np.abs(np.diff(carriages, 2, axis=0)).max()) / segment_s**2,
+        float(np.linalg.norm(np.diff(vertices_mm, axis=0), axis=1).max()) / segment_s,
+        float(np.linalg.norm(bends, axis=1).max()),
+        float(np.abs(bends[:, 2]).max()),
+    )
+
+
+# Checks
+
+
+def _check_place(machine: Machine, x: float, y: float, z: float) -> None:
+    """Check that a place is inside the print volume, and where the firmware does not slow down."""
+    try:
+        machine.kinematics.check_reach(np.array([[x, y, z]]))
+    except UnreachableError as error:
+        raise LimitsError(f"The nozzle cannot be excited there: {error}") from error
+    widest = _widest(machine)
+    if widest is not None and np.hypot(x, y) > widest:
+        raise LimitsError(
+            f"The place X = {x:g}, Y = {y:g} mm lies {np.hypot(x, y):.1f} mm from the centre; beyond {widest:.1f} mm "
+            "a delta's firmware slows down, and segments come too late."
+        )
+
+
+def _widest(machine: Machine) -> float | None:
+    """Return the radius within which a delta's firmware keeps every segment's speed, mm; None: no delta."""
+    reach = planner_limits(machine).delta
+    return None if reach is None else min(reach.radius_of_ratio(SLOW_RATIOS[0][0]), machine.kinematics.bed_radius_mm)
+
+
+def _check_vertices(
+    target: _Target, vertices: FloatArray, segment_s: float, acceleration: float, allowed: Peaks
+) -> None:
+    """Check that every vertex is inside, and no peak over its limit."""
+    machine = target.machine
+    _check_sideways(target, vertices)
+    z, heights = target.position_mm[2], vertices[:, 2]
+    lowest, highest, top = float(heights.min()), float(heights.max()), machine.kinematics.height_mm
+    if lowest < CLEARANCE_MM or highest > top:
+        low, high = z - lowest + CLEARANCE_MM, top - (highest - z)
+        raise LimitsError(
+            f"{target.name} moves the nozzle between {lowest:.2f} and {highest:.2f} mm above the bed, and may between "
+            f"{CLEARANCE_MM:g} and {top:g}; a height from {low:.1f} to {high:.1f} mm would fit."
+        )
+    peaks = peaks_of(vertices, segment_s, machine.kinematics)
+    for name in HARD:
+        peak, limit = getattr(peaks, name), getattr(allowed, name)
+        if peak > limit:
+            raise LimitsError(
+                f"{target.name}: the {_words(name)} would peak at {peak:.0f}, and may at {limit:.0f}; "
+                f"an amplitude of {0.99 * acceleration * limit / peak:.0f} mm/s² would fit."
+            )
+
+
+def _check_sideways(target: _Target, vertices: FloatArray) -> None:
+    widest = _widest(target.machine)
+    if widest is None:
+        try:
+            target.machine.kinematics.check_reach(vertices)
+        except UnreachableError as error:
+            raise LimitsError(
+                f"{target.name} leaves the bed: {error} Choose a place farther from its border."
+            ) from error
+        return
+    radius = float(np.hypot(vertices[:, 0], vertices[:, 1]).max())
+    if radius > widest:
+        fits = float(np.hypot(*target.position_mm[:2])) - (radius - widest)
+        raise LimitsError(
+            f"{target.name} reaches {radius:.2f} mm from the centre, and may reach {widest:.2f}; "
+            f"a place not farther out than {fits:.1f} mm would fit."
+        )
+
+
+def _words(name: str) -> str:
+    """Put `nozzle_velocity_mm_per_s` in plain words."""
+    what, _, unit = name.partition("_mm_")
+    return f"{what.replace('_', ' ')} in mm/{unit.removeprefix('per_').replace('s2', 's²')}"
+
+
+def microstep_error(
+    motion: Motion, spectrum_band: Band, begin_s: float, geometry: Kinematics, steps_per_mm: FloatArray | float
+) -> float:
+    """Compute the rounding to microsteps, at the lines of the band's upper half, as a share of the command there.
+
+    Motors step when the command crosses half a step. One measured period, from `begin_s` on, is compared with itself,
+    rounded so; it is the same in every period, and no averaging takes it away.
+    """
+    carriages = geometry.inverse(motion.nozzle(begin_s + _period(spectrum_band))) @ geometry.motors.T
+    moved = carriages - carriages.mean(axis=0)
+    rounded = np.rint(carriages * steps_per_mm) / steps_per_mm - carriages
+    upper = spectrum_band.lines[len(spectrum_band.lines) // 2 :]
+    command, error = (np.fft.rfft(each, axis=0)[upper] for each in (moved, rounded))
+    largest = int(np.argmax(np.linalg.norm(command, axis=0)))
+    return float(np.linalg.norm(error[:, largest]) / np.linalg.norm(command[:, largest]))

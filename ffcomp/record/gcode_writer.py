@@ -1,0 +1,271 @@
+"""The G-code of a plan, and the commands around its experiments in each firmware's words.
+
+A capture starts and ends around each experiment; corrections (shaper, mesh, skew) are off in between and back on at the
+end. Klipper and Kalico ignore a command that their configuration does not have, with a message; so does Marlin.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ffcomp.record.plan import SETTLE_S, Experiment, Plan, capture_name, run_name
+from gcode.dialects import KLIPPER, MARLIN, REPRAPFIRMWARE, close_limits, open_limits, shaper_off
+from gcode.emit import MoveWriter
+from gcode.limits import MotionLimits
+from gcode.program import ModalState
+from models.machine import Machine
+
+TRAVEL_SHARE = 0.2  # of the machine's velocity, between experiments
+
+Shaper = tuple[float, float]
+"""Frequencies of the firmware's own input shaper along x and y, Hz."""
+
+FASTEST_HZ, SLOWEST_HZ = 1600.0, 1300.0  # of the chips that RepRapFirmware knows, at the usual settings
+RESTORE = "FFCOMP_RESTORE"
+
+MACRO = f"""\
+[gcode_macro {RESTORE}]
+description: Put back what a recording of ffcomp changes. Call it in CANCEL_PRINT as well.
+gcode:
+    {{% set own = printer.configfile.settings %}}
+    SET_VELOCITY_LIMIT VELOCITY={{own.printer.max_velocity}} ACCEL={{own.printer.max_accel}}
+    SET_VELOCITY_LIMIT SQUARE_CORNER_VELOCITY={{own.printer.square_corner_velocity}}
+    SET_VELOCITY_LIMIT MINIMUM_CRUISE_RATIO={{own.printer.minimum_cruise_ratio}}
+    {{% if own.input_shaper is defined %}}
+    SET_INPUT_SHAPER SHAPER_FREQ_X={{own.input_shaper.shaper_freq_x}} SHAPER_FREQ_Y={{own.input_shaper.shaper_freq_y}}
+    {{% endif %}}
+    {{% if printer.bed_mesh is defined and 'default' in printer.bed_mesh.profiles %}}
+    BED_MESH_PROFILE LOAD=default
+    {{% endif %}}
+"""
+
+
+@dataclass(frozen=True)
+class Firmware:
+    """How a firmware records, and how its corrections are switched."""
+
+    flavor: str
+    chips: Sequence[str]  # Klipper's names; RepRapFirmware's addresses; ignored by Marlin
+    shaper: Shaper | None = None  # to be switched on again; None: not known
+    switches_shaper: bool = True  # off before the experiments
+
+    @property
+    def records(self) -> bool:
+        """Whether the firmware itself records."""
+        return self.flavor in _START
+
+    def start(self, name: str, lasting_s: float) -> list[str]:
+        """Return the lines that begin the capture of one execution, which lasts so long, rests included."""
+        make = _START.get(self.flavor)
+        return [] if make is None else [make(chip, name, lasting_s) for chip in self.chips]
+
+    def stop(self, name: str, lasting_s: float) -> list[str]:
+        """Return the lines that end it."""
+        if self.flavor == KLIPPER:
+            return self.start(name, lasting_s)
+        if self.flavor == REPRAPFIRMWARE:  # it ends when it has all samples, later the slower the chip
+            return [f"G4 P{math.ceil(1e3 * lasting_s * (FASTEST_HZ / SLOWEST_HZ - 1.0)) + 200}"]
+        return []
+
+    def shaper_off(self) -> list[str]:
+        """Return the lines that switch the firmware's input shaper off."""
+        if not self.switches_shaper:
+            return []
+        kept = _KEEP_SHAPER if self.flavor == REPRAPFIRMWARE else ()
+        return [*kept, *(line.decode().rstrip() for line in shaper_off(self.flavor))]
+
+    def shaper_on(self) -> list[str]:
+        """Return the lines that switch it on again, as far as it is known how it was."""
+        if self.flavor == REPRAPFIRMWARE:
+            return list(_BACK) if self.switches_shaper else []
+        known = [] if self.shaper is None else [_SHAPER_ON[self.flavor].format(*self.shaper)]
+        return [*known, *([RESTORE] if self.flavor == KLIPPER else [])]
+
+    def corrections_off(self) -> list[str]:
+        """Return the lines that switch shaper, bed mesh and skew correction off."""
+        return [*self.shaper_off(), *_OFF[self.flavor]]
+
+    def corrections_on(self) -> list[str]:
+        """Return the lines that switch them on again, as far as it is known how they were."""
+        return [*_MESH_ON.get(self.flavor, ()), *self.shaper_on()]
+
+    def explained(self) -> list[str]:
+        """Return the comments at the head of a file: how everything is put back, with the macro that does it."""
+        return [*self.restores(), *(["", *MACRO.splitlines()] if self.flavor == KLIPPER else [])]
+
+    def restores(self) -> list[str]:
+        """Say in sentences how everything is put back, also after a cancelled run."""
+        shaper_returns = self.shaper or self.flavor == REPRAPFIRMWARE or not self.switches_shaper
+        return [_RESTORES[self.flavor], *([] if shaper_returns else [_STAYS_OFF])]
+
+
+def _klipper(chip: str, name: str, lasting_s: float) -> str:
+    return f"ACCELEROMETER_MEASURE CHIP={chip} NAME={name}"
+
+
+def _reprapfirmware(chip: str, name: str, lasting_s: float) -> str:
+    return f'M956 P{chip} S{math.ceil(lasting_s * FASTEST_HZ)} A0 F"{name}.csv"'
+
+
+_START = {KLIPPER: _klipper, REPRAPFIRMWARE: _reprapfirmware}
+DEFAULT_CHIPS: Mapping[str, Sequence[str]] = {KLIPPER: ("adxl345",), REPRAPFIRMWARE: ("0",), MARLIN: ()}
+
+_KEEP_SHAPER = (
+    "var ffcompShaper = move.shaping.type",
+    "var ffcompFrequency = move.shaping.frequency",
+    "var ffcompDamping = move.shaping.damping",
+)
+_BACK = ("M593 P{var.ffcompShaper} F{var.ffcompFrequency} S{var.ffcompDamping}",)
+_OFF: Mapping[str, Sequence[str]] = {
+    KLIPPER: ("BED_MESH_CLEAR", "SET_SKEW CLEAR=1"),
+    REPRAPFIRMWARE: ("G29 S2",),
+    MARLIN: ("M420 S0",),
+}
+_MESH_ON: Mapping[str, Sequence[str]] = {REPRAPFIRMWARE: ("G29 S1",), MARLIN: ("M420 S1",)}  # Klipper: the macro
+_SHAPER_ON = {
+    KLIPPER: "SET_INPUT_SHAPER SHAPER_FREQ_X={:g} SHAPER_FREQ_Y={:g}",
+    MARLIN: "M593 X F{:g}\nM593 Y F{:g}",
+}
+_STAYS_OFF = (
+    "The input shaper stays off until then or until the firmware restarts, for the file does not know its "
+    "frequencies: --shaper X,Y (Hz) states them."
+)
+_RESTORES: Mapping[str, str] = {
+    KLIPPER: f"The file puts back its limits after every experiment, and calls {RESTORE} at the end. That macro, "
+    "printed at the head of the file, belongs into printer.cfg: it puts back limits, shaper and bed mesh as "
+    "printer.cfg states them, and does so for a cancelled run too where CANCEL_PRINT calls it. Without it: RESTART.",
+    REPRAPFIRMWARE: "The file puts back limits, shaper and mesh at the end. When the run is cancelled, cancel.g must: "
+    'M98 P"config.g" and G29 S1 in it, or a reset.',
+    MARLIN: "The file puts back limits and mesh at the end. When the run is cancelled: M501, or a reset.",
+}
+
+
+# The file
+
+
+def gcode_lines(plan: Plan, machine: Machine, firmware: Firmware) -> Iterator[bytes]:
+    """Yield the G-code file line by line.
+
+    Parameters
+    ----------
+    machine : whose limits are put back after every experiment
+    """
+    yield from _comments(_instructions(plan, machine, firmware))
+    yield from _lines(["G28", "G21", "G90", "M220 S100", *firmware.corrections_off()])
+    limits = machine.limits
+    travel = 60 * TRAVEL_SHARE * limits.velocity_mm_per_s
+    rising = 60 * (limits.z_velocity_mm_per_s or limits.velocity_mm_per_s)
+    # up first: homing may leave the nozzle low
+    yield b"G1 Z%.10g F%.10g\n" % (plan.experiments[0].position_mm[2], min(travel, rising))
+    for experiment, repeat in plan.runs():
+        name = run_name(experiment.name, repeat)
+        of_repeats = f", {repeat} of {plan.repeats}" if plan.repeats > 1 else ""
+        yield from _comments(["", f"{name}: {_kind(experiment)}, {experiment.duration_s:.1f} s{of_repeats}"])
+        yield from _recorded(experiment, name, plan, machine, firmware, travel)
+    yield from _comments(["", *_closing(plan, firmware)])
+    yield from _lines(firmware.corrections_on())
+
+
+def _recorded(
+    experiment: Experiment, name: str, plan: Plan, machine: Machine, firmware: Firmware, travel: float
+) -> Iterator[bytes]:
+    """Yield one experiment from rest to rest, between the start and the end of its capture.
+
+    Klipper counts a capture from where its queue of moves ends. After M400 the queue is empty, and begins anew a
+    quarter of a second after whatever the host is doing: the first rest gives the host time in hand, so that the
+    capture begins exactly `rest_before_s` before the first move.
+    """
+    motion, limits, usual = experiment.motion, experiment.motion.limits, machine.limits
+    axes = machine.kinematics.raisable_axes
+    if experiment.excitation is not None and experiment.excitation.direction == "z" and "Z" not in axes:
+        axes += "Z"  # the very axis that is excited
+    duration = plan.rest_before_s + experiment.duration_s + plan.rest_after_s
+    there = b"G1 X%.10g Y%.10g Z%.10g F%.10g\n" % (*motion.start_mm[:3].tolist(), travel)
+    yield there
+    yield from _lines(["M400", f"M117 {name}"])
+    yield from open_limits(
+        firmware.flavor,
+        limits.velocity_mm_per_s,
+        limits.acceleration_mm_per_s2,
+        limits.square_corner_velocity_mm_per_s,
+        axes,
+    )
+    yield from _lines([rest(SETTLE_S), *firmware.start(name, duration), rest(plan.rest_before_s)])
+    yield there  # repeated: a reader of the file then knows the position after a command it does not know
+    moves = MoveWriter()
+    moves.reset(ModalState(), motion.start_mm[:3].tolist(), 0.0)
+    yield from moves.moves(np.ascontiguousarray(motion.ends_mm), motion.speed)
+    yield from _lines([rest(plan.rest_after_s), *firmware.stop(name, duration)])
+    put_back = MotionLimits(
+        usual.velocity_mm_per_s, usual.acceleration_mm_per_s2, usual.square_corner_velocity_mm_per_s, 0.5
+    )
+    yield from close_limits(firmware.flavor, put_back, axes)
+    yield b"M400\n"
+
+
+def rest(seconds: float) -> str:
+    """Return the line of a dwell."""
+    return f"G4 P{1e3 * seconds:.0f}"
+
+
+def _lines(texts: Iterable[str]) -> Iterator[bytes]:
+    return (text.encode() + b"\n" for text in texts)
+
+
+def _comments(sentences: Iterable[str]) -> Iterator[bytes]:
+    return (f"; {sentence}".rstrip().encode() + b"\n" for sentence in sentences)
+
+
+def _kind(experiment: Experiment) -> str:
+    if experiment.excitation is None:
+        return experiment.kind
+    direction, (x, y, z) = experiment.excitation.direction, experiment.position_mm
+    moved = f"the nozzle along {direction}" if direction in "xyz" else f"carriage {direction} alone"
+    return f"{experiment.kind}, {moved} at X{x:g} Y{y:g} Z{z:g}"
+
+
+def _instructions(plan: Plan, machine: Machine, firmware: Firmware) -> list[str]:
+    """Say what must be so before the file runs, and how everything is put back."""
+    runs, identifies = plan.repeats * len(plan.experiments), plan.experiments[0].excitation is not None
+    purpose = "identification" if identifies else "diagnosis"
+    by_hand = [
+        "- Record each experiment in a file of its own, from a second before it moves,",
+        "  named NAME-REPEAT.csv as below.",
+    ]
+    return [
+        f"Recording for the {purpose} of {plan.machine} (machine file sha256 {plan.machine_sha256[:8]}).",
+        f"{len(plan.experiments)} experiments, {plan.repeats} times each: {runs} captures, "
+        f"{plan.duration_s / 60:.1f} min and homing; {firmware.flavor}.",
+        "",
+        "Before it runs:",
+        "- Warm up the guides: let the printer move for some minutes. Heaters may be off; nothing on the bed.",
+        "- The accelerometer is screwed to the nozzle holder, rigidly; its cable does not pull.",
+        *machine.kinematics.setup_notes,
+        *_z_limits(plan, machine),
+        "- Speed override is 100 %. Print the file from the printer's own storage.",
+        *([] if firmware.records else by_hand),
+        "",
+        *firmware.explained(),
+        "",
+    ]
+
+
+def _z_limits(plan: Plan, machine: Machine) -> list[str]:
+    """State which limits in Z the firmware must allow, if a periodic excitation moves anything there."""
+    rising = [each for each in plan.experiments if each.excitation and np.ptp(each.motion.vertices_mm[:, 2])]
+    if not rising:
+        return []
+    return [
+        f"- The firmware lets Z move at {machine.limits.velocity_mm_per_s:g} mm/s and "
+        f"{rising[0].motion.limits.z_acceleration_mm_per_s2:g} mm/s² (Klipper: max_z_velocity, max_z_accel)."
+    ]
+
+
+def _closing(plan: Plan, firmware: Firmware) -> list[str]:
+    where = "from the temporary folder of the printer's host" if firmware.flavor == KLIPPER else "from the printer"
+    bring = f"Bring back, {where}:" if firmware.records else "Captures:"
+    return ["Done.", bring, *(capture_name(each.name, repeat) for each, repeat in plan.runs())]

@@ -1,0 +1,312 @@
+"""`ffcomp record plan`: from a request to the G-code of experiments and the plan beside it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from ffcomp.errors import RequestError
+from ffcomp.record.excitation import (
+    COARSE_ROUNDING,
+    ExcitationRequest,
+    Peaks,
+    line_of_action,
+    make_excitation_plan,
+    peaks_of,
+)
+from ffcomp.record.gcode_writer import DEFAULT_CHIPS, Firmware, Shaper, gcode_lines
+from ffcomp.record.moves import KINDS, MOST_ROUNDING, Place, Request, make_plan
+from ffcomp.record.multisine import KINDS as SIGNALS
+from ffcomp.record.plan import Experiment, Plan, capture_name, save_plan
+from ffcomp.record.prints import plan_print, print_lines
+from gcode.atomic_write import replace_atomically
+from gcode.dialects import FLAVORS, KLIPPER
+from models.file import load_machine
+from models.machine import Machine
+
+Purpose = Literal["identify", "diagnose", "check"]
+LINE_OF_ACTION, CENTRE = "line-of-action", "centre"
+CHECK_KINDS, CHECK_SECONDS, CHECK_REPEATS, CHECK_SEED = ("multisine", "loop", "reversals"), 2.0, 2, 17
+
+_PLACED = {"at", "kind", "repeats", "amplitude_mm_per_s2", "height_mm", "seed"}
+OPTIONS_OF: dict[Purpose, set[str]] = {
+    "identify": _PLACED
+    | {"axes", "lowest_hz", "highest_hz", "z_acceleration_mm_per_s2", "period_s", "periods", "realisations"}
+    | {"segments_per_second", "shaper_off"},
+    "diagnose": _PLACED | {"seconds", "print_file"},
+    "check": set(),
+}
+"""Options that some purposes have and others have not; the others have fixed values."""
+
+OPTION_NAMES = {"print_file": "--print"}  # where it is not that of the field
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlanRequest:
+    """What is to be recorded, and where it is written. None: the purpose's default."""
+
+    machine: str
+    output: Path
+    purpose: Purpose = "diagnose"
+    at: Sequence[str] | None = None  # "X,Y" in mm, "centre" or "line-of-action"
+    kind: Sequence[str] | None = None
+    axes: str | None = None
+    seconds: float | None = None
+    repeats: int | None = None
+    lowest_hz: float | None = None
+    highest_hz: float | None = None
+    amplitude_mm_per_s2: float | None = None
+    z_acceleration_mm_per_s2: float | None = None
+    period_s: float | None = None
+    periods: int | None = None
+    realisations: int | None = None
+    segments_per_second: float | None = None
+    height_mm: float | None = None
+    flavor: str = ""  # "": the machine file's, or Klipper
+    chip: Sequence[str] | None = None
+    shaper: str = ""  # "X,Y" in Hz, to be switched on again
+    shaper_off: bool | None = None
+    print_file: Path | None = None
+    seed: int | None = None
+
+    @property
+    def plan_file(self) -> Path:
+        """Where the plan is written, beside the G-code."""
+        return self.output.with_suffix(".json")
+
+    def check(self) -> None:
+        """Raise a RequestError for options that contradict each other."""
+        _one_of("--for", [self.purpose], OPTIONS_OF)
+        for name in set().union(*OPTIONS_OF.values()) - OPTIONS_OF[self.purpose]:
+            if getattr(self, name) not in (None, [], ()):
+                purposes = " and ".join(purpose for purpose, names in OPTIONS_OF.items() if name in names)
+                option = OPTION_NAMES.get(name, f"--{name.replace('_', '-')}")
+                raise RequestError(f"{option} is for --for {purposes}, not for --for {self.purpose}.")
+        _one_of("--flavor", [self.flavor] if self.flavor else [], sorted(FLAVORS))
+        if self.plan_file == self.output:
+            raise RequestError(f"-o {self.output}: the G-code needs another ending, for .json is that of its plan.")
+        _one_of("--kind", self.kind or (), SIGNALS if self.purpose == "identify" else KINDS)
+        if self.purpose == "identify" and len(self.kind or ()) > 1:
+            raise RequestError(f"--kind: an identification has one excitation, not {', '.join(self.kind or ())}.")
+
+
+@dataclass(frozen=True)
+class PlanResult:
+    """The plan of a recording, and what becomes of it."""
+
+    plan: Plan
+    machine: Machine
+    output: Path
+    plan_file: Path
+    firmware: Firmware
+    next: str  # command line
+    recommended_places_mm: tuple[Place, ...] = ()
+
+    @property
+    def captures(self) -> list[str]:
+        """Patterns of the captures' names."""
+        return [capture_name(each.name, repeat) for each, repeat in self.plan.runs()]
+
+    @property
+    def warnings(self) -> list[str]:
+        """Say where microsteps matter."""
+        of_periods = self.plan.experiments[0].excitation is not None
+        largest = COARSE_ROUNDING if of_periods else MOST_ROUNDING
+        coarse = [each for each in self.plan.experiments if each.rounding > largest]
+        if not coarse:
+            return []
+        worst, count = max(coarse, key=lambda each: each.rounding), f"{len(coarse)} of {len(self.plan.experiments)}"
+        if of_periods:
+            return [
+                f"In {count} experiments rounding to microsteps spoils the upper half of the band; most in "
+                f"{worst.name}, where the error is {worst.rounding:.0%} of the command. A larger "
+                "--amplitude-mm-per-s2, a lower --highest-hz or finer microsteps make it smaller; where the firmware's "
+                "limit in Z stands against the amplitude, raise it there and say so with --z-acceleration-mm-per-s2."
+            ]
+        return [
+            f"In {count} experiments rounding to microsteps is more than {MOST_ROUNDING:.0%} of the command; most in "
+            f"{worst.name}, {worst.rounding:.0%}. Finer microsteps or higher limits in the machine file make it "
+            "smaller."
+        ]
+
+    @property
+    def missing_places_mm(self) -> list[Place]:
+        """Places that would tell more."""
+        planned = {each.position_mm[:2] for each in self.plan.experiments}
+        return [place for place in self.recommended_places_mm if place not in planned]
+
+    def peaks(self, experiment: Experiment) -> Peaks | None:
+        """Return the largest speeds and accelerations of a periodic excitation; None of other moves."""
+        if experiment.excitation is None:
+            return None
+        segment_s = experiment.excitation.band.segment_s
+        return peaks_of(experiment.motion.vertices_mm, segment_s, self.machine.kinematics)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the JSON object ffcomp-record-plan/1."""
+        return {
+            "schema": "ffcomp-record-plan/1",
+            "machine": {"name": self.plan.machine, "sha256": self.plan.machine_sha256},
+            "output": str(self.output),
+            "plan": str(self.plan_file),
+            "flavor": self.firmware.flavor,
+            "duration_s": self.plan.duration_s,
+            "repeats": self.plan.repeats,
+            "experiments": [self._experiment_dict(each) for each in self.plan.experiments],
+            "captures": self.captures,
+            "restores": self.firmware.restores(),
+            "recommended_places_mm": list(self.recommended_places_mm),
+            "warnings": self.warnings,
+            "next": self.next,
+        }
+
+    def _experiment_dict(self, experiment: Experiment) -> dict[str, Any]:
+        peaks = self.peaks(experiment)
+        return {
+            "name": experiment.name,
+            "kind": experiment.kind,
+            "direction": experiment.excitation and experiment.excitation.direction,
+            "position_mm": experiment.position_mm,
+            "duration_s": experiment.duration_s,
+            "moves": len(experiment.motion.speed),
+            "peaks": peaks and asdict(peaks),
+            "microstep_error": experiment.rounding,
+        }
+
+
+def plan_recording(request: PlanRequest) -> PlanResult:
+    """Plan experiments, and write their G-code with the plan beside it.
+
+    Raises
+    ------
+    RequestError
+        For options that contradict each other.
+    LimitsError
+        For motion that the machine cannot execute.
+    """
+    request.check()
+    machine = load_machine(request.machine)
+    flavor = request.flavor or machine.flavor or KLIPPER
+    firmware = Firmware(
+        flavor,
+        request.chip or DEFAULT_CHIPS[flavor],
+        _shaper(request.shaper),
+        switches_shaper=request.shaper_off is not False,
+    )
+    plan, lines = _planned(request, machine, firmware)
+    save_plan(plan, request.plan_file)
+    replace_atomically(request.output, lines)
+    recommended: tuple[Place, ...] = ()
+    if request.purpose == "identify":
+        recommended = (machine.kinematics.centre_mm, *line_of_action(machine.kinematics))
+    return PlanResult(
+        plan, machine, request.output, request.plan_file, firmware, _next(request, plan, machine), recommended
+    )
+
+
+def _planned(request: PlanRequest, machine: Machine, firmware: Firmware) -> tuple[Plan, Iterable[bytes]]:
+    if request.print_file is not None:
+        plan, program = plan_print(request.print_file, machine, firmware.flavor)
+        return plan, print_lines(plan, program, firmware)
+    if request.purpose == "identify":
+        plan = make_excitation_plan(machine, _excitation_request(request, machine))
+    else:
+        plan = make_plan(machine, check_request(machine) if request.purpose == "check" else _moves_request(request))
+    return plan, gcode_lines(plan, machine, firmware)
+
+
+def check_request(machine: Machine) -> Request:
+    """Return the moves of a check: half a minute in the middle of the bed, always the same."""
+    return Request(
+        [machine.kinematics.centre_mm],
+        seconds=CHECK_SECONDS,
+        repeats=CHECK_REPEATS,
+        seed=CHECK_SEED,
+        kinds=CHECK_KINDS,
+    )
+
+
+def _moves_request(request: PlanRequest) -> Request:
+    stated = {
+        "height_mm": request.height_mm,
+        "seconds": request.seconds,
+        "repeats": request.repeats,
+        "acceleration_mm_per_s2": request.amplitude_mm_per_s2,
+        "seed": request.seed,
+        "kinds": list(dict.fromkeys(request.kind)) if request.kind else None,
+    }
+    places = [_pair("--at", text, " mm") for text in request.at or ()]
+    return Request(places, **{key: value for key, value in stated.items() if value is not None})  # type: ignore[arg-type]
+
+
+def _excitation_request(request: PlanRequest, machine: Machine) -> ExcitationRequest:
+    groups = machine.kinematics.excitation_directions
+    axes = request.axes or next(iter(groups))  # the first is the machine's default
+    _one_of("--axes", [axes], groups)
+    stated = {
+        "height_mm": request.height_mm,
+        "kind": request.kind[0] if request.kind else None,
+        "lowest_hz": request.lowest_hz,
+        "highest_hz": request.highest_hz,
+        "period_s": request.period_s,
+        "periods": request.periods,
+        "realisations": request.realisations,
+        "z_acceleration_mm_per_s2": request.z_acceleration_mm_per_s2,
+        "acceleration_mm_per_s2": request.amplitude_mm_per_s2,
+        "repeats": request.repeats,
+        "segments_per_second": request.segments_per_second,
+        "seed": request.seed,
+    }
+    places = tuple(_excited_places(request.at or [CENTRE], machine))
+    return ExcitationRequest(
+        places,
+        directions=groups[axes],
+        **{key: value for key, value in stated.items() if value is not None},  # type: ignore[arg-type]
+    )
+
+
+def _excited_places(texts: Sequence[str], machine: Machine) -> list[Place]:
+    """Return places in mm, each once, in their order."""
+    places: list[Place] = []
+    for text in texts:
+        if text == CENTRE:
+            places.append(machine.kinematics.centre_mm)
+        elif text == LINE_OF_ACTION:
+            if not machine.kinematics.tower_directions:
+                raise RequestError(f"--at {text}: that is a delta's; straight axes answer alike everywhere.")
+            places += line_of_action(machine.kinematics)
+        else:
+            places.append(_pair("--at", text, f", in mm, {CENTRE} or {LINE_OF_ACTION}"))
+    return list(dict.fromkeys(places))
+
+
+def _shaper(text: str) -> Shaper | None:
+    return _pair("--shaper", text) if text else None
+
+
+def _pair(option: str, text: str, more: str = "") -> tuple[float, float]:
+    try:
+        x, y = (float(part) for part in text.split(","))
+    except ValueError:
+        raise RequestError(f"{option} {text!r}: two numbers with a comma between them{more}.") from None
+    return x, y
+
+
+def _one_of(option: str, values: Iterable[str], choices: Iterable[str]) -> None:
+    for value in values:
+        if value not in choices:
+            *most, last = choices
+            raise RequestError(f"{option}: there is no {value!r}; choose {', '.join(most)} or {last}.")
+
+
+def _next(request: PlanRequest, plan: Plan, machine: Machine) -> str:
+    of_plan = f"--plan {request.plan_file} -m {request.machine}"
+    if request.purpose == "identify":
+        return f"ffcomp identify fit -m {request.machine} --plan {request.plan_file} CAPTURES"
+    if request.purpose == "check":
+        return f"ffcomp record check CAPTURES {of_plan}"
+    if not machine.vibration.diagnosable:
+        return f"ffcomp record join CAPTURES {of_plan} -o runs/"
+    return f"ffcomp diagnose CAPTURES {of_plan}{'' if plan.repeats > 1 else ' --without-repeats'}"
