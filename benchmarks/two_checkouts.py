@@ -63,7 +63,7 @@ COMMANDS = (
     Command("frf", "frf -m mp-delta-pro --at 0,0 --at -80,0"),
     Command("machines show", "machines show mp-delta-pro"),
     Command("machines check", "machines check mp-delta-pro"),
-    Command("identify plan", "identify plan -m mp-delta-pro -o excite.gcode --json"),
+    Command("identify plan", "record plan --for identify -m mp-delta-pro -o excite.gcode --json"),
     Command(
         "gap",
         "gap {data}/runs/nothing-hidden/runs/infill-centre-1.csv {data}/runs/nothing-hidden/runs/infill-centre-2.csv "

@@ -295,12 +295,25 @@ def _measured() -> Iterator[Run]:
     order: tuple[str, ...]
     for machine, more in ((DELTA, ("--at", "0,0")), (VORON, ("--kind", "sweep"))):
         out = f"excite-{machine}"
-        order = ("identify", "plan", "-m", machine, "-o", f"{out}.gcode", "--json", *more)
+        order = ("record", "plan", "--for", "identify", "-m", machine, "-o", f"{out}.gcode", "--json", *more)
         yield Run(f"identify plan {machine}", order, (f"{out}.gcode", f"{out}.json"))
     yield Run(
         "identify plan, log-sweep",
         (
-            *("identify", "plan", "-m", QQS, "-o", "log.gcode", "--kind", "log-sweep", "--flavor", "marlin"),
+            *(
+                "record",
+                "plan",
+                "--for",
+                "identify",
+                "-m",
+                QQS,
+                "-o",
+                "log.gcode",
+                "--kind",
+                "log-sweep",
+                "--flavor",
+                "marlin",
+            ),
             *("--at", "line-of-action", "--axes", "xyz", "--json"),
         ),
         ("log.gcode", "log.json"),

@@ -172,7 +172,7 @@ def _excitation_dict(excitation: Excitation) -> dict[str, Any]:
 
 
 def load_plan(path: str | Path) -> Plan:
-    """Load a plan from its JSON file; one of version 0.9's `identify plan` (ffcomp-excitation/1) too.
+    """Load a plan from its JSON file; an earlier one of `identify plan` (ffcomp-excitation/1) too.
 
     Raises
     ------

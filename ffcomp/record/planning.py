@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, Literal
 
@@ -171,7 +171,7 @@ class PlanResult:
             "position_mm": experiment.position_mm,
             "duration_s": experiment.duration_s,
             "moves": len(experiment.motion.speed),
-            "peaks": peaks and asdict(peaks),
+            "peaks": {each.name: peaks and getattr(peaks, each.name) for each in fields(Peaks)},
             "microstep_error": experiment.rounding,
         }
 

@@ -203,17 +203,7 @@ def _outcome(verdict: str) -> DiagnosisResult:
     )
 
 
-def test_identify_plan(page: Page, folder: Path, corexy: Path) -> None:
-    quick = ("--period-s", "2", "--periods", "1", "--highest-hz", "60")
-    answers, accounts = [], []
-    for name in ("mp-delta-pro", corexy):
-        answers += told("identify", "plan", "-m", name, "-o", folder / "excite.gcode", *quick)
-        accounts.append(json.loads((folder / "excite.json").read_text(encoding="utf-8")))
-    hold(page, "ffcomp-identify-plan/1", answers)
-    hold(page, "ffcomp-excitation/1", accounts)
-
-
-def test_record(page: Page, folder: Path) -> None:
+def test_record(page: Page, folder: Path, corexy: Path) -> None:
     plan = ("record", "plan", *MACHINE, "-o", folder / "moves.gcode", "--seconds", "2", "--at", "0,0")
     example = (
         "record",
@@ -224,8 +214,11 @@ def test_record(page: Page, folder: Path) -> None:
         "--print",
         ROOT / "docs" / "examples" / "print.gcode",
     )
-    hold(page, "ffcomp-record-plan/1", [*told(*plan), *told(*example)])
-    plans = [json.loads((folder / name).read_text(encoding="utf-8")) for name in ("moves.json", "print.json")]
+    quick = ("--period-s", "2", "--periods", "1", "--highest-hz", "60")
+    excite = ("record", "plan", "--for", "identify", "-m", corexy, "-o", folder / "excite.gcode", *quick)
+    hold(page, "ffcomp-record-plan/1", [*told(*plan), *told(*example), *told(*excite)])
+    files = ("moves.json", "print.json", "excite.json")
+    plans = [json.loads((folder / name).read_text(encoding="utf-8")) for name in files]
     hold(page, "ffcomp-moves/1", plans)
     captures = write_captures(folder / "moves.json", TRUTH, folder / "captures", kinds=("zigzag",))
     captures[1].write_text(captures[0].read_text(encoding="utf-8").replace("accel_x", "##drops=1"), encoding="utf-8")
@@ -311,6 +304,7 @@ def test_the_page_names_every_schema_that_the_code_prints() -> None:
     made |= {f"ffcomp-{name}/1" for name in re.findall(r'_print_json\(\s*"([a-z-]+)"', code)}
     told_of = {name for name in Page(REFERENCE / "json.md").objects if name.startswith("ffcomp-")}
     assert told_of == made - {
+        "ffcomp-excitation/1",  # read only: plans of before
         "ffcomp-machine/1",
         "ffcomp-check-history/1",
         "ffcomp-motion/1",

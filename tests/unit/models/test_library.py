@@ -102,4 +102,4 @@ def test_assumed_modes_are_said(path: Path) -> None:
         assert sentence is None, "these are the paper's"
     else:
         assert sentence is not None and sentence.startswith(f"The modes of {path.stem} are assumed, not measured")
-        assert "`ffcomp identify plan`" in sentence
+        assert "`ffcomp record plan --for identify`" in sentence

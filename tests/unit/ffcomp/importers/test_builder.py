@@ -50,7 +50,9 @@ def test_numbers_that_are_not_known_are_listed_until_they_are(tmp_path: Path) ->
     path = written(tmp_path, Delta().klipper())
     provenance = dict(imported(path).provenance)
     sentences = list(still_assumed(provenance))
-    assert any("carriage.belt_stiffness_n_per_m" in each and "ffcomp identify plan" in each for each in sentences)
+    assert any(
+        "carriage.belt_stiffness_n_per_m" in each and "ffcomp record plan --for identify" in each for each in sentences
+    )
     provenance |= {key: "identified" for key in provenance if key.startswith("carriage.")}
     assert not any("carriage." in each for each in still_assumed(provenance))
     assert list(still_assumed(load_machine("kossel").provenance)) == [], "only imported machines are asked"
