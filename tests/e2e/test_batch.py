@@ -25,6 +25,7 @@ from gcode.stamp import Stamp
 from gcode.text import PART_BYTES
 from models.file import load_machine
 from models.machine import Machine
+from tests.support.cli import Result, ffcomp
 from tests.support.mismatch import study
 
 ROOT = Path(__file__).parents[2]
@@ -38,10 +39,8 @@ def a_print(size: int) -> bytes:
     return HEAD + b"".join(b"G1 X%d Y%d E.5\nG1 X%d E.5\nG0 X10 Y10\n" % (k, 2 * k, k % 7) for k in range(size))
 
 
-def ffcomp(*arguments: str | Path, code: str = MAIN, cwd: Path = ROOT) -> subprocess.CompletedProcess[str]:
-    environment = {**os.environ, "PYTHONPATH": str(ROOT), "NO_COLOR": "1", "COLUMNS": "200"}
-    command = [sys.executable, "-c", code, "compensate", "-m", "mp-delta-pro", "--no-robust", *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, cwd=cwd, env=environment, timeout=120, check=False)
+def compensate(*arguments: str | Path, cwd: Path | None = None) -> Result:
+    return ffcomp("compensate", "-m", "mp-delta-pro", "--no-robust", *arguments, cwd=cwd)
 
 
 @pytest.fixture(scope="module")
@@ -81,8 +80,8 @@ def test_side_by_side_in_place(prints: list[Path], alone: list[bytes], tmp_path:
     bad, missing = tmp_path / "bad.gcode", tmp_path / "missing.gcode"
     bad.write_bytes(BAD)
     before = names(tmp_path)
-    first = ffcomp(prints[0], bad, prints[1], missing, prints[2], "--jobs", "2", "--json")
-    assert first.returncode == 4, first.stderr  # of the first that failed, though the missing one may fail before it
+    first = compensate(prints[0], bad, prints[1], missing, prints[2], "--jobs", "2", "--json")
+    assert first.exit_code == 4, first.stderr  # of the first that failed, though the missing one may fail before it
     answer = json.loads(first.stdout)
     assert answer["schema"] == "ffcomp-compensate-batch/1" and answer["failed"] == 2
     results = answer["results"]
@@ -103,17 +102,17 @@ def test_side_by_side_in_place(prints: list[Path], alone: list[bytes], tmp_path:
         True
     ] * 5
     assert "→" in rows[0] and "µm" in rows[0] and "failed" in rows[1] and str(missing) in first.stderr.splitlines()[-1]
-    again = ffcomp(*prints, "-q")
-    assert again.returncode == 0 and again.stderr == ""
+    again = compensate(*prints, "-q")
+    assert again.exit_code == 0 and again.stderr == ""
     assert [path.read_bytes() for path in prints] == alone
 
 
 def test_into_a_folder(prints: list[Path], alone: list[bytes], tmp_path: Path) -> None:
     originals, folder = [path.read_bytes() for path in prints], tmp_path / "new" / "folder"
-    assert ffcomp(*prints, "--dry-run", "--output-dir", folder, "-q").returncode == 0
+    assert compensate(*prints, "--dry-run", "--output-dir", folder, "-q").exit_code == 0
     assert not folder.exists()
-    answer = ffcomp(*prints, "--jobs", "2", "--output-dir", folder, "-q", "--json")
-    assert answer.returncode == 0 and answer.stderr == ""
+    answer = compensate(*prints, "--jobs", "2", "--output-dir", folder, "-q", "--json")
+    assert answer.exit_code == 0 and answer.stderr == ""
     assert [path.read_bytes() for path in prints] == originals
     assert names(folder) == {path.name for path in prints}
     assert [(folder / path.name).read_bytes() for path in prints] == alone
@@ -156,15 +155,17 @@ def test_what_is_wrongly_asked_for_is_a_sentence(
     if "--scheduler" in arguments:
         pytest.importorskip("distributed", reason="The cluster's tests need Dask: pip install 'ffcomp[dask]'.")
     before = {path: path.read_bytes() for path in prints}
-    answer = ffcomp(*arguments, cwd=tmp_path)
-    assert answer.returncode == code, answer.stderr
+    answer = compensate(*arguments, cwd=tmp_path)
+    assert answer.exit_code == code, answer.stderr
     assert words in " ".join(answer.stderr.replace("│", " ").split()) and "Traceback" not in answer.stderr
     assert {path: path.read_bytes() for path in tmp_path.iterdir()} == before
 
 
-def test_without_dask_the_package_is_named(prints: list[Path]) -> None:
-    answer = ffcomp(*prints, "--scheduler", "tcp://x:1", code=f"import sys; sys.modules['distributed'] = None; {MAIN}")
-    assert answer.returncode == 1 and "pip install 'ffcomp[dask]'" in answer.stderr
+def test_without_dask_the_package_is_named(prints: list[Path], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delitem(sys.modules, "ffcomp.compensate.dask_backend", raising=False)
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    answer = compensate(*prints, "--scheduler", "tcp://x:1")
+    assert answer.exit_code == 1 and "pip install 'ffcomp[dask]'" in answer.stderr
 
 
 def test_progress_is_of_bytes(prints: list[Path], machine: Machine) -> None:
@@ -268,8 +269,8 @@ def scheduler() -> Iterator[str]:
 
 def test_on_a_cluster(prints: list[Path], alone: list[bytes], machine: Machine, scheduler: str, tmp_path: Path) -> None:
     folder = tmp_path / "far"
-    answer = ffcomp(*prints, "--scheduler", scheduler, "--output-dir", folder, "--json")
-    assert answer.returncode == 0, answer.stderr
+    answer = compensate(*prints, "--scheduler", scheduler, "--output-dir", folder, "--json")
+    assert answer.exit_code == 0, answer.stderr
     assert [(folder / path.name).read_bytes() for path in prints] == alone
     (folder / "b.gcode").unlink()
     with workers(1, scheduler) as at_once:  # one file: its chunks
@@ -285,7 +286,7 @@ def test_a_mismatch_study_on_a_cluster(scheduler: str) -> None:
 
 def test_an_interrupt_leaves_what_is_finished(prints: list[Path], alone: list[bytes], tmp_path: Path) -> None:
     long = tmp_path / "long.gcode"
-    moves = b"".join(b"G1 X%d Y%d E.1\n" % (k % 40, k * 7 % 40) for k in range(60_000))
+    moves = b"".join(b"G1 X%d Y%d E.1\n" % (k % 40, k * 7 % 40) for k in range(20_000))
     long.write_bytes(HEAD + moves)
     words = ("compensate", "-m", "mp-delta-pro", "--no-robust", "-j", "2")
     command = [sys.executable, "-c", MAIN, *words, prints[0], long]

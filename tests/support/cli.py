@@ -5,14 +5,19 @@ from __future__ import annotations
 import io
 import os
 import sys
+import warnings
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import chdir, contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from cyclopts import App
 
+from ffcomp.cli.app import app as whole
 from ffcomp.cli.command import run
+
+PLAIN = {"NO_COLOR": "1", "COLUMNS": "200"}
 
 
 @dataclass(frozen=True)
@@ -46,6 +51,16 @@ class CliRunner:
                 code, exception = 1, error
         out, err = (stream.getvalue() for stream in streams)
         return Result(code, out, err, both.getvalue(), exception)
+
+
+def ffcomp(*words: object, cwd: Path | None = None) -> Result:
+    """Run `ffcomp WORDS` without colour in a wide terminal; bugs are raised, warnings are none of a user's errors."""
+    with chdir(cwd or Path.cwd()), warnings.catch_warnings():
+        warnings.simplefilter("default")
+        result = CliRunner().invoke(whole, [*map(str, words)], env=PLAIN)
+    if result.exception is not None and not isinstance(result.exception, SystemExit):
+        raise result.exception
+    return result
 
 
 class _Copied(io.StringIO):
