@@ -138,6 +138,13 @@ def test_compiled_inverse_is_the_same() -> None:
     np.testing.assert_allclose(compiled, CROOKED.inverse(xyz), rtol=1e-15)
 
 
+def test_compiled_equations_are_the_same() -> None:
+    compiled, (x, v, _) = CROOKED.compiled(), _curve(np.linspace(0, 2, 20))
+    np.testing.assert_allclose(compiled.inverse(x), CROOKED.inverse(x), rtol=1e-15)
+    np.testing.assert_allclose(compiled.forward(CROOKED.inverse(x)), x, atol=1e-9)
+    np.testing.assert_allclose(compiled.rate_term(x, v), CROOKED.jacobian_rate_term(x, v), rtol=1e-10)
+
+
 def test_compiled_inverse_has_no_number_out_of_reach() -> None:
     q = inverse_point(500.0, 0.0, 0.0, CROOKED.towers_mm, CROOKED.arm_lengths_mm**2, 50.0)
     assert np.isnan(q).any()
