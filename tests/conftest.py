@@ -1,4 +1,4 @@
-"""Set up all tests: which are slow, no log and no cache of the user's, and the same draws of properties every time.
+"""Set up all tests: which are slow, no log, one cache for all of them, and the same draws of properties every time.
 
 New draws are sought by `validation/fuzz.py`, and here with HYPOTHESIS_PROFILE=default.
 """
@@ -7,13 +7,16 @@ from __future__ import annotations
 
 import os
 import sys
+import tempfile
 from pathlib import Path
 
 import pytest
 from hypothesis import settings
 
 os.environ["FFCOMP_LOG"] = "off"
-os.environ["FFCOMP_CACHE"] = "off"
+if "PYTEST_XDIST_WORKER" not in os.environ:  # all workers share what one has computed for a machine
+    cache = tempfile.TemporaryDirectory(prefix="ffcomp-tests-")
+    os.environ["FFCOMP_CACHE"] = cache.name
 sys.dont_write_bytecode = False  # pytest keeps the tests it has compiled: that halves the time of collection
 
 settings.register_profile("same", derandomize=True, deadline=None)  # others may use the machine too
