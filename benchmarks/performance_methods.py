@@ -13,7 +13,7 @@ from ffcomp.inverse.reference import Reference
 from ffcomp.inverse.windowed_qr import WindowProblem
 from ffcomp.planner.program import PlannedProgram
 from ffcomp.planner.sections import Section
-from ffcomp.simulate.motion import Motion
+from ffcomp.simulate.command import Motion
 from models.effects.catalogue import design_machine
 from models.machine import Machine
 from models.vibration.delta import STATES, Q

@@ -13,7 +13,7 @@ from ffcomp.compare.sampling import PrintSlice
 from ffcomp.inverse.settings import settings_for
 from ffcomp.metrics import rms
 from ffcomp.shapers import Shaper
-from ffcomp.simulate.motion import Motion
+from ffcomp.simulate.command import Motion
 from ffcomp.simulate.playback import simulate_nozzles
 from models.arrays import FloatArray
 from models.machine import Machine

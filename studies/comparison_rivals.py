@@ -7,12 +7,20 @@ from dataclasses import dataclass
 import numpy as np
 
 from ffcomp.compare import methods as every
-from ffcomp.compare import rivals
-from ffcomp.compare.baselines import LinearPrinter
+from ffcomp.compare.baselines import (
+    CARRIAGES,
+    INVERSE,
+    SHAPED_Z,
+    LinearPrinter,
+    ShaperVariant,
+    VariantTuner,
+    shaper_variant,
+)
 from ffcomp.compare.methods import TunedMethod
 from ffcomp.compare.sampling import PrintSlice
 from ffcomp.inverse.settings import settings_for
 from ffcomp.shapers import SHAPERS
+from ffcomp.shapers.pattern import Found
 from models.machine import Machine
 
 INVERTED = ("smooth_zv", "smooth_mzv")  # the kernels of the firmware that inverts a mode
@@ -36,8 +44,8 @@ class Pair:
 class Known:
     """A rival, its best settings and what they leave on the linear plant, µm."""
 
-    rival: rivals.Rival
-    found: rivals.Found
+    rival: ShaperVariant
+    found: Found
 
 
 def pairs(machine: Machine, slices: list[PrintSlice]) -> tuple[list[Pair], dict[str, float]]:
@@ -51,16 +59,16 @@ def pairs(machine: Machine, slices: list[PrintSlice]) -> tuple[list[Pair], dict[
         Label → contour rms on the linear plant, µm, of the kinds that are not.
     """
     linear = LinearPrinter(machine, slices)
-    tuner = rivals.Tuner(machine, machine, linear)
-    kinds = sorted((_known(tuner, rivals.rival(kind, "", machine)) for kind in SHAPERS), key=lambda k: k.found.cost)
+    tuner = VariantTuner(machine, machine, linear)
+    kinds = sorted((_known(tuner, shaper_variant(kind, "", machine)) for kind in SHAPERS), key=lambda k: k.found.cost)
     first = kinds[:JUDGED]
     known = list(first)
-    inverted = [_known(tuner, rivals.rival(kind, rivals.INVERSE, machine)) for kind in INVERTED]
+    inverted = [_known(tuner, shaper_variant(kind, INVERSE, machine)) for kind in INVERTED]
     known += inverted
     if z_rings(machine):
         known += [_with_z(tuner, each, machine) for each in first + inverted]
     if carriages_mix(machine):
-        known += [_known(tuner, rivals.rival(each.rival.kind, rivals.CARRIAGES, machine)) for each in first]
+        known += [_known(tuner, shaper_variant(each.rival.kind, CARRIAGES, machine)) for each in first]
     found = [_pair(tuner, each, machine) for each in known] + _scheduled(linear, machine, first)
     return found, {each.rival.label: each.found.cost for each in kinds[JUDGED:]}
 
@@ -87,24 +95,24 @@ def carriages_mix(machine: Machine) -> bool:
     return not np.allclose(moved, np.diff(there, axis=0))
 
 
-def _known(tuner: rivals.Tuner, rival: rivals.Rival) -> Known:
+def _known(tuner: VariantTuner, rival: ShaperVariant) -> Known:
     return Known(rival, tuner.best(rival))
 
 
-def _with_z(tuner: rivals.Tuner, known: Known, machine: Machine) -> Known:
+def _with_z(tuner: VariantTuner, known: Known, machine: Machine) -> Known:
     """Shape z too: from the best of x and y on, first z alone, then all."""
-    rival = rivals.rival(known.rival.kind, known.rival.variant + rivals.SHAPED_Z, machine)
+    rival = shaper_variant(known.rival.kind, known.rival.variant + SHAPED_Z, machine)
     at = rival.names.index("z")
     start = np.insert(known.found.settings, at, tuner.calibrated(rival)[at])
     first = tuner.best(rival, start, [at])
     return Known(rival, first)
 
 
-def _pair(tuner: rivals.Tuner, known: Known, machine: Machine) -> Pair:
+def _pair(tuner: VariantTuner, known: Known, machine: Machine) -> Pair:
     rival = known.rival
-    calibrated = every.tuned_rival(tuner, rival, "calibrated", machine)
-    best = every.set_rival(rival, known.found.settings, "best fixed", SOUGHT, machine)
-    group = {"": "x and y", rivals.CARRIAGES: "each carriage"}.get(
+    calibrated = every.tuned_variant(tuner, rival, "calibrated", machine)
+    best = every.fixed_variant(rival, known.found.settings, "best fixed", SOUGHT, machine)
+    group = {"": "x and y", CARRIAGES: "each carriage"}.get(
         rival.variant, "x, y and z" if rival.shapes_z else "x and y"
     )
     return Pair(rival.label, group, calibrated, best, plain=not rival.variant)

@@ -18,7 +18,7 @@ from typing import Any
 from matplotlib.figure import Figure
 
 from ffcomp.compare.quickest import QuickestRequest, quickest
-from ffcomp.compare.quickest_result import Contender, Quickest
+from ffcomp.compare.result import Contender, Quickest
 from ffcomp.compare.sampling import Print, Sampling
 from ffcomp.faster.bound import Bound
 from gcode.container import read_bytes

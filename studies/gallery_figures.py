@@ -37,7 +37,7 @@ from ffcomp.measurement.frf import FrequencyResponse
 from ffcomp.measurement.frf_files import write_frf
 from ffcomp.measurement.recording import read_recording
 from ffcomp.report.diagnose import figures
-from ffcomp.report.shared.drawing import Drawing, file_of, layout
+from ffcomp.report.drawing import Drawing, file_of, layout
 from models.file import load_machine
 from models.machine import Machine
 from tests.support import docs_runner
@@ -316,7 +316,7 @@ def side_by_side(drawings: list[Drawing]) -> Image.Image:
     import matplotlib
     from matplotlib.figure import Figure
 
-    from ffcomp.report.shared.style import RC
+    from ffcomp.report.drawing import RC
 
     with matplotlib.rc_context(RC):
         size = (sum(each.width for each in drawings), max(each.height for each in drawings) + 0.6)
@@ -324,7 +324,7 @@ def side_by_side(drawings: list[Drawing]) -> Image.Image:
         widths = [each.width for each in drawings]
         boxes = figure.subfigures(1, len(drawings), squeeze=False, width_ratios=widths)
         for box, each in zip(boxes[0], drawings, strict=True):
-            said = textwrap.fill(each.said, 70)
+            said = textwrap.fill(each.finding, 70)
             box.suptitle(f"{each.title}\n{said}", x=0.02, ha="left", fontsize=9)
             each.draw(box)
         return Image.open(io.BytesIO(file_of(figure, "png")))

@@ -65,8 +65,7 @@ class Identification:
             If the data hold no responses.
         """
         from ffcomp.identify.shaper_advice import in_words
-        from ffcomp.report.belts import belts_figure
-        from ffcomp.report.identify import axes_figure, fit_figure
+        from ffcomp.report.identify import axes_figure, belts_figure, fit_figure
 
         found, belts = self.fit.found, self.fit.belts
         if found is None and belts is not None:

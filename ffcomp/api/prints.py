@@ -187,7 +187,7 @@ class Simulation(SimulationResult):
     @extras_told()
     def plot(self) -> Figure:
         """Draw the position of the largest error close up, and the contour error along the time."""
-        from ffcomp.report.simulate import simulation_figure
+        from ffcomp.report.show import simulation_figure
 
         return simulation_figure(self)
 
@@ -303,7 +303,7 @@ class MethodComparison:
     @property
     def verdict(self) -> list[str]:
         """The answer in sentences."""
-        from ffcomp.report.compare.verdict import verdict
+        from ffcomp.report.compare.sentences import verdict
 
         return list(verdict(self.comparison))
 

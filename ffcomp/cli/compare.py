@@ -288,8 +288,7 @@ def _print(found: Comparison, report: Path | None, written: list[Path]) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    from ffcomp.report.compare.answer import answer
-    from ffcomp.report.compare.verdict import verdict
+    from ffcomp.report.compare.sentences import answer, verdict
 
     console = Console()
     console.print(str(answer(found)), highlight=False, markup=False)

@@ -13,7 +13,7 @@ from ffcomp.request import FASTER
 if TYPE_CHECKING:
     from ffcomp.compare.engine import Request
     from ffcomp.compare.quickest import QuickestRequest
-    from ffcomp.compare.quickest_result import Contender, Quickest
+    from ffcomp.compare.result import Contender, Quickest
     from ffcomp.faster.bound import Bound
 
 EqualQuality = Annotated[
@@ -83,7 +83,7 @@ def hand_over(found: Quickest, report: Path | None, as_json: bool, quiet: bool) 
     from ffcomp.cli.common import print_json
 
     if report is not None:
-        from ffcomp.report.quickest.html import write_quickest
+        from ffcomp.report.quickest.page import write_quickest
 
         write_quickest(found, report)
     if as_json:

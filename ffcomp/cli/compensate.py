@@ -415,7 +415,7 @@ def _original(file: Path) -> bytes:
 
 def _worth_knowing(request: _Request, data: bytes, name: str, result: dict[str, Any]) -> Any:
     """Measure what the quicker print would take with a better known machine."""
-    from ffcomp.compare.knowing import worth_knowing
+    from ffcomp.compare.quickest_plans import worth_knowing
     from ffcomp.numerics.serialise import to_json
 
     options = request.options

@@ -265,8 +265,7 @@ def _written(found: MachineFit, output: Path | None) -> str | None:
 def _draw(fitted: MachineFit, target: Path) -> None:
     from ffcomp.identify.identify import Identified
     from ffcomp.identify.shaper_advice import in_words
-    from ffcomp.report.belts import draw_belts
-    from ffcomp.report.identify import draw_axes, draw_fit
+    from ffcomp.report.identify import draw_axes, draw_belts, draw_fit
 
     more = in_words(fitted.shapers)
     if isinstance(fitted.found, Identified):

@@ -169,8 +169,7 @@ def _captures(
 
 def _request(rate: float, from_s: float, to_s: float, gravity: bool, signals: str) -> Request:
     from ffcomp.measurement.clock import HIGHEST_RATE_HZ, LOWEST_RATE_HZ
-    from ffcomp.simulate.recording import KINDS
-    from ffcomp.simulate.simulation import Request
+    from ffcomp.simulate.simulation import KINDS, Request
 
     if not LOWEST_RATE_HZ <= rate <= HIGHEST_RATE_HZ:
         raise typer.BadParameter(f"--rate {rate:g}: between {LOWEST_RATE_HZ:g} and {HIGHEST_RATE_HZ:g} Hz.")

@@ -4,7 +4,7 @@ slices      compare.sampling      the parts of the print that are evaluated
 methods     compare.methods       every method, tuned as well as it can be
 executed    simulate.playback     each command on the simulated printer
 evaluated   compare.evaluation    against the reference path
-spread      compare.spread        again, on Monte-Carlo plants
+spread      compare.monte_carlo   again, on Monte-Carlo plants
 quality     compare.equal_quality how fast each method may go for the same quality
 """
 
@@ -19,35 +19,39 @@ from functools import partial
 import numpy as np
 
 from ffcomp.compare import methods as every
-from ffcomp.compare import rivals
-from ffcomp.compare.baselines import LinearPrinter, resonance_tests
+from ffcomp.compare.baselines import VARIANT_NAMES, LinearPrinter, VariantTuner, resonance_tests
 from ffcomp.compare.equal_quality import QUALITY, equal_qualities, within_limits
-from ffcomp.compare.evaluation import SAMPLE_S, Execution, MethodEvaluation, by, evaluate, track
-from ffcomp.compare.execution import Piece, execute
+from ffcomp.compare.evaluation import (
+    SAMPLE_S,
+    Execution,
+    MethodEvaluation,
+    Piece,
+    Progress,
+    Stages,
+    by,
+    evaluate,
+    execute,
+    in_parallel,
+    track,
+)
 from ffcomp.compare.methods import COMPENSATED, TunedMethod
-from ffcomp.compare.monte_carlo import draw_plants
-from ffcomp.compare.parallel import Progress, Stages, in_parallel
+from ffcomp.compare.monte_carlo import ON_PLANTS, TUNING_ON_PLANTS, draw_plants, with_spread
 from ffcomp.compare.result import BedMap, Comparison, Layer, Method, Outline, Party, Peaks
 from ffcomp.compare.sampling import SETTLE_S, Print, PrintSlice, Sampling
-from ffcomp.compare.spread import ON_PLANTS, TUNING_ON_PLANTS, with_spread
 from ffcomp.compensate.job import Job, Options
 from ffcomp.compensate.prediction import READ_AGAIN_S, read_again
-from ffcomp.compensate.statistics import Statistics
 from ffcomp.errors import NothingToDo
 from ffcomp.inverse.robust_choice import choose_robust
 from ffcomp.inverse.settings import Settings, settings_for
 from ffcomp.metrics import Track
-from ffcomp.simulate.compatibility import check_same_kinematics
-from ffcomp.simulate.playback import ROW_S
+from ffcomp.simulate.playback import ROW_S, check_same_kinematics
 from ffcomp.version import __version__
-from models.arrays import FloatArray
 from models.effects.catalogue import design_machine
 from models.machine import Machine
-from models.provenance import assumed_modes
 
 SHORTEST_S = 3 * SETTLE_S
-SOME_S = 60.0  # of print time that is executed on every Monte-Carlo plant
-FEW_S, FEW_PIECE_S = 30.0, 5.0  # on which shapers are tuned and accelerations tried
+ON_PLANTS_S = 60.0  # of print time that is executed on every Monte-Carlo plant
+TUNING_S, TUNING_PIECE_S = 30.0, 5.0  # on which shapers are tuned and accelerations tried
 BED_PITCH_MM = 10.0
 ALL = "all"  # alone: every method that there is
 TUNING, PLANNING, PRINTING = "tuning every method", "planning with every method", "printing with every method"
@@ -82,30 +86,19 @@ def compare(
 
     Parameters
     ----------
-    data, path : bytes, str
-        The G-code file and its name.
-    machine : Machine
-        The machine file that the methods use.
-    plant : Machine, optional
-        The printer that evaluates; None: the machine itself.
-    request : Request, optional
-    settings : Settings, optional
-        Of the inverse.
-    offset : (float, float)
-        Added to every position, mm.
-    flavor : str
-        "" for what the machine file says, or else the file.
-    jobs : int
-        Processes that share the Monte-Carlo plants; the numbers are the same.
-    progress : callable
-        Called with the current step and the share of it that is done.
+    data, path : the G-code file and its name
+    machine : the machine file that the methods use
+    plant : the printer that evaluates; None: the machine itself
+    settings : of the inverse
+    offset : (float, float), added to every position, mm
+    flavor : "" for what the machine file says, or else the file
+    jobs : processes that share the Monte-Carlo plants; the numbers are the same
+    progress : called with the current step and the share of it that is done
 
     Raises
     ------
-    NothingToDo
-        If the chosen part is too short.
-    MachineFileError
-        If the plant's kinematics are not the machine's.
+    NothingToDo: If the chosen part is too short.
+    MachineFileError: If the plant's kinematics are not the machine's.
     """
     started = time.perf_counter()
     request, plant, settings = request or Request(), plant or machine, settings or settings_for(machine)
@@ -114,43 +107,43 @@ def compare(
     slices, sampled = printed.slices(request.sampling)
     if max(each.trajectory.end_t for each in slices) < SHORTEST_S:
         raise NothingToDo(f"{path}: the part to be evaluated lasts less than {SHORTEST_S:g} s: nothing to compare.")
-    some, _ = printed.slices(request.sampling, at_most_s=SOME_S)
-    few, _ = printed.slices(request.sampling, FEW_PIECE_S, FEW_S)
-    if max(each.trajectory.end_t for each in few) < SHORTEST_S:
-        few = slices  # in small pieces of a short print nothing is left but their beginnings
+    plant_slices, _ = printed.slices(request.sampling, at_most_s=ON_PLANTS_S)
+    tuning_slices, _ = printed.slices(request.sampling, TUNING_PIECE_S, TUNING_S)
+    if max(each.trajectory.end_t for each in tuning_slices) < SHORTEST_S:
+        tuning_slices = slices  # in small pieces of a short print nothing is left but their beginnings
     choice = choose_robust(machine, settings)
-    own = every.ROBUST if choice.robust else COMPENSATED
-    chosen = {*names(request), own}
+    written_method = every.ROBUST if choice.robust else COMPENSATED
+    chosen = {*names(request), written_method}
     progress = Stages(progress, _stages(request, len(chosen)))
-    tuned = [_named(each, own) for each in _tuned(machine, plant, few, settings, chosen, progress)]
+    tuned = [_named(each, written_method) for each in _tuned(machine, plant, tuning_slices, settings, chosen, progress)]
     written = replace(settings, robust=choice.robust)
     predicted = _predicted(data, path, machine, written, printed) if request.predict else {}
     executed = _executed(tuned, slices, plant, progress)
-    found = {method.name: _method(method, executed[method.name], printed.labels.features) for method in tuned}
-    best = _best_fixed(found)
+    evaluated = {method.name: _method(method, executed[method.name], printed.labels.features) for method in tuned}
+    best = _best_fixed(evaluated)
     if request.seeds:
         plants = draw_plants(plant, request.mismatch, request.seeds)
-        found = with_spread(found, tuned, best, some, few, plants, jobs, progress)
+        evaluated = with_spread(evaluated, tuned, best, plant_slices, tuning_slices, plants, jobs, progress)
     if request.quality_bound_um:
-        p99 = {name: method.track.contour_p99_um for name, method in found.items()}
-        quality = equal_qualities(tuned, printed, plant, few, request.quality_bound_um, p99, progress)
-        found = {name: replace(method, equal_quality=quality[name]) for name, method in found.items()}
+        p99 = {name: method.track.contour_p99_um for name, method in evaluated.items()}
+        quality = equal_qualities(tuned, printed, plant, tuning_slices, request.quality_bound_um, p99, progress)
+        evaluated = {name: replace(method, equal_quality=quality[name]) for name, method in evaluated.items()}
     return Comparison(
         print_name=path,
         print_sha256=hashlib.sha256(data).hexdigest(),
         print_time_s=printed.print_time_s,
         layers_total=printed.labels.layers,
         sampling=sampled,
-        machine=_party(machine),
-        plant=_party(plant),
+        machine=Party.of(machine),
+        plant=Party.of(plant),
         mismatch=_mismatch(plant, request),
         settings=_settings(settings),
         version=__version__,
-        layers=_layers(printed, found[own]),
+        layers=_layers(printed, evaluated[written_method]),
         features=printed.labels.features,
-        methods=found,
+        methods=evaluated,
         best_fixed=best,
-        compensated=own,
+        compensated=written_method,
         sample_s=SAMPLE_S,
         bed=_bed(plant),
         limits={
@@ -172,27 +165,25 @@ def names(request: Request) -> Collection[str]:
 
     Raises
     ------
-    ValueError
-        For a name that no method has, or if there is no best fixed shaper to compare with.
+    ValueError: For a name that no method has, or if there is no best fixed shaper to compare with.
     """
     unknown = [name for name in request.only if name not in every.NAMES and request.only != (ALL,)]
     if unknown:
         raise ValueError(f"No method is named {unknown[0]!r}; there are {', '.join(every.NAMES)}.")
     if request.only == (ALL,):
         return every.NAMES
-    if request.only and not set(request.only) & {*every.KINDS, *rivals.NAMES}:
+    if request.only and not set(request.only) & {*every.KINDS, *VARIANT_NAMES}:
         raise ValueError(f"Name at least one shaper to compare with: {', '.join(every.KINDS)}.")
     return {"none", COMPENSATED, *request.only} if request.only else every.USUAL_NAMES
 
 
 def _stages(request: Request, methods: int) -> dict[str, float]:
-    """Return the stages in their order, with the seconds that each takes, as measured."""
-    found = {TUNING: 0.9 * methods, PLANNING: 0.25 * methods, PRINTING: 0.72 * methods}
+    seconds = {TUNING: 0.9 * methods, PLANNING: 0.25 * methods, PRINTING: 0.72 * methods}
     if request.seeds:
-        found |= {ON_PLANTS: 0.2 * methods * request.seeds, TUNING_ON_PLANTS: 3.5 * request.seeds}
+        seconds |= {ON_PLANTS: 0.2 * methods * request.seeds, TUNING_ON_PLANTS: 3.5 * request.seeds}
     if request.quality_bound_um:
-        found[QUALITY] = 0.76 * methods
-    return found
+        seconds[QUALITY] = 0.76 * methods
+    return seconds
 
 
 # ---- the methods ---------------------------------------------------------------------------------
@@ -201,19 +192,19 @@ def _stages(request: Request, methods: int) -> dict[str, float]:
 def _tuned(
     machine: Machine,
     plant: Machine,
-    few: Sequence[PrintSlice],
+    tuning_slices: Sequence[PrintSlice],
     settings: Settings,
     names: Collection[str],
     progress: Progress,
 ) -> list[TunedMethod]:
     """Tune the methods; the searches share the processors."""
-    linear, of_place = LinearPrinter(plant, few), every.mode_frequencies(plant)
-    tuner = rivals.Tuner(machine, plant, linear) if any(map(every.is_rival, names)) else None
+    linear, of_place = LinearPrinter(plant, tuning_slices), every.mode_frequencies(plant)
+    tuner = VariantTuner(machine, plant, linear) if any(map(every.is_variant, names)) else None
     tests = resonance_tests(plant) if any(name.endswith(every.CALIBRATED) for name in names) else []
 
     def method(name: str) -> TunedMethod:
-        if tuner is not None and every.is_rival(name):
-            return every.rival(tuner, machine, name)
+        if tuner is not None and every.is_variant(name):
+            return every.variant(tuner, machine, name)
         kind = name.removesuffix(every.CALIBRATED).removesuffix(every.SCHEDULED)
         if name == "none":
             return every.none()
@@ -228,9 +219,8 @@ def _tuned(
     return in_parallel([partial(method, name) for name in every.NAMES if name in names], TUNING, progress)
 
 
-def _named(method: TunedMethod, own: str) -> TunedMethod:
-    """Name what `compensate` writes with this machine file ffcomp itself, and the other inversions by what they are."""
-    if method.name == own:
+def _named(method: TunedMethod, written: str) -> TunedMethod:
+    if method.name == written:
         return replace(method, label="ffcomp")
     return replace(method, label=every.PLAIN_LABEL) if method.name == COMPENSATED else method
 
@@ -248,11 +238,11 @@ def _executed(
 ) -> dict[str, _Executed]:
     tasks = [partial(_commanded, method, slices) for method in tuned]
     commanded = in_parallel(tasks, PLANNING, progress)
-    pieces = [piece for own in commanded for piece in own.pieces]
+    pieces = [piece for each in commanded for piece in each.pieces]
     executions, count = execute(plant, pieces, PRINTING, progress), len(slices)
     return {
-        method.name: _Executed(executions[k * count : (k + 1) * count], *own.about)
-        for k, (method, own) in enumerate(zip(tuned, commanded, strict=True))
+        method.name: _Executed(executions[k * count : (k + 1) * count], *each.about)
+        for k, (method, each) in enumerate(zip(tuned, commanded, strict=True))
     }
 
 
@@ -265,19 +255,16 @@ class _Commanded:
 def _commanded(method: TunedMethod, slices: Sequence[PrintSlice]) -> _Commanded:
     pieces, peaks, statistics = [], [], []
     for print_slice in slices:
-        motion, own = method.motion(print_slice)
+        motion, numbers = method.motion(print_slice)
         pieces.append((print_slice, motion))
         peaks.append(motion.peaks(print_slice.machine))
-        statistics.append(own)
+        statistics.append(numbers)
     velocity, acceleration = (float(most) for most in np.max(peaks, axis=0))
     within = within_limits(velocity, acceleration, slices[0].machine)
     longer = sum(s.print_time_s - s.original_print_time_s for s in statistics if s is not None)
     seconds = sum(each.trajectory.end_t for each in slices) + longer
-    return _Commanded(pieces, (Peaks(velocity, acceleration, within), seconds, _warnings(statistics)))
-
-
-def _warnings(statistics: Sequence[Statistics | None]) -> tuple[str, ...]:
-    return tuple(sentence for each in statistics if each is not None for sentence in each.warnings)
+    warnings = tuple(sentence for each in statistics if each is not None for sentence in each.warnings)
+    return _Commanded(pieces, (Peaks(velocity, acceleration, within), seconds, warnings))
 
 
 def _method(method: TunedMethod, executed: _Executed, features: Sequence[str]) -> Method:
@@ -310,17 +297,13 @@ def _best_fixed(methods: Mapping[str, Method]) -> str:
 # ---- what was compared -----------------------------------------------------------------------
 
 
-def _party(machine: Machine) -> Party:
-    return Party(machine.name, machine.sha256, tuple(machine.effects), assumed_modes(machine))
-
-
 def _mismatch(plant: Machine, request: Request) -> str:
     if not request.seeds:
         return ""
     return (
         f"{request.seeds} plants whose {len(plant.vibration.parameters())} dynamic parameters (masses, stiffnesses, "
         f"dampings, drive) are each off by a normal draw with a standard deviation of {request.mismatch:.0%} "
-        f"(seeds 0 to {request.seeds - 1}); every method keeps its tuning; {SOME_S:.0f} s of the print on each."
+        f"(seeds 0 to {request.seeds - 1}); every method keeps its tuning; {ON_PLANTS_S:.0f} s of the print on each."
     )
 
 
@@ -331,7 +314,7 @@ def _settings(settings: Settings) -> dict[str, str]:
         "virtual printer": f"Runge-Kutta, {1 / ROW_S:.0f} steps a second or more, with gravity; static deflection "
         "taken out",
         "judged": f"{1 / SAMPLE_S:.0f} times a second, but for the first {SETTLE_S:g} s of each slice",
-        "shapers tuned on": f"{FEW_S:.0f} s of the print, contour rms, plant known",
+        "shapers tuned on": f"{TUNING_S:.0f} s of the print, contour rms, plant known",
     }
 
 
@@ -350,30 +333,30 @@ def _layers(printed: Print, method: Method) -> tuple[Layer, ...]:
         printed.planned.trajectory.start_t,
         printed.planned.trajectory.start_t + printed.planned.trajectory.duration,
     )
-    found = []
+    layers = []
     for number in sorted(method.by_layer):
-        own = np.flatnonzero(printed.labels.layer == number)
+        moves_of_layer = np.flatnonzero(printed.labels.layer == number)
         z = float(np.median(s.reference[s.layer == number, 2])) if len(moves) else 0.0
-        found.append(Layer(number, z, float(begins[own[0]]), float(ends[own[-1]])))
-    return tuple(found)
+        layers.append(Layer(number, z, float(begins[moves_of_layer[0]]), float(ends[moves_of_layer[-1]])))
+    return tuple(layers)
 
 
 def _outline(printed: Print) -> Outline:
     moves, kinds = printed.program.moves, printed.labels
-    own = np.flatnonzero(printed.extrudes)
-    return Outline(moves.start[own, :3], moves.end[own, :3], kinds.layer[own], kinds.feature[own])
+    extruding = np.flatnonzero(printed.extrudes)
+    return Outline(
+        moves.start[extruding, :3], moves.end[extruding, :3], kinds.layer[extruding], kinds.feature[extruding]
+    )
 
 
 def _bed(plant: Machine) -> BedMap:
     rim = plant.kinematics.rings(1, 72)
-    x, y = (np.linspace(low, high, 2 * int(np.ceil((high - low) / 2 / BED_PITCH_MM)) + 1) for low, high in _spans(rim))
+    x, y = (
+        np.linspace(low, high, 2 * int(np.ceil((high - low) / 2 / BED_PITCH_MM)) + 1)
+        for low, high in zip(rim.min(axis=0).tolist(), rim.max(axis=0).tolist(), strict=True)
+    )
     places = np.stack(np.meshgrid(x, y), axis=-1)
     frequency = every.mode_frequencies(plant)(places.reshape(-1, 2)).reshape(places.shape)
     inside = plant.kinematics.contains(places.reshape(-1, 2), 1e-3 * plant.kinematics.bed_radius_mm)
     frequency[~inside.reshape(frequency.shape[:2])] = np.nan
     return BedMap(x, y, frequency)
-
-
-def _spans(places: FloatArray) -> list[tuple[float, float]]:
-    """Return the lowest and the highest value of each column."""
-    return [(float(column.min()), float(column.max())) for column in places.T]

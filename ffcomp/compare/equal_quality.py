@@ -8,21 +8,20 @@ from functools import partial
 
 import numpy as np
 
-from ffcomp.compare.evaluation import Execution, contour, weights
-from ffcomp.compare.execution import Piece, execute
+from ffcomp.compare.evaluation import Execution, Piece, Progress, contour, execute, in_parallel, weights
 from ffcomp.compare.methods import TunedMethod
-from ffcomp.compare.parallel import Progress, in_parallel
 from ffcomp.compare.result import EqualQuality
 from ffcomp.compare.sampling import Print, PrintSlice, accelerated
 from ffcomp.metrics import contour_statistics
 from models.machine import Machine
 
-LOWEST, HIGHEST, FIRST = 250.0, 40_000.0, 3000.0  # mm/s²
-NEAR = 1.03  # ratio of what is too fast to what is not, at which the search ends
+LOWEST, HIGHEST, USUAL = 250.0, 40_000.0, 3000.0  # mm/s²
+BRACKET_RATIO = 1.03  # ratio of what is too fast to what is not, at which the search ends
 ROUNDS, USUAL_ROUNDS = 10, 5
 QUALITY = "seeking equal quality"  # the stage
 LEAST_STEP, LARGEST_STEP = 1.02, 12.0  # factors, until the bound is found from both sides
-BEYOND, POWERS = 1.012, (0.3, 3.0)  # by how much a trial aims beyond the bound; of the acceleration, that errors may be
+OVERSHOOT = 1.012  # by how much a trial aims beyond the bound
+POWER_RANGE = (0.3, 3.0)  # of the acceleration, that errors may go with
 
 
 def equal_qualities(
@@ -40,43 +39,35 @@ def equal_qualities(
 
     Parameters
     ----------
-    tuned : sequence of TunedMethod
-    printed : Print
-        Gives the print time at that acceleration.
-    plant : Machine
-    slices : sequence of PrintSlice
-        Evaluated at every acceleration; half a minute of print is enough.
-    bound_um : float
-        Of the contour error's 99th percentile.
-    p99_um : mapping of method names
-        It at the print's own acceleration: where the search begins.
-    progress : callable
+    printed : gives the print time at that acceleration
+    slices : evaluated at every acceleration; half a minute of print is enough
+    bound_um : of the contour error's 99th percentile
+    p99_um : mapping of method names, it at the print's own acceleration: where the search begins
     """
-    own = printed.acceleration_mm_per_s2 or FIRST
-    searches = [_search(bound_um, own, p99_um[method.name]) for method in tuned]
+    stated = printed.acceleration_mm_per_s2 or USUAL
+    searches = [
+        Search(bound_um, begin(stated, bound_um / max(p99_um[m.name], 1e-9)), tried=[(stated, p99_um[m.name])])
+        for m in tuned
+    ]
     for number in range(ROUNDS):
         todo = [k for k, search in enumerate(searches) if not search.done]
         if not todo:
             break
         accelerations = [searches[k].next() for k in todo]
 
-        def told(what: str, share: float, begun: int = number) -> None:
+        def tell(what: str, share: float, begun: int = number) -> None:
             progress(QUALITY, min((begun + share) / USUAL_ROUNDS, 0.99))
 
-        p99 = _p99_um([tuned[k] for k in todo], accelerations, slices, plant, told)
+        p99 = _p99_um([tuned[k] for k in todo], accelerations, slices, plant, tell)
         for k, *point in zip(todo, accelerations, p99, strict=True):
             searches[k].take(*point)
     progress(QUALITY, 1.0)
     return {method.name: search.result(printed) for method, search in zip(tuned, searches, strict=True)}
 
 
-def _search(bound_um: float, own: float, p99_um: float) -> Search:
-    return Search(bound_um, begin(own, bound_um / max(p99_um, 1e-9)), tried=[(own, p99_um)])
-
-
-def begin(own: float, factor: float) -> float:
+def begin(stated: float, factor: float) -> float:
     """Return where a search begins: errors grow about in proportion to the acceleration."""
-    return min(max(own * min(factor, LARGEST_STEP) ** (0.85 if factor > 1.0 else 1.0), LOWEST), HIGHEST)
+    return min(max(stated * min(factor, LARGEST_STEP) ** (0.85 if factor > 1.0 else 1.0), LOWEST), HIGHEST)
 
 
 @dataclass
@@ -107,7 +98,7 @@ class Search:
             return self.capped
         if self.good is None:
             return self.bad[0] <= LOWEST
-        return self.bad[0] <= NEAR * self.good[0]
+        return self.bad[0] <= BRACKET_RATIO * self.good[0]
 
     @property
     def capped(self) -> bool:
@@ -121,7 +112,7 @@ class Search:
         if self.good is not None and self.bad is not None:
             return self._between()
         last = self.good or self.bad or (self.first, np.inf)
-        step = float(np.clip(self._ratio(last) * BEYOND ** (1 if self.good else -1), 1 / LARGEST_STEP, LARGEST_STEP))
+        step = float(np.clip(self._ratio(last) * OVERSHOOT ** (1 if self.good else -1), 1 / LARGEST_STEP, LARGEST_STEP))
         least = LEAST_STEP ** (4**self.alike)  # what was expected in vain is looked for farther and farther off
         step = max(step, least) if self.good else min(step, 1 / least)
         return float(min(max(last[0] * step, LOWEST), HIGHEST))
@@ -135,7 +126,7 @@ class Search:
         if others:
             a, error = min(others, key=lambda each: abs(np.log(each[0] / last[0])))
             slope = np.log(max(last[1], 1e-9) / max(error, 1e-9)) / np.log(last[0] / a)
-            power = float(np.clip(slope, *POWERS))
+            power = float(np.clip(slope, *POWER_RANGE))
         return float((self.bound_um / max(last[1], 1e-9)) ** (1 / power))
 
     def _between(self) -> float:
@@ -145,7 +136,7 @@ class Search:
         """
         assert self.good is not None and self.bad is not None
         low, high = np.log(self.good[0]), np.log(self.bad[0])
-        middle, over = (low + high) / 2, 0.97 * np.log(NEAR)
+        middle, over = (low + high) / 2, 0.97 * np.log(BRACKET_RATIO)
         if not np.isfinite(self.bad[1]) or len(self.tried) % 3 == 0 or low + over > high - over:
             return float(np.exp(middle))
         errors = np.log(np.maximum([self.good[1], self.bad[1]], 1e-9) / self.bound_um)
@@ -168,15 +159,18 @@ def _p99_um(
     progress: Progress,
 ) -> list[float]:
     """Return each method's 99th percentile at its acceleration; infinite if its command breaks a carriage's limit."""
-    tasks = [partial(_accelerated, *each, slices) for each in zip(tuned, accelerations, strict=True)]
+    tasks = [
+        partial(_pieces, method, [each.with_acceleration(acceleration) for each in slices])
+        for method, acceleration in zip(tuned, accelerations, strict=True)
+    ]
     pieces = in_parallel(tasks, "", lambda what, share: progress(what, share / 2))
-    every, told = [piece for own in pieces for piece in own], lambda what, share: progress(what, (1 + share) / 2)
-    executions = execute(plant, every, "", told, coarse=True)
-    found, at = [], 0
-    for own in pieces:
-        executed, at = executions[at : at + len(own)], at + len(own)
-        found.append(_of(executed))
-    return found
+    together, tell = [piece for group in pieces for piece in group], lambda what, share: progress(what, (1 + share) / 2)
+    executions = execute(plant, together, "", tell, coarse=True)
+    p99, at = [], 0
+    for group in pieces:
+        executed, at = executions[at : at + len(group)], at + len(group)
+        p99.append(_of(executed))
+    return p99
 
 
 def p99_um(method: TunedMethod, slices: Sequence[PrintSlice], plant: Machine) -> float:
@@ -188,25 +182,21 @@ def _of(executions: Sequence[Execution]) -> float:
     return contour_statistics(contour(executions), weights(executions)).p99_um if executions else np.inf
 
 
-def _accelerated(method: TunedMethod, acceleration: float, slices: Sequence[PrintSlice]) -> list[Piece]:
-    return _pieces(method, (each.with_acceleration(acceleration) for each in slices))
-
-
 def _pieces(method: TunedMethod, slices: Iterable[PrintSlice]) -> list[Piece]:
     """Command every slice; none where the command breaks a limit."""
-    found: list[Piece] = []
+    pieces: list[Piece] = []
     for each in slices:
         motion, _ = method.motion(each)
         if not within_limits(*motion.peaks(each.machine), each.machine):
             return []
-        found.append((each, motion))
-    return found
+        pieces.append((each, motion))
+    return pieces
 
 
 def within_limits(velocity: float, acceleration: float, machine: Machine) -> bool:
     """Tell whether the machine file allows its carriages such a command; a thousandth over is rounding."""
-    own = machine.limits
+    limits = machine.limits
     return (
-        velocity <= 1.001 * own.carriage_velocity_mm_per_s
-        and acceleration <= 1.001 * own.carriage_acceleration_mm_per_s2
+        velocity <= 1.001 * limits.carriage_velocity_mm_per_s
+        and acceleration <= 1.001 * limits.carriage_acceleration_mm_per_s2
     )

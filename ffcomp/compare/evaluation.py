@@ -1,13 +1,18 @@
-"""Evaluate the executed nozzle: tracking and contour error, residual ringing, by layer and by feature.
+"""Execute motions on the plant, in parallel, and evaluate the nozzle: tracking, contour, residual ringing.
 
-Every motion is evaluated on the reference plan's clock. The first SETTLE_S of every slice are left out: before them the
-printer may have come from anywhere.
+Motions of many methods and slices go side by side in the lanes of the processor's vectors. Every motion is evaluated on
+the reference plan's clock. The first SETTLE_S of every slice are left out: before them the printer may have come from
+anywhere.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing
 from dataclasses import dataclass
+from functools import partial
+from typing import TypeVar
 
 import numpy as np
 
@@ -24,9 +29,67 @@ from ffcomp.metrics import (
     rms,
     tracking,
 )
-from ffcomp.simulate.motion import Motion
-from ffcomp.simulate.playback import SAMPLE_S
+from ffcomp.simulate.command import Motion
+from ffcomp.simulate.playback import JOBS, SAMPLE_S, side_by_side, simulate_side_by_side
 from models.arrays import BoolArray, FloatArray, IntArray
+from models.machine import Machine
+
+T = TypeVar("T")
+Progress = Callable[[str, float], None]  # what is being done, and how much is done (0 to 1)
+
+
+class Stages:
+    """Turn the progress of one stage after the other into that of the whole."""
+
+    def __init__(self, progress: Progress, shares: Mapping[str, float]) -> None:
+        self._progress, self._shares = progress, shares
+
+    def __call__(self, what: str, share: float) -> None:
+        """Tell the stage, its number, and the share of the whole that is done."""
+        names = list(self._shares)
+        number = names.index(what)
+        before = sum(self._shares[name] for name in names[:number])
+        done = (before + share * self._shares[what]) / sum(self._shares.values())
+        self._progress(f"[{number + 1}/{len(names)}] {what}", done)
+
+
+def in_parallel(tasks: Sequence[Callable[[], T]], what: str, progress: Progress) -> list[T]:
+    """Do the tasks in parallel; an interruption waits only for those that are running."""
+    progress(what, 0.0)
+    pool = ThreadPoolExecutor(JOBS)
+    try:
+        futures = [pool.submit(task) for task in tasks]
+        results = []
+        for k, future in enumerate(futures):
+            results.append(future.result())
+            progress(what, (k + 1) / len(tasks))
+        return results
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+def in_processes(tasks: Sequence[Callable[[], T]], jobs: int, what: str, progress: Progress) -> list[T]:
+    """Do the tasks in so many processes, or in threads of this one if it is one.
+
+    With several jobs call it within `workers`; then tasks and what they return are pickled.
+    """
+    if jobs == 1:
+        return in_parallel(tasks, what, progress)
+    from joblib import Parallel, delayed
+
+    progress(what, 0.0)
+    pool = Parallel(n_jobs=jobs, return_as="generator", batch_size=1, pre_dispatch="2 * n_jobs")
+    results = []
+    with closing(pool(delayed(_done)(task) for task in tasks)) as coming:
+        for result in coming:
+            results.append(result)
+            progress(what, len(results) / len(tasks))
+    return results
+
+
+def _done(task: Callable[[], T]) -> T:
+    return task()
+
 
 STEADY_S = 0.03  # a straight cruise or a rest must last this long to show residual ringing
 STEADY_MM_PER_S = 1e-3  # change of the reference speed from sample to sample that counts as none
@@ -89,8 +152,7 @@ def evaluate(executions: Sequence[Execution]) -> MethodEvaluation:
 
     Raises
     ------
-    NothingToDo
-        If every slice is shorter than SETTLE_S.
+    NothingToDo: If every slice is shorter than SETTLE_S.
     """
     executions = [each for each in executions if each.counted.any()]
     if not executions:
@@ -135,9 +197,9 @@ def track(evaluation: MethodEvaluation, which: BoolArray, print_time_s: float, p
 def contour_numbers(samples: Samples, which: BoolArray) -> Error:
     """Return the contour error of some of the samples: which : (m,)."""
     weight = samples.weight[which]
-    found = contour_statistics(samples.contour[which], weight)
+    error = contour_statistics(samples.contour[which], weight)
     share = float(weight.sum() / samples.weight.sum()) if weight.size else 0.0
-    return Error(found.rms_um, found.p99_um, found.max_um, share)
+    return Error(error.rms_um, error.p99_um, error.max_um, share)
 
 
 def by(labels: IntArray, samples: Samples) -> dict[int, Error]:
@@ -157,3 +219,31 @@ def _steady(error: FloatArray, reference: FloatArray) -> list[FloatArray]:
     long_enough = round(STEADY_S / SAMPLE_S)
     parts = [error[a + 1 : b + 1] for a, b in edge.reshape(-1, 2) if b - a >= long_enough]
     return [part - part.mean(axis=0) for part in parts]
+
+
+Piece = tuple[PrintSlice, Motion]
+
+
+def execute(
+    plant: Machine, pieces: Sequence[Piece], what: str, progress: Progress, *, coarse: bool = False
+) -> list[Execution]:
+    """Execute every piece from rest, in the order of the pieces.
+
+    Parameters
+    ----------
+    pieces : sequence of (PrintSlice, Motion)
+    what : for the progress
+    coarse : see `simulate_side_by_side`
+    """
+    groups = side_by_side([motion for _, motion in pieces])
+    tasks = [partial(_together, plant, [pieces[k] for k in group], coarse) for group in groups]
+    executed: dict[int, Execution] = {}
+    for group, executions in zip(groups, in_parallel(tasks, what, progress), strict=True):
+        executed |= zip(group, executions, strict=True)
+    return [executed[k] for k in range(len(pieces))]
+
+
+def _together(plant: Machine, pieces: Sequence[Piece], coarse: bool) -> list[Execution]:
+    believed = pieces[0][0].machine
+    played = simulate_side_by_side(plant, [motion for _, motion in pieces], believed, coarse=coarse)
+    return [Execution(*piece, t, nozzle) for piece, (t, nozzle) in zip(pieces, played, strict=True)]

@@ -6,23 +6,124 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ffcomp import shapers
-from ffcomp.compare import rivals
-from ffcomp.compare.baselines import LinearPrinter, calibrated_shapers, scaled, shaped, shaped_by_position
-from ffcomp.compare.compensated import compensated, segments, segments_motion
+from ffcomp.compare.baselines import (
+    VARIANT_NAMES,
+    LinearPrinter,
+    ShaperVariant,
+    VariantTuner,
+    calibrated_shapers,
+    kind_and_variant,
+    scaled,
+    shaped,
+    shaped_by_position,
+    shaped_by_variant,
+    shaper_variant,
+)
 from ffcomp.compare.result import Family
 from ffcomp.compare.sampling import PrintSlice
+from ffcomp.compensate.gcode_writer import GcodeRenderer
+from ffcomp.compensate.plan import Context, PlannedChunk
+from ffcomp.compensate.program import compensate
 from ffcomp.compensate.statistics import Statistics
+from ffcomp.compensate.text_stream import Stream
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.settings import Settings
+from ffcomp.planner.machine_limits import known_to_the_firmware
+from ffcomp.planner.program import PlannedProgram, plan_program
+from ffcomp.planner.reach import within_reach
+from ffcomp.planner.trajectory import PlannedMotion, Trajectory
 from ffcomp.shapers.apply import FrequencyOfPosition
 from ffcomp.shapers.calibration import Spectrum
 from ffcomp.shapers.kinds import USUAL
-from ffcomp.simulate.motion import Motion
+from ffcomp.simulate.alignment import SectionStarts, section_starts
+from ffcomp.simulate.command import Motion, SectionClock, motion_of
+from gcode.reader import read_program
 from models.arrays import FloatArray
 from models.effects.catalogue import effective_machine
 from models.machine import Machine
+
+
+@dataclass(frozen=True, slots=True)
+class Compensated:
+    """A compensated file, and the plan of its original."""
+
+    text: bytes
+    planned: PlannedProgram  # the original
+    settings: Settings
+    flavor: str
+    statistics: Statistics
+
+
+def compensated(
+    planned: PlannedProgram,
+    machine: Machine,
+    model: InverseModel,
+    flavor: str,
+    offset: tuple[float, float] = (0.0, 0.0),
+    progress: Callable[[float], None] = lambda done_s: None,
+) -> Compensated:
+    """Compensate a planned program as the command line does.
+
+    Parameters
+    ----------
+    offset : (float, float), by which the program's positions were shifted, mm
+    progress : called with the print seconds done so far
+    """
+    chunk, context = PlannedChunk.whole(planned), Context(machine, model.settings, flavor, offset)
+    lines = Stream(compensate(chunk, context, model, GcodeRenderer(chunk, context), progress=progress))
+    text = b"".join(lines)
+    return Compensated(text, planned, model.settings, flavor, lines.value)
+
+
+@dataclass(frozen=True, slots=True)
+class Segments:
+    """The compensated file as our own planner plans it."""
+
+    trajectory: Trajectory  # of the moves that travel
+    starts: SectionStarts  # of them
+
+    def clock(self, start_t: FloatArray) -> SectionClock:
+        """Return the clock of these segments when segment k begins at start_t[k], whoever planned them."""
+        return self.starts.clock(start_t)
+
+
+def segments(
+    file: Compensated, machine: Machine, before: bytes = b"", start: tuple[float, float, float] | None = None
+) -> Segments:
+    """Read the compensated file as a firmware would, and find the sections in it.
+
+    Parameters
+    ----------
+    before : lines that set what was in effect where it begins, if it is a slice of a print
+    start : (float, float, float), where the nozzle is then, mm
+    """
+    program = read_program(
+        before + file.text, "compensated", start=start, flavor=file.flavor, **known_to_the_firmware(machine)
+    )
+    program = within_reach(program, machine.kinematics)
+    trajectory = plan_program(program, machine).trajectory
+    travels = np.any(trajectory.direction[:, :3] != 0.0, axis=1)
+    starts = section_starts(program, file.planned)
+    number = np.cumsum(travels) - 1
+    starts = replace(starts, move=number[starts.move], passing=number[starts.passing])
+    return Segments(pick(trajectory, travels), starts)
+
+
+def segments_motion(compensated_segments: Segments) -> Motion:
+    """Execute the compensated file as our own planner plans it."""
+    return motion_of(
+        compensated_segments.trajectory, compensated_segments.clock(compensated_segments.trajectory.start_t)
+    )
+
+
+def pick(trajectory: PlannedMotion, which: NDArray[np.bool_] | slice) -> Trajectory:
+    """Return some moves of a plan."""
+    names = Trajectory.__dataclass_fields__
+    return Trajectory(**{name: np.ascontiguousarray(getattr(trajectory, name)[which]) for name in names})
+
 
 KINDS = tuple(shapers.SHAPERS)
 CALIBRATED, SCHEDULED = "-calibrated", "-scheduled"  # behind a kind
@@ -30,19 +131,19 @@ ONE_MODEL, ROBUST, COMPENSATED = "fbs-lti", "fbs-robust", "fbs-lpv"
 PLAIN_LABEL = "ffcomp, plain"  # of COMPENSATED, where another row is what the command line writes
 NAMES = (
     "none",
-    *(kind + CALIBRATED for kind in (*KINDS, *rivals.NAMES)),
+    *(kind + CALIBRATED for kind in (*KINDS, *VARIANT_NAMES)),
     *KINDS,
-    *rivals.NAMES,
+    *VARIANT_NAMES,
     *(kind + SCHEDULED for kind in KINDS),
     ONE_MODEL,
     ROBUST,
     COMPENSATED,
 )  # in the order of the table
-USUAL_RIVALS = ("mzv-z",)  # the best rival near the centre of a delta
+USUAL_VARIANTS = ("mzv-z",)  # the best rival near the centre of a delta
 USUAL_NAMES = tuple(  # compared unless others are named
     name
     for name in NAMES
-    if name.removesuffix(CALIBRATED).removesuffix(SCHEDULED) in (*USUAL, *USUAL_RIVALS)
+    if name.removesuffix(CALIBRATED).removesuffix(SCHEDULED) in (*USUAL, *USUAL_VARIANTS)
     or name in ("none", ONE_MODEL, ROBUST, COMPENSATED)
 )
 
@@ -61,36 +162,38 @@ class TunedMethod:
     motion: Executor
 
 
-def is_rival(name: str) -> bool:
-    """Tell whether a method, calibrated or not, is one of `rivals`."""
-    return name.removesuffix(CALIBRATED) in rivals.NAMES
+def is_variant(name: str) -> bool:
+    """Tell whether a method, calibrated or not, is a variant of newer firmware."""
+    return name.removesuffix(CALIBRATED) in VARIANT_NAMES
 
 
-def rival(tuner: rivals.Tuner, machine: Machine, name: str) -> TunedMethod:
-    """Return a rival by its method's name."""
-    own = rivals.rival(*rivals.parsed(name.removesuffix(CALIBRATED)), machine)
-    return tuned_rival(tuner, own, "calibrated" if name.endswith(CALIBRATED) else "best fixed", machine)
+def variant(tuner: VariantTuner, machine: Machine, name: str) -> TunedMethod:
+    """Return a variant by its method's name."""
+    shaper = shaper_variant(*kind_and_variant(name.removesuffix(CALIBRATED)), machine)
+    return tuned_variant(tuner, shaper, "calibrated" if name.endswith(CALIBRATED) else "best fixed", machine)
 
 
-def tuned_rival(tuner: rivals.Tuner, rival: rivals.Rival, family: Family, machine: Machine) -> TunedMethod:
-    """Return a rival as its firmware would set it (family "calibrated") or at its best on this print."""
+def tuned_variant(tuner: VariantTuner, shaper: ShaperVariant, family: Family, machine: Machine) -> TunedMethod:
+    """Return a variant as its firmware would set it (family "calibrated") or at its best on this print."""
     if family == "calibrated":
-        settings, how = tuner.calibrated(rival), "Klipper's calibration from resonance tests in the middle of the bed."
+        settings, how = tuner.calibrated(shaper), "Klipper's calibration from resonance tests in the middle of the bed."
     else:
-        settings = tuner.best(rival).settings
+        settings = tuner.best(shaper).settings
         how = "the least contour rms on this print, sought with the plant known."
-    return set_rival(rival, settings, family, how, machine)
+    return fixed_variant(shaper, settings, family, how, machine)
 
 
-def set_rival(rival: rivals.Rival, settings: FloatArray, family: Family, how: str, machine: Machine) -> TunedMethod:
-    """Return a rival with these settings."""
-    name = rival.kind + rival.variant + (CALIBRATED if family == "calibrated" else "")
-    tuning = f"{rival.said(settings)}: {how}"
+def fixed_variant(
+    shaper: ShaperVariant, settings: FloatArray, family: Family, how: str, machine: Machine
+) -> TunedMethod:
+    """Return a variant with these settings."""
+    name = shaper.kind + shaper.variant + (CALIBRATED if family == "calibrated" else "")
+    tuning = f"{shaper.settings_text(settings)}: {how}"
 
     def motion(print_slice: PrintSlice) -> tuple[Motion, Statistics | None]:
-        return rivals.shaped(rival, print_slice.motion, settings, machine), None
+        return shaped_by_variant(shaper, print_slice.motion, settings, machine), None
 
-    return TunedMethod(name, f"{rival.label}, {family}", family, tuning, motion)
+    return TunedMethod(name, f"{shaper.label}, {family}", family, tuning, motion)
 
 
 def none() -> TunedMethod:
@@ -112,13 +215,13 @@ def calibrated(tests: Sequence[Spectrum], kind: str) -> TunedMethod:
 
 def best_fixed(linear: LinearPrinter, kind: str) -> TunedMethod:
     """Return a shaper at the fixed frequencies that serve this very print best."""
-    found = linear.best_fixed(kind)
-    x, y = found.frequency_hz
+    best = linear.best_fixed(kind)
+    x, y = best.frequency_hz
     tuning = (
-        f"x {x:.1f} Hz, y {y:.1f} Hz, damping ratio {found.damping_ratio:g}: the least contour rms on this print, "
+        f"x {x:.1f} Hz, y {y:.1f} Hz, damping ratio {best.damping_ratio:g}: the least contour rms on this print, "
         "sought with the plant known."
     )
-    return TunedMethod(kind, f"{kind.upper()}, best fixed", "best fixed", tuning, _shaping(found.x, found.y))
+    return TunedMethod(kind, f"{kind.upper()}, best fixed", "best fixed", tuning, _shaping(best.x, best.y))
 
 
 def scheduled(linear: LinearPrinter, of_position: FrequencyOfPosition, kind: str) -> TunedMethod:
@@ -168,9 +271,9 @@ def _inverting(inverse_model: InverseModel) -> Executor:
 
 def mode_frequencies(plant: Machine) -> FrequencyOfPosition:
     """Return the dominant mode's frequency over the plant's bed, along x and along y."""
-    own = effective_machine(plant)
+    linear_plant = effective_machine(plant)
 
     def at(xy: np.ndarray) -> np.ndarray:
-        return shapers.dominant_frequencies(own, xy)
+        return shapers.dominant_frequencies(linear_plant, xy)
 
-    return shapers.over_the_bed(own, at)
+    return shapers.over_the_bed(linear_plant, at)

@@ -2,7 +2,7 @@
 
 slices     compare.sampling         that stand for the print
 rules      compare.quickest_plans   feeds, acceleration, flow, layer times: the same for all
-shapers    compare.quickest_search  the quickest setting of each that keeps the bound
+shapers    compare.quickest_plans   the quickest setting of each that keeps the bound
 ffcomp     faster                   the quickest plan whose error stays under the bound
 """
 
@@ -18,15 +18,11 @@ import numpy as np
 
 from ffcomp.compare import methods as every
 from ffcomp.compare.baselines import LinearPrinter
-from ffcomp.compare.compensated import compensated, segments, segments_motion
-from ffcomp.compare.evaluation import Execution, contour, weights
-from ffcomp.compare.methods import COMPENSATED, TunedMethod
+from ffcomp.compare.evaluation import Execution, Progress, contour, in_parallel, weights
+from ffcomp.compare.methods import COMPENSATED, TunedMethod, compensated, segments, segments_motion
 from ffcomp.compare.monte_carlo import draw_plants
-from ffcomp.compare.parallel import Progress, in_parallel
-from ffcomp.compare.quickest_plans import Stretch, WholePrint, seconds_of
-from ffcomp.compare.quickest_result import FASTER, KNOWN, Contender, Piece, Quickest
-from ffcomp.compare.quickest_search import FEEDS, Seeker, Setting
-from ffcomp.compare.result import Family, Party
+from ffcomp.compare.quickest_plans import FEEDS, Seeker, Setting, Stretch, WholePrint, seconds_of
+from ffcomp.compare.result import FASTER, KNOWN, Contender, Family, Party, Piece, Quickest
 from ffcomp.compare.sampling import SETTLE_S, Print, PrintSlice, Sampling
 from ffcomp.errors import NothingToDo
 from ffcomp.faster.bound import FIRST_LAYER, Bound, with_slicer_settings
@@ -37,12 +33,10 @@ from ffcomp.metrics import contour_statistics
 from ffcomp.planner.machine_limits import planner_limits
 from ffcomp.planner.program import plan_program
 from ffcomp.shapers.kinds import USUAL
-from ffcomp.simulate.compatibility import check_same_kinematics
-from ffcomp.simulate.playback import simulate_nozzles
+from ffcomp.simulate.playback import check_same_kinematics, simulate_nozzles
 from ffcomp.version import __version__
 from models.arrays import FloatArray, IntArray
 from models.machine import Machine
-from models.provenance import assumed_modes
 
 SLICE_S, SOME_S = 8.0, 48.0  # length of a slice, and of all unless more is asked for
 TUNED_S = 30.0  # on which shapers are tuned
@@ -90,24 +84,16 @@ def quickest(
 
     Parameters
     ----------
-    data, path : bytes, str
-        The G-code file and its name.
-    machine : Machine
-        The machine file that the methods use.
-    plant : Machine, optional
-        The printer that evaluates; None: the machine itself.
-    request : QuickestRequest, optional
-    settings : Settings, optional
-        Of the inverse.
-    offset, flavor :
-        As of `compare`.
-    progress : callable
-        Called with the current step and the share of it that is done.
+    data, path : the G-code file and its name
+    machine : the machine file that the methods use
+    plant : the printer that evaluates; None: the machine itself
+    settings : of the inverse
+    offset, flavor :: As of `compare`.
+    progress : called with the current step and the share of it that is done
 
     Raises
     ------
-    NothingToDo
-        If the chosen part is too short.
+    NothingToDo: If the chosen part is too short.
     """
     started = time.perf_counter()
     request, plant, settings = request or QuickestRequest(), plant or machine, settings or settings_for(machine)
@@ -124,14 +110,14 @@ def quickest(
     few = _some(slices)
     linear = LinearPrinter(plant, few)
     tasks = [partial(_kept, job, every.none()), *(partial(_shaper, job, linear, kind) for kind in request.shapers)]
-    tasks += [partial(_kept, job, _with_feeds_kept(machine, settings))]
-    tasks += [partial(_faster, job), partial(_faster, job, known=True)]
-    found = in_parallel(tasks, "seeking the quickest print", progress)
+    feeds_kept = replace(every.inversion(machine, settings, COMPENSATED), label="ffcomp, feeds kept")
+    tasks += [partial(_kept, job, feeds_kept), partial(_faster, job), partial(_faster, job, known=True)]
+    contenders = in_parallel(tasks, "seeking the quickest print", progress)
     return Quickest(
         print_name=path,
         print_sha256=hashlib.sha256(data).hexdigest(),
-        machine=_party(machine),
-        plant=_party(plant),
+        machine=Party.of(machine),
+        plant=Party.of(plant),
         version=__version__,
         bound_um=bound.max_error_um,
         max_flow_mm3_per_s=_flow(job),
@@ -139,7 +125,7 @@ def quickest(
         sampling=sampled,
         whole=len(slices) == 1 and len(slices[0].layer) == len(printed.program.moves),
         sliced=_sliced(job),
-        contenders={each.name: each for each in found},
+        contenders={each.name: each for each in contenders},
         actuator_limit_s=job.whole.actuator_limit_s(),
         seconds=time.perf_counter() - started,
         mismatch=_mismatch(request),
@@ -156,13 +142,12 @@ def _mismatch(request: QuickestRequest) -> str:
 
 
 def _some(slices: Sequence[PrintSlice]) -> list[PrintSlice]:
-    """Return the first of the slices in their order from the middle outwards, as long as shapers are tuned on."""
-    found, seconds = list[PrintSlice](), 0.0
+    chosen, seconds = list[PrintSlice](), 0.0
     for each in sorted(slices, key=lambda each: abs(each.begin_t - slices[len(slices) // 2].begin_t)):
-        if not found or seconds + each.trajectory.end_t <= TUNED_S:
-            found.append(each)
+        if not chosen or seconds + each.trajectory.end_t <= TUNED_S:
+            chosen.append(each)
             seconds += each.trajectory.end_t
-    return found
+    return chosen
 
 
 def _flow(job: _Job) -> float | None:
@@ -178,15 +163,10 @@ def _flow(job: _Job) -> float | None:
     return float((moves.speed[extrudes] * filament).max() * area)
 
 
-def _party(machine: Machine) -> Party:
-    return Party(machine.name, machine.sha256, tuple(machine.effects), assumed_modes(machine))
-
-
 # ---- the methods ---------------------------------------------------------------------------------
 
 
 def _sliced(job: _Job) -> Contender:
-    """Evaluate the print as it is."""
     slices, whole = [each.print_slice for each in job.stretches], job.whole
     execution = _executions(every.none(), slices, job.plant)
     about = "The slicer's speeds, without compensation."
@@ -197,32 +177,28 @@ def _shaper(job: _Job, linear: LinearPrinter, kind: str) -> Contender:
     return _set(job, every.best_fixed(linear, kind), FEEDS)
 
 
-def _with_feeds_kept(machine: Machine, settings: Settings) -> TunedMethod:
-    return replace(every.inversion(machine, settings, COMPENSATED), label="ffcomp, feeds kept")
-
-
 def _kept(job: _Job, method: TunedMethod) -> Contender:
     """Seek the highest acceleration with the slicer's feeds, or with slower ones where none keeps the bound."""
     return _set(job, method, FEEDS if method.family == "none" else KEPT_FEEDS)
 
 
 def _set(job: _Job, method: TunedMethod, feeds: Sequence[float]) -> Contender:
-    found: Setting = Seeker(method, job.stretches, job.plant, job.bound.max_error_um).setting(feeds)
-    slices = [each.at(found.feed, found.acceleration_mm_per_s2) for each in job.stretches]
+    setting: Setting = Seeker(method, job.stretches, job.plant, job.bound.max_error_um).setting(feeds)
+    slices = [each.at(setting.feed, setting.acceleration_mm_per_s2) for each in job.stretches]
     execution = _executions(method, slices, job.plant)
-    seconds = job.whole.at(found.feed, found.acceleration_mm_per_s2)
+    seconds = job.whole.at(setting.feed, setting.acceleration_mm_per_s2)
     about = (method.name, method.label, method.family, method.tuning)
     contender = _contender(job, about, execution, seconds)
-    return replace(contender, feed=found.feed, acceleration_mm_per_s2=found.acceleration_mm_per_s2)
+    return replace(contender, feed=setting.feed, acceleration_mm_per_s2=setting.acceleration_mm_per_s2)
 
 
 def _executions(method: TunedMethod, slices: Sequence[PrintSlice], plant: Machine) -> list[Execution]:
-    found = []
+    executions = []
     for print_slice in slices:
         motion, _ = method.motion(print_slice)
         t, (nozzle,) = simulate_nozzles([plant], motion, print_slice.machine)
-        found.append(Execution(print_slice, motion, t, nozzle))
-    return found
+        executions.append(Execution(print_slice, motion, t, nozzle))
+    return executions
 
 
 def _faster(job: _Job, known: bool = False) -> Contender:
@@ -230,15 +206,15 @@ def _faster(job: _Job, known: bool = False) -> Contender:
 
     known : as if it were certain of everything
     """
-    own = replace(job.settings, robust=True, robust_quickly=True)  # as `compensate` does under a bound
+    robust = replace(job.settings, robust=True, robust_quickly=True)  # as `compensate` does under a bound
     certain = {"default": 0.0, **dict.fromkeys(job.machine.uncertainty, 0.0)}
-    model = InverseModel(replace(job.machine, uncertainty=certain) if known else job.machine, own)
+    model = InverseModel(replace(job.machine, uncertainty=certain) if known else job.machine, robust)
     quick = [_Quick.of(each, model, job) for each in job.stretches]
     estimated = job.whole.from_slices(job.stretches, [each.seconds for each in quick])
     seconds = job.whole.cooled(estimated)
     contender = _contender(job, _about_faster(job, known), [each.execution for each in quick], seconds)
     limited = _limited(job, quick, estimated, float(seconds.sum() - estimated.sum()))
-    warnings = dict.fromkeys(said for each in quick for said in each.warnings)
+    warnings = dict.fromkeys(warning for each in quick for warning in each.warnings)
     return replace(contender, limited_by=limited, warnings=tuple(warnings))
 
 
@@ -262,20 +238,19 @@ class _Quick:
 
     @classmethod
     def of(cls, stretch: Stretch, model: InverseModel, job: _Job) -> _Quick:
-        """Plan a slice, compensate it, and play what is written."""
-        own, machine = stretch.print_slice, job.machine
+        part, machine = stretch.print_slice, job.machine
         bound = replace(job.bound, min_layer_time_s=0.0, change_speed=(*job.bound.change_speed, FIRST_LAYER))
-        feature = stretch.features[own.feature[0]]
-        kept = (own.layer == 0) & job.bound.keeps_first_layer
-        found = faster_program(own.planned.program, model, bound, 1, feature, kept)
-        quick = replace(own, planned=plan_program(found.program, machine))
-        file = compensated(quick.planned, machine, model, own.flavor, own.offset)
-        motion = segments_motion(segments(file, machine, own.before, own.start))
+        feature = stretch.features[part.feature[0]]
+        kept = (part.layer == 0) & job.bound.keeps_first_layer
+        faster = faster_program(part.planned.program, model, bound, 1, feature, kept)
+        quick = replace(part, planned=plan_program(faster.program, machine))
+        file = compensated(quick.planned, machine, model, part.flavor, part.offset)
+        motion = segments_motion(segments(file, machine, part.before, part.start))
         t, (nozzle,) = simulate_nozzles([job.plant], motion, machine)
         longer = file.statistics.print_time_s / max(file.statistics.original_print_time_s, 1e-9)
         seconds = seconds_of(quick.trajectory) * longer
         execution = Execution(quick, motion, t, nozzle)
-        return cls(execution, seconds, found.limited_by, file.statistics.warnings)
+        return cls(execution, seconds, faster.limited_by, file.statistics.warnings)
 
 
 def _limited(job: _Job, quick: Sequence[_Quick], estimated: FloatArray, cooling_s: float) -> dict[str, float]:
@@ -299,7 +274,7 @@ def _contender(
 ) -> Contender:
     name, label, family, tuning = about
     counted = [each for each in executions if each.counted.any()]
-    found = contour_statistics(contour(counted), weights(counted))
+    error = contour_statistics(contour(counted), weights(counted))
     return Contender(
         name=name,
         label=label,
@@ -307,11 +282,11 @@ def _contender(
         tuning=tuning,
         print_time_s=float(seconds.sum()),
         by_feature_s=job.whole.by_feature(seconds),
-        contour_rms_um=found.rms_um,
-        contour_p99_um=found.p99_um,
-        contour_max_um=found.max_um,
+        contour_rms_um=error.rms_um,
+        contour_p99_um=error.p99_um,
+        contour_max_um=error.max_um,
         by_feature_p99_um=_by_feature_p99_um(job, counted),
-        reached=found.p99_um <= job.bound.max_error_um,
+        reached=error.p99_um <= job.bound.max_error_um,
         pieces=tuple(_piece(each) for each in counted),
         off_p99_um=_off_p99_um(job, counted),
     )
@@ -321,9 +296,9 @@ def _by_feature_p99_um(job: _Job, executions: Sequence[Execution]) -> dict[str, 
     """Return the 99th percentile of what extrudes, by its feature, µm."""
     features, error = list[IntArray](), contour(executions)
     for each in executions:
-        own = each.print_slice
-        move = own.trajectory.move_at(each.motion.clock.plan_time(each.t[each.counted]))
-        features.append(np.where(own.extrudes[move], own.feature[move], -1))
+        part = each.print_slice
+        move = part.trajectory.move_at(each.motion.clock.plan_time(each.t[each.counted]))
+        features.append(np.where(part.extrudes[move], part.feature[move], -1))
     of, names = np.concatenate(features), job.whole.stretch.features
     return {names[k]: contour_statistics(error[of == k]).p99_um for k in np.unique(of) if k >= 0}
 
@@ -335,9 +310,9 @@ def _off_p99_um(job: _Job, executions: Sequence[Execution]) -> tuple[float, ...]
     on_each: list[list[Execution]] = [[] for _ in job.plants]
     for each in executions:
         t, nozzles = simulate_nozzles(job.plants, each.motion, each.print_slice.machine)
-        for found, nozzle in zip(on_each, nozzles, strict=True):
-            found.append(Execution(each.print_slice, each.motion, t, nozzle))
-    return tuple(contour_statistics(contour(found), weights(found)).p99_um for found in on_each)
+        for executions, nozzle in zip(on_each, nozzles, strict=True):
+            executions.append(Execution(each.print_slice, each.motion, t, nozzle))
+    return tuple(contour_statistics(contour(executions), weights(executions)).p99_um for executions in on_each)
 
 
 def _piece(execution: Execution) -> Piece:

@@ -1,7 +1,8 @@
-"""A print at other speeds, as a firmware can be told: feeds times a factor, and one acceleration; and what that takes.
+"""A print at other speeds, as firmware takes them, feeds times a factor and one acceleration, and the quickest of them.
 
 Every method keeps the same rules: the nozzle's flow, the shortest layer time, and the slicer's speed where it is kept
-(bridges, overhangs, the first layer); what is kept may only become slower.
+(bridges, overhangs, the first layer); what is kept may only become slower. The last part says what knowing the machine
+better is worth: the time of a quicker print at other uncertainties.
 """
 
 from __future__ import annotations
@@ -12,10 +13,14 @@ from functools import cached_property
 
 import numpy as np
 
-from ffcomp.compare.sampling import Print, PrintSlice
-from ffcomp.faster.bound import SHORTEST_LAYER_S, Bound
-from ffcomp.faster.program import actuator_limit_s
+from ffcomp.compare.equal_quality import HIGHEST, LOWEST, p99_um
+from ffcomp.compare.methods import TunedMethod
+from ffcomp.compare.sampling import Print, PrintSlice, Sampling
+from ffcomp.faster.bound import FIRST_LAYER, SHORTEST_LAYER_S, Bound, with_slicer_settings
+from ffcomp.faster.program import actuator_limit_s, faster_program
 from ffcomp.faster.raised_limits import RaisedLimits, raised_limits
+from ffcomp.inverse.model import InverseModel
+from ffcomp.inverse.settings import Settings
 from ffcomp.planner.lookahead import stops_and_waits
 from ffcomp.planner.machine_limits import planner_limits
 from ffcomp.planner.program import plan_program
@@ -23,6 +28,7 @@ from ffcomp.planner.trajectory import PlannedMotion
 from gcode.layers import Labels
 from gcode.program import Moves
 from models.arrays import BoolArray, FloatArray, IntArray
+from models.machine import Machine
 
 TRAVEL = "travel"  # what does not extrude, in times by feature
 
@@ -60,9 +66,9 @@ class Stretch:
 
     def at(self, feed: float, acceleration: float) -> PrintSlice:
         """Plan with feeds times a factor and with this acceleration, mm/s²."""
-        own = self.print_slice
-        changed = _at(own.planned.program.moves, self.top, feed, acceleration)
-        return replace(own, planned=plan_program(replace(own.planned.program, moves=changed), own.machine))
+        part = self.print_slice
+        changed = _at(part.planned.program.moves, self.top, feed, acceleration)
+        return replace(part, planned=plan_program(replace(part.planned.program, moves=changed), part.machine))
 
 
 def _at(moves: Moves, top: RaisedLimits, feed: float, acceleration: float) -> Moves:
@@ -128,5 +134,136 @@ class WholePrint:
         whole = self.stretch
         extrudes = whole.print_slice.extrudes
         sums = np.bincount(whole.print_slice.feature, seconds * extrudes, len(whole.features))
-        found = {name: float(s) for name, s in zip(whole.features, sums, strict=True) if s > 0.0}
-        return {**found, TRAVEL: float(seconds[~extrudes].sum())}
+        by_feature = {name: float(s) for name, s in zip(whole.features, sums, strict=True) if s > 0.0}
+        return {**by_feature, TRAVEL: float(seconds[~extrudes].sum())}
+
+
+FEEDS = (1.0, 1.5, 2.25, 3.5, 0.7, 0.5, 0.35)  # times the slicer's, in the order in which they are tried
+HALVINGS = 7  # of the ratio between the lowest and the highest acceleration: 4 % at the end
+
+
+@dataclass(frozen=True, slots=True)
+class Setting:
+    """What a firmware is told."""
+
+    feed: float
+    acceleration_mm_per_s2: float
+    reached: bool = True  # False: above the bound even here, the slowest that was tried
+
+
+class Seeker:
+    """Seeks one method's setting on some slices; error grows and time falls with acceleration."""
+
+    def __init__(self, method: TunedMethod, stretches: Sequence[Stretch], plant: Machine, bound_um: float) -> None:
+        self.method, self.stretches, self.plant, self.bound_um = method, stretches, plant, bound_um
+
+    def setting(self, feeds: Sequence[float] = FEEDS) -> Setting:
+        """Return the quickest setting that keeps the bound."""
+        best: Setting | None = None
+        best_s = np.inf
+        for feed in feeds:
+            lowest = self._quicker_than(best_s, feed)
+            if lowest is None or not self._keeps(feed, lowest):
+                continue
+            acceleration = self._highest(feed, lowest)
+            seconds = self._seconds(feed, acceleration)
+            if seconds < best_s:
+                best, best_s = Setting(feed, acceleration), seconds
+        return best or Setting(min(feeds), LOWEST, reached=False)
+
+    def _quicker_than(self, seconds: float, feed: float) -> float | None:
+        """Return the lowest acceleration that is quicker than this; None: none is."""
+        if self._seconds(feed, LOWEST) < seconds:
+            return LOWEST
+        if self._seconds(feed, HIGHEST) >= seconds:
+            return None
+        low, high = np.log(LOWEST), np.log(HIGHEST)
+        for _ in range(HALVINGS):
+            middle = (low + high) / 2
+            low, high = (low, middle) if self._seconds(feed, float(np.exp(middle))) < seconds else (middle, high)
+        return float(np.exp(high))
+
+    def _highest(self, feed: float, lowest: float) -> float:
+        """Return the highest acceleration that keeps the bound; the lowest one does."""
+        if self._keeps(feed, HIGHEST):
+            return HIGHEST
+        low, high = np.log(lowest), np.log(HIGHEST)
+        for _ in range(HALVINGS):
+            middle = (low + high) / 2
+            low, high = (middle, high) if self._keeps(feed, float(np.exp(middle))) else (low, middle)
+        return float(np.exp(low))
+
+    def _keeps(self, feed: float, acceleration: float) -> bool:
+        slices = [each.at(feed, acceleration) for each in self.stretches]
+        return p99_um(self.method, slices, self.plant) <= self.bound_um
+
+    def _seconds(self, feed: float, acceleration: float) -> float:
+        """Return the time of all slices, each kind of line as often as it is in the print, s."""
+        total = 0.0
+        for each in self.stretches:
+            planned = each.at(feed, acceleration)
+            seconds = seconds_of(planned.trajectory)
+            total += float(seconds.sum() if planned.weight is None else seconds @ planned.weight)
+        return total
+
+
+SLICE_S, SOME_S = 8.0, 24.0  # length of a slice, and of all of them
+ENDS = 1 << 16  # bytes at both ends of a file, in which slicers say their settings
+
+
+@dataclass(frozen=True, slots=True)
+class Known:
+    """What the print takes if no number of the machine file is less certain than this."""
+
+    relative_sd: float
+    share: float  # of the time that it takes with the machine file as it is
+    print_time_s: float
+
+
+def worth_knowing(
+    data: bytes,
+    path: str,
+    machine: Machine,
+    settings: Settings,
+    bound: Bound,
+    known: Sequence[float],
+    print_time_s: float,
+    *,
+    offset: tuple[float, float] = (0.0, 0.0),
+    flavor: str = "",
+) -> list[Known]:
+    """Plan slices that stand for the print at other uncertainties.
+
+    Parameters
+    ----------
+    data, path, machine, settings, bound : what was compensated, and how
+    known : relative standard deviations that no number of the machine file shall exceed
+    print_time_s : of the quicker print, with the machine file as it is
+    offset, flavor : as of `compare`
+    """
+    printed = Print(data, path, machine, offset, flavor)
+    bound = with_slicer_settings(bound, data[:ENDS], data[-ENDS:])
+    slices, _ = printed.slices(Sampling(), SLICE_S, SOME_S)
+    stretches = [Stretch.of(each, printed.labels.features, bound) for each in slices]
+    whole = WholePrint(printed, bound)
+
+    def seconds(uncertainty: dict[str, float]) -> float:
+        known_machine = replace(machine, uncertainty=uncertainty)
+        model = InverseModel(known_machine, replace(settings, robust=True, robust_quickly=True))
+        now = [_quick_s(each, model, bound, known_machine) for each in stretches]
+        return float(whole.cooled(whole.from_slices(stretches, now)).sum())
+
+    as_it_is = seconds(dict(machine.uncertainty))
+    answers = []
+    for sd in known:
+        share = seconds({name: min(value, sd) for name, value in machine.uncertainty.items()}) / as_it_is
+        answers.append(Known(sd, share, share * print_time_s))
+    return answers
+
+
+def _quick_s(stretch: Stretch, model: InverseModel, bound: Bound, machine: Machine) -> FloatArray:
+    part = stretch.print_slice
+    alone = replace(bound, min_layer_time_s=0.0, change_speed=(*bound.change_speed, FIRST_LAYER))
+    kept = (part.layer == 0) & bound.keeps_first_layer
+    faster = faster_program(part.planned.program, model, alone, 1, stretch.features[part.feature[0]], kept)
+    return seconds_of(plan_program(faster.program, machine).trajectory)

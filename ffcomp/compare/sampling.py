@@ -1,4 +1,10 @@
-"""Choose the part of a print that is evaluated: all of it, some layers, or short slices that stand for the whole."""
+"""Choose the part of a print that is evaluated: all of it, some layers, or short slices that stand for the whole.
+
+For slices a print is partitioned three times: by kind of line (the slicer's feature, extruding or not), by height and
+by place. Of all slices that could be taken, those are chosen whose shares together come nearest to the print's, outer
+walls counting double. What is over- or underrepresented still is weighted (post-stratification by kind of line; W. G.
+Cochran, Sampling Techniques, 3rd ed. 1977, 5A.9).
+"""
 
 from __future__ import annotations
 
@@ -9,20 +15,130 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from ffcomp.compare.representative import Strata, choose
 from ffcomp.errors import NothingToDo
 from ffcomp.planner.machine_limits import known_to_the_firmware
 from ffcomp.planner.program import PlannedProgram, plan_program
 from ffcomp.planner.reach import within_reach
 from ffcomp.planner.trajectory import PlannedMotion
-from ffcomp.simulate.motion import Motion, path_corners, planned_motion
+from ffcomp.simulate.command import Motion, path_corners, planned_motion
 from gcode.dialects import detect_flavor
 from gcode.layers import Labels, labels, outer_walls
 from gcode.program import Program
 from gcode.reader import read_program
 from gcode.slicing import part, preamble
-from models.arrays import FloatArray, IntArray
+from models.arrays import BoolArray, FloatArray, IntArray
 from models.machine import Machine
+
+HEIGHTS = 3  # bands of layers
+OUTER_WALLS_COUNT = 2.0  # they are what shows
+EXCHANGED_UP_TO = 100  # slices; among more of them a single one matters little
+
+
+@dataclass(frozen=True, eq=False)
+class Strata:
+    """The stratum of each of n moves in every partition of a print, and the time that it takes."""
+
+    kind: IntArray  # (n,) twice the feature, and 1 where the move extrudes
+    partitions: tuple[IntArray, ...]  # each (n,), from 0; the first is `kind`
+    seconds: FloatArray  # (n,)
+    outer: BoolArray  # (n,) is an outer wall
+
+    @classmethod
+    def of(
+        cls,
+        feature: IntArray,
+        layer: IntArray,
+        middle_mm: FloatArray,
+        seconds: FloatArray,
+        extrudes: BoolArray,
+        outer: BoolArray,
+    ) -> Strata:
+        """Partition n moves.
+
+        Parameters
+        ----------
+        feature, layer : (n,) arrays
+        middle_mm : (n, 2), where each move is
+        seconds : (n,) array
+        extrudes, outer : (n,), whether it extrudes, and whether it is an outer wall
+        """
+        kind = 2 * feature + extrudes
+        low, high = int(layer.min()), int(layer.max())
+        height = (HEIGHTS * (layer - low)) // (high - low + 1)
+        where = extrudes if extrudes.any() else np.ones(len(extrudes), dtype=np.bool_)
+        east, north = (middle_mm > np.median(middle_mm[where], axis=0)).T
+        return cls(kind, (kind, height, 2 * east + north), seconds, outer & extrudes)
+
+    def amounts(self, begin: IntArray, end: IntArray) -> FloatArray:
+        """Return the seconds (j, s) that each of j slices begin ≤ move < end spends in each of all s strata."""
+        counted = self.seconds * np.where(self.outer, OUTER_WALLS_COUNT, 1.0)
+        columns = []
+        for partition in self.partitions:
+            for stratum in range(int(partition.max()) + 1):
+                until = np.concatenate([[0.0], np.cumsum(np.where(partition == stratum, counted, 0.0))])
+                columns.append(until[end] - until[begin])
+        return np.stack(columns, axis=1)
+
+    def weights(self, chosen: FloatArray) -> FloatArray:
+        """Return the weight (n,) of each move's samples, on average 1 over what is chosen.
+
+        Parameters
+        ----------
+        chosen : (n,), seconds of each move that are evaluated
+        """
+        whole = np.bincount(self.kind, self.seconds)
+        taken = np.bincount(self.kind, chosen, len(whole))
+        share = np.divide(whole, taken, out=np.zeros(len(whole)), where=taken > 0.0)
+        return np.asarray(share[self.kind] * taken.sum() / max(whole[taken > 0.0].sum(), 1e-12))
+
+
+def choose(amounts: FloatArray, target: FloatArray, begin_t: FloatArray, end_t: FloatArray, count: int) -> IntArray:
+    """Return `count` of j slices (fewer if no more fit without overlap), in the order of time.
+
+    Parameters
+    ----------
+    amounts : (j, s), seconds that each slice spends in each stratum
+    target : (s,), seconds of the whole print
+    begin_t, end_t : (j,), where each begins and ends, s; `begin_t` never falls
+    """
+    choice = _Choice(amounts, target / target.sum(), begin_t, end_t)
+    chosen: list[int] = []
+    while len(chosen) < count and (best := choice.nearest(chosen)) is not None:
+        chosen.append(best)
+    if len(chosen) <= EXCHANGED_UP_TO:  # now that the others are known
+        for k in range(len(chosen)):
+            best = choice.nearest(chosen[:k] + chosen[k + 1 :])
+            chosen[k] = chosen[k] if best is None else best
+    return np.array(sorted(chosen), dtype=np.int64)
+
+
+@dataclass(frozen=True, eq=False)
+class _Choice:
+    """What can be chosen."""
+
+    amounts: FloatArray  # (j, s) s
+    target: FloatArray  # (s,) shares
+    begin_t: FloatArray  # (j,) s
+    end_t: FloatArray  # (j,) s
+
+    def nearest(self, chosen: list[int]) -> int | None:
+        """Return the slice with which the shares come nearest to the target's; None if none is free."""
+        free = self._free(chosen)
+        if not free.any():
+            return None
+        together = self.amounts + self.amounts[chosen].sum(axis=0)
+        seconds = np.maximum(together.sum(axis=1, keepdims=True), np.finfo(float).tiny)
+        off = np.abs(together / seconds - self.target).sum(axis=1)
+        return int(np.argmin(np.where(free, off, np.inf)))
+
+    def _free(self, chosen: list[int]) -> BoolArray:
+        """Return which slices are not empty and overlap with none that is chosen: (j,)."""
+        order = sorted(chosen, key=lambda k: self.begin_t[k])
+        at = np.searchsorted(self.begin_t[order], self.begin_t)
+        ends, begins = np.append(-np.inf, self.end_t[order]), np.append(self.begin_t[order], np.inf)
+        free: BoolArray = (ends[at] <= self.begin_t) & (self.end_t <= begins[at]) & (self.amounts.sum(axis=1) > 0.0)
+        return free & ~np.isin(np.arange(len(free)), chosen)
+
 
 LONGEST_S = 120.0  # of print time that is evaluated unless more is requested
 SLICE_S = 4.0  # length of one slice of a sampled print
@@ -148,20 +264,19 @@ class Print:
         what = "the whole print" if whole else _layers_named(sampling)
         cuts = [] if evaluated >= seconds - slice_s / 2 else list(self._cuts(first, last, evaluated, slice_s))
         if not cuts:  # all is requested, or it is a single arc, which is not cut
-            found = [self.whole()] if whole else [self._part(first, last)]
+            slices = [self.whole()] if whole else [self._part(first, last)]
             were = "was" if whole else "were"
-            return found, f"{what[0].upper()}{what[1:]} {were} evaluated, {seconds:.0f} s."
+            return slices, f"{what[0].upper()}{what[1:]} {were} evaluated, {seconds:.0f} s."
         strata = self._strata(first, last)
-        found = _weighted([self._part(a, b) for a, b in cuts], [a - first for a, _ in cuts], strata)
-        covered = sum(each.trajectory.end_t for each in found)
-        chosen = f"{len(found)} slices of about {covered / len(found):.0f} s that stand for {what}"
-        if len(found) == 1:
+        slices = _weighted([self._part(a, b) for a, b in cuts], [a - first for a, _ in cuts], strata)
+        covered = sum(each.trajectory.end_t for each in slices)
+        chosen = f"{len(slices)} slices of about {covered / len(slices):.0f} s that stand for {what}"
+        if len(slices) == 1:
             chosen = f"One slice of {what}"
         chosen = f"{chosen}: {covered:.0f} of {seconds:.0f} s ({covered / seconds:.0%}) were evaluated."
-        return found, chosen + self._left_out(found, strata)
+        return slices, chosen + self._left_out(slices, strata)
 
     def _layers(self, sampling: Sampling) -> tuple[int, int]:
-        """Return the first move of the chosen layers and the one after their last."""
         layer = self.labels.layer
         chosen = layer >= sampling.first_layer
         if sampling.last_layer is not None:
@@ -213,27 +328,26 @@ class Print:
 
     def _strata(self, first: int, last: int) -> Strata:
         """Partition the moves from `first` to `last`; a wait counts to the move before."""
-        own, labels, moves = slice(first, last), self.labels, self.program.moves
+        part, labels, moves = slice(first, last), self.labels, self.program.moves
         start_t = np.append(self.planned.trajectory.start_t, self.print_time_s)
         return Strata.of(
-            labels.feature[own],
-            labels.layer[own],
-            (moves.start[own, :2] + moves.end[own, :2]) / 2,
-            np.diff(start_t)[own],
-            self.extrudes[own],
-            outer_walls(labels)[own],
+            labels.feature[part],
+            labels.layer[part],
+            (moves.start[part, :2] + moves.end[part, :2]) / 2,
+            np.diff(start_t)[part],
+            self.extrudes[part],
+            outer_walls(labels)[part],
         )
 
     def _left_out(self, slices: list[PrintSlice], strata: Strata) -> str:
-        """Return a sentence that names the features of which nothing is evaluated, if there are any."""
         names = self.labels.features
         seconds = np.bincount(strata.kind // 2, strata.seconds * (strata.kind % 2), len(names))
         seen = np.unique(np.concatenate([each.feature[each.extrudes] for each in slices]))
         left = [k for k in np.flatnonzero(seconds) if k not in seen]
         if not left:
             return ""
-        told = ", ".join(f"{names[k]} ({seconds[k] / seconds.sum():.1%} of what extrudes)" for k in left)
-        return f" Not among them: {told}."
+        names_left = ", ".join(f"{names[k]} ({seconds[k] / seconds.sum():.1%} of what extrudes)" for k in left)
+        return f" Not among them: {names_left}."
 
     def whole(self) -> PrintSlice:
         """Return the whole print as one slice."""

@@ -68,16 +68,11 @@ def split_chunks(
 
     Parameters
     ----------
-    parts : iterable of Program
-        A file's programs, in order.
-    segment_s, lead_s : float
-        Length of a segment, and time from a section's first knot to the beginning of its path, s.
-    plan_of : callable
-        Returns the firmware's plan for a program.
-    longest_s : float
-        Motion without a rest, s, before it is cut; inf: never.
-    ease : callable, optional
-        Makes a motion slower, where that has to be, around the position where it is to be cut.
+    parts : a file's programs, in order
+    segment_s, lead_s : length of a segment, and time from a section's first knot to the beginning of its path, s
+    plan_of : returns the firmware's plan for a program
+    longest_s : motion without a rest, s, before it is cut; inf: never
+    ease : makes a motion slower, where that has to be, around the position where it is to be cut
     """
     settings = _Settings(segment_s, lead_s, longest_s, plan_of, ease)
     ahead: _Ahead | None = None
@@ -127,7 +122,6 @@ class _Ahead:
     cuts: int = 0
 
     def chunk(self, program: Program, last: bool = False, end: PathPosition | None = None) -> Chunk:
-        """Return the chunk that it begins with."""
         extent = Extent(self.begin, end)
         return Chunk(
             program,
@@ -221,7 +215,6 @@ class _Known:
         return self.begin_t + knots * self.settings.segment_s
 
     def _position(self, knots: int) -> PathPosition:
-        """Return the position that is passed after so many segments."""
         t = self._t(knots)
         move = int(self.plan.move_at(t))
         return PathPosition(move, _far(self.plan.position([t])[0], self.ahead.program.moves.start[move]))
@@ -257,7 +250,6 @@ class _Known:
 
 
 def _with(moves: Moves, first: int, slower: Moves) -> Moves:
-    """Give some moves, from one on, another speed, acceleration and corner speed."""
     changed = {}
     for name in ("speed", "acceleration", "square_corner_velocity"):
         column = getattr(moves, name).copy()

@@ -64,7 +64,6 @@ def cluster(address: str) -> Iterator[Cluster]:
 
 
 def _check_workers(client: Client, address: str) -> None:
-    """They have ffcomp, and the same."""
     try:
         client.wait_for_workers(1, timeout=CONNECT_S)
         versions = client.run(_version)

@@ -39,7 +39,6 @@ class Faster:
     warnings: tuple[str, ...] = ()
 
     def __add__(self, later: Faster) -> Faster:
-        """Add what comes after this."""
         return Faster(
             _added(self.original_s, later.original_s),
             _added(self.planned_s, later.planned_s),

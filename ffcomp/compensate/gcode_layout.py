@@ -158,7 +158,6 @@ def _lines_of(
 
 
 def _before(events: list[Event], move: int) -> int:
-    """How many events stand before lines of this move."""
     return bisect_left(events, move, key=lambda event: event.move)
 
 
@@ -269,7 +268,6 @@ def _interpolated(points: FloatArray, e: FloatArray, first: int) -> FloatArray:
 
 
 def _last_of_each(rising: FloatArray) -> tuple[FloatArray, IntArray]:
-    """Each value once, and the index of its last occurrence."""
     which = np.flatnonzero(np.diff(rising, append=np.inf))
     return rising[which], which
 

@@ -134,7 +134,6 @@ class Writer:
         yield self._finish(self.moves.move(x, y, z, e, float(moves.speed[move])))
 
     def _shifted(self, line: bytes) -> bytes:
-        """Shift a move that the firmware plans itself by the offset."""
         frame = self.program.frames[self.frame]
         code = line.partition(b";")[0].strip()
         if not frame.absolute:
@@ -220,7 +219,6 @@ class Writer:
         return segments.part(begin, end), timed
 
     def _turns(self, lines: list[tuple[int, _Line]]) -> Iterator[int]:
-        """Which of the lines change how numbers are written."""
         frame = self.frame
         for k, (_, line) in enumerate(lines):
             if isinstance(line, Event) and line.frame != frame:
@@ -281,7 +279,6 @@ class Writer:
         return MotionLimits(*(column.item(move) for column in columns))
 
     def _begin(self, move: int) -> Iterator[bytes]:
-        """Open a block if none is open, and take over the state at `move`."""
         moves = self.program.moves
         self.move = move
         if not self.open:
@@ -327,7 +324,6 @@ class Writer:
         self.moves.reset(self.program.frames[self.frame], place[:3], place[3])
 
     def _closing(self) -> list[bytes]:
-        """Return the lines that restore the limits of the file, or the machine's own."""
         axes = self.settings.output.raised_axes
         if self.flavor == KLIPPER:
             return close_limits(self.flavor, _first_known(self._limits_at(self.move), self.machine_limits), axes)

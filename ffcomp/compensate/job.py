@@ -40,7 +40,6 @@ from ffcomp.planner.machine_limits import known_to_the_firmware, planner_limits
 from ffcomp.planner.path_position import PathPosition
 from ffcomp.planner.program import firmware_plan, plan_section
 from ffcomp.planner.reach import OutOfReach, Reach
-from ffcomp.planner.trajectory import Trajectory
 from ffcomp.steps.motion import MotionSink
 from ffcomp.steps.sink import Board, StepSink
 from ffcomp.version import __version__
@@ -132,10 +131,8 @@ class Job:
 
         Parameters
         ----------
-        progress : callable
-            Called with the share of the file that is done, 0 to 1.
-        folder : Path, optional
-            Where what comes after a line that tells the whole print's time may wait for it.
+        progress : called with the share of the file that is done, 0 to 1
+        folder : where what comes after a line that tells the whole print's time may wait for it
         """
         return Stream(self._lines(progress, folder))
 
@@ -233,7 +230,6 @@ class Job:
 
     @cached_property
     def _placement(self) -> Placement:
-        """The offset asked for, the one that a compensated file was shifted by, or one that brings the print inside."""
         if self.options.offset is not None:
             return Placement(self.options.offset, f"Offset {pair(self.options.offset)}, as it was asked for.")
         if self.restore:
@@ -243,7 +239,6 @@ class Job:
 
     @property
     def _bound(self) -> Bound | None:
-        """The bound asked for, with what the slicer's settings in the file say beside it."""
         bound = self.options.bound
         return None if bound is None else with_slicer_settings(bound, *self._ends[:2])
 
@@ -291,7 +286,6 @@ class Job:
         return statistics + Statistics(warnings=reach.warnings)
 
     def _in_turn(self, split: Iterator[Chunk], context: Context, progress: Progress) -> Iterator[tuple[Lines, int]]:
-        """Yield each chunk's lines, and its size in bytes."""
         before = 0
         for chunk in split:
             size = _size(chunk.program)
@@ -303,7 +297,6 @@ class Job:
             before += size
 
     def _parallel(self, split: Iterator[Chunk], context: Context) -> Iterator[tuple[Lines, int]]:
-        """Yield the same, worked out by several processes."""
         from joblib import Parallel, delayed
 
         sizes: deque[int] = deque()
@@ -358,17 +351,22 @@ class Job:
         s = self.settings
         longest_s = inf if plain else S_CURVE_LONGEST_S if s.s_curve else chunks.LONGEST_S
         ease = self._eased if s.time_scaling and not plain else None
-        return with_features(split_chunks(parts, s.segment_s, s.lead_s, self._plan_of, longest_s=longest_s, ease=ease))
-
-    def _plan_of(self, program: Program) -> Trajectory:
-        return firmware_plan(program, self.machine)
+        return with_features(
+            split_chunks(
+                parts,
+                s.segment_s,
+                s.lead_s,
+                partial(firmware_plan, machine=self.machine),
+                longest_s=longest_s,
+                ease=ease,
+            )
+        )
 
     def _eased(self, around: Program, cut: PathPosition, layers: int) -> tuple[Moves, tuple[TimeScaling, ...]]:
         limits, layer_of = planner_limits(self.machine), LayerLookup(around, layers).of
         return scale_around_cut(self.model, around, limits, cut, partial(plan_section, limits), layer_of)
 
     def _at_first(self) -> Statistics:
-        """Warn of a print that is moved or made for another firmware, and of effects that nothing compensates."""
         names = ", ".join(self.model.not_modelled)
         sentence = f"The machine file lists effects that are not compensated: {names}." if names else ""
         moved = self._placement.reason if self._placement.notable else ""
@@ -391,7 +389,6 @@ def _lines_of(chunk: Chunk, context: Context, model: InverseModel, progress: Pro
 
 
 def _work(chunk: Chunk, context: Context) -> tuple[list[bytes], Statistics]:
-    """Compensate a chunk in a process of its own."""
     model = model_of(context.machine, context.settings)
     lines = Stream(_lines_of(chunk, context, model))
     text = list(joined(lines))
@@ -405,7 +402,6 @@ def _again(text: list[bytes], statistics: Statistics) -> Lines:
 
 
 def _drained(lines: Lines) -> Statistics:
-    """Run a generator to its end and return what it returns."""
     stream = Stream(lines)
     deque(stream, maxlen=0)
     return stream.value
@@ -416,6 +412,5 @@ def _size(program: Program) -> int:
 
 
 def _quickest_s(first: Program, size: int) -> float:
-    """Return what a print of so many bytes takes at least, by its first moves."""
     moves = first.moves
     return float((lines_of(moves).length / moves.speed).sum()) * size / max(_size(first), 1)

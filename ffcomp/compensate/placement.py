@@ -58,7 +58,6 @@ def footprint_of(programs: Iterable[Program]) -> Footprint | None:
 
 
 def _enclosing(known: FloatArray, more: FloatArray) -> FloatArray:
-    """Return the corners of the convex hull of all."""
     from scipy.spatial import ConvexHull, QhullError
 
     points = np.unique(np.concatenate([known, more]), axis=0)
@@ -75,12 +74,9 @@ def choose_offset(kinematics: Kinematics, bed: Bed | None, footprint: Callable[[
 
     Parameters
     ----------
-    kinematics : Kinematics
-        Those of the machine.
-    bed : Bed or None
-        The slicer's, if it is known.
-    footprint : callable
-        Finds where the print is; asked only where the beds do not tell.
+    kinematics : those of the machine
+    bed : the slicer's, if it is known
+    footprint : finds where the print is; asked only where the beds do not tell
     """
     by_bed = NOWHERE if bed is None else offset_for(bed, kinematics.centre_mm)
     if bed is not None and by_bed == NOWHERE:

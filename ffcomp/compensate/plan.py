@@ -21,9 +21,8 @@ from ffcomp.planner.machine_limits import planner_limits
 from ffcomp.planner.program import PlannedProgram, plan_program
 from ffcomp.planner.raw_moves import raw_durations
 from ffcomp.planner.sections import Section
-from ffcomp.planner.trajectory import PlannedMotion
-from gcode.program import Event, Moves
-from models.arrays import BoolArray, FloatArray
+from gcode.program import Event
+from models.arrays import FloatArray
 from models.machine import Machine
 from models.vibration.base import Modes
 
@@ -144,18 +143,14 @@ def settling_waits(
 
     Parameters
     ----------
-    planned : PlannedProgram
-    machine : Machine
-        Its modes say how long it rings.
-    raw_s : mapping
-        How long moves take that go out as they are, s, by their line's index.
-    sections : iterable of Section
-        Those that are written from their beginning, in order.
-    earlier : sequence of Event
-        The lines just before the program, after the last move.
+    machine : its modes say how long it rings
+    raw_s : mapping, how long moves take that go out as they are, s, by their line's index
+    sections : those that are written from their beginning, in order
+    earlier : the lines just before the program, after the last move
     """
     moves, events = planned.program.moves, planned.program.events
-    extruding = np.flatnonzero((moves.end[:, 3] > moves.start[:, 3]) & _travels(moves))
+    travels = np.any(moves.end[:, :3] != moves.start[:, :3], axis=1)
+    extruding = np.flatnonzero((moves.end[:, 3] > moves.start[:, 3]) & travels)
     disturbed = [event.move for event in events if event.moves_itself]
     pending = _lasting(earlier, raw_durations(earlier, planner_limits(machine)))
     waits = {}
@@ -172,7 +167,7 @@ def settling_waits(
         k = int(np.searchsorted(extruding, section.first))
         if k == len(extruding) or any(section.first < move <= extruding[k] for move in disturbed):
             continue  # nothing is extruded before the firmware moves by itself again
-        wait = needed - _between_s(planned.trajectory, section, int(extruding[k]))
+        wait = needed - (float(planned.trajectory.start_t[extruding[k]]) - section.begin_t)
         if wait > SHORTEST_S:
             waits[section.first] = math.ceil(1e3 * wait) / 1e3
     return waits
@@ -183,12 +178,9 @@ def ringing_s(machine: Machine, xy: FloatArray, acceleration: float, axes: Itera
 
     Parameters
     ----------
-    xy : (2,) array
-        Where the nozzle is, mm.
-    acceleration : float
-        Of the ramp, mm/s².
-    axes : of 0, 1, 2
-        Along which it may have moved.
+    xy : (2,), where the nozzle is, mm
+    acceleration : of the ramp, mm/s²
+    axes : along which it may have moved
     """
     (modes,) = machine.vibration.modes(xy[None])
     return max((_mode_s(*mode, acceleration) for mode in _excited(modes, list(axes))), default=0.0)
@@ -225,12 +217,3 @@ def _needed_s(events: list[tuple[Event, float]], machine: Machine, xy: FloatArra
                 needed = max(needed, ringing_s(machine, xy, acceleration, axes) - since)
         since += seconds
     return needed
-
-
-def _between_s(plan: PlannedMotion, section: Section, move: int) -> float:
-    """Return the time from a section's beginning to that of a move."""
-    return float(plan.start_t[move]) - section.begin_t
-
-
-def _travels(moves: Moves) -> BoolArray:
-    return np.any(moves.end[:, :3] != moves.start[:, :3], axis=1)

@@ -52,7 +52,6 @@ class Samples:
     after: _Motion = field(default_factory=_Motion)
 
     def __add__(self, later: Samples) -> Samples:
-        """Put what comes after this behind it, in time and in space."""
 
         def moved(points: list[FloatArray]) -> list[FloatArray]:
             return [each + self.place for each in points]

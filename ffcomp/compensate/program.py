@@ -78,16 +78,11 @@ def compensate(
 
     Parameters
     ----------
-    chunk : PlannedChunk
-        What is compensated.
-    context : Context
-        The machine, and how much of the print is simulated.
-    model : InverseModel
-        The machine's inverse, with the settings.
-    renderer : Renderer
-        Writes this chunk.
-    progress : callable
-        Called with the print-seconds done so far.
+    chunk : what is compensated
+    context : the machine, and how much of the print is simulated
+    model : the machine's inverse, with the settings
+    renderer : writes this chunk
+    progress : called with the print-seconds done so far
     """
     planned, extent = chunk.planned, chunk.chunk.extent
     prediction = Prediction(model, context.share) if chunk.simulated else None
@@ -137,7 +132,6 @@ class BoundCheck:
     """Compares the response that was solved for, effects included, with the bound, section by section."""
 
     def __init__(self, bound: Bound, program: Program, feature: str) -> None:
-        """Take the program that is written, and what is printed when it begins."""
         self.program, self.bound_mm = program, bound.errors_mm(labels(program, feature))
         self.beyond: list[tuple[float, int, float]] = []  # times the bound, line and µm of each section's worst
 
@@ -179,7 +173,6 @@ class PressureCheck:
     """Looks at how much of the lead was written, section by section."""
 
     def __init__(self, pressure: Pressure, program: Program) -> None:
-        """Take the model, and the program that is written."""
         self.pressure, self.program = pressure, program
         self.short: list[tuple[float, int]] = []  # share and line
 

@@ -51,25 +51,17 @@ def solutions(
 
     Parameters
     ----------
-    planned : PlannedProgram
-        A chunk's program.
-    machine : Machine
-        What it is planned for.
-    model : InverseModel
-        The machine's inverse.
-    state : (18,) array or None
-        Of the plant as the first section begins; None: at rest.
-    keep : callable
-        Asked once for each section whether its response is needed.
-    layers_before : int
-        Layers of the file that have begun before this program.
-    extent : Extent
-        What is written of the program, if it begins or ends in motion.
+    planned : a chunk's program
+    machine : what it is planned for
+    model : the machine's inverse
+    state : (18,) or None, of the plant as the first section begins; None: at rest
+    keep : asked once for each section whether its response is needed
+    layers_before : layers of the file that have begun before this program
+    extent : what is written of the program, if it begins or ends in motion
 
     Raises
     ------
-    LimitsError
-        Where a limit cannot be held, and the plan must not or cannot be slowed down.
+    LimitsError: Where a limit cannot be held, and the plan must not or cannot be slowed down.
     """
     linear = _linear(planned, machine, model, state, keep, layers_before, extent)
     if model.printer is None:
@@ -136,7 +128,6 @@ def _linear(
 
 
 def _moved_before(planned: PlannedProgram) -> dict[int, bool]:
-    """Tell for the first move of each section that travels whether others have moved the nozzle since the last one."""
     others = {e.move for e in planned.program.events if e.kind in (EventKind.STOP, EventKind.RAW_MOVE)}
     moved, pending, last = {}, False, -1
     for section in planned.sections:
@@ -152,17 +143,13 @@ def keep_inside(kinematics: Kinematics, vertices: FloatArray, heights: FloatArra
 
     Parameters
     ----------
-    kinematics : Kinematics
-        Those of the machine.
-    vertices : (n, 3) array
-        The command at its knots, mm.
-    heights : (m,) array
-        Heights of the path itself, mm.
+    kinematics : those of the machine
+    vertices : (n, 3), the command at its knots, mm
+    heights : (m,), heights of the path itself, mm
 
     Raises
     ------
-    LimitsError
-        If the command cannot be reached at all.
+    LimitsError: If the command cannot be reached at all.
     """
     if not np.isfinite(vertices).all():
         raise LimitsError("The command leaves the arms' reach; the path runs too close to it.")

@@ -40,7 +40,6 @@ class Part:
     seconds: float = 0.0  # only of what goes out as it was
 
     def __add__(self, other: Part) -> Part:
-        """Add other moves."""
         return Part(self.path_mm + other.path_mm, self.filament_mm + other.filament_mm, self.seconds + other.seconds)
 
 
@@ -60,7 +59,6 @@ class Shares:
     left: tuple[tuple[Cause, Part], ...] = ()  # by the command; the first line of each
 
     def __add__(self, later: Shares) -> Shares:
-        """Add what comes after this."""
         if not later.left:
             return Shares(self.compensated + later.compensated, self.left)
         by_command = {cause.command: (cause, part) for cause, part in self.left}
@@ -234,7 +232,6 @@ def of_section(
 
 
 def _counted_s(section: Section, planned: PlannedProgram, extent: Extent) -> float:
-    """Return how much of a section's time `of_plan` has counted as print time."""
     if extent.end is not None:
         return 0.0
     first = section is planned.sections[0]
@@ -270,14 +267,10 @@ def warning_lines(
 
     Parameters
     ----------
-    warnings : sequence of str
-        Sentences about anything but places that became slower.
-    slowed : sequence of TimeScaling
-        Places that became slower.
-    machine : Machine
-        Whose limits they are.
-    original_s : float
-        Time of the original print, s.
+    warnings : sentences about anything but places that became slower
+    slowed : places that became slower
+    machine : whose limits they are
+    original_s : time of the original print, s
     """
     return shortened([*grouped(warnings), *_slowed(slowed, machine, original_s)])
 
@@ -310,7 +303,6 @@ def cause_of(warning: str) -> str:
 
 
 def _slowed(slowed: Sequence[TimeScaling], machine: Machine, original_s: float) -> Iterator[str]:
-    """Yield a line for each limit, the one that costs most first."""
     limits = {each.limit for each in slowed}
     groups = [[each for each in slowed if each.limit == limit] for limit in limits]
     for group in sorted(groups, key=lambda group: -sum(each.seconds for each in group)):

@@ -85,7 +85,6 @@ def _read(held: IO[bytes], size: int) -> Iterator[bytes]:
 
 
 def _retold(line: Timed, durations: Durations, embed: bool) -> bytes:
-    """Return the line to be written, after a comment with its old time if that was another."""
     new = retold(line, durations)
     ending = line[len(line.rstrip(b"\r\n")) :] or b"\n"
     return new if new == line or not embed else TIME_WAS + time_told(line) + ending + new

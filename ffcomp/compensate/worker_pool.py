@@ -120,7 +120,6 @@ class Pool:
         return self.folders[place] / str(number)
 
     def _written(self, done: _Done) -> FileResult:
-        """Put the draft, or what was sent back, in the target's place."""
         outcome, target = done.outcome, self.targets[done.outcome.number]
         for folder in self.folders.values():
             (folder / f"{outcome.number}{MARK}").unlink(missing_ok=True)
@@ -156,7 +155,6 @@ def _closing(answers: Generator[_Done, None, None]) -> Iterator[Generator[_Done,
 
 
 def _work(task: _Task, machine: Machine, options: Options) -> _Done:
-    """Compensate a file in a process of its own."""
 
     def to(draft: Path | None, progress: Callable[[float], None]) -> FileResult:
         source = task.file if task.data is None else task.data

@@ -74,22 +74,15 @@ def estimate(
 
     Parameters
     ----------
-    source : Source
-        The file.
-    path : str
-        Its name, for errors.
-    machine : Machine
-    flavor : {"", "klipper", "marlin", "reprapfirmware"}
-        "" for what the machine file says, or else the file.
-    offset : (float, float)
-        Added to every position of a print that is not compensated yet, mm.
+    source : the file
+    path : its name, for errors
+    flavor : {"", "klipper", "marlin", "reprapfirmware"}, "" for what the machine file says, or else the file
+    offset : (float, float), added to every position of a print that is not compensated yet, mm
 
     Raises
     ------
-    GcodeError
-        If a line cannot be followed, or a position is out of the machine's reach.
-    NothingToDo
-        If nothing moves.
+    GcodeError: If a line cannot be followed, or a position is out of the machine's reach.
+    NothingToDo: If nothing moves.
     """
     head, tail, _ = ends_of(source)
     stamp = find_stamp(head, tail)

@@ -85,7 +85,6 @@ def planned_slices(parts: Iterable[Program], plan_of: PlanOf) -> Iterator[Planne
 
 
 def _line_begun(program: Program, plan: PlannedMotion | MarlinPlan, t: float) -> int:
-    """Return the first move of the line that is executed at a time."""
     line = program.moves.line
     return int(np.searchsorted(line, line[int(plan.move_at(t))]))
 
@@ -140,14 +139,11 @@ class Layers:
 
         Parameters
         ----------
-        begun : (n,) array
-            Layers of the slice that have begun before each.
+        begun : (n,), layers of the slice that have begun before each
         rows : (n, 6) array
-        z : (n,) array
-            Where each ends, mm.
+        z : (n,), where each ends, mm
         extrudes : (n,) array
-        line : (n,) array
-            In the file, from 1.
+        line : (n,), in the file, from 1
         """
         number, height = self.number + begun, self._heights_of(z, extrudes)
         numbered = number > BEFORE
@@ -188,7 +184,6 @@ def _together(layers: Iterable[Layer]) -> Layer:
 
 
 def _banded(heights: dict[int, Layer]) -> list[Layer]:
-    """Cut a slope, on which every move has its own height, into layers."""
     bands: dict[int, Layer] = {}
     for height, layer in heights.items():
         _put(bands, height // round(SLOPE_MM / _STEP_MM), layer)
@@ -303,9 +298,7 @@ class Statistics:
 
         Parameters
         ----------
-        part : PlannedSlice
-        raw_s : mapping
-            What moves from a place not known take, s, by their line's index.
+        raw_s : mapping, what moves from a place not known take, s, by their line's index
         """
         marks = self._read(part, raw_s)
         if part.plan is not None and part.last > part.first:

@@ -48,14 +48,10 @@ def error_at_quantile(nominal: FloatArray, changes: ShortArray, scale: FloatArra
 
     Parameters
     ----------
-    nominal : (m,) mm
-        Of the machine file's printer.
-    changes : (k, m, 3) mm
-        Across the path, for one standard deviation in each direction.
-    scale : (m,) 1/mm
-        What errors are multiplied by: one over the bound.
-    far : float
-        Standard deviations of the quantile.
+    nominal : (m,) mm, of the machine file's printer
+    changes : (k, m, 3) mm, across the path, for one standard deviation in each direction
+    scale : (m,) 1/mm, what errors are multiplied by: one over the bound
+    far : standard deviations of the quantile
     """
     return np.asarray(_error_at_quantile(np.ascontiguousarray(nominal), changes, scale, quantile_sd))
 

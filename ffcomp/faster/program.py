@@ -49,18 +49,12 @@ def faster_program(
 
     Parameters
     ----------
-    program : Program
-        From rest to rest.
-    model : InverseModel
-        The machine's inverse.
-    bound : Bound
-        The bound.
-    layers_before : int
-        Layers of the file that have begun before this program.
-    feature : str
-        What is printed when it begins.
-    kept : (n,) array, optional
-        Moves that keep the slicer's motion whatever they are.
+    program : from rest to rest
+    model : the machine's inverse
+    bound : the bound
+    layers_before : layers of the file that have begun before this program
+    feature : what is printed when it begins
+    kept : (n,), moves that keep the slicer's motion whatever they are
     """
     limits, moves = planner_limits(model.machine), program.moves
     named, layer = labels(program, feature), _layers(program, layers_before)

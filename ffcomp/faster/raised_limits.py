@@ -44,7 +44,8 @@ def raised_limits(
     lines, errors_mm = lines_of(moves), bound.errors_mm(labels)
     filament = lines.direction[:, 3]
     kept = kept | bound.keeps(labels) | ~lines.travels | (filament < 0.0)
-    gain = _largest_carriage_gain(moves, lines.direction[:, :3], machine)
+    # how far the carriage that goes farthest goes for a mm of each move, at the worse of its ends
+    gain = np.max(_carriage_gains(moves, lines.direction[:, :3], machine), axis=0)
     fastest = bound.max_speed_mm_per_s or limits.velocity_mm_per_s
     velocity = float(np.min(machine.limits.carriage_velocity_mm_per_s))
     speed = np.minimum(fastest, PATH_SHARE * velocity / gain)
@@ -96,15 +97,10 @@ def _flow(moves: Moves, filament: FloatArray, flowing: BoolArray, bound: Bound, 
 
 
 def least_carriage_gain(moves: Moves, machine: Machine) -> FloatArray:
-    """Return what `_gain` says, at that place of each move where it is least, of three, (n,)."""
+    """Return how far the farthest carriage goes for a mm of each move, (n,), where that is least of three places."""
     direction = lines_of(moves).direction[:, :3]
     middle = 0.5 * (moves.start + moves.end)[:, :3]
     return np.asarray(np.min(_carriage_gains(moves, direction, machine, middle), axis=0))
-
-
-def _largest_carriage_gain(moves: Moves, direction: FloatArray, machine: Machine) -> FloatArray:
-    """Return how far the carriage that goes farthest goes for a mm of each move, (n,), at the worse of its ends."""
-    return np.asarray(np.max(_carriage_gains(moves, direction, machine), axis=0))
 
 
 def _carriage_gains(moves: Moves, direction: FloatArray, machine: Machine, *more: FloatArray) -> list[FloatArray]:

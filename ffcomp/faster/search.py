@@ -209,7 +209,6 @@ class SectionSearch:
         return self.free & ((demand.acceleration > DEMAND_TOLERANCE) | (demand.speed > DEMAND_TOLERANCE))
 
     def _slower(self, demand: Demand) -> Moves:
-        """Return the moves of the next round."""
         moves, free = self.moves, self.free
         by_acceleration = _slowing_factor(demand.acceleration, LEAST_FACTOR)
         by_speed = _slowing_factor(demand.speed, 0.8)
@@ -260,7 +259,6 @@ class _CommonAcceleration:
         self.bound_mm = max(float(each.ceiling.bound_mm.max()) for each in sections)
 
     def accelerate(self) -> None:
-        """Find the acceleration at which the forecast of the percentile is the bound."""
         known: list[tuple[float, float]] = []
         for step in range(FORECAST_STEPS):
             for each in self.sections:
@@ -276,14 +274,12 @@ class _CommonAcceleration:
             self.acceleration = _secant(known, FORECAST_POWER)
 
     def step_to_target(self) -> None:
-        """Take the acceleration at which the percentile would be the bound."""
         self.acceleration = _secant(self.percentiles, PREDICTION_POWER)
         for each in self.sections:
             each.accelerate(self.acceleration, self.bound_mm)
 
     @property
     def at_ceiling(self) -> bool:
-        """Whether no move would become quicker."""
         share = min(float(each.ceiling.bound_mm.min()) for each in self.sections) / self.bound_mm
         return self.acceleration * share >= max(float(each.top[each.free].max()) for each in self.sections)
 
@@ -319,13 +315,11 @@ class _Best:
         self.rank, self.kept = (np.inf, np.inf), list[tuple[Moves, SectionPrediction | None]]()
 
     def look(self, sections: Sequence[SectionSearch], p99: float) -> None:
-        """Compare the sections as they are, predicted."""
         rank = max(p99, 1.0), _duration_s(sections)
         if rank < self.rank:
             self.rank, self.kept = rank, [(each.moves, each.predicted) for each in sections]
 
     def restore(self, sections: Sequence[SectionSearch]) -> None:
-        """Give the sections their best moves again."""
         for each, (moves, predicted) in zip(sections, self.kept, strict=True):
             each.moves, each.predicted = moves, predicted
 

@@ -24,7 +24,11 @@ from ..Script import Script  # type: ignore[import-not-found]
 
 EXECUTABLE = "ffcomp"
 MACHINE = ""
-CURAS_OWN = ("PYTHONPATH", "PYTHONHOME", "LD_LIBRARY_PATH")  # of its bundle; another Python would stumble over them
+CURA_VARIABLES = (
+    "PYTHONPATH",
+    "PYTHONHOME",
+    "LD_LIBRARY_PATH",
+)  # of its bundle; another Python would stumble over them
 
 
 def _setting(label: str, description: str, default: str) -> dict[str, str]:
@@ -55,7 +59,6 @@ class Ffcomp(Script):
         return _pieces(text, data)
 
     def _compensated(self, print_text: str) -> tuple[str, list[str]]:
-        """Return the new text and what the user should know."""
         with TemporaryDirectory(prefix="ffcomp-cura-") as folder:
             path = Path(folder, "print.gcode")
             path.write_bytes(print_text.encode("utf-8", "surrogateescape"))
@@ -63,7 +66,6 @@ class Ffcomp(Script):
             return path.read_bytes().decode("utf-8", "surrogateescape"), result.get("warning_lines", [])
 
     def _run(self, path: Path) -> dict[str, Any]:
-        """Run `ffcomp compensate --json` and return its object."""
         machine, options, executable = map(self.getSettingValueByKey, ("machine", "options", "executable"))
         named = ["--machine", machine] if machine else []
         answer = subprocess.run(
@@ -81,9 +83,8 @@ class Ffcomp(Script):
         return result
 
 
-def _last_sentence(said: str) -> str:
-    """Return ffcomp's last words, without the frame that it draws around an error of usage."""
-    return re.sub("[│╭╮╰╯─]+", " ", re.split("ffcomp: |╭─ Error ─+╮", said)[-1])
+def _last_sentence(output: str) -> str:
+    return re.sub("[│╭╮╰╯─]+", " ", re.split("ffcomp: |╭─ Error ─+╮", output)[-1])
 
 
 def _environment(cura: Any) -> dict[str, str]:
@@ -94,7 +95,7 @@ def _environment(cura: Any) -> dict[str, str]:
     )
     x, y = (-width / 2, -depth / 2) if centred else (0.0, 0.0)
     return {
-        **{key: value for key, value in os.environ.items() if key not in CURAS_OWN},
+        **{key: value for key, value in os.environ.items() if key not in CURA_VARIABLES},
         "SLIC3R_PP_HOST": "Cura",
         "SLIC3R_PP_OUTPUT_NAME": cura.getPrintInformation().jobName,
         "SLIC3R_PRINTABLE_AREA": f"{x}x{y},{x + width}x{y + depth}",
@@ -111,9 +112,9 @@ def _pieces(text: str, data: list[str]) -> list[str]:
     cuts = [0]
     for piece in data[1:]:
         first = piece.lstrip("\r\n").partition("\n")[0]
-        found = re.compile(rf"^(?:;~)?{re.escape(first)}\r?$", re.MULTILINE).search(text, cuts[-1] + 1)
-        if first and found:
-            cuts.append(found.start())
+        match = re.compile(rf"^(?:;~)?{re.escape(first)}\r?$", re.MULTILINE).search(text, cuts[-1] + 1)
+        if first and match:
+            cuts.append(match.start())
     return [text[begin:end] for begin, end in pairwise([*cuts, len(text)])]
 
 

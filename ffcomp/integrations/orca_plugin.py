@@ -29,7 +29,11 @@ EXECUTABLE = "ffcomp"
 MACHINE = ""
 DEFAULTS = {"machine": MACHINE, "options": "", "executable": EXECUTABLE}
 SETTINGS = ("printable_area", "gcode_flavor")  # what ffcomp checks: SLIC3R_PRINTABLE_AREA, SLIC3R_GCODE_FLAVOR
-ORCAS_OWN = ("PYTHONPATH", "PYTHONHOME", "LD_LIBRARY_PATH")  # of its bundle; another Python would stumble over them
+ORCA_VARIABLES = (
+    "PYTHONPATH",
+    "PYTHONHOME",
+    "LD_LIBRARY_PATH",
+)  # of its bundle; another Python would stumble over them
 LOOK_S = 0.2  # from one look at whether the user has cancelled to the next
 
 
@@ -49,10 +53,10 @@ class Compensate(orca.slicing.SlicingPipelineCapabilityBase):
         if ctx.step != orca.slicing.Step.psGCodePostProcess:
             return orca.ExecutionResult.skipped()
         try:
-            said = _compensate(ctx, {**DEFAULTS, **json.loads(self.get_config() or "{}")})
+            sentence = _compensate(ctx, {**DEFAULTS, **json.loads(self.get_config() or "{}")})
         except (OSError, TypeError, ValueError) as error:
             return orca.ExecutionResult.failure(orca.PluginResult.RecoverableError, str(error))
-        return orca.ExecutionResult.success(said)
+        return orca.ExecutionResult.success(sentence)
 
 
 def _compensate(ctx: Any, config: dict[str, str]) -> str:
@@ -67,11 +71,11 @@ def _compensate(ctx: Any, config: dict[str, str]) -> str:
         env=_environment(ctx),
         creationflags=getattr(subprocess, "CREATE_NO_WINDOW", 0),
     )
-    said = _wait(process, ctx).strip()
+    output = _wait(process, ctx).strip()
     if process.returncode:
-        last = re.sub("[│╭╮╰╯─]+", " ", re.split("ffcomp: |╭─ Error ─+╮", said)[-1])  # usage errors come in a frame
+        last = re.sub("[│╭╮╰╯─]+", " ", re.split("ffcomp: |╭─ Error ─+╮", output)[-1])  # usage errors come in a frame
         raise ValueError(f"{' '.join(last.split())} (exit code {process.returncode})")
-    return said.rpartition("\n")[2]
+    return output.rpartition("\n")[2]
 
 
 def _wait(process: Any, ctx: Any) -> str:
@@ -87,11 +91,10 @@ def _wait(process: Any, ctx: Any) -> str:
 
 
 def _environment(ctx: Any) -> dict[str, str]:
-    """Return the environment of a classic post-processing script, as far as ffcomp asks."""
-    told = {"SLIC3R_PP_HOST": ctx.host, "SLIC3R_PP_OUTPUT_NAME": ctx.output_name, "PYTHONUTF8": "1"}
-    told |= {f"SLIC3R_{key.upper()}": ctx.config_value(key) for key in SETTINGS}
-    kept = {key: value for key, value in os.environ.items() if key not in ORCAS_OWN}
-    return kept | {key: value for key, value in told.items() if value}
+    slicer_variables = {"SLIC3R_PP_HOST": ctx.host, "SLIC3R_PP_OUTPUT_NAME": ctx.output_name, "PYTHONUTF8": "1"}
+    slicer_variables |= {f"SLIC3R_{key.upper()}": ctx.config_value(key) for key in SETTINGS}
+    kept = {key: value for key, value in os.environ.items() if key not in ORCA_VARIABLES}
+    return kept | {key: value for key, value in slicer_variables.items() if value}
 
 
 @orca.plugin

@@ -44,9 +44,9 @@ class Recipe:
 
 def executable() -> str:
     """Return the full path of the running program: slicers started from an icon do not know the shell's PATH."""
-    own = sys.argv[0] if Path(sys.argv[0]).stem == "ffcomp" else "ffcomp"
-    found = shutil.which(own)
-    return os.path.abspath(found) if found else "ffcomp"
+    name = sys.argv[0] if Path(sys.argv[0]).stem == "ffcomp" else "ffcomp"
+    path = shutil.which(name)
+    return os.path.abspath(path) if path else "ffcomp"
 
 
 def joined(arguments: Sequence[str]) -> str:

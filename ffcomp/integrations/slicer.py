@@ -81,8 +81,8 @@ def bed_of(source: bytes | Path) -> Bed | None:
 
 def bed_in(head: bytes, tail: bytes) -> Bed | None:
     """Read the bed in a file's first and last bytes."""
-    found = _BED_COMMENT.search(tail) or _BED_COMMENT.search(head)
-    return read_bed(found.group(1).decode("ascii")) if found else None
+    comment = _BED_COMMENT.search(tail) or _BED_COMMENT.search(head)
+    return read_bed(comment.group(1).decode("ascii")) if comment else None
 
 
 def _later(scripts: str) -> tuple[str, ...]:
@@ -115,18 +115,18 @@ def bed_warning(bed: Bed, machine: Machine, offset: tuple[float, float]) -> list
 
 def call_warnings(call: Call) -> list[str]:
     """Return what in a slicer's settings a user would want to know."""
-    told = []
+    sentences = []
     if call.flavor and call.flavor not in KNOWN:
-        told.append(
+        sentences.append(
             f"The slicer's G-code flavor {call.flavor} is none that ffcomp knows ({', '.join(sorted(KNOWN))}): it is "
             "taken for marlin unless the file or --flavor says otherwise."
         )
     if call.later:
-        told.append(
+        sentences.append(
             f"The slicer runs another script after ffcomp ({call.later[0]}): what it changes is not compensated, and "
             "may undo it. Put ffcomp last."
         )
-    return told
+    return sentences
 
 
 def pair(xy: tuple[float, float]) -> str:

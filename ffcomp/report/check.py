@@ -11,8 +11,7 @@ from matplotlib.figure import Figure
 
 from ffcomp.check.history import Check
 from ffcomp.check.verdict import CHANGED, SAME, SENSOR, UNKNOWN
-from ffcomp.report.shared.drawing import write_figure
-from ffcomp.report.shared.style import BAND, RC, SOFT, grid
+from ffcomp.report.drawing import BAND, RC, SOFT, grid, write_figure
 from ffcomp.version import __version__
 
 SHOWN = 30  # checks, the last ones

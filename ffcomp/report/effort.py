@@ -10,9 +10,19 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from ffcomp.inverse.bandwidth import EffortCurve
-from ffcomp.report.shared.band import band, machine_line, room_below
-from ffcomp.report.shared.drawing import file_of, layout
-from ffcomp.report.shared.style import AFTER, BEYOND, RC, SOFT, grid, plain_decades
+from ffcomp.report.drawing import (
+    AFTER,
+    BEYOND,
+    RC,
+    SOFT,
+    band,
+    file_of,
+    grid,
+    layout,
+    machine_line,
+    plain_decades,
+    room_below,
+)
 from gcode.atomic_write import replace_atomically
 from models.machine import Machine
 
@@ -44,10 +54,10 @@ def effort_verdict(curves: Mapping[float, EffortCurve]) -> str:
     rate, curve = next(iter(curves.items()))
     at, knee = curve.peak_mm_per_s2[curve.knee] / 1e3, curve.error_um[curve.knee]
     most, least = curve.peak_mm_per_s2.max() / 1e3, curve.error_um.min()
-    told = f"At the knee ({rate:g} segments/s) {at:.1f} m/s² leave {knee:.2g} µm"
+    at_knee = f"At the knee ({rate:g} segments/s) {at:.1f} m/s² leave {knee:.2g} µm"
     if least > 0.95 * knee:
-        return f"{told}; more acceleration wins nothing."
-    return f"{told}; up to {most:.0f} m/s² would leave {least:.2g} µm."
+        return f"{at_knee}; more acceleration wins nothing."
+    return f"{at_knee}; up to {most:.0f} m/s² would leave {least:.2g} µm."
 
 
 def _curve(axes: Axes, rate: float, curve: EffortCurve, number: int) -> None:

@@ -11,8 +11,7 @@ from matplotlib.figure import Figure
 
 from ffcomp.estimate.engine import Estimate, seconds
 from ffcomp.estimate.statistics import BEFORE, KINDS, WAITING, Statistics
-from ffcomp.report.shared.drawing import file_of, layout
-from ffcomp.report.shared.style import RC, grid
+from ffcomp.report.drawing import RC, file_of, grid, layout
 from ffcomp.version import __version__
 from gcode.atomic_write import replace_atomically
 from gcode.metadata import short

@@ -18,9 +18,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormat
 
 from ffcomp.identify.accuracy import phases_deg
 from ffcomp.identify.frf_study import RINGS, Compared, NumberedMode, Station, Study, verdict
-from ffcomp.report.shared.band import BAND_HEIGHT, band, machine_line
-from ffcomp.report.shared.drawing import write_figure
-from ffcomp.report.shared.style import INK, PAPER, SOFT
+from ffcomp.report.drawing import BAND_HEIGHT, INK, PAPER, SOFT, band, machine_line, write_figure
 from models.arrays import FloatArray
 from models.machine import Machine
 from models.vibration.mode_map import ModeMap
@@ -38,32 +36,32 @@ LABEL_HEIGHT, ROW_HEIGHT = 0.2, 0.27  # of a row of mode numbers, of a line of t
 MODE_WIDTH, STATION_WIDTH = 1.38, 2.3  # of the table's columns
 
 
-def draw_bode(found: Study, target: Path, full: bool = False) -> None:
+def draw_bode(study: Study, target: Path, full: bool = False) -> None:
     """Write the Bode figure; the suffix of `target` names the format."""
-    write_figure(bode_figure(found, full), target, dpi=110)
+    write_figure(bode_figure(study, full), target, dpi=110)
 
 
-def bode_figure(found: Study, full: bool = False) -> Figure:
+def bode_figure(study: Study, full: bool = False) -> Figure:
     """Draw a panel of magnitude and phase for each response, modes numbered above, and a table of them below."""
-    pairs = found.view.all_pairs if full else found.view.pairs
+    pairs = study.view.all_pairs if full else study.view.pairs
     columns = min(3, len(pairs))
     rows = len(pairs) // columns
     panel = PANEL_WIDTH if columns > 1 else WIDE_PANEL
-    labels = LABEL_HEIGHT * len(_numbered(found))
+    labels = LABEL_HEIGHT * len(_numbered(study))
     cell = ABOVE + labels + MAGNITUDE_HEIGHT + BETWEEN + PHASE_HEIGHT + BELOW
     content = columns * panel + (columns - 1) * ASIDE
-    width = max(2 * MARGIN + content, 2 * 0.35 + _table_width(found))
-    height = BAND_HEIGHT + rows * cell + ROW_HEIGHT * _lines(found) + 0.35
+    width = max(2 * MARGIN + content, 2 * 0.35 + _table_width(study))
+    height = BAND_HEIGHT + rows * cell + ROW_HEIGHT * _lines(study) + 0.35
     figure = Figure(figsize=(width, height), facecolor=PAPER)
-    _band(figure, found.view.title, verdict(found), found.machine)
+    _band(figure, study.view.title, verdict(study), study.machine)
     left = (width - content) / 2 + 0.15
     for number, pair in enumerate(pairs):
         x = left + (number % columns) * (panel + ASIDE)
         y = height - BAND_HEIGHT - (number // columns) * cell - ABOVE - labels - MAGNITUDE_HEIGHT
         upper = _axes(figure, x, y, panel, MAGNITUDE_HEIGHT)
         lower = _axes(figure, x, y - BETWEEN - PHASE_HEIGHT, panel, PHASE_HEIGHT)
-        _panel(upper, lower, found, pair, first=number % columns == 0)
-    _table(figure, found)
+        _panel(upper, lower, study, pair, first=number % columns == 0)
+    _table(figure, study)
     return figure
 
 
@@ -71,7 +69,6 @@ def bode_figure(found: Study, full: bool = False) -> Figure:
 
 
 def _axes(figure: Figure, x: float, y: float, width: float, height: float) -> Axes:
-    """Axes in inches from the lower left corner."""
     w, h = figure.get_size_inches()
     axes = figure.add_axes((x / w, y / h, width / w, height / h))
     axes.tick_params(labelsize=8, color=SOFT, labelcolor=INK)
@@ -87,18 +84,18 @@ def _band(figure: Figure, title: str, finding: str, machine: Machine) -> None:
 # --- Bode panels
 
 
-def _panel(upper: Axes, lower: Axes, found: Study, pair: tuple[int, int], first: bool) -> None:
-    for number, (station, colour) in enumerate(zip(found.stations, _colours(found), strict=True)):
-        _curves(upper, lower, found.frequency_hz, station, pair, colour)
+def _panel(upper: Axes, lower: Axes, study: Study, pair: tuple[int, int], first: bool) -> None:
+    for number, (station, colour) in enumerate(zip(study.stations, _colours(study), strict=True)):
+        _curves(upper, lower, study.frequency_hz, station, pair, colour)
         _accuracy(lower, [each for each in station.compared if each.pair == pair], number, colour)
-    view = found.view
+    view = study.view
     name = view.rows[pair[0]] if not view.depends_on_place else f"{view.columns[pair[1]]} to {view.rows[pair[0]]}"
     upper.set_yscale("log")
     _decades(upper)
     upper.set_xticklabels([])
     upper.text(0.02, 0.04, name, transform=upper.transAxes, fontsize=12, weight="bold", color=INK)
     for axes in (upper, lower):
-        axes.set_xlim(found.frequency_hz[0], found.frequency_hz[-1])
+        axes.set_xlim(study.frequency_hz[0], study.frequency_hz[-1])
         axes.grid(color="#e6e9ee", linewidth=0.8)
         axes.set_axisbelow(True)
     lower.set_xlabel("frequency, Hz", fontsize=9, color=INK)
@@ -106,7 +103,7 @@ def _panel(upper: Axes, lower: Axes, found: Study, pair: tuple[int, int], first:
     if first:
         upper.set_ylabel(f"magnitude, {view.unit}", fontsize=9, color=INK)
         lower.set_ylabel("phase, °", fontsize=9, color=INK)
-    for row, (station, colour) in enumerate(reversed(_numbered(found))):
+    for row, (station, colour) in enumerate(reversed(_numbered(study))):
         here = [mode for mode in station.modes if mode.axis in (None, view.rows[pair[0]])]
         _mode_numbers(upper, here, colour, row)
 
@@ -124,13 +121,12 @@ def _decades(axes: Axes) -> None:
     axes.yaxis.set_minor_formatter(NullFormatter())
 
 
-def _colours(found: Study) -> list[str]:
-    return [COLOURS[i % len(COLOURS)] for i in range(len(found.stations))]
+def _colours(study: Study) -> list[str]:
+    return [COLOURS[i % len(COLOURS)] for i in range(len(study.stations))]
 
 
-def _numbered(found: Study) -> list[tuple[Station, str]]:
-    """Return the stations whose modes are numbered above the panels."""
-    shown = list(zip(found.stations, _colours(found), strict=True))
+def _numbered(study: Study) -> list[tuple[Station, str]]:
+    shown = list(zip(study.stations, _colours(study), strict=True))
     return shown if len(shown) <= NUMBERED_STATIONS else shown[:1]
 
 
@@ -201,40 +197,40 @@ def _spread(at: FloatArray, gap: float) -> FloatArray:
 # --- The table under the panels
 
 
-def _signs(found: Study) -> list[str]:
+def _signs(study: Study) -> list[str]:
     """Return the table's columns: every mode of any station."""
-    signs = [mode.sign for station in found.stations for mode in station.modes]
+    signs = [mode.sign for station in study.stations for mode in station.modes]
     return sorted(dict.fromkeys(signs), key=lambda sign: (not sign.isdigit(), sign))
 
 
-def _lines(found: Study) -> int:
+def _lines(study: Study) -> int:
     """Of the table; the kinds of modes get a line of their own where there is room."""
-    return 1 + len(found.stations) * (2 if len(found.stations) <= NUMBERED_STATIONS else 1)
+    return 1 + len(study.stations) * (2 if len(study.stations) <= NUMBERED_STATIONS else 1)
 
 
-def _table_width(found: Study) -> float:
-    return STATION_WIDTH + MODE_WIDTH * len(_signs(found)) + (2.6 if found.compared else 0.0)
+def _table_width(study: Study) -> float:
+    return STATION_WIDTH + MODE_WIDTH * len(_signs(study)) + (2.6 if study.compared else 0.0)
 
 
-def _table(figure: Figure, found: Study) -> None:
+def _table(figure: Figure, study: Study) -> None:
     """Write a line a station: its colour, each mode's frequency and damping ratio, and how well it was predicted."""
     width, height = figure.get_size_inches()
-    top = ROW_HEIGHT * _lines(found) + 0.1
-    left = (width - _table_width(found)) / 2 + 0.1
-    column = {sign: STATION_WIDTH + MODE_WIDTH * i for i, sign in enumerate(_signs(found))}
+    top = ROW_HEIGHT * _lines(study) + 0.1
+    left = (width - _table_width(study)) / 2 + 0.1
+    column = {sign: STATION_WIDTH + MODE_WIDTH * i for i, sign in enumerate(_signs(study))}
     last = STATION_WIDTH + MODE_WIDTH * len(column)
-    step = (_lines(found) - 1) // len(found.stations)
+    step = (_lines(study) - 1) // len(study.stations)
 
     def say(x: float, line: float, text: str, colour: str = INK, weight: str = "normal", size: float = 8.5) -> None:
         y = top - ROW_HEIGHT * line
         figure.text((left + x) / width, y / height, text, fontsize=size, color=colour, weight=weight, va="center")
 
-    say(0, 0, "line: model" + (", dots: measured" if found.compared else ""), SOFT)
+    say(0, 0, "line: model" + (", dots: measured" if study.compared else ""), SOFT)
     for sign, x in column.items():
         say(x, 0, "D  drive" if sign == "D" else f"mode {sign}", INK, "bold")
-    if found.compared:
+    if study.compared:
         say(last, 0, "accuracy: magnitude, phase", INK, "bold")
-    for number, (station, colour) in enumerate(zip(found.stations, _colours(found), strict=True)):
+    for number, (station, colour) in enumerate(zip(study.stations, _colours(study), strict=True)):
         line = 1 + number * step
         say(0, line, f"━  {station.label}", colour, "bold")
         for mode in station.modes:
@@ -267,9 +263,9 @@ SMALLEST_SPAN = 0.02  # of a frequency
 TICKS = 11  # lines of direction across the bed
 
 
-def draw_map(machine: Machine, found: ModeMap, target: Path) -> None:
+def draw_map(machine: Machine, modes: ModeMap, target: Path) -> None:
     """Every mode's frequency (colour), damping ratio (lines) and direction in the plane (strokes) over the bed."""
-    count = len(found.kinds)
+    count = len(modes.kinds)
     columns = min(3, count)
     rows = -(-count // columns)
     width = 0.8 + columns * (MAP_SIZE + MAP_ASIDE)
@@ -277,35 +273,35 @@ def draw_map(machine: Machine, found: ModeMap, target: Path) -> None:
     figure = Figure(figsize=(width, height), facecolor=PAPER)
     key = "colour: frequency  ·  white lines: damping ratio  ·  strokes: the direction of vibration; none: vertical"
     figure.text(0.5, 0.17 / height, key, ha="center", va="center", fontsize=8.5, color=SOFT)
-    _band(figure, "Modes over the bed", map_verdict(found), machine)
+    _band(figure, "Modes over the bed", map_verdict(modes), machine)
     for mode in range(count):
         x = 0.8 + (mode % columns) * (MAP_SIZE + MAP_ASIDE)
         y = height - BAND_HEIGHT - (mode // columns + 1) * (MAP_ABOVE + MAP_SIZE + MAP_BELOW) + MAP_BELOW
         axes = _axes(figure, x, y, MAP_SIZE, MAP_SIZE)
         bar = _axes(figure, x + 0.25, y - 0.55, MAP_SIZE - 0.5, 0.1)
-        _map_panel(axes, bar, machine, found, mode)
+        _map_panel(axes, bar, machine, modes, mode)
     write_figure(figure, target, dpi=110)
 
 
-def map_verdict(found: ModeMap) -> str:
+def map_verdict(modes: ModeMap) -> str:
     """Which mode moves most over the bed, in words."""
-    rings = [m for m in range(len(found.kinds)) if np.nanmean(found.damping_ratio[:, :, m]) < RINGS]
+    rings = [m for m in range(len(modes.kinds)) if np.nanmean(modes.damping_ratio[:, :, m]) < RINGS]
     if not rings:
         return "Nothing rings: every mode is damped by more than 30 %."
-    span = {m: (np.nanmin(found.frequency_hz[:, :, m]), np.nanmax(found.frequency_hz[:, :, m])) for m in rings}
+    span = {m: (np.nanmin(modes.frequency_hz[:, :, m]), np.nanmax(modes.frequency_hz[:, :, m])) for m in rings}
     worst = max(rings, key=lambda m: span[m][1] / span[m][0])
     low, high = span[worst]
     return (
-        f"Mode {worst + 1} ({found.kinds[worst]}) moves most: {low:.0f} to {high:.0f} Hz, by "
+        f"Mode {worst + 1} ({modes.kinds[worst]}) moves most: {low:.0f} to {high:.0f} Hz, by "
         f"{100 * (high / low - 1):.0f} %; a shaper tuned at one position is wrong at the others."
         if high / low > 1.05
         else f"No mode that rings moves by more than {100 * (high / low - 1):.0f} %."
     )
 
 
-def _map_panel(axes: Axes, bar: Axes, machine: Machine, found: ModeMap, mode: int) -> None:
-    frequency, damping = found.frequency_hz[:, :, mode], 100 * found.damping_ratio[:, :, mode]
-    x, round_bed = found.x_mm, Circle((0, 0), found.x_mm[-1], transform=axes.transData)
+def _map_panel(axes: Axes, bar: Axes, machine: Machine, modes: ModeMap, mode: int) -> None:
+    frequency, damping = modes.frequency_hz[:, :, mode], 100 * modes.damping_ratio[:, :, mode]
+    x, round_bed = modes.x_mm, Circle((0, 0), modes.x_mm[-1], transform=axes.transData)
     levels = _levels(frequency)
     colours = axes.contourf(x, x, frequency.T, levels=levels, cmap="viridis")
     lines = axes.contour(x, x, damping.T, levels=5, colors="#ffffff", linewidths=0.8)
@@ -316,7 +312,7 @@ def _map_panel(axes: Axes, bar: Axes, machine: Machine, found: ModeMap, mode: in
         label.set_clip_path(round_bed)
     for drawn in (colours, lines):
         drawn.set_clip_path(round_bed)
-    _directions(axes, found, mode)
+    _directions(axes, modes, mode)
     _towers(axes, machine)
     digits = max(0, 1 - int(np.floor(np.log10(levels[-1] - levels[0]))))
     scale = axes.figure.colorbar(colours, cax=bar, orientation="horizontal", format=f"%.{digits}f")
@@ -326,9 +322,9 @@ def _map_panel(axes: Axes, bar: Axes, machine: Machine, found: ModeMap, mode: in
     bar.set_xlabel("frequency, Hz", fontsize=8, color=INK)
     low, high, zeta = np.nanmin(frequency), np.nanmax(frequency), float(np.nanmean(damping))
     quiet = "" if zeta < 100 * RINGS else ": hardly rings"
-    axes.text(0, 1.08, f"{mode + 1}  {found.kinds[mode]}", transform=axes.transAxes, fontsize=12, weight="bold")
-    said = f"{low:.1f}-{high:.1f} Hz, ζ {zeta:.1f} %{quiet}"
-    axes.text(0, 1.025, said, transform=axes.transAxes, fontsize=9, color=SOFT)
+    axes.text(0, 1.08, f"{mode + 1}  {modes.kinds[mode]}", transform=axes.transAxes, fontsize=12, weight="bold")
+    text = f"{low:.1f}-{high:.1f} Hz, ζ {zeta:.1f} %{quiet}"
+    axes.text(0, 1.025, text, transform=axes.transAxes, fontsize=9, color=SOFT)
 
 
 def _levels(frequency: FloatArray) -> FloatArray:
@@ -349,15 +345,15 @@ def _towers(axes: Axes, machine: Machine) -> None:
     axes.set_ylabel("Y, mm", fontsize=8, labelpad=1, color=INK)
 
 
-def _directions(axes: Axes, found: ModeMap, mode: int) -> None:
+def _directions(axes: Axes, modes: ModeMap, mode: int) -> None:
     """Strokes along the horizontal part of what moves most, nozzle holder or extruder; a point where it is upright."""
-    every = max(1, len(found.x_mm) // TICKS)
-    at = np.arange(len(found.x_mm) // 2 % every, len(found.x_mm), every)
-    motion = np.where(found.on_bed[..., None], found.motion[:, :, mode], np.nan)[np.ix_(at, at)]
-    part = motion[..., 3:] if found.kinds[mode].startswith("extruder") else motion[..., :3]
+    every = max(1, len(modes.x_mm) // TICKS)
+    at = np.arange(len(modes.x_mm) // 2 % every, len(modes.x_mm), every)
+    motion = np.where(modes.on_bed[..., None], modes.motion[:, :, mode], np.nan)[np.ix_(at, at)]
+    part = motion[..., 3:] if modes.kinds[mode].startswith("extruder") else motion[..., :3]
     flat = part[..., :2] * np.exp(-0.5j * np.angle(np.sum(part[..., :2] ** 2, axis=-1, keepdims=True)))  # longest real
     length = np.linalg.norm(part, axis=-1, keepdims=True)
-    stroke = 0.35 * (found.x_mm[every] - found.x_mm[0]) * flat.real / length
-    x, y = np.meshgrid(found.x_mm[at], found.x_mm[at], indexing="ij")
+    stroke = 0.35 * (modes.x_mm[every] - modes.x_mm[0]) * flat.real / length
+    x, y = np.meshgrid(modes.x_mm[at], modes.x_mm[at], indexing="ij")
     ends = np.stack([np.stack([x, y], axis=-1) - stroke, np.stack([x, y], axis=-1) + stroke])
     axes.plot(*ends.reshape(2, -1, 2).transpose(2, 0, 1), color="#00000099", linewidth=1.4, solid_capstyle="round")

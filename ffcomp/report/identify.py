@@ -20,11 +20,70 @@ from ffcomp.identify.axis_spectra import Datum
 from ffcomp.identify.belts import BeltComparison
 from ffcomp.identify.identify import Identified
 from ffcomp.identify.modal_fit import AxisFit
-from ffcomp.report.belts import belts_panel
-from ffcomp.report.shared.band import BAND_HEIGHT, band, machine_line, room_below
-from ffcomp.report.shared.drawing import write_figure
-from ffcomp.report.shared.style import AFTER, NOISE, RC, REFERENCE, SOFT, grid
+from ffcomp.report.drawing import (
+    AFTER,
+    BAND,
+    BAND_HEIGHT,
+    NOISE,
+    RC,
+    REFERENCE,
+    SOFT,
+    band,
+    grid,
+    machine_line,
+    room_below,
+    write_figure,
+)
+from ffcomp.version import __version__
 from models.arrays import ComplexArray, FloatArray
+
+COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")  # told apart by colour-blind people too
+
+
+def draw_belts(belts: BeltComparison, name: str, target: Path) -> None:
+    """Write the figure; the suffix of `target` names the format."""
+    write_figure(belts_figure(belts, name), target, dpi=130)
+
+
+def belts_figure(belts: BeltComparison, name: str) -> Figure:
+    """Draw all tests in one panel, its finding above it."""
+    with matplotlib.rc_context(RC):
+        figure = Figure(figsize=(8.4, 4.7), layout="constrained")
+        finding = belts.sentence.partition(". ")[0]
+        figure.suptitle(finding, x=0.01, ha="left", fontsize=12, fontweight="bold", color=BAND)
+        axes = figure.add_subplot()
+        belts_panel(axes, belts)
+        axes.set_title(f"{name} · tests along each {belts.kind} · ffcomp {__version__}", fontsize=8, color=SOFT)
+    return figure
+
+
+def belts_panel(axes: Axes, belts: BeltComparison) -> None:
+    """Draw each test's power, of any scale: measured, and by the fitted model; its peak is marked."""
+    for number, (test, model) in enumerate(zip(belts.tests, belts.fitted, strict=True)):
+        colour = COLOURS[number % len(COLOURS)]
+        f, scale = test.spectrum.frequency_hz, 1.0 / float(model.max())
+        axes.plot(f, scale * test.spectrum.value, color=colour, linewidth=1.8, label=_label(belts, number))
+        axes.plot(f, scale * model, color=colour, linewidth=1.0, linestyle=":")
+        top = int(np.argmax(test.spectrum.value))
+        height = float(scale * test.spectrum.value[top])
+        axes.plot(f[top], height, "v", color=colour, markersize=7)
+    axes.set_xlabel("frequency, Hz")
+    axes.set_ylabel("power of the acceleration, of its largest")
+    axes.set_ylim(bottom=0.0)
+    highest = max(float(test.spectrum.frequency_hz[-1]) for test in belts.tests)
+    axes.set_xlim(0.0, min(highest, 3.0 * belts.modes_hz[1].value))
+    axes.plot([], [], color=SOFT, linewidth=1.0, linestyle=":", label="fitted: head on its belts")
+    axes.legend(fontsize=8, frameon=False)
+    grid(axes)
+
+
+def _label(belts: BeltComparison, number: int) -> str:
+    test = belts.tests[number]
+    peak = f"peak at {test.spectrum.frequency_hz[int(np.argmax(test.spectrum.value))]:.1f} Hz"
+    if belts.kind == "belt":
+        return f"axis={test.axis}, {peak}"
+    return f"tower {belts.nearest(test)} (axis={test.axis}), {peak}"
+
 
 if TYPE_CHECKING:
     from ffcomp.measurement.frf import FrequencyResponse
@@ -40,29 +99,30 @@ AXES_KEY = "dots: measured  ·  blue: the fitted modes together  ·  dashed: a m
 DOTS: dict[str, Any] = {"color": REFERENCE, "markersize": 3, "alpha": 0.55, "markeredgewidth": 0}
 
 
-def draw_fit(found: Identified, target: Path, more: str = "") -> None:
+def draw_fit(identified: Identified, target: Path, more: str = "") -> None:
     """Write the figure of a fit; the suffix of `target` names the format."""
-    write_figure(fit_figure(found, more), target, dpi=110)
+    write_figure(fit_figure(identified, more), target, dpi=110)
 
 
-def fit_figure(found: Identified, more: str = "") -> Figure:
+def fit_figure(identified: Identified, more: str = "") -> Figure:
     """Draw one panel for each response: measured values, the fit, and the standard deviation of the noise.
 
     Where every input has all its outputs, a column is an input and a row an output.
 
     Parameters
     ----------
-    found : Identified
-    more : str
-        A sentence below the verdict.
+    more : A sentence below the verdict
     """
-    pairs = list(zip(found.fitted.responses, found.fitted.predictions, found.fitted.model_errors, strict=True))
+    pairs = list(
+        zip(identified.fitted.responses, identified.fitted.predictions, identified.fitted.model_errors, strict=True)
+    )
     order, columns = _in_a_grid([response for response, _, _ in pairs])
     rows = -(-len(order) // columns)
     with matplotlib.rc_context(RC):
         figure = Figure(figsize=(PANEL * columns + 0.4, HIGH * rows + BAND_HEIGHT + 0.6), layout="constrained")
-        of = f"{machine_line(found.machine)}  ·  dots: measured  ·  blue: the model  ·  grey: noise of the measurement"
-        room_below(figure, band(figure, "Measured responses and the fitted model", _verdict(found), of, more))
+        key = "dots: measured  ·  blue: the model  ·  grey: noise of the measurement"
+        of = f"{machine_line(identified.machine)}  ·  {key}"
+        room_below(figure, band(figure, "Measured responses and the fitted model", _verdict(identified), of, more))
         boxes = figure.subfigures(rows, columns, squeeze=False).ravel()
         for box, which in zip(boxes, order, strict=False):
             response, model, error = pairs[which]
@@ -73,7 +133,6 @@ def fit_figure(found: Identified, more: str = "") -> Figure:
 
 
 def _in_a_grid(responses: Sequence[FrequencyResponse]) -> tuple[list[int], int]:
-    """Return the order of the panels, and their columns."""
     where = [(r.setup, r.position_mm or (), r.output, r.input) for r in responses]
     inputs = {(setup, place, source) for setup, place, _, source in where}
     outputs = {(setup, place, target) for setup, place, target, _ in where}
@@ -90,33 +149,31 @@ def _in_a_grid(responses: Sequence[FrequencyResponse]) -> tuple[list[int], int]:
 
 
 def draw_axes(
-    found: IdentifiedAxes, name: str, target: Path, belts: BeltComparison | None = None, more: str = ""
+    identified: IdentifiedAxes, name: str, target: Path, belts: BeltComparison | None = None, more: str = ""
 ) -> None:
     """Write the figure of the axes' modes; the suffix of `target` names the format."""
-    write_figure(axes_figure(found, name, belts, more), target, dpi=110)
+    write_figure(axes_figure(identified, name, belts, more), target, dpi=110)
 
 
-def axes_figure(found: IdentifiedAxes, name: str, belts: BeltComparison | None = None, more: str = "") -> Figure:
+def axes_figure(identified: IdentifiedAxes, name: str, belts: BeltComparison | None = None, more: str = "") -> Figure:
     """Draw one panel for each file and axis: measured values, the sum of the modes, and the modes' frequencies.
 
     Parameters
     ----------
-    found : IdentifiedAxes
-    name : str
-        Of the machine.
-    belts : BeltComparison, optional
-        Compared in a panel of their own.
-    more : str
-        A sentence below the verdict.
+    name : of the machine
+    belts : compared in a panel of their own
+    more : A sentence below the verdict
     """
-    panels = [(axis, *each) for axis in found.axes for each in zip(axis.data, axis.fitted, axis.errors, strict=True)]
+    panels = [
+        (axis, *each) for axis in identified.axes for each in zip(axis.data, axis.fitted, axis.errors, strict=True)
+    ]
     count = len(panels) + (belts is not None)
     columns = min(COLUMNS, count)
     rows = -(-count // columns)
     with matplotlib.rc_context(RC):
         size = (max(PANEL * columns, 8.5) + 0.4, AXIS_HIGH * rows + BAND_HEIGHT + 0.6)
         figure = Figure(figsize=size, layout="constrained")
-        finding = "  ·  ".join(_said(axis) for axis in found.axes)
+        finding = "  ·  ".join(_modes_text(axis) for axis in identified.axes)
         room_below(
             figure, band(figure, "Measured resonances and the fitted modes", finding, f"{name}  ·  {AXES_KEY}", more)
         )
@@ -130,7 +187,7 @@ def axes_figure(found: IdentifiedAxes, name: str, belts: BeltComparison | None =
     return figure
 
 
-def _said(axis: AxisFit) -> str:
+def _modes_text(axis: AxisFit) -> str:
     modes = (f"{m.frequency_hz.value:.1f} Hz (ζ {100 * m.damping_ratio.value:.1f} %)" for m in axis.modes)
     return f"{axis.name}: {' and '.join(modes)}"
 
@@ -154,7 +211,6 @@ def _axis_panel(axes: Axes, axis: AxisFit, datum: Datum, model: FloatArray | Com
 
 
 def _named(axes: Axes, at_hz: Sequence[float]) -> None:
-    """Write rising frequencies at the top of a panel, beside their lines, those that are close one below the other."""
     low, high = axes.get_xlim()
     row, before = 0, -np.inf
     for at in at_hz:
@@ -166,14 +222,13 @@ def _named(axes: Axes, at_hz: Sequence[float]) -> None:
         )  # fmt: skip
 
 
-def _verdict(found: Identified) -> str:
+def _verdict(identified: Identified) -> str:
     """Judge the fit in words: what is left of the worst response, and how many are explained to their noise."""
-    errors = found.fitted.model_errors
+    errors = identified.fitted.model_errors
     count, exact, worst = len(errors), int(np.sum(errors == 0)), float(errors.max(initial=0.0))
     if worst == 0.0:
-        return (
-            f"A good fit: the model follows every response to its noise (misfit {found.fitted.misfit:.2f}, 1 is ideal)"
-        )
+        misfit = f"misfit {identified.fitted.misfit:.2f}, 1 is ideal"
+        return f"A good fit: the model follows every response to its noise ({misfit})"
     word = "A good fit" if worst <= CLOSE else "A fair fit" if worst <= FAIR else "A poor fit"
     return (
         f"{word}: the model follows {exact} of {count} responses to their noise, and the worst to {100 * worst:.1f} %"
@@ -209,7 +264,6 @@ def _peaks(magnitude: FloatArray) -> list[int]:
 
 
 def _unit(response: FrequencyResponse) -> str:
-    """Return the unit of an output to an input."""
     position, force = response.output.startswith("pos_"), response.input.startswith("force_")
     if force:
         return "m/N" if position else "m/s² per N"

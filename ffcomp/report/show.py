@@ -13,10 +13,10 @@ from matplotlib.collections import LineCollection
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
-from ffcomp.report.shared.drawing import write_figure
-from ffcomp.report.shared.style import AFTER, BEFORE, NEIGHBOUR, REFERENCE, error_colours, plain_decades
-from ffcomp.simulate.flow import Flow
-from ffcomp.simulate.preview import Curve, Preview
+from ffcomp.report.drawing import AFTER, BEFORE, NEIGHBOUR, REFERENCE, error_colours, plain_decades, write_figure
+from ffcomp.simulate.preview import Curve, Flow, Preview
+from ffcomp.simulate.simulation import SimulationResult
+from ffcomp.version import __version__
 from models.arrays import BoolArray, FloatArray
 
 CLOSE_UP_MM = 2.5  # half the width of the close-up
@@ -37,8 +37,8 @@ class Numbers:
 
 def numbers(curve: Curve) -> Numbers:
     """Return the contour error over the whole print."""
-    found = curve.statistics
-    return Numbers(found.rms_um, found.p99_um, found.max_um)
+    error = curve.statistics
+    return Numbers(error.rms_um, error.p99_um, error.max_um)
 
 
 def verdict(preview: Preview) -> str:
@@ -60,10 +60,7 @@ def show_figure(preview: Preview, title: str, footer: str = "", z_mm: float | No
 
     Parameters
     ----------
-    preview : Preview
-    title, footer : str
-    z_mm : float, optional
-        The layer to show; None: the one with the largest error before, on an outer wall if there is any.
+    z_mm : the layer to show; None: the one with the largest error before, on an outer wall if there is any
     """
     worst = _worst_position(preview.before, z_mm)
     figure = Figure(figsize=(16, 8.4), layout="constrained")
@@ -82,14 +79,12 @@ def show_figure(preview: Preview, title: str, footer: str = "", z_mm: float | No
 
 
 def _rows(preview: Preview) -> tuple[list[Any], list[float]]:
-    """Return the panels' names, row by row, and the rows' heights."""
     names = [name for name, there in (("speed", retimed(preview)), ("flow", preview.flows is not None)) if there]
     heights = [2.2, 0.8 if names else 1.0, *(0.6 for _ in names)]
     return [["close", "before", "after"], ["time"] * 3, *([name] * 3 for name in names)], heights
 
 
 def _flows(axes: Axes, preview: Preview, flows: tuple[Flow, Flow], position: FloatArray) -> None:
-    """Draw what flows in the layer, on each print's own clock, by the machine file's model of the pressure."""
     for curve, flow, colour, name in (
         (preview.before, flows[0], BEFORE, "flow as sliced"),
         (preview.after, flows[1], AFTER, "flow now"),
@@ -168,7 +163,6 @@ def _scale_bar(axes: Axes, position: FloatArray) -> None:
 
 
 def _of(preview: Preview, position: FloatArray) -> str:
-    """Say what the position is on."""
     at = int(np.argmin(np.abs(preview.before.reference - position).max(axis=1)))
     return " on an outer wall" if preview.before.outer_wall[at] else ""
 
@@ -223,6 +217,49 @@ def _near(curve: Curve, position: FloatArray, reach: float) -> BoolArray:
 def _lines(
     axes: Axes, points: FloatArray, keep: BoolArray, colour: str, width: float, label: str = "_nolegend_"
 ) -> None:
-    """Join the kept points, with a gap wherever one is missing."""
     shown = np.where(keep[:, None], points[:, :2], np.nan)
     axes.plot(shown[:, 0], shown[:, 1], color=colour, linewidth=width, label=label)
+
+
+LEAST_UM = 0.01  # smaller errors are drawn as this
+
+
+def simulation_figure(result: SimulationResult) -> Figure:
+    """Draw the reference and the nozzle's path where the contour error is largest, and the error along the time."""
+    figure = Figure(figsize=(11, 4.4), layout="constrained")
+    track = result.track
+    figure.suptitle(
+        f"{result.plant.name}: contour error {track.contour_rms_um:.2f} µm rms, 99 % below "
+        f"{track.contour_p99_um:.1f} µm, largest {track.contour_max_um:.0f} µm",
+        x=0.01,
+        ha="left",
+    )
+    left, right = figure.subplots(1, 2, width_ratios=(1, 1.7))
+    _simulated_close_up(left, result)
+    right.semilogy(result.time_s, np.maximum(result.error_um, LEAST_UM), color=AFTER, linewidth=0.6)
+    right.set(xlabel="time, s", ylabel="contour error, µm", title="Along the time")
+    right.grid(alpha=0.3)
+    figure.supxlabel(f"ffcomp v{__version__}", fontsize=7, x=0.99, ha="right")
+    return figure
+
+
+def _simulated_close_up(axes: Axes, result: SimulationResult) -> None:
+    worst = int(np.argmax(result.error_um))
+    centre = result.reference_mm[worst]
+    away = np.abs(result.reference_mm - centre)
+    near = (away[:, 2] < 0.15) & (away[:, :2].max(axis=1) < 2 * CLOSE_UP_MM)
+    for points, colour, label in (
+        (result.nozzle_mm, AFTER, "nozzle"),
+        (result.reference_mm, REFERENCE, "reference"),
+    ):
+        shown = np.where(near[:, None], points[:, :2], np.nan)
+        axes.plot(shown[:, 0], shown[:, 1], color=colour, linewidth=1.0, label=label)
+    axes.set(
+        xlim=(centre[0] - CLOSE_UP_MM, centre[0] + CLOSE_UP_MM),
+        ylim=(centre[1] - CLOSE_UP_MM, centre[1] + CLOSE_UP_MM),
+        xlabel="X, mm",
+        ylabel="Y, mm",
+        aspect="equal",
+        title=f"Largest error, at {result.time_s[worst]:.2f} s",
+    )
+    axes.legend(frameon=False, loc="best")

@@ -15,7 +15,7 @@ from ffcomp.numerics.progress import progress_in_order
 from ffcomp.planner.program import PlannedProgram
 from ffcomp.planner.sections import Section
 from ffcomp.planner.trajectory import PlannedMotion
-from ffcomp.simulate.motion import SectionClock, path_corners_with_rests
+from ffcomp.simulate.command import SectionClock, path_corners_with_rests
 from gcode.embedded import WAS, noted, section_times
 from gcode.program import Program
 from models.arrays import FloatArray, IntArray
@@ -106,7 +106,6 @@ def _noted_clock(compensated: PlannedProgram, original: PlannedProgram) -> Secti
 def _noted_sections(
     compensated: PlannedProgram, original: PlannedProgram
 ) -> tuple[list[Section], FloatArray, FloatArray]:
-    """Return the original's sections that travel, m of them, when each is noted, and when its command has ended."""
     executed = compensated.trajectory
     notes, moves = _noted_moves(compensated.program, original.program)
     note_of = dict(zip(moves.tolist(), notes.tolist(), strict=True))

@@ -47,14 +47,10 @@ def gcode_preview(
 
     Parameters
     ----------
-    original : Original
-        Whose moves are drawn.
-    curve : Curve
-        Whose error is shown.
-    due : array
-        Shape (m,), s: when the original's plan is at the reference of each sample of the curve.
-    offset : (float, float)
-        By which the print was shifted, mm: the preview lies where the slicer had it.
+    original : whose moves are drawn
+    curve : whose error is shown
+    due : shape (m,), s: when the original's plan is at the reference of each sample of the curve
+    offset : (float, float), by which the print was shifted, mm: the preview lies where the slicer had it
     """
     program = original.program
     slicer = detect_slicer(program.lines)
@@ -63,7 +59,9 @@ def gcode_preview(
     comments = _comments(program, queue.up_to(0))
     yield next(comments, b"; ffcomp\n")  # viewers know the slicer by the first line
     yield NOT_FOR_PRINTING
-    yield from (f"; {text}: {name.split(':')[1].strip()}\n".encode() for text, name in zip(_said(), names, strict=True))
+    yield from (
+        f"; {text}: {name.split(':')[1].strip()}\n".encode() for text, name in zip(_level_texts(), names, strict=True)
+    )
     yield b"G21\nG90\nM83\n"
     yield from comments
     write = _Writer(names)
@@ -92,12 +90,11 @@ def error_levels(original: Original, curve: Curve, due: FloatArray) -> Levels:
 
 
 def _filled(values: FloatArray) -> FloatArray:
-    """Give pieces that are over before the next sample, which are negative, the value of the one before."""
     known = np.maximum.accumulate(np.where(values >= 0.0, np.arange(len(values)), 0))
     return np.asarray(np.maximum(values[known], 0.0))
 
 
-def _said() -> list[str]:
+def _level_texts() -> list[str]:
     edges = [f"{edge:g}" for edge in EDGES_UM]
     between = [f"{low} to {high} um" for low, high in pairwise(edges)]
     return [f"below {edges[0]} um", *between, f"above {edges[-1]} um"]
@@ -124,7 +121,6 @@ class _Piece:
 
 
 def _pieces(program: Program, levels: Levels, number: int, offset: tuple[float, float]) -> Iterator[_Piece]:
-    """Yield a move in pieces of one level each."""
     moves = program.moves
     start, end, feed = moves.start[number], moves.end[number], 60.0 * float(moves.speed[number])
     filament, count = float(end[3] - start[3]), int(levels.count[number])
@@ -152,8 +148,8 @@ class _Writer:
         filament = f"{piece.filament:.5f}"
         if float(filament):
             new.append(f"E{filament}")
-        said = ""
+        feature = ""
         if piece.level not in (self._level, -1):
             self._level = piece.level
-            said = f"{self._names[piece.level]}\n"
-        return f"{said}G1 {' '.join(new)}\n".encode() if new else said.encode()
+            feature = f"{self._names[piece.level]}\n"
+        return f"{feature}G1 {' '.join(new)}\n".encode() if new else feature.encode()

@@ -33,17 +33,13 @@ class LinearPlayback:
 
         Parameters
         ----------
-        nozzle : (n + 1, 3) array
-            Commanded positions in mm, STEP_S apart; n is a multiple of SUBSTEPS.
-        velocity : (n + 1, 3) array
-            Their velocity in mm/s.
-        state : (18,) array, optional
-            At the first sample. None: at rest there.
+        nozzle : (n + 1, 3), commanded positions in mm, STEP_S apart; n is a multiple of SUBSTEPS
+        velocity : (n + 1, 3), their velocity in mm/s
+        state : (18,), at the first sample. None: at rest there
 
         Returns
         -------
-        response : (n, 3) array
-            Nozzle in mm after every step.
+        response : (n, 3), nozzle in mm after every step
         state : (18,) array
         """
         begin = self._machine.equilibrium(nozzle[0]) if state is None else state
@@ -62,17 +58,12 @@ def simulate_linear(
 
     Parameters
     ----------
-    machine : Machine
-    trajectory : PlannedMotion
-    progress : callable
-        Called with the time, s, on the plan's clock that has been reached.
+    progress : called with the time, s, on the plan's clock that has been reached
 
     Returns
     -------
-    t : (m,) array
-        In s on the plan's clock, rising in steps of 1 ms (except where something else has moved the nozzle).
-    nozzle : (m, 3) array
-        In mm.
+    t : (m,), in s on the plan's clock, rising in steps of 1 ms (except where something else has moved the nozzle)
+    nozzle : (m, 3), in mm
     """
     playback, parts = LinearPlayback(design_machine(machine)[0]), []
     for begin, end in continuous_intervals(trajectory):

@@ -15,8 +15,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from ffcomp.simulate.command import Command, CommandSection
-from ffcomp.simulate.motion import Motion
+from ffcomp.simulate.command import Command, CommandSection, Motion
 from models.arrays import FloatArray
 from models.effects.effect import Signals
 from models.errors import MachineFileError, UnreachableError
@@ -74,10 +73,8 @@ def play(
 
     Raises
     ------
-    MachineFileError
-        If the plant cannot even rest.
-    UnreachableError
-        If its nozzle leaves the reach of its arms.
+    MachineFileError: If the plant cannot even rest.
+    UnreachableError: If its nozzle leaves the reach of its arms.
     """
     rows = rows_per_sample(rate_hz)
     for section, begin_s, end_s in command.between(from_s, to_s):
@@ -146,26 +143,22 @@ def simulate_nozzles(
 
     Parameters
     ----------
-    plants : sequence of Machine
-    motion : Motion
-    believed : Machine
-        The machine whose inverse kinematics the firmware uses.
-    threads : int
-        That share the plants.
+    believed : the machine whose inverse kinematics the firmware uses
+    threads : that share the plants
 
     Returns
     -------
-    t : (m,) array
-        Times in s on the motion's clock, SAMPLE_S apart.
-    nozzles : list of (m, 3) arrays
-        One a plant, in mm.
+    t : (m,), times in s on the motion's clock, SAMPLE_S apart
+    nozzles : list of (m, 3), one a plant, in mm
     """
     rows, command = _row_count(motion), _command(motion, believed)
-    found: list[list[FloatArray]] = [[] for _ in plants]
+    parts_of: list[list[FloatArray]] = [[] for _ in plants]
     for _, motions in playback.play(plants, command, rows + 1, ROW_S, **_options(len(plants), threads)):
-        for own, each in zip(found, motions, strict=True):
-            own.append(each.nozzle_mm[KEEP_EVERY::KEEP_EVERY])
-    return _times(motion), [levelled(plant, np.concatenate(parts)) for plant, parts in zip(plants, found, strict=True)]
+        for into, each in zip(parts_of, motions, strict=True):
+            into.append(each.nozzle_mm[KEEP_EVERY::KEEP_EVERY])
+    return _times(motion), [
+        levelled(plant, np.concatenate(each_parts)) for plant, each_parts in zip(plants, parts_of, strict=True)
+    ]
 
 
 def simulate_side_by_side(
@@ -175,31 +168,26 @@ def simulate_side_by_side(
 
     Parameters
     ----------
-    plant : Machine
-    motions : sequence of Motion
-        At best LANES of them, of about the same length.
-    believed : Machine
-        The machine whose inverse kinematics the firmware uses.
-    coarse : bool
-        With longer rows, for a search; only of printers that are smooth, others stay as they are.
+    motions : at best LANES of them, of about the same length
+    believed : the machine whose inverse kinematics the firmware uses
+    coarse : with longer rows, for a search; only of printers that are smooth, others stay as they are
 
     Returns
     -------
-    list of (t, nozzle)
-        As of `simulate_nozzles`, one a motion.
+    list of (t, nozzle): As of `simulate_nozzles`, one a motion.
     """
     longer = COARSE if coarse and _is_smooth(plant) else 1
     row_s, keep_every = longer * ROW_S, KEEP_EVERY // longer
     counts = [_row_count(motion) // longer for motion in motions]
-    found: list[list[FloatArray]] = [[] for _ in motions]
+    parts_of: list[list[FloatArray]] = [[] for _ in motions]
     commands = [_command(motion, believed, row_s) for motion in motions]
     plants, options = [plant] * len(motions), _options(len(motions), 1)
     if longer > 1:
         options["substeps"] = 1
     for first, played in playback.play(plants, commands, max(counts) + 1, row_s, **options):
-        for own, each, count in zip(found, played, counts, strict=True):
-            own.append(each.nozzle_mm[keep_every : max(count - first, 0) + 1 : keep_every])
-    nozzles = [levelled(plant, np.concatenate(parts)) for parts in found]
+        for into, each, count in zip(parts_of, played, counts, strict=True):
+            into.append(each.nozzle_mm[keep_every : max(count - first, 0) + 1 : keep_every])
+    nozzles = [levelled(plant, np.concatenate(each_parts)) for each_parts in parts_of]
     return list(zip(map(_times, motions), nozzles, strict=True))
 
 
@@ -233,3 +221,28 @@ def _command(motion: Motion, believed: Machine, row_s: float = ROW_S) -> Callabl
 def _options(printers: int, threads: int) -> dict[str, Any]:
     chunk_rows = max(min(8 * MOST_ROWS // printers, MOST_ROWS), FEWEST_ROWS) // KEEP_EVERY * KEEP_EVERY
     return {"hold": "linear", "chunk_rows": chunk_rows, "threads": threads}
+
+
+def check_same_kinematics(machine: Machine, plant: Machine) -> None:
+    """Check that a plant has the machine's kinematics; else its error would be that of the geometry.
+
+    Raises
+    ------
+    MachineFileError: If the plant's kinematics differ by more than ALLOWED.
+    """
+    if type(machine.kinematics) is not type(plant.kinematics):
+        rule = f"A plant must have the machine's kind of kinematics, that of {machine.path or machine.name}."
+        raise MachineFileError(plant.path or plant.name, [rule])
+    problems = []
+    for key, allowed in machine.kinematics.calibration_tolerances.items():
+        nominal, other = (np.atleast_1d(getattr(m.kinematics, key)) for m in (machine, plant))
+        if np.abs(nominal - other).max() > allowed:
+            difference = f"kinematics.{key} is {_shown(other)}, but {_shown(nominal)} in {machine.path or machine.name}"
+            rule = f"a plant must have the machine's kinematics, within {allowed:g}"
+            problems.append(f"{difference}: {rule}. For another calibration there is the effect arm_geometry.")
+    if problems:
+        raise MachineFileError(plant.path or plant.name, problems)
+
+
+def _shown(values: np.ndarray) -> str:
+    return ", ".join(f"{v:g}" for v in values.ravel())

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 
 from ffcomp.metrics import (
     ContourStatistics,
@@ -27,10 +28,8 @@ from ffcomp.planner.reach import within_reach
 from ffcomp.planner.sections import split_sections
 from ffcomp.planner.trajectory import PlannedMotion
 from ffcomp.simulate.alignment import section_clock
-from ffcomp.simulate.command import command_peaks
-from ffcomp.simulate.flow import Flow, flow_of
+from ffcomp.simulate.command import command_peaks, motion_of, path_corners_with_rests, reference_clock
 from ffcomp.simulate.linear import continuous_intervals, simulate_linear
-from ffcomp.simulate.motion import motion_of, own_clock, path_corners_with_rests
 from gcode.embedded import original_lines
 from gcode.layers import labels, outer_walls
 from gcode.program import Program
@@ -38,6 +37,48 @@ from gcode.reader import read_program
 from models.arrays import BoolArray, FloatArray
 from models.machine import Machine
 from models.pressure import Pressure
+
+STEP_S = 5e-4
+SMOOTHED_S = 8e-3  # segments are steps of flow, which the plastic evens out
+
+
+@dataclass(frozen=True, eq=False)
+class Flow:
+    """Filament that should flow and does, at m times, mm/s; retractions are left out."""
+
+    t: FloatArray  # (m,) s
+    pushed: FloatArray  # (m,) by the plan's filament
+    flows: FloatArray  # (m,)
+
+    def at(self, t: FloatArray) -> FloatArray:
+        """Return what flows at times (k,) s, (k,) mm/s."""
+        return np.interp(t, self.t, self.flows)
+
+
+def flow_of(plan: PlannedMotion, pressure: Pressure) -> Flow:
+    """Play a plan's filament through the firmware's own pressure advance and an extruder of one state."""
+    t = np.arange(float(plan.start_t[0]), plan.end_t, STEP_S)
+    travels = np.any(plan.direction[:, :3] != 0.0, axis=1)[plan.move_at(t)]
+    along = travels[1:] & travels[:-1]
+    pushed = np.append(np.where(along, np.diff(plan.position(t)[:, 3]), 0.0) / STEP_S, 0.0)
+    by_motor = pushed + pressure.firmware_advance_s * np.gradient(pushed, STEP_S)
+    tau, v, n = pressure.time_constant_s, pressure.reference_mm_per_s, pressure.flow_exponent
+    out = _played(by_motor, STEP_S, tau * v, v, 1.0 / n)
+    window = np.ones(max(1, round(SMOOTHED_S / STEP_S)))
+    return Flow(t, pushed, np.convolve(out, window / window.sum(), mode="same"))
+
+
+@njit(cache=True, nogil=True)
+def _played(pushed: FloatArray, step_s: float, compressed_there: float, v: float, power: float) -> FloatArray:
+    """Return what flows, (m,) mm/s; `compressed_there` is what is compressed where it flows at v."""
+    out = np.zeros(len(pushed))
+    compressed = 0.0
+    for k in range(len(pushed)):
+        compressed += pushed[k] * step_s
+        if compressed > 0.0:
+            out[k] = min(v * (compressed / compressed_there) ** power, compressed / step_s)
+            compressed -= out[k] * step_s
+    return out
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,18 +139,14 @@ def preview(
 
     Parameters
     ----------
-    data, path : bytes, str
-        The compensated file and its name.
-    machine : Machine
-    offset : (float, float)
-        By which the original's positions were shifted, mm.
-    flavor : str, optional
-        None: as the file says.
+    data, path : the compensated file and its name
+    offset : (float, float), by which the original's positions were shifted, mm
+    flavor : None: as the file says
     """
     lines = data.splitlines(keepends=True)
-    own = known_to_the_firmware(machine)
-    original = read_program(b"".join(original_lines(lines)), path, offset_mm=offset, flavor=flavor, **own)
-    compensated = read_program(data, path, flavor=flavor, **own)
+    firmware = known_to_the_firmware(machine)
+    original = read_program(b"".join(original_lines(lines)), path, offset_mm=offset, flavor=flavor, **firmware)
+    compensated = read_program(data, path, flavor=flavor, **firmware)
     original, compensated = (within_reach(program, machine.kinematics) for program in (original, compensated))
     planned, compensation = _plan(original, machine), _plan(compensated, machine)
     reference, executed = planned.trajectory, compensation.trajectory
@@ -129,22 +166,19 @@ def preview(
         Curve(before_t, before, before_reference, of_before, *kinds(before_t), peaks[0]),
         Curve(after_t, after, after_reference, of_after, *kinds(after_due), peaks[1]),
         Original(original, reference, before_t, after_due),
-        None if machine.pressure is None else _flows(reference, executed, machine.pressure),
+        None
+        if machine.pressure is None
+        else (flow_of(reference, machine.pressure), flow_of(executed, machine.pressure)),
     )
 
 
 def _peak(machine: Machine, plan: PlannedMotion) -> float:
     """Return the largest acceleration of a carriage's command, mm/s²; jumps by others are left out."""
-    actuators = motion_of(plan, own_clock(plan)).actuators(machine)
+    actuators = motion_of(plan, reference_clock(plan)).actuators(machine)
     return max(command_peaks(actuators, begin, end)[1] for begin, end in continuous_intervals(plan))
 
 
-def _flows(before: PlannedMotion, after: PlannedMotion, pressure: Pressure) -> tuple[Flow, Flow]:
-    return flow_of(before, pressure), flow_of(after, pressure)
-
-
 def _kinds(program: Program, plan: PlannedMotion) -> Callable[[FloatArray], tuple[BoolArray, BoolArray]]:
-    """Return what tells of instants whether plastic flows then, and whether into a wall seen from outside."""
     direction = plan.direction
     extrudes = (direction[:, 3] > 0.0) & np.any(direction[:, :3] != 0.0, axis=1)
     walls = extrudes & outer_walls(labels(program))

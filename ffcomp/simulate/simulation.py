@@ -3,22 +3,20 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from math import inf
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from ffcomp.errors import NothingToDo
-from ffcomp.metrics import Track
+from ffcomp.metrics import Track, build_track, contour_error, end_to_end, tracking
 from ffcomp.numerics.serialise import to_json
-from ffcomp.simulate.command import Command
-from ffcomp.simulate.compatibility import check_same_kinematics
-from ffcomp.simulate.evaluation import Evaluation, Evaluator
-from ffcomp.simulate.gcode_command import read_gcode
-from ffcomp.simulate.playback import Chunk, play
-from ffcomp.simulate.recording import KINDS, recording_lines
-from ffcomp.simulate.steps_command import steps_command
+from ffcomp.simulate.command import Command, CommandSection, command_peaks
+from ffcomp.simulate.command_files import read_gcode, steps_command
+from ffcomp.simulate.playback import Chunk, check_same_kinematics, levelled, play
 from ffcomp.steps.reader import is_step_archive, read_steps
 from ffcomp.version import __version__
 from gcode.atomic_write import replace_atomically
@@ -26,9 +24,161 @@ from gcode.container import read_bytes
 from gcode.errors import GcodeError
 from gcode.text import check_regular
 from models.arrays import FloatArray
+from models.effects.catalogue import measured
+from models.effects.effect import Signals
 from models.errors import UnreachableError
 from models.machine import Machine
 from models.provenance import identity
+
+EVALUATED_HZ = 1600.0  # no more samples than that are kept, 0.2 GB for an hour of print
+FEWEST_SAMPLES = 4
+
+
+@dataclass(frozen=True, eq=False)
+class Evaluation:
+    """What was executed against its reference, at m samples of all sections, and its statistics."""
+
+    time_s: FloatArray  # (m,) on the command's clock
+    reference_mm: FloatArray  # (m, 3) where the nozzle should be
+    nozzle_mm: FloatArray  # (m, 3) where it is, static deflection taken out
+    error_um: FloatArray  # (m,) contour error
+    track: Track
+    peak_actuator_velocity_mm_per_s: float
+
+
+class Evaluator:
+    """Collect chunks of an executed command and evaluate them all.
+
+    Static deflection is taken out (unless there is no gravity), as bed levelling does. The ringing after a section's
+    end is not evaluated.
+    """
+
+    def __init__(self, plant: Machine, rate_hz: float, gravity: bool = True) -> None:
+        self._plant, self._gravity = plant, gravity
+        self._every = max(1, round(rate_hz / EVALUATED_HZ))
+        self._sample_s = self._every / rate_hz
+        self._parts: dict[CommandSection, list[tuple[FloatArray, FloatArray]]] = {}  # times and nozzle of its chunks
+        self._skip = 0  # samples until the next that is kept
+
+    def add(self, chunk: Chunk) -> None:
+        """Take the next chunk in."""
+        if chunk.section not in self._parts:
+            self._parts[chunk.section], self._skip = [], 0
+        kept = slice(self._skip, None, self._every)
+        t, nozzle = chunk.t_s[kept], chunk.nozzle_mm[kept]
+        self._skip = (self._skip - len(chunk.t_s)) % self._every
+        inside = t <= chunk.section.end_s
+        nozzle = levelled(self._plant, nozzle[inside]) if self._gravity else nozzle[inside]
+        self._parts[chunk.section].append((t[inside], nozzle))
+
+    def enough(self, sections: int, seconds: float) -> bool:
+        """Tell whether a motion of so many sections and seconds can be evaluated at all."""
+        return seconds > (FEWEST_SAMPLES + sections) * self._sample_s
+
+    def evaluation(self) -> Evaluation:
+        """Evaluate everything that was added."""
+        sections = [self._section(section) for section in self._parts]
+        reference, nozzle = end_to_end([each.reference for each in sections], [each.nozzle for each in sections])
+        contour = np.concatenate([each.contour() for each in sections])
+        speeds, accelerations = zip(*(each.peaks() for each in sections), strict=True)
+        seconds = sum(float(each.t[-1] - each.t[0]) for each in sections)
+        return Evaluation(
+            time_s=np.concatenate([each.t for each in sections]),
+            reference_mm=np.concatenate([each.reference for each in sections]),
+            nozzle_mm=np.concatenate([each.nozzle for each in sections]),
+            error_um=1e3 * contour,
+            track=build_track(tracking(reference, nozzle, self._sample_s), contour, seconds, max(accelerations)),
+            peak_actuator_velocity_mm_per_s=max(speeds),
+        )
+
+    def _section(self, section: CommandSection) -> _EvaluatedSection:
+        t, nozzle = (np.concatenate(parts) for parts in zip(*self._parts[section], strict=True))
+        return _EvaluatedSection(section, t, nozzle)
+
+
+class _EvaluatedSection:
+    """One section: where the nozzle was, and where it should have been."""
+
+    def __init__(self, section: CommandSection, t: FloatArray, nozzle: FloatArray) -> None:
+        self.section, self.t, self.nozzle = section, t, nozzle
+        self.reference = section.reference.position(t)
+
+    def contour(self) -> FloatArray:
+        plan_t = self.section.reference.plan_time(self.t)
+        corners = self.section.reference.corners(float(plan_t[0]), float(plan_t[-1]))
+        return contour_error(*corners, plan_t, self.nozzle)
+
+    def peaks(self) -> tuple[float, float]:
+        return command_peaks(self.section.actuators, float(self.t[0]), float(self.t[-1]))
+
+
+KINDS = ("acc", "pos")
+IN_TIME = {"sensor_time_offset", "sensor_clock_drift"}  # effects for which a sample depends on others than itself
+
+
+def recording_lines(
+    chunks: Iterable[Chunk], plant: Machine, comments: Mapping[str, str], kinds: Sequence[str] = KINDS
+) -> Iterator[bytes]:
+    """Yield the file chunk by chunk: comments, header, rows.
+
+    Parameters
+    ----------
+    chunks : of one section
+    plant : the printer whose sensors record
+    comments : mapping, key and text of each comment
+    kinds : sequence of {"acc", "pos"}, accelerations (m/s², gravity removed) and positions (mm)
+    """
+    yield "".join(f"# {key}: {' '.join(text.split())}\n" for key, text in comments.items()).encode()
+    columns, actuators = _columns(kinds, plant.vibration.channels), _actuators(plant.vibration.channels)
+    yield (",".join(columns) + "\n").encode()
+    row = ",".join(["%.7f"] * len(columns)) + "\n"
+    for chunk in _recorded(chunks, plant):
+        values = _values(chunk, kinds, bool(actuators))
+        yield (row * len(values) % tuple(values.ravel().tolist())).encode()
+
+
+def _actuators(channels: Sequence[str]) -> list[str]:
+    return [name for name in channels if name not in "xyz"]
+
+
+def _columns(kinds: Sequence[str], channels: Sequence[str]) -> list[str]:
+    units = {"acc": "m_per_s2", "pos": "mm"}
+    sensors = [f"{kind}_{axis}_{units[kind]}" for kind in kinds for axis in (*_actuators(channels), *"xyz")]
+    return ["t_s", *(f"cmd_{axis}_mm" for axis in channels), *sensors]
+
+
+def _values(chunk: Chunk, kinds: Sequence[str], carriages: bool) -> FloatArray:
+    """Return the rows : (n, columns); of straight axes, which are their own carriages, without those."""
+    blocks = {
+        "acc": (chunk.signals.carriage, chunk.signals.nozzle),
+        "pos": (chunk.carriage_mm, chunk.nozzle_mm),
+    }
+    sensors = [block for kind in kinds for block in blocks[kind][0 if carriages else 1 :]]
+    return np.column_stack([chunk.t_s, chunk.section.actuators(chunk.t_s), *sensors])
+
+
+def _recorded(chunks: Iterable[Chunk], plant: Machine) -> Iterator[Chunk]:
+    if IN_TIME & plant.effects.keys():
+        yield _with_sensor_signals(_joined(list(chunks)), plant)
+    else:
+        for chunk in chunks:
+            yield _with_sensor_signals(chunk, plant)
+
+
+def _with_sensor_signals(chunk: Chunk, plant: Machine) -> Chunk:
+    since_begin = replace(chunk.signals, t_s=chunk.t_s - chunk.t_s[0])
+    return replace(chunk, signals=measured(plant, since_begin))
+
+
+def _joined(chunks: Sequence[Chunk]) -> Chunk:
+    t_s, carriage_mm, nozzle_mm, carriage, nozzle = (
+        np.concatenate(parts)
+        for parts in zip(
+            *((c.t_s, c.carriage_mm, c.nozzle_mm, c.signals.carriage, c.signals.nozzle) for c in chunks), strict=True
+        )
+    )
+    return Chunk(chunks[0].section, t_s, carriage_mm, nozzle_mm, Signals(t_s, carriage, nozzle))
+
 
 Progress = Callable[[float], None]
 
@@ -112,19 +262,14 @@ def read_command(
     Parameters
     ----------
     path : path
-    machine : Machine
-        The one that the command was computed with.
-    offset : (float, float)
-        Added to every position, mm.
-    flavor : str
-        "" for what the machine file says, or else the file.
-    plate : int, optional
-        Of an archive that holds several prints.
+    machine : the one that the command was computed with
+    offset : (float, float), added to every position, mm
+    flavor : "" for what the machine file says, or else the file
+    plate : of an archive that holds several prints
 
     Returns
     -------
-    Command, list of str
-        The command, and the reader's warnings.
+    Command, list of str: The command, and the reader's warnings.
     """
     check_regular(Path(path))
     if is_step_archive(path):
@@ -147,25 +292,16 @@ def simulate_command(
 
     Parameters
     ----------
-    command : Command
-    machine, plant : Machine
-        The one that the command was computed with, and the printer that moves.
-    request : Request
-    path : str
-        The command's file, as the user named it.
-    target : Path, optional
-        The recording, which is replaced whole or not at all. None: nothing is recorded.
-    progress : callable
-        Called with the print seconds done so far.
+    machine, plant : the one that the command was computed with, and the printer that moves
+    path : the command's file, as the user named it
+    target : the recording, which is replaced whole or not at all. None: nothing is recorded
+    progress : called with the print seconds done so far
 
     Raises
     ------
-    NothingToDo
-        If the part holds too little motion.
-    MachineFileError
-        If the plant's kinematics are not the machine's, or it cannot rest.
-    GcodeError
-        If the nozzle leaves the reach of its arms.
+    NothingToDo: If the part holds too little motion.
+    MachineFileError: If the plant's kinematics are not the machine's, or it cannot rest.
+    GcodeError: If the nozzle leaves the reach of its arms.
     """
     check_same_kinematics(machine, plant)
     started = time.perf_counter()

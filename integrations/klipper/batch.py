@@ -28,12 +28,12 @@ LONGEST_S = 600.0
 def find_module():
     """Let the host find the module here, as if it lay in klippy/plugins."""
     klippy.plugins.__path__.append(str(HERE))
-    found = host.Printer._iter_modules
+    modules = host.Printer._iter_modules
 
     def also_here(prefix, path):
-        yield from found(prefix, path)
+        yield from modules(prefix, path)
         if prefix == "klippy.plugins.":
-            yield from (module for module in found(prefix, HERE) if module.name == "ffcomp_print")
+            yield from (module for module in modules(prefix, HERE) if module.name == "ffcomp_print")
 
     host.Printer._iter_modules = staticmethod(also_here)
 
@@ -57,7 +57,7 @@ class Scenario:
     """Runs when the host is ready, and closes its input at the end."""
 
     def __init__(self, wanted):
-        self.wanted, self.number, self.said = wanted, 0, []
+        self.wanted, self.number, self.messages = wanted, 0, []
         self.reading, self.writing = os.pipe()
 
     def attach(self):
@@ -72,7 +72,7 @@ class Scenario:
 
     def ready(self):
         self.gcode, self.reactor = self.printer.lookup_object("gcode"), self.printer.get_reactor()
-        self.gcode.register_output_handler(self.said.append)
+        self.gcode.register_output_handler(self.messages.append)
         if self.gcode.ready_gcode_handlers.get("FFCOMP_MOTION") is not None:
             self.motion = self.gcode.register_command("FFCOMP_MOTION", None)
             self.gcode.ready_gcode_handlers["FFCOMP_MOTION"] = self.counted
@@ -112,7 +112,7 @@ class Scenario:
         except Exception as error:
             result["error"] = str(error)
         finally:
-            result["said"] = self.said
+            result["said"] = self.messages
             Path(self.wanted["result"]).write_text(json.dumps(result))
             os.close(self.writing)
 

@@ -12,7 +12,7 @@ import pytest
 from ffcomp.cli.app import app
 from ffcomp.measurement.recording import Recording, read_recording
 from ffcomp.simulate import playback as playing
-from ffcomp.simulate.gcode_command import gcode_command
+from ffcomp.simulate.command_files import gcode_command
 from ffcomp.simulate.simulation import Request, read_command, simulate_command
 from models.effects.catalogue import with_effect
 from models.file import LIBRARY, load_machine

@@ -25,7 +25,7 @@ from ffcomp.inverse.settings import settings_for
 from ffcomp.metrics import contour_error
 from ffcomp.planner.path_position import PathPosition
 from ffcomp.planner.program import firmware_plan, plan_program
-from ffcomp.simulate.motion import path_corners_with_rests
+from ffcomp.simulate.command import path_corners_with_rests
 from ffcomp.steps.reader import read_events, read_steps
 from ffcomp.steps.sink import Board
 from gcode.embedded import original

@@ -23,18 +23,18 @@ from matplotlib.figure import Figure
 
 from ffcomp.compare.result import Comparison, EqualQuality, Party, Peaks, Samples, Spread
 from ffcomp.inverse.robust_choice import RobustChoice
-from ffcomp.report.compare import html, packed, parts, table
-from ffcomp.report.compare.answer import answer
-from ffcomp.report.compare.bars import errors, print_times
-from ffcomp.report.compare.charts import by_layer
+from ffcomp.report.compare import html
+from ffcomp.report.compare import html as table
+from ffcomp.report.compare import samples as packed
+from ffcomp.report.compare import words as parts
+from ffcomp.report.compare.charts import by_layer, errors, print_times
+from ffcomp.report.compare.close_up import worst_positions
 from ffcomp.report.compare.figures import drawings, svg, write_figures
 from ffcomp.report.compare.html import write_report
-from ffcomp.report.compare.off_path import contour_vectors, unbroken
-from ffcomp.report.compare.positions import worst_positions
-from ffcomp.report.compare.spectrum import spectrum
-from ffcomp.report.compare.verdict import verdict
+from ffcomp.report.compare.samples import contour_vectors, spectrum, unbroken
+from ffcomp.report.compare.sentences import answer, verdict
 from ffcomp.report.compare.words import duration, times, um
-from ffcomp.report.shared.page import coded
+from ffcomp.report.page import coded
 from tests.support.browser import Visit, chromium, visit
 from tests.support.comparison import (
     LAYERS,
@@ -126,13 +126,13 @@ def test_a_file_that_is_inverted_robustly_by_default_is_judged_by_that_row() -> 
 
 def test_errors_by_layer_and_feature_are_those_of_the_tiles() -> None:
     found = comparison()
-    for of, own in ((parts.by_layer, found.methods["mzv"]), (parts.by_feature, found.methods["none"])):
+    for of, own in ((parts.layer_errors, found.methods["mzv"]), (parts.feature_errors, found.methods["none"])):
         each = list(of(found, own).values())  # type: ignore[operator]
         whole = sum(error.share * error.rms_um**2 for error in each) ** 0.5
         assert whole == pytest.approx(own.extruding.contour_rms_um) and sum(e.share for e in each) == pytest.approx(1)
     travel = replace(found.methods["mzv"].samples, extruding=np.zeros(len(samples(1.0).due), dtype=bool))
     still = changed(changed(found, "mzv", samples=travel), "fbs-lpv", samples=travel)
-    assert set(parts.by_layer(still, still.methods["mzv"])) == set(range(LAYERS))
+    assert set(parts.layer_errors(still, still.methods["mzv"])) == set(range(LAYERS))
 
 
 def test_limits_and_warnings_are_in_the_verdict() -> None:

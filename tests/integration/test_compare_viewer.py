@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from ffcomp.report import drawing as style
 from ffcomp.report.compare.html import write_report
-from ffcomp.report.shared import style
 from models.arrays import FloatArray
 from tests.support.browser import Visit, chromium, contrast, hard_to_read, linear, visit
 from tests.support.comparison import READY, everything

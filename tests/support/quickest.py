@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ffcomp.compare.quickest_result import Contender, Piece, Quickest
-from ffcomp.compare.result import Family, Party
+from ffcomp.compare.result import Contender, Family, Party, Piece, Quickest
 
 
 def made_up_quickest(path: str = "print.gcode") -> Quickest:

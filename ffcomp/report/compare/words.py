@@ -4,10 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 
+import numpy as np
+
+from ffcomp.compare.evaluation import contour_numbers
 from ffcomp.compare.result import Comparison, Error, Family, Method
 from ffcomp.metrics import Track
 from gcode.layers import is_outer_wall
+from models.arrays import IntArray
 
 FAMILY_NAMES: dict[Family, str] = {
     "none": "no compensation",
@@ -57,15 +62,17 @@ def duration(seconds: float) -> str:
     return f"{minutes // 60} h {minutes % 60:02d} min"
 
 
-def file_name(found: Comparison) -> str:
+def file_name(comparison: Comparison) -> str:
     """Return the print's name without its folders."""
-    return found.print_name.replace("\\", "/").rsplit("/", 1)[-1]
+    return comparison.print_name.replace("\\", "/").rsplit("/", 1)[-1]
 
 
-def shown(found: Comparison) -> list[Method]:
+def shown(comparison: Comparison) -> list[Method]:
     """Return the methods that figures show: without compensation, the best fixed shaper, the compensated print."""
-    names = dict.fromkeys(name for name in ("none", found.best_fixed, found.compensated) if name in found.methods)
-    return [found.methods[name] for name in names]
+    names = dict.fromkeys(
+        name for name in ("none", comparison.best_fixed, comparison.compensated) if name in comparison.methods
+    )
+    return [comparison.methods[name] for name in names]
 
 
 def outer_first(names: Iterable[str], share: Mapping[str, float]) -> list[str]:
@@ -78,21 +85,21 @@ def nick(method: Method) -> str:
     return method.label.removesuffix(f", {method.family}")
 
 
-def shapers(found: Comparison) -> list[Method]:
+def shapers(comparison: Comparison) -> list[Method]:
     """Return what firmware can do today: one shaper for the whole bed, calibrated or at its best."""
-    return [method for method in found.methods.values() if method.family in ("calibrated", "best fixed")]
+    return [method for method in comparison.methods.values() if method.family in ("calibrated", "best fixed")]
 
 
-def fastest_shaper(found: Comparison) -> Method | None:
+def fastest_shaper(comparison: Comparison) -> Method | None:
     """Return the fastest shaper at equal quality; at the print's own speed another may have the least error."""
-    evaluated = [(method.equal_quality, method) for method in shapers(found) if method.equal_quality is not None]
+    evaluated = [(method.equal_quality, method) for method in shapers(comparison) if method.equal_quality is not None]
     first = sorted(evaluated, key=lambda each: (not each[0].reached, each[0].print_time_s))[:1]
     return first[0][1] if first else None
 
 
-def extrudes(found: Comparison) -> bool:
+def extrudes(comparison: Comparison) -> bool:
     """Tell whether any plastic flows in the evaluated part."""
-    return bool(found.methods[found.compensated].samples.extruding.any())
+    return bool(comparison.methods[comparison.compensated].samples.extruding.any())
 
 
 def rms_um(error: Error | None) -> str:
@@ -100,21 +107,39 @@ def rms_um(error: Error | None) -> str:
     return "–" if error is None else um(error.rms_um)
 
 
-def seen(found: Comparison, method: Method) -> Track:
+def seen(comparison: Comparison, method: Method) -> Track:
     """Return the errors that show on the print: where plastic flows, or everywhere if it flows nowhere."""
-    return method.extruding if extrudes(found) else method.track
+    return method.extruding if extrudes(comparison) else method.track
 
 
-def where_seen(found: Comparison) -> str:
+def where_seen(comparison: Comparison) -> str:
     """Say which samples those are."""
-    return "where plastic flows" if extrudes(found) else "over all moves"
+    return "where plastic flows" if extrudes(comparison) else "over all moves"
 
 
-def contour_rms_um(found: Comparison, method: Method) -> float:
+def contour_rms_um(comparison: Comparison, method: Method) -> float:
     """Return the rms of what shows."""
-    return seen(found, method).contour_rms_um
+    return seen(comparison, method).contour_rms_um
 
 
-def contour_p99_um(found: Comparison, method: Method) -> float:
+def contour_p99_um(comparison: Comparison, method: Method) -> float:
     """Return the 99th percentile of the same."""
-    return seen(found, method).contour_p99_um
+    return seen(comparison, method).contour_p99_um
+
+
+def layer_errors(comparison: Comparison, method: Method) -> dict[int, Error]:
+    """Return the error on each layer's number."""
+    return _by(comparison, method, method.samples.layer)
+
+
+def feature_errors(comparison: Comparison, method: Method) -> dict[str, Error]:
+    """Return the error on each feature's name; its share is that of the time that is counted."""
+    return {comparison.features[k]: error for k, error in _by(comparison, method, method.samples.feature).items()}
+
+
+def _by(comparison: Comparison, method: Method, labels: IntArray) -> dict[int, Error]:
+    s = method.samples
+    seen = s.extruding if extrudes(comparison) else np.ones(len(labels), dtype=np.bool_)
+    errors = {int(k): contour_numbers(s, seen & (labels == k)) for k in np.unique(labels[seen])}
+    total = max(sum(each.share for each in errors.values()), 1e-12)
+    return {k: replace(each, share=each.share / total) for k, each in errors.items()}

@@ -12,8 +12,7 @@ from matplotlib.ticker import NullLocator
 from ffcomp.diagnose.acceptance import HeldOut
 from ffcomp.diagnose.summary import Confounding, Overlay, Spectrum, Split
 from ffcomp.report.diagnose.words import digits, times_noise
-from ffcomp.report.shared.drawing import Box
-from ffcomp.report.shared.style import AFTER, BEFORE, GROUND, NOISE, REFERENCE, SOFT, grid, plain_decades
+from ffcomp.report.drawing import AFTER, BEFORE, GROUND, NOISE, REFERENCE, SOFT, Box, grid, plain_decades
 from models.arrays import FloatArray
 
 MEASURED = REFERENCE

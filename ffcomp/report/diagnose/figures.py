@@ -9,7 +9,7 @@ from ffcomp.diagnose.summary import DiagnosisSummary, Overlay, Spectrum, Split
 from ffcomp.report.diagnose import charts
 from ffcomp.report.diagnose.standout import stands_out
 from ffcomp.report.diagnose.words import times, times_noise
-from ffcomp.report.shared.drawing import Drawing
+from ffcomp.report.drawing import Drawing
 
 WIDTH, HEIGHT = 4.3, 2.7  # inches, of a small one: as wide as a phone
 ROW, AXIS = 0.26, 0.75  # inches a row, and below them

@@ -11,8 +11,8 @@ from ffcomp.report.diagnose.glossary import GLOSSARY
 from ffcomp.report.diagnose.inputs import ReportInput
 from ffcomp.report.diagnose.tables import evidence_rows, place_rows, promise_rows, retuned_rows, tiles
 from ffcomp.report.diagnose.verdict import verdict
-from ffcomp.report.shared.drawing import Drawing, Image, image, svg
-from ffcomp.report.shared.page import rendered, tied
+from ffcomp.report.drawing import Drawing, Image, image, svg
+from ffcomp.report.page import rendered, tied
 
 WORDS = {
     "effects": "an effect is missing",

@@ -8,7 +8,7 @@ from ffcomp.diagnose.acceptance import HeldOut
 from ffcomp.diagnose.result import DiagnosisResult
 from ffcomp.diagnose.summary import DiagnosisSummary
 from ffcomp.report.diagnose.words import digits, evidence, interval, percent, times, times_noise, title, together
-from ffcomp.report.shared.style import AFTER, BEFORE, SOFT
+from ffcomp.report.drawing import AFTER, BEFORE, SOFT
 
 
 @dataclass(frozen=True, slots=True)

@@ -108,11 +108,11 @@ class Block(Item):
         start, cruise, end = self.rates
         half = 2.0 * self.slowing
         marks = [(cruise**2 - start**2) / half, self.duration - (cruise**2 - end**2) / half]
-        own, places, filament = _straight(self.motion, self.places[:, :3], self.filament, marks)
+        along, places, filament = _straight(self.motion, self.places[:, :3], self.filament, marks)
         # the rate at each of these times: its square changes evenly along them
-        squared = np.minimum(start**2 + half * own, end**2 + half * (self.duration - own))
+        squared = np.minimum(start**2 + half * along, end**2 + half * (self.duration - along))
         rates = np.sqrt(np.clip(squared, 0.0, cruise**2))
-        steps = np.diff(own)
+        steps = np.diff(along)
         kept = steps > 1e-12
         mean = 0.5 * (rates[:-1] + rates[1:])
         lasts = steps[kept] / mean[kept]
@@ -131,14 +131,14 @@ def _straight(motion, places, filament, marks):
     times = [ends, np.clip(marks, 0.0, ends[-1])]
     if not motion.straight:
         times.append(np.arange(0.0, ends[-1], LONGEST_S))
-    own = np.unique(np.concatenate(times))
-    k = np.clip(np.searchsorted(ends, own, side="right") - 1, 0, len(motion.durations) - 1)
-    since = own - ends[k]
+    times_at = np.unique(np.concatenate(times))
+    k = np.clip(np.searchsorted(ends, times_at, side="right") - 1, 0, len(motion.durations) - 1)
+    since = times_at - ends[k]
     along = (motion.speeds[k] + 0.5 * motion.accelerations[k] * since) * since
     whole = (motion.speeds + 0.5 * motion.accelerations * motion.durations) * motion.durations
     share = along / np.where(whole > 0.0, whole, 1.0)[k]
     moved = [each[:-1][k] + np.diff(each, axis=0)[k] * _tall(share, each) for each in (places, filament)]
-    return own, moved[0], moved[1]
+    return times_at, moved[0], moved[1]
 
 
 def _as_planned(motion, places, filament):

@@ -215,15 +215,15 @@ class Player:
 
     def _join(self, start, drawn):
         """Go to where the motion begins, if the nozzle is elsewhere."""
-        now, asked = self.toolhead.commanded_pos, self.gcode_move.homing_position[:3]
+        now, wanted = self.toolhead.commanded_pos, self.gcode_move.homing_position[:3]
         if _near(now, start + self.offset) and not drawn:
             return
-        self.offset = list(asked)
-        if _near(now, start + asked) and not drawn:
+        self.offset = list(wanted)
+        if _near(now, start + wanted) and not drawn:
             return
         if drawn > 0.0:
             self._extrude(-drawn)
-        goal = (start + asked).tolist()
+        goal = (start + wanted).tolist()
         high = max(goal[2], now[2])
         for place in ([*now[:2], high], [*goal[:2], high], goal):
             self.toolhead.move([*place, *self.toolhead.commanded_pos[3:]], self.travel_speed)
@@ -241,12 +241,12 @@ class Player:
 
         A new offset is taken up slowly, so that babysteps may come at any time.
         """
-        asked = self.gcode_move.homing_position[:3]
-        if mesh is None and not any(asked) and not any(self.offset) and not self.lift.any():
+        wanted = self.gcode_move.homing_position[:3]
+        if mesh is None and not any(wanted) and not any(self.offset) and not self.lift.any():
             return motion.places
         old = np.array(self.offset)
         most = OFFSET_MM_PER_S * float(motion.durations.sum())
-        new = old + np.clip(np.array(asked) - old, -most, most)
+        new = old + np.clip(np.array(wanted) - old, -most, most)
         self.offset = new.tolist()
         places = motion.places[:, :3] + (np.linspace(old, new, len(motion.places)) + self.lift)
         return places if mesh is None else places + mesh

@@ -104,8 +104,8 @@ def read_header(stream):
     except ValueError:
         raise MotionFileError("The file's header is damaged.") from None
     if header.get("schema") != SCHEMA:
-        found = header.get("schema")
-        raise MotionFileError("The file is of the kind %s; this module plays %s. Update it." % (found, SCHEMA))
+        schema = header.get("schema")
+        raise MotionFileError("The file is of the kind %s; this module plays %s. Update it." % (schema, SCHEMA))
     return header
 
 

@@ -31,7 +31,7 @@ class MotionText:
     def _restart(self):
         self._stream.seek(self._first)
         self._records = records(self._stream, self.header)
-        self._given = deque()  # (where it begins, line) of the last lines that were handed out
+        self._delivered = deque()  # (where it begins, line) of the last lines that were handed out
         self._motions = {}
         self._end = self._number = self._ahead = 0
 
@@ -42,7 +42,7 @@ class MotionText:
     def read(self, _size=-1):
         """Some lines more; nothing at the end."""
         if self._ahead:  # after a pause: what was handed out, and not run
-            lines = [line for _, line in list(self._given)[-self._ahead :]]
+            lines = [line for _, line in list(self._delivered)[-self._ahead :]]
             self._ahead = 0
             return "".join(line + "\n" for line in lines)
         lines = []
@@ -51,10 +51,10 @@ class MotionText:
             if len(lines) >= AT_ONCE:
                 break
         for line in lines:
-            self._given.append((self._end, line))
+            self._delivered.append((self._end, line))
             self._end += len(line.encode()) + 1
-        while len(self._given) > KEPT + len(lines):
-            self._given.popleft()
+        while len(self._delivered) > KEPT + len(lines):
+            self._delivered.popleft()
         return "".join(line + "\n" for line in lines)
 
     def _line(self, record):
@@ -67,8 +67,8 @@ class MotionText:
         """Go back to a line that was handed out, or to the beginning."""
         if whence == 0 and place == self._end:
             self._ahead = 0
-        elif whence == 0 and any(at == place for at, _ in self._given):
-            self._ahead = sum(at >= place for at, _ in self._given)
+        elif whence == 0 and any(at == place for at, _ in self._delivered):
+            self._ahead = sum(at >= place for at, _ in self._delivered)
         elif whence == 0 and place == 0:
             self._restart()
         else:

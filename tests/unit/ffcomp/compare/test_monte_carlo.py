@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
 
+from ffcomp.compare.evaluation import in_processes
 from ffcomp.compare.monte_carlo import FARTHEST, draw_plants
-from ffcomp.simulate.compatibility import check_same_kinematics
+from ffcomp.compensate.batch import workers
+from ffcomp.simulate.playback import check_same_kinematics
 from models.arrays import constant
 from models.delta_machine import delta_vibration, with_parts
 from models.errors import MachineFileError
 from models.file import load_machine
 from models.parameters import value_of
+from tests.support.mismatch import SEEDS, study, tuned
 
 MACHINE = load_machine("mp-delta-pro")
 
@@ -69,3 +73,18 @@ def test_another_printer_is_refused_by_key_and_rule() -> None:
 def test_a_plant_calibrated_a_little_otherwise_is_the_same_printer() -> None:
     near = replace(MACHINE.kinematics, delta_radii_mm=constant(MACHINE.kinematics.delta_radii_mm + 0.3))
     check_same_kinematics(MACHINE, replace(MACHINE, kinematics=near))
+
+
+def test_the_numbers_do_not_depend_on_the_processes() -> None:
+    (alone, _), (together, told) = study(), study(2)
+    assert alone == together
+    for method in tuned():
+        spread, _ = alone[method.name]
+        assert spread is not None and len(set(spread.contour_rms_um)) == SEEDS  # every plant is its own
+    assert alone["mzv"][1] is not None
+    assert told == sorted(told) and told[-1] == pytest.approx(1.0)
+
+
+def test_what_fails_in_a_process_is_raised_here() -> None:
+    with workers(2) as at_once, pytest.raises(ZeroDivisionError):
+        in_processes([partial(divmod, 1, k) for k in (2, 1, 0)], at_once, "dividing", lambda what, share: None)

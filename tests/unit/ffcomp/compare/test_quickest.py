@@ -10,9 +10,8 @@ import pytest
 
 from ffcomp.compare.methods import none
 from ffcomp.compare.quickest import QuickestRequest, quickest
-from ffcomp.compare.quickest_plans import TRAVEL, Stretch, WholePrint, seconds_of
-from ffcomp.compare.quickest_result import Quickest
-from ffcomp.compare.quickest_search import Seeker
+from ffcomp.compare.quickest_plans import TRAVEL, Seeker, Stretch, WholePrint, seconds_of
+from ffcomp.compare.result import Quickest
 from ffcomp.compare.sampling import Print, Sampling
 from ffcomp.faster.bound import Bound
 from ffcomp.report.compare.words import duration

@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from ffcomp.compare.compensated import Compensated, compensated, segments
+from ffcomp.compare.methods import Compensated, compensated, segments
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.settings import settings_for
 from ffcomp.planner.program import plan_program

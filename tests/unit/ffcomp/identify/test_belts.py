@@ -13,7 +13,7 @@ from ffcomp.errors import MeasurementError
 from ffcomp.identify.axis_spectra import Spectrum
 from ffcomp.identify.belts import BeltComparison, compare_belts
 from ffcomp.identify.resonance_tests import BeltTest
-from ffcomp.report.belts import belts_figure
+from ffcomp.report.identify import belts_figure
 from models.file import load_machine
 
 FloatArray = NDArray[np.float64]

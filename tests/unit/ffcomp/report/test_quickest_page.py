@@ -6,7 +6,7 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
-from ffcomp.report.quickest.html import write_quickest
+from ffcomp.report.quickest.page import write_quickest
 from ffcomp.report.quickest.words import answer, sentences
 from tests.support.quickest import made_up_quickest
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from ffcomp.cli.show import open_picture
-from ffcomp.report.shared.style import ERROR, NEIGHBOUR
+from ffcomp.report.drawing import ERROR, NEIGHBOUR
 from ffcomp.report.show import show_figure
 from ffcomp.simulate.preview import Curve, Preview
 

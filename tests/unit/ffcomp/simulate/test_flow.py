@@ -9,8 +9,7 @@ import pytest
 
 from ffcomp.planner.program import plan_program
 from ffcomp.report.show import show_figure
-from ffcomp.simulate.flow import STEP_S, flow_of
-from ffcomp.simulate.preview import preview
+from ffcomp.simulate.preview import STEP_S, flow_of, preview
 from gcode.reader import read_program
 from models.file import load_machine
 from models.pressure import Pressure

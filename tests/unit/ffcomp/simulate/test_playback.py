@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 
-from ffcomp.compare.compensated import segments_motion
+from ffcomp.compare.methods import segments_motion
 from ffcomp.compare.sampling import Print
 from ffcomp.metrics import contour_error
-from ffcomp.simulate.motion import planned_motion
+from ffcomp.simulate.command import planned_motion
 from ffcomp.simulate.playback import side_by_side, simulate_nozzles, simulate_side_by_side
 from models.delta_machine import delta_vibration
 from models.effects.catalogue import with_effect

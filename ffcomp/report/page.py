@@ -42,7 +42,7 @@ def tied(sentence: str) -> str:
 def coded(sentence: str) -> Markup:
     """Set what is to be typed, in backticks or an option alone, as code, which CSS keeps on one line."""
     parts = re.split(r"`([^`]+)`|(?<![\w-])(--[a-z][a-z-]*)", sentence)
-    said = [escape(parts[0])]
+    pieces = [escape(parts[0])]
     for quoted, option, after in zip(parts[1::3], parts[2::3], parts[3::3], strict=True):
-        said += [Markup("<code>{}</code>").format(quoted or option), escape(after)]
-    return Markup("").join(said)
+        pieces += [Markup("<code>{}</code>").format(quoted or option), escape(after)]
+    return Markup("").join(pieces)

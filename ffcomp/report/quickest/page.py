@@ -1,20 +1,23 @@
-"""Figures of a comparison at equal error: time of each method, where it goes, error and speed along the print."""
+"""A comparison at equal error as one HTML page: time of each method, where it goes, error and speed along the print."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
 
 from ffcomp.compare.quickest_plans import TRAVEL
-from ffcomp.compare.quickest_result import Contender, Piece, Quickest
+from ffcomp.compare.result import Contender, Piece, Quickest
 from ffcomp.faster.bound import LIMITS
 from ffcomp.report.compare.words import clipped, duration, outer_first
-from ffcomp.report.quickest.words import nick, shown
-from ffcomp.report.shared.drawing import Box, Drawing
-from ffcomp.report.shared.style import AFTER, BEFORE, BEYOND, SHAPER, SOFT, grid
+from ffcomp.report.drawing import AFTER, BEFORE, BEYOND, ON_DARK, SHAPER, SOFT, Box, Drawing, grid, panel
+from ffcomp.report.page import rendered, tied
+from ffcomp.report.quickest.words import answer, nick, sentences, shown
+from gcode.atomic_write import replace_atomically
 
 WIDE_INCHES = 8.6
 MOST_FEATURES = 12
@@ -22,12 +25,12 @@ CLOSE_S = 3.0  # of the print as sliced that is drawn close up
 COLOURS = (BEFORE, SHAPER, AFTER)  # as `shown`
 
 
-def drawings(found: Quickest) -> list[Drawing]:
+def drawings(result: Quickest) -> list[Drawing]:
     """Return the figures in the order of the page."""
-    rows = 0.3 * (len(found.contenders) + 1) + 1.2
+    rows = 0.3 * (len(result.contenders) + 1) + 1.2
 
     def of(name: str, title: str, read: str, height: float, draw: Callable[..., None]) -> Drawing:
-        return Drawing(name, title, "", read, WIDE_INCHES, height, partial(draw, found=found))
+        return Drawing(name, title, "", read, WIDE_INCHES, height, partial(draw, result=result))
 
     return [
         of("times", "The whole print, at equal error", TIMES, rows, draw_times),
@@ -46,16 +49,16 @@ CLOSE = (
 )
 
 
-def draw_times(box: Box, found: Quickest) -> None:
+def draw_times(box: Box, result: Quickest) -> None:
     """Draw a bar for each method."""
     axes = box.subplots()
-    every = [found.sliced, *found.contenders.values()]
+    every = [result.sliced, *result.contenders.values()]
     for k, each in enumerate(every):
-        colour = _colour(found, each)
+        colour = _colour(result, each)
         axes.barh(k, each.print_time_s / 60, color=colour if each.reached or k == 0 else "none", edgecolor=colour)
         text = f" {duration(each.print_time_s)}, 99 % within {each.contour_p99_um:.3g} µm"
         axes.text(each.print_time_s / 60, k, text, va="center", fontsize=8)
-    axes.axvline(found.actuator_limit_s / 60, color=BEYOND, linewidth=1.5)
+    axes.axvline(result.actuator_limit_s / 60, color=BEYOND, linewidth=1.5)
     axes.set_yticks(range(len(every)), [clipped(each.label) for each in every], parse_math=False)
     axes.set_ylim(len(every) - 0.4, -0.6)
     axes.set_xlim(0, 1.55 * max(each.print_time_s for each in every) / 60)
@@ -64,21 +67,21 @@ def draw_times(box: Box, found: Quickest) -> None:
     grid(axes, "x")
 
 
-def _colour(found: Quickest, each: Contender) -> str:
+def _colour(result: Quickest, each: Contender) -> str:
     if each.family == "inversion":
         return AFTER
-    if each is found.sliced:
+    if each is result.sliced:
         return BEFORE
-    return SHAPER if each.name == found.best_shaper.name else SOFT
+    return SHAPER if each.name == result.best_shaper.name else SOFT
 
 
-def draw_where(box: Box, found: Quickest) -> None:
+def draw_where(box: Box, result: Quickest) -> None:
     """Draw time by feature, and what limits the quicker print."""
     left, right = box.subplots(1, 2, width_ratios=(1.5, 1.0))
-    was = found.sliced.by_feature_s
+    was = result.sliced.by_feature_s
     named = [name for name in outer_first(was, was) if name != TRAVEL]
     names = [*sorted(named, key=lambda name: -was[name])[: MOST_FEATURES - 1], TRAVEL]
-    for k, (each, colour) in enumerate(zip(shown(found), COLOURS, strict=True)):
+    for k, (each, colour) in enumerate(zip(shown(result), COLOURS, strict=True)):
         minutes = [each.by_feature_s.get(name, 0.0) / 60 for name in names]
         left.barh(np.arange(len(names)) + 0.27 * (k - 1), minutes, 0.25, color=colour, label=nick(each))
     left.set_yticks(range(len(names)), [clipped(name, 22) for name in names], parse_math=False)
@@ -86,26 +89,26 @@ def draw_where(box: Box, found: Quickest) -> None:
     left.set_xlabel("minutes")
     left.legend(frameon=False, fontsize=8)
     grid(left, "x")
-    _limits(right, found.faster)
+    _limits(right, result.faster)
 
 
-def _limits(axes: Axes, own: Contender) -> None:
-    seconds = sorted(((s, name) for name, s in own.limited_by.items() if s > 0.0), reverse=True)
+def _limits(axes: Axes, contender: Contender) -> None:
+    seconds = sorted(((s, name) for name, s in contender.limited_by.items() if s > 0.0), reverse=True)
     axes.barh([LIMITS[name] for _, name in seconds], [s / 60 for s, _ in seconds], color=AFTER)
     axes.invert_yaxis()
     axes.set(xlabel="minutes", title="limited by")
     grid(axes, "x")
 
 
-def draw_along(box: Box, found: Quickest) -> None:
+def draw_along(box: Box, result: Quickest) -> None:
     """Draw the mean speed and the error of each slice, over the clock of the print as sliced."""
     speed, error = box.subplots(2, 1, sharex=True)
-    for each, colour in zip(shown(found), COLOURS, strict=True):
+    for each, colour in zip(shown(result), COLOURS, strict=True):
         at = [piece.begin_s / 60 for piece in each.pieces]
         look = {"color": colour, "marker": "o", "markersize": 4, "linewidth": 0.8, "label": nick(each)}
         speed.plot(at, [_mean_speed(piece) for piece in each.pieces], **look)
         error.semilogy(at, [max(piece.p99_um, 0.1) for piece in each.pieces], **look)
-    error.axhline(found.bound_um, color=BEYOND, linewidth=1.0)
+    error.axhline(result.bound_um, color=BEYOND, linewidth=1.0)
     speed.set(ylabel="mm/s, mean")
     error.set(ylabel="99 % below, µm", xlabel="minutes of the print as it was sliced")
     speed.legend(frameon=False, fontsize=8, ncols=3)
@@ -117,21 +120,21 @@ def _mean_speed(piece: Piece) -> float:
     return float(piece.distance_mm[-1] / max(piece.seconds, 1e-9))
 
 
-def draw_close(box: Box, found: Quickest) -> None:
+def draw_close(box: Box, result: Quickest) -> None:
     """Draw speed and error over the distance, in the slice where the quicker print's error is largest."""
     speed, error = box.subplots(2, 1, sharex=True)
-    pieces = found.faster.pieces
+    pieces = result.faster.pieces
     begin_s = max(pieces, key=lambda piece: float(piece.error_um.max(initial=0.0))).begin_s
-    middle, half = _stretch(found, begin_s)
-    for each, colour in zip(shown(found), COLOURS, strict=True):
-        piece = next((own for own in each.pieces if own.begin_s == begin_s), None)
+    middle, half = _stretch(result, begin_s)
+    for each, colour in zip(shown(result), COLOURS, strict=True):
+        piece = next((contender for contender in each.pieces if contender.begin_s == begin_s), None)
         if piece is None:
             continue
         from_end = piece.distance_mm - piece.distance_mm[-1]  # slices end at the same place, whatever was left out
         near = np.abs(from_end - middle) <= half
         speed.plot(from_end[near] - middle, piece.speed_mm_per_s[near], color=colour, linewidth=1.0, label=nick(each))
         error.semilogy(from_end[near] - middle, np.maximum(piece.error_um[near], 0.1), color=colour, linewidth=1.0)
-    error.axhline(found.bound_um, color=BEYOND, linewidth=1.0)
+    error.axhline(result.bound_um, color=BEYOND, linewidth=1.0)
     speed.set(ylabel="mm/s")
     error.set(ylabel="off the path, µm", xlabel="mm along the path")
     speed.legend(frameon=False, fontsize=8, ncols=3)
@@ -139,9 +142,69 @@ def draw_close(box: Box, found: Quickest) -> None:
     grid(error)
 
 
-def _stretch(found: Quickest, begin_s: float) -> tuple[float, float]:
+def _stretch(result: Quickest, begin_s: float) -> tuple[float, float]:
     """Return the middle and half the length of what is drawn, mm before the slice's end."""
-    own = next(piece for piece in found.faster.pieces if piece.begin_s == begin_s)
-    at = int(own.error_um.argmax())
-    half = 0.5 * CLOSE_S * max(_mean_speed(own), 1.0)
-    return float(own.distance_mm[at] - own.distance_mm[-1]), half
+    contender = next(piece for piece in result.faster.pieces if piece.begin_s == begin_s)
+    at = int(contender.error_um.argmax())
+    half = 0.5 * CLOSE_S * max(_mean_speed(contender), 1.0)
+    return float(contender.distance_mm[at] - contender.distance_mm[-1]), half
+
+
+@dataclass(frozen=True, slots=True)
+class Tile:
+    """One of the big numbers on top."""
+
+    label: str
+    time: str
+    below: str
+    colour: str
+    on_dark: str
+    share: float  # of the longest, %
+
+
+def write_quickest(result: Quickest, target: Path) -> None:
+    """Write the page; an old one stays until the new one is complete."""
+    figures = drawings(result)
+    page = rendered(
+        "quickest",
+        {"duration": duration, "tied": tied},
+        result=result,
+        name=result.print_name.replace("\\", "/").rsplit("/", 1)[-1],
+        answer=answer(result),
+        sentences=sentences(result),
+        tiles=_tiles(result),
+        rows=[_row(result, each) for each in (result.sliced, *result.contenders.values())],
+        figures=[(each, panel(each)) for each in figures],
+    )
+    replace_atomically(target, [page])
+
+
+def _tiles(result: Quickest) -> list[Tile]:
+    longest = max(each.print_time_s for each in shown(result))
+    return [
+        Tile(
+            nick(each) if each.name != "sliced" else "as sliced",
+            duration(each.print_time_s),
+            f"99 % within {each.contour_p99_um:.3g} µm",
+            colour,
+            ON_DARK[colour],
+            100 * each.print_time_s / longest,
+        )
+        for each, colour in zip(shown(result), COLOURS, strict=True)
+    ]
+
+
+def _row(result: Quickest, each: Contender) -> tuple[str, str, list[str]]:
+    change = 100 * (each.print_time_s / result.sliced.print_time_s - 1)
+    cells = [
+        duration(each.print_time_s),
+        "" if each is result.sliced else f"{change:+.0f} %",
+        f"{each.contour_p99_um:.3g}",
+        f"{each.contour_max_um:.3g}",
+        "" if each.feed is None else f"{each.feed:g}",
+        "" if each.acceleration_mm_per_s2 is None else f"{each.acceleration_mm_per_s2:,.0f}",
+        "" if each is result.sliced else "yes" if each.reached else "no",
+    ]
+    if result.mismatch:
+        cells += [f"{np.median(each.off_p99_um):.3g}", f"{max(each.off_p99_um):.3g}"]
+    return each.label, each.tuning, cells

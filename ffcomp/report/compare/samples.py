@@ -1,9 +1,9 @@
-"""Pack the samples for the page's viewer: thinned out, in few bytes, as base64.
+"""What is made of an evaluated method's samples: error vectors, their spectrum, and the viewer's packed points.
 
-Points on a straight line between their neighbours, in the reference path and in the error alike, go first; each
-point that stays has the largest error of those it stands for, so that no peak is lost. All are whole numbers, see
-`COLUMNS`. Of each column the steps from point to point are written, first the low bytes of all of them, then the next
-ones, so that zlib finds much to leave out: some 9 bytes a point of 20.
+The viewer's points are thinned out, in few bytes, as base64. Points on a straight line between their neighbours, in
+the reference path and in the error alike, go first; each point that stays has the largest error of those it stands for,
+so that no peak is lost. All are whole numbers, see `COLUMNS`. Of each column the steps from point to point are written,
+first the low bytes of all of them, then the next ones, so that zlib finds much to leave out: 9 bytes a point of 20.
 """
 
 from __future__ import annotations
@@ -11,16 +11,108 @@ from __future__ import annotations
 import base64
 import zlib
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import welch
 
-from ffcomp.compare.result import Comparison, Method, Outline
-from ffcomp.report.compare.off_path import contour_vectors, unbroken
-from ffcomp.report.compare.parts import by_feature, by_layer
-from ffcomp.report.compare.words import nick, rms_um, shown
+from ffcomp.compare.result import Comparison, Method, Outline, Samples
+from ffcomp.metrics import offset_from_path
+from ffcomp.report.compare.words import feature_errors, layer_errors, nick, rms_um, shown
 from models.arrays import BoolArray, FloatArray, IntArray
+
+GAP_S = 0.3  # samples further apart in the reference plan than this are not neighbours: the print was sampled
+LATE_S, EARLY_S = 0.0125, 0.005  # the nearest part of the path was due this long before, or will be this long after
+
+
+def unbroken(due: FloatArray) -> list[slice]:
+    """Return the intervals of times (m,) s without a gap."""
+    steps = np.diff(due)
+    cuts = [0, *(np.flatnonzero((steps > GAP_S) | (steps < 0.0)) + 1).tolist(), len(due)]
+    return [slice(a, b) for a, b in pairwise(cuts)]
+
+
+def contour_vectors(samples: Samples, sample_s: float) -> FloatArray:
+    """Return vectors (m, 3) mm, as long as the contour error, from the nearest point of the path to the nozzle.
+
+    The direction is taken from the sampled path, the length from the exact one: the first may be off by what a chord
+    of one sample cuts from a corner, the second is the table's.
+    """
+    away = np.empty_like(samples.nozzle)
+    late, early = round(LATE_S / sample_s), round(EARLY_S / sample_s)
+    for piece in unbroken(samples.due):
+        away[piece] = _away(
+            np.ascontiguousarray(samples.reference[piece]), np.ascontiguousarray(samples.nozzle[piece]), late, early
+        )
+    length = np.linalg.norm(away, axis=1)
+    return np.asarray(away * (samples.contour / np.maximum(length, 1e-12))[:, None])
+
+
+def _away(reference: FloatArray, nozzle: FloatArray, late: int, early: int) -> FloatArray:
+    """Return the vectors (k, 3) from the nearest of the chords i - late … i + early of the sampled path to sample i."""
+    if len(reference) < 2:
+        return nozzle - reference
+    i, chords = np.arange(len(nozzle)), len(reference) - 1
+    away: FloatArray = offset_from_path(
+        reference, nozzle, np.clip(i - late, 0, chords - 1), np.minimum(i + early + 1, chords)
+    )
+    return away
+
+
+WINDOW_S = 0.8  # of one Welch segment: lines 1.25 Hz apart
+HIGHEST_HZ = 160.0  # nothing rings above it that a print would show
+
+
+@dataclass(frozen=True, eq=False)
+class Spectrum:
+    """A one-sided density; its integral over all frequencies is the mean square of the contour error."""
+
+    frequency_hz: FloatArray  # (n,)
+    density_um2_per_hz: FloatArray  # (n,)
+
+
+def spectrum(method: Method, sample_s: float) -> Spectrum | None:
+    """Return Welch's mean over all unbroken intervals, weighted by their lengths; None if all are too short.
+
+    The contour error as a vector, from the path to the nozzle: its mean square is that of the table.
+    """
+    pieces = [piece for piece in unbroken(method.samples.due) if piece.stop - piece.start >= 32]
+    window = min(round(WINDOW_S / sample_s), max((p.stop - p.start for p in pieces), default=0))
+    pieces = [piece for piece in pieces if piece.stop - piece.start >= window]
+    if not pieces:
+        return None
+    error = 1e3 * contour_vectors(method.samples, sample_s)
+    total: FloatArray = np.zeros(window // 2 + 1)
+    for piece in pieces:
+        f, density = welch(error[piece], fs=1 / sample_s, nperseg=window, axis=0, detrend=False)
+        total += density.sum(axis=1) * (piece.stop - piece.start)
+    total /= sum(piece.stop - piece.start for piece in pieces)
+    keep = f <= HIGHEST_HZ
+    return Spectrum(f[keep], total[keep])
+
+
+def resonance_band(comparison: Comparison) -> tuple[float, float] | None:
+    """Return the lowest and highest frequency of the bed map where the evaluated part was printed, Hz."""
+    if comparison.bed is None:
+        return None
+    here = _cells(comparison, comparison.methods["none"].samples)
+    values = comparison.bed.frequency_hz[here[:, 1], here[:, 0]]
+    if not np.isfinite(values).any():
+        return None
+    return float(np.nanmin(values)), float(np.nanmax(values))
+
+
+def _cells(comparison: Comparison, samples: Samples) -> NDArray[np.int64]:
+    """Return the points of the bed map that are nearest to the print, (k, 2): ix and iy."""
+    assert comparison.bed is not None
+    nearest = [
+        np.abs(axis[:, None] - samples.reference[None, ::100, k]).argmin(axis=0)
+        for k, axis in enumerate((comparison.bed.x_mm, comparison.bed.y_mm))
+    ]
+    return np.unique(np.column_stack(nearest), axis=0)
+
 
 POINTS = 240_000  # of all methods together: some 2.9 MB of text
 OUTLINE_MOVES = 60_000
@@ -58,10 +150,10 @@ class Trace:
     away: FloatArray  # (m, 3) mm
 
 
-def packed(found: Comparison) -> dict[str, Any]:
+def packed(comparison: Comparison) -> dict[str, Any]:
     """Return the viewer's data, ready for JSON."""
-    traces = [_trace(method, found.sample_s) for method in shown(found)]
-    outline = _outline(found)
+    traces = [_trace(method, comparison.sample_s) for method in shown(comparison)]
+    outline = _outline(comparison)
     scale = _scale(traces, outline)
     return {
         "origin": scale.origin_mm.tolist(),
@@ -70,12 +162,12 @@ def packed(found: Comparison) -> dict[str, Any]:
         "tick": DUE_S,
         "lowest": LOWEST_UM,
         "highest": scale.highest_um,
-        "features": list(found.features[: FEATURES + 1]),
-        "partial": not found.whole,
-        "layers": [{"number": layer.number, "z": layer.z_mm} for layer in found.layers],
-        "reach": None if found.bed is None or not found.bed.is_round else float(found.bed.x_mm[-1]),
+        "features": list(comparison.features[: FEATURES + 1]),
+        "partial": not comparison.whole,
+        "layers": [{"number": layer.number, "z": layer.z_mm} for layer in comparison.layers],
+        "reach": None if comparison.bed is None or not comparison.bed.is_round else float(comparison.bed.x_mm[-1]),
         "outline": _packed_outline(outline, scale),
-        "methods": [_method(found, trace, scale, POINTS // len(traces)) for trace in traces],
+        "methods": [_method(comparison, trace, scale, POINTS // len(traces)) for trace in traces],
     }
 
 
@@ -84,9 +176,9 @@ def _trace(method: Method, sample_s: float) -> Trace:
     return Trace(method, method.samples.nozzle - away, away)
 
 
-def thinned_out(found: Comparison) -> str:
+def thinned_out(comparison: Comparison) -> str:
     """State what the viewer leaves out; empty if nothing."""
-    share = min(1.0, POINTS / sum(len(method.samples.due) for method in shown(found)))
+    share = min(1.0, POINTS / sum(len(method.samples.due) for method in shown(comparison)))
     if share == 1.0:
         return ""
     return (
@@ -95,10 +187,10 @@ def thinned_out(found: Comparison) -> str:
     )
 
 
-def _outline(found: Comparison) -> Outline:
+def _outline(comparison: Comparison) -> Outline:
     """Return what the print extrudes; of a large print every second, third, … layer, for it is only background."""
     none: Outline = Outline(*(np.empty((0, 3)),) * 2, *(np.empty(0, dtype=np.int64),) * 2)
-    outline = found.outline or none
+    outline = comparison.outline or none
     every = -(-len(outline.layer) // OUTLINE_MOVES)
     kept = outline.layer % max(every, 1) == 0
     return Outline(outline.start[kept], outline.end[kept], outline.layer[kept], outline.feature[kept])
@@ -131,10 +223,10 @@ def _scale(traces: list[Trace], outline: Outline) -> Scale:
     return Scale(low, max(float((high - low).max()), 1.0) / 65535, max(longest, 1e-3) / 32767, max(highest, 1.0))
 
 
-def _method(found: Comparison, trace: Trace, scale: Scale, limit: int) -> dict[str, Any]:
+def _method(comparison: Comparison, trace: Trace, scale: Scale, limit: int) -> dict[str, Any]:
     method, s = trace.method, trace.method.samples
-    numbers = [layer.number for layer in found.layers]
-    layers, features = by_layer(found, method), by_feature(found, method)
+    numbers = [layer.number for layer in comparison.layers]
+    layers, features = layer_errors(comparison, method), feature_errors(comparison, method)
     kept, joined = thin(trace, limit)
     worst = np.maximum.reduceat(s.contour, kept)
     layer_of = {number: index for index, number in enumerate(numbers)}
@@ -152,7 +244,7 @@ def _method(found: Comparison, trace: Trace, scale: Scale, limit: int) -> dict[s
         "short": nick(method),
         "count": len(kept),
         "byLayer": [rms_um(layers.get(n)) for n in numbers],
-        "byFeature": [rms_um(features.get(name)) for name in found.features],
+        "byFeature": [rms_um(features.get(name)) for name in comparison.features],
         "data": _deflated(data),
     }
 
@@ -192,13 +284,13 @@ def _significance(points: FloatArray) -> FloatArray:
     A binary hierarchy: level k has every 2^k-th sample. A point's significance is its distance to the middle of its
     two neighbours on the coarsest level that has it, and never less than that of the finer points that lean on it.
     """
-    found = np.full(len(points), np.inf)
+    significance = np.full(len(points), np.inf)
     step = 1
     while 2 * step < len(points):
         middle = np.arange(step, len(points) - step, 2 * step)
         bend = np.linalg.norm(points[middle] - (points[middle - step] + points[middle + step]) / 2, axis=1)
         if step > 1:
-            bend = np.maximum(bend, np.maximum(found[middle - step // 2], found[middle + step // 2]))
-        found[middle] = bend
+            bend = np.maximum(bend, np.maximum(significance[middle - step // 2], significance[middle + step // 2]))
+        significance[middle] = bend
         step *= 2
-    return found
+    return significance

@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from ffcomp.cli.faster_options import shares_known
-from ffcomp.compare.knowing import worth_knowing
+from ffcomp.compare.quickest_plans import worth_knowing
 from ffcomp.faster.bound import Bound
 from ffcomp.inverse.settings import settings_for
 from models.file import load_machine

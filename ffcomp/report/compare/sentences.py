@@ -1,0 +1,300 @@
+"""Say a comparison in plain sentences, the bad news as plainly as the good, and define the terms."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from ffcomp.compare.result import Comparison, EqualQuality, Method
+from ffcomp.report.compare.words import (
+    acceleration,
+    contour_p99_um,
+    contour_rms_um,
+    duration,
+    extrudes,
+    fastest_shaper,
+    nick,
+    shapers,
+    times,
+    um,
+    where_seen,
+)
+
+WORTH, ALIKE = 2.0, 1.05  # times less error than the best shaper: below the first, a shaper is enough
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """One word, and why."""
+
+    word: str  # Yes, Hardly, No
+    why: str
+
+    def __str__(self) -> str:
+        return f"Worth it? {self.word}: {self.why}"
+
+
+def answer(comparison: Comparison) -> Answer:
+    """Weigh the compensated print against the best fixed shaper, which owners have for nothing."""
+    ours, best, none = (comparison.methods[name] for name in (comparison.compensated, comparison.best_fixed, "none"))
+    left, theirs, before = (max(contour_rms_um(comparison, method), 1e-9) for method in (ours, best, none))
+    if not ours.peaks.within_limits:
+        return Answer("No", f"{_at(comparison)}ffcomp asks the carriages for more than the machine file allows.")
+    if left >= theirs / ALIKE:
+        as_good = "as good" if left <= ALIKE * theirs else "better"
+        return Answer("No", f"{_at(comparison)}the best input shaper ({nick(best)}) is {as_good} on this print.")
+    gain = f"{_at(comparison)}ffcomp leaves {times(theirs / left)} less error than the best input shaper ({nick(best)})"
+    gain += f" and {times(before / left)} less than none, {where_seen(comparison)}.{_faster(comparison, ours)}"
+    if theirs < WORTH * left:
+        return Answer("Hardly", f"{gain} The print is gentle: a shaper is enough.")
+    return Answer("Yes", gain)
+
+
+def _at(comparison: Comparison) -> str:
+    if comparison.acceleration_mm_per_s2 is None:
+        return ""
+    return f"at your {acceleration(comparison.acceleration_mm_per_s2)} "
+
+
+def _faster(comparison: Comparison, ours: Method) -> str:
+    quality, rival = ours.equal_quality, fastest_shaper(comparison)
+    theirs = None if rival is None else rival.equal_quality
+    if quality is None or not quality.reached:
+        return ""
+    quality_text = f" It keeps 99 % within {comparison.quality_bound_um:g} µm up to {_highest(quality)}"
+    if theirs is None or rival is None:
+        return f"{quality_text}."
+    if not theirs.reached:
+        return f"{quality_text}, which no shaper manages."
+    return f"{quality_text}, the fastest shaper ({nick(rival)}) up to {_highest(theirs)}."
+
+
+def _highest(quality: EqualQuality) -> str:
+    return f"{acceleration(quality.acceleration_mm_per_s2)}{' and more' if quality.capped else ''}"
+
+
+def verdict(comparison: Comparison) -> list[str]:
+    """Return the sentences, the most important first."""
+    ours, none, best = (comparison.methods[name] for name in (comparison.compensated, "none", comparison.best_fixed))
+    return [
+        _against_none(comparison, none, ours),
+        _against_best(comparison, best, ours),
+        *_against_all(comparison, ours),
+        *_written(comparison),
+        *_mismatch(comparison, best, ours),
+        *_equal_quality(comparison, none, ours),
+        *_limits(comparison, ours),
+        *(f"Warning: {sentence}" for sentence in dict.fromkeys(ours.warnings)),
+        comparison.sampling,
+        *_assumed(comparison),
+        _plant(comparison),
+        *_predicted(comparison),
+    ]
+
+
+def _against_none(comparison: Comparison, none: Method, ours: Method) -> str:
+    before, after = contour_rms_um(comparison, none), contour_rms_um(comparison, ours)
+    where = (
+        "Where plastic flows, the"
+        if extrudes(comparison)
+        else "No plastic flows in the evaluated part; over all moves, the"
+    )
+    numbers = (
+        f"{where} nozzle is {um(before)} µm (rms) off the reference path without compensation and {um(after)} µm with "
+        "ffcomp"
+    )
+    tails = (
+        f"99 % of the time it stays within {um(contour_p99_um(comparison, ours))} µm, without compensation within "
+        f"{um(contour_p99_um(comparison, none))} µm"
+    )
+    if after > ALIKE * before:
+        return f"{numbers}: ffcomp makes this print worse, do not use it here; {tails}."
+    if before <= ALIKE * after:
+        return f"{numbers}: no difference worth the trouble; {tails}."
+    return f"{numbers}: {times(before / after)} less; {tails}."
+
+
+def _against_best(comparison: Comparison, best: Method, ours: Method) -> str:
+    best_um, ours_um = contour_rms_um(comparison, best), contour_rms_um(comparison, ours)
+    usual = _calibrated(comparison)
+    sentence = f"The best fixed input shaper ({nick(best)}, {_short(best.tuning)}) leaves {um(best_um)} µm"
+    if ours_um > ALIKE * best_um:
+        return f"{sentence}: {times(ours_um / best_um)} less than ffcomp. Use the shaper.{usual}"
+    if best_um <= ALIKE * ours_um:
+        return f"{sentence}, the same as ffcomp.{usual}"
+    return f"{sentence}: {times(best_um / ours_um)} as much as ffcomp.{usual}"
+
+
+def _calibrated(comparison: Comparison) -> str:
+    """State what owners have: the best shaper that a firmware's own calibration sets."""
+    usual = [method for method in comparison.methods.values() if method.family == "calibrated"]
+    if not usual:
+        return ""
+    first = min(usual, key=lambda method: contour_rms_um(comparison, method))
+    least = um(contour_rms_um(comparison, first))
+    return f" Set by the firmware's own resonance test, shapers leave {least} µm ({nick(first)})."
+
+
+def _short(tuning: str) -> str:
+    return tuning.split(": ")[0].rstrip(".")
+
+
+def _against_all(comparison: Comparison, ours: Method) -> list[str]:
+    first = min(comparison.methods.values(), key=lambda method: contour_rms_um(comparison, method))
+    ours_um, least = contour_rms_um(comparison, ours), contour_rms_um(comparison, first)
+    named = (comparison.compensated, comparison.best_fixed, "none", *(["fbs-lpv"] if comparison.robust.robust else []))
+    if first.name in named or ours_um <= ALIKE * least:
+        return []
+    return [f"The least error of all has {first.label}: {um(least)} µm."]
+
+
+def _written(comparison: Comparison) -> list[str]:
+    """Tell how `compensate` inverts with this machine file, where that is not plain, and what plain leaves."""
+    plain = comparison.methods.get("fbs-lpv")
+    if not comparison.robust.robust or plain is None:
+        return []
+    exact = (
+        ", where the printer is exactly as the file says"
+        if comparison.plant.sha256 == comparison.machine.sha256
+        else ""
+    )
+    return [
+        f"“ffcomp” is what `ffcomp compensate` writes with this machine file. {comparison.robust.reason} That leaves "
+        f"{um(contour_rms_um(comparison, plain))} µm (“{plain.label}”) here{exact}."
+    ]
+
+
+def _mismatch(comparison: Comparison, best: Method, ours: Method) -> list[str]:
+    our_spread = ours.spread
+    if our_spread is None:
+        return []
+    evaluated = [
+        (method.spread, f"{method.label}, as tuned") for method in shapers(comparison) if method.spread is not None
+    ]
+    against = sorted(evaluated, key=lambda each: each[0].median_um)[:1]
+    if best.retuned is not None:
+        against.append((best.retuned, f"{nick(best)} tuned again on each"))
+    sentence = (
+        f"On {len(our_spread.contour_rms_um)} printers that are not as the machine file says, over all moves: "
+        f"{um(our_spread.median_um)} µm in the median and {um(our_spread.worst_um)} µm at worst with ffcomp"
+    )
+    sentence += "".join(
+        f"; {um(spread.median_um)} and {um(spread.worst_um)} µm with {name}" for spread, name in against
+    )
+    if any(our_spread.median_um > ALIKE * spread.median_um for spread, _ in against):
+        return [f"{sentence}. With such an uncertainty the shaper is better: measure the machine first."]
+    if any(our_spread.worst_um > ALIKE * spread.worst_um for spread, _ in against):
+        return [f"{sentence}. In the median ffcomp is ahead or level, at worst the shaper is better."]
+    return [f"{sentence}."]
+
+
+def _equal_quality(comparison: Comparison, none: Method, ours: Method) -> list[str]:
+    quality, rival = ours.equal_quality, fastest_shaper(comparison)
+    if quality is None:
+        return []
+    parts, saved = [f"ffcomp {_speed(quality)}"], ""
+    if rival is not None and rival.equal_quality is not None:
+        parts.append(f"the fastest shaper ({rival.label}) {_speed(rival.equal_quality)}")
+        saved = _saved(rival.equal_quality, quality)
+    if none.equal_quality is not None:
+        parts.append(f"no compensation {_speed(none.equal_quality)}")
+    bound = f"If 99 % of the contour error must stay below {comparison.quality_bound_um:g} µm"
+    return [f"{bound}: {'; '.join(parts)}.{saved}"]
+
+
+def _speed(quality: EqualQuality) -> str:
+    highest, whole = acceleration(quality.acceleration_mm_per_s2), duration(quality.print_time_s)
+    if not quality.reached:
+        return f"misses it even at {highest}"
+    if quality.capped:
+        return f"keeps it even at {highest}, the highest that was tried (whole print {whole})"
+    return f"keeps it up to {highest} (whole print {whole})"
+
+
+def _saved(theirs: EqualQuality, quality: EqualQuality) -> str:
+    """State the time saved against the shaper, where both keep the bound."""
+    if not (quality.reached and theirs.reached):
+        return ""
+    share = 1 - quality.print_time_s / theirs.print_time_s
+    if abs(share) < 0.005:
+        return " That saves no time on this print."
+    word = "less" if share > 0 else "more"
+    return f" With ffcomp that is {100 * abs(share):.0f} % {word} print time than with the shaper."
+
+
+def _limits(comparison: Comparison, ours: Method) -> list[str]:
+    beyond = [method for method in comparison.methods.values() if not method.peaks.within_limits]
+    if ours in beyond:
+        return [
+            f"ffcomp asks the carriages for {ours.peaks.velocity_mm_per_s:.0f} mm/s and "
+            f"{acceleration(ours.peaks.acceleration_mm_per_s2)}, "
+            f"more than the machine file allows{_allowed(comparison)}: "
+            "its accuracy here is not to be had; lower the print's speed or acceleration."
+        ]
+    if beyond:
+        names = ", ".join(method.label for method in beyond)
+        return [f"Beyond the limits of the carriages{_allowed(comparison)}: {names}. Their accuracy is not to be had."]
+    return []
+
+
+def _allowed(comparison: Comparison) -> str:
+    velocity = comparison.limits.get("carriage_velocity_mm_per_s")
+    most = comparison.limits.get("carriage_acceleration_mm_per_s2")
+    if velocity is None or most is None:
+        return ""
+    return f" ({velocity:.0f} mm/s, {acceleration(most)})"
+
+
+def _assumed(comparison: Comparison) -> list[str]:
+    """Say whose modes are assumed, of the machine and the plant; each once."""
+    return list(dict.fromkeys(party.assumed for party in (comparison.machine, comparison.plant) if party.assumed))
+
+
+def _predicted(comparison: Comparison) -> list[str]:
+    if not comparison.predicted:
+        return []
+    before, after = (um(comparison.predicted[name].contour_rms_um) for name in ("uncompensated", "compensated"))
+    part = "" if comparison.whole else ", of the part that was evaluated"
+    return [
+        f"`ffcomp compensate` and `ffcomp show` say {before} → {after} µm rms for this print: that is predicted by the "
+        "linear model that ffcomp plans with, over all moves of the whole print, travel too. The errors above are "
+        f"the virtual printer's, which is not linear, {where_seen(comparison)}{part}."
+    ]
+
+
+def _plant(comparison: Comparison) -> str:
+    effects = f", with {', '.join(comparison.plant.effects)}" if comparison.plant.effects else ""
+    if comparison.plant.sha256 == comparison.machine.sha256:
+        hint = "" if comparison.mismatch else "; --mismatch 10% shows by how much"
+        return (
+            "All of this is simulated, and the virtual printer has the very numbers of the machine file that ffcomp "
+            f"plans with{effects}. A real printer differs from its file, so in reality it will be less good{hint}."
+        )
+    return (
+        f"All of this is simulated: every method uses the model of {comparison.machine.name}, and the virtual printer "
+        f"that evaluates them is {comparison.plant.name}{effects}."
+    )
+
+
+GLOSSARY = {
+    "contour error": "Distance from the nozzle to the nearest point of the reference path (its straight segments, not "
+    "sampled points) among those due within 50 ms. It is what a print shows: being late on the path costs nothing.",
+    "tracking error": "Distance from the nozzle to where it should be at that moment. It counts delay, which a print "
+    "does not show as long as it is constant; “no delay” takes out the constant delay that explains most of it.",
+    "where plastic flows": "Samples in moves that extrude. Travel moves count only under “all moves”.",
+    "rms, 99 %, max": "Root mean square over time; the value that 99 % of the time stays below; the largest value.",
+    "residual ringing": "Rms of the error where the reference motion is a straight line at constant speed or "
+    "rest, about its mean in each such interval.",
+    "carriage peaks": "Largest speed and acceleration commanded of any carriage, as differences over 4 ms, the time of "
+    "one written segment. Speed and acceleration of the command, not of the vibrating machine.",
+    "best fixed": "For each kind of shaper the frequencies and damping ratio with the least contour error on this very "
+    "print, sought with the virtual printer known. No owner can tune this well: it is the fairest rival.",
+    "calibrated": "What Klipper's resonance test at the middle of the bed would choose on this virtual printer.",
+    "scheduled": "A shaper whose frequency follows the resonance at each position on the bed. No firmware has that; "
+    "Marlin's can follow the height or the mass that was printed.",
+    "Monte-Carlo plants": "Printers whose masses, stiffnesses, dampings and drives are all off by random shares, "
+    "unknown to every method; “tuned again” is the best fixed shaper with its frequencies sought anew on each of them.",
+    "equal quality": "Every move of the print is planned with one acceleration, raised until 1 % of the contour error "
+    "exceeds the bound or a carriage exceeds its limits. Sought on half a minute of the print.",
+    "virtual printer": "A nonlinear simulation of the printer named under “evaluated on”, apart from the model "
+    "that the inversion uses. It knows nothing of plastic, heat, or loose screws.",
+}

@@ -1,0 +1,205 @@
+"""The style of all figures, deferred drawings, and how they become files or images on a page."""
+
+from __future__ import annotations
+
+import base64
+import io
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+from matplotlib.axes import Axes
+from matplotlib.colors import LinearSegmentedColormap
+from matplotlib.figure import Figure, SubFigure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
+from matplotlib.patches import Rectangle
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+from ffcomp.version import __version__
+from gcode.atomic_write import replace_atomically
+from models.machine import Machine
+
+matplotlib.use("Agg")
+
+# One colour, one meaning, in every figure and on every page; lines have contrast 3 with their ground, words 4.5.
+BEFORE, AFTER = "#bd4b00", "#0072b2"  # without compensation or diagnosis, and with it
+SHAPER, CALIBRATED, SCHEDULED = "#007a59", "#6b8e23", "#7a6a5a"  # the best of them, and those that are set otherwise
+BEYOND = "#b00020"  # more than the machine allows
+REFERENCE = "#222222"
+BAND, INK, SOFT, LINE, EDGE, PAPER = "#1f2a37", "#1f2a37", "#6b7280", "#e6e9ee", "#c5cad3", "#ffffff"
+NOISE, GROUND = "#c9ced8", "#f5f7fa"  # of a measurement; beneath something
+NEIGHBOUR = "#d5d9e0"  # other lines of the layer, and travel: there, but not in question
+# How far off the path: from violet, hardly, to what stands out most from the ground. No method has such a colour.
+ERROR = ("#9d84c9", "#a55eda", "#a433c7", "#9a05a4", "#860079", "#6e0354", "#501135")
+ERROR_ON_DARK = ("#76609f", "#9458c1", "#bf5be0", "#e669ef", "#fe8cec", "#febbe5", "#fde3ee")
+ON_DARK = {  # what each colour becomes where the reader's screen is dark
+    BEFORE: "#ff9248",
+    AFTER: "#5bb4ea",
+    SHAPER: "#3ecf9f",
+    CALIBRATED: "#a9cc52",
+    SCHEDULED: "#c2b09c",
+    BEYOND: "#ff8092",
+    REFERENCE: "#f2f5f8",
+    INK: "#e3e8ef",
+    SOFT: "#a3adba",
+    LINE: "#2c3744",
+    EDGE: "#4b5868",
+    PAPER: "#1a222c",
+    NEIGHBOUR: "#3b4857",
+    NOISE: "#5b6878",
+    GROUND: "#11171e",
+}
+RC: dict[Any, Any] = {
+    "font.size": 9,
+    "axes.edgecolor": EDGE,
+    "axes.labelcolor": INK,
+    "axes.titlesize": 10,
+    "axes.titleweight": "bold",
+    "axes.titlelocation": "left",
+    "axes.axisbelow": True,
+    "xtick.color": SOFT,
+    "ytick.color": SOFT,
+    "xtick.labelcolor": INK,
+    "ytick.labelcolor": INK,
+    "text.color": INK,
+    "svg.hashsalt": "ffcomp",  # the same numbers give the same file
+}
+
+
+def error_colours(on_dark: bool = False) -> LinearSegmentedColormap:
+    """Return the colours of an error, from hardly to far off the path."""
+    return LinearSegmentedColormap.from_list("error", ERROR_ON_DARK if on_dark else ERROR)
+
+
+def grid(axes: Axes, axis: Any = "both") -> None:
+    """Draw a light grid, and no frame above and to the right."""
+    axes.grid(color=LINE, linewidth=0.8, axis=axis)
+    for side in ("top", "right"):
+        axes.spines[side].set_visible(False)
+
+
+def plain_decades(axis: Any) -> None:
+    """Label a logarithmic axis 0.1, 1, 10, 100 instead of powers; with 1, 2, 5 where there are few."""
+    low, high = sorted(axis.get_view_interval())
+    axis.set_major_locator(LogLocator(subs=(1.0,) if high > 50 * low else (1.0, 2.0, 5.0), numticks=12))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_minor_formatter(NullFormatter())
+
+
+DPI = 150
+
+Box = Figure | SubFigure
+
+
+@dataclass(frozen=True, eq=False)
+class Drawing:
+    """One figure, ready to be drawn into any box."""
+
+    name: str  # of the files
+    title: str
+    finding: str  # its finding in one line
+    how_to_read: str
+    width: float  # inches
+    height: float
+    draw: Callable[[Box], None]
+
+
+def svg(drawing: Drawing) -> bytes:
+    """Draw the figure alone, for light and dark screens: on the page, heading and caption are text."""
+    with matplotlib.rc_context(RC):
+        figure = Figure(figsize=(drawing.width, drawing.height), layout=layout())
+        drawing.draw(figure)
+        return _for_dark_screens(file_of(figure, "svg"))
+
+
+def _for_dark_screens(content: bytes) -> bytes:
+    rules = "".join(
+        f'[style*="{what}: {light}"]{{{what}:{dark}!important}}'
+        for light, dark in ON_DARK.items()
+        for what in ("fill", "stroke")
+    )
+    style = f"<style>@media (prefers-color-scheme: dark){{{rules}}}</style>"
+    return content.replace(b"<defs>", f"<defs>{style}".encode(), 1)
+
+
+def layout() -> ConstrainedLayoutEngine:
+    """Return the layout of every figure."""
+    return ConstrainedLayoutEngine(w_pad=0.12, h_pad=0.1)
+
+
+def file_of(figure: Figure, form: str) -> bytes:
+    """Return the figure as a file of the form "png" or "svg"."""
+    file = io.BytesIO()
+    with warnings.catch_warnings():  # a print's name may be written in any script: what the font lacks is a box
+        warnings.filterwarnings("ignore", message="Glyph .* missing from font")
+        figure.savefig(file, format=form, dpi=DPI, metadata={"Date": None} if form == "svg" else None)
+    return file.getvalue()
+
+
+def write_figure(figure: Figure, target: Path, dpi: float) -> None:
+    """Write the figure whole or not at all; the suffix of `target` names the format, without one it becomes .png."""
+    named = target if target.suffix else target.with_name(f"{target.name}.png")
+    content = io.BytesIO()
+    figure.savefig(content, format=named.suffix.removeprefix("."), dpi=dpi)
+    replace_atomically(named, [content.getvalue()])
+
+
+@dataclass(frozen=True, slots=True)
+class Image:
+    """A figure inside a page."""
+
+    title: str
+    finding: str
+    data: str  # base64 of SVG
+    width: int
+    height: int
+
+
+def panel(drawing: Drawing) -> Image:
+    """Draw and embed one panel of a figure."""
+    return image(drawing, svg(drawing))
+
+
+def image(drawing: Drawing, content: bytes) -> Image:
+    """Embed a drawing, given as SVG."""
+    data = base64.b64encode(content).decode("ascii")
+    return Image(drawing.title, drawing.finding, data, round(96 * drawing.width), round(96 * drawing.height))
+
+
+BAND_HEIGHT = 1.05  # inches
+TITLE, FINDING, ABOUT = "#ffffff", "#ffd08a", "#b9c2cf"
+
+
+def machine_line(machine: Machine) -> str:
+    """Name the machine file and its model."""
+    return f"{machine.name}  ·  machine file sha256 {machine.sha256[:12]}  ·  {machine.vibration.describe().heading}"
+
+
+def band(figure: Figure, title: str, finding: str, about: str, more: str = "") -> float:
+    """Draw a band with title, finding and, below, what it is about, over the figure; return its height in inches.
+
+    more : a second line of the finding
+    """
+    width, height = figure.get_size_inches()
+    inches = BAND_HEIGHT + (0.27 if more else 0.0)
+    share = inches / height
+    figure.add_artist(Rectangle((0, 1 - share), 1, share, color=BAND, transform=figure.transFigure, zorder=-1))
+    lines = [(0.31, title, 14, "bold", TITLE), (0.6, finding, 11, "normal", FINDING)]
+    if more:
+        lines.append((0.86, more, 10, "normal", TITLE))
+    for down, text, size, weight, colour in (
+        *lines,
+        (inches - 0.2, f"{about}  ·  ffcomp {__version__}", 8.5, "normal", ABOUT),
+    ):
+        figure.text(0.35 / width, 1 - down / height, text, fontsize=size, weight=weight, color=colour, va="center")
+    return inches
+
+
+def room_below(figure: Figure, band_inches: float) -> None:
+    """Keep what a layout arranges below the band."""
+    engine = figure.get_layout_engine()
+    if isinstance(engine, ConstrainedLayoutEngine):
+        engine.set(rect=(0.0, 0.0, 1.0, 1.0 - (band_inches + 0.08) / float(figure.get_size_inches()[1])))

@@ -1,1 +1,0 @@
-"""Style, drawing and the page frame of all reports."""
