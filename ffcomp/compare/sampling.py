@@ -358,15 +358,15 @@ class Print:
         planned = plan_program(part(self.program, first, last), self.machine)
         x, y, z, _ = self.program.moves.start[first]
         return PrintSlice(
-            self.machine,
-            planned,
-            self.flavor,
-            self.offset,
-            self.labels.layer[first:last],
-            self.labels.feature[first:last],
-            float(self.planned.trajectory.start_t[first]),
-            preamble(self.program, first),
-            (float(x), float(y), float(z)),
+            machine=self.machine,
+            planned=planned,
+            flavor=self.flavor,
+            offset=self.offset,
+            layer=self.labels.layer[first:last],
+            feature=self.labels.feature[first:last],
+            begin_t=float(self.planned.trajectory.start_t[first]),
+            before=preamble(self.program, first),
+            start=(float(x), float(y), float(z)),
         )
 
 

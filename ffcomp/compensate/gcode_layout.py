@@ -115,7 +115,17 @@ def timeline(
     laid.cut[np.searchsorted(laid.at, tile.end)] = True  # where a motion is cut that had to be slowed down
     _meet_the_events(laid, program, run, e, lines, among, reference.lead_at)
     lead_s = run.begin_t - reference.t0
-    return Timeline(tile, laid.at, laid.e, laid.cut, laid.point, lines.line, lines.event, among, lead_s)
+    return Timeline(
+        tile=tile,
+        at=laid.at,
+        e=laid.e,
+        cut=laid.cut,
+        point=laid.point,
+        line=lines.line,
+        event=lines.event,
+        events=among,
+        lead_s=lead_s,
+    )
 
 
 class _Laid(NamedTuple):

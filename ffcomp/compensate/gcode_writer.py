@@ -53,6 +53,7 @@ class Writer:
         flavor: str,
         limits: MotionLimits,
         settings: Settings,
+        *,
         offset: tuple[float, float] = (0.0, 0.0),
         limit_lines: Mapping[bytes, bytes] | None = None,
         raw_s: Mapping[int, float] | None = None,
@@ -456,10 +457,15 @@ class GcodeRenderer:
     def __init__(self, chunk: PlannedChunk, context: Context) -> None:
         self._planned, self._extent, self._kinematics = chunk.planned, chunk.chunk.extent, context.machine.kinematics
         program, settings = chunk.planned.program, context.settings
-        inside = partial(self._kinematics.contains, margin_mm=-REFIT_MM)
-        known = chunk.chunk.limits, chunk.raw_s, inside
         self._writer = Writer(
-            program, context.flavor, _machine_limits(context.machine), settings, context.offset, *known
+            program,
+            context.flavor,
+            _machine_limits(context.machine),
+            settings,
+            offset=context.offset,
+            limit_lines=chunk.chunk.limits,
+            raw_s=chunk.raw_s,
+            inside=partial(self._kinematics.contains, margin_mm=-REFIT_MM),
         )
         self._events, self._waits_s = EventQueue(program.events), chunk.waits_s
         self._writer.note_returns(chunk.chunk.since)

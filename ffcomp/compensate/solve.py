@@ -105,7 +105,16 @@ def _linear(
         keep_response = keep(written.reference)
         if settings.time_scaling:
             request = SectionRequest(
-                program, trajectory, section, written, state, limits, replan, part, keep_response, layers.of
+                program=program,
+                trajectory=trajectory,
+                section=section,
+                written=written,
+                state=state,
+                limits=limits,
+                replan=replan,
+                extent=part,
+                keep_response=keep_response,
+                layer_of=layers.of,
             )
             feasible = solve_feasible(model, request)
             trajectory, later = feasible.trajectory, later + feasible.lost_s

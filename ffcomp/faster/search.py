@@ -165,10 +165,17 @@ class SectionSearch:
         t = self.ensemble.times(written, solution)
         errors = *self.ensemble.errors(written, solution, path), 1.0 / self.ceiling.bound_mm[plan.move_at(t)]
         utilisation = utilisation_from_rest(solution.vertices, model.limits)[1:-1]
-        demands = utilisation[:, [ACCELERATION, TRAVEL]].max(axis=(1, 2)), utilisation[:, VELOCITY].max(axis=1)
         at_quantile, counts = error_at_quantile(*errors, self.ensemble.quantile_sd), histogram(*errors)
         return SectionPrediction(
-            plan, t[0], t[1] - t[0], at_quantile, counts, written.reference.t0, s.segment_s, *demands
+            plan,
+            t[0],
+            t[1] - t[0],
+            at_quantile,
+            counts=counts,
+            limits_t0=written.reference.t0,
+            segment_s=s.segment_s,
+            by_acceleration=utilisation[:, [ACCELERATION, TRAVEL]].max(axis=(1, 2)),
+            by_speed=utilisation[:, VELOCITY].max(axis=1),
         )
 
     def verify(self) -> None:
