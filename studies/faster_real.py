@@ -18,7 +18,7 @@ from typing import Any
 from matplotlib.figure import Figure
 
 from ffcomp.compare.quickest import QuickestRequest, quickest
-from ffcomp.compare.result import Contender, Quickest
+from ffcomp.compare.result import Quickest, TimedMethod
 from ffcomp.compare.sampling import Print, Sampling
 from ffcomp.faster.bound import Bound
 from gcode.container import read_bytes
@@ -81,13 +81,13 @@ def _row(found: Quickest) -> dict[str, Any]:
         "sliced": _about(found.sliced),
         "actuator_limit_s": found.actuator_limit_s,
         "shaper": _about(shaper),
-        "shapers": {name: _about(each) for name, each in found.contenders.items() if each.family == "best fixed"},
-        "kept": _about(found.contenders["fbs-lpv"]),
+        "shapers": {name: _about(each) for name, each in found.methods.items() if each.family == "best fixed"},
+        "kept": _about(found.methods["fbs-lpv"]),
         "faster": {**_about(own), "limited_by": own.limited_by, "warnings": len(own.warnings)},
     }
 
 
-def _about(each: Contender) -> dict[str, Any]:
+def _about(each: TimedMethod) -> dict[str, Any]:
     return {
         "label": each.label,
         "print_s": each.print_time_s,

@@ -13,7 +13,7 @@ from ffcomp.request import FASTER
 if TYPE_CHECKING:
     from ffcomp.compare.engine import Request
     from ffcomp.compare.quickest import QuickestRequest
-    from ffcomp.compare.result import Contender, Quickest
+    from ffcomp.compare.result import Quickest, TimedMethod
     from ffcomp.faster.bound import Bound
 
 EqualQuality = Annotated[
@@ -107,7 +107,7 @@ def _print(found: Quickest, report: Path | None) -> None:
     table = Table("method", box=None, padding=(0, 1, 0, 0))
     for column in ("time, s", "p99", "max", "feeds", "m/s²", *(("off", "worst") if found.mismatch else ())):
         table.add_column(column, justify="right", no_wrap=True)
-    for each in (found.sliced, *found.contenders.values()):
+    for each in (found.sliced, *found.methods.values()):
         table.add_row(*_cells(each), style="bold" if each.name in (found.best_shaper.name, "faster") else "")
     table.add_row("limit of the actuators", f"{found.actuator_limit_s:.0f}")
     console.print(table)
@@ -121,7 +121,7 @@ def _print(found: Quickest, report: Path | None) -> None:
         console.print(f"Report: {report}", highlight=False, markup=False)
 
 
-def _cells(each: Contender) -> list[Any]:
+def _cells(each: TimedMethod) -> list[Any]:
     sign = "" if each.reached or each.name == "sliced" else "<"
     off = each.off_p99_um
     return [

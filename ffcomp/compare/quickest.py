@@ -21,8 +21,8 @@ from ffcomp.compare.baselines import LinearPrinter
 from ffcomp.compare.evaluation import Execution, Progress, contour, in_parallel, weights
 from ffcomp.compare.methods import COMPENSATED, TunedMethod, compensated, segments, segments_motion
 from ffcomp.compare.monte_carlo import draw_plants
-from ffcomp.compare.quickest_plans import FEEDS, Seeker, Setting, Stretch, WholePrint, seconds_of
-from ffcomp.compare.result import FASTER, KNOWN, Contender, Family, Party, Piece, Quickest
+from ffcomp.compare.quickest_plans import FEEDS, BoundedSlice, Setting, SettingSearch, WholePrint, seconds_of
+from ffcomp.compare.result import FASTER, KNOWN, Family, Party, Piece, Quickest, TimedMethod
 from ffcomp.compare.sampling import SETTLE_S, Print, PrintSlice, Sampling
 from ffcomp.errors import NothingToDo
 from ffcomp.faster.bound import FIRST_LAYER, Bound, with_slicer_settings
@@ -64,7 +64,7 @@ class _Job:
     settings: Settings
     bound: Bound
     whole: WholePrint
-    stretches: list[Stretch]
+    bounded_slices: list[BoundedSlice]
     plants: list[Machine]  # printers that are off, on which what was found is judged too
 
 
@@ -104,15 +104,15 @@ def quickest(
     slices, sampled = printed.slices(request.sampling, SLICE_S, at_most_s)
     if max(each.trajectory.end_t for each in slices) < 3 * SETTLE_S:
         raise NothingToDo(f"{path}: the part to be evaluated lasts less than {3 * SETTLE_S:g} s: nothing to compare.")
-    stretches = [Stretch.of(each, printed.labels.features, bound) for each in slices]
+    bounded_slices = [BoundedSlice.of(each, printed.labels.features, bound) for each in slices]
     plants = draw_plants(plant, request.mismatch, request.seeds)
-    job = _Job(machine, plant, settings, bound, WholePrint(printed, bound), stretches, plants)
+    job = _Job(machine, plant, settings, bound, WholePrint(printed, bound), bounded_slices, plants)
     few = _some(slices)
     linear = LinearPrinter(plant, few)
     tasks = [partial(_kept, job, every.none()), *(partial(_shaper, job, linear, kind) for kind in request.shapers)]
     feeds_kept = replace(every.inversion(machine, settings, COMPENSATED), label="ffcomp, feeds kept")
     tasks += [partial(_kept, job, feeds_kept), partial(_faster, job), partial(_faster, job, known=True)]
-    contenders = in_parallel(tasks, "seeking the quickest print", progress)
+    methods = in_parallel(tasks, "seeking the quickest print", progress)
     return Quickest(
         print_name=path,
         print_sha256=hashlib.sha256(data).hexdigest(),
@@ -125,7 +125,7 @@ def quickest(
         sampling=sampled,
         whole=len(slices) == 1 and len(slices[0].layer) == len(printed.program.moves),
         sliced=_sliced(job),
-        contenders={each.name: each for each in contenders},
+        methods={each.name: each for each in methods},
         actuator_limit_s=job.whole.actuator_limit_s(),
         seconds=time.perf_counter() - started,
         mismatch=_mismatch(request),
@@ -154,7 +154,7 @@ def _flow(job: _Job) -> float | None:
     """Return the nozzle's flow that no method exceeds, mm³/s."""
     if job.bound.max_flow_mm3_per_s is not None:
         return job.bound.max_flow_mm3_per_s
-    print_slice = job.whole.stretch.print_slice
+    print_slice = job.whole.bounded.print_slice
     moves, extrudes = print_slice.planned.program.moves, print_slice.extrudes
     filament = print_slice.trajectory.direction[:, 3][extrudes]
     if not filament.size:
@@ -166,30 +166,30 @@ def _flow(job: _Job) -> float | None:
 # ---- the methods ---------------------------------------------------------------------------------
 
 
-def _sliced(job: _Job) -> Contender:
-    slices, whole = [each.print_slice for each in job.stretches], job.whole
+def _sliced(job: _Job) -> TimedMethod:
+    slices, whole = [each.print_slice for each in job.bounded_slices], job.whole
     execution = _executions(every.none(), slices, job.plant)
     about = "The slicer's speeds, without compensation."
-    return _contender(job, ("sliced", "as sliced", "none", about), execution, whole.stretch.seconds)
+    return _timed_method(job, ("sliced", "as sliced", "none", about), execution, whole.bounded.seconds)
 
 
-def _shaper(job: _Job, linear: LinearPrinter, kind: str) -> Contender:
+def _shaper(job: _Job, linear: LinearPrinter, kind: str) -> TimedMethod:
     return _set(job, every.best_fixed(linear, kind), FEEDS)
 
 
-def _kept(job: _Job, method: TunedMethod) -> Contender:
+def _kept(job: _Job, method: TunedMethod) -> TimedMethod:
     """Seek the highest acceleration with the slicer's feeds, or with slower ones where none keeps the bound."""
     return _set(job, method, FEEDS if method.family == "none" else KEPT_FEEDS)
 
 
-def _set(job: _Job, method: TunedMethod, feeds: Sequence[float]) -> Contender:
-    setting: Setting = Seeker(method, job.stretches, job.plant, job.bound.max_error_um).setting(feeds)
-    slices = [each.at(setting.feed, setting.acceleration_mm_per_s2) for each in job.stretches]
+def _set(job: _Job, method: TunedMethod, feeds: Sequence[float]) -> TimedMethod:
+    setting: Setting = SettingSearch(method, job.bounded_slices, job.plant, job.bound.max_error_um).setting(feeds)
+    slices = [each.at(setting.feed, setting.acceleration_mm_per_s2) for each in job.bounded_slices]
     execution = _executions(method, slices, job.plant)
     seconds = job.whole.at(setting.feed, setting.acceleration_mm_per_s2)
     about = (method.name, method.label, method.family, method.tuning)
-    contender = _contender(job, about, execution, seconds)
-    return replace(contender, feed=setting.feed, acceleration_mm_per_s2=setting.acceleration_mm_per_s2)
+    timed = _timed_method(job, about, execution, seconds)
+    return replace(timed, feed=setting.feed, acceleration_mm_per_s2=setting.acceleration_mm_per_s2)
 
 
 def _executions(method: TunedMethod, slices: Sequence[PrintSlice], plant: Machine) -> list[Execution]:
@@ -201,7 +201,7 @@ def _executions(method: TunedMethod, slices: Sequence[PrintSlice], plant: Machin
     return executions
 
 
-def _faster(job: _Job, known: bool = False) -> Contender:
+def _faster(job: _Job, known: bool = False) -> TimedMethod:
     """Make every slice as quick as the bound allows for printers as uncertain as the machine file says.
 
     known : as if it were certain of everything
@@ -209,13 +209,13 @@ def _faster(job: _Job, known: bool = False) -> Contender:
     robust = replace(job.settings, robust=True, robust_quickly=True)  # as `compensate` does under a bound
     certain = {"default": 0.0, **dict.fromkeys(job.machine.uncertainty, 0.0)}
     model = InverseModel(replace(job.machine, uncertainty=certain) if known else job.machine, robust)
-    quick = [_Quick.of(each, model, job) for each in job.stretches]
-    estimated = job.whole.from_slices(job.stretches, [each.seconds for each in quick])
+    quick = [_FasterSlice.of(each, model, job) for each in job.bounded_slices]
+    estimated = job.whole.from_slices(job.bounded_slices, [each.seconds for each in quick])
     seconds = job.whole.cooled(estimated)
-    contender = _contender(job, _about_faster(job, known), [each.execution for each in quick], seconds)
+    timed = _timed_method(job, _about_faster(job, known), [each.execution for each in quick], seconds)
     limited = _limited(job, quick, estimated, float(seconds.sum() - estimated.sum()))
     warnings = dict.fromkeys(warning for each in quick for warning in each.warnings)
-    return replace(contender, limited_by=limited, warnings=tuple(warnings))
+    return replace(timed, limited_by=limited, warnings=tuple(warnings))
 
 
 def _about_faster(job: _Job, known: bool) -> tuple[str, str, Family, str]:
@@ -228,7 +228,7 @@ def _about_faster(job: _Job, known: bool) -> tuple[str, str, Family, str]:
 
 
 @dataclass(frozen=True, eq=False)
-class _Quick:
+class _FasterSlice:
     """A slice, as quick as the bound allows."""
 
     execution: Execution
@@ -237,10 +237,10 @@ class _Quick:
     warnings: tuple[str, ...]
 
     @classmethod
-    def of(cls, stretch: Stretch, model: InverseModel, job: _Job) -> _Quick:
-        part, machine = stretch.print_slice, job.machine
+    def of(cls, bounded: BoundedSlice, model: InverseModel, job: _Job) -> _FasterSlice:
+        part, machine = bounded.print_slice, job.machine
         bound = replace(job.bound, min_layer_time_s=0.0, change_speed=(*job.bound.change_speed, FIRST_LAYER))
-        feature = stretch.features[part.feature[0]]
+        feature = bounded.features[part.feature[0]]
         kept = (part.layer == 0) & job.bound.keeps_first_layer
         faster = faster_program(part.planned.program, model, bound, 1, feature, kept)
         quick = replace(part, planned=plan_program(faster.program, machine))
@@ -253,11 +253,11 @@ class _Quick:
         return cls(execution, seconds, faster.limited_by, file.statistics.warnings)
 
 
-def _limited(job: _Job, quick: Sequence[_Quick], estimated: FloatArray, cooling_s: float) -> dict[str, float]:
+def _limited(job: _Job, quick: Sequence[_FasterSlice], estimated: FloatArray, cooling_s: float) -> dict[str, float]:
     """Return what limits the quicker print, s of the whole, from the shares in its slices."""
     names = dict.fromkeys(name for each in quick for name in each.limited_by)
     sums = {name: sum(each.limited_by.get(name, 0.0) for each in quick) for name in names if name != AS_SLICED}
-    free = job.whole.stretch.free
+    free = job.whole.bounded.free
     scale = float(estimated[free].sum()) / max(sum(sums.values()), 1e-9)
     return {
         **{name: scale * s for name, s in sums.items()},
@@ -269,13 +269,13 @@ def _limited(job: _Job, quick: Sequence[_Quick], estimated: FloatArray, cooling_
 # ---- what is said of each ------------------------------------------------------------------------
 
 
-def _contender(
+def _timed_method(
     job: _Job, about: tuple[str, str, Family, str], executions: Sequence[Execution], seconds: FloatArray
-) -> Contender:
+) -> TimedMethod:
     name, label, family, tuning = about
     counted = [each for each in executions if each.counted.any()]
     error = contour_statistics(contour(counted), weights(counted))
-    return Contender(
+    return TimedMethod(
         name=name,
         label=label,
         family=family,
@@ -299,7 +299,7 @@ def _by_feature_p99_um(job: _Job, executions: Sequence[Execution]) -> dict[str, 
         part = each.print_slice
         move = part.trajectory.move_at(each.motion.clock.plan_time(each.t[each.counted]))
         features.append(np.where(part.extrudes[move], part.feature[move], -1))
-    of, names = np.concatenate(features), job.whole.stretch.features
+    of, names = np.concatenate(features), job.whole.bounded.features
     return {names[k]: contour_statistics(error[of == k]).p99_um for k in np.unique(of) if k >= 0}
 
 

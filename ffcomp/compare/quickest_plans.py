@@ -34,15 +34,15 @@ TRAVEL = "travel"  # what does not extrude, in times by feature
 
 
 @dataclass(frozen=True, eq=False)
-class Stretch:
+class BoundedSlice:
     """n moves of a print, and how fast each may become."""
 
     print_slice: PrintSlice
     features: tuple[str, ...]
-    top: RaisedLimits
+    ceiling: RaisedLimits
 
     @classmethod
-    def of(cls, print_slice: PrintSlice, features: tuple[str, ...], bound: Bound) -> Stretch:
+    def of(cls, print_slice: PrintSlice, features: tuple[str, ...], bound: Bound) -> BoundedSlice:
         """Open the limits of a slice's moves as far as the bound's other limits allow."""
         machine, moves = print_slice.machine, print_slice.planned.program.moves
         named = Labels(print_slice.layer, print_slice.feature, features)
@@ -57,7 +57,7 @@ class Stretch:
     @property
     def free(self) -> BoolArray:
         """(n,) moves that need not keep the slicer's motion."""
-        return ~self.top.kept
+        return ~self.ceiling.kept
 
     @property
     def kind(self) -> IntArray:
@@ -67,19 +67,21 @@ class Stretch:
     def at(self, feed: float, acceleration: float) -> PrintSlice:
         """Plan with feeds times a factor and with this acceleration, mm/s²."""
         part = self.print_slice
-        changed = _at(part.planned.program.moves, self.top, feed, acceleration)
+        changed = _at(part.planned.program.moves, self.ceiling, feed, acceleration)
         return replace(part, planned=plan_program(replace(part.planned.program, moves=changed), part.machine))
 
 
-def _at(moves: Moves, top: RaisedLimits, feed: float, acceleration: float) -> Moves:
-    free, travels = ~top.kept, np.any(moves.end[:, :3] != moves.start[:, :3], axis=1)
-    quickest = np.minimum(moves.speed * feed, top.moves.speed)
+def _at(moves: Moves, ceiling: RaisedLimits, feed: float, acceleration: float) -> Moves:
+    free, travels = ~ceiling.kept, np.any(moves.end[:, :3] != moves.start[:, :3], axis=1)
+    quickest = np.minimum(moves.speed * feed, ceiling.moves.speed)
     kept = np.where(travels, moves.speed * min(feed, 1.0), moves.speed)
     gentler = np.where(travels, np.fmin(moves.acceleration, acceleration), moves.acceleration)
     return replace(
         moves,
         speed=np.where(free, quickest, kept),
-        velocity_limit=np.where(free, np.fmax(moves.velocity_limit, top.moves.velocity_limit), moves.velocity_limit),
+        velocity_limit=np.where(
+            free, np.fmax(moves.velocity_limit, ceiling.moves.velocity_limit), moves.velocity_limit
+        ),
         acceleration=np.where(free, acceleration, gentler),
     )
 
@@ -93,19 +95,19 @@ class WholePrint:
     """What the whole print takes."""
 
     def __init__(self, printed: Print, bound: Bound) -> None:
-        self.stretch = Stretch.of(printed.whole(), printed.labels.features, bound)
+        self.bounded = BoundedSlice.of(printed.whole(), printed.labels.features, bound)
         self.shortest_s = SHORTEST_LAYER_S if bound.min_layer_time_s is None else bound.min_layer_time_s
 
     def at(self, feed: float, acceleration: float) -> FloatArray:
         """Return what each move takes with other feeds and acceleration, layers not too short, (n,) s."""
-        return self.cooled(seconds_of(self.stretch.at(feed, acceleration).trajectory))
+        return self.cooled(seconds_of(self.bounded.at(feed, acceleration).trajectory))
 
-    def from_slices(self, slices: Sequence[Stretch], now_s: Sequence[FloatArray]) -> FloatArray:
+    def from_slices(self, slices: Sequence[BoundedSlice], now_s: Sequence[FloatArray]) -> FloatArray:
         """Return what each move takes if every kind of line becomes quicker as in the slices, (n,) s.
 
         now_s : for each slice, what each of its moves takes
         """
-        whole = self.stretch
+        whole = self.bounded
         kinds = 2 * len(whole.features)
         was, now = np.zeros(kinds), np.zeros(kinds)
         for each, seconds in zip(slices, now_s, strict=True):
@@ -117,8 +119,8 @@ class WholePrint:
 
     def cooled(self, seconds: FloatArray) -> FloatArray:
         """Slow layers down that would be shorter than they may be, and than the slicer's, (n,) s."""
-        layer, free = self.stretch.print_slice.layer, self.stretch.free
-        was_s, now_s = (np.bincount(layer, each) for each in (self.stretch.seconds, seconds))
+        layer, free = self.bounded.print_slice.layer, self.bounded.free
+        was_s, now_s = (np.bincount(layer, each) for each in (self.bounded.seconds, seconds))
         lacking_s = np.maximum(np.minimum(was_s, self.shortest_s) - now_s, 0.0)
         free_s = np.bincount(layer, seconds * free, len(now_s))
         longer = np.divide(lacking_s, free_s, out=np.zeros(len(now_s)), where=free_s > 0.0)
@@ -126,12 +128,12 @@ class WholePrint:
 
     def actuator_limit_s(self) -> float:
         """Return a time that no plan of these moves can be quicker than, s."""
-        program, machine = self.stretch.print_slice.planned.program, self.stretch.print_slice.machine
-        return actuator_limit_s(self.stretch.top, machine, planner_limits(machine), *stops_and_waits(program))
+        program, machine = self.bounded.print_slice.planned.program, self.bounded.print_slice.machine
+        return actuator_limit_s(self.bounded.ceiling, machine, planner_limits(machine), *stops_and_waits(program))
 
     def by_feature(self, seconds: FloatArray) -> dict[str, float]:
         """Return where the time goes, s: what extrudes by its feature, and travel."""
-        whole = self.stretch
+        whole = self.bounded
         extrudes = whole.print_slice.extrudes
         sums = np.bincount(whole.print_slice.feature, seconds * extrudes, len(whole.features))
         by_feature = {name: float(s) for name, s in zip(whole.features, sums, strict=True) if s > 0.0}
@@ -151,11 +153,13 @@ class Setting:
     reached: bool = True  # False: above the bound even here, the slowest that was tried
 
 
-class Seeker:
+class SettingSearch:
     """Seeks one method's setting on some slices; error grows and time falls with acceleration."""
 
-    def __init__(self, method: TunedMethod, stretches: Sequence[Stretch], plant: Machine, bound_um: float) -> None:
-        self.method, self.stretches, self.plant, self.bound_um = method, stretches, plant, bound_um
+    def __init__(
+        self, method: TunedMethod, bounded_slices: Sequence[BoundedSlice], plant: Machine, bound_um: float
+    ) -> None:
+        self.method, self.bounded_slices, self.plant, self.bound_um = method, bounded_slices, plant, bound_um
 
     def setting(self, feeds: Sequence[float] = FEEDS) -> Setting:
         """Return the quickest setting that keeps the bound."""
@@ -194,13 +198,13 @@ class Seeker:
         return float(np.exp(low))
 
     def _keeps(self, feed: float, acceleration: float) -> bool:
-        slices = [each.at(feed, acceleration) for each in self.stretches]
+        slices = [each.at(feed, acceleration) for each in self.bounded_slices]
         return p99_um(self.method, slices, self.plant) <= self.bound_um
 
     def _seconds(self, feed: float, acceleration: float) -> float:
         """Return the time of all slices, each kind of line as often as it is in the print, s."""
         total = 0.0
-        for each in self.stretches:
+        for each in self.bounded_slices:
             planned = each.at(feed, acceleration)
             seconds = seconds_of(planned.trajectory)
             total += float(seconds.sum() if planned.weight is None else seconds @ planned.weight)
@@ -244,14 +248,14 @@ def worth_knowing(
     printed = Print(data, path, machine, offset, flavor)
     bound = with_slicer_settings(bound, data[:ENDS], data[-ENDS:])
     slices, _ = printed.slices(Sampling(), SLICE_S, SOME_S)
-    stretches = [Stretch.of(each, printed.labels.features, bound) for each in slices]
+    bounded_slices = [BoundedSlice.of(each, printed.labels.features, bound) for each in slices]
     whole = WholePrint(printed, bound)
 
     def seconds(uncertainty: dict[str, float]) -> float:
         known_machine = replace(machine, uncertainty=uncertainty)
         model = InverseModel(known_machine, replace(settings, robust=True, robust_quickly=True))
-        now = [_quick_s(each, model, bound, known_machine) for each in stretches]
-        return float(whole.cooled(whole.from_slices(stretches, now)).sum())
+        now = [_quick_s(each, model, bound, known_machine) for each in bounded_slices]
+        return float(whole.cooled(whole.from_slices(bounded_slices, now)).sum())
 
     as_it_is = seconds(dict(machine.uncertainty))
     answers = []
@@ -261,9 +265,9 @@ def worth_knowing(
     return answers
 
 
-def _quick_s(stretch: Stretch, model: InverseModel, bound: Bound, machine: Machine) -> FloatArray:
-    part = stretch.print_slice
+def _quick_s(bounded: BoundedSlice, model: InverseModel, bound: Bound, machine: Machine) -> FloatArray:
+    part = bounded.print_slice
     alone = replace(bound, min_layer_time_s=0.0, change_speed=(*bound.change_speed, FIRST_LAYER))
     kept = (part.layer == 0) & bound.keeps_first_layer
-    faster = faster_program(part.planned.program, model, alone, 1, stretch.features[part.feature[0]], kept)
+    faster = faster_program(part.planned.program, model, alone, 1, bounded.features[part.feature[0]], kept)
     return seconds_of(plan_program(faster.program, machine).trajectory)

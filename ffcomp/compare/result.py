@@ -246,7 +246,7 @@ class Piece:
 
 
 @dataclass(frozen=True, eq=False)
-class Contender:
+class TimedMethod:
     """One method at the error that all may have."""
 
     name: str
@@ -287,26 +287,26 @@ class Quickest:
     min_layer_time_s: float
     sampling: str  # a sentence: the part of the print that was evaluated
     whole: bool  # all of it was
-    sliced: Contender  # as it is, without compensation
-    contenders: dict[str, Contender]
+    sliced: TimedMethod  # as it is, without compensation
+    methods: dict[str, TimedMethod]
     actuator_limit_s: float
     seconds: float
     mismatch: str = ""  # a sentence, empty without Monte-Carlo plants
 
     @property
-    def faster(self) -> Contender:
+    def faster(self) -> TimedMethod:
         """The print that ffcomp makes quicker."""
-        return self.contenders[FASTER]
+        return self.methods[FASTER]
 
     @property
-    def known(self) -> Contender:
+    def known(self) -> TimedMethod:
         """The same for a machine that is just as its file says."""
-        return self.contenders[KNOWN]
+        return self.methods[KNOWN]
 
     @property
-    def best_shaper(self) -> Contender:
+    def best_shaper(self) -> TimedMethod:
         """The shaper that is quickest at that error; if none keeps it, the one that comes nearest."""
-        shapers = [each for each in self.contenders.values() if each.family == "best fixed"]
+        shapers = [each for each in self.methods.values() if each.family == "best fixed"]
         return min(shapers, key=lambda each: each.print_time_s if each.reached else 1e9 + each.contour_p99_um)
 
     def to_dict(self) -> dict[str, Any]:
@@ -328,7 +328,7 @@ class Quickest:
             "actuator_limit_s": self.actuator_limit_s,
             "best_shaper": self.best_shaper.name,
             "sliced": self.sliced.to_dict(),
-            "methods": {name: each.to_dict() for name, each in self.contenders.items()},
+            "methods": {name: each.to_dict() for name, each in self.methods.items()},
             "seconds": self.seconds,
         }
         return dict(to_json(values))

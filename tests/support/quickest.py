@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 
-from ffcomp.compare.result import Contender, Family, Party, Piece, Quickest
+from ffcomp.compare.result import Family, Party, Piece, Quickest, TimedMethod
 
 
 def made_up_quickest(path: str = "print.gcode") -> Quickest:
     """Return one of a print that took 5 h 12 min."""
     party = Party("printer", "0" * 64, (), False)
     every = [
-        contender("none", "no compensation", "none", 40_000.0, 80.0),
-        contender("mzv", "MZV, best fixed", "best fixed", 19_000.0, 24.0),
-        contender("fbs-lpv", "ffcomp, feeds kept", "inversion", 16_000.0, 20.0),
-        contender("faster", "ffcomp, faster", "inversion", 12_000.0, 15.0),
-        contender("faster-known", "ffcomp, faster, machine known", "inversion", 11_000.0, 25.0),
+        timed("none", "no compensation", "none", 40_000.0, 80.0),
+        timed("mzv", "MZV, best fixed", "best fixed", 19_000.0, 24.0),
+        timed("fbs-lpv", "ffcomp, feeds kept", "inversion", 16_000.0, 20.0),
+        timed("faster", "ffcomp, faster", "inversion", 12_000.0, 15.0),
+        timed("faster-known", "ffcomp, faster, machine known", "inversion", 11_000.0, 25.0),
     ]
     return Quickest(
         print_name=path,
@@ -28,20 +28,20 @@ def made_up_quickest(path: str = "print.gcode") -> Quickest:
         min_layer_time_s=5.0,
         sampling="6 slices of about 8 s that stand for the whole print were evaluated.",
         whole=False,
-        sliced=contender("sliced", "as sliced", "none", 18_720.0, 400.0),
-        contenders={each.name: each for each in every},
+        sliced=timed("sliced", "as sliced", "none", 18_720.0, 400.0),
+        methods={each.name: each for each in every},
         actuator_limit_s=10_000.0,
         seconds=1.0,
         mismatch="What was found is also played on 2 printers.",
     )
 
 
-def contender(name: str, label: str, family: Family, seconds: float, p99_um: float) -> Contender:
+def timed(name: str, label: str, family: Family, seconds: float, p99_um: float) -> TimedMethod:
     """Return a method whose print takes so long."""
     path = np.linspace(0.0, 800.0, 200)
     piece = Piece(0.0, 8.0, p99_um, path, np.full(200, 100.0), np.linspace(0.0, p99_um, 200))
     own_feeds = name.startswith("faster")
-    return Contender(
+    return TimedMethod(
         name,
         label,
         family,

@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from ffcomp.compare.quickest_plans import TRAVEL
-from ffcomp.compare.result import Contender, Piece, Quickest
+from ffcomp.compare.result import Piece, Quickest, TimedMethod
 from ffcomp.faster.bound import LIMITS
 from ffcomp.report.compare.words import clipped, duration, outer_first
 from ffcomp.report.drawing import AFTER, BEFORE, BEYOND, ON_DARK, SHAPER, SOFT, Box, Drawing, grid, panel
@@ -27,7 +27,7 @@ COLOURS = (BEFORE, SHAPER, AFTER)  # as `shown`
 
 def drawings(result: Quickest) -> list[Drawing]:
     """Return the figures in the order of the page."""
-    rows = 0.3 * (len(result.contenders) + 1) + 1.2
+    rows = 0.3 * (len(result.methods) + 1) + 1.2
 
     def of(name: str, title: str, read: str, height: float, draw: Callable[..., None]) -> Drawing:
         return Drawing(name, title, "", read, WIDE_INCHES, height, partial(draw, result=result))
@@ -52,7 +52,7 @@ CLOSE = (
 def draw_times(box: Box, result: Quickest) -> None:
     """Draw a bar for each method."""
     axes = box.subplots()
-    every = [result.sliced, *result.contenders.values()]
+    every = [result.sliced, *result.methods.values()]
     for k, each in enumerate(every):
         colour = _colour(result, each)
         axes.barh(k, each.print_time_s / 60, color=colour if each.reached or k == 0 else "none", edgecolor=colour)
@@ -67,7 +67,7 @@ def draw_times(box: Box, result: Quickest) -> None:
     grid(axes, "x")
 
 
-def _colour(result: Quickest, each: Contender) -> str:
+def _colour(result: Quickest, each: TimedMethod) -> str:
     if each.family == "inversion":
         return AFTER
     if each is result.sliced:
@@ -92,8 +92,8 @@ def draw_where(box: Box, result: Quickest) -> None:
     _limits(right, result.faster)
 
 
-def _limits(axes: Axes, contender: Contender) -> None:
-    seconds = sorted(((s, name) for name, s in contender.limited_by.items() if s > 0.0), reverse=True)
+def _limits(axes: Axes, timed: TimedMethod) -> None:
+    seconds = sorted(((s, name) for name, s in timed.limited_by.items() if s > 0.0), reverse=True)
     axes.barh([LIMITS[name] for _, name in seconds], [s / 60 for s, _ in seconds], color=AFTER)
     axes.invert_yaxis()
     axes.set(xlabel="minutes", title="limited by")
@@ -127,7 +127,7 @@ def draw_close(box: Box, result: Quickest) -> None:
     begin_s = max(pieces, key=lambda piece: float(piece.error_um.max(initial=0.0))).begin_s
     middle, half = _stretch(result, begin_s)
     for each, colour in zip(shown(result), COLOURS, strict=True):
-        piece = next((contender for contender in each.pieces if contender.begin_s == begin_s), None)
+        piece = next((timed for timed in each.pieces if timed.begin_s == begin_s), None)
         if piece is None:
             continue
         from_end = piece.distance_mm - piece.distance_mm[-1]  # slices end at the same place, whatever was left out
@@ -144,10 +144,10 @@ def draw_close(box: Box, result: Quickest) -> None:
 
 def _stretch(result: Quickest, begin_s: float) -> tuple[float, float]:
     """Return the middle and half the length of what is drawn, mm before the slice's end."""
-    contender = next(piece for piece in result.faster.pieces if piece.begin_s == begin_s)
-    at = int(contender.error_um.argmax())
-    half = 0.5 * CLOSE_S * max(_mean_speed(contender), 1.0)
-    return float(contender.distance_mm[at] - contender.distance_mm[-1]), half
+    timed = next(piece for piece in result.faster.pieces if piece.begin_s == begin_s)
+    at = int(timed.error_um.argmax())
+    half = 0.5 * CLOSE_S * max(_mean_speed(timed), 1.0)
+    return float(timed.distance_mm[at] - timed.distance_mm[-1]), half
 
 
 @dataclass(frozen=True, slots=True)
@@ -173,7 +173,7 @@ def write_quickest(result: Quickest, target: Path) -> None:
         answer=answer(result),
         sentences=sentences(result),
         tiles=_tiles(result),
-        rows=[_row(result, each) for each in (result.sliced, *result.contenders.values())],
+        rows=[_row(result, each) for each in (result.sliced, *result.methods.values())],
         figures=[(each, panel(each)) for each in figures],
     )
     replace_atomically(target, [page])
@@ -194,7 +194,7 @@ def _tiles(result: Quickest) -> list[Tile]:
     ]
 
 
-def _row(result: Quickest, each: Contender) -> tuple[str, str, list[str]]:
+def _row(result: Quickest, each: TimedMethod) -> tuple[str, str, list[str]]:
     change = 100 * (each.print_time_s / result.sliced.print_time_s - 1)
     cells = [
         duration(each.print_time_s),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ffcomp.compare.result import Contender, Quickest
+from ffcomp.compare.result import Quickest, TimedMethod
 from ffcomp.faster.bound import limits_in_words
 from ffcomp.report.compare.words import duration
 
@@ -54,11 +54,11 @@ def _flow(result: Quickest) -> str:
     return "flow" if flow is None else f"a flow of {flow:.3g} mm³/s"
 
 
-def nick(contender: Contender) -> str:
+def nick(timed: TimedMethod) -> str:
     """Return the label's first words: `MZV`."""
-    return contender.label.split(",")[0]
+    return timed.label.split(",")[0]
 
 
-def shown(result: Quickest) -> list[Contender]:
+def shown(result: Quickest) -> list[TimedMethod]:
     """Return what figures show beside each other: as sliced, the best shaper, ffcomp."""
     return [result.sliced, result.best_shaper, result.faster]

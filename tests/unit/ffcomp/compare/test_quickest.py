@@ -10,7 +10,7 @@ import pytest
 
 from ffcomp.compare.methods import none
 from ffcomp.compare.quickest import QuickestRequest, quickest
-from ffcomp.compare.quickest_plans import TRAVEL, Seeker, Stretch, WholePrint, seconds_of
+from ffcomp.compare.quickest_plans import TRAVEL, BoundedSlice, SettingSearch, WholePrint, seconds_of
 from ffcomp.compare.result import Quickest
 from ffcomp.compare.sampling import Print, Sampling
 from ffcomp.faster.bound import Bound
@@ -28,8 +28,8 @@ def printed() -> Print:
     return Print(squares(2), "squares.gcode", MACHINE)
 
 
-def stretch(bound: Bound = BOUND) -> Stretch:
-    return Stretch.of(printed().whole(), printed().labels.features, bound)
+def stretch(bound: Bound = BOUND) -> BoundedSlice:
+    return BoundedSlice.of(printed().whole(), printed().labels.features, bound)
 
 
 @cache
@@ -82,15 +82,15 @@ def test_the_whole_is_what_its_slices_say_and_layers_are_not_too_short() -> None
 
 def test_the_search_finds_the_quickest_setting_that_keeps_the_bound() -> None:
     own = stretch()
-    seeker = Seeker(none(), [own], MACHINE, 60.0)
-    setting = seeker.setting((1.0, 0.5))
-    assert setting.reached and seeker._keeps(setting.feed, setting.acceleration_mm_per_s2)
-    assert not seeker._keeps(setting.feed, 1.1 * setting.acceleration_mm_per_s2)
-    assert not Seeker(none(), [own], MACHINE, 0.1).setting((1.0,)).reached
+    search = SettingSearch(none(), [own], MACHINE, 60.0)
+    setting = search.setting((1.0, 0.5))
+    assert setting.reached and search._keeps(setting.feed, setting.acceleration_mm_per_s2)
+    assert not search._keeps(setting.feed, 1.1 * setting.acceleration_mm_per_s2)
+    assert not SettingSearch(none(), [own], MACHINE, 0.1).setting((1.0,)).reached
 
 
 def test_the_answer() -> None:
-    said, every = answer(found()), found().contenders
+    said, every = answer(found()), found().methods
     assert list(every) == ["none", "mzv", "fbs-lpv", "faster", "faster-known"]
     assert duration(found().sliced.print_time_s) in said and duration(found().faster.print_time_s) in said
     assert found().actuator_limit_s < min(each.print_time_s for each in every.values())
@@ -104,14 +104,14 @@ def test_the_answer() -> None:
     assert all(len(each.off_p99_um) == 2 for each in every.values())
     assert max(every["mzv"].off_p99_um) > 1.2 * every["mzv"].contour_p99_um  # it was tuned on the printer itself
     assert "2 printers" in " ".join(sentences(found()))
-    missed = replace(found(), contenders={**every, "faster": replace(every["faster"], reached=False)})
+    missed = replace(found(), methods={**every, "faster": replace(every["faster"], reached=False)})
     assert "not kept" in answer(missed)
 
 
 def test_slices_stand_for_a_print_and_say_so() -> None:
     slices, said = printed().slices(Sampling(share=0.5), 2.0)
     assert len(slices) > 1 and "stand for" in said
-    some = [Stretch.of(each, printed().labels.features, BOUND) for each in slices]
+    some = [BoundedSlice.of(each, printed().labels.features, BOUND) for each in slices]
     halved = [0.5 * each.seconds for each in some]
     whole = WholePrint(printed(), BOUND)
     assert whole.from_slices(some, halved).sum() == pytest.approx(

@@ -28,10 +28,10 @@ def test_the_sentence_and_its_exceptions() -> None:
         "Your 5 h 12 min would take 3 h 20 min with 99 % within 30 µm; the best input shaper (MZV) would take "
         "5 h 17 min."
     )
-    own, mzv = found.faster, found.contenders["mzv"]
-    missed = replace(found, contenders={**found.contenders, "faster": replace(own, reached=False)})
+    own, mzv = found.faster, found.methods["mzv"]
+    missed = replace(found, methods={**found.methods, "faster": replace(own, reached=False)})
     assert answer(missed) == "Your 5 h 12 min would take 3 h 20 min with 99 % within 15 µm: 30 µm are not kept."
-    alone = replace(found, contenders={**found.contenders, "mzv": replace(mzv, reached=False)})
+    alone = replace(found, methods={**found.methods, "mzv": replace(mzv, reached=False)})
     assert "no input shaper keeps that" in answer(alone)
     said = " ".join(sentences(found))
     assert "estimated from these slices" in said and "3 h 03 min" in said and "flow 60 %" in said
