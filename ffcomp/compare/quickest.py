@@ -38,7 +38,7 @@ from ffcomp.version import __version__
 from models.arrays import FloatArray, IntArray
 from models.machine import Machine
 
-SLICE_S, SOME_S = 8.0, 48.0  # length of a slice, and of all unless more is asked for
+SLICE_S, EVALUATED_S = 8.0, 48.0  # length of a slice, and of all unless more is asked for
 TUNED_S = 30.0  # on which shapers are tuned
 ENDS = 1 << 16  # bytes at both ends of a file, in which slicers say their settings
 KEPT_FEEDS = (1.0, 0.7, 0.5, 0.35)
@@ -100,7 +100,7 @@ def quickest(
     check_same_kinematics(machine, plant)
     printed = Print(data, path, machine, offset, flavor)
     bound = with_slicer_settings(request.bound, data[:ENDS], data[-ENDS:])
-    at_most_s = SOME_S if request.sampling.share is None else np.inf
+    at_most_s = EVALUATED_S if request.sampling.share is None else np.inf
     slices, sampled = printed.slices(request.sampling, SLICE_S, at_most_s)
     if max(each.trajectory.end_t for each in slices) < 3 * SETTLE_S:
         raise NothingToDo(f"{path}: the part to be evaluated lasts less than {3 * SETTLE_S:g} s: nothing to compare.")

@@ -211,7 +211,7 @@ class SettingSearch:
         return total
 
 
-SLICE_S, SOME_S = 8.0, 24.0  # length of a slice, and of all of them
+SLICE_S, EVALUATED_S = 8.0, 24.0  # length of a slice, and of all of them
 ENDS = 1 << 16  # bytes at both ends of a file, in which slicers say their settings
 
 
@@ -247,7 +247,7 @@ def worth_knowing(
     """
     printed = Print(data, path, machine, offset, flavor)
     bound = with_slicer_settings(bound, data[:ENDS], data[-ENDS:])
-    slices, _ = printed.slices(Sampling(), SLICE_S, SOME_S)
+    slices, _ = printed.slices(Sampling(), SLICE_S, EVALUATED_S)
     bounded_slices = [BoundedSlice.of(each, printed.labels.features, bound) for each in slices]
     whole = WholePrint(printed, bound)
 

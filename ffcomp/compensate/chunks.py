@@ -34,10 +34,10 @@ Ease = Callable[
 
 REMEMBERED_S = 0.5  # of motion before a chunk: more than twice what the printer remembers
 LONGEST_S = 300.0  # of motion in a chunk
-LONGEST = 50_000  # moves without a rest, before they are cut in motion
-CLEAR = 0.25  # knots around such a cut in which no line may have its place
+MOST_MOVES = 50_000  # moves without a rest, before they are cut in motion
+CUT_CLEARANCE = 0.25  # knots around such a cut in which no line may have its place
 SHORTEST_S = 1.0  # of a move that is left when one is cut
-ROUNDING = 1e-6  # of a segment
+KNOT_ROUNDING = 1e-6  # of a segment
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,7 +170,7 @@ class _Known:
         """
         longest_s, begin_t = self.settings.longest_s, self.begin_t
         known_t = self.plan.end_t if rest is None else float(self.plan.start_t[rest - 1] + self.plan.duration[rest - 1])
-        many = rest is None and len(self.plan) > LONGEST and longest_s < np.inf
+        many = rest is None and len(self.plan) > MOST_MOVES and longest_s < np.inf
         if known_t <= begin_t + longest_s and not many:
             return None
         latest_t = 0.5 * (begin_t + known_t) if rest is not None else known_t - self._around_s
@@ -187,10 +187,10 @@ class _Known:
         """
         segment_s, wipes = self.settings.segment_s, self.plan.direction[:, 3] < 0.0
         at = (self.plan.start_t - self.begin_t) / segment_s
-        last = int((latest_t - self.begin_t) / segment_s + ROUNDING) // CUT * CUT
+        last = int((latest_t - self.begin_t) / segment_s + KNOT_ROUNDING) // CUT * CUT
         for knots in range(last, int(2.0 * self._around_s / segment_s), -CUT):
             i = int(np.searchsorted(at, knots))
-            if np.abs(at[max(i - 1, 0) : i + 1] - knots).min() > CLEAR and not wipes[max(i - 1, 0)]:
+            if np.abs(at[max(i - 1, 0) : i + 1] - knots).min() > CUT_CLEARANCE and not wipes[max(i - 1, 0)]:
                 return knots
         return 0
 

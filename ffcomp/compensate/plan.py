@@ -125,10 +125,8 @@ def _not_smooth(chunk: Chunk) -> str:
     return f"line {line}: the motion that begins here does not rest for {longest}; it is planned without S-curves."
 
 
-LEFT_MM = 1e-3  # of vibration, when the first compensated extrusion begins
-EXCITED_SHARE = (
-    0.05  # of the largest motion of the nozzle in a mode: below it, motion along an axis does not excite the mode
-)
+RESIDUAL_MM = 1e-3  # of vibration, when the first compensated extrusion begins
+EXCITED_SHARE = 0.05  # of the largest nozzle motion in a mode: less along an axis does not excite the mode
 SHORTEST_S = 0.002  # not worth a line
 
 
@@ -195,7 +193,7 @@ def _excited(modes: Modes, axes: list[int]) -> list[tuple[float, float]]:
 
 
 def _mode_s(w: float, damping: float, acceleration: float) -> float:
-    too_much = 2.0 * acceleration / (w * w * LEFT_MM)
+    too_much = 2.0 * acceleration / (w * w * RESIDUAL_MM)
     return math.log(too_much) / (damping * w) if too_much > 1.0 and damping > 0.0 else 0.0
 
 

@@ -13,7 +13,7 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
-from ffcomp.compensate.chunks import LONGEST, rests_of
+from ffcomp.compensate.chunks import MOST_MOVES, rests_of
 from ffcomp.inverse.extent import LEAST_CONTEXT_S
 from ffcomp.planner.limits import lines_of
 from ffcomp.planner.marlin import MarlinPlan
@@ -73,7 +73,7 @@ def planned_slices(parts: Iterable[Program], plan_of: PlanOf) -> Iterator[Planne
             head, pending = split(pending, int(rests[-1]))
             yield PlannedSlice(head, plan_of(head), counted, len(head.moves))
             counted = 0
-        elif len(pending.moves) > LONGEST:
+        elif len(pending.moves) > MOST_MOVES:
             plan = plan_of(pending)
             begun = _line_begun(pending, plan, plan.end_t - LEAST_CONTEXT_S)
             around = _line_begun(pending, plan, float(plan.start_t[begun]) - LEAST_CONTEXT_S)

@@ -90,8 +90,8 @@ if TYPE_CHECKING:
 
 COLUMNS = 3
 PANEL, HIGH, AXIS_HIGH = 4.4, 3.7, 3.6  # inches
-CLOSE, FAIR = 0.05, 0.20  # model error of the worst response, up to which a fit is called so
-STANDS_OUT = 0.08  # decades by which a peak stands above its surroundings
+GOOD_FIT, FAIR_FIT = 0.05, 0.20  # model error of the worst response, up to which a fit is called so
+PEAK_PROMINENCE = 0.08  # decades by which a peak stands above its surroundings
 PEAKS = 4  # that are marked in a panel, the largest
 MOST_PEAKS = 12  # of a printer in this band
 HEADROOM, NAME_WIDE = 8.0, 0.14  # above the curves for the names of peaks; of the panel's width
@@ -229,7 +229,7 @@ def _verdict(identified: Identified) -> str:
     if worst == 0.0:
         misfit = f"misfit {identified.fitted.misfit:.2f}, 1 is ideal"
         return f"A good fit: the model follows every response to its noise ({misfit})"
-    word = "A good fit" if worst <= CLOSE else "A fair fit" if worst <= FAIR else "A poor fit"
+    word = "A good fit" if worst <= GOOD_FIT else "A fair fit" if worst <= FAIR_FIT else "A poor fit"
     return (
         f"{word}: the model follows {exact} of {count} responses to their noise, and the worst to {100 * worst:.1f} %"
     )
@@ -256,7 +256,7 @@ def _magnitude(axes: Axes, response: FrequencyResponse, model: ComplexArray, err
 
 def _peaks(magnitude: FloatArray) -> list[int]:
     """Return where the model has its largest peaks."""
-    at, about = find_peaks(np.log10(np.maximum(magnitude, 1e-300)), prominence=STANDS_OUT)
+    at, about = find_peaks(np.log10(np.maximum(magnitude, 1e-300)), prominence=PEAK_PROMINENCE)
     if len(at) > MOST_PEAKS:  # rounding, where nothing answers
         return []
     largest = np.argsort(about["prominences"])[-PEAKS:]

@@ -22,7 +22,7 @@ from models.arrays import BoolArray, FloatArray
 CLOSE_UP_MM = 2.5  # half the width of the close-up
 LAYER_MM = 0.15  # half the height of what counts as one layer
 TRAVEL_WIDTH = 0.6  # of lines, points: nothing is printed there
-RETIMED = 0.02  # share of its time, by which a print is shorter or longer, for speeds to be drawn
+RETIMED_SHARE = 0.02  # share of its time, by which a print is shorter or longer, for speeds to be drawn
 SETTLE_S = 0.5  # at the beginning: the nozzle may come from anywhere
 
 
@@ -104,7 +104,7 @@ def _flows(axes: Axes, preview: Preview, flows: tuple[Flow, Flow], position: Flo
 def retimed(preview: Preview) -> bool:
     """Tell whether the print takes another time than its original: then speeds are of interest too."""
     before_s, after_s = (float(curve.t[-1] - curve.t[0]) for curve in (preview.before, preview.after))
-    return abs(after_s - before_s) > RETIMED * before_s
+    return abs(after_s - before_s) > RETIMED_SHARE * before_s
 
 
 def _speeds(axes: Axes, preview: Preview, position: FloatArray) -> None:

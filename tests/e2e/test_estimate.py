@@ -144,7 +144,7 @@ def test_a_spiral_without_rests_is_cut_in_motion(monkeypatch: pytest.MonkeyPatch
     places = (b"G1 X%.3f Y%.3f E.05 F6000\n" % spiral(k) for k in range(6000))
     data = START + b"".join(places)
     whole = seconds(account_of(data).total)
-    monkeypatch.setattr(cutting, "LONGEST", 500)
+    monkeypatch.setattr(cutting, "MOST_MOVES", 500)
     held = [
         len(span.program.moves)
         for span in planned_slices(read_parts([data], flavor="klipper", part_bytes=9_000), planned)
@@ -278,7 +278,7 @@ def test_times_of_a_print_that_is_cut_in_motion(monkeypatch: pytest.MonkeyPatch)
     data = START + b"".join(places) + b";TIME:7\n"
     whole, _ = compensated(data)
     monkeypatch.setattr(jobs, "read_parts", lambda *a, **options: read_parts(*a, **options, part_bytes=9000))
-    monkeypatch.setattr(chunks, "LONGEST", 500)
+    monkeypatch.setattr(chunks, "MOST_MOVES", 500)
     cut, found = compensated(data)
     assert found.print_time_s == pytest.approx(seconds(account_of(whole).total), abs=0.05)
     assert [line for line in cut.splitlines() if tells(line)] == [line for line in whole.splitlines() if tells(line)]

@@ -162,13 +162,13 @@ def spiral() -> bytes:
 
 @pytest.fixture
 def short_spirals(monkeypatch: pytest.MonkeyPatch, small_parts: None) -> None:
-    monkeypatch.setattr("ffcomp.compensate.chunks.LONGEST", 2000)
+    monkeypatch.setattr("ffcomp.compensate.chunks.MOST_MOVES", 2000)
 
 
 def test_a_spiral_is_cut_in_motion_without_a_trace(spiral: bytes, machine: Machine, short_spirals: None) -> None:
     several, cut_result = compensated(spiral, machine)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("ffcomp.compensate.chunks.LONGEST", 10**9)
+        patch.setattr("ffcomp.compensate.chunks.MOST_MOVES", 10**9)
         whole, result = compensated(spiral, machine)
     assert cut_result.statistics.windows > result.statistics.windows  # there were cuts
     assert original(several) == original(whole) == spiral
@@ -197,7 +197,7 @@ def test_steps_of_a_spiral_cut_in_motion(spiral: bytes, machine: Machine, short_
     found = []
     for longest in (2000, 10**9):
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr("ffcomp.compensate.chunks.LONGEST", longest)
+            patch.setattr("ffcomp.compensate.chunks.MOST_MOVES", longest)
             target = tmp_path / f"{longest}.npz"
             job(spiral, machine, predict=False).write_steps(target, StepOutput(Board(400.0), None))
             found.append((read_steps(target), read_events(target)))

@@ -19,8 +19,8 @@ from gcode.layers import is_outer_wall
 from models.arrays import BoolArray, FloatArray
 
 COUNT = 3  # positions that are shown, if the print is large enough
-APART = 0.15  # of the print's width: nearer ones look the same
-AROUND_S = 0.4  # of the reference plan, before and after the worst instant: other passes are not this one's
+LEAST_SEPARATION = 0.15  # of the print's width: nearer ones look the same
+PASS_WINDOW_S = 0.4  # of the reference plan, before and after the worst instant: other passes are not this one's
 CLOSEST_MM, WIDEST_MM = 0.4, 2.5  # half the width of the window
 WIDTH_IN_ERRORS = 8.0  # half the width, in largest errors
 SAME_LAYER_MM = 0.05
@@ -66,7 +66,7 @@ def _eligible(comparison: Comparison, samples: Samples) -> BoolArray:
 
 def _worst(samples: Samples, eligible: BoolArray, count: int) -> Iterator[int]:
     xy = samples.reference[:, :2]
-    apart = APART * float(np.ptp(xy[eligible], axis=0).max())
+    apart = LEAST_SEPARATION * float(np.ptp(xy[eligible], axis=0).max())
     left = np.where(eligible, samples.contour, -1.0)
     for _ in range(count):
         k = int(np.argmax(left))
@@ -93,7 +93,7 @@ def _position(comparison: Comparison, k: int) -> Position:
 
 def _corner(samples: Samples, k: int, half: float) -> int:
     """Return the sharpest turn just before the worst sample, which is usually a little behind its corner."""
-    back = np.flatnonzero(np.abs(samples.due[: k + 1] - samples.due[k]) < AROUND_S)
+    back = np.flatnonzero(np.abs(samples.due[: k + 1] - samples.due[k]) < PASS_WINDOW_S)
     back = back[np.abs(samples.reference[back] - samples.reference[k]).max(axis=1) < 0.8 * half]
     steps = np.diff(samples.reference[max(back[0] - 1, 0) : back[-1] + 2, :2], axis=0)
     length = np.linalg.norm(steps, axis=1)
@@ -107,7 +107,7 @@ def _corner(samples: Samples, k: int, half: float) -> int:
 
 def _pass(method: Method, at: FloatArray, due: float, half: float) -> Pass:
     s = method.samples
-    inside = np.flatnonzero((np.abs(s.due - due) < AROUND_S) & _within(s.reference, at, 1.5 * half))
+    inside = np.flatnonzero((np.abs(s.due - due) < PASS_WINDOW_S) & _within(s.reference, at, 1.5 * half))
     inside = _unbroken(inside, s.due, due)
     reference = s.reference[inside]
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(reference, axis=0), axis=1))])[: len(reference)]
@@ -128,7 +128,7 @@ def _within(points: FloatArray, at: FloatArray, half: float) -> BoolArray:
 
 
 def _neighbours(samples: Samples, at: FloatArray, layer: int, due: float, half: float) -> list[FloatArray]:
-    other = (samples.layer == layer) & (np.abs(samples.due - due) >= AROUND_S) & samples.extruding
+    other = (samples.layer == layer) & (np.abs(samples.due - due) >= PASS_WINDOW_S) & samples.extruding
     inside = np.flatnonzero(other & _within(samples.reference, at, 1.5 * half))
     runs = np.split(inside, np.flatnonzero(np.diff(inside) > 1) + 1)
     return [samples.reference[run, :2] for run in runs if len(run) > 1]

@@ -19,7 +19,7 @@ from ffcomp.report.compare.words import (
     where_seen,
 )
 
-WORTH, ALIKE = 2.0, 1.05  # times less error than the best shaper: below the first, a shaper is enough
+WORTH_RATIO, TIE_RATIO = 2.0, 1.05  # times less error than the best shaper: below the first, a shaper is enough
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,12 +39,12 @@ def answer(comparison: Comparison) -> Answer:
     left, theirs, before = (max(contour_rms_um(comparison, method), 1e-9) for method in (ours, best, none))
     if not ours.peaks.within_limits:
         return Answer("No", f"{_at(comparison)}ffcomp asks the carriages for more than the machine file allows.")
-    if left >= theirs / ALIKE:
-        as_good = "as good" if left <= ALIKE * theirs else "better"
+    if left >= theirs / TIE_RATIO:
+        as_good = "as good" if left <= TIE_RATIO * theirs else "better"
         return Answer("No", f"{_at(comparison)}the best input shaper ({nick(best)}) is {as_good} on this print.")
     gain = f"{_at(comparison)}ffcomp leaves {times(theirs / left)} less error than the best input shaper ({nick(best)})"
     gain += f" and {times(before / left)} less than none, {where_seen(comparison)}.{_faster(comparison, ours)}"
-    if theirs < WORTH * left:
+    if theirs < WORTH_RATIO * left:
         return Answer("Hardly", f"{gain} The print is gentle: a shaper is enough.")
     return Answer("Yes", gain)
 
@@ -106,9 +106,9 @@ def _against_none(comparison: Comparison, none: Method, ours: Method) -> str:
         f"99 % of the time it stays within {um(contour_p99_um(comparison, ours))} µm, without compensation within "
         f"{um(contour_p99_um(comparison, none))} µm"
     )
-    if after > ALIKE * before:
+    if after > TIE_RATIO * before:
         return f"{numbers}: ffcomp makes this print worse, do not use it here; {tails}."
-    if before <= ALIKE * after:
+    if before <= TIE_RATIO * after:
         return f"{numbers}: no difference worth the trouble; {tails}."
     return f"{numbers}: {times(before / after)} less; {tails}."
 
@@ -117,9 +117,9 @@ def _against_best(comparison: Comparison, best: Method, ours: Method) -> str:
     best_um, ours_um = contour_rms_um(comparison, best), contour_rms_um(comparison, ours)
     usual = _calibrated(comparison)
     sentence = f"The best fixed input shaper ({nick(best)}, {_short(best.tuning)}) leaves {um(best_um)} µm"
-    if ours_um > ALIKE * best_um:
+    if ours_um > TIE_RATIO * best_um:
         return f"{sentence}: {times(ours_um / best_um)} less than ffcomp. Use the shaper.{usual}"
-    if best_um <= ALIKE * ours_um:
+    if best_um <= TIE_RATIO * ours_um:
         return f"{sentence}, the same as ffcomp.{usual}"
     return f"{sentence}: {times(best_um / ours_um)} as much as ffcomp.{usual}"
 
@@ -142,7 +142,7 @@ def _against_all(comparison: Comparison, ours: Method) -> list[str]:
     first = min(comparison.methods.values(), key=lambda method: contour_rms_um(comparison, method))
     ours_um, least = contour_rms_um(comparison, ours), contour_rms_um(comparison, first)
     named = (comparison.compensated, comparison.best_fixed, "none", *(["fbs-lpv"] if comparison.robust.robust else []))
-    if first.name in named or ours_um <= ALIKE * least:
+    if first.name in named or ours_um <= TIE_RATIO * least:
         return []
     return [f"The least error of all has {first.label}: {um(least)} µm."]
 
@@ -180,9 +180,9 @@ def _mismatch(comparison: Comparison, best: Method, ours: Method) -> list[str]:
     sentence += "".join(
         f"; {um(spread.median_um)} and {um(spread.worst_um)} µm with {name}" for spread, name in against
     )
-    if any(our_spread.median_um > ALIKE * spread.median_um for spread, _ in against):
+    if any(our_spread.median_um > TIE_RATIO * spread.median_um for spread, _ in against):
         return [f"{sentence}. With such an uncertainty the shaper is better: measure the machine first."]
-    if any(our_spread.worst_um > ALIKE * spread.worst_um for spread, _ in against):
+    if any(our_spread.worst_um > TIE_RATIO * spread.worst_um for spread, _ in against):
         return [f"{sentence}. In the median ffcomp is ahead or level, at worst the shaper is better."]
     return [f"{sentence}."]
 

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from ffcomp.compensate.plan import LEFT_MM, ringing_s, settling_waits
+from ffcomp.compensate.plan import RESIDUAL_MM, ringing_s, settling_waits
 from ffcomp.planner.machine_limits import planner_limits
 from ffcomp.planner.program import PlannedProgram, plan_program
 from ffcomp.planner.raw_moves import raw_durations
@@ -51,8 +51,8 @@ def test_no_more_than_a_micrometre_is_left_by_an_independent_integration(brake_s
         w, damping = 2 * math.pi * float(modes.frequencies_hz[mode]), float(modes.damping_ratios[mode])
         rest_s = ringing_s(VORON, XY, acceleration, [axis])
         assert 0.1 < rest_s < 0.5
-        assert oscillator(w, damping, acceleration, brake_s, rest_s) < 1.02 * LEFT_MM
-        assert oscillator(w, damping, acceleration, brake_s, 0.0) > 5 * LEFT_MM
+        assert oscillator(w, damping, acceleration, brake_s, rest_s) < 1.02 * RESIDUAL_MM
+        assert oscillator(w, damping, acceleration, brake_s, 0.0) > 5 * RESIDUAL_MM
 
 
 def test_a_move_along_a_rigid_axis_rings_nowhere() -> None:
