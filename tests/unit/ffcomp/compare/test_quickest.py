@@ -66,13 +66,13 @@ def test_no_method_exceeds_the_flow() -> None:
 
 def test_the_whole_is_what_its_slices_say_and_layers_are_not_too_short() -> None:
     whole = WholePrint(printed(), BOUND)
-    faster = seconds_of(whole.stretch.at(2.0, 10_000.0).trajectory)
+    faster = seconds_of(whole.bounded.at(2.0, 10_000.0).trajectory)
     assert whole.at(2.0, 10_000.0).sum() == pytest.approx(faster.sum())
-    assert whole.from_slices([whole.stretch], [faster]).sum() == pytest.approx(faster.sum())
+    assert whole.from_slices([whole.bounded], [faster]).sum() == pytest.approx(faster.sum())
     assert sum(whole.by_feature(faster).values()) == pytest.approx(faster.sum())
     assert TRAVEL in whole.by_feature(faster)
-    layer = whole.stretch.print_slice.layer
-    sliced = np.bincount(layer, whole.stretch.seconds)
+    layer = whole.bounded.print_slice.layer
+    sliced = np.bincount(layer, whole.bounded.seconds)
     cooling = WholePrint(printed(), replace(BOUND, min_layer_time_s=float(0.9 * sliced.min())))
     assert np.bincount(layer, cooling.cooled(faster)).min() == pytest.approx(0.9 * sliced.min())
     never = WholePrint(printed(), replace(BOUND, min_layer_time_s=1e3))
@@ -115,5 +115,5 @@ def test_slices_stand_for_a_print_and_say_so() -> None:
     halved = [0.5 * each.seconds for each in some]
     whole = WholePrint(printed(), BOUND)
     assert whole.from_slices(some, halved).sum() == pytest.approx(
-        float((whole.stretch.seconds * np.where(whole.stretch.free, 0.5, 1.0)).sum())
+        float((whole.bounded.seconds * np.where(whole.bounded.free, 0.5, 1.0)).sum())
     )
