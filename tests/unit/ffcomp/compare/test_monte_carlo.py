@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from ffcomp.compare.evaluation import in_processes
-from ffcomp.compare.monte_carlo import FARTHEST, draw_plants
+from ffcomp.compare.monte_carlo import TRUNCATION_SD, draw_plants
 from ffcomp.compensate.batch import workers
 from ffcomp.simulate.playback import check_same_kinematics
 from models.arrays import constant
@@ -33,7 +33,7 @@ def test_every_dynamic_number_is_off_by_the_standard_deviation() -> None:
     for name in MACHINE.vibration.parameters().names:
         off = np.array([value_of(m, name) for m in plants]) / value_of(MACHINE, name) - 1
         assert np.std(off) == pytest.approx(0.1, rel=0.15)
-        assert abs(np.mean(off)) < 0.02 and np.abs(off).max() <= 0.1 * FARTHEST + 1e-12
+        assert abs(np.mean(off)) < 0.02 and np.abs(off).max() <= 0.1 * TRUNCATION_SD + 1e-12
     assert all(m.kinematics is MACHINE.kinematics for m in plants)
 
 
