@@ -19,16 +19,7 @@ import numpy as np
 from ffcomp.compare.result import Error, Samples
 from ffcomp.compare.sampling import SETTLE_S, PrintSlice
 from ffcomp.errors import NothingToDo
-from ffcomp.metrics import (
-    Track,
-    Tracking,
-    build_track,
-    contour_error,
-    contour_statistics,
-    end_to_end,
-    rms,
-    tracking,
-)
+from ffcomp.metrics import Track, Tracking, build_track, contour_error, contour_statistics, end_to_end, rms, tracking
 from ffcomp.simulate.command import Motion
 from ffcomp.simulate.playback import JOBS, SAMPLE_S, side_by_side, simulate_side_by_side
 from models.arrays import BoolArray, FloatArray, IntArray

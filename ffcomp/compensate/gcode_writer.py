@@ -75,10 +75,7 @@ class Writer:
         self.now_s = 0.0  # since the program's beginning, as far as it is written
         self.written: list[TimedSegments] = []  # the section's tiles, as their lines state them; s since its first knot
         self.begun, self.rest = False, 0.0  # whether the run has moved, and for how long it has not since, s
-        self.section_begin = (
-            0,
-            0.0,
-        )  # line of its first move in the file, from 0; s from knot 0 to its path
+        self.section_begin = (0, 0.0)  # line of its first move in the file, from 0; s from knot 0 to its path
 
     # -- what is not a run
 

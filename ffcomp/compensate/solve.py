@@ -124,12 +124,7 @@ def _linear(
         reference, *knots = feasible.written
         yield (
             SolvedSection(
-                trajectory,
-                feasible.section,
-                reference,
-                feasible.solution,
-                feasible.records,
-                (knots[0], knots[1]),
+                trajectory, feasible.section, reference, feasible.solution, feasible.records, (knots[0], knots[1])
             ),
             rest,
         )

@@ -63,12 +63,7 @@ def stamp_of(source: Source) -> Stamp | None:
 
 
 def estimate(
-    source: Source,
-    path: str,
-    machine: Machine,
-    *,
-    flavor: str = "",
-    offset: tuple[float, float] = (0.0, 0.0),
+    source: Source, path: str, machine: Machine, *, flavor: str = "", offset: tuple[float, float] = (0.0, 0.0)
 ) -> Estimate:
     """Plan a file as the firmware does, and add up its times. Memory does not grow with the file.
 

@@ -248,10 +248,7 @@ def _simulated_close_up(axes: Axes, result: SimulationResult) -> None:
     centre = result.reference_mm[worst]
     away = np.abs(result.reference_mm - centre)
     near = (away[:, 2] < 0.15) & (away[:, :2].max(axis=1) < 2 * CLOSE_UP_MM)
-    for points, colour, label in (
-        (result.nozzle_mm, AFTER, "nozzle"),
-        (result.reference_mm, REFERENCE, "reference"),
-    ):
+    for points, colour, label in ((result.nozzle_mm, AFTER, "nozzle"), (result.reference_mm, REFERENCE, "reference")):
         shown = np.where(near[:, None], points[:, :2], np.nan)
         axes.plot(shown[:, 0], shown[:, 1], color=colour, linewidth=1.0, label=label)
     axes.set(

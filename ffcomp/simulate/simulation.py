@@ -149,10 +149,7 @@ def _columns(kinds: Sequence[str], channels: Sequence[str]) -> list[str]:
 
 def _values(chunk: Chunk, kinds: Sequence[str], carriages: bool) -> FloatArray:
     """Return the rows : (n, columns); of straight axes, which are their own carriages, without those."""
-    blocks = {
-        "acc": (chunk.signals.carriage, chunk.signals.nozzle),
-        "pos": (chunk.carriage_mm, chunk.nozzle_mm),
-    }
+    blocks = {"acc": (chunk.signals.carriage, chunk.signals.nozzle), "pos": (chunk.carriage_mm, chunk.nozzle_mm)}
     sensors = [block for kind in kinds for block in blocks[kind][0 if carriages else 1 :]]
     return np.column_stack([chunk.t_s, chunk.section.actuators(chunk.t_s), *sensors])
 
