@@ -11,7 +11,7 @@ import numpy as np
 from ffcomp.identify.frf_study import View, study, verdict
 from ffcomp.identify.predict import predicted
 from ffcomp.measurement.frf import FrequencyResponse
-from ffcomp.report.frf import draw_bode, draw_map
+from ffcomp.report.model import draw_bode, draw_map
 from models.delta_machine import delta_vibration, with_parts
 from models.file import load_machine
 from models.machine import Machine

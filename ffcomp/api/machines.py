@@ -81,7 +81,7 @@ class FrequencyResponses:
     @extras_told()
     def plot(self, *, full: bool = False) -> Figure:
         """Draw a Bode figure; full : all nine responses, not only the diagonal."""
-        from ffcomp.report.frf import bode_figure
+        from ffcomp.report.model import bode_figure
 
         return bode_figure(self.study, full)
 

@@ -196,7 +196,7 @@ def _draw(found: Study, figure: Path | None, full: bool, maps: list[Path]) -> No
     from ffcomp.cli.common import say
 
     if figure is not None:
-        from ffcomp.report.frf import draw_bode
+        from ffcomp.report.model import draw_bode
 
         draw_bode(found, figure, full)
         say(f"ffcomp: {figure}")
@@ -219,6 +219,6 @@ def _write_map(machine: Machine, target: Path) -> None:
     if target.suffix == ".json":
         replace_atomically(target, [json.dumps(mode_map_json(machine, modes)).encode()])
         return
-    from ffcomp.report.frf import draw_map
+    from ffcomp.report.model import draw_map
 
     draw_map(machine, modes, target)

@@ -33,7 +33,7 @@ def effort(machine: Name, figure: Figure = None, as_json: AsJson = False) -> Non
         loaded = load_machine(machine)
         curves = {rate: effort_curve(design_machine(loaded)[0], 1 / rate) for rate in RATES}
         if figure is not None:
-            from ffcomp.report.effort import draw_effort
+            from ffcomp.report.model import draw_effort
 
             draw_effort(curves, loaded, figure)
             say(f"ffcomp: drawn into {figure}.")

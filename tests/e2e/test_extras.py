@@ -46,7 +46,7 @@ def test_a_picture_without_its_package_is_a_sentence(tmp_path: Path, monkeypatch
 
 def test_python_says_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
     found = ffcomp.frf("kossel", [(0.0, 0.0)])
-    for module in [name for name in sys.modules if name.startswith("ffcomp.report.frf")]:
+    for module in [name for name in sys.modules if name.startswith("ffcomp.report.model")]:
         monkeypatch.delitem(sys.modules, module)
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     monkeypatch.setitem(sys.modules, "control", None)

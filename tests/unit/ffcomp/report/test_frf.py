@@ -14,7 +14,7 @@ from ffcomp.identify.frf_study import View, study, verdict, view_of
 from ffcomp.identify.predict import predicted
 from ffcomp.measurement.frf import FrequencyResponse
 from ffcomp.measurement.frf_files import write_frf
-from ffcomp.report.frf import _spread, draw_bode, draw_map, map_verdict
+from ffcomp.report.model import _spread, draw_bode, draw_map, map_verdict
 from models.delta_machine import delta_vibration
 from models.file import load_machine
 from models.machine import Machine

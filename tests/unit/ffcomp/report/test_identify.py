@@ -14,8 +14,8 @@ from ffcomp.identify.identify import Identified
 from ffcomp.identify.predict import predicted
 from ffcomp.identify.shaper_advice import ROUNDED_MM, in_words, shaper_advice
 from ffcomp.measurement.frf import FrequencyResponse
-from ffcomp.report.effort import effort_verdict
 from ffcomp.report.identify import fit_figure
+from ffcomp.report.model import effort_verdict
 from ffcomp.shapers import SHAPERS
 from ffcomp.shapers.calibration import smoothing
 from models.file import load_machine
