@@ -20,7 +20,6 @@ from typing import Any
 
 import tomlkit
 
-from models.axis.machine import AxisMachine
 from models.effects.catalogue import key_in_file
 from models.errors import MachineFileError
 from models.finding import LIBRARY as LIBRARY
@@ -93,7 +92,7 @@ def machine_of_text(text: str, path: str) -> Machine:
     return _parsed(data, path).printer(hashlib.sha256(data).hexdigest(), path)
 
 
-def load_plant(name_or_path: str | Path) -> Machine | AxisMachine:
+def load_plant(name_or_path: str | Path) -> Machine:
     """Return the machine of that name or in that file: a printer, or one axis by itself.
 
     Raises

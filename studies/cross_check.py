@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares, linear_sum_assignment
 
-from models.delta_machine import delta_vibration, with_parts
 from models.file import load_machine
+from models.kinds import delta_vibration, with_parts
 from models.machine import Machine
 from models.printer.printer import SMOOTH_STEP_S, simulate_printer
 from studies.cross_check_tilt import tilt

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares, linear_sum_assignment
 
 from models.arrays import constant
-from models.delta_machine import delta_vibration, with_parts
+from models.kinds import delta_vibration, with_parts
 from models.machine import Machine
 from models.printer.printer import simulate_printer
 from validation.plants.multibody import Choice, build, modes, play

@@ -18,10 +18,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from models.delta_machine import delta_vibration, with_parts
 from models.effects.catalogue import CATALOGUE, effective_machine, effects_of_printers, measured, with_effect
 from models.effects.effect import Effect, Parameter
 from models.file import load_machine
+from models.kinds import delta_vibration, with_parts
 from models.machine import Machine
 from models.printer.printer import simulate_printer
 
@@ -461,7 +461,7 @@ HEAD = """# The effects
 
 What may be missing from a machine file: {count} effects, each with its physics, its numbers, how it looks in data and
 what it is taken for. `ffcomp diagnose` names them; a machine file holds them as `[effects.name]`; the virtual printer
-plays them. Every one is declared in a file of its own, `models/effects/NAME.py`;
+plays them. Every one is one declaration, in the file of its family in `models/effects/`;
 [Adding an effect](ADDING_AN_EFFECT.md) tells how to add one.
 
 Figures: the library's `{machine}` at the centre, {height:g} mm over the bed, without the effect (grey) and with it

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import os
 
-from models.delta_machine import delta_vibration, with_parts
+from models.kinds import delta_vibration, with_parts
 
 os.environ["OPENBLAS_NUM_THREADS"] = "1"
 os.environ["FFCOMP_LOG"] = "off"

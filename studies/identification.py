@@ -20,8 +20,8 @@ from ffcomp.identify.output_error import TOTAL_MASS, UNKNOWNS, fit_machine
 from ffcomp.identify.paper import identify_as_paper
 from ffcomp.identify.predict import predicted
 from ffcomp.measurement.frf import FrequencyResponse
-from models.delta_machine import delta_vibration, with_parts
 from models.file import LIBRARY, load_machine
+from models.kinds import delta_vibration, with_parts
 from models.machine import Machine
 from models.parameters import value_of
 from models.vibration.carriage import Drive

@@ -21,7 +21,9 @@ import numpy as np
 
 from ffcomp.errors import MeasurementError
 from models.arrays import FloatArray
-from models.axis.machine import AxisMachine, AxisParameters
+from models.kinds import machine_of_axis
+from models.machine import Machine
+from models.vibration.driven_axis import DrivenAxis
 
 DATA = Path(os.environ.get("FFCOMP_DATA", Path(__file__).parents[2] / "shared" / "data"))
 EMPS_FILES = {"plain": "DATA_EMPS.mat", "pulses": "DATA_EMPS_PULSES.mat"}
@@ -125,11 +127,11 @@ def bouc_wen(folder: Path, data: Path = DATA) -> list[Path]:
     return written
 
 
-def bouc_wen_axis() -> AxisMachine:
+def bouc_wen_axis() -> Machine:
     """Return the axis that the file of Bouc-Wen describes."""
     own = {"axis.stiffness_n_per_m": 0.1, "axis.damping_n_s_per_m": 0.2, "default": 0.02}
     stiffness = BOUC_WEN["k"] + BOUC_WEN["alpha"]
-    return AxisMachine("bouc-wen", AxisParameters("force", BOUC_WEN["m"], stiffness, BOUC_WEN["c"]), uncertainty=own)
+    return machine_of_axis("bouc-wen", DrivenAxis("force", BOUC_WEN["m"], stiffness, BOUC_WEN["c"]), uncertainty=own)
 
 
 def multisine(rng: np.random.Generator, samples: int = 2048) -> FloatArray:

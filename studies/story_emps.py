@@ -25,10 +25,11 @@ from ffcomp.diagnose.axis_problem import OFFSET, AxisProblem
 from ffcomp.diagnose.diagnosis import Diagnosis, diagnose
 from ffcomp.identify.axis_shots import Shots, shots_of
 from ffcomp.measurement.axis_run import AxisRun, read_axis_run
-from models.axis.machine import AxisMachine
-from models.axis.simulate import simulate_axis
 from models.effects.catalogue import CATALOGUE
 from models.file import load_plant
+from models.kinds import driven_axis, is_one_axis
+from models.machine import Machine
+from models.printer.one_axis import simulate_axis
 from studies.measured_axes import DATA, EMPS_FILES, emps
 from studies.render import REPORTS, save
 
@@ -79,7 +80,7 @@ def main() -> None:
     folder = given.keep or Path(mkdtemp())
     file, *paths = emps(folder)
     machine, runs = load_plant(file), [read_axis_run(path) for path in paths]
-    assert isinstance(machine, AxisMachine)
+    assert is_one_axis(machine)
     problem = AxisProblem(machine, runs[:1], given.only)
     found = diagnose(problem)
     before, after = (problem.machine_with(fitted.values) for fitted in (found.base, found.final))
@@ -93,7 +94,7 @@ def main() -> None:
     draw_force(found, runs[0], FIGURES["force"])
 
 
-def begun_every(run: AxisRun, machine: AxisMachine, seconds: float) -> Shots:
+def begun_every(run: AxisRun, machine: Machine, seconds: float) -> Shots:
     """Return the run with a simulation that begins anew so often, with the measured position and speed."""
     (one,) = shots_of(machine, [run])
     length = round(seconds * run.sample_rate_hz)
@@ -106,14 +107,14 @@ def states(place: FloatArray, speed: FloatArray) -> FloatArray:
     return np.column_stack([place, speed, place, speed])
 
 
-def answer(run: AxisRun, before: AxisMachine, after: AxisMachine) -> Answer:
+def answer(run: AxisRun, before: Machine, after: Machine) -> Answer:
     """Both plants begin anew at every shot."""
     one, measured = begun_every(run, before, HORIZON_S), run.position["pos_q"]
     errors = [1e3 * (measured - one.simulate(m).position_mm) for m in (before, after)]
     return Answer(one.length, run.time_s, one.speed, *errors)
 
 
-def free_run(run: AxisRun, machine: AxisMachine) -> FloatArray:
+def free_run(run: AxisRun, machine: Machine) -> FloatArray:
     """Return the error, (n,) mm, of the benchmark's own score: one simulation from the 21st sample to the end."""
     (one,) = shots_of(machine, [run])
     place, rest = run.position["pos_q"][SKIPPED:], run.given[SKIPPED:]
@@ -148,7 +149,7 @@ def results(problem: AxisProblem, found: Diagnosis, answers: list[Answer]) -> di
     """Return what the page says of the recording that was fitted, and of the one that was not."""
     intervals = {name: found.intervals[name] for name in PUBLISHED if name in found.intervals}
     labels = ("the recording it was fitted to", "a second recording, with pulses, never seen by the fit")
-    axis = problem.machine.axis
+    axis = driven_axis(problem.machine)
     return {
         "guess": {"mass_kg": axis.mass_kg, "viscous_n_s_per_m": axis.damping_n_s_per_m},
         "tried": [candidate.name for candidate in problem.candidates],
@@ -174,7 +175,7 @@ def row(label: str, found: Answer) -> dict[str, Any]:
     return {"label": label, "before_um": before, "after_um": after, "times": before / after}
 
 
-def free_scores(runs: list[AxisRun], *machines: AxisMachine) -> list[dict[str, Any]]:
+def free_scores(runs: list[AxisRun], *machines: Machine) -> list[dict[str, Any]]:
     """Return the benchmark's own score of each plant on both recordings."""
     labels = ("mass and viscous friction", "with what was found", "the same, its numbers fitted to the free run")
     return [

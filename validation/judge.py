@@ -34,8 +34,8 @@ from ffcomp.planner.trajectory import Trajectory
 from ffcomp.simulate.command import Motion, SectionClock, motion_of, path_corners, planned_motion
 from gcode.program import Program
 from gcode.reader import read_program
-from models.delta_machine import delta_vibration
 from models.file import load_machine
+from models.kinds import delta_vibration
 from models.machine import Machine
 from validation.kalico import kalico_plan
 from validation.plants import delta_plant

@@ -12,8 +12,8 @@ from ffcomp.identify.frf_study import View, study, verdict
 from ffcomp.identify.predict import predicted
 from ffcomp.measurement.frf import FrequencyResponse
 from ffcomp.report.model import draw_bode, draw_map
-from models.delta_machine import delta_vibration, with_parts
 from models.file import load_machine
+from models.kinds import delta_vibration, with_parts
 from models.machine import Machine
 from models.vibration.mode_map import mode_map
 

@@ -13,7 +13,6 @@ from ffcomp.errors import extras_told
 from ffcomp.identify.frf_json import frf_json
 from ffcomp.identify.frf_study import Study, View, study
 from models.arrays import ComplexArray, FloatArray
-from models.axis.machine import AxisMachine
 from models.file import load_machine as read_machine
 from models.file import load_plant as read_plant
 from models.machine import Machine
@@ -39,7 +38,7 @@ def load_machine(machine: str | Path | Machine) -> Machine:
     return machine if isinstance(machine, Machine) else read_machine(str(machine))
 
 
-def load_plant(machine: str | Path | Machine | AxisMachine) -> Machine | AxisMachine:
+def load_plant(machine: str | Path | Machine) -> Machine:
     """Load a printer or one axis by itself, as `load_machine` does."""
     return read_plant(str(machine)) if isinstance(machine, str | Path) else machine
 

@@ -15,7 +15,7 @@ from ffcomp.diagnose.diagnosis import Diagnosis as Search
 from ffcomp.diagnose.diagnosis import diagnose as search_effects
 from ffcomp.diagnose.gap import Discrepancy, measure_gap
 from ffcomp.diagnose.json import diagnosis_json
-from ffcomp.diagnose.problems import Plant, check_recordings, problem_of, recordings_of, separated
+from ffcomp.diagnose.problems import check_recordings, problem_of, recordings_of, separated
 from ffcomp.diagnose.result import DiagnosisResult, better_file, result_of
 from ffcomp.diagnose.settings import SETTINGS
 from ffcomp.diagnose.validation import Recorded
@@ -25,6 +25,7 @@ from ffcomp.identify.identify import Identified
 from ffcomp.identify.machine_fit import MachineFit, Method, hash_of
 from gcode.atomic_write import replace_atomically
 from models.file import check_text
+from models.machine import Machine
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -37,7 +38,7 @@ def _paths(files: Files) -> list[Path]:
     return [Path(files)] if isinstance(files, str | Path) else [Path(file) for file in files]
 
 
-def _recordings(recordings: Files | Sequence[Recorded], machine: Plant, plan: str | Path | None) -> list[Recorded]:
+def _recordings(recordings: Files | Sequence[Recorded], machine: Machine, plan: str | Path | None) -> list[Recorded]:
     if isinstance(recordings, str | Path):
         return recordings_of(machine, [recordings], plan)
     made = [each for each in recordings if not isinstance(each, str | Path)]
@@ -80,7 +81,7 @@ class Identification:
 
 def identify(
     data: Files,
-    machine: str | Path | Plant,
+    machine: str | Path | Machine,
     output: str | Path | None = None,
     *,
     plan: str | Path | None = None,
@@ -137,7 +138,7 @@ def identify(
 
 
 def gap(
-    recordings: Files | Sequence[Recorded], machine: str | Path | Plant, *, plan: str | Path | None = None
+    recordings: Files | Sequence[Recorded], machine: str | Path | Machine, *, plan: str | Path | None = None
 ) -> Discrepancy:
     """Measure where and how much recordings and simulation disagree.
 
@@ -182,7 +183,7 @@ class Diagnosis:
 
 def diagnose(
     recordings: Sequence[str | Path],
-    machine: str | Path | Plant,
+    machine: str | Path | Machine,
     output: str | Path | None = None,
     *,
     plan: str | Path | None = None,

@@ -208,8 +208,8 @@ def _draw(found: Study, figure: Path | None, full: bool, maps: list[Path]) -> No
 def _write_map(machine: Machine, target: Path) -> None:
     from ffcomp.identify.frf_json import mode_map_json
     from gcode.atomic_write import replace_atomically
-    from models.delta_machine import delta_vibration
     from models.errors import MachineFileError
+    from models.kinds import delta_vibration
     from models.vibration.mode_map import mode_map
 
     if not machine.vibration.position_dependent:

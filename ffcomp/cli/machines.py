@@ -257,7 +257,7 @@ def _where(extreme: Extreme) -> str:
 
 def _energy_notes(machine: Machine, sound: PhysicsChecks) -> list[str]:
     """Describe the energy that the force map creates; none by virtual work."""
-    from models.delta_machine import delta_vibration
+    from models.kinds import delta_vibration
 
     force_map, notes = f"The force map {delta_vibration(machine).effector.force_map!r}", []
     if not sound.is_reciprocal:

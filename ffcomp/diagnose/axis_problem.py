@@ -6,7 +6,7 @@ An axis has one place only; windows of time are held out instead, the same of al
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -18,15 +18,16 @@ from ffcomp.diagnose.problem import InfeasibleParameters, Observation, Parameter
 from ffcomp.identify.axis_shots import Shots, band_of, noise_sd, scales_of, shots_of, windows
 from ffcomp.measurement.axis_run import AxisRun
 from models.arrays import FloatArray
-from models.axis.machine import AxisMachine
-from models.axis.simulate import with_effects
-from models.effects.catalogue import CATALOGUE
+from models.effects.catalogue import CATALOGUE, with_effects
+from models.kinds import driven_axis
+from models.machine import Machine
+from models.parameters import value_of, with_values
 
 REACH = 5.0  # standard deviations by which a parameter may be retuned: beyond, it is an effect
 OFFSET, OFFSET_SHARE = "axis.offset_n", 0.1  # of the force, by which its zero may be off
 EXACT = 0.003  # of what the forces do in a shot: no simulation is nearer than that
 KEPT = 6  # motions that are held
-RIPPLES = frozenset({"cogging", "cogging_force"})
+RIPPLES = frozenset(name for name, effect in CATALOGUE.items() if any(p.is_pitch for p in effect.shapes))
 PITCHES = 4  # at which a search for a ripple begins
 
 _Key = tuple[tuple[tuple[str, float], ...], bool, int]
@@ -43,19 +44,19 @@ class Window:
 class AxisProblem(Problem):
     """The machine file of an axis, and its runs."""
 
-    def __init__(self, machine: AxisMachine, runs: Sequence[AxisRun], names: Sequence[str] = tuple(CATALOGUE)) -> None:
+    def __init__(self, machine: Machine, runs: Sequence[AxisRun], names: Sequence[str] = tuple(CATALOGUE)) -> None:
         self.machine, self.recordings = machine, runs
         self.name, self.path = machine.name, machine.path
         self.shots = shots_of(machine, runs)
         self.band_hz = band_of(self.shots)
         self.windows = [Window(i, part) for i, one in enumerate(self.shots) for part in _parts(one)]
         self.observations = [_observation(self.shots[w.run], w.rows) for w in self.windows]
-        scales = scales_of(machine, self.shots)
+        scales = replace(scales_of(machine, self.shots), highest_hz=self.band_hz[1])
         self.parameters = (*_parameters(machine), *_offset(machine, scales.force_n))
         signals = {name for run in runs for name in run.signals}
         self._same = [_first_equal(self.shots, i) for i in range(len(runs))]
         self.candidates = axis_candidates(
-            machine, scales, self.band_hz, sorted(signals), names, self._pitches() if RIPPLES & set(names) else ()
+            machine, scales, sorted(signals), names, self._pitches() if RIPPLES & set(names) else ()
         )
         self.least_density = self._least_density(sorted(signals))
         self._kept: dict[_Key, dict[str, FloatArray]] = {}
@@ -80,7 +81,7 @@ class AxisProblem(Problem):
             rate = min(one.run.sample_rate_hz for one in own)
             each = [noise_sd(x[np.isfinite(x)]) for x in (one.run.position[name] for one in own)]
             # of a free axis a quick run's bends would pass for noise, and by that hide what its shots show
-            sensor = float(np.median(each) if self.machine.axis.free else np.max(each))
+            sensor = float(np.median(each) if driven_axis(self.machine).free else np.max(each))
             motion = float(np.sqrt(np.mean([np.nanmean(_told(one, name) ** 2) for one in own])))
             found[name] = 2 * sensor**2 / rate + (EXACT * motion) ** 2 / (self.band_hz[1] - self.band_hz[0])
         return found
@@ -99,7 +100,7 @@ class AxisProblem(Problem):
             told[run] = np.stack(list(own.values()), axis=1)
         return [told[self.windows[i].run][self.windows[i].rows] for i in chosen]
 
-    def _felt(self, machine: AxisMachine, key: _Key) -> dict[str, FloatArray]:
+    def _felt(self, machine: Machine, key: _Key) -> dict[str, FloatArray]:
         """Return what the sensors of a run would read; the last few are kept, for windows ask one by one."""
         if key not in self._kept:
             try:
@@ -112,10 +113,10 @@ class AxisProblem(Problem):
                 del self._kept[old]
         return self._kept[key]
 
-    def machine_with(self, values: Mapping[str, float]) -> AxisMachine:
+    def machine_with(self, values: Mapping[str, float]) -> Machine:
         """Return the machine file's axis with these parameters and effects."""
         plain = {name: x for name, x in values.items() if not name.startswith("effects.")}
-        return with_effects(self.machine.with_values(plain), effect_tables(values))
+        return with_effects(with_values(self.machine, plain), effect_tables(values))
 
     def place_name(self, position: tuple[float, ...]) -> str:
         """Name a window of time."""
@@ -150,10 +151,10 @@ def _observation(one: Shots, rows: slice) -> Observation:
     return Observation(name, repeat, (began,), run.sample_rate_hz, signals, measured, speed)
 
 
-def _parameters(machine: AxisMachine) -> list[Parameter]:
+def _parameters(machine: Machine) -> list[Parameter]:
     found = []
-    for name in machine.tunable:
-        value = machine.value(name)
+    for name in machine.vibration.tunable:
+        value = value_of(machine, name)
         relative = machine.uncertainty.get(name, machine.uncertainty.get("default", 0.02))
         if relative:
             sd = relative * value
@@ -161,7 +162,7 @@ def _parameters(machine: AxisMachine) -> list[Parameter]:
     return found
 
 
-def _offset(machine: AxisMachine, force_n: float) -> list[Parameter]:
-    if not machine.axis.by_force:
+def _offset(machine: Machine, force_n: float) -> list[Parameter]:
+    if not driven_axis(machine).by_force:
         return []
-    return [Parameter(OFFSET, machine.axis.offset_n, OFFSET_SHARE * force_n)]
+    return [Parameter(OFFSET, driven_axis(machine).offset_n, OFFSET_SHARE * force_n)]

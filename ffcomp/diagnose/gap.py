@@ -9,9 +9,10 @@ from typing import Any
 from ffcomp.diagnose.diagnosis import noise_floor
 from ffcomp.diagnose.noise import whitener
 from ffcomp.diagnose.problem import Repeated
-from ffcomp.diagnose.problems import Plant, problem_of
+from ffcomp.diagnose.problems import problem_of
 from ffcomp.diagnose.residuals import ResidualBreakdown, ResidualSize, locate_residual
 from ffcomp.diagnose.validation import Recorded, check_alike
+from models.machine import Machine
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,7 +42,7 @@ class Discrepancy:
         }
 
 
-def measure_gap(machine: Plant, recordings: Sequence[Recorded]) -> Discrepancy:
+def measure_gap(machine: Machine, recordings: Sequence[Recorded]) -> Discrepancy:
     """Simulate the recordings with the machine and its effects, and compare.
 
     Raises

@@ -13,11 +13,10 @@ from ffcomp.diagnose.recording_clocks import belongs_to_recording
 from ffcomp.diagnose.settings import SETTINGS
 from ffcomp.numerics.stages import Now, Progress
 from models.arrays import FloatArray
+from models.effects.catalogue import CATALOGUE
 
-FILE_CHANGES = frozenset(  # effects that are a number of the file which is wrong
-    {"belt_stiffness", "guide_damping", "effector_mass", "extruder_mount", "center_of_mass", "arm_inertia"}
-)
-NESTED = {"stribeck_friction": "coulomb_friction"}  # an effect that has all numbers of another, and more
+FILE_CHANGES = frozenset(name for name, effect in CATALOGUE.items() if effect.corrects_file)
+NESTED = {name: effect.contains for name, effect in CATALOGUE.items() if effect.contains}
 
 
 @dataclass(frozen=True, eq=False)

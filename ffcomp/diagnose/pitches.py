@@ -16,8 +16,8 @@ from scipy.ndimage import uniform_filter1d
 
 from ffcomp.identify.axis_shots import Shots
 from models.arrays import ComplexArray, FloatArray
-from models.axis.machine import AxisMachine
-from models.axis.simulate import simulate_axis
+from models.machine import Machine
+from models.printer.one_axis import simulate_axis
 
 A_TURN = 4  # tries for each turn over the travel
 FASTEST = 2.0  # times the usual speed over the highest frequency compared: the shortest pitch is passed in no less
@@ -37,9 +37,7 @@ class _Part:
     lines: slice  # of the band
 
 
-def likely_pitches(
-    machine: AxisMachine, shots: Sequence[Shots], band_hz: tuple[float, float], most: int
-) -> list[float]:
+def likely_pitches(machine: Machine, shots: Sequence[Shots], band_hz: tuple[float, float], most: int) -> list[float]:
     """Return the pitches, mm, at which a ripple explains most of what the file leaves, the best first.
 
     Parameters
@@ -59,7 +57,7 @@ def likely_pitches(
     return [float(1.0 / turns[i]) for i in _peaks(_gains(parts, turns), most)]
 
 
-def _part(machine: AxisMachine, one: Shots, band_hz: tuple[float, float]) -> _Part | None:
+def _part(machine: Machine, one: Shots, band_hz: tuple[float, float]) -> _Part | None:
     try:
         motion = one.simulate(machine).sensed(machine)
     except ValueError:
@@ -78,7 +76,7 @@ def _part(machine: AxisMachine, one: Shots, band_hz: tuple[float, float]) -> _Pa
     return _Part(place, weight * error[lines], weight * _answer(machine, rate, n)[lines], taper, lines)
 
 
-def _answer(machine: AxisMachine, rate_hz: float, n: int) -> ComplexArray:
+def _answer(machine: Machine, rate_hz: float, n: int) -> ComplexArray:
     """Return the response of the last mass' acceleration to the input, (lines,), by that to a smooth pulse."""
     k = np.arange(2 * n)
     pulse = np.exp(-0.5 * ((k - PULSE) / 1.5) ** 2)

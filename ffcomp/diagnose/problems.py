@@ -21,17 +21,15 @@ from ffcomp.measurement.axis_run import AxisRun, read_axis_run
 from ffcomp.measurement.recording import Recording
 from ffcomp.record.join import load_recordings
 from models.arrays import FloatArray
-from models.axis.machine import AxisMachine
 from models.effects.catalogue import CATALOGUE
+from models.kinds import is_one_axis
 from models.machine import Machine
 
-Plant = Machine | AxisMachine
 ALL = tuple(CATALOGUE)
 
 
-@singledispatch
 def recordings_of(
-    plant: Plant,
+    plant: Machine,
     paths: Sequence[str | Path],
     plan: str | Path | None = None,
     turn: FloatArray | None = None,
@@ -43,28 +41,8 @@ def recordings_of(
     ----------
     plan, turn, progress : as `ffcomp.record.join.load_recordings` takes them
     """
-    raise TypeError(plant)
-
-
-@recordings_of.register
-def _(
-    plant: Machine,
-    paths: Sequence[str | Path],
-    plan: str | Path | None = None,
-    turn: FloatArray | None = None,
-    progress: Callable[[str], None] = lambda _: None,
-) -> list[Recorded]:
-    return told_apart(load_recordings(paths, plant, plan, turn, progress))
-
-
-@recordings_of.register
-def _(
-    plant: AxisMachine,
-    paths: Sequence[str | Path],
-    plan: str | Path | None = None,
-    turn: FloatArray | None = None,
-    progress: Callable[[str], None] = lambda _: None,
-) -> list[Recorded]:
+    if not is_one_axis(plant):
+        return told_apart(load_recordings(paths, plant, plan, turn, progress))
     if plan is not None:
         raise RequestError(f"{plant.name} is one axis by itself: there is no plan of moves for it. Leave --plan out.")
     return told_apart([read_axis_run(path) for path in paths])
@@ -84,20 +62,11 @@ def told_apart(recordings: Sequence[Recorded]) -> list[Recorded]:
     ]
 
 
-@singledispatch
-def problem_of(plant: Plant, recordings: Sequence[Recorded], names: Sequence[str] = ALL) -> Problem:
+def problem_of(plant: Machine, recordings: Sequence[Recorded], names: Sequence[str] = ALL) -> Problem:
     """Return the problem of a machine and its recordings; `names` : the effects that are looked for."""
-    raise TypeError(plant)
-
-
-@problem_of.register
-def _(plant: Machine, recordings: Sequence[Recorded], names: Sequence[str] = ALL) -> Problem:
+    if is_one_axis(plant):
+        return AxisProblem(plant, [each for each in recordings if isinstance(each, AxisRun)], names)
     return PrinterProblem(plant, [each for each in recordings if isinstance(each, Recording)], names)
-
-
-@problem_of.register
-def _(plant: AxisMachine, recordings: Sequence[Recorded], names: Sequence[str] = ALL) -> Problem:
-    return AxisProblem(plant, [each for each in recordings if isinstance(each, AxisRun)], names)
 
 
 def check_recordings(problem: Problem, recordings: Sequence[Recorded], without_repeats: bool) -> None:
@@ -142,13 +111,6 @@ def _(problem: PrinterProblem, found: Diagnosis, told: DiagnosisResult) -> Diagn
     return replace(told, separations=separations(problem, found))
 
 
-@singledispatch
-def gain_of(plant: Plant, found: DiagnosisResult) -> PrintGain | None:
+def gain_of(plant: Machine, found: DiagnosisResult) -> PrintGain | None:
     """Predict what prints gain; an axis prints nothing."""
-    del plant, found
-    return None
-
-
-@gain_of.register
-def _(plant: Machine, found: DiagnosisResult) -> PrintGain | None:
-    return print_gain(plant, found)
+    return None if is_one_axis(plant) else print_gain(plant, found)

@@ -17,8 +17,10 @@ from ffcomp.measurement.axis_run import AxisRun, read_axis_run
 from ffcomp.numerics.least_squares import minimise
 from ffcomp.numerics.stages import Stage
 from models.arrays import FloatArray, IntArray
-from models.axis.machine import AxisMachine
 from models.file import updated_text
+from models.kinds import driven_axis
+from models.machine import Machine
+from models.parameters import value_of, with_values
 
 MASS, OFFSET, OFFSET_SHARE = "axis.mass_kg", "axis.offset_n", 0.1
 EVALUATIONS = 60
@@ -38,7 +40,7 @@ class AxisFitted:
 
 
 def fit_axis(
-    start: AxisMachine,
+    start: Machine,
     data: Sequence[Path],
     known: Mapping[str, tuple[float, float]],
     name: str,
@@ -74,27 +76,29 @@ def fit_axis(
     return MachineFit(answer, _text(start, found, name, hashes), name, None)
 
 
-def kept_of(start: AxisMachine, known: Mapping[str, tuple[float, float]]) -> list[str]:
+def kept_of(start: Machine, known: Mapping[str, tuple[float, float]]) -> list[str]:
     """Return what no run can tell: where a position drives, all numbers may grow alike."""
-    return [] if start.axis.by_force or known else [MASS]
+    return [] if driven_axis(start).by_force or known else [MASS]
 
 
-def fitted_axis(start: AxisMachine, runs: Sequence[AxisRun], known: Mapping[str, tuple[float, float]]) -> AxisFitted:
+def fitted_axis(start: Machine, runs: Sequence[AxisRun], known: Mapping[str, tuple[float, float]]) -> AxisFitted:
     """Fit by least squares; known numbers are measurements like any other."""
     shots = shots_of(start, runs)
-    names = [*start.tunable, *([OFFSET] if start.axis.by_force else [])]
+    names = [*start.vibration.tunable, *([OFFSET] if driven_axis(start).by_force else [])]
     unknown = [key for key in known if key not in names]
     if unknown:
         raise RequestError(f"--known {unknown[0]}: this axis has {', '.join(names)}.")
     names = [n for n in names if n not in kept_of(start, known)]
-    first = np.array([start.value(n) for n in names])
-    scale = np.array([OFFSET_SHARE * scales_of(start, shots).force_n if n == OFFSET else start.value(n) for n in names])
+    first = np.array([value_of(start, n) for n in names])
+    scale = np.array(
+        [OFFSET_SHARE * scales_of(start, shots).force_n if n == OFFSET else value_of(start, n) for n in names]
+    )
     sizes = _sizes(shots)
     blocks = _blocks(shots)
 
     def error(x: FloatArray) -> FloatArray:
         values = dict(zip(names, (x * scale).tolist(), strict=True))
-        simulated = np.concatenate([_error(one, start.with_values(values), sizes) for one in shots])
+        simulated = np.concatenate([_error(one, with_values(start, values), sizes) for one in shots])
         beside = [(values[key] - value) / sd for key, (value, sd) in known.items()]
         return np.concatenate([simulated / noise, beside])
 
@@ -120,7 +124,7 @@ def _sizes(shots: Sequence[Shots]) -> dict[str, float]:
     return {name: max(float(np.sqrt(np.mean(x))), 1e-12) for name, x in squares.items()}
 
 
-def _error(one: Shots, machine: AxisMachine, sizes: Mapping[str, float]) -> FloatArray:
+def _error(one: Shots, machine: Machine, sizes: Mapping[str, float]) -> FloatArray:
     """Return measured − simulated of a run's signals, over their size: (rows,); gaps are zero."""
     try:
         felt = one.simulate(machine).sensed(machine)
@@ -149,7 +153,7 @@ def _covariance(jacobian: FloatArray, residual: FloatArray, blocks: IntArray) ->
     return np.asarray(inverse @ middle @ inverse)
 
 
-def _text(start: AxisMachine, found: AxisFitted, name: str, hashes: Sequence[str]) -> str:
+def _text(start: Machine, found: AxisFitted, name: str, hashes: Sequence[str]) -> str:
     """Return the new machine file's text."""
     if not start.path:
         return ""

@@ -17,8 +17,11 @@ from numpy.typing import NDArray
 from ffcomp.errors import MeasurementError
 from ffcomp.measurement.axis_run import AxisRun
 from models.arrays import FloatArray
-from models.axis.machine import AxisMachine, AxisParameters
-from models.axis.simulate import AxisMotion, simulate_axis
+from models.effects.effect import MotionScales
+from models.kinds import driven_axis
+from models.machine import Machine
+from models.printer.one_axis import AxisMotion, simulate_axis
+from models.vibration.driven_axis import DrivenAxis
 
 SHOT = 0.4  # of the time in which the motion changes its speed by as much as it has of it
 SHORTEST, LINES_A_SHOT = 20, 5.0  # samples of a shot; its inverse times that is where the band ends
@@ -41,7 +44,7 @@ class Shots:
         default_factory=dict
     )  # position -> (length, k), what beginnings may do to it
 
-    def simulate(self, machine: AxisMachine, *, coarse: bool = False) -> AxisMotion:
+    def simulate(self, machine: Machine, *, coarse: bool = False) -> AxisMotion:
         """Simulate the run; ValueError if the axis moves to infinity."""
         dt_s = 1 / self.run.sample_rate_hz
         return simulate_axis(machine, self.run.given, dt_s, shot=self.length, begin=self.begin, coarse=coarse)
@@ -77,7 +80,7 @@ class Shots:
         return np.asarray(x - x[first * self.length] - speed * k / self.run.sample_rate_hz)
 
 
-def checked(machine: AxisMachine, runs: Sequence[AxisRun]) -> None:
+def checked(machine: Machine, runs: Sequence[AxisRun]) -> None:
     """Refuse runs that do not fit the machine file.
 
     Raises
@@ -85,26 +88,26 @@ def checked(machine: AxisMachine, runs: Sequence[AxisRun]) -> None:
     MeasurementError
     """
     for run in runs:
-        if run.by_force != machine.axis.by_force:
+        if run.by_force != driven_axis(machine).by_force:
             column, other = ("force_n", "position") if run.by_force else ("cmd_q_mm", "force")
             rule = f"The run gives {column}, but axis.input of {machine.name} is {other!r}: change one of the two."
             raise MeasurementError(run.source, [rule])
 
 
-def shots_of(machine: AxisMachine, runs: Sequence[AxisRun]) -> list[Shots]:
+def shots_of(machine: Machine, runs: Sequence[AxisRun]) -> list[Shots]:
     """Choose where the simulation of each run begins anew; one length for all."""
     checked(machine, runs)
     mean = [_mean(runs, i) for i in range(len(runs))]
     speeds = [_speed(_bridged(_place(run)), run.sample_rate_hz) for run in mean]
-    needed = machine.axis.free and any(run.position for run in runs)
+    needed = driven_axis(machine).free and any(run.position for run in runs)
     seconds = _shot_s(runs, speeds) if needed else 0.0
     found = [_shots(*each, seconds) for each in zip(runs, mean, speeds, strict=True)]
     return [replace(one, began=_began(machine, one)) for one in found]
 
 
-def _began(machine: AxisMachine, one: Shots) -> dict[str, FloatArray]:
+def _began(machine: Machine, one: Shots) -> dict[str, FloatArray]:
     """Return what an error of where a shot begins does to each position, (length, k): lines, and a load that rings."""
-    names, axis = list(one.run.position) if one.length else [], machine.axis
+    names, axis = list(one.run.position) if one.length else [], driven_axis(machine)
     t = np.arange(one.length) / one.run.sample_rate_hz
     line = np.column_stack([np.ones(one.length), t - t.mean()]) if names else np.empty((0, 2))
     found = {}
@@ -114,7 +117,7 @@ def _began(machine: AxisMachine, one: Shots) -> dict[str, FloatArray]:
     return found
 
 
-def _ringing(axis: AxisParameters, t: FloatArray, name: str) -> FloatArray:
+def _ringing(axis: DrivenAxis, t: FloatArray, name: str) -> FloatArray:
     """Return how a load that began elsewhere than it seemed rings on the first mass: (n, 2); (n, 0) without one."""
     if not axis.load_mass_kg:
         return np.empty((len(t), 0))
@@ -261,29 +264,25 @@ def windows(one: Shots) -> list[slice]:
     return [slice(a, a + size) for a in starts[:-1]] + [slice(starts[-1], rows)]
 
 
-@dataclass(frozen=True)
-class Scales:
-    """Sizes of the motion, SI: what is much and what is little of each quantity."""
-
-    force_n: float
-    speed_m_per_s: float
-    way_m: float  # rms about the middle
-    travel_m: float  # from end to end
-    stretch_m: float  # of the spring at the end; the way, where there is none
-
-
-def scales_of(machine: AxisMachine, shots: Sequence[Shots]) -> Scales:
+def scales_of(machine: Machine, shots: Sequence[Shots]) -> MotionScales:
     """Take the sizes of the motion from the runs."""
     places = np.concatenate([1e-3 * (p - np.mean(p)) for p in (_bridged(_place(one.run)) for one in shots)])
     speed = float(np.sqrt(np.mean(np.concatenate([one.speed for one in shots]) ** 2))) / 1e3
     force = _force(machine, shots)
-    way, k = float(np.std(places)), machine.axis.last_stiffness
+    way, k = float(np.std(places)), driven_axis(machine).last_stiffness
     stretch = force / k if k else way
-    return Scales(force, max(speed, 1e-9), max(way, 1e-9), max(float(np.ptp(places)), 1e-9), max(stretch, 1e-12))
+    return MotionScales(
+        force_n=force,
+        speed_m_per_s=max(speed, 1e-9),
+        way_m=max(way, 1e-9),
+        travel_m=max(float(np.ptp(places)), 1e-9),
+        stretch_m=max(stretch, 1e-12),
+        stiffness_n_per_m=k,
+    )
 
 
-def _force(machine: AxisMachine, shots: Sequence[Shots]) -> float:
-    if machine.axis.by_force:
+def _force(machine: Machine, shots: Sequence[Shots]) -> float:
+    if driven_axis(machine).by_force:
         return float(np.std(np.concatenate([one.run.given for one in shots])))
     change = [np.gradient(one.speed, 1 / one.run.sample_rate_hz) / 1e3 for one in shots]
-    return machine.axis.moved_kg * float(np.std(np.concatenate(change)))
+    return driven_axis(machine).moved_kg * float(np.std(np.concatenate(change)))

@@ -19,7 +19,7 @@ from ffcomp.errors import MeasurementError
 from ffcomp.identify.predict import CARRIAGES
 from ffcomp.measurement.frf import FrequencyResponse
 from models.arrays import ComplexArray, FloatArray
-from models.delta_machine import delta_vibration
+from models.kinds import delta_vibration
 from models.machine import Machine
 from models.vibration.carriage import belt, drive_frf
 

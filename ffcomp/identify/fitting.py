@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import singledispatch
 from pathlib import Path
 
 from ffcomp.errors import RequestError
@@ -12,7 +11,7 @@ from ffcomp.identify.axis_fit import fit_axis
 from ffcomp.identify.load import gather
 from ffcomp.identify.machine_fit import MachineFit, Method, fit_measurements
 from ffcomp.record.axes import STRAIGHT
-from models.axis.machine import AxisMachine
+from models.kinds import is_one_axis
 from models.machine import Machine
 
 
@@ -32,9 +31,8 @@ class FitRequest:
     write_start: bool = True
 
 
-@singledispatch
 def fit_files(
-    start: Machine | AxisMachine,
+    start: Machine,
     data: Sequence[Path],
     asked: FitRequest,
     progress: Callable[[str], None] = lambda _: None,
@@ -45,13 +43,10 @@ def fit_files(
     ------
     MeasurementError, MachineFileError, RequestError
     """
-    raise TypeError(start)
-
-
-@fit_files.register
-def _(
-    start: Machine, data: Sequence[Path], asked: FitRequest, progress: Callable[[str], None] = lambda _: None
-) -> MachineFit:
+    if is_one_axis(start):
+        if asked.plan is not None or asked.method != "direct":
+            raise RequestError("--plan and --method are for printers; an axis by itself is fitted to its runs.")
+        return fit_axis(start, data, asked.known, asked.name, progress)
     gathered = gather(
         data,
         start,
@@ -75,12 +70,3 @@ def _(
         rough=asked.rough,
         progress=progress,
     )
-
-
-@fit_files.register
-def _(
-    start: AxisMachine, data: Sequence[Path], asked: FitRequest, progress: Callable[[str], None] = lambda _: None
-) -> MachineFit:
-    if asked.plan is not None or asked.method != "direct":
-        raise RequestError("--plan and --method are for printers; an axis by itself is fitted to its runs.")
-    return fit_axis(start, data, asked.known, asked.name, progress)

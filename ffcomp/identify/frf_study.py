@@ -19,8 +19,8 @@ from ffcomp.identify.accuracy import log_error_db, mean_absolute_percentage_accu
 from ffcomp.identify.predict import predicted
 from ffcomp.measurement.frf import FrequencyResponse
 from models.arrays import ComplexArray, FloatArray
-from models.delta_machine import delta_vibration
 from models.errors import MachineFileError, UnreachableError
+from models.kinds import delta_vibration
 from models.machine import Machine
 from models.vibration.base import Modes, Output
 from models.vibration.carriage import command_frf, damping, with_added_mass

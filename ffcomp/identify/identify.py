@@ -17,8 +17,8 @@ from ffcomp.identify.paper import PaperIdentification
 from ffcomp.identify.uncertainty import Estimate
 from ffcomp.measurement.frf import FrequencyResponse
 from ffcomp.numerics.stages import Stage
-from models.delta_machine import delta_vibration, with_parts
 from models.file import updated_text
+from models.kinds import delta_vibration, with_parts
 from models.machine import Machine
 from models.parameters import value_of, with_values
 from models.vibration.carriage import Drive

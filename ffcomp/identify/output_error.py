@@ -24,7 +24,7 @@ from ffcomp.measurement.frf import FrequencyResponse
 from ffcomp.numerics.least_squares import central_differences, forward_differences, minimise
 from ffcomp.numerics.stages import Now, Stage
 from models.arrays import ComplexArray, FloatArray, IntArray
-from models.delta_machine import delta_vibration
+from models.kinds import delta_vibration
 from models.machine import Machine
 from models.parameters import value_of, with_values
 

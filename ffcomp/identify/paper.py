@@ -28,7 +28,7 @@ from ffcomp.identify.uncertainty import Joint
 from ffcomp.measurement.frf import FrequencyResponse
 from ffcomp.numerics.least_squares import minimise
 from models.arrays import ComplexArray, FloatArray, constant
-from models.delta_machine import delta_vibration, with_parts
+from models.kinds import delta_vibration, with_parts
 from models.machine import Machine
 from models.vibration.carriage import Carriage, Drive
 

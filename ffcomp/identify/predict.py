@@ -11,7 +11,7 @@ import numpy as np
 from ffcomp.errors import MeasurementError
 from ffcomp.measurement.frf import FrequencyResponse
 from models.arrays import ComplexArray, FloatArray
-from models.delta_machine import delta_vibration
+from models.kinds import delta_vibration
 from models.machine import Machine
 from models.vibration.carriage import belt, command_frf, drive_frf
 

@@ -24,7 +24,7 @@ from gcode.container import read_bytes
 from gcode.errors import GcodeError
 from gcode.text import check_regular
 from models.arrays import FloatArray
-from models.effects.catalogue import measured
+from models.effects.catalogue import CATALOGUE, measured
 from models.effects.effect import Signals
 from models.errors import UnreachableError
 from models.machine import Machine
@@ -113,7 +113,6 @@ class _EvaluatedSection:
 
 
 KINDS = ("acc", "pos")
-IN_TIME = {"sensor_time_offset", "sensor_clock_drift"}  # effects for which a sample depends on others than itself
 
 
 def recording_lines(
@@ -155,7 +154,7 @@ def _values(chunk: Chunk, kinds: Sequence[str], carriages: bool) -> FloatArray:
 
 
 def _recorded(chunks: Iterable[Chunk], plant: Machine) -> Iterator[Chunk]:
-    if IN_TIME & plant.effects.keys():
+    if any(CATALOGUE[name].shifts_time for name in plant.effects):
         yield _with_sensor_signals(_joined(list(chunks)), plant)
     else:
         for chunk in chunks:

@@ -18,7 +18,7 @@ from typing import Literal
 import numpy as np
 
 from models.arrays import ComplexArray, FloatArray
-from models.delta_machine import delta_vibration
+from models.kinds import delta_vibration
 from models.machine import Machine
 
 FREQUENCIES_HZ = np.geomspace(1.0, 300.0, 120)

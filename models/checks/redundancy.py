@@ -25,7 +25,7 @@ from typing import Any
 
 import numpy as np
 
-from models.delta_machine import delta_vibration
+from models.kinds import delta_vibration
 from models.machine import Machine
 from models.vibration.carriage import damping
 

@@ -1,1 +1,1 @@
-"""Non-ideal behaviour of printers: one file for each effect, found by `catalogue.py`."""
+"""Non-ideal behaviour of printers: each effect is one declaration, in the file of its family."""

@@ -2,27 +2,22 @@
 
 from __future__ import annotations
 
-import importlib
-import pkgutil
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any, Protocol
 
-from models import effects
 from models.arrays import FloatArray
-from models.effects.effect import PER_KILOGRAM, Effect, Signals
+from models.effects import delta_parts, drives, friction, sensors, structure
+from models.effects.effect import PER_KILOGRAM, Effect, Signals, Terms
 from models.machine import Machine
 
-NOT_EFFECTS = {"catalogue", "dry", "effect"}  # files of this folder that declare no effect
-
-
-def _found() -> Iterator[Effect]:
-    for file in pkgutil.iter_modules(effects.__path__):
-        if file.name not in NOT_EFFECTS:
-            yield importlib.import_module(f"{effects.__name__}.{file.name}").EFFECT
-
-
-CATALOGUE: Mapping[str, Effect] = {effect.name: effect for effect in _found()}
+CATALOGUE: Mapping[str, Effect] = {
+    effect.name: effect
+    for effect in sorted(
+        (effect for family in (delta_parts, drives, friction, sensors, structure) for effect in family.EFFECTS),
+        key=lambda effect: effect.name,
+    )
+}
 
 
 def effect_named(name: str) -> Effect:
@@ -86,9 +81,25 @@ def values_of(machine: HasEffects, name: str) -> dict[str, FloatArray] | None:
     return {name: p.as_array(table.get(name, p.absent)) for name, p in effect.by_name.items()}
 
 
+def terms_of(machine: HasEffects, printer: Terms) -> dict[str, Any]:
+    """Return the printer's terms with those of the machine's effects, in the order of the catalogue."""
+    terms = dict(printer)
+    for effect in CATALOGUE.values():
+        if effect.terms is not None and (values := values_of(machine, effect.name)) is not None:
+            terms |= effect.terms(values, terms)
+    return terms
+
+
 def with_effect(machine: Machine, name: str, **parameters: Any) -> Machine:
     """Return the machine with this effect, added or replaced."""
     return replace(machine, effects={**machine.effects, effect_named(name).name: parameters})
+
+
+def with_effects(machine: Machine, effects: Mapping[str, Mapping[str, Any]]) -> Machine:
+    """Return the machine with these effects added or replaced."""
+    for name in effects:
+        effect_named(name)
+    return replace(machine, effects={**machine.effects, **effects})
 
 
 def without_effects(machine: Machine, *names: str) -> Machine:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Literal
@@ -23,6 +23,32 @@ DIRECTIONS: Mapping[str, tuple[tuple[float, float], ...]] = {
 }
 PER_KILOGRAM = "_per_kg"  # ending of a key whose force is per kilogram of what moves
 UNIT_TOLERANCE = 1e-3  # a unit vector written with four digits is one
+USUAL_SHARE = 0.3  # of the forces on an axis, what a usual effect takes
+
+Values = Mapping[str, FloatArray]  # an effect's parameters as a machine file has them
+Terms = Mapping[str, Any]  # numbers of the printers' equations by name, SI: `models/printer/kernels/record.py`
+
+
+@dataclass(frozen=True)
+class MotionScales:
+    """Sizes of a motion of one axis by itself, SI: what is much and what is little of each quantity."""
+
+    force_n: float
+    speed_m_per_s: float
+    way_m: float  # rms about the middle
+    travel_m: float  # from end to end
+    stretch_m: float  # of the spring at the end; the way, where there is none
+    stiffness_n_per_m: float = 0.0  # of that spring
+    highest_hz: float = math.inf  # frequency that is compared
+
+
+@dataclass(frozen=True)
+class OnAxis:
+    """Where a diagnosis of one axis by itself, which may be of any size, looks for a parameter."""
+
+    size: Callable[[MotionScales], float] | None = None  # of a usual effect; None: an amplitude that an axis has not
+    starts: Callable[[MotionScales], Sequence[float]] | None = None  # of the search for a shape
+    lowest: float | None = None  # in place of the lower one of `bounds`
 
 
 @dataclass(frozen=True)
@@ -47,11 +73,17 @@ class Parameter:
     starts: tuple[float, ...] = ()  # of a shape: starts of a search, instead of its typical range
     instead_of: tuple[str, ...] = ()  # other shapes, which have no say where this one is given
     on_printers: tuple[float, float] | None = None  # where a diagnosis looks for it, if not in all of `bounds`
+    on_axis: OnAxis = OnAxis()
 
     @property
     def neutral(self) -> float:
         """The value of an amplitude without effect."""
         return 0.0 if self.power > 0 else math.inf
+
+    @property
+    def is_pitch(self) -> bool:
+        """Whether it is the way after which something repeats."""
+        return self.name == "pitch_mm"
 
     @property
     def of_mass(self) -> bool:
@@ -126,10 +158,11 @@ class Effect:
     """One way in which a printer differs from the model.
 
     A `parameter` effect changes the machine's parameters, by `fold`; a `sensor` effect changes the recorded signals of
-    a motion, by `measure`; a `force`, `command` or `frame` effect is a term of `models/printer/kernels`.
+    a motion, by `measure`; a `force`, `command` or `frame` effect is a term of `models/printer/kernels`, whose numbers
+    `terms` gives.
     """
 
-    name: str  # of its table in a machine file, and of its file here
+    name: str  # of its table in a machine file
     title: str
     kind: Kind
     physics: str
@@ -138,13 +171,20 @@ class Effect:
     in_data: str  # what to look for
     # confounded effect, or parameter of the machine -> how to tell them apart
     confounded_with: Mapping[str, str] = field(default_factory=dict)
-    fold: Callable[[Machine, Mapping[str, FloatArray]], Machine] | None = None
-    measure: Callable[[Signals, Mapping[str, FloatArray]], Signals] | None = None
+    remedy: str = ""  # what to do to the printer; {where}: ", first of A and B"
+    fold: Callable[[Machine, Values], Machine] | None = None
+    measure: Callable[[Signals, Values], Signals] | None = None
+    terms: Callable[[Values, Terms], Terms] | None = None  # from its values and the printer's terms so far
     of_axis: tuple[Parameter, ...] = ()  # shapes that only an axis by itself has
     of_printers: tuple[Parameter, ...] = ()  # shapes that an axis by itself has not
     of: tuple[str, ...] = ("carriages", "axes")  # `VibrationModel.moves` of the machines that may have it
     # how far the nozzle's places must lie apart along x, y, z, over all recordings, to tell it from other numbers
     spread_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    needs: Literal["", "spring", "command", "freedom", "accelerometer"] = ""  # that not every axis by itself has
+    contains: str = ""  # an effect of which it has all numbers, and more
+    corrects_file: bool = False  # it is a number of the machine file that is wrong, and no more
+    of_motors: bool = False  # its values are of belts and motors, not of carriages or axes
+    shifts_time: bool = False  # a recorded sample depends on others than itself
 
     def parameter(self, name: str) -> Parameter:
         """Return the parameter of that name; KeyError if there is none."""

@@ -13,14 +13,13 @@ from itertools import pairwise
 import numpy as np
 
 from models.arrays import FloatArray
-from models.effects.catalogue import values_of
+from models.effects.catalogue import CATALOGUE, values_of
 from models.machine import Machine
 from models.printer.kernels.record import LANES
 from models.printer.printer import PrinterMotion, simulate_printers
 
 Observe = Callable[[PrinterMotion], FloatArray]  # (n, 3) mm of a motion of n rows
 
-SWAYING = ("frame_mode", "gantry_racking")
 MEMORY_S = 1.0  # of a printer without a vibrating frame
 DECAY, LONGEST_S = 7.0, 30.0  # a frame's vibration has decayed to e to the −7
 START_S = 0.25
@@ -76,7 +75,8 @@ def simulate_batch(
 
 def memory_s(machine: Machine) -> float:
     """Return the time, s, after which the printer's earlier motion no longer matters."""
-    swaying = [values for name in SWAYING if (values := values_of(machine, name)) is not None]
+    frames = [name for name in machine.effects if CATALOGUE[name].kind == "frame"]
+    swaying = [values for name in frames if (values := values_of(machine, name)) is not None]
     rates = [2 * np.pi * float(each["frequency_hz"]) * float(each["damping_ratio"]) for each in swaying]
     return max(MEMORY_S, DECAY / max(min(rates, default=np.inf), DECAY / LONGEST_S))
 

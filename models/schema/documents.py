@@ -10,8 +10,8 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field, ValidationError, field_validator, model_validator
 
-from models.axis.machine import MOVES, AxisMachine, AxisParameters
 from models.errors import MachineFileError
+from models.kinds import machine_of_axis
 from models.kinematics.base import Kinematics
 from models.machine import Machine
 from models.schema.delta import CarriageTable, EffectorTable, KinematicsTable, missing_lengths
@@ -24,6 +24,7 @@ from models.schema.table import Table, number_keys, refuse
 from models.schema.words import did_you_mean
 from models.vibration.base import VibrationModel
 from models.vibration.delta import DeltaVibration
+from models.vibration.driven_axis import DrivenAxis
 
 DEFAULT_UNCERTAINTY = 0.02
 NO_PRINTER = (
@@ -183,23 +184,23 @@ class StraightDocument(PrinterDocument):
 class AxisDocument(Document):
     """The file of one axis by itself."""
 
-    moves: ClassVar[str] = MOVES
+    moves: ClassVar[str] = DrivenAxis.moves
     kinematics: OneAxisTable
     axis: DrivenAxisTable
     effects: dict[str, dict[str, Any]] = Field(default_factory=dict)
     uncertainty: dict[str, Annotated[float, Field(ge=0, le=10)]] = Field(default_factory=dict)
     provenance: dict[str, Any] = Field(default_factory=dict)
 
-    def machine(self, sha256: str, path: str) -> AxisMachine:
+    def machine(self, sha256: str, path: str) -> Machine:
         """Return the axis that the file describes."""
-        return AxisMachine(
+        return machine_of_axis(
             self.name,
-            AxisParameters(**self.axis.model_dump()),
-            self.effects,
-            {"default": DEFAULT_UNCERTAINTY, **self.uncertainty},
-            self.provenance,
-            sha256,
-            path,
+            DrivenAxis(**self.axis.model_dump()),
+            effects=self.effects,
+            uncertainty={"default": DEFAULT_UNCERTAINTY, **self.uncertainty},
+            provenance=self.provenance,
+            sha256=sha256,
+            path=path,
         )
 
     def printer(self, sha256: str, path: str) -> Machine:

@@ -110,7 +110,7 @@ class VibrationModel(ABC):
     """Whether weight stretches what vibrates."""
     diagnosable: ClassVar[bool] = True
     """Whether `gap` and `diagnose` know what its printer feels."""
-    moves: ClassVar[Literal["carriages", "axes"]] = "carriages"
+    moves: ClassVar[Literal["carriages", "axes", "axis"]] = "carriages"
     """What the motors move, and with it which effects there may be."""
 
     @property

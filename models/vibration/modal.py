@@ -112,7 +112,7 @@ class ModalAxes(VibrationModel):
     position_dependent: ClassVar[bool] = False
     channels: ClassVar[tuple[str, str, str]] = AXES
     gravity_loaded: ClassVar[bool] = False  # weight stands on the frame, not on what vibrates
-    moves: ClassVar[Literal["carriages", "axes"]] = "axes"
+    moves: ClassVar[Literal["carriages", "axes", "axis"]] = "axes"
 
     @classmethod
     def of(cls, axes: Sequence[Axis], exchange: float = 0.0) -> ModalAxes:

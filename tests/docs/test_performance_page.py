@@ -16,8 +16,8 @@ from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.solve import solve
 from ffcomp.planner.program import plan_program
 from gcode.reader import read_program
-from models.delta_machine import delta_vibration
 from models.file import load_machine
+from models.kinds import delta_vibration
 from models.machine import Machine
 from studies.effects_compensated import machines_effects
 

@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from ffcomp.cli.machines import app
-from models.delta_machine import delta_vibration
 from models.file import LIBRARY, load_machine
+from models.kinds import delta_vibration
 from tests.support.cli import CliRunner, Result
 
 

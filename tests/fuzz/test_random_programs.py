@@ -21,8 +21,8 @@ from gcode.dialects import FLAVORS
 from gcode.emit import MoveWriter
 from gcode.program import ModalState, Moves
 from gcode.reader import read_program
-from models.delta_machine import delta_vibration, with_parts
 from models.file import load_machine
+from models.kinds import delta_vibration, with_parts
 from models.machine import Machine
 from validation.invariants import violations
 

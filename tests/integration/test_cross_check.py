@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from models.delta_machine import delta_vibration, with_parts
 from models.file import load_machine
+from models.kinds import delta_vibration, with_parts
 from models.machine import Machine
 from models.printer.printer import simulate_printer
 from validation import judge

@@ -6,8 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
-from models.axis.simulate import simulate_axis, with_effects
+from models.effects.catalogue import with_effects
 from models.file import load_plant
+from models.printer.one_axis import simulate_axis
 
 RATE = 400.0
 FILE = """

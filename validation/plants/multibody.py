@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.signal import StateSpace, lsim
 
-from models.delta_machine import delta_vibration
+from models.kinds import delta_vibration
 from models.machine import Machine
 from models.vibration.carriage import Drive
 

@@ -38,7 +38,7 @@ from models.printer.kernels.axes import (
 )
 from models.printer.kernels.axes_rows import ALL_ROWS, FIELDS, MODE, MODES, MOTION, MOTORS, STATE
 from models.printer.kernels.axes_sway import Sway, lighter, pull_of, stiffer, sway_rates
-from models.printer.kernels.friction import DRY, FADING, FADING_POWER, STICKING, dry_friction
+from models.printer.kernels.friction import DRY, FADING, FADING_POWER, STICKING, dry_friction, sliding_level
 from models.printer.kernels.jit import compiled, inlined
 from models.printer.kernels.motors import stiffness_by_length, torque
 from models.printer.kernels.record import (
@@ -47,7 +47,7 @@ from models.printer.kernels.record import (
     Row,
     Vector,
 )
-from models.printer.kernels.vectors import at, power, tanh
+from models.printer.kernels.vectors import at, power
 
 Axis: TypeAlias = tuple[float, float, float, float, float]  # strain of its friction, p₁, ṗ₁, p₂, ṗ₂
 Axes: TypeAlias = tuple[Axis, Axis, Axis, Sway]
@@ -320,8 +320,8 @@ def _axis_rate(
         level = at(m, DRY, n)
         if sticking:
             squared = (qd * at(m, FADING, n)) ** 2
-            faded = tanh(0.5 * (power(squared, at(m, FADING_POWER, n)) if odd else squared))
-            level += at(m, STICKING, n) * (1.0 - faded) / (1.0 + faded)
+            faded = power(squared, at(m, FADING_POWER, n)) if odd else squared
+            level = sliding_level(level, at(m, STICKING, n), faded)
         force, strain = dry_friction(m, n, level, qd, y[0])
         drive -= force * at(m, COMPLIANCE, n)
     follow, more = drive_rate + qd, stiffer(m, n, x) if swaying else 0.0

@@ -35,11 +35,24 @@ def strain_rate(hold: float, ratio: float, speed: float, strain: float) -> float
 
 
 @inlined
+def bristle_rate(bristles: float, lag: float, rate: float, state: float) -> float:
+    """Return ż of bristles that bend over 1/`bristles`, and follow at speed by `lag` later."""
+    way = abs(rate) * bristles
+    return (rate * bristles - way * state) / (1.0 + way * lag)
+
+
+@inlined
+def sliding_level(dry: float, sticking: float, power: float) -> float:
+    """Return ℓ with its Stribeck part, `power` = |q̇/v_s|^δ; e to the −2x is (1 − tanh x)/(1 + tanh x)."""
+    faded = tanh(0.5 * power)
+    return dry + sticking * (1.0 - faded) / (1.0 + faded)
+
+
+@inlined
 def dry_friction(m: FloatArray, n: int, level: float, rate: float, state: float) -> tuple[float, float]:
     """Return the friction of a guide and the rate of its state: how far bristles are bent, or the strain."""
     ratio, bristles = rate / at(m, CREEP, n), at(m, BRISTLES, n)
-    way = abs(rate) * bristles
-    bending = (rate * bristles - way * state) / (1.0 + way * at(m, BRISTLE_LAG, n))
+    bending = bristle_rate(bristles, at(m, BRISTLE_LAG, n), rate, state)
     straining = strain_rate(at(m, HOLD, n), ratio, abs(ratio), state)
     bent = bristles > 0.0
     return level * (state if bent else tanh(ratio + state)), bending if bent else straining
@@ -47,7 +60,7 @@ def dry_friction(m: FloatArray, n: int, level: float, rate: float, state: float)
 
 @compiled
 def stribeck(m: FloatArray) -> None:
-    """Evaluate ℓ with its Stribeck part near rest, exp −|q̇/v_s|^δ; e to the −2x is (1 − tanh x)/(1 + tanh x)."""
+    """Evaluate ℓ with its Stribeck part near rest, exp −|q̇/v_s|^δ."""
     uneven = has_powers(m)
     for n in range(3 * LANES):
         m[LEVEL * LANES + n] = (at(m, NOW + QD, n) * at(m, FADING, n)) ** 2
@@ -55,8 +68,7 @@ def stribeck(m: FloatArray) -> None:
         for n in range(3 * LANES):
             m[LEVEL * LANES + n] = power(at(m, LEVEL, n), at(m, FADING_POWER, n))
     for n in range(3 * LANES):
-        faded = tanh(0.5 * at(m, LEVEL, n))
-        m[LEVEL * LANES + n] = at(m, DRY, n) + at(m, STICKING, n) * (1.0 - faded) / (1.0 + faded)
+        m[LEVEL * LANES + n] = sliding_level(at(m, DRY, n), at(m, STICKING, n), at(m, LEVEL, n))
 
 
 @compiled

@@ -118,13 +118,19 @@ def cogging(m: FloatArray) -> None:
 @inlined
 def rippled(m: FloatArray, n: int, command: float, rate: float) -> tuple[float, float]:
     """Return the ripple of one motor's position under a command, and its rate."""
-    amplitude, wave = at(m, COGGING, n), at(m, WAVE, n)
-    phase = wave * command + at(m, PHASE, n)
-    up, down = at(m, SECOND_SINE, n), at(m, SECOND_COSINE, n)
-    first, second = sine_cosine(phase)
-    twice_sine, twice_cosine = 2.0 * first * second, 1.0 - 2.0 * first * first
-    slope = second + 2.0 * (up * twice_cosine - down * twice_sine)
-    return amplitude * (first + up * twice_sine + down * twice_cosine), amplitude * wave * slope * rate
+    second = at(m, SECOND_SINE, n), at(m, SECOND_COSINE, n)
+    return ripple(at(m, COGGING, n), at(m, WAVE, n), at(m, PHASE, n), second[0], second[1], command, rate)
+
+
+@inlined
+def ripple(
+    amplitude: float, wave: float, phase: float, up: float, down: float, command: float, rate: float
+) -> tuple[float, float]:
+    """Return a (sin θ + s₂ sin 2θ + c₂ cos 2θ), θ = wave u + φ, and its rate."""
+    sine, cosine = sine_cosine(wave * command + phase)
+    twice_sine, twice_cosine = 2.0 * sine * cosine, 1.0 - 2.0 * sine * sine
+    slope = cosine + 2.0 * (up * twice_cosine - down * twice_sine)
+    return amplitude * (sine + up * twice_sine + down * twice_cosine), amplitude * wave * slope * rate
 
 
 @compiled
@@ -169,17 +175,25 @@ def stiffness_by_length(m: FloatArray, n: int, q: float) -> float:
     return 1.0 / max(1.0 - at(m, SLOPE, n) * (q - at(m, CENTRE, n)), SHORTEST)
 
 
+@inlined
+def belt_force(
+    k: float, c: float, spring: float, stretch: float, slip: float, landing: float, cubic: float, quintic: float
+) -> float:
+    """Return k s + k₃ s³ + k₅ s⁵ + (c + k λ |s|) ṡ; `spring` stands for s in its first part (a motor's a sin θ)."""
+    squared = stretch * stretch
+    force = k * spring + (cubic + quintic * squared) * stretch * squared
+    return force + (c + k * abs(stretch) * landing) * slip
+
+
 @compiled
 def belts(m: FloatArray) -> None:
     """Sum the forces on the carriages except the effector's: belt, viscous and dry friction, weight."""
     for n in range(3 * LANES):
         q, qd, stretch = at(m, NOW + Q, n), at(m, NOW + QD, n), at(m, STRETCH, n)
         k = at(m, BELT_K, n) * stiffness_by_length(m, n, q)
-        squared = stretch * stretch
-        harder = at(m, HARDENING, n) + at(m, QUINTIC, n) * squared
-        spring = k * at(m, SPRING, n) + harder * stretch * squared
-        damping = at(m, BELT_C, n) + k * abs(stretch) * at(m, LANDING, n)
-        belt = spring + damping * (at(m, MOTOR_RATE, n) - qd)
+        slip, landing = at(m, MOTOR_RATE, n) - qd, at(m, LANDING, n)
+        cubic, quintic = at(m, HARDENING, n), at(m, QUINTIC, n)
+        belt = belt_force(k, at(m, BELT_C, n), at(m, SPRING, n), stretch, slip, landing, cubic, quintic)
         belt = 0.0 if abs(at(m, MOTOR, n) - q) < at(m, HALF_BACKLASH, n) else belt
         m[PULL * LANES + n] = belt - at(m, GUIDE_B, n) * qd - at(m, GUIDES, n) - at(m, WEIGHT, n)
         m[(RATE + Q) * LANES + n] = qd

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import importlib
+import pkgutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,10 +11,8 @@ import numpy as np
 import pytest
 
 from models import effects
-from models.delta_machine import delta_vibration
 from models.effects.catalogue import (
     CATALOGUE,
-    NOT_EFFECTS,
     effective_machine,
     measured,
     values_of,
@@ -22,8 +22,10 @@ from models.effects.catalogue import (
 from models.effects.effect import Effect, Parameter, Signals
 from models.errors import MachineFileError
 from models.file import LIBRARY, load_machine
+from models.kinds import delta_vibration
 from models.machine import Machine
 from models.parameters import value_of
+from models.printer.kernels import record
 
 NAMED_BY_THE_FORMAT = {
     "coulomb_friction": {"force_n"},
@@ -58,16 +60,31 @@ def test_every_name_of_the_format_is_there() -> None:
         assert {p.name for p in CATALOGUE[name].parameters if p.default is None} == parameters  # others are optional
 
 
-def test_an_effect_has_the_name_of_its_file() -> None:
-    files = {path.stem for path in Path(effects.__path__[0]).glob("*.py")} - {"__init__", *NOT_EFFECTS}
-    assert set(CATALOGUE) == files
+def test_every_declared_effect_is_in_the_catalogue() -> None:
+    modules = [importlib.import_module(f"models.effects.{m.name}") for m in pkgutil.iter_modules(effects.__path__)]
+    declared = {x.name for module in modules for x in vars(module).values() if isinstance(x, Effect)}
+    assert declared == set(CATALOGUE)
 
 
 @pytest.mark.parametrize("effect", EFFECTS)
 def test_kind_and_hooks_agree(effect: Effect) -> None:
     assert (effect.fold is not None) == (effect.kind == "parameter")
     assert (effect.measure is not None) == (effect.kind == "sensor")
+    assert (effect.terms is not None) == (effect.kind in ("force", "command", "frame"))
     assert effect.amplitudes or not effect.parameters
+    assert effect.remedy.format(where="").endswith((".", ")"))
+
+
+@pytest.mark.parametrize("effect", [e for e in CATALOGUE.values() if e.terms is not None])
+def test_the_kernels_know_every_term_of_an_effect(effect: Effect) -> None:
+    assert effect.terms is not None
+    values = {p.name: p.as_array([p.probe] * 3 if p.size == "vector3" else _of(p)) for p in effect.by_name.values()}
+    terms = effect.terms(values, {"motor_k": np.ones(3), "holder_mass": 1.0})
+    assert terms.keys() <= {*(record.PARAMETERS.names or ()), *record.AXIS_PARAMETERS}
+
+
+def _of(p: Parameter) -> object:
+    return "x" if p.size == "direction" else p.probe
 
 
 @pytest.mark.parametrize("effect", EFFECTS)

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from models.arrays import constant
-from models.delta_machine import delta_vibration, with_parts
+from models.kinds import delta_vibration, with_parts
 from models.machine import Machine
 
 M_C, M_F, M_1, M_2, M_ADD = 0.179, 0.032, 0.542, 0.109, 0.2

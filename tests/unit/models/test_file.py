@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from models.delta_machine import delta_vibration
 from models.errors import MachineFileError
 from models.file import LIBRARY, entries, load_machine, machine_paths, starting_text
+from models.kinds import delta_vibration
 
 LIBRARY_FILES = sorted(LIBRARY.glob("*.toml"))
 

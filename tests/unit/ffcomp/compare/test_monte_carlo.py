@@ -13,9 +13,9 @@ from ffcomp.compare.monte_carlo import TRUNCATION_SD, draw_plants
 from ffcomp.compensate.batch import workers
 from ffcomp.simulate.playback import check_same_kinematics
 from models.arrays import constant
-from models.delta_machine import delta_vibration, with_parts
 from models.errors import MachineFileError
 from models.file import load_machine
+from models.kinds import delta_vibration, with_parts
 from models.parameters import value_of
 from tests.support.mismatch import SEEDS, study, tuned
 

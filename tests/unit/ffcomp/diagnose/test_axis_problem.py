@@ -17,25 +17,28 @@ from ffcomp.diagnose.validation import check_alike
 from ffcomp.errors import MeasurementError
 from ffcomp.identify.axis_shots import shots_of
 from ffcomp.measurement.axis_run import AxisRun, read_axis_run
-from models.axis.machine import AxisMachine, AxisParameters
-from models.axis.simulate import simulate_axis, with_effects
+from models.effects.catalogue import with_effects
+from models.kinds import driven_axis, machine_of_axis
+from models.machine import Machine
+from models.printer.one_axis import simulate_axis
+from models.vibration.driven_axis import DrivenAxis
 
 RATE = 500.0
-STAGE = AxisMachine("stage", AxisParameters("force", 20.0, 0.0, 60.0), uncertainty={"default": 0.02})
-DRIVE = AxisMachine("drive", AxisParameters("position", 2.0, 2e4, 30.0), uncertainty={"default": 0.02})
+STAGE = machine_of_axis("stage", DrivenAxis("force", 20.0, 0.0, 60.0), uncertainty={"default": 0.02})
+DRIVE = machine_of_axis("drive", DrivenAxis("position", 2.0, 2e4, 30.0), uncertainty={"default": 0.02})
 
 
-def runs_of(machine: AxisMachine, seed: int, **effects: Any) -> list[AxisRun]:
+def runs_of(machine: Machine, seed: int, **effects: Any) -> list[AxisRun]:
     """Two repeats of one motion with noise; of a free axis the position, of a driven one the acceleration."""
     rng = np.random.default_rng(seed)
     t = np.arange(3000) / RATE
     shape = rng.normal(size=40)
     wave = np.interp(t, np.linspace(0, t[-1], 40), shape * np.r_[0, np.ones(38), 0])
-    given = 30.0 * wave if machine.axis.by_force else 4.0 * np.convolve(wave, np.hanning(41) / 20, "same")
+    given = 30.0 * wave if driven_axis(machine).by_force else 4.0 * np.convolve(wave, np.hanning(41) / 20, "same")
     motion = simulate_axis(with_effects(machine, effects), given, 1 / RATE)
     found = []
     for k in (1, 2):
-        if machine.axis.by_force:
+        if driven_axis(machine).by_force:
             position = {"pos_q": motion.position_mm + 1e-4 * rng.normal(size=len(t))}
             found.append(AxisRun(f"a-{k}.csv", t, given, True, {}, position, {}))
         else:
@@ -45,7 +48,7 @@ def runs_of(machine: AxisMachine, seed: int, **effects: Any) -> list[AxisRun]:
     return found
 
 
-def found(machine: AxisMachine, *names: str, **effects: Any) -> Diagnosis:
+def found(machine: Machine, *names: str, **effects: Any) -> Diagnosis:
     return diagnose(
         AxisProblem(machine, runs_of(machine, 3, **effects), names or ("coulomb_friction", "belt_hardening"))
     )
@@ -123,8 +126,8 @@ def test_a_spring_that_hardens_is_named_on_a_driven_axis() -> None:
 
 def test_of_two_springs_the_one_that_hardens_is_found() -> None:
     """What is named after belts may be of the drive or of the coupling, and the file says of which."""
-    axis = AxisParameters("position", 2.0, 2e4, 30.0, 1.0, 3e4, 5.0)
-    loaded = AxisMachine("loaded", axis, uncertainty={"default": 0.02})
+    axis = DrivenAxis("position", 2.0, 2e4, 30.0, 1.0, 3e4, 5.0)
+    loaded = machine_of_axis("loaded", axis, uncertainty={"default": 0.02})
     told = found(loaded, "belt_hardening", belt_hardening={"cubic_n_per_m3": 4e9, "at_drive": 1})
     assert told.named is not None and told.named.names == ("belt_hardening",)
     assert told.final.values["effects.belt_hardening.at_drive"] == 1.0
@@ -142,7 +145,7 @@ def test_a_number_of_the_file_is_not_bent_where_an_effect_says_it() -> None:
 
 
 @pytest.mark.parametrize("machine", [STAGE, DRIVE])
-def test_nothing_is_named_where_nothing_is_missing(machine: AxisMachine) -> None:
+def test_nothing_is_named_where_nothing_is_missing(machine: Machine) -> None:
     assert found(machine).verdict == "none"
 
 

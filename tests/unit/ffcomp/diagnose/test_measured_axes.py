@@ -12,8 +12,9 @@ from ffcomp.diagnose.axis_problem import AxisProblem
 from ffcomp.diagnose.diagnosis import Diagnosis, diagnose
 from ffcomp.diagnose.settings import SETTINGS
 from ffcomp.measurement.axis_run import AxisRun, read_axis_run
-from models.axis.machine import AxisMachine
 from models.file import load_plant
+from models.kinds import is_one_axis
+from models.machine import Machine
 from studies import measured_axes
 from studies.measured_axes import BOUC_WEN_HZ, DATA, FINER, NOISE_MM
 
@@ -27,9 +28,9 @@ TRIED = (
 )
 
 
-def loaded(paths: list[Path]) -> tuple[AxisMachine, list[AxisRun]]:
+def loaded(paths: list[Path]) -> tuple[Machine, list[AxisRun]]:
     machine = load_plant(paths[0])
-    assert isinstance(machine, AxisMachine)
+    assert is_one_axis(machine)
     return machine, [read_axis_run(path) for path in paths[1:]]
 
 

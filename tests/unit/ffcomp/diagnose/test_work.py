@@ -19,11 +19,13 @@ from ffcomp.diagnose.result import result_of
 from ffcomp.diagnose.score_test import loudest_motions, screen, subset_of
 from ffcomp.diagnose.settings import SETTINGS
 from ffcomp.measurement.axis_run import AxisRun
-from models.axis.machine import AxisMachine, AxisParameters
-from models.axis.simulate import simulate_axis, with_effects
+from models.effects.catalogue import with_effects
+from models.kinds import machine_of_axis
+from models.printer.one_axis import simulate_axis
+from models.vibration.driven_axis import DrivenAxis
 
 RATE, ROWS, MOTIONS = 500.0, 700, 5
-DRIVE = AxisMachine("drive", AxisParameters("position", 2.0, 2e4, 30.0), uncertainty={"default": 0.02})
+DRIVE = machine_of_axis("drive", DrivenAxis("position", 2.0, 2e4, 30.0), uncertainty={"default": 0.02})
 FRICTION = "effects.coulomb_friction.force_n"
 MILLION = 1e6
 

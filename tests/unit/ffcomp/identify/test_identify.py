@@ -14,8 +14,8 @@ from ffcomp.identify.paper import carriage_step, identify_as_paper
 from ffcomp.identify.predict import predicted
 from ffcomp.identify.uncertainty import Joint, joined, through
 from ffcomp.identify.uncertainty import measured as by_scale
-from models.delta_machine import delta_vibration, with_parts
 from models.file import load_machine
+from models.kinds import delta_vibration, with_parts
 from models.machine import Machine
 from models.parameters import value_of, with_values
 from models.vibration.carriage import Drive

@@ -5,8 +5,8 @@ import pytest
 
 from ffcomp.errors import SolverError
 from ffcomp.identify.rational import fit_rational, fit_values
-from models.delta_machine import delta_vibration
 from models.file import load_machine
+from models.kinds import delta_vibration
 from models.vibration.carriage import command_frf
 from tests.support.identification import FREQUENCY_HZ, blank, measured
 

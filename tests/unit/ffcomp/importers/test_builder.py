@@ -10,9 +10,9 @@ import pytest
 from ffcomp.importers.builder import machine_text
 from ffcomp.importers.hints import HINTS, still_assumed
 from ffcomp.importers.values import PrinterConfigError
-from models.delta_machine import delta_vibration
 from models.errors import MachineFileError
 from models.file import LIBRARY, check_text, entries, load_machine
+from models.kinds import delta_vibration
 from tests.support.configs import COREXY, SHAPER, Delta, drafted, imported, written
 
 

@@ -12,8 +12,8 @@ import pytest
 from ffcomp.cli.app import app
 from ffcomp.inverse.bandwidth import HIGHEST, LOWEST_HZ, _square, effort_curve, effort_weight
 from ffcomp.inverse.settings import settings_for
-from models.delta_machine import delta_vibration, with_parts
 from models.file import load_machine
+from models.kinds import delta_vibration, with_parts
 from models.machine import Machine
 from tests.support.cli import CliRunner
 

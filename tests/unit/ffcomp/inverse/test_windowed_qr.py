@@ -24,8 +24,8 @@ from ffcomp.planner.lookahead import plan_moves
 from ffcomp.planner.machine_limits import planner_limits
 from ffcomp.planner.sections import split_sections
 from gcode.reader import read_program
-from models.delta_machine import delta_vibration, with_parts
 from models.file import load_machine
+from models.kinds import delta_vibration, with_parts
 from models.machine import Machine
 from models.vibration.scheduled import interpolate, models_along
 

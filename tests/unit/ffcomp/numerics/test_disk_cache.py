@@ -12,8 +12,8 @@ from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.settings import settings_for
 from ffcomp.numerics import disk_cache as kept
 from ffcomp.numerics.numba_cache import OUR_VARIABLE
-from models.delta_machine import delta_vibration, with_parts
 from models.file import load_machine
+from models.kinds import delta_vibration, with_parts
 from models.machine import Machine
 
 HERE, THERE = np.array([[0.0, 0.0], [12.0, -30.0]]), np.array([[-50.0, 20.0]])

@@ -15,8 +15,8 @@ from ffcomp.identify.predict import predicted
 from ffcomp.measurement.frf import FrequencyResponse
 from ffcomp.measurement.frf_files import write_frf
 from ffcomp.report.model import _spread, draw_bode, draw_map, map_verdict
-from models.delta_machine import delta_vibration
 from models.file import load_machine
+from models.kinds import delta_vibration
 from models.machine import Machine
 from models.vibration.carriage import command_frf, with_added_mass
 from models.vibration.mode_map import mode_map

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from ffcomp import shapers
 from models.arrays import constant
-from models.delta_machine import delta_vibration, with_parts
 from models.file import load_machine
+from models.kinds import delta_vibration, with_parts
 from models.machine import Machine
 
 FloatArray = NDArray[np.float64]

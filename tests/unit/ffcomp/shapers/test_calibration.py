@@ -17,8 +17,8 @@ from ffcomp.measurement.vibration import read_vibration
 from ffcomp.shapers import calibration as calibrate
 from ffcomp.shapers import search
 from models.arrays import constant
-from models.delta_machine import delta_vibration, with_parts
 from models.file import load_machine
+from models.kinds import delta_vibration, with_parts
 from models.machine import Machine
 
 FloatArray = NDArray[np.float64]

@@ -13,9 +13,9 @@ from ffcomp.compare.sampling import Print
 from ffcomp.metrics import contour_error
 from ffcomp.simulate.command import planned_motion
 from ffcomp.simulate.playback import side_by_side, simulate_nozzles, simulate_side_by_side
-from models.delta_machine import delta_vibration
 from models.effects.catalogue import with_effect
 from models.file import load_machine
+from models.kinds import delta_vibration
 from models.printer.static_deflection import static_deflection
 from tests.support.prints import squares
 from validation import judge

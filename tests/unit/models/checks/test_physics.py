@@ -9,8 +9,8 @@ import pytest
 
 from models.arrays import constant
 from models.checks.physics import bed, check_physics, unstable_positions
-from models.delta_machine import delta_vibration, with_parts
 from models.file import LIBRARY, load_machine
+from models.kinds import delta_vibration, with_parts
 from models.machine import Machine
 
 NAMES = sorted(

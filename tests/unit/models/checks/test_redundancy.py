@@ -7,8 +7,8 @@ from dataclasses import replace
 import pytest
 
 from models.checks.redundancy import Quantity, redundancy_problems, redundant_quantities
-from models.delta_machine import delta_vibration, with_parts
 from models.file import LIBRARY, load_machine
+from models.kinds import delta_vibration, with_parts
 from models.machine import Machine
 
 NAMES = sorted(path.stem for path in LIBRARY.glob("*.toml"))

@@ -10,8 +10,8 @@ import pytest
 from scipy.interpolate import CubicSpline
 
 from models.arrays import constant
-from models.delta_machine import delta_vibration, with_parts
 from models.errors import UnreachableError
+from models.kinds import delta_vibration, with_parts
 from models.kinematics.delta import DeltaKinematics
 from models.machine import Machine
 from models.printer.parameters import GRAVITY_M_PER_S2

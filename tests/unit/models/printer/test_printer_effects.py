@@ -10,9 +10,9 @@ import pytest
 from scipy.interpolate import CubicSpline
 
 from models.arrays import constant
-from models.delta_machine import delta_vibration, with_parts
 from models.effects.catalogue import CATALOGUE, effective_machine, with_effect
 from models.effects.effect import Effect
+from models.kinds import delta_vibration, with_parts
 from models.machine import Machine
 from models.printer.kernels.record import GUIDE
 from models.printer.parameters import GRAVITY_M_PER_S2

@@ -13,9 +13,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.interpolate import CubicSpline
 
-from models.delta_machine import delta_vibration, with_parts
 from models.effects.catalogue import with_effect
 from models.errors import UnreachableError
+from models.kinds import delta_vibration, with_parts
 from models.kinematics.delta import DeltaKinematics
 from models.machine import Machine
 from models.printer.kernels import integrate, jit, record

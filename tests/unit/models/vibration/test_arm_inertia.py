@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from models.delta_machine import delta_vibration, with_parts
+from models.kinds import delta_vibration, with_parts
 from models.machine import Machine
 
 PLACES = np.array([[0.0, 0.0], [70.0, -40.0], [-20.0, 110.0]])

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from models.arrays import constant
-from models.delta_machine import delta_vibration, with_parts
 from models.file import load_machine
+from models.kinds import delta_vibration, with_parts
 from models.machine import Machine
 from models.vibration.mode_map import ModeMap, kinds, mode_map, numbers
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from models.delta_machine import delta_vibration, with_parts
+from models.kinds import delta_vibration, with_parts
 
 pytest.importorskip("control", reason="python-control is not installed: pip install 'ffcomp[control]'.")
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from models.arrays import constant
-from models.delta_machine import delta_vibration, with_parts
+from models.kinds import delta_vibration, with_parts
 from models.machine import Machine
 from models.vibration.carriage import command_frf, drive_frf, force_frf, impedance, with_added_mass
 from models.vibration.delta import STATES, Q

@@ -16,9 +16,9 @@ from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.nonlinear.friction_backlash import FrictionBacklash, guide_friction
 from ffcomp.inverse.reference import Reference
 from ffcomp.inverse.settings import settings_for
-from models.delta_machine import delta_vibration
 from models.effects.catalogue import with_effect
 from models.file import load_machine
+from models.kinds import delta_vibration
 from models.machine import Machine
 from models.printer.kernels.friction import MOST_STRAIN
 from models.printer.parameters import printer_parameters

@@ -8,17 +8,19 @@ from typing import Any
 import numpy as np
 import pytest
 
-from models.axis.kernel import NAMES
-from models.axis.machine import AxisMachine, AxisParameters
-from models.axis.simulate import AxisMotion, axis_effects, kernel_parameters, simulate_axis, substeps_of, with_effects
-from models.effects.catalogue import CATALOGUE, effects_of
+from models.effects.catalogue import CATALOGUE, effects_of, with_effects
 from models.errors import MachineFileError
 from models.file import load_machine, load_plant
+from models.kinds import driven_axis, is_one_axis, machine_of_axis
+from models.machine import Machine
+from models.printer.kernels.record import AXIS_PARAMETERS
+from models.printer.one_axis import AxisMotion, axis_effects, axis_parameters, simulate_axis, substeps_of
+from models.vibration.driven_axis import DrivenAxis
 
 DT = 1e-3
-FREE = AxisMachine("free", AxisParameters("force", 100.0, 0.0, 500.0))
-SPRUNG = AxisMachine("sprung", AxisParameters("position", 2.0, 2e5, 40.0))
-TWO = AxisMachine("two", AxisParameters("force", 1.0, 0.0, 0.0, 3.0, 4e4, 0.0))
+FREE = machine_of_axis("free", DrivenAxis("force", 100.0, 0.0, 500.0))
+SPRUNG = machine_of_axis("sprung", DrivenAxis("position", 2.0, 2e5, 40.0))
+TWO = machine_of_axis("two", DrivenAxis("force", 1.0, 0.0, 0.0, 3.0, 4e4, 0.0))
 FILE = """
 format = "ffcomp-machine/1"
 name = "lift"
@@ -32,7 +34,7 @@ damping_n_s_per_m = 40.0
 """
 
 
-def moved(machine: AxisMachine, given: np.ndarray, **effects: Any) -> AxisMotion:
+def moved(machine: Machine, given: np.ndarray, **effects: Any) -> AxisMotion:
     return simulate_axis(with_effects(machine, effects), given, DT)
 
 
@@ -106,13 +108,13 @@ def test_play_is_a_dead_band_and_a_late_command_is_late() -> None:
     np.testing.assert_allclose(late, moved(SPRUNG, slow).position_mm[500:1490], atol=2e-3)
 
 
-LOADED = AxisMachine("loaded", AxisParameters("position", 2.0, 2e5, 40.0, 1.0, 8e4, 10.0))
+LOADED = machine_of_axis("loaded", DrivenAxis("position", 2.0, 2e5, 40.0, 1.0, 8e4, 10.0))
 
 
 def test_what_is_named_after_belts_is_of_the_spring_that_the_file_says() -> None:
     """A drive's change of stiffness is the drive's stiffness; its play lets both masses lag by half of it."""
     slow = 5.0 * np.sin(2 * np.pi * np.arange(2000) * DT)
-    softer = AxisMachine("softer", AxisParameters("position", 2.0, 1.6e5, 40.0, 1.0, 8e4, 10.0))
+    softer = machine_of_axis("softer", DrivenAxis("position", 2.0, 1.6e5, 40.0, 1.0, 8e4, 10.0))
     told = moved(LOADED, slow, belt_stiffness={"relative_change": -0.2, "at_drive": 1})
     np.testing.assert_allclose(told.position_mm, moved(softer, slow).position_mm, atol=1e-12)
     lag = {}
@@ -132,7 +134,7 @@ def test_what_is_named_after_belts_is_of_the_spring_that_the_file_says() -> None
     np.testing.assert_array_equal(*one)  # it has one spring
 
 
-PROBES: dict[str, tuple[AxisMachine, dict[str, float]]] = {
+PROBES: dict[str, tuple[Machine, dict[str, float]]] = {
     "belt_backlash": (SPRUNG, {"width_mm": 0.05}),
     "belt_hardening": (SPRUNG, {"cubic_n_per_m3": 1e13}),
     "belt_stiffness": (SPRUNG, {"relative_change": 0.2}),
@@ -160,15 +162,13 @@ def test_every_effect_of_an_axis_does_something_at_any_step(name: str) -> None:
     kind = "acc_q" if name == "sensor_gain" else "pos_q"
     assert np.std(found[kind] - plain[kind]) > 1e-3 * np.std(plain[kind])
     own = with_effects(machine, {name: values})
-    steps = substeps_of(kernel_parameters(own), DT)
+    steps = substeps_of(axis_parameters(own), DT)
     finer = simulate_axis(own, given, DT, substeps=8 * steps).position_mm
     change = simulate_axis(own, given, DT).position_mm
     assert np.abs(change - finer).max() < 0.02 * np.abs(change - moved(machine, given).position_mm).max() + 1e-4
 
 
-def _with(
-    machine: AxisMachine, given: np.ndarray, name: str, values: dict[str, float]
-) -> tuple[AxisMotion, AxisMachine]:
+def _with(machine: Machine, given: np.ndarray, name: str, values: dict[str, float]) -> tuple[AxisMotion, Machine]:
     own = with_effects(machine, {name: values})
     return simulate_axis(own, given, DT), own
 
@@ -177,7 +177,7 @@ def test_what_needs_a_spring_or_a_command_is_not_of_a_free_axis() -> None:
     missing = set(effects_of("axis")) - set(axis_effects(FREE))
     assert missing == {"belt_backlash", "belt_hardening", "belt_stiffness", "cogging"}
     assert set(effects_of("axis")) - set(axis_effects(SPRUNG)) == {"ground_spring"}
-    assert len(NAMES) == len(kernel_parameters(FREE))
+    assert len(AXIS_PARAMETERS) == len(axis_parameters(FREE))
 
 
 def test_an_axis_goes_to_infinity_in_words() -> None:
@@ -189,8 +189,8 @@ def test_the_file_of_an_axis(tmp_path: Path) -> None:
     path = tmp_path / "lift.toml"
     path.write_text(FILE)
     found = load_plant(path)
-    assert isinstance(found, AxisMachine) and found.axis.mass_kg == 2.0
-    assert found.tunable == ("axis.mass_kg", "axis.stiffness_n_per_m", "axis.damping_n_s_per_m")
+    assert is_one_axis(found) and driven_axis(found).mass_kg == 2.0
+    assert found.vibration.tunable == ("axis.mass_kg", "axis.stiffness_n_per_m", "axis.damping_n_s_per_m")
     with pytest.raises(MachineFileError, match="no G-code"):
         load_machine(path)
 

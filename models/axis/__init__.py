@@ -1,1 +1,0 @@
-"""One axis by itself, driven by a force or by a position: its numbers, its equations, its simulation."""

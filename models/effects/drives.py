@@ -1,0 +1,350 @@
+"""What lies between a command and its carriage: delay, motor, belt, play."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from models.arrays import FloatArray
+from models.effects.effect import AT_DRIVE, USUAL_SHARE, Effect, OnAxis, Parameter, Terms, Values
+from models.machine import Machine
+
+DRIVE = "axis.stiffness_n_per_m"
+USUAL_STRETCH = OnAxis(size=lambda s: 1e3 * USUAL_SHARE * s.stretch_m)
+
+
+def _with_belts(machine: Machine, values: Values) -> Machine:
+    """Scale the belts' stiffness; of an axis by itself, that of its drive where that is meant."""
+    change, model = values["relative_change"], machine.vibration
+    if float(values["at_drive"]) > 0.5:
+        drive = model.value(DRIVE) * (1 + float(change[0]))
+        return replace(machine, vibration=model.with_parameters({DRIVE: drive}))
+    return replace(machine, vibration=model.with_belts(change, machine.kinematics.motors))
+
+
+BELT_STIFFNESS = Effect(
+    name="belt_stiffness",
+    title="Belts tighter or slacker than the file says",
+    kind="parameter",
+    physics="Tension, wear and temperature change how much a belt gives way.",
+    equation="k → k (1 + r)",
+    parameters=(
+        Parameter(
+            "relative_change",
+            "",
+            "r, of belt stiffness",
+            (-0.9, 10),
+            (-0.3, 0.3),
+            0.02,
+            size="per_tower",
+            on_axis=OnAxis(size=lambda s: USUAL_SHARE),
+        ),
+    ),
+    in_data="Resonances shift together; with one tower's belt, those that move this tower.",
+    confounded_with={
+        "effector_mass": "Two places on the bed: mass shifts the modes in other proportions.",
+        "belt_position_stiffness": "Two heights: only there the shift depends on the carriage's height.",
+        "torque_angle": "Two amplitudes: a belt's stiffness is the same for both.",
+    },
+    fold=_with_belts,
+    of_axis=(AT_DRIVE,),
+    of=("carriages", "axes", "axis"),
+    needs="spring",
+    remedy="Check the belts' tension{where}, and tension them alike (same note when plucked).",
+    corrects_file=True,
+    of_motors=True,
+)
+
+
+def _position_terms(values: Values, printer: Terms) -> Terms:
+    return {"slope": values["slope_per_m"], "centre": values["q_centre_mm"] / 1e3}
+
+
+BELT_POSITION_STIFFNESS = Effect(
+    name="belt_position_stiffness",
+    title="Belts softer the longer their free length",
+    kind="force",
+    physics="The free length of the belt between motor and carriage changes as the carriage travels.",
+    equation="k(q) = k / (1 − r (q − q_c)), 4 k at most",
+    parameters=(
+        Parameter("slope_per_m", "1/m", "r", (-5, 5), (-1, 1), 0.05, size="per_tower"),
+        Parameter(
+            "q_centre_mm",
+            "mm",
+            "q_c: the height at which the file's k holds",
+            (-1000, 10000),
+            (100, 800),
+            10.0,
+            size="per_tower",
+            role="shape",
+        ),
+    ),
+    in_data="Resonances differ between low and high prints at the same place over the bed.",
+    confounded_with={"belt_stiffness": "Two heights: a constant change does not depend on them."},
+    terms=_position_terms,
+    remedy="Check the belts' tension at both ends of the travel{where}, and pulleys out of line.",
+    of_motors=True,
+)
+
+
+def _hardening_terms(values: Values, printer: Terms) -> Terms:
+    cubic, quintic = values["cubic_n_per_m3"], values["quintic_n_per_m5"]
+    peak = _peak_stretch(printer["motor_k"], cubic, quintic)
+    return {"cubic": cubic, "quintic": quintic, "peak_stretch": peak, "hardens_at_drive": values["at_drive"]}
+
+
+def _peak_stretch(stiffness: FloatArray, cubic: FloatArray, quintic: FloatArray) -> FloatArray:
+    """Return the least stretch s > 0 with k + 3 k₃ s² + 5 k₅ s⁴ = 0 : (3,) m; infinite where the force has no peak."""
+    inside = 9 * cubic**2 - 20 * stiffness * quintic
+    # 2 k/(−3 k₃ + √…) is the smaller root s², and holds for k₅ = 0 too
+    below = -3 * cubic + np.sqrt(np.maximum(inside, 0.0))
+    softens = (inside >= 0) & (below > 0)
+    return np.where(softens, np.sqrt(2 * stiffness / np.where(softens, below, 1.0)), np.inf)
+
+
+BELT_HARDENING = Effect(
+    name="belt_hardening",
+    title="Belts that harden or soften as they stretch",
+    kind="force",
+    physics="Teeth settle and fibres straighten: the belt's force is not quite in proportion to its stretch.",
+    equation="F = k s + k₃ s³ + k₅ s⁵, s = u − q; constant beyond its peak, if it has one",
+    parameters=(
+        Parameter(
+            "cubic_n_per_m3",
+            "N/m³",
+            "k₃; negative softens",
+            (-1e15, 1e15),
+            (-5e11, 2e12),
+            1e11,
+            size="per_tower",
+            on_axis=OnAxis(size=lambda s: USUAL_SHARE * max(s.stiffness_n_per_m, 1.0) / s.stretch_m**2),
+            on_printers=(0.0, 1e15),  # what softens there to the same third order is a motor's sine
+        ),
+        Parameter(
+            "quintic_n_per_m5", "N/m⁵", "k₅", (-1e24, 1e24), (-1e18, 2e18), 1e17, "per_tower", "shape", default=0.0
+        ),
+    ),
+    in_data=(
+        "Resonances shift with amplitude; a sine answers with harmonics: the third, and, as the weight has stretched "
+        "the belts already, the second."
+    ),
+    confounded_with={
+        "torque_angle": "Its cubic part is the same, k₃ = −k/(6a²); only a larger stretch separates the two.",
+        "belt_stiffness": "Two amplitudes: only here the stiffness depends on them.",
+    },
+    of_axis=(AT_DRIVE,),
+    of=("carriages", "axes", "axis"),
+    terms=_hardening_terms,
+    needs="spring",
+    remedy="Tension the belts{where}: a belt that stiffens as it is pulled hangs loose, or a clamp gives.",
+    of_motors=True,
+)
+
+
+def _play_terms(values: Values, printer: Terms) -> Terms:
+    half, landing = values["width_mm"] / 2e3, values["landing_s_per_m"]
+    return {"half_backlash": half, "landing": landing, "play_at_drive": values["at_drive"]}
+
+
+BELT_BACKLASH = Effect(
+    name="belt_backlash",
+    title="Play between motor and carriage",
+    kind="force",
+    physics="A loose pulley or tooth moves freely through a dead band; spring and damper of the belt act outside it.",
+    equation="F = k (s − w/2 sgn s) + c ṡ for |s| > w/2, else 0",
+    parameters=(
+        Parameter(
+            "width_mm",
+            "mm",
+            "w: the full dead band",
+            (0, 5),
+            (0.01, 0.2),
+            0.02,
+            size="per_tower",
+            on_axis=OnAxis(size=lambda s: 1e3 * USUAL_SHARE * s.stretch_m),
+        ),
+        Parameter(
+            "landing_s_per_m",
+            "s/m",
+            "λ: how the flanks damp what lands on them (Hunt & Crossley, 1975)",
+            (0, 100),
+            (0, 0.5),
+            0.05,
+            size="per_tower",
+            role="shape",
+            default=0.0,
+        ),
+    ),
+    in_data=(
+        "Knocks when the belt's force changes sign. A vertical belt always carries the weight: play shows only where "
+        "the motion pushes harder than gravity pulls."
+    ),
+    confounded_with={
+        "coulomb_friction": "Friction acts whenever a carriage turns back, play only when the belt's force does.",
+        "torque_angle": "Slack softens small forces, a motor's torque softens large ones.",
+    },
+    of_axis=(AT_DRIVE,),
+    of=("carriages", "axes", "axis"),
+    terms=_play_terms,
+    needs="spring",
+    remedy="Look for play{where}: loose pulley screws, worn arms or joints, a belt clamp that gives.",
+    of_motors=True,
+)
+
+
+def _torque_terms(values: Values, printer: Terms) -> Terms:
+    return {"inverse_amplitude": 1e3 / values["amplitude_mm"], "belt_share": values["belt_share"]}
+
+
+TORQUE_ANGLE = Effect(
+    name="torque_angle",
+    title="Motors near their holding torque",
+    kind="force",
+    physics="A stepper's torque is a sine of the angle between rotor and field: soft near its peak.",
+    equation="F = k a sin θ, s = u − q = a ((1 − b) θ + b sin θ)",
+    parameters=(
+        Parameter(
+            "amplitude_mm",
+            "mm",
+            "a: a quarter wave is π a / 2; four full steps are 2 π a",
+            (0.01, 100),
+            (0.1, 2),
+            0.5,
+            size="per_tower",
+            power=-2,
+        ),
+        Parameter(
+            "belt_share",
+            "",
+            "b: of the give between motor and carriage, what is the belt's and not the motor's",
+            (0, 0.45),
+            (0, 0.3),
+            0.05,
+            role="shape",
+            default=0.0,
+        ),
+    ),
+    in_data="Nothing at normal current; near the peak force k a, softer resonances and lost steps (slips of 2 π a).",
+    confounded_with={
+        "belt_hardening": "The same to third order; only a larger stretch separates the two.",
+        "belt_backlash": "Small motions: play softens them, the sine does not.",
+    },
+    terms=_torque_terms,
+    remedy="Raise the motor current within what the motors bear, or lower accelerations.",
+    of_motors=True,
+)
+
+
+def _cogging_terms(values: Values, printer: Terms) -> Terms:
+    return {
+        "ripple": values["amplitude_mm"] / 1e3,
+        "wave": 2e3 * np.pi / values["pitch_mm"],
+        "phase": np.radians(values["phase_deg"]),
+        "second_sine": values["second_sine"],
+        "second_cosine": values["second_cosine"],
+    }
+
+
+PITCH_SHARES = np.geomspace(1 / 40, 1 / 2, 12)  # of the travel, tried as pitches on an axis by itself
+
+
+COGGING = Effect(
+    name="cogging",
+    title="Motors that ripple once per step cycle",
+    kind="command",
+    physics="The rotor's equilibrium between full steps is not where an even current split would put it.",
+    equation="u → u + a (sin θ + s₂ sin 2θ + c₂ cos 2θ),  θ = 2π u_d / p + φ",
+    parameters=(
+        Parameter(
+            "amplitude_mm",
+            "mm",
+            "a",
+            (0, 1),
+            (0.002, 0.05),
+            0.005,
+            size="per_tower",
+            on_axis=OnAxis(size=lambda s: 1e3 * USUAL_SHARE * s.stretch_m),
+        ),
+        Parameter(
+            "pitch_mm",
+            "mm",
+            "p: command from ripple to ripple, as a rule one or four full steps",
+            (0.01, 50),
+            (0.1, 1),
+            0.01,
+            size="per_tower",
+            role="shape",
+            on_axis=OnAxis(starts=lambda s: (1e3 * s.travel_m * PITCH_SHARES).tolist()),
+        ),
+        Parameter(
+            "phase_deg",
+            "deg",
+            "φ: where in its cycle a motor stands at height zero",
+            (-360, 360),
+            (-180, 180),
+            5.0,
+            size="per_tower",
+            role="shape",
+            default=0.0,
+            starts=(0.0, 90.0, 180.0, -90.0),
+        ),
+        Parameter(
+            "second_sine",
+            "",
+            "s₂: of a half of the pitch",
+            (-2, 2),
+            (-0.3, 0.3),
+            0.02,
+            "per_tower",
+            "shape",
+            default=0.0,
+        ),
+        Parameter("second_cosine", "", "c₂", (-2, 2), (-0.3, 0.3), 0.02, "per_tower", "shape", default=0.0),
+    ),
+    in_data="A line at speed/p that moves with the speed; stripes on the print at a fixed pitch.",
+    confounded_with={
+        "belt_stiffness": "Moves at several speeds: a resonance stays where it is, ripple moves with the speed."
+    },
+    of=("carriages", "axes", "axis"),
+    terms=_cogging_terms,
+    needs="command",
+    remedy="Calibrate the drivers' microsteps or lower the current{where}; stiffer mounts do not help.",
+    of_motors=True,
+)
+
+
+def _delay_terms(values: Values, printer: Terms) -> Terms:
+    return {"delay": values["delay_s"]}
+
+
+COMMAND_DELAY = Effect(
+    name="command_delay",
+    title="Motors that follow their command late",
+    kind="command",
+    physics="Electronics, filters and step pulses take time; the motor plays the command of a moment ago.",
+    equation="u_d(t) → u_d(t − τ)",
+    parameters=(
+        Parameter(
+            "delay_s",
+            "s",
+            "τ",
+            (0, 0.1),
+            (1e-4, 5e-3),
+            1e-4,
+            size="per_tower",
+            on_axis=OnAxis(size=lambda s: USUAL_SHARE / s.highest_hz),
+        ),
+    ),
+    in_data="The whole answer shifts in time, the phase falls in proportion to frequency.",
+    confounded_with={
+        "guide_damping": "Several speeds and frequencies: damping lowers the resonance, a delay does not.",
+        "sensor_time_offset": "A delay of one tower only, or position sensors on the same clock as the command.",
+    },
+    of=("carriages", "axes", "axis"),
+    terms=_delay_terms,
+    remedy="Nothing to mend: the firmware or drives act late{where}. With it in the file it is compensated.",
+    of_motors=True,
+)
+
+EFFECTS = (BELT_STIFFNESS, BELT_POSITION_STIFFNESS, BELT_HARDENING, BELT_BACKLASH, TORQUE_ANGLE, COGGING, COMMAND_DELAY)
