@@ -14,7 +14,7 @@ from ffcomp.diagnose.print_gain import print_gain
 from ffcomp.diagnose.residuals import ResidualSize
 from ffcomp.diagnose.result import DiagnosisResult
 from ffcomp.diagnose.sentences import said
-from ffcomp.diagnose.what_to_do import REMEDIES, what_to_do
+from ffcomp.diagnose.what_to_do import what_to_do
 from ffcomp.identify.uncertainty import normal
 from models.effects.catalogue import CATALOGUE
 from models.file import load_machine
@@ -127,7 +127,7 @@ def test_every_finding_has_sentences_and_steps(finding: str) -> None:
 
 
 def test_every_effect_has_a_remedy_and_uneven_towers_are_named() -> None:
-    assert set(REMEDIES) == set(CATALOGUE)
+    assert all(effect.remedy for effect in CATALOGUE.values())
     found = replace(result(), effects={"coulomb_friction": {"force_n": [1.0, 4.0, 1.1]}})
     assert what_to_do(found)[0].startswith("Clean and oil the rails, first of tower B;")
     slinger = replace(found, effects={"belt_stiffness": {"relative_change": [0.0, -0.2, 0.0]}})
