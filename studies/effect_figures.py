@@ -245,6 +245,13 @@ SHOWN: dict[str, Shown] = {
             trace(Sine("z", 1.0, 12.0, 6), "acc_A", 0.25, 0.45, "with 0.6 g"),
         ),
     ),
+    "belt_damping": Shown(
+        {"share": [0.6, 0.6, 0.0]},
+        "The size of the answer hardly changes; its phase lags less, most of all around the resonance. Shown on "
+        "`ender-3`.",
+        (response("x", "acc_x", "size"), response("x", "acc_x", "angle", angle=True)),
+        machine="ender-3",
+    ),
     "belt_hardening": Shown(
         {"cubic_n_per_m3": 2e12},
         "A sine of 14 Hz answers with harmonics as well: the stronger, the louder it is.",

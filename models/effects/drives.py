@@ -57,6 +57,37 @@ BELT_STIFFNESS = Effect(
 )
 
 
+def _with_belt_damping(machine: Machine, values: Values) -> Machine:
+    """Move damping from the guides to the belts."""
+    return replace(machine, vibration=machine.vibration.with_belt_damping(values["share"]))
+
+
+BELT_DAMPING = Effect(
+    name="belt_damping",
+    title="Belts that hold a part of the damping",
+    kind="parameter",
+    physics=(
+        "What damps an axis sits in its belts as well, between motor and carriage, and not only in the guides, between "
+        "carriage and frame. The resonance is as high either way; but belts let a carriage keep up with a steady speed."
+    ),
+    equation="q/u = (s c λ + k)/(m λ² + c λ + k),  c = 2 ζ ω m",
+    parameters=(
+        Parameter("share", "", "s: of the guides' damping, what is the belts'", (0, 1), (0, 0.6), 0.1, "per_tower"),
+    ),
+    in_data="Nearly as if all channels were early alike, by 2 ζ s/ω; most of it close to the resonance and above.",
+    confounded_with={
+        "sensor_time_offset": "Tones above the resonance: there an offset turns the phase on, belts only once.",
+        "command_delay": "Tones above the resonance: there a delay turns the phase on, belts only once.",
+        "guide_damping": "The resonance: guides change its height, the belts' share does not.",
+    },
+    fold=_with_belt_damping,
+    of=("axes",),
+    remedy="Nothing to mend: write the share in the file, belt_damping_share of each axis{where}.",
+    corrects_file=True,
+    of_motors=True,
+)
+
+
 def _position_terms(values: Values, printer: Terms) -> Terms:
     return {"slope": values["slope_per_m"], "centre": values["q_centre_mm"] / 1e3}
 
@@ -347,4 +378,13 @@ COMMAND_DELAY = Effect(
     of_motors=True,
 )
 
-EFFECTS = (BELT_STIFFNESS, BELT_POSITION_STIFFNESS, BELT_HARDENING, BELT_BACKLASH, TORQUE_ANGLE, COGGING, COMMAND_DELAY)
+EFFECTS = (
+    BELT_STIFFNESS,
+    BELT_DAMPING,
+    BELT_POSITION_STIFFNESS,
+    BELT_HARDENING,
+    BELT_BACKLASH,
+    TORQUE_ANGLE,
+    COGGING,
+    COMMAND_DELAY,
+)

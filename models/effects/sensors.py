@@ -85,7 +85,10 @@ SENSOR_TIME_OFFSET = Effect(
     equation="a(t) → a(t − τ)",
     parameters=(Parameter("offset_s", "s", "τ: the record is late", (-10, 10), (-0.01, 0.01), 1e-4),),
     in_data="All channels late alike.",
-    confounded_with={"command_delay": "Alike in every channel: only position sensors on the command's clock can tell."},
+    confounded_with={
+        "command_delay": "Alike in every channel: only position sensors on the command's clock can tell.",
+        "belt_damping": "Tones above the resonance: there an offset turns the phase on, belts only once.",
+    },
     measure=_shifted,
     shifts_time=True,
     remedy="Nothing to mend on the printer: join captures by the firmware's clock (ffcomp record join).",

@@ -17,7 +17,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from models.arrays import FloatArray
+from models.arrays import BoolArray, FloatArray
 from models.effects.effect import Signals
 from models.errors import UnreachableError
 from models.kinematics.base import Kinematics
@@ -321,7 +321,7 @@ def longest_step(p: PrinterParameters, modes: FloatArray) -> float:
 
 def longest_of_modes(modes: FloatArray) -> float:
     """Return the longest step, s, that follows the quickest mode of straight axes; infinite without any."""
-    swinging = modes[:, FREQUENCY2] * (modes[:, BELT_DAMPING] == 0.0) * (modes[:, SHARE] != 0.0)
+    swinging = modes[:, FREQUENCY2] * ~_is_rigid(modes) * (modes[:, SHARE] != 0.0)
     return float(WELL_FOLLOWED / np.sqrt(np.max(swinging))) if swinging.any() else math.inf
 
 
@@ -339,12 +339,17 @@ def _limit_stiffness(p: PrinterParameters, step_s: float) -> PrinterParameters:
     return wider
 
 
+def _is_rigid(modes: FloatArray) -> BoolArray:
+    """Tell which of the modes (n, 7, 3) stand for axes that do not vibrate: their belts alone overdamp them."""
+    return np.asarray(modes[:, BELT_DAMPING] ** 2 > 3.0 * modes[:, FREQUENCY2])
+
+
 def _limit_rigidity(modes: FloatArray, step_s: float) -> FloatArray:
     """Slow a rigid axis down to what the step can resolve, with the same damping ratio."""
-    if not modes[:, BELT_DAMPING].any():
+    rigid = _is_rigid(modes)
+    if not rigid.any():
         return modes
     slower = np.ones_like(modes[:, 0])
-    rigid = modes[:, BELT_DAMPING] > 0.0
     omega, c = np.sqrt(modes[:, FREQUENCY2][rigid]), modes[:, BELT_DAMPING][rigid]
     quickest = np.maximum(0.5 * c + np.sqrt(np.maximum(0.25 * c**2 - omega**2, 0.0)), omega)
     slower[rigid] = np.minimum(RESOLVED / (quickest * step_s), 1.0)

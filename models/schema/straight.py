@@ -44,10 +44,18 @@ class AxisTable(Table):
     share: Annotated[list[Annotated[float, Field(ge=-10, le=10)]], MODES] | None = None
     mass_kg: float | None = Field(None, ge=0.001, le=1000)
     mount_frequency_hz: float | None = Field(None, ge=1, le=1000)
+    belt_damping_share: float | None = Field(None, ge=0, le=1)
 
     def axis(self) -> Axis:
         """Return the axis with its modes."""
-        return Axis(self.frequency_hz, self.damping_ratio, self.share or [1.0], self.mass_kg, self.mount_frequency_hz)
+        return Axis(
+            self.frequency_hz,
+            self.damping_ratio,
+            self.share or [1.0],
+            self.mass_kg,
+            self.mount_frequency_hz,
+            self.belt_damping_share or 0.0,
+        )
 
 
 class AxesTable(Table):

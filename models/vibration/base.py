@@ -248,6 +248,10 @@ class VibrationModel(ABC):
         """Return the model with so much more (3,) on its actuators."""
         raise ValueError("This machine's carriages have a mass of their own; moved_mass is of straight axes.")
 
+    def with_belt_damping(self, share: FloatArray) -> Self:
+        """Return the model with so much (3,) of its guides' damping in its belts instead."""
+        raise ValueError("This machine's belts have a damping of their own; belt_damping is of straight axes.")
+
     @abstractmethod
     def describe(self) -> Description:
         """Return the words for headings."""

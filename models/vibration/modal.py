@@ -5,12 +5,13 @@ An axis q with commanded position u is the sum of oscillators side by side, q = 
     m_i p̈_i = k_i (σ_i u − p_i) + c_i (σ_i u̇ − ṗ_i) − b_i ṗ_i
     q/u = Σ σ_i (c_i s + k_i)/(m_i s² + (c_i + b_i) s + k_i)
 
-A mode of natural frequency ω and damping ratio ζ has k = ω² m, b = 2 ζ ω m and c = 0; only ratios to the modal mass
-matter. A rigid axis is one stiff oscillator, damped by c, which does not make it lag. The states are (p_i, ṗ_i) of
-every oscillator, those of x first. mm, s.
+A mode of natural frequency ω and damping ratio ζ has k = ω² m and b + c = 2 ζ ω m, of which the belts hold c; only
+ratios to the modal mass matter. A rigid axis is one stiff oscillator, damped by c, which does not make it lag. The
+states are (p_i, ṗ_i) of every oscillator, those of x first. mm, s.
 
-Where the same belts drive x and y, they may exchange motion by δ (`models/effects/belt_stiffness.py`): in place of u,
-each axis follows u + δ (w − q_d), with the w and the driven point q_d of the other axis. Else nothing couples the axes.
+Where the same belts drive x and y, they may exchange motion by δ (`belt_stiffness` in `models/effects`): in place of u,
+the springs of each axis follow u + δ (w − q_d), with the w and the driven point q_d of the other axis. Else nothing
+couples the axes.
 """
 
 from __future__ import annotations
@@ -48,17 +49,19 @@ class Axis:
     share: Sequence[float] = (1.0,)
     mass_kg: float | None = None  # all that the belt moves; None: forces are per kilogram of it
     mount_frequency_hz: float | None = None  # of the nozzle on what the belt drives, that held; None: not known
+    belt_damping_share: float = 0.0  # of the damping, what the belts hold and not the guides
 
     @property
     def oscillators(self) -> tuple[Oscillator, ...]:
         """Return the axis' modes; the last one takes what share the others leave."""
         if not self.frequency_hz:
             omega = 2 * np.pi * RIGID_HZ
-            return (Oscillator(omega**2, 0.0, 2 * RIGID_DAMPING * omega),)
+            return (Oscillator(omega**2, 0.0, 2 * RIGID_DAMPING * omega, rigid=True),)
         shares = [*self.share[: len(self.frequency_hz) - 1]]
         shares.append(1.0 - sum(shares))
         modes = zip(self.frequency_hz, self.damping_ratio, shares, strict=True)
-        return tuple(_oscillator(2 * np.pi * f, zeta, share) for f, zeta, share in modes)
+        free = (_oscillator(2 * np.pi * f, zeta, share) for f, zeta, share in modes)
+        return tuple(mode.with_belt_damping(self.belt_damping_share) for mode in free)
 
 
 @dataclass(frozen=True)
@@ -70,6 +73,7 @@ class Oscillator:
     belt_damping: float = 0.0  # c, 1/s
     share: float = 1.0  # σ, of either sign
     mass: float = 1.0  # m
+    rigid: bool = False  # it stands for an axis that does not vibrate
 
     @property
     def frequency_hz(self) -> float:
@@ -92,8 +96,19 @@ class Oscillator:
                 belt_damping=self.belt_damping * more,
             )
         if kind == "damping_ratio":
-            return replace(self, damping=2 * value * float(np.sqrt(self.stiffness * self.mass)) - self.belt_damping)
-        return replace(self, **{kind: value})
+            total = 2 * value * float(np.sqrt(self.stiffness * self.mass))
+            belts = self.belt_damping if self.rigid else total * self.belt_share
+            return replace(self, damping=total - belts, belt_damping=belts)
+        return replace(self, **{kind: value})  # type: ignore[arg-type]
+
+    @property
+    def belt_share(self) -> float:
+        """Return how much of the damping the belts hold."""
+        return self.belt_damping / (self.damping + self.belt_damping) if self.belt_damping else 0.0
+
+    def with_belt_damping(self, share: float) -> Oscillator:
+        """Return the mode with so much of its guides' damping in its belts instead."""
+        return replace(self, damping=self.damping * (1 - share), belt_damping=self.belt_damping + self.damping * share)
 
 
 def _oscillator(omega: float, zeta: float, share: float) -> Oscillator:
@@ -129,8 +144,8 @@ class ModalAxes(VibrationModel):
 
     @property
     def frequency_keys(self) -> tuple[str, ...]:
-        """Return the frequencies of each axis that is not rigid; c damps rigid axes only."""
-        vibrating = (name for name, modes in zip(AXES, self.axes, strict=True) if not modes[0].belt_damping)
+        """Return the frequencies of each axis that is not rigid."""
+        vibrating = (name for name, modes in zip(AXES, self.axes, strict=True) if not modes[0].rigid)
         return tuple(f"axes.{name}.frequency_hz" for name in vibrating)
 
     # ---- parameters
@@ -139,10 +154,11 @@ class ModalAxes(VibrationModel):
         """Return the numbers that decide how the machine vibrates; its geometry is calibrated, not guessed."""
         found = [
             Parameter(
-                f"axes.{AXES[axis]}.{kind}[{i}]", getattr(mode, kind), _column(axis, i, kind), *_of_file(axis, kind)
+                f"axes.{AXES[axis]}.{kind}[{i}]", getattr(mode, kind), _column(axis, i, known), *_of_file(axis, known)
             )
             for axis, i, mode in self._each()
             for kind in KINDS
+            for known in ("damping" if kind == "belt_damping" and mode.belt_damping and not mode.rigid else kind,)
         ]
         return ParameterSet(tuple(found), max(COLUMNS, *(p.column + 1 for p in found)))
 
@@ -180,7 +196,7 @@ class ModalAxes(VibrationModel):
         modes = tuple(
             f"axes.{AXES[axis]}.{key}[{i}]"
             for axis, i, mode in self._each()
-            if not mode.belt_damping
+            if not mode.rigid
             for key in ("frequency_hz", "damping_ratio")
         )
         return (*modes, *(f"axes.{AXES[axis]}.mount_frequency_hz" for axis in range(3) if _is_chain(self.axes[axis])))
@@ -244,6 +260,11 @@ class ModalAxes(VibrationModel):
         """Return the model with more friction (3,) of the guides, in proportion to speed."""
         return self._changed(damped=added_n_s_per_m)
 
+    def with_belt_damping(self, share: FloatArray) -> ModalAxes:
+        """Return the model with so much (3,) of its guides' damping in its belts instead."""
+        each = zip(self.axes, share.tolist(), strict=True)
+        return self._with_axes([[mode.with_belt_damping(part) for mode in modes] for modes, part in each])
+
     def with_moved_mass(self, added_kg: FloatArray) -> ModalAxes:
         """Return the model with so much more (3,) on the axes' driven points."""
         heavier = self._changed(heavier=added_kg)
@@ -267,17 +288,21 @@ class ModalAxes(VibrationModel):
 
     def axis_frf(self, s: ComplexArray) -> ComplexArray:
         """Return q/u of each axis: (k, 3) for s (k,) 1/s."""
-        return self._axis_frf(s)[0]
-
-    def _axis_frf(self, s: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
-        """Return q/w and q_d/w of each axis: (k, 3) for s (k,) 1/s."""
-        found, driven = np.zeros((2, len(s), 3), dtype=np.complex128)
-        for axis, i, o in self._each():
+        response = np.zeros((len(s), 3), dtype=np.complex128)
+        for axis, _, o in self._each():
             drive = o.belt_damping * s + o.stiffness
-            mode = o.share * drive / (o.mass * s**2 + (o.belt_damping + o.damping) * s + o.stiffness)
-            found[:, axis] += mode
-            driven[:, axis] += mode * self._part(axis, i)
-        return found, driven
+            response[:, axis] += o.share * drive / (o.mass * s**2 + (o.belt_damping + o.damping) * s + o.stiffness)
+        return response
+
+    def _by_springs_and_dampers(self, s: ComplexArray) -> ComplexArray:
+        """Return what springs make of w, then what dampers make of u, in q and in q_d of each axis: (2, 2, k, 3)."""
+        parts = np.zeros((2, 2, len(s), 3), dtype=np.complex128)
+        for axis, i, o in self._each():
+            mode = o.share / (o.mass * s**2 + (o.belt_damping + o.damping) * s + o.stiffness)
+            for part, force in zip(parts, (o.stiffness * mode, o.belt_damping * s * mode), strict=True):
+                part[0, :, axis] += force
+                part[1, :, axis] += force * self._part(axis, i)
+        return parts
 
     def _part(self, axis: int, i: int) -> float:
         """Return how much of a mode's p is in q_d: w/σ."""
@@ -291,11 +316,12 @@ class ModalAxes(VibrationModel):
 
     def carriage_response(self, xy: FloatArray, s: ComplexArray) -> ComplexArray:
         """Return G, commanded to real actuator positions, at (2,) mm and s (k,) 1/s: (k, 3, 3)."""
-        found, driven = self._axis_frf(s)
         if not self.exchange:
-            return np.asarray(found[:, None, :] * np.eye(3))
+            return np.asarray(self.axis_frf(s)[:, None, :] * np.eye(3))
         c, eye = self._coupling, np.eye(3)
-        return np.asarray(found[:, :, None] * np.linalg.solve(eye + c * driven[:, None, :], eye + c))
+        (sprung, sprung_driven), (damped, damped_driven) = self._by_springs_and_dampers(s)
+        w = np.linalg.solve(eye + c * sprung_driven[:, None, :], eye + c - c * damped_driven[:, None, :])
+        return np.asarray(sprung[:, :, None] * w + damped[:, None, :] * eye)
 
     def mechanics(self, xy: FloatArray) -> FloatArray:
         """Return d/dt of the m/2 coordinates and their rates with the motors held, (n, m, m), at (n, 2) mm."""
@@ -440,7 +466,7 @@ def _with_forces(
     new modes. They keep their own damping only: the rest of the damping matrix would couple them. A rigid axis has no
     numbers that a file could change.
     """
-    if modes[0].belt_damping:
+    if modes[0].rigid:
         return tuple(modes)
     omega2 = np.array([o.stiffness / o.mass for o in modes])
     share = np.array([o.share for o in modes])
@@ -451,9 +477,10 @@ def _with_forces(
         _modes(omega2, stiffer * k * more, heavier * more) if stiffer or heavier else (omega2, np.eye(len(phi)))
     )
     damping = shapes.T @ (np.diag([o.damping / o.mass for o in modes]) + damped * more) @ shapes
+    belts = shapes.T @ np.diag([o.belt_damping / o.mass for o in modes]) @ shapes
     shares = k * (1 + stiffer) * (shapes.T @ phi) * (shapes.T @ shown) / found
-    each = zip(found.tolist(), np.diag(damping).tolist(), shares.tolist(), strict=True)
-    return tuple(Oscillator(square, own, share=sigma) for square, own, sigma in each)
+    each = zip(found.tolist(), np.diag(damping).tolist(), np.diag(belts).tolist(), shares.tolist(), strict=True)
+    return tuple(Oscillator(square, guide, belt, share=sigma) for square, guide, belt, sigma in each)
 
 
 def _modes(omega2: FloatArray, stiffer: FloatArray, heavier: FloatArray) -> tuple[FloatArray, FloatArray]:

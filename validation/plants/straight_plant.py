@@ -33,6 +33,7 @@ class Plant:
     belt_n_per_m: tuple[float, float] = (4e4, 3.2e4)  # of each belt
     mount_n_per_m: tuple[float, float] = (8e4, 8e4)
     guide_n_s_per_m: tuple[float, float] = (18.0, 18.0)
+    belt_n_s_per_m: tuple[float, float] = (0.0, 0.0)  # of each belt, between its motor and the axes
     mount_n_s_per_m: tuple[float, float] = (2.0, 2.0)
     friction_n: tuple[float, float] = (0.0, 0.0)
     bristle_n_per_m: float = 4e5  # of LuGre's friction: in quick motion of little friction it must be softer
@@ -55,14 +56,15 @@ class Plant:
         """Return frequencies, damping ratios and shares of one axis' felt mass under its motor, belts alike."""
         pull = np.array(self.motors)
         k1, m1, m2 = float(pull[:, axis] ** 2 @ self.belt_n_per_m), self.carriage_kg[axis], self.tool_kg[axis]
+        held = self.guide_n_s_per_m[axis] + float(pull[:, axis] ** 2 @ self.belt_n_s_per_m)
         if m2 == 0.0:
             omega = np.sqrt(k1 / m1)
-            return [float(omega / 2 / np.pi)], [float(self.guide_n_s_per_m[axis] / (2 * m1 * omega))], [1.0]
+            return [float(omega / 2 / np.pi)], [float(held / (2 * m1 * omega))], [1.0]
         k2, mass = self.mount_n_per_m[axis], np.array([m1, m2])
         square, shape = np.linalg.eigh(np.array([[k1 + k2, -k2], [-k2, k2]]) / np.sqrt(np.outer(mass, mass)))
         shape = shape / np.sqrt(mass)[:, None]
         stretched = shape[0] - shape[1]
-        damping = self.guide_n_s_per_m[axis] * shape[0] ** 2 + self.mount_n_s_per_m[axis] * stretched**2
+        damping = held * shape[0] ** 2 + self.mount_n_s_per_m[axis] * stretched**2
         omega = np.sqrt(square)
         share = k1 * shape[0] * shape[1] / square
         return (omega / 2 / np.pi).tolist(), (damping / 2 / omega).tolist(), share.tolist()
@@ -88,6 +90,7 @@ def simulate(plant: Plant, command_mm: Array, rate_hz: float, height_mm: float =
         plant.play_m,
         plant.hardening_n_per_m3,
         plant.ripple_m,
+        plant.belt_n_s_per_m,
     )
     numbers = np.array([plant.pitch_m, plant.delay_s, *_gantry(plant), plant.bristle_n_per_m])
     found = _play(command_mm / 1e3, 1 / rate_hz, substeps, np.array(plant.motors), np.array(lists), numbers)
@@ -103,24 +106,29 @@ def _gantry(plant: Plant) -> list[float]:
 
 @njit(cache=True)
 def _motors(t: float, command: Array, dt: float, motors: Array, p: Array, numbers: Array) -> Array:
-    """Return where the motors are at t, (2,) m: late, and with their ripple."""
+    """Return where the motors are at t and how fast, (4,) m and m/s: late, and with their ripple."""
     at = min(max((t - numbers[1]) / dt, 0.0), len(command) - 1.0)
     row = min(int(at), len(command) - 2)
-    place = command[row] + (at - row) * (command[row + 1] - command[row])
-    u = motors @ place
+    step = command[row + 1] - command[row]
+    u = np.empty(4)
+    u[0:2] = motors @ (command[row] + (at - row) * step)
+    moving = 1.0 if 0.0 < at < len(command) - 1.0 else 0.0
+    u[2:4] = motors @ step * (moving / dt)
     for i in range(2):
-        phase = 2 * np.pi * u[i] / numbers[0]
+        wave = 2 * np.pi / numbers[0]
+        phase = wave * u[i]
         u[i] += p[9, i] * (np.sin(phase) + 0.1 * np.sin(3 * phase))
+        u[2 + i] *= 1.0 + p[9, i] * wave * (np.cos(phase) + 0.3 * np.cos(3 * phase))
     return u
 
 
 @njit(cache=True)
 def _pulls(y: Array, u: Array, motors: Array, p: Array, numbers: Array) -> Array:
     """Return the belts' forces on the axes, (2,) N."""
-    stretch, pull = u - motors @ y[0:2], np.zeros(2)
+    stretch, slip, pull = u[0:2] - motors @ y[0:2], u[2:4] - motors @ y[2:4], np.zeros(2)
     for i in range(2):
         s = stretch[i] - min(max(stretch[i], -p[7, i] / 2), p[7, i] / 2)
-        pull[i] = p[2, i] * s + p[8, i] * s**3
+        pull[i] = p[2, i] * s + p[8, i] * s**3 + (p[10, i] * slip[i] if s != 0.0 else 0.0)
     force = motors.T @ pull
     along = min(abs((y[0] - numbers[7]) / numbers[9]), 1.0)
     force[1] /= 1.0 + numbers[8] * (1.0 - along**2) ** 2

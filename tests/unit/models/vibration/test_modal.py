@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from models.arrays import constant
+from models.effects.catalogue import effective_machine, with_effect
 from models.errors import MachineFileError
 from models.file import load_machine
 from models.kinematics.cartesian import CARTESIAN, CartesianKinematics
@@ -43,6 +44,24 @@ def test_one_mode_is_the_textbook_resonance() -> None:
     off_diagonal = found.copy()
     off_diagonal[:, range(3), range(3)] = 0.0
     assert not off_diagonal.any()
+
+
+@pytest.mark.parametrize("share", [0.15, 0.5, 1.0])
+def test_what_the_belts_damp_follows_the_command(share: float) -> None:
+    """q/u = (s c λ + k)/(m λ² + c λ + k), c = 2 ζ ω m; the effect is what the file may state."""
+    omega, s = 2 * np.pi * 47.0, 2j * np.pi * F
+    expected = (share * 0.3 * omega * s + omega**2) / (s**2 + 0.3 * omega * s + omega**2)
+    stated = machine(Axis([47.0], [0.15], belt_damping_share=share))
+    effect = effective_machine(with_effect(machine(Axis([47.0], [0.15])), "belt_damping", share=[share, 0.0, 0.0]))
+    for each in (stated, effect):
+        np.testing.assert_allclose(each.vibration.carriage_response(np.zeros(2), s)[:, 0, 0], expected, rtol=1e-12)
+    tau, bend = stated.vibration.low_frequency(np.zeros((1, 2)))
+    small = np.array([0.5j])
+    series = 1 + tau[0] * small + bend[0, 0, 0] * small**2
+    np.testing.assert_allclose(1 / stated.vibration.carriage_response(np.zeros(2), small)[0, 0, 0], series, rtol=1e-7)
+    slower = stated.vibration.with_parameters({"axes.x.frequency_hz[0]": 40.0, "axes.x.damping_ratio[0]": 0.1})
+    mode = slower.axes[0][0]
+    assert (mode.belt_share, mode.damping_ratio) == pytest.approx((share, 0.1))
 
 
 @given(st.floats(20, 80), st.floats(1.0, 3.0), st.floats(0.01, 0.3), st.floats(0.01, 0.3), st.floats(0.05, 0.95))
