@@ -34,7 +34,7 @@ def main() -> None:
     others = compared(found.search)
     proof = {}
     if better.exists():
-        before, after = (gap(fresh, file).found.total for file in (folder / "machine.toml", better))
+        before, after = (gap(fresh, file).residual.total for file in (folder / "machine.toml", better))
         proof = {"before": before.nrms, "after": after.nrms, "noise": before.noise_nrms}
     written(out.parent / f"{out.stem}-proof.json", proof)
     tried = [{"effects": list(h.names), "evidence": h.fit.evidence, "left": h.discrepancy} for h in found.search.tried]

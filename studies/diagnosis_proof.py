@@ -237,7 +237,7 @@ def forced(folder: Path, owner: Path, runs: Sequence[Path], name: str) -> Wrong:
         plant = PrinterProblem(load_machine(owner), [read_recording(run) for run in runs], (name,))
         found = diagnose(plant)
         told = result_of(plant, found)
-        gaps = {"gap_before": told.before.nrms, "gap_after": told.after.nrms}
+        gaps = {"gap_before": told.gap.before.nrms, "gap_after": told.gap.after.nrms}
         said = {
             "name": name,
             "verdict": told.verdict,

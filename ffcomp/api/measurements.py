@@ -2,30 +2,21 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from datetime import date
-from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ffcomp.api.machines import load_plant
-from ffcomp.diagnose.diagnosis import Diagnosis as Search
-from ffcomp.diagnose.diagnosis import diagnose as search_effects
 from ffcomp.diagnose.gap import Discrepancy, measure_gap
-from ffcomp.diagnose.json import diagnosis_json
-from ffcomp.diagnose.problems import check_recordings, problem_of, recordings_of, separated
-from ffcomp.diagnose.result import DiagnosisResult, better_file, result_of
-from ffcomp.diagnose.settings import SETTINGS
+from ffcomp.diagnose.problems import Plant, recordings_of
 from ffcomp.diagnose.validation import Recorded
+from ffcomp.diagnose.verb import Diagnosis, diagnose_files
 from ffcomp.errors import RequestError, extras_told
 from ffcomp.identify.fitting import FitRequest, fit_files
 from ffcomp.identify.identify import Identified
-from ffcomp.identify.machine_fit import MachineFit, Method, hash_of
+from ffcomp.identify.machine_fit import MachineFit, Method
 from gcode.atomic_write import replace_atomically
-from models.file import check_text
-from models.machine import Machine
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -156,31 +147,6 @@ def gap(
     return measure_gap(loaded, _recordings(recordings, loaded, plan))
 
 
-@dataclass(frozen=True, eq=False)
-class Diagnosis:
-    """The effects that a machine file lacks, if any.
-
-    Attributes
-    ----------
-    result : verdict, effects with intervals, retuned parameters and the discrepancy before and after
-    output : the improved machine file; None: not written
-    """
-
-    result: DiagnosisResult
-    search: Search
-    output: Path | None
-    seconds: float
-
-    @property
-    def verdict(self) -> str:
-        """Return "effects", "none" or "unknown"."""
-        return self.result.verdict
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the JSON object ffcomp-diagnose/1."""
-        return diagnosis_json(self.result, None if self.output is None else str(self.output), None, self.seconds)
-
-
 def diagnose(
     recordings: Sequence[str | Path],
     machine: str | Path | Machine,
@@ -206,16 +172,16 @@ def diagnose(
     ------
     MeasurementError, MachineFileError
     """
-    began, loaded, files = time.monotonic(), load_plant(machine), _paths(recordings)
-    measured = recordings_of(loaded, files, plan, progress=progress)
-    problem = problem_of(loaded, measured)
-    check_recordings(problem, measured, without_repeats)
-    search = search_effects(problem, progress, inf if thorough else SETTINGS.budget_steps)
-    found = separated(problem, search, result_of(problem, search))
-    target = Path(output) if output is not None and found.mends else None
-    if target is not None:
-        hashes = [hash_of(path) for path in files]
-        text = better_file(Path(loaded.path), target.stem, found, hashes, date.today().isoformat())
-        check_text(text, str(target))
-        replace_atomically(target, [text.encode()])
-    return Diagnosis(found, search, target, time.monotonic() - began)
+    target = None if output is None else Path(output)
+    diagnosis = diagnose_files(
+        _paths(recordings),
+        load_plant(machine),
+        target,
+        plan=plan,
+        without_repeats=without_repeats,
+        thorough=thorough,
+        progress=progress,
+    )
+    if diagnosis.output is not None:
+        replace_atomically(diagnosis.output, [diagnosis.better_file().encode()])
+    return diagnosis

@@ -11,10 +11,7 @@ from ffcomp.cli.options import AsJson, CaptureAxes, Force, MachineName, MovesPla
 from ffcomp.request import ACCURACY, OUTPUT
 
 if TYPE_CHECKING:
-    from ffcomp.diagnose.diagnosis import Diagnosis
-    from ffcomp.diagnose.print_gain import PrintGain
-    from ffcomp.diagnose.problem import Problem
-    from ffcomp.diagnose.result import DiagnosisResult
+    from ffcomp.diagnose.verb import Diagnosis
 
 Output = Annotated[
     Path | None,
@@ -72,40 +69,38 @@ def diagnose(
 
     _check_targets(output, report, force)
     with exit_codes():
-        import time
-        from math import inf
+        from dataclasses import replace
 
         from ffcomp.cli.search_progress import SearchProgress
         from ffcomp.diagnose.diagnosis import USUAL_S
-        from ffcomp.diagnose.diagnosis import diagnose as searched
-        from ffcomp.diagnose.json import diagnosis_json
-        from ffcomp.diagnose.problems import check_recordings, gain_of, problem_of, recordings_of, separated
-        from ffcomp.diagnose.result import result_of
-        from ffcomp.diagnose.settings import SETTINGS
+        from ffcomp.diagnose.verb import diagnose_files
         from ffcomp.record.axes import turn_of
+        from gcode.atomic_write import replace_atomically
         from models.file import load_plant
 
-        began = time.monotonic()
-        loaded = load_plant(machine)
-
-        def progress(sentence: str) -> None:
-            say(f"ffcomp: {sentence}", quiet)
-
-        measured = recordings_of(loaded, runs, plan, turn_of(axes_map), progress)
-        problem = problem_of(loaded, measured)
-        check_recordings(problem, measured, without_repeats)
+        plant = load_plant(machine)
         with SearchProgress(quiet, USUAL_S) as shown:
-            search = searched(problem, shown, inf if thorough else SETTINGS.budget_steps)
-        found = separated(problem, search, result_of(problem, search))
-        better = output if found.mends else None
-        gain = gain_of(loaded, found)
-        page = _page(problem, search, found, better, report, runs, began, gain)
-        files = _better(problem, found, better, runs) | page
-        _write(files)
+            diagnosis = diagnose_files(
+                runs,
+                plant,
+                output,
+                plan=plan,
+                turn=turn_of(axes_map),
+                without_repeats=without_repeats,
+                thorough=thorough,
+                progress=lambda sentence: say(f"ffcomp: {sentence}", quiet),
+                search_progress=shown,
+            )
+        diagnosis = replace(diagnosis, report=report)
+        files = {} if diagnosis.output is None else {diagnosis.output: diagnosis.better_file().encode()}
+        if report is not None:
+            files[report] = _page(diagnosis)
+        for path, content in files.items():  # all are complete before the first is written
+            replace_atomically(path, [content])
         if as_json:
-            print_json(diagnosis_json(found, _text(better), _text(report), time.monotonic() - began, gain))
+            print_json(diagnosis.to_dict())
         else:
-            _print(found, better, report, gain)
+            _print(diagnosis)
 
 
 def _check_targets(output: Path | None, report: Path | None, force: bool) -> None:
@@ -121,68 +116,29 @@ def _check_targets(output: Path | None, report: Path | None, force: bool) -> Non
         raise typer.BadParameter(f"{report}: --report and --output must be two files.")
 
 
-def _better(problem: Problem, found: DiagnosisResult, target: Path | None, runs: list[Path]) -> dict[Path, bytes]:
-    """Make the improved machine file, if it is asked for and an effect is named."""
-    if target is None:
-        return {}
+def _page(diagnosis: Diagnosis) -> bytes:
+    """Make the report."""
     from datetime import date
 
-    from ffcomp.diagnose.result import better_file
-    from ffcomp.identify.machine_fit import hash_of
-    from models.file import check_text
-
-    hashes = [hash_of(path) for path in runs]
-    text = better_file(Path(problem.path), target.stem, found, hashes, date.today().isoformat())
-    check_text(text, str(target))
-    return {target: text.encode()}
-
-
-def _page(
-    problem: Problem,
-    search: Diagnosis,
-    found: DiagnosisResult,
-    better: Path | None,
-    target: Path | None,
-    runs: list[Path],
-    began: float,
-    gain: PrintGain | None,
-) -> dict[Path, bytes]:
-    """Make the report, if it is asked for."""
-    if target is None:
-        return {}
-    import time
-    from datetime import date
-
-    from ffcomp.diagnose.problems import proposals_of
     from ffcomp.diagnose.summary import summarise
     from ffcomp.identify.machine_fit import hash_of
-    from ffcomp.report.diagnose.html import page
-    from ffcomp.report.diagnose.inputs import Origin, ReportInput
+    from ffcomp.report.diagnose import page
+    from ffcomp.report.diagnose.sentences import Origin, ReportInput
     from ffcomp.version import __version__
 
-    drawn, proposals = summarise(problem, search), proposals_of(problem, search)
+    problem, gain = diagnosis.problem, diagnosis.print_gain
     origin = Origin(
         machine=problem.name,
         machine_file=hash_of(Path(problem.path)),
-        runs=[hash_of(path) for path in runs],
+        runs=[hash_of(path) for path in diagnosis.runs],
         date=date.today().isoformat(),
         version=__version__,
-        seconds=time.monotonic() - began,
-        written="" if better is None else better.name,
+        seconds=diagnosis.seconds,
+        written="" if diagnosis.output is None else diagnosis.output.name,
     )
-    return {target: page(ReportInput(found, drawn, proposals, origin, "" if gain is None else gain.sentence()))}
-
-
-def _write(files: dict[Path, bytes]) -> None:
-    """All are complete before the first is written."""
-    from gcode.atomic_write import replace_atomically
-
-    for path, content in files.items():
-        replace_atomically(path, [content])
-
-
-def _text(path: Path | None) -> str | None:
-    return None if path is None else str(path)
+    summary = summarise(problem, diagnosis.search)
+    sentence = "" if gain is None else gain.sentence()
+    return page.page(ReportInput(diagnosis.result, summary, diagnosis.proposals(), origin, sentence))
 
 
 def _digits(value: Any) -> str:
@@ -191,28 +147,30 @@ def _digits(value: Any) -> str:
     return value if isinstance(value, str) else f"{value:.4g}"
 
 
-def _print(found: DiagnosisResult, written: Path | None, report: Path | None, gain: PrintGain | None) -> None:
-    from ffcomp.diagnose.sentences import said
+def _print(diagnosis: Diagnosis) -> None:
+    from ffcomp.diagnose.sentences import summary_sentences
     from ffcomp.diagnose.what_to_do import what_to_do
     from models.effects.catalogue import CATALOGUE
 
-    first, *others = said(found)
+    result, written = diagnosis.result, diagnosis.output
+    named = result.effects if result.verdict == "effects" else {}
+    first, *others = summary_sentences(result)
     print(first)
-    for name in found.effects if found.verdict == "effects" else ():
+    for name in named:
         print(f"  {name}: {CATALOGUE[name].title.lower()}")
-        for key, e in found.parameters(name).items():
+        for key, e in result.parameters(name).items():
             print(f"    {key} = {_digits(e['value'])}   (90 %: {_digits(e['low'])} to {_digits(e['high'])})")
     print(*others, sep="\n", end="\n" if others else "")
-    for name, how in found.confounded_with if found.verdict == "effects" else ():
+    for name, how in result.confounded_with if named else ():
         print(f"Looks alike: {name}. To tell them apart: {how}")
-    if found.invisible:
-        print(f"These runs could not show: {', '.join(found.invisible)}.")
+    if result.invisible:
+        print(f"These runs could not show: {', '.join(result.invisible)}.")
     print("What to do:")
-    for step in what_to_do(found):
+    for step in what_to_do(result):
         print(f"  - {step}")
-    if gain is not None:
-        print(gain.sentence())
+    if diagnosis.print_gain is not None:
+        print(diagnosis.print_gain.sentence())
     if written:
         print(f"{written}: written. Compare with new runs: ffcomp gap NEW-RUNS --machine {written}")
-    if report:
-        print(f"Report: {report}")
+    if diagnosis.report:
+        print(f"Report: {diagnosis.report}")

@@ -9,8 +9,6 @@ from ffcomp.cli.options import AsJson, CaptureAxes, MachineName, MovesPlanFile, 
 if TYPE_CHECKING:
     from ffcomp.diagnose.gap import Discrepancy
 
-NO_GAP = 1.1  # times the noise
-
 
 def gap(
     runs: Runs,
@@ -36,37 +34,35 @@ def gap(
 
         loaded = load_plant(machine)
         measured = recordings_of(loaded, runs, plan, turn_of(axes_map), lambda text: say(f"ffcomp: {text}", False))
-        found = measure_gap(loaded, measured)
+        discrepancy = measure_gap(loaded, measured)
         if as_json:
-            print_json(found.to_dict())
+            print_json(discrepancy.to_dict())
         else:
-            _print(found)
+            _print(discrepancy)
 
 
 def _print(discrepancy: Discrepancy) -> None:
-    from ffcomp.diagnose.gap import over_noise
-
-    found = discrepancy.found
+    residual = discrepancy.residual
     origin = (
         "repeats"
         if discrepancy.from_repeats
         else "the spectrum above the model's band, which is weaker: measure something twice"
     )
     print(
-        f"Simulation and measurement differ by {100 * found.total.nrms:.2f} % of the signals; noise alone would leave "
-        f"{100 * found.total.noise_nrms:.2f} % (known from {origin})."
+        f"Simulation and measurement differ by {100 * residual.total.nrms:.2f} % of the signals; noise alone would "
+        f"leave {100 * residual.total.noise_nrms:.2f} % (known from {origin})."
     )
-    for title, sizes in (("signal", found.signals), ("run", found.recordings)):
+    for title, sizes in (("signal", residual.signals), ("run", residual.recordings)):
         width = max(map(len, sizes))
         for name, size in sizes.items():
-            print(f"  {title} {name:{width}}  {100 * size.nrms:7.2f} %  {over_noise(size):7.1f} times the noise")
+            print(f"  {title} {name:{width}}  {100 * size.nrms:7.2f} %  {size.over_noise:7.1f} times the noise")
     for note in discrepancy.notes:
         print(note)
-    if over_noise(found.total) < NO_GAP and not discrepancy.notes:
+    if residual.total.over_noise < 1.1 and not discrepancy.notes:
         print("There is no gap: what differs is noise.")
         return
-    loud = sorted(found.bands, key=lambda band: -band[2])[:3]
+    loud = sorted(residual.bands, key=lambda band: -band[2])[:3]
     print("  most of it: " + ", ".join(f"{low:g}-{high:g} Hz {100 * share:.0f} %" for low, high, share in loud))
-    for place, share in sorted(found.positions.items(), key=lambda item: -item[1]):
+    for place, share in sorted(residual.positions.items(), key=lambda item: -item[1]):
         print(f"  at ({', '.join(f'{x:g}' for x in place)}) mm: {100 * share:.0f} %")
-    print(f"  while something turns back or rests: {100 * found.near_reversals:.0f} %")
+    print(f"  while something turns back or rests: {100 * residual.near_reversals:.0f} %")

@@ -13,7 +13,7 @@ import numpy as np
 from ffcomp.diagnose.axis_candidates import axis_candidates
 from ffcomp.diagnose.observations import quick_length
 from ffcomp.diagnose.pitches import likely_pitches
-from ffcomp.diagnose.printer_problem import effect_tables
+from ffcomp.diagnose.printer_candidates import effect_tables
 from ffcomp.diagnose.problem import InfeasibleParameters, Observation, Parameter, Problem
 from ffcomp.identify.axis_shots import Shots, band_of, noise_sd, scales_of, shots_of, windows
 from ffcomp.measurement.axis_run import AxisRun

@@ -26,11 +26,11 @@ from models.arrays import FloatArray
 from models.effects.catalogue import CATALOGUE
 from models.machine import Machine
 
-OUT = 0.6  # of the print radius: the six positions around the centre
-LOW_MM, HIGH = 30.0, 0.5  # height, and share of the print height
+AROUND_SHARE = 0.6  # of the print radius: the six positions around the centre
+LOW_MM, HIGH_SHARE = 30.0, 0.5  # height, and share of the print height
 MARGIN_MM = 12.0  # that a move may need around its position
 BEFORE_S, AFTER_S = 0.12, 0.3  # of rest in the recording: the printer rings for 0.2 s
-ENOUGH, MANY = 3.0, 100.0  # standard deviations: to separate two hypotheses; no more are reported
+ENOUGH_SD, MANY_SD = 3.0, 100.0  # to separate two hypotheses; no more are reported
 MOST_QUESTIONS, NEAREST = 3, 2  # in question at most; and where nothing is named
 CHORD_MM = 1.0  # of a circle
 WAIT_MS = 150  # until the nozzle rests, after a hard move
@@ -82,7 +82,7 @@ class _Trial:
     rate: float  # |d|/√s
 
 
-def propose(problem: PrinterProblem, found: Diagnosis, count: int = 3) -> list[Proposal]:
+def propose(problem: PrinterProblem, diagnosis: Diagnosis, count: int = 3) -> list[Proposal]:
     """Propose moves: for each competing hypothesis the best one, then the best other kinds for the nearest of them.
 
     With verdict `unknown` the two nearest hypotheses compete. With `none` the moves are those that would show the
@@ -90,8 +90,8 @@ def propose(problem: PrinterProblem, found: Diagnosis, count: int = 3) -> list[P
     """
     proposals: list[Proposal] = []
     spare: list[Proposal] = []
-    for question in _questions(problem, found)[:count]:
-        best, *others = _ranked(problem, found, question)
+    for question in _questions(problem, diagnosis)[:count]:
+        best, *others = _ranked(problem, diagnosis, question)
         proposals.append(_proposal(problem.machine, question, best))
         spare += [_proposal(problem.machine, question, other) for other in others if _tells(other)]
     return [*proposals, *spare][:count]
@@ -100,29 +100,30 @@ def propose(problem: PrinterProblem, found: Diagnosis, count: int = 3) -> list[P
 # ---- questions ----------------------------------------------------------------------------------
 
 
-def _questions(problem: PrinterProblem, found: Diagnosis) -> list[_Question]:
-    if found.best is None:
-        unseen = sorted((s for s in found.screened if not s.visible), key=lambda s: -s.strength)
-        return [_shown(found, s) for s in unseen[:MOST_QUESTIONS]]
-    best = found.best
-    others = [h for h in (*found.competing, *found.tried) if h.names != best.names]
+def _questions(problem: PrinterProblem, diagnosis: Diagnosis) -> list[_Question]:
+    if diagnosis.best is None:
+        unseen = sorted((s for s in diagnosis.screened if not s.visible), key=lambda s: -s.strength)
+        return [_shown(diagnosis, s) for s in unseen[:MOST_QUESTIONS]]
+    best = diagnosis.best
+    others = [h for h in (*diagnosis.competing, *diagnosis.tried) if h.names != best.names]
     nearest = list({h.names: h for h in reversed(others)}.items())[::-1]
-    asked = [_separation(found, names, h.fit.values) for names, h in nearest]
-    confounded = {name for name, _ in confounded_with(best.names, found.screened)}
+    questions = [_separation(diagnosis, names, h.fit.values) for names, h in nearest]
+    confounded = {name for name, _ in confounded_with(best.names, diagnosis.screened)}
     known = {name for names, _ in nearest for name in names}
-    asked += [
-        _separation(found, (s.candidate.name,), linear_estimate(found, s)) for s in _named(found, confounded - known)
+    questions += [
+        _separation(diagnosis, (s.candidate.name,), linear_estimate(diagnosis, s))
+        for s in _named(diagnosis, confounded - known)
     ]
-    return asked[: MOST_QUESTIONS if found.named is not None else NEAREST]
+    return questions[: MOST_QUESTIONS if diagnosis.named is not None else NEAREST]
 
 
-def _named(found: Diagnosis, names: set[str]) -> list[Screened]:
-    return [s for s in found.screened if s.candidate.name in names]
+def _named(diagnosis: Diagnosis, names: set[str]) -> list[Screened]:
+    return [s for s in diagnosis.screened if s.candidate.name in names]
 
 
-def _separation(found: Diagnosis, other: tuple[str, ...], values: Mapping[str, float]) -> _Question:
-    assert found.best is not None
-    ours = found.best.names
+def _separation(diagnosis: Diagnosis, other: tuple[str, ...], values: Mapping[str, float]) -> _Question:
+    assert diagnosis.best is not None
+    ours = diagnosis.best.names
     sentences = [
         CATALOGUE[a].confounded_with.get(b) or CATALOGUE[b].confounded_with.get(a, "")
         for a in ours
@@ -130,7 +131,7 @@ def _separation(found: Diagnosis, other: tuple[str, ...], values: Mapping[str, f
         if a in CATALOGUE and b in CATALOGUE
     ]
     words = _difference([n for n in ours if n not in other], [n for n in other if n not in ours])
-    return _Question(other, found.best.fit.values, values, words, next(filter(None, sentences), ""))
+    return _Question(other, diagnosis.best.fit.values, values, words, next(filter(None, sentences), ""))
 
 
 def _difference(ours: Sequence[str], theirs: Sequence[str]) -> str:
@@ -139,54 +140,54 @@ def _difference(ours: Sequence[str], theirs: Sequence[str]) -> str:
     return f"tell {a} from {b}" if a and b else f"show whether {a or b} acts as well"
 
 
-def _shown(found: Diagnosis, screened: Screened) -> _Question:
+def _shown(diagnosis: Diagnosis, screened: Screened) -> _Question:
     """Ask for an effect of a usual size against none."""
     name = screened.candidate.name
     usual = {a.name: a.start + a.sd for a in screened.candidate.amplitudes}
-    values = {**found.base.values, **screened.shape, **usual}
+    values = {**diagnosis.base.values, **screened.shape, **usual}
     in_data = CATALOGUE[name].in_data if name in CATALOGUE else ""
-    return _Question((name,), found.base.values, values, f"would show {name} of a usual size", in_data)
+    return _Question((name,), diagnosis.base.values, values, f"would show {name} of a usual size", in_data)
 
 
-def linear_estimate(found: Diagnosis, screened: Screened) -> dict[str, float]:
+def linear_estimate(diagnosis: Diagnosis, screened: Screened) -> dict[str, float]:
     """Estimate a confounded effect that was not fitted: as large as its signature says."""
     amplitudes = screened.candidate.amplitudes
     sizes = [
         float(np.clip(a.start + a.sd * x, a.low, a.high)) for a, x in zip(amplitudes, screened.estimate, strict=True)
     ]
-    return {**found.base.values, **screened.shape, **dict(zip((a.name for a in amplitudes), sizes, strict=True))}
+    return {**diagnosis.base.values, **screened.shape, **dict(zip((a.name for a in amplitudes), sizes, strict=True))}
 
 
 # ---- answers -------------------------------------------------------------------------------------
 
 
-def _ranked(problem: PrinterProblem, found: Diagnosis, question: _Question) -> list[_Trial]:
+def _ranked(problem: PrinterProblem, diagnosis: Diagnosis, question: _Question) -> list[_Trial]:
     """Rank the best position of the best kind of move, then the other kinds at the centre, best first."""
     machine = problem.machine
     centre, *around = positions(machine)
-    kinds = _asked(problem, found, question, [(move, centre) for move in library(machine)])
+    kinds = _trials(problem, diagnosis, question, [(move, centre) for move in library(machine)])
     best = max(kinds, key=lambda p: p.rate)
-    tried = _asked(problem, found, question, [(best.move, position) for position in around])
+    tried = _trials(problem, diagnosis, question, [(best.move, position) for position in around])
     top = max([best, *tried], key=lambda p: p.rate)
     x, y, _ = top.position
-    high = _asked(problem, found, question, [(best.move, (x, y, HIGH * machine.kinematics.height_mm))])
+    high = _trials(problem, diagnosis, question, [(best.move, (x, y, HIGH_SHARE * machine.kinematics.height_mm))])
     top = max([top, *high], key=lambda p: p.rate)
     return [top, *sorted((p for p in kinds if p.move is not best.move), key=lambda p: -p.rate)]
 
 
 def _tells(trial: _Trial) -> bool:
-    return trial.rate * np.sqrt(trial.seconds) > ENOUGH
+    return trial.rate * np.sqrt(trial.seconds) > ENOUGH_SD
 
 
-def _asked(
-    problem: PrinterProblem, found: Diagnosis, question: _Question, tries: Sequence[tuple[Move, Point]]
+def _trials(
+    problem: PrinterProblem, diagnosis: Diagnosis, question: _Question, tries: Sequence[tuple[Move, Point]]
 ) -> list[_Trial]:
     """Simulate each move at its position on both printers."""
     observations = problem.observations
     signals, rate_hz = observations[0].signals, observations[0].rate_hz
     recordings = [_blank_recording(problem.machine, move, position, signals, rate_hz) for move, position in tries]
     virtual = PrinterProblem(problem.machine, recordings, ())
-    whiten = whitener(virtual.observations, found.noise, virtual.band_hz)
+    whiten = whitener(virtual.observations, diagnosis.noise, virtual.band_hz)
     try:
         one, other = (virtual.simulate(values, coarse=True) for values in (question.one, question.other))
         apart = whiten([a - b for a, b in zip(one, other, strict=True)])
@@ -245,7 +246,7 @@ def _proposal(machine: Machine, question: _Question, trial: _Trial) -> Proposal:
     sigmas = trial.rate * np.sqrt(trial.seconds)
     where = f"{trial.move.kind} at ({x:.0f}, {y:.0f}, {z:.0f}) mm"
     if _tells(trial):
-        size = f"{sigmas:.0f}" if sigmas < MANY else f"more than {MANY:.0f}"
+        size = f"{sigmas:.0f}" if sigmas < MANY_SD else f"more than {MANY_SD:.0f}"
         text = f"{where}: {trial.seconds:.1f} s of them {question.words} with {size} standard deviations."
     else:
         text = (
@@ -268,20 +269,20 @@ def _proposal(machine: Machine, question: _Question, trial: _Trial) -> Proposal:
 
 def positions(machine: Machine) -> list[Point]:
     """Return the centre, then six positions around it; low."""
-    around = machine.kinematics.around(OUT, MARGIN_MM)
+    around = machine.kinematics.around(AROUND_SHARE, MARGIN_MM)
     return [(*machine.kinematics.centre_mm, LOW_MM), *((round(x, 1), round(y, 1), LOW_MM) for x, y in around.tolist())]
 
 
 def library(machine: Machine) -> list[Move]:
     """Return moves that a printer makes anyway, none faster than its limits."""
-    own = machine.limits.acceleration_mm_per_s2
+    limit = machine.limits.acceleration_mm_per_s2
     return [
-        Move("slow moves to and fro (8 mm/s)", min(600.0, own), lambda p: _to_and_fro(p, 3.0, 8.0, 2)),
-        Move("hard single moves, each rung out", min(8000.0, own), lambda p: _singles(p, 9.0, 150.0)),
-        Move("infill at 50 mm/s", min(3000.0, own), lambda p: _zigzag(p, 50.0, 6)),
-        Move("infill at 110 mm/s", min(5000.0, own), lambda p: _zigzag(p, 110.0, 10)),
-        Move("circles up and down", min(5000.0, own), lambda p: _circles(p, 8.0, 80.0)),
-        Move("ever shorter strokes", min(5000.0, own), lambda p: _strokes(p, 100.0)),
+        Move("slow moves to and fro (8 mm/s)", min(600.0, limit), lambda p: _to_and_fro(p, 3.0, 8.0, 2)),
+        Move("hard single moves, each rung out", min(8000.0, limit), lambda p: _singles(p, 9.0, 150.0)),
+        Move("infill at 50 mm/s", min(3000.0, limit), lambda p: _zigzag(p, 50.0, 6)),
+        Move("infill at 110 mm/s", min(5000.0, limit), lambda p: _zigzag(p, 110.0, 10)),
+        Move("circles up and down", min(5000.0, limit), lambda p: _circles(p, 8.0, 80.0)),
+        Move("ever shorter strokes", min(5000.0, limit), lambda p: _strokes(p, 100.0)),
     ]
 
 

@@ -50,17 +50,17 @@ class PrintGain:
         )
 
 
-def print_gain(machine: Machine, found: DiagnosisResult) -> PrintGain | None:
+def print_gain(machine: Machine, result: DiagnosisResult) -> PrintGain | None:
     """Predict the gain; None without a machine's effect, or where the sample cannot be printed on this machine.
 
     Nor where the geometry is found to be another: prints are then off by what calibration takes out.
     """
-    if found.verdict != "effects" or all(CATALOGUE[name].kind == "sensor" for name in found.effects):
+    if result.verdict != "effects" or all(CATALOGUE[name].kind == "sensor" for name in result.effects):
         return None
-    if GEOMETRY in found.effects:
+    if GEOMETRY in result.effects:
         return None
-    retuned = with_values(machine, {key: to for key, (_, to) in found.retuned.items()})
-    better = replace(retuned, effects={**machine.effects, **found.effects})
+    retuned = with_values(machine, {key: to for key, (_, to) in result.file.retuned.items()})
+    better = replace(retuned, effects={**machine.effects, **result.effects})
     with TemporaryDirectory() as folder:
         sample = Path(folder) / "sample.gcode"
         sample.write_text(sample_print(), encoding="ascii")
@@ -81,8 +81,8 @@ def _compensated(sample: Path, machine: Machine) -> Path:
 
 def _contour_um(file: Path, believed: Machine, true: Machine) -> float:
     command, _ = read_command(file, believed, (0.0, 0.0), "")
-    found = simulate_command(command, believed, true, Request(RATE_HZ, 0.0, inf, True), path=str(file))
-    return found.track.contour_rms_um
+    simulation = simulate_command(command, believed, true, Request(RATE_HZ, 0.0, inf, True), path=str(file))
+    return simulation.track.contour_rms_um
 
 
 def sample_print() -> str:

@@ -11,47 +11,47 @@ FEW = 4  # numbers or files in one sentence
 NOISY = 0.1  # of the signals
 
 
-def said(found: DiagnosisResult) -> list[str]:
+def summary_sentences(result: DiagnosisResult) -> list[str]:
     """Return the finding, then what it rests on and what limits it."""
     by_finding: dict[str, Callable[[DiagnosisResult], list[str]]] = {
         "effects": _effects,
         "nothing": _nothing,
         "cannot_tell": _cannot_tell,
         "unproven": _unproven,
-        "recording": lambda it: [f"The recordings are at fault: {it.fault}"],
+        "recording": lambda result: [f"The recordings are at fault: {result.fault}"],
     }
-    return [*by_finding.get(finding_of(found), _unexplained)(found), *cut_short(found), *late(found)]
+    return [*by_finding.get(finding_of(result), _unexplained)(result), *cut_short(result), *late_files(result)]
 
 
-def finding_of(found: DiagnosisResult) -> str:
+def finding_of(result: DiagnosisResult) -> str:
     """Return the finding; of a result made without one, what its verdict says."""
-    return found.finding or {"effects": "effects", "none": "nothing"}.get(found.verdict, "unexplained")
+    return result.finding or {"effects": "effects", "none": "nothing"}.get(result.verdict, "unexplained")
 
 
-def _gap(found: DiagnosisResult) -> str:
-    return f"{percent(found.before.nrms)} of the signals (noise {percent(found.before.noise_nrms)})"
+def _gap(result: DiagnosisResult) -> str:
+    return f"{percent(result.gap.before.nrms)} of the signals (noise {percent(result.gap.noise)})"
 
 
-def _effects(found: DiagnosisResult) -> list[str]:
-    names = joined(list(found.effects))
+def _effects(result: DiagnosisResult) -> list[str]:
+    names = joined(list(result.effects))
     return [
-        f"The gap of {_gap(found)} shrinks to {percent(found.after.nrms)} with {names}: it explains "
-        f"{most_of(found.explained)} of it.",
-        elsewhere(found),
-        *unproven(found),
-        *file_off(found),
+        f"The gap of {_gap(result)} shrinks to {percent(result.gap.after.nrms)} with {names}: it explains "
+        f"{most_of(result.gap.explained)} of it.",
+        elsewhere(result),
+        *unproven_places(result),
+        *file_off(result),
     ]
 
 
-def elsewhere(found: DiagnosisResult) -> str:
+def elsewhere(result: DiagnosisResult) -> str:
     """Say what is explained where it was not fitted, and what it was not tested on."""
-    before, after = (percent(x) for x in found.held_out)
-    numbers = f"the signals were {before} off and are {after} off: {_shrunk_elsewhere(found)}"
-    if found.left_out == "places":
+    before, after = (percent(x) for x in result.gap.elsewhere)
+    numbers = f"the signals were {before} off and are {after} off: {_shrunk_elsewhere(result)}"
+    if result.gap.left_out == "places":
         return f"At places it was not fitted to, one after the other, {numbers}."
-    if found.left_out == "windows":
+    if result.gap.left_out == "windows":
         return f"In windows of time it was not fitted to, one after the other, {numbers}."
-    if found.left_out == "experiments":
+    if result.gap.left_out == "experiments":
         return (
             f"One place only: not tested elsewhere. In experiments it was not fitted to, one after the other, "
             f"{numbers}; record at a second place, at least 20 mm away."
@@ -59,54 +59,53 @@ def elsewhere(found: DiagnosisResult) -> str:
     return "One experiment only: not tested elsewhere. Record other motions, at places at least 20 mm apart."
 
 
-def _shrunk_elsewhere(found: DiagnosisResult) -> str:
+def _shrunk_elsewhere(result: DiagnosisResult) -> str:
     """Say how much of the gap there is explained: no share of what does not stand above the noise."""
-    noise = found.before.noise_nrms
-    if found.held_out[0] <= noise:
+    noise = result.gap.noise
+    if result.gap.elsewhere[0] <= noise:
         return f"no gap stands above the noise of {percent(noise)} there, so this proves nothing"
-    if found.held_out[1] <= noise:
+    if result.gap.elsewhere[1] <= noise:
         return f"what is left does not stand above the noise of {percent(noise)}"
-    return f"it explains {most_of(found.explained_elsewhere)} of the gap there"
+    return f"it explains {most_of(result.gap.explained_elsewhere)} of the gap there"
 
 
-def unproven(found: DiagnosisResult) -> list[str]:
+def unproven_places(result: DiagnosisResult) -> list[str]:
     """Say where it is not explained."""
-    if not found.unproven:
+    if not result.gap.unproven:
         return []
-    return [f"It is unproven at {joined(list(found.unproven)[:FEW])}, where little of the gap is."]
+    return [f"It is unproven at {joined(list(result.gap.unproven)[:FEW])}, where little of the gap is."]
 
 
-def file_off(found: DiagnosisResult) -> list[str]:
+def file_off(result: DiagnosisResult) -> list[str]:
     """Say which of the file's own numbers would explain as much if they were wrong."""
-    if not found.file_off:
+    if not result.file.off:
         return []
-    off = [f"{key} by {100 * (to / start - 1):+.0f} %" for key, (start, to) in list(found.file_off.items())[:FEW]]
+    off = [f"{key} by {100 * (to / start - 1):+.0f} %" for key, (start, to) in list(result.file.off.items())[:FEW]]
     return [
         f"Or the machine file's own numbers are off: {joined(off)} would explain as much. Weigh the effector and a "
         "carriage, and state in the file's [uncertainty] how well its numbers are known."
     ]
 
 
-def _nothing(found: DiagnosisResult) -> list[str]:
-    retuned = "numbers of the file that are off" if found.beyond else "retuning within the stated uncertainties"
-    sentences = [f"Nothing is missing: the gap of {_gap(found)} is noise, or {retuned}.", *_beyond(found)]
-    if found.mends:
+def _nothing(result: DiagnosisResult) -> list[str]:
+    retuned = "numbers of the file that are off" if result.file.beyond else "retuning within the stated uncertainties"
+    sentences = [f"Nothing is missing: the gap of {_gap(result)} is noise, or {retuned}.", *_beyond(result)]
+    if result.mends:
         sentences.append(
-            f"With {len(found.retuned)} of the file's numbers retuned, {percent(found.after.nrms)} are left; "
-            + elsewhere(found)[0].lower()
-            + elsewhere(found)[1:]
+            f"With {len(result.file.retuned)} of the file's numbers retuned, {percent(result.gap.after.nrms)} are "
+            f"left; {elsewhere(result)[0].lower()}{elsewhere(result)[1:]}"
         )
-    return [*sentences, *guessed(found)]
+    return [*sentences, *guessed_noise(result)]
 
 
-def _beyond(found: DiagnosisResult) -> list[str]:
+def _beyond(result: DiagnosisResult) -> list[str]:
     """Say which numbers of the file would be off by more than it says: an effect may be behind them."""
-    if not found.beyond:
+    if not result.file.beyond:
         return []
     each = [
-        f"{name} by {times:.1f} times its uncertainty ({found.retuned[name][0]:.4g} in the file, "
-        f"{found.retuned[name][1]:.4g} fits)"
-        for name, times in list(found.beyond.items())[:FEW]
+        f"{name} by {times:.1f} times its uncertainty ({result.file.retuned[name][0]:.4g} in the file, "
+        f"{result.file.retuned[name][1]:.4g} fits)"
+        for name, times in list(result.file.beyond.items())[:FEW]
     ]
     return [
         f"Further off than the file says is {joined(each)}: measure that anew, for what changes it may be an effect, "
@@ -114,52 +113,53 @@ def _beyond(found: DiagnosisResult) -> list[str]:
     ]
 
 
-def guessed(found: DiagnosisResult) -> list[str]:
+def guessed_noise(result: DiagnosisResult) -> list[str]:
     """Say what a guessed noise may hide."""
-    if not found.noise_guessed:
+    if not result.gap.noise_guessed:
         return []
     return [
-        f"The noise of {percent(found.before.noise_nrms)} is a guess, for no motion was repeated: an effect that does "
+        f"The noise of {percent(result.gap.noise)} is a guess, for no motion was repeated: an effect that does "
         "no more than that may be hidden in it."
     ]
 
 
-def _cannot_tell(found: DiagnosisResult) -> list[str]:
-    noise = found.before.noise_nrms
+def _cannot_tell(result: DiagnosisResult) -> list[str]:
+    noise = result.gap.noise
     if noise > NOISY:
         return [
             f"Cannot tell: the noise is {percent(noise)} of the signals, so what is missing may be hidden in it. "
             "Record louder motions, or fasten the sensor better, and repeat each."
         ]
     return [
-        f"Cannot tell: the repeats differ by {percent(noise)} of the signals, but only {percent(found.after.nrms)} are "
-        "left after retuning, so they differ by more than noise. Check that repeats are of one motion, on one clock."
+        f"Cannot tell: the repeats differ by {percent(noise)} of the signals, but only "
+        f"{percent(result.gap.after.nrms)} are left after retuning, so they differ by more than noise. "
+        "Check that repeats are of one motion, on one clock."
     ]
 
 
-def _unproven(found: DiagnosisResult) -> list[str]:
-    where = f"; unproven at {joined(list(found.unproven)[:FEW])}" if found.unproven else ""
+def _unproven(result: DiagnosisResult) -> list[str]:
+    where = f"; unproven at {joined(list(result.gap.unproven)[:FEW])}" if result.gap.unproven else ""
     return [
-        f"There is a gap of {_gap(found)}; {most_of(found.explained)} of it is explained by "
-        f"{joined(list(found.effects))}{where}. It is not named because {'; '.join(found.rejections)}.",
-        elsewhere(found),
-        *file_off(found),
+        f"There is a gap of {_gap(result)}; {most_of(result.gap.explained)} of it is explained by "
+        f"{joined(list(result.effects))}{where}. It is not named because {'; '.join(result.rejections)}.",
+        elsewhere(result),
+        *file_off(result),
     ]
 
 
-def _unexplained(found: DiagnosisResult) -> list[str]:
-    sentences = [f"There is a gap of {_gap(found)}, and nothing known explains it."]
-    if found.rejections:
+def _unexplained(result: DiagnosisResult) -> list[str]:
+    sentences = [f"There is a gap of {_gap(result)}, and nothing known explains it."]
+    if result.rejections:
         sentences.append(
-            f"Nearest: {joined(list(found.effects))}, which explains {most_of(found.explained)} of it; refused because "
-            f"{'; '.join(found.rejections)}."
+            f"Nearest: {joined(list(result.effects))}, which explains {most_of(result.gap.explained)} of it; refused "
+            f"because {'; '.join(result.rejections)}."
         )
-    return [*sentences, *file_off(found)]
+    return [*sentences, *file_off(result)]
 
 
-def cut_short(found: DiagnosisResult) -> list[str]:
+def cut_short(result: DiagnosisResult) -> list[str]:
     """Say that not everything was tried."""
-    if not found.cut_short:
+    if not result.cut_short:
         return []
     return [
         "The search ended at its budget of work, so not everything was tried: ffcomp diagnose --thorough goes on to "
@@ -167,11 +167,11 @@ def cut_short(found: DiagnosisResult) -> list[str]:
     ]
 
 
-def late(found: DiagnosisResult) -> list[str]:
+def late_files(result: DiagnosisResult) -> list[str]:
     """Say which files lie off their command."""
-    if not found.late_s:
+    if not result.late_s:
         return []
-    ranked = sorted(found.late_s.items(), key=lambda each: -abs(each[1]))
+    ranked = sorted(result.late_s.items(), key=lambda each: -abs(each[1]))
     files = [f"{name} lies {digits(1e3 * abs(s), 2)} ms {'late' if s > 0 else 'early'}" for name, s in ranked[:FEW]]
     more = f", and {len(ranked) - FEW} more" if len(ranked) > FEW else ""
     return [

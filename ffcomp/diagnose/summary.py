@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 from ffcomp.diagnose.acceptance import HeldOut
 from ffcomp.diagnose.diagnosis import Diagnosis
 from ffcomp.diagnose.fit import EstimationProblem, intervals_of
+from ffcomp.diagnose.gap import EDGES_HZ, SLOW_SHARE
 from ffcomp.diagnose.noise import lines, taper
 from ffcomp.diagnose.problem import Parameter, Problem
-from ffcomp.diagnose.residuals import EDGES_HZ, SLOW_SHARE
-from ffcomp.diagnose.result import MOVED, of_machine
+from ffcomp.diagnose.result import RETUNED_SD, of_machine
 from ffcomp.diagnose.score_test import similarity
 from ffcomp.identify.uncertainty import Estimate
 from models.arrays import FloatArray
@@ -132,23 +132,23 @@ class DiagnosisSummary:
     retuned: tuple[Retuned, ...]
 
 
-def summarise(problem: Problem, found: Diagnosis) -> DiagnosisSummary:
+def summarise(problem: Problem, diagnosis: Diagnosis) -> DiagnosisSummary:
     """Collect a report's data: before is the machine file as it is, after is the final fit."""
-    estimation = found.estimation
-    answers = problem.simulate({}), problem.simulate(found.final.values)
+    estimation = diagnosis.estimation
+    answers = problem.simulate({}), problem.simulate(diagnosis.final.values)
     before, after = (estimation.measured - estimation.whiten(simulated) for simulated in answers)
     return DiagnosisSummary(
         estimation.whiten.band_hz,
-        found.noise.from_repeats,
+        diagnosis.noise.from_repeats,
         problem.reach_mm,
         tuple(_splits(problem, estimation, before, after)),
         tuple(_overlays(problem, estimation, answers, before)),
         tuple(_spectra(estimation, answers)),
-        tuple(_evidence(found)),
-        tuple(Promise(s.candidate.name, -s.evidence, s.strength, s.visible) for s in found.screened),
-        _confounding(found),
-        tuple(found.held_out) if found.best is not None else (),  # of retuning alone the page says nothing
-        tuple(_retuned(found)),
+        tuple(_evidence(diagnosis)),
+        tuple(Promise(s.candidate.name, -s.evidence, s.strength, s.visible) for s in diagnosis.screened),
+        _confounding(diagnosis),
+        tuple(diagnosis.held_out) if diagnosis.best is not None else (),  # of retuning alone the page says nothing
+        tuple(_retuned(diagnosis)),
     )
 
 
@@ -159,12 +159,12 @@ def _splits(problem: Problem, estimation: EstimationProblem, before: FloatArray,
     bands = np.digitize(estimation.whiten.frequencies(), EDGES_HZ[1:-1])
     edges = tuple(pairwise(EDGES_HZ))
     blank = Split("frequency", tuple(f"{a:g}-{b:g} Hz" for a, b in edges), (), (), (), edges, "Hz")
-    found = [_filled(blank, bands, np.ones(len(bands)), before, after)]
+    splits = [_filled(blank, bands, np.ones(len(bands)), before, after)]
     parts = (_expected(estimation), series(estimation, before), series(estimation, after))
     joined = [np.concatenate([x.ravel() for x in part]) for part in parts]
     for empty, groups in _by(problem):
-        found.append(_filled(empty, np.concatenate([g.ravel() for g in groups]), *joined))
-    return found
+        splits.append(_filled(empty, np.concatenate([g.ravel() for g in groups]), *joined))
+    return splits
 
 
 def _filled(
@@ -204,15 +204,15 @@ def _expected(estimation: EstimationProblem) -> list[FloatArray]:
 
 def series(estimation: EstimationProblem, residual: FloatArray) -> list[FloatArray]:
     """Transform the whitened residual (rows,) back to time, (n, m) an observation; noise has a mean square of one."""
-    found = []
+    series_of = []
     for observation, rows in zip(estimation.whiten.observations, estimation.whiten.rows, strict=True):
         _, keep = lines(observation, estimation.whiten.band_hz)
         real, imaginary = residual[rows].reshape(2, len(observation.signals), -1)
         spectrum = np.zeros((len(observation.signals), len(keep)), dtype=complex)
         spectrum[:, keep] = real + 1j * imaginary
         n = len(observation.measured)
-        found.append(np.fft.irfft(spectrum, n, axis=1).T * n / (2 * np.sqrt(keep.sum())))
-    return found
+        series_of.append(np.fft.irfft(spectrum, n, axis=1).T * n / (2 * np.sqrt(keep.sum())))
+    return series_of
 
 
 def _by(problem: Problem) -> list[tuple[Split, list[NDArray[np.int64]]]]:
@@ -271,11 +271,11 @@ def _by_phase(problem: Problem) -> list[tuple[Split, list[NDArray[np.int64]]]]:
     """Split by the phase of the signal's own motor; of motor A for the nozzle's."""
     if not problem.commands:
         return []
-    found, cycle = [], problem.cycle_mm
+    phases, cycle = [], problem.cycle_mm
     for r, command in zip(problem.observations, problem.commands, strict=True):
-        own = command[:, ["ABC".find(s[-1]) if s[-1] in "ABC" else 0 for s in r.signals]]
-        found.append((np.mod(own / cycle, 1.0) * PHASE_BINS).astype(np.int64) % PHASE_BINS)
-    return [(_shares("motor's step cycle", np.linspace(0, 1, PHASE_BINS + 1)), found)]
+        moved = command[:, ["ABC".find(s[-1]) if s[-1] in "ABC" else 0 for s in r.signals]]
+        phases.append((np.mod(moved / cycle, 1.0) * PHASE_BINS).astype(np.int64) % PHASE_BINS)
+    return [(_shares("motor's step cycle", np.linspace(0, 1, PHASE_BINS + 1)), phases)]
 
 
 # ---- curves --------------------------------------------------------------------------------------
@@ -329,11 +329,11 @@ def _spectrum(estimation: EstimationProblem, answers: Answers, quantity: str, wh
     edges = np.geomspace(*estimation.whiten.band_hz, SPECTRUM_BANDS + 1)
     sums, counts = np.zeros((4, SPECTRUM_BANDS)), np.zeros(SPECTRUM_BANDS)
     for i, r in enumerate(estimation.whiten.observations):
-        own = [k for k, s in enumerate(r.signals) if s.startswith(quantity) and _whose(s) == whose]
+        chosen = [k for k, s in enumerate(r.signals) if s.startswith(quantity) and _whose(s) == whose]
         frequency, densities = _densities(estimation, i, [r.measured, *(r.measured - a[i] for a in answers)])
         band = np.digitize(frequency, edges[1:-1])
-        counts += len(own) * np.bincount(band, minlength=SPECTRUM_BANDS)
-        sums += [np.bincount(band, d[own].sum(axis=0), SPECTRUM_BANDS) for d in densities]
+        counts += len(chosen) * np.bincount(band, minlength=SPECTRUM_BANDS)
+        sums += [np.bincount(band, d[chosen].sum(axis=0), SPECTRUM_BANDS) for d in densities]
     kept = counts > 0
     amplitudes = np.sqrt(sums[:, kept] / counts[kept])
     kind, unit = KINDS[quantity]
@@ -360,36 +360,37 @@ def _densities(
 # ---- evidence ------------------------------------------------------------------------------------
 
 
-def _evidence(found: Diagnosis) -> list[Evidence]:
-    if found.best is None:
+def _evidence(diagnosis: Diagnosis) -> list[Evidence]:
+    if diagnosis.best is None:
         return []
-    best = found.best.fit.evidence
-    named = () if found.named is None else found.named.names
+    best = diagnosis.best.fit.evidence
+    named = () if diagnosis.named is None else diagnosis.named.names
     rows = [
-        Evidence(h.names, h.discrepancy, found.behind(h), len(h.fit.parameters), h.names == named) for h in found.tried
+        Evidence(h.names, h.discrepancy, diagnosis.behind(h), len(h.fit.parameters), h.names == named)
+        for h in diagnosis.tried
     ]
-    base = found.base
+    base = diagnosis.base
     nothing = Evidence((), base.discrepancy, base.evidence - best, len(base.parameters), False)
     return [*rows, nothing]
 
 
-def _confounding(found: Diagnosis) -> Confounding:
+def _confounding(diagnosis: Diagnosis) -> Confounding:
     """Compute the similarity of all visible effects, the named ones first."""
-    best = () if found.best is None else found.best.names
-    seen = sorted((s for s in found.screened if s.visible), key=lambda s: s.candidate.name not in best)
+    best = () if diagnosis.best is None else diagnosis.best.names
+    seen = sorted((s for s in diagnosis.screened if s.visible), key=lambda s: s.candidate.name not in best)
     table = np.array([[similarity(a, b) for b in seen] for a in seen]).reshape(len(seen), len(seen))
     return Confounding(tuple(s.candidate.name for s in seen), table)
 
 
-def _retuned(found: Diagnosis) -> list[Retuned]:
+def _retuned(diagnosis: Diagnosis) -> list[Retuned]:
     """List every parameter of the machine file, those that moved furthest first."""
-    full = found.base if found.best is None else found.best.fit
-    values = found.final.values
-    intervals = found.intervals or intervals_of(found.estimation, full, values)
-    own = [n for n in full.parameters if of_machine(n.name)]
-    rows = [_row(n, values.get(n.name, n.start), intervals[n.name]) for n in own]
+    full = diagnosis.base if diagnosis.best is None else diagnosis.best.fit
+    values = diagnosis.final.values
+    intervals = diagnosis.intervals or intervals_of(diagnosis.estimation, full, values)
+    numbers = [n for n in full.parameters if of_machine(n.name)]
+    rows = [_row(n, values.get(n.name, n.start), intervals[n.name]) for n in numbers]
     return sorted(rows, key=lambda r: -abs(r.now.value - r.start) / r.sd)
 
 
 def _row(n: Parameter, value: float, interval: Estimate) -> Retuned:
-    return Retuned(n.name, n.start, n.sd, interval, abs(value - n.start) > MOVED * n.sd)
+    return Retuned(n.name, n.start, n.sd, interval, abs(value - n.start) > RETUNED_SD * n.sd)

@@ -1,4 +1,4 @@
-"""What to do to the printer, and what to record next, by what was found."""
+"""What to do to the printer, and what to record next, by what was result."""
 
 from __future__ import annotations
 
@@ -13,29 +13,28 @@ from models.effects.catalogue import CATALOGUE
 UNEVEN = 1.3  # times the mean of three: the one to begin with
 
 
-def what_to_do(found: DiagnosisResult) -> list[str]:
+def what_to_do(result: DiagnosisResult) -> list[str]:
     """Return steps in order: to the printer first, then to the file, then what to record."""
-    finding, apart = finding_of(found), [each.sentence() for each in found.separations]
+    finding, separating = finding_of(result), [each.sentence() for each in result.separations]
     if finding == "effects":
-        return [*(_remedy(found, name) for name in found.effects), *_afterwards(found), *apart]
+        return [*(_remedy(result, name) for name in result.effects), *_afterwards(result), *separating]
     if finding == "nothing":
         return ["Nothing to mend, as far as these recordings go. Record again when prints change."]
     if finding in ("cannot_tell", "recording"):
         return ["Record again as said above before anything is changed on the printer or in its file."]
     return [
-        *apart,
+        *separating,
         "Do not add the nearest effect to the file by hand: it is wrong where it was not fitted.",
         "Look for something loose, rubbing, worn or bent where the gap is largest.",
-        f"Record other motions, each twice, at more places at least 20 mm apart{_at(found)}."
-        if found.left_out != "windows"
+        f"Record other motions, each twice, at more places at least 20 mm apart{_at(result)}."
+        if result.gap.left_out != "windows"
         else "Record other motions: slower and faster, shorter and longer, near rest and over the whole travel.",
     ]
 
 
-def _remedy(found: DiagnosisResult, name: str) -> str:
-    effect = CATALOGUE[name]
-    names = found.belts if effect.of_motors else found.carriages
-    return effect.remedy.format(where=_first_of(names, found.effects[name]))
+def _remedy(result: DiagnosisResult, name: str) -> str:
+    names = result.names.belts if name.startswith(BELTS) else result.names.carriages
+    return REMEDIES[name].format(where=_first_of(names, result.effects[name]))
 
 
 def _first_of(names: Sequence[str], table: Mapping[str, Any]) -> str:
@@ -48,18 +47,18 @@ def _first_of(names: Sequence[str], table: Mapping[str, Any]) -> str:
     return f", first of {joined(high)}" if high else ""
 
 
-def _afterwards(found: DiagnosisResult) -> list[str]:
-    if found.left_out == "windows":
+def _afterwards(result: DiagnosisResult) -> list[str]:
+    if result.gap.left_out == "windows":
         return ["Compare the better machine file (-o better.toml) with new runs (ffcomp gap)."]
     steps = [
         "Until then, compensate with the better machine file (-o better.toml), and compare it with new recordings."
     ]
-    if found.left_out != "places":
+    if result.gap.left_out != "places":
         steps.append("Record the same motions at two more places, at least 20 mm apart, and diagnose again.")
-    elif found.unproven:
-        steps.append(f"Record louder motions at {joined(list(found.unproven))} and diagnose again.")
+    elif result.gap.unproven:
+        steps.append(f"Record louder motions at {joined(list(result.gap.unproven))} and diagnose again.")
     return steps
 
 
-def _at(found: DiagnosisResult) -> str:
-    return f", also near {joined(list(found.unproven))}" if found.unproven else ""
+def _at(result: DiagnosisResult) -> str:
+    return f", also near {joined(list(result.gap.unproven))}" if result.gap.unproven else ""

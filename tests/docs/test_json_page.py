@@ -13,11 +13,11 @@ import numpy as np
 import pytest
 
 from ffcomp.cli.app import app
-from ffcomp.diagnose.json import diagnosis_json
+from ffcomp.diagnose.gap import ResidualSize
 from ffcomp.diagnose.print_gain import PrintGain
-from ffcomp.diagnose.residuals import ResidualSize
-from ffcomp.diagnose.result import DiagnosisResult
+from ffcomp.diagnose.result import DiagnosisResult, FileNumbers, Gap
 from ffcomp.diagnose.separation import Separation
+from ffcomp.diagnose.verb import result_json
 from ffcomp.identify.uncertainty import normal
 from ffcomp.measurement.frf_files import write_frf
 from models.file import LIBRARY, load_machine
@@ -173,7 +173,12 @@ def test_diagnose(page: Page) -> None:
         page,
         "ffcomp-diagnose/1",
         [
-            diagnosis_json(_outcome(why), None, "page.html", 1.0, PrintGain(90.0, 30.0, 3.0))
+            {
+                **result_json(_outcome(why), PrintGain(90.0, 30.0, 3.0)),
+                "machine": None,
+                "report": "page.html",
+                "seconds": 1.0,
+            }
             for why in ("effects", "unknown")
         ],
     )
@@ -182,24 +187,25 @@ def test_diagnose(page: Page) -> None:
 def _outcome(verdict: str) -> DiagnosisResult:
     name = "coulomb_friction"
     return DiagnosisResult(
-        verdict,
-        {name: {"force_n": 1.1}},
-        {f"effects.{name}.force_n": normal(1.1, 0.1)},
-        {"carriage.mass_kg": (0.18, 0.181)},
-        [("joint_friction", "Move one carriage by itself.")],
-        ResidualSize(0.3, 0.01),
-        ResidualSize(0.02, 0.01),
-        (0.3, 0.02),
-        800.0,
-        {name: 0.99},
-        ["The interval holds zero."] if verdict == "unknown" else [],
-        ["cogging"],
-        late_s={"a-1.csv": 2e-3},
-        unproven=["(55, 20)"],
-        file_off={"effector.nozzle_mass_kg": (0.5, 0.56)},
+        verdict=verdict,
+        effects={name: {"force_n": 1.1}},
+        intervals={f"effects.{name}.force_n": normal(1.1, 0.1)},
+        confidence={name: 0.99},
+        evidence=800.0,
+        rejections=["The interval holds zero."] if verdict == "unknown" else [],
+        invisible=["cogging"],
+        confounded_with=[("joint_friction", "Move one carriage by itself.")],
         separations=[
             Separation((name,), ("joint_friction",), 0.1, 4.0, "loop", (0.0, 0.0, 30.0), "ffcomp record plan")
         ],
+        gap=Gap(
+            before=ResidualSize(0.3, 0.01),
+            after=ResidualSize(0.02, 0.01),
+            elsewhere=(0.3, 0.02),
+            unproven=["(55, 20)"],
+        ),
+        file=FileNumbers(retuned={"carriage.mass_kg": (0.18, 0.181)}, off={"effector.nozzle_mass_kg": (0.5, 0.56)}),
+        late_s={"a-1.csv": 2e-3},
     )
 
 

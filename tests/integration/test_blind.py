@@ -14,9 +14,9 @@ import pytest
 
 from ffcomp.cli.diagnose import diagnose
 from ffcomp.diagnose.diagnosis import noise_floor
+from ffcomp.diagnose.gap import locate_residual
 from ffcomp.diagnose.noise import whitener
 from ffcomp.diagnose.problems import problem_of, recordings_of
-from ffcomp.diagnose.residuals import locate_residual
 from models.effects.catalogue import CATALOGUE, measured, with_effect
 from models.file import load_machine, load_plant
 from models.printer.printer import simulate_printer

@@ -1,14 +1,37 @@
-"""The tables of the report, as text."""
+"""The tables of the report, as text: effects, hypotheses, candidates, places, retuned numbers."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
 
 from ffcomp.diagnose.acceptance import HeldOut
 from ffcomp.diagnose.result import DiagnosisResult
 from ffcomp.diagnose.summary import DiagnosisSummary
-from ffcomp.report.diagnose.words import digits, evidence, interval, percent, times, times_noise, title, together
+from ffcomp.identify.uncertainty import Estimate
+from ffcomp.report.diagnose.words import (
+    INFINITELY,
+    digits,
+    evidence,
+    interval,
+    joined,
+    percent,
+    times,
+    times_noise,
+    title,
+    together,
+)
 from ffcomp.report.drawing import AFTER, BEFORE, SOFT
+from models.effects.catalogue import CATALOGUE
+from models.effects.effect import Parameter
+
+OF_THREE = {"per_tower": "ABC", "vector3": "xyz"}
+SHOWN_COS2 = 0.3
+MOST_CONFOUNDED = 5
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,18 +45,18 @@ class Tile:
     share: float  # of the largest, %
 
 
-def tiles(found: DiagnosisResult) -> list[Tile]:
+def tiles(result: DiagnosisResult) -> list[Tile]:
     """Return the error of the simulation before and after, and that of noise alone."""
-    names = " + ".join(found.effects)
+    names = " + ".join(result.effects)
     after = {"effects": f"with {names}", "none": "retuned", "unknown": f"with {names or 'retuning'}, refused"}
-    before, noise = found.before.nrms, found.before.noise_nrms
-    most = max(before, found.after.nrms, noise, 1e-12)
-    given = [
+    before, noise = result.gap.before.nrms, result.gap.noise
+    most = max(before, result.gap.after.nrms, noise, 1e-12)
+    sizes = [
         ("as the file is", before, f"{times(before / noise)} the noise", BEFORE),
-        (after[found.verdict], found.after.nrms, f"{times(found.after.nrms / noise)} the noise", AFTER),
+        (after[result.verdict], result.gap.after.nrms, f"{times(result.gap.after.nrms / noise)} the noise", AFTER),
         ("noise alone", noise, "as two runs of one experiment differ", SOFT),
     ]
-    return [Tile(label, percent(x), below, colour, 100 * x / most) for label, x, below, colour in given]
+    return [Tile(label, percent(x), below, colour, 100 * x / most) for label, x, below, colour in sizes]
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,7 +71,7 @@ class EvidenceRow:
     named: bool
 
 
-def evidence_rows(found: DiagnosisSummary) -> list[EvidenceRow]:
+def evidence_rows(summary: DiagnosisSummary) -> list[EvidenceRow]:
     """Return the hypotheses, the likeliest first."""
     return [
         EvidenceRow(
@@ -59,7 +82,7 @@ def evidence_rows(found: DiagnosisSummary) -> list[EvidenceRow]:
             e.parameters,
             e.named,
         )
-        for e in sorted(found.evidence, key=lambda e: e.against_best)
+        for e in sorted(summary.evidence, key=lambda e: e.against_best)
     ]
 
 
@@ -74,7 +97,7 @@ class PromiseRow:
     visible: bool
 
 
-def promise_rows(found: DiagnosisSummary) -> list[PromiseRow]:
+def promise_rows(summary: DiagnosisSummary) -> list[PromiseRow]:
     """Return the effects in the score test, visible ones first."""
     return [
         PromiseRow(
@@ -84,7 +107,7 @@ def promise_rows(found: DiagnosisSummary) -> list[PromiseRow]:
             _sigmas(p.strength),
             p.visible,
         )
-        for p in sorted(found.promises, key=lambda p: (not p.visible, -p.gain))
+        for p in sorted(summary.promises, key=lambda p: (not p.visible, -p.gain))
     ]
 
 
@@ -104,7 +127,7 @@ class RetunedRow:
     sds: str
 
 
-def retuned_rows(found: DiagnosisSummary) -> list[RetunedRow]:
+def retuned_rows(summary: DiagnosisSummary) -> list[RetunedRow]:
     """Return the retuned parameters."""
     return [
         RetunedRow(
@@ -115,7 +138,7 @@ def retuned_rows(found: DiagnosisSummary) -> list[RetunedRow]:
             r.moved,
             f"{(r.now.value - r.start) / r.sd:+.1f}",
         )
-        for r in found.retuned
+        for r in summary.retuned
     ]
 
 
@@ -129,7 +152,7 @@ class PlaceRow:
     left: str  # of the excess
 
 
-def place_rows(found: DiagnosisSummary, labels: list[str]) -> list[PlaceRow]:
+def place_rows(summary: DiagnosisSummary, labels: list[str]) -> list[PlaceRow]:
     """Return the positions left out of the fit."""
     return [
         PlaceRow(
@@ -138,7 +161,7 @@ def place_rows(found: DiagnosisSummary, labels: list[str]) -> list[PlaceRow]:
             digits(times_noise(p.after)),
             _left(p),
         )
-        for label, p in zip(labels, found.held_out, strict=True)
+        for label, p in zip(labels, summary.held_out, strict=True)
     ]
 
 
@@ -147,3 +170,99 @@ def _left(p: HeldOut) -> str:
         return "–"
     share = max(p.after, 0.0) / p.before
     return percent(share) if share >= 1e-3 else "< 0.1 %"
+
+
+# ---- effects -------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class EffectRow:
+    """One number of an effect."""
+
+    key: str
+    value: str
+    interval: str  # 90 %
+    usual: str
+    meaning: str
+
+
+def effect_rows(result: DiagnosisResult, effect: str) -> list[EffectRow]:
+    """Every number, in the order of the catalogue."""
+    intervals = _of(result.intervals, effect)
+    return [
+        _row(parameter, name, estimate, result.effects[effect])
+        for parameter in CATALOGUE[effect].by_name.values()
+        for name, estimate in intervals.items()
+        if name.partition("[")[0] == parameter.name
+    ]
+
+
+def _of(intervals: Mapping[str, Estimate], effect: str) -> dict[str, Estimate]:
+    prefix = f"effects.{effect}."
+    return {name.removeprefix(prefix): e for name, e in intervals.items() if name.startswith(prefix)}
+
+
+def _row(p: Parameter, name: str, e: Estimate, table: Mapping[str, Any]) -> EffectRow:
+    low, high = p.typical
+    usual = f"{low:g} to {high:g}{f' {p.unit}' if p.unit else ''}"
+    if p.size == "direction":
+        return EffectRow(name, _direction(table[p.name]), "", "", p.meaning)
+    if e.value >= INFINITELY:
+        return EffectRow(name, "no effect", "", usual, p.meaning)
+    value, _, range_90 = interval(e, p.unit).partition(" (90 %: ")
+    meaning = f"{p.meaning}, {OF_THREE[p.size][int(name[-2])]}" if "[" in name else p.meaning
+    return EffectRow(name, value, range_90.rstrip(")"), usual, meaning)
+
+
+def _direction(value: Any) -> str:
+    if isinstance(value, str):
+        return "x and y alike" if value == "both" else value
+    return f"{math.degrees(math.atan2(value[1], value[0])):.0f}° from x"
+
+
+def in_words(result: DiagnosisResult, effect: str) -> str:
+    """`more on the nozzle holder (effector_mass): added_kg 0.0801 kg (90 %: 0.0795 to 0.0807)`."""
+    amplitudes = [_amplitude(result, effect, p) for p in CATALOGUE[effect].amplitudes]
+    numbers = joined([words for words in amplitudes if words])
+    return f"{title(effect)} ({effect}){f': {numbers}' if numbers else ''}"
+
+
+def _amplitude(result: DiagnosisResult, effect: str, p: Parameter) -> str:
+    values = [e for name, e in _of(result.intervals, effect).items() if name.partition("[")[0] == p.name]
+    if len(values) == 1:
+        return interval(values[0], p.unit)
+    if not values:
+        return ""
+    each = joined([f"{axis} {digits(e.value)}" for axis, e in zip(OF_THREE[p.size], values, strict=True)])
+    return f"{each}{f' {p.unit}' if p.unit else ''} ({p.meaning})"
+
+
+# ---- confounded effects --------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Confounded:
+    """One pair of confounded effects."""
+
+    effect: str
+    other: str
+    title: str
+    cos2: str
+    apart: str  # how to tell them apart; '' if the catalogue does not say
+
+
+def confounded_rows(result: DiagnosisResult, summary: DiagnosisSummary) -> list[Confounded]:
+    """List for each effect of the best hypothesis the visible ones most like it."""
+    alike, named, rows = summary.confounding, tuple(result.effects), list[Confounded]()
+    for name in named:
+        if name not in alike.names:
+            continue
+        row = alike.cos2[alike.names.index(name)]
+        others = [(alike.names[i], float(row[i])) for i in np.argsort(-row) if alike.names[i] not in named]
+        rows += [_confounded(name, other, c) for other, c in others[:MOST_CONFOUNDED] if c > SHOWN_COS2]
+    return rows
+
+
+def _confounded(name: str, other: str, cos2: float) -> Confounded:
+    apart = CATALOGUE[name].confounded_with.get(other) or CATALOGUE[other].confounded_with.get(name) or ""
+    return Confounded(name, other, title(other), f"{cos2:.2f}", apart)

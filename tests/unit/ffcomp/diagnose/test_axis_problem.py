@@ -12,7 +12,7 @@ import pytest
 from ffcomp.diagnose.axis_problem import AxisProblem
 from ffcomp.diagnose.diagnosis import Diagnosis, diagnose
 from ffcomp.diagnose.problem import InfeasibleParameters
-from ffcomp.diagnose.problems import told_apart
+from ffcomp.diagnose.problems import with_folders
 from ffcomp.diagnose.validation import check_alike
 from ffcomp.errors import MeasurementError
 from ffcomp.identify.axis_shots import shots_of
@@ -67,10 +67,10 @@ def test_a_driven_axis_that_rests_does_not_begin_with_a_sensors_noise() -> None:
 
 def test_files_of_one_name_in_two_folders_are_two_experiments() -> None:
     runs = [replace(r, source=f"{d}/{r.source}") for d in ("empty", "printed") for r in runs_of(DRIVE, 1)]
-    assert [r.repeat_of for r in told_apart(runs)] == ["empty/a", "empty/a", "printed/a", "printed/a"]
-    assert [r.repeat_of for r in told_apart(runs[:2])] == ["a", "a"]
+    assert [r.repeat_of for r in with_folders(runs)] == ["empty/a", "empty/a", "printed/a", "printed/a"]
+    assert [r.repeat_of for r in with_folders(runs[:2])] == ["a", "a"]
     moved = [runs[0], replace(runs[2], given=runs[2].given + 1.0)]
-    check_alike(told_apart(moved))  # or it would say that the commands of two repeats differ
+    check_alike(with_folders(moved))  # or it would say that the commands of two repeats differ
     with pytest.raises(MeasurementError, match="repeats have the same command"):
         check_alike(moved)
 

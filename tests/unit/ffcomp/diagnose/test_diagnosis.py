@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from ffcomp.diagnose.diagnosis import diagnose
+from ffcomp.diagnose.gap import locate_residual
 from ffcomp.diagnose.printer_problem import PrinterProblem, effect_tables
-from ffcomp.diagnose.residuals import locate_residual
 from ffcomp.diagnose.result import better_file, result_of
 from ffcomp.measurement.recording import Recording
 from models.file import LIBRARY, load_machine

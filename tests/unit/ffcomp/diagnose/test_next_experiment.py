@@ -114,7 +114,7 @@ def check(machine: Machine, proposal: Proposal) -> None:
 @pytest.mark.parametrize("name", ["mp-delta-pro", "kossel", "flsun-qqs"])
 def test_every_move_is_safe_at_every_place(name: str) -> None:
     machine = load_machine(name)
-    high = experiment.HIGH * machine.kinematics.print_height_mm
+    high = experiment.HIGH_SHARE * machine.kinematics.print_height_mm
     for move in library(machine):
         for place in [*positions(machine), (0.0, 0.0, high)]:
             gcode = experiment._text(machine, move, place)
@@ -159,7 +159,7 @@ def test_a_rival_is_told_apart_by_moves_that_really_differ(plant: PrinterProblem
 def test_no_other_place_or_kind_at_the_centre_is_better(plant: PrinterProblem) -> None:
     first = propose(plant, diagnosed(plant, LATE, DAMPED), 1)[0]
     question = experiment._questions(plant, diagnosed(plant, LATE, DAMPED))[0]
-    kinds = experiment._asked(
+    kinds = experiment._trials(
         plant, diagnosed(plant, LATE, DAMPED), question, [(m, (0.0, 0.0, 30.0)) for m in library(plant.machine)]
     )
     assert first.sigmas_per_second >= max(p.rate for p in kinds)

@@ -10,12 +10,11 @@ import numpy as np
 import pytest
 
 from ffcomp.diagnose.diagnosis import Diagnosis, diagnose
-from ffcomp.diagnose.json import diagnosis_json
 from ffcomp.diagnose.next_experiment import blank_recording
 from ffcomp.diagnose.printer_problem import PrinterProblem
-from ffcomp.diagnose.problems import separated
 from ffcomp.diagnose.result import DiagnosisResult, result_of
-from ffcomp.diagnose.separation import ENOUGH, Separation
+from ffcomp.diagnose.separation import ENOUGH_RMS, Separation, separations
+from ffcomp.diagnose.verb import result_json
 from ffcomp.diagnose.what_to_do import what_to_do
 from ffcomp.diagnose.words import digits
 from ffcomp.measurement.recording import Recording
@@ -81,7 +80,7 @@ def asked(machine: Machine, runs: Sequence[Recording]) -> tuple[Diagnosis, Diagn
     """Diagnose runs, with what separates the explanations."""
     problem = PrinterProblem(machine, runs, NAMES)
     found = diagnose(problem)
-    return found, separated(problem, found, result_of(problem, found))
+    return found, replace(result_of(problem, found), separations=separations(problem, found))
 
 
 def planned(machine: Machine, command: str) -> tuple[str, Callable[[FloatArray], FloatArray], float]:
@@ -113,7 +112,7 @@ def test_a_set_is_told_apart_by_the_recording_that_it_names(machine: Machine) ->
     assert sentence.startswith("Record ffcomp record plan -m ")
     assert f"there the predictions differ by {digits(one.there, 2)} times the noise; in these runs by 0.0" in sentence
     assert sentence in what_to_do(told)
-    (written,) = diagnosis_json(told, None, None, 1.0)["separate"]
+    (written,) = result_json(told)["separate"]
     assert written["separates"] and written["record"] == one.command and written["said"] == sentence
 
     # recorded as proposed, by the printer as it really is: the verdict is alone, and right
@@ -129,7 +128,7 @@ def separation(**changed: object) -> Separation:
 
 
 def test_twins_are_said_to_be_twins() -> None:
-    twins = separation(there=0.5 * ENOUGH)
+    twins = separation(there=0.5 * ENOUGH_RMS)
     assert not twins.tells and not twins.to_dict()["separates"]
     assert twins.sentence().startswith("No move of ffcomp record plan can tell a from b: it shows 0.15 times the noise")
     assert twins.sentence().endswith("Weigh it.")

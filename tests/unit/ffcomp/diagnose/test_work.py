@@ -12,12 +12,12 @@ from ffcomp.diagnose.axis_problem import AxisProblem
 from ffcomp.diagnose.diagnosis import Diagnosis, diagnose
 from ffcomp.diagnose.fidelity import USUAL_SIZES, best_start
 from ffcomp.diagnose.fit import EstimationProblem, Fit, estimation_problem
-from ffcomp.diagnose.json import diagnosis_json
 from ffcomp.diagnose.noise import noise_from_repeats, whitener
 from ffcomp.diagnose.problem import Work
 from ffcomp.diagnose.result import result_of
 from ffcomp.diagnose.score_test import loudest_motions, screen, subset_of
 from ffcomp.diagnose.settings import SETTINGS
+from ffcomp.diagnose.verb import result_json
 from ffcomp.measurement.axis_run import AxisRun
 from models.effects.catalogue import with_effects
 from models.kinds import machine_of_axis
@@ -115,9 +115,9 @@ def test_a_search_ends_at_its_budget_and_says_so() -> None:
     asked, found = searched(0.1 * MILLION)
     assert found.cut_short
     assert asked.work.steps < 0.7 * searched(SETTINGS.budget_steps)[0].work.steps
-    told = diagnosis_json(result_of(asked, found), None, None, 0.0)
+    told = result_json(result_of(asked, found))
     assert told["cut_short"] and any("--thorough" in sentence for sentence in told["said"])
-    whole = diagnosis_json(result_of(*searched(SETTINGS.budget_steps)), None, None, 0.0)
+    whole = result_json(result_of(*searched(SETTINGS.budget_steps)))
     assert not whole["cut_short"] and not any("--thorough" in sentence for sentence in whole["said"])
 
 

@@ -37,7 +37,7 @@ def test_each_axis_comes_from_the_chip_that_feels_it(bench: tuple[list[Path], Pl
     found = joined(bench, bed=True)
     assert len(found.joined) == 4 and not found.refused
     assert all(min(each.felt[:2]) > 0.9 for each in found.joined)
-    gap = measure_gap(bench[2], found.recordings).found.total
+    gap = measure_gap(bench[2], found.recordings).residual.total
     assert gap.nrms == pytest.approx(gap.noise_nrms, rel=0.5)
     # each chip has a clock of its own: the run says which columns are of one
     columns = [tuple(recording.acceleration) for recording in found.recordings]
@@ -66,7 +66,7 @@ def test_an_axis_that_no_chip_feels_is_left_out_and_said(bench: tuple[list[Path]
             set(each.acceleration) == {"acc_x", "acc_y", "acc_z"} - {f"acc_{missing}"} for each in found.recordings
         )
         assert any(f"No chip feels the motion along {missing}" in sentence for sentence in found.remarks)
-        gap = measure_gap(bench[2], found.recordings).found.total
+        gap = measure_gap(bench[2], found.recordings).residual.total
         assert gap.nrms == pytest.approx(gap.noise_nrms, rel=0.5)
 
 

@@ -14,18 +14,18 @@ import numpy as np
 import pytest
 
 from ffcomp.cli.app import app
-from ffcomp.diagnose import problems
+from ffcomp.diagnose import problems, verb
+from ffcomp.diagnose.gap import ResidualSize
 from ffcomp.diagnose.next_experiment import Proposal
 from ffcomp.diagnose.printer_problem import PrinterProblem
-from ffcomp.diagnose.result import DiagnosisResult, ResidualSize
+from ffcomp.diagnose.result import DiagnosisResult, Gap
 from ffcomp.diagnose.summary import DiagnosisSummary, Split
 from ffcomp.identify.uncertainty import Estimate, normal
-from ffcomp.report.diagnose import effects, html, words
-from ffcomp.report.diagnose.confounded import confounded
-from ffcomp.report.diagnose.html import page
-from ffcomp.report.diagnose.inputs import ReportInput, explained
-from ffcomp.report.diagnose.standout import stands_out
-from ffcomp.report.diagnose.verdict import verdict
+from ffcomp.report.diagnose import page as pages
+from ffcomp.report.diagnose import words
+from ffcomp.report.diagnose.page import page
+from ffcomp.report.diagnose.sentences import ReportInput, stands_out, verdict
+from ffcomp.report.diagnose.tables import confounded_rows, effect_rows, in_words
 from models.effects.catalogue import CATALOGUE, with_effect
 from models.file import LIBRARY, load_machine
 from models.printer.printer import simulate_printer
@@ -101,8 +101,8 @@ def made(folder: Path, hidden: dict[str, dict[str, Any]], names: tuple[str, ...]
     runs, report, told = write_runs(folder, hidden), folder / "d.html", []
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(problems, "PrinterProblem", lambda plant, runs, _: PrinterProblem(plant, runs, names))
-        patch.setattr(html, "page", lambda given: told.append(given) or page(given))
-        patch.setattr(problems, "propose", lambda *_: [PROPOSAL])
+        patch.setattr(pages, "page", lambda given: told.append(given) or page(given))
+        patch.setattr(verb, "propose", lambda *_: [PROPOSAL])
         answer = run(runs, "-o", str(folder / "better.toml"), "--report", str(report))
     assert answer.exit_code == 0, answer.output
     result = json.loads(answer.stdout)
@@ -136,11 +136,11 @@ def told(heavy: Case) -> ReportInput:
 @pytest.fixture
 def found_already(plain: Case, monkeypatch: pytest.MonkeyPatch) -> None:
     """The verb without its search: the picture and the answer of a case that was searched before."""
-    monkeypatch.setattr("ffcomp.diagnose.diagnosis.diagnose", lambda *_: None)
-    monkeypatch.setattr("ffcomp.diagnose.result.result_of", lambda *_: plain.told.outcome)
-    monkeypatch.setattr("ffcomp.diagnose.summary.summarise", lambda *_: plain.told.picture)
-    monkeypatch.setattr(problems, "propose", lambda *_: [PROPOSAL])
-    monkeypatch.setattr(problems, "separations", lambda *_: [])
+    monkeypatch.setattr(verb, "diagnose", lambda *_: None)
+    monkeypatch.setattr(verb, "result_of", lambda *_: plain.told.result)
+    monkeypatch.setattr("ffcomp.diagnose.summary.summarise", lambda *_: plain.told.summary)
+    monkeypatch.setattr(verb, "propose", lambda *_: [PROPOSAL])
+    monkeypatch.setattr(verb, "separations", lambda *_: [])
 
 
 # ---- the page and the JSON -----------------------------------------------------------------------
@@ -229,7 +229,7 @@ def test_an_existing_report_is_refused_before_the_work_and_replaced_with_force(
     old = tmp_path / "old.html"
     old.write_text("old")
     with monkeypatch.context() as patch:
-        patch.setattr("ffcomp.diagnose.result.result_of", lambda *_: pytest.fail("it went to work"))
+        patch.setattr(verb, "result_of", lambda *_: pytest.fail("it went to work"))
         answer = run(plain.runs, "--report", str(old))
     assert answer.exit_code == 2 and "exists already" in answer.output and old.read_text() == "old"
     answer = run(plain.runs, "--report", str(old), "--force")
@@ -256,8 +256,8 @@ def test_nothing_is_written_when_the_page_fails(
     def fails(drawing: object) -> bytes:
         raise RuntimeError("no room")
 
-    monkeypatch.setattr("ffcomp.diagnose.result.result_of", lambda *_: heavy.told.outcome)
-    monkeypatch.setattr(html, "svg", fails)
+    monkeypatch.setattr(verb, "result_of", lambda *_: heavy.told.result)
+    monkeypatch.setattr(pages, "svg", fails)
     targets = ["-o", str(tmp_path / "better.toml"), "--report", str(tmp_path / "d.html")]
     assert str(run(heavy.runs, *targets).exception) == "no room"
     assert list(tmp_path.iterdir()) == []
@@ -296,22 +296,26 @@ def test_numbers_in_words() -> None:
     assert [words.joined(list(x)) for x in ("", "a", "ab", "abc")] == ["", "a", "a and b", "a, b and c"]
 
 
+def gap(before: ResidualSize, after: ResidualSize) -> Gap:
+    return Gap(before=before, after=after, elsewhere=(before.nrms, after.nrms))
+
+
 def test_shares_of_the_gap_are_of_what_stands_above_the_noise() -> None:
-    assert explained(ResidualSize(0.5, 0.3), ResidualSize(0.3, 0.3)) == 1.0
-    assert explained(ResidualSize(0.5, 0.3), ResidualSize(0.5, 0.3)) == 0.0
-    assert explained(ResidualSize(0.5, 0.3), ResidualSize(0.34, 0.3)) == pytest.approx(1 - 0.0256 / 0.16)
-    assert explained(ResidualSize(0.3, 0.3), ResidualSize(0.3, 0.3)) == 0.0
+    assert gap(ResidualSize(0.5, 0.3), ResidualSize(0.3, 0.3)).explained == 1.0
+    assert gap(ResidualSize(0.5, 0.3), ResidualSize(0.5, 0.3)).explained == 0.0
+    assert gap(ResidualSize(0.5, 0.3), ResidualSize(0.34, 0.3)).explained == pytest.approx(1 - 0.0256 / 0.16)
+    assert gap(ResidualSize(0.3, 0.3), ResidualSize(0.3, 0.3)).explained == 0.0
 
 
 # ---- odd outcomes --------------------------------------------------------------------------------
 
 
 def changed(told: ReportInput, **about: Any) -> ReportInput:
-    return replace(told, outcome=replace(told.outcome, **about))
+    return replace(told, result=replace(told.result, **about))
 
 
 def test_the_splits_say_what_the_search_found(told: ReportInput) -> None:
-    found: DiagnosisSummary = told.picture
+    found: DiagnosisSummary = told.summary
     titles = [each.title for each in found.splits]
     assert titles[:3] == ["frequency", "signal", "place"] and len(titles) == 8
     for each in found.splits:
@@ -319,7 +323,7 @@ def test_the_splits_say_what_the_search_found(told: ReportInput) -> None:
         whole = np.dot(each.before, each.weight)
         assert whole == pytest.approx(np.dot(found.splits[0].before, found.splits[0].weight), rel=0.15)
         assert max(each.after) < 0.2 * max(each.before)
-    assert told.outcome.explained_elsewhere > 0.95
+    assert told.result.gap.explained_elsewhere > 0.95
     spectrum = found.spectra[0]
     assert np.median(spectrum.after / spectrum.noise) == pytest.approx(1.0, abs=0.3)
     np.testing.assert_allclose(found.confounding.cos2, found.confounding.cos2.T)
@@ -329,9 +333,9 @@ def test_the_splits_say_what_the_search_found(told: ReportInput) -> None:
 
 def test_rivals_are_named_with_what_tells_them_apart(told: ReportInput) -> None:
     alike = replace(
-        told.picture.confounding, cos2=np.array([[1.0, 0.9], [0.9, 1.0]]), names=("effector_mass", "belt_stiffness")
+        told.summary.confounding, cos2=np.array([[1.0, 0.9], [0.9, 1.0]]), names=("effector_mass", "belt_stiffness")
     )
-    (row,) = confounded(replace(told, picture=replace(told.picture, confounding=alike)))
+    (row,) = confounded_rows(told.result, replace(told.summary, confounding=alike))
     assert (row.other, row.cos2) == ("belt_stiffness", "0.90")
     assert row.apart == CATALOGUE["effector_mass"].confounded_with["belt_stiffness"]
     said = verdict(changed(told, confounded_with=[("belt_stiffness", "somehow")]))
@@ -339,7 +343,7 @@ def test_rivals_are_named_with_what_tells_them_apart(told: ReportInput) -> None:
 
 
 def test_noise_that_is_a_guess_is_called_one(told: ReportInput) -> None:
-    guess = replace(told, picture=replace(told.picture, noise_from_repeats=False))
+    guess = replace(told, summary=replace(told.summary, noise_from_repeats=False))
     assert "weaker evidence" in verdict(guess)[-1] and "weaker evidence" not in verdict(told)[-1]
     assert b"a guess from above" in page(guess)
 
@@ -353,21 +357,21 @@ def test_effects_of_every_kind_have_words(told: ReportInput) -> None:
             table[p.name] = [0.6, 0.8] if p.size == "direction" else p.typical[1]
             for suffix in [f"[{i}]" for i in range(many)] or [""]:
                 intervals[f"effects.{effect.name}.{p.name}{suffix}"] = normal(p.typical[1], 0.1)
-        found: DiagnosisResult = replace(told.outcome, effects={effect.name: table}, intervals=intervals)
-        rows = effects.rows(found, effect.name)
+        found: DiagnosisResult = replace(told.result, effects={effect.name: table}, intervals=intervals)
+        rows = effect_rows(found, effect.name)
         assert len(rows) == len(intervals) and all(row.value and row.meaning for row in rows)
-        assert f"({effect.name})" in effects.in_words(found, effect.name)
-        assert effect.name in verdict(replace(told, outcome=found))[0]
+        assert f"({effect.name})" in in_words(found, effect.name)
+        assert effect.name in verdict(replace(told, result=found))[0]
 
 
 def test_text_from_files_is_escaped(told: ReportInput) -> None:
     nasty = '"><script>alert(1)</script>$x_1$'
-    runs = replace(told.picture.splits[3], labels=tuple(nasty for _ in told.picture.splits[3].labels))
-    splits = (*told.picture.splits[:3], runs, *told.picture.splits[4:])
-    overlays = tuple(replace(each, recording=nasty) for each in told.picture.overlays)
-    found = replace(told.picture, splits=splits, overlays=overlays)
+    runs = replace(told.summary.splits[3], labels=tuple(nasty for _ in told.summary.splits[3].labels))
+    splits = (*told.summary.splits[:3], runs, *told.summary.splits[4:])
+    overlays = tuple(replace(each, recording=nasty) for each in told.summary.overlays)
+    found = replace(told.summary, splits=splits, overlays=overlays)
     origin = replace(told.origin, machine=nasty, machine_file=nasty, runs=[nasty], written=nasty)
-    text = page(ReportInput(told.outcome, found, told.proposals, origin)).decode()
+    text = page(ReportInput(told.result, found, told.proposals, origin)).decode()
     assert "alert(1)" in text and "<script" not in text
 
 

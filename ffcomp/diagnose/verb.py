@@ -1,0 +1,163 @@
+"""The verb `diagnose`: files in; the verdict, what to record next, and the better machine file out."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from datetime import date
+from math import inf
+from pathlib import Path
+from typing import Any
+
+from ffcomp.diagnose.diagnosis import Diagnosis as Search
+from ffcomp.diagnose.diagnosis import diagnose
+from ffcomp.diagnose.next_experiment import Proposal, propose
+from ffcomp.diagnose.print_gain import PrintGain, print_gain
+from ffcomp.diagnose.printer_problem import PrinterProblem
+from ffcomp.diagnose.problem import Problem
+from ffcomp.diagnose.problems import Plant, check_recordings, problem_of, recordings_of
+from ffcomp.diagnose.result import DiagnosisResult, better_file, result_of
+from ffcomp.diagnose.sentences import summary_sentences
+from ffcomp.diagnose.separation import separations
+from ffcomp.diagnose.settings import SETTINGS
+from ffcomp.diagnose.what_to_do import what_to_do
+from ffcomp.identify.machine_fit import hash_of
+from ffcomp.numerics.stages import Progress
+from models.arrays import FloatArray
+from models.file import check_text
+from models.machine import Machine
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Diagnosis:
+    """The effects that a machine file lacks, if any.
+
+    Attributes
+    ----------
+    result : verdict, effects with intervals, retuned parameters and the discrepancy before and after
+    search : everything that the verdict rests on
+    print_gain : what prints gain by the better machine file; None: not predicted
+    output, report : the improved machine file, the page; None: not written
+    """
+
+    result: DiagnosisResult
+    problem: Problem
+    search: Search
+    runs: Sequence[Path]
+    print_gain: PrintGain | None
+    output: Path | None
+    report: Path | None = None
+    seconds: float
+
+    @property
+    def verdict(self) -> str:
+        """Return "effects", "none" or "unknown"."""
+        return self.result.verdict
+
+    def better_file(self) -> str:
+        """Return the text of the improved machine file."""
+        assert self.output is not None
+        hashes = [hash_of(path) for path in self.runs]
+        text = better_file(Path(self.problem.path), self.output.stem, self.result, hashes, date.today().isoformat())
+        check_text(text, str(self.output))
+        return text
+
+    def proposals(self) -> list[Proposal]:
+        """Propose the moves that tell competing hypotheses apart; of an axis none, for it takes no G-code."""
+        return propose(self.problem, self.search) if isinstance(self.problem, PrinterProblem) else []
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the JSON object ffcomp-diagnose/1."""
+        return {
+            **result_json(self.result, self.print_gain),
+            "machine": None if self.output is None else str(self.output),
+            "report": None if self.report is None else str(self.report),
+            "seconds": self.seconds,
+        }
+
+
+def result_json(result: DiagnosisResult, gain: PrintGain | None = None) -> dict[str, Any]:
+    """Return the JSON object ffcomp-diagnose/1 but for files and time; `gain` : of prints, if it was predicted."""
+    gap = result.gap
+    named = result.effects if result.verdict == "effects" else {}
+    refused = {"effects": list(result.effects), "because": list(result.rejections)}
+    return {
+        "schema": "ffcomp-diagnose/1",
+        "verdict": result.verdict,
+        "finding": result.finding,
+        "said": summary_sentences(result),
+        "effects": [
+            {
+                "name": name,
+                "parameters": result.parameters(name),
+                "confidence": result.confidence[name],
+                "evidence": result.evidence,
+            }
+            for name in named
+        ],
+        "refused": refused if result.rejections else None,
+        "invisible": list(result.invisible),
+        "retuned": {key: {"from": a, "to": b} for key, (a, b) in result.file.retuned.items()},
+        "separate": [each.to_dict() for each in result.separations],
+        "confusable_with": [{"name": name, "separate_by": how} for name, how in result.confounded_with],
+        "late_s": dict(result.late_s),
+        "left_out": gap.left_out,
+        "unproven_at": list(gap.unproven),
+        "or_file_off": {key: {"from": a, "to": b} for key, (a, b) in result.file.off.items()},
+        "cut_short": result.cut_short,
+        "to_do": what_to_do(result),
+        "print_gain": None if gain is None else gain.to_dict(),
+        "gap": {
+            "before": gap.before.nrms,
+            "after": gap.after.nrms,
+            "noise": gap.noise,
+            "held_out": {"before": gap.elsewhere[0], "after": gap.elsewhere[1], "noise": gap.noise},
+        },
+    }
+
+
+def diagnose_files(
+    runs: Sequence[Path],
+    plant: Plant,
+    output: Path | None = None,
+    *,
+    plan: str | Path | None = None,
+    turn: FloatArray | None = None,
+    without_repeats: bool = False,
+    thorough: bool = False,
+    progress: Callable[[str], None] = lambda _: None,
+    search_progress: Progress | None = None,
+) -> Diagnosis:
+    """Diagnose recordings; nothing is written.
+
+    Parameters
+    ----------
+    output : where the improved machine file is meant to go, if there is one
+    plan, turn, progress : as `ffcomp.record.load.load_recordings` takes them
+    without_repeats : guess the noise where no experiment was repeated
+    thorough : try everything, for as long as it takes; else a search ends at a budget of work, and says so
+    search_progress : of the search, if it is shown otherwise
+
+    Raises
+    ------
+    MeasurementError
+    """
+    began = time.monotonic()
+    recordings = recordings_of(plant, runs, plan, turn, progress)
+    problem = problem_of(plant, recordings)
+    check_recordings(problem, recordings, without_repeats)
+    search = diagnose(problem, search_progress or progress, inf if thorough else SETTINGS.budget_steps)
+    result, gain = result_of(problem, search), None
+    if isinstance(plant, Machine) and isinstance(problem, PrinterProblem):  # one axis takes no G-code, prints nothing
+        result = replace(result, separations=separations(problem, search))
+        gain = print_gain(plant, result)
+    return Diagnosis(
+        result=result,
+        problem=problem,
+        search=search,
+        runs=runs,
+        print_gain=gain,
+        output=output if result.mends else None,
+        seconds=time.monotonic() - began,
+    )

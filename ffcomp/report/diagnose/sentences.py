@@ -1,0 +1,275 @@
+"""A diagnosis in sentences for the printer's owner, the most important first; and what stands out in each split."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ffcomp.diagnose.next_experiment import Proposal
+from ffcomp.diagnose.result import DiagnosisResult
+from ffcomp.diagnose.sentences import (
+    elsewhere,
+    file_off,
+    finding_of,
+    guessed_noise,
+    late_files,
+    summary_sentences,
+    unproven_places,
+)
+from ffcomp.diagnose.summary import DiagnosisSummary, Split
+from ffcomp.report.diagnose.tables import in_words
+from ffcomp.report.diagnose.words import evidence, joined, most_of, percent, times, times_noise, title
+
+MUCH_LESS = 0.7  # times the noise: its floor is wrong
+
+
+@dataclass(frozen=True)
+class Origin:
+    """Origin of a diagnosis; files by name and hash, not by folder."""
+
+    machine: str  # its name
+    machine_file: str  # `my-delta.toml sha256:…`
+    runs: Sequence[str]  # `a-1.csv sha256:…`
+    date: str
+    version: str
+    seconds: float  # of computing
+    written: str = ""  # the better machine file, if there is one
+
+
+@dataclass(frozen=True, eq=False)
+class ReportInput:
+    """Everything that the report shows."""
+
+    result: DiagnosisResult
+    summary: DiagnosisSummary
+    proposals: Sequence[Proposal]
+    origin: Origin
+    gain: str = ""  # how much prints would gain, in a sentence
+
+
+def verdict(report: ReportInput) -> list[str]:
+    """Return the finding, then its evidence."""
+    by_finding: dict[str, Callable[[ReportInput], list[str]]] = {
+        "effects": _effects,
+        "nothing": _nothing,
+        "unproven": _unproven,
+        "unexplained": _unexplained,
+    }
+    result = report.result
+    chosen = by_finding.get(finding_of(result))
+    sentences = chosen(report) + late_files(result) if chosen else summary_sentences(result)
+    return [*sentences, *_invisible(result), *_noise(report)]
+
+
+def _effects(report: ReportInput) -> list[str]:
+    result = report.result
+    named = joined([in_words(result, effect) for effect in result.effects])
+    return [
+        f"Missing from the machine file: {named}.",
+        f"{_size(result)} With this added {percent(result.gap.after.nrms)} are left: it explains "
+        f"{most_of(result.gap.explained)} of the gap.",
+        elsewhere(result),
+        *unproven_places(result),
+        *file_off(result),
+        *_where(report),
+        f"{_sure(result)} {_confounded(result)}",
+        _file(report),
+    ]
+
+
+def _nothing(report: ReportInput) -> list[str]:
+    result = report.result
+    moved = _count(len(result.file.retuned), "number")
+    retuned = f" {moved} moved a little within what the file allows." if result.file.retuned else ""
+    return [
+        "Nothing is missing that these runs could show.",
+        f"{_size(result)} What is left is noise, or retuning within the uncertainties that the file states.{retuned}",
+        *guessed_noise(result),
+        *_nearest_promise(report),
+        "Other motions, speeds and positions may still show something that these could not.",
+    ]
+
+
+def _unproven(report: ReportInput) -> list[str]:
+    result = report.result
+    nearest = joined([in_words(result, effect) for effect in result.effects])
+    return [
+        f"Most of the gap is explained, but not proven: {nearest}.",
+        f"{_size(result)} With this added {percent(result.gap.after.nrms)} are left: it explains "
+        f"{most_of(result.gap.explained)} of the gap. It is not named because {'; '.join(result.rejections)}.",
+        elsewhere(result),
+        *file_off(result),
+        *_where(report),
+    ]
+
+
+def _unexplained(report: ReportInput) -> list[str]:
+    result = report.result
+    known = _count(len(report.summary.promises), "effect")
+    nearest = joined(list(result.effects)) or "retuning alone"
+    return [
+        f"Something is missing from the machine file, and it is none of what ffcomp knows ({known}).",
+        f"{_size(result)} That is a real gap, and it is not explained.",
+        f"Nearest came {nearest}: it would explain {most_of(result.gap.explained)} of the gap, and was "
+        f"refused because {'; '.join(result.rejections)}.",
+        *file_off(result),
+        *_where(report),
+    ]
+
+
+def _size(result: DiagnosisResult) -> str:
+    size = result.gap.before
+    ratio = size.nrms / size.noise_nrms
+    more = f"{times(ratio)} as much as noise alone" if ratio > 1.05 else "as much as noise alone"
+    if ratio < MUCH_LESS:
+        more = "much less than what repeats differ by, so that is no noise"
+    return (
+        f"Simulated with the file as it is, the signals are {percent(size.nrms)} off, {more} "
+        f"({percent(size.noise_nrms)})."
+    )
+
+
+def _where(report: ReportInput) -> list[str]:
+    """State what the excess depends on most."""
+    sentences = [
+        stands_out(split) for split in report.summary.splits if split.title in ("frequency", "place", "motion")
+    ]
+    telling = [sentence for sentence in sentences if " of the excess lies " in sentence]
+    return [f"Where it shows: {' '.join(telling)}"] if telling else []
+
+
+def _sure(result: DiagnosisResult) -> str:
+    least = min(result.confidence.values(), default=0.0)
+    return f"{_odds(least)} (−2 ln Z: {evidence(result.evidence)} better than retuning alone)."
+
+
+def _odds(confidence: float) -> str:
+    if confidence > 0.9999:
+        return "Among the effects that ffcomp knows it is practically certain"
+    return f"Among the effects that ffcomp knows it is {percent(confidence)} likely"
+
+
+def _confounded(result: DiagnosisResult) -> str:
+    if not result.confounded_with:
+        return "No other effect that these runs could show looks like it."
+    names = joined([f"{name} ({title(name)})" for name, _ in result.confounded_with], "or")
+    return f"It may be taken for {names}; what tells them apart stands below."
+
+
+def _file(report: ReportInput) -> str:
+    if report.origin.written:
+        return (
+            f"The better machine file is {report.origin.written}. Compare it with new runs before you trust it: "
+            f"ffcomp gap NEW-RUNS -m {report.origin.written}."
+        )
+    return "Give -o better.toml to have the machine file with this in it, then compare it with new runs (ffcomp gap)."
+
+
+def _nearest_promise(report: ReportInput) -> list[str]:
+    seen = [p for p in report.summary.promises if p.visible]
+    if not seen:
+        return []
+    first = max(seen, key=lambda p: p.gain)
+    if first.gain < 0:
+        return [f"No effect would have been worth its cost; {first.name} ({title(first.name)}) came nearest."]
+    return [
+        f"{first.name} ({title(first.name)}) came nearest: it promised {evidence(first.gain)} in −2 ln Z, too little "
+        "to call it an effect."
+    ]
+
+
+def _invisible(result: DiagnosisResult) -> list[str]:
+    if not result.invisible:
+        return []
+    return [f"These runs could not have shown: {joined(list(result.invisible))}. Nothing is said about them."]
+
+
+def _noise(report: ReportInput) -> list[str]:
+    if report.summary.noise_from_repeats:
+        return []
+    return ["Nothing was measured twice, so the noise is a guess from above the model's band: weaker evidence."]
+
+
+def _count(n: int, what: str) -> str:
+    return f"{n} {what}{'s' if n > 1 else ''}"
+
+
+# ---- what stands out where the excess is split ----------------------------------------------------
+
+NO_EXCESS = 0.1  # excess, of the noise, on the mean: there is nothing to split
+HIGH_RATIO = 1.5  # times the mean excess
+TELLING_SHARE = 0.25  # of the excess
+LOW_RATIO = 0.1  # times the mean excess
+MOST_NAMED = 4  # labels in one sentence
+
+WHERE = {
+    "frequency": "at {}",
+    "signal": "in {}",
+    "place": "at {}",
+    "window of time": "in the window {}",
+    "run": "in {}",
+    "share of the run's time": "at {} of the runs' time",
+    "motion": "while what is measured is {}",
+    "size of motion": "among the samples between {} of the signal's range",
+    "motor's step cycle": "at {} of the cycle",
+}
+MOTIONS = {"backward": "moving backward", "forward": "moving forward"}
+SPREAD = {
+    "frequency": "no band holds more than its part",
+    "signal": "all signals have their part",
+    "place": "all positions contribute",
+    "window of time": "all windows of time have their part",
+    "run": "all runs have their part",
+    "share of the run's time": "early and late alike",
+    "motion": "forward, backward and turning back alike",
+    "size of motion": "small and large motion alike",
+    "motor's step cycle": "no phase of the cycle holds much more than its part",
+}
+
+
+def stands_out(split: Split) -> str:
+    """Return `81 % of the excess lies at 60-80 Hz (10 % of what was compared).`."""
+    excess, weight = np.maximum(split.before, 0.0), np.array(split.weight)
+    mean = float(excess @ weight)
+    if mean < NO_EXCESS:
+        return "No excess here: the error is as large as the noise."
+    if len(excess) == 1:
+        return f"There is only one: {split.labels[0]}, where the error is {times(times_noise(mean))} the noise."
+    hot = _hot(excess, mean, bool(split.spans))
+    share = float(excess[hot] @ weight[hot]) / mean
+    if not hot or share < TELLING_SHARE:
+        return _spread(split, excess, mean)
+    where = WHERE[split.title].format(_named(split, hot))
+    most, compared = most_of(share), percent(float(weight[hot].sum()))
+    return f"{most[0].upper()}{most[1:]} of the excess lies {where} ({compared} of what was compared)."
+
+
+def _spread(split: Split, excess: np.ndarray, mean: float) -> str:
+    """State that the excess is everywhere, or nearly."""
+    spared = [] if split.spans else [int(i) for i in np.argsort(excess) if excess[i] < LOW_RATIO * mean]
+    if not spared:
+        return f"Nothing stands out: {SPREAD[split.title]}."
+    return f"It is everywhere but {WHERE[split.title].format(_named(split, spared))}."
+
+
+def _hot(excess: np.ndarray, mean: float, in_a_row: bool) -> list[int]:
+    """Labels whose excess is high; of labels in a row those around the highest."""
+    high = excess > HIGH_RATIO * mean
+    if not in_a_row:
+        return [int(i) for i in np.argsort(-excess) if high[i]]
+    first = last = int(excess.argmax())
+    while first > 0 and high[first - 1]:
+        first -= 1
+    while last < len(excess) - 1 and high[last + 1]:
+        last += 1
+    return list(range(first, last + 1)) if high[first] else []
+
+
+def _named(split: Split, hot: Sequence[int]) -> str:
+    if split.spans:
+        return f"{split.spans[hot[0]][0]:.0f}-{split.spans[hot[-1]][1]:.0f} {split.unit}"
+    names = [MOTIONS.get(split.labels[i], split.labels[i]) for i in hot[:MOST_NAMED]]
+    more = len(hot) - MOST_NAMED
+    return joined([*names, f"{more} more"] if more > 0 else names)
