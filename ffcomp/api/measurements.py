@@ -8,15 +8,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ffcomp.api.machines import load_plant
-from ffcomp.diagnose.gap import Discrepancy, measure_gap
-from ffcomp.diagnose.problems import Plant, recordings_of
-from ffcomp.diagnose.validation import Recorded
-from ffcomp.diagnose.verb import Diagnosis, diagnose_files
+from ffcomp.diagnose.gap import gap_request
+from ffcomp.diagnose.problems import Plant
+from ffcomp.diagnose.request import DiagnoseRequest, GapRequest
+from ffcomp.diagnose.verb import diagnose_request
 from ffcomp.errors import RequestError, extras_told
 from ffcomp.identify.fitting import FitRequest, fit_files
 from ffcomp.identify.identify import Identified
 from ffcomp.identify.machine_fit import MachineFit, Method
-from gcode.atomic_write import replace_atomically
+from ffcomp.request import function
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -27,13 +27,6 @@ Progress = Callable[[str], None]
 
 def _paths(files: Files) -> list[Path]:
     return [Path(files)] if isinstance(files, str | Path) else [Path(file) for file in files]
-
-
-def _recordings(recordings: Files | Sequence[Recorded], machine: Machine, plan: str | Path | None) -> list[Recorded]:
-    if isinstance(recordings, str | Path):
-        return recordings_of(machine, [recordings], plan)
-    made = [each for each in recordings if not isinstance(each, str | Path)]
-    return made + recordings_of(machine, [each for each in recordings if isinstance(each, str | Path)], plan)
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,60 +121,5 @@ def identify(
     return Identification(fit, target)
 
 
-def gap(
-    recordings: Files | Sequence[Recorded], machine: str | Path | Machine, *, plan: str | Path | None = None
-) -> Discrepancy:
-    """Measure where and how much recordings and simulation disagree.
-
-    Parameters
-    ----------
-    recordings : files or recordings; names that differ in a trailing -1, -2, … only are repeats
-    machine : the machine file whose simulation is compared, with its effects
-    plan : the file that `ffcomp record plan` wrote beside its G-code, for captures
-
-    Raises
-    ------
-    MeasurementError, MachineFileError
-    """
-    loaded = load_plant(machine)
-    return measure_gap(loaded, _recordings(recordings, loaded, plan))
-
-
-def diagnose(
-    recordings: Sequence[str | Path],
-    machine: str | Path | Machine,
-    output: str | Path | None = None,
-    *,
-    plan: str | Path | None = None,
-    without_repeats: bool = False,
-    thorough: bool = False,
-    progress: Progress = lambda sentence: None,
-) -> Diagnosis:
-    """Find the physical effect that a machine file lacks, and its size.
-
-    Parameters
-    ----------
-    recordings : files of the moving printer; names that differ in a trailing -1, -2, … only are repeats
-    machine : the machine file
-    output : the improved machine file; written only if an effect is named or retuning closes the discrepancy
-    plan : the file that `ffcomp record plan` wrote beside its G-code, for captures
-    without_repeats : guess the noise where no experiment was repeated
-    thorough : try everything, for as long as it takes; else a search ends at a budget of work, and says so
-
-    Raises
-    ------
-    MeasurementError, MachineFileError
-    """
-    target = None if output is None else Path(output)
-    diagnosis = diagnose_files(
-        _paths(recordings),
-        load_plant(machine),
-        target,
-        plan=plan,
-        without_repeats=without_repeats,
-        thorough=thorough,
-        progress=progress,
-    )
-    if diagnosis.output is not None:
-        replace_atomically(diagnosis.output, [diagnosis.better_file().encode()])
-    return diagnosis
+gap = function(GapRequest, gap_request)
+diagnose = function(DiagnoseRequest, diagnose_request)

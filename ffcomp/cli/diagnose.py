@@ -2,59 +2,32 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
-
-from ffcomp.cli.options import AsJson, CaptureAxes, Force, MachineName, MovesPlanFile, Quiet, Report, Runs
-from ffcomp.request import ACCURACY, OUTPUT
+from ffcomp.cli.command import Shown, verb
+from ffcomp.cli.common import print_json, say
+from ffcomp.diagnose.request import DiagnoseRequest
+from ffcomp.errors import RequestError
+from ffcomp.request import OUTPUT, Option, Request
 
 if TYPE_CHECKING:
     from ffcomp.diagnose.verb import Diagnosis
 
-Output = Annotated[
-    Path | None,
-    typer.Option(
-        "--output",
-        "-o",
-        metavar="FILE",
-        rich_help_panel=OUTPUT,
-        help="Improved machine file. Written if an effect is named or retuning closes the model discrepancy.",
-    ),
-]
-NoRepeats = Annotated[
-    bool,
-    typer.Option(
-        "--without-repeats",
-        rich_help_panel=ACCURACY,
-        help="Guess the noise where no experiment was repeated. The evidence is weaker.",
-    ),
-]
 
-Thorough = Annotated[
-    bool,
-    typer.Option(
-        "--thorough",
-        rich_help_panel=ACCURACY,
-        help="Try everything, for as long as it takes. Else a search ends at a budget of work, and says so.",
-    ),
-]
+@dataclass(frozen=True, kw_only=True)
+class Page(Request):
+    """The page of a diagnosis; only the command line has it."""
+
+    report: Annotated[
+        Path | None, Option("Write one HTML page that opens offline.", OUTPUT, "--report", "-r", metavar="FILE")
+    ] = None
+    force: Annotated[bool, Option("Overwrite files that exist.", OUTPUT)] = False
 
 
-def diagnose(
-    runs: Runs,
-    machine: MachineName,
-    plan: MovesPlanFile = None,
-    axes_map: CaptureAxes = None,
-    output: Output = None,
-    report: Report = None,
-    force: Force = False,
-    without_repeats: NoRepeats = False,
-    thorough: Thorough = False,
-    as_json: AsJson = False,
-    quiet: Quiet = False,
-) -> None:
+@verb
+def diagnose(request: DiagnoseRequest, page: Page, shown: Shown) -> None:
     """Find the physical effect that the machine file lacks, and its size.
 
     The answer is one effect or several, none, or unknown. A change of the file's own parameters within their
@@ -65,42 +38,26 @@ def diagnose(
 
     Example: ffcomp diagnose runs/*.csv --machine my-delta.toml -o better.toml --report diagnosis.html
     """
-    from ffcomp.cli.common import exit_codes, print_json, say
+    _check_targets(request.output, page.report, page.force)
 
-    _check_targets(output, report, force)
-    with exit_codes():
-        from dataclasses import replace
+    from ffcomp.cli.search_progress import SearchProgress
+    from ffcomp.diagnose.diagnosis import USUAL_S
+    from ffcomp.diagnose.verb import diagnose_files
+    from gcode.atomic_write import replace_atomically
 
-        from ffcomp.cli.search_progress import SearchProgress
-        from ffcomp.diagnose.diagnosis import USUAL_S
-        from ffcomp.diagnose.verb import diagnose_files
-        from ffcomp.record.axes import turn_of
-        from gcode.atomic_write import replace_atomically
-        from models.file import load_plant
-
-        plant = load_plant(machine)
-        with SearchProgress(quiet, USUAL_S) as shown:
-            diagnosis = diagnose_files(
-                runs,
-                plant,
-                output,
-                plan=plan,
-                turn=turn_of(axes_map),
-                without_repeats=without_repeats,
-                thorough=thorough,
-                progress=lambda sentence: say(f"ffcomp: {sentence}", quiet),
-                search_progress=shown,
-            )
-        diagnosis = replace(diagnosis, report=report)
-        files = {} if diagnosis.output is None else {diagnosis.output: diagnosis.better_file().encode()}
-        if report is not None:
-            files[report] = _page(diagnosis)
-        for path, content in files.items():  # all are complete before the first is written
-            replace_atomically(path, [content])
-        if as_json:
-            print_json(diagnosis.to_dict())
-        else:
-            _print(diagnosis)
+    request = replace(request, progress=lambda sentence: say(f"ffcomp: {sentence}", shown.quiet))
+    with SearchProgress(shown.quiet, USUAL_S) as search_progress:
+        diagnosis = diagnose_files(request, search_progress)
+    diagnosis = replace(diagnosis, report=page.report)
+    files = {} if diagnosis.output is None else {diagnosis.output: diagnosis.better_file().encode()}
+    if page.report is not None:
+        files[page.report] = _page(diagnosis)
+    for path, content in files.items():  # all are complete before the first is written
+        replace_atomically(path, [content])
+    if shown.as_json:
+        print_json(diagnosis.to_dict())
+    else:
+        _print(diagnosis)
 
 
 def _check_targets(output: Path | None, report: Path | None, force: bool) -> None:
@@ -109,11 +66,11 @@ def _check_targets(output: Path | None, report: Path | None, force: bool) -> Non
         if path is None:
             continue
         if path.is_dir() or not path.resolve().parent.is_dir():
-            raise typer.BadParameter(f"{path}: {option} names a file in a folder that exists.")
+            raise RequestError(f"{path}: {option} names a file in a folder that exists.")
         if path.exists() and not force:
-            raise typer.BadParameter(f"{path} exists already; give another {option}, or --force.")
+            raise RequestError(f"{path} exists already; give another {option}, or --force.")
     if output is not None and report is not None and output.resolve() == report.resolve():
-        raise typer.BadParameter(f"{report}: --report and --output must be two files.")
+        raise RequestError(f"{report}: --report and --output must be two files.")
 
 
 def _page(diagnosis: Diagnosis) -> bytes:

@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from ffcomp.cli.options import AsJson, CaptureAxes, MachineName, MovesPlanFile, Runs
+from ffcomp.cli.command import Shown, verb
+from ffcomp.cli.common import print_json, say
+from ffcomp.diagnose.request import GapRequest
 
 if TYPE_CHECKING:
     from ffcomp.diagnose.gap import Discrepancy
 
 
-def gap(
-    runs: Runs,
-    machine: MachineName,
-    plan: MovesPlanFile = None,
-    axes_map: CaptureAxes = None,
-    as_json: AsJson = False,
-) -> None:
+@verb
+def gap(request: GapRequest, shown: Shown) -> None:
     """Measure where and how much recordings and simulation disagree.
 
     ffcomp simulates each recording with the machine file and its effects. Repeats give the noise: files whose names
@@ -24,21 +22,13 @@ def gap(
 
     Example: ffcomp gap runs/*.csv --machine my-delta.toml
     """
-    from ffcomp.cli.common import exit_codes, print_json, say
+    from ffcomp.diagnose.gap import gap_request
 
-    with exit_codes():
-        from ffcomp.diagnose.gap import measure_gap
-        from ffcomp.diagnose.problems import recordings_of
-        from ffcomp.record.axes import turn_of
-        from models.file import load_plant
-
-        loaded = load_plant(machine)
-        measured = recordings_of(loaded, runs, plan, turn_of(axes_map), lambda text: say(f"ffcomp: {text}", False))
-        discrepancy = measure_gap(loaded, measured)
-        if as_json:
-            print_json(discrepancy.to_dict())
-        else:
-            _print(discrepancy)
+    discrepancy = gap_request(replace(request, progress=lambda text: say(f"ffcomp: {text}", shown.quiet)))
+    if shown.as_json:
+        print_json(discrepancy.to_dict())
+    else:
+        _print(discrepancy)
 
 
 def _print(discrepancy: Discrepancy) -> None:

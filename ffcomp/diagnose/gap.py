@@ -14,8 +14,10 @@ from numpy.typing import NDArray
 from ffcomp.diagnose.diagnosis import noise_floor
 from ffcomp.diagnose.noise import NoiseFloor, Whitener, whitener
 from ffcomp.diagnose.problem import Observation, Repeated
-from ffcomp.diagnose.problems import Plant, check_alike, problem_of
-from ffcomp.diagnose.validation import Recorded
+from ffcomp.diagnose.problems import Plant, plant_of, problem_of, recordings_of
+from ffcomp.diagnose.request import GapRequest
+from ffcomp.diagnose.validation import Recorded, check_alike
+from ffcomp.record.axes import turn_of
 from models.arrays import FloatArray
 
 EDGES_HZ = (1.0, 10.0, 20.0, 30.0, 40.0, 50.0, 60.0, 80.0, 100.0, 130.0, 160.0, 200.0)
@@ -149,7 +151,27 @@ class Discrepancy:
         }
 
 
-def measure_gap(machine: Machine, recordings: Sequence[Recorded]) -> Discrepancy:
+def gap_request(request: GapRequest) -> Discrepancy:
+    """Measure where and how much recordings and simulation disagree.
+
+    Parameters
+    ----------
+    progress : takes sentences on what is being done
+
+    Raises
+    ------
+    MeasurementError, MachineFileError
+    """
+    plant, several = plant_of(request.machine), request.recordings
+    several = [several] if isinstance(several, str | Path) else several
+    recordings = [each for each in several if not isinstance(each, str | Path)]
+    files = [each for each in several if isinstance(each, str | Path)]
+    if files:
+        recordings += recordings_of(plant, files, request.plan, turn_of(request.axes_map), request.progress)
+    return measure_gap(plant, recordings)
+
+
+def measure_gap(machine: Plant, recordings: Sequence[Recorded]) -> Discrepancy:
     """Simulate the recordings with the machine and its effects, and compare.
 
     Raises

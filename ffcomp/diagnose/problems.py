@@ -17,12 +17,23 @@ from ffcomp.measurement.recording import Recording
 from ffcomp.record.join import load_recordings
 from models.arrays import FloatArray
 from models.effects.catalogue import CATALOGUE
-from models.kinds import is_one_axis
+from models.file import load_plant
 from models.machine import Machine
 
 ALL = tuple(CATALOGUE)
 
 
+def plant_of(machine: str | Path | Plant) -> Plant:
+    """Load a printer or one axis by itself, unless it is loaded already."""
+    return load_plant(str(machine)) if isinstance(machine, str | Path) else machine
+
+
+def paths_of(files: Sequence[str | Path] | str | Path) -> list[Path]:
+    """Return the paths of one file or several."""
+    return [Path(files)] if isinstance(files, str | Path) else [Path(file) for file in files]
+
+
+@singledispatch
 def recordings_of(
     plant: Machine,
     paths: Sequence[str | Path],

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import date
 from math import inf
@@ -16,7 +16,8 @@ from ffcomp.diagnose.next_experiment import Proposal, propose
 from ffcomp.diagnose.print_gain import PrintGain, print_gain
 from ffcomp.diagnose.printer_problem import PrinterProblem
 from ffcomp.diagnose.problem import Problem
-from ffcomp.diagnose.problems import Plant, check_recordings, problem_of, recordings_of
+from ffcomp.diagnose.problems import check_recordings, paths_of, plant_of, problem_of, recordings_of
+from ffcomp.diagnose.request import DiagnoseRequest
 from ffcomp.diagnose.result import DiagnosisResult, better_file, result_of
 from ffcomp.diagnose.sentences import summary_sentences
 from ffcomp.diagnose.separation import separations
@@ -24,7 +25,8 @@ from ffcomp.diagnose.settings import SETTINGS
 from ffcomp.diagnose.what_to_do import what_to_do
 from ffcomp.identify.machine_fit import hash_of
 from ffcomp.numerics.stages import Progress
-from models.arrays import FloatArray
+from ffcomp.record.axes import turn_of
+from gcode.atomic_write import replace_atomically
 from models.file import check_text
 from models.machine import Machine
 
@@ -117,37 +119,23 @@ def result_json(result: DiagnosisResult, gain: PrintGain | None = None) -> dict[
     }
 
 
-def diagnose_files(
-    runs: Sequence[Path],
-    plant: Plant,
-    output: Path | None = None,
-    *,
-    plan: str | Path | None = None,
-    turn: FloatArray | None = None,
-    without_repeats: bool = False,
-    thorough: bool = False,
-    progress: Callable[[str], None] = lambda _: None,
-    search_progress: Progress | None = None,
-) -> Diagnosis:
+def diagnose_files(request: DiagnoseRequest, search_progress: Progress | None = None) -> Diagnosis:
     """Diagnose recordings; nothing is written.
 
     Parameters
     ----------
-    output : where the improved machine file is meant to go, if there is one
-    plan, turn, progress : as `ffcomp.record.load.load_recordings` takes them
-    without_repeats : guess the noise where no experiment was repeated
-    thorough : try everything, for as long as it takes; else a search ends at a budget of work, and says so
-    search_progress : of the search, if it is shown otherwise
+    search_progress : of the search, if it is shown otherwise than the rest
 
     Raises
     ------
-    MeasurementError
+    MeasurementError, MachineFileError
     """
-    began = time.monotonic()
-    recordings = recordings_of(plant, runs, plan, turn, progress)
+    began, plant, runs = time.monotonic(), plant_of(request.machine), paths_of(request.recordings)
+    recordings = recordings_of(plant, runs, request.plan, turn_of(request.axes_map), request.progress)
     problem = problem_of(plant, recordings)
-    check_recordings(problem, recordings, without_repeats)
-    search = diagnose(problem, search_progress or progress, inf if thorough else SETTINGS.budget_steps)
+    check_recordings(problem, recordings, request.without_repeats)
+    budget = inf if request.thorough else SETTINGS.budget_steps
+    search = diagnose(problem, search_progress or request.progress, budget)
     result, gain = result_of(problem, search), None
     if isinstance(plant, Machine) and isinstance(problem, PrinterProblem):  # one axis takes no G-code, prints nothing
         result = replace(result, separations=separations(problem, search))
@@ -158,6 +146,25 @@ def diagnose_files(
         search=search,
         runs=runs,
         print_gain=gain,
-        output=output if result.mends else None,
+        output=Path(request.output) if request.output is not None and result.mends else None,
         seconds=time.monotonic() - began,
     )
+
+
+def diagnose_request(request: DiagnoseRequest) -> Diagnosis:
+    """Find the physical effect that a machine file lacks, and its size.
+
+    The improved machine file is written only if an effect is named or retuning closes the discrepancy.
+
+    Parameters
+    ----------
+    progress : takes sentences on what is being done
+
+    Raises
+    ------
+    MeasurementError, MachineFileError
+    """
+    diagnosis = diagnose_files(request)
+    if diagnosis.output is not None:
+        replace_atomically(diagnosis.output, [diagnosis.better_file().encode()])
+    return diagnosis

@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ffcomp.cli.diagnose import diagnose
+from ffcomp.cli.app import app
+from ffcomp.cli.command import run
 from ffcomp.diagnose.diagnosis import noise_floor
 from ffcomp.diagnose.gap import locate_residual
 from ffcomp.diagnose.noise import whitener
@@ -525,7 +526,8 @@ SMOKE = {  # a delta's effects take a minute each: they are in the full bank
 def test_smoke(stratum: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Short runs: two motions of 0.8 s."""
     folder = written(case(31, stratum, SECONDS, short=True), tmp_path)
-    diagnose(sorted((folder / "runs").iterdir()), str(folder / "machine.toml"), as_json=True, quiet=True)
+    runs = map(str, sorted((folder / "runs").iterdir()))
+    run(app, ["diagnose", *runs, "-m", str(folder / "machine.toml"), "--json", "-q"])
     found = json.loads(capsys.readouterr().out)
     verdict, names = SMOKE[stratum]
     assert found["verdict"] == verdict

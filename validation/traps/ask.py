@@ -35,7 +35,8 @@ def joined(trap: CaptureTrap, keep: Path) -> Answer:
 
 def diagnosed(trap: CaptureTrap, keep: Path, before: Answer) -> Answer:
     """Diagnose what was joined; where nothing was, `before` is the answer."""
-    from ffcomp.cli.diagnose import diagnose
+    from ffcomp.cli.app import app
+    from ffcomp.cli.command import run
 
     if before.code:
         return Answer({}, before.text, before.code, before.cpu_s)
@@ -43,7 +44,9 @@ def diagnosed(trap: CaptureTrap, keep: Path, before: Answer) -> Answer:
     runs, better = sorted((folder / "runs").glob("*.csv")), folder / "better.toml"
     better.unlink(missing_ok=True)
     found, text, code, cpu_s = _called(
-        lambda: diagnose(runs, str(folder / "machine.toml"), output=better, as_json=True, quiet=True)
+        lambda: run(
+            app, ["diagnose", *map(str, runs), "-m", str(folder / "machine.toml"), "-o", str(better), "--json", "-q"]
+        )
     )
     return Answer(found, " ".join([before.text, text, *found.get("said", ())]), code, before.cpu_s + cpu_s)
 

@@ -33,7 +33,8 @@ class Answer:
 
 def asked(trap: Trap, keep: Path) -> Answer:
     """Write the trap's files and diagnose them through the public verb."""
-    from ffcomp.cli.diagnose import diagnose
+    from ffcomp.cli.app import app
+    from ffcomp.cli.command import run
 
     folder = keep / trap.name
     runs = write(trap.bench, trap.spoils, folder, keep / "readings")
@@ -42,7 +43,10 @@ def asked(trap: Trap, keep: Path) -> Answer:
     better.unlink(missing_ok=True)
     with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
         try:
-            diagnose(runs, str(folder / "machine.toml"), output=better, as_json=True, quiet=True)
+            run(
+                app,
+                ["diagnose", *map(str, runs), "-m", str(folder / "machine.toml"), "-o", str(better), "--json", "-q"],
+            )
         except BaseException as error:  # typer's exit among them
             code = int(getattr(error, "exit_code", getattr(error, "code", 1)) or 0)
             if code == 1:

@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ffcomp.api.measurements import recordings_of
 from ffcomp.diagnose.acceptance import out_of_reach
 from ffcomp.diagnose.diagnosis import _fitted_to_the_end, noise_floor
 from ffcomp.diagnose.fidelity import by_continuation, continue_fit, fit_within_uncertainty, from_short_horizon
@@ -20,7 +19,7 @@ from ffcomp.diagnose.fit import EstimationProblem, Fit, derivatives, estimation_
 from ffcomp.diagnose.hypotheses import Hypothesis
 from ffcomp.diagnose.noise import whitener
 from ffcomp.diagnose.problem import Candidate, Parameter
-from ffcomp.diagnose.problems import problem_of
+from ffcomp.diagnose.problems import problem_of, recordings_of
 from ffcomp.diagnose.score_test import screen
 from models.file import load_plant
 from validation.blind.cases import case
