@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 
 from ffcomp.api.machines import load_plant
 from ffcomp.diagnose.gap import gap_request
-from ffcomp.diagnose.problems import Plant
 from ffcomp.diagnose.request import DiagnoseRequest, GapRequest
 from ffcomp.diagnose.verb import diagnose_request
 from ffcomp.errors import RequestError, extras_told
@@ -17,6 +16,7 @@ from ffcomp.identify.fitting import FitRequest, fit_files
 from ffcomp.identify.identify import Identified
 from ffcomp.identify.machine_fit import MachineFit, Method
 from ffcomp.request import function
+from models.machine import Machine
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -105,8 +105,7 @@ def _digits(value: Any) -> str:
 
 
 def _print(diagnosis: Diagnosis) -> None:
-    from ffcomp.diagnose.sentences import summary_sentences
-    from ffcomp.diagnose.what_to_do import what_to_do
+    from ffcomp.diagnose.sentences import summary_sentences, what_to_do
     from models.effects.catalogue import CATALOGUE
 
     result, written = diagnosis.result, diagnosis.output

@@ -3,8 +3,9 @@
 Each module knows only the ones before it:
 
 problem        the interface to a machine: observations, parameters, candidate effects, simulation
-               (printer_problem: a printer; axis_problem: one axis by itself; problems: the one that belongs to a
-               machine file; observations: recordings as they are compared, and excerpts; validation: checks of them)
+               (printer_problem: a printer; printer_candidates: the catalogue's effects for it; axis_problem: one axis
+               by itself; problems: the one that belongs to a machine file; observations: recordings as they are
+               compared, and excerpts; validation: checks of them)
 noise          the noise floor, and the whitener that puts every signal and frequency on its scale
 settings       the numbers of the search
 fit            parameter values in, whitened residual out; fits with priors, their evidence and intervals
@@ -15,8 +16,9 @@ moves          add, drop, swap or reshape an effect
 search         the floating search over hypotheses
 acceptance     tests before an effect is named
 diagnosis      all stages together
+request, verb  the options of `gap` and `diagnose`; from files to answers
 
-Results: result (in the terms of the machine file), summary (for reports), residuals (where the residual is, without a
-diagnosis), next_experiment (which move separates what is still in question), separating_moves and separation (which
-recording of `ffcomp record plan` tells explanations apart that fit equally).
+Results: result (in the terms of the machine file), sentences (in words), summary (for reports), gap
+(where the residual is), next_experiment (which move separates what is still in question), separation (which recording
+of `ffcomp record plan` tells explanations apart that fit equally), print_gain (of prints, by the better file).
 """

@@ -28,8 +28,6 @@ from models.arrays import FloatArray
 ESTIMATE_SCALES = (1.0, 0.5, 0.25, 0.1, 0.03, -0.1, -0.5)  # of a linear estimate, and, where that may lead astray,
 USUAL_SIZES = (1.0, 0.5, 0.25, 0.1, 0.03, 0.01, -0.03, -0.1, -0.25, -0.5, -1.0)  # of a usual size
 HORIZON_SIZES = (1.0, 0.7, 0.5, 0.35, 0.25, 0.1, -0.1, -0.25, -0.5, -1.0)  # of a usual size
-HORIZON_SD = 2.5  # standard deviations within which the file's numbers are held there: impacts could move them anywhere
-HORIZON_COST = 4.0  # times the discrepancy that holding them may leave
 
 
 # ---- starts --------------------------------------------------------------------------------------
@@ -438,10 +436,10 @@ def _likeliest_there(
         return None
     free = likeliest(fitted)[0]
     at_file = free.at_file()
-    parameters = (*_held(free.machine_parameters, HORIZON_SD), *free.effect_parameters)
+    parameters = (*_held(free.machine_parameters, 2.5), *free.effect_parameters)
     begun = replace(at_file, fit=replace(at_file.fit, parameters=parameters))
     held = log_fit(_fitted_anew(part, begun, 10), progress, ", with the file's numbers held")
-    return held if comparable(held, free, HORIZON_COST) else free
+    return held if comparable(held, free, 4.0) else free
 
 
 def _free_starts(part: EstimationProblem, beside: Hypothesis, s: Screened) -> list[tuple[Hypothesis, float]]:

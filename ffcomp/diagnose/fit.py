@@ -27,7 +27,6 @@ from ffcomp.numerics.least_squares import (
 )
 from models.arrays import FloatArray
 
-CACHED_RESIDUALS = 48
 INFEASIBLE_SD = 1e6  # standard deviations, each entry of the residual of infeasible parameters
 DERIVATIVE_RTOL = 1e-4  # combinations of derivatives that cancel to less are not determined
 BLOCK_HZ = 5.0  # of the sandwich: the residual of a wrong shape keeps its sign over a few Hz
@@ -51,7 +50,7 @@ class ResidualCache:
     def add(self, key: _Key, residual: FloatArray) -> FloatArray:
         """Keep a residual as the newest, and return it."""
         self._kept.pop(key, None)
-        for old in list(self._kept)[: 1 - CACHED_RESIDUALS]:
+        for old in list(self._kept)[:-47]:
             del self._kept[old]
         self._kept[key] = residual
         return residual

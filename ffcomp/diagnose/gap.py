@@ -14,11 +14,12 @@ from numpy.typing import NDArray
 from ffcomp.diagnose.diagnosis import noise_floor
 from ffcomp.diagnose.noise import NoiseFloor, Whitener, whitener
 from ffcomp.diagnose.problem import Observation, Repeated
-from ffcomp.diagnose.problems import Plant, plant_of, problem_of, recordings_of
+from ffcomp.diagnose.problems import plant_of, problem_of, recordings_of
 from ffcomp.diagnose.request import GapRequest
 from ffcomp.diagnose.validation import Recorded, check_alike
 from ffcomp.record.axes import turn_of
 from models.arrays import FloatArray
+from models.machine import Machine
 
 EDGES_HZ = (1.0, 10.0, 20.0, 30.0, 40.0, 50.0, 60.0, 80.0, 100.0, 130.0, 160.0, 200.0)
 SLOW_SHARE = 0.05  # of a signal's largest speed: slower than that it is near a reversal
@@ -171,7 +172,7 @@ def gap_request(request: GapRequest) -> Discrepancy:
     return measure_gap(plant, recordings)
 
 
-def measure_gap(machine: Plant, recordings: Sequence[Recorded]) -> Discrepancy:
+def measure_gap(machine: Machine, recordings: Sequence[Recorded]) -> Discrepancy:
     """Simulate the recordings with the machine and its effects, and compare.
 
     Raises

@@ -26,14 +26,9 @@ from models.arrays import FloatArray
 from models.effects.catalogue import CATALOGUE
 from models.machine import Machine
 
-AROUND_SHARE = 0.6  # of the print radius: the six positions around the centre
 LOW_MM, HIGH_SHARE = 30.0, 0.5  # height, and share of the print height
-MARGIN_MM = 12.0  # that a move may need around its position
 BEFORE_S, AFTER_S = 0.12, 0.3  # of rest in the recording: the printer rings for 0.2 s
 ENOUGH_SD, MANY_SD = 3.0, 100.0  # to separate two hypotheses; no more are reported
-MOST_QUESTIONS, NEAREST = 3, 2  # in question at most; and where nothing is named
-CHORD_MM = 1.0  # of a circle
-WAIT_MS = 150  # until the nozzle rests, after a hard move
 
 Point = tuple[float, float, float]
 Lines = Iterator[str]
@@ -103,7 +98,7 @@ def propose(problem: PrinterProblem, diagnosis: Diagnosis, count: int = 3) -> li
 def _questions(problem: PrinterProblem, diagnosis: Diagnosis) -> list[_Question]:
     if diagnosis.best is None:
         unseen = sorted((s for s in diagnosis.screened if not s.visible), key=lambda s: -s.strength)
-        return [_shown(diagnosis, s) for s in unseen[:MOST_QUESTIONS]]
+        return [_shown(diagnosis, s) for s in unseen[:3]]
     best = diagnosis.best
     others = [h for h in (*diagnosis.competing, *diagnosis.tried) if h.names != best.names]
     nearest = list({h.names: h for h in reversed(others)}.items())[::-1]
@@ -114,7 +109,7 @@ def _questions(problem: PrinterProblem, diagnosis: Diagnosis) -> list[_Question]
         _separation(diagnosis, (s.candidate.name,), linear_estimate(diagnosis, s))
         for s in _named(diagnosis, confounded - known)
     ]
-    return questions[: MOST_QUESTIONS if diagnosis.named is not None else NEAREST]
+    return questions[: 3 if diagnosis.named is not None else 2]
 
 
 def _named(diagnosis: Diagnosis, names: set[str]) -> list[Screened]:
@@ -269,7 +264,7 @@ def _proposal(machine: Machine, question: _Question, trial: _Trial) -> Proposal:
 
 def positions(machine: Machine) -> list[Point]:
     """Return the centre, then six positions around it; low."""
-    around = machine.kinematics.around(AROUND_SHARE, MARGIN_MM)
+    around = machine.kinematics.around(0.6, margin_mm=12.0)
     return [(*machine.kinematics.centre_mm, LOW_MM), *((round(x, 1), round(y, 1), LOW_MM) for x, y in around.tolist())]
 
 
@@ -326,9 +321,9 @@ def _to_and_fro(position: Point, reach: float, speed: float, times: int) -> Line
 def _singles(position: Point, reach: float, speed: float) -> Lines:
     for offset in ((reach, 0.0, 0.0), (0.0, reach, 0.0), (-reach, -reach, 0.0), (0.0, 0.0, reach / 3)):
         yield _to(_beside(position, *offset), speed)
-        yield f"G4 P{WAIT_MS}"
+        yield "G4 P150"  # ms, until the nozzle rests
         yield _to(position, speed)
-        yield f"G4 P{WAIT_MS}"
+        yield "G4 P150"
 
 
 def _zigzag(position: Point, speed: float, lines: int) -> Lines:
@@ -343,7 +338,7 @@ def _zigzag(position: Point, speed: float, lines: int) -> Lines:
 
 def _circles(position: Point, radius: float, speed: float) -> Lines:
     """Draw one turn up, one turn down."""
-    turn = np.linspace(0.0, 2 * np.pi, round(2 * np.pi * radius / CHORD_MM) + 1)[1:]
+    turn = np.linspace(0.0, 2 * np.pi, round(2 * np.pi * radius) + 1)[1:]
     for rise in (turn, turn[::-1]):
         for angle, height in zip(turn, rise, strict=True):
             offset = (radius * np.sin(angle), radius * (1 - np.cos(angle)), height)

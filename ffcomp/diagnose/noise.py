@@ -23,8 +23,7 @@ TAPER_S = 0.1  # faded in and out at both ends
 SEGMENT_S = 0.64  # of the averaged spectra: 1.6 Hz lines
 SMOOTHING_HZ = 5.0
 SMOOTHED_LINES = 4.6  # independent ones in that: dividing by a floor of n averages makes noise 1 + 1/n too large
-LEAST = 0.003  # of each signal: no simulation is nearer than that, however quiet the sensors are
-FLOOR_BAND = (1.1, 0.95)  # from 1.1 × the band's end to 0.95 × the Nyquist frequency
+SIMULATION_ERROR = 0.003  # of each signal: no simulation is nearer than that, however quiet the sensors are
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +67,7 @@ def noise_from_residual(
     errors : (n, m) an observation, measured − simulated.
     """
     grid = np.arange(0.0, min(r.rate_hz for r in observations) / 2 + 1e-9, 1 / SEGMENT_S)
-    high = (grid > FLOOR_BAND[0] * band_hz[1]) & (grid < FLOOR_BAND[1] * grid[-1])
+    high = (grid > 1.1 * band_hz[1]) & (grid < 0.95 * grid[-1])  # up to nearly the Nyquist frequency
     density = {}
     for signal in sorted({name for r in observations for name in r.signals}):
         columns = [
@@ -113,7 +112,9 @@ def at_least(
         floor = NoiseFloor(floor.frequency_hz, held, floor.from_repeats)
     powers = _powers(whitener(observations, floor, band_hz), floor)
     factors = {  # positions are nearly the command: no share of them says how exact a simulation is
-        name: LEAST**2 * signal / max(noise, 1e-300) for name, (signal, noise) in powers.items() if name[:3] == "acc"
+        name: SIMULATION_ERROR**2 * signal / max(noise, 1e-300)
+        for name, (signal, noise) in powers.items()
+        if name[:3] == "acc"
     }
     if max(factors.values(), default=0.0) <= 1.0:
         return floor
@@ -130,14 +131,14 @@ def noise_share(whiten: Whitener, floor: NoiseFloor) -> float:
 
 def _powers(whiten: Whitener, floor: NoiseFloor) -> dict[str, tuple[float, float]]:
     """Return for each signal the power inside the band of what was measured, and of its noise."""
-    found: dict[str, tuple[float, float]] = {}
+    powers: dict[str, tuple[float, float]] = {}
     for o in whiten.observations:
         spectrum, frequency = whiten.spectrum(o, o.measured)
         for name, line in zip(o.signals, spectrum, strict=True):
-            signal, noise = found.get(name, (0.0, 0.0))
+            signal, noise = powers.get(name, (0.0, 0.0))
             loud = float(np.sum(floor.at(name, frequency))) * 2 * whiten.power(o)
-            found[name] = signal + float(np.sum(np.abs(line) ** 2)), noise + loud
-    return found
+            powers[name] = signal + float(np.sum(np.abs(line) ** 2)), noise + loud
+    return powers
 
 
 def _by_repeat(observation: Observation) -> tuple[str, str]:
@@ -193,8 +194,8 @@ class Whitener:
         alike: dict[int, dict[int, FloatArray]] = {}
         for kind, x in zip(chosen, signals, strict=True):
             alike.setdefault(kind, {})[id(x)] = x
-        found = {kind: self._whitened(kind, own) for kind, own in alike.items()}
-        parts = [found[kind][id(x)] for kind, x in zip(chosen, signals, strict=True)]
+        white = {kind: self._whitened(kind, arrays) for kind, arrays in alike.items()}
+        parts = [white[kind][id(x)] for kind, x in zip(chosen, signals, strict=True)]
         return np.concatenate(parts) if parts else np.zeros(0)
 
     def _whitened(self, kind: int, signals: Mapping[int, FloatArray]) -> dict[int, FloatArray]:

@@ -25,10 +25,7 @@ LEAST_RATE_HZ = 1500.0  # more than seven times the band's end; faster recording
 APART_MM = 20.0  # from which two places count as two
 EXCERPT_S = 1.2
 EXCERPT_LEAD_S = 0.4  # simulated before, from a gentle start: a belt's vibration has decayed by then
-WORTHWHILE_SHARE = 0.6  # of the rows: with more to simulate, an excerpt saves too little
 MANY_MOTIONS, EXCERPT_MOTIONS = 8, 6  # from the one on, only so many are searched in, each recorded once
-REST_MM = 1e-3  # within which a command has not begun to move
-LOUDNESS_QUANTILE = 0.75  # of an excerpt: the loudest part may be an accident
 
 
 Position = tuple[float, ...]
@@ -153,14 +150,14 @@ def excerpt_parts(observations: Sequence[Observation], same_command: Sequence[in
     distinct = sorted(set(same_command))
     parts = {i: _part(observations[i], late=n % 2 == 1) for n, i in enumerate(distinct)}
     rows = sum(len(observations[i].measured) for i in distinct)
-    if sum(part.last - part.first + part.lead for part in parts.values()) > WORTHWHILE_SHARE * rows:
+    if sum(part.last - part.first + part.lead for part in parts.values()) > 0.6 * rows:  # it would save too little
         return None
     return [parts[i] for i in same_command]
 
 
 def first_seconds(observation: Observation, command: FloatArray, seconds: float) -> Part:
     """Return so much of a recording from where its command (n, 3) begins to move, and all that is before."""
-    moves = np.flatnonzero(np.any(np.abs(command - command[0]) > REST_MM, axis=1))
+    moves = np.flatnonzero(np.any(np.abs(command - command[0]) > 1e-3, axis=1))
     last = (int(moves[0]) if len(moves) else 0) + round(seconds * observation.rate_hz)
     return Part(0, len(command) if last >= len(command) else quick_length(last), 0)
 
@@ -172,7 +169,7 @@ def _part(observation: Observation, late: bool) -> Part:
         return Part(0, len(observation.measured), 0)
     loudness = _loudness(observation, rows)
     half = slice(starts // 2, starts) if late else slice(0, starts // 2)
-    usual = np.abs(loudness[half] - np.quantile(loudness[half], LOUDNESS_QUANTILE))
+    usual = np.abs(loudness[half] - np.quantile(loudness[half], 0.75))  # the loudest part may be an accident
     first = half.start + int(np.argmin(usual))
     return Part(first, first + rows, lead) if first > lead else Part(first, first + rows, first)
 

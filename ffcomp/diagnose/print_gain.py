@@ -20,10 +20,6 @@ from models.errors import MachineFileError
 from models.machine import Machine
 from models.parameters import with_values
 
-SQUARES_MM, LINE_MM, LINES, SPACING_MM = (12.0, 8.0), 6.0, 8, 1.5
-HEIGHT_MM, SPEED_MM_PER_MIN = 0.3, 6000
-RATE_HZ = 1600.0
-
 
 @dataclass(frozen=True)
 class PrintGain:
@@ -81,17 +77,17 @@ def _compensated(sample: Path, machine: Machine) -> Path:
 
 def _contour_um(file: Path, believed: Machine, true: Machine) -> float:
     command, _ = read_command(file, believed, (0.0, 0.0), "")
-    simulation = simulate_command(command, believed, true, Request(RATE_HZ, 0.0, inf, True), path=str(file))
+    simulation = simulate_command(command, believed, true, Request(1600.0, 0.0, inf, True), path=str(file))
     return simulation.track.contour_rms_um
 
 
 def sample_print() -> str:
-    """Return the sample's G-code: two squares and an infill of short lines around the bed's centre."""
-    lines = ["G28", "G90", "M83", f"G1 X-12 Y-12 Z{HEIGHT_MM} F{SPEED_MM_PER_MIN}"]
-    for half in SQUARES_MM:
+    """Return the sample's G-code: squares of 24 and 16 mm, and eight lines of 12 mm, 1.5 mm apart, at 100 mm/s."""
+    lines = ["G28", "G90", "M83", "G1 X-12 Y-12 Z0.3 F6000"]
+    for half in (12.0, 8.0):
         for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1), (-1, -1)):
             lines.append(f"G1 X{x * half:g} Y{y * half:g} E{half / 15:.3f}")
-    for i in range(LINES):
-        at, side = SPACING_MM * i - LINE_MM, LINE_MM * (-1) ** i
+    for i in range(8):
+        at, side = 1.5 * i - 6.0, 6.0 * (-1) ** i
         lines += [f"G1 X{at:g} Y{-side:g} E0.05", f"G1 X{at:g} Y{side:g} E0.4"]
     return "\n".join(lines) + "\n"

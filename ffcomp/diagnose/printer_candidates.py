@@ -154,7 +154,7 @@ def _starts(effect: Effect, p: EffectParameter, machine: Machine) -> list[float]
         return list(p.starts)
     if p.size == "direction":
         return [0.0, np.pi / 4, np.pi / 2, 3 * np.pi / 4]
-    if (effect.name, p.name) == ("cogging", "pitch_mm"):
+    if p.is_pitch:
         # it repeats every full step, or every four
         return [steps / float(machine.steps.full_per_motor[0]) for steps in (1.0, 4.0)]
     low, high = p.typical

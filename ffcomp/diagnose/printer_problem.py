@@ -56,11 +56,8 @@ from models.printer.printer import SMOOTH_STEP_S, PrinterMotion, Splines, longes
 
 STEP_S = 1 / 3200  # of a printer without dry friction or backlash: some nanometres off
 COARSE_STEP_S, COARSE_KINKED_STEP_S = 1 / 1600, 1 / 3200  # where effects are only ranked
-LONGER_STEP = 1.03  # a step may be so much longer where that saves one a row
-SAME_RATE = 5  # decimals of a rate, Hz: the others are 20 ns in three seconds
 KEPT, AT_ONCE = 4, 24  # machines whose motions are held
 WORKERS = min(8, os.cpu_count() or 1)
-CYCLE_STEPS = 4.0  # full steps of a motor's electrical cycle
 
 STRAIGHT = ("axis X", "axis Y", "axis Z")
 _Pack = TypeVar("_Pack")
@@ -80,7 +77,7 @@ class PrinterProblem(Problem):
         self.name, self.path, self.per_kilogram = machine.name, machine.path, machine.vibration.per_kilogram
         if not machine.kinematics.tower_directions:
             self.carriages, self.belts = STRAIGHT, machine.kinematics.actuator_names
-        self.reach_mm, self.cycle_mm = machine.kinematics.bed_radius_mm, CYCLE_STEPS / machine.steps.full_per_motor[0]
+        self.reach_mm, self.cycle_mm = machine.kinematics.bed_radius_mm, 4.0 / machine.steps.full_per_motor[0]
         self.commands = [compared(carriages_of(machine, one), every_row(one)) for one in recordings]
         recorded = [observation_of(machine, one, c) for one, c in zip(recordings, self.commands, strict=True)]
         self.repeats = repeats_of(recorded)
@@ -275,8 +272,8 @@ def _longest(printer: ConvertedPrinter, coarse: bool) -> float:
 
 def _steps(longest: float, rate_hz: float) -> _Steps:
     """Return the steps of a recording; rates that only the rounding of times tells apart share the lanes."""
-    rate_hz = round(rate_hz, SAME_RATE)
-    return _Steps(1 / rate_hz, math.ceil(1 / rate_hz / longest / LONGER_STEP))
+    rate_hz = round(rate_hz, 5)  # beyond are 20 ns in three seconds
+    return _Steps(1 / rate_hz, math.ceil(1 / rate_hz / longest / 1.03))  # a little longer where that saves one a row
 
 
 def _converted(machine: Machine) -> ConvertedPrinter | ValueError:

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from models.arrays import FloatArray
 
 TOWERS = ("tower A", "tower B", "tower C")
-PERIODS = 2.0  # of a ripple must fit into the travel
 
 
 @dataclass(frozen=True)
@@ -71,7 +70,7 @@ def within_travel(candidate: Candidate, travel_mm: float) -> Candidate | None:
 
     With less than two periods nothing repeats, and a ripple explains any slow error.
     """
-    most = travel_mm / PERIODS
+    most = travel_mm / 2.0
     pitches = [n for n in candidate.shapes if n.name.endswith(".pitch_mm")]
     if not pitches:
         return candidate

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import singledispatch
 from pathlib import Path
 
 from ffcomp.diagnose.axis_problem import AxisProblem
@@ -18,12 +17,13 @@ from ffcomp.record.join import load_recordings
 from models.arrays import FloatArray
 from models.effects.catalogue import CATALOGUE
 from models.file import load_plant
+from models.kinds import is_one_axis
 from models.machine import Machine
 
 ALL = tuple(CATALOGUE)
 
 
-def plant_of(machine: str | Path | Plant) -> Plant:
+def plant_of(machine: str | Path | Machine) -> Machine:
     """Load a printer or one axis by itself, unless it is loaded already."""
     return load_plant(str(machine)) if isinstance(machine, str | Path) else machine
 
@@ -33,7 +33,6 @@ def paths_of(files: Sequence[str | Path] | str | Path) -> list[Path]:
     return [Path(files)] if isinstance(files, str | Path) else [Path(file) for file in files]
 
 
-@singledispatch
 def recordings_of(
     plant: Machine,
     paths: Sequence[str | Path],
@@ -47,28 +46,8 @@ def recordings_of(
     ----------
     plan, turn, progress : as `ffcomp.record.join.load_recordings` takes them
     """
-    raise TypeError(plant)
-
-
-@recordings_of.register
-def _(
-    plant: Machine,
-    paths: Sequence[str | Path],
-    plan: str | Path | None = None,
-    turn: FloatArray | None = None,
-    progress: Callable[[str], None] = lambda _: None,
-) -> list[Recorded]:
-    return with_folders(load_recordings(paths, plant, plan, turn, progress))
-
-
-@recordings_of.register
-def _(
-    plant: AxisMachine,
-    paths: Sequence[str | Path],
-    plan: str | Path | None = None,
-    turn: FloatArray | None = None,
-    progress: Callable[[str], None] = lambda _: None,
-) -> list[Recorded]:
+    if not is_one_axis(plant):
+        return with_folders(load_recordings(paths, plant, plan, turn, progress))
     if plan is not None:
         raise RequestError(f"{plant.name} is one axis by itself: there is no plan of moves for it. Leave --plan out.")
     return with_folders([read_axis_run(path) for path in paths])

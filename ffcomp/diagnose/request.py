@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Annotated
 from ffcomp.request import ACCURACY, MACHINE, OUTPUT, Argument, Option, Request
 
 if TYPE_CHECKING:
-    from ffcomp.diagnose.problems import Plant
     from ffcomp.diagnose.validation import Recorded
+    from models.machine import Machine
 
     Files = Sequence[str | Path] | str | Path
     FilesOrRecordings = Files | Sequence[Recorded]
-    MachineOrFile = str | Path | Plant
+    MachineOrFile = str | Path | Machine
 else:  # as the command line reads them
     Files = FilesOrRecordings = tuple[Path, ...]
     MachineOrFile = str

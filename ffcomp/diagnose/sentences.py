@@ -1,14 +1,16 @@
-"""What a diagnosis says, in sentences made of its numbers: for the text, the JSON's `said`, the report."""
+"""What a diagnosis says, and what to do, in sentences made of its numbers: for the text, the JSON, the report."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 from ffcomp.diagnose.result import DiagnosisResult
+from ffcomp.diagnose.settings import SETTINGS
 from ffcomp.diagnose.words import digits, joined, most_of, percent
+from models.effects.catalogue import CATALOGUE
 
 FEW = 4  # numbers or files in one sentence
-NOISY = 0.1  # of the signals
 
 
 def summary_sentences(result: DiagnosisResult) -> list[str]:
@@ -125,7 +127,7 @@ def guessed_noise(result: DiagnosisResult) -> list[str]:
 
 def _cannot_tell(result: DiagnosisResult) -> list[str]:
     noise = result.gap.noise
-    if noise > NOISY:
+    if noise > SETTINGS.loud_noise:
         return [
             f"Cannot tell: the noise is {percent(noise)} of the signals, so what is missing may be hidden in it. "
             "Record louder motions, or fasten the sensor better, and repeat each."
@@ -178,3 +180,58 @@ def late_files(result: DiagnosisResult) -> list[str]:
         f"Files do not lie on their command: {joined(files)}{more}. Their delays were fitted; join captures by the "
         "firmware's clock (ffcomp record join) to be surer."
     ]
+
+
+# ---- what to do ----------------------------------------------------------------------------------
+
+
+def what_to_do(result: DiagnosisResult) -> list[str]:
+    """Return steps in order: to the printer first, then to the file, then what to record."""
+    finding, separating = finding_of(result), [each.sentence() for each in result.separations]
+    if finding == "effects":
+        return [*(_remedy(result, name) for name in result.effects), *_afterwards(result), *separating]
+    if finding == "nothing":
+        return ["Nothing to mend, as far as these recordings go. Record again when prints change."]
+    if finding in ("cannot_tell", "recording"):
+        return ["Record again as said above before anything is changed on the printer or in its file."]
+    return [
+        *separating,
+        "Do not add the nearest effect to the file by hand: it is wrong where it was not fitted.",
+        "Look for something loose, rubbing, worn or bent where the gap is largest.",
+        f"Record other motions, each twice, at more places at least 20 mm apart{_at(result)}."
+        if result.gap.left_out != "windows"
+        else "Record other motions: slower and faster, shorter and longer, near rest and over the whole travel.",
+    ]
+
+
+def _remedy(result: DiagnosisResult, name: str) -> str:
+    effect = CATALOGUE[name]
+    names = result.names.belts if effect.of_motors else result.names.carriages
+    return effect.remedy.format(where=_first_of(names, result.effects[name]))
+
+
+def _first_of(names: Sequence[str], table: Mapping[str, Any]) -> str:
+    """Name the towers or axes that stand out, where there is a value for each."""
+    lists = [x for x in table.values() if isinstance(x, list) and len(x) == len(names)]
+    if not lists:
+        return ""
+    sizes = [abs(float(x)) for x in lists[0]]
+    high = [t for t, size in zip(names, sizes, strict=True) if size > 1.3 * sum(sizes) / len(sizes)]
+    return f", first of {joined(high)}" if high else ""
+
+
+def _afterwards(result: DiagnosisResult) -> list[str]:
+    if result.gap.left_out == "windows":
+        return ["Compare the better machine file (-o better.toml) with new runs (ffcomp gap)."]
+    steps = [
+        "Until then, compensate with the better machine file (-o better.toml), and compare it with new recordings."
+    ]
+    if result.gap.left_out != "places":
+        steps.append("Record the same motions at two more places, at least 20 mm apart, and diagnose again.")
+    elif result.gap.unproven:
+        steps.append(f"Record louder motions at {joined(list(result.gap.unproven))} and diagnose again.")
+    return steps
+
+
+def _at(result: DiagnosisResult) -> str:
+    return f", also near {joined(list(result.gap.unproven))}" if result.gap.unproven else ""

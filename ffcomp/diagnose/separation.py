@@ -38,7 +38,6 @@ from models.finding import machine_paths
 from models.machine import Machine
 
 ENOUGH_RMS = 0.3  # times the noise, rms: a thousand samples then differ by more than nine standard deviations
-WORTH_RATIO = 2.0  # times what differs in the given runs already: less is not worth another recording
 
 
 @dataclass(frozen=True)
@@ -61,7 +60,7 @@ class Separation:
     @property
     def tells(self) -> bool:
         """Tell whether the recording separates them."""
-        return not self.command or self.there > max(ENOUGH_RMS, WORTH_RATIO * self.now)
+        return not self.command or self.there > max(ENOUGH_RMS, 2.0 * self.now)
 
     def sentence(self) -> str:
         """Say what to record, and what it promises; or that no move does."""
@@ -106,10 +105,7 @@ def _without(names: Sequence[str], others: Sequence[str]) -> list[str]:
     return [name for name in names if name not in others]
 
 
-MOST_RIVALS = 2
-RECORDING_S = 2.5
 OUTPUT = "separate.gcode"
-FEASIBLE_SQUARE = 1e11  # mean square: an infeasible printer's residual is a million in every entry
 
 Values = Mapping[str, float]
 
@@ -135,8 +131,8 @@ class _Trial:
 def separations(problem: PrinterProblem, diagnosis: Diagnosis) -> list[Separation]:
     """Return, for each rival of the best explanation, the recording that separates it best."""
     everyone = rivals_of(diagnosis)
-    rivals = [rival for rival in everyone if not rival.beaten][:MOST_RIVALS]
-    beaten = [rival for rival in everyone if rival.beaten][:MOST_RIVALS]
+    rivals = [rival for rival in everyone if not rival.beaten][:2]
+    beaten = [rival for rival in everyone if rival.beaten][:2]
     if diagnosis.best is None or not everyone:
         return []
     ours = diagnosis.best.names
@@ -196,7 +192,7 @@ def _tried(problem: PrinterProblem, diagnosis: Diagnosis, rivals: Sequence[Rival
     """Try every kind at the centre, then the best kind at other places, higher, and softer."""
     machine = problem.machine
     centre, *others = default_places(machine)
-    usual = Request(places_mm=[centre], seconds=RECORDING_S)
+    usual = Request(places_mm=[centre], seconds=2.5)
     trials = [*_played(problem, diagnosis, rivals, [replace(usual, kinds=(kind,)) for kind in KINDS])]
     if not trials:
         return []
@@ -252,7 +248,8 @@ def _differences(
         absorbed = np.linalg.inv(information + columns.T @ columns)
         slopes = [columns.T @ d for d in apart]
         squares = [max(s - float(g @ absorbed @ g), 0.0) for s, g in zip(squares, slopes, strict=True)]
-    return [float(np.sqrt(s / len(ours))) if s < FEASIBLE_SQUARE * len(ours) else 0.0 for s in squares]
+    # an infeasible printer's residual is a million in every entry
+    return [float(np.sqrt(s / len(ours))) if s < 1e11 * len(ours) else 0.0 for s in squares]
 
 
 # ---- sentences and commands --------------------------------------------------------------------------------

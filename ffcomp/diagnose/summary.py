@@ -29,8 +29,6 @@ from models.arrays import FloatArray
 TIME_BINS = 24
 PHASE_BINS = 16
 QUANTILES = (0.0, 0.25, 0.5, 0.75, 0.9, 0.98, 1.0)  # of the size of motion
-OVERLAYS = 4
-WINDOW_S = 0.25  # of an overlay
 SPECTRUM_BANDS = 90
 KINDS = {"acc": ("acceleration", "m/s²"), "pos": ("position", "mm")}
 
@@ -291,14 +289,14 @@ def _overlays(problem: Problem, estimation: EstimationProblem, answers: Answers,
     )
     distinct = {problem.observations[i].signals[k]: (i, k) for _, i, k in reversed(ranked)}
     chosen = [(i, k) for _, i, k in ranked if distinct[problem.observations[i].signals[k]] == (i, k)]
-    return [_overlay(problem, estimation, answers, errors[i][:, k], i, k) for i, k in chosen[:OVERLAYS]]
+    return [_overlay(problem, estimation, answers, errors[i][:, k], i, k) for i, k in chosen[:4]]
 
 
 def _overlay(
     problem: Problem, estimation: EstimationProblem, answers: Answers, error: FloatArray, i: int, k: int
 ) -> Overlay:
     r = problem.observations[i]
-    half = round(WINDOW_S * r.rate_hz / 2)
+    half = round(0.25 * r.rate_hz / 2)  # of a window of a quarter of a second
     power = np.convolve(error**2, np.ones(2 * half), "same")
     middle = min(max(int(power.argmax()), half), max(len(power) - half, half))
     part = slice(middle - half, middle + half)

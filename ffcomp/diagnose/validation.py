@@ -58,8 +58,8 @@ def _wrong_nozzle_scale(recording: Recording, nozzle: FloatArray) -> list[str]:
     """Check the nozzle's sensors against its path, which only a machine knows where carriages are commanded."""
     if recording.command_space == "nozzle":
         return []  # the reader has done it
-    felt = {name: x for name, x in recording.acceleration.items() if name[-1] in "xyz"}
-    return wrong_scale(nozzle, ("cmd_x", "cmd_y", "cmd_z"), felt, recording.sample_rate_hz)
+    nozzle_signals = {name: x for name, x in recording.acceleration.items() if name[-1] in "xyz"}
+    return wrong_scale(nozzle, ("cmd_x", "cmd_y", "cmd_z"), nozzle_signals, recording.sample_rate_hz)
 
 
 def _expected(carriages: FloatArray, nozzle: FloatArray, recording: Recording) -> dict[str, FloatArray]:
@@ -101,8 +101,9 @@ def check_alike(recordings: Sequence[Recorded]) -> None:
         first = firsts.setdefault(recording.repeat_of, recording)
         problem = _other_sensors(first, recording) or _another_command(first, recording)
         if problem:
-            said = f"By its name it repeats {Path(first.source).name}, but"
-            raise MeasurementError(recording.source, [f"{said} {problem}"])
+            raise MeasurementError(
+                recording.source, [f"By its name it repeats {Path(first.source).name}, but {problem}"]
+            )
 
 
 def _other_sensors(first: Recorded, recording: Recorded) -> str:

@@ -19,16 +19,14 @@ from ffcomp.diagnose.problem import Problem
 from ffcomp.diagnose.problems import check_recordings, paths_of, plant_of, problem_of, recordings_of
 from ffcomp.diagnose.request import DiagnoseRequest
 from ffcomp.diagnose.result import DiagnosisResult, better_file, result_of
-from ffcomp.diagnose.sentences import summary_sentences
+from ffcomp.diagnose.sentences import summary_sentences, what_to_do
 from ffcomp.diagnose.separation import separations
 from ffcomp.diagnose.settings import SETTINGS
-from ffcomp.diagnose.what_to_do import what_to_do
 from ffcomp.identify.machine_fit import hash_of
 from ffcomp.numerics.stages import Progress
 from ffcomp.record.axes import turn_of
 from gcode.atomic_write import replace_atomically
 from models.file import check_text
-from models.machine import Machine
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -137,7 +135,7 @@ def diagnose_files(request: DiagnoseRequest, search_progress: Progress | None = 
     budget = inf if request.thorough else SETTINGS.budget_steps
     search = diagnose(problem, search_progress or request.progress, budget)
     result, gain = result_of(problem, search), None
-    if isinstance(plant, Machine) and isinstance(problem, PrinterProblem):  # one axis takes no G-code, prints nothing
+    if isinstance(problem, PrinterProblem):  # one axis takes no G-code, prints nothing
         result = replace(result, separations=separations(problem, search))
         gain = print_gain(plant, result)
     return Diagnosis(

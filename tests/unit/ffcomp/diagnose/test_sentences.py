@@ -13,8 +13,7 @@ from ffcomp.diagnose.diagnosis import FINDINGS
 from ffcomp.diagnose.gap import ResidualSize
 from ffcomp.diagnose.print_gain import print_gain
 from ffcomp.diagnose.result import DiagnosisResult, FileNumbers, Gap, PlantNames
-from ffcomp.diagnose.sentences import summary_sentences
-from ffcomp.diagnose.what_to_do import REMEDIES, what_to_do
+from ffcomp.diagnose.sentences import summary_sentences, what_to_do
 from ffcomp.identify.uncertainty import normal
 from models.effects.catalogue import CATALOGUE
 from models.file import load_machine

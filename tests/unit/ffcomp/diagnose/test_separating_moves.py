@@ -13,9 +13,9 @@ from ffcomp.diagnose.diagnosis import Diagnosis, diagnose
 from ffcomp.diagnose.next_experiment import blank_recording
 from ffcomp.diagnose.printer_problem import PrinterProblem
 from ffcomp.diagnose.result import DiagnosisResult, result_of
+from ffcomp.diagnose.sentences import what_to_do
 from ffcomp.diagnose.separation import ENOUGH_RMS, Separation, separations
 from ffcomp.diagnose.verb import result_json
-from ffcomp.diagnose.what_to_do import what_to_do
 from ffcomp.diagnose.words import digits
 from ffcomp.measurement.recording import Recording
 from ffcomp.record.moves import Request, make_plan
