@@ -20,7 +20,7 @@ from ffcomp.compare.methods import TunedMethod
 from ffcomp.compare.sampling import PrintSlice
 from ffcomp.inverse.settings import settings_for
 from ffcomp.shapers import SHAPERS
-from ffcomp.shapers.pattern import Found
+from ffcomp.shapers.search import Optimum
 from models.machine import Machine
 
 INVERTED = ("smooth_zv", "smooth_mzv")  # the kernels of the firmware that inverts a mode
@@ -45,7 +45,7 @@ class Known:
     """A rival, its best settings and what they leave on the linear plant, µm."""
 
     rival: ShaperVariant
-    found: Found
+    found: Optimum
 
 
 def pairs(machine: Machine, slices: list[PrintSlice]) -> tuple[list[Pair], dict[str, float]]:

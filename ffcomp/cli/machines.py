@@ -97,7 +97,7 @@ def show_machine(machine: NameOrPath, as_json: AsJson = False) -> None:
 @app.command("check")
 def check_machine(machine: NameOrPath, as_json: AsJson = False) -> None:
     """Check a machine file: mistakes, redundant parameters that disagree, stability and passivity."""
-    from ffcomp.importers.hints import still_assumed
+    from ffcomp.importers.builder import still_assumed
     from models.checks.physics import check_physics, unstable_positions
     from models.checks.redundancy import redundancy_problems, redundant_quantities
     from models.file import load_machine
@@ -127,7 +127,7 @@ def check_machine(machine: NameOrPath, as_json: AsJson = False) -> None:
 
 def _check_axes(machine: Machine, problems: list[str], as_json: bool) -> None:
     """Modes of straight axes: no forces, so no energy to keep account of."""
-    from ffcomp.importers.hints import still_assumed
+    from ffcomp.importers.builder import still_assumed
 
     notes = [*_assumed(machine), *still_assumed(machine.provenance)]
     if as_json:

@@ -99,7 +99,7 @@ def import_machine(
         if made.is_complete:
             check_text(text, str(file))
         _write(text, path)
-        model_hz = _loudest_hz(path) if made.is_complete and made.found.shaper_hz else None
+        model_hz = _loudest_hz(path) if made.is_complete and made.config.shaper_hz else None
         if as_json:
             print_json(_as_json(made, path, model_hz))
         else:
@@ -123,7 +123,7 @@ def _loudest_hz(path: Path) -> float:
     """Of the machine that was written, in the middle of its bed: the lower of what is loudest along x and y."""
     import numpy as np
 
-    from ffcomp.shapers.bed import dominant_frequencies
+    from ffcomp.shapers.apply import dominant_frequencies
     from models.file import load_machine
 
     machine = load_machine(path)
@@ -137,14 +137,14 @@ def _as_json(made: MachineDraft, path: Path, model_hz: float | None) -> dict[str
         "schema": "ffcomp-machine-import/1",
         "machine": str(path),
         "name": made.name,
-        "firmware": made.found.firmware,
-        "kinematics": made.found.kinematics,
+        "firmware": made.config.firmware,
+        "kinematics": made.config.kinematics,
         "like": made.like,
         "complete": made.is_complete,
         "values": {key: asdict(value) for key, value in made.values.items()},
         "missing": dict(made.missing),
-        "notes": list(made.found.notes),
-        "shaper_hz": list(made.found.shaper_hz),
+        "notes": list(made.config.notes),
+        "shaper_hz": list(made.config.shaper_hz),
         "model_loudest_hz": model_hz,
     }
 
@@ -160,15 +160,15 @@ TITLES = {
 def _print(made: MachineDraft, path: Path, model_hz: float | None) -> None:
     from models.provenance import is_assumed
 
-    print(f"{path}: a {made.found.kinematics} machine, from a {made.found.firmware} configuration.")
+    print(f"{path}: a {made.config.kinematics} machine, from a {made.config.firmware} configuration.")
     for how, title in TITLES.items():
         _print_values(title, {key: value for key, value in made.values.items() if value.how == how})
     _print_remedies("Still missing", made.missing)
     _print_remedies("How to know better", [key for key, value in made.values.items() if is_assumed(value.origin)])
-    if made.found.notes:
-        print("\nNot in the machine file", *(f"  {note}" for note in made.found.notes), sep="\n")
+    if made.config.notes:
+        print("\nNot in the machine file", *(f"  {note}" for note in made.config.notes), sep="\n")
     if model_hz is not None:
-        shaper = " and ".join(f"{frequency:g}" for frequency in made.found.shaper_hz)
+        shaper = " and ".join(f"{frequency:g}" for frequency in made.config.shaper_hz)
         print(
             f"\nThe input shaper is set to {shaper} Hz; the machine file's loudest vibration is at {model_hz:.1f} Hz,"
         )
@@ -185,7 +185,7 @@ def _print_values(title: str, values: Mapping[str, Value]) -> None:
 
 
 def _print_remedies(title: str, keys: Collection[str]) -> None:
-    from ffcomp.importers.hints import by_hint
+    from ffcomp.importers.builder import by_hint
 
     if keys:
         print(f"\n{title}")

@@ -24,11 +24,9 @@ from ffcomp import shapers
 from ffcomp.compare.evaluation import SETTLE_S
 from ffcomp.compare.sampling import PrintSlice
 from ffcomp.metrics import contour_error, rms
-from ffcomp.shapers.apply import FrequencyOfPosition
+from ffcomp.shapers.apply import FrequencyOfPosition, shape_samples, shape_samples_by_frequency
 from ffcomp.shapers.calibration import Spectrum, carriage_test_psd, fit, resonance_test_psd
-from ffcomp.shapers.grid import shape_samples, shape_samples_by_frequency
-from ffcomp.shapers.pattern import Found, Scan, search
-from ffcomp.shapers.search import Fixed, best_fixed
+from ffcomp.shapers.search import Fixed, Optimum, Scan, best_fixed, search
 from ffcomp.shapers.smooth import KERNELS
 from ffcomp.simulate.command import Motion
 from ffcomp.simulate.linear import KEEP_EVERY, STEP_S, LinearPlayback, whole_steps
@@ -298,7 +296,9 @@ class VariantTuner:
             and np.abs(acceleration).max(initial=0.0) <= most.carriage_acceleration_mm_per_s2
         )
 
-    def best(self, variant: ShaperVariant, start: FloatArray | None = None, free: Sequence[int] | None = None) -> Found:
+    def best(
+        self, variant: ShaperVariant, start: FloatArray | None = None, free: Sequence[int] | None = None
+    ) -> Optimum:
         """Return the settings with the least contour rms on this print, and that.
 
         Parameters

@@ -37,7 +37,7 @@ from ffcomp.planner.reach import within_reach
 from ffcomp.planner.trajectory import PlannedMotion, Trajectory
 from ffcomp.shapers.apply import FrequencyOfPosition
 from ffcomp.shapers.calibration import Spectrum
-from ffcomp.shapers.kinds import USUAL
+from ffcomp.shapers.smooth import USUAL
 from ffcomp.simulate.alignment import SectionStarts, section_starts
 from ffcomp.simulate.command import Motion, SectionClock, motion_of
 from gcode.reader import read_program

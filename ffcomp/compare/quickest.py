@@ -32,7 +32,7 @@ from ffcomp.inverse.settings import Settings, settings_for
 from ffcomp.metrics import contour_statistics
 from ffcomp.planner.machine_limits import planner_limits
 from ffcomp.planner.program import plan_program
-from ffcomp.shapers.kinds import USUAL
+from ffcomp.shapers.smooth import USUAL
 from ffcomp.simulate.playback import check_same_kinematics, simulate_nozzles
 from ffcomp.version import __version__
 from models.arrays import FloatArray, IntArray

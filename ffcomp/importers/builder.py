@@ -9,19 +9,17 @@ from __future__ import annotations
 
 import hashlib
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import tomlkit
 
-from ffcomp.importers.delta import farthest_reach
-from ffcomp.importers.hints import IMPORTED, hint
-from ffcomp.importers.values import ConfigValues, PrinterConfigError, Value
+from ffcomp.importers.values import ConfigValues, PrinterConfigError, Value, farthest_reach
 from models.file import LIBRARY, load_machine
 from models.machine import MotionLimits, Steps
-from models.provenance import ASSUMED
+from models.provenance import ASSUMED, is_assumed
 
 TABLES = ("kinematics", "carriage", "effector", "axes", "limits", "steps", "homing", "firmware")
 ARMS = ("kinematics.arm_length_mm", "kinematics.arm_lengths_mm")
@@ -57,7 +55,7 @@ class MachineDraft:
     """A machine file before it is written."""
 
     name: str
-    found: ConfigValues
+    config: ConfigValues
     values: Mapping[str, Value]  # those found and those assumed
     missing: Mapping[str, str]  # key -> how to get it
     like: str | None  # the machine that lent values
@@ -68,7 +66,7 @@ class MachineDraft:
         return not self.missing
 
 
-def build_draft(found: ConfigValues, name: str, like: Path | None = None) -> MachineDraft:
+def build_draft(config: ConfigValues, name: str, like: Path | None = None) -> MachineDraft:
     """Fill in the values that can be assumed, and name the missing ones.
 
     Parameters
@@ -76,20 +74,20 @@ def build_draft(found: ConfigValues, name: str, like: Path | None = None) -> Mac
     like : machine file to take the unknown values from; for deltas the library's one with the nearest arm length,
         if none is given.
     """
-    source = like or (_nearest(found) if found.kinematics == "delta" else None)
-    lender = {} if source is None else _lender(source, found)
+    source = like or (_nearest(config) if config.kinematics == "delta" else None)
+    lender = {} if source is None else _lender(source, config)
     stem = "" if source is None else source.stem
-    values = dict(found.values)
-    for key, value in _assumed(found, lender, stem):
+    values = dict(config.values)
+    for key, value in _assumed(config, lender, stem):
         values.setdefault(key, value)
     has_arms = any(key in values for key in ARMS)
-    required = [key for key in (*REQUIRED[found.kinematics], *REQUIRED_OF_ALL) if not (key in ARMS and has_arms)]
-    return MachineDraft(name, found, values, {key: hint(key) for key in required if key not in values}, stem or None)
+    required = [key for key in (*REQUIRED[config.kinematics], *REQUIRED_OF_ALL) if not (key in ARMS and has_arms)]
+    return MachineDraft(name, config, values, {key: hint(key) for key in required if key not in values}, stem or None)
 
 
-def _nearest(found: ConfigValues) -> Path:
+def _nearest(config: ConfigValues) -> Path:
     """Find the library's delta with the nearest arm length; the first of all where it is not known."""
-    arm = _shortest_arm(found) or 0.0
+    arm = _shortest_arm(config) or 0.0
 
     def distance(path: Path) -> float:
         return abs(_document(path)["kinematics"].get("arm_length_mm", 0.0) - arm)
@@ -97,8 +95,8 @@ def _nearest(found: ConfigValues) -> Path:
     return min(_deltas(), key=distance)
 
 
-def _shortest_arm(found: ConfigValues) -> float | None:
-    arms = next((found.values[key].value for key in ARMS if key in found.values), None)
+def _shortest_arm(config: ConfigValues) -> float | None:
+    arms = next((config.values[key].value for key in ARMS if key in config.values), None)
     return min(arms) if isinstance(arms, list) else arms
 
 
@@ -107,12 +105,12 @@ def _deltas() -> Iterator[Path]:
     return (path for path in paths if _document(path)["kinematics"]["type"] == "delta")
 
 
-def _lender(path: Path, found: ConfigValues) -> dict[str, Any]:
+def _lender(path: Path, config: ConfigValues) -> dict[str, Any]:
     load_machine(path)  # raises for an invalid file
     document = _document(path)
     kind = document["kinematics"]["type"]
-    if (kind == "delta") != (found.kinematics == "delta"):
-        raise PrinterConfigError(f"{path}: a {kind} machine cannot lend values to a {found.kinematics} machine.")
+    if (kind == "delta") != (config.kinematics == "delta"):
+        raise PrinterConfigError(f"{path}: a {kind} machine cannot lend values to a {config.kinematics} machine.")
     return document
 
 
@@ -123,15 +121,15 @@ def _document(path: Path) -> dict[str, Any]:
 # --- Assumptions
 
 
-def _assumed(found: ConfigValues, lender: Mapping[str, Any], like: str) -> Iterator[tuple[str, Value]]:
-    known_axes = {key[: len("axes.x.")] for key in found.values if key.startswith("axes.")}
+def _assumed(config: ConfigValues, lender: Mapping[str, Any], like: str) -> Iterator[tuple[str, Value]]:
+    known_axes = {key[: len("axes.x.")] for key in config.values if key.startswith("axes.")}
     for table in BORROWED:
         for key, value in _flat(lender.get(table, {}), f"{table}."):
             if not key.startswith(tuple(known_axes)):  # an axis's values belong together
                 yield key, Value(value, "assumed", f"{ASSUMED}: as the machine {like!r}")
-    if found.kinematics == "delta":
-        yield from _assumed_reach(found, lender, like)
-    if steps := found.values.get("steps.steps_per_mm"):
+    if config.kinematics == "delta":
+        yield from _assumed_reach(config, lender, like)
+    if steps := config.values.get("steps.steps_per_mm"):
         rule = f"{ASSUMED}: {USUAL_MICROSTEPS:g} microsteps for each full step"
         yield "steps.full_steps_per_mm", Value(_over(steps.value, USUAL_MICROSTEPS), "assumed", rule)
     for key, default in DEFAULTS.items():
@@ -140,10 +138,10 @@ def _assumed(found: ConfigValues, lender: Mapping[str, Any], like: str) -> Itera
         yield key, Value(lender.get(table, {}).get(name, default), "assumed", f"{ASSUMED}: {whose}")
 
 
-def _assumed_reach(found: ConfigValues, lender: Mapping[str, Any], like: str) -> Iterator[tuple[str, Value]]:
+def _assumed_reach(config: ConfigValues, lender: Mapping[str, Any], like: str) -> Iterator[tuple[str, Value]]:
     height = lender["kinematics"]["effector_height_mm"]
     yield "kinematics.effector_height_mm", Value(height, "assumed", f"{ASSUMED}: as the machine {like!r}")
-    radius, arm = found.values.get("kinematics.delta_radius_mm"), _shortest_arm(found)
+    radius, arm = config.values.get("kinematics.delta_radius_mm"), _shortest_arm(config)
     if radius is not None and arm is not None and "delta_radius_mm" in lender["kinematics"]:
         share = lender["kinematics"]["print_radius_mm"] / lender["kinematics"]["delta_radius_mm"]
         reach = min(share * radius.number, farthest_reach(arm, radius.number))
@@ -175,7 +173,7 @@ def machine_text(draft: MachineDraft, source: Path) -> str:
     document["format"] = "ffcomp-machine/1"
     document["name"] = draft.name
     document["kinematics"] = tomlkit.table()
-    document["kinematics"]["type"] = draft.found.kinematics
+    document["kinematics"]["type"] = draft.config.kinematics
     for table in TABLES:
         for key, value in draft.values.items():
             if key.startswith(f"{table}."):
@@ -183,14 +181,14 @@ def machine_text(draft: MachineDraft, source: Path) -> str:
         for key, what in draft.missing.items():
             if key.startswith(f"{table}."):
                 _table_of(document, key).add(tomlkit.comment(f"{key.rpartition('.')[2]} is missing: {what}"))
-    _put(document, FLAVOR, draft.found.firmware.lower())
+    _put(document, FLAVOR, draft.config.firmware.lower())
     document["uncertainty"] = _uncertainty(draft)
     document["provenance"] = _provenance(draft, source)
     return tomlkit.dumps(document)
 
 
 def _heading(draft: MachineDraft, source: Path) -> Iterator[str]:
-    yield f"{draft.name}, imported from the {draft.found.firmware} configuration {source.name}."
+    yield f"{draft.name}, imported from the {draft.config.firmware} configuration {source.name}."
     yield "A start: what is assumed says so in [provenance]; `ffcomp machines check` lists it."
     if draft.missing:
         yield f"NOT COMPLETE: {', '.join(draft.missing)} must be filled in first."
@@ -209,18 +207,59 @@ def _table_of(document: tomlkit.TOMLDocument, key: str) -> Any:
 
 def _uncertainty(draft: MachineDraft) -> dict[str, float]:
     lengths = (*ARMS, "kinematics.delta_radius_mm")
-    read = {key: MEASURED_LENGTH for key in lengths if key in draft.found.values}
+    read = {key: MEASURED_LENGTH for key in lengths if key in draft.config.values}
     return {"default": UNCERTAIN, **read}
 
 
 def _provenance(draft: MachineDraft, source: Path) -> dict[str, Any]:
     digest = hashlib.sha256(source.read_bytes()).hexdigest()
     return {
-        "kinematics.type": draft.found.kinematics_origin,
+        "kinematics.type": draft.config.kinematics_origin,
         **{key: value.origin for key, value in draft.values.items()},
-        FLAVOR: f"the configuration is one of {draft.found.firmware}",
+        FLAVOR: f"the configuration is one of {draft.config.firmware}",
         IMPORTED: {
-            "from": f"{draft.found.firmware} configuration {source.name} sha256:{digest}",
-            "notes": list(draft.found.notes),
+            "from": f"{draft.config.firmware} configuration {source.name} sha256:{digest}",
+            "notes": list(draft.config.notes),
         },
     }
+
+
+IDENTIFY = "measure: ffcomp record plan --for identify, run its G-code with an accelerometer, then ffcomp identify fit"
+HINTS = {  # the beginning of a key -> how to get its value
+    "kinematics.effector_height_mm": "measure from the arms' lower joints down to the nozzle's tip",
+    "kinematics.print_radius_mm": "how far from the centre the nozzle may go, from the printer's description",
+    "kinematics.print_height_mm": "how high the nozzle may go, from the printer's description",
+    "kinematics.arm_length": "from the printer's description, or measure from joint to joint",
+    "kinematics.delta_radius": "the firmware's delta calibration finds it",
+    "kinematics.": "the lowest and the highest position of the axis; Marlin answers it to M115 or M211",
+    "carriage.": IDENTIFY,
+    "effector.joint_radius_mm": "measure from the effector's centre to the arms' joints",
+    "effector.": IDENTIFY,
+    "axes.": "a start: --like voron-300 or ender-3; to measure: resonance tests, or any accelerometer, to identify fit",
+    "limits.carriage_": "what the motors do without losing steps",
+    "limits.": "from the printer's description, or what it prints with",
+    "steps.full_steps_per_mm": "full steps of a motor's turn (200, or 400) over the mm of a turn",
+    "steps.": "microsteps of a motor's turn over the mm of a turn",
+}
+IMPORTED = "imported"  # the entry in [provenance] that an import leaves
+
+
+def hint(key: str) -> str:
+    """Say how to get the value of a key."""
+    return next(what for beginning, what in HINTS.items() if key.startswith(beginning))
+
+
+def by_hint(keys: Iterable[str]) -> dict[str, list[str]]:
+    """Group keys by hint."""
+    grouped: dict[str, list[str]] = {}
+    for key in keys:
+        grouped.setdefault(hint(key), []).append(key)
+    return grouped
+
+
+def still_assumed(provenance: Mapping[str, Any]) -> Iterator[str]:
+    """Yield a sentence for each group of assumed values of an imported machine file."""
+    if IMPORTED not in provenance:
+        return
+    for what, keys in by_hint(key for key, origin in provenance.items() if is_assumed(str(origin))).items():
+        yield f"Not measured: {', '.join(keys)}. To know better: {what}."

@@ -6,12 +6,10 @@ import re
 from pathlib import Path
 
 from ffcomp.importers.commands import commands
-from ffcomp.importers.klipper import from_klipper
-from ffcomp.importers.klipper_file import read_klipper
+from ffcomp.importers.klipper import from_klipper, read_klipper
 from ffcomp.importers.marlin import from_marlin
 from ffcomp.importers.reprapfirmware import from_reprapfirmware
-from ffcomp.importers.text import decoded
-from ffcomp.importers.values import ConfigValues, PrinterConfigError
+from ffcomp.importers.values import ConfigValues, PrinterConfigError, decoded
 
 KLIPPER = re.compile(r"^\[(?:printer\]|include |stepper_\w+\]|mcu\])", re.MULTILINE)
 MARLIN = re.compile(r"\becho:|\bFIRMWARE_NAME:Marlin", re.IGNORECASE)

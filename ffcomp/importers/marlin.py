@@ -12,15 +12,15 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 from ffcomp.importers.commands import Command, commands
-from ffcomp.importers.delta import arm_lengths, tower_angles
-from ffcomp.importers.text import decoded
 from ffcomp.importers.values import (
     AXES,
     ConfigValues,
     PrinterConfigError,
     Value,
+    arm_lengths,
     changed,
     converted,
+    decoded,
     full_steps,
     known,
     least,
@@ -28,6 +28,7 @@ from ffcomp.importers.values import (
     plain_number,
     shaped_axis,
     together,
+    tower_angles,
 )
 
 LETTERS = {
@@ -99,15 +100,15 @@ def _shaper_words(command: Command) -> Iterator[tuple[tuple[str, str], Value]]:
             yield from (((f"M593 {axis}", letter), value) for axis in axes)
 
 
-def _kinematics(settings: Settings, asked: str | None, path: Path) -> tuple[str, str]:
+def _kinematics(settings: Settings, stated: str | None, path: Path) -> tuple[str, str]:
     if ("M665", "L") in settings and ("M665", "R") in settings:
         return "delta", settings["M665", "R"].origin
-    if asked is None:
+    if stated is None:
         raise PrinterConfigError(
             f"{path}: M503 does not tell whether the machine is Cartesian or CoreXY; say --kinematics cartesian or "
             "--kinematics corexy."
         )
-    return asked, "as asked for with --kinematics"
+    return stated, "as asked for with --kinematics"
 
 
 # --- Deltas
@@ -162,8 +163,8 @@ def _place(text: str, place: str) -> Iterator[tuple[str, float]]:
 
 
 def _shaper_hz(settings: Settings) -> tuple[float, ...]:
-    found = (settings.get((f"M593 {axis.upper()}", "F")) for axis in AXES)
-    return tuple(each.number for each in found if each is not None and each.number > 0)
+    frequencies = (settings.get((f"M593 {axis.upper()}", "F")) for axis in AXES)
+    return tuple(each.number for each in frequencies if each is not None and each.number > 0)
 
 
 def _shaped_axis(settings: Settings, axis: str) -> dict[str, Value]:

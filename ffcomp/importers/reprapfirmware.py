@@ -12,21 +12,23 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from ffcomp.importers.commands import Command, commands
-from ffcomp.importers.delta import arm_lengths, print_radius, tower_angles
-from ffcomp.importers.text import decoded
 from ffcomp.importers.values import (
     AXES,
     ConfigValues,
     PrinterConfigError,
     Value,
+    arm_lengths,
     changed,
     converted,
+    decoded,
     full_steps,
     known,
     least,
     listed,
+    print_radius,
     shaped_axis,
     together,
+    tower_angles,
 )
 
 KINDS = {
@@ -132,8 +134,8 @@ def _apply(command: Command, settings: Settings) -> None:
         formulas = [letter for letter, text in command.words.items() if text.startswith("{")]
         settings.notes += [f"{command.place}: the formula of {command.code} {each} was not read." for each in formulas]
     if command.code in KEPT:
-        given = {(command.code, letter): command.numbers(letter) for letter in KEPT[command.code]}
-        settings.kept |= {key: numbers for key, numbers in given.items() if numbers}
+        numbers = {(command.code, letter): command.numbers(letter) for letter in KEPT[command.code]}
+        settings.kept |= {key: values for key, values in numbers.items() if values}
     if command.code in APPLY:
         APPLY[command.code](command, settings)
 
@@ -220,13 +222,13 @@ def _delta(settings: Settings) -> dict[str, Value | None]:
     arms = settings.kept.get(("M665", "L"), [])
     if len(arms) > 3:
         raise PrinterConfigError(f"{arms[0].origin} gives {len(arms)} arms: ffcomp has deltas of three towers.")
-    given = [*arms, *[arms[0]] * (3 - len(arms))] if arms else [None]  # towers without a length are as the first
+    of_towers = [*arms, *[arms[0]] * (3 - len(arms))] if arms else [None]  # towers without a length are as the first
     radius = settings.first("M665", "R")
     return {
-        **arm_lengths(given),
+        **arm_lengths(of_towers),
         "kinematics.delta_radius_mm": radius,
         "kinematics.tower_angles_deg": tower_angles([settings.first("M665", letter) for letter in "XYZ"]),
-        "kinematics.print_radius_mm": print_radius(settings.first("M665", "B"), radius, least(given)),
+        "kinematics.print_radius_mm": print_radius(settings.first("M665", "B"), radius, least(of_towers)),
         "kinematics.print_height_mm": settings.first("M665", "H"),
     }
 

@@ -5,6 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
+from operator import add
+from pathlib import Path
 from typing import Literal
 
 from ffcomp.errors import FfcompError
@@ -71,20 +74,20 @@ def listed(values: Sequence[Value]) -> Value:
 
 def together(values: Sequence[Value | None]) -> Value | None:
     """Join values: one number if all are the same, a list otherwise; None unless all are known."""
-    given = [each for each in values if each is not None]
-    if len(given) < len(values):
+    known_values = [each for each in values if each is not None]
+    if len(known_values) < len(values):
         return None
-    numbers = [each.number for each in given]
+    numbers = [each.number for each in known_values]
     if len(set(numbers)) > 1:
-        return _combined(numbers, given)
-    others = " (the others alike)" if len({each.origin for each in given}) > 1 else ""
-    return replace(given[0], origin=given[0].origin + others)
+        return _combined(numbers, known_values)
+    others = " (the others alike)" if len({each.origin for each in known_values}) > 1 else ""
+    return replace(known_values[0], origin=known_values[0].origin + others)
 
 
 def least(values: Sequence[Value | None]) -> Value | None:
     """Return the smallest of the known values; its origin names all of them."""
-    given = [each for each in values if each is not None]
-    return _combined(min(each.number for each in given), given) if given else None
+    known_values = [each for each in values if each is not None]
+    return _combined(min(each.number for each in known_values), known_values) if known_values else None
 
 
 def full_steps(steps: Value | None, microsteps: Value | None) -> Value | None:
@@ -136,3 +139,63 @@ def _combined(value: float | list[float], sources: Iterable[Value]) -> Value:
 
 def _origins(sources: Iterable[Value]) -> str:
     return "; ".join(dict.fromkeys(each.origin for each in sources))
+
+
+LARGEST_BYTES = 16_000_000  # a configuration has some kilobytes, a day's terminal log some megabytes
+
+
+def decoded(path: Path) -> str:
+    r"""Read a file's text, with lines ending in \n.
+
+    Raises
+    ------
+    PrinterConfigError
+        For a file that holds no text, or far too much of it.
+    """
+    if path.stat().st_size > LARGEST_BYTES:
+        raise PrinterConfigError(f"{path}: a printer configuration has at most {LARGEST_BYTES // 10**6} MB.")
+    data = path.read_bytes()
+    if b"\0" in data:
+        place = data.index(b"\0")
+        raise PrinterConfigError(f"{path}: byte {place} is zero; a printer configuration is a text file.")
+    try:
+        text = data.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        text = data.decode("latin-1")  # only comments and names hold such letters
+    return text.replace("\r\n", "\n").replace("\r", "\n")
+
+
+TOWER_ANGLES_DEG = (210.0, 330.0, 90.0)
+STEEPEST_ARM = 12.0  # carriage speed per nozzle speed beyond which Klipper allows no move
+
+
+def arm_lengths(arms: Sequence[Value | None]) -> dict[str, Value | None]:
+    """Return `arm_length_mm`, or `arm_lengths_mm` where the towers' arms differ."""
+    value = together(arms)
+    many = value is not None and isinstance(value.value, list)
+    return {"kinematics.arm_lengths_mm" if many else "kinematics.arm_length_mm": value}
+
+
+def tower_angles(trims: Sequence[Value | None]) -> Value:
+    """Convert trims of the towers' angles to angles."""
+    angles = [
+        changed(trim, partial(add, angle), f"added to {angle:g} degrees")
+        or Value(angle, "default", "M665 gives no angles: the firmware's towers")
+        for trim, angle in zip(trims, TOWER_ANGLES_DEG, strict=True)
+    ]
+    return listed(angles)
+
+
+def farthest_reach(arm_mm: float, radius_mm: float) -> float:
+    """Return the reach of the steepest arm: 12 L / √(12² + 1) − radius, 0.3 % of its length short of lying flat."""
+    return arm_mm * STEEPEST_ARM / math.hypot(STEEPEST_ARM, 1.0) - radius_mm
+
+
+def print_radius(stated: Value | None, radius: Value | None, arm: Value | None) -> Value | None:
+    """Limit the configured print radius to the reach of the shortest arm."""
+    if stated is None or radius is None or arm is None:
+        return stated
+    reach = farthest_reach(arm.number, radius.number)
+    if stated.number <= reach:
+        return stated
+    return converted(round(reach, 3), f"{stated.number:g} mm is more than such arms can do", stated)

@@ -5,9 +5,7 @@ and only then turned into carriage paths, as Klipper does on a delta: taking T̄
 constant speed, so a `Shaper` holds the times with T̄ taken off already.
 """
 
-from ffcomp.shapers.apply import Position, scheduled_shape, shape, shape_carriages
-from ffcomp.shapers.bed import dominant_frequencies, over_the_bed
-from ffcomp.shapers.kinds import SHAPERS
+from ffcomp.shapers.apply import Position, dominant_frequencies, over_the_bed, scheduled_shape, shape, shape_carriages
 from ffcomp.shapers.pulses import (
     DAMPING_RATIO,
     TOLERATED_VIBRATION,
@@ -22,7 +20,7 @@ from ffcomp.shapers.pulses import (
     zvdd,
     zvddd,
 )
-from ffcomp.shapers.smooth import mode_inverse
+from ffcomp.shapers.smooth import SHAPERS, mode_inverse
 
 __all__ = [
     "DAMPING_RATIO",

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
+from numba import njit
 
-from ffcomp.shapers.kinds import SHAPERS
 from ffcomp.shapers.pulses import DAMPING_RATIO, Shaper
+from ffcomp.shapers.smooth import SHAPERS
 from models.arrays import FloatArray
 from models.kinematics.base import Compiled
+from models.machine import Machine
 
 Position = Callable[[FloatArray], FloatArray]  # t : (k,) s → (k, 3) mm, at any time, resting before and after
 FrequencyOfPosition = Callable[[FloatArray], FloatArray]  # (k, 2) mm, columns X Y → (k, 2) Hz, of the x and y shapers
@@ -101,3 +103,147 @@ def _checked(frequency_hz: FloatArray) -> FloatArray:
     if wrong.size:
         raise ValueError(f"A shaper's frequency must be above zero at every position, not {wrong[0]} Hz.")
     return frequency_hz
+
+
+def shape_samples(samples: FloatArray, by_column: Sequence[Shaper | None], step_s: float, margin: int) -> FloatArray:
+    """Return the shaped columns (n, m) of samples (margin + n + margin, m) that are step_s apart.
+
+    The margins hold the motion before and after; what reaches beyond them stays where it is there.
+    """
+    columns = []
+    for column, shaper in zip(samples.T, by_column, strict=True):
+        if shaper is None:
+            columns.append(column[margin : len(column) - margin])
+            continue
+        first, weights = on_grid(shaper, step_s)
+        before, after = max(0, first + len(weights) - 1 - margin), max(0, -first - margin)
+        padded = np.pad(column, (before, after), mode="edge")
+        shaped = np.convolve(padded, weights, mode="valid")
+        begin = before + margin - (first + len(weights) - 1)
+        columns.append(shaped[begin : begin + len(column) - 2 * margin])
+    return np.stack(columns, axis=1)
+
+
+def on_grid(shaper: Shaper, step_s: float) -> tuple[int, FloatArray]:
+    """Return the delay of the first weight, in steps, and the weights of a shaper on an even grid.
+
+    Each pulse becomes three, which do to a parabola what it does.
+    """
+    at = shaper.time / step_s
+    middle = np.rint(at).astype(np.int64)
+    off = at - middle
+    first = int(middle.min()) - 1
+    weights = np.zeros(int(middle.max()) + 2 - first)
+    for shift, share in ((-1, (off**2 - off) / 2), (0, 1 - off**2), (1, (off**2 + off) / 2)):
+        np.add.at(weights, middle + shift - first, shaper.amplitude * share)
+    return first, weights
+
+
+def shape_samples_by_frequency(
+    samples: FloatArray, frequency_hz: FloatArray, kind: str, step_s: float, margin: int
+) -> FloatArray:
+    """Return the samples (margin + n + margin, 3), shaped in x and y with the frequencies (n, 2) of each moment.
+
+    As `apply.scheduled_shape` does, on an even grid: (n, 3).
+    """
+    in_periods = SHAPERS[kind](1.0, DAMPING_RATIO)
+    out = samples[margin : len(samples) - margin].copy()
+    for axis in range(2):
+        delays = 1.0 / (frequency_hz[:, axis] * step_s)
+        out[:, axis] = _delayed(
+            np.ascontiguousarray(samples[:, axis]), delays, in_periods.amplitude, in_periods.time, margin
+        )
+    return out
+
+
+@njit(cache=True, nogil=True)
+def _delayed(
+    column: FloatArray, period_steps: FloatArray, amplitude: FloatArray, periods: FloatArray, margin: int
+) -> FloatArray:
+    """Sum the pulses' delayed values, each from the parabola through the three samples that are nearest."""
+    out = np.zeros(len(period_steps))
+    last = len(column) - 2
+    for k in range(len(out)):
+        for j in range(len(amplitude)):
+            at = margin + k - periods[j] * period_steps[k]
+            i = min(max(int(np.rint(at)), 1), last)
+            off = min(max(at - i, -1.0), 1.0)
+            bend = 0.5 * (column[i + 1] - 2.0 * column[i] + column[i - 1])
+            out[k] += amplitude[j] * (column[i] + off * (0.5 * (column[i + 1] - column[i - 1]) + off * bend))
+    return out
+
+
+def dominant_frequencies(machine: Machine, xy: FloatArray) -> FloatArray:
+    """Return the frequencies of the modes at one position in which the nozzle vibrates most.
+
+    For the same commanded acceleration, that is the largest |X/Ẍ_d| = |G|/ω² at a natural frequency, with G from
+    commanded to real nozzle. The drive's own resonance is not among the modes: it is the same everywhere.
+
+    Parameters
+    ----------
+    machine : Machine
+    xy : (2,) array
+        In mm, columns X Y.
+
+    Returns
+    -------
+    (2,) array
+        In Hz, for command and response along X, and along Y.
+    """
+    natural = machine.vibration.modes_at(xy).frequencies_hz
+    loudness = (
+        np.abs(machine.vibration.frequency_response(xy, natural, "nozzle", "nozzle")) / natural[:, None, None] ** 2
+    )  # (modes, 3, 3)
+    return natural[np.argmax(loudness[:, [0, 1], [0, 1]], axis=0)]
+
+
+def over_the_bed(
+    machine: Machine, frequencies_at: Callable[[FloatArray], FloatArray], pitch_mm: float = 10.0
+) -> FrequencyOfPosition:
+    """Tabulate frequencies at the nodes of a square grid, and interpolate linearly between them.
+
+    Where the dominant mode changes, its frequency jumps, and with it the shaped position would; between two nodes the
+    interpolation makes a slope of it. Outside the bed the value at the rim's nearest node holds.
+
+    Parameters
+    ----------
+    machine : Machine
+    frequencies_at : callable
+        (2,) mm, columns X Y → (2,) Hz, along X and Y.
+    pitch_mm : float
+    """
+    reach = machine.kinematics.model_reach_mm
+    if not reach:
+        everywhere = frequencies_at(np.zeros(2))
+        return lambda xy: np.tile(everywhere, (len(xy), 1))
+    x = np.linspace(-reach, reach, 2 * int(np.ceil(reach / pitch_mm)) + 1)
+    nodes = _inside(np.stack(np.meshgrid(x, x, indexing="ij"), axis=-1).reshape(-1, 2), reach)
+    values = np.array([frequencies_at(node) for node in nodes]).reshape(len(x), len(x), 2)
+
+    def of_position(xy: FloatArray) -> FloatArray:
+        return _interpolated(np.ascontiguousarray(_inside(xy, reach)), reach, values)
+
+    return of_position
+
+
+def _inside(xy: FloatArray, reach_mm: float) -> FloatArray:
+    """Move positions (n, 2) mm outside the bed to its rim."""
+    distance = np.hypot(xy[:, 0], xy[:, 1])
+    return xy * (reach_mm / np.maximum(distance, reach_mm))[:, None]
+
+
+@njit(cache=True, nogil=True)
+def _interpolated(xy: FloatArray, reach_mm: float, values: FloatArray) -> FloatArray:
+    """Interpolate values (n, n, 2) at the nodes of a square grid from -reach_mm to reach_mm, linearly in x and in y."""
+    out = np.empty((len(xy), 2))
+    cells = len(values) - 1
+    for k in range(len(xy)):
+        across, along = ((xy[k, 0] + reach_mm) * cells / (2 * reach_mm), (xy[k, 1] + reach_mm) * cells / (2 * reach_mm))
+        # a position on the rim may round to just outside the grid
+        i, j = min(max(int(across), 0), cells - 1), min(max(int(along), 0), cells - 1)
+        u, v = across - i, along - j
+        for c in range(2):
+            low = (1 - v) * values[i, j, c] + v * values[i, j + 1, c]
+            high = (1 - v) * values[i + 1, j, c] + v * values[i + 1, j + 1, c]
+            out[k, c] = (1 - u) * low + u * high
+    return out

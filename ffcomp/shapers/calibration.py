@@ -25,9 +25,11 @@ from scipy.signal import welch
 
 from ffcomp.shapers import DAMPING_RATIO, SHAPERS, Shaper, residual_vibration
 from models.arrays import ComplexArray, FloatArray
+from models.effects.catalogue import effective_machine
 from models.machine import Machine
 
 Axis = Literal["x", "y", "z"]
+_XY: tuple[Axis, Axis] = ("x", "y")
 Spectrum = tuple[FloatArray, FloatArray]  # (k,) Hz; (k,) mm²/s⁴/Hz², a density as `normalised` makes it
 
 ACCELERATION_PER_HZ = 60.0  # mm/s² per Hz: Klipper's; Kalico's is 75
@@ -53,6 +55,7 @@ _UP_TO_HZ, _STEP_HZ = 150.0, 0.2
 _TEST_DAMPING_RATIOS = (0.075, 0.1, 0.15)
 _REDUCTION = 20.0  # what is this many times below the peak does not count
 _TEST_ACCELERATION = 5000.0  # mm/s²
+TARGET_SMOOTHING_MM = 0.12  # at a corner, at most
 _MANY_PULSES, _TABLE = 10, 8000  # of a kernel; lines, so that the table is exact to 1e-5
 
 
@@ -293,3 +296,57 @@ def _checked(frequency_hz: FloatArray, psd: FloatArray) -> Spectrum:
     if not (np.isfinite(psd[keep]).all() and psd[keep].any()):
         raise ValueError(f"A spectrum must have some power up to {_HIGHEST_HZ:g} Hz, and no gaps.")
     return frequency_hz[keep], psd[keep]
+
+
+# ---- advice for those who stay with a shaper -------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class ShaperAdvice:
+    """The shaper of one axis."""
+
+    axis: str
+    shaper: str  # a name of the firmware: zv, mzv, ei, …
+    frequency_hz: float
+    remaining_vibration: float  # share of the measured power that it leaves
+    max_accel_mm_per_s2: float
+
+
+def shaper_advice(machine: Machine, square_corner_velocity: float | None = None) -> tuple[ShaperAdvice, ...]:
+    """Return what suits x and y, as a firmware's calibration of the machine in the middle of the bed has it.
+
+    Parameters
+    ----------
+    machine : Machine
+    square_corner_velocity : float, optional
+        In mm/s; None: the machine file's.
+    """
+    corner = (
+        machine.limits.square_corner_velocity_mm_per_s if square_corner_velocity is None else square_corner_velocity
+    )
+    tested = effective_machine(machine)
+    along_x, along_y = (resonance_test_psd(tested, np.zeros(2), axis) for axis in _XY)
+    x, y = calibrated(along_x, along_y, corner)
+    fits = {"x": x.recommended, "y": y.recommended}
+    return tuple(
+        ShaperAdvice(axis, fit.kind, fit.frequency_hz, fit.vibration, highest_acceleration(fit, corner))
+        for axis, fit in fits.items()
+    )
+
+
+def highest_acceleration(fit: Fit, corner: float) -> float:
+    """Return the highest acceleration, mm/s², at which corners are rounded as little as Klipper tolerates."""
+    low, high, step = 0.0, 100_000.0, 100.0
+    while high - low > step / 10:
+        middle = (low + high) / 2
+        low, high = (middle, high) if smoothing(fit.shaper, corner, middle) <= TARGET_SMOOTHING_MM else (low, middle)
+    return step * int(low / step)
+
+
+def in_words(advice: tuple[ShaperAdvice, ...]) -> str:
+    """Say it in a sentence, empty without advice."""
+    if not advice:
+        return ""
+    each = ", ".join(f"{one.axis} {one.shaper.upper()} at {one.frequency_hz:.1f} Hz" for one in advice)
+    most = min(one.max_accel_mm_per_s2 for one in advice)
+    return f"With an input shaper instead (middle of the bed): {each}, max_accel up to {most:.0f} mm/s²."

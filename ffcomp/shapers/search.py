@@ -1,4 +1,4 @@
-"""Search the best shaper for one motion: scans, then ever finer steps about the best."""
+"""Search the best shaper, or any positive settings, for one motion: scans, then ever finer steps about the best."""
 
 from __future__ import annotations
 
@@ -7,12 +7,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ffcomp.shapers.kinds import SHAPERS
 from ffcomp.shapers.pulses import DAMPING_RATIO, Shaper
+from ffcomp.shapers.smooth import SHAPERS
+from models.arrays import FloatArray
 
 _COARSE = 1.08  # ratio of neighbouring frequencies in the scans
 
-Cost = Callable[[Shaper, Shaper], float]  # of an x and a y shaper
+ShaperCost = Callable[[Shaper, Shaper], float]  # of an x and a y shaper
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,11 +29,11 @@ class Fixed:
 
 def best_fixed(
     kind: str,
-    cost: Cost,
+    cost: ShaperCost,
     range_hz: tuple[float, float] = (20.0, 120.0),
     damping_ratios: Sequence[float] = (DAMPING_RATIO,),
     tolerance: float = 0.005,
-    scanned: Cost | None = None,
+    scanned: ShaperCost | None = None,
 ) -> Fixed:
     """Find the fixed shapers of one kind with the least cost.
 
@@ -65,7 +66,7 @@ def best_fixed(
     return _refined(kind, cost, best, tolerance)
 
 
-def _refined(kind: str, cost: Cost, best: Fixed, tolerance: float) -> Fixed:
+def _refined(kind: str, cost: ShaperCost, best: Fixed, tolerance: float) -> Fixed:
     step = float(np.sqrt(_COARSE))
     while step > 1 + tolerance:
         x, y = best.frequency_hz
@@ -78,7 +79,7 @@ def _refined(kind: str, cost: Cost, best: Fixed, tolerance: float) -> Fixed:
 
 
 def _best(
-    kind: str, cost: Cost, candidates: Iterable[tuple[float, float, float]], so_far: Fixed | None = None
+    kind: str, cost: ShaperCost, candidates: Iterable[tuple[float, float, float]], so_far: Fixed | None = None
 ) -> Fixed:
     """Return the best of candidates (x Hz, y Hz, damping ratio) and the best so far, which wins a tie."""
     tried = [] if so_far is None else [so_far]
@@ -86,3 +87,76 @@ def _best(
         x, y = SHAPERS[kind](x_hz, zeta), SHAPERS[kind](y_hz, zeta)
         tried.append(Fixed(x, y, (x_hz, y_hz), zeta, float(cost(x, y))))
     return min(tried, key=lambda each: each.cost)
+
+
+# ---- settings that are all positive numbers -------------------------------------------------------
+
+_FIRST_STEP, _LAST_STEP = 1.12, 1.012  # ratios
+
+Cost = Callable[[FloatArray], float]  # of settings (k,)
+
+
+@dataclass(frozen=True, slots=True)
+class Scan:
+    """Factors that are tried on some of the settings at once."""
+
+    which: Sequence[int]
+    factors: Sequence[float]
+
+
+@dataclass(frozen=True, eq=False)
+class Optimum:
+    """The best settings, and their cost."""
+
+    settings: FloatArray  # (k,)
+    cost: float
+
+
+def search(cost: Cost, start: FloatArray, scans: Sequence[Scan] = (), free: Sequence[int] | None = None) -> Optimum:
+    """Find settings with less cost than any neighbour some 1 % away, along each of them.
+
+    Parameters
+    ----------
+    cost : callable
+        Infinite where settings are not allowed.
+    start : (k,) array
+        Above zero.
+    scans : sequence of Scan
+        One after the other, each from the best so far.
+    free : sequence of int, optional
+        What steps may change; None: all.
+    """
+    best = Optimum(np.asarray(start, dtype=float), cost(start))
+    for scan in scans:
+        best = _least(cost, [_times(best.settings, scan.which, factor) for factor in scan.factors], best)
+    step = _FIRST_STEP
+    indices = range(len(start)) if free is None else free
+    while step > _LAST_STEP:
+        before = best.cost
+        for k in indices:
+            best = _along(cost, best, k, step)
+        if best.cost >= before:
+            step = float(np.sqrt(step))
+    return best
+
+
+def _along(cost: Cost, best: Optimum, index: int, step: float) -> Optimum:
+    """Step along one setting for as long as it gets better, up or else down."""
+    for ratio in (step, 1 / step):
+        moved = best
+        while (further := _least(cost, [_times(moved.settings, [index], ratio)], moved)) is not moved:
+            moved = further
+        if moved is not best:
+            return moved
+    return best
+
+
+def _least(cost: Cost, tried: Sequence[FloatArray], so_far: Optimum) -> Optimum:
+    """Return the best of all; what was best so far wins a tie."""
+    return min([so_far, *(Optimum(each, cost(each)) for each in tried)], key=lambda optimum: optimum.cost)
+
+
+def _times(settings: FloatArray, which: Sequence[int], factor: float) -> FloatArray:
+    changed = settings.copy()
+    changed[list(which)] *= factor
+    return changed

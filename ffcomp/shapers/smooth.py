@@ -9,11 +9,13 @@ damping ratio of 0.1; they do not change with it. The integral is a Gauss-Legend
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
-from ffcomp.shapers.pulses import DAMPING_RATIO, Shaper
+from ffcomp.shapers.pulses import DAMPING_RATIO, Shaper, ei, mzv, three_hump_ei, two_hump_ei, zv, zvd, zvdd, zvddd
 
 NODES = 24  # of the sum: the position along a 30 ms kernel is then exact to 0.1 µm at an acceleration's step of 10 m/s²
 INVERSE_NODES = 64  # with the kernel's second derivative: to 0.1 µm too, at 5 m/s² and a mode of 40 Hz
@@ -157,3 +159,18 @@ def mode_inverse(name: str, frequency_hz: float, mode_hz: float, damping_ratio: 
         raise ValueError(f"A mode's frequency must be above zero, not {mode_hz} Hz.")
     omega = 2 * np.pi * mode_hz
     return KERNELS[name].with_derivatives(name, frequency_hz, 2 * damping_ratio / omega, 1 / omega**2)
+
+
+SHAPERS: dict[str, Callable[[float, float], Shaper]] = {
+    "zv": zv,
+    "mzv": mzv,
+    "zvd": zvd,
+    "zvdd": zvdd,
+    "zvddd": zvddd,
+    "ei": ei,
+    "2hump_ei": two_hump_ei,
+    "3hump_ei": three_hump_ei,
+    **{name: partial(smooth, name) for name in KERNELS},
+}
+
+USUAL = ("zv", "mzv", "zvd", "ei", "2hump_ei", "3hump_ei")  # what most printers have

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.signal import butter, iirnotch, lfilter, sosfilt
 
 from ffcomp.record.plan import Experiment
-from ffcomp.shapers.kinds import SHAPERS
+from ffcomp.shapers.smooth import SHAPERS
 from validation.blind.delta.numbers import FloatArray
 from validation.plants.accelerometer import GRAVITY_M_PER_S2, Chip
 from validation.traps.captures import ChipOf, Feels, Moved, Nozzle, Run, Taken, Writes, klipper_text, phone_text

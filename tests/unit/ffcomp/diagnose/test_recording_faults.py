@@ -19,7 +19,7 @@ from ffcomp.diagnose.recording_faults import (
 )
 from ffcomp.measurement.faults import BadSensor, ShaperOn
 from ffcomp.numerics.delay import delayed
-from ffcomp.shapers.kinds import SHAPERS
+from ffcomp.shapers.smooth import SHAPERS
 from tests.unit.ffcomp.diagnose.test_parts import Line
 
 RATE_HZ, N, NOISE = 1600.0, 2400, 0.05

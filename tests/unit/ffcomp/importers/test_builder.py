@@ -7,8 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from ffcomp.importers.builder import machine_text
-from ffcomp.importers.hints import HINTS, still_assumed
+from ffcomp.importers.builder import HINTS, machine_text, still_assumed
 from ffcomp.importers.values import PrinterConfigError
 from models.errors import MachineFileError
 from models.file import LIBRARY, check_text, entries, load_machine

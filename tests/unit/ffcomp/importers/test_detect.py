@@ -47,7 +47,7 @@ def test_what_is_none_of_them_is_refused(data: bytes, sentence: str, tmp_path: P
 
 
 def test_a_file_too_large_is_not_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("ffcomp.importers.text.LARGEST_BYTES", 3_000_000)
+    monkeypatch.setattr("ffcomp.importers.values.LARGEST_BYTES", 3_000_000)
     path = written(tmp_path, "x" * 3_000_001)
     with pytest.raises(PrinterConfigError, match="at most 3 MB"):
         read_printer_config(path)

@@ -18,7 +18,7 @@ from ffcomp.record.join import join_captures, load_recordings
 from ffcomp.record.moves import Request, make_plan
 from ffcomp.record.plan import Plan, save_plan
 from ffcomp.record.result import recording_lines
-from ffcomp.shapers.kinds import SHAPERS
+from ffcomp.shapers.smooth import SHAPERS
 from models.arrays import FloatArray
 from models.file import load_machine
 from models.machine import Machine

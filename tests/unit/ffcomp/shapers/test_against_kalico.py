@@ -21,7 +21,7 @@ from ffcomp import shapers
 from ffcomp.planner.limits import DeltaSlowZones, PlannerLimits
 from ffcomp.planner.lookahead import plan_moves, stops_and_waits
 from ffcomp.shapers import calibration as calibrate
-from ffcomp.shapers.kinds import USUAL
+from ffcomp.shapers.smooth import USUAL
 from gcode.dialects import shaper_off
 from gcode.reader import read_program
 from models.arrays import constant
