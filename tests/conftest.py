@@ -44,7 +44,7 @@ SLOW = (  # folders and files; single tests have the marker themselves
     "unit/ffcomp/compensate/test_gcode_layout.py",
     "unit/ffcomp/diagnose",
     "unit/ffcomp/record/test_excitation.py",
-    "unit/ffcomp/identify/test_identify.py",
+    "unit/ffcomp/identify/test_direct.py",
     "unit/ffcomp/identify/test_modal_fit.py",
     "unit/ffcomp/inverse/nonlinear/test_correction.py",
     "unit/ffcomp/inverse/test_lq_preview.py",

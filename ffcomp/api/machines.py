@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from ffcomp.errors import extras_told
-from ffcomp.identify.frf_json import frf_json
-from ffcomp.identify.frf_study import Study, View, study
+from ffcomp.identify.frf_study import Study, View, frf_json, study
 from models.arrays import ComplexArray, FloatArray
 from models.file import load_machine as read_machine
 from models.file import load_plant as read_plant

@@ -12,9 +12,9 @@ from ffcomp.diagnose.gap import gap_request
 from ffcomp.diagnose.request import DiagnoseRequest, GapRequest
 from ffcomp.diagnose.verb import diagnose_request
 from ffcomp.errors import RequestError, extras_told
-from ffcomp.identify.fitting import FitRequest, fit_files
-from ffcomp.identify.identify import Identified
-from ffcomp.identify.machine_fit import MachineFit, Method
+from ffcomp.identify.fitting import fit_files
+from ffcomp.identify.machine_fit import AxesFit, MachineFit, ParametersFit
+from ffcomp.identify.request import FitRequest, Method
 from ffcomp.request import function
 from models.machine import Machine
 
@@ -49,18 +49,18 @@ class Identification:
         RequestError
             If the data hold no responses.
         """
-        from ffcomp.identify.shaper_advice import in_words
         from ffcomp.report.identify import axes_figure, belts_figure, fit_figure
+        from ffcomp.shapers.calibration import in_words
 
-        found, belts = self.fit.found, self.fit.belts
-        if found is None and belts is not None:
-            return belts_figure(belts, self.fit.name)
-        if found is None:
-            raise RequestError("These data hold no frequency responses to draw.")
         more = in_words(self.fit.shapers)
-        if isinstance(found, Identified):
-            return fit_figure(found, more)
-        return axes_figure(found, self.fit.name, belts, more)
+        match self.fit:
+            case ParametersFit(result=result):
+                return fit_figure(result, more)
+            case AxesFit(result=axes):
+                return axes_figure(axes, self.fit.name, self.fit.belts, more)
+        if self.fit.belts is not None:
+            return belts_figure(self.fit.belts, self.fit.name)
+        raise RequestError("These data hold no frequency responses to draw.")
 
 
 def identify(
@@ -101,24 +101,27 @@ def identify(
     ------
     MeasurementError, MachineFileError, RequestError
     """
-    start, files = load_plant(machine), _paths(data)
-    target = None if output is None else Path(output)
-    asked = FitRequest(
-        name=name or (target.stem if target else start.name),
-        plan=plan,
-        known=known or {},
+    start = load_plant(machine)
+    request = FitRequest(
+        data=tuple(_paths(data)),
+        machine=start.path,
+        output=None if output is None else Path(output),
+        plan=None if plan is None else Path(plan),
+        known=known,
         method=method,
-        band_hz=band_hz,
-        axes=list(axes_map),
-        shaken_axis=[axis] if isinstance(axis, str) else axis,
+        name=name or None,
+        lowest_hz=band_hz[0],
+        highest_hz=band_hz[1],
+        axes_map=",".join(axes_map),
+        axis=(axis,) if isinstance(axis, str) else tuple(axis),
         column=column,
         rough=rough,
-        write_start=target is not None,
+        force=True,
     )
-    fit = fit_files(start, files, asked, progress)
-    if target is not None:
-        fit.write(target)
-    return Identification(fit, target)
+    fit = fit_files(start, request, progress)
+    if request.output is not None:
+        fit.write(request.output)
+    return Identification(fit, request.output)
 
 
 gap = function(GapRequest, gap_request)

@@ -71,7 +71,7 @@ def quickest_request(request: Request, limits: Bound) -> QuickestRequest:
 
     from ffcomp.compare.methods import KINDS
     from ffcomp.compare.quickest import QuickestRequest
-    from ffcomp.shapers.kinds import USUAL
+    from ffcomp.shapers.smooth import USUAL
 
     bound = replace(limits, max_error_um=request.quality_bound_um)
     shapers = tuple(name for name in request.only if name in KINDS)

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from datetime import date
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from ffcomp.errors import RequestError
 from ffcomp.identify.axis_shots import Shots, scales_of, shots_of
-from ffcomp.identify.machine_fit import MachineFit, hash_of
+from ffcomp.identify.machine_fit import MachineFit, estimates, hash_of
 from ffcomp.identify.uncertainty import Estimate, Joint
 from ffcomp.measurement.axis_run import AxisRun, read_axis_run
 from ffcomp.numerics.least_squares import minimise
@@ -39,13 +40,32 @@ class AxisFitted:
     after: float
 
 
+@dataclass(frozen=True, eq=False, kw_only=True)
+class OneAxisFit(MachineFit):
+    """The numbers of an axis by itself."""
+
+    method = "axis"
+
+    result: AxisFitted
+    kept: Sequence[str]  # numbers that no run can tell
+
+    @property
+    def details(self) -> dict[str, Any]:
+        """What the method tells, for the JSON object."""
+        return {
+            "numbers": estimates(self.result.estimates),
+            "nrms": {"before": self.result.before, "after": self.result.after},
+            "kept": list(self.kept),
+        }
+
+
 def fit_axis(
     start: Machine,
     data: Sequence[Path],
     known: Mapping[str, tuple[float, float]],
     name: str,
     progress: Callable[[str], None] = lambda _: None,
-) -> MachineFit:
+) -> OneAxisFit:
     """Fit the axis' numbers to runs; its effects stay as the file has them.
 
     Raises
@@ -54,26 +74,22 @@ def fit_axis(
     """
     runs = [read_axis_run(path) for path in data]
     progress(Stage(2, f"fitting {start.name} to {len(runs)} runs"))
-    found = fitted_axis(start, runs, known)
+    result = fitted_axis(start, runs, known)
     hashes = [hash_of(path) for path in data]
-    numbers = {key: asdict(e) for key, e in found.estimates.items()}
-    weak = [key for key, e in found.estimates.items() if e.relative_sd > WEAK and key != OFFSET]
+    weak = [key for key, e in result.estimates.items() if e.relative_sd > WEAK and key != OFFSET]
     kept = kept_of(start, known)
-    answer = {
-        "schema": "ffcomp-identify-fit/1",
-        "started_from": {"name": start.name, "sha256": start.sha256},
-        "data": hashes,
-        "skipped": [],
-        "method": "axis",
-        "numbers": numbers,
-        "nrms": {"before": found.before, "after": found.after},
-        "kept": kept,
-        "advice": [
-            *(f"{key} is known to ±{100 * found.estimates[key].relative_sd:.0f} % only." for key in weak),
+    return OneAxisFit(
+        start=start,
+        data=hashes,
+        name=name,
+        text=_text(start, result, name, hashes),
+        advice=[
+            *(f"{key} is known to ±{100 * result.estimates[key].relative_sd:.0f} % only." for key in weak),
             *(f"{key} stays as it was: where a position drives, only ratios show. Weigh it (--known)." for key in kept),
         ],
-    }
-    return MachineFit(answer, _text(start, found, name, hashes), name, None)
+        result=result,
+        kept=kept,
+    )
 
 
 def kept_of(start: Machine, known: Mapping[str, tuple[float, float]]) -> list[str]:

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -55,12 +56,12 @@ def decouple(machine: Machine, responses: Sequence[FrequencyResponse]) -> Decoup
     xy = np.array((first.position_mm or (0.0, 0.0, 0.0))[:2])
     inverse = np.linalg.inv(g)
     drive = belt(delta_vibration(machine).carriage, s) * drive_frf(delta_vibration(machine).carriage.drive, s)
-    own = delta_vibration(machine).carriage_impedance(xy, s)
+    carriage = delta_vibration(machine).carriage_impedance(xy, s)
     size = np.abs(inverse) ** 2
     spread = np.abs(drive[:, None, None]) ** 2 * np.einsum("kia,kab,kbj->kij", size, variance, size)
     j, gamma = machine.kinematics.jacobian(xy[None])[0], delta_vibration(machine).load_map(xy[None])[0]
     model = (gamma * delta_vibration(machine).effector_impedance(s)[:, None, :]) @ j
-    return Decoupled(first.frequency_hz, xy, drive[:, None, None] * inverse - own, spread, model, j)
+    return Decoupled(first.frequency_hz, xy, drive[:, None, None] * inverse - carriage, spread, model, j)
 
 
 def _square(responses: Sequence[FrequencyResponse]) -> tuple[ComplexArray, FloatArray, FrequencyResponse]:
@@ -99,11 +100,11 @@ class Part:
         return self.error**2 - self.noise**2 < max(self.noise, 0.005) ** 2
 
 
-def evaluate_parts(found: Decoupled) -> list[Part]:
+def evaluate_parts(decoupled: Decoupled) -> list[Part]:
     """Evaluate symmetry (energy), directions (geometry and force map), and each axis of W (masses and mount)."""
-    w, variance = found.effector()
-    back = np.linalg.inv(found.j)
-    model = np.einsum("ai,kab,bj->kij", back, found.model, back)
+    w, variance = decoupled.effector()
+    back = np.linalg.inv(decoupled.j)
+    model = np.einsum("ai,kab,bj->kij", back, decoupled.model, back)
     size = np.einsum("kii->k", np.abs(w)) / 3
     odd = (w - w.transpose(0, 2, 1)) / 2
     off = ~np.eye(3, dtype=bool)
@@ -134,3 +135,28 @@ def _part(
     weight = 1 / (v + np.median(v) * 1e-3 + 1e-12)
     weight /= np.sum(weight)
     return Part(name, statement, float(np.sqrt(np.sum(weight * e))), float(np.sqrt(np.sum(weight * v))))
+
+
+@dataclass(frozen=True)
+class PlaceParts:
+    """The model's statements at one place."""
+
+    position_mm: tuple[float, float, float] | None
+    parts: tuple[Part, ...]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return one of the places of ffcomp-identify-decouple/1."""
+        parts = [
+            {"part": p.name, "statement": p.statement, "error": p.error, "noise": p.noise, "holds": p.holds}
+            for p in self.parts
+        ]
+        return {"position_mm": self.position_mm, "parts": parts}
+
+
+def parts_of_places(machine: Machine, responses: Sequence[FrequencyResponse]) -> list[PlaceParts]:
+    """Evaluate the parts at each place where the printer was measured."""
+    places = list(dict.fromkeys(r.position_mm for r in responses if r.setup == "assembly")) or [None]
+    return [
+        PlaceParts(place, tuple(evaluate_parts(decouple(machine, [r for r in responses if r.position_mm == place]))))
+        for place in places
+    ]

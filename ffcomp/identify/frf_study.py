@@ -10,18 +10,18 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
 from ffcomp.errors import MeasurementError
-from ffcomp.identify.accuracy import log_error_db, mean_absolute_percentage_accuracy
-from ffcomp.identify.predict import predicted
+from ffcomp.identify.predict import log_error_db, mean_absolute_percentage_accuracy, predicted
 from ffcomp.measurement.frf import FrequencyResponse
 from models.arrays import ComplexArray, FloatArray
 from models.errors import MachineFileError, UnreachableError
 from models.kinds import delta_vibration
 from models.machine import Machine
+from models.provenance import identity
 from models.vibration.base import Modes, Output
 from models.vibration.carriage import command_frf, damping, with_added_mass
 from models.vibration.mode_map import ModeMap, kinds, mode_map, numbers
@@ -414,3 +414,83 @@ def _effector_modes(machine: Machine, with_arms: bool) -> tuple[NumberedMode, ..
     zeta = effector.extruder_damping_n_s_per_m * omega / (2 * k)
     found = sorted(zip((omega / (2 * np.pi)).tolist(), zeta.tolist(), AXES, strict=True))
     return tuple(NumberedMode(number, f, z, f"along {axis}", axis) for number, (f, z, axis) in enumerate(found, 1))
+
+
+def frf_json(found: Study, station: Station) -> dict[str, Any]:
+    """Return the JSON object ffcomp-frf/1 of one position."""
+    view = found.view
+    rows, columns = range(station.value.shape[1]), range(station.value.shape[2])
+    phase, carriage_phase = (np.degrees(np.unwrap(np.angle(g), axis=0)) for g in (station.value, station.carriage))
+    return {
+        "schema": "ffcomp-frf/1",
+        "machine": identity(found.machine),
+        "force_map": found.machine.vibration.describe().force_map
+        if found.machine.vibration.position_dependent
+        else None,
+        "position_mm": [*station.xy.tolist(), 0.0],
+        "frequency_hz": found.frequency_hz.tolist(),
+        "carriage": [[_bode(station.carriage, carriage_phase, i, k) for k in range(3)] for i in range(3)],
+        "response": {
+            "of": view.of,
+            "per": view.per if view.depends_on_place else None,
+            "unit": view.unit,
+            "rows": list(view.rows),
+            "columns": list(view.columns),
+            "values": [[_bode(station.value, phase, i, k) for k in columns] for i in rows],
+        },
+        "added_mass_kg": station.added_mass_kg,
+        "modes": [
+            {"number": m.number, "frequency_hz": m.frequency_hz, "damping_ratio": m.damping_ratio, "kind": m.kind}
+            for m in station.modes
+        ],
+        "measured": [_compared_answer(each) for each in station.compared],
+        "verdict": verdict(found),
+    }
+
+
+def _bode(g: Any, phase: Any, i: int, k: int) -> dict[str, list[float]]:
+    return {"magnitude": abs(g[:, i, k]).tolist(), "phase_deg": phase[:, i, k].tolist()}
+
+
+def _compared_answer(each: Compared) -> dict[str, Any]:
+    return {
+        "source": each.response.source,
+        "input": each.response.input,
+        "output": each.response.output,
+        "lines": len(each.frequency_hz),
+        "band_hz": [float(each.frequency_hz[0]), float(each.frequency_hz[-1])],
+        "magnitude_accuracy_percent": each.magnitude_percent,
+        "phase_accuracy_percent": each.phase_percent,
+        "log_error_db": each.log_error_db,
+    }
+
+
+def mode_map_json(machine: Machine, modes: ModeMap) -> dict[str, Any]:
+    """Return the JSON object ffcomp-frf-map/1.
+
+    Row i, column k belong to the position X = x_mm[i], Y = x_mm[k]; null off the bed.
+    """
+    return {
+        "schema": "ffcomp-frf-map/1",
+        "machine": identity(machine),
+        "force_map": machine.vibration.describe().force_map,
+        "x_mm": modes.x_mm.tolist(),
+        "y_mm": modes.x_mm.tolist(),
+        "modes": [
+            {
+                "number": mode + 1,
+                "kind": kind,
+                "frequency_hz": _rows(modes, modes.frequency_hz[:, :, mode]),
+                "damping_ratio": _rows(modes, modes.damping_ratio[:, :, mode]),
+            }
+            for mode, kind in enumerate(modes.kinds)
+        ],
+    }
+
+
+def _rows(modes: ModeMap, table: FloatArray) -> list[list[float | None]]:
+    good = modes.on_bed & np.isfinite(table)
+    return [
+        [round(v, 6) if ok else None for v, ok in zip(*row, strict=True)]
+        for row in zip(table.tolist(), good.tolist(), strict=True)
+    ]

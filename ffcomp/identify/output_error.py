@@ -14,11 +14,11 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from ffcomp.errors import SolverError
 from ffcomp.identify.predict import predicted
 from ffcomp.identify.rational import scaled_inverse
-from ffcomp.identify.sensor_rotation import PRIOR_SD_DEG, of_one_capture, rotated
 from ffcomp.identify.uncertainty import Estimate, lognormal, normal
 from ffcomp.measurement.frf import FrequencyResponse
 from ffcomp.numerics.least_squares import central_differences, forward_differences, minimise
@@ -49,7 +49,8 @@ SIGNED = {"carriage.drive.d1_per_s"}  # every other parameter is positive, and f
 PRIOR_SD = 1.0  # of the logarithm of an unknown parameter: a factor of e
 SIGNED_UNIT = 100.0  # 1/s, the size of one step of d1
 DELAY_UNIT_S = 1e-3
-ROTATION_UNIT = float(np.radians(PRIOR_SD_DEG)) / PRIOR_SD
+ROTATION_SD_DEG = 3.0  # of an accelerometer against the printer's axes
+ROTATION_UNIT = float(np.radians(ROTATION_SD_DEG)) / PRIOR_SD
 BLOCK_HZ = 5.0  # the model's error keeps its sign over about so wide a band
 COARSE = 0.3  # model error of the coarse fit
 FINE = 0.05  # model error with which two near fits are compared
@@ -487,3 +488,31 @@ def _weak(problem: _Problem, covariance: FloatArray) -> dict[str, dict[str, floa
             others = {o: float(correlation[i, k]) for k, o in enumerate(problem.names) if k != i}
             weak[name] = {o: c for o, c in others.items() if abs(c) > STRONG_CORRELATION}
     return weak
+
+
+_OUTPUTS = ("acc_x", "acc_y", "acc_z")
+
+
+def of_one_capture(responses: Sequence[FrequencyResponse]) -> IntArray:
+    """Return which responses are the three axes of one capture, (g, 3); those of a laboratory have no clock."""
+    found: dict[tuple[object, ...], dict[str, int]] = {}
+    for number, r in enumerate(responses):
+        if r.clock and r.setup == "assembly" and r.output in _OUTPUTS:
+            repeat = 0
+            while r.output in found.setdefault((r.clock, r.input, r.position_mm, repeat), {}):
+                repeat += 1  # the same experiment, captured again
+            found[r.clock, r.input, r.position_mm, repeat][r.output] = number
+    rows = [[axes[name] for name in _OUTPUTS] for axes in found.values() if len(axes) == len(_OUTPUTS)]
+    alike = [row for row in rows if len({len(responses[i].frequency_hz) for i in row}) == 1]
+    return np.array(alike, dtype=np.int64).reshape(-1, 3)
+
+
+def rotated(predictions: Sequence[ComplexArray], captures: IntArray, angles_rad: FloatArray) -> list[ComplexArray]:
+    """Turn the predicted responses of captures (g, 3) as a sensor turned by a rotation vector (3,) measures them."""
+    turned = list(predictions)
+    matrix = Rotation.from_rotvec(angles_rad).as_matrix()
+    for row in captures:
+        three = matrix @ np.stack([predictions[i] for i in row])
+        for i, each in zip(row, three, strict=True):
+            turned[i] = each
+    return turned

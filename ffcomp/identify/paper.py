@@ -53,7 +53,7 @@ class Step:
     """The result of one step, and its data."""
 
     title: str
-    found: Joint
+    joint: Joint
     consistency: float  # χ² by degree of freedom of its redundant equations: 1 if they agree
     fits: Sequence[RationalFit]
     responses: Sequence[FrequencyResponse]
@@ -81,8 +81,8 @@ def carriage_step(alone: FrequencyResponse, loaded: FrequencyResponse, added_sd_
         return np.array([(numbers[-1] - added) / max(added_sd_kg, WEIGHED_SD * added)])
 
     names = ("m", "k", "c", "b", "d0", "d1", "d2", "m_add")
-    found, consistency = _solved(names, start, equations, fits, weighed)
-    return Step("carriage", found, consistency, fits, (alone, loaded))
+    joint, consistency = _solved(names, start, equations, fits, weighed)
+    return Step("carriage", joint, consistency, fits, (alone, loaded))
 
 
 def _coefficients(numbers: FloatArray, added_kg: float) -> FloatArray:
@@ -146,8 +146,8 @@ def hammer_step(struck: FrequencyResponse, total_mass_kg: float, total_sd_kg: fl
 
     axis = struck.input.split("_")[-1]
     names = ("m1", "m2", f"b_{axis}", f"k_{axis}", "gain")
-    found, consistency = _solved(names, start, equations, [fit], weighed)
-    return Step(f"hammer {axis}", found, consistency, [fit], [struck])
+    joint, consistency = _solved(names, start, equations, [fit], weighed)
+    return Step(f"hammer {axis}", joint, consistency, [fit], [struck])
 
 
 # ---- the whole printer at the centre -------------------------------------------------------------
@@ -182,8 +182,8 @@ def assembly_step(machine: Machine, responses: Sequence[FrequencyResponse], earl
     known["carriage.mass_kg"] = (delta_vibration(machine).carriage.mass_kg, known["carriage.mass_kg"][1])
     m2 = delta_vibration(machine).effector.extruder_mass_kg
     fitted = fit_machine(machine, taking_part, known, unknowns=(*known, *mount), starts=_mounts(m2, mount))
-    found = [fitted.estimates[name] for name in mount]
-    joint = Joint((f"k_{axis}", f"b_{axis}"), np.array([e.value for e in found]), np.diag([e.sd**2 for e in found]))
+    mounts = [fitted.estimates[name] for name in mount]
+    joint = Joint((f"k_{axis}", f"b_{axis}"), np.array([e.value for e in mounts]), np.diag([e.sd**2 for e in mounts]))
     return Step(f"assembly {axis}", joint, fitted.misfit, (), taking_part)
 
 
@@ -275,8 +275,8 @@ def identify_as_paper(
     hammers = [hammer_step(r, total_mass_kg, total_sd_kg) for r in struck]
     if not hammers:
         raise MeasurementError("the measurements", ["No response of the effector alone (setup 'effector') is there."])
-    clearest = min(hammers, key=lambda step: step.found.covariance[1, 1])
-    earlier = (carriage.found, clearest.found)
+    clearest = min(hammers, key=lambda step: step.joint.covariance[1, 1])
+    earlier = (carriage.joint, clearest.joint)
     so_far = _machine(start, *earlier, hammers)
     groups = ([r for r in responses if r.input == f"cmd_{axis}" and r.output in _CARRIAGES] for axis in AXES)
     assembly = [assembly_step(so_far, group, earlier) for group in groups if group]
@@ -302,10 +302,10 @@ def _machine(start: Machine, carriage: Joint, hammer: Joint, mounts: Sequence[St
     stiffness = np.array(delta_vibration(start).effector.extruder_stiffness_n_per_m)
     damping = np.array(delta_vibration(start).effector.extruder_damping_n_s_per_m)
     for i, axis in enumerate(AXES):
-        found = [step.found for step in mounts if f"k_{axis}" in step.found.names]
-        if found:
-            stiffness[i] = min(found, key=lambda j: _spread(j, f"k_{axis}"))[f"k_{axis}"]
-            damping[i] = min(found, key=lambda j: _spread(j, f"b_{axis}"))[f"b_{axis}"]
+        joints = [step.joint for step in mounts if f"k_{axis}" in step.joint.names]
+        if joints:
+            stiffness[i] = min(joints, key=lambda j: _spread(j, f"k_{axis}"))[f"k_{axis}"]
+            damping[i] = min(joints, key=lambda j: _spread(j, f"b_{axis}"))[f"b_{axis}"]
     drive = Drive(carriage["d0"], carriage["d1"], carriage["d2"])
     parts = Carriage(carriage["m"] - arms / 2, arms, carriage["k"], carriage["c"], carriage["b"], drive)
     effector = replace(

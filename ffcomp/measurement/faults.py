@@ -24,8 +24,8 @@ import numpy as np
 
 from ffcomp.measurement.sensors import G
 from ffcomp.numerics.delay import delayed
-from ffcomp.shapers.kinds import SHAPERS, USUAL
 from ffcomp.shapers.pulses import DAMPING_RATIO
+from ffcomp.shapers.smooth import SHAPERS, USUAL
 from models.arrays import BoolArray, ComplexArray, FloatArray
 
 SHAPER_REMEDY = (

@@ -15,10 +15,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from scipy.signal import find_peaks
 
-from ffcomp.identify.all_axes import IdentifiedAxes
+from ffcomp.identify.axes import IdentifiedAxes
 from ffcomp.identify.axis_spectra import Datum
 from ffcomp.identify.belts import BeltComparison
-from ffcomp.identify.identify import Identified
+from ffcomp.identify.direct import Identified
 from ffcomp.identify.modal_fit import AxisFit
 from ffcomp.report.drawing import (
     AFTER,

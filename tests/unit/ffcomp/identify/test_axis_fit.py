@@ -10,7 +10,8 @@ import pytest
 
 from ffcomp.errors import RequestError
 from ffcomp.identify.axis_fit import fitted_axis
-from ffcomp.identify.fitting import FitRequest, fit_files
+from ffcomp.identify.fitting import fit_files
+from ffcomp.identify.request import FitRequest
 from ffcomp.measurement.axis_run import AxisRun
 from models.file import load_plant
 from models.kinds import driven_axis, is_one_axis, machine_of_axis
@@ -66,7 +67,7 @@ def test_a_fitted_file_is_a_machine_file(tmp_path: Path) -> None:
     run = run_of(FREE)
     table = np.column_stack([run.time_s, run.given, run.position["pos_q"]])
     np.savetxt(data, table, delimiter=",", header="t_s,force_n,pos_q_mm", comments="")
-    fit = fit_files(load_plant(file), [data], FitRequest("fitted"))
+    fit = fit_files(load_plant(file), FitRequest(data=(data,), machine=str(file), name="fitted"))
     fit.write(tmp_path / "fitted.toml")
     found = load_plant(tmp_path / "fitted.toml")
     assert is_one_axis(found)
@@ -75,4 +76,4 @@ def test_a_fitted_file_is_a_machine_file(tmp_path: Path) -> None:
     )
     assert fit.to_dict()["nrms"]["after"] < 0.05
     with pytest.raises(RequestError, match="--method"):
-        fit_files(load_plant(file), [data], FitRequest("fitted", method="stepwise"))
+        fit_files(load_plant(file), FitRequest(data=(data,), machine=str(file), name="fitted", method="stepwise"))

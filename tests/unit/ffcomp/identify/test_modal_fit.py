@@ -17,7 +17,7 @@ from scipy.signal import cont2discrete, lfilter
 
 from ffcomp.cli.app import app
 from ffcomp.errors import MeasurementError
-from ffcomp.identify.all_axes import identify_axes
+from ffcomp.identify.axes import identify_axes
 from ffcomp.identify.axis_spectra import Response, Spectrum, closed_form
 from ffcomp.identify.modal_fit import AxisFit, fit_axis
 from ffcomp.identify.resonance_tests import spectrum_of

@@ -10,14 +10,13 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from ffcomp.identify.identify import Identified
+from ffcomp.identify.direct import Identified
 from ffcomp.identify.predict import predicted
-from ffcomp.identify.shaper_advice import ROUNDED_MM, in_words, shaper_advice
 from ffcomp.measurement.frf import FrequencyResponse
 from ffcomp.report.identify import fit_figure
 from ffcomp.report.model import effort_verdict
 from ffcomp.shapers import SHAPERS
-from ffcomp.shapers.calibration import smoothing
+from ffcomp.shapers.calibration import TARGET_SMOOTHING_MM, in_words, shaper_advice, smoothing
 from models.file import load_machine
 
 MACHINE = load_machine("mp-delta-pro")
@@ -82,7 +81,7 @@ def test_those_who_stay_with_a_shaper_get_all_three_settings(drawn: Figure) -> N
         assert each.axis == axis and 20.0 < each.frequency_hz < 120.0
         shaper = SHAPERS[each.shaper](each.frequency_hz, 0.1)
         rounded = [smoothing(shaper, corner, each.max_accel_mm_per_s2 + more) for more in (0.0, 100.0)]
-        assert rounded[0] <= ROUNDED_MM < rounded[1]
+        assert rounded[0] <= TARGET_SMOOTHING_MM < rounded[1]
     most = min(x.max_accel_mm_per_s2, y.max_accel_mm_per_s2)
     assert in_words(advice).endswith(f"max_accel up to {most:.0f} mm/s².") and in_words(()) == ""
     assert "and more" in words(drawn)

@@ -9,10 +9,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from ffcomp.identify.identify import advice_on, scale_is_weak
-from ffcomp.identify.output_error import Fitted, fit_machine
+from ffcomp.identify.direct import advice_on, scale_is_weak
+from ffcomp.identify.output_error import Fitted, fit_machine, of_one_capture
 from ffcomp.identify.predict import predicted
-from ffcomp.identify.sensor_rotation import of_one_capture
 from ffcomp.measurement.frf import FrequencyResponse
 from models.file import load_machine
 from models.parameters import value_of

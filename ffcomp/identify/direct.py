@@ -1,23 +1,17 @@
-"""From frequency responses to a machine file: fit, decide on the drive, advise on weak parameters, write the file."""
+"""All parameters of a delta from frequency responses: fit, decide on the drive, advise on weak parameters."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
-from ffcomp.identify.all_axes import IdentifiedAxes
-from ffcomp.identify.from_resonances import ResonanceStart
-from ffcomp.identify.modal_fit import AxisFit
-from ffcomp.identify.output_error import DAMPING, DRIVE, STIFFNESS, TOTAL_MASS, UNKNOWNS, WEAK_SD, Fitted, fit_machine
-from ffcomp.identify.paper import PaperIdentification
+from ffcomp.identify.output_error import DAMPING, DRIVE, STIFFNESS, TOTAL_MASS, WEAK_SD, Fitted, fit_machine
 from ffcomp.identify.uncertainty import Estimate
 from ffcomp.measurement.frf import FrequencyResponse
 from ffcomp.numerics.stages import Stage
-from models.file import updated_text
 from models.kinds import delta_vibration, with_parts
 from models.machine import Machine
 from models.parameters import value_of, with_values
@@ -31,7 +25,6 @@ FAR = 0.10  # model error of a response from which the other force map is tried
 FORCE_MAP_COSTS = 100.0  # BIC
 DRIVE_COSTS = 10.0  # BIC by which a drive filter must be better than an ideal drive to be kept
 NEUTRAL_DRIVE = Drive(4.0e5, 0.0, 250.0)  # 100 Hz, where a search for a drive begins
-SMALLEST_SD = 0.002  # relative: no frequency of a printer is more constant from day to day
 MASSES = ("carriage.mass_kg", "effector.nozzle_mass_kg", "effector.extruder_mass_kg")
 
 
@@ -49,7 +42,7 @@ class Identified:
         return self.fitted.machine
 
     @property
-    def found(self) -> dict[str, Estimate]:
+    def determined(self) -> dict[str, Estimate]:
         """Parameters that the data determined."""
         return {name: e for name, e in self.fitted.estimates.items() if name not in self.kept}
 
@@ -180,118 +173,3 @@ def _of_rotation(fitted: Fitted) -> list[str]:
         return []
     listed = " and ".join(f"{e.value:+.1f} ± {e.sd:.1f}° about {axis}" for axis, e in turned.items())
     return [f"The accelerometer is turned by {listed} against the printer's axes; the fit allows for it."]
-
-
-# ---- the machine file ----------------------------------------------------------------------------
-
-
-def machine_file_text(source: Path, found: Identified, name: str, data: Sequence[str], when: str) -> str:
-    """Write the starting file's text with the identified parameters, their uncertainties and provenance.
-
-    Parameters
-    ----------
-    data : file names with hashes, for the provenance.
-    when : date.
-    """
-    parameters = {key: e for key, e in found.found.items() if key != TOTAL_MASS}
-    values = {key: _rounded(e) for key, e in parameters.items()}
-    origin = f"identified {when} by ffcomp identify fit"
-    provenance: dict[str, Any] = {}
-    uncertainty: dict[str, float] = {}
-    for key, estimate in parameters.items():
-        table_key = key.partition("[")[0]
-        spread = min(estimate.relative_sd, 10.0)
-        uncertainty[table_key] = float(f"{max(uncertainty.get(table_key, 0.0), spread):.2g}")
-        provenance[table_key] = f"{origin}; 90 % interval {_intervals(parameters, table_key)}"
-    provenance["identified"] = _summary(source, found, data, when)
-    return updated_text(source, values, name=name, uncertainty=uncertainty, provenance=provenance)
-
-
-def _rounded(estimate: Estimate) -> float:
-    """Round to a tenth of the standard uncertainty."""
-    if not estimate.sd > 0 or not np.isfinite(estimate.sd):
-        return float(f"{estimate.value:.6g}")
-    digits = int(np.clip(np.ceil(np.log10(abs(estimate.value) / estimate.sd)) + 2, 3, 8))
-    return float(f"{estimate.value:.{digits}g}")
-
-
-def _intervals(parameters: Mapping[str, Estimate], table_key: str) -> str:
-    parts = [e for key, e in parameters.items() if key.partition("[")[0] == table_key]
-    return ", ".join(f"{e.low:.4g} to {e.high:.4g}" for e in parts)
-
-
-def _summary(source: Path, found: Identified, data: Sequence[str], when: str) -> dict[str, Any]:
-    fitted = found.fitted
-    return {
-        "date": when,
-        "started_from": source.stem,
-        "data": list(data),
-        "responses": len(fitted.responses),
-        "misfit_chi_squared_per_degree_of_freedom": float(f"{fitted.misfit:.4g}"),
-        "model_error_share": float(f"{fitted.model_error:.3g}"),
-        "kept_from_the_starting_file": list(found.kept),
-    }
-
-
-def paper_file_text(source: Path, found: PaperIdentification, data: Sequence[str], when: str) -> str:
-    """Write the file of the paper's method; `found.machine.name` is the new file's."""
-    machine = found.machine
-    names = [n for n in UNKNOWNS if delta_vibration(machine).carriage.drive is not None or n not in DRIVE]
-    origin = f"identified {when} by ffcomp identify fit --method stepwise"
-    provenance: dict[str, Any] = {name.partition("[")[0]: origin for name in names}
-    steps = {step.title: float(f"{step.consistency:.4g}") for step in found.steps}
-    provenance["identified"] = {
-        "date": when,
-        "started_from": source.stem,
-        "data": list(data),
-        "chi_squared_per_degree_of_freedom": steps,
-    }
-    values = {name: float(f"{value_of(machine, name):.6g}") for name in names}
-    return updated_text(source, values, name=machine.name, provenance=provenance)
-
-
-def modes_file_text(source: Path, started: ResonanceStart, name: str, data: Sequence[str], when: str) -> str:
-    """Write the file of a resonance start."""
-    origin = f"scaled {when} by ffcomp identify fit until the resonances are the measured ones"
-    predicted = [float(f"{f:.4g}") for f in started.predicted_hz]
-    identified = {"date": when, "started_from": source.stem, "data": list(data), "resonances_hz": predicted}
-    values = {key: _rounded(e) for key, e in started.estimates.items()}
-    uncertainty = {key: float(f"{e.relative_sd:.2g}") for key, e in started.estimates.items()}
-    provenance = {**dict.fromkeys(started.estimates, origin), "identified": identified}
-    return updated_text(source, values, name=name, uncertainty=uncertainty, provenance=provenance)
-
-
-def axes_file_text(source: Path, found: IdentifiedAxes, name: str, data: Sequence[str], when: str) -> str:
-    """Write the file of a machine of modal axes: `[axes.x]` and its like, of the axes that were measured."""
-    origin = f"identified {when} by ffcomp identify fit"
-    values: dict[str, Any] = {}
-    uncertainty: dict[str, float] = {}
-    provenance: dict[str, Any] = {}
-    for axis in found.axes:
-        for key in ("frequency_hz", "damping_ratio", "share"):
-            estimates = [getattr(mode, key) for mode in axis.modes]
-            intervals = ", ".join(f"{e.low:.4g} to {e.high:.4g}" for e in estimates)
-            values[f"axes.{axis.name}.{key}"] = [_rounded(e) for e in estimates]
-            provenance[f"axes.{axis.name}.{key}"] = f"{origin}; 90 % interval {intervals}"
-            spread = max(SMALLEST_SD, *(min(e.relative_sd, 10.0) for e in estimates))
-            uncertainty[f"axes.{axis.name}.{key}"] = float(f"{spread:.2g}")
-        del uncertainty[f"axes.{axis.name}.share"]  # a machine file has none for it
-        values[f"axes.{axis.name}.share"] = _shares(axis)
-        provenance[f"axes.{axis.name}"] = axis.verdict
-    if found.exchange is not None:
-        delta = found.exchange.delta
-        values["axes.exchange"] = round(delta.value, 4)
-        provenance["axes.exchange"] = f"{origin}; 90 % interval {delta.low:.4g} to {delta.high:.4g}"
-    model_errors = {axis.name: float(f"{max(axis.errors):.3g}") for axis in found.axes}
-    identified = {"date": when, "started_from": source.stem, "data": list(data), "model_error_share": model_errors}
-    return updated_text(
-        source, values, name=name, uncertainty=uncertainty, provenance={**provenance, "identified": identified}
-    )
-
-
-def _shares(axis: AxisFit) -> list[float]:
-    """Round to three decimals, and to a sum of one."""
-    if len(axis.modes) == 1:
-        return [1.0]
-    first = round(axis.modes[0].share.value, 3)
-    return [first, round(1.0 - first, 3)]

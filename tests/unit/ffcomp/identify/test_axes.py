@@ -9,10 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ffcomp.identify.all_axes import IdentifiedAxes, identify_axes
+from ffcomp.identify.axes import Exchange, IdentifiedAxes, find_exchange, identify_axes
 from ffcomp.identify.axis_spectra import usable
-from ffcomp.identify.exchange import Exchange, find_exchange
-from ffcomp.identify.identify import axes_file_text
+from ffcomp.identify.machine_file import axes_file_text
 from ffcomp.identify.modal_fit import AxisFit, AxisMode
 from ffcomp.identify.uncertainty import normal
 from ffcomp.measurement.frf import FrequencyResponse

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ffcomp.identify.accuracy import (
+from ffcomp.identify.predict import (
     error_reduction,
     log_error_db,
     mean_absolute_percentage_accuracy,
