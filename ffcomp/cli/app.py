@@ -23,7 +23,6 @@ from ffcomp.cli.integrations import app as integrations  # noqa: E402
 from ffcomp.cli.log import log_path, logged  # noqa: E402
 from ffcomp.cli.machines import app as machines  # noqa: E402
 from ffcomp.cli.record import app as record  # noqa: E402
-from ffcomp.cli.record_check import check as record_check  # noqa: E402
 from ffcomp.cli.restore import restore  # noqa: E402
 from ffcomp.cli.serve import serve  # noqa: E402
 from ffcomp.cli.show import show  # noqa: E402
@@ -31,8 +30,6 @@ from ffcomp.cli.simulate import simulate  # noqa: E402
 from ffcomp.cli.typer_bridge import bridged, bridged_app  # noqa: E402
 from ffcomp.cli.warmup import warmup  # noqa: E402
 from ffcomp.version import __version__  # noqa: E402
-
-record.command("check")(record_check)
 
 app = group(
     "ffcomp",
@@ -51,7 +48,7 @@ app = group(
     gap,
     diagnose,
     identify,
-    bridged_app(record, "record"),
+    record,
     bridged_app(machines, "machines"),
     bridged_app(integrations, "integrations"),
     bridged(serve),

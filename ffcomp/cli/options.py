@@ -105,16 +105,6 @@ AsJson = Annotated[bool, typer.Option("--json", rich_help_panel=OUTPUT, help="Pr
 Quiet = Annotated[
     bool, typer.Option("--quiet", "-q", rich_help_panel=OUTPUT, help="Print no progress, and no message but errors.")
 ]
-PlanOutput = Annotated[
-    Path,
-    typer.Option(
-        "--output-file",
-        "-o",
-        metavar="FILE",
-        rich_help_panel=OUTPUT,
-        help="G-code to write. The plan is written beside it (.json).",
-    ),
-]
 Runs = Annotated[
     list[Path],
     typer.Argument(

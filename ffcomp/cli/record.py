@@ -1,262 +1,24 @@
-"""`ffcomp record`: moves for the printer's own sensor, and its captures joined with their command."""
+"""`ffcomp record`: moves for the printer's own sensor, captures joined with their command, and a check of seconds."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING
 
-import typer
-
-from ffcomp.cli.options import AsJson, CaptureAxes, Force, MachineName, PlanOutput, Quiet
-from ffcomp.request import ACCURACY, ADVANCED, MACHINE, OUTPUT
+from ffcomp.cli.command import Shown, group, verb
+from ffcomp.cli.common import print_json, say
+from ffcomp.errors import RequestError
+from ffcomp.record.request import CheckRequest, JoinRequest, PlanRequest
 
 if TYPE_CHECKING:
+    from ffcomp.check.result import CheckResult
     from ffcomp.record.plan import Plan
     from ffcomp.record.planning import PlanResult
     from ffcomp.record.result import JoinResult
 
-app = typer.Typer(
-    no_args_is_help=True,
-    help="Record the printer's vibrations with its own accelerometer.\n\n"
-    "First ffcomp record plan, then run its G-code, then give the captures to ffcomp diagnose with --plan; or keep "
-    "them as measured runs with ffcomp record join.",
-)
 
-For = Annotated[
-    str,
-    typer.Option(
-        "--for",
-        metavar="VERB",
-        rich_help_panel=MACHINE,
-        help="What the captures are for: identify (the numbers of a machine file), diagnose (what it lacks) or check "
-        "(whether the printer has changed).",
-    ),
-]
-At = Annotated[
-    list[str] | None,
-    typer.Option(
-        metavar="X,Y",
-        rich_help_panel=MACHINE,
-        help="Place of experiments, mm. May be repeated; for diagnose, places are 40 mm apart or more. centre: the "
-        "middle of the bed (default of identify). line-of-action: for identify, three places away from each tower of a "
-        "delta, where the dynamics differ most. Default of diagnose: the centre, and three places around it.",
-    ),
-]
-Kind = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--kind",
-        metavar="NAME",
-        rich_help_panel=ADVANCED,
-        help="For diagnose, only such moves: zigzag, reversals, loop or multisine; may be repeated. For identify, the "
-        "excitation: multisine (low peaks, whole periods; default), sweep or log-sweep.",
-    ),
-]
-Seconds = Annotated[
-    float | None,
-    typer.Option(
-        metavar="S",
-        rich_help_panel=ACCURACY,
-        min=2.0,
-        max=20.0,
-        help="Duration of an experiment for diagnose, about. Default: 4.",
-    ),
-]
-Repeats = Annotated[
-    int | None,
-    typer.Option(
-        metavar="N",
-        rich_help_panel=ACCURACY,
-        min=1,
-        max=9,
-        help="How often each is made. Repeats show the noise. Default: 2; 1 for identify, whose periods do.",
-    ),
-]
-Amplitude = Annotated[
-    float | None,
-    typer.Option(
-        "--amplitude-mm-per-s2",
-        metavar="A",
-        rich_help_panel=ACCURACY,
-        min=1.0,
-        help="Acceleration of the nozzle for diagnose (default: the machine file's limit), peak of the excitation for "
-        "identify (default: a safe share of the machine's limits).",
-    ),
-]
-Height = Annotated[
-    float | None,
-    typer.Option(
-        "--height-mm",
-        metavar="MM",
-        rich_help_panel=MACHINE,
-        help="Nozzle height above the bed. Default: 30; 50 for identify.",
-    ),
-]
-FirmwareName = Annotated[
-    str,
-    typer.Option(
-        "--flavor",
-        metavar="NAME",
-        rich_help_panel=MACHINE,
-        help="Firmware: klipper, marlin or reprapfirmware. Default: the machine file's, or klipper.",
-    ),
-]
-Chips = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--chip",
-        metavar="NAME",
-        rich_help_panel=MACHINE,
-        help="Accelerometer: Klipper's name of it (default adxl345), or RepRapFirmware's address (default 0). May be "
-        "repeated.",
-    ),
-]
-ShaperBack = Annotated[
-    str,
-    typer.Option(
-        "--shaper",
-        metavar="X,Y",
-        rich_help_panel=MACHINE,
-        help="Frequencies of the firmware's input shaper, Hz, to be switched on again at the end. RepRapFirmware knows "
-        "them by itself.",
-    ),
-]
-ShaperOff = Annotated[
-    bool | None,
-    typer.Option(
-        "--shaper-off/--no-shaper-off",
-        rich_help_panel=MACHINE,
-        help="For identify: switch the firmware's input shaper off at the beginning. Default: yes.",
-    ),
-]
-Print = Annotated[
-    Path | None,
-    typer.Option(
-        "--print",
-        metavar="FILE",
-        rich_help_panel=OUTPUT,
-        help="For diagnose: record this print instead of ffcomp's own moves, up to 12 stretches of its first layers. "
-        "Print the file that -o names.",
-    ),
-]
-Axes = Annotated[
-    str | None,
-    typer.Option(
-        "--axes",
-        metavar="AXES",
-        rich_help_panel=MACHINE,
-        help="For identify. towers: each carriage alone (default of a delta); all: towers and xyz; or the nozzle along "
-        "x, y, z, xy (default of cartesian and CoreXY) or xyz.",
-    ),
-]
-Lowest = Annotated[
-    float | None,
-    typer.Option(metavar="HZ", rich_help_panel=ACCURACY, min=0.5, help="Lowest frequency for identify. Default: 5."),
-]
-Highest = Annotated[
-    float | None,
-    typer.Option(metavar="HZ", rich_help_panel=ACCURACY, min=1.0, help="Highest frequency for identify. Default: 150."),
-]
-ZAcceleration = Annotated[
-    float | None,
-    typer.Option(
-        "--z-acceleration-mm-per-s2",
-        metavar="A",
-        rich_help_panel=MACHINE,
-        min=1.0,
-        help="For identify: the firmware's limit in Z (Klipper: max_z_accel). Default: the machine file's "
-        "acceleration.",
-    ),
-]
-Period = Annotated[
-    float | None,
-    typer.Option(
-        metavar="S",
-        rich_help_panel=ADVANCED,
-        min=2.0,
-        max=60.0,
-        help="Period for identify. Its inverse is the frequency step. Default: 4.",
-    ),
-]
-Periods = Annotated[
-    int | None,
-    typer.Option(
-        metavar="N",
-        rich_help_panel=ADVANCED,
-        min=1,
-        help="Periods to average for identify, after a first one that settles. Default: 6.",
-    ),
-]
-Realisations = Annotated[
-    int | None,
-    typer.Option(
-        metavar="N",
-        rich_help_panel=ADVANCED,
-        min=1,
-        help="Repetitions of the multisine with other random phases, for identify. Default: 1.",
-    ),
-]
-Rate = Annotated[
-    float | None,
-    typer.Option(
-        "--segments-per-second",
-        metavar="RATE",
-        rich_help_panel=ADVANCED,
-        min=125.0,
-        max=500.0,
-        help="Segment rate for identify. It rises if the highest frequency needs more. Default: 250.",
-    ),
-]
-Seed = Annotated[
-    int | None,
-    typer.Option(metavar="N", rich_help_panel=ADVANCED, min=0, help="Seed of the moves or the phases. Default: 1."),
-]
-Captures = Annotated[
-    list[Path],
-    typer.Argument(
-        metavar="CAPTURES...",
-        help="Captures of the plan: files of Klipper, Kalico, RepRapFirmware or Shake&Tune, or tables with a time and "
-        "three accelerations.",
-    ),
-]
-PlanFile = Annotated[
-    Path,
-    typer.Option("--plan", metavar="FILE", rich_help_panel=MACHINE, help="Plan (.json) that `record plan` wrote."),
-]
-Folder = Annotated[
-    Path,
-    typer.Option("--output", "-o", metavar="FOLDER", rich_help_panel=OUTPUT, help="Folder for the measured runs."),
-]
-
-
-@app.command("plan")
-def plan(
-    machine: MachineName,
-    output_file: PlanOutput,
-    purpose: For = "diagnose",
-    at: At = None,
-    kind: Kind = None,
-    axes: Axes = None,
-    seconds: Seconds = None,
-    repeats: Repeats = None,
-    lowest_hz: Lowest = None,
-    highest_hz: Highest = None,
-    amplitude_mm_per_s2: Amplitude = None,
-    z_acceleration_mm_per_s2: ZAcceleration = None,
-    period_s: Period = None,
-    periods: Periods = None,
-    realisations: Realisations = None,
-    segments_per_second: Rate = None,
-    height_mm: Height = None,
-    flavor: FirmwareName = "",
-    chip: Chips = None,
-    shaper: ShaperBack = "",
-    shaper_off: ShaperOff = None,
-    print_file: Print = None,
-    seed: Seed = None,
-    as_json: AsJson = False,
-) -> None:
+@verb
+def plan(request: PlanRequest, shown: Shown) -> None:
     """Write the G-code of moves that are worth recording.
 
     For diagnose, at most 12 experiments and 5 minutes: hard zigzags, slow reversals, loops and multisines at several
@@ -266,50 +28,16 @@ def plan(
 
     Example: ffcomp record plan -m mp-delta-pro -o moves.gcode
     """
-    write_plan(
-        as_json,
-        machine=machine,
-        output=output_file,
-        purpose=purpose,
-        at=at,
-        kind=kind,
-        axes=axes,
-        seconds=seconds,
-        repeats=repeats,
-        lowest_hz=lowest_hz,
-        highest_hz=highest_hz,
-        amplitude_mm_per_s2=amplitude_mm_per_s2,
-        z_acceleration_mm_per_s2=z_acceleration_mm_per_s2,
-        period_s=period_s,
-        periods=periods,
-        realisations=realisations,
-        segments_per_second=segments_per_second,
-        height_mm=height_mm,
-        flavor=flavor,
-        chip=chip,
-        shaper=shaper,
-        shaper_off=shaper_off,
-        print_file=print_file,
-        seed=seed,
-    )
+    from ffcomp.record.planning import plan_recording
+
+    report_plan(plan_recording(request), shown.as_json)
 
 
-def write_plan(as_json: bool, **options: Any) -> None:
-    """Write the G-code and its plan, and say what comes next."""
-    from ffcomp.cli.common import exit_codes, print_json
-
-    with exit_codes():
-        from ffcomp.record.planning import PlanRequest, plan_recording
-
-        result = plan_recording(PlanRequest(**options))
-        if as_json:
-            print_json(result.to_dict())
-        else:
-            _report(result)
-
-
-def _report(result: PlanResult) -> None:
+def report_plan(result: PlanResult, as_json: bool) -> None:
     """Describe the file and the next steps."""
+    if as_json:
+        print_json(result.to_dict())
+        return
     from rich.console import Console
     from rich.table import Table
 
@@ -342,17 +70,8 @@ def _sentences(result: PlanResult) -> Iterator[str]:
     yield f"Then: {result.next}"
 
 
-@app.command("join")
-def join(
-    captures: Captures,
-    plan_file: PlanFile,
-    machine: MachineName,
-    output: Folder,
-    axes_map: CaptureAxes = None,
-    force: Force = False,
-    as_json: AsJson = False,
-    quiet: Quiet = False,
-) -> None:
+@verb
+def join(request: JoinRequest, shown: Shown) -> None:
     """Join captures with their commands: one measured run for each experiment and repeat.
 
     Klipper's and Kalico's captures are on the clock of the motion already. Others are aligned with it below 20 Hz. What
@@ -360,46 +79,128 @@ def join(
 
     Example: ffcomp record join captures/*.csv --plan moves.json -m my-delta.toml -o runs/
     """
-    from ffcomp.cli.common import exit_codes, print_json, say
+    from ffcomp.record.axes import turn_of
+    from ffcomp.record.join import join_captures
+    from ffcomp.record.plan import load_plan
+    from ffcomp.record.result import recording_lines
+    from gcode.atomic_write import replace_atomically
+    from models.file import load_machine
 
-    with exit_codes():
-        from ffcomp.record.axes import turn_of
-        from ffcomp.record.join import join_captures
-        from ffcomp.record.plan import load_plan
-        from ffcomp.record.result import recording_lines
-        from gcode.atomic_write import replace_atomically
-        from models.file import load_machine
-
-        made, loaded = load_plan(plan_file), load_machine(machine)
-        found = join_captures(captures, made, loaded, turn_of(axes_map), lambda text: say(f"ffcomp: {text}", quiet))
-        targets = [output / f"{each.name}.csv" for each in found.joined]
-        if taken := [path for path in targets if path.exists() and not force]:
-            raise typer.BadParameter(f"{taken[0]} exists already; give another --output, or --force.")
-        if targets:
-            output.mkdir(parents=True, exist_ok=True)
-        for each, path in zip(found.joined, targets, strict=True):
-            replace_atomically(path, recording_lines(each.recording))
-        if as_json:
-            print_json(found.to_dict([str(path) for path in targets]))
-        else:
-            _report_join(found, output, made, machine, loaded.vibration.diagnosable)
-        for sentence in found.notes(made, loaded):
-            say(f"ffcomp: {sentence}", quiet)
-        found.check()
+    plan, machine = load_plan(request.plan), load_machine(request.machine)
+    result = join_captures(
+        request.captures, plan, machine, turn_of(request.axes_map), lambda text: say(f"ffcomp: {text}", shown.quiet)
+    )
+    targets = [request.output / f"{each.name}.csv" for each in result.joined]
+    if taken := [path for path in targets if path.exists() and not request.force]:
+        raise RequestError(f"{taken[0]} exists already; give another --output, or --force.")
+    if targets:
+        request.output.mkdir(parents=True, exist_ok=True)
+    for each, path in zip(result.joined, targets, strict=True):
+        replace_atomically(path, recording_lines(each.recording))
+    if shown.as_json:
+        print_json(result.to_dict([str(path) for path in targets]))
+    else:
+        _report_join(result, request, plan, machine.vibration.diagnosable)
+    for sentence in result.notes(plan, machine):
+        say(f"ffcomp: {sentence}", shown.quiet)
+    result.check()
 
 
-def _report_join(found: JoinResult, output: Path, plan: Plan, machine: str, diagnosable: bool) -> None:
-    for each in found.joined:
+def _report_join(result: JoinResult, request: JoinRequest, plan: Plan, diagnosable: bool) -> None:
+    for each in result.joined:
         clock = each.clock
         print(
             f"{each.name}: offset {clock.offset_s:.6f} ± {clock.offset_sd_s:.6f} s, ratio {clock.ratio:.6f}, "
             f"correlation below 20 Hz {clock.correlation:.3f}"
         )
-    for refused in found.refused:
+    for refused in result.refused:
         print(f"refused: {refused.file}: {refused.why}")
-    if found.joined:
-        axes = f"; axes {found.joined[0].axes_map}" if found.joined[0].axes_map else ""
-        made = len({(each.experiment, each.repeat) for each in found.joined})
-        print(f"{made} of {len(plan.runs())} executions joined in {output}{axes}.")
+    if result.joined:
+        axes = f"; axes {result.joined[0].axes_map}" if result.joined[0].axes_map else ""
+        executions = len({(each.experiment, each.repeat) for each in result.joined})
+        print(f"{executions} of {len(plan.runs())} executions joined in {request.output}{axes}.")
         if diagnosable:
-            print(f"Then: ffcomp diagnose {output}/*.csv -m {machine}")
+            print(f"Then: ffcomp diagnose {request.output}/*.csv -m {request.machine}")
+
+
+@verb
+def check(request: CheckRequest, shown: Shown) -> None:
+    """Check in half a minute whether the printer moves as last time, and if not, what changed.
+
+    First write the G-code with -o, as ffcomp record plan --for check does, and run it whenever you want to know. Then
+    give its captures with --plan: they are compared with the machine file and with the earlier checks.
+
+    Example: ffcomp record check captures/*.csv --plan check.json -m my-delta.toml
+    """
+    if request.output is not None:
+        from ffcomp.record.planning import plan_recording
+
+        same = {name: getattr(request, name) for name in ("machine", "output", "flavor", "chip", "shaper")}
+        report_plan(plan_recording(PlanRequest(purpose="check", **same)), shown.as_json)
+    else:
+        _compare(request, shown)
+
+
+def _compare(request: CheckRequest, shown: Shown) -> None:
+    from datetime import datetime
+
+    from ffcomp.check.history import read_history, write_history
+    from ffcomp.check.result import check_result
+    from ffcomp.record.axes import turn_of
+    from ffcomp.record.join import join_captures
+    from ffcomp.record.plan import load_plan
+    from models.file import load_machine
+
+    assert request.plan is not None
+    plan, machine = load_plan(request.plan), load_machine(request.machine)
+    earlier = read_history(request.history_file)
+    turn = turn_of(request.axes_map)
+    joined = join_captures(
+        request.captures, plan, machine, turn, lambda text: say(f"ffcomp: {text}", shown.quiet)
+    ).with_accelerations
+    for refused in joined.refused if joined.joined else ():
+        say(f"ffcomp: left out {refused.file}: {refused.why}", shown.quiet)
+    for sentence in joined.notes(plan, machine):
+        say(f"ffcomp: {sentence}", shown.quiet)
+    joined.check()
+    result = check_result(joined, plan, machine, earlier, datetime.now().isoformat(timespec="minutes"))
+    checks = earlier if result.known else [*earlier, result.check]
+    if not result.known:
+        write_history(request.history_file, checks)
+    if request.figure is not None:
+        from ffcomp.report.check import draw_checks
+
+        draw_checks(checks, machine.name, request.figure)
+    if shown.as_json:
+        print_json(result.to_dict(machine.name, request.history_file))
+    else:
+        _report_check(result, request)
+
+
+def _report_check(result: CheckResult, request: CheckRequest) -> None:
+    from ffcomp.check.result import against_file, to_do
+
+    print(result.verdict.said)
+    if result.since_first is not None:
+        print(f"But since the first check: {result.since_first.said}")
+    print(against_file(result))
+    for each in result.experiments:
+        then = "" if each.difference is None else f", {100 * each.difference:.1f} % from the last check"
+        print(f"  {each.name}: {100 * each.gap:.1f} % from the machine file{then}; noise {100 * each.noise:.1f} %")
+    for sentence in (*result.notes, *to_do(result, "CAPTURES", str(request.plan), request.machine)):
+        print(sentence)
+    if not result.known:
+        print(f"Added to {request.history_file}.")
+
+
+app = group(
+    "record",
+    """Record the printer's vibrations with its own accelerometer.
+
+    First ffcomp record plan, then run its G-code, then give the captures to ffcomp diagnose with --plan; or keep them
+    as measured runs with ffcomp record join.
+    """,
+    plan,
+    join,
+    check,
+)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from ffcomp.errors import RequestError
 from ffcomp.record.excitation import (
@@ -16,80 +16,18 @@ from ffcomp.record.excitation import (
     make_excitation_plan,
     peaks_of,
 )
-from ffcomp.record.gcode_writer import DEFAULT_CHIPS, Firmware, Shaper, gcode_lines
-from ffcomp.record.moves import KINDS, MOST_ROUNDING, Place, Request, make_plan
-from ffcomp.record.multisine import KINDS as SIGNALS
+from ffcomp.record.gcode_writer import DEFAULT_CHIPS, Firmware, gcode_lines
+from ffcomp.record.moves import MOST_ROUNDING, Place, Request, make_plan
 from ffcomp.record.plan import Experiment, Plan, capture_name, save_plan
 from ffcomp.record.prints import plan_print, print_lines
+from ffcomp.record.request import PlanRequest, number_pair, one_of
 from gcode.atomic_write import replace_atomically
-from gcode.dialects import FLAVORS, KLIPPER
+from gcode.dialects import KLIPPER
 from models.file import load_machine
 from models.machine import Machine
 
-Purpose = Literal["identify", "diagnose", "check"]
 LINE_OF_ACTION, CENTRE = "line-of-action", "centre"
 CHECK_KINDS, CHECK_SECONDS, CHECK_REPEATS, CHECK_SEED = ("multisine", "loop", "reversals"), 2.0, 2, 17
-
-_PLACED = {"at", "kind", "repeats", "amplitude_mm_per_s2", "height_mm", "seed"}
-OPTIONS_OF: dict[Purpose, set[str]] = {
-    "identify": _PLACED
-    | {"axes", "lowest_hz", "highest_hz", "z_acceleration_mm_per_s2", "period_s", "periods", "realisations"}
-    | {"segments_per_second", "shaper_off"},
-    "diagnose": _PLACED | {"seconds", "print_file"},
-    "check": set(),
-}
-"""Options that some purposes have and others have not; the others have fixed values."""
-
-OPTION_NAMES = {"print_file": "--print"}  # where it is not that of the field
-
-
-@dataclass(frozen=True, kw_only=True)
-class PlanRequest:
-    """What is to be recorded, and where it is written. None: the purpose's default."""
-
-    machine: str
-    output: Path
-    purpose: Purpose = "diagnose"
-    at: Sequence[str] | None = None  # "X,Y" in mm, "centre" or "line-of-action"
-    kind: Sequence[str] | None = None
-    axes: str | None = None
-    seconds: float | None = None
-    repeats: int | None = None
-    lowest_hz: float | None = None
-    highest_hz: float | None = None
-    amplitude_mm_per_s2: float | None = None
-    z_acceleration_mm_per_s2: float | None = None
-    period_s: float | None = None
-    periods: int | None = None
-    realisations: int | None = None
-    segments_per_second: float | None = None
-    height_mm: float | None = None
-    flavor: str = ""  # "": the machine file's, or Klipper
-    chip: Sequence[str] | None = None
-    shaper: str = ""  # "X,Y" in Hz, to be switched on again
-    shaper_off: bool | None = None
-    print_file: Path | None = None
-    seed: int | None = None
-
-    @property
-    def plan_file(self) -> Path:
-        """Where the plan is written, beside the G-code."""
-        return self.output.with_suffix(".json")
-
-    def check(self) -> None:
-        """Raise a RequestError for options that contradict each other."""
-        _one_of("--for", [self.purpose], OPTIONS_OF)
-        for name in set().union(*OPTIONS_OF.values()) - OPTIONS_OF[self.purpose]:
-            if getattr(self, name) not in (None, [], ()):
-                purposes = " and ".join(purpose for purpose, names in OPTIONS_OF.items() if name in names)
-                option = OPTION_NAMES.get(name, f"--{name.replace('_', '-')}")
-                raise RequestError(f"{option} is for --for {purposes}, not for --for {self.purpose}.")
-        _one_of("--flavor", [self.flavor] if self.flavor else [], sorted(FLAVORS))
-        if self.plan_file == self.output:
-            raise RequestError(f"-o {self.output}: the G-code needs another ending, for .json is that of its plan.")
-        _one_of("--kind", self.kind or (), SIGNALS if self.purpose == "identify" else KINDS)
-        if self.purpose == "identify" and len(self.kind or ()) > 1:
-            raise RequestError(f"--kind: an identification has one excitation, not {', '.join(self.kind or ())}.")
 
 
 @dataclass(frozen=True)
@@ -186,13 +124,12 @@ def plan_recording(request: PlanRequest) -> PlanResult:
     LimitsError
         For motion that the machine cannot execute.
     """
-    request.check()
     machine = load_machine(request.machine)
     flavor = request.flavor or machine.flavor or KLIPPER
     firmware = Firmware(
         flavor,
         request.chip or DEFAULT_CHIPS[flavor],
-        _shaper(request.shaper),
+        request.shaper,
         switches_shaper=request.shaper_off is not False,
     )
     plan, lines = _planned(request, machine, firmware)
@@ -237,14 +174,14 @@ def _moves_request(request: PlanRequest) -> Request:
         "seed": request.seed,
         "kinds": list(dict.fromkeys(request.kind)) if request.kind else None,
     }
-    places = [_pair("--at", text, " mm") for text in request.at or ()]
+    places = [number_pair("--at", text, ", in mm") for text in request.at]
     return Request(places, **{key: value for key, value in stated.items() if value is not None})  # type: ignore[arg-type]
 
 
 def _excitation_request(request: PlanRequest, machine: Machine) -> ExcitationRequest:
     groups = machine.kinematics.excitation_directions
     axes = request.axes or next(iter(groups))  # the first is the machine's default
-    _one_of("--axes", [axes], groups)
+    one_of("--axes", [axes], groups)
     stated = {
         "height_mm": request.height_mm,
         "kind": request.kind[0] if request.kind else None,
@@ -259,7 +196,7 @@ def _excitation_request(request: PlanRequest, machine: Machine) -> ExcitationReq
         "segments_per_second": request.segments_per_second,
         "seed": request.seed,
     }
-    places = tuple(_excited_places(request.at or [CENTRE], machine))
+    places = tuple(_excited_places(request.at or (CENTRE,), machine))
     return ExcitationRequest(
         places,
         directions=groups[axes],
@@ -278,27 +215,8 @@ def _excited_places(texts: Sequence[str], machine: Machine) -> list[Place]:
                 raise RequestError(f"--at {text}: that is a delta's; straight axes answer alike everywhere.")
             places += line_of_action(machine.kinematics)
         else:
-            places.append(_pair("--at", text, f", in mm, {CENTRE} or {LINE_OF_ACTION}"))
+            places.append(number_pair("--at", text, f", in mm, {CENTRE} or {LINE_OF_ACTION}"))
     return list(dict.fromkeys(places))
-
-
-def _shaper(text: str) -> Shaper | None:
-    return _pair("--shaper", text) if text else None
-
-
-def _pair(option: str, text: str, more: str = "") -> tuple[float, float]:
-    try:
-        x, y = (float(part) for part in text.split(","))
-    except ValueError:
-        raise RequestError(f"{option} {text!r}: two numbers with a comma between them{more}.") from None
-    return x, y
-
-
-def _one_of(option: str, values: Iterable[str], choices: Iterable[str]) -> None:
-    for value in values:
-        if value not in choices:
-            *most, last = choices
-            raise RequestError(f"{option}: there is no {value!r}; choose {', '.join(most)} or {last}.")
 
 
 def _next(request: PlanRequest, plan: Plan, machine: Machine) -> str:

@@ -20,15 +20,28 @@ PROGRESS = ("ffcomp: reading", "ffcomp: joining")
 
 def joined(trap: CaptureTrap, keep: Path) -> Answer:
     """Write the captures of a trap and join them: `found` is ffcomp-join/1, `text` all that was said."""
-    from ffcomp.cli.record import join
+    from ffcomp.cli.app import app
+    from ffcomp.cli.command import run
 
     folder = keep / trap.name
     captures = write(trap.bench, trap.sensing, folder, keep / "readings", trap.seed_of_plan)
     shutil.rmtree(folder / "runs", ignore_errors=True)
     machine, plan = str(folder / "machine.toml"), folder / "moves.json"
-    found, text, code, cpu_s = _called(
-        lambda: join(captures, plan, machine, folder / "runs", axes_map=trap.axes_map, as_json=True)
-    )
+    axes = ["--axes-map", trap.axes_map] if trap.axes_map else []
+    words = [
+        "record",
+        "join",
+        *map(str, captures),
+        "--plan",
+        plan,
+        "-m",
+        machine,
+        "-o",
+        folder / "runs",
+        *axes,
+        "--json",
+    ]
+    found, text, code, cpu_s = _called(lambda: run(app, [str(word) for word in words]))
     refusals = [f"{Path(each['file']).name}: {each['why']}" for each in found.get("refused", ())]
     return Answer(found, " ".join([*refusals, text]), code, cpu_s)
 

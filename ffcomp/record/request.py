@@ -1,0 +1,301 @@
+"""What `ffcomp record plan`, `record join` and `record check` can be asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+from ffcomp.errors import RequestError
+from ffcomp.request import ACCURACY, ADVANCED, MACHINE, OUTPUT, Argument, Option, Request
+
+Purpose = Literal["identify", "diagnose", "check"]
+MOVES = ("zigzag", "reversals", "loop", "multisine")
+SIGNALS = ("multisine", "sweep", "log-sweep")
+
+MACHINE_NAME = Option(
+    "Machine: a name (see: ffcomp machines list) or the path of its file.", MACHINE, "--machine", "-m", metavar="NAME"
+)
+GCODE = Option("G-code to write. The plan is written beside it (.json).", OUTPUT, "--output-file", "-o", metavar="FILE")
+FLAVOR = Option(
+    "Firmware: klipper, marlin or reprapfirmware. Default: the machine file's, or klipper.", MACHINE, metavar="NAME"
+)
+CHIP = Option(
+    "Accelerometer: Klipper's name of it (default adxl345), or RepRapFirmware's address (default 0). May be repeated.",
+    MACHINE,
+    metavar="NAME",
+)
+CAPTURE_AXES = Option(
+    "The printer's axes in the accelerometer's own, e.g. x,-z,y. Default: found in the captures.",
+    MACHINE,
+    "--axes-map",
+    metavar="X,Y,Z",
+)
+FORCE = Option("Overwrite files that exist.", OUTPUT)
+
+
+def number_pair(option: str, text: str, more: str = "") -> tuple[float, float]:
+    """Read `X,Y`."""
+    try:
+        x, y = (float(part) for part in text.split(","))
+    except ValueError:
+        raise RequestError(f"{option} {text!r}: two numbers with a comma between them{more}.") from None
+    return x, y
+
+
+def parse_shaper(text: str) -> tuple[float, float]:
+    """Read the frequencies of a shaper along x and y, Hz."""
+    return number_pair("--shaper", text)
+
+
+SHAPER = Option(
+    "Frequencies of the firmware's input shaper, Hz, to be switched on again at the end. RepRapFirmware knows them by "
+    "itself.",
+    MACHINE,
+    metavar="X,Y",
+    parse=parse_shaper,
+)
+
+_PLACED = {"at", "kind", "repeats", "amplitude_mm_per_s2", "height_mm", "seed"}
+_OPTIONS_OF: dict[Purpose, set[str]] = {
+    "identify": _PLACED
+    | {"axes", "lowest_hz", "highest_hz", "z_acceleration_mm_per_s2", "period_s", "periods", "realisations"}
+    | {"segments_per_second", "shaper_off"},
+    "diagnose": _PLACED | {"seconds", "print_file"},
+    "check": set(),
+}  # those that some purposes have and others have not; the others have fixed values
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlanRequest(Request):
+    """What is to be recorded, and where it is written. None: the purpose's default."""
+
+    machine: Annotated[str, MACHINE_NAME]
+    output: Annotated[Path, GCODE]
+    purpose: Annotated[
+        Purpose,
+        Option(
+            "What the captures are for: identify (the numbers of a machine file), diagnose (what it lacks) or check "
+            "(whether the printer has changed).",
+            MACHINE,
+            "--for",
+            metavar="VERB",
+        ),
+    ] = "diagnose"
+    at: Annotated[
+        tuple[str, ...],
+        Option(
+            "Place of experiments, mm. May be repeated; for diagnose, places are 40 mm apart or more. centre: the "
+            "middle of the bed (default of identify). line-of-action: for identify, three places away from each tower "
+            "of a delta, where the dynamics differ most. Default of diagnose: the centre, and three places around it.",
+            MACHINE,
+            metavar="X,Y",
+        ),
+    ] = ()
+    kind: Annotated[
+        tuple[str, ...],
+        Option(
+            "For diagnose, only such moves: zigzag, reversals, loop or multisine; may be repeated. For identify, the "
+            "excitation: multisine (low peaks, whole periods; default), sweep or log-sweep.",
+            ADVANCED,
+            metavar="NAME",
+        ),
+    ] = ()
+    axes: Annotated[
+        str | None,
+        Option(
+            "For identify. towers: each carriage alone (default of a delta); all: towers and xyz; or the nozzle along "
+            "x, y, z, xy (default of cartesian and CoreXY) or xyz.",
+            MACHINE,
+            metavar="AXES",
+        ),
+    ] = None
+    seconds: Annotated[
+        float | None,
+        Option("Duration of an experiment for diagnose, about. Default: 4.", ACCURACY, metavar="S", low=2.0, high=20.0),
+    ] = None
+    repeats: Annotated[
+        int | None,
+        Option(
+            "How often each is made. Repeats show the noise. Default: 2; 1 for identify, whose periods do.",
+            ACCURACY,
+            metavar="N",
+            low=1,
+            high=9,
+        ),
+    ] = None
+    lowest_hz: Annotated[
+        float | None, Option("Lowest frequency for identify. Default: 5.", ACCURACY, metavar="HZ", low=0.5)
+    ] = None
+    highest_hz: Annotated[
+        float | None, Option("Highest frequency for identify. Default: 150.", ACCURACY, metavar="HZ", low=1.0)
+    ] = None
+    amplitude_mm_per_s2: Annotated[
+        float | None,
+        Option(
+            "Acceleration of the nozzle for diagnose (default: the machine file's limit), peak of the excitation for "
+            "identify (default: a safe share of the machine's limits).",
+            ACCURACY,
+            metavar="A",
+            low=1.0,
+        ),
+    ] = None
+    z_acceleration_mm_per_s2: Annotated[
+        float | None,
+        Option(
+            "For identify: the firmware's limit in Z (Klipper: max_z_accel). Default: the machine file's acceleration.",
+            MACHINE,
+            metavar="A",
+            low=1.0,
+        ),
+    ] = None
+    period_s: Annotated[
+        float | None,
+        Option(
+            "Period for identify. Its inverse is the frequency step. Default: 4.",
+            ADVANCED,
+            metavar="S",
+            low=2.0,
+            high=60.0,
+        ),
+    ] = None
+    periods: Annotated[
+        int | None,
+        Option(
+            "Periods to average for identify, after a first one that settles. Default: 6.", ADVANCED, metavar="N", low=1
+        ),
+    ] = None
+    realisations: Annotated[
+        int | None,
+        Option(
+            "Repetitions of the multisine with other random phases, for identify. Default: 1.",
+            ADVANCED,
+            metavar="N",
+            low=1,
+        ),
+    ] = None
+    segments_per_second: Annotated[
+        float | None,
+        Option(
+            "Segment rate for identify. It rises if the highest frequency needs more. Default: 250.",
+            ADVANCED,
+            metavar="RATE",
+            low=125.0,
+            high=500.0,
+        ),
+    ] = None
+    height_mm: Annotated[
+        float | None, Option("Nozzle height above the bed. Default: 30; 50 for identify.", MACHINE, metavar="MM")
+    ] = None
+    flavor: Annotated[str, FLAVOR] = ""
+    chip: Annotated[tuple[str, ...], CHIP] = ()
+    shaper: Annotated[tuple[float, float] | None, SHAPER] = None
+    shaper_off: Annotated[
+        bool | None,
+        Option("For identify: switch the firmware's input shaper off at the beginning. Default: yes.", MACHINE),
+    ] = None
+    print_file: Annotated[
+        Path | None,
+        Option(
+            "For diagnose: record this print instead of ffcomp's own moves, up to 12 stretches of its first layers. "
+            "Print the file that -o names.",
+            OUTPUT,
+            "--print",
+            metavar="FILE",
+        ),
+    ] = None
+    seed: Annotated[
+        int | None, Option("Seed of the moves or the phases. Default: 1.", ADVANCED, metavar="N", low=0)
+    ] = None
+
+    @property
+    def plan_file(self) -> Path:
+        """Where the plan is written, beside the G-code."""
+        return self.output.with_suffix(".json")
+
+    def check(self) -> None:
+        """Raise RequestError where options do not go together."""
+        for name in sorted(set().union(*_OPTIONS_OF.values()) - _OPTIONS_OF[self.purpose]):
+            if getattr(self, name) not in (None, ()):
+                purposes = " and ".join(purpose for purpose, names in _OPTIONS_OF.items() if name in names)
+                option = "--print" if name == "print_file" else f"--{name.replace('_', '-')}"
+                raise RequestError(f"{option} is for --for {purposes}, not for --for {self.purpose}.")
+        if self.plan_file == self.output:
+            raise RequestError(f"-o {self.output}: the G-code needs another ending, for .json is that of its plan.")
+        one_of("--flavor", [self.flavor] if self.flavor else [], ("klipper", "marlin", "reprapfirmware"))
+        one_of("--kind", self.kind, SIGNALS if self.purpose == "identify" else MOVES)
+        if self.purpose == "identify" and len(self.kind) > 1:
+            raise RequestError(f"--kind: an identification has one excitation, not {', '.join(self.kind)}.")
+
+
+def one_of(option: str, values: Iterable[str], choices: Iterable[str]) -> None:
+    """Raise RequestError unless all values are among the choices."""
+    for value in values:
+        if value not in choices:
+            *most, last = choices
+            raise RequestError(f"{option}: there is no {value!r}; choose {', '.join(most)} or {last}.")
+
+
+@dataclass(frozen=True, kw_only=True)
+class JoinRequest(Request):
+    """Captures to be joined with their commands."""
+
+    captures: Annotated[
+        tuple[Path, ...],
+        Argument(
+            "Captures of the plan: files of Klipper, Kalico, RepRapFirmware or Shake&Tune, or tables with a time and "
+            "three accelerations.",
+            metavar="CAPTURES...",
+        ),
+    ]
+    plan: Annotated[Path, Option("Plan (.json) that `record plan` wrote.", MACHINE, metavar="FILE")]
+    machine: Annotated[str, MACHINE_NAME]
+    output: Annotated[Path, Option("Folder for the measured runs.", OUTPUT, "--output", "-o", metavar="FOLDER")]
+    axes_map: Annotated[str | None, CAPTURE_AXES] = None
+    force: Annotated[bool, FORCE] = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class CheckRequest(Request):
+    """A check of a printer: the G-code that is to be written for it, or its captures."""
+
+    machine: Annotated[str, MACHINE_NAME]
+    captures: Annotated[
+        tuple[Path, ...],
+        Argument("Captures of the check's G-code. None: write that G-code with -o.", metavar="[CAPTURES...]"),
+    ] = ()
+    output: Annotated[Path | None, GCODE] = None
+    plan: Annotated[
+        Path | None, Option("Plan (.json) of captures, as `record plan` wrote it.", MACHINE, metavar="FILE")
+    ] = None
+    history: Annotated[
+        Path | None,
+        Option(
+            "Earlier checks; this one is added. Default: beside the machine file, .checks.jsonl.",
+            OUTPUT,
+            metavar="FILE",
+        ),
+    ] = None
+    flavor: Annotated[str, FLAVOR] = ""
+    chip: Annotated[tuple[str, ...], CHIP] = ()
+    shaper: Annotated[tuple[float, float] | None, SHAPER] = None
+    axes_map: Annotated[str | None, CAPTURE_AXES] = None
+    figure: Annotated[Path | None, Option("Draw a figure: .png, .svg or .pdf.", OUTPUT, metavar="FILE")] = None
+    force: Annotated[bool, FORCE] = False
+
+    def check(self) -> None:
+        """Raise RequestError where options do not go together."""
+        if bool(self.captures) == bool(self.output):
+            raise RequestError("Either -o check.gcode, to write the G-code; or its captures, with --plan check.json.")
+        if self.captures and self.plan is None:
+            raise RequestError("Captures need --plan: the .json file that was written beside the check's G-code.")
+        if self.figure is not None and self.figure.exists() and not self.force:
+            raise RequestError(f"{self.figure} exists already; give another --figure, or --force.")
+
+    @property
+    def history_file(self) -> Path:
+        """The history: beside the machine file unless stated, or here for a machine of the library."""
+        machine = Path(self.machine)
+        beside = machine.with_suffix(".checks.jsonl") if machine.is_file() else Path(f"{machine.name}.checks.jsonl")
+        return self.history or beside
