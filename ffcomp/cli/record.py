@@ -44,14 +44,19 @@ def report_plan(result: PlanResult, as_json: bool) -> None:
     console = Console()
     peaks = [result.peaks(each) for each in result.plan.experiments]
     columns = ("carriage mm/s", "m/s²", "nozzle mm/s", "m/s²") if peaks[0] else ("s",)
-    table = Table("experiment", "at, mm", *columns, "microstep error")
+    table = Table("ffcomp-", "at, mm", *columns, "microstep error")
     for each, peak in zip(result.plan.experiments, peaks, strict=True):
         cells = [f"{each.duration_s:.1f}"]
         if peak is not None:
             carriage = peak.carriage_velocity_mm_per_s, peak.carriage_acceleration_mm_per_s2 / 1e3
             nozzle = peak.nozzle_velocity_mm_per_s, peak.nozzle_acceleration_mm_per_s2 / 1e3
             cells = [text for v, a in (carriage, nozzle) for text in (f"{v:.0f}", f"{a:.1f}")]
-        table.add_row(each.name, "{:g}, {:g}".format(*each.position_mm), *cells, f"{each.rounding:.0%}")
+        table.add_row(
+            each.name.removeprefix("ffcomp-"),
+            "{:g}, {:g}".format(*each.position_mm),
+            *cells,
+            f"{100 * each.rounding:.0f} %",
+        )
     console.print(table)
     for sentence in _sentences(result):
         console.print(sentence, highlight=False, soft_wrap=True)

@@ -1,8 +1,8 @@
 """Accelerometer captures of a planned excitation → frequency responses.
 
 A capture holds neither the start of the motion nor the command; the plan's file holds the command exactly. The capture
-is aligned with the simulated acceleration of the starting machine, brought onto the command's clock, and analysed over
-the plan's whole periods. The remaining error of the start is a delay that is fitted with the parameters
+is aligned below 20 Hz with the simulated acceleration of the starting machine, brought onto the command's clock, and
+analysed over the plan's whole periods. The remaining error of the start is a delay that is fitted with the parameters
 (`FrequencyResponse.clock`): a drive's own delay and a capture's are told apart by resonances, not by alignment.
 """
 
@@ -16,7 +16,6 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from ffcomp.errors import MeasurementError
-from ffcomp.measurement.alignment import align
 from ffcomp.measurement.capture import Capture
 from ffcomp.measurement.estimators import periodic_frf
 from ffcomp.measurement.frf import FrequencyResponse
@@ -24,15 +23,17 @@ from ffcomp.measurement.recording import Recording
 from ffcomp.measurement.recording_frfs import frfs_from_recordings
 from ffcomp.measurement.vibration import read_capture
 from ffcomp.record.axes import STRAIGHT, turning
+from ffcomp.record.clock import ClockFit, Reference, every_clock, fit_clock, thinned
 from ffcomp.record.excitation import excited_coordinate
+from ffcomp.record.expected import expectation
 from ffcomp.record.plan import Experiment, Plan
 from ffcomp.record.result import NO_ACCELERATIONS
 from models.arrays import FloatArray
 from models.machine import Machine
-from models.printer.printer import simulate_printer
 
 RATE_HZ = 3200.0
-TAIL_S = 0.5  # simulated beyond the end of the motion, where a capture may still run
+LEAD_S = 0.2  # simulated at rest before the motion
+CLEAR_CORRELATION = 0.4  # of what a rough machine file expects
 BAND_HZ = (5.0, 150.0)  # that such motions excite
 HALF_WIDTH_HZ = 2.0  # zigzags and loops have a few lines in a hertz only
 VARIANCE_FACTOR = 4.0  # polynomials of such wide windows err by twice the noise, measured on simulated captures
@@ -74,11 +75,10 @@ def _responses(experiment: Experiment, capture: Capture, machine: Machine, turn:
     if excitation is None:
         raise MeasurementError(capture.source, [f"{experiment.name} is no periodic excitation."])
     measured = capture.acceleration @ turn.T
-    t, expected = _expected(experiment, machine)
-    clock = align(capture.time_s, measured, t, expected, capture.source, excitation.band.period_s)
+    clock = _clock(experiment, capture, measured, machine)
     samples = round(excitation.band.period_s * RATE_HZ)
     when = experiment.measured_from_s + np.arange(samples * excitation.periods) / RATE_HZ
-    capture_time = capture.time_s[0] + (when - clock.offset_s) / clock.clock_ratio
+    capture_time = capture.time_s[0] + (when - clock.offset_s) / clock.ratio
     if capture_time[0] < capture.time_s[0] or capture_time[-1] > capture.time_s[-1]:
         rule = f"It covers {capture.time_s[-1] - capture.time_s[0]:.1f} s, not all of the motion to be measured."
         raise MeasurementError(capture.source, [f"{rule} Start capturing before the motion, stop after it."])
@@ -95,11 +95,26 @@ def _responses(experiment: Experiment, capture: Capture, machine: Machine, turn:
     )
 
 
-def _expected(experiment: Experiment, machine: Machine) -> tuple[FloatArray, FloatArray]:
-    """Simulate the nozzle's acceleration: (n,) s and (n, 3) m/s²."""
-    t = np.arange(0.0, experiment.duration_s + TAIL_S, 1 / RATE_HZ)
-    command = machine.kinematics.inverse(experiment.motion.nozzle(t))
-    return t, simulate_printer(machine, command, 1 / RATE_HZ, hold="linear").nozzle_acceleration
+def _clock(experiment: Experiment, capture: Capture, measured: FloatArray, machine: Machine) -> ClockFit:
+    """Fit the capture's clock; the motion repeats, but its marker does not."""
+    if not np.ptp(measured, axis=0).any():
+        raise MeasurementError(capture.source, ["Nothing moves, so nothing can be aligned."])
+    expected = expectation(experiment.motion, machine, LEAD_S, with_signatures=False)
+    reference = Reference(expected)
+    since, record = thinned(capture.time_s, measured)
+    matches = every_clock(since, record, reference, expected, known_axes=True)
+    start = matches.starts[int(np.abs(matches.correlation).sum(axis=(1, 2)).argmax())]
+    clock = fit_clock(since, record, reference, start, free_ratio=True)
+    if clock.correlation < CLEAR_CORRELATION:
+        raise MeasurementError(
+            capture.source,
+            [
+                f"The record does not match the expected motion (correlation {clock.correlation:.2f} below 20 Hz; at "
+                f"least {CLEAR_CORRELATION:g} is a match): is it of another motion, are its axes turned, or is its "
+                "rate wrong?"
+            ],
+        )
+    return clock
 
 
 # The rest is of moves that are no periodic excitation

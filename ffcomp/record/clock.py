@@ -171,8 +171,16 @@ def known_clock(since: FloatArray, record: FloatArray, reference: Reference, sta
     return Matches([start], (record.T @ expected)[None] / max(float(size), 1e-300))
 
 
-def every_clock(since: FloatArray, record: FloatArray, reference: Reference, expected: Expectation) -> Matches:
-    """Correlate at every offset and every ratio of the clocks."""
+def every_clock(
+    since: FloatArray, record: FloatArray, reference: Reference, expected: Expectation, known_axes: bool = False
+) -> Matches:
+    """Correlate at every offset and every ratio of the clocks.
+
+    Parameters
+    ----------
+    known_axes : whether the record is along the printer's axes, so that only their signs are free: a bed moves against
+        the nozzle. Otherwise any turn of the sensor is allowed.
+    """
     period, length = float(since[1] - since[0]), float(since[-1] - since[0])
     steps = int(np.ceil(WORST_CLOCK * length * float(np.mean(BAND_HZ)) / CYCLES_OF_CLOCK_STEP / 4))
     starts, tables = [], []
@@ -180,10 +188,14 @@ def every_clock(since: FloatArray, record: FloatArray, reference: Reference, exp
         t = np.arange(expected.time_s[0], expected.time_s[-1], period * ratio)
         values = reference.at(t)[0]
         size = max(float(np.linalg.norm(record) * np.linalg.norm(values)), 1e-300)
-        curves = np.stack(
-            [fftconvolve(values, record[::-1, [i]], axes=0) for i in range(3)], axis=1
-        )  # (lags, sensor axis, printer axis)
-        for best in _peaks(np.linalg.svd(curves, compute_uv=False).sum(axis=1), round(APART_S / (period * ratio))):
+        # (lags, sensor axis, printer axis)
+        if known_axes:
+            curves = np.eye(3) * fftconvolve(values, record[::-1], axes=0)[:, None]
+            likeness = np.abs(curves).sum(axis=(1, 2))
+        else:
+            curves = np.stack([fftconvolve(values, record[::-1, [i]], axes=0) for i in range(3)], axis=1)
+            likeness = np.linalg.svd(curves, compute_uv=False).sum(axis=1)
+        for best in _peaks(likeness, round(APART_S / (period * ratio))):
             starts.append((float(t[0] + (best - len(record) + 1) * period * ratio), float(ratio)))
             tables.append(curves[best] / size)
     return Matches(starts, np.array(tables))

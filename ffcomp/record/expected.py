@@ -39,8 +39,10 @@ class Expectation:
     duration_s: float  # of the motion
 
 
-def expectation(motion: Commanded, machine: Machine, lead_s: float) -> Expectation:
+def expectation(motion: Commanded, machine: Machine, lead_s: float, with_signatures: bool = True) -> Expectation:
     """Simulate an experiment's motion on the machine file's printer, at rest for `lead_s` before it.
+
+    Without signatures, for a clock whose delay stays free in what is fitted next, only the plain motion is simulated.
 
     Raises
     ------
@@ -49,6 +51,9 @@ def expectation(motion: Commanded, machine: Machine, lead_s: float) -> Expectati
     """
     t = np.arange(-lead_s, motion.duration_s + TAIL_S, 1 / RATE_HZ)
     carriages = machine.kinematics.inverse(motion.nozzle(t))
+    if not with_signatures:
+        (plain,) = _felt([machine], [carriages])
+        return Expectation(t, plain, np.empty((0, *plain.shape)), motion.duration_s)
     velocity = np.gradient(carriages, 1 / RATE_HZ, axis=0)
     massive = carriages - MASS_S2 * np.gradient(velocity, 1 / RATE_HZ, axis=0)
     rubbing = [replace(machine, effects=_with_friction(machine, force)) for force in FRICTION_N]
