@@ -41,8 +41,7 @@ from ffcomp.planner.segment_merging import merge
 from ffcomp.planner.segment_timing import segment_speeds
 from gcode.dialects import detect_flavor
 from gcode.emit import MoveWriter
-from gcode.limits import MotionLimits
-from gcode.program import Event, ModalState
+from gcode.program import Event, ModalState, MotionLimits
 from gcode.reader import read_program
 from models.file import load_machine
 from tests.unit.ffcomp.compensate.test_gcode_layout import smoothed

@@ -15,8 +15,8 @@ from math import acos, atan2, ceil, copysign, cos, hypot, sin, sqrt, tau
 import numpy as np
 from numba import njit
 
-from gcode.arrays import FloatArray
 from gcode.errors import GcodeError
+from gcode.program import FloatArray
 
 Point2 = tuple[float, float]
 

@@ -1,14 +1,15 @@
-"""Files on disk: what their bytes say they are, and replacing one so that it is never half written.
+"""Files on disk: what their bytes say they are, and the same container written anew with other text.
 
-A container holds one print or several, and is written anew with other text for each. Which kind a file is, its first
-bytes say: plain text, gzip (`gcode.gzipped`), a zip archive of a slicer (`gcode.archive`), binary G-code
-(`gcode.bgcode`).
+A container holds one print or several. Which kind a file is, its first bytes say: plain text, gzip, a zip archive of a
+slicer (`gcode.archive`), binary G-code (`gcode.bgcode`).
 """
 
 from __future__ import annotations
 
+import gzip
 import io
-from collections.abc import Callable, Iterable, Iterator, Mapping
+import zlib
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,9 +18,60 @@ from typing import BinaryIO, Protocol
 from gcode import text
 from gcode.archive import open_archive
 from gcode.bgcode import open_bgcode
-from gcode.errors import UnsupportedGcode
-from gcode.gzipped import open_gzip
-from gcode.text import BLOCK, ENDS, Source, check_regular, check_text
+from gcode.errors import GcodeError, UnsupportedGcode
+from gcode.text import BLOCK, ENDS, Source, Text, check_regular, check_text, limited, pieces
+
+_HAS_EXTRA, _HAS_NAME = 4, 8  # bits of the flags (RFC 1952, 2.3.1)
+_LEVEL = 6  # that of the gzip command
+
+
+@dataclass(frozen=True, slots=True)
+class Gzip:
+    """Hold the one print, and the name and time of the packed file as the header says them."""
+
+    prints: Mapping[str, Source]
+    name: str
+    time_s: int
+
+    def write(self, file: BinaryIO, texts: Iterable[Iterable[bytes]]) -> None:
+        """Write the file anew with this text."""
+        (lines,) = texts
+        with (
+            gzip.GzipFile(self.name, "wb", _LEVEL, file, self.time_s) as packed,
+            io.BufferedWriter(packed, BLOCK) as out,
+        ):
+            out.writelines(lines)
+
+
+@contextmanager
+def open_gzip(reopen: Callable[[], BinaryIO], path: str) -> Iterator[Gzip]:
+    """Open a file compressed by gzip."""
+    with reopen() as file:
+        header = file.read(1 << 10)
+        size = file.seek(0, io.SEEK_END)
+
+    def blocks() -> Iterator[bytes]:
+        return limited(_unpacked(reopen, path), size, path)
+
+    yield Gzip({"": Text.read(blocks, path)}, _name(header), int.from_bytes(header[4:8], "little"))
+
+
+def _unpacked(reopen: Callable[[], BinaryIO], path: str) -> Generator[bytes, None, None]:
+    with reopen() as file, gzip.GzipFile(fileobj=file) as unpacked:
+        try:
+            yield from pieces(unpacked)
+        except EOFError:
+            raise GcodeError("The file, compressed by gzip, is cut short; copy it again.", path=path) from None
+        except (gzip.BadGzipFile, zlib.error) as error:
+            raise GcodeError(f"The file, compressed by gzip, is damaged ({error}); copy it again.", path=path) from None
+
+
+def _name(header: bytes) -> str:
+    """Return the packed file's name; empty if the header says none."""
+    if not header[3] & _HAS_NAME or header[3] & _HAS_EXTRA:
+        return ""
+    return header[10:].partition(b"\0")[0].decode("latin-1")
+
 
 _Open = Callable[[], BinaryIO]  # the file, from its beginning
 

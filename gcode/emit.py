@@ -3,7 +3,7 @@
 XYZ have up to four decimals (three double Klipper's cost of a short segment), E five, F three. A number is rounded to a
 whole count of its last decimal, or, where the move has slack, to the fewest digits within it. What has not changed in
 counts is left out, and relative numbers are differences of counts, so their sum never strays from the truth by more
-than that.
+than that. The text is written by compiled functions, many lines at once.
 """
 
 from __future__ import annotations
@@ -11,10 +11,182 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from numba import njit
 
-from gcode.arrays import FloatArray, IntArray
-from gcode.emit_kernels import E_DECIMALS, F_DECIMALS, LONGEST_LINE, XYZ_DECIMALS, write_moves
-from gcode.program import ModalState
+from gcode.program import ByteArray, FloatArray, IntArray, ModalState
+
+Place = tuple[float, float, float, float]  # of X Y Z E
+
+XYZ_DECIMALS, E_DECIMALS, F_DECIMALS = 4, 5, 3
+E_SLACK_MM = 5e-5  # filament, where a move has any slack: a fortieth of a step
+LATE_S = 2e-5  # at most, where a move has any slack
+LONGEST_LINE = 128  # bytes: five words of a 64-bit count each, with sign and point, are 118
+_AXES = np.frombuffer(b"XYZE", dtype=np.uint8)
+_SPACE, _MINUS, _POINT, _ZERO, _NEWLINE, _G, _F = b" -.0\nGF"
+
+
+@njit(cache=True, nogil=True)
+def write_moves(
+    xyz: FloatArray,
+    e: FloatArray,
+    speed: FloatArray,
+    lasting: FloatArray,
+    slack: FloatArray,
+    base: Place,
+    per_mm: Place,
+    f_counts: float,
+    relative: tuple[bool, bool],
+    state: IntArray,
+    given: FloatArray,
+    stated: FloatArray,
+    out: ByteArray,
+) -> IntArray:
+    """Write n `G1` lines one after the other; returns where each one ends in `out`, (n,) bytes.
+
+    Parameters
+    ----------
+    xyz : (n, 3) mm;  e : (n,) mm of filament;  speed : (n,) mm/s;  lasting : (n,) s
+    slack : (n,) mm, how far from its place a move may end and, by its time, be; 0: to the last decimal
+    base : mm, what is taken off X Y Z E;  per_mm : counts of the last decimal in a mm
+    f_counts : counts of F's last decimal in a mm/s
+    relative : whether X Y Z are differences, and whether E is
+    state : (5,) counts of X Y Z E F that the firmware has; taken along
+    given : (4,) X Y Z, mm, where the last move should have ended, and s, by which its end is late; taken along
+    stated : (n, 3) X Y Z, mm, where each move ends as it is written; filled in
+    out : (at least n LONGEST_LINE,) bytes
+    """
+    ends = np.empty(len(e), dtype=np.int64)
+    now = np.empty(4, dtype=np.int64)
+    at = 0
+    for k in range(len(e)):
+        if not np.isfinite(xyz[k].sum() + e[k] + speed[k]):
+            raise ValueError("A move to or at a number that is not finite cannot be written.")
+        for i in range(3):
+            now[i] = _short((xyz[k, i] - base[i]) * per_mm[i], state[i], slack[k] * per_mm[i], relative[0])
+        filament = E_SLACK_MM * per_mm[3] if slack[k] > 0.0 else 0.0
+        now[3] = _short((e[k] - base[3]) * per_mm[3], state[3], filament, relative[1])
+        if now[0] != state[0] or now[1] != state[1] or now[2] != state[2] or now[3] != state[3]:
+            feed = _feed(xyz[k], now, speed[k], lasting[k], slack[k], per_mm, f_counts, state, given)
+            at = _write_move(now, feed, relative, state, out, at)
+        for i in range(3):
+            given[i] = xyz[k, i]
+            stated[k, i] = state[i] / per_mm[i] + base[i]
+        ends[k] = at
+    return ends
+
+
+@njit(cache=True, nogil=True)
+def _short(counts: float, before: np.int64, slack: float, relative: bool) -> np.int64:
+    """Round to the number with the fewest digits within the slack, best of all to what the firmware has, in counts."""
+    nearest = np.int64(np.rint(counts))
+    if slack < 1.0:
+        return nearest
+    if abs(counts - before) <= slack:
+        return before
+    origin = before if relative else np.int64(0)
+    coarse = np.int64(10)
+    while coarse <= 2.0 * slack:
+        coarse *= 10
+    while coarse > 1:
+        rounded = np.int64(np.rint((counts - origin) / coarse)) * coarse + origin
+        if abs(counts - rounded) <= slack:
+            return rounded
+        coarse //= 10
+    return nearest
+
+
+@njit(cache=True, nogil=True)
+def _feed(
+    to: FloatArray,
+    now: IntArray,
+    speed: float,
+    lasting: float,
+    slack: float,
+    per_mm: Place,
+    f_counts: float,
+    state: IntArray,
+    given: FloatArray,
+) -> np.int64:
+    """Choose F: the last one if the move then ends in time, or else the one with the fewest digits.
+
+    What a move is late or early is made up for by the next one: time does not drift.
+    """
+    asked, written = 0.0, 0.0
+    for i in range(3):
+        asked += (to[i] - given[i]) ** 2
+        written += ((now[i] - state[i]) / per_mm[i]) ** 2
+    if slack <= 0.0 or asked <= 0.0 or written <= 0.0 or speed <= 0.0:
+        given[3] = 0.0
+        return np.int64(np.rint(speed * f_counts))
+    speed *= np.sqrt(written / asked)
+    late, may_be = given[3], min(slack / speed, LATE_S)
+    due = speed * lasting * f_counts  # F of a move that takes 1 s
+    low, high = due / (lasting - late + may_be), due / max(lasting - late - may_be, 1e-9)
+    feed = state[4]
+    if not low <= feed <= high:
+        ideal = due / (lasting - late)
+        coarse = np.int64(10**9)
+        while coarse > 1:
+            feed = np.int64(np.rint(ideal / coarse)) * coarse
+            if low <= feed <= high:
+                break
+            coarse //= 10
+        if coarse == 1:
+            feed = np.int64(np.rint(ideal))
+    given[3] = late + due / max(feed, 1) - lasting
+    return feed
+
+
+@njit(cache=True, nogil=True)
+def _write_move(
+    now: IntArray, feed: np.int64, relative: tuple[bool, bool], state: IntArray, out: ByteArray, at: int
+) -> int:
+    """One line with the words that have changed; returns where the next one begins."""
+    out[at], out[at + 1] = _G, _ZERO + 1
+    at += 2
+    for i in range(4):
+        if now[i] != state[i]:
+            differs = relative[0] if i < 3 else relative[1]
+            counts = now[i] - state[i] if differs else now[i]
+            at = _write_word(_AXES[i], counts, XYZ_DECIMALS if i < 3 else E_DECIMALS, out, at)
+            state[i] = now[i]
+    if feed != state[4]:
+        at = _write_word(_F, max(feed, np.int64(1)), F_DECIMALS, out, at)  # F0 would be an error
+        state[4] = feed
+    out[at] = _NEWLINE
+    return at + 1
+
+
+@njit(cache=True, nogil=True)
+def _write_word(letter: int, counts: np.int64, decimals: int, out: ByteArray, at: int) -> int:
+    """Write a letter and counts / 10^decimals in as few digits as it takes."""
+    out[at], out[at + 1] = _SPACE, letter
+    at += 2
+    if counts < 0:
+        out[at] = _MINUS
+        at += 1
+        counts = -counts
+    while decimals > 0 and counts % 10 == 0:
+        counts //= 10
+        decimals -= 1
+    digits, more = 1, counts // 10
+    while more > 0:
+        digits += 1
+        more //= 10
+    digits = max(digits, decimals)  # 5 counts of four decimals are .0005
+    end = at + digits + (1 if decimals > 0 else 0)
+    place = end - 1
+    for digit in range(digits):
+        if digit == decimals and decimals > 0:
+            out[place] = _POINT
+            place -= 1
+        out[place] = _ZERO + counts % 10
+        counts //= 10
+        place -= 1
+    if digits == decimals:
+        out[place] = _POINT
+    return end
+
 
 XYZ_COUNTS, E_COUNTS, F_COUNTS = 10**XYZ_DECIMALS, 10**E_DECIMALS, 10**F_DECIMALS  # per unit of the file
 

@@ -9,8 +9,7 @@ from functools import cached_property
 
 import numpy as np
 
-from gcode.arrays import BoolArray, IntArray
-from gcode.program import Program
+from gcode.program import BoolArray, IntArray, Program
 
 UNNAMED = "other"
 _LAYER = re.compile(rb";\s*(?:LAYER_CHANGE|CHANGE_LAYER|LAYER:\s*-?\d+|layer \d+)\b", re.IGNORECASE)

@@ -7,12 +7,20 @@ a move's `ModalState` is what turns them back into the numbers of the file.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
+from math import nan
 from typing import NamedTuple
 
-from gcode.arrays import FloatArray, IntArray
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+ByteArray = NDArray[np.uint8]
 
 
 class EventKind(Enum):
@@ -129,3 +137,33 @@ class EventQueue:
         while self._taken < len(self._events) and self._events[self._taken].move <= move:
             self._taken += 1
         return self._events[first : self._taken]
+
+
+@dataclass(frozen=True, slots=True)
+class MotionLimits:
+    """Limits of the firmware's planner."""
+
+    velocity: float = nan  # mm/s
+    acceleration: float = nan  # mm/s²; where travel has its own, of moves that extrude
+    square_corner_velocity: float = nan  # mm/s
+    minimum_cruise_ratio: float = nan  # -
+    travel_acceleration: float = nan  # mm/s², Marlin and RepRapFirmware: of moves that do not extrude; NaN: no other
+
+
+MACHINE_LIMITS = MotionLimits()
+
+
+def limits_in_effect(program: Program, before: Mapping[bytes, bytes]) -> dict[bytes, bytes]:
+    """Return the file's last command for each limit at the end of a program; `before`: at its beginning."""
+    said = dict(before)
+    for event in program.events:
+        if event.touches_limits:
+            said |= limit_set_by(program.lines[event.line])
+    return said
+
+
+def limit_set_by(line: bytes) -> dict[bytes, bytes]:
+    """Return the command of a line by its name and letters: one with other letters sets other limits."""
+    code = line.partition(b";")[0].strip()
+    letters = b"".join(sorted(set(re.findall(rb"[A-Z]", code.upper()))))
+    return {code.split()[0].upper() + letters: code}

@@ -19,10 +19,8 @@ from gcode.commands import LIMITS, MOVED, PASS, PASSING_M_CODES, Effect, apply
 from gcode.container import read_bytes
 from gcode.dialects import REPRAPFIRMWARE, detect_flavor, filament_is_relative, says_how_filament_counts
 from gcode.errors import GcodeError, UnsupportedGcode
-from gcode.fast_scan import STILL_MM2, ByteArray, Cursor, Modes, follow
-from gcode.limits import MotionLimits
-from gcode.moves import EventTable, MoveTable
-from gcode.program import EventKind, ModalState, Program, RawMove
+from gcode.fast_scan import STILL_MM2, ByteArray, Cursor, EventTable, Modes, MoveTable, follow
+from gcode.program import EventKind, ModalState, MotionLimits, Program, RawMove
 from gcode.state import DEFAULT_FEED_MM_PER_S, FrameValues, Modal, Vector4
 from gcode.text import PART_BYTES, whole_lines
 from gcode.words import NUMBERED, Command, commands, shown

@@ -11,8 +11,7 @@ from dataclasses import dataclass, field, replace
 from math import isnan, nan
 
 from gcode.errors import GcodeError
-from gcode.limits import MACHINE_LIMITS, MotionLimits
-from gcode.program import ModalState
+from gcode.program import MACHINE_LIMITS, ModalState, MotionLimits
 
 DEFAULT_FEED_MM_PER_S = 25.0  # Klipper's, until the first F
 INCH_MM = 25.4

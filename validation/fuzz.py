@@ -32,7 +32,7 @@ TARGETS = "reader", "machine", "run", "frf", "capture", "container", "prints"
 _DONE = re.compile(r"stat::number_of_executed_units:\s+(\d+)")
 _EDGES = re.compile(r"cov: (\d+)")
 # numba reads their bytecode, which must be as it was written
-_COMPILED = ("gcode.fast_scan", "gcode.arcs", "gcode.emit_kernels")
+_COMPILED = ("gcode.fast_scan", "gcode.arcs", "gcode.emit")
 
 
 @dataclass(frozen=True, slots=True)

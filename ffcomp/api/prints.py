@@ -23,8 +23,7 @@ from ffcomp.inverse.settings import SEGMENTS_PER_SECOND, Backend, settings_for
 from ffcomp.metrics import Track
 from ffcomp.simulate.simulation import Request, SimulationResult, read_command, simulate_command
 from gcode.container import opened, read_bytes
-from gcode.embedded import original
-from gcode.stamp import STAMP_REACH, already_processed, find_offset
+from gcode.embedded import STAMP_REACH, already_processed, find_offset, original
 from models.arrays import FloatArray
 from models.machine import Machine
 

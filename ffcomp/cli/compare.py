@@ -248,8 +248,7 @@ def _evaluated(given: _Given, engine: Callable[..., T], request: Any) -> T:
     from ffcomp.cli.common import Progress, say
     from ffcomp.inverse.settings import settings_for
     from gcode.container import read_bytes
-    from gcode.embedded import original
-    from gcode.stamp import STAMP_REACH, already_processed, find_offset
+    from gcode.embedded import STAMP_REACH, already_processed, find_offset, original
     from models.file import load_machine
 
     data, believed = read_bytes(given.file, given.plate), load_machine(given.machine)

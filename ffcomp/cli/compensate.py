@@ -406,8 +406,7 @@ def _compensate_one(request: _Request) -> dict[str, Any]:
 
 def _original(file: Path) -> bytes:
     from gcode.container import read_bytes
-    from gcode.embedded import original
-    from gcode.stamp import already_processed
+    from gcode.embedded import already_processed, original
 
     data = read_bytes(file, None)
     return data if already_processed(data) is None else original(data)

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from gcode.stamp import Stamp
+    from gcode.embedded import Stamp
     from models.machine import Machine
 
 MOST = 50  # paths that are remembered, the last ones

@@ -45,8 +45,7 @@ def restore(request: RestoreRequest) -> None:
 def _originals(container: Container, file: Path) -> list[Iterator[bytes]]:
     from ffcomp.errors import NothingToDo
     from gcode.container import blocks_of, ends_of
-    from gcode.embedded import original_blocks
-    from gcode.stamp import find_stamp
+    from gcode.embedded import find_stamp, original_blocks
 
     prints = container.prints.values()
     stamped = [find_stamp(*ends_of(text)[:2]) is not None for text in prints]

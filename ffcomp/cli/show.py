@@ -104,7 +104,7 @@ def _show(
     from ffcomp.version import __version__
     from gcode.atomic_write import replace_atomically
     from gcode.container import read_bytes
-    from gcode.stamp import STAMP_REACH, already_processed, find_offset
+    from gcode.embedded import STAMP_REACH, already_processed, find_offset
     from models.file import load_machine
     from models.provenance import identity
 

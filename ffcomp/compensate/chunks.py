@@ -22,8 +22,7 @@ from ffcomp.planner.lookahead import stops_and_waits
 from ffcomp.planner.path_position import PathPosition
 from ffcomp.planner.trajectory import Trajectory
 from gcode.layers import UNNAMED, last_feature, layer_starts
-from gcode.limits import limits_in_effect
-from gcode.program import Event, EventKind, Moves, Program
+from gcode.program import Event, EventKind, Moves, Program, limits_in_effect
 from gcode.slicing import excerpt, join, shortened, split
 from models.arrays import FloatArray, IntArray
 
@@ -47,7 +46,7 @@ class Chunk:
     program: Program
     before: Program | None = None  # the moves just before it, from a rest on; None: others have moved the nozzle
     since: tuple[Event, ...] = ()  # the lines after these
-    limits: Mapping[bytes, bytes] = field(default_factory=dict)  # in effect where it begins (`gcode.limits`)
+    limits: Mapping[bytes, bytes] = field(default_factory=dict)  # in effect where it begins (`gcode.program`)
     layers: int = 0  # that have begun before it
     last: bool = True
     extent: Extent = WHOLE  # what is written of it

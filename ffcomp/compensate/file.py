@@ -16,8 +16,8 @@ from ffcomp.compensate.text_stream import Stream
 from ffcomp.numerics.serialise import to_json
 from gcode.atomic_write import replacing, unchanged
 from gcode.container import Container, blocks_of, ends_of, opened, read_bytes
+from gcode.embedded import find_stamp
 from gcode.errors import UnsupportedGcode
-from gcode.stamp import find_stamp
 from models.machine import Machine
 
 

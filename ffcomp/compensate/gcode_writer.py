@@ -31,9 +31,8 @@ from gcode.embedded import CUT_SHORT, OURS, WAS, joined, like_ours, section_time
 from gcode.emit import MoveWriter
 from gcode.errors import UnsupportedGcode
 from gcode.layers import begins_layer
-from gcode.limits import MotionLimits, limit_set_by
 from gcode.metadata import Timed, tells
-from gcode.program import Event, EventKind, EventQueue, Program
+from gcode.program import Event, EventKind, EventQueue, MotionLimits, Program, limit_set_by
 from models.arrays import BoolArray, FloatArray, IntArray
 from models.machine import Machine
 

@@ -45,14 +45,12 @@ from ffcomp.steps.sink import Board, StepSink
 from ffcomp.version import __version__
 from gcode.atomic_write import replace_atomically
 from gcode.container import Source, blocks_of, ends_of
-from gcode.dialects import sign_by_ends
-from gcode.embedded import joined, original_blocks
-from gcode.flavor import FlavorChoice, choose_flavor
+from gcode.dialects import FlavorChoice, choose_flavor, sign_by_ends
+from gcode.embedded import WITHOUT_ORIGINAL, Stamp, find_offset, joined, offset_line, original_blocks, stamp_line
 from gcode.layers import LayerLookup
 from gcode.metadata import Timed
 from gcode.program import Moves, Program
 from gcode.reader import read_parts
-from gcode.stamp import WITHOUT_ORIGINAL, Stamp, find_offset, offset_line, stamp_line
 from models.effects.catalogue import design_machine
 from models.machine import Machine
 

@@ -16,8 +16,8 @@ from ffcomp.errors import INPUT_ERRORS, explain, interrupts_restored
 from ffcomp.inverse.robust_choice import PLAIN, RobustChoice
 from ffcomp.numerics.serialise import to_json
 from ffcomp.steps.sink import MotorTotal
-from gcode.flavor import FlavorChoice
-from gcode.stamp import Stamp
+from gcode.dialects import FlavorChoice
+from gcode.embedded import Stamp
 from models.machine import Machine
 from models.provenance import identity
 

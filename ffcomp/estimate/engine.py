@@ -16,12 +16,10 @@ from ffcomp.planner.raw_moves import raw_durations
 from ffcomp.planner.reach import Reach, check_moves
 from ffcomp.planner.trajectory import PlannedMotion
 from gcode.container import Source, blocks_of, ends_of
-from gcode.dialects import MARLIN, sign_by_ends
+from gcode.dialects import MARLIN, choose_flavor, sign_by_ends
 from gcode.embedded import original_blocks
-from gcode.flavor import choose_flavor
 from gcode.program import Program
 from gcode.reader import read_parts
-from gcode.stamp import Stamp, find_offset, find_stamp, holds_original
 from models.arrays import FloatArray
 from models.machine import Machine
 from models.provenance import identity

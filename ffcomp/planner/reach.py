@@ -13,8 +13,8 @@ import numpy as np
 
 from gcode.errors import GcodeError
 from gcode.layers import layer_starts
-from gcode.pass_through import passed_through
 from gcode.program import EventKind, Program
+from gcode.slicing import passed_through
 from models.arrays import BoolArray
 from models.errors import UnreachableError
 from models.kinematics.base import Kinematics

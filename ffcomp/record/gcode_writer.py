@@ -15,8 +15,7 @@ import numpy as np
 from ffcomp.record.plan import SETTLE_S, Experiment, Plan, capture_name, run_name
 from gcode.dialects import KLIPPER, MARLIN, REPRAPFIRMWARE, close_limits, open_limits, shaper_off
 from gcode.emit import MoveWriter
-from gcode.limits import MotionLimits
-from gcode.program import ModalState
+from gcode.program import ModalState, MotionLimits
 from models.machine import Machine
 
 TRAVEL_SHARE = 0.2  # of the machine's velocity, between experiments

@@ -29,10 +29,9 @@ from ffcomp.simulate.command import (
 )
 from ffcomp.simulate.linear import continuous_intervals
 from ffcomp.steps.reader import MOTORS, MotorSteps, StepsError
-from gcode.embedded import original
+from gcode.embedded import STAMP_REACH, already_processed, find_offset, original
 from gcode.program import Program
 from gcode.reader import read_program
-from gcode.stamp import STAMP_REACH, already_processed, find_offset
 from models.arrays import FloatArray
 from models.errors import UnreachableError
 from models.kinematics.base import Kinematics

@@ -21,7 +21,7 @@ from ffcomp.compensate.batch import _shares, check_targets, compensate_files, ta
 from ffcomp.compensate.file import compensate_file
 from ffcomp.compensate.job import Options
 from ffcomp.compensate.result import Failure, FileResult
-from gcode.stamp import Stamp
+from gcode.embedded import Stamp
 from gcode.text import PART_BYTES
 from models.file import load_machine
 from models.machine import Machine

@@ -9,8 +9,7 @@ import pytest
 
 from ffcomp.cli.app import app
 from ffcomp.steps.reader import read_events, read_steps
-from gcode.embedded import TIME_WAS
-from gcode.stamp import WITHOUT_ORIGINAL
+from gcode.embedded import TIME_WAS, WITHOUT_ORIGINAL
 from models.file import load_machine
 from tests.support.cli import CliRunner, Result
 from tests.support.prints import squares

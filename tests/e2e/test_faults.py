@@ -22,8 +22,7 @@ from ffcomp.compensate.job import Options
 from ffcomp.compensate.result import failure_of
 from ffcomp.inverse.settings import settings_for
 from ffcomp.numerics.numba_cache import VARIABLE, ensure_cache_folder
-from gcode.embedded import original
-from gcode.stamp import already_processed
+from gcode.embedded import already_processed, original
 from models.file import load_machine
 from models.machine import Machine
 

@@ -12,11 +12,10 @@ from ffcomp.compensate.gcode_writer import STILL_MOVE
 from ffcomp.compensate.job import Job, Options
 from ffcomp.errors import NothingToDo
 from gcode.container import read_bytes
-from gcode.embedded import original
+from gcode.embedded import already_processed, original
 from gcode.errors import GcodeError
 from gcode.program import Program
 from gcode.reader import read_program
-from gcode.stamp import already_processed
 from models.file import load_machine
 from tests.unit.ffcomp.compensate.test_gcode_writer import others
 

@@ -22,9 +22,8 @@ from hypothesis import strategies as st
 from ffcomp.cli import app as command_line
 from ffcomp.cli.log import log_path, logged, note
 from ffcomp.integrations.slicer import Bed, bed_of, bed_warning, call_warnings, offset_for, read_bed, read_call
-from gcode.embedded import original
+from gcode.embedded import already_processed, original
 from gcode.reader import read_program
-from gcode.stamp import already_processed
 from models.file import load_machine
 from tests.support.cli import CliRunner, Result
 from validation.invariants import violations

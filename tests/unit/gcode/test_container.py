@@ -16,7 +16,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gcode.atomic_write import replace_atomically
-from gcode.bgcode_blocks import GCODE, Block, blocks_of, metadata_of
+from gcode.bgcode import GCODE, Block, blocks_of, metadata_of
 from gcode.container import ends_of, opened, read_bytes
 from gcode.errors import GcodeError, UnsupportedGcode
 from tests.support.containers import PRINT, archive_3mf, bgcode, contents, gzipped, rewritten, zipped

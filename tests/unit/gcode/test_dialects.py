@@ -5,7 +5,7 @@ import math
 import pytest
 
 from gcode.dialects import close_limits, detect_flavor, detect_slicer, flavor_sign, open_limits, shaper_off
-from gcode.limits import MotionLimits
+from gcode.program import MotionLimits
 from gcode.reader import read_program
 from tests.support.data import real
 

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from gcode.dialects import FlavorSign
+from gcode.dialects import FlavorSign, choose_flavor
 from gcode.errors import UnsupportedGcode
-from gcode.flavor import choose_flavor
 
 CURA = FlavorSign("marlin", ";FLAVOR:Marlin")
 

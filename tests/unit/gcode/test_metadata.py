@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from gcode.embedded import Stamp, find_stamp, stamp_line
 from gcode.metadata import Durations, Tells, Timed, retold, short, slicer_time_s, tells, time_told, with_time
-from gcode.stamp import Stamp, find_stamp, stamp_line
 from tests.support.data import real
 
 TOTALS = [  # as the slicer writes it, s, and what is written for 93,784.6 s

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gcode.pass_through import passed_through
 from gcode.program import EventKind
 from gcode.reader import read_program
+from gcode.slicing import passed_through
 
 TEXT = b"""; a
 G1 X10 F600 E1

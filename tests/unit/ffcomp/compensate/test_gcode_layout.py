@@ -18,7 +18,7 @@ from ffcomp.inverse.settings import CUT, settings_for
 from ffcomp.planner.program import PlannedProgram, plan_program
 from gcode.dialects import KLIPPER
 from gcode.embedded import original
-from gcode.limits import MotionLimits
+from gcode.program import MotionLimits
 from gcode.reader import read_program
 from models.file import load_machine
 from models.machine import Machine
