@@ -12,7 +12,7 @@ from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.reference import Reference
 from ffcomp.inverse.windowed_qr import WindowProblem
 from ffcomp.planner.program import PlannedProgram
-from ffcomp.planner.sections import Section
+from ffcomp.planner.trajectory import Section
 from ffcomp.simulate.command import Motion
 from models.effects.catalogue import design_machine
 from models.machine import Machine

@@ -28,7 +28,7 @@ from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.settings import Settings, settings_for
 from ffcomp.inverse.solve import Solution, solve
 from ffcomp.planner.program import PlannedProgram, plan_program
-from ffcomp.planner.sections import Section
+from ffcomp.planner.trajectory import Section
 from ffcomp.simulate.playback import simulate_nozzles
 from gcode.reader import read_program
 from models.file import load_machine

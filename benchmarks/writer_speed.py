@@ -36,9 +36,9 @@ from ffcomp.compensate.gcode_writer import Writer
 from ffcomp.inverse.reference import Reference
 from ffcomp.inverse.settings import CUT, Settings, settings_for
 from ffcomp.planner.program import PlannedProgram, plan_program
-from ffcomp.planner.sections import Section
 from ffcomp.planner.segment_merging import merge
 from ffcomp.planner.segment_timing import segment_speeds
+from ffcomp.planner.trajectory import Section
 from gcode.dialects import detect_flavor
 from gcode.emit import MoveWriter
 from gcode.program import Event, ModalState, MotionLimits

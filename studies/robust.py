@@ -27,11 +27,10 @@ from ffcomp.compare.methods import COMPENSATED, ROBUST, TunedMethod, best_fixed,
 from ffcomp.compare.monte_carlo import draw_plants
 from ffcomp.compare.sampling import Print, PrintSlice, Sampling
 from ffcomp.inverse.settings import settings_for
-from ffcomp.planner.junctions import junction_limits
-from ffcomp.planner.lookahead import plan_moves, stops_and_waits
-from ffcomp.planner.machine_limits import planner_limits
+from ffcomp.planner.limits import planner_limits
+from ffcomp.planner.lookahead import junction_limits, plan_moves, stops_and_waits
 from ffcomp.planner.s_curve import SCurve, s_curve
-from ffcomp.planner.sections import split_sections
+from ffcomp.planner.trajectory import split_sections
 from ffcomp.simulate.playback import simulate_nozzles
 from models.file import load_machine
 from models.machine import Machine

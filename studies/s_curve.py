@@ -27,7 +27,7 @@ from ffcomp.inverse.reference import Reference
 from ffcomp.inverse.settings import settings_for
 from ffcomp.inverse.solve import solve
 from ffcomp.planner.program import PlannedProgram, plan_program
-from ffcomp.planner.sections import Section
+from ffcomp.planner.trajectory import Section
 from gcode.reader import read_program
 from models.file import load_machine
 from models.machine import Machine

@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ffcomp.inverse.settings import SEGMENTS_PER_SECOND
+from ffcomp.planner.limits import known_to_the_firmware, planner_limits
 from ffcomp.planner.lookahead import plan_moves, stops_and_waits
-from ffcomp.planner.machine_limits import known_to_the_firmware, planner_limits
 from gcode.embedded import OURS, TIME_WAS, WAS, original
 from gcode.metadata import tells
 from gcode.program import Program

@@ -31,7 +31,7 @@ from ffcomp.compensate.statistics import Statistics
 from ffcomp.compensate.text_stream import Stream
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.settings import Settings
-from ffcomp.planner.machine_limits import known_to_the_firmware
+from ffcomp.planner.limits import known_to_the_firmware
 from ffcomp.planner.program import PlannedProgram, plan_program
 from ffcomp.planner.reach import within_reach
 from ffcomp.planner.trajectory import PlannedMotion, Trajectory

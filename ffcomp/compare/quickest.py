@@ -30,7 +30,7 @@ from ffcomp.faster.program import AS_SLICED, COOLING, faster_program
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.settings import Settings, settings_for
 from ffcomp.metrics import contour_statistics
-from ffcomp.planner.machine_limits import planner_limits
+from ffcomp.planner.limits import planner_limits
 from ffcomp.planner.program import plan_program
 from ffcomp.shapers.smooth import USUAL
 from ffcomp.simulate.playback import check_same_kinematics, simulate_nozzles

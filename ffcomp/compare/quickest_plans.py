@@ -22,7 +22,6 @@ from ffcomp.faster.raised_limits import RaisedLimits, raised_limits
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.settings import Settings
 from ffcomp.planner.lookahead import stops_and_waits
-from ffcomp.planner.machine_limits import planner_limits
 from ffcomp.planner.program import plan_program
 from ffcomp.planner.trajectory import PlannedMotion
 from gcode.layers import Labels

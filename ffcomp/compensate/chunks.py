@@ -19,8 +19,7 @@ from ffcomp.inverse.settings import CUT
 from ffcomp.inverse.time_scaling import TimeScaling
 from ffcomp.planner.limits import lines_of
 from ffcomp.planner.lookahead import stops_and_waits
-from ffcomp.planner.path_position import PathPosition
-from ffcomp.planner.trajectory import Trajectory
+from ffcomp.planner.trajectory import PathPosition, Trajectory
 from gcode.layers import UNNAMED, last_feature, layer_starts
 from gcode.program import Event, EventKind, Moves, Program, limits_in_effect
 from gcode.slicing import excerpt, join, shortened, split

@@ -18,9 +18,8 @@ from numba import njit
 
 from ffcomp.inverse.reference import Reference
 from ffcomp.inverse.settings import CUT
-from ffcomp.planner.sections import Section
-from ffcomp.planner.trajectory import PlannedMotion
-from ffcomp.planner.wipes import FLOWS_MM, even_wipes
+from ffcomp.planner.lifts import FLOWS_MM, even_wipes
+from ffcomp.planner.trajectory import PlannedMotion, Section
 from gcode.program import Event, Program
 from models.arrays import BoolArray, FloatArray, IntArray
 

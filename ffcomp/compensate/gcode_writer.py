@@ -23,9 +23,9 @@ from ffcomp.compensate.plan import Context, PlannedChunk
 from ffcomp.compensate.solve import SolvedSection, keep_inside
 from ffcomp.inverse.settings import CUT, Settings
 from ffcomp.planner.lifts import join_lifts
-from ffcomp.planner.sections import Section
 from ffcomp.planner.segment_merging import lengthen, merge, refit
 from ffcomp.planner.segment_timing import TimedSegments, segment_speeds
+from ffcomp.planner.trajectory import Section
 from gcode.dialects import KLIPPER, MARLIN, close_limits, open_limits
 from gcode.embedded import CUT_SHORT, OURS, WAS, joined, like_ours, section_time_line
 from gcode.emit import MoveWriter

@@ -35,9 +35,7 @@ from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.robust_choice import BOUNDED, PLAIN, RobustChoice
 from ffcomp.inverse.settings import Settings, settings_for
 from ffcomp.inverse.time_scaling import TimeScaling, scale_around_cut
-from ffcomp.planner.limits import lines_of
-from ffcomp.planner.machine_limits import known_to_the_firmware, planner_limits
-from ffcomp.planner.path_position import PathPosition
+from ffcomp.planner.limits import known_to_the_firmware, lines_of, planner_limits
 from ffcomp.planner.program import firmware_plan, plan_section
 from ffcomp.planner.reach import OutOfReach, Reach
 from ffcomp.steps.motion import MotionSink

@@ -17,10 +17,9 @@ from ffcomp.faster.bound import Bound
 from ffcomp.inverse.extent import WHOLE
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.settings import Settings
-from ffcomp.planner.machine_limits import planner_limits
-from ffcomp.planner.program import PlannedProgram, plan_program
-from ffcomp.planner.raw_moves import raw_durations
-from ffcomp.planner.sections import Section
+from ffcomp.planner.limits import planner_limits
+from ffcomp.planner.program import PlannedProgram, plan_program, raw_durations
+from ffcomp.planner.trajectory import Section
 from gcode.program import Event
 from models.arrays import FloatArray
 from models.machine import Machine

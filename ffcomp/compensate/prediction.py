@@ -17,9 +17,8 @@ from ffcomp.compensate.solve import SolvedSection
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.reference import Reference
 from ffcomp.metrics import Track, peak_acceleration, track
-from ffcomp.planner.sections import Section
 from ffcomp.planner.segment_timing import TimedSegments, sample_even_segments
-from ffcomp.planner.trajectory import PlannedMotion
+from ffcomp.planner.trajectory import PlannedMotion, Section
 from ffcomp.simulate.preview import preview
 from models.arrays import FloatArray
 from models.machine import Machine

@@ -32,8 +32,8 @@ from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.reference import Reference
 from ffcomp.inverse.settings import Settings
 from ffcomp.metrics import contour_error
-from ffcomp.planner.sections import Section
 from ffcomp.planner.segment_timing import TimedSegments
+from ffcomp.planner.trajectory import Section
 from gcode.layers import labels
 from gcode.program import Program
 from models.pressure import Pressure

@@ -15,10 +15,9 @@ from ffcomp.inverse.nonlinear.correction import LinearSolution, correct_sections
 from ffcomp.inverse.reference import Reference
 from ffcomp.inverse.solve import Solution, solve
 from ffcomp.inverse.time_scaling import FeasibleSection, SectionRequest, TimeScaling, solve_feasible
-from ffcomp.planner.machine_limits import planner_limits
+from ffcomp.planner.limits import planner_limits
 from ffcomp.planner.program import PlannedProgram, plan_section, smooth_section
-from ffcomp.planner.sections import Section
-from ffcomp.planner.trajectory import PlannedMotion
+from ffcomp.planner.trajectory import PlannedMotion, Section
 from gcode.layers import LayerLookup
 from gcode.program import EventKind
 from models.arrays import FloatArray

@@ -18,11 +18,9 @@ from ffcomp.inverse.extent import Extent
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.time_scaling import TimeScaling
 from ffcomp.planner.limits import lines_of
-from ffcomp.planner.path_position import PathPosition
 from ffcomp.planner.program import PlannedProgram
 from ffcomp.planner.reach import BESIDE
-from ffcomp.planner.sections import Section
-from ffcomp.planner.trajectory import PlannedMotion, Trajectory
+from ffcomp.planner.trajectory import PathPosition, PlannedMotion, Section, Trajectory
 from gcode.program import Event, Moves, Program
 from gcode.slicing import some
 from models.machine import Machine

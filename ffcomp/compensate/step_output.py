@@ -16,9 +16,8 @@ import numpy as np
 from ffcomp.compensate.plan import Context, PlannedChunk
 from ffcomp.compensate.solve import SolvedSection, keep_inside
 from ffcomp.planner.program import PlannedProgram
-from ffcomp.planner.sections import Section
 from ffcomp.planner.segment_timing import TimedSegments
-from ffcomp.planner.trajectory import Trajectory
+from ffcomp.planner.trajectory import Section, Trajectory
 from ffcomp.steps.pieces import Pieces, knot_pieces, on_grid, trajectory_pieces
 from ffcomp.steps.sink import MotorTotal
 from gcode.program import Event, EventKind, EventQueue, Program

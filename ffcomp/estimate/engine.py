@@ -9,10 +9,9 @@ from typing import Any
 from ffcomp.errors import NothingToDo
 from ffcomp.estimate.statistics import BEFORE, FILAMENT, KINDS, Layer, Statistics, planned_slices
 from ffcomp.numerics.serialise import to_json
-from ffcomp.planner.machine_limits import known_to_the_firmware, planner_limits
+from ffcomp.planner.limits import known_to_the_firmware, planner_limits
 from ffcomp.planner.marlin import MarlinPlan, MarlinPlanner
-from ffcomp.planner.program import plan_program
-from ffcomp.planner.raw_moves import raw_durations
+from ffcomp.planner.program import plan_program, raw_durations
 from ffcomp.planner.reach import Reach, check_moves
 from ffcomp.planner.trajectory import PlannedMotion
 from gcode.container import Source, blocks_of, ends_of

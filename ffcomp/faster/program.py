@@ -11,12 +11,10 @@ from ffcomp.faster.predicted_error import ensemble_of
 from ffcomp.faster.raised_limits import PATH_SHARE, RaisedLimits, least_carriage_gain, raised_limits, slowed
 from ffcomp.faster.search import SectionSearch, search
 from ffcomp.inverse.model import InverseModel
-from ffcomp.planner.limits import PlannerLimits, bounds_of, lines_of
+from ffcomp.planner.limits import PlannerLimits, bounds_of, lines_of, planner_limits
 from ffcomp.planner.lookahead import plan_moves, stops_and_waits
-from ffcomp.planner.machine_limits import planner_limits
-from ffcomp.planner.ramps import sweep, total_time
-from ffcomp.planner.sections import split_sections
-from ffcomp.planner.trajectory import Trajectory
+from ffcomp.planner.s_curve import sweep, total_time
+from ffcomp.planner.trajectory import Trajectory, split_sections
 from gcode.layers import UNNAMED, LayerLookup, labels
 from gcode.program import Moves, Program
 from gcode.slicing import some

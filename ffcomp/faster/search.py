@@ -32,8 +32,7 @@ from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.solve import solve
 from ffcomp.planner.limits import PlannerLimits
 from ffcomp.planner.program import plan_section
-from ffcomp.planner.sections import Section
-from ffcomp.planner.trajectory import Trajectory
+from ffcomp.planner.trajectory import Section, Trajectory
 from gcode.program import Moves
 from models.arrays import BoolArray, FloatArray, IntArray
 

@@ -8,9 +8,7 @@ import numpy as np
 
 from ffcomp.inverse.reference import Reference, Room
 from ffcomp.inverse.settings import CUT, Settings
-from ffcomp.planner.path_position import PathPosition
-from ffcomp.planner.sections import Section
-from ffcomp.planner.trajectory import PlannedMotion, Trajectory
+from ffcomp.planner.trajectory import PathPosition, PlannedMotion, Section, Trajectory
 from gcode.program import Moves
 
 LEAST_CONTEXT_S = 3.0  # of motion on either side of a cut: to plan, to settle and to look ahead

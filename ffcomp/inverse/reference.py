@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from ffcomp.inverse.pressure import Lead, lead_of
 from ffcomp.inverse.settings import Settings
-from ffcomp.planner.sections import Section
-from ffcomp.planner.trajectory import PlannedMotion
+from ffcomp.planner.trajectory import PlannedMotion, Section
 from models.arrays import FloatArray
 
 FELT_S = 0.03  # of motion, that a command feels which begins too late or ends too early

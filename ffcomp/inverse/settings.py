@@ -9,7 +9,7 @@ import numpy as np
 
 from ffcomp.inverse.bandwidth import effort_curve
 from ffcomp.inverse.solver_names import Backend
-from ffcomp.planner.machine_limits import planner_limits
+from ffcomp.planner.limits import planner_limits
 from ffcomp.planner.segment_merging import MergeLimits
 from ffcomp.planner.segment_timing import SegmentLimits
 from models.effects.catalogue import design_machine

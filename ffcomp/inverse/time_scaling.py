@@ -43,13 +43,10 @@ from ffcomp.inverse.violations import (
     solution_violations,
     timing_violations,
 )
-from ffcomp.planner.lifts import join_lifts
+from ffcomp.planner.lifts import FLOWS_MM, even_wipes, join_lifts
 from ffcomp.planner.limits import PlannerLimits, bounds_of, lines_of
-from ffcomp.planner.path_position import PathPosition
-from ffcomp.planner.sections import Section
 from ffcomp.planner.segment_timing import segment_speeds
-from ffcomp.planner.trajectory import PlannedMotion, Trajectory
-from ffcomp.planner.wipes import FLOWS_MM, even_wipes
+from ffcomp.planner.trajectory import PathPosition, PlannedMotion, Section, Trajectory
 from gcode.program import Moves, Program
 from models.arrays import BoolArray, FloatArray, IntArray
 

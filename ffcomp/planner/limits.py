@@ -8,13 +8,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, fields
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
 
 from gcode.program import Moves
 from models.arrays import BoolArray, FloatArray
+from models.kinematics.base import Kinematics
+from models.machine import Machine, Steps
 from models.pressure import CORNER_MM_PER_S
 
 SHORTEST_TRAVEL_MM = 1e-9  # what moves the nozzle less than this counts as extruder-only
@@ -221,3 +223,31 @@ def _share_bound(
     """Limits along the path such that the given share of it stays within those of an axis."""
     path_per_share = 1.0 / share
     return min(speed, most_speed * path_per_share), min(acceleration, most_acceleration * path_per_share)
+
+
+def planner_limits(machine: Machine) -> PlannerLimits:
+    """Return the limits of the printer's own configuration, as the machine file states it."""
+    own = machine.limits
+    return PlannerLimits(
+        velocity_mm_per_s=own.velocity_mm_per_s,
+        acceleration_mm_per_s2=own.acceleration_mm_per_s2,
+        square_corner_velocity_mm_per_s=own.square_corner_velocity_mm_per_s,
+        z_velocity_mm_per_s=own.z_velocity_mm_per_s,
+        z_acceleration_mm_per_s2=own.z_acceleration_mm_per_s2,
+        instantaneous_corner_velocity_mm_per_s=CORNER_MM_PER_S
+        if machine.pressure is None
+        else machine.pressure.corner_velocity_mm_per_s,
+        delta=_slow_zones(machine.kinematics, machine.steps),
+    )
+
+
+def known_to_the_firmware(machine: Machine) -> dict[str, Any]:
+    """Return what a G-code reader must know besides the file, as its keyword arguments."""
+    return {"returns": machine.returns, "still": machine.still, "homed_mm": machine.home_mm}
+
+
+def _slow_zones(kinematics: Kinematics, steps: Steps) -> DeltaSlowZones | None:
+    """Return where the firmware slows down near the border; None: nowhere."""
+    zones = kinematics.slow_zones
+    half_step = 0.5 / float(np.max(steps.per_motor))
+    return None if zones is None else DeltaSlowZones(zones.delta_radius_mm, zones.shortest_arm_mm, half_step)

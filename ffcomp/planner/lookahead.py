@@ -15,13 +15,30 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
-from ffcomp.planner.corner import corner_ratios
 from ffcomp.planner.limits import Bounds, Lines, PlannerLimits, bounds_of, lines_of
 from ffcomp.planner.trajectory import Trajectory
 from gcode.errors import GcodeError
 from gcode.program import EventKind, Moves, Program
 from models.arrays import BoolArray, FloatArray, IntArray
+
+
+@njit(cache=True, nogil=True, inline="always")
+def corner_ratios(along: float) -> tuple[float, float]:
+    """Return by how much each rule multiplies v²: junction deviation and centripetal; infinite on a straight path.
+
+    A circle replaces the corner. Its radius is s/(1 - s) of its distance from the corner, s = sin(theta/2), and
+    tan(theta/2) of the distance from the corner to where it touches the segments, which stays within half of either.
+
+    along : cosine of the angle between the two directions
+    """
+    sine = np.sqrt(max(0.5 * (1.0 + along), 0.0))
+    cosine = np.sqrt(max(0.5 * (1.0 - along), 0.0))
+    if sine < 1.0 and cosine > 0.0:
+        return sine / (1.0 - sine), sine / cosine
+    return np.inf, np.inf
+
 
 _RESTS = (EventKind.STOP, EventKind.DWELL, EventKind.RAW_MOVE)
 
@@ -264,3 +281,15 @@ def _check_waits(wait_before: FloatArray) -> None:
     if wrong.any():
         i = int(np.argmax(wrong))
         raise ValueError(f"The wait before move {i} is {wait_before[i]} s; it must be finite and not negative.")
+
+
+def junction_limits(moves: Moves, limits: PlannerLimits, stop_before: NDArray[np.bool_]) -> FloatArray:
+    """Return the firmware's limit on the speed at the start of each move, (n,) mm/s: its corner, and both moves' own.
+
+    stop_before : (n,) the motion comes to rest before the move, waits included
+    """
+    lines = lines_of(moves)
+    kept, corner = corners(lines, bounds_of(moves, lines, limits), limits, stop_before)
+    allowed = np.zeros(len(moves))
+    allowed[kept] = np.sqrt(corner)
+    return allowed

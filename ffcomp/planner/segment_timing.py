@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from ffcomp.planner.corner import corner_ratios
+from ffcomp.planner.lookahead import corner_ratios
 from models.arrays import FloatArray
 from models.pressure import CORNER_MM_PER_S
 

@@ -1,14 +1,20 @@
-"""The planned motion: a trapezoid of speed per move, on the straight line of the move, exact at any time."""
+"""The planned motion: a trapezoid of speed per move, on the straight line of the move, exact at any time.
+
+The inverse solves one section at a time, from rest to rest without an extruder-only move or a stop inside. Between
+sections the command rests, exactly on the path, and the file's other lines (homing, waits, retractions, macros) are
+executed there.
+"""
 
 from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from models.arrays import FloatArray, IntArray
 
@@ -215,3 +221,59 @@ def _sample_within(
             for c in range(3):
                 velocity[k, c] = direction[i, c] * speed
     return nozzle, velocity
+
+
+class PathPosition(NamedTuple):
+    """A position on a program's path, independent of its plan."""
+
+    move: int
+    along_mm: float  # from the move's beginning
+
+    def time_in(self, plan: Trajectory) -> float:
+        """Return when the plan passes the position, s on the plan's clock."""
+        i, along = self.move, self.along_mm
+        start, cruise, end = plan.start_v[i], plan.cruise_v[i], plan.end_v[i]
+        rise, fall = 0.5 * (start + cruise) * plan.accel_t[i], 0.5 * (cruise + end) * plan.decel_t[i]
+        left = rise + cruise * plan.cruise_t[i] + fall - along
+        if along < rise:
+            since = _ramp_s(along, start, plan.acceleration[i])
+        elif left < fall:
+            duration = plan.accel_t[i] + plan.cruise_t[i] + plan.decel_t[i]
+            since = duration - _ramp_s(left, end, plan.acceleration[i])
+        else:
+            since = plan.accel_t[i] + (along - rise) / cruise
+        return float(plan.start_t[i] + since)
+
+
+def _ramp_s(length: float, v: float, acceleration: float) -> float:
+    """Return how long a ramp takes for a length from a speed on; mm, mm/s, mm/s²."""
+    return float(2.0 * length / (v + np.sqrt(v**2 + 2.0 * acceleration * length))) if length > 0.0 else 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Section:
+    """Consecutive moves of a plan, from rest to rest."""
+
+    first: int  # moves first..last-1
+    last: int
+    travels: bool  # False: one extruder-only move
+    begin_t: float  # s, on the plan's clock
+    end_t: float
+
+
+def split_sections(trajectory: PlannedMotion, stop_before: NDArray[np.bool_]) -> list[Section]:
+    """Return the plan's sections in order; moves that go nowhere and take no time belong to the one they stand in."""
+    travels = np.any(trajectory.direction[:, :3] != 0.0, axis=1)
+    extrudes = ~travels & (trajectory.direction[:, 3] != 0.0)
+    edge = stop_before.copy()
+    edge |= extrudes
+    edge[1:] |= extrudes[:-1]
+    edge[:1] = True
+    starts = np.flatnonzero(edge)
+    ends = np.append(starts[1:], len(trajectory))
+    end_t = trajectory.start_t + trajectory.duration
+    return [
+        Section(int(a), int(b), bool(travels[a:b].any()), float(trajectory.start_t[a]), float(end_t[b - 1]))
+        for a, b in zip(starts, ends, strict=True)
+        if travels[a:b].any() or extrudes[a]
+    ]

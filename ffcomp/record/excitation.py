@@ -16,8 +16,7 @@ import numpy as np
 
 from ffcomp.errors import LimitsError
 from ffcomp.inverse.settings import settings_for
-from ffcomp.planner.limits import SLOW_RATIOS
-from ffcomp.planner.machine_limits import planner_limits
+from ffcomp.planner.limits import SLOW_RATIOS, planner_limits
 from ffcomp.planner.segment_timing import SegmentLimits
 from ffcomp.record import multisine
 from ffcomp.record.motion import Motion, segment_motion

@@ -21,8 +21,7 @@ import numpy as np
 
 from ffcomp.errors import LimitsError
 from ffcomp.inverse.settings import settings_for
-from ffcomp.planner.limits import SLOW_RATIOS, PlannerLimits
-from ffcomp.planner.machine_limits import planner_limits
+from ffcomp.planner.limits import SLOW_RATIOS, PlannerLimits, planner_limits
 from ffcomp.planner.segment_timing import SegmentLimits
 from ffcomp.record.motion import Motion, plain_motion, segment_motion
 from ffcomp.record.multisine import Band, always_moving, band, scaled, smooth_step

@@ -13,10 +13,10 @@ from pathlib import Path
 import numpy as np
 
 from ffcomp.errors import NothingToDo
+from ffcomp.planner.limits import planner_limits
 from ffcomp.planner.lookahead import stops_and_waits
-from ffcomp.planner.machine_limits import planner_limits
 from ffcomp.planner.program import firmware_plan
-from ffcomp.planner.sections import Section, split_sections
+from ffcomp.planner.trajectory import Section, split_sections
 from ffcomp.record.gcode_writer import Firmware, rest
 from ffcomp.record.motion import LIMIT_COLUMNS, Motion
 from ffcomp.record.moves import MODES_HZ, MOST_EXPERIMENTS, rounding_share

@@ -13,8 +13,7 @@ import numpy as np
 from ffcomp.inverse.settings import Settings
 from ffcomp.numerics.progress import progress_in_order
 from ffcomp.planner.program import PlannedProgram
-from ffcomp.planner.sections import Section
-from ffcomp.planner.trajectory import PlannedMotion
+from ffcomp.planner.trajectory import PlannedMotion, Section
 from ffcomp.simulate.command import SectionClock, path_corners_with_rests
 from gcode.embedded import WAS, noted, section_times
 from gcode.program import Program

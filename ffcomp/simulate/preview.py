@@ -21,12 +21,11 @@ from ffcomp.metrics import (
     end_to_end,
     tracking,
 )
+from ffcomp.planner.limits import known_to_the_firmware, planner_limits
 from ffcomp.planner.lookahead import plan_moves, stops_and_waits
-from ffcomp.planner.machine_limits import known_to_the_firmware, planner_limits
 from ffcomp.planner.program import PlannedProgram
 from ffcomp.planner.reach import within_reach
-from ffcomp.planner.sections import split_sections
-from ffcomp.planner.trajectory import PlannedMotion
+from ffcomp.planner.trajectory import PlannedMotion, split_sections
 from ffcomp.simulate.alignment import section_clock
 from ffcomp.simulate.command import command_peaks, motion_of, path_corners_with_rests, reference_clock
 from ffcomp.simulate.linear import continuous_intervals, simulate_linear

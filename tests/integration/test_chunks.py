@@ -23,7 +23,6 @@ from ffcomp.inverse import lq_preview
 from ffcomp.inverse.extent import Extent
 from ffcomp.inverse.settings import settings_for
 from ffcomp.metrics import contour_error
-from ffcomp.planner.path_position import PathPosition
 from ffcomp.planner.program import firmware_plan, plan_program
 from ffcomp.simulate.command import path_corners_with_rests
 from ffcomp.steps.reader import read_events, read_steps

@@ -12,8 +12,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from ffcomp.inverse.settings import settings_for
+from ffcomp.planner.limits import planner_limits
 from ffcomp.planner.lookahead import plan_moves, stops_and_waits
-from ffcomp.planner.machine_limits import planner_limits
 from ffcomp.planner.program import plan_program
 from gcode.embedded import OURS, TIME_WAS, WAS, original, section_times
 from gcode.metadata import tells

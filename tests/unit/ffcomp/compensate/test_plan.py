@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from ffcomp.compensate.plan import RESIDUAL_MM, ringing_s, settling_waits
-from ffcomp.planner.machine_limits import planner_limits
-from ffcomp.planner.program import PlannedProgram, plan_program
-from ffcomp.planner.raw_moves import raw_durations
+from ffcomp.planner.limits import planner_limits
+from ffcomp.planner.program import PlannedProgram, plan_program, raw_durations
 from gcode.reader import read_program
 from models.file import load_machine
 

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from ffcomp.planner.limits import planner_limits
 from ffcomp.planner.lookahead import plan_moves, stops_and_waits
-from ffcomp.planner.machine_limits import planner_limits
 from ffcomp.planner.trajectory import Trajectory
 from gcode.reader import read_program
 from models.machine import Machine

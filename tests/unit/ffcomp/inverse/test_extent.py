@@ -8,9 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ffcomp.inverse.extent import CRUISE_RATIO, LEAST_CONTEXT_S, SLOWEST_RAMPS, context_s
-from ffcomp.planner.path_position import PathPosition
 from ffcomp.planner.program import firmware_plan
-from ffcomp.planner.trajectory import Trajectory
+from ffcomp.planner.trajectory import PathPosition, Trajectory
 from gcode.reader import read_program
 from models.file import load_machine
 

@@ -7,8 +7,8 @@ import pytest
 from ffcomp.inverse.extent import WHOLE, Extent
 from ffcomp.inverse.reference import Reference, Room, room_of
 from ffcomp.inverse.settings import Settings
-from ffcomp.planner.path_position import PathPosition
 from ffcomp.planner.program import PlannedProgram, plan_program
+from ffcomp.planner.trajectory import PathPosition
 from gcode.reader import read_program
 from models.file import load_machine
 

@@ -18,11 +18,11 @@ from ffcomp.inverse.settings import Settings, settings_for
 from ffcomp.inverse.solve import solve
 from ffcomp.inverse.time_scaling import FeasibleSection, LayerOf, Replan, SectionRequest, solve_feasible
 from ffcomp.inverse.violations import widened
-from ffcomp.planner.machine_limits import planner_limits
+from ffcomp.planner.limits import planner_limits
 from ffcomp.planner.program import PlannedProgram, plan_program, plan_section
 from ffcomp.planner.s_curve import s_curve
-from ffcomp.planner.sections import Section
 from ffcomp.planner.segment_timing import segment_speeds
+from ffcomp.planner.trajectory import Section
 from gcode.program import Program
 from gcode.reader import read_program
 from models.file import load_machine

@@ -20,9 +20,9 @@ from ffcomp.inverse.settings import Settings
 from ffcomp.inverse.solve import solve
 from ffcomp.inverse.solver_names import SOLVERS, Backend
 from ffcomp.inverse.windowed_qr import WindowProblem, next_window
+from ffcomp.planner.limits import planner_limits
 from ffcomp.planner.lookahead import plan_moves
-from ffcomp.planner.machine_limits import planner_limits
-from ffcomp.planner.sections import split_sections
+from ffcomp.planner.trajectory import split_sections
 from gcode.reader import read_program
 from models.file import load_machine
 from models.kinds import delta_vibration, with_parts

@@ -7,7 +7,7 @@ import pytest
 
 from ffcomp.planner.limits import PlannerLimits
 from ffcomp.planner.lookahead import plan_moves, stops_and_waits
-from ffcomp.planner.raw_moves import raw_durations
+from ffcomp.planner.program import raw_durations
 from gcode.reader import read_program
 
 LIMITS = PlannerLimits(velocity_mm_per_s=300.0, acceleration_mm_per_s2=1000.0, square_corner_velocity_mm_per_s=5.0)

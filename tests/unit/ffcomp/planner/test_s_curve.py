@@ -12,9 +12,8 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from ffcomp.planner.junctions import junction_limits
 from ffcomp.planner.limits import PlannerLimits
-from ffcomp.planner.lookahead import plan_moves, stops_and_waits
+from ffcomp.planner.lookahead import junction_limits, plan_moves, stops_and_waits
 from ffcomp.planner.s_curve import SCurve, hold, s_curve
 from ffcomp.planner.smooth import SmoothTrajectory
 from ffcomp.planner.trajectory import Trajectory

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ffcomp.planner.wipes import even_wipes
+from ffcomp.planner.lifts import even_wipes
 
 POINTS = np.array([[0.0, 0, 0], [1, 0, 0], [3, 0, 0], [4, 0, 0], [6, 0, 0]])
 

@@ -15,8 +15,8 @@ import pytest
 from ffcomp.cli.app import app
 from ffcomp.errors import LimitsError, MeasurementError
 from ffcomp.inverse.settings import settings_for
+from ffcomp.planner.limits import planner_limits
 from ffcomp.planner.lookahead import plan_moves, stops_and_waits
-from ffcomp.planner.machine_limits import planner_limits
 from ffcomp.planner.trajectory import Trajectory
 from ffcomp.record.excitation import (
     AXES,
