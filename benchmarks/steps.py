@@ -23,8 +23,8 @@ from numpy.typing import NDArray
 
 from ffcomp.planner.program import firmware_plan
 from ffcomp.planner.trajectory import Trajectory
-from ffcomp.steps.pieces import trajectory_pieces
-from ffcomp.steps.reader import MotorSteps, read_steps
+from ffcomp.steps.archive import MotorSteps, read_steps
+from ffcomp.steps.crossings import trajectory_pieces
 from ffcomp.steps.sink import Board, MotorTotal, StepSink
 from gcode.reader import read_program
 from models.file import load_machine

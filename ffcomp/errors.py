@@ -12,7 +12,7 @@ The whole tree; each class has its exit code as the attribute `exit_code`:
     ValueError
     ├── GcodeError              4  G-code that cannot be followed (gcode/errors.py)
     │   ├── UnsupportedGcode    4  well-formed G-code about which ffcomp does not guess
-    │   └── StepsError          4  a step archive that cannot be executed (ffcomp/steps/reader.py)
+    │   └── StepsError          4  a step archive that cannot be executed (ffcomp/steps/archive.py)
     ├── MachineFileError        5  a machine file that cannot be used (models/errors.py)
     └── UnreachableError        4  points out of the machine's reach; raised again as a GcodeError with its line
     OSError                     2  a file that cannot be opened or written (Python's own)

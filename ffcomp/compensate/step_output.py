@@ -18,7 +18,7 @@ from ffcomp.compensate.solve import SolvedSection, keep_inside
 from ffcomp.planner.program import PlannedProgram
 from ffcomp.planner.segment_timing import TimedSegments
 from ffcomp.planner.trajectory import Section, Trajectory
-from ffcomp.steps.pieces import Pieces, knot_pieces, on_grid, trajectory_pieces
+from ffcomp.steps.crossings import Pieces, knot_pieces, on_grid, trajectory_pieces
 from ffcomp.steps.sink import MotorTotal
 from gcode.program import Event, EventKind, EventQueue, Program
 

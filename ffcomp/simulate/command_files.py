@@ -28,7 +28,7 @@ from ffcomp.simulate.command import (
     reference_clock,
 )
 from ffcomp.simulate.linear import continuous_intervals
-from ffcomp.steps.reader import MOTORS, MotorSteps, StepsError
+from ffcomp.steps.archive import MOTORS, MotorSteps, StepsError
 from gcode.embedded import STAMP_REACH, already_processed, find_offset, original
 from gcode.program import Program
 from gcode.reader import read_program

@@ -17,7 +17,7 @@ from ffcomp.numerics.serialise import to_json
 from ffcomp.simulate.command import Command, CommandSection, command_peaks
 from ffcomp.simulate.command_files import read_gcode, steps_command
 from ffcomp.simulate.playback import Chunk, check_same_kinematics, levelled, play
-from ffcomp.steps.reader import is_step_archive, read_steps
+from ffcomp.steps.archive import is_step_archive, read_steps
 from ffcomp.version import __version__
 from gcode.atomic_write import replace_atomically
 from gcode.container import read_bytes

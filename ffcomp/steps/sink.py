@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ffcomp.errors import LimitsError
-from ffcomp.steps.archive import Column, TextColumn, number_npy, write_archive
+from ffcomp.steps.archive import FOLLOWING, MOTORS, Column, StepsError, TextColumn, number_npy, write_archive
 from ffcomp.steps.compress import Compressor, Rows
 from ffcomp.steps.crossings import (
     LATEST,
@@ -21,11 +21,10 @@ from ffcomp.steps.crossings import (
     SWALLOWED,
     Arm,
     Columns,
+    Pieces,
     last_step,
     step_times,
 )
-from ffcomp.steps.pieces import Pieces
-from ffcomp.steps.reader import FOLLOWING, MOTORS, StepsError
 from models.arrays import FloatArray, IntArray
 from models.kinematics.base import Kinematics
 from models.machine import Machine

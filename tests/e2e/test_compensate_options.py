@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from ffcomp.cli.app import app
-from ffcomp.steps.reader import read_events, read_steps
+from ffcomp.steps.archive import read_events, read_steps
 from gcode.embedded import TIME_WAS, WITHOUT_ORIGINAL
 from models.file import load_machine
 from tests.support.cli import CliRunner, Result

@@ -25,7 +25,7 @@ from ffcomp.inverse.settings import settings_for
 from ffcomp.metrics import contour_error
 from ffcomp.planner.program import firmware_plan, plan_program
 from ffcomp.simulate.command import path_corners_with_rests
-from ffcomp.steps.reader import read_events, read_steps
+from ffcomp.steps.archive import read_events, read_steps
 from ffcomp.steps.sink import Board
 from gcode.embedded import original
 from gcode.errors import GcodeError

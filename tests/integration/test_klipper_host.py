@@ -16,7 +16,7 @@ import pytest
 from numpy.typing import NDArray
 
 from ffcomp.compensate.job import StepOutput
-from ffcomp.steps.reader import MotorSteps, read_steps
+from ffcomp.steps.archive import MotorSteps, read_steps
 from ffcomp.steps.sink import Board
 from models.file import load_machine
 from tests.support.compensated import job

@@ -12,7 +12,7 @@ from ffcomp.compensate.result import Result
 from ffcomp.compensate.step_output import BEFORE_S
 from ffcomp.errors import NothingToDo
 from ffcomp.planner.program import plan_program
-from ffcomp.steps.reader import read_events, read_steps
+from ffcomp.steps.archive import read_events, read_steps
 from ffcomp.steps.sink import Board
 from gcode.reader import read_program
 from models.file import load_machine

@@ -16,8 +16,8 @@ from ffcomp.simulate.command import Command
 from ffcomp.simulate.command_files import AT_REST_S, gcode_command, smoothed, staircase, steps_command
 from ffcomp.simulate.playback import ROW_S, play
 from ffcomp.simulate.simulation import Request, read_command, simulate_command
-from ffcomp.steps.pieces import trajectory_pieces
-from ffcomp.steps.reader import MotorSteps, StepsError, is_step_archive, read_steps
+from ffcomp.steps.archive import MotorSteps, StepsError, is_step_archive, read_steps
+from ffcomp.steps.crossings import trajectory_pieces
 from ffcomp.steps.sink import Board, StepSink
 from gcode.errors import GcodeError, UnsupportedGcode
 from gcode.reader import read_program

@@ -9,7 +9,7 @@ import pytest
 from ffcomp import errors
 from ffcomp.errors import INPUT_ERRORS, explain, interrupts_restored
 from ffcomp.importers.values import PrinterConfigError
-from ffcomp.steps.reader import StepsError
+from ffcomp.steps.archive import StepsError
 from gcode.errors import GcodeError, UnsupportedGcode
 from models.errors import MachineFileError, UnreachableError
 

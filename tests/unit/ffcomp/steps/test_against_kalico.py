@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from ffcomp.planner.limits import DeltaSlowZones, PlannerLimits
 from ffcomp.planner.lookahead import plan_moves, stops_and_waits
 from ffcomp.planner.trajectory import Trajectory
-from ffcomp.steps.pieces import trajectory_pieces
-from ffcomp.steps.reader import MotorSteps, read_steps
+from ffcomp.steps.archive import MotorSteps, read_steps
+from ffcomp.steps.crossings import trajectory_pieces
 from ffcomp.steps.sink import Board, StepSink
 from gcode.reader import read_program
 from models.arrays import constant

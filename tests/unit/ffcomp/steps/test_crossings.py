@@ -10,8 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from ffcomp.steps.crossings import STATE_SIZE, SWALLOWED, _rise, _turn, last_step, step_times
-from ffcomp.steps.pieces import Pieces, knot_pieces
+from ffcomp.steps.crossings import STATE_SIZE, SWALLOWED, Pieces, _rise, _turn, knot_pieces, last_step, step_times
 from models.file import load_machine
 
 FloatArray = NDArray[np.float64]

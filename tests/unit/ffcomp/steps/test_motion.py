@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from ffcomp.steps.crossings import GRID_MM, Pieces, knot_pieces, on_grid
 from ffcomp.steps.motion import MotionSink
-from ffcomp.steps.pieces import GRID_MM, Pieces, knot_pieces, on_grid
 from tests.support.klipper_host import FOLDER, reader
 
 FLAT = pytest.approx(0.0, abs=1e-12)

@@ -12,8 +12,8 @@ from ffcomp.errors import LimitsError
 from ffcomp.planner.program import plan_program
 from ffcomp.planner.trajectory import Trajectory
 from ffcomp.steps import compress, sink
-from ffcomp.steps.pieces import Pieces, knot_pieces, trajectory_pieces
-from ffcomp.steps.reader import StepsError, is_step_archive, read_events, read_steps
+from ffcomp.steps.archive import StepsError, is_step_archive, read_events, read_steps
+from ffcomp.steps.crossings import Pieces, knot_pieces, trajectory_pieces
 from ffcomp.steps.sink import Board, MotorTotal, StepSink
 from gcode.reader import read_program
 from models.errors import UnreachableError
