@@ -7,8 +7,7 @@ from numpy.typing import NDArray
 
 from ffcomp.compare.methods import TunedMethod
 from ffcomp.compare.sampling import PrintSlice
-from ffcomp.inverse.iterate import Iterate
-from ffcomp.inverse.model import InverseModel
+from ffcomp.inverse.model import InverseModel, Iterate
 from ffcomp.inverse.reference import Reference
 from ffcomp.inverse.windowed_qr import WindowProblem
 from ffcomp.planner.program import PlannedProgram

@@ -421,7 +421,7 @@ Aim: {AIM_FIRST_S:g} s, {met} in CPU time; wall time depends on what else the ma
 
 def effects(found: Numbers) -> Iterator[str]:
     yield f"""Effects that no linear model holds are compensated by playing the command on the whole virtual printer and
-correcting it, round by round (`ffcomp/inverse/nonlinear/correction.py`). Here each effect is hidden in the
+correcting it, round by round (`ffcomp/inverse/nonlinear.py`). Here each effect is hidden in the
 *independent* printer of
 `validation/blind` (other equations; the last column says where the effect has another shape than the machine file's),
 and {SECONDS:g} s of `{PRINT.name}` (layers {LAYERS.first_layer} to {LAYERS.last_layer}) are printed there. Contour

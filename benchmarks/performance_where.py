@@ -44,7 +44,7 @@ STAGES = {
     "invert: gains": ("ffcomp.inverse.riccati.PreviewGains.at", "ffcomp.inverse.riccati.PreviewGains.end"),
     "invert: sweeps": ("ffcomp.inverse.lq_preview.sweep_back", "ffcomp.inverse.lq_preview.sweep_forward"),
     "invert: simulation": ("models.vibration.scheduled.simulate",),
-    "invert: as the firmware plays it": ("ffcomp.inverse.iterate.sample_even_segments",),
+    "invert: as the firmware plays it": ("ffcomp.inverse.model.sample_even_segments",),
     "invert: wanted path": (
         "ffcomp.inverse.reference.Reference.substeps",
         "ffcomp.inverse.reference.Reference.extrusion",

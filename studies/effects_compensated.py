@@ -33,8 +33,8 @@ from ffcomp.compare.evaluation import Execution, contour
 from ffcomp.compare.methods import COMPENSATED, inversion, none
 from ffcomp.compare.sampling import Print, PrintSlice
 from ffcomp.compensate.solve import solutions
+from ffcomp.inverse import nonlinear
 from ffcomp.inverse.model import GEOMETRY, InverseModel
-from ffcomp.inverse.nonlinear import correction as whole
 from ffcomp.inverse.settings import settings_for
 from ffcomp.simulate.playback import simulate_nozzles
 from models.effects.catalogue import CATALOGUE, effects_of_printers, with_effect
@@ -161,7 +161,7 @@ def on_our_own(machine: Machine, seconds: float) -> float:
 def cost(machine: Machine, seconds: float) -> tuple[float, float, float]:
     """Rounds of the whole printer, CPU time for each print-second, s, of the second time, and share of a limit."""
     inverter, parts = InverseModel(machine, settings_for(machine)), stretches(machine, seconds)
-    with patch.object(whole, "_played", side_effect=whole._played) as rounds:
+    with patch.object(nonlinear, "_played", side_effect=nonlinear._played) as rounds:
         solve(inverter, parts)
     began = time.process_time()
     share = solve(inverter, parts)

@@ -46,7 +46,7 @@ SLOW = (  # folders and files; single tests have the marker themselves
     "unit/ffcomp/record/test_excitation.py",
     "unit/ffcomp/identify/test_direct.py",
     "unit/ffcomp/identify/test_modal_fit.py",
-    "unit/ffcomp/inverse/nonlinear/test_correction.py",
+    "unit/ffcomp/inverse/test_nonlinear.py",
     "unit/ffcomp/inverse/test_lq_preview.py",
     "unit/ffcomp/inverse/test_robust.py",
     "unit/ffcomp/inverse/test_time_scaling.py",

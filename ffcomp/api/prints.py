@@ -18,8 +18,8 @@ from ffcomp.compensate.job import Options
 from ffcomp.errors import RequestError, extras_told
 from ffcomp.estimate import engine as estimation
 from ffcomp.estimate.statistics import Statistics
-from ffcomp.inverse.robust_choice import choose_robust
-from ffcomp.inverse.settings import SEGMENTS_PER_SECOND, Backend, settings_for
+from ffcomp.inverse.robust import choose_robust
+from ffcomp.inverse.settings import SEGMENTS_PER_SECOND, settings_for
 from ffcomp.metrics import Track
 from ffcomp.simulate.simulation import Request, SimulationResult, read_command, simulate_command
 from gcode.container import opened, read_bytes
@@ -124,7 +124,6 @@ def compensate(
     s_curve: bool = False,
     strict: bool = False,
     tolerance_um: float = 25.0,
-    solver: Backend = "osqp",
     max_segments_per_second: float = SEGMENTS_PER_SECOND,
     embed: bool = True,
     predict: bool = True,
@@ -147,7 +146,6 @@ def compensate(
     s_curve : limit the jerk of the ramps
     strict : raise LimitsError where a limit would slow the print down
     tolerance_um : largest path error that an active limit may cause before the print is slowed down
-    solver : of the quadratic programmes where limits are active
     max_segments_per_second : highest segment rate
     embed : keep the original's moves in the file as comments
     predict : simulate the print before and after with the design model
@@ -165,7 +163,6 @@ def compensate(
         s_curve=s_curve,
         strict=strict,
         tolerance_um=tolerance_um,
-        solver=solver,
         embed=embed,
     )
     chosen = choose_robust(loaded, settings, robust)

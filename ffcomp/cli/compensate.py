@@ -24,14 +24,13 @@ from ffcomp.cli.faster_options import (
     shares_known,
 )
 from ffcomp.cli.options import AsJson, Flavor, Jobs, Quiet, Scheduler, SegmentRate, check_choice, parsed_offset
-from ffcomp.inverse.solver_names import SOLVERS
 from ffcomp.request import ACCURACY, ADVANCED, MACHINE, OUTPUT, SPEED
 
 if TYPE_CHECKING:
     from ffcomp.compensate.job import Options, StepOutput
     from ffcomp.compensate.result import FileResult
     from ffcomp.integrations.slicer import Call
-    from ffcomp.inverse.robust_choice import RobustChoice
+    from ffcomp.inverse.robust import RobustChoice
     from ffcomp.inverse.settings import Settings
     from models.machine import Machine
 
@@ -150,14 +149,6 @@ Tolerance = Annotated[
         help="Largest path error that an active limit may cause before the print is slowed down.",
     ),
 ]
-Solver = Annotated[
-    str,
-    typer.Option(
-        metavar="NAME",
-        rich_help_panel=ADVANCED,
-        help=f"QP solver where limits are active: {', '.join(SOLVERS[:-1])} or {SOLVERS[-1]}.",
-    ),
-]
 SCurve = Annotated[
     bool,
     typer.Option(
@@ -203,7 +194,6 @@ def compensate(
     change_speed: ChangeSpeed = None,
     safety: Safety = 0.05,
     if_known: IfKnown = "",
-    solver: Solver = "osqp",
     extruder_steps_per_mm: ExtruderSteps = None,
     jobs: Jobs = 1,
     scheduler: Scheduler = "",
@@ -223,7 +213,6 @@ def compensate(
     with exit_codes():
         check_choice("--output", output, OUTPUTS)
         check_choice("--inverse", inverse, INVERSES)
-        check_choice("--solver", solver, SOLVERS)
         if inverse == "none" and output == "gcode":
             raise typer.BadParameter("--inverse none leaves the G-code as it is; it is for --output steps and host.")
         offset = None if offset_mm == "auto" else parsed_offset(offset_mm)
@@ -260,7 +249,6 @@ def compensate(
             s_curve=s_curve and inverse != "none",
             strict=strict,
             tolerance_um=tolerance_um,
-            solver=solver,
             embed=embed,
         )
         settings, chosen = _robustly(known, settings, robust, inverse == "none" or bound is not None)
@@ -361,7 +349,7 @@ def _robustly(machine: Machine, settings: Settings, asked: bool | None, decided:
 
     decided : by another option, unless it is asked for
     """
-    from ffcomp.inverse.robust_choice import PLAIN, choose_robust
+    from ffcomp.inverse.robust import PLAIN, choose_robust
 
     choice = PLAIN if decided and asked is None else choose_robust(machine, settings, asked)
     return replace(settings, robust=choice.robust), choice

@@ -9,7 +9,7 @@ import typer
 from ffcomp.cli.options import AsJson, Figure
 
 if TYPE_CHECKING:
-    from ffcomp.inverse.bandwidth import EffortCurve
+    from ffcomp.inverse.settings import EffortCurve
 
 Name = Annotated[str, typer.Argument(metavar="MACHINE", help="A machine's name or the path of its file.")]
 
@@ -26,7 +26,7 @@ def effort(machine: Name, figure: Figure = None, as_json: AsJson = False) -> Non
     from ffcomp.cli.common import exit_codes, print_json, say
 
     with exit_codes():
-        from ffcomp.inverse.bandwidth import effort_curve
+        from ffcomp.inverse.settings import effort_curve
         from models.effects.catalogue import design_machine
         from models.file import load_machine
 

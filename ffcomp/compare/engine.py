@@ -41,7 +41,7 @@ from ffcomp.compare.sampling import SETTLE_S, Print, PrintSlice, Sampling
 from ffcomp.compensate.job import Job, Options
 from ffcomp.compensate.prediction import READ_AGAIN_S, read_again
 from ffcomp.errors import NothingToDo
-from ffcomp.inverse.robust_choice import choose_robust
+from ffcomp.inverse.robust import choose_robust
 from ffcomp.inverse.settings import Settings, settings_for
 from ffcomp.metrics import Track
 from ffcomp.simulate.playback import ROW_S, check_same_kinematics

@@ -7,7 +7,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from ffcomp.inverse.robust_choice import PLAIN, RobustChoice
+from ffcomp.inverse.robust import PLAIN, RobustChoice
 from ffcomp.metrics import Track
 from ffcomp.numerics.serialise import to_json
 from models.arrays import BoolArray, FloatArray, IntArray

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 
-from ffcomp.inverse.extent import LEAST_CONTEXT_S, WHOLE, Extent, context_s
+from ffcomp.inverse.reference import LEAST_CONTEXT_S, WHOLE, Extent, context_s
 from ffcomp.inverse.settings import CUT
 from ffcomp.inverse.time_scaling import TimeScaling
 from ffcomp.planner.limits import lines_of

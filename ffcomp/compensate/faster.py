@@ -13,8 +13,8 @@ from ffcomp.errors import LimitsError
 from ffcomp.faster.bound import Bound
 from ffcomp.faster.program import AS_SLICED, FasterProgram, faster_program
 from ffcomp.faster.raised_limits import slowed
-from ffcomp.inverse.extent import WHOLE, Extent, context_s
 from ffcomp.inverse.model import InverseModel
+from ffcomp.inverse.reference import WHOLE, Extent, context_s
 from ffcomp.inverse.settings import Settings
 from ffcomp.planner.program import PlannedProgram, firmware_plan, plan_program
 from ffcomp.planner.trajectory import PlannedMotion, Trajectory

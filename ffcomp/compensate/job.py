@@ -32,7 +32,7 @@ from ffcomp.errors import NothingToDo
 from ffcomp.faster.bound import Bound, with_slicer_settings
 from ffcomp.integrations.slicer import Bed, bed_in, pair
 from ffcomp.inverse.model import InverseModel
-from ffcomp.inverse.robust_choice import BOUNDED, PLAIN, RobustChoice
+from ffcomp.inverse.robust import BOUNDED, PLAIN, RobustChoice
 from ffcomp.inverse.settings import Settings, settings_for
 from ffcomp.inverse.time_scaling import TimeScaling, scale_around_cut
 from ffcomp.planner.limits import known_to_the_firmware, lines_of, planner_limits

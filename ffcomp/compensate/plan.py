@@ -14,8 +14,8 @@ from ffcomp.compensate.faster import Faster, faster_chunk
 from ffcomp.compensate.solve import solutions
 from ffcomp.compensate.statistics import Statistics, of_plan, of_raw, of_waits
 from ffcomp.faster.bound import Bound
-from ffcomp.inverse.extent import WHOLE
 from ffcomp.inverse.model import InverseModel
+from ffcomp.inverse.reference import WHOLE
 from ffcomp.inverse.settings import Settings
 from ffcomp.planner.limits import planner_limits
 from ffcomp.planner.program import PlannedProgram, plan_program, raw_durations

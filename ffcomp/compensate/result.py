@@ -13,7 +13,7 @@ from typing import Any
 from ffcomp.compensate.placement import Placement
 from ffcomp.compensate.statistics import Statistics, warning_lines
 from ffcomp.errors import INPUT_ERRORS, explain, interrupts_restored
-from ffcomp.inverse.robust_choice import PLAIN, RobustChoice
+from ffcomp.inverse.robust import PLAIN, RobustChoice
 from ffcomp.numerics.serialise import to_json
 from ffcomp.steps.sink import MotorTotal
 from gcode.dialects import FlavorChoice

@@ -9,10 +9,9 @@ from functools import partial
 import numpy as np
 
 from ffcomp.errors import LimitsError
-from ffcomp.inverse.extent import WHOLE, Extent
 from ffcomp.inverse.model import InverseModel
-from ffcomp.inverse.nonlinear.correction import LinearSolution, correct_sections
-from ffcomp.inverse.reference import Reference
+from ffcomp.inverse.nonlinear import LinearSolution, correct_sections
+from ffcomp.inverse.reference import WHOLE, Extent, Reference
 from ffcomp.inverse.solve import Solution, solve
 from ffcomp.inverse.time_scaling import FeasibleSection, SectionRequest, TimeScaling, solve_feasible
 from ffcomp.planner.limits import planner_limits

@@ -14,8 +14,8 @@ from ffcomp.compensate.faster import Faster
 from ffcomp.compensate.prediction import Samples
 from ffcomp.compensate.solve import SolvedSection
 from ffcomp.inverse.command_limits import utilisation_from_rest
-from ffcomp.inverse.extent import Extent
 from ffcomp.inverse.model import InverseModel
+from ffcomp.inverse.reference import Extent
 from ffcomp.inverse.time_scaling import TimeScaling
 from ffcomp.planner.limits import lines_of
 from ffcomp.planner.program import PlannedProgram

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ffcomp.compensate.chunks import MOST_MOVES, rests_of
-from ffcomp.inverse.extent import LEAST_CONTEXT_S
+from ffcomp.inverse.reference import LEAST_CONTEXT_S
 from ffcomp.planner.limits import lines_of
 from ffcomp.planner.marlin import MarlinPlan
 from ffcomp.planner.trajectory import PlannedMotion

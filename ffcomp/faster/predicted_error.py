@@ -22,8 +22,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from ffcomp.inverse.extent import WrittenReference
 from ffcomp.inverse.model import InverseModel
+from ffcomp.inverse.reference import WrittenReference
 from ffcomp.inverse.sensitivity import SPANS, Sensitivity, span_length
 from ffcomp.inverse.solve import Solution
 from ffcomp.metrics import contour_error

@@ -27,8 +27,8 @@ from ffcomp.faster.predicted_error import (
 )
 from ffcomp.faster.raised_limits import RaisedLimits, selected_limits
 from ffcomp.inverse.command_limits import ACCELERATION, TRAVEL, VELOCITY, utilisation_from_rest
-from ffcomp.inverse.extent import WHOLE
 from ffcomp.inverse.model import InverseModel
+from ffcomp.inverse.reference import WHOLE
 from ffcomp.inverse.solve import solve
 from ffcomp.planner.limits import PlannerLimits
 from ffcomp.planner.program import plan_section

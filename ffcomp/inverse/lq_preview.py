@@ -12,9 +12,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from ffcomp.inverse.iterate import Iterate, KnotWindow
-from ffcomp.inverse.riccati import REST_ROWS, TO_THE_END, Gains, PreviewGains, no_gains
-from ffcomp.inverse.riccati_kernels import sweep_back, sweep_forward
+from ffcomp.inverse.model import Iterate, KnotWindow
+from ffcomp.inverse.riccati import REST_ROWS, TO_THE_END, Gains, PreviewGains, no_gains, sweep_back, sweep_forward
 from models.arrays import FloatArray
 
 STRETCH = 512  # knots solved at a time

@@ -1,147 +1,154 @@
-"""Quadratic programmes, by whichever solver is asked for.
+"""The least squares of `windowed_qr.py` under the hard limits of `command_limits.py`: a quadratic programme.
 
-    minimise ½ xᵀ P x + qᵀ x    subject to    low ≤ A x ≤ high
+The inverse is a quadratic programme in the change δ of the carriages' heights u at the knots
 
-Before any solver sees it, the problem is brought to order one: every unknown is measured by its own curvature, rows and
-objective by their largest coefficient. That matters more than which solver it is.
+    minimise ½ δᵀ H δ − gᵀ δ    subject to    |D u / S + o| ≤ v,   |D² u / S² + c| ≤ a,   low ≤ u ≤ high − m
+
+D u / S is the mean velocity of a segment. What the two ends of a segment have beyond it (o, from both c) and how far
+its highest point lies above both ends (m) changes little with δ: both are the present command's. Rows are divided by
+their limit.
+
+Before the solver sees it, the problem is brought to order one: every unknown is measured by its own curvature, rows and
+objective by their largest coefficient. That matters more than which solver it is; the tests compare with another one.
 """
 
 from __future__ import annotations
-
-from collections.abc import Callable
-from dataclasses import dataclass
-from importlib import import_module
-from types import ModuleType
 
 import numpy as np
 from scipy import sparse
 
 from ffcomp.errors import SolverError
-from ffcomp.inverse.solver_names import Backend
+from ffcomp.inverse.command_limits import TOLERANCE, CommandLimits
 from models.arrays import FloatArray
+from models.kinematics.base import Compiled
 
-ACCURACY = 1e-5  # of scaled numbers, at which osqp stops; the others reach far more in any case
-SMALLEST = 1e-12  # size of a programme that asks for nothing
-
-
-@dataclass(frozen=True, slots=True)
-class Problem:
-    """A programme of order one."""
-
-    p: FloatArray  # (n, n), its diagonal all ones
-    q: FloatArray  # (n,)
-    a: sparse.csc_matrix  # (m, n)
-    low: FloatArray  # (m,)
-    high: FloatArray  # (m,)
+SOLVER_TOLERANCE = 1e-5  # of scaled numbers
+SMALLEST_SIZE = 1e-12  # of a programme that asks for nothing
+MARGIN = 2e-3  # kept from the limits: for what o, c and m change, and for the solver's own accuracy
+ROOM = (1.0, 1.1, 1.3, 1.7, 2.5)  # times the limit, where given knots on both sides leave no room for less
 
 
-Solve = Callable[[Problem], tuple[str, FloatArray]]  # → status, "solved" if it is, and x
-
-
-def solve_qp(
-    p: FloatArray,
-    q: FloatArray,
-    a: sparse.csc_matrix,
-    low: FloatArray,
-    high: FloatArray,
-    *,
-    backend: Backend = "osqp",
+def constrained_step(
+    hessian: FloatArray,
+    gradient: FloatArray,
+    command: FloatArray,
+    plan: FloatArray,
+    limits: CommandLimits,
+    kinematics: Compiled,
 ) -> FloatArray:
-    """Solve the programme for x (n,).
+    """Find the best change of the unknown knots that keeps the limits.
+
+    Where the plan itself is well beyond a limit, its own demand is the limit there: following it is always possible.
+
+    Parameters
+    ----------
+    hessian : (3 n, 3 n);  gradient : (3 n,), of the unknown knots, carriages A B C inside
+    command : (n + 4, 3) mm, carriage heights as they stand, with two given knots on either side
+    plan : (n + 4, 3) mm, what the path itself asks for
+
+    Returns
+    -------
+    (3 n,) mm
+
+    Raises
+    ------
+    SolverError
+        When there is no solution even with the widest margin.
+    """
+    rows = _Rows(command, plan, limits, kinematics)
+    for room in ROOM:
+        try:
+            return solve_qp(hessian, -gradient, *rows.within(room))
+        except SolverError as error:
+            failed = error
+    raise failed
+
+
+class _Rows:
+    """Rows of the programme that touch an unknown knot, each divided by its limit."""
+
+    def __init__(self, command: FloatArray, plan: FloatArray, limits: CommandLimits, kinematics: Compiled) -> None:
+        self._limits, self._command = limits, command
+        self._now, self._plan = (limits.demand(kinematics.forward(each)) for each in (command, plan))
+
+    def within(self, room: float) -> tuple[sparse.csc_matrix, FloatArray, FloatArray]:
+        """Return the rows A and their bounds: low ≤ A δ ≤ high."""
+        parts = [self._velocity(room), self._acceleration(room)]
+        if np.isfinite(self._limits.travel_mm).any():
+            parts.append(self._travel(room))
+        blocks, lows, highs = zip(*parts, strict=True)
+        return sparse.csc_matrix(sparse.vstack(blocks)), np.concatenate(lows).ravel(), np.concatenate(highs).ravel()
+
+    def _velocity(self, room: float) -> tuple[sparse.csr_matrix, FloatArray, FloatArray]:
+        # the first and the last segment lie between given knots
+        now, plan = self._now.velocity[1:-1], self._plan.velocity[1:-1]
+        return self._between(1, now, plan, room, self._limits.velocity_mm_per_s)
+
+    def _acceleration(self, room: float) -> tuple[sparse.csr_matrix, FloatArray, FloatArray]:
+        now, plan = (demand.acceleration(self._limits.segment_s) for demand in (self._now, self._plan))
+        return self._between(2, now, plan, room, np.full(3, self._limits.acceleration_mm_per_s2))
+
+    def _between(
+        self, order: int, now: FloatArray, plan: FloatArray, room: float, limit: FloatArray
+    ) -> tuple[sparse.csr_matrix, FloatArray, FloatArray]:
+        """now, plan (rows, 3, 2): what is asked for at both ends of a range; it may be within ± the ceiling."""
+        planned = np.abs(plan).max(axis=2)
+        ceiling = np.maximum(room * (1.0 - MARGIN) * limit, np.where(planned > TOLERANCE * limit, planned, 0.0))
+        n = len(self._command) - 4
+        stencil = np.diff(np.eye(n + 4), order, axis=0)
+        touched = stencil[np.any(stencil[:, 2:-2] != 0.0, axis=1), 2:-2]
+        motors = self._limits.motors / limit[:, None]
+        scaled = sparse.csr_matrix(sparse.kron(touched / self._limits.segment_s**order, motors))
+        return scaled, (-ceiling - now.min(axis=2)) / limit, (ceiling - now.max(axis=2)) / limit
+
+    def _travel(self, room: float) -> tuple[sparse.csr_matrix, FloatArray, FloatArray]:
+        """Heights in units of a millimetre; the room is added as so many tenths of it."""
+        low, high = self._limits.travel_mm
+        every, more = self._command @ self._limits.motors.T, 0.1 * (room - 1.0)
+        heights, ends = every[2:-2], np.maximum(every[:-1], every[1:])
+        above = self._now.height[..., 1] - ends
+        beside = np.maximum(above[1:-2], above[2:-1])
+        planned = self._plan.height[1:-1]
+        floor = np.minimum(low + 1e-3, np.minimum(planned[:-1, :, 0], planned[1:, :, 0])) - more
+        ceiling = np.maximum(high - 1e-3, np.maximum(planned[:-1, :, 1], planned[1:, :, 1])) + more
+        matrix = sparse.csr_matrix(sparse.kron(sparse.eye(len(heights)), self._limits.motors))
+        return matrix, floor - heights, ceiling - beside - heights
+
+
+def solve_qp(p: FloatArray, q: FloatArray, a: sparse.csc_matrix, low: FloatArray, high: FloatArray) -> FloatArray:
+    """Minimise ½ xᵀ P x + qᵀ x subject to low ≤ A x ≤ high, for x (n,).
 
     p (n, n) is positive definite, a (m, n), low ≤ high (m,), infinite where there is none.
 
     Raises
     ------
     SolverError
-        When the solver ends in any other way than with the answer, or is not installed.
+        When the solver ends in any other way than with the answer.
     """
+    import osqp  # slow to import, and few sections exceed a limit
+
     unknown = 1.0 / np.sqrt(np.diag(p))
     columns = a.multiply(unknown[None, :]).tocsr()
     row = 1.0 / np.maximum(abs(columns).max(axis=1).toarray().ravel(), np.finfo(float).tiny)
     scaled_q = q * unknown
     low, high = low * row, high * row
     # x = size · unknown · y: how far the free answer lies, or how far x = 0 is from being allowed
-    size = float(np.concatenate([np.abs(scaled_q), low, -high, [SMALLEST]]).max())
-    problem = Problem(
-        p * np.outer(unknown, unknown),
+    size = float(np.concatenate([np.abs(scaled_q), low, -high, [SMALLEST_SIZE]]).max())
+    solver = osqp.OSQP()
+    solver.setup(
+        sparse.csc_matrix(np.triu(p * np.outer(unknown, unknown))),
         scaled_q / size,
         sparse.csc_matrix(columns.multiply(row[:, None])),
         low / size,
         high / size,
-    )
-    status, y = BACKENDS[backend](problem)
-    if status != "solved":
-        what = f"{len(q)} unknowns and {len(low)} rows"
-        raise SolverError(f"The quadratic programme of {what} ended in {backend} as «{status}».")
-    return np.asarray(y * unknown * size)
-
-
-def _osqp(problem: Problem) -> tuple[str, FloatArray]:
-    osqp = _module("osqp")
-    solver = osqp.OSQP()
-    solver.setup(
-        sparse.csc_matrix(np.triu(problem.p)),
-        problem.q,
-        problem.a,
-        problem.low,
-        problem.high,
         verbose=False,
-        eps_abs=ACCURACY,
-        eps_rel=ACCURACY,
+        eps_abs=SOLVER_TOLERANCE,
+        eps_rel=SOLVER_TOLERANCE,
         max_iter=20_000,
         polishing=False,
     )
     result = solver.solve(raise_error=False)
-    return result.info.status, np.asarray(result.x)
-
-
-def _piqp(problem: Problem) -> tuple[str, FloatArray]:
-    piqp = _module("piqp")
-    solver = piqp.DenseSolver()
-    rows = np.asfortranarray(problem.a.toarray())
-    solver.setup(np.asfortranarray(problem.p), problem.q, None, None, rows, problem.low, problem.high)
-    status = solver.solve()
-    return str(status).rpartition("PIQP_")[2].lower().replace("_", " "), np.asarray(solver.result.x)
-
-
-def _clarabel(problem: Problem) -> tuple[str, FloatArray]:
-    """Solve in the form A x + s = b with s ≥ 0: every row twice."""
-    clarabel = _module("clarabel")
-    settings = clarabel.DefaultSettings()
-    settings.verbose = False
-    p, a = sparse.csc_matrix(np.triu(problem.p)), problem.a
-    bound = [np.isfinite(problem.high), np.isfinite(problem.low)]
-    rows = sparse.vstack([a[bound[0]], -a[bound[1]]]).tocsc()
-    sides = np.concatenate([problem.high[bound[0]], -problem.low[bound[1]]])
-    cones = [clarabel.NonnegativeConeT(len(sides))]
-    solution = clarabel.DefaultSolver(p, problem.q, rows, sides, cones, settings).solve()
-    return str(solution.status).lower(), np.asarray(solution.x)
-
-
-def _cvxpy(problem: Problem) -> tuple[str, FloatArray]:
-    """State the programme as a textbook would: the form to read, and to compare the other solvers with."""
-    cp = _module("cvxpy")
-    y = cp.Variable(len(problem.q))
-    upper, lower = np.isfinite(problem.high), np.isfinite(problem.low)
-    cost = 0.5 * cp.quad_form(y, cp.psd_wrap(problem.p)) + problem.q @ y
-    within_limits = [
-        problem.a[upper] @ y <= problem.high[upper],
-        problem.a[lower] @ y >= problem.low[lower],
-    ]
-    programme = cp.Problem(cp.Minimize(cost), within_limits)
-    try:
-        programme.solve(solver=cp.CLARABEL)
-    except cp.error.SolverError as error:
-        return str(error), np.zeros(len(problem.q))
-    return ("solved" if programme.status == cp.OPTIMAL else programme.status), np.asarray(y.value)
-
-
-BACKENDS: dict[Backend, Solve] = {"osqp": _osqp, "piqp": _piqp, "clarabel": _clarabel, "cvxpy": _cvxpy}
-
-
-def _module(name: str) -> ModuleType:
-    try:
-        return import_module(name)
-    except ImportError:
-        raise SolverError(f"The solver {name} is not installed. Install it with: pip install {name}") from None
+    if result.info.status != "solved":
+        what = f"{len(q)} unknowns and {len(low)} rows"
+        raise SolverError(f"The quadratic programme of {what} ended in osqp as «{result.info.status}».")
+    return np.asarray(result.x * unknown * size)

@@ -29,13 +29,15 @@ gradients: Golub & Van Loan, Matrix Computations, 4th ed. 2013, section 11.5.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numba import njit
 
-from ffcomp.inverse.sensitivity import FULL, SPANS, Care, Sensitivity, ShortArray, span_length
-from models.arrays import BoolArray, FloatArray
+from ffcomp.inverse.sensitivity import FULL, SPANS, Care, Sensitivity, ShortArray, machines_off, span_length
+from ffcomp.inverse.settings import Settings
+from models.arrays import BoolArray, ComplexArray, FloatArray
 from models.machine import Machine
 
 BLEND = 64  # rows over which one span's answer goes over into the next one's
@@ -205,3 +207,54 @@ def _faded(n: int, margin: int) -> FloatArray:
     edge = np.arange(n) + 0.5
     near = np.clip(np.minimum(edge, n - edge) / (margin / 2), 0.0, 1.0)
     return np.asarray(0.5 - 0.5 * np.cos(np.pi * near))
+
+
+PAYS = (0.02, 0.1)  # of the modes: where the median gains, and peaks of the command stay near the plan's
+STEP = 0.01  # relative, small: what counts is the slope
+LINES, LOWEST_HZ = 60, 5.0
+BEYOND = 1.5  # times the bandwidth, up to which the response counts
+
+
+@dataclass(frozen=True, slots=True)
+class RobustChoice:
+    """Whether to invert robustly, and why."""
+
+    robust: bool
+    reason: str
+
+
+PLAIN = RobustChoice(False, "Plain inversion: nothing else was asked for.")
+BOUNDED = RobustChoice(True, "Robust inversion, as always under a bound on the error.")
+
+
+def choose_robust(machine: Machine, settings: Settings, asked: bool | None = None) -> RobustChoice:
+    """Choose for a machine. asked : by the user; None: by the machine file."""
+    if asked is not None:
+        return RobustChoice(asked, f"{'Robust' if asked else 'Plain'} inversion, as it was asked for.")
+    sd = mode_sd(machine, settings.bandwidth_hz)
+    known = f"by its [uncertainty] the machine file knows its modes to {100 * sd:.2g} %"
+    if not PAYS[0] <= sd <= PAYS[1]:
+        least, most = (f"{100 * each:g}" for each in PAYS)
+        return RobustChoice(False, f"Plain inversion: {known}; --robust pays from {least} to {most} %.")
+    return RobustChoice(True, f"Robust inversion: {known}. If the file is exact: --no-robust.")
+
+
+def mode_sd(machine: Machine, bandwidth_hz: float) -> float:
+    """Return the relative standard deviation of all modes together that makes the response as uncertain as it is."""
+    most = max(machine.uncertainty.values(), default=0.0)
+    if most == 0.0:
+        return 0.0
+    f = np.geomspace(LOWEST_HZ, BEYOND * bandwidth_hz, LINES)
+    scaled = {name: STEP / most * value for name, value in machine.uncertainty.items()}
+    own, *off = (_response(each, f) for each in machines_off(replace(machine, uncertainty=scaled)))
+    return most * _spread(own, off, f) / _spread(own, [_response(machine, f / (1.0 + STEP))], f)
+
+
+def _response(machine: Machine, f: FloatArray) -> ComplexArray:
+    return machine.vibration.frequency_response(np.zeros(2), f, "nozzle", "nozzle")
+
+
+def _spread(own: ComplexArray, off: Sequence[ComplexArray], f: FloatArray) -> float:
+    """Return the root of the summed square of the changes, for acceleration that is alike at all frequencies."""
+    squares = [np.sum(np.abs(np.linalg.solve(own, each - own)) ** 2, axis=(1, 2)) for each in off]
+    return float(np.sqrt(np.trapezoid(np.sum(squares, axis=0) / f**4, f))) if off else 0.0

@@ -28,9 +28,8 @@ import numpy as np
 
 from ffcomp.errors import LimitsError, SolverError
 from ffcomp.inverse.command_limits import NAMES, TRAVEL, VELOCITY, utilisation_from_rest
-from ffcomp.inverse.extent import SLOWEST_RAMPS, WHOLE, Extent, WrittenReference, context_s
 from ffcomp.inverse.model import InverseModel
-from ffcomp.inverse.reference import Reference
+from ffcomp.inverse.reference import SLOWEST_RAMPS, WHOLE, Extent, Reference, WrittenReference, context_s
 from ffcomp.inverse.settings import CUT
 from ffcomp.inverse.solve import Solution, solve
 from ffcomp.inverse.violations import (

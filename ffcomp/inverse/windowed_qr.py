@@ -22,8 +22,8 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 
-from ffcomp.inverse.iterate import Iterate, KnotWindow
-from ffcomp.inverse.riccati_kernels import basis_response
+from ffcomp.inverse.model import Iterate, KnotWindow
+from ffcomp.inverse.riccati import basis_response
 from models.arrays import FloatArray
 from models.vibration.scheduled import interpolate, models_along
 
@@ -123,7 +123,7 @@ class WindowProblem:
             demand = model.limits.demand(model.kinematics.forward(tried[1:-1]))
             self.limited = bool(demand.utilisation(model.limits).max() > 1.0)
         if self.limited:
-            from ffcomp.inverse.constrained_step import constrained_step
+            from ffcomp.inverse.qp import constrained_step
 
             step = constrained_step(
                 rows.hessian,
@@ -132,7 +132,6 @@ class WindowProblem:
                 plan,
                 model.limits,
                 model.kinematics,
-                model.settings.solver,
             )
         self.iterate.gamma[self.at + 1 : self.at + 1 + self.unknowns] += step.reshape(-1, 3)
 

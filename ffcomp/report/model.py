@@ -42,7 +42,7 @@ from models.machine import Machine
 from models.vibration.mode_map import ModeMap
 
 if TYPE_CHECKING:
-    from ffcomp.inverse.bandwidth import EffortCurve
+    from ffcomp.inverse.settings import EffortCurve
 
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#b8860b", "#56b4e9", "#6a4c93", "#222222")
 FAINT = "#a3a9b3"

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from ffcomp.errors import FfcompError
-from ffcomp.inverse.bandwidth import effort_curve
+from ffcomp.inverse.settings import effort_curve
 from ffcomp.measurement.frf import KEYS
 from ffcomp.measurement.frf_files import _COLUMNS as FRF_COLUMNS
 from ffcomp.measurement.frf_files import read_frfs

@@ -91,7 +91,6 @@ def test_steps_of_the_plan_itself(printed: Path, tmp_path: Path) -> None:
         (("--output", "hex"), "gcode, steps, klipper-steps or host"),
         (("--inverse", "none"), "for --output steps"),
         (("--inverse", "slow"), "fast, exact or none"),
-        (("--solver", "gurobi"), "osqp, piqp, clarabel or cvxpy"),
     ],
 )
 def test_what_cannot_be_is_refused_with_the_rule(printed: Path, words: tuple[str, ...], said: str) -> None:

@@ -20,7 +20,7 @@ from ffcomp.compensate.plan import _is_simulated
 from ffcomp.errors import LimitsError
 from ffcomp.faster.bound import Bound
 from ffcomp.inverse import lq_preview
-from ffcomp.inverse.extent import Extent
+from ffcomp.inverse.reference import Extent
 from ffcomp.inverse.settings import settings_for
 from ffcomp.metrics import contour_error
 from ffcomp.planner.program import firmware_plan, plan_program

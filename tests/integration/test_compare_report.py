@@ -22,7 +22,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from ffcomp.compare.result import Comparison, EqualQuality, Party, Peaks, Samples, Spread
-from ffcomp.inverse.robust_choice import RobustChoice
+from ffcomp.inverse.robust import RobustChoice
 from ffcomp.report.compare import html
 from ffcomp.report.compare import html as table
 from ffcomp.report.compare import samples as packed

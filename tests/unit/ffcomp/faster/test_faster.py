@@ -9,8 +9,8 @@ import pytest
 
 from ffcomp.faster.bound import Bound, with_slicer_settings
 from ffcomp.faster.program import FasterProgram, faster_program
-from ffcomp.inverse.extent import WHOLE
 from ffcomp.inverse.model import InverseModel
+from ffcomp.inverse.reference import WHOLE
 from ffcomp.inverse.settings import settings_for
 from ffcomp.inverse.solve import solve
 from ffcomp.metrics import contour_error_in_order

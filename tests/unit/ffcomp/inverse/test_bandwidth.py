@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from ffcomp.cli.app import app
-from ffcomp.inverse.bandwidth import HIGHEST, LOWEST_HZ, _square, effort_curve, effort_weight
-from ffcomp.inverse.settings import settings_for
+from ffcomp.inverse.settings import HIGHEST, LOWEST_HZ, _square, effort_curve, effort_weight, settings_for
 from models.file import load_machine
 from models.kinds import delta_vibration, with_parts
 from models.machine import Machine

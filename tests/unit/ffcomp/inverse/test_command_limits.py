@@ -18,7 +18,7 @@ from ffcomp.inverse.command_limits import (
     peak_utilisation,
     utilisation_from_rest,
 )
-from ffcomp.inverse.constrained_step import constrained_step
+from ffcomp.inverse.qp import constrained_step
 from models.file import load_machine
 from models.machine import Machine
 

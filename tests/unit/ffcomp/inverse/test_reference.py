@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from ffcomp.inverse.extent import WHOLE, Extent
-from ffcomp.inverse.reference import Reference, Room, room_of
+from ffcomp.inverse.reference import WHOLE, Extent, Reference, Room, room_of
 from ffcomp.inverse.settings import Settings
 from ffcomp.planner.program import PlannedProgram, plan_program
 from ffcomp.planner.trajectory import PathPosition

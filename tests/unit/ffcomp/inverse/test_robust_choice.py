@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from ffcomp.inverse.robust_choice import PAYS, choose_robust, mode_sd
+from ffcomp.inverse.robust import PAYS, choose_robust, mode_sd
 from ffcomp.inverse.settings import settings_for
 from models.file import load_machine
 from models.machine import Machine

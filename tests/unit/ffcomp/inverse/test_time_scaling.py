@@ -11,9 +11,8 @@ import pytest
 from numpy.typing import NDArray
 
 from ffcomp.errors import LimitsError
-from ffcomp.inverse.extent import WHOLE
 from ffcomp.inverse.model import InverseModel
-from ffcomp.inverse.reference import Reference
+from ffcomp.inverse.reference import WHOLE, Reference
 from ffcomp.inverse.settings import Settings, settings_for
 from ffcomp.inverse.solve import solve
 from ffcomp.inverse.time_scaling import FeasibleSection, LayerOf, Replan, SectionRequest, solve_feasible

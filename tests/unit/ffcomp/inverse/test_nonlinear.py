@@ -11,9 +11,9 @@ import pytest
 
 from ffcomp.compare.sampling import Print, PrintSlice, Sampling
 from ffcomp.compensate.solve import SolvedSection, solutions
+from ffcomp.inverse import nonlinear
 from ffcomp.inverse.command_limits import peak_utilisation
 from ffcomp.inverse.model import InverseModel
-from ffcomp.inverse.nonlinear import correction as whole
 from ffcomp.inverse.settings import settings_for
 from ffcomp.inverse.solve import Solution
 from models.effects.catalogue import with_effect
@@ -49,7 +49,7 @@ def tracking_um(answers: list[SolvedSection]) -> float:
 
 @pytest.mark.parametrize(("plant", "most"), [(PLAY, 16), (FRICTION, 8)], ids=["play", "friction"])
 def test_within_one_and_a_half_times_the_printer_without_the_effect(plant: Machine, most: int) -> None:
-    with patch.object(whole, "_played", side_effect=whole._played) as rounds:
+    with patch.object(nonlinear, "_played", side_effect=nonlinear._played) as rounds:
         answers = solved(plant)[1]
     assert tracking_um(answers) < 1.5 * without_um()
     assert rounds.call_count <= most
@@ -63,7 +63,7 @@ def without_um() -> float:
 
 def linear_um(plant: Machine) -> float:
     """What the linear command does on the plant: played once, and left as it is."""
-    with patch.object(whole, "FORESEEN", ()), patch.object(whole, "ROUNDS", 2):
+    with patch.object(nonlinear, "FORESEEN", ()), patch.object(nonlinear, "ROUNDS", 2):
         return tracking_um(solved(plant)[1])
 
 
@@ -74,14 +74,14 @@ def test_friction_and_play_together() -> None:
 
 @pytest.mark.parametrize("plant", [PLAY, FRICTION], ids=["play", "friction"])
 def test_what_is_foreseen_is_most_of_it(plant: Machine) -> None:
-    with patch.object(whole, "ROUNDS", 2):
+    with patch.object(nonlinear, "ROUNDS", 2):
         begun = tracking_um(solved(plant)[1])
     assert begun < 0.5 * linear_um(plant)
 
 
 def test_play_too_wide_to_be_crossed_leaves_no_run_worse_than_the_linear_command() -> None:
     wide = with_effect(MACHINE, "belt_backlash", width_mm=1.0)
-    with patch.object(whole, "FORESEEN", ()), patch.object(whole, "ROUNDS", 2):
+    with patch.object(nonlinear, "FORESEEN", ()), patch.object(nonlinear, "ROUNDS", 2):
         linear = solved(wide)[1]
     for before, after in zip(linear, solved(wide)[1], strict=True):
         assert tracking_um([after]) <= tracking_um([before]) * 1.000001
@@ -118,4 +118,4 @@ def test_a_printer_without_effects_leaves_the_linear_command() -> None:
 def test_no_runs_no_rounds() -> None:
     inverter = InverseModel(PLAY, settings_for(PLAY))
     nothing: list[Solution] = []
-    assert whole.correct_sections(inverter, PLAY, []) == nothing
+    assert nonlinear.correct_sections(inverter, PLAY, []) == nothing

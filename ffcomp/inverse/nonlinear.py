@@ -1,17 +1,36 @@
 """Iterative correction on the simulated printer, for effects that no linear model holds.
 
-The commands of a chunk's sections, found with the linear model and the feedforward of friction and backlash
-(`friction_backlash.py`), are simulated on the nonlinear printer with all its effects; the nozzle's error is swept
-through the same gains, and the command takes the answer up:
+The commands of a chunk's sections, found with the linear model and a feedforward of friction and backlash, are
+simulated on the nonlinear printer with all its effects; the nozzle's error is swept through the same gains, and the
+command takes the answer up:
 
     u ← u + K (r − P(u))                                      P the printer, K the linear inverse
 
-Each step is mixed with the ones before it (`anderson.py`), and smoothed where it would break a limit. The effect of a
-command is over after some ten segments: at the end, the best command at each position is put together and simulated
-too. A section ends with the best command that was simulated whole.
+Each step is mixed with the ones before it (Anderson's acceleration), and smoothed where it would break a limit. The
+effect of a command is over after some ten segments: at the end, the best command at each position is put together and
+simulated too. A section ends with the best command that was simulated whole.
 
 What the weight bends is left to bed levelling. A delay that all motors share is left to the clock: the nozzle comes
 late along the right path.
+
+Anderson's acceleration of a fixed point, at each place of a path by itself (D. G. Anderson, J. ACM 12 (1965) 547): of
+points x_i and their answers f_i, which ought to vanish, the next point is
+
+    x + β f − Σ w_i (Δx_i + β Δf_i),   Δx_i = x − x_i, Δf_i = f − f_i,   w: the least squares of f − Σ w_i Δf_i
+
+With one point before it, this is the secant method. Around each knot the answers have their own weights.
+
+Friction and backlash feedforward: a belt pulls as far as its motor is ahead of its carriage, F = k s. Dry friction of
+the wanted motion asks for a force more. Play takes half of its width w on the side to which the belt pulls, and as much
+on the other once it pulls there:
+
+    e = F(q̇*)/k + (w/2) sat((s + F(q̇*)/k)/ε)            sat x: x, but within ±1
+
+So far the motors must be beyond where the linear inverse has them; s is the stretch of the belts without these effects.
+A belt stretched by less than ε as good as does not pull: there the play is crossed. Between a command and the motors
+there are the drives. What the nozzle makes of e, without them, is what a command must bring about through the whole
+linear plant: the inverse's sweeps find it. One sweep eases a jump as the control weight wants it; each further one
+takes up a part of what is lost by that, for crossing play is worth its acceleration.
 """
 
 from __future__ import annotations
@@ -20,13 +39,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numba import njit
 
 from ffcomp.inverse import lq_preview as fast
 from ffcomp.inverse.command_limits import peak_utilisation, utilisation_from_rest
-from ffcomp.inverse.iterate import Iterate, KnotWindow
-from ffcomp.inverse.model import InverseModel
-from ffcomp.inverse.nonlinear.anderson import AROUND, EASED, Tried, around, mixed
-from ffcomp.inverse.nonlinear.friction_backlash import FORESEEN, PLAY, FrictionBacklash
+from ffcomp.inverse.model import InverseModel, Iterate, KnotWindow
 from ffcomp.inverse.reference import Reference
 from ffcomp.inverse.riccati import REST_ROWS
 from ffcomp.inverse.solve import Solution
@@ -34,8 +51,141 @@ from models.arrays import FloatArray
 from models.effects.catalogue import values_of, without_effects
 from models.machine import Machine
 from models.printer.batch import Observe, simulate_batch
+from models.printer.kernels.friction import MOST_STRAIN
+from models.printer.kernels.record import PrinterParameters
+from models.printer.parameters import printer_parameters
 from models.printer.printer import PrinterMotion
 from models.printer.static_deflection import static_deflection
+from models.vibration.scheduled import Schedule, plant_table
+
+Tried = tuple[FloatArray, FloatArray]  # a point and its answer, (n, 3) mm
+
+AROUND, EASED = 16, 8  # knots on either side: by which a place is judged, and over which one command becomes another
+REGULAR, LEAST_MM2 = 1e-2, 1e-12  # what keeps the weights small: of the squares, and where nothing moves
+
+
+def mixed(tried: Sequence[Tried], share: float) -> FloatArray:
+    """Return the next point (n, 3) mm, from those tried, oldest first, and the share β of an answer to take up."""
+    (x, f), before = tried[-1], tried[:-1]
+    if not before:
+        return np.asarray(x + share * f)
+    moved, turned = (np.stack([now - old[part] for old in before], axis=1) for part, now in enumerate((x, f)))
+    squares = around(np.einsum("nic,njc->nij", turned, turned), AROUND)
+    room = REGULAR * np.trace(squares, axis1=1, axis2=2) + LEAST_MM2
+    right = around(np.einsum("nic,nc->ni", turned, f), AROUND)
+    weights = np.linalg.solve(squares + room[:, None, None] * np.eye(len(before)), right[..., None])[..., 0]
+    return np.asarray(x + share * f - np.einsum("ni,nic->nc", around(weights, EASED), moved + share * turned))
+
+
+def around(values: FloatArray, knots: int) -> FloatArray:
+    """Average over so many knots on either side, (n, …); fewer at the ends."""
+    at, n = np.arange(len(values)), len(values)
+    low, high = np.maximum(at - knots, 0), np.minimum(at + knots + 1, n)
+    sums = np.concatenate([np.zeros_like(values[:1]), np.cumsum(values, axis=0)])
+    return np.asarray(((sums[high] - sums[low]).T / (high - low)).T)
+
+
+PLAY = "belt_backlash"
+FORESEEN = ("coulomb_friction", "stribeck_friction", PLAY)
+TURNS_MM = 0.004  # ε: some tenths of a newton
+SWEEPS = 3
+
+
+class FrictionBacklash:
+    """The feedforward of one printer."""
+
+    def __init__(self, model: InverseModel, printer: Machine) -> None:
+        s = model.settings
+        self._model, self._numbers, self._row_s = model, printer_parameters(printer), s.segment_s / s.substeps
+        self._undriven = replace(model.machine, vibration=model.machine.vibration.undriven())
+        self._belts = Schedule(
+            self._undriven.kinematics, plant_table(self._undriven.kinematics, self._undriven.vibration, self._row_s)
+        )
+
+    @property
+    def crosses(self) -> bool:
+        """Return whether the belts' stretch matters."""
+        return bool(np.any(self._numbers.half_backlash > 0.0))
+
+    def command(self, iterate: Iterate, stretch: FloatArray) -> FloatArray:
+        """Return what the linear inverse of a section lacks, γ (n + 1, 3) mm, from rest to rest.
+
+        stretch : (rows, 3) mm, of the belts at the section's substeps, without these effects; its last row stays
+        """
+        answer = _Answer(self._model, iterate)
+        e = self._beyond(answer.q, stretch)
+        asked = answer.of(self._belts, e - e[0], self._undriven.equilibrium(answer.nozzle[0]))
+        begin, gamma = self._model.machine.equilibrium(answer.nozzle[0]), np.zeros_like(iterate.gamma)
+        for _ in range(SWEEPS):
+            left = asked - answer.of(self._model.plant, answer.along(gamma), begin)
+            gamma += answer.sweep(left)
+        return gamma
+
+    def _beyond(self, q: FloatArray, stretch: FloatArray) -> FloatArray:
+        """Return e (m, 3) mm of carriages (m, 3) mm on their reference paths."""
+        n = self._numbers
+        more = 1e3 * guide_friction(n, q / 1e3, self._row_s) / n.belt_k
+        padded = stretch[np.minimum(np.arange(len(q)), len(stretch) - 1)]
+        return np.asarray(more + 1e3 * n.half_backlash * np.clip((padded + more) / TURNS_MM, -1.0, 1.0))
+
+
+class _Answer:
+    """The linear plant's response to something added to a section's reference."""
+
+    def __init__(self, model: InverseModel, iterate: Iterate) -> None:
+        self._model, self._iterate = model, iterate
+        self.nozzle, self._velocity = iterate.reference.substeps(0, iterate.last + REST_ROWS)
+        self.q = model.kinematics.inverse(self.nozzle)
+
+    def of(self, plant: Schedule, added: FloatArray, begin: FloatArray) -> FloatArray:
+        """Return the nozzle's response, (m, 3) mm after every substep, to added carriage commands (m + 1, 3) mm."""
+        forward, substeps = self._model.kinematics.forward, self._model.settings.substeps
+        moved, still = (plant.respond(forward(q), self._velocity, begin, substeps)[0] for q in (self.q + added, self.q))
+        return moved - still
+
+    def along(self, gamma: FloatArray) -> FloatArray:
+        """Return the coefficients at every substep, (m + 1, 3) mm."""
+        knots, t = np.arange(len(gamma)), np.arange(len(self.q)) / self._model.settings.substeps
+        return np.stack([np.interp(t, knots, axis) for axis in gamma.T], axis=1)
+
+    def sweep(self, left: FloatArray) -> FloatArray:
+        """Return the inverse's answer γ (n + 1, 3) mm to the error that is left, by itself."""
+        s = self._model.settings
+        stride = s.substeps // s.rows_per_segment
+        return fast.answer(self._iterate, np.zeros_like(self._iterate.gamma), left[stride - 1 :: stride])
+
+
+def guide_friction(n: PrinterParameters, q: FloatArray, row_s: float) -> FloatArray:
+    """Return F (m, 3) N of `models/printer/kernels` on carriages that move as q (m, 3) m says, from rest."""
+    rate = np.gradient(q, row_s, axis=0)
+    level = n.dry + n.sticking * np.exp(-(np.abs(rate * n.fading) ** (2.0 * n.fading_power)))
+    ratio = rate / n.creep
+    smooth = np.tanh(ratio + _strain(ratio, np.asarray(n.hold), row_s))
+    return np.asarray(level * np.where(n.bristles > 0.0, _bent(rate * n.bristles * row_s), smooth))
+
+
+@njit(cache=True, nogil=True)
+def _bent(way: FloatArray) -> FloatArray:
+    """Z (m, 3): dz = dw − |dw| z, with dw (m, 3) the way in units of s₀ from row to row, from 0."""
+    bent = np.zeros_like(way)
+    for i in range(1, len(way)):
+        for a in range(3):
+            forgotten = np.exp(-abs(way[i, a]))
+            bent[i, a] = bent[i - 1, a] * forgotten + np.sign(way[i, a]) * (1.0 - forgotten)
+    return bent
+
+
+@njit(cache=True, nogil=True)
+def _strain(ratio: FloatArray, hold: FloatArray, row_s: float) -> FloatArray:
+    """φ (m, 3): φ̇ = κ (r − |r| φ/φ_m − r² φ)/(1 + r²) by implicit Euler steps, from 0."""
+    strain = np.zeros_like(ratio)
+    for i in range(1, len(ratio)):
+        for a in range(3):
+            r = ratio[i, a]
+            gain = hold[a] * row_s / (1.0 + r * r)
+            strain[i, a] = (strain[i - 1, a] + gain * r) / (1.0 + gain * (abs(r) / MOST_STRAIN + r * r))
+    return strain
+
 
 ROUNDS = 16  # of the whole printer at most
 WORTH = 0.97  # a round that leaves more of the error than this was the last

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ffcomp.inverse.nonlinear.anderson import AROUND, EASED, around, mixed
+from ffcomp.inverse.nonlinear import AROUND, EASED, around, mixed
 
 N = 400
 FAR = AROUND + EASED  # knots that a place sees

@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 
 from ffcomp.compare.sampling import Print, Sampling
 from ffcomp.compensate.solve import solutions
-from ffcomp.inverse.iterate import Iterate
-from ffcomp.inverse.model import InverseModel
-from ffcomp.inverse.nonlinear.friction_backlash import FrictionBacklash, guide_friction
+from ffcomp.inverse.model import InverseModel, Iterate
+from ffcomp.inverse.nonlinear import FrictionBacklash, guide_friction
 from ffcomp.inverse.reference import Reference
 from ffcomp.inverse.settings import settings_for
 from models.effects.catalogue import with_effect
