@@ -30,7 +30,7 @@ from ffcomp.inverse.solve import Solution, solve
 from models.file import load_machine
 from models.vibration.delta import STATES
 from models.vibration.scheduled import SAME_MM
-from models.vibration.small_matvec import recursion
+from models.vibration.state_space import recursion
 
 FloatArray = NDArray[np.float64]
 

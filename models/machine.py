@@ -2,20 +2,53 @@
 
 mm, s, kg, N; stiffness N/m, damping N s/m. Towers and carriages are always in the order A, B, C. Arrays are
 read-only; parts compare by identity, so a machine may serve as the key of a cache.
+
+Parameters of its vibrations have the names of the file, `carriage.belt_stiffness_n_per_m`; elements of lists carry
+their index, `effector.extruder_stiffness_n_per_m[2]`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from models.arrays import FloatArray, constant
+from models.errors import MachineFileError
 from models.kinematics.base import Kinematics
-from models.pressure import Pressure
 from models.vibration.base import VibrationModel
+from models.vibration.delta import Carriage, DeltaVibration, Effector
+
+REFERENCE_MM_PER_S = 2.0  # of filament 1.75 mm thick: 4.8 mm³/s, an ordinary print
+CORNER_MM_PER_S = 1.0  # as Klipper's `instantaneous_corner_velocity` where its configuration says nothing
+LEAST_MM_PER_S = 1e-3  # below, the law is a straight line: it would be infinitely steep at rest
+
+
+@dataclass(frozen=True, slots=True)
+class Pressure:
+    """The model, and what the firmware does against it by itself."""
+
+    time_constant_s: float
+    flow_exponent: float = 1.0  # n
+    reference_mm_per_s: float = REFERENCE_MM_PER_S  # of filament, the flow at which the time constant holds
+    firmware_advance_s: float = 0.0  # the firmware's own pressure advance, which stays on
+    corner_velocity_mm_per_s: float = CORNER_MM_PER_S  # by which the extruder's speed may jump between two segments
+
+    def compressed(self, v: FloatArray) -> FloatArray:
+        """Return the filament (n,) mm that is compressed where it flows at v (n,) mm/s, 0 or more."""
+        share = np.maximum(v, LEAST_MM_PER_S) / self.reference_mm_per_s
+        law = self.time_constant_s * self.reference_mm_per_s * share**self.flow_exponent
+        return np.asarray(law * np.minimum(v / LEAST_MM_PER_S, 1.0))
+
+    def flow(self, compressed: FloatArray) -> FloatArray:
+        """Return how fast filament flows, (n,) mm/s, where so much of it is compressed, (n,) mm; none below zero."""
+        least = float(self.compressed(np.array([LEAST_MM_PER_S]))[0])
+        share = np.maximum(compressed, least) / (self.time_constant_s * self.reference_mm_per_s)
+        law = self.reference_mm_per_s * share ** (1.0 / self.flow_exponent)
+        return np.asarray(law * np.clip(compressed / least, 0.0, 1.0))
 
 
 @dataclass(frozen=True)
@@ -122,3 +155,80 @@ class Machine:
     def equilibrium(self, nozzle: FloatArray) -> FloatArray:
         """Return the state of the vibration model at rest with the nozzle at (3,) mm."""
         return self.vibration.equilibrium(self.kinematics.inverse(nozzle[None])[0])
+
+
+def value_of(machine: Machine, name: str) -> float:
+    """Return one parameter.
+
+    Raises
+    ------
+    KeyError
+        If the machine has no such parameter.
+    """
+    return machine.vibration.value(name)
+
+
+def with_values(machine: Machine, values: Mapping[str, float]) -> Machine:
+    """Return the machine with some of its parameters replaced."""
+    return replace(machine, vibration=machine.vibration.with_parameters(values))
+
+
+ASSUMED = "assumed"  # beginning of the provenance of an assumed value
+START = "as a start"  # part of the provenance of a value that is only near the true one
+
+SOURCES = "sources"  # the table in [provenance] of what origins are called by
+
+
+def is_assumed(origin: str) -> bool:
+    """Tell whether a provenance marks an assumed value."""
+    return origin.startswith(ASSUMED) or START in origin
+
+
+def assumed_modes(machine: Machine) -> str | None:
+    """Return the sentence that a machine's modes are assumed, and what to do; None if its file does not say so.
+
+    A compensation can only be as good as the modes it is made for, so everything that uses them says this sentence.
+    """
+    keys = machine.vibration.frequency_keys
+    assumed = [key for key in keys if is_assumed(str(machine.provenance.get(key, "")))]
+    if not assumed:
+        return None
+    name = Path(machine.path).stem or machine.name
+    part = "" if len(assumed) == len(keys) else f" in part ({', '.join(assumed)})"
+    return (
+        f"The modes of {name} are assumed{part}, not measured, so how much less your printer vibrates is not known: "
+        "measure yours with `ffcomp identify plan`, then `ffcomp identify fit`."
+    )
+
+
+def sources(machine: Machine) -> dict[str, str]:
+    """Return the addresses of the sources that origins begin with, by their titles."""
+    named = machine.provenance.get(SOURCES, {})
+    return {str(title): str(address) for title, address in named.items()} if isinstance(named, dict) else {}
+
+
+def identity(machine: Machine) -> dict[str, str | None]:
+    """Return the machine as every JSON object names it."""
+    return {"name": machine.name, "sha256": machine.sha256, "assumed": assumed_modes(machine)}
+
+
+def delta_vibration(machine: Machine) -> DeltaVibration:
+    """Return the machine's carriages and effector.
+
+    Raises
+    ------
+    MachineFileError
+        If the machine's vibrations are told otherwise.
+    """
+    if not isinstance(machine.vibration, DeltaVibration):
+        rule = "The machine is no delta (kinematics.type), and this works for deltas only."
+        raise MachineFileError(machine.path or machine.name, [rule])
+    return machine.vibration
+
+
+def with_parts(machine: Machine, *, carriage: Carriage | None = None, effector: Effector | None = None) -> Machine:
+    """Return the machine with another carriage or another effector; MachineFileError for a machine without them."""
+    own = delta_vibration(machine)
+    return replace(
+        machine, vibration=replace(own, carriage=carriage or own.carriage, effector=effector or own.effector)
+    )

@@ -33,8 +33,7 @@ from ffcomp.diagnose.result import better_file, result_of
 from ffcomp.inverse.settings import settings_for
 from ffcomp.measurement.recording import read_recording
 from models.file import load_machine, updated_text
-from models.machine import Machine
-from models.parameters import value_of
+from models.machine import Machine, value_of
 from models.printer.static_deflection import static_deflection
 from studies.diagnosis import ffcomp
 from studies.render import REPORTS, save

@@ -21,9 +21,8 @@ from ffcomp.identify.predict import complex_log_error, error_reduction, mean_abs
 from ffcomp.measurement.frf import FrequencyResponse
 from models.file import LIBRARY, load_machine
 from models.kinds import delta_vibration, with_parts
-from models.machine import Machine
-from models.parameters import value_of
-from models.vibration.carriage import Drive
+from models.machine import Machine, value_of
+from models.vibration.substructures import Drive
 from studies.render import save
 from validation.plants import delta_plant
 from validation.plants.study import PLACES, measure_bench, measure_places, uneven

@@ -33,8 +33,7 @@ from ffcomp.planner.s_curve import SCurve, s_curve
 from ffcomp.planner.trajectory import split_sections
 from ffcomp.simulate.playback import simulate_nozzles
 from models.file import load_machine
-from models.machine import Machine
-from models.parameters import value_of, with_values
+from models.machine import Machine, value_of, with_values
 from studies.render import save
 
 ROOT = Path(__file__).parents[1]

@@ -22,8 +22,7 @@ from ffcomp.diagnose.printer_problem import PrinterProblem
 from ffcomp.measurement.recording import read_recording
 from models.effects.catalogue import effective_machine
 from models.file import load_machine
-from models.machine import Machine
-from models.parameters import value_of
+from models.machine import Machine, value_of
 from studies.diagnosis_proof import (
     FILE_ERROR,
     FRESH,

@@ -119,7 +119,7 @@ def _by_file(read: Callable[[Path], object], documented: type[Exception], suffix
 
 _MAKERS: dict[str, tuple[Callable[[], Callable[[bytes], None]], tuple[str, ...]]] = {  # and what is watched
     "reader": (_reader, ("gcode",)),
-    "machine": (_machine, ("models.file", "models.schema.documents", "models.checks.redundancy", "tomllib")),
+    "machine": (_machine, ("models.file", "models.schema.documents", "models.checks", "tomllib")),
     "run": (_run, ("ffcomp.measurement",)),
     "frf": (_frf, ("ffcomp.measurement",)),
     "capture": (_capture, ("ffcomp.measurement",)),

@@ -18,8 +18,7 @@ from ffcomp.check.felt import in_band, rows_of
 from ffcomp.record.motion import Commanded
 from models.arrays import FloatArray
 from models.effects.catalogue import effects_of, measured
-from models.machine import Machine
-from models.parameters import value_of, with_values
+from models.machine import Machine, value_of, with_values
 from models.printer.printer import simulate_printers
 
 SIMULATED_HZ = 1600.0

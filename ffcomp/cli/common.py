@@ -74,7 +74,7 @@ def tell(sentence: str, quiet: bool = False) -> None:
 
 def say_assumed(machines: Iterable[Machine], quiet: bool = False) -> None:
     """Say of each machine whose modes are assumed that they are, once."""
-    from models.provenance import assumed_modes
+    from models.machine import assumed_modes
 
     for sentence in dict.fromkeys(filter(None, map(assumed_modes, machines))):
         say(f"ffcomp: {sentence}", quiet)

@@ -367,7 +367,7 @@ def _compensate_one(request: _Request) -> dict[str, Any]:
     from ffcomp.compensate.file import compensate_file
     from ffcomp.compensate.statistics import MOST_LINES, shortened
     from gcode.text import PART_BYTES
-    from models.provenance import assumed_modes
+    from models.machine import assumed_modes
 
     (file,), (target,), quiet = request.files, request.targets, request.quiet
     name = os.environ.get("SLIC3R_PP_OUTPUT_NAME") or str(file)

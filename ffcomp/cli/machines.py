@@ -23,8 +23,7 @@ from ffcomp.request import MACHINE, OUTPUT
 
 if TYPE_CHECKING:
     from models.arrays import FloatArray
-    from models.checks.physics import Extreme, PhysicsChecks
-    from models.checks.redundancy import Quantity
+    from models.checks import Extreme, PhysicsChecks, Quantity
     from models.machine import Machine
 
 KINDS = ("delta", "corexy", "cartesian")  # in the order of the list
@@ -73,7 +72,7 @@ def list_machines(as_json: AsJson = False) -> None:
 def show_machine(machine: NameOrPath, as_json: AsJson = False) -> None:
     """Show every parameter of a machine with its provenance, and its modes."""
     from models.file import entries, load_machine
-    from models.provenance import assumed_modes, sources
+    from models.machine import assumed_modes, sources
 
     with _machine_errors(as_json):
         loaded = load_machine(machine)
@@ -98,8 +97,7 @@ def show_machine(machine: NameOrPath, as_json: AsJson = False) -> None:
 def check_machine(machine: NameOrPath, as_json: AsJson = False) -> None:
     """Check a machine file: mistakes, redundant parameters that disagree, stability and passivity."""
     from ffcomp.importers.builder import still_assumed
-    from models.checks.physics import check_physics, unstable_positions
-    from models.checks.redundancy import redundancy_problems, redundant_quantities
+    from models.checks import check_physics, redundancy_problems, redundant_quantities, unstable_positions
     from models.file import load_machine
 
     with _machine_errors(as_json):
@@ -186,14 +184,14 @@ def _machine_errors(as_json: bool = False) -> Iterator[None]:
 
 
 def _assumed(machine: Machine) -> list[str]:
-    from models.provenance import assumed_modes
+    from models.machine import assumed_modes
 
     sentence = assumed_modes(machine)
     return [] if sentence is None else [sentence]
 
 
 def _identity(machine: Machine) -> dict[str, str | None]:
-    from models.provenance import identity
+    from models.machine import identity
 
     return {**identity(machine), "path": machine.path}
 

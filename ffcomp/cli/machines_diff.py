@@ -10,7 +10,7 @@ import typer
 from ffcomp.cli.options import AsJson
 
 if TYPE_CHECKING:
-    from models.diff import Difference
+    from models.file import Difference
 
 Old = Annotated[str, typer.Argument(metavar="OLD", help="A machine's name or the path of its file.")]
 New = Annotated[str, typer.Argument(metavar="NEW", help="The machine to compare it with.")]
@@ -24,8 +24,7 @@ def diff_machines(old: Old, new: New, as_json: AsJson = False) -> None:
     from ffcomp.cli.common import exit_codes
 
     with exit_codes():
-        from models.diff import differences, mode_changes
-        from models.file import entries, load_machine
+        from models.file import differences, entries, load_machine, mode_changes
 
         before, after = load_machine(old), load_machine(new)
         found = list(differences(entries(Path(before.path)), entries(Path(after.path))))

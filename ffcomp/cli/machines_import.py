@@ -158,7 +158,7 @@ TITLES = {
 
 
 def _print(made: MachineDraft, path: Path, model_hz: float | None) -> None:
-    from models.provenance import is_assumed
+    from models.machine import is_assumed
 
     print(f"{path}: a {made.config.kinematics} machine, from a {made.config.firmware} configuration.")
     for how, title in TITLES.items():

@@ -106,7 +106,7 @@ def _show(
     from gcode.container import read_bytes
     from gcode.embedded import STAMP_REACH, already_processed, find_offset
     from models.file import load_machine
-    from models.provenance import identity
+    from models.machine import identity
 
     data = read_bytes(file, plate)
     stamp = already_processed(data)

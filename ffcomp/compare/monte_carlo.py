@@ -21,8 +21,7 @@ from ffcomp.compare.result import Method, Spread
 from ffcomp.compare.sampling import PrintSlice
 from ffcomp.metrics import rms
 from ffcomp.simulate.playback import simulate_nozzles
-from models.machine import Machine
-from models.parameters import with_values
+from models.machine import Machine, with_values
 from models.printer.kernels.record import LANES
 
 TRUNCATION_SD = 2.5  # standard deviations; farther draws are drawn again

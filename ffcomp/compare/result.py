@@ -11,8 +11,7 @@ from ffcomp.inverse.robust import PLAIN, RobustChoice
 from ffcomp.metrics import Track
 from ffcomp.numerics.serialise import to_json
 from models.arrays import BoolArray, FloatArray, IntArray
-from models.machine import Machine
-from models.provenance import assumed_modes
+from models.machine import Machine, assumed_modes
 
 Family = Literal["none", "calibrated", "best fixed", "scheduled", "inversion"]
 

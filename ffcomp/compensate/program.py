@@ -36,7 +36,7 @@ from ffcomp.planner.segment_timing import TimedSegments
 from ffcomp.planner.trajectory import Section
 from gcode.layers import labels
 from gcode.program import Program
-from models.pressure import Pressure
+from models.machine import Pressure
 
 
 class Renderer(Protocol):

@@ -18,8 +18,7 @@ from ffcomp.numerics.serialise import to_json
 from ffcomp.steps.sink import MotorTotal
 from gcode.dialects import FlavorChoice
 from gcode.embedded import Stamp
-from models.machine import Machine
-from models.provenance import identity
+from models.machine import Machine, identity
 
 SCHEMA = "ffcomp-compensate/1"
 LISTED = 12  # places that were slowed down, of which each has its sentence

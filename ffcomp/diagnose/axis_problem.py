@@ -20,8 +20,7 @@ from ffcomp.measurement.axis_run import AxisRun
 from models.arrays import FloatArray
 from models.effects.catalogue import CATALOGUE, with_effects
 from models.kinds import driven_axis
-from models.machine import Machine
-from models.parameters import value_of, with_values
+from models.machine import Machine, value_of, with_values
 
 REACH = 5.0  # standard deviations by which a parameter may be retuned: beyond, it is an effect
 OFFSET, OFFSET_SHARE = "axis.offset_n", 0.1  # of the force, by which its zero may be off

@@ -17,8 +17,7 @@ from ffcomp.simulate.simulation import Request, read_command, simulate_command
 from gcode.errors import GcodeError
 from models.effects.catalogue import CATALOGUE
 from models.errors import MachineFileError
-from models.machine import Machine
-from models.parameters import with_values
+from models.machine import Machine, with_values
 
 
 @dataclass(frozen=True)

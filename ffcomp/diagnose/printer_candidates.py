@@ -19,8 +19,7 @@ from models.arrays import FloatArray
 from models.effects.catalogue import CATALOGUE, effects_of
 from models.effects.effect import Effect
 from models.effects.effect import Parameter as EffectParameter
-from models.machine import Machine
-from models.parameters import value_of
+from models.machine import Machine, value_of
 
 REACH_SD = 5.0  # by which a parameter may be retuned: beyond, it is an effect
 BOTH = 9.0  # in place of an angle: alike in x and y

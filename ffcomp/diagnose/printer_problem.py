@@ -48,8 +48,7 @@ from ffcomp.diagnose.validation import carriages_of
 from ffcomp.measurement.recording import Recording
 from models.arrays import FloatArray
 from models.effects.catalogue import CATALOGUE, measured
-from models.machine import Machine
-from models.parameters import value_of, with_values
+from models.machine import Machine, value_of, with_values
 from models.printer.kernels.record import LANES
 from models.printer.parameters import ConvertedPrinter, converted_printer
 from models.printer.printer import SMOOTH_STEP_S, PrinterMotion, Splines, longest_step, simulate_printers

@@ -20,8 +20,7 @@ from gcode.embedded import original_blocks
 from gcode.program import Program
 from gcode.reader import read_parts
 from models.arrays import FloatArray
-from models.machine import Machine
-from models.provenance import identity
+from models.machine import Machine, identity
 
 
 @dataclass(frozen=True, slots=True)

@@ -30,8 +30,7 @@ from ffcomp.metrics import contour_error
 from ffcomp.planner.segment_timing import sample_even_segments
 from ffcomp.planner.trajectory import Trajectory
 from models.arrays import ComplexArray, FloatArray, IntArray
-from models.machine import Machine
-from models.parameters import with_values
+from models.machine import Machine, with_values
 from models.vibration.scheduled import Schedule, plant_table
 
 ShortArray = NDArray[np.float32]

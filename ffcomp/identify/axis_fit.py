@@ -20,8 +20,7 @@ from ffcomp.numerics.stages import Stage
 from models.arrays import FloatArray, IntArray
 from models.file import updated_text
 from models.kinds import driven_axis
-from models.machine import Machine
-from models.parameters import value_of, with_values
+from models.machine import Machine, value_of, with_values
 
 MASS, OFFSET, OFFSET_SHARE = "axis.mass_kg", "axis.offset_n", 0.1
 EVALUATIONS = 60

@@ -22,7 +22,7 @@ from ffcomp.measurement.frf import FrequencyResponse
 from models.arrays import ComplexArray, FloatArray
 from models.kinds import delta_vibration
 from models.machine import Machine
-from models.vibration.carriage import belt, drive_frf
+from models.vibration.substructures import belt, drive_frf
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,9 +13,8 @@ from ffcomp.identify.uncertainty import Estimate
 from ffcomp.measurement.frf import FrequencyResponse
 from ffcomp.numerics.stages import Stage
 from models.kinds import delta_vibration, with_parts
-from models.machine import Machine
-from models.parameters import value_of, with_values
-from models.vibration.carriage import Drive
+from models.machine import Machine, value_of, with_values
+from models.vibration.substructures import Drive
 
 UNDETERMINED = 0.25  # of the weak prior's variance: above it the data say next to nothing; the old value is kept
 WEAK_SCALE = 0.05  # relative sd of all masses, stiffnesses and dampings together

@@ -20,11 +20,10 @@ from ffcomp.measurement.frf import FrequencyResponse
 from models.arrays import ComplexArray, FloatArray
 from models.errors import MachineFileError, UnreachableError
 from models.kinds import delta_vibration
-from models.machine import Machine
-from models.provenance import identity
+from models.machine import Machine, identity
 from models.vibration.base import Modes, Output
-from models.vibration.carriage import command_frf, damping, with_added_mass
 from models.vibration.mode_map import ModeMap, kinds, mode_map, numbers
+from models.vibration.substructures import command_frf, damping, with_added_mass
 
 Of = Literal["carriage", "nozzle", "acceleration", "carriage-alone", "effector-alone"]
 Per = Literal["carriage", "nozzle"]

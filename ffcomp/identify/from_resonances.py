@@ -18,8 +18,7 @@ from ffcomp.identify.predict import AXES
 from ffcomp.identify.uncertainty import Estimate, lognormal
 from ffcomp.measurement.modes import Mode
 from models.arrays import FloatArray
-from models.machine import Machine
-from models.parameters import value_of, with_values
+from models.machine import Machine, value_of, with_values
 
 STIFFNESS = "carriage.belt_stiffness_n_per_m"
 DAMPINGS = ("carriage.belt_damping_n_s_per_m", "carriage.guide_damping_n_s_per_m")

@@ -17,7 +17,7 @@ from ffcomp.identify.paper import PaperIdentification
 from ffcomp.identify.uncertainty import Estimate
 from models.file import updated_text
 from models.kinds import delta_vibration
-from models.parameters import value_of
+from models.machine import value_of
 
 SMALLEST_SD = 0.002  # relative: no frequency of a printer is more constant from day to day
 

@@ -25,8 +25,7 @@ from ffcomp.numerics.least_squares import central_differences, forward_differenc
 from ffcomp.numerics.stages import Now, Stage
 from models.arrays import ComplexArray, FloatArray, IntArray
 from models.kinds import delta_vibration
-from models.machine import Machine
-from models.parameters import value_of, with_values
+from models.machine import Machine, value_of, with_values
 
 STIFFNESS = tuple(f"effector.extruder_stiffness_n_per_m[{i}]" for i in range(3))
 DAMPING = tuple(f"effector.extruder_damping_n_s_per_m[{i}]" for i in range(3))

@@ -30,7 +30,7 @@ from ffcomp.numerics.least_squares import minimise
 from models.arrays import ComplexArray, FloatArray, constant
 from models.kinds import delta_vibration, with_parts
 from models.machine import Machine
-from models.vibration.carriage import Carriage, Drive
+from models.vibration.substructures import Carriage, Drive
 
 EARLIER = {
     "m": "carriage.mass_kg",

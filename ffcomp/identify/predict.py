@@ -13,7 +13,7 @@ from ffcomp.measurement.frf import FrequencyResponse
 from models.arrays import ComplexArray, FloatArray
 from models.kinds import delta_vibration
 from models.machine import Machine
-from models.vibration.carriage import belt, command_frf, drive_frf
+from models.vibration.substructures import belt, command_frf, drive_frf
 
 CARRIAGES, AXES = "ABC", "xyz"
 

@@ -18,8 +18,7 @@ import tomlkit
 
 from ffcomp.importers.values import ConfigValues, PrinterConfigError, Value, farthest_reach
 from models.file import LIBRARY, load_machine
-from models.machine import MotionLimits, Steps
-from models.provenance import ASSUMED, is_assumed
+from models.machine import ASSUMED, MotionLimits, Steps, is_assumed
 
 TABLES = ("kinematics", "carriage", "effector", "axes", "limits", "steps", "homing", "firmware")
 ARMS = ("kinematics.arm_length_mm", "kinematics.arm_lengths_mm")

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Literal
 
 from ffcomp.errors import FfcompError
-from models.provenance import START
+from models.machine import START
 
 How = Literal["read", "default", "converted", "assumed"]
 ORDER: tuple[How, ...] = (

@@ -17,7 +17,7 @@ from numba import njit
 
 from ffcomp.planner.trajectory import PlannedMotion
 from models.arrays import FloatArray
-from models.pressure import Pressure
+from models.machine import Pressure
 
 SUBSTEPS = 4  # of a segment
 SMOOTHED = (0, 1, 2, 4, 6)  # segments to either side, tried in this order

@@ -32,7 +32,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from models.arrays import FloatArray, IntArray
-from models.vibration.small_matvec import sized_recursion
+from models.vibration.scheduled import sized_recursion
 from models.vibration.state_space import DiscretePlant
 
 Float32Array = NDArray[np.float32]

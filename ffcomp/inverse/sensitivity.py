@@ -19,8 +19,7 @@ from numpy.typing import NDArray
 from scipy import fft
 
 from models.arrays import ComplexArray, FloatArray
-from models.machine import Machine
-from models.parameters import with_values
+from models.machine import Machine, with_values
 
 # NOTE: single precision is enough for d, which is a tenth of a millimetre, and takes half the time.
 ShortArray = NDArray[np.float32]

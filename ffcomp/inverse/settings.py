@@ -25,8 +25,7 @@ from ffcomp.planner.segment_timing import SegmentLimits
 from ffcomp.planner.trajectory import Trajectory
 from models.arrays import FloatArray
 from models.effects.catalogue import design_machine
-from models.machine import Machine
-from models.pressure import Pressure
+from models.machine import Machine, Pressure
 
 LOWEST_HZ, HIGHEST, STEP = 60.0, 0.46, 1.06  # Hz, of the segments' rate, from one bandwidth to the next
 FLOOR_UM = 1.0  # what other things leave anyway: the path's own facets, the segments, the motors' steps

@@ -16,8 +16,7 @@ from numba import njit
 from gcode.program import Moves
 from models.arrays import BoolArray, FloatArray
 from models.kinematics.base import Kinematics
-from models.machine import Machine, Steps
-from models.pressure import CORNER_MM_PER_S
+from models.machine import CORNER_MM_PER_S, Machine, Steps
 
 SHORTEST_TRAVEL_MM = 1e-9  # what moves the nozzle less than this counts as extruder-only
 SLOW_RATIOS = ((3.0, 0.5), (6.0, 0.25))  # beyond this carriage speed / nozzle speed, this share is allowed

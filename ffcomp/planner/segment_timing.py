@@ -18,7 +18,7 @@ from numba import njit
 
 from ffcomp.planner.lookahead import corner_ratios
 from models.arrays import FloatArray
-from models.pressure import CORNER_MM_PER_S
+from models.machine import CORNER_MM_PER_S
 
 SWEEPS = 12  # at most, of the fixed point between neighbouring speeds; it contracts by about Δv/(a S), 0.1 or less
 SETTLED_MM_PER_S = 1e-9  # a junction that moves less no longer moves the segments beside it

@@ -34,8 +34,7 @@ from gcode.layers import labels, outer_walls
 from gcode.program import Program
 from gcode.reader import read_program
 from models.arrays import BoolArray, FloatArray
-from models.machine import Machine
-from models.pressure import Pressure
+from models.machine import Machine, Pressure
 
 STEP_S = 5e-4
 SMOOTHED_S = 8e-3  # segments are steps of flow, which the plastic evens out

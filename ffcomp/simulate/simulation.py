@@ -27,8 +27,7 @@ from models.arrays import FloatArray
 from models.effects.catalogue import CATALOGUE, measured
 from models.effects.effect import Signals
 from models.errors import UnreachableError
-from models.machine import Machine
-from models.provenance import identity
+from models.machine import Machine, identity
 
 EVALUATED_HZ = 1600.0  # no more samples than that are kept, 0.2 GB for an hour of print
 FEWEST_SAMPLES = 4

@@ -12,8 +12,7 @@ from pydantic import Field, model_validator
 from models.arrays import FloatArray, constant
 from models.kinematics.delta import DeltaKinematics
 from models.schema.table import THREE, Angle, Damping, Length, Offset, Stiffness, Table, refuse
-from models.vibration.carriage import Carriage, Drive
-from models.vibration.effector import Effector
+from models.vibration.substructures import Carriage, Drive, Effector
 
 
 class KinematicsTable(Table):

@@ -8,8 +8,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field, model_validator
 
-from models.machine import MarlinSettings, MotionLimits, Steps
-from models.pressure import CORNER_MM_PER_S, REFERENCE_MM_PER_S, Pressure
+from models.machine import CORNER_MM_PER_S, REFERENCE_MM_PER_S, MarlinSettings, MotionLimits, Pressure, Steps
 from models.schema.table import FOUR, THREE, TWO, Place, Table, refuse
 
 DEFAULT_LIMITS = MotionLimits(velocity_mm_per_s=0, acceleration_mm_per_s2=0)  # these two have no default

@@ -41,9 +41,18 @@ from models.arrays import ComplexArray, FloatArray, constant, same_or_each
 from models.kinematics.base import Kinematics
 from models.kinematics.delta import DeltaKinematics
 from models.vibration.base import Description, Parameter, ParameterSet, PrinterFields, VibrationModel
-from models.vibration.carriage import Carriage, Drive, belt, damping, drive_frf, impedance
-from models.vibration.effector import Effector, apparent_mass, load_distribution
 from models.vibration.state_space import StateSpace
+from models.vibration.substructures import (
+    Carriage,
+    Drive,
+    Effector,
+    apparent_mass,
+    belt,
+    damping,
+    drive_frf,
+    impedance,
+    load_distribution,
+)
 
 STATES = 18
 W, WD, Q, QD, ETA, ETAD = (slice(3 * i, 3 * i + 3) for i in range(6))

@@ -12,9 +12,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from models.vibration.carriage import damping
 from models.vibration.delta import DeltaVibration
-from models.vibration.effector import Effector
+from models.vibration.substructures import Effector, damping
 
 if TYPE_CHECKING:
     from control import TransferFunction

@@ -10,8 +10,7 @@ import pytest
 from models.file import load_machine
 from models.finding import LIBRARY
 from models.kinematics.cartesian import CartesianKinematics
-from models.machine import Machine
-from models.provenance import assumed_modes
+from models.machine import Machine, assumed_modes
 from tests.support.reference import REFERENCE, rows_of
 
 PAGE = REFERENCE / "library.md"

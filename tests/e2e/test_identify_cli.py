@@ -17,7 +17,7 @@ from ffcomp.identify.predict import error_reduction, mean_absolute_percentage_ac
 from ffcomp.measurement.frf_files import write_frf
 from ffcomp.record.plan import load_plan
 from models.file import LIBRARY, load_machine
-from models.parameters import value_of, with_values
+from models.machine import value_of, with_values
 from tests.support.cli import CliRunner, Result
 from tests.support.identification import measured, paper_bench, towers_bench
 from validation.plants import delta_plant

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from models.arrays import FloatArray
-from models.pressure import Pressure
+from models.machine import Pressure
 
 
 def flowing(pushed: FloatArray, pressure: Pressure, step_s: float) -> FloatArray:

@@ -33,7 +33,7 @@ from scipy.signal import StateSpace, lsim
 
 from models.kinds import delta_vibration
 from models.machine import Machine
-from models.vibration.carriage import Drive
+from models.vibration.substructures import Drive
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

@@ -14,9 +14,8 @@ from models.arrays import constant
 from models.file import load_machine
 from models.kinematics.delta import DeltaKinematics
 from models.machine import Machine, MotionLimits
-from models.vibration.carriage import Carriage
 from models.vibration.delta import DeltaVibration
-from models.vibration.effector import Effector
+from models.vibration.substructures import Carriage, Effector
 
 TABLE_I_OFFSET = (10.21, -16.52, 19.31)
 

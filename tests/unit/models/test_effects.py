@@ -23,8 +23,7 @@ from models.effects.effect import Effect, Parameter, Signals
 from models.errors import MachineFileError
 from models.file import LIBRARY, load_machine
 from models.kinds import delta_vibration
-from models.machine import Machine
-from models.parameters import value_of
+from models.machine import Machine, value_of
 from models.printer.kernels import record
 
 NAMED_BY_THE_FORMAT = {

@@ -1,6 +1,6 @@
 """The paper's numbers and equations that do not hold, each worked out again. Its Table I is typed in here once.
 
-What is wrong by the paper's own measurements is seen by `models.checks.redundancy` (test_consistency.py); rods against
+What is wrong by the paper's own measurements is seen by `models.checks` (test_consistency.py); rods against
 shares of force, and the sign of Eq. 13 along a helix, are in test_receptance.py and test_delta.py.
 """
 

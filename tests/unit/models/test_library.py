@@ -13,9 +13,9 @@ import pytest
 
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.settings import settings_for
-from models.checks.physics import unstable_positions
+from models.checks import unstable_positions
 from models.file import LIBRARY, entries, load_machine
-from models.provenance import ASSUMED, assumed_modes
+from models.machine import ASSUMED, assumed_modes
 
 FILES = sorted(LIBRARY.glob("*.toml"))
 PAPER = ("paper", "derived")  # beginnings of an origin in the two files of the paper's machine

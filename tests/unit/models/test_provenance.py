@@ -7,8 +7,7 @@ from dataclasses import replace
 import pytest
 
 from models.file import load_machine
-from models.machine import Machine
-from models.provenance import assumed_modes, identity, is_assumed
+from models.machine import Machine, assumed_modes, identity, is_assumed
 
 
 @pytest.fixture

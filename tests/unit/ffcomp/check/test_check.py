@@ -23,8 +23,7 @@ from ffcomp.record.plan import Plan
 from ffcomp.record.result import Joined, JoinResult
 from ffcomp.report.check import checks_figure
 from models.file import load_machine
-from models.machine import Machine
-from models.parameters import with_values
+from models.machine import Machine, with_values
 from validation.plants import delta_plant, straight_plant
 from validation.plants.accelerometer import nozzle_felt
 

@@ -16,7 +16,7 @@ from models.arrays import constant
 from models.errors import MachineFileError
 from models.file import load_machine
 from models.kinds import delta_vibration, with_parts
-from models.parameters import value_of
+from models.machine import value_of
 from tests.support.mismatch import SEEDS, study, tuned
 
 MACHINE = load_machine("mp-delta-pro")

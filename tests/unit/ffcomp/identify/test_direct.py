@@ -16,9 +16,8 @@ from ffcomp.identify.uncertainty import Joint, joined, through
 from ffcomp.identify.uncertainty import measured as by_scale
 from models.file import load_machine
 from models.kinds import delta_vibration, with_parts
-from models.machine import Machine
-from models.parameters import value_of, with_values
-from models.vibration.carriage import Drive
+from models.machine import Machine, value_of, with_values
+from models.vibration.substructures import Drive
 from tests.support.identification import blank, measured, paper_bench, towers_bench
 
 TRUTH = load_machine("mp-delta-pro")

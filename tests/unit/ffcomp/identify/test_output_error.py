@@ -14,7 +14,7 @@ from ffcomp.identify.output_error import Fitted, fit_machine, of_one_capture
 from ffcomp.identify.predict import predicted
 from ffcomp.measurement.frf import FrequencyResponse
 from models.file import load_machine
-from models.parameters import value_of
+from models.machine import value_of
 from tests.support.identification import blank
 
 TRUTH = load_machine("mp-delta-pro")

@@ -7,7 +7,7 @@ from ffcomp.errors import SolverError
 from ffcomp.identify.rational import fit_rational, fit_values
 from models.file import load_machine
 from models.kinds import delta_vibration
-from models.vibration.carriage import command_frf
+from models.vibration.substructures import command_frf
 from tests.support.identification import FREQUENCY_HZ, blank, measured
 
 MACHINE = load_machine("mp-delta-pro")

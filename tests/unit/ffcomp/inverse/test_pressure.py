@@ -14,7 +14,7 @@ from ffcomp.planner.program import PlannedProgram, plan_program
 from gcode.reader import read_program
 from models.arrays import FloatArray
 from models.file import load_machine
-from models.pressure import Pressure
+from models.machine import Pressure
 from tests.support.extruder import flowing
 
 MACHINE = load_machine("kossel")

@@ -19,8 +19,7 @@ from ffcomp.inverse.settings import settings_for
 from ffcomp.metrics import contour_error
 from ffcomp.simulate.playback import simulate_nozzles
 from models.file import load_machine
-from models.machine import Machine
-from models.parameters import value_of
+from models.machine import Machine, value_of
 from tests.support.prints import squares
 from tests.support.settings import finely_joined
 

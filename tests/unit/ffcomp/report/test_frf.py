@@ -18,8 +18,8 @@ from ffcomp.report.model import _spread, draw_bode, draw_map, map_verdict
 from models.file import load_machine
 from models.kinds import delta_vibration
 from models.machine import Machine
-from models.vibration.carriage import command_frf, with_added_mass
 from models.vibration.mode_map import mode_map
+from models.vibration.substructures import command_frf, with_added_mass
 from tests.support.cli import CliRunner, Result
 
 FREQUENCIES = np.arange(2.0, 125.1, 0.5)

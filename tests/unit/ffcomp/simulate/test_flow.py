@@ -12,7 +12,7 @@ from ffcomp.report.show import show_figure
 from ffcomp.simulate.preview import STEP_S, flow_of, preview
 from gcode.reader import read_program
 from models.file import load_machine
-from models.pressure import Pressure
+from models.machine import Pressure
 from tests.support.extruder import flowing
 from tests.unit.ffcomp.compensate.test_program import FREE, written
 

@@ -12,8 +12,8 @@ from models.kinds import delta_vibration, with_parts
 pytest.importorskip("control", reason="python-control is not installed: pip install 'ffcomp[control]'.")
 
 from models.machine import Machine
-from models.vibration.carriage import command_frf, force_frf, with_added_mass
 from models.vibration.python_control import carriage_alone, carriage_load, effector_alone, effector_load
+from models.vibration.substructures import command_frf, force_frf, with_added_mass
 
 FREQUENCIES = np.geomspace(0.5, 400, 25)
 S = 2j * np.pi * FREQUENCIES

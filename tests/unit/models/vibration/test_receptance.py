@@ -10,9 +10,15 @@ import pytest
 from models.arrays import constant
 from models.kinds import delta_vibration, with_parts
 from models.machine import Machine
-from models.vibration.carriage import command_frf, drive_frf, force_frf, impedance, with_added_mass
 from models.vibration.delta import STATES, Q
-from models.vibration.effector import load_distribution
+from models.vibration.substructures import (
+    command_frf,
+    drive_frf,
+    force_frf,
+    impedance,
+    load_distribution,
+    with_added_mass,
+)
 
 FREQUENCIES = np.geomspace(0.5, 400, 60)
 S = 2j * np.pi * FREQUENCIES

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from models.checks.redundancy import Quantity, redundancy_problems, redundant_quantities
+from models.checks import Quantity, redundancy_problems, redundant_quantities
 from models.file import LIBRARY, load_machine
 from models.kinds import delta_vibration, with_parts
 from models.machine import Machine

@@ -1,4 +1,13 @@
-"""Compare a machine's parameters with each other and with its measurements.
+"""Check a machine's model all over the bed, and its parameters against each other and its measurements.
+
+- Stability: every vibration decays (poles in the left half-plane).
+- Reciprocity: with the motors at rest, a force on one carriage moves another as much as vice versa, Y = Yᵀ,
+  Y = Z⁻¹ of Eq. 29 (Rayleigh, The Theory of Sound, 1877, §§ 107-109).
+- Passivity: no force at any frequency extracts more work from the machine than it supplies: the Hermitian part of the
+  mobility jωY has no negative eigenvalue.
+- Load: the load of a rigid effector on the carriages, Γ J, against virtual work's Jᵀ J.
+
+A map by virtual work has all of these by construction. The paper's map (Eqs. 22-27) guarantees none.
 
 The paper's identification determines some parameters in more than one way (Eqs. 30-49). A machine file may contain the
 measurements in `[provenance.measured]`; every equation whose measurements are given is evaluated and compared with the
@@ -27,7 +36,7 @@ import numpy as np
 
 from models.kinds import delta_vibration
 from models.machine import Machine
-from models.vibration.carriage import damping
+from models.vibration.substructures import damping
 
 TOLERANCE = 0.05  # relative to the file; two careful measurements of one quantity may differ by this much
 SAME = 0.005  # relative to the file: the same value, rounded

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from models.arrays import constant
-from models.checks.physics import bed, check_physics, unstable_positions
+from models.checks import bed, check_physics, unstable_positions
 from models.file import LIBRARY, load_machine
 from models.kinds import delta_vibration, with_parts
 from models.machine import Machine

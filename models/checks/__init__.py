@@ -1,1 +1,0 @@
-"""Checks of a machine file: redundant parameters and physics."""
