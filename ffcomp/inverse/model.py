@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ffcomp.inverse import disk_cache
 from ffcomp.inverse.command_limits import CommandLimits
 from ffcomp.inverse.reference import Reference
 from ffcomp.inverse.riccati import PreviewGains
 from ffcomp.inverse.robust import RobustReference
 from ffcomp.inverse.sensitivity import FULL, QUICK, Sensitivity
 from ffcomp.inverse.settings import Settings, effort_weight
-from ffcomp.numerics import disk_cache
 from ffcomp.planner.segment_timing import sample_even_segments
 from models.arrays import FloatArray
 from models.effects.catalogue import design_machine, without_effects

@@ -11,28 +11,24 @@ import stat
 from contextlib import suppress
 from pathlib import Path
 
+from platformdirs import user_cache_path
+
 VARIABLE = "NUMBA_CACHE_DIR"
 OUR_VARIABLE = "FFCOMP_CACHE"  # another folder for what ffcomp itself keeps; `off`: no cache
 
 
 def ensure_cache_folder() -> None:
     """Set numba's cache folder where it would find none; a folder that the user has set stays."""
-    places = (Path(__file__).parent / "__pycache__", user_cache() / "numba")
+    places = (Path(__file__).parent / "__pycache__", user_cache_path("numba", appauthor=False))
     if VARIABLE not in os.environ and not any(map(_writable, places)):
         os.environ[VARIABLE] = str(_temporary())
 
 
-def user_cache() -> Path:
-    """Return the user's cache folder."""
-    if os.name == "nt":
-        return Path(os.environ.get("LOCALAPPDATA") or Path.home())
-    return Path(os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache"))
-
-
 def cache_folder() -> Path:
     """Return the folder of ffcomp's own cache, which need not exist; without a cache no folder can be made there."""
-    folder = os.environ.get(OUR_VARIABLE, "")
-    return Path(os.devnull) if folder == "off" else Path(folder) if folder else user_cache() / "ffcomp"
+    if folder := os.environ.get(OUR_VARIABLE, ""):
+        return Path(os.devnull if folder == "off" else folder)
+    return user_cache_path("ffcomp", appauthor=False, opinion=False)
 
 
 def _writable(folder: Path) -> bool:
@@ -49,6 +45,6 @@ def _temporary() -> Path:
     folder = Path(tempfile.gettempdir(), f"ffcomp-compiled-{user}")
     with suppress(FileExistsError):
         folder.mkdir(mode=0o700)
-    found = folder.lstat()
-    own = stat.S_ISDIR(found.st_mode) and (os.name == "nt" or (found.st_uid == user and not found.st_mode & 0o077))
-    return folder if own else Path(tempfile.mkdtemp(prefix="ffcomp-compiled-"))
+    status = folder.lstat()
+    private = os.name == "nt" or (status.st_uid == user and not status.st_mode & 0o077)
+    return folder if stat.S_ISDIR(status.st_mode) and private else Path(tempfile.mkdtemp(prefix="ffcomp-compiled-"))

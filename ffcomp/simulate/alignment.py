@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ffcomp.inverse.settings import Settings
-from ffcomp.numerics.progress import progress_in_order
+from ffcomp.metrics import progress_in_order
 from ffcomp.planner.program import PlannedProgram
 from ffcomp.planner.trajectory import PlannedMotion, Section
 from ffcomp.simulate.command import SectionClock, path_corners_with_rests

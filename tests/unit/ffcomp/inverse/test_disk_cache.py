@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from ffcomp.inverse import disk_cache as kept
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.settings import settings_for
-from ffcomp.numerics import disk_cache as kept
 from ffcomp.numerics.numba_cache import OUR_VARIABLE
 from models.file import load_machine
 from models.kinds import delta_vibration, with_parts
