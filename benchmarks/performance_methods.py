@@ -144,7 +144,7 @@ def dense(window: WindowProblem) -> FloatArray:
     iterate, stretch = window.iterate, window.stretch
     phi = window.phi()
     second = np.diff(np.eye(window.unknowns + 4), 2, axis=0)[:, 2:-2]  # with knots at zero on both sides
-    bend = np.sqrt(iterate.model.effort) * np.kron(second, np.eye(3))
+    bend = np.sqrt(iterate.model.control_weight) * np.kron(second, np.eye(3))
     for _ in range(1 + iterate.model.settings.corrections):
         response, _ = stretch.respond(window.state)
         now = iterate.gamma[1 : window.unknowns + 1]

@@ -322,10 +322,10 @@ def _best_delay(reference: FloatArray, actual: FloatArray, dt: float, longest: f
 
     from scipy.optimize import minimize_scalar  # 0.2 s to import: only when a delay is sought
 
-    found = minimize_scalar(cost, bounds=(valley - step, valley + step), method="bounded", options={"xatol": 1e-10})
-    if not found.success:
-        raise RuntimeError(f"The search for the delay near {valley:.4f} s has not ended: {found.message}")
-    return float(found.x)
+    result = minimize_scalar(cost, bounds=(valley - step, valley + step), method="bounded", options={"xatol": 1e-10})
+    if not result.success:
+        raise RuntimeError(f"The search for the delay near {valley:.4f} s has not ended: {result.message}")
+    return float(result.x)
 
 
 @njit(cache=True, fastmath=True, nogil=True)

@@ -78,7 +78,7 @@ class Archive:
 @contextmanager
 def open_archive(reopen: _Open, path: str) -> Iterator[Archive]:
     """Open a slicer's archive."""
-    with _damage_is_said(path), reopen() as file, ZipFile(file) as archive:
+    with _damage_as_error(path), reopen() as file, ZipFile(file) as archive:
         members = {each.filename: each for each in archive.infolist()}
         _check(archive.infolist(), path)
         _check_records(archive, file)
@@ -87,8 +87,8 @@ def open_archive(reopen: _Open, path: str) -> Iterator[Archive]:
             raise UnsupportedGcode(_no_gcode(members), path=path)
         checksums = {name: _start(archive, name + ".md5") for name in names if name + ".md5" in members}
     prints = {name: _print(reopen, members[name], f"{path}/{name}") for name in names}
-    for name, said in checksums.items():
-        _check_digest(prints[name], said, f"{path}/{name}")
+    for name, checksum in checksums.items():
+        _check_digest(prints[name], checksum, f"{path}/{name}")
     yield Archive(prints, checksums, reopen, path)
 
 
@@ -103,7 +103,7 @@ def _print(reopen: _Open, member: ZipInfo, path: str) -> Text:
 
 
 def _unpacked(reopen: _Open, name: str, path: str) -> Generator[bytes, None, None]:
-    with _damage_is_said(path), reopen() as file, ZipFile(file) as archive, archive.open(name) as member:
+    with _damage_as_error(path), reopen() as file, ZipFile(file) as archive, archive.open(name) as member:
         yield from pieces(member)
 
 
@@ -113,7 +113,7 @@ def _start(archive: ZipFile, name: str) -> bytes:
 
 
 @contextmanager
-def _damage_is_said(path: str) -> Iterator[None]:
+def _damage_as_error(path: str) -> Iterator[None]:
     try:
         yield
     except GcodeError:
@@ -165,13 +165,13 @@ def _no_gcode(names: Iterable[str]) -> str:
     return "The file is a zip archive without G-code (Metadata/plate_N.gcode or 3D/model.gcode); export plain G-code."
 
 
-def _check_digest(print_: Source, said: bytes, path: str) -> None:
+def _check_digest(print_: Source, checksum: bytes, path: str) -> None:
     digest = hashlib.md5(usedforsecurity=False)
     for block in blocks(print_):
         digest.update(block)
-    found = _MD5.search(said)
-    if found is None or found[0].decode().lower() != digest.hexdigest():
-        wrong = said.decode("ascii", "replace").strip()
+    match = _MD5.search(checksum)
+    if match is None or match[0].decode().lower() != digest.hexdigest():
+        wrong = checksum.decode("ascii", "replace").strip()
         rule = f"its MD5 is {digest.hexdigest()}, and {wrong!r} stands beside it; export it again"
         raise GcodeError(f"The G-code is not what was packed: {rule}.", path=path)
 
@@ -199,10 +199,10 @@ def _time_s(head: bytes) -> int:
 def _with_predictions(info: bytes, longer_s: Mapping[int, int]) -> bytes:
     """Update the archive's own predictions: each plate takes so much longer."""
 
-    def plate(found: re.Match[bytes]) -> bytes:
-        index = _INDEX.search(found[0])
+    def plate(match: re.Match[bytes]) -> bytes:
+        index = _INDEX.search(match[0])
         more = longer_s.get(int(index[1]), 0) if index else 0
-        return _PREDICTION.sub(lambda said: said[1] + b"%d" % max(int(said[2]) + more, 0), found[0])
+        return _PREDICTION.sub(lambda old: old[1] + b"%d" % max(int(old[2]) + more, 0), match[0])
 
     return _PLATE_INFO.sub(plate, info)
 

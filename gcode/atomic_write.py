@@ -24,10 +24,10 @@ class _Draft(NamedTuple):
     def in_place(self) -> bool:
         """Whether it has: the target is this very file."""
         try:
-            found = self.target.stat()
+            status = self.target.stat()
         except OSError:
             return False
-        return (found.st_dev, found.st_ino) == (self.device, self.inode)
+        return (status.st_dev, status.st_ino) == (self.device, self.inode)
 
 
 _drafts: list[_Draft] = []

@@ -153,8 +153,8 @@ def _check_codec(path: str) -> None:
 
 def _converted(source: Path, target: Path, path: str, options: Mapping[str, str] | None = None) -> None:
     """Make one file of another by the codec; `options` are for packing (`gcode.bgcode_codec`), None unpacks."""
-    told, size = [] if options is None else [json.dumps(options)], source.stat().st_size
-    words = [str(source), str(target), str(most_unpacked(size)), *told]
+    arguments, size = [] if options is None else [json.dumps(options)], source.stat().st_size
+    words = [str(source), str(target), str(most_unpacked(size)), *arguments]
     patience_s = _PATIENCE_S + size // _SLOWEST_BYTES_PER_S
     command = [sys.executable, "-P", bgcode_codec.__file__, *words]
     try:
@@ -183,8 +183,8 @@ class Bgcode:
         with TemporaryDirectory() as folder, self.reopen() as old:
             text, packed = Path(folder, "text"), Path(folder, "packed")
             packing = self._packing()
-            told = _introduced(_without_old_times(lines))
-            _write(text, told if packing["encoding"] == "none" else _apart(told))
+            introduced = _introduced(_without_old_times(lines))
+            _write(text, introduced if packing["encoding"] == "none" else _apart(introduced))
             _converted(text, packed, self.path, packing)
             _check_kept(text, packed, Path(folder, "again"), self.path)
             with open(packed, "rb") as new:
@@ -207,11 +207,11 @@ class Bgcode:
 def open_bgcode(reopen: _Open, path: str) -> Iterator[Bgcode]:
     """Open a binary G-code file."""
     with reopen() as file:
-        found = [(block.kind, block.unpacked, len(block.raw)) for block in blocks_of(file, path)]
-    if not any(kind == GCODE for kind, _, _ in found):
+        sizes = [(block.kind, block.unpacked, len(block.raw)) for block in blocks_of(file, path)]
+    if not any(kind == GCODE for kind, _, _ in sizes):
         raise UnsupportedGcode("The file is binary G-code without a block of G-code.", path=path)
-    size = sum(packed for _, _, packed in found)
-    if 2 * sum(unpacked for _, unpacked, _ in found) > most_unpacked(size):  # MeatPack halves
+    size = sum(packed for _, _, packed in sizes)
+    if 2 * sum(unpacked for _, unpacked, _ in sizes) > most_unpacked(size):  # MeatPack halves
         raise too_much(size, path)
     _check_codec(path)
     with TemporaryDirectory() as folder:
@@ -296,9 +296,9 @@ def _without_old_times(pieces: Iterable[bytes]) -> Iterator[bytes]:
 def _apart(lines: Iterable[bytes]) -> Iterator[bytes]:
     """Each comment in a line of its own."""
     for line in lines:
-        if b";" in line and (found := _INLINE.fullmatch(line)):
-            yield _HELD + found[2] + b"\n"
-            line = found[1] + found[3]
+        if b";" in line and (match := _INLINE.fullmatch(line)):
+            yield _HELD + match[2] + b"\n"
+            line = match[1] + match[3]
         yield line
 
 
@@ -318,10 +318,10 @@ def _together(pieces: Iterable[bytes]) -> Iterator[bytes]:
 def _check_kept(text: Path, packed: Path, again: Path, path: str) -> None:
     """Read back what was packed: no command may be lost or altered."""
     _converted(packed, again, path)
-    for wanted, found in zip_longest(_commands(text), _commands(again)):
-        if wanted != found:
+    for written, read_back in zip_longest(_commands(text), _commands(again)):
+        if written != read_back:
             raise UnsupportedGcode(
-                f"The codec of binary G-code would make {found!r} of the line {wanted!r}.", path=path
+                f"The codec of binary G-code would make {read_back!r} of the line {written!r}.", path=path
             )
 
 

@@ -136,12 +136,12 @@ def _finish_moves(modal: Modal, command: Command) -> Effect:
 
 def _retraction_or_tool_setting(modal: Modal, command: Command) -> Effect:
     """G10 alone retracts by an amount set in the firmware; with P, S or R it sets a tool's values, with L others."""
-    said = command.letters()
-    if "L" in said:
+    letters = command.letters()
+    if "L" in letters:
         return _refuse(modal, command)
-    if "P" in said and said & set("XYZ"):  # the tool's offsets, from now on
+    if "P" in letters and letters & set("XYZ"):  # the tool's offsets, from now on
         return _move_away(modal, command)
-    return PASS if said & set("PSR") else STOP
+    return PASS if letters & set("PSR") else STOP
 
 
 # -- modes --
@@ -213,9 +213,9 @@ def _percent(command: Command) -> float | None:
 
 def _feed_factor(modal: Modal, command: Command) -> Effect:
     """M220: Marlin's B keeps the factor in force, and R takes it back."""
-    if (said := command.letters()) & set("BR"):
-        modal.kept_feed_factor = modal.feed_factor if "B" in said else modal.kept_feed_factor
-        modal.set_feed_factor(modal.kept_feed_factor if "R" in said else modal.feed_factor)
+    if (letters := command.letters()) & set("BR"):
+        modal.kept_feed_factor = modal.feed_factor if "B" in letters else modal.kept_feed_factor
+        modal.set_feed_factor(modal.kept_feed_factor if "R" in letters else modal.feed_factor)
         return PASS
     if (factor := _percent(command)) is not None:
         modal.set_feed_factor(factor)
@@ -363,10 +363,10 @@ def _reset_limits(modal: Modal, command: Command) -> Effect:
 
 def _motors_off(modal: Modal, command: Command) -> Effect:
     """M18 and M84: the extruder's motor may be switched off alone, and S only sets when they are."""
-    said = command.letters()
-    if said == {"S"}:
+    letters = command.letters()
+    if letters == {"S"}:
         return PASS
-    if said == {"E"}:
+    if letters == {"E"}:
         return STOP
     modal.forget_even_roughly()
     return STOP

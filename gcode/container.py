@@ -152,8 +152,8 @@ def _chosen(names: list[str], plate: int | None, path: str) -> str:
         if plate is not None and name.endswith(f"/plate_{plate}.gcode"):
             return name
     held = ", ".join(names) if any(names) else "one print, and no plates"
-    asked = "one has to be chosen: --plate N" if plate is None else f"there is no plate {plate}"
-    raise UnsupportedGcode(f"The file holds {held}; {asked}.", path=path)
+    rule = "one has to be chosen: --plate N" if plate is None else f"there is no plate {plate}"
+    raise UnsupportedGcode(f"The file holds {held}; {rule}.", path=path)
 
 
 def read_bytes(path: str | Path, plate: int | None = None) -> bytes:

@@ -96,8 +96,8 @@ def flavor_sign(lines: Iterable[bytes]) -> FlavorSign:
     if check := _first(text, *_PRUSA):
         return FlavorSign(MARLIN, _shown(check), certain=True)
     for sign in (*_RRF_COMMANDS, _CURA_RRF):
-        if found := _first(text, *sign):
-            return FlavorSign(REPRAPFIRMWARE, _shown(found), certain=True)
+        if match := _first(text, *sign):
+            return FlavorSign(REPRAPFIRMWARE, _shown(match), certain=True)
     return FlavorSign(MARLIN)
 
 
@@ -108,8 +108,8 @@ def _klipper_acceleration(text: bytes, by_cura: bool) -> re.Match[bytes] | None:
     return None if acceleration is None or any(_first(text, *sign) for sign in others) else acceleration
 
 
-def _shown(found: re.Match[bytes]) -> str:
-    return " ".join(found.group().decode("ascii", "replace").split())
+def _shown(match: re.Match[bytes]) -> str:
+    return " ".join(match.group().decode("ascii", "replace").split())
 
 
 def flavor_by_ends(head: bytes, tail: bytes) -> str:
@@ -261,12 +261,12 @@ class FlavorChoice:
     warning: str = ""  # where the print itself speaks of another
 
 
-def choose_flavor(asked: str, stated: str, sign: FlavorSign, path: str = "") -> FlavorChoice:
+def choose_flavor(requested: str, stated: str, sign: FlavorSign, path: str = "") -> FlavorChoice:
     """Choose a firmware: the caller's word goes before the machine file's, and that before what the print shows.
 
     Parameters
     ----------
-    asked : str
+    requested : str
         What the caller asks for; empty: nothing.
     stated : str
         What the machine file states; empty: nothing.
@@ -280,12 +280,12 @@ def choose_flavor(asked: str, stated: str, sign: FlavorSign, path: str = "") -> 
     UnsupportedGcode
         If what is asked for is no flavor.
     """
-    flavor = asked or stated
+    flavor = requested or stated
     if not flavor:
         return FlavorChoice(sign.flavor, _reason(sign))
     if flavor not in FLAVORS:
         raise UnsupportedGcode(f"The flavor {flavor!r} is none of {', '.join(sorted(FLAVORS))}.", path=path)
-    by = "it was asked for" if asked else "the machine file says"
+    by = "it was asked for" if requested else "the machine file says"
     reason = f"Firmware: {flavor}, as {by}."
     if not sign.text or sign.flavor == flavor:
         return FlavorChoice(flavor, reason)

@@ -60,8 +60,8 @@ def offset_line(offset: tuple[float, float]) -> bytes:
 
 def find_offset(head: bytes) -> tuple[float, float]:
     """Read the offset that `offset_line` wrote; zero if it wrote none."""
-    found = re.search(rb"^; ffcomp offset_mm=([-+.\de]+),([-+.\de]+)", head, re.MULTILINE)
-    return (float(found[1]), float(found[2])) if found else (0.0, 0.0)
+    match = re.search(rb"^; ffcomp offset_mm=([-+.\de]+),([-+.\de]+)", head, re.MULTILINE)
+    return (float(match[1]), float(match[2])) if match else (0.0, 0.0)
 
 
 def holds_original(head: bytes) -> bool:
@@ -108,8 +108,8 @@ def section_times(lines: Iterable[bytes]) -> list[SectionTime]:
     list of SectionTime
         In the file's order; empty for a file that was compensated before these comments were written.
     """
-    found = ((at, _SECTION.match(line)) for at, line in enumerate(lines) if line.startswith(b";section "))
-    return [SectionTime(at, int(match[1]) - 1, float(match[2])) for at, match in found if match]
+    matches = ((at, _SECTION.match(line)) for at, line in enumerate(lines) if line.startswith(b";section "))
+    return [SectionTime(at, int(match[1]) - 1, float(match[2])) for at, match in matches if match]
 
 
 def joined(pieces: Iterable[bytes]) -> Iterator[bytes]:
@@ -139,19 +139,19 @@ def original_lines(lines: Iterable[bytes]) -> Iterator[bytes]:
     UnsupportedGcode
         If the file does not hold its original.
     """
-    inside, told = False, None
+    inside, time = False, None
     for line in lines:
         if line.startswith(WITHOUT_ORIGINAL):
             raise UnsupportedGcode(NOT_HELD)
         if line.startswith(TIME_WAS):
-            told = line[len(TIME_WAS) :].rstrip(b"\r\n")
+            time = line[len(TIME_WAS) :].rstrip(b"\r\n")
         elif (kept := noted(line)) is not None:
             yield kept
         elif is_ours(line):
             inside = (inside or not line.startswith(b"G")) and not line.startswith(b"G1 F")
         elif not line.startswith(STAMPS) and not (inside and line.startswith(b"G1 ")):
-            yield line if told is None else with_time(line, told)
-            told = None
+            yield line if time is None else with_time(line, time)
+            time = None
 
 
 def noted(line: bytes) -> bytes | None:

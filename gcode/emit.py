@@ -37,7 +37,7 @@ def write_moves(
     f_counts: float,
     relative: tuple[bool, bool],
     state: IntArray,
-    given: FloatArray,
+    last: FloatArray,
     stated: FloatArray,
     out: ByteArray,
 ) -> IntArray:
@@ -51,7 +51,7 @@ def write_moves(
     f_counts : counts of F's last decimal in a mm/s
     relative : whether X Y Z are differences, and whether E is
     state : (5,) counts of X Y Z E F that the firmware has; taken along
-    given : (4,) X Y Z, mm, where the last move should have ended, and s, by which its end is late; taken along
+    last : (4,) X Y Z, mm, where the last move should have ended, and s, by which its end is late; taken along
     stated : (n, 3) X Y Z, mm, where each move ends as it is written; filled in
     out : (at least n LONGEST_LINE,) bytes
     """
@@ -66,10 +66,10 @@ def write_moves(
         filament = E_SLACK_MM * per_mm[3] if slack[k] > 0.0 else 0.0
         now[3] = _short((e[k] - base[3]) * per_mm[3], state[3], filament, relative[1])
         if now[0] != state[0] or now[1] != state[1] or now[2] != state[2] or now[3] != state[3]:
-            feed = _feed(xyz[k], now, speed[k], lasting[k], slack[k], per_mm, f_counts, state, given)
+            feed = _feed(xyz[k], now, speed[k], lasting[k], slack[k], per_mm, f_counts, state, last)
             at = _write_move(now, feed, relative, state, out, at)
         for i in range(3):
-            given[i] = xyz[k, i]
+            last[i] = xyz[k, i]
             stated[k, i] = state[i] / per_mm[i] + base[i]
         ends[k] = at
     return ends
@@ -105,21 +105,21 @@ def _feed(
     per_mm: Place,
     f_counts: float,
     state: IntArray,
-    given: FloatArray,
+    last: FloatArray,
 ) -> np.int64:
     """Choose F: the last one if the move then ends in time, or else the one with the fewest digits.
 
     What a move is late or early is made up for by the next one: time does not drift.
     """
-    asked, written = 0.0, 0.0
+    demanded, written = 0.0, 0.0
     for i in range(3):
-        asked += (to[i] - given[i]) ** 2
+        demanded += (to[i] - last[i]) ** 2
         written += ((now[i] - state[i]) / per_mm[i]) ** 2
-    if slack <= 0.0 or asked <= 0.0 or written <= 0.0 or speed <= 0.0:
-        given[3] = 0.0
+    if slack <= 0.0 or demanded <= 0.0 or written <= 0.0 or speed <= 0.0:
+        last[3] = 0.0
         return np.int64(np.rint(speed * f_counts))
-    speed *= np.sqrt(written / asked)
-    late, may_be = given[3], min(slack / speed, LATE_S)
+    speed *= np.sqrt(written / demanded)
+    late, may_be = last[3], min(slack / speed, LATE_S)
     due = speed * lasting * f_counts  # F of a move that takes 1 s
     low, high = due / (lasting - late + may_be), due / max(lasting - late - may_be, 1e-9)
     feed = state[4]
@@ -133,7 +133,7 @@ def _feed(
             coarse //= 10
         if coarse == 1:
             feed = np.int64(np.rint(ideal))
-    given[3] = late + due / max(feed, 1) - lasting
+    last[3] = late + due / max(feed, 1) - lasting
     return feed
 
 
@@ -207,7 +207,7 @@ class MoveWriter:
         self._holds_z = frame.absolute and not frame.z_known
         counts = [round((at - base[i]) * per_mm[i]) for i, at in enumerate((*xyz, e))]
         self._state = np.array([*counts, -1], dtype=np.int64)  # of X Y Z E F; F has none yet
-        self._given = np.array([*xyz, 0.0])  # X Y Z of the last move, mm, and how late its end is, s
+        self._last = np.array([*xyz, 0.0])  # X Y Z of the last move, mm, and how late its end is, s
 
     @property
     def place(self) -> tuple[float, ...]:
@@ -271,7 +271,7 @@ class MoveWriter:
             self._f_counts,
             self._relative,
             self._state,
-            self._given,
+            self._last,
             np.empty((len(e), 3)) if stated is None else stated,
             out,
         )

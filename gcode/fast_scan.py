@@ -95,8 +95,8 @@ def follow(
     """
     at, line, move, event, known, state, x, y, z, e, feed, origin_e, motion, _ = here
     words = np.empty(len(_LETTERS))
-    told, stuck = 0, False
-    while at < len(text) - 1 and told < len(states):
+    new_count, stuck = 0, False
+    while at < len(text) - 1 and new_count < len(states):
         code = at
         made = 0
         number = text[at + 1] - 48
@@ -123,8 +123,8 @@ def follow(
             wanted = words[_F] / 60 * modes.unit * modes.feed_factor
             if not np.isnan(wanted) and wanted != feed:
                 feed = wanted
-                new = _state(states, told, feed, origin_e)
-                told, state = max(told, new + 1), known + new
+                new = _state(states, new_count, feed, origin_e)
+                new_count, state = max(new_count, new + 1), known + new
             x, y, z, e, motion = new_x, new_y, new_z, new_e, number
         elif text[at] == _G and number == 9 and text[at + 2] == _TWO:
             code = _read_words(text, at + 3, words)
@@ -132,8 +132,8 @@ def follow(
             if stuck:
                 break
             origin_e = e - words[_E] * modes.unit_e
-            new = _state(states, told, feed, origin_e)
-            told, state = max(told, new + 1), known + new
+            new = _state(states, new_count, feed, origin_e)
+            new_count, state = max(new_count, new + 1), known + new
         elif text[at] == _M:
             code = _read_m_code(text, at + 1, passing)
             stuck = code < 0
@@ -156,7 +156,7 @@ def follow(
             at += 1
         at += 2 if text[at] == _RETURN and text[at + 1] == _NEWLINE else 1
         line += 1
-    return Cursor(at, line, move, event, known + told, state, x, y, z, e, feed, origin_e, motion, stuck)
+    return Cursor(at, line, move, event, known + new_count, state, x, y, z, e, feed, origin_e, motion, stuck)
 
 
 @njit(nogil=True)
@@ -184,13 +184,13 @@ def _arc(start: Place, end: Place, clockwise: bool, words: FloatArray, modes: Mo
 
 
 @njit(nogil=True, error_model="numpy")
-def _state(states: FloatArray, told: int, feed: float, origin_e: float) -> int:
+def _state(states: FloatArray, new_count: int, feed: float, origin_e: float) -> int:
     """Return the row of this state: one of the last few, for prints go to and fro between feeds, or a new one."""
-    for row in range(told - 1, max(told - _RECENT, 0) - 1, -1):
+    for row in range(new_count - 1, max(new_count - _RECENT, 0) - 1, -1):
         if states[row, 0] == feed and states[row, 1] == origin_e:
             return row
-    states[told, 0], states[told, 1] = feed, origin_e
-    return told
+    states[new_count, 0], states[new_count, 1] = feed, origin_e
+    return new_count
 
 
 @njit(nogil=True, error_model="numpy")
@@ -353,6 +353,6 @@ class EventTable:
         events = [Event(*row) for row in passing]
         for number, effect in self.effects.items():
             line, move, _, frame, *_ = events[number]
-            own = effect.moves_itself, effect.returns, effect.raw
-            events[number] = Event(line, move, effect.kind, frame, effect.dwell_s, effect.touches_limits, *own)
+            flags = effect.moves_itself, effect.returns, effect.raw
+            events[number] = Event(line, move, effect.kind, frame, effect.dwell_s, effect.touches_limits, *flags)
         return events

@@ -132,7 +132,7 @@ _FORMS = (
 _LIKELY = re.compile(rb"; (?:est|model p|total e|Est|Calc|Sim)|;TIME|;PRINT|;Print|;   Build|M73 ")
 
 
-def _found(line: bytes) -> tuple[_Form, re.Match[bytes]] | None:
+def _matched(line: bytes) -> tuple[_Form, re.Match[bytes]] | None:
     if _LIKELY.match(line):
         for form in _FORMS:
             if match := form.pattern.fullmatch(line):
@@ -142,36 +142,36 @@ def _found(line: bytes) -> tuple[_Form, re.Match[bytes]] | None:
 
 def tells(line: bytes) -> Tells | None:
     """Which time a line tells; None for nearly all lines."""
-    found = _found(line)
-    return found[0].tells if found else None
+    hit = _matched(line)
+    return hit[0].tells if hit else None
 
 
 def slicer_time_s(lines: Iterable[bytes]) -> float | None:
     """Return the print time as the slicer states it, s; None when it does not."""
     for line in lines:
-        if (found := _found(line)) and found[0].tells is Tells.TOTAL:
-            return _seconds(found[1][2], found[0].bare_s)
+        if (hit := _matched(line)) and hit[0].tells is Tells.TOTAL:
+            return _seconds(hit[1][2], hit[0].bare_s)
     return None
 
 
-def time_told(line: bytes) -> bytes:
+def stated_time(line: bytes) -> bytes:
     """Return the time in a line that tells one, as it is written there."""
-    found = _found(line)
-    return found[1][2] if found else b""
+    hit = _matched(line)
+    return hit[1][2] if hit else b""
 
 
-def with_time(line: bytes, told: bytes) -> bytes:
+def with_time(line: bytes, time: bytes) -> bytes:
     """Return the same line with another time; a line that tells none comes back as it is."""
-    found = _found(line)
-    return found[1][1] + told + found[1][3] if found else line
+    hit = _matched(line)
+    return hit[1][1] + time + hit[1][3] if hit else line
 
 
 def retold(line: Timed, durations: Durations) -> bytes:
     """Return the line with the time as it is now; what is not known stays."""
-    found = _found(line)
-    if found is None:
+    hit = _matched(line)
+    if hit is None:
         return line
-    form, match = found
+    form, match = hit
     if form.tells is Tells.LEFT:
         return with_time(line, _progress(match[2], line.at_s, durations.total_s))
     known = {

@@ -70,9 +70,17 @@ def shifted(
     # named one by one: `_replace` takes twice as long, and every event of a file passes here a few times
     return [
         Event(
-            at + line, before + move, kind, own if frame is None else frame[own], dwell_s, limits, moves, returns, raw
+            at + line,
+            before + move,
+            kind,
+            at_frame if frame is None else frame[at_frame],
+            dwell_s,
+            limits,
+            moves,
+            returns,
+            raw,
         )
-        for at, before, kind, own, dwell_s, limits, moves, returns, raw in events
+        for at, before, kind, at_frame, dwell_s, limits, moves, returns, raw in events
     ]
 
 
@@ -155,11 +163,11 @@ MACHINE_LIMITS = MotionLimits()
 
 def limits_in_effect(program: Program, before: Mapping[bytes, bytes]) -> dict[bytes, bytes]:
     """Return the file's last command for each limit at the end of a program; `before`: at its beginning."""
-    said = dict(before)
+    commands = dict(before)
     for event in program.events:
         if event.touches_limits:
-            said |= limit_set_by(program.lines[event.line])
-    return said
+            commands |= limit_set_by(program.lines[event.line])
+    return commands
 
 
 def limit_set_by(line: bytes) -> dict[bytes, bytes]:

@@ -278,28 +278,28 @@ class _Reader:
     def _line(self, at: int) -> None:
         if self.lines[at] in self.known_limits and self._limits_as_before(at):
             return
-        said = commands(self.lines[at], self._number(at))
+        line_commands = commands(self.lines[at], self._number(at))
         if NUMBERED.match(self.lines[at]):
             rule = "a host that checks the numbers stops where moves have been replaced"
             self._warn("numbers", at, f"the line has a number, and lines of ffcomp have none; {rule}")
-        if len(said) > 1:
-            self._settings(at, said)
-        elif not said:
+        if len(line_commands) > 1:
+            self._settings(at, line_commands)
+        elif not line_commands:
             self._event(at, PASS)
-        elif said[0].name in MOTIONS or not said[0].name:
-            self._motion(at, said[0])
+        elif line_commands[0].name in MOTIONS or not line_commands[0].name:
+            self._motion(at, line_commands[0])
         else:
-            self._command(at, said[0])
+            self._command(at, line_commands[0])
 
-    def _settings(self, at: int, said: list[Command]) -> None:
+    def _settings(self, at: int, line_commands: list[Command]) -> None:
         """`G17 G21 G90` on one line: RepRapFirmware obeys all, Klipper and Marlin only the first.
 
         A move among them could not be replaced without losing the rest, so it goes out as it is.
         """
-        names = [command.name for command in said]
+        names = [command.name for command in line_commands]
         self._warn("several", at, f"{' '.join(names)} share a line, of which Klipper and Marlin obey only the first")
         self.modes = None
-        obeyed = said if self.modal.flavor == REPRAPFIRMWARE else said[:1]
+        obeyed = line_commands if self.modal.flavor == REPRAPFIRMWARE else line_commands[:1]
         if SETTINGS.issuperset(command.name for command in obeyed):
             for command in obeyed:
                 apply(self.modal, command)
@@ -314,16 +314,16 @@ class _Reader:
     def _limits_as_before(self, at: int) -> bool:
         """Follow a line that sets limits, if it has been met under the same ones: slicers alternate between few."""
         modal = self.modal
-        known = self.known_limits[self.lines[at]].get((modal.own, modal.caps, modal.unit))
+        known = self.known_limits[self.lines[at]].get((modal.requested, modal.caps, modal.unit))
         if known is not None:
-            modal.own, modal.caps, modal.limits = known
+            modal.requested, modal.caps, modal.limits = known
             self._settle_limits()
             self._event(at, LIMITS)
         return known is not None
 
     def _command(self, at: int, command: Command) -> None:
         self.modes = None
-        before, limits_before = self.modal.position[:], (self.modal.own, self.modal.caps, self.modal.unit)
+        before, limits_before = self.modal.position[:], (self.modal.requested, self.modal.caps, self.modal.unit)
         effect = apply(self.modal, command)
         if effect.warning:
             self._warn(command.name, at, effect.warning)
@@ -334,7 +334,7 @@ class _Reader:
             self.lost = self._number(at), command.name
             self.moves.jumps[self.moves.count] = self.modal.position[:]
         if effect is LIMITS:
-            limits_after = self.modal.own, self.modal.caps, self.modal.limits
+            limits_after = self.modal.requested, self.modal.caps, self.modal.limits
             self.known_limits.setdefault(self.lines[at], {})[limits_before] = limits_after
         self._settle()
         self._event(at, effect)
@@ -404,10 +404,10 @@ class _Reader:
         for letter in words:
             if letter not in _MOTION_WORDS[motion] and letter not in _IGNORED_WORDS:
                 rule = f"a move has the words {' '.join(_MOTION_WORDS[motion])}"
-                said = f"{motion} has the word {letter}{words[letter]:g}"
+                problem = f"{motion} has the word {letter}{words[letter]:g}"
                 if letter in _FOLLOWED_BY_NOBODY:
-                    raise GcodeError(f"{said}; {rule}.", self._number(at))
-                self._warn(motion + letter, at, f"{said}, which no firmware heeds; {rule}")
+                    raise GcodeError(f"{problem}; {rule}.", self._number(at))
+                self._warn(motion + letter, at, f"{problem}, which no firmware heeds; {rule}")
 
     def _travel(self, at: int, end: Vector4, arc: Arc | None) -> None:
         start = self.modal.position

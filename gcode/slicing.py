@@ -27,14 +27,16 @@ def excerpt(program: Program, first: int, last: int | None = None) -> Program:
     begin = int(moves.line[first]) if first else 0
     end = max(int(moves.line[last]), int(moves.line[last - 1]) + 1) if last < len(moves) else len(program.lines)
     a, b = (bisect_left(program.events, line, key=by_line) for line in (begin, end))
-    own, events = some(moves, slice(first, last)), program.events[a:b]
-    used = list(dict.fromkeys([_frame_before(program, first, a), *own.frame.tolist(), *(e.frame for e in events)]))
+    moves_within, events = some(moves, slice(first, last)), program.events[a:b]
+    used = list(
+        dict.fromkeys([_frame_before(program, first, a), *moves_within.frame.tolist(), *(e.frame for e in events)])
+    )
     number = {frame: k for k, frame in enumerate(used)}
-    frame = np.array([number[each] for each in own.frame.tolist()], dtype=np.int64)
+    frame = np.array([number[each] for each in moves_within.frame.tolist()], dtype=np.int64)
     return replace(
         program,
         lines=program.lines[begin:end],
-        moves=replace(own, line=own.line - begin, frame=frame),
+        moves=replace(moves_within, line=moves_within.line - begin, frame=frame),
         events=shifted(events, -begin, -first, number),
         frames=[program.frames[each] for each in used] if program.frames else [],  # where they do not matter
         first_line=program.first_line + begin,
@@ -63,10 +65,10 @@ def shortened(program: Program, start: FloatArray | None, end: FloatArray | None
 def join(first: Program, second: Program) -> Program:
     """One program of two, the second of which begins where the first ends."""
     lines, moves, frames = len(first.lines), len(first.moves), len(first.frames)
-    own = second.moves
-    own = replace(own, line=own.line + lines, frame=own.frame + frames)
+    later_moves = second.moves
+    later_moves = replace(later_moves, line=later_moves.line + lines, frame=later_moves.frame + frames)
     columns = (each.name for each in fields(Moves))
-    both = Moves(**{name: np.concatenate([getattr(first.moves, name), getattr(own, name)]) for name in columns})
+    both = Moves(**{name: np.concatenate([getattr(first.moves, name), getattr(later_moves, name)]) for name in columns})
     numbers = range(frames, frames + len(second.frames)) if second.frames else None  # where they do not matter
     later = shifted(second.events, lines, moves, numbers)
     return replace(
@@ -93,10 +95,10 @@ def part(program: Program, first: int, last: int) -> Program:
     begin = int(moves.line[first])
     end = int(moves.line[last]) if last < len(moves) else len(program.lines)
     columns = {each.name: getattr(moves, each.name)[first:last] for each in fields(Moves)}
-    own = Moves(**{**columns, "line": columns["line"] - begin})
+    moves_within = Moves(**{**columns, "line": columns["line"] - begin})
     events = shifted((event for event in program.events if begin <= event.line < end), -begin, -first)
     lines, first_line = program.lines[begin:end], program.first_line + begin
-    return replace(program, lines=lines, moves=own, events=events, first_line=first_line)
+    return replace(program, lines=lines, moves=moves_within, events=events, first_line=first_line)
 
 
 def preamble(program: Program, move: int) -> bytes:
@@ -131,7 +133,7 @@ def passed_through(program: Program, which: NDArray[np.bool_], reason: str) -> P
         return program
     gone = np.isin(moves.line, moves.line[which])
     before = np.concatenate([[0], np.cumsum(~gone)])  # moves that stay before each one
-    passing = [_event(program, own, int(before[own[0]]), reason) for own in _lines_of(moves, gone)]
+    passing = [_event(program, numbers, int(before[numbers[0]]), reason) for numbers in _lines_of(moves, gone)]
     staying = [event._replace(move=int(before[event.move])) for event in program.events]
     left = Moves(**{each.name: getattr(moves, each.name)[~gone] for each in fields(Moves)})
     return replace(program, moves=left, events=sorted([*staying, *passing], key=lambda event: event.line))
@@ -143,14 +145,14 @@ def _lines_of(moves: Moves, gone: NDArray[np.bool_]) -> list[IntArray]:
     return np.split(numbers, np.flatnonzero(np.diff(moves.line[numbers])) + 1)
 
 
-def _event(program: Program, own: IntArray, before: int, reason: str) -> Event:
+def _event(program: Program, numbers: IntArray, before: int, reason: str) -> Event:
     moves = program.moves
-    first, last = int(own[0]), int(own[-1])
+    first, last = int(numbers[0]), int(numbers[-1])
     start, end = moves.start[first], moves.end[last]
     raw = RawMove(
         tuple(start.tolist()),
         tuple(end.tolist()),
-        path_mm=float(np.sqrt(((moves.end[own] - moves.start[own])[:, :3] ** 2).sum(axis=1)).sum()),
+        path_mm=float(np.sqrt(((moves.end[numbers] - moves.start[numbers])[:, :3] ** 2).sum(axis=1)).sum()),
         filament_mm=float(end[3] - start[3]),
         speed=float(moves.speed[first]),
         velocity_limit=float(moves.velocity_limit[first]),

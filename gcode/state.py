@@ -63,7 +63,7 @@ class Modal:
     tool: str = ""
     flavor: str = "klipper"
     limits: MotionLimits = MACHINE_LIMITS
-    own: MotionLimits = MACHINE_LIMITS  # asked for by the file, before `caps`
+    requested: MotionLimits = MACHINE_LIMITS  # asked for by the file, before `caps`
     caps: MotionLimits = MACHINE_LIMITS  # M201 and M203 of Marlin and RepRapFirmware
     saved: dict[str, Saved] = field(default_factory=dict)
     returns: frozenset[str] = frozenset()  # macros that come back, besides those of gcode.commands
@@ -217,12 +217,12 @@ class Modal:
 
     def set_limits(self, **changes: float) -> None:
         """Limits the file asks for; `caps` still bound them."""
-        self.own = replace(self.own, **changes)
+        self.requested = replace(self.requested, **changes)
         self._bound()
 
     def reset_limits(self) -> None:
         """Take back the limits that the file has asked for."""
-        self.own = MACHINE_LIMITS
+        self.requested = MACHINE_LIMITS
         self._bound()
 
     def set_caps(self, **changes: float) -> None:
@@ -231,10 +231,10 @@ class Modal:
         self._bound()
 
     def _bound(self) -> None:
-        velocity = _smaller(self.own.velocity, self.caps.velocity)
-        acceleration = _smaller(self.own.acceleration, self.caps.acceleration)
-        travel = _smaller(self.own.travel_acceleration, self.caps.acceleration)
-        self.limits = replace(self.own, velocity=velocity, acceleration=acceleration, travel_acceleration=travel)
+        velocity = _smaller(self.requested.velocity, self.caps.velocity)
+        acceleration = _smaller(self.requested.acceleration, self.caps.acceleration)
+        travel = _smaller(self.requested.travel_acceleration, self.caps.acceleration)
+        self.limits = replace(self.requested, velocity=velocity, acceleration=acceleration, travel_acceleration=travel)
 
 
 def _smaller(a: float, b: float) -> float:

@@ -48,8 +48,8 @@ class Command:
 
         For commands that only set something: the firmware knows what their other words mean, and no move depends on it.
         """
-        found = _LOOSE_WORD.findall(without_round_comments(self.args))
-        values = {letter.decode().upper(): float(number) for letter, number in found}
+        pairs = _LOOSE_WORD.findall(without_round_comments(self.args))
+        values = {letter.decode().upper(): float(number) for letter, number in pairs}
         return {letter: value for letter, value in values.items() if abs(value) <= LARGEST_NUMBER}
 
     def letters(self) -> set[str]:

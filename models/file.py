@@ -21,7 +21,8 @@ from typing import Any
 import numpy as np
 import tomlkit
 
-from models.effects.catalogue import key_in_file
+from models.arrays import FloatArray
+from models.effects.catalogue import design_machine, key_in_file
 from models.errors import MachineFileError
 from models.finding import LIBRARY as LIBRARY
 from models.finding import machine_paths as machine_paths
@@ -139,12 +140,12 @@ class Entry:
 def entries(path: Path) -> list[Entry]:
     """Every value that describes the machine, defaults included, in the order of the file format."""
     document = _parsed(path.read_bytes(), str(path))
-    given = dict(_flat(document.model_dump(exclude_unset=True)))
+    stated = dict(_flat(document.model_dump(exclude_unset=True)))
     values = _flat(document.model_dump(exclude={"format", "name", "uncertainty", "provenance"}))
 
     def entry(key: str, value: Any) -> Entry:
         written = _as_written(key, document.per_kilogram)
-        origin = str(document.provenance.get(written, "")) if key in given else "default"
+        origin = str(document.provenance.get(written, "")) if key in stated else "default"
         return Entry(written, value, unit_of(key), origin)
 
     return [entry(key, value) for key, value in values if value is not None]
@@ -266,6 +267,6 @@ def mode_changes(old: Machine, new: Machine) -> FloatArray:
     -------
     (k, 2) Hz, columns old and new; k = 6 unless a mode is overdamped in one of them.
     """
-    found = [design_machine(machine)[0].vibration.modes_at(np.zeros(2)).frequencies_hz for machine in (old, new)]
-    count = min(map(len, found))
-    return np.stack([each[:count] for each in found], axis=1)
+    frequencies = [design_machine(machine)[0].vibration.modes_at(np.zeros(2)).frequencies_hz for machine in (old, new)]
+    count = min(map(len, frequencies))
+    return np.stack([each[:count] for each in frequencies], axis=1)

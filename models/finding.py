@@ -17,8 +17,8 @@ def user_folder() -> Path:
 
 def machine_paths() -> dict[str, Path]:
     """Every machine that can be asked for by name, in alphabetical order."""
-    found = {path.stem: path for folder in (LIBRARY, user_folder()) for path in folder.glob("*.toml")}
-    return dict(sorted(found.items()))
+    paths = {path.stem: path for folder in (LIBRARY, user_folder()) for path in folder.glob("*.toml")}
+    return dict(sorted(paths.items()))
 
 
 def glance(path: Path) -> tuple[str | None, str | None]:

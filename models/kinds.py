@@ -31,10 +31,9 @@ def delta_vibration(machine: Machine) -> DeltaVibration:
 
 def with_parts(machine: Machine, *, carriage: Carriage | None = None, effector: Effector | None = None) -> Machine:
     """Return the machine with another carriage or another effector; MachineFileError for a machine without them."""
-    own = delta_vibration(machine)
-    return replace(
-        machine, vibration=replace(own, carriage=carriage or own.carriage, effector=effector or own.effector)
-    )
+    vibration = delta_vibration(machine)
+    parts = replace(vibration, carriage=carriage or vibration.carriage, effector=effector or vibration.effector)
+    return replace(machine, vibration=parts)
 
 
 def is_one_axis(machine: Machine) -> bool:

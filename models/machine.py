@@ -17,10 +17,8 @@ from typing import Any
 import numpy as np
 
 from models.arrays import FloatArray, constant
-from models.errors import MachineFileError
 from models.kinematics.base import Kinematics
 from models.vibration.base import VibrationModel
-from models.vibration.delta import Carriage, DeltaVibration, Effector
 
 REFERENCE_MM_PER_S = 2.0  # of filament 1.75 mm thick: 4.8 mm³/s, an ordinary print
 CORNER_MM_PER_S = 1.0  # as Klipper's `instantaneous_corner_velocity` where its configuration says nothing
@@ -197,7 +195,7 @@ def assumed_modes(machine: Machine) -> str | None:
     part = "" if len(assumed) == len(keys) else f" in part ({', '.join(assumed)})"
     return (
         f"The modes of {name} are assumed{part}, not measured, so how much less your printer vibrates is not known: "
-        "measure yours with `ffcomp identify plan`, then `ffcomp identify fit`."
+        "measure yours with `ffcomp record plan --for identify`, then `ffcomp identify fit`."
     )
 
 
@@ -210,25 +208,3 @@ def sources(machine: Machine) -> dict[str, str]:
 def identity(machine: Machine) -> dict[str, str | None]:
     """Return the machine as every JSON object names it."""
     return {"name": machine.name, "sha256": machine.sha256, "assumed": assumed_modes(machine)}
-
-
-def delta_vibration(machine: Machine) -> DeltaVibration:
-    """Return the machine's carriages and effector.
-
-    Raises
-    ------
-    MachineFileError
-        If the machine's vibrations are told otherwise.
-    """
-    if not isinstance(machine.vibration, DeltaVibration):
-        rule = "The machine is no delta (kinematics.type), and this works for deltas only."
-        raise MachineFileError(machine.path or machine.name, [rule])
-    return machine.vibration
-
-
-def with_parts(machine: Machine, *, carriage: Carriage | None = None, effector: Effector | None = None) -> Machine:
-    """Return the machine with another carriage or another effector; MachineFileError for a machine without them."""
-    own = delta_vibration(machine)
-    return replace(
-        machine, vibration=replace(own, carriage=carriage or own.carriage, effector=effector or own.effector)
-    )

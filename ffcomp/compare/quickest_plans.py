@@ -21,6 +21,7 @@ from ffcomp.faster.program import actuator_limit_s, faster_program
 from ffcomp.faster.raised_limits import RaisedLimits, raised_limits
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.settings import Settings
+from ffcomp.planner.limits import planner_limits
 from ffcomp.planner.lookahead import stops_and_waits
 from ffcomp.planner.program import plan_program
 from ffcomp.planner.trajectory import PlannedMotion

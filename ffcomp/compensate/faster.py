@@ -52,7 +52,7 @@ def faster_chunk(chunk: Chunk, bound: Bound, model: InverseModel, smooth: bool) 
 
     So the chunks on both sides of a cut find the same plan there, each by itself.
     """
-    program, machine = chunk.program, model.given
+    program, machine = chunk.program, model.full_machine
     slicers = firmware_plan(program, machine)
     near = _near_cuts(chunk, slicers)
     quicker = faster_program(program, model, bound, chunk.layers, chunk.feature, near)

@@ -38,6 +38,7 @@ from ffcomp.inverse.time_scaling import TimeScaling, scale_around_cut
 from ffcomp.planner.limits import known_to_the_firmware, lines_of, planner_limits
 from ffcomp.planner.program import firmware_plan, plan_section
 from ffcomp.planner.reach import OutOfReach, Reach
+from ffcomp.planner.trajectory import PathPosition
 from ffcomp.steps.motion import MotionSink
 from ffcomp.steps.sink import Board, StepSink
 from ffcomp.version import __version__

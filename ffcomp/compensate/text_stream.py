@@ -14,7 +14,7 @@ from typing import IO, Generic, TypeVar
 
 from gcode.dialects import shaper_off
 from gcode.embedded import OURS, TIME_WAS
-from gcode.metadata import Durations, Tells, Timed, retold, tells, time_told
+from gcode.metadata import Durations, Tells, Timed, retold, stated_time, tells
 
 T = TypeVar("T")
 
@@ -87,7 +87,7 @@ def _read(held: IO[bytes], size: int) -> Iterator[bytes]:
 def _retold(line: Timed, durations: Durations, embed: bool) -> bytes:
     new = retold(line, durations)
     ending = line[len(line.rstrip(b"\r\n")) :] or b"\n"
-    return new if new == line or not embed else TIME_WAS + time_told(line) + ending + new
+    return new if new == line or not embed else TIME_WAS + stated_time(line) + ending + new
 
 
 def with_shaper_off(pieces: Iterator[bytes], flavor: str) -> Iterator[bytes]:

@@ -16,7 +16,7 @@ from ffcomp.planner.reach import Reach, check_moves
 from ffcomp.planner.trajectory import PlannedMotion
 from gcode.container import Source, blocks_of, ends_of
 from gcode.dialects import MARLIN, choose_flavor, sign_by_ends
-from gcode.embedded import original_blocks
+from gcode.embedded import Stamp, find_offset, find_stamp, holds_original, original_blocks
 from gcode.program import Program
 from gcode.reader import read_parts
 from models.arrays import FloatArray

@@ -148,7 +148,7 @@ def forecast_error(
     the moments (m,) s; across the path, the file's printer's error (m,) mm, and its changes (k, m, 3) mm in the
     directions of the parameters
     """
-    margin, row_s = sensitivity.care.margin, sensitivity.row_s
+    margin, row_s = sensitivity.solver.margin, sensitivity.row_s
     n = int(np.ceil((end_t - begin_t + TAIL_S) / row_s))
     t = begin_t + row_s * np.arange(-margin, n + margin, dtype=np.float64)
     nozzle, velocity = plan.motion_within(t, begin_t, end_t)
@@ -159,7 +159,7 @@ def forecast_error(
 
 def _tracking_error(sensitivity: Sensitivity, nozzle: FloatArray, n: int) -> ShortArray:
     """Return D r − r (1 + k, n, 3) mm of a path (n + 2 margin, 3) mm."""
-    margin = sensitivity.care.margin
+    margin = sensitivity.solver.margin
     step = SPANS[-1] - 2 * margin
     parts = []
     for first in range(0, n, step):

@@ -44,12 +44,12 @@ class CommandLimits:
     @classmethod
     def of(cls, machine: Machine, segment_s: float) -> CommandLimits:
         """Read the limits of a machine; a step rate is a velocity."""
-        own, geometry = machine.limits, machine.kinematics
-        by_steps = np.inf if own.step_rate_hz is None else own.step_rate_hz / machine.steps.per_motor
+        limits, geometry = machine.limits, machine.kinematics
+        by_steps = np.inf if limits.step_rate_hz is None else limits.step_rate_hz / machine.steps.per_motor
         return cls(
-            np.minimum(own.carriage_velocity_mm_per_s, np.broadcast_to(by_steps, 3)),
-            own.carriage_acceleration_mm_per_s2,
-            own.carriage_travel_mm or (-np.inf, np.inf),
+            np.minimum(limits.carriage_velocity_mm_per_s, np.broadcast_to(by_steps, 3)),
+            limits.carriage_acceleration_mm_per_s2,
+            limits.carriage_travel_mm or (-np.inf, np.inf),
             segment_s,
             np.ascontiguousarray(geometry.motor_rows),
             geometry.motors,

@@ -29,9 +29,9 @@ MOST = 24  # files; the least recently used are deleted
 PACKAGES = ("ffcomp/inverse", "models")  # whose code computes the arrays
 
 
-def name_of(*given: object) -> str:
+def name_of(*inputs: object) -> str:
     """Return the name of the cache file for results of these inputs."""
-    return sha256(pickle.dumps(given) + _code()).hexdigest()[:32]
+    return sha256(pickle.dumps(inputs) + _code()).hexdigest()[:32]
 
 
 def load(name: str) -> Arrays:
@@ -39,11 +39,11 @@ def load(name: str) -> Arrays:
     file = cache_folder() / f"{name}.npz"
     try:
         with file.open("rb") as content, np.load(content, allow_pickle=False) as arrays:
-            found = {each: arrays[each] for each in arrays.files}
+            loaded = {each: arrays[each] for each in arrays.files}
         os.utime(file)
     except (OSError, ValueError, KeyError, EOFError, BadZipFile, zlib.error):
         return {}
-    return found
+    return loaded
 
 
 def save(name: str, arrays: Arrays) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,7 +13,7 @@ from ffcomp.inverse.reference import Reference
 from ffcomp.inverse.riccati import PreviewGains
 from ffcomp.inverse.robust import RobustReference
 from ffcomp.inverse.sensitivity import FULL, QUICK, Sensitivity
-from ffcomp.inverse.settings import Settings, effort_weight
+from ffcomp.inverse.settings import Settings, control_weight_at
 from ffcomp.planner.segment_timing import sample_even_segments
 from models.arrays import FloatArray
 from models.effects.catalogue import design_machine, without_effects
@@ -30,10 +29,6 @@ from models.vibration.scheduled import (
     table_positions,
 )
 from models.vibration.state_space import DiscretePlant
-
-if TYPE_CHECKING:
-    from ffcomp.inverse.model import InverseModel
-
 
 CONTEXT = 4  # segments before a window that decide how fast it is entered
 
@@ -67,8 +62,8 @@ class KnotWindow:
         self._stride = s.substeps // s.rows_per_segment
         self._due = self.nozzle[self._stride :: self._stride].copy()  # at the rows that are weighed
         first = at * s.rows_per_segment
-        own = iterate.robust_offset[first : first + len(self._due)]
-        self._due[: len(own)] += own
+        offset = iterate.robust_offset[first : first + len(self._due)]
+        self._due[: len(offset)] += offset
 
     def vertices(self) -> FloatArray:
         """Return the nozzle commands at the knots, (n + 1, 3) mm."""
@@ -113,12 +108,12 @@ GEOMETRY = "arm_geometry"  # a delta is calibrated, not compensated: at rest the
 class InverseModel:
     """What a machine's inverse needs, computed once and only where it is needed: tables, gains, weights, limits."""
 
-    given: Machine  # with the effects that its file lists
+    full_machine: Machine  # with the effects that its file lists
     settings: Settings
 
     @cached_property
     def _design(self) -> tuple[Machine, tuple[str, ...]]:
-        return design_machine(self.given)
+        return design_machine(self.full_machine)
 
     @property
     def machine(self) -> Machine:
@@ -133,7 +128,7 @@ class InverseModel:
     @cached_property
     def printer(self) -> Machine | None:
         """The nonlinear printer, where the linear model cannot hold its effects; its firmware's geometry stays."""
-        return without_effects(self.given, GEOMETRY) if len(self._design[1]) > len(self.not_modelled) else None
+        return without_effects(self.full_machine, GEOMETRY) if len(self._design[1]) > len(self.not_modelled) else None
 
     @cached_property
     def kinematics(self) -> Compiled:
@@ -151,10 +146,10 @@ class InverseModel:
         return self._table("coarse", self.settings.rows_per_segment)
 
     @cached_property
-    def effort(self) -> float:
+    def control_weight(self) -> float:
         """The weight ρ of the command's second differences."""
         s = self.settings
-        return effort_weight(self.machine, s.bandwidth_hz, s.segment_s, s.rows_per_segment)
+        return control_weight_at(self.machine, s.bandwidth_hz, s.segment_s, s.rows_per_segment)
 
     @cached_property
     def delay_s(self) -> float:
@@ -171,7 +166,7 @@ class InverseModel:
         """The gains of the preview inverse."""
         reach = self.machine.kinematics.model_reach_mm
         states = self.row_table.plant.a.shape[1]
-        gains = PreviewGains(self._plant_at, states, reach, self.settings.rows_per_segment, self.effort)
+        gains = PreviewGains(self._plant_at, states, reach, self.settings.rows_per_segment, self.control_weight)
         if self._cache.arrays:
             gains.take_up(self._cache.arrays)
         return gains
@@ -227,7 +222,7 @@ class InverseModel:
     @cached_property
     def plain(self) -> InverseModel:
         """The inverse with the path itself as its reference; what both need is held once."""
-        other = InverseModel(self.given, replace(self.settings, robust=False))
+        other = InverseModel(self.full_machine, replace(self.settings, robust=False))
         shared = {name: getattr(self, name) for name in ("_design", "_cache", "gains", "plant", "_compliance")}
         other.__dict__.update(shared)
         return other
@@ -235,8 +230,8 @@ class InverseModel:
     @cached_property
     def _robust(self) -> RobustReference:
         s = self.settings
-        row_s, care = s.segment_s / s.rows_per_segment, QUICK if s.robust_quickly else FULL
-        return RobustReference(self.machine, row_s, s.bandwidth_hz, self.effort, care)
+        row_s, solver = s.segment_s / s.rows_per_segment, QUICK if s.robust_quickly else FULL
+        return RobustReference(self.machine, row_s, s.bandwidth_hz, self.control_weight, solver)
 
     @cached_property
     def sensitivity(self) -> Sensitivity:
@@ -244,14 +239,14 @@ class InverseModel:
         s = self.settings
         if s.robust and s.robust_quickly:
             return self._robust.sensitivity
-        return Sensitivity(self.machine, s.segment_s / s.rows_per_segment, s.bandwidth_hz, self.effort, QUICK)
+        return Sensitivity(self.machine, s.segment_s / s.rows_per_segment, s.bandwidth_hz, self.control_weight, QUICK)
 
     def robust_offset(self, reference: Reference) -> FloatArray:
         """Return the offset of the robust reference from the path, (rows, 3) mm; empty where it is not used."""
         s = self.settings
         if not s.robust or not np.any(self.machine.vibration.parameters().relative_sd(self.machine.uncertainty)):
             return np.empty((0, 3))
-        margin = self._robust.care.margin
+        margin = self._robust.solver.margin
         rows = np.arange(1 - margin, reference.knots * s.rows_per_segment + 1 + margin, dtype=np.float64)
         t = reference.t0 + rows * s.segment_s / s.rows_per_segment
         return self._robust.offset(reference.nozzle(t), reference.moving(t))

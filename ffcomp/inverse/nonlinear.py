@@ -114,10 +114,10 @@ class FrictionBacklash:
         """
         answer = _Answer(self._model, iterate)
         e = self._beyond(answer.q, stretch)
-        asked = answer.of(self._belts, e - e[0], self._undriven.equilibrium(answer.nozzle[0]))
+        demand = answer.of(self._belts, e - e[0], self._undriven.equilibrium(answer.nozzle[0]))
         begin, gamma = self._model.machine.equilibrium(answer.nozzle[0]), np.zeros_like(iterate.gamma)
         for _ in range(SWEEPS):
-            left = asked - answer.of(self._model.plant, answer.along(gamma), begin)
+            left = demand - answer.of(self._model.plant, answer.along(gamma), begin)
             gamma += answer.sweep(left)
         return gamma
 
@@ -339,9 +339,9 @@ def _change(each: _Round, gamma: FloatArray, change: FloatArray) -> None:
     iterate = each.iterate
     for _ in range(SMOOTHINGS):
         iterate.gamma[:] = gamma + change
-        asked = utilisation_from_rest(_vertices(iterate, iterate.gamma), iterate.model.limits).max(axis=(1, 2))
+        demand = utilisation_from_rest(_vertices(iterate, iterate.gamma), iterate.model.limits).max(axis=(1, 2))
         beyond = np.zeros((len(gamma), 1))
-        beyond[: iterate.last + 1, 0] = np.maximum(asked[:-1], asked[1:]) > each.most
+        beyond[: iterate.last + 1, 0] = np.maximum(demand[:-1], demand[1:]) > each.most
         if not beyond.any():
             return
         near = around(np.ceil(around(beyond, NEAR)), NEAR)

@@ -127,16 +127,16 @@ def _sweep_back(
     of_state: tuple[int, ...],
 ) -> Float32Array:
     n, g, first = len(node), len(steady), len(of_state)
-    psi, s, given = np.empty((n, 3), np.float32), np.zeros(len(rows), np.float32), np.empty((1, 9), np.float32)
+    psi, s, inputs = np.empty((n, 3), np.float32), np.zeros(len(rows), np.float32), np.empty((1, 9), np.float32)
     for k in range(n - 1, -1, -1):
         for r in range(6):
-            given[0, r] = error[k, r]
+            inputs[0, r] = error[k, r]
         for r in range(3):
-            given[0, 6 + r] = gamma[k + 2, r] - 2 * gamma[k + 1, r] + gamma[k, r]
+            inputs[0, 6 + r] = gamma[k + 2, r] - 2 * gamma[k + 1, r] + gamma[k, r]
         if node[k] < g:
-            _back(rows, of_state, steady, node[k], s, given, 0)
+            _back(rows, of_state, steady, node[k], s, inputs, 0)
         else:
-            _back(rows, of_state, ending, node[k] - g, s, given, 0)
+            _back(rows, of_state, ending, node[k] - g, s, inputs, 0)
         for r in range(3):
             psi[k, r] = s[first + r]
     return psi
@@ -169,7 +169,7 @@ def _sweep_forward(
 
 @njit(cache=True, nogil=True)
 def riccati_backwards(
-    interval: FloatArray, effort: float, resting: int, feedback: FloatArray, preview: FloatArray
+    interval: FloatArray, control_weight: float, resting: int, feedback: FloatArray, preview: FloatArray
 ) -> None:
     """Solve the finite problem of `riccati`, from its end on backwards: F and the rows of ψ for every interval.
 
@@ -178,7 +178,7 @@ def riccati_backwards(
     """
     rows, state = interval.shape[0], interval.shape[1] - 3
     both = state + 3
-    value, weighed, worth = np.zeros((state, state)), np.empty_like(interval), np.empty((both, both))
+    value, weighed, value_matrix = np.zeros((state, state)), np.empty_like(interval), np.empty((both, both))
     for k in range(len(feedback) - 1, -1, -1):
         # what the interval's end and its rows cost, as a form of (z, w)
         for i in range(rows):
@@ -188,31 +188,33 @@ def riccati_backwards(
             for m in range(state):
                 for j in range(both):
                     weighed[i, j] += value[i, m] * interval[m, j]
-        worth[:] = 0.0
+        value_matrix[:] = 0.0
         for m in range(rows):
             for i in range(both):
                 for j in range(both):
-                    worth[i, j] += interval[m, i] * weighed[m, j]
+                    value_matrix[i, j] += interval[m, i] * weighed[m, j]
         for i in range(state, both):
-            worth[i, i] += effort
+            value_matrix[i, i] += control_weight
         if k < len(feedback) - resting:
-            _best_of(worth, interval, effort, feedback[k], preview[k])
+            _best_of(value_matrix, interval, control_weight, feedback[k], preview[k])
         for i in range(state):
             for j in range(state):
-                left = worth[i, j]
+                left = value_matrix[i, j]
                 for r in range(3):
-                    ahead = worth[state + r, j]
+                    ahead = value_matrix[state + r, j]
                     for q in range(3):
-                        ahead -= worth[state + r, state + q] * feedback[k, q, j]
-                    left -= worth[i, state + r] * feedback[k, r, j] + feedback[k, r, i] * ahead
+                        ahead -= value_matrix[state + r, state + q] * feedback[k, q, j]
+                    left -= value_matrix[i, state + r] * feedback[k, r, j] + feedback[k, r, i] * ahead
                 value[i, j] = left
 
 
 @njit(cache=True, nogil=True)
-def _best_of(worth: FloatArray, interval: FloatArray, effort: float, f: FloatArray, preview: FloatArray) -> None:
+def _best_of(
+    value_matrix: FloatArray, interval: FloatArray, control_weight: float, f: FloatArray, preview: FloatArray
+) -> None:
     """Find F (3, N) and the rows of ψ (3, N + 9) for which a form (N + 3, N + 3) of (z, w) is least."""
-    state = len(worth) - 3
-    r = worth[state:, state:]
+    state = len(value_matrix) - 3
+    r = value_matrix[state:, state:]
     inverse, determinant = np.empty((3, 3)), 0.0
     for i in range(3):
         for j in range(3):
@@ -223,10 +225,10 @@ def _best_of(worth: FloatArray, interval: FloatArray, effort: float, f: FloatArr
         for q in range(3):
             share = inverse[i, q] / determinant
             for j in range(state):
-                f[i, j] += share * worth[state + q, j]
+                f[i, j] += share * value_matrix[state + q, j]
             for j in range(len(interval)):
                 preview[i, j] += share * interval[j, state + q]
-            preview[i, len(interval) + q] = -effort * share
+            preview[i, len(interval) + q] = -control_weight * share
 
 
 PlantAt = Callable[[FloatArray], tuple[DiscretePlant, FloatArray]]  # places (g, 2) mm -> plant, jacobian (g, 3, 3)
@@ -292,8 +294,10 @@ def no_gains(size: int, positions: int = 0) -> Gains:
 class PreviewGains:
     """The gains of one machine over its bed, worked out for the nodes that a path comes by."""
 
-    def __init__(self, plant_at: PlantAt, states: int, reach_mm: float, rows_per_segment: int, effort: float) -> None:
-        self._plant_at, self._rows, self.effort = plant_at, rows_per_segment, effort
+    def __init__(
+        self, plant_at: PlantAt, states: int, reach_mm: float, rows_per_segment: int, control_weight: float
+    ) -> None:
+        self._plant_at, self._rows, self.control_weight = plant_at, rows_per_segment, control_weight
         self._half = int(np.ceil(reach_mm / PITCH_MM)) + (reach_mm > 0.0)
         self._node = np.empty(0, dtype=np.int64)  # of each slot
         self._slot = np.full((2 * self._half + 1) ** 2, -1)  # where in the arrays a node's gains are; -1: nowhere yet
@@ -317,7 +321,7 @@ class PreviewGains:
 
     def _work_out(self, node: IntArray) -> None:
         problem = self.problem(node)
-        self._add(node, _gains(problem, _riccati(problem, self.effort), self.effort))
+        self._add(node, _gains(problem, _riccati(problem, self.control_weight), self.control_weight))
 
     def problem(self, node: IntArray) -> Problem:
         """Return the problem that is solved at nodes (g,) of the grid."""
@@ -325,11 +329,11 @@ class PreviewGains:
         xy = PITCH_MM * (np.stack([node // across, node % across], axis=1) - self._half).astype(np.float64)
         return _problem(*self._plant_at(xy), self._rows)
 
-    def _add(self, node: IntArray, found: Gains) -> None:
+    def _add(self, node: IntArray, gains: Gains) -> None:
         known, now = len(self._node), len(self._node) + len(node)
         self._node = np.concatenate([self._node, node])
         self._steady = self._steady.with_room(now)
-        self._steady.backward[known:now], self._steady.forward[known:now] = found.backward, found.forward
+        self._steady.backward[known:now], self._steady.forward[known:now] = gains.backward, gains.forward
         self._slot[node] = np.arange(known, now)
 
     def __len__(self) -> int:
@@ -357,10 +361,10 @@ class PreviewGains:
             if slot in self._ends:
                 self._ends.move_to_end(slot)
                 return self._ends[slot]
-            found = self._ends[slot] = self._finite(self.problem(self._node[slot : slot + 1]))
+            gains = self._ends[slot] = self._finite(self.problem(self._node[slot : slot + 1]))
             if len(self._ends) > ENDS_KEPT:
                 self._ends.popitem(last=False)
-            return found
+            return gains
 
     def _finite(self, p: Problem) -> Gains:
         """From the end on backwards: where the command rests already, then where it still has a choice."""
@@ -370,23 +374,23 @@ class PreviewGains:
         rests = feedback[TO_THE_END - 1 :]  # γ_{k+1} = 0: w = −2 γ_k + γ_{k−1}
         rests[:, :, states : states + AXES], rests[:, :, states + AXES :] = 2 * np.eye(AXES), -np.eye(AXES)
         interval = np.block([[p.a[0], p.b[0]], [p.c[0], p.d[0]]])
-        riccati_backwards(interval, self.effort, len(rests), feedback, preview)
-        return _packed(p, feedback, preview, self.effort)
+        riccati_backwards(interval, self.control_weight, len(rests), feedback, preview)
+        return _packed(p, feedback, preview, self.control_weight)
 
 
 def _problem(p: DiscretePlant, jacobian: FloatArray, rows: int) -> Problem:
     """Build the interval of `rows` steps of the plant, at all of its positions; jacobian (g, 3, 3)."""
-    g, own = p.a.shape[:2]
-    size = augmented(own)
+    g, plant_states = p.a.shape[:2]
+    size = augmented(plant_states)
     states = size - 2 * AXES
-    x, now, before = slice(0, own), slice(states, states + AXES), slice(states + AXES, size)
+    x, now, before = slice(0, plant_states), slice(states, states + AXES), slice(states + AXES, size)
     eye = np.eye(AXES)
     # the command at the interval's two ends, as rows of (z, w)
     first, last = np.zeros((AXES, size + AXES)), np.zeros((AXES, size + AXES))
     first[:, now] = eye
     last[:, now], last[:, before], last[:, size:] = 2 * eye, -eye, eye
-    state = np.zeros((g, own, size + AXES))
-    state[:, :, x] = np.eye(own)
+    state = np.zeros((g, plant_states, size + AXES))
+    state[:, :, x] = np.eye(plant_states)
     seen = []
     for row in range(rows):
         u0, u1 = (first + (last - first) * share for share in (row / rows, (row + 1) / rows))
@@ -398,9 +402,9 @@ def _problem(p: DiscretePlant, jacobian: FloatArray, rows: int) -> Problem:
     return Problem(step[..., :size], step[..., size:], output[..., :size], output[..., size:])
 
 
-def _riccati(p: Problem, effort: float) -> FloatArray:
+def _riccati(p: Problem, control_weight: float) -> FloatArray:
     """P (g, 24, 24) of the problem without an end."""
-    r = effort * np.eye(AXES) + _t(p.d) @ p.d
+    r = control_weight * np.eye(AXES) + _t(p.d) @ p.d
     cross = np.linalg.solve(r, _t(p.d) @ p.c)
     a = p.a - p.b @ cross
     h = _t(p.c) @ p.c - _t(p.c) @ p.d @ cross
@@ -417,24 +421,24 @@ def _riccati(p: Problem, effort: float) -> FloatArray:
     return h
 
 
-def _gains(p: Problem, value: FloatArray, effort: float) -> Gains:
+def _gains(p: Problem, value: FloatArray, control_weight: float) -> Gains:
     """At g places, for what an interval's end is worth, P (g, 24, 24)."""
     ahead = _t(p.b) @ value
-    r = effort * np.eye(AXES) + _t(p.d) @ p.d + ahead @ p.b
+    r = control_weight * np.eye(AXES) + _t(p.d) @ p.d + ahead @ p.b
     f: Any = np.linalg.solve(r, _t(p.d) @ p.c + ahead @ p.a)
-    weights = np.broadcast_to(-effort * np.eye(AXES), r.shape)
+    weights = np.broadcast_to(-control_weight * np.eye(AXES), r.shape)
     psi: Any = np.linalg.solve(r, np.concatenate([_t(p.b), _t(p.d), weights], axis=-1))
-    return _packed(p, f, psi, effort)
+    return _packed(p, f, psi, control_weight)
 
 
-def _packed(p: Problem, f: FloatArray, psi: FloatArray, effort: float) -> Gains:
+def _packed(p: Problem, f: FloatArray, psi: FloatArray, control_weight: float) -> Gains:
     """F (n, 3, 24) and the rows of ψ (n, 3, 33), each at its own place or all at one."""
     size = p.a.shape[-1]
     gains = no_gains(size, len(f))
     state, rows = slice(0, size), slice(size, size + p.c.shape[1])
     closed = p.a - p.b @ f
     gains.backward[:, state, state], gains.backward[:, rows, state] = closed, p.c - p.d @ f
-    gains.backward[:, rows.stop :, state] = effort * f
+    gains.backward[:, rows.stop :, state] = control_weight * f
     gains.backward[:, :, size : size + AXES] = _t(psi)
     gains.forward[:, state], gains.forward[:, size:] = _t(closed), _t(p.b)
     return gains

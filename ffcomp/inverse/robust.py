@@ -19,8 +19,8 @@ for the mean, the expectation is a sum of squares, each of one direction's respo
 
 So it costs one problem of the nominal size with a few more rows, whatever the number of printers. The minimum is sought
 by Gauss-Newton steps, from nearest points to nearest points, in spans of some seconds which overlap. Each is solved by
-conjugate gradients, which weigh errors along the path as dear as `Care.ahead`, for a change along it alters little: a
-third of the steps do.
+conjugate gradients, preconditioned with a lower weight along the path, for a change along it alters little: a third of
+the steps do.
 
 The minimum of an expected error over uncertain parameters: Nagy & Braatz, J. Process Control 14 (2004) 411-422. Errors
 across a path rather than at a time: Koren, J. Dyn. Sys. Meas. Control 102 (1980) 265-272. Preconditioned conjugate
@@ -35,16 +35,24 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numba import njit
 
-from ffcomp.inverse.sensitivity import FULL, SPANS, Care, Sensitivity, ShortArray, machines_off, span_length
+from ffcomp.inverse.sensitivity import (
+    FULL,
+    SPANS,
+    RobustSettings,
+    Sensitivity,
+    ShortArray,
+    perturbed_machines,
+    span_length,
+)
 from ffcomp.inverse.settings import Settings
 from models.arrays import BoolArray, ComplexArray, FloatArray
 from models.machine import Machine
 
 BLEND = 64  # rows over which one span's answer goes over into the next one's
 
-ALONG = 0.002  # ε
-CALM = 1e-3  # λ
-CLOSE = 1e-4  # share of the gradient's square at which they end earlier
+TANGENT_WEIGHT = 0.002  # ε
+REGULARISATION = 1e-3  # λ
+CONVERGENCE_RTOL = 1e-4  # share of the gradient's square at which they end earlier
 
 Linear = Callable[[ShortArray], ShortArray]
 
@@ -52,81 +60,85 @@ Linear = Callable[[ShortArray], ShortArray]
 class RobustReference:
     """d over the bed of one machine, for rows `row_s` apart."""
 
-    def __init__(self, machine: Machine, row_s: float, bandwidth_hz: float, effort: float, care: Care = FULL) -> None:
-        """Prepare the sensitivity; effort: ρ against one row, as in the sweeps."""
-        self.care = care
-        self.sensitivity = Sensitivity(machine, row_s, bandwidth_hz, effort, care)
+    def __init__(
+        self, machine: Machine, row_s: float, bandwidth_hz: float, control_weight: float, solver: RobustSettings = FULL
+    ) -> None:
+        """Prepare the sensitivity; control_weight: ρ against one row, as in the sweeps."""
+        self.solver = solver
+        self.sensitivity = Sensitivity(machine, row_s, bandwidth_hz, control_weight, solver)
 
     def offset(self, rows: FloatArray, moving: BoolArray) -> FloatArray:
         """Return the offset d (n, 3) mm from a path (n + 2 margin, 3) mm, which has so many rows more at either end.
 
         moving : (n + 2 margin,) where d may be something; outside, the command rests on the path
         """
-        margin = self.care.margin
+        margin = self.solver.margin
         n = len(rows) - 2 * margin
         step = SPANS[-1] - 2 * margin
         out = np.zeros((n + 2 * BLEND, 3))  # with what the first and the last span blend into
         for first in range(0, n, step):
             last = min(first + step, n)
             seen = slice(first, last + 2 * margin)
-            found = self._span(rows[seen], moving[seen])[margin - BLEND : len(rows[seen]) - margin + BLEND]
-            out[first : last + 2 * BLEND] += found * _blending(len(found), first > 0, last < n)[:, None]
+            offset = self._span(rows[seen], moving[seen])[margin - BLEND : len(rows[seen]) - margin + BLEND]
+            out[first : last + 2 * BLEND] += offset * _blending(len(offset), first > 0, last < n)[:, None]
         return out[BLEND : n + BLEND]
 
     def _span(self, rows: FloatArray, moving: BoolArray) -> FloatArray:
         """Find d (m, 3) mm of one span (m, 3) mm by itself."""
-        care = self.care
+        solver = self.solver
         response = self.sensitivity.along(rows[:, :2], span_length(len(rows)))
         allowed = moving[:, None].astype(np.float32)
-        rates = np.diff(rows, axis=0, append=rows[-1:]) * _faded(len(rows), care.margin)[:, None]
-        missed = response.to_path(rates.astype(np.float32))
-        d, answer = np.zeros(rows.shape, np.float32), missed
-        for round_ in range(care.rounds):
+        rates = np.diff(rows, axis=0, append=rows[-1:]) * _faded(len(rows), solver.margin)[:, None]
+        tracking_error = response.to_path(rates.astype(np.float32))
+        d, answer = np.zeros(rows.shape, np.float32), tracking_error
+        for round_ in range(solver.rounds):
             if round_:
-                answer = missed + response.to_offset(d)
-            left, along = beside(rows, answer[0], care.near)
-            errors = across(answer, along)
-            errors[0] = left
+                answer = tracking_error + response.to_offset(d)
+            normal_error, tangents = normal_errors(rows, answer[0], solver.nearby_rows)
+            errors = across(answer, tangents)
+            errors[0] = normal_error
 
-            def curvature(change: ShortArray, along: ShortArray = along) -> ShortArray:
-                return allowed * response.adjoint(across(response.to_offset(change), along)) + CALM * change
+            def curvature(change: ShortArray, tangents: ShortArray = tangents) -> ShortArray:
+                return (
+                    allowed * response.adjoint(across(response.to_offset(change), tangents)) + REGULARISATION * change
+                )
 
-            def eased(gradient: ShortArray, along: ShortArray = along) -> ShortArray:
-                return allowed * stretched(gradient, along, care.ahead)
+            def precondition(gradient: ShortArray, tangents: ShortArray = tangents) -> ShortArray:
+                return allowed * preconditioned(gradient, tangents, solver.preconditioner_weight)
 
-            gradient = allowed * response.adjoint(errors) + CALM * d
-            d = d + conjugate_gradients(curvature, -gradient, care.steps, eased)
+            gradient = allowed * response.adjoint(errors) + REGULARISATION * d
+            d = d + conjugate_gradients(curvature, -gradient, solver.steps, precondition)
         return d.astype(np.float64)
 
 
 @njit(cache=True, nogil=True)
-def beside(rows: FloatArray, missed: ShortArray, near: int = FULL.near) -> tuple[ShortArray, ShortArray]:
+def normal_errors(rows: FloatArray, error: ShortArray, nearby: int = FULL.nearby_rows) -> tuple[ShortArray, ShortArray]:
     """Return n + ε l, and T, for the path (m, 3) mm whose positions are missed by (m, 3) mm.
 
-    near : rows around a moment among which the path's nearest point is sought
+    nearby : rows around a moment among which the path's nearest point is sought
 
     Returns
     -------
     (m, 3) mm; (m, 3), zero where the nearest point is a corner or the nozzle rests
     """
-    left, along = np.empty_like(missed), np.zeros_like(missed)
+    normal_error, tangents = np.empty_like(error), np.zeros_like(error)
     for i in range(len(rows)):
-        x, y, z = rows[i, 0] + missed[i, 0], rows[i, 1] + missed[i, 1], rows[i, 2] + missed[i, 2]
-        k, share = _nearest(rows, x, y, z, max(i - near, 0), min(i + near, len(rows) - 1))
-        kept = min(max(share, 0.0), 1.0)
+        x, y, z = rows[i, 0] + error[i, 0], rows[i, 1] + error[i, 1], rows[i, 2] + error[i, 2]
+        k, share = _nearest(rows, x, y, z, max(i - nearby, 0), min(i + nearby, len(rows) - 1))
+        clipped = min(max(share, 0.0), 1.0)
         ux, uy, uz = rows[k + 1, 0] - rows[k, 0], rows[k + 1, 1] - rows[k, 1], rows[k + 1, 2] - rows[k, 2]
-        left[i, 0] = x - rows[k, 0] - kept * ux
-        left[i, 1] = y - rows[k, 1] - kept * uy
-        left[i, 2] = z - rows[k, 2] - kept * uz
-        if kept == share:
-            late = ux * missed[i, 0] + uy * missed[i, 1] + uz * missed[i, 2]
+        normal_error[i, 0] = x - rows[k, 0] - clipped * ux
+        normal_error[i, 1] = y - rows[k, 1] - clipped * uy
+        normal_error[i, 2] = z - rows[k, 2] - clipped * uz
+        if clipped == share:
+            late = ux * error[i, 0] + uy * error[i, 1] + uz * error[i, 2]
             size = ux * ux + uy * uy + uz * uz
             length = np.sqrt(size)
-            along[i, 0], along[i, 1], along[i, 2] = ux / length, uy / length, uz / length
-            left[i, 0] += ALONG * late / size * ux
-            left[i, 1] += ALONG * late / size * uy
-            left[i, 2] += ALONG * late / size * uz
-    return left, along
+            tangents[i, 0], tangents[i, 1], tangents[i, 2] = ux / length, uy / length, uz / length
+            normal_error[i, 0] += TANGENT_WEIGHT * late / size * ux
+            normal_error[i, 1] += TANGENT_WEIGHT * late / size * uy
+            normal_error[i, 2] += TANGENT_WEIGHT * late / size * uz
+    return normal_error, tangents
 
 
 @njit(cache=True, nogil=True)
@@ -141,53 +153,56 @@ def _nearest(rows: FloatArray, x: float, y: float, z: float, low: int, high: int
         dx, dy, dz = x - rows[k, 0], y - rows[k, 1], z - rows[k, 2]
         size = ux * ux + uy * uy + uz * uz
         share = (ux * dx + uy * dy + uz * dz) / size if size > 0.0 else -1.0
-        kept = min(max(share, 0.0), 1.0)
-        apart = (dx - kept * ux) ** 2 + (dy - kept * uy) ** 2 + (dz - kept * uz) ** 2
+        clipped = min(max(share, 0.0), 1.0)
+        apart = (dx - clipped * ux) ** 2 + (dy - clipped * uy) ** 2 + (dz - clipped * uz) ** 2
         if apart < best:
             best, best_k, best_share = apart, k, share
     return best_k, best_share
 
 
 @njit(cache=True, nogil=True)
-def across(errors: ShortArray, along: ShortArray) -> ShortArray:
+def across(errors: ShortArray, tangent: ShortArray) -> ShortArray:
     """Errors (p, m, 3) with what lies along the directions (m, 3) shortened to ε of it."""
     out = np.empty_like(errors)
-    most = np.float32(1.0 - ALONG)
+    most = np.float32(1.0 - TANGENT_WEIGHT)
     for p in range(len(errors)):
         for i in range(errors.shape[1]):
-            late = along[i, 0] * errors[p, i, 0] + along[i, 1] * errors[p, i, 1] + along[i, 2] * errors[p, i, 2]
+            late = tangent[i, 0] * errors[p, i, 0] + tangent[i, 1] * errors[p, i, 1] + tangent[i, 2] * errors[p, i, 2]
             for c in range(3):
-                out[p, i, c] = errors[p, i, c] - most * late * along[i, c]
+                out[p, i, c] = errors[p, i, c] - most * late * tangent[i, c]
     return out
 
 
 @njit(cache=True, nogil=True)
-def stretched(rows: ShortArray, along: ShortArray, ahead: float) -> ShortArray:
-    """Rows (m, 3) with what lies along the directions (m, 3) lengthened by 1 / `ahead`."""
+def preconditioned(rows: ShortArray, tangent: ShortArray, weight: float) -> ShortArray:
+    """Rows (m, 3) with what lies along the directions (m, 3) lengthened by 1 / `weight`."""
     out = np.empty_like(rows)
-    more = np.float32(1.0 / ahead - 1.0)
+    more = np.float32(1.0 / weight - 1.0)
     for i in range(len(rows)):
-        late = along[i, 0] * rows[i, 0] + along[i, 1] * rows[i, 1] + along[i, 2] * rows[i, 2]
+        late = tangent[i, 0] * rows[i, 0] + tangent[i, 1] * rows[i, 1] + tangent[i, 2] * rows[i, 2]
         for c in range(3):
-            out[i, c] = rows[i, c] + more * late * along[i, c]
+            out[i, c] = rows[i, c] + more * late * tangent[i, c]
     return out
 
 
-def conjugate_gradients(apply: Linear, wanted: ShortArray, steps: int, eased: Linear) -> ShortArray:
-    """Solve A x = b for a positive definite A, as far as so many steps go. eased : r ↦ M⁻¹ r, M being near A."""
-    x = np.zeros_like(wanted)
-    left, direction = wanted, eased(wanted)
-    size = first = np.vdot(left, direction)
+def conjugate_gradients(apply: Linear, right_side: ShortArray, steps: int, precondition: Linear) -> ShortArray:
+    """Solve A x = b for a positive definite A, as far as so many steps go.
+
+    precondition : r ↦ z = M⁻¹ r, M being near A
+    """
+    x = np.zeros_like(right_side)
+    residual, direction = right_side, precondition(right_side)
+    energy = first = np.vdot(residual, direction)
     for _ in range(steps):
-        if size <= CLOSE * first:
+        if energy <= CONVERGENCE_RTOL * first:
             break
-        turned = apply(direction)
-        share = size / np.vdot(direction, turned)
+        a_direction = apply(direction)
+        share = energy / np.vdot(direction, a_direction)
         x = x + share * direction
-        left = left - share * turned
-        ahead = eased(left)
-        size, before = np.vdot(left, ahead), size
-        direction = ahead + size / before * direction
+        residual = residual - share * a_direction
+        z = precondition(residual)
+        energy, last_energy = np.vdot(residual, z), energy
+        direction = z + energy / last_energy * direction
     return x
 
 
@@ -227,10 +242,10 @@ PLAIN = RobustChoice(False, "Plain inversion: nothing else was asked for.")
 BOUNDED = RobustChoice(True, "Robust inversion, as always under a bound on the error.")
 
 
-def choose_robust(machine: Machine, settings: Settings, asked: bool | None = None) -> RobustChoice:
-    """Choose for a machine. asked : by the user; None: by the machine file."""
-    if asked is not None:
-        return RobustChoice(asked, f"{'Robust' if asked else 'Plain'} inversion, as it was asked for.")
+def choose_robust(machine: Machine, settings: Settings, requested: bool | None = None) -> RobustChoice:
+    """Choose for a machine. requested : by the user; None: by the machine file."""
+    if requested is not None:
+        return RobustChoice(requested, f"{'Robust' if requested else 'Plain'} inversion, as it was asked for.")
     sd = mode_sd(machine, settings.bandwidth_hz)
     known = f"by its [uncertainty] the machine file knows its modes to {100 * sd:.2g} %"
     if not PAYS[0] <= sd <= PAYS[1]:
@@ -246,15 +261,15 @@ def mode_sd(machine: Machine, bandwidth_hz: float) -> float:
         return 0.0
     f = np.geomspace(LOWEST_HZ, BEYOND * bandwidth_hz, LINES)
     scaled = {name: STEP / most * value for name, value in machine.uncertainty.items()}
-    own, *off = (_response(each, f) for each in machines_off(replace(machine, uncertainty=scaled)))
-    return most * _spread(own, off, f) / _spread(own, [_response(machine, f / (1.0 + STEP))], f)
+    nominal, *off = (_response(each, f) for each in perturbed_machines(replace(machine, uncertainty=scaled)))
+    return most * _spread(nominal, off, f) / _spread(nominal, [_response(machine, f / (1.0 + STEP))], f)
 
 
 def _response(machine: Machine, f: FloatArray) -> ComplexArray:
     return machine.vibration.frequency_response(np.zeros(2), f, "nozzle", "nozzle")
 
 
-def _spread(own: ComplexArray, off: Sequence[ComplexArray], f: FloatArray) -> float:
+def _spread(nominal: ComplexArray, off: Sequence[ComplexArray], f: FloatArray) -> float:
     """Return the root of the summed square of the changes, for acceleration that is alike at all frequencies."""
-    squares = [np.sum(np.abs(np.linalg.solve(own, each - own)) ** 2, axis=(1, 2)) for each in off]
+    squares = [np.sum(np.abs(np.linalg.solve(nominal, each - nominal)) ** 2, axis=(1, 2)) for each in off]
     return float(np.sqrt(np.trapezoid(np.sum(squares, axis=0) / f**4, f))) if off else 0.0

@@ -36,21 +36,23 @@ SLOWEST_HZ = 0.1  # stands for zero where a line of frequency would be divided b
 
 
 @dataclass(frozen=True, slots=True)
-class Care:
+class RobustSettings:
     """How much work goes into an offset."""
 
     directions: int = 6  # of D over the draws, besides its mean
     margin: int = 128  # rows in sight on either side: a quarter of a second
-    near: int = 8  # rows around a moment among which the path's nearest point is sought
+    nearby_rows: int = 8  # rows around a moment among which the path's nearest point is sought
     rounds: int = 3  # of Gauss-Newton
     steps: int = 7  # of the conjugate gradients in each
-    drawn: bool = True  # D over random draws; not: over the parameters, each off by one standard deviation
-    ahead: float = 0.3  # curvature along the path that conjugate gradients begin with, against one across it
+    sampled: bool = True  # D over random draws; not: over the parameters, each off by one standard deviation
+    preconditioner_weight: float = (
+        0.3  # curvature along the path that conjugate gradients begin with, against one across it
+    )
 
 
-FULL = Care()
+FULL = RobustSettings()
 # for a search, which solves again and again; with less ahead a small print was 15 % further off, past its bound
-QUICK = Care(directions=4, rounds=2, steps=10, drawn=False, ahead=1.0)
+QUICK = RobustSettings(directions=4, rounds=2, steps=10, sampled=False, preconditioner_weight=1.0)
 
 
 def span_length(rows: int) -> int:
@@ -61,10 +63,12 @@ def span_length(rows: int) -> int:
 class Sensitivity:
     """D = G K₀ over the bed: its mean over the draws, and the directions in which it differs most."""
 
-    def __init__(self, machine: Machine, row_s: float, bandwidth_hz: float, effort: float, care: Care = FULL) -> None:
-        self.machine, self.row_s, self.bandwidth_hz, self.effort = machine, row_s, bandwidth_hz, effort
-        self.care = care
-        self._possible = drawn_machines(machine) if care.drawn else machines_off(machine)
+    def __init__(
+        self, machine: Machine, row_s: float, bandwidth_hz: float, control_weight: float, solver: RobustSettings = FULL
+    ) -> None:
+        self.machine, self.row_s, self.bandwidth_hz, self.control_weight = machine, row_s, bandwidth_hz, control_weight
+        self.solver = solver
+        self._possible = sampled_machines(machine) if solver.sampled else perturbed_machines(machine)
         self._nodes: dict[tuple[int, int], ShortComplexArray] = {}
         self._middles: dict[tuple[int, int, int], Response] = {}
         self._working = Lock()
@@ -84,11 +88,11 @@ class Sensitivity:
         """(1 + directions, draws): the draws' shares in their mean, and in each direction at the bed's middle."""
         d, draws = self._of_draws(np.zeros(2)), len(self._possible)
         # the first of machines that are off one at a time is the machine itself, and no draw
-        mean = np.full(draws, 1.0 / draws) if self.care.drawn else np.eye(1, draws)[0]
+        mean = np.full(draws, 1.0 / draws) if self.solver.sampled else np.eye(1, draws)[0]
         apart = (d - np.tensordot(mean, d, axes=1)).reshape(draws, -1)
         product = (apart @ np.conj(apart.T)).real
-        directions = np.linalg.eigh(product)[1][:, ::-1].T[: min(self.care.directions, draws - 1)]
-        if self.care.drawn:
+        directions = np.linalg.eigh(product)[1][:, ::-1].T[: min(self.solver.directions, draws - 1)]
+        if self.solver.sampled:
             return np.concatenate([mean[None], directions / np.sqrt(draws)])
         return np.concatenate([mean[None], directions - directions.sum(axis=1, keepdims=True) * mean])
 
@@ -130,7 +134,7 @@ class Sensitivity:
         f = self.frequency
         known = self.machine.vibration.frequency_response(xy, f, "nozzle", "nozzle")
         bend = (2 * np.sin(np.pi * f * 2 * self.row_s)) ** 4  # of the command, over a segment of two rows
-        weight = (self.effort / 2 * bend)[:, None, None] * np.eye(3)
+        weight = (self.control_weight / 2 * bend)[:, None, None] * np.eye(3)
         plain = np.linalg.solve(_h(known) @ known + weight, _h(known))
         return (
             np.array([machine.vibration.frequency_response(xy, f, "nozzle", "nozzle") for machine in self._possible])
@@ -149,21 +153,21 @@ class Response:
         rate : (lines,) of the step from one row to the next, for a row of one
         """
         self._length, self._count = length, length
-        missed = known.copy()
-        missed[0] -= np.eye(3, dtype=np.float32)[:, :, None]
+        tracking_error = known.copy()
+        tracking_error[0] -= np.eye(3, dtype=np.float32)[:, :, None]
         # by the path's steps: they are nothing at both ends, where the path itself is at different places
-        self._missed = _flat(missed / rate)
+        self._tracking_error = _flat(tracking_error / rate)
         self._known = _flat(known * band)
 
     def of_rows(self, count: int) -> Response:
         """Return it for so many rows."""
-        own = copy(self)
-        own._count = count
-        return own
+        other = copy(self)
+        other._count = count
+        return other
 
     def to_path(self, steps: ShortArray) -> ShortArray:
         """D r − r of a path with these steps (m, 3) mm from row to row: (1 + directions, m, 3) mm."""
-        return self._through(self._missed, steps)
+        return self._through(self._tracking_error, steps)
 
     def to_offset(self, d: ShortArray) -> ShortArray:
         """D d of (m, 3) mm: (1 + directions, m, 3) mm."""
@@ -213,7 +217,7 @@ def _transposed(known: ShortComplexArray, lines: ShortComplexArray) -> ShortComp
     return out
 
 
-def drawn_machines(machine: Machine, count: int = DRAWS) -> list[Machine]:
+def sampled_machines(machine: Machine, count: int = DRAWS) -> list[Machine]:
     """Return machines as the uncertainties allow them, the same every time; an even number, or this one."""
     parameters = machine.vibration.parameters()
     spread = parameters.relative_sd(machine.uncertainty)
@@ -225,7 +229,7 @@ def drawn_machines(machine: Machine, count: int = DRAWS) -> list[Machine]:
     return [with_values(machine, parameters.scaled(row, spread, least=0.2)) for row in draws]
 
 
-def machines_off(machine: Machine) -> list[Machine]:
+def perturbed_machines(machine: Machine) -> list[Machine]:
     """Return the machine, and those of which one parameter is off by one standard deviation."""
     parameters = machine.vibration.parameters()
     spread = parameters.relative_sd(machine.uncertainty)

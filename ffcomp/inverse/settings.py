@@ -54,7 +54,7 @@ class EffortCurve:
         return float(self.bandwidth_hz[self.knee])
 
 
-def effort_weight(machine: Machine, bandwidth_hz: float, segment_s: float, rows: int = 1) -> float:
+def control_weight_at(machine: Machine, bandwidth_hz: float, segment_s: float, rows: int = 1) -> float:
     """Return ρ for which accuracy and effort weigh alike at the bandwidth: ρ |D²(ω)|² = mean |G(ω)|² at the centre."""
     g = machine.vibration.frequency_response(np.zeros(2), np.array([bandwidth_hz]), "nozzle", "nozzle")[0]
     hat = np.sinc(bandwidth_hz * segment_s) ** 2  # the hats' own spectrum
@@ -85,7 +85,7 @@ def effort_curve(machine: Machine, segment_s: float) -> EffortCurve:
 
     errors, peaks = [], []
     for bandwidth in bandwidths.tolist():
-        weight = effort_weight(machine, bandwidth, segment_s) * bend**2
+        weight = control_weight_at(machine, bandwidth, segment_s) * bend**2
         adjoint = np.conj(np.swapaxes(frfs, -1, -2))
         inverse = np.linalg.solve(adjoint @ frfs + weight[:, None, None] * np.eye(3), adjoint)
         command = np.einsum("pfij,fj->pfi", inverse, wanted)

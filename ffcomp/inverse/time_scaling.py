@@ -76,14 +76,14 @@ class TimeScaling:
     seconds: float  # lost in them
     carriage: str  # A, B or C; empty: not a carriage's limit
     limit: str  # velocity, acceleration, travel; empty: the firmware's own acceleration
-    asked: float  # demand over the limit, at first
+    demand: float  # demand over the limit, at first
 
     def sentence(self, verb: str = "slowed") -> str:
         """Say where moves became slower, by how much and why."""
         lines = f"{self.first_line}" + (f"-{self.last_line}" if self.last_line != self.first_line else "")
         layer = "" if self.layer is None else f" (layer {self.layer})"
         if self.limit:
-            why = f"carriage {self.carriage} was asked for {self.asked:.2f} times its {self.limit} limit"
+            why = f"carriage {self.carriage} was asked for {self.demand:.2f} times its {self.limit} limit"
         else:
             why = "the firmware's own acceleration limit leaves too little for its segments"
         percent = f"{100 * self.factor:.0f}" if self.factor < 0.995 else f"{100 * self.factor:.2f}"  # never to 100 %
@@ -437,7 +437,7 @@ class _ScaledSection:
         for violation in violations:
             touched = self._touched(reference, violation)
             if violation.limit == TIMING:
-                touched = self._with_own_limits(touched)
+                touched = self._with_separate_limits(touched)
             touched = touched[~self._fixed[touched]]
             for move in touched:
                 self.reasons.setdefault(int(move), violation)
@@ -450,11 +450,11 @@ class _ScaledSection:
         self.moves = self._slower(by_speed, by_acceleration)
         return bool((np.minimum(by_speed, by_acceleration) < 1.0).any())
 
-    def _with_own_limits(self, moves: IntArray) -> IntArray:
+    def _with_separate_limits(self, moves: IntArray) -> IntArray:
         """Return the moves that lift the nozzle or retract: no G-code file can raise their acceleration."""
         direction = self.plan.direction[moves]
-        own = (direction[:, 2] != 0.0) | (direction[:, 3] < 0.0)
-        return moves[own] if own.any() else moves
+        separate = (direction[:, 2] != 0.0) | (direction[:, 3] < 0.0)
+        return moves[separate] if separate.any() else moves
 
     def _slower(self, by_speed: FloatArray, by_acceleration: FloatArray) -> Moves:
         """Scale the moves' top speeds by one factor (n,), acceleration and corners by another."""

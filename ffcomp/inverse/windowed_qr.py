@@ -93,10 +93,10 @@ class WindowProblem:
         iterate, s, stretch = self.iterate, self.iterate.model.settings, self.stretch
         response, states = stretch.respond(self.state)
         if self.unknowns > 0:
-            effort = _second_differences(self.unknowns) * np.sqrt(iterate.model.effort)
-            rows = _Rows(np.concatenate([self.phi(), effort]))
+            control_weight = _second_differences(self.unknowns) * np.sqrt(iterate.model.control_weight)
+            rows = _Rows(np.concatenate([self.phi(), control_weight]))
             for _ in range(1 + s.corrections):
-                self._improve(rows, np.concatenate([stretch.error(response).ravel(), -self._effort().ravel()]))
+                self._improve(rows, np.concatenate([stretch.error(response).ravel(), -self._weighted_bends().ravel()]))
                 response, states = stretch.respond(self.state)
         kept = self.commit_end - self.at
         shown = min(self.stretch.end, iterate.last) - self.at
@@ -141,14 +141,14 @@ class WindowProblem:
         plan = iterate.model.kinematics.inverse(iterate.reference.at_knots(knots))
         return plan + iterate.gamma[np.clip(knots, 0, iterate.n)], plan
 
-    def _effort(self) -> FloatArray:
+    def _weighted_bends(self) -> FloatArray:
         """√ρ D² γ as it stands, (unknowns + 2, 3)."""
         gamma, first = self.iterate.gamma, self.at + 1
         around = np.zeros((self.unknowns + 4, 3))
         low = max(first - 2, 0)
         known = gamma[low : first + self.unknowns + 2]
         around[low - first + 2 : low - first + 2 + len(known)] = known
-        return np.asarray(np.sqrt(self.iterate.model.effort) * np.diff(around, 2, axis=0))
+        return np.asarray(np.sqrt(self.iterate.model.control_weight) * np.diff(around, 2, axis=0))
 
 
 class _Rows:

@@ -40,6 +40,6 @@ def moved_columns(
     """Move some of the signals (n, m), as `delayed` does; the others stay."""
     if len(columns) == x.shape[1]:
         return delayed(x, late_s, rate_hz, drift)
-    found = x.copy()
-    found[:, columns] = delayed(x[:, columns], late_s, rate_hz, drift)
-    return found
+    moved = x.copy()
+    moved[:, columns] = delayed(x[:, columns], late_s, rate_hz, drift)
+    return moved

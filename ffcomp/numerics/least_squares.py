@@ -67,7 +67,7 @@ def minimise(
     """
     from scipy.optimize import least_squares
 
-    found = least_squares(
+    result = least_squares(
         residual,
         start,
         jacobian or "2-point",
@@ -78,7 +78,7 @@ def minimise(
         ftol=tolerance,
         max_nfev=evaluations,
     )
-    return Solution(np.asarray(found.x), found.fun, found.jac, 2.0 * float(found.cost), bool(found.success))
+    return Solution(np.asarray(result.x), result.fun, result.jac, 2.0 * float(result.cost), bool(result.success))
 
 
 def forward_differences(function: Residual, x: FloatArray, step: float) -> FloatArray:
@@ -234,11 +234,11 @@ def differences(
         steps = np.clip(ENOUGH_CHANGE / np.maximum(sizes, 1e-300), SMALLEST_STEP, STEP)
     pairs = {i: _either_side(problem, z, i, steps[i], central) for i in columns}
     rough = [i for i in columns if i < problem.rough] if problem.quick is not None and not central else []
-    found = _quotients(problem.residuals, z, residual, {i: pair for i, pair in pairs.items() if i not in rough})
+    quotients = _quotients(problem.residuals, z, residual, {i: pair for i, pair in pairs.items() if i not in rough})
     if rough and problem.quick is not None:
         here = next(problem.quick([z]))
-        found |= _quotients(problem.quick, z, here, {i: pairs[i] for i in rough})
-    return np.stack([found[i] for i in columns], axis=1)
+        quotients |= _quotients(problem.quick, z, here, {i: pairs[i] for i in rough})
+    return np.stack([quotients[i] for i in columns], axis=1)
 
 
 def _quotients(
@@ -249,12 +249,12 @@ def _quotients(
 ) -> dict[int, FloatArray]:
     """Return −∂r/∂z_i, (rows,) each, from r at z and at each pair of points around it; one of them may be z itself."""
     residuals = evaluate([x for pair in pairs.values() for x in pair if x is not z])
-    found = {}
+    quotients = {}
     for i, (low, high) in pairs.items():
         below = residual if low is z else next(residuals)
         above = residual if high is z else next(residuals)
-        found[i] = (below - above) / max(high[i] - low[i], SMALLEST_STEP)
-    return found
+        quotients[i] = (below - above) / max(high[i] - low[i], SMALLEST_STEP)
+    return quotients
 
 
 def _either_side(
@@ -316,11 +316,11 @@ def _damped_step(problem: BatchedProblem, here: Iterate, damping: float) -> tupl
     for dampings in ((damping,), tuple(max(damping, SMALLEST_DAMPING) * grown for grown in DAMPINGS)):
         damped = [normal + d * np.diag(np.diag(normal)) for d in dampings]
         trials = [problem.clip(here.z + problem.step(here.z, matrix, gradient)) for matrix in damped]
-        found = [Iterate(z, r, here.jacobian) for z, r in zip(trials, problem.residuals(trials), strict=True)]
-        best = int(np.argmin([trial.cost for trial in found]))
-        if found[best].cost < here.cost:
+        iterates = [Iterate(z, r, here.jacobian) for z, r in zip(trials, problem.residuals(trials), strict=True)]
+        best = int(np.argmin([trial.cost for trial in iterates]))
+        if iterates[best].cost < here.cost:
             used = dampings[best]
-            return _secant(here, found[best]), used / 10 if used > SMALLEST_DAMPING else 0.0
+            return _secant(here, iterates[best]), used / 10 if used > SMALLEST_DAMPING else 0.0
     return None
 
 

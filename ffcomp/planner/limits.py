@@ -126,7 +126,7 @@ def _lines(start: FloatArray, end: FloatArray) -> tuple[FloatArray, FloatArray, 
     return step, length, direction, travels
 
 
-class _Own(NamedTuple):
+class _Configured(NamedTuple):
     """What the firmware's configuration allows where the file says nothing, and nowhere more."""
 
     velocity: float
@@ -140,10 +140,10 @@ class _Own(NamedTuple):
     slow: tuple[tuple[float, float], ...]  # beyond this radius squared, mm², this share of velocity and acceleration
 
     @staticmethod
-    def of(limits: PlannerLimits) -> _Own:
+    def of(limits: PlannerLimits) -> _Configured:
         velocity, acceleration = limits.velocity_mm_per_s, limits.acceleration_mm_per_s2
         ratio, delta = limits.extrusion_ratio, limits.delta
-        return _Own(
+        return _Configured(
             velocity,
             acceleration,
             limits.square_corner_velocity_mm_per_s,
@@ -164,8 +164,10 @@ def bounds_of(moves: Moves, lines: Lines, limits: PlannerLimits) -> Bounds:
         moves.square_corner_velocity,
         moves.minimum_cruise_ratio,
     )
-    own = _Own.of(limits)
-    return Bounds(*_bounds(moves.start, moves.end, moves.speed, lines.direction, lines.travels, set_by_the_file, own))
+    configured = _Configured.of(limits)
+    return Bounds(
+        *_bounds(moves.start, moves.end, moves.speed, lines.direction, lines.travels, set_by_the_file, configured)
+    )
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -176,36 +178,36 @@ def _bounds(
     direction: FloatArray,
     travels: BoolArray,
     set_by_the_file: tuple[FloatArray, ...],
-    own: _Own,
+    configured: _Configured,
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Compute the columns of `Bounds`; set_by_the_file: velocity, acceleration, corner and cruise ratio, (n,) each."""
     n = len(speed)
     top, acceleration, smooth, deviation = np.empty(n), np.empty(n), np.empty(n), np.empty(n)
     velocities, accelerations, corners, ratios = set_by_the_file
     for i in range(n):
-        set_velocity = _or_default(velocities[i], own.velocity)
-        set_acceleration = _or_default(accelerations[i], own.acceleration)
+        set_velocity = _or_default(velocities[i], configured.velocity)
+        set_acceleration = _or_default(accelerations[i], configured.acceleration)
         v, a = speed[i], np.inf
         if travels[i]:
             v, a = min(v, set_velocity), set_acceleration
         along_z = abs(direction[i, 2])
         if along_z > 0.0:
-            v, a = _share_bound(v, a, along_z, own.z_velocity, own.z_acceleration)
+            v, a = _share_bound(v, a, along_z, configured.z_velocity, configured.z_acceleration)
         if travels[i]:
             # NOTE: a share of the *configured* limits; what the file sets (SET_VELOCITY_LIMIT, M204) does not count
             farthest = max(start[i, 0] ** 2 + start[i, 1] ** 2, end[i, 0] ** 2 + end[i, 1] ** 2)
             share = np.inf
-            for beyond, slow in own.slow:
+            for beyond, slow in configured.slow:
                 if farthest > beyond:
                     share = slow
-            v, a = min(v, own.velocity * share), min(a, own.acceleration * share)
+            v, a = min(v, configured.velocity * share), min(a, configured.acceleration * share)
         # the extruder leads where nothing moves in XY, and in a retraction
         filament = direction[i, 3]
         if filament < 0.0 or (filament > 0.0 and direction[i, 0] == 0.0 and direction[i, 1] == 0.0):
-            v, a = _share_bound(v, a, abs(filament), own.extruder_velocity, own.extruder_acceleration)
-        corner = _or_default(corners[i], own.square_corner_velocity)
+            v, a = _share_bound(v, a, abs(filament), configured.extruder_velocity, configured.extruder_acceleration)
+        corner = _or_default(corners[i], configured.square_corner_velocity)
         top[i], acceleration[i] = v, a
-        smooth[i] = min(a, set_acceleration * (1.0 - _or_default(ratios[i], own.minimum_cruise_ratio)))
+        smooth[i] = min(a, set_acceleration * (1.0 - _or_default(ratios[i], configured.minimum_cruise_ratio)))
         deviation[i] = corner * corner * (math.sqrt(2.0) - 1.0) / set_acceleration
     return top, acceleration, smooth, deviation
 
@@ -226,13 +228,13 @@ def _share_bound(
 
 def planner_limits(machine: Machine) -> PlannerLimits:
     """Return the limits of the printer's own configuration, as the machine file states it."""
-    own = machine.limits
+    limits = machine.limits
     return PlannerLimits(
-        velocity_mm_per_s=own.velocity_mm_per_s,
-        acceleration_mm_per_s2=own.acceleration_mm_per_s2,
-        square_corner_velocity_mm_per_s=own.square_corner_velocity_mm_per_s,
-        z_velocity_mm_per_s=own.z_velocity_mm_per_s,
-        z_acceleration_mm_per_s2=own.z_acceleration_mm_per_s2,
+        velocity_mm_per_s=limits.velocity_mm_per_s,
+        acceleration_mm_per_s2=limits.acceleration_mm_per_s2,
+        square_corner_velocity_mm_per_s=limits.square_corner_velocity_mm_per_s,
+        z_velocity_mm_per_s=limits.z_velocity_mm_per_s,
+        z_acceleration_mm_per_s2=limits.z_acceleration_mm_per_s2,
         instantaneous_corner_velocity_mm_per_s=CORNER_MM_PER_S
         if machine.pressure is None
         else machine.pressure.corner_velocity_mm_per_s,

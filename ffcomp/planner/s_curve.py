@@ -327,8 +327,8 @@ def s_curve(
     path = _path_of(plan, carriages, settings.limit_mm_per_s2)
     held = held or _hold(path, settings)
     allowed_v = plan.start_v if allowed_v is None else allowed_v
-    found = _profile(path, settings, held)
-    return _timed(plan, path, found, _plateaus(path, settings, held.level, found), allowed_v, delay_s)
+    profile = _profile(path, settings, held)
+    return _timed(plan, path, profile, _plateaus(path, settings, held.level, profile), allowed_v, delay_s)
 
 
 def hold(plan: Trajectory, carriages: Carriages | None = None, settings: SCurve | None = None) -> Held:
@@ -363,8 +363,8 @@ def _reserve(path: _Path, settings: SCurve) -> float:
 
 def _slower(path: _Path, settings: SCurve, held: Held) -> float:
     """By which share the motion takes longer."""
-    found = _profile(path, settings, held)
-    return total_time(path.length, found.start, found.peak, found.up, found.down) / path.time_s - 1.0
+    profile = _profile(path, settings, held)
+    return total_time(path.length, profile.start, profile.peak, profile.up, profile.down) / path.time_s - 1.0
 
 
 # What the given plan does, and what the carriages feel of it
@@ -416,12 +416,12 @@ def _profile(path: _Path, settings: SCurve, held: Held) -> _Profile:
     return _Profile(start, peak, up, down, mean, gentle)
 
 
-def _plateaus(path: _Path, settings: SCurve, level: float, found: _Profile) -> FloatArray:
+def _plateaus(path: _Path, settings: SCurve, level: float, profile: _Profile) -> FloatArray:
     """Return the plateaus' upper bounds, (m,) mm/s². Extruder-only moves keep their ramps: no carriage feels them."""
     moving = path.gain > 0.0
     under = np.divide(level, path.gain, out=np.full_like(path.gain, np.inf), where=moving)
-    beside = _beside_curves(path, settings, level, found.start)
-    least = found.mean / (1.0 - settings.least_edge)
+    beside = _beside_curves(path, settings, level, profile.start)
+    least = profile.mean / (1.0 - settings.least_edge)
     file = path.acceleration / (1.0 - settings.edge)
     highest = np.minimum.reduce([under, path.limit, file, np.maximum(beside, least)])
     return np.where(moving, highest, path.acceleration)
@@ -448,16 +448,16 @@ def _reversed(values: FloatArray) -> FloatArray:
 
 
 def _timed(
-    plan: Trajectory, path: _Path, found: _Profile, highest: FloatArray, allowed_v: FloatArray, delay_s: float
+    plan: Trajectory, path: _Path, profile: _Profile, highest: FloatArray, allowed_v: FloatArray, delay_s: float
 ) -> SmoothTrajectory:
     """Round the ramps and put the moves one after the other, with the given plan's rests between them."""
-    allowed = np.minimum(found.corner, np.append(allowed_v[path.moves] ** 2, 0.0))
-    rise, accel_t = rounded(path.length, found.start, found.peak, found.up, highest, allowed)
-    back = (path.length, found.start, found.peak, found.down, highest, allowed)
+    allowed = np.minimum(profile.corner, np.append(allowed_v[path.moves] ** 2, 0.0))
+    rise, accel_t = rounded(path.length, profile.start, profile.peak, profile.up, highest, allowed)
+    back = (path.length, profile.start, profile.peak, profile.down, highest, allowed)
     fall, decel_t = rounded(*(_reversed(values) for values in back))
-    cruise_t = cruise_times(path.length, found.start, found.peak, found.up, found.down)
+    cruise_t = cruise_times(path.length, profile.start, profile.peak, profile.up, profile.down)
     fall, decel_t = _reversed(fall), _reversed(decel_t)
-    highest_v = _highest_v(found.peak, rise, accel_t, fall, decel_t)
+    highest_v = _highest_v(profile.peak, rise, accel_t, fall, decel_t)
     lasting = _spread(accel_t + cruise_t + decel_t, path.moves, len(plan))
     return SmoothTrajectory(
         start_t=np.cumsum(_rests(plan) + np.concatenate([[delay_s], lasting])[:-1]),

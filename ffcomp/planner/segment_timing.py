@@ -310,7 +310,7 @@ def _sampled_evenly(
     substeps: int,
 ) -> FloatArray:
     lasting = np.full(len(vertices) - 1, lasting_s)
-    cruise, junction, own, duration = _played(
+    cruise, junction, accelerations, duration = _played(
         vertices,
         extrusion,
         lasting,
@@ -321,4 +321,4 @@ def _sampled_evenly(
         retract_acceleration,
         top_v,
     )
-    return sample_segments(vertices, cruise, junction, own, duration, substeps)
+    return sample_segments(vertices, cruise, junction, accelerations, duration, substeps)

@@ -145,9 +145,9 @@ class _Motor:
         late, most = self._state[LATEST] / self._board.clock_hz, self._board.most_late_s
         if late > most:
             at, rate = self._state[LATEST_TICK] / self._board.clock_hz, 1.0 / self._board.pulse_spacing_s
-            asked = f"Motor {self.name} is asked for more than {rate:.0f} steps a second at t = {at:.3f} s"
+            problem = f"Motor {self.name} is asked for more than {rate:.0f} steps a second at t = {at:.3f} s"
             raise LimitsError(
-                f"{asked}: a pulse would come {late * 1e6:.0f} µs late, at most {most * 1e6:.0f} µs are allowed. "
+                f"{problem}: a pulse would come {late * 1e6:.0f} µs late, at most {most * 1e6:.0f} µs are allowed. "
                 f"Use fewer microsteps than {1.0 / self.step_mm:g} a millimetre, or a shorter pulse spacing."
             )
 

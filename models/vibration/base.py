@@ -178,8 +178,10 @@ class VibrationModel(ABC):
         """Return natural frequencies, damping ratios and shapes at each of the positions (n, 2) mm."""
         values, vectors = np.linalg.eig(self.mechanics(xy))
         half, nozzle = values.shape[1] // 2, self.nozzle_motion(xy)
-        found = (_vibrations(pole, vector[:half]) for pole, vector in zip(values, vectors, strict=True))
-        return [Modes(f, zeta, shape, shape @ rows.T) for (f, zeta, shape), rows in zip(found, nozzle, strict=True)]
+        vibrations = (_vibrations(pole, vector[:half]) for pole, vector in zip(values, vectors, strict=True))
+        return [
+            Modes(f, zeta, shape, shape @ rows.T) for (f, zeta, shape), rows in zip(vibrations, nozzle, strict=True)
+        ]
 
     def modes_at(self, xy: FloatArray) -> Modes:
         """Return the modes at one position (2,) mm."""

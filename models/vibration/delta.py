@@ -214,9 +214,9 @@ class DeltaVibration(VibrationModel):
         """
         eq, s2 = self.equations(xy[None]), s[:, None] ** 2
         mass = eq.mass[0]
-        own = eq.damping * s[:, None] + eq.stiffness  # (k, 6)
-        extruder = np.diagonal(mass)[3:] * s2 + own[:, 3:]
-        z = mass[:3, :3] * s2[:, :, None] + own[:, :3, None] * np.eye(3)
+        mount = eq.damping * s[:, None] + eq.stiffness  # (k, 6)
+        extruder = np.diagonal(mass)[3:] * s2 + mount[:, 3:]
+        z = mass[:3, :3] * s2[:, :, None] + mount[:, :3, None] * np.eye(3)
         eliminated = (mass[:3, 3:] * (s2**2 / extruder)[:, None, :]) @ mass[3:, :3]
         return np.linalg.inv(z - eliminated)
 

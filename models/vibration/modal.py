@@ -152,7 +152,7 @@ class ModalAxes(VibrationModel):
 
     def parameters(self) -> ParameterSet:
         """Return the numbers that decide how the machine vibrates; its geometry is calibrated, not guessed."""
-        found = [
+        parameters = [
             Parameter(
                 f"axes.{AXES[axis]}.{kind}[{i}]", getattr(mode, kind), _column(axis, i, known), *_of_file(axis, known)
             )
@@ -160,7 +160,7 @@ class ModalAxes(VibrationModel):
             for kind in KINDS
             for known in ("damping" if kind == "belt_damping" and mode.belt_damping and not mode.rigid else kind,)
         ]
-        return ParameterSet(tuple(found), max(COLUMNS, *(p.column + 1 for p in found)))
+        return ParameterSet(tuple(parameters), max(COLUMNS, *(p.column + 1 for p in parameters)))
 
     def value(self, name: str) -> float:
         """Return one parameter, also by the file's own keys; KeyError if there is none of this name."""
@@ -345,12 +345,12 @@ class ModalAxes(VibrationModel):
             command[rate, axis], slope[rate, axis] = o.share * o.stiffness / o.mass, o.share * o.belt_damping / o.mass
             carriage[axis, p] = 1.0
         for m, (axis, _, o) in enumerate(each if self.exchange else ()):
-            other, own = 1 - axis, 2 * m + 1
+            other, rate = 1 - axis, 2 * m + 1
             if axis < 2:
-                command[own, other] = o.share * o.stiffness / o.mass * self.exchange
+                command[rate, other] = o.share * o.stiffness / o.mass * self.exchange
                 for k, (of, mode, _) in enumerate(each):
                     if of == other:
-                        a[own, 2 * k] -= command[own, other] * self._part(of, mode)
+                        a[rate, 2 * k] -= command[rate, other] * self._part(of, mode)
 
         def everywhere(matrix: FloatArray) -> FloatArray:
             return np.tile(matrix, (len(xy), 1, 1))
@@ -473,21 +473,21 @@ def _with_forces(
     phi = np.sqrt(weights * omega2 / k)
     shown = np.divide(share * omega2, k * phi, out=np.zeros_like(phi), where=phi > 0)  # of the nozzle
     more = np.outer(phi, phi)
-    found, shapes = (
+    squares, shapes = (
         _modes(omega2, stiffer * k * more, heavier * more) if stiffer or heavier else (omega2, np.eye(len(phi)))
     )
     damping = shapes.T @ (np.diag([o.damping / o.mass for o in modes]) + damped * more) @ shapes
     belts = shapes.T @ np.diag([o.belt_damping / o.mass for o in modes]) @ shapes
-    shares = k * (1 + stiffer) * (shapes.T @ phi) * (shapes.T @ shown) / found
-    each = zip(found.tolist(), np.diag(damping).tolist(), np.diag(belts).tolist(), shares.tolist(), strict=True)
+    shares = k * (1 + stiffer) * (shapes.T @ phi) * (shapes.T @ shown) / squares
+    each = zip(squares.tolist(), np.diag(damping).tolist(), np.diag(belts).tolist(), shares.tolist(), strict=True)
     return tuple(Oscillator(square, guide, belt, share=sigma) for square, guide, belt, sigma in each)
 
 
 def _modes(omega2: FloatArray, stiffer: FloatArray, heavier: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return ω² and the shapes of oscillators of ω² (n,) with stiffness and mass (n, n) added, by unit modal mass."""
     lower = np.linalg.inv(np.linalg.cholesky(np.eye(len(omega2)) + heavier))
-    found, vectors = np.linalg.eigh(lower @ (np.diag(omega2) + stiffer) @ lower.T)
-    return found, lower.T @ vectors
+    squares, vectors = np.linalg.eigh(lower @ (np.diag(omega2) + stiffer) @ lower.T)
+    return squares, lower.T @ vectors
 
 
 def _column(axis: int, mode: int, kind: str) -> int:

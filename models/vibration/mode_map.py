@@ -45,10 +45,10 @@ class ModeMap:
     kinds: tuple[str, ...]  # (m,) what each one moves, on the average over the inner half of the bed
 
 
-def kinds(model: DeltaVibration, xy: FloatArray, found: Modes) -> list[str]:
+def kinds(model: DeltaVibration, xy: FloatArray, modes: Modes) -> list[str]:
     """Describe what each mode at one position moves."""
     j = model.kinematics.jacobian(xy[None])[0]
-    axes, extruder = _shares(np.concatenate(_motion(model, j, found.shapes), axis=1))
+    axes, extruder = _shares(np.concatenate(_motion(model, j, modes.shapes), axis=1))
     return [_words(a, e) for a, e in zip(axes, extruder.tolist(), strict=True)]
 
 
@@ -63,19 +63,19 @@ def mode_map(model: DeltaVibration, pitch_mm: float = 6.0) -> ModeMap:
     places *= np.minimum(1.0, reach / np.maximum(np.hypot(*places.T), pitch_mm / 2))[:, None]
     j = model.kinematics.jacobian(places)
     stations = {
-        node: _Station(found, np.concatenate(_motion(model, j_here, found.shapes), axis=1))
-        for node, j_here, found in zip(near, j, model.modes(places), strict=True)
+        node: _Station(modes, np.concatenate(_motion(model, j_here, modes.shapes), axis=1))
+        for node, j_here, modes in zip(near, j, model.modes(places), strict=True)
     }
     return _assembled(x, radius <= reach * (1 + 1e-9), stations, _follow(stations, (half, half)))
 
 
-def numbers(model: DeltaVibration, over: ModeMap, xy: FloatArray, found: Modes) -> list[int]:
+def numbers(model: DeltaVibration, over: ModeMap, xy: FloatArray, modes: Modes) -> list[int]:
     """Which modes of the map, counted from 1, those found at one place are; 0 for one that is not on the map there."""
     from scipy.optimize import linear_sum_assignment
 
     i, k = (int(np.abs(over.x_mm - at).argmin()) for at in xy)
     j = model.kinematics.jacobian(xy[None])[0]
-    here = np.concatenate(_motion(model, j, found.shapes), axis=1)
+    here = np.concatenate(_motion(model, j, modes.shapes), axis=1)
     mac = np.nan_to_num(np.abs(here.conj() @ over.motion[i, k].T) ** 2)
     rows, columns = linear_sum_assignment(-mac)
     there = {row: column + 1 for row, column in zip(rows.tolist(), columns.tolist(), strict=True) if mac[row, column]}

@@ -39,8 +39,8 @@ def recursion(rows: int, of_state: int, of_input: int) -> Any:
     """
 
     @intrinsic
-    def step(typing: Any, matrices: Any, at: Any, state: Any, given: Any, k: Any) -> Any:
-        return types.void(matrices, at, state, given, k), _emitter(rows, of_state, of_input, matrices.dtype, 0)
+    def step(typing: Any, matrices: Any, at: Any, state: Any, inputs: Any, k: Any) -> Any:
+        return types.void(matrices, at, state, inputs, k), _emitter(rows, of_state, of_input, matrices.dtype, 0)
 
     return step
 
@@ -53,9 +53,9 @@ def sized_recursion(of_input: int) -> Any:
     """
 
     @intrinsic
-    def step(typing: Any, rows: Any, of_state: Any, matrices: Any, at: Any, state: Any, given: Any, k: Any) -> Any:
+    def step(typing: Any, rows: Any, of_state: Any, matrices: Any, at: Any, state: Any, inputs: Any, k: Any) -> Any:
         emit = _emitter(rows.count, of_state.count, of_input, matrices.dtype, 2)
-        return types.void(rows, of_state, matrices, at, state, given, k), emit
+        return types.void(rows, of_state, matrices, at, state, inputs, k), emit
 
     return step
 
@@ -226,8 +226,8 @@ class Schedule:
 
 def _exchanging(plant: DiscretePlant) -> bool:
     """Tell whether oscillators act on each other."""
-    own = np.kron(np.eye(len(plant.oscillators)), np.ones((2, 2))) == 1.0
-    return bool(len(plant.oscillators)) and bool(np.any(plant.a[0][~own] != 0.0))
+    diagonal = np.kron(np.eye(len(plant.oscillators)), np.ones((2, 2))) == 1.0
+    return bool(len(plant.oscillators)) and bool(np.any(plant.a[0][~diagonal] != 0.0))
 
 
 def _packed(table: PlantTable) -> tuple[FloatArray, FloatArray]:
@@ -311,8 +311,8 @@ def simulate(
     n = len(place)
     x, model = state[6:].copy(), np.empty((1, 27, 12))
     entries, flat = model.reshape(27 * 12), mechanics.reshape(len(mechanics), 27 * 12)
-    given = np.empty((1, 15))  # w, u(t), u(t + h), J̇ q̇
-    given[0, :6] = state[:6]
+    inputs = np.empty((1, 15))  # w, u(t), u(t + h), J̇ q̇
+    inputs[0, :6] = state[:6]
     kept, knots = np.empty((n * substeps, 3)), np.empty((n + 1, 18))
     knots[0] = state
     at_x, at_y = np.inf, np.inf
@@ -333,17 +333,17 @@ def simulate(
                 )
         for _ in range(substeps):
             for c in range(3):
-                given[0, 6 + c], given[0, 9 + c] = command[step, c], command[step + 1, c]
-                given[0, 12 + c] = 0.5 * (centripetal[step, c] + centripetal[step + 1, c])
-            _advance(model, 0, x, given, 0)
+                inputs[0, 6 + c], inputs[0, 9 + c] = command[step, c], command[step + 1, c]
+                inputs[0, 12 + c] = 0.5 * (centripetal[step, c] + centripetal[step + 1, c])
+            _advance(model, 0, x, inputs, 0)
             for c in range(3):
-                before, after, w0, w1 = given[0, 6 + c], given[0, 9 + c], given[0, c], given[0, 3 + c]
-                given[0, c] = drive[c, 0] * w0 + drive[c, 1] * w1 + drive[c, 4] * before + drive[c, 6] * after
-                given[0, 3 + c] = drive[c, 2] * w0 + drive[c, 3] * w1 + drive[c, 5] * before + drive[c, 7] * after
+                before, after, w0, w1 = inputs[0, 6 + c], inputs[0, 9 + c], inputs[0, c], inputs[0, 3 + c]
+                inputs[0, c] = drive[c, 0] * w0 + drive[c, 1] * w1 + drive[c, 4] * before + drive[c, 6] * after
+                inputs[0, 3 + c] = drive[c, 2] * w0 + drive[c, 3] * w1 + drive[c, 5] * before + drive[c, 7] * after
                 kept[step, c] = x[c]
             step += 1
         for r in range(6):
-            knots[k + 1, r] = given[0, r]
+            knots[k + 1, r] = inputs[0, r]
         for r in range(12):
             knots[k + 1, 6 + r] = x[r]
     return kept, knots

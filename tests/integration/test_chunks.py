@@ -24,6 +24,7 @@ from ffcomp.inverse.reference import Extent
 from ffcomp.inverse.settings import settings_for
 from ffcomp.metrics import contour_error
 from ffcomp.planner.program import firmware_plan, plan_program
+from ffcomp.planner.trajectory import PathPosition
 from ffcomp.simulate.command import path_corners_with_rests
 from ffcomp.steps.archive import read_events, read_steps
 from ffcomp.steps.sink import Board

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gcode.embedded import Stamp, find_stamp, stamp_line
-from gcode.metadata import Durations, Tells, Timed, retold, short, slicer_time_s, tells, time_told, with_time
+from gcode.metadata import Durations, Tells, Timed, retold, short, slicer_time_s, stated_time, tells, with_time
 from tests.support.data import real
 
 TOTALS = [  # as the slicer writes it, s, and what is written for 93,784.6 s
@@ -112,7 +112,7 @@ def test_times_of_real_files(name: str, seconds: float | None, lines_that_tell: 
     changed = [retold(Timed.at(line, 0.0), Durations(7261.0, 60.0)) for line in lines]
     assert slicer_time_s(changed) == (None if seconds is None else pytest.approx(7261.0, abs=1))
     assert sum(tells(line) is not None for line in lines) == lines_that_tell
-    back = [with_time(new, time_told(line)) for line, new in zip(lines, changed, strict=True)]
+    back = [with_time(new, stated_time(line)) for line, new in zip(lines, changed, strict=True)]
     assert back == lines
 
 

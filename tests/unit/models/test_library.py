@@ -92,7 +92,7 @@ def test_an_inverse_can_be_made(path: Path) -> None:
     machine = load_machine(path)
     model = InverseModel(machine, replace(settings_for(machine), one_model=True))  # of the bed's middle: quick
     assert 60.0 <= model.settings.bandwidth_hz <= 0.46 * 250.0
-    assert np.isfinite(model.effort) and model.effort > 0
+    assert np.isfinite(model.control_weight) and model.control_weight > 0
     assert model.gains is not None
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from ffcomp.cli.app import app
-from ffcomp.inverse.settings import HIGHEST, LOWEST_HZ, _square, effort_curve, effort_weight, settings_for
+from ffcomp.inverse.settings import HIGHEST, LOWEST_HZ, _square, control_weight_at, effort_curve, settings_for
 from models.file import load_machine
 from models.kinds import delta_vibration, with_parts
 from models.machine import Machine
@@ -48,7 +48,7 @@ def test_grease_in_the_guides_does_not_take_bandwidth_away(machine: Machine) -> 
 
 
 def test_the_weight_is_where_accuracy_and_effort_weigh_alike(machine: Machine) -> None:
-    rho = effort_weight(machine, 90.0, 0.004)
+    rho = control_weight_at(machine, 90.0, 0.004)
     g = machine.vibration.frequency_response(np.zeros(2), np.array([90.0]), "nozzle", "nozzle")[0] * np.sinc(0.36) ** 2
     bend = (2 * np.sin(np.pi * 0.36)) ** 2
     assert rho * bend**2 == pytest.approx(np.linalg.norm(g) ** 2 / 3, rel=1e-9)

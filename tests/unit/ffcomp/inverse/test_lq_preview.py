@@ -100,7 +100,7 @@ def test_both_sweeps_are_the_dense_least_squares(machine: Machine, preview: Prev
     for k in range(intervals):
         w = gamma[k + 1] - 2 * gamma[k] + (gamma[k - 1] if k else 0.0)
         z = np.concatenate([x, gamma[k], gamma[k - 1] if k else np.zeros((3, free))])
-        rows += [problem.c @ z + problem.d @ w, np.sqrt(preview.effort) * w]
+        rows += [problem.c @ z + problem.d @ w, np.sqrt(preview.control_weight) * w]
         x = (problem.a @ z + problem.b @ w)[:18]
     error = rng.normal(size=(intervals, 6)) * 1e-3
     right = np.concatenate([np.concatenate([each, np.zeros(3)]) for each in error])

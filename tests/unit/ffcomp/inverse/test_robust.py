@@ -13,8 +13,15 @@ from ffcomp.compare.methods import COMPENSATED, ROBUST, inversion
 from ffcomp.compare.monte_carlo import draw_plants
 from ffcomp.compare.sampling import Print, Sampling
 from ffcomp.inverse.model import InverseModel
-from ffcomp.inverse.robust import ALONG, RobustReference, across, beside, conjugate_gradients, stretched
-from ffcomp.inverse.sensitivity import FULL, SPANS, Response, drawn_machines
+from ffcomp.inverse.robust import (
+    TANGENT_WEIGHT,
+    RobustReference,
+    across,
+    conjugate_gradients,
+    normal_errors,
+    preconditioned,
+)
+from ffcomp.inverse.sensitivity import FULL, SPANS, Response, sampled_machines
 from ffcomp.inverse.settings import settings_for
 from ffcomp.metrics import contour_error
 from ffcomp.simulate.playback import simulate_nozzles
@@ -70,15 +77,17 @@ def response(softening: RobustReference) -> Response:
 
 
 LINE = PLACE + np.outer(np.arange(40.0), [0.3, 0.4, 0.0])
-ALONG_IT, BESIDE_IT = np.array([0.6, 0.8, 0.0]), np.array([-0.8, 0.6, 0.0])
+TANGENT_WEIGHT_IT, BESIDE_IT = np.array([0.6, 0.8, 0.0]), np.array([-0.8, 0.6, 0.0])
 
 
 def test_an_error_along_a_line_counts_little() -> None:
-    missed = np.tile(0.8 * ALONG_IT + 0.02 * BESIDE_IT, (40, 1)).astype(np.float32)  # more than a step late
-    left, along = beside(LINE, missed)
+    missed = np.tile(0.8 * TANGENT_WEIGHT_IT + 0.02 * BESIDE_IT, (40, 1)).astype(np.float32)  # more than a step late
+    left, along = normal_errors(LINE, missed)
     inside = slice(2, -2)
-    np.testing.assert_allclose(along[inside], np.tile(ALONG_IT, (36, 1)), atol=1e-6)
-    np.testing.assert_allclose(left[inside], np.tile(0.02 * BESIDE_IT + 0.8 * ALONG * ALONG_IT, (36, 1)), atol=1e-6)
+    np.testing.assert_allclose(along[inside], np.tile(TANGENT_WEIGHT_IT, (36, 1)), atol=1e-6)
+    np.testing.assert_allclose(
+        left[inside], np.tile(0.02 * BESIDE_IT + 0.8 * TANGENT_WEIGHT * TANGENT_WEIGHT_IT, (36, 1)), atol=1e-6
+    )
     np.testing.assert_allclose(across(missed[None], along)[0, inside], left[inside], atol=1e-6)
 
 
@@ -87,18 +96,18 @@ def test_beyond_a_corner_and_at_rest_all_of_an_error_counts() -> None:
     missed = np.zeros((6, 3), np.float32)
     missed[1] = [0.3, -0.2, 0.0]  # outside the corner
     missed[4] = [0.1, 0.2, 0.3]  # beyond the end
-    left, along = beside(corner, missed)
+    left, along = normal_errors(corner, missed)
     for i in (1, 4):
         np.testing.assert_allclose(left[i], missed[i], atol=1e-6)
         assert not along[i].any()
 
 
 def test_what_conjugate_gradients_begin_with_undoes_the_weights() -> None:
-    along = np.tile(ALONG_IT, (5, 1)).astype(np.float32)
+    along = np.tile(TANGENT_WEIGHT_IT, (5, 1)).astype(np.float32)
     rows = np.random.default_rng(6).normal(size=(5, 3)).astype(np.float32)
     weighed = rows - (1.0 - 0.3) * np.sum(rows * along, axis=1, keepdims=True) * along
-    np.testing.assert_allclose(stretched(weighed, along, 0.3), rows, atol=1e-5)
-    np.testing.assert_array_equal(stretched(rows, np.zeros_like(along), 0.3), rows)
+    np.testing.assert_allclose(preconditioned(weighed, along, 0.3), rows, atol=1e-5)
+    np.testing.assert_array_equal(preconditioned(rows, np.zeros_like(along), 0.3), rows)
 
 
 def test_conjugate_gradients_solve_in_as_many_steps_as_unknowns() -> None:
@@ -172,7 +181,7 @@ def test_the_expected_contour_error_is_lower(softening: RobustReference, machine
     wanted, length = path + wish(softening, path), 4096
     f = np.asarray(np.fft.rfftfreq(length, known.row_s), dtype=np.float64)
     g = machine.vibration.frequency_response(PLACE[:2], f, "nozzle", "nozzle")
-    weight = known.effort / 2 * (2 * np.sin(np.pi * f * 2 * known.row_s)) ** 4
+    weight = known.control_weight / 2 * (2 * np.sin(np.pi * f * 2 * known.row_s)) ** 4
     adjoint = np.conj(np.swapaxes(g, 1, 2))
     plain = np.linalg.solve(adjoint @ g + weight[:, None, None] * np.eye(3), adjoint)
     t = np.arange(len(path), dtype=np.float64) * known.row_s
@@ -202,7 +211,7 @@ def test_where_a_span_ends_does_not_show(softening: RobustReference) -> None:
 
 def test_named_uncertainties_count_for_their_numbers_alone(machine: Machine) -> None:
     sure = replace(machine, uncertainty={"default": 0.0, "carriage.belt_stiffness_n_per_m": 0.1})
-    draws = drawn_machines(sure)
+    draws = sampled_machines(sure)
     for name in machine.vibration.parameters().names:
         values = np.array([value_of(each, name) for each in draws])
         moved = name == "carriage.belt_stiffness_n_per_m"

@@ -98,7 +98,7 @@ def test_a_window_is_the_problem_that_cvxpy_solves(inverter: InverseModel, machi
     second = gamma[2:] - 2 * gamma[1:-1] + gamma[:-2]
     fit = cp.sum_squares(error - phi @ cp.reshape(gamma[2:-2], (3 * window.unknowns,), order="C"))
     rest = [gamma[:2] == 0, gamma[-2:] == 0]
-    problem = cp.Problem(cp.Minimize(1e6 * (fit + inverter.effort * cp.sum_squares(second))), rest)
+    problem = cp.Problem(cp.Minimize(1e6 * (fit + inverter.control_weight * cp.sum_squares(second))), rest)
     problem.solve(solver=cp.CLARABEL)
     assert problem.status == cp.OPTIMAL
     window.solve()

@@ -13,7 +13,7 @@ from models.arrays import constant
 from models.errors import UnreachableError
 from models.kinds import delta_vibration, with_parts
 from models.kinematics.delta import DeltaKinematics
-from models.machine import Machine, delta_vibration, with_parts
+from models.machine import Machine
 from models.printer.parameters import GRAVITY_M_PER_S2
 from models.printer.printer import PrinterMotion, simulate_printer
 from models.vibration.state_space import discretise

@@ -17,7 +17,7 @@ from models.effects.catalogue import with_effect
 from models.errors import UnreachableError
 from models.kinds import delta_vibration, with_parts
 from models.kinematics.delta import DeltaKinematics
-from models.machine import Machine, delta_vibration, with_parts
+from models.machine import Machine
 from models.printer.kernels import integrate, jit, record
 from models.printer.kernels.equilibrium import find_equilibrium
 from models.printer.kernels.spline import cubic_spline
