@@ -83,7 +83,7 @@ def test_the_hidden_effect_is_named_among_rivals(name: str) -> None:
     assert list(told.effects) == [name]
     for key, value in hidden.items():
         np.testing.assert_allclose(np.array(told.effects[name][key]), value, rtol=0.03, atol=0.002)
-    assert told.retuned == {}  # the file was right, so nothing else had to move
+    assert told.file.retuned == {}  # the file was right, so nothing else had to move
     assert all(place.after < 0.1 for place in diagnosis.held_out)
 
 

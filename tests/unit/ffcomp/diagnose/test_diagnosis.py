@@ -64,7 +64,7 @@ def test_hidden_friction_is_named_with_its_force(tmp_path: Path) -> None:
     assert all(place.after < 0.15 * place.before for place in found.held_out)
 
     told = result_of(plant, found)
-    assert told.after.nrms < 0.2 * told.before.nrms and told.confidence["coulomb_friction"] > 0.99
+    assert told.gap.after.nrms < 0.2 * told.gap.before.nrms and told.confidence["coulomb_friction"] > 0.99
     better = tmp_path / "better.toml"
     better.write_text(better_file(TRUTH, "better", told, ["x.csv sha256:0"], "2026-11-21"), encoding="utf-8")
     machine = load_machine(better)
@@ -72,7 +72,7 @@ def test_hidden_friction_is_named_with_its_force(tmp_path: Path) -> None:
     closed = locate_residual(
         found.estimation.whiten, found.noise, PrinterProblem(machine, plant.recordings, ()).simulate({})
     ).total
-    assert closed.nrms == pytest.approx(told.after.nrms, rel=0.05)  # the file says what the fit found
+    assert closed.nrms == pytest.approx(told.gap.after.nrms, rel=0.05)  # the file says what the fit found
 
 
 def test_fitted_numbers_become_tables_of_a_machine_file() -> None:
