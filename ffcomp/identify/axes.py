@@ -51,49 +51,49 @@ def identify_axes(
     data: list[Datum] = [*spectra, *(answer for answer in answers if answer.direct)]
     if not data:
         raise MeasurementError("data", [*sentences, "None of the files holds the response of an axis to its command."])
-    found: list[AxisFit] = []
+    fits: list[AxisFit] = []
     for name in AXES:
         mine = [datum for datum in data if datum.axis == name]
         if mine:
-            progress(Stage(2 + len(found), f"{name}: {len(mine)} {'file' if len(mine) == 1 else 'files'}"))
+            progress(Stage(2 + len(fits), f"{name}: {len(mine)} {'file' if len(mine) == 1 else 'files'}"))
             try:
-                found.append(fit_axis(name, mine))
+                fits.append(fit_axis(name, mine))
             except MeasurementError as error:
                 sentences += error.problems
-    if not found:
+    if not fits:
         raise MeasurementError("data", sentences)
-    advice = [text for axis in found for text in axis.advice]
-    exchange, crossing = _exchanged(found, answers, exchanging)
+    advice = [text for axis in fits for text in axis.advice]
+    exchange, crossing = _exchanged(fits, answers, exchanging)
     missing = [
         f"Nothing was measured along {name}: [axes.{name}] stays the starting file's."
         for name in "xy"
         if not any(datum.axis == name for datum in data)
     ]
-    return IdentifiedAxes(tuple(found), (*sentences, *advice, *crossing, *missing), exchange)
+    return IdentifiedAxes(tuple(fits), (*sentences, *advice, *crossing, *missing), exchange)
 
 
 def _exchanged(
     axes: Sequence[AxisFit], answers: Sequence[Response], exchanging: bool
 ) -> tuple[Exchange | None, list[str]]:
     """Return what x and y exchange if it is sure, and sentences about all motion across the axes."""
-    found = find_exchange(axes, answers) if exchanging else None
-    if found is None or found.left > CROSS_TALK or max(map(abs, found.turned_rad.values())) > MOST_TURNED:
+    exchange = find_exchange(axes, answers) if exchanging else None
+    if exchange is None or exchange.left > CROSS_TALK or max(map(abs, exchange.turned_rad.values())) > MOST_TURNED:
         return None, _crossing(answers, axes)
-    told = _crossing([a for a in answers if "z" in (a.axis, a.measured.input[-1]) or a.direct], axes)
-    told += [
+    sentences = _crossing([a for a in answers if "z" in (a.axis, a.measured.input[-1]) or a.direct], axes)
+    sentences += [
         f"{name}: the sensor seems turned about z by {np.degrees(turn):.0f}°, which the exchange of motion leaves out."
-        for name, turn in found.turned_rad.items()
+        for name, turn in exchange.turned_rad.items()
         if abs(turn) > CROSS_TALK
     ]
-    delta = found.delta
+    delta = exchange.delta
     if abs(delta.value) < max(LEAST_EXCHANGE, SHARP * delta.sd):
-        return None, told
+        return None, sentences
     belt = 2 * abs(delta.value) / (1 - abs(delta.value))
-    return found, [
+    return exchange, [
         f"x and y exchange motion: axes.exchange = {delta.value:.3f} ({delta.low:.3f} to {delta.high:.3f}) is written, "
         f"so that it is compensated. One belt is stiffer than the other by about {100 * belt:.0f} %: make "
         "their tensions equal and measure again.",
-        *told,
+        *sentences,
     ]
 
 
@@ -166,21 +166,21 @@ def find_exchange(axes: Sequence[AxisFit], answers: Sequence[Response]) -> Excha
     if not set("xy") <= fitted.keys():
         return None
     pairs = [_crossed(fitted, answers, each) for each in answers if each.axis in "xy" and not each.direct]
-    found = [pair for pair in pairs if pair is not None]
-    return _fitted(found) if found else None
+    crossed = [pair for pair in pairs if pair is not None]
+    return _fitted(crossed) if crossed else None
 
 
 def _crossed(fitted: dict[str, AxisFit], answers: Sequence[Response], crossed: Response) -> _Crossed | None:
     to, of = crossed.axis, crossed.measured.input[-1]
-    own = next((a for a in answers if a.direct and a.axis == of and a.source == crossed.source), None)
-    if of != OTHER[to] or own is None or not np.array_equal(own.frequency_hz, crossed.frequency_hz):
+    direct = next((a for a in answers if a.direct and a.axis == of and a.source == crossed.source), None)
+    if of != OTHER[to] or direct is None or not np.array_equal(direct.frequency_hz, crossed.frequency_hz):
         return None
     moved, shown = _modes(fitted[of]), _modes(fitted[to])
-    f_moved, f_shown = closed_form(moved, own.frequency_hz), closed_form(shown, own.frequency_hz)
+    f_moved, f_shown = closed_form(moved, direct.frequency_hz), closed_form(shown, direct.frequency_hz)
     lines = np.abs(f_moved) > WEAKEST * np.abs(f_moved).max()
-    exchanged = f_shown * (1 - closed_form(_driven(moved), own.frequency_hz)) / f_moved
+    exchanged = f_shown * (1 - closed_form(_driven(moved), direct.frequency_hz)) / f_moved
     sign = _sign(fitted[to], shown) * _sign(fitted[of], moved)
-    return _Crossed(crossed, lines, (sign * exchanged * own.value)[lines], own.value[lines])
+    return _Crossed(crossed, lines, (sign * exchanged * direct.value)[lines], direct.value[lines])
 
 
 def _modes(axis: AxisFit) -> FloatArray:

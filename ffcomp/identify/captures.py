@@ -135,11 +135,11 @@ def responses_of(recordings: Sequence[Recording], plan: Plan, band_hz: tuple[flo
     places: dict[int, list[Recording]] = {}
     for recording in recordings:
         places.setdefault(experiments[recording.comments["experiment"]].place, []).append(recording)
-    found = []
+    responses = []
     for place, members in sorted(places.items()):
         at = _position(experiments[members[0].comments["experiment"]])
-        found += _of_place(members, place, at, (max(BAND_HZ[0], band_hz[0]), min(BAND_HZ[1], band_hz[1])))
-    return found
+        responses += _of_place(members, place, at, (max(BAND_HZ[0], band_hz[0]), min(BAND_HZ[1], band_hz[1])))
+    return responses
 
 
 def _position(experiment: Experiment) -> tuple[float, float, float]:
@@ -153,9 +153,9 @@ def _of_place(
     """Estimate the responses at one place; a capture's start is known to a fraction of a millisecond: one clock."""
     longest = max(len(recording.time_s) for recording in members)
     alike = [_resting(recording, longest) for recording in members]
-    found = frfs_from_recordings(alike, *band_hz, half_width_hz=HALF_WIDTH_HZ, position_mm=position)
+    responses = frfs_from_recordings(alike, *band_hz, half_width_hz=HALF_WIDTH_HZ, position_mm=position)
     name = f"place {place}, {len(members)} captures"
-    known = [r for r in found if r.input in INPUTS and _noise(r) < MOST_NOISE]
+    known = [r for r in responses if r.input in INPUTS and _noise(r) < MOST_NOISE]
     return [replace(r, variance=r.variance * VARIANCE_FACTOR, source=name, clock=f"place-{place}") for r in known]
 
 

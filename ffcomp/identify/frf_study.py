@@ -189,8 +189,8 @@ def study(
 def _of_axes(response: FrequencyResponse, centre_mm: tuple[float, float]) -> FrequencyResponse:
     """Of straight axes the carriages are the axes: what is said of A is said of x. And every place is as the centre."""
     names = dict(zip(CARRIAGES, AXES, strict=True))
-    said, answers = (name[:-1] + names.get(name[-1], name[-1]) for name in (response.input, response.output))
-    return replace(response, input=said, output=answers, position_mm=(*centre_mm, 0.0))
+    commanded, answers = (name[:-1] + names.get(name[-1], name[-1]) for name in (response.input, response.output))
+    return replace(response, input=commanded, output=answers, position_mm=(*centre_mm, 0.0))
 
 
 def _straight_view(view: View) -> None:
@@ -211,9 +211,9 @@ def view_of(response: FrequencyResponse) -> View:
     return View("carriage" if answers in CARRIAGES else "nozzle", "carriage" if commanded in CARRIAGES else "nozzle")
 
 
-def verdict(found: Study) -> str:
+def verdict(study: Study) -> str:
     """Summarise a study in one sentence."""
-    return _measured_verdict(found.compared) if found.compared else _model_verdict(found)
+    return _measured_verdict(study.compared) if study.compared else _model_verdict(study)
 
 
 def _measured_verdict(compared: Sequence[Compared]) -> str:
@@ -229,24 +229,24 @@ def _measured_verdict(compared: Sequence[Compared]) -> str:
     )
 
 
-def _model_verdict(found: Study) -> str:
-    ringing = [mode.frequency_hz for s in found.stations for mode in s.modes if mode.rings]
+def _model_verdict(study: Study) -> str:
+    ringing = [mode.frequency_hz for s in study.stations for mode in s.modes if mode.rings]
     if not ringing:
         return "Nothing rings: every mode is damped by more than 30 %."
     slow, fast = min(ringing), max(ringing)
     rings = f"Rings at {slow:.0f} Hz" if fast - slow < 0.5 else f"Rings between {slow:.0f} and {fast:.0f} Hz"
-    if found.view.unit != "mm/mm":
+    if study.view.unit != "mm/mm":
         return f"{rings}."
     peak, hz, name, where = max(
-        (_loudest(found, s, pair) for s in found.stations for pair in found.view.pairs), key=lambda each: each[0]
+        (_loudest(study, s, pair) for s in study.stations for pair in study.view.pairs), key=lambda each: each[0]
     )
     return f"{rings}; at worst {name} answers {peak:.1f} times its command, at {hz:.0f} Hz, {where}."
 
 
-def _loudest(found: Study, station: Station, pair: Pair) -> tuple[float, float, str, str]:
+def _loudest(study: Study, station: Station, pair: Pair) -> tuple[float, float, str, str]:
     magnitude = np.abs(station.value[:, *pair])
     at = int(np.argmax(magnitude))
-    return float(magnitude[at]), float(found.frequency_hz[at]), found.view.rows[pair[0]], station.label
+    return float(magnitude[at]), float(study.frequency_hz[at]), study.view.rows[pair[0]], station.label
 
 
 def _cases(
@@ -335,10 +335,10 @@ class _Model:
         self, xy: FloatArray, mass: float
     ) -> tuple[str, FloatArray, float, ComplexArray, ComplexArray, tuple[NumberedMode, ...]]:
         """Return the fields of a station before the measurements."""
-        label, value, found = {"carriage-alone": self._carriage, "effector-alone": self._effector}.get(
+        label, value, modes = {"carriage-alone": self._carriage, "effector-alone": self._effector}.get(
             self.view.of, self._assembly
         )(xy, mass)
-        return label, xy, mass, value, self.machine.vibration.frequency_response(xy, self.frequency_hz), found
+        return label, xy, mass, value, self.machine.vibration.frequency_response(xy, self.frequency_hz), modes
 
     def _assembly(self, xy: FloatArray, _: float) -> _Case:
         value = self.machine.vibration.frequency_response(xy, self.frequency_hz, self.view.answering, self.view.per)
@@ -367,21 +367,21 @@ class _Model:
 
 def _assembly_modes(machine: Machine, over: ModeMap, xy: FloatArray) -> tuple[NumberedMode, ...]:
     """Give modes the numbers they have over the whole bed, so that one number is one mode at every position."""
-    found = machine.vibration.modes_at(xy)
+    modes = machine.vibration.modes_at(xy)
     each = zip(
-        numbers(delta_vibration(machine), over, xy, found),
-        found.frequencies_hz.tolist(),
-        found.damping_ratios.tolist(),
-        kinds(delta_vibration(machine), xy, found),
+        numbers(delta_vibration(machine), over, xy, modes),
+        modes.frequencies_hz.tolist(),
+        modes.damping_ratios.tolist(),
+        kinds(delta_vibration(machine), xy, modes),
         strict=True,
     )
     return (*(NumberedMode(*row) for row in sorted(each)), *_drive_mode(machine))
 
 
-def _straight_modes(found: Modes) -> tuple[NumberedMode, ...]:
+def _straight_modes(modes: Modes) -> tuple[NumberedMode, ...]:
     """Give the modes of modal axes their numbers: each along one axis alone, wherever the nozzle is."""
-    along = np.argmax(np.abs(found.nozzle), axis=1)
-    each = zip(found.frequencies_hz.tolist(), found.damping_ratios.tolist(), along.tolist(), strict=True)
+    along = np.argmax(np.abs(modes.nozzle), axis=1)
+    each = zip(modes.frequencies_hz.tolist(), modes.damping_ratios.tolist(), along.tolist(), strict=True)
     return tuple(NumberedMode(i, f, z, f"along {AXES[a]}", AXES[a]) for i, (f, z, a) in enumerate(each, 1))
 
 
@@ -411,23 +411,23 @@ def _effector_modes(machine: Machine, with_arms: bool) -> tuple[NumberedMode, ..
     m2, k = effector.extruder_mass_kg, effector.extruder_stiffness_n_per_m
     omega = np.sqrt((m1 + m2) * k / (m1 * m2))
     zeta = effector.extruder_damping_n_s_per_m * omega / (2 * k)
-    found = sorted(zip((omega / (2 * np.pi)).tolist(), zeta.tolist(), AXES, strict=True))
-    return tuple(NumberedMode(number, f, z, f"along {axis}", axis) for number, (f, z, axis) in enumerate(found, 1))
+    modes = sorted(zip((omega / (2 * np.pi)).tolist(), zeta.tolist(), AXES, strict=True))
+    return tuple(NumberedMode(number, f, z, f"along {axis}", axis) for number, (f, z, axis) in enumerate(modes, 1))
 
 
-def frf_json(found: Study, station: Station) -> dict[str, Any]:
+def frf_json(study: Study, station: Station) -> dict[str, Any]:
     """Return the JSON object ffcomp-frf/1 of one position."""
-    view = found.view
+    view = study.view
     rows, columns = range(station.value.shape[1]), range(station.value.shape[2])
     phase, carriage_phase = (np.degrees(np.unwrap(np.angle(g), axis=0)) for g in (station.value, station.carriage))
     return {
         "schema": "ffcomp-frf/1",
-        "machine": identity(found.machine),
-        "force_map": found.machine.vibration.describe().force_map
-        if found.machine.vibration.position_dependent
+        "machine": identity(study.machine),
+        "force_map": study.machine.vibration.describe().force_map
+        if study.machine.vibration.position_dependent
         else None,
         "position_mm": [*station.xy.tolist(), 0.0],
-        "frequency_hz": found.frequency_hz.tolist(),
+        "frequency_hz": study.frequency_hz.tolist(),
         "carriage": [[_bode(station.carriage, carriage_phase, i, k) for k in range(3)] for i in range(3)],
         "response": {
             "of": view.of,
@@ -443,7 +443,7 @@ def frf_json(found: Study, station: Station) -> dict[str, Any]:
             for m in station.modes
         ],
         "measured": [_compared_answer(each) for each in station.compared],
-        "verdict": verdict(found),
+        "verdict": verdict(study),
     }
 
 

@@ -99,9 +99,9 @@ def _damping_factor(machine: Machine, resonances: Sequence[Resonance]) -> float:
     """Average the ratio of measured to modelled damping ratio; both are proportional to c + b while small."""
     ratios = []
     for r in resonances:
-        found = machine.vibration.modes_at(np.array(r.place_mm))
-        nearest = int(np.argmin(np.abs(np.log(found.frequencies_hz / _main(machine, r)))))
-        ratios.append(r.mode.damping_ratio / found.damping_ratios[nearest])
+        modes = machine.vibration.modes_at(np.array(r.place_mm))
+        nearest = int(np.argmin(np.abs(np.log(modes.frequencies_hz / _main(machine, r)))))
+        ratios.append(r.mode.damping_ratio / modes.damping_ratios[nearest])
     return float(np.clip(np.exp(np.mean(np.log(ratios))), 0.1, 10.0))
 
 
@@ -110,5 +110,5 @@ def _estimates(stiffness: float, dampings: dict[str, float], resonances: Sequenc
     weight: FloatArray = np.array([1 / _sd(r) ** 2 for r in resonances])
     relative = [r.mode.damping_ratio_sd / r.mode.damping_ratio for r in resonances]
     spread = float(np.hypot(np.sqrt(np.mean(np.square(relative)) / len(resonances)), 0.3))
-    found = {STIFFNESS: lognormal(stiffness, 2 / float(np.sqrt(weight.sum())))}
-    return found | {name: lognormal(value, spread) for name, value in dampings.items()}
+    estimates = {STIFFNESS: lognormal(stiffness, 2 / float(np.sqrt(weight.sum())))}
+    return estimates | {name: lognormal(value, spread) for name, value in dampings.items()}

@@ -13,7 +13,7 @@ from ffcomp.identify.axis_spectra import Spectrum
 from ffcomp.identify.captures import frfs_from_captures, responses_of
 from ffcomp.identify.from_resonances import Resonance
 from ffcomp.identify.predict import AXES
-from ffcomp.identify.resonance_tests import BeltTest, Found, no_test, read_test
+from ffcomp.identify.resonance_tests import BeltTest, TestFile, no_test, read_test
 from ffcomp.measurement.frf import FrequencyResponse
 from ffcomp.measurement.frf_files import read_frfs
 from ffcomp.measurement.kinds import kind_of
@@ -80,14 +80,14 @@ def gather(
     MeasurementError
         For the first file that cannot be used, with all that is wrong with it.
     """
-    found, recordings = Gathered(), list[Recording]()
-    tests: list[Found] = []
+    gathered, recordings = Gathered(), list[Recording]()
+    tests: list[TestFile] = []
     captures: list[Path] = []
     for path in paths:
         progress(Stage(1, f"reading {path.name}"))
         kind = kind_of(path)
         if kind == "frf":
-            found.responses += [r.between(*band_hz) for r in read_frfs(path)]
+            gathered.responses += [r.between(*band_hz) for r in read_frfs(path)]
         elif kind == "recording":
             recordings.append(read_recording(path))
         elif plan is not None:
@@ -96,17 +96,17 @@ def gather(
             raise MeasurementError(str(path), [_NEEDS_PLAN])
         else:
             tests += read_vibrations(path)
-    for test, axis in _with_axes(tests, list(shaken_axis), found.skipped):
-        _take(test, axis, machine, column or _named_column(test, shaken_axis), band_hz, found)
+    for test, axis in _with_axes(tests, list(shaken_axis), gathered.skipped):
+        _take(test, axis, machine, column or _named_column(test, shaken_axis), band_hz, gathered)
     if not machine.vibration.position_dependent:
-        found.responses += [r for recording in recordings for r in frfs_from_recordings([recording], *band_hz)]
+        gathered.responses += [r for recording in recordings for r in frfs_from_recordings([recording], *band_hz)]
         recordings = []
-    for position, members in _by_position(recordings, machine, found.skipped).items():
-        found.responses += frfs_from_recordings(members, *band_hz, position_mm=position)
-    found.responses = [r for r in found.responses if len(r.frequency_hz)]
+    for position, members in _by_position(recordings, machine, gathered.skipped).items():
+        gathered.responses += frfs_from_recordings(members, *band_hz, position_mm=position)
+    gathered.responses = [r for r in gathered.responses if len(r.frequency_hz)]
     if plan is not None and captures:
-        found.responses += _of_plan(captures, plan, machine, band_hz, axes, progress)
-    return found
+        gathered.responses += _of_plan(captures, plan, machine, band_hz, axes, progress)
+    return gathered
 
 
 def _of_plan(
@@ -126,7 +126,7 @@ def _of_plan(
     return responses_of(load_recordings(captures, machine, plan_file, turn, progress), plan, band_hz)
 
 
-def _with_axes(tests: Sequence[Found], said: list[str], skipped: list[str]) -> list[tuple[Found, str | None]]:
+def _with_axes(tests: Sequence[TestFile], stated: list[str], skipped: list[str]) -> list[tuple[TestFile, str | None]]:
     """Pair each resonance test with its excited axis; what is no test is skipped."""
     usable = []
     for test in tests:
@@ -136,34 +136,39 @@ def _with_axes(tests: Sequence[Found], said: list[str], skipped: list[str]) -> l
         else:
             usable.append(test)
     silent = [test for test in usable if test.axis is None]
-    if len(said) > 1 and len(said) != len(silent):
-        rule = f"--axis is given {len(said)} times, for {len(silent)} tests whose names do not state their axis"
+    if len(stated) > 1 and len(stated) != len(silent):
+        rule = f"--axis is given {len(stated)} times, for {len(silent)} tests whose names do not state their axis"
         raise MeasurementError("--axis", [f"{rule}: give it once for all of them, or once for each."])
-    given = iter(said if len(said) > 1 else said * len(silent))
-    return [(test, test.axis if test.axis is not None else next(given, None)) for test in usable]
+    axes = iter(stated if len(stated) > 1 else stated * len(silent))
+    return [(test, test.axis if test.axis is not None else next(axes, None)) for test in usable]
 
 
-def _named_column(test: Found, said: Sequence[str]) -> str | None:
+def _named_column(test: TestFile, stated: Sequence[str]) -> str | None:
     """Return the axis that the user said, where the file has a column of that name and its header does not say more."""
-    if not isinstance(test, Resonances) or test.by_axis or len(said) != 1:
+    if not isinstance(test, Resonances) or test.by_axis or len(stated) != 1:
         return None
-    return said[0] if said[0] in test.psd else None
+    return stated[0] if stated[0] in test.psd else None
 
 
 def _take(
-    test: Found, axis: str | None, machine: Machine, column: str | None, band_hz: tuple[float, float], found: Gathered
+    test: TestFile,
+    axis: str | None,
+    machine: Machine,
+    column: str | None,
+    band_hz: tuple[float, float],
+    gathered: Gathered,
 ) -> None:
-    """Add a resonance test to what was found."""
+    """Add a resonance test to what the files hold."""
     if machine.vibration.position_dependent and (axis is None or axis in AXES):
-        found.spectra.append(modes_in(test, column, axis))
+        gathered.spectra.append(modes_in(test, column, axis))
         return
     read = read_test(test, axis, band_hz, column)
     if isinstance(read, str):
-        found.skipped.append(read)
+        gathered.skipped.append(read)
     elif isinstance(read, BeltTest):
-        found.belts.append(read)
+        gathered.belts.append(read)
     else:
-        found.shaken.append(read)
+        gathered.shaken.append(read)
 
 
 def _by_position(
@@ -195,7 +200,7 @@ def resonances_of(
     spectra: Sequence[ModeFit], place: tuple[float, float] = (0.0, 0.0)
 ) -> tuple[list[Resonance], list[str]]:
     """Select the strongest mode of each spectrum whose axis is known and whose mode is clear; say what is left out."""
-    found, left_out = [], []
+    resonances, left_out = [], []
     for spectrum in spectra:
         modes = [m for m in spectrum.modes if not m.tone]
         main = max(modes, key=lambda m: m.power, default=None)
@@ -210,5 +215,5 @@ def resonances_of(
                 f"{main.frequency_sd_hz:.1f} Hz only. Test it again, excited harder, with the sensor fastened."
             )
         else:
-            found.append(Resonance(spectrum.axis, place, main))
-    return found, left_out
+            resonances.append(Resonance(spectrum.axis, place, main))
+    return resonances, left_out

@@ -155,13 +155,13 @@ class _Problem:
         return with_values(self.start, self.parameters(theta))
 
     def model(self, theta: FloatArray) -> list[ComplexArray]:
-        found = predicted(self.machine(theta), self.responses)
+        responses = predicted(self.machine(theta), self.responses)
         if len(self.captures):
-            found = rotated(found, self.captures, ROTATION_UNIT * theta[self.end_of_clocks :])
+            responses = rotated(responses, self.captures, ROTATION_UNIT * theta[self.end_of_clocks :])
         delays = dict(zip(self.clocks, DELAY_UNIT_S * theta[len(self.names) : self.end_of_clocks], strict=True))
         return [
             h * np.exp(-2j * np.pi * r.frequency_hz * delays.get(r.clock, 0.0))
-            for h, r in zip(found, self.responses, strict=True)
+            for h, r in zip(responses, self.responses, strict=True)
         ]
 
     def prior(self, theta: FloatArray) -> FloatArray:
@@ -325,16 +325,16 @@ def _least_squares(
     def residual(at: FloatArray) -> FloatArray:
         return problem.residual(at, epsilon)
 
-    found = minimise(
+    solution = minimise(
         residual,
         theta,
         lambda at: forward_differences(residual, at, FORWARD_STEP),
         evaluations=evaluations,
         tolerance=tolerance,
     )
-    if not np.all(np.isfinite(found.x)):
+    if not np.all(np.isfinite(solution.x)):
         raise SolverError("The output-error fit overflowed: check the measurements' units.")
-    return found.x
+    return solution.x
 
 
 def _jacobian(problem: _Problem, theta: FloatArray, epsilon: FloatArray) -> FloatArray:
@@ -494,14 +494,14 @@ _OUTPUTS = ("acc_x", "acc_y", "acc_z")
 
 def of_one_capture(responses: Sequence[FrequencyResponse]) -> IntArray:
     """Return which responses are the three axes of one capture, (g, 3); those of a laboratory have no clock."""
-    found: dict[tuple[object, ...], dict[str, int]] = {}
+    captures: dict[tuple[object, ...], dict[str, int]] = {}
     for number, r in enumerate(responses):
         if r.clock and r.setup == "assembly" and r.output in _OUTPUTS:
             repeat = 0
-            while r.output in found.setdefault((r.clock, r.input, r.position_mm, repeat), {}):
+            while r.output in captures.setdefault((r.clock, r.input, r.position_mm, repeat), {}):
                 repeat += 1  # the same experiment, captured again
-            found[r.clock, r.input, r.position_mm, repeat][r.output] = number
-    rows = [[axes[name] for name in _OUTPUTS] for axes in found.values() if len(axes) == len(_OUTPUTS)]
+            captures[r.clock, r.input, r.position_mm, repeat][r.output] = number
+    rows = [[axes[name] for name in _OUTPUTS] for axes in captures.values() if len(axes) == len(_OUTPUTS)]
     alike = [row for row in rows if len({len(responses[i].frequency_hz) for i in row}) == 1]
     return np.array(alike, dtype=np.int64).reshape(-1, 3)
 

@@ -49,8 +49,8 @@ def _straight(machine: Machine, response: FrequencyResponse, s: ComplexArray) ->
     """Of axes that do not disturb each other; their carriages are the axes themselves."""
     if response.setup != "assembly" or not response.input.startswith("cmd_"):
         _refuse(response, f"The axes answer commands, such as cmd_x; {response.input!r} ({response.setup}) is none.")
-    told, answers = (_axis(response, name[-1]) for name in (response.input, response.output))
-    return machine.vibration.carriage_response(np.zeros(2), s)[:, answers, told]
+    commanded, answers = (_axis(response, name[-1]) for name in (response.input, response.output))
+    return machine.vibration.carriage_response(np.zeros(2), s)[:, answers, commanded]
 
 
 def _axis(response: FrequencyResponse, letter: str) -> int:

@@ -47,13 +47,13 @@ class RationalFit:
     @property
     def poles(self) -> ComplexArray:
         """(na,) 1/s, slowest first."""
-        found = np.roots(self.denominator[::-1]).astype(np.complex128)
-        return found[np.argsort(np.abs(found))]
+        roots = np.roots(self.denominator[::-1]).astype(np.complex128)
+        return roots[np.argsort(np.abs(roots))]
 
     def zeros(self, response: int = 0) -> ComplexArray:
         """Return the zeros of one response, (nb,) 1/s, slowest first."""
-        found = np.roots(self.numerators[response][::-1]).astype(np.complex128)
-        return found[np.argsort(np.abs(found))]
+        roots = np.roots(self.numerators[response][::-1]).astype(np.complex128)
+        return roots[np.argsort(np.abs(roots))]
 
     def mode(self, pole: complex) -> Mode:
         """Return the mode of one of `poles` with its uncertainty, to first order in the coefficients."""
@@ -192,8 +192,8 @@ def _stabilised(theta: FloatArray, na: int) -> FloatArray:
 
 
 def _refined(problem: _Problem, start: FloatArray) -> FloatArray:
-    found = minimise(problem.residual, start, problem.jacobian, evaluations=400)
-    return found.x if found.converged or found.cost < np.sum(problem.residual(start) ** 2) else start
+    solution = minimise(problem.residual, start, problem.jacobian, evaluations=400)
+    return solution.x if solution.converged or solution.cost < np.sum(problem.residual(start) ** 2) else start
 
 
 def _unscaled(problem: _Problem, theta: FloatArray, scale: float) -> RationalFit:

@@ -22,7 +22,7 @@ from models.arrays import FloatArray
 
 FEWEST_LINES = 20  # of one file, in the band
 
-Found = Capture | Resonances
+TestFile = Capture | Resonances
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,15 +41,15 @@ class BeltTest:
         return ",".join(f"{round(c / scale, 3) + 0.0:g}" for c in (x, y))
 
 
-def no_test(found: Found) -> str:
+def no_test(test: TestFile) -> str:
     """Say in a sentence why a file holds no resonance test; '' if it may be one."""
-    if isinstance(found, Resonances):
+    if isinstance(test, Resonances):
         return ""
-    name = file_and_name(found)
-    if found.excitation_hz is not None:
-        return f"{name}: it was excited at one frequency, {found.excitation_hz:g} Hz, which shows no modes."
-    if swept_band(found) is None:
-        seconds = float(found.time_s[-1] - found.time_s[0])
+    name = file_and_name(test)
+    if test.excitation_hz is not None:
+        return f"{name}: it was excited at one frequency, {test.excitation_hz:g} Hz, which shows no modes."
+    if swept_band(test) is None:
+        seconds = float(test.time_s[-1] - test.time_s[0])
         return (
             f"{name}: there is no sweep in its {seconds:.3g} s, so it is no capture of a resonance test. Run the "
             "firmware's (Klipper: TEST_RESONANCES AXIS=X OUTPUT=raw_data), or `ffcomp record plan --for identify`."
@@ -74,14 +74,14 @@ def direction_of(axis: str | None) -> FloatArray | None:
     return np.asarray(parts[:2] / size)
 
 
-def spectrum_of(path: Path, said_axis: str | None, band_hz: tuple[float, float]) -> Spectrum | BeltTest | str:
+def spectrum_of(path: Path, stated_axis: str | None, band_hz: tuple[float, float]) -> Spectrum | BeltTest | str:
     """Read the one resonance test of a file; see `read_test`."""
-    found = read_vibration(path)
-    return no_test(found) or read_test(found, found.axis or said_axis, band_hz)
+    test = read_vibration(path)
+    return no_test(test) or read_test(test, test.axis or stated_axis, band_hz)
 
 
 def read_test(
-    found: Found, axis: str | None, band_hz: tuple[float, float], column: str | None = None
+    test: TestFile, axis: str | None, band_hz: tuple[float, float], column: str | None = None
 ) -> Spectrum | BeltTest | str:
     """Read a resonance test, or return a sentence that says why it is of no use.
 
@@ -95,7 +95,7 @@ def read_test(
     MeasurementError
         If there are several spectra and no rule tells which one.
     """
-    name = file_and_name(found)
+    name = file_and_name(test)
     if axis is None:
         return f"{name}: the excited axis is not stated. Say --axis x or y."
     try:
@@ -103,25 +103,25 @@ def read_test(
     except ValueError:
         return f"{name}: {axis!r} is no axis; it is x, y, z or a direction as 1,-1."
     if direction is None:
-        return axis_spectrum(found, axis, band_hz, column)
-    return belt_test(found, direction, band_hz)
+        return axis_spectrum(test, axis, band_hz, column)
+    return belt_test(test, direction, band_hz)
 
 
-def belt_test(found: Found, direction: FloatArray, band_hz: tuple[float, float]) -> BeltTest | str:
+def belt_test(test: TestFile, direction: FloatArray, band_hz: tuple[float, float]) -> BeltTest | str:
     """Read a test along a direction of x and y, or return a sentence that says why it is of no use."""
-    if isinstance(found, Resonances):
-        (frequency, power), averages = found.total, USUAL_AVERAGES
+    if isinstance(test, Resonances):
+        (frequency, power), averages = test.total, USUAL_AVERAGES
     else:
-        frequency, segments = segment_powers(found, [0, 1, 2])
+        frequency, segments = segment_powers(test, [0, 1, 2])
         power, averages = segments.mean(axis=0), len(segments)
-    spectrum = _cut(found, "", frequency, {"all": power}, averages, band_hz)
+    spectrum = _cut(test, "", frequency, {"all": power}, averages, band_hz)
     if isinstance(spectrum, str):
         return spectrum
-    place = found.position_mm
+    place = test.position_mm
     return BeltTest(spectrum, direction, None if place is None else place[:2])
 
 
-def axis_spectrum(found: Found, axis: str, band_hz: tuple[float, float], column: str | None = None) -> Spectrum | str:
+def axis_spectrum(test: TestFile, axis: str, band_hz: tuple[float, float], column: str | None = None) -> Spectrum | str:
     """Read the spectrum of a test along x, y or z, or return a sentence that says why it is of no use here.
 
     Parameters
@@ -134,25 +134,25 @@ def axis_spectrum(found: Found, axis: str, band_hz: tuple[float, float], column:
     MeasurementError
         If there are several spectra and no rule tells which one.
     """
-    frequency, powers, averages = _powers(found, axis, column)
-    return _cut(found, axis, frequency, powers, averages, band_hz)
+    frequency, powers, averages = _powers(test, axis, column)
+    return _cut(test, axis, frequency, powers, averages, band_hz)
 
 
-def _powers(found: Found, axis: str, column: str | None) -> tuple[FloatArray, dict[str, FloatArray], int]:
+def _powers(test: TestFile, axis: str, column: str | None) -> tuple[FloatArray, dict[str, FloatArray], int]:
     """Return frequencies (k,), the power (k,) along each axis or along the one that is certain, and averages."""
-    if isinstance(found, Capture):
-        segments = {letter: segment_powers(found, [i]) for i, letter in enumerate(AXES)}
+    if isinstance(test, Capture):
+        segments = {letter: segment_powers(test, [i]) for i, letter in enumerate(AXES)}
         frequency, first = segments["x"]
         return frequency, {letter: each.mean(axis=0) for letter, (_, each) in segments.items()}, len(first)
-    if found.by_axis and column is None:
-        each = {name: found.power(name) for name in found.psd}
+    if test.by_axis and column is None:
+        each = {name: test.power(name) for name in test.psd}
         return next(iter(each.values()))[0], {name: power for name, (_, power) in each.items()}, USUAL_AVERAGES
-    frequency, power = found.power(found.chosen(column))
+    frequency, power = test.power(test.chosen(column))
     return frequency, {axis: power}, USUAL_AVERAGES
 
 
 def _cut(
-    found: Found,
+    test: TestFile,
     axis: str,
     frequency: FloatArray,
     powers: Mapping[str, FloatArray],
@@ -160,8 +160,8 @@ def _cut(
     band_hz: tuple[float, float],
 ) -> Spectrum | str:
     """Cut the excited band out; axis "": there is one power, of all axes."""
-    name = file_and_name(found)
-    swept = swept_in(found)
+    name = file_and_name(test)
+    swept = swept_in(test)
     lowest, highest = fitted_band(frequency, swept)
     low, high = max(lowest, band_hz[0]), min(highest, band_hz[1])
     inside = (frequency >= low) & (frequency <= high)
@@ -181,15 +181,15 @@ def _cut(
     return Spectrum(name, axis, even, power[power > 0], averages, remark, short)
 
 
-def swept_in(found: Found) -> SweptBand | None:
+def swept_in(test: TestFile) -> SweptBand | None:
     """Find the swept band of a capture or of a test's spectra."""
-    return swept_band(found) if isinstance(found, Capture) else swept_band_of_spectrum(*found.total)
+    return swept_band(test) if isinstance(test, Capture) else swept_band_of_spectrum(*test.total)
 
 
-def file_and_name(found: Found) -> str:
+def file_and_name(test: TestFile) -> str:
     """Return the file's name, and the measurement's where a file holds several."""
-    file = Path(found.source).name
-    named = found.name if isinstance(found, Capture) else ""
+    file = Path(test.source).name
+    named = test.name if isinstance(test, Capture) else ""
     return f"{file} ({named})" if named and named not in file else file
 
 
