@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from ffcomp.check.felt import Felt
+from ffcomp.check.signals import SensorSignal
 from ffcomp.errors import MeasurementError
 from ffcomp.record.plan import Plan, plan_dict
 from gcode.atomic_write import replace_atomically
@@ -34,20 +34,22 @@ class Check:
     machine_sha256: str
     axes_map: str
     finding: str
-    said: str
+    message: str
     gap: float  # to the machine file, as a share of the signal
     difference: float | None  # to the check before; None: there was none
     noise: float
-    felt: tuple[Felt, ...] = ()  # empty: no longer kept
+    signals: tuple[SensorSignal, ...] = ()  # empty: no longer kept
 
-    def felt_of(self, names: Container[str]) -> list[Felt]:
+    def signals_of(self, names: Container[str]) -> list[SensorSignal]:
         """Return the experiments of these names."""
-        return [each for each in self.felt if each.name in names]
+        return [each for each in self.signals if each.name in names]
 
-    def is_same_recording(self, felt: Sequence[Felt]) -> bool:
+    def is_same_recording(self, signals: Sequence[SensorSignal]) -> bool:
         """Tell whether these are the very captures of this check."""
-        own = {each.name: _whole(each) for each in self.felt}
-        return bool(felt) and all(each.name in own and np.array_equal(own[each.name], _whole(each)) for each in felt)
+        values = {each.name: _whole(each) for each in self.signals}
+        return bool(signals) and all(
+            each.name in values and np.array_equal(values[each.name], _whole(each)) for each in signals
+        )
 
 
 def plan_hash(plan: Plan) -> str:
@@ -86,7 +88,7 @@ def write_history(path: Path, checks: Sequence[Check]) -> None:
     """Write the checks, of the oldest without their motion, replacing the file atomically."""
     kept = list(checks)[-MOST:]
     last = kept[-1].plan
-    first = next(k for k, each in enumerate(kept) if each.plan == last and each.felt)
+    first = next(k for k, each in enumerate(kept) if each.plan == last and each.signals)
     lines = [
         json.dumps(_entry(each, k == first or k >= len(kept) - WITH_MOTION), separators=(",", ":"), ensure_ascii=False)
         for k, each in enumerate(kept)
@@ -95,39 +97,40 @@ def write_history(path: Path, checks: Sequence[Check]) -> None:
 
 
 def _entry(check: Check, with_motion: bool) -> dict[str, Any]:
-    own = {key: getattr(check, key) for key in _KEYS}
-    return {"schema": SCHEMA, **own, "experiments": [_felt_entry(e) for e in check.felt] if with_motion else []}
+    values = {key: getattr(check, _FIELDS.get(key, key)) for key in _KEYS}
+    return {"schema": SCHEMA, **values, "experiments": [_signal_entry(e) for e in check.signals] if with_motion else []}
 
 
 _KEYS = ("date", "plan", "machine_sha256", "axes_map", "finding", "said", "gap", "difference", "noise")
+_FIELDS = {"said": "message"}  # where the field is not called as its key
 
 
-def _felt_entry(felt: Felt) -> dict[str, Any]:
+def _signal_entry(signals: SensorSignal) -> dict[str, Any]:
     return {
-        "name": felt.name,
-        "noise_m_per_s2": np.round(felt.noise, 5).tolist(),
-        "clock_sd_s": round(felt.clock_sd_s, 7),
-        "repeats": felt.repeats,
-        "acceleration_mm_per_s2": _whole(felt).T.tolist(),
+        "name": signals.name,
+        "noise_m_per_s2": np.round(signals.noise, 5).tolist(),
+        "clock_sd_s": round(signals.clock_sd_s, 7),
+        "repeats": signals.repeats,
+        "acceleration_mm_per_s2": _whole(signals).T.tolist(),
     }
 
 
-def _whole(felt: Felt) -> Any:
-    return np.rint(MM * felt.acceleration).astype(np.int64)
+def _whole(signals: SensorSignal) -> Any:
+    return np.rint(MM * signals.acceleration).astype(np.int64)
 
 
 def _check(read: dict[str, Any]) -> Check:
     if read["schema"] != SCHEMA:
         raise ValueError(f"its schema is {read['schema']!r}")
     difference = None if read["difference"] is None else float(read["difference"])
-    texts = {key: str(read[key]) for key in _KEYS[:6]}
-    felt = tuple(map(_felt, read["experiments"]))
-    return Check(**texts, gap=float(read["gap"]), difference=difference, noise=float(read["noise"]), felt=felt)
+    texts = {_FIELDS.get(key, key): str(read[key]) for key in _KEYS[:6]}
+    signals = tuple(map(_signal, read["experiments"]))
+    return Check(**texts, gap=float(read["gap"]), difference=difference, noise=float(read["noise"]), signals=signals)
 
 
-def _felt(read: dict[str, Any]) -> Felt:
+def _signal(read: dict[str, Any]) -> SensorSignal:
     rows = np.array(read["acceleration_mm_per_s2"], dtype=np.float64).T / MM
     noise = np.array(read["noise_m_per_s2"], dtype=np.float64)
     if rows.ndim != 2 or rows.shape[1] != 3 or noise.shape != (3,) or not np.isfinite(rows).all() or noise.min() <= 0:
         raise ValueError("an acceleration is missing")
-    return Felt(str(read["name"]), rows, noise, float(read["clock_sd_s"]), int(read["repeats"]))
+    return SensorSignal(str(read["name"]), rows, noise, float(read["clock_sd_s"]), int(read["repeats"]))

@@ -6,7 +6,7 @@ straight axes frequency and damping of each mode. Its signature is a difference 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -14,8 +14,9 @@ from typing import Any
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from ffcomp.check.felt import in_band, rows_of
+from ffcomp.check.signals import ByExperiment, SensorSignal, in_band, rows_of, weighed
 from ffcomp.record.motion import Commanded
+from ffcomp.record.plan import Experiment
 from models.arrays import FloatArray
 from models.effects.catalogue import effects_of, measured
 from models.machine import Machine, value_of, with_values
@@ -148,11 +149,59 @@ def simulated(machines: Sequence[Machine], motion: Commanded) -> FloatArray:
     t = np.arange(-SPARE_S, motion.duration_s + SPARE_S, 1.0 / SIMULATED_HZ)
     command = machines[0].kinematics.inverse(motion.nozzle(t))
     rows = rows_of(motion.duration_s)
-    found = []
+    signals = []
     for machine, played in zip(
         machines, simulate_printers(machines, [command] * len(machines), 1.0 / SIMULATED_HZ), strict=True
     ):
         if isinstance(played, ValueError):
             raise played
-        found.append(CubicSpline(t, in_band(measured(machine, played.signals).nozzle, SIMULATED_HZ))(rows))
-    return np.array(found)
+        signals.append(CubicSpline(t, in_band(measured(machine, played.signals).nozzle, SIMULATED_HZ))(rows))
+    return np.array(signals)
+
+
+UNSEEN = 1e-3  # of the signal, root mean squares: nothing can be said of such a part
+FITS = 2  # of the last check
+
+
+class Signatures:
+    """What a machine's printer feels, and what its parts would change, by their units."""
+
+    def __init__(self, machine: Machine, experiments: Sequence[Experiment]) -> None:
+        self.machine, self.experiments = machine, experiments
+        parts = parts_of(machine)
+        probed = [part.changed(machine, part.probe) for part in parts]
+        played = {each.name: simulated([machine, *probed], each.motion) for each in experiments}
+        self.expected: ByExperiment = {name: signals[0] for name, signals in played.items()}
+        size = np.sqrt(sum(np.sum(values**2) for values in self.expected.values()))
+        self.of: dict[Part, ByExperiment] = {}
+        for k, part in enumerate(parts):
+            signature = {name: (signals[k + 1] - signals[0]) / part.probe for name, signals in played.items()}
+            if np.sqrt(sum(np.sum((part.probe * values) ** 2) for values in signature.values())) > UNSEEN * size:
+                self.of[part] = signature
+
+    def at(self, sizes: Mapping[Part, float]) -> dict[Part, tuple[ByExperiment, ByExperiment]]:
+        """Return, of parts changed by so much each, what that changes and the signature there."""
+        many = [part.changed(self.machine, x) for part, size in sizes.items() for x in (size, size + part.probe)]
+        changes: dict[Part, tuple[dict[str, Any], dict[str, Any]]] = {part: ({}, {}) for part in sizes}
+        for each in self.experiments:
+            played = simulated(many, each.motion)
+            for k, part in enumerate(sizes):
+                changes[part][0][each.name] = played[2 * k] - self.expected[each.name]
+                changes[part][1][each.name] = (played[2 * k + 1] - played[2 * k]) / part.probe
+        return dict(changes)
+
+
+def fitted(first: Signatures, measured_signals: Sequence[SensorSignal]) -> Signatures:
+    """Return the signatures around the printer that was measured."""
+    around = first
+    for _ in range(FITS):
+        expected = [each.replaced(around.expected[each.name]) for each in measured_signals]
+        problem = weighed([(now, then) for now, then in zip(measured_signals, expected, strict=True)])
+        parts = [part for part in around.of if not part.special]
+        columns = [problem.column(around.of[part]) for part in parts]
+        values = problem.fit(columns, [part.usual for part in parts]).values
+        machine = around.machine
+        for part, value in zip(parts, values.tolist(), strict=True):
+            machine = part.changed(machine, float(np.clip(value, part.lowest, part.highest)))
+        around = Signatures(machine, first.experiments)
+    return around

@@ -9,11 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from ffcomp.check.compare import Comparison, compare, pairs_of, share_apart
-from ffcomp.check.felt import Felt, felt_of
+from ffcomp.check.compare import FIRST, SAME, UNKNOWN, Comparison, Verdict, compare, pairs_of, share_apart, verdict
 from ffcomp.check.history import Check, plan_hash
-from ffcomp.check.signatures import Signatures, fitted
-from ffcomp.check.verdict import FIRST, SAME, UNKNOWN, Verdict, verdict
+from ffcomp.check.parts import Signatures, fitted
+from ffcomp.check.signals import SensorSignal, signals_of
 from ffcomp.record.plan import Plan
 from ffcomp.record.result import JoinResult
 from models.machine import Machine
@@ -45,19 +44,19 @@ class CheckResult:
 
     def to_dict(self, machine: str, history: Path) -> dict[str, Any]:
         """Return the JSON object ffcomp-check/1."""
-        found, since = self.compared, self.since_first
-        turned = found.turned if found else None
+        comparison, since = self.compared, self.since_first
+        turned = comparison.turned if comparison else None
         return {
             "schema": "ffcomp-check/1",
             "machine": {"name": machine, "sha256": self.check.machine_sha256},
             "date": self.check.date,
             "finding": self.verdict.finding,
-            "said": self.verdict.said,
+            "said": self.verdict.message,
             "compared_with": self.compared_with,
             "gap": self.check.gap,
             "noise": self.check.noise,
             "difference": self.check.difference,
-            "times_noise": found.times if found else None,
+            "times_noise": comparison.times if comparison else None,
             "named": [
                 {
                     "part": each.part.name,
@@ -75,7 +74,7 @@ class CheckResult:
             "since_first": {
                 "date": self.first_date if since else None,
                 "finding": since.finding if since else None,
-                "said": since.said if since else None,
+                "said": since.message if since else None,
             },
             "experiments": [
                 {"name": each.name, "gap": each.gap, "noise": each.noise, "difference": each.difference}
@@ -89,37 +88,37 @@ class CheckResult:
 
 def check_result(joined: JoinResult, plan: Plan, machine: Machine, history: Sequence[Check], date: str) -> CheckResult:
     """Compare what was joined with the machine file and with the history."""
-    felt = felt_of(joined.joined, plan)
+    signals = signals_of(joined.joined, plan)
     moves = plan_hash(plan)
-    comparable = [each for each in history if each.plan == moves and each.felt]
-    known = [each for each in comparable if each.is_same_recording(felt)]
+    comparable = [each for each in history if each.plan == moves and each.signals]
+    known = [each for each in comparable if each.is_same_recording(signals)]
     earlier = comparable[: comparable.index(known[0])] if known else comparable
-    names = {each.name for each in felt}
-    own = Signatures(machine, [each for each in plan.experiments if each.name in names])
+    names = {each.name for each in signals}
+    signatures = Signatures(machine, [each for each in plan.experiments if each.name in names])
     axes = joined.joined[0].axes_map
-    last, found = (earlier[-1] if earlier else None), None
-    said, first_said = Verdict(FIRST, _first_words(history, moves)), None
-    if last is not None and pairs_of(felt, last.felt):
-        found = compare(pairs_of(felt, last.felt), fitted(own, last.felt_of(names)))
-        said = verdict(found, _day(last.date), last.axes_map, axes)
-        first_said = _since_first(felt, earlier, own, axes) if said.finding == SAME else None
-    sizes = [_size(each, own, last) for each in felt]
-    total = _total(sizes, felt)
+    last, comparison = (earlier[-1] if earlier else None), None
+    today, first_said = Verdict(FIRST, _first_words(history, moves)), None
+    if last is not None and pairs_of(signals, last.signals):
+        comparison = compare(pairs_of(signals, last.signals), fitted(signatures, last.signals_of(names)))
+        today = verdict(comparison, _day(last.date), last.axes_map, axes)
+        first_said = _since_first(signals, earlier, signatures, axes) if today.finding == SAME else None
+    sizes = [_size(each, signatures, last) for each in signals]
+    total = _total(sizes, signals)
     check = Check(
         date,
         moves,
         machine.sha256,
         axes,
-        said.finding,
-        said.said,
+        today.finding,
+        today.message,
         total.gap,
-        None if found is None else found.size,
+        None if comparison is None else comparison.size,
         total.noise,
-        tuple(felt),
+        tuple(signals),
     )
     notes = tuple(_notes(known, plan, names, last, machine))
-    date_then, first = (last.date if found and last else None), (earlier[0].date if earlier else None)
-    return CheckResult(check, said, tuple(sizes), found, date_then, first_said, first, bool(known), notes)
+    date_then, first = (last.date if comparison and last else None), (earlier[0].date if earlier else None)
+    return CheckResult(check, today, tuple(sizes), comparison, date_then, first_said, first, bool(known), notes)
 
 
 def against_file(result: CheckResult) -> str:
@@ -151,26 +150,28 @@ def _first_words(history: Sequence[Check], moves: str) -> str:
     return "First check: there is nothing to compare with yet."
 
 
-def _since_first(felt: Sequence[Felt], earlier: Sequence[Check], own: Signatures, axes: str) -> Verdict | None:
+def _since_first(
+    signals: Sequence[SensorSignal], earlier: Sequence[Check], signatures: Signatures, axes: str
+) -> Verdict | None:
     """Compare with the first check: what creeps never differs from the last one."""
     first = earlier[0]
-    pairs = pairs_of(felt, first.felt)
+    pairs = pairs_of(signals, first.signals)
     if len(earlier) < 2 or not pairs:
         return None
-    names = {each.name for each in felt}
-    since = verdict(compare(pairs, fitted(own, first.felt_of(names))), _day(first.date), first.axes_map, axes)
+    names = {each.name for each in signals}
+    since = verdict(compare(pairs, fitted(signatures, first.signals_of(names))), _day(first.date), first.axes_map, axes)
     return since if since.finding != SAME else None
 
 
-def _size(felt: Felt, own: Signatures, last: Check | None) -> Size:
-    noise = float(np.sqrt(np.mean(felt.noise**2))) / felt.size
-    then = [each for each in last.felt if each.name == felt.name] if last else []
-    difference = share_apart(felt, then[0].acceleration) if then else None
-    return Size(felt.name, share_apart(felt, own.expected[felt.name]), noise, difference)
+def _size(signal: SensorSignal, signatures: Signatures, last: Check | None) -> Size:
+    noise = float(np.sqrt(np.mean(signal.noise**2))) / signal.size
+    then = [each for each in last.signals if each.name == signal.name] if last else []
+    difference = share_apart(signal, then[0].acceleration) if then else None
+    return Size(signal.name, share_apart(signal, signatures.expected[signal.name]), noise, difference)
 
 
-def _total(sizes: Sequence[Size], felt: Sequence[Felt]) -> Size:
-    weights = np.array([each.size**2 for each in felt]) / sum(each.size**2 for each in felt)
+def _total(sizes: Sequence[Size], signals: Sequence[SensorSignal]) -> Size:
+    weights = np.array([each.size**2 for each in signals]) / sum(each.size**2 for each in signals)
     gap, noise = (
         float(np.sqrt(weights @ np.array([getattr(each, key) for each in sizes]) ** 2)) for key in ("gap", "noise")
     )

@@ -185,9 +185,9 @@ def _compare(request: CheckRequest, shown: Shown) -> None:
 def _report_check(result: CheckResult, request: CheckRequest) -> None:
     from ffcomp.check.result import against_file, to_do
 
-    print(result.verdict.said)
+    print(result.verdict.message)
     if result.since_first is not None:
-        print(f"But since the first check: {result.since_first.said}")
+        print(f"But since the first check: {result.since_first.message}")
     print(against_file(result))
     for each in result.experiments:
         then = "" if each.difference is None else f", {100 * each.difference:.1f} % from the last check"

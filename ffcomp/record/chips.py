@@ -26,10 +26,10 @@ def of_all_chips(by_chip: Sequence[Sequence[Joined]]) -> list[Joined]:
     Repeats are compared row by row, so all are on the rows of the chip that fits its commands best, if it has them.
     """
     by_name: dict[str, list[Joined]] = {}
-    for own in sorted(by_chip, key=_fitting, reverse=True):
-        for each in own:
+    for members in sorted(by_chip, key=_fitting, reverse=True):
+        for each in members:
             by_name.setdefault(each.name, []).append(each)
-    return [_together(own) for own in by_name.values()]
+    return [_together(members) for members in by_name.values()]
 
 
 def _fitting(joined: Sequence[Joined]) -> float:
@@ -37,14 +37,14 @@ def _fitting(joined: Sequence[Joined]) -> float:
     return sum(each.clock.correlation for each in joined)
 
 
-def _together(own: Sequence[Joined]) -> Joined:
+def _together(members: Sequence[Joined]) -> Joined:
     """Join the recordings of one execution, the best chip's first."""
-    best, chips = own[0], dict.fromkeys(AXES, 0)
+    best, chips = members[0], dict.fromkeys(AXES, 0)
     for i, axis in enumerate(AXES):
-        chip = int(np.argmax([each.felt[i] for each in own]))
-        if own[chip].felt[i] > best.felt[i] and best.felt[i] < DEAF:
-            shares = (*best.felt[:i], own[chip].felt[i], *best.felt[i + 1 :])
-            best = replace(best, recording=_with_axis(best, own[chip], f"acc_{axis}"), felt=shares)
+        chip = int(np.argmax([each.felt[i] for each in members]))
+        if members[chip].felt[i] > best.felt[i] and best.felt[i] < DEAF:
+            shares = (*best.felt[:i], members[chip].felt[i], *best.felt[i + 1 :])
+            best = replace(best, recording=_with_axis(best, members[chip], f"acc_{axis}"), felt=shares)
             chips[axis] = chip
     return best if len(set(chips.values())) == 1 else _of_clocks(best, chips)
 
@@ -52,7 +52,8 @@ def _together(own: Sequence[Joined]) -> Joined:
 def _of_clocks(best: Joined, chips: Mapping[str, int]) -> Joined:
     """Say which columns are of one chip, and so on one clock."""
     groups = [
-        " ".join(f"acc_{axis}" for axis, own in chips.items() if own == chip) for chip in sorted({*chips.values()})
+        " ".join(f"acc_{axis}" for axis, of_axis in chips.items() if of_axis == chip)
+        for chip in sorted({*chips.values()})
     ]
     recording = best.recording
     return replace(best, recording=replace(recording, comments={**recording.comments, CLOCKS: ", ".join(groups)}))
@@ -60,14 +61,16 @@ def _of_clocks(best: Joined, chips: Mapping[str, int]) -> Joined:
 
 def _with_axis(best: Joined, source: Joined, column: str) -> Recording:
     """Put another chip's axis on the rows of the first one's recording; both are on the experiment's clock."""
-    own, other = best.recording, source.recording
-    at = np.clip(own.time_s + best.begin_s - source.begin_s, 0.0, other.time_s[-1])  # both end at rest
+    recording, other = best.recording, source.recording
+    at = np.clip(recording.time_s + best.begin_s - source.begin_s, 0.0, other.time_s[-1])  # both end at rest
     values = other.acceleration[column]
     known = np.isfinite(values)
-    found = np.asarray(CubicSpline(other.time_s[known], values[known])(at))
+    resampled = np.asarray(CubicSpline(other.time_s[known], values[known])(at))
     near = np.clip(np.searchsorted(other.time_s, at), 1, len(values) - 1)
-    found[~(known[near] & known[near - 1])] = np.nan
-    return replace(own, acceleration={**own.acceleration, column: found}, gaps=own.gaps | np.isnan(found))
+    resampled[~(known[near] & known[near - 1])] = np.nan
+    return replace(
+        recording, acceleration={**recording.acceleration, column: resampled}, gaps=recording.gaps | np.isnan(resampled)
+    )
 
 
 def without_deaf_axes(joined: Sequence[Joined], machine: Machine) -> tuple[list[Joined], list[str]]:
@@ -91,8 +94,8 @@ def without_lacking_runs(joined: Sequence[Joined], machine: Machine) -> tuple[li
     if not (machine.kinematics.bed_may_move and with_chips):
         return list(joined), []
     heard = np.median([each.felt for each in with_chips], axis=0)
-    felt = [axis for axis, share in zip(AXES, heard.tolist(), strict=True) if share >= DEAF]
-    lacking = {each.name: axis for each in with_chips for axis in _lacking(each) if axis in felt}
+    audible = [axis for axis, share in zip(AXES, heard.tolist(), strict=True) if share >= DEAF]
+    lacking = {each.name: axis for each in with_chips for axis in _lacking(each) if axis in audible}
     notes = [
         f"{name} is left out: the capture of the chip that feels {axis} is missing, or was not joined."
         for name, axis in lacking.items()

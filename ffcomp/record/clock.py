@@ -113,11 +113,11 @@ def fit_clock(
     start : offset and ratio to begin with
     """
     estimate, centre = np.array(start), float(since.mean())
-    felt = np.array(felt_shares(record, reference, start[0] + start[1] * since)) >= DEAF
+    audible = np.array(felt_shares(record, reference, start[0] + start[1] * since)) >= DEAF
     free = 2 if free_ratio else 1
     for _ in range(ITERATIONS):
         t = estimate[0] + estimate[1] * since
-        linear, slope = _linear(reference.at(t), felt), reference.at(t, 1)[0]
+        linear, slope = _linear(reference.at(t), audible), reference.at(t, 1)[0]
         gains, *_ = np.linalg.lstsq(linear, record.ravel(), rcond=1e-9)
         residual = record.ravel() - linear @ gains
         early = (gains[:3] * slope).ravel()
@@ -138,14 +138,14 @@ def fit_clock(
     return ClockFit(float(estimate[0]), offset_sd, float(estimate[1]), ratio_sd, float(np.sqrt(max(explained, 0.0))))
 
 
-def _linear(values: list[FloatArray], felt: BoolArray) -> FloatArray:
+def _linear(values: list[FloatArray], audible: BoolArray) -> FloatArray:
     """Build the columns whose sizes are free, (3 k, 3 + s): each axis by itself, each signature on all together.
 
     A signature has no share of an axis that the chip does not feel: friction beside a chip on the bed is the bed's.
     """
     expected, *signatures = values
     axes = [np.where(np.arange(3) == axis, expected, 0.0).ravel() for axis in range(3)]
-    return np.column_stack([*axes, *((each * felt).ravel() for each in signatures)])
+    return np.column_stack([*axes, *((each * audible).ravel() for each in signatures)])
 
 
 def _sandwich(jacobian: FloatArray, residual: FloatArray, normal: FloatArray) -> FloatArray:
@@ -203,9 +203,9 @@ def every_clock(
 
 def _peaks(likeness: FloatArray, apart: int) -> list[int]:
     """Return the best lags of (n,), some rows apart: loops fit a quarter of a turn later nearly as well."""
-    left, found = likeness.copy(), list[int]()
+    left, lags = likeness.copy(), list[int]()
     for _ in range(STARTS):
         best = int(left.argmax())
-        found.append(best)
+        lags.append(best)
         left[max(0, best - apart) : best + apart + 1] = 0.0
-    return found
+    return lags

@@ -74,9 +74,9 @@ def _with_friction(machine: Machine, force_n: float) -> dict[str, Any]:
 
 def _felt(machines: Sequence[Machine], commands: Sequence[FloatArray]) -> list[FloatArray]:
     """Simulate the nozzle's acceleration, (N, 3) m/s² each."""
-    felt = []
+    accelerations = []
     for motion in simulate_printers(machines, commands, 1 / RATE_HZ):
         if isinstance(motion, ValueError):
             raise motion
-        felt.append(motion.nozzle_acceleration)
-    return felt
+        accelerations.append(motion.nozzle_acceleration)
+    return accelerations

@@ -73,16 +73,16 @@ def join_captures(
             if is_closed_loop(path):
                 motors += motor_runs(read_closed_loop(path), plan, machine, motors)
                 continue
-            found, remarks = read_tasks(path, plan, machine, expected, taken)
-            tasks += found
+            of_file, remarks = read_tasks(path, plan, machine, expected, taken)
+            tasks += of_file
             notes += [f"{Path(path).name}: {sentence}" for sentence in remarks]
         except MeasurementError as error:
             refused += [Refused(str(path), problem) for problem in error.problems]
     joined: list[list[Joined]] = []
     for chip in dict.fromkeys(task.chip for task in tasks):
-        own = [task for task in tasks if task.chip == chip]
-        progress(f"joining {len(own)} captures of {chip or 'the accelerometer'}")
-        good, bad = _join_chip(own, plan, turn)
+        of_chip = [task for task in tasks if task.chip == chip]
+        progress(f"joining {len(of_chip)} captures of {chip or 'the accelerometer'}")
+        good, bad = _join_chip(of_chip, plan, turn)
         joined.append(good)
         refused += bad
     whole, lacking = without_lacking_runs(of_all_chips(joined), machine)
@@ -165,20 +165,20 @@ class _Clock:
 def _clock(task: Task, plan: Plan, axes: FloatArray) -> _Clock:
     record, reference = task.record @ axes.T, task.reference
     if task.capture.clock == "free":
-        found = fit_clock(task.since, record, reference, best_score(task.matches, axes)[1], free_ratio=True)
-        return _Clock(replace(found, offset_sd_s=float(np.hypot(found.offset_sd_s, BIAS_SD_S))), None)
+        fit = fit_clock(task.since, record, reference, best_score(task.matches, axes)[1], free_ratio=True)
+        return _Clock(replace(fit, offset_sd_s=float(np.hypot(fit.offset_sd_s, BIAS_SD_S))), None)
     logged = task.capture.clock == "log"
     interval = (task.matches.starts[0][0],) * 2 if logged else stated(task.capture, plan, task.experiment)
     middle = float(np.mean(interval))
-    found = fit_clock(task.since, record, reference, (middle, 1.0), free_ratio=False)
-    if found.correlation < LEAST_CORRELATION:  # refused later, or a shaper is to blame
-        return _Clock(replace(found, offset_s=middle), None)
-    late, ratio = middle - found.offset_s, 1.0
+    fit = fit_clock(task.since, record, reference, (middle, 1.0), free_ratio=False)
+    if fit.correlation < LEAST_CORRELATION:  # refused later, or a shaper is to blame
+        return _Clock(replace(fit, offset_s=middle), None)
+    late, ratio = middle - fit.offset_s, 1.0
     if abs(late) > FARTHEST_S:
-        ratio = fit_clock(task.since, record, reference, (found.offset_s, 1.0), free_ratio=True).ratio
+        ratio = fit_clock(task.since, record, reference, (fit.offset_s, 1.0), free_ratio=True).ratio
     if logged:
-        return _Clock(replace(found, offset_s=middle, offset_sd_s=DELAY_SD_S["log"]), None, late, ratio)
-    return _Clock(found, interval, late, ratio)
+        return _Clock(replace(fit, offset_s=middle, offset_sd_s=DELAY_SD_S["log"]), None, late, ratio)
+    return _Clock(fit, interval, late, ratio)
 
 
 def _of_these_motions(clocks: Sequence[tuple[Task, _Clock]]) -> tuple[list[tuple[Task, _Clock]], list[Refused]]:
@@ -217,13 +217,13 @@ def _narrowed(clocks: Sequence[tuple[Task, _Clock]]) -> list[tuple[Task, ClockFi
     What the machine file lacks shifts the fitted offsets of all repeats of an experiment alike, and the intervals of
     all repeats bound this shift.
     """
-    found = []
+    narrowed = []
     for task, clock in clocks:
         if clock.stated is None:
-            found.append((task, clock.fit))
+            narrowed.append((task, clock.fit))
             continue
-        own = clock.fit.offset_s
-        low, high = (edge - own for edge in clock.stated)
+        fitted = clock.fit.offset_s
+        low, high = (edge - fitted for edge in clock.stated)
         for sibling, other in clocks:
             if sibling is not task and sibling.experiment is task.experiment and other.stated is not None:
                 slack = SURE * float(np.hypot(other.fit.offset_sd_s, clock.fit.offset_sd_s))
@@ -232,9 +232,9 @@ def _narrowed(clocks: Sequence[tuple[Task, _Clock]]) -> list[tuple[Task, ClockFi
                 low, high = both if both[1] > both[0] else (low, high)
         sd = float(np.hypot((high - low) / np.sqrt(12.0), REPEATS_SD_S))
         trusted = BIAS_SD_S**2 / (BIAS_SD_S**2 + sd**2)  # the middle of the bounds, against no shift at all
-        offset = float(np.clip(own + trusted * 0.5 * (low + high), *clock.stated))
-        found.append((task, replace(clock.fit, offset_s=offset, offset_sd_s=sd, ratio=1.0, ratio_sd=0.0)))
-    return found
+        offset = float(np.clip(fitted + trusted * 0.5 * (low + high), *clock.stated))
+        narrowed.append((task, replace(clock.fit, offset_s=offset, offset_sd_s=sd, ratio=1.0, ratio_sd=0.0)))
+    return narrowed
 
 
 # The recording
@@ -256,33 +256,33 @@ def _joined(task: Task, clock: ClockFit, axes: FloatArray, rate_hz: float) -> Jo
     if complaint := wrong_gravity(gravity, may_be_removed=capture.clock == "free"):
         raise MeasurementError(capture.source, [complaint])
     upright = tilt(gravity)
-    felt = (capture.acceleration @ axes.T - gravity) @ upright.T
+    measured = (capture.acceleration @ axes.T - gravity) @ upright.T
     first, last = max(float(tau[0]), -KEPT_REST_S[0]), min(float(tau[-1]), ready.duration_s + KEPT_REST_S[1])
     # repeats are compared row by row: all have their rows at the same times of the experiment
     factor = max(1, int(np.ceil(LOWEST_RATE_HZ / rate_hz)))
     step = 1.0 / (factor * rate_hz)
     grid = step * np.arange(np.ceil(first / step), np.floor(last / step) + 1)
-    recording = _recording(task, clock, grid, _on_grid(tau, felt, grid, factor), words(axes))
+    recording = _recording(task, clock, grid, _on_grid(tau, measured, grid, factor), words(axes))
     name, begin = task.experiment.name, float(grid[0])
     heard = felt_shares(task.record @ axes.T, task.reference, clock.offset_s + clock.ratio * task.since)
     return Joined(recording, name, task.repeat, clock, capture.overflows, capture.source, words(axes), begin, heard)
 
 
-def _on_grid(tau: FloatArray, felt: FloatArray, grid: FloatArray, factor: int) -> FloatArray:
+def _on_grid(tau: FloatArray, measured: FloatArray, grid: FloatArray, factor: int) -> FloatArray:
     """Interpolate rows (n, 3) at times (n,) to a grid (k,); NaN beside rows that no bridge stands for."""
-    missing = long_gaps(tau, felt)
-    at, rows = tau, without_gaps(tau, felt)
+    missing = long_gaps(tau, measured)
+    at, rows = tau, without_gaps(tau, measured)
     if factor > 1:  # a slow sensor: more rows of the same spectrum
         rows = np.asarray(resample_poly(rows, factor, 1, axis=0))
         at = tau[0] + (tau[-1] - tau[0]) / (len(tau) - 1) / factor * np.arange(len(rows))
-    found = np.asarray(CubicSpline(at, rows)(grid))
+    resampled = np.asarray(CubicSpline(at, rows)(grid))
     near = np.clip(np.searchsorted(tau, grid), 1, len(tau) - 1)
-    found[missing[near] | missing[near - 1]] = np.nan
-    return found
+    resampled[missing[near] | missing[near - 1]] = np.nan
+    return resampled
 
 
-def _recording(task: Task, clock: ClockFit, tau: FloatArray, felt: FloatArray, axes_map: str) -> Recording:
-    own, name = task.capture, task.experiment.name
-    comments = joined_comments(clock, own.source, name, task.repeat, own.clock, own.overflows)
-    sensors = {f"acc_{axis}": felt[:, i] for i, axis in enumerate("xyz")}
+def _recording(task: Task, clock: ClockFit, tau: FloatArray, measured: FloatArray, axes_map: str) -> Recording:
+    capture, name = task.capture, task.experiment.name
+    comments = joined_comments(clock, capture.source, name, task.repeat, capture.clock, capture.overflows)
+    sensors = {f"acc_{axis}": measured[:, i] for i, axis in enumerate("xyz")}
     return measured_run(run_name(name, task.repeat), task.motion, tau, sensors, {**comments, "axes_map": axes_map})

@@ -55,7 +55,7 @@ def executions(log: MotionLog, plan: Plan, machine: Machine) -> tuple[list[Execu
     MeasurementError
         If none of the plan's experiments is in it.
     """
-    found: list[Execution] = []
+    executed: list[Execution] = []
     notes = list(differences(log, machine))
     made: dict[str, int] = {}
     for begin in _beginnings(log):
@@ -68,8 +68,8 @@ def executions(log: MotionLog, plan: Plan, machine: Machine) -> tuple[list[Execu
         for chip, samples in log.sensors.items():
             capture = _capture(log, samples, begin, experiment, plan, run_name(experiment.name, repeat))
             start = (float(capture.time_s[0]) - begin, 1.0)
-            found.append(Execution(capture, experiment, repeat, chip, start, played))
-    if not found:
+            executed.append(Execution(capture, experiment, repeat, chip, start, played))
+    if not executed:
         raise MeasurementError(
             log.source,
             [
@@ -77,7 +77,7 @@ def executions(log: MotionLog, plan: Plan, machine: Machine) -> tuple[list[Execu
                 "bed mesh and skew correction off as it switches them."
             ],
         )
-    return found, notes
+    return executed, notes
 
 
 def _beginnings(log: MotionLog) -> list[float]:
@@ -95,8 +95,8 @@ def _is(log: MotionLog, begin: float, experiment: Experiment) -> bool:
 
 def _capture(log: MotionLog, samples: Samples, begin: float, experiment: Experiment, plan: Plan, name: str) -> Capture:
     first, last = begin - plan.rest_before_s, begin + experiment.duration_s + plan.rest_after_s
-    own = (samples.time_s >= first) & (samples.time_s <= last)
-    rows = np.column_stack([samples.time_s[own], samples.acceleration[own]])
+    within = (samples.time_s >= first) & (samples.time_s <= last)
+    rows = np.column_stack([samples.time_s[within], samples.acceleration[within]])
     if len(rows) < 2:
         raise MeasurementError(log.source, [f"It holds no accelerations of {name}: the logger was started too late."])
     table = Table(("time", "x", "y", "z"), rows, np.arange(1, len(rows) + 1), {})
@@ -139,12 +139,12 @@ def _position(steps: Steps, t: FloatArray, planned: FloatArray) -> FloatArray:
     A step is made when the command crosses half a step. From which height the firmware counts is not known: shapers do
     not delay on the whole, so on the average the motor is where the plan has it.
     """
-    own = slice(*np.searchsorted(steps.time_s, [t[0], t[-1]]).tolist())
-    knots = steps.time_s[own]
+    within = slice(*np.searchsorted(steps.time_s, [t[0], t[-1]]).tolist())
+    knots = steps.time_s[within]
     if len(knots) < 2:
         return np.full(len(t), planned[0])
     way = np.sign(np.diff(steps.position_mm, prepend=steps.position_mm[0]))
-    crossing = (steps.position_mm - 0.5 * way * steps.step_mm)[own]
+    crossing = (steps.position_mm - 0.5 * way * steps.step_mm)[within]
     before, after = max(float(t[0]), knots[0] - SETTLES_S), min(float(t[-1]), knots[-1] + SETTLES_S)
     inside = (t >= knots[0]) & (t <= knots[-1])
     crossing = crossing - np.mean((np.interp(t, knots, crossing) - planned)[inside])
@@ -159,19 +159,21 @@ def differences(log: MotionLog, machine: Machine) -> list[str]:
     settings = log.settings
     if not settings:
         return ["there is no index beside the log, so the printer's configuration cannot be compared."]
-    found = []
+    sentences = []
     steps = machine.steps.per_motor
     for names in STEPPERS:
         for name, ours in zip(names, steps.tolist(), strict=True):
             theirs = _steps_per_mm(settings.get(name, {}))
             if theirs is not None and abs(theirs / ours - 1.0) > 1e-3:
-                found.append(f"{name}: the configuration has {theirs:.6g} steps/mm, and the machine file {ours:g}.")
+                sentences.append(f"{name}: the configuration has {theirs:.6g} steps/mm, and the machine file {ours:g}.")
     arms = getattr(machine.kinematics, "arm_lengths_mm", None)
     for name, ours in zip(STEPPERS[0], () if arms is None else np.asarray(arms).tolist(), strict=False):
         theirs = settings.get(name, {}).get("arm_length", settings.get(STEPPERS[0][0], {}).get("arm_length"))
         if theirs is not None and abs(float(theirs) - ours) > 0.5:
-            found.append(f"{name}: the arm is {float(theirs):g} mm in the configuration, {ours:g} in the machine file.")
-    return found
+            sentences.append(
+                f"{name}: the arm is {float(theirs):g} mm in the configuration, {ours:g} in the machine file."
+            )
+    return sentences
 
 
 def _steps_per_mm(section: object) -> float | None:

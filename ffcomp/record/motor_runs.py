@@ -80,7 +80,7 @@ def motor_runs(log: MotorLog, plan: Plan, machine: Machine, before: Sequence[Joi
     chosen = _apart([each for each in fits if each.good])
     if not chosen:
         raise MeasurementError(log.source, [_refusal(log, plan, machine, fits)])
-    taken, found = [each.name for each in before], list[Joined]()
+    taken, joined = [each.name for each in before], list[Joined]()
     for fit in sorted(chosen, key=lambda each: each.span[0]):
         _check_motor(log, fit, fits)
         stem = f"{fit.experiment.name}-{MOTORS[fit.motor]}"
@@ -91,8 +91,8 @@ def motor_runs(log: MotorLog, plan: Plan, machine: Machine, before: Sequence[Joi
                 [f"There are {plan.repeats} logs of motor {stem[-1]} in {fit.experiment.name} already. Leave one out."],
             )
         taken.append(run_name(stem, repeat))
-        found.append(_joined(log, fit, repeat, run_name(stem, repeat)))
-    return found
+        joined.append(_joined(log, fit, repeat, run_name(stem, repeat)))
+    return joined
 
 
 def _check_machine(log: MotorLog, machine: Machine) -> None:
@@ -148,12 +148,12 @@ def _places(log: MotorLog, way: CubicSpline, duration_s: float) -> list[float]:
     first, second = (each[n:] - each[:-n] for each in sums)
     power = np.maximum(second - first**2 / n, 1e-6 * max(float(target @ target), 1e-300)) * float(planned @ planned)
     likeness = fftconvolve(target, planned[::-1], mode="valid") ** 2 / np.maximum(power, 1e-300)
-    found = list[float]()
+    candidates = list[float]()
     while likeness.max() >= LEAST_LIKENESS:
         best = int(likeness.argmax())
-        found.append(float(at[best]))
+        candidates.append(float(at[best]))
         likeness[max(0, best - n // 2) : best + n // 2 + 1] = 0.0
-    return found
+    return candidates
 
 
 def _fit(
@@ -161,8 +161,8 @@ def _fit(
 ) -> _Fit | None:
     """Fit clock, steps/mm and zero; then again with the machine file's steps/mm, if they are those."""
     since = log.time_s - log.time_s[0]
-    own = (since >= begin) & (since <= begin + experiment.duration_s)
-    since, target = since[own], log.target[own]
+    within = (since >= begin) & (since <= begin + experiment.duration_s)
+    since, target = since[within], log.target[within]
     if len(since) < COARSE_HZ * 0.5 * experiment.duration_s:
         return None
     free = _refined(since, target, way, np.array([-begin, 1.0, 0.0, 0.0]), None)
@@ -173,14 +173,14 @@ def _fit(
     }
     near = next((size for size in sizes.values() if abs(abs(free[2]) / size - 1.0) < OTHER_SIZE), None)
     size = float(free[2] if near is None else np.copysign(near, free[2]))
-    found = _refined(since, target, way, free, size)
-    residual = target - size * way(found[0] + found[1] * since) - found[3]
+    estimate = _refined(since, target, way, free, size)
+    residual = target - size * way(estimate[0] + estimate[1] * since) - estimate[3]
     apart = float(np.sqrt(np.mean(residual**2))) / abs(size)
-    sd, spread = _uncertainty(since, way, found, residual)
+    sd, spread = _uncertainty(since, way, estimate, residual)
     explained = 1.0 - float(residual @ residual) / float(np.sum((target - target.mean()) ** 2))
-    clock = ClockFit(float(found[0]), sd[0], float(found[1]), sd[1], float(np.sqrt(max(explained, 0.0))))
+    clock = ClockFit(float(estimate[0]), sd[0], float(estimate[1]), sd[1], float(np.sqrt(max(explained, 0.0))))
     microsteps = apart * float(machine.steps.per_motor[motor])
-    return _Fit(experiment, motor, clock, size, float(found[3]), microsteps, spread, near is not None)
+    return _Fit(experiment, motor, clock, size, float(estimate[3]), microsteps, spread, near is not None)
 
 
 def _refined(
@@ -205,14 +205,14 @@ def _refined(
 
 
 def _uncertainty(
-    since: FloatArray, way: CubicSpline, found: FloatArray, residual: FloatArray
+    since: FloatArray, way: CubicSpline, estimate: FloatArray, residual: FloatArray
 ) -> tuple[tuple[float, float], float]:
     """Return the standard deviations of offset and ratio, and the spread of the target, s.
 
     Pulses with a spread of σ, as a shaper has them, add σ²/2 times the acceleration to a motion, beside a delay.
     """
-    tau = found[0] + found[1] * since
-    speed, acceleration = found[2] * way(tau, 1), found[2] * way(tau, 2)
+    tau = estimate[0] + estimate[1] * since
+    speed, acceleration = estimate[2] * way(tau, 1), estimate[2] * way(tau, 2)
     columns = np.column_stack([speed, speed * since, np.ones(len(since)), acceleration])
     size = np.linalg.norm(columns, axis=0) + 1e-300
     share = np.linalg.lstsq(columns / size, residual, rcond=None)[0] / size

@@ -72,9 +72,9 @@ def split_capture(capture: Capture, plan: Plan, references: Sequence[Reference],
             for experiment, reference in zip(plan.experiments, references, strict=True)
         }
         tried.append(_in_order([(repeat, place) for each, repeat in runs for place in places[each.name]], runs))
-    found = max(tried, key=lambda each: sum(place.likeness for _, place in each))
-    taken |= {run_name(place.experiment.name, repeat) for repeat, place in found}
-    return [_cut(capture, place, repeat, plan) for repeat, place in found]
+    chosen = max(tried, key=lambda each: sum(place.likeness for _, place in each))
+    taken |= {run_name(place.experiment.name, repeat) for repeat, place in chosen}
+    return [_cut(capture, place, repeat, plan) for repeat, place in chosen]
 
 
 def _in_order(places: Sequence[tuple[int, _Place]], runs: Sequence[tuple[Experiment, int]]) -> list[tuple[int, _Place]]:
@@ -88,12 +88,12 @@ def _in_order(places: Sequence[tuple[int, _Place]], runs: Sequence[tuple[Experim
             if follows and earlier.end_s < place.begin_s and best[j][0] > total:
                 total, before = best[j][0], j
         best.append((total + place.likeness, before))
-    found: list[tuple[int, _Place]] = []
+    chosen: list[tuple[int, _Place]] = []
     k = max(range(len(best)), key=lambda i: best[i][0], default=-1)
     while k >= 0:
-        found.append(places[k])
+        chosen.append(places[k])
         k = best[k][1]
-    return found[::-1]
+    return chosen[::-1]
 
 
 def _places(
@@ -128,9 +128,9 @@ def _likeness(record: FloatArray, expected: FloatArray) -> FloatArray:
     local = np.sqrt(np.maximum(power[size:] - power[:-size], 0.0)) * np.linalg.norm(expected)
     weight = np.maximum(local, 0.05 * local.max())  # at rest anything is alike
     likely = np.sqrt((tables**2).sum(axis=(1, 2))) / weight * np.sqrt(3.0) >= LEAST_LIKENESS  # an upper bound
-    found = np.zeros(len(tables))
-    found[likely] = np.linalg.svd(tables[likely], compute_uv=False).sum(axis=1) / weight[likely]
-    return found
+    likeness = np.zeros(len(tables))
+    likeness[likely] = np.linalg.svd(tables[likely], compute_uv=False).sum(axis=1) / weight[likely]
+    return likeness
 
 
 def _cut(capture: Capture, place: _Place, repeat: int, plan: Plan) -> Execution:
@@ -140,8 +140,8 @@ def _cut(capture: Capture, place: _Place, repeat: int, plan: Plan) -> Execution:
     last = place.begin_s + experiment.duration_s + plan.rest_after_s - MARGIN_S
     rows = slice(int(np.searchsorted(since, first)), int(np.searchsorted(since, last)))
     name = run_name(experiment.name, repeat)
-    own = replace(
+    part = replace(
         capture, time_s=capture.time_s[rows], acceleration=capture.acceleration[rows], name=name, clock="free"
     )
     start = place.ratio * float(since[rows.start] - place.begin_s)
-    return Execution(own, experiment, repeat, "", (start, place.ratio))
+    return Execution(part, experiment, repeat, "", (start, place.ratio))

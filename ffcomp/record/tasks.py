@@ -41,8 +41,8 @@ class Expected(dict[str, tuple[Expectation, Reference]]):
         return self[each.experiment.name] if each.played is None else self._computed(each.played)
 
     def _computed(self, motion: Commanded) -> tuple[Expectation, Reference]:
-        found = expectation(motion, self._machine, self._plan.rest_before_s)
-        return found, Reference(found)
+        expected = expectation(motion, self._machine, self._plan.rest_before_s)
+        return expected, Reference(expected)
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,29 +80,29 @@ def read_tasks(
     MeasurementError
         For a file that cannot be read, or holds none of the plan's experiments.
     """
-    found: list[Execution] = []
+    executed: list[Execution] = []
     notes: list[str] = []
     if is_motion_log(path):
         if not is_index(path):  # which is read along with its log
-            found, notes = executions(read_motion_log(path), plan, machine)
+            executed, notes = executions(read_motion_log(path), plan, machine)
     else:
         for capture in read_captures(path):
-            found += _executions(capture, plan, expected, taken)
-    return [_task(each, plan, expected) for each in found], notes
+            executed += _executions(capture, plan, expected, taken)
+    return [_task(each, plan, expected) for each in executed], notes
 
 
 def _task(each: Execution, plan: Plan, expected: Expected) -> Task:
-    own = each.capture
-    _check_rows(own)
+    capture = each.capture
+    _check_rows(capture)
     ready, reference = expected.of(each)
-    since, record = thinned(own.time_s, own.acceleration)
-    if own.clock == "firmware":
-        matches = known_clock(since, record, reference, (stated(own, plan, each.experiment)[0], 1.0))
+    since, record = thinned(capture.time_s, capture.acceleration)
+    if capture.clock == "firmware":
+        matches = known_clock(since, record, reference, (stated(capture, plan, each.experiment)[0], 1.0))
     elif each.start is not None:
         matches = known_clock(since, record, reference, each.start)
     else:
         matches = every_clock(since, record, reference, ready)
-    return Task(own, each.experiment, each.repeat, each.chip, since, record, matches, each.motion, ready, reference)
+    return Task(capture, each.experiment, each.repeat, each.chip, since, record, matches, each.motion, ready, reference)
 
 
 def _executions(capture: Capture, plan: Plan, expected: Expected, taken: set[str]) -> list[Execution]:
@@ -113,8 +113,8 @@ def _executions(capture: Capture, plan: Plan, expected: Expected, taken: set[str
         if capture.time_s[-1] - capture.time_s[0] < LONGEST * lasting + LONGER_S:
             return [Execution(capture, *named)]
     references = [expected[each.name][1] for each in plan.experiments]
-    found = split_capture(capture, plan, references, taken)
-    if not found:
+    executed = split_capture(capture, plan, references, taken)
+    if not executed:
         first = run_name(plan.experiments[0].name, 1)
         stem = capture.name or Path(capture.source).stem
         raise MeasurementError(
@@ -125,16 +125,16 @@ def _executions(capture: Capture, plan: Plan, expected: Expected, taken: set[str
                 "accelerometer and of one run of that file."
             ],
         )
-    return found
+    return executed
 
 
 def _belongs(capture: Capture, plan: Plan) -> tuple[Experiment, int, str] | None:
     """Find experiment, repeat and chip by the name that the capture's command gave it."""
     stem = capture.name or Path(capture.source).stem
     for experiment in sorted(plan.experiments, key=lambda each: -len(each.name)):
-        found = re.search(rf"{re.escape(experiment.name)}-(\d+)(?!\d)", stem)
-        if found and 1 <= int(found[1]) <= plan.repeats:
-            return experiment, int(found[1]), stem[: found.start()].strip("-_")
+        match = re.search(rf"{re.escape(experiment.name)}-(\d+)(?!\d)", stem)
+        if match and 1 <= int(match[1]) <= plan.repeats:
+            return experiment, int(match[1]), stem[: match.start()].strip("-_")
     return None
 
 

@@ -9,8 +9,8 @@ import matplotlib
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from ffcomp.check.compare import CHANGED, SAME, SENSOR, UNKNOWN
 from ffcomp.check.history import Check
-from ffcomp.check.verdict import CHANGED, SAME, SENSOR, UNKNOWN
 from ffcomp.report.drawing import BAND, RC, SOFT, grid, write_figure
 from ffcomp.version import __version__
 

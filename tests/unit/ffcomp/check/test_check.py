@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ffcomp.check.felt import Felt, felt_of
 from ffcomp.check.history import MOST, WITH_MOTION, Check, read_history, write_history
+from ffcomp.check.parts import Signatures
 from ffcomp.check.result import CheckResult, check_result
-from ffcomp.check.signatures import Signatures
+from ffcomp.check.signals import SensorSignal, signals_of
 from ffcomp.errors import MeasurementError
 from ffcomp.measurement.recording import Recording
 from ffcomp.record.clock import ClockFit
@@ -93,14 +93,14 @@ def history(delta: Bench) -> list[Check]:
 
 
 def test_the_first_check_has_only_the_machine_file(history: list[Check]) -> None:
-    assert history[0].finding == "first" and "nothing to compare with" in history[0].said
+    assert history[0].finding == "first" and "nothing to compare with" in history[0].message
     assert 0.01 < history[0].gap < 0.2, "half a newton"
 
 
 def test_the_same_printer_is_as_last_time(delta: Bench, history: list[Check]) -> None:
     found = delta.check(delta.joined(delta_printer(), 2), history)
-    assert found.verdict.finding == "same", found.verdict.said
-    assert found.verdict.said.startswith("As on 2026-11-15 20:00") and not found.known
+    assert found.verdict.finding == "same", found.verdict.message
+    assert found.verdict.message.startswith("As on 2026-11-15 20:00") and not found.known
 
 
 @pytest.mark.parametrize(
@@ -117,26 +117,26 @@ def test_one_change_is_named_with_its_size(
     delta: Bench, history: list[Check], hidden: dict[str, Any], part: str, size: float
 ) -> None:
     found = delta.check(delta.joined(delta_printer(**hidden), 3), history)
-    assert found.verdict.finding == "changed", found.verdict.said
-    assert [each.part.name for each in found.verdict.named] == [part], found.verdict.said
+    assert found.verdict.finding == "changed", found.verdict.message
+    assert [each.part.name for each in found.verdict.named] == [part], found.verdict.message
     assert found.verdict.named[0].value == pytest.approx(size, rel=0.1)
 
 
 def test_two_changes_bear_no_single_name(delta: Bench, history: list[Check]) -> None:
     found = delta.check(delta.joined(delta_printer(mass_kg=0.12, friction_n=(3.5,) * 3), 4), history)
-    assert found.verdict.finding == "unknown" and "No single part" in found.verdict.said, found.verdict.said
+    assert found.verdict.finding == "unknown" and "No single part" in found.verdict.message, found.verdict.message
 
 
 def test_loud_noise_tells_nothing(delta: Bench, history: list[Check]) -> None:
     found = delta.check(delta.joined(delta_printer(), 5, noise=25.0), history)
-    assert found.verdict.finding == "cannot_tell", found.verdict.said
+    assert found.verdict.finding == "cannot_tell", found.verdict.message
 
 
 def test_a_turned_chip_is_no_change_of_the_printer(delta: Bench, history: list[Check]) -> None:
     found = delta.check(delta.joined(delta_printer(), 6, yaw_deg=5.0), history)
-    assert found.verdict.finding == "sensor" and "turned by 5°" in found.verdict.said, found.verdict.said
+    assert found.verdict.finding == "sensor" and "turned by 5°" in found.verdict.message, found.verdict.message
     found = delta.check(delta.joined(delta_printer(), 6, axes="-y,x,z"), history)
-    assert found.verdict.finding == "sensor" and "x,y,z of its own, and are -y,x,z now" in found.verdict.said
+    assert found.verdict.finding == "sensor" and "x,y,z of its own, and are -y,x,z now" in found.verdict.message
 
 
 def test_the_same_captures_are_no_new_check(delta: Bench, history: list[Check]) -> None:
@@ -148,7 +148,7 @@ def test_what_creeps_is_compared_with_the_first_check(delta: Bench, history: lis
     slack = delta.check(delta.joined(delta_printer(belts=(1.0, 0.9, 1.0)), 7), []).check
     found = delta.check(delta.joined(delta_printer(belts=(1.0, 0.9, 1.0)), 8), [*history, slack])
     assert found.verdict.finding == "same" and found.since_first is not None
-    assert "elt B is 10 % softer" in found.since_first.said, found.since_first.said
+    assert "elt B is 10 % softer" in found.since_first.message, found.since_first.message
     axes = checks_figure([*history, slack, found.check], "mine").axes[0]
     assert [label.get_text() for label in axes.get_xticklabels()] == ["2026-11-15", "2026-11-22", "2026-11-22"]
     assert axes.get_lines()[0].get_ydata()[-1] == pytest.approx(100 * found.check.gap)
@@ -181,17 +181,17 @@ def test_straight_axes_are_checked_by_their_modes(straight: Bench) -> None:
     assert straight.check(straight.joined(HEAD, 2), before).verdict.finding == "same"
     heavy = replace(HEAD, carriage_kg=(0.4, 0.6))
     found = straight.check(straight.joined(heavy, 3), before).verdict
-    assert found.finding == "changed" and "mode of y near 63 Hz is 9 % lower" in found.said, found.said
+    assert found.finding == "changed" and "mode of y near 63 Hz is 9 % lower" in found.message, found.message
     rough = replace(HEAD, friction_n=(2.0, 2.0))
     found = straight.check(straight.joined(rough, 5), before).verdict
-    assert found.finding == "changed" and "riction of the guides is" in found.said, found.said
+    assert found.finding == "changed" and "riction of the guides is" in found.message, found.message
 
 
 # ---- the file
 
 
 def light(date: str, plan: str = "p", seed: int = 0) -> Check:
-    felt = Felt("a", np.round(np.random.default_rng(seed).normal(size=(20, 3)), 3), np.full(3, 0.1), 1e-4, 2)
+    felt = SensorSignal("a", np.round(np.random.default_rng(seed).normal(size=(20, 3)), 3), np.full(3, 0.1), 1e-4, 2)
     return Check(date, plan, "s", AXES, "same", "As before.", 0.1, 0.01, 0.01, (felt,))
 
 
@@ -200,8 +200,8 @@ def test_a_history_keeps_what_it_was_given_and_stays_small(tmp_path: Path) -> No
     write_history(path, [light(str(k), seed=k) for k in range(MOST + 7)])
     read = read_history(path)
     assert [each.date for each in read] == [str(k) for k in range(7, MOST + 7)]
-    assert [bool(each.felt) for each in read] == [True, *[False] * (MOST - 1 - WITH_MOTION), *[True] * WITH_MOTION]
-    assert np.array_equal(read[-1].felt[0].acceleration, light("", seed=MOST + 6).felt[0].acceleration)
+    assert [bool(each.signals) for each in read] == [True, *[False] * (MOST - 1 - WITH_MOTION), *[True] * WITH_MOTION]
+    assert np.array_equal(read[-1].signals[0].acceleration, light("", seed=MOST + 6).signals[0].acceleration)
 
 
 @pytest.mark.parametrize("damage", ["half", "other", "numbers"])
@@ -218,7 +218,7 @@ def test_a_damaged_history_is_refused_and_not_overwritten(damage: str, tmp_path:
 
 
 def test_repeats_give_the_noise_of_their_mean(delta: Bench) -> None:
-    (felt, _) = felt_of(delta.joined(delta_printer(), 1, noise=0.4).joined, delta.plan)
+    (felt, _) = signals_of(delta.joined(delta_printer(), 1, noise=0.4).joined, delta.plan)
     share = np.sqrt(2 * (150.0 - 2.0) / RATE_HZ)  # of white noise, in the band
     assert felt.noise == pytest.approx(np.full(3, 0.4 * share / np.sqrt(2)), rel=0.1)
 
