@@ -81,8 +81,9 @@ class SolverError(FfcompError):
 EXTRAS = {
     "matplotlib": ("plot", "Figures and pages need Matplotlib"),
     "control": ("control", "This needs python-control"),
-    "starlette": ("serve", "The page needs Starlette and Uvicorn"),
-    "uvicorn": ("serve", "The page needs Starlette and Uvicorn"),
+    "starlette": ("serve", "The page needs Starlette, Uvicorn and HTTPX"),
+    "uvicorn": ("serve", "The page needs Starlette, Uvicorn and HTTPX"),
+    "httpx": ("serve", "The page needs Starlette, Uvicorn and HTTPX"),
 }
 """Packages that only an extra installs: its name, and who needs it."""
 

@@ -38,6 +38,7 @@ import inspect
 import types
 from collections.abc import Callable, Iterator
 from dataclasses import MISSING, dataclass, fields
+from math import isinf
 from pathlib import Path
 from typing import (
     TYPE_CHECKING,
@@ -93,6 +94,8 @@ class Option:
         RequestError.
     repeated : bool
         Whether `parse` takes all the texts of an option that may be given again.
+    unset : str
+        What stands on the command line for a default that has no text of its own.
     label : str
         What the page of `ffcomp serve` calls it.
     """
@@ -111,10 +114,12 @@ class Option:
         env: str = "",
         parse: Callable[[Any], Any] | None = None,
         repeated: bool = False,
+        unset: str = "",
         label: str = "",
     ) -> None:
         self.help, self.group, self.names, self.metavar, self.unit = help, group, names, metavar, unit
-        self.low, self.high, self.env, self.parse, self.repeated, self.label = low, high, env, parse, repeated, label
+        self.low, self.high, self.env, self.parse, self.repeated = low, high, env, parse, repeated
+        self.unset, self.label = unset, label
 
 
 class Argument(Option):
@@ -136,6 +141,18 @@ class Declared:
     def required(self) -> bool:
         """Whether it must be stated."""
         return self.default is MISSING
+
+    @property
+    def default_text(self) -> str:
+        """The default as a person writes it; empty where that says nothing."""
+        value = self.default
+        if self.option.parse is not None or value is None or value is MISSING or isinstance(value, bool):
+            return self.option.unset
+        if value in ("", ()):
+            return ""
+        if isinstance(value, float):
+            return "" if isinf(value) else f"{value:g}"
+        return str(value)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -214,8 +231,9 @@ class Request:
 
 
 def declared(request: type[Any]) -> tuple[Declared, ...]:
-    """Return the options of a request, in the order of its fields."""
-    return tuple(_declared(request))
+    """Return the options of a request: in the order of its fields, those that may stand without a name first."""
+    keyword_only = {field.name: field.kw_only for field in fields(request)}
+    return tuple(sorted(_declared(request), key=lambda each: bool(keyword_only[each.field])))
 
 
 def _declared(request: type[Any]) -> Iterator[Declared]:
@@ -238,12 +256,17 @@ def function(request: Callable[P, Q], work: Callable[[Q], R]) -> Callable[P, R]:
     def call(*args: P.args, **kwargs: P.kwargs) -> R:
         return work(request(*args, **kwargs))
 
-    call.__name__ = call.__qualname__ = work.__name__.removesuffix("_request")
+    call.__name__ = call.__qualname__ = work.__name__.removeprefix("_").removesuffix("_request")
     call.__module__ = work.__module__
-    call.__signature__ = inspect.signature(request)  # type: ignore[attr-defined]
-    before, _, after = inspect.cleandoc(work.__doc__ or "").partition("Parameters\n----------\n")
+    hints, signature = get_type_hints(request), inspect.signature(request)
+    plain = [each.replace(annotation=hints[name]) for name, each in signature.parameters.items()]
+    call.__signature__ = signature.replace(parameters=plain)  # type: ignore[attr-defined]
+    text, _, python_only = inspect.cleandoc(work.__doc__ or "").partition("Parameters\n----------\n")
+    if not python_only:
+        text, heading, rest = text.partition("Raises\n")
+        python_only = f"\n{heading}{rest}"
     rows = [f"{each.field} : {each.option.help}" for each in declared(request)]  # type: ignore[arg-type]
-    call.__doc__ = "\n".join([f"{before}Parameters", "----------", *rows, after])
+    call.__doc__ = "\n".join([f"{text}Parameters", "----------", *rows, python_only])
     return call
 
 

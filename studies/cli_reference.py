@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ffcomp.cli.app import app
-from ffcomp.cli.command import commands, shown_default
+from ffcomp.cli.command import commands
 from ffcomp.request import Declared
 
 PAGE = Path(__file__).parents[1] / "docs" / "reference" / "cli.md"
@@ -110,7 +110,7 @@ def _value(each: Declared) -> str:
 
 
 def _default(each: Declared) -> str:
-    text = "on" if each.default is True else shown_default(each.default)
+    text = "on" if each.default is True else each.default_text
     return text and f"`{text}`"
 
 

@@ -5,21 +5,24 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ffcomp.errors import extras_told
-from ffcomp.identify.frf_study import Study, View, frf_json, study
+from ffcomp.errors import RequestError, extras_told
+from ffcomp.identify.frf_request import FrfRequest
+from ffcomp.identify.frf_study import Study, View, frf_json, study, view_of
+from ffcomp.measurement.frf import FrequencyResponse
+from ffcomp.measurement.frf_files import read_frfs
+from ffcomp.request import function
 from models.arrays import ComplexArray, FloatArray
+from models.errors import UnreachableError
 from models.file import load_machine as read_machine
 from models.file import load_plant as read_plant
 from models.machine import Machine
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-Position = tuple[float, float]
 
 
 def load_machine(machine: str | Path | Machine) -> Machine:
@@ -84,36 +87,61 @@ class FrequencyResponses:
         return bode_figure(self.study, full)
 
 
-def frf(
-    machine: str | Path | Machine,
-    positions_mm: Sequence[Position] = (),
-    *,
-    of: Literal["carriage", "nozzle", "acceleration"] | None = None,
-    per: Literal["carriage", "nozzle"] | None = None,
-    frequency_hz: FloatArray | None = None,
-) -> FrequencyResponses:
+def study_responses(request: FrfRequest) -> Study:
+    """Compute the responses of a request, and read the measured ones that they are compared with."""
+    machine = load_machine(request.machine)
+    measured = [response for path in request.measured for response in read_frfs(path)]
+    view = _view(request, machine, measured)
+    centre_x, centre_y = machine.kinematics.centre_mm
+    positions = request.positions_mm or (() if measured else [(centre_x, centre_y)])
+    for x, y in positions:
+        try:
+            machine.kinematics.check_reach(np.array([[x, y, 0.0]]))
+        except UnreachableError as error:
+            raise RequestError(f"--at {x:g},{y:g}: {error}") from None
+    frequencies = request.frequency_hz
+    if frequencies is None:
+        frequencies = np.arange(request.start_hz, request.highest_hz + 0.5 * request.step_hz, request.step_hz)
+    places = [np.array(xy, dtype=float) for xy in positions]
+    masses = list(request.added_mass_kg)
+    return study(machine, view, np.asarray(frequencies, dtype=float), places, measured, masses, request.with_arms)
+
+
+def _view(request: FrfRequest, machine: Machine, measured: Sequence[FrequencyResponse]) -> View:
+    """Choose input and output: those of the request, else those of the first measurement, else what suits."""
+    of, per = request.of, request.per
+    if of is None and not machine.vibration.position_dependent:
+        of = "nozzle"
+    if of is None and per is None and measured:
+        view = view_of(measured[0])
+    else:
+        output = of or "carriage"
+        view = View(output, per or ("nozzle" if output in ("nozzle", "acceleration") else "carriage"))
+    if per is not None and not view.depends_on_place:
+        raise RequestError(f"--per {per}: --of {view.of} is no response of the whole printer.")
+    if request.added_mass_kg and view.of != "carriage-alone":
+        raise RequestError(f"--added-mass-kg goes on a bare carriage: --of carriage-alone, not {view.of}.")
+    if request.with_arms and view.of != "effector-alone":
+        raise RequestError(f"--with-arms is for the effector by itself: --of effector-alone, not {view.of}.")
+    return view
+
+
+def _frf(request: FrfRequest) -> FrequencyResponses:
     """Compute frequency responses of the linear model.
 
     Parameters
     ----------
-    machine : a machine, its name or its file
-    positions_mm : X, Y of each position; none: the centre of the bed
-    of, per : output and input, as of `ffcomp frf`; None: what suits the machine
-    frequency_hz : (k,) array; None: 0.5 to 200 Hz in steps of 0.5 Hz
+    frequency_hz : (k,) array; None: from the lowest to the highest in steps
 
     Raises
     ------
-    models.errors.UnreachableError
-        If a position lies outside the bed.
+    MachineFileError, MeasurementError, RequestError
     """
-    loaded = load_machine(machine)
-    output = of or ("nozzle" if not loaded.vibration.position_dependent else "carriage")
-    view = View(output, per or ("carriage" if output == "carriage" else "nozzle"))
-    places = [np.array(xy, dtype=float) for xy in positions_mm or [loaded.kinematics.centre_mm]]
-    loaded.kinematics.check_reach(np.array([[x, y, 0.0] for x, y in places]))
-    frequencies = np.arange(0.5, 200.25, 0.5) if frequency_hz is None else np.asarray(frequency_hz, dtype=float)
-    found = study(loaded, view, frequencies, places, [], [], False)
-    values = np.stack([station.value for station in found.stations])
-    return FrequencyResponses(
-        loaded, found.frequency_hz, np.array(places), values, tuple(view.rows), tuple(view.columns), found
-    )
+    result = study_responses(request)
+    values = np.stack([station.value for station in result.stations])
+    places = np.array([station.xy for station in result.stations])
+    rows, columns = tuple(result.view.rows), tuple(result.view.columns)
+    return FrequencyResponses(result.machine, result.frequency_hz, places, values, rows, columns, result)
+
+
+frf = function(FrfRequest, _frf)

@@ -4,34 +4,44 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from math import inf
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 from ffcomp.api.machines import load_machine
 from ffcomp.compare import engine
+from ffcomp.compare.quickest_plans import Known, worth_knowing
+from ffcomp.compare.request import CompareRequest
 from ffcomp.compare.result import Comparison
 from ffcomp.compare.sampling import Sampling
-from ffcomp.compensate.batch import workers
+from ffcomp.compensate.batch import size_of, workers
 from ffcomp.compensate.file import compensate_file
 from ffcomp.compensate.job import Options
+from ffcomp.compensate.request import CompensateRequest
+from ffcomp.compensate.result import CompensatedFile
 from ffcomp.errors import RequestError, extras_told
 from ffcomp.estimate import engine as estimation
+from ffcomp.estimate.request import EstimateRequest
 from ffcomp.estimate.statistics import Statistics
-from ffcomp.inverse.robust import choose_robust
-from ffcomp.inverse.settings import SEGMENTS_PER_SECOND, settings_for
+from ffcomp.integrations.slicer import Bed
+from ffcomp.inverse.settings import settings_for
 from ffcomp.metrics import Track
-from ffcomp.simulate.simulation import Request, SimulationResult, read_command, simulate_command
+from ffcomp.numerics.serialise import to_json
+from ffcomp.request import function
+from ffcomp.simulate.command import Command
+from ffcomp.simulate.request import SimulateRequest
+from ffcomp.simulate.simulation import Request as Part
+from ffcomp.simulate.simulation import SimulationResult, read_command, simulate_command
 from gcode.container import opened, read_bytes
 from gcode.embedded import STAMP_REACH, already_processed, find_offset, original
+from gcode.text import PART_BYTES
 from models.arrays import FloatArray
 from models.machine import Machine
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-Offset = tuple[float, float]
-Named = str | Path | Machine
+T = TypeVar("T")
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,51 +51,57 @@ class Compensation:
     Attributes
     ----------
     machine : Machine
-    output : Path or None
-        The compensated file; None: nothing was written.
+    file : CompensatedFile
+        What was done, print by print.
+    if_known : tuple of Known
+        What the quicker print would take if the machine were known better.
     """
 
     machine: Machine
-    output: Path | None
-    answer: dict[str, Any]  # ffcomp-compensate/1
+    file: CompensatedFile
+    if_known: tuple[Known, ...] = ()
+
+    @property
+    def output(self) -> Path | None:
+        """The compensated file; None: nothing was written."""
+        return None if self.file.output is None else Path(self.file.output)
 
     @property
     def print_time_s(self) -> float:
         """Print time of the compensated file in s."""
-        return float(self.answer["print_time_s"])
+        return self.file.result.statistics.print_time_s
 
     @property
     def original_print_time_s(self) -> float:
         """Print time of the original in s."""
-        return float(self.answer["original_print_time_s"])
+        return self.file.result.statistics.original_print_time_s
 
     @property
     def segments(self) -> int:
         """Number of segments written."""
-        return int(self.answer["segments"])
+        return self.file.result.statistics.segments
 
     @property
     def warnings(self) -> list[str]:
         """Sentences about what was odd or had to be changed."""
-        return list(self.answer["warnings"])
+        return self.file.warnings
 
     @property
     def uncompensated(self) -> Track | None:
         """Predicted errors of the original; None: not predicted."""
-        return self._track("uncompensated")
+        return self.file.result.predicted.get("uncompensated")
 
     @property
     def compensated(self) -> Track | None:
         """Predicted errors of the compensated print; None: not predicted."""
-        return self._track("compensated")
-
-    def _track(self, which: str) -> Track | None:
-        predicted = self.answer.get("predicted") or {}
-        return Track(**predicted[which]) if which in predicted else None
+        return self.file.result.predicted.get("compensated")
 
     def to_dict(self) -> dict[str, Any]:
         """Return the JSON object ffcomp-compensate/1."""
-        return dict(self.answer)
+        answer = self.file.to_dict()
+        if self.if_known:
+            answer["faster"] |= {"if_known": to_json(self.if_known)}
+        return answer
 
     @extras_told()
     def plot(self, *, z_mm: float | None = None) -> Figure:
@@ -112,68 +128,69 @@ class Compensation:
         return show_figure(seen, f"{self.output.name} on {self.machine.name}", z_mm=z_mm)
 
 
-def compensate(
-    file: str | Path,
-    machine: Named,
-    output: str | Path | None = None,
-    *,
-    offset_mm: Offset | None = None,
-    flavor: str = "",
-    shaper_off: bool = False,
-    robust: bool | None = None,
-    s_curve: bool = False,
-    strict: bool = False,
-    tolerance_um: float = 25.0,
-    max_segments_per_second: float = SEGMENTS_PER_SECOND,
-    embed: bool = True,
-    predict: bool = True,
-    force: bool = False,
-    jobs: int = 1,
-    progress: Callable[[float], None] = lambda share: None,
+def compensate_print(
+    request: CompensateRequest, name: str = "", advice: Sequence[str] = (), bed: Bed | None = None
 ) -> Compensation:
+    """Compensate a print; one that is compensated already is left alone.
+
+    Parameters
+    ----------
+    request : CompensateRequest
+    name : the file, as messages call it; "": its path
+    advice : warnings about how the file was made
+    bed : the slicer's, if it has stated it otherwise than in the file
+    """
+    machine, file = load_machine(request.machine), Path(request.file)
+    options = Options.of(request, machine, bed)
+    target = None if request.output is None else Path(request.output)
+    data = _original(file) if request.if_known else b""  # the file may be replaced
+    jobs = min(request.jobs, max(size_of(file) // PART_BYTES, 1))  # chunks
+    with workers(jobs, request.scheduler) as at_once:
+        done = compensate_file(
+            file, name or str(file), machine, options, target, jobs=at_once, progress=request.progress
+        )
+    done = replace(done, path=str(file), output=str(file) if done.already else done.output, advice=tuple(advice))
+    if not request.if_known or done.already:
+        return Compensation(machine, done)
+    assert options.bound is not None and options.settings is not None
+    result = done.result
+    known = worth_knowing(
+        data,
+        name or str(file),
+        machine,
+        options.settings,
+        options.bound,
+        request.if_known,
+        result.statistics.print_time_s,
+        offset=result.placement.offset,
+        flavor=result.flavor.flavor,
+    )
+    return Compensation(machine, done, tuple(known))
+
+
+def _original(file: Path) -> bytes:
+    data = read_bytes(file, None)
+    return data if already_processed(data) is None else original(data)
+
+
+def _compensate(request: CompensateRequest) -> Compensation:
     """Compensate a print for a printer's vibration.
 
     Parameters
     ----------
-    file : sliced print: G-code, also in .gz, .gcode.3mf or .bgcode
-    machine : a machine, its name or its file
-    output : compensated file to write; None: write nothing. It may be `file` itself.
-    offset_mm : shift added to every position; None: none where the print lies inside as it is, else one that brings it
-        inside
-    flavor : "klipper", "marlin" or "reprapfirmware"; "": what the machine file says, or else the file
-    shaper_off : switch the firmware's input shaper off in the file
-    robust : minimise the expected contour error over the machine file's uncertainties; None: where they make it pay
-    s_curve : limit the jerk of the ramps
-    strict : raise LimitsError where a limit would slow the print down
-    tolerance_um : largest path error that an active limit may cause before the print is slowed down
-    max_segments_per_second : highest segment rate
-    embed : keep the original's moves in the file as comments
-    predict : simulate the print before and after with the design model
-    force : compensate a file that is compensated already
-    jobs : number of processes
-    progress : called with the share of the file that is done
+    progress : Called with the share of the file that is done.
 
     Raises
     ------
-    GcodeError, MachineFileError, LimitsError, SolverError, NothingToDo
+    GcodeError, MachineFileError, LimitsError, SolverError, NothingToDo, RequestError
     """
-    loaded, source = load_machine(machine), Path(file)
-    settings = replace(
-        settings_for(loaded, max_segments_per_second),
-        s_curve=s_curve,
-        strict=strict,
-        tolerance_um=tolerance_um,
-        embed=embed,
-    )
-    chosen = choose_robust(loaded, settings, robust)
-    settings = replace(settings, robust=chosen.robust)
-    options = Options(offset_mm, flavor, settings, predict, shaper_off, force, robust=chosen)
-    target = None if output is None else Path(output)
-    with workers(jobs) as at_once:
-        answer = compensate_file(source, str(file), loaded, options, target, jobs=at_once, progress=progress)
-    if "already" in answer:
-        raise RequestError(f"{answer['already']} With force=True it is compensated again.")
-    return Compensation(loaded, target, answer)
+    done = compensate_print(request)
+    if done.file.already:
+        raise RequestError(f"{done.file.already} With force=True it is compensated again.")
+    return done
+
+
+compensate = function(CompensateRequest, _compensate)
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,45 +214,40 @@ class Simulation(SimulationResult):
         return pd.DataFrame({**columns, "error_um": self.error_um})
 
 
-def simulate(
-    file: str | Path,
-    machine: Named,
-    plant: Named | None = None,
-    *,
-    from_s: float = 0.0,
-    to_s: float = inf,
-    rate_hz: float = 1600.0,
-    gravity: bool = True,
-    offset_mm: Offset = (0.0, 0.0),
-    flavor: str = "",
-    recording: str | Path | None = None,
-    progress: Callable[[float], None] = lambda done_s: None,
-) -> Simulation:
+def read_simulation(request: SimulateRequest) -> tuple[Command, Machine, Machine, list[str]]:
+    """Read what is to be simulated: the command, the machine that made it, the printer that moves, and warnings."""
+    machine = load_machine(request.machine)
+    plant = load_machine(request.plant) if request.plant else machine
+    command, warnings = read_command(request.file, machine, request.offset_mm, request.flavor, request.plate)
+    return command, machine, plant, warnings
+
+
+def run_simulation(request: SimulateRequest, command: Command, machine: Machine, plant: Machine) -> Simulation:
+    """Simulate a command, and record it where that is requested."""
+    part = Part(request.rate_hz, request.from_s, request.to_s, request.gravity, request.signals)
+    target = None if request.recording is None else Path(request.recording)
+    result = simulate_command(
+        command, machine, plant, part, path=str(request.file), target=target, progress=request.progress
+    )
+    return Simulation(**{name: getattr(result, name) for name in SimulationResult.__dataclass_fields__})
+
+
+def _simulate(request: SimulateRequest) -> Simulation:
     """Simulate a print or step timings on the nonlinear printer.
 
     Parameters
     ----------
-    file : print (sliced or compensated) or step-timing archive
-    machine : the machine that the command was computed with
-    plant : the printer that moves, with its effects; None: `machine`
-    from_s, to_s : part of the command's time
-    rate_hz : sample rate
-    gravity : let the weight deflect the belts and the extruder's mount
-    offset_mm, flavor : as of `compensate`
-    recording : file to write what its sensors would record; None: nothing
-    progress : called with the print seconds done so far
+    progress : Called with the print seconds done so far.
 
     Raises
     ------
-    GcodeError, MachineFileError, NothingToDo
+    GcodeError, MachineFileError, NothingToDo, RequestError
     """
-    believed = load_machine(machine)
-    true = believed if plant is None else load_machine(plant)
-    command, _ = read_command(file, believed, offset_mm, flavor)
-    request = Request(rate_hz, from_s, to_s, gravity)
-    target = None if recording is None else Path(recording)
-    found = simulate_command(command, believed, true, request, path=str(file), target=target, progress=progress)
-    return Simulation(**{name: getattr(found, name) for name in SimulationResult.__dataclass_fields__})
+    command, machine, plant, _ = read_simulation(request)
+    return run_simulation(request, command, machine, plant)
+
+
+simulate = function(SimulateRequest, _simulate)
 
 
 @dataclass(frozen=True, eq=False)
@@ -266,23 +278,20 @@ class PrintTime:
         return estimate_figure(self.estimate)
 
 
-def estimate(file: str | Path, machine: Named, *, offset_mm: Offset = (0.0, 0.0), flavor: str = "") -> PrintTime:
+def _estimate(request: EstimateRequest) -> PrintTime:
     """Estimate how long a print takes.
-
-    Parameters
-    ----------
-    file : print, compensated or not; of a container with several prints the first
-    machine : a machine, its name or its file
-    offset_mm, flavor : as of `compensate`
 
     Raises
     ------
     GcodeError, MachineFileError, NothingToDo
     """
-    with opened(Path(file)) as container:
-        source = next(iter(container.prints.values()))
-        found = estimation.estimate(source, str(file), load_machine(machine), flavor=flavor, offset=offset_mm)
-    return PrintTime(found)
+    with opened(Path(request.file)) as container:
+        source, machine = next(iter(container.prints.values())), load_machine(request.machine)
+        options: dict[str, Any] = {"flavor": request.flavor, "offset": request.offset_mm}
+        return PrintTime(estimation.estimate(source, str(request.file), machine, **options))
+
+
+estimate = function(EstimateRequest, _estimate)
 
 
 @dataclass(frozen=True, eq=False)
@@ -331,50 +340,66 @@ class MethodComparison:
         write_report(self.comparison, Path(path))
 
 
-def compare(
-    file: str | Path,
-    machine: Named,
-    plant: Named | None = None,
-    *,
-    layers: tuple[int, int | None] = (0, None),
-    sample: float | None = None,
-    mismatch: float = 0.0,
-    seeds: int = 20,
-    quality_um: float = 25.0,
-    only: Sequence[str] = (),
-    offset_mm: Offset = (0.0, 0.0),
-    flavor: str = "",
-    jobs: int = 1,
-    progress: Callable[[str, float], None] = lambda step, share: None,
-) -> MethodComparison:
+def evaluate_print(
+    request: CompareRequest,
+    evaluate: Callable[..., T],
+    options: Any,
+    note: Callable[[str], None] = lambda sentence: None,
+) -> T:
+    """Let an engine of `ffcomp/compare` evaluate the print of a request.
+
+    Parameters
+    ----------
+    request : CompareRequest
+    evaluate, options : the engine and its own request
+    note : called with a sentence on what is compared, where that is not the file itself
+    """
+    machine = load_machine(request.machine)
+    plant = load_machine(request.plant) if request.plant else None
+    data, offset = read_bytes(Path(request.file), request.plate), request.offset_mm
+    if already_processed(data) is not None:
+        note(f"{request.file} is compensated already: what is compared is the original that it holds.")
+        offset = offset if any(offset) else find_offset(data[:STAMP_REACH])
+        data = original(data)
+    return evaluate(
+        data,
+        str(request.file),
+        machine,
+        plant,
+        options,
+        settings=settings_for(machine, request.max_segments_per_second),
+        offset=offset,
+        flavor=request.flavor,
+        progress=request.progress,
+    )
+
+
+def comparison_options(request: CompareRequest) -> engine.Request:
+    """Return the engine's options; RequestError: there is no such method."""
+    seeds = request.seeds if request.mismatch else 0
+    sampling = Sampling(*request.layers, request.sample)
+    options = engine.Request(sampling, request.mismatch, seeds, request.quality_um, request.only)
+    try:
+        engine.names(options)
+    except ValueError as error:
+        raise RequestError(f"--only {','.join(request.only)}: {error}") from None
+    return options
+
+
+def _compare(request: CompareRequest) -> MethodComparison:
     """Compare ffcomp with every input shaper on a print.
 
     Parameters
     ----------
-    file : sliced print; of a compensated one the original is compared
-    machine : the machine file that every method uses
-    plant : the printer that evaluates; None: `machine`, nonlinear
-    layers : first and last layer, counted from 0; None: to the end
-    sample : share of the time that is evaluated; None: 2 minutes at most
-    mismatch : relative standard deviation of Monte-Carlo plants; 0: none
-    seeds : number of Monte-Carlo plants
-    quality_um : bound of the contour error for which the highest acceleration is sought; 0: skip
-    only : methods beside none and ffcomp; none given: all
-    offset_mm, flavor : as of `compensate`
-    jobs : number of processes that share the Monte-Carlo plants
-    progress : called with the current step and the share of it that is done
+    progress : Called with the current step and the share of it that is done.
 
     Raises
     ------
-    GcodeError, MachineFileError, NothingToDo, ValueError
+    GcodeError, MachineFileError, NothingToDo, RequestError
     """
-    data, believed = read_bytes(Path(file), None), load_machine(machine)
-    if already_processed(data) is not None:
-        offset_mm = offset_mm if any(offset_mm) else find_offset(data[:STAMP_REACH])
-        data = original(data)
-    request = engine.Request(Sampling(*layers, sample), mismatch, seeds if mismatch else 0, quality_um, tuple(only))
-    true = None if plant is None else load_machine(plant)
-    options: dict[str, Any] = {"offset": offset_mm, "flavor": flavor, "progress": progress}
-    with workers(jobs) as at_once:
-        found = engine.compare(data, str(file), believed, true, request, jobs=at_once, **options)
-    return MethodComparison(found)
+    options = comparison_options(request)
+    with workers(request.jobs, request.scheduler) as at_once:
+        return MethodComparison(evaluate_print(request, partial(engine.compare, jobs=at_once), options))
+
+
+compare = function(CompareRequest, _compare)

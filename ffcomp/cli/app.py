@@ -19,15 +19,14 @@ from ffcomp.cli.estimate import estimate  # noqa: E402
 from ffcomp.cli.frf import frf  # noqa: E402
 from ffcomp.cli.gap import gap  # noqa: E402
 from ffcomp.cli.identify import app as identify  # noqa: E402
-from ffcomp.cli.integrations import app as integrations  # noqa: E402
+from ffcomp.cli.integrations import integrations  # noqa: E402
 from ffcomp.cli.log import log_path, logged  # noqa: E402
-from ffcomp.cli.machines import app as machines  # noqa: E402
+from ffcomp.cli.machines import machines  # noqa: E402
 from ffcomp.cli.record import app as record  # noqa: E402
 from ffcomp.cli.restore import restore  # noqa: E402
 from ffcomp.cli.serve import serve  # noqa: E402
 from ffcomp.cli.show import show  # noqa: E402
 from ffcomp.cli.simulate import simulate  # noqa: E402
-from ffcomp.cli.typer_bridge import bridged, bridged_app  # noqa: E402
 from ffcomp.cli.warmup import warmup  # noqa: E402
 from ffcomp.version import __version__  # noqa: E402
 
@@ -38,21 +37,21 @@ app = group(
     Start with: ffcomp compensate print.gcode --machine mp-delta-pro -o out.gcode, then ffcomp show out.gcode. Exit
     codes: 0 done, 2 usage, 3 nothing to do, 4 G-code, 5 machine file, 6 limits, 7 solver, 130 interrupted.
     """,
-    bridged(compensate),
-    bridged(show),
-    bridged(estimate),
+    compensate,
+    show,
+    estimate,
     restore,
-    bridged(compare),
-    bridged(simulate),
+    compare,
+    simulate,
     frf,
     gap,
     diagnose,
     identify,
     record,
-    bridged_app(machines, "machines"),
-    bridged_app(integrations, "integrations"),
-    bridged(serve),
-    bridged(warmup),
+    machines,
+    integrations,
+    serve,
+    warmup,
     version_flags=("--version",),
     version=f"ffcomp {__version__}",
 )

@@ -7,9 +7,8 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Iterator
-from dataclasses import MISSING, dataclass
+from dataclasses import dataclass
 from functools import partial
-from math import inf
 from typing import Annotated, Any, get_type_hints
 
 from cyclopts import App, CycloptsError, Group, MissingArgumentError, Parameter
@@ -25,15 +24,24 @@ OTHER = Group("Other", sort_key=99)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Shown(Request):
+class Json(Request):
     """What a verb prints; only the command line has it."""
 
     as_json: Annotated[bool, Option("Print one JSON object on stdout.", OUTPUT, "--json")] = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class Shown(Json):
+    """What a verb with progress prints."""
+
     quiet: Annotated[bool, Option("Print no progress, and no message but errors.", OUTPUT, "--quiet", "-q")] = False
 
 
 def verb(work: Callable[..., None]) -> App:
-    """Make the command of a function that takes one or more requests; its text becomes the help page."""
+    """Make the command of a function that takes one or more requests.
+
+    Its name is the first word of the function's, its help page the function's text.
+    """
     hints = get_type_hints(work)
     requests: list[type[Request]] = [hints[name] for name in inspect.signature(work).parameters]
 
@@ -41,7 +49,7 @@ def verb(work: Callable[..., None]) -> App:
         return partial(work, *(_made(request, values) for request in requests))
 
     options = [each for request in requests for each in declared(request)]
-    return command(work.__name__.replace("_", "-"), inspect.cleandoc(work.__doc__ or ""), options, prepare)
+    return command(work.__name__.partition("_")[0], inspect.cleandoc(work.__doc__ or ""), options, prepare)
 
 
 def command(
@@ -110,7 +118,7 @@ def _parameter(each: Declared) -> inspect.Parameter:
         group=ARGUMENTS if option.positional else OPTIONS.get(option.group, OTHER),
         metavar=option.metavar or None,
         env_var=option.env or None,
-        show_default=shown_default if shown_default(each.default) else False,
+        show_default=(lambda value: each.default_text) if each.default_text else False,
         required=each.required,
         allow_leading_hyphen=not option.positional,  # -110,-110 is a value
     )
@@ -120,13 +128,6 @@ def _parameter(each: Declared) -> inspect.Parameter:
     default = inspect.Parameter.empty if each.required else each.default if each.option.parse is None else None
     annotated = tuple[one, ...] if each.many else one  # type: ignore[valid-type]
     return inspect.Parameter(each.field, kind, default=default, annotation=Annotated[annotated | None, how])
-
-
-def shown_default(value: Any) -> Any:
-    """Return a default as a person writes it; empty where that says nothing."""
-    if value is None or value is MISSING or isinstance(value, bool) or value in ("", ()) or value in (inf, -inf):
-        return ""
-    return f"{value:g}" if isinstance(value, float) else str(value)
 
 
 def group(name: str, text: str, *verbs: App, **settings: Any) -> App:
@@ -153,6 +154,7 @@ def paragraphs(text: str) -> str:
 
 def run(app: App, words: list[str]) -> None:
     """Run the command line; wrong usage ends with a sentence and exit code 2."""
+    words = _without_auto(words)
     try:
         _, apps, rest = app.parse_commands(words)
         if not rest and apps[-1].default_command is None:
@@ -162,6 +164,17 @@ def run(app: App, words: list[str]) -> None:
     except CycloptsError as error:
         say(f"ffcomp: {_usage(error)} See: {' '.join(['ffcomp', *(error.command_chain or ())])} --help.")
         raise SystemExit(2) from None
+
+
+def _without_auto(words: list[str]) -> list[str]:
+    """Leave out `--robust auto`, which is the same as nothing."""
+    kept: list[str] = []
+    for word in words:
+        if word == "auto" and kept[-1:] == ["--robust"]:
+            kept.pop()
+        elif word != "--robust=auto":
+            kept.append(word)
+    return kept
 
 
 def _usage(error: CycloptsError) -> str:

@@ -12,6 +12,7 @@ import time
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from importlib.util import find_spec
+from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
@@ -83,6 +84,14 @@ def say_assumed(machines: Iterable[Machine], quiet: bool = False) -> None:
 def print_json(result: dict[str, Any]) -> None:
     """Print a result as one JSON object on stdout."""
     print(json_line(result), flush=True)
+
+
+def opened(target: str) -> bool:
+    """Open a file or an address with the program that the desktop has for it; False: there is none."""
+    import webbrowser
+
+    path = Path(target)
+    return webbrowser.open(path.resolve().as_uri() if path.exists() else target)
 
 
 class Progress:

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
-
-from ffcomp.cli.options import AsJson, Figure, Flavor, Offset, StampedMachine, parsed_offset
-from ffcomp.request import OUTPUT
+from ffcomp.cli.command import Json, verb
+from ffcomp.cli.common import print_json
+from ffcomp.errors import RequestError
+from ffcomp.estimate.request import EstimateFilesRequest
+from ffcomp.options import FIGURE
+from ffcomp.request import OUTPUT, Option, Request
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -20,20 +23,24 @@ if TYPE_CHECKING:
     from models.machine import Machine
 
 FIGURES = (".png", ".svg", ".pdf")
-LINES_TOLD = 4  # of each command whose time is not known
+MOST_LINES = 4  # of each command whose time is not known
 
 
-def estimate(
-    files: Annotated[list[Path], typer.Argument(metavar="FILE...", help="Prints, compensated or not.")],
-    machine: StampedMachine = "",
-    offset_mm: Offset = "0,0",
-    flavor: Flavor = "",
-    layers: Annotated[
-        bool, typer.Option("--layers", rich_help_panel=OUTPUT, help="Print a row for every layer.")
-    ] = False,
-    figure: Figure = None,
-    as_json: AsJson = False,
-) -> None:
+@dataclass(frozen=True, kw_only=True)
+class EstimateShown(Request):
+    """What is shown of an estimate."""
+
+    layers: Annotated[bool, Option("Print a row for every layer.", OUTPUT)] = False
+    figure: Annotated[Path | None, FIGURE] = None
+
+    def check(self) -> None:
+        """Check the kind of figure."""
+        if self.figure is not None and self.figure.suffix not in FIGURES:
+            raise RequestError(f"--figure {self.figure}: a name that ends in {', '.join(FIGURES)}.")
+
+
+@verb
+def estimate(request: EstimateFilesRequest, details: EstimateShown, shown: Json) -> None:
     """Estimate how long a print takes, by layer and by feature.
 
     ffcomp plans the print as the firmware does and adds up the time. No file states how long heating, homing and
@@ -41,29 +48,23 @@ def estimate(
 
     Example: ffcomp estimate sample_prints/ringing_tower.gcode --machine mp-delta-pro
     """
-    from ffcomp.cli.common import exit_codes, print_json
+    if details.figure is not None and len(request.files) > 1:
+        raise RequestError("--figure is for one file.")
+    results = []
+    for each in (each for file in request.files for each in _estimates(file, request)):
+        if details.figure is not None:
+            from ffcomp.report.estimate import draw
 
-    with exit_codes():
-        offset = parsed_offset(offset_mm)
-        if figure is not None and len(files) > 1:
-            raise typer.BadParameter("--figure is for one file.")
-        if figure is not None and figure.suffix not in FIGURES:
-            raise typer.BadParameter(f"--figure {figure}: a name that ends in {', '.join(FIGURES)}.")
-        results = []
-        for found in (each for file in files for each in _estimates(file, machine, flavor, offset)):
-            if figure is not None:
-                from ffcomp.report.estimate import draw
-
-                draw(found, figure)
-            if as_json:
-                results.append(found.to_dict())
-            else:
-                _print(found, layers)
-        if as_json:
-            print_json(results[0] if len(results) == 1 else {"schema": "ffcomp-estimate-batch/1", "results": results})
+            draw(each, details.figure)
+        if shown.as_json:
+            results.append(each.to_dict())
+        else:
+            _print(each, details.layers)
+    if shown.as_json:
+        print_json(results[0] if len(results) == 1 else {"schema": "ffcomp-estimate-batch/1", "results": results})
 
 
-def _estimates(file: Path, machine: str, flavor: str, offset: tuple[float, float]) -> Iterator[Estimate]:
+def _estimates(file: Path, request: EstimateFilesRequest) -> Iterator[Estimate]:
     """Of each print that a file holds."""
     from ffcomp.estimate.engine import estimate
     from gcode.container import opened
@@ -71,7 +72,8 @@ def _estimates(file: Path, machine: str, flavor: str, offset: tuple[float, float
     with opened(file) as container:
         for name, text in container.prints.items():
             path = f"{file}/{name}" if name else str(file)
-            yield estimate(text, path, _machine(text, path, machine), flavor=flavor, offset=offset)
+            machine = _machine(text, path, request.machine)
+            yield estimate(text, path, machine, flavor=request.flavor, offset=request.offset_mm)
 
 
 def _machine(text: Source, path: str, name: str) -> Machine:
@@ -84,11 +86,11 @@ def _machine(text: Source, path: str, name: str) -> Machine:
         return load_machine(name)
     stamp = stamp_of(text)
     if stamp is None:
-        raise typer.BadParameter(f"{path} does not say which machine it is for: --machine NAME (ffcomp machines list).")
+        raise RequestError(f"{path} does not say which machine it is for: --machine NAME (ffcomp machines list).")
     return machine_of(stamp, Path(path))
 
 
-def _print(found: Estimate, every_layer: bool) -> None:
+def _print(result: Estimate, every_layer: bool) -> None:
     from rich.console import Console
     from rich.table import Table
 
@@ -97,9 +99,9 @@ def _print(found: Estimate, every_layer: bool) -> None:
     from gcode.metadata import short
 
     console = Console(highlight=False, soft_wrap=True)
-    console.print(f"{found.path} on {found.machine.name}: {_sentence(found)}", markup=False)
-    statistics = found.statistics
-    whole = found.time_s
+    console.print(f"{result.path} on {result.machine.name}: {_sentence(result)}", markup=False)
+    statistics = result.statistics
+    whole = result.time_s
     table = Table("", "time", "share", "filament", box=None)
     for kind, spent in _kinds(statistics):
         table.add_row(kind, short(spent), f"{100 * spent / whole:.1f} %", "")
@@ -108,24 +110,22 @@ def _print(found: Estimate, every_layer: bool) -> None:
         spent = seconds(row)
         table.add_row(name, short(spent), f"{100 * spent / whole:.1f} %", f"{max(row[FILAMENT], 0.0) / 1e3:.2f} m")
     console.print(table)
-    _print_layers(console, found, every_layer)
+    _print_layers(console, result, every_layer)
     for sentence in _unknown(statistics):
         console.print(sentence, markup=False)
 
 
-def _sentence(found: Estimate) -> str:
+def _sentence(result: Estimate) -> str:
     """Print the time, the time before compensation, and the slicer's own estimate."""
     from ffcomp.estimate.engine import seconds
     from gcode.metadata import short
 
-    told = f"{short(found.time_s)} ({found.time_s:.3f} s)"
-    if found.original is not None:
-        told += f", before compensation {short(seconds(found.original.total))}"
-    said = found.statistics.slicer_s
-    told += "" if said is None else f"; the slicer says {short(said)}"
-    return (
-        f"{told}. {found.statistics.filament_mm / 1e3:.2f} m of filament, {found.statistics.retractions} retractions."
-    )
+    sentence = f"{short(result.time_s)} ({result.time_s:.3f} s)"
+    if result.original is not None:
+        sentence += f", before compensation {short(seconds(result.original.total))}"
+    numbers = result.statistics
+    sentence += "" if numbers.slicer_s is None else f"; the slicer says {short(numbers.slicer_s)}"
+    return f"{sentence}. {numbers.filament_mm / 1e3:.2f} m of filament, {numbers.retractions} retractions."
 
 
 def _kinds(statistics: Statistics) -> list[tuple[str, float]]:
@@ -134,7 +134,7 @@ def _kinds(statistics: Statistics) -> list[tuple[str, float]]:
     return [(kind, float(spent)) for kind, spent in zip(KINDS, statistics.total, strict=False) if spent]
 
 
-def _print_layers(console: Console, found: Estimate, every: bool) -> None:
+def _print_layers(console: Console, result: Estimate, every: bool) -> None:
     """All of them, or the longest and the shortest."""
     from rich.table import Table
 
@@ -142,16 +142,16 @@ def _print_layers(console: Console, found: Estimate, every: bool) -> None:
     from ffcomp.estimate.statistics import BEFORE
     from gcode.metadata import short
 
-    layers = found.statistics.layers.in_order()
-    own = sorted((seconds(layer.row), number) for number, layer in layers if number != BEFORE)
+    layers = result.statistics.layers.in_order()
+    times = sorted((seconds(layer.row), number) for number, layer in layers if number != BEFORE)
     if not every:
-        if own:
-            (least, low), (most, high) = own[0], own[-1]
+        if times:
+            (least, low), (most, high) = times[0], times[-1]
             span = f"{short(least)} (layer {low}) to {short(most)} (layer {high})"
-            console.print(f"{len(own)} layers: {span}; --layers tells them all.")
+            console.print(f"{len(times)} layers: {span}; --layers tells them all.")
         return
-    table = Table("layer", "line", "z mm", "time", *(kind for kind, _ in _kinds(found.statistics)), box=None)
-    kinds = [kind for kind, spent in enumerate(found.statistics.total[:5]) if spent]
+    table = Table("layer", "line", "z mm", "time", *(kind for kind, _ in _kinds(result.statistics)), box=None)
+    kinds = [kind for kind, spent in enumerate(result.statistics.total[:5]) if spent]
     for number, layer in layers:
         cells = [f"{layer.row[kind]:.1f}" for kind in kinds]
         name = "before" if number == BEFORE else str(number)
@@ -163,11 +163,11 @@ def _unknown(statistics: Statistics) -> list[str]:
     """List commands whose duration no file states, in one sentence."""
     if not statistics.unknown:
         return statistics.warnings
-    told = [f"{each.what} ({each.command}, {_lines(each)})" for each in statistics.unknown.values()]
-    return [f"Not in the time, for no file tells it: {'; '.join(told)}.", *statistics.warnings]
+    commands = [f"{each.what} ({each.command}, {_lines(each)})" for each in statistics.unknown.values()]
+    return [f"Not in the time, for no file tells it: {'; '.join(commands)}.", *statistics.warnings]
 
 
 def _lines(unknown: Unknown) -> str:
     """Where, as far as a sentence can hold it."""
-    first, more = ", ".join(map(str, unknown.lines[:LINES_TOLD])), unknown.count - LINES_TOLD
+    first, more = ", ".join(map(str, unknown.lines[:MOST_LINES])), unknown.count - MOST_LINES
     return f"line{'s' * (unknown.count > 1)} {first}{f' and {more} more' if more > 0 else ''}"

@@ -2,42 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
-
-from ffcomp.request import MACHINE, OUTPUT
+from ffcomp.cli.command import group, verb
+from ffcomp.cli.common import say
+from ffcomp.errors import RequestError
+from ffcomp.request import MACHINE, OUTPUT, Argument, Option, Request
 
 if TYPE_CHECKING:
     from ffcomp.integrations.recipes import Recipe
 
-app = typer.Typer(help="Use ffcomp from your slicer or your printer's host.", no_args_is_help=True)
 
-Name = Annotated[str, typer.Argument(metavar="NAME", help="A slicer or a host; see: ffcomp integrations list.")]
-MachineName = Annotated[
-    str,
-    typer.Option(
-        "--machine",
-        "-m",
-        metavar="NAME",
-        envvar="FFCOMP_MACHINE",
-        rich_help_panel=MACHINE,
-        help="Machine that is written into it.",
-    ),
-]
-Folder = Annotated[
-    Path | None,
-    typer.Option(
-        "--to",
-        metavar="DIR",
-        rich_help_panel=OUTPUT,
-        help="Folder of the wrapper. Default: the folder that the program searches.",
-    ),
-]
-
-
-@app.command("list")
+@verb
 def list_integrations() -> None:
     """List the slicers and hosts that can use ffcomp."""
     from ffcomp.integrations.recipes import RECIPES
@@ -47,33 +25,52 @@ def list_integrations() -> None:
         print(f"{recipe.name:{width}}  {recipe.about}")
 
 
-@app.command("show")
-def show_integration(name: Name, machine: MachineName = "my-delta") -> None:
+@dataclass(frozen=True)
+class IntegrationRequest(Request):
+    """A slicer or a host, and the machine that it prints on."""
+
+    name: Annotated[str, Argument("A slicer or a host; see: ffcomp integrations list.", metavar="NAME")]
+    machine: Annotated[
+        str,
+        Option("Machine that is written into it.", MACHINE, "--machine", "-m", metavar="NAME", env="FFCOMP_MACHINE"),
+    ] = "my-delta"
+
+
+@verb
+def show_integration(request: IntegrationRequest) -> None:
     """Show how to set it up, with the line to paste.
 
     Example: ffcomp integrations show prusaslicer --machine my-delta
     """
     from ffcomp.integrations.recipes import executable, instructions
 
-    print(instructions(_recipe(name), _anywhere(machine), executable()))
+    print(instructions(_recipe(request.name), _anywhere(request.machine), executable()))
 
 
-@app.command("install")
-def install_integration(name: Name, machine: MachineName = "", to: Folder = None) -> None:
+@dataclass(frozen=True)
+class InstallRequest(IntegrationRequest):
+    """A wrapper to be installed."""
+
+    to: Annotated[
+        Path | None,
+        Option("Folder of the wrapper. Default: the folder that the program searches.", OUTPUT, metavar="DIR"),
+    ] = None
+
+
+@verb
+def install_integration(request: InstallRequest) -> None:
     """Install the wrapper where the program searches for it."""
-    from ffcomp.cli.common import exit_codes, say
     from ffcomp.integrations.recipes import executable, instructions, wrapper
     from gcode.atomic_write import replace_atomically
 
-    recipe, machine = _recipe(name), _anywhere(machine)
+    recipe, machine = _recipe(request.name), _anywhere(request.machine)
     if not recipe.wrapper:
-        raise typer.BadParameter(f"{name} needs no wrapper; see: ffcomp integrations show {name}")
-    with exit_codes():
-        target = _folder(recipe, to) / recipe.installed_as
-        target.parent.mkdir(parents=True, exist_ok=True)
-        replace_atomically(target, [wrapper(recipe, machine, executable()).encode()])
+        raise RequestError(f"{request.name} needs no wrapper; see: ffcomp integrations show {request.name}")
+    target = _folder(recipe, request.to) / recipe.installed_as
+    target.parent.mkdir(parents=True, exist_ok=True)
+    replace_atomically(target, [wrapper(recipe, machine, executable()).encode()])
     print(target)
-    say(f"\n{instructions(recipe, machine or 'my-delta', executable())}")
+    say(f"\n{instructions(recipe, machine, executable())}")
 
 
 def _anywhere(machine: str) -> str:
@@ -85,14 +82,23 @@ def _recipe(name: str) -> Recipe:
     from ffcomp.integrations.recipes import RECIPES
 
     if name.lower() not in RECIPES:
-        raise typer.BadParameter(f"{name}: not one of {', '.join(RECIPES)}.")
+        raise RequestError(f"{name}: not one of {', '.join(RECIPES)}.")
     return RECIPES[name.lower()]
 
 
-def _folder(recipe: Recipe, asked: Path | None) -> Path:
-    if asked is not None:
-        return asked
-    found = recipe.folders()
-    if not found:
-        raise typer.BadParameter(f"No folder of {recipe.name} was found here; name it with --to DIR.")
-    return found[0]
+def _folder(recipe: Recipe, to: Path | None) -> Path:
+    if to is not None:
+        return to
+    folders = recipe.folders()
+    if not folders:
+        raise RequestError(f"No folder of {recipe.name} was found here; name it with --to DIR.")
+    return folders[0]
+
+
+integrations = group(
+    "integrations",
+    "Use ffcomp from your slicer or your printer's host.",
+    list_integrations,
+    show_integration,
+    install_integration,
+)

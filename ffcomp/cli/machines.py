@@ -9,49 +9,30 @@ import json
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
-
-from ffcomp.cli.machines_diff import diff_machines
-from ffcomp.cli.machines_effort import effort
+from ffcomp.cli.command import Json, group, verb
+from ffcomp.cli.common import print_json, say
 from ffcomp.cli.machines_import import import_machine
-from ffcomp.cli.options import AsJson
-from ffcomp.request import MACHINE, OUTPUT
+from ffcomp.options import FIGURE
+from ffcomp.request import MACHINE, OUTPUT, Argument, Option, Request
 
 if TYPE_CHECKING:
+    from ffcomp.inverse.settings import EffortCurve
     from models.arrays import FloatArray
     from models.checks import Extreme, PhysicsChecks, Quantity
+    from models.file import Difference
     from models.machine import Machine
 
 KINDS = ("delta", "corexy", "cartesian")  # in the order of the list
 UNREADABLE = "?"  # `ffcomp machines check` says why
 USAGE, BAD_MACHINE = 2, 5  # exit codes, the same for the whole program
 
-app = typer.Typer(help="List, show, check, create and compare machine files.", no_args_is_help=True)
 
-NameOrPath = Annotated[str, typer.Argument(metavar="MACHINE", help="A machine's name or the path of its TOML file.")]
-NewName = Annotated[str, typer.Argument(metavar="NAME", help="Name of the new machine.")]
-Output = Annotated[
-    Path | None,
-    typer.Option(
-        "-o",
-        "--output",
-        metavar="FILE",
-        rich_help_panel=OUTPUT,
-        help="File to write. Default: in your own machine folder.",
-    ),
-]
-Source = Annotated[
-    str,
-    typer.Option("--from", metavar="NAME", rich_help_panel=MACHINE, help="Machine to copy: a name or a path."),
-]
-
-
-@app.command("list")
-def list_machines(as_json: AsJson = False) -> None:
+@verb
+def list_machines(shown: Json) -> None:
     """List the machines that have a name: deltas, CoreXY machines, cartesian ones."""
     from models.finding import LIBRARY, glance, machine_paths
 
@@ -60,7 +41,7 @@ def list_machines(as_json: AsJson = False) -> None:
         kind, printer = glance(path)
         origin = "library" if path.parent == LIBRARY else "user"
         rows.append({"name": name, "origin": origin, "path": str(path), "kinematics": kind, "printer": printer})
-    if as_json:
+    if shown.as_json:
         _print_json("machines-list", machines=rows)
         return
     rows.sort(key=lambda row: KINDS.index(row["kinematics"]) if row["kinematics"] in KINDS else len(KINDS))
@@ -68,16 +49,23 @@ def list_machines(as_json: AsJson = False) -> None:
     _print_table(columns, [[row[column] or UNREADABLE for column in columns] for row in rows])
 
 
-@app.command("show")
-def show_machine(machine: NameOrPath, as_json: AsJson = False) -> None:
+@dataclass(frozen=True)
+class ShowMachineRequest(Request):
+    """A machine file to be shown."""
+
+    machine: Annotated[str, Argument("A machine's name or the path of its TOML file.", metavar="MACHINE")]
+
+
+@verb
+def show_machine(request: ShowMachineRequest, shown: Json) -> None:
     """Show every parameter of a machine with its provenance, and its modes."""
     from models.file import entries, load_machine
     from models.machine import assumed_modes, sources
 
-    with _machine_errors(as_json):
-        loaded = load_machine(machine)
+    with _machine_errors(shown.as_json):
+        loaded = load_machine(request.machine)
     values, modes, named = entries(Path(loaded.path)), _modes(loaded), sources(loaded)
-    if as_json:
+    if shown.as_json:
         numbers = {e.key: {"value": e.value, "unit": e.unit, "provenance": e.provenance} for e in values}
         _print_json("machine-show", machine=_identity(loaded), values=numbers, modes=modes, sources=named)
         return
@@ -93,31 +81,38 @@ def show_machine(machine: NameOrPath, as_json: AsJson = False) -> None:
         print(f"\n{assumed}")
 
 
-@app.command("check")
-def check_machine(machine: NameOrPath, as_json: AsJson = False) -> None:
+@dataclass(frozen=True)
+class CheckMachineRequest(Request):
+    """A machine file to be checked."""
+
+    machine: Annotated[str, Argument("A machine's name or the path of its TOML file.", metavar="MACHINE")]
+
+
+@verb
+def check_machine(request: CheckMachineRequest, shown: Json) -> None:
     """Check a machine file: mistakes, redundant parameters that disagree, stability and passivity."""
     from ffcomp.importers.builder import still_assumed
     from models.checks import check_physics, redundancy_problems, redundant_quantities, unstable_positions
     from models.file import load_machine
 
-    with _machine_errors(as_json):
-        loaded = load_machine(machine)
+    with _machine_errors(shown.as_json):
+        loaded = load_machine(request.machine)
     if not loaded.vibration.position_dependent:
-        _check_axes(loaded, _instability(unstable_positions(loaded)), as_json)
+        _check_axes(loaded, _instability(unstable_positions(loaded)), shown.as_json)
         return
     quantities, sound = redundant_quantities(loaded), check_physics(loaded)
     disagreements = redundancy_problems(loaded)
     problems, notes = _instability(unstable_positions(loaded)), [*disagreements, *_energy_notes(loaded, sound)]
     notes += [*_assumed(loaded), *still_assumed(loaded.provenance)]
-    if as_json:
+    if shown.as_json:
         consistency = [_quantity_json(quantity) for quantity in quantities]
         found = {"problems": problems, "notes": notes, "consistency": consistency, "soundness": asdict(sound)}
         _print_json("machine-check", machine=_identity(loaded), **found)
     for problem in problems:
         print(f"{loaded.path}: {problem}", file=sys.stderr)
     if problems:
-        raise typer.Exit(BAD_MACHINE)
-    if not as_json:
+        raise SystemExit(BAD_MACHINE)
+    if not shown.as_json:
         _print_consistency(quantities)
         _print_soundness(sound)
         print(*(f"note: {note}" for note in notes), _verdict(loaded, sound, len(disagreements)), sep="\n")
@@ -133,23 +128,37 @@ def _check_axes(machine: Machine, problems: list[str], as_json: bool) -> None:
     for problem in problems:
         print(f"{machine.path}: {problem}", file=sys.stderr)
     if problems:
-        raise typer.Exit(BAD_MACHINE)
+        raise SystemExit(BAD_MACHINE)
     if not as_json:
         verdict = f"{machine.name}: the file is valid, and its vibrations decay."
         print(*(f"note: {note}" for note in notes), verdict, sep="\n")
 
 
-@app.command("new")
-def new_machine(name: NewName, output: Output = None, source: Source = "mp-delta-pro") -> None:
+@dataclass(frozen=True)
+class NewMachineRequest(Request):
+    """A machine file to be made of another one."""
+
+    name: Annotated[str, Argument("Name of the new machine.", metavar="NAME")]
+    output: Annotated[
+        Path | None,
+        Option("File to write. Default: in your own machine folder.", OUTPUT, "--output", "-o", metavar="FILE"),
+    ] = None
+    source: Annotated[str, Option("Machine to copy: a name or a path.", MACHINE, "--from", metavar="NAME")] = (
+        "mp-delta-pro"
+    )
+
+
+@verb
+def new_machine(request: NewMachineRequest) -> None:
     """Create a machine file as a copy of another one. Never overwrites."""
     from models.file import load_machine, starting_text
     from models.finding import user_folder
 
-    if Path(name).name != name:
-        _refuse(f"{name!r} cannot be a machine's name: it would name a folder. Give the file with --output.")
+    if Path(request.name).name != request.name:
+        _refuse(f"{request.name!r} cannot be a machine's name: it would name a folder. Give the file with --output.")
     with _machine_errors():
-        text = starting_text(name, Path(load_machine(source).path))
-    path = output or user_folder() / f"{name}.toml"
+        text = starting_text(request.name, Path(load_machine(request.source).path))
+    path = request.output or user_folder() / f"{request.name}.toml"
     path.parent.mkdir(parents=True, exist_ok=True)
     try:
         with path.open("x", encoding="utf-8") as file:
@@ -159,14 +168,9 @@ def new_machine(name: NewName, output: Output = None, source: Source = "mp-delta
     print(path)
 
 
-app.command("import")(import_machine)
-app.command("diff")(diff_machines)
-app.command("effort")(effort)
-
-
 def _refuse(sentence: str) -> None:
     print(sentence, file=sys.stderr)
-    raise typer.Exit(USAGE)
+    raise SystemExit(USAGE)
 
 
 @contextmanager
@@ -180,7 +184,7 @@ def _machine_errors(as_json: bool = False) -> Iterator[None]:
         print(error, file=sys.stderr)
         if as_json:
             _print_json("machine-error", path=error.path, problems=error.problems)
-        raise typer.Exit(BAD_MACHINE) from None
+        raise SystemExit(BAD_MACHINE) from None
 
 
 def _assumed(machine: Machine) -> list[str]:
@@ -320,3 +324,131 @@ def _print_table(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
     for line in lines:
         cells = (cell.ljust(width) for cell, width in zip(line, widths, strict=True))
         print("  ".join(cells).rstrip())
+
+
+# -- diff --
+
+
+@dataclass(frozen=True)
+class DiffMachinesRequest(Request):
+    """Two machine files to be compared."""
+
+    old: Annotated[str, Argument("A machine's name or the path of its file.", metavar="OLD")]
+    new: Annotated[str, Argument("The machine to compare it with.", metavar="NEW")]
+
+
+@verb
+def diff_machines(request: DiffMachinesRequest, shown: Json) -> None:
+    """Show the parameters in which two machine files differ, and both sets of natural frequencies.
+
+    Example: ffcomp machines diff my-delta.toml better.toml
+    """
+    from models.file import differences, entries, load_machine, mode_changes
+
+    before, after = load_machine(request.old), load_machine(request.new)
+    found = list(differences(entries(Path(before.path)), entries(Path(after.path))))
+    frequencies = mode_changes(before, after).tolist()
+    if shown.as_json:
+        _print_diff_json(before.sha256, after.sha256, found, frequencies)
+    else:
+        _print_diff(found, frequencies)
+
+
+def _print_diff_json(old: str, new: str, found: list[Difference], frequencies: list[list[float]]) -> None:
+    print_json(
+        {
+            "schema": "ffcomp-machine-diff/1",
+            "old": {"sha256": old},
+            "new": {"sha256": new},
+            "changes": [asdict(each) for each in found],
+            "frequencies_hz": [{"old": before, "new": after} for before, after in frequencies],
+        }
+    )
+
+
+def _print_diff(found: list[Difference], frequencies: list[list[float]]) -> None:
+    if not found:
+        print("The two files describe the same machine.")
+        return
+    for each in found:
+        change = ", ".join(f"{relative:+.1%}" for relative in each.relative)
+        note = f"  # {each.provenance}" if each.provenance not in ("", "default") else ""
+        change = f" ({change})" if change else ""
+        print(f"{each.key}: {_or_nothing(each.old)} → {_or_nothing(each.new)} {each.unit}{change}{note}")
+    print("natural frequencies at 0, 0, Hz:", ", ".join(f"{before:.1f} → {after:.1f}" for before, after in frequencies))
+
+
+def _or_nothing(value: object) -> str:
+    return "nothing" if value is None else str(value)
+
+
+# -- effort --
+
+RATES = (250.0, 500.0)  # segments a second
+
+
+@dataclass(frozen=True)
+class EffortRequest(Request):
+    """A machine whose bandwidth is looked at."""
+
+    machine: Annotated[str, Argument("A machine's name or the path of its file.", metavar="MACHINE")]
+    figure: Annotated[Path | None, FIGURE] = None
+
+
+@verb
+def effort(request: EffortRequest, shown: Json) -> None:
+    """Show the inverse's accuracy against the carriage acceleration that it needs.
+
+    ffcomp compensate uses the bandwidth at the knee of this curve.
+
+    Example: ffcomp machines effort mp-delta-pro --figure effort.png
+    """
+    from ffcomp.inverse.settings import effort_curve
+    from models.effects.catalogue import design_machine
+    from models.file import load_machine
+
+    loaded = load_machine(request.machine)
+    curves = {rate: effort_curve(design_machine(loaded)[0], 1 / rate) for rate in RATES}
+    if request.figure is not None:
+        from ffcomp.report.model import draw_effort
+
+        draw_effort(curves, loaded, request.figure)
+        say(f"ffcomp: drawn into {request.figure}.")
+    if shown.as_json:
+        rates = [_effort_json(rate, curve) for rate, curve in curves.items()]
+        print_json({"schema": "ffcomp-effort/1", "machine": loaded.name, "sha256": loaded.sha256, "rates": rates})
+    else:
+        for rate, curve in curves.items():
+            _print_effort(rate, curve)
+
+
+def _effort_json(rate: float, curve: EffortCurve) -> dict[str, object]:
+    return {
+        "segments_per_second": rate,
+        "bandwidth_hz": curve.bandwidth_hz.tolist(),
+        "tracking_rms_um": curve.error_um.tolist(),
+        "peak_command_acceleration_mm_per_s2": curve.peak_mm_per_s2.tolist(),
+        "knee_hz": curve.knee_hz,
+    }
+
+
+def _print_effort(rate: float, curve: EffortCurve) -> None:
+    print(f"{rate:g} segments/s, a square of 8 mm (the plan itself: {curve.plan_mm_per_s2 / 1e3:.1f} m/s²)")
+    print("  bandwidth   tracking rms   peak command")
+    for k in range(len(curve.bandwidth_hz)):
+        mark = "   <- the knee" if k == curve.knee else ""
+        peak = curve.peak_mm_per_s2[k] / 1e3
+        print(f"  {curve.bandwidth_hz[k]:6.1f} Hz   {curve.error_um[k]:9.1f} µm   {peak:7.1f} m/s²{mark}")
+
+
+machines = group(
+    "machines",
+    "List, show, check, create and compare machine files.",
+    list_machines,
+    show_machine,
+    check_machine,
+    new_machine,
+    import_machine,
+    diff_machines,
+    effort,
+)

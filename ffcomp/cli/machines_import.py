@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from enum import StrEnum
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
-import typer
-
-from ffcomp.cli.options import AsJson
-from ffcomp.request import MACHINE, OUTPUT
+from ffcomp.cli.command import Json, verb
+from ffcomp.request import MACHINE, OUTPUT, Argument, Option, Request
 
 if TYPE_CHECKING:
     from ffcomp.importers.builder import MachineDraft
@@ -19,64 +17,38 @@ if TYPE_CHECKING:
 INCOMPLETE = 5  # the file was written, but it is no machine file yet
 
 
-class Kind(StrEnum):
-    """Kinematics that Marlin does not state."""
+@dataclass(frozen=True)
+class ImportMachineRequest(Request):
+    """A printer configuration to be imported."""
 
-    CARTESIAN = "cartesian"
-    COREXY = "corexy"
-
-
-File = Annotated[
-    Path, typer.Argument(metavar="FILE", help="printer.cfg, config.g, or a text with Marlin's answer to M503.")
-]
-Output = Annotated[
-    Path | None,
-    typer.Option(
-        "-o",
-        "--output",
-        metavar="FILE",
-        rich_help_panel=OUTPUT,
-        help="File to write. Default: in your own machine folder.",
-    ),
-]
-Like = Annotated[
-    str | None,
-    typer.Option(
-        "--like",
-        metavar="NAME",
-        rich_help_panel=MACHINE,
-        help="Machine whose parameters replace unknown ones. Default for deltas: the one with the nearest arm length.",
-    ),
-]
-Kinematics = Annotated[
-    Kind | None,
-    typer.Option(
-        "--kinematics",
-        metavar="cartesian|corexy",
-        rich_help_panel=MACHINE,
-        help="Kinematics of a Marlin printer, whose answer to M503 does not state it.",
-    ),
-]
+    file: Annotated[Path, Argument("printer.cfg, config.g, or a text with Marlin's answer to M503.", metavar="FILE")]
+    output: Annotated[
+        Path | None,
+        Option("File to write. Default: in your own machine folder.", OUTPUT, "--output", "-o", metavar="FILE"),
+    ] = None
+    like: Annotated[
+        str | None,
+        Option(
+            "Machine whose parameters replace unknown ones. Default for deltas: the one with the nearest arm length.",
+            MACHINE,
+            metavar="NAME",
+        ),
+    ] = None
+    kinematics: Annotated[
+        Literal["cartesian", "corexy"] | None,
+        Option(
+            "Kinematics of a Marlin printer, whose answer to M503 does not state it.",
+            MACHINE,
+            metavar="cartesian|corexy",
+        ),
+    ] = None
+    alone: Annotated[
+        bool, Option("Read this file only, none that it includes: for a configuration from somebody else.", MACHINE)
+    ] = False
 
 
-Alone = Annotated[
-    bool,
-    typer.Option(
-        "--alone",
-        rich_help_panel=MACHINE,
-        help="Read this file only, none that it includes: for a configuration from somebody else.",
-    ),
-]
-
-
-def import_machine(
-    file: File,
-    output: Output = None,
-    like: Like = None,
-    kinematics: Kinematics = None,
-    alone: Alone = False,
-    as_json: AsJson = False,
-) -> None:
+@verb
+def import_machine(request: ImportMachineRequest, shown: Json) -> None:
     """Import a Klipper, Kalico, RepRapFirmware or Marlin configuration. Never overwrites.
 
     ffcomp states the source of each parameter, which ones are assumed, and which are still missing. The file's
@@ -84,28 +56,26 @@ def import_machine(
 
     Example: ffcomp machines import printer.cfg -o my-printer.toml
     """
-    from ffcomp.cli.common import exit_codes, fail, print_json
+    from ffcomp.cli.common import fail, print_json
+    from ffcomp.importers.builder import build_draft, machine_text
+    from ffcomp.importers.detect import read_printer_config
+    from models.file import check_text, find_machine
+    from models.finding import user_folder
 
-    with exit_codes():
-        from ffcomp.importers.builder import build_draft, machine_text
-        from ffcomp.importers.detect import read_printer_config
-        from models.file import check_text, find_machine
-        from models.finding import user_folder
-
-        found = read_printer_config(file, kinematics, alone)
-        path = output or user_folder() / f"{file.stem}.toml"
-        made = build_draft(found, path.stem, None if like is None else find_machine(like))
-        text = machine_text(made, file)
-        if made.is_complete:
-            check_text(text, str(file))
-        _write(text, path)
-        model_hz = _loudest_hz(path) if made.is_complete and made.config.shaper_hz else None
-        if as_json:
-            print_json(_as_json(made, path, model_hz))
-        else:
-            _print(made, path, model_hz)
-        if not made.is_complete:
-            fail(f"{path} is not complete: fill in {', '.join(made.missing)}.", INCOMPLETE)
+    found = read_printer_config(request.file, request.kinematics, request.alone)
+    path = request.output or user_folder() / f"{request.file.stem}.toml"
+    made = build_draft(found, path.stem, None if request.like is None else find_machine(request.like))
+    text = machine_text(made, request.file)
+    if made.is_complete:
+        check_text(text, str(request.file))
+    _write(text, path)
+    model_hz = _loudest_hz(path) if made.is_complete and made.config.shaper_hz else None
+    if shown.as_json:
+        print_json(_as_json(made, path, model_hz))
+    else:
+        _print(made, path, model_hz)
+    if not made.is_complete:
+        fail(f"{path} is not complete: fill in {', '.join(made.missing)}.", INCOMPLETE)
 
 
 def _write(text: str, path: Path) -> None:

@@ -2,100 +2,79 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
-import typer
+from ffcomp.cli.command import Json, verb
+from ffcomp.cli.common import opened, print_json, say, say_assumed
+from ffcomp.errors import RequestError
+from ffcomp.options import PLATE, STAMPED_MACHINE
+from ffcomp.request import OUTPUT, Argument, Option, Request
 
-from ffcomp.cli.options import AsJson, Plate, StampedMachine, check_choice
-from ffcomp.request import OUTPUT
 
+@dataclass(frozen=True)
+class ShowRequest(Request):
+    """A compensated print to be looked at."""
 
-def show(
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="Compensated print.")],
-    output_file: Annotated[
+    file: Annotated[Path, Argument("Compensated print.", metavar="FILE")]
+    output: Annotated[
         Path | None,
-        typer.Option(
-            "--output-file",
-            "-o",
-            metavar="FILE",
-            rich_help_panel=OUTPUT,
-            help="Picture: .png, .svg or .pdf. Default: FILE.png.",
-        ),
-    ] = None,
-    machine: StampedMachine = "",
+        Option("Picture: .png, .svg or .pdf. Default: FILE.png.", OUTPUT, "--output-file", "-o", metavar="FILE"),
+    ] = None
+    machine: Annotated[str, STAMPED_MACHINE] = ""
     z_mm: Annotated[
-        float | None,
-        typer.Option(
-            metavar="MM", rich_help_panel=OUTPUT, help="Height of the layer. Default: where outer walls vibrate most."
-        ),
-    ] = None,
-    plate: Plate = None,
+        float | None, Option("Height of the layer. Default: where outer walls vibrate most.", OUTPUT, metavar="MM")
+    ] = None
+    plate: Annotated[int | None, PLATE] = None
     gcode_preview: Annotated[
         Path | None,
-        typer.Option(
-            metavar="FILE",
-            rich_help_panel=OUTPUT,
-            help="Also write a small G-code for the viewers of slicers and hosts: lines are coloured, as features, by "
+        Option(
+            "Also write a small G-code for the viewers of slicers and hosts: lines are coloured, as features, by "
             "their contour error. Not for printing.",
+            OUTPUT,
+            metavar="FILE",
         ),
-    ] = None,
+    ] = None
     preview_of: Annotated[
-        str,
-        typer.Option(
-            metavar="WHICH",
-            rich_help_panel=OUTPUT,
-            help="Whose error --gcode-preview shows: compensated or original.",
-        ),
-    ] = "compensated",
-    open_it: Annotated[
-        bool, typer.Option("--open", rich_help_panel=OUTPUT, help="Open the picture when it is made.")
-    ] = False,
-    as_json: AsJson = False,
-) -> None:
+        Literal["compensated", "original"],
+        Option("Whose error --gcode-preview shows: compensated or original.", OUTPUT, metavar="WHICH"),
+    ] = "compensated"
+    open_it: Annotated[bool, Option("Open the picture when it is made.", OUTPUT, "--open")] = False
+
+    def check(self) -> None:
+        """Check that the preview does not go where the print is."""
+        if self.gcode_preview is not None and self.gcode_preview.resolve() == self.file.resolve():
+            raise RequestError(f"{self.gcode_preview}: --gcode-preview names another file than the print.")
+
+
+@verb
+def show(request: ShowRequest, shown: Json) -> None:
     """Draw a compensated print: reference, uncompensated and compensated path.
 
     ffcomp simulates both prints with the design model. The picture and its numbers come from these simulations.
 
     Example: ffcomp show out.gcode
     """
-    from ffcomp.cli.common import exit_codes, print_json
-
-    with exit_codes():
-        check_choice("--preview-of", preview_of, ("compensated", "original"))
-        if gcode_preview is not None and gcode_preview.resolve() == file.resolve():
-            raise typer.BadParameter(f"{gcode_preview}: --gcode-preview names another file than the print.")
-        picture = output_file or file.with_name(file.name + ".png")
-        result = _show(file, picture, machine, z_mm, plate, gcode_preview, preview_of)
-        if as_json:
-            print_json(result)
-        else:
-            print(result["verdict"])
-            print(*(result[key] for key in ("picture", "gcode_preview") if key in result), sep="\n")
-        if open_it:
-            open_picture(result["picture"])
+    result = _show(request)
+    if shown.as_json:
+        print_json(result)
+    else:
+        print(result["verdict"])
+        print(*(result[key] for key in ("picture", "gcode_preview") if key in result), sep="\n")
+    if request.open_it:
+        open_picture(result["picture"])
 
 
 def open_picture(picture: str) -> None:
     """Open the picture with the program that the desktop has for it; without one the picture is there all the same."""
-    from ffcomp.cli.common import say
-
-    if typer.launch(picture) != 0:
+    if not opened(picture):
         say(f"ffcomp: no program here opens pictures; look at {picture} yourself.")
 
 
-def _show(
-    file: Path,
-    picture: Path,
-    machine_name: str,
-    z_mm: float | None,
-    plate: int | None,
-    gcode: Path | None,
-    which: str,
-) -> dict[str, Any]:
+def _show(request: ShowRequest) -> dict[str, Any]:
     from dataclasses import asdict
 
-    from ffcomp.cli.common import say_assumed
     from ffcomp.cli.machine_files import machine_of
     from ffcomp.errors import NothingToDo
     from ffcomp.report.show import draw, numbers, verdict
@@ -108,11 +87,12 @@ def _show(
     from models.file import load_machine
     from models.machine import identity
 
-    data = read_bytes(file, plate)
+    file, target = request.file, request.gcode_preview
+    data = read_bytes(file, request.plate)
     stamp = already_processed(data)
     if stamp is None:
         raise NothingToDo(f"{file}: not compensated by ffcomp; first: ffcomp compensate {file} --machine NAME.")
-    machine = load_machine(machine_name) if machine_name else machine_of(stamp, file)
+    machine = load_machine(request.machine) if request.machine else machine_of(stamp, file)
     say_assumed([machine])
     offset = find_offset(data[:STAMP_REACH])
     seen = preview(data, str(file), machine, offset, stamp.flavor)
@@ -120,16 +100,18 @@ def _show(
         f"design model of {machine.name}, machine file sha256 {machine.sha256[:8]}; planned as the firmware does; "
         f"ffcomp v{__version__}"
     )
-    if gcode is not None and (made := seen.original) is not None:
-        shown = (seen.before, made.before_due) if which == "original" else (seen.after, made.after_due)
-        replace_atomically(gcode, gcode_preview(made, *shown, offset))
-    draw(seen, f"{file.name} on {machine.name}", footer, picture, z_mm)
+    if target is not None and (original := seen.original) is not None:
+        of_original = request.preview_of == "original"
+        curve = (seen.before, original.before_due) if of_original else (seen.after, original.after_due)
+        replace_atomically(target, gcode_preview(original, *curve, offset))
+    picture = request.output or file.with_name(file.name + ".png")
+    draw(seen, f"{file.name} on {machine.name}", footer, picture, request.z_mm)
     return {
         "schema": "ffcomp-show/1",
         "input": str(file),
         "machine": identity(machine),
         "picture": str(picture),
-        **({} if gcode is None else {"gcode_preview": str(gcode)}),
+        **({} if target is None else {"gcode_preview": str(target)}),
         "verdict": verdict(seen),
         "contour_um": {"uncompensated": asdict(numbers(seen.before)), "compensated": asdict(numbers(seen.after))},
     }

@@ -7,10 +7,15 @@ from __future__ import annotations
 
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
+
+from ffcomp.cli.command import verb
+from ffcomp.cli.common import say
+from ffcomp.cli.compiled import WARMED, note_compiled
 
 PRINT = """\
 G28
@@ -33,6 +38,7 @@ SUBJECT = "warmup.gcode"
 PRINTERS = "from ffcomp.cli.warmup import compile_printers; compile_printers()"
 
 
+@verb
 def warmup() -> None:
     """Compile the numerical code once, so that the first print need not wait.
 
@@ -40,12 +46,7 @@ def warmup() -> None:
 
     Example: ffcomp warmup
     """
-    import time
-
-    from ffcomp.cli.common import exit_codes, say
-    from ffcomp.cli.compiled import WARMED, note_compiled
-
-    with exit_codes(), _printers_beside() as printers:
+    with _printers_beside() as printers:
         begin = time.perf_counter()
         steps = list(_steps(printers))
         say("Compiling once; what is compiled is kept.")
@@ -53,8 +54,8 @@ def warmup() -> None:
             since = time.perf_counter()
             step()
             say(f"[{number}/{len(steps)}] {name}: {time.perf_counter() - since:.1f} s")
-        for verb in WARMED:
-            note_compiled(verb)
+        for name in WARMED:
+            note_compiled(name)
         print(f"Ready after {time.perf_counter() - begin:.0f} s.")
 
 

@@ -17,9 +17,10 @@ from pathlib import Path
 
 from ffcomp.compensate.file import compensate_file
 from ffcomp.compensate.job import Options
+from ffcomp.compensate.request import CompensateFilesRequest
 from ffcomp.compensate.result import DIED, FileResult, attempt
 from ffcomp.compensate.worker_pool import Pool
-from ffcomp.errors import FfcompError
+from ffcomp.errors import FfcompError, RequestError
 from gcode.text import PART_BYTES
 from models.machine import Machine
 
@@ -48,7 +49,7 @@ def compensate_files(
 
     Raises
     ------
-    ValueError
+    RequestError
         If two files have one target, or one is the target of another.
     """
     chosen: list[Path | None] = list(files) if targets is None else list(targets)
@@ -61,9 +62,23 @@ def targets_in(folder: Path, files: Sequence[Path]) -> list[Path]:
     targets = [folder / file.name for file in files]
     for file, target in zip(files, targets, strict=True):
         if _same(target) == _same(file):
-            raise ValueError(f"{file}: this file is in {folder} itself, and would be overwritten.")
+            raise RequestError(f"{file}: this file is in {folder} itself, and would be overwritten.")
     check_targets(files, targets)
     return targets
+
+
+def targets_of(request: CompensateFilesRequest) -> list[Path] | list[None]:
+    """Choose the target of each file: what is no G-code never replaces any."""
+    files = list(request.files)
+    targets = files if request.output_dir is None else targets_in(request.output_dir, files)
+    if request.kind != "gcode":
+        targets = [target.with_suffix(".ffm" if request.kind == "host" else ".npz") for target in targets]
+    check_targets(files, targets)
+    if request.dry_run:
+        return [None] * len(files)
+    if request.output_dir is not None:
+        request.output_dir.mkdir(parents=True, exist_ok=True)
+    return [request.output] if request.output is not None else targets
 
 
 def check_targets(files: Sequence[Path], targets: Sequence[Path | None]) -> None:
@@ -75,9 +90,9 @@ def check_targets(files: Sequence[Path], targets: Sequence[Path | None]) -> None
             continue
         place = _same(target)
         if place in taken:
-            raise ValueError(f"{taken[place]} and {file} would both be written to {target}.")
+            raise RequestError(f"{taken[place]} and {file} would both be written to {target}.")
         if place in inputs and place != _same(file):
-            raise ValueError(f"{file} would be written over {inputs[place]}, which is read as well.")
+            raise RequestError(f"{file} would be written over {inputs[place]}, which is read as well.")
         taken[place] = file
 
 

@@ -7,13 +7,11 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from os.path import realpath
 from pathlib import Path
-from typing import Any
 
 from ffcomp.compensate.job import Job, Options, StepOutput
 from ffcomp.compensate.prediction import read_again
-from ffcomp.compensate.result import Result, already_processed, of_prints
+from ffcomp.compensate.result import CompensatedFile, Result, already_compensated
 from ffcomp.compensate.text_stream import Stream
-from ffcomp.numerics.serialise import to_json
 from gcode.atomic_write import replacing, unchanged
 from gcode.container import Container, blocks_of, ends_of, opened, read_bytes
 from gcode.embedded import find_stamp
@@ -30,8 +28,8 @@ def compensate_file(
     *,
     jobs: int = 1,
     progress: Callable[[float], None] = lambda share: None,
-) -> dict[str, Any]:
-    """Compensate a file and return the JSON object of `compensate`. With several jobs call it within `workers`.
+) -> CompensatedFile:
+    """Compensate a file. With several jobs call it within `workers`.
 
     Parameters
     ----------
@@ -60,14 +58,14 @@ def compensate_file(
             if again or stamps[name] is None
         }
         if not todo:
-            return already_processed(path, stamps.values())
+            return already_compensated(path, stamps.values())
         if options.steps is None:
             if target is not None and len(container.prints) == 1 and options.bound is None:
                 todo = {name: replace(job, read_again=True) for name, job in todo.items()}
-            result = _write(container, todo, target, progress, still_the_same)
+            results = _write(container, todo, target, progress, still_the_same)
         else:
-            result = _write_steps(todo, path, target, options.steps, progress)
-        return {**result, "input": path, "output": None if target is None else str(target)}
+            results = _write_steps(todo, path, target, options.steps, progress)
+        return CompensatedFile(path, None if target is None else str(target), results)
 
 
 def _write(
@@ -76,7 +74,7 @@ def _write(
     target: Path | None,
     progress: Callable[[float], None],
     check: Callable[[], None],
-) -> dict[str, Any]:
+) -> dict[str, Result]:
     """Write the container anew; prints that are not to be compensated stay as they are.
 
     todo : by the print's name;  check : is called before the target is replaced
@@ -90,19 +88,19 @@ def _write(
         with replacing(target) as file:
             container.write(file, texts)
             check()
+    (name, *others) = todo
     results = {name: stream.value for name, stream in streams.items()}
-    return {**of_prints(results), **_predicted_again(todo, results, target)}
+    if not others and target is not None:
+        results[name] = _predicted_again(todo[name], results[name], target)
+    return results
 
 
-def _predicted_again(todo: Mapping[str, Job], results: Mapping[str, Result], target: Path | None) -> dict[str, Any]:
+def _predicted_again(job: Job, result: Result, target: Path) -> Result:
     """Predict what was not predicted on the way, from the file that was written."""
-    (job, *_), (result, *_) = todo.values(), results.values()
     numbers = result.statistics
-    if target is None or not job.predicts_again or not numbers.segments or numbers.predicted is not None:
-        return {}
-    tracks = read_again(read_bytes(target), str(target), job.machine, job.offset, job.flavor)
-    seconds = tracks["uncompensated"].print_time_s
-    return dict(to_json({"predicted": tracks, "predicted_over_s": seconds}))
+    if not job.predicts_again or not numbers.segments or numbers.predicted is not None:
+        return result
+    return replace(result, read_again=read_again(read_bytes(target), str(target), job.machine, job.offset, job.flavor))
 
 
 def _text(container: Container, streams: Mapping[str, Stream[Result]], name: str) -> Iterator[bytes]:
@@ -127,8 +125,8 @@ def _streams(
 
 def _write_steps(
     todo: Mapping[str, Job], path: str, target: Path | None, steps: StepOutput, progress: Callable[[float], None]
-) -> dict[str, Any]:
+) -> dict[str, Result]:
     if len(todo) > 1:
         raise UnsupportedGcode(f"Step timings are of one print, and the file holds {', '.join(todo)}.", path=path)
-    (job,) = todo.values()
-    return job.write_steps(target, steps, progress).to_dict()
+    ((name, job),) = todo.items()
+    return {name: job.write_steps(target, steps, progress)}

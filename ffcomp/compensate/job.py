@@ -24,15 +24,16 @@ from ffcomp.compensate.placement import NOWHERE, Footprint, Offset, Placement, a
 from ffcomp.compensate.plan import S_CURVE_LONGEST_S, Context, plan_chunk
 from ffcomp.compensate.prediction import LONGEST_S, READ_AGAIN_S
 from ffcomp.compensate.program import compensate
+from ffcomp.compensate.request import CompensateOptions
 from ffcomp.compensate.result import Result
 from ffcomp.compensate.statistics import Statistics
 from ffcomp.compensate.step_output import StepRenderer, StepStream
 from ffcomp.compensate.text_stream import Stream, stamped, with_shaper_off, with_times_retold
-from ffcomp.errors import NothingToDo
+from ffcomp.errors import NothingToDo, RequestError
 from ffcomp.faster.bound import Bound, with_slicer_settings
 from ffcomp.integrations.slicer import Bed, bed_in, pair
 from ffcomp.inverse.model import InverseModel
-from ffcomp.inverse.robust import BOUNDED, PLAIN, RobustChoice
+from ffcomp.inverse.robust import BOUNDED, PLAIN, RobustChoice, choose_robust
 from ffcomp.inverse.settings import Settings, settings_for
 from ffcomp.inverse.time_scaling import TimeScaling, scale_around_cut
 from ffcomp.planner.limits import known_to_the_firmware, lines_of, planner_limits
@@ -53,6 +54,7 @@ from gcode.reader import read_parts
 from models.effects.catalogue import design_machine
 from models.machine import Machine
 
+ROW_ERROR_S = 12.5e-6  # of a step of compressed rows, early or late: half of what Klipper allows itself
 Progress = Callable[[float], None]  # called with the share that is done, 0 to 1
 Lines = Generator[bytes, None, Statistics]  # a chunk's output, and what was done
 
@@ -94,9 +96,70 @@ class Options:
     bound: Bound | None = None  # on the error, under which the print is as quick as can be; None: as it was sliced
     robust: RobustChoice = PLAIN  # which the settings follow, and why
 
+    @classmethod
+    def of(cls, request: CompensateOptions, machine: Machine, bed: Bed | None = None) -> Options:
+        """Return the options that a request means for a machine."""
+        plain = request.inverse == "none"
+        settings = replace(
+            settings_for(machine, request.max_segments_per_second),
+            inverse="exact" if request.inverse == "exact" else "fast",
+            s_curve=request.s_curve and not plain,
+            strict=request.strict,
+            tolerance_um=request.tolerance_um,
+            embed=request.embed,
+        )
+        bound = _bound_of(request)
+        if request.robust is None and (plain or bound is not None):
+            choice = PLAIN
+        else:
+            choice = choose_robust(machine, settings, request.robust)
+        return cls(
+            offset=request.offset_mm,
+            flavor=request.flavor,
+            settings=replace(settings, robust=choice.robust),
+            predict=request.predict,
+            shaper_off=request.shaper_off,
+            force=request.force,
+            steps=_step_output(request, machine),
+            bed=bed,
+            bound=bound,
+            robust=choice,
+        )
+
     def job(self, source: Source, path: str, machine: Machine, stamp: Stamp | None, jobs: int) -> Job:
         """Return the request for a print. With a stamp, the original that the file keeps is compensated."""
         return Job(source, path, machine, self, stamp is not None, jobs)
+
+
+def _bound_of(request: CompensateOptions) -> Bound | None:
+    errors_um = request.errors_um
+    if not errors_um:
+        return None
+    return Bound(
+        errors_um.pop(""),
+        of_features_um=tuple(errors_um.items()),
+        keep_speed=request.keep_speed,
+        max_flow_mm3_per_s=request.max_flow_mm3_per_s,
+        max_speed_mm_per_s=request.max_speed_mm_per_s,
+        min_layer_time_s=request.min_layer_time_s,
+        change_speed=request.change_speed,
+        safety=request.safety,
+    )
+
+
+def _step_output(request: CompensateOptions, machine: Machine) -> StepOutput | None:
+    plain = request.inverse == "none"
+    if request.kind == "gcode":
+        return None
+    if request.kind == "host":  # whose own settings make the steps
+        return StepOutput(Board(1.0), None, plain, motion=True)
+    per_mm = request.extruder_steps_per_mm or machine.steps.extruder_steps_per_mm
+    if per_mm is None:
+        raise RequestError(
+            f"--output {request.kind} needs the extruder's microsteps per mm of filament: --extruder-steps-per-mm N, "
+            "or extruder_steps_per_mm in [steps] of the machine file."
+        )
+    return StepOutput(Board(per_mm), ROW_ERROR_S if request.kind == "klipper-steps" else None, plain)
 
 
 @dataclass(frozen=True)

@@ -6,14 +6,15 @@ import time
 import traceback
 from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import BrokenExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from ffcomp.compensate.placement import Placement
-from ffcomp.compensate.statistics import Statistics, warning_lines
+from ffcomp.compensate.statistics import Statistics, shortened, warning_lines
 from ffcomp.errors import INPUT_ERRORS, explain, interrupts_restored
 from ffcomp.inverse.robust import PLAIN, RobustChoice
+from ffcomp.metrics import Track
 from ffcomp.numerics.serialise import to_json
 from ffcomp.steps.sink import MotorTotal
 from gcode.dialects import FlavorChoice
@@ -23,6 +24,19 @@ from models.machine import Machine, identity
 SCHEMA = "ffcomp-compensate/1"
 LISTED = 12  # places that were slowed down, of which each has its sentence
 DIED = "A process that worked at it has died, perhaps for want of memory."
+
+
+@dataclass(frozen=True, slots=True)
+class QuickerPrint:
+    """What a bound on the error has brought."""
+
+    print_time_s: float
+    original_print_time_s: float
+    actuator_limit_s: float  # nothing can be quicker
+    limited_by: Mapping[str, float]  # seconds by what limits the speed
+    contour_p99_um: float | None  # None: not predicted
+    contour_max_um: float | None
+    by_feature: Mapping[str, Mapping[str, float]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,6 +52,7 @@ class Result:
     steps: Mapping[str, MotorTotal] | None = None  # by the motor's letter; None: G-code was written
     embedded: bool = True  # whether the G-code holds its original
     robust: RobustChoice = PLAIN
+    read_again: Mapping[str, Track] = field(default_factory=dict)  # errors of the file as it was written
 
     @property
     def warnings(self) -> list[str]:
@@ -58,24 +73,39 @@ class Result:
         warnings = [*numbers.shares.warnings(), *numbers.warnings]
         return warning_lines(warnings, numbers.slowed, self.machine, numbers.original_print_time_s)
 
-    def _faster(self) -> dict[str, Any]:
-        """Return what a bound on the error has given."""
+    @property
+    def predicted(self) -> Mapping[str, Track]:
+        """Errors of the uncompensated and of the compensated print; empty: not predicted."""
+        samples = self.statistics.predicted
+        return self.read_again or (samples.tracks() if samples else {})
+
+    @property
+    def predicted_over_s(self) -> float:
+        """Print time that the prediction covers."""
+        if self.read_again:
+            return self.read_again["uncompensated"].print_time_s
+        samples = self.statistics.predicted
+        return samples.covered_s if samples else 0.0
+
+    @property
+    def faster(self) -> QuickerPrint | None:
+        """What a bound on the error has brought; None: there was none."""
         numbers, faster = self.statistics, self.statistics.faster
-        assert faster is not None
-        compensated = numbers.predicted.tracks()["compensated"] if numbers.predicted else None
-        names = sorted(faster.original_s, key=lambda name: -faster.original_s[name])
-        return {
-            "print_time_s": numbers.print_time_s,
-            "original_print_time_s": numbers.original_print_time_s,
-            "actuator_limit_s": faster.actuator_limit_s,
-            "limited_by": dict(faster.limited_by),
-            "contour_p99_um": compensated.contour_p99_um if compensated else None,
-            "contour_max_um": compensated.contour_max_um if compensated else None,
-            "by_feature": {
-                name: {"original_s": faster.original_s[name], "print_time_s": faster.planned_s.get(name, 0.0)}
-                for name in names
+        if faster is None:
+            return None
+        compensated = self.predicted.get("compensated")
+        return QuickerPrint(
+            print_time_s=numbers.print_time_s,
+            original_print_time_s=numbers.original_print_time_s,
+            actuator_limit_s=faster.actuator_limit_s,
+            limited_by=dict(faster.limited_by),
+            contour_p99_um=compensated.contour_p99_um if compensated else None,
+            contour_max_um=compensated.contour_max_um if compensated else None,
+            by_feature={
+                name: {"original_s": seconds, "print_time_s": faster.planned_s.get(name, 0.0)}
+                for name, seconds in sorted(faster.original_s.items(), key=lambda each: -each[1])
             },
-        }
+        )
 
     def __add__(self, other: Result) -> Result:
         """Add another print of the same file."""
@@ -85,7 +115,7 @@ class Result:
     def to_dict(self) -> dict[str, Any]:
         """Return the JSON object of `compensate`."""
         numbers = self.statistics
-        found = {
+        answer = {
             "schema": SCHEMA,
             "input": self.path,
             "machine": identity(self.machine),
@@ -107,38 +137,77 @@ class Result:
             "warnings": self.warnings,
             "warning_lines": self.warning_lines,
             "slowed": numbers.slowed,
-            "predicted": numbers.predicted.tracks() if numbers.predicted else {},
-            "predicted_over_s": numbers.predicted.covered_s if numbers.predicted else 0.0,
-            **({"faster": self._faster()} if numbers.faster is not None else {}),
+            "predicted": self.predicted,
+            "predicted_over_s": self.predicted_over_s,
+            **({} if self.faster is None else {"faster": self.faster}),
             **({"original_embedded": self.embedded} if self.steps is None else {"steps": self.steps}),
         }
-        return dict(to_json(found))
+        return dict(to_json(answer))
 
 
-def of_prints(results: Mapping[str, Result]) -> dict[str, Any]:
-    """Return the JSON object of a file's only print, or of all its prints together.
+@dataclass(frozen=True, slots=True)
+class CompensatedFile:
+    """What became of one file.
 
-    Parameters
+    Attributes
     ----------
-    results : mapping of Result
-        By the print's name.
+    path : str
+        The file, as the user named it.
+    output : str or None
+        The file that was written; None: nothing was.
+    prints : mapping of Result
+        By the print's name, which is empty for the only one; none: the file was compensated already.
+    already : str
+        The sentence that says so.
+    advice : tuple of str
+        Warnings about how the file was made.
     """
-    first, *others = results.values()
-    if not others:
-        return first.to_dict()
-    warnings = [f"{name}: {warning}" for name, result in results.items() for warning in result.warnings]
-    times = ("print_time_s", "original_print_time_s")
-    prints = [{"name": n, **{key: getattr(r.statistics, key) for key in times}} for n, r in results.items()]
-    for other in others:
-        first += other
-    return {**first.to_dict(), "warnings": warnings, "prints": prints}
+
+    path: str
+    output: str | None
+    prints: Mapping[str, Result] = field(default_factory=dict)
+    already: str = ""
+    advice: tuple[str, ...] = ()
+
+    @property
+    def result(self) -> Result:
+        """All prints together."""
+        first, *others = self.prints.values()
+        for other in others:
+            first += other
+        return first
+
+    @property
+    def warnings(self) -> list[str]:
+        """All warnings, in sentences."""
+        several = len(self.prints) > 1
+        own = [f"{name}: {each}" if several else each for name, r in self.prints.items() for each in r.warnings]
+        return [*self.advice, *own]
+
+    @property
+    def warning_lines(self) -> list[str]:
+        """The same for people, in a few lines."""
+        lines = self.result.warning_lines if self.prints else []
+        return shortened([*self.advice, *lines]) if self.advice else lines
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the JSON object of `compensate`."""
+        if not self.prints:
+            return {"schema": SCHEMA, "input": self.path, "output": self.output, "already": self.already}
+        answer = {**self.result.to_dict(), "warnings": self.warnings, "warning_lines": self.warning_lines}
+        if len(self.prints) > 1:
+            times = ("print_time_s", "original_print_time_s")
+            answer["prints"] = [
+                {"name": name, **{key: getattr(result.statistics, key) for key in times}}
+                for name, result in self.prints.items()
+            ]
+        return {**answer, "input": self.path, "output": self.output}
 
 
-def already_processed(path: str, stamps: Iterable[Stamp | None]) -> dict[str, Any]:
-    """Return the JSON object of a file that is compensated already."""
+def already_compensated(path: str, stamps: Iterable[Stamp | None]) -> CompensatedFile:
+    """Return the result of a file that is compensated already."""
     by = " and ".join(dict.fromkeys(f"ffcomp v{stamp.version} for {stamp.machine}" for stamp in stamps if stamp))
-    sentence = f"{path}: already processed by {by}; nothing changed."
-    return {"schema": SCHEMA, "input": path, "output": path, "already": sentence}
+    return CompensatedFile(path, path, already=f"{path}: already processed by {by}; nothing changed.")
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,22 +223,29 @@ class Failure:
 class FileResult:
     """The result of one file among many."""
 
-    number: int  # its place among the files given
+    number: int  # its place among the files
     file: Path
     seconds: float
-    result: dict[str, Any]  # as `Result.to_dict`, with "output", or with "already"; empty for a failure
+    done: CompensatedFile | None
     failure: Failure | None = None
 
+    def to_dict(self) -> dict[str, Any]:
+        """Return the file's JSON object among those of a batch."""
+        if self.done is not None:
+            return self.done.to_dict()
+        assert self.failure is not None
+        return {"input": str(self.file), "error": self.failure.sentence, "exit_code": self.failure.exit_code}
 
-def attempt(number: int, file: Path, work: Callable[[Path], dict[str, Any]]) -> FileResult:
+
+def attempt(number: int, file: Path, work: Callable[[Path], CompensatedFile]) -> FileResult:
     """Run `work(file)` and return its result or failure; never raises."""
-    started, result, failure = time.perf_counter(), dict[str, Any](), None
+    started = time.perf_counter()
     try:
         with interrupts_restored():
-            result = work(file)
+            done = work(file)
+        return FileResult(number, file, time.perf_counter() - started, done)
     except Exception as error:
-        failure = failure_of(error, str(file))
-    return FileResult(number, file, time.perf_counter() - started, result, failure)
+        return FileResult(number, file, time.perf_counter() - started, None, failure_of(error, str(file)))
 
 
 def failure_of(error: Exception, path: str) -> Failure:

@@ -123,24 +123,24 @@ class Pool:
         outcome, target = done.outcome, self.targets[done.outcome.number]
         for folder in self.folders.values():
             (folder / f"{outcome.number}{MARK}").unlink(missing_ok=True)
-        if outcome.failure is not None or "already" in outcome.result:
+        if outcome.done is None or outcome.done.already:
             return outcome
         if target is None:
-            return replace(outcome, result={**outcome.result, "output": None})
+            return replace(outcome, done=replace(outcome.done, output=None))
         try:
             if done.text is None:
-                draft = Path(outcome.result["output"])
+                draft = Path(str(outcome.done.output))
                 replace_atomically(target, raw_blocks(draft))
                 draft.unlink()
             else:
                 replace_atomically(target, [done.text])
         except OSError as error:
             return self._failed(outcome.number, error)
-        return replace(outcome, result={**outcome.result, "output": str(target)})
+        return replace(outcome, done=replace(outcome.done, output=str(target)))
 
     def _failed(self, number: int, error: Exception) -> FileResult:
         file = self.files[number]
-        return FileResult(number, file, 0.0, {}, failure_of(error, str(file)))
+        return FileResult(number, file, 0.0, None, failure_of(error, str(file)))
 
 
 @contextmanager

@@ -173,7 +173,7 @@ def test_progress_is_of_bytes(prints: list[Path], machine: Machine) -> None:
         seen: list[float] = []
         targets = [None] * 3
         done = in_order(compensate_files(prints, machine, targets=targets, jobs=jobs, progress=seen.append))
-        assert [outcome.result["output"] for outcome in done] == [None] * 3
+        assert [outcome.done is not None and outcome.done.output for outcome in done] == [None] * 3
         assert seen == sorted(seen) and seen[-1] == sum(path.stat().st_size for path in prints)
         assert prints[0].read_bytes() == a_print(3)
 

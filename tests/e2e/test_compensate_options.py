@@ -88,9 +88,9 @@ def test_steps_of_the_plan_itself(printed: Path, tmp_path: Path) -> None:
     ("words", "said"),
     [
         (("--output", "steps"), "extruder_steps_per_mm"),
-        (("--output", "hex"), "gcode, steps, klipper-steps or host"),
+        (("--output", "hex"), '"gcode", "steps", "klipper-steps", "host"'),
         (("--inverse", "none"), "for --output steps"),
-        (("--inverse", "slow"), "fast, exact or none"),
+        (("--inverse", "slow"), '"fast", "exact", "none"'),
     ],
 )
 def test_what_cannot_be_is_refused_with_the_rule(printed: Path, words: tuple[str, ...], said: str) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ffcomp.cli.machines import app
+from ffcomp.cli.machines import machines as app
 from models.file import load_machine
 from tests.support.cli import CliRunner, Result
 from tests.support.configs import COREXY, SHAPER, Delta, written

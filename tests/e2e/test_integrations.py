@@ -21,7 +21,7 @@ from typing import Any
 import pytest
 
 from ffcomp import __version__
-from ffcomp.cli.integrations import app
+from ffcomp.cli.integrations import integrations as app
 from ffcomp.integrations.recipes import RECIPES, cura_folders, executable, instructions, joined, wrapper
 from ffcomp.integrations.slicer import Bed, read_bed
 from gcode.embedded import already_processed, original
@@ -155,7 +155,7 @@ def test_cura_gets_the_compensated_print_in_its_pieces(cura: Callable[..., list[
         ({"machine": "kosel"}, "Did you mean 'kossel'?"),
         ({"executable": "/no/such ffcomp"}, "No such file"),
         ({"options": "--offset-mm '"}, "No closing quotation"),
-        ({"options": "--fast"}, "No such option: --fast (exit code 2)"),
+        ({"options": "--fast"}, "Unknown option: --fast. See: ffcomp compensate --help. (exit code 2)"),
         ({"executable": None}, "NoneType"),  # whatever it is
     ],
 )

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from ffcomp.cli.machines import app
+from ffcomp.cli.machines import machines as app
 from models.file import LIBRARY, load_machine
 from models.kinds import delta_vibration
 from tests.support.cli import CliRunner, Result

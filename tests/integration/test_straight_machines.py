@@ -166,7 +166,7 @@ def test_motors_of_a_corexy_are_held_to_their_limits(tmp_path: Path) -> None:
     source = tmp_path / "fast.gcode"
     source.write_bytes(b"G1 X0 Y0 Z1 F6000\nG1 X60 Y60 F12000\nG1 X0 Y60\nG1 X60 Y0\n")
     done = compensate_file(source, source.name, machine, Options(), tmp_path / "out.gcode")
-    assert any("velocity" in warning for warning in done["warnings"])
+    assert any("velocity" in warning for warning in done.warnings)
 
 
 @pytest.mark.parametrize("flavor", ["marlin", "reprapfirmware"])

@@ -10,7 +10,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import chdir, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from cyclopts import App
 
@@ -32,12 +31,8 @@ class Result:
 
 
 class CliRunner:
-    def invoke(self, app: Any, words: Sequence[str] = (), env: Mapping[str, str | None] | None = None) -> Result:
+    def invoke(self, app: App, words: Sequence[str] = (), env: Mapping[str, str | None] | None = None) -> Result:
         """Run a command; what it raises becomes the result's `exception`."""
-        if not isinstance(app, App):
-            from typer.testing import CliRunner as TyperRunner
-
-            return TyperRunner().invoke(app, list(words), env=env)  # type: ignore[return-value]
         both = io.StringIO()
         streams = _Copied(both), _Copied(both)
         code, exception = 0, None

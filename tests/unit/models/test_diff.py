@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from ffcomp.cli.machines import app
+from ffcomp.cli.machines import machines as app
 from models.file import LIBRARY
 from tests.support.cli import CliRunner, Result
 

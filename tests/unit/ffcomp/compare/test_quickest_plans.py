@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import pytest
 
-from ffcomp.cli.faster_options import shares_known
 from ffcomp.compare.quickest_plans import worth_knowing
 from ffcomp.faster.bound import Bound
 from ffcomp.inverse.settings import settings_for
@@ -22,11 +21,3 @@ def test_a_better_known_machine_prints_quicker() -> None:
     (known,) = worth_knowing(squares(1), "squares", vague, settings_for(vague), BOUND, (0.02,), 100.0)
     assert (known.relative_sd, known.print_time_s) == (0.02, pytest.approx(100.0 * known.share))
     assert known.share < 0.97
-
-
-def test_what_is_asked_for() -> None:
-    assert shares_known("", None) == []
-    assert shares_known("2%, 0.5%", BOUND) == pytest.approx([0.02, 0.005])
-    for text, bound in (("2%", None), ("many", BOUND), ("200%", BOUND)):
-        with pytest.raises(Exception, match="--"):
-            shares_known(text, bound)

@@ -25,8 +25,8 @@ def target(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def predicted(target: Path) -> dict[str, dict[str, float]]:
     result = compensate_file(squares(), "squares.gcode", MACHINE, Options(flavor="klipper"), target)
-    assert result["predicted_over_s"] > 3.0
-    return dict(result["predicted"])
+    assert result.result.predicted_over_s > 3.0
+    return dict(result.to_dict()["predicted"])
 
 
 @pytest.fixture(scope="module")

@@ -57,9 +57,9 @@ def test_the_picture_is_opened_or_it_is_said_where_it_is(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     opened: list[str] = []
-    monkeypatch.setattr("typer.launch", lambda url: opened.append(url) or 0)
+    monkeypatch.setattr("ffcomp.cli.show.opened", lambda url: not opened.append(url))
     open_picture("out.png")
     assert opened == ["out.png"] and capsys.readouterr().err == ""
-    monkeypatch.setattr("typer.launch", lambda url: 1)
+    monkeypatch.setattr("ffcomp.cli.show.opened", lambda url: False)
     open_picture("out.png")
     assert "look at out.png yourself" in capsys.readouterr().err

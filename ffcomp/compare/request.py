@@ -1,0 +1,124 @@
+"""What `compare` can be asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+from ffcomp.errors import RequestError
+from ffcomp.options import FLAVOR, JOBS, MACHINE_NAME, OFFSET, PLANT, PLATE, SCHEDULER, SEGMENT_RATE, Offset
+from ffcomp.request import ACCURACY, SPEED, Argument, MachineLike, Option, Request
+
+Layers = tuple[int, int | None]
+
+
+def parse_share(text: str) -> float:
+    """Read `10%` or `0.1`."""
+    try:
+        return float(text[:-1]) / 100 if text.endswith("%") else float(text)
+    except ValueError:
+        raise RequestError(f"{text!r}: a share such as 10% or 0.1.") from None
+
+
+def parse_layers(text: str) -> Layers:
+    """Read `10:20`, `5:`, `:3` or `7`."""
+    first, colon, last = text.partition(":")
+    try:
+        begin = int(first) if first else 0
+        return begin, (int(last) if last else None) if colon else (begin if text else None)
+    except ValueError:
+        raise RequestError(f"--layers {text!r}: two layer numbers with a colon between them, e.g. 10:20.") from None
+
+
+def parse_names(text: str) -> tuple[str, ...]:
+    """Read names with commas between them."""
+    return tuple(filter(None, text.split(",")))
+
+
+@dataclass(frozen=True)
+class CompareRequest(Request):
+    """A print on which all methods are compared."""
+
+    file: Annotated[str | Path, Argument("Sliced print. It is only read.", metavar="FILE")]
+    machine: Annotated[MachineLike, MACHINE_NAME]
+    plant: Annotated[MachineLike | None, PLANT] = None
+    mismatch: Annotated[
+        float,
+        Option(
+            "Also evaluate on Monte-Carlo plants whose masses, stiffnesses, dampings and drives are all perturbed by "
+            "this standard deviation, e.g. 10%.",
+            ACCURACY,
+            metavar="SHARE",
+            parse=parse_share,
+        ),
+    ] = 0.0
+    seeds: Annotated[
+        int, Option("Number of Monte-Carlo plants of --mismatch.", ACCURACY, metavar="N", low=1, high=1000)
+    ] = 20
+    layers: Annotated[
+        Layers,
+        Option(
+            "Evaluate these layers only, counted from 0, both included: 10:20, 5:, :3.",
+            SPEED,
+            metavar="FIRST:LAST",
+            parse=parse_layers,
+        ),
+    ] = (0, None)
+    sample: Annotated[
+        float | None,
+        Option(
+            "Evaluate this share of the time, in slices that stand for it, e.g. 5%. Default: 2 minutes at most.",
+            SPEED,
+            metavar="SHARE",
+            parse=parse_share,
+            label="Share of the print",
+        ),
+    ] = None
+    quality_um: Annotated[
+        float,
+        Option(
+            "Find the highest acceleration at which each method keeps 99 % of its contour error below this. 0: skip.",
+            ACCURACY,
+            metavar="UM",
+            low=0.0,
+        ),
+    ] = 25.0
+    only: Annotated[
+        tuple[str, ...],
+        Option(
+            "Evaluate only these methods beside none and ffcomp, e.g. mzv,ei-calibrated. Shapers: zv, mzv, zvd, ei, "
+            "2hump_ei, 3hump_ei, and, compared only when named, zvdd, zvddd (Marlin), smooth_zv, smooth_mzv, "
+            "smooth_ei, smooth_2hump_ei, smooth_zvd_ei, smooth_si (Kalico's other branches); each also with "
+            "-calibrated and -scheduled; with -z (z shaped too), -carriages (each carriage by itself) or, if smooth, "
+            "-inverse and -inverse-z (one mode of x and y inverted), these also with -calibrated; fbs-lti, fbs-robust; "
+            "all.",
+            SPEED,
+            metavar="NAMES",
+            parse=parse_names,
+            label="Methods",
+        ),
+    ] = ()
+    offset_mm: Annotated[Offset, OFFSET] = (0.0, 0.0)
+    flavor: Annotated[str, FLAVOR] = ""
+    max_segments_per_second: Annotated[float, SEGMENT_RATE] = 250.0
+    plate: Annotated[int | None, PLATE] = None
+    jobs: Annotated[int, JOBS] = 1
+    scheduler: Annotated[str, SCHEDULER] = ""
+    progress: Callable[[str, float], None] = lambda step, share: None
+
+    def check(self) -> None:
+        """Check shares and layers."""
+        if self.sample is not None and not 0.0 < self.sample <= 1.0:
+            raise RequestError(f"--sample {100 * self.sample:g}%: a share above 0 and up to 100%.")
+        if self.mismatch and not 0.0 < self.mismatch <= 1.0:
+            raise RequestError(f"--mismatch {100 * self.mismatch:g}%: a share above 0 and up to 100%.")
+        if self.mismatch > 0.3:
+            raise RequestError(
+                f"--mismatch {100 * self.mismatch:g}%: up to 30 %; beyond it sampled masses come near to zero."
+            )
+        first, last = self.layers
+        if first < 0 or (last is not None and last < first):
+            layers = f"{first}:{'' if last is None else last}"
+            raise RequestError(f"--layers {layers}: the first layer is 0, and the last must not be before the first.")

@@ -1,0 +1,255 @@
+"""What `compensate` can be asked for: of one print in Python, of several files on the command line."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+from ffcomp.errors import RequestError
+from ffcomp.options import (
+    CHANGE_SPEED,
+    FLAVOR,
+    JOBS,
+    KEEP_SPEED,
+    MAX_FLOW,
+    MIN_LAYER_TIME,
+    SCHEDULER,
+    SEGMENT_RATE,
+    Offset,
+    parse_offset,
+)
+from ffcomp.request import ACCURACY, ADVANCED, FASTER, MACHINE, OUTPUT, SPEED, Argument, MachineLike, Option, Request
+
+Kind = Literal["gcode", "steps", "klipper-steps", "host"]
+MachineToPrintOn = Annotated[
+    MachineLike,
+    Option(
+        "Machine: a name (see: ffcomp machines list) or the path of its file.",
+        MACHINE,
+        "--machine",
+        "-m",
+        metavar="NAME",
+        env="FFCOMP_MACHINE",
+    ),
+]
+
+
+def parse_errors(texts: Sequence[str]) -> float | dict[str, float]:
+    """Read bounds of the contour error: a number of µm for all lines, `Feature=number` for one kind of line."""
+    errors = {}
+    for text in texts:
+        feature, _, number = text.rpartition("=")
+        try:
+            errors[feature.strip()] = float(number)
+        except ValueError:
+            raise RequestError(f"--max-error-um {text}: it is a number of µm, or Feature=number.") from None
+    return errors[""] if set(errors) == {""} else errors
+
+
+def parse_shares(text: str) -> tuple[float, ...]:
+    """Read shares in % with commas between them."""
+    try:
+        return tuple(float(each.strip().removesuffix("%")) / 100 for each in text.split(",")) if text else ()
+    except ValueError:
+        raise RequestError(f"--if-known {text!r}: shares in %, with commas between them, e.g. 2%,1%.") from None
+
+
+@dataclass(frozen=True, kw_only=True)
+class CompensateOptions(Request):
+    """How prints are compensated."""
+
+    kind: Annotated[
+        Kind,
+        Option(
+            "Kind of output: gcode; steps, the time of every step (.npz); klipper-steps, the same compressed into rows "
+            "(.npz); host, the motion that the module for Klipper's and Kalico's host plays (.ffm).",
+            OUTPUT,
+            "--output",
+            metavar="KIND",
+        ),
+    ] = "gcode"
+    offset_mm: Annotated[
+        Offset | None,
+        Option(
+            "Move the print: a shift added to every position, e.g. -110,-110 for a print whose origin is a corner of "
+            "the bed. auto: none where the print lies inside as it is, else one that brings it inside.",
+            MACHINE,
+            metavar="X,Y",
+            parse=parse_offset,
+            unset="auto",
+            label="Shift, mm",
+        ),
+    ] = None
+    flavor: Annotated[str, FLAVOR] = ""
+    force: Annotated[
+        bool, Option("Compensate a file that is already compensated.", OUTPUT, label="Compensate it again")
+    ] = False
+    embed: Annotated[
+        bool,
+        Option(
+            "Keep the original's moves in the file as comments, for restore, show, simulate and compare.",
+            OUTPUT,
+        ),
+    ] = True
+    shaper_off: Annotated[
+        bool,
+        Option(
+            "Switch the firmware's input shaper off in the file.", MACHINE, label="Switch the firmware's shaper off"
+        ),
+    ] = False
+    predict: Annotated[bool, Option("Simulate the print before and after with the design model.", SPEED)] = True
+    max_segments_per_second: Annotated[float, SEGMENT_RATE] = 250.0
+    inverse: Annotated[
+        Literal["fast", "exact", "none"],
+        Option(
+            "Inverse: fast; exact, the reference, far slower; none, for step timings only.", ADVANCED, metavar="NAME"
+        ),
+    ] = "fast"
+    s_curve: Annotated[
+        bool,
+        Option("Limit the jerk of the ramps: lower peaks for at most one percent more time.", ACCURACY),
+    ] = False
+    robust: Annotated[
+        bool | None,
+        Option(
+            "Minimise the expected contour error over the machine file's uncertainties. Without either, or with "
+            "--robust auto: where its [uncertainty] makes it pay.",
+            ACCURACY,
+            label="Robust to what the machine file does not know",
+        ),
+    ] = None
+    strict: Annotated[bool, Option("Stop with exit code 6 where a limit would slow the print down.", ACCURACY)] = False
+    tolerance_um: Annotated[
+        float,
+        Option(
+            "Largest path error that an active limit may cause before the print is slowed down.",
+            ACCURACY,
+            metavar="UM",
+            unit="µm",
+            low=0.1,
+        ),
+    ] = 25.0
+    max_error_um: Annotated[
+        float | Mapping[str, float] | None,
+        Option(
+            "Print as quickly as a contour error below this allows. 'Feature=UM': another bound for one kind of line, "
+            "named as in the file.",
+            FASTER,
+            metavar="UM",
+            parse=parse_errors,
+            repeated=True,
+            label="Quicker, with an error of at most (µm)",
+        ),
+    ] = None
+    max_flow_mm3_per_s: Annotated[float | None, MAX_FLOW] = None
+    max_speed_mm_per_s: Annotated[
+        float | None, Option("Highest speed of the nozzle, mm/s.", FASTER, metavar="V", low=1.0)
+    ] = None
+    min_layer_time_s: Annotated[float | None, MIN_LAYER_TIME] = None
+    keep_speed: Annotated[tuple[str, ...], KEEP_SPEED] = ()
+    change_speed: Annotated[tuple[str, ...], CHANGE_SPEED] = ()
+    safety: Annotated[
+        float,
+        Option(
+            "Share of the printers, as uncertain as the machine file says, that may exceed the bound.",
+            FASTER,
+            metavar="SHARE",
+            low=0.001,
+            high=0.5,
+        ),
+    ] = 0.05
+    if_known: Annotated[
+        tuple[float, ...],
+        Option(
+            "Also measure, on slices, what the print would take if the machine were known better: 2%,1%.",
+            FASTER,
+            metavar="SHARES",
+            parse=parse_shares,
+        ),
+    ] = ()
+    extruder_steps_per_mm: Annotated[
+        float | None,
+        Option(
+            "Extruder microsteps per mm of filament, for step timings, if the machine file does not state them.",
+            ADVANCED,
+            metavar="N",
+            low=1.0,
+        ),
+    ] = None
+    jobs: Annotated[int, JOBS] = 1
+    scheduler: Annotated[str, SCHEDULER] = ""
+
+    @property
+    def errors_um(self) -> dict[str, float]:
+        """The bounds by kind of line; that of all others has no name. Empty: none."""
+        bound = self.max_error_um
+        return {} if bound is None else {"": float(bound)} if isinstance(bound, int | float) else dict(bound)
+
+    def check(self) -> None:
+        """Check what several options say together."""
+        if self.inverse == "none" and self.kind == "gcode":
+            raise RequestError("--inverse none leaves the G-code as it is; it is for --output steps and host.")
+        self._check_faster()
+
+    def _check_faster(self) -> None:
+        limits = (self.max_flow_mm3_per_s, self.max_speed_mm_per_s, self.min_layer_time_s)
+        if not self.errors_um:
+            if limits != (None, None, None) or self.keep_speed or self.change_speed:
+                raise RequestError("A quicker print needs the error that it may have: --max-error-um UM.")
+            if self.if_known:
+                raise RequestError("--if-known is about a quicker print: --max-error-um UM.")
+            return
+        if self.s_curve:
+            raise RequestError("--s-curve plans for the slicer's speeds; leave it out with --max-error-um.")
+        for um in self.errors_um.values():
+            if not 0.1 <= um <= 10_000.0:
+                raise RequestError(f"--max-error-um {um:g}: it is a number of µm from 0.1 to 10000.")
+        if "" not in self.errors_um:
+            raise RequestError("One --max-error-um without a feature says what holds for all others.")
+        if not all(0.0 <= each <= 1.0 for each in self.if_known):
+            raise RequestError("--if-known: shares in % lie between 0 and 100, e.g. 2%,1%.")
+
+
+@dataclass(frozen=True)
+class CompensateRequest(CompensateOptions):
+    """A print to be compensated."""
+
+    file: Annotated[str | Path, Argument("Sliced print: G-code, also in .gz, .gcode.3mf or .bgcode.", metavar="FILE")]
+    machine: MachineToPrintOn
+    output: Annotated[
+        str | Path | None, Option("File to write, which may be the print itself; None: nothing is written.", OUTPUT)
+    ] = None
+    progress: Callable[[float], None] = lambda share: None
+
+
+@dataclass(frozen=True)
+class CompensateFilesRequest(CompensateOptions):
+    """Prints to be compensated, in place unless there is an output."""
+
+    files: Annotated[
+        tuple[Path, ...],
+        Argument(
+            "Sliced prints: G-code, also in .gz, .gcode.3mf or .bgcode. Changed in place without -o or --output-dir.",
+            metavar="FILE...",
+        ),
+    ]
+    machine: MachineToPrintOn
+    output: Annotated[
+        Path | None,
+        Option("Write here and leave the input unchanged.", OUTPUT, "--output-file", "-o", metavar="FILE"),
+    ] = None
+    output_dir: Annotated[
+        Path | None,
+        Option("Write files of the same names here and leave the inputs unchanged.", OUTPUT, metavar="DIR"),
+    ] = None
+    dry_run: Annotated[bool, Option("Do everything, write nothing.", OUTPUT)] = False
+
+    def check(self) -> None:
+        """Check what several options say together."""
+        super().check()
+        if self.output is not None and (len(self.files) > 1 or self.output_dir is not None):
+            raise RequestError("-o is for one file; several go into a folder with --output-dir DIR.")
+        if self.if_known and len(self.files) > 1:
+            raise RequestError("--if-known is for one file.")

@@ -1,0 +1,93 @@
+"""Options that several verbs share: one name, one meaning, one sentence."""
+
+from __future__ import annotations
+
+from ffcomp.errors import RequestError
+from ffcomp.request import ADVANCED, FASTER, MACHINE, OUTPUT, SPEED, Argument, Option
+
+Offset = tuple[float, float]
+
+
+def parse_offset(text: str) -> Offset | None:
+    """Read `X,Y` in mm; None for `auto`."""
+    if text == "auto":
+        return None
+    try:
+        x, y = (float(part) for part in text.split(","))
+    except ValueError:
+        raise RequestError(f"--offset-mm {text!r}: two numbers with a comma between them, in mm.") from None
+    return x, y
+
+
+MACHINE_NAME = Option(
+    "Machine: a name (see: ffcomp machines list) or the path of its file.", MACHINE, "--machine", "-m", metavar="NAME"
+)
+STAMPED_MACHINE = Option(
+    "Machine: a name or the path of its file. Compensated prints name theirs.",
+    MACHINE,
+    "--machine",
+    "-m",
+    metavar="NAME",
+)
+PLANT = Option(
+    "Simulated printer, with its effects: a machine's name or file. Default: --machine, nonlinear.",
+    MACHINE,
+    metavar="NAME",
+)
+OFFSET = Option(
+    "Shift added to every position, for a print whose origin is a corner of the bed, e.g. -110,-110.",
+    MACHINE,
+    "--offset-mm",
+    metavar="X,Y",
+    parse=parse_offset,
+    unset="0,0",
+    label="Shift, mm",
+)
+FLAVOR = Option(
+    "Firmware: klipper, marlin or reprapfirmware. Default: what the machine file says, or else the print.",
+    MACHINE,
+    metavar="NAME",
+    label="Firmware",
+)
+PLATE = Option("Plate of a .gcode.3mf that holds several, counted from 1.", MACHINE, metavar="N", low=1, label="Plate")
+SEGMENT_RATE = Option(
+    "Highest segment rate. A lower rate follows less of the vibration.", SPEED, metavar="RATE", low=125.0, high=500.0
+)
+JOBS = Option("Number of processes. The output is the same.", SPEED, "--jobs", "-j", metavar="N", low=1)
+SCHEDULER = Option(
+    "Use a Dask cluster, e.g. tcp://host:8786. Its workers need ffcomp but not the files.", SPEED, metavar="ADDRESS"
+)
+REPORT = Option("Write one HTML page that opens offline.", OUTPUT, "--report", "-r", metavar="FILE")
+FIGURE = Option("Draw a figure: .png, .svg or .pdf.", OUTPUT, metavar="FILE")
+MACHINE_FILE = Option("Machine file to write.", OUTPUT, "--output", "-o", metavar="FILE")
+FORCE = Option("Overwrite files that exist.", OUTPUT)
+MAX_FLOW = Option(
+    "What the nozzle can melt, mm³/s. Without it: the slicer's setting, or else the largest flow as sliced.",
+    FASTER,
+    metavar="V",
+    low=0.1,
+    label="What the nozzle can melt, mm³/s",
+)
+MIN_LAYER_TIME = Option(
+    "No layer becomes shorter than this. Without it: the slicer's setting, or else 5 s.", FASTER, metavar="S", low=0.0
+)
+KEEP_SPEED = Option(
+    "Keep the slicer's speed of one kind of line, e.g. 'External perimeter'.", FASTER, metavar="FEATURE"
+)
+CHANGE_SPEED = Option(
+    "Change the speed of one kind of line that keeps the slicer's otherwise: 'Bridge infill', 'first layer'.",
+    FASTER,
+    metavar="FEATURE",
+)
+RUNS = Argument(
+    "Recordings (CSV), or captures with --plan. Names that differ in -1, -2, … only are repeats.", metavar="RUNS..."
+)
+MOVES_PLAN = Option("Plan (.json) of captures, as `record plan` wrote it.", MACHINE, "--plan", metavar="FILE")
+CAPTURE_AXES = Option(
+    "The printer's axes in the accelerometer's own, e.g. x,-z,y. Default: found in the captures.",
+    MACHINE,
+    "--axes-map",
+    metavar="X,Y,Z",
+)
+LOWEST_FITTED = Option("Ignore frequencies below.", ADVANCED, metavar="HZ", low=0.1)
+HIGHEST_FITTED = Option("Ignore frequencies above.", ADVANCED, metavar="HZ", low=1.0)
