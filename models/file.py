@@ -29,7 +29,7 @@ from models.finding import machine_paths as machine_paths
 from models.machine import Machine
 from models.schema.documents import DEFAULT_UNCERTAINTY as DEFAULT_UNCERTAINTY
 from models.schema.documents import AnyDocument, validated
-from models.schema.words import did_you_mean, unit_of
+from models.schema.table import did_you_mean, unit_of
 
 # Klipper's printer.cfg, RepRapFirmware's config.g, Marlin's answer to M503; a line of a machine file
 _CONFIGURATION = re.compile(

@@ -34,7 +34,7 @@ from ffcomp.inverse.settings import settings_for
 from ffcomp.measurement.recording import read_recording
 from models.file import load_machine, updated_text
 from models.machine import Machine, value_of
-from models.printer.static_deflection import static_deflection
+from models.printer.rest import static_deflection
 from studies.diagnosis import ffcomp
 from studies.render import REPORTS, save
 from validation import judge

@@ -19,7 +19,7 @@ from ffcomp.diagnose.problem import Observation
 from ffcomp.measurement.recording import Recording
 from models.arrays import FloatArray
 from models.machine import Machine
-from models.printer.batch import START_S, gentle_start
+from models.printer.playback import START_S, gentle_start
 
 LEAST_RATE_HZ = 1500.0  # more than seven times the band's end; faster recordings are thinned to at least this
 APART_MM = 20.0  # from which two places count as two

@@ -50,12 +50,12 @@ from ffcomp.inverse.solve import Solution
 from models.arrays import FloatArray
 from models.effects.catalogue import values_of, without_effects
 from models.machine import Machine
-from models.printer.batch import Observe, simulate_batch
 from models.printer.kernels.friction import MOST_STRAIN
 from models.printer.kernels.record import PrinterParameters
 from models.printer.parameters import printer_parameters
+from models.printer.playback import Observe, simulate_batch
 from models.printer.printer import PrinterMotion
-from models.printer.static_deflection import static_deflection
+from models.printer.rest import static_deflection
 from models.vibration.scheduled import Schedule, plant_table
 
 Tried = tuple[FloatArray, FloatArray]  # a point and its answer, (n, 3) mm

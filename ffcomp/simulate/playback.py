@@ -24,8 +24,7 @@ from models.printer import playback
 from models.printer.kernels.record import LANES
 from models.printer.parameters import converted_printer, printer_parameters
 from models.printer.printer import Hold, longest_step
-from models.printer.rest import equilibrium_state
-from models.printer.static_deflection import static_deflection
+from models.printer.rest import equilibrium_state, static_deflection
 
 Item = TypeVar("Item")
 

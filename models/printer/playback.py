@@ -1,16 +1,19 @@
-"""Play a command of any length on one simulated printer or on many, chunk by chunk: only one chunk is held.
+"""Play long commands: whole prints chunk by chunk, of which only one is held, and sections of a print in windows.
 
-Printers go side by side in the lanes of the processor's vectors, and groups of them in threads.
+Printers, or windows, go side by side in the lanes of the processor's vectors, and groups of them in threads.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
 from models.arrays import FloatArray
+from models.effects.catalogue import CATALOGUE, values_of
 from models.machine import Machine
 from models.printer.kernels.record import LANES
 from models.printer.printer import SPLINE_ROWS, Hold, PrinterMotion, PrinterState, simulate_printers
@@ -100,3 +103,118 @@ def _played(found: PrinterMotion | ValueError) -> PrinterMotion:
     if isinstance(found, ValueError):
         raise found
     return found
+
+
+Observe = Callable[[PrinterMotion], FloatArray]  # (n, 3) mm of a motion of n rows
+
+MEMORY_S = 1.0  # of a printer without a vibrating frame
+DECAY, LONGEST_S = 7.0, 30.0  # a frame's vibration has decayed to e to the −7
+START_S = 0.25
+
+
+def simulate_batch(
+    machine: Machine,
+    commands: Sequence[FloatArray],
+    rests: Sequence[int | None],
+    row_s: float,
+    after: int,
+    observe: Observe,
+    delay_s: float = 0.0,
+) -> list[FloatArray]:
+    """Simulate every section and observe it, together with the rows right after it.
+
+    Parameters
+    ----------
+    commands : sequence of (n, 3) array
+        Carriage heights of each section, mm, columns A B C.
+    rests : sequence of int or None
+        Rows of rest since the section before. None: the nozzle has been moved in between.
+    row_s : float
+        Time from row to row, s.
+    after : int
+        Rows to observe after a section's last.
+    observe : callable
+        The observed quantity of a motion.
+    delay_s : float
+        Time by which the observation is later than the command, s.
+
+    Returns
+    -------
+    list of (n + after, 3) array
+        mm.
+
+    Raises
+    ------
+    ValueError
+        If the printer cannot be simulated under a command.
+    """
+    memory = round(memory_s(machine) / row_s)
+    lines, observed = _lines(commands, rests, after, memory), []
+    motions = _in_windows(machine, [line.rows for line in lines], row_s, memory, observe)
+    for line, values in zip(lines, motions, strict=True):
+        t = np.arange(len(values), dtype=np.float64)
+        next_begins = [*(begin for begin, _ in line.sections[1:]), t[-1]]
+        for (begin, end), until in zip(line.sections, next_begins, strict=True):
+            at = np.minimum(np.arange(begin, end + after) + delay_s / row_s, until)
+            observed.append(np.stack([np.interp(at, t, axis) for axis in values.T], axis=1))
+    return observed
+
+
+def memory_s(machine: Machine) -> float:
+    """Return the time, s, after which the printer's earlier motion no longer matters."""
+    frames = [name for name in machine.effects if CATALOGUE[name].kind == "frame"]
+    swaying = [values for name in frames if (values := values_of(machine, name)) is not None]
+    rates = [2 * np.pi * float(each["frequency_hz"]) * float(each["damping_ratio"]) for each in swaying]
+    return max(MEMORY_S, DECAY / max(min(rates, default=np.inf), DECAY / LONGEST_S))
+
+
+@dataclass(frozen=True, slots=True)
+class _Line:
+    """Consecutive sections with the rests between them."""
+
+    rows: FloatArray  # (n, 3) mm
+    sections: list[tuple[int, int]]  # the first row of each, and the one after its last
+
+
+def _lines(commands: Sequence[FloatArray], rests: Sequence[int | None], after: int, longest: int) -> list[_Line]:
+    """Join sections up to the next unknown rest; a rest of more than `longest` rows is cut to that."""
+    new = [i for i, rest in enumerate(rests) if i == 0 or rest is None]
+    return [
+        _line(commands[a:b], [min(rest or 0, longest) for rest in rests[a + 1 : b]], after)
+        for a, b in pairwise([*new, len(rests)])
+    ]
+
+
+def _line(commands: Sequence[FloatArray], rests: Sequence[int], after: int) -> _Line:
+    rows, sections = [commands[0]], [(0, len(commands[0]))]
+    for command, rest in zip(commands[1:], rests, strict=True):
+        begin = sections[-1][1] + rest
+        rows += [np.repeat(command[:1], rest, axis=0), command]
+        sections.append((begin, begin + len(command)))
+    return _Line(np.concatenate([*rows, np.repeat(commands[-1][-1:], after + 1, axis=0)]), sections)
+
+
+def _in_windows(
+    machine: Machine, lines: Sequence[FloatArray], row_s: float, memory: int, observe: Observe
+) -> list[FloatArray]:
+    """Observe every row of commands (n, 3) mm, simulated in about as many windows as the printer has lanes."""
+    enough = max(sum(map(len, lines)) / LANES, memory)
+    cuts = [np.linspace(0, len(line), max(int(len(line) / enough), 1) + 1).astype(int) for line in lines]
+    windows = [(line, a, b) for line, at in zip(lines, cuts, strict=True) for a, b in pairwise(at)]
+    start = round(START_S / row_s)
+    commands = [gentle_start(line[a - memory : b], start) if a > memory else line[:b] for line, a, b in windows]
+    motions, values = simulate_printers([machine] * len(windows), commands, row_s, hold="linear"), []
+    for (_, a, b), motion in zip(windows, motions, strict=True):
+        if isinstance(motion, ValueError):
+            raise motion
+        values.append(observe(motion)[a - b :])
+    ends = np.cumsum([len(at) - 1 for at in cuts])
+    return [np.concatenate(values[end - len(at) + 1 : end]) for at, end in zip(cuts, ends, strict=True)]
+
+
+def gentle_start(rows: FloatArray, start: int) -> FloatArray:
+    """Accelerate a command from rest: its first `start // 2` rows take `start` rows."""
+    slow = np.arange(start, dtype=np.float64) ** 2 / (2 * start)
+    index, half = np.arange(len(rows), dtype=np.float64), start // 2
+    first = np.stack([np.interp(slow, index, axis) for axis in rows.T], axis=1)
+    return np.concatenate([first, rows[half:]])

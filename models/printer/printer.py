@@ -25,8 +25,8 @@ from models.machine import Machine
 from models.printer.kernels.axes import BELT_DAMPING, FREQUENCY2, SHARE
 from models.printer.kernels.integrate import integrate
 from models.printer.kernels.integrate_axes import integrate_axes
+from models.printer.kernels.motors import cubic_spline
 from models.printer.kernels.record import LANES, PrinterParameters, parameter_table
-from models.printer.kernels.spline import cubic_spline
 from models.printer.parameters import ConvertedPrinter, converted_printer
 from models.printer.rest import axes_at_rest, deltas_at_rest
 

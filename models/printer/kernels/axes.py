@@ -29,7 +29,6 @@ from typing import NamedTuple
 
 from models.arrays import FloatArray
 from models.printer.kernels.friction import guide_friction, stribeck
-from models.printer.kernels.jit import compiled
 from models.printer.kernels.motors import stiffness_by_length, torque_angle
 from models.printer.kernels.record import (
     ACC,
@@ -58,7 +57,7 @@ from models.printer.kernels.record import (
     X,
     parameter_rows,
 )
-from models.printer.kernels.vectors import at, dot, put, vector
+from models.printer.kernels.vectors import at, compiled, dot, put, vector
 
 TO_MOTORS, TO_AXES, MOTOR_K, BELT_K = parameter_rows("motor_matrix", "axis_matrix", "motor_k", "belt_k")
 HARDENING, QUINTIC, PEAK_STRETCH = parameter_rows("cubic", "quintic", "peak_stretch")

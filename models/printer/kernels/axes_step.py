@@ -9,22 +9,35 @@ from __future__ import annotations
 
 from typing import TypeAlias
 
+import numpy as np
+
 from models.arrays import FloatArray
 from models.printer.kernels.axes import (
     BELT_DAMPING,
+    BY_X,
+    BY_X_CENTRE,
+    BY_X_SQUARED,
     COMPLIANCE,
     DAMPING,
+    DIRECTIONS,
+    FIRST,
+    FRAME,
+    FRAME_B,
+    FRAME_K,
     FREQUENCY2,
+    GROWTH,
     HALF_BACKLASH,
     HARDENING,
     HIGHEST,
     LANDING,
+    LEAST_STIFFER,
     MOTOR_K,
     PART,
     PEAK_STRETCH,
     QUINTIC,
     REACTION,
     SHARE,
+    SLOPE,
     SWAY,
     SWAY_RATE,
     TO_AXES,
@@ -32,22 +45,148 @@ from models.printer.kernels.axes import (
     UNEVEN,
     WIDTH,
     YAW,
+    YAW_ARM,
+    YAW_B,
     YAW_CENTRE,
     YAW_INERTIA,
+    YAW_K,
     YAW_SHARE,
+    AxesState,
 )
-from models.printer.kernels.axes_rows import ALL_ROWS, FIELDS, MODE, MODES, MOTION, MOTORS, STATE
-from models.printer.kernels.axes_sway import Sway, lighter, pull_of, stiffer, sway_rates
 from models.printer.kernels.friction import DRY, FADING, FADING_POWER, STICKING, dry_friction, sliding_level
-from models.printer.kernels.jit import compiled, inlined
-from models.printer.kernels.motors import stiffness_by_length, torque
+from models.printer.kernels.motors import rippled, stiffness_by_length, torque
 from models.printer.kernels.record import (
+    COMMAND,
+    COMMAND_RATE,
+    CUBIC,
     LANES,
+    RIPPLE,
+    RIPPLE_RATE,
+    ROWS,
     ActiveEffects,
     Row,
     Vector,
 )
-from models.printer.kernels.vectors import at, power
+from models.printer.kernels.vectors import at, compiled, inlined, power
+
+FEW_MODES, FIELDS = 2, 7
+MODES = ROWS  # three rows a field
+STATE = MODES + 3 * FEW_MODES * FIELDS  # as of `AxesState`
+MODE = STATE + 3 * FIRST  # p and ṗ of each mode
+MOTORS = MODE + 6 * FEW_MODES  # u and u̇ at the beginning, the middle and the end of a step
+MOTION = MOTORS + 18  # at the step's beginning: place, velocity, acceleration of the nozzle, then of the axes
+ALL_ROWS = MOTION + 18
+
+
+@compiled
+def with_modes(m: FloatArray, modes: FloatArray) -> FloatArray:
+    """Return m with the rows of this file, the modes (n, 7, WIDTH) filled in."""
+    found = np.zeros(ALL_ROWS * LANES)
+    found[: len(m)] = m
+    for i in range(FEW_MODES):
+        for field in range(FIELDS):
+            for n in range(WIDTH):
+                found[(MODES + 3 * (FIELDS * i + field)) * LANES + n] = modes[i, field, n]
+    return found
+
+
+@compiled
+def take_state(m: FloatArray, s: AxesState) -> None:
+    """Take the state over from s."""
+    for n in range(len(s.base)):
+        m[STATE * LANES + n] = s.base[n]
+
+
+@compiled
+def keep_state(m: FloatArray, l: int, states: FloatArray) -> None:
+    """Copy the state of lane l to states : (k, rows, 3)."""
+    for row in range(states.shape[1]):
+        for a in range(3):
+            states[l, row, a] = at(m, STATE + 3 * row + a, l)
+
+
+@compiled
+def has_springs(m: FloatArray) -> bool:
+    """Tell whether any belt has play, or pulls other than in proportion to its stretch."""
+    found = False
+    for n in range(WIDTH):
+        found |= at(m, HALF_BACKLASH, n) != 0.0 or at(m, LANDING, n) != 0.0 or at(m, SLOPE, n) != 0.0
+        found |= at(m, HARDENING, n) != 0.0 or at(m, QUINTIC, n) != 0.0
+    return found
+
+
+@compiled
+def keep_motors(m: FloatArray, half: int) -> None:
+    """Keep where the motors are and how fast, at one of a step's three times."""
+    for n in range(WIDTH):
+        m[(MOTORS + 6 * half) * LANES + n] = at(m, COMMAND, n) + at(m, RIPPLE, n)
+        m[(MOTORS + 6 * half + 3) * LANES + n] = at(m, COMMAND_RATE, n) + at(m, RIPPLE_RATE, n)
+
+
+@compiled
+def motors_at(m: FloatArray, half: int, t: float, ripple: bool) -> None:
+    """Evaluate the motors t seconds after the row whose cubics are loaded, for one of a step's three times."""
+    for n in range(WIDTH):
+        a, b, c = at(m, CUBIC, n), at(m, CUBIC + 3, n), at(m, CUBIC + 6, n)
+        m[(MOTORS + 6 * half) * LANES + n] = ((a * t + b) * t + c) * t + at(m, CUBIC + 9, n)
+        m[(MOTORS + 6 * half + 3) * LANES + n] = (3.0 * a * t + 2.0 * b) * t + c
+    if ripple:
+        for n in range(WIDTH):
+            own = (MOTORS + 6 * half) * LANES + n
+            more = rippled(m, n, m[own], m[own + 3 * LANES])
+            m[own], m[own + 3 * LANES] = m[own] + more[0], m[own + 3 * LANES] + more[1]
+
+
+Sway: TypeAlias = tuple[float, float, float, float, float, float]  # θ, θ̇; d and ḋ of the frame's two directions
+Pull: TypeAlias = tuple[float, float]  # m/s², what they take off the modes of x and y
+Two: TypeAlias = tuple[float, float]
+
+
+@inlined
+def sway_rates(m: FloatArray, l: int, sway: Sway, forces: Two, driven: Two, x: float) -> Sway:
+    """Evaluate the rates of frame and gantry.
+
+    Parameters
+    ----------
+    forces : Σ N f of x and y.
+    driven : accelerations of the driven points of x and y.
+    x : of the driven point, m.
+    """
+    theta, turning, d0, d1, dd0, dd1 = sway
+    off, inertia = x - at(m, YAW_CENTRE, l), at(m, YAW_INERTIA, l)
+    torque = at(m, YAW_ARM, l) * driven[0] - off * driven[1]
+    torque -= inertia * (at(m, YAW_K, l) * theta + at(m, YAW_B, l) * turning)
+    whole = inertia + (1.0 - at(m, YAW_SHARE, l)) * off * off
+    turn = torque / whole if inertia > 0.0 else 0.0
+    return turning, turn, dd0, dd1, _swayed(m, 0, l, d0, dd0, forces), _swayed(m, 1, l, d1, dd1, forces)
+
+
+@inlined
+def _swayed(m: FloatArray, j: int, l: int, d: float, dd: float, forces: Two) -> float:
+    force = at(m, DIRECTIONS + 2 * j, l) * forces[0] + at(m, DIRECTIONS + 2 * j + 1, l) * forces[1]
+    return -at(m, FRAME_K, l) * d - at(m, FRAME_B, l) * dd - at(m, FRAME, l) * force
+
+
+@inlined
+def pull_of(m: FloatArray, l: int, rates: Sway, x: float) -> Pull:
+    """Return what the accelerations of frame and gantry take off the modes."""
+    along = at(m, DIRECTIONS, l) * rates[4] + at(m, DIRECTIONS + 2, l) * rates[5]
+    across = at(m, DIRECTIONS + 1, l) * rates[4] + at(m, DIRECTIONS + 3, l) * rates[5]
+    return along, across + at(m, YAW_SHARE, l) * (x - at(m, YAW_CENTRE, l)) * rates[1]
+
+
+@inlined
+def lighter(m: FloatArray, n: int, height: float) -> float:
+    """Return the mass at the bed over that at this height."""
+    return 1.0 / (1.0 + at(m, GROWTH, n) * height)
+
+
+@inlined
+def stiffer(m: FloatArray, n: int, x: float) -> float:
+    """Return what x adds to ω² of the highest mode, relative to it."""
+    off = x - at(m, BY_X_CENTRE, n % LANES)
+    return max((at(m, BY_X, n) + at(m, BY_X_SQUARED, n) * off) * off, LEAST_STIFFER)
+
 
 Axis: TypeAlias = tuple[float, float, float, float, float]  # strain of its friction, p₁, ṗ₁, p₂, ṗ₂
 Axes: TypeAlias = tuple[Axis, Axis, Axis, Sway]

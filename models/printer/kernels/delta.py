@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 
 from models.arrays import FloatArray
-from models.printer.kernels.jit import compiled, inlined
 from models.printer.kernels.record import (
     ACC,
     ARMS,
@@ -29,7 +28,7 @@ from models.printer.kernels.record import (
     X,
     parameter_rows,
 )
-from models.printer.kernels.vectors import add, at, combine, cross, dot, put, scale, solve, vector
+from models.printer.kernels.vectors import add, at, combine, compiled, cross, dot, inlined, put, scale, solve, vector
 
 TOWERS, ARMS_SQUARED, HEIGHT = parameter_rows("towers", "arms_squared", "height")
 TO_PLANE, OFFSET = parameter_rows("to_plane", "offset")

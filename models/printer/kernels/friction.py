@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 
 from models.arrays import FloatArray
-from models.printer.kernels.jit import compiled, inlined
 from models.printer.kernels.record import (
     GUIDE,
     GUIDES,
@@ -19,7 +18,7 @@ from models.printer.kernels.record import (
     XD,
     parameter_rows,
 )
-from models.printer.kernels.vectors import add, at, dot, power, put, scale, tanh, vector
+from models.printer.kernels.vectors import add, at, compiled, dot, inlined, power, put, scale, tanh, vector
 
 DRY, STICKING, FADING, FADING_POWER = parameter_rows("dry", "sticking", "fading", "fading_power")
 CREEP, HOLD, BRISTLES, BRISTLE_LAG = parameter_rows("creep", "hold", "bristles", "bristle_lag")

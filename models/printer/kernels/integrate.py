@@ -1,4 +1,4 @@
-"""Integrate printers in time by the classical Runge-Kutta method."""
+"""Integrate printers in time by the classical Runge-Kutta method, and settle deltas at rest."""
 
 from __future__ import annotations
 
@@ -13,31 +13,44 @@ from models.printer.kernels.delta import (
     solve_carriages,
 )
 from models.printer.kernels.friction import guide_friction, joint_friction, stribeck
-from models.printer.kernels.jit import compiled
-from models.printer.kernels.motors import Commands, belts, command_times, motors, read_command, torque_angle
+from models.printer.kernels.motors import (
+    Commands,
+    belts,
+    cogging,
+    command_times,
+    motors,
+    read_command,
+    stiffness_by_length,
+    torque_angle,
+)
 from models.printer.kernels.record import (
     ACC,
     BASE,
+    COMMAND,
     COUNT,
+    ETA,
     LANES,
     LEVEL,
     MOTOR,
     NOW,
     PRINTER,
+    PULL,
     QD,
     RATE,
     ROWS,
     STATES,
+    STRETCH,
     SUM,
     XD,
     ActiveEffects,
     Q,
     Row,
     Rows,
+    V,
     X,
     parameter_rows,
 )
-from models.printer.kernels.vectors import at
+from models.printer.kernels.vectors import at, compiled
 
 INVERSE_AMPLITUDE, DELAY, COGGING = parameter_rows("inverse_amplitude", "delay", "ripple")
 DRY, STICKING = parameter_rows("dry", "sticking")
@@ -211,3 +224,52 @@ def integrate(
         for half in range(0, 2 * substeps, 2):
             _step(m, first + n, half, dt / substeps, commands, has)
     return samples
+
+
+BELT_K, HARDENING, QUINTIC = parameter_rows("belt_k", "cubic", "quintic")
+EXTRUDER_MASS, MOUNT_K, GRAVITY = parameter_rows("extruder_mass", "mount_k", "gravity")
+
+PASSES = 2000
+TOLERANCE_M = 1e-13
+
+
+@compiled
+def _relax(m: FloatArray, l: int) -> float:
+    """Move every carriage by its unbalanced force over its belt's stiffness; return the largest displacement, m."""
+    moved = 0.0
+    for i in range(3):
+        shorter = stiffness_by_length(m, i * LANES + l, at(m, NOW + Q + i, l))
+        squared = at(m, STRETCH + i, l) ** 2
+        harder = (3.0 * at(m, HARDENING + i, l) + 5.0 * at(m, QUINTIC + i, l) * squared) * squared
+        move = at(m, PULL + i, l) / (at(m, BELT_K + i, l) * max(shorter, 1.0) + max(harder, 0.0))
+        m[(NOW + Q + i) * LANES + l] += move
+        if not abs(move) <= moved:  # NaN too
+            moved = abs(move)
+    return moved
+
+
+@compiled
+def find_equilibrium(states: FloatArray, parameters: FloatArray) -> FloatArray:
+    """Relax belts and extruder, from states : (k, STATES) with the drives at their command, until the forces balance.
+
+    Returns
+    -------
+    (k,) m, the largest displacement of a carriage in the last pass; `states` is overwritten by the equilibria.
+    """
+    m, moved = fill_lanes(states, parameters), np.full(len(states), np.inf)
+    has = active_effects(m)
+    for n in range(3 * LANES):
+        m[COMMAND * LANES + n] = m[(NOW + V) * LANES + n]
+    cogging(m)
+    for l in range(len(states)):
+        m[(NOW + ETA + 2) * LANES + l] = -at(m, EXTRUDER_MASS, l) * at(m, GRAVITY, l) / at(m, MOUNT_K + 2, l)
+    for _ in range(PASSES):
+        rate(m, has)
+        for l in range(len(states)):
+            if not moved[l] < TOLERANCE_M:
+                moved[l] = _relax(m, l)
+        if moved.max() < TOLERANCE_M:
+            break
+    for l in range(len(states)):
+        store_state(m, l, states)
+    return moved

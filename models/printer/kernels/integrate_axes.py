@@ -20,7 +20,7 @@ from models.printer.kernels.axes import (
     axes_rate,
     fill_rows,
 )
-from models.printer.kernels.axes_rows import (
+from models.printer.kernels.axes_step import (
     FEW_MODES,
     MOTION,
     MOTORS,
@@ -28,13 +28,12 @@ from models.printer.kernels.axes_rows import (
     keep_motors,
     keep_state,
     motors_at,
+    step_lanes,
     take_state,
     with_modes,
 )
-from models.printer.kernels.axes_step import step_lanes
 from models.printer.kernels.friction import has_powers
 from models.printer.kernels.integrate import PAGE, active_effects, any_nonzero, copy_page, empty_samples, fill_lanes
-from models.printer.kernels.jit import compiled
 from models.printer.kernels.motors import Commands, command_times, read_command
 from models.printer.kernels.record import (
     ACC,
@@ -49,7 +48,7 @@ from models.printer.kernels.record import (
     Rows,
     X,
 )
-from models.printer.kernels.vectors import at, dot, vector
+from models.printer.kernels.vectors import at, compiled, dot, vector
 
 
 @compiled

@@ -23,9 +23,9 @@ import numpy as np
 
 from models.arrays import FloatArray
 from models.printer.kernels.friction import bristle_rate, sliding_level, strain_rate
-from models.printer.kernels.jit import compiled, inlined
 from models.printer.kernels.motors import belt_force, ripple
 from models.printer.kernels.record import AXIS_PARAMETERS
+from models.printer.kernels.vectors import compiled, inlined
 
 (MASS, STIFFNESS, DAMPING, OFFSET, LOAD, COUPLING, COUPLING_DAMPING, BY_FORCE) = range(8)
 (DRY, STICKING, FADING, FADING_POWER, CREEP, HOLD, HALF_BACKLASH, LANDING, CUBIC, QUINTIC) = range(8, 18)

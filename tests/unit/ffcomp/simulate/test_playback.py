@@ -16,7 +16,7 @@ from ffcomp.simulate.playback import side_by_side, simulate_nozzles, simulate_si
 from models.effects.catalogue import with_effect
 from models.file import load_machine
 from models.kinds import delta_vibration
-from models.printer.static_deflection import static_deflection
+from models.printer.rest import static_deflection
 from tests.support.prints import squares
 from validation import judge
 

@@ -18,9 +18,9 @@ from models.errors import UnreachableError
 from models.kinds import delta_vibration, with_parts
 from models.kinematics.delta import DeltaKinematics
 from models.machine import Machine
-from models.printer.kernels import integrate, jit, record
-from models.printer.kernels.equilibrium import find_equilibrium
-from models.printer.kernels.spline import cubic_spline
+from models.printer.kernels import integrate, record, vectors
+from models.printer.kernels.integrate import find_equilibrium
+from models.printer.kernels.motors import cubic_spline
 from models.printer.kernels.vectors import power, sine_cosine, tanh
 from models.printer.printer import PrinterMotion, Splines, simulate_printer, simulate_printers
 
@@ -201,4 +201,4 @@ def test_cached_code_depends_on_every_file_of_the_kernels() -> None:
     """Numba alone would keep the code of a function whose callee in another file has changed."""
     kernels = [find_equilibrium, cubic_spline, *(f for f in vars(integrate).values() if hasattr(f, "py_func"))]
     cached = [f for f in kernels if f.targetoptions.get("forceinline") is None]
-    assert {f._cache._cache_file._source_stamp for f in cached} == {jit.SOURCES}
+    assert {f._cache._cache_file._source_stamp for f in cached} == {vectors.SOURCES}

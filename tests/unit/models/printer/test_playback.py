@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from models.effects.catalogue import with_effect
 from models.file import load_machine
-from models.printer import batch
-from models.printer.batch import MEMORY_S, memory_s, simulate_batch
+from models.printer import playback
+from models.printer.playback import MEMORY_S, memory_s, simulate_batch
 from models.printer.printer import PrinterMotion
 
 FloatArray = NDArray[np.float64]
@@ -44,7 +44,7 @@ def test_pieces_are_as_good_as_the_whole(name: str, numbers: dict[str, float], m
     machine = with_effect(MACHINE, name, **numbers)
     command = curves(5.0, 1)
     (pieces,) = simulate_batch(machine, [command], [None], ROW_S, AFTER, carriages)
-    monkeypatch.setattr(batch, "LANES", 1)
+    monkeypatch.setattr(playback, "LANES", 1)
     (whole,) = simulate_batch(machine, [command], [None], ROW_S, AFTER, carriages)
     assert len(whole) == len(command) + AFTER
     assert 1e3 * np.abs(pieces - whole).max() < 0.3  # µm
