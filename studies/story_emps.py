@@ -98,7 +98,7 @@ def begun_every(run: AxisRun, machine: Machine, seconds: float) -> Shots:
     """Return the run with a simulation that begins anew so often, with the measured position and speed."""
     (one,) = shots_of(machine, [run])
     length = round(seconds * run.sample_rate_hz)
-    at = np.arange(0, len(run.given), length)
+    at = np.arange(0, len(run.drive), length)
     return Shots(run, length, states(run.position["pos_q"][at], one.speed[at]), one.speed)
 
 
@@ -117,7 +117,7 @@ def answer(run: AxisRun, before: Machine, after: Machine) -> Answer:
 def free_run(run: AxisRun, machine: Machine) -> FloatArray:
     """Return the error, (n,) mm, of the benchmark's own score: one simulation from the 21st sample to the end."""
     (one,) = shots_of(machine, [run])
-    place, rest = run.position["pos_q"][SKIPPED:], run.given[SKIPPED:]
+    place, rest = run.position["pos_q"][SKIPPED:], run.drive[SKIPPED:]
     begin = states(place[:1], one.speed[SKIPPED : SKIPPED + 1])
     return place - simulate_axis(machine, rest, 1 / run.sample_rate_hz, begin=begin).position_mm
 
@@ -220,7 +220,7 @@ def pulses_in_force(run: AxisRun) -> tuple[float, float]:
     speed, acceleration = derivatives(run)
     columns = (acceleration, speed, np.tanh(1e3 * speed), np.ones_like(speed), pulses())
     a = np.column_stack([smooth(c, run.sample_rate_hz) for c in columns])
-    force = smooth(run.given, run.sample_rate_hz)
+    force = smooth(run.drive, run.sample_rate_hz)
     x, *_ = np.linalg.lstsq(a, force, rcond=None)
     return float(x[4]), rms(force - a @ x)
 
@@ -280,7 +280,7 @@ def draw_force(found: Diagnosis, run: AxisRun, path: Path) -> None:
     around = maximum_filter1d(np.abs(acceleration), 2 * round(AROUND_S * run.sample_rate_hz) + 1)
     steady = around < STEADY_M_PER_S2
     figure, axes = pyplot.subplots(figsize=(8, 4), layout="constrained")
-    held = smooth(run.given, run.sample_rate_hz) - found.final.values[MASS] * acceleration
+    held = smooth(run.drive, run.sample_rate_hz) - found.final.values[MASS] * acceleration
     axes.plot(1e3 * speed[steady], held[steady], ".", color="0.45", markersize=2, label="measured, less M times a")
     v = np.linspace(-0.14, 0.14, 1001)
     for values, colour, label in (

@@ -136,7 +136,7 @@ def _first_equal(shots: Sequence[Shots], i: int) -> int:
     """Return the first run that the same input drives from the same states: repeats need one simulation."""
 
     def alike(a: Shots, b: Shots) -> bool:
-        return np.array_equal(a.run.given, b.run.given) and np.array_equal(a.begin, b.begin, equal_nan=True)
+        return np.array_equal(a.run.drive, b.run.drive) and np.array_equal(a.begin, b.begin, equal_nan=True)
 
     return next(k for k in range(i + 1) if alike(shots[k], shots[i]))
 

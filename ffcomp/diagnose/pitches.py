@@ -62,7 +62,7 @@ def _part(machine: Machine, one: Shots, band_hz: tuple[float, float]) -> _Part |
         motion = one.simulate(machine).sensed(machine)
     except ValueError:
         return None
-    run, n, rate = one.run, len(one.run.given), one.run.sample_rate_hz
+    run, n, rate = one.run, len(one.run.drive), one.run.sample_rate_hz
     name = next((s for s in ("acc_q", *run.signals) if s in run.signals and np.isfinite(run.signals[s]).all()), None)
     if name is None:
         return None
@@ -72,7 +72,7 @@ def _part(machine: Machine, one: Shots, band_hz: tuple[float, float]) -> _Part |
         error = -1e-3 * (2 * np.pi * frequency) ** 2 * error
     lines = slice(*np.searchsorted(frequency, band_hz).tolist())
     weight = 1 / np.maximum(np.sqrt(uniform_filter1d(np.abs(error) ** 2, SMOOTH)), 1e-12)[lines]
-    place = run.given if not run.by_force else np.asarray(run.signals[next(s for s in run.signals if "pos" in s)])
+    place = run.drive if not run.by_force else np.asarray(run.signals[next(s for s in run.signals if "pos" in s)])
     return _Part(place, weight * error[lines], weight * _answer(machine, rate, n)[lines], taper, lines)
 
 

@@ -144,7 +144,7 @@ def _error(one: Shots, machine: Machine, sizes: Mapping[str, float]) -> FloatArr
     try:
         felt = one.simulate(machine).sensed(machine)
     except ValueError:
-        return np.full(len(one.run.given) * len(one.run.signals), FAR)
+        return np.full(len(one.run.drive) * len(one.run.signals), FAR)
     return np.concatenate([np.nan_to_num(x - felt[name]) / sizes[name] for name, x in one.run.signals.items()])
 
 
@@ -152,7 +152,7 @@ def _blocks(shots: Sequence[Shots]) -> IntArray:
     """Return the block of each row of the error, (rows,)."""
     found: list[IntArray] = []
     for k, one in enumerate(shots):
-        n = len(one.run.given)
+        n = len(one.run.drive)
         found += [BLOCKS * k + np.arange(n) * BLOCKS // n for _ in one.run.signals]
     return np.concatenate(found)
 

@@ -47,7 +47,7 @@ class Shots:
     def simulate(self, machine: Machine, *, coarse: bool = False) -> AxisMotion:
         """Simulate the run; ValueError if the axis moves to infinity."""
         dt_s = 1 / self.run.sample_rate_hz
-        return simulate_axis(machine, self.run.given, dt_s, shot=self.length, begin=self.begin, coarse=coarse)
+        return simulate_axis(machine, self.run.drive, dt_s, shot=self.length, begin=self.begin, coarse=coarse)
 
     def told(self, signals: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
         """Return signals, (n,) each, of whose positions is gone in each shot what only tells where it began.
@@ -58,7 +58,7 @@ class Shots:
         found, names = dict(signals), [name for name in self.began if name in signals]
         if not names:
             return found
-        gone = -len(self.run.given) % self.length
+        gone = -len(self.run.drive) % self.length
         spoken = [np.pad(np.isfinite(self.run.signals[name]), (0, gone)) for name in names]
         kept = _by_shots(spoken, self.length)
         x = _by_shots([np.pad(signals[name], (0, gone)) for name in names], self.length)
@@ -73,7 +73,7 @@ class Shots:
         if name.startswith("acc"):
             return x
         if not self.length:
-            return x - (np.nanmean(x) if self.run.by_force else self.run.given)
+            return x - (np.nanmean(x) if self.run.by_force else self.run.drive)
         k = np.arange(len(x)) % self.length
         first = np.arange(len(x)) // self.length
         speed = self.begin[first, 3 if name == "pos_motor" else 1]
@@ -152,7 +152,7 @@ def _without(basis: FloatArray, x: FloatArray, spoken: NDArray[np.bool_]) -> Flo
 def _mean(runs: Sequence[AxisRun], i: int) -> AxisRun:
     """Return the mean of the runs that the same input drives: it tells best where each shot begins."""
     own = runs[i]
-    same = [r for r in runs if r.repeat_of == own.repeat_of and np.array_equal(r.given, own.given)]
+    same = [r for r in runs if r.repeat_of == own.repeat_of and np.array_equal(r.drive, own.drive)]
     kept = [r for r in same if r.position.keys() == own.position.keys()]
     return replace(own, position={k: np.mean([_bridged(r.position[k]) for r in kept], axis=0) for k in own.position})
 
@@ -160,23 +160,23 @@ def _mean(runs: Sequence[AxisRun], i: int) -> AxisRun:
 def _shots(run: AxisRun, mean: AxisRun, speed: FloatArray, seconds: float) -> Shots:
     rate = run.sample_rate_hz
     length = max(round(seconds * rate), SHORTEST) if seconds and run.position else 0
-    at = np.arange(0, len(run.given), length) if length else np.zeros(1, dtype=int)
+    at = np.arange(0, len(run.drive), length) if length else np.zeros(1, dtype=int)
     begin = np.full((len(at), 4), np.nan)
     for column, name in ((0, "pos_q"), (2, "pos_motor")):
         if name in mean.position:
             place = mean.position[name]
             begin[:, column], begin[:, column + 1] = place[at], _speed(place, rate)[at]
-            if not (length or run.by_force) and (rested := _rested(run.given)) >= LEAST_REST:
-                begin[0, column : column + 2] = _resting(run.given[0], place[:rested]), 0.0
+            if not (length or run.by_force) and (rested := _rested(run.drive)) >= LEAST_REST:
+                begin[0, column : column + 2] = _resting(run.drive[0], place[:rested]), 0.0
     if not run.position:  # who measures no position begins at rest
         begin[:] = np.column_stack([_place(run)[at], np.zeros(len(at))] * 2)
     return Shots(run, length, begin, speed)
 
 
-def _rested(given: FloatArray) -> int:
+def _rested(command: FloatArray) -> int:
     """Count the samples from the first on in which a command stays where it is."""
-    moved = np.flatnonzero(np.abs(given - given[0]) > STILL * np.ptp(given))
-    return int(moved[0]) if len(moved) else len(given)
+    moved = np.flatnonzero(np.abs(command - command[0]) > STILL * np.ptp(command))
+    return int(moved[0]) if len(moved) else len(command)
 
 
 def _resting(told: float, place: FloatArray) -> float:
@@ -193,7 +193,7 @@ def _place(run: AxisRun) -> FloatArray:
     measured = run.position.get("pos_q", run.position.get("pos_motor"))
     if measured is not None:
         return measured
-    return np.zeros(len(run.given)) if run.by_force else run.given
+    return np.zeros(len(run.drive)) if run.by_force else run.drive
 
 
 def _bridged(x: FloatArray) -> FloatArray:
@@ -257,7 +257,7 @@ def _where_it_ends(one: Shots, name: str) -> float:
 
 def windows(one: Shots) -> list[slice]:
     """Cut a run into windows of time, of whole shots; the last one takes the rest."""
-    rows = len(one.run.given)
+    rows = len(one.run.drive)
     unit = one.length or 1
     size = max(rows // WINDOWS, LEAST_ROWS) // unit * unit or unit
     starts = list(range(0, max(rows - size, 0) + 1, size))
@@ -283,6 +283,6 @@ def scales_of(machine: Machine, shots: Sequence[Shots]) -> MotionScales:
 
 def _force(machine: Machine, shots: Sequence[Shots]) -> float:
     if driven_axis(machine).by_force:
-        return float(np.std(np.concatenate([one.run.given for one in shots])))
+        return float(np.std(np.concatenate([one.run.drive for one in shots])))
     change = [np.gradient(one.speed, 1 / one.run.sample_rate_hz) / 1e3 for one in shots]
     return driven_axis(machine).moved_kg * float(np.std(np.concatenate(change)))

@@ -28,7 +28,7 @@ class AxisRun:
 
     source: str  # the file, as the user named it
     time_s: FloatArray  # (n,) s, uniform
-    given: FloatArray  # (n,) mm of the commanded position, or N
+    drive: FloatArray  # (n,) mm of the commanded position, or N
     by_force: bool
     acceleration: dict[str, FloatArray]  # "acc_q" -> (n,) m/s²
     position: dict[str, FloatArray]  # "pos_q", "pos_motor" -> (n,) mm
@@ -58,8 +58,8 @@ class AxisRun:
     @property
     def command(self) -> FloatArray:
         """What the axis was given, (n, 1) mm; of a force, 10 for the largest: repeats must agree to a thousandth."""
-        scale = 10.0 / max(float(np.abs(self.given).max()), 1e-300) if self.by_force else 1.0
-        return scale * self.given[:, None]
+        scale = 10.0 / max(float(np.abs(self.drive).max()), 1e-300) if self.by_force else 1.0
+        return scale * self.drive[:, None]
 
 
 def read_axis_run(path: str | Path) -> AxisRun:
@@ -102,12 +102,12 @@ def _header(columns: tuple[str, ...]) -> list[str]:
     return problems
 
 
-def _silent(columns: dict[str, FloatArray], table: Table, clock: Clock, given: str) -> list[str]:
+def _silent(columns: dict[str, FloatArray], table: Table, clock: Clock, drive: str) -> list[str]:
     """Report an input with gaps, and sensors without a number or without motion."""
     problems = []
-    if not np.isfinite(columns[given]).all():
-        at = clock.grid_s[int(np.argmin(np.isfinite(columns[given])))]
-        problems.append(f"Column {given} is missing at t = {at:.6g} s; what drives the axis must be known throughout.")
+    if not np.isfinite(columns[drive]).all():
+        at = clock.grid_s[int(np.argmin(np.isfinite(columns[drive])))]
+        problems.append(f"Column {drive} is missing at t = {at:.6g} s; what drives the axis must be known throughout.")
     for name, x in columns.items():
         known = x[np.isfinite(x)]
         if name in SENSORS and (len(known) < len(x) / 2 or not np.ptp(known) > 0):

@@ -69,7 +69,7 @@ def test_files_of_one_name_in_two_folders_are_two_experiments() -> None:
     runs = [replace(r, source=f"{d}/{r.source}") for d in ("empty", "printed") for r in runs_of(DRIVE, 1)]
     assert [r.repeat_of for r in with_folders(runs)] == ["empty/a", "empty/a", "printed/a", "printed/a"]
     assert [r.repeat_of for r in with_folders(runs[:2])] == ["a", "a"]
-    moved = [runs[0], replace(runs[2], given=runs[2].given + 1.0)]
+    moved = [runs[0], replace(runs[2], drive=runs[2].drive + 1.0)]
     check_alike(with_folders(moved))  # or it would say that the commands of two repeats differ
     with pytest.raises(MeasurementError, match="repeats have the same command"):
         check_alike(moved)
@@ -80,7 +80,7 @@ def test_shots_band_and_windows_come_from_the_data() -> None:
     shot = quick.shots[0].length / RATE
     assert 0.02 < shot < 1.0
     assert quick.band_hz[1] == pytest.approx(min(5.0 / shot, 0.4 * RATE), rel=0.05)
-    slow = [AxisRun(r.source, 4 * r.time_s, r.given, True, {}, r.position, {}) for r in quick.recordings]  # type: ignore[attr-defined]
+    slow = [AxisRun(r.source, 4 * r.time_s, r.drive, True, {}, r.position, {}) for r in quick.recordings]  # type: ignore[attr-defined]
     assert AxisProblem(STAGE, slow).shots[0].length / (RATE / 4) == pytest.approx(4 * shot, rel=0.1)
     driven = AxisProblem(DRIVE, runs_of(DRIVE, 1))
     assert driven.shots[0].length == 0  # a spring holds it
@@ -194,7 +194,7 @@ def test_headers_of_runs(header: str, sentence: str, tmp_path: Path) -> None:
 def test_a_run_is_read_and_must_fit_the_file(tmp_path: Path) -> None:
     run = runs_of(STAGE, 1)[0]
     path = tmp_path / "run-1.csv"
-    table = np.column_stack([run.time_s, run.given, run.position["pos_q"]])
+    table = np.column_stack([run.time_s, run.drive, run.position["pos_q"]])
     np.savetxt(path, table, delimiter=",", header="t_s,force_n,pos_q_mm", comments="")
     read = read_axis_run(path)
     assert read.repeat_of == "run" and read.sample_rate_hz == pytest.approx(RATE)

@@ -36,7 +36,7 @@ def loaded(paths: list[Path]) -> tuple[Machine, list[AxisRun]]:
 
 def cut(run: AxisRun, rows: slice) -> AxisRun:
     position = {name: x[rows] for name, x in run.position.items()}
-    return replace(run, time_s=run.time_s[rows], given=run.given[rows], position=position)
+    return replace(run, time_s=run.time_s[rows], drive=run.drive[rows], position=position)
 
 
 def left(found: Diagnosis) -> float:

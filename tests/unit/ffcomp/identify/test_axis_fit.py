@@ -65,7 +65,7 @@ def test_a_fitted_file_is_a_machine_file(tmp_path: Path) -> None:
         "mass_kg = 10.0\nstiffness_n_per_m = 0.0\ndamping_n_s_per_m = 20.0\n"
     )
     run = run_of(FREE)
-    table = np.column_stack([run.time_s, run.given, run.position["pos_q"]])
+    table = np.column_stack([run.time_s, run.drive, run.position["pos_q"]])
     np.savetxt(data, table, delimiter=",", header="t_s,force_n,pos_q_mm", comments="")
     fit = fit_files(load_plant(file), FitRequest(data=(data,), machine=str(file), name="fitted"))
     fit.write(tmp_path / "fitted.toml")
