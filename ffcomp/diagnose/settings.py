@@ -2,7 +2,7 @@
 
 A *discrepancy* is the mean square of the whitened residual and of what retuning costs, less one: in units of the
 noise's power, 0 is noise alone. *Evidence* is −2 ln Z. The origin "bank" means: set by hand, by verdicts on cases of
-the blind bank (docs/BANK.md) while the search was made.
+the blind bank (validation/blind) while the search was made.
 """
 
 from __future__ import annotations
