@@ -9,7 +9,6 @@ import os
 import sys
 from contextlib import suppress
 from hashlib import sha256
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 from ffcomp.numerics.numba_cache import cache_folder
@@ -40,6 +39,8 @@ def note_compiled(verb: str) -> None:
 
 
 def _marker(verb: str) -> Path | None:
+    from importlib.metadata import PackageNotFoundError, version
+
     folder = cache_folder()
     if folder == Path(os.devnull):  # no cache is wanted
         return None

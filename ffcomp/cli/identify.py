@@ -78,7 +78,7 @@ def decouple(request: DecoupleRequest) -> None:
             _print_parts(place)
 
 
-app = group(
+identify = group(
     "identify",
     """Identify a machine file's parameters from measurements.
 

@@ -198,7 +198,7 @@ def _report_check(result: CheckResult, request: CheckRequest) -> None:
         print(f"Added to {request.history_file}.")
 
 
-app = group(
+record = group(
     "record",
     """Record the printer's vibrations with its own accelerometer.
 

@@ -8,7 +8,7 @@ import sys
 
 import pytest
 
-from ffcomp.cli.app import app
+from ffcomp.cli.app import app, command_line
 from ffcomp.cli.command import commands
 from ffcomp.request import GROUPS
 from tests.support.cli import CliRunner
@@ -77,6 +77,13 @@ def test_a_usage_error_is_a_sentence_with_exit_code_2(words: str, sentence: str)
     answer = CliRunner().invoke(app, words.split(), env={"FFCOMP_MACHINE": None})
     assert answer.exit_code == 2 and sentence in answer.stderr and not answer.stdout
     assert answer.stderr.startswith("ffcomp: ") and answer.stderr.count("\n") == 1
+
+
+def test_the_help_of_all_has_a_sentence_of_each() -> None:
+    page = " ".join(help_of(()).replace("│", " ").split())
+    for verb in command_line(imported=True):
+        if not verb.startswith("-"):
+            assert VERBS[verb,][0].help.split("\n\n")[0] in page
 
 
 def test_without_a_verb_the_help_is_shown_and_nothing_is_done() -> None:
