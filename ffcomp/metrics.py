@@ -396,8 +396,8 @@ def peak_acceleration(command: FloatArray, dt: float, span_s: float = EFFORT_SPA
 PIECE_MM = 1.0  # of a path: within one, a point may go back
 SKIPPED_MM2 = 0.001  # cost of a mm of the path that no point lies on
 WINDOW = 256  # points that are assigned at once; half of them are kept
-AHEAD = 1.5  # times the way of a window's points, that its pieces reach ahead,
-AHEAD_MM = 5.0  # and this much more
+WINDOW_REACH = 1.5  # times the way of a window's points, that its pieces reach ahead,
+WINDOW_REACH_MM = 5.0  # and this much more
 
 
 def progress_in_order(
@@ -491,7 +491,7 @@ def _window(
     for i in range(begin + 1, end):
         way += np.sqrt(((points[i] - points[i - 1]) ** 2).sum())
     first = max(at, low[begin])
-    last = int(np.searchsorted(along, along[first] + AHEAD * way + AHEAD_MM, side="right"))
+    last = int(np.searchsorted(along, along[first] + WINDOW_REACH * way + WINDOW_REACH_MM, side="right"))
     if begin == 0:  # the motion may begin anywhere
         last = high[end - 1]
     last = max(min(last, high[end - 1]), low[end - 1] + 1, first + 1)

@@ -40,7 +40,7 @@ from models.machine import Machine
 from models.vibration.substructures import damping
 
 FREQUENCIES_HZ = np.geomspace(1.0, 300.0, 120)
-ROUNDING = 1e-9  # relative to a norm: less than this is rounding
+ROUNDING_RTOL = 1e-9  # relative to a norm: less than this is rounding
 
 
 @dataclass(frozen=True)
@@ -74,12 +74,12 @@ class PhysicsChecks:
     @property
     def is_passive(self) -> bool:
         """Whether the model generates no energy."""
-        return self.dissipation.value > -ROUNDING
+        return self.dissipation.value > -ROUNDING_RTOL
 
     @property
     def is_reciprocal(self) -> bool:
         """Whether Y = Yᵀ."""
-        return self.asymmetry.value < ROUNDING
+        return self.asymmetry.value < ROUNDING_RTOL
 
 
 def check_physics(machine: Machine) -> PhysicsChecks:
@@ -141,8 +141,8 @@ def _largest(values: FloatArray, xy: FloatArray) -> Extreme:
     return Extreme(-smallest.value, smallest.x_mm, smallest.y_mm, smallest.frequency_hz)
 
 
-TOLERANCE = 0.05  # relative to the file; two careful measurements of one quantity may differ by this much
-SAME = 0.005  # relative to the file: the same value, rounded
+REDUNDANCY_RTOL = 0.05  # relative to the file; two careful measurements of one quantity may differ by this much
+SAME_RTOL = 0.005  # relative to the file: the same value, rounded
 
 MEASURED = (
     "natural_frequency_rad_per_s",
@@ -185,13 +185,13 @@ class Quantity:
     @property
     def the_file_uses(self) -> str:
         """Name the file's basis and the equations that agree with it."""
-        same = [other.equation.partition(":")[0] for other in self.others if abs(other.difference) < SAME]
+        same = [other.equation.partition(":")[0] for other in self.others if abs(other.difference) < SAME_RTOL]
         return f"{self.basis}, as {' and '.join(same)}" if same else self.basis
 
     @property
     def disagreeing(self) -> tuple[Value, ...]:
         """Values that differ from the file's by more than the tolerance."""
-        return tuple(other for other in self.others if abs(other.difference) > TOLERANCE)
+        return tuple(other for other in self.others if abs(other.difference) > REDUNDANCY_RTOL)
 
 
 @dataclass(frozen=True)

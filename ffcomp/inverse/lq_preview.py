@@ -18,7 +18,7 @@ from models.arrays import FloatArray
 
 STRETCH = 512  # knots solved at a time
 MOST_PASSES = 5
-CLOSE_MM = 5e-3  # a change of the command so small leaves a tenth of it to the next
+CONVERGENCE_MM = 5e-3  # a change of the command so small leaves a tenth of it to the next
 SIGHT = 32  # knots in sight after them: what comes later asks for a hundred-thousandth now
 
 
@@ -72,7 +72,7 @@ class _Part:
         for _ in range(MOST_PASSES):
             error, states = self.stretch.error_from(state)
             answer, change = self.improve(error)
-            if change < CLOSE_MM:
+            if change < CONVERGENCE_MM:
                 break
         iterate.vertices[self.at : self.stop + 1] = self.stretch.vertices()[: kept + 1]
         after = states[kept] + answer  # the same with and without a response: not a digit may depend on a prediction
@@ -122,10 +122,10 @@ def _slow_motion(
 
 def _to_rest(gains: PreviewGains, node: NDArray[np.int64], steady: int) -> Gains:
     """Return the gains before the section's end, to which `node` (n,) then points, counted after the steady ones."""
-    felt = TO_THE_END + REST_ROWS
-    n = min(felt, len(node))
+    affected = TO_THE_END + REST_ROWS
+    n = min(affected, len(node))
     ending = gains.end(int(node[-1]))
-    node[len(node) - n :] = steady + np.arange(felt - n, felt)
+    node[len(node) - n :] = steady + np.arange(affected - n, affected)
     return ending
 
 

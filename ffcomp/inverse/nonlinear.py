@@ -60,8 +60,11 @@ from models.vibration.scheduled import Schedule, plant_table
 
 Tried = tuple[FloatArray, FloatArray]  # a point and its answer, (n, 3) mm
 
-AROUND, EASED = 16, 8  # knots on either side: by which a place is judged, and over which one command becomes another
-REGULAR, LEAST_MM2 = 1e-2, 1e-12  # what keeps the weights small: of the squares, and where nothing moves
+JUDGED_KNOTS, BLENDED_KNOTS = (
+    16,
+    8,
+)  # knots on either side: by which a place is judged, and over which one command becomes another
+RIDGE, LEAST_MM2 = 1e-2, 1e-12  # what keeps the weights small: of the squares, and where nothing moves
 
 
 def mixed(tried: Sequence[Tried], share: float) -> FloatArray:
@@ -70,11 +73,11 @@ def mixed(tried: Sequence[Tried], share: float) -> FloatArray:
     if not before:
         return np.asarray(x + share * f)
     moved, turned = (np.stack([now - old[part] for old in before], axis=1) for part, now in enumerate((x, f)))
-    squares = around(np.einsum("nic,njc->nij", turned, turned), AROUND)
-    room = REGULAR * np.trace(squares, axis1=1, axis2=2) + LEAST_MM2
-    right = around(np.einsum("nic,nc->ni", turned, f), AROUND)
+    squares = around(np.einsum("nic,njc->nij", turned, turned), JUDGED_KNOTS)
+    room = RIDGE * np.trace(squares, axis1=1, axis2=2) + LEAST_MM2
+    right = around(np.einsum("nic,nc->ni", turned, f), JUDGED_KNOTS)
     weights = np.linalg.solve(squares + room[:, None, None] * np.eye(len(before)), right[..., None])[..., 0]
-    return np.asarray(x + share * f - np.einsum("ni,nic->nc", around(weights, EASED), moved + share * turned))
+    return np.asarray(x + share * f - np.einsum("ni,nic->nc", around(weights, BLENDED_KNOTS), moved + share * turned))
 
 
 def around(values: FloatArray, knots: int) -> FloatArray:
@@ -86,7 +89,7 @@ def around(values: FloatArray, knots: int) -> FloatArray:
 
 
 PLAY = "belt_backlash"
-FORESEEN = ("coulomb_friction", "stribeck_friction", PLAY)
+FEEDFORWARD_EFFECTS = ("coulomb_friction", "stribeck_friction", PLAY)
 TURNS_MM = 0.004  # ε: some tenths of a newton
 SWEEPS = 3
 
@@ -188,10 +191,14 @@ def _strain(ratio: FloatArray, hold: FloatArray, row_s: float) -> FloatArray:
 
 
 ROUNDS = 16  # of the whole printer at most
-WORTH = 0.97  # a round that leaves more of the error than this was the last
+STALL_RATIO = 0.97  # a round that leaves more of the error than this was the last
 TRIED = 4  # rounds whose answers are mixed
-CAREFUL = 0.7  # share of an answer that is taken up where there is play: inside it, nothing answers
-SMOOTHINGS, NEAR, KEPT = 60, 4, 0.9  # of a change that breaks a limit: how often, knots around, what is left each time
+PLAY_RELAXATION = 0.7  # share of an answer that is taken up where there is play: inside it, nothing answers
+SMOOTHINGS, SMOOTHED_KNOTS, KEPT_SHARE = (
+    60,
+    4,
+    0.9,
+)  # of a change that breaks a limit: how often, knots around, what is left each time
 
 
 @dataclass(frozen=True, slots=True)
@@ -211,7 +218,7 @@ class _Round:
     rest_rows: int | None  # since the section before it
     most: float  # times the limits that a command may ask for
     best: FloatArray  # γ (n + 1, 3) mm of the best that was executed
-    foreseen: FloatArray  # γ beyond the linear inverse; no effort is counted for it
+    feedforward: FloatArray  # γ beyond the linear inverse; no control weight is counted for it
     rms: float = np.inf  # of the best one's error, mm
     response: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
     error: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))  # (rows, 3) mm of what was executed last
@@ -225,17 +232,17 @@ def correct_sections(model: InverseModel, machine: Machine, runs: Sequence[Linea
     if not runs:
         return []
     rounds, before = [_begin(model, each) for each in runs], np.inf
-    share = 1.0 if values_of(machine, PLAY) is None else CAREFUL
-    if any(values_of(machine, name) is not None for name in FORESEEN):
-        _foresee(model, machine, rounds)
+    share = 1.0 if values_of(machine, PLAY) is None else PLAY_RELAXATION
+    if any(values_of(machine, name) is not None for name in FEEDFORWARD_EFFECTS):
+        _add_feedforward(model, machine, rounds)
     for _ in range(ROUNDS - 1):
         _round(model, machine, rounds)
-        if (now := _promised(rounds)) > WORTH * before:
+        if (now := _promised(rounds)) > STALL_RATIO * before:
             break
         before = now
         for each in rounds:
             _step(each, share)
-    if _promised(rounds) < WORTH * _reached(rounds):
+    if _promised(rounds) < STALL_RATIO * _reached(rounds):
         for each in rounds:
             _change(each, each.best, each.gamma - each.best)
         _round(model, machine, rounds)
@@ -253,17 +260,17 @@ def _begin(model: InverseModel, ran: LinearSolution) -> _Round:
     return _Round(iterate, rest, max(1.0, ran.result.utilisation), iterate.gamma.copy(), np.zeros_like(iterate.gamma))
 
 
-def _foresee(model: InverseModel, machine: Machine, rounds: Sequence[_Round]) -> None:
+def _add_feedforward(model: InverseModel, machine: Machine, rounds: Sequence[_Round]) -> None:
     """Add to each command the feedforward of friction and backlash."""
-    foresight, stretches = FrictionBacklash(model, machine), [np.zeros((1, 3))] * len(rounds)
-    if foresight.crosses:
+    printer_feedforward, stretches = FrictionBacklash(model, machine), [np.zeros((1, 3))] * len(rounds)
+    if printer_feedforward.crosses:
         _round(model, machine, rounds)  # in case that play is too wide to be crossed in time
-        without = without_effects(machine, *FORESEEN)
+        without = without_effects(machine, *FEEDFORWARD_EFFECTS)
         stretches = _played(model, without, rounds, lambda motion: motion.motor_mm - motion.carriage_mm)
     for each, stretch in zip(rounds, stretches, strict=True):
         linear = each.iterate.gamma.copy()
-        _change(each, linear, foresight.command(each.iterate, stretch))
-        each.foreseen = each.iterate.gamma - linear
+        _change(each, linear, printer_feedforward.command(each.iterate, stretch))
+        each.feedforward = each.iterate.gamma - linear
 
 
 def _round(model: InverseModel, machine: Machine, rounds: Sequence[_Round]) -> None:
@@ -312,7 +319,7 @@ def _judge(each: _Round, nozzle: FloatArray) -> None:
     each.error = error[stride::stride].copy()
     local = np.zeros(len(iterate.gamma))
     local[1 : iterate.last + 1] = square.reshape(-1, s.substeps).mean(axis=1)
-    _put_together(each, around(local, AROUND))
+    _put_together(each, around(local, JUDGED_KNOTS))
 
 
 def _put_together(each: _Round, local: FloatArray) -> None:
@@ -321,7 +328,7 @@ def _put_together(each: _Round, local: FloatArray) -> None:
         each.gamma, each.local = each.iterate.gamma.copy(), local
         return
     better = local < each.local
-    taken = around(better.astype(np.float64), EASED)[:, None]  # eased, for the command must not jump
+    taken = around(better.astype(np.float64), BLENDED_KNOTS)[:, None]  # eased, for the command must not jump
     each.gamma = taken * each.iterate.gamma + (1.0 - taken) * each.gamma
     each.local = np.where(better, local, each.local)
 
@@ -329,7 +336,7 @@ def _put_together(each: _Round, local: FloatArray) -> None:
 def _step(each: _Round, share: float) -> None:
     """Set the command that is simulated next."""
     executed = each.iterate.gamma.copy()
-    gamma = executed - each.foreseen
+    gamma = executed - each.feedforward
     each.tried = [*each.tried[1 - TRIED :], (gamma, fast.answer(each.iterate, gamma, each.error))]
     _change(each, executed, mixed(each.tried, share) - gamma)
 
@@ -344,8 +351,8 @@ def _change(each: _Round, gamma: FloatArray, change: FloatArray) -> None:
         beyond[: iterate.last + 1, 0] = np.maximum(demand[:-1], demand[1:]) > each.most
         if not beyond.any():
             return
-        near = around(np.ceil(around(beyond, NEAR)), NEAR)
-        change = change - near * (change - KEPT * around(change, 1))
+        near = around(np.ceil(around(beyond, SMOOTHED_KNOTS)), SMOOTHED_KNOTS)
+        change = change - near * (change - KEPT_SHARE * around(change, 1))
         change[0] = change[iterate.last :] = 0.0  # it begins and ends on the path
     iterate.gamma[:] = gamma
 

@@ -15,7 +15,7 @@ from ffcomp.planner.trajectory import PathPosition, PlannedMotion, Section, Traj
 from gcode.program import Moves
 from models.arrays import FloatArray
 
-FELT_S = 0.03  # of motion, that a command feels which begins too late or ends too early
+EDGE_EFFECT_S = 0.03  # of motion, that a command feels which begins too late or ends too early
 JUMP_MM = {True: (0.03, 0.1), False: (0.05, 0.12)}  # by whether filament flows there; see `room_of`
 
 
@@ -37,7 +37,7 @@ def room_of(trajectory: PlannedMotion, section: Section, settings: Settings) -> 
     inner = np.array([section.begin_t + settings.lead_s, section.end_t - settings.lead_s])
     speeds = trajectory.velocity(np.clip(inner, *ends))[:, :3]
     jumps = np.sqrt(((speeds * settings.compliance_s2) ** 2).sum(axis=1)) / settings.lead_s
-    near = np.array([ends[0], ends[0] + FELT_S, ends[1] - FELT_S, ends[1]])
+    near = np.array([ends[0], ends[0] + EDGE_EFFECT_S, ends[1] - EDGE_EFFECT_S, ends[1]])
     filament = trajectory.position(np.clip(near, *ends))[:, 3]
     lead, tail = (
         float(np.interp(jump, JUMP_MM[bool(flow > 0.0)], (0.0, 1.0)))

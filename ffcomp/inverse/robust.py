@@ -224,10 +224,10 @@ def _faded(n: int, margin: int) -> FloatArray:
     return np.asarray(0.5 - 0.5 * np.cos(np.pi * near))
 
 
-PAYS = (0.02, 0.1)  # of the modes: where the median gains, and peaks of the command stay near the plan's
+PAYING_SD = (0.02, 0.1)  # of the modes: where the median gains, and peaks of the command stay near the plan's
 STEP = 0.01  # relative, small: what counts is the slope
 LINES, LOWEST_HZ = 60, 5.0
-BEYOND = 1.5  # times the bandwidth, up to which the response counts
+BAND_MARGIN = 1.5  # times the bandwidth, up to which the response counts
 
 
 @dataclass(frozen=True, slots=True)
@@ -248,8 +248,8 @@ def choose_robust(machine: Machine, settings: Settings, requested: bool | None =
         return RobustChoice(requested, f"{'Robust' if requested else 'Plain'} inversion, as it was asked for.")
     sd = mode_sd(machine, settings.bandwidth_hz)
     known = f"by its [uncertainty] the machine file knows its modes to {100 * sd:.2g} %"
-    if not PAYS[0] <= sd <= PAYS[1]:
-        least, most = (f"{100 * each:g}" for each in PAYS)
+    if not PAYING_SD[0] <= sd <= PAYING_SD[1]:
+        least, most = (f"{100 * each:g}" for each in PAYING_SD)
         return RobustChoice(False, f"Plain inversion: {known}; --robust pays from {least} to {most} %.")
     return RobustChoice(True, f"Robust inversion: {known}. If the file is exact: --no-robust.")
 
@@ -259,7 +259,7 @@ def mode_sd(machine: Machine, bandwidth_hz: float) -> float:
     most = max(machine.uncertainty.values(), default=0.0)
     if most == 0.0:
         return 0.0
-    f = np.geomspace(LOWEST_HZ, BEYOND * bandwidth_hz, LINES)
+    f = np.geomspace(LOWEST_HZ, BAND_MARGIN * bandwidth_hz, LINES)
     scaled = {name: STEP / most * value for name, value in machine.uncertainty.items()}
     nominal, *off = (_response(each, f) for each in perturbed_machines(replace(machine, uncertainty=scaled)))
     return most * _spread(nominal, off, f) / _spread(nominal, [_response(machine, f / (1.0 + STEP))], f)

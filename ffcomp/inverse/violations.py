@@ -19,10 +19,10 @@ from ffcomp.inverse.command_limits import (
 from ffcomp.inverse.solve import Solution
 from models.arrays import BoolArray, FloatArray
 
-AIM = 0.98  # of a limit, that a slowed move aims at
+TARGET_UTILISATION = 0.98  # of a limit, that a slowed move aims at
 GENTLEST, SLOWEST = 0.95, 0.4  # factors of one round
-NEARLY = 0.85  # utilisation of a command from which on its path is made slower
-NEAR = 10  # knots between what a path demands and what its command demands because of it
+BINDING_UTILISATION = 0.85  # utilisation of a command from which on its path is made slower
+COMMAND_REACH_KNOTS = 10  # knots between what a path demands and what its command demands because of it
 TIMING = len(NAMES)  # the kind of violation that is none of the carriages' limits
 SOLVER_ACCURACY = 1e-3  # over a limit
 
@@ -39,12 +39,12 @@ class Violation(NamedTuple):
 
 
 def _factor(utilisation: float) -> float:
-    return float(np.clip(AIM / utilisation, SLOWEST, GENTLEST))
+    return float(np.clip(TARGET_UTILISATION / utilisation, SLOWEST, GENTLEST))
 
 
 def path_violations(path: FloatArray, command: FloatArray) -> Iterator[Violation]:
     """Yield where the path demands more than a limit, and its command as well; utilisations (n, 3, 3) of both."""
-    over = widened(np.any(command > NEARLY, axis=(1, 2)), NEAR)
+    over = widened(np.any(command > BINDING_UTILISATION, axis=(1, 2)), COMMAND_REACH_KNOTS)
     for limit in (VELOCITY, ACCELERATION, TRAVEL):
         beyond = 1.0 if limit == TRAVEL else TOLERANCE
         for first, last in _ranges(over & (path[:, limit] > beyond).any(axis=1)):

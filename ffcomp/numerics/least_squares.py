@@ -22,11 +22,11 @@ Residual = Callable[[FloatArray], FloatArray]  # (p,) -> (rows,)
 Bounds = tuple[FloatArray, FloatArray]  # lowest and highest, (p,) each
 
 STEP = 0.01  # of a prior's standard deviation, for differences: simulations have no noise of their own
-ENOUGH_CHANGE, SMALLEST_STEP = 30.0, 1e-5  # a step is smaller where it would change the residual by more than this
-REGULAR = 1e-12  # of the diagonal: keeps the normal matrix of confounded unknowns regular
-CLOSE_ENOUGH = 0.3  # of the cost, times the misfit: a fit ends when less than this can be gained
+MOST_CHANGE, SMALLEST_STEP = 30.0, 1e-5  # a step is smaller where it would change the residual by more than this
+RIDGE = 1e-12  # of the diagonal: keeps the normal matrix of confounded unknowns regular
+COST_TOLERANCE = 0.3  # of the cost, times the misfit: a fit ends when less than this can be gained
 SMALL_GAIN = 1e-7  # or less than this share of the cost
-TRUST = 0.3  # of its predicted gain must a step reach, or the kept columns of the Jacobian are too old
+TRUSTED_GAIN = 0.3  # of its predicted gain must a step reach, or the kept columns of the Jacobian are too old
 DAMPINGS = (10.0, 100.0, 1e3, 1e4, 1e5)  # tried at once, times the last one, where a step does not help
 SMALLEST_DAMPING = 1e-3
 MOST_PASSES = 1000  # of the search for the bounds that are active in a step
@@ -178,13 +178,13 @@ def minimise_batched(
     everything: Sequence[int] = range(len(here.z))
     damping = 0.0
     for _ in range(iterations):
-        least = max(CLOSE_ENOUGH * max(1.0, here.cost / len(here.residual)), small_gain * here.cost)
+        least = max(COST_TOLERANCE * max(1.0, here.cost / len(here.residual)), small_gain * here.cost)
         predicted = predicted_gain(problem, here)
         better = None if predicted < least else _damped_step(problem, here, damping)
         if better is None and (fresh or not renew_all):
             break
         # where no step helps any more, or one gains far less than predicted, the columns that were kept are too old
-        fresh = better is None or here.cost - better[0].cost < TRUST * predicted
+        fresh = better is None or here.cost - better[0].cost < TRUSTED_GAIN * predicted
         if better is not None:
             here, damping = better
         columns = everything if fresh else renew
@@ -231,7 +231,7 @@ def differences(
     """
     steps = np.full(len(z), STEP)
     if sizes is not None:
-        steps = np.clip(ENOUGH_CHANGE / np.maximum(sizes, 1e-300), SMALLEST_STEP, STEP)
+        steps = np.clip(MOST_CHANGE / np.maximum(sizes, 1e-300), SMALLEST_STEP, STEP)
     pairs = {i: _either_side(problem, z, i, steps[i], central) for i in columns}
     rough = [i for i in columns if i < problem.rough] if problem.quick is not None and not central else []
     quotients = _quotients(problem.residuals, z, residual, {i: pair for i, pair in pairs.items() if i not in rough})
@@ -299,7 +299,7 @@ def bounded_step(normal: FloatArray, gradient: FloatArray, low: FloatArray, high
     if not free.any():
         return step
     scale = 1 / np.sqrt(np.diag(normal)[free])
-    regular = normal[np.ix_(free, free)] * np.outer(scale, scale) + REGULAR * np.eye(len(scale))
+    regular = normal[np.ix_(free, free)] * np.outer(scale, scale) + RIDGE * np.eye(len(scale))
     lower = np.linalg.cholesky(regular)
     right = solve_triangular(lower, scale * gradient[free], lower=True)
     bounds = (np.minimum(low[free], 0.0) / scale, np.maximum(high[free], 0.0) / scale)

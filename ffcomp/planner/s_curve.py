@@ -45,7 +45,7 @@ from ffcomp.planner.smooth import (
 from ffcomp.planner.trajectory import Trajectory
 from models.arrays import FloatArray, IntArray
 
-ROUNDING = 1e-9  # relative; below it speeds, distances and accelerations count as equal
+ROUNDING_RTOL = 1e-9  # relative; below it speeds, distances and accelerations count as equal
 NEWTON_STEPS = 60  # never needed: each at least halves what is uncertain
 
 
@@ -98,12 +98,12 @@ def held_down(
 
 @njit(cache=True, nogil=True)
 def _rises(start: float, peak: float) -> bool:
-    return peak > start * (1.0 + ROUNDING)
+    return peak > start * (1.0 + ROUNDING_RTOL)
 
 
 @njit(cache=True, nogil=True)
 def _rises_to_its_end(length: float, start: float, peak: float, up: float, end: float) -> bool:
-    return end >= peak * (1.0 - ROUNDING) and peak - start >= 2.0 * length * up * (1.0 - ROUNDING)
+    return end >= peak * (1.0 - ROUNDING_RTOL) and peak - start >= 2.0 * length * up * (1.0 - ROUNDING_RTOL)
 
 
 @njit(cache=True, nogil=True)
@@ -136,7 +136,7 @@ def cruise_times(
     for i in range(len(length)):
         ramps = (peak[i] - start[i]) / (2.0 * up[i]) + (peak[i] - start[i + 1]) / (2.0 * down[i])
         left = length[i] - ramps
-        out[i] = left / math.sqrt(peak[i]) if left > ROUNDING * length[i] else 0.0
+        out[i] = left / math.sqrt(peak[i]) if left > ROUNDING_RTOL * length[i] else 0.0
     return out
 
 
@@ -172,7 +172,7 @@ def rounded(
             last + 1 < len(length)
             and _rises_to_its_end(length[last], start[last], peak[last], up[last], start[last + 1])
             and _rises(start[last + 1], peak[last + 1])
-            and abs(up[last + 1] - up[i]) <= ROUNDING * up[i]
+            and abs(up[last + 1] - up[i]) <= ROUNDING_RTOL * up[i]
         ):
             last += 1
         too_fast = last
@@ -213,7 +213,7 @@ def _round(
         x += length[i]
         u = whole if i == last else _time_to(x, gone, low, plateau, jerk_t, whole)
         v = low + gained_speed(u, plateau, jerk_t, whole)
-        if i < last and v * v > corner[i + 1] * (1.0 + ROUNDING):
+        if i < last and v * v > corner[i + 1] * (1.0 + ROUNDING_RTOL):
             return i
         lasting[i] = u - gone
         gone = u

@@ -13,11 +13,14 @@ from numba import njit
 
 from models.arrays import BoolArray, FloatArray, IntArray
 
-AHEAD, BEHIND = 2.0, 0.5  # knots by which time may be ahead of the segments, one a knot, or behind them
-AT_FIRST = 1.0  # by which it is ahead after a cut
-ROUNDING = 1e-9  # of a knot
-WIDEST = 4.0  # times the tolerance, where time is behind
-COARSE = 0.5  # of the shortest segment: what may be missed for it
+MOST_KNOTS_AHEAD, MOST_KNOTS_BEHIND = (
+    2.0,
+    0.5,
+)  # knots by which time may be ahead of the segments, one a knot, or behind them
+FIRST_KNOTS_AHEAD = 1.0  # by which it is ahead after a cut
+KNOT_ROUNDING = 1e-9  # of a knot
+WIDEST_TOLERANCE = 4.0  # times the tolerance, where time is behind
+COARSE_SHARE = 0.5  # of the shortest segment: what may be missed for it
 
 
 @dataclass(frozen=True, slots=True)
@@ -194,21 +197,23 @@ def _chosen(
     kept = np.empty(n + 1, dtype=np.int64)
     kept[0] = 0
     count, first, pin = 1, 0, 0
-    ahead = AT_FIRST  # knots that have gone by, less the segments that were used for them
+    ahead = FIRST_KNOTS_AHEAD  # knots that have gone by, less the segments that were used for them
     while first < n:
         if pin <= first:
             pin = first + 1
             while pin < n and not pinned[pin]:
                 pin += 1
         if at[first] % cut == 0.0:
-            ahead = AT_FIRST
-        least = shortest[0] - ROUNDING
-        wider = min(max(1.0 - BEHIND - ahead, 0.0) + 1.0, WIDEST)  # rather here than where the next line cuts one
+            ahead = FIRST_KNOTS_AHEAD
+        least = shortest[0] - KNOT_ROUNDING
+        wider = min(
+            max(1.0 - MOST_KNOTS_BEHIND - ahead, 0.0) + 1.0, WIDEST_TOLERANCE
+        )  # rather here than where the next line cuts one
         within = (wider * tolerance[0], wider * tolerance[1], tolerance[2])
         last = _furthest(at, points, e, first, pin, within, longest, least, shortest[1])
         if last < pin:
             last = _balanced(at, points, e, first, last, pin, least, shortest)
-        ahead = min(ahead + at[last] - at[first] - 1.0, AHEAD)
+        ahead = min(ahead + at[last] - at[first] - 1.0, MOST_KNOTS_AHEAD)
         kept[count] = last
         count += 1
         first = last
@@ -266,7 +271,7 @@ def _balanced(
 @njit(cache=True, nogil=True)
 def _may_miss(at: FloatArray, points: FloatArray, e: FloatArray, first: int, last: int, shortest_mm: float) -> bool:
     """Whether one segment may do because two would be too short; a loop that ends where it began may not."""
-    coarse = (COARSE * shortest_mm, COARSE * shortest_mm, 1e9)
+    coarse = (COARSE_SHARE * shortest_mm, COARSE_SHARE * shortest_mm, 1e9)
     return _stays_near(points, first, last, 2.0 * shortest_mm) or _straight(at, points, e, first, last, coarse)
 
 

@@ -23,10 +23,12 @@ Node = tuple[int, int]  # a place on the grid
 Matched = list[int | None]  # where the centre's modes are among a place's; None: it does not swing there
 
 AXES = "xyz"
-MOSTLY = 0.7  # of a mode's energy: more than this along one axis, and it is said to be along that axis
-PARTLY = 0.15  # of a mode's energy: less than this along an axis is not worth a word
-NEAR = 0.1  # of a frequency: modes closer than this are doubtful, even where symmetry keeps their shapes apart
-ONE = 1e-3  # of a frequency: closer modes are the two of a symmetric printer
+DOMINANT_SHARE = 0.7  # of a mode's energy: more than this along one axis, and it is said to be along that axis
+MINOR_SHARE = 0.15  # of a mode's energy: less than this along an axis is not worth a word
+CLOSE_MODES_SHARE = (
+    0.1  # of a frequency: modes closer than this are doubtful, even where symmetry keeps their shapes apart
+)
+DEGENERATE_SHARE = 1e-3  # of a frequency: closer modes are the two of a symmetric printer
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,7 +102,7 @@ class _Station:
         """How far the two closest modes are from each other, 1 if farther than NEAR of their frequency."""
         poles = self.poles
         gap = np.abs(poles[:, None] - poles) / np.abs(poles) + np.eye(len(poles))
-        return float(min(1.0, gap.min(initial=1.0) / NEAR))
+        return float(min(1.0, gap.min(initial=1.0) / CLOSE_MODES_SHARE))
 
 
 def _follow(stations: Mapping[Node, _Station], centre: Node) -> dict[Node, Matched]:
@@ -155,7 +157,7 @@ def _assembled(
 def _numbering(frequency: FloatArray) -> IntArray:
     """As at the centre; modes that are one there (of a symmetric printer) by their mean over the bed."""
     centre = frequency[len(frequency) // 2, len(frequency) // 2]
-    return np.lexsort((_mean(frequency), np.round(np.log(centre) / ONE)))
+    return np.lexsort((_mean(frequency), np.round(np.log(centre) / DEGENERATE_SHARE)))
 
 
 def _mean(over_the_bed: FloatArray) -> FloatArray:
@@ -180,7 +182,7 @@ def _shares(motion: ComplexArray) -> tuple[FloatArray, FloatArray]:
 
 
 def _words(axes: FloatArray, extruder: float) -> str:
-    part = [axis for axis, share in zip(AXES, axes.tolist(), strict=True) if share > PARTLY]
+    part = [axis for axis, share in zip(AXES, axes.tolist(), strict=True) if share > MINOR_SHARE]
     listed = " and ".join([", ".join(part[:-1]), *part[-1:]] if len(part) > 1 else part)
-    along = f"mostly {AXES[int(np.argmax(axes))]}" if axes.max() > MOSTLY else listed
+    along = f"mostly {AXES[int(np.argmax(axes))]}" if axes.max() > DOMINANT_SHARE else listed
     return f"extruder, {along}" if extruder > 0.5 else along

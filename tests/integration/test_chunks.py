@@ -124,7 +124,7 @@ def test_the_command_is_the_same_in_chunks(tower: bytes, machine: Machine, small
     # after a cut the state is known but for what the printer has forgotten; corrections may then stop a pass earlier
     assert len(mine) == len(theirs)
     apart = np.abs(mine[:, :3] - theirs[:, :3]).max(axis=1)
-    assert apart.max() < lq_preview.CLOSE_MM and np.mean(apart > 5e-4) < 1e-3  # mm
+    assert apart.max() < lq_preview.CONVERGENCE_MM and np.mean(apart > 5e-4) < 1e-3  # mm
     np.testing.assert_allclose(mine[:, 3], theirs[:, 3], atol=5e-5)
 
 

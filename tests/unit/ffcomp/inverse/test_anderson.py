@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ffcomp.inverse.nonlinear import AROUND, EASED, around, mixed
+from ffcomp.inverse.nonlinear import BLENDED_KNOTS, JUDGED_KNOTS, around, mixed
 
 N = 400
-FAR = AROUND + EASED  # knots that a place sees
+FAR = JUDGED_KNOTS + BLENDED_KNOTS  # knots that a place sees
 
 
 @given(slope=st.floats(-3.0, 3.0).filter(lambda c: abs(c) > 0.05), seed=st.integers(0, 99))

@@ -63,7 +63,7 @@ def without_um() -> float:
 
 def linear_um(plant: Machine) -> float:
     """What the linear command does on the plant: played once, and left as it is."""
-    with patch.object(nonlinear, "FORESEEN", ()), patch.object(nonlinear, "ROUNDS", 2):
+    with patch.object(nonlinear, "FEEDFORWARD_EFFECTS", ()), patch.object(nonlinear, "ROUNDS", 2):
         return tracking_um(solved(plant)[1])
 
 
@@ -81,7 +81,7 @@ def test_what_is_foreseen_is_most_of_it(plant: Machine) -> None:
 
 def test_play_too_wide_to_be_crossed_leaves_no_run_worse_than_the_linear_command() -> None:
     wide = with_effect(MACHINE, "belt_backlash", width_mm=1.0)
-    with patch.object(nonlinear, "FORESEEN", ()), patch.object(nonlinear, "ROUNDS", 2):
+    with patch.object(nonlinear, "FEEDFORWARD_EFFECTS", ()), patch.object(nonlinear, "ROUNDS", 2):
         linear = solved(wide)[1]
     for before, after in zip(linear, solved(wide)[1], strict=True):
         assert tracking_um([after]) <= tracking_um([before]) * 1.000001

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from ffcomp.inverse.robust import PAYS, choose_robust, mode_sd
+from ffcomp.inverse.robust import PAYING_SD, choose_robust, mode_sd
 from ffcomp.inverse.settings import settings_for
 from models.file import load_machine
 from models.machine import Machine
@@ -54,7 +54,7 @@ def test_a_rough_file_is_inverted_robustly_but_neither_a_good_one_nor_a_guess(
         choice = choose_robust(unsure(machine, default=sd), settings_for(machine))
         assert choice.robust == robust
         assert "[uncertainty]" in choice.reason
-        assert ("--no-robust" if robust else f"to {100 * PAYS[1]:g} %") in choice.reason
+        assert ("--no-robust" if robust else f"to {100 * PAYING_SD[1]:g} %") in choice.reason
 
 
 @pytest.mark.parametrize("asked", [True, False])

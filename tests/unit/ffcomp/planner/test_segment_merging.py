@@ -11,7 +11,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from ffcomp.planner.segment_merging import AHEAD, AT_FIRST, BEHIND, WIDEST, MergeLimits, lengthen, merge, refit
+from ffcomp.planner.segment_merging import (
+    FIRST_KNOTS_AHEAD,
+    MOST_KNOTS_AHEAD,
+    MOST_KNOTS_BEHIND,
+    WIDEST_TOLERANCE,
+    MergeLimits,
+    lengthen,
+    merge,
+    refit,
+)
 from tests.unit.ffcomp.planner.test_segment_timing import wave
 
 FloatArray = NDArray[np.float64]
@@ -79,7 +88,10 @@ def test_no_second_has_more_segments_than_it_may(quarters: list[int], seed: int,
     kept = at[merge(at, points, np.zeros(len(at)), np.isin(at, lines), LIMITS, 64)]
     assert set(lines) <= set(kept) and np.diff(kept).min() >= 0.25
     if not roughness:
-        assert max(np.searchsorted(kept, kept + 50.0) - np.arange(len(kept))) <= 50 + AHEAD + BEHIND + AT_FIRST
+        assert (
+            max(np.searchsorted(kept, kept + 50.0) - np.arange(len(kept)))
+            <= 50 + MOST_KNOTS_AHEAD + MOST_KNOTS_BEHIND + FIRST_KNOTS_AHEAD
+        )
         assert len(kept) < 0.3 * len(at) + 2 * len(lines)
 
 
@@ -93,7 +105,7 @@ def test_no_turn_is_cut_off_for_the_number_of_segments(quarters: list[int], seed
     points = np.cumsum(steps, axis=0)
     kept = merge(at, points, np.zeros(len(at)), np.isin(at, lines), replace(LIMITS, shortest_mm=0.01), 64)
     across, _ = missed(at, points, kept)
-    assert across <= max(WIDEST * LIMITS.across_mm, 0.5 * 0.01) + 1e-9
+    assert across <= max(WIDEST_TOLERANCE * LIMITS.across_mm, 0.5 * 0.01) + 1e-9
 
 
 def test_slow_segments_are_long_enough() -> None:
