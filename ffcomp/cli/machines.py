@@ -106,8 +106,8 @@ def check_machine(request: CheckMachineRequest, shown: Json) -> None:
     notes += [*_assumed(loaded), *still_assumed(loaded.provenance)]
     if shown.as_json:
         consistency = [_quantity_json(quantity) for quantity in quantities]
-        found = {"problems": problems, "notes": notes, "consistency": consistency, "soundness": asdict(sound)}
-        _print_json("machine-check", machine=_identity(loaded), **found)
+        result = {"problems": problems, "notes": notes, "consistency": consistency, "soundness": asdict(sound)}
+        _print_json("machine-check", machine=_identity(loaded), **result)
     for problem in problems:
         print(f"{loaded.path}: {problem}", file=sys.stderr)
     if problems:
@@ -290,7 +290,7 @@ def _instability(places: FloatArray) -> list[str]:
 def _modes(machine: Machine) -> list[dict[str, Any]]:
     """Return the modes at the positions that show how they change over the bed."""
     places = machine.kinematics.sample_positions
-    found = {place: machine.vibration.modes_at(xy) for place, xy in places.items()}
+    modes = {place: machine.vibration.modes_at(xy) for place, xy in places.items()}
     return [
         {
             "place": place,
@@ -298,7 +298,7 @@ def _modes(machine: Machine) -> list[dict[str, Any]]:
             "frequency_hz": mode.frequencies_hz.tolist(),
             "damping_ratio": mode.damping_ratios.tolist(),
         }
-        for place, mode in found.items()
+        for place, mode in modes.items()
     ]
 
 
@@ -346,31 +346,31 @@ def diff_machines(request: DiffMachinesRequest, shown: Json) -> None:
     from models.file import differences, entries, load_machine, mode_changes
 
     before, after = load_machine(request.old), load_machine(request.new)
-    found = list(differences(entries(Path(before.path)), entries(Path(after.path))))
+    changes = list(differences(entries(Path(before.path)), entries(Path(after.path))))
     frequencies = mode_changes(before, after).tolist()
     if shown.as_json:
-        _print_diff_json(before.sha256, after.sha256, found, frequencies)
+        _print_diff_json(before.sha256, after.sha256, changes, frequencies)
     else:
-        _print_diff(found, frequencies)
+        _print_diff(changes, frequencies)
 
 
-def _print_diff_json(old: str, new: str, found: list[Difference], frequencies: list[list[float]]) -> None:
+def _print_diff_json(old: str, new: str, changes: list[Difference], frequencies: list[list[float]]) -> None:
     print_json(
         {
             "schema": "ffcomp-machine-diff/1",
             "old": {"sha256": old},
             "new": {"sha256": new},
-            "changes": [asdict(each) for each in found],
+            "changes": [asdict(each) for each in changes],
             "frequencies_hz": [{"old": before, "new": after} for before, after in frequencies],
         }
     )
 
 
-def _print_diff(found: list[Difference], frequencies: list[list[float]]) -> None:
-    if not found:
+def _print_diff(changes: list[Difference], frequencies: list[list[float]]) -> None:
+    if not changes:
         print("The two files describe the same machine.")
         return
-    for each in found:
+    for each in changes:
         change = ", ".join(f"{relative:+.1%}" for relative in each.relative)
         note = f"  # {each.provenance}" if each.provenance not in ("", "default") else ""
         change = f" ({change})" if change else ""

@@ -90,19 +90,19 @@ class Server:
 
         async def handler(request: Request) -> Response:
             try:
-                asked = await _asked(request) if request.method == "POST" else {}
-                found = await run_in_threadpool(handle, request, asked)
+                fields = await _fields_of(request) if request.method == "POST" else {}
+                result = await run_in_threadpool(handle, request, fields)
             except Refused as refused:
                 return _refusal(refused)
             except OSError as error:
                 if not is_full(error):
                     raise
                 return _refusal(Refused(507, "The disk is full: remove work that is done, and try again."))
-            return found if isinstance(found, Response) else JSONResponse(found)
+            return result if isinstance(result, Response) else JSONResponse(result)
 
         return handler
 
-    def state(self, request: Request, asked: Any) -> dict[str, Any]:
+    def state(self, request: Request, fields: Any) -> dict[str, Any]:
         """Return everything that the page shows."""
         return {
             "version": __version__,
@@ -125,23 +125,23 @@ class Server:
             return _refusal(refused)
         return JSONResponse(asdict(upload), 201)
 
-    def create(self, request: Request, asked: Any) -> dict[str, Any]:
+    def create(self, request: Request, fields: Any) -> dict[str, Any]:
         """Queue a job: `kind`, `files` (ids), `machine` (a name), `options`, and `plan`, the job that made it."""
-        kind, options = str(asked.get("kind")), checked(str(asked.get("kind")), asked.get("options", {}))
-        given = [self.uploads.find(str(each)) for each in _list(asked.get("files", []))]
-        plan = self._plan(asked.get("plan"))
-        if len(given) not in KINDS[kind].inputs:
-            raise Refused(400, "That needs a file." if not given else "That takes one file at a time.")
-        machine = str(asked.get("machine") or "")
+        kind, options = str(fields.get("kind")), checked(str(fields.get("kind")), fields.get("options", {}))
+        files = [self.uploads.find(str(each)) for each in _list(fields.get("files", []))]
+        plan = self._plan(fields.get("plan"))
+        if len(files) not in KINDS[kind].inputs:
+            raise Refused(400, "That needs a file." if not files else "That takes one file at a time.")
+        machine = str(fields.get("machine") or "")
         if KINDS[kind].machine:
             machines.path_of(machine)
-        if kind in MEASURED and any(upload.name.lower().endswith(".json") for upload, _ in given):
+        if kind in MEASURED and any(upload.name.lower().endswith(".json") for upload, _ in files):
             raise Refused(400, "A plan is not dropped: choose the moves that this server has written.")
-        names = [upload.name for upload, _ in given] + [path.name for path in plan]
+        names = [upload.name for upload, _ in files] + [path.name for path in plan]
         if len(set(names)) < len(names):
             raise Refused(400, "Two of the files have the same name.")
         title = KINDS[kind].title.format(name=names[0] if names else "", machine=machine)
-        origin = given[0][0].printer_path if given else ""
+        origin = files[0][0].printer_path if files else ""
         job = Job(
             new_id(),
             kind,
@@ -153,7 +153,7 @@ class Server:
         )
 
         def place(folder: Path) -> None:
-            for path in (*(path for _, path in given), *plan):
+            for path in (*(path for _, path in files), *plan):
                 _link(path, folder / path.name)
 
         with self.creating:
@@ -174,7 +174,7 @@ class Server:
         job = self.runner.find(str(id_))
         return [self.runner.kept.output(job, "moves.json")]
 
-    def act(self, request: Request, asked: Any) -> dict[str, Any]:
+    def act(self, request: Request, fields: Any) -> dict[str, Any]:
         """Do one thing with a job: cancel, again, remove, keep its machine file, send its print to the printer."""
         id_, action = request.path_params["id"], request.path_params["action"]
         if action == "cancel":
@@ -185,18 +185,18 @@ class Server:
             self.runner.remove(id_)
             return {}
         if action == "keep":
-            return {"machine": machines.keep(self.runner.find(id_), self.runner.kept, str(asked.get("name", "")))}
+            return {"machine": machines.keep(self.runner.find(id_), self.runner.kept, str(fields.get("name", "")))}
         if action == "send":
             return {"path": self._send(self.runner.find(id_))}
         raise Refused(404, "There is no such action.")
 
-    def log(self, request: Request, asked: Any) -> Response:
+    def log(self, request: Request, fields: Any) -> Response:
         """Return what the processes of a job have said."""
         job = self.runner.find(request.path_params["id"])
-        text = messages.said(self.runner.kept.place(job.id))
+        text = messages.log_end(self.runner.kept.place(job.id))
         return Response(text, media_type="text/plain; charset=utf-8")
 
-    def file(self, request: Request, asked: Any) -> Response:
+    def file(self, request: Request, fields: Any) -> Response:
         """Give a file that a job has made; pictures and pages to be looked at with `?view=1`."""
         job = self.runner.find(request.path_params["id"])
         path = self.runner.kept.output(job, request.path_params["name"])
@@ -207,14 +207,14 @@ class Server:
 
     # -- the printer --
 
-    def printer_files(self, request: Request, asked: Any) -> list[dict[str, Any]]:
+    def printer_files(self, request: Request, fields: Any) -> list[dict[str, Any]]:
         """Return the prints on the printer."""
         return self._printer().files()
 
     async def fetch(self, request: Request) -> Response:
         """Copy a print from the printer to here."""
         try:
-            path = str((await _asked(request)).get("path", ""))
+            path = str((await _fields_of(request)).get("path", ""))
             pieces = iterate_in_threadpool(self._printer().read(path))
             upload: Upload = await self.uploads.take(path, pieces, printer_path=path)
         except Refused as refused:
@@ -240,7 +240,7 @@ def _refusal(refused: Refused) -> Response:
     return JSONResponse({"error": refused.sentence}, refused.status)
 
 
-async def _asked(request: Request) -> Any:
+async def _fields_of(request: Request) -> Any:
     """Read a request's JSON, which is small."""
     body = b""
     async for piece in request.stream():
@@ -248,12 +248,12 @@ async def _asked(request: Request) -> Any:
         if len(body) > BODY:
             raise Refused(413, "The request is too large.")
     try:
-        asked = json.loads(body or b"{}")
+        fields = json.loads(body or b"{}")
     except ValueError:
-        asked = None
-    if not isinstance(asked, dict):
+        fields = None
+    if not isinstance(fields, dict):
         raise Refused(400, "The request is not a JSON object.")
-    return asked
+    return fields
 
 
 def _list(value: Any) -> list[Any]:

@@ -27,7 +27,7 @@ def tail(log: Path) -> str:
         return ""
 
 
-def said(place: Path) -> str:
+def log_end(place: Path) -> str:
     """Return the end of what a job's processes have said, files named as the user named them."""
     return without_folder(tail(place / "log.txt"), place)
 
@@ -46,10 +46,10 @@ def progress(text: str, doing: str) -> tuple[float | None, str]:
     doing : what the step is called, where the log says nothing better
     """
     for line in reversed(text.splitlines()):
-        if found := _SHARE.match(line):
-            return int(found[1]) / 100, f"{doing}, {found[2]} s left"
-        if found := _STEP.match(line):
-            return int(found[1]) / int(found[2]), doing
+        if match := _SHARE.match(line):
+            return int(match[1]) / 100, f"{doing}, {match[2]} s left"
+        if match := _STEP.match(line):
+            return int(match[1]) / int(match[2]), doing
         if line.startswith(OURS):
             return None, line.removeprefix(OURS)
     return None, doing
@@ -59,9 +59,9 @@ def why_failed(code: int, text: str) -> str:
     """Return the reason for an exit code in a sentence."""
     if code < 0 or code in (137, 9):
         return _KILLED.format(signal=abs(code) if code < 0 else 9)
-    said = [line.removeprefix(OURS) for line in text.splitlines() if line.startswith(OURS)]
-    said = [line for line in said if not _SHARE.match(OURS + line) and not line.endswith("…")]
+    lines = [line.removeprefix(OURS) for line in text.splitlines() if line.startswith(OURS)]
+    lines = [line for line in lines if not _SHARE.match(OURS + line) and not line.endswith("…")]
     if code == 1 and "Traceback" in text:
         return _FAULT
     usage = [line.removeprefix("Error: ") for line in text.splitlines() if line.startswith("Error: ")]
-    return (said or usage or [f"It ended with exit code {code}."])[-1]
+    return (lines or usage or [f"It ended with exit code {code}."])[-1]

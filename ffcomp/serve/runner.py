@@ -236,7 +236,7 @@ class Runner:
                 self._keep(replace(self._jobs[id_], pid=process.pid, doing=doing, share=None))
             _be_nice(process.pid)
             while process.poll() is None:
-                text = messages.said(place) if os.fstat(log.fileno()).st_size > began else ""
+                text = messages.log_end(place) if os.fstat(log.fileno()).st_size > began else ""
                 share, now = messages.progress(text, doing)
                 with self._changed:
                     if self._jobs[id_].state == RUNNING:
@@ -278,7 +278,7 @@ def _why(code: int, place: Path) -> str:
     """Say why a process failed; on a full disk it could not even write that down."""
     if shutil.disk_usage(place).free < messages.TAIL:
         return "The disk is full: remove work that is done, and try again."
-    return messages.why_failed(code, messages.said(place))
+    return messages.why_failed(code, messages.log_end(place))
 
 
 def _answer(job: Job, place: Path) -> dict[str, Any]:
