@@ -174,9 +174,9 @@ class Declared:
     @property
     def many(self) -> bool:
         """Whether it may be stated more than once."""
-        return self.option.repeated or (
-            get_origin(self.plain_type) is tuple and get_args(self.plain_type)[-1] is Ellipsis
-        )
+        if self.option.parse is not None:
+            return self.option.repeated
+        return get_origin(self.plain_type) is tuple and get_args(self.plain_type)[-1] is Ellipsis
 
     @property
     def item_type(self) -> Any:
