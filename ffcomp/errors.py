@@ -81,9 +81,8 @@ class SolverError(FfcompError):
 EXTRAS = {
     "matplotlib": ("plot", "Figures and pages need Matplotlib"),
     "control": ("control", "This needs python-control"),
-    "starlette": ("serve", "The page needs Starlette, Uvicorn and HTTPX"),
-    "uvicorn": ("serve", "The page needs Starlette, Uvicorn and HTTPX"),
-    "httpx": ("serve", "The page needs Starlette, Uvicorn and HTTPX"),
+    "starlette": ("serve", "The page needs Starlette and Uvicorn"),
+    "uvicorn": ("serve", "The page needs Starlette and Uvicorn"),
 }
 """Packages that only an extra installs: its name, and who needs it."""
 
