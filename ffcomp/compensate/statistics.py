@@ -325,7 +325,7 @@ def _reason(group: Sequence[TimeScaling], machine: Machine) -> str:
     names = machine.kinematics.actuator_names
     count = Counter(names["ABC".index(each.carriage)] for each in group)
     who = ", ".join(f"{name} ({number}×)" if len(count) > 1 else name for name, number in count.most_common())
-    peak = max(each.demand for each in group)
+    peak = max(each.asked for each in group)
     return f"the {limit} limit of {who} was exceeded up to {peak:.2f} times. {_remedy(limit, machine)}"
 
 

@@ -76,14 +76,14 @@ class TimeScaling:
     seconds: float  # lost in them
     carriage: str  # A, B or C; empty: not a carriage's limit
     limit: str  # velocity, acceleration, travel; empty: the firmware's own acceleration
-    demand: float  # demand over the limit, at first
+    asked: float  # demand over the limit, at first
 
     def sentence(self, verb: str = "slowed") -> str:
         """Say where moves became slower, by how much and why."""
         lines = f"{self.first_line}" + (f"-{self.last_line}" if self.last_line != self.first_line else "")
         layer = "" if self.layer is None else f" (layer {self.layer})"
         if self.limit:
-            why = f"carriage {self.carriage} was asked for {self.demand:.2f} times its {self.limit} limit"
+            why = f"carriage {self.carriage} was asked for {self.asked:.2f} times its {self.limit} limit"
         else:
             why = "the firmware's own acceleration limit leaves too little for its segments"
         percent = f"{100 * self.factor:.0f}" if self.factor < 0.995 else f"{100 * self.factor:.2f}"  # never to 100 %

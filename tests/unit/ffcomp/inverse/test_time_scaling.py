@@ -142,7 +142,7 @@ def test_limits_below_the_plan_are_held_at_every_instant(
     touched = {line for record in found.records for line in range(record.first_line, record.last_line + 1)}
     assert touched and touched <= {1, 2, 3, 4, 5, 6}
     for record in found.records:
-        assert record.demand > 1.0 and record.factor < 1.0
+        assert record.asked > 1.0 and record.factor < 1.0
         assert f"times its {record.limit} limit" in record.sentence()
 
 
