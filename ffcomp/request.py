@@ -1,8 +1,8 @@
 """Declare a verb once, for every way to call it.
 
 The request of a verb is one frozen dataclass. A field gives an option's name, type and default, and the `Option` in
-its annotation the rest: one sentence, group, unit, range. The command line, the Python function, the page of
-`ffcomp serve`, the JSON schema and the reference pages are made from that.
+its annotation the rest: one sentence, group, unit, range. The command line, the Python function and the reference page
+are made from that; the page of `ffcomp serve` still names its options itself (`ffcomp/serve/commands.py`).
 
 To add an option, add a field to the verb's request and use it where the verb does its work. To add a verb:
 
@@ -268,40 +268,3 @@ def function(request: Callable[P, Q], work: Callable[[Q], R]) -> Callable[P, R]:
     rows = [f"{each.field} : {each.option.help}" for each in declared(request)]  # type: ignore[arg-type]
     call.__doc__ = "\n".join([f"{text}Parameters", "----------", *rows, python_only])
     return call
-
-
-def words(request: type[Request], values: dict[str, Any]) -> list[str]:
-    """Return the words of the command line that state these values, by the fields' names."""
-    found: list[str] = []
-    for each in declared(request):
-        value = values.get(each.field)
-        if value is None or value is False:
-            continue
-        texts = value if isinstance(value, tuple | list) else (value,)
-        found += [each.names[0]] if value is True else [f"{each.names[0]}={text}" for text in texts]
-    return found
-
-
-JSON_TYPES = {bool: "boolean", int: "integer", float: "number"}
-
-
-def json_schema(request: type[Any]) -> dict[str, Any]:
-    """Return the JSON schema of a request's options."""
-    options = declared(request)
-    return {
-        "type": "object",
-        "properties": {each.field: _property_schema(each) for each in options},
-        "required": [each.field for each in options if each.required],
-        "additionalProperties": False,
-    }
-
-
-def _property_schema(each: Declared) -> dict[str, Any]:
-    one: dict[str, Any] = (
-        {"enum": list(each.choices)} if each.choices else {"type": JSON_TYPES.get(each.item_type, "string")}
-    )
-    ends = {"minimum": each.option.low, "maximum": each.option.high}
-    one |= {name: end for name, end in ends.items() if end is not None}
-    value = {"type": "array", "items": one} if each.many else one
-    default = {} if each.default is MISSING or each.default in (None, ()) else {"default": each.default}
-    return {**value, "description": each.option.help, **default}
