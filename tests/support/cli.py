@@ -35,7 +35,8 @@ class CliRunner:
         """Run a command; what it raises becomes the result's `exception`."""
         both = io.StringIO()
         streams = _Copied(both), _Copied(both)
-        code, exception = 0, None
+        code = 0
+        exception: BaseException | None = None
         with _environment(env or {}), _printed_to(*streams):
             try:
                 run(app, [*words])
