@@ -122,9 +122,9 @@ def _asked(folder: Path, candidates: Sequence[str]) -> dict[str, Any]:
 
 def diagnosed(folder: Path, candidates: Sequence[str] = ()) -> dict[str, Any]:
     """Diagnose the set in a folder, and tell what it cost."""
-    from ffcomp.diagnose import printer_problem
-    from ffcomp.diagnose.diagnosis import diagnose
-    from ffcomp.diagnose.result import result_of
+    from ffcomp.diagnosis import printer_problem
+    from ffcomp.diagnosis.diagnosis import diagnose
+    from ffcomp.diagnosis.result import result_of
     from ffcomp.record.join import load_recordings
     from models.effects.catalogue import CATALOGUE
     from models.file import load_machine

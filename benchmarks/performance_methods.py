@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ffcomp.compare.methods import TunedMethod
-from ffcomp.compare.sampling import PrintSlice
+from ffcomp.comparison.methods import TunedMethod
+from ffcomp.comparison.sampling import PrintSlice
 from ffcomp.inverse.model import InverseModel, Iterate
 from ffcomp.inverse.reference import Reference
 from ffcomp.inverse.windowed_qr import WindowProblem
 from ffcomp.planner.program import PlannedProgram
 from ffcomp.planner.trajectory import Section
-from ffcomp.simulate.command import Motion
+from ffcomp.simulation.command import Motion
 from models.effects.catalogue import design_machine
 from models.machine import Machine
 from models.vibration.delta import STATES, Q

@@ -23,8 +23,8 @@ from typing import Any
 import numpy as np
 
 from benchmarks.performance_ways import MACHINE, PRINTS, ROOT, sample_print
-from ffcomp.compensate.job import Job, Options
-from ffcomp.compensate.statistics import Statistics
+from ffcomp.compensation.job import Job, Options
+from ffcomp.compensation.statistics import Statistics
 from models.file import load_machine
 from tests.e2e.test_files import OFFSETS
 

@@ -18,18 +18,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.performance_methods import SAMPLE_S, ZERO_PHASE, dense, knots, whole_run, zero_phase
-from ffcomp.compare import methods as ways
-from ffcomp.compare.baselines import LinearPrinter
-from ffcomp.compare.evaluation import Execution, evaluate, track
-from ffcomp.compare.methods import COMPENSATED, ONE_MODEL, TunedMethod
-from ffcomp.compare.sampling import Print, PrintSlice, Sampling
-from ffcomp.compensate.solve import SolvedSection, solutions
+from ffcomp.comparison import methods as ways
+from ffcomp.comparison.baselines import LinearPrinter
+from ffcomp.comparison.evaluation import Execution, evaluate, track
+from ffcomp.comparison.methods import COMPENSATED, ONE_MODEL, TunedMethod
+from ffcomp.comparison.sampling import Print, PrintSlice, Sampling
+from ffcomp.compensation.solve import SolvedSection, solutions
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.settings import Settings, settings_for
 from ffcomp.inverse.solve import Solution, solve
 from ffcomp.planner.program import PlannedProgram, plan_program
 from ffcomp.planner.trajectory import Section
-from ffcomp.simulate.playback import simulate_nozzles
+from ffcomp.simulation.playback import simulate_nozzles
 from gcode.reader import read_program
 from models.file import load_machine
 from models.machine import Machine

@@ -22,8 +22,8 @@ from numba import njit
 from numpy.typing import NDArray
 
 from benchmarks.performance_ways import MACHINE, PRINTS, ROOT
-from ffcomp.compensate.job import Job, Options
-from ffcomp.compensate.statistics import Statistics
+from ffcomp.compensation.job import Job, Options
+from ffcomp.compensation.statistics import Statistics
 from ffcomp.inverse import time_scaling
 from ffcomp.inverse.riccati import AXES, augmented
 from ffcomp.inverse.solve import Solution, solve
@@ -37,9 +37,9 @@ ONCE = "bandwidth, plant over the bed"
 
 # stage → where the names are looked up that belong to it; what is called inside of them counts to its own stage
 STAGES = {
-    "read": ("ffcomp.compensate.job.split_chunks", "ffcomp.compensate.job.read_parts"),
-    "plan": ("ffcomp.compensate.plan.plan_program",),
-    ONCE: ("ffcomp.compensate.job.settings_for", "ffcomp.compensate.job.InverseModel"),
+    "read": ("ffcomp.compensation.job.split_chunks", "ffcomp.compensation.job.read_parts"),
+    "plan": ("ffcomp.compensation.plan.plan_program",),
+    ONCE: ("ffcomp.compensation.job.settings_for", "ffcomp.compensation.job.InverseModel"),
     "invert: gains": ("ffcomp.inverse.riccati.PreviewGains.at", "ffcomp.inverse.riccati.PreviewGains.end"),
     "invert: sweeps": ("ffcomp.inverse.lq_preview.sweep_back", "ffcomp.inverse.lq_preview.sweep_forward"),
     "invert: simulation": ("models.vibration.scheduled.simulate",),
@@ -54,19 +54,19 @@ STAGES = {
         "models.kinematics.delta_kernels.FastDelta.rate_term",
     ),
     "invert: all between": (
-        "ffcomp.compensate.solve.solve_feasible",
-        "ffcomp.compensate.solve.solve",
+        "ffcomp.compensation.solve.solve_feasible",
+        "ffcomp.compensation.solve.solve",
         "ffcomp.inverse.time_scaling.solve",
         "ffcomp.inverse.model.InverseModel.state_after_rest",
     ),
     "write": (
-        "ffcomp.compensate.gcode_writer.timeline",
-        "ffcomp.compensate.gcode_writer.tiles",
-        "ffcomp.compensate.gcode_writer.keep_inside",
-        "ffcomp.compensate.gcode_writer.Writer.section",
-        "ffcomp.compensate.gcode_writer.Writer.event",
-        "ffcomp.compensate.gcode_writer.Writer.extrude",
-        "ffcomp.compensate.gcode_writer.Writer.close",
+        "ffcomp.compensation.gcode_writer.timeline",
+        "ffcomp.compensation.gcode_writer.tiles",
+        "ffcomp.compensation.gcode_writer.keep_inside",
+        "ffcomp.compensation.gcode_writer.Writer.section",
+        "ffcomp.compensation.gcode_writer.Writer.event",
+        "ffcomp.compensation.gcode_writer.Writer.extrude",
+        "ffcomp.compensation.gcode_writer.Writer.close",
     ),
 }
 REST = "all else"

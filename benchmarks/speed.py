@@ -20,7 +20,7 @@ import time
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from ffcomp.compensate.job import Job, Options
+from ffcomp.compensation.job import Job, Options
 from models.file import load_machine
 from models.machine import Machine
 

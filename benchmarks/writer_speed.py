@@ -31,8 +31,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ffcomp.compensate.gcode_layout import Timeline, tiles, timeline
-from ffcomp.compensate.gcode_writer import Writer
+from ffcomp.compensation.gcode_layout import Timeline, tiles, timeline
+from ffcomp.compensation.gcode_writer import Writer
 from ffcomp.inverse.reference import Reference
 from ffcomp.inverse.settings import CUT, Settings, settings_for
 from ffcomp.planner.program import PlannedProgram, plan_program
@@ -44,7 +44,7 @@ from gcode.emit import MoveWriter
 from gcode.program import Event, ModalState, MotionLimits
 from gcode.reader import read_program
 from models.file import load_machine
-from tests.unit.ffcomp.compensate.test_gcode_layout import smoothed
+from tests.unit.ffcomp.compensation.test_gcode_layout import smoothed
 from tests.unit.gcode.test_emit import Said
 
 ROOT = Path(__file__).parents[1]

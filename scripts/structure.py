@@ -163,7 +163,7 @@ class Checkout:
         sizes = [size for size, _ in functions]
         largest = max(files, key=lambda f: f.lines)
         calls = [n for f in files for n in f.nodes if isinstance(n, ast.Call) and len(n.args) >= MANY]
-        diagnosing = sum(len(f.constants) for f in files if f.name.startswith("ffcomp.diagnose"))
+        diagnosing = sum(len(f.constants) for f in files if f.name.startswith("ffcomp.diagnosis"))
         kinds = [KIND_OF_MACHINE.findall(f.text) for f in files if not f.name.startswith("models")]
         pages = [self.root / "README.md", *(self.root / "docs").rglob("*.md")]
         prose = sum(len(page.read_text(encoding="utf-8").split()) for page in pages)

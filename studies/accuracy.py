@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from ffcomp import shapers
-from ffcomp.compare.methods import segments_motion
+from ffcomp.comparison.methods import segments_motion
 from ffcomp.inverse.settings import settings_for
 from ffcomp.planner.trajectory import Trajectory
 from studies.render import save

@@ -26,10 +26,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ffcomp.diagnose.diagnosis import Diagnosis
-from ffcomp.diagnose.fidelity import excerpt_of
-from ffcomp.diagnose.fit import Fit, derivatives, fit
-from ffcomp.diagnose.score_test import screen
+from ffcomp.diagnosis.diagnosis import Diagnosis
+from ffcomp.diagnosis.fidelity import excerpt_of
+from ffcomp.diagnosis.fit import Fit, derivatives, fit
+from ffcomp.diagnosis.score_test import screen
 
 FloatArray = NDArray[np.float64]
 

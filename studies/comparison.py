@@ -20,15 +20,15 @@ from typing import Any
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
-from ffcomp.compare import methods as every
-from ffcomp.compare.equal_quality import equal_qualities, within_limits
-from ffcomp.compare.evaluation import SAMPLE_S, Execution, contour, weights
-from ffcomp.compare.methods import TunedMethod
-from ffcomp.compare.monte_carlo import draw_plants
-from ffcomp.compare.sampling import Print, PrintSlice, Sampling
+from ffcomp.comparison import methods as every
+from ffcomp.comparison.equal_quality import equal_qualities, within_limits
+from ffcomp.comparison.evaluation import SAMPLE_S, Execution, contour, weights
+from ffcomp.comparison.methods import TunedMethod
+from ffcomp.comparison.monte_carlo import draw_plants
+from ffcomp.comparison.sampling import Print, PrintSlice, Sampling
 from ffcomp.inverse.settings import settings_for
 from ffcomp.metrics import contour_error, contour_statistics, rms
-from ffcomp.simulate.playback import simulate_nozzles
+from ffcomp.simulation.playback import simulate_nozzles
 from models.file import load_machine
 from models.machine import Machine
 from studies.comparison_extruder import extruder_rows

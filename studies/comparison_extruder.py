@@ -6,15 +6,15 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ffcomp.compare import methods as every
-from ffcomp.compare.baselines import LinearPrinter, shaped
-from ffcomp.compare.evaluation import Execution
-from ffcomp.compare.sampling import PrintSlice
+from ffcomp.comparison import methods as every
+from ffcomp.comparison.baselines import LinearPrinter, shaped
+from ffcomp.comparison.evaluation import Execution
+from ffcomp.comparison.sampling import PrintSlice
 from ffcomp.inverse.settings import settings_for
 from ffcomp.metrics import rms
 from ffcomp.shapers import Shaper
-from ffcomp.simulate.command import Motion
-from ffcomp.simulate.playback import simulate_nozzles
+from ffcomp.simulation.command import Motion
+from ffcomp.simulation.playback import simulate_nozzles
 from models.arrays import FloatArray
 from models.machine import Machine
 

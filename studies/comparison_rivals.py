@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ffcomp.compare import methods as every
-from ffcomp.compare.baselines import (
+from ffcomp.comparison import methods as every
+from ffcomp.comparison.baselines import (
     CARRIAGES,
     INVERSE,
     SHAPED_Z,
@@ -16,8 +16,8 @@ from ffcomp.compare.baselines import (
     VariantTuner,
     shaper_variant,
 )
-from ffcomp.compare.methods import TunedMethod
-from ffcomp.compare.sampling import PrintSlice
+from ffcomp.comparison.methods import TunedMethod
+from ffcomp.comparison.sampling import PrintSlice
 from ffcomp.inverse.settings import settings_for
 from ffcomp.shapers import SHAPERS
 from ffcomp.shapers.search import Optimum

@@ -23,13 +23,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ffcomp.compare.evaluation import Execution, contour
-from ffcomp.compare.methods import COMPENSATED, inversion, none
-from ffcomp.compare.monte_carlo import draw_plants
-from ffcomp.compare.sampling import Print, PrintSlice, Sampling
-from ffcomp.diagnose.diagnosis import diagnose
-from ffcomp.diagnose.printer_problem import PrinterProblem
-from ffcomp.diagnose.result import better_file, result_of
+from ffcomp.comparison.evaluation import Execution, contour
+from ffcomp.comparison.methods import COMPENSATED, inversion, none
+from ffcomp.comparison.monte_carlo import draw_plants
+from ffcomp.comparison.sampling import Print, PrintSlice, Sampling
+from ffcomp.diagnosis.diagnosis import diagnose
+from ffcomp.diagnosis.printer_problem import PrinterProblem
+from ffcomp.diagnosis.result import better_file, result_of
 from ffcomp.inverse.settings import settings_for
 from ffcomp.measurement.recording import read_recording
 from models.file import load_machine, updated_text

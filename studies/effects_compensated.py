@@ -29,14 +29,14 @@ from unittest.mock import patch
 
 import numpy as np
 
-from ffcomp.compare.evaluation import Execution, contour
-from ffcomp.compare.methods import COMPENSATED, inversion, none
-from ffcomp.compare.sampling import Print, PrintSlice
-from ffcomp.compensate.solve import solutions
+from ffcomp.comparison.evaluation import Execution, contour
+from ffcomp.comparison.methods import COMPENSATED, inversion, none
+from ffcomp.comparison.sampling import Print, PrintSlice
+from ffcomp.compensation.solve import solutions
 from ffcomp.inverse import nonlinear
 from ffcomp.inverse.model import GEOMETRY, InverseModel
 from ffcomp.inverse.settings import settings_for
-from ffcomp.simulate.playback import simulate_nozzles
+from ffcomp.simulation.playback import simulate_nozzles
 from models.effects.catalogue import CATALOGUE, effects_of_printers, with_effect
 from models.file import load_machine
 from models.machine import Machine

@@ -17,9 +17,9 @@ from typing import Any
 
 from matplotlib.figure import Figure
 
-from ffcomp.compare.quickest import QuickestRequest, quickest
-from ffcomp.compare.result import Quickest, TimedMethod
-from ffcomp.compare.sampling import Print, Sampling
+from ffcomp.comparison.quickest import QuickestRequest, quickest
+from ffcomp.comparison.result import Quickest, TimedMethod
+from ffcomp.comparison.sampling import Print, Sampling
 from ffcomp.faster.bound import Bound
 from gcode.container import read_bytes
 from models.file import load_machine

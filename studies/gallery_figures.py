@@ -29,10 +29,10 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from ffcomp.diagnose.diagnosis import diagnose
-from ffcomp.diagnose.printer_problem import PrinterProblem
-from ffcomp.diagnose.summary import DiagnosisSummary, summarise
-from ffcomp.identify.predict import predicted
+from ffcomp.diagnosis.diagnosis import diagnose
+from ffcomp.diagnosis.printer_problem import PrinterProblem
+from ffcomp.diagnosis.summary import DiagnosisSummary, summarise
+from ffcomp.identification.predict import predicted
 from ffcomp.measurement.frf import FrequencyResponse
 from ffcomp.measurement.frf_files import write_frf
 from ffcomp.measurement.recording import read_recording

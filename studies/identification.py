@@ -15,9 +15,14 @@ from typing import Any
 
 import numpy as np
 
-from ffcomp.identify.output_error import TOTAL_MASS, UNKNOWNS, fit_machine
-from ffcomp.identify.paper import identify_as_paper
-from ffcomp.identify.predict import complex_log_error, error_reduction, mean_absolute_percentage_accuracy, predicted
+from ffcomp.identification.output_error import TOTAL_MASS, UNKNOWNS, fit_machine
+from ffcomp.identification.paper import identify_as_paper
+from ffcomp.identification.predict import (
+    complex_log_error,
+    error_reduction,
+    mean_absolute_percentage_accuracy,
+    predicted,
+)
 from ffcomp.measurement.frf import FrequencyResponse
 from models.file import LIBRARY, load_machine
 from models.kinds import delta_vibration, with_parts

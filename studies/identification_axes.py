@@ -18,9 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ffcomp.errors import MeasurementError
-from ffcomp.identify.axis_spectra import Spectrum
-from ffcomp.identify.modal_fit import AxisFit, fit_axis
-from ffcomp.identify.resonance_tests import spectrum_of
+from ffcomp.identification.axis_spectra import Spectrum
+from ffcomp.identification.modal_fit import AxisFit, fit_axis
+from ffcomp.identification.resonance_tests import spectrum_of
 from ffcomp.measurement.klipper import Resonances
 from ffcomp.measurement.vibration import read_vibration
 from ffcomp.shapers.calibration import calibrated, normalised, resonance_test

@@ -21,17 +21,17 @@ from typing import Any
 
 import numpy as np
 
-from ffcomp.compare.baselines import LinearPrinter
-from ffcomp.compare.evaluation import Execution, contour
-from ffcomp.compare.methods import COMPENSATED, ROBUST, TunedMethod, best_fixed, inversion
-from ffcomp.compare.monte_carlo import draw_plants
-from ffcomp.compare.sampling import Print, PrintSlice, Sampling
+from ffcomp.comparison.baselines import LinearPrinter
+from ffcomp.comparison.evaluation import Execution, contour
+from ffcomp.comparison.methods import COMPENSATED, ROBUST, TunedMethod, best_fixed, inversion
+from ffcomp.comparison.monte_carlo import draw_plants
+from ffcomp.comparison.sampling import Print, PrintSlice, Sampling
 from ffcomp.inverse.settings import settings_for
 from ffcomp.planner.limits import planner_limits
 from ffcomp.planner.lookahead import junction_limits, plan_moves, stops_and_waits
 from ffcomp.planner.s_curve import SCurve, s_curve
 from ffcomp.planner.trajectory import split_sections
-from ffcomp.simulate.playback import simulate_nozzles
+from ffcomp.simulation.playback import simulate_nozzles
 from models.file import load_machine
 from models.machine import Machine, value_of, with_values
 from studies.render import save

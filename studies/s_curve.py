@@ -20,8 +20,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ffcomp.compensate.prediction import Prediction
-from ffcomp.compensate.solve import SolvedSection
+from ffcomp.compensation.prediction import Prediction
+from ffcomp.compensation.solve import SolvedSection
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.reference import Reference
 from ffcomp.inverse.settings import settings_for

@@ -21,9 +21,9 @@ from scipy.ndimage import maximum_filter1d
 from scipy.optimize import least_squares
 from scipy.signal import butter, filtfilt
 
-from ffcomp.diagnose.axis_problem import OFFSET, AxisProblem
-from ffcomp.diagnose.diagnosis import Diagnosis, diagnose
-from ffcomp.identify.axis_shots import Shots, shots_of
+from ffcomp.diagnosis.axis_problem import OFFSET, AxisProblem
+from ffcomp.diagnosis.diagnosis import Diagnosis, diagnose
+from ffcomp.identification.axis_shots import Shots, shots_of
 from ffcomp.measurement.axis_run import AxisRun, read_axis_run
 from models.effects.catalogue import CATALOGUE
 from models.file import load_plant

@@ -18,7 +18,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from ffcomp.diagnose.printer_problem import PrinterProblem
+from ffcomp.diagnosis.printer_problem import PrinterProblem
 from ffcomp.measurement.recording import read_recording
 from models.effects.catalogue import effective_machine
 from models.file import load_machine

@@ -25,9 +25,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-from ffcomp.compare.evaluation import Execution, contour
-from ffcomp.compare.methods import COMPENSATED, inversion, none
-from ffcomp.compare.sampling import Print, PrintSlice, Sampling
+from ffcomp.comparison.evaluation import Execution, contour
+from ffcomp.comparison.methods import COMPENSATED, inversion, none
+from ffcomp.comparison.sampling import Print, PrintSlice, Sampling
 from ffcomp.inverse.settings import settings_for
 from ffcomp.record.plan import Experiment, Plan, load_plan
 from models.file import load_machine

@@ -14,7 +14,7 @@ from pathlib import Path
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 ROOT = Path(__file__).parents[1]
-from ffcomp.compensate.job import Job, Options  # noqa: E402
+from ffcomp.compensation.job import Job, Options  # noqa: E402
 from gcode.errors import GcodeError  # noqa: E402
 from models.file import load_machine  # noqa: E402
 from models.machine import Machine  # noqa: E402

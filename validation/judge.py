@@ -23,15 +23,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ffcomp import shapers
-from ffcomp.compare import methods as ours
-from ffcomp.compare.baselines import shaped as shaped_apart
-from ffcomp.compare.methods import Compensated, Segments, pick
+from ffcomp.comparison import methods as ours
+from ffcomp.comparison.baselines import shaped as shaped_apart
+from ffcomp.comparison.methods import Compensated, Segments, pick
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.settings import Settings, settings_for
 from ffcomp.metrics import contour_error, peak_acceleration, tracking
 from ffcomp.planner.program import PlannedProgram, plan_program
 from ffcomp.planner.trajectory import Trajectory
-from ffcomp.simulate.command import Motion, SectionClock, motion_of, path_corners, planned_motion
+from ffcomp.simulation.command import Motion, SectionClock, motion_of, path_corners, planned_motion
 from gcode.program import Program
 from gcode.reader import read_program
 from models.file import load_machine

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ffcomp.identify.frf_study import View, study, verdict
-from ffcomp.identify.predict import predicted
+from ffcomp.identification.frf_study import View, study, verdict
+from ffcomp.identification.predict import predicted
 from ffcomp.measurement.frf import FrequencyResponse
 from ffcomp.report.model import draw_bode, draw_map
 from models.file import load_machine

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ffcomp.errors import RequestError, extras_told
-from ffcomp.identify.frf_request import FrfRequest
-from ffcomp.identify.frf_study import Study, View, frf_json, study, view_of
+from ffcomp.identification.frf_request import FrfRequest
+from ffcomp.identification.frf_study import Study, View, frf_json, study, view_of
 from ffcomp.measurement.frf import FrequencyResponse
 from ffcomp.measurement.frf_files import read_frfs
 from ffcomp.request import function

@@ -8,13 +8,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ffcomp.api.machines import load_plant
-from ffcomp.diagnose.gap import gap_request
-from ffcomp.diagnose.request import DiagnoseRequest, GapRequest
-from ffcomp.diagnose.verb import diagnose_request
+from ffcomp.diagnosis.gap import gap_request
+from ffcomp.diagnosis.request import DiagnoseRequest, GapRequest
+from ffcomp.diagnosis.verb import diagnose_request
 from ffcomp.errors import RequestError, extras_told
-from ffcomp.identify.fitting import fit_files
-from ffcomp.identify.machine_fit import AxesFit, MachineFit, ParametersFit
-from ffcomp.identify.request import FitRequest, Method
+from ffcomp.identification.fitting import fit_files
+from ffcomp.identification.machine_fit import AxesFit, MachineFit, ParametersFit
+from ffcomp.identification.request import FitRequest, Method
 from ffcomp.request import function
 from models.machine import Machine
 

@@ -9,29 +9,29 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 from ffcomp.api.machines import load_machine
-from ffcomp.compare import engine
-from ffcomp.compare.quickest_plans import Known, worth_knowing
-from ffcomp.compare.request import CompareRequest
-from ffcomp.compare.result import Comparison
-from ffcomp.compare.sampling import Sampling
-from ffcomp.compensate.batch import size_of, workers
-from ffcomp.compensate.file import compensate_file
-from ffcomp.compensate.job import Options
-from ffcomp.compensate.request import CompensateRequest
-from ffcomp.compensate.result import CompensatedFile
+from ffcomp.comparison import engine
+from ffcomp.comparison.quickest_plans import Known, worth_knowing
+from ffcomp.comparison.request import CompareRequest
+from ffcomp.comparison.result import Comparison
+from ffcomp.comparison.sampling import Sampling
+from ffcomp.compensation.batch import size_of, workers
+from ffcomp.compensation.file import compensate_file
+from ffcomp.compensation.job import Options
+from ffcomp.compensation.request import CompensateRequest
+from ffcomp.compensation.result import CompensatedFile
 from ffcomp.errors import RequestError, extras_told
-from ffcomp.estimate import engine as estimation
-from ffcomp.estimate.request import EstimateRequest
-from ffcomp.estimate.statistics import Statistics
+from ffcomp.estimation import engine as estimation
+from ffcomp.estimation.request import EstimateRequest
+from ffcomp.estimation.statistics import Statistics
 from ffcomp.integrations.slicer import Bed
 from ffcomp.inverse.settings import settings_for
 from ffcomp.metrics import Track
 from ffcomp.numerics.serialise import to_json
 from ffcomp.request import function
-from ffcomp.simulate.command import Command
-from ffcomp.simulate.request import SimulateRequest
-from ffcomp.simulate.simulation import Request as Part
-from ffcomp.simulate.simulation import SimulationResult, read_command, simulate_command
+from ffcomp.simulation.command import Command
+from ffcomp.simulation.request import SimulateRequest
+from ffcomp.simulation.simulation import Request as Part
+from ffcomp.simulation.simulation import SimulationResult, read_command, simulate_command
 from gcode.container import opened, read_bytes
 from gcode.embedded import STAMP_REACH, already_processed, find_offset, original
 from gcode.text import PART_BYTES
@@ -117,7 +117,7 @@ class Compensation:
             If no file was written.
         """
         from ffcomp.report.show import show_figure
-        from ffcomp.simulate.preview import preview
+        from ffcomp.simulation.preview import preview
 
         if self.output is None:
             raise RequestError("Nothing was written, so there is nothing to draw: name an output.")
@@ -346,7 +346,7 @@ def evaluate_print(
     options: Any,
     note: Callable[[str], None] = lambda sentence: None,
 ) -> T:
-    """Let an engine of `ffcomp/compare` evaluate the print of a request.
+    """Let an engine of `ffcomp/comparison` evaluate the print of a request.
 
     Parameters
     ----------

@@ -12,15 +12,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from ffcomp.cli.command import Shown, verb
 from ffcomp.cli.common import Progress, exit_codes, print_json, say
-from ffcomp.compare.request import CompareRequest
+from ffcomp.comparison.request import CompareRequest
 from ffcomp.errors import RequestError
 from ffcomp.options import CHANGE_SPEED, KEEP_SPEED, MAX_FLOW, MIN_LAYER_TIME, REPORT
 from ffcomp.request import FASTER, OUTPUT, Option, Request
 
 if TYPE_CHECKING:
-    from ffcomp.compare import engine
-    from ffcomp.compare.quickest import QuickestRequest
-    from ffcomp.compare.result import Comparison, Quickest, TimedMethod
+    from ffcomp.comparison import engine
+    from ffcomp.comparison.quickest import QuickestRequest
+    from ffcomp.comparison.result import Comparison, Quickest, TimedMethod
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,12 +78,12 @@ def compare(request: CompareRequest, quality: EqualQuality, pages: Pages, shown:
     with _ExitWithoutThreads(), exit_codes(), Progress(1.0, shown.quiet, "comparing") as progress:
         request = replace(request, progress=progress.phase)
         if quality.equal_quality:
-            from ffcomp.compare.quickest import quickest
+            from ffcomp.comparison.quickest import quickest
 
             result = evaluate_print(request, quickest, _quickest_request(options, quality), tell)
         else:
-            from ffcomp.compare.engine import compare as engine_compare
-            from ffcomp.compensate.batch import workers
+            from ffcomp.comparison.engine import compare as engine_compare
+            from ffcomp.compensation.batch import workers
 
             with workers(request.jobs, request.scheduler) as at_once:
                 comparison = evaluate_print(request, partial(engine_compare, jobs=at_once), options, tell)
@@ -117,8 +117,8 @@ def _refuse_beside(request: CompareRequest, quality: EqualQuality, figures: Path
 
 def _quickest_request(options: engine.Request, quality: EqualQuality) -> QuickestRequest:
     """Return the request at equal error: the same bound, part of the print and shapers."""
-    from ffcomp.compare.methods import KINDS
-    from ffcomp.compare.quickest import QuickestRequest
+    from ffcomp.comparison.methods import KINDS
+    from ffcomp.comparison.quickest import QuickestRequest
     from ffcomp.faster.bound import Bound
     from ffcomp.shapers.smooth import USUAL
 

@@ -12,15 +12,15 @@ from typing import TYPE_CHECKING
 from ffcomp.cli.command import Shown, verb
 from ffcomp.cli.common import Progress, fail, print_json, say, say_assumed, tell
 from ffcomp.cli.log import note
-from ffcomp.compensate.request import CompensateFilesRequest, CompensateOptions, CompensateRequest
+from ffcomp.compensation.request import CompensateFilesRequest, CompensateOptions, CompensateRequest
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from ffcomp.api.prints import Compensation
-    from ffcomp.compare.quickest_plans import Known
-    from ffcomp.compensate.job import Options
-    from ffcomp.compensate.result import FileResult, QuickerPrint
+    from ffcomp.comparison.quickest_plans import Known
+    from ffcomp.compensation.job import Options
+    from ffcomp.compensation.result import FileResult, QuickerPrint
     from ffcomp.integrations.slicer import Call
     from ffcomp.metrics import Track
     from models.machine import Machine
@@ -39,8 +39,8 @@ def compensate(request: CompensateFilesRequest, shown: Shown) -> None:
     Example: ffcomp compensate sample_prints/ringing_tower.gcode --machine mp-delta-pro -o out.gcode
     """
     from ffcomp.cli.machine_files import remember
-    from ffcomp.compensate.batch import targets_of
-    from ffcomp.compensate.job import Options
+    from ffcomp.compensation.batch import targets_of
+    from ffcomp.compensation.job import Options
     from ffcomp.integrations.slicer import read_call
     from models.file import load_machine
 
@@ -106,7 +106,7 @@ def _compensate_all(
     options: Options,
 ) -> list[FileResult]:
     """Compensate several files; return their results in the order of the files."""
-    from ffcomp.compensate.batch import compensate_files, size_of
+    from ffcomp.compensation.batch import compensate_files, size_of
     from ffcomp.errors import interrupts_restored
     from gcode.atomic_write import drafts_noted, replaced_since
 
@@ -141,7 +141,7 @@ def _report_all(results: list[FileResult], quiet: bool) -> None:
     from rich.console import Console
     from rich.table import Column, Table
 
-    from ffcomp.compensate.statistics import shortened
+    from ffcomp.compensation.statistics import shortened
 
     done = [(each.file, each.done) for each in results if each.done is not None]
     for warning, files in _by_warning([(file, one.warnings) for file, one in done]).items():
@@ -161,7 +161,7 @@ def _report_all(results: list[FileResult], quiet: bool) -> None:
 
 def _by_warning(of_files: list[tuple[Path, list[str]]]) -> dict[str, list[Path]]:
     """Each warning once, of those that differ in numbers only the first, with its files; most files first."""
-    from ffcomp.compensate.statistics import cause_of
+    from ffcomp.compensation.statistics import cause_of
 
     files: dict[str, list[Path]] = {}
     first: dict[str, str] = {}
@@ -177,7 +177,7 @@ def _names(files: list[Path]) -> str:
 
 def _cells(outcome: FileResult) -> tuple[str, ...]:
     """Print time and predicted error before → after, and what it took."""
-    from ffcomp.compensate.statistics import ENOUGH
+    from ffcomp.compensation.statistics import ENOUGH
 
     if outcome.done is None:
         return "failed: see below", "", ""
@@ -196,7 +196,7 @@ def _cells(outcome: FileResult) -> tuple[str, ...]:
 
 def _report(done: Compensation, quiet: bool) -> None:
     """Print warnings, the predicted gain and the cost on stderr."""
-    from ffcomp.compensate.statistics import MOST_LINES, shortened
+    from ffcomp.compensation.statistics import MOST_LINES, shortened
     from ffcomp.faster.bound import limits_in_words
     from models.machine import assumed_modes
 

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from ffcomp.cli.command import Shown, verb
 from ffcomp.cli.common import print_json, say
-from ffcomp.diagnose.request import DiagnoseRequest
+from ffcomp.diagnosis.request import DiagnoseRequest
 from ffcomp.errors import RequestError
 from ffcomp.request import OUTPUT, Option, Request
 
 if TYPE_CHECKING:
-    from ffcomp.diagnose.verb import Diagnosis
+    from ffcomp.diagnosis.verb import Diagnosis
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,8 +41,8 @@ def diagnose(request: DiagnoseRequest, page: Page, shown: Shown) -> None:
     _check_targets(request.output, page.report, page.force)
 
     from ffcomp.cli.search_progress import SearchProgress
-    from ffcomp.diagnose.diagnosis import USUAL_S
-    from ffcomp.diagnose.verb import diagnose_files
+    from ffcomp.diagnosis.diagnosis import USUAL_S
+    from ffcomp.diagnosis.verb import diagnose_files
     from gcode.atomic_write import replace_atomically
 
     request = replace(request, progress=lambda sentence: say(f"ffcomp: {sentence}", shown.quiet))
@@ -77,8 +77,8 @@ def _page(diagnosis: Diagnosis) -> bytes:
     """Make the report."""
     from datetime import date
 
-    from ffcomp.diagnose.summary import summarise
-    from ffcomp.identify.machine_fit import hash_of
+    from ffcomp.diagnosis.summary import summarise
+    from ffcomp.identification.machine_fit import hash_of
     from ffcomp.report.diagnose import page
     from ffcomp.report.diagnose.sentences import Origin, ReportInput
     from ffcomp.version import __version__
@@ -105,7 +105,7 @@ def _digits(value: Any) -> str:
 
 
 def _print(diagnosis: Diagnosis) -> None:
-    from ffcomp.diagnose.sentences import summary_sentences, what_to_do
+    from ffcomp.diagnosis.sentences import summary_sentences, what_to_do
     from models.effects.catalogue import CATALOGUE
 
     result, written = diagnosis.result, diagnosis.output

@@ -10,15 +10,15 @@ from typing import TYPE_CHECKING, Annotated
 from ffcomp.cli.command import Json, verb
 from ffcomp.cli.common import print_json
 from ffcomp.errors import RequestError
-from ffcomp.estimate.request import EstimateFilesRequest
+from ffcomp.estimation.request import EstimateFilesRequest
 from ffcomp.options import FIGURE
 from ffcomp.request import OUTPUT, Option, Request
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from ffcomp.estimate.engine import Estimate
-    from ffcomp.estimate.statistics import Statistics, Unknown
+    from ffcomp.estimation.engine import Estimate
+    from ffcomp.estimation.statistics import Statistics, Unknown
     from gcode.container import Source
     from models.machine import Machine
 
@@ -66,7 +66,7 @@ def estimate(request: EstimateFilesRequest, details: EstimateShown, shown: Json)
 
 def _estimates(file: Path, request: EstimateFilesRequest) -> Iterator[Estimate]:
     """Of each print that a file holds."""
-    from ffcomp.estimate.engine import estimate
+    from ffcomp.estimation.engine import estimate
     from gcode.container import opened
 
     with opened(file) as container:
@@ -79,7 +79,7 @@ def _estimates(file: Path, request: EstimateFilesRequest) -> Iterator[Estimate]:
 def _machine(text: Source, path: str, name: str) -> Machine:
     """Load the machine asked for, or that of the print's stamp."""
     from ffcomp.cli.machine_files import machine_of
-    from ffcomp.estimate.engine import stamp_of
+    from ffcomp.estimation.engine import stamp_of
     from models.file import load_machine
 
     if name:
@@ -94,8 +94,8 @@ def _print(result: Estimate, every_layer: bool) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    from ffcomp.estimate.engine import seconds
-    from ffcomp.estimate.statistics import FILAMENT
+    from ffcomp.estimation.engine import seconds
+    from ffcomp.estimation.statistics import FILAMENT
     from gcode.metadata import short
 
     console = Console(highlight=False, soft_wrap=True)
@@ -117,7 +117,7 @@ def _print(result: Estimate, every_layer: bool) -> None:
 
 def _sentence(result: Estimate) -> str:
     """Print the time, the time before compensation, and the slicer's own estimate."""
-    from ffcomp.estimate.engine import seconds
+    from ffcomp.estimation.engine import seconds
     from gcode.metadata import short
 
     sentence = f"{short(result.time_s)} ({result.time_s:.3f} s)"
@@ -129,7 +129,7 @@ def _sentence(result: Estimate) -> str:
 
 
 def _kinds(statistics: Statistics) -> list[tuple[str, float]]:
-    from ffcomp.estimate.statistics import KINDS
+    from ffcomp.estimation.statistics import KINDS
 
     return [(kind, float(spent)) for kind, spent in zip(KINDS, statistics.total, strict=False) if spent]
 
@@ -138,8 +138,8 @@ def _print_layers(console: Console, result: Estimate, every: bool) -> None:
     """All of them, or the longest and the shortest."""
     from rich.table import Table
 
-    from ffcomp.estimate.engine import seconds
-    from ffcomp.estimate.statistics import BEFORE
+    from ffcomp.estimation.engine import seconds
+    from ffcomp.estimation.statistics import BEFORE
     from gcode.metadata import short
 
     layers = result.statistics.layers.in_order()

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Annotated
 
 from ffcomp.cli.command import verb
 from ffcomp.cli.common import print_json, say
-from ffcomp.identify.frf_request import FrfRequest
+from ffcomp.identification.frf_request import FrfRequest
 from ffcomp.options import FIGURE
 from ffcomp.request import OUTPUT, Option, Request
 
 if TYPE_CHECKING:
-    from ffcomp.identify.frf_study import Study
+    from ffcomp.identification.frf_study import Study
     from models.machine import Machine
 
 
@@ -40,7 +40,7 @@ def frf(request: FrfRequest, figures: FrfFigures) -> None:
     Example: ffcomp frf -m mp-delta-pro --at 0,0 --at -80,0 --figure bode.png --map bed.png
     """
     from ffcomp.api.machines import study_responses
-    from ffcomp.identify.frf_study import frf_json
+    from ffcomp.identification.frf_study import frf_json
 
     result = study_responses(request)
     for sentence in result.left_out:
@@ -62,7 +62,7 @@ def _draw(result: Study, figures: FrfFigures) -> None:
 
 
 def _write_map(machine: Machine, target: Path) -> None:
-    from ffcomp.identify.frf_study import mode_map_json
+    from ffcomp.identification.frf_study import mode_map_json
     from gcode.atomic_write import replace_atomically
     from models.errors import MachineFileError
     from models.kinds import delta_vibration

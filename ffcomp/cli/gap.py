@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 
 from ffcomp.cli.command import Shown, verb
 from ffcomp.cli.common import print_json, say
-from ffcomp.diagnose.request import GapRequest
+from ffcomp.diagnosis.request import GapRequest
 
 if TYPE_CHECKING:
-    from ffcomp.diagnose.gap import Discrepancy
+    from ffcomp.diagnosis.gap import Discrepancy
 
 
 @verb
@@ -22,7 +22,7 @@ def gap(request: GapRequest, shown: Shown) -> None:
 
     Example: ffcomp gap runs/*.csv --machine my-delta.toml
     """
-    from ffcomp.diagnose.gap import gap_request
+    from ffcomp.diagnosis.gap import gap_request
 
     discrepancy = gap_request(replace(request, progress=lambda text: say(f"ffcomp: {text}", shown.quiet)))
     if shown.as_json:

@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING
 from ffcomp.cli.command import Shown, group, verb
 from ffcomp.cli.common import print_json, say
 from ffcomp.errors import RequestError
-from ffcomp.identify.request import DecoupleRequest, FitRequest
+from ffcomp.identification.request import DecoupleRequest, FitRequest
 
 if TYPE_CHECKING:
-    from ffcomp.identify.axes import AxisFit
-    from ffcomp.identify.belts import BeltComparison
-    from ffcomp.identify.decoupling import PlaceParts
-    from ffcomp.identify.machine_fit import MachineFit, ParametersFit, ResonancesFit, StepwiseFit
-    from ffcomp.identify.uncertainty import Estimate
+    from ffcomp.identification.axes import AxisFit
+    from ffcomp.identification.belts import BeltComparison
+    from ffcomp.identification.decoupling import PlaceParts
+    from ffcomp.identification.machine_fit import MachineFit, ParametersFit, ResonancesFit, StepwiseFit
+    from ffcomp.identification.uncertainty import Estimate
 
 
 @verb
@@ -33,7 +33,7 @@ def fit(request: FitRequest, shown: Shown) -> None:
     Its belts, or a delta's towers, compared: ffcomp identify fit raw_data_axis=*.csv -m voron-300 --figure belts.png
     """
     from ffcomp.cli.search_progress import SearchProgress
-    from ffcomp.identify.fitting import USUAL_S, fit_files
+    from ffcomp.identification.fitting import USUAL_S, fit_files
     from models.file import load_plant
 
     start = load_plant(request.machine)
@@ -59,8 +59,8 @@ def decouple(request: DecoupleRequest) -> None:
 
     Example: ffcomp identify decouple towers-centre.uff --machine my-delta.toml
     """
-    from ffcomp.identify.decoupling import parts_of_places
-    from ffcomp.identify.load import gather
+    from ffcomp.identification.decoupling import parts_of_places
+    from ffcomp.identification.load import gather
     from models.errors import MachineFileError
     from models.file import load_machine
 
@@ -110,7 +110,7 @@ def _write(result: MachineFit, output: Path | None) -> None:
 
 
 def _draw(result: MachineFit, target: Path) -> None:
-    from ffcomp.identify.machine_fit import AxesFit, ParametersFit
+    from ffcomp.identification.machine_fit import AxesFit, ParametersFit
     from ffcomp.report.identify import draw_axes, draw_belts, draw_fit
     from ffcomp.shapers.calibration import in_words
 
@@ -130,8 +130,8 @@ def _draw(result: MachineFit, target: Path) -> None:
 
 
 def _print(result: MachineFit, output: Path | None) -> None:
-    from ffcomp.identify.axis_fit import OneAxisFit
-    from ffcomp.identify.machine_fit import AxesFit, ParametersFit, ResonancesFit, StepwiseFit
+    from ffcomp.identification.axis_fit import OneAxisFit
+    from ffcomp.identification.machine_fit import AxesFit, ParametersFit, ResonancesFit, StepwiseFit
     from ffcomp.shapers.calibration import in_words
 
     match result:

@@ -78,8 +78,8 @@ def _show(request: ShowRequest) -> dict[str, Any]:
     from ffcomp.cli.machine_files import machine_of
     from ffcomp.errors import NothingToDo
     from ffcomp.report.show import draw, numbers, verdict
-    from ffcomp.simulate.gcode_preview import gcode_preview
-    from ffcomp.simulate.preview import preview
+    from ffcomp.simulation.gcode_preview import gcode_preview
+    from ffcomp.simulation.preview import preview
     from ffcomp.version import __version__
     from gcode.atomic_write import replace_atomically
     from gcode.container import read_bytes

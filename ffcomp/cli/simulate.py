@@ -10,7 +10,7 @@ from ffcomp.cli.command import Shown, verb
 from ffcomp.cli.common import Progress, print_json, say, say_assumed
 from ffcomp.errors import RequestError
 from ffcomp.request import ADVANCED, OUTPUT, Option, Request
-from ffcomp.simulate.request import SimulateRequest
+from ffcomp.simulation.request import SimulateRequest
 
 
 @dataclass(frozen=True, kw_only=True)

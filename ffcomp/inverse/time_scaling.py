@@ -12,7 +12,7 @@ Lifts, and the travel beside them, may come a few ms late instead: that costs le
 Speed follows a velocity limit in proportion. Acceleration and the speed of corners follow an acceleration limit in
 proportion; where the nozzle keeps its speed, in curves and far from the middle, it is v² that does.
 
-A section that is cut in motion (`ffcomp/compensate/chunks.py`) is scaled on either side of the cut by whoever writes
+A section that is cut in motion (`ffcomp/compensation/chunks.py`) is scaled on either side of the cut by whoever writes
 that side. Both must pass the cut in the same way: moves near it keep their speed, for `scale_around_cut` has scaled
 them before, once for both. What is written must be whole segments again: the rest of it becomes slower by as little as
 that takes.

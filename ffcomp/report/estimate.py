@@ -9,8 +9,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from ffcomp.estimate.engine import Estimate, seconds
-from ffcomp.estimate.statistics import BEFORE, KINDS, WAITING, Statistics
+from ffcomp.estimation.engine import Estimate, seconds
+from ffcomp.estimation.statistics import BEFORE, KINDS, WAITING, Statistics
 from ffcomp.report.drawing import RC, file_of, grid, layout
 from ffcomp.version import __version__
 from gcode.atomic_write import replace_atomically

@@ -15,11 +15,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from scipy.signal import find_peaks
 
-from ffcomp.identify.axes import IdentifiedAxes
-from ffcomp.identify.axis_spectra import Datum
-from ffcomp.identify.belts import BeltComparison
-from ffcomp.identify.direct import Identified
-from ffcomp.identify.modal_fit import AxisFit
+from ffcomp.identification.axes import IdentifiedAxes
+from ffcomp.identification.axis_spectra import Datum
+from ffcomp.identification.belts import BeltComparison
+from ffcomp.identification.direct import Identified
+from ffcomp.identification.modal_fit import AxisFit
 from ffcomp.report.drawing import (
     AFTER,
     BAND,

@@ -17,8 +17,8 @@ from matplotlib.patches import Circle
 from matplotlib.patheffects import AbstractPathEffect, withStroke
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 
-from ffcomp.identify.frf_study import RINGS, Compared, NumberedMode, Station, Study, verdict
-from ffcomp.identify.predict import phases_deg
+from ffcomp.identification.frf_study import RINGS, Compared, NumberedMode, Station, Study, verdict
+from ffcomp.identification.predict import phases_deg
 from ffcomp.report.drawing import (
     AFTER,
     BAND_HEIGHT,

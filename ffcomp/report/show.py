@@ -14,8 +14,8 @@ from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
 from ffcomp.report.drawing import AFTER, BEFORE, NEIGHBOUR, REFERENCE, error_colours, plain_decades, write_figure
-from ffcomp.simulate.preview import Curve, Flow, Preview
-from ffcomp.simulate.simulation import SimulationResult
+from ffcomp.simulation.preview import Curve, Flow, Preview
+from ffcomp.simulation.simulation import SimulationResult
 from ffcomp.version import __version__
 from models.arrays import BoolArray, FloatArray
 

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import ffcomp
-from ffcomp.compensate.job import Job, Options
+from ffcomp.compensation.job import Job, Options
 from gcode.embedded import joined, original
 from models.file import load_machine
 from tests.support.docs_runner import ROOT

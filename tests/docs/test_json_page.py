@@ -13,12 +13,12 @@ import numpy as np
 import pytest
 
 from ffcomp.cli.app import app
-from ffcomp.diagnose.gap import ResidualSize
-from ffcomp.diagnose.print_gain import PrintGain
-from ffcomp.diagnose.result import DiagnosisResult, FileNumbers, Gap
-from ffcomp.diagnose.separation import Separation
-from ffcomp.diagnose.verb import result_json
-from ffcomp.identify.uncertainty import normal
+from ffcomp.diagnosis.gap import ResidualSize
+from ffcomp.diagnosis.print_gain import PrintGain
+from ffcomp.diagnosis.result import DiagnosisResult, FileNumbers, Gap
+from ffcomp.diagnosis.separation import Separation
+from ffcomp.diagnosis.verb import result_json
+from ffcomp.identification.uncertainty import normal
 from ffcomp.measurement.frf_files import write_frf
 from models.file import LIBRARY, load_machine
 from tests.support.axis import write_axis

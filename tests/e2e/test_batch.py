@@ -17,10 +17,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ffcomp.compensate.batch import _shares, check_targets, compensate_files, targets_in, workers
-from ffcomp.compensate.file import compensate_file
-from ffcomp.compensate.job import Options
-from ffcomp.compensate.result import Failure, FileResult
+from ffcomp.compensation.batch import _shares, check_targets, compensate_files, targets_in, workers
+from ffcomp.compensation.file import compensate_file
+from ffcomp.compensation.job import Options
+from ffcomp.compensation.result import Failure, FileResult
 from gcode.embedded import Stamp
 from gcode.text import PART_BYTES
 from models.file import load_machine
@@ -162,7 +162,7 @@ def test_what_is_wrongly_asked_for_is_a_sentence(
 
 
 def test_without_dask_the_package_is_named(prints: list[Path], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delitem(sys.modules, "ffcomp.compensate.dask_backend", raising=False)
+    monkeypatch.delitem(sys.modules, "ffcomp.compensation.dask_backend", raising=False)
     monkeypatch.setitem(sys.modules, "distributed", None)
     answer = compensate(*prints, "--scheduler", "tcp://x:1")
     assert answer.exit_code == 1 and "pip install 'ffcomp[dask]'" in answer.stderr

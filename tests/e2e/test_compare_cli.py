@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from ffcomp.cli.app import app
-from ffcomp.compare.quickest import QuickestRequest
+from ffcomp.comparison.quickest import QuickestRequest
 from tests.support.cli import CliRunner
 from tests.support.prints import squares
 from tests.support.quickest import made_up_quickest
@@ -151,7 +151,7 @@ def test_equal_quality(small: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPa
         asked.append(request)
         return made_up_quickest(path)
 
-    monkeypatch.setattr("ffcomp.compare.quickest.quickest", found)
+    monkeypatch.setattr("ffcomp.comparison.quickest.quickest", found)
     page = tmp_path / "page.html"
     options = ("-m", "mp-delta-pro", "--only", "mzv", "--equal-quality", "--max-flow-mm3-per-s", "20", "--layers", "1")
     answer = call(small, *options, "--mismatch", "5%", "--seeds", "2", "--quality-um", "30", "--report", page)

@@ -11,8 +11,8 @@ from zipfile import ZipFile
 import pytest
 
 from ffcomp.cli.app import app
-from ffcomp.compensate.batch import compensate_files
-from ffcomp.compensate.job import Options
+from ffcomp.compensation.batch import compensate_files
+from ffcomp.compensation.job import Options
 from gcode.container import read_bytes
 from gcode.metadata import slicer_time_s
 from models.file import load_machine

@@ -14,15 +14,24 @@ import numpy as np
 import pytest
 
 from ffcomp.cli.app import app
-from ffcomp.compensate import chunks
-from ffcomp.compensate import job as jobs
-from ffcomp.compensate import text_stream as times
-from ffcomp.compensate.statistics import Statistics as Compensation
-from ffcomp.compensate.text_stream import with_times_retold
+from ffcomp.compensation import chunks
+from ffcomp.compensation import job as jobs
+from ffcomp.compensation import text_stream as times
+from ffcomp.compensation.statistics import Statistics as Compensation
+from ffcomp.compensation.text_stream import with_times_retold
 from ffcomp.errors import NothingToDo
-from ffcomp.estimate import statistics as cutting
-from ffcomp.estimate.engine import Estimate, estimate, planned_slices, seconds
-from ffcomp.estimate.statistics import BEFORE, EXTRUDING, FILAMENT, PRIMING, RETRACTING, TRAVELLING, WAITING, Statistics
+from ffcomp.estimation import statistics as cutting
+from ffcomp.estimation.engine import Estimate, estimate, planned_slices, seconds
+from ffcomp.estimation.statistics import (
+    BEFORE,
+    EXTRUDING,
+    FILAMENT,
+    PRIMING,
+    RETRACTING,
+    TRAVELLING,
+    WAITING,
+    Statistics,
+)
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.settings import settings_for
 from ffcomp.planner.lookahead import stops_and_waits

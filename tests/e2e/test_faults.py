@@ -17,9 +17,9 @@ from pathlib import Path
 
 import pytest
 
-from ffcomp.compensate.file import compensate_file
-from ffcomp.compensate.job import Options
-from ffcomp.compensate.result import failure_of
+from ffcomp.compensation.file import compensate_file
+from ffcomp.compensation.job import Options
+from ffcomp.compensation.result import failure_of
 from ffcomp.inverse.settings import settings_for
 from ffcomp.numerics.numba_cache import VARIABLE, ensure_cache_folder
 from gcode.embedded import already_processed, original

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ffcomp.compensate.gcode_writer import STILL_MOVE
-from ffcomp.compensate.job import Job, Options
+from ffcomp.compensation.gcode_writer import STILL_MOVE
+from ffcomp.compensation.job import Job, Options
 from ffcomp.errors import NothingToDo
 from gcode.container import read_bytes
 from gcode.embedded import already_processed, original
@@ -17,7 +17,7 @@ from gcode.errors import GcodeError
 from gcode.program import Program
 from gcode.reader import read_program
 from models.file import load_machine
-from tests.unit.ffcomp.compensate.test_gcode_writer import others
+from tests.unit.ffcomp.compensation.test_gcode_writer import others
 
 DATA = Path(os.environ.get("FFCOMP_DATA", Path(__file__).parents[3] / "shared" / "data")) / "gcode"
 OFFSETS = {  # beds with their origin in a corner; the vase's start moves need more room than its bed's centre leaves

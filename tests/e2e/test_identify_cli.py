@@ -12,8 +12,8 @@ import pytest
 from scipy.interpolate import CubicSpline
 
 from ffcomp.cli.app import app
-from ffcomp.identify.output_error import TOTAL_MASS, fit_machine
-from ffcomp.identify.predict import error_reduction, mean_absolute_percentage_accuracy, predicted
+from ffcomp.identification.output_error import TOTAL_MASS, fit_machine
+from ffcomp.identification.predict import error_reduction, mean_absolute_percentage_accuracy, predicted
 from ffcomp.measurement.frf_files import write_frf
 from ffcomp.record.plan import load_plan
 from models.file import LIBRARY, load_machine

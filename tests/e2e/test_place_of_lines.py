@@ -6,7 +6,7 @@ import gzip
 
 import pytest
 
-from ffcomp.compensate.job import Job, Options
+from ffcomp.compensation.job import Job, Options
 from gcode.embedded import joined
 from models.file import load_machine
 from tests.support.data import real

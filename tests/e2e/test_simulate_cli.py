@@ -11,9 +11,9 @@ import pytest
 
 from ffcomp.cli.app import app
 from ffcomp.measurement.recording import Recording, read_recording
-from ffcomp.simulate import playback as playing
-from ffcomp.simulate.command_files import gcode_command
-from ffcomp.simulate.simulation import Request, read_command, simulate_command
+from ffcomp.simulation import playback as playing
+from ffcomp.simulation.command_files import gcode_command
+from ffcomp.simulation.simulation import Request, read_command, simulate_command
 from models.effects.catalogue import with_effect
 from models.file import LIBRARY, load_machine
 from models.printer.printer import simulate_printer

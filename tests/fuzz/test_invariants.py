@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from ffcomp.compensate.job import Job, Options
+from ffcomp.compensation.job import Job, Options
 from ffcomp.errors import NothingToDo
 from gcode.errors import GcodeError
 from tests.e2e.test_files import ODD, OFFSETS, REAL, needs_data

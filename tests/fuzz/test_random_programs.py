@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from ffcomp.compensate.job import Job, Options
-from ffcomp.compensate.solve import SolvedSection, solutions
+from ffcomp.compensation.job import Job, Options
+from ffcomp.compensation.solve import SolvedSection, solutions
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.settings import settings_for
 from ffcomp.planner.program import plan_program

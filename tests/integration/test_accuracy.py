@@ -7,8 +7,8 @@ from functools import cache
 import numpy as np
 import pytest
 
-from ffcomp.compare.methods import segments_motion
-from ffcomp.simulate.command import SectionClock, motion_of
+from ffcomp.comparison.methods import segments_motion
+from ffcomp.simulation.command import SectionClock, motion_of
 from validation import judge
 
 FAR_MM = 100.0  # the star's arms reach 110 mm, 81 % of the bed's radius

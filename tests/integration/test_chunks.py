@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from ffcomp.compensate import job as jobs
-from ffcomp.compensate import plan
-from ffcomp.compensate.chunks import LONGEST_S, REMEMBERED_S, Chunk, split_chunks
-from ffcomp.compensate.job import StepOutput
-from ffcomp.compensate.plan import _is_simulated
+from ffcomp.compensation import job as jobs
+from ffcomp.compensation import plan
+from ffcomp.compensation.chunks import LONGEST_S, REMEMBERED_S, Chunk, split_chunks
+from ffcomp.compensation.job import StepOutput
+from ffcomp.compensation.plan import _is_simulated
 from ffcomp.errors import LimitsError
 from ffcomp.faster.bound import Bound
 from ffcomp.inverse import lq_preview
@@ -25,7 +25,7 @@ from ffcomp.inverse.settings import settings_for
 from ffcomp.metrics import contour_error
 from ffcomp.planner.program import firmware_plan, plan_program
 from ffcomp.planner.trajectory import PathPosition
-from ffcomp.simulate.command import path_corners_with_rests
+from ffcomp.simulation.command import path_corners_with_rests
 from ffcomp.steps.archive import read_events, read_steps
 from ffcomp.steps.sink import Board
 from gcode.embedded import original
@@ -162,13 +162,13 @@ def spiral() -> bytes:
 
 @pytest.fixture
 def short_spirals(monkeypatch: pytest.MonkeyPatch, small_parts: None) -> None:
-    monkeypatch.setattr("ffcomp.compensate.chunks.MOST_MOVES", 2000)
+    monkeypatch.setattr("ffcomp.compensation.chunks.MOST_MOVES", 2000)
 
 
 def test_a_spiral_is_cut_in_motion_without_a_trace(spiral: bytes, machine: Machine, short_spirals: None) -> None:
     several, cut_result = compensated(spiral, machine)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("ffcomp.compensate.chunks.MOST_MOVES", 10**9)
+        patch.setattr("ffcomp.compensation.chunks.MOST_MOVES", 10**9)
         whole, result = compensated(spiral, machine)
     assert cut_result.statistics.windows > result.statistics.windows  # there were cuts
     assert original(several) == original(whole) == spiral
@@ -197,7 +197,7 @@ def test_steps_of_a_spiral_cut_in_motion(spiral: bytes, machine: Machine, short_
     found = []
     for longest in (2000, 10**9):
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr("ffcomp.compensate.chunks.MOST_MOVES", longest)
+            patch.setattr("ffcomp.compensation.chunks.MOST_MOVES", longest)
             target = tmp_path / f"{longest}.npz"
             job(spiral, machine, predict=False).write_steps(target, StepOutput(Board(400.0), None))
             found.append((read_steps(target), read_events(target)))
@@ -258,7 +258,7 @@ def test_both_sides_of_a_cut_see_the_same_motion(machine: Machine, limits: bytes
     """Where acceleration is low, a motion remembers for long that it began at rest."""
     data = vase(6000, 6000.0).replace(b"M83\n", b"M83\n" + limits)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("ffcomp.compensate.chunks.LONGEST_S", 20.0)
+        patch.setattr("ffcomp.compensation.chunks.LONGEST_S", 20.0)
         several = cut(data, machine, 10**6, longest_s=20.0)
     cuts = [(a, b) for a, b in pairwise(several) if a.extent.end is not None]
     assert len(cuts) >= 2
@@ -275,7 +275,7 @@ def test_both_sides_of_a_cut_see_the_same_motion(machine: Machine, limits: bytes
 def test_one_long_line_is_cut_without_a_trace(machine: Machine) -> None:
     data = VASE + b"G1 X-25 Y10 E20 F72\nM106 S255\nG1 X0 Y0 F3000\nG1 E-1 F1800\n"
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("ffcomp.compensate.chunks.LONGEST_S", 12.0)
+        patch.setattr("ffcomp.compensation.chunks.LONGEST_S", 12.0)
         text, result = compensated(data, machine, predict=False)
     assert original(text) == data and violations(data, text, machine) == []
     assert result.statistics.moves == 4 and result.statistics.windows >= 4
@@ -287,7 +287,7 @@ def test_one_long_line_is_cut_without_a_trace(machine: Machine) -> None:
 
 def test_limits_are_held_in_a_motion_that_is_cut(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
     """On both sides of a cut, and at the cut: velocities, and accelerations from segment to segment."""
-    monkeypatch.setattr("ffcomp.compensate.chunks.LONGEST_S", 8.0)
+    monkeypatch.setattr("ffcomp.compensation.chunks.LONGEST_S", 8.0)
     tight = replace(machine, limits=replace(machine.limits, carriage_velocity_mm_per_s=45.0))
     data = vase(1150, 4800.0)
     text, result = compensated(data, tight, predict=False)
@@ -302,7 +302,7 @@ def test_limits_are_held_in_a_motion_that_is_cut(machine: Machine, monkeypatch: 
 def test_a_cut_that_must_be_slower_is_refused_when_strict(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
     tight = replace(machine, limits=replace(machine.limits, carriage_velocity_mm_per_s=45.0))
     settings = replace(settings_for(tight), strict=True)
-    monkeypatch.setattr("ffcomp.compensate.chunks.LONGEST_S", 8.0)
+    monkeypatch.setattr("ffcomp.compensation.chunks.LONGEST_S", 8.0)
     with pytest.raises(LimitsError, match="would have to be slowed"):
         compensated(vase(1150, 4800.0), tight, predict=False, settings=settings)
 
@@ -310,7 +310,7 @@ def test_a_cut_that_must_be_slower_is_refused_when_strict(machine: Machine, monk
 def test_a_motion_too_long_for_s_curves_is_planned_without_them(machine: Machine) -> None:
     settings, data = replace(settings_for(machine), s_curve=True), vase(2000, 4800.0)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("ffcomp.compensate.chunks.LONGEST_S", 8.0)
+        patch.setattr("ffcomp.compensation.chunks.LONGEST_S", 8.0)
         patch.setattr(jobs, "S_CURVE_LONGEST_S", 9.0)
         patch.setattr(plan, "S_CURVE_LONGEST_S", 9.0)
         text, result = compensated(data, machine, predict=False, settings=settings)
@@ -348,7 +348,7 @@ def test_s_curves_in_chunks_keep_the_time(tower: bytes, machine: Machine, small_
 
 def test_a_motion_that_is_cut_is_quicker_too(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
     """Around its cuts it keeps the slicer's motion; the whole is known to be right by what holds of every file."""
-    monkeypatch.setattr("ffcomp.compensate.chunks.LONGEST_S", 12.0)
+    monkeypatch.setattr("ffcomp.compensation.chunks.LONGEST_S", 12.0)
     certain = replace(machine, uncertainty={"default": 0.0})
     data = vase(1150, 2400.0)
     bound = Bound(50.0, max_flow_mm3_per_s=20.0, min_layer_time_s=0.0)

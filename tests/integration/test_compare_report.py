@@ -21,7 +21,7 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from ffcomp.compare.result import Comparison, EqualQuality, Party, Peaks, Samples, Spread
+from ffcomp.comparison.result import Comparison, EqualQuality, Party, Peaks, Samples, Spread
 from ffcomp.inverse.robust import RobustChoice
 from ffcomp.report.compare import html
 from ffcomp.report.compare import html as table

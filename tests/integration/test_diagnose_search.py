@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ffcomp.diagnose.diagnosis import Diagnosis, diagnose
-from ffcomp.diagnose.printer_problem import PrinterProblem
-from ffcomp.diagnose.result import result_of
-from ffcomp.diagnose.summary import summarise
+from ffcomp.diagnosis.diagnosis import Diagnosis, diagnose
+from ffcomp.diagnosis.printer_problem import PrinterProblem
+from ffcomp.diagnosis.result import result_of
+from ffcomp.diagnosis.summary import summarise
 from ffcomp.measurement.recording import Recording
 from models.effects.catalogue import with_effect
 from models.file import load_machine

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ffcomp.diagnose.diagnosis import Diagnosis, diagnose
-from ffcomp.diagnose.printer_problem import PrinterProblem
-from ffcomp.diagnose.result import better_file, result_of
+from ffcomp.diagnosis.diagnosis import Diagnosis, diagnose
+from ffcomp.diagnosis.printer_problem import PrinterProblem
+from ffcomp.diagnosis.result import better_file, result_of
 from ffcomp.measurement.recording import read_recording
 from models.effects.catalogue import with_effect
 from models.file import load_machine

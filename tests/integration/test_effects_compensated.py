@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ffcomp.compare.evaluation import Execution, contour
-from ffcomp.compare.methods import COMPENSATED, inversion
-from ffcomp.compare.sampling import Print, Sampling
+from ffcomp.comparison.evaluation import Execution, contour
+from ffcomp.comparison.methods import COMPENSATED, inversion
+from ffcomp.comparison.sampling import Print, Sampling
 from ffcomp.inverse import lq_preview as fast
 from ffcomp.inverse.model import GEOMETRY, InverseModel
 from ffcomp.inverse.settings import settings_for
-from ffcomp.simulate.playback import simulate_nozzles
+from ffcomp.simulation.playback import simulate_nozzles
 from models.arrays import constant
 from models.effects.catalogue import CATALOGUE, effects_of_printers, with_effect
 from models.file import load_machine

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from ffcomp.compensate.job import StepOutput
+from ffcomp.compensation.job import StepOutput
 from ffcomp.steps.archive import MotorSteps, read_steps
 from ffcomp.steps.sink import Board
 from models.file import load_machine

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ffcomp.compensate.job import StepOutput
-from ffcomp.compensate.result import Result
-from ffcomp.compensate.step_output import BEFORE_S
+from ffcomp.compensation.job import StepOutput
+from ffcomp.compensation.result import Result
+from ffcomp.compensation.step_output import BEFORE_S
 from ffcomp.errors import NothingToDo
 from ffcomp.planner.program import plan_program
 from ffcomp.steps.archive import read_events, read_steps
@@ -58,7 +58,7 @@ def test_compensated_steps_are_the_command(
     machine: Machine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error_s: float | None
 ) -> None:
     seen = []
-    from ffcomp.compensate import step_output as stepping
+    from ffcomp.compensation import step_output as stepping
 
     right = stepping.knot_pieces
 

@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 from ffcomp.errors import NothingToDo
 from ffcomp.planner.program import plan_program
-from ffcomp.simulate.command import Command
-from ffcomp.simulate.command_files import AT_REST_S, gcode_command, smoothed, staircase, steps_command
-from ffcomp.simulate.playback import ROW_S, play
-from ffcomp.simulate.simulation import Request, read_command, simulate_command
+from ffcomp.simulation.command import Command
+from ffcomp.simulation.command_files import AT_REST_S, gcode_command, smoothed, staircase, steps_command
+from ffcomp.simulation.playback import ROW_S, play
+from ffcomp.simulation.simulation import Request, read_command, simulate_command
 from ffcomp.steps.archive import MotorSteps, StepsError, is_step_archive, read_steps
 from ffcomp.steps.crossings import trajectory_pieces
 from ffcomp.steps.sink import Board, StepSink

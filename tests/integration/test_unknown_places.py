@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import pytest
 
-from ffcomp.compensate.job import Job, Options
+from ffcomp.compensation.job import Job, Options
 from gcode.embedded import OURS, original
 from models.file import load_machine
 from models.machine import Machine

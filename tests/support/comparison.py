@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from ffcomp.compare.evaluation import by, contour_numbers
-from ffcomp.compare.result import (
+from ffcomp.comparison.evaluation import by, contour_numbers
+from ffcomp.comparison.result import (
     BedMap,
     Comparison,
     EqualQuality,

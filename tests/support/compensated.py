@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from ffcomp.compensate.job import Job, Options
-from ffcomp.compensate.result import Result
+from ffcomp.compensation.job import Job, Options
+from ffcomp.compensation.result import Result
 from models.machine import Machine
 
 

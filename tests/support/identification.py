@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ffcomp.identify.predict import predicted
+from ffcomp.identification.predict import predicted
 from ffcomp.measurement.frf import FrequencyResponse
 from models.machine import Machine
 

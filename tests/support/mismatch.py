@@ -5,14 +5,14 @@ from __future__ import annotations
 from functools import cache
 from unittest.mock import patch
 
-from ffcomp.compare import methods as every
-from ffcomp.compare.baselines import resonance_tests, shaped_by_position
-from ffcomp.compare.evaluation import Stages
-from ffcomp.compare.methods import TunedMethod
-from ffcomp.compare.monte_carlo import ON_PLANTS, TUNING_ON_PLANTS, draw_plants, with_spread
-from ffcomp.compare.result import Spread
-from ffcomp.compare.sampling import Print, Sampling
-from ffcomp.compensate.batch import workers
+from ffcomp.comparison import methods as every
+from ffcomp.comparison.baselines import resonance_tests, shaped_by_position
+from ffcomp.comparison.evaluation import Stages
+from ffcomp.comparison.methods import TunedMethod
+from ffcomp.comparison.monte_carlo import ON_PLANTS, TUNING_ON_PLANTS, draw_plants, with_spread
+from ffcomp.comparison.result import Spread
+from ffcomp.comparison.sampling import Print, Sampling
+from ffcomp.compensation.batch import workers
 from ffcomp.inverse.settings import settings_for
 from models.file import load_machine
 from tests.support.comparison import method
@@ -46,6 +46,6 @@ def study(jobs: int = 1, scheduler: str = "") -> tuple[dict[str, tuple[Spread | 
     methods = {each.name: method(each.name, each.label, each.family, 1.0) for each in tuned()}
     methods["mzv"] = method("mzv", "MZV", "best fixed", 1.0)
     plants = draw_plants(MACHINE, 0.1, SEEDS)
-    with patch("ffcomp.compare.monte_carlo.LANES", 2), workers(jobs, scheduler) as at_once:
+    with patch("ffcomp.comparison.monte_carlo.LANES", 2), workers(jobs, scheduler) as at_once:
         found = with_spread(methods, tuned(), "mzv", slices, slices, plants, at_once, progress)
     return {name: (each.spread, each.retuned) for name, each in found.items()}, told

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ffcomp.compare.result import Family, Party, Piece, Quickest, TimedMethod
+from ffcomp.comparison.result import Family, Party, Piece, Quickest, TimedMethod
 
 
 def made_up_quickest(path: str = "print.gcode") -> Quickest:

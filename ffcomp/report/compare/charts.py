@@ -14,7 +14,7 @@ from matplotlib.patches import Circle, Patch, Rectangle
 from matplotlib.ticker import MaxNLocator
 from scipy.ndimage import distance_transform_edt
 
-from ffcomp.compare.result import Comparison, EqualQuality, Family, Method, Spread
+from ffcomp.comparison.result import Comparison, EqualQuality, Family, Method, Spread
 from ffcomp.report.compare.samples import HIGHEST_HZ, resonance_band, spectrum
 from ffcomp.report.compare.words import (
     FAMILY_NAMES,

@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure, SubFigure
 from numpy.typing import NDArray
 
-from ffcomp.compare.result import Comparison, Method, Samples
+from ffcomp.comparison.result import Comparison, Method, Samples
 from ffcomp.report.compare.charts import colour_of
 from ffcomp.report.compare.words import clipped, nick, shown, um
 from ffcomp.report.drawing import NEIGHBOUR, REFERENCE, grid, plain_decades

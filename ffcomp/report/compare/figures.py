@@ -10,7 +10,7 @@ import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 
-from ffcomp.compare.result import Comparison
+from ffcomp.comparison.result import Comparison
 from ffcomp.report.compare import charts
 from ffcomp.report.compare.charts import comparison_band
 from ffcomp.report.compare.close_up import Position, draw_places, worst_positions

@@ -16,7 +16,7 @@ from typing import Any
 import matplotlib
 from markupsafe import Markup
 
-from ffcomp.compare.result import Comparison, EqualQuality, Family, Method, Spread
+from ffcomp.comparison.result import Comparison, EqualQuality, Family, Method, Spread
 from ffcomp.report.compare.charts import colour_of
 from ffcomp.report.compare.figures import HOW_TO_READ, close_ups, drawings, panels
 from ffcomp.report.compare.samples import FEATURES, LOWEST_UM, packed, thinned_out

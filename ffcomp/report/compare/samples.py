@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import welch
 
-from ffcomp.compare.result import Comparison, Method, Outline, Samples
+from ffcomp.comparison.result import Comparison, Method, Outline, Samples
 from ffcomp.metrics import offset_from_path
 from ffcomp.report.compare.words import feature_errors, layer_errors, nick, rms_um, shown
 from models.arrays import BoolArray, FloatArray, IntArray

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ffcomp.compare.result import Comparison, EqualQuality, Method
+from ffcomp.comparison.result import Comparison, EqualQuality, Method
 from ffcomp.report.compare.words import (
     acceleration,
     contour_p99_um,

@@ -8,8 +8,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from ffcomp.compare.evaluation import contour_numbers
-from ffcomp.compare.result import Comparison, Error, Family, Method
+from ffcomp.comparison.evaluation import contour_numbers
+from ffcomp.comparison.result import Comparison, Error, Family, Method
 from ffcomp.metrics import Track
 from gcode.layers import is_outer_wall
 from models.arrays import IntArray

@@ -11,8 +11,8 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Circle
 from matplotlib.ticker import NullLocator
 
-from ffcomp.diagnose.acceptance import HeldOut
-from ffcomp.diagnose.summary import Confounding, DiagnosisSummary, Overlay, Spectrum, Split
+from ffcomp.diagnosis.acceptance import HeldOut
+from ffcomp.diagnosis.summary import Confounding, DiagnosisSummary, Overlay, Spectrum, Split
 from ffcomp.report.diagnose.sentences import stands_out
 from ffcomp.report.diagnose.words import digits, times, times_noise
 from ffcomp.report.drawing import (

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from ffcomp.diagnose.sentences import finding_of, what_to_do
-from ffcomp.diagnose.summary import DiagnosisSummary
+from ffcomp.diagnosis.sentences import finding_of, what_to_do
+from ffcomp.diagnosis.summary import DiagnosisSummary
 from ffcomp.report.diagnose import figures
 from ffcomp.report.diagnose.sentences import ReportInput, verdict
 from ffcomp.report.diagnose.tables import (

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ffcomp.diagnose.next_experiment import Proposal
-from ffcomp.diagnose.result import DiagnosisResult
-from ffcomp.diagnose.sentences import (
+from ffcomp.diagnosis.next_experiment import Proposal
+from ffcomp.diagnosis.result import DiagnosisResult
+from ffcomp.diagnosis.sentences import (
     elsewhere,
     file_off,
     finding_of,
@@ -18,7 +18,7 @@ from ffcomp.diagnose.sentences import (
     summary_sentences,
     unproven_places,
 )
-from ffcomp.diagnose.summary import DiagnosisSummary, Split
+from ffcomp.diagnosis.summary import DiagnosisSummary, Split
 from ffcomp.report.diagnose.tables import in_words
 from ffcomp.report.diagnose.words import evidence, joined, most_of, percent, times, times_noise, title
 

@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from ffcomp.diagnose.acceptance import HeldOut
-from ffcomp.diagnose.result import DiagnosisResult
-from ffcomp.diagnose.summary import DiagnosisSummary
-from ffcomp.identify.uncertainty import Estimate
+from ffcomp.diagnosis.acceptance import HeldOut
+from ffcomp.diagnosis.result import DiagnosisResult
+from ffcomp.diagnosis.summary import DiagnosisSummary
+from ffcomp.identification.uncertainty import Estimate
 from ffcomp.report.diagnose.words import (
     INFINITELY,
     digits,

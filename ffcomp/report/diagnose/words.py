@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from ffcomp.diagnose.words import digits as digits
-from ffcomp.diagnose.words import joined as joined
-from ffcomp.diagnose.words import most_of as most_of
-from ffcomp.diagnose.words import percent as percent
-from ffcomp.identify.uncertainty import Estimate
+from ffcomp.diagnosis.words import digits as digits
+from ffcomp.diagnosis.words import joined as joined
+from ffcomp.diagnosis.words import most_of as most_of
+from ffcomp.diagnosis.words import percent as percent
+from ffcomp.identification.uncertainty import Estimate
 from models.effects.catalogue import CATALOGUE
 
 INFINITELY = 1e6  # beyond that nobody wants the digits

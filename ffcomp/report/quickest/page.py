@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 
-from ffcomp.compare.quickest_plans import TRAVEL
-from ffcomp.compare.result import Piece, Quickest, TimedMethod
+from ffcomp.comparison.quickest_plans import TRAVEL
+from ffcomp.comparison.result import Piece, Quickest, TimedMethod
 from ffcomp.faster.bound import LIMITS
 from ffcomp.report.compare.words import clipped, duration, outer_first
 from ffcomp.report.drawing import AFTER, BEFORE, BEYOND, ON_DARK, SHAPER, SOFT, Box, Drawing, grid, panel

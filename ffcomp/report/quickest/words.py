@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ffcomp.compare.result import Quickest, TimedMethod
+from ffcomp.comparison.result import Quickest, TimedMethod
 from ffcomp.faster.bound import limits_in_words
 from ffcomp.report.compare.words import duration
 

@@ -42,18 +42,6 @@ def test_every_name_is_a_documented_function(name: str) -> None:
     assert name in dir(ffcomp)
 
 
-@pytest.mark.parametrize(
-    "first",
-    ["import ffcomp.compensate.batch", "from ffcomp.compensate import batch", "import ffcomp", "import ffcomp.api"],
-)
-def test_a_verb_is_a_function_and_a_folder_in_any_order(first: str) -> None:
-    code = (
-        f"{first}\nimport ffcomp, ffcomp.compensate.batch as b\nfrom ffcomp import compensate\n"
-        "print(callable(compensate), callable(ffcomp.compensate), b is ffcomp.compensate.batch)"
-    )
-    assert python(code) == "True True True"
-
-
 def test_an_unknown_name_is_an_attribute_error() -> None:
     with pytest.raises(AttributeError, match="nothing_of_the_kind"):
         _ = ffcomp.nothing_of_the_kind  # type: ignore[attr-defined]

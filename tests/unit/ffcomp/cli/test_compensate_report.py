@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from ffcomp.cli.compensate import NO_GAIN, faster_line
-from ffcomp.compensate.result import QuickerPrint
+from ffcomp.compensation.result import QuickerPrint
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ import sys
 import pytest
 
 from ffcomp.cli.search_progress import SearchProgress
-from ffcomp.diagnose.diagnosis import USUAL_S
+from ffcomp.diagnosis.diagnosis import USUAL_S
 from ffcomp.numerics.stages import Now, Pace, Stage
 
 SAID = (Stage(3, "screening 21 effects"), Now("fitting effector_mass"), "effector_mass: 1.2 times the noise")

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from ffcomp.compare.sampling import Print, Sampling
-from ffcomp.compensate.solve import solutions
+from ffcomp.comparison.sampling import Print, Sampling
+from ffcomp.compensation.solve import solutions
 from ffcomp.inverse.model import InverseModel, Iterate
 from ffcomp.inverse.nonlinear import FrictionBacklash, guide_friction
 from ffcomp.inverse.reference import Reference

@@ -9,8 +9,8 @@ from unittest.mock import patch
 import numpy as np
 import pytest
 
-from ffcomp.compare.sampling import Print, PrintSlice, Sampling
-from ffcomp.compensate.solve import SolvedSection, solutions
+from ffcomp.comparison.sampling import Print, PrintSlice, Sampling
+from ffcomp.compensation.solve import SolvedSection, solutions
 from ffcomp.inverse import nonlinear
 from ffcomp.inverse.command_limits import peak_utilisation
 from ffcomp.inverse.model import InverseModel

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from ffcomp.compare.evaluation import Execution, contour
-from ffcomp.compare.methods import COMPENSATED, ROBUST, inversion
-from ffcomp.compare.monte_carlo import draw_plants
-from ffcomp.compare.sampling import Print, Sampling
+from ffcomp.comparison.evaluation import Execution, contour
+from ffcomp.comparison.methods import COMPENSATED, ROBUST, inversion
+from ffcomp.comparison.monte_carlo import draw_plants
+from ffcomp.comparison.sampling import Print, Sampling
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.robust import (
     TANGENT_WEIGHT,
@@ -24,7 +24,7 @@ from ffcomp.inverse.robust import (
 from ffcomp.inverse.sensitivity import FULL, SPANS, Response, sampled_machines
 from ffcomp.inverse.settings import settings_for
 from ffcomp.metrics import contour_error
-from ffcomp.simulate.playback import simulate_nozzles
+from ffcomp.simulation.playback import simulate_nozzles
 from models.file import load_machine
 from models.machine import Machine, value_of
 from tests.support.prints import squares

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from ffcomp.diagnose.gap import measure_gap
+from ffcomp.diagnosis.gap import measure_gap
 from ffcomp.record.join import join_captures
 from ffcomp.record.moves import Request, make_plan
 from ffcomp.record.plan import Plan

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from ffcomp.errors import LimitsError, MeasurementError
-from ffcomp.identify.load import gather
+from ffcomp.identification.load import gather
 from ffcomp.planner.limits import PlannerLimits
 from ffcomp.planner.lookahead import plan_moves, stops_and_waits
 from ffcomp.record.gcode_writer import DEFAULT_CHIPS, RESTORE, Firmware, gcode_lines

@@ -14,13 +14,13 @@ import numpy as np
 import pytest
 
 from ffcomp.cli.app import app
-from ffcomp.diagnose import problems, verb
-from ffcomp.diagnose.gap import ResidualSize
-from ffcomp.diagnose.next_experiment import Proposal
-from ffcomp.diagnose.printer_problem import PrinterProblem
-from ffcomp.diagnose.result import DiagnosisResult, Gap
-from ffcomp.diagnose.summary import DiagnosisSummary, Split
-from ffcomp.identify.uncertainty import Estimate, normal
+from ffcomp.diagnosis import problems, verb
+from ffcomp.diagnosis.gap import ResidualSize
+from ffcomp.diagnosis.next_experiment import Proposal
+from ffcomp.diagnosis.printer_problem import PrinterProblem
+from ffcomp.diagnosis.result import DiagnosisResult, Gap
+from ffcomp.diagnosis.summary import DiagnosisSummary, Split
+from ffcomp.identification.uncertainty import Estimate, normal
 from ffcomp.report.diagnose import page as pages
 from ffcomp.report.diagnose import words
 from ffcomp.report.diagnose.page import page
@@ -138,7 +138,7 @@ def found_already(plain: Case, monkeypatch: pytest.MonkeyPatch) -> None:
     """The verb without its search: the picture and the answer of a case that was searched before."""
     monkeypatch.setattr(verb, "diagnose", lambda *_: None)
     monkeypatch.setattr(verb, "result_of", lambda *_: plain.told.result)
-    monkeypatch.setattr("ffcomp.diagnose.summary.summarise", lambda *_: plain.told.summary)
+    monkeypatch.setattr("ffcomp.diagnosis.summary.summarise", lambda *_: plain.told.summary)
     monkeypatch.setattr(verb, "propose", lambda *_: [PROPOSAL])
     monkeypatch.setattr(verb, "separations", lambda *_: [])
 

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from ffcomp.cli.app import app
-from ffcomp.identify.frf_study import View, study, verdict, view_of
-from ffcomp.identify.predict import predicted
+from ffcomp.identification.frf_study import View, study, verdict, view_of
+from ffcomp.identification.predict import predicted
 from ffcomp.measurement.frf import FrequencyResponse
 from ffcomp.measurement.frf_files import write_frf
 from ffcomp.report.model import _spread, draw_bode, draw_map, map_verdict

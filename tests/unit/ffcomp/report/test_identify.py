@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from ffcomp.identify.direct import Identified
-from ffcomp.identify.predict import predicted
+from ffcomp.identification.direct import Identified
+from ffcomp.identification.predict import predicted
 from ffcomp.measurement.frf import FrequencyResponse
 from ffcomp.report.identify import fit_figure
 from ffcomp.report.model import effort_verdict

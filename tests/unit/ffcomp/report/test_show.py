@@ -10,7 +10,7 @@ import pytest
 from ffcomp.cli.show import open_picture
 from ffcomp.report.drawing import ERROR, NEIGHBOUR
 from ffcomp.report.show import show_figure
-from ffcomp.simulate.preview import Curve, Preview
+from ffcomp.simulation.preview import Curve, Preview
 
 COUNT = 400  # samples of each kind: an outer wall, infill, travel
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from ffcomp.report.show import retimed, show_figure
-from ffcomp.simulate.preview import Curve, Preview
+from ffcomp.simulation.preview import Curve, Preview
 
 
 def drawn(seconds: float) -> Curve:

@@ -1,0 +1,362 @@
+"""The whole comparison, on one page: a print, the machine file that every method uses, and the plant that evaluates.
+
+slices      compare.sampling      the parts of the print that are evaluated
+methods     compare.methods       every method, tuned as well as it can be
+executed    simulate.playback     each command on the simulated printer
+evaluated   compare.evaluation    against the reference path
+spread      compare.monte_carlo   again, on Monte-Carlo plants
+quality     compare.equal_quality how fast each method may go for the same quality
+"""
+
+from __future__ import annotations
+
+import hashlib
+import time
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+
+import numpy as np
+
+from ffcomp.comparison import methods as every
+from ffcomp.comparison.baselines import VARIANT_NAMES, LinearPrinter, VariantTuner, resonance_tests
+from ffcomp.comparison.equal_quality import QUALITY, equal_qualities, within_limits
+from ffcomp.comparison.evaluation import (
+    SAMPLE_S,
+    Execution,
+    MethodEvaluation,
+    Piece,
+    Progress,
+    Stages,
+    by,
+    evaluate,
+    execute,
+    in_parallel,
+    track,
+)
+from ffcomp.comparison.methods import COMPENSATED, TunedMethod
+from ffcomp.comparison.monte_carlo import ON_PLANTS, TUNING_ON_PLANTS, draw_plants, with_spread
+from ffcomp.comparison.result import BedMap, Comparison, Layer, Method, Outline, Party, Peaks
+from ffcomp.comparison.sampling import SETTLE_S, Print, PrintSlice, Sampling
+from ffcomp.compensation.job import Job, Options
+from ffcomp.compensation.prediction import READ_AGAIN_S, read_again
+from ffcomp.errors import NothingToDo
+from ffcomp.inverse.robust import choose_robust
+from ffcomp.inverse.settings import Settings, settings_for
+from ffcomp.metrics import Track
+from ffcomp.simulation.playback import ROW_S, check_same_kinematics
+from ffcomp.version import __version__
+from models.effects.catalogue import design_machine
+from models.machine import Machine
+
+SHORTEST_S = 3 * SETTLE_S
+ON_PLANTS_S = 60.0  # of print time that is executed on every Monte-Carlo plant
+TUNING_S, TUNING_PIECE_S = 30.0, 5.0  # on which shapers are tuned and accelerations tried
+BED_PITCH_MM = 10.0
+ALL = "all"  # alone: every method that there is
+TUNING, PLANNING, PRINTING = "tuning every method", "planning with every method", "printing with every method"
+
+
+@dataclass(frozen=True, slots=True)
+class Request:
+    """Options of a comparison."""
+
+    sampling: Sampling = field(default_factory=Sampling)
+    mismatch: float = 0.0  # relative standard deviation of the Monte-Carlo plants' parameters
+    seeds: int = 0  # number of Monte-Carlo plants
+    quality_bound_um: float = 25.0  # 0: equal quality is not sought
+    only: tuple[str, ...] = ()  # of `methods.NAMES`; none and the compensated print are always evaluated
+    predict: bool = True  # the whole print by the design model, if it is short
+
+
+def compare(
+    data: bytes,
+    path: str,
+    machine: Machine,
+    plant: Machine | None = None,
+    request: Request | None = None,
+    *,
+    settings: Settings | None = None,
+    offset: tuple[float, float] = (0.0, 0.0),
+    flavor: str = "",
+    jobs: int = 1,
+    progress: Progress = lambda what, done: None,
+) -> Comparison:
+    """Evaluate every method on one print. With several jobs call it within `compensate.batch.workers`.
+
+    Parameters
+    ----------
+    data, path : the G-code file and its name
+    machine : the machine file that the methods use
+    plant : the printer that evaluates; None: the machine itself
+    settings : of the inverse
+    offset : (float, float), added to every position, mm
+    flavor : "" for what the machine file says, or else the file
+    jobs : processes that share the Monte-Carlo plants; the numbers are the same
+    progress : called with the current step and the share of it that is done
+
+    Raises
+    ------
+    NothingToDo: If the chosen part is too short.
+    MachineFileError: If the plant's kinematics are not the machine's.
+    """
+    started = time.perf_counter()
+    request, plant, settings = request or Request(), plant or machine, settings or settings_for(machine)
+    check_same_kinematics(machine, plant)
+    printed = Print(data, path, machine, offset, flavor)
+    slices, sampled = printed.slices(request.sampling)
+    if max(each.trajectory.end_t for each in slices) < SHORTEST_S:
+        raise NothingToDo(f"{path}: the part to be evaluated lasts less than {SHORTEST_S:g} s: nothing to compare.")
+    plant_slices, _ = printed.slices(request.sampling, at_most_s=ON_PLANTS_S)
+    tuning_slices, _ = printed.slices(request.sampling, TUNING_PIECE_S, TUNING_S)
+    if max(each.trajectory.end_t for each in tuning_slices) < SHORTEST_S:
+        tuning_slices = slices  # in small pieces of a short print nothing is left but their beginnings
+    choice = choose_robust(machine, settings)
+    written_method = every.ROBUST if choice.robust else COMPENSATED
+    chosen = {*names(request), written_method}
+    progress = Stages(progress, _stages(request, len(chosen)))
+    tuned = [_named(each, written_method) for each in _tuned(machine, plant, tuning_slices, settings, chosen, progress)]
+    written = replace(settings, robust=choice.robust)
+    predicted = _predicted(data, path, machine, written, printed) if request.predict else {}
+    executed = _executed(tuned, slices, plant, progress)
+    evaluated = {method.name: _method(method, executed[method.name], printed.labels.features) for method in tuned}
+    best = _best_fixed(evaluated)
+    if request.seeds:
+        plants = draw_plants(plant, request.mismatch, request.seeds)
+        evaluated = with_spread(evaluated, tuned, best, plant_slices, tuning_slices, plants, jobs, progress)
+    if request.quality_bound_um:
+        p99 = {name: method.track.contour_p99_um for name, method in evaluated.items()}
+        quality = equal_qualities(tuned, printed, plant, tuning_slices, request.quality_bound_um, p99, progress)
+        evaluated = {name: replace(method, equal_quality=quality[name]) for name, method in evaluated.items()}
+    return Comparison(
+        print_name=path,
+        print_sha256=hashlib.sha256(data).hexdigest(),
+        print_time_s=printed.print_time_s,
+        layers_total=printed.labels.layers,
+        sampling=sampled,
+        machine=Party.of(machine),
+        plant=Party.of(plant),
+        mismatch=_mismatch(plant, request),
+        settings=_settings(settings),
+        version=__version__,
+        layers=_layers(printed, evaluated[written_method]),
+        features=printed.labels.features,
+        methods=evaluated,
+        best_fixed=best,
+        compensated=written_method,
+        sample_s=SAMPLE_S,
+        bed=_bed(plant),
+        limits={
+            "carriage_velocity_mm_per_s": machine.limits.carriage_velocity_mm_per_s,
+            "carriage_acceleration_mm_per_s2": machine.limits.carriage_acceleration_mm_per_s2,
+        },
+        quality_bound_um=request.quality_bound_um,
+        seconds=time.perf_counter() - started,
+        acceleration_mm_per_s2=printed.acceleration_mm_per_s2,
+        whole=len(slices) == 1 and slices[0].planned is printed.planned,
+        outline=_outline(printed),
+        predicted=predicted,
+        robust=choice,
+    )
+
+
+def names(request: Request) -> Collection[str]:
+    """Return the names of the methods to compare.
+
+    Raises
+    ------
+    ValueError: For a name that no method has, or if there is no best fixed shaper to compare with.
+    """
+    unknown = [name for name in request.only if name not in every.NAMES and request.only != (ALL,)]
+    if unknown:
+        raise ValueError(f"No method is named {unknown[0]!r}; there are {', '.join(every.NAMES)}.")
+    if request.only == (ALL,):
+        return every.NAMES
+    if request.only and not set(request.only) & {*every.KINDS, *VARIANT_NAMES}:
+        raise ValueError(f"Name at least one shaper to compare with: {', '.join(every.KINDS)}.")
+    return {"none", COMPENSATED, *request.only} if request.only else every.USUAL_NAMES
+
+
+def _stages(request: Request, methods: int) -> dict[str, float]:
+    seconds = {TUNING: 0.9 * methods, PLANNING: 0.25 * methods, PRINTING: 0.72 * methods}
+    if request.seeds:
+        seconds |= {ON_PLANTS: 0.2 * methods * request.seeds, TUNING_ON_PLANTS: 3.5 * request.seeds}
+    if request.quality_bound_um:
+        seconds[QUALITY] = 0.76 * methods
+    return seconds
+
+
+# ---- the methods ---------------------------------------------------------------------------------
+
+
+def _tuned(
+    machine: Machine,
+    plant: Machine,
+    tuning_slices: Sequence[PrintSlice],
+    settings: Settings,
+    names: Collection[str],
+    progress: Progress,
+) -> list[TunedMethod]:
+    """Tune the methods; the searches share the processors."""
+    linear, of_place = LinearPrinter(plant, tuning_slices), every.mode_frequencies(plant)
+    tuner = VariantTuner(machine, plant, linear) if any(map(every.is_variant, names)) else None
+    tests = resonance_tests(plant) if any(name.endswith(every.CALIBRATED) for name in names) else []
+
+    def method(name: str) -> TunedMethod:
+        if tuner is not None and every.is_variant(name):
+            return every.variant(tuner, machine, name)
+        kind = name.removesuffix(every.CALIBRATED).removesuffix(every.SCHEDULED)
+        if name == "none":
+            return every.none()
+        if name in (every.ONE_MODEL, every.ROBUST, COMPENSATED):
+            return every.inversion(machine, settings, name)
+        if name.endswith(every.CALIBRATED):
+            return every.calibrated(tests, kind)
+        if name.endswith(every.SCHEDULED):
+            return every.scheduled(linear, of_place, kind)
+        return every.best_fixed(linear, kind)
+
+    return in_parallel([partial(method, name) for name in every.NAMES if name in names], TUNING, progress)
+
+
+def _named(method: TunedMethod, written: str) -> TunedMethod:
+    if method.name == written:
+        return replace(method, label="ffcomp")
+    return replace(method, label=every.PLAIN_LABEL) if method.name == COMPENSATED else method
+
+
+@dataclass(frozen=True, eq=False)
+class _Executed:
+    executions: list[Execution]
+    peaks: Peaks
+    print_time_s: float
+    warnings: tuple[str, ...]
+
+
+def _executed(
+    tuned: Sequence[TunedMethod], slices: Sequence[PrintSlice], plant: Machine, progress: Progress
+) -> dict[str, _Executed]:
+    tasks = [partial(_commanded, method, slices) for method in tuned]
+    commanded = in_parallel(tasks, PLANNING, progress)
+    pieces = [piece for each in commanded for piece in each.pieces]
+    executions, count = execute(plant, pieces, PRINTING, progress), len(slices)
+    return {
+        method.name: _Executed(executions[k * count : (k + 1) * count], *each.about)
+        for k, (method, each) in enumerate(zip(tuned, commanded, strict=True))
+    }
+
+
+@dataclass(frozen=True, eq=False)
+class _Commanded:
+    pieces: list[Piece]
+    about: tuple[Peaks, float, tuple[str, ...]]  # the print time, s, and warnings
+
+
+def _commanded(method: TunedMethod, slices: Sequence[PrintSlice]) -> _Commanded:
+    pieces, peaks, statistics = [], [], []
+    for print_slice in slices:
+        motion, numbers = method.motion(print_slice)
+        pieces.append((print_slice, motion))
+        peaks.append(motion.peaks(print_slice.machine))
+        statistics.append(numbers)
+    velocity, acceleration = (float(most) for most in np.max(peaks, axis=0))
+    within = within_limits(velocity, acceleration, slices[0].machine)
+    longer = sum(s.print_time_s - s.original_print_time_s for s in statistics if s is not None)
+    seconds = sum(each.trajectory.end_t for each in slices) + longer
+    warnings = tuple(sentence for each in statistics if each is not None for sentence in each.warnings)
+    return _Commanded(pieces, (Peaks(velocity, acceleration, within), seconds, warnings))
+
+
+def _method(method: TunedMethod, executed: _Executed, features: Sequence[str]) -> Method:
+    evaluation: MethodEvaluation = evaluate(executed.executions)
+    s, peak = evaluation.samples, executed.peaks.acceleration_mm_per_s2
+    everywhere = np.ones(len(s.due), dtype=np.bool_)
+    return Method(
+        name=method.name,
+        label=method.label,
+        family=method.family,
+        tuning=method.tuning,
+        track=track(evaluation, everywhere, executed.print_time_s, peak),
+        extruding=track(evaluation, s.extruding, executed.print_time_s, peak),
+        by_layer=by(s.layer, s),
+        by_feature={features[k]: error for k, error in by(s.feature, s).items()},
+        residual_rms_um=evaluation.residual_rms_um,
+        peaks=executed.peaks,
+        samples=s,
+        warnings=executed.warnings,
+    )
+
+
+def _best_fixed(methods: Mapping[str, Method]) -> str:
+    """Return the fixed shaper with the least contour rms where plastic flows, or everywhere if it flows nowhere."""
+    flows = any(method.samples.extruding.any() for method in methods.values())
+    fixed = [method for method in methods.values() if method.family == "best fixed"]
+    return min(fixed, key=lambda m: (m.extruding if flows else m.track).contour_rms_um).name
+
+
+# ---- what was compared -----------------------------------------------------------------------
+
+
+def _mismatch(plant: Machine, request: Request) -> str:
+    if not request.seeds:
+        return ""
+    return (
+        f"{request.seeds} plants whose {len(plant.vibration.parameters())} dynamic parameters (masses, stiffnesses, "
+        f"dampings, drive) are each off by a normal draw with a standard deviation of {request.mismatch:.0%} "
+        f"(seeds 0 to {request.seeds - 1}); every method keeps its tuning; {ON_PLANTS_S:.0f} s of the print on each."
+    )
+
+
+def _settings(settings: Settings) -> dict[str, str]:
+    return {
+        "segments per second, at most": f"{1 / settings.segment_s:.0f}",
+        "bandwidth of the inversion": f"{settings.bandwidth_hz:.0f} Hz",
+        "virtual printer": f"Runge-Kutta, {1 / ROW_S:.0f} steps a second or more, with gravity; static deflection "
+        "taken out",
+        "judged": f"{1 / SAMPLE_S:.0f} times a second, but for the first {SETTLE_S:g} s of each slice",
+        "shapers tuned on": f"{TUNING_S:.0f} s of the print, contour rms, plant known",
+    }
+
+
+def _predicted(data: bytes, path: str, machine: Machine, settings: Settings, printed: Print) -> dict[str, Track]:
+    """Predict the whole print as `compensate` does, and `show`; nothing of what they would predict in another way."""
+    if printed.print_time_s > READ_AGAIN_S or design_machine(machine)[1]:
+        return {}
+    options = Options(offset=printed.offset, flavor=printed.flavor, settings=settings, predict=False)
+    written = b"".join(Job(data, path, machine, options).lines())
+    return read_again(written, path, machine, printed.offset, printed.flavor)
+
+
+def _layers(printed: Print, method: Method) -> tuple[Layer, ...]:
+    s, moves = method.samples, printed.program.moves
+    begins, ends = (
+        printed.planned.trajectory.start_t,
+        printed.planned.trajectory.start_t + printed.planned.trajectory.duration,
+    )
+    layers = []
+    for number in sorted(method.by_layer):
+        moves_of_layer = np.flatnonzero(printed.labels.layer == number)
+        z = float(np.median(s.reference[s.layer == number, 2])) if len(moves) else 0.0
+        layers.append(Layer(number, z, float(begins[moves_of_layer[0]]), float(ends[moves_of_layer[-1]])))
+    return tuple(layers)
+
+
+def _outline(printed: Print) -> Outline:
+    moves, kinds = printed.program.moves, printed.labels
+    extruding = np.flatnonzero(printed.extrudes)
+    return Outline(
+        moves.start[extruding, :3], moves.end[extruding, :3], kinds.layer[extruding], kinds.feature[extruding]
+    )
+
+
+def _bed(plant: Machine) -> BedMap:
+    rim = plant.kinematics.rings(1, 72)
+    x, y = (
+        np.linspace(low, high, 2 * int(np.ceil((high - low) / 2 / BED_PITCH_MM)) + 1)
+        for low, high in zip(rim.min(axis=0).tolist(), rim.max(axis=0).tolist(), strict=True)
+    )
+    places = np.stack(np.meshgrid(x, y), axis=-1)
+    frequency = every.mode_frequencies(plant)(places.reshape(-1, 2)).reshape(places.shape)
+    inside = plant.kinematics.contains(places.reshape(-1, 2), 1e-3 * plant.kinematics.bed_radius_mm)
+    frequency[~inside.reshape(frequency.shape[:2])] = np.nan
+    return BedMap(x, y, frequency)

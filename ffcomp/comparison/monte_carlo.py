@@ -1,0 +1,114 @@
+"""Every method, as it was tuned, on Monte-Carlo plants: printers whose parameters are all a little off.
+
+A task is one method on LANES plants, in one thread: its numbers do not depend on who computes it. Methods hold what
+cannot be sent cheaply, so each commands its slices here, once; what is sent is the commanded motions.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
+from itertools import chain
+
+import numpy as np
+
+from ffcomp.comparison import methods as every
+from ffcomp.comparison.baselines import LinearPrinter, VariantTuner
+from ffcomp.comparison.evaluation import Execution, Piece, Progress, contour, in_parallel, in_processes, weights
+from ffcomp.comparison.methods import TunedMethod
+from ffcomp.comparison.result import Method, Spread
+from ffcomp.comparison.sampling import PrintSlice
+from ffcomp.metrics import rms
+from ffcomp.simulation.playback import simulate_nozzles
+from models.machine import Machine, with_values
+from models.printer.kernels.record import LANES
+
+TRUNCATION_SD = 2.5  # standard deviations; farther draws are drawn again
+
+
+def draw_plants(machine: Machine, relative_sd: float, seeds: int) -> list[Machine]:
+    """Draw machines whose dynamic parameters are all off, each by its own draw from a normal distribution.
+
+    Parameters
+    ----------
+    relative_sd : standard deviation of parameter / nominal
+    seeds : seed k gives machine k, independent of the number of seeds
+    """
+    parameters = machine.vibration.parameters()
+    plants = []
+    for seed in range(seeds):
+        rng = np.random.default_rng(seed)
+        off = rng.standard_normal(parameters.columns)
+        while np.any(far := np.abs(off) > TRUNCATION_SD):
+            off[far] = rng.standard_normal(int(far.sum()))
+        plants.append(with_values(machine, parameters.scaled(off, relative_sd)))
+    return plants
+
+
+ON_PLANTS, TUNING_ON_PLANTS = "printing on Monte-Carlo plants", "tuning shapers on Monte-Carlo plants"
+COMMANDED_SHARE = 0.2  # of the time on the plants, until the commands are known
+
+
+def with_spread(
+    methods: dict[str, Method],
+    tuned: Sequence[TunedMethod],
+    best: str,
+    slices: Sequence[PrintSlice],
+    few: Sequence[PrintSlice],
+    plants: Sequence[Machine],
+    jobs: int,
+    progress: Progress,
+) -> dict[str, Method]:
+    """Execute every method, as it was tuned, on the Monte-Carlo plants; tune the best fixed shaper anew on each too."""
+    with_plants = dict(methods)
+    for name, spread in _spreads(tuned, slices, plants, jobs, progress).items():
+        with_plants[name] = replace(methods[name], spread=spread)
+    tasks = [partial(_retuned, best, few[0].machine, each, few, slices) for each in plants]
+    retuned = tuple(in_processes(tasks, jobs, TUNING_ON_PLANTS, progress))
+    with_plants[best] = replace(with_plants[best], retuned=Spread(retuned))
+    return with_plants
+
+
+def _spreads(
+    tuned: Sequence[TunedMethod], slices: Sequence[PrintSlice], plants: Sequence[Machine], jobs: int, progress: Progress
+) -> dict[str, Spread]:
+    commanded = in_parallel(
+        [partial(_commanded, method, slices) for method in tuned],
+        ON_PLANTS,
+        lambda what, share: progress(what, COMMANDED_SHARE * share),
+    )
+    groups = [plants[k : k + LANES] for k in range(0, len(plants), LANES)]
+    tasks = [partial(_rms_on, group, pieces) for pieces in commanded for group in groups]
+    rest = 1 - COMMANDED_SHARE
+    each = in_processes(tasks, jobs, ON_PLANTS, lambda what, share: progress(what, COMMANDED_SHARE + rest * share))
+    count = len(groups)
+    return {
+        method.name: Spread(tuple(chain.from_iterable(each[k * count : (k + 1) * count])))
+        for k, method in enumerate(tuned)
+    }
+
+
+def _commanded(method: TunedMethod, slices: Sequence[PrintSlice]) -> list[Piece]:
+    return [(each, method.motion(each)[0]) for each in slices]
+
+
+def _rms_on(plants: Sequence[Machine], pieces: Sequence[Piece]) -> list[float]:
+    """Return the contour rms of one method's commands on every plant, at most LANES of them, µm."""
+    executed: list[list[Execution]] = [[] for _ in plants]
+    for print_slice, motion in pieces:
+        t, nozzles = simulate_nozzles(plants, motion, print_slice.machine, threads=1)
+        for each, nozzle in zip(executed, nozzles, strict=True):
+            each.append(Execution(print_slice, motion, t, nozzle))
+    return [rms(contour(each), weights(each)) * 1e3 for each in executed]
+
+
+def _retuned(
+    name: str, machine: Machine, plant: Machine, few: Sequence[PrintSlice], slices: Sequence[PrintSlice]
+) -> float:
+    linear = LinearPrinter(plant, few)
+    if every.is_variant(name):
+        method = every.variant(VariantTuner(machine, plant, linear), machine, name)
+    else:
+        method = every.best_fixed(linear, name)
+    return _rms_on([plant], _commanded(method, slices))[0]

@@ -1,0 +1,313 @@
+"""Split a print of any length into chunks of some minutes, each of which can be planned and compensated alone.
+
+Chunks are cut where the nozzle rests. A motion that does not rest for long, a vase in one spiral or a line that takes
+hours, is cut under way, at a knot: both chunks then hold the path around the cut, and each writes its own side of it.
+
+A chunk brings along what the ones before it leave behind: the moves of which the printer may still ring, and the limits
+in effect. So chunks can be compensated in parallel, and the result does not depend on how many are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, fields, replace
+
+import numpy as np
+
+from ffcomp.inverse.reference import LEAST_CONTEXT_S, WHOLE, Extent, context_s
+from ffcomp.inverse.settings import CUT
+from ffcomp.inverse.time_scaling import TimeScaling
+from ffcomp.planner.limits import lines_of
+from ffcomp.planner.lookahead import stops_and_waits
+from ffcomp.planner.trajectory import PathPosition, Trajectory
+from gcode.layers import UNNAMED, last_feature, layer_starts
+from gcode.program import Event, EventKind, Moves, Program, limits_in_effect
+from gcode.slicing import excerpt, join, shortened, split
+from models.arrays import FloatArray, IntArray
+
+PlanOf = Callable[[Program], Trajectory]
+Ease = Callable[
+    [Program, PathPosition, int], tuple[Moves, tuple[TimeScaling, ...]]
+]  # what is around a cut, cut, layers before
+
+REMEMBERED_S = 0.5  # of motion before a chunk: more than twice what the printer remembers
+LONGEST_S = 300.0  # of motion in a chunk
+MOST_MOVES = 50_000  # moves without a rest, before they are cut in motion
+CUT_CLEARANCE = 0.25  # knots around such a cut in which no line may have its place
+SHORTEST_S = 1.0  # of a move that is left when one is cut
+KNOT_ROUNDING = 1e-6  # of a segment
+
+
+@dataclass(frozen=True, slots=True)
+class Chunk:
+    """A program from rest to rest, or what is written of it."""
+
+    program: Program
+    before: Program | None = None  # the moves just before it, from a rest on; None: others have moved the nozzle
+    since: tuple[Event, ...] = ()  # the lines after these
+    limits: Mapping[bytes, bytes] = field(default_factory=dict)  # in effect where it begins (`gcode.program`)
+    layers: int = 0  # that have begun before it
+    last: bool = True
+    extent: Extent = WHOLE  # what is written of it
+    slowed: tuple[TimeScaling, ...] = ()  # what had to become slower before its end could be cut
+    cuts: int = 0  # in motion, before it
+    feature: str = UNNAMED  # what is printed when it begins
+
+
+def split_chunks(
+    parts: Iterable[Program],
+    segment_s: float,
+    lead_s: float,
+    plan_of: PlanOf,
+    longest_s: float = LONGEST_S,
+    ease: Ease | None = None,
+) -> Iterator[Chunk]:
+    """Split programs that follow each other anew; what is left of one goes together with the next.
+
+    Parameters
+    ----------
+    parts : a file's programs, in order
+    segment_s, lead_s : length of a segment, and time from a section's first knot to the beginning of its path, s
+    plan_of : returns the firmware's plan for a program
+    longest_s : motion without a rest, s, before it is cut; inf: never
+    ease : makes a motion slower, where that has to be, around the position where it is to be cut
+    """
+    settings = _Settings(segment_s, lead_s, longest_s, plan_of, ease)
+    ahead: _Ahead | None = None
+    for program in parts:
+        ahead = _Ahead(program) if ahead is None else replace(ahead, program=join(ahead.program, program))
+        if not len(ahead.program.moves):
+            continue
+        known = _Known.of(ahead, settings)
+        while (cut := known.first()) is not None:
+            chunk, known = cut
+            yield chunk
+        ahead = known.ahead
+    if ahead is not None:
+        yield ahead.chunk(ahead.program, last=True)
+
+
+def with_features(split: Iterable[Chunk]) -> Iterator[Chunk]:
+    """Tell each chunk what is printed when it begins, as the comments before it say."""
+    feature = UNNAMED
+    for chunk in split:
+        yield replace(chunk, feature=feature)
+        feature = last_feature(chunk.program) or feature
+
+
+@dataclass(frozen=True, slots=True)
+class _Settings:
+    """The arguments of `split_chunks`."""
+
+    segment_s: float
+    lead_s: float
+    longest_s: float
+    plan_of: PlanOf
+    ease: Ease | None
+
+
+@dataclass(frozen=True, slots=True)
+class _Ahead:
+    """What is not in a chunk yet, and what the chunks before it leave behind."""
+
+    program: Program
+    before: Program | None = None
+    since: tuple[Event, ...] = ()
+    limits: Mapping[bytes, bytes] = field(default_factory=dict)
+    layers: int = 0
+    begin: PathPosition | None = None
+    slowed: tuple[TimeScaling, ...] = ()
+    cuts: int = 0
+
+    def chunk(self, program: Program, last: bool = False, end: PathPosition | None = None) -> Chunk:
+        extent = Extent(self.begin, end)
+        return Chunk(
+            program,
+            before=self.before,
+            since=self.since,
+            limits=self.limits,
+            layers=self.layers,
+            last=last,
+            extent=extent,
+            slowed=self.slowed,
+            cuts=self.cuts,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class _Known:
+    """What is ahead, with its plan."""
+
+    ahead: _Ahead
+    plan: Trajectory  # of its moves; one that is cut begins as if it were whole
+    begin_t: float  # s, when the next chunk begins
+    settings: _Settings
+
+    @staticmethod
+    def of(ahead: _Ahead, settings: _Settings) -> _Known:
+        plan = settings.plan_of(ahead.program)
+        begin_t = float(plan.start_t[0]) - settings.lead_s if ahead.begin is None else ahead.begin.time_in(plan)
+        return _Known(ahead, plan, begin_t, settings)
+
+    def first(self) -> tuple[Chunk, _Known] | None:
+        """Return the next chunk, and what is left; None: what comes after must be known."""
+        rests = rests_of(self.ahead.program)
+        near = rests[self.plan.start_t[rests] <= self.begin_t + LONGEST_S]
+        if near.size:
+            return self._at_rest(int(near[-1]))
+        rest = int(rests[0]) if rests.size else None
+        latest_t = self._latest_t(rest)
+        if latest_t is not None and (knots := self._clear_cut(latest_t)):
+            return self._in_motion(knots, rest)
+        return None if rest is None else self._at_rest(rest)
+
+    def _latest_t(self, rest: int | None) -> float | None:
+        """Return when a motion that is too long for a chunk has to be cut, s; None: it is not.
+
+        rest : the move before which it ends; None: not in sight
+        """
+        longest_s, begin_t = self.settings.longest_s, self.begin_t
+        known_t = self.plan.end_t if rest is None else float(self.plan.start_t[rest - 1] + self.plan.duration[rest - 1])
+        many = rest is None and len(self.plan) > MOST_MOVES and longest_s < np.inf
+        if known_t <= begin_t + longest_s and not many:
+            return None
+        latest_t = 0.5 * (begin_t + known_t) if rest is not None else known_t - self._around_s
+        return min(begin_t + LONGEST_S, latest_t)
+
+    @property
+    def _around_s(self) -> float:
+        return context_s(self.ahead.program.moves, self.plan)
+
+    def _clear_cut(self, latest_t: float) -> int:
+        """Return after how many segments to cut, not later: far from the last cut and any line, in no wipe; 0: nowhere.
+
+        Filament that is pulled back is shared out over its whole way (`ffcomp/compensation/gcode_layout.py`).
+        """
+        segment_s, wipes = self.settings.segment_s, self.plan.direction[:, 3] < 0.0
+        at = (self.plan.start_t - self.begin_t) / segment_s
+        last = int((latest_t - self.begin_t) / segment_s + KNOT_ROUNDING) // CUT * CUT
+        for knots in range(last, int(2.0 * self._around_s / segment_s), -CUT):
+            i = int(np.searchsorted(at, knots))
+            if np.abs(at[max(i - 1, 0) : i + 1] - knots).min() > CUT_CLEARANCE and not wipes[max(i - 1, 0)]:
+                return knots
+        return 0
+
+    def _at_rest(self, move: int) -> tuple[Chunk, _Known]:
+        ahead, plan = self.ahead, _columns(self.plan, slice(move, None))
+        head, tail = split(ahead.program, move)
+        before = _remembered(head, _columns(self.plan, slice(0, move)))
+        layers = ahead.layers + len(layer_starts(head))
+        since = tuple(event for event in head.events if event.move == len(head.moves))
+        left = _Ahead(tail, before, since, limits_in_effect(head, ahead.limits), layers, cuts=ahead.cuts)
+        begin_t = float(plan.start_t[0]) - self.settings.lead_s
+        return ahead.chunk(head), _Known(left, plan, begin_t, self.settings)
+
+    def _in_motion(self, knots: int, rest: int | None) -> tuple[Chunk, _Known]:
+        """Cut after about so many segments; `rest` is the move before which the motion ends, if that is known."""
+        slowed = self._slowed(knots, rest)
+        if slowed is not None and (fewer := slowed._clear_cut(self._position(knots).time_in(slowed.plan))):
+            return slowed._in_motion(fewer, rest)
+        return self._cut(knots, rest)
+
+    def _t(self, knots: int) -> float:
+        return self.begin_t + knots * self.settings.segment_s
+
+    def _position(self, knots: int) -> PathPosition:
+        t = self._t(knots)
+        move = int(self.plan.move_at(t))
+        return PathPosition(move, _far(self.plan.position([t])[0], self.ahead.program.moves.start[move]))
+
+    def _cut(self, knots: int, rest: int | None) -> tuple[Chunk, _Known]:
+        ahead, plan, around = self.ahead, self.plan, self._around_s
+        t, place = self._t(knots), self._position(knots)
+        first, tail = _from(ahead.program, plan, t - around)
+        begin = PathPosition(place.move - first, _far(plan.position([t])[0], tail.moves.start[place.move - first]))
+        limits = limits_in_effect(excerpt(ahead.program, 0, place.move + 1), ahead.limits)
+        passed = layer_starts(excerpt(ahead.program, 0, first)) if first else []
+        tail = replace(tail, warnings=[])
+        left = _Ahead(tail, None, (), limits, ahead.layers + len(passed), begin, cuts=ahead.cuts + 1)
+        chunk = ahead.chunk(_until(ahead.program, plan, t + around, rest), end=place)
+        return chunk, _Known(left, _columns(plan, slice(first, None)), t, self.settings)
+
+    def _slowed(self, knots: int, rest: int | None) -> _Known | None:
+        """Slow it down around the position where it is to be cut; None: that need not be."""
+        ease, ahead, plan, t = self.settings.ease, self.ahead, self.plan, self._t(knots)
+        if ease is None:
+            return None
+        first, tail = _from(ahead.program, plan, t - self._around_s)
+        last = None if rest is None else rest - first
+        around = _until(tail, _columns(plan, slice(first, None)), t + self._around_s, last)
+        place = self._position(knots)
+        cut = PathPosition(place.move - first, _far(plan.position([t])[0], around.moves.start[place.move - first]))
+        passed = layer_starts(excerpt(ahead.program, 0, first)) if first else []
+        slower, records = ease(around, cut, ahead.layers + len(passed))
+        if not records:
+            return None
+        program = replace(ahead.program, moves=_with(ahead.program.moves, first, slower))
+        return _Known.of(replace(ahead, program=program, slowed=ahead.slowed + records), self.settings)
+
+
+def _with(moves: Moves, first: int, slower: Moves) -> Moves:
+    changed = {}
+    for name in ("speed", "acceleration", "square_corner_velocity"):
+        column = getattr(moves, name).copy()
+        column[first : first + len(slower)] = getattr(slower, name)
+        changed[name] = column
+    return replace(moves, **changed)
+
+
+def _far(place: FloatArray, start: FloatArray) -> float:
+    """Return the distance from one position to another, both (4,) mm, along the nozzle's path."""
+    return float(np.sqrt(((place - start)[:3] ** 2).sum()))
+
+
+def _from(program: Program, plan: Trajectory, t: float) -> tuple[int, Program]:
+    """Return the first move under way from a time on, and the program from it: what began long before begins then."""
+    move = int(plan.move_at(t))
+    start_t, duration = float(plan.start_t[move]), float(plan.duration[move])
+    tail = excerpt(program, move)
+    at = min(t, start_t + duration - SHORTEST_S)
+    return move, shortened(tail, plan.position([at])[0], None) if at - start_t > LEAST_CONTEXT_S else tail
+
+
+def _until(program: Program, plan: Trajectory, t: float, rest: int | None) -> Program:
+    """Return what is under way up to a time, or to the rest before a move: what goes on long after it ends then."""
+    if rest is not None and t >= plan.start_t[rest - 1] + plan.duration[rest - 1]:
+        return excerpt(program, 0, rest)
+    move = int(plan.move_at(t))
+    start_t, duration = float(plan.start_t[move]), float(plan.duration[move])
+    head = excerpt(program, 0, move + 1)
+    at = max(t, start_t + SHORTEST_S)
+    return shortened(head, None, plan.position([at])[0]) if start_t + duration - at > LEAST_CONTEXT_S else head
+
+
+def _columns(plan: Trajectory, which: slice) -> Trajectory:
+    return Trajectory(*(getattr(plan, each.name)[which] for each in fields(Trajectory)))
+
+
+def rests_of(program: Program) -> IntArray:
+    """Return the moves before whose lines the nozzle rests, but for the first."""
+    moves = program.moves
+    stops, _ = stops_and_waits(program)
+    lines = lines_of(moves)
+    extrudes = ~lines.travels & (lines.length > 0.0)
+    rests = stops | extrudes
+    rests[1:] |= extrudes[:-1]
+    rests[1:] &= moves.line[1:] != moves.line[:-1]
+    rests[:1] = False
+    return np.flatnonzero(rests)
+
+
+def _remembered(chunk: Program, plan: Trajectory) -> Program | None:
+    """Return the last moves of a chunk, from a rest on, that take half a second at least; of a long motion its end."""
+    moves = chunk.moves
+    if any(e.move == len(moves) and e.kind in (EventKind.STOP, EventKind.RAW_MOVE) for e in reversed(chunk.events)):
+        return None
+    quickest = lines_of(moves).length / moves.speed
+    left = np.cumsum(quickest[::-1])[::-1]  # until the end, at least
+    rests = rests_of(chunk)
+    enough = rests[left[rests] >= REMEMBERED_S]
+    first = int(enough[-1]) if enough.size else 0
+    if plan.end_t - plan.start_t[first] > 2 * LEAST_CONTEXT_S and not rests[rests > first].size:
+        return _from(chunk, plan, plan.end_t - LEAST_CONTEXT_S)[1]
+    return excerpt(chunk, first)

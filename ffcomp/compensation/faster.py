@@ -1,0 +1,167 @@
+"""Make a chunk as quick as its bound allows, and count what that gives, by feature."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from math import ceil
+
+import numpy as np
+
+from ffcomp.compensation.chunks import Chunk
+from ffcomp.errors import LimitsError
+from ffcomp.faster.bound import Bound
+from ffcomp.faster.program import AS_SLICED, FasterProgram, faster_program
+from ffcomp.faster.raised_limits import slowed
+from ffcomp.inverse.model import InverseModel
+from ffcomp.inverse.reference import WHOLE, Extent, context_s
+from ffcomp.inverse.settings import Settings
+from ffcomp.planner.program import PlannedProgram, firmware_plan, plan_program
+from ffcomp.planner.trajectory import PlannedMotion, Trajectory
+from gcode.layers import labels
+from gcode.program import Program
+from models.arrays import BoolArray
+from models.machine import Machine
+
+P99_LEVEL = (
+    1.02  # times the bound, that the 99th percentile may have: what becomes slower at the end may change it a little
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Faster:
+    """What a bound has given: values of chunks that add up."""
+
+    original_s: Mapping[str, float] = field(default_factory=dict)  # by feature, as sliced
+    planned_s: Mapping[str, float] = field(default_factory=dict)  # by feature, now
+    actuator_limit_s: float = 0.0  # what no plan of the moves can be quicker than
+    limited_by: Mapping[str, float] = field(default_factory=dict)  # s, by what limits the motion
+    warnings: tuple[str, ...] = ()
+
+    def __add__(self, later: Faster) -> Faster:
+        return Faster(
+            _added(self.original_s, later.original_s),
+            _added(self.planned_s, later.planned_s),
+            self.actuator_limit_s + later.actuator_limit_s,
+            _added(self.limited_by, later.limited_by),
+        )
+
+
+def faster_chunk(chunk: Chunk, bound: Bound, model: InverseModel, smooth: bool) -> tuple[PlannedProgram, Faster]:
+    """Plan a chunk as quick as the bound allows; around a cut in motion it keeps the slicer's motion.
+
+    So the chunks on both sides of a cut find the same plan there, each by itself.
+    """
+    program, machine = chunk.program, model.full_machine
+    slicers = firmware_plan(program, machine)
+    near = _near_cuts(chunk, slicers)
+    quicker = faster_program(program, model, bound, chunk.layers, chunk.feature, near)
+    warnings = (*_bound_exceeded(chunk, quicker), *_unchanged_moves(chunk, quicker))
+    if warnings and model.settings.strict:
+        raise LimitsError(warnings[0])
+    quick: Program | None = quicker.program
+    if near.any():
+        quick = in_whole_segments(quicker.program, quicker.free, chunk.extent, machine, model.settings)
+    if quick is None:
+        seconds = _by_feature(program, slicers, chunk.feature)
+        return plan_program(program, machine, smooth), Faster(
+            seconds, seconds, slicers.end_t, {AS_SLICED: slicers.end_t}, (_not_faster(chunk),)
+        )
+    planned = plan_program(quick, machine, smooth)
+    return (
+        replace(planned, firmware_s=slicers.end_t),
+        Faster(
+            _by_feature(program, slicers, chunk.feature),
+            _by_feature(program, planned.trajectory, chunk.feature),
+            quicker.actuator_limit_s,
+            quicker.limited_by,
+            warnings,
+        ),
+    )
+
+
+def _near_cuts(chunk: Chunk, slicers: Trajectory) -> BoolArray:
+    near = np.zeros(len(chunk.program.moves), dtype=np.bool_)
+    if chunk.extent != WHOLE:
+        for part in chunk.extent.near(slicers, context_s(chunk.program.moves, slicers)):
+            near[part] = True
+    return near
+
+
+def _by_feature(program: Program, plan: PlannedMotion, feature: str) -> dict[str, float]:
+    named = labels(program, feature)
+    seconds = np.bincount(named.feature, plan.duration, len(named.features))
+    return {name: float(s) for name, s in zip(named.features, seconds, strict=True) if s > 0.0}
+
+
+def _added(some: Mapping[str, float], more: Mapping[str, float]) -> dict[str, float]:
+    return {name: some.get(name, 0.0) + more.get(name, 0.0) for name in (*some, *(n for n in more if n not in some))}
+
+
+def _not_faster(chunk: Chunk) -> str:
+    line = chunk.program.first_line + int(chunk.program.moves.line[0]) + 1
+    return (
+        f"line {line}: the motion from here on does not rest, and too little of it lies between cuts; "
+        "it keeps the slicer's speed, and its error is not bounded."
+    )
+
+
+def _bound_exceeded(chunk: Chunk, quicker: FasterProgram) -> tuple[str, ...]:
+    if quicker.p99 <= P99_LEVEL:
+        return ()
+    line = chunk.program.first_line + int(chunk.program.moves.line[0]) + 1
+    return (
+        f"line {line}: the bound is not held from here on, however slow: for 1 % of the time the predicted error is "
+        f"above {quicker.p99:.2g} times it. A higher bound would be, or fewer features that keep the slicer's motion.",
+    )
+
+
+def _unchanged_moves(chunk: Chunk, quicker: FasterProgram) -> tuple[str, ...]:
+    if not quicker.reverted.any():
+        return ()
+    moves = np.flatnonzero(quicker.reverted)
+    line = chunk.program.first_line + int(chunk.program.moves.line[moves[0]]) + 1
+    seconds = float(quicker.plan.duration[moves].sum())
+    return (
+        f"line {line}: {len(moves)} moves from here on ({seconds:.2g} s) keep the slicer's motion: no quicker one was "
+        "found that keeps the error under the bound.",
+    )
+
+
+LEAST_SPEED_SHARE = 0.98  # that moves keep
+KNOT_TOLERANCE = 1e-6  # of a segment
+
+
+def in_whole_segments(
+    program: Program, free: BoolArray, extent: Extent, machine: Machine, settings: Settings
+) -> Program | None:
+    """Slow the free moves (n,) down by as little as that takes; None: they are too short for it."""
+    from scipy.optimize import brentq
+
+    if extent.end is None:
+        return program
+    plan = firmware_plan(program, machine)
+    written_s = _written_s(plan, extent, settings)
+    missing_s = settings.segment_s * ceil(written_s / settings.segment_s - KNOT_TOLERANCE)
+
+    def slower(factor: float) -> Program:
+        return replace(
+            program,
+            moves=slowed(program.moves, np.where(free, factor, 1.0), np.minimum(program.moves.speed, plan.cruise_v)),
+        )
+
+    def too_long_s(factor: float) -> float:
+        return _written_s(firmware_plan(slower(factor), machine), extent, settings) - missing_s
+
+    if too_long_s(LEAST_SPEED_SHARE) < 0.0:
+        return None
+    return slower(
+        1.0 if too_long_s(1.0) >= 0.0 else float(brentq(too_long_s, LEAST_SPEED_SHARE, 1.0, xtol=1e-15, rtol=1e-14))
+    )
+
+
+def _written_s(plan: Trajectory, extent: Extent, settings: Settings) -> float:
+    """Return the duration of what is written, s, up to the cut at its end."""
+    begin, end = extent
+    assert end is not None
+    return end.time_in(plan) - (float(plan.start_t[0]) - settings.lead_s if begin is None else begin.time_in(plan))

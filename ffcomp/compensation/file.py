@@ -1,0 +1,132 @@
+"""Compensate one file of any kind, by its options."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
+from os.path import realpath
+from pathlib import Path
+
+from ffcomp.compensation.job import Job, Options, StepOutput
+from ffcomp.compensation.prediction import read_again
+from ffcomp.compensation.result import CompensatedFile, Result, already_compensated
+from ffcomp.compensation.text_stream import Stream
+from gcode.atomic_write import replacing, unchanged
+from gcode.container import Container, blocks_of, ends_of, opened, read_bytes
+from gcode.embedded import find_stamp
+from gcode.errors import UnsupportedGcode
+from models.machine import Machine
+
+
+def compensate_file(
+    source: bytes | Path,
+    path: str,
+    machine: Machine,
+    options: Options,
+    target: Path | None,
+    *,
+    jobs: int = 1,
+    progress: Callable[[float], None] = lambda share: None,
+) -> CompensatedFile:
+    """Compensate a file. With several jobs call it within `workers`.
+
+    Parameters
+    ----------
+    source : bytes or Path
+        A file of any kind, or its content; the target becomes one of the same kind.
+    path : str
+        The file, as the user named it.
+    machine : Machine
+        What it is compensated for.
+    options : Options
+        How it is compensated.
+    target : Path or None
+        Is replaced whole at the end or not at all; None: nothing is written.
+    jobs : int
+        Processes that work at it.
+    progress : callable
+        Called with the share of the file that is done, 0 to 1.
+    """
+    still_the_same = unchanged(source)
+    with opened(source, path) as container:
+        stamps = {name: find_stamp(*ends_of(text)[:2]) for name, text in container.prints.items()}
+        again = options.force or options.steps is not None
+        todo = {
+            name: options.job(text, f"{path}/{name}" if name else path, machine, stamps[name], jobs)
+            for name, text in container.prints.items()
+            if again or stamps[name] is None
+        }
+        if not todo:
+            return already_compensated(path, stamps.values())
+        if options.steps is None:
+            if target is not None and len(container.prints) == 1 and options.bound is None:
+                todo = {name: replace(job, read_again=True) for name, job in todo.items()}
+            results = _write(container, todo, target, progress, still_the_same)
+        else:
+            results = _write_steps(todo, path, target, options.steps, progress)
+        return CompensatedFile(path, None if target is None else str(target), results)
+
+
+def _write(
+    container: Container,
+    todo: Mapping[str, Job],
+    target: Path | None,
+    progress: Callable[[float], None],
+    check: Callable[[], None],
+) -> dict[str, Result]:
+    """Write the container anew; prints that are not to be compensated stay as they are.
+
+    todo : by the print's name;  check : is called before the target is replaced
+    """
+    streams = _streams(todo, None if target is None else Path(realpath(target)).parent, progress)
+    texts = (_text(container, streams, name) for name in container.prints)
+    if target is None:
+        for lines in texts:
+            deque(lines, maxlen=0)
+    else:
+        with replacing(target) as file:
+            container.write(file, texts)
+            check()
+    (name, *others) = todo
+    results = {name: stream.value for name, stream in streams.items()}
+    if not others and target is not None:
+        results[name] = _predicted_again(todo[name], results[name], target)
+    return results
+
+
+def _predicted_again(job: Job, result: Result, target: Path) -> Result:
+    """Predict what was not predicted on the way, from the file that was written."""
+    numbers = result.statistics
+    if not job.predicts_again or not numbers.segments or numbers.predicted is not None:
+        return result
+    return replace(result, read_again=read_again(read_bytes(target), str(target), job.machine, job.offset, job.flavor))
+
+
+def _text(container: Container, streams: Mapping[str, Stream[Result]], name: str) -> Iterator[bytes]:
+    return iter(streams[name]) if name in streams else blocks_of(container.prints[name])
+
+
+def _streams(
+    todo: Mapping[str, Job], folder: Path | None, progress: Callable[[float], None]
+) -> dict[str, Stream[Result]]:
+    """Return each print's compensated lines, which are worked out as they are read."""
+    done, whole = 0, max(sum(job.size for job in todo.values()), 1)
+    streams = {}
+    for name, job in todo.items():
+
+        def tell(share: float, done: int = done, size: int = job.size) -> None:
+            progress((done + share * size) / whole)
+
+        streams[name] = job.lines(tell, folder)
+        done += job.size
+    return streams
+
+
+def _write_steps(
+    todo: Mapping[str, Job], path: str, target: Path | None, steps: StepOutput, progress: Callable[[float], None]
+) -> dict[str, Result]:
+    if len(todo) > 1:
+        raise UnsupportedGcode(f"Step timings are of one print, and the file holds {', '.join(todo)}.", path=path)
+    ((name, job),) = todo.items()
+    return {name: job.write_steps(target, steps, progress)}

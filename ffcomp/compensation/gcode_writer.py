@@ -1,0 +1,524 @@
+"""The compensated file, line by line: what is not ours passes through at its move's time, moves become segments.
+
+Our segments stand in blocks. A block opens with the limits our segments need and closes with the limits (and the feed)
+the file had, before anything that moves by itself: homing, macros, waits. Each move that we replace stays in the file
+as a comment `;~` at its place, so the original can be read out of the result again (`original_lines`).
+"""
+
+from __future__ import annotations
+
+import re
+from bisect import bisect_right
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import pairwise
+from operator import itemgetter
+
+import numpy as np
+from numba import njit
+
+from ffcomp.compensation.gcode_layout import Timeline, tiles, timeline
+from ffcomp.compensation.plan import Context, PlannedChunk
+from ffcomp.compensation.solve import SolvedSection, keep_inside
+from ffcomp.inverse.settings import CUT, Settings
+from ffcomp.planner.lifts import join_lifts
+from ffcomp.planner.segment_merging import lengthen, merge, refit
+from ffcomp.planner.segment_timing import TimedSegments, segment_speeds
+from ffcomp.planner.trajectory import Section
+from gcode.dialects import KLIPPER, MARLIN, close_limits, open_limits
+from gcode.embedded import CUT_SHORT, OURS, WAS, joined, like_ours, section_time_line
+from gcode.emit import MoveWriter
+from gcode.errors import UnsupportedGcode
+from gcode.layers import begins_layer
+from gcode.metadata import Timed, tells
+from gcode.program import Event, EventKind, EventQueue, MotionLimits, Program, limit_set_by
+from models.arrays import BoolArray, FloatArray, IntArray
+from models.machine import Machine
+
+_Place = tuple[float, float, float, float]  # X Y Z E, mm
+_Line = int | Event | bytes  # a move of the original (index into its lines), another line of it, a line of ours
+SLACK_MM = 5e-4  # how far from its place the end of a segment may be written, if that takes fewer digits,
+SLACK_MM_PER_S = 0.05  # and how much that may change the speeds beside it
+STILL_MOVE = re.compile(rb"\s*(?:N\d+\s*)?G0*[0-3](?!\d)", re.IGNORECASE)
+
+
+class Writer:
+    """Turns runs and events, given in the file's order, into lines."""
+
+    def __init__(
+        self,
+        program: Program,
+        flavor: str,
+        limits: MotionLimits,
+        settings: Settings,
+        *,
+        offset: tuple[float, float] = (0.0, 0.0),
+        limit_lines: Mapping[bytes, bytes] | None = None,
+        raw_s: Mapping[int, float] | None = None,
+        inside: Callable[[FloatArray], BoolArray] = lambda xyz: np.ones(len(xyz), dtype=np.bool_),
+    ) -> None:
+        self.program, self.flavor, self.machine_limits, self.settings = program, flavor, limits, settings
+        self.offset = offset
+        self.inside = inside  # which points (n, 3) mm the firmware lets a command go to
+        self.raw_s = raw_s or {}  # what moves take that go out as they are, by their line
+        self.moves = MoveWriter()
+        self.frame = 0
+        self.open = False
+        self.to_return = False  # a macro that comes back has run since the last move
+        self.move = 0  # the last that was begun: its limits are the file's own
+        self.limit_lines = dict(limit_lines or {})  # the file's last line on each limit
+        self.ending = b"\r\n" if program.lines and program.lines[0].endswith(b"\r\n") else b"\n"
+        self.segments = 0
+        self.late_s = 0.0  # by which they take longer than their knots
+        self.now_s = 0.0  # since the program's beginning, as far as it is written
+        self.written: list[TimedSegments] = []  # the section's tiles, as their lines state them; s since its first knot
+        self.begun, self.rest = False, 0.0  # whether the run has moved, and for how long it has not since, s
+        self.section_begin = (0, 0.0)  # line of its first move in the file, from 0; s from knot 0 to its path
+
+    # -- what is not a run
+
+    def event(self, event: Event) -> Iterator[bytes]:
+        """Write a line that is not a move of ours, between sections."""
+        if event.kind in (EventKind.STOP, EventKind.RAW_MOVE):
+            yield from self.close()
+        line = self.program.lines[event.line]
+        if not line.endswith((b"\n", b"\r")):  # the file's last: what is put behind it would become part of it
+            yield from self.close()
+        if like_ours(line):
+            yield self._escaped(event)
+        elif self.open and STILL_MOVE.match(line):  # a G1 that only sets the feed: ours always say theirs
+            yield self._original(event.line)
+        elif event.kind is EventKind.RAW_MOVE and any(self.offset):
+            yield self._original(event.line)
+            yield self._shifted(line)
+        else:
+            yield Timed.at(line, self.now_s) if tells(line) or begins_layer(line) else line
+        self.now_s += event.dwell_s + self.raw_s.get(event.line, 0.0)
+        self.note_returns([event])
+        self._take_frame(event.frame)
+        if event.touches_limits:
+            self.limit_lines |= limit_set_by(line)
+        if self.open and event.touches_limits:
+            yield from self._limits(self._opening())
+
+    def note_returns(self, events: Iterable[Event]) -> None:
+        """Note whether the last to have moved the nozzle is a macro that comes back."""
+        for event in events:
+            self.to_return = event.returns or (self.to_return and not event.moves_itself)
+
+    def wait(self, seconds: float) -> Iterator[bytes]:
+        """Rest until the ringing of a motion that is not compensated has died away."""
+        self.now_s += seconds
+        yield b"G4 P%.0f" % (1e3 * seconds) + OURS + self.ending
+
+    def close(self) -> Iterator[bytes]:
+        """End a block: the file's limits and feed are in force again."""
+        if self.open:
+            self.open = False
+            yield from self._limits(self._closing())
+            frame = self.program.frames[self.frame]
+            feed = 60 * frame.feed_mm_per_s / frame.feed_factor / frame.unit_mm
+            text = (b"%.3f" % max(feed, 1e-3)).rstrip(b"0").rstrip(b".")  # never an exponent, never zero
+            yield b"G1 F" + text + OURS + self.ending
+
+    def extrude(self, move: int) -> Iterator[bytes]:
+        """Write an extruder-only move as it was, but always with its feed."""
+        moves = self.program.moves
+        yield self._original(int(moves.line[move]))
+        yield from self._begin(move)
+        x, y, z, e = moves.end[move]
+        yield self._finish(self.moves.move(x, y, z, e, float(moves.speed[move])))
+
+    def _shifted(self, line: bytes) -> bytes:
+        frame = self.program.frames[self.frame]
+        code = line.partition(b";")[0].strip()
+        if not frame.absolute:
+            return code + OURS + self.ending
+        shift = {b"X": self.offset[0] / frame.unit_mm, b"Y": self.offset[1] / frame.unit_mm}
+
+        def moved(word: re.Match[bytes]) -> bytes:
+            axis = word[1].upper()
+            return axis + (b"%.4f" % (float(word[2]) + shift[axis])).rstrip(b"0").rstrip(b".")
+
+        return re.sub(rb"([XYxy])\s*([-+]?\d*\.?\d+)", moved, code) + OURS + self.ending
+
+    def resume(self, move: int, place: list[float]) -> None:
+        """Go on within a block, and within a run, that another writer has begun.
+
+        place : mm, X Y Z E, where its last segment has ended
+        """
+        moves = self.program.moves
+        self.open, self.begun = True, True
+        self.move = move
+        self.frame = int(moves.frame[move])
+        self._set_frame(place)
+
+    # -- a run
+
+    def section(self, first: int, vertices: FloatArray, timeline: Timeline) -> Iterator[bytes]:
+        """Write a section, or its next tile: many lines in one bytes object, times apart (`joined`).
+
+        Parameters
+        ----------
+        first : the run's first move
+        vertices : (n + 1, 3) mm, columns X Y Z, at the knots of the piece and its context
+        timeline : the points at which segments may end, and the original's lines between them
+        """
+        if timeline.tile.begin == 0:
+            yield from self._begin(first)
+            self.rest, self.begun = 0.0, False
+            self.written = []
+            self.section_begin = (self.program.first_line + int(self.program.moves.line[first]), timeline.lead_s)
+        begins = self.moves.place[:3]
+        segments, timed = self._segments(first, vertices, timeline)
+        lines = segments.lines(timeline)
+        text: list[bytes] = []
+        stated = np.empty_like(segments.points)
+        since = 0
+        for a, b in pairwise([0, *self._turns(lines), len(lines)]):
+            until = lines[b][0] if b < len(lines) else len(segments.e)
+            part = segments.part(since, until)
+            text += self._segments_and_lines(part, [(k - since, line) for k, line in lines[a:b]], stated[since:until])
+            since = until
+        self.written.append(replace(timed, vertices=np.vstack([begins, stated])))
+        yield from joined(text)
+
+    def _segments(self, first: int, vertices: FloatArray, timeline: Timeline) -> tuple[_Segments, TimedSegments]:
+        """Select the segments of a tile: all where the command bends, few where it runs straight and evenly.
+
+        The second of the two is the same for who executes them.
+        """
+        s, piece, at = self.settings, timeline.tile, timeline.at
+        frame = self.program.frames[int(self.program.moves.frame[first])]
+        points = _points(vertices, at, piece.first)
+        stay, pinned = np.arange(len(at)), timeline.cut
+        if s.joins_lifts:
+            stay, pinned = join_lifts(_stated(points, frame.base, frame.unit_mm), timeline.e, timeline.cut)
+        chosen = merge(at[stay], points[stay], timeline.e[stay], pinned, s.merging, CUT)
+        kept, fixed = stay[chosen], pinned[chosen]
+        fixed[0] = fixed[-1] = True
+        placed = refit(at[stay], points[stay], chosen, fixed)
+        points = np.where(self.inside(placed)[:, None], placed, points[kept])
+        at, e = at[kept], timeline.e[kept]
+        lengthen(at, points, e, fixed, s.shortest_knots, s.merging.shortest_mm)
+        points = _stated(points, frame.base, frame.unit_mm)
+        lasting = (at[1:] - at[:-1]) * s.segment_s
+        slack = np.minimum(SLACK_MM, SLACK_MM_PER_S * np.minimum(lasting, np.append(lasting[1:], 0.0)))
+        slack[fixed[1:]] = 0.0  # another writer may go on from there, and the filament must be exact
+        speeds = segment_speeds(points, e[1:] - e[:-1], lasting, s.output)
+        begin, end = at.searchsorted([piece.begin, piece.end]).tolist()
+        timed = TimedSegments(at * s.segment_s, points, speeds).part(begin, end)
+        late_s = np.maximum(speeds.duration - lasting, 0.0)  # lifts may be late
+        self.late_s += float(late_s[begin:end].sum())
+        lasting += late_s
+        segments = _Segments(kept[:-1], points[1:], e[1:], speeds.cruise, lasting, slack)
+        return segments.part(begin, end), timed
+
+    def _turns(self, lines: list[tuple[int, _Line]]) -> Iterator[int]:
+        frame = self.frame
+        for k, (_, line) in enumerate(lines):
+            if isinstance(line, Event) and line.frame != frame:
+                frame = line.frame
+                yield k
+
+    def _segments_and_lines(
+        self, segments: _Segments, lines: list[tuple[int, _Line]], stated: FloatArray
+    ) -> list[bytes]:
+        """Segments with the lines between them, of which only the first may change how numbers are written.
+
+        stated : (n, 3) mm, filled in with where the lines say that the segments end
+        """
+        passed = [self.now_s, *(self.now_s + np.cumsum(segments.lasting)).tolist()]
+        before = bisect_right(lines, 0, key=itemgetter(0))
+        text = [piece for _, line in lines[:before] for piece in self._line(line)]
+        each = (segments.points, segments.e, segments.speeds, segments.lasting, segments.slack)
+        block, ends = self.moves.block(*each, stated)
+        starts, done = [0, *ends.tolist()], 0
+        rests = self._rests(ends, segments.lasting)
+        lines = lines[before:]
+        for k, line in sorted([*lines, *rests], key=itemgetter(0)) if rests else lines:
+            if starts[k] > done:
+                text.append(self._finish(block[done : starts[k]]))
+                done = starts[k]
+            self.now_s = passed[k]
+            text += self._line(line)
+        text.append(self._finish(block[done:]))
+        self.now_s = passed[-1]
+        return text
+
+    def _rests(self, ends: IntArray, lasting: FloatArray) -> list[tuple[int, bytes]]:
+        """Say when the section's first segment begins, and wait for segments without a line before the next with one.
+
+        ends : (n,) where each segment's line ends;  lasting : (n,) s
+        """
+        since_s = self.rest
+        before, rests, written, self.rest = _unwritten(ends, lasting, self.begun, since_s)
+        added = [
+            (k, b"G4 P%.6g" % (1e3 * rest) + OURS) for k, rest in zip(before.tolist(), rests.tolist(), strict=True)
+        ]
+        if written and not self.begun:
+            self.begun, first = True, int((ends > 0).argmax())
+            line, lead_s = self.section_begin
+            begun_s = since_s + float(lasting[:first].sum())
+            added.insert(0, (first, section_time_line(line, begun_s - lead_s)))
+        self.segments += written
+        return [(k, text + self.ending) for k, text in added]
+
+    def _line(self, line: _Line) -> Iterable[bytes]:
+        if isinstance(line, int):
+            return (self._original(line),)
+        return (line,) if isinstance(line, bytes) else self.event(line)
+
+    def _limits_at(self, move: int) -> MotionLimits:
+        moves = self.program.moves
+        columns = (moves.velocity_limit, moves.acceleration, moves.square_corner_velocity, moves.minimum_cruise_ratio)
+        return MotionLimits(*(column.item(move) for column in columns))
+
+    def _begin(self, move: int) -> Iterator[bytes]:
+        moves = self.program.moves
+        self.move = move
+        if not self.open:
+            self.open = True
+            self.frame = int(moves.frame[move])
+            self._set_frame(moves.start[move].tolist())
+            yield from self._return(float(moves.speed[move]))
+            yield from self._limits(self._opening())
+        self._take_frame(int(moves.frame[move]))
+
+    def _return(self, speed: float) -> Iterator[bytes]:
+        """State the place, still within the file's own limits, where the nozzle may have been left elsewhere.
+
+        A macro that did not come back, or an object that was excluded, is then made up for at travel speed.
+        """
+        if self.to_return and (stated := self.moves.here(speed)):
+            yield stated.rstrip(b"\n") + OURS + self.ending
+        self.to_return = False
+
+    def _original(self, line: int) -> bytes:
+        """Keep a line of the original as a comment, if the file shall hold its original."""
+        text = self.program.lines[line]
+        if not self.settings.embed:
+            return b""
+        return WAS + text if text.endswith(b"\n") else CUT_SHORT + text + b"\n"
+
+    def _escaped(self, event: Event) -> bytes:
+        """Keep a line of the original that would be taken for one of ours as a comment."""
+        line = self.program.lines[event.line]
+        if not line.lstrip().startswith(b";"):
+            rule = "only files that ffcomp has compensated have such lines, and this one has lost its stamp"
+            number = self.program.first_line + event.line + 1
+            raise UnsupportedGcode(f"The line ends in '{OURS.decode().strip()}'; {rule}.", number, self.program.path)
+        return self._original(event.line) or line
+
+    def _take_frame(self, frame: int) -> None:
+        if frame != self.frame:
+            self.frame = frame
+            if self.open:
+                self._set_frame(self.moves.place)
+
+    def _set_frame(self, place: Sequence[float]) -> None:
+        self.moves.reset(self.program.frames[self.frame], place[:3], place[3])
+
+    def _closing(self) -> list[bytes]:
+        axes = self.settings.output.raised_axes
+        if self.flavor == KLIPPER:
+            return close_limits(self.flavor, _first_known(self._limits_at(self.move), self.machine_limits), axes)
+        return [*close_limits(self.flavor, self._in_units(self.machine_limits), axes), *self.limit_lines.values()]
+
+    def _opening(self) -> list[bytes]:
+        o = self.settings.output
+        wide = MotionLimits(o.velocity_mm_per_s, o.acceleration_mm_per_s2, o.square_corner_velocity_mm_per_s)
+        wide = self._in_units(wide)
+        return open_limits(self.flavor, wide.velocity, wide.acceleration, wide.square_corner_velocity, o.raised_axes)
+
+    def _in_units(self, limits: MotionLimits) -> MotionLimits:
+        """As the file must state them: after G20, Marlin takes limits in inches too."""
+        unit = self.program.frames[self.frame].unit_mm if self.flavor == MARLIN else 1.0
+        names = ("velocity", "acceleration", "square_corner_velocity")
+        return replace(limits, **{name: getattr(limits, name) / unit for name in names})
+
+    def _limits(self, lines: Iterable[bytes]) -> Iterator[bytes]:
+        for line in lines:
+            yield line.rstrip(b"\n") + OURS + self.ending
+
+    def _finish(self, line: bytes) -> bytes:
+        return line if self.ending == b"\n" else line.replace(b"\n", self.ending)
+
+
+@dataclass(frozen=True, slots=True)
+class _Segments:
+    """n segments that are written, and the points of the timeline at which they begin."""
+
+    begins: IntArray  # (n,) index into Timeline.at
+    points: FloatArray  # (n, 3) mm, columns X Y Z, their ends
+    e: FloatArray  # (n,) mm of filament at their ends
+    speeds: FloatArray  # (n,) mm/s
+    lasting: FloatArray  # (n,) s
+    slack: FloatArray  # (n,) mm, how far from its end it may be written
+
+    def part(self, begin: int, end: int) -> _Segments:
+        s = slice(begin, end)
+        return _Segments(self.begins[s], self.points[s], self.e[s], self.speeds[s], self.lasting[s], self.slack[s])
+
+    def lines(self, timeline: Timeline) -> list[tuple[int, _Line]]:
+        """Return the original's lines that go out among them, each with the segment it stands before.
+
+        An event has a segment that begins there; a move, which is a comment, stands before the one that it is part of.
+        """
+        piece, place = timeline.tile, timeline.at[timeline.point]
+        within = (place >= piece.begin) & ((place < piece.end) | (piece.end == piece.last))
+        points, is_event = timeline.point[within], timeline.event[within] >= 0
+        before = np.where(
+            is_event, np.searchsorted(self.begins, points), np.searchsorted(self.begins, points, side="right") - 1
+        )
+        before = np.maximum.accumulate(before)  # a move without length that ends the run stays behind the last event
+        columns = (before, timeline.line[within], timeline.event[within])
+        return [
+            (k, timeline.events[n] if n >= 0 else line)
+            for k, line, n in zip(*(c.tolist() for c in columns), strict=True)
+        ]
+
+
+@njit(cache=True, nogil=True)
+def _unwritten(
+    ends: IntArray, lasting: FloatArray, begun: bool, rest: float
+) -> tuple[IntArray, FloatArray, int, float]:
+    """How long segments without a line last that stand before one with a line.
+
+    Parameters
+    ----------
+    ends : (n,) where each segment's line ends;  lasting : (n,) s
+    begun : whether there was a line before them;  rest : s that have gone by since then
+
+    Returns
+    -------
+    the segments (k,) before which there is something to wait for, how long (k,) s, how many have a line, and what has
+    gone by since the last of them, s
+    """
+    before, rests = np.empty(len(ends), dtype=np.int64), np.empty(len(ends))
+    waits, written, end = 0, 0, 0
+    for k in range(len(ends)):
+        if ends[k] > end:
+            if rest > 0.0 and begun:
+                before[waits], rests[waits] = k, rest
+                waits += 1
+            begun, rest, end = True, 0.0, ends[k]
+            written += 1
+        else:
+            rest += lasting[k]
+    return before[:waits], rests[:waits], written, rest
+
+
+@njit(cache=True, nogil=True)
+def _points(vertices: FloatArray, at: FloatArray, first: int) -> FloatArray:
+    """Return the command at the points : (m, 3) mm.
+
+    vertices : (n + 1, 3) mm at the knots from `first` on;  at : (m,) in knots
+    """
+    points = np.empty((len(at), 3))
+    for k in range(len(at)):
+        knot = int(at[k])
+        f = at[k] - knot
+        for i in range(3):
+            place = vertices[knot - first, i]
+            if f > 0.0:
+                place += f * (vertices[knot + 1 - first, i] - place)
+            points[k, i] = place
+    return points
+
+
+def _stated(points: FloatArray, base: _Place, unit: float) -> FloatArray:
+    """Round points (m, 3) mm to what the file can state, 4 decimals in its own coordinates and unit.
+
+    base : X Y Z E, mm;  unit : mm
+    """
+    counts = 1e4 if unit == 1.0 else 1e6
+    origin = np.array(base[:3])
+    return np.asarray(np.rint((points - origin) / unit * counts) / counts * unit + origin)
+
+
+def _first_known(file: MotionLimits, machine: MotionLimits) -> MotionLimits:
+    """Return the file's limits, and the machine's own where the file has set none."""
+    pairs = ((getattr(file, name), getattr(machine, name)) for name in MotionLimits.__dataclass_fields__)
+    return MotionLimits(*(mine if theirs != theirs else theirs for theirs, mine in pairs))
+
+
+REFIT_MM = 1e-3  # so near the border no end of a segment is moved from the command that is inside
+
+
+class GcodeRenderer:
+    """Lines of the compensated file, of one chunk; see `compensate.program.Renderer`."""
+
+    def __init__(self, chunk: PlannedChunk, context: Context) -> None:
+        self._planned, self._extent, self._kinematics = chunk.planned, chunk.chunk.extent, context.machine.kinematics
+        program, settings = chunk.planned.program, context.settings
+        self._writer = Writer(
+            program,
+            context.flavor,
+            _machine_limits(context.machine),
+            settings,
+            offset=context.offset,
+            limit_lines=chunk.chunk.limits,
+            raw_s=chunk.raw_s,
+            inside=partial(self._kinematics.contains, margin_mm=-REFIT_MM),
+        )
+        self._events, self._waits_s = EventQueue(program.events), chunk.waits_s
+        self._writer.note_returns(chunk.chunk.since)
+
+    @property
+    def segments(self) -> int:
+        """How many segments have been written."""
+        return self._writer.segments
+
+    @property
+    def late_s(self) -> float:
+        """By how much the segments written take longer than their knots, s."""
+        return self._writer.late_s
+
+    def before(self, section: Section) -> Iterator[bytes]:
+        """Write the lines before a section."""
+        yield from self._events_before(section.first)
+        if wait_s := self._waits_s.get(section.first):
+            yield from self._writer.wait(wait_s)
+
+    def extrude(self, section: Section) -> Iterator[bytes]:
+        """Write a section in which only the extruder moves."""
+        yield from self._writer.extrude(section.first)
+        self._writer.now_s += section.end_t - section.begin_t
+
+    def section(self, section: Section, solved: SolvedSection) -> Iterator[bytes]:
+        """Write the segments of a section, tile by tile, and the lines in it."""
+        planned, reference, (begin, end) = self._planned, solved.reference, solved.knots
+        heights = planned.program.moves.end[section.first : section.last, 2]
+        vertices = keep_inside(self._kinematics, solved.solution.vertices, heights)
+        inside = self._events.up_to(section.last - 1)
+        if self._extent.begin is not None and section is planned.sections[0]:
+            position = [*vertices[begin].tolist(), float(reference.extrusion(begin, begin)[0])]
+            self._writer.resume(self._extent.begin.move, position)
+        for tile in tiles(reference.knots, begin=begin, end=end):
+            part = vertices[tile.first : tile.last + 1]
+            events = timeline(planned.program, solved.trajectory, solved.section, reference, part, inside, tile)
+            yield from self._writer.section(section.first, part, events)
+
+    def written(self) -> Sequence[TimedSegments]:
+        """Return the last section's segments, piece by piece."""
+        return self._writer.written
+
+    def finish(self) -> Iterator[bytes]:
+        """Write the lines after the last section, and restore the file's limits."""
+        if self._extent.end is None:
+            yield from self._events_before(len(self._planned.program.moves))
+            yield from self._writer.close()
+
+    def _events_before(self, move: int) -> Iterator[bytes]:
+        for event in self._events.up_to(move):
+            yield from self._writer.event(event)
+
+
+def _machine_limits(machine: Machine) -> MotionLimits:
+    """Return what is put back where the file itself has set nothing."""
+    limits = machine.limits
+    return MotionLimits(
+        limits.velocity_mm_per_s, limits.acceleration_mm_per_s2, limits.square_corner_velocity_mm_per_s, 0.5
+    )

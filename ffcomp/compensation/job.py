@@ -1,0 +1,476 @@
+"""Compensate one print: read it, split it into chunks, and stream the output of chunk after chunk."""
+
+from __future__ import annotations
+
+import pickle
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Generator, Iterable, Iterator
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
+from itertools import chain, islice
+from math import inf
+from os.path import realpath
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from ffcomp.compensation import chunks
+from ffcomp.compensation.chunks import Chunk, split_chunks, with_features
+from ffcomp.compensation.gcode_writer import GcodeRenderer
+from ffcomp.compensation.placement import NOWHERE, Footprint, Offset, Placement, advice, choose_offset, footprint_of
+from ffcomp.compensation.plan import S_CURVE_LONGEST_S, Context, plan_chunk
+from ffcomp.compensation.prediction import LONGEST_S, READ_AGAIN_S
+from ffcomp.compensation.program import compensate
+from ffcomp.compensation.request import CompensateOptions
+from ffcomp.compensation.result import Result
+from ffcomp.compensation.statistics import Statistics
+from ffcomp.compensation.step_output import StepRenderer, StepStream
+from ffcomp.compensation.text_stream import Stream, stamped, with_shaper_off, with_times_retold
+from ffcomp.errors import NothingToDo, RequestError
+from ffcomp.faster.bound import Bound, with_slicer_settings
+from ffcomp.integrations.slicer import Bed, bed_in, pair
+from ffcomp.inverse.model import InverseModel
+from ffcomp.inverse.robust import BOUNDED, PLAIN, RobustChoice, choose_robust
+from ffcomp.inverse.settings import Settings, settings_for
+from ffcomp.inverse.time_scaling import TimeScaling, scale_around_cut
+from ffcomp.planner.limits import known_to_the_firmware, lines_of, planner_limits
+from ffcomp.planner.program import firmware_plan, plan_section
+from ffcomp.planner.reach import OutOfReach, Reach
+from ffcomp.planner.trajectory import PathPosition
+from ffcomp.steps.motion import MotionSink
+from ffcomp.steps.sink import Board, StepSink
+from ffcomp.version import __version__
+from gcode.atomic_write import replace_atomically
+from gcode.container import Source, blocks_of, ends_of
+from gcode.dialects import FlavorChoice, choose_flavor, sign_by_ends
+from gcode.embedded import WITHOUT_ORIGINAL, Stamp, find_offset, joined, offset_line, original_blocks, stamp_line
+from gcode.layers import LayerLookup
+from gcode.metadata import Timed
+from gcode.program import Moves, Program
+from gcode.reader import read_parts
+from models.effects.catalogue import design_machine
+from models.machine import Machine
+
+ROW_ERROR_S = 12.5e-6  # of a step of compressed rows, early or late: half of what Klipper allows itself
+Progress = Callable[[float], None]  # called with the share that is done, 0 to 1
+Lines = Generator[bytes, None, Statistics]  # a chunk's output, and what was done
+
+
+_per_thread = threading.local()
+
+
+def model_of(machine: Machine, settings: Settings) -> InverseModel:
+    """Return a thread's inverse model, the same one from chunk to chunk and from file to file."""
+    key = pickle.dumps((machine, settings))
+    if getattr(_per_thread, "key", None) != key:
+        _per_thread.model, _per_thread.key = InverseModel(machine, settings), key
+    model: InverseModel = _per_thread.model
+    return model
+
+
+@dataclass(frozen=True, slots=True)
+class StepOutput:
+    """Step timings instead of G-code."""
+
+    board: Board
+    error_s: float | None  # by which a compressed step may be early or late; None: every step, exactly
+    plain: bool = False  # uncompensated
+    motion: bool = False  # the path itself, for a host that makes the steps
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """The options that are the same for many files."""
+
+    offset: Offset | None = None  # mm, added to every position; None: chosen so that the print lies inside
+    flavor: str = ""  # "": what the machine file says, or else the file
+    settings: Settings | None = None  # None: what the machine's limits give
+    predict: bool = True
+    shaper_off: bool = False
+    force: bool = False  # compensate again what is stamped
+    steps: StepOutput | None = None  # None: G-code
+    bed: Bed | None = None  # the slicer's, if it has said it otherwise than in the file
+    bound: Bound | None = None  # on the error, under which the print is as quick as can be; None: as it was sliced
+    robust: RobustChoice = PLAIN  # which the settings follow, and why
+
+    @classmethod
+    def of(cls, request: CompensateOptions, machine: Machine, bed: Bed | None = None) -> Options:
+        """Return the options that a request means for a machine."""
+        plain = request.inverse == "none"
+        settings = replace(
+            settings_for(machine, request.max_segments_per_second),
+            inverse="exact" if request.inverse == "exact" else "fast",
+            s_curve=request.s_curve and not plain,
+            strict=request.strict,
+            tolerance_um=request.tolerance_um,
+            embed=request.embed,
+        )
+        bound = _bound_of(request)
+        if request.robust is None and (plain or bound is not None):
+            choice = PLAIN
+        else:
+            choice = choose_robust(machine, settings, request.robust)
+        return cls(
+            offset=request.offset_mm,
+            flavor=request.flavor,
+            settings=replace(settings, robust=choice.robust),
+            predict=request.predict,
+            shaper_off=request.shaper_off,
+            force=request.force,
+            steps=_step_output(request, machine),
+            bed=bed,
+            bound=bound,
+            robust=choice,
+        )
+
+    def job(self, source: Source, path: str, machine: Machine, stamp: Stamp | None, jobs: int) -> Job:
+        """Return the request for a print. With a stamp, the original that the file keeps is compensated."""
+        return Job(source, path, machine, self, stamp is not None, jobs)
+
+
+def _bound_of(request: CompensateOptions) -> Bound | None:
+    errors_um = request.errors_um
+    if not errors_um:
+        return None
+    return Bound(
+        errors_um.pop(""),
+        of_features_um=tuple(errors_um.items()),
+        keep_speed=request.keep_speed,
+        max_flow_mm3_per_s=request.max_flow_mm3_per_s,
+        max_speed_mm_per_s=request.max_speed_mm_per_s,
+        min_layer_time_s=request.min_layer_time_s,
+        change_speed=request.change_speed,
+        safety=request.safety,
+    )
+
+
+def _step_output(request: CompensateOptions, machine: Machine) -> StepOutput | None:
+    plain = request.inverse == "none"
+    if request.kind == "gcode":
+        return None
+    if request.kind == "host":  # whose own settings make the steps
+        return StepOutput(Board(1.0), None, plain, motion=True)
+    per_mm = request.extruder_steps_per_mm or machine.steps.extruder_steps_per_mm
+    if per_mm is None:
+        raise RequestError(
+            f"--output {request.kind} needs the extruder's microsteps per mm of filament: --extruder-steps-per-mm N, "
+            "or extruder_steps_per_mm in [steps] of the machine file."
+        )
+    return StepOutput(Board(per_mm), ROW_ERROR_S if request.kind == "klipper-steps" else None, plain)
+
+
+@dataclass(frozen=True)
+class Job:
+    """A request: a print, the machine it is for, and how it is compensated."""
+
+    source: Source
+    path: str  # as the user named it
+    machine: Machine
+    options: Options = Options()
+    restore: bool = False  # the file is a compensated one: take the original that it keeps
+    jobs: int = 1  # processes that work at it
+    read_again: bool = False  # what is written is predicted from the file itself (`reading`), if that is short
+
+    def write(self, target: Path | None, progress: Progress = lambda share: None) -> Result:
+        """Compensate into `target` (None: nowhere), which is replaced whole at the end or not at all.
+
+        progress : called with the share of the file that is done, 0 to 1
+        """
+        lines = self.lines(progress, None if target is None else Path(realpath(target)).parent)
+        if target is None:
+            deque(lines, maxlen=0)
+        else:
+            replace_atomically(target, lines)
+        return lines.value
+
+    def lines(self, progress: Progress = lambda share: None, folder: Path | None = None) -> Stream[Result]:
+        """Return the compensated file, stamped in head and tail, in pieces of whole lines, and then the result.
+
+        Parameters
+        ----------
+        progress : called with the share of the file that is done, 0 to 1
+        folder : where what comes after a line that tells the whole print's time may wait for it
+        """
+        return Stream(self._lines(progress, folder))
+
+    def write_steps(self, target: Path | None, steps: StepOutput, progress: Progress = lambda share: None) -> Result:
+        """Write step timings into an archive (None: nowhere), which is replaced whole at the end or not at all."""
+        started = time.perf_counter()
+        reach = Reach(self.machine.kinematics)
+        split, context = self._split(reach, steps.plain)
+        with ExitStack() as stack:
+            target = target or Path(stack.enter_context(TemporaryDirectory()), "steps.npz")
+            sink = self._sink(target, steps)
+            stack.callback(sink.close)
+            statistics = self._stepped(split, context, StepStream(sink), steps.plain, progress)
+            statistics += Statistics(warnings=reach.warnings)
+            totals = sink.finish()
+        self.model.save_cache()
+        return Result(
+            self.path,
+            self.machine,
+            self._flavor_choice,
+            self._placement,
+            statistics,
+            time.perf_counter() - started,
+            totals,
+            robust=self._robust,
+        )
+
+    def _sink(self, target: Path, steps: StepOutput) -> StepSink | MotionSink:
+        if not steps.motion:
+            return StepSink(self.machine, steps.board, target, steps.error_s)
+        machine = {"name": self.machine.name, "sha256": self.machine.sha256}
+        about = {"ffcomp": __version__, "machine": machine, "source": Path(self.path).name}
+        return MotionSink(target, {**about, "compensated": not steps.plain})
+
+    def _stepped(
+        self, split: Iterator[Chunk], context: Context, stream: StepStream, plain: bool, progress: Progress
+    ) -> Statistics:
+        statistics, done = self._at_first(), 0
+        for chunk in split:
+            planned = plan_chunk(chunk, context, self.model)
+            if plain:
+                stream.uncompensated(planned.planned)
+                statistics += planned.statistics
+            else:
+                renderer = StepRenderer(stream, planned, context)
+                statistics += _drained(compensate(planned, context, self.model, renderer))
+            done += _size(chunk.program)
+            progress(min(done / max(self.size, 1), 1.0))
+        return statistics
+
+    @cached_property
+    def settings(self) -> Settings:
+        """The settings asked for, or those of the machine; what is to be quicker is inverted robustly."""
+        chosen = self.options.settings or settings_for(self.machine)
+        if self.options.bound is None or chosen.robust:
+            return chosen
+        return replace(chosen, robust=True, robust_quickly=True)  # less of what is not known: quicker at the same bound
+
+    @property
+    def _robust(self) -> RobustChoice:
+        return self.options.robust if self.settings.robust == self.options.robust.robust else BOUNDED
+
+    @cached_property
+    def model(self) -> InverseModel:
+        """The machine's inverse, of the thread that asks first."""
+        return model_of(self.machine, self.settings)
+
+    @cached_property
+    def _ends(self) -> tuple[bytes, bytes, int]:
+        return ends_of(self.source)
+
+    @property
+    def predicts_again(self) -> bool:
+        """Whether the file, once it is written, is read again for its prediction if there is none yet."""
+        return self.read_again and self.options.predict and self.settings.embed
+
+    @property
+    def size(self) -> int:
+        """Bytes of the print."""
+        return self._ends[2]
+
+    @property
+    def flavor(self) -> str:
+        """The firmware asked for, or the one that the file is for."""
+        return self._flavor_choice.flavor
+
+    @cached_property
+    def _flavor_choice(self) -> FlavorChoice:
+        return choose_flavor(self.options.flavor, self.machine.flavor, sign_by_ends(*self._ends[:2]), self.path)
+
+    @property
+    def offset(self) -> Offset:
+        """The offset that is added to every position, mm."""
+        return self._placement.offset
+
+    @cached_property
+    def _placement(self) -> Placement:
+        if self.options.offset is not None:
+            return Placement(self.options.offset, f"Offset {pair(self.options.offset)}, as it was asked for.")
+        if self.restore:
+            offset = find_offset(self._ends[0])
+            return Placement(offset, f"Offset {pair(offset)}, as the file was compensated before.")
+        return choose_offset(self.machine.kinematics, self._bed, self._footprint)
+
+    @property
+    def _bound(self) -> Bound | None:
+        bound = self.options.bound
+        return None if bound is None else with_slicer_settings(bound, *self._ends[:2])
+
+    @property
+    def _bed(self) -> Bed | None:
+        return self.options.bed or bed_in(*self._ends[:2])
+
+    def _footprint(self) -> Footprint | None:
+        return footprint_of(self._programs(NOWHERE))
+
+    def _lines(self, progress: Progress, folder: Path | None) -> Generator[bytes, None, Result]:
+        started = time.perf_counter()
+        stamp = stamp_line(__version__, self.machine.name, self.machine.sha256, self.flavor)
+        body = Stream(self._body(progress))
+        pieces = with_times_retold(body, lambda: body.value.print_time_s, folder, embed=self.settings.embed)
+        if self.options.shaper_off:
+            pieces = with_shaper_off(pieces, self.flavor)
+        notes = offset_line(self.offset) + (b"" if self.settings.embed else WITHOUT_ORIGINAL + b"\n")
+        yield from stamped(filter(None, pieces), stamp, notes)
+        self.model.save_cache()
+        took_s, embedded = time.perf_counter() - started, self.settings.embed
+        return Result(
+            self.path,
+            self.machine,
+            self._flavor_choice,
+            self._placement,
+            body.value,
+            took_s,
+            embedded=embedded,
+            robust=self._robust,
+        )
+
+    def _body(self, progress: Progress) -> Lines:
+        reach = Reach(self.machine.kinematics)
+        split, context = self._split(reach)
+        statistics, done = self._at_first(), 0
+        for lines, size in (
+            self._in_turn(split, context, progress) if self.jobs == 1 else self._parallel(split, context)
+        ):
+            chunk, begun_s = Stream(lines), statistics.print_time_s
+            yield from (Timed.at(line, begun_s + line.at_s) if isinstance(line, Timed) else line for line in chunk)
+            statistics += chunk.value
+            done += size
+            progress(min(done / max(self.size, 1), 1.0))
+        return statistics + Statistics(warnings=reach.warnings)
+
+    def _in_turn(self, split: Iterator[Chunk], context: Context, progress: Progress) -> Iterator[tuple[Lines, int]]:
+        before = 0
+        for chunk in split:
+            size = _size(chunk.program)
+
+            def within(share: float, before: int = before, size: int = size) -> None:
+                progress(min((before + share * size) / max(self.size, 1), 1.0))
+
+            yield _lines_of(chunk, context, self.model, within), size
+            before += size
+
+    def _parallel(self, split: Iterator[Chunk], context: Context) -> Iterator[tuple[Lines, int]]:
+        from joblib import Parallel, delayed
+
+        sizes: deque[int] = deque()
+
+        def tasks() -> Iterator[Any]:
+            for chunk in split:
+                sizes.append(_size(chunk.program))
+                yield delayed(_work)(chunk, context)
+
+        pool = Parallel(n_jobs=self.jobs, return_as="generator", batch_size=1, pre_dispatch="2 * n_jobs")
+        for text, statistics in pool(tasks()):
+            yield _again(text, statistics), sizes.popleft()
+
+    def _split(self, reach: Reach, plain: bool = False) -> tuple[Iterator[Chunk], Context]:
+        """Split the print into chunks; plain: to be written uncompensated."""
+        parts = self._parts(reach)
+        first = list(islice(parts, 1))
+        if not first:
+            raise NothingToDo(f"{self.path or 'The file'} holds no line: nothing to compensate.")
+        while not len(first[-1].moves) and (more := next(parts, None)) is not None:
+            first.append(more)
+        share = self._share(first[-1]) if self.options.predict else 0.0
+        context = Context(self.machine, self.settings, self.flavor, self.offset, share, plain, self._bound)
+        return self._chunks(chain(first, parts), plain), context
+
+    def _share(self, first: Program) -> float:
+        """Return how much of the print is simulated while it is compensated; none of what is read again."""
+        quickest_s = _quickest_s(first, self.size)
+        left_out = design_machine(self.machine)[1]  # effects that are not in the model by which a file is read again
+        if self.predicts_again and quickest_s <= READ_AGAIN_S and not left_out:
+            return 0.0
+        return min(1.0, LONGEST_S / max(quickest_s, 1e-9))
+
+    def _parts(self, reach: Reach) -> Iterator[Program]:
+        """Read the print; what lies beside the print volume goes out as it is, unless it is the part."""
+        try:
+            yield from reach.whole(self._programs(self.offset))
+        except OutOfReach as error:
+            hint = advice(self.machine.kinematics, self._bed, self._footprint(), self.offset)
+            raise OutOfReach(f"{error.rule} {hint}".strip(), error.line, error.path) from error
+
+    def _programs(self, offset: Offset) -> Iterator[Program]:
+        blocks = blocks_of(self.source)
+        if self.restore:
+            blocks = original_blocks(blocks)
+        return read_parts(
+            blocks, self.path, flavor=self.flavor, offset_mm=offset, **known_to_the_firmware(self.machine)
+        )
+
+    def _chunks(self, parts: Iterable[Program], plain: bool) -> Iterator[Chunk]:
+        # plain steps are written from rest to rest, and an S-curve has one level of acceleration
+        s = self.settings
+        longest_s = inf if plain else S_CURVE_LONGEST_S if s.s_curve else chunks.LONGEST_S
+        ease = self._eased if s.time_scaling and not plain else None
+        return with_features(
+            split_chunks(
+                parts,
+                s.segment_s,
+                s.lead_s,
+                partial(firmware_plan, machine=self.machine),
+                longest_s=longest_s,
+                ease=ease,
+            )
+        )
+
+    def _eased(self, around: Program, cut: PathPosition, layers: int) -> tuple[Moves, tuple[TimeScaling, ...]]:
+        limits, layer_of = planner_limits(self.machine), LayerLookup(around, layers).of
+        return scale_around_cut(self.model, around, limits, cut, partial(plan_section, limits), layer_of)
+
+    def _at_first(self) -> Statistics:
+        names = ", ".join(self.model.not_modelled)
+        sentence = f"The machine file lists effects that are not compensated: {names}." if names else ""
+        moved = self._placement.reason if self._placement.notable else ""
+        return Statistics(warnings=tuple(filter(None, (moved, self._flavor_choice.warning, sentence))))
+
+
+def _lines_of(chunk: Chunk, context: Context, model: InverseModel, progress: Progress = lambda share: None) -> Lines:
+    """Plan a chunk and yield its compensated lines; `progress` is called with the share of it that is done."""
+    planned = plan_chunk(chunk, context, model)
+    end_t = planned.planned.trajectory.end_t
+    return (
+        yield from compensate(
+            planned,
+            context,
+            model,
+            GcodeRenderer(planned, context),
+            progress=lambda done_s: progress(done_s / max(end_t, done_s)),
+        )
+    )
+
+
+def _work(chunk: Chunk, context: Context) -> tuple[list[bytes], Statistics]:
+    model = model_of(context.machine, context.settings)
+    lines = Stream(_lines_of(chunk, context, model))
+    text = list(joined(lines))
+    model.save_cache()
+    return text, lines.value
+
+
+def _again(text: list[bytes], statistics: Statistics) -> Lines:
+    yield from text
+    return statistics
+
+
+def _drained(lines: Lines) -> Statistics:
+    stream = Stream(lines)
+    deque(stream, maxlen=0)
+    return stream.value
+
+
+def _size(program: Program) -> int:
+    return sum(map(len, program.lines))
+
+
+def _quickest_s(first: Program, size: int) -> float:
+    moves = first.moves
+    return float((lines_of(moves).length / moves.speed).sum()) * size / max(_size(first), 1)

@@ -1,0 +1,216 @@
+"""Plan a chunk as the firmware will, and find in which state the printer begins it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from math import ceil
+
+import numpy as np
+
+from ffcomp.compensation.chunks import Chunk
+from ffcomp.compensation.faster import Faster, faster_chunk
+from ffcomp.compensation.solve import solutions
+from ffcomp.compensation.statistics import Statistics, of_plan, of_raw, of_waits
+from ffcomp.faster.bound import Bound
+from ffcomp.inverse.model import InverseModel
+from ffcomp.inverse.reference import WHOLE
+from ffcomp.inverse.settings import Settings
+from ffcomp.planner.limits import planner_limits
+from ffcomp.planner.program import PlannedProgram, plan_program, raw_durations
+from ffcomp.planner.trajectory import Section
+from gcode.program import Event
+from models.arrays import FloatArray
+from models.machine import Machine
+from models.vibration.base import Modes
+
+S_CURVE_LONGEST_S = 900.0  # of motion without a rest that is planned with S-curves
+
+
+@dataclass(frozen=True, slots=True)
+class Context:
+    """What is the same for every chunk of a file."""
+
+    machine: Machine
+    settings: Settings
+    flavor: str
+    offset: tuple[float, float] = (0.0, 0.0)  # mm, by which the program's positions were shifted when they were read
+    share: float = 0.0  # of the print that is simulated for the prediction, 0 to 1
+    plain: bool = False  # written uncompensated: it waits for nothing
+    bound: Bound | None = None  # on the error, under which the print is as quick as can be; None: as it was sliced
+
+
+@dataclass(frozen=True, slots=True)
+class PlannedChunk:
+    """A chunk with the firmware's plan for it."""
+
+    chunk: Chunk
+    planned: PlannedProgram
+    state: FloatArray | None = None  # (18,) of the plant as the chunk begins; None: at rest
+    simulated: bool = False  # whether some of it is, for the prediction
+    statistics: Statistics = field(default_factory=Statistics)  # what it takes by its plan
+    raw_s: Mapping[int, float] = field(default_factory=dict)  # what moves take that go out as they are, by their line
+    waits_s: Mapping[int, float] = field(default_factory=dict)  # until ringing dies away, by a section's first move
+
+    @staticmethod
+    def whole(planned: PlannedProgram) -> PlannedChunk:
+        """Take a planned program as one chunk."""
+        return PlannedChunk(Chunk(planned.program), planned, statistics=of_plan(planned, WHOLE))
+
+
+def plan_chunk(chunk: Chunk, context: Context, model: InverseModel) -> PlannedChunk:
+    """Plan a chunk, and solve the moves before it of which the printer may still ring."""
+    machine, s_curve = context.machine, context.settings.s_curve
+    smooth = s_curve and chunk.extent == WHOLE
+    faster: Faster | None = None
+    if context.bound is None or context.plain:
+        planned = plan_program(chunk.program, machine, smooth)
+    else:
+        planned, faster = faster_chunk(chunk, context.bound, model, smooth)
+    state = None
+    if chunk.before is not None:
+        past = plan_program(chunk.before, machine, s_curve)
+        for solved in solutions(past, machine, model, None, lambda reference: False):
+            state = solved.solution.state
+    lost_s, waits_s = sum(each.seconds for each in chunk.slowed), 0.0
+    warnings = [*chunk.program.warnings, *(faster.warnings if faster is not None else ())]
+    if smooth < s_curve and chunk.extent.begin is None:
+        warnings.append(_not_smooth(chunk))
+    if chunk.extent.end is None:
+        moves = len(chunk.program.moves)
+        waits_s = sum(event.dwell_s for event in chunk.program.events if event.move == moves)
+    around = Statistics(
+        original_print_time_s=waits_s - lost_s,
+        print_time_s=waits_s,
+        warnings=tuple(warnings),
+        slowed=chunk.slowed,
+        faster=faster,
+    )
+    raw = _raw_events(chunk)
+    raw_s = raw_durations(raw, planner_limits(machine))
+    begun = planned.sections if chunk.extent.begin is None else planned.sections[1:]
+    waits = {} if context.plain else settling_waits(planned, machine, raw_s, begun, chunk.since)
+    by_plan = of_plan(planned, chunk.extent)
+    if faster is not None and chunk.extent != WHOLE:  # what is written takes another time as it was sliced
+        sliced = of_plan(plan_program(chunk.program, machine), chunk.extent)
+        by_plan = replace(by_plan, original_print_time_s=sliced.original_print_time_s)
+    statistics = around + by_plan + of_raw(raw, raw_s) + of_waits(waits)
+    return PlannedChunk(chunk, planned, state, _is_simulated(chunk, context.share), statistics, raw_s, waits)
+
+
+def _raw_events(chunk: Chunk) -> list[Event]:
+    """Return the moves that go out as they are, of those events that this chunk writes."""
+    begin, end = chunk.extent
+    return [
+        event
+        for event in chunk.program.events
+        if event.raw is not None
+        and (begin is None or event.move > begin.move)
+        and (end is None or event.move <= end.move)
+    ]
+
+
+def _is_simulated(chunk: Chunk, share: float) -> bool:
+    """Tell whether some of it is. Of a motion in several chunks, only as many of them as are a share of it."""
+    if chunk.extent == WHOLE:
+        return share > 0.0
+    return ceil(share * (chunk.cuts + 1)) > ceil(share * chunk.cuts)
+
+
+def _not_smooth(chunk: Chunk) -> str:
+    line = chunk.program.first_line + int(chunk.program.moves.line[0]) + 1
+    longest = f"{S_CURVE_LONGEST_S / 60:g} minutes"
+    return f"line {line}: the motion that begins here does not rest for {longest}; it is planned without S-curves."
+
+
+RESIDUAL_MM = 1e-3  # of vibration, when the first compensated extrusion begins
+EXCITED_SHARE = 0.05  # of the largest nozzle motion in a mode: less along an axis does not excite the mode
+SHORTEST_S = 0.002  # not worth a line
+
+
+def settling_waits(
+    planned: PlannedProgram,
+    machine: Machine,
+    raw_s: Mapping[int, float],
+    sections: Iterable[Section],
+    earlier: Sequence[Event] = (),
+) -> dict[int, float]:
+    """Return how long to wait before sections, s, by their first move; sections without a wait are left out.
+
+    Parameters
+    ----------
+    machine : its modes say how long it rings
+    raw_s : mapping, how long moves take that go out as they are, s, by their line's index
+    sections : those that are written from their beginning, in order
+    earlier : the lines just before the program, after the last move
+    """
+    moves, events = planned.program.moves, planned.program.events
+    travels = np.any(moves.end[:, :3] != moves.start[:, :3], axis=1)
+    extruding = np.flatnonzero((moves.end[:, 3] > moves.start[:, 3]) & travels)
+    disturbed = [event.move for event in events if event.moves_itself]
+    pending = _lasting(earlier, raw_durations(earlier, planner_limits(machine)))
+    waits = {}
+    at = 0
+    for section in sections:
+        since = at
+        while at < len(events) and events[at].move <= section.first:
+            at += 1
+        pending += _lasting(events[since:at], raw_s)
+        needed = _needed_s(pending, machine, moves.start[section.first, :2])
+        pending = []
+        if needed <= 0.0:
+            continue
+        k = int(np.searchsorted(extruding, section.first))
+        if k == len(extruding) or any(section.first < move <= extruding[k] for move in disturbed):
+            continue  # nothing is extruded before the firmware moves by itself again
+        wait = needed - (float(planned.trajectory.start_t[extruding[k]]) - section.begin_t)
+        if wait > SHORTEST_S:
+            waits[section.first] = math.ceil(1e3 * wait) / 1e3
+    return waits
+
+
+def ringing_s(machine: Machine, xy: FloatArray, acceleration: float, axes: Iterable[int]) -> float:
+    """Return how long a ramp along some axes of the nozzle is felt, s.
+
+    Parameters
+    ----------
+    xy : (2,), where the nozzle is, mm
+    acceleration : of the ramp, mm/s²
+    axes : along which it may have moved
+    """
+    (modes,) = machine.vibration.modes(xy[None])
+    return max((_mode_s(*mode, acceleration) for mode in _excited(modes, list(axes))), default=0.0)
+
+
+def _excited(modes: Modes, axes: list[int]) -> list[tuple[float, float]]:
+    """Return angular frequency and damping ratio of the modes that move the nozzle along one of the axes."""
+    motion = np.abs(modes.nozzle)
+    takes_part = (motion[:, axes] > EXCITED_SHARE * motion.max(initial=0.0)).any(axis=1)
+    w = 2.0 * np.pi * modes.frequencies_hz[takes_part]
+    return list(zip(w.tolist(), modes.damping_ratios[takes_part].tolist(), strict=True))
+
+
+def _mode_s(w: float, damping: float, acceleration: float) -> float:
+    too_much = 2.0 * acceleration / (w * w * RESIDUAL_MM)
+    return math.log(too_much) / (damping * w) if too_much > 1.0 and damping > 0.0 else 0.0
+
+
+def _lasting(events: Iterable[Event], raw_s: Mapping[int, float]) -> list[tuple[Event, float]]:
+    """Return events with what they take, s, as far as it is known."""
+    return [(event, event.dwell_s + raw_s.get(event.line, 0.0)) for event in events]
+
+
+def _needed_s(events: list[tuple[Event, float]], machine: Machine, xy: FloatArray) -> float:
+    """Return how long what these events move still rings after the last of them, s."""
+    needed = since = 0.0
+    for event, seconds in reversed(events):
+        if event.moves_itself:
+            axes = (0, 1, 2) if event.raw is None else event.raw.axes
+            acceleration = machine.limits.acceleration_mm_per_s2
+            if event.raw is not None and not math.isnan(event.raw.acceleration):
+                acceleration = event.raw.acceleration
+            if axes:
+                needed = max(needed, ringing_s(machine, xy, acceleration, axes) - since)
+        since += seconds
+    return needed

@@ -1,0 +1,158 @@
+"""Predict a print's errors without and with compensation by the design model.
+
+This is a prediction by the model that the command was designed with, not a proof: an independent plant evaluates in the
+tests and in `compare`. A short print is predicted from the file that was written, read again (`read_again`): it is the
+number that `show` finds. Others are predicted while they are compensated (`Prediction`), from the segments as their
+lines state them; long prints are sampled section by section, evenly, and the result states their share.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ffcomp.compensation.solve import SolvedSection
+from ffcomp.inverse.model import InverseModel
+from ffcomp.inverse.reference import Reference
+from ffcomp.metrics import Track, peak_acceleration, track
+from ffcomp.planner.segment_timing import TimedSegments, sample_even_segments
+from ffcomp.planner.trajectory import PlannedMotion, Section
+from ffcomp.simulation.preview import preview
+from models.arrays import FloatArray
+from models.machine import Machine
+
+LONGEST_S = 300.0  # of print time that is simulated for the prediction
+READ_AGAIN_S = 600.0  # of print time, at most, of a file that is read again
+SAMPLE_S = 1e-3  # about
+
+
+@dataclass
+class _Motion:
+    """Samples of one kind of motion, run after run."""
+
+    actual: list[FloatArray] = field(default_factory=list)  # (m, 3) mm
+    peak: float = 0.0  # mm/s², of the carriages' commands over one segment
+
+
+@dataclass
+class Samples:
+    """What was simulated, run after run."""
+
+    sample_s: float
+    clock: float = 0.0  # s
+    covered_s: float = 0.0
+    place: FloatArray = field(default_factory=lambda: np.zeros(3))  # mm, where the last run has ended
+    reference: list[FloatArray] = field(default_factory=list)  # (m, 3) mm
+    path_t: list[FloatArray] = field(default_factory=list)  # s
+    path: list[FloatArray] = field(default_factory=list)  # (k, 3) mm
+    before: _Motion = field(default_factory=_Motion)
+    after: _Motion = field(default_factory=_Motion)
+
+    def __add__(self, later: Samples) -> Samples:
+
+        def moved(points: list[FloatArray]) -> list[FloatArray]:
+            return [each + self.place for each in points]
+
+        before, after = (
+            _Motion(mine.actual + moved(theirs.actual), max(mine.peak, theirs.peak))
+            for mine, theirs in ((self.before, later.before), (self.after, later.after))
+        )
+        return Samples(
+            self.sample_s,
+            clock=self.clock + later.clock,
+            covered_s=self.covered_s + later.covered_s,
+            place=self.place + later.place,
+            reference=self.reference + moved(later.reference),
+            path_t=self.path_t + [each + self.clock for each in later.path_t],
+            path=self.path + moved(later.path),
+            before=before,
+            after=after,
+        )
+
+    def tracks(self) -> dict[str, Track]:
+        """Evaluate the sampled sections, "uncompensated" and "compensated"."""
+        if not self.reference:
+            return {}
+        reference = np.concatenate(self.reference)
+        t = self.sample_s * np.arange(1, len(reference) + 1, dtype=np.float64)
+        path_t, path = np.concatenate(self.path_t), np.concatenate(self.path)
+        return {
+            name: track(t, reference, np.concatenate(motion.actual), path_t, path, motion.peak)
+            for name, motion in (("uncompensated", self.before), ("compensated", self.after))
+        }
+
+
+def read_again(
+    written: bytes, path: str, machine: Machine, offset: tuple[float, float], flavor: str
+) -> dict[str, Track]:
+    """Return the errors "uncompensated" and "compensated" of a compensated file itself."""
+    seen = preview(written, path, machine, offset, flavor)
+    return {"uncompensated": seen.before.track, "compensated": seen.after.track}
+
+
+class Prediction:
+    """Collects samples of runs while they are compensated."""
+
+    def __init__(self, model: InverseModel, share: float) -> None:
+        """Simulate this share of the print, 0 to 1."""
+        self.model, self.share = model, share
+        s = model.settings
+        self.every = max(1, round(SAMPLE_S * s.substeps / s.segment_s))  # substeps from sample to sample
+        self.samples = Samples(self.every * s.segment_s / s.substeps)
+        self.seen_s = 0.0
+
+    def wants(self, reference: Reference) -> bool:
+        """Tell whether it is this section's turn; to be asked once for each."""
+        length = reference.knots * self.model.settings.segment_s
+        due = self.samples.covered_s <= self.share * self.seen_s
+        self.seen_s += length
+        return due
+
+    def add(self, solved: SolvedSection, written: Sequence[TimedSegments] = ()) -> None:
+        """Take one compensated section in; `written`: its segments, where they are other than the solved ones."""
+        model, s, samples, every = self.model, self.model.settings, self.samples, self.every
+        reference, result = solved.reference, solved.solution
+        length = reference.knots * s.segment_s
+        samples.covered_s += length
+        nozzle, velocity = reference.substeps(0, reference.knots)
+        # one after the other in space too: only differences count, and a jump between runs would look like an error
+        shift = samples.place - nozzle[0]
+        samples.reference.append(nozzle[every::every] + shift)
+        samples.place = samples.reference[-1][-1]
+        self._add_path(solved.trajectory, solved.section, reference, shift)
+        state = model.machine.equilibrium(nozzle[0])
+        plain, _ = model.plant.respond(nozzle, velocity, state, s.substeps)
+        response = result.response + self._joining(solved, nozzle, written)
+        knots = nozzle[:: s.substeps]
+        for motion, actual, command in ((samples.before, plain, knots), (samples.after, response, result.vertices)):
+            motion.actual.append(actual[every - 1 :: every] + shift)
+            bend = peak_acceleration(model.kinematics.inverse(command), s.segment_s, s.segment_s)
+            motion.peak = max(motion.peak, bend)
+        samples.clock += length
+
+    def _joining(self, solved: SolvedSection, nozzle: FloatArray, written: Sequence[TimedSegments]) -> FloatArray:
+        """Return what the joined segments add to the response, (n, 3) mm: the model is linear in the command."""
+        model, s, vertices = self.model, self.model.settings, solved.solution.vertices
+        filament = np.diff(solved.reference.extrusion())
+        command = sample_even_segments(vertices, filament, s.segment_s, s.output, s.substeps)
+        joined = command.copy()
+        times = np.arange(len(command), dtype=np.float64) * (s.segment_s / s.substeps)
+        for piece in written:
+            rows = slice(*times.searchsorted([piece.due[0], piece.due[-1]]).tolist())
+            joined[rows] = piece.positions(times[rows])
+        kinematics, still = model.kinematics, np.zeros_like(command)
+        added = kinematics.inverse(joined) - kinematics.inverse(command)
+        place = np.ascontiguousarray(nozzle[s.substeps // 2 :: s.substeps, :2][: len(vertices) - 1])
+        at_rest = np.zeros_like(model.machine.equilibrium(nozzle[0]))
+        q, _ = model.plant.play(place, still, added, at_rest, s.substeps)
+        response = solved.solution.response
+        return kinematics.forward(kinematics.inverse(response) + q) - response
+
+    def _add_path(self, trajectory: PlannedMotion, run: Section, reference: Reference, shift: FloatArray) -> None:
+        part, samples = slice(run.first, run.last), self.samples
+        corners = np.vstack([trajectory.origin[part, :3], reference.nozzle(np.array([run.end_t]))])
+        due = np.append(trajectory.start_t[part], run.end_t)
+        samples.path.append(corners + shift)
+        samples.path_t.append(samples.clock + due - reference.t0)

@@ -1,0 +1,212 @@
+"""Compensate a chunk of a program: the one loop over its sections, whatever is written.
+
+The stages of a file, each with frozen data for the next one:
+
+    bytes -read-> Program -split-> Chunk -plan-> PlannedChunk -solve-> SolvedSection* -render-> bytes | steps
+
+read      gcode.reader             text → moves and events
+split     compensate.chunks        a print of any length → chunks of some minutes
+plan      compensate.plan          a chunk → the firmware's plan: when each move accelerates, cruises, brakes
+solve     compensate.solve         each section, from rest to rest → the command whose response is the section
+render    compensate.gcode_writer  command and events → text, limits opened and closed around it
+          compensate.step_output   command → times of steps
+"""
+
+from __future__ import annotations
+
+import re
+from collections import deque
+from collections.abc import Callable, Generator, Iterable, Sequence
+from dataclasses import replace
+from typing import Protocol
+
+import numpy as np
+
+from ffcomp.compensation.plan import Context, PlannedChunk
+from ffcomp.compensation.prediction import Prediction
+from ffcomp.compensation.solve import SolvedSection, solutions
+from ffcomp.compensation.statistics import Statistics, of_section
+from ffcomp.errors import LimitsError
+from ffcomp.faster.bound import Bound
+from ffcomp.inverse.model import InverseModel
+from ffcomp.inverse.reference import Reference
+from ffcomp.inverse.settings import Settings
+from ffcomp.metrics import contour_error
+from ffcomp.planner.segment_timing import TimedSegments
+from ffcomp.planner.trajectory import Section
+from gcode.layers import labels
+from gcode.program import Program
+from models.machine import Pressure
+
+
+class Renderer(Protocol):
+    """What turns a chunk's solved sections into output: pieces of text, or none where it writes elsewhere."""
+
+    @property
+    def segments(self) -> int:
+        """How many segments have been written."""
+
+    @property
+    def late_s(self) -> float:
+        """By how much what has been written takes longer than its knots, s."""
+
+    def before(self, section: Section) -> Iterable[bytes]:
+        """Write what stands before a section."""
+
+    def extrude(self, section: Section) -> Iterable[bytes]:
+        """Write a section in which only the extruder moves."""
+
+    def section(self, section: Section, solved: SolvedSection) -> Iterable[bytes]:
+        """Write a section that travels, and what stands in it."""
+
+    def written(self) -> Sequence[TimedSegments]:
+        """Return the last section's segments where joining made them other than the command; s since its first knot."""
+
+    def finish(self) -> Iterable[bytes]:
+        """Write what stands after the last section."""
+
+
+def compensate(
+    chunk: PlannedChunk,
+    context: Context,
+    model: InverseModel,
+    renderer: Renderer,
+    *,
+    progress: Callable[[float], None] = lambda done_s: None,
+) -> Generator[bytes, None, Statistics]:
+    """Yield a chunk's output in order, pieces of whole lines, and return the statistics.
+
+    Parameters
+    ----------
+    chunk : what is compensated
+    context : the machine, and how much of the print is simulated
+    model : the machine's inverse, with the settings
+    renderer : writes this chunk
+    progress : called with the print-seconds done so far
+    """
+    planned, extent = chunk.planned, chunk.chunk.extent
+    prediction = Prediction(model, context.share) if chunk.simulated else None
+    check = None
+    if context.bound is not None:
+        check = BoundCheck(context.bound, planned.program, chunk.chunk.feature)
+    hot_end = model.settings.pressure
+    pressure = None if hot_end is None else PressureCheck(hot_end, planned.program)
+
+    wanted = deque[bool]()  # by the prediction, of the sections that are solved and not yet written
+
+    def keep(reference: Reference) -> bool:
+        wanted.append(prediction is not None and prediction.wants(reference))
+        return wanted[-1] or check is not None
+
+    solved_sections = solutions(planned, context.machine, model, chunk.state, keep, chunk.chunk.layers, extent)
+    statistics = chunk.statistics
+    for section in planned.sections:
+        yield from renderer.before(section)
+        if not section.travels:
+            yield from renderer.extrude(section)
+            continue
+        solved = next(solved_sections)
+        yield from renderer.section(section, solved)
+        statistics += of_section(section, solved, planned, extent, model)
+        if check is not None:
+            check.add(solved, model.settings)
+        if pressure is not None:
+            pressure.add(solved)
+        if prediction is not None and wanted.popleft() and len(solved.solution.response):
+            prediction.add(solved, renderer.written())
+        progress(section.end_t)
+    yield from renderer.finish()
+    if check is not None:
+        statistics += Statistics(warnings=check.warnings(model.settings.strict))
+    if pressure is not None:
+        statistics += Statistics(warnings=pressure.warnings())
+    samples = prediction.samples if prediction is not None else None
+    print_s = statistics.print_time_s + renderer.late_s
+    return replace(statistics, print_time_s=print_s, segments=renderer.segments, predicted=samples)
+
+
+PEAK_LEVEL = 2.6  # times the bound, that single spots may have: a little more than in the search
+
+
+class BoundCheck:
+    """Compares the response that was solved for, effects included, with the bound, section by section."""
+
+    def __init__(self, bound: Bound, program: Program, feature: str) -> None:
+        self.program, self.bound_mm = program, bound.errors_mm(labels(program, feature))
+        self.beyond: list[tuple[float, int, float]] = []  # times the bound, line and µm of each section's worst
+
+    def add(self, solved: SolvedSection, settings: Settings) -> None:
+        """Look at a section."""
+        section, trajectory, response = solved.section, solved.trajectory, solved.solution.response
+        t = (
+            solved.reference.t0
+            + np.arange(1, len(response) + 1, dtype=np.float64) * settings.segment_s / settings.substeps
+        )
+        part = slice(section.first, section.last)
+        corners = np.vstack([trajectory.origin[part, :3], solved.reference.nozzle(np.array([section.end_t]))])
+        error = contour_error(np.append(trajectory.start_t[part], section.end_t), corners, t, response)
+        move = np.clip(trajectory.move_at(t), section.first, section.last - 1)
+        times = error / self.bound_mm[move]
+        worst = int(times.argmax())
+        if times[worst] > PEAK_LEVEL:
+            line = self.program.first_line + int(self.program.moves.line[move[worst]]) + 1
+            self.beyond.append((float(times[worst]), line, 1e3 * float(error[worst])))
+
+    def warnings(self, strict: bool = False) -> tuple[str, ...]:
+        """Say where the bound is not kept; strict: refuse."""
+        if not self.beyond:
+            return ()
+        _, line, um = max(self.beyond)
+        where = "one section" if len(self.beyond) == 1 else f"{len(self.beyond)} sections"
+        above = f"it is above {PEAK_LEVEL:g} times its bound in {where}"
+        sentence = f"line {line}: the predicted error is {um:.3g} µm here; {above}."
+        if strict:
+            raise LimitsError(sentence)
+        return (sentence,)
+
+
+ENOUGH_LEAD = 0.95  # of the lead: less is worth a sentence
+_ADVANCE = re.compile(rb"^\s*(?:SET_PRESSURE_ADVANCE\b.*?\bADVANCE=|M900\b.*?\bK|M572\b.*?\bS)([\d.]+)", re.IGNORECASE)
+
+
+class PressureCheck:
+    """Looks at how much of the lead was written, section by section."""
+
+    def __init__(self, pressure: Pressure, program: Program) -> None:
+        self.pressure, self.program = pressure, program
+        self.short: list[tuple[float, int]] = []  # share and line
+
+    def add(self, solved: SolvedSection) -> None:
+        """Look at a section."""
+        share = solved.reference.lead.share
+        if share < ENOUGH_LEAD:
+            move = int(self.program.moves.line[solved.section.first])
+            self.short.append((share, self.program.first_line + move + 1))
+
+    def warnings(self) -> tuple[str, ...]:
+        """Say where the extruder cannot follow, and where the file sets the firmware's own pressure advance."""
+        return (*self._short(), *self._others())
+
+    def _short(self) -> tuple[str, ...]:
+        if not self.short:
+            return ()
+        share, line = min(self.short)
+        where = "one section" if len(self.short) == 1 else f"{len(self.short)} sections"
+        jump = self.pressure.corner_velocity_mm_per_s
+        return (
+            f"line {line}: {100 * share:.0f} % of what the hot end's pressure asks for is written here, for the "
+            f"extruder's speed may jump by {jump:g} mm/s only ({where}); let the firmware's own pressure advance do "
+            "most of it (extruder.firmware_advance_s), or raise extruder.corner_velocity_mm_per_s as in the firmware.",
+        )
+
+    def _others(self) -> tuple[str, ...]:
+        known = self.pressure.firmware_advance_s
+        for number, line in enumerate(self.program.lines):
+            match = _ADVANCE.match(line)
+            if match and abs(float(match[1]) - known) > 1e-6:
+                return (
+                    f"line {self.program.first_line + number + 1}: the file sets the firmware's pressure advance to "
+                    f"{float(match[1]):g} s, and extruder.firmware_advance_s of the machine file is {known:g}; they "
+                    "must be the same.",
+                )
+        return ()

@@ -1,0 +1,258 @@
+"""Hold the results of a compensation: of one print, of one file among many, or why there is none."""
+
+from __future__ import annotations
+
+import time
+import traceback
+from collections.abc import Callable, Iterable, Mapping
+from concurrent.futures import BrokenExecutor
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from ffcomp.compensation.placement import Placement
+from ffcomp.compensation.statistics import Statistics, shortened, warning_lines
+from ffcomp.errors import INPUT_ERRORS, explain, interrupts_restored
+from ffcomp.inverse.robust import PLAIN, RobustChoice
+from ffcomp.metrics import Track
+from ffcomp.numerics.serialise import to_json
+from ffcomp.steps.sink import MotorTotal
+from gcode.dialects import FlavorChoice
+from gcode.embedded import Stamp
+from models.machine import Machine, identity
+
+SCHEMA = "ffcomp-compensate/1"
+LISTED = 12  # places that were slowed down, of which each has its sentence
+DIED = "A process that worked at it has died, perhaps for want of memory."
+
+
+@dataclass(frozen=True, slots=True)
+class QuickerPrint:
+    """What a bound on the error has brought."""
+
+    print_time_s: float
+    original_print_time_s: float
+    actuator_limit_s: float  # nothing can be quicker
+    limited_by: Mapping[str, float]  # seconds by what limits the speed
+    contour_p99_um: float | None  # None: not predicted
+    contour_max_um: float | None
+    by_feature: Mapping[str, Mapping[str, float]]
+
+
+@dataclass(frozen=True, slots=True)
+class Result:
+    """What the compensation of a print has given."""
+
+    path: str
+    machine: Machine
+    flavor: FlavorChoice
+    placement: Placement
+    statistics: Statistics
+    compute_time_s: float
+    steps: Mapping[str, MotorTotal] | None = None  # by the motor's letter; None: G-code was written
+    embedded: bool = True  # whether the G-code holds its original
+    robust: RobustChoice = PLAIN
+    read_again: Mapping[str, Track] = field(default_factory=dict)  # errors of the file as it was written
+
+    @property
+    def warnings(self) -> list[str]:
+        """All warnings, in sentences."""
+        slowed = self.statistics.slowed
+        sentences = [each.sentence() for each in slowed[:LISTED]]
+        if len(slowed) > LISTED:
+            more_s = sum(each.seconds for each in slowed[LISTED:])
+            sentences.append(
+                f"{len(slowed) - LISTED} more places were slowed down in the same way, {more_s:.2g} s longer in all."
+            )
+        return [*self.statistics.shares.warnings(), *self.statistics.warnings, *sentences]
+
+    @property
+    def warning_lines(self) -> list[str]:
+        """The same for people, in a few lines."""
+        numbers = self.statistics
+        warnings = [*numbers.shares.warnings(), *numbers.warnings]
+        return warning_lines(warnings, numbers.slowed, self.machine, numbers.original_print_time_s)
+
+    @property
+    def predicted(self) -> Mapping[str, Track]:
+        """Errors of the uncompensated and of the compensated print; empty: not predicted."""
+        samples = self.statistics.predicted
+        return self.read_again or (samples.tracks() if samples else {})
+
+    @property
+    def predicted_over_s(self) -> float:
+        """Print time that the prediction covers."""
+        if self.read_again:
+            return self.read_again["uncompensated"].print_time_s
+        samples = self.statistics.predicted
+        return samples.covered_s if samples else 0.0
+
+    @property
+    def faster(self) -> QuickerPrint | None:
+        """What a bound on the error has brought; None: there was none."""
+        numbers, faster = self.statistics, self.statistics.faster
+        if faster is None:
+            return None
+        compensated = self.predicted.get("compensated")
+        return QuickerPrint(
+            print_time_s=numbers.print_time_s,
+            original_print_time_s=numbers.original_print_time_s,
+            actuator_limit_s=faster.actuator_limit_s,
+            limited_by=dict(faster.limited_by),
+            contour_p99_um=compensated.contour_p99_um if compensated else None,
+            contour_max_um=compensated.contour_max_um if compensated else None,
+            by_feature={
+                name: {"original_s": seconds, "print_time_s": faster.planned_s.get(name, 0.0)}
+                for name, seconds in sorted(faster.original_s.items(), key=lambda each: -each[1])
+            },
+        )
+
+    def __add__(self, other: Result) -> Result:
+        """Add another print of the same file."""
+        statistics, compute_time_s = self.statistics + other.statistics, self.compute_time_s + other.compute_time_s
+        return replace(self, statistics=statistics, compute_time_s=compute_time_s)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the JSON object of `compensate`."""
+        numbers = self.statistics
+        answer = {
+            "schema": SCHEMA,
+            "input": self.path,
+            "machine": identity(self.machine),
+            "flavor": self.flavor.flavor,
+            "flavor_reason": self.flavor.reason,
+            "offset_mm": self.placement.offset,
+            "offset_reason": self.placement.reason,
+            "robust": self.robust.robust,
+            "robust_reason": self.robust.reason,
+            "print_time_s": numbers.print_time_s,
+            "original_print_time_s": numbers.original_print_time_s,
+            "compute_time_s": self.compute_time_s,
+            **numbers.shares.to_dict(),
+            "settling": {"times": numbers.settlings, "seconds": numbers.settling_s},
+            "moves": numbers.moves,
+            "segments": numbers.segments,
+            "windows": numbers.windows,
+            "limited_windows": numbers.limited_windows,
+            "warnings": self.warnings,
+            "warning_lines": self.warning_lines,
+            "slowed": numbers.slowed,
+            "predicted": self.predicted,
+            "predicted_over_s": self.predicted_over_s,
+            **({} if self.faster is None else {"faster": self.faster}),
+            **({"original_embedded": self.embedded} if self.steps is None else {"steps": self.steps}),
+        }
+        return dict(to_json(answer))
+
+
+@dataclass(frozen=True, slots=True)
+class CompensatedFile:
+    """What became of one file.
+
+    Attributes
+    ----------
+    path : str
+        The file, as the user named it.
+    output : str or None
+        The file that was written; None: nothing was.
+    prints : mapping of Result
+        By the print's name, which is empty for the only one; none: the file was compensated already.
+    already : str
+        The sentence that says so.
+    advice : tuple of str
+        Warnings about how the file was made.
+    """
+
+    path: str
+    output: str | None
+    prints: Mapping[str, Result] = field(default_factory=dict)
+    already: str = ""
+    advice: tuple[str, ...] = ()
+
+    @property
+    def result(self) -> Result:
+        """All prints together."""
+        first, *others = self.prints.values()
+        for other in others:
+            first += other
+        return first
+
+    @property
+    def warnings(self) -> list[str]:
+        """All warnings, in sentences."""
+        several = len(self.prints) > 1
+        own = [f"{name}: {each}" if several else each for name, r in self.prints.items() for each in r.warnings]
+        return [*self.advice, *own]
+
+    @property
+    def warning_lines(self) -> list[str]:
+        """The same for people, in a few lines."""
+        lines = self.result.warning_lines if self.prints else []
+        return shortened([*self.advice, *lines]) if self.advice else lines
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the JSON object of `compensate`."""
+        if not self.prints:
+            return {"schema": SCHEMA, "input": self.path, "output": self.output, "already": self.already}
+        answer = {**self.result.to_dict(), "warnings": self.warnings, "warning_lines": self.warning_lines}
+        if len(self.prints) > 1:
+            times = ("print_time_s", "original_print_time_s")
+            answer["prints"] = [
+                {"name": name, **{key: getattr(result.statistics, key) for key in times}}
+                for name, result in self.prints.items()
+            ]
+        return {**answer, "input": self.path, "output": self.output}
+
+
+def already_compensated(path: str, stamps: Iterable[Stamp | None]) -> CompensatedFile:
+    """Return the result of a file that is compensated already."""
+    by = " and ".join(dict.fromkeys(f"ffcomp v{stamp.version} for {stamp.machine}" for stamp in stamps if stamp))
+    return CompensatedFile(path, path, already=f"{path}: already processed by {by}; nothing changed.")
+
+
+@dataclass(frozen=True, slots=True)
+class Failure:
+    """Why a file was not compensated."""
+
+    sentence: str
+    exit_code: int
+    trace: str = ""  # of a fault of our own
+
+
+@dataclass(frozen=True, slots=True)
+class FileResult:
+    """The result of one file among many."""
+
+    number: int  # its place among the files
+    file: Path
+    seconds: float
+    done: CompensatedFile | None
+    failure: Failure | None = None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the file's JSON object among those of a batch."""
+        if self.done is not None:
+            return self.done.to_dict()
+        assert self.failure is not None
+        return {"input": str(self.file), "error": self.failure.sentence, "exit_code": self.failure.exit_code}
+
+
+def attempt(number: int, file: Path, work: Callable[[Path], CompensatedFile]) -> FileResult:
+    """Run `work(file)` and return its result or failure; never raises."""
+    started = time.perf_counter()
+    try:
+        with interrupts_restored():
+            done = work(file)
+        return FileResult(number, file, time.perf_counter() - started, done)
+    except Exception as error:
+        return FileResult(number, file, time.perf_counter() - started, None, failure_of(error, str(file)))
+
+
+def failure_of(error: Exception, path: str) -> Failure:
+    """Return an error's sentence and its documented exit code."""
+    if isinstance(error, INPUT_ERRORS):
+        return Failure(*explain(error, path))
+    if isinstance(error, BrokenExecutor):
+        return Failure(f"{path}: {DIED}", 1)
+    trace = "".join(traceback.format_exception(error))
+    return Failure(f"{path}: ffcomp itself is at fault ({type(error).__name__}: {error}).", 1, trace)

@@ -1,0 +1,346 @@
+"""Count what a compensation does, values that add up over sections, chunks and files, and word its warnings."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, cast
+
+import numpy as np
+
+from ffcomp.compensation.faster import Faster
+from ffcomp.compensation.prediction import Samples
+from ffcomp.compensation.solve import SolvedSection
+from ffcomp.inverse.command_limits import utilisation_from_rest
+from ffcomp.inverse.model import InverseModel
+from ffcomp.inverse.reference import Extent
+from ffcomp.inverse.time_scaling import TimeScaling
+from ffcomp.planner.limits import lines_of
+from ffcomp.planner.program import PlannedProgram
+from ffcomp.planner.reach import BESIDE
+from ffcomp.planner.trajectory import PathPosition, PlannedMotion, Section, Trajectory
+from gcode.program import Event, Moves, Program
+from gcode.slicing import some
+from models.machine import Machine
+
+ENOUGH = 0.95  # of the path or the filament: below it there is a warning
+_MACRO = re.compile(r"@?_?[A-Z][A-Z0-9]*_\w*|[A-Z]{4,}\w*")
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """Some moves: what the nozzle travels, and what is pushed out on the way."""
+
+    path_mm: float = 0.0
+    filament_mm: float = 0.0
+    seconds: float = 0.0  # only of what goes out as it was
+
+    def __add__(self, other: Part) -> Part:
+        return Part(self.path_mm + other.path_mm, self.filament_mm + other.filament_mm, self.seconds + other.seconds)
+
+
+@dataclass(frozen=True, slots=True)
+class Cause:
+    """Why moves went out as they were: a command after which nobody knows the place."""
+
+    line: int  # in the file, from 1; 0: its beginning
+    command: str
+
+
+@dataclass(frozen=True, slots=True)
+class Shares:
+    """What is compensated of the moves that a file makes by itself, and what is not."""
+
+    compensated: Part = field(default_factory=Part)
+    left: tuple[tuple[Cause, Part], ...] = ()  # by the command; the first line of each
+
+    def __add__(self, later: Shares) -> Shares:
+        if not later.left:
+            return Shares(self.compensated + later.compensated, self.left)
+        by_command = {cause.command: (cause, part) for cause, part in self.left}
+        for cause, part in later.left:
+            first, before = by_command.get(cause.command, (cause, Part()))
+            by_command[cause.command] = first, before + part
+        return Shares(self.compensated + later.compensated, tuple(by_command.values()))
+
+    @property
+    def uncompensated(self) -> Part:
+        """All that went out as it was."""
+        return sum((part for _, part in self.left), Part())
+
+    @property
+    def path(self) -> float:
+        """The compensated share of the path, 0 to 1."""
+        return _share(self.compensated.path_mm, self.uncompensated.path_mm)
+
+    @property
+    def filament(self) -> float:
+        """The compensated share of the filament, 0 to 1."""
+        return _share(self.compensated.filament_mm, self.uncompensated.filament_mm)
+
+    def warnings(self) -> tuple[str, ...]:
+        """Say where less than enough is compensated, why, and what helps."""
+        if min(self.path, self.filament) >= ENOUGH:
+            return ()
+        shares = (
+            f"Only {100 * self.path:.0f} % of the path and {100 * self.filament:.0f} % of the filament are compensated"
+        )
+        cause, _ = max(self.left, key=lambda each: (each[1].path_mm, each[1].filament_mm))
+        return (f"{shares}, and errors are stated for these alone: {_because(cause)}",)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the keys of `compensate`'s JSON object."""
+        return {
+            "compensated_share": {"path": self.path, "filament": self.filament},
+            "uncompensated": [
+                {
+                    "line": cause.line,
+                    "command": cause.command,
+                    "path_mm": part.path_mm,
+                    "filament_mm": part.filament_mm,
+                    "seconds": part.seconds,
+                }
+                for cause, part in self.left
+            ],
+        }
+
+
+def of_moves(moves: Moves) -> Part:
+    """Count moves that are compensated."""
+    lines = lines_of(moves)
+    pushed = np.maximum(moves.end[:, 3] - moves.start[:, 3], 0.0)
+    return Part(float(lines.length[lines.travels].sum()), float(pushed[lines.travels].sum()))
+
+
+def of_raw_moves(events: Iterable[Event], seconds: Mapping[int, float]) -> Shares:
+    """Count moves that go out as they were; `seconds` by the line's index."""
+    shares = Shares()
+    for event in events:
+        if event.raw is not None:
+            pushed = max(event.raw.filament_mm, 0.0) if event.raw.path_mm > 0.0 else 0.0
+            part = Part(event.raw.path_mm, pushed, seconds.get(event.line, 0.0))
+            shares += Shares(left=((Cause(*event.raw.cause), part),))
+    return shares
+
+
+def _share(part: float, rest: float) -> float:
+    return 1.0 if rest <= 0.0 else part / (part + rest)
+
+
+def _because(cause: Cause) -> str:
+    if cause.command == BESIDE:
+        return f"from line {cause.line} on, moves lie beside the print volume."
+    if not cause.line:
+        return "the file does not say where the nozzle begins; home, or name X, Y and Z, before it prints."
+    where = f"after {cause.command} in line {cause.line} nobody knows where the nozzle is"
+    if _MACRO.fullmatch(cause.command):
+        return (
+            f"{where}. If it comes back to where it was, say so in the machine file: "
+            f'[macros] returns = ["{cause.command}"]; otherwise name X and Y after it in the slicer.'
+        )
+    return f"{where}; name X and Y after it."
+
+
+UTILISATION_TOLERANCE = 1.001  # times a limit, above which there is a warning
+
+
+@dataclass(frozen=True, slots=True)
+class Statistics:
+    """What a compensation has done."""
+
+    moves: int = 0
+    segments: int = 0
+    windows: int = 0
+    limited_windows: int = 0
+    original_print_time_s: float = 0.0
+    print_time_s: float = 0.0
+    warnings: tuple[str, ...] = ()
+    slowed: tuple[TimeScaling, ...] = ()
+    predicted: Samples | None = None
+    shares: Shares = field(default_factory=Shares)
+    settlings: int = 0  # waits until the ringing of what the firmware has moved by itself has died away
+    settling_s: float = 0.0
+    faster: Faster | None = None  # None: no bound was asked for
+
+    def __add__(self, later: Statistics) -> Statistics:
+        """Add what comes after this; a warning is kept once."""
+        samples = [each.predicted for each in (self, later) if each.predicted is not None]
+        return Statistics(
+            moves=self.moves + later.moves,
+            segments=self.segments + later.segments,
+            windows=self.windows + later.windows,
+            limited_windows=self.limited_windows + later.limited_windows,
+            original_print_time_s=self.original_print_time_s + later.original_print_time_s,
+            print_time_s=self.print_time_s + later.print_time_s,
+            warnings=tuple(dict.fromkeys(self.warnings + later.warnings)) if later.warnings else self.warnings,
+            slowed=self.slowed + later.slowed,
+            predicted=samples[0] + samples[1] if len(samples) > 1 else next(iter(samples), None),
+            shares=self.shares + later.shares,
+            settlings=self.settlings + later.settlings,
+            settling_s=self.settling_s + later.settling_s,
+            faster=self.faster + later.faster if self.faster and later.faster else self.faster or later.faster,
+        )
+
+
+def of_plan(planned: PlannedProgram, extent: Extent) -> Statistics:
+    """Count what a program, or what is written of it, takes by its plan."""
+    moves, plan = planned.program.moves, planned.trajectory
+    begin = _on(extent.begin, plan, 0.0)
+    first = int(np.searchsorted(plan.start_t, begin))
+    if extent.end is not None:
+        end = _on(extent.end, plan, 0.0)
+        last = int(np.searchsorted(plan.start_t, end))
+        shares = Shares(of_moves(some(moves, slice(first, last))))
+        return Statistics(moves=last - first, original_print_time_s=end - begin, shares=shares)
+    original_s, print_s = planned.firmware_s - begin, float(plan.end_t) - begin
+    shares = Shares(of_moves(some(moves, slice(first, None))))
+    return Statistics(moves=len(moves) - first, original_print_time_s=original_s, print_time_s=print_s, shares=shares)
+
+
+def of_raw(events: list[Event], seconds: Mapping[int, float]) -> Statistics:
+    """Count moves that go out as they were, which take as long before and after."""
+    shares = of_raw_moves(events, seconds)
+    lasting_s = shares.uncompensated.seconds
+    return Statistics(original_print_time_s=lasting_s, print_time_s=lasting_s, shares=shares)
+
+
+def of_waits(waits_s: Mapping[int, float]) -> Statistics:
+    """Count waits until ringing has died away."""
+    total_s = sum(waits_s.values())
+    return Statistics(print_time_s=total_s, settlings=len(waits_s), settling_s=total_s)
+
+
+def of_section(
+    section: Section, solved: SolvedSection, planned: PlannedProgram, extent: Extent, model: InverseModel
+) -> Statistics:
+    """Count a solved section, which lasts longer than it was planned."""
+    begin, end = solved.knots
+    longer_s = (end - begin) * model.settings.segment_s - _counted_s(section, planned, extent)
+    result = solved.solution
+    warnings = tuple(_excesses(solved, planned.program, model)) if result.utilisation > UTILISATION_TOLERANCE else ()
+    return Statistics(
+        windows=result.windows,
+        limited_windows=len(result.constrained),
+        print_time_s=longer_s,
+        warnings=warnings,
+        slowed=solved.slowed,
+    )
+
+
+def _counted_s(section: Section, planned: PlannedProgram, extent: Extent) -> float:
+    if extent.end is not None:
+        return 0.0
+    first = section is planned.sections[0]
+    return section.end_t - (_on(extent.begin, planned.trajectory, section.begin_t) if first else section.begin_t)
+
+
+def _on(position: PathPosition | None, plan: PlannedMotion, otherwise: float) -> float:
+    return otherwise if position is None else position.time_in(cast(Trajectory, plan))
+
+
+def _excesses(solved: SolvedSection, program: Program, model: InverseModel) -> Iterator[str]:
+    """Warn if more than a limit is demanded where the section is written."""
+    begin, end = solved.knots
+    demand = utilisation_from_rest(solved.solution.vertices, model.limits)[begin : end + 2].max(axis=(1, 2))
+    worst = int(demand.argmax())
+    if demand[worst] > UTILISATION_TOLERANCE:
+        t = solved.reference.t0 + (begin + worst) * model.settings.segment_s
+        move = min(max(int(solved.trajectory.move_at(t)), solved.section.first), solved.section.last - 1)
+        line = program.first_line + int(program.moves.line[move]) + 1
+        yield f"line {line}: the command needs {demand[worst]:.2f} times a carriage's limit here."
+
+
+MOST_LINES = 5
+
+_NUMBER = re.compile(r"\d[\d.]*")
+_MORE = "see --json, or the log (ffcomp --log-path)"
+
+
+def warning_lines(
+    warnings: Sequence[str], slowed: Sequence[TimeScaling], machine: Machine, original_s: float
+) -> list[str]:
+    """Return at most five lines.
+
+    Parameters
+    ----------
+    warnings : sentences about anything but places that became slower
+    slowed : places that became slower
+    machine : whose limits they are
+    original_s : time of the original print, s
+    """
+    return shortened([*grouped(warnings), *_slowed(slowed, machine, original_s)])
+
+
+def shortened(lines: Sequence[str], most: int = MOST_LINES) -> list[str]:
+    """Return no more lines than a person reads."""
+    if len(lines) <= most:
+        return list(lines)
+    kept = most - 1
+    return [*lines[:kept], f"{len(lines) - kept} more kinds of warnings: {_MORE}."]
+
+
+def grouped(warnings: Iterable[str]) -> list[str]:
+    """Return the first of all warnings that differ in numbers only, and how many more there are."""
+    first: dict[str, str] = {}
+    count: Counter[str] = Counter()
+    for warning in warnings:
+        cause = cause_of(warning)
+        first.setdefault(cause, warning)
+        count[cause] += 1
+    return [
+        warning if count[cause] == 1 else f"{warning} {count[cause] - 1} more like this: {_MORE}."
+        for cause, warning in first.items()
+    ]
+
+
+def cause_of(warning: str) -> str:
+    """Return the warning without its numbers."""
+    return _NUMBER.sub("#", warning)
+
+
+def _slowed(slowed: Sequence[TimeScaling], machine: Machine, original_s: float) -> Iterator[str]:
+    limits = {each.limit for each in slowed}
+    groups = [[each for each in slowed if each.limit == limit] for limit in limits]
+    for group in sorted(groups, key=lambda group: -sum(each.seconds for each in group)):
+        lost_s = sum(each.seconds for each in group)
+        places = "1 place" if len(group) == 1 else f"{len(group)} places"
+        share = f" ({100 * lost_s / original_s:+.2g} %)" if original_s > 0 else ""
+        yield f"Slowed at {places}, {_seconds(lost_s)} longer in all{share}: {_reason(group, machine)}"
+
+
+def _seconds(value: float) -> str:
+    return f"{value:.0f} s" if value >= 10 else f"{value:.2g} s"
+
+
+def _reason(group: Sequence[TimeScaling], machine: Machine) -> str:
+    limit = group[0].limit
+    if not limit:
+        return (
+            "the firmware's own acceleration, where the nozzle lifts or filament is pulled back above all, leaves too "
+            "little for the segments. Fewer z-hops and wipes avoid it, or more acceleration in firmware and machine "
+            "file."
+        )
+    names = machine.kinematics.actuator_names
+    count = Counter(names["ABC".index(each.carriage)] for each in group)
+    who = ", ".join(f"{name} ({number}×)" if len(count) > 1 else name for name, number in count.most_common())
+    peak = max(each.asked for each in group)
+    return f"the {limit} limit of {who} was exceeded up to {peak:.2f} times. {_remedy(limit, machine)}"
+
+
+def _remedy(limit: str, machine: Machine) -> str:
+    limits = machine.limits
+    if limit == "travel":
+        travel = limits.carriage_travel_mm
+        return f"carriage_travel_mm = {list(travel or ())} in [limits] of the machine file is what the carriages have."
+    key, value = {
+        "velocity": ("carriage_velocity_mm_per_s", limits.carriage_velocity_mm_per_s),
+        "acceleration": ("carriage_acceleration_mm_per_s2", limits.carriage_acceleration_mm_per_s2),
+    }[limit]
+    rate = f", or step_rate_hz = {limits.step_rate_hz:g}," if limit == "velocity" and limits.step_rate_hz else ""
+    slower = "speed" if limit == "velocity" else "acceleration"
+    return (
+        f"A lower {slower} in the slicer avoids it; or more than {key} = {value:g}{rate} in [limits] of the machine "
+        "file, if the motors can do it."
+    )

@@ -1,0 +1,161 @@
+"""Render a chunk's commands as times at which the motors step.
+
+Nothing plans the motion again, so it lasts as it was computed: the nozzle goes from knot to knot at constant speed, and
+where the plan rests, so do the motors. A line that is not a move gets the tick of its move.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Protocol, cast
+
+import numpy as np
+
+from ffcomp.compensation.plan import Context, PlannedChunk
+from ffcomp.compensation.solve import SolvedSection, keep_inside
+from ffcomp.planner.program import PlannedProgram
+from ffcomp.planner.segment_timing import TimedSegments
+from ffcomp.planner.trajectory import Section, Trajectory
+from ffcomp.steps.crossings import Pieces, knot_pieces, on_grid, trajectory_pieces
+from ffcomp.steps.sink import MotorTotal
+from gcode.program import Event, EventKind, EventQueue, Program
+
+SAMPLE_S = 1e-3  # of moves of the extruder alone
+BEFORE_S = 0.1  # at rest before the first motion
+
+
+class Sink(Protocol):
+    """Where a path goes: `steps.sink.StepSink` makes steps of it, `steps.motion.MotionSink` keeps it."""
+
+    def pieces(self, pieces: Pieces) -> None:
+        """Take the next part of the path."""
+
+    def event(self, t: float, line: bytes, *, still: bool = False) -> None:
+        """Add a G-code line to run at the time t, s; still: nothing moves by it."""
+
+    def rest(self) -> None:
+        """Note that the nozzle rests where the path has come to."""
+
+    def height(self, known: bool) -> None:
+        """Say whether the file has stated the Z of what follows, or it is only taken to be that of before a macro."""
+
+    def finish(self) -> dict[str, MotorTotal]:
+        """Write what was gathered, and return what became of each motor's steps."""
+
+
+@dataclass
+class StepStream:
+    """The path of chunk after chunk on one clock."""
+
+    sink: Sink
+    clock_s: float = BEFORE_S
+
+    def uncompensated(self, planned: PlannedProgram) -> None:
+        """Write the plan as it is; it must be the firmware's own, of trapezoids."""
+        program, begun = planned.program, self.clock_s
+        trajectory = cast(Trajectory, planned.trajectory)
+        due = np.append(begun + trajectory.start_t, begun + trajectory.end_t)
+        for event in program.events:
+            self.tell(event, float(due[event.move]), program.lines[event.line])
+        for first, last, known in _by_height(program):
+            self.sink.height(known)
+            for pieces in trajectory_pieces(trajectory, begun, first, last):
+                self.sink.pieces(pieces)
+        self.clock_s = begun + trajectory.end_t
+
+    def tell(self, event: Event, t: float, line: bytes) -> None:
+        """Give a line to the sink; what passes moves nothing, even where it looks like a move."""
+        self.sink.event(t, line, still=event.kind is EventKind.PASS)
+
+
+def _by_height(program: Program) -> list[tuple[int, int, bool]]:
+    """Return runs of moves whose Z is known, or is not: first, last, which."""
+    known = np.array([frame.z_known for frame in program.frames], dtype=bool)[program.moves.frame]
+    ends = [*np.flatnonzero(known[1:] != known[:-1]) + 1, len(known)]
+    return [(int(first), int(last), bool(known[first])) for first, last in pairwise([0, *ends])]
+
+
+class StepRenderer:
+    """Steps of one chunk; see `compensate.program.Renderer`. It yields no text."""
+
+    segments, late_s = 0, 0.0  # steps keep any time
+
+    def __init__(self, stream: StepStream, chunk: PlannedChunk, context: Context) -> None:
+        self._stream, self._planned, self._extent = stream, chunk.planned, chunk.chunk.extent
+        self._kinematics, self._segment_s = context.machine.kinematics, context.settings.segment_s
+        self._events, self._waits_s = EventQueue(chunk.planned.program.events), chunk.waits_s
+        self._rested = 0.0  # s of the plan's clock, when the section before has ended
+
+    def before(self, section: Section) -> Iterable[bytes]:
+        """Wait until a section begins, and give the lines before it their tick."""
+        if self._extent.begin is None or section is not self._planned.sections[0]:
+            self._stream.sink.rest()
+            self._stream.clock_s += section.begin_t - self._rested
+            self._events_before(section.first)
+            self._stream.clock_s += self._waits_s.get(section.first, 0.0)
+        self._rested = section.end_t
+        return ()
+
+    def extrude(self, section: Section) -> Iterable[bytes]:
+        """Write a section in which only the extruder moves."""
+        self._tell_height(section.first)
+        lasts_s = section.end_t - section.begin_t
+        n = max(round(lasts_s / SAMPLE_S), 1)
+        spacing = lasts_s / n
+        t = section.begin_t + spacing * np.arange(n + 1, dtype=np.float64)
+        position = self._planned.trajectory.position(np.minimum(t, np.nextafter(section.end_t, -np.inf)))
+        position[-1] = self._planned.program.moves.end[section.last - 1]
+        position = on_grid(position)
+        vertices = np.repeat(position[:1, :3], n + 1, axis=0)
+        self._stream.sink.pieces(knot_pieces(self._stream.clock_s, spacing, vertices, position[:, 3]))
+        self._stream.clock_s += lasts_s
+        return ()
+
+    def section(self, section: Section, solved: SolvedSection) -> Iterable[bytes]:
+        """Write a section that travels, and give the lines in it their ticks."""
+        run, moves, reference, (first, last) = (
+            solved.section,
+            self._planned.program.moves,
+            solved.reference,
+            solved.knots,
+        )
+        self._tell_height(run.first)
+        heights = moves.end[run.first : run.last, 2]
+        vertices = keep_inside(self._kinematics, solved.solution.vertices[first : last + 1], heights)
+        filament = reference.extrusion(first, last)
+        if last == reference.knots:
+            filament[-1] = moves.end[run.last - 1, 3]
+        stream, segment_s = self._stream, self._segment_s
+        for event in self._events.up_to(run.last - 1):
+            knot = reference.knot_of(float(solved.trajectory.start_t[event.move]))
+            at = min(max(knot, 0.0), reference.knots)
+            if at >= last < reference.knots:  # the next chunk's
+                break
+            if at >= first:
+                self._tell(event, stream.clock_s + segment_s * (at - first))
+        stream.sink.pieces(knot_pieces(stream.clock_s, segment_s, on_grid(vertices), on_grid(filament)))
+        stream.clock_s += segment_s * (last - first)
+        return ()
+
+    def written(self) -> Sequence[TimedSegments]:
+        """Return nothing: steps follow the command as it was solved."""
+        return ()
+
+    def finish(self) -> Iterable[bytes]:
+        """Give the lines after the last section their tick."""
+        if self._extent.end is None:
+            self._events_before(len(self._planned.program.moves))
+        return ()
+
+    def _tell_height(self, move: int) -> None:
+        program = self._planned.program
+        self._stream.sink.height(program.frames[program.moves.frame[move]].z_known)
+
+    def _events_before(self, move: int) -> None:
+        for event in self._events.up_to(move):
+            self._tell(event, self._stream.clock_s)
+
+    def _tell(self, event: Event, t: float) -> None:
+        self._stream.tell(event, t, self._planned.program.lines[event.line])

@@ -1,0 +1,242 @@
+"""Acceptance tests: what a hypothesis must pass before its effects are named.
+
+Every place is left out of the fit in turn (every experiment, where there is one place only): what a hypothesis says of
+it then is what it would say of a place that nobody has measured.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ffcomp.diagnosis.fit import EstimationProblem, Fit, clipped, fit, step_within, superfluous, values_at
+from ffcomp.diagnosis.hypotheses import FILE_CHANGES, Hypothesis, implausible, moved_numbers
+from ffcomp.diagnosis.observations import Position, clustered
+from ffcomp.diagnosis.problem import Problem
+from ffcomp.diagnosis.recording_clocks import clock_parameters
+from ffcomp.diagnosis.settings import SETTINGS
+from ffcomp.identification.uncertainty import Estimate
+from models.arrays import FloatArray
+
+NEAR_NOISE = 0.44  # discrepancy of an error of 1.2 times the noise
+
+
+# ---- the tests -----------------------------------------------------------------------------------
+
+
+def rejections(
+    base: Fit, best: Hypothesis, held_out: Sequence[HeldOut], intervals: Mapping[str, Estimate], tolerance: float
+) -> list[str]:
+    """List the acceptance tests that a hypothesis fails, in words; none if it is accepted."""
+    failed = []
+    if (base.evidence - best.fit.evidence) / best.fit.misfit < SETTINGS.significant:
+        failed.append("it is not significantly better than retuning alone")
+    if best.discrepancy > max(SETTINGS.left * base.discrepancy, tolerance):
+        failed.append(f"{100 * best.discrepancy / base.discrepancy:.0f} % of the discrepancy is left")
+    failed += [_unexplained(one, tolerance) for one in contradicting(held_out, tolerance)]
+    # where retuning alone explains the data as well, but by implausible parameters, there is nothing to gain
+    if not held_out:
+        failed.append("it was tested nowhere else: there is one experiment only")
+    elif not implausible(base) and sum((one.before - one.after) * one.rows for one in held_out) < SETTINGS.significant:
+        failed.append("data left out of the fit are simulated no better with it")
+    failed += out_of_reach(best)
+    if len(best.effects) == SETTINGS.most_effects and set(best.names) <= FILE_CHANGES:
+        failed.append(
+            "three of the machine file's own numbers would have to be far off at once, as in the file of another "
+            "machine: measure this one (ffcomp identify)"
+        )
+    for candidate in best.effects:
+        if superfluous(candidate, intervals):
+            failed.append(f"the interval of {candidate.name} includes no effect at all")
+    return failed
+
+
+def out_of_reach(best: Hypothesis) -> list[str]:
+    """Say which of the file's own numbers had to move furthest, if they had to move beyond what the file says."""
+    if best.plausible:
+        return []
+    name, z = max(moved_numbers(best.fit, best.machine_count), key=lambda each: each[1])
+    return [
+        "with it the machine file's own numbers would have to be off by more than the file says, "
+        f"{name} by {z:.1f} times its uncertainty"
+    ]
+
+
+def contradicting(held_out: Sequence[HeldOut], tolerance: float) -> list[HeldOut]:
+    """Return what was left out and contradicts a hypothesis.
+
+    Shapes are never exactly ours: a place that holds a small part of all that has to be explained, and that it does
+    not explain, says that it is unproven there, no more; unless it makes things worse there.
+    """
+    total = sum(max(one.before, 0.0) * one.rows for one in held_out)
+    return [
+        one
+        for one in held_out
+        if not one.explained(tolerance)
+        and (
+            one.after * one.rows > SETTINGS.minor_place * total
+            or one.after > max(SETTINGS.worse_place * one.before, tolerance)
+        )
+    ]
+
+
+def unproven(held_out: Sequence[HeldOut], tolerance: float) -> list[HeldOut]:
+    """Return what was left out and is not explained."""
+    return [one for one in held_out if not one.explained(tolerance)]
+
+
+def _unexplained(one: HeldOut, tolerance: float) -> str:
+    if one.before <= tolerance:
+        return f"at {one.label}, left out of the fit, it makes things worse"
+    return f"at {one.label}, left out of the fit, {100 * one.after / one.before:.0f} % remains"
+
+
+# ---- what is left out of the fit -----------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """A place left out of the fit: the discrepancy there, as shares of its noise (χ² by row, less one)."""
+
+    position: Position
+    experiment: str  # where experiments take turns, for there is one place only; else ""
+    rows: int
+    before: float  # with the machine's parameters retuned at the other positions
+    after: float  # with the effects as well
+    filed: float = 0.0  # with the file as it is
+    power: tuple[float, ...] = ()  # in the band: of the error with the file as it is, with the effects; of the signals
+    noise_power: float = 0.0  # of the noise alone, as `power`
+
+    def explained(self, tolerance: float) -> bool:
+        """Whether little is left; `tolerance` is a share of the noise."""
+        return self.after < max(
+            SETTINGS.left * self.before, tolerance, min(SETTINGS.left_near_noise * self.before, NEAR_NOISE)
+        )
+
+    @property
+    def label(self) -> str:
+        """Name what was left out: `(55, 20)`, an experiment, or the time at which a window begins."""
+        if len(self.position) == 1:
+            return f"{self.position[0]:g} s"
+        return self.experiment or f"({', '.join(f'{x:.0f}' for x in self.position)})"
+
+
+def groups(problem: Problem) -> Mapping[tuple[Position, str], list[int]]:
+    """Group the observations that are held out together, by index: places with all their experiments and repeats.
+
+    With a single place whole experiments with their repeats take turns; a single experiment leaves nothing to hold out.
+    """
+    observations = problem.observations
+    places = clustered([o.position for o in observations])
+    members: dict[tuple[Position, str], list[int]] = {}
+    several = len(set(places)) > 1
+    for i, (place, o) in enumerate(zip(places, observations, strict=True)):
+        members.setdefault((place, "" if several else o.repeat_of), []).append(i)
+    return members if len(members) > 1 else {}
+
+
+def hold_out(estimation: EstimationProblem, base: Fit, best: Fit) -> list[HeldOut]:
+    """Leave each group out in turn: move both fits to the optimum of the others, to first order; simulate there."""
+    left_out = []
+    for (position, experiment), members in groups(estimation.problem).items():
+        filed = estimation.problem.simulate({}, members)
+        before = _left_out(estimation, base, members)
+        after = before if best is base else _left_out(estimation, best, members)
+        nothing = [np.zeros_like(y) for y in filed]
+        power = tuple(_power(estimation, y, members) for y in (filed, after, nothing))
+        left_out.append(
+            HeldOut(
+                position,
+                experiment,
+                rows=len(estimation.rows_of(members)),
+                before=_excess(estimation, before, members),
+                after=_excess(estimation, after, members),
+                filed=_excess(estimation, filed, members),
+                power=power,
+                noise_power=_noise_power(estimation, members),
+            )
+        )
+    return left_out
+
+
+def _left_out(estimation: EstimationProblem, fitted: Fit, members: Sequence[int]) -> list[FloatArray]:
+    """Simulate these observations, (n, m) each, with the parameters that the others alone give.
+
+    The parameters go as far along the step to the others' optimum, to first order, as serves the others best.
+    """
+    inside = np.ones(len(fitted.residual), dtype=bool)
+    inside[estimation.rows_of(members)] = False
+    delays = clock_parameters([estimation.problem.observations[i] for i in members])
+    keep = [i for i, n in enumerate(fitted.parameters) if n.name not in delays]
+    free = tuple(fitted.parameters[i] for i in keep)
+    j, r = fitted.jacobian[inside][:, keep], fitted.residual[inside]
+    normal, slope = np.eye(len(keep)) + j.T @ j, j.T @ r - fitted.z[keep]
+    step, moved = np.zeros(len(fitted.z)), step_within(free, fitted.z[keep], normal, slope)
+    step[keep] = moved
+    trials = [clipped(fitted.parameters, fitted.z + share * step) for share in (1.0, 0.5, 0.2, 0.05, 0.0)]
+    # the whole step, if it brings at least half of what it promises: then there is hardly a better one
+    promised, before = float(2 * slope @ moved - moved @ normal @ moved), _cost(r, fitted.z)
+    costs = _costs(estimation, fitted, trials[:1], inside)
+    if not before - costs[0] > promised / 2:
+        costs += _costs(estimation, fitted, trials[1:], inside)
+    best = _on_their_clocks(estimation, fitted, trials[int(np.argmin(costs))], members)
+    return estimation.problem.simulate(values_at(fitted.parameters, best), members)
+
+
+def _on_their_clocks(estimation: EstimationProblem, fitted: Fit, z: FloatArray, members: Sequence[int]) -> FloatArray:
+    """Put what was left out on clocks of its own: z (p,) with the delays of these recordings fitted to them alone.
+
+    They say nothing of the machine, so nothing else tells them. But a late machine and late recordings are hard to
+    tell apart: with other recordings the share of each is another, and clocks that stayed would be wrong by as much.
+    """
+    delays = clock_parameters([estimation.problem.observations[i] for i in members])
+    clocks = [i for i, n in enumerate(fitted.parameters) if n.name in delays]
+    if not clocks:
+        return z
+    others = [i for i in range(len(z)) if i not in clocks]
+    alone = estimation.limited_to(members).with_fixed(values_at([fitted.parameters[i] for i in others], z[others]))
+    columns = fitted.jacobian[estimation.rows_of(members)][:, clocks]
+    best = fit(alone, tuple(fitted.parameters[i] for i in clocks), z[clocks], columns, iterations=3)
+    moved = z.copy()
+    moved[clocks] = best.z
+    return moved
+
+
+def _costs(
+    estimation: EstimationProblem, fitted: Fit, trials: Sequence[FloatArray], inside: NDArray[np.bool_]
+) -> list[float]:
+    """Simulate everything with each of these z: the cost of each outside of what is left out."""
+    residuals = estimation.residuals([values_at(fitted.parameters, z) for z in trials])
+    return [_cost(x[inside], z) for x, z in zip(residuals, trials, strict=True)]
+
+
+def _cost(residual: FloatArray, z: FloatArray) -> float:
+    return float(residual @ residual + z @ z)
+
+
+def _excess(estimation: EstimationProblem, simulated: Sequence[FloatArray], members: Sequence[int]) -> float:
+    left = estimation.measured[estimation.rows_of(members)] - estimation.whiten(simulated, members)
+    return float(left @ left) / len(left) - 1
+
+
+def _power(estimation: EstimationProblem, simulated: Sequence[FloatArray], members: Sequence[int]) -> float:
+    """Power of the error, not whitened."""
+    observations = [estimation.problem.observations[i] for i in members]
+    parts = [
+        estimation.whiten.spectrum(observation, observation.measured - y)[0]
+        for observation, y in zip(observations, simulated, strict=True)
+    ]
+    return float(sum(np.sum(np.abs(part) ** 2) for part in parts))
+
+
+def _noise_power(estimation: EstimationProblem, members: Sequence[int]) -> float:
+    """Power of the floor alone, in the same unit."""
+    whiten, total = estimation.whiten, 0.0
+    for observation in (estimation.problem.observations[i] for i in members):
+        _, frequency = whiten.spectrum(observation, observation.measured)
+        power = 2 * whiten.power(observation)
+        total += sum(float(np.sum(whiten.floor.at(s, frequency))) * power for s in observation.signals)
+    return total

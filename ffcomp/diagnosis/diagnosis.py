@@ -1,0 +1,389 @@
+"""The diagnosis, stage by stage: problem, residual, candidates, fits, selection, acceptance.
+
+A discrepancy is what neither noise nor retuning within reach of the stated uncertainties explains. An effect is named
+only if its hypothesis passes every acceptance test:
+
+    there is a discrepancy · the effect is significant · little of the discrepancy is left · little is left at every
+    position that was left out of the fit · its interval excludes no effect, and its value is feasible
+
+Otherwise the verdict is `unknown`: an unexplained discrepancy is never reported as none.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from ffcomp.diagnosis.acceptance import HeldOut, hold_out, out_of_reach, rejections, unproven
+from ffcomp.diagnosis.fidelity import excerpt_of, fit_in_excerpt, fit_within_uncertainty, linearised, parsimonious_fit
+from ffcomp.diagnosis.fit import EstimationProblem, Fit, estimation_problem, fit, intervals_of
+from ffcomp.diagnosis.hypotheses import FILE_CHANGES, Hypothesis, competing_with, implausible, likeliest, significant
+from ffcomp.diagnosis.moves import Search
+from ffcomp.diagnosis.noise import (
+    NoiseFloor,
+    at_least,
+    noise_from_repeats,
+    noise_from_residual,
+    noise_of_sensors,
+    noise_share,
+    scaled,
+    whitener,
+)
+from ffcomp.diagnosis.problem import Parameter, Problem
+from ffcomp.diagnosis.recording_clocks import belongs_to_recording
+from ffcomp.diagnosis.recording_faults import Fault, fault_of_recordings, odd_signal
+from ffcomp.diagnosis.score_test import Screened, confounded_with, screen
+from ffcomp.diagnosis.search import Selection, find_best, finish, on_all_data
+from ffcomp.diagnosis.settings import SETTINGS
+from ffcomp.identification.uncertainty import Estimate
+from ffcomp.numerics.stages import Progress, Stage
+from models.arrays import FloatArray
+
+USUAL_S = (1.0, 15.0, 9.0, 11.0, 6.0, 4.0, 6.0)  # of CPU, in each stage of a search that names one effect
+
+FINDINGS = {
+    "effects": "effects are named",
+    "nothing": "nothing is missing",
+    "cannot_tell": "the noise is too loud, or its floor is wrong, to say that nothing is missing",
+    "unproven": "one explanation holds most of the discrepancy, but failed a test",
+    "unexplained": "there is a discrepancy, and nothing known explains it",
+    "recording": "the recordings are at fault: an input shaper, a sensor",
+}
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Diagnosis:
+    """The verdict, and everything it rests on."""
+
+    verdict: str  # "effects", "none" or "unknown"
+    finding: str  # more closely: see FINDINGS
+    estimation: EstimationProblem
+    noise: NoiseFloor
+    base: Fit  # the machine's parameters alone
+    final: Fit  # of the best: only the parameters that the data need retuned; else the base
+    screened: Sequence[Screened] = ()
+    named: Hypothesis | None = None  # the effects of an `effects` verdict
+    best: Hypothesis | None = None  # the best that was tried, whatever the verdict
+    tried: Sequence[Hypothesis] = ()  # the likeliest first
+    competing: Sequence[Hypothesis] = ()  # as likely as the best
+    searched: Hypothesis | None = None  # the best, on the data on which the others were tried
+    share: float = 1.0  # of the data on which they were
+    held_out: Sequence[HeldOut] = ()
+    rejections: tuple[str, ...] = ()  # acceptance tests that the best hypothesis failed, in words
+    intervals: Mapping[str, Estimate] = field(default_factory=dict)  # of all parameters of the best hypothesis
+    fault: Fault | None = None  # of the recordings
+    file_off: Fit | None = None  # the machine's numbers alone, far beyond their uncertainties, if they explain as much
+    cut_short: bool = False  # the search ended at its budget, so that not everything was tried
+
+    @property
+    def unproven(self) -> list[HeldOut]:
+        """What was left out of the fit, and is not explained there."""
+        return [] if self.best is None else unproven(self.held_out, self.estimation.tolerance)
+
+    def behind(self, h: Hypothesis) -> float:
+        """Return by how much −2 ln Z of all data a hypothesis that was tried is less likely than the best."""
+        best = self.searched or self.best
+        return 0.0 if best is None else (h.fit.evidence - best.fit.evidence) / self.share
+
+    @property
+    def invisible(self) -> list[str]:
+        """Effects of which these recordings could not show a usual size."""
+        return [s.candidate.name for s in self.screened if not s.visible]
+
+    @property
+    def confounded(self) -> list[str]:
+        """Other effects that it could be: as likely, or confounded to first order."""
+        if self.best is None:
+            return []
+        likely = [name for h in self.competing for name in h.names if name not in self.best.names]
+        alike = (name for name, _ in confounded_with(self.best.names, self.screened))
+        return list(dict.fromkeys([*likely, *alike]))
+
+    @property
+    def floor_is_wrong(self) -> bool:
+        """Whether less is left than the noise, by a floor that is as it was measured or guessed."""
+        return self.estimation.whiten.floor is self.noise and mean_square(self.final) - 1 < SETTINGS.wrong_floor
+
+
+def mean_square(fitted: Fit) -> float:
+    """Return the mean square of what is left, in units of the noise."""
+    return fitted.chi_squared / len(fitted.residual)
+
+
+def diagnose(problem: Problem, progress: Progress = lambda _: None, budget: float = SETTINGS.budget_steps) -> Diagnosis:
+    """Find the effects that are missing from the problem's machine, if any.
+
+    Parameters
+    ----------
+    budget : integration steps after which nothing more is tried; the best by then is put to the tests.
+    """
+    problem.work.begin(budget)
+    result = _diagnosed(problem, noise_floor(problem), problem.least_density, progress)
+    guessed = not result.noise.from_repeats and result.fault is None
+    if guessed and result.floor_is_wrong:
+        progress("less is left than the guessed noise: what is left is taken for it, and the search begins anew")
+        problem.work.begin(budget)
+        result = _diagnosed(problem, scaled(result.noise, mean_square(result.final)), {}, progress)
+    return replace(_concluded(result), cut_short=problem.work.cut)
+
+
+# ---- the noise -----------------------------------------------------------------------------------
+
+
+def noise_floor(problem: Problem, simulated: Sequence[FloatArray] | None = None) -> NoiseFloor:
+    """Take the noise from repeats; without any, from what is left above the model's band.
+
+    Parameters
+    ----------
+    simulated : (n, m) an observation with the file as it is, if it is known already.
+    """
+    floor = noise_from_repeats(problem.observations)
+    if floor is not None:
+        return floor
+    known = problem.least_density  # of positions: what their sensors and the simulation cannot tell apart
+    if known and all(name in known for o in problem.observations for name in o.signals):
+        return noise_of_sensors(problem.observations, known)
+    predicted = problem.simulate({}) if simulated is None else simulated
+    errors = [o.measured - y for o, y in zip(problem.observations, predicted, strict=True)]
+    above = noise_from_residual(problem.observations, errors, problem.band_hz)
+    if not known:
+        return above
+    sensors = noise_of_sensors(problem.observations, known)
+    return replace(sensors, density={**above.density, **{name: sensors.density[name] for name in known}})
+
+
+def _spread(estimation: EstimationProblem) -> float:
+    """Compute the standard deviation of a discrepancy of zero: of the residual's mean square, and of its floor."""
+    observations, rows = estimation.whiten.observations, estimation.whiten.rows
+    repeats = [sum(a.repeat_of == b.repeat_of for b in observations) for a in observations]
+    apart = sum((part.stop - part.start) * (1 - 1 / n) for part, n in zip(rows, repeats, strict=True))
+    return float(np.sqrt(2 / len(estimation.measured) + 2 / apart))
+
+
+# ---- the search ----------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class _Searched:
+    """The outcome of a search."""
+
+    best: Hypothesis  # on the data on which the others were tried
+    selection: Selection  # the best on all data, and all that were tried
+    screened: Sequence[Screened]
+    share: float = 1.0  # of the data, on which the others were tried
+
+
+def _diagnosed(problem: Problem, noise: NoiseFloor, density: Mapping[str, float], progress: Progress) -> Diagnosis:
+    progress(Stage(1, "estimating the noise"))
+    if not noise.from_repeats:
+        progress("no repeats: the noise floor is taken from above the model's band")
+    floor = at_least(noise, problem.observations, problem.band_hz, density)
+    estimation = estimation_problem(problem, whitener(problem.observations, floor, problem.band_hz))
+    chance = SETTINGS.chance_sd * _spread(estimation) if noise.from_repeats else 0.0
+    estimation = replace(estimation, tolerance=max(estimation.tolerance, chance))
+    least = max(SETTINGS.exists, chance) if noise.from_repeats else estimation.tolerance
+    progress(Stage(2, "fitting the machine's own parameters"))
+    filed = _as_filed(estimation)
+    base = fit(estimation, filed.parameters, filed.z, filed.jacobian, iterations=12)
+    base = _fitted_to_the_end(estimation, base, least)
+    times = float(np.sqrt(max(1.0 + base.discrepancy, 0.0)))
+    progress(f"the machine's own parameters alone: the error that is left is {times:.4g} times the noise")
+    none = Diagnosis(verdict="none", finding="nothing", base=base, final=base, estimation=estimation, noise=noise)
+    fault = fault_of_recordings(estimation, problem.simulate({}), base)
+    if fault is not None:
+        return replace(none, verdict="unknown", finding="recording", fault=fault)
+    small = base.discrepancy < least
+    searched = None if small else _search_excerpt(estimation, base, progress)
+    if searched is None:
+        progress(Stage(3, f"screening {len(problem.candidates)} effects"))
+        screened = screen(replace(estimation, coarse=True), base, list(problem.candidates))
+        if small and not implausible(base) and (not screened or screened[0].evidence > -SETTINGS.promising):
+            return replace(none, screened=screened)
+        search = Search(estimation, _bases(estimation, filed, base, screened, small), base, progress)
+        selection = find_best(search)
+        progress(Stage(6, "fitting what was found with exact derivatives"))
+        selection = finish(search, selection)
+        searched = _Searched(selection.best, selection, screened)
+    none, best = replace(none, screened=searched.screened), searched.selection.best
+    progress(Stage(7, "testing it at places that were left out of the fit"))
+    retuned = _retuned(estimation, best, least)
+    if retuned.discrepancy < least and not _gains(best.fit, retuned, noise):
+        return replace(none, base=retuned, final=retuned)
+    tested = _tested(none, searched, progress)
+    # where there was hardly a discrepancy, an effect that fails a test leaves nothing unexplained
+    return none if small and tested.rejections else tested
+
+
+def _as_filed(estimation: EstimationProblem) -> Fit:
+    """Return the machine file as it is, with the derivatives there."""
+    return linearised(estimation, estimation.problem.parameters, np.zeros(len(estimation.problem.parameters)))
+
+
+def _bases(
+    estimation: EstimationProblem, filed: Fit, base: Fit, screened: Sequence[Screened], small: bool
+) -> list[tuple[Fit, Sequence[Screened]]]:
+    """Select the fits of the machine's parameters to begin the search at, with the candidates screened there.
+
+    The file's own parameters are one of them: with the right effect they need no retuning, and a fit that made them
+    implausible to mimic it leads astray; but where they are far off, it is their error that is seen from there.
+    """
+    if small and not implausible(base):
+        return [(base, screened)]
+    from_file = (filed, screen(replace(estimation, coarse=True), filed, list(estimation.problem.candidates)))
+    if implausible(base) and base.discrepancy < SETTINGS.large:
+        return [from_file]  # implausible parameters explain all: with them every effect looks as good
+    return [from_file, (base, screened)]
+
+
+def _search_excerpt(estimation: EstimationProblem, base: Fit, progress: Progress) -> _Searched | None:
+    """Search in an excerpt of the recordings and fit the best to all; None if all is needed for the search."""
+    part = excerpt_of(estimation, base.discrepancy)
+    if part is None:
+        return None
+    count, share = len(part.problem.candidates), f"{100 * part.share:.0f} % of the data"
+    progress(Stage(3, f"screening {count} effects in {share}, for they stand out"))
+    filed, begun = _as_filed(part), fit_in_excerpt(part, base)
+    retuned = fit(part, begun.parameters, begun.z, begun.jacobian, iterations=6)
+    screened = screen(replace(part, coarse=True), retuned, list(part.problem.candidates))
+    selection = find_best(Search(part, _bases(part, filed, retuned, screened, small=False), retuned, progress))
+    progress(Stage(6, "fitting what was found to all data"))
+    whole = Search(estimation, (), base, progress)
+    best = on_all_data(whole, selection)
+    if best is None:
+        progress("all data show more than the excerpt: the search begins anew in all of it")
+        return None
+    finished = replace(finish(whole, best), tried=selection.tried)
+    return _Searched(selection.best, finished, screened, part.share)
+
+
+def _retuned(estimation: EstimationProblem, best: Hypothesis, least: float) -> Fit:
+    """Fit the machine's parameters alone, from where the best hypothesis took them: perhaps they need no effect."""
+    z, jacobian = best.fit.z[: best.machine_count], best.machine_jacobian
+    retuned = fit(estimation, best.machine_parameters, z, jacobian, iterations=4)
+    return _fitted_to_the_end(estimation, retuned, least) if significant(best.fit, retuned, 0.0) else retuned
+
+
+def _fitted_to_the_end(estimation: EstimationProblem, fitted: Fit, least: float) -> Fit:
+    """Fit the machine's parameters alone to the end, where they leave nothing but are far off to do so.
+
+    Numbers that make up for each other in all that was recorded go far astray on the way, and come back for the price
+    of their prior alone; that little is seen with exact derivatives only. An effect is not to be named for it.
+    """
+    if min(fitted.discrepancy, fitted.predicted_discrepancy) > least or not implausible(fitted):
+        return fitted
+    ended = fit(estimation, fitted.parameters, fitted.z, fitted.jacobian, iterations=10, exact=True)
+    return min(fitted, ended, key=lambda each: each.evidence)
+
+
+def _gains(best: Fit, retuned: Fit, noise: NoiseFloor) -> bool:
+    """Tell whether a hypothesis says more than the machine's own numbers do, where these leave hardly anything.
+
+    By a noise that is only guessed, any number of rows makes the smallest difference significant: there it must take
+    a share of what is left.
+    """
+    if not significant(best, retuned, 0.0):
+        return False
+    return noise.from_repeats or best.chi_squared < (1 - SETTINGS.exists) * retuned.chi_squared
+
+
+# ---- the verdict ---------------------------------------------------------------------------------
+
+
+def _tested(none: Diagnosis, searched: _Searched, progress: Progress) -> Diagnosis:
+    """Put the best hypothesis to the acceptance tests."""
+    estimation, tried = none.estimation, searched.selection.tried
+    best = _believable(none, searched.selection.best, progress)
+    final = parsimonious_fit(estimation, best)
+    intervals = intervals_of(estimation, best.fit, final.values)
+    held_out = hold_out(estimation, none.base, best.fit)
+    failed = tuple(rejections(none.base, best, held_out, intervals, estimation.tolerance))
+    there = searched.best
+    if best.names != there.names:  # a smaller rival, or fewer effects
+        there = next((h for h in likeliest(tried) if h.names == best.names), there)
+    ranked = likeliest([there, *(h for h in tried if h.names != best.names)])
+    return replace(
+        none,
+        verdict="unknown" if failed else "effects",
+        named=None if failed else best,
+        best=best,
+        final=final,
+        searched=there,
+        share=searched.share,
+        tried=ranked,
+        competing=competing_with(there, ranked, searched.share, none.base.discrepancy),
+        held_out=held_out,
+        rejections=failed,
+        # a shape that is not ours is wrong alike in all blocks of frequencies and all motions: Birge's ratio
+        # (Physical Review 40, 1932) on top of what they show
+        intervals=intervals_of(estimation, best.fit, final.values, True, float(np.sqrt(best.fit.misfit))),
+    )
+
+
+def _believable(none: Diagnosis, best: Hypothesis, progress: Progress) -> Hypothesis:
+    """Hold the file's numbers to what it says of them, where the best hypothesis leaves hardly more with them so.
+
+    In loud data they move to make up for an effect's shape, which is never exactly ours, without being needed.
+    """
+    if not out_of_reach(best):
+        return best
+    held = fit_within_uncertainty(none.estimation, best, progress)
+    little = max(SETTINGS.little * none.base.discrepancy, none.estimation.tolerance)
+    return held if held.discrepancy < little else best
+
+
+def _concluded(result: Diagnosis) -> Diagnosis:
+    """Judge what a search returned: never more is said than the noise and what was left out allow."""
+    if result.fault is not None:
+        return result
+    if result.noise.from_repeats and result.floor_is_wrong:
+        return replace(result, verdict="unknown", named=None, finding="cannot_tell")
+    if result.verdict == "effects":
+        return replace(result, finding="effects", file_off=_file_off(result))
+    if result.verdict == "none":
+        return _nothing(result)
+    base, best = result.base, result.best
+    explained = best is not None and _explained(base, best) > SETTINGS.mostly
+    # where an effect explains the gap, though not surely, one axis acts on one signal alone
+    fits = [] if explained else [base] if best is None else [base, best.fit]
+    fault = odd_signal(result.estimation, fits)
+    if fault is not None:
+        return replace(result, finding="recording", fault=fault)
+    return replace(result, finding="unproven" if explained else "unexplained", file_off=_file_off(result))
+
+
+def _nothing(result: Diagnosis) -> Diagnosis:
+    """Say `none` only where noise leaves room to see something; test what was retuned where it was not fitted."""
+    estimation = result.estimation
+    if noise_share(estimation.whiten, result.noise) > SETTINGS.loud_noise:
+        return replace(result, verdict="unknown", finding="cannot_tell")
+    return replace(result, held_out=hold_out(estimation, result.base, result.base))
+
+
+def _explained(base: Fit, best: Hypothesis) -> float:
+    """Return the share of the discrepancy that a hypothesis explains beyond retuning."""
+    return 1 - max(best.discrepancy, 0.0) / base.discrepancy if base.discrepancy > 0 else 0.0
+
+
+def _file_off(result: Diagnosis) -> Fit | None:
+    """Fit the machine's own numbers alone, far beyond what the file allows, where they may be what is wrong.
+
+    A stiffness or a mass may be named because another of the file's numbers is wrong, and where several are, nothing
+    known explains it: only its owner knows how well they are known.
+    """
+    best, base, looser = result.best, result.base, SETTINGS.loosened
+    if best is None or (result.named is not None and not set(result.named.names) <= FILE_CHANGES):
+        return None
+    loose = tuple(_loosened(n, looser) for n in base.parameters)
+    alone = fit(result.estimation, loose, base.z / looser, base.jacobian * looser, iterations=6)
+    rows = len(alone.residual)
+    enough = max(SETTINGS.as_loose * best.fit.chi_squared / rows - 1, result.estimation.tolerance)
+    return alone if mean_square(alone) - 1 < enough else None
+
+
+def _loosened(n: Parameter, times: float) -> Parameter:
+    if belongs_to_recording(n.name):
+        return n
+    low, high = n.start - times * (n.start - n.low), n.start + times * (n.high - n.start)
+    return replace(n, sd=times * n.sd, low=max(low, 0.05 * n.start) if n.start > 0 else low, high=high)

@@ -1,0 +1,376 @@
+"""Parameter values in, whitened residual out; fits of it, their evidence and their intervals.
+
+Parameters are in units of their prior's standard deviation, z = (x − start)/sd, so the prior is |z|². The evidence is
+Laplace's approximation, with J the derivative of the simulation by z (MacKay, Neural Computation 4, 1992):
+
+    −2 ln Z = |r|² + |z|² + ln det(I + JᵀJ)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+
+from ffcomp.diagnosis.noise import Whitener, whitener
+from ffcomp.diagnosis.problem import Candidate, InfeasibleParameters, Parameter, Problem
+from ffcomp.diagnosis.settings import SETTINGS
+from ffcomp.identification.uncertainty import NINETY_PERCENT, Estimate
+from ffcomp.numerics.least_squares import (
+    SMALL_GAIN,
+    BatchedProblem,
+    bounded_step,
+    differences,
+    minimise_batched,
+)
+from models.arrays import FloatArray
+
+INFEASIBLE_SD = 1e6  # standard deviations, each entry of the residual of infeasible parameters
+DERIVATIVE_RTOL = 1e-4  # combinations of derivatives that cancel to less are not determined
+BLOCK_HZ = 5.0  # of the sandwich: the residual of a wrong shape keeps its sign over a few Hz
+
+
+# ---- the residual --------------------------------------------------------------------------------
+
+_Key = tuple[frozenset[tuple[str, float]], tuple[int, ...] | None, bool]
+
+
+class ResidualCache:
+    """The residuals of the last few sets of values: a fit begins where the one before has ended."""
+
+    def __init__(self) -> None:
+        self._kept: dict[_Key, FloatArray] = {}
+
+    def get(self, key: _Key) -> FloatArray | None:
+        """Return the residual with these values, if it is known."""
+        return self._kept.get(key)
+
+    def add(self, key: _Key, residual: FloatArray) -> FloatArray:
+        """Keep a residual as the newest, and return it."""
+        self._kept.pop(key, None)
+        for old in list(self._kept)[:-47]:
+            del self._kept[old]
+        self._kept[key] = residual
+        return residual
+
+
+@dataclass(frozen=True, eq=False)
+class EstimationProblem:
+    """A problem with its whitener."""
+
+    problem: Problem
+    whiten: Whitener
+    measured: FloatArray  # (rows,) whitened
+    coarse: bool = False  # quicker simulations
+    fixed: Mapping[str, float] = field(default_factory=dict)  # values of parameters that are not fitted
+    tolerance: float = SETTINGS.known_noise  # of the noise: a smaller discrepancy counts as none
+    share: float = 1.0  # of all data
+    only: tuple[int, ...] | None = None  # observations that are simulated; None: all
+    cache: ResidualCache = field(default_factory=ResidualCache)  # shared by all derived from this one on the same data
+
+    def residual(self, values: Mapping[str, float]) -> FloatArray:
+        """Return measured − simulated, whitened: (rows,)."""
+        return next(self.residuals([values]))
+
+    def residuals(self, many: Sequence[Mapping[str, float]]) -> Iterator[FloatArray]:
+        """Evaluate several sets of values, in order; they are not to be written to."""
+        points = [{**self.fixed, **values} for values in many]
+        keys = [(frozenset(values.items()), self.only, self.coarse) for values in points]
+        cached = [self.cache.get(key) for key in keys]
+        new = self._evaluated([values for values, known in zip(points, cached, strict=True) if known is None])
+        for key, known in zip(keys, cached, strict=True):
+            yield self.cache.add(key, next(new) if known is None else known)
+
+    def _evaluated(self, many: Sequence[Mapping[str, float]]) -> Iterator[FloatArray]:
+        infeasible = np.full(len(self.measured), INFEASIBLE_SD)
+        for simulated in self.problem.simulate_many(many, self.only, coarse=self.coarse):
+            if isinstance(simulated, InfeasibleParameters):
+                yield infeasible
+            else:
+                residual = self.measured - self.whiten(simulated, self.only)
+                yield residual if np.isfinite(residual @ residual) else infeasible
+
+    @property
+    def may_go_on(self) -> bool:
+        """Whether the budget of work allows to try anything more."""
+        return self.problem.work.allows()
+
+    def with_fixed(self, values: Mapping[str, float]) -> EstimationProblem:
+        """Return the problem with some parameters fixed."""
+        return replace(self, fixed={**self.fixed, **values})
+
+    def limited_to(self, observations: Sequence[int]) -> EstimationProblem:
+        """Return the problem with some of its observations only; their rows follow one another."""
+        measured = self.measured[self.rows_of(observations)]
+        share = self.share * len(measured) / len(self.measured)
+        return replace(self, measured=measured, only=tuple(observations), share=share)
+
+    def rows_of(self, observations: Sequence[int]) -> FloatArray:
+        """Return the indices of the rows of some observations."""
+        parts = [self.whiten.rows[i] for i in observations]
+        return np.concatenate([np.arange(part.start, part.stop) for part in parts])
+
+    def on_part(self, problem: Problem) -> EstimationProblem:
+        """Return the estimation on a part of the problem's data, by the same noise."""
+        whiten = whitener(problem.observations, self.whiten.floor, self.whiten.band_hz)
+        measured = whiten([o.measured for o in problem.observations])
+        share = self.share * len(measured) / len(self.measured)
+        return replace(self, problem=problem, whiten=whiten, measured=measured, share=share, cache=ResidualCache())
+
+
+def estimation_problem(problem: Problem, whiten: Whitener) -> EstimationProblem:
+    """Whiten the measurements; the tolerance follows from how well the noise is known."""
+    tolerance = SETTINGS.known_noise if whiten.floor.from_repeats else SETTINGS.guessed_noise
+    return EstimationProblem(problem, whiten, whiten([o.measured for o in problem.observations]), tolerance=tolerance)
+
+
+# ---- a fit and its evidence ----------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """Parameters at their best values."""
+
+    parameters: tuple[Parameter, ...]
+    z: FloatArray  # (p,)
+    residual: FloatArray  # (rows,)
+    jacobian: FloatArray  # (rows, p), of the *simulation* by z
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Parameter values by name."""
+        return values_at(self.parameters, self.z)
+
+    @property
+    def chi_squared(self) -> float:
+        """|r|²."""
+        return float(self.residual @ self.residual)
+
+    @property
+    def cost(self) -> float:
+        """|r|² + |z|²."""
+        return self.chi_squared + float(self.z @ self.z)
+
+    @cached_property
+    def information(self) -> FloatArray:
+        """(p, p) I + JᵀJ."""
+        return np.eye(len(self.z)) + self.jacobian.T @ self.jacobian
+
+    @property
+    def evidence(self) -> float:
+        """−2 ln Z without what all hypotheses share: the smaller the likelier."""
+        return self.cost + float(np.linalg.slogdet(self.information)[1])
+
+    @property
+    def discrepancy(self) -> float:
+        """How far the cost stands above noise alone, as a share of it."""
+        return self.cost / len(self.residual) - 1
+
+    @property
+    def misfit(self) -> float:
+        """The mean square of the whitened residual, at least one.
+
+        Evidence is divided by it: the model's shapes are never exactly the machine's, so where a misfit is left, a
+        difference in evidence says that much less.
+        """
+        return max(1.0, self.chi_squared / len(self.residual))
+
+    @cached_property
+    def slope(self) -> FloatArray:
+        """(p,) Jᵀr: half of what |r|² falls by with each z, at first."""
+        return np.asarray(self.jacobian.T @ self.residual)
+
+    @cached_property
+    def best_step(self) -> FloatArray:
+        """(p,) the step to the optimum inside the bounds if the simulation were linear."""
+        gradient = self.slope - self.z
+        return step_within(self.parameters, self.z, self.information, gradient)
+
+    @cached_property
+    def predicted_gain(self) -> float:
+        """The decrease of the cost by the best step."""
+        gradient, step = self.slope - self.z, self.best_step
+        return float(2 * gradient @ step - step @ self.information @ step)
+
+    @property
+    def predicted_discrepancy(self) -> float:
+        """The discrepancy that the best step would leave if the simulation were linear."""
+        return (self.cost - self.predicted_gain) / len(self.residual) - 1
+
+    @property
+    def _certain_information(self) -> FloatArray:
+        """The information without the part that errors of the derivatives alone may cause."""
+        length = np.maximum(np.linalg.norm(self.jacobian, axis=0), 1e-300)
+        unit = self.jacobian / length
+        squares, vectors = np.linalg.eigh(unit.T @ unit)
+        certain = (vectors * np.maximum(squares - len(squares) * DERIVATIVE_RTOL**2, 0.0)) @ vectors.T
+        return np.asarray(np.eye(len(self.z)) + certain * np.outer(length, length))
+
+    def covariance(self, frequency_hz: FloatArray, rows: Sequence[slice], same: Sequence[int]) -> FloatArray:
+        """Estimate the covariance (p, p) of z: the sandwich over blocks of 5 Hz, never below the inverse information.
+
+        Parameters
+        ----------
+        frequency_hz : (rows,) of the residual's entries.
+        rows : of each observation.
+        same : of each observation the one whose motion it repeats: repeats share the model's error.
+        """
+        bread = np.linalg.inv(self._certain_information)
+        meat = np.eye(len(self.z)) + sum(sums.T @ sums for sums in self._slopes(frequency_hz, rows, same))
+        wide = np.diag(bread @ meat @ bread) / np.diag(bread)
+        wider = np.sqrt(np.maximum(1.0, wide))
+        return bread * np.outer(wider, wider)
+
+    def scatter(self, rows: Sequence[slice], same: Sequence[int]) -> FloatArray:
+        """Return how far z, (p,), moves as one motion after the other is left out: the jackknife's standard deviation.
+
+        Where an effect's shape is not ours, it is wrong all through a motion, and what fits all of them best is off for
+        each. To first order; how far few motions scatter is itself known to Student's t only, which is allowed for
+        (Bell & McCaffrey, Survey Methodology 28, 2002). Zero where there is one motion.
+        """
+        motions = [
+            [part for part, motion in zip(rows, same, strict=True) if motion == one] for one in sorted(set(same))
+        ]
+        if len(motions) < 2:
+            return np.zeros(len(self.z))
+        moved = np.stack([self._without(motion) for motion in motions])
+        square = np.sum((moved - moved.mean(axis=0)) ** 2, axis=0) * (len(moved) - 1) / len(moved)
+        return np.asarray(student_share(len(moved) - 1) * np.sqrt(square))
+
+    def _without(self, left_out: Sequence[slice]) -> FloatArray:
+        """Return the step (p,) from the optimum to the one without some rows, to first order."""
+        parts = [self.jacobian[part] for part in left_out]
+        slope = sum(j.T @ self.residual[part] for j, part in zip(parts, left_out, strict=True))
+        return np.asarray(-np.linalg.solve(self.information - sum(j.T @ j for j in parts), slope))
+
+    def _slopes(self, frequency_hz: FloatArray, rows: Sequence[slice], same: Sequence[int]) -> list[FloatArray]:
+        """Return Jᵀr of each motion by blocks of 5 Hz, (blocks, p) each."""
+        by_motion: dict[int, FloatArray] = {}
+        blocks = int(frequency_hz.max() // BLOCK_HZ) + 1
+        for part, motion in zip(rows, same, strict=True):
+            block = (frequency_hz[part] // BLOCK_HZ).astype(np.int64)
+            sums = by_motion.setdefault(motion, np.zeros((blocks, len(self.z))))
+            np.add.at(sums, block, self.jacobian[part] * self.residual[part][:, None])
+        return list(by_motion.values())
+
+
+def student_share(freedom: int) -> float:
+    """Return by how much Student's 90 % interval of so many degrees of freedom is wider than the normal one."""
+    from scipy.special import stdtrit
+
+    return float(stdtrit(freedom, 0.95)) / NINETY_PERCENT
+
+
+def values_at(parameters: Sequence[Parameter], z: FloatArray) -> dict[str, float]:
+    """Return the parameter values by name at z, (p,)."""
+    return {n.name: n.start + n.sd * float(x) for n, x in zip(parameters, z, strict=True)}
+
+
+def limits_of(parameters: Sequence[Parameter]) -> tuple[FloatArray, FloatArray]:
+    """Return the lowest and highest z of the parameters, (p,) each."""
+    low = np.array([(n.low - n.start) / n.sd for n in parameters])
+    return low, np.array([(n.high - n.start) / n.sd for n in parameters])
+
+
+def clipped(parameters: Sequence[Parameter], z: FloatArray) -> FloatArray:
+    """Move z (p,) inside every parameter's bounds."""
+    return np.clip(z, *limits_of(parameters))
+
+
+def step_within(parameters: Sequence[Parameter], z: FloatArray, normal: FloatArray, gradient: FloatArray) -> FloatArray:
+    """Minimise ½ sᵀNs − gᵀs over steps s (p,) from z that stay inside the bounds."""
+    low, high = limits_of(parameters)
+    return bounded_step(normal, gradient, low - z, high - z)
+
+
+def derivatives(
+    estimation: EstimationProblem,
+    parameters: Sequence[Parameter],
+    z: FloatArray,
+    residual: FloatArray,
+    which: Sequence[int],
+    central: bool = False,
+    sizes: FloatArray | None = None,
+    rough: int = 0,
+) -> FloatArray:
+    """Differentiate the simulation by some of z: (rows, len(which)); see `least_squares.differences`.
+
+    Parameters
+    ----------
+    rough : the first so many parameters are differentiated in coarse simulations.
+    """
+    return differences(_batched(estimation, parameters, rough), z, residual, which, central, sizes)
+
+
+def fit(
+    estimation: EstimationProblem,
+    parameters: Sequence[Parameter],
+    start: FloatArray,
+    jacobian: FloatArray | None = None,
+    renew: Sequence[int] = (),
+    iterations: int = 6,
+    small_gain: float = SMALL_GAIN,
+    renew_all: bool = True,
+    exact: bool = False,
+    rough: int = 0,
+) -> Fit:
+    """Minimise |r|² + |z|² from `start`, (p,); see `derivatives` and `least_squares.minimise_batched`."""
+    best = minimise_batched(
+        _batched(estimation, parameters, rough),
+        start,
+        jacobian,
+        renew=renew,
+        iterations=iterations,
+        small_gain=small_gain,
+        renew_all=renew_all,
+        exact=exact,
+    )
+    return Fit(tuple(parameters), best.z, best.residual, best.jacobian)
+
+
+def _batched(estimation: EstimationProblem, parameters: Sequence[Parameter], rough: int = 0) -> BatchedProblem:
+    def evaluated(problem: EstimationProblem) -> Callable[[Sequence[FloatArray]], Iterator[FloatArray]]:
+        return lambda points: problem.residuals([values_at(parameters, z) for z in points])
+
+    quick = evaluated(replace(estimation, coarse=True)) if rough and not estimation.coarse else None
+    return BatchedProblem(evaluated(estimation), *limits_of(parameters), quick, rough)
+
+
+# ---- intervals -----------------------------------------------------------------------------------
+
+
+def intervals_of(
+    estimation: EstimationProblem, fitted: Fit, values: Mapping[str, float], scatter: bool = False, wider: float = 1.0
+) -> dict[str, Estimate]:
+    """Put intervals about the values that are reported, as wide as all parameters together leave them.
+
+    Parameters
+    ----------
+    scatter : at least as wide as the values scatter as one motion after the other is left out. What one motion alone
+        shows is not known from the others, and yet it is there: that is no reason to refuse an effect.
+    wider : times as wide.
+    """
+    whiten, same = estimation.whiten, estimation.problem.motions
+    sd = np.sqrt(np.diag(fitted.covariance(whiten.frequencies(), whiten.rows, same)))
+    if scatter:
+        sd = np.maximum(sd, fitted.scatter(whiten.rows, same))
+    return {
+        n.name: _interval(n, values.get(n.name, n.start), wider * n.sd * float(s))
+        for n, s in zip(fitted.parameters, sd, strict=True)
+    }
+
+
+def _interval(n: Parameter, value: float, spread: float) -> Estimate:
+    low, high = max(n.low, value - NINETY_PERCENT * spread), min(n.high, value + NINETY_PERCENT * spread)
+    return Estimate(value, spread, low, high)
+
+
+def superfluous(candidate: Candidate, intervals: Mapping[str, Estimate]) -> bool:
+    """Tell whether the intervals of an effect include no effect at all."""
+    return not candidate.switch and all(_includes(intervals[a.name], a.start) for a in candidate.amplitudes)
+
+
+def _includes(interval: Estimate, value: float) -> bool:
+    return interval.low <= value <= interval.high

@@ -1,0 +1,195 @@
+"""Where and how much recordings and simulation disagree: the residual against measurement and noise, and `gap`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ffcomp.diagnosis.diagnosis import noise_floor
+from ffcomp.diagnosis.noise import NoiseFloor, Whitener, whitener
+from ffcomp.diagnosis.problem import Observation, Repeated
+from ffcomp.diagnosis.problems import plant_of, problem_of, recordings_of
+from ffcomp.diagnosis.request import GapRequest
+from ffcomp.diagnosis.validation import Recorded, check_alike
+from ffcomp.record.axes import turn_of
+from models.arrays import FloatArray
+from models.machine import Machine
+
+EDGES_HZ = (1.0, 10.0, 20.0, 30.0, 40.0, 50.0, 60.0, 80.0, 100.0, 130.0, 160.0, 200.0)
+SLOW_SHARE = 0.05  # of a signal's largest speed: slower than that it is near a reversal
+
+
+@dataclass(frozen=True)
+class ResidualSize:
+    """√(Σ(measured − simulated)²/Σ measured²) inside the band, and the same of noise alone."""
+
+    nrms: float
+    noise_nrms: float
+
+    @property
+    def over_noise(self) -> float:
+        """How many times the noise it is."""
+        return self.nrms / self.noise_nrms
+
+    def to_dict(self) -> dict[str, float]:
+        """Return the JSON's pair of numbers."""
+        return {"nrms": self.nrms, "noise_nrms": self.noise_nrms}
+
+
+@dataclass(frozen=True, eq=False)
+class ResidualBreakdown:
+    """The residual as a whole and in parts; the excess is its power above the noise."""
+
+    total: ResidualSize
+    signals: Mapping[str, ResidualSize]
+    recordings: Mapping[str, ResidualSize]
+    positions: Mapping[tuple[float, ...], float]  # share of the excess
+    bands: Sequence[tuple[float, float, float]]  # from Hz, to Hz, share of the excess
+    near_reversals: float  # share of the excess while the part a signal is measured on reverses or rests
+
+
+def locate_residual(whiten: Whitener, floor: NoiseFloor, simulated: Sequence[FloatArray]) -> ResidualBreakdown:
+    """Compare all observations with their simulation, (n, m) each."""
+    tables = [_table(whiten, floor, r, y) for r, y in zip(whiten.observations, simulated, strict=True)]
+    excess = [np.maximum(t.error - t.noise, 0.0) for t in tables]
+    total = max(sum(float(e.sum()) for e in excess), 1e-300)
+    observations = whiten.observations
+    signals = sorted({s for r in observations for s in r.signals})
+    positions: dict[tuple[float, ...], float] = {}
+    for r, e in zip(observations, excess, strict=True):
+        positions[r.position] = positions.get(r.position, 0.0) + float(e.sum()) / total
+    return ResidualBreakdown(
+        _size(tables, [np.ones(len(r.signals), bool) for r in observations]),
+        {s: _size(tables, [np.array([name == s for name in r.signals]) for r in observations]) for s in signals},
+        {
+            Path(r.name).name: _size([t], [np.ones(len(r.signals), bool)])
+            for r, t in zip(observations, tables, strict=True)
+        },
+        positions,
+        _bands(tables, excess, total),
+        _near_reversals(observations, simulated),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Table:
+    """Powers of one observation by signal and frequency, (m, k): of error, noise and measured signals."""
+
+    frequency_hz: FloatArray
+    error: FloatArray
+    noise: FloatArray
+    signal: FloatArray
+
+
+def _table(whiten: Whitener, floor: NoiseFloor, observation: Observation, simulated: FloatArray) -> _Table:
+    error, frequency = whiten.spectrum(observation, observation.measured - simulated)
+    signal, _ = whiten.spectrum(observation, observation.measured)
+    scale = whiten.power(observation)
+    noise = np.stack([2 * scale * floor.at(s, frequency) for s in observation.signals])
+    return _Table(frequency, np.abs(error) ** 2, noise, np.abs(signal) ** 2)
+
+
+def _size(tables: Sequence[_Table], chosen: Sequence[NDArray[np.bool_]]) -> ResidualSize:
+    sums = [
+        sum(float(getattr(t, part)[keep].sum()) for t, keep in zip(tables, chosen, strict=True))
+        for part in ("error", "noise", "signal")
+    ]
+    return ResidualSize(float(np.sqrt(sums[0] / sums[2])), float(np.sqrt(sums[1] / sums[2])))
+
+
+def _bands(tables: Sequence[_Table], excess: Sequence[FloatArray], total: float) -> list[tuple[float, float, float]]:
+    bands = []
+    for low, high in pairwise(EDGES_HZ):
+        inside = [e[:, (t.frequency_hz >= low) & (t.frequency_hz < high)] for t, e in zip(tables, excess, strict=True)]
+        bands.append((low, high, sum(float(e.sum()) for e in inside) / total))
+    return bands
+
+
+def _near_reversals(observations: Sequence[Observation], simulated: Sequence[FloatArray]) -> float:
+    near = total = 0.0
+    for r, y in zip(observations, simulated, strict=True):
+        power = np.nan_to_num((r.measured - y) ** 2)
+        slow = np.abs(r.speed) < SLOW_SHARE * np.max(np.abs(r.speed), axis=0)
+        near, total = near + float(power[slow].sum()), total + float(power.sum())
+    return near / max(total, 1e-300)
+
+
+# ---- the verb ------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Discrepancy:
+    """The model discrepancy of a machine file on some recordings."""
+
+    residual: ResidualBreakdown
+    from_repeats: bool  # whether repeats give the noise; else the spectrum above the model's band does
+    notes: tuple[str, ...] = ()  # what is wrong with the repeats, in full sentences
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the JSON object ffcomp-gap/1."""
+        residual = self.residual
+        return {
+            "schema": "ffcomp-gap/1",
+            **residual.total.to_dict(),
+            "noise_from_repeats": self.from_repeats,
+            "notes": list(self.notes),
+            "signals": {name: size.to_dict() for name, size in residual.signals.items()},
+            "where": {
+                "frequency_hz": [{"from": low, "to": high, "share": share} for low, high, share in residual.bands],
+                "signal": {name: size.over_noise for name, size in residual.signals.items()},
+                "region": [
+                    {"place_mm": list(position), "share": share} for position, share in residual.positions.items()
+                ],
+                "near_reversals": residual.near_reversals,
+                "runs": {name: size.to_dict() for name, size in residual.recordings.items()},
+            },
+        }
+
+
+def gap_request(request: GapRequest) -> Discrepancy:
+    """Measure where and how much recordings and simulation disagree.
+
+    Parameters
+    ----------
+    progress : takes sentences on what is being done
+
+    Raises
+    ------
+    MeasurementError, MachineFileError
+    """
+    plant, several = plant_of(request.machine), request.recordings
+    several = [several] if isinstance(several, str | Path) else several
+    recordings = [each for each in several if not isinstance(each, str | Path)]
+    files = [each for each in several if isinstance(each, str | Path)]
+    if files:
+        recordings += recordings_of(plant, files, request.plan, turn_of(request.axes_map), request.progress)
+    return measure_gap(plant, recordings)
+
+
+def measure_gap(machine: Machine, recordings: Sequence[Recorded]) -> Discrepancy:
+    """Simulate the recordings with the machine and its effects, and compare.
+
+    Raises
+    ------
+    MeasurementError
+        If the recordings cannot belong to this machine or to each other.
+    """
+    problem = problem_of(machine, recordings, ())
+    check_alike(recordings)
+    simulated = problem.simulate({})
+    floor = noise_floor(problem, simulated)
+    residual = locate_residual(whitener(problem.observations, floor, problem.band_hz), floor, simulated)
+    return Discrepancy(residual, floor.from_repeats, tuple(_notes(problem.repeats)))
+
+
+def _notes(repeats: Sequence[Repeated]) -> list[str]:
+    late = [
+        f"{each.late()}; they were moved onto each other before they were compared." for each in repeats if each.apart
+    ]
+    return [*late, *(each.trouble() for each in repeats if each.differ)]

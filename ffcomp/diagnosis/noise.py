@@ -1,0 +1,281 @@
+"""The noise floor, and the whitener: a residual in which every entry has variance one if only noise is left.
+
+Repeats of one experiment differ by noise alone: half the spectrum of their difference is the floor. Without repeats
+it is taken from the residual above the model's band; that is weaker, and users are told so. Whitening happens in the
+frequency domain, which is zero-phase, holds the band exactly, and treats measurement and simulation alike.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ffcomp.diagnosis.problem import Observation
+from models.arrays import ComplexArray, FloatArray
+
+BAND_HZ = (1.0, 200.0)
+TAPER_S = 0.1  # faded in and out at both ends
+SEGMENT_S = 0.64  # of the averaged spectra: 1.6 Hz lines
+SMOOTHING_HZ = 5.0
+SMOOTHED_LINES = 4.6  # independent ones in that: dividing by a floor of n averages makes noise 1 + 1/n too large
+SIMULATION_ERROR = 0.003  # of each signal: no simulation is nearer than that, however quiet the sensors are
+
+
+@dataclass(frozen=True, eq=False)
+class NoiseFloor:
+    """One-sided power spectral density of each signal's noise, unit²/Hz."""
+
+    frequency_hz: FloatArray  # (k,)
+    density: Mapping[str, FloatArray]  # signal -> (k,)
+    from_repeats: bool
+
+    def at(self, signal: str, frequency_hz: FloatArray) -> FloatArray:
+        """Interpolate the density of one signal: (n,) Hz -> (n,) unit²/Hz."""
+        return np.interp(frequency_hz, self.frequency_hz, self.density[signal])
+
+
+def noise_from_repeats(observations: Sequence[Observation]) -> NoiseFloor | None:
+    """Estimate the noise from repeats; None if nothing was measured twice."""
+    pairs = [(a, b) for a, b in pairwise(sorted(observations, key=_by_repeat)) if _repeat(a, b)]
+    if not pairs:
+        return None
+    grid = np.arange(0.0, min(r.rate_hz for r, _ in pairs) / 2 + 1e-9, 1 / SEGMENT_S)
+    density = {}
+    for signal in sorted({name for a, b in pairs for name in a.signals if name in b.signals}):
+        both = [(a, b) for a, b in pairs if signal in a.signals and signal in b.signals]
+        spectra = [_density(_column(a, signal) - _column(b, signal), a.rate_hz, grid) / 2 for a, b in both]
+        averages = sum(len(a.measured) / a.rate_hz for a, _ in both) / SEGMENT_S * SMOOTHED_LINES
+        density[signal] = _smooth(np.mean(spectra, axis=0), grid) * (1 + 1 / averages)
+    for signal in {name for r in observations for name in r.signals} - set(density):
+        same_kind = [d for name, d in density.items() if name[:3] == signal[:3]]
+        density[signal] = np.mean(same_kind, axis=0)
+    return NoiseFloor(grid, density, True)
+
+
+def noise_from_residual(
+    observations: Sequence[Observation], errors: Sequence[FloatArray], band_hz: tuple[float, float]
+) -> NoiseFloor:
+    """Take white noise at the level of the residual above the model's band.
+
+    Parameters
+    ----------
+    errors : (n, m) an observation, measured − simulated.
+    """
+    grid = np.arange(0.0, min(r.rate_hz for r in observations) / 2 + 1e-9, 1 / SEGMENT_S)
+    high = (grid > 1.1 * band_hz[1]) & (grid < 0.95 * grid[-1])  # up to nearly the Nyquist frequency
+    density = {}
+    for signal in sorted({name for r in observations for name in r.signals}):
+        columns = [
+            (e[:, r.signals.index(signal)], r.rate_hz)
+            for r, e in zip(observations, errors, strict=True)
+            if signal in r.signals
+        ]
+        spectrum = np.mean([_density(fill_gaps(column), rate, grid) for column, rate in columns], axis=0)
+        density[signal] = np.full(len(grid), np.median(spectrum[high]))
+    return NoiseFloor(grid, density, False)
+
+
+def noise_of_sensors(observations: Sequence[Observation], density: Mapping[str, float]) -> NoiseFloor:
+    """Take white noise of known densities, unit²/Hz; signals without one have none to speak of."""
+    grid = np.arange(0.0, min(r.rate_hz for r in observations) / 2 + 1e-9, 1 / SEGMENT_S)
+    signals = sorted({name for r in observations for name in r.signals})
+    return NoiseFloor(grid, {name: np.full(len(grid), density.get(name, 0.0)) for name in signals}, False)
+
+
+def scaled(floor: NoiseFloor, factor: float) -> NoiseFloor:
+    """Return the floor with so many times the power."""
+    return NoiseFloor(floor.frequency_hz, {k: factor * x for k, x in floor.density.items()}, floor.from_repeats)
+
+
+def at_least(
+    floor: NoiseFloor,
+    observations: Sequence[Observation],
+    band_hz: tuple[float, float],
+    least: Mapping[str, float] | None = None,
+) -> NoiseFloor:
+    """Raise the floor of sensors that are quieter than any simulation is exact.
+
+    Friction, belts and play never have our formulas: by the noise of a laboratory's sensors every fit would fail, and
+    better data would get the weaker answer.
+
+    Parameters
+    ----------
+    least : of some signals, the density below which none is, unit²/Hz
+    """
+    held = {name: np.maximum(x, (least or {}).get(name, 0.0)) for name, x in floor.density.items()}
+    if any(bool((held[name] > x).any()) for name, x in floor.density.items()):
+        floor = NoiseFloor(floor.frequency_hz, held, floor.from_repeats)
+    powers = _powers(whitener(observations, floor, band_hz), floor)
+    factors = {  # positions are nearly the command: no share of them says how exact a simulation is
+        name: SIMULATION_ERROR**2 * signal / max(noise, 1e-300)
+        for name, (signal, noise) in powers.items()
+        if name[:3] == "acc"
+    }
+    if max(factors.values(), default=0.0) <= 1.0:
+        return floor
+    raised = {name: density * max(1.0, factors.get(name, 0.0)) for name, density in floor.density.items()}
+    return NoiseFloor(floor.frequency_hz, raised, floor.from_repeats)
+
+
+def noise_share(whiten: Whitener, floor: NoiseFloor) -> float:
+    """Return the rms of the noise inside the band, of the signals'."""
+    powers = np.array(list(_powers(whiten, floor).values()))
+    signal, noise = powers.sum(axis=0)
+    return float(np.sqrt(noise / signal))
+
+
+def _powers(whiten: Whitener, floor: NoiseFloor) -> dict[str, tuple[float, float]]:
+    """Return for each signal the power inside the band of what was measured, and of its noise."""
+    powers: dict[str, tuple[float, float]] = {}
+    for o in whiten.observations:
+        spectrum, frequency = whiten.spectrum(o, o.measured)
+        for name, line in zip(o.signals, spectrum, strict=True):
+            signal, noise = powers.get(name, (0.0, 0.0))
+            loud = float(np.sum(floor.at(name, frequency))) * 2 * whiten.power(o)
+            powers[name] = signal + float(np.sum(np.abs(line) ** 2)), noise + loud
+    return powers
+
+
+def _by_repeat(observation: Observation) -> tuple[str, str]:
+    return observation.repeat_of, observation.name
+
+
+def _repeat(a: Observation, b: Observation) -> bool:
+    return a.repeat_of == b.repeat_of and len(a.measured) == len(b.measured)
+
+
+def _column(observation: Observation, signal: str) -> FloatArray:
+    return fill_gaps(observation.measured[:, observation.signals.index(signal)])
+
+
+def fill_gaps(values: FloatArray) -> FloatArray:
+    """Bridge missing samples by straight lines: (n,) -> (n,)."""
+    missing = ~np.isfinite(values)
+    if not missing.any():
+        return values
+    t = np.arange(len(values))
+    return np.where(missing, np.interp(t, t[~missing], values[~missing]), values)
+
+
+def _density(x: FloatArray, rate_hz: float, grid: FloatArray) -> FloatArray:
+    from scipy.signal import welch
+
+    frequency, density = welch(x, rate_hz, nperseg=min(len(x), round(SEGMENT_S * rate_hz)))
+    return np.interp(grid, frequency, density)
+
+
+def _smooth(density: FloatArray, grid: FloatArray) -> FloatArray:
+    """Average over SMOOTHING_HZ: the floor has no lines."""
+    half = max(1, round(SMOOTHING_HZ / 2 / (grid[1] - grid[0])))
+    kernel = np.ones(2 * half + 1)
+    return np.convolve(density, kernel, "same") / np.convolve(np.ones_like(density), kernel, "same")
+
+
+@dataclass(frozen=True, eq=False)
+class Whitener:
+    """Errors of all observations -> one vector of variance one; the rows of observation i are `rows[i]`."""
+
+    observations: Sequence[Observation]
+    floor: NoiseFloor
+    rows: Sequence[slice]
+    band_hz: tuple[float, float]
+
+    def __call__(self, signals: Sequence[FloatArray], only: Sequence[int] | None = None) -> FloatArray:
+        """Whiten (n, m) an observation, or of those in `only`: (rows,).
+
+        One array for several is transformed once, and all that are alike at once.
+        """
+        chosen = [self._alike[i] for i in (range(len(self.observations)) if only is None else only)]
+        alike: dict[int, dict[int, FloatArray]] = {}
+        for kind, x in zip(chosen, signals, strict=True):
+            alike.setdefault(kind, {})[id(x)] = x
+        white = {kind: self._whitened(kind, arrays) for kind, arrays in alike.items()}
+        parts = [white[kind][id(x)] for kind, x in zip(chosen, signals, strict=True)]
+        return np.concatenate(parts) if parts else np.zeros(0)
+
+    def _whitened(self, kind: int, signals: Mapping[int, FloatArray]) -> dict[int, FloatArray]:
+        """Whiten arrays (n, m) that are alike: (rows,) each, by the same keys."""
+        observation, together = self.observations[kind], np.stack([x.T for x in signals.values()])
+        spectra = self._transformed(observation, together)
+        white = np.empty((len(spectra), 2, *spectra.shape[1:]))
+        np.divide(spectra.real, self._scales[kind], out=white[:, 0])
+        np.divide(spectra.imag, self._scales[kind], out=white[:, 1])
+        return dict(zip(signals, white.reshape(len(spectra), -1), strict=True))
+
+    def _transformed(self, observation: Observation, signals: FloatArray) -> ComplexArray:
+        """Transform signals (..., m, n): (..., m, k) inside the band."""
+        faded = signals * taper(signals.shape[-1], observation.rate_hz)
+        if observation.missing is not None:
+            faded[..., observation.missing.T] = 0.0  # missing samples count on neither side
+        return np.asarray(np.fft.rfft(faded)[..., lines(observation, self.band_hz)[1]])
+
+    @cached_property
+    def _alike(self) -> list[int]:
+        """The first observation that is whitened in the same way, of each: as long, same signals, same gaps."""
+        kinds = [(len(o.measured), o.rate_hz, o.signals, ~np.isfinite(o.measured)) for o in self.observations]
+        return [
+            next(k for k in range(i + 1) if kinds[k][:3] == kind[:3] and np.array_equal(kinds[k][3], kind[3]))
+            for i, kind in enumerate(kinds)
+        ]
+
+    @cached_property
+    def _scales(self) -> dict[int, FloatArray]:
+        """The noise's standard deviation in the transform, (m, k), of each kind of observation."""
+        return {i: self._scale(self.observations[i]) for i in set(self._alike)}
+
+    def _scale(self, observation: Observation) -> FloatArray:
+        frequency, power = lines(observation, self.band_hz)[0], self.power(observation)
+        return np.stack([np.sqrt(self.floor.at(s, frequency) * power) for s in observation.signals])
+
+    def power(self, observation: Observation) -> float:
+        """Return the power of a real or imaginary part of the transform, per unit²/Hz of density."""
+        window = taper(len(observation.measured), observation.rate_hz)
+        return float(np.sum(window**2)) * observation.rate_hz / 4
+
+    def spectrum(self, observation: Observation, x: FloatArray) -> tuple[ComplexArray, FloatArray]:
+        """Transform the faded signals (n, m): (m, k) inside the band, and (k,) Hz."""
+        return self._transformed(observation, x.T), lines(observation, self.band_hz)[0]
+
+    def frequencies(self) -> FloatArray:
+        """Return the frequency of every entry of the vector, (rows,) Hz."""
+        parts = [np.tile(lines(r, self.band_hz)[0], 2 * len(r.signals)) for r in self.observations]
+        return np.concatenate(parts)
+
+
+def whitener(
+    observations: Sequence[Observation], floor: NoiseFloor, band_hz: tuple[float, float] = BAND_HZ
+) -> Whitener:
+    """Lay out the rows of all observations inside the band."""
+    sizes = [2 * len(r.signals) * len(lines(r, band_hz)[0]) for r in observations]
+    ends = np.cumsum([0, *sizes])
+    return Whitener(observations, floor, [slice(a, b) for a, b in pairwise(ends.tolist())], band_hz)
+
+
+def lines(observation: Observation, band_hz: tuple[float, float]) -> tuple[FloatArray, NDArray[np.bool_]]:
+    """Return the frequencies inside the band, (k,) Hz, and a mask of them among all of the transform's."""
+    return _lines(len(observation.measured), observation.rate_hz, band_hz)
+
+
+@lru_cache(maxsize=64)
+def _lines(n: int, rate_hz: float, band_hz: tuple[float, float]) -> tuple[FloatArray, NDArray[np.bool_]]:
+    frequency = np.fft.rfftfreq(n, 1 / rate_hz)
+    keep = (frequency >= band_hz[0]) & (frequency <= band_hz[1])
+    inside = np.asarray(frequency[keep])
+    inside.flags.writeable = keep.flags.writeable = False  # shared
+    return inside, keep
+
+
+@lru_cache(maxsize=64)
+def taper(n: int, rate_hz: float) -> FloatArray:
+    """Return Tukey's window, (n,): from 0 to 1 and back over TAPER_S."""
+    ramp = min(round(TAPER_S * rate_hz), n // 2)
+    edge = (1 - np.cos(np.pi * (np.arange(ramp) + 0.5) / ramp)) / 2
+    window = np.ones(n)
+    window[:ramp], window[n - ramp :] = edge, edge[::-1]
+    window.flags.writeable = False  # shared
+    return window

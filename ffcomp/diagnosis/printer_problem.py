@@ -1,0 +1,317 @@
+"""The diagnosis of a printer: commands in, accelerations or positions of carriages and effector out."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from copy import copy
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from itertools import groupby, product
+from typing import TypeVar
+
+import numpy as np
+
+from ffcomp.diagnosis.noise import BAND_HZ
+from ffcomp.diagnosis.observations import (
+    Part,
+    compared,
+    every_row,
+    excerpt_parts,
+    first_seconds,
+    informative_recordings,
+    led_in,
+    observation_of,
+)
+from ffcomp.diagnosis.printer_candidates import (
+    EFFECT_KEY,
+    candidate_of,
+    effect_tables,
+    idle_actuators,
+    longest_travel,
+    machine_parameters,
+    possible_effects,
+)
+from ffcomp.diagnosis.problem import InfeasibleParameters, Problem, within_travel
+from ffcomp.diagnosis.recording_clocks import (
+    aligned,
+    as_recorded,
+    belongs_to_recording,
+    delay_parameters,
+    repeats_of,
+    seen_parameters,
+    with_stated_clock,
+)
+from ffcomp.diagnosis.validation import carriages_of
+from ffcomp.measurement.recording import Recording
+from models.arrays import FloatArray
+from models.effects.catalogue import CATALOGUE, measured
+from models.machine import Machine, value_of, with_values
+from models.printer.kernels.record import LANES
+from models.printer.parameters import ConvertedPrinter, converted_printer
+from models.printer.printer import SMOOTH_STEP_S, PrinterMotion, Splines, longest_step, simulate_printers
+
+STEP_S = 1 / 3200  # of a printer without dry friction or backlash: some nanometres off
+COARSE_STEP_S, COARSE_KINKED_STEP_S = 1 / 1600, 1 / 3200  # where effects are only ranked
+KEPT, AT_ONCE = 4, 24  # machines whose motions are held
+WORKERS = min(8, os.cpu_count() or 1)
+
+STRAIGHT = ("axis X", "axis Y", "axis Z")
+_Pack = TypeVar("_Pack")
+_Answer = TypeVar("_Answer")
+_Key = tuple[tuple[tuple[str, float], ...], tuple[int, ...], bool]
+
+
+class PrinterProblem(Problem):
+    """A machine file and its recordings."""
+
+    band_hz = BAND_HZ
+
+    def __init__(
+        self, machine: Machine, recordings: Sequence[Recording], names: Sequence[str] = tuple(CATALOGUE)
+    ) -> None:
+        self.machine, self.recordings = machine, recordings
+        self.name, self.path, self.per_kilogram = machine.name, machine.path, machine.vibration.per_kilogram
+        if not machine.kinematics.tower_directions:
+            self.carriages, self.belts = STRAIGHT, machine.kinematics.actuator_names
+        self.reach_mm, self.cycle_mm = machine.kinematics.bed_radius_mm, 4.0 / machine.steps.full_per_motor[0]
+        self.commands = [compared(carriages_of(machine, one), every_row(one)) for one in recordings]
+        recorded = [observation_of(machine, one, c) for one, c in zip(recordings, self.commands, strict=True)]
+        self.repeats = repeats_of(recorded)
+        self.observations = aligned(recorded, self.repeats)
+        self.parameters = (*machine_parameters(machine), *delay_parameters(recordings, recorded, self.repeats))
+        possible, idle = possible_effects(machine, self.commands), idle_actuators(machine, self.commands)
+        effects = [CATALOGUE[n] for n in names if n in possible and n not in machine.effects]
+        travel = longest_travel(machine, self.commands)
+        limited = [within_travel(candidate_of(machine, effect, idle), travel) for effect in effects]
+        self.candidates = tuple(with_stated_clock(each, recordings) for each in limited if each is not None)
+        self.same_command = [_first_equal(self.commands, i) for i in range(len(recordings))]
+        self.kept: dict[_Key, dict[int, PrinterMotion]] = {}
+        self.parts: Sequence[Part] = [Part(0, len(command), 0) for command in self.commands]
+        self.whole, self.chosen = self, tuple(range(len(recordings)))  # what this is a part of, and which recordings
+        self.splines = Splines()
+
+    @property
+    def motions(self) -> Sequence[int]:
+        """Return the first recording with the same command, of each."""
+        return self.same_command
+
+    def excerpt(self) -> PrinterProblem | None:
+        """Return the problem on a part of each recording that tells most; None where that would hardly be quicker."""
+        chosen = informative_recordings(self.observations, self.same_command)
+        same = [chosen.index(self.same_command[i]) for i in chosen]
+        parts = excerpt_parts([self.observations[i] for i in chosen], same)
+        return None if parts is None else self._of(chosen, parts)
+
+    def short_horizon(self, seconds: float) -> PrinterProblem | None:
+        """Return the problem on so much of each recording from where it begins to move; None if that is all of it."""
+        begun = [first_seconds(self.whole.observations[i], self.whole.commands[i], seconds) for i in self.chosen]
+        if all(part.last == len(self.whole.commands[i]) for i, part in zip(self.chosen, begun, strict=True)):
+            return None
+        return self.whole._of(self.chosen, begun)
+
+    def _of(self, chosen: Sequence[int], parts: Sequence[Part]) -> PrinterProblem:
+        """Return the problem on parts of some recordings."""
+        shorter = copy(self)
+        whole = [self.observations[i] for i in chosen]
+        shorter.whole, shorter.chosen = self, tuple(chosen)
+        shorter.same_command = [chosen.index(self.same_command[i]) for i in chosen]
+        shorter.recordings = [self.recordings[i] for i in chosen]
+        shorter.parameters = seen_parameters(self.parameters, whole)
+        shorter.kept, shorter.parts, shorter.splines = {}, parts, Splines()
+        led = {i: led_in(self.commands[chosen[i]], parts[i], whole[i].rate_hz) for i in set(shorter.same_command)}
+        shorter.commands = [led[i] for i in shorter.same_command]
+        shorter.observations = [part.of(o) for part, o in zip(parts, whole, strict=True)]
+        return shorter
+
+    def simulate(
+        self, values: Mapping[str, float], only: Sequence[int] | None = None, *, coarse: bool = False
+    ) -> list[FloatArray]:
+        """Simulate the recordings: (n, m) each."""
+        simulated = next(iter(self.simulate_many([values], only, coarse=coarse)))
+        if isinstance(simulated, InfeasibleParameters):
+            raise simulated
+        return simulated
+
+    def simulate_many(
+        self, many: Sequence[Mapping[str, float]], only: Sequence[int] | None = None, *, coarse: bool = False
+    ) -> Iterator[list[FloatArray] | InfeasibleParameters]:
+        """Simulate in batches, all recordings of a batch together."""
+        chosen = range(len(self.recordings)) if only is None else only
+        needed = sorted({self.same_command[i] for i in chosen})
+        for first in range(0, len(many), AT_ONCE):
+            part = many[first : first + AT_ONCE]
+            for values, motions in zip(part, self._motions(part, needed, coarse), strict=True):
+                yield motions if isinstance(motions, InfeasibleParameters) else self._answer(values, motions, chosen)
+
+    def _answer(
+        self, values: Mapping[str, float], motions: Mapping[int, PrinterMotion], chosen: Sequence[int]
+    ) -> list[FloatArray]:
+        machine = self._machine_with_sensors(values)
+        observations = [self.observations[i] for i in chosen]
+        kinds = [
+            (self.same_command[i], o.repeat_of, o.signals, o.clocks) for i, o in zip(chosen, observations, strict=True)
+        ]
+        signals = dict[tuple[int, str, tuple[str, ...], tuple[str, ...]], FloatArray]()
+        for i, kind, o in zip(chosen, kinds, observations, strict=True):
+            if kind not in signals:
+                sensed = _signals(machine, motions[kind[0]], o.signals, self.parts[i])
+                signals[kind] = as_recorded(values, o, sensed)
+        return [signals[kind] for kind in kinds]  # the same array for repeats, which the whitener transforms once
+
+    def _motions(
+        self, many: Sequence[Mapping[str, float]], needed: Sequence[int], coarse: bool
+    ) -> list[dict[int, PrinterMotion] | InfeasibleParameters]:
+        """Simulate motions by index of the recording; the last few are kept, for sensor effects need no new motion."""
+        plain = [_without_sensors(values) for values in many]
+        keys = [(tuple(sorted(values.items())), tuple(needed), coarse) for values in plain]
+        new = {key: values for key, values in zip(keys, plain, strict=True) if key not in self.kept}
+        known: dict[_Key, dict[int, PrinterMotion] | InfeasibleParameters] = {
+            k: self.kept[k] for k in keys if k in self.kept
+        }
+        known |= dict(zip(new, self._simulated(list(new.values()), needed, coarse), strict=True))
+        answers = [known[key] for key in keys]
+        fresh = {key: motions for key, motions in known.items() if not isinstance(motions, InfeasibleParameters)}
+        self.kept = dict([*self.kept.items(), *fresh.items()][-KEPT:])
+        return answers
+
+    def _simulated(
+        self, many: Sequence[Mapping[str, float]], needed: Sequence[int], coarse: bool
+    ) -> list[dict[int, PrinterMotion] | InfeasibleParameters]:
+        """Simulate on every core, in SIMD lanes what takes equal steps."""
+        machines = [self.machine_with(values) for values in many]
+        converted = [_converted(machine) for machine in machines]
+        printers = {n: each for n, each in enumerate(converted) if not isinstance(each, ValueError)}
+        longest = {n: _longest(printer, coarse) for n, printer in printers.items()}
+        by_steps: dict[_Steps, list[tuple[int, int]]] = {}
+        # together in the lanes: commands of one length, and among those one printer, which is then prepared once
+        for _, alike in groupby(sorted(needed, key=self._rows), self._rows):
+            for (n, step_s), i in product(longest.items(), list(alike)):
+                by_steps.setdefault(_steps(step_s, self.observations[i].rate_hz), []).append((n, i))
+        self.work.add(
+            sum(steps.substeps * len(self.commands[i]) for steps, tasks in by_steps.items() for _, i in tasks)
+        )
+        packs = [
+            (steps, tasks[k : k + LANES]) for steps, tasks in by_steps.items() for k in range(0, len(tasks), LANES)
+        ]
+
+        def simulate(pack: tuple[_Steps, Sequence[tuple[int, int]]]) -> Sequence[PrinterMotion | ValueError]:
+            steps, tasks = pack
+            commands = [self.commands[i] for _, i in tasks]
+            return simulate_printers(
+                [machines[n] for n, _ in tasks],
+                commands,
+                steps.row_s,
+                substeps=steps.substeps,
+                converted=[printers[n] for n, _ in tasks],
+                splines=self.splines,
+            )
+
+        motions: list[dict[int, PrinterMotion | ValueError]] = [
+            {-1: each} if isinstance(each, ValueError) else {} for each in converted
+        ]
+        for (_, tasks), results in zip(packs, _each(simulate, packs), strict=True):
+            for (n, i), motion in zip(tasks, results, strict=True):
+                motions[n][i] = motion
+        return [_whole(by_run) for by_run in motions]
+
+    def _rows(self, i: int) -> int:
+        return len(self.commands[i])
+
+    def _machine_with_sensors(self, values: Mapping[str, float]) -> Machine | None:
+        """Return the machine whose sensors have effects; None if none of them has any."""
+        in_file = any(CATALOGUE[name].kind == "sensor" for name in self.machine.effects)
+        return self.machine_with(values) if in_file or any(map(_is_sensor, values)) else None
+
+    def stated(self, values: Mapping[str, float], name: str) -> float:
+        """Return what a file states of one of the machine's numbers: a mount lies between the modes of its axis."""
+        return value_of(self.machine_with(values), name)
+
+    def machine_with(self, values: Mapping[str, float]) -> Machine:
+        """Return the machine file's machine with these parameters and effects."""
+        plain = {n: x for n, x in values.items() if not (n.startswith("effects.") or belongs_to_recording(n))}
+        machine = with_values(self.machine, plain)
+        return replace(machine, effects={**machine.effects, **effect_tables(values)})
+
+
+def _each(function: Callable[[_Pack], _Answer], packs: Sequence[_Pack]) -> list[_Answer]:
+    """Apply a function to all packs on every core; a single one needs no thread of its own."""
+    if len(packs) < 2:
+        return [function(pack) for pack in packs]
+    with ThreadPoolExecutor(WORKERS) as pool:
+        return list(pool.map(function, packs))
+
+
+def _without_sensors(values: Mapping[str, float]) -> dict[str, float]:
+    return {name: x for name, x in values.items() if not (_is_sensor(name) or belongs_to_recording(name))}
+
+
+@lru_cache(maxsize=4096)
+def _is_sensor(name: str) -> bool:
+    match = EFFECT_KEY.fullmatch(name)
+    return match is not None and CATALOGUE[match["effect"]].kind == "sensor"
+
+
+@dataclass(frozen=True)
+class _Steps:
+    """Integration steps of a recording."""
+
+    row_s: float
+    substeps: int
+
+
+def _longest(printer: ConvertedPrinter, coarse: bool) -> float:
+    longest = longest_step(printer.parameters, printer.modes)
+    if longest == SMOOTH_STEP_S:
+        return COARSE_STEP_S if coarse else STEP_S
+    return max(longest, COARSE_KINKED_STEP_S) if coarse else longest
+
+
+def _steps(longest: float, rate_hz: float) -> _Steps:
+    """Return the steps of a recording; rates that only the rounding of times tells apart share the lanes."""
+    rate_hz = round(rate_hz, 5)  # beyond are 20 ns in three seconds
+    return _Steps(1 / rate_hz, math.ceil(1 / rate_hz / longest / 1.03))  # a little longer where that saves one a row
+
+
+def _converted(machine: Machine) -> ConvertedPrinter | ValueError:
+    """Return the printer's numbers, or why there is no such printer: its arms may be too short for its bed."""
+    try:
+        return converted_printer(machine)
+    except ValueError as error:
+        return error
+
+
+def _whole(motions: Mapping[int, PrinterMotion | ValueError]) -> dict[int, PrinterMotion] | InfeasibleParameters:
+    """Return the motions, or the first error: one infeasible recording makes the parameters infeasible."""
+    failed = [m for m in motions.values() if isinstance(m, ValueError)]
+    if failed:
+        return InfeasibleParameters(str(failed[0]))
+    return {i: m for i, m in motions.items() if isinstance(m, PrinterMotion)}
+
+
+def _first_equal(commands: Sequence[FloatArray], i: int) -> int:
+    """Return the first recording with the same command: repeats need one simulation."""
+    return next(k for k in range(i + 1) if np.array_equal(commands[k], commands[i]))
+
+
+# ---- signals ---------------------------------------------------------------------------------------
+
+
+def _signals(machine: Machine | None, motion: PrinterMotion, names: Sequence[str], part: Part) -> FloatArray:
+    """Return the sensor signals, (n, m), in the order of `names`, of the rows that are compared."""
+    rows, sensed = part.compared(len(motion.t_s)), motion.signals
+    if machine is not None:
+        dt_s = float(motion.t_s[1] - motion.t_s[0])
+        sensed = measured(machine, replace(sensed, t_s=sensed.t_s + dt_s * (part.last - rows.stop)))
+    columns = np.empty((len(names), rows.stop - rows.start))
+    for column, name in zip(columns, names, strict=True):
+        kind, axis = name.split("_")
+        carriage = axis in "ABC"
+        i = "ABC".index(axis) if carriage else "xyz".index(axis)
+        if kind == "acc":
+            column[:] = (sensed.carriage if carriage else sensed.nozzle)[rows, i]
+        else:
+            column[:] = (motion.carriage_mm if carriage else motion.nozzle_mm)[rows, i]
+    return columns.T

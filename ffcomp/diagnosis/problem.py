@@ -1,0 +1,253 @@
+"""The interface between the diagnosis and a machine, whatever is driven and measured."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from math import inf
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from models.arrays import FloatArray
+
+TOWERS = ("tower A", "tower B", "tower C")
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A parameter that a fit may move; its prior is normal about `start`."""
+
+    name: str  # as in the machine file: carriage.belt_stiffness_n_per_m, effects.coulomb_friction.force_n
+    start: float
+    sd: float
+    low: float = float("-inf")
+    high: float = float("inf")
+
+
+def stem_of(name: str) -> str:
+    """Return a parameter's name without the tower or axis that it is of."""
+    return name.partition("[")[0]
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """An effect that may be missing. Its amplitudes vanish at their `start`; its shapes begin at one of `grid`."""
+
+    name: str
+    amplitudes: tuple[Parameter, ...]
+    probe: Mapping[str, float]  # amplitudes at which its signature is taken
+    shapes: tuple[Parameter, ...] = ()
+    grid: tuple[Mapping[str, float], ...] = ({},)
+    finer: tuple[Parameter, ...] = ()  # shapes that have a usual value: fitted only once the effect is chosen
+    alternative: tuple[Parameter, ...] = ()  # shapes in place of the finer ones: of another kind of the same effect
+    other: Candidate | None = None  # the same effect with a parameter for each tower, or alike in all directions
+    switch: bool = False  # there or not: its one amplitude is 1 or 0
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Amplitudes, then shapes."""
+        return (*self.amplitudes, *self.shapes)
+
+    @property
+    def shaped(self) -> Candidate:
+        """The same effect with its finer shapes free."""
+        return replace(self, shapes=(*self.shapes, *self.finer), finer=(), alternative=())
+
+    @property
+    def of_alternative_kind(self) -> Candidate:
+        """The same effect with the shapes of its alternative kind."""
+        if not self.alternative:
+            return self
+        return replace(self, shapes=(*self.shapes, *self.alternative), finer=(), alternative=())
+
+
+def within_travel(candidate: Candidate, travel_mm: float) -> Candidate | None:
+    """Limit a pitch to half the travel; None if no pitch is left to begin at.
+
+    With less than two periods nothing repeats, and a ripple explains any slow error.
+    """
+    most = travel_mm / 2.0
+    pitches = [n for n in candidate.shapes if n.name.endswith(".pitch_mm")]
+    if not pitches:
+        return candidate
+    grid = tuple(point for point in candidate.grid if all(point.get(n.name, 0.0) <= most for n in pitches))
+    if not grid:
+        return None
+    shapes = tuple(
+        replace(n, start=min(n.start, most), high=min(n.high, most)) if n in pitches else n for n in candidate.shapes
+    )
+    other = None if candidate.other is None else within_travel(candidate.other, travel_mm)
+    return replace(candidate, shapes=shapes, grid=grid, other=other)
+
+
+@dataclass(frozen=True, eq=False)
+class Observation:
+    """One recording as it is compared: n samples of m signals, NaN where nothing was measured."""
+
+    name: str
+    repeat_of: str  # observations that share it repeat one experiment
+    position: tuple[float, ...]  # on the bed, mm; of an axis the window of time, s: held out together
+    rate_hz: float
+    signals: tuple[str, ...]
+    measured: FloatArray  # (n, m), all in one unit a signal
+    speed: FloatArray  # (n, m) of the part each signal is measured on, in the reference motion
+    clocks: tuple[str, ...] = ()  # of which of its clocks each signal is: "" the first; none named: all of one
+
+    @cached_property
+    def by_clock(self) -> Mapping[str, list[int]]:
+        """The signals of each of its clocks, by index."""
+        signals: dict[str, list[int]] = {}
+        for i, clock in enumerate(self.clocks or ("",) * len(self.signals)):
+            signals.setdefault(clock, []).append(i)
+        return signals
+
+    @cached_property
+    def missing(self) -> NDArray[np.bool_] | None:
+        """(n, m) where nothing was measured; None if nothing is missing."""
+        missing = ~np.isfinite(self.measured)
+        return missing if missing.any() else None
+
+
+class InfeasibleParameters(ValueError):
+    """Raised for parameters with which the machine cannot be simulated; a fit must not go there."""
+
+
+class Repeated(Protocol):
+    """What repeats of one experiment say of each other, see `ffcomp/diagnosis/recording_clocks.py`."""
+
+    @property
+    def members(self) -> tuple[int, ...]:
+        """Return the indices of its observations."""
+
+    @property
+    def files(self) -> tuple[str, ...]:
+        """Return their files."""
+
+    @property
+    def lag_s(self) -> tuple[float, ...]:
+        """Return how late each is behind their mean."""
+
+    @property
+    def signals(self) -> tuple[str, ...]:
+        """Return the signals that were compared, of one clock; none named: all."""
+
+    @property
+    def apart(self) -> bool:
+        """Tell whether they lie so far apart in time that it matters."""
+
+    @property
+    def differ(self) -> bool:
+        """Tell whether they differ by more than any noise of sensors."""
+
+    def late(self) -> str:
+        """Say how far apart they lie, in a sentence."""
+
+    def trouble(self) -> str:
+        """Say by what they differ, in a sentence."""
+
+
+@dataclass
+class Work:
+    """What was simulated so far, and how much may be before a search tries nothing more.
+
+    Integration steps are counted and not seconds, so that the same recordings get the same verdict on every computer,
+    however busy.
+    """
+
+    limit: float = inf
+    steps: float = 0.0
+    cut: bool = False  # something was left untried
+
+    def add(self, steps: float) -> None:
+        """Count what is simulated."""
+        self.steps += steps
+
+    def allows(self) -> bool:
+        """Tell whether another thing may be tried; where it may not, that is remembered."""
+        spent = self.steps >= self.limit
+        self.cut = self.cut or spent
+        return not spent
+
+    def begin(self, limit: float) -> None:
+        """Begin a search that may simulate so much from now on."""
+        self.limit, self.cut = self.steps + limit, False
+
+    def extend(self, further: float) -> None:
+        """Allow so much from now on, if there is no more left."""
+        self.limit = max(self.limit, self.steps + further)
+
+
+class Problem(ABC):
+    """A machine, its observations, and what it would have measured with other parameters."""
+
+    band_hz: tuple[float, float]  # where measurement and model are compared
+    observations: Sequence[Observation]
+    parameters: Sequence[Parameter]  # what may be retuned within its uncertainty: not a missing effect
+    candidates: Sequence[Candidate]
+    name: str  # of the machine
+    path: str  # of its file
+    recordings: Sequence[object]  # that the observations are from
+    repeats: Sequence[Repeated] = ()
+    commands: Sequence[FloatArray] = ()  # (n, 3) mm of a printer's carriages, of each observation
+    cycle_mm: float = 0.0  # of a motor
+    reach_mm: float = 0.0  # how far from the middle of its bed a printer goes; 0: there is no bed
+    per_kilogram: bool = False  # forces are, on axes of unknown mass
+    carriages: tuple[str, ...] = TOWERS  # what people call what a value for each is of
+    belts: tuple[str, ...] = TOWERS  # the same, of belts and their motors
+    least_density: Mapping[str, float] = {}  # of a signal's noise, unit²/Hz: no simulation is nearer than that
+
+    @cached_property
+    def work(self) -> Work:
+        """What was simulated so far."""
+        return Work()
+
+    @property
+    def motions(self) -> Sequence[int]:
+        """Return the observation whose simulation serves each observation, by index: repeats share one."""
+        return range(len(self.observations))
+
+    def place_name(self, position: tuple[float, ...]) -> str:
+        """Name a place at which something was recorded."""
+        return "(" + ", ".join(f"{x:g}" for x in position) + ") mm"
+
+    @abstractmethod
+    def simulate(
+        self, values: Mapping[str, float], only: Sequence[int] | None = None, *, coarse: bool = False
+    ) -> list[FloatArray]:
+        """Simulate every observation, or those in `only`: (n, m) each.
+
+        Parameters
+        ----------
+        values : parameters by name; those that are not named stay as they are.
+        coarse : quicker, with kinks rounded off: good enough to rank candidates.
+
+        Raises
+        ------
+        InfeasibleParameters
+        """
+
+    def stated(self, values: Mapping[str, float], name: str) -> float:
+        """Return what a file states of one of the machine's numbers with these values, some of which limit others."""
+        return values[name]
+
+    def excerpt(self) -> Problem | None:
+        """Return the problem on a part of its observations, which is quicker; None if there is none."""
+        return None
+
+    def short_horizon(self, seconds: float) -> Problem | None:
+        """Return the problem on so much of each observation from where it begins to move; None if there is none."""
+        return None
+
+    def simulate_many(
+        self, many: Sequence[Mapping[str, float]], only: Sequence[int] | None = None, *, coarse: bool = False
+    ) -> Iterator[list[FloatArray] | InfeasibleParameters]:
+        """Simulate several sets of values in order; override it where a batch is quicker."""
+        for values in many:
+            try:
+                yield self.simulate(values, only, coarse=coarse)
+            except InfeasibleParameters as error:
+                yield error

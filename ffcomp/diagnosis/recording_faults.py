@@ -1,0 +1,100 @@
+"""The faults of recordings that make a search pointless: an input shaper left on, a sensor that does not measure.
+
+Both look like huge effects of the machine. What makes a fault, and its sentence, stands in
+`ffcomp.measurement.faults`; no simulation is needed beyond that of the file as it is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from ffcomp.diagnosis.fit import EstimationProblem, Fit
+from ffcomp.measurement.faults import (
+    BadSensor,
+    GapSpectra,
+    NormalEquations,
+    ShapersLeftOn,
+    clipped_against,
+    shaper_in_gap,
+)
+from models.arrays import FloatArray
+
+LOUD = 3.0  # discrepancy, of the noise, from which a shaper is looked for
+ONE_SIGNAL = 0.85  # of the excess in one signal of three or more
+
+Fault = ShapersLeftOn | BadSensor
+
+
+def fault_of_recordings(estimation: EstimationProblem, simulated: Sequence[FloatArray], retuned: Fit) -> Fault | None:
+    """Return a fault that makes any search pointless: a clipped sensor, or a shaper.
+
+    Parameters
+    ----------
+    simulated : (n, m) an observation with the machine file as it is.
+    """
+    return shaper_on(estimation, simulated, retuned) or clipped_sensor(estimation, simulated)
+
+
+def shaper_on(estimation: EstimationProblem, simulated: Sequence[FloatArray], retuned: Fit) -> ShapersLeftOn | None:
+    """Return the shaper that explains most of the discrepancy far better than retuning does; None if none does."""
+    filed = estimation.measured - estimation.whiten(simulated)
+    if min(float(filed @ filed), retuned.chi_squared) < (1 + LOUD) * len(filed):
+        return None
+    names = frozenset(name for o in estimation.whiten.observations for name in o.signals)
+    axes = {axis: frozenset(name for name in names if name.endswith(f"_{axis}")) for axis in "xy"}
+    spectra = {axis: _spectra(estimation, simulated, signals) for axis, signals in axes.items() if all(axes.values())}
+    return shaper_in_gap(_spectra(estimation, simulated, names), spectra, retuned.chi_squared)
+
+
+def _spectra(estimation: EstimationProblem, simulated: Sequence[FloatArray], signals: frozenset[str]) -> GapSpectra:
+    """Sum up the whitened spectra of these signals: observations as long as each other share their frequencies."""
+    whiten = estimation.whiten
+    sums: dict[bytes, NormalEquations] = {}
+    noise = 0.0
+    for o, y in zip(whiten.observations, simulated, strict=True):
+        (m, frequency), (s, _) = whiten.spectrum(o, o.measured), whiten.spectrum(o, y)
+        scale = np.sqrt(np.stack([whiten.floor.at(name, frequency) for name in o.signals]) * whiten.power(o))
+        for i, name in enumerate(o.signals):
+            if name in signals:
+                grid = frequency.tobytes()
+                one = NormalEquations.of(frequency, m[i] / scale[i], (s[i] / scale[i])[:, None])
+                sums[grid] = sums[grid] + one if grid in sums else one
+                noise += 2.0 * len(frequency)
+    return GapSpectra(tuple(sums.values()), noise)
+
+
+def clipped_sensor(estimation: EstimationProblem, simulated: Sequence[FloatArray]) -> BadSensor | None:
+    """Return a sensor that stands at its largest value while its simulation goes far beyond."""
+    tests: dict[str, list[tuple[float, str, bool]]] = {}  # by signal: how loud it should be, file, clipped
+    for o, y in zip(estimation.whiten.observations, simulated, strict=True):
+        for k, name in enumerate(o.signals):
+            if name.startswith("acc"):
+                clipped = clipped_against(o.measured[:, k], y[:, k])
+                tests.setdefault(name, []).append((float(np.max(np.abs(y[:, k]))), Path(o.name).name, clipped))
+    # a range ends somewhere: what is clipped at all is clipped where it is loudest
+    files = {name: tuple(file for _, file, bad in rows if bad) for name, rows in tests.items() if max(rows)[2]}
+    if not files:
+        return None
+    name = max(files, key=lambda each: len(files[each]))
+    return BadSensor(name, "clipped", 1.0, files[name])
+
+
+def odd_signal(estimation: EstimationProblem, fits: Sequence[Fit]) -> BadSensor | None:
+    """Return the signal that holds nearly all of the excess of some fit, where three or more are compared."""
+    name, share = max((_share(estimation, fit) for fit in fits), key=lambda each: each[1], default=("", 0.0))
+    return BadSensor(name, "holds the gap", share) if share > ONE_SIGNAL else None
+
+
+def _share(estimation: EstimationProblem, fit: Fit) -> tuple[str, float]:
+    excess: dict[str, float] = {}
+    for o, rows in zip(estimation.whiten.observations, estimation.whiten.rows, strict=True):
+        parts = fit.residual[rows].reshape(2, len(o.signals), -1)
+        for k, name in enumerate(o.signals):
+            excess[name] = excess.get(name, 0.0) + float(np.sum(parts[:, k] ** 2 - 1))
+    total = sum(max(x, 0.0) for x in excess.values())
+    name = max(excess, key=lambda each: excess[each])
+    stands_out = total > estimation.tolerance * len(fit.residual)  # by chance alone, one signal has all of a trace
+    return name, (excess[name] / total if stands_out and len(excess) > 2 else 0.0)

@@ -1,0 +1,300 @@
+"""A diagnosis in the terms of the machine file: effects with intervals, retuned parameters, residuals."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ffcomp.diagnosis.diagnosis import Diagnosis
+from ffcomp.diagnosis.fit import Fit
+from ffcomp.diagnosis.gap import ResidualSize, locate_residual
+from ffcomp.diagnosis.printer_candidates import WHOLE, effect_tables
+from ffcomp.diagnosis.problem import TOWERS, Problem
+from ffcomp.diagnosis.recording_clocks import belongs_to_recording, delay_of
+from ffcomp.diagnosis.separation import Separation
+from ffcomp.identification.uncertainty import Estimate
+from models.effects.catalogue import CATALOGUE, key_in_file
+from models.file import updated_text
+
+LATE_S = 1e-4  # from which it is reported that a file lies late
+OFF_SHARE = 0.05  # of a number of the file, from which it is reported that it may be off by so much
+BEYOND_SD = 3.0  # by chance one of fifteen numbers is so far off in one machine of 25
+RETUNED_SD = 0.1  # from which a parameter counts as retuned
+
+
+@dataclass(frozen=True, kw_only=True)
+class Gap:
+    """The discrepancy in units of the signals, before and after, where it was fitted and where it was left out."""
+
+    before: ResidualSize
+    after: ResidualSize
+    elsewhere: tuple[float, float]  # nrms before and after, at positions that were left out of the fit
+    left_out: str = "places"  # what was left out of the fit in turn: places, experiments, windows, or nothing ("")
+    unproven: Sequence[str] = ()  # places or experiments where it is not explained
+    noise_guessed: bool = False  # no motion was repeated
+
+    @property
+    def noise(self) -> float:
+        """The nrms of the noise alone."""
+        return self.before.noise_nrms
+
+    @property
+    def explained(self) -> float:
+        """Share of the discrepancy above the noise that is explained, in power."""
+        return _explained(self.before.nrms, self.after.nrms, self.noise)
+
+    @property
+    def explained_elsewhere(self) -> float:
+        """The same where it was left out of the fit."""
+        return _explained(*self.elsewhere, self.noise)
+
+    @property
+    def closed(self) -> bool:
+        """Whether there is a gap, and half of it is closed, also where it was left out of the fit."""
+        gap, left = self.before.nrms - self.noise, self.after.nrms - self.noise
+        gap_elsewhere, left_elsewhere = (x - self.noise for x in self.elsewhere)
+        return gap > 0.1 * self.noise and left < 0.5 * gap and left_elsewhere < 0.5 * gap_elsewhere
+
+
+def _explained(before: float, after: float, noise: float) -> float:
+    gap, left = before**2 - noise**2, after**2 - noise**2
+    return 1 - max(left, 0.0) / gap if gap > 0 else 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class FileNumbers:
+    """What becomes of the machine file's own numbers."""
+
+    retuned: Mapping[str, tuple[float, float]] = field(default_factory=dict)  # from, to
+    off: Mapping[str, tuple[float, float]] = field(default_factory=dict)  # those that alone would explain as much
+    beyond: Mapping[str, float] = field(default_factory=dict)  # retuned by so many of their uncertainties
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlantNames:
+    """What people call the parts of a machine."""
+
+    per_kilogram: bool = False  # forces are, on axes of unknown mass
+    carriages: tuple[str, ...] = TOWERS  # what a value for each is of, and
+    belts: tuple[str, ...] = TOWERS  # of belts and their motors
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class DiagnosisResult:
+    """The contents of the answer and of the better machine file."""
+
+    verdict: str  # "effects", "none" or "unknown"
+    finding: str = ""  # the verdict more closely, see diagnosis.FINDINGS
+    fault: str = ""  # of the recordings: a sentence
+    effects: Mapping[str, Mapping[str, Any]]  # of the best hypothesis, as tables of a machine file
+    intervals: Mapping[str, Estimate]  # effects.name.key -> in the machine file's terms
+    confidence: Mapping[str, float]  # of each effect against the best that was tried without it
+    evidence: float  # −2 ln Z gained against retuning alone
+    rejections: Sequence[str] = ()
+    invisible: Sequence[str] = ()  # effects of which the recordings could not show a usual size
+    confounded_with: Sequence[tuple[str, str]] = ()  # effect, how to tell them apart
+    separations: Sequence[Separation] = ()  # from what fits as well
+    gap: Gap
+    file: FileNumbers
+    names: PlantNames = PlantNames()
+    late_s: Mapping[str, float] = field(default_factory=dict)  # files that lie off their command by more than 0.1 ms
+    cut_short: bool = False  # the search ended at its budget
+
+    @property
+    def mends(self) -> bool:
+        """Whether a better file exists: with effects, or with retuned parameters that suffice also elsewhere."""
+        if self.verdict != "none":
+            return self.verdict == "effects"
+        return not self.late_s and bool(self.gap.left_out) and self.gap.closed
+
+    def parameters(self, effect: str) -> dict[str, dict[str, Any]]:
+        """Return value, low and high of one effect by the machine file's keys; lists where the file has lists."""
+        prefix, estimates = f"effects.{effect}.", dict[str, list[Estimate]]()
+        for name, e in self.intervals.items():
+            if name.startswith(prefix):
+                estimates.setdefault(name.removeprefix(prefix).partition("[")[0], []).append(e)
+        return {
+            key_in_file(effect, key, self.names.per_kilogram): _in_file(effect, key, each, self.effects[effect][key])
+            for key, each in estimates.items()
+            if key != WHOLE
+        }
+
+
+def result_of(problem: Problem, diagnosis: Diagnosis) -> DiagnosisResult:
+    """Translate a diagnosis; the best hypothesis is reported even if it was rejected."""
+    fitted = diagnosis.final
+    tables = effect_tables(fitted.values) if diagnosis.best is not None else {}
+    before, after = (
+        locate_residual(diagnosis.estimation.whiten, diagnosis.noise, problem.simulate(values)).total
+        for values in ({}, fitted.values)
+    )
+    moved = [
+        (n.name, float(z), (n.start, problem.stated(fitted.values, n.name)))
+        for n, z in zip(fitted.parameters, fitted.z, strict=True)
+        if of_machine(n.name)
+    ]
+    return DiagnosisResult(
+        verdict=diagnosis.verdict,
+        finding=diagnosis.finding,
+        fault="" if diagnosis.fault is None else diagnosis.fault.sentence(),
+        effects=tables,
+        intervals={n: _in_file_terms(n, e) for n, e in diagnosis.intervals.items() if n.startswith("effects.")},
+        confidence={name: _confidence(diagnosis, name) for name in tables},
+        evidence=diagnosis.base.evidence - fitted.evidence,
+        rejections=diagnosis.rejections,
+        invisible=diagnosis.invisible,
+        confounded_with=[(name, _how_to_separate(tables, name)) for name in diagnosis.confounded],
+        gap=Gap(
+            before=before,
+            after=after,
+            elsewhere=_elsewhere(diagnosis, before.noise_nrms),
+            left_out=_left_out(diagnosis),
+            unproven=[place.label for place in diagnosis.unproven],
+            noise_guessed=not diagnosis.noise.from_repeats,
+        ),
+        file=FileNumbers(
+            retuned={name: values for name, z, values in moved if abs(z) > RETUNED_SD},
+            off={} if diagnosis.file_off is None else _off(diagnosis.file_off),
+            beyond={name: abs(z) for name, z, _ in sorted(moved, key=lambda each: -abs(each[1])) if abs(z) > BEYOND_SD},
+        ),
+        names=PlantNames(per_kilogram=problem.per_kilogram, carriages=problem.carriages, belts=problem.belts),
+        late_s=_late(problem, diagnosis),
+        cut_short=diagnosis.cut_short,
+    )
+
+
+def of_machine(name: str) -> bool:
+    """Tell whether a fitted parameter is one of the machine file's own numbers."""
+    return not (name.startswith("effects.") or belongs_to_recording(name))
+
+
+def _left_out(diagnosis: Diagnosis) -> str:
+    if not diagnosis.held_out:
+        return "" if diagnosis.best is not None or diagnosis.verdict == "none" else "places"
+    if len(diagnosis.held_out[0].position) == 1:
+        return "windows"
+    return "experiments" if diagnosis.held_out[0].experiment else "places"
+
+
+def _elsewhere(diagnosis: Diagnosis, noise: float) -> tuple[float, float]:
+    """Compute nrms over all positions, each left out of the fit in turn: with the file as it is, and with the fit."""
+    if not diagnosis.held_out:
+        return noise, noise
+    filed, after, signals = np.sum([place.power for place in diagnosis.held_out], axis=0)
+    return float(np.sqrt(filed / signals)), float(np.sqrt(after / signals))
+
+
+def _late(problem: Problem, diagnosis: Diagnosis) -> dict[str, float]:
+    """Return how late files lie: what repeats say of each other, and what the fit says of them together."""
+    values = diagnosis.final.values if diagnosis.best is not None else diagnosis.base.values
+    late = {}
+    for i, o in enumerate(problem.observations):
+        delays = [
+            _lag(problem, i, o.signals[members[0]]) + delay_of(values, o, clock)
+            for clock, members in o.by_clock.items()
+        ]
+        most = max(delays, key=abs)
+        if abs(most) > LATE_S:
+            late[Path(o.name).name] = most
+    return late
+
+
+def _lag(problem: Problem, i: int, signal: str) -> float:
+    """Return how late a signal of an observation is behind its repeats, s."""
+    apart = (each for each in problem.repeats if each.apart and i in each.members)
+    lags = (each.lag_s[each.members.index(i)] for each in apart if signal in each.signals or not each.signals)
+    return next(lags, 0.0)
+
+
+def _off(fitted: Fit) -> dict[str, tuple[float, float]]:
+    """Return the machine's numbers that would have to be wrong instead, those that move most first."""
+    moved = sorted(zip(fitted.parameters, fitted.z, strict=True), key=lambda each: -abs(each[1]))
+    numbers = [(n, fitted.values[n.name]) for n, _ in moved if of_machine(n.name) and n.start]
+    return {n.name: (n.start, x) for n, x in numbers if abs(x / n.start - 1) > OFF_SHARE}
+
+
+def _confidence(diagnosis: Diagnosis, effect: str) -> float:
+    """Compute the probability against the best hypothesis without the effect, both equally likely beforehand."""
+    if diagnosis.best is None:
+        return 0.0
+    fitted = diagnosis.best.fit
+    behind = [diagnosis.behind(h) for h in diagnosis.tried if effect not in h.names]
+    nearest = min([*behind, diagnosis.base.evidence - fitted.evidence])
+    sure = float(1 / (1 + np.exp(-np.clip(nearest / fitted.misfit / 2, -50, 50))))
+    # tested at one place, or wrong numbers of the file would explain as much: at most so sure
+    tested = 1.0 if _left_out(diagnosis) in ("places", "windows") else 0.9
+    return min(sure, tested, 1.0 if diagnosis.file_off is None else 0.5)
+
+
+def _in_file_terms(name: str, e: Estimate) -> Estimate:
+    """Convert back from value ** power, which reverses an interval if the power is negative."""
+    _, effect, key = name.split(".")
+    key = key.partition("[")[0]
+    if key != WHOLE and CATALOGUE[effect].parameter(key).logarithmic:
+        return Estimate(math.exp(e.value), e.sd * math.exp(e.value), math.exp(e.low), math.exp(e.high))
+    power = 1 if key == WHOLE else CATALOGUE[effect].parameter(key).power
+    if power == 1 or e.value <= 0:
+        return e
+    value, ends = e.value ** (1 / power), [max(x, 1e-12) ** (1 / power) for x in (e.low, e.high)]
+    return Estimate(value, value * e.sd / e.value / abs(power), min(ends), max(ends))
+
+
+def _in_file(effect: str, key: str, estimates: Sequence[Estimate], table: Any) -> dict[str, Any]:
+    """Return value, low and high of one key.
+
+    Parameters
+    ----------
+    table : the key's value in the machine file.
+    """
+    if CATALOGUE[effect].parameter(key).size == "direction":
+        first = estimates[0]
+        ends = [[round(math.cos(x), 6), round(math.sin(x), 6)] for x in (first.low, first.high)]
+        low, high = (table, table) if isinstance(table, str) else ends
+        return {"value": table, "low": low, "high": high}
+    each = {what: [float(getattr(e, what)) for e in estimates] for what in ("value", "low", "high")}
+    if isinstance(table, list):  # actuators that rested in all recordings have no estimate
+        each = {what: [*values, *table[len(values) :]] for what, values in each.items()}
+    return {what: values if len(values) > 1 else values[0] for what, values in each.items()}
+
+
+def _how_to_separate(tables: Mapping[str, Any], other: str) -> str:
+    """Say how to tell another effect from the named ones."""
+    for name in tables:
+        sentence = CATALOGUE[name].confounded_with.get(other) or CATALOGUE[other].confounded_with.get(name)
+        if sentence:
+            return sentence
+    return "Runs at more places and at several speeds."
+
+
+def better_file(source: Path, name: str, result: DiagnosisResult, data: Sequence[str], when: str) -> str:
+    """Write the machine file with the named effects, the retuned parameters and their provenance; comments survive."""
+    values: dict[str, Any] = {key: float(f"{to:.6g}") for key, (_, to) in result.file.retuned.items()}
+    for effect, table in result.effects.items():
+        if not table:
+            values[f"effects.{effect}"] = {}
+        values |= {
+            f"effects.{effect}.{key_in_file(effect, key, result.names.per_kilogram)}": _rounded(value)
+            for key, value in table.items()
+        }
+    entry = {
+        "date": when,
+        "started_from": source.stem,
+        "data": list(data),
+        "intervals_90_percent": {n: f"{e.low:.4g} to {e.high:.4g}" for n, e in result.intervals.items()},
+        "gap_nrms_before": float(f"{result.gap.before.nrms:.4g}"),
+        "gap_nrms_after": float(f"{result.gap.after.nrms:.4g}"),
+        "gap_nrms_noise": float(f"{result.gap.noise:.4g}"),
+        "held_out_nrms_before_after": [float(f"{x:.4g}") for x in result.gap.elsewhere],
+    }
+    return updated_text(source, values, name=name, provenance={"diagnosed": entry})
+
+
+def _rounded(value: Any) -> Any:
+    if isinstance(value, list):
+        return [_rounded(x) for x in value]
+    return float(f"{value:.6g}") if isinstance(value, float) else value

@@ -1,0 +1,249 @@
+"""The score test, the lowest rung of the ladder of fidelity: one simulation an amplitude predicts an effect's gain.
+
+Score test with the parameters that may be retuned projected out (Rao 1948; as the Lagrange multiplier test in
+econometrics). With N the derivative of the simulation by those parameters, S the candidate's signature, both in units
+of their priors, and the base fit at its optimum:
+
+    Σ = I + SᵀS − SᵀN (I + NᵀN)⁻¹ NᵀS,   g = Sᵀr,   gain = gᵀΣ⁻¹g,   Δ(−2 ln Z) = −gain + ln det Σ
+
+Where many shapes or sizes are ranked, the motions that hold most of the residual rank them as all motions do; the best
+are then simulated in every motion (multi-fidelity; successive halving: Jamieson & Talwalkar, AISTATS 2016).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ffcomp.diagnosis.fit import EstimationProblem, Fit, step_within
+from ffcomp.diagnosis.problem import Candidate, Parameter
+from ffcomp.diagnosis.settings import SETTINGS
+from models.arrays import FloatArray
+
+Shape = Mapping[str, float]
+
+
+# ---- a subset of the motions ---------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Subset:
+    """A problem and a fit of it, in a few motions."""
+
+    estimation: EstimationProblem
+    fit: Fit
+
+
+def subset_of(estimation: EstimationProblem, fitted: Fit) -> Subset | None:
+    """Return the motions in which most of a fit's residual is; None where that would hardly be quicker."""
+    if estimation.only is not None:
+        return None  # it is one already
+    chosen = loudest_motions(estimation, fitted.residual)
+    motions = estimation.problem.motions
+    if len(chosen) > SETTINGS.subset_worth * len(set(motions)):
+        return None
+    members = [i for i, motion in enumerate(motions) if motion in chosen]
+    rows = estimation.rows_of(members)
+    part = Fit(fitted.parameters, fitted.z, fitted.residual[rows], fitted.jacobian[rows])
+    return Subset(estimation.limited_to(members), part)
+
+
+def loudest_motions(estimation: EstimationProblem, residual: FloatArray) -> Sequence[int]:
+    """Return as few motions as hold most of a residual, two or more, those that hold most of it first."""
+    squares = squares_by_motion(estimation, residual)
+    ranked, enough = sorted(squares, key=lambda motion: -squares[motion]), SETTINGS.subset_share * sum(squares.values())
+    for n in range(2, len(ranked)):
+        if sum(squares[motion] for motion in ranked[:n]) >= enough:
+            return ranked[:n]
+    return ranked
+
+
+def squares_by_motion(estimation: EstimationProblem, residual: FloatArray) -> dict[int, float]:
+    """Return each motion's square of a residual."""
+    squares: dict[int, float] = {}
+    for motion, rows in zip(estimation.problem.motions, estimation.whiten.rows, strict=True):
+        squares[motion] = squares.get(motion, 0.0) + float(residual[rows] @ residual[rows])
+    return squares
+
+
+# ---- the test ------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Screened:
+    """One candidate with one of its shapes, by its first-order signature."""
+
+    candidate: Candidate
+    shape: Shape
+    signature: FloatArray  # (rows, a) of the simulation by each amplitude in units of its prior
+    estimate: FloatArray  # (a,) linear estimate, in the same units
+    gain: float  # of −2 ln likelihood, to first order
+    evidence: float  # change of −2 ln Z, to first order: negative is better
+    strength: float  # standard deviations by which an effect of a usual size stands out, retuning allowed
+    projected: FloatArray  # (rows,) the best combination of the signature, less what retuning can do, length one
+
+    @property
+    def visible(self) -> bool:
+        """Whether these recordings would show a usual size."""
+        return self.strength > SETTINGS.visible_sd
+
+
+def screen(estimation: EstimationProblem, base: Fit, candidates: Sequence[Candidate]) -> list[Screened]:
+    """Score every candidate with the best of its shapes and in the better of its forms; the best one first."""
+    subset = subset_of(estimation, base)
+    shared = _best(base, _signatures(estimation, base, _likely(subset, [(c, c.grid) for c in candidates])))
+    forms = [(c.other, _other_shapes(c, shared[c.name])) for c in candidates if c.other is not None]
+    other = _best(base, _signatures(estimation, base, _likely(subset, forms)))
+    best = [min((x[c.name] for x in (shared, other) if c.name in x), key=lambda s: s.evidence) for c in candidates]
+    whole = 1 / np.sqrt(estimation.share)  # an excerpt shows less than what these recordings could
+    return sorted((replace(s, strength=float(whole * s.strength)) for s in best), key=lambda s: s.evidence)
+
+
+def screen_in_subset(estimation: EstimationProblem, base: Fit, candidates: Sequence[Candidate]) -> list[Screened]:
+    """Score candidates in a subset of the motions only: enough to choose those that are fitted."""
+    subset = subset_of(estimation, base) or Subset(estimation, base)
+    return screen(subset.estimation, subset.fit, candidates)
+
+
+def _likely(
+    subset: Subset | None, shapes: Sequence[tuple[Candidate, Sequence[Shape]]]
+) -> list[tuple[Candidate, Shape]]:
+    """List candidates with the shapes to try: of many only the best, as the motions of a subset show them."""
+    few = SETTINGS.swaps
+    many = [(c, shape) for c, grid in shapes for shape in grid if len(grid) > few]
+    if subset is None or not many:
+        return [(c, shape) for c, grid in shapes for shape in grid]
+    tries = _signatures(subset.estimation, subset.fit, many)
+    scores = [_scored(subset.fit, c, shape, signature).rank for c, shape, signature in tries]
+    ranked = [many[i] for i in sorted(range(len(many)), key=scores.__getitem__)]
+    likely = []
+    for c, grid in shapes:
+        best = [shape for other, shape in ranked if other is c][:few]
+        likely += [(c, shape) for shape in (grid if len(grid) <= few else best)]
+    return likely
+
+
+def _other_shapes(c: Candidate, best: Screened) -> list[Shape]:
+    """List the shapes to try the other form with: the best one so far; all of them where that form fixes a shape."""
+    fixed = {n.name: n.start for n in (c.other or c).shapes if n.low == n.high}
+    if not fixed:
+        return [best.shape]
+    distinct = {tuple(({**shape, **fixed}).items()) for shape in c.grid}
+    return [dict(shape) for shape in sorted(distinct)]
+
+
+Tried = tuple[Candidate, Shape, FloatArray]
+
+
+def _best(base: Fit, tries: Iterator[Tried]) -> dict[str, Screened]:
+    best: dict[str, _Scored] = {}
+    for candidate, shape, signature in tries:
+        one = _scored(base, candidate, shape, signature)
+        if candidate.name not in best or one.rank < best[candidate.name].rank:
+            best[candidate.name] = one
+    return {name: _screened(base, one) for name, one in best.items()}
+
+
+@dataclass(frozen=True, eq=False)
+class _Scored:
+    """What products with the signature tell, without another vector of its length."""
+
+    candidate: Candidate
+    shape: Shape
+    signature: FloatArray
+    step: FloatArray  # of the machine's parameters and the amplitudes together
+    gain: float
+    evidence: float
+    strength: float
+
+    @property
+    def rank(self) -> tuple[bool, float]:
+        """Order the shapes of one candidate: a ripple half a turn off explains as much, by an amplitude below zero."""
+        estimate = self.step[-len(self.candidate.amplitudes) :]
+        sizes = zip(self.candidate.amplitudes, estimate, strict=True)
+        return any(not n.low <= n.start + n.sd * z <= n.high for n, z in sizes), self.evidence
+
+
+def _signatures(estimation: EstimationProblem, base: Fit, tries: Sequence[tuple[Candidate, Shape]]) -> Iterator[Tried]:
+    """Simulate one probe an amplitude, the others without effect."""
+    probes = [{}, *(_probe(c, a.name, shape) for c, shape in tries for a in c.amplitudes)]
+    residuals = estimation.residuals([{**base.values, **probe} for probe in probes])
+    without = next(residuals)
+    for candidate, shape in tries:
+        columns = [
+            (without - next(residuals)) * (a.sd / (candidate.probe[a.name] - a.start)) for a in candidate.amplitudes
+        ]
+        yield candidate, shape, np.stack(columns, axis=1)
+
+
+def _probe(candidate: Candidate, amplitude: str, shape: Shape) -> dict[str, float]:
+    rest = {a.name: a.start for a in candidate.amplitudes}
+    return {**rest, amplitude: candidate.probe[amplitude], **shape}
+
+
+def _scored(base: Fit, candidate: Candidate, shape: Shape, signature: FloatArray) -> _Scored:
+    cross = base.jacobian.T @ signature
+    added = np.eye(signature.shape[1]) + signature.T @ signature
+    schur = added - cross.T @ np.linalg.solve(base.information, cross)
+    step, gain = _joint_step(base, signature, cross, added)
+    evidence = -gain + float(np.linalg.slogdet(schur)[1])
+    strength = float(np.sqrt(max(np.trace(schur) - len(schur), 0.0)))
+    return _Scored(candidate, shape, signature, step, gain, evidence, strength)
+
+
+def _screened(base: Fit, one: _Scored) -> Screened:
+    """Complete what is kept of a candidate."""
+    step, estimate = one.step[: len(base.z)], one.step[len(base.z) :]
+    explained = one.signature @ estimate
+    # (1 − J (I + JᵀJ)⁻¹ Jᵀ)(S e + J s) = S e + J (s − (I + JᵀJ)⁻¹ Jᵀ (S e + J s))
+    retuned = base.jacobian.T @ explained + (base.information - np.eye(len(step))) @ step
+    left = explained + base.jacobian @ (step - np.linalg.solve(base.information, retuned))
+    length = float(np.linalg.norm(left))
+    projected = np.asarray(left / length if length else left)
+    return Screened(one.candidate, one.shape, one.signature, estimate, one.gain, one.evidence, one.strength, projected)
+
+
+def _joint_step(base: Fit, signature: FloatArray, cross: FloatArray, added: FloatArray) -> tuple[FloatArray, float]:
+    """Find the best joint step of the machine's parameters, inside their bounds, and of the amplitudes.
+
+    Returns the step and its gain beyond the best step of the parameters alone.
+    """
+    free = tuple(Parameter(f"amplitude {i}", 0.0, 1.0) for i in range(signature.shape[1]))
+    normal = np.block([[base.information, cross], [cross.T, added]])
+    gradient = np.concatenate([base.slope - base.z, signature.T @ base.residual])
+    z = np.concatenate([base.z, np.zeros(len(free))])
+    step = step_within((*base.parameters, *free), z, normal, gradient)
+    return step, float(2 * gradient @ step - step @ normal @ step) - base.predicted_gain
+
+
+def overlap(a: Screened, b: Screened) -> float:
+    """Return cos² between two signatures as they are: retuning may tell apart what does much the same."""
+    ours, theirs = a.signature @ a.estimate, b.signature @ b.estimate
+    length = float((ours @ ours) * (theirs @ theirs))
+    return float(ours @ theirs) ** 2 / length if length else 0.0
+
+
+def similarity(a: Screened, b: Screened) -> float:
+    """Return cos² between two projected signatures: 1 where the effects are fully confounded."""
+    return float(a.projected @ b.projected) ** 2
+
+
+def confounded_with(
+    names: Sequence[str], screened: Sequence[Screened], limit: float = SETTINGS.confounded
+) -> list[tuple[str, float]]:
+    """List candidates whose signature is like that of a named effect: name and cos², the most similar first."""
+    named = [s for s in screened if s.candidate.name in names]
+    others = [s for s in screened if s.candidate.name not in names and s.visible]
+    similar = {o.candidate.name: max((similarity(o, s) for s in named), default=0.0) for o in others}
+    return sorted(((name, c) for name, c in similar.items() if c > limit), key=lambda pair: -pair[1])
+
+
+def pair_evidence(base: Fit, pair: Sequence[Screened]) -> float:
+    """Predict the change of −2 ln Z by two effects together, to first order."""
+    signature = np.hstack([s.signature for s in pair])
+    cross = base.jacobian.T @ signature
+    schur = np.eye(signature.shape[1]) + signature.T @ signature - cross.T @ np.linalg.solve(base.information, cross)
+    slope = signature.T @ base.residual
+    return float(-slope @ np.linalg.solve(schur, slope) + np.linalg.slogdet(schur)[1])

@@ -1,0 +1,237 @@
+"""What a diagnosis says, and what to do, in sentences made of its numbers: for the text, the JSON, the report."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+from ffcomp.diagnosis.result import DiagnosisResult
+from ffcomp.diagnosis.settings import SETTINGS
+from ffcomp.diagnosis.words import digits, joined, most_of, percent
+from models.effects.catalogue import CATALOGUE
+
+FEW = 4  # numbers or files in one sentence
+
+
+def summary_sentences(result: DiagnosisResult) -> list[str]:
+    """Return the finding, then what it rests on and what limits it."""
+    by_finding: dict[str, Callable[[DiagnosisResult], list[str]]] = {
+        "effects": _effects,
+        "nothing": _nothing,
+        "cannot_tell": _cannot_tell,
+        "unproven": _unproven,
+        "recording": lambda result: [f"The recordings are at fault: {result.fault}"],
+    }
+    return [*by_finding.get(finding_of(result), _unexplained)(result), *cut_short(result), *late_files(result)]
+
+
+def finding_of(result: DiagnosisResult) -> str:
+    """Return the finding; of a result made without one, what its verdict says."""
+    return result.finding or {"effects": "effects", "none": "nothing"}.get(result.verdict, "unexplained")
+
+
+def _gap(result: DiagnosisResult) -> str:
+    return f"{percent(result.gap.before.nrms)} of the signals (noise {percent(result.gap.noise)})"
+
+
+def _effects(result: DiagnosisResult) -> list[str]:
+    names = joined(list(result.effects))
+    return [
+        f"The gap of {_gap(result)} shrinks to {percent(result.gap.after.nrms)} with {names}: it explains "
+        f"{most_of(result.gap.explained)} of it.",
+        elsewhere(result),
+        *unproven_places(result),
+        *file_off(result),
+    ]
+
+
+def elsewhere(result: DiagnosisResult) -> str:
+    """Say what is explained where it was not fitted, and what it was not tested on."""
+    before, after = (percent(x) for x in result.gap.elsewhere)
+    numbers = f"the signals were {before} off and are {after} off: {_shrunk_elsewhere(result)}"
+    if result.gap.left_out == "places":
+        return f"At places it was not fitted to, one after the other, {numbers}."
+    if result.gap.left_out == "windows":
+        return f"In windows of time it was not fitted to, one after the other, {numbers}."
+    if result.gap.left_out == "experiments":
+        return (
+            f"One place only: not tested elsewhere. In experiments it was not fitted to, one after the other, "
+            f"{numbers}; record at a second place, at least 20 mm away."
+        )
+    return "One experiment only: not tested elsewhere. Record other motions, at places at least 20 mm apart."
+
+
+def _shrunk_elsewhere(result: DiagnosisResult) -> str:
+    """Say how much of the gap there is explained: no share of what does not stand above the noise."""
+    noise = result.gap.noise
+    if result.gap.elsewhere[0] <= noise:
+        return f"no gap stands above the noise of {percent(noise)} there, so this proves nothing"
+    if result.gap.elsewhere[1] <= noise:
+        return f"what is left does not stand above the noise of {percent(noise)}"
+    return f"it explains {most_of(result.gap.explained_elsewhere)} of the gap there"
+
+
+def unproven_places(result: DiagnosisResult) -> list[str]:
+    """Say where it is not explained."""
+    if not result.gap.unproven:
+        return []
+    return [f"It is unproven at {joined(list(result.gap.unproven)[:FEW])}, where little of the gap is."]
+
+
+def file_off(result: DiagnosisResult) -> list[str]:
+    """Say which of the file's own numbers would explain as much if they were wrong."""
+    if not result.file.off:
+        return []
+    off = [f"{key} by {100 * (to / start - 1):+.0f} %" for key, (start, to) in list(result.file.off.items())[:FEW]]
+    return [
+        f"Or the machine file's own numbers are off: {joined(off)} would explain as much. Weigh the effector and a "
+        "carriage, and state in the file's [uncertainty] how well its numbers are known."
+    ]
+
+
+def _nothing(result: DiagnosisResult) -> list[str]:
+    retuned = "numbers of the file that are off" if result.file.beyond else "retuning within the stated uncertainties"
+    sentences = [f"Nothing is missing: the gap of {_gap(result)} is noise, or {retuned}.", *_beyond(result)]
+    if result.mends:
+        sentences.append(
+            f"With {len(result.file.retuned)} of the file's numbers retuned, {percent(result.gap.after.nrms)} are "
+            f"left; {elsewhere(result)[0].lower()}{elsewhere(result)[1:]}"
+        )
+    return [*sentences, *guessed_noise(result)]
+
+
+def _beyond(result: DiagnosisResult) -> list[str]:
+    """Say which numbers of the file would be off by more than it says: an effect may be behind them."""
+    if not result.file.beyond:
+        return []
+    each = [
+        f"{name} by {times:.1f} times its uncertainty ({result.file.retuned[name][0]:.4g} in the file, "
+        f"{result.file.retuned[name][1]:.4g} fits)"
+        for name, times in list(result.file.beyond.items())[:FEW]
+    ]
+    return [
+        f"Further off than the file says is {joined(each)}: measure that anew, for what changes it may be an effect, "
+        "or state in the file's [uncertainty] how well it is known."
+    ]
+
+
+def guessed_noise(result: DiagnosisResult) -> list[str]:
+    """Say what a guessed noise may hide."""
+    if not result.gap.noise_guessed:
+        return []
+    return [
+        f"The noise of {percent(result.gap.noise)} is a guess, for no motion was repeated: an effect that does "
+        "no more than that may be hidden in it."
+    ]
+
+
+def _cannot_tell(result: DiagnosisResult) -> list[str]:
+    noise = result.gap.noise
+    if noise > SETTINGS.loud_noise:
+        return [
+            f"Cannot tell: the noise is {percent(noise)} of the signals, so what is missing may be hidden in it. "
+            "Record louder motions, or fasten the sensor better, and repeat each."
+        ]
+    return [
+        f"Cannot tell: the repeats differ by {percent(noise)} of the signals, but only "
+        f"{percent(result.gap.after.nrms)} are left after retuning, so they differ by more than noise. "
+        "Check that repeats are of one motion, on one clock."
+    ]
+
+
+def _unproven(result: DiagnosisResult) -> list[str]:
+    where = f"; unproven at {joined(list(result.gap.unproven)[:FEW])}" if result.gap.unproven else ""
+    return [
+        f"There is a gap of {_gap(result)}; {most_of(result.gap.explained)} of it is explained by "
+        f"{joined(list(result.effects))}{where}. It is not named because {'; '.join(result.rejections)}.",
+        elsewhere(result),
+        *file_off(result),
+    ]
+
+
+def _unexplained(result: DiagnosisResult) -> list[str]:
+    sentences = [f"There is a gap of {_gap(result)}, and nothing known explains it."]
+    if result.rejections:
+        sentences.append(
+            f"Nearest: {joined(list(result.effects))}, which explains {most_of(result.gap.explained)} of it; refused "
+            f"because {'; '.join(result.rejections)}."
+        )
+    return [*sentences, *file_off(result)]
+
+
+def cut_short(result: DiagnosisResult) -> list[str]:
+    """Say that not everything was tried."""
+    if not result.cut_short:
+        return []
+    return [
+        "The search ended at its budget of work, so not everything was tried: ffcomp diagnose --thorough goes on to "
+        "the end, for as long as it takes."
+    ]
+
+
+def late_files(result: DiagnosisResult) -> list[str]:
+    """Say which files lie off their command."""
+    if not result.late_s:
+        return []
+    ranked = sorted(result.late_s.items(), key=lambda each: -abs(each[1]))
+    files = [f"{name} lies {digits(1e3 * abs(s), 2)} ms {'late' if s > 0 else 'early'}" for name, s in ranked[:FEW]]
+    more = f", and {len(ranked) - FEW} more" if len(ranked) > FEW else ""
+    return [
+        f"Files do not lie on their command: {joined(files)}{more}. Their delays were fitted; join captures by the "
+        "firmware's clock (ffcomp record join) to be surer."
+    ]
+
+
+# ---- what to do ----------------------------------------------------------------------------------
+
+
+def what_to_do(result: DiagnosisResult) -> list[str]:
+    """Return steps in order: to the printer first, then to the file, then what to record."""
+    finding, separating = finding_of(result), [each.sentence() for each in result.separations]
+    if finding == "effects":
+        return [*(_remedy(result, name) for name in result.effects), *_afterwards(result), *separating]
+    if finding == "nothing":
+        return ["Nothing to mend, as far as these recordings go. Record again when prints change."]
+    if finding in ("cannot_tell", "recording"):
+        return ["Record again as said above before anything is changed on the printer or in its file."]
+    return [
+        *separating,
+        "Do not add the nearest effect to the file by hand: it is wrong where it was not fitted.",
+        "Look for something loose, rubbing, worn or bent where the gap is largest.",
+        f"Record other motions, each twice, at more places at least 20 mm apart{_at(result)}."
+        if result.gap.left_out != "windows"
+        else "Record other motions: slower and faster, shorter and longer, near rest and over the whole travel.",
+    ]
+
+
+def _remedy(result: DiagnosisResult, name: str) -> str:
+    effect = CATALOGUE[name]
+    names = result.names.belts if effect.of_motors else result.names.carriages
+    return effect.remedy.format(where=_first_of(names, result.effects[name]))
+
+
+def _first_of(names: Sequence[str], table: Mapping[str, Any]) -> str:
+    """Name the towers or axes that stand out, where there is a value for each."""
+    lists = [x for x in table.values() if isinstance(x, list) and len(x) == len(names)]
+    if not lists:
+        return ""
+    sizes = [abs(float(x)) for x in lists[0]]
+    high = [t for t, size in zip(names, sizes, strict=True) if size > 1.3 * sum(sizes) / len(sizes)]
+    return f", first of {joined(high)}" if high else ""
+
+
+def _afterwards(result: DiagnosisResult) -> list[str]:
+    if result.gap.left_out == "windows":
+        return ["Compare the better machine file (-o better.toml) with new runs (ffcomp gap)."]
+    steps = [
+        "Until then, compensate with the better machine file (-o better.toml), and compare it with new recordings."
+    ]
+    if result.gap.left_out != "places":
+        steps.append("Record the same motions at two more places, at least 20 mm apart, and diagnose again.")
+    elif result.gap.unproven:
+        steps.append(f"Record louder motions at {joined(list(result.gap.unproven))} and diagnose again.")
+    return steps
+
+
+def _at(result: DiagnosisResult) -> str:
+    return f", also near {joined(list(result.gap.unproven))}" if result.gap.unproven else ""

@@ -1,0 +1,394 @@
+"""A diagnosis as data for reports: where the residual was and is, curves, spectra, evidence, confounding.
+
+Drawing is for `ffcomp.report`. Excess is the mean square of the whitened error, less one: 0 is noise
+alone, 3 means that the error is twice as large as the noise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ffcomp.diagnosis.acceptance import HeldOut
+from ffcomp.diagnosis.diagnosis import Diagnosis
+from ffcomp.diagnosis.fit import EstimationProblem, intervals_of
+from ffcomp.diagnosis.gap import EDGES_HZ, SLOW_SHARE
+from ffcomp.diagnosis.noise import lines, taper
+from ffcomp.diagnosis.problem import Parameter, Problem
+from ffcomp.diagnosis.result import RETUNED_SD, of_machine
+from ffcomp.diagnosis.score_test import similarity
+from ffcomp.identification.uncertainty import Estimate
+from models.arrays import FloatArray
+
+TIME_BINS = 24
+PHASE_BINS = 16
+QUANTILES = (0.0, 0.25, 0.5, 0.75, 0.9, 0.98, 1.0)  # of the size of motion
+SPECTRUM_BANDS = 90
+KINDS = {"acc": ("acceleration", "m/s²"), "pos": ("position", "mm")}
+
+
+@dataclass(frozen=True)
+class Split:
+    """The excess over one quantity it may depend on; a value for each label."""
+
+    title: str
+    labels: tuple[str, ...]
+    before: tuple[float, ...]
+    after: tuple[float, ...]
+    weight: tuple[float, ...]  # share of all entries compared
+    spans: tuple[tuple[float, float], ...] = ()  # from and to of each label, where labels follow one another
+    unit: str = ""  # of the spans
+    at: tuple[tuple[float, ...], ...] = ()  # mm on the bed, where labels are positions
+
+
+@dataclass(frozen=True, eq=False)
+class Overlay:
+    """One signal of one recording where the residual was largest."""
+
+    recording: str
+    signal: str
+    time_s: FloatArray  # (n,)
+    measured: FloatArray  # (n,) inside the band, as the others
+    before: FloatArray
+    after: FloatArray
+    noise_rms: float
+
+
+@dataclass(frozen=True, eq=False)
+class Spectrum:
+    """Amplitude densities of one kind of signal, unit/√Hz, rms over its signals and recordings."""
+
+    kind: str  # carriages' acceleration, nozzle's position, …
+    unit: str
+    frequency_hz: FloatArray  # (k,) as the others
+    measured: FloatArray
+    before: FloatArray  # of the error
+    after: FloatArray
+    noise: FloatArray
+
+
+@dataclass(frozen=True)
+class Promise:
+    """The prediction of screening for one effect before anything was fitted."""
+
+    name: str
+    gain: float  # of −2 ln Z, predicted
+    strength: float  # standard deviations by which a usual size would stand out
+    visible: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Confounding:
+    """cos² between the signatures of visible effects beyond retuning: 1 if one can be taken for the other."""
+
+    names: tuple[str, ...]
+    cos2: FloatArray  # (n, n)
+
+
+@dataclass(frozen=True)
+class Retuned:
+    """A parameter of the machine file that the diagnosis could have moved."""
+
+    name: str
+    start: float
+    sd: float  # that the file allows
+    now: Estimate
+    moved: bool
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """One hypothesis that was tried."""
+
+    effects: tuple[str, ...]
+    left: float  # discrepancy, of the noise
+    against_best: float  # −2 ln Z more than the best's
+    parameters: int
+    named: bool
+
+
+@dataclass(frozen=True, eq=False)
+class DiagnosisSummary:
+    """Everything a report shows."""
+
+    band_hz: tuple[float, float]  # where measurement and simulation are compared
+    noise_from_repeats: bool
+    bed_radius_mm: float
+    splits: tuple[Split, ...]
+    overlays: tuple[Overlay, ...]
+    spectra: tuple[Spectrum, ...]
+    evidence: tuple[Evidence, ...]
+    promises: tuple[Promise, ...]
+    confounding: Confounding
+    held_out: tuple[HeldOut, ...]
+    retuned: tuple[Retuned, ...]
+
+
+def summarise(problem: Problem, diagnosis: Diagnosis) -> DiagnosisSummary:
+    """Collect a report's data: before is the machine file as it is, after is the final fit."""
+    estimation = diagnosis.estimation
+    answers = problem.simulate({}), problem.simulate(diagnosis.final.values)
+    before, after = (estimation.measured - estimation.whiten(simulated) for simulated in answers)
+    return DiagnosisSummary(
+        estimation.whiten.band_hz,
+        diagnosis.noise.from_repeats,
+        problem.reach_mm,
+        tuple(_splits(problem, estimation, before, after)),
+        tuple(_overlays(problem, estimation, answers, before)),
+        tuple(_spectra(estimation, answers)),
+        tuple(_evidence(diagnosis)),
+        tuple(Promise(s.candidate.name, -s.evidence, s.strength, s.visible) for s in diagnosis.screened),
+        _confounding(diagnosis),
+        tuple(diagnosis.held_out) if diagnosis.best is not None else (),  # of retuning alone the page says nothing
+        tuple(_retuned(diagnosis)),
+    )
+
+
+# ---- where ---------------------------------------------------------------------------------------
+
+
+def _splits(problem: Problem, estimation: EstimationProblem, before: FloatArray, after: FloatArray) -> list[Split]:
+    bands = np.digitize(estimation.whiten.frequencies(), EDGES_HZ[1:-1])
+    edges = tuple(pairwise(EDGES_HZ))
+    blank = Split("frequency", tuple(f"{a:g}-{b:g} Hz" for a, b in edges), (), (), (), edges, "Hz")
+    splits = [_filled(blank, bands, np.ones(len(bands)), before, after)]
+    parts = (_expected(estimation), series(estimation, before), series(estimation, after))
+    joined = [np.concatenate([x.ravel() for x in part]) for part in parts]
+    for empty, groups in _by(problem):
+        splits.append(_filled(empty, np.concatenate([g.ravel() for g in groups]), *joined))
+    return splits
+
+
+def _filled(
+    blank: Split, group: NDArray[np.int64], expected: FloatArray, before: FloatArray, after: FloatArray
+) -> Split:
+    """Fill a split with values; labels without any entry are left out.
+
+    expected : the square that noise alone has in each entry.
+    """
+    count = len(blank.labels)
+    kept = np.flatnonzero(np.bincount(group, minlength=count))
+    noise = np.bincount(group, expected, count)[kept]
+    means = [np.bincount(group, x**2, count)[kept] / np.maximum(noise, 1e-300) - 1 for x in (before, after)]
+
+    def of_kept(values: tuple[Any, ...]) -> tuple[Any, ...]:
+        return tuple(values[i] for i in kept) if values else ()
+
+    return replace(
+        blank,
+        labels=of_kept(blank.labels),
+        spans=of_kept(blank.spans),
+        at=of_kept(blank.at),
+        before=tuple(means[0].tolist()),
+        after=tuple(means[1].tolist()),
+        weight=tuple((noise / noise.sum()).tolist()),
+    )
+
+
+def _expected(estimation: EstimationProblem) -> list[FloatArray]:
+    """Return the square that noise alone has in `series`, (n, m) an observation; the ends are faded."""
+    faded = [taper(len(r.measured), r.rate_hz) ** 2 for r in estimation.whiten.observations]
+    return [
+        np.outer(w / w.mean(), np.ones(len(r.signals)))
+        for w, r in zip(faded, estimation.whiten.observations, strict=True)
+    ]
+
+
+def series(estimation: EstimationProblem, residual: FloatArray) -> list[FloatArray]:
+    """Transform the whitened residual (rows,) back to time, (n, m) an observation; noise has a mean square of one."""
+    series_of = []
+    for observation, rows in zip(estimation.whiten.observations, estimation.whiten.rows, strict=True):
+        _, keep = lines(observation, estimation.whiten.band_hz)
+        real, imaginary = residual[rows].reshape(2, len(observation.signals), -1)
+        spectrum = np.zeros((len(observation.signals), len(keep)), dtype=complex)
+        spectrum[:, keep] = real + 1j * imaginary
+        n = len(observation.measured)
+        series_of.append(np.fft.irfft(spectrum, n, axis=1).T * n / (2 * np.sqrt(keep.sum())))
+    return series_of
+
+
+def _by(problem: Problem) -> list[tuple[Split, list[NDArray[np.int64]]]]:
+    """List every split: its labels, and which of them each sample (n, m) of each observation has."""
+    observations = problem.observations
+    signals = sorted({s for r in observations for s in r.signals})
+    positions = list(dict.fromkeys(r.position for r in observations))
+    full: list[NDArray[np.int64]] = [np.ones(r.measured.shape, dtype=np.int64) for r in observations]
+    by_signal = [
+        one * np.array([signals.index(s) for s in r.signals]) for one, r in zip(full, observations, strict=True)
+    ]
+    by_position = [one * positions.index(r.position) for one, r in zip(full, observations, strict=True)]
+    by_run = [one * i for i, one in enumerate(full)]
+    by_time = [one * (np.arange(len(one)) * TIME_BINS // len(one))[:, None] for one in full]
+    moved = [_direction(r.speed) for r in observations]
+    sizes = [_size(r.measured) for r in observations]
+    return [
+        (_named("signal", signals), by_signal),
+        (_places(problem, positions), by_position),
+        (_named("run", [Path(r.name).name for r in observations]), by_run),
+        (_shares("share of the run's time", np.linspace(0, 1, TIME_BINS + 1)), by_time),
+        (_named("motion", ["backward", "turning back or at rest", "forward"]), moved),
+        (_shares("size of motion", QUANTILES), sizes),
+        *_by_phase(problem),
+    ]
+
+
+def _places(problem: Problem, positions: Sequence[tuple[float, ...]]) -> Split:
+    """Return the split by position, drawn on the bed; on an axis by the window of time."""
+    if not problem.reach_mm:
+        return _named("window of time", [problem.place_name(p) for p in positions])
+    return replace(_named("place", [problem.place_name(p) for p in positions]), at=tuple(positions))
+
+
+def _named(title: str, labels: Sequence[str]) -> Split:
+    return Split(title, tuple(labels), (), (), ())
+
+
+def _shares(title: str, edges: Sequence[float] | FloatArray) -> Split:
+    spans = tuple((100 * float(a), 100 * float(b)) for a, b in pairwise(edges))
+    return Split(title, tuple(f"{a:.0f}-{b:.0f} %" for a, b in spans), (), (), (), spans, "%")
+
+
+def _direction(speed: FloatArray) -> NDArray[np.int64]:
+    slow = np.abs(speed) < SLOW_SHARE * np.max(np.abs(speed), axis=0)
+    return np.where(slow, 1, np.where(speed > 0, 2, 0)).astype(np.int64)
+
+
+def _size(measured: FloatArray) -> NDArray[np.int64]:
+    size = np.abs(np.nan_to_num(measured))
+    edges = np.quantile(size, QUANTILES[1:-1], axis=0)
+    return np.sum(size[None] > edges[:, None], axis=0).astype(np.int64)
+
+
+def _by_phase(problem: Problem) -> list[tuple[Split, list[NDArray[np.int64]]]]:
+    """Split by the phase of the signal's own motor; of motor A for the nozzle's."""
+    if not problem.commands:
+        return []
+    phases, cycle = [], problem.cycle_mm
+    for r, command in zip(problem.observations, problem.commands, strict=True):
+        moved = command[:, ["ABC".find(s[-1]) if s[-1] in "ABC" else 0 for s in r.signals]]
+        phases.append((np.mod(moved / cycle, 1.0) * PHASE_BINS).astype(np.int64) % PHASE_BINS)
+    return [(_shares("motor's step cycle", np.linspace(0, 1, PHASE_BINS + 1)), phases)]
+
+
+# ---- curves --------------------------------------------------------------------------------------
+
+Answers = tuple[list[FloatArray], list[FloatArray]]  # (n, m) an observation, before and after
+
+
+def _overlays(problem: Problem, estimation: EstimationProblem, answers: Answers, before: FloatArray) -> list[Overlay]:
+    """Select the signals with the largest excess, around the time where it was largest."""
+    errors = series(estimation, before)
+    ranked = sorted(
+        ((float(np.mean(e[:, k] ** 2)), i, k) for i, e in enumerate(errors) for k in range(e.shape[1])), reverse=True
+    )
+    distinct = {problem.observations[i].signals[k]: (i, k) for _, i, k in reversed(ranked)}
+    chosen = [(i, k) for _, i, k in ranked if distinct[problem.observations[i].signals[k]] == (i, k)]
+    return [_overlay(problem, estimation, answers, errors[i][:, k], i, k) for i, k in chosen[:4]]
+
+
+def _overlay(
+    problem: Problem, estimation: EstimationProblem, answers: Answers, error: FloatArray, i: int, k: int
+) -> Overlay:
+    r = problem.observations[i]
+    half = round(0.25 * r.rate_hz / 2)  # of a window of a quarter of a second
+    power = np.convolve(error**2, np.ones(2 * half), "same")
+    middle = min(max(int(power.argmax()), half), max(len(power) - half, half))
+    part = slice(middle - half, middle + half)
+    measured, before, after = (_in_band(estimation, i, x)[part, k] for x in (r.measured, answers[0][i], answers[1][i]))
+    frequency, _ = lines(r, estimation.whiten.band_hz)
+    noise = estimation.whiten.floor.at(r.signals[k], frequency)
+    rms = float(np.sqrt(np.sum(noise) * (frequency[1] - frequency[0])))
+    time = np.arange(part.start, part.stop) / r.rate_hz
+    return Overlay(Path(r.name).name, r.signals[k], time, measured, before, after, rms)
+
+
+def _in_band(estimation: EstimationProblem, i: int, x: FloatArray) -> FloatArray:
+    """Filter signals (n, m) of observation i to the band, as they are compared."""
+    observation = estimation.whiten.observations[i]
+    _, keep = lines(observation, estimation.whiten.band_hz)
+    spectrum = np.zeros((len(keep), x.shape[1]), dtype=complex)
+    spectrum[keep] = estimation.whiten.spectrum(observation, x)[0].T
+    return np.asarray(np.fft.irfft(spectrum, len(x), axis=0))
+
+
+def _spectra(estimation: EstimationProblem, answers: Answers) -> list[Spectrum]:
+    kinds = {(s[:3], _whose(s)) for r in estimation.whiten.observations for s in r.signals}
+    return [_spectrum(estimation, answers, *kind) for kind in sorted(kinds)]
+
+
+def _spectrum(estimation: EstimationProblem, answers: Answers, quantity: str, whose: str) -> Spectrum:
+    """Average powers in bands that are even on a logarithmic axis; bands that hold no line are left out."""
+    edges = np.geomspace(*estimation.whiten.band_hz, SPECTRUM_BANDS + 1)
+    sums, counts = np.zeros((4, SPECTRUM_BANDS)), np.zeros(SPECTRUM_BANDS)
+    for i, r in enumerate(estimation.whiten.observations):
+        chosen = [k for k, s in enumerate(r.signals) if s.startswith(quantity) and _whose(s) == whose]
+        frequency, densities = _densities(estimation, i, [r.measured, *(r.measured - a[i] for a in answers)])
+        band = np.digitize(frequency, edges[1:-1])
+        counts += len(chosen) * np.bincount(band, minlength=SPECTRUM_BANDS)
+        sums += [np.bincount(band, d[chosen].sum(axis=0), SPECTRUM_BANDS) for d in densities]
+    kept = counts > 0
+    amplitudes = np.sqrt(sums[:, kept] / counts[kept])
+    kind, unit = KINDS[quantity]
+    return Spectrum(f"{whose} {kind}", unit, np.sqrt(edges[1:] * edges[:-1])[kept], *amplitudes)
+
+
+def _whose(signal: str) -> str:
+    """Name what a signal is of: `carriages'`."""
+    of = signal[4:]
+    return {"q": "axis'", "motor": "motor's"}.get(of, "carriages'" if of in "ABC" else "nozzle's")
+
+
+def _densities(
+    estimation: EstimationProblem, i: int, many: Sequence[FloatArray]
+) -> tuple[FloatArray, list[FloatArray]]:
+    """Return (k,) Hz, and the one-sided densities (m, k) of each signal array, unit²/Hz; the noise's last."""
+    observation = estimation.whiten.observations[i]
+    spectra = [estimation.whiten.spectrum(observation, x) for x in many]
+    frequency, scale = spectra[0][1], 2 * estimation.whiten.power(observation)
+    noise = np.stack([estimation.whiten.floor.at(s, frequency) for s in observation.signals])
+    return frequency, [*(np.abs(x) ** 2 / scale for x, _ in spectra), noise]
+
+
+# ---- evidence ------------------------------------------------------------------------------------
+
+
+def _evidence(diagnosis: Diagnosis) -> list[Evidence]:
+    if diagnosis.best is None:
+        return []
+    best = diagnosis.best.fit.evidence
+    named = () if diagnosis.named is None else diagnosis.named.names
+    rows = [
+        Evidence(h.names, h.discrepancy, diagnosis.behind(h), len(h.fit.parameters), h.names == named)
+        for h in diagnosis.tried
+    ]
+    base = diagnosis.base
+    nothing = Evidence((), base.discrepancy, base.evidence - best, len(base.parameters), False)
+    return [*rows, nothing]
+
+
+def _confounding(diagnosis: Diagnosis) -> Confounding:
+    """Compute the similarity of all visible effects, the named ones first."""
+    best = () if diagnosis.best is None else diagnosis.best.names
+    seen = sorted((s for s in diagnosis.screened if s.visible), key=lambda s: s.candidate.name not in best)
+    table = np.array([[similarity(a, b) for b in seen] for a in seen]).reshape(len(seen), len(seen))
+    return Confounding(tuple(s.candidate.name for s in seen), table)
+
+
+def _retuned(diagnosis: Diagnosis) -> list[Retuned]:
+    """List every parameter of the machine file, those that moved furthest first."""
+    full = diagnosis.base if diagnosis.best is None else diagnosis.best.fit
+    values = diagnosis.final.values
+    intervals = diagnosis.intervals or intervals_of(diagnosis.estimation, full, values)
+    numbers = [n for n in full.parameters if of_machine(n.name)]
+    rows = [_row(n, values.get(n.name, n.start), intervals[n.name]) for n in numbers]
+    return sorted(rows, key=lambda r: -abs(r.now.value - r.start) / r.sd)
+
+
+def _row(n: Parameter, value: float, interval: Estimate) -> Retuned:
+    return Retuned(n.name, n.start, n.sd, interval, abs(value - n.start) > RETUNED_SD * n.sd)

@@ -1,0 +1,143 @@
+"""Estimate the time of one file, as it is written and of the original that a compensated file keeps."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+from ffcomp.errors import NothingToDo
+from ffcomp.estimation.statistics import BEFORE, FILAMENT, KINDS, Layer, Statistics, planned_slices
+from ffcomp.numerics.serialise import to_json
+from ffcomp.planner.limits import known_to_the_firmware, planner_limits
+from ffcomp.planner.marlin import MarlinPlan, MarlinPlanner
+from ffcomp.planner.program import plan_program, raw_durations
+from ffcomp.planner.reach import Reach, check_moves
+from ffcomp.planner.trajectory import PlannedMotion
+from gcode.container import Source, blocks_of, ends_of
+from gcode.dialects import MARLIN, choose_flavor, sign_by_ends
+from gcode.embedded import Stamp, find_offset, find_stamp, holds_original, original_blocks
+from gcode.program import Program
+from gcode.reader import read_parts
+from models.arrays import FloatArray
+from models.machine import Machine, identity
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """Time and filament of a print on a machine."""
+
+    path: str
+    machine: Machine
+    flavor: str
+    statistics: Statistics  # of the file as it is written
+    original: Statistics | None  # of the print before its compensation; None: the file is no compensated one
+
+    @property
+    def time_s(self) -> float:
+        """Of the file as it is written."""
+        return seconds(self.statistics.total)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the JSON object of `ffcomp estimate` (ffcomp-estimate/1)."""
+        values = {
+            "schema": "ffcomp-estimate/1",
+            "input": self.path,
+            "machine": identity(self.machine),
+            "flavor": self.flavor,
+            "compensated": self.original is not None,
+            **_values(self.statistics),
+            "original": _values(self.original) if self.original else None,
+        }
+        return dict(to_json(values))
+
+
+def stamp_of(source: Source) -> Stamp | None:
+    """Return the stamp of a compensated file."""
+    head, tail, _ = ends_of(source)
+    return find_stamp(head, tail)
+
+
+def estimate(
+    source: Source, path: str, machine: Machine, *, flavor: str = "", offset: tuple[float, float] = (0.0, 0.0)
+) -> Estimate:
+    """Plan a file as the firmware does, and add up its times. Memory does not grow with the file.
+
+    Parameters
+    ----------
+    source : the file
+    path : its name, for errors
+    flavor : {"", "klipper", "marlin", "reprapfirmware"}, "" for what the machine file says, or else the file
+    offset : (float, float), added to every position of a print that is not compensated yet, mm
+
+    Raises
+    ------
+    GcodeError: If a line cannot be followed, or a position is out of the machine's reach.
+    NothingToDo: If nothing moves.
+    """
+    head, tail, _ = ends_of(source)
+    stamp = find_stamp(head, tail)
+    requested = flavor or (stamp.flavor if stamp else "")
+    flavor = choose_flavor(requested, machine.flavor, sign_by_ends(head, tail), path).flavor
+    if stamp is None:
+        return Estimate(path, machine, flavor, _statistics(blocks_of(source), path, machine, flavor, offset), None)
+    written = _statistics(blocks_of(source), path, machine, flavor, (0.0, 0.0))
+    if not holds_original(head):
+        return Estimate(path, machine, flavor, written, None)
+    before = original_blocks(blocks_of(source))
+    return Estimate(path, machine, flavor, written, _statistics(before, path, machine, flavor, find_offset(head)))
+
+
+def _statistics(
+    blocks: Iterable[bytes], path: str, machine: Machine, flavor: str, offset: tuple[float, float]
+) -> Statistics:
+    marlin = MarlinPlanner(machine, machine.marlin) if flavor == MARLIN and machine.marlin is not None else None
+
+    def plan_of(program: Program) -> PlannedMotion | MarlinPlan:
+        if marlin is None:
+            return plan_program(program, machine).trajectory
+        check_moves(program, machine.kinematics)
+        return marlin.plan(program)
+
+    parts = read_parts(blocks, path, flavor=flavor, offset_mm=offset, **known_to_the_firmware(machine))
+    statistics, limits = Statistics(), planner_limits(machine)
+    for part in planned_slices(Reach(machine.kinematics).whole(parts), plan_of):
+        statistics.add(part, raw_durations(part.events, limits))
+    if not statistics.moves:
+        raise NothingToDo(f"{path}: no move whose start is known; there is no time to tell.")
+    return statistics
+
+
+def seconds(row: FloatArray) -> float:
+    """Return all the time in a row."""
+    return float(row[:FILAMENT].sum())
+
+
+def _values(statistics: Statistics) -> dict[str, Any]:
+    return {
+        "time_s": seconds(statistics.total),
+        **_row(statistics.total),
+        "filament_mm": statistics.filament_mm,
+        "moves": statistics.moves,
+        "retractions": statistics.retractions,
+        "slicer_time_s": statistics.slicer_s,
+        "features": {name: {"time_s": seconds(row), **_row(row)} for name, row in statistics.features.items()},
+        "layers": [_layer(number, layer) for number, layer in statistics.layers.in_order()],
+        "unknown": list(statistics.unknown.values()),
+        "warnings": statistics.warnings,
+    }
+
+
+def _row(row: FloatArray) -> dict[str, float]:
+    return {f"{kind}_s": float(row[k]) for k, kind in enumerate(KINDS)}
+
+
+def _layer(number: int, layer: Layer) -> dict[str, Any]:
+    return {
+        "layer": None if number == BEFORE else number,
+        "line": layer.line,
+        "z_mm": layer.z_mm,
+        "time_s": seconds(layer.row),
+        **_row(layer.row),
+        "filament_mm": float(layer.row[FILAMENT]),
+    }

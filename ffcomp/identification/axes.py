@@ -1,0 +1,239 @@
+"""All axes of a cartesian or CoreXY machine from its measurements: the modes of each, and what x and y exchange."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ffcomp.errors import MeasurementError
+from ffcomp.identification.axis_spectra import AXES, Datum, Response, Spectrum, closed_form, usable
+from ffcomp.identification.modal_fit import AxisFit, fit_axis
+from ffcomp.identification.uncertainty import Estimate, normal
+from ffcomp.measurement.frf import FrequencyResponse
+from ffcomp.measurement.modal import independent_share
+from ffcomp.numerics.stages import Stage
+from models.arrays import ComplexArray, FloatArray
+
+CROSS_TALK = 0.1  # of the direct response, in amplitude, from which coupling is reported: chips sit a few degrees askew
+LEAST_EXCHANGE, SHARP = 0.01, 3.0  # of δ, and in standard uncertainties, from which it is written
+MOST_TURNED = np.radians(20)  # of a sensor that was meant to be straight
+
+
+@dataclass(frozen=True, eq=False)
+class IdentifiedAxes:
+    """All fitted axes, with advice."""
+
+    axes: tuple[AxisFit, ...]
+    advice: tuple[str, ...]
+    exchange: Exchange | None = None  # of x and y, where it is sure
+
+
+def identify_axes(
+    spectra: Sequence[Spectrum],
+    responses: Sequence[FrequencyResponse],
+    progress: Callable[[str], None] = lambda _: None,
+    exchanging: bool = True,
+) -> IdentifiedAxes:
+    """Fit the modes of every measured axis, and what x and y exchange.
+
+    Parameters
+    ----------
+    exchanging : whether the same belts move x and y, so that they may exchange motion
+
+    Raises
+    ------
+    MeasurementError
+        If nothing was, or no axis shows a resonance.
+    """
+    answers, sentences = usable(responses)
+    data: list[Datum] = [*spectra, *(answer for answer in answers if answer.direct)]
+    if not data:
+        raise MeasurementError("data", [*sentences, "None of the files holds the response of an axis to its command."])
+    fits: list[AxisFit] = []
+    for name in AXES:
+        mine = [datum for datum in data if datum.axis == name]
+        if mine:
+            progress(Stage(2 + len(fits), f"{name}: {len(mine)} {'file' if len(mine) == 1 else 'files'}"))
+            try:
+                fits.append(fit_axis(name, mine))
+            except MeasurementError as error:
+                sentences += error.problems
+    if not fits:
+        raise MeasurementError("data", sentences)
+    advice = [text for axis in fits for text in axis.advice]
+    exchange, crossing = _exchanged(fits, answers, exchanging)
+    missing = [
+        f"Nothing was measured along {name}: [axes.{name}] stays the starting file's."
+        for name in "xy"
+        if not any(datum.axis == name for datum in data)
+    ]
+    return IdentifiedAxes(tuple(fits), (*sentences, *advice, *crossing, *missing), exchange)
+
+
+def _exchanged(
+    axes: Sequence[AxisFit], answers: Sequence[Response], exchanging: bool
+) -> tuple[Exchange | None, list[str]]:
+    """Return what x and y exchange if it is sure, and sentences about all motion across the axes."""
+    exchange = find_exchange(axes, answers) if exchanging else None
+    if exchange is None or exchange.left > CROSS_TALK or max(map(abs, exchange.turned_rad.values())) > MOST_TURNED:
+        return None, _crossing(answers, axes)
+    sentences = _crossing([a for a in answers if "z" in (a.axis, a.measured.input[-1]) or a.direct], axes)
+    sentences += [
+        f"{name}: the sensor seems turned about z by {np.degrees(turn):.0f}°, which the exchange of motion leaves out."
+        for name, turn in exchange.turned_rad.items()
+        if abs(turn) > CROSS_TALK
+    ]
+    delta = exchange.delta
+    if abs(delta.value) < max(LEAST_EXCHANGE, SHARP * delta.sd):
+        return None, sentences
+    belt = 2 * abs(delta.value) / (1 - abs(delta.value))
+    return exchange, [
+        f"x and y exchange motion: axes.exchange = {delta.value:.3f} ({delta.low:.3f} to {delta.high:.3f}) is written, "
+        f"so that it is compensated. One belt is stiffer than the other by about {100 * belt:.0f} %: make "
+        "their tensions equal and measure again.",
+        *sentences,
+    ]
+
+
+def _crossing(answers: Sequence[Response], axes: Sequence[AxisFit]) -> list[str]:
+    """Report how much of an axis' motion the others show, which the model does not explain."""
+    power = {
+        (a.measured.input, a.measured.output): float(np.sum(np.maximum(np.abs(a.value) ** 2 - a.measured.variance, 0)))
+        for a in answers
+    }
+    moved = [axis.name for axis in axes]
+    sentences = []
+    for (cmd, output), crossed in power.items():
+        direct = power.get((cmd, output[:-1] + cmd[-1]), 0.0)
+        if cmd[-1] in moved and output[-1] != cmd[-1] and crossed > CROSS_TALK**2 * direct > 0:
+            sentences.append(
+                f"{cmd} shows in {output} too ({100 * np.sqrt(crossed / direct):.0f} % of the direct response): the "
+                "model does not explain it, so this is not compensated. Are the sensor's axes the "
+                "printer's? If so, ffcomp diagnose tells belts of unequal tension (belt_stiffness) from a racking "
+                "gantry (gantry_racking) and a swaying frame (frame_mode); with the effect in the file it is."
+            )
+    return sentences
+
+
+OTHER = {"x": "y", "y": "x"}
+MODEL_ERROR = 0.1  # of a crossed response, in the weights
+WEAKEST = 0.03  # of its largest value: where an axis answers less to its command, its response divides by noise
+
+
+@dataclass(frozen=True, eq=False)
+class Exchange:
+    """How x and y exchange motion, and how much of what was measured that does not explain."""
+
+    delta: Estimate
+    turned_rad: dict[str, float]  # of each crossed response, by its name
+    left: float  # amplitude of what is left of the crossed responses beyond noise, over the direct ones'
+
+
+@dataclass(frozen=True, eq=False)
+class _Crossed:
+    """One crossed response, and what δ = 1 and κ = 1 would show in it."""
+
+    answer: Response
+    lines: FloatArray  # of the response, those that count
+    exchanged: ComplexArray
+    turned: ComplexArray
+
+    @property
+    def value(self) -> ComplexArray:
+        return np.asarray(self.answer.value[self.lines])
+
+    @property
+    def deviation(self) -> FloatArray:
+        """(2 k,) of real, then imaginary parts."""
+        return np.sqrt(self.answer.variance(MODEL_ERROR).reshape(2, -1)[:, self.lines].ravel())
+
+
+def find_exchange(axes: Sequence[AxisFit], answers: Sequence[Response]) -> Exchange | None:
+    """Fit δ and a turn of the sensor for each crossed response to all of them together.
+
+    Parameters
+    ----------
+    axes : the fitted axes; both x and y must be among them, with responses that tell the sensors' signs.
+    answers : responses of axes to commands, their own and each other's.
+
+    Returns
+    -------
+    None where there is no crossed response with the direct one of the same file.
+    """
+    fitted = {axis.name: axis for axis in axes}
+    if not set("xy") <= fitted.keys():
+        return None
+    pairs = [_crossed(fitted, answers, each) for each in answers if each.axis in "xy" and not each.direct]
+    crossed = [pair for pair in pairs if pair is not None]
+    return _fitted(crossed) if crossed else None
+
+
+def _crossed(fitted: dict[str, AxisFit], answers: Sequence[Response], crossed: Response) -> _Crossed | None:
+    to, of = crossed.axis, crossed.measured.input[-1]
+    direct = next((a for a in answers if a.direct and a.axis == of and a.source == crossed.source), None)
+    if of != OTHER[to] or direct is None or not np.array_equal(direct.frequency_hz, crossed.frequency_hz):
+        return None
+    moved, shown = _modes(fitted[of]), _modes(fitted[to])
+    f_moved, f_shown = closed_form(moved, direct.frequency_hz), closed_form(shown, direct.frequency_hz)
+    lines = np.abs(f_moved) > WEAKEST * np.abs(f_moved).max()
+    exchanged = f_shown * (1 - closed_form(_driven(moved), direct.frequency_hz)) / f_moved
+    sign = _sign(fitted[to], shown) * _sign(fitted[of], moved)
+    return _Crossed(crossed, lines, (sign * exchanged * direct.value)[lines], direct.value[lines])
+
+
+def _modes(axis: AxisFit) -> FloatArray:
+    """Return (m, 3) frequency, damping ratio, share."""
+    return np.array([[m.frequency_hz.value, m.damping_ratio.value, m.share.value] for m in axis.modes])
+
+
+def _driven(modes: FloatArray) -> FloatArray:
+    """Return the same of the point that the belt drives: every mode of it follows the belt."""
+    sizes = np.abs(modes[:, 2])
+    return np.column_stack([modes[:, :2], sizes / sizes.sum()])
+
+
+def _sign(axis: AxisFit, modes: FloatArray) -> float:
+    """Return −1 where the sensor feels the axis the other way round, as on a moving bed."""
+    seen = (float(datum.begin(modes)[0]) for datum in axis.data if isinstance(datum, Response))
+    return float(np.sign(next(seen, 1.0)))
+
+
+def _fitted(pairs: Sequence[_Crossed]) -> Exchange:
+    """Solve for δ and every κ by weighted least squares."""
+    columns, rows = [], []
+    for i, pair in enumerate(pairs):
+        block = np.zeros((2 * len(pair.value), 1 + len(pairs)))
+        block[:, 0], block[:, 1 + i] = _parts(pair.exchanged), _parts(pair.turned)
+        columns.append(block / pair.deviation[:, None])
+        rows.append(_parts(pair.value) / pair.deviation)
+    a, b = np.concatenate(columns), np.concatenate(rows)
+    solved = np.asarray(np.linalg.lstsq(a, b, rcond=None)[0], dtype=np.float64)
+    residual = b - a @ solved
+    independent = _independent(residual, pairs)
+    scatter = max(float(residual @ residual) / max(len(b) - a.shape[1], 1), 1.0)
+    covariance = np.linalg.pinv(a.T @ a) * scatter / independent
+    names = [f"{pair.answer.measured.input} to {pair.answer.measured.output}" for pair in pairs]
+    turns = dict(zip(names, solved[1:].tolist(), strict=True))
+    return Exchange(normal(float(solved[0]), float(np.sqrt(covariance[0, 0]))), turns, _left(solved, pairs))
+
+
+def _parts(value: ComplexArray) -> FloatArray:
+    return np.concatenate([value.real, value.imag])
+
+
+def _independent(residual: FloatArray, pairs: Sequence[_Crossed]) -> float:
+    """Return the least share of independent residuals among the responses."""
+    ends = np.cumsum([2 * len(pair.value) for pair in pairs])[:-1]
+    return min(independent_share(part, len(part) // 2) for part in np.split(residual, ends))
+
+
+def _left(solved: FloatArray, pairs: Sequence[_Crossed]) -> float:
+    """Return the amplitude that is left beyond noise, over that of the direct responses."""
+    left = direct = 0.0
+    for pair, turn in zip(pairs, solved[1:], strict=True):
+        error = pair.value - solved[0] * pair.exchanged - turn * pair.turned
+        left += float(np.sum(np.maximum(np.abs(error) ** 2 - pair.answer.measured.variance[pair.lines], 0)))
+        direct += float(np.sum(np.abs(pair.turned) ** 2))
+    return float(np.sqrt(left / direct))

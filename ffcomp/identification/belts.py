@@ -1,0 +1,328 @@
+"""Belts of a CoreXY machine, or towers of a delta, compared by resonance tests along each of them.
+
+A test along one belt excites one motor, but what swings is the head on all belts:
+
+    M ẍ + C ẋ + K x = K x_cmd,   K = Σ_i k_i v_iᵀ v_i,   M = m diag(1, r),
+
+x in the plane, v_i the row that makes the motion of motor (or carriage) i from it, r = 1 on a delta. With equal belts
+the tests along mirrored directions show the same spectrum. A softer one moves the peaks apart and makes them unequally
+high, and both follow from the k_i: so all tests are fitted together, each with a gain and a floor of its own. What is
+fitted is the power of all the sensor's axes together, which does not depend on how it is mounted.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from ffcomp.errors import MeasurementError
+from ffcomp.identification.axis_spectra import COARSE
+from ffcomp.identification.resonance_tests import BeltTest
+from ffcomp.identification.uncertainty import NINETY_PERCENT, Estimate, normal
+from ffcomp.measurement.modal import WindowedPower, independent_share, model_error, single_modes
+from ffcomp.numerics.least_squares import central_differences, minimise
+from models.arrays import FloatArray
+from models.machine import Machine
+
+ALIKE = 0.03  # relative stiffness: less is nothing to act upon
+SAME_DIRECTION = 0.95  # cosine
+REPEATABLE_SD = 0.01  # of a stiffness, by what changes from test to test
+START_DAMPING = 0.06
+FREQUENCIES = np.geomspace(18.0, 110.0, 7)  # Hz, where a search begins
+RATIOS = (1.0, 1.6, 2.5)  # of the moving masses along y and x, where a search begins
+LOG_RATIO_SD = 0.7
+LOG_STIFFNESS_SD = 0.3  # weak prior: belts of one machine
+LOG_DAMPING_SD = 0.7
+POOR = 0.6  # model error of ln S from which nothing is said
+TRIED = 3  # of the starts
+ROUNDS = 5
+STEP = 1e-5
+
+
+@dataclass(frozen=True, eq=False)
+class BeltComparison:
+    """How stiff each belt is against the mean of the others, and the resonances of the head on all of them."""
+
+    kind: str  # "belt" or "tower"
+    names: tuple[str, ...]  # of belts, their direction: 1,-1; of towers, A B C
+    rows: FloatArray  # (m, 2) motion of each motor or carriage by x and y
+    stiffness: tuple[Estimate, ...]  # of each, relative to the mean of the others: -0.08 is 8 % softer
+    modes_hz: tuple[Estimate, Estimate]  # the lower one first
+    damping_ratio: tuple[float, float]
+    tests: tuple[BeltTest, ...]
+    fitted: tuple[FloatArray, ...]  # (k,) of each test, as it was measured
+    errors: tuple[float, ...]  # of each test, the model's own
+    sentence: str
+
+    def nearest(self, test: BeltTest) -> str:
+        """Return the name of the belt that a test is along."""
+        return self.names[int(np.argmax(np.abs(self.rows @ test.direction)))]
+
+
+def compare_belts(machine: Machine, tests: Sequence[BeltTest]) -> BeltComparison:
+    """Fit the stiffness of each belt or tower to the tests along them.
+
+    Raises
+    ------
+    MeasurementError
+        If a direction is missing, or the tests show no resonance.
+    """
+    problem = _problem(machine, tests)
+    coarse = np.full(len(tests), COARSE)
+    starts = sorted(_starts(problem), key=lambda at: _cost(problem, at, coarse))[:TRIED]
+    theta = min((_solved(problem, start, coarse, 15) for start in starts), key=lambda at: _cost(problem, at, coarse))
+    errors = coarse
+    for _ in range(ROUNDS):
+        theta = _solved(problem, theta, errors, 40)
+        pairs = zip(problem.residuals(theta), problem.tests, strict=True)
+        errors = np.array([model_error(r, t.spectrum.variance, 3) for r, t in pairs])
+    return _result(problem, theta, errors)
+
+
+# ---- the model -----------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class _Problem:
+    """θ: ln f, ln r, ln ζ₁, ln ζ₂, ln of the stiffness of all but the last belt, then ln g and ln c of each test."""
+
+    kind: str
+    names: tuple[str, ...]
+    rows: FloatArray  # (m, 2) motion of each motor or carriage by x and y
+    free_ratio: bool  # of the masses along y and x
+    tests: tuple[BeltTest, ...]
+
+    @cached_property
+    def lines(self) -> tuple[WindowedPower, ...]:
+        """How each test's spectrum shows a response."""
+        grids = (test.spectrum.frequency_hz for test in self.tests)
+        return tuple(WindowedPower(grid, float(grid[1] - grid[0])) for grid in grids)
+
+    @property
+    def shared(self) -> int:
+        return 3 + len(self.rows)
+
+    def stiffness(self, theta: FloatArray) -> FloatArray:
+        """(m,) relative, of product 1."""
+        free = theta[4 : self.shared]
+        return np.exp(np.append(free, -free.sum()))
+
+    def modes(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Frequencies (2,) Hz and shapes (2, 2), one a column, φᵀ M φ = 1."""
+        k = np.einsum("m,mi,mj->ij", self.stiffness(theta), self.rows, self.rows)
+        root = np.array([1.0, np.exp(-0.5 * theta[1])]) if self.free_ratio else np.ones(2)
+        square, shape = np.linalg.eigh(k / k.trace() * 2 * np.outer(root, root))
+        return np.exp(theta[0]) * np.sqrt(np.maximum(square, 1e-9)), shape * root[:, None]
+
+    def power(self, number: int, theta: FloatArray) -> FloatArray:
+        """Return f² |H d|² of a test through the window, (k,)."""
+        frequency, shape = self.modes(theta)
+        mass = np.array([1.0, np.exp(theta[1])]) if self.free_ratio else np.ones(2)
+        moved: FloatArray = shape * (shape.T @ (mass * self.tests[number].direction))  # (2, modes)
+        lines = self.lines[number]
+        along = np.tensordot(moved, single_modes(frequency, np.exp(theta[2:4]), lines.fine_hz), axes=1)  # (2, k, w)
+        return np.asarray(lines.power(along[0]) + lines.power(along[1]))
+
+    def model(self, number: int, theta: FloatArray) -> FloatArray:
+        gain, floor = theta[self.shared + 2 * number : self.shared + 2 * number + 2]
+        return np.exp(gain) * self.power(number, theta) + np.exp(floor)
+
+    def residuals(self, theta: FloatArray) -> list[FloatArray]:
+        """Compare logarithms, (k,) each."""
+        return [np.log(t.spectrum.value / self.model(n, theta)) for n, t in enumerate(self.tests)]
+
+    def prior(self, theta: FloatArray) -> FloatArray:
+        return np.concatenate(
+            [
+                [theta[1] / LOG_RATIO_SD],
+                (theta[2:4] - np.log(START_DAMPING)) / LOG_DAMPING_SD,
+                np.log(self.stiffness(theta)) / LOG_STIFFNESS_SD,
+            ]
+        )
+
+
+def _problem(machine: Machine, tests: Sequence[BeltTest]) -> _Problem:
+    deltas = machine.vibration.position_dependent
+    places = [test.position_mm[:2] for test in tests if test.position_mm is not None]
+    place = np.mean(places, axis=0) if places and deltas else np.zeros(2)
+    if deltas:
+        rows = np.linalg.inv(machine.kinematics.jacobian(place[None])[0])[:, :2]
+        names = tuple("ABC")
+    else:
+        rows = machine.kinematics.motors[:2, :2]
+        names = tuple(_direction_name(row) for row in rows)
+    _check(tests, rows, names, "tower" if deltas else "belt")
+    return _Problem("tower" if deltas else "belt", names, rows, not deltas, tuple(tests))
+
+
+def _direction_name(row: FloatArray) -> str:
+    return ",".join(f"{round(c, 3) + 0.0:g}" for c in row)
+
+
+def _check(tests: Sequence[BeltTest], rows: FloatArray, names: Sequence[str], kind: str) -> None:
+    if np.count_nonzero(np.abs(rows[0]) > 1e-9) == 1 and kind == "belt":
+        rule = "On this machine a motor moves x or y alone: test AXIS=X and AXIS=Y"
+        raise MeasurementError(tests[0].spectrum.source, [f"It was excited along a diagonal. {rule}."])
+    towards = rows / np.linalg.norm(rows, axis=1, keepdims=True)
+    for name, row in zip(names, towards, strict=True):
+        if not any(abs(float(row @ test.direction)) > SAME_DIRECTION for test in tests):
+            listed = ", ".join(f"{t.spectrum.source} ({t.axis})" for t in tests)
+            axes = " and ".join(f"AXIS={_direction_name(other)}" for other in (rows if kind == "belt" else towards))
+            rule = f"There is no test along {kind} {name}, so there is nothing to compare"
+            raise MeasurementError(listed, [f"{rule}. Run TEST_RESONANCES OUTPUT=raw_data with {axes}."])
+
+
+def _starts(problem: _Problem) -> list[FloatArray]:
+    starts = []
+    for ratio in RATIOS if problem.free_ratio else RATIOS[:1]:
+        for frequency in FREQUENCIES:
+            theta = np.zeros(problem.shared + 2 * len(problem.tests))
+            theta[:4] = np.log([frequency, ratio, START_DAMPING, START_DAMPING])
+            for number, test in enumerate(problem.tests):
+                s = test.spectrum
+                gain = np.mean(np.log(s.value / problem.power(number, theta)))
+                theta[problem.shared + 2 * number :][:2] = gain, np.log(s.value.min()) - 1.0
+            starts.append(theta)
+    return starts
+
+
+# ---- the fit -------------------------------------------------------------------------------------
+
+
+def _weighted(problem: _Problem, theta: FloatArray, weights: Sequence[FloatArray]) -> FloatArray:
+    """Stack the residuals of all tests, each times its weights, and of the prior."""
+    each = [w * r for w, r in zip(weights, problem.residuals(theta), strict=True)]
+    return np.concatenate([*each, problem.prior(theta)])
+
+
+def _weights(problem: _Problem, errors: FloatArray) -> list[FloatArray]:
+    return [1 / np.sqrt(t.spectrum.variance(float(e))) for t, e in zip(problem.tests, errors, strict=True)]
+
+
+def _slopes(problem: _Problem, theta: FloatArray, weights: Sequence[FloatArray]) -> FloatArray:
+    """Differentiate the weighted residuals: by the shared parameters numerically, by each test's own in closed form."""
+    count = problem.shared
+
+    def of_shared(shared: FloatArray) -> FloatArray:
+        return _weighted(problem, np.concatenate([shared, theta[count:]]), weights)
+
+    left = central_differences(of_shared, theta[:count], np.full(count, STEP))
+    right = np.zeros((len(left), len(theta) - count))
+    at = 0
+    for number, weight in enumerate(weights):
+        floor = np.exp(theta[count + 2 * number + 1]) / problem.model(number, theta)
+        rows = slice(at, at + len(weight))
+        right[rows, 2 * number], right[rows, 2 * number + 1] = weight * (floor - 1), -weight * floor
+        at += len(weight)
+    return np.hstack([left, right])
+
+
+def _cost(problem: _Problem, theta: FloatArray, errors: FloatArray) -> float:
+    return float(np.sum(_weighted(problem, theta, _weights(problem, errors)) ** 2))
+
+
+def _solved(problem: _Problem, start: FloatArray, errors: FloatArray, steps: int) -> FloatArray:
+    low, high = np.full(len(start), -np.inf), np.full(len(start), np.inf)
+    low[0], high[0] = np.log([5.0, 250.0])
+    low[2:4], high[2:4] = np.log([0.005, 0.5])
+    for number, test in enumerate(problem.tests):
+        lowest = float(np.log(test.spectrum.value.min()))
+        low[problem.shared + 2 * number + 1], high[problem.shared + 2 * number + 1] = lowest - 10, lowest + 1
+    weights = _weights(problem, errors)
+    return minimise(
+        lambda at: _weighted(problem, at, weights),
+        np.clip(start, low + 1e-9, high - 1e-9),
+        lambda at: _slopes(problem, at, weights),
+        evaluations=steps,
+        bounds=(low, high),
+    ).x
+
+
+def _covariance(problem: _Problem, theta: FloatArray, errors: FloatArray) -> FloatArray:
+    """(p, p); neighbouring lines are correlated, and count as fewer."""
+    shares = [
+        independent_share(r, len(t.spectrum.frequency_hz))
+        for r, t in zip(problem.residuals(theta), problem.tests, strict=True)
+    ]
+    weights = [share * w for share, w in zip(shares, _weights(problem, errors), strict=True)]
+    j = _slopes(problem, theta, weights)
+    return np.asarray(np.linalg.pinv(j.T @ j, rcond=1e-13, hermitian=True))
+
+
+# ---- the result ----------------------------------------------------------------------------------
+
+
+def _result(problem: _Problem, theta: FloatArray, errors: FloatArray) -> BeltComparison:
+    tests = problem.tests
+    frequency, _ = problem.modes(theta)
+    damping = np.exp(theta[2:4])
+    _check_resonance(problem, float(frequency.mean()), float(damping.mean()), errors)
+    covariance = _covariance(problem, theta, errors)
+    stiffness = tuple(_relative(problem, theta, covariance, i) for i in range(len(problem.rows)))
+    sd = [float(np.sqrt(covariance[0, 0])) * f for f in frequency]
+    return BeltComparison(
+        problem.kind,
+        problem.names,
+        problem.rows,
+        stiffness,
+        (normal(float(frequency[0]), sd[0]), normal(float(frequency[1]), sd[1])),
+        (float(damping[0]), float(damping[1])),
+        tests,
+        tuple(problem.model(n, theta) for n in range(len(tests))),
+        tuple(float(e) for e in errors),
+        _sentence(problem, stiffness),
+    )
+
+
+def _check_resonance(problem: _Problem, frequency: float, damping: float, errors: FloatArray) -> None:
+    sources = ", ".join(test.spectrum.source for test in problem.tests)
+    for test in problem.tests:
+        low, high = test.spectrum.frequency_hz[[0, -1]]
+        remedy = test.spectrum.beyond(frequency, damping)
+        if remedy or not low < frequency < high:
+            rule = f"The {problem.kind}s cannot be compared: no resonance lies between {low:.0f} and {high:.0f} Hz."
+            raise MeasurementError(sources, [f"{rule} {remedy or 'Test them again with a harder excitation.'}"])
+    if errors.max() > POOR:
+        rule = (
+            f"The {problem.kind}s cannot be compared: two modes describe the tests to {100 * errors.max():.0f} % only"
+        )
+        raise MeasurementError(sources, [f"{rule}. Fasten what rattles, and the sensor, and test them again."])
+
+
+def _relative(problem: _Problem, theta: FloatArray, covariance: FloatArray, number: int) -> Estimate:
+    """Compare one stiffness with the mean of the others."""
+
+    def against(at: FloatArray) -> FloatArray:
+        k = np.log(problem.stiffness(at))
+        return np.array([k[number] - np.delete(k, number).mean()])
+
+    slope = central_differences(against, theta, np.full(len(theta), STEP))[0]
+    sd = float(np.sqrt(slope @ covariance @ slope + REPEATABLE_SD**2))
+    return normal(float(np.expm1(against(theta)[0])), sd)
+
+
+def _sentence(problem: _Problem, stiffness: Sequence[Estimate]) -> str:
+    pair = problem.kind == "belt"
+    furthest = int(np.argmin([e.value for e in stiffness]) if pair else np.argmax([abs(e.value) for e in stiffness]))
+    e = stiffness[furthest]
+    half = NINETY_PERCENT * e.sd
+    who = _who(problem, furthest)
+    if abs(e.value) < max(ALIKE, half):
+        what = "The two belts are" if pair else "The three towers' belts are"
+        return f"{what} alike within ± {100 * max(ALIKE, abs(e.value) + half):.0f} %."
+    word = "softer" if e.value < 0 else "stiffer"
+    low, high = sorted(100 * abs(bound) for bound in (e.low, e.high))
+    others = "the other one" if pair else "the other two"
+    return (
+        f"{who} is {100 * abs(e.value):.0f} % {word} than {others} (90 %: {low:.0f} to {high:.0f} %). Check its "
+        "tension, its pulleys' screws and its clamps, and test again."
+    )
+
+
+def _who(problem: _Problem, number: int) -> str:
+    if problem.kind == "tower":
+        return f"Tower {problem.names[number]}'s belt"
+    return f"The belt of axis={problem.names[number]}"

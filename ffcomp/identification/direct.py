@@ -1,0 +1,174 @@
+"""All parameters of a delta from frequency responses: fit, decide on the drive, advise on weak parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from ffcomp.identification.output_error import DAMPING, DRIVE, STIFFNESS, TOTAL_MASS, WEAK_SD, Fitted, fit_machine
+from ffcomp.identification.uncertainty import Estimate
+from ffcomp.measurement.frf import FrequencyResponse
+from ffcomp.numerics.stages import Stage
+from models.kinds import delta_vibration, with_parts
+from models.machine import Machine, value_of, with_values
+from models.vibration.substructures import Drive
+
+UNDETERMINED = 0.25  # of the weak prior's variance: above it the data say next to nothing; the old value is kept
+WEAK_SCALE = 0.05  # relative sd of all masses, stiffnesses and dampings together
+SCALED = ("carriage.mass_kg", "carriage.belt_stiffness_n_per_m", "effector.nozzle_mass_kg")
+TURNED_DEG = 0.5  # from which it is worth a sentence
+FAR = 0.10  # model error of a response from which the other force map is tried
+FORCE_MAP_COSTS = 100.0  # BIC
+DRIVE_COSTS = 10.0  # BIC by which a drive filter must be better than an ideal drive to be kept
+NEUTRAL_DRIVE = Drive(4.0e5, 0.0, 250.0)  # 100 Hz, where a search for a drive begins
+MASSES = ("carriage.mass_kg", "effector.nozzle_mass_kg", "effector.extruder_mass_kg")
+
+
+@dataclass(frozen=True, eq=False)
+class Identified:
+    """A machine tuned to responses, with advice on parameters that they do not determine."""
+
+    fitted: Fitted
+    kept: tuple[str, ...]  # parameters that stay the starting file's: the data do not determine them
+    advice: tuple[str, ...]
+
+    @property
+    def machine(self) -> Machine:
+        """The tuned machine."""
+        return self.fitted.machine
+
+    @property
+    def determined(self) -> dict[str, Estimate]:
+        """Parameters that the data determined."""
+        return {name: e for name, e in self.fitted.estimates.items() if name not in self.kept}
+
+
+def identify(
+    start: Machine,
+    responses: Sequence[FrequencyResponse],
+    known: Mapping[str, tuple[float, float]] | None = None,
+    progress: Callable[[str], None] = lambda _: None,
+) -> Identified:
+    """Fit the output error; a starting machine with an ideal drive is tried with a drive filter too.
+
+    Raises
+    ------
+    MeasurementError, SolverError
+        As `fit_machine`.
+    """
+    commanded = any(r.input.startswith("cmd_") for r in responses)
+    fitted = (
+        _with_drive(start, responses, known, progress)
+        if commanded
+        else fit_machine(start, responses, known, progress=progress)
+    )
+    kept = tuple(name for name, share in fitted.prior_share.items() if share > UNDETERMINED)
+    restored = _with_old(fitted, start, kept)
+    advice = [*_other_force_map(fitted, known, progress), *advice_on(restored, kept)]
+    return Identified(restored, kept, tuple(advice))
+
+
+def _other_force_map(
+    fitted: Fitted, known: Mapping[str, tuple[float, float]] | None, progress: Callable[[str], None]
+) -> list[str]:
+    """Advise on the other force map where it fits the responses of the whole printer far better."""
+    far = any(r.setup == "assembly" and e > FAR for r, e in zip(fitted.responses, fitted.model_errors, strict=True))
+    if not far:
+        return []
+    effector = delta_vibration(fitted.machine).effector
+    other: Literal["paper", "virtual_work"] = "paper" if effector.force_map == "virtual_work" else "virtual_work"
+    progress(f"the same with force_map = {other!r}")
+    turned = with_parts(fitted.machine, effector=replace(effector, force_map=other))
+    tried = fit_machine(turned, fitted.responses, known, progress=progress)
+    if tried.bic > fitted.bic - FORCE_MAP_COSTS:
+        return []
+    return [
+        f"With force_map = {other!r} in the starting file the responses are met far better (their errors fall from "
+        f"{100 * float(np.max(fitted.model_errors)):.0f} to {100 * float(np.max(tried.model_errors)):.1f} % at the "
+        "worst): change it there and fit again."
+    ]
+
+
+def _with_drive(
+    start: Machine,
+    responses: Sequence[FrequencyResponse],
+    known: Mapping[str, tuple[float, float]] | None,
+    progress: Callable[[str], None],
+) -> Fitted:
+    """Fit with a drive filter; where the starting file has none, drop it again unless it is significant."""
+    if delta_vibration(start).carriage.drive is not None:
+        return fit_machine(start, responses, known, progress=progress)
+    driven = with_parts(start, carriage=replace(delta_vibration(start).carriage, drive=NEUTRAL_DRIVE))
+    fitted = fit_machine(driven, responses, known, progress=progress)
+    progress(Stage(5, "the same without a drive filter"))
+    values = {name: e.value for name, e in fitted.estimates.items() if name not in (*DRIVE, TOTAL_MASS)}
+    ideal = fit_machine(start, responses, known, starts=[values, {}], progress=progress)
+    return fitted if fitted.bic < ideal.bic - DRIVE_COSTS else ideal
+
+
+def _with_old(fitted: Fitted, start: Machine, kept: Sequence[str]) -> Fitted:
+    old = {
+        name: value_of(start, name)
+        for name in kept
+        if name not in DRIVE or delta_vibration(start).carriage.drive is not None
+    }
+    return replace(fitted, machine=with_values(fitted.machine, old))
+
+
+# ---- advice --------------------------------------------------------------------------------------
+
+
+def advice_on(fitted: Fitted, kept: Sequence[str]) -> list[str]:
+    """Write a sentence for each group of parameters that is weak or not determined at all."""
+    poor = {*fitted.weak, *kept}
+    sentences = _of_rotation(fitted)
+    if scale_is_weak(fitted):
+        poor = {n for n, e in fitted.beside_scale.items() if n not in DRIVE and e.relative_sd > WEAK_SD} | {
+            n for n in poor if n in DRIVE
+        }
+        poor -= set(MASSES)
+        sentences.append(
+            f"All masses, stiffnesses and dampings together are known to ± {100 * fitted.common_scale_sd:.0f} % only: "
+            "motion tells their ratios, and the intervals are those of the ratios. Compensation needs no more. For "
+            f"forces, weigh the effector and say --known {TOTAL_MASS}=KG."
+        )
+    if poor & set(MASSES):  # parameters that are weak only with the masses need no measurement of their own
+        poor -= {n for n, others in fitted.weak.items() if n not in (*kept, *MASSES) and set(others) & set(MASSES)}
+    highest = max(float(r.frequency_hz[-1]) for r in fitted.responses)
+    if poor & set(MASSES):
+        sentences.append(
+            "The masses are weak: motion alone does not tell a heavy machine on stiff belts from a light one on soft "
+            f"belts. Weigh the effector and say --known {TOTAL_MASS}=KG, or measure a carriage with a known mass added."
+        )
+    for axis, stiffness, damping in zip("xyz", STIFFNESS, DAMPING, strict=True):
+        if poor & {stiffness, damping}:
+            sentences.append(
+                f"The extruder's mount along {axis} is weak: excite {axis} at the centre beyond {highest:.0f} Hz, or "
+                f"strike the effector along {axis} and measure its acceleration along {axis}."
+            )
+    if poor & {"carriage.belt_damping_n_s_per_m", "carriage.guide_damping_n_s_per_m"}:
+        sentences.append(
+            "Belt and guide damping are weak one by one (their sum may be sharp): measure a carriage by itself, "
+            "without the effector, up to twice its natural frequency."
+        )
+    if poor & set(DRIVE):
+        sentences.append("The drive is weak: excite the carriages up to 200 Hz, smaller if it must be, but longer.")
+    return sentences
+
+
+def scale_is_weak(fitted: Fitted) -> bool:
+    """Tell whether what is uncertain is above all the common scale of masses, stiffnesses and dampings."""
+    beside = float(np.median([fitted.beside_scale[name].relative_sd for name in SCALED if name in fitted.beside_scale]))
+    return fitted.common_scale_sd > max(WEAK_SCALE, 2 * beside)
+
+
+def _of_rotation(fitted: Fitted) -> list[str]:
+    """Say how far the accelerometer is turned, where it is."""
+    turned = {axis: e for axis, e in fitted.rotation_deg.items() if abs(e.value) > max(TURNED_DEG, 2 * e.sd)}
+    if not turned:
+        return []
+    listed = " and ".join(f"{e.value:+.1f} ± {e.sd:.1f}° about {axis}" for axis, e in turned.items())
+    return [f"The accelerometer is turned by {listed} against the printer's axes; the fit allows for it."]

@@ -1,0 +1,231 @@
+"""`identify fit` on one page: from files to a fitted machine file.
+
+    files ─ gather ─┬─ runs of one axis ──────────── fit_axis ─────────── OneAxisFit
+                    ├─ tests and responses of axes ─ identify_axes ────── AxesFit
+                    ├─ responses of a delta ──────── identify ─────────── ParametersFit
+                    │                             or identify_as_paper ── StepwiseFit
+                    └─ spectra alone ─────────────── starting_machine ─── ResonancesFit
+    tests along belts or towers are compared beside that (compare_belts)
+
+Each fit brings its machine file's text (`machine_file.py`) and its JSON object (`machine_fit.py`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from datetime import date
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+
+from ffcomp.errors import MeasurementError, RequestError
+from ffcomp.identification.axes import identify_axes
+from ffcomp.identification.axis_fit import fit_axis
+from ffcomp.identification.belts import BeltComparison, compare_belts
+from ffcomp.identification.direct import identify
+from ffcomp.identification.from_resonances import Resonance, starting_machine
+from ffcomp.identification.load import Gathered, gather, resonances_of
+from ffcomp.identification.machine_file import axes_file_text, machine_file_text, modes_file_text, paper_file_text
+from ffcomp.identification.machine_fit import (
+    AxesFit,
+    BeltsFit,
+    MachineFit,
+    ParametersFit,
+    ResonancesFit,
+    StepwiseFit,
+    hash_of,
+)
+from ffcomp.identification.modal_fit import AxisFit
+from ffcomp.identification.output_error import TOTAL_MASS
+from ffcomp.identification.paper import identify_as_paper
+from ffcomp.identification.request import FitRequest
+from ffcomp.measurement.modes import Mode, ModeFit
+from ffcomp.shapers.calibration import shaper_advice
+from models.file import machine_of_text
+from models.kinds import is_one_axis
+from models.machine import Machine
+
+USUAL_S = (2.0, 1.0, 6.0, 1.0, 2.0)  # of CPU: reading, where to begin, other mounts, the fit, and without a filter
+ROUGH = 0.2  # of the measurement: modes that leave more of it unexplained are written if the user says so
+DAMPING_SD = 0.2  # of the towers' damping ratio, which two modes share
+
+Progress = Callable[[str], None]
+F = TypeVar("F", bound=MachineFit)
+
+
+def fit_files(start: Machine, request: FitRequest, progress: Progress = lambda _: None) -> MachineFit:
+    """Fit a machine file's numbers to files.
+
+    Raises
+    ------
+    RequestError
+        If the method cannot use what is known or measured.
+    MeasurementError
+        If the files hold nothing that can be fitted.
+    MachineFileError
+    """
+    if is_one_axis(start):
+        if request.plan is not None or request.method != "direct":
+            raise RequestError("--plan and --method are for printers; an axis by itself is fitted to its runs.")
+        return fit_axis(start, request.data, request.known or {}, _name(start, request), progress)
+    gathered = gather(
+        request.data,
+        start,
+        band_hz=(request.lowest_hz, request.highest_hz),
+        plan=request.plan,
+        axes=request.axes_map.split(","),
+        shaken_axis=request.axis,
+        column=request.column,
+        progress=progress,
+    )
+    if gathered.nothing:
+        rule = "None of the files holds the response of an axis to its command."
+        raise MeasurementError("data", [*gathered.skipped, rule])
+    for sentence in gathered.skipped:
+        progress(sentence)
+    task = _Task(start, gathered, [hash_of(path) for path in request.data], request)
+    if not start.vibration.position_dependent:
+        return _with_shapers(task.axes(progress)) if gathered.shaken or gathered.responses else task.belts_alone()
+    if not gathered.responses:
+        return task.resonances()
+    return _with_shapers(task.stepwise() if request.method == "stepwise" else task.parameters(progress))
+
+
+def _with_shapers(fit: F) -> F:
+    """Add what suits those who stay with an input shaper, for the axes that were measured."""
+    if not fit.text:
+        return fit
+    measured = {axis.name for axis in fit.result.axes} if isinstance(fit, AxesFit) else {"x", "y"}
+    advice = shaper_advice(machine_of_text(fit.text, fit.name))
+    return replace(fit, shapers=tuple(each for each in advice if each.axis in measured))
+
+
+class _Task:
+    """What all fits of some files have in common."""
+
+    def __init__(self, start: Machine, gathered: Gathered, hashes: Sequence[str], request: FitRequest) -> None:
+        self.start, self.gathered, self.hashes, self.request = start, gathered, hashes, request
+        self.known = dict(request.known or {})
+        self.source, self.name, self.today = Path(start.path), _name(start, request), date.today().isoformat()
+        self.belts = compare_belts(start, gathered.belts) if gathered.belts else None
+        if not start.vibration.position_dependent and (request.method == "stepwise" or request.known):
+            raise RequestError("--method stepwise and --known are for deltas; this machine's axes are straight.")
+
+    def parameters(self, progress: Progress) -> ParametersFit:
+        """Fit all parameters to all frequency responses."""
+        result = identify(self.start, self.gathered.responses, self.known, progress)
+        return ParametersFit(
+            start=self.start,
+            data=self.hashes,
+            name=self.name,
+            text=machine_file_text(self.source, result, self.name, self.hashes, self.today),
+            skipped=self.gathered.skipped,
+            advice=result.advice,
+            result=result,
+            belts=self.belts,
+        )
+
+    def stepwise(self) -> StepwiseFit:
+        """Fit by the paper's method."""
+        if TOTAL_MASS not in self.known:
+            raise RequestError(f"--method stepwise needs the effector's weight: --known {TOTAL_MASS}=KG±SD.")
+        result = identify_as_paper(self.start, self.gathered.responses, *self.known[TOTAL_MASS])
+        result = replace(result, machine=replace(result.machine, name=self.name))
+        return StepwiseFit(
+            start=self.start,
+            data=self.hashes,
+            name=self.name,
+            text=paper_file_text(self.source, result, self.hashes, self.today),
+            skipped=self.gathered.skipped,
+            result=result,
+            belts=self.belts,
+        )
+
+    def axes(self, progress: Progress) -> AxesFit:
+        """Fit the modes of cartesian and CoreXY axes."""
+        shared = self.start.kinematics.shares_motors
+        result = identify_axes(self.gathered.shaken, self.gathered.responses, progress, shared)
+        kept = tuple(axis for axis in result.axes if self.request.rough or max(axis.errors) <= ROUGH)
+        rough = [_too_rough(axis) for axis in result.axes if axis not in kept]
+        written = replace(result, axes=kept, exchange=None if rough else result.exchange)
+        return AxesFit(
+            start=self.start,
+            data=self.hashes,
+            name=self.name,
+            text=axes_file_text(self.source, written, self.name, self.hashes, self.today) if kept else "",
+            skipped=self.gathered.skipped,
+            advice=[*rough, *result.advice],
+            refusal=rough,
+            result=result,
+            belts=self.belts,
+        )
+
+    def belts_alone(self) -> BeltsFit:
+        """Compare belts; they make no machine file."""
+        rule = "Tests along the belts compare these; for the modes of x and y test AXIS=X and AXIS=Y."
+        return BeltsFit(
+            start=self.start,
+            data=self.hashes,
+            name=self.name,
+            skipped=self.gathered.skipped,
+            advice=[rule],
+            refusal=[rule],
+            belts=self.belts,
+        )
+
+    def resonances(self) -> ResonancesFit:
+        """Tabulate resonances where nothing else is known, and make a starting file of them."""
+        spectra = self.gathered.spectra
+        usable = [fit for fit in spectra if self.request.rough or fit.misfit <= ROUGH]
+        left_out = [_left_out(fit) for fit in spectra if fit not in usable]
+        resonances, unclear = resonances_of(usable)
+        resonances += _of_towers(self.belts)
+        started = starting_machine(self.start, resonances) if resonances and self.request.output is not None else None
+        return ResonancesFit(
+            start=self.start,
+            data=self.hashes,
+            name=self.name,
+            text="" if started is None else modes_file_text(self.source, started, self.name, self.hashes, self.today),
+            skipped=self.gathered.skipped,
+            advice=[
+                *unclear,
+                *left_out,
+                "Spectra hold no phase and no command: they say where it resonates, not why. For a model that can be "
+                "compensated with, run `ffcomp record plan --for identify` and bring its captures.",
+            ],
+            refusal=() if resonances else [*left_out, *unclear, *self.gathered.skipped],
+            spectra=spectra,
+            started=started,
+            belts=self.belts,
+        )
+
+
+def _name(start: Machine, request: FitRequest) -> str:
+    """Return the new machine's name."""
+    return request.name or (start.name if request.output is None else request.output.stem)
+
+
+def _too_rough(axis: AxisFit) -> str:
+    return (
+        f"[axes.{axis.name}] is not written: its modes leave {100 * max(axis.errors):.0f} % of the measurement "
+        f"unexplained, and {100 * ROUGH:.0f} % is the limit. Fasten the sensor and what rattles, and test it again; or "
+        "write it all the same with --rough."
+    )
+
+
+def _left_out(fit: ModeFit) -> str:
+    return (
+        f"{Path(fit.source).name} is not used for the machine file: its modes leave {100 * fit.misfit:.0f} % of the "
+        f"spectrum unexplained, and {100 * ROUGH:.0f} % is the limit. Test it again, or say --rough."
+    )
+
+
+def _of_towers(belts: BeltComparison | None) -> list[Resonance]:
+    """Return the mean resonance of the head on all towers; at the centre of a delta all directions are alike."""
+    if belts is None:
+        return []
+    frequency, damping = (float(np.mean([e.value for e in belts.modes_hz])), float(np.mean(belts.damping_ratio)))
+    mode = Mode(frequency, belts.modes_hz[0].sd, damping, DAMPING_SD * damping, 1.0)
+    return [Resonance("x", (0.0, 0.0), mode)]

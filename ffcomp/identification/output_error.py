@@ -1,0 +1,517 @@
+"""The output-error fit: all frequency responses at once, the machine file's own parameters as unknowns.
+
+    minimise  Σ |H − Ĥ(θ)|²/(σ² + ε²|H|²)  +  Σ ((θ − θ₀)/σ₀)²
+
+σ² is the measured variance, ε the model's own error: zero where the noise explains the residual of a response, else the
+share of its values that does. The second sum holds prior knowledge (a part put on a scale), and keeps a parameter that
+the data do not determine near the starting file's. Recommended over the paper's method: it uses every measured value
+once, needs no fit of coefficients, and works at any position.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from ffcomp.errors import SolverError
+from ffcomp.identification.predict import predicted
+from ffcomp.identification.rational import scaled_inverse
+from ffcomp.identification.uncertainty import Estimate, lognormal, normal
+from ffcomp.measurement.frf import FrequencyResponse
+from ffcomp.numerics.least_squares import central_differences, forward_differences, minimise
+from ffcomp.numerics.stages import Now, Stage
+from models.arrays import ComplexArray, FloatArray, IntArray
+from models.kinds import delta_vibration
+from models.machine import Machine, value_of, with_values
+
+STIFFNESS = tuple(f"effector.extruder_stiffness_n_per_m[{i}]" for i in range(3))
+DAMPING = tuple(f"effector.extruder_damping_n_s_per_m[{i}]" for i in range(3))
+DRIVE = ("carriage.drive.d0_per_s2", "carriage.drive.d1_per_s", "carriage.drive.d2_per_s")
+UNKNOWNS = (
+    "carriage.mass_kg",
+    "carriage.belt_stiffness_n_per_m",
+    "carriage.belt_damping_n_s_per_m",
+    "carriage.guide_damping_n_s_per_m",
+    *DRIVE,
+    "effector.nozzle_mass_kg",
+    "effector.extruder_mass_kg",
+    *STIFFNESS,
+    *DAMPING,
+)
+EFFECTOR_MASSES = ("effector.nozzle_mass_kg", "effector.extruder_mass_kg")
+TOTAL_MASS = "effector.total_mass_kg"  # m_1 + m_2, as a scale shows it
+SIGNED = {"carriage.drive.d1_per_s"}  # every other parameter is positive, and fitted as its logarithm
+
+PRIOR_SD = 1.0  # of the logarithm of an unknown parameter: a factor of e
+SIGNED_UNIT = 100.0  # 1/s, the size of one step of d1
+DELAY_UNIT_S = 1e-3
+ROTATION_SD_DEG = 3.0  # of an accelerometer against the printer's axes
+ROTATION_UNIT = float(np.radians(ROTATION_SD_DEG)) / PRIOR_SD
+BLOCK_HZ = 5.0  # the model's error keeps its sign over about so wide a band
+COARSE = 0.3  # model error of the coarse fit
+FINE = 0.05  # model error with which two near fits are compared
+OTHER_MOUNTS = (0.02, 50.0)  # factors on a mount's stiffness
+NEAR = 0.1  # of the values may be far off where the search for a start ends
+STARTS = (1.0, 0.75, 1.33, 0.6, 1.7)  # factors on every frequency of the starting machine
+RANDOM_STARTS = 30
+STEP = 1e-5  # of central differences: the unknowns are of order one, the error 1e-10
+FORWARD_STEP = 1e-7  # of the differences on the way
+ROUGH_EVALUATIONS, ROUGH_TOLERANCE = 30, 1e-3  # of a start, before it is compared with others
+ROUNDS = 10  # of fitting and reweighting
+SMALLEST_MODEL_ERROR = 1e-4
+
+
+@dataclass(frozen=True, eq=False)
+class Fitted:
+    """The result of the output-error fit."""
+
+    machine: Machine
+    estimates: Mapping[str, Estimate]  # unknowns by their names in the machine file, and the total mass
+    prior_share: Mapping[str, float]  # 0: the data alone say it … 1: the data say nothing
+    weak: Mapping[str, Mapping[str, float]]  # ill-determined parameter -> the others it is correlated with
+    delays_s: Mapping[str, Estimate]  # of each clock
+    rotation_deg: Mapping[str, Estimate]  # of the accelerometer about x, y, z; empty: not of captures
+    common_scale_sd: float  # relative, of all masses, stiffnesses and dampings together
+    beside_scale: Mapping[str, Estimate]  # the unknowns, that common scale being given
+    misfit: float  # χ² by degree of freedom against the measured noise alone
+    bic: float  # Bayesian information criterion: of two models of the same responses the smaller one is preferred
+    model_errors: FloatArray  # (r,) ε of each response
+    responses: Sequence[FrequencyResponse]
+    predictions: Sequence[ComplexArray]  # of the fitted machine, delays included
+
+    @property
+    def model_error(self) -> float:
+        """ε of the typical response (the median): 0 if the model explains most of them to their noise."""
+        return float(np.median(self.model_errors))
+
+
+def fit_machine(
+    start: Machine,
+    responses: Sequence[FrequencyResponse],
+    known: Mapping[str, tuple[float, float]] | None = None,
+    *,
+    unknowns: Sequence[str] = UNKNOWNS,
+    starts: Sequence[Mapping[str, float]] = (),
+    progress: Callable[[str], None] = lambda _: None,
+) -> Fitted:
+    """Tune `start` to the responses.
+
+    Parameters
+    ----------
+    known : name -> (value, standard uncertainty), of machine-file parameters or of TOTAL_MASS.
+    unknowns : parameters that are fitted; all others stay the starting machine's.
+    starts : values to begin with in place of the starting machine's, one try each. By default the starting
+        machine, four that are slower or faster throughout, and then random ones, until one comes near.
+
+    Raises
+    ------
+    MeasurementError
+        For a response that the model does not have.
+    SolverError
+        If there are fewer values than unknowns, or no start leads anywhere.
+    """
+    problem = _problem(start, responses, dict(known or {}), unknowns)
+    if 2 * sum(map(len, problem.values)) <= len(problem.names):
+        raise SolverError("There are fewer measured values than unknown parameters: measure more frequencies.")
+    progress(Stage(2, "seeking where to begin"))
+    theta = _best_start(problem, starts, progress)
+    progress(Stage(4, f"fitting {len(problem.names)} numbers"))
+    epsilon = _model_error(problem, theta, together=True)
+    for _ in range(ROUNDS):
+        theta = _least_squares(problem, theta, epsilon)
+        before, epsilon = epsilon, _model_error(problem, theta, together=False)
+        progress(f"model error {100 * float(np.max(epsilon)):.2f} % at most")
+        if np.all(np.abs(epsilon - before) <= 0.05 * epsilon + 1e-4):
+            break
+    return _result(problem, theta, epsilon)
+
+
+# ---- the problem ---------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class _Problem:
+    start: Machine
+    responses: Sequence[FrequencyResponse]
+    names: tuple[str, ...]  # unknowns, then one a clock, then three of a rotation where there are captures
+    clocks: tuple[str, ...]
+    values: list[ComplexArray]
+    known: dict[str, tuple[float, float]]
+    weak_mean: FloatArray  # (p,) θ₀ of the weak prior
+    captures: IntArray  # (g, 3) the responses of one accelerometer along x, y, z
+
+    @property
+    def end_of_clocks(self) -> int:
+        """Where the rotation's angles begin in θ."""
+        return len(self.names) + len(self.clocks)
+
+    def parameters(self, theta: FloatArray) -> dict[str, float]:
+        return {name: _parameter(name, t) for name, t in zip(self.names, theta, strict=False)}
+
+    def machine(self, theta: FloatArray) -> Machine:
+        return with_values(self.start, self.parameters(theta))
+
+    def model(self, theta: FloatArray) -> list[ComplexArray]:
+        responses = predicted(self.machine(theta), self.responses)
+        if len(self.captures):
+            responses = rotated(responses, self.captures, ROTATION_UNIT * theta[self.end_of_clocks :])
+        delays = dict(zip(self.clocks, DELAY_UNIT_S * theta[len(self.names) : self.end_of_clocks], strict=True))
+        return [
+            h * np.exp(-2j * np.pi * r.frequency_hz * delays.get(r.clock, 0.0))
+            for h, r in zip(responses, self.responses, strict=True)
+        ]
+
+    def prior(self, theta: FloatArray) -> FloatArray:
+        """Return the residuals of known parameters, then of the weak prior."""
+        values = self.parameters(theta)
+        values[TOTAL_MASS] = _total_mass(self.start, values)
+        known = [(values[name] - value) / sd for name, (value, sd) in self.known.items()]
+        return np.concatenate([known, (theta - self.weak_mean) / PRIOR_SD])
+
+    def residual(self, theta: FloatArray, epsilon: FloatArray) -> FloatArray:
+        parts = []
+        for h, measured, response, share in zip(self.model(theta), self.values, self.responses, epsilon, strict=True):
+            error = (h - measured) * np.sqrt(2 / _variance(response, share))
+            parts += [error.real, error.imag]
+        return np.concatenate([*parts, self.prior(theta)])
+
+
+def _problem(
+    start: Machine,
+    responses: Sequence[FrequencyResponse],
+    known: dict[str, tuple[float, float]],
+    unknowns: Sequence[str],
+) -> _Problem:
+    names = tuple(name for name in unknowns if delta_vibration(start).carriage.drive is not None or name not in DRIVE)
+    unknown = set(known) - {*names, TOTAL_MASS}
+    if unknown:
+        raise SolverError(
+            f"{sorted(unknown)[0]!r} is no parameter of this fit; known are {', '.join(names)}, {TOTAL_MASS}."
+        )
+    clocks = tuple(sorted({r.clock for r in responses} - {""}))
+    captures = of_one_capture(responses)
+    nuisances = len(clocks) + 3 * bool(len(captures))
+    mean = np.array([_unknown(name, value_of(start, name)) for name in names] + [0.0] * nuisances)
+    return _Problem(start, responses, names, clocks, [r.value for r in responses], known, mean, captures)
+
+
+def _variance(response: FrequencyResponse, epsilon: float) -> FloatArray:
+    floor = 1e-16 * np.mean(np.abs(response.value) ** 2)  # noise-free data: finite weights all the same
+    return response.variance + (epsilon * np.abs(response.value)) ** 2 + floor
+
+
+def _unknown(name: str, value: float) -> float:
+    return value / SIGNED_UNIT if name in SIGNED else float(np.log(max(value, 1e-12)))
+
+
+def _parameter(name: str, theta: float) -> float:
+    return float(theta * SIGNED_UNIT if name in SIGNED else np.exp(np.clip(theta, -30.0, 30.0)))
+
+
+def _total_mass(start: Machine, values: Mapping[str, float]) -> float:
+    return sum(values.get(name, value_of(start, name)) for name in EFFECTOR_MASSES)
+
+
+# ---- solving -------------------------------------------------------------------------------------
+
+
+def _best_start(
+    problem: _Problem, starts: Sequence[Mapping[str, float]], progress: Callable[[str], None]
+) -> FloatArray:
+    """Fit coarsely from several machines and return the best; the first that comes near ends the search.
+
+    The coarse fit weights every value alike (model error 30 %), so that no sharp resonance traps it.
+    """
+    tries = [_with(problem, values) for values in starts] or list(_tries(problem))
+    best, least = problem.weak_mean, np.inf
+    for number, start in enumerate(tries, 1):
+        theta = _roughly(problem, start, COARSE)
+        excess = _excess(problem, _errors(problem, theta), COARSE)
+        progress(f"start {number}: {100 * COARSE * np.sqrt(max(excess, 0.0)):.0f} % of the responses unexplained")
+        if excess < least:
+            best, least = theta, excess
+        if not starts and _far_share(problem, best) < NEAR:
+            break
+    return best if starts else _other_mounts(problem, best, progress)
+
+
+def _other_mounts(problem: _Problem, best: FloatArray, progress: Callable[[str], None]) -> FloatArray:
+    """Try far softer and harder mounts too: a mount taken for one of them is a local optimum that looks fair."""
+    share = _same(problem, FINE)
+    best = _roughly(problem, best, FINE)
+    least = float(np.sum(problem.residual(best, share) ** 2))
+    progress(Stage(3, "trying softer and harder mounts"))
+    for stiffness, damping in zip(STIFFNESS, DAMPING, strict=True):
+        if stiffness not in problem.names:
+            continue
+        progress(Now(f"another {stiffness}"))
+        for factor in OTHER_MOUNTS:
+            trial = best.copy()
+            trial[problem.names.index(stiffness)] += np.log(factor)
+            trial[problem.names.index(damping)] += np.log(factor) / 2
+            trial = _roughly(problem, trial, FINE)
+            cost = float(np.sum(problem.residual(trial, share) ** 2))
+            best, least = (trial, cost) if cost < least else (best, least)
+    return best
+
+
+def _same(problem: _Problem, share: float) -> FloatArray:
+    """Return one model error for all responses, (r,)."""
+    return np.full(len(problem.responses), share)
+
+
+def _tries(problem: _Problem) -> Iterator[FloatArray]:
+    """Yield the starting machine, slower and faster ones, then random ones (the same in every call)."""
+    for factor in STARTS:
+        yield _faster(problem, factor)
+    rng = np.random.default_rng(0)
+    for _ in range(RANDOM_STARTS):
+        theta = _faster(problem, float(np.exp(rng.uniform(-0.5, 0.5))))
+        yield theta + rng.uniform(-1.0, 1.0, len(theta))
+
+
+def _errors(problem: _Problem, theta: FloatArray) -> list[FloatArray]:
+    """Compute |H − Ĥ|² of each response."""
+    return [np.abs(h - v) ** 2 for h, v in zip(problem.model(theta), problem.values, strict=True)]
+
+
+def _far_share(problem: _Problem, theta: FloatArray) -> float:
+    """Count the share of the values that are off by more than twice the coarse model error and the noise together."""
+    pairs = zip(_errors(problem, theta), problem.responses, strict=True)
+    far = sum(int(np.sum(e > 4 * _variance(r, COARSE))) for e, r in pairs)
+    return far / sum(map(len, problem.values))
+
+
+def _excess(problem: _Problem, errors: Sequence[FloatArray], epsilon: float) -> float:
+    """Average the errors beyond the measured noise, as a share of σ² + ε²|H|²."""
+    pairs = zip(errors, problem.responses, strict=True)
+    over = sum(float(np.sum((e - _variance(r, 0.0)) / _variance(r, epsilon))) for e, r in pairs)
+    return over / sum(map(len, problem.values))
+
+
+def _with(problem: _Problem, values: Mapping[str, float]) -> FloatArray:
+    theta = problem.weak_mean.copy()
+    for name, value in values.items():
+        theta[problem.names.index(name)] = _unknown(name, value)
+    return theta
+
+
+def _faster(problem: _Problem, factor: float) -> FloatArray:
+    """Multiply every natural frequency of the starting machine; keep the damping ratios."""
+    theta = problem.weak_mean.copy()
+    for i, name in enumerate(problem.names):
+        if "stiffness" in name or name.endswith("d0_per_s2"):
+            theta[i] += 2 * np.log(factor)
+        elif "damping" in name or name.endswith("d2_per_s"):
+            theta[i] += np.log(factor)
+        elif name in SIGNED:
+            theta[i] *= factor
+    return theta
+
+
+def _roughly(problem: _Problem, theta: FloatArray, epsilon: float) -> FloatArray:
+    """Fit well enough to compare where two starts lead."""
+    return _least_squares(
+        problem, theta, _same(problem, epsilon), evaluations=ROUGH_EVALUATIONS, tolerance=ROUGH_TOLERANCE
+    )
+
+
+def _least_squares(
+    problem: _Problem, theta: FloatArray, epsilon: FloatArray, *, evaluations: int = 200, tolerance: float = 1e-8
+) -> FloatArray:
+    def residual(at: FloatArray) -> FloatArray:
+        return problem.residual(at, epsilon)
+
+    solution = minimise(
+        residual,
+        theta,
+        lambda at: forward_differences(residual, at, FORWARD_STEP),
+        evaluations=evaluations,
+        tolerance=tolerance,
+    )
+    if not np.all(np.isfinite(solution.x)):
+        raise SolverError("The output-error fit overflowed: check the measurements' units.")
+    return solution.x
+
+
+def _jacobian(problem: _Problem, theta: FloatArray, epsilon: FloatArray) -> FloatArray:
+    return central_differences(lambda at: problem.residual(at, epsilon), theta, np.full(len(theta), STEP))
+
+
+def _model_error(problem: _Problem, theta: FloatArray, together: bool) -> FloatArray:
+    """Find the ε, (r,), that makes Σ|H − Ĥ|²/(σ² + ε²|H|²) its expected value, 0 if the noise explains it already.
+
+    One for all responses to begin with, so that a common fit comes first; then one for each.
+    """
+    errors = _errors(problem, theta)
+    total = sum(map(len, problem.values))
+    used = len(theta) / 2 / total  # of each value, by the unknowns
+    pairs = list(zip(errors, problem.responses, strict=True))
+    if together:
+        return _same(problem, _level(pairs, total * (1 - used)))
+    return np.array([_level([pair], len(pair[0]) * (1 - used)) for pair in pairs])
+
+
+def _level(pairs: Sequence[tuple[FloatArray, FrequencyResponse]], count: float) -> float:
+    def excess(epsilon: float) -> float:
+        return sum(float(np.sum(e / _variance(r, epsilon))) for e, r in pairs) / count - 1
+
+    if excess(0.0) < 4 / np.sqrt(count):
+        return 0.0
+    low, high = SMALLEST_MODEL_ERROR, 10.0
+    if excess(low) < 0:
+        return low
+    for _ in range(60):
+        middle = np.sqrt(low * high)
+        low, high = (middle, high) if excess(middle) > 0 else (low, middle)
+    return float(low)
+
+
+# ---- the result ----------------------------------------------------------------------------------
+
+
+def _result(problem: _Problem, theta: FloatArray, epsilon: FloatArray) -> Fitted:
+    covariance = _covariance(problem, theta, epsilon)
+    sd = np.sqrt(np.diag(covariance))
+    values = problem.parameters(theta)
+    estimates = {name: _estimate(name, values[name], sd[i]) for i, name in enumerate(problem.names)}
+    estimates[TOTAL_MASS] = _total_estimate(problem, values, covariance)
+    share = {name: float(min(1.0, covariance[i, i] / PRIOR_SD**2)) for i, name in enumerate(problem.names)}
+    of_clocks = slice(len(problem.names), problem.end_of_clocks)
+    clocks = zip(problem.clocks, theta[of_clocks], sd[of_clocks], strict=True)
+    scale_sd, beside = _beside_common_scale(problem, values, covariance)
+    errors = _errors(problem, theta)
+    chi = sum(float(np.sum(e / _variance(r, 0.0))) for e, r in zip(errors, problem.responses, strict=True))
+    count = sum(map(len, problem.values))
+    return Fitted(
+        problem.machine(theta),
+        estimates,
+        share,
+        _weak(problem, covariance),
+        {clock: normal(DELAY_UNIT_S * t, DELAY_UNIT_S * s) for clock, t, s in clocks},
+        _rotation(problem, theta, sd),
+        scale_sd,
+        {name: _estimate(name, values[name], beside[i]) for i, name in enumerate(problem.names)},
+        chi / (count - len(theta) / 2),
+        _deviance(problem, errors, epsilon) + len(theta) * float(np.log(2 * count)),
+        epsilon,
+        problem.responses,
+        problem.model(theta),
+    )
+
+
+def _rotation(problem: _Problem, theta: FloatArray, sd: FloatArray) -> dict[str, Estimate]:
+    degrees = float(np.degrees(ROTATION_UNIT))
+    pairs = zip("xyz", theta[problem.end_of_clocks :], sd[problem.end_of_clocks :], strict=False)
+    return {axis: normal(degrees * float(t), degrees * float(s)) for axis, t, s in pairs}
+
+
+def _beside_common_scale(
+    problem: _Problem, values: Mapping[str, float], covariance: FloatArray
+) -> tuple[float, FloatArray]:
+    """Return the sd of all masses, stiffnesses and dampings together, and each unknown's (p,) where that is given.
+
+    Without a force or a weight, motion tells their ratios only: so they are uncertain all together. Their scale is
+    taken to be the effector's mass, which is what one can weigh.
+    """
+    weight = np.zeros(len(covariance))
+    mass = [values[name] if name in EFFECTOR_MASSES else 0.0 for name in problem.names]
+    weight[: len(mass)] = np.array(mass) / _total_mass(problem.start, values)
+    along = covariance @ weight
+    variance = float(weight @ along)
+    if variance == 0.0:  # the effector's masses are not fitted
+        return 0.0, np.sqrt(np.diag(covariance))
+    return float(np.sqrt(variance)), np.sqrt(np.maximum(np.diag(covariance) - along**2 / variance, 0.0))
+
+
+def _deviance(problem: _Problem, errors: Sequence[FloatArray], epsilon: FloatArray) -> float:
+    """Return −2 ln of the likelihood of circular complex noise, up to a constant."""
+    pairs = [(e, _variance(r, share)) for e, r, share in zip(errors, problem.responses, epsilon, strict=True)]
+    return 2 * sum(float(np.sum(e / v + np.log(v))) for e, v in pairs)
+
+
+def _covariance(problem: _Problem, theta: FloatArray, epsilon: FloatArray) -> FloatArray:
+    """Estimate the covariance (p, p) of the unknowns.
+
+    Where the model's error is more than noise it is correlated over neighbouring frequencies: the sandwich of Huber and
+    White with blocks of 5 Hz (Liang & Zeger, Biometrika 73, 1986) then widens the inverse information.
+    """
+    j = _jacobian(problem, theta, epsilon)
+    bread = scaled_inverse(j.T @ j)
+    if not epsilon.any():
+        return bread
+    residual = problem.residual(theta, epsilon)
+    data = len(residual) - len(problem.known) - len(theta)
+    gradients = [j[rows].T @ residual[rows] for rows in _blocks(problem)]
+    meat = sum((np.outer(g, g) for g in gradients), j[data:].T @ j[data:])
+    wider = np.sqrt(np.maximum(1.0, np.diag(bread @ meat @ bread) / np.diag(bread)))
+    return bread * np.outer(wider, wider)
+
+
+def _blocks(problem: _Problem) -> list[FloatArray]:
+    """List the rows of the residual, both real and imaginary, of each 5 Hz of each response."""
+    rows, at = [], 0
+    for response in problem.responses:
+        k = len(response.frequency_hz)
+        block = (response.frequency_hz // BLOCK_HZ).astype(int)
+        for number in np.unique(block):
+            members = at + np.flatnonzero(block == number)
+            rows.append(np.concatenate([members, members + k]))
+        at += 2 * k
+    return rows
+
+
+def _estimate(name: str, value: float, sd: float) -> Estimate:
+    return normal(value, SIGNED_UNIT * sd) if name in SIGNED else lognormal(value, sd)
+
+
+def _total_estimate(problem: _Problem, values: Mapping[str, float], covariance: FloatArray) -> Estimate:
+    slope = np.zeros(len(covariance))
+    slope[: len(problem.names)] = [values[n] if n in EFFECTOR_MASSES else 0.0 for n in problem.names]
+    return normal(_total_mass(problem.start, values), float(np.sqrt(slope @ covariance @ slope)))
+
+
+WEAK_SD = 0.1  # a parameter known worse than 10 % is weak
+STRONG_CORRELATION = 0.9
+
+
+def _weak(problem: _Problem, covariance: FloatArray) -> dict[str, dict[str, float]]:
+    sd = np.sqrt(np.diag(covariance))
+    correlation = covariance / np.outer(sd, sd)
+    weak = {}
+    for i, name in enumerate(problem.names):
+        if sd[i] > WEAK_SD:
+            others = {o: float(correlation[i, k]) for k, o in enumerate(problem.names) if k != i}
+            weak[name] = {o: c for o, c in others.items() if abs(c) > STRONG_CORRELATION}
+    return weak
+
+
+_OUTPUTS = ("acc_x", "acc_y", "acc_z")
+
+
+def of_one_capture(responses: Sequence[FrequencyResponse]) -> IntArray:
+    """Return which responses are the three axes of one capture, (g, 3); those of a laboratory have no clock."""
+    captures: dict[tuple[object, ...], dict[str, int]] = {}
+    for number, r in enumerate(responses):
+        if r.clock and r.setup == "assembly" and r.output in _OUTPUTS:
+            repeat = 0
+            while r.output in captures.setdefault((r.clock, r.input, r.position_mm, repeat), {}):
+                repeat += 1  # the same experiment, captured again
+            captures[r.clock, r.input, r.position_mm, repeat][r.output] = number
+    rows = [[axes[name] for name in _OUTPUTS] for axes in captures.values() if len(axes) == len(_OUTPUTS)]
+    alike = [row for row in rows if len({len(responses[i].frequency_hz) for i in row}) == 1]
+    return np.array(alike, dtype=np.int64).reshape(-1, 3)
+
+
+def rotated(predictions: Sequence[ComplexArray], captures: IntArray, angles_rad: FloatArray) -> list[ComplexArray]:
+    """Turn the predicted responses of captures (g, 3) as a sensor turned by a rotation vector (3,) measures them."""
+    turned = list(predictions)
+    matrix = Rotation.from_rotvec(angles_rad).as_matrix()
+    for row in captures:
+        three = matrix @ np.stack([predictions[i] for i in row])
+        for i, each in zip(row, three, strict=True):
+            turned[i] = each
+    return turned

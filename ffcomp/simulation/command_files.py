@@ -1,0 +1,210 @@
+"""Files as commands: G-code as the firmware plans it, and step timings, whose staircase itself is executed.
+
+G-code goes through the kinematics that the firmware believes in; a compensated file is evaluated against the original
+that its comments keep. Motors hold their microsteps: a step comes when the command crosses the middle between two of
+them, so the staircase is the command rounded to them, neither early nor late, no more than half a microstep off.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import partial
+
+import numpy as np
+
+from ffcomp.errors import NothingToDo
+from ffcomp.planner.limits import known_to_the_firmware
+from ffcomp.planner.program import PlannedProgram, plan_program
+from ffcomp.planner.reach import within_reach
+from ffcomp.planner.trajectory import PlannedMotion
+from ffcomp.simulation.alignment import section_clock
+from ffcomp.simulation.command import (
+    Command,
+    CommandSection,
+    OfTime,
+    ReferencePath,
+    SectionClock,
+    path_corners_with_rests,
+    reference_clock,
+)
+from ffcomp.simulation.linear import continuous_intervals
+from ffcomp.steps.archive import MOTORS, MotorSteps, StepsError
+from gcode.embedded import STAMP_REACH, already_processed, find_offset, original
+from gcode.program import Program
+from gcode.reader import read_program
+from models.arrays import FloatArray
+from models.errors import UnreachableError
+from models.kinematics.base import Kinematics
+from models.machine import Machine
+
+FILE_PLAN = "the planned path of the file itself"
+ORIGINAL = "the planned path of the original print, which the compensated file keeps in its comments"
+
+
+def read_gcode(
+    data: bytes, path: str, machine: Machine, offset: tuple[float, float] = (0.0, 0.0), flavor: str = ""
+) -> tuple[Command, Program]:
+    """Read a sliced or a compensated file.
+
+    Parameters
+    ----------
+    data, path : the file and its name
+    offset : (float, float), added to every position, mm; a compensated file states its own
+    flavor : "" for what the machine file says, or else the file
+
+    Returns
+    -------
+    Command, Program: The command, and the program that was read.
+    """
+    firmware = known_to_the_firmware(machine)
+    inside = partial(within_reach, kinematics=machine.kinematics)
+    stamp = already_processed(data)
+    if stamp is None:
+        program = read_program(data, path, offset_mm=offset, flavor=flavor or machine.flavor or None, **firmware)
+        return gcode_command(plan_program(inside(program), machine), machine), program
+    program = read_program(data, path, flavor=stamp.flavor, **firmware)
+    offset = find_offset(data[:STAMP_REACH])
+    reference = read_program(original(data), path, offset_mm=offset, flavor=stamp.flavor, **firmware)
+    executed = plan_program(inside(program), machine)
+    return compensated_command(executed, plan_program(inside(reference), machine), machine), program
+
+
+def gcode_command(planned: PlannedProgram, machine: Machine) -> Command:
+    """Return a planned program, evaluated against its own path."""
+    trajectory = planned.trajectory
+    return _command(trajectory, trajectory, reference_clock(trajectory), machine, FILE_PLAN)
+
+
+def compensated_command(compensated: PlannedProgram, original: PlannedProgram, machine: Machine) -> Command:
+    """Return a compensated program, evaluated against the original's path."""
+    clock = section_clock(compensated, original)
+    return _command(compensated.trajectory, original.trajectory, clock, machine, ORIGINAL)
+
+
+def _command(
+    executed: PlannedMotion, reference: PlannedMotion, clock: SectionClock, machine: Machine, description: str
+) -> Command:
+    intervals = continuous_intervals(executed)
+    sections = [_section(executed, begin, end, reference, clock, machine) for begin, end in intervals]
+    return Command(sections, "cubic", description)
+
+
+def _section(
+    executed: PlannedMotion,
+    begin_s: float,
+    end_s: float,
+    reference: PlannedMotion,
+    clock: SectionClock,
+    machine: Machine,
+) -> CommandSection:
+    kinematics = machine.kinematics.compiled()
+    last = np.nextafter(end_s, -np.inf)  # at the end itself the next section may have begun
+    path_t, path = path_corners_with_rests(reference)
+
+    def actuators(t: FloatArray) -> FloatArray:
+        return kinematics.inverse(np.ascontiguousarray(executed.position(np.clip(t, begin_s, last))[:, :3]))
+
+    def plan_time(t: FloatArray) -> FloatArray:
+        return clock.plan_time(np.clip(t, begin_s, last))
+
+    def nozzle(t: FloatArray) -> FloatArray:
+        return np.ascontiguousarray(reference.position(plan_time(t))[:, :3])
+
+    def between(from_s: float, to_s: float) -> tuple[FloatArray, FloatArray]:
+        part = slice(max(int(np.searchsorted(path_t, from_s)) - 1, 0), int(np.searchsorted(path_t, to_s, "right")) + 1)
+        return path_t[part], path[part]
+
+    path_of_section = ReferencePath(nozzle, plan_time, between)
+    return CommandSection(begin_s, end_s, lambda t, step_s: actuators(t), actuators, path_of_section)
+
+
+REFERENCE = "the path of the steps themselves, with the microsteps smoothed out"
+LEAD_S = 0.05  # of rest before the first step
+AT_REST_S = 0.02  # a motor that holds a microstep for longer stands in its middle
+PATH_SAMPLE_S = 1 / 3200  # of the reference path: 0.1 µm at 10 m/s²
+
+
+def staircase(motor: MotorSteps, t: FloatArray, step_s: float) -> FloatArray:
+    """Return the motor's mean position, (k,) mm, over one step of time about each of the even times t (k,) s.
+
+    A mean keeps the time of every edge; executed with straight lines between rows, nothing comes early or late.
+    """
+    edges = np.append(t - step_s / 2, t[-1] + step_s / 2)
+    first, last = np.searchsorted(motor.time_s, (edges[0], edges[-1]))
+    # relative to the first edge, so that no digits are lost
+    corners = np.concatenate([[0.0], motor.time_s[first:last] - edges[0], [edges[-1] - edges[0]]])
+    level = motor.level_mm[first : last + 1]
+    area = np.concatenate([[0.0], np.cumsum((level - level[0]) * np.diff(corners))])
+    means: FloatArray = level[0] + np.diff(np.interp(edges - edges[0], corners, area)) / step_s
+    return means
+
+
+def smoothed(motor: MotorSteps, t: FloatArray) -> FloatArray:
+    """Return the command, (k,) mm, that the motor's steps stand for, at rising times t (k,) s.
+
+    Known at every step: half-way between two microsteps. In between it passes the middle of the microstep that is
+    held, or stays there if that takes long.
+    """
+    first, last = np.searchsorted(motor.time_s, (t[0], t[-1]))
+    part = slice(max(int(first) - 1, 0), int(last) + 1)  # one step more on either side
+    crossed = motor.time_s[part]
+    level = motor.level_mm[part.start : part.start + len(crossed) + 1]
+    if not len(crossed):
+        return np.full(len(t), level[0])
+    stays = np.minimum(np.diff(crossed) / 2, AT_REST_S)
+    before, after = np.append(AT_REST_S, stays), np.append(stays, AT_REST_S)
+    times = np.stack([crossed - before, crossed, crossed + after], axis=1).ravel()
+    heights = np.stack([level[:-1], (level[:-1] + level[1:]) / 2, level[1:]], axis=1).ravel()
+    return np.interp(t, times, heights)
+
+
+def steps_command(motors: Mapping[str, MotorSteps], machine: Machine, path: str = "") -> Command:
+    """Return the steps of a, b, c, from rest to rest, evaluated against the path they stand for.
+
+    Parameters
+    ----------
+    motors : mapping, steps of "a", "b" and "c", and of others
+    path : the archive, as the user named it
+
+    Raises
+    ------
+    StepsError: If the carriages begin where the machine's arms cannot join them.
+    NothingToDo: If no carriage steps.
+    """
+    carriages = [motors[motor] for motor in MOTORS]
+    moving = [each.time_s for each in carriages if len(each.time_s)]
+    if not moving:
+        raise NothingToDo(f"{path or 'The archive'} holds no step of a carriage: nothing to simulate.")
+    back = np.linalg.inv(machine.kinematics.motors).T
+    _check_start(machine.kinematics, np.array([[each.start_mm for each in carriages]]) @ back, path)
+    begin_s = max(min(float(t[0]) for t in moving) - LEAD_S, 0.0)
+    end_s = max(float(t[-1]) for t in moving) + AT_REST_S
+
+    def rows(t: FloatArray, step_s: float) -> FloatArray:
+        return np.column_stack([staircase(each, t, step_s) for each in carriages]) @ back
+
+    def commanded(t: FloatArray) -> FloatArray:
+        return np.column_stack([smoothed(each, t) for each in carriages]) @ back
+
+    reference = _reference(commanded, machine.kinematics)
+    return Command([CommandSection(begin_s, end_s, rows, commanded, reference)], "linear", REFERENCE)
+
+
+def _check_start(kinematics: Kinematics, carriages: FloatArray, path: str) -> None:
+    try:
+        kinematics.forward(carriages)
+    except UnreachableError as error:
+        raise StepsError(f"a_start_mm, b_start_mm, c_start_mm: {error}", path=path) from error
+
+
+def _reference(commanded: OfTime, kinematics: Kinematics) -> ReferencePath:
+    compiled = kinematics.compiled()
+
+    def nozzle(t: FloatArray) -> FloatArray:
+        return compiled.forward(commanded(t))
+
+    def path(from_s: float, to_s: float) -> tuple[FloatArray, FloatArray]:
+        t = np.linspace(from_s, to_s, int(np.ceil((to_s - from_s) / PATH_SAMPLE_S)) + 1)
+        return t, nozzle(t)
+
+    return ReferencePath(nozzle, lambda t: t, path)

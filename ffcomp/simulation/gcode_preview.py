@@ -1,0 +1,155 @@
+"""A small G-code for viewers: the moves as they were sliced, with the contour error in place of the features' colours.
+
+Viewers of slicers and hosts colour lines by the feature that a comment names. Here the name tells how large the error
+is; moves are cut where it changes. Nothing heats, homes or waits: it is to be looked at, not printed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from ffcomp.simulation.preview import Curve, Original
+from gcode.dialects import detect_slicer
+from gcode.layers import begins_feature
+from gcode.program import Event, EventQueue, Program
+from models.arrays import FloatArray, IntArray
+
+EDGES_UM = (5.0, 15.0, 50.0, 150.0)  # between the levels; a line is some 400 wide
+PIECE_MM = 1.0  # a move is cut no finer
+MOST_PIECES = 100
+NOT_FOR_PRINTING = b"; For viewers, NOT FOR PRINTING: ffcomp's preview. Each colour is a contour error:\n"
+
+# From small to large errors: features that viewers draw green or grey, yellow, orange, red and dark red.
+_PRUSA = ("Support material", "Perimeter", "External perimeter", "Top solid infill", "Internal infill")
+_ORCA = ("Support", "Inner wall", "Outer wall", "Top surface", "Sparse infill")
+_CURA = ("SUPPORT", "SKIN", "WALL-OUTER", "FILL", "WALL-INNER")
+_NAMES = {"OrcaSlicer": _ORCA, "BambuStudio": _ORCA, "Cura": _CURA}
+_MARKS = {"BambuStudio": "; FEATURE: "}
+
+
+@dataclass(frozen=True, slots=True)
+class Levels:
+    """How large the error is along each of n moves."""
+
+    count: IntArray  # (n,) pieces of equal length of each move
+    first: IntArray  # (n,) its first piece
+    level: IntArray  # (pieces,) 0 to len(EDGES_UM)
+
+
+def gcode_preview(
+    original: Original, curve: Curve, due: FloatArray, offset: tuple[float, float] = (0.0, 0.0)
+) -> Iterator[bytes]:
+    """Yield the lines of the preview.
+
+    Parameters
+    ----------
+    original : whose moves are drawn
+    curve : whose error is shown
+    due : shape (m,), s: when the original's plan is at the reference of each sample of the curve
+    offset : (float, float), by which the print was shifted, mm: the preview lies where the slicer had it
+    """
+    program = original.program
+    slicer = detect_slicer(program.lines)
+    names = [_MARKS.get(slicer, ";TYPE:") + name for name in _NAMES.get(slicer, _PRUSA)]
+    levels, queue = error_levels(original, curve, due), EventQueue(program.events)
+    comments = _comments(program, queue.up_to(0))
+    yield next(comments, b"; ffcomp\n")  # viewers know the slicer by the first line
+    yield NOT_FOR_PRINTING
+    yield from (
+        f"; {text}: {name.split(':')[1].strip()}\n".encode() for text, name in zip(_level_texts(), names, strict=True)
+    )
+    yield b"G21\nG90\nM83\n"
+    yield from comments
+    write = _Writer(names)
+    for number in range(len(program.moves)):
+        if number:
+            yield from _comments(program, queue.up_to(number))
+        for piece in _pieces(program, levels, number, offset):
+            yield write(piece)
+    yield from _comments(program, queue.up_to(len(program.moves)))
+
+
+def error_levels(original: Original, curve: Curve, due: FloatArray) -> Levels:
+    """Find the largest error on each piece of each move."""
+    moves = original.program.moves
+    start, way = moves.start[:, :3], moves.end[:, :3] - moves.start[:, :3]
+    length = np.sqrt((way**2).sum(axis=1))
+    extrudes = (moves.end[:, 3] > moves.start[:, 3]) & (length > 0.0)
+    count = np.where(extrudes, np.clip(np.ceil(length / PIECE_MM), 1, MOST_PIECES), 1).astype(np.int64)
+    first = np.cumsum(count) - count
+    move = np.clip(original.plan.move_at(due), 0, len(moves) - 1)
+    along = ((curve.reference - start[move]) * way[move]).sum(axis=1) / np.maximum(length[move] ** 2, 1e-12)
+    piece = first[move] + np.minimum(np.clip(along, 0.0, 1.0) * count[move], count[move] - 1).astype(np.int64)
+    worst = np.full(int(count.sum()), -1.0)
+    np.maximum.at(worst, piece, 1e3 * curve.contour)
+    return Levels(count, first, np.searchsorted(EDGES_UM, _filled(worst), side="right"))
+
+
+def _filled(values: FloatArray) -> FloatArray:
+    known = np.maximum.accumulate(np.where(values >= 0.0, np.arange(len(values)), 0))
+    return np.asarray(np.maximum(values[known], 0.0))
+
+
+def _level_texts() -> list[str]:
+    edges = [f"{edge:g}" for edge in EDGES_UM]
+    between = [f"{low} to {high} um" for low, high in pairwise(edges)]
+    return [f"below {edges[0]} um", *between, f"above {edges[-1]} um"]
+
+
+def _comments(program: Program, events: Iterable[Event]) -> Iterator[bytes]:
+    """Yield the comments among lines: layers, sizes, thumbnails and settings; not the features."""
+    for event in events:
+        line = program.lines[event.line]
+        if line.lstrip().startswith(b";") and not begins_feature(line):
+            yield line if line.endswith(b"\n") else line + b"\n"
+
+
+@dataclass(frozen=True, slots=True)
+class _Piece:
+    """A piece of a move, to here: mm, mm/min."""
+
+    level: int  # -1: no plastic flows
+    x: float
+    y: float
+    z: float
+    filament: float
+    feed: float
+
+
+def _pieces(program: Program, levels: Levels, number: int, offset: tuple[float, float]) -> Iterator[_Piece]:
+    moves = program.moves
+    start, end, feed = moves.start[number], moves.end[number], 60.0 * float(moves.speed[number])
+    filament, count = float(end[3] - start[3]), int(levels.count[number])
+    flows = filament > 0.0 and bool(np.any(end[:3] != start[:3]))
+    level = levels.level[levels.first[number] : levels.first[number] + count]
+    stops = [*(np.flatnonzero(np.diff(level)) + 1).tolist(), count]
+    for begin, stop in pairwise((0, *stops)):
+        x, y, z = (start[:3] + (end[:3] - start[:3]) * (stop / count)).tolist()
+        share = filament * (stop - begin) / count
+        yield _Piece(int(level[begin]) if flows else -1, x - offset[0], y - offset[1], z, share, feed)
+
+
+class _Writer:
+    """Writes pieces, each with what has changed."""
+
+    def __init__(self, names: list[str]) -> None:
+        self._names, self._level = names, -1
+        self._at: dict[str, str] = {}
+
+    def __call__(self, piece: _Piece) -> bytes:
+        """Return the lines of a piece; the feature's first where it has changed."""
+        words = {"X": f"{piece.x:.3f}", "Y": f"{piece.y:.3f}", "Z": f"{piece.z:.3f}", "F": f"{piece.feed:.0f}"}
+        new = [name + value for name, value in words.items() if self._at.get(name) != value]
+        self._at = words
+        filament = f"{piece.filament:.5f}"
+        if float(filament):
+            new.append(f"E{filament}")
+        feature = ""
+        if piece.level not in (self._level, -1):
+            self._level = piece.level
+            feature = f"{self._names[piece.level]}\n"
+        return f"{feature}G1 {' '.join(new)}\n".encode() if new else feature.encode()

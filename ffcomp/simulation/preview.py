@@ -1,0 +1,194 @@
+"""Compare a compensated file with its original on the design model: the reference path, before and after.
+
+Everything is read from the compensated file: its segments are planned as the firmware plans them, the original is
+restored from the comments that keep it, and the two clocks are aligned where the original's moves are noted.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from ffcomp.metrics import (
+    ContourStatistics,
+    Track,
+    build_track,
+    contour_error,
+    contour_statistics,
+    end_to_end,
+    tracking,
+)
+from ffcomp.planner.limits import known_to_the_firmware, planner_limits
+from ffcomp.planner.lookahead import plan_moves, stops_and_waits
+from ffcomp.planner.program import PlannedProgram
+from ffcomp.planner.reach import within_reach
+from ffcomp.planner.trajectory import PlannedMotion, split_sections
+from ffcomp.simulation.alignment import section_clock
+from ffcomp.simulation.command import command_peaks, motion_of, path_corners_with_rests, reference_clock
+from ffcomp.simulation.linear import continuous_intervals, simulate_linear
+from gcode.embedded import original_lines
+from gcode.layers import labels, outer_walls
+from gcode.program import Program
+from gcode.reader import read_program
+from models.arrays import BoolArray, FloatArray
+from models.machine import Machine, Pressure
+
+STEP_S = 5e-4
+SMOOTHED_S = 8e-3  # segments are steps of flow, which the plastic evens out
+
+
+@dataclass(frozen=True, eq=False)
+class Flow:
+    """Filament that should flow and does, at m times, mm/s; retractions are left out."""
+
+    t: FloatArray  # (m,) s
+    pushed: FloatArray  # (m,) by the plan's filament
+    flows: FloatArray  # (m,)
+
+    def at(self, t: FloatArray) -> FloatArray:
+        """Return what flows at times (k,) s, (k,) mm/s."""
+        return np.interp(t, self.t, self.flows)
+
+
+def flow_of(plan: PlannedMotion, pressure: Pressure) -> Flow:
+    """Play a plan's filament through the firmware's own pressure advance and an extruder of one state."""
+    t = np.arange(float(plan.start_t[0]), plan.end_t, STEP_S)
+    travels = np.any(plan.direction[:, :3] != 0.0, axis=1)[plan.move_at(t)]
+    along = travels[1:] & travels[:-1]
+    pushed = np.append(np.where(along, np.diff(plan.position(t)[:, 3]), 0.0) / STEP_S, 0.0)
+    by_motor = pushed + pressure.firmware_advance_s * np.gradient(pushed, STEP_S)
+    tau, v, n = pressure.time_constant_s, pressure.reference_mm_per_s, pressure.flow_exponent
+    out = _played(by_motor, STEP_S, tau * v, v, 1.0 / n)
+    window = np.ones(max(1, round(SMOOTHED_S / STEP_S)))
+    return Flow(t, pushed, np.convolve(out, window / window.sum(), mode="same"))
+
+
+@njit(cache=True, nogil=True)
+def _played(pushed: FloatArray, step_s: float, compressed_there: float, v: float, power: float) -> FloatArray:
+    """Return what flows, (m,) mm/s; `compressed_there` is what is compressed where it flows at v."""
+    out = np.zeros(len(pushed))
+    compressed = 0.0
+    for k in range(len(pushed)):
+        compressed += pushed[k] * step_s
+        if compressed > 0.0:
+            out[k] = min(v * (compressed / compressed_there) ** power, compressed / step_s)
+            compressed -= out[k] * step_s
+    return out
+
+
+@dataclass(frozen=True, slots=True)
+class Curve:
+    """One simulated motion of the nozzle."""
+
+    t: FloatArray  # (m,) s on its own plan's clock
+    nozzle: FloatArray  # (m, 3) mm
+    reference: FloatArray  # (m, 3) mm, where the path is at that time
+    contour: FloatArray  # (m,) mm, distance to the path
+    extruding: BoolArray  # (m,) plastic flows
+    outer_wall: BoolArray  # (m,) and it is a wall that is seen from outside
+    peak: float = 0.0  # mm/s², largest acceleration of a carriage's command
+
+    @property
+    def track(self) -> Track:
+        """The TRACK over the whole print; where others have moved the nozzle, its motion begins anew."""
+        step = float(np.median(np.diff(self.t)))
+        begins = np.flatnonzero(np.abs(np.diff(self.t) - step) > 0.5 * step) + 1
+        joined = end_to_end(np.split(self.reference, begins), np.split(self.nozzle, begins))
+        seconds = float(self.t[-1] - self.t[0])
+        return build_track(tracking(*joined, step), self.contour, seconds, self.peak)
+
+    @property
+    def statistics(self) -> ContourStatistics:
+        """The contour error over the whole print."""
+        return contour_statistics(self.contour)
+
+
+@dataclass(frozen=True, slots=True)
+class Original:
+    """What was compensated, within reach, and when its plan is at the references of both curves."""
+
+    program: Program
+    plan: PlannedMotion
+    before_due: FloatArray  # (m,) s on the original plan's clock, for each sample of `before`
+    after_due: FloatArray  # the same of `after`
+
+
+@dataclass(frozen=True, slots=True)
+class Preview:
+    """Both prints on the design model."""
+
+    path: FloatArray  # (n, 3) mm, corners of the reference path
+    path_t: FloatArray  # (n,) s on the original plan's clock
+    before: Curve
+    after: Curve
+    original: Original | None = None
+    flows: tuple[Flow, Flow] | None = (
+        None  # before and after, on their own clocks; None: no pressure in the machine file
+    )
+
+
+def preview(
+    data: bytes, path: str, machine: Machine, offset: tuple[float, float] = (0.0, 0.0), flavor: str | None = None
+) -> Preview:
+    """Simulate the original and the compensated print with the design model.
+
+    Parameters
+    ----------
+    data, path : the compensated file and its name
+    offset : (float, float), by which the original's positions were shifted, mm
+    flavor : None: as the file says
+    """
+    lines = data.splitlines(keepends=True)
+    firmware = known_to_the_firmware(machine)
+    original = read_program(b"".join(original_lines(lines)), path, offset_mm=offset, flavor=flavor, **firmware)
+    compensated = read_program(data, path, flavor=flavor, **firmware)
+    original, compensated = (within_reach(program, machine.kinematics) for program in (original, compensated))
+    planned, compensation = _plan(original, machine), _plan(compensated, machine)
+    reference, executed = planned.trajectory, compensation.trajectory
+    path_t, corners = path_corners_with_rests(reference)
+    before_t, before = simulate_linear(machine, reference)
+    after_t, after = simulate_linear(machine, executed)
+    before_reference = reference.position(before_t)[:, :3]
+    after_due = section_clock(compensation, planned).plan_time(after_t)
+    after_reference = reference.position(after_due)[:, :3]
+    kinds = _kinds(original, reference)
+    peaks = [_peak(machine, plan) for plan in (reference, executed)]
+    contours = (contour_error(path_t, corners, t, xyz) for t, xyz in ((before_t, before), (after_due, after)))
+    of_before, of_after = contours
+    return Preview(
+        corners,
+        path_t,
+        Curve(before_t, before, before_reference, of_before, *kinds(before_t), peaks[0]),
+        Curve(after_t, after, after_reference, of_after, *kinds(after_due), peaks[1]),
+        Original(original, reference, before_t, after_due),
+        None
+        if machine.pressure is None
+        else (flow_of(reference, machine.pressure), flow_of(executed, machine.pressure)),
+    )
+
+
+def _peak(machine: Machine, plan: PlannedMotion) -> float:
+    """Return the largest acceleration of a carriage's command, mm/s²; jumps by others are left out."""
+    actuators = motion_of(plan, reference_clock(plan)).actuators(machine)
+    return max(command_peaks(actuators, begin, end)[1] for begin, end in continuous_intervals(plan))
+
+
+def _kinds(program: Program, plan: PlannedMotion) -> Callable[[FloatArray], tuple[BoolArray, BoolArray]]:
+    direction = plan.direction
+    extrudes = (direction[:, 3] > 0.0) & np.any(direction[:, :3] != 0.0, axis=1)
+    walls = extrudes & outer_walls(labels(program))
+
+    def at(t: FloatArray) -> tuple[BoolArray, BoolArray]:
+        move = np.clip(np.searchsorted(plan.start_t, t, side="right") - 1, 0, len(extrudes) - 1)
+        return extrudes[move], walls[move]
+
+    return at
+
+
+def _plan(program: Program, machine: Machine) -> PlannedProgram:
+    stop_before, wait_before = stops_and_waits(program)
+    plan = plan_moves(program.moves, planner_limits(machine), stop_before=stop_before, wait_before=wait_before)
+    return PlannedProgram(program, plan, split_sections(plan, stop_before), plan.end_t)

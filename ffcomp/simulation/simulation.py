@@ -1,0 +1,353 @@
+"""A whole simulation: a file executed on the simulated printer, evaluated, and written as a recording."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from math import inf
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ffcomp.errors import NothingToDo
+from ffcomp.metrics import Track, build_track, contour_error, end_to_end, tracking
+from ffcomp.numerics.serialise import to_json
+from ffcomp.simulation.command import Command, CommandSection, command_peaks
+from ffcomp.simulation.command_files import read_gcode, steps_command
+from ffcomp.simulation.playback import Chunk, check_same_kinematics, levelled, play
+from ffcomp.steps.archive import is_step_archive, read_steps
+from ffcomp.version import __version__
+from gcode.atomic_write import replace_atomically
+from gcode.container import read_bytes
+from gcode.errors import GcodeError
+from gcode.text import check_regular
+from models.arrays import FloatArray
+from models.effects.catalogue import CATALOGUE, measured
+from models.effects.effect import Signals
+from models.errors import UnreachableError
+from models.machine import Machine, identity
+
+EVALUATED_HZ = 1600.0  # no more samples than that are kept, 0.2 GB for an hour of print
+FEWEST_SAMPLES = 4
+
+
+@dataclass(frozen=True, eq=False)
+class Evaluation:
+    """What was executed against its reference, at m samples of all sections, and its statistics."""
+
+    time_s: FloatArray  # (m,) on the command's clock
+    reference_mm: FloatArray  # (m, 3) where the nozzle should be
+    nozzle_mm: FloatArray  # (m, 3) where it is, static deflection taken out
+    error_um: FloatArray  # (m,) contour error
+    track: Track
+    peak_actuator_velocity_mm_per_s: float
+
+
+class Evaluator:
+    """Collect chunks of an executed command and evaluate them all.
+
+    Static deflection is taken out (unless there is no gravity), as bed levelling does. The ringing after a section's
+    end is not evaluated.
+    """
+
+    def __init__(self, plant: Machine, rate_hz: float, gravity: bool = True) -> None:
+        self._plant, self._gravity = plant, gravity
+        self._every = max(1, round(rate_hz / EVALUATED_HZ))
+        self._sample_s = self._every / rate_hz
+        self._parts: dict[CommandSection, list[tuple[FloatArray, FloatArray]]] = {}  # times and nozzle of its chunks
+        self._skip = 0  # samples until the next that is kept
+
+    def add(self, chunk: Chunk) -> None:
+        """Take the next chunk in."""
+        if chunk.section not in self._parts:
+            self._parts[chunk.section], self._skip = [], 0
+        kept = slice(self._skip, None, self._every)
+        t, nozzle = chunk.t_s[kept], chunk.nozzle_mm[kept]
+        self._skip = (self._skip - len(chunk.t_s)) % self._every
+        inside = t <= chunk.section.end_s
+        nozzle = levelled(self._plant, nozzle[inside]) if self._gravity else nozzle[inside]
+        self._parts[chunk.section].append((t[inside], nozzle))
+
+    def enough(self, sections: int, seconds: float) -> bool:
+        """Tell whether a motion of so many sections and seconds can be evaluated at all."""
+        return seconds > (FEWEST_SAMPLES + sections) * self._sample_s
+
+    def evaluation(self) -> Evaluation:
+        """Evaluate everything that was added."""
+        sections = [self._section(section) for section in self._parts]
+        reference, nozzle = end_to_end([each.reference for each in sections], [each.nozzle for each in sections])
+        contour = np.concatenate([each.contour() for each in sections])
+        speeds, accelerations = zip(*(each.peaks() for each in sections), strict=True)
+        seconds = sum(float(each.t[-1] - each.t[0]) for each in sections)
+        return Evaluation(
+            time_s=np.concatenate([each.t for each in sections]),
+            reference_mm=np.concatenate([each.reference for each in sections]),
+            nozzle_mm=np.concatenate([each.nozzle for each in sections]),
+            error_um=1e3 * contour,
+            track=build_track(tracking(reference, nozzle, self._sample_s), contour, seconds, max(accelerations)),
+            peak_actuator_velocity_mm_per_s=max(speeds),
+        )
+
+    def _section(self, section: CommandSection) -> _EvaluatedSection:
+        t, nozzle = (np.concatenate(parts) for parts in zip(*self._parts[section], strict=True))
+        return _EvaluatedSection(section, t, nozzle)
+
+
+class _EvaluatedSection:
+    """One section: where the nozzle was, and where it should have been."""
+
+    def __init__(self, section: CommandSection, t: FloatArray, nozzle: FloatArray) -> None:
+        self.section, self.t, self.nozzle = section, t, nozzle
+        self.reference = section.reference.position(t)
+
+    def contour(self) -> FloatArray:
+        plan_t = self.section.reference.plan_time(self.t)
+        corners = self.section.reference.corners(float(plan_t[0]), float(plan_t[-1]))
+        return contour_error(*corners, plan_t, self.nozzle)
+
+    def peaks(self) -> tuple[float, float]:
+        return command_peaks(self.section.actuators, float(self.t[0]), float(self.t[-1]))
+
+
+KINDS = ("acc", "pos")
+
+
+def recording_lines(
+    chunks: Iterable[Chunk], plant: Machine, comments: Mapping[str, str], kinds: Sequence[str] = KINDS
+) -> Iterator[bytes]:
+    """Yield the file chunk by chunk: comments, header, rows.
+
+    Parameters
+    ----------
+    chunks : of one section
+    plant : the printer whose sensors record
+    comments : mapping, key and text of each comment
+    kinds : sequence of {"acc", "pos"}, accelerations (m/s², gravity removed) and positions (mm)
+    """
+    yield "".join(f"# {key}: {' '.join(text.split())}\n" for key, text in comments.items()).encode()
+    columns, actuators = _columns(kinds, plant.vibration.channels), _actuators(plant.vibration.channels)
+    yield (",".join(columns) + "\n").encode()
+    row = ",".join(["%.7f"] * len(columns)) + "\n"
+    for chunk in _recorded(chunks, plant):
+        values = _values(chunk, kinds, bool(actuators))
+        yield (row * len(values) % tuple(values.ravel().tolist())).encode()
+
+
+def _actuators(channels: Sequence[str]) -> list[str]:
+    return [name for name in channels if name not in "xyz"]
+
+
+def _columns(kinds: Sequence[str], channels: Sequence[str]) -> list[str]:
+    units = {"acc": "m_per_s2", "pos": "mm"}
+    sensors = [f"{kind}_{axis}_{units[kind]}" for kind in kinds for axis in (*_actuators(channels), *"xyz")]
+    return ["t_s", *(f"cmd_{axis}_mm" for axis in channels), *sensors]
+
+
+def _values(chunk: Chunk, kinds: Sequence[str], carriages: bool) -> FloatArray:
+    """Return the rows : (n, columns); of straight axes, which are their own carriages, without those."""
+    blocks = {"acc": (chunk.signals.carriage, chunk.signals.nozzle), "pos": (chunk.carriage_mm, chunk.nozzle_mm)}
+    sensors = [block for kind in kinds for block in blocks[kind][0 if carriages else 1 :]]
+    return np.column_stack([chunk.t_s, chunk.section.actuators(chunk.t_s), *sensors])
+
+
+def _recorded(chunks: Iterable[Chunk], plant: Machine) -> Iterator[Chunk]:
+    if any(CATALOGUE[name].shifts_time for name in plant.effects):
+        yield _with_sensor_signals(_joined(list(chunks)), plant)
+    else:
+        for chunk in chunks:
+            yield _with_sensor_signals(chunk, plant)
+
+
+def _with_sensor_signals(chunk: Chunk, plant: Machine) -> Chunk:
+    since_begin = replace(chunk.signals, t_s=chunk.t_s - chunk.t_s[0])
+    return replace(chunk, signals=measured(plant, since_begin))
+
+
+def _joined(chunks: Sequence[Chunk]) -> Chunk:
+    t_s, carriage_mm, nozzle_mm, carriage, nozzle = (
+        np.concatenate(parts)
+        for parts in zip(
+            *((c.t_s, c.carriage_mm, c.nozzle_mm, c.signals.carriage, c.signals.nozzle) for c in chunks), strict=True
+        )
+    )
+    return Chunk(chunks[0].section, t_s, carriage_mm, nozzle_mm, Signals(t_s, carriage, nozzle))
+
+
+Progress = Callable[[float], None]
+
+
+@dataclass(frozen=True)
+class Request:
+    """The part of the command that is simulated, and how it is recorded."""
+
+    rate_hz: float = 1600.0
+    from_s: float = 0.0
+    to_s: float = inf
+    gravity: bool = True
+    kinds: Sequence[str] = KINDS  # of the sensors in the recording
+
+
+@dataclass(frozen=True, eq=False)
+class SimulationResult:
+    """A simulated command and its evaluation; arrays hold m samples of all sections."""
+
+    machine: Machine  # the one that the command was computed with
+    plant: Machine  # the printer that moves
+    request: Request
+    reference: str  # a sentence: the path that the nozzle is evaluated against
+    evaluation: Evaluation
+    simulated_s: float  # print time
+    seconds: float  # of computing
+    rows: int
+
+    @property
+    def time_s(self) -> FloatArray:
+        """(m,) s, on the command's clock."""
+        return self.evaluation.time_s
+
+    @property
+    def reference_mm(self) -> FloatArray:
+        """(m, 3) mm, where the nozzle should be."""
+        return self.evaluation.reference_mm
+
+    @property
+    def nozzle_mm(self) -> FloatArray:
+        """(m, 3) mm, where it is."""
+        return self.evaluation.nozzle_mm
+
+    @property
+    def error_um(self) -> FloatArray:
+        """(m,) µm, contour error."""
+        return self.evaluation.error_um
+
+    @property
+    def track(self) -> Track:
+        """The TRACK of all samples."""
+        return self.evaluation.track
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the numbers of `ffcomp simulate --json`, without names of files and without samples."""
+        return {
+            "machine": identity(self.machine),
+            "plant": identity(self.plant),
+            "effects": list(self.plant.effects),
+            "gravity": self.request.gravity,
+            "rate_hz": self.request.rate_hz,
+            "rows": self.rows,
+            "simulated_s": self.simulated_s,
+            "wall_s": self.seconds,
+            "print_s_per_wall_s": self.simulated_s / self.seconds,
+            "reference": self.reference,
+            "track": to_json(self.track),
+            "peak_carriage_velocity_mm_per_s": self.evaluation.peak_actuator_velocity_mm_per_s,
+        }
+
+
+def read_command(
+    path: str | Path,
+    machine: Machine,
+    offset: tuple[float, float] = (0.0, 0.0),
+    flavor: str = "",
+    plate: int | None = None,
+) -> tuple[Command, list[str]]:
+    """Read a G-code file or a step archive, recognised by their content.
+
+    Parameters
+    ----------
+    path : path
+    machine : the one that the command was computed with
+    offset : (float, float), added to every position, mm
+    flavor : "" for what the machine file says, or else the file
+    plate : of an archive that holds several prints
+
+    Returns
+    -------
+    Command, list of str: The command, and the reader's warnings.
+    """
+    check_regular(Path(path))
+    if is_step_archive(path):
+        return steps_command(read_steps(path), machine, str(path)), []
+    command, program = read_gcode(read_bytes(path, plate), str(path), machine, offset, flavor)
+    return command, program.warnings
+
+
+def simulate_command(
+    command: Command,
+    machine: Machine,
+    plant: Machine,
+    request: Request,
+    *,
+    path: str = "",
+    target: Path | None = None,
+    progress: Progress = lambda done_s: None,
+) -> SimulationResult:
+    """Execute a command, evaluate it, and record it.
+
+    Parameters
+    ----------
+    machine, plant : the one that the command was computed with, and the printer that moves
+    path : the command's file, as the user named it
+    target : the recording, which is replaced whole or not at all. None: nothing is recorded
+    progress : called with the print seconds done so far
+
+    Raises
+    ------
+    NothingToDo: If the part holds too little motion.
+    MachineFileError: If the plant's kinematics are not the machine's, or it cannot rest.
+    GcodeError: If the nozzle leaves the reach of its arms.
+    """
+    check_same_kinematics(machine, plant)
+    started = time.perf_counter()
+    parts = command.between(request.from_s, request.to_s)
+    simulated_s = sum(end - begin for _, begin, end in parts)
+    evaluator = Evaluator(plant, request.rate_hz, request.gravity)
+    if not evaluator.enough(len(parts), simulated_s):
+        part = f"from {request.from_s:g} to {request.to_s:g} s, {simulated_s:g} s of motion are too few"
+        raise NothingToDo(f"{path}: {part} to simulate; the motion ends at {command.sections[-1].end_s:.3f} s.")
+    count = _Count()
+    chunks = play(command, plant, request.rate_hz, request.from_s, request.to_s, gravity=request.gravity)
+    watched = _watched(chunks, evaluator, count, request.rate_hz, progress)
+    try:
+        _write(watched, target, plant, _comments(path, machine, plant, request), request.kinds)
+    except UnreachableError as error:
+        raise GcodeError(str(error), path=path) from error
+    evaluation, seconds = evaluator.evaluation(), time.perf_counter() - started
+    return SimulationResult(machine, plant, request, command.reference, evaluation, simulated_s, seconds, count.rows)
+
+
+@dataclass
+class _Count:
+    rows: int = 0
+
+
+def _watched(
+    chunks: Iterable[Chunk], evaluator: Evaluator, count: _Count, rate_hz: float, progress: Progress
+) -> Iterator[Chunk]:
+    for chunk in chunks:
+        evaluator.add(chunk)
+        yield chunk
+        count.rows += len(chunk.t_s)
+        progress(count.rows / rate_hz)
+
+
+def _write(
+    chunks: Iterable[Chunk], target: Path | None, plant: Machine, comments: dict[str, str], kinds: Sequence[str]
+) -> None:
+    if target is None:
+        for _ in chunks:
+            pass
+    else:
+        replace_atomically(target, recording_lines(chunks, plant, comments, kinds))
+
+
+def _comments(path: str, machine: Machine, plant: Machine, request: Request) -> dict[str, str]:
+    return {
+        "made by": f"ffcomp v{__version__} simulate",
+        "command": Path(path).name,
+        "machine": f"{machine.name}, sha256 {machine.sha256}",
+        "plant": f"{plant.name}, sha256 {plant.sha256}",
+        "effects": ", ".join(plant.effects) or "none",
+        "gravity": "yes" if request.gravity else "no",
+    }

@@ -1,0 +1,134 @@
+"""The whole comparison on a small print: what it finds, that it is repeatable, and that its judge is not its model."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import fields
+from functools import cache
+
+import numpy as np
+import pytest
+
+from ffcomp.comparison.baselines import LinearPrinter, resonance_tests
+from ffcomp.comparison.engine import Request, compare, names
+from ffcomp.comparison.equal_quality import within_limits
+from ffcomp.comparison.methods import COMPENSATED, NAMES, ROBUST, best_fixed, calibrated
+from ffcomp.comparison.result import Comparison
+from ffcomp.comparison.sampling import Print, Sampling
+from ffcomp.metrics import Track
+from ffcomp.shapers import SHAPERS
+from models.effects.catalogue import with_effect
+from models.file import load_machine
+from tests.support.prints import squares
+
+MACHINE = load_machine("mp-delta-pro")
+ONLY = ("mzv", "zv-calibrated", "ei-scheduled", "fbs-lti", "fbs-robust")
+
+
+@cache
+def found() -> Comparison:
+    return compare(squares(), "squares.gcode", MACHINE, request=Request(mismatch=0.1, seeds=3, only=ONLY))
+
+
+def test_the_methods_rank_as_they_should() -> None:
+    rms = {name: method.track.contour_rms_um for name, method in found().methods.items()}
+    assert rms["none"] > rms["zv-calibrated"] > rms["mzv"] > rms[COMPENSATED]
+    assert rms["none"] > 20 * rms[COMPENSATED]  # 23.5; segments are joined as far as the path allows, up to 1 µm
+    assert rms["mzv"] > 3 * rms[COMPENSATED]
+
+
+def test_methods_come_in_the_order_of_the_table() -> None:
+    methods = list(found().methods)
+    assert methods == [name for name in NAMES if name in {"none", ROBUST, COMPENSATED, *ONLY}]
+    assert found().best_fixed == "mzv"
+
+
+def test_every_sample_is_accounted_for() -> None:
+    for method in found().methods.values():
+        s = method.samples
+        assert sum(error.share for error in method.by_layer.values()) == pytest.approx(1.0)
+        assert sum(error.share for error in method.by_feature.values()) == pytest.approx(1.0)
+        assert len(s.due) == len(s.reference) == len(s.nozzle) == len(s.contour) == len(s.layer)
+        assert set(method.by_layer) == {layer.number for layer in found().layers}
+        assert method.track.contour_rms_um == pytest.approx(1e3 * np.sqrt(np.mean(s.contour**2)))
+        assert np.any(s.extruding) and not np.all(s.extruding)
+        assert method.peaks.within_limits
+    assert [layer.z_mm for layer in found().layers] == pytest.approx([0.2, 0.4, 0.6])
+
+
+def test_off_nominal_printers_judge_too_and_the_retuned_shaper_is_no_worse() -> None:
+    for method in found().methods.values():
+        assert method.spread is not None and len(method.spread.contour_rms_um) == 3
+    ours, mzv = found().methods[COMPENSATED], found().methods["mzv"]
+    assert ours.spread.median_um > 1.5 * ours.track.contour_rms_um  # the model is not the judge
+    assert mzv.retuned.median_um < 1.05 * mzv.spread.median_um
+    assert "3 plants" in found().mismatch and "10%" in found().mismatch
+
+
+def test_equal_quality_holds_its_bound_and_orders_the_methods() -> None:
+    quality = {name: method.equal_quality for name, method in found().methods.items()}
+    for each in quality.values():
+        assert each.p99_um <= 25.0 or not each.reached
+    assert quality["none"].acceleration_mm_per_s2 < quality["mzv"].acceleration_mm_per_s2
+    assert quality["mzv"].acceleration_mm_per_s2 < 0.6 * quality[COMPENSATED].acceleration_mm_per_s2
+    assert quality[COMPENSATED].print_time_s < quality["mzv"].print_time_s < quality["none"].print_time_s
+
+
+def test_the_json_is_the_documented_object() -> None:
+    answer = json.loads(json.dumps(found().to_dict(), allow_nan=False))
+    assert answer["schema"] == "ffcomp-compare/1"
+    assert answer["plant"]["sha256"] == MACHINE.sha256
+    for method in answer["methods"].values():
+        assert {each.name for each in fields(Track)} <= method.keys()
+    assert answer["settings"] and answer["sampling"]
+
+
+def test_twice_is_the_same() -> None:
+    request = Request(Sampling(0, 0), quality_bound_um=0.0, only=("mzv",))
+    first, second = (compare(squares(), "squares.gcode", MACHINE, request=request) for _ in range(2))
+    for name in first.methods:
+        assert first.methods[name].track == second.methods[name].track
+        assert first.methods[name].tuning == second.methods[name].tuning
+
+
+def test_a_plant_with_an_effect_judges_and_is_named() -> None:
+    plant = with_effect(MACHINE, "coulomb_friction", force_n=4.0)
+    request = Request(Sampling(0, 0), quality_bound_um=0.0, only=("mzv",))
+    stuck = compare(squares(), "squares.gcode", MACHINE, plant, request)
+    free = compare(squares(), "squares.gcode", MACHINE, None, request)
+    assert stuck.plant.effects == ("coulomb_friction",) and not stuck.machine.effects
+    assert stuck.methods[COMPENSATED].track.contour_rms_um > 2 * free.methods[COMPENSATED].track.contour_rms_um
+
+
+def test_a_plant_with_uneven_belts_can_judge() -> None:
+    plant = with_effect(MACHINE, "belt_stiffness", relative_change=[0.1, -0.1, 0.05])
+    request = Request(Sampling(0, 0), quality_bound_um=0.0, only=("mzv", "mzv-calibrated"))
+    assert compare(squares(), "squares.gcode", MACHINE, plant, request).methods["mzv"].track.contour_rms_um > 0
+
+
+def test_the_search_beats_the_calibration_and_its_neighbours() -> None:
+    (stretch,), _ = Print(squares(), "squares.gcode", MACHINE).slices(Sampling())
+    linear = LinearPrinter(MACHINE, [stretch])
+    best = linear.contour_rms_um([best_fixed(linear, "ei").motion(stretch)[0]])
+    assert best < linear.contour_rms_um([calibrated(resonance_tests(MACHINE), "ei").motion(stretch)[0]])
+    fixed = linear.best_fixed("ei")
+    x, y = fixed.frequency_hz
+    assert best == pytest.approx(fixed.cost, rel=1e-4)  # the search samples the plan, the print asks it anew
+    from ffcomp.comparison.baselines import shaped
+
+    for fx, fy in ((1.05, 1.0), (0.95, 1.0), (1.0, 1.05), (1.0, 0.95)):
+        near = (SHAPERS["ei"](f, fixed.damping_ratio) for f in (fx * x, fy * y))
+        assert linear.contour_rms_um([shaped(stretch.motion, *near)]) >= best
+
+
+def test_commands_beyond_the_carriages_limits_do_not_count() -> None:
+    own = MACHINE.limits
+    assert within_limits(own.carriage_velocity_mm_per_s, own.carriage_acceleration_mm_per_s2, MACHINE)
+    assert not within_limits(1.01 * own.carriage_velocity_mm_per_s, 1.0, MACHINE)
+    assert not within_limits(1.0, 1.01 * own.carriage_acceleration_mm_per_s2, MACHINE)
+
+
+@pytest.mark.parametrize(("only", "words"), [(("mzw", "mzv"), "'mzw'"), (("fbs-lti",), "at least one shaper")])
+def test_names_that_make_no_comparison(only: tuple[str, ...], words: str) -> None:
+    with pytest.raises(ValueError, match=words):
+        names(Request(only=only))

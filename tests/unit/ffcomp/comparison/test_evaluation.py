@@ -1,0 +1,87 @@
+"""The figures of merit, on errors that are known beforehand."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from ffcomp.comparison.evaluation import SAMPLE_S, Execution, by, contour_numbers, evaluate, track
+from ffcomp.comparison.result import Samples
+from ffcomp.comparison.sampling import SETTLE_S, Print, PrintSlice, Sampling
+from ffcomp.errors import NothingToDo
+from models.file import load_machine
+from tests.support.prints import squares
+
+MACHINE = load_machine("mp-delta-pro")
+
+
+@pytest.fixture(scope="module")
+def stretch() -> PrintSlice:
+    (found,), _ = Print(squares(), "squares.gcode", MACHINE).slices(Sampling())
+    return found
+
+
+def played(stretch: PrintSlice, error_mm: np.ndarray | None = None, late_s: float = 0.0) -> Execution:
+    """The plan, late and off by an error (3,) or (m, 3) mm."""
+    motion = stretch.motion
+    t = np.arange(motion.begin_t + SAMPLE_S, motion.end_t, SAMPLE_S)
+    nozzle = motion.position(t - late_s)
+    return Execution(stretch, motion, t, nozzle if error_mm is None else nozzle + error_mm)
+
+
+def test_a_lifted_nozzle_is_off_by_as_much_everywhere(stretch: PrintSlice) -> None:
+    found = evaluate([played(stretch, np.array([0.0, 0.0, 0.01]))])
+    everywhere = np.ones(len(found.samples.due), dtype=np.bool_)
+    numbers = track(found, everywhere, 1.0, 2.0)
+    assert numbers.tracking_rms_um == pytest.approx(10.0, rel=1e-9)
+    flat = np.ptp(found.samples.reference[:, 2]) < 1e-9
+    assert flat or contour_numbers(found.samples, found.samples.extruding).rms_um == pytest.approx(10.0)
+    assert found.residual_rms_um < 1e-6  # it does not swing
+    assert (numbers.print_time_s, numbers.peak_command_acceleration_mm_per_s2) == (1.0, 2.0)
+
+
+def test_a_late_nozzle_tracks_badly_and_prints_well(stretch: PrintSlice) -> None:
+    found = evaluate([played(stretch, late_s=0.002)])
+    everywhere = np.ones(len(found.samples.due), dtype=np.bool_)
+    numbers = track(found, everywhere, 1.0, 1.0)
+    assert numbers.delay_s == pytest.approx(0.002, abs=2e-6)
+    assert numbers.tracking_rms_um > 100.0
+    assert numbers.tracking_rms_no_delay_um < 0.5
+    assert numbers.contour_max_um < 1e-6
+
+
+def test_what_swings_in_a_cruise_is_ringing(stretch: PrintSlice) -> None:
+    """10 µm of amplitude is 7.07 µm rms, whatever else is constant."""
+    t = played(stretch).t
+    error = np.zeros((len(t), 3))
+    error[:, 2] = 0.01 * np.sin(2 * np.pi * 40.0 * t) + 0.3
+    assert evaluate([played(stretch, error)]).residual_rms_um == pytest.approx(7.07, rel=0.05)
+
+
+def test_slices_are_put_together_and_labelled(stretch: PrintSlice) -> None:
+    once, twice = evaluate([played(stretch)]), evaluate([played(stretch), played(stretch)])
+    assert len(twice.samples.due) == 2 * len(once.samples.due)
+    assert twice.delay_s == pytest.approx(0.0, abs=1e-6)
+    s = once.samples
+    assert s.due[0] >= SETTLE_S
+    corners = np.abs(s.reference[:, :2]).max(axis=1)
+    outer = s.feature == 2  # External perimeter, at 20 mm
+    assert corners[outer & s.extruding].min() > 19.99
+    assert set(s.layer) == {0, 1, 2}
+    np.testing.assert_allclose(s.reference[s.extruding & (s.layer == 1), 2], 0.4)
+
+
+def test_numbers_by_label() -> None:
+    labels, nothing = np.array([0, 0, 1, 1]), np.zeros(4)
+    contour, weight = np.array([3e-3, 4e-3, 0.0, 1e-3]), np.array([1.0, 1.0, 0.5, 1.5])
+    where = np.zeros((4, 3))
+    samples = Samples(nothing, where, where, contour, labels, labels, labels > 0, weight)
+    found = by(labels, samples)
+    assert found[0].rms_um == pytest.approx(np.sqrt(12.5)) and found[0].max_um == 4.0
+    assert found[1].share == 0.5 and found[1].rms_um == pytest.approx(np.sqrt(0.75))
+
+
+def test_too_short_a_part_is_an_error(stretch: PrintSlice) -> None:
+    short = played(stretch)
+    with pytest.raises(NothingToDo, match=r"less than 0\.5 s"):
+        evaluate([Execution(stretch, short.motion, short.t[:100], short.nozzle[:100])])

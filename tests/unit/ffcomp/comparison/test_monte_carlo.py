@@ -1,0 +1,90 @@
+"""Drawn printers, and plants that are another printer."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+import pytest
+
+from ffcomp.comparison.evaluation import in_processes
+from ffcomp.comparison.monte_carlo import TRUNCATION_SD, draw_plants
+from ffcomp.compensation.batch import workers
+from ffcomp.simulation.playback import check_same_kinematics
+from models.arrays import constant
+from models.errors import MachineFileError
+from models.file import load_machine
+from models.kinds import delta_vibration, with_parts
+from models.machine import value_of
+from tests.support.mismatch import SEEDS, study, tuned
+
+MACHINE = load_machine("mp-delta-pro")
+
+
+def test_a_seed_always_draws_the_same_printer() -> None:
+    few, many = draw_plants(MACHINE, 0.1, 2), draw_plants(MACHINE, 0.1, 5)
+    for name in MACHINE.vibration.parameters().names:
+        assert [value_of(m, name) for m in few] == [value_of(m, name) for m in many[:2]]
+
+
+def test_every_dynamic_number_is_off_by_the_standard_deviation() -> None:
+    plants = draw_plants(MACHINE, 0.1, 400)
+    for name in MACHINE.vibration.parameters().names:
+        off = np.array([value_of(m, name) for m in plants]) / value_of(MACHINE, name) - 1
+        assert np.std(off) == pytest.approx(0.1, rel=0.15)
+        assert abs(np.mean(off)) < 0.02 and np.abs(off).max() <= 0.1 * TRUNCATION_SD + 1e-12
+    assert all(m.kinematics is MACHINE.kinematics for m in plants)
+
+
+def test_no_dynamic_number_is_forgotten() -> None:
+    names = set(MACHINE.vibration.parameters().names)
+    tables = ("carriage", "carriage.drive", "effector")
+    parts = (
+        delta_vibration(MACHINE).carriage,
+        delta_vibration(MACHINE).carriage.drive,
+        delta_vibration(MACHINE).effector,
+    )
+    keys = {f"{t}.{k}" for t, part in zip(tables, parts, strict=True) for k in part.__dataclass_fields__}
+    left = keys - names - {name[:-3] for name in names}
+    assert left == {
+        "carriage.drive",
+        "carriage.arm_mass_share_at_ends",
+        "carriage.arm_pair_mass_kg",  # weighed, as the geometry is measured
+        "effector.joint_radius_mm",
+        "effector.center_of_mass_mm",
+        "effector.force_map",
+    }
+
+
+def test_a_machine_without_drive_has_none_to_draw() -> None:
+    plain = with_parts(MACHINE, carriage=replace(delta_vibration(MACHINE).carriage, drive=None))
+    assert delta_vibration(draw_plants(plain, 0.1, 1)[0]).carriage.drive is None
+
+
+def test_another_printer_is_refused_by_key_and_rule() -> None:
+    other = replace(MACHINE.kinematics, arm_lengths_mm=constant([250.0] * 3), effector_height_mm=20.0)
+    with pytest.raises(MachineFileError) as error:
+        check_same_kinematics(MACHINE, replace(MACHINE, kinematics=other, path="other.toml"))
+    assert len(error.value.problems) == 2
+    assert "other.toml: kinematics.arm_lengths_mm is 250, 250, 250, but 300, 300, 300" in str(error.value)
+
+
+def test_a_plant_calibrated_a_little_otherwise_is_the_same_printer() -> None:
+    near = replace(MACHINE.kinematics, delta_radii_mm=constant(MACHINE.kinematics.delta_radii_mm + 0.3))
+    check_same_kinematics(MACHINE, replace(MACHINE, kinematics=near))
+
+
+def test_the_numbers_do_not_depend_on_the_processes() -> None:
+    (alone, _), (together, told) = study(), study(2)
+    assert alone == together
+    for method in tuned():
+        spread, _ = alone[method.name]
+        assert spread is not None and len(set(spread.contour_rms_um)) == SEEDS  # every plant is its own
+    assert alone["mzv"][1] is not None
+    assert told == sorted(told) and told[-1] == pytest.approx(1.0)
+
+
+def test_what_fails_in_a_process_is_raised_here() -> None:
+    with workers(2) as at_once, pytest.raises(ZeroDivisionError):
+        in_processes([partial(divmod, 1, k) for k in (2, 1, 0)], at_once, "dividing", lambda what, share: None)

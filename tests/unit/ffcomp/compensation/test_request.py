@@ -1,0 +1,38 @@
+"""The request of `compensate`: texts become values, and what does not go together is refused."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from ffcomp.compensation.request import CompensateRequest, parse_errors, parse_shares
+from ffcomp.errors import RequestError
+
+
+def test_bounds_and_shares_are_read_from_texts() -> None:
+    assert parse_errors(["25"]) == 25.0
+    assert parse_errors(["25", "External perimeter=10"]) == {"": 25.0, "External perimeter": 10.0}
+    assert parse_shares("2%, 0.5%") == pytest.approx((0.02, 0.005))
+    assert parse_shares("") == ()
+
+
+@pytest.mark.parametrize(
+    ("options", "sentence"),
+    [
+        ({"if_known": (0.02,)}, "--max-error-um"),
+        ({"if_known": (2.0,), "max_error_um": 10.0}, "between 0 and 100"),
+        ({"keep_speed": ("Bridge",)}, "--max-error-um"),
+        ({"max_error_um": 0.01}, "from 0.1"),
+        ({"max_error_um": {"Bridge": 10.0}}, "without a feature"),
+        ({"max_error_um": 10.0, "s_curve": True}, "--s-curve"),
+        ({"inverse": "none"}, "--inverse none"),
+        ({"inverse": "quick"}, "there is no 'quick'"),
+        ({"tolerance_um": 0.0}, "at least 0.1 µm"),
+        ({"safety": 0.6}, "0.001 to 0.5"),
+        ({"jobs": 0}, "at least 1"),
+    ],
+)
+def test_what_does_not_go_together_is_refused(options: dict[str, Any], sentence: str) -> None:
+    with pytest.raises(RequestError, match=sentence):
+        CompensateRequest("a.gcode", "kossel", **options)

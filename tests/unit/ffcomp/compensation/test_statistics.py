@@ -1,0 +1,157 @@
+"""Statistics are values that add up."""
+
+from __future__ import annotations
+
+from collections.abc import Generator
+from dataclasses import FrozenInstanceError, replace
+from functools import reduce
+from operator import add
+
+import numpy as np
+import pytest
+
+from ffcomp.compensation.prediction import Samples
+from ffcomp.compensation.statistics import (
+    MOST_LINES,
+    Cause,
+    Part,
+    Shares,
+    Statistics,
+    grouped,
+    of_moves,
+    of_raw_moves,
+    shortened,
+    warning_lines,
+)
+from ffcomp.compensation.text_stream import Stream
+from ffcomp.inverse.time_scaling import TimeScaling
+from gcode.reader import read_program
+from models.file import load_machine
+from models.machine import Machine
+
+
+def samples(clock: float, wanted: float) -> Samples:
+    point = np.full((1, 3), wanted)
+    return Samples(1e-3, clock, clock, point[0], [point], [np.array([0.0])], [point])
+
+
+def test_numbers_add_and_a_warning_is_kept_once() -> None:
+    parts = [
+        Statistics(moves=1, print_time_s=1.5, warnings=("a",)),
+        Statistics(segments=2, warnings=("b", "a", "b")),
+        Statistics(moves=4, windows=3, limited_windows=1, original_print_time_s=2.0),
+    ]
+    expected = Statistics(5, 2, 3, 1, 2.0, 1.5, ("a", "b"))
+    assert reduce(add, parts) == reduce(add, parts, Statistics()) == expected
+
+
+def test_samples_follow_one_another_in_time_and_in_space() -> None:
+    first, second = (Statistics(predicted=samples(clock, 1.0 + clock)) for clock in (2.0, 3.0))
+    both = (first + Statistics() + second).predicted
+    assert both is not None and first.predicted is not None
+    assert both.clock == both.covered_s == 5.0
+    np.testing.assert_array_equal(np.concatenate(both.reference)[:, 0], [3.0, 7.0])
+    np.testing.assert_array_equal(np.concatenate(both.path_t), [0.0, 2.0])
+    assert len(first.predicted.reference) == 1  # what is added stays as it is
+
+
+def test_statistics_cannot_be_changed() -> None:
+    with pytest.raises(FrozenInstanceError):
+        Statistics().moves = 1  # type: ignore[misc]
+
+
+def test_a_stream_keeps_what_its_generator_returns() -> None:
+    def lines() -> Generator[bytes, None, int]:
+        yield b"a"
+        yield b"b"
+        return 7
+
+    stream = Stream(lines())
+    assert not hasattr(stream, "value")
+    assert list(stream) == [b"a", b"b"] and stream.value == 7
+
+
+HOME = (0.0, 0.0, 5.0)
+
+
+def test_moves_that_travel_count_and_retractions_do_not() -> None:
+    moves = read_program(b"M83\nG1 X30 E2 F600\nG1 Y40\nG1 E-5\nG1 E5\nG1 X0 E-1\n", start=HOME).moves
+    assert of_moves(moves) == Part(100.0, 2.0)
+
+
+def test_parts_add_up_by_their_cause() -> None:
+    text = "M83\nG1 X10 E1 F600\nMACRO_A\nG1 X20 E1\nG1 Y5\nMACRO_B\nG1 X0 Y0 E9\nMACRO_A\nG1 X5 Y5\n"
+    events = read_program(text.encode(), start=HOME).events
+    first, second = of_raw_moves(events[:3], {}), of_raw_moves(events[3:], {})
+    shares = Shares(Part(10.0, 1.0)) + first + second
+    causes = {cause: (round(part.path_mm, 6), part.filament_mm) for cause, part in shares.left}
+    way = 5.0**2 * 17  # 20, 5 and back to 0, 0
+    assert causes[Cause(3, "MACRO_A")] == pytest.approx((15.0 + 50.0**0.5, 1.0))
+    assert causes[Cause(6, "MACRO_B")] == pytest.approx((way**0.5, 9.0))
+    assert shares.filament == pytest.approx(1 / 11)
+    assert shares.path == pytest.approx(10 / (25 + 50**0.5 + way**0.5))
+
+
+def test_a_low_share_names_the_cause_and_the_remedy() -> None:
+    shares = Shares(Part(10.0, 10.0), ((Cause(3, "MY_PHOTO"), Part(30.0, 10.0)), (Cause(1, "G28"), Part(1.0, 0.0))))
+    (sentence,) = shares.warnings()
+    assert sentence.startswith("Only 24 % of the path and 50 % of the filament are compensated")
+    assert "after MY_PHOTO in line 3" in sentence and '[macros] returns = ["MY_PHOTO"]' in sentence
+    assert Shares(Part(96.0, 96.0), ((Cause(1, "G28"), Part(4.0, 4.0)),)).warnings() == ()
+    assert Shares().path == Shares().filament == 1.0
+    (sentence,) = Shares(left=((Cause(0, ""), Part(30.0, 10.0)),)).warnings()
+    assert "name X, Y and Z, before it prints" in sentence
+
+
+def scaled(limit: str = "", carriage: str = "", seconds: float = 0.1, asked: float = 1.2) -> TimeScaling:
+    return TimeScaling(10, 12, 3, 0.7, seconds, carriage, limit, asked)
+
+
+@pytest.fixture(scope="module")
+def ender() -> Machine:
+    return load_machine("ender-3")
+
+
+def test_each_limit_is_a_line_with_places_seconds_and_the_remedy(ender: Machine) -> None:
+    slowed = [scaled("acceleration", "A", 0.5)] * 3 + [scaled("acceleration", "B", 0.25, 1.5), scaled("velocity", "C")]
+    first, second = warning_lines([], slowed, ender, 350.0)
+    assert first.startswith("Slowed at 4 places, 1.8 s longer in all (+0.5 %): the acceleration limit of ")
+    assert "axis X (3×), axis Y (1×) was exceeded up to 1.50 times" in first
+    value = ender.limits.carriage_acceleration_mm_per_s2
+    assert f"carriage_acceleration_mm_per_s2 = {value:g} in [limits]" in first
+    assert second.startswith("Slowed at 1 place, 0.1 s longer in all (+0.029 %): the velocity limit of axis Z was")
+
+
+@pytest.mark.parametrize(
+    ("name", "who"), [("voron-300", "motor A (1×), axis Z (1×)"), ("kossel", "carriage A (1×), carriage C (1×)")]
+)
+def test_whose_limit_it_is_in_the_words_of_the_machine(name: str, who: str) -> None:
+    (line,) = warning_lines([], [scaled("velocity", "A"), scaled("velocity", "C")], load_machine(name), 10.0)
+    assert f"limit of {who} was" in line
+
+
+def test_a_board_that_makes_too_few_steps_is_named(ender: Machine) -> None:
+    slow = replace(ender, limits=replace(ender.limits, step_rate_hz=4000.0))
+    assert "or step_rate_hz = 4000," in warning_lines([], [scaled("velocity", "A")], slow, 10.0)[0]
+
+
+def test_thousands_of_places_are_a_line(ender: Machine) -> None:
+    exceeded = [f"line {k}: the command needs 1.0{k} times a limit." for k in range(9)]
+    lines = warning_lines(exceeded, [scaled()] * 2117, ender, 4e3)
+    assert len(lines) == 2
+    assert lines[0].startswith("line 0: the command needs 1.00 times a limit. 8 more like this: see --json")
+    assert lines[1].startswith("Slowed at 2117 places, 212 s longer in all (+5.3 %): the firmware's own acceleration")
+
+
+def test_never_more_than_five_lines() -> None:
+    lines = shortened([f"cause {letter}" for letter in "abcdefgh"])
+    assert len(lines) == MOST_LINES == 5 and lines[-1].startswith("4 more kinds of warnings: see --json")
+    assert shortened(["a", "b"]) == ["a", "b"]
+    assert len(shortened([f"cause {letter}" for letter in "abcde"], most=4)) == 4
+
+
+def test_what_differs_in_numbers_only_is_one_cause() -> None:
+    assert grouped(["line 3: odd.", "line 40: odd.", "another"]) == [
+        "line 3: odd. 1 more like this: see --json, or the log (ffcomp --log-path).",
+        "another",
+    ]

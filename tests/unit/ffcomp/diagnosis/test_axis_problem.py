@@ -1,0 +1,203 @@
+"""The diagnosis of one axis: shots, windows and band from the data, and effects that are named."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ffcomp.diagnosis.axis_problem import AxisProblem
+from ffcomp.diagnosis.diagnosis import Diagnosis, diagnose
+from ffcomp.diagnosis.problem import InfeasibleParameters
+from ffcomp.diagnosis.problems import with_folders
+from ffcomp.diagnosis.validation import check_alike
+from ffcomp.errors import MeasurementError
+from ffcomp.identification.axis_shots import shots_of
+from ffcomp.measurement.axis_run import AxisRun, read_axis_run
+from models.effects.catalogue import with_effects
+from models.kinds import driven_axis, machine_of_axis
+from models.machine import Machine
+from models.printer.one_axis import simulate_axis
+from models.vibration.driven_axis import DrivenAxis
+
+RATE = 500.0
+STAGE = machine_of_axis("stage", DrivenAxis("force", 20.0, 0.0, 60.0), uncertainty={"default": 0.02})
+DRIVE = machine_of_axis("drive", DrivenAxis("position", 2.0, 2e4, 30.0), uncertainty={"default": 0.02})
+
+
+def runs_of(machine: Machine, seed: int, **effects: Any) -> list[AxisRun]:
+    """Two repeats of one motion with noise; of a free axis the position, of a driven one the acceleration."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(3000) / RATE
+    shape = rng.normal(size=40)
+    wave = np.interp(t, np.linspace(0, t[-1], 40), shape * np.r_[0, np.ones(38), 0])
+    given = 30.0 * wave if driven_axis(machine).by_force else 4.0 * np.convolve(wave, np.hanning(41) / 20, "same")
+    motion = simulate_axis(with_effects(machine, effects), given, 1 / RATE)
+    found = []
+    for k in (1, 2):
+        if driven_axis(machine).by_force:
+            position = {"pos_q": motion.position_mm + 1e-4 * rng.normal(size=len(t))}
+            found.append(AxisRun(f"a-{k}.csv", t, given, True, {}, position, {}))
+        else:
+            noise = 0.03 * rng.normal(size=len(t))
+            felt = {"acc_q": motion.acceleration + noise}
+            found.append(AxisRun(f"a-{k}.csv", t, given, False, felt, {}, {}))
+    return found
+
+
+def found(machine: Machine, *names: str, **effects: Any) -> Diagnosis:
+    return diagnose(
+        AxisProblem(machine, runs_of(machine, 3, **effects), names or ("coulomb_friction", "belt_hardening"))
+    )
+
+
+def test_a_driven_axis_that_rests_does_not_begin_with_a_sensors_noise() -> None:
+    """One sample of a noisy encoder lets a sprung axis ring. Where friction holds it elsewhere, it begins there."""
+    rng, t = np.random.default_rng(4), np.arange(600) / RATE
+    given = 5.0 + np.where(t > 0.2, np.sin(2 * np.pi * 3 * (t - 0.2)), 0.0)
+    for held, expected in ((0.0, 5.0), (0.01, 5.01)):
+        place = given + held + 2e-3 * rng.normal(size=len(t))
+        run = AxisRun("a.csv", t, given, False, {}, {"pos_q": place}, {})
+        place_mm, speed_mm_per_s, *_ = shots_of(DRIVE, [run])[0].begin[0]
+        assert place_mm == pytest.approx(expected, abs=0.0 if held == 0.0 else 1e-3) and speed_mm_per_s == 0.0
+
+
+def test_files_of_one_name_in_two_folders_are_two_experiments() -> None:
+    runs = [replace(r, source=f"{d}/{r.source}") for d in ("empty", "printed") for r in runs_of(DRIVE, 1)]
+    assert [r.repeat_of for r in with_folders(runs)] == ["empty/a", "empty/a", "printed/a", "printed/a"]
+    assert [r.repeat_of for r in with_folders(runs[:2])] == ["a", "a"]
+    moved = [runs[0], replace(runs[2], drive=runs[2].drive + 1.0)]
+    check_alike(with_folders(moved))  # or it would say that the commands of two repeats differ
+    with pytest.raises(MeasurementError, match="repeats have the same command"):
+        check_alike(moved)
+
+
+def test_shots_band_and_windows_come_from_the_data() -> None:
+    quick = AxisProblem(STAGE, runs_of(STAGE, 1))
+    shot = quick.shots[0].length / RATE
+    assert 0.02 < shot < 1.0
+    assert quick.band_hz[1] == pytest.approx(min(5.0 / shot, 0.4 * RATE), rel=0.05)
+    slow = [AxisRun(r.source, 4 * r.time_s, r.drive, True, {}, r.position, {}) for r in quick.recordings]  # type: ignore[attr-defined]
+    assert AxisProblem(STAGE, slow).shots[0].length / (RATE / 4) == pytest.approx(4 * shot, rel=0.1)
+    driven = AxisProblem(DRIVE, runs_of(DRIVE, 1))
+    assert driven.shots[0].length == 0  # a spring holds it
+    assert len(driven.windows) == 12 and driven.observations[0].position == driven.observations[6].position
+
+
+def test_every_shot_begins_where_the_axis_was_measured() -> None:
+    problem = AxisProblem(STAGE, runs_of(STAGE, 1))
+    length = problem.shots[0].length
+    simulated = problem.shots[0].simulate(STAGE).position_mm[::length]
+    both = [run.position["pos_q"][::length] for run in problem.recordings]  # type: ignore[attr-defined]
+    np.testing.assert_allclose(simulated, np.mean(both, axis=0), atol=1e-9)  # repeats begin at their mean
+
+
+def test_an_error_of_where_a_shot_began_is_no_discrepancy() -> None:
+    """A shot's twenty samples would all be wrong by the noise of its first one, and by its speed's times the time."""
+    run = runs_of(STAGE, 1)[0]
+    one = shots_of(STAGE, [run])[0]
+    moved = replace(one, begin=one.begin + np.array([0.01, 0.05, 0.01, 0.05]))
+    places = [each.simulate(STAGE).position_mm for each in (one, moved)]
+    assert np.abs(places[0] - places[1]).min() > 0.009
+    true, off = (one.told({"pos_q": place})["pos_q"] for place in places)
+    np.testing.assert_allclose(off, true, atol=1e-4)  # its damping slows it down
+    assert np.abs(true).max() > 0.05 and one.told({"acc_q": places[0]})["acc_q"] is places[0]
+    lost = run.position["pos_q"].copy()
+    lost[7::5] = np.nan
+    gaps = shots_of(STAGE, [replace(run, position={"pos_q": lost})])[0]
+    assert np.abs(gaps.told({"pos_q": places[0]})["pos_q"] - true).max() < 0.2 * np.abs(true).max()
+    assert np.isnan(gaps.told({"pos_q": lost})["pos_q"]).sum() == np.isnan(lost).sum()
+
+
+def test_dry_friction_of_a_free_axis_is_named_with_its_size() -> None:
+    told = found(STAGE, coulomb_friction={"force_n": 6.0})
+    assert told.named is not None and told.named.names == ("coulomb_friction",)
+    assert told.final.values["effects.coulomb_friction.force_n"] == pytest.approx(6.0, rel=0.03)
+
+
+def test_a_spring_that_hardens_is_named_on_a_driven_axis() -> None:
+    told = found(DRIVE, belt_hardening={"cubic_n_per_m3": 4e9})
+    assert told.named is not None and told.named.names == ("belt_hardening",)
+    assert told.final.values["effects.belt_hardening.cubic_n_per_m3"] == pytest.approx(4e9, rel=0.05)
+
+
+def test_of_two_springs_the_one_that_hardens_is_found() -> None:
+    """What is named after belts may be of the drive or of the coupling, and the file says of which."""
+    axis = DrivenAxis("position", 2.0, 2e4, 30.0, 1.0, 3e4, 5.0)
+    loaded = machine_of_axis("loaded", axis, uncertainty={"default": 0.02})
+    told = found(loaded, "belt_hardening", belt_hardening={"cubic_n_per_m3": 4e9, "at_drive": 1})
+    assert told.named is not None and told.named.names == ("belt_hardening",)
+    assert told.final.values["effects.belt_hardening.at_drive"] == 1.0
+    assert told.final.values["effects.belt_hardening.cubic_n_per_m3"] == pytest.approx(4e9, rel=0.05)
+    there = found(loaded, "belt_hardening", belt_hardening={"cubic_n_per_m3": 1.2e11})
+    assert there.named is not None and "effects.belt_hardening.at_drive" not in there.final.values
+
+
+def test_a_number_of_the_file_is_not_bent_where_an_effect_says_it() -> None:
+    """A spring that hardens and is a third stiffer: with the first alone the file's stiffness goes to its bound."""
+    names = ("belt_hardening", "belt_stiffness", "coulomb_friction", "guide_damping")
+    told = found(DRIVE, *names, belt_hardening={"cubic_n_per_m3": 4e9}, belt_stiffness={"relative_change": 0.15})
+    assert told.named is not None and told.named.names == ("belt_hardening", "belt_stiffness")
+    assert told.final.values["effects.belt_stiffness.relative_change"] == pytest.approx(0.15, abs=0.06)
+
+
+@pytest.mark.parametrize("machine", [STAGE, DRIVE])
+def test_nothing_is_named_where_nothing_is_missing(machine: Machine) -> None:
+    assert found(machine).verdict == "none"
+
+
+def test_a_force_of_any_pitch_begins_within_half_a_turn_of_one_that_is_tried() -> None:
+    """Over the travel a pitch between two that are tried must not fall out of step, or nothing is seen of it."""
+    problem = AxisProblem(STAGE, runs_of(STAGE, 1), ("cogging_force",))
+    (pitches,) = [np.array([next(iter(point.values())) for point in c.grid]) for c in problem.candidates]
+    travel = 2 * pitches.max()
+    assert np.abs(np.diff(travel / pitches)).max() < 1.0 and travel / pitches.min() > 39.0
+
+
+def test_no_pitch_is_longer_than_half_the_travel() -> None:
+    """A ripple longer than the travel is a spring or a slope; EMPS without its friction was named so once."""
+    problem = AxisProblem(STAGE, runs_of(STAGE, 1))
+    travel = np.ptp(problem.recordings[0].position["pos_q"])  # type: ignore[attr-defined]
+    (ripple,) = (c for c in problem.candidates if c.name == "cogging_force")
+    (pitch,) = ripple.shapes
+    longest = travel / 2 * (1 + 1e-9)
+    assert pitch.high <= longest and all(p[pitch.name] <= longest for p in ripple.grid)
+
+
+def test_forces_that_drive_it_to_infinity_are_infeasible() -> None:
+    problem = AxisProblem(STAGE, runs_of(STAGE, 1))
+    with pytest.raises(InfeasibleParameters):
+        problem.simulate({"effects.quadratic_drag.force_n_s2_per_m2": -1e7})
+
+
+@pytest.mark.parametrize(
+    ("header", "sentence"),
+    [
+        ("t_s,pos_q_mm", "needs what drove it"),
+        ("t_s,force_n,cmd_q_mm", "one of the two"),
+        ("t_s,force_n", "No sensor column"),
+        ("t_s,force_n,pos_x_mm", "'pos_x_mm' is none of a run of one axis; did you mean 'pos_q_mm'"),
+        ("time,force_n,pos_q_mm", "Column t_s"),
+    ],
+)
+def test_headers_of_runs(header: str, sentence: str, tmp_path: Path) -> None:
+    path = tmp_path / "run.csv"
+    width = header.count(",") + 1
+    path.write_text(header + "\n" + "\n".join(",".join(["0.1"] * width) for _ in range(3)))
+    with pytest.raises(MeasurementError, match=sentence):
+        read_axis_run(path)
+
+
+def test_a_run_is_read_and_must_fit_the_file(tmp_path: Path) -> None:
+    run = runs_of(STAGE, 1)[0]
+    path = tmp_path / "run-1.csv"
+    table = np.column_stack([run.time_s, run.drive, run.position["pos_q"]])
+    np.savetxt(path, table, delimiter=",", header="t_s,force_n,pos_q_mm", comments="")
+    read = read_axis_run(path)
+    assert read.repeat_of == "run" and read.sample_rate_hz == pytest.approx(RATE)
+    np.testing.assert_allclose(read.position["pos_q"], run.position["pos_q"])
+    with pytest.raises(MeasurementError, match=r"axis\.input of drive is 'position'"):
+        AxisProblem(DRIVE, [read])

@@ -1,0 +1,182 @@
+"""Excerpts: they hold what the whole recording holds there, and are used only where a discrepancy stands out."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from ffcomp.diagnosis.diagnosis import noise_floor
+from ffcomp.diagnosis.fidelity import excerpt_of, fit_in_excerpt, hypothesis_in_whole
+from ffcomp.diagnosis.fit import EstimationProblem, Fit, estimation_problem
+from ffcomp.diagnosis.hypotheses import Hypothesis
+from ffcomp.diagnosis.noise import whitener
+from ffcomp.diagnosis.observations import (
+    EXCERPT_MOTIONS,
+    EXCERPT_S,
+    clustered,
+    first_seconds,
+    informative_recordings,
+    quick_length,
+)
+from ffcomp.diagnosis.printer_problem import PrinterProblem
+from ffcomp.diagnosis.problem import Observation
+from ffcomp.measurement.recording import Recording
+from models.file import load_machine
+
+RATE_HZ, SECONDS = 1591.5, 4.0
+FRICTION, DRIFT = "effects.coulomb_friction.force_n", "effects.sensor_clock_drift.relative_drift"
+
+
+@cache
+def problem() -> PrinterProblem:
+    """Two motions, one of them twice, with noise and no signal: only lengths and commands matter."""
+    return noisy({"a-1": (9.0, "Axyz"), "a-2": (9.0, "Axyz"), "b-1": (17.0, "Axyz")}, {})
+
+
+def noisy(runs: dict[str, tuple[float, str]], said: dict[str, str]) -> PrinterProblem:
+    """A printer that makes circles of these frequencies, rad/s, and feels noise along these axes."""
+    machine, rng = load_machine("mp-delta-pro"), np.random.default_rng(4)
+    t = np.arange(round(SECONDS * RATE_HZ)) / RATE_HZ
+    fade = np.clip(np.minimum(t, t[-1] - t) / 0.3, 0, 1)[:, None]
+    recordings = []
+    for name, (f, axes) in runs.items():
+        nozzle = [10.0, -5.0, 30.0] + fade * np.column_stack([np.sin(f * t), np.cos(2 * f * t), np.sin(3 * f * t) / 2])
+        felt = {f"acc_{axis}": rng.standard_normal(len(t)) for axis in axes}
+        gaps = np.zeros(len(t), dtype=bool)
+        q = machine.kinematics.inverse(nozzle)
+        recordings.append(Recording(f"{name}.csv", t, q, "carriage", felt, {}, gaps, said))
+    return PrinterProblem(machine, recordings, ("coulomb_friction",))
+
+
+def whitened(of: PrinterProblem) -> EstimationProblem:
+    return estimation_problem(of, whitener(of.observations, noise_floor(of), of.band_hz))
+
+
+@pytest.mark.parametrize(("values", "tolerance"), [({}, 5e-3), ({FRICTION: 2.0}, 0.02), ({DRIFT: 3e-4}, 5e-3)])
+def test_an_excerpt_is_simulated_as_the_whole_is(values: dict[str, float], tolerance: float) -> None:
+    whole, part = problem(), problem().excerpt()
+    assert part is not None
+    for long, short, rows in zip(whole.simulate(values), part.simulate(values), part.parts, strict=True):
+        there = long[rows.first : rows.last]
+        assert len(short) == rows.last - rows.first == pytest.approx(EXCERPT_S * RATE_HZ, rel=0.02)
+        np.testing.assert_allclose(short, there, atol=tolerance * np.abs(there).max())
+
+
+@pytest.mark.parametrize("values", [{}, {FRICTION: 2.0}])
+def test_beginnings_are_simulated_as_the_whole_is_also_those_of_an_excerpt(values: dict[str, float]) -> None:
+    part = problem().excerpt()
+    assert part is not None
+    whole = problem().simulate(values)
+    for of in (problem(), part):
+        begun = of.short_horizon(0.4)
+        assert begun is not None
+        short = begun.simulate(values)
+        for i, told in zip(of.chosen, short, strict=True):
+            assert len(told) == pytest.approx(0.4 * RATE_HZ, rel=0.02)
+            np.testing.assert_allclose(told, whole[i][: len(told)], atol=1e-6 * np.abs(whole[i]).max())
+        assert of.short_horizon(SECONDS) is None
+
+
+def test_a_beginning_is_counted_from_where_a_motion_begins() -> None:
+    observation = seen("a", (0.0, 0.0))
+    rests = np.zeros((1000, 3))
+    rests[600:] = 1.0
+    assert first_seconds(observation, rests, 200 / observation.rate_hz).last == quick_length(800)
+    assert first_seconds(observation, rests[:700], 200 / observation.rate_hz).last == 700
+
+
+def test_excerpts_are_of_both_halves_and_alike_for_repeats() -> None:
+    part = problem().excerpt()
+    assert part is not None
+    first, repeat, other = part.parts
+    middle = len(problem().observations[0].measured) / 2
+    assert first == repeat
+    assert (first.first + first.last) / 2 < middle < (other.first + other.last) / 2
+    np.testing.assert_array_equal(
+        part.observations[1].measured, problem().observations[1].measured[first.first : first.last]
+    )
+
+
+def test_only_a_discrepancy_that_stands_out_is_searched_in_an_excerpt() -> None:
+    estimation = whitened(problem())
+    part = excerpt_of(estimation, 100.0)
+    assert part is not None
+    assert part.share == pytest.approx(EXCERPT_S / SECONDS, rel=0.05)
+    assert len(part.measured) == part.share * len(estimation.measured)
+    assert excerpt_of(estimation, 1.5 * estimation.tolerance) is None
+    assert excerpt_of(part, 100.0) is None  # what is short already is not cut again
+
+
+def seen(name: str, place: tuple[float, float], signals: tuple[str, ...] = ("acc_x",)) -> Observation:
+    rows = np.zeros((10, len(signals)))
+    return Observation(f"{name}.csv", name, place, RATE_HZ, signals, rows, rows)
+
+
+def of_a_plan(kinds: str, repeats: int = 2) -> tuple[list[Observation], list[int]]:
+    """Every kind of motion at each of three places, each repeated; nearly at one place, for each is a few mm off."""
+    places = ((0.0, 0.0), (-70.0, -60.0), (60.0, 50.0))
+    runs = [seen(f"{kind}-{at[0]:.0f}", (at[0] + 5 * n, at[1])) for at in places for n, kind in enumerate(kinds)]
+    return [one for one in runs for _ in range(repeats)], [i - i % repeats for i in range(repeats * len(runs))]
+
+
+def test_of_many_motions_a_few_of_every_place_and_kind_are_searched_in() -> None:
+    runs, same = of_a_plan("abc")
+    chosen = informative_recordings(runs, same)
+    assert len(chosen) == EXCERPT_MOTIONS and all(same[i] == i for i in chosen)  # no repeats
+    assert {runs[i].repeat_of[0] for i in chosen} == set("abc")
+    assert len(set(clustered([runs[i].position for i in chosen]))) == 3
+
+
+def test_of_few_motions_all_are_searched_in_with_their_repeats() -> None:
+    runs, same = of_a_plan("ab")
+    assert informative_recordings(runs, same) == list(range(12))
+
+
+def test_a_repeat_that_measured_something_else_is_searched_in_too() -> None:
+    runs, same = of_a_plan("abc")
+    runs[1] = seen("a-0", (0.0, 0.0), ("acc_y",))
+    assert informative_recordings(runs, same)[:2] == [0, 1]
+
+
+def test_lengths_are_transformed_quickly() -> None:
+    assert [quick_length(n) for n in (1, 9601, 7798, 1920, 1910)] == [1, 9600, 7776, 1920, 1904]
+    assert all(len(o.measured) == quick_length(len(o.measured)) for o in problem().observations)
+
+
+def test_one_array_for_two_repeats_is_whitened_as_two_are(monkeypatch: pytest.MonkeyPatch) -> None:
+    estimation, transformed = whitened(problem()), []
+    rfft = np.fft.rfft
+    monkeypatch.setattr(np.fft, "rfft", lambda many: transformed.append(len(many)) or rfft(many))
+    a, again, b = problem().simulate({})
+    assert a is again
+    once = estimation.whiten([a, a, b])
+    assert sum(transformed) == 2
+    np.testing.assert_array_equal(once, estimation.whiten([a, a.copy(), b]))
+    assert sum(transformed) == 5
+
+
+def test_delays_of_recordings_that_an_excerpt_leaves_out_come_back_as_nothing() -> None:
+    part = excerpt_of(whitened(many_motions()), 100.0)
+    assert part is not None
+    names, left = [[n.name for n in p.parameters] for p in (many_motions(), part.problem)]
+    assert set(left) < set(names) and len(names) - len(left) == MOTIONS_MADE - EXCERPT_MOTIONS
+    assert [n for n in names if not n.startswith("recording.")] == [n for n in left if not n.startswith("recording.")]
+    z = 0.1 * np.arange(len(names), dtype=np.float64)
+    filed = Fit(tuple(many_motions().parameters), z, np.zeros(1), np.zeros((1, len(z))))
+    shown = fit_in_excerpt(part, filed)
+    assert shown.values == {name: filed.values[name] for name in left}
+    assert shown.jacobian.shape == (len(part.measured), len(left))
+    whole = hypothesis_in_whole(many_motions(), Hypothesis((), shown))
+    assert [n.name for n in whole.fit.parameters] == names
+    np.testing.assert_allclose(whole.fit.z, [x if name in left else 0.0 for name, x in zip(names, z, strict=True)])
+
+
+MOTIONS_MADE = 8
+
+
+@cache
+def many_motions() -> PrinterProblem:
+    """Eight motions at one place, each a recording whose clock may be off."""
+    return noisy({f"m{n}": (5.0 + n, "x") for n in range(MOTIONS_MADE)}, {"delay_sd_s": "1e-4"})

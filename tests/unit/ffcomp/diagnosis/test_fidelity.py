@@ -1,0 +1,163 @@
+"""The ladder of fidelity: fits that are held, restarted, continued from quiet motions, or begun on a short horizon."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ffcomp.diagnosis.acceptance import out_of_reach
+from ffcomp.diagnosis.diagnosis import _fitted_to_the_end, noise_floor
+from ffcomp.diagnosis.fidelity import by_continuation, continue_fit, fit_within_uncertainty, from_short_horizon
+from ffcomp.diagnosis.fit import EstimationProblem, Fit, derivatives, estimation_problem, fit, values_at
+from ffcomp.diagnosis.hypotheses import Hypothesis
+from ffcomp.diagnosis.noise import whitener
+from ffcomp.diagnosis.problem import Candidate, Parameter
+from ffcomp.diagnosis.problems import problem_of, recordings_of
+from ffcomp.diagnosis.score_test import screen
+from models.file import load_plant
+from validation.blind.cases import case
+
+LONG = 20_000
+NAMES = ("belt_backlash", "coulomb_friction", "belt_stiffness")
+WIDTH = "effects.belt_backlash.width_mm"
+
+
+def linear(measured: np.ndarray, columns: dict[str, np.ndarray], start: dict[str, float]) -> Any:
+    """A problem whose simulation is linear in its parameters."""
+
+    def residuals(many: Sequence[Mapping[str, float]]) -> Iterator[np.ndarray]:
+        for v in many:
+            yield measured - sum(columns[n] * (v.get(n, x) - x) for n, x in start.items())
+
+    return SimpleNamespace(residuals=residuals, coarse=False)
+
+
+def test_numbers_that_make_up_for_each_other_come_back_before_an_effect_is_named_for_it() -> None:
+    """Mass and stiffness four uncertainties off leave nothing, as they do at home: no effect is needed."""
+    rng = np.random.default_rng(2)
+    both = rng.standard_normal(LONG)
+    columns = {"mass": 3.0 * both, "belt": -3.0 * both}
+    own = tuple(Parameter(n, 0.0, 1.0, -5.0, 5.0) for n in columns)
+    problem = linear(rng.standard_normal(LONG), columns, dict.fromkeys(columns, 0.0))
+    z = np.array([4.0, 4.0])
+    jacobian = np.stack(list(columns.values()), axis=1)
+    astray = Fit(own, z, next(problem.residuals([values_at(own, z)])), jacobian)
+    assert np.abs(_fitted_to_the_end(problem, astray, 0.1).z).max() < 0.1
+    loud = replace(astray, residual=astray.residual + 3.0 * rng.standard_normal(LONG))
+    assert _fitted_to_the_end(problem, loud, 0.1) is loud  # it leaves something that they cannot explain
+
+
+def test_numbers_of_the_file_are_held_within_reach_where_an_effect_explains_as_much() -> None:
+    rng = np.random.default_rng(1)
+    columns = rng.standard_normal((2, LONG))
+    stiffness, delay = Parameter("belt", 1.0, 0.02), Parameter("effects.command_delay.delay_s", 0.0, 1.0)
+    measured = rng.standard_normal(LONG) + columns[1] * 5.0 - columns[0] * 0.05  # as if it were 2.5 of its sd off
+
+    def residuals(many: Sequence[Mapping[str, float]]) -> Iterator[np.ndarray]:
+        for v in many:
+            yield measured - columns[0] * (v[stiffness.name] - 1.0) - columns[1] * v[delay.name]
+
+    problem: Any = SimpleNamespace(residuals=residuals, coarse=False)
+    z = np.array([-4.0, 5.0])
+    begun = Fit((stiffness, delay), z, next(residuals([values_at((stiffness, delay), z)])), columns.T * [0.02, 1.0])
+    best = Hypothesis((Candidate("command_delay", (delay,), {}),), begun)
+    held = fit_within_uncertainty(problem, best, lambda _: None)
+    assert out_of_reach(best) and not out_of_reach(held)
+    assert held.fit.z[0] == pytest.approx(-np.sqrt(3.0)) and held.fit.z[1] == pytest.approx(5.0, abs=0.05)
+    assert held.discrepancy < 0.05
+
+
+@dataclass(frozen=True)
+class Swinging:
+    """Motions that answer a number by sines of it, each louder one by a faster one."""
+
+    truth: float
+    chosen: tuple[int, ...] = (0, 1, 2, 3, 4)
+    coarse: bool = False
+
+    @property
+    def problem(self) -> Any:
+        return SimpleNamespace(motions=range(5))
+
+    @property
+    def whiten(self) -> Any:
+        return SimpleNamespace(rows=[slice(100 * k, 100 * (k + 1)) for k in range(len(self.chosen))])
+
+    @property
+    def may_go_on(self) -> bool:
+        return True
+
+    def limited_to(self, chosen: Sequence[int]) -> Swinging:
+        return replace(self, chosen=tuple(chosen))
+
+    def residual(self, values: Mapping[str, float]) -> np.ndarray:
+        loud = 2.0 ** np.repeat(self.chosen, 100)
+        turns = loud * np.tile(np.linspace(0.5, 1.0, 100), len(self.chosen))
+        return 100.0 * loud * (np.sin(turns * self.truth) - np.sin(turns * values["effects.cubic.size"]))
+
+    def residuals(self, many: Sequence[Mapping[str, float]]) -> Iterator[np.ndarray]:
+        return map(self.residual, many)
+
+
+def test_a_number_that_loud_motions_hide_is_found_from_the_quiet_ones() -> None:
+    problem: Any = Swinging(1.2)
+    size = Parameter("effects.cubic.size", 0.0, 1.0)
+    residual = problem.residual({size.name: 0.1})
+    begun = Fit((size,), np.array([0.1]), residual, np.zeros((len(residual), 1)))
+    astray = continue_fit(problem, Hypothesis((Candidate("cubic", (size,), {}),), begun), lambda _: None)
+    assert abs(astray.fit.values[size.name] - 1.2) > 0.1
+    found = by_continuation(problem, astray, lambda _: None)
+    assert found.fit.values[size.name] == pytest.approx(1.2, abs=1e-3)
+
+
+# ---- a short horizon -----------------------------------------------------------------------------
+
+
+@cache
+def printer(names: str, seed: int, folder: Path) -> tuple[EstimationProblem, dict[str, dict[str, object]]]:
+    """A CoreXY of the bank, whose plant has soft flanks, landings, and a mount that the file does not tell of."""
+    made = case(seed, f"corexy/single/usual:{names}", 1.5, short=True)
+    (folder / "machine.toml").write_text(made.machine)
+    for name, text in made.runs.items():
+        (folder / name).write_text(text)
+    machine = load_plant(folder / "machine.toml")
+    problem = problem_of(machine, recordings_of(machine, sorted(folder.glob("*.csv")), None), NAMES)
+    found = estimation_problem(problem, whitener(problem.observations, noise_floor(problem), problem.band_hz))
+    return found, dict(made.label.effects)
+
+
+def retuned(estimation: EstimationProblem) -> Fit:
+    own = tuple(estimation.problem.parameters)
+    columns = derivatives(estimation, own, np.zeros(len(own)), estimation.residual({}), range(len(own)))
+    return fit(estimation, own, np.zeros(len(own)), columns)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("printer")
+
+
+def test_wide_play_is_found_with_its_widths(folder: Path) -> None:
+    estimation, hidden = printer("belt_backlash", 81234303, folder)
+    base = retuned(estimation)
+    assert base.discrepancy > 100.0  # times the noise, and so much in the dark
+    screened = screen(estimation, base, estimation.problem.candidates)
+    found = from_short_horizon(estimation, screened, lambda said: None)
+    assert found is not None and found.names == ("belt_backlash",) and found.plausible
+    assert found.discrepancy < 0.02 * base.discrepancy
+    widths = [found.fit.values[f"{WIDTH}[{i}]"] for i in range(2)]
+    assert widths == pytest.approx(hidden["belt_backlash"]["width_mm"][:2], rel=0.03)  # type: ignore[index]
+
+
+def test_where_nothing_explains_the_beginnings_nothing_is_followed(folder: Path) -> None:
+    estimation, _ = printer("belt_backlash", 81234303, folder)
+    base = retuned(estimation)
+    others = [c for c in estimation.problem.candidates if c.name == "belt_stiffness"]
+    assert from_short_horizon(estimation, screen(estimation, base, others), lambda said: None) is None

@@ -1,0 +1,122 @@
+"""The parts of the diagnosis by themselves: derivatives, what runs must be; and a measured axis."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import pytest
+
+from ffcomp.diagnosis.fit import EstimationProblem, derivatives, fit
+from ffcomp.diagnosis.noise import NoiseFloor, whitener
+from ffcomp.diagnosis.problem import Candidate, Observation, Parameter, Problem
+from ffcomp.diagnosis.validation import carriages_of, check_repeats
+from ffcomp.errors import MeasurementError
+from ffcomp.measurement.recording import Recording
+from models.effects.catalogue import with_effect
+from models.file import load_machine
+from models.printer.kernels import record
+from models.printer.kernels.friction import guide_friction
+from models.printer.kernels.integrate import fill_lanes
+from models.printer.parameters import printer_parameters
+
+# ---- fit -----------------------------------------------------------------------------------------
+
+
+@dataclass
+class Line(Problem):
+    """y = (a + b) t² + a³ t, a toy problem."""
+
+    band_hz: tuple[float, float] = (1.0, 40.0)
+    observations: Sequence[Observation] = ()
+    parameters: Sequence[Parameter] = (Parameter("a", 1.0, 0.5), Parameter("b", 0.0, 0.5, 0.0, 2.0))
+    candidates: Sequence[Candidate] = field(default_factory=tuple)
+
+    def simulate(
+        self, values: Mapping[str, float], only: Sequence[int] | None = None, *, coarse: bool = False
+    ) -> list[np.ndarray]:
+        a, b = values.get("a", 1.0), values.get("b", 0.0)
+        t = np.arange(200)[:, None] / 200
+        return [np.asarray((a + b) * t**2 + a**3 * t) for _ in self.observations]
+
+
+def toy(a: float, b: float) -> EstimationProblem:
+    problem = Line()
+    blank = Observation("x", "x", (0.0,), 200.0, ("acc_A",), np.zeros((200, 1)), np.zeros((200, 1)))
+    problem.observations = [blank]
+    measured = problem.simulate({"a": a, "b": b})
+    problem.observations = [replace(blank, measured=measured[0])]
+    floor = NoiseFloor(np.array([0.0, 100.0]), {"acc_A": np.full(2, 1e-10)}, True)
+    whiten = whitener(problem.observations, floor, problem.band_hz)
+    return EstimationProblem(problem, whiten, whiten(measured))
+
+
+def test_derivatives_are_exact_where_central_and_zero_for_a_parameter_that_cannot_move() -> None:
+    estimation, z = toy(1.0, 0.0), np.array([0.3, 0.0])
+    parameters = (Parameter("a", 1.0, 0.5), Parameter("fixed", 0.0, 1.0, 0.0, 0.0))
+    residual = estimation.residual({"a": 1.15})
+    rough = derivatives(estimation, parameters, z, residual, [0, 1])
+    sizes = np.linalg.norm(rough, axis=0)
+    fine = derivatives(estimation, parameters, z, residual, [0, 1], central=True, sizes=sizes)
+    t = np.arange(200)[:, None] / 200
+    exact = estimation.whiten([0.5 * (t**2 + 3 * 1.15**2 * t)])
+    assert np.linalg.norm(fine[:, 0] - exact) < 1e-5 * np.linalg.norm(exact)
+    assert not fine[:, 1].any() and not rough[:, 1].any()
+
+
+def test_a_fit_finds_both_parameters() -> None:
+    estimation = toy(1.2, 0.3)
+    found = fit(estimation, estimation.problem.parameters, np.zeros(2), iterations=12)
+    assert found.values["a"] == pytest.approx(1.2, abs=1e-3)
+    assert found.values["b"] == pytest.approx(0.3, abs=3e-3)
+
+
+# ---- dry friction's shapes -----------------------------------------------------------------------
+
+
+def test_friction_that_never_holds_is_a_plain_hyperbolic_tangent() -> None:
+    shape = {"force_n": 2.0, "creep_mm_per_s": 4.0, "hold_per_s": 0.0}
+    machine = with_effect(load_machine("mp-delta-pro"), "coulomb_friction", **shape)
+    m = fill_lanes(np.zeros((1, record.STATES)), record.parameter_table([printer_parameters(machine)]))
+    rows = m.reshape(record.ROWS, record.LANES)
+    for speed in (-0.01, -1e-4, 2e-3, 0.3):
+        rows[record.NOW + record.QD : record.NOW + record.QD + 3, 0] = speed
+        guide_friction(m)
+        assert rows[record.GUIDES + 1, 0] == pytest.approx(2.0 * np.tanh(speed / 4e-3), rel=1e-12)
+        assert rows[record.RATE + record.GUIDE + 1, 0] == 0  # no memory
+
+
+def test_two_kinds_of_friction_turn_over_as_their_forces_weigh() -> None:
+    machine = with_effect(load_machine("mp-delta-pro"), "coulomb_friction", force_n=3.0, creep_mm_per_s=1.0)
+    both = with_effect(
+        machine, "stribeck_friction", force_n=1.0, extra_force_n=0.0, velocity_mm_per_s=5.0, creep_mm_per_s=3.0
+    )
+    np.testing.assert_allclose(printer_parameters(both).creep, 1.5e-3)
+
+
+# ---- what runs must be ---------------------------------------------------------------------------
+
+
+def recording_at(place: tuple[float, float, float], name: str = "x-1.csv") -> Recording:
+    t = np.arange(1600) / 1600.0
+    q = np.repeat(load_machine("mp-delta-pro").kinematics.inverse(np.array([place])), len(t), axis=0)
+    blank = {"acc_A": np.zeros(len(t))}
+    return Recording(name, t, q, "carriage", blank, {}, np.zeros(len(t), dtype=bool), {})
+
+
+def test_a_run_of_another_machine_is_refused_with_where_and_why() -> None:
+    machine = load_machine("mp-delta-pro")
+    fine = recording_at((30.0, 20.0, 50.0))
+    np.testing.assert_array_equal(carriages_of(machine, fine), fine.command)
+    for lift, words in ((400.0, "print volume"), (np.array([0.0, 0.0, 900.0]), "arm")):
+        with pytest.raises(MeasurementError, match=words) as error:
+            carriages_of(machine, replace(fine, command=fine.command + lift))
+        assert "another machine" in str(error.value) and error.value.exit_code == 5
+
+
+def test_runs_without_a_repeat_are_refused() -> None:
+    one, other = recording_at((0, 0, 30), "a-1.csv"), recording_at((0, 0, 30), "b-1.csv")
+    with pytest.raises(MeasurementError, match="None of the 2 recordings repeats another"):
+        check_repeats([one, other])
+    check_repeats([one, recording_at((0, 0, 30), "a-2.csv")])

@@ -1,0 +1,192 @@
+"""A shaper left on, a clipped sensor and one signal that holds the gap, on made signals: nothing is simulated."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.signal import butter, sosfilt
+
+from ffcomp.diagnosis.acceptance import HeldOut, contradicting
+from ffcomp.diagnosis.fit import EstimationProblem, Fit
+from ffcomp.diagnosis.noise import NoiseFloor, at_least, noise_share, whitener
+from ffcomp.diagnosis.observations import clustered
+from ffcomp.diagnosis.problem import Observation
+from ffcomp.diagnosis.recording_faults import (
+    clipped_sensor,
+    fault_of_recordings,
+    odd_signal,
+    shaper_on,
+)
+from ffcomp.measurement.faults import BadSensor, ShaperOn
+from ffcomp.numerics.delay import delayed
+from ffcomp.shapers.smooth import SHAPERS
+from tests.unit.ffcomp.diagnosis.test_parts import Line
+
+RATE_HZ, N, NOISE = 1600.0, 2400, 0.05
+SIGNALS = ("acc_x", "acc_y", "acc_z")
+
+
+def motion(seed: int = 1) -> np.ndarray:
+    """Shaken below 150 Hz, at rest at both ends, (n, 3) m/s²."""
+    rng = np.random.default_rng(seed)
+    shaken = sosfilt(butter(2, 150, fs=RATE_HZ, output="sos"), rng.standard_normal((N, 3)), axis=0)
+    return 8 * shaken * np.clip(np.minimum(np.arange(N), N - np.arange(N)) / 300 - 0.4, 0, 1)[:, None]
+
+
+def problem(*measured: np.ndarray) -> EstimationProblem:
+    rng = np.random.default_rng(3)
+    noisy = [x + NOISE * rng.standard_normal(x.shape) for x in measured]
+    seen = [
+        Observation(f"x-{i}.csv", "x", (0.0, 0.0), RATE_HZ, SIGNALS, x, np.ones(x.shape)) for i, x in enumerate(noisy)
+    ]
+    grid = np.array([0.0, RATE_HZ / 2])
+    floor = NoiseFloor(grid, {s: np.full(2, 2 * NOISE**2 / RATE_HZ) for s in SIGNALS}, True)
+    whiten = whitener(seen, floor, (1.0, 200.0))
+    return EstimationProblem(Line(), whiten, whiten(noisy))
+
+
+def left(estimation: EstimationProblem, simulated: list[np.ndarray]) -> Fit:
+    """A fit that could retune nothing."""
+    residual = estimation.measured - estimation.whiten(simulated)
+    return Fit((), np.zeros(0), residual, np.zeros((len(residual), 0)))
+
+
+def shaped(x: np.ndarray, kind: str, frequency_hz: float) -> np.ndarray:
+    pulses = SHAPERS[kind](frequency_hz, 0.1)
+    return np.sum(
+        [a * delayed(x, float(t), RATE_HZ) for a, t in zip(pulses.amplitude, pulses.time, strict=True)], axis=0
+    )
+
+
+@pytest.mark.parametrize(("kind", "frequency_hz"), [("mzv", 42.0), ("zv", 61.0), ("2hump_ei", 35.0)])
+def test_a_shaper_is_named_with_its_type_and_frequency(kind: str, frequency_hz: float) -> None:
+    true = [motion()]
+    estimation = problem(shaped(true[0], kind, frequency_hz))
+    found = fault_of_recordings(estimation, true, left(estimation, true))
+    assert found is not None and kind.upper() in found.sentence() and "record again" in found.sentence()
+    shaper = shaper_on(estimation, true, left(estimation, true))
+    assert shaper is not None
+    assert shaper.shapers == (ShaperOn(kind, pytest.approx(frequency_hz, abs=1.0)),)
+
+
+@pytest.mark.parametrize(
+    ("on_x", "on_y", "said"),
+    [
+        (
+            ("3hump_ei", 75.0),
+            None,
+            "x moved as 3HUMP_EI at about 75 Hz makes it move (it",
+        ),
+        (
+            ("mzv", 58.0),
+            ("zv", 41.0),
+            "x moved as MZV at about 58 Hz makes it move, and y moved as ZV at about 41 Hz",
+        ),
+    ],
+)
+def test_shapers_of_one_axis_are_named_with_it(
+    on_x: tuple[str, float], on_y: tuple[str, float] | None, said: str
+) -> None:
+    """Firmware has a shaper for each axis, and each of its own frequency."""
+    true = motion()
+    measured = true.copy()
+    for i, own in enumerate((on_x, on_y)):
+        measured[:, i] = true[:, i] if own is None else shaped(true[:, i : i + 1], *own)[:, 0]
+    estimation = problem(measured)
+    found = shaper_on(estimation, [true], left(estimation, [true]))
+    assert found is not None and said in found.sentence()
+
+
+def test_an_axis_that_something_else_is_wrong_with_has_no_shaper() -> None:
+    true = motion()
+    measured = shaped(true, "mzv", 42.0)
+    measured[:, 1] = 0.7 * sosfilt(butter(1, 60, fs=RATE_HZ, output="sos"), true[:, 1])
+    estimation = problem(measured)
+    assert shaper_on(estimation, [true], left(estimation, [true])) is None
+
+
+def test_a_softer_machine_is_no_shaper() -> None:
+    true = [motion()]
+    softer = 0.7 * sosfilt(butter(1, 60, fs=RATE_HZ, output="sos"), true[0], axis=0)
+    estimation = problem(softer)
+    assert shaper_on(estimation, true, left(estimation, true)) is None
+
+
+def test_a_clipped_sensor_is_named_with_its_files_and_a_smaller_motion_is_none() -> None:
+    true = [motion(), 0.2 * motion(2)]
+    clipped = true[0].copy()
+    clipped[:, 1] = np.clip(clipped[:, 1], -2.5, 2.5)
+    found = clipped_sensor(problem(clipped, true[1]), true)
+    assert found == BadSensor("acc_y", "clipped", 1.0, ("x-0.csv",))
+    assert clipped_sensor(problem(0.4 * true[0], true[1]), true) is None
+
+
+@pytest.mark.parametrize("resonance", [0.5, 0.55, 0.62])
+def test_a_resonance_that_is_damped_better_than_filed_is_no_clipped_sensor(resonance: float) -> None:
+    """Its crests are where the simulation's are, and nowhere else: a sensor that stands at its range looks like it."""
+    t = np.arange(N) / RATE_HZ
+    swept = np.sin(2 * np.pi * 46 * t) * (1 + 0.4 * np.sin(2 * np.pi * 1.3 * t))
+    true = motion()
+    true[:, 1] = 10 * swept
+    steady = true.copy()
+    steady[:, 1] = 10 * np.sin(2 * np.pi * 46 * t)
+    for simulated in (true, steady):
+        measured = simulated * np.array([1.0, resonance, 1.0])
+        assert clipped_sensor(problem(measured), [simulated]) is None
+
+
+def test_the_signal_that_holds_the_gap_is_named() -> None:
+    true = [motion()]
+    loose = true[0].copy()
+    loose[:, 2] += 3 * np.sin(2 * np.pi * 62 * np.arange(N) / RATE_HZ)
+    bad, good = problem(loose), problem(true[0] * 1.3)
+    found = odd_signal(bad, [left(bad, true)])
+    assert found is not None and found.signal == "acc_z" and found.share > 0.95
+    assert odd_signal(good, [left(good, true)]) is None
+    assert odd_signal(bad, []) is None  # an effect explains the gap: no fit is looked at
+
+
+def test_a_trace_in_one_signal_is_no_fault_of_its_sensor() -> None:
+    """What is left of a good fit is noise: whichever signal lies above one by chance holds all of it."""
+    true = [motion()]
+    trace = true[0].copy()
+    trace[:, 2] += 0.0195 * np.sin(2 * np.pi * 62 * np.arange(N) / RATE_HZ)
+    estimation = problem(trace)
+    assert odd_signal(estimation, [left(estimation, true)]) is None
+
+
+def test_sensors_quieter_than_any_simulation_do_not_get_the_weaker_answer() -> None:
+    whiten = problem(motion()).whiten
+    quiet = NoiseFloor(whiten.floor.frequency_hz, {s: d / 1e4 for s, d in whiten.floor.density.items()}, True)
+    raised = at_least(quiet, whiten.observations, whiten.band_hz)
+    assert noise_share(whiten, quiet) < 1e-4
+    assert noise_share(whiten, raised) == pytest.approx(0.003, rel=0.01)
+    assert at_least(whiten.floor, whiten.observations, whiten.band_hz) is whiten.floor
+
+
+# ---- places --------------------------------------------------------------------------------------
+
+
+def test_places_count_as_two_from_20_mm_on() -> None:
+    assert clustered([(0.0, 0.0), (5.0, 0.0), (30.0, 0.0)]) == [(0.0, 0.0), (0.0, 0.0), (30.0, 0.0)]
+    assert len(set(clustered([(0.0, 0.0), (36.0, 0.0), (18.0, 0.0)]))) == 1  # a chain is one place
+    assert clustered([(0.0,), (4.0,)]) == [(0.0,), (4.0,)]  # windows of time
+
+
+def test_a_quiet_place_does_not_veto_what_explains_the_others() -> None:
+    loud, quiet = (HeldOut(at, "", 1000, before, after) for at, before, after in PLACES)
+    assert contradicting([loud, quiet], 0.1) == []
+    worse = HeldOut((55.0, 20.0), "", 1000, 37.0, 80.0)
+    assert contradicting([loud, worse], 0.1) == [worse]
+    wrong = HeldOut((0.0, 0.0), "", 1000, 900.0, 500.0)
+    assert contradicting([wrong, quiet], 0.1) == [wrong]
+
+
+PLACES = (((0.0, 0.0), 970.0, 60.0), ((55.0, 20.0), 37.0, 38.0))
+
+
+@pytest.mark.parametrize("late_s", [5e-4, 2e-3, 6e-3])
+def test_a_late_machine_is_no_shaper(late_s: float) -> None:
+    true = [motion()]
+    estimation = problem(delayed(true[0], late_s, RATE_HZ))
+    assert shaper_on(estimation, true, left(estimation, true)) is None

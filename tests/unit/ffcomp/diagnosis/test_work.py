@@ -1,0 +1,144 @@
+"""How much a search simulates: glimpses rank as all motions do, and a budget ends it with a sentence."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cache
+
+import numpy as np
+import pytest
+
+from ffcomp.diagnosis.axis_problem import AxisProblem
+from ffcomp.diagnosis.diagnosis import Diagnosis, diagnose
+from ffcomp.diagnosis.fidelity import USUAL_SIZES, best_start
+from ffcomp.diagnosis.fit import EstimationProblem, Fit, estimation_problem
+from ffcomp.diagnosis.noise import noise_from_repeats, whitener
+from ffcomp.diagnosis.problem import Work
+from ffcomp.diagnosis.result import result_of
+from ffcomp.diagnosis.score_test import loudest_motions, screen, subset_of
+from ffcomp.diagnosis.settings import SETTINGS
+from ffcomp.diagnosis.verb import result_json
+from ffcomp.measurement.axis_run import AxisRun
+from models.effects.catalogue import with_effects
+from models.kinds import machine_of_axis
+from models.printer.one_axis import simulate_axis
+from models.vibration.driven_axis import DrivenAxis
+
+RATE, ROWS, MOTIONS = 500.0, 700, 5
+DRIVE = machine_of_axis("drive", DrivenAxis("position", 2.0, 2e4, 30.0), uncertainty={"default": 0.02})
+FRICTION = "effects.coulomb_friction.force_n"
+MILLION = 1e6
+
+
+def problem(names: Sequence[str] = ("coulomb_friction", "belt_hardening", "guide_damping")) -> AxisProblem:
+    """Five motions, the first one twice, of a drive with dry friction; the third is the loudest."""
+    hidden, runs = with_effects(DRIVE, {"coulomb_friction": {"force_n": 4.0}}), []
+    t = np.arange(ROWS) / RATE
+    for motion in range(MOTIONS):
+        rng = np.random.default_rng(motion)
+        wave = np.interp(t, np.linspace(0, t[-1], 20), np.r_[0, rng.normal(size=18), 0])
+        given = (12.0 if motion == 2 else 3.0) * np.convolve(wave, np.hanning(41) / 20, "same")
+        felt = simulate_axis(hidden, given, 1 / RATE).acceleration
+        for k in (1, 2) if motion == 0 else (1,):
+            noisy = {"acc_q": felt + 0.03 * rng.normal(size=ROWS)}
+            runs.append(AxisRun(f"{'abcde'[motion]}-{k}.csv", t, given, False, noisy, {}, {}))
+    return AxisProblem(DRIVE, runs, names)
+
+
+def estimation(names: Sequence[str] = ("coulomb_friction",)) -> EstimationProblem:
+    asked = problem(names)
+    floor = noise_from_repeats(asked.observations)
+    assert floor is not None
+    return estimation_problem(asked, whitener(asked.observations, floor, asked.band_hz))
+
+
+def unexplained(of: EstimationProblem) -> Fit:
+    residual = of.residual({})
+    return Fit((), np.zeros(0), residual, np.zeros((len(residual), 0)))
+
+
+@cache
+def searched(budget: float) -> tuple[AxisProblem, Diagnosis]:
+    asked = problem()
+    return asked, diagnose(asked, budget=budget)
+
+
+def test_a_glimpse_holds_what_all_motions_hold_there() -> None:
+    whole = estimation()
+    base = unexplained(whole)
+    seen = subset_of(whole, base)
+    assert seen is not None and seen.estimation.only is not None
+    rows = whole.rows_of(seen.estimation.only)
+    assert 0.2 < len(rows) / len(base.residual) < 0.7
+    np.testing.assert_array_equal(seen.fit.residual, base.residual[rows])
+    values = {FRICTION: 3.0}
+    np.testing.assert_array_equal(seen.estimation.residual(values), whole.residual(values)[rows])
+    assert subset_of(seen.estimation, seen.fit) is None  # what is short already is not cut again
+
+
+def test_a_glimpse_is_of_the_motions_that_hold_most_of_the_residual() -> None:
+    whole = estimation()
+    residual = np.ones(len(whole.measured))
+    for window, motion in enumerate(whole.problem.motions):
+        residual[whole.whiten.rows[window]] *= 10.0 if motion in (3, 4) else 1.0
+    assert set(loudest_motions(whole, residual)) == {3, 4}
+    evenly = loudest_motions(whole, np.ones(len(residual)))
+    assert len(evenly) == 2 and evenly[0] == 0  # the one that was recorded twice holds a third
+
+
+def test_shapes_and_starts_are_ranked_in_a_glimpse(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The same candidate comes first, of nearly the same size, for about half of the work."""
+
+    def ranked() -> tuple[str, float, float]:
+        whole = estimation(("coulomb_friction", "cogging"))
+        base, before = unexplained(whole), whole.problem.work.steps
+        first, *_ = screen(whole, base, list(whole.problem.candidates))
+        start = best_start(whole, base, (first,), USUAL_SIZES, USUAL_SIZES)
+        return first.candidate.name, float(start.z[0]), whole.problem.work.steps - before
+
+    name, size, steps = ranked()
+    for module in ("score_test", "fidelity"):
+        monkeypatch.setattr(f"ffcomp.diagnosis.{module}.subset_of", lambda *_: None)
+    assert ranked()[:2] == (name, pytest.approx(size, rel=0.2)) and name == "coulomb_friction"
+    assert steps < 0.6 * ranked()[2]
+
+
+def test_a_small_case_is_named_within_few_steps() -> None:
+    asked, found = searched(SETTINGS.budget_steps)
+    assert found.verdict == "effects" and found.named is not None and found.named.names == ("coulomb_friction",)
+    assert found.final.values[FRICTION] == pytest.approx(4.0, rel=0.05)
+    assert not found.cut_short
+    assert asked.work.steps < 2.8 * MILLION
+
+
+def test_a_search_ends_at_its_budget_and_says_so() -> None:
+    asked, found = searched(0.1 * MILLION)
+    assert found.cut_short
+    assert asked.work.steps < 0.7 * searched(SETTINGS.budget_steps)[0].work.steps
+    told = result_json(result_of(asked, found))
+    assert told["cut_short"] and any("--thorough" in sentence for sentence in told["said"])
+    whole = result_json(result_of(*searched(SETTINGS.budget_steps)))
+    assert not whole["cut_short"] and not any("--thorough" in sentence for sentence in whole["said"])
+
+
+def test_nothing_more_is_allowed_once_the_budget_is_spent() -> None:
+    work = Work()
+    work.begin(10.0)
+    work.add(9.0)
+    assert work.allows() and not work.cut
+    work.add(2.0)
+    assert not work.cut  # until something is left untried
+    assert not work.allows() and work.cut
+    work.begin(5.0)
+    assert work.allows()
+
+
+def test_a_search_that_begins_anew_may_go_on_and_what_was_cut_is_remembered() -> None:
+    work = Work()
+    work.begin(10.0)
+    work.add(12.0)
+    assert not work.allows()
+    work.extend(3.0)
+    assert work.allows() and work.cut
+    work.extend(1.0)
+    assert work.limit == 15.0

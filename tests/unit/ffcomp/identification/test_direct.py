@@ -1,0 +1,181 @@
+"""The two ways from responses to numbers, on responses whose noise is known."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ffcomp.errors import MeasurementError, SolverError
+from ffcomp.identification.decoupling import decouple, evaluate_parts
+from ffcomp.identification.output_error import TOTAL_MASS, UNKNOWNS, fit_machine
+from ffcomp.identification.paper import carriage_step, identify_as_paper
+from ffcomp.identification.predict import predicted
+from ffcomp.identification.uncertainty import Joint, joined, through
+from ffcomp.identification.uncertainty import measured as by_scale
+from models.file import load_machine
+from models.kinds import delta_vibration, with_parts
+from models.machine import Machine, value_of, with_values
+from models.vibration.substructures import Drive
+from tests.support.identification import blank, measured, paper_bench, towers_bench
+
+TRUTH = load_machine("mp-delta-pro")
+WEIGHED = {TOTAL_MASS: (0.651, 0.0005)}
+COARSE = np.arange(2.0, 200.1, 2.0)
+
+
+def somewhere_else() -> Machine:
+    """Another printer's numbers on this one's kinematics: 40 % and more off, every one."""
+    other = load_machine("kossel")
+    drive = Drive(2.5e5, -50.0, 100.0)
+    carriage = replace(
+        delta_vibration(other).carriage, arm_pair_mass_kg=delta_vibration(TRUTH).carriage.arm_pair_mass_kg, drive=drive
+    )
+    return with_parts(replace(other, kinematics=TRUTH.kinematics), carriage=carriage)
+
+
+def test_step_by_step_within_2_percent_and_dampings_within_10() -> None:
+    found = identify_as_paper(somewhere_else(), measured(TRUTH, paper_bench(), 40.0, 0), 0.651, 0.0005)
+    for name in UNKNOWNS:
+        close = 0.10 if "damping" in name else 0.02
+        assert value_of(found.machine, name) == pytest.approx(value_of(TRUTH, name), rel=close), name
+    assert found["carriage"].consistency < 3.0
+
+
+def test_step_by_step_says_what_is_missing() -> None:
+    bench = measured(TRUTH, paper_bench(COARSE), 60.0, 0)
+    with pytest.raises(MeasurementError, match=r"setup 'carriage\+mass' is there"):
+        identify_as_paper(TRUTH, [r for r in bench if r.setup != "carriage+mass"], 0.651)
+    with pytest.raises(MeasurementError, match="effector alone"):
+        identify_as_paper(TRUTH, [r for r in bench if r.setup != "effector"], 0.651)
+    moved = [replace(r, position_mm=(-80.0, 0.0, 30.0)) if r.setup == "assembly" else r for r in bench]
+    with pytest.raises(MeasurementError, match="centre"):
+        identify_as_paper(TRUTH, moved, 0.651)
+
+
+def test_an_added_mass_that_changes_nothing_is_refused() -> None:
+    alone = measured(TRUTH, paper_bench()[:1], 60.0, 0)[0]
+    with pytest.raises(SolverError, match="must fall"):
+        carriage_step(alone, replace(alone, setup="carriage+mass", added_mass_kg=0.2))
+
+
+def test_direct_fit_from_a_machine_far_off() -> None:
+    found = fit_machine(somewhere_else(), measured(TRUTH, paper_bench(), 40.0, 0), WEIGHED)
+    for name in UNKNOWNS:
+        close = 0.10 if "damping" in name else 0.02
+        assert value_of(found.machine, name) == pytest.approx(value_of(TRUTH, name), rel=close), name
+    assert found.misfit == pytest.approx(1.0, abs=0.05)
+    assert found.model_error == 0.0
+    assert not found.weak
+
+
+def test_direct_intervals_cover_the_truth() -> None:
+    """90 % intervals over 30 noise draws: 85 to 95 % of all of them, no number far from it."""
+    bench = paper_bench(np.arange(2.0, 200.1, 4.0))
+    inside = []
+    for seed in range(30):
+        found = fit_machine(TRUTH, measured(TRUTH, bench, 40.0, seed), WEIGHED, starts=[{}])
+        inside.append([found.estimates[n].low < value_of(TRUTH, n) < found.estimates[n].high for n in UNKNOWNS])
+    coverage = np.mean(inside, axis=0)
+    assert 0.85 <= np.mean(inside) <= 0.95
+    assert coverage.min() > 0.68  # four standard deviations of 30 draws
+
+
+def test_commands_and_accelerations_alone_leave_the_scale_of_all_masses_open() -> None:
+    """No force is measured: twice every mass, stiffness and damping answers alike."""
+    bench = measured(TRUTH, towers_bench(0.0, 0.0, COARSE), 40.0, 0)
+    open_scale = fit_machine(TRUTH, bench, starts=[{}])
+    assert open_scale.estimates["carriage.mass_kg"].relative_sd > 0.15
+    assert "carriage.belt_stiffness_n_per_m" in open_scale.weak["carriage.mass_kg"]
+    weighed = fit_machine(TRUTH, bench, WEIGHED, starts=[{}])
+    assert weighed.estimates["carriage.mass_kg"].relative_sd < 0.05
+
+
+def test_an_unknown_start_of_the_capture_is_found_with_the_numbers() -> None:
+    late = 2.345e-3
+    bench = [
+        replace(r, value=r.value * np.exp(-2j * np.pi * r.frequency_hz * late), clock="capture")
+        for r in measured(TRUTH, towers_bench(0.0, 0.0, COARSE), 50.0, 0)
+    ]
+    found = fit_machine(TRUTH, bench, WEIGHED, starts=[{}])
+    delay = found.delays_s["capture"]
+    # A delay of the capture and a delay of the drive are told apart by little more than the drive's own resonance.
+    assert delay.value == pytest.approx(late, abs=max(3 * delay.sd, 2e-5))
+    assert value_of(found.machine, "carriage.belt_stiffness_n_per_m") == pytest.approx(1.039e5, rel=0.03)
+
+
+def test_what_the_model_cannot_say_is_called_its_error() -> None:
+    bench = [
+        replace(r, value=r.value * (1 + 0.03 * np.sin(r.frequency_hz / 7.0)))
+        for r in measured(TRUTH, towers_bench(0.0, 0.0), 60.0, 0)
+    ]
+    found = fit_machine(TRUTH, bench, WEIGHED, starts=[{}])
+    assert 0.01 < found.model_error < 0.04
+    assert found.misfit > 10
+
+
+def test_a_number_nobody_has_is_refused() -> None:
+    with pytest.raises(SolverError, match=r"'carriage\.colour' is no parameter of this fit"):
+        fit_machine(TRUTH, measured(TRUTH, paper_bench(COARSE), 40.0, 0), {"carriage.colour": (1.0, 0.1)})
+
+
+def test_a_response_the_model_does_not_have_is_refused() -> None:
+    for wrong in ({"input": "voltage"}, {"output": "pos_Q"}, {"output": "sound_A"}):
+        with pytest.raises(MeasurementError, match=r"voltage|Q|sound"):
+            predicted(TRUTH, [replace(blank(COARSE, input="cmd_A", output="pos_A"), **wrong)])
+
+
+def test_predictions_agree_with_the_frfs_of_the_model() -> None:
+    at = np.array([-80.0, 20.0])
+    g = TRUTH.vibration.frequency_response(at, COARSE)
+    nine = np.stack(predicted(TRUTH, towers_bench(*at, COARSE)), axis=1).reshape(-1, 3, 3)
+    np.testing.assert_allclose(nine, g, rtol=1e-12)
+
+
+# ---- decoupling ----------------------------------------------------------------------------------
+
+
+def verdicts(truth: Machine, at: tuple[float, float]) -> dict[str, bool]:
+    bench = measured(truth, towers_bench(*at, np.arange(2.0, 125.1, 0.5)), 40.0, 0)
+    return {part.name: part.holds for part in evaluate_parts(decouple(TRUTH, bench))}
+
+
+@pytest.mark.parametrize("at", [(0.0, 0.0), (-80.0, 0.0), (40.0, 69.0)])
+def test_decoupling_finds_nothing_wrong_with_the_right_model(at: tuple[float, float]) -> None:
+    assert all(verdicts(TRUTH, at).values())
+
+
+def test_decoupling_shows_which_part_is_wrong() -> None:
+    soft = with_values(TRUTH, {"effector.extruder_stiffness_n_per_m[1]": 5000.0})
+    assert [name for name, holds in verdicts(soft, (0.0, 0.0)).items() if not holds] == ["effector y"]
+    heavy = with_values(TRUTH, {"effector.nozzle_mass_kg": 0.65})
+    assert [n for n, holds in verdicts(heavy, (0.0, 0.0)).items() if not holds] == [f"effector {a}" for a in "xyz"]
+    paper = with_parts(TRUTH, effector=replace(delta_vibration(TRUTH).effector, force_map="paper"))
+    assert not verdicts(paper, (-80.0, 0.0))["force map"]
+
+
+def test_decoupling_recovers_the_load_within_its_variance() -> None:
+    found = decouple(TRUTH, measured(TRUTH, towers_bench(-80.0, 0.0), 40.0, 3))
+    loud = found.frequency_hz < 100.0  # beyond it G is small, and its inverse no longer linear in the noise
+    chi = (np.abs(found.load - found.model) ** 2 / found.variance)[loud]
+    assert np.median(chi) == pytest.approx(np.log(2), rel=0.1)  # the median of an exponential variable
+    with pytest.raises(MeasurementError, match="missing: cmd_A to pos_A"):
+        decouple(TRUTH, measured(TRUTH, towers_bench(0.0, 0.0)[1:], 40.0, 0))
+
+
+# ---- uncertainty ---------------------------------------------------------------------------------
+
+
+def test_uncertainty_through_a_formula_is_that_of_a_monte_carlo() -> None:
+    inputs = joined(by_scale({"zero": (1519.0, 3.0), "pole": (1674.0, 4.0)}), by_scale({"total": (0.651, 0.001)}))
+
+    def nozzle_mass(x: np.ndarray) -> np.ndarray:  # Eq. 49
+        return np.array([(x[0] / x[1]) ** 2 * x[2]])
+
+    found = through(nozzle_mass, ["m1"], inputs)
+    draws = np.random.default_rng(0).multivariate_normal(inputs.values, inputs.covariance, 20000)
+    many = np.array([nozzle_mass(x)[0] for x in draws])
+    assert found["m1"] == pytest.approx(0.536, abs=5e-4)
+    assert np.sqrt(found.covariance[0, 0]) == pytest.approx(np.std(many), rel=0.03)
+    assert isinstance(found, Joint)

@@ -1,0 +1,386 @@
+"""The modes of straight axes from captures, spectra, responses and runs: truth by the modes' sum, and real printers."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import tomllib
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.signal import cont2discrete, lfilter
+
+from ffcomp.cli.app import app
+from ffcomp.errors import MeasurementError
+from ffcomp.identification.axes import identify_axes
+from ffcomp.identification.axis_spectra import Response, Spectrum, closed_form
+from ffcomp.identification.modal_fit import AxisFit, fit_axis
+from ffcomp.identification.resonance_tests import spectrum_of
+from ffcomp.measurement.frf import FrequencyResponse
+from ffcomp.measurement.frf_files import write_frf
+from ffcomp.measurement.klipper import Resonances
+from ffcomp.measurement.vibration import read_vibration
+from ffcomp.record.plan import Experiment, load_plan
+from ffcomp.shapers.calibration import calibrated, normalised, resonance_test
+from models.arrays import constant
+from models.file import LIBRARY, load_machine
+from models.kinematics.cartesian import CARTESIAN, CartesianKinematics
+from models.machine import Machine, MotionLimits
+from models.vibration.modal import Axis, ModalAxes
+from tests.support.cli import CliRunner, Result
+
+FloatArray = NDArray[np.float64]
+
+DATA = Path(os.environ.get("FFCOMP_DATA", Path(__file__).parents[5] / "shared" / "data"))
+VORON = LIBRARY / "voron-300.toml"
+F = np.arange(5.0, 150.1, 0.5)
+ONE = np.array([[43.0, 0.07, 1.0]])  # frequency Hz, damping ratio, share
+TWO = np.array([[52.0, 0.06, 0.8], [84.0, 0.05, 0.2]])
+STEP_S = 1 / 12800
+
+
+def call(*arguments: object) -> Result:
+    return CliRunner().invoke(app, [str(each) for each in arguments])
+
+
+def answer_of(*arguments: object) -> Any:
+    result = call(*arguments, "--json")
+    assert result.exit_code == 0, result.output
+    return json.loads(result.stdout)
+
+
+def response(modes: FloatArray, *, noise: float, seed: int, output: str = "acc_x", **other: Any) -> FrequencyResponse:
+    """With white noise of this share of the largest value."""
+    s = 2j * np.pi * F
+    value = closed_form(modes, F) * (s**2 if output.startswith("acc") else 1.0)
+    rng = np.random.default_rng(seed)
+    sd = noise * np.abs(value).max()
+    value = value + sd / np.sqrt(2) * (rng.normal(size=len(F)) + 1j * rng.normal(size=len(F)))
+    return FrequencyResponse(f"cmd_{output[-1]}", output, F, value, np.full(len(F), sd**2), source="made", **other)
+
+
+def resonance_capture(folder: Path, name: str, modes: FloatArray, noise: float, seed: int) -> Path:
+    """What a firmware's resonance test of an axis writes, 800 samples a second, m/s² of noise in each sample."""
+    axis = "xyz".index(name[0])
+    axes = [Axis()] * 3
+    axes[axis] = Axis(*modes.T.tolist())
+    box = CartesianKinematics(constant([[0, 200]] * 3), CARTESIAN)
+    machine = Machine("truth", box, ModalAxes.of(axes), MotionLimits(200.0, 3000.0))
+    felt = 1e-3 * resonance_test(machine, np.zeros(2), "x" if axis == 0 else "y")
+    felt = felt + np.random.default_rng(seed).normal(0, noise, felt.shape) + np.array([0.0, 0.0, 9.81])
+    path = folder / f"raw_data_{name}.csv"
+    rows = np.column_stack([100.0 + np.arange(len(felt)) / 800, 1e3 * felt])
+    np.savetxt(path, rows, fmt="%.5f", delimiter=",", header="#time,accel_x,accel_y,accel_z", comments="")
+    return path
+
+
+def near(found: AxisFit, modes: FloatArray) -> None:
+    """0.5 % of frequency, 10 % of damping, 0.05 of share."""
+    assert len(found.modes) == len(modes), found.verdict
+    for mode, (frequency, damping, share) in zip(found.modes, modes, strict=True):
+        assert mode.frequency_hz.value == pytest.approx(frequency, rel=0.005)
+        assert mode.damping_ratio.value == pytest.approx(damping, rel=0.1)
+        assert mode.share.value == pytest.approx(share, abs=0.05)
+
+
+# ---- what was true is found ----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_modes_of_a_response(seed: int) -> None:
+    rng = np.random.default_rng(100 + seed)
+    first = rng.uniform(25, 60)
+    share = rng.uniform(0.6, 0.9)
+    modes = np.array([[first, rng.uniform(0.03, 0.12), share], [first * rng.uniform(1.4, 2.2), 0.05, 1 - share]])
+    near(fit_axis("x", [Response(response(modes, noise=0.02, seed=seed))]), modes)
+    alone = np.array([[first, modes[0, 1], 1.0]])
+    near(fit_axis("x", [Response(response(alone, noise=0.02, seed=seed, output="pos_x"))]), alone)
+
+
+def test_a_second_mode_is_not_invented() -> None:
+    for seed in range(6):
+        noisy = [Response(response(ONE, noise=0.1, seed=20 * seed + k)) for k in range(2)]
+        found = fit_axis("x", noisy)
+        assert len(found.modes) == 1 and "chance" in found.verdict
+
+
+def test_intervals_hold_the_truth() -> None:
+    """90 % of 16 are 14.4; 11 or fewer come by chance once in 60."""
+    held = np.zeros(2)
+    for seed in range(16):
+        (mode,) = fit_axis("x", [Response(response(ONE, noise=0.05, seed=seed))]).modes
+        held += [e.low < true < e.high for e, true in ((mode.frequency_hz, 43.0), (mode.damping_ratio, 0.07))]
+    assert held.min() >= 12
+
+
+def test_sensor_scale_sign_and_delay_are_told_and_do_no_harm() -> None:
+    true = response(TWO, noise=0.01, seed=1)
+    gain = {"gain": lambda r: 1.3 * r.value, "sign": lambda r: -r.value}
+    for word, change in {**gain, "late": lambda r: r.value * np.exp(-r.s * 2e-3)}.items():
+        changed = FrequencyResponse("cmd_x", "acc_x", F, change(true), true.variance, source=word)
+        found = fit_axis("x", [Response(changed)])
+        near(found, TWO)
+        told = {"gain": "1.30 times its command", "sign": "against its command", "late": "2.0 ms late"}
+        assert told[word] in " ".join(found.advice)
+
+
+def test_files_that_disagree_are_told_and_widen_the_interval() -> None:
+    moved = ONE * [1.1, 1.0, 1.0]
+    both = [Response(response(modes, noise=0.01, seed=1)) for modes in (ONE, moved)]
+    found = fit_axis("x", both)
+    assert "disagree about x: 43.0 Hz in made, 47.3 Hz in made" in found.advice[0]
+    assert found.modes[0].frequency_hz.low < 44 and found.modes[0].frequency_hz.high > 46
+
+
+def test_motion_of_another_axis_is_told() -> None:
+    own, other = response(ONE, noise=0.01, seed=1), response(ONE, noise=0.01, seed=2, output="acc_y")
+    crossed = FrequencyResponse("cmd_x", "acc_y", F, 0.5 * other.value, other.variance)
+    told = identify_axes([], [own, crossed]).advice
+    assert "cmd_x shows in acc_y too (50 % of the direct response)" in told[0]
+    assert "not compensated" in told[0] and "belt_stiffness" in told[0]
+    little, more = (
+        identify_axes([], [own, FrequencyResponse("cmd_x", "acc_y", F, share * other.value, other.variance)]).advice
+        for share in (0.08, 0.13)
+    )
+    assert "(13 % of the direct response)" in more[0] and not any("shows in" in each for each in little)
+    assert told[-1] == "Nothing was measured along y: [axes.y] stays the starting file's."
+
+
+# ---- from files to a machine file ----------------------------------------------------------------
+
+
+def test_from_resonance_tests_to_a_machine_file(tmp_path: Path) -> None:
+    """An ADXL345's noise, 0.15 m/s² at 3200 samples a second, and ten times as much."""
+    files = [resonance_capture(tmp_path, "x_20260101_000000", TWO, 0.08, 1)]
+    files.append(resonance_capture(tmp_path, "y_20260101_000000", ONE, 0.8, 2))
+    out, figure = tmp_path / "mine.toml", tmp_path / "fit.png"
+    answer = answer_of("identify", "fit", *files, "-m", VORON, "-o", out, "--figure", figure, "--quiet")
+    found = load_machine(out)
+    table = {name: answer["axes"][name]["modes"] for name in "xy"}
+    for name, modes in (("x", TWO), ("y", ONE)):
+        assert [m["frequency_hz"]["value"] for m in table[name]] == pytest.approx(modes[:, 0], rel=0.005)
+        assert [m["damping_ratio"]["value"] for m in table[name]] == pytest.approx(modes[:, 1], rel=0.1)
+        assert [m["share"]["value"] for m in table[name]] == pytest.approx(modes[:, 2], abs=0.05)
+    assert tomllib.loads(out.read_text(encoding="utf-8"))["axes"]["x"]["share"] == pytest.approx([0.8, 0.2], abs=0.05)
+    assert figure.stat().st_size > 20_000
+    assert "identified" in found.provenance["axes.x.frequency_hz"] and "Two modes" in found.provenance["axes.x"]
+    parameters = found.vibration.parameters()
+    spread = dict(zip(parameters.names, parameters.relative_sd(found.uncertainty).tolist(), strict=True))
+    assert 0.0 < spread["axes.y.stiffness[0]"] < 0.02  # twice that of the frequency
+    again = answer_of("identify", "fit", files[1], "-m", out, "--quiet")
+    assert "Nothing was measured along x" in again["advice"][-1]
+
+
+def test_from_responses_to_a_machine_file(tmp_path: Path) -> None:
+    """And from a straight machine's file with two modes back to one."""
+    start = tmp_path / "start.toml"
+    start.write_text(
+        VORON.read_text(encoding="utf-8").replace(
+            "[52.0]\ndamping_ratio = [0.07]", "[52.0, 80.0]\ndamping_ratio = [0.07, 0.1]\nshare = [0.9, 0.1]"
+        ),
+        encoding="utf-8",
+    )
+    assert not load_machine(start).vibration.position_dependent
+    write_frf(tmp_path / "x.csv", response(ONE, noise=1e-4, seed=1))
+    out = tmp_path / "out.toml"
+    assert call("identify", "fit", tmp_path / "x.csv", "-m", start, "-o", out, "-q").exit_code == 0
+    assert "share = [1.0]" in out.read_text(encoding="utf-8")
+    drawn = call("frf", "-m", out, "--measured", tmp_path / "x.csv", "--figure", tmp_path / "bode.png")
+    assert drawn.exit_code == 0 and "100 % accurate in magnitude" in json.loads(drawn.stdout)["verdict"]
+
+
+def test_from_a_simulated_print(tmp_path: Path) -> None:
+    """A few strokes, played on another machine than the file's."""
+    lines = ["G28", "G1 X100 Y100 Z1 F6000", "G1 X130 Y100 E1", "G1 X130 Y140 E2", "G1 X100 Y100 Z1.2", "G1 X125 Y110"]
+    (tmp_path / "print.gcode").write_text("\n".join(lines))
+    run, plant = tmp_path / "run.csv", tmp_path / "plant.toml"
+    plant.write_text(VORON.read_text(encoding="utf-8").replace("[52.0]", "[47.0]"), encoding="utf-8")
+    assert call("simulate", tmp_path / "print.gcode", "-m", VORON, "--plant", plant, "-o", run).exit_code == 0
+    answer = answer_of("identify", "fit", run, "-m", VORON, "--quiet")
+    (mode,) = answer["axes"]["x"]["modes"]
+    assert mode["frequency_hz"]["value"] == pytest.approx(47.0, rel=0.005)
+
+
+# ---- the excitation that ffcomp plans itself -----------------------------------------------------
+
+
+def nozzle_capture(folder: Path, experiment: Experiment, modes: FloatArray, sign: float, rng: Any) -> Path:
+    """What a sensor writes while the axis plays an experiment: late, its clock off, noisy, with weight."""
+    assert experiment.excitation is not None
+    axis = "xyz".index(experiment.excitation.direction)
+    t = np.arange(-0.6, experiment.duration_s + 0.8, STEP_S)
+    told = experiment.motion.nozzle(np.clip(t, 0.0, experiment.duration_s))[:, axis]
+    answer = sum(_filtered(told - told[0], *mode) for mode in modes)
+    felt = np.zeros((len(t[::4]), 3))
+    felt[:, axis] = sign * 1e-3 * np.gradient(np.gradient(answer, STEP_S), STEP_S)[::4]
+    felt = felt + rng.normal(0, 0.15, felt.shape) + np.array([0.0, 0.0, 9.81])
+    clock = 50.0 + t[::4] * (1 + rng.uniform(-0.01, 0.01))
+    path = folder / f"adxl345-{experiment.name}.csv"
+    rows = np.column_stack([clock, 1e3 * felt])
+    np.savetxt(path, rows, fmt="%.6f", delimiter=",", header="#time,accel_x,accel_y,accel_z", comments="")
+    return path
+
+
+def _filtered(command: FloatArray, frequency_hz: float, damping: float, share: float) -> FloatArray:
+    omega = 2 * np.pi * frequency_hz
+    b, a, _ = cont2discrete(([share * omega**2], [1.0, 2 * damping * omega, omega**2]), STEP_S, method="foh")
+    return np.asarray(lfilter(b.ravel(), a, command))
+
+
+def test_from_a_plan_through_captures(tmp_path: Path) -> None:
+    """The sensor of y sits on a bed that moves against the nozzle."""
+    plan, account = tmp_path / "excite.gcode", tmp_path / "excite.json"
+    ender = LIBRARY / "ender-3.toml"
+    made = answer_of(
+        "record",
+        "plan",
+        "--for",
+        "identify",
+        "-m",
+        ender,
+        "-o",
+        plan,
+        "--period-s",
+        2,
+        "--periods",
+        3,
+        "--highest-hz",
+        110,
+    )
+    assert [e["position_mm"] for e in made["experiments"]] == [[117.5, 117.5, 50.0]] * 2 and not made["warnings"]
+    text = plan.read_text()
+    assert "screwed to the bed" in text and "G1 X117.5 Y117.5 Z50" in text and "max_z_accel" not in text
+    rng = np.random.default_rng(3)
+    experiments = load_plan(account).experiments
+    true = {"x": (TWO * [0.85, 1, 1], 1.0), "y": (ONE * [0.8, 1, 1], -1.0)}
+    files = [nozzle_capture(tmp_path, each, *true[each.excitation.direction], rng) for each in experiments]
+    answer = answer_of("identify", "fit", *files, "-m", ender, "--plan", account, "--quiet")
+    for name, (modes, _) in true.items():
+        table = answer["axes"][name]["modes"]
+        assert [m["frequency_hz"]["value"] for m in table] == pytest.approx(modes[:, 0], rel=0.005)
+        assert [m["damping_ratio"]["value"] for m in table] == pytest.approx(modes[:, 1], rel=0.1)
+        assert [m["share"]["value"] for m in table] == pytest.approx(modes[:, 2], abs=0.05)
+    assert "against its command" in answer["advice"][0]
+
+
+def test_a_plan_of_a_corexy_stays_within_its_box_and_its_motors(tmp_path: Path) -> None:
+    out = tmp_path / "e.gcode"
+    short = ("record", "plan", "--for", "identify", "-m", VORON, "-o", out, "--period-s", 2, "--periods", 1)
+    peaks = answer_of(*short)["experiments"][0]["peaks"]
+    assert peaks["carriage_acceleration_mm_per_s2"] == pytest.approx(peaks["nozzle_acceleration_mm_per_s2"])
+    assert peaks["z_acceleration_mm_per_s2"] == 0
+    for options, rule in (
+        (["--at", "0.1,150"], "leaves the bed: The point X = -"),
+        (["--at", "line-of-action"], "straight axes answer alike"),
+        (["--axes", "towers"], "xy, x, y, z or xyz"),
+    ):
+        refused = call(*short, *options)
+        assert refused.exit_code != 0 and rule in re.sub(r"[│\s]+", " ", refused.output)
+
+
+# ---- what cannot be used is said -----------------------------------------------------------------
+
+HEADER = "#time,accel_x,accel_y,accel_z\n"
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "rule"),
+    [
+        ("adxl345-test.csv", "", "there is no sweep in its 1.25 s"),
+        ("resonances_20260101.csv", "freq,psd_y\n" + "".join(f"{f},1\n" for f in range(60)), "axis is not stated"),
+        ("resonances_x_20260101.csv", "freq,psd_y\n" + "".join(f"{f},1\n" for f in range(60)), "no spectrum along x"),
+        ("resonances_x_20260101.csv", "freq,psd_x\n" + "".join(f"{9 * f},1\n" for f in range(1, 30)), "lines between"),
+    ],
+)
+def test_files_that_tell_nothing_are_named(tmp_path: Path, name: str, text: str, rule: str) -> None:
+    path = tmp_path / name
+    felt = np.random.default_rng(0).normal(0, 900, (999, 3))
+    rows = "".join(f"{k / 800:.5f},{a:.2f},{b:.2f},{c:.2f}\n" for k, (a, b, c) in enumerate(felt))
+    path.write_text(text or HEADER + rows)
+    found = spectrum_of(path, None, (2.0, 400.0))
+    assert isinstance(found, str) and rule in found
+    refused = call("identify", "fit", path, "-m", VORON)
+    assert refused.exit_code == 5 and "None of the files holds the response of an axis" in refused.output
+
+
+def test_the_axis_may_be_said(tmp_path: Path) -> None:
+    path = resonance_capture(tmp_path, "y_20260101_000000", ONE, 0.1, 2).rename(tmp_path / "shaken.csv")
+    answer = answer_of("identify", "fit", path, "-m", VORON, "--axis", "y", "--quiet")
+    assert list(answer["axes"]) == ["y"]
+
+
+def test_a_sensor_along_other_axes_is_told_and_its_sum_taken(tmp_path: Path) -> None:
+    path = resonance_capture(tmp_path, "x_20260101_000000", ONE, 0.02, 2)
+    rows = np.loadtxt(path, delimiter=",", skiprows=1)
+    np.savetxt(path, rows[:, [0, 3, 2, 1]], fmt="%.5f", delimiter=",", header=HEADER.strip(), comments="")
+    found = spectrum_of(path, None, (2.0, 400.0))
+    assert isinstance(found, Spectrum) and "the sensor's z shows" in found.remark
+    near(fit_axis("x", [found]), ONE)
+
+
+def test_noise_alone_is_no_machine() -> None:
+    flat = response(np.array([[900.0, 1.0, 1.0]]), noise=0.02, seed=1)
+    with pytest.raises(MeasurementError, match="No resonance of x stands out between 5 and 150 Hz"):
+        identify_axes([], [flat])
+
+
+@pytest.mark.parametrize(
+    ("arguments", "rule"),
+    [
+        (("frf", "--map", "bed.png"), "Straight axes answer alike everywhere on the bed"),
+        (("frf", "--of", "carriage-alone"), "told by modes, not by carriages"),
+        (("identify", "decouple", "x.csv"), "Straight axes carry no effector"),
+        (("identify", "fit", "x.csv", "--known", "effector.total_mass_kg=1"), "are for deltas"),
+        (("identify", "fit", "x.csv", "--axis", "w"), "it is x, y, z, or a direction"),
+    ],
+)
+def test_what_straight_axes_have_not_is_one_sentence(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arguments: Sequence[str], rule: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    write_frf("x.csv", response(ONE, noise=0.01, seed=1))
+    refused = call(*arguments, "-m", VORON)
+    assert refused.exit_code in (2, 5) and rule in re.sub(r"[│\s]+", " ", refused.output)
+
+
+# ---- real printers -------------------------------------------------------------------------------
+
+REAL = DATA / "vibration" / "klipper_resonances_bassco"
+SINGLE = (  # spectra with one clear peak
+    "switchwire__resonances_y_20211024_200336.csv",
+    "v24__resonances_y_20230306_224919.csv",
+    "v24__calibration_data_y_20230306_225431.csv",
+    "ender3__resonances_y_20210630_230110.csv",
+)
+
+
+@pytest.mark.parametrize("name", SINGLE)
+def test_real_printers_ring_where_the_firmware_shapes(name: str) -> None:
+    """Within 6 % of the frequency that a firmware's calibration gives its narrowest shaper."""
+    if not (REAL / name).is_file():
+        pytest.skip(f"The measured spectra are not here: {REAL / name}.")
+    found = spectrum_of(REAL / name, None, (2.0, 400.0))
+    assert isinstance(found, Spectrum)
+    fit = fit_axis("y", [found])
+    file = read_vibration(REAL / name)
+    assert isinstance(file, Resonances)
+    spectrum = (file.frequency_hz, file.psd["xyz"]) if file.normalised else normalised(*file.power("xyz"))
+    shaper = calibrated(spectrum, spectrum)[0].fits["zv"]
+    assert len(fit.modes) == 1
+    assert fit.modes[0].frequency_hz.value == pytest.approx(shaper.frequency_hz, rel=0.06)
+    assert 0.03 < fit.modes[0].damping_ratio.value < 0.2
+
+
+def test_a_real_printer_with_two_peaks_gets_two_modes() -> None:
+    path = REAL / "ender3__resonances_x_20210821_152037.csv"
+    if not path.is_file():
+        pytest.skip(f"The measured spectra are not here: {path}.")
+    found = spectrum_of(path, None, (2.0, 400.0))
+    assert isinstance(found, Spectrum)
+    frequencies = [mode.frequency_hz.value for mode in fit_axis("x", [found]).modes]
+    assert frequencies == pytest.approx([45.5, 58.5], abs=1.0)  # the peaks that the eye sees

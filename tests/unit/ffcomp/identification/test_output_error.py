@@ -1,0 +1,79 @@
+"""An accelerometer a few degrees off the printer's axes, and masses known up to a common factor."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from ffcomp.identification.direct import advice_on, scale_is_weak
+from ffcomp.identification.output_error import Fitted, fit_machine, of_one_capture
+from ffcomp.identification.predict import predicted
+from ffcomp.measurement.frf import FrequencyResponse
+from models.file import load_machine
+from models.machine import value_of
+from tests.support.identification import blank
+
+TRUTH = load_machine("mp-delta-pro")
+F = np.arange(4.0, 120.1, 4.0)
+TILT_DEG = np.array([2.0, -1.0, 1.5])
+
+
+def captures(tilt_deg: np.ndarray, seed: int = 0) -> list[FrequencyResponse]:
+    """Nozzle moved along A, B and C, its acceleration along the sensor's axes, 1 % of noise, one place."""
+    bench = [
+        blank(F, input=f"cmd_{a}", output=f"acc_{o}", position_mm=(20.0, 10.0, 30.0), clock=f"run-{a}", source=a)
+        for a in "ABC"
+        for o in "xyz"
+    ]
+    matrix = Rotation.from_rotvec(np.radians(tilt_deg)).as_matrix()
+    rng = np.random.default_rng(seed)
+    found, clean = [], predicted(TRUTH, bench)
+    for k in range(0, len(bench), 3):
+        felt = matrix @ np.stack(clean[k : k + 3])
+        sd = 0.01 * np.sqrt(np.mean(np.abs(felt) ** 2))
+        noise = sd / np.sqrt(2) * (rng.normal(size=felt.shape) + 1j * rng.normal(size=felt.shape))
+        pairs = zip(bench[k : k + 3], felt + noise, strict=True)
+        found += [replace(r, value=h, variance=np.full(len(F), sd**2)) for r, h in pairs]
+    return found
+
+
+@cache
+def fitted(tilt_deg: tuple[float, ...]) -> Fitted:
+    return fit_machine(TRUTH, captures(np.array(tilt_deg)), starts=[{}])
+
+
+def test_a_tilted_chip_is_found_and_does_no_harm() -> None:
+    found = fitted(tuple(TILT_DEG))
+    for axis, true in zip("xyz", TILT_DEG, strict=True):
+        angle = found.rotation_deg[axis]
+        assert angle.value == pytest.approx(true, abs=max(3 * angle.sd, 0.02)) and angle.sd < 0.2
+    assert found.model_error == 0.0 and found.misfit == pytest.approx(1.0, abs=0.1)
+    ratio = [
+        value_of(m, "carriage.belt_stiffness_n_per_m") / value_of(m, "carriage.mass_kg") for m in (found.machine, TRUTH)
+    ]
+    assert ratio[0] == pytest.approx(ratio[1], rel=0.02)
+
+
+def test_a_weak_common_scale_is_one_sentence() -> None:
+    found = fitted(tuple(TILT_DEG))
+    assert scale_is_weak(found)
+    advice = advice_on(found, ())
+    scale = [text for text in advice if text.startswith("All masses, stiffnesses and dampings together")]
+    assert len(scale) == 1 and not any("The masses are weak" in text for text in advice)
+    assert any("The accelerometer is turned by +2.0" in text for text in advice)
+    stiffness = "carriage.belt_stiffness_n_per_m"
+    assert found.beside_scale[stiffness].relative_sd < 0.3 * found.estimates[stiffness].relative_sd
+
+
+def test_repeats_are_captures_of_their_own() -> None:
+    found = of_one_capture([*captures(np.zeros(3)), *captures(np.zeros(3))])
+    assert found.shape == (6, 3) and sorted(found.ravel()) == list(range(18))
+
+
+def test_responses_of_a_laboratory_have_no_rotation() -> None:
+    laboratory = [replace(r, clock="") for r in captures(np.zeros(3))]
+    assert fit_machine(TRUTH, laboratory, starts=[{}]).rotation_deg == {}

@@ -1,0 +1,94 @@
+"""What `identify fit` takes of resonance tests, what it asks for, and what it does not write."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ffcomp.cli.app import app
+from ffcomp.identification.resonance_tests import direction_of
+from models.file import load_machine
+from tests.support.cli import CliRunner
+
+F = np.arange(1, 110) * 1.5
+RATIO = F / 44.0
+PEAK = F**2 / ((1 - RATIO**2) ** 2 + (0.14 * RATIO) ** 2) + 1.0
+
+
+def call(*arguments: object) -> tuple[int, str]:
+    result = CliRunner().invoke(app, ["identify", "fit", *map(str, arguments)])
+    return result.exit_code, " ".join(result.output.split())
+
+
+def spectra(path: Path, header: str, *columns: np.ndarray) -> Path:
+    rows = np.column_stack([F, *columns])
+    np.savetxt(path, rows, fmt="%.6g", delimiter=",", header=f"freq,{header}", comments="")
+    return path
+
+
+@pytest.mark.parametrize("machine", ["ender-3", "kossel"])
+def test_several_spectra_are_never_guessed(tmp_path: Path, machine: str) -> None:
+    path = spectra(tmp_path / "vib_y_test.csv", "x,y,z", 0.02 * F + 1, PEAK, 0.1 * PEAK)
+    code, said = call(path, "-m", machine)
+    assert code == 5 and ("several spectra, x, y, z" in said or "Say --axis x or y" in said)
+    code, said = call(path, "-m", machine, "--axis", "y", "--json", "--quiet")
+    assert code == 0
+    found: Any = json.loads(said)
+    modes = found["axes"]["y"]["modes"] if machine == "ender-3" else found["spectra"][0]["modes"]
+    frequency = modes[0]["frequency_hz"]
+    assert (frequency["value"] if machine == "ender-3" else frequency) == pytest.approx(44.0, rel=0.02)
+    code, said = call(path, "-m", machine, "--axis", "x", "--column", "w")
+    assert code == 5 and "no spectrum 'w'; there are x, y, z" in said
+
+
+def test_columns_that_a_header_names_are_taken(tmp_path: Path) -> None:
+    path = spectra(tmp_path / "resonances_y_1.csv", "psd_x,psd_y,psd_z,psd_xyz", 0 * F + 1, PEAK, 0 * F + 1, PEAK + 2)
+    code, said = call(path, "-m", "kossel", "--json", "--quiet")
+    assert code == 0 and json.loads(said)["spectra"][0]["signal"] == "y"
+
+
+def test_a_rough_mode_is_written_only_if_it_is_asked_for(tmp_path: Path) -> None:
+    rough = PEAK * np.exp(1.0 * np.random.default_rng(0).normal(size=len(F)))
+    path = spectra(tmp_path / "resonances_x_1.csv", "psd_x,psd_y,psd_z,psd_xyz", rough, F * 0, F * 0 + 1, rough)
+    path.write_text(path.read_text().replace(",0,", ",1,"))
+    output = tmp_path / "mine.toml"
+    code, said = call(path, "-m", "ender-3", "-o", output)
+    assert code == 5 and "[axes.x] is not written" in said and not output.exists()
+    code, said = call(path, "-m", "ender-3")
+    assert code == 0 and "--rough" in said
+    code, _ = call(path, "-m", "ender-3", "-o", output, "--rough")
+    assert code == 0 and load_machine(output).vibration.parameters().names
+
+
+def test_the_highest_peak_of_many_is_where_it_is(tmp_path: Path) -> None:
+    """With other modes beside it, one mode of the whole band lay a tenth off real printers' peaks."""
+    response = np.zeros(len(F), dtype=complex)
+    for hz, zeta, share in ((47.0, 0.05, 0.7), (75.0, 0.04, -0.2), (96.0, 0.05, 0.15), (113.0, 0.05, -0.1)):
+        response += share / (1 - (F / hz) ** 2 + 2j * zeta * F / hz)
+    power = F**2 * np.abs(response) ** 2
+    path = spectra(tmp_path / "resonances_x_1.csv", "psd_x,psd_y,psd_z,psd_xyz", power, F + 1, F + 1, power)
+    code, said = call(path, "-m", "ender-3", "--json", "--quiet")
+    axis = json.loads(said)["axes"]["x"]
+    assert code == 0 and "has more modes than two" in axis["verdict"]
+    assert axis["modes"][0]["frequency_hz"]["value"] == pytest.approx(47.0, rel=0.03)
+
+
+def test_directions() -> None:
+    assert direction_of("x") is None and direction_of(None) is None
+    np.testing.assert_allclose(direction_of("axis=1.000,-1.000"), np.array([1, -1]) / np.sqrt(2))
+    np.testing.assert_allclose(direction_of("0.866,-0.5"), [0.866, -0.5], atol=1e-4)
+    for bad in ("w", "1", "0,0", "1,1,1"):
+        with pytest.raises(ValueError, match=r".*"):
+            direction_of(bad)
+    code, said = call("any.csv", "-m", "ender-3", "--axis", "w")
+    assert code == 2 and "a direction of x and y such as 1,-1" in said
+
+
+def test_an_axis_is_said_once_or_for_each(tmp_path: Path) -> None:
+    paths = [spectra(tmp_path / f"{n}.csv", "psd_x,psd_y", PEAK, PEAK) for n in "abc"]
+    code, said = call(*paths, "-m", "ender-3", "--axis", "x", "--axis", "y")
+    assert code == 5 and "--axis is given 2 times, for 3 tests" in said

@@ -1,0 +1,102 @@
+"""The virtual printer as the comparison uses it, against the independent plant and against statics."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.interpolate import CubicSpline
+
+from ffcomp.comparison.methods import segments_motion
+from ffcomp.comparison.sampling import Print
+from ffcomp.metrics import contour_error
+from ffcomp.simulation.command import planned_motion
+from ffcomp.simulation.playback import side_by_side, simulate_nozzles, simulate_side_by_side
+from models.effects.catalogue import with_effect
+from models.file import load_machine
+from models.kinds import delta_vibration
+from models.printer.rest import static_deflection
+from tests.support.prints import squares
+from validation import judge
+
+MACHINE = load_machine("mp-delta-pro")
+GRAVITY = 9.80665
+
+
+def test_weight_bends_the_belts_by_the_load_they_carry() -> None:
+    """At the centre each belt carries its carriage and a third of the effector, and the extruder hangs on its mount."""
+    carriage, effector = delta_vibration(MACHINE).carriage, delta_vibration(MACHINE).effector
+    load = carriage.moving_mass_kg + (delta_vibration(MACHINE).nozzle_side_mass_kg + effector.extruder_mass_kg) / 3
+    expected = -1e3 * load * GRAVITY / carriage.belt_stiffness_n_per_m
+    np.testing.assert_allclose(static_deflection(MACHINE, np.zeros((1, 3)))[0], [0, 0, expected], atol=2e-4)
+
+
+def test_the_polynomial_of_the_sag_holds_between_its_places() -> None:
+    from models.printer.kernels.record import Q
+    from models.printer.parameters import printer_parameters
+    from models.printer.rest import equilibrium_state
+
+    place = np.array([[37.0, -61.0, 0.0]])
+    command = MACHINE.kinematics.inverse(place)[0]
+    bent = equilibrium_state(MACHINE, command, printer_parameters(MACHINE))[Q : Q + 3]
+    nozzle = MACHINE.kinematics.forward(1e3 * bent[None])
+    np.testing.assert_allclose(static_deflection(MACHINE, place), nozzle - place, atol=1e-5)
+
+
+def test_motions_side_by_side_are_those_of_one_after_the_other() -> None:
+    """Of different lengths, and in several chunks."""
+    whole = planned_motion(Print(squares(), "squares.gcode", MACHINE).planned.trajectory)
+    motions = [replace(whole, end_t=whole.begin_t + seconds) for seconds in (0.3, 0.77, 0.5)]
+    assert [sorted(group) for group in side_by_side(motions * 4)] == [[0, 2, 3, 5, 6, 8, 9, 11], [1, 4, 7, 10]]
+    for motion, (t, nozzle) in zip(motions, simulate_side_by_side(MACHINE, motions, MACHINE), strict=True):
+        alone_t, (alone,) = simulate_nozzles([MACHINE], motion, MACHINE)
+        np.testing.assert_array_equal(t, alone_t)
+        np.testing.assert_allclose(nozzle, alone, atol=1e-9)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["ringing_tower", "far_star"])
+def test_the_independent_plant_says_the_same(name: str) -> None:
+    """Other equations, another integrator and step, and no weight, which changes a violent ringing by 0.2 %."""
+    case = judge.part(name)
+    machine, corners = case.original.machine, case.original.corners
+    for motion in (case.original.motion, segments_motion(case.segments)):
+        t, (nozzle,) = simulate_nozzles([machine], motion, machine)
+        other_t, other = judge.play(case.original.plant, motion)
+        inside = (other_t > t[0]) & (other_t < t[-1])
+        apart = np.linalg.norm(CubicSpline(t, nozzle)(other_t) - other, axis=1)[inside]
+        wanted = case.original.trajectory.position(motion.clock.plan_time(other_t[inside]))[:, :3]
+        assert rms(apart) < max(0.005 * rms(np.linalg.norm(other[inside] - wanted, axis=1)), 2e-4)
+        contours = (
+            contour_error(*corners, motion.clock.plan_time(at), each) for at, each in ((t, nozzle), (other_t, other))
+        )
+        ours, theirs = map(rms, contours)
+        assert ours == pytest.approx(theirs, rel=0.02)
+
+
+def rms(x: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(x**2)))
+
+
+def test_chunks_and_company_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    trajectory = judge.part("ringing_tower").original.trajectory
+    motion = planned_motion(trajectory)
+    short = type(motion)(motion.position, 0.0, 2.0, motion.clock)
+    stiff = with_effect(MACHINE, "belt_stiffness", relative_change=0.2)
+    _, (alone,) = simulate_nozzles([MACHINE], short, MACHINE)
+    monkeypatch.setattr("ffcomp.simulation.playback.MOST_ROWS", 1000)
+    _, (first, second) = simulate_nozzles([MACHINE, stiff], short, MACHINE)
+    np.testing.assert_allclose(first, alone, atol=1e-9)
+    assert np.abs(second - alone).max() > 1e-3
+
+
+def test_the_peak_is_the_plans_own_acceleration() -> None:
+    """Along z every carriage does what the nozzle does."""
+    from ffcomp.comparison.sampling import Print, Sampling
+
+    text = b"G90\nG1 X0 Y0 Z1 F6000\nM204 S2000\nG1 Z50 F6000\n"
+    (stretch,), _ = Print(text, "z", MACHINE).slices(Sampling())
+    speed, acceleration = stretch.motion.peaks(MACHINE)
+    assert speed == pytest.approx(100.0, rel=1e-6)
+    assert acceleration == pytest.approx(2000.0, rel=1e-6)
