@@ -15,6 +15,7 @@ import numpy as np
 
 from ffcomp.compensation.plan import Context, PlannedChunk
 from ffcomp.compensation.solve import SolvedSection, keep_inside
+from ffcomp.planner.lookahead import stops_and_waits
 from ffcomp.planner.program import PlannedProgram
 from ffcomp.planner.segment_timing import TimedSegments
 from ffcomp.planner.trajectory import Section, Trajectory
@@ -35,8 +36,8 @@ class Sink(Protocol):
     def event(self, t: float, line: bytes, *, still: bool = False) -> None:
         """Add a G-code line to run at the time t, s; still: nothing moves by it."""
 
-    def rest(self) -> None:
-        """Note that the nozzle rests where the path has come to."""
+    def rest(self, until: float) -> None:
+        """Note that the nozzle rests where the path has come to, until a time, s, at least."""
 
     def height(self, known: bool) -> None:
         """Say whether the file has stated the Z of what follows, or it is only taken to be that of before a macro."""
@@ -56,16 +57,30 @@ class StepStream:
         """Write the plan as it is; it must be the firmware's own, of trapezoids."""
         program, begun = planned.program, self.clock_s
         trajectory = cast(Trajectory, planned.trajectory)
-        due = np.append(begun + trajectory.start_t, begun + trajectory.end_t)
+        _, waits = stops_and_waits(program)
+        due = begun + np.append(trajectory.start_t - waits, trajectory.end_t)
         for event in program.events:
-            self.tell(event, float(due[event.move]), program.lines[event.line])
+            self._tell(event, float(due[event.move]), program.lines[event.line])
+            due[event.move] += event.dwell_s
         for first, last, known in _by_height(program):
             self.sink.height(known)
             for pieces in trajectory_pieces(trajectory, begun, first, last):
                 self.sink.pieces(pieces)
-        self.clock_s = begun + trajectory.end_t
+        self.clock_s = float(due[-1])
+        self.sink.rest(self.clock_s)
 
-    def tell(self, event: Event, t: float, line: bytes) -> None:
+    def between(self, program: Program, events: Iterable[Event]) -> None:
+        """Give the lines that stand between sections to the sink, and wait where they wait."""
+        for event in events:
+            self._tell(event, self.clock_s, program.lines[event.line])
+            self.clock_s += event.dwell_s
+        self.sink.rest(self.clock_s)
+
+    def within(self, program: Program, event: Event, since_s: float) -> None:
+        """Give a line inside a section to the sink, at its time since the section's first segment."""
+        self._tell(event, self.clock_s + since_s, program.lines[event.line])
+
+    def _tell(self, event: Event, t: float, line: bytes) -> None:
         """Give a line to the sink; what passes moves nothing, even where it looks like a move."""
         self.sink.event(t, line, still=event.kind is EventKind.PASS)
 
@@ -86,16 +101,12 @@ class StepRenderer:
         self._stream, self._planned, self._extent = stream, chunk.planned, chunk.chunk.extent
         self._kinematics, self._segment_s = context.machine.kinematics, context.settings.segment_s
         self._events, self._waits_s = EventQueue(chunk.planned.program.events), chunk.waits_s
-        self._rested = 0.0  # s of the plan's clock, when the section before has ended
 
     def before(self, section: Section) -> Iterable[bytes]:
         """Wait until a section begins, and give the lines before it their tick."""
         if self._extent.begin is None or section is not self._planned.sections[0]:
-            self._stream.sink.rest()
-            self._stream.clock_s += section.begin_t - self._rested
-            self._events_before(section.first)
+            self._between(section.first)
             self._stream.clock_s += self._waits_s.get(section.first, 0.0)
-        self._rested = section.end_t
         return ()
 
     def extrude(self, section: Section) -> Iterable[bytes]:
@@ -134,7 +145,7 @@ class StepRenderer:
             if at >= last < reference.knots:  # the next chunk's
                 break
             if at >= first:
-                self._tell(event, stream.clock_s + segment_s * (at - first))
+                stream.within(self._planned.program, event, segment_s * (at - first))
         stream.sink.pieces(knot_pieces(stream.clock_s, segment_s, on_grid(vertices), on_grid(filament)))
         stream.clock_s += segment_s * (last - first)
         return ()
@@ -146,16 +157,12 @@ class StepRenderer:
     def finish(self) -> Iterable[bytes]:
         """Give the lines after the last section their tick."""
         if self._extent.end is None:
-            self._events_before(len(self._planned.program.moves))
+            self._between(len(self._planned.program.moves))
         return ()
 
     def _tell_height(self, move: int) -> None:
         program = self._planned.program
         self._stream.sink.height(program.frames[program.moves.frame[move]].z_known)
 
-    def _events_before(self, move: int) -> None:
-        for event in self._events.up_to(move):
-            self._tell(event, self._stream.clock_s)
-
-    def _tell(self, event: Event, t: float) -> None:
-        self._stream.tell(event, t, self._planned.program.lines[event.line])
+    def _between(self, move: int) -> None:
+        self._stream.between(self._planned.program, self._events.up_to(move))

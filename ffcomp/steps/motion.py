@@ -32,9 +32,10 @@ from models.arrays import BoolArray, FloatArray, IntArray
 LINES, KNOTS, PIECES, WAIT = 1, 2, 3, 4  # kinds of record
 BEGINS, RESTS_BEFORE, RESTS_AFTER, ANY_HEIGHT = 1, 2, 4, 8  # flags of a record of knots or pieces
 RECORD = np.dtype([("kind", "u1"), ("flags", "u1"), ("zero", "<u2"), ("count", "<u4")])
-MOST_KNOTS = (
-    512  # in a record, which is what the player handles at once: longer ones cost it less, and pauses come later
-)
+# A record is what the player hands to the host's look-ahead at once. The host releases one only when it knows what
+# follows, and stops on the path where it must make steps sooner: so records are short after a rest, and grow.
+LEAST_KNOTS, MOST_KNOTS = 32, 512
+GROWTH = 4  # a record is a quarter as long as what precedes it since the rest
 FULL_BYTES = 1 << 18
 AXES = 4
 
@@ -169,9 +170,10 @@ class MotionSink:
         self._body = tempfile.TemporaryFile(dir=self._target.resolve().parent)  # noqa: SIM115 - `close` closes it
         self._chunk, self._extremes = Chunk(), _Extremes()
         self._events = deque[tuple[float, bytes]]()
-        self._clock: float | None = None  # s; None before the first motion
+        self._clock: float | None = None  # s; None before the first line, rest or motion
         self._feed = b""  # a line, not yet told
-        self._begin_s = 0.0
+        self._begin_s = self._rests_until = 0.0
+        self._knots_since_rest = 0
         self._rests = self._height_known = self._stopped = True
         self._records = self._text_bytes = 0
 
@@ -187,6 +189,7 @@ class MotionSink:
         Comments and waits are left out: the motion has the waits. So are moves that go nowhere, whose place the grid
         has not exactly; their feed is told before the next line by which the host moves by itself.
         """
+        self._begin(t)
         line = line.strip()
         if not line or line.startswith(b";") or _WAIT.match(line):
             return
@@ -199,9 +202,20 @@ class MotionSink:
             self._feed = b""
         self._events.append((t, line + b"\n"))
 
-    def rest(self) -> None:
-        """Note that the nozzle rests where the motion has come to: a clock may stop here, and go on at full pace."""
-        self._rests = True
+    def rest(self, until: float) -> None:
+        """Note that the nozzle rests where the motion has come to, until a time, s, at least.
+
+        A clock may stop here, and go on at full pace.
+        """
+        self._rests_until = until
+        self._stop()
+
+    def _begin(self, t: float) -> None:
+        if self._clock is None:
+            self._clock = self._begin_s = t
+
+    def _stop(self) -> None:
+        self._rests, self._knots_since_rest = True, 0
         self._chunk.rest()
 
     def height(self, known: bool) -> None:
@@ -217,8 +231,7 @@ class MotionSink:
             return
         self._extremes.add(pieces)
         begin = float(pieces.start_t[0])
-        if self._clock is None:
-            self._clock = self._begin_s = begin
+        self._begin(begin)
         self._lines_until(begin + SOON_S)
         self._wait_until(begin)
         if _are_knots(pieces):
@@ -240,7 +253,7 @@ class MotionSink:
 
     def _wait_until(self, t: float) -> None:
         if self._clock is not None and t > self._clock + SOON_S:
-            self.rest()
+            self._stop()
             self._chunk.wait(t - self._clock)
             self._records += 1
             self._clock = t
@@ -255,16 +268,17 @@ class MotionSink:
             if due <= first and self._events:
                 self._line(self._events.popleft()[1])
                 continue
-            last = min(first + MOST_KNOTS, due)
+            last = min(first + min(max(self._knots_since_rest // GROWTH, LEAST_KNOTS), MOST_KNOTS), due)
             self._make_room()
             self._chunk.knots(spacing, places[first : last + 1], self._flags())
             self._moved()
+            self._knots_since_rest += last - first
             first = last
 
     def _ramps(self, pieces: Pieces) -> None:
         begins, ends = _still(pieces)
         if self._stopped and begins[0]:
-            self.rest()
+            self._stop()
         self._stopped = bool(ends[-1])
         rows = np.column_stack(pieces.columns[1:])
         still = [self._rests, *(ends[:-1] & begins[1:]).tolist(), False]
@@ -281,7 +295,7 @@ class MotionSink:
             self._moved()
             self._clock = float(pieces.start_t[last - 1] + pieces.duration[last - 1])
             if still[last]:
-                self.rest()
+                self._stop()
             if more:
                 self._lines_until(float(pieces.start_t[last]) + SOON_S)
                 self._wait_until(float(pieces.start_t[last]))
@@ -302,10 +316,9 @@ class MotionSink:
 
     def finish(self) -> dict[str, MotorTotal]:
         """Write the file. It has no steps to count: the host makes them."""
-        self.rest()
-        self._lines_until(np.inf if self._clock is None else self._clock)
-        for _, line in self._events:
-            self._line(line)
+        self._stop()
+        self._lines_until(np.inf)
+        self._wait_until(self._rests_until)
         self._flush()
         replace_atomically(self._target, self._whole())
         self.close()

@@ -265,7 +265,7 @@ class StepSink:
         self._event_tick.append(np.array([round(t * self._board.clock_hz)]))
         self._event_line.append(line.rstrip(b"\r\n"))
 
-    def rest(self) -> None:
+    def rest(self, until: float) -> None:
         """Do nothing: steps tell by themselves where there are none."""
 
     def height(self, known: bool) -> None:

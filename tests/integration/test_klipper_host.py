@@ -64,7 +64,8 @@ def prints(tmp_path_factory: pytest.TempPathFactory) -> Prints:
     for name, plain in (("compensated", False), ("plain", True)):
         work = job(two_objects(), machine, flavor="klipper", predict=False)
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr("ffcomp.steps.motion.MOST_KNOTS", 128)  # short: pauses fall within a path, too
+            for name_of in ("LEAST_KNOTS", "MOST_KNOTS"):  # short: pauses fall within a path, too
+                patch.setattr(f"ffcomp.steps.motion.{name_of}", 128)
             work.write_steps(folder / f"{name}.ffm", StepOutput(BOARD, None, plain, motion=True))
         work.write_steps(folder / f"{name}.npz", StepOutput(BOARD, None, plain))
         steps[name] = read_steps(folder / f"{name}.npz")

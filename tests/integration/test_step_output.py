@@ -18,6 +18,7 @@ from gcode.reader import read_program
 from models.file import load_machine
 from models.machine import Machine
 from tests.support.compensated import job
+from tests.support.klipper_host import reader
 from tests.support.prints import squares
 
 BOARD = Board(extruder_steps_per_mm=400.0)
@@ -91,6 +92,53 @@ def test_every_other_line_has_its_moment(machine: Machine, tmp_path: Path) -> No
     times, lines = read_events(target)
     assert lines == [program.lines[e.line].rstrip(b"\r\n") for e in program.events]
     assert (np.diff(times) >= 0).all() and times[0] == pytest.approx(BEFORE_S)
+
+
+WAITING = b"""G28
+G1 X0 Y0 Z10 F3000
+G4 P5000
+M117 a
+G1 X20 Y0 F3000
+G4 P4000
+M117 b
+G1 X0 Y0 E1 F1200
+G4 P3000
+M117 c
+G4 S0.8
+"""
+
+
+@pytest.mark.parametrize("plain", [False, True])
+@pytest.mark.parametrize("error_s", [None, 12.5e-6])
+def test_every_wait_is_in_the_steps(machine: Machine, tmp_path: Path, plain: bool, error_s: float | None) -> None:
+    """Before the first motion, where a chunk is cut, and after the last motion."""
+    target = tmp_path / "steps.npz"
+    output = StepOutput(BOARD, error_s, plain)
+    result = job(WAITING, machine, flavor="marlin", predict=False).write_steps(target, output)
+    times, lines = read_events(target)
+    at = {line: t - BEFORE_S for line, t in zip(lines, times.tolist(), strict=True)}
+    moves_s = result.statistics.print_time_s - 12.8
+    assert 1.2 < moves_s < 1.6
+    assert at[b"M117 a"] == pytest.approx(5.0, abs=1e-6)
+    assert at[b"G4 P3000"] - at[b"M117 a"] == pytest.approx(4.0 + moves_s, abs=1e-6)
+    assert at[b"M117 b"] - at[b"G4 P4000"] == pytest.approx(4.0, abs=1e-6)
+    assert at[b"M117 c"] - at[b"G4 P3000"] == pytest.approx(3.0, abs=1e-6)
+    first = float(read_steps(target)["a"].time_s[0]) - BEFORE_S
+    assert 4.9 < first < 5.1
+
+
+@pytest.mark.parametrize("plain", [False, True])
+def test_every_wait_is_in_a_file_of_motion(machine: Machine, tmp_path: Path, plain: bool) -> None:
+    target = tmp_path / "print.ffm"
+    output = StepOutput(BOARD, None, plain, motion=True)
+    result = job(WAITING, machine, flavor="marlin", predict=False).write_steps(target, output)
+    stream, header = reader().open_motion(target)
+    with stream:
+        records = list(reader().records(stream, header))
+    waits = [record.seconds for record in records if hasattr(record, "seconds")]
+    assert waits == pytest.approx([5.0, 4.0, 3.0, 0.8])
+    moves_s = sum(float(record.durations.sum()) for record in records if hasattr(record, "durations"))
+    assert header["duration_s"] == pytest.approx(result.statistics.print_time_s) == 12.8 + moves_s
 
 
 def test_nothing_is_left_behind_by_a_print_that_cannot_be(machine: Machine, tmp_path: Path) -> None:

@@ -11,10 +11,11 @@ pause, resume, cancel, progress and statistics are the host's own, and other com
 
 from collections import deque
 
-from .reader import MotionFileError, Text, open_motion, records
+from .reader import Motion, MotionFileError, Text, open_motion, records
 
 LINE = "FFCOMP_MOTION N=%09d"
 AT_ONCE = 4  # lines; the host does other work between two reads
+LEAD_S = 1.0  # of a path's beginning, at once too: with less in its queues the host ends what it has at rest
 KEPT = 256  # lines, that a pause may go back to
 
 
@@ -34,6 +35,7 @@ class MotionText:
         self._delivered = deque()  # (where it begins, line) of the last lines that were handed out
         self._motions = {}
         self._end = self._number = self._ahead = 0
+        self._path_s = LEAD_S  # of the path under way, as far as it was handed out; at rest nothing more is needed
 
     def motion(self, number):
         """The record that `FFCOMP_MOTION N=…` stands for; None if it is not near."""
@@ -48,7 +50,7 @@ class MotionText:
         lines = []
         for record in self._records:
             lines.extend(record.lines if isinstance(record, Text) else [self._line(record)])
-            if len(lines) >= AT_ONCE:
+            if len(lines) >= (AT_ONCE if self._path_s >= LEAD_S else KEPT // 2):
                 break
         for line in lines:
             self._delivered.append((self._end, line))
@@ -60,6 +62,9 @@ class MotionText:
     def _line(self, record):
         self._number += 1
         self._motions[self._number] = record
+        if isinstance(record, Motion):
+            begun_s = 0.0 if record.rests_before else self._path_s
+            self._path_s = LEAD_S if record.rests_after else begun_s + float(record.durations.sum())
         self._motions.pop(self._number - KEPT, None)
         return LINE % self._number
 

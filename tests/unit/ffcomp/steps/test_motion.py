@@ -13,6 +13,7 @@ import pytest
 from ffcomp.steps.crossings import GRID_MM, Pieces, knot_pieces, on_grid
 from ffcomp.steps.motion import MotionSink
 from tests.support.klipper_host import FOLDER, reader
+from tests.support.step_lookahead import played
 
 FLAT = pytest.approx(0.0, abs=1e-12)
 
@@ -40,7 +41,7 @@ def write(path: Path, *parts: tuple[float, Any], events: tuple[tuple[float, byte
             sink.event(*event)
         for start_t, knots in parts:
             sink.pieces(knot_pieces(start_t, 0.004, knots[:, :3], knots[:, 3]))
-            sink.rest()
+            sink.rest(start_t + 0.004 * (len(knots) - 1))
         sink.finish()
 
 
@@ -66,12 +67,12 @@ def test_the_file_is_small(tmp_path: Path) -> None:
 
 def test_lines_stand_where_their_moment_is(tmp_path: Path) -> None:
     """To the nearest knot; comments and waits, which the motion itself has, are left out."""
-    events = ((0.0, b"M106 S9\n"), (0.1, b"; said\n"), (0.1 + 0.4 * 0.004, b"M117 a"), (0.1 + 30.4 * 0.004, b"M117 b"))
-    later = ((0.1 + 0.4 + 0.2, b"G4 P200\r\n"), (0.1 + 0.4 + 0.2, b"M107\n"), (9.0, b"M84\n"))
+    events = ((0.1, b"M106 S9\n"), (0.1, b"; said\n"), (0.1 + 0.4 * 0.004, b"M117 a"), (0.1 + 30.4 * 0.004, b"M117 b"))
+    later = ((0.1 + 0.4 + 0.2, b"G4 P200\r\n"), (0.1 + 0.4 + 0.2, b"M107\n"), (0.74, b"M84\n"))
     knots = places(100)
     write(tmp_path / "x.ffm", (0.1, knots), (0.7, knots[-1:] + places(10)), events=events + later)
     _, records = read(tmp_path / "x.ffm")
-    assert kinds(records) == "TTMTMWTMT"
+    assert kinds(records) == "TTMTMMMWTMT"
     assert [record.lines for record in records if hasattr(record, "lines")] == [
         ["M106 S9"],
         ["M117 a"],
@@ -79,8 +80,49 @@ def test_lines_stand_where_their_moment_is(tmp_path: Path) -> None:
         ["M107"],
         ["M84"],
     ]
-    assert [len(record.durations) for record in records if hasattr(record, "places")] == [30, 70, 10]
-    assert records[5].seconds == pytest.approx(0.2)
+    assert [len(record.durations) for record in records if hasattr(record, "places")] == [30, 32, 32, 6, 10]
+    assert records[7].seconds == pytest.approx(0.2)
+
+
+def test_waits_before_and_after_the_motion_are_kept(tmp_path: Path) -> None:
+    knots = places(25)
+    with MotionSink(tmp_path / "x.ffm", {}) as sink:
+        sink.event(0.1, b"M104 S200\n")
+        sink.event(0.1, b"G4 P5000\n")
+        sink.pieces(knot_pieces(5.1, 0.004, knots[:, :3], knots[:, 3]))
+        sink.event(5.2, b"G4 P2000\n")
+        sink.event(7.2, b"M104 S0\n")
+        sink.event(7.2, b"G4 P3000\n")
+        sink.rest(10.2)
+        sink.finish()
+    header, records = read(tmp_path / "x.ffm")
+    assert kinds(records) == "TWMWTW"
+    assert [record.seconds for record in records if hasattr(record, "seconds")] == pytest.approx([5.0, 2.0, 3.0])
+    assert header["duration_s"] == pytest.approx(10.1)
+
+
+def test_records_are_short_after_a_rest_and_grow(tmp_path: Path) -> None:
+    write(tmp_path / "x.ffm", (0.1, places(4000)), (17.0, places(4000)[-1:] + places(100)))
+    _, records = read(tmp_path / "x.ffm")
+    counts = [len(record.durations) for record in records if hasattr(record, "places")]
+    assert counts[:6] == [32, 32, 32, 32, 32, 40] and max(counts) == 512 and counts[-4:] == [32, 32, 32, 4]
+
+
+@pytest.mark.parametrize("lines_before", range(5))
+@pytest.mark.parametrize("ahead_s", [None, 0.1, 0.3, 0.6, 0.69, 0.9])
+def test_a_host_that_makes_steps_ahead_never_stops_on_the_path(
+    tmp_path: Path, lines_before: int, ahead_s: float | None
+) -> None:
+    """In a real Klipper 6 of 14 starts stopped in a first record of two seconds."""
+    lines = tuple((0.1, b"M117 %d" % k) for k in range(lines_before))
+    write(tmp_path / "x.ffm", (0.1, places(3000)), events=lines)
+    assert played(tmp_path / "x.ffm", ahead_s).stops == 0
+
+
+def test_the_stand_in_stops_on_the_path_where_klipper_did(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("ffcomp.steps.motion.LEAST_KNOTS", 512)
+    write(tmp_path / "x.ffm", (0.1, places(3000)), events=tuple((0.1, b"M117 %d" % k) for k in range(3)))
+    assert played(tmp_path / "x.ffm", 0.6, lead_s=0.0).stops == 1
 
 
 def test_moves_that_go_nowhere_only_tell_their_feed(tmp_path: Path) -> None:
