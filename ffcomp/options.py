@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from math import isfinite
+
 from ffcomp.errors import RequestError
 from ffcomp.request import ADVANCED, FASTER, MACHINE, OUTPUT, SPEED, Argument, Option
 
 Offset = tuple[float, float]
+FLAVORS = ("klipper", "marlin", "reprapfirmware")
 
 
 def parse_offset(text: str) -> Offset | None:
@@ -14,6 +17,8 @@ def parse_offset(text: str) -> Offset | None:
         return None
     try:
         x, y = (float(part) for part in text.split(","))
+        if not isfinite(x + y):
+            raise ValueError
     except ValueError:
         raise RequestError(f"--offset-mm {text!r}: two numbers with a comma between them, in mm.") from None
     return x, y
@@ -44,12 +49,15 @@ OFFSET = Option(
     label="Shift, mm",
 )
 FLAVOR = Option(
-    "Firmware: klipper, marlin or reprapfirmware. Default: what the machine file says, or else the print.",
+    "Firmware. Default: what the machine file says, or else the print.",
     MACHINE,
     metavar="NAME",
+    choices=FLAVORS,
     label="Firmware",
 )
-PLATE = Option("Plate of a .gcode.3mf that holds several, counted from 1.", MACHINE, metavar="N", low=1, label="Plate")
+PLATE = Option(
+    "Plate of a .gcode.3mf that holds several, counted from 1.", MACHINE, metavar="N", low=1, label="Comparison: plate"
+)
 SEGMENT_RATE = Option(
     "Highest segment rate. A lower rate follows less of the vibration.", SPEED, metavar="RATE", low=125.0, high=500.0
 )

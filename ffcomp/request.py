@@ -1,8 +1,8 @@
 """Declare a verb once, for every way to call it.
 
 The request of a verb is one frozen dataclass. A field gives an option's name, type and default, and the `Option` in
-its annotation the rest: one sentence, group, unit, range. The command line, the Python function and the reference page
-are made from that; the page of `ffcomp serve` still names its options itself (`ffcomp/serve/commands.py`).
+its annotation the rest: one sentence, group, unit, range. The command line, the Python function, the forms of
+`ffcomp serve` and the reference page are made from that.
 
 To add an option, add a field to the verb's request and use it where the verb does its work. To add a verb:
 
@@ -28,8 +28,9 @@ To add an option, add a field to the verb's request and use it where the verb do
 
 Names: `--the-field` unless the Option names others. A `bool` is a switch; `--no-…` exists where its default is True or
 None. A `tuple[X, ...]` may be given again. A type that words of the command line do not make by themselves has a
-`parse`. A field without Option is for Python only. Ranges and choices (`Literal`) are checked when the request is
-made, whoever makes it; what concerns several fields goes into `check`.
+`parse`. The page of `ffcomp serve` offers the options that have a `label`. A field without Option is for Python only.
+Ranges and choices (`Literal`) are checked when the request is made, whoever makes it; what concerns several fields goes
+into `check`.
 """
 
 from __future__ import annotations
@@ -87,6 +88,8 @@ class Option:
         Of a number, where its name does not say it.
     low, high : float
         Smallest and largest value.
+    choices : tuple of str
+        The values that it may have, where its type is no Literal.
     env : str
         Environment variable that is read where the command line says nothing.
     parse : callable
@@ -97,7 +100,7 @@ class Option:
     unset : str
         What stands on the command line for a default that has no text of its own.
     label : str
-        What the page of `ffcomp serve` calls it.
+        What the page of `ffcomp serve` calls it; none: it is not offered there.
     """
 
     positional = False
@@ -111,6 +114,7 @@ class Option:
         unit: str = "",
         low: float | None = None,
         high: float | None = None,
+        choices: tuple[str, ...] = (),
         env: str = "",
         parse: Callable[[Any], Any] | None = None,
         repeated: bool = False,
@@ -118,7 +122,8 @@ class Option:
         label: str = "",
     ) -> None:
         self.help, self.group, self.names, self.metavar, self.unit = help, group, names, metavar, unit
-        self.low, self.high, self.env, self.parse, self.repeated = low, high, env, parse, repeated
+        self.low, self.high, self.choices, self.env = low, high, choices, env
+        self.parse, self.repeated = parse, repeated
         self.unset, self.label = unset, label
 
 
@@ -193,7 +198,7 @@ class Declared:
     @property
     def choices(self) -> tuple[Any, ...]:
         """The values that it may have; none: any."""
-        return get_args(self.item_type) if get_origin(self.item_type) is Literal else ()
+        return get_args(self.item_type) if get_origin(self.item_type) is Literal else self.option.choices
 
     @property
     def range(self) -> str:
@@ -202,6 +207,23 @@ class Declared:
         if low is not None and high is not None:
             return f"{low:g} to {high:g}{unit}"
         return f"at least {low:g}{unit}" if low is not None else f"at most {high:g}{unit}" if high is not None else ""
+
+    def read(self, text: str) -> Any:
+        """Make the value of a text, as the command line does; RequestError if it cannot."""
+        if self.option.parse is not None:
+            return self.option.parse((text,) if self.option.repeated else text)
+        value: Any = next((each for each in self.choices if str(each) == text), text)
+        if self.item_type in (int, float):
+            try:
+                value = self.item_type(text)
+            except ValueError:
+                kind = "whole number" if self.item_type is int else "number"
+                raise RequestError(f"{self.names[0]} {text}: it is a {kind}.") from None
+        return (value,) if self.many else value
+
+    def word(self, value: Any) -> str:
+        """Return the word of the command line that states a value: of a switch, or of a text that `read` takes."""
+        return f"{self.names[0]}={value}" if not self.is_switch else self.names[0] if value else self.negative
 
     def check(self, value: Any) -> None:
         """Raise RequestError unless the value is in its range or among its choices."""

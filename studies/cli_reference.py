@@ -9,6 +9,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+from cyclopts import App
+
 from ffcomp.cli.app import app
 from ffcomp.cli.command import commands
 from ffcomp.request import Declared
@@ -45,6 +47,11 @@ class Verb:
 def verbs() -> list[Verb]:
     """Every verb, in the order of `ffcomp --help`."""
     return [_verb(path, command.help, options) for path, command, options in commands(app) if command.default_command]
+
+
+def sections(command: App) -> list[str]:
+    """The lines of a command of its own."""
+    return [line for path, each, options in commands(command) for line in _section(_verb(path, each.help, options))]
 
 
 def _verb(path: tuple[str, ...], text: str, options: list[Declared]) -> Verb:

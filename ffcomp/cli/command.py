@@ -110,7 +110,7 @@ def _kind(each: Declared) -> Any:
 def _parameter(each: Declared) -> inspect.Parameter:
     """Return the parameter that cyclopts makes an option of."""
     option, kind = each.option, _kind(each)
-    notes = [f"[{each.range}]"] if each.range else []
+    notes = [f"[{words}]" for words in (", ".join(option.choices), each.range) if words]
     how = Parameter(
         name=(option.metavar.rstrip("."),) if option.positional else each.names,
         negative=each.negative or (),

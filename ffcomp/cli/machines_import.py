@@ -3,48 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING
 
 from ffcomp.cli.command import Json, verb
-from ffcomp.request import MACHINE, OUTPUT, Argument, Option, Request
+from ffcomp.importers.request import ImportMachineRequest
 
 if TYPE_CHECKING:
     from ffcomp.importers.builder import MachineDraft
     from ffcomp.importers.values import Value
 
 INCOMPLETE = 5  # the file was written, but it is no machine file yet
-
-
-@dataclass(frozen=True)
-class ImportMachineRequest(Request):
-    """A printer configuration to be imported."""
-
-    file: Annotated[Path, Argument("printer.cfg, config.g, or a text with Marlin's answer to M503.", metavar="FILE")]
-    output: Annotated[
-        Path | None,
-        Option("File to write. Default: in your own machine folder.", OUTPUT, "--output", "-o", metavar="FILE"),
-    ] = None
-    like: Annotated[
-        str | None,
-        Option(
-            "Machine whose parameters replace unknown ones. Default for deltas: the one with the nearest arm length.",
-            MACHINE,
-            metavar="NAME",
-        ),
-    ] = None
-    kinematics: Annotated[
-        Literal["cartesian", "corexy"] | None,
-        Option(
-            "Kinematics of a Marlin printer, whose answer to M503 does not state it.",
-            MACHINE,
-            metavar="cartesian|corexy",
-        ),
-    ] = None
-    alone: Annotated[
-        bool, Option("Read this file only, none that it includes: for a configuration from somebody else.", MACHINE)
-    ] = False
 
 
 @verb

@@ -73,7 +73,7 @@ class CompareRequest(Request):
             SPEED,
             metavar="SHARE",
             parse=parse_share,
-            label="Share of the print",
+            label="Comparison: share of the print, e.g. 10%",
         ),
     ] = None
     quality_um: Annotated[
@@ -97,7 +97,7 @@ class CompareRequest(Request):
             SPEED,
             metavar="NAMES",
             parse=parse_names,
-            label="Methods",
+            label="Comparison: methods",
         ),
     ] = ()
     offset_mm: Annotated[Offset, OFFSET] = (0.0, 0.0)

@@ -84,7 +84,12 @@ class CompensateOptions(Request):
     ] = None
     flavor: Annotated[str, FLAVOR] = ""
     force: Annotated[
-        bool, Option("Compensate a file that is already compensated.", OUTPUT, label="Compensate it again")
+        bool,
+        Option(
+            "Compensate a file that is already compensated.",
+            OUTPUT,
+            label="Compensate again what is compensated already",
+        ),
     ] = False
     embed: Annotated[
         bool,

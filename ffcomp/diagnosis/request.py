@@ -68,7 +68,12 @@ class DiagnoseRequest(Request):
     plan: Annotated[Path | None, Plan] = None
     axes_map: Annotated[str | None, AxesMap] = None
     without_repeats: Annotated[
-        bool, Option("Guess the noise where no experiment was repeated. The evidence is weaker.", ACCURACY)
+        bool,
+        Option(
+            "Guess the noise where no experiment was repeated. The evidence is weaker.",
+            ACCURACY,
+            label="To find what is missing: nothing was repeated, guess the noise",
+        ),
     ] = False
     thorough: Annotated[
         bool,

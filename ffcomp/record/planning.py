@@ -20,13 +20,12 @@ from ffcomp.record.gcode_writer import DEFAULT_CHIPS, Firmware, gcode_lines
 from ffcomp.record.moves import MOST_ROUNDING, Place, Request, make_plan
 from ffcomp.record.plan import Experiment, Plan, capture_name, save_plan
 from ffcomp.record.prints import plan_print, print_lines
-from ffcomp.record.request import PlanRequest, number_pair, one_of
+from ffcomp.record.request import CENTRE, LINE_OF_ACTION, PlanRequest, number_pair, one_of
 from gcode.atomic_write import replace_atomically
 from gcode.dialects import KLIPPER
 from models.file import load_machine
 from models.machine import Machine
 
-LINE_OF_ACTION, CENTRE = "line-of-action", "centre"
 CHECK_KINDS, CHECK_SECONDS, CHECK_REPEATS, CHECK_SEED = ("multisine", "loop", "reversals"), 2.0, 2, 17
 
 
@@ -174,7 +173,7 @@ def _moves_request(request: PlanRequest) -> Request:
         "seed": request.seed,
         "kinds": list(dict.fromkeys(request.kind)) if request.kind else None,
     }
-    places = [number_pair("--at", text, ", in mm") for text in request.at]
+    places = [number_pair("--at", text) for text in request.at]
     return Request(places, **{key: value for key, value in stated.items() if value is not None})  # type: ignore[arg-type]
 
 
@@ -215,7 +214,7 @@ def _excited_places(texts: Sequence[str], machine: Machine) -> list[Place]:
                 raise RequestError(f"--at {text}: that is a delta's; straight axes answer alike everywhere.")
             places += line_of_action(machine.kinematics)
         else:
-            places.append(number_pair("--at", text, f", in mm, {CENTRE} or {LINE_OF_ACTION}"))
+            places.append(number_pair("--at", text))
     return list(dict.fromkeys(places))
 
 

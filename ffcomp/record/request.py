@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from math import isfinite
 from pathlib import Path
 from typing import Annotated, Literal
 
 from ffcomp.errors import RequestError
+from ffcomp.options import FLAVORS
 from ffcomp.request import ACCURACY, ADVANCED, MACHINE, OUTPUT, Argument, Option, Request
 
 Purpose = Literal["identify", "diagnose", "check"]
+CENTRE, LINE_OF_ACTION = "centre", "line-of-action"
 MOVES = ("zigzag", "reversals", "loop", "multisine")
 SIGNALS = ("multisine", "sweep", "log-sweep")
 
@@ -19,7 +22,7 @@ MACHINE_NAME = Option(
 )
 GCODE = Option("G-code to write. The plan is written beside it (.json).", OUTPUT, "--output-file", "-o", metavar="FILE")
 FLAVOR = Option(
-    "Firmware: klipper, marlin or reprapfirmware. Default: the machine file's, or klipper.", MACHINE, metavar="NAME"
+    "Firmware. Default: the machine file's, or klipper.", MACHINE, metavar="NAME", choices=FLAVORS, label="Firmware"
 )
 CHIP = Option(
     "Accelerometer: Klipper's name of it (default adxl345), or RepRapFirmware's address (default 0). May be repeated.",
@@ -39,6 +42,8 @@ def number_pair(option: str, text: str, more: str = "") -> tuple[float, float]:
     """Read `X,Y`."""
     try:
         x, y = (float(part) for part in text.split(","))
+        if not isfinite(x + y):
+            raise ValueError
     except ValueError:
         raise RequestError(f"{option} {text!r}: two numbers with a comma between them{more}.") from None
     return x, y
@@ -91,6 +96,7 @@ class PlanRequest(Request):
             "of a delta, where the dynamics differ most. Default of diagnose: the centre, and three places around it.",
             MACHINE,
             metavar="X,Y",
+            label="At X,Y, mm",
         ),
     ] = ()
     kind: Annotated[
@@ -113,7 +119,14 @@ class PlanRequest(Request):
     ] = None
     seconds: Annotated[
         float | None,
-        Option("Duration of an experiment for diagnose, about. Default: 4.", ACCURACY, metavar="S", low=2.0, high=20.0),
+        Option(
+            "Duration of an experiment for diagnose, about. Default: 4.",
+            ACCURACY,
+            metavar="S",
+            low=2.0,
+            high=20.0,
+            label="Diagnosis: each experiment, s",
+        ),
     ] = None
     repeats: Annotated[
         int | None,
@@ -123,6 +136,7 @@ class PlanRequest(Request):
             metavar="N",
             low=1,
             high=9,
+            label="How often each",
         ),
     ] = None
     lowest_hz: Annotated[
@@ -186,7 +200,13 @@ class PlanRequest(Request):
         ),
     ] = None
     height_mm: Annotated[
-        float | None, Option("Nozzle height above the bed. Default: 30; 50 for identify.", MACHINE, metavar="MM")
+        float | None,
+        Option(
+            "Nozzle height above the bed. Default: 30; 50 for identify.",
+            MACHINE,
+            metavar="MM",
+            label="Nozzle height, mm",
+        ),
     ] = None
     flavor: Annotated[str, FLAVOR] = ""
     chip: Annotated[tuple[str, ...], CHIP] = ()
@@ -223,7 +243,10 @@ class PlanRequest(Request):
                 raise RequestError(f"{option} is for --for {purposes}, not for --for {self.purpose}.")
         if self.plan_file == self.output:
             raise RequestError(f"-o {self.output}: the G-code needs another ending, for .json is that of its plan.")
-        one_of("--flavor", [self.flavor] if self.flavor else [], ("klipper", "marlin", "reprapfirmware"))
+        words = (CENTRE, LINE_OF_ACTION) if self.purpose == "identify" else ()
+        for place in self.at:
+            if place not in words:
+                number_pair("--at", place, f", in mm{f', {CENTRE} or {LINE_OF_ACTION}' if words else ''}")
         one_of("--kind", self.kind, SIGNALS if self.purpose == "identify" else MOVES)
         if self.purpose == "identify" and len(self.kind) > 1:
             raise RequestError(f"--kind: an identification has one excitation, not {', '.join(self.kind)}.")

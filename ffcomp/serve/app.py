@@ -20,7 +20,7 @@ from starlette.responses import FileResponse, JSONResponse, Response
 from starlette.routing import Route
 
 from ffcomp.serve import machines, messages
-from ffcomp.serve.commands import KINDS, MEASURED, checked
+from ffcomp.serve.commands import KINDS, MEASURED, checked, forms
 from ffcomp.serve.guard import Guard
 from ffcomp.serve.jobs import ENDED, Job
 from ffcomp.serve.printer import Printer
@@ -57,6 +57,7 @@ class Server:
         routes = [
             *(Route(path, self._page) for path in PAGE),
             Route("/api/state", self._answer(self.state)),
+            Route("/api/forms", self._answer(lambda request, fields: forms())),
             Route("/api/files", self.take, methods=["POST"]),
             Route("/api/jobs", self._answer(self.create), methods=["POST"]),
             Route("/api/jobs/{id}/{action:str}", self._answer(self.act), methods=["POST"]),

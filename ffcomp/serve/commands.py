@@ -1,18 +1,31 @@
-"""What each kind of job runs: the command lines of ffcomp, from options that are checked first."""
+"""What each kind of job runs: command lines of ffcomp, made of options that the verb's request declares and checks.
+
+The page offers the options that have a label; a value is read, checked and written as on the command line.
+"""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
+from ffcomp.comparison.request import CompareRequest
+from ffcomp.compensation.request import CompensateFilesRequest
+from ffcomp.diagnosis.request import DiagnoseRequest
+from ffcomp.errors import RequestError
+from ffcomp.identification.request import FitRequest
+from ffcomp.importers.request import ImportMachineRequest
+from ffcomp.record.request import PlanRequest, Purpose
+from ffcomp.request import Declared, Option, Request, declared
 from ffcomp.serve.uploads import Refused
 
 PICTURE, REPORT, BETTER = "picture.png", "report.html", "better.toml"
 MOVES, PLAN = "moves.gcode", "moves.json"
-FLAVORS = ("klipper", "marlin", "reprapfirmware")
 MOST_CAPTURES = 200
+NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,59}")  # of a machine
 MEASURED = ("diagnose", "fit")  # kinds that take captures
 
 
@@ -26,176 +39,184 @@ class Step:
 
 
 @dataclass(frozen=True, slots=True)
-class Request:
+class Task:
     """What a job is to do, with paths that the server has chosen."""
 
     machine: str  # path of its file
     inputs: tuple[Path, ...]
     out: Path
-    options: Mapping[str, Any]
+    words: tuple[str, ...]
+    name: str = ""  # of the machine file that an import makes
 
 
-def compensate(request: Request) -> list[Step]:
+def compensate(task: Task) -> list[Step]:
     """Compensate a print, and draw it before and after."""
-    (source,) = request.inputs
-    target = str(request.out / source.name)
-    words = ("compensate", str(source), "-m", request.machine, "-o", target, "--json", *_words(request.options))
-    show = ("show", target, "-o", str(request.out / PICTURE), "--json")
+    (source,) = task.inputs
+    target = str(task.out / source.name)
+    words = ("compensate", str(source), "-m", task.machine, "-o", target, "--json", *task.words)
+    show = ("show", target, "-o", str(task.out / PICTURE), "--json")
     return [Step(words, "compensating"), Step(show, "drawing", needed=False)]
 
 
-def compare(request: Request) -> list[Step]:
+def compare(task: Task) -> list[Step]:
     """Compare a print's error with every input shaper's."""
-    (source,) = request.inputs
-    page = str(request.out / REPORT)
-    words = ("compare", str(source), "-m", request.machine, "--report", page, "--json", *_words(request.options))
+    (source,) = task.inputs
+    page = str(task.out / REPORT)
+    words = ("compare", str(source), "-m", task.machine, "--report", page, "--json", *task.words)
     return [Step(words, "comparing with shapers")]
 
 
-def plan(request: Request) -> list[Step]:
+def plan(task: Task, purpose: str) -> list[Step]:
     """Write moves that are worth recording."""
-    return [Step(_planned(request, "diagnose"), "planning moves")]
+    target = str(task.out / MOVES)
+    words = ("record", "plan", "--for", purpose, "-m", task.machine, "-o", target, "--json", *task.words)
+    return [Step(words, "planning moves")]
 
 
-def excite(request: Request) -> list[Step]:
-    """Write moves that excite what a fit of the machine file's numbers needs."""
-    return [Step(_planned(request, "identify"), "planning moves")]
-
-
-def _planned(request: Request, purpose: str) -> tuple[str, ...]:
-    target = str(request.out / MOVES)
-    words = ("record", "plan", "--for", purpose, "-m", request.machine, "-o", target, "--json")
-    return (*words, *_words(request.options))
-
-
-def diagnose(request: Request) -> list[Step]:
+def diagnose(task: Task) -> list[Step]:
     """Find what the machine file lacks, from captures of a plan."""
-    return [Step(_measured(request, "diagnose", "--report", str(request.out / REPORT)), "reading the captures")]
+    return [Step(_measured(task, "diagnose", "--report", str(task.out / REPORT)), "reading the captures")]
 
 
-def fit(request: Request) -> list[Step]:
+def fit(task: Task) -> list[Step]:
     """Fit the machine file's parameters to captures of a plan."""
-    figure = ("--figure", str(request.out / PICTURE))
-    return [Step(_measured(request, "identify", "fit", *figure), "fitting the machine file")]
+    figure = ("--figure", str(task.out / PICTURE))
+    return [Step(_measured(task, "identify", "fit", *figure), "fitting the machine file")]
 
 
-def read_machine(request: Request) -> list[Step]:
+def read_machine(task: Task) -> list[Step]:
     """Make a machine file of a printer's configuration, or check one that is a machine file already."""
-    (source,) = request.inputs
+    (source,) = task.inputs
     if source.suffix.lower() == ".toml":
         return [Step(("machines", "check", str(source), "--json"), "checking the machine file")]
-    target = str(request.out / f"{request.options['name']}.toml")
-    options = _words(request.options, skip=("name",))
-    words = ("machines", "import", str(source), "-o", target, "--alone", "--json", *options)
+    target = str(task.out / f"{task.name}.toml")
+    words = ("machines", "import", str(source), "-o", target, "--alone", "--json", *task.words)
     return [Step(words, "reading the configuration")]
 
 
-def warmup(request: Request) -> list[Step]:
+def warmup(task: Task) -> list[Step]:
     """Compile the numerical code."""
     return [Step(("warmup",), "compiling, once after installing")]
 
 
-def _measured(request: Request, *verb: str) -> tuple[str, ...]:
+def _measured(task: Task, *verb: str) -> tuple[str, ...]:
     """Words of a verb that reads captures: the plan is the input that is JSON."""
-    plans = [path for path in request.inputs if path.suffix == ".json"]
-    captures = [str(path) for path in request.inputs if path.suffix != ".json"]
+    plans = [path for path in task.inputs if path.suffix == ".json"]
+    captures = [str(path) for path in task.inputs if path.suffix != ".json"]
     given = ("--plan", str(plans[0])) if plans else ()
-    better = str(request.out / BETTER)
-    return (*verb, *captures, "-m", request.machine, *given, "-o", better, "--json", *_words(request.options))
+    better = str(task.out / BETTER)
+    return (*verb, *captures, "-m", task.machine, *given, "-o", better, "--json", *task.words)
 
 
 # -- options --
 
 
-def _positive(value: Any) -> str:
-    number = float(value)
-    if not 0.0 < number < 1e6:
-        raise ValueError
-    return f"{number:g}"
+@dataclass(frozen=True)
+class Called(Request):
+    """The machine that an import makes; only the page asks for it."""
+
+    name: Annotated[str, Option("Its name: letters, digits, - and _.", label="Call it")] = "my-printer"
+
+    def check(self) -> None:
+        """Raise RequestError for what is no name of a file everywhere."""
+        if not NAME.fullmatch(self.name):
+            raise RequestError("A machine's name has letters, digits, - and _ only, 60 at most.")
 
 
-def _one_of(*names: str) -> Callable[[Any], str]:
-    def check(value: Any) -> str:
-        if value not in names:
-            raise ValueError
-        return str(value)
+@dataclass(frozen=True)
+class Weighed(Request):
+    """What a kitchen scale tells a fit; only the page asks for it."""
 
-    return check
-
-
-def _pair(value: Any) -> str:
-    x, y = map(float, str(value).split(","))
-    if not max(abs(x), abs(y)) < 1e5:
-        raise ValueError
-    return f"{x:g},{y:g}"
-
-
-def _mass(value: Any) -> str:
-    return f"effector.total_mass_kg={_positive(value)}"
-
-
-def _name(value: Any) -> str:
-    name = str(value)
-    if not 0 < len(name) <= 60 or not all(each.isascii() and (each.isalnum() or each in "-_") for each in name):
-        raise ValueError
-    if name.startswith(("-", "_")):
-        raise ValueError
-    return name
-
-
-OPTIONS: dict[str, tuple[str, Callable[[Any], str] | None]] = {
-    "shaper_off": ("--shaper-off", None),
-    "robust": ("--robust", None),
-    "force": ("--force", None),
-    "without_repeats": ("--without-repeats", None),
-    "max_error_um": ("--max-error-um", _positive),
-    "max_flow_mm3_per_s": ("--max-flow-mm3-per-s", _positive),
-    "plate": ("--plate", lambda value: str(int(_positive(value)))),
-    "repeats": ("--repeats", lambda value: str(int(_positive(value)))),
-    "seconds": ("--seconds", _positive),
-    "height_mm": ("--height-mm", _positive),
-    "known_mass_kg": ("--known", _mass),
-    "at": ("--at", _pair),
-    "offset_mm": ("--offset-mm", _pair),
-    "flavor": ("--flavor", _one_of(*FLAVORS)),
-    "kinematics": ("--kinematics", _one_of("cartesian", "corexy")),
-    "only": ("--only", _one_of("mzv-calibrated", "mzv-calibrated,ei-calibrated")),
-    "sample": ("--sample", _one_of("5%", "10%", "25%", "100%")),
-    "name": ("--name", _name),
-}
-"""Options that the page may set: the word of the command line, and how a value is checked; None for a switch."""
+    known_mass_kg: Annotated[
+        float | None,
+        Option(
+            "Without the arms.",
+            "",
+            "--known=effector.total_mass_kg",
+            low=0.01,
+            high=20.0,
+            label="To fit a delta: the effector with all that rides on it, weighed, kg",
+        ),
+    ] = None
 
 
 @dataclass(frozen=True, slots=True)
 class Kind:
-    """One kind of job: how it runs, how many files it takes, which options, and whether it needs a machine."""
+    """One kind of job: how it runs, how many files it takes, its requests, and whether it needs a machine.
 
-    steps: Callable[[Request], list[Step]]
+    requests : make the verb's request of options that a visitor has set
+    without : options that the page does not offer here
+    """
+
+    steps: Callable[[Task], list[Step]]
     inputs: range
-    options: tuple[str, ...] = ()
+    requests: tuple[Callable[..., Request], ...] = ()
+    without: tuple[str, ...] = ()
     machine: bool = True
     title: str = "{name}"
 
+    @property
+    def form(self) -> dict[str, Declared]:
+        """The options that the page offers, by name."""
+        return {each.field: each for make in self.requests for each in offered(make) if each.field not in self.without}
 
-_ONE = range(1, 2)
+    def check(self, values: Mapping[str, Any]) -> None:
+        """Raise RequestError where values are out of range, or do not go together."""
+        for make in self.requests:
+            make(**{each.field: values[each.field] for each in offered(make) if each.field in values})
+
+
+def offered(make: Callable[..., Request]) -> list[Declared]:
+    """Return the options of a request that have a label."""
+    request: Any = make.func if isinstance(make, partial) else make
+    return [each for each in declared(request) if each.option.label]
+
+
+_ANY = Path("file")  # stands for the files, whose places the server chooses when the job runs
+_ONE, _NONE, _CAPTURES = range(1, 2), range(1), range(1, MOST_CAPTURES)
+
+
+def _plan_for(purpose: Purpose, **more: Any) -> Kind:
+    request = partial(PlanRequest, machine="", output=Path(MOVES), purpose=purpose)
+    return Kind(partial(plan, purpose=purpose), _NONE, (request,), **more)
+
+
 KINDS: dict[str, Kind] = {
-    "compensate": Kind(
-        compensate, _ONE, ("shaper_off", "robust", "force", "max_error_um", "max_flow_mm3_per_s", "flavor", "offset_mm")
+    "compensate": Kind(compensate, _ONE, (partial(CompensateFilesRequest, files=(_ANY,), machine=""),)),
+    "compare": Kind(compare, _ONE, (partial(CompareRequest, _ANY, ""),), title="Compare {name}"),
+    "plan": _plan_for("diagnose", title="Moves to diagnose {machine}"),
+    "excite": _plan_for("identify", without=("seconds",), title="Moves to fit {machine}"),
+    "diagnose": Kind(diagnose, _CAPTURES, (partial(DiagnoseRequest, (_ANY,), ""),), title="Diagnosis of {machine}"),
+    "fit": Kind(fit, _CAPTURES, (partial(FitRequest, data=(_ANY,), machine=""), Weighed), title="Fit of {machine}"),
+    "import": Kind(
+        read_machine, _ONE, (Called, partial(ImportMachineRequest, _ANY)), machine=False, title="Machine from {name}"
     ),
-    "compare": Kind(compare, _ONE, ("flavor", "offset_mm", "plate", "only", "sample"), title="Compare {name}"),
-    "plan": Kind(
-        plan, range(1), ("repeats", "seconds", "height_mm", "at", "flavor"), title="Moves to diagnose {machine}"
-    ),
-    "excite": Kind(excite, range(1), ("height_mm", "at", "flavor"), title="Moves to fit {machine}"),
-    "diagnose": Kind(diagnose, range(1, MOST_CAPTURES), ("without_repeats",), title="Diagnosis of {machine}"),
-    "fit": Kind(fit, range(1, MOST_CAPTURES), ("known_mass_kg",), title="Fit of {machine}"),
-    "import": Kind(read_machine, _ONE, ("name", "kinematics"), machine=False, title="Machine from {name}"),
-    "warmup": Kind(warmup, range(1), machine=False, title="Getting ready"),
+    "warmup": Kind(warmup, _NONE, machine=False, title="Getting ready"),
 }
 
 
+def forms() -> dict[str, list[dict[str, Any]]]:
+    """Return the fields of each kind's form, as the page draws them."""
+    return {kind: [_field(each) for each in of.form.values()] for kind, of in KINDS.items()}
+
+
+def _field(each: Declared) -> dict[str, Any]:
+    number = each.plain_type in (int, float) and each.option.parse is None
+    return {
+        "name": each.field,
+        "label": each.option.label,
+        "help": each.option.help,
+        "kind": "check" if each.is_switch and each.default is False else "number" if number else "text",
+        "choices": ["yes", "no"] if each.is_switch and each.default is None else [str(one) for one in each.choices],
+        "placeholder": each.default_text or (each.option.metavar if "," in each.option.metavar else "automatic"),
+        "low": each.option.low,
+        "high": each.option.high,
+        "step": 1 if each.plain_type is int else "any",
+    }
+
+
 def checked(kind: str, options: Any) -> dict[str, Any]:
-    """Return the options of a job, those that are set, as the command line takes them.
+    """Return the options of a job, those that are set: True or False of a switch, else a text.
 
     Raises
     ------
@@ -206,26 +227,35 @@ def checked(kind: str, options: Any) -> dict[str, Any]:
         raise Refused(400, f"There is no kind of job {kind!r}.")
     if not isinstance(options, dict):
         raise Refused(400, "The options must be an object.")
-    found: dict[str, Any] = {}
-    for name, value in options.items():
-        if name not in KINDS[kind].options:
-            raise Refused(400, f"{kind} has no option {name!r}.")
-        check = OPTIONS[name][1]
-        if value in (None, "", False):
-            continue
-        try:
-            found[name] = True if check is None else check(value)
-        except (ValueError, TypeError):
-            raise Refused(400, f"{name} cannot be {str(value)[:60]!r}.") from None
-    if kind == "import":
-        found.setdefault("name", "my-printer")
-    return found
+    form = KINDS[kind].form
+    if unknown := [name for name in options if name not in form]:
+        raise Refused(400, f"{kind} has no option {unknown[0]!r}.")
+    stated = {name: _stated(form[name], value) for name, value in options.items()}
+    stated = {name: value for name, value in stated.items() if value not in ("", form[name].default)}
+    try:
+        KINDS[kind].check({name: _read(form[name], value) for name, value in stated.items()})
+    except RequestError as error:
+        raise Refused(400, str(error)) from None
+    return stated
 
 
-def _words(options: Mapping[str, Any], skip: tuple[str, ...] = ()) -> list[str]:
-    words: list[str] = []
-    for name, value in options.items():
-        if name not in skip:
-            word = OPTIONS[name][0]
-            words += [word] if value is True else [f"{word}={value}"]
-    return words
+def _stated(each: Declared, value: Any) -> bool | str:
+    """Return what a visitor has set; empty: nothing."""
+    text = "" if value is None else str(value)
+    switched: dict[str, bool | str] = {"": "", "True": True, "yes": True, "False": False, "no": False}
+    if each.is_switch and text in switched:
+        return switched[text]
+    if each.is_switch or isinstance(value, bool | list | dict) or not text.isprintable():
+        raise Refused(400, f"{each.option.label}: it cannot be {text[:60]!r}.")
+    return text
+
+
+def _read(each: Declared, value: bool | str) -> Any:
+    return value if isinstance(value, bool) else each.read(value)
+
+
+def task_of(kind: str, options: Mapping[str, Any], machine: str, inputs: tuple[Path, ...], out: Path) -> Task:
+    """Return what a job is to do: its options as words of the command line."""
+    form = KINDS[kind].form
+    words = tuple(form[name].word(value) for name, value in options.items() if name in form and name != "name")
+    return Task(machine, inputs, out, words, options.get("name", Called.name))

@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from ffcomp.serve.commands import BETTER
+from ffcomp.serve.commands import BETTER, NAME
 from ffcomp.serve.jobs import DONE, Job, JobFolder
 from ffcomp.serve.uploads import Refused
 from models.finding import LIBRARY, glance, machine_paths, user_folder
-
-NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,59}")
 
 
 def listed() -> list[dict[str, Any]]:

@@ -18,7 +18,7 @@ from typing import Any
 
 from ffcomp.serve import messages
 from ffcomp.serve.answers import answer_of
-from ffcomp.serve.commands import KINDS, Request, Step
+from ffcomp.serve.commands import KINDS, Step, task_of
 from ffcomp.serve.jobs import CANCELLED, DONE, ENDED, FAILED, QUEUED, RUNNING, Job, JobFolder
 from ffcomp.serve.settings import MEGABYTE, RESERVE, Settings
 from ffcomp.serve.uploads import Refused
@@ -199,7 +199,7 @@ class Runner:
         (place / "log.txt").unlink(missing_ok=True)
         machine = str(self.find_machine(job.machine)) if job.machine else ""
         inputs = tuple(place / "in" / name for name in job.inputs)
-        steps = KINDS[job.kind].steps(Request(machine, inputs, place / "out", job.options))
+        steps = KINDS[job.kind].steps(task_of(job.kind, job.options, machine, inputs, place / "out"))
         notes: list[str] = []
         for number, step in enumerate(steps):
             code = self._step(job.id, step, place, number)

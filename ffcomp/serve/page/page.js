@@ -143,18 +143,34 @@ function ready() {
   all("[data-job]").forEach((button) => { button.disabled = !can[button.dataset.job]; });
 }
 
-/** The options that stand beside a button, those that are set. */
-function options(panel) {
-  return Object.fromEntries(all("[name]", panel).map((field) => [field.name, field.type === "checkbox" ? field.checked : field.value.trim()])
+let forms = {}; // of each kind of job, as the verbs' requests declare them: {name, label, help, kind, choices, placeholder, low, high, step}
+
+function field({ name, label, help, kind, choices, placeholder, low, high, step }) {
+  if (kind === "check") return make("label", { className: "check", title: help }, make("input", { type: "checkbox", name }), ` ${label}`);
+  const input = choices.length
+    ? make("select", { name }, make("option", { value: "", textContent: "automatic" }), ...choices.map((value) => make("option", { value, textContent: value })))
+    : make("input", { name, type: kind, placeholder, ...(kind === "number" ? { min: low ?? "", max: high ?? "", step } : {}) });
+  return make("label", { className: "field", title: help }, label, input);
+}
+
+/** Forms that several kinds of job share show each option once. */
+async function drawForms() {
+  forms = await ask("api/forms");
+  for (const place of all("[data-form]")) {
+    const shown = new Map(place.dataset.form.split(" ").flatMap((kind) => forms[kind]).reverse().map((each) => [each.name, each]));
+    place.replaceChildren(...[...shown.values()].reverse().sort((a, b) => (a.kind === "check") - (b.kind === "check")).map(field));
+  }
+}
+
+/** The options of a kind of job that are set. */
+function options(kind) {
+  const panel = one(`[data-form~=${kind}]`);
+  return Object.fromEntries(forms[kind].map(({ name }) => one(`[name=${name}]`, panel)).map((input) => [input.name, input.type === "checkbox" ? input.checked : input.value.trim()])
     .filter(([, value]) => value !== "" && value !== false));
 }
 
-const OF = { compensate: ["shaper_off", "force", "max_error_um", "max_flow_mm3_per_s", "flavor"], compare: ["flavor"], import: ["name", "kinematics"], plan: ["height_mm", "at", "seconds", "repeats"], excite: ["height_mm", "at"], diagnose: ["without_repeats"], fit: ["known_mass_kg"] };
-
 async function start(kind, files, more = {}) {
-  const panel = one(`[data-job=${kind}]`).closest("[role=tabpanel]");
-  const set = Object.fromEntries(Object.entries(options(panel)).filter(([name]) => OF[kind].includes(name)));
-  await ask("api/jobs", { kind, machine: machines.value, files, options: set, ...more });
+  await ask("api/jobs", { kind, machine: machines.value, files, options: options(kind), ...more });
 }
 
 const STARTS = {
@@ -250,4 +266,4 @@ async function look() {
 }
 addEventListener("visibilitychange", () => { if (!document.hidden) look(); });
 open(tabs[0]);
-look();
+attempt(drawForms).then(look);

@@ -9,22 +9,31 @@ import pytest
 
 from ffcomp.cli.app import app
 from ffcomp.cli.command import commands
-from ffcomp.serve.commands import KINDS, OPTIONS, Request, checked
+from ffcomp.serve.commands import KINDS, checked, forms, task_of
 from ffcomp.serve.uploads import Refused
 
 OUT = Path("out")
 INPUTS = {"compensate": ("a.gcode",), "compare": ("a.gcode",), "import": ("printer.cfg",), "diagnose": ("a.csv",)}
+NAMED = {"flavor": "klipper", "kinematics": "corexy", "only": "mzv", "sample": "10%", "at": "0,0", "offset_mm": "1,2"}
 
 
 def words_of(kind: str, options: dict[str, Any], *inputs: str) -> list[tuple[str, ...]]:
-    request = Request("/machines/kossel.toml", tuple(Path(each) for each in inputs), OUT, checked(kind, options))
-    return [step.words for step in KINDS[kind].steps(request)]
+    files = tuple(Path(each) for each in inputs)
+    task = task_of(kind, checked(kind, options), "/machines/kossel.toml", files, OUT)
+    return [step.words for step in KINDS[kind].steps(task)]
 
 
 def test_a_print_is_compensated_and_drawn() -> None:
     first, second = words_of("compensate", {"shaper_off": True, "max_error_um": "25"}, "in/a.gcode")
     assert first[:6] == ("compensate", "in/a.gcode", "-m", "/machines/kossel.toml", "-o", str(OUT / "a.gcode"))
     assert first[6:] == ("--json", "--shaper-off", "--max-error-um=25") and second[0] == "show"
+
+
+@pytest.mark.parametrize(
+    ("value", "words"), [("", ()), (None, ()), ("yes", ("--robust",)), (True, ("--robust",)), ("no", ("--no-robust",))]
+)
+def test_a_choice_of_three_is_a_switch_or_nothing(value: Any, words: tuple[str, ...]) -> None:
+    assert words_of("compensate", {"robust": value}, "a.gcode")[0][7:] == words
 
 
 def test_captures_and_their_plan_are_told_apart() -> None:
@@ -53,10 +62,20 @@ def test_a_machine_file_is_checked_not_imported() -> None:
         ("compensate", {"max_error_um": "--scheduler=x"}),
         ("compensate", {"max_error_um": "nan"}),
         ("compensate", {"max_error_um": -1}),
+        ("compensate", {"max_error_um": ["25"]}),
+        ("compensate", {"max_flow_mm3_per_s": 10}),
         ("compensate", {"flavor": "klipper --force"}),
+        ("compensate", {"force": "--scheduler=x"}),
         ("compensate", {"offset_mm": "1"}),
+        ("compensate", {"offset_mm": "nan,0"}),
+        ("compare", {"sample": "500%"}),
+        ("compare", {"plate": "1.5"}),
+        ("compare", {"only": "mzv\0"}),
         ("plan", {"at": "a,b"}),
         ("plan", {"at": "nan,0"}),
+        ("plan", {"at": "line-of-action"}),
+        ("excite", {"seconds": 3}),
+        ("fit", {"known_mass_kg": 21}),
         ("import", {"name": "../../etc/cron.d/x"}),
         ("import", {"name": "-o"}),
         ("import", {"name": "x" * 61}),
@@ -68,11 +87,22 @@ def test_what_the_page_would_not_ask_is_refused(kind: str, options: Any) -> None
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_every_word_is_one_of_the_command_line(kind: str) -> None:
-    values = {"flavor": "klipper", "kinematics": "corexy", "only": "mzv-calibrated", "sample": "10%"}
-    values |= {"at": "0,0", "offset_mm": "1,2", "name": "my"}
-    options = {name: True if OPTIONS[name][1] is None else values.get(name, "3") for name in KINDS[kind].options}
+def test_every_option_is_one_of_the_command_line_and_names_no_file(kind: str) -> None:
+    form = KINDS[kind].form
+    together = {"max_error_um": "25"} if "max_error_um" in form else {}
+    options = together | {name: True if each.is_switch else NAMED.get(name, "3") for name, each in form.items()}
     for words in words_of(kind, options, *INPUTS.get(kind, ("a.csv",))):
-        options = next(each for path, _, each in reversed(list(commands(app))) if words[: len(path)] == path)
-        known = {name for each in options for name in (*each.names, each.negative)}
+        of_verb = next(each for path, _, each in reversed(list(commands(app))) if words[: len(path)] == path)
+        known = {name for each in of_verb for name in (*each.names, each.negative)}
         assert {word.split("=")[0] for word in words if word.startswith("-")} <= known
+    assert not {"jobs", "scheduler"} & set(form)
+    assert not [name for name, each in form.items() if "Path" in str(each.type)]
+
+
+def test_a_form_says_what_the_request_says() -> None:
+    fields = {each["name"]: each for each in forms()["plan"]}
+    seconds, flavor = fields["seconds"], fields["flavor"]
+    assert (seconds["kind"], seconds["low"], seconds["high"], seconds["step"]) == ("number", 2.0, 20.0, "any")
+    assert seconds["help"].startswith("Duration of an experiment") and flavor["choices"][0] == "klipper"
+    assert {each["name"] for each in forms()["excite"]} == set(fields) - {"seconds"}
+    assert next(each for each in forms()["compensate"] if each["name"] == "robust")["choices"] == ["yes", "no"]
