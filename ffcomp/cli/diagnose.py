@@ -10,7 +10,8 @@ from ffcomp.cli.command import Shown, verb
 from ffcomp.cli.common import print_json, say
 from ffcomp.diagnosis.request import DiagnoseRequest
 from ffcomp.errors import RequestError
-from ffcomp.request import OUTPUT, Option, Request
+from ffcomp.options import FORCE, REPORT
+from ffcomp.request import Request
 
 if TYPE_CHECKING:
     from ffcomp.diagnosis.verb import Diagnosis
@@ -20,10 +21,8 @@ if TYPE_CHECKING:
 class Page(Request):
     """The page of a diagnosis; only the command line has it."""
 
-    report: Annotated[
-        Path | None, Option("Write one HTML page that opens offline.", OUTPUT, "--report", "-r", metavar="FILE")
-    ] = None
-    force: Annotated[bool, Option("Overwrite files that exist.", OUTPUT)] = False
+    report: Annotated[Path | None, REPORT] = None
+    force: Annotated[bool, FORCE] = False
 
 
 @verb

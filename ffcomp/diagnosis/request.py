@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from ffcomp.request import ACCURACY, MACHINE, OUTPUT, Argument, Option, Request
+from ffcomp.options import CAPTURE_AXES, MACHINE_NAME, MOVES_PLAN, RUNS
+from ffcomp.request import ACCURACY, OUTPUT, Option, Request
 
 if TYPE_CHECKING:
     from ffcomp.diagnosis.validation import Recorded
@@ -20,19 +21,6 @@ else:  # as the command line reads them
     Files = FilesOrRecordings = tuple[Path, ...]
     MachineOrFile = str
 
-Runs = Argument(
-    "Recordings (CSV), or captures with --plan. Names that differ in -1, -2, … only are repeats.", metavar="RUNS..."
-)
-MachineName = Option(
-    "Machine: a name (see: ffcomp machines list) or the path of its file.", MACHINE, "--machine", "-m", metavar="NAME"
-)
-Plan = Option("Plan (.json) of captures, as `record plan` wrote it.", MACHINE, metavar="FILE")
-AxesMap = Option(
-    "The printer's axes in the accelerometer's own, e.g. x,-z,y. Default: found in the captures.",
-    MACHINE,
-    metavar="X,Y,Z",
-)
-
 
 def silent(sentence: str) -> None:
     """Report nothing."""
@@ -42,10 +30,10 @@ def silent(sentence: str) -> None:
 class GapRequest(Request):
     """Recordings, and the machine file whose simulation is compared with them."""
 
-    recordings: Annotated[FilesOrRecordings, Runs]
-    machine: Annotated[MachineOrFile, MachineName]
-    plan: Annotated[Path | None, Plan] = None
-    axes_map: Annotated[str | None, AxesMap] = None
+    recordings: Annotated[FilesOrRecordings, RUNS]
+    machine: Annotated[MachineOrFile, MACHINE_NAME]
+    plan: Annotated[Path | None, MOVES_PLAN] = None
+    axes_map: Annotated[str | None, CAPTURE_AXES] = None
     progress: Callable[[str], None] = silent
 
 
@@ -53,8 +41,8 @@ class GapRequest(Request):
 class DiagnoseRequest(Request):
     """Recordings, and the machine file that may lack an effect."""
 
-    recordings: Annotated[Files, Runs]
-    machine: Annotated[MachineOrFile, MachineName]
+    recordings: Annotated[Files, RUNS]
+    machine: Annotated[MachineOrFile, MACHINE_NAME]
     output: Annotated[
         Path | None,
         Option(
@@ -65,8 +53,8 @@ class DiagnoseRequest(Request):
             metavar="FILE",
         ),
     ] = None
-    plan: Annotated[Path | None, Plan] = None
-    axes_map: Annotated[str | None, AxesMap] = None
+    plan: Annotated[Path | None, MOVES_PLAN] = None
+    axes_map: Annotated[str | None, CAPTURE_AXES] = None
     without_repeats: Annotated[
         bool,
         Option(

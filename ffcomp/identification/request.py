@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 from ffcomp.errors import RequestError
+from ffcomp.options import FIGURE, FORCE, HIGHEST_FITTED, LOWEST_FITTED, MACHINE_FILE, MACHINE_NAME, MOVES_PLAN
 from ffcomp.request import ACCURACY, ADVANCED, MACHINE, OUTPUT, Argument, Option, Request
 
 Method = Literal["direct", "stepwise"]
@@ -15,11 +16,7 @@ DATA = (
     "Frequency responses (CSV, UFF 58), recordings (CSV), captures of a plan, or Klipper's resonances_*.csv and "
     "raw_data_*.csv."
 )
-MACHINE_HELP = "Machine: a name (see: ffcomp machines list) or the path of its file."
 Data = Annotated[tuple[Path, ...], Argument(DATA, metavar="DATA...")]
-MachineName = Annotated[str, Option(MACHINE_HELP, MACHINE, "--machine", "-m", metavar="NAME")]
-LowestFitted = Annotated[float, Option("Ignore frequencies below.", ADVANCED, metavar="HZ", low=0.1)]
-HighestFitted = Annotated[float, Option("Ignore frequencies above.", ADVANCED, metavar="HZ", low=1.0)]
 
 
 def known_numbers(texts: Sequence[str]) -> dict[str, tuple[float, float]]:
@@ -41,11 +38,9 @@ class FitRequest(Request):
     """Which files `ffcomp identify fit` fits, and how."""
 
     data: Data
-    machine: MachineName
-    output: Annotated[Path | None, Option("Machine file to write.", OUTPUT, "--output", "-o", metavar="FILE")] = None
-    plan: Annotated[
-        Path | None, Option("Plan (.json) that `record plan` wrote, for its captures.", MACHINE, metavar="FILE")
-    ] = None
+    machine: Annotated[str, MACHINE_NAME]
+    output: Annotated[Path | None, MACHINE_FILE] = None
+    plan: Annotated[Path | None, MOVES_PLAN] = None
     known: Annotated[
         Mapping[str, tuple[float, float]] | None,
         Option(
@@ -68,9 +63,9 @@ class FitRequest(Request):
     name: Annotated[
         str | None, Option("Name of the new machine. Default: the output file's.", OUTPUT, metavar="NAME")
     ] = None
-    figure: Annotated[Path | None, Option("Draw a figure: .png, .svg or .pdf.", OUTPUT, metavar="FILE")] = None
-    lowest_hz: LowestFitted = 2.0
-    highest_hz: HighestFitted = 400.0
+    figure: Annotated[Path | None, FIGURE] = None
+    lowest_hz: Annotated[float, LOWEST_FITTED] = 2.0
+    highest_hz: Annotated[float, HIGHEST_FITTED] = 400.0
     axes_map: Annotated[
         str, Option("The printer's axes in the accelerometer's own, e.g. x,-z,y.", MACHINE, metavar="X,Y,Z")
     ] = "x,y,z"
@@ -94,7 +89,7 @@ class FitRequest(Request):
     rough: Annotated[
         bool, Option("Write modes too that leave more than 20 % of their measurement unexplained.", ACCURACY)
     ] = False
-    force: Annotated[bool, Option("Overwrite files that exist.", OUTPUT)] = False
+    force: Annotated[bool, FORCE] = False
 
     def check(self) -> None:
         """Raise RequestError for what is no axis, and rather than overwrite a file."""
@@ -109,9 +104,9 @@ class DecoupleRequest(Request):
     """Which responses `ffcomp identify decouple` decouples."""
 
     data: Data
-    machine: MachineName
-    lowest_hz: LowestFitted = 2.0
-    highest_hz: HighestFitted = 125.0
+    machine: Annotated[str, MACHINE_NAME]
+    lowest_hz: Annotated[float, LOWEST_FITTED] = 2.0
+    highest_hz: Annotated[float, HIGHEST_FITTED] = 125.0
     as_json: Annotated[bool, Option("Print one JSON object on stdout.", OUTPUT, "--json")] = False
 
 

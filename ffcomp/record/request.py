@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 from ffcomp.errors import RequestError
-from ffcomp.options import FLAVORS
+from ffcomp.options import CAPTURE_AXES, FIGURE, FLAVORS, FORCE, MACHINE_NAME, MOVES_PLAN
 from ffcomp.request import ACCURACY, ADVANCED, MACHINE, OUTPUT, Argument, Option, Request
 
 Purpose = Literal["identify", "diagnose", "check"]
@@ -17,9 +17,6 @@ CENTRE, LINE_OF_ACTION = "centre", "line-of-action"
 MOVES = ("zigzag", "reversals", "loop", "multisine")
 SIGNALS = ("multisine", "sweep", "log-sweep")
 
-MACHINE_NAME = Option(
-    "Machine: a name (see: ffcomp machines list) or the path of its file.", MACHINE, "--machine", "-m", metavar="NAME"
-)
 GCODE = Option("G-code to write. The plan is written beside it (.json).", OUTPUT, "--output-file", "-o", metavar="FILE")
 FLAVOR = Option(
     "Firmware. Default: the machine file's, or klipper.", MACHINE, metavar="NAME", choices=FLAVORS, label="Firmware"
@@ -29,13 +26,6 @@ CHIP = Option(
     MACHINE,
     metavar="NAME",
 )
-CAPTURE_AXES = Option(
-    "The printer's axes in the accelerometer's own, e.g. x,-z,y. Default: found in the captures.",
-    MACHINE,
-    "--axes-map",
-    metavar="X,Y,Z",
-)
-FORCE = Option("Overwrite files that exist.", OUTPUT)
 
 
 def number_pair(option: str, text: str, more: str = "") -> tuple[float, float]:
@@ -272,7 +262,7 @@ class JoinRequest(Request):
             metavar="CAPTURES...",
         ),
     ]
-    plan: Annotated[Path, Option("Plan (.json) that `record plan` wrote.", MACHINE, metavar="FILE")]
+    plan: Annotated[Path, MOVES_PLAN]
     machine: Annotated[str, MACHINE_NAME]
     output: Annotated[Path, Option("Folder for the measured runs.", OUTPUT, "--output", "-o", metavar="FOLDER")]
     axes_map: Annotated[str | None, CAPTURE_AXES] = None
@@ -289,9 +279,7 @@ class CheckRequest(Request):
         Argument("Captures of the check's G-code. None: write that G-code with -o.", metavar="[CAPTURES...]"),
     ] = ()
     output: Annotated[Path | None, GCODE] = None
-    plan: Annotated[
-        Path | None, Option("Plan (.json) of captures, as `record plan` wrote it.", MACHINE, metavar="FILE")
-    ] = None
+    plan: Annotated[Path | None, MOVES_PLAN] = None
     history: Annotated[
         Path | None,
         Option(
@@ -304,7 +292,7 @@ class CheckRequest(Request):
     chip: Annotated[tuple[str, ...], CHIP] = ()
     shaper: Annotated[tuple[float, float] | None, SHAPER] = None
     axes_map: Annotated[str | None, CAPTURE_AXES] = None
-    figure: Annotated[Path | None, Option("Draw a figure: .png, .svg or .pdf.", OUTPUT, metavar="FILE")] = None
+    figure: Annotated[Path | None, FIGURE] = None
     force: Annotated[bool, FORCE] = False
 
     def check(self) -> None:
