@@ -27,9 +27,11 @@ from models.errors import MachineFileError
 from models.finding import LIBRARY as LIBRARY
 from models.finding import machine_paths as machine_paths
 from models.machine import Machine
+from models.quantities import Quantities
 from models.schema.documents import DEFAULT_UNCERTAINTY as DEFAULT_UNCERTAINTY
 from models.schema.documents import AnyDocument, validated
-from models.schema.table import did_you_mean, unit_of
+from models.schema.straight import quantities_of
+from models.schema.table import did_you_mean
 
 # Klipper's printer.cfg, RepRapFirmware's config.g, Marlin's answer to M503; a line of a machine file
 _CONFIGURATION = re.compile(
@@ -143,19 +145,23 @@ def entries(path: Path) -> list[Entry]:
     stated = dict(_flat(document.model_dump(exclude_unset=True)))
     values = _flat(document.model_dump(exclude={"format", "name", "uncertainty", "provenance"}))
 
+    quantities = document.quantities
+
     def entry(key: str, value: Any) -> Entry:
-        written = _as_written(key, document.per_kilogram)
+        written = _as_written(key, quantities)
         origin = str(document.provenance.get(written, "")) if key in stated else "default"
-        return Entry(written, value, unit_of(key), origin)
+        return Entry(written, quantities.value(key, value), quantities.unit_of(quantities.key(key)), origin)
 
     return [entry(key, value) for key, value in values if value is not None]
 
 
-def _as_written(key: str, per_kilogram: bool) -> str:
+def _as_written(key: str, quantities: Quantities) -> str:
     """Return the key of a value as the file has it: forces of effects may be per kilogram."""
     table, _, rest = key.partition(".")
     effect, _, parameter = rest.partition(".")
-    return f"{table}.{effect}.{key_in_file(effect, parameter, per_kilogram)}" if table == "effects" else key
+    if table == "effects":
+        return f"{table}.{effect}.{key_in_file(effect, parameter, quantities)}"
+    return quantities.key(key)
 
 
 def _flat(table: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
@@ -203,10 +209,12 @@ def updated_text(
 
     Parameters
     ----------
-    values : `table.key` or, for one element of a list, `table.key[i]` -> the new value, in the file's units.
+    values : `table.key` or, for one element of a list, `table.key[i]` -> the new value; in the file's units, or, of an
+        axis with units of its own, in those of the inside.
     uncertainty, provenance : entries to add to those tables, replacing what is there under the same key.
     """
     document = tomlkit.parse(source.read_bytes().decode("utf-8"))
+    quantities = quantities_of(document)
     if name is not None:
         document["name"] = name
     for key, value in values.items():
@@ -215,6 +223,8 @@ def updated_text(
         table: Any = document
         for part in tables:
             table = table.setdefault(part, tomlkit.table())
+        if last not in table:
+            last, value = quantities.key(last), quantities.value(last, value)
         if index:
             table[last][int(index)] = value
         else:
@@ -222,7 +232,7 @@ def updated_text(
     for title, entries_ in (("uncertainty", uncertainty), ("provenance", provenance)):
         table = document.setdefault(title, tomlkit.table())
         for key, value in (entries_ or {}).items():
-            table[key] = value
+            table[key if key in table else quantities.key(key)] = value
     return tomlkit.dumps(document)
 
 

@@ -18,6 +18,7 @@ PROBE = 0.1  # of what a usual effect takes, with which a signature is taken
 PITCH_SPREAD = 0.05  # of a pitch that the data show, by which it may be off
 LOG_SPREAD = 1.5  # of ln, of a number that is known by its order of magnitude
 LEAST = 1e-3
+LEAST_TURN = 0.5  # rad of travel, or m of a file that writes 1 rad as 1 m: below, a weight pulls as a spring does
 BEYOND = 10.0  # times the values at which a search begins, to either side
 
 
@@ -40,6 +41,8 @@ def axis_candidates(
         if name in names
         and name not in machine.effects
         and (CATALOGUE[name].needs != "accelerometer" or "acc_q" in signals)
+        and (CATALOGUE[name].needs != "turning" or scales.travel_m > LEAST_TURN)
+        and any(p.on_axis.size is not None for p in CATALOGUE[name].amplitudes)
     ]
     axis = driven_axis(machine)
     candidates = tuple(_candidate(effect, scales, pitches) for effect in able)

@@ -45,7 +45,7 @@ class AxisProblem(Problem):
 
     def __init__(self, machine: Machine, runs: Sequence[AxisRun], names: Sequence[str] = tuple(CATALOGUE)) -> None:
         self.machine, self.recordings = machine, runs
-        self.name, self.path = machine.name, machine.path
+        self.name, self.path, self.quantities = machine.name, machine.path, machine.vibration.quantities
         self.shots = shots_of(machine, runs)
         self.band_hz = band_of(self.shots)
         self.windows = [Window(i, part) for i, one in enumerate(self.shots) for part in _parts(one)]

@@ -196,7 +196,9 @@ def effect_tables(values: Mapping[str, float]) -> dict[str, dict[str, Any]]:
         else:
             each = effect.parameter(key)
             none = _machine_value(each, 0.0, True) if each.default is None else each.default
-            table.setdefault(key, [none, none, none])[int(index)] = _machine_value(each, value, True)
+            row = table.setdefault(key, [] if each.size == "lines" else [none, none, none])
+            row += [none] * (int(index) + 1 - len(row))
+            row[int(index)] = _machine_value(each, value, True)
     return {name: _without_whole(table) for name, table in tables.items() if _acts(CATALOGUE[name], table)}
 
 

@@ -73,7 +73,7 @@ class PrinterProblem(Problem):
         self, machine: Machine, recordings: Sequence[Recording], names: Sequence[str] = tuple(CATALOGUE)
     ) -> None:
         self.machine, self.recordings = machine, recordings
-        self.name, self.path, self.per_kilogram = machine.name, machine.path, machine.vibration.per_kilogram
+        self.name, self.path, self.quantities = machine.name, machine.path, machine.vibration.quantities
         if not machine.kinematics.tower_directions:
             self.carriages, self.belts = STRAIGHT, machine.kinematics.actuator_names
         self.reach_mm, self.cycle_mm = machine.kinematics.bed_radius_mm, 4.0 / machine.steps.full_per_motor[0]

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from models.arrays import FloatArray
+from models.quantities import PLAIN, Quantities
 
 TOWERS = ("tower A", "tower B", "tower C")
 
@@ -195,7 +196,7 @@ class Problem(ABC):
     commands: Sequence[FloatArray] = ()  # (n, 3) mm of a printer's carriages, of each observation
     cycle_mm: float = 0.0  # of a motor
     reach_mm: float = 0.0  # how far from the middle of its bed a printer goes; 0: there is no bed
-    per_kilogram: bool = False  # forces are, on axes of unknown mass
+    quantities: Quantities = PLAIN  # keys, units and scales of its machine file
     carriages: tuple[str, ...] = TOWERS  # what people call what a value for each is of
     belts: tuple[str, ...] = TOWERS  # the same, of belts and their motors
     least_density: Mapping[str, float] = {}  # of a signal's noise, unit²/Hz: no simulation is nearer than that

@@ -20,6 +20,7 @@ from ffcomp.diagnosis.separation import Separation
 from ffcomp.identification.uncertainty import Estimate
 from models.effects.catalogue import CATALOGUE, key_in_file
 from models.file import updated_text
+from models.quantities import PLAIN, Quantities
 
 LATE_S = 1e-4  # from which it is reported that a file lies late
 OFF_SHARE = 0.05  # of a number of the file, from which it is reported that it may be off by so much
@@ -79,7 +80,7 @@ class FileNumbers:
 class PlantNames:
     """What people call the parts of a machine."""
 
-    per_kilogram: bool = False  # forces are, on axes of unknown mass
+    quantities: Quantities = PLAIN  # its keys, units and scales
     carriages: tuple[str, ...] = TOWERS  # what a value for each is of, and
     belts: tuple[str, ...] = TOWERS  # of belts and their motors
 
@@ -119,7 +120,7 @@ class DiagnosisResult:
             if name.startswith(prefix):
                 estimates.setdefault(name.removeprefix(prefix).partition("[")[0], []).append(e)
         return {
-            key_in_file(effect, key, self.names.per_kilogram): _in_file(effect, key, each, self.effects[effect][key])
+            key_in_file(effect, key, self.names.quantities): _in_file(effect, key, each, self.effects[effect][key])
             for key, each in estimates.items()
             if key != WHOLE
         }
@@ -162,7 +163,7 @@ def result_of(problem: Problem, diagnosis: Diagnosis) -> DiagnosisResult:
             off={} if diagnosis.file_off is None else _off(diagnosis.file_off),
             beyond={name: abs(z) for name, z, _ in sorted(moved, key=lambda each: -abs(each[1])) if abs(z) > BEYOND_SD},
         ),
-        names=PlantNames(per_kilogram=problem.per_kilogram, carriages=problem.carriages, belts=problem.belts),
+        names=PlantNames(quantities=problem.quantities, carriages=problem.carriages, belts=problem.belts),
         late_s=_late(problem, diagnosis),
         cut_short=diagnosis.cut_short,
     )
@@ -278,7 +279,7 @@ def better_file(source: Path, name: str, result: DiagnosisResult, data: Sequence
         if not table:
             values[f"effects.{effect}"] = {}
         values |= {
-            f"effects.{effect}.{key_in_file(effect, key, result.names.per_kilogram)}": _rounded(value)
+            f"effects.{effect}.{_key_to_write(effect, key, result.names.quantities)}": _rounded(value)
             for key, value in table.items()
         }
     entry = {
@@ -292,6 +293,11 @@ def better_file(source: Path, name: str, result: DiagnosisResult, data: Sequence
         "held_out_nrms_before_after": [float(f"{x:.4g}") for x in result.gap.elsewhere],
     }
     return updated_text(source, values, name=name, provenance={"diagnosed": entry})
+
+
+def _key_to_write(effect: str, key: str, quantities: Quantities) -> str:
+    """Return the key for `updated_text`, which itself knows the keys of an axis."""
+    return key_in_file(effect, key, quantities) if quantities.per_kilogram else key
 
 
 def _rounded(value: Any) -> Any:

@@ -10,6 +10,7 @@ from models.arrays import FloatArray
 from models.effects import delta_parts, drives, friction, sensors, structure
 from models.effects.effect import PER_KILOGRAM, Effect, Signals, Terms
 from models.machine import Machine
+from models.quantities import Quantities
 
 CATALOGUE: Mapping[str, Effect] = {
     effect.name: effect
@@ -43,9 +44,10 @@ def effects_of_printers() -> tuple[str, ...]:
     return tuple(name for name, effect in CATALOGUE.items() if set(effect.of) & {"carriages", "axes"})
 
 
-def key_in_file(effect: str, key: str, per_kilogram: bool) -> str:
-    """Return the key of a parameter in a machine file: `force_n`, or `force_n_per_kg` where no mass is stated."""
-    return f"{key}{PER_KILOGRAM}" if per_kilogram and effect_named(effect).parameter(key).of_mass else key
+def key_in_file(effect: str, key: str, quantities: Quantities) -> str:
+    """Return the key of a parameter in a machine file: `force_n`, or `force_n_per_kg`, or `torque_n_m`."""
+    per_kilogram = quantities.per_kilogram and effect_named(effect).parameter(key).of_mass
+    return f"{key}{PER_KILOGRAM}" if per_kilogram else quantities.key(key)
 
 
 class HasEffects(Protocol):

@@ -9,17 +9,16 @@ import numpy as np
 from models.arrays import FloatArray
 from models.effects.effect import AT_DRIVE, USUAL_SHARE, Effect, OnAxis, Parameter, Terms, Values
 from models.machine import Machine
+from models.vibration.driven_axis import DrivenAxis
 
-DRIVE = "axis.stiffness_n_per_m"
 USUAL_STRETCH = OnAxis(size=lambda s: 1e3 * USUAL_SHARE * s.stretch_m)
 
 
 def _with_belts(machine: Machine, values: Values) -> Machine:
     """Scale the belts' stiffness; of an axis by itself, that of its drive where that is meant."""
     change, model = values["relative_change"], machine.vibration
-    if float(values["at_drive"]) > 0.5:
-        drive = model.value(DRIVE) * (1 + float(change[0]))
-        return replace(machine, vibration=model.with_parameters({DRIVE: drive}))
+    if float(values["at_drive"]) > 0.5 and isinstance(model, DrivenAxis):
+        return replace(machine, vibration=model.with_drive(1 + float(change[0])))
     return replace(machine, vibration=model.with_belts(change, machine.kinematics.motors))
 
 
@@ -72,7 +71,16 @@ BELT_DAMPING = Effect(
     ),
     equation="q/u = (s c λ + k)/(m λ² + c λ + k),  c = 2 ζ ω m",
     parameters=(
-        Parameter("share", "", "s: of the guides' damping, what is the belts'", (0, 1), (0, 0.6), 0.1, "per_tower"),
+        Parameter(
+            "share",
+            "",
+            "s: of the guides' damping, what is the belts'",
+            (0, 1),
+            (0, 0.6),
+            0.1,
+            "per_tower",
+            on_axis=OnAxis(size=lambda s: USUAL_SHARE),
+        ),
     ),
     in_data="Nearly as if all channels were early alike, by 2 ζ s/ω; most of it close to the resonance and above.",
     confounded_with={
@@ -81,7 +89,8 @@ BELT_DAMPING = Effect(
         "guide_damping": "The resonance: guides change its height, the belts' share does not.",
     },
     fold=_with_belt_damping,
-    of=("axes",),
+    of=("axes", "axis"),
+    needs="command",
     remedy="Nothing to mend: write the share in the file, belt_damping_share of each axis{where}.",
     corrects_file=True,
     of_motors=True,

@@ -14,7 +14,8 @@ from models.arrays import FloatArray
 from models.machine import Machine
 
 Kind = Literal["parameter", "force", "command", "frame", "sensor"]
-Size = Literal["scalar", "per_tower", "vector3", "direction"]
+Size = Literal["scalar", "per_tower", "vector3", "direction", "lines"]
+MOST_LINES = 8
 
 DIRECTIONS: Mapping[str, tuple[tuple[float, float], ...]] = {
     "x": ((1.0, 0.0),),
@@ -100,7 +101,8 @@ class Parameter:
         """Convert the value: scalar to (); per tower or vector to (3,); direction to (1 or 2, 2) unit vectors."""
         if self.size == "direction":
             return np.array(DIRECTIONS[value] if isinstance(value, str) else [value], dtype=np.float64)
-        return np.array(np.broadcast_to(value, 3 if self.size == "per_tower" else np.shape(value)), dtype=np.float64)
+        shape: Any = {"per_tower": 3, "lines": np.shape(np.atleast_1d(value))}.get(self.size, np.shape(value))
+        return np.array(np.broadcast_to(value, shape), dtype=np.float64)
 
     def problem(self, value: Any) -> str:
         """Return the rule that a value in a machine file breaks, as the end of a sentence; '' if none."""
@@ -112,7 +114,8 @@ class Parameter:
 
     def _has_size(self, value: Any) -> bool:
         if isinstance(value, list):
-            return self.size != "scalar" and len(value) == 3 and all(map(_is_number, value))
+            counts = range(1, MOST_LINES + 1) if self.size == "lines" else (3,)
+            return self.size != "scalar" and len(value) in counts and all(map(_is_number, value))
         return self.size != "vector3" and _is_number(value)
 
     def _range_problem(self, values: list[float]) -> str:
@@ -141,6 +144,7 @@ SIZES: Mapping[Size, str] = {
     "scalar": "must be a finite number{unit}",
     "per_tower": "must be a finite number{unit}, or a list of three, one a tower",
     "vector3": "must be a list of three finite numbers{unit}",
+    "lines": f"must be a finite number{{unit}}, or a list of up to {MOST_LINES}, one for each line",
 }
 
 
@@ -151,6 +155,7 @@ class Signals:
     t_s: FloatArray  # (n,)
     carriage: FloatArray  # (n, 3) m/s², columns A B C
     nozzle: FloatArray  # (n, 3) m/s², columns X Y Z
+    position: FloatArray = field(default_factory=lambda: np.empty((0, 2)))  # (n, 2) mm of an axis by itself, its motor
 
 
 @dataclass(frozen=True)
@@ -180,7 +185,8 @@ class Effect:
     of: tuple[str, ...] = ("carriages", "axes")  # `VibrationModel.moves` of the machines that may have it
     # how far the nozzle's places must lie apart along x, y, z, over all recordings, to tell it from other numbers
     spread_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    needs: Literal["", "spring", "command", "freedom", "accelerometer"] = ""  # that not every axis by itself has
+    # what not every axis by itself has
+    needs: Literal["", "spring", "command", "freedom", "turning", "accelerometer"] = ""
     contains: str = ""  # an effect of which it has all numbers, and more
     corrects_file: bool = False  # it is a number of the machine file that is wrong, and no more
     of_motors: bool = False  # its values are of belts and motors, not of carriages or axes

@@ -305,6 +305,51 @@ FRICTION_BY_DIRECTION = Effect(
 )
 
 
+def _load_terms(values: Values, printer: Terms) -> Terms:
+    none = {"force_n": np.zeros(3), "presliding_mm": np.zeros(3)}
+    shape = {} if "dry" in printer else _dry_terms({**values, **none}, printer)
+    return {**shape, "load_share": values["share"], "held_share": values["held_share"]}
+
+
+FRICTION_BY_LOAD = Effect(
+    name="friction_by_load",
+    title="Dry friction that grows with the load on the drive",
+    kind="force",
+    physics="Teeth and screws are pressed together by the force that they pass on, and rub in proportion to it.",
+    equation="F = (μ |F_d| + μ ν |F_g|) sgn(q̇),  F_d = force of the drive,  F_g = what gravity and springs pull",
+    parameters=(
+        Parameter(
+            "share",
+            "",
+            "μ: of the drive's force",
+            (0, 0.99),
+            (0.02, 0.4),
+            0.05,
+            on_axis=OnAxis(size=lambda s: USUAL_SHARE),
+        ),
+        Parameter(
+            "held_share",
+            "",
+            "ν: how much of it what gravity and springs pull makes, beside",
+            (0, 10),
+            (0, 1),
+            0.1,
+            role="shape",
+            default=0.0,
+        ),
+        *reversal_parameters("scalar"),
+    ),
+    in_data="The heavier the load, the more force it takes to lift it beyond what it gives back on its way down.",
+    confounded_with={
+        "coulomb_friction": "Two loads at one speed: dry friction is the same for both.",
+        "friction_by_direction": "The other side of a pendulum: there its load pulls the other way.",
+    },
+    of=("axis",),
+    terms=_load_terms,
+    remedy="Look at the gear or screw: grease for its load, wear of its teeth; a higher ratio loads it less.",
+)
+
+
 def _drag_terms(values: Values, printer: Terms) -> Terms:
     return {"drag": values["force_n_s2_per_m2"]}
 
@@ -342,5 +387,6 @@ EFFECTS = (
     BRISTLE_FRICTION,
     JOINT_FRICTION,
     FRICTION_BY_DIRECTION,
+    FRICTION_BY_LOAD,
     QUADRATIC_DRAG,
 )

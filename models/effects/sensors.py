@@ -114,4 +114,52 @@ SENSOR_CLOCK_DRIFT = Effect(
     remedy="Nothing to mend on the printer: join captures by the firmware's clock (ffcomp record join).",
 )
 
-EFFECTS = (SENSOR_GAIN, SENSOR_MISALIGNMENT, SENSOR_TIME_OFFSET, SENSOR_CLOCK_DRIFT)
+
+def low_passed(x: FloatArray, rate_hz: float, time_constant_s: float, damping_ratio: float) -> FloatArray:
+    """Return a signal, (n,), through T ẏ + y = x, or T² ÿ + 2 ζ T ẏ + y = x where ζ is not zero; at rest before it."""
+    from scipy.signal import cont2discrete, lfilter, lfilter_zi
+
+    poles = (
+        [time_constant_s, 1.0]
+        if damping_ratio == 0.0
+        else [time_constant_s**2, 2 * damping_ratio * time_constant_s, 1.0]
+    )
+    b, a, _ = cont2discrete(([1.0], poles), 1 / rate_hz, "foh")
+    b = np.ravel(b)
+    return np.asarray(lfilter(b, a, x, zi=lfilter_zi(b, a) * x[0])[0])
+
+
+def _lagging(true: Signals, values: Values) -> Signals:
+    """Let the signals of an axis come late, and through a low-pass."""
+    columns = np.column_stack([true.position, true.nozzle[:, 0]])
+    rate = float((len(true.t_s) - 1) / (true.t_s[-1] - true.t_s[0]))
+    for i, (delay, constant) in enumerate(zip(values["delay_s"], values["time_constant_s"], strict=True)):
+        if delay > 0.0:
+            columns[:, i] = np.interp(true.t_s - delay, true.t_s, columns[:, i])
+        if constant > 0.0:
+            columns[:, i] = low_passed(columns[:, i], rate, float(constant), float(values["damping_ratio"]))
+    nozzle = true.nozzle.copy()
+    nozzle[:, 0] = columns[:, 2]
+    return replace(true, position=columns[:, :2], nozzle=nozzle)
+
+
+SENSOR_LAG = Effect(
+    name="sensor_lag",
+    title="Sensors that tell late, or through a low-pass",
+    kind="sensor",
+    physics="Encoders are read one after another, filters and interfaces take time, and each sensor has its own.",
+    equation="T² ÿ + 2 ζ T ẏ + y = x(t − τ);  ζ = 0: T ẏ + y = x(t − τ)",
+    parameters=(
+        Parameter("delay_s", "s", "τ of pos_q, pos_motor, acc_q", (0, 10), (0, 0.005), 1e-4, size="vector3"),
+        Parameter("time_constant_s", "s", "T of pos_q, pos_motor, acc_q", (0, 100), (0, 0.1), 1e-4, size="vector3"),
+        Parameter("damping_ratio", "", "ζ; 0: of first order", (0, 10), (0, 1), 0.1, role="shape", default=0.0),
+    ),
+    in_data="One sensor's signals come after another's, by a time or with less of what is quick.",
+    confounded_with={"command_delay": "Two sensors of one motion: a late command is late in both."},
+    measure=_lagging,
+    of=("axis",),
+    shifts_time=True,
+    remedy="Nothing to mend on the axis: state the sensor's lag in the file, or read all sensors at once.",
+)
+
+EFFECTS = (SENSOR_LAG, SENSOR_GAIN, SENSOR_MISALIGNMENT, SENSOR_TIME_OFFSET, SENSOR_CLOCK_DRIFT)

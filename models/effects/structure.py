@@ -224,6 +224,43 @@ GROUND_SPRING = Effect(
 )
 
 
+def _weight_terms(values: Values, printer: Terms) -> Terms:
+    return {"weight_moment": values["force_n"], "weight_angle": np.radians(values["angle_deg"])}
+
+
+PENDULUM_GRAVITY = Effect(
+    name="pendulum_gravity",
+    title="Gravity on an arm that turns",
+    kind="force",
+    physics="An arm, a load or a rotor out of balance is pulled to where its weight hangs lowest.",
+    equation="F = m g l sin(q − q₀)",
+    parameters=(
+        Parameter(
+            "force_n",
+            "N",
+            "m g l: at a right angle",
+            (-1e6, 1e6),
+            (-10, 10),
+            0.1,
+            on_axis=OnAxis(size=lambda s: USUAL_SHARE * s.force_n / min(s.way_m, 1.0)),
+        ),
+        Parameter(
+            "angle_deg", "degrees", "q₀: where it hangs down", (-360, 360), (-180, 180), 5.0, role="shape", default=0.0
+        ),
+    ),
+    in_data="The force at rest goes as a sine of the angle, to one side of its lowest place and to the other.",
+    confounded_with={
+        "ground_spring": "Angles beyond 60 degrees: there a weight pulls less than a spring, and none at the top.",
+        "belt_hardening": "The drive switched off: gravity stays, a drive that softens does not.",
+        "cogging_force": "A whole turn: gravity comes once, a ripple several times.",
+    },
+    of=("axis",),
+    terms=_weight_terms,
+    needs="turning",
+    remedy="Nothing to mend: a weight hangs at the axis. Balance it, or leave it in the file.",
+)
+
+
 TURN_APART = 0.7  # of a turn over the travel, by which pitches of a force are apart: one between them is half seen
 
 
@@ -231,25 +268,35 @@ def _force_pitches(s: MotionScales) -> list[float]:
     return [1e3 * s.travel_m / turns for turns in np.arange(2.0, 40.0, TURN_APART).tolist()]
 
 
+USUAL_RIPPLE = OnAxis(size=lambda s: USUAL_SHARE * s.force_n / 3)
+
+
 def _ripple_terms(values: Values, printer: Terms) -> Terms:
-    return {"sine": values["sine_n"], "cosine": values["cosine_n"], "force_wave": 2e3 * np.pi / values["pitch_mm"]}
+    return {"ripples": np.column_stack([values["sine_n"], values["cosine_n"], 2e3 * np.pi / values["pitch_mm"]])}
 
 
 COGGING_FORCE = Effect(
     name="cogging_force",
     title="A force that repeats along the axis",
     kind="force",
-    physics="Magnets of a linear motor, balls of a screw or teeth of a rack pull to and fro, once a pitch.",
-    equation="F = s sin(2π q/p) + c cos(2π q/p)",
+    physics=(
+        "Magnets of a motor, balls of a screw or teeth of a rack pull to and fro, once a pitch. There may be several "
+        "lines, each with a pitch: of a motor's poles, slots and their multiples."
+    ),
+    equation="F = Σ s sin(2π q/p) + c cos(2π q/p)",
     parameters=(
+        Parameter("sine_n", "N", "s", (-1e5, 1e5), (-5, 5), 0.5, "lines", on_axis=USUAL_RIPPLE),
+        Parameter("cosine_n", "N", "c", (-1e5, 1e5), (-5, 5), 0.5, "lines", on_axis=USUAL_RIPPLE),
         Parameter(
-            "sine_n", "N", "s", (-1e5, 1e5), (-5, 5), 0.5, on_axis=OnAxis(size=lambda s: USUAL_SHARE * s.force_n / 3)
-        ),
-        Parameter(
-            "cosine_n", "N", "c", (-1e5, 1e5), (-5, 5), 0.5, on_axis=OnAxis(size=lambda s: USUAL_SHARE * s.force_n / 3)
-        ),
-        Parameter(
-            "pitch_mm", "mm", "p", (0.01, 1000), (1, 50), 0.5, role="shape", on_axis=OnAxis(starts=_force_pitches)
+            "pitch_mm",
+            "mm",
+            "p; of N lines a turn, 2π/N rad",
+            (0.01, 10_000),
+            (1, 50),
+            0.5,
+            "lines",
+            "shape",
+            on_axis=OnAxis(starts=_force_pitches),
         ),
     ),
     in_data="The force needed at constant speed repeats with the place, whatever the speed.",
@@ -260,4 +307,4 @@ COGGING_FORCE = Effect(
     of_motors=True,
 )
 
-EFFECTS = (FRAME_MODE, GANTRY_RACKING, TOOLHEAD_MODE, GROWING_BED, GROUND_SPRING, COGGING_FORCE)
+EFFECTS = (FRAME_MODE, GANTRY_RACKING, TOOLHEAD_MODE, GROWING_BED, GROUND_SPRING, PENDULUM_GRAVITY, COGGING_FORCE)

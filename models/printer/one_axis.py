@@ -14,13 +14,14 @@ from models.effects.effect import Signals
 from models.kinds import driven_axis
 from models.machine import Machine
 from models.printer.kernels.motors import slopes
-from models.printer.kernels.one_axis import integrate_axis
+from models.printer.kernels.one_axis import AxisInput, integrate_axis
 from models.printer.kernels.record import AXIS_PARAMETERS
 
 LONGEST_STEP_S = 0.002
 STEP_RAD = 0.25  # may the fastest mode turn in a step
 COARSE_STEP_RAD = 0.7  # where effects are only ranked: a resonance is a thousandth off
 HARDENED = 2.0  # times the frequency at rest, of a spring that hardens under a loud motion
+STEEPEST = 2.0  # the same, where a step can be no shorter: friction then falls with speed below that of one step
 STABLE = 1.5  # a step times the rate at which friction stops what moves: the method is stable up to 2.8
 MOST_SUBSTEPS = 60
 NEUTRAL = {"fading_power": 1.0, "creep": 1.0, "presliding": 1.0}  # what is not zero where an effect is absent
@@ -34,19 +35,28 @@ class AxisMotion:
     position_mm: FloatArray  # (n,) of the load; without one, of the mass
     motor_mm: FloatArray  # (n,) of the mass
     acceleration: FloatArray  # (n,) m/s², of the load; without one, of the mass
+    speed: FloatArray  # (n,) mm/s, of the same
+    force: FloatArray  # (n,) N, of the drive
     steps: int = 0  # of the integration
 
     def sensed(self, machine: Machine) -> dict[str, FloatArray]:
         """Return what the sensors read, by the names of a recording's signals."""
         acceleration = self.acceleration[:, None] * [1.0, 0.0, 0.0]
-        sensed = measured(machine, Signals(self.t_s, acceleration, acceleration))
-        return {"pos_q": self.position_mm, "pos_motor": self.motor_mm, "acc_q": sensed.nozzle[:, 0]}
+        position = np.column_stack([self.position_mm, self.motor_mm])
+        sensed = measured(machine, Signals(self.t_s, acceleration, acceleration, position))
+        q, motor = sensed.position.T
+        return {"pos_q": q, "pos_motor": motor, "acc_q": sensed.nozzle[:, 0], "vel_q": self.speed, "force": self.force}
 
 
 def axis_effects(machine: Machine) -> tuple[str, ...]:
     """Return the effects that this axis may have: what needs a spring or a command is not of one without."""
     axis = driven_axis(machine)
-    has = {"spring": axis.last_stiffness > 0.0, "command": not axis.by_force, "freedom": axis.free}
+    has = {
+        "spring": axis.last_stiffness > 0.0,
+        "command": not axis.by_force,
+        "freedom": axis.free or not axis.by_force,
+        "turning": axis.unit != "mm",  # a file that does not say may have written 1 rad as 1 m
+    }
     return tuple(name for name in effects_of(axis.moves) if has.get(CATALOGUE[name].needs, True))
 
 
@@ -59,47 +69,74 @@ def simulate_axis(
     begin: FloatArray | None = None,
     substeps: int = 0,
     coarse: bool = False,
+    supply_v: FloatArray | None = None,
+    extra: FloatArray | None = None,
 ) -> AxisMotion:
     """Simulate an axis with its effects.
 
     Parameters
     ----------
-    drive : (n,) the input: N, straight between samples; or mm of the commanded position, a cubic spline between them.
+    drive : (n,) the input: N, A, V or a duty, straight between samples; or mm of the commanded position, a cubic
+        spline between them.
     shot : samples after which the motion begins anew; 0: never.
     begin : (shots, 4) mm and mm/s of the last mass and of the first one at each beginning, NaN where one is not
         known; None: at rest where the input holds them.
     substeps : integration steps a sample; 0: as many as the axis needs.
     coarse : then only as many as it needs where effects are ranked.
+    supply_v : (n,) V, of a voltage or a duty; None: the file's.
+    extra : (n,) N that are known to push beside the drive; None: none.
 
     Raises
     ------
     ValueError
         If the motion goes to infinity, or an effect is not complete.
     """
-    p, by_force = axis_parameters(machine), driven_axis(machine).by_force
-    samples = np.ascontiguousarray(drive if by_force else 1e-3 * drive, float)
-    rest = 0.0 if by_force else float(samples[0])
+    (p, ripples), axis = axis_parameters(machine), driven_axis(machine)
+    samples = np.ascontiguousarray(axis.force_of(drive, supply_v) if axis.by_force else 1e-3 * drive, float)
+    rest = 0.0 if axis.by_force else float(samples[0])
     first = np.array([[rest, 0.0, rest, 0.0]]) if begin is None else 1e-3 * begin
-    steps = substeps or substeps_of(p, dt_s, COARSE_STEP_RAD if coarse else STEP_RAD)
+    loudest = load_of(p, samples)
+    steps = substeps or substeps_of(p, dt_s, COARSE_STEP_RAD if coarse else STEP_RAD, loudest)
     # a drive goes smoothly from order to order: a straight line between them would lose a percent of 100 Hz
-    slope = np.empty(0) if by_force else slopes(np.diff(samples))
-    out = integrate_axis(samples, slope, dt_s, steps, shot or len(drive) + 1, np.ascontiguousarray(first), p)
+    slope = np.empty(0) if axis.by_force else slopes(np.diff(samples))
+    beside = np.empty(0) if extra is None else np.ascontiguousarray(extra, float)
+    given, gentler = AxisInput(samples, slope, beside, dt_s), with_stable_friction(p, dt_s / steps, loudest)
+    out = integrate_axis(given, steps, shot or len(drive) + 1, np.ascontiguousarray(first), gentler, ripples)
     if not np.all(np.isfinite(out)):
         raise ValueError("With these numbers the axis moves to infinity.")
     t = np.asarray(dt_s * np.arange(len(drive)), dtype=np.float64)
-    return AxisMotion(t, 1e3 * out[:, 1], 1e3 * out[:, 0], out[:, 2], steps * len(drive))
+    return AxisMotion(t, 1e3 * out[:, 1], 1e3 * out[:, 0], out[:, 2], 1e3 * out[:, 3], out[:, 4], steps * len(drive))
 
 
-def substeps_of(p: FloatArray, dt_s: float, step_rad: float = STEP_RAD) -> int:
+def load_of(p: FloatArray, samples: FloatArray) -> float:
+    """Return about the largest force, N, that friction by load grows with; 0 without such friction."""
+    v = dict(zip(AXIS_PARAMETERS, p.tolist(), strict=True))
+    drive = float(np.abs(samples).max()) if v["by_force"] else v["stiffness"] * float(np.ptp(samples))
+    held = v["held_share"] * (abs(v["weight_moment"]) + abs(v["ground"]) * float(np.ptp(samples)))
+    return v["load_share"] * (min(drive, v["drive_limit"]) + held)
+
+
+def with_stable_friction(p: FloatArray, step_s: float, load_n: float) -> FloatArray:
+    """Return the numbers with a creep speed that is as large as a step needs: dry friction must not overshoot rest."""
+    v = dict(zip(AXIS_PARAMETERS, p.tolist(), strict=True))
+    least = (v["dry"] + v["sticking"] + load_n) * step_s / (STEEPEST * v["mass"])
+    if least <= v["creep"]:
+        return p
+    gentler = p.copy()
+    gentler[AXIS_PARAMETERS.index("creep")] = least
+    return gentler
+
+
+def substeps_of(p: FloatArray, dt_s: float, step_rad: float = STEP_RAD, load_n: float = 0.0) -> int:
     """Return how many integration steps a sample needs."""
     v = dict(zip(AXIS_PARAMETERS, p.tolist(), strict=True))
     least = min(v["mass"], v["load"] or v["mass"])
-    omega = math.sqrt((v["stiffness"] + v["coupling"]) / least)
-    rate = (v["damping"] + v["coupling_damping"]) / least
+    omega = math.sqrt((v["stiffness"] + v["coupling"] + abs(v["weight_moment"])) / least)
+    rate = (v["damping"] + v["drive_damping"] + v["coupling_damping"]) / least
     if max(v["cubic"], v["quintic"]) > 0.0:
         omega *= HARDENED
-    if v["dry"] + v["sticking"] > 0.0:
-        rate += (v["dry"] + v["sticking"]) / (v["creep"] * v["mass"])
+    if v["dry"] + v["sticking"] + load_n > 0.0:
+        rate += (v["dry"] + v["sticking"] + load_n) / (v["creep"] * v["mass"])
     if v["bristle_force"] > 0.0:
         omega = math.hypot(omega, math.sqrt(v["bristle_force"] / (v["presliding"] * v["mass"])))
     longest = min(LONGEST_STEP_S, step_rad / max(omega, 1e-9), STABLE / max(rate, 1e-9))
@@ -107,8 +144,14 @@ def substeps_of(p: FloatArray, dt_s: float, step_rad: float = STEP_RAD) -> int:
 
 
 @lru_cache(maxsize=8)
-def axis_parameters(machine: Machine) -> FloatArray:
-    """Return the kernel's numbers of an axis with its effects, SI: shared by its runs, not to be written to."""
+def axis_parameters(machine: Machine) -> tuple[FloatArray, FloatArray]:
+    """Return the kernel's numbers of an axis with its effects, SI: shared by its runs, not to be written to.
+
+    Returns
+    -------
+    In the order of `AXIS_PARAMETERS`; and the forces that repeat along the axis, (k, 3) N, N, rad/m.
+    """
     effective = effective_machine(machine)
     terms = terms_of(effective, {**NEUTRAL, **effective.vibration.printer_parameters(0.0)})
-    return np.array([float(np.ravel(terms.get(name, 0.0))[0]) for name in AXIS_PARAMETERS])
+    numbers = np.array([float(np.ravel(terms.get(name, 0.0))[0]) for name in AXIS_PARAMETERS])
+    return numbers, np.ascontiguousarray(terms.get("ripples", np.empty((0, 3))), float)

@@ -5,9 +5,11 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 from typing import Annotated, Any, ClassVar, Literal
 
+import numpy as np
 from pydantic import Field, ValidationError, field_validator, model_validator
 
 from models.effects.catalogue import CATALOGUE, effects_of
@@ -16,9 +18,10 @@ from models.errors import MachineFileError
 from models.kinds import machine_of_axis
 from models.kinematics.base import Kinematics
 from models.machine import Machine
+from models.quantities import PLAIN, Quantities
 from models.schema.delta import CarriageTable, EffectorTable, KinematicsTable, missing_lengths
 from models.schema.printer import ExtruderTable, FirmwareTable, HomingTable, LimitsTable, MacrosTable, StepsTable
-from models.schema.straight import AxesTable, DrivenAxisTable, OneAxisTable, StraightTable
+from models.schema.straight import AxesTable, DrivenAxisTable, OneAxisTable, StraightTable, quantities_of
 from models.schema.table import Table, did_you_mean, number_keys, refuse, sentences
 from models.vibration.base import VibrationModel
 from models.vibration.delta import DeltaVibration
@@ -73,6 +76,22 @@ def plain_keys(table: Any) -> Any:
     return {key.removesuffix(PER_KILOGRAM): value for key, value in table.items()}
 
 
+LINES = "lines_per_turn"
+
+
+def _with_pitch(table: Any) -> Any:
+    """Return an effect's table with a pitch in place of lines a turn, 2π rad."""
+    if not isinstance(table, dict) or LINES not in table or "pitch_mm" in table:
+        return table
+    lines = table[LINES]
+    each = lines if isinstance(lines, list) else [lines]
+    if not all(isinstance(n, int | float) and not isinstance(n, bool) and n > 0 for n in each):
+        return table
+    pitches = [2e3 * math.pi / n for n in each]
+    plain = {key: value for key, value in table.items() if key != LINES}
+    return plain | {"pitch_mm": pitches if isinstance(lines, list) else pitches[0]}
+
+
 def effect_problems(name: str, table: Mapping[str, Any]) -> Iterator[str]:
     """Yield what is wrong with the table of an effect."""
     if name not in CATALOGUE:
@@ -86,6 +105,11 @@ def effect_problems(name: str, table: Mapping[str, Any]) -> Iterator[str]:
             yield f"effects.{name}.{key} = {value!r} {rule}."
     for key in effect.missing(table):
         yield f"effects.{name}.{key} is missing; {effect.parameter(key).meaning}."
+    counts = {
+        key: np.size(table[key]) for key in table if key in effect.by_name and effect.by_name[key].size == "lines"
+    }
+    if len(set(counts.values())) > 1:
+        yield f"effects.{name}: {', '.join(counts)} must have as many numbers each, one for each line."
 
 
 def effect_keys() -> Iterator[str]:
@@ -132,9 +156,9 @@ class Document(Table):
         return effects
 
     @property
-    def per_kilogram(self) -> bool:
-        """Return whether the file states forces of effects per kilogram."""
-        return False
+    def quantities(self) -> Quantities:
+        """Return how the file names and scales its numbers."""
+        return PLAIN
 
     @classmethod
     def missing(cls, document: Mapping[str, Any]) -> list[str]:
@@ -233,9 +257,9 @@ class StraightDocument(PrinterDocument):
         return self
 
     @property
-    def per_kilogram(self) -> bool:
-        """Return whether the file states forces of effects per kilogram: no axis states its mass."""
-        return self.machine_parts()[1].per_kilogram
+    def quantities(self) -> Quantities:
+        """Return how the file names its numbers: forces of effects per kilogram, if no axis states its mass."""
+        return self.machine_parts()[1].quantities
 
     @model_validator(mode="before")
     @classmethod
@@ -259,11 +283,30 @@ class AxisDocument(Document):
     uncertainty: dict[str, Annotated[float, Field(ge=0, le=10)]] = Field(default_factory=dict)
     provenance: dict[str, Any] = Field(default_factory=dict)
 
+    @model_validator(mode="before")
+    @classmethod
+    def _inside(cls, document: Any) -> Any:
+        """Read an axis that turns, or whose force is a current, by the keys and numbers of the inside."""
+        quantities, out = quantities_of(document), dict(document)
+        tables = {name: table for name, table in document.items() if isinstance(table, dict)}
+        if "axis" in tables:
+            out["axis"] = quantities.read(tables["axis"])
+        if "effects" in tables:
+            out["effects"] = {name: _with_pitch(table) for name, table in quantities.read(tables["effects"]).items()}
+        if "uncertainty" in tables:
+            out["uncertainty"] = {quantities.inside(key): value for key, value in tables["uncertainty"].items()}
+        return out
+
+    @property
+    def quantities(self) -> Quantities:
+        """Return how the file names and scales its numbers."""
+        return self.axis.axis().quantities
+
     def machine(self, sha256: str, path: str) -> Machine:
         """Return the axis that the file describes."""
         return machine_of_axis(
             self.name,
-            DrivenAxis(**self.axis.model_dump()),
+            self.axis.axis(),
             effects=self.effects,
             uncertainty={"default": DEFAULT_UNCERTAINTY, **self.uncertainty},
             provenance=self.provenance,
@@ -297,7 +340,8 @@ def validated(document: Mapping[str, Any], path: str) -> AnyDocument:
     except ValidationError as error:
         problems += [sentence for mistake in error.errors() for sentence in sentences(mistake, kind)]
     if problems:
-        raise MachineFileError(path, problems)
+        quantities = quantities_of(document)
+        raise MachineFileError(path, [quantities.sentence(problem) for problem in problems])
     return checked
 
 

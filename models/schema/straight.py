@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import Annotated, Literal
+from collections.abc import Iterator, Mapping
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
 from models.arrays import constant
 from models.kinematics.cartesian import CARTESIAN, COREXY, CartesianKinematics
+from models.quantities import Quantities
 from models.schema.table import MODES, TWO, Place, Table, refuse
+from models.vibration.driven_axis import Drive, DrivenAxis, Input
 from models.vibration.modal import Axis, ModalAxes
 
 
@@ -112,31 +114,85 @@ class OneAxisTable(Table):
     type: Literal["axis"]
 
 
+class DriveTable(Table):
+    """`[axis.drive]` of one axis by itself."""
+
+    force_constant_n_per_a: float | None = Field(None, ge=1e-9, le=1e9)
+    resistance_ohm: float | None = Field(None, ge=1e-6, le=1e6)
+    supply_v: float | None = Field(None, ge=1e-3, le=1e6)
+    gain_v_per_m: float = Field(0.0, ge=0, le=1e12)
+    rate_gain_v_s_per_m: float = Field(0.0, ge=0, le=1e12)
+    current_limit_a: float | None = Field(None, ge=1e-6, le=1e6)
+    force_limit_n: float | None = Field(None, ge=1e-12, le=1e12)
+
+
 class DrivenAxisTable(Table):
     """`[axis]` of one axis by itself."""
 
-    input: Literal["position", "force"]
-    mass_kg: float = Field(ge=0.0001, le=1e6)
-    stiffness_n_per_m: float = Field(ge=0, le=1e12)
+    input: Input
+    unit: Literal["", "mm", "rad"] = ""
+    mass_kg: float = Field(ge=1e-12, le=1e6)
+    stiffness_n_per_m: float | None = Field(None, ge=0, le=1e12)
     damping_n_s_per_m: float = Field(ge=0, le=1e9)
-    load_mass_kg: float | None = Field(None, ge=0.0001, le=1e6)
-    coupling_stiffness_n_per_m: float | None = Field(None, ge=1e-3, le=1e12)
+    load_mass_kg: float | None = Field(None, ge=1e-12, le=1e6)
+    coupling_stiffness_n_per_m: float | None = Field(None, ge=1e-9, le=1e12)
     coupling_damping_n_s_per_m: float = Field(0.0, ge=0, le=1e9)
     offset_n: float = Field(0.0, ge=-1e6, le=1e6)
+    drive_damping_n_s_per_m: float = Field(0.0, ge=0, le=1e9)
+    drive: DriveTable = DriveTable()
 
     @model_validator(mode="after")
     def _possible(self) -> DrivenAxisTable:
         refuse(_driven_problems(self))
         return self
 
+    def axis(self) -> DrivenAxis:
+        """Return the axis."""
+        numbers = self.model_dump(exclude={"drive"}) | {"stiffness_n_per_m": self.stiffness_n_per_m or 0.0}
+        return DrivenAxis(**numbers, drive=Drive(**self.drive.model_dump()))
+
+
+def quantities_of(document: Mapping[str, Any]) -> Quantities:
+    """Return how a file, checked or not, names and scales its numbers; printers' words of anything odd."""
+    table = document.get("axis")
+    axis: Mapping[str, Any] = table if isinstance(table, Mapping) else {}
+    drive = axis.get("drive")
+    constant = isinstance(drive, Mapping) and any("_constant_" in str(key) for key in drive)
+    inputs = {"current": "A", "voltage": "V", "duty": "V"}
+    force = "N" if constant else inputs.get(str(axis.get("input")), "N")
+    return Quantities("rad" if axis.get("unit") == "rad" else "m", force)  # type: ignore[arg-type]
+
 
 def _driven_problems(table: DrivenAxisTable) -> Iterator[str]:
-    if table.input == "position" and table.stiffness_n_per_m == 0:
+    yield from _drive_problems(table)
+    if table.stiffness_n_per_m is None and not table.drive.gain_v_per_m:
+        yield "axis.stiffness_n_per_m is missing (0 where nothing holds the axis)."
+    elif table.input == "position" and not table.stiffness_n_per_m and not table.drive.gain_v_per_m:
         yield (
             "axis.stiffness_n_per_m = 0: nothing ties the axis to its commanded position. Give the stiffness of its "
-            'drive (belt, screw, servo), or input = "force".'
+            "drive (belt, screw, servo), the law of its servo (axis.drive.gain_v_per_m, force_constant_n_per_a and "
+            'resistance_ohm), or input = "force".'
         )
     if (table.load_mass_kg is None) != (table.coupling_stiffness_n_per_m is None):
         yield "axis.load_mass_kg and axis.coupling_stiffness_n_per_m belong together: a load hangs at a coupling."
     if table.load_mass_kg is None and table.coupling_damping_n_s_per_m:
         yield "axis.coupling_damping_n_s_per_m is of a coupling; give axis.load_mass_kg and its stiffness, or neither."
+
+
+def _drive_problems(table: DrivenAxisTable) -> Iterator[str]:
+    drive, by = table.drive, table.input
+    if by != "position" and (table.drive_damping_n_s_per_m or drive.gain_v_per_m or drive.rate_gain_v_s_per_m):
+        yield f'axis.input = {by!r}: a damper across the drive and a servo law follow a position, input = "position".'
+    if (by in ("voltage", "duty") or drive.gain_v_per_m) and (
+        (drive.force_constant_n_per_a is None) != (drive.resistance_ohm is None)
+    ):
+        yield (
+            "axis.drive.force_constant_n_per_a and axis.drive.resistance_ohm belong together where a voltage drives: "
+            "state both, or neither, and all forces per volt."
+        )
+    if by == "duty" and drive.force_constant_n_per_a is not None and drive.supply_v is None:
+        yield "axis.drive.supply_v is missing: a duty is a share of it. A column supply_v of a run goes before it."
+    if drive.current_limit_a is not None and by != "current":
+        yield 'axis.drive.current_limit_a is of input = "current"; state axis.drive.force_limit_n.'
+    if drive.rate_gain_v_s_per_m and not drive.gain_v_per_m:
+        yield "axis.drive.rate_gain_v_s_per_m is of a servo law; axis.drive.gain_v_per_m is missing."

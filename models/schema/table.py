@@ -11,24 +11,12 @@ from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field
 
-UNITS = {  # endings of keys; a longer one goes before one it ends in
-    "_n_s_per_m": "N s/m",
-    "_mm_per_s2": "mm/s²",
-    "_mm_per_s": "mm/s",
-    "_n_per_m": "N/m",
-    "_per_mm": "1/mm",
-    "_per_s2": "1/s²",
-    "_per_s": "1/s",
-    "_deg": "degrees",
-    "_mm": "mm",
-    "_kg": "kg",
-    "_hz": "Hz",
-}
+from models.quantities import PLAIN
 
 
 def unit_of(key: str) -> str:
     """Return the unit a key's name ends in, '' if none."""
-    return next((unit for ending, unit in UNITS.items() if key.endswith(ending)), "")
+    return PLAIN.unit_of(key)
 
 
 def did_you_mean(word: str, known: Iterable[str]) -> str:

@@ -16,6 +16,7 @@ import numpy as np
 
 from models.arrays import ComplexArray, FloatArray
 from models.kinematics.base import Kinematics
+from models.quantities import Quantities
 from models.vibration.state_space import StateSpace
 
 if TYPE_CHECKING:
@@ -228,6 +229,11 @@ class VibrationModel(ABC):
     def per_kilogram(self) -> bool:
         """Return whether forces are per kilogram of what moves, because its mass is not known."""
         return False
+
+    @property
+    def quantities(self) -> Quantities:
+        """Return how files and reports name and scale the machine's numbers."""
+        return Quantities(per_kilogram=self.per_kilogram)
 
     @property
     @abstractmethod

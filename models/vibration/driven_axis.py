@@ -1,21 +1,28 @@
 """One axis by itself, driven by a position or by a force: one mass on a drive, or two with a coupling between them.
 
-    m q̈ = F + F₀ − b q̇ − k (q − u) + (k_c (q_l − q) + c (q̇_l − q̇))        a force drives: u = 0; a position: F = 0
-    M q̈_l = −k_c (q_l − q) − c (q̇_l − q̇)                                  without a load neither
+    m q̈ = F + F₀ − b q̇ − k (q − u) − c_d (q̇ − u̇) + (k_c (q_l − q) + c (q̇_l − q̇))
+    M q̈_l = −k_c (q_l − q) − c (q̇_l − q̇)
+
+Without a load there is no coupling; where a force drives, u = 0 and c_d = 0, where a position does, F = 0. An electric
+motor gives F = k_t i from a current, F = k_t/R (V − k_t q̇) from a voltage, and V = g (u − q) + h (u̇ − q̇) in a servo:
+its back EMF damps, and its law is a spring and a damper.
 
 It is the first actuator of its machine; there are no others. The states are (q, q̇) and, with a load, (q_l, q̇_l). SI;
-of positions mm as well. `models/printer/kernels/one_axis.py` simulates it together with its effects.
+of positions mm as well. An axis that turns has rad for m and N m for N (`models/quantities.py`).
+`models/printer/kernels/one_axis.py` simulates it together with its effects.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from operator import attrgetter
 from typing import ClassVar, Literal
 
 import numpy as np
 
 from models.arrays import ComplexArray, FloatArray
+from models.quantities import Quantities
 from models.vibration.base import Description, Parameter, ParameterSet, PrinterFields, VibrationModel
 from models.vibration.state_space import StateSpace
 
@@ -27,14 +34,44 @@ TUNABLE = (
     "load_mass_kg",
     "coupling_stiffness_n_per_m",
     "coupling_damping_n_s_per_m",
+    "drive_damping_n_s_per_m",
+    "drive.force_constant_n_per_a",
 )
+Input = Literal["position", "force", "current", "voltage", "duty"]
+
+
+@dataclass(frozen=True)
+class Drive:
+    """`[axis.drive]`: how a motor makes a force of what it is given."""
+
+    force_constant_n_per_a: float | None = None  # k_t; None: forces are per ampere, or per volt
+    resistance_ohm: float | None = None  # R, for voltages
+    supply_v: float | None = None  # no voltage is higher; what a duty is a share of
+    gain_v_per_m: float = 0.0  # g of a servo: voltage for each metre that it is off
+    rate_gain_v_s_per_m: float = 0.0  # h
+    current_limit_a: float | None = None
+    force_limit_n: float | None = None  # of any drive
+
+    @property
+    def force_per_volt(self) -> float:
+        """Return k_t/R, N/V; 1 where forces are per volt."""
+        return (self.force_constant_n_per_a or 1.0) / (self.resistance_ohm or 1.0)
+
+    @property
+    def back_emf(self) -> float:
+        """Return k_t²/R, the damping by what the motor itself induces, N s/m."""
+        return 0.0 if self.resistance_ohm is None else self.force_per_volt * (self.force_constant_n_per_a or 0.0)
+
+    def stiffer(self, factor: float) -> Drive:
+        """Return the drive with a servo law that is so many times as stiff."""
+        return replace(self, gain_v_per_m=factor * self.gain_v_per_m)
 
 
 @dataclass(frozen=True)
 class DrivenAxis(VibrationModel):
     """The `[axis]` table of a machine file."""
 
-    input: Literal["position", "force"]
+    input: Input
     mass_kg: float  # of the motor's side, or of all
     stiffness_n_per_m: float  # to the commanded position, or to the ground where a force drives; 0: none
     damping_n_s_per_m: float  # of the first mass against the ground
@@ -42,6 +79,9 @@ class DrivenAxis(VibrationModel):
     coupling_stiffness_n_per_m: float | None = None
     coupling_damping_n_s_per_m: float = 0.0
     offset_n: float = 0.0  # a force that is always there: a slope, or the zero of the force's sensor
+    drive_damping_n_s_per_m: float = 0.0  # across the spring to the commanded position
+    unit: Literal["", "mm", "rad"] = ""  # of its way; '': not stated, mm
+    drive: Drive = Drive()
 
     position_dependent: ClassVar[bool] = False
     channels: ClassVar[tuple[str, str, str]] = ("q", "", "")
@@ -50,13 +90,63 @@ class DrivenAxis(VibrationModel):
 
     @property
     def by_force(self) -> bool:
-        """Tell whether a force drives the axis, not a position."""
-        return self.input == "force"
+        """Tell whether a force drives the axis, or what a motor makes one of, and not a position."""
+        return self.input != "position"
+
+    @property
+    def quantities(self) -> Quantities:
+        """Return how its file and reports name and scale its numbers."""
+        per = self.input if self.drive.force_constant_n_per_a is None else ""
+        force: Literal["N", "A", "V"] = {"current": "A", "voltage": "V", "duty": "V"}.get(per, "N")  # type: ignore[assignment]
+        return Quantities("rad" if self.unit == "rad" else "m", force)
+
+    @property
+    def spring_n_per_m(self) -> float:
+        """Return the stiffness of its drive or of its spring to the ground, of a servo law too."""
+        return self.stiffness_n_per_m + self.drive.gain_v_per_m * self.drive.force_per_volt
+
+    @property
+    def spring_damping(self) -> float:
+        """Return the damping across that spring, N s/m."""
+        return self.drive_damping_n_s_per_m + self.drive.rate_gain_v_s_per_m * self.drive.force_per_volt
+
+    @property
+    def ground_damping(self) -> float:
+        """Return the damping against the ground, N s/m, with the motor's back EMF where a voltage drives it."""
+        by_voltage = self.input in ("voltage", "duty") or self.drive.gain_v_per_m > 0.0
+        return self.damping_n_s_per_m + (self.drive.back_emf if by_voltage else 0.0)
+
+    @property
+    def drive_limit_n(self) -> float:
+        """Return the largest force of the drive, N: its own, or what a servo makes of its supply."""
+        limit = self.drive.force_limit_n or np.inf
+        if self.drive.gain_v_per_m and self.drive.supply_v:
+            limit = min(limit, self.drive.supply_v * self.drive.force_per_volt)
+        return float(limit)
+
+    def force_of(self, given: FloatArray, supply_v: FloatArray | None = None) -> FloatArray:
+        """Return the drive's force, (n,) N, from what a run gives it, (n,) N, A, V or a duty of -1 to 1.
+
+        Parameters
+        ----------
+        supply_v : (n,) as recorded; None: the file's.
+        """
+        drive = self.drive
+        if self.input == "current":
+            most = drive.current_limit_a or np.inf
+            return np.asarray(np.clip(given, -most, most) * (drive.force_constant_n_per_a or 1.0))
+        if self.input in ("voltage", "duty"):
+            supply = drive.supply_v if supply_v is None else supply_v
+            volts = (
+                given if self.input == "voltage" else np.clip(given, -1.0, 1.0) * (1.0 if supply is None else supply)
+            )
+            return np.asarray((volts if supply is None else np.clip(volts, -supply, supply)) * drive.force_per_volt)
+        return given
 
     @property
     def free(self) -> bool:
         """Tell whether nothing holds the axis at a place."""
-        return self.stiffness_n_per_m == 0.0
+        return self.spring_n_per_m == 0.0
 
     @property
     def moved_kg(self) -> float:
@@ -66,7 +156,7 @@ class DrivenAxis(VibrationModel):
     @property
     def last_stiffness(self) -> float:
         """Return the stiffness of the spring at the end, which may have play and may harden; 0: there is none."""
-        return self.coupling_stiffness_n_per_m or self.stiffness_n_per_m
+        return self.coupling_stiffness_n_per_m or self.spring_n_per_m
 
     # ---- parameters
 
@@ -78,7 +168,7 @@ class DrivenAxis(VibrationModel):
     @property
     def tunable(self) -> tuple[str, ...]:
         """Return the file's numbers that a measurement may correct."""
-        return tuple(PREFIX + name for name in TUNABLE if getattr(self, name))
+        return tuple(PREFIX + name for name in TUNABLE if attrgetter(name)(self))
 
     def parameters(self) -> ParameterSet:
         """Return the numbers that decide how the axis moves."""
@@ -87,21 +177,38 @@ class DrivenAxis(VibrationModel):
 
     def value(self, name: str) -> float:
         """Return one of the file's numbers, `axis.mass_kg`; KeyError if there is none of this name."""
-        value = getattr(self, name.removeprefix(PREFIX), None) if name.startswith(PREFIX) else None
-        if not isinstance(value, float | int):
+        table: object = self
+        for part in name.removeprefix(PREFIX).split(".") if name.startswith(PREFIX) else (name,):
+            table = getattr(table, part, None)
+        if not isinstance(table, float | int):
             raise KeyError(name)
-        return float(value)
+        return float(table)
 
     def with_parameters(self, values: Mapping[str, float]) -> DrivenAxis:
         """Return the axis with some of its numbers replaced; KeyError for an unknown name."""
         for name in values:
             self.value(name)
-        return replace(self, **{name.removeprefix(PREFIX): float(x) for name, x in values.items()})  # type: ignore[arg-type]
+        plain = {name.removeprefix(PREFIX): float(x) for name, x in values.items()}
+        drive = {name.partition(".")[2]: x for name, x in plain.items() if "." in name}
+        of_axis = {name: x for name, x in plain.items() if "." not in name}
+        return replace(self, **of_axis, drive=replace(self.drive, **drive) if drive else self.drive)  # type: ignore[arg-type]
 
     def with_belts(self, relative_change: FloatArray, motors: FloatArray) -> DrivenAxis:
         """Return the axis with the spring at its end stiffer by the first of (3,)."""
-        spring = "stiffness_n_per_m" if self.coupling_stiffness_n_per_m is None else "coupling_stiffness_n_per_m"
-        return self.with_parameters({PREFIX + spring: self.last_stiffness * (1 + float(relative_change[0]))})
+        factor = 1 + float(relative_change[0])
+        if self.coupling_stiffness_n_per_m is None:
+            return self.with_drive(factor)
+        return replace(self, coupling_stiffness_n_per_m=factor * self.coupling_stiffness_n_per_m)
+
+    def with_drive(self, factor: float) -> DrivenAxis:
+        """Return the axis with a drive, or a spring to the ground, so many times as stiff."""
+        return replace(self, stiffness_n_per_m=factor * self.stiffness_n_per_m, drive=self.drive.stiffer(factor))
+
+    def with_belt_damping(self, share: FloatArray) -> DrivenAxis:
+        """Return the axis with the first of (3,) of its damping across the drive's spring, not against the ground."""
+        moved = float(share[0]) * self.damping_n_s_per_m
+        across = self.drive_damping_n_s_per_m + moved
+        return replace(self, damping_n_s_per_m=self.damping_n_s_per_m - moved, drive_damping_n_s_per_m=across)
 
     def with_guide_damping(self, added_n_s_per_m: FloatArray) -> DrivenAxis:
         """Return the axis with more friction of its guide, the first of (3,), in proportion to speed."""
@@ -111,23 +218,23 @@ class DrivenAxis(VibrationModel):
 
     def state_space(self, xy: FloatArray) -> StateSpace:
         """Return the equations of motion, alike at each of the positions (g, 2); of a force, from N to m."""
-        m, k, b = self.mass_kg, self.stiffness_n_per_m, self.damping_n_s_per_m
+        m, k, c = self.mass_kg, self.spring_n_per_m, self.spring_damping
         n = 4 if self.load_mass_kg else 2
-        a, command, last = np.zeros((n, n)), np.zeros((n, 3)), np.zeros((3, n))
-        a[0, 1], a[1, 0], a[1, 1] = 1.0, -k / m, -b / m
-        command[1, 0] = (1.0 if self.by_force else k) / m
+        a, command, slope, last = np.zeros((n, n)), np.zeros((n, 3)), np.zeros((n, 3)), np.zeros((3, n))
+        a[0, 1], a[1, 0], a[1, 1] = 1.0, -k / m, -(self.ground_damping + c) / m
+        command[1, 0], slope[1, 0] = (1.0 if self.by_force else k) / m, c / m
         if self.load_mass_kg:
             pull = np.array([-1.0, 0.0, 1.0, 0.0]) * (self.coupling_stiffness_n_per_m or 0.0)
             pull += np.array([0.0, -1.0, 0.0, 1.0]) * self.coupling_damping_n_s_per_m
             a[1] += pull / m
             a[2, 3], a[3] = 1.0, -pull / self.load_mass_kg
         last[0, n - 2] = 1.0
-        g, none = (len(xy), 1, 1), np.zeros((len(xy), n, 3))
+        g = (len(xy), 1, 1)
         return StateSpace(
             a=np.tile(a, g),
             b_command=np.tile(command, g),
-            b_slope=none,
-            b_centripetal=none,
+            b_slope=np.tile(slope, g),
+            b_centripetal=np.zeros((len(xy), n, 3)),
             carriage=last,
             names=("pos", "vel", "pos_load", "vel_load")[:n],
         )
@@ -136,7 +243,9 @@ class DrivenAxis(VibrationModel):
         """Return the last mass' motion to the command at s (k,) 1/s: (k, 3, 3), of which [0, 0] alone is not zero."""
         plant = self.state_space(np.zeros((1, 2)))
         resolvent = s[:, None, None] * np.eye(len(plant.a[0])) - plant.a[0]
-        return np.asarray(plant.carriage @ np.linalg.solve(resolvent, plant.b_command[0].astype(np.complex128)[None]))
+        return np.asarray(
+            plant.carriage @ np.linalg.solve(resolvent, plant.b_command[0] + s[:, None, None] * plant.b_slope)
+        )
 
     def jacobian(self, xy: FloatArray) -> FloatArray:
         """Return J of the nozzle's motion from the actuators' at (n, 2) mm: (n, 3, 3)."""
@@ -157,8 +266,9 @@ class DrivenAxis(VibrationModel):
         if self.by_force:
             raise ValueError("A force drives this axis: it follows no commanded position.")
         tau, bend = np.zeros(3), np.zeros((3, 3))
-        tau[0] = self.damping_n_s_per_m / self.stiffness_n_per_m
-        bend[0, 0] = self.moved_kg / self.stiffness_n_per_m
+        k, c, b = self.spring_n_per_m, self.spring_damping, self.ground_damping
+        tau[0] = b / k
+        bend[0, 0] = self.moved_kg / k - c * b / k**2
         if self.load_mass_kg:
             bend[0, 0] += self.load_mass_kg / (self.coupling_stiffness_n_per_m or np.inf)
         return tau, np.tile(bend, (len(xy), 1, 1))
@@ -179,8 +289,10 @@ class DrivenAxis(VibrationModel):
         """Return what the nonlinear kernels need of the axis, SI."""
         return {
             "mass": self.mass_kg,
-            "stiffness": self.stiffness_n_per_m,
-            "damping": self.damping_n_s_per_m,
+            "stiffness": self.spring_n_per_m,
+            "damping": self.ground_damping,
+            "drive_damping": self.spring_damping,
+            "drive_limit": self.drive_limit_n,
             "offset": self.offset_n,
             "load": self.load_mass_kg or 0.0,
             "coupling": self.coupling_stiffness_n_per_m or 0.0,

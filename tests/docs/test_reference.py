@@ -55,6 +55,7 @@ SECTIONS = {  # of the page -> path into the JSON schema of a document
     "axes": (StraightDocument, "axes.x"),
     "kinematics: one axis": (AxisDocument, "kinematics"),
     "axis": (AxisDocument, "axis"),
+    "axis.drive": (AxisDocument, "axis.drive"),
     "limits": (DeltaDocument, "limits"),
     "steps": (DeltaDocument, "steps"),
     "firmware": (DeltaDocument, "firmware"),

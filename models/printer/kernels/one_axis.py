@@ -1,13 +1,14 @@
 """Integrate one axis in time: one mass, or two with a coupling between them (`models/vibration/driven_axis.py`).
 
-    m q̈ = F + F₀ − b q̇ − R(q, q̇) − S(q − u) + (S_c(q_l − q) + c ẇ)          ẇ = q̇_l − q̇
-    M q̈_l = −S_c(q_l − q) − c ẇ                                             without a load neither S_c nor c
+    m q̈ = F + F₀ − b q̇ − R(q, q̇) − D + (S_c(q_l − q) + c ẇ)          D = S(q − u) + c_d (q̇ − u̇),  ẇ = q̇_l − q̇
+    M q̈_l = −S_c(q_l − q) − c ẇ                                      without a load neither S_c nor c
 
-Force in: F is the input and u = 0. Position in: F = 0 and u is the input, its delay late, with a ripple. R holds all
-that resists, by the laws of the printers' guides (`friction.py`), and what only an axis has: bristles beside dry
-friction, what depends on the direction, drag, a force that repeats along the axis, a spring. S is the drive, S_c the
-coupling, by the law of the printers' belts (`motors.py`); one of them may have play, and one may harden: S_c if there
-is a load and nothing else is said. SI units.
+Force in: F is the input, its delay late, and u = 0. Position in: u is the input, its delay late, with a ripple, and F
+is only what is known to push beside. A drive gives no more than its limit: it holds F, or D. R holds all that resists,
+by the laws of the printers' guides (`friction.py`), and what only an axis has: bristles beside dry friction, what
+depends on the direction or on the drive's force, drag, forces that repeat along the axis, a spring, a pendulum. S is
+the drive, S_c the coupling, by the law of the printers' belts (`motors.py`); one of them may have play, and one may
+harden: S_c if there is a load and nothing else is said. SI units; of an axis that turns, rad for m and N m for N.
 
 It has an integrator of its own because its motion begins anew at every shot, its input may be a force that is straight
 between samples, and one simulation at a time is asked for: lanes of eight printers with three motors each would compute
@@ -17,7 +18,7 @@ between samples, and one simulation at a time is asked for: lanes of eight print
 from __future__ import annotations
 
 import math
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -28,10 +29,12 @@ from models.printer.kernels.record import AXIS_PARAMETERS
 from models.printer.kernels.vectors import compiled, inlined
 
 (MASS, STIFFNESS, DAMPING, OFFSET, LOAD, COUPLING, COUPLING_DAMPING, BY_FORCE) = range(8)
-(DRY, STICKING, FADING, FADING_POWER, CREEP, HOLD, HALF_BACKLASH, LANDING, CUBIC, QUINTIC) = range(8, 18)
-(RIPPLE, WAVE, PHASE, SECOND_SINE, SECOND_COSINE, DELAY, GROUND, DRAG) = range(18, 26)
-(SINE, COSINE, FORCE_WAVE, BY_DIRECTION, BRISTLE_FORCE, PRESLIDING, PLAY_AT_DRIVE, HARDENS_AT_DRIVE) = range(26, 34)
-assert len(AXIS_PARAMETERS) == 34
+DRIVE_DAMPING, DRIVE_LIMIT = range(8, 10)
+(DRY, STICKING, FADING, FADING_POWER, CREEP, HOLD, HALF_BACKLASH, LANDING, CUBIC, QUINTIC) = range(10, 20)
+(RIPPLE, WAVE, PHASE, SECOND_SINE, SECOND_COSINE, DELAY, GROUND, DRAG) = range(20, 28)
+(WEIGHT_MOMENT, WEIGHT_ANGLE, LOAD_SHARE, HELD_SHARE, BY_DIRECTION, BRISTLE_FORCE, PRESLIDING) = range(28, 35)
+PLAY_AT_DRIVE, HARDENS_AT_DRIVE = range(35, 37)
+assert len(AXIS_PARAMETERS) == 37
 Q, V, Q_LOAD, V_LOAD, STRAIN, BENT = range(6)
 State: TypeAlias = tuple[float, float, float, float, float, float]  # in this order
 
@@ -50,39 +53,53 @@ def _spring(stretch: float, rate: float, k: float, c: float, play: bool, hardens
 
 
 @inlined
-def _resistance(q: float, v: float, strain: float, bent: float, p: FloatArray) -> tuple[float, float, float]:
-    """Return what resists, and the rates of strain and bristles."""
-    force = p[DAMPING] * v + 0.5 * p[BY_DIRECTION] * abs(v) + p[DRAG] * v * abs(v) + p[GROUND] * q
+def _resistance(
+    q: float, v: float, strain: float, bent: float, drive: float, p: FloatArray, ripples: FloatArray
+) -> tuple[float, float, float]:
+    """Return what resists where the drive gives so much force, and the rates of strain and bristles."""
+    held = p[GROUND] * q + p[WEIGHT_MOMENT] * math.sin(q - p[WEIGHT_ANGLE])
+    force = p[DAMPING] * v + 0.5 * p[BY_DIRECTION] * abs(v) + p[DRAG] * v * abs(v) + held
     strained = bending = 0.0
-    if p[DRY] + p[STICKING] > 0.0:
+    if p[DRY] + p[STICKING] + p[LOAD_SHARE] > 0.0:
         ratio = v / p[CREEP]
         level = p[DRY]
         if p[STICKING] > 0.0:
             level = sliding_level(p[DRY], p[STICKING], ((v * p[FADING]) ** 2) ** p[FADING_POWER])
+        level += p[LOAD_SHARE] * (abs(drive) + p[HELD_SHARE] * abs(held))
         force += level * math.tanh(ratio + strain)
         strained = strain_rate(p[HOLD], ratio, abs(ratio), strain)
     if p[BRISTLE_FORCE] > 0.0:
         force += p[BRISTLE_FORCE] * bent
         bending = bristle_rate(1.0 / p[PRESLIDING], 0.0, v, bent)
-    if p[SINE] != 0.0 or p[COSINE] != 0.0:
-        force += p[SINE] * math.sin(p[FORCE_WAVE] * q) + p[COSINE] * math.cos(p[FORCE_WAVE] * q)
+    for i in range(len(ripples)):
+        force += ripples[i, 0] * math.sin(ripples[i, 2] * q) + ripples[i, 1] * math.cos(ripples[i, 2] * q)
     return force, strained, bending
 
 
 @inlined
-def _rates(x: State, drive: float, drive_rate: float, p: FloatArray) -> State:
-    """Return the state's rate under an input and its rate."""
-    q, v, q_load, v_load, strain, bent = x
-    force, u, u_rate = (drive, 0.0, 0.0) if p[BY_FORCE] != 0.0 else (0.0, drive, drive_rate)
+def _drive(q: float, v: float, value: float, value_rate: float, p: FloatArray) -> tuple[float, float]:
+    """Return the drive's force at an input and its rate, and that of a spring to the ground where a force drives."""
+    by_force = p[BY_FORCE] != 0.0
+    u, u_rate, spring = (0.0, 0.0, 0.0) if by_force else (value, value_rate, 0.0)
     if p[RIPPLE] != 0.0:
         wave = ripple(p[RIPPLE], p[WAVE], p[PHASE], p[SECOND_SINE], p[SECOND_COSINE], u, u_rate)
         u, u_rate = u + wave[0], u_rate + wave[1]
-    loaded = p[LOAD] > 0.0
-    resistance, strained, bending = _resistance(q, v, strain, bent, p)
-    total = force + p[OFFSET] - resistance
     if p[STIFFNESS] > 0.0:
+        loaded = p[LOAD] > 0.0
         play, hardens = not loaded or p[PLAY_AT_DRIVE] > 0.5, not loaded or p[HARDENS_AT_DRIVE] > 0.5
-        total -= _spring(q - u, v - u_rate, p[STIFFNESS], 0.0, play, hardens, p)
+        spring = _spring(u - q, u_rate - v, p[STIFFNESS], p[DRIVE_DAMPING], play, hardens, p)
+    given = min(max(value if by_force else spring, -p[DRIVE_LIMIT]), p[DRIVE_LIMIT])
+    return given, spring if by_force else 0.0
+
+
+@inlined
+def _rates(x: State, value: float, value_rate: float, extra: float, p: FloatArray, ripples: FloatArray) -> State:
+    """Return the state's rate under an input and its rate, and a force that is known to push beside it."""
+    q, v, q_load, v_load, strain, bent = x
+    drive, spring = _drive(q, v, value, value_rate, p)
+    resistance, strained, bending = _resistance(q, v, strain, bent, drive, p, ripples)
+    total = drive + spring + extra + p[OFFSET] - resistance
+    loaded = p[LOAD] > 0.0
     if not loaded:
         return v, total / p[MASS], 0.0, 0.0, strained, bending
     play, hardens = p[PLAY_AT_DRIVE] <= 0.5, p[HARDENS_AT_DRIVE] <= 0.5
@@ -105,6 +122,23 @@ def _input(samples: FloatArray, slope: FloatArray, at: float) -> tuple[float, fl
     return value, slope[i] + s * (2.0 * bend + 3.0 * s * twist) if inside else 0.0
 
 
+class AxisInput(NamedTuple):
+    """What drives an axis, n samples."""
+
+    samples: FloatArray  # (n,) N or m
+    slope: FloatArray  # (n,) its rate by sample, where it is a cubic between samples; (0,) where it is straight
+    extra: FloatArray  # (n,) N, what is known to push beside it; (0,): nothing
+    dt: float  # s
+
+
+@inlined
+def _rate_at(x: State, at: float, given: AxisInput, p: FloatArray, ripples: FloatArray) -> State:
+    """Return the state's rate so many samples after the first."""
+    value, step = _input(given.samples, given.slope, at - p[DELAY] / given.dt)
+    extra = 0.0 if len(given.extra) == 0 else _input(given.extra, given.extra[:0], at)[0]
+    return _rates(x, value, step / given.dt, extra, p, ripples)
+
+
 @inlined
 def _moved(x: State, h: float, k: State) -> State:
     """Return x + h k."""
@@ -119,15 +153,12 @@ def _moved(x: State, h: float, k: State) -> State:
 
 
 @inlined
-def _step(
-    x: State, first: State, samples: FloatArray, slope: FloatArray, at: float, dt: float, h: float, p: FloatArray
-) -> State:
+def _step(x: State, first: State, at: float, h: float, given: AxisInput, p: FloatArray, ripples: FloatArray) -> State:
     """Step by the classical Runge-Kutta method from x, whose rate is `first`, so many samples after the first."""
-    value, step = _input(samples, slope, at + 0.5 * h / dt)
-    second = _rates(_moved(x, 0.5 * h, first), value, step / dt, p)
-    third = _rates(_moved(x, 0.5 * h, second), value, step / dt, p)
-    value, step = _input(samples, slope, at + h / dt)
-    last = _rates(_moved(x, h, third), value, step / dt, p)
+    middle = at + 0.5 * h / given.dt
+    second = _rate_at(_moved(x, 0.5 * h, first), middle, given, p, ripples)
+    third = _rate_at(_moved(x, 0.5 * h, second), middle, given, p, ripples)
+    last = _rate_at(_moved(x, h, third), at + h / given.dt, given, p, ripples)
     mean = _moved(_moved(_moved(first, 2.0, second), 2.0, third), 1.0, last)
     return _moved(x, h / 6.0, mean)
 
@@ -153,37 +184,38 @@ def _begin(x: State, at: FloatArray, drive: float, p: FloatArray) -> State:
 
 @compiled
 def integrate_axis(
-    samples: FloatArray, slope: FloatArray, dt: float, substeps: int, shot: int, begin: FloatArray, p: FloatArray
+    given: AxisInput, substeps: int, shot: int, begin: FloatArray, p: FloatArray, ripples: FloatArray
 ) -> FloatArray:
     """Integrate an axis whose motion begins anew every so many samples.
 
     Parameters
     ----------
-    samples : (n,) the input, N or m.
-    slope : (n,) its rate by sample, where it is a cubic between samples; (0,) where it is straight.
     shot : samples from one beginning to the next; n or more: there is one.
     begin : (shots, 4) m and m/s of the last mass and of the first one at each beginning, NaN where nothing is known
         of one of them; what bends by friction goes on.
     p : in the order of `AXIS_PARAMETERS`.
+    ripples : (k, 3) forces that repeat along the axis: of the sine and of the cosine, N, and rad/m.
 
     Returns
     -------
-    (n, 3) position of the first mass and of the last one, m, and the last one's acceleration, m/s².
+    (n, 5) position of the first mass and of the last one, m; the last one's acceleration, m/s², and speed, m/s; the
+    drive's force, N.
     """
-    n, x = len(samples), (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    out, h, late, loaded = np.empty((n, 3)), dt / substeps, p[DELAY] / dt, p[LOAD] > 0.0
+    n, x = len(given.samples), (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    out, h, late, loaded = np.empty((n, 5)), given.dt / substeps, p[DELAY] / given.dt, p[LOAD] > 0.0
     for i in range(n):
+        value, step = _input(given.samples, given.slope, i - late)
         if i % shot == 0 and i // shot < len(begin):
-            x = _begin(x, begin[i // shot], _input(samples, slope, i - late)[0], p)
-        value, step = _input(samples, slope, i - late)
-        rate = _rates(x, value, step / dt, p)
+            x = _begin(x, begin[i // shot], value, p)
+        rate = _rate_at(x, i, given, p, ripples)
         out[i, 0] = x[Q]
         out[i, 1] = x[Q_LOAD] if loaded else x[Q]
         out[i, 2] = rate[V_LOAD] if loaded else rate[V]
+        out[i, 3] = x[V_LOAD] if loaded else x[V]
+        out[i, 4] = _drive(x[Q], x[V], value, step / given.dt, p)[0]
         for j in range(substeps if i < n - 1 else 0):
-            at = i + j / substeps - late
+            at = i + j / substeps
             if j > 0:
-                value, step = _input(samples, slope, at)
-                rate = _rates(x, value, step / dt, p)
-            x = _step(x, rate, samples, slope, at, dt, h, p)
+                rate = _rate_at(x, at, given, p, ripples)
+            x = _step(x, rate, at, h, given, p, ripples)
     return out

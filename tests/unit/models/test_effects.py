@@ -79,7 +79,7 @@ def test_the_kernels_know_every_term_of_an_effect(effect: Effect) -> None:
     assert effect.terms is not None
     values = {p.name: p.as_array([p.probe] * 3 if p.size == "vector3" else _of(p)) for p in effect.by_name.values()}
     terms = effect.terms(values, {"motor_k": np.ones(3), "holder_mass": 1.0})
-    assert terms.keys() <= {*(record.PARAMETERS.names or ()), *record.AXIS_PARAMETERS}
+    assert terms.keys() <= {*(record.PARAMETERS.names or ()), *record.AXIS_PARAMETERS, "ripples"}
 
 
 def _of(p: Parameter) -> object:

@@ -10,12 +10,12 @@ import pytest
 
 from models.effects.catalogue import CATALOGUE, effects_of, with_effects
 from models.errors import MachineFileError
-from models.file import load_machine, load_plant
+from models.file import entries, load_machine, load_plant, updated_text
 from models.kinds import driven_axis, is_one_axis, machine_of_axis
 from models.machine import Machine
 from models.printer.kernels.record import AXIS_PARAMETERS
 from models.printer.one_axis import AxisMotion, axis_effects, axis_parameters, simulate_axis, substeps_of
-from models.vibration.driven_axis import DrivenAxis
+from models.vibration.driven_axis import Drive, DrivenAxis
 
 DT = 1e-3
 FREE = machine_of_axis("free", DrivenAxis("force", 100.0, 0.0, 500.0))
@@ -134,8 +134,9 @@ def test_what_is_named_after_belts_is_of_the_spring_that_the_file_says() -> None
     np.testing.assert_array_equal(*one)  # it has one spring
 
 
-PROBES: dict[str, tuple[Machine, dict[str, float]]] = {
+PROBES: dict[str, tuple[Machine, dict[str, Any]]] = {
     "belt_backlash": (SPRUNG, {"width_mm": 0.05}),
+    "belt_damping": (SPRUNG, {"share": 0.5}),
     "belt_hardening": (SPRUNG, {"cubic_n_per_m3": 1e13}),
     "belt_stiffness": (SPRUNG, {"relative_change": 0.2}),
     "bristle_friction": (FREE, {"force_n": 5.0, "presliding_mm": 0.5}),
@@ -144,10 +145,13 @@ PROBES: dict[str, tuple[Machine, dict[str, float]]] = {
     "command_delay": (SPRUNG, {"delay_s": 2e-3}),
     "coulomb_friction": (FREE, {"force_n": 5.0}),
     "friction_by_direction": (FREE, {"damping_difference_n_s_per_m": 50.0}),
+    "friction_by_load": (FREE, {"share": 0.2}),
     "ground_spring": (FREE, {"stiffness_n_per_m": 500.0}),
     "guide_damping": (FREE, {"added_n_s_per_m": 100.0}),
+    "pendulum_gravity": (FREE, {"force_n": 500.0}),
     "quadratic_drag": (FREE, {"force_n_s2_per_m2": 1000.0}),
     "sensor_gain": (FREE, {"nozzle_relative_change": 0.1}),
+    "sensor_lag": (FREE, {"delay_s": [2e-3, 0.0, 0.0], "time_constant_s": [3e-3, 0.0, 0.0]}),
     "stribeck_friction": (FREE, {"force_n": 2.0, "extra_force_n": 5.0, "velocity_mm_per_s": 5.0}),
 }
 
@@ -162,22 +166,146 @@ def test_every_effect_of_an_axis_does_something_at_any_step(name: str) -> None:
     kind = "acc_q" if name == "sensor_gain" else "pos_q"
     assert np.std(found[kind] - plain[kind]) > 1e-3 * np.std(plain[kind])
     own = with_effects(machine, {name: values})
-    steps = substeps_of(axis_parameters(own), DT)
+    steps = substeps_of(axis_parameters(own)[0], DT)
     finer = simulate_axis(own, given, DT, substeps=8 * steps).position_mm
     change = simulate_axis(own, given, DT).position_mm
     assert np.abs(change - finer).max() < 0.02 * np.abs(change - moved(machine, given).position_mm).max() + 1e-4
 
 
-def _with(machine: Machine, given: np.ndarray, name: str, values: dict[str, float]) -> tuple[AxisMotion, Machine]:
+def _with(machine: Machine, given: np.ndarray, name: str, values: dict[str, Any]) -> tuple[AxisMotion, Machine]:
     own = with_effects(machine, {name: values})
     return simulate_axis(own, given, DT), own
 
 
 def test_what_needs_a_spring_or_a_command_is_not_of_a_free_axis() -> None:
     missing = set(effects_of("axis")) - set(axis_effects(FREE))
-    assert missing == {"belt_backlash", "belt_hardening", "belt_stiffness", "cogging"}
-    assert set(effects_of("axis")) - set(axis_effects(SPRUNG)) == {"ground_spring"}
-    assert len(AXIS_PARAMETERS) == len(axis_parameters(FREE))
+    assert missing == {"belt_backlash", "belt_damping", "belt_hardening", "belt_stiffness", "cogging"}
+    assert set(effects_of("axis")) == set(axis_effects(SPRUNG))
+    tied = machine_of_axis("tied", DrivenAxis("force", 2.0, 1e4, 40.0, unit="mm"))
+    assert set(effects_of("axis")) - set(axis_effects(tied)) == {"belt_damping", "cogging"} | {
+        "ground_spring",
+        "pendulum_gravity",
+    }
+    assert len(AXIS_PARAMETERS) == len(axis_parameters(FREE)[0])
+
+
+SERVO = Drive(0.5, 4.0, 12.0, gain_v_per_m=2e5, rate_gain_v_s_per_m=80.0)
+
+
+def test_a_servo_law_is_a_spring_and_a_damper_as_far_as_its_supply_goes() -> None:
+    """F = k_t/R (g (u − q) + h (u̇ − q̇)) − k_t²/R q̇, and no voltage beyond the supply."""
+    per_volt = 0.5 / 4.0
+    servo = machine_of_axis("servo", DrivenAxis("position", 2.0, 0.0, 40.0, drive=SERVO))
+    plain = DrivenAxis("position", 2.0, 2e5 * per_volt, 40.0 + 0.5 * per_volt, drive_damping_n_s_per_m=80.0 * per_volt)
+    quiet = 0.02 * np.sin(2 * np.pi * 5 * np.arange(800) * DT)
+    same = [simulate_axis(m, quiet, DT).position_mm for m in (servo, machine_of_axis("plain", plain))]
+    np.testing.assert_allclose(*same, rtol=1e-12)
+    loud = simulate_axis(servo, 100 * quiet, DT)
+    assert np.abs(loud.force).max() == pytest.approx(12.0 * per_volt)
+
+
+def test_a_voltage_drives_a_motor_to_the_speed_at_which_it_induces_as_much() -> None:
+    """Without friction V = k_t q̇ in the end; a current makes k_t i; forces per volt need no constant."""
+    motor = Drive(0.5, 0.1)
+    free = machine_of_axis("motor", DrivenAxis("voltage", 2.0, 0.0, 0.0, drive=motor))
+    assert simulate_axis(free, np.full(20_000, 3.0), DT).speed[-1] == pytest.approx(1e3 * 3.0 / 0.5, rel=1e-6)
+    by_current = machine_of_axis("motor", DrivenAxis("current", 2.0, 0.0, 0.0, drive=Drive(0.5, current_limit_a=4.0)))
+    assert simulate_axis(by_current, np.full(9, 10.0), DT).acceleration[-1] == pytest.approx(0.5 * 4.0 / 2.0)
+    duty = DrivenAxis("duty", 2.0, 0.0, 0.0, drive=Drive(0.5, 0.1, 6.0))
+    np.testing.assert_allclose(duty.force_of(np.array([0.5, 2.0])), [0.5 * 6.0 * 5.0, 6.0 * 5.0])
+    np.testing.assert_allclose(duty.force_of(np.array([0.5, 2.0]), np.array([4.0, 8.0])), [0.5 * 4.0 * 5.0, 8.0 * 5.0])
+
+
+def test_damping_across_the_drive_follows_a_steady_speed_and_answers_as_its_linear_model() -> None:
+    """q/u = (s c + k)/(m s² + (b + c) s + k): of one sine, and no lag at a steady speed from c alone."""
+    axis = DrivenAxis("position", 2.0, 2e4, 5.0, drive_damping_n_s_per_m=60.0)
+    machine, t = machine_of_axis("belt", axis), np.arange(6000) * DT
+    s = 2j * np.pi * 12.0
+    response = axis.carriage_response(np.zeros((1, 2)), np.array([s]))[0, 0, 0]
+    assert response == pytest.approx((60.0 * s + 2e4) / (2.0 * s**2 + 65.0 * s + 2e4))
+    late = t > 4.0
+    steady = simulate_axis(machine, np.sin(2 * np.pi * 12.0 * t), DT).position_mm[late]
+    np.testing.assert_allclose(steady, (response * np.exp(s * t[late])).imag, atol=2e-4)
+    lag = 10.0 * t[-1] - simulate_axis(machine, 10.0 * t, DT).position_mm[-1]
+    assert lag == pytest.approx(10.0 * 5.0 / 2e4, rel=1e-3)
+    assert axis.low_frequency(np.zeros((1, 2)))[0][0] == pytest.approx(5.0 / 2e4)
+
+
+def test_a_pendulum_swings_as_its_energy_says_and_rests_where_it_is_held() -> None:
+    """½ J q̇² + M (1 − cos q) is constant; M sin q = F at rest."""
+    arm = machine_of_axis("arm", DrivenAxis("force", 0.2, 0.0, 0.0, unit="rad"))
+    begin = np.array([[1500.0, 0.0, 1500.0, 0.0]])
+    swung = with_effects(arm, {"pendulum_gravity": {"force_n": 3.0}})
+    free = simulate_axis(swung, np.zeros(3000), DT, begin=begin)
+    energy = 0.5 * 0.2 * (free.speed / 1e3) ** 2 + 3.0 * (1 - np.cos(free.position_mm / 1e3))
+    np.testing.assert_allclose(energy, energy[0], rtol=1e-5)
+    damped = machine_of_axis("arm", DrivenAxis("force", 0.2, 0.0, 1.0, unit="rad"))
+    held = with_effects(damped, {"pendulum_gravity": {"force_n": 3.0, "angle_deg": -20.0}})
+    at_rest = simulate_axis(held, np.full(8000, 1.5), DT).position_mm[-1]
+    assert at_rest / 1e3 == pytest.approx(np.arcsin(0.5) - np.radians(20.0), abs=1e-4)
+
+
+def test_friction_by_load_takes_its_share_of_the_drives_force() -> None:
+    found = moved(FREE, np.full(300, 120.0), friction_by_load={"share": 0.25})
+    tau, top = 100.0 / 500.0, 0.75 * 120.0 / 500.0
+    expected = 1e3 * top * (found.t_s - tau * (1 - np.exp(-found.t_s / tau)))
+    np.testing.assert_allclose(found.position_mm, expected, atol=0.05)
+
+
+def test_several_lines_of_cogging_add_up_and_are_stated_by_pitch_or_by_turn(tmp_path: Path) -> None:
+    force, table = np.full(500, 30.0), {"sine_n": [3.0, 1.0], "cosine_n": [0.0, 2.0], "pitch_mm": [2.0, 0.7]}
+    both = moved(FREE, force, cogging_force=table)
+    q = both.position_mm
+    lines = 3.0 * np.sin(np.pi * q) + np.sin(2 * np.pi * q / 0.7) + 2.0 * np.cos(2 * np.pi * q / 0.7)
+    np.testing.assert_allclose(100.0 * both.acceleration, 30.0 - 500.0 * both.speed / 1e3 - lines, atol=1e-9)
+    path = tmp_path / "motor.toml"
+    path.write_text(
+        TURNING + "[effects.cogging_force]\nsine_a = [0.8, 0.5]\ncosine_a = [0, 0]\nlines_per_turn = [7, 28]\n"
+    )
+    assert load_plant(path).effects["cogging_force"]["pitch_mm"] == pytest.approx([2e3 * np.pi / 7, 2e3 * np.pi / 28])
+    path.write_text(path.read_text().replace("[7, 28]", "[7]"))
+    with pytest.raises(MachineFileError, match="as many numbers each"):
+        load_plant(path)
+
+
+def test_a_known_force_pushes_beside_the_drive() -> None:
+    given, extra = np.full(300, 20.0), np.linspace(0.0, 5.0, 300)
+    both = simulate_axis(FREE, given, DT, extra=extra).position_mm
+    np.testing.assert_allclose(both, simulate_axis(FREE, given + extra, DT).position_mm, atol=1e-12)
+    pushed = simulate_axis(SPRUNG, np.zeros(4000), DT, extra=np.full(4000, 8.0)).position_mm[-1]
+    assert pushed == pytest.approx(1e3 * 8.0 / 2e5, rel=1e-6)
+
+
+TURNING = """
+format = "ffcomp-machine/1"
+name = "motor"
+[kinematics]
+type = "axis"
+[axis]
+unit = "rad"
+input = "current"
+inertia_a_s2_per_rad = 0.0035
+stiffness_a_per_rad = 0.0
+damping_a_s_per_rad = 0.003
+[uncertainty]
+"axis.inertia_a_s2_per_rad" = 0.3
+"""
+
+
+def test_an_axis_that_turns_has_words_of_its_own(tmp_path: Path) -> None:
+    path = tmp_path / "motor.toml"
+    path.write_text(TURNING + "[effects.coulomb_friction]\ncurrent_a = 0.4\ncreep_rad_per_s = 0.02\n")
+    found = load_plant(path)
+    assert driven_axis(found).mass_kg == 0.0035 and found.uncertainty["axis.mass_kg"] == 0.3
+    assert found.effects["coulomb_friction"] == {"force_n": 0.4, "creep_mm_per_s": pytest.approx(20.0)}
+    shown = {entry.key: (entry.value, entry.unit) for entry in entries(path)}
+    assert shown["axis.inertia_a_s2_per_rad"] == (0.0035, "A s²/rad")
+    assert shown["effects.coulomb_friction.creep_rad_per_s"] == (pytest.approx(0.02), "rad/s")
+    text = updated_text(path, {"axis.mass_kg": 0.004, "effects.coulomb_friction.creep_mm_per_s": 30.0})
+    assert "inertia_a_s2_per_rad = 0.004" in text and "creep_rad_per_s = 0.03\n" in text
+    path.write_text(TURNING.replace("0.0035", "-1.0"))
+    with pytest.raises(MachineFileError, match=r"axis.inertia_a_s2_per_rad = -1.0 must be at least .* \(A s²/rad\)"):
+        load_plant(path)
 
 
 def test_an_axis_goes_to_infinity_in_words() -> None:
@@ -206,7 +334,7 @@ def test_the_file_of_an_axis(tmp_path: Path) -> None:
             ('name = "lift"', 'name = "lift"\n[effects.coulomb_friction]\nforce_n = 1.0\npresliding_mm = 0.02'),
             "presliding_mm is of printers",
         ),
-        (('"position"', '"torque"'), "must be 'position' or 'force'"),
+        (('"position"', '"torque"'), "must be 'position', 'force', 'current', 'voltage' or 'duty'"),
     ],
 )
 def test_mistakes_in_the_file_of_an_axis(change: tuple[str, str], sentence: str, tmp_path: Path) -> None:
