@@ -17,7 +17,7 @@ from ffcomp.record.join import load_recordings
 from models.arrays import FloatArray
 from models.effects.catalogue import CATALOGUE
 from models.file import load_plant
-from models.kinds import is_one_axis
+from models.kinds import driven_axis, is_one_axis
 from models.machine import Machine
 
 ALL = tuple(CATALOGUE)
@@ -50,7 +50,10 @@ def recordings_of(
         return with_folders(load_recordings(paths, plant, plan, turn, progress))
     if plan is not None:
         raise RequestError(f"{plant.name} is one axis by itself: there is no plan of moves for it. Leave --plan out.")
-    return with_folders([read_axis_run(path) for path in paths])
+    runs = [read_axis_run(path, driven_axis(plant).input) for path in paths]
+    for sentence in (each for run in runs for each in run.remarks):
+        progress(sentence)
+    return with_folders(runs)
 
 
 def with_folders(recordings: Sequence[Recorded]) -> list[Recorded]:

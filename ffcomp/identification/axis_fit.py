@@ -71,7 +71,7 @@ def fit_axis(
     ------
     MeasurementError, RequestError
     """
-    runs = [read_axis_run(path) for path in data]
+    runs = [read_axis_run(path, driven_axis(start).input) for path in data]
     progress(Stage(2, f"fitting {start.name} to {len(runs)} runs"))
     result = fitted_axis(start, runs, known)
     hashes = [hash_of(path) for path in data]

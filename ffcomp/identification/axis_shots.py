@@ -47,7 +47,16 @@ class Shots:
     def simulate(self, machine: Machine, *, coarse: bool = False) -> AxisMotion:
         """Simulate the run; ValueError if the axis moves to infinity."""
         dt_s = 1 / self.run.sample_rate_hz
-        return simulate_axis(machine, self.run.drive, dt_s, shot=self.length, begin=self.begin, coarse=coarse)
+        return simulate_axis(
+            machine,
+            self.run.drive,
+            dt_s,
+            shot=self.length,
+            begin=self.begin,
+            coarse=coarse,
+            supply_v=self.run.supply_v,
+            extra=self.run.extra,
+        )
 
     def told(self, signals: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
         """Return signals, (n,) each, of whose positions is gone in each shot what only tells where it began.
@@ -70,7 +79,7 @@ class Shots:
     def own_motion(self, name: str) -> FloatArray:
         """Return what of a signal, (n,), the forces of a shot make: without its beginning, or without its command."""
         x = self.run.signals[name]
-        if name.startswith("acc"):
+        if not name.startswith("pos"):
             return x
         if not self.length:
             return x - (np.nanmean(x) if self.run.by_force else self.run.drive)
@@ -88,9 +97,11 @@ def checked(machine: Machine, runs: Sequence[AxisRun]) -> None:
     MeasurementError
     """
     for run in runs:
-        if run.by_force != driven_axis(machine).by_force:
-            column, other = ("force_n", "position") if run.by_force else ("cmd_q_mm", "force")
-            rule = f"The run gives {column}, but axis.input of {machine.name} is {other!r}: change one of the two."
+        if run.command_space != driven_axis(machine).input:
+            rule = (
+                f"The run gives a {run.command_space}, but axis.input of {machine.name} is "
+                f"{driven_axis(machine).input!r}: change one of the two."
+            )
             raise MeasurementError(run.source, [rule])
 
 

@@ -1,24 +1,46 @@
 """A run of one axis by itself: what drove it and what was measured, on one uniform clock.
 
-Columns: `t_s`; `cmd_q_mm` or `force_n`; any of `pos_q_mm`, `pos_motor_mm`, `acc_q_m_per_s2`. An empty field or NaN is
-a gap of a sensor; what drives the axis has none.
+Columns: `t_s`; what drove it, `cmd_q_mm`, `force_n`, `current_a`, `voltage_v` or `duty`; any of `pos_q_mm`,
+`pos_motor_mm`, `vel_q_mm_per_s`, `acc_q_m_per_s2`, and of an axis that a position drives `force_n`, measured; beside,
+`supply_v` and `extra_force_n`, a known force. Of what turns: `pos_q_rad`, `torque_n_m` and so on, or degrees. An empty
+field or NaN is a gap of a sensor; what drives the axis has none.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from collections.abc import Collection
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
 from ffcomp.errors import MeasurementError
 from ffcomp.measurement.clock import Clock, clock_of
-from ffcomp.measurement.recording import closest, experiment_of, repeated_columns
-from ffcomp.measurement.table import Table, read_table, read_text
+from ffcomp.measurement.recording import experiment_of
+from ffcomp.measurement.table import closest, read_table, read_text, repeated_columns
 from models.arrays import FloatArray
+from models.vibration.driven_axis import Input
 
-INPUTS = ("cmd_q_mm", "force_n")
-SENSORS = {"pos_q_mm": "pos_q", "pos_motor_mm": "pos_motor", "acc_q_m_per_s2": "acc_q"}
+MM_PER_DEG = 1e3 * math.pi / 180  # inside, 1 rad is 1 m
+SMALL = {"_mm": 1.0, "_rad": 1e3, "_deg": MM_PER_DEG}  # ending of a column -> its unit in mm
+LARGE = {"_m_per_s2": 1.0, "_rad_per_s2": 1.0, "_deg_per_s2": 1e-3 * MM_PER_DEG}
+FORCES = ("_n", "_n_m")
+# column -> what it is, and its unit in ours
+INPUTS: dict[str, tuple[Input, float]] = {
+    **{f"cmd_q{ending}": ("position", scale) for ending, scale in SMALL.items()},
+    "force_n": ("force", 1.0),
+    "torque_n_m": ("force", 1.0),
+    "current_a": ("current", 1.0),
+    "voltage_v": ("voltage", 1.0),
+    "duty": ("duty", 1.0),
+}
+SENSORS = {
+    **{f"{name}{ending}": (name, scale) for name in ("pos_q", "pos_motor") for ending, scale in SMALL.items()},
+    **{f"vel_q{ending}_per_s": ("vel_q", scale) for ending, scale in SMALL.items()},
+    **{f"acc_q{ending}": ("acc_q", scale) for ending, scale in LARGE.items()},
+}
+BESIDE = {"supply_v": ("supply", 1.0), "extra_force_n": ("extra", 1.0), "extra_torque_n_m": ("extra", 1.0)}
 LOWEST_RATE_HZ = 20.0
 
 
@@ -28,12 +50,17 @@ class AxisRun:
 
     source: str  # the file, as the user named it
     time_s: FloatArray  # (n,) s, uniform
-    drive: FloatArray  # (n,) mm of the commanded position, or N
+    drive: FloatArray  # (n,) mm of the commanded position, or N, A, V, a duty
     by_force: bool
     acceleration: dict[str, FloatArray]  # "acc_q" -> (n,) m/s²
     position: dict[str, FloatArray]  # "pos_q", "pos_motor" -> (n,) mm
     comments: dict[str, str]
     folder: str = ""  # of the file, where another folder has one of the same name
+    other: dict[str, FloatArray] = field(default_factory=dict)  # "vel_q" -> (n,) mm/s, "force" -> (n,) N
+    input: Input | None = None  # None: a force or a position, as `by_force` says
+    supply_v: FloatArray | None = None  # (n,) V of the drive
+    extra: FloatArray | None = None  # (n,) N, known to push beside the drive
+    remarks: tuple[str, ...] = ()  # what was left out, in sentences
 
     @property
     def sample_rate_hz(self) -> float:
@@ -48,12 +75,12 @@ class AxisRun:
     @property
     def signals(self) -> dict[str, FloatArray]:
         """All that was measured."""
-        return {**self.acceleration, **self.position}
+        return {**self.acceleration, **self.position, **self.other}
 
     @property
-    def command_space(self) -> str:
+    def command_space(self) -> Input:
         """Tell what the axis was given."""
-        return "force" if self.by_force else "position"
+        return self.input or ("force" if self.by_force else "position")
 
     @property
     def command(self) -> FloatArray:
@@ -62,54 +89,104 @@ class AxisRun:
         return scale * self.drive[:, None]
 
 
-def read_axis_run(path: str | Path) -> AxisRun:
-    """Read one run; a MeasurementError reports every mistake in the file at once."""
+def read_axis_run(path: str | Path, drive: Input | None = None) -> AxisRun:
+    """Read one run; a MeasurementError reports every mistake in the file at once.
+
+    Parameters
+    ----------
+    drive : what drives the axis (`axis.input` of its machine file), for files that tell of several; None: the one told.
+    """
     table = read_table(path, read_text(path))
-    problems = [*table.problems, *_header(table.columns)]
+    chosen, problems = _driving(table.columns, drive)
+    problems = [*table.problems, *repeated_columns(table.columns), *problems]
     if problems:
         raise MeasurementError(str(path), problems)
     timed = np.isfinite(table.column("t_s"))
     clock, problems = clock_of(table.column("t_s")[timed], table.row[timed], LOWEST_RATE_HZ)
     if clock is None or problems:
         raise MeasurementError(str(path), problems)
-    columns = {name: clock.on_grid(table.column(name)[timed]) for name in table.columns if name != "t_s"}
-    name = next(name for name in INPUTS if name in columns)
-    problems = _silent(columns, table, clock, name)
+    sensors = _sensors(chosen)
+    used = {chosen: ("drive", INPUTS[chosen][1])} | BESIDE | sensors
+    columns = {name: clock.on_grid(table.column(name)[timed]) for name in table.columns if name in used}
+    problems = _silent(columns, clock, sensors)
     if problems:
         raise MeasurementError(str(path), problems)
-    felt = {SENSORS[key]: x for key, x in columns.items() if key in SENSORS}
-    acceleration = {key: x for key, x in felt.items() if key.startswith("acc")}
-    position = {key: x for key, x in felt.items() if key.startswith("pos")}
-    by_force = name == "force_n"
-    return AxisRun(str(path), clock.grid_s, columns[name], by_force, acceleration, position, table.comments)
+    signals = {used[name][0]: used[name][1] * x for name, x in columns.items()}
+    return AxisRun(
+        str(path),
+        clock.grid_s,
+        signals.pop("drive"),
+        INPUTS[chosen][0] != "position",
+        {key: x for key, x in signals.items() if key.startswith("acc")},
+        {key: x for key, x in signals.items() if key.startswith("pos")},
+        table.comments,
+        other={key: x for key, x in signals.items() if key in ("vel_q", "force")},
+        input=INPUTS[chosen][0],
+        supply_v=signals.get("supply"),
+        extra=signals.get("extra"),
+        remarks=tuple(_left_out(path, table.columns, used)),
+    )
 
 
-def _header(columns: tuple[str, ...]) -> list[str]:
-    """List the problems of a run's header, in full sentences."""
-    known = ("t_s", *INPUTS, *SENSORS)
-    problems = repeated_columns(columns)
-    for name in dict.fromkeys(columns):
-        if name not in known:
-            near = closest(name, known)
-            hint = f"; did you mean {near!r}?" if near else f"; it knows {', '.join(known)}."
-            problems.append(f"Column {name!r} is none of a run of one axis{hint}")
+def _sensors(chosen: str) -> dict[str, tuple[str, float]]:
+    """Return the columns that are sensors; the force of an axis that a position drives is one."""
+    measured = {f"{noun}{ending}": ("force", 1.0) for noun, ending in zip(("force", "torque"), FORCES, strict=True)}
+    return SENSORS | (measured if INPUTS[chosen][0] == "position" else {})
+
+
+def _driving(columns: tuple[str, ...], drive: Input | None) -> tuple[str, list[str]]:
+    """Return the column of what drove the axis, and the problems of a run's header, in full sentences."""
+    problems = []
     if "t_s" not in columns:
         problems.append("Column t_s (time, seconds) is missing; every run needs it.")
-    if sum(name in columns for name in INPUTS) != 1:
-        problems.append("A run of one axis needs what drove it: cmd_q_mm (a position) or force_n, one of the two.")
-    if not any(name in columns for name in SENSORS):
-        problems.append(f"No sensor column is there; a run needs at least one of {', '.join(SENSORS)}.")
-    return problems
+    inputs = [name for name in dict.fromkeys(columns) if name in INPUTS]
+    chosen = [name for name in inputs if INPUTS[name][0] == drive] or inputs
+    if len(chosen) != 1:
+        problems.append(
+            "A run of one axis needs what drove it: cmd_q_mm (a position), force_n, current_a, voltage_v or duty, one "
+            f"of them.{_mistyped(columns, INPUTS) if not chosen else ''}"
+        )
+        return "force_n", problems
+    sensors = _sensors(chosen[0])
+    if not any(name in sensors for name in columns):
+        known = "pos_q_mm, pos_motor_mm, vel_q_mm_per_s, acc_q_m_per_s2 (or rad, deg)"
+        problems.append(f"No sensor column is there; a run needs at least one of {known}.{_mistyped(columns, sensors)}")
+    told = [sensors[name][0] for name in columns if name in sensors]
+    problems += [f"{name} is told in two units; give one column of it." for name in set(told) if told.count(name) > 1]
+    return chosen[0], problems
 
 
-def _silent(columns: dict[str, FloatArray], table: Table, clock: Clock, drive: str) -> list[str]:
+def _mistyped(columns: tuple[str, ...], known: Collection[str]) -> str:
+    """Ask whether a column that is not known means one that is, in a sentence; '' if none is near."""
+    for name in columns:
+        if name not in ("t_s", *INPUTS, *SENSORS, *BESIDE) and (near := closest(name, list(known))):
+            return f" Column {name!r} is not known; did you mean {near!r}?"
+    return ""
+
+
+def _left_out(path: str | Path, columns: tuple[str, ...], used: Collection[str]) -> list[str]:
+    """Say which columns are not used."""
+    sentences = []
+    for name in dict.fromkeys(columns):
+        if name == "t_s" or name in used:
+            continue
+        why = "is another input than the machine file's" if name in INPUTS else "is none of a run of one axis"
+        near = None if name in INPUTS else closest(name, list(used))
+        hint = f"; did you mean {near!r}?" if near else "."
+        sentences.append(f"{Path(path).name}: column {name!r} {why}, and is left out{hint}")
+    return sentences
+
+
+def _silent(columns: dict[str, FloatArray], clock: Clock, sensors: Collection[str]) -> list[str]:
     """Report an input with gaps, and sensors without a number or without motion."""
     problems = []
-    if not np.isfinite(columns[drive]).all():
-        at = clock.grid_s[int(np.argmin(np.isfinite(columns[drive])))]
-        problems.append(f"Column {drive} is missing at t = {at:.6g} s; what drives the axis must be known throughout.")
     for name, x in columns.items():
         known = x[np.isfinite(x)]
-        if name in SENSORS and (len(known) < len(x) / 2 or not np.ptp(known) > 0):
+        if name in sensors and (len(known) < len(x) / 2 or not np.ptp(known) > 0):
             problems.append(f"Column {name} is missing in most rows, or never changes; leave it out.")
+        elif name not in sensors and len(known) < len(x):
+            at = clock.grid_s[int(np.argmin(np.isfinite(x)))]
+            problems.append(
+                f"Column {name} is missing at t = {at:.6g} s; what drives the axis must be known throughout."
+            )
     return problems

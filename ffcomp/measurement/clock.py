@@ -102,7 +102,7 @@ def _bad_rate(period_s: float, count: int, length_s: float, lowest_hz: float) ->
     if length_s + period_s < SHORTEST_S:
         problems.append(
             f"The recording is {length_s:.4g} s long ({count} rows); it must last at least {SHORTEST_S:g} s, "
-            "for the printer rings for 0.2 s."
+            "for what moves rings on for 0.2 s and more."
         )
     return problems
 

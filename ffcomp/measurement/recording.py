@@ -80,7 +80,7 @@ class Recording:
 
 def experiment_of(source: str, folder: str = "") -> str:
     """Return the name that the repeats of one experiment share."""
-    return f"{folder}/" * bool(folder) + re.sub(r"-\d+$", "", Path(source).stem)
+    return f"{folder}/" * bool(folder) + re.sub(r"-\d+$", "", Path(source.removesuffix(".gz")).stem)
 
 
 def read_recording(path: str | Path) -> Recording:

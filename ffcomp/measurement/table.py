@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import difflib
+import gzip
+import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from io import StringIO
@@ -16,6 +18,8 @@ from models.arrays import FloatArray, IntArray
 _NAMED_MISTAKES = 5  # of one kind; a broken file has thousands
 
 _LARGEST = 1e30  # beyond it squares overflow; of whatever unit, nothing that is measured comes near
+
+_GZIP = b"\x1f\x8b"  # how compressed files begin
 
 _NO_TEXT = "the file is not a text file. Save it as CSV with the encoding UTF-8."
 
@@ -36,13 +40,18 @@ class Table:
 
 
 def read_text(path: str | Path) -> str:
-    """Read a measurement file as text; MeasurementError if it is missing, empty, or no text."""
+    """Read a measurement file, compressed (.gz) or not, as text; MeasurementError if it is missing, empty, no text."""
     try:
         content = Path(path).read_bytes()
     except OSError as error:
         raise MeasurementError(str(path), [f"The file cannot be read: {error.strerror}."]) from error
     if not content.strip():
         raise MeasurementError(str(path), ["The file is empty."])
+    if content.startswith(_GZIP):
+        try:
+            content = gzip.decompress(content)
+        except (OSError, EOFError, zlib.error) as error:
+            raise MeasurementError(str(path), [f"The compressed file cannot be read: {error}."]) from error
     try:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError as error:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -177,9 +178,9 @@ def test_forces_that_drive_it_to_infinity_are_infeasible() -> None:
     ("header", "sentence"),
     [
         ("t_s,pos_q_mm", "needs what drove it"),
-        ("t_s,force_n,cmd_q_mm", "one of the two"),
+        ("t_s,force_n,cmd_q_mm", "one of them"),
         ("t_s,force_n", "No sensor column"),
-        ("t_s,force_n,pos_x_mm", "'pos_x_mm' is none of a run of one axis; did you mean 'pos_q_mm'"),
+        ("t_s,force_n,pos_x_mm", "No sensor column .*'pos_x_mm' is not known; did you mean 'pos_q_mm'"),
         ("time,force_n,pos_q_mm", "Column t_s"),
     ],
 )
@@ -189,6 +190,43 @@ def test_headers_of_runs(header: str, sentence: str, tmp_path: Path) -> None:
     path.write_text(header + "\n" + "\n".join(",".join(["0.1"] * width) for _ in range(3)))
     with pytest.raises(MeasurementError, match=sentence):
         read_axis_run(path)
+
+
+def test_a_run_of_what_turns_is_read_compressed_and_says_what_it_leaves_out(tmp_path: Path) -> None:
+    t = np.arange(200) / 200
+    columns = [np.sin(t), np.cos(t), 1 + t, np.degrees(1.0) * t, 0.1 * t, 7 + t, 0.5 * t, np.ones(200)]
+    table = np.column_stack([t, *columns])
+    header = "t_s,current_a,torque_n_m,pos_q_rad,pos_motor_deg,vel_q_rad_per_s,supply_v,extra_torque_n_m,temperature_c"
+    with gzip.open(tmp_path / "a-2.csv.gz", "wt") as file:
+        np.savetxt(file, table, delimiter=",", header=header, comments="")
+    read = read_axis_run(tmp_path / "a-2.csv.gz", "current")
+    assert (read.command_space, read.by_force, read.repeat_of) == ("current", True, "a")
+    np.testing.assert_allclose(read.drive, np.sin(t))
+    np.testing.assert_allclose(read.signals["pos_q"], 1e3 * (1 + t))
+    np.testing.assert_allclose(read.signals["pos_motor"], 1e3 * t, atol=1e-9)
+    np.testing.assert_allclose(read.signals["vel_q"], 1e2 * t)
+    assert read.supply_v is not None and read.extra is not None and read.supply_v[-1] == pytest.approx(7 + t[-1])
+    assert ["torque_n_m" in read.remarks[0], "temperature_c" in read.remarks[1], len(read.remarks)] == [True, True, 2]
+    with pytest.raises(MeasurementError, match="one of them"):
+        read_axis_run(tmp_path / "a-2.csv.gz")
+
+
+def test_where_a_position_drives_a_force_is_measured(tmp_path: Path) -> None:
+    """Of a drive's spring the force is k (u − q) + c (u̇ − q̇)."""
+    t = np.arange(400) / RATE
+    u = np.sin(2 * np.pi * 2 * t)
+    drive = machine_of_axis("drive", DrivenAxis("position", 2.0, 2e4, 30.0, drive_damping_n_s_per_m=5.0))
+    motion = simulate_axis(drive, u, 1 / RATE)
+    table = np.column_stack([t, u, motion.position_mm, motion.force])
+    np.savetxt(tmp_path / "a.csv", table, delimiter=",", header="t_s,cmd_q_mm,pos_q_mm,force_n", comments="")
+    read = read_axis_run(tmp_path / "a.csv", "position")
+    rate = np.gradient(u - motion.position_mm, 1 / RATE)
+    expected = 2e4 * (u - motion.position_mm) / 1e3 + 5.0 * rate / 1e3
+    np.testing.assert_allclose(read.signals["force"][9:-9], expected[9:-9], atol=0.01 * np.std(expected))
+    problem = AxisProblem(drive, [read])
+    assert problem.observations[0].signals == ("pos_q", "force")
+    left = problem.simulate({})[-1] - problem.observations[-1].measured  # where it began is measured, and rings out
+    assert np.abs(left).max() < 0.02 * np.abs(problem.observations[-1].measured).max()
 
 
 def test_a_run_is_read_and_must_fit_the_file(tmp_path: Path) -> None:
