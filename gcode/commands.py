@@ -128,8 +128,8 @@ def _dwell(modal: Modal, command: Command) -> Effect:
 
 
 def _finish_moves(modal: Modal, command: Command) -> Effect:
-    """M400: Bambu's also waits, P ms or S s."""
-    words = command.settings()
+    """M400: Bambu's also waits, P ms or S s; RepRapFirmware's S is no time, and Klipper takes none."""
+    words = command.settings() if modal.flavor == "marlin" else {}
     seconds = max(words.get("S", 0.0) + words.get("P", 0.0) / 1000, 0.0)
     return Effect(EventKind.STOP, seconds) if seconds else STOP
 
@@ -158,22 +158,40 @@ def _millimetres(modal: Modal, command: Command) -> Effect:
 
 
 def _absolute(modal: Modal, command: Command) -> Effect:
-    modal.absolute = True
+    modal.set_modes(absolute=True)
     return PASS
 
 
 def _relative(modal: Modal, command: Command) -> Effect:
-    modal.absolute = False
+    modal.set_modes(absolute=False)
     return PASS
 
 
 def _absolute_e(modal: Modal, command: Command) -> Effect:
-    modal.absolute_e = True
+    modal.set_e_mode(absolute=True)
     return PASS
 
 
 def _relative_e(modal: Modal, command: Command) -> Effect:
-    modal.absolute_e = False
+    modal.set_e_mode(absolute=False)
+    return PASS
+
+
+def _push(modal: Modal, command: Command) -> Effect:
+    """M120: RepRapFirmware keeps modes and feed; Marlin switches endstops on."""
+    if modal.flavor == "klipper":
+        return UNKNOWN
+    if modal.flavor == "reprapfirmware":
+        modal.push()
+    return PASS
+
+
+def _pop(modal: Modal, command: Command) -> Effect:
+    """M121: RepRapFirmware takes back what M120 has kept; Marlin switches endstops off."""
+    if modal.flavor == "klipper":
+        return UNKNOWN
+    if modal.flavor == "reprapfirmware":
+        modal.pop()
     return PASS
 
 
@@ -212,11 +230,12 @@ def _percent(command: Command) -> float | None:
 
 
 def _feed_factor(modal: Modal, command: Command) -> Effect:
-    """M220: Marlin's B keeps the factor in force, and R takes it back."""
-    if (letters := command.letters()) & set("BR"):
-        modal.kept_feed_factor = modal.feed_factor if "B" in letters else modal.kept_feed_factor
-        modal.set_feed_factor(modal.kept_feed_factor if "R" in letters else modal.feed_factor)
-        return PASS
+    """M220: Marlin's R takes back the factor that an earlier B has kept; S comes last."""
+    letters, in_force = command.letters() if modal.flavor == "marlin" else set(), modal.feed_factor
+    if "R" in letters:
+        modal.set_feed_factor(modal.kept_feed_factor)
+    if "B" in letters:
+        modal.kept_feed_factor = in_force
     if (factor := _percent(command)) is not None:
         modal.set_feed_factor(factor)
     return PASS
@@ -484,6 +503,8 @@ EFFECTS: dict[str, Handler] = {
     "M201": _axis_acceleration,
     "M203": _axis_velocity,
     "M204": _acceleration,
+    "M120": _push,
+    "M121": _pop,
     "M205": _jerk,
     "M220": _feed_factor,
     "M221": _flow,

@@ -63,7 +63,8 @@ _FILAMENT = re.compile(
     re.MULTILINE,
 )
 _FILAMENT_MODE = re.compile(rb"^[ \t]*M8[23](?!\d)", re.MULTILINE)
-_ENOUGH_MOVES, _MOST_WIPES = 40, 0.25
+_ENOUGH_MOVES, _FEW_MOVES, _MOST_WIPES = 40, 4, 0.25
+_BAMBU = b"Bambu"  # in the header, and in the settings, of every print for its printers
 
 
 class FlavorSign(NamedTuple):
@@ -144,17 +145,33 @@ def filament_is_relative(text: bytes) -> bool | None:
     Absolute numbers grow from one extruding move to the next, but for wipes; relative ones do so by chance, half the
     time. Files without M82 and M83 leave it to the printer's start macro.
     """
+    growing, others, stated = _filament_trend(text)
+    return None if stated or growing + others < _ENOUGH_MOVES else others > _MOST_WIPES * (growing + others)
+
+
+def filament_is_relative_until_stated(text: bytes) -> bool | None:
+    """Tell how E counts by the moves before the next line that says it; None: too few extrude to tell."""
+    growing, others, _ = _filament_trend(text)
+    return None if growing + others < _FEW_MOVES else others > _MOST_WIPES * (growing + others)
+
+
+def _filament_trend(text: bytes) -> tuple[int, int, bool]:
+    """Return of how many moves E is more than before, of how many it is not, and whether a mode has ended the count."""
     last, growing, others = nan, 0, 0
     for mode, number, renamed in _FILAMENT.findall(text):
         if mode:
-            return None
-        if not renamed:
-            value = float(number)
-            growing, others = growing + (value > last), others + (value <= last)
-            if growing + others >= _ENOUGH_MOVES:
-                return others > _MOST_WIPES * (growing + others)
-        last = float(number) if not renamed else nan
-    return None
+            return growing, others, True
+        value = nan if renamed else float(number)
+        growing, others = growing + (value > last), others + (value <= last)
+        if growing + others >= _ENOUGH_MOVES:
+            break
+        last = value
+    return growing, others, False
+
+
+def is_for_bambu(text: bytes) -> bool:
+    """Tell whether a print is for a Bambu printer, whose G90 leaves M83 in force."""
+    return _BAMBU in text
 
 
 def says_how_filament_counts(text: bytes) -> bool:

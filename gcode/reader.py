@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator
+from itertools import chain, pairwise
 from math import hypot, isnan, nan
 from pathlib import Path
 
@@ -17,7 +18,15 @@ from numpy.typing import ArrayLike
 from gcode.arcs import ARC_TOLERANCE_MM, Arc, arc_by_centre, arc_by_radius
 from gcode.commands import LIMITS, MOVED, PASS, PASSING_M_CODES, Effect, apply
 from gcode.container import read_bytes
-from gcode.dialects import REPRAPFIRMWARE, detect_flavor, filament_is_relative, says_how_filament_counts
+from gcode.dialects import (
+    MARLIN,
+    REPRAPFIRMWARE,
+    detect_flavor,
+    filament_is_relative,
+    filament_is_relative_until_stated,
+    is_for_bambu,
+    says_how_filament_counts,
+)
 from gcode.errors import GcodeError, UnsupportedGcode
 from gcode.fast_scan import STILL_MM2, ByteArray, Cursor, EventTable, Modes, MoveTable, follow
 from gcode.program import EventKind, ModalState, MotionLimits, Program, RawMove
@@ -33,6 +42,7 @@ _ARC_WORDS = frozenset("XYZIJKR")
 _IGNORED_WORDS = "SPHNO"  # laser power, priorities, endstop flags: they do not change where the nozzle goes
 _QUIET_STARTS = (b"G1", b"G0", b"G2", b"G3", b"G92 E", b"M", b";", b"\n", b"\r", b" ", b"\t")
 _STATES_AT_A_TIME = 4096
+_LINES_AHEAD, _BYTES_AHEAD = 2000, 1 << 16  # that tell how E counts
 _NAMED = 6  # codes that a warning lists
 _M_CODE = re.compile(r"M\d+(\.\d+)?")
 _PASSING = np.isin(np.arange(1 + max(PASSING_M_CODES)), list(PASSING_M_CODES))
@@ -114,8 +124,9 @@ def read_parts(
     Other parameters, and errors, are those of `read_program`; an error comes when its part is read.
     """
     reader = _Reader(path, start, offset_mm, arc_tolerance_mm, flavor, (returns, still), homed_mm)
-    for data in whole_lines(blocks, part_bytes):
-        yield reader.program(data)
+    parts = chain(whole_lines(blocks, part_bytes), [b""])
+    for data, ahead in pairwise(parts):
+        yield reader.program(data, ahead[:_BYTES_AHEAD])
 
 
 def read_file(
@@ -159,14 +170,19 @@ class _Reader:
         self.lost: tuple[int, str] = (0, "")  # line and command since which the place is not known
         self.unknown: dict[str, int] = {}  # codes that nobody knows, and the line of each, of this part
         self.e_is_settled = False  # whether a line has said how E counts, or the numbers have told
+        self.g90_keeps_m83: bool | None = None  # in Marlin's relatives; None: nothing has told yet
         self.first_line = 0
         self.lines: list[bytes] = []
+        self.ahead = b""
         self.modes: Modes | None = None  # None: to be found anew, for a command may have changed them
         self.new_states = np.empty((_STATES_AT_A_TIME, 2))
 
-    def program(self, data: bytes) -> Program:
-        """Read the next part of the file."""
+    def program(self, data: bytes, ahead: bytes = b"") -> Program:
+        """Read the next part of the file; what comes after it begins with `ahead`."""
+        self.ahead = ahead
         settled = self._settle_filament(data)
+        if self.g90_keeps_m83 is None and is_for_bambu(data):
+            self.g90_keeps_m83 = True
         self._begin(data)
         self.warnings += settled
         try:
@@ -187,7 +203,8 @@ class _Reader:
         self.e_is_settled = relative is not None or says_how_filament_counts(data)
         if not relative:
             return []
-        self.modal.absolute_e, self.modes = False, None
+        self.modal.set_e_mode(absolute=False)
+        self.modes = None
         rule = "its numbers do not grow, so they are read as relative"
         return [f"line {self.first_line + 1}: no M82 or M83 says how E counts; {rule}."]
 
@@ -325,6 +342,8 @@ class _Reader:
         self.modes = None
         before, limits_before = self.modal.position[:], (self.modal.requested, self.modal.caps, self.modal.unit)
         effect = apply(self.modal, command)
+        if command.name == "G90" and self.modal.flavor == MARLIN and self.modal.relative_e_stated:
+            self._settle_e_after_g90(at)
         if effect.warning:
             self._warn(command.name, at, effect.warning)
         if effect.unknown and command.name not in self.warned:
@@ -339,6 +358,20 @@ class _Reader:
         self._settle()
         self._event(at, effect)
 
+    def _settle_e_after_g90(self, at: int) -> None:
+        """Decide what G90 after M83 means: Marlin 2 makes E absolute with it, Marlin 1, Prusa's and Bambu's do not.
+
+        The numbers after it tell; where they are too few, it is Marlin 2.
+        """
+        if self.g90_keeps_m83 is None:
+            ahead = b"".join([*self.lines[at + 1 : at + 1 + _LINES_AHEAD], self.ahead])
+            self.g90_keeps_m83 = filament_is_relative_until_stated(ahead)
+            if self.g90_keeps_m83 is not None:
+                how = "do not grow: relative" if self.g90_keeps_m83 else "grow: absolute"
+                rule = "Marlin 2 makes E absolute by G90, older ones keep M83"
+                self._warn("G90", at, f"no M82 or M83 after this G90 says how E counts; {rule}; the numbers {how}")
+        self.modal.absolute_e = not self.g90_keeps_m83
+
     def _motion(self, at: int, command: Command) -> None:
         """Follow a move in any form: unusual spelling, arcs, no displacement, unknown positions."""
         modal = self.modal
@@ -350,9 +383,9 @@ class _Reader:
         self._check_words(modal.motion, words, at)
         modal.set_feed(words, self._number(at))
         self._settle()
-        if words.get("H"):  # towards an endstop, or by single motors: only the firmware knows where that ends
+        if elsewhere := self._ends_elsewhere(words):
             modal.forget()
-            self.lost = self._number(at), f"{modal.motion} H{words['H']:g}"
+            self.lost = self._number(at), f"{modal.motion} {elsewhere}{words[elsewhere]:g}"
             self._event(at, MOVED)
             return
         end = modal.target(words)
@@ -361,6 +394,16 @@ class _Reader:
             return
         arc = modal.motion in ("G2", "G3") and not _ARC_WORDS.isdisjoint(words)
         self._travel(at, end, self._arc(modal.motion, words, modal.position, end, at) if arc else None)
+
+    def _ends_elsewhere(self, words: dict[str, float]) -> str:
+        """Return the word of a move whose end only the firmware knows.
+
+        H: towards an endstop, or by single motors; R of RepRapFirmware's G0 and G1: from a place that is kept.
+        """
+        if words.get("H"):
+            return "H"
+        from_kept = "R" in words and self.modal.motion in ("G0", "G1") and self.modal.flavor == REPRAPFIRMWARE
+        return "R" if from_kept else ""
 
     def _z_can_be_followed(self, words: dict[str, float]) -> bool:
         modal = self.modal
@@ -402,7 +445,8 @@ class _Reader:
 
     def _check_words(self, motion: str, words: dict[str, float], at: int) -> None:
         for letter in words:
-            if letter not in _MOTION_WORDS[motion] and letter not in _IGNORED_WORDS:
+            kept_place = letter == "R" and self.modal.flavor == REPRAPFIRMWARE
+            if letter not in _MOTION_WORDS[motion] and letter not in _IGNORED_WORDS and not kept_place:
                 rule = f"a move has the words {' '.join(_MOTION_WORDS[motion])}"
                 problem = f"{motion} has the word {letter}{words[letter]:g}"
                 if letter in _FOLLOWED_BY_NOBODY:

@@ -1,7 +1,7 @@
 """The modal state of a printer that reads G-code: where it is and what the next number means.
 
 The arithmetic is Klipper's: `position` is where the toolhead is, `base` what is added to the file's numbers.
-Marlin and RepRapFirmware agree wherever a print can tell. A coordinate that nobody knows is NaN and stays
+Where firmwares differ, `gcode.commands` and `tests/unit/gcode/test_modal_rules.py` say how. A coordinate that nobody knows is NaN and stays
 NaN through every sum, so no rule about unknown places is needed anywhere else.
 """
 
@@ -53,6 +53,7 @@ class Modal:
     unit: float = 1.0
     absolute: bool = True
     absolute_e: bool = True
+    relative_e_stated: bool = False  # by M83, whatever G90 has made of it since
     flow: float = 1.0
     feed_factor: float = 1.0
     kept_feed_factor: float = 1.0  # M220 B
@@ -66,6 +67,7 @@ class Modal:
     requested: MotionLimits = MACHINE_LIMITS  # asked for by the file, before `caps`
     caps: MotionLimits = MACHINE_LIMITS  # M201 and M203 of Marlin and RepRapFirmware
     saved: dict[str, Saved] = field(default_factory=dict)
+    pushed: list[tuple[bool, bool, float, float]] = field(default_factory=list)  # M120: modes, feed, unit
     returns: frozenset[str] = frozenset()  # macros that come back, besides those of gcode.commands
     still: frozenset[str] = frozenset()  # and those that move nothing
     homed: tuple[float, float, float] | None = None  # where homing all axes ends, mm; None: not known
@@ -81,8 +83,16 @@ class Modal:
     def frame_values(self) -> FrameValues:
         """Return the values of `frame`, in its order: many times quicker to look up than the frame itself."""
         x, y, z, e = self.base
-        absolute_e = self.absolute_e and self.absolute
-        return (x, y, z, e), self.unit, self.absolute, absolute_e, self.flow, self.feed_factor, self.feed, self.z_known
+        return (
+            (x, y, z, e),
+            self.unit,
+            self.absolute,
+            self.is_absolute(3),
+            self.flow,
+            self.feed_factor,
+            self.feed,
+            self.z_known,
+        )
 
     def guessed(self) -> Vector4:
         """Return the position; where nobody knows it, what is most likely: where it was before a macro."""
@@ -134,8 +144,29 @@ class Modal:
         return self.unit * self.flow if axis == 3 else self.unit
 
     def is_absolute(self, axis: int) -> bool:
-        """Tell whether the axis is in absolute mode."""
-        return self.absolute and (axis < 3 or self.absolute_e)
+        """Tell whether the axis is in absolute mode; Klipper's E is in relative mode too after G91."""
+        if axis < 3:
+            return self.absolute
+        return self.absolute_e and (self.absolute or self.flavor != "klipper")
+
+    def set_modes(self, absolute: bool) -> None:
+        """G90, G91: Marlin 2 forgets M82 and M83 with them, RepRapFirmware and Klipper do not."""
+        self.absolute = absolute
+        if self.flavor == "marlin":
+            self.absolute_e = absolute
+
+    def set_e_mode(self, absolute: bool) -> None:
+        """M82, M83."""
+        self.absolute_e, self.relative_e_stated = absolute, not absolute
+
+    def push(self) -> None:
+        """M120 of RepRapFirmware."""
+        self.pushed.append((self.absolute, self.absolute_e, self.feed, self.unit))
+
+    def pop(self) -> None:
+        """M121 of RepRapFirmware; of an empty stack it changes nothing."""
+        if self.pushed:
+            self.absolute, self.absolute_e, self.feed, self.unit = self.pushed.pop()
 
     def target(self, words: dict[str, float], start: Vector4 | None = None) -> Vector4:
         """Where a move with these words ends, from the position or another start."""
@@ -158,9 +189,11 @@ class Modal:
         self.feed_known = True
 
     def rename(self, words: dict[str, float]) -> None:
-        """G92: the place we are at gets these coordinates (all axes zero when none is named)."""
+        """G92: the place we are at gets these coordinates; where none is named, Klipper sets all to zero."""
         named = {axis: words[letter] for axis, letter in enumerate(AXES) if letter in words}
-        for axis, number in (named or dict.fromkeys(range(4), 0.0)).items():
+        if not named and self.flavor == "klipper":
+            named = dict.fromkeys(range(4), 0.0)
+        for axis, number in named.items():
             self.base[axis] = self.position[axis] - number * self.scale(axis)
             self.shift[axis] = 0.0  # the new name is tied to the true place, shift included
             if axis == 2:

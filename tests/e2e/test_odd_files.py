@@ -100,7 +100,9 @@ def test_bare_words_after_an_unknown_code_are_not_taken_for_a_move() -> None:
 
 
 def test_marlins_kept_feed_factor() -> None:
-    moves = read_program((START + "M220 S50\nM220 B\nM220 S80\nG1 X12\nM220 R\nG1 X13\n").encode()).moves
+    moves = read_program(
+        (START + "M220 S50\nM220 B\nM220 S80\nG1 X12\nM220 R\nG1 X13\n").encode(), flavor="marlin"
+    ).moves
     assert moves.speed[-2:].tolist() == pytest.approx([80.0, 50.0])
 
 

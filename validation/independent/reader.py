@@ -131,6 +131,7 @@ def read(text: bytes, limits: Limits, firmware: str = "klipper", relative_e: boo
 class _Reader:
     def __init__(self, limits: Limits, firmware: str, relative_e: bool) -> None:
         self.firmware = firmware
+        self.keeps_e_mode = False  # at G90: Marlin 1, Bambu
         self.now = State(limits, absolute_e=not relative_e)
         self.kept: dict[bytes, State] = {}
         self.rows: list[tuple[float, ...]] = []
@@ -140,6 +141,7 @@ class _Reader:
 
     def run(self, text: bytes) -> Moves:
         lines = text.split(b"\n")
+        self.keeps_e_mode = b"Bambu" in text
         for number, line in enumerate(lines):
             self.after.append(len(self.lines))
             code = line.partition(b";")[0]
@@ -179,7 +181,8 @@ class _Reader:
                 now.named[axis] = now.named[axis] or now.absolute
         if b"E" in said:
             value = said[b"E"] * now.unit * now.flow
-            end[E] = now.base[E] + value if now.absolute and now.absolute_e else end[E] + value
+            absolute = now.absolute_e and (now.absolute or self.firmware != "klipper")
+            end[E] = now.base[E] + value if absolute else end[E] + value
         chords = _arc(now.place, end, said, now.unit, clockwise=now.mode == 2) if now.mode >= 2 else [end]
         for point in chords:
             self._add(number, point, known)
@@ -213,8 +216,10 @@ class _Reader:
             now.unit = 25.4 if number == 20 else 1.0
         elif letter == "G" and number in (90, 91):
             now.absolute = number == 90
+            if self.firmware == "marlin" and not self.keeps_e_mode:
+                now.absolute_e = now.absolute
         elif letter == "G" and number == 92:
-            every = not said
+            every = not said and self.firmware == "klipper"
             for axis, key in enumerate((b"X", b"Y", b"Z", b"E")):
                 if key in said or every:
                     factor = now.flow if axis == E else 1.0

@@ -146,7 +146,7 @@ def test_inches_scale_every_length() -> None:
 
 
 def test_g92_renames_a_place() -> None:
-    program = read("G1 X10 E5 F600", "G92 X0 E0", "G1 X5 E1", "G92", "G1 X1 Y1 E1")
+    program = read("G1 X10 E5 F600", "G92 X0 E0", "G1 X5 E1", "G92 X0 Y0 E0", "G1 X1 Y1 E1")
     assert ends(program) == [[10, 0, 0, 5], [15, 0, 0, 6], [16, 1, 0, 7]]
     assert kinds(program) == [EventKind.STOP, EventKind.STOP]
     assert program.frames[program.moves.frame[1]].base == (10, 0, 0, 5)
