@@ -31,7 +31,7 @@ from gcode.errors import GcodeError, UnsupportedGcode
 from gcode.fast_scan import STILL_MM2, ByteArray, Cursor, EventTable, Modes, MoveTable, follow
 from gcode.program import EventKind, ModalState, MotionLimits, Program, RawMove
 from gcode.state import DEFAULT_FEED_MM_PER_S, FrameValues, Modal, Vector4
-from gcode.text import PART_BYTES, whole_lines
+from gcode.text import BOM, PART_BYTES, whole_lines
 from gcode.words import NUMBERED, Command, commands, shown
 
 MOTIONS = frozenset(("G0", "G1", "G2", "G3"))
@@ -295,8 +295,9 @@ class _Reader:
     def _line(self, at: int) -> None:
         if self.lines[at] in self.known_limits and self._limits_as_before(at):
             return
-        line_commands = commands(self.lines[at], self._number(at))
-        if NUMBERED.match(self.lines[at]):
+        line = self.lines[at] if self._number(at) > 1 else self.lines[at].removeprefix(BOM)
+        line_commands = commands(line, self._number(at))
+        if NUMBERED.match(line):
             rule = "a host that checks the numbers stops where moves have been replaced"
             self._warn("numbers", at, f"the line has a number, and lines of ffcomp have none; {rule}")
         if len(line_commands) > 1:

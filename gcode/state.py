@@ -1,8 +1,8 @@
 """The modal state of a printer that reads G-code: where it is and what the next number means.
 
 The arithmetic is Klipper's: `position` is where the toolhead is, `base` what is added to the file's numbers.
-Where firmwares differ, `gcode.commands` and `tests/unit/gcode/test_modal_rules.py` say how. A coordinate that nobody knows is NaN and stays
-NaN through every sum, so no rule about unknown places is needed anywhere else.
+Where firmwares differ, `tests/unit/gcode/test_modal_rules.py` has the table. A coordinate that nobody knows is NaN and
+stays NaN through every sum, so no rule about unknown places is needed anywhere else.
 """
 
 from __future__ import annotations

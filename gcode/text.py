@@ -18,8 +18,8 @@ ENDS, BLOCK, PART_BYTES = 1 << 20, 1 << 20, 1 << 20  # bytes
 # A long print packs to a fifth. Nothing that a slicer has packed comes near this.
 UNPACKED_RATIO, UNPACKED_LEAST = 100, 64 << 20  # times the packed size; bytes that are allowed in any case
 
+BOM = b"\xef\xbb\xbf"  # of UTF-8: some editors put it first, and it is no part of the first line
 _FOREIGN = {
-    b"\xef\xbb\xbf": "text with a UTF-8 byte order mark, which firmware takes for a command; save it without (UTF-8)",
     b"\xff\xfe": "text in UTF-16, which no firmware reads; save it as UTF-8",
     b"\xfe\xff": "text in UTF-16, which no firmware reads; save it as UTF-8",
     b"\x89PNG": "a picture (PNG); a sliced print is wanted",
@@ -120,15 +120,14 @@ def check_text(head: bytes, path: str) -> None:
     """Refuse what cannot be G-code, by its first bytes and what they are."""
     for magic, what in _FOREIGN.items():
         if head.startswith(magic):
-            raise UnsupportedGcode(f"The file is {what}.", path=path)
+            raise UnsupportedGcode(f"The file is {what}.", 1, path)
     if head.startswith(b"solid") and b"facet normal" in head[:1000]:
-        raise UnsupportedGcode("The file is a model (STL); slice it first.", path=path)
-    if b"\0" in head:
-        raise UnsupportedGcode(
-            "The file is no text: it holds bytes that are zero; a sliced print is wanted.", path=path
-        )
-    if not head.strip():
-        raise GcodeError("The file is empty; there is nothing to compensate.", path=path)
+        raise UnsupportedGcode("The file is a model (STL); slice it first.", 1, path)
+    if (zero := head.find(b"\0")) >= 0:
+        rule = "The file is no text: it holds bytes that are zero; a sliced print is wanted."
+        raise UnsupportedGcode(rule, head.count(b"\n", 0, zero) + 1, path)
+    if not head.removeprefix(BOM).strip():
+        raise GcodeError("The file is empty; there is nothing to compensate.", 1, path)
 
 
 def check_regular(path: Path) -> None:

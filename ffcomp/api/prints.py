@@ -149,7 +149,8 @@ def compensate_print(
         done = compensate_file(
             file, name or str(file), machine, options, target, jobs=at_once, progress=request.progress
         )
-    done = replace(done, path=str(file), output=str(file) if done.already else done.output, advice=tuple(advice))
+    output = str(file) if done.already and done.output == done.path else done.output
+    done = replace(done, path=str(file), output=output, advice=tuple(advice))
     if not request.if_known or done.already:
         return Compensation(machine, done)
     assert options.bound is not None and options.settings is not None

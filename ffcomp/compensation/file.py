@@ -12,10 +12,11 @@ from ffcomp.compensation.job import Job, Options, StepOutput
 from ffcomp.compensation.prediction import read_again
 from ffcomp.compensation.result import CompensatedFile, Result, already_compensated
 from ffcomp.compensation.text_stream import Stream
-from gcode.atomic_write import replacing, unchanged
+from gcode.atomic_write import replace_atomically, replacing, unchanged
 from gcode.container import Container, blocks_of, ends_of, opened, read_bytes
 from gcode.embedded import find_stamp
 from gcode.errors import UnsupportedGcode
+from gcode.text import raw_blocks
 from models.machine import Machine
 
 
@@ -58,7 +59,7 @@ def compensate_file(
             if again or stamps[name] is None
         }
         if not todo:
-            return already_compensated(path, stamps.values())
+            return already_compensated(path, stamps.values(), _copied(source, target) or path)
         if options.steps is None:
             if target is not None and len(container.prints) == 1 and options.bound is None:
                 todo = {name: replace(job, read_again=True) for name, job in todo.items()}
@@ -66,6 +67,14 @@ def compensate_file(
         else:
             results = _write_steps(todo, path, target, options.steps, progress)
         return CompensatedFile(path, None if target is None else str(target), results)
+
+
+def _copied(source: bytes | Path, target: Path | None) -> str | None:
+    """Write a file as it is to where its result would go, and return where; None: it is there already."""
+    if target is None or (isinstance(source, Path) and target.exists() and target.samefile(source)):
+        return None
+    replace_atomically(target, raw_blocks(source) if isinstance(source, Path) else [source])
+    return str(target)
 
 
 def _write(

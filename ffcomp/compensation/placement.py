@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ffcomp.integrations.slicer import Bed, offset_for, pair, place
+from ffcomp.integrations.slicer import Bed, between, offset_for, pair, place
 from ffcomp.planner.reach import PartMoves
 from gcode.program import Program
 from models.arrays import FloatArray
@@ -76,19 +76,19 @@ def choose_offset(kinematics: Kinematics, bed: Bed | None, footprint: Callable[[
     ----------
     kinematics : those of the machine
     bed : the slicer's, if it is known
-    footprint : finds where the print is; asked only where the beds do not tell
+    footprint : finds where the print is
     """
     by_bed = NOWHERE if bed is None else offset_for(bed, kinematics.centre_mm)
-    if bed is not None and by_bed == NOWHERE:
-        return Placement(NOWHERE, "Offset 0,0: the slicer's bed lies about where the machine's does.")
     printed = footprint()
     if printed is None or _fits(kinematics, printed.part, NOWHERE):
+        if bed is not None and by_bed == NOWHERE:
+            return Placement(NOWHERE, "Offset 0,0: the slicer's bed lies about where the machine's does.")
         elsewhere = "" if bed is None else _other_bed(kinematics, bed, by_bed)
         return Placement(NOWHERE, f"Offset 0,0: the print lies inside as it is{elsewhere}.", notable=bool(elsewhere))
     offset = _helping(kinematics, bed, printed)
     if offset is None:
         return Placement(NOWHERE, f"Offset 0,0: {no_offset(kinematics, printed)}.", notable=True)
-    if bed is not None and offset == by_bed:
+    if bed is not None and offset == between(bed, kinematics.centre_mm):
         rule = f"{_beds(kinematics, bed)}, and the print would lie outside"
     else:
         rule = "the print would lie outside as it is, and is put in the middle of the bed"
@@ -113,7 +113,7 @@ def advice(kinematics: Kinematics, bed: Bed | None, footprint: Footprint | None,
 def _helping(kinematics: Kinematics, bed: Bed | None, footprint: Footprint) -> Offset | None:
     """Return an offset that brings all moves inside, or at least the part; None: there is none."""
     for points in (footprint.everything, footprint.part):
-        by_bed = [] if bed is None else [offset_for(bed, kinematics.centre_mm)]
+        by_bed = [] if bed is None else [between(bed, kinematics.centre_mm)]
         for offset in (*by_bed, kinematics.centring(points)):
             if _fits(kinematics, points, offset):
                 return offset

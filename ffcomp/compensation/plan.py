@@ -84,7 +84,7 @@ def plan_chunk(chunk: Chunk, context: Context, model: InverseModel) -> PlannedCh
         original_print_time_s=waits_s - lost_s,
         print_time_s=waits_s,
         warnings=tuple(warnings),
-        slowed=chunk.slowed,
+        slowed=tuple(each for each in chunk.slowed if each.seconds > 0.0),
         faster=faster,
     )
     raw = _raw_events(chunk)

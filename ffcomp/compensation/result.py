@@ -204,10 +204,10 @@ class CompensatedFile:
         return {**answer, "input": self.path, "output": self.output}
 
 
-def already_compensated(path: str, stamps: Iterable[Stamp | None]) -> CompensatedFile:
-    """Return the result of a file that is compensated already."""
+def already_compensated(path: str, stamps: Iterable[Stamp | None], output: str) -> CompensatedFile:
+    """Return the result of a file that is compensated already; `output` is the file itself, or a copy of it."""
     by = " and ".join(dict.fromkeys(f"ffcomp v{stamp.version} for {stamp.machine}" for stamp in stamps if stamp))
-    return CompensatedFile(path, path, already=f"{path}: already processed by {by}; nothing changed.")
+    return CompensatedFile(path, output, already=f"{path}: already processed by {by}; nothing changed.")
 
 
 @dataclass(frozen=True, slots=True)

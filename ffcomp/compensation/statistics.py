@@ -42,8 +42,8 @@ class Part:
 
 
 @dataclass(frozen=True, slots=True)
-class Cause:
-    """Why moves went out as they were: a command after which nobody knows the place."""
+class Place:
+    """A command after which nobody knows the place, so that moves went out as they were."""
 
     line: int  # in the file, from 1; 0: its beginning
     command: str
@@ -54,21 +54,25 @@ class Shares:
     """What is compensated of the moves that a file makes by itself, and what is not."""
 
     compensated: Part = field(default_factory=Part)
-    left: tuple[tuple[Cause, Part], ...] = ()  # by the command; the first line of each
+    left: Mapping[Place, Part] = field(default_factory=dict)
 
     def __add__(self, later: Shares) -> Shares:
-        if not later.left:
-            return Shares(self.compensated + later.compensated, self.left)
-        by_command = {cause.command: (cause, part) for cause, part in self.left}
-        for cause, part in later.left:
-            first, before = by_command.get(cause.command, (cause, Part()))
-            by_command[cause.command] = first, before + part
-        return Shares(self.compensated + later.compensated, tuple(by_command.values()))
+        left = dict(self.left)
+        for place, part in later.left.items():
+            left[place] = left.get(place, Part()) + part
+        return Shares(self.compensated + later.compensated, left)
 
     @property
     def uncompensated(self) -> Part:
         """All that went out as it was."""
-        return sum((part for _, part in self.left), Part())
+        return sum(self.left.values(), Part())
+
+    def by_command(self) -> dict[str, dict[Place, Part]]:
+        """Return the places of each command, in the file's order."""
+        grouped: dict[str, dict[Place, Part]] = {}
+        for place, part in self.left.items():
+            grouped.setdefault(place.command, {})[place] = part
+        return grouped
 
     @property
     def path(self) -> float:
@@ -87,24 +91,36 @@ class Shares:
         shares = (
             f"Only {100 * self.path:.0f} % of the path and {100 * self.filament:.0f} % of the filament are compensated"
         )
-        cause, _ = max(self.left, key=lambda each: (each[1].path_mm, each[1].filament_mm))
-        return (f"{shares}, and errors are stated for these alone: {_because(cause)}",)
+        places = max(self.by_command().values(), key=lambda each: _size(sum(each.values(), Part())))
+        return (f"{shares}, and errors are stated for these alone: {_because(places)}",)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the keys of `compensate`'s JSON object."""
         return {
             "compensated_share": {"path": self.path, "filament": self.filament},
-            "uncompensated": [
-                {
-                    "line": cause.line,
-                    "command": cause.command,
-                    "path_mm": part.path_mm,
-                    "filament_mm": part.filament_mm,
-                    "seconds": part.seconds,
-                }
-                for cause, part in self.left
-            ],
+            "uncompensated": [_command_dict(places) for places in self.by_command().values()],
         }
+
+
+def _size(part: Part) -> tuple[float, float]:
+    return part.path_mm, part.filament_mm
+
+
+def _worst(places: Mapping[Place, Part]) -> Place:
+    return max(places, key=lambda place: _size(places[place]))
+
+
+def _command_dict(places: Mapping[Place, Part]) -> dict[str, Any]:
+    first, whole = next(iter(places)), sum(places.values(), Part())
+    return {
+        "line": first.line,
+        "command": first.command,
+        "places": len(places),
+        "worst_line": _worst(places).line,
+        "path_mm": whole.path_mm,
+        "filament_mm": whole.filament_mm,
+        "seconds": whole.seconds,
+    }
 
 
 def of_moves(moves: Moves) -> Part:
@@ -116,29 +132,34 @@ def of_moves(moves: Moves) -> Part:
 
 def of_raw_moves(events: Iterable[Event], seconds: Mapping[int, float]) -> Shares:
     """Count moves that go out as they were; `seconds` by the line's index."""
-    shares = Shares()
+    left: dict[Place, Part] = {}
     for event in events:
         if event.raw is not None:
             pushed = max(event.raw.filament_mm, 0.0) if event.raw.path_mm > 0.0 else 0.0
             part = Part(event.raw.path_mm, pushed, seconds.get(event.line, 0.0))
-            shares += Shares(left=((Cause(*event.raw.cause), part),))
-    return shares
+            place = Place(*event.raw.cause)
+            left[place] = left.get(place, Part()) + part
+    return Shares(left=left)
 
 
 def _share(part: float, rest: float) -> float:
     return 1.0 if rest <= 0.0 else part / (part + rest)
 
 
-def _because(cause: Cause) -> str:
-    if cause.command == BESIDE:
-        return f"from line {cause.line} on, moves lie beside the print volume."
-    if not cause.line:
-        return "the file does not say where the nozzle begins; home, or name X, Y and Z, before it prints."
-    where = f"after {cause.command} in line {cause.line} nobody knows where the nozzle is"
-    if _MACRO.fullmatch(cause.command):
+def _because(places: Mapping[Place, Part]) -> str:
+    """Say why the moves of one command went out as they were; its line is the one that loses most."""
+    worst, filament_mm = _worst(places), sum(part.filament_mm for part in places.values())
+    others = "" if len(places) == 1 else f" ({len(places)} places, most after this one)"
+    lost = f"{filament_mm:.0f} mm of filament" if filament_mm >= 0.5 else "no filament, travels only"
+    if worst.command == BESIDE:
+        return f"from line {worst.line} on, moves lie beside the print volume{others}, {lost}."
+    if not worst.line:
+        return f"the file does not say where the nozzle begins ({lost}); home, or name X, Y and Z, before it prints."
+    where = f"after {worst.command} in line {worst.line} nobody knows where the nozzle is{others}, {lost}"
+    if _MACRO.fullmatch(worst.command):
         return (
             f"{where}. If it comes back to where it was, say so in the machine file: "
-            f'[macros] returns = ["{cause.command}"]; otherwise name X and Y after it in the slicer.'
+            f'[macros] returns = ["{worst.command}"]; otherwise name X and Y after it in the slicer.'
         )
     return f"{where}; name X and Y after it."
 
@@ -225,7 +246,7 @@ def of_section(
         limited_windows=len(result.constrained),
         print_time_s=longer_s,
         warnings=warnings,
-        slowed=solved.slowed,
+        slowed=tuple(each for each in solved.slowed if each.seconds > 0.0),
     )
 
 

@@ -123,8 +123,11 @@ class Pool:
         outcome, target = done.outcome, self.targets[done.outcome.number]
         for folder in self.folders.values():
             (folder / f"{outcome.number}{MARK}").unlink(missing_ok=True)
-        if outcome.done is None or outcome.done.already:
+        if outcome.done is None:
             return outcome
+        file = self.files[outcome.number]
+        if outcome.done.already and (target is None or (target.exists() and target.samefile(file))):
+            return replace(outcome, done=replace(outcome.done, output=str(file)))
         if target is None:
             return replace(outcome, done=replace(outcome.done, output=None))
         try:

@@ -93,10 +93,15 @@ def _later(scripts: str) -> tuple[str, ...]:
 
 
 def offset_for(bed: Bed, middle: tuple[float, float]) -> tuple[float, float]:
-    """Return the offset, mm, from a print for `bed` to a machine whose bed lies about `middle`."""
-    away = tuple(m - c for m, c in zip(middle, bed.centre, strict=True))
+    """Return the offset, mm, from a print for `bed` to a machine whose bed lies about `middle`; none if they agree."""
+    away = between(bed, middle)
     agree = all(abs(a) <= FAR * size for a, size in zip(away, bed.size, strict=True))
-    return (0.0, 0.0) if agree else (away[0], away[1])
+    return (0.0, 0.0) if agree else away
+
+
+def between(bed: Bed, middle: tuple[float, float]) -> tuple[float, float]:
+    """Return the way from a bed's middle to another's, mm."""
+    return middle[0] - bed.centre[0], middle[1] - bed.centre[1]
 
 
 def bed_warning(bed: Bed, machine: Machine, offset: tuple[float, float]) -> list[str]:

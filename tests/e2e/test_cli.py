@@ -52,6 +52,11 @@ def test_the_main_job_and_the_way_back(small: Path) -> None:
     second = ffcomp("compensate", "--machine", "mp-delta-pro", small)
     assert second.exit_code == 0 and "already processed" in second.stderr
     assert small.read_bytes() == out
+    copies = small.with_name("copies")
+    third = ffcomp("compensate", "-m", "mp-delta-pro", small, "-o", small.with_name("copy.gcode"), "--json")
+    assert json.loads(third.stdout)["output"] == str(small.with_name("copy.gcode"))
+    assert ffcomp("compensate", "-m", "mp-delta-pro", small, "--output-dir", copies).exit_code == 0
+    assert small.with_name("copy.gcode").read_bytes() == (copies / small.name).read_bytes() == out
     again = ffcomp("compensate", "--machine", "mp-delta-pro", "--force", "-q", small)
     assert again.exit_code == 0 and small.read_bytes() == out
     shown = ffcomp("show", small)

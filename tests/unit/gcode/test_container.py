@@ -19,6 +19,7 @@ from gcode.atomic_write import replace_atomically
 from gcode.bgcode import GCODE, Block, blocks_of, metadata_of
 from gcode.container import ends_of, opened, read_bytes
 from gcode.errors import GcodeError, UnsupportedGcode
+from gcode.reader import read_program
 from tests.support.containers import PRINT, archive_3mf, bgcode, contents, gzipped, rewritten, zipped
 
 OTHER = PRINT.replace(b"X30", b"X31").replace(b"1m 1s", b"2m 2s")
@@ -224,21 +225,29 @@ def test_binary_gcode_that_cannot_be_read_is_refused(tmp_path: Path, monkeypatch
     [
         (b"", "empty"),
         (b"\n \n", "nothing to compensate"),
-        (b"\xef\xbb\xbf" + PRINT, "byte order mark"),
+        (b"\xef\xbb\xbf\n", "nothing to compensate"),
         (PRINT.decode().encode("utf-16"), "UTF-16"),
         (PRINT.decode().encode("utf-16-le"), "no text"),
         (b"\x89PNG\r\n\x1a\n", "PNG"),
         (b"\x7fELF\x02", "ELF"),
         (b"solid cube\n facet normal 0 0 1\n", "STL"),
         (b"cube".ljust(84, b"\0"), "no text"),
+        (b"G28\nG1 X1\nG1 \0\n", "3: The file is no text"),
     ],
 )
-def test_what_is_no_gcode_is_named(tmp_path: Path, content: bytes, said: str) -> None:
+def test_what_is_no_gcode_is_named_with_its_line(tmp_path: Path, content: bytes, said: str) -> None:
     file = tmp_path / "part.gcode"
     file.write_bytes(content)
     with pytest.raises(GcodeError, match=said) as caught:
         read_bytes(file)
-    assert str(caught.value).startswith(f"{file}: The file is ")
+    assert re.match(rf"{re.escape(str(file))}:[13]: The file is ", str(caught.value))
+
+
+def test_a_byte_order_mark_is_read_over(tmp_path: Path) -> None:
+    file = tmp_path / "part.gcode"
+    file.write_bytes(b"\xef\xbb\xbfG1 X1 Y2 Z3 F600\nG1 X2\n")
+    program = read_program(read_bytes(file), start=(0.0, 0.0, 0.0))
+    assert program.moves.end[:, 0].tolist() == [1.0, 2.0] and program.lines[0].startswith(b"\xef\xbb\xbfG1")
 
 
 def test_pipes_and_folders_are_no_files(tmp_path: Path) -> None:

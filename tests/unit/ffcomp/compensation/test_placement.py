@@ -29,12 +29,17 @@ def box(x0: float, y0: float, x1: float, y1: float, *beside: tuple[float, float]
     return Footprint(part, np.concatenate([part, np.array(beside).reshape(-1, 2)]))
 
 
-def asked_for_nothing() -> Footprint:
-    raise AssertionError("the beds tell enough")
+def test_beds_that_agree_move_nothing_that_fits(delta: Kinematics) -> None:
+    chosen = choose_offset(delta, MIDDLE, lambda: box(-20.0, -20.0, 20.0, 20.0))
+    assert chosen.offset == (0.0, 0.0) and "lies about where the machine's does" in chosen.reason
 
 
-def test_beds_that_agree_need_no_look_at_the_print(delta: Kinematics) -> None:
-    assert choose_offset(delta, MIDDLE, asked_for_nothing).offset == (0.0, 0.0)
+def test_beds_that_nearly_agree_move_what_does_not_fit(delta: Kinematics) -> None:
+    """Beds that centre 28 mm apart: the error named an offset that `auto` had not tried."""
+    bed, printed = Bed((-82.0, -110.0), (138.0, 110.0)), box(60.0, -30.0, 118.0, 30.0)
+    chosen = choose_offset(delta, bed, lambda: printed)
+    assert chosen.offset == (-28.0, 0.0) and "the print would lie outside" in chosen.reason
+    assert f"--offset-mm {chosen.offset[0]:g},{chosen.offset[1]:g}" in advice(delta, bed, printed, (0.0, 0.0))
 
 
 @pytest.mark.parametrize("bed", [None, CORNER])

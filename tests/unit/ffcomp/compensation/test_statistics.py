@@ -13,8 +13,8 @@ import pytest
 from ffcomp.compensation.prediction import Samples
 from ffcomp.compensation.statistics import (
     MOST_LINES,
-    Cause,
     Part,
+    Place,
     Shares,
     Statistics,
     grouped,
@@ -79,28 +79,36 @@ def test_moves_that_travel_count_and_retractions_do_not() -> None:
     assert of_moves(moves) == Part(100.0, 2.0)
 
 
-def test_parts_add_up_by_their_cause() -> None:
+def test_parts_add_up_by_place_and_command() -> None:
     text = "M83\nG1 X10 E1 F600\nMACRO_A\nG1 X20 E1\nG1 Y5\nMACRO_B\nG1 X0 Y0 E9\nMACRO_A\nG1 X5 Y5\n"
     events = read_program(text.encode(), start=HOME).events
     first, second = of_raw_moves(events[:3], {}), of_raw_moves(events[3:], {})
     shares = Shares(Part(10.0, 1.0)) + first + second
-    causes = {cause: (round(part.path_mm, 6), part.filament_mm) for cause, part in shares.left}
+    lost = {place: (part.path_mm, part.filament_mm) for place, part in shares.left.items()}
     way = 5.0**2 * 17  # 20, 5 and back to 0, 0
-    assert causes[Cause(3, "MACRO_A")] == pytest.approx((15.0 + 50.0**0.5, 1.0))
-    assert causes[Cause(6, "MACRO_B")] == pytest.approx((way**0.5, 9.0))
+    assert lost[Place(3, "MACRO_A")] == pytest.approx((15.0, 1.0))
+    assert lost[Place(8, "MACRO_A")] == pytest.approx((50.0**0.5, 0.0))
+    assert lost[Place(6, "MACRO_B")] == pytest.approx((way**0.5, 9.0))
+    told = {each["command"]: each for each in shares.to_dict()["uncompensated"]}
+    assert (told["MACRO_A"]["line"], told["MACRO_A"]["places"], told["MACRO_A"]["worst_line"]) == (3, 2, 3)
+    assert told["MACRO_A"]["path_mm"] == pytest.approx(15.0 + 50.0**0.5)
     assert shares.filament == pytest.approx(1 / 11)
     assert shares.path == pytest.approx(10 / (25 + 50**0.5 + way**0.5))
 
 
 def test_a_low_share_names_the_cause_and_the_remedy() -> None:
-    shares = Shares(Part(10.0, 10.0), ((Cause(3, "MY_PHOTO"), Part(30.0, 10.0)), (Cause(1, "G28"), Part(1.0, 0.0))))
+    photos = {Place(3, "MY_PHOTO"): Part(10.0, 2.0), Place(9, "MY_PHOTO"): Part(20.0, 8.0)}
+    shares = Shares(Part(10.0, 10.0), {Place(1, "G28"): Part(1.0, 0.0), **photos})
     (sentence,) = shares.warnings()
     assert sentence.startswith("Only 24 % of the path and 50 % of the filament are compensated")
-    assert "after MY_PHOTO in line 3" in sentence and '[macros] returns = ["MY_PHOTO"]' in sentence
-    assert Shares(Part(96.0, 96.0), ((Cause(1, "G28"), Part(4.0, 4.0)),)).warnings() == ()
+    assert (
+        "after MY_PHOTO in line 9 nobody knows where the nozzle is (2 places, most after this one), 10 mm" in sentence
+    )
+    assert '[macros] returns = ["MY_PHOTO"]' in sentence
+    assert Shares(Part(96.0, 96.0), {Place(1, "G28"): Part(4.0, 4.0)}).warnings() == ()
     assert Shares().path == Shares().filament == 1.0
-    (sentence,) = Shares(left=((Cause(0, ""), Part(30.0, 10.0)),)).warnings()
-    assert "name X, Y and Z, before it prints" in sentence
+    (sentence,) = Shares(left={Place(0, ""): Part(30.0, 0.0)}).warnings()
+    assert "no filament, travels only" in sentence and "name X, Y and Z, before it prints" in sentence
 
 
 def scaled(limit: str = "", carriage: str = "", seconds: float = 0.1, asked: float = 1.2) -> TimeScaling:
