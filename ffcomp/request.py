@@ -21,7 +21,7 @@ To add an option, add a field to the verb's request and use it where the verb do
         ...
 
     # ffcomp/cli/app.py
-    app.command("ffcomp.cli.restore:restore")
+    VERBS = {…, "restore": "Restore the original of a compensated print."}
 
     # ffcomp/api/…                                         the Python function, with the request's own signature
     restore = function(RestoreRequest, restore_file)

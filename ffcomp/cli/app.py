@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import signal
 import sys
-from importlib import import_module
 from types import FrameType
 
 # Our matrices are small: threads of the linear algebra library cost twice what they save. Before numpy is imported.
@@ -18,31 +17,30 @@ from ffcomp.cli.command import group, run  # noqa: E402
 from ffcomp.cli.log import log_path, logged  # noqa: E402
 from ffcomp.version import __version__  # noqa: E402
 
-VERBS = (
-    "compensate",
-    "show",
-    "estimate",
-    "restore",
-    "compare",
-    "simulate",
-    "frf",
-    "gap",
-    "diagnose",
-    "identify",
-    "record",
-    "machines",
-    "integrations",
-    "serve",
-    "warmup",
-)
+VERBS = {  # with the first sentence of each, so that `ffcomp --help` need not import them
+    "compensate": "Compensate a print for your printer's vibration.",
+    "show": "Draw a compensated print: reference, uncompensated and compensated path.",
+    "estimate": "Estimate how long a print takes, by layer and by feature.",
+    "restore": "Restore the original of a compensated print, byte for byte.",
+    "compare": "Compare ffcomp with every input shaper on your print.",
+    "simulate": "Simulate a print or step timings on the nonlinear printer.",
+    "frf": "Compute the machine's frequency responses anywhere on the bed.",
+    "gap": "Measure where and how much recordings and simulation disagree.",
+    "diagnose": "Find the physical effect that the machine file lacks, and its size.",
+    "identify": "Identify a machine file's parameters from measurements.",
+    "record": "Record the printer's vibrations with its own accelerometer.",
+    "machines": "List, show, check, create and compare machine files.",
+    "integrations": "Use ffcomp from your slicer or your printer's host.",
+    "serve": "Serve a page to drop prints on, in the browser, on this computer.",
+    "warmup": "Compile the numerical code once, so that the first print need not wait.",
+}
 
 
-def command_line(imported: bool = False) -> App:
-    """Make the command with all verbs.
+def command_line(overview: bool = False) -> App:
+    """Make the command with all verbs, each imported when it is called.
 
-    imported : now, so that its help has a sentence of each; else a verb is imported when it is called
+    overview : for its own help page, which imports none
     """
-    paths = [(f"ffcomp.cli.{name}", name) for name in VERBS]
     made = group(
         "ffcomp",
         """Compensate a printer's vibration in the G-code before printing.
@@ -50,8 +48,9 @@ def command_line(imported: bool = False) -> App:
         Start with: ffcomp compensate print.gcode --machine mp-delta-pro -o out.gcode, then ffcomp show out.gcode. Exit
         codes: 0 done, 2 usage, 3 nothing to do, 4 G-code, 5 machine file, 6 limits, 7 solver, 130 interrupted.
         """,
-        *(getattr(import_module(module), name) if imported else f"{module}:{name}" for module, name in paths),
     )
+    for number, (name, sentence) in enumerate(VERBS.items()):
+        made.command(f"ffcomp.cli.{name}:{name}", name=name, help=sentence if overview else None, sort_key=number)
     made.command(show_version, name="--version", group="Other")
     made.command(show_log_path, name="--log-path", group="Other")
     return made
@@ -88,4 +87,4 @@ def main() -> None:
     signal.signal(signal.SIGTERM, _terminate)
     with logged(sys.argv[1:]):
         words = sys.argv[1:]
-        run(app if words and words[0] in VERBS else command_line(imported=True), words)
+        run(app if words and words[0] in VERBS else command_line(overview=True), words)

@@ -130,18 +130,12 @@ def _parameter(each: Declared) -> inspect.Parameter:
     return inspect.Parameter(each.field, kind, default=default, annotation=Annotated[annotated | None, how])
 
 
-def group(name: str, text: str, *verbs: App | str, **settings: Any) -> App:
-    """Make a command that holds others, which its help shows in this order.
-
-    verbs : the commands, or `module:name` of what is imported when it is needed
-    """
+def group(name: str, text: str, *verbs: App, **settings: Any) -> App:
+    """Make a command that holds others, which its help shows in this order."""
     app = App(name=name, help=paragraphs(text), **SETTINGS | settings)
     for number, each in enumerate(verbs):
-        if isinstance(each, str):
-            app.command(each, name=each.partition(":")[2], sort_key=number)
-        else:
-            each.sort_key = number
-            app.command(each)
+        each.sort_key = number
+        app.command(each)
     return app
 
 

@@ -71,7 +71,7 @@ def compare(request: CompareRequest, quality: EqualQuality, pages: Pages, shown:
     _refuse_beside(request, quality, pages.figures)
     _check_targets(pages.report, pages.figures)
 
-    from ffcomp.api.prints import comparison_options, evaluate_print
+    from ffcomp.api.comparison import comparison_options, evaluate_print
 
     options = comparison_options(request)
     tell = partial(_note, quiet=shown.quiet)

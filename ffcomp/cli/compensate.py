@@ -17,7 +17,7 @@ from ffcomp.compensation.request import CompensateFilesRequest, CompensateOption
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from ffcomp.api.prints import Compensation
+    from ffcomp.api.compensation import Compensation
     from ffcomp.comparison.quickest_plans import Known
     from ffcomp.compensation.job import Options
     from ffcomp.compensation.result import FileResult, QuickerPrint
@@ -83,7 +83,7 @@ def _compensate_one(
     advice: list[str],
 ) -> None:
     """Compensate a single file. The user never sees the name of a slicer's temporary file, but that of the output."""
-    from ffcomp.api.prints import compensate_print
+    from ffcomp.api.compensation import compensate_print
 
     (file,), name = request.files, os.environ.get("SLIC3R_PP_OUTPUT_NAME", "")
     options = {each.name: getattr(request, each.name) for each in fields(CompensateOptions)}

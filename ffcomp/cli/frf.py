@@ -39,7 +39,7 @@ def frf(request: FrfRequest, figures: FrfFigures) -> None:
 
     Example: ffcomp frf -m mp-delta-pro --at 0,0 --at -80,0 --figure bode.png --map bed.png
     """
-    from ffcomp.api.machines import study_responses
+    from ffcomp.api.responses import study_responses
     from ffcomp.identification.frf_study import frf_json
 
     result = study_responses(request)

@@ -94,7 +94,7 @@ def _simulate(request: SimulateRequest, quiet: bool) -> dict[str, Any]:
     """Simulate, and return the JSON object ffcomp-simulate/1."""
     from dataclasses import replace
 
-    from ffcomp.api.prints import read_simulation, run_simulation
+    from ffcomp.api.simulation import read_simulation, run_simulation
 
     command, machine, plant, warnings = read_simulation(request)
     say_assumed([machine, plant], quiet)

@@ -38,7 +38,7 @@ MODES = Field(min_length=1, max_length=8)
 class Table(BaseModel):
     """Base of every table: no unknown keys, no conversions."""
 
-    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False, frozen=True)
+    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False, frozen=True, defer_build=True)
 
 
 def table_of(annotation: Any) -> type[Table] | None:

@@ -8,6 +8,7 @@ import sys
 
 import pytest
 
+from ffcomp.cli.app import VERBS as SENTENCES
 from ffcomp.cli.app import app, command_line
 from ffcomp.cli.command import commands
 from ffcomp.request import GROUPS
@@ -81,9 +82,10 @@ def test_a_usage_error_is_a_sentence_with_exit_code_2(words: str, sentence: str)
 
 def test_the_help_of_all_has_a_sentence_of_each() -> None:
     page = " ".join(help_of(()).replace("│", " ").split())
-    for verb in command_line(imported=True):
-        if not verb.startswith("-"):
-            assert VERBS[verb,][0].help.split("\n\n")[0] in page
+    assert {path[0] for path in VERBS if len(path) == 1} == set(SENTENCES)
+    for verb, sentence in SENTENCES.items():
+        assert VERBS[verb,][0].help.split("\n\n")[0] == sentence and sentence in page
+    assert CliRunner().invoke(command_line(overview=True), ["--help"]).output == help_of(())
 
 
 def test_without_a_verb_the_help_is_shown_and_nothing_is_done() -> None:

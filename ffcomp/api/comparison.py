@@ -1,0 +1,138 @@
+"""Compare all methods on a print."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
+
+from ffcomp.api.machines import load_machine
+from ffcomp.comparison import engine
+from ffcomp.comparison.request import CompareRequest
+from ffcomp.comparison.result import Comparison
+from ffcomp.comparison.sampling import Sampling
+from ffcomp.compensation.batch import workers
+from ffcomp.errors import RequestError, extras_told
+from ffcomp.inverse.settings import settings_for
+from ffcomp.metrics import Track
+from ffcomp.request import function
+from gcode.container import read_bytes
+from gcode.embedded import STAMP_REACH, already_processed, find_offset, original
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, eq=False)
+class MethodComparison:
+    """Every method on one print."""
+
+    comparison: Comparison
+
+    @property
+    def tracks(self) -> dict[str, Track]:
+        """Errors by method."""
+        return {name: method.track for name, method in self.comparison.methods.items()}
+
+    @property
+    def verdict(self) -> list[str]:
+        """The answer in sentences."""
+        from ffcomp.report.compare.sentences import verdict
+
+        return list(verdict(self.comparison))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the JSON object ffcomp-compare/1."""
+        return self.comparison.to_dict()
+
+    @extras_told()
+    def plot(self, name: Literal["close-up", "methods"] | str = "methods") -> Figure:
+        """Draw one figure of the report.
+
+        Raises
+        ------
+        RequestError
+            If the report has no figure of that name.
+        """
+        from ffcomp.report.compare.figures import comparison_figures
+
+        figures = comparison_figures(self.comparison)
+        if name not in figures:
+            raise RequestError(f"There is no figure {name!r}, but {', '.join(figures)}.")
+        return figures[name]()
+
+    @extras_told()
+    def write_report(self, path: str | Path) -> None:
+        """Write one HTML page that opens offline."""
+        from ffcomp.report.compare.html import write_report
+
+        write_report(self.comparison, Path(path))
+
+
+def evaluate_print(
+    request: CompareRequest,
+    evaluate: Callable[..., T],
+    options: Any,
+    note: Callable[[str], None] = lambda sentence: None,
+) -> T:
+    """Let an engine of `ffcomp/comparison` evaluate the print of a request.
+
+    Parameters
+    ----------
+    request : CompareRequest
+    evaluate, options : the engine and its own request
+    note : called with a sentence on what is compared, where that is not the file itself
+    """
+    machine = load_machine(request.machine)
+    plant = load_machine(request.plant) if request.plant else None
+    data, offset = read_bytes(Path(request.file), request.plate), request.offset_mm
+    if already_processed(data) is not None:
+        note(f"{request.file} is compensated already: what is compared is the original that it holds.")
+        offset = offset if any(offset) else find_offset(data[:STAMP_REACH])
+        data = original(data)
+    return evaluate(
+        data,
+        str(request.file),
+        machine,
+        plant,
+        options,
+        settings=settings_for(machine, request.max_segments_per_second),
+        offset=offset,
+        flavor=request.flavor,
+        progress=request.progress,
+    )
+
+
+def comparison_options(request: CompareRequest) -> engine.Request:
+    """Return the engine's options; RequestError: there is no such method."""
+    seeds = request.seeds if request.mismatch else 0
+    sampling = Sampling(*request.layers, request.sample)
+    options = engine.Request(sampling, request.mismatch, seeds, request.quality_um, request.only)
+    try:
+        engine.names(options)
+    except ValueError as error:
+        raise RequestError(f"--only {','.join(request.only)}: {error}") from None
+    return options
+
+
+def _compare(request: CompareRequest) -> MethodComparison:
+    """Compare ffcomp with every input shaper on a print.
+
+    Parameters
+    ----------
+    progress : Called with the current step and the share of it that is done.
+
+    Raises
+    ------
+    GcodeError, MachineFileError, NothingToDo, RequestError
+    """
+    options = comparison_options(request)
+    with workers(request.jobs, request.scheduler) as at_once:
+        return MethodComparison(evaluate_print(request, partial(engine.compare, jobs=at_once), options))
+
+
+compare = function(CompareRequest, _compare)

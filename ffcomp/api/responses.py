@@ -1,0 +1,125 @@
+"""Frequency responses of a machine."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ffcomp.api.machines import load_machine
+from ffcomp.errors import RequestError, extras_told
+from ffcomp.identification.frf_request import FrfRequest
+from ffcomp.identification.frf_study import Study, View, frf_json, study, view_of
+from ffcomp.measurement.frf import FrequencyResponse
+from ffcomp.measurement.frf_files import read_frfs
+from ffcomp.request import function
+from models.arrays import ComplexArray, FloatArray
+from models.errors import UnreachableError
+from models.machine import Machine
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+@dataclass(frozen=True, eq=False)
+class FrequencyResponses:
+    """Frequency responses of a machine at some positions.
+
+    Attributes
+    ----------
+    machine : Machine
+    frequency_hz : (k,) array
+    positions_mm : (n, 2) array, columns X Y
+    values : (n, k, r, c) complex array
+        Row r answers column c: carriages A B C, or nozzle axes X Y Z, as was asked for.
+    rows, columns : names of the outputs and of the inputs
+    """
+
+    machine: Machine
+    frequency_hz: FloatArray
+    positions_mm: FloatArray
+    values: ComplexArray
+    rows: tuple[str, ...]
+    columns: tuple[str, ...]
+    study: Study
+
+    def to_dict(self) -> list[dict[str, Any]]:
+        """Return an object ffcomp-frf/1 for each position."""
+        return [frf_json(self.study, station) for station in self.study.stations]
+
+    @extras_told()
+    def to_control(self) -> list[Any]:
+        """Return each position's responses as a `control.FrequencyResponseData`, frequencies in rad/s."""
+        import control
+
+        omega = 2 * np.pi * self.frequency_hz
+        return [control.frd(np.moveaxis(value, 0, -1), omega) for value in self.values]
+
+    @extras_told()
+    def plot(self, *, full: bool = False) -> Figure:
+        """Draw a Bode figure; full : all nine responses, not only the diagonal."""
+        from ffcomp.report.model import bode_figure
+
+        return bode_figure(self.study, full)
+
+
+def study_responses(request: FrfRequest) -> Study:
+    """Compute the responses of a request, and read the measured ones that they are compared with."""
+    machine = load_machine(request.machine)
+    measured = [response for path in request.measured for response in read_frfs(path)]
+    view = _view(request, machine, measured)
+    centre_x, centre_y = machine.kinematics.centre_mm
+    positions = request.positions_mm or (() if measured else [(centre_x, centre_y)])
+    for x, y in positions:
+        try:
+            machine.kinematics.check_reach(np.array([[x, y, 0.0]]))
+        except UnreachableError as error:
+            raise RequestError(f"--at {x:g},{y:g}: {error}") from None
+    frequencies = request.frequency_hz
+    if frequencies is None:
+        frequencies = np.arange(request.start_hz, request.highest_hz + 0.5 * request.step_hz, request.step_hz)
+    places = [np.array(xy, dtype=float) for xy in positions]
+    masses = list(request.added_mass_kg)
+    return study(machine, view, np.asarray(frequencies, dtype=float), places, measured, masses, request.with_arms)
+
+
+def _view(request: FrfRequest, machine: Machine, measured: Sequence[FrequencyResponse]) -> View:
+    """Choose input and output: those of the request, else those of the first measurement, else what suits."""
+    of, per = request.of, request.per
+    if of is None and not machine.vibration.position_dependent:
+        of = "nozzle"
+    if of is None and per is None and measured:
+        view = view_of(measured[0])
+    else:
+        output = of or "carriage"
+        view = View(output, per or ("nozzle" if output in ("nozzle", "acceleration") else "carriage"))
+    if per is not None and not view.depends_on_place:
+        raise RequestError(f"--per {per}: --of {view.of} is no response of the whole printer.")
+    if request.added_mass_kg and view.of != "carriage-alone":
+        raise RequestError(f"--added-mass-kg goes on a bare carriage: --of carriage-alone, not {view.of}.")
+    if request.with_arms and view.of != "effector-alone":
+        raise RequestError(f"--with-arms is for the effector by itself: --of effector-alone, not {view.of}.")
+    return view
+
+
+def _frf(request: FrfRequest) -> FrequencyResponses:
+    """Compute frequency responses of the linear model.
+
+    Parameters
+    ----------
+    frequency_hz : (k,) array; None: from the lowest to the highest in steps
+
+    Raises
+    ------
+    MachineFileError, MeasurementError, RequestError
+    """
+    result = study_responses(request)
+    values = np.stack([station.value for station in result.stations])
+    places = np.array([station.xy for station in result.stations])
+    rows, columns = tuple(result.view.rows), tuple(result.view.columns)
+    return FrequencyResponses(result.machine, result.frequency_hz, places, values, rows, columns, result)
+
+
+frf = function(FrfRequest, _frf)
