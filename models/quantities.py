@@ -47,6 +47,12 @@ _ENDINGS = (
 _TOKEN = {"N": "n", "N m": "n_m", "A": "a", "V": "v"}
 _NOUN = {"N": "force", "N m": "torque", "A": "current", "V": "voltage"}
 _KEY = re.compile(r"\b(?:(?:axis|effects)\.)[\w.]+\w")
+_SIGNALS = {
+    "acc": ("acceleration", "{W}/s²"),
+    "pos": ("position", "{L}"),
+    "vel": ("speed", "{L}/s"),
+    "force": ("force of the drive", "{F}"),
+}
 RAD_PER_MM = 1e-3
 
 
@@ -125,6 +131,11 @@ class Quantities:
         """Return what a number of the inside is multiplied by in files and reports; `name` as inside."""
         ending = next((t for t, _ in _ENDINGS if name.partition("[")[0].endswith(t.format(**PLAIN._parts))), "")
         return RAD_PER_MM ** (ending.count("{l}") * (-1 if "per_{l}" in ending else 1)) if self.turns else 1.0
+
+    def signal(self, name: str) -> tuple[str, str, float]:
+        """Return what a signal is, its unit, and what its numbers of the inside are multiplied by in that."""
+        kind, unit = next((words for start, words in _SIGNALS.items() if name.startswith(start)))
+        return kind, unit.format(**self._parts), RAD_PER_MM if self.turns and "{L}" in unit else 1.0
 
     def value(self, name: str, number: Any) -> Any:
         """Return a number, or a list of them, as files and reports state it; `name` as inside."""

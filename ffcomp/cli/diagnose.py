@@ -105,14 +105,13 @@ def _digits(value: Any) -> str:
 
 def _print(diagnosis: Diagnosis) -> None:
     from ffcomp.diagnosis.sentences import summary_sentences, what_to_do
-    from models.effects.catalogue import CATALOGUE
 
     result, written = diagnosis.result, diagnosis.output
     named = result.effects if result.verdict == "effects" else {}
     first, *others = summary_sentences(result)
     print(first)
     for name in named:
-        print(f"  {name}: {CATALOGUE[name].title.lower()}")
+        print(f"  {name}: {result.names.catalogue[name].title.lower()}")
         for key, e in result.parameters(name).items():
             print(f"    {key} = {_digits(e['value'])}   (90 %: {_digits(e['low'])} to {_digits(e['high'])})")
     print(*others, sep="\n", end="\n" if others else "")

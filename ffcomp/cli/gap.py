@@ -54,5 +54,5 @@ def _print(discrepancy: Discrepancy) -> None:
     loud = sorted(residual.bands, key=lambda band: -band[2])[:3]
     print("  most of it: " + ", ".join(f"{low:g}-{high:g} Hz {100 * share:.0f} %" for low, high, share in loud))
     for place, share in sorted(residual.positions.items(), key=lambda item: -item[1]):
-        print(f"  at ({', '.join(f'{x:g}' for x in place)}) mm: {100 * share:.0f} %")
+        print(f"  {'at ' * (len(place) > 1)}{discrepancy.places[place]}: {100 * share:.0f} %")
     print(f"  while something turns back or rests: {100 * residual.near_reversals:.0f} %")

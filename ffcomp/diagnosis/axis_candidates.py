@@ -16,6 +16,7 @@ from models.printer.one_axis import axis_effects
 
 PROBE = 0.1  # of what a usual effect takes, with which a signature is taken
 PITCH_SPREAD = 0.05  # of a pitch that the data show, by which it may be off
+LINE_SD = 0.003  # of a pitch of several lines, which the data tell well
 LOG_SPREAD = 1.5  # of ln, of a number that is known by its order of magnitude
 LEAST = 1e-3
 LEAST_TURN = 0.5  # rad of travel, or m of a file that writes 1 rad as 1 m: below, a weight pulls as a spring does
@@ -45,11 +46,24 @@ def axis_candidates(
         and any(p.on_axis.size is not None for p in CATALOGUE[name].amplitudes)
     ]
     axis = driven_axis(machine)
-    candidates = tuple(_candidate(effect, scales, pitches) for effect in able)
+    candidates = tuple(_with_lines(_candidate(effect, scales, pitches), effect, scales, pitches) for effect in able)
     if not axis.load_mass_kg or axis.free:
         return candidates
     drive = replace(scales, stiffness_n_per_m=axis.stiffness_n_per_m, stretch_m=scales.force_n / axis.stiffness_n_per_m)
     return tuple(_of_either_spring(c, effect, drive) for c, effect in zip(candidates, able, strict=True))
+
+
+def _with_lines(candidate: Candidate, effect: Effect, scales: MotionScales, pitches: Sequence[float]) -> Candidate:
+    """Let a force that repeats along the axis have several lines, as another form."""
+    if len(pitches) < 2 or not any(p.size == "lines" for p in effect.shapes):
+        return candidate
+    lines = range(len(pitches))
+    amplitudes = tuple(_amplitude(effect, p, scales, i) for i in lines for p in effect.amplitudes)
+    names = [_full(effect, p, i) for i in lines for p in effect.shapes]
+    shapes = tuple(Parameter(n, p, LINE_SD * p, 0.97 * p, 1.03 * p) for n, p in zip(names, pitches, strict=True))
+    grid = (dict(zip(names, pitches, strict=True)),)
+    probe = {a.name: PROBE * a.sd for a in amplitudes}
+    return replace(candidate, other=Candidate(effect.name, amplitudes, probe, shapes, grid))
 
 
 def _of_either_spring(candidate: Candidate, effect: Effect, drive: MotionScales) -> Candidate:
@@ -64,7 +78,7 @@ def _of_either_spring(candidate: Candidate, effect: Effect, drive: MotionScales)
 def _candidate(effect: Effect, scales: MotionScales, pitches: Sequence[float] = ()) -> Candidate:
     amplitudes = tuple(_amplitude(effect, p, scales) for p in effect.amplitudes if p.on_axis.size is not None)
     searched = [p for p in effect.shapes if p.default is None or p.starts]
-    starts = {p.name: _starts(p, scales) for p in searched}
+    starts = {p.name: [x for x in _starts(p, scales) if p.bounds[0] <= x <= p.bounds[1]] for p in searched}
     shapes = tuple(_shape(effect, p, starts[p.name], scales) for p in searched)
     if pitches and any(p.is_pitch for p in searched):
         starts |= {p.name: list(pitches) for p in searched if p.is_pitch}
@@ -76,15 +90,17 @@ def _candidate(effect: Effect, scales: MotionScales, pitches: Sequence[float] = 
     return Candidate(effect.name, amplitudes, {a.name: PROBE * a.sd for a in amplitudes}, shapes, tuple(grid), finer)
 
 
-def _full(effect: Effect, p: EffectParameter) -> str:
-    return f"effects.{effect.name}.{p.name}"
+def _full(effect: Effect, p: EffectParameter, line: int = 0) -> str:
+    return f"effects.{effect.name}.{p.name}{f'[{line}]' if p.size == 'lines' else ''}"
 
 
-def _amplitude(effect: Effect, p: EffectParameter, scales: MotionScales) -> Parameter:
+def _amplitude(effect: Effect, p: EffectParameter, scales: MotionScales, line: int = 0) -> Parameter:
     suffix = "[0]" if p.size == "vector3" else ""
     low, high = p.bounds
     size = p.on_axis.size(scales) if p.on_axis.size is not None else 0.0
-    return Parameter(_full(effect, p) + suffix, 0.0, size, low if p.on_axis.lowest is None else p.on_axis.lowest, high)
+    return Parameter(
+        _full(effect, p, line) + suffix, 0.0, size, low if p.on_axis.lowest is None else p.on_axis.lowest, high
+    )
 
 
 def _starts(p: EffectParameter, scales: MotionScales) -> list[float]:

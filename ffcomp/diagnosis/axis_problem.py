@@ -12,13 +12,13 @@ import numpy as np
 
 from ffcomp.diagnosis.axis_candidates import axis_candidates
 from ffcomp.diagnosis.observations import quick_length
-from ffcomp.diagnosis.pitches import likely_pitches
+from ffcomp.diagnosis.pitches import likely_pitches, pitches_of_force
 from ffcomp.diagnosis.printer_candidates import effect_tables
 from ffcomp.diagnosis.problem import InfeasibleParameters, Observation, Parameter, Problem
 from ffcomp.identification.axis_shots import Shots, band_of, noise_sd, scales_of, shots_of, windows
 from ffcomp.measurement.axis_run import AxisRun
 from models.arrays import FloatArray
-from models.effects.catalogue import CATALOGUE, with_effects
+from models.effects.catalogue import CATALOGUE, catalogue_of, with_effects
 from models.kinds import driven_axis
 from models.machine import Machine, value_of, with_values
 
@@ -27,6 +27,7 @@ OFFSET, OFFSET_SHARE = "axis.offset_n", 0.1  # of the force, by which its zero m
 EXACT = 0.003  # of what the forces do in a shot: no simulation is nearer than that
 KEPT = 6  # motions that are held
 RIPPLES = frozenset(name for name, effect in CATALOGUE.items() if any(p.is_pitch for p in effect.shapes))
+LINES = 6  # of a force that repeats along the axis
 PITCHES = 4  # at which a search for a ripple begins
 
 _Key = tuple[tuple[tuple[str, float], ...], bool, int]
@@ -46,6 +47,7 @@ class AxisProblem(Problem):
     def __init__(self, machine: Machine, runs: Sequence[AxisRun], names: Sequence[str] = tuple(CATALOGUE)) -> None:
         self.machine, self.recordings = machine, runs
         self.name, self.path, self.quantities = machine.name, machine.path, machine.vibration.quantities
+        self.catalogue = catalogue_of(self.quantities, machine.vibration.moves)
         self.shots = shots_of(machine, runs)
         self.band_hz = band_of(self.shots)
         self.windows = [Window(i, part) for i, one in enumerate(self.shots) for part in _parts(one)]
@@ -66,10 +68,10 @@ class AxisProblem(Problem):
         return [self._same[window.run] for window in self.windows]
 
     def _pitches(self) -> list[float]:
-        """Look for pitches in the data; where a simulation begins anew all the time, it leaves too little of them."""
+        """Look for pitches in the data."""
         distinct = [self.shots[i] for i in sorted(set(self._same))]
         if any(one.length for one in distinct):
-            return []
+            return pitches_of_force(self.machine, distinct, LINES)
         return likely_pitches(self.machine, distinct, self.band_hz, PITCHES)
 
     def _least_density(self, signals: Sequence[str]) -> dict[str, float]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -130,6 +130,7 @@ class Discrepancy:
     residual: ResidualBreakdown
     from_repeats: bool  # whether repeats give the noise; else the spectrum above the model's band does
     notes: tuple[str, ...] = ()  # what is wrong with the repeats, in full sentences
+    places: Mapping[tuple[float, ...], str] = field(default_factory=dict)  # what people call them
 
     def to_dict(self) -> dict[str, Any]:
         """Return the JSON object ffcomp-gap/1."""
@@ -144,7 +145,11 @@ class Discrepancy:
                 "frequency_hz": [{"from": low, "to": high, "share": share} for low, high, share in residual.bands],
                 "signal": {name: size.over_noise for name, size in residual.signals.items()},
                 "region": [
-                    {"place_mm": list(position), "share": share} for position, share in residual.positions.items()
+                    # of an axis by itself a window of time
+                    {"place_mm": list(position), "share": share}
+                    if len(position) > 1
+                    else {"from_s": position[0], "share": share}
+                    for position, share in residual.positions.items()
                 ],
                 "near_reversals": residual.near_reversals,
                 "runs": {name: size.to_dict() for name, size in residual.recordings.items()},
@@ -185,7 +190,8 @@ def measure_gap(machine: Machine, recordings: Sequence[Recorded]) -> Discrepancy
     simulated = problem.simulate({})
     floor = noise_floor(problem, simulated)
     residual = locate_residual(whitener(problem.observations, floor, problem.band_hz), floor, simulated)
-    return Discrepancy(residual, floor.from_repeats, tuple(_notes(problem.repeats)))
+    places = {place: problem.place_name(place) for place in residual.positions}
+    return Discrepancy(residual, floor.from_repeats, tuple(_notes(problem.repeats)), places)
 
 
 def _notes(repeats: Sequence[Repeated]) -> list[str]:

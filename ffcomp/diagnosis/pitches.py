@@ -1,4 +1,7 @@
-"""Pitches at which a ripple would explain what the simulation of an axis leaves, from a periodogram over its place.
+"""Pitches at which a ripple would explain what an axis leaves, from a periodogram over its place.
+
+Where a simulation begins anew all the time, it leaves too little of a ripple. There the force is known, and what of it
+inertia and friction do not explain is searched line by line (matching pursuit; Mallat and Zhang 1993).
 
 A ripple repeats every pitch along the way: a cos(2π u/p) in the order, or in the force. The axis answers it linearly,
 so that for every pitch the two numbers of amplitude and phase follow from one 2 × 2 system (Lomb 1976, for the place
@@ -16,14 +19,20 @@ from scipy.ndimage import uniform_filter1d
 
 from ffcomp.identification.axis_shots import Shots
 from models.arrays import ComplexArray, FloatArray
+from models.kinds import driven_axis
 from models.machine import Machine
 from models.printer.one_axis import simulate_axis
+from models.vibration.driven_axis import DrivenAxis
 
 A_TURN = 4  # tries for each turn over the travel
 FASTEST = 2.0  # times the usual speed over the highest frequency compared: the shortest pitch is passed in no less
 MOST_TRIES = 1500
 SMOOTH = 31  # lines of a spectrum over which its level is taken
 PULSE = 64  # samples before a pulse
+MOST_ROWS = 2500  # of a run, of which a force's lines are found
+SHORTEST_SHARE, MOST_LINES_A_TURN = 0.005, 400  # of the travel, a pitch; lines a turn
+APART, LEAST_LINE = 0.04, 0.1  # relative, lines; of the first line's size, what counts as another
+LEAST_SHARE = 0.15  # of what is left, that a line explains
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,6 +64,54 @@ def likely_pitches(machine: Machine, shots: Sequence[Shots], band_hz: tuple[floa
     count = min(max(int((last - first) * travel * A_TURN), 0), MOST_TRIES)
     turns = first + np.arange(count) / (A_TURN * travel)
     return [float(1.0 / turns[i]) for i in _peaks(_gains(parts, turns), most)]
+
+
+def pitches_of_force(machine: Machine, shots: Sequence[Shots], most: int) -> list[float]:
+    """Return the pitches, mm, whose lines together explain most of the measured force, the strongest first.
+
+    None where no line stands out.
+
+    Parameters
+    ----------
+    shots : runs whose force and place are known; each motion once.
+    """
+    axis = driven_axis(machine)
+    columns, forces, places = list[FloatArray](), list[FloatArray](), list[FloatArray]()
+    for one in shots:
+        place = one.run.position.get("pos_q", one.run.position.get("pos_motor"))
+        if place is None or not np.isfinite(place).all():
+            return []
+        v = one.speed / 1e3
+        change = np.gradient(v, 1 / one.run.sample_rate_hz)
+        thin = slice(None, None, max(len(v) // MOST_ROWS, 1))
+        columns.append(np.column_stack([change, v, np.sign(v), np.ones(len(v))])[thin])
+        forces.append(axis.force_of(one.run.drive, one.run.supply_v)[thin])
+        places.append(np.asarray(place)[thin])
+    place, force, known = np.concatenate(places), np.concatenate(forces), np.concatenate(columns)
+    turns, first = _tries(axis, places), 0.0
+    found: list[int] = []
+    while len(found) < min(most, len(turns)):
+        left = force - known @ np.linalg.lstsq(known, force, rcond=1e-9)[0]
+        gains = np.array([abs(np.exp(2j * np.pi * turn * place) @ left) for turn in turns])
+        gains[[i for i in range(len(turns)) if any(abs(turns[i] / turns[j] - 1) < APART for j in found)]] = 0.0
+        best = int(np.argmax(gains))
+        if gains[best] <= LEAST_LINE * first or gains[best] ** 2 < LEAST_SHARE * len(left) * (left @ left) / 2:
+            break
+        first = max(first, float(gains[best]))
+        found.append(best)
+        angle = 2 * np.pi * turns[best] * place
+        known = np.column_stack([known, np.sin(angle), np.cos(angle)])
+    return [float(1.0 / turns[i]) for i in found]
+
+
+def _tries(axis: DrivenAxis, places: Sequence[FloatArray]) -> FloatArray:
+    """Return how often a millimetre lines may repeat: of what turns, a whole number of times a turn."""
+    travel = float(np.ptp(np.concatenate(places)))
+    if axis.quantities.turns:
+        turn = 2e3 * np.pi
+        return np.arange(max(int(np.ceil(2 * turn / max(travel, 1e-9))), 1), MOST_LINES_A_TURN + 1) / turn
+    count = min(int((1 / SHORTEST_SHARE - 2) * A_TURN), MOST_TRIES)
+    return np.asarray((2 + np.arange(count) / A_TURN) / max(travel, 1e-9))
 
 
 def _part(machine: Machine, one: Shots, band_hz: tuple[float, float]) -> _Part | None:

@@ -13,6 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from models.arrays import FloatArray
+from models.effects.catalogue import CATALOGUE
+from models.effects.effect import Effect
 from models.quantities import PLAIN, Quantities
 
 TOWERS = ("tower A", "tower B", "tower C")
@@ -197,6 +199,7 @@ class Problem(ABC):
     cycle_mm: float = 0.0  # of a motor
     reach_mm: float = 0.0  # how far from the middle of its bed a printer goes; 0: there is no bed
     quantities: Quantities = PLAIN  # keys, units and scales of its machine file
+    catalogue: Mapping[str, Effect] = CATALOGUE  # the effects in the words of its kind
     carriages: tuple[str, ...] = TOWERS  # what people call what a value for each is of
     belts: tuple[str, ...] = TOWERS  # the same, of belts and their motors
     least_density: Mapping[str, float] = {}  # of a signal's noise, unit²/Hz: no simulation is nearer than that

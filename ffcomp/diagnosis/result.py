@@ -19,6 +19,7 @@ from ffcomp.diagnosis.recording_clocks import belongs_to_recording, delay_of
 from ffcomp.diagnosis.separation import Separation
 from ffcomp.identification.uncertainty import Estimate
 from models.effects.catalogue import CATALOGUE, key_in_file
+from models.effects.effect import Effect
 from models.file import updated_text
 from models.quantities import PLAIN, Quantities
 
@@ -81,6 +82,7 @@ class PlantNames:
     """What people call the parts of a machine."""
 
     quantities: Quantities = PLAIN  # its keys, units and scales
+    catalogue: Mapping[str, Effect] = field(default_factory=lambda: CATALOGUE)  # in its words
     carriages: tuple[str, ...] = TOWERS  # what a value for each is of, and
     belts: tuple[str, ...] = TOWERS  # of belts and their motors
 
@@ -119,8 +121,12 @@ class DiagnosisResult:
         for name, e in self.intervals.items():
             if name.startswith(prefix):
                 estimates.setdefault(name.removeprefix(prefix).partition("[")[0], []).append(e)
+        quantities = self.names.quantities
         return {
-            key_in_file(effect, key, self.names.quantities): _in_file(effect, key, each, self.effects[effect][key])
+            key_in_file(effect, key, quantities): {
+                what: quantities.value(key, number)
+                for what, number in _in_file(effect, key, each, self.effects[effect][key]).items()
+            }
             for key, each in estimates.items()
             if key != WHOLE
         }
@@ -134,6 +140,7 @@ def result_of(problem: Problem, diagnosis: Diagnosis) -> DiagnosisResult:
         locate_residual(diagnosis.estimation.whiten, diagnosis.noise, problem.simulate(values)).total
         for values in ({}, fitted.values)
     )
+    key = problem.quantities.key
     moved = [
         (n.name, float(z), (n.start, problem.stated(fitted.values, n.name)))
         for n, z in zip(fitted.parameters, fitted.z, strict=True)
@@ -149,7 +156,7 @@ def result_of(problem: Problem, diagnosis: Diagnosis) -> DiagnosisResult:
         evidence=diagnosis.base.evidence - fitted.evidence,
         rejections=diagnosis.rejections,
         invisible=diagnosis.invisible,
-        confounded_with=[(name, _how_to_separate(tables, name)) for name in diagnosis.confounded],
+        confounded_with=[(n, _how_to_separate(tables, n, problem.catalogue)) for n in diagnosis.confounded],
         gap=Gap(
             before=before,
             after=after,
@@ -159,11 +166,15 @@ def result_of(problem: Problem, diagnosis: Diagnosis) -> DiagnosisResult:
             noise_guessed=not diagnosis.noise.from_repeats,
         ),
         file=FileNumbers(
-            retuned={name: values for name, z, values in moved if abs(z) > RETUNED_SD},
-            off={} if diagnosis.file_off is None else _off(diagnosis.file_off),
-            beyond={name: abs(z) for name, z, _ in sorted(moved, key=lambda each: -abs(each[1])) if abs(z) > BEYOND_SD},
+            retuned={key(name): values for name, z, values in moved if abs(z) > RETUNED_SD},
+            off={} if diagnosis.file_off is None else {key(n): x for n, x in _off(diagnosis.file_off).items()},
+            beyond={
+                key(name): abs(z) for name, z, _ in sorted(moved, key=lambda each: -abs(each[1])) if abs(z) > BEYOND_SD
+            },
         ),
-        names=PlantNames(quantities=problem.quantities, carriages=problem.carriages, belts=problem.belts),
+        names=PlantNames(
+            quantities=problem.quantities, catalogue=problem.catalogue, carriages=problem.carriages, belts=problem.belts
+        ),
         late_s=_late(problem, diagnosis),
         cut_short=diagnosis.cut_short,
     )
@@ -263,17 +274,20 @@ def _in_file(effect: str, key: str, estimates: Sequence[Estimate], table: Any) -
     return {what: values if len(values) > 1 else values[0] for what, values in each.items()}
 
 
-def _how_to_separate(tables: Mapping[str, Any], other: str) -> str:
+def _how_to_separate(tables: Mapping[str, Any], other: str, catalogue: Mapping[str, Effect]) -> str:
     """Say how to tell another effect from the named ones."""
     for name in tables:
-        sentence = CATALOGUE[name].confounded_with.get(other) or CATALOGUE[other].confounded_with.get(name)
+        sentence = catalogue[name].confounded_with.get(other) or catalogue[other].confounded_with.get(name)
         if sentence:
             return sentence
-    return "Runs at more places and at several speeds."
+    return (
+        "Runs at more places and at several speeds." if catalogue is CATALOGUE else "Runs at several speeds and sizes."
+    )
 
 
 def better_file(source: Path, name: str, result: DiagnosisResult, data: Sequence[str], when: str) -> str:
     """Write the machine file with the named effects, the retuned parameters and their provenance; comments survive."""
+    quantities = result.names.quantities
     values: dict[str, Any] = {key: float(f"{to:.6g}") for key, (_, to) in result.file.retuned.items()}
     for effect, table in result.effects.items():
         if not table:
@@ -286,13 +300,19 @@ def better_file(source: Path, name: str, result: DiagnosisResult, data: Sequence
         "date": when,
         "started_from": source.stem,
         "data": list(data),
-        "intervals_90_percent": {n: f"{e.low:.4g} to {e.high:.4g}" for n, e in result.intervals.items()},
+        "intervals_90_percent": {
+            quantities.key(n): _range(quantities.scale(n), e) for n, e in result.intervals.items()
+        },
         "gap_nrms_before": float(f"{result.gap.before.nrms:.4g}"),
         "gap_nrms_after": float(f"{result.gap.after.nrms:.4g}"),
         "gap_nrms_noise": float(f"{result.gap.noise:.4g}"),
         "held_out_nrms_before_after": [float(f"{x:.4g}") for x in result.gap.elsewhere],
     }
     return updated_text(source, values, name=name, provenance={"diagnosed": entry})
+
+
+def _range(scale: float, e: Estimate) -> str:
+    return f"{scale * e.low:.4g} to {scale * e.high:.4g}"
 
 
 def _key_to_write(effect: str, key: str, quantities: Quantities) -> str:

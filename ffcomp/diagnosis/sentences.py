@@ -8,7 +8,6 @@ from typing import Any
 from ffcomp.diagnosis.result import DiagnosisResult
 from ffcomp.diagnosis.settings import SETTINGS
 from ffcomp.diagnosis.words import digits, joined, most_of, percent
-from models.effects.catalogue import CATALOGUE
 
 FEW = 4  # numbers or files in one sentence
 
@@ -205,7 +204,7 @@ def what_to_do(result: DiagnosisResult) -> list[str]:
 
 
 def _remedy(result: DiagnosisResult, name: str) -> str:
-    effect = CATALOGUE[name]
+    effect = result.names.catalogue[name]
     names = result.names.belts if effect.of_motors else result.names.carriages
     return effect.remedy.format(where=_first_of(names, result.effects[name]))
 

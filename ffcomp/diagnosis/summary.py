@@ -6,8 +6,8 @@ alone, 3 means that the error is twice as large as the noise.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -25,12 +25,14 @@ from ffcomp.diagnosis.result import RETUNED_SD, of_machine
 from ffcomp.diagnosis.score_test import similarity
 from ffcomp.identification.uncertainty import Estimate
 from models.arrays import FloatArray
+from models.effects.catalogue import CATALOGUE
+from models.effects.effect import Effect
+from models.quantities import Quantities
 
 TIME_BINS = 24
 PHASE_BINS = 16
 QUANTILES = (0.0, 0.25, 0.5, 0.75, 0.9, 0.98, 1.0)  # of the size of motion
 SPECTRUM_BANDS = 90
-KINDS = {"acc": ("acceleration", "m/s²"), "pos": ("position", "mm")}
 
 
 @dataclass(frozen=True)
@@ -58,6 +60,7 @@ class Overlay:
     before: FloatArray
     after: FloatArray
     noise_rms: float
+    unit: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,6 +131,7 @@ class DiagnosisSummary:
     confounding: Confounding
     held_out: tuple[HeldOut, ...]
     retuned: tuple[Retuned, ...]
+    catalogue: Mapping[str, Effect] = field(default_factory=lambda: CATALOGUE)  # effects in the machine's words
 
 
 def summarise(problem: Problem, diagnosis: Diagnosis) -> DiagnosisSummary:
@@ -141,12 +145,13 @@ def summarise(problem: Problem, diagnosis: Diagnosis) -> DiagnosisSummary:
         problem.reach_mm,
         tuple(_splits(problem, estimation, before, after)),
         tuple(_overlays(problem, estimation, answers, before)),
-        tuple(_spectra(estimation, answers)),
+        tuple(_spectra(problem, estimation, answers)),
         tuple(_evidence(diagnosis)),
         tuple(Promise(s.candidate.name, -s.evidence, s.strength, s.visible) for s in diagnosis.screened),
         _confounding(diagnosis),
         tuple(diagnosis.held_out) if diagnosis.best is not None else (),  # of retuning alone the page says nothing
-        tuple(_retuned(diagnosis)),
+        tuple(_retuned(diagnosis, problem.quantities)),
+        problem.catalogue,
     )
 
 
@@ -305,7 +310,9 @@ def _overlay(
     noise = estimation.whiten.floor.at(r.signals[k], frequency)
     rms = float(np.sqrt(np.sum(noise) * (frequency[1] - frequency[0])))
     time = np.arange(part.start, part.stop) / r.rate_hz
-    return Overlay(Path(r.name).name, r.signals[k], time, measured, before, after, rms)
+    _, unit, scale = problem.quantities.signal(r.signals[k])
+    shown = (scale * measured, scale * before, scale * after, scale * rms)
+    return Overlay(Path(r.name).name, r.signals[k], time, *shown, unit)
 
 
 def _in_band(estimation: EstimationProblem, i: int, x: FloatArray) -> FloatArray:
@@ -317,12 +324,14 @@ def _in_band(estimation: EstimationProblem, i: int, x: FloatArray) -> FloatArray
     return np.asarray(np.fft.irfft(spectrum, len(x), axis=0))
 
 
-def _spectra(estimation: EstimationProblem, answers: Answers) -> list[Spectrum]:
+def _spectra(problem: Problem, estimation: EstimationProblem, answers: Answers) -> list[Spectrum]:
     kinds = {(s[:3], _whose(s)) for r in estimation.whiten.observations for s in r.signals}
-    return [_spectrum(estimation, answers, *kind) for kind in sorted(kinds)]
+    return [_spectrum(problem.quantities, estimation, answers, *kind) for kind in sorted(kinds)]
 
 
-def _spectrum(estimation: EstimationProblem, answers: Answers, quantity: str, whose: str) -> Spectrum:
+def _spectrum(
+    quantities: Quantities, estimation: EstimationProblem, answers: Answers, quantity: str, whose: str
+) -> Spectrum:
     """Average powers in bands that are even on a logarithmic axis; bands that hold no line are left out."""
     edges = np.geomspace(*estimation.whiten.band_hz, SPECTRUM_BANDS + 1)
     sums, counts = np.zeros((4, SPECTRUM_BANDS)), np.zeros(SPECTRUM_BANDS)
@@ -333,15 +342,15 @@ def _spectrum(estimation: EstimationProblem, answers: Answers, quantity: str, wh
         counts += len(chosen) * np.bincount(band, minlength=SPECTRUM_BANDS)
         sums += [np.bincount(band, d[chosen].sum(axis=0), SPECTRUM_BANDS) for d in densities]
     kept = counts > 0
-    amplitudes = np.sqrt(sums[:, kept] / counts[kept])
-    kind, unit = KINDS[quantity]
+    kind, unit, scale = quantities.signal("force" if quantity == "for" else quantity)
+    amplitudes = scale * np.sqrt(sums[:, kept] / counts[kept])
     return Spectrum(f"{whose} {kind}", unit, np.sqrt(edges[1:] * edges[:-1])[kept], *amplitudes)
 
 
 def _whose(signal: str) -> str:
     """Name what a signal is of: `carriages'`."""
     of = signal[4:]
-    return {"q": "axis'", "motor": "motor's"}.get(of, "carriages'" if of in "ABC" else "nozzle's")
+    return {"q": "axis'", "motor": "motor's", "e": "drive's"}.get(of, "carriages'" if of in "ABC" else "nozzle's")
 
 
 def _densities(
@@ -380,15 +389,15 @@ def _confounding(diagnosis: Diagnosis) -> Confounding:
     return Confounding(tuple(s.candidate.name for s in seen), table)
 
 
-def _retuned(diagnosis: Diagnosis) -> list[Retuned]:
+def _retuned(diagnosis: Diagnosis, quantities: Quantities) -> list[Retuned]:
     """List every parameter of the machine file, those that moved furthest first."""
     full = diagnosis.base if diagnosis.best is None else diagnosis.best.fit
     values = diagnosis.final.values
     intervals = diagnosis.intervals or intervals_of(diagnosis.estimation, full, values)
     numbers = [n for n in full.parameters if of_machine(n.name)]
-    rows = [_row(n, values.get(n.name, n.start), intervals[n.name]) for n in numbers]
+    rows = [_row(n, quantities.key(n.name), values.get(n.name, n.start), intervals[n.name]) for n in numbers]
     return sorted(rows, key=lambda r: -abs(r.now.value - r.start) / r.sd)
 
 
-def _row(n: Parameter, value: float, interval: Estimate) -> Retuned:
-    return Retuned(n.name, n.start, n.sd, interval, abs(value - n.start) > RETUNED_SD * n.sd)
+def _row(n: Parameter, key: str, value: float, interval: Estimate) -> Retuned:
+    return Retuned(key, n.start, n.sd, interval, abs(value - n.start) > RETUNED_SD * n.sd)

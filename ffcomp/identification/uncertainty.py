@@ -27,6 +27,10 @@ class Estimate:
         """Standard uncertainty over value."""
         return self.sd / abs(self.value) if self.value else np.inf
 
+    def scaled(self, by: float) -> Estimate:
+        """Return the estimate in another unit."""
+        return Estimate(by * self.value, by * self.sd, by * self.low, by * self.high)
+
 
 def normal(value: float, sd: float) -> Estimate:
     """Estimate with a normal distribution."""

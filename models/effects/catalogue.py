@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import lru_cache
 from typing import Any, Protocol
 
 from models.arrays import FloatArray
@@ -32,6 +33,14 @@ def effect_named(name: str) -> Effect:
     if name not in CATALOGUE:
         raise ValueError(f"effects.{name} is not an effect ffcomp knows; it knows {', '.join(CATALOGUE)}.")
     return CATALOGUE[name]
+
+
+@lru_cache(maxsize=8)
+def catalogue_of(quantities: Quantities, moves: str) -> Mapping[str, Effect]:
+    """Return the effects by name, in the words, keys and units in which people are told of them on such a machine."""
+    if moves != "axis":
+        return CATALOGUE
+    return {name: effect.on_axis(quantities) if moves in effect.of else effect for name, effect in CATALOGUE.items()}
 
 
 def effects_of(moves: str) -> tuple[str, ...]:

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from models.arrays import FloatArray
-from models.effects.effect import AT_DRIVE, USUAL_SHARE, Effect, OnAxis, Parameter, Terms, Values
+from models.effects.effect import AT_DRIVE, USUAL_SHARE, AxisWords, Effect, OnAxis, Parameter, Terms, Values
 from models.machine import Machine
 from models.vibration.driven_axis import DrivenAxis
 
@@ -53,6 +53,15 @@ BELT_STIFFNESS = Effect(
     remedy="Check the belts' tension{where}, and tension them alike (same note when plucked).",
     corrects_file=True,
     of_motors=True,
+    axis_words=AxisWords(
+        title="A drive or coupling stiffer or softer than the file says",
+        physics="Tension, temperature, wear, or a formula that leaves out what else gives way.",
+        remedy="Measure the stiffness again, clamps, shafts and mounts included, and write it in the file.",
+        confounded_with={
+            "coulomb_friction": "Two amplitudes: a stiffness is the same for both.",
+            "belt_hardening": "Two amplitudes: a constant stiffness is the same for both.",
+        },
+    ),
 )
 
 
@@ -94,6 +103,15 @@ BELT_DAMPING = Effect(
     remedy="Nothing to mend: write the share in the file, belt_damping_share of each axis{where}.",
     corrects_file=True,
     of_motors=True,
+    axis_words=AxisWords(
+        title="Damping across the drive, not against the ground",
+        physics="What damps the motion sits in the belt, the strip or the servo's law, not in bearings.",
+        remedy="Nothing to mend: write it in the file, drive_damping in place of damping.",
+        confounded_with={
+            "command_delay": "Tones above the resonance: there a delay turns the phase on, damping only once.",
+            "guide_damping": "A steady speed: only damping against the ground holds back there.",
+        },
+    ),
 )
 
 
@@ -179,6 +197,15 @@ BELT_HARDENING = Effect(
     needs="spring",
     remedy="Tension the belts{where}: a belt that stiffens as it is pulled hangs loose, or a clamp gives.",
     of_motors=True,
+    axis_words=AxisWords(
+        title="A drive or coupling that stiffens, or softens, as it is stretched",
+        physics="Strips, couplings and springs of magnets are no straight springs.",
+        remedy="Look at what bends: its clamps, its end stops, its preload.",
+        confounded_with={
+            "belt_stiffness": "Two amplitudes: only here the stiffness depends on them.",
+            "pendulum_gravity": "The drive switched off: gravity stays, a drive that softens does not.",
+        },
+    ),
 )
 
 
@@ -230,6 +257,15 @@ BELT_BACKLASH = Effect(
     needs="spring",
     remedy="Look for play{where}: loose pulley screws, worn arms or joints, a belt clamp that gives.",
     of_motors=True,
+    axis_words=AxisWords(
+        title="Play in the drive or coupling",
+        physics="Gear, key or joint move freely through a dead band; spring and damper act outside it.",
+        remedy="Look for play: gear teeth, keys, pins, couplings; preload them.",
+        confounded_with={
+            "coulomb_friction": "Friction acts whenever the motion turns back, play only when the drive's force does.",
+            "belt_hardening": "Small motions: play gives way most there, a hardening spring too, but without a knock.",
+        },
+    ),
 )
 
 
@@ -351,6 +387,14 @@ COGGING = Effect(
     needs="command",
     remedy="Calibrate the drivers' microsteps or lower the current{where}; stiffer mounts do not help.",
     of_motors=True,
+    axis_words=AxisWords(
+        title="A drive that ripples once per cycle of its motor",
+        physics="The rotor's equilibrium between full steps is not where an even current split would put it.",
+        remedy="Calibrate the driver's microsteps or its encoder, or lower the current.",
+        confounded_with={
+            "belt_stiffness": "Several speeds: a resonance stays where it is, ripple moves with the speed."
+        },
+    ),
 )
 
 
@@ -385,6 +429,16 @@ COMMAND_DELAY = Effect(
     terms=_delay_terms,
     remedy="Nothing to mend: the firmware or drives act late{where}. With it in the file it is compensated.",
     of_motors=True,
+    axis_words=AxisWords(
+        title="A drive that acts late",
+        physics="Electronics, filters and buses take time; what drives the axis is what was given a moment ago.",
+        remedy="Nothing to mend: drive or sensors are late. With it in the file it is accounted for.",
+        confounded_with={
+            "guide_damping": "Several speeds and frequencies: damping lowers a resonance, a delay does not.",
+            "belt_damping": "Tones above the resonance: there a delay turns the phase on, damping only once.",
+            "sensor_lag": "Two sensors of one motion: a late drive is late in both.",
+        },
+    ),
 )
 
 EFFECTS = (

@@ -12,6 +12,7 @@ import numpy as np
 
 from models.arrays import FloatArray
 from models.machine import Machine
+from models.quantities import Quantities
 
 Kind = Literal["parameter", "force", "command", "frame", "sensor"]
 Size = Literal["scalar", "per_tower", "vector3", "direction", "lines"]
@@ -75,6 +76,13 @@ class Parameter:
     instead_of: tuple[str, ...] = ()  # other shapes, which have no say where this one is given
     on_printers: tuple[float, float] | None = None  # where a diagnosis looks for it, if not in all of `bounds`
     on_axis: OnAxis = OnAxis()
+
+    def on(self, quantities: Quantities, meaning: str) -> Parameter:
+        """Return the parameter by the keys, units and numbers of an axis; only to tell people of it."""
+        scale = quantities.scale(self.name)
+        low, high = self.typical
+        unit, key = quantities.unit(self.unit), quantities.key(self.name)
+        return replace(self, name=key, unit=unit, meaning=meaning, typical=(scale * low, scale * high))
 
     @property
     def neutral(self) -> float:
@@ -159,6 +167,17 @@ class Signals:
 
 
 @dataclass(frozen=True)
+class AxisWords:
+    """What an effect of printers is called on one axis by itself, which has no carriages, belts or rails."""
+
+    title: str
+    physics: str
+    remedy: str
+    confounded_with: Mapping[str, str]
+    meanings: Mapping[str, str] = field(default_factory=dict)  # of parameters
+
+
+@dataclass(frozen=True)
 class Effect:
     """One way in which a printer differs from the model.
 
@@ -189,6 +208,7 @@ class Effect:
     needs: Literal["", "spring", "command", "freedom", "turning", "accelerometer"] = ""
     contains: str = ""  # an effect of which it has all numbers, and more
     corrects_file: bool = False  # it is a number of the machine file that is wrong, and no more
+    axis_words: AxisWords | None = None  # None: its words are of any machine
     of_motors: bool = False  # its values are of belts and motors, not of carriages or axes
     shifts_time: bool = False  # a recorded sample depends on others than itself
 
@@ -210,6 +230,24 @@ class Effect:
     def shapes(self) -> tuple[Parameter, ...]:
         """All other parameters."""
         return tuple(parameter for parameter in self.parameters if parameter.role == "shape")
+
+    def on_axis(self, quantities: Quantities) -> Effect:
+        """Return the effect in the words, keys and units of one axis by itself."""
+        words = self.axis_words or AxisWords(self.title, self.physics, self.remedy, self.confounded_with)
+
+        def told(parameters: Sequence[Parameter]) -> tuple[Parameter, ...]:
+            return tuple(p.on(quantities, words.meanings.get(p.name, p.meaning)) for p in parameters)
+
+        return replace(
+            self,
+            title=words.title,
+            physics=words.physics,
+            remedy=words.remedy,
+            confounded_with=words.confounded_with,
+            parameters=told(self.parameters),
+            of_axis=told(self.of_axis),
+            of_printers=(),
+        )
 
     def missing(self, table: Mapping[str, Any]) -> list[str]:
         """Name the shapes that a table lacks: with an amplitude, it must give all that have no default."""

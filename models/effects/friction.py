@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from models.effects.effect import USUAL_SHARE, Effect, OnAxis, Parameter, Size, Terms, Values
+from models.effects.effect import USUAL_SHARE, AxisWords, Effect, OnAxis, Parameter, Size, Terms, Values
 from models.machine import Machine
 
 LEAST_FORCE_N = 1e-12  # of a weight
@@ -90,6 +90,16 @@ GUIDE_DAMPING = Effect(
     of=("carriages", "axes", "axis"),
     remedy="Check the rails{where} for stiff grease and tight carriages; warm grease damps less.",
     corrects_file=True,
+    axis_words=AxisWords(
+        title="More viscous friction",
+        physics="Grease and seals shear: a resistance in proportion to speed.",
+        remedy="Check bearings and gear for stiff grease or tight seals; warm grease damps less.",
+        confounded_with={
+            "command_delay": "Several speeds and frequencies: a delay keeps a resonance's height.",
+            "coulomb_friction": "Two speeds: dry friction does not grow with speed.",
+            "quadratic_drag": "Two speeds: viscous friction is in proportion to them.",
+        },
+    ),
 )
 
 
@@ -143,6 +153,18 @@ COULOMB_FRICTION = Effect(
     of_printers=(PRESLIDING,),
     terms=_dry_terms,
     remedy="Clean and oil the rails{where}; check that no belt rubs and no carriage is over-tightened.",
+    axis_words=AxisWords(
+        title="Dry friction",
+        physics="Bearings, seals and gears hold back alike at every speed, and hold fast at rest.",
+        remedy="Check bearings, seals and gear: their oil and preload.",
+        confounded_with={
+            "stribeck_friction": "Slow motions: only Stribeck friction falls with speed.",
+            "guide_damping": "Two speeds: viscous friction grows with speed, dry friction does not.",
+            "belt_backlash": "Play needs the drive's force to change sign, friction the speed.",
+            "friction_by_load": "Two loads at one speed: dry friction is the same for both.",
+        },
+        meanings={"force_n": "F_C: at any speed"},
+    ),
 )
 
 
@@ -205,6 +227,12 @@ STRIBECK_FRICTION = Effect(
     terms=_stribeck_terms,
     contains="coulomb_friction",
     remedy="Clean and oil the rails{where}: they stick at rest; a thinner oil, or fresh bearings, help.",
+    axis_words=AxisWords(
+        title="Dry friction with a surplus at rest",
+        physics="Grease and seals stick at rest; the surplus over dry friction fades as the lubricant is drawn in.",
+        remedy="Check bearings, seals and gear: they stick at rest; a thinner oil, or fresh bearings, help.",
+        confounded_with={"coulomb_friction": "Motions slower than v_s: only here the friction rises towards rest."},
+    ),
 )
 
 

@@ -40,7 +40,7 @@ SENSOR_GAIN = Effect(
     measure=_scaled,
     of=("carriages", "axes", "axis"),
     needs="accelerometer",
-    remedy="Nothing to mend on the printer: calibrate the accelerometer, or its unit.",
+    remedy="Nothing to mend on the machine: calibrate the accelerometer, or its unit.",
 )
 
 

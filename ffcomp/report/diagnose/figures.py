@@ -42,7 +42,6 @@ TITLES = {
     "size of motion": "By size of motion",
     "motor's step cycle": "By the motor's phase",
 }
-UNITS = {"acc": "m/s²", "pos": "mm"}
 ON_PALE, ON_DENSE = "#1f2a38", "#fefefe"  # words in cells that have the same colours on a dark screen
 FEW_STEPS = 6  # steps, each with a tick of its own
 LEAST_SHOWN = 0.5  # of the noise
@@ -78,7 +77,7 @@ def overlays(summary: DiagnosisSummary) -> list[Drawing]:
 
 
 def _overlay(each: Overlay) -> Drawing:
-    draw = partial(draw_overlay, overlay=each, unit=UNITS[each.signal[:3]])
+    draw = partial(draw_overlay, overlay=each, unit=each.unit)
     return Drawing("overlay", f"{each.signal} in {Path(each.recording).name}", _left(each), "", 5.4, 3.8, draw)
 
 

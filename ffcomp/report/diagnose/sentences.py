@@ -154,7 +154,7 @@ def _odds(confidence: float) -> str:
 def _confounded(result: DiagnosisResult) -> str:
     if not result.confounded_with:
         return "No other effect that these runs could show looks like it."
-    names = joined([f"{name} ({title(name)})" for name, _ in result.confounded_with], "or")
+    names = joined([f"{name} ({title(name, result.names.catalogue)})" for name, _ in result.confounded_with], "or")
     return f"It may be taken for {names}; what tells them apart stands below."
 
 
@@ -172,10 +172,11 @@ def _nearest_promise(report: ReportInput) -> list[str]:
     if not seen:
         return []
     first = max(seen, key=lambda p: p.gain)
+    named = title(first.name, report.result.names.catalogue)
     if first.gain < 0:
-        return [f"No effect would have been worth its cost; {first.name} ({title(first.name)}) came nearest."]
+        return [f"No effect would have been worth its cost; {first.name} ({named}) came nearest."]
     return [
-        f"{first.name} ({title(first.name)}) came nearest: it promised {evidence(first.gain)} in −2 ln Z, too little "
+        f"{first.name} ({named}) came nearest: it promised {evidence(first.gain)} in −2 ln Z, too little "
         "to call it an effect."
     ]
 

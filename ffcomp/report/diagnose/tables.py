@@ -26,8 +26,7 @@ from ffcomp.report.diagnose.words import (
     together,
 )
 from ffcomp.report.drawing import AFTER, BEFORE, SOFT
-from models.effects.catalogue import CATALOGUE
-from models.effects.effect import Parameter
+from models.effects.effect import Effect, Parameter
 
 OF_THREE = {"per_tower": "ABC", "vector3": "xyz"}
 SHOWN_COS2 = 0.3
@@ -76,7 +75,7 @@ def evidence_rows(summary: DiagnosisSummary) -> list[EvidenceRow]:
     return [
         EvidenceRow(
             together(e.effects),
-            "; ".join(title(name) for name in e.effects),
+            "; ".join(title(name, summary.catalogue) for name in e.effects),
             digits(times_noise(e.left)),
             evidence(e.against_best),
             e.parameters,
@@ -102,7 +101,7 @@ def promise_rows(summary: DiagnosisSummary) -> list[PromiseRow]:
     return [
         PromiseRow(
             p.name,
-            title(p.name),
+            title(p.name, summary.catalogue),
             evidence(p.gain),
             _sigmas(p.strength),
             p.visible,
@@ -188,18 +187,23 @@ class EffectRow:
 
 def effect_rows(result: DiagnosisResult, effect: str) -> list[EffectRow]:
     """Every number, in the order of the catalogue."""
-    intervals = _of(result.intervals, effect)
+    intervals = _of(result, effect)
     return [
         _row(parameter, name, estimate, result.effects[effect])
-        for parameter in CATALOGUE[effect].by_name.values()
+        for parameter in result.names.catalogue[effect].by_name.values()
         for name, estimate in intervals.items()
         if name.partition("[")[0] == parameter.name
     ]
 
 
-def _of(intervals: Mapping[str, Estimate], effect: str) -> dict[str, Estimate]:
-    prefix = f"effects.{effect}."
-    return {name.removeprefix(prefix): e for name, e in intervals.items() if name.startswith(prefix)}
+def _of(result: DiagnosisResult, effect: str) -> dict[str, Estimate]:
+    """Return the estimates of an effect by its keys in the machine's file, and in its units."""
+    prefix, quantities = f"effects.{effect}.", result.names.quantities
+    return {
+        quantities.key(name.removeprefix(prefix)): e.scaled(quantities.scale(name))
+        for name, e in result.intervals.items()
+        if name.startswith(prefix)
+    }
 
 
 def _row(p: Parameter, name: str, e: Estimate, table: Mapping[str, Any]) -> EffectRow:
@@ -210,7 +214,8 @@ def _row(p: Parameter, name: str, e: Estimate, table: Mapping[str, Any]) -> Effe
     if e.value >= INFINITELY:
         return EffectRow(name, "no effect", "", usual, p.meaning)
     value, _, range_90 = interval(e, p.unit).partition(" (90 %: ")
-    meaning = f"{p.meaning}, {OF_THREE[p.size][int(name[-2])]}" if "[" in name else p.meaning
+    which = OF_THREE.get(p.size) if "[" in name else None
+    meaning = f"{p.meaning}, {which[int(name[-2])]}" if which else p.meaning
     return EffectRow(name, value, range_90.rstrip(")"), usual, meaning)
 
 
@@ -222,18 +227,19 @@ def _direction(value: Any) -> str:
 
 def in_words(result: DiagnosisResult, effect: str) -> str:
     """`more on the nozzle holder (effector_mass): added_kg 0.0801 kg (90 %: 0.0795 to 0.0807)`."""
-    amplitudes = [_amplitude(result, effect, p) for p in CATALOGUE[effect].amplitudes]
+    amplitudes = [_amplitude(result, effect, p) for p in result.names.catalogue[effect].amplitudes]
     numbers = joined([words for words in amplitudes if words])
-    return f"{title(effect)} ({effect}){f': {numbers}' if numbers else ''}"
+    return f"{title(effect, result.names.catalogue)} ({effect}){f': {numbers}' if numbers else ''}"
 
 
 def _amplitude(result: DiagnosisResult, effect: str, p: Parameter) -> str:
-    values = [e for name, e in _of(result.intervals, effect).items() if name.partition("[")[0] == p.name]
+    values = [e for name, e in _of(result, effect).items() if name.partition("[")[0] == p.name]
     if len(values) == 1:
         return interval(values[0], p.unit)
     if not values:
         return ""
-    each = joined([f"{axis} {digits(e.value)}" for axis, e in zip(OF_THREE[p.size], values, strict=True)])
+    names = OF_THREE.get(p.size, tuple(str(i + 1) for i in range(len(values))))
+    each = joined([f"{name} {digits(e.value)}" for name, e in zip(names, values, strict=True)])
     return f"{each}{f' {p.unit}' if p.unit else ''} ({p.meaning})"
 
 
@@ -259,10 +265,14 @@ def confounded_rows(result: DiagnosisResult, summary: DiagnosisSummary) -> list[
             continue
         row = alike.cos2[alike.names.index(name)]
         others = [(alike.names[i], float(row[i])) for i in np.argsort(-row) if alike.names[i] not in named]
-        rows += [_confounded(name, other, c) for other, c in others[:MOST_CONFOUNDED] if c > SHOWN_COS2]
+        rows += [
+            _confounded(name, other, c, result.names.catalogue)
+            for other, c in others[:MOST_CONFOUNDED]
+            if c > SHOWN_COS2
+        ]
     return rows
 
 
-def _confounded(name: str, other: str, cos2: float) -> Confounded:
-    apart = CATALOGUE[name].confounded_with.get(other) or CATALOGUE[other].confounded_with.get(name) or ""
-    return Confounded(name, other, title(other), f"{cos2:.2f}", apart)
+def _confounded(name: str, other: str, cos2: float, catalogue: Mapping[str, Effect]) -> Confounded:
+    apart = catalogue[name].confounded_with.get(other) or catalogue[other].confounded_with.get(name) or ""
+    return Confounded(name, other, title(other, catalogue), f"{cos2:.2f}", apart)

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from ffcomp.diagnosis.words import digits as digits
 from ffcomp.diagnosis.words import joined as joined
 from ffcomp.diagnosis.words import most_of as most_of
 from ffcomp.diagnosis.words import percent as percent
 from ffcomp.identification.uncertainty import Estimate
-from models.effects.catalogue import CATALOGUE
+from models.effects.effect import Effect
 
 INFINITELY = 1e6  # beyond that nobody wants the digits
 
@@ -41,9 +41,9 @@ def evidence(value: float) -> str:
     return f"{mantissa}·10{str(int(power)).translate(str.maketrans('0123456789', '⁰¹²³⁴⁵⁶⁷⁸⁹'))}"
 
 
-def title(effect: str) -> str:
+def title(effect: str, catalogue: Mapping[str, Effect]) -> str:
     """`more on the nozzle holder`: to stand inside a sentence."""
-    words = CATALOGUE[effect].title
+    words = catalogue[effect].title
     return words[0].lower() + words[1:]
 
 

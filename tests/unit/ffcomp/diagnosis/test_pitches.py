@@ -6,8 +6,11 @@ import numpy as np
 import pytest
 
 from ffcomp.diagnosis.axis_problem import AxisProblem
-from ffcomp.diagnosis.pitches import likely_pitches
+from ffcomp.diagnosis.pitches import likely_pitches, pitches_of_force
 from ffcomp.identification.axis_shots import shots_of
+from ffcomp.measurement.axis_run import AxisRun
+from models.kinds import machine_of_axis
+from models.vibration.driven_axis import DrivenAxis
 from tests.unit.ffcomp.diagnosis.test_axis_problem import DRIVE, runs_of
 
 
@@ -33,3 +36,17 @@ def test_a_ripple_is_looked_for_at_the_pitches_of_the_data() -> None:
     pitch = next(n for n in cogging.shapes if n.name.endswith("pitch_mm"))
     assert abs(1 / pitch.start - 1 / 1.7) < 0.3 / float(np.ptp(runs[0].drive))
     assert {point[pitch.name] for point in cogging.grid} >= {pitch.start}
+
+
+def test_lines_of_cogging_are_seen_in_the_force_of_what_turns() -> None:
+    """Three lines a turn, of a rotor that is turned slowly by a known torque; without them no pitch is told."""
+    motor = machine_of_axis("motor", DrivenAxis("current", 0.004, 0.0, 0.01, unit="rad"))
+    t = np.arange(4000) / 400.0
+    q, v, a = 0.5 * t + 0.05 * np.sin(3 * t), 0.5 + 0.15 * np.cos(3 * t), -0.45 * np.sin(3 * t)
+    plain = 0.004 * a + 0.01 * v + 1e-3 * np.random.default_rng(3).normal(size=len(t))
+    lines = sum(s * np.sin(n * q) + c * np.cos(n * q) for n, s, c in ((7, 0.8, 0.0), (28, 0.0, 0.5), (12, 0.3, 0.2)))
+    told = []
+    for force in (plain, plain + lines):
+        run = AxisRun("a.csv", t, force, True, {}, {"pos_q": 1e3 * q}, {}, input="current")
+        told.append([round(2e3 * np.pi / x) for x in pitches_of_force(motor, shots_of(motor, [run]), 6)])
+    assert told[0] == [] and sorted(told[1]) == [7, 12, 28]
