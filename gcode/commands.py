@@ -29,11 +29,13 @@ class Effect(NamedTuple):
     moves_itself: bool = False
     returns: bool = False
     raw: RawMove | None = None
+    lasts_s: float = 0.0
 
 
 Handler = Callable[[Modal, Command], Effect]
 
 _TOOL_NAME = re.compile(r"T(-?\d+|\?)")
+_FILAMENT_NAME = re.compile(r"T[0-3]?\d")  # others, as Bambu's T255 and T1000, are no filaments
 _M_CODE = re.compile(r"M\d+(\.\d+)?")
 _STATUS_NAME = re.compile(r"_?STATUS_[A-Z_]+|_?SET_\w*LEDS?\w*")  # Voron's Stealthburner and its like
 _PARK_NAME = re.compile(r"P\d+")  # Prusa XL: the tool that is picked up next comes from the dock
@@ -93,8 +95,10 @@ def _stay(modal: Modal, command: Command) -> Effect:
 
 
 def _home(modal: Modal, command: Command) -> Effect:
-    modal.home(command.letters() & set("XYZ"))
-    return MOVED
+    """G28; where the machine file says where it ends, that place is stated before the next move, as after a macro."""
+    axes = command.letters() & set("XYZ")
+    modal.home(axes)
+    return MOVED if axes or modal.homed is None else RETURNED
 
 
 def _unknown(modal: Modal, command: Command) -> Effect:
@@ -114,7 +118,12 @@ def _refuse(modal: Modal, command: Command) -> Effect:
 def _tool(modal: Modal, command: Command) -> Effect:
     same = command.name == (modal.tool or "T0")  # firmware begins with its first tool
     modal.tool = command.name
-    return STOP if same else _move_away(modal, command)
+    before, has_filament = modal.filament, _FILAMENT_NAME.fullmatch(command.name) is not None
+    modal.filament = command.name if has_filament else before
+    if same:
+        return STOP
+    changes = has_filament and before not in ("", command.name)
+    return _move_away(modal, command)._replace(lasts_s=modal.filament_change_s if changes else 0.0)
 
 
 def _dwell(modal: Modal, command: Command) -> Effect:
@@ -335,8 +344,11 @@ def _axis_acceleration(modal: Modal, command: Command) -> Effect:
 
 @_not_in_klipper
 def _axis_velocity(modal: Modal, command: Command) -> Effect:
+    per_s = 1 / 60 if modal.flavor == "reprapfirmware" else 1.0
     if (value := _smallest_xy(modal, command)) is not None:
-        modal.set_caps(velocity=value / 60 if modal.flavor == "reprapfirmware" else value)
+        modal.set_caps(velocity=value * per_s)
+    if (filament := command.settings().get("E")) is not None:
+        modal.set_caps(filament_velocity=_positive(filament, command) * modal.unit * per_s)
     return LIMITS
 
 

@@ -272,6 +272,16 @@ def _coordinate(word: float, unit: float, place: float, origin: float, relative:
     return word * unit + (place if relative else origin)
 
 
+def _speed_for_filament(steps: FloatArray, most: FloatArray) -> FloatArray:
+    """Return at which speed (n,) filament moves at most so quickly; NaN: it does not move, or may be as quick as it is.
+
+    steps : (n, 4) mm, columns X Y Z E;  most : (n,) mm/s of filament
+    """
+    length, filament = np.linalg.norm(steps[:, :3], axis=1), np.abs(steps[:, 3])
+    way = np.where(length > 0.0, length, filament)
+    return most * np.divide(way, filament, out=np.full(len(way), np.nan), where=filament > 0.0)
+
+
 class MoveTable:
     """Moves as they are read. A move starts where the last one ended, except where `jumps` says otherwise."""
 
@@ -303,18 +313,28 @@ class MoveTable:
         frame = frame_of_state[state]
         columns = np.array(
             [
-                (a.velocity, a.acceleration, a.travel_acceleration, a.square_corner_velocity, a.minimum_cruise_ratio)
+                (
+                    a.velocity,
+                    a.acceleration,
+                    a.travel_acceleration,
+                    a.square_corner_velocity,
+                    a.minimum_cruise_ratio,
+                    a.filament_velocity,
+                )
                 for a in limits
             ]
         )
-        velocity, acceleration, travel, corner, cruise_ratio = np.take(columns.T, limit, axis=1)
+        velocity, acceleration, travel, corner, cruise_ratio, filament = np.take(columns.T, limit, axis=1)
         start, end = self._starts(), self.ends[: self.count]
+        speed = np.array([a.feed_mm_per_s for a in frames])[frame]
+        if not np.isnan(filament).all():
+            speed = np.fmin(speed, _speed_for_filament(end - start, filament))
         travels = (end[:, 3] == start[:, 3]) & ~np.isnan(travel)
         return Moves(
             line=line,
             start=start,
             end=end,
-            speed=np.array([a.feed_mm_per_s for a in frames])[frame],
+            speed=speed,
             frame=frame,
             velocity_limit=velocity,
             acceleration=np.where(travels, travel, acceleration),
@@ -353,6 +373,6 @@ class EventTable:
         events = [Event(*row) for row in passing]
         for number, effect in self.effects.items():
             line, move, _, frame, *_ = events[number]
-            flags = effect.moves_itself, effect.returns, effect.raw
+            flags = effect.moves_itself, effect.returns, effect.raw, effect.lasts_s
             events[number] = Event(line, move, effect.kind, frame, effect.dwell_s, effect.touches_limits, *flags)
         return events

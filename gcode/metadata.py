@@ -154,6 +154,19 @@ def slicer_time_s(lines: Iterable[bytes]) -> float | None:
     return None
 
 
+_FILAMENT_TIME = re.compile(
+    rb"^; (?:machine_load_filament_time|machine_unload_filament_time|machine_tool_change_time|filament_load_time"
+    rb"|filament_unload_time) = ([\d.]+)",
+    re.MULTILINE,
+)
+
+
+def filament_change_s(head: bytes, tail: bytes) -> float:
+    """Return what a change of filament takes by the slicer's settings in a file's ends, s; 0: nothing is said."""
+    settings = tail if _FILAMENT_TIME.search(tail) else head
+    return sum(float(seconds) for seconds in _FILAMENT_TIME.findall(settings))
+
+
 def stated_time(line: bytes) -> bytes:
     """Return the time in a line that tells one, as it is written there."""
     hit = _matched(line)

@@ -61,6 +61,7 @@ class Event(NamedTuple):
     moves_itself: bool = False  # the firmware may move, uncompensated: homing, a macro, a pause, a raw move
     returns: bool = False  # and comes back to where it was
     raw: RawMove | None = None  # of a RAW_MOVE
+    lasts_s: float = 0.0  # what the slicer says that the machine does by itself: a change of filament
 
 
 def shifted(
@@ -79,8 +80,9 @@ def shifted(
             moves,
             returns,
             raw,
+            lasts_s,
         )
-        for at, before, kind, at_frame, dwell_s, limits, moves, returns, raw in events
+        for at, before, kind, at_frame, dwell_s, limits, moves, returns, raw, lasts_s in events
     ]
 
 
@@ -156,6 +158,7 @@ class MotionLimits:
     square_corner_velocity: float = nan  # mm/s
     minimum_cruise_ratio: float = nan  # -
     travel_acceleration: float = nan  # mm/s², Marlin and RepRapFirmware: of moves that do not extrude; NaN: no other
+    filament_velocity: float = nan  # mm/s of filament, likewise
 
 
 MACHINE_LIMITS = MotionLimits()

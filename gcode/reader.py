@@ -61,6 +61,7 @@ def read_program(
     returns: Iterable[str] = (),
     still: Iterable[str] = (),
     homed_mm: tuple[float, float, float] | None = None,
+    filament_change_s: float = 0.0,
 ) -> Program:
     """Read a file's bytes.
 
@@ -83,6 +84,8 @@ def read_program(
         Of macros that move nothing, besides those that are known not to.
     homed_mm : (x, y, z) mm or None
         Where homing all axes ends; None: not known.
+    filament_change_s : s
+        What a change of filament takes, by itself.
 
     Raises
     ------
@@ -90,7 +93,8 @@ def read_program(
         A line that cannot be followed, with its number.
     """
     flavor = flavor or detect_flavor([data])
-    return _Reader(path, start, offset_mm, arc_tolerance_mm, flavor, (returns, still), homed_mm).program(data)
+    reader = _Reader(path, start, offset_mm, arc_tolerance_mm, flavor, (returns, still), homed_mm, filament_change_s)
+    return reader.program(data)
 
 
 def read_parts(
@@ -105,6 +109,7 @@ def read_parts(
     returns: Iterable[str] = (),
     still: Iterable[str] = (),
     homed_mm: tuple[float, float, float] | None = None,
+    filament_change_s: float = 0.0,
 ) -> Iterator[Program]:
     """Read a file of any length in parts: consecutive programs that together say what `read_program` says.
 
@@ -123,7 +128,7 @@ def read_parts(
 
     Other parameters, and errors, are those of `read_program`; an error comes when its part is read.
     """
-    reader = _Reader(path, start, offset_mm, arc_tolerance_mm, flavor, (returns, still), homed_mm)
+    reader = _Reader(path, start, offset_mm, arc_tolerance_mm, flavor, (returns, still), homed_mm, filament_change_s)
     parts = chain(whole_lines(blocks, part_bytes), [b""])
     for data, ahead in pairwise(parts):
         yield reader.program(data, ahead[:_BYTES_AHEAD])
@@ -160,10 +165,18 @@ class _Reader:
         flavor: str,
         macros: tuple[Iterable[str], Iterable[str]],
         homed: tuple[float, float, float] | None,
+        filament_change_s: float,
     ) -> None:
         self.path, self.arc_tolerance = path, arc_tolerance
         returns, still = (frozenset(map(str.upper, names)) for names in macros)
-        self.modal = Modal(offset=offset, flavor=flavor, returns=returns, still=still, homed=homed)
+        self.modal = Modal(
+            offset=offset,
+            flavor=flavor,
+            returns=returns,
+            still=still,
+            homed=homed,
+            filament_change_s=filament_change_s,
+        )
         if start is not None:
             self.modal.position[:3] = [float(coordinate) for coordinate in start]
         self.warned: set[str] = set()  # what sentences were about

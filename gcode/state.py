@@ -62,6 +62,8 @@ class Modal:
     plane: str = "XY"
     motion: str = ""  # the last of G0 G1 G2 G3: what a line of bare words means
     tool: str = ""
+    filament: str = ""  # the last tool that has one
+    filament_change_s: float = 0.0  # what the slicer says that it takes
     flavor: str = "klipper"
     limits: MotionLimits = MACHINE_LIMITS
     requested: MotionLimits = MACHINE_LIMITS  # asked for by the file, before `caps`
@@ -267,7 +269,13 @@ class Modal:
         velocity = _smaller(self.requested.velocity, self.caps.velocity)
         acceleration = _smaller(self.requested.acceleration, self.caps.acceleration)
         travel = _smaller(self.requested.travel_acceleration, self.caps.acceleration)
-        self.limits = replace(self.requested, velocity=velocity, acceleration=acceleration, travel_acceleration=travel)
+        self.limits = replace(
+            self.requested,
+            velocity=velocity,
+            acceleration=acceleration,
+            travel_acceleration=travel,
+            filament_velocity=self.caps.filament_velocity,
+        )
 
 
 def _smaller(a: float, b: float) -> float:

@@ -61,7 +61,7 @@ class Writer:
         self.program, self.flavor, self.machine_limits, self.settings = program, flavor, limits, settings
         self.offset = offset
         self.inside = inside  # which points (n, 3) mm the firmware lets a command go to
-        self.raw_s = raw_s or {}  # what moves take that go out as they are, by their line
+        self.raw_s = raw_s or {}  # what lines take that go out as they are, by their index
         self.moves = MoveWriter()
         self.frame = 0
         self.open = False

@@ -48,7 +48,7 @@ from gcode.container import Source, blocks_of, ends_of
 from gcode.dialects import FlavorChoice, choose_flavor, sign_by_ends
 from gcode.embedded import WITHOUT_ORIGINAL, Stamp, find_offset, joined, offset_line, original_blocks, stamp_line
 from gcode.layers import LayerLookup
-from gcode.metadata import Timed
+from gcode.metadata import Timed, filament_change_s
 from gcode.program import Moves, Program
 from gcode.reader import read_parts
 from models.effects.catalogue import design_machine
@@ -403,7 +403,12 @@ class Job:
         if self.restore:
             blocks = original_blocks(blocks)
         return read_parts(
-            blocks, self.path, flavor=self.flavor, offset_mm=offset, **known_to_the_firmware(self.machine)
+            blocks,
+            self.path,
+            flavor=self.flavor,
+            offset_mm=offset,
+            filament_change_s=filament_change_s(*self._ends[:2]),
+            **known_to_the_firmware(self.machine),
         )
 
     def _chunks(self, parts: Iterable[Program], plain: bool) -> Iterator[Chunk]:

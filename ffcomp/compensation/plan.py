@@ -12,7 +12,7 @@ import numpy as np
 from ffcomp.compensation.chunks import Chunk
 from ffcomp.compensation.faster import Faster, faster_chunk
 from ffcomp.compensation.solve import solutions
-from ffcomp.compensation.statistics import Statistics, of_plan, of_raw, of_waits
+from ffcomp.compensation.statistics import Statistics, of_changes, of_plan, of_raw, of_waits
 from ffcomp.faster.bound import Bound
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.reference import WHOLE
@@ -50,7 +50,7 @@ class PlannedChunk:
     state: FloatArray | None = None  # (18,) of the plant as the chunk begins; None: at rest
     simulated: bool = False  # whether some of it is, for the prediction
     statistics: Statistics = field(default_factory=Statistics)  # what it takes by its plan
-    raw_s: Mapping[int, float] = field(default_factory=dict)  # what moves take that go out as they are, by their line
+    raw_s: Mapping[int, float] = field(default_factory=dict)  # what lines take that go out as they are: moves, changes
     waits_s: Mapping[int, float] = field(default_factory=dict)  # until ringing dies away, by a section's first move
 
     @staticmethod
@@ -87,27 +87,28 @@ def plan_chunk(chunk: Chunk, context: Context, model: InverseModel) -> PlannedCh
         slowed=tuple(each for each in chunk.slowed if each.seconds > 0.0),
         faster=faster,
     )
-    raw = _raw_events(chunk)
+    written = _written_events(chunk)
+    raw = [event for event in written if event.raw is not None]
     raw_s = raw_durations(raw, planner_limits(machine))
+    changes_s = {event.line: event.lasts_s for event in written if event.lasts_s}
     begun = planned.sections if chunk.extent.begin is None else planned.sections[1:]
     waits = {} if context.plain else settling_waits(planned, machine, raw_s, begun, chunk.since)
     by_plan = of_plan(planned, chunk.extent)
     if faster is not None and chunk.extent != WHOLE:  # what is written takes another time as it was sliced
         sliced = of_plan(plan_program(chunk.program, machine), chunk.extent)
         by_plan = replace(by_plan, original_print_time_s=sliced.original_print_time_s)
-    statistics = around + by_plan + of_raw(raw, raw_s) + of_waits(waits)
-    return PlannedChunk(chunk, planned, state, _is_simulated(chunk, context.share), statistics, raw_s, waits)
+    statistics = around + by_plan + of_raw(raw, raw_s) + of_changes(changes_s) + of_waits(waits)
+    is_simulated = _is_simulated(chunk, context.share)
+    return PlannedChunk(chunk, planned, state, is_simulated, statistics, raw_s | changes_s, waits)
 
 
-def _raw_events(chunk: Chunk) -> list[Event]:
-    """Return the moves that go out as they are, of those events that this chunk writes."""
+def _written_events(chunk: Chunk) -> list[Event]:
+    """Return the events that this chunk writes."""
     begin, end = chunk.extent
     return [
         event
         for event in chunk.program.events
-        if event.raw is not None
-        and (begin is None or event.move > begin.move)
-        and (end is None or event.move <= end.move)
+        if (begin is None or event.move > begin.move) and (end is None or event.move <= end.move)
     ]
 
 

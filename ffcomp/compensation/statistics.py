@@ -227,6 +227,12 @@ def of_raw(events: list[Event], seconds: Mapping[int, float]) -> Statistics:
     return Statistics(original_print_time_s=lasting_s, print_time_s=lasting_s, shares=shares)
 
 
+def of_changes(seconds: Mapping[int, float]) -> Statistics:
+    """Count changes of filament, which take as long before and after; `seconds` by the line's index."""
+    total_s = sum(seconds.values())
+    return Statistics(original_print_time_s=total_s, print_time_s=total_s)
+
+
 def of_waits(waits_s: Mapping[int, float]) -> Statistics:
     """Count waits until ringing has died away."""
     total_s = sum(waits_s.values())

@@ -199,7 +199,7 @@ KINDS = {
     "limited_corexy": "corexy",
 }
 TOWERS = "abc"
-HOMES_ELSEWHERE = ("safe_z_home", "homing_override", "gcode_macro g28")
+HOMES_ELSEWHERE = ("gcode_macro g28", "homing_override", "safe_z_home")
 FULL_STEPS_PER_ROTATION = 200.0
 SQUARE_CORNER_VELOCITY_MM_PER_S = 5.0
 CRUISE_RATIO = 0.5  # ffcomp plans with the firmware's default
@@ -216,8 +216,7 @@ def from_klipper(config: KlipperConfig) -> ConfigValues:
     """
     kind, origin = _kinematics(config)
     of_kind = _delta(config) if kind == "delta" else _straight(config)
-    homed = None if _homes_elsewhere(config) else (_homed_delta if kind == "delta" else _homed)(config)
-    homing = {"homing.position_mm": homed}
+    homing = {"homing.position_mm": _homed(config, kind)}
     values = known({**of_kind, **_limits(config), **_steps(config, TOWERS if kind == "delta" else AXES), **homing})
     shaper_hz = _shaper_hz(config) if kind == "delta" else ()
     return ConfigValues("Klipper", kind, origin, values, tuple(_notes(config)), shaper_hz)
@@ -319,11 +318,33 @@ def _shaped_axis(config: KlipperConfig, axis: str) -> dict[str, Value]:
 
 
 def _homes_elsewhere(config: KlipperConfig) -> str | None:
-    """Return the section by which homing ends elsewhere than at the endstops; None if there is none."""
-    return next((section for section, _ in config.options if section.lower() in HOMES_ELSEWHERE), None)
+    """Return the section by which homing ends elsewhere than at the endstops, the last word first; None: none."""
+    sections = {section.lower(): section for section, _ in config.options}
+    return next((sections[name] for name in HOMES_ELSEWHERE if name in sections), None)
 
 
-def _homed(config: KlipperConfig) -> Value | None:
+def _homed(config: KlipperConfig, kind: str) -> Value | None:
+    """Return where homing all axes leaves the nozzle; None: the configuration does not tell."""
+    elsewhere = _homes_elsewhere(config)
+    if elsewhere is None:
+        return _homed_delta(config) if kind == "delta" else _homed_straight(config)
+    return _homed_safely(config) if elsewhere.lower() == "safe_z_home" else None
+
+
+def _homed_safely(config: KlipperConfig) -> Value | None:
+    """Return the place of `[safe_z_home]`: above the bed by `z_hop`, to which Z is lifted after it has been homed."""
+    place, hop = config.text("safe_z_home", "home_xy_position"), config.number("safe_z_home", "z_hop", above=0)
+    back = config.text("safe_z_home", "move_to_previous")
+    if place is None or hop is None or (back is not None and back.text.lower() not in ("false", "no", "off", "0")):
+        return None
+    try:
+        x, y = (float(each) for each in place.text.split(","))
+    except ValueError:
+        return None
+    return converted([x, y, hop.number], "[safe_z_home] and its z_hop", hop)
+
+
+def _homed_straight(config: KlipperConfig) -> Value | None:
     """Return the endstops' position, if every axis has one; a probe that homes Z gives none."""
     endstops = [config.number(f"stepper_{axis}", "position_endstop") for axis in AXES]
     known_endstops = [each for each in endstops if each is not None]
@@ -415,7 +436,7 @@ def _gear_ratio(config: KlipperConfig, section: str) -> float:
 
 def _notes(config: KlipperConfig) -> Iterator[str]:
     yield from config.remarks
-    if elsewhere := _homes_elsewhere(config):
+    if (elsewhere := _homes_elsewhere(config)) and _homed(config, "") is None:
         yield (
             f"Homing ends where [{elsewhere}] leaves the nozzle: if that is always one place, give it as position_mm "
             "in [homing], and the first travel is compensated too."

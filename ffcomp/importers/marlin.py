@@ -120,7 +120,13 @@ def _delta(settings: Settings) -> dict[str, Value | None]:
         "kinematics.delta_radius_mm": settings["M665", "R"],
         "kinematics.tower_angles_deg": tower_angles([settings.get(("M665", letter)) for letter in "XYZ"]),
         "kinematics.print_height_mm": settings.get(("M665", "H")),
+        "homing.position_mm": _homed(settings.get(("M665", "H"))),
     }
+
+
+def _homed(height: Value | None) -> Value | None:
+    """Return where homing leaves the nozzle: over the middle, as high as M665 H."""
+    return None if height is None else converted([0.0, 0.0, height.number], "homing ends over the middle", height)
 
 
 def _arms(settings: Settings) -> list[Value | None]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import re
 from collections.abc import Callable
 from pathlib import Path
 from zipfile import ZipFile
@@ -120,7 +121,7 @@ def test_what_cannot_be_read_is_refused_and_stays(tmp_path: Path, verb: str, con
     path.write_bytes(content)
     machine = () if verb in ("show", "restore") else ("-m", MACHINE)
     refused = call(verb, path, *machine)
-    assert refused.exit_code == 4 and f"ffcomp: {path}: The " in refused.output
+    assert refused.exit_code == 4 and re.search(rf"ffcomp: {re.escape(str(path))}(:1)?: The ", refused.output)
     assert path.read_bytes() == content and [each.name for each in tmp_path.iterdir()] == [path.name]
 
 

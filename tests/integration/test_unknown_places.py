@@ -60,7 +60,10 @@ def test_the_first_travel_after_homing_is_compensated_where_homing_ends_is_known
     known = replace(machine, homed_mm=(150.0, 150.0, 10.0))
     text = shifted(HEAD + SQUARE)
     assert "\nG1 X100 Y100 F6000\n" in compensated(text, machine), "it goes out as it was"
-    assert "\n;~G1 X100 Y100 F6000\n" in compensated(text, known)
+    started = compensated(text, known)
+    assert "\n;~G1 X100 Y100 F6000\n" in started
+    stated = f"\nG1 X150.0000 Y150.0000 Z10.0000 F6000.000{OURS.decode()}\n"
+    assert started.index("\nG28\n") < started.index(stated) < started.index("SET_VELOCITY_LIMIT")
     far = replace(machine, homed_mm=(150.0, 150.0, 999.0))
     assert "\nG1 X100 Y100 F6000\n" in compensated(text, far), "out of reach: not planned from there"
 

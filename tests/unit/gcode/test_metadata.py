@@ -9,7 +9,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gcode.embedded import Stamp, find_stamp, stamp_line
-from gcode.metadata import Durations, Tells, Timed, retold, short, slicer_time_s, stated_time, tells, with_time
+from gcode.metadata import (
+    Durations,
+    Tells,
+    Timed,
+    filament_change_s,
+    retold,
+    short,
+    slicer_time_s,
+    stated_time,
+    tells,
+    with_time,
+)
 from tests.support.data import real
 
 TOTALS = [  # as the slicer writes it, s, and what is written for 93,784.6 s
@@ -127,3 +138,10 @@ def test_stamp_round_trip() -> None:
     stamp = Stamp("1.2.3", "MP Delta Pro, direct drive", "abcd1234", "klipper")
     assert find_stamp(b"; head\n" + line, b"") == find_stamp(b"", b"M84\n" + line) == stamp
     assert find_stamp(b"; Processed by another tool\n", b"") is None
+
+
+def test_what_a_change_of_filament_takes_is_in_the_settings() -> None:
+    bambu = b"; machine_load_filament_time = 25\n; machine_unload_filament_time = 29\n"
+    assert filament_change_s(b"G28\n", bambu) == filament_change_s(bambu, b"") == 54.0
+    assert filament_change_s(b"", b"; filament_load_time = 10.5,10.5\n; filament_unload_time = 8.5,8.5\n") == 19.0
+    assert filament_change_s(b"G28\n", b"M84\n") == 0.0

@@ -79,6 +79,11 @@ SPEEDS = [
     ("M220 B may set too", (MARLIN,), "M220 B S50\nG1 X11 F600", 5.0),
     ("others have no B and R", (KLIPPER, DUET), "M220 S80\nM220 B\nM220 S50\nM220 R\nG1 X11 F600", 5.0),
     ("M121 restores the feed", (DUET,), "G1 X11 F600\nM120\nG1 X12 F60\nM121\nG1 X13", 10.0),
+    ("M203 E holds back what pulls filament", (MARLIN,), "M203 E10\nG1 X11 E-2 F6000", 5.0),
+    ("in mm/min", (DUET,), "M203 E600\nG1 X11 E-2 F6000", 5.0),
+    ("a retraction too", (MARLIN,), "M203 E10\nG1 E-2 F6000", 10.0),
+    ("but no travel", (MARLIN,), "M203 E10\nG1 X11 F6000", 100.0),
+    ("Klipper reads no M203", (KLIPPER,), "M203 E10\nG1 X11 E-2 F6000", 100.0),
     ("F counts in inches", (MARLIN, DUET), "G20\nG1 X1 F60", 25.4),
 ]
 

@@ -263,6 +263,15 @@ def test_straight_axes_are_homed_at_their_endstops(tmp_path: Path) -> None:
     assert "homing.position_mm" not in probed.values
 
 
+def test_homing_ends_above_the_place_of_safe_z_home(tmp_path: Path) -> None:
+    safe = "[safe_z_home]\nhome_xy_position: 117.5, 110\nz_hop: 10\n"
+    says = found(tmp_path, COREXY + safe)
+    assert value(says, "homing.position_mm") == [117.5, 110.0, 10.0]
+    assert not any("[homing]" in note for note in says.notes)
+    for more in ("move_to_previous: True\n", "[homing_override]\ngcode:\n G28\n"):
+        assert "homing.position_mm" not in found(tmp_path, COREXY + safe + more).values
+
+
 @pytest.mark.parametrize("section", ["safe_z_home", "homing_override", "gcode_macro G28"])
 def test_homing_that_ends_elsewhere_is_not_guessed(section: str, tmp_path: Path) -> None:
     says = found(tmp_path, f"{PLAIN}[{section}]\ngcode:\n  G1 Z5\n")
