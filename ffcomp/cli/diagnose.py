@@ -107,7 +107,7 @@ def _print(diagnosis: Diagnosis) -> None:
     from ffcomp.diagnosis.sentences import summary_sentences, what_to_do
 
     result, written = diagnosis.result, diagnosis.output
-    named = result.effects if result.verdict == "effects" else {}
+    named = result.named
     first, *others = summary_sentences(result)
     print(first)
     for name in named:

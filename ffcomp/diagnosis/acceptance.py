@@ -15,27 +15,38 @@ from numpy.typing import NDArray
 from ffcomp.diagnosis.fit import EstimationProblem, Fit, clipped, fit, step_within, superfluous, values_at
 from ffcomp.diagnosis.hypotheses import FILE_CHANGES, Hypothesis, implausible, moved_numbers
 from ffcomp.diagnosis.observations import Position, clustered
-from ffcomp.diagnosis.problem import Problem
+from ffcomp.diagnosis.problem import Parameter, Problem
 from ffcomp.diagnosis.recording_clocks import clock_parameters
 from ffcomp.diagnosis.settings import SETTINGS
 from ffcomp.identification.uncertainty import Estimate
 from models.arrays import FloatArray
 
 NEAR_NOISE = 0.44  # discrepancy of an error of 1.2 times the noise
+AT_BOUND = 1e-6  # of a parameter's range: no nearer to its end is at it
 
 
 # ---- the tests -----------------------------------------------------------------------------------
 
 
 def rejections(
-    base: Fit, best: Hypothesis, held_out: Sequence[HeldOut], intervals: Mapping[str, Estimate], tolerance: float
+    base: Fit,
+    best: Hypothesis,
+    held_out: Sequence[HeldOut],
+    intervals: Mapping[str, Estimate],
+    tolerance: float,
+    signal: float = np.inf,
 ) -> list[str]:
-    """List the acceptance tests that a hypothesis fails, in words; none if it is accepted."""
-    failed = []
+    """List the acceptance tests that a hypothesis fails, in words; none if it is accepted.
+
+    Parameters
+    ----------
+    signal : the discrepancy with nothing simulated at all; a worse one of the base is no measure.
+    """
+    failed, whole = [], min(base.discrepancy, signal)
     if (base.evidence - best.fit.evidence) / best.fit.misfit < SETTINGS.significant:
         failed.append("it is not significantly better than retuning alone")
-    if best.discrepancy > max(SETTINGS.left * base.discrepancy, tolerance):
-        failed.append(f"{100 * best.discrepancy / base.discrepancy:.0f} % of the discrepancy is left")
+    if best.discrepancy > max(SETTINGS.left * whole, tolerance):
+        failed.append(f"{100 * best.discrepancy / whole:.0f} % of the discrepancy is left")
     failed += [_unexplained(one, tolerance) for one in contradicting(held_out, tolerance)]
     # where retuning alone explains the data as well, but by implausible parameters, there is nothing to gain
     if not held_out:
@@ -65,22 +76,31 @@ def out_of_reach(best: Hypothesis) -> list[str]:
     ]
 
 
+def undetermined(best: Hypothesis, intervals: Mapping[str, Estimate]) -> list[str]:
+    """Return the effects' numbers that the data do not determine: at their bounds, or open over the whole range."""
+    return [n.name for n in best.effect_parameters if n.low < n.high and _open(n, intervals[n.name])]
+
+
+def _open(n: Parameter, interval: Estimate) -> bool:
+    at_high = interval.value >= n.high - AT_BOUND * (n.high - max(n.low, -n.high)) if np.isfinite(n.high) else False
+    at_low = n.low != 0.0 and np.isfinite(n.low) and interval.value <= n.low + AT_BOUND * abs(n.low)
+    return at_high or at_low or (interval.low <= n.low and interval.high >= n.high)
+
+
 def contradicting(held_out: Sequence[HeldOut], tolerance: float) -> list[HeldOut]:
     """Return what was left out and contradicts a hypothesis.
 
-    Shapes are never exactly ours: a place that holds a small part of all that has to be explained, and that it does
-    not explain, says that it is unproven there, no more; unless it makes things worse there.
+    Shapes are never exactly ours: a place, or a window of little motion, that holds a small part of all that has to be
+    explained, and that it does not explain, says that it is unproven there, no more; unless it makes things worse there
+    by a good part of that.
     """
-    total = sum(max(one.before, 0.0) * one.rows for one in held_out)
-    return [
-        one
-        for one in held_out
-        if not one.explained(tolerance)
-        and (
-            one.after * one.rows > SETTINGS.minor_place * total
-            or one.after > max(SETTINGS.worse_place * one.before, tolerance)
-        )
-    ]
+    minor = SETTINGS.minor_place * sum(max(one.before, 0.0) * one.rows for one in held_out)
+
+    def weighs(one: HeldOut) -> bool:
+        worse = one.after > max(SETTINGS.worse_place * one.before, tolerance)
+        return one.after * one.rows > (minor / 4 if worse else minor)
+
+    return [one for one in held_out if not one.explained(tolerance) and weighs(one)]
 
 
 def unproven(held_out: Sequence[HeldOut], tolerance: float) -> list[HeldOut]:
@@ -106,7 +126,8 @@ class HeldOut:
     rows: int
     before: float  # with the machine's parameters retuned at the other positions
     after: float  # with the effects as well
-    filed: float = 0.0  # with the file as it is
+    filed: float = np.inf  # with the file as it is
+    signal: float = np.inf  # with nothing simulated at all
     power: tuple[float, ...] = ()  # in the band: of the error with the file as it is, with the effects; of the signals
     noise_power: float = 0.0  # of the noise alone, as `power`
 
@@ -138,13 +159,18 @@ def groups(problem: Problem) -> Mapping[tuple[Position, str], list[int]]:
     return members if len(members) > 1 else {}
 
 
+def simulate_left_out(estimation: EstimationProblem, fitted: Fit) -> list[list[FloatArray]]:
+    """Leave each group out in turn: move a fit to the optimum of the others, to first order; simulate there."""
+    return [_left_out(estimation, fitted, members) for members in groups(estimation.problem).values()]
+
+
 def hold_out(estimation: EstimationProblem, base: Fit, best: Fit) -> list[HeldOut]:
-    """Leave each group out in turn: move both fits to the optimum of the others, to first order; simulate there."""
-    left_out = []
-    for (position, experiment), members in groups(estimation.problem).items():
+    """Leave each group out in turn, of both fits."""
+    left_out, retuned = [], simulate_left_out(estimation, base)
+    effects = retuned if best is base else simulate_left_out(estimation, best)
+    each = zip(groups(estimation.problem).items(), retuned, effects, strict=True)
+    for ((position, experiment), members), before, after in each:
         filed = estimation.problem.simulate({}, members)
-        before = _left_out(estimation, base, members)
-        after = before if best is base else _left_out(estimation, best, members)
         nothing = [np.zeros_like(y) for y in filed]
         power = tuple(_power(estimation, y, members) for y in (filed, after, nothing))
         left_out.append(
@@ -152,9 +178,10 @@ def hold_out(estimation: EstimationProblem, base: Fit, best: Fit) -> list[HeldOu
                 position,
                 experiment,
                 rows=len(estimation.rows_of(members)),
-                before=_excess(estimation, before, members),
-                after=_excess(estimation, after, members),
-                filed=_excess(estimation, filed, members),
+                before=excess(estimation, before, members),
+                after=excess(estimation, after, members),
+                filed=excess(estimation, filed, members),
+                signal=excess(estimation, nothing, members),
                 power=power,
                 noise_power=_noise_power(estimation, members),
             )
@@ -217,9 +244,31 @@ def _cost(residual: FloatArray, z: FloatArray) -> float:
     return float(residual @ residual + z @ z)
 
 
-def _excess(estimation: EstimationProblem, simulated: Sequence[FloatArray], members: Sequence[int]) -> float:
-    left = estimation.measured[estimation.rows_of(members)] - estimation.whiten(simulated, members)
+def residual_left_out(
+    estimation: EstimationProblem, simulated: Sequence[FloatArray], members: Sequence[int]
+) -> FloatArray:
+    """Return measured - simulated of what was left out, whitened: (rows,)."""
+    return np.asarray(estimation.measured[estimation.rows_of(members)] - estimation.whiten(simulated, members))
+
+
+def excess(estimation: EstimationProblem, simulated: Sequence[FloatArray], members: Sequence[int]) -> float:
+    """Return the mean square of that residual, less one."""
+    left = residual_left_out(estimation, simulated, members)
     return float(left @ left) / len(left) - 1
+
+
+def to_explain(held_out: Sequence[HeldOut]) -> float:
+    """Return how much there is to explain where it was left out: by the better of the file and of retuning.
+
+    An axis that nothing holds may be simulated worse than if it stood still: what ends that explains nothing.
+    """
+    return min(sum(max(getattr(one, key), 0.0) * one.rows for one in held_out) for key in ("before", "filed", "signal"))
+
+
+def explained_elsewhere(held_out: Sequence[HeldOut]) -> float:
+    """Return the share of it that a hypothesis explains; windows and places weigh what there is to explain in them."""
+    whole = to_explain(held_out)
+    return 1 - sum(max(one.after, 0.0) * one.rows for one in held_out) / whole if whole > 0 else 0.0
 
 
 def _power(estimation: EstimationProblem, simulated: Sequence[FloatArray], members: Sequence[int]) -> float:

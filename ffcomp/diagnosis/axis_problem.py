@@ -48,6 +48,7 @@ class AxisProblem(Problem):
         self.machine, self.recordings = machine, runs
         self.name, self.path, self.quantities = machine.name, machine.path, machine.vibration.quantities
         self.catalogue = catalogue_of(self.quantities, machine.vibration.moves)
+        self.commanded = not driven_axis(machine).by_force
         self.shots = shots_of(machine, runs)
         self.band_hz = band_of(self.shots)
         self.windows = [Window(i, part) for i, one in enumerate(self.shots) for part in _parts(one)]

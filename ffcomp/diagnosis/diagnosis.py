@@ -17,7 +17,16 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ffcomp.diagnosis.acceptance import HeldOut, hold_out, out_of_reach, rejections, unproven
-from ffcomp.diagnosis.fidelity import excerpt_of, fit_in_excerpt, fit_within_uncertainty, linearised, parsimonious_fit
+from ffcomp.diagnosis.dominance import Dominant, dominant_effect
+from ffcomp.diagnosis.fidelity import (
+    continue_fit,
+    excerpt_of,
+    fit_in_excerpt,
+    fit_within_uncertainty,
+    hypothesis_in_whole,
+    linearised,
+    parsimonious_fit,
+)
 from ffcomp.diagnosis.fit import EstimationProblem, Fit, estimation_problem, fit, intervals_of
 from ffcomp.diagnosis.hypotheses import FILE_CHANGES, Hypothesis, competing_with, implausible, likeliest, significant
 from ffcomp.diagnosis.moves import Search
@@ -47,6 +56,7 @@ FINDINGS = {
     "effects": "effects are named",
     "nothing": "nothing is missing",
     "cannot_tell": "the noise is too loud, or its floor is wrong, to say that nothing is missing",
+    "dominant": "one effect holds most of the discrepancy, and leaves a rest that nothing known explains",
     "unproven": "one explanation holds most of the discrepancy, but failed a test",
     "unexplained": "there is a discrepancy, and nothing known explains it",
     "recording": "the recordings are at fault: an input shaper, a sensor",
@@ -74,6 +84,7 @@ class Diagnosis:
     rejections: tuple[str, ...] = ()  # acceptance tests that the best hypothesis failed, in words
     intervals: Mapping[str, Estimate] = field(default_factory=dict)  # of all parameters of the best hypothesis
     fault: Fault | None = None  # of the recordings
+    dominant: Dominant | None = None  # the effect that holds most of the discrepancy, and leaves a rest
     file_off: Fit | None = None  # the machine's numbers alone, far beyond their uncertainties, if they explain as much
     cut_short: bool = False  # the search ended at its budget, so that not everything was tried
 
@@ -172,7 +183,13 @@ class _Searched:
     best: Hypothesis  # on the data on which the others were tried
     selection: Selection  # the best on all data, and all that were tried
     screened: Sequence[Screened]
-    share: float = 1.0  # of the data, on which the others were tried
+    estimation: EstimationProblem  # the data, on which the others were tried
+    base: Fit  # of the machine's parameters alone, there
+
+    @property
+    def share(self) -> float:
+        """Of all data."""
+        return self.estimation.share
 
 
 def _diagnosed(problem: Problem, noise: NoiseFloor, density: Mapping[str, float], progress: Progress) -> Diagnosis:
@@ -186,7 +203,7 @@ def _diagnosed(problem: Problem, noise: NoiseFloor, density: Mapping[str, float]
     least = max(SETTINGS.exists, chance) if noise.from_repeats else estimation.tolerance
     progress(Stage(2, "fitting the machine's own parameters"))
     filed = _as_filed(estimation)
-    base = fit(estimation, filed.parameters, filed.z, filed.jacobian, iterations=12)
+    base = fit(estimation, filed.parameters, filed.z, filed.jacobian, (), 12, SETTINGS.quick_gain / 10)
     base = _fitted_to_the_end(estimation, base, least)
     times = float(np.sqrt(max(1.0 + base.discrepancy, 0.0)))
     progress(f"the machine's own parameters alone: the error that is left is {times:.4g} times the noise")
@@ -205,13 +222,15 @@ def _diagnosed(problem: Problem, noise: NoiseFloor, density: Mapping[str, float]
         selection = find_best(search)
         progress(Stage(6, "fitting what was found with exact derivatives"))
         selection = finish(search, selection)
-        searched = _Searched(selection.best, selection, screened)
+        searched = _Searched(selection.best, selection, screened, estimation, base)
     none, best = replace(none, screened=searched.screened), searched.selection.best
     progress(Stage(7, "testing it at places that were left out of the fit"))
     retuned = _retuned(estimation, best, least)
     if retuned.discrepancy < least and not _gains(best.fit, retuned, noise):
         return replace(none, base=retuned, final=retuned)
-    tested = _tested(none, searched, progress)
+    tested = _tested(none, searched, searched.selection.best, progress)
+    if tested.rejections and not small:
+        tested = _with_a_rest(none, searched, tested, progress)
     # where there was hardly a discrepancy, an effect that fails a test leaves nothing unexplained
     return none if small and tested.rejections else tested
 
@@ -255,7 +274,7 @@ def _search_excerpt(estimation: EstimationProblem, base: Fit, progress: Progress
         progress("all data show more than the excerpt: the search begins anew in all of it")
         return None
     finished = replace(finish(whole, best), tried=selection.tried)
-    return _Searched(selection.best, finished, screened, part.share)
+    return _Searched(selection.best, finished, screened, part, retuned)
 
 
 def _retuned(estimation: EstimationProblem, best: Hypothesis, least: float) -> Fit:
@@ -291,14 +310,28 @@ def _gains(best: Fit, retuned: Fit, noise: NoiseFloor) -> bool:
 # ---- the verdict ---------------------------------------------------------------------------------
 
 
-def _tested(none: Diagnosis, searched: _Searched, progress: Progress) -> Diagnosis:
+def _with_a_rest(none: Diagnosis, searched: _Searched, tested: Diagnosis, progress: Progress) -> Diagnosis:
+    """Name the effect that holds most of the discrepancy, if one does; else leave the verdict as it is."""
+    dominant = dominant_effect(searched.estimation, searched.base, tested.tried, progress)
+    if dominant is None:
+        return tested
+    best = dominant.hypothesis
+    if searched.estimation is not none.estimation:
+        whole = hypothesis_in_whole(none.estimation.problem, best)
+        best = continue_fit(none.estimation, whole, progress, ", on all data")
+    alone = _tested(none, searched, best, progress)
+    return replace(alone, dominant=dominant) if alone.rejections else alone
+
+
+def _tested(none: Diagnosis, searched: _Searched, best: Hypothesis, progress: Progress) -> Diagnosis:
     """Put the best hypothesis to the acceptance tests."""
     estimation, tried = none.estimation, searched.selection.tried
-    best = _believable(none, searched.selection.best, progress)
+    best = _believable(none, best, progress)
     final = parsimonious_fit(estimation, best)
     intervals = intervals_of(estimation, best.fit, final.values)
     held_out = hold_out(estimation, none.base, best.fit)
-    failed = tuple(rejections(none.base, best, held_out, intervals, estimation.tolerance))
+    signal = float(estimation.measured @ estimation.measured) / len(estimation.measured) - 1
+    failed = tuple(rejections(none.base, best, held_out, intervals, estimation.tolerance, signal))
     there = searched.best
     if best.names != there.names:  # a smaller rival, or fewer effects
         there = next((h for h in likeliest(tried) if h.names == best.names), there)
@@ -349,7 +382,9 @@ def _concluded(result: Diagnosis) -> Diagnosis:
     fits = [] if explained else [base] if best is None else [base, best.fit]
     fault = odd_signal(result.estimation, fits)
     if fault is not None:
-        return replace(result, finding="recording", fault=fault)
+        return replace(result, finding="recording", fault=fault, dominant=None)
+    if result.dominant is not None:
+        return replace(result, finding="dominant")
     return replace(result, finding="unproven" if explained else "unexplained", file_off=_file_off(result))
 
 

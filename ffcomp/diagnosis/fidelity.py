@@ -17,7 +17,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ffcomp.diagnosis.fit import EstimationProblem, Fit, clipped, derivatives, fit, values_at
-from ffcomp.diagnosis.hypotheses import Hypothesis, comparable, likeliest, log_fit, log_try, may_join
+from ffcomp.diagnosis.hypotheses import (
+    Hypothesis,
+    comparable,
+    leaves_excess,
+    likeliest,
+    log_fit,
+    log_try,
+    may_join,
+)
 from ffcomp.diagnosis.problem import Candidate, Parameter, Problem
 from ffcomp.diagnosis.recording_clocks import belongs_to_recording
 from ffcomp.diagnosis.score_test import Screened, squares_by_motion, subset_of
@@ -192,13 +200,26 @@ def fit_exactly(estimation: EstimationProblem, h: Hypothesis, progress: Progress
 
     It begins at the file's parameters if the effects by themselves explain as much there.
     """
+    if h.exact:
+        return h
     log_try(h.effects, progress, " with exact derivatives")
     added, columns = h.effect_parameters, h.fit.jacobian[:, h.machine_count :]
     alone = fit(estimation, added, h.effect_z, columns, range(len(added)), 5, renew_all=False)
     from_file = np.concatenate([np.zeros(h.machine_count), alone.z])
     start = from_file if alone.evidence < h.fit.evidence else h.fit.z
     fitted = fit(estimation, h.fit.parameters, start, h.fit.jacobian, iterations=5, exact=True)
-    return log_fit(Hypothesis(h.effects, fitted), progress, " at the end")
+    return log_fit(Hypothesis(h.effects, fitted, exact=True), progress, " at the end")
+
+
+def straightened(estimation: EstimationProblem, h: Hypothesis, progress: Progress) -> Hypothesis:
+    """Fit with exact derivatives what leaves nothing but needs implausible numbers of the file: perhaps it need not.
+
+    A belt's stiffness and a frequency make up for each other: the way back is worth the prior alone, and another effect
+    would be added for it.
+    """
+    if leaves_excess(estimation, h.fit) or h.plausible:
+        return h
+    return min(h, fit_exactly(estimation, h, progress), key=lambda each: each.fit.evidence)
 
 
 def fit_within_uncertainty(estimation: EstimationProblem, h: Hypothesis, progress: Progress) -> Hypothesis:
@@ -314,7 +335,7 @@ def by_continuation(estimation: EstimationProblem, h: Hypothesis, progress: Prog
 def transferred(part: EstimationProblem, h: Hypothesis) -> Hypothesis:
     """Take values over into a problem of other rows; derivatives are taken anew by whoever fits."""
     residual = part.residual(h.fit.values)
-    return replace(h, fit=Fit(h.fit.parameters, h.fit.z, residual, np.zeros((len(residual), len(h.fit.z)))))
+    return Hypothesis(h.effects, Fit(h.fit.parameters, h.fit.z, residual, np.zeros((len(residual), len(h.fit.z)))))
 
 
 # ---- excerpts ------------------------------------------------------------------------------------
@@ -463,4 +484,5 @@ def _free_starts(part: EstimationProblem, beside: Hypothesis, s: Screened) -> li
 def _fitted_anew(part: EstimationProblem, h: Hypothesis, steps: int) -> Hypothesis:
     """Fit all parameters, every derivative taken anew at every step."""
     begun, every = linearised(part, h.fit.parameters, h.fit.z), range(len(h.fit.parameters))
-    return replace(h, fit=fit(part, begun.parameters, begun.z, begun.jacobian, every, steps, SETTINGS.quick_gain / 10))
+    fitted = fit(part, begun.parameters, begun.z, begun.jacobian, every, steps, SETTINGS.quick_gain / 10)
+    return Hypothesis(h.effects, fitted)

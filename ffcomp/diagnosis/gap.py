@@ -52,6 +52,7 @@ class ResidualBreakdown:
     positions: Mapping[tuple[float, ...], float]  # share of the excess
     bands: Sequence[tuple[float, float, float]]  # from Hz, to Hz, share of the excess
     near_reversals: float  # share of the excess while the part a signal is measured on reverses or rests
+    forwards: float  # share of it while that part moves forwards, of all while it moves
 
 
 def locate_residual(whiten: Whitener, floor: NoiseFloor, simulated: Sequence[FloatArray]) -> ResidualBreakdown:
@@ -73,7 +74,7 @@ def locate_residual(whiten: Whitener, floor: NoiseFloor, simulated: Sequence[Flo
         },
         positions,
         _bands(tables, excess, total),
-        _near_reversals(observations, simulated),
+        *_by_motion(observations, simulated),
     )
 
 
@@ -111,13 +112,14 @@ def _bands(tables: Sequence[_Table], excess: Sequence[FloatArray], total: float)
     return bands
 
 
-def _near_reversals(observations: Sequence[Observation], simulated: Sequence[FloatArray]) -> float:
-    near = total = 0.0
+def _by_motion(observations: Sequence[Observation], simulated: Sequence[FloatArray]) -> tuple[float, float]:
+    near = forwards = total = 0.0
     for r, y in zip(observations, simulated, strict=True):
         power = np.nan_to_num((r.measured - y) ** 2)
         slow = np.abs(r.speed) < SLOW_SHARE * np.max(np.abs(r.speed), axis=0)
         near, total = near + float(power[slow].sum()), total + float(power.sum())
-    return near / max(total, 1e-300)
+        forwards += float(power[~slow & (r.speed > 0)].sum())
+    return near / max(total, 1e-300), forwards / max(total - near, 1e-300)
 
 
 # ---- the verb ------------------------------------------------------------------------------------

@@ -17,6 +17,22 @@ from models.effects.catalogue import CATALOGUE
 
 FILE_CHANGES = frozenset(name for name, effect in CATALOGUE.items() if effect.corrects_file)
 NESTED = {name: effect.contains for name, effect in CATALOGUE.items() if effect.contains}
+DRY = "dry friction"
+FAMILIES = {  # what is told first of an effect with several laws; of any other its name says it
+    "coulomb_friction": DRY,
+    "bristle_friction": DRY,
+    "joint_friction": DRY,
+    "stribeck_friction": "dry friction that falls with speed",
+    "friction_by_load": "dry friction that grows with load",
+    "friction_by_direction": "friction that differs by direction",
+    "guide_damping": "viscous friction",
+    "quadratic_drag": "friction that grows with the square of the speed",
+}
+
+
+def kin_of(name: str) -> str:
+    """Return what competes as one: laws of dry friction differ by little, whatever may thin it with speed."""
+    return DRY if name in ("coulomb_friction", "bristle_friction", "stribeck_friction") else name
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,6 +41,7 @@ class Hypothesis:
 
     effects: tuple[Candidate, ...]
     fit: Fit
+    exact: bool = False  # fitted to the end with exact derivatives
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -80,7 +97,8 @@ class Hypothesis:
 
     def at_file(self) -> Hypothesis:
         """Put the machine's parameters where the file has them, the effects as they stand; the fit is to be renewed."""
-        return replace(self, fit=replace(self.fit, z=np.concatenate([np.zeros(self.machine_count), self.effect_z])))
+        z = np.concatenate([np.zeros(self.machine_count), self.effect_z])
+        return Hypothesis(self.effects, replace(self.fit, z=z))
 
 
 def nested(name: str, other: str) -> bool:

@@ -26,6 +26,7 @@ from ffcomp.diagnosis.fidelity import (
     refit,
     restart_from_file,
     select_starts,
+    straightened,
     with_restart,
 )
 from ffcomp.diagnosis.fit import (
@@ -388,7 +389,7 @@ def reshape(estimation: EstimationProblem, h: Hypothesis, progress: Progress) ->
         fitted = continue_fit(estimation, begun, progress, change.note, h.machine_jacobian)
         smaller, larger = (fitted, h) if change.simpler else (h, fitted)
         if significant(larger.fit, smaller.fit, SETTINGS.reshaped_share) == (larger is fitted):
-            h = fitted
+            h = straightened(estimation, fitted, progress)
     return h
 
 

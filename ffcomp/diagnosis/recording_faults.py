@@ -40,6 +40,8 @@ def fault_of_recordings(estimation: EstimationProblem, simulated: Sequence[Float
 
 def shaper_on(estimation: EstimationProblem, simulated: Sequence[FloatArray], retuned: Fit) -> ShapersLeftOn | None:
     """Return the shaper that explains most of the discrepancy far better than retuning does; None if none does."""
+    if not estimation.problem.commanded:
+        return None
     filed = estimation.measured - estimation.whiten(simulated)
     if min(float(filed @ filed), retuned.chi_squared) < (1 + LOUD) * len(filed):
         return None

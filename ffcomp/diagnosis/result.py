@@ -10,9 +10,10 @@ from typing import Any
 
 import numpy as np
 
+from ffcomp.diagnosis.acceptance import undetermined
 from ffcomp.diagnosis.diagnosis import Diagnosis
 from ffcomp.diagnosis.fit import Fit
-from ffcomp.diagnosis.gap import ResidualSize, locate_residual
+from ffcomp.diagnosis.gap import ResidualBreakdown, ResidualSize, locate_residual
 from ffcomp.diagnosis.printer_candidates import WHOLE, effect_tables
 from ffcomp.diagnosis.problem import TOWERS, Problem
 from ffcomp.diagnosis.recording_clocks import belongs_to_recording, delay_of
@@ -64,7 +65,8 @@ class Gap:
 
 
 def _explained(before: float, after: float, noise: float) -> float:
-    gap, left = before**2 - noise**2, after**2 - noise**2
+    # an axis that nothing holds may be simulated worse than one that stands still: that is no measure
+    gap, left = min(before, 1.0) ** 2 - noise**2, after**2 - noise**2
     return 1 - max(left, 0.0) / gap if gap > 0 else 0.0
 
 
@@ -75,6 +77,28 @@ class FileNumbers:
     retuned: Mapping[str, tuple[float, float]] = field(default_factory=dict)  # from, to
     off: Mapping[str, tuple[float, float]] = field(default_factory=dict)  # those that alone would explain as much
     beyond: Mapping[str, float] = field(default_factory=dict)  # retuned by so many of their uncertainties
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rest:
+    """What one effect that holds most of a discrepancy leaves."""
+
+    explained: float  # share of the discrepancy that the effect explains where it was left out of the fit
+    left: ResidualBreakdown
+    rivals: Sequence[tuple[tuple[str, ...], float]] = ()  # effects of other families, and what they explain there
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the JSON's object."""
+        left = self.left
+        return {
+            "explained": self.explained,
+            "nrms": left.total.nrms,
+            "frequency_hz": [{"from": low, "to": high, "share": share} for low, high, share in left.bands],
+            "near_reversals": left.near_reversals,
+            "forwards": left.forwards,
+            "runs": {name: size.nrms for name, size in left.recordings.items()},
+            "instead": [{"effects": list(names), "explained": share} for names, share in self.rivals],
+        }
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -103,16 +127,23 @@ class DiagnosisResult:
     confounded_with: Sequence[tuple[str, str]] = ()  # effect, how to tell them apart
     separations: Sequence[Separation] = ()  # from what fits as well
     gap: Gap
+    rest: Rest | None = None  # of an effect that is named with a rest
+    undetermined: Sequence[str] = ()  # numbers of the effects at their bounds, or open over all of their range
     file: FileNumbers
     names: PlantNames = PlantNames()
     late_s: Mapping[str, float] = field(default_factory=dict)  # files that lie off their command by more than 0.1 ms
     cut_short: bool = False  # the search ended at its budget
 
     @property
+    def named(self) -> tuple[str, ...]:
+        """The effects that are named: all there are, or the one that holds most of the gap."""
+        return tuple(self.effects) if self.verdict == "effects" or self.rest is not None else ()
+
+    @property
     def mends(self) -> bool:
         """Whether a better file exists: with effects, or with retuned parameters that suffice also elsewhere."""
         if self.verdict != "none":
-            return self.verdict == "effects"
+            return bool(self.named)
         return not self.late_s and bool(self.gap.left_out) and self.gap.closed
 
     def parameters(self, effect: str) -> dict[str, dict[str, Any]]:
@@ -137,10 +168,11 @@ def result_of(problem: Problem, diagnosis: Diagnosis) -> DiagnosisResult:
     fitted = diagnosis.final
     tables = effect_tables(fitted.values) if diagnosis.best is not None else {}
     before, after = (
-        locate_residual(diagnosis.estimation.whiten, diagnosis.noise, problem.simulate(values)).total
+        locate_residual(diagnosis.estimation.whiten, diagnosis.noise, problem.simulate(values))
         for values in ({}, fitted.values)
     )
     key = problem.quantities.key
+    dominant, noise = diagnosis.dominant, before.total.noise_nrms
     moved = [
         (n.name, float(z), (n.start, problem.stated(fitted.values, n.name)))
         for n, z in zip(fitted.parameters, fitted.z, strict=True)
@@ -158,13 +190,19 @@ def result_of(problem: Problem, diagnosis: Diagnosis) -> DiagnosisResult:
         invisible=diagnosis.invisible,
         confounded_with=[(n, _how_to_separate(tables, n, problem.catalogue)) for n in diagnosis.confounded],
         gap=Gap(
-            before=before,
-            after=after,
-            elsewhere=_elsewhere(diagnosis, before.noise_nrms),
+            before=before.total,
+            after=after.total,
+            elsewhere=_elsewhere(diagnosis, noise),
             left_out=_left_out(diagnosis),
             unproven=[place.label for place in diagnosis.unproven],
             noise_guessed=not diagnosis.noise.from_repeats,
         ),
+        rest=None
+        if dominant is None
+        else Rest(explained=dominant.explained, left=after, rivals=[(r.names, r.explained) for r in dominant.rivals]),
+        undetermined=[]
+        if diagnosis.best is None
+        else [name.removeprefix("effects.") for name in undetermined(diagnosis.best, diagnosis.intervals)],
         file=FileNumbers(
             retuned={key(name): values for name, z, values in moved if abs(z) > RETUNED_SD},
             off={} if diagnosis.file_off is None else {key(n): x for n, x in _off(diagnosis.file_off).items()},
@@ -308,6 +346,8 @@ def better_file(source: Path, name: str, result: DiagnosisResult, data: Sequence
         "gap_nrms_noise": float(f"{result.gap.noise:.4g}"),
         "held_out_nrms_before_after": [float(f"{x:.4g}") for x in result.gap.elsewhere],
     }
+    if result.rest is not None:
+        entry["explains_of_the_gap_elsewhere"] = float(f"{result.rest.explained:.3g}")
     return updated_text(source, values, name=name, provenance={"diagnosed": entry})
 
 

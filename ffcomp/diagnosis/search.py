@@ -25,6 +25,7 @@ from ffcomp.diagnosis.fidelity import (
     hypothesis_in_whole,
     refit,
     select_starts,
+    straightened,
 )
 from ffcomp.diagnosis.fit import fit
 from ffcomp.diagnosis.hypotheses import (
@@ -119,7 +120,7 @@ def _begin(search: Search) -> Selection:
     fitted = fit_fully(search, contenders)
     best = min(fitted, key=lambda h: h.fit.evidence)
     tried = (*_shaped(search, fitted, best), *(h for h in ranked if h not in contenders))
-    best = _straightened(search, min(tried, key=lambda h: h.fit.evidence))
+    best = straightened(search.estimation, min(tried, key=lambda h: h.fit.evidence), search.progress)
     best = prefer_plausible(best, (best, *tried), max(search.little, search.estimation.tolerance))
     return Selection(simplest(best, tried, search.candidates), tried)
 
@@ -162,17 +163,6 @@ def _shaped(search: Search, fitted: Sequence[Hypothesis], best: Hypothesis) -> l
     return shaped
 
 
-def _straightened(search: Search, best: Hypothesis) -> Hypothesis:
-    """Fit with exact derivatives what leaves nothing but needs implausible numbers of the file: perhaps it need not.
-
-    A belt's stiffness and a frequency make up for each other: the way back is worth the prior alone, and another effect
-    would be added for it.
-    """
-    if leaves_excess(search.estimation, best.fit) or best.plausible:
-        return best
-    return min(best, fit_exactly(search.estimation, best, search.progress), key=lambda h: h.fit.evidence)
-
-
 # ---- rounds --------------------------------------------------------------------------------------
 
 
@@ -180,7 +170,7 @@ def _rounds(search: Search, selection: Selection) -> Selection:
     """Add effects to the best hypothesis, round by round, until none is significant or nothing is left."""
     best, tried = selection.best, selection.tried
     while len(best.effects) < SETTINGS.most_effects and incomplete(search.estimation, best):
-        best = _straightened(search, refit(search.estimation, best, search.progress))
+        best = straightened(search.estimation, refit(search.estimation, best, search.progress), search.progress)
         if not incomplete(search.estimation, best) or not search.may_go_on:
             break
         larger, more = _larger(search, best)

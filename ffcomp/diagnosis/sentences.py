@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from ffcomp.diagnosis.result import DiagnosisResult
+from ffcomp.diagnosis.hypotheses import FAMILIES
+from ffcomp.diagnosis.result import DiagnosisResult, Rest
 from ffcomp.diagnosis.settings import SETTINGS
 from ffcomp.diagnosis.words import digits, joined, most_of, percent
 
@@ -18,6 +19,7 @@ def summary_sentences(result: DiagnosisResult) -> list[str]:
         "effects": _effects,
         "nothing": _nothing,
         "cannot_tell": _cannot_tell,
+        "dominant": _dominant,
         "unproven": _unproven,
         "recording": lambda result: [f"The recordings are at fault: {result.fault}"],
     }
@@ -33,14 +35,64 @@ def _gap(result: DiagnosisResult) -> str:
     return f"{percent(result.gap.before.nrms)} of the signals (noise {percent(result.gap.noise)})"
 
 
+def in_family(name: str) -> str:
+    """Return an effect by its family, then its law: `dry friction that falls with speed, stribeck_friction`."""
+    return f"{FAMILIES[name]}, {name}" if name in FAMILIES else name
+
+
 def _effects(result: DiagnosisResult) -> list[str]:
-    names = joined(list(result.effects))
+    names = joined([in_family(name) for name in result.effects])
     return [
         f"The gap of {_gap(result)} shrinks to {percent(result.gap.after.nrms)} with {names}: it explains "
         f"{most_of(result.gap.explained)} of it.",
         elsewhere(result),
+        *undetermined_numbers(result),
         *unproven_places(result),
         *file_off(result),
+    ]
+
+
+def _dominant(result: DiagnosisResult) -> list[str]:
+    name, rest = result.named[0], result.rest
+    assert rest is not None
+    return [
+        f"There is a gap of {_gap(result)}. Most of it is {in_family(name)}: where it was not fitted to, it explains "
+        f"{most_of(rest.explained)} of the gap.",
+        f"A rest of {percent(result.gap.after.nrms)} of the signals stays, which nothing known explains: "
+        f"{where_left(rest)}.",
+        *instead(rest),
+        *undetermined_numbers(result),
+    ]
+
+
+def where_left(rest: Rest) -> str:
+    """Say at which frequencies, in which motion and in which files a rest is left."""
+    low, high, share = max(rest.left.bands, key=lambda band: band[2])
+    place, there = max(rest.left.positions.items(), key=lambda each: each[1])
+    where = f"in the window from {place[0]:g} s" if len(place) == 1 else f"at ({place[0]:.0f}, {place[1]:.0f}) mm"
+    ways = rest.left.forwards
+    parts = [
+        f"{percent(share)} of it lies at {low:g} to {high:g} Hz",
+        f"{percent(rest.left.near_reversals)} near reversals and at rest",
+        *([f"{percent(max(ways, 1 - ways))} of the other while it moves {'for' if ways > 0.5 else 'back'}wards"]),
+        f"{percent(there)} {where}",
+    ]
+    return joined(parts)
+
+
+def instead(rest: Rest) -> list[str]:
+    """Say what else would explain how much."""
+    told = [f"{joined(list(names))} would explain {percent(max(share, 0.0))}" for names, share in rest.rivals]
+    return [f"Of other effects {joined(told)} there."] if told else []
+
+
+def undetermined_numbers(result: DiagnosisResult) -> list[str]:
+    """Say which numbers these recordings leave open."""
+    if not result.undetermined:
+        return []
+    return [
+        f"These recordings do not determine {joined(list(result.undetermined))}: any value near the end of its range "
+        "fits as well."
     ]
 
 
@@ -81,10 +133,11 @@ def file_off(result: DiagnosisResult) -> list[str]:
     """Say which of the file's own numbers would explain as much if they were wrong."""
     if not result.file.off:
         return []
+    weigh = "Measure one of them by itself, and" if result.gap.left_out == "windows" else "Weigh what moves, and"
     off = [f"{key} by {100 * (to / start - 1):+.0f} %" for key, (start, to) in list(result.file.off.items())[:FEW]]
     return [
-        f"Or the machine file's own numbers are off: {joined(off)} would explain as much. Weigh the effector and a "
-        "carriage, and state in the file's [uncertainty] how well its numbers are known."
+        f"Or the machine file's own numbers are off: {joined(off)} would explain as much. {weigh} state in the "
+        "file's [uncertainty] how well its numbers are known."
     ]
 
 
@@ -187,6 +240,13 @@ def late_files(result: DiagnosisResult) -> list[str]:
 def what_to_do(result: DiagnosisResult) -> list[str]:
     """Return steps in order: to the printer first, then to the file, then what to record."""
     finding, separating = finding_of(result), [each.sentence() for each in result.separations]
+    if finding == "dominant":
+        return [
+            _remedy(result, result.named[0]),
+            "Diagnose again afterwards, or with the better machine file (-o better.toml), in which this effect stands: "
+            "what is left is then looked at by itself.",
+            *separating,
+        ]
     if finding == "effects":
         return [*(_remedy(result, name) for name in result.effects), *_afterwards(result), *separating]
     if finding == "nothing":

@@ -77,6 +77,9 @@ class SearchSettings:
         0.05, "of all that is unexplained", "a place with less proves nothing against an effect"
     )
     worse_place: float = _setting(1.5, "ratio", "by which no place left out may become worse")
+    dominant: float = _setting(0.6, "of the discrepancy", "what one effect explains elsewhere, to be named with a rest")
+    ahead: float = _setting(1.5, "ratio", "by which any other family leaves more there")
+    signature: float = _setting(0.5, "of what is left there", "that still looks like the effect")
     mostly: float = _setting(0.9, "of the discrepancy", "an explanation that failed a test is worth reporting")
     confounded: float = _setting(0.8, "cos²", "of projected signatures from which effects are confounded")
     loosened: float = _setting(5.0, "ratio", "of uncertainties, in the fit of the file's numbers that may all be wrong")

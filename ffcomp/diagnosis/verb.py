@@ -12,6 +12,7 @@ from typing import Any
 
 from ffcomp.diagnosis.diagnosis import Diagnosis as Search
 from ffcomp.diagnosis.diagnosis import diagnose
+from ffcomp.diagnosis.hypotheses import FAMILIES
 from ffcomp.diagnosis.next_experiment import Proposal, propose
 from ffcomp.diagnosis.print_gain import PrintGain, print_gain
 from ffcomp.diagnosis.printer_problem import PrinterProblem
@@ -81,21 +82,16 @@ def result_json(result: DiagnosisResult, gain: PrintGain | None = None) -> dict[
     """Return the JSON object ffcomp-diagnose/1 but for files and time; `gain` : of prints, if it was predicted."""
     gap = result.gap
     named = result.effects if result.verdict == "effects" else {}
+    most = None if result.rest is None else {**_effect_json(result, result.named[0]), **result.rest.to_dict()}
     refused = {"effects": list(result.effects), "because": list(result.rejections)}
     return {
         "schema": "ffcomp-diagnose/1",
         "verdict": result.verdict,
         "finding": result.finding,
         "said": summary_sentences(result),
-        "effects": [
-            {
-                "name": name,
-                "parameters": result.parameters(name),
-                "confidence": result.confidence[name],
-                "evidence": result.evidence,
-            }
-            for name in named
-        ],
+        "effects": [_effect_json(result, name) for name in named],
+        "dominant": most,
+        "undetermined": list(result.undetermined),
         "refused": refused if result.rejections else None,
         "invisible": list(result.invisible),
         "retuned": {key: {"from": a, "to": b} for key, (a, b) in result.file.retuned.items()},
@@ -114,6 +110,16 @@ def result_json(result: DiagnosisResult, gain: PrintGain | None = None) -> dict[
             "noise": gap.noise,
             "held_out": {"before": gap.elsewhere[0], "after": gap.elsewhere[1], "noise": gap.noise},
         },
+    }
+
+
+def _effect_json(result: DiagnosisResult, name: str) -> dict[str, Any]:
+    return {
+        "name": name,
+        "family": FAMILIES.get(name, name),
+        "parameters": result.parameters(name),
+        "confidence": result.confidence[name],
+        "evidence": result.evidence,
     }
 
 

@@ -293,7 +293,10 @@ def scales_of(machine: Machine, shots: Sequence[Shots]) -> MotionScales:
 
 
 def _force(machine: Machine, shots: Sequence[Shots]) -> float:
-    if driven_axis(machine).by_force:
-        return float(np.std(np.concatenate([one.run.drive for one in shots])))
+    """Return the size of the forces, N: of the drive; of inertia, where a position drives or nothing does."""
+    axis = driven_axis(machine)
+    drive = float(np.std(np.concatenate([one.run.drive for one in shots]))) if axis.by_force else 0.0
+    if drive > 0.0:
+        return drive
     change = [np.gradient(one.speed, 1 / one.run.sample_rate_hz) / 1e3 for one in shots]
-    return driven_axis(machine).moved_kg * float(np.std(np.concatenate(change)))
+    return axis.moved_kg * float(np.std(np.concatenate(change)))

@@ -277,6 +277,7 @@ SIGNIFICANT_LAG = 5.0  # standard deviations
 LEAST_REST_S, SETTLED_S = 0.04, 0.15  # of rest; after a motion, until it has rung out
 LARGE_SHARE, SMALL_SHARE = 0.2, 0.03  # of the signals
 TIMES_REST, TIMES_NOISY_REST = 10.0, 2.0
+NOISE_BIN_HZ, LEAST_QUIET_BINS = 5.0, 4  # of the spectrum; without motion, of which the noise is taken
 COPY_SHARE = 1e-9  # of the signals: no two measurements are so alike
 REPEATS_REMEDY = (
     "The printer itself changed between them (it warmed up, something is loose, slips or rubs now and then), or they "
@@ -293,6 +294,8 @@ class RepeatComparison:
     lags_significant: bool
     share: float  # rms by which one differs from their mean, of the signals, lags taken out
     over_rest: float | None  # the same as a multiple of the noise at rest; None: nothing rests long enough
+    # of the signals, what stands above twice and above ten times the noise at its frequency; None: it is not known
+    beyond: tuple[float, float] | None = None
 
     @property
     def apart(self) -> bool:
@@ -302,10 +305,9 @@ class RepeatComparison:
     @property
     def differ(self) -> bool:
         """Whether they differ by more than any noise of sensors."""
-        if self.over_rest is None:
+        if self.beyond is None:
             return self.share > LARGE_SHARE
-        louder = self.over_rest > TIMES_REST and self.share > SMALL_SHARE
-        return louder or (self.share > LARGE_SHARE and self.over_rest > TIMES_NOISY_REST)
+        return self.beyond[0] > LARGE_SHARE or self.beyond[1] > SMALL_SHARE
 
     @property
     def copied(self) -> bool:
@@ -346,8 +348,12 @@ def compare_repeats(
     differences = _in_band(together - together.mean(axis=0), rate_hz) * np.sqrt(len(signals) / (len(signals) - 1))
     size = float(np.sqrt(np.mean(_in_band(np.stack(signals), rate_hz) ** 2)))
     share = float(np.sqrt(np.mean(differences**2)) / max(size, 1e-12))
-    over_rest = _over_rest(differences / scale, moving, rate_hz, least_noise / scale)
-    return RepeatComparison(tuple(lags), significant, share, over_rest)
+    least = np.asarray(least_noise / scale)
+    rest = _rest_power(differences / scale, moving, rate_hz, least)
+    loud = float(np.mean((differences / scale)[:, moving] ** 2)) if moving.any() else 0.0
+    over_rest = None if rest is None else float(np.sqrt(loud / max(rest, 1e-30)))
+    beyond = _beyond_noise(differences / scale, together / scale, moving, rate_hz, rest)
+    return RepeatComparison(tuple(lags), significant, share, over_rest, beyond)
 
 
 def _lags(spectra: Sequence[ComplexArray], n: int, rate_hz: float) -> tuple[list[float], bool]:
@@ -382,8 +388,8 @@ def _in_band(x: FloatArray, rate_hz: float) -> FloatArray:
     return np.asarray(np.fft.irfft(np.fft.rfft(x, axis=-2) * inside[:, None], x.shape[-2], axis=-2))
 
 
-def _over_rest(differences: FloatArray, moving: BoolArray, rate_hz: float, least: FloatArray) -> float | None:
-    """Return the size of the differences (r, n, m) in motion over that at rest; None where nothing rests."""
+def _rest_power(differences: FloatArray, moving: BoolArray, rate_hz: float, least: FloatArray) -> float | None:
+    """Return the mean square of differences (r, n, m) at rest, in the band; None where nothing rests long enough."""
     if not moving.any():
         return None
     n, (first, last) = len(moving), np.flatnonzero(moving)[[0, -1]]
@@ -393,8 +399,39 @@ def _over_rest(differences: FloatArray, moving: BoolArray, rate_hz: float, least
     resting[min(last + round(SETTLED_S * rate_hz), n) : max(n - edge, 0)] = True
     if resting.sum() < LEAST_REST_S * rate_hz:
         return None
-    loud, quiet = (np.mean(differences[:, part] ** 2, axis=(0, 1)) for part in (moving, resting))
-    return float(np.sqrt(np.mean(loud) / max(float(np.mean(np.maximum(quiet, least**2))), 1e-30)))
+    return float(np.mean(np.maximum(np.mean(differences[:, resting] ** 2, axis=(0, 1)), least**2)))
+
+
+def _beyond_noise(
+    differences: FloatArray, signals: FloatArray, moving: BoolArray, rate_hz: float, rest: float | None
+) -> tuple[float, float] | None:
+    """Return what of differences (r, n, m) is no noise, as shares of the signals (r, n, m), frequency by frequency.
+
+    Noise is what the sensors show at rest; and, as sensors that count or rub are louder in motion, what they show at
+    the frequencies at which the motion has nothing.
+    """
+    if not moving.any():
+        return None
+    frequency = np.fft.rfftfreq(int(moving.sum()), 1 / rate_hz)
+    low, high = REPEATS_BAND_HZ
+    inside = np.flatnonzero((frequency >= low) & (frequency <= min(high, 0.5 * rate_hz)))
+    if not len(inside):
+        return None
+    bins = ((frequency[inside] - low) // NOISE_BIN_HZ).astype(np.int64)
+
+    def powers(x: FloatArray) -> FloatArray:
+        square = np.mean(np.abs(np.fft.rfft(x[:, moving], axis=1)) ** 2, axis=(0, 2))[inside]
+        return np.asarray(2.0 * np.bincount(bins, square) / moving.sum() ** 2)
+
+    apart, own = powers(differences), powers(signals)
+    quiet = own < TIMES_NOISY_REST**2 * apart
+    width = np.bincount(bins) / len(inside)
+    if rest is None and quiet.sum() < LEAST_QUIET_BINS:
+        return None
+    white = float(np.median(apart[quiet] / width[quiet])) if quiet.sum() >= LEAST_QUIET_BINS else 0.0
+    noise = width * max(white, rest or 0.0)
+    shares = [np.maximum(apart - times**2 * noise, 0.0).sum() / own.sum() for times in (TIMES_NOISY_REST, TIMES_REST)]
+    return float(np.sqrt(shares[0])), float(np.sqrt(shares[1]))
 
 
 # ---- sensors against a simulation ----------------------------------------------------------------

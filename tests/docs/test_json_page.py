@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 
 from ffcomp.cli.app import app
-from ffcomp.diagnosis.gap import ResidualSize
+from ffcomp.diagnosis.gap import ResidualBreakdown, ResidualSize
 from ffcomp.diagnosis.print_gain import PrintGain
-from ffcomp.diagnosis.result import DiagnosisResult, FileNumbers, Gap
+from ffcomp.diagnosis.result import DiagnosisResult, FileNumbers, Gap, Rest
 from ffcomp.diagnosis.separation import Separation
 from ffcomp.diagnosis.verb import result_json
 from ffcomp.identification.uncertainty import normal
@@ -179,13 +179,16 @@ def test_diagnose(page: Page) -> None:
                 "report": "page.html",
                 "seconds": 1.0,
             }
-            for why in ("effects", "unknown")
+            for why in ("effects", "unknown", "dominant")
         ],
     )
 
 
-def _outcome(verdict: str) -> DiagnosisResult:
-    name = "coulomb_friction"
+def _outcome(finding: str) -> DiagnosisResult:
+    name, verdict = "coulomb_friction", "effects" if finding == "effects" else "unknown"
+    size = ResidualSize(0.02, 0.01)
+    left = ResidualBreakdown(size, {}, {"a-1.csv": size}, {(55.0, 20.0): 1.0}, [(1.0, 10.0, 1.0)], 0.6, 0.25)
+    rest = Rest(explained=0.83, left=left, rivals=[(("joint_friction",), 0.4)])
     return DiagnosisResult(
         verdict=verdict,
         effects={name: {"force_n": 1.1}},
@@ -204,6 +207,8 @@ def _outcome(verdict: str) -> DiagnosisResult:
             elsewhere=(0.3, 0.02),
             unproven=["(55, 20)"],
         ),
+        rest=rest if finding == "dominant" else None,
+        undetermined=["coulomb_friction.force_n"],
         file=FileNumbers(retuned={"carriage.mass_kg": (0.18, 0.181)}, off={"effector.nozzle_mass_kg": (0.5, 0.56)}),
         late_s={"a-1.csv": 2e-3},
     )

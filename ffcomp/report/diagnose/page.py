@@ -22,6 +22,7 @@ WORDS = {
     "effects": "an effect is missing",
     "nothing": "nothing is missing",
     "unexplained": "something unknown is missing",
+    "dominant": "most of it is one effect, and a rest is left",
     "unproven": "most of it is explained, but not proven",
     "cannot_tell": "these recordings cannot tell",
     "recording": "the recordings are at fault",

@@ -47,7 +47,11 @@ class Tile:
 def tiles(result: DiagnosisResult) -> list[Tile]:
     """Return the error of the simulation before and after, and that of noise alone."""
     names = " + ".join(result.effects)
-    after = {"effects": f"with {names}", "none": "retuned", "unknown": f"with {names or 'retuning'}, refused"}
+    after = {
+        "effects": f"with {names}",
+        "none": "retuned",
+        "unknown": f"with {names or 'retuning'}{'' if result.named else ', refused'}",
+    }
     before, noise = result.gap.before.nrms, result.gap.noise
     most = max(before, result.gap.after.nrms, noise, 1e-12)
     sizes = [

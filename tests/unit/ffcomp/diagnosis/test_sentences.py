@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from ffcomp.diagnosis.diagnosis import FINDINGS
-from ffcomp.diagnosis.gap import ResidualSize
+from ffcomp.diagnosis.gap import ResidualBreakdown, ResidualSize
 from ffcomp.diagnosis.print_gain import print_gain
-from ffcomp.diagnosis.result import DiagnosisResult, FileNumbers, Gap, PlantNames
+from ffcomp.diagnosis.result import DiagnosisResult, FileNumbers, Gap, PlantNames, Rest
 from ffcomp.diagnosis.sentences import summary_sentences, what_to_do
 from ffcomp.identification.uncertainty import normal
 from models.effects.catalogue import CATALOGUE
@@ -41,6 +41,10 @@ def result(finding: str = "effects", **about: Any) -> DiagnosisResult:
         "fault": "Sensor acc_y is clipped." if finding == "recording" else "",
     }
     sizes = ResidualSize(before, noise), ResidualSize(after, noise)
+    if finding == "dominant":
+        bands, places = [(1.0, 10.0, 0.8), (10.0, 20.0, 0.2)], {(55.0, 20.0): 0.7, (0.0, 0.0): 0.3}
+        left = ResidualBreakdown(sizes[1], {}, {"a.csv": sizes[1]}, places, bands, near_reversals=0.6, forwards=0.25)
+        usual["rest"] = Rest(explained=0.83, left=left, rivals=[(("belt_stiffness",), 0.4)])
     gap = Gap(before=sizes[0], after=sizes[1], elsewhere=elsewhere, **of_gap)
     return DiagnosisResult(verdict=verdict, finding=finding, gap=gap, file=file, **(usual | about))
 
@@ -106,7 +110,7 @@ def test_files_off_their_command_and_wrong_numbers_are_named() -> None:
     found = result(late_s={"a-1.csv": 2.1e-3, "a-2.csv": -0.4e-3}, file_off={"effector.nozzle_mass_kg": (0.5, 0.56)})
     text = " ".join(summary_sentences(found))
     assert "a-1.csv lies 2.1 ms late and a-2.csv lies 0.40 ms early" in text
-    assert "effector.nozzle_mass_kg by +12 %" in text and "Weigh the effector" in text
+    assert "effector.nozzle_mass_kg by +12 %" in text and "Weigh what moves" in text
 
 
 def test_a_file_is_written_for_retuning_only_where_it_holds_elsewhere() -> None:
@@ -122,6 +126,21 @@ def test_every_finding_has_sentences_and_steps(finding: str) -> None:
     found = result(finding)
     for sentence in [*summary_sentences(found), *what_to_do(found)]:
         assert sentence[0].isupper() and sentence.endswith(".")
+
+
+def test_what_is_named_with_a_rest_says_what_is_left_and_where() -> None:
+    found = result("dominant", before=0.37, after=0.15, undetermined=["effector_mass.added_kg"])
+    first, rest, instead, open_numbers, *_ = summary_sentences(found)
+    assert "effector_mass" in first and "83 % of the gap" in first
+    assert "80 % of it lies at 1 to 10 Hz" in rest and "75 % of the other while it moves backwards" in rest
+    assert "60 % near reversals" in rest and "70 % at (55, 20) mm" in rest and "15 % of the signals stays" in rest
+    assert "belt_stiffness would explain 40 %" in instead and "do not determine effector_mass.added_kg" in open_numbers
+    assert found.mends and found.named == ("effector_mass",) and not result("unproven").mends
+
+
+def test_friction_is_told_as_a_family_first() -> None:
+    found = replace(result(), effects={"stribeck_friction": {"force_n": 1.0}})
+    assert "dry friction that falls with speed, stribeck_friction" in summary_sentences(found)[0]
 
 
 def test_every_effect_has_a_remedy_and_uneven_towers_are_named() -> None:

@@ -1,0 +1,154 @@
+"""Named, with a rest: the one effect that holds most of a discrepancy which nothing explains whole.
+
+Real machines hold more than one thing, so that no single effect passes the acceptance tests. One is named nevertheless
+if, where it was left out of the fit,
+
+    it explains most of the discrepancy · it leaves far less than any effect of another family · what it leaves no
+    longer looks like it · it does so whichever group is not counted
+
+An effect that is only the nearest wrong one fails these: another is nearly as near, or its size would have to change
+from place to place, so that what is left has its signature.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ffcomp.diagnosis.acceptance import (
+    HeldOut,
+    groups,
+    hold_out,
+    out_of_reach,
+    residual_left_out,
+    simulate_left_out,
+    to_explain,
+)
+from ffcomp.diagnosis.fidelity import continue_fit, fit_within_uncertainty
+from ffcomp.diagnosis.fit import EstimationProblem, Fit, intervals_of, superfluous
+from ffcomp.diagnosis.hypotheses import Hypothesis, kin_of, likeliest
+from ffcomp.diagnosis.settings import SETTINGS
+from ffcomp.numerics.stages import Progress
+from models.arrays import FloatArray
+
+
+@dataclass(frozen=True)
+class Rival:
+    """The best effect of another family."""
+
+    names: tuple[str, ...]
+    explained: float  # share of the discrepancy where it was left out of the fit
+
+
+@dataclass(frozen=True, eq=False)
+class Dominant:
+    """The effect that holds most of a discrepancy."""
+
+    hypothesis: Hypothesis  # of one effect
+    explained: float  # share of the discrepancy where it was left out of the fit
+    rivals: tuple[Rival, ...]  # the best first
+
+
+@dataclass(frozen=True, eq=False)
+class _Tested:
+    """A hypothesis where it was left out of the fit."""
+
+    hypothesis: Hypothesis
+    left: FloatArray  # (groups,) of |r|² beyond noise
+    alike: float  # share of what is left that has the effects' signature
+
+
+def dominant_effect(
+    estimation: EstimationProblem, base: Fit, tried: Sequence[Hypothesis], progress: Progress
+) -> Dominant | None:
+    """Return the effect that holds most of the discrepancy, if one does.
+
+    Parameters
+    ----------
+    base : the machine's parameters alone
+    tried : hypotheses of the same data
+    """
+    contenders = _best_of_kin([h for h in tried if len(h.fit.residual) == len(base.residual)])
+    if not contenders or len(groups(estimation.problem)) < 2:
+        return None
+    progress("nothing explains all of it: looking for what explains most")
+    held_out = hold_out(estimation, base, base)
+    whole = to_explain(held_out)
+    tested = [_tested(estimation, _fitted(estimation, h, progress)) for h in contenders[: SETTINGS.by_simulation]]
+    first, *others = sorted(tested, key=lambda each: float(each.left.sum()))
+    explained = [1 - float(each.left.sum()) / whole for each in (first, *others)]
+    for each, share in zip((first, *others), explained, strict=True):
+        told = f"{100 * share:.0f} % of what it was not fitted to; {100 * each.alike:.0f} % of the rest looks like it"
+        progress(f"{each.hypothesis.names[0]} explains {told}")
+    if (
+        explained[0] < SETTINGS.dominant
+        or first.alike > SETTINGS.signature
+        or not all(_ahead(first, other) for other in others)
+        or not _everywhere(first, held_out)
+        or not _sound(estimation, first.hypothesis)
+    ):
+        return None
+    rivals = tuple(Rival(o.hypothesis.names, x) for o, x in zip(others, explained[1:], strict=True))
+    return Dominant(first.hypothesis, explained[0], rivals)
+
+
+def _best_of_kin(tried: Sequence[Hypothesis]) -> list[Hypothesis]:
+    """Return the likeliest single effect of each family, the one that leaves least first."""
+    best: dict[str, Hypothesis] = {}
+    for h in likeliest(tried):
+        if len(h.effects) == 1:
+            best.setdefault(kin_of(h.names[0]), h)
+    return sorted(best.values(), key=lambda h: h.discrepancy)
+
+
+def _fitted(estimation: EstimationProblem, h: Hypothesis, progress: Progress) -> Hypothesis:
+    """Fit to the end, with the file's numbers no further off than the file says: the rest would bend them."""
+    fitted = continue_fit(estimation, h, progress)
+    return fit_within_uncertainty(estimation, fitted, progress) if out_of_reach(fitted) else fitted
+
+
+def _tested(estimation: EstimationProblem, h: Hypothesis) -> _Tested:
+    left, alike, total = [], 0.0, 0.0
+    for members, simulated in zip(
+        groups(estimation.problem).values(), simulate_left_out(estimation, h.fit), strict=True
+    ):
+        residual, rows = residual_left_out(estimation, simulated, members), estimation.rows_of(members)
+        squares = float(residual @ residual)
+        left.append(max(squares - len(rows), 0.0))
+        alike, total = alike + _explained_by(h, rows, residual), total + squares
+    return _Tested(h, np.array(left), alike / max(total, 1e-300))
+
+
+def _explained_by(h: Hypothesis, rows: FloatArray, residual: FloatArray) -> float:
+    """Return how much of a residual the effects' derivatives explain there, beyond what retuning does; of chance none.
+
+    With as many columns as a twentieth of the rows they explain a twentieth of anything.
+    """
+    from scipy.linalg import lstsq
+
+    columns, machine = h.fit.jacobian[rows][:, h.machine_count :], h.fit.jacobian[rows][:, : h.machine_count]
+    information = np.eye(h.machine_count) + machine.T @ machine
+    own = columns - machine @ np.linalg.solve(information, machine.T @ columns)
+    part = own @ lstsq(own, residual, cond=1e-6)[0]
+    by_chance = len(own.T) / len(rows) * float(residual @ residual)
+    return max(float(part @ part) - by_chance, 0.0)
+
+
+def _ahead(first: _Tested, other: _Tested) -> bool:
+    """Tell whether another effect leaves far more, whichever group is not counted."""
+    apart = other.left - SETTINGS.ahead * first.left
+    return bool(np.all(apart.sum() - apart > 0.0))
+
+
+def _everywhere(first: _Tested, held_out: Sequence[HeldOut]) -> bool:
+    """Tell whether it explains half, whichever group is not counted."""
+    before = np.array([max(min(one.before, one.signal), 0.0) * one.rows for one in held_out])
+    return bool(np.all((before.sum() - before) - 2 * (first.left.sum() - first.left) > 0.0))
+
+
+def _sound(estimation: EstimationProblem, h: Hypothesis) -> bool:
+    """Tell whether it is one of these effects at all, with a plausible file."""
+    intervals = intervals_of(estimation, h.fit, h.fit.values, scatter=True)
+    return not out_of_reach(h) and not any(superfluous(c, intervals) for c in h.effects)

@@ -1,0 +1,115 @@
+"""Named, with a rest: what holds most of a gap that nothing explains whole; never the nearest wrong effect."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ffcomp.diagnosis.acceptance import HeldOut, contradicting, explained_elsewhere
+from ffcomp.diagnosis.dominance import Dominant, dominant_effect
+from ffcomp.diagnosis.fit import estimation_problem, fit
+from ffcomp.diagnosis.hypotheses import Hypothesis
+from ffcomp.diagnosis.noise import noise_from_repeats, whitener
+from ffcomp.diagnosis.problem import Candidate, Observation, Parameter, Problem
+from models.arrays import FloatArray
+
+RATE_HZ, N, NOISE = 800.0, 1600, 0.01
+PLACES = ((0.0, 0.0), (60.0, 50.0), (-70.0, -60.0), (40.0, -60.0))
+T = np.arange(N) / RATE_HZ
+WINDOW = np.sin(np.pi * T / T[-1]) ** 2
+
+
+def tones(*hz: float) -> FloatArray:
+    return np.asarray(WINDOW * sum(np.sin(2 * np.pi * f * T + f) for f in hz))
+
+
+SIGNATURES = {"rubs": tones(7, 19, 31), "bends": tones(11, 43), "rubs_too": tones(7, 19, 31) + 0.1 * tones(40)}
+REST = tones(57, 71)  # nothing known makes it
+
+
+def size_of(name: str) -> Parameter:
+    return Parameter(f"effects.{name}.size", 0.0, 1.0)
+
+
+class Linear(Problem):
+    """A machine whose effects add; it has a rest that none of them makes."""
+
+    band_hz = (1.0, 200.0)
+    name, path, recordings = "linear", "", ()
+    parameters = (Parameter("gain", 1.0, 0.02),)
+
+    def __init__(self, sizes: Sequence[float], rest: float, names: Sequence[str]) -> None:
+        rng = np.random.default_rng(3)
+        self.candidates = [Candidate(n, (size_of(n),), {size_of(n).name: 0.1}) for n in names]
+        self.observations = [
+            Observation(
+                f"{k}-{n}.csv",
+                f"{k}",
+                place,
+                RATE_HZ,
+                ("acc_x",),
+                (size * SIGNATURES["rubs"] + rest * REST + tones(5, 23) + NOISE * rng.standard_normal(N))[:, None],
+                np.ones((N, 1)),
+            )
+            for k, (place, size) in enumerate(zip(PLACES, sizes, strict=True))
+            for n in (1, 2)
+        ]
+
+    def simulate(
+        self, values: Mapping[str, float], only: Sequence[int] | None = None, *, coarse: bool = False
+    ) -> list[FloatArray]:
+        y = values.get("gain", 1.0) * tones(5, 23)
+        y = y + sum(values.get(size_of(n).name, 0.0) * s for n, s in SIGNATURES.items())
+        return [y[:, None]] * len(range(len(self.observations)) if only is None else only)
+
+
+def dominant(sizes: Sequence[float], rest: float = 0.5, names: Sequence[str] = ("rubs", "bends")) -> Dominant | None:
+    problem = Linear(sizes, rest, names)
+    floor = noise_from_repeats(problem.observations)
+    assert floor is not None
+    estimation = estimation_problem(problem, whitener(problem.observations, floor, problem.band_hz))
+    base = fit(estimation, problem.parameters, np.zeros(1))
+    tried = [
+        Hypothesis((c,), fit(estimation, (*problem.parameters, *c.parameters), np.zeros(2))) for c in problem.candidates
+    ]
+    return dominant_effect(estimation, base, tried, lambda _: None)
+
+
+def test_an_effect_that_leaves_a_rest_is_named_with_what_it_explains() -> None:
+    """A fifth of the power is of the rest: two tones of a half beside three."""
+    found = dominant((1.0, 1.02, 0.98, 1.0))
+    assert found is not None and found.hypothesis.names == ("rubs",)
+    assert found.explained == pytest.approx(3 / (3 + 2 * 0.25), abs=0.04)
+    assert found.hypothesis.fit.values["effects.rubs.size"] == pytest.approx(1.0, abs=0.02)
+    assert [rival.names for rival in found.rivals] == [("bends",)] and found.rivals[0].explained < 0.05
+
+
+@pytest.mark.parametrize(
+    ("sizes", "rest", "names"),
+    [
+        ((1.0, 0.0, 1.6, 0.2), 0.1, ("rubs", "bends")),  # its size changes from place to place: something else does it
+        ((1.0, 1.0, 1.0, 1.0), 1.5, ("rubs", "bends")),  # more is left than it explains
+        ((1.0, 1.0, 1.0, 1.0), 0.5, ("rubs", "rubs_too")),  # another one explains as much
+        ((3.0, 0.0, 0.0, 0.0), 0.1, ("rubs", "bends")),  # at one place only
+    ],
+)
+def test_what_is_only_the_nearest_is_not_named(sizes: Sequence[float], rest: float, names: Sequence[str]) -> None:
+    assert dominant(sizes, rest, names) is None
+
+
+def test_a_window_with_little_motion_refuses_nothing() -> None:
+    windows = [HeldOut((float(t),), "", 40, before=20000.0, after=300.0) for t in range(5)]
+    quiet = HeldOut((5.0,), "", 40, before=60.0, after=400.0)
+    assert contradicting([*windows, quiet], 3.0) == []
+    assert explained_elsewhere([*windows, quiet]) == pytest.approx(0.98, abs=0.005)
+    loud = replace(quiet, after=8000.0)
+    assert contradicting([*windows, loud], 3.0) == [loud]
+
+
+def test_what_is_worse_than_standing_still_is_no_measure() -> None:
+    """A free axis whose file is far off: 2877 % of the signals are left, then 96 %."""
+    windows = [HeldOut((float(t),), "", 40, before=8.3e4, after=92.0, filed=8.4e4, signal=100.0) for t in range(5)]
+    assert explained_elsewhere(windows) == pytest.approx(0.08)
