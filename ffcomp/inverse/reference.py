@@ -17,6 +17,10 @@ from models.arrays import FloatArray
 
 EDGE_EFFECT_S = 0.03  # of motion, that a command feels which begins too late or ends too early
 JUMP_MM = {True: (0.03, 0.1), False: (0.05, 0.12)}  # by whether filament flows there; see `room_of`
+LEAST_NEED = 0.7  # of the time that a command needs, that it gets at least
+MOST_SHARE = 0.05  # of a section's time, that is spent beyond its path
+ALL_ROOM_FROM_S = 5.0
+ROUNDING = 1e-6  # of a segment
 
 
 class Room(NamedTuple):
@@ -31,19 +35,39 @@ def room_of(trajectory: PlannedMotion, section: Section, settings: Settings) -> 
 
     Where the nozzle starts with an acceleration a, the command must jump by C a, C the machine's compliance. A small
     jump is made within the path's own time at the cost of 2 % of it in error. The larger it is, the more of the time
-    that the settings allow is spent, and where no filament flows less of it.
+    that the settings allow is spent, and where no filament flows less of it. A short section spends no more than a
+    share of its own time, for prints that rest often would lose much by it. The section becomes a whole number of
+    segments long, and what that leaves is shared out too; a long one gets all of the time: it costs nothing, and where
+    a motion is cut, both sides must find the same knots.
     """
+    if section.end_t - section.begin_t > ALL_ROOM_FROM_S:
+        return Room(settings.lead_s, settings.tail_s)
     ends = np.array([section.begin_t, math.nextafter(section.end_t, -math.inf)])
     inner = np.array([section.begin_t + settings.lead_s, section.end_t - settings.lead_s])
     speeds = trajectory.velocity(np.clip(inner, *ends))[:, :3]
     jumps = np.sqrt(((speeds * settings.compliance_s2) ** 2).sum(axis=1)) / settings.lead_s
     near = np.array([ends[0], ends[0] + EDGE_EFFECT_S, ends[1] - EDGE_EFFECT_S, ends[1]])
     filament = trajectory.position(np.clip(near, *ends))[:, 3]
-    lead, tail = (
+    shares = (
         float(np.interp(jump, JUMP_MM[bool(flow > 0.0)], (0.0, 1.0)))
         for jump, flow in zip(jumps, (filament[1] - filament[0], filament[3] - filament[2]), strict=True)
     )
-    return Room(lead * settings.lead_s, tail * settings.tail_s)
+    lead_s, tail_s = (share * most_s for share, most_s in zip(shares, (settings.lead_s, settings.tail_s), strict=True))
+    needed_s, duration_s = lead_s + tail_s, section.end_t - section.begin_t
+    affordable_s = max(MOST_SHARE * duration_s - settings.segment_s, LEAST_NEED * needed_s)
+    segments = _segments_of(duration_s + min(needed_s, affordable_s), settings.segment_s)
+    return room_in(section, segments, settings, lead_s / needed_s if needed_s > 0.0 else 0.5)
+
+
+def room_in(section: Section, segments: int, settings: Settings, lead_share: float) -> Room:
+    """Share out what a number of segments leaves of time beyond a section."""
+    spare_s = segments * settings.segment_s - (section.end_t - section.begin_t)
+    return Room(spare_s * lead_share, spare_s * (1.0 - lead_share))
+
+
+def _segments_of(duration_s: float, segment_s: float) -> int:
+    """Return how many segments a section of this duration has."""
+    return math.ceil(duration_s / segment_s - ROUNDING)
 
 
 class Reference:
@@ -75,7 +99,7 @@ class Reference:
             t, multiple = through
             self.t0 = t - multiple * int(np.ceil((t - self.t0) / settings.segment_s / multiple)) * settings.segment_s
         length = section.end_t - self.t0 + room.tail_s
-        self.knots = int(np.ceil(length / settings.segment_s - 1e-9))  # segments of the section
+        self.knots = _segments_of(length, settings.segment_s)
         self.shortest_knots = settings.shortest_knots  # that a segment must have
         self._trajectory, self._section = trajectory, section
         self._segment_s, self._substep_s = settings.segment_s, settings.segment_s / settings.substeps
@@ -154,15 +178,15 @@ class Extent(NamedTuple):
     end: PathPosition | None = None  # None: to the section's end
 
     def written(
-        self, plan: PlannedMotion, section: Section, settings: Settings, all_room: bool = False
+        self, plan: PlannedMotion, section: Section, settings: Settings, room: Room | None = None
     ) -> WrittenReference:
         """Lay the section's knots, one of them where the written part begins, and find those of the written part.
 
-        all_room : give the command all the time before and after its path that it may have, not what it needs
+        room : beyond the path; None: what a section that is not cut needs
         """
         begin_t, end_t = (None if cut is None else cut.time_in(cast(Trajectory, plan)) for cut in self)
         # both sides of a cut must find the same knots, whatever becomes slower on one of them
-        room = None if self == WHOLE and not all_room else Room(settings.lead_s, settings.tail_s)
+        room = room if self == WHOLE else Room(settings.lead_s, settings.tail_s)
         reference = Reference(plan, section, settings, None if begin_t is None else (begin_t, CUT), room)
         first = 0 if begin_t is None else round(reference.knot_of(begin_t))
         last = reference.knots if end_t is None else round(reference.knot_of(end_t))

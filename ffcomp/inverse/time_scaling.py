@@ -20,6 +20,7 @@ that takes.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields, replace
 from typing import NamedTuple, TypeVar, cast
@@ -29,7 +30,7 @@ import numpy as np
 from ffcomp.errors import LimitsError, SolverError
 from ffcomp.inverse.command_limits import NAMES, TRAVEL, VELOCITY, utilisation_from_rest
 from ffcomp.inverse.model import InverseModel
-from ffcomp.inverse.reference import SLOWEST_RAMPS, WHOLE, Extent, Reference, WrittenReference, context_s
+from ffcomp.inverse.reference import SLOWEST_RAMPS, WHOLE, Extent, Reference, Room, WrittenReference, context_s, room_in
 from ffcomp.inverse.settings import CUT
 from ffcomp.inverse.solve import Solution, solve
 from ffcomp.inverse.violations import (
@@ -135,7 +136,7 @@ def solve_feasible(model: InverseModel, request: SectionRequest) -> FeasibleSect
     late = _late(model, written, solution.vertices)
     if not _exceeds(model, written, solution, late):
         return FeasibleSection(trajectory, section, written, solution)
-    if (roomy := _with_all_room(model, request, written)) is not None:
+    if (roomy := _with_more_room(model, request, written)) is not None:
         return roomy
     moves, first_line = _slice(request.program.moves, section), request.program.first_line
     scaled = _ScaledSection(
@@ -164,18 +165,24 @@ def solve_feasible(model: InverseModel, request: SectionRequest) -> FeasibleSect
     return FeasibleSection(spliced, section, written, solution, records, lost)
 
 
-def _with_all_room(model: InverseModel, request: SectionRequest, tight: WrittenReference) -> FeasibleSection | None:
-    """Solve a section with all the time before and after its path that a command may have; None: that is not enough.
+def _with_more_room(model: InverseModel, request: SectionRequest, tight: WrittenReference) -> FeasibleSection | None:
+    """Solve a section with more time before and after its path, at most all that a command may have; None: too little.
 
     A few ms there are less than what slower moves would take.
     """
-    written = request.extent.written(request.trajectory, request.section, model.settings, all_room=True)
-    if written.reference.knots == tight.reference.knots:
+    s, section = model.settings, request.section
+    if request.extent != WHOLE:
         return None
-    solution = solve(model, written.reference, request.state, keep_response=request.keep_response, enforce_limits=False)
-    if _exceeds(model, written, solution, _late(model, written, solution.vertices)):
-        return None
-    return FeasibleSection(request.trajectory, request.section, written, solution)
+    most = math.ceil((section.end_t - section.begin_t + s.lead_s + s.tail_s) / s.segment_s)
+    for segments in range(tight.reference.knots + 1, most + 1):
+        room = room_in(section, segments, s, s.lead_s / (s.lead_s + s.tail_s))
+        written = request.extent.written(request.trajectory, section, s, room)
+        solution = solve(
+            model, written.reference, request.state, keep_response=request.keep_response, enforce_limits=False
+        )
+        if not _exceeds(model, written, solution, _late(model, written, solution.vertices)):
+            return FeasibleSection(request.trajectory, section, written, solution)
+    return None
 
 
 def scale_around_cut(
@@ -373,7 +380,8 @@ class _ScaledSection:
     def _attempt(self, tolerance_mm: float) -> _Attempt:
         """Solve on the plan as it stands, without limits first, and list the violations in the written part."""
         model = self.model
-        written = self.extent.written(self.plan, self.section, model.settings)
+        all_room = Room(model.settings.lead_s, model.settings.tail_s)
+        written = self.extent.written(self.plan, self.section, model.settings, all_room)
         free = self._solve(written, enforce_limits=False)
         feasible = _utilisation(model, written, free) <= 1.0
         utilisation = utilisation_from_rest(free.vertices, model.limits)[1:-1]

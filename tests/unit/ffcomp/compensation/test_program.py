@@ -64,7 +64,10 @@ def test_the_flow_follows_the_path() -> None:
 
 def test_the_motion_and_the_filament_in_all_stay() -> None:
     usual, ahead = written(None), written(FREE)
-    assert ahead.statistics.print_time_s == pytest.approx(usual.statistics.print_time_s, rel=1e-3)
+    one_segment_a_line_s = 0.004 * 4  # the extruder's jump may ask for a little more time at a line's ends
+    assert ahead.statistics.print_time_s == pytest.approx(
+        usual.statistics.print_time_s, abs=one_segment_a_line_s + 1e-6
+    )
     ends = [
         plan_program(read_program(f.text, "", flavor="klipper"), MACHINE).program.moves.end[-1] for f in (usual, ahead)
     ]
