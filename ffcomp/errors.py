@@ -83,6 +83,7 @@ EXTRAS = {
     "control": ("control", "This needs python-control"),
     "starlette": ("serve", "The page needs Starlette and Uvicorn"),
     "uvicorn": ("serve", "The page needs Starlette and Uvicorn"),
+    "httpx": ("serve", "The page needs httpx"),
 }
 """Packages that only an extra installs: its name, and who needs it."""
 

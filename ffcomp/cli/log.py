@@ -6,6 +6,7 @@ FFCOMP_LOG names another file, and `off` stands for none. A log that cannot be w
 
 from __future__ import annotations
 
+import logging
 import os
 import platform
 import shlex
@@ -14,13 +15,17 @@ import time
 import traceback
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
+from logging.handlers import RotatingFileHandler
 from pathlib import Path
 
 from ffcomp.version import __version__
 
 LARGEST = 1 << 20  # bytes; then the file becomes ffcomp.log.1, and the one before that is gone
 
-_log: Path | None = None  # of the run that is under way
+LOGGER = logging.getLogger("ffcomp")
+LOGGER.setLevel(logging.INFO)
+LOGGER.propagate = False
+LOGGER.addHandler(logging.NullHandler())  # where nothing is logged, nothing is printed either
 
 
 def log_path(environment: Mapping[str, str] = os.environ) -> Path | None:
@@ -37,19 +42,16 @@ def log_path(environment: Mapping[str, str] = os.environ) -> Path | None:
 
 def note(text: str) -> None:
     """Write a message into the log of this run, every line with its time and process."""
-    if _log is None:
-        return
-    begin = f"{time.strftime('%Y-%m-%dT%H:%M:%S%z')} [{os.getpid()}] "
-    lines = "".join(f"{begin}{line}\n" for line in text.splitlines())
-    with suppress(OSError), open(_log, "ab") as file:  # one write each: runs at the same time do not mix within it
-        file.write(lines.encode("utf-8", "backslashreplace"))
+    for line in text.splitlines():
+        LOGGER.info("%s", line)
 
 
 @contextmanager
 def logged(arguments: list[str]) -> Iterator[None]:
     """Log one run of the command line: its beginning, the messages given to `note`, its end."""
-    global _log
-    _log, started, code = _prepared(), time.perf_counter(), "1"
+    log, started, code = _opened(), time.perf_counter(), "1"
+    if log is not None:
+        LOGGER.addHandler(log)
     note(f"ffcomp {__version__}, Python {platform.python_version()}, {platform.system()}, in {_folder()}")
     note(shlex.join(["ffcomp", *arguments]))
     if "SLIC3R_PP_HOST" in os.environ:
@@ -62,12 +64,15 @@ def logged(arguments: list[str]) -> Iterator[None]:
         raise
     except BaseException:
         note(traceback.format_exc())
-        if _log is not None:
-            print(f"ffcomp: This is a fault of ffcomp's own; what led to it is in {_log}.", file=sys.stderr)
+        if log is not None:
+            print(f"ffcomp: This is a fault of ffcomp's own; what led to it is in {log.baseFilename}.", file=sys.stderr)
         raise
     finally:
         note(f"exit code {code} after {time.perf_counter() - started:.1f} s")
-        _log = None
+        if log is not None:
+            LOGGER.removeHandler(log)
+            with suppress(OSError):
+                log.close()
 
 
 def _folder() -> str:
@@ -78,16 +83,17 @@ def _folder() -> str:
         return f"a folder that cannot be told ({error.strerror})"
 
 
-def _prepared() -> Path | None:
-    """Open the log, shortened if it is full; None if it cannot be written."""
+class _Log(RotatingFileHandler):
+    def handleError(self, record: logging.LogRecord) -> None:
+        """Do without a line that cannot be written."""
+
+
+def _opened() -> _Log | None:
+    """Open the log; None if it cannot be written."""
     with suppress(OSError, RuntimeError):  # RuntimeError: no home folder
-        path = log_path()
-        if path is None:
-            return None
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with open(path, "ab") as file:
-            full = file.tell() > LARGEST
-        if full:
-            os.replace(path, f"{path}.1")
-        return path
+        if path := log_path():
+            path.parent.mkdir(parents=True, exist_ok=True)
+            log = _Log(path, maxBytes=LARGEST, backupCount=1, encoding="utf-8", errors="backslashreplace")
+            log.setFormatter(logging.Formatter("%(asctime)s [%(process)d] %(message)s", "%Y-%m-%dT%H:%M:%S%z"))
+            return log
     return None

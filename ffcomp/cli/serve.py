@@ -85,7 +85,7 @@ def serve(request: ServeRequest) -> None:
 
     Example: ffcomp serve --open
     """
-    for package in ("starlette", "uvicorn"):
+    for package in ("starlette", "uvicorn", "httpx"):
         require(package)
     from ffcomp.serve.settings import MEGABYTE, Settings, is_local, kept_token
 

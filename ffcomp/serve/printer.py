@@ -2,22 +2,22 @@
 
 from __future__ import annotations
 
-import json
 import os
 import re
-import secrets
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any
-from urllib.error import HTTPError, URLError
 from urllib.parse import quote
-from urllib.request import Request, urlopen
+
+import httpx
 
 from ffcomp.serve.uploads import Refused
 
 TIMEOUT_S = 30.0
 PIECE = 1 << 16
+FILES = "/server/files"
 MOST_FILES = 2000
 SUFFIX = "_ffcomp"
 KEY = "FFCOMP_MOONRAKER_KEY"  # of the environment: Moonraker's API key, where it wants one
@@ -32,10 +32,9 @@ class Printer:
 
     def files(self) -> list[dict[str, Any]]:
         """Return the prints on the printer, the newest first: `path`, `bytes`, `modified` (s since 1970)."""
-        found = self._json("/server/files/list?root=gcodes")
         listed = [
             {"path": str(each["path"]), "bytes": int(each["size"]), "modified": float(each["modified"])}
-            for each in found
+            for each in self._listed()
             if str(each["path"]).lower().endswith(_KINDS)
         ]
         return sorted(listed, key=lambda each: -float(str(each["modified"])))[:MOST_FILES]
@@ -50,55 +49,42 @@ class Printer:
         """
         if path not in {each["path"] for each in self.files()}:
             raise Refused(404, "The printer has no such file.")
-        with self._open(Request(f"{self.url}/server/files/gcodes/{quote(path)}", headers=_key())) as answer:
-            while piece := answer.read(PIECE):
-                yield piece
+        with self._answers(), self._client() as client, client.stream("GET", f"{FILES}/gcodes/{quote(path)}") as answer:
+            answer.raise_for_status()
+            yield from answer.iter_bytes(PIECE)
 
     def write(self, source: Path, beside: str) -> str:
         """Put a file beside another one on the printer, under a name of its own, and return its path."""
         folder = PurePosixPath(beside).parent if beside else PurePosixPath(".")
         name = _free_name(source.name, folder, {each["path"] for each in self.files()})
-        edge = secrets.token_hex(16)
         fields = {"root": "gcodes", "path": "" if str(folder) == "." else str(folder), "print": "false"}
-        head = "".join(
-            f'--{edge}\r\nContent-Disposition: form-data; name="{k}"\r\n\r\n{v}\r\n' for k, v in fields.items()
-        )
-        head += f'--{edge}\r\nContent-Disposition: form-data; name="file"; filename="{name}"\r\n'
-        head += "Content-Type: application/octet-stream\r\n\r\n"
-        ends = head.encode(), f"\r\n--{edge}--\r\n".encode()
-        size = sum(map(len, ends)) + source.stat().st_size
-        headers = {"Content-Type": f"multipart/form-data; boundary={edge}", "Content-Length": str(size)} | _key()
-        with self._open(Request(f"{self.url}/server/files/upload", _body(source, *ends), headers)) as answer:
-            answer.read(PIECE)
+        with self._answers(), self._client() as client, open(source, "rb") as file:
+            client.post(f"{FILES}/upload", data=fields, files={"file": (name, file)}).raise_for_status()
         return str(folder / name)
 
-    def _json(self, path: str) -> Any:
-        with self._open(Request(self.url + path, headers=_key())) as answer:
+    def _listed(self) -> Any:
+        with self._answers(), self._client() as client:
+            answer = client.get(f"{FILES}/list", params={"root": "gcodes"}).raise_for_status()
             try:
-                return json.loads(answer.read(1 << 24))["result"]
+                return answer.json()["result"]
             except (ValueError, KeyError, TypeError):
                 raise Refused(502, f"{self.url} does not answer as Moonraker does.") from None
 
-    def _open(self, request: Request) -> Any:
+    def _client(self) -> httpx.Client:
+        key = {"X-Api-Key": os.environ[KEY]} if os.environ.get(KEY) else {}
+        return httpx.Client(base_url=self.url, headers=key, timeout=TIMEOUT_S, follow_redirects=True)
+
+    @contextmanager
+    def _answers(self) -> Iterator[None]:
+        """Say in a sentence how the printer failed to answer."""
         try:
-            return urlopen(request, timeout=TIMEOUT_S)
-        except HTTPError as error:
-            hint = f" Set its API key in {KEY}." if error.code in (401, 403) else ""
-            raise Refused(502, f"The printer answers {error.code} {error.reason}.{hint}") from None
-        except (URLError, OSError, ValueError) as error:
+            yield
+        except httpx.HTTPStatusError as error:
+            code, reason = error.response.status_code, error.response.reason_phrase
+            hint = f" Set its API key in {KEY}." if code in (401, 403) else ""
+            raise Refused(502, f"The printer answers {code} {reason}.{hint}") from None
+        except (httpx.HTTPError, httpx.InvalidURL) as error:
             raise Refused(502, f"The printer at {self.url} cannot be reached: {error}.") from None
-
-
-def _key() -> dict[str, str]:
-    return {"X-Api-Key": os.environ[KEY]} if os.environ.get(KEY) else {}
-
-
-def _body(source: Path, head: bytes, end: bytes) -> Iterator[bytes]:
-    yield head
-    with open(source, "rb") as file:
-        while piece := file.read(PIECE):
-            yield piece
-    yield end
 
 
 def _free_name(name: str, folder: PurePosixPath, taken: set[str]) -> str:
