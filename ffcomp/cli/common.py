@@ -8,12 +8,10 @@ from __future__ import annotations
 
 import os
 import sys
-import time
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from importlib.util import find_spec
 from pathlib import Path
-from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
 from ffcomp.cli.log import note
@@ -92,57 +90,3 @@ def opened(target: str) -> bool:
 
     path = Path(target)
     return webbrowser.open(path.resolve().as_uri() if path.exists() else target)
-
-
-class Progress:
-    """Progress: a bar with the time left on a terminal, a line a tenth elsewhere (a slicer's log), nothing if quiet."""
-
-    def __init__(self, total_s: float, quiet: bool, what: str = "compensating") -> None:
-        self.total_s, self.quiet, self.what = max(total_s, 1e-9), quiet, what
-        self.live = sys.stderr.isatty() and not os.environ.get("SLIC3R_PP_HOST")
-        self.started = time.monotonic()
-        self.said = 0
-
-    def __enter__(self) -> Progress:
-        if self.live and not self.quiet:
-            from rich.console import Console
-            from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
-            from rich.progress import Progress as Bar
-
-            columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:3.0f} %"))
-            self.bar = Bar(*columns, TimeRemainingColumn(), console=Console(stderr=True), transient=True)
-            self.bar.start()
-            self.task = self.bar.add_task(self.what, total=self.total_s)
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        if self.live and not self.quiet:
-            self.bar.stop()
-
-    def __call__(self, done_s: float) -> None:
-        """Show how much is done."""
-        if self.quiet:
-            return
-        if self.live:
-            self.bar.update(self.task, completed=done_s)
-            return
-        tenth = int(10 * done_s / self.total_s)
-        if tenth > self.said:
-            self.said = tenth
-            spent = time.monotonic() - self.started
-            left = spent * (self.total_s / done_s - 1)
-            print(f"ffcomp: {min(10 * tenth, 100)} %, {max(left, 0):.0f} s left", file=sys.stderr)
-
-    def phase(self, what: str, share: float) -> None:
-        """Show the current stage in words, and the share of the whole that is done (0 to 1)."""
-        if self.quiet:
-            return
-        if self.live:
-            self.bar.update(self.task, completed=share * self.total_s, description=what)
-            return
-        if what != self.what:
-            self.what = what
-            print(f"ffcomp: {what} …", file=sys.stderr)
-        self(share * self.total_s)

@@ -11,7 +11,8 @@ from statistics import median
 from typing import TYPE_CHECKING, Annotated, Any
 
 from ffcomp.cli.command import Shown, verb
-from ffcomp.cli.common import Progress, exit_codes, print_json, say
+from ffcomp.cli.common import exit_codes, print_json, say
+from ffcomp.cli.progress import Progress
 from ffcomp.comparison.request import CompareRequest
 from ffcomp.errors import RequestError
 from ffcomp.options import CHANGE_SPEED, KEEP_SPEED, MAX_FLOW, MIN_LAYER_TIME, REPORT

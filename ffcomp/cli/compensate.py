@@ -10,8 +10,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ffcomp.cli.command import Shown, verb
-from ffcomp.cli.common import Progress, fail, print_json, say, say_assumed, tell
+from ffcomp.cli.common import fail, print_json, say, say_assumed, tell
 from ffcomp.cli.log import note
+from ffcomp.cli.progress import Progress
 from ffcomp.compensation.request import CompensateFilesRequest, CompensateOptions, CompensateRequest
 
 if TYPE_CHECKING:

@@ -39,7 +39,7 @@ def diagnose(request: DiagnoseRequest, page: Page, shown: Shown) -> None:
     """
     _check_targets(request.output, page.report, page.force)
 
-    from ffcomp.cli.search_progress import SearchProgress
+    from ffcomp.cli.progress import SearchProgress
     from ffcomp.diagnosis.diagnosis import USUAL_S
     from ffcomp.diagnosis.verb import diagnose_files
     from gcode.atomic_write import replace_atomically

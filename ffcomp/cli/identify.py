@@ -32,7 +32,7 @@ def fit(request: FitRequest, shown: Shown) -> None:
 
     Its belts, or a delta's towers, compared: ffcomp identify fit raw_data_axis=*.csv -m voron-300 --figure belts.png
     """
-    from ffcomp.cli.search_progress import SearchProgress
+    from ffcomp.cli.progress import SearchProgress
     from ffcomp.identification.fitting import USUAL_S, fit_files
     from models.file import load_plant
 

@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from ffcomp.cli.command import Shown, verb
-from ffcomp.cli.common import Progress, print_json, say, say_assumed
+from ffcomp.cli.common import print_json, say, say_assumed
+from ffcomp.cli.progress import Progress
 from ffcomp.errors import RequestError
 from ffcomp.request import ADVANCED, OUTPUT, Option, Request
 from ffcomp.simulation.request import SimulateRequest

@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from ffcomp.cli.search_progress import SearchProgress
+from ffcomp.cli.progress import Progress, SearchProgress
 from ffcomp.diagnosis.diagnosis import USUAL_S
 from ffcomp.numerics.stages import Now, Pace, Stage
 
@@ -31,14 +31,32 @@ def test_quiet_says_nothing(capsys: pytest.CaptureFixture[str]) -> None:
     assert capsys.readouterr() == ("", "")
 
 
-def test_on_a_terminal_there_is_a_bar_with_the_stage_and_what_is_tried(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def on_a_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("SLIC3R_PP_HOST", raising=False)
     monkeypatch.setenv("TERM", "xterm")
     monkeypatch.setenv("COLUMNS", "120")
     monkeypatch.setenv("FORCE_COLOR", "1")
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+
+
+@pytest.mark.parametrize("terminal", [False, True])
+def test_a_share_is_a_bar_on_a_terminal_and_lines_elsewhere(
+    terminal: bool, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if terminal:
+        on_a_terminal(monkeypatch)
+    with Progress(10.0, quiet=False, what="simulating") as progress:
+        progress(1.0)
+        progress.phase("drawing", 0.5)
+    err = capsys.readouterr().err
+    said = ("drawing", "50 %") if terminal else ("ffcomp: 10 %, ", "ffcomp: drawing …\n", "ffcomp: 50 %, ", " s left\n")
+    assert all(each in err for each in said), err
+
+
+def test_on_a_terminal_there_is_a_bar_with_the_stage_and_what_is_tried(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    on_a_terminal(monkeypatch)
     shown(quiet=False)
     out, err = capsys.readouterr()
     assert out == ""
@@ -61,7 +79,7 @@ def test_the_time_left_is_what_is_usual_then_what_the_stages_before_took() -> No
 
 def test_the_time_left_is_said_in_round_numbers(monkeypatch: pytest.MonkeyPatch) -> None:
     clock = 100.0
-    monkeypatch.setattr("ffcomp.cli.search_progress.time.monotonic", lambda: clock)
+    monkeypatch.setattr("ffcomp.cli.progress.time.monotonic", lambda: clock)
     shown = SearchProgress(False, (10.0, 30.0))
     assert shown.left() == "about 40 s left"
     clock = 100.0 + 43.0
