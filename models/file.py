@@ -224,7 +224,10 @@ def updated_text(
         for part in tables:
             table = table.setdefault(part, tomlkit.table())
         if last not in table:
-            last, value = quantities.key(last), quantities.value(last, value)
+            inside = quantities.inside(last)
+            in_file = inside in table  # a file of what turns may keep the keys of the inside
+            value = quantities.value(last, value)
+            last = inside if in_file else quantities.key(last)
         if index:
             table[last][int(index)] = value
         else:

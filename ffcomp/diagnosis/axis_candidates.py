@@ -6,6 +6,8 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from ffcomp.diagnosis.problem import Candidate, Parameter
 from models.effects.catalogue import CATALOGUE
 from models.effects.effect import AT_DRIVE, Effect, MotionScales
@@ -46,16 +48,20 @@ def axis_candidates(
         and any(p.on_axis.size is not None for p in CATALOGUE[name].amplitudes)
     ]
     axis = driven_axis(machine)
-    candidates = tuple(_with_lines(_candidate(effect, scales, pitches), effect, scales, pitches) for effect in able)
+    candidates = tuple(
+        _with_lines(_candidate(effect, scales, pitches), effect, scales, pitches, axis.by_force) for effect in able
+    )
     if not axis.load_mass_kg or axis.free:
         return candidates
     drive = replace(scales, stiffness_n_per_m=axis.stiffness_n_per_m, stretch_m=scales.force_n / axis.stiffness_n_per_m)
     return tuple(_of_either_spring(c, effect, drive) for c, effect in zip(candidates, able, strict=True))
 
 
-def _with_lines(candidate: Candidate, effect: Effect, scales: MotionScales, pitches: Sequence[float]) -> Candidate:
-    """Let a force that repeats along the axis have several lines, as another form."""
-    if len(pitches) < 2 or not any(p.size == "lines" for p in effect.shapes):
+def _with_lines(
+    candidate: Candidate, effect: Effect, scales: MotionScales, pitches: Sequence[float], by_force: bool
+) -> Candidate:
+    """Let a force that repeats along the axis have several lines, as another form, where the force was measured."""
+    if not by_force or len(pitches) < 2 or not any(p.size == "lines" for p in effect.shapes):
         return candidate
     lines = range(len(pitches))
     amplitudes = tuple(_amplitude(effect, p, scales, i) for i in lines for p in effect.amplitudes)
@@ -78,7 +84,7 @@ def _of_either_spring(candidate: Candidate, effect: Effect, drive: MotionScales)
 def _candidate(effect: Effect, scales: MotionScales, pitches: Sequence[float] = ()) -> Candidate:
     amplitudes = tuple(_amplitude(effect, p, scales) for p in effect.amplitudes if p.on_axis.size is not None)
     searched = [p for p in effect.shapes if p.default is None or p.starts]
-    starts = {p.name: [x for x in _starts(p, scales) if p.bounds[0] <= x <= p.bounds[1]] for p in searched}
+    starts = {p.name: list(dict.fromkeys(float(np.clip(x, *p.bounds)) for x in _starts(p, scales))) for p in searched}
     shapes = tuple(_shape(effect, p, starts[p.name], scales) for p in searched)
     if pitches and any(p.is_pitch for p in searched):
         starts |= {p.name: list(pitches) for p in searched if p.is_pitch}

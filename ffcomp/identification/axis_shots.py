@@ -295,7 +295,8 @@ def scales_of(machine: Machine, shots: Sequence[Shots]) -> MotionScales:
 def _force(machine: Machine, shots: Sequence[Shots]) -> float:
     """Return the size of the forces, N: of the drive; of inertia, where a position drives or nothing does."""
     axis = driven_axis(machine)
-    drive = float(np.std(np.concatenate([one.run.drive for one in shots]))) if axis.by_force else 0.0
+    runs = [one.run for one in shots]
+    drive = float(np.std(np.concatenate([axis.force_of(r.drive, r.supply_v) for r in runs]))) if axis.by_force else 0.0
     if drive > 0.0:
         return drive
     change = [np.gradient(one.speed, 1 / one.run.sample_rate_hz) / 1e3 for one in shots]
