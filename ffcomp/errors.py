@@ -81,17 +81,22 @@ class SolverError(FfcompError):
 EXTRAS = {
     "matplotlib": ("plot", "Figures and pages need Matplotlib"),
     "control": ("control", "This needs python-control"),
+    "PIL": ("scan", "Pictures need Pillow"),
     "starlette": ("serve", "The page needs Starlette and Uvicorn"),
     "uvicorn": ("serve", "The page needs Starlette and Uvicorn"),
     "httpx": ("serve", "The page needs httpx"),
 }
 """Packages that only an extra installs: its name, and who needs it."""
 
+PACKAGE_NAMES = {"PIL": "pillow"}
+"""What a package is installed as, where it is imported by another name."""
+
 
 def not_installed(package: str) -> FfcompError:
     """Return the error that says which extra brings a package of EXTRAS."""
     extra, need = EXTRAS[package]
-    return FfcompError(f"{need}: pip install 'ffcomp[{extra}]' (with pipx: pipx inject ffcomp {package}).")
+    name = PACKAGE_NAMES.get(package, package)
+    return FfcompError(f"{need}: pip install 'ffcomp[{extra}]' (with pipx: pipx inject ffcomp {name}).")
 
 
 @contextmanager

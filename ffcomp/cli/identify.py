@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING
 from ffcomp.cli.command import Shown, group, verb
 from ffcomp.cli.common import print_json, say
 from ffcomp.errors import RequestError
-from ffcomp.identification.request import DecoupleRequest, FitRequest
+from ffcomp.identification.request import DecoupleRequest, FitRequest, ScanRequest
 
 if TYPE_CHECKING:
     from ffcomp.identification.axes import AxisFit
     from ffcomp.identification.belts import BeltComparison
     from ffcomp.identification.decoupling import PlaceParts
-    from ffcomp.identification.machine_fit import MachineFit, ParametersFit, ResonancesFit, StepwiseFit
+    from ffcomp.identification.machine_fit import MachineFit, ParametersFit, ResonancesFit, ScanFit, StepwiseFit
     from ffcomp.identification.uncertainty import Estimate
 
 
@@ -78,14 +78,50 @@ def decouple(request: DecoupleRequest) -> None:
             _print_parts(place)
 
 
+@verb
+def scan(request: ScanRequest, shown: Shown) -> None:
+    """Identify a printer without a sensor: from a scan or a photo of a page that it has printed.
+
+    First print the page: ffcomp record plan --for scan -m MACHINE -o page.gcode. Scan it at 600 dpi or more, straight
+    on the glass; or photograph all of it from above, without flash, so that it fills the picture. ffcomp finds the
+    discs, takes out perspective and the scanner's wobble by the slow lines, and fits the machine to the waves in the
+    quick ones.
+
+    Example: ffcomp identify scan page.jpg --plan page.json -m voron-250 -o my-voron.toml --figure page.png
+    """
+    from ffcomp.cli.search_progress import SearchProgress
+    from ffcomp.errors import extras_told
+    from models.file import load_machine
+
+    start = load_machine(request.machine)
+    with extras_told():
+        from ffcomp.identification.scanning import USUAL_S, fit_pictures
+
+        with SearchProgress(shown.quiet, USUAL_S, "reading the pictures") as progress:
+            result = fit_pictures(start, request, progress)
+    _write(result, request.output)
+    if request.figure is not None:
+        from ffcomp.report.scan import draw_page
+
+        draw_page(result, request.figure)
+        say(f"ffcomp: {request.figure}", shown.quiet)
+    if shown.as_json:
+        print_json(result.to_dict(None if request.output is None else str(request.output)))
+    else:
+        _print(result, request.output)
+
+
 identify = group(
     "identify",
     """Identify a machine file's parameters from measurements.
+
+    Without a sensor: ffcomp record plan --for scan, print its page, scan it, ffcomp identify scan.
 
     With an accelerometer and no laboratory: ffcomp record plan --for identify, run its G-code, ffcomp identify fit.
     With frequency responses of your own: ffcomp identify fit responses.csv … (CSV or UFF 58).
     """,
     fit,
+    scan,
     decouple,
 )
 
@@ -131,7 +167,7 @@ def _draw(result: MachineFit, target: Path) -> None:
 
 def _print(result: MachineFit, output: Path | None) -> None:
     from ffcomp.identification.axis_fit import OneAxisFit
-    from ffcomp.identification.machine_fit import AxesFit, ParametersFit, ResonancesFit, StepwiseFit
+    from ffcomp.identification.machine_fit import AxesFit, ParametersFit, ResonancesFit, ScanFit, StepwiseFit
     from ffcomp.shapers.calibration import in_words
 
     match result:
@@ -142,6 +178,8 @@ def _print(result: MachineFit, output: Path | None) -> None:
         case AxesFit():
             for axis in result.result.axes:
                 _print_axis(axis)
+        case ScanFit():
+            _print_page(result)
     if result.belts is not None:
         _print_belts(result.belts)
     match result:
@@ -168,6 +206,17 @@ def _print_steps(result: StepwiseFit) -> None:
     for step in result.result.steps:
         print(f"\n{step.title} (redundant equations: χ² {step.consistency:.2f} a degree)")
         _print_numbers(step.joint.estimates())
+
+
+def _print_page(result: ScanFit) -> None:
+    fit = result.result
+    for (x, y), modes in fit.modes.items():
+        words = "; ".join(f"{_interval(f)} Hz, ζ {_interval(d)}" for f, d in modes)
+        print(f"at {x:.0f}, {y:.0f} mm: {words}")
+    _print_numbers(fit.estimates, fit.kept)
+    noise = sorted(1e3 * line.noise_mm for line in fit.lines)[len(fit.lines) // 2]
+    explained = f"the machine explains {100 * fit.explained:.0f} % of their waves"
+    print(f"{len(fit.lines)} lines, rough by {noise:.0f} µm; {explained}.")
 
 
 def _print_spectra(result: ResonancesFit) -> None:

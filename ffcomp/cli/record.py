@@ -23,7 +23,8 @@ def plan(request: PlanRequest, shown: Shown) -> None:
 
     For diagnose, at most 12 experiments and 5 minutes: hard zigzags, slow reversals, loops and multisines at several
     places, each made twice. For identify, a periodic excitation of each carriage or axis by itself. For check, half a
-    minute in the middle of the bed. The capture commands are inside. With --print, a print is recorded while it prints;
+    minute in the middle of the bed. The capture commands are inside. For scan, no sensor is needed: a page to print, of
+    which ffcomp identify scan reads a picture. With --print, a print is recorded while it prints;
     nothing is repeated then, and ffcomp diagnose needs --without-repeats.
 
     Example: ffcomp record plan -m mp-delta-pro -o moves.gcode
@@ -42,6 +43,10 @@ def report_plan(result: PlanResult, as_json: bool) -> None:
     from rich.table import Table
 
     console = Console()
+    if result.plan.page is not None:
+        for sentence in _page_sentences(result):
+            console.print(sentence, highlight=False, soft_wrap=True)
+        return
     peaks = [result.peaks(each) for each in result.plan.experiments]
     columns = ("carriage mm/s", "m/s²", "nozzle mm/s", "m/s²") if peaks[0] else ("s",)
     table = Table("ffcomp-", "at, mm", *columns, "microstep error")
@@ -60,6 +65,16 @@ def report_plan(result: PlanResult, as_json: bool) -> None:
     console.print(table)
     for sentence in _sentences(result):
         console.print(sentence, highlight=False, soft_wrap=True)
+
+
+def _page_sentences(result: PlanResult) -> Iterator[str]:
+    from ffcomp.record.page import twins
+
+    strokes, minutes = len(twins(result.plan)), result.plan.duration_s / 60
+    yield f"{result.output}: a page of {strokes} strokes, {minutes:.0f} min. Print it, and keep {result.plan_file}."
+    yield from result.firmware.restores()
+    yield "Scan it at 600 dpi or more, or photograph all of it straight from above, in even light, without flash."
+    yield f"Then: {result.next}"
 
 
 def _sentences(result: PlanResult) -> Iterator[str]:

@@ -14,6 +14,7 @@ from ffcomp.identification.from_resonances import ResonanceStart
 from ffcomp.identification.modal_fit import AxisFit
 from ffcomp.identification.output_error import DRIVE, TOTAL_MASS, UNKNOWNS
 from ffcomp.identification.paper import PaperIdentification
+from ffcomp.identification.scan.fit import PageFit
 from ffcomp.identification.uncertainty import Estimate
 from models.file import updated_text
 from models.kinds import delta_vibration
@@ -31,8 +32,27 @@ def machine_file_text(source: Path, result: Identified, name: str, data: Sequenc
     when : date.
     """
     parameters = {key: e for key, e in result.determined.items() if key != TOTAL_MASS}
-    values = {key: _rounded(e) for key, e in parameters.items()}
     origin = f"identified {when} by ffcomp identify fit"
+    return _numbers_text(source, parameters, name, origin, _summary(source, result, data, when))
+
+
+def scan_file_text(source: Path, result: PageFit, name: str, data: Sequence[str], when: str) -> str:
+    """Write the starting file's text with the numbers that a picture of a page gives."""
+    identified = {
+        "date": when,
+        "started_from": source.stem,
+        "data": list(data),
+        "lines": len(result.lines),
+        "explained_share": float(f"{result.explained:.3g}"),
+        "kept_from_the_starting_file": list(result.kept),
+    }
+    return _numbers_text(source, result.estimates, name, f"identified {when} by ffcomp identify scan", identified)
+
+
+def _numbers_text(
+    source: Path, parameters: Mapping[str, Estimate], name: str, origin: str, identified: Mapping[str, Any]
+) -> str:
+    values = {key: _rounded(e) for key, e in parameters.items()}
     provenance: dict[str, Any] = {}
     uncertainty: dict[str, float] = {}
     for key, estimate in parameters.items():
@@ -40,7 +60,7 @@ def machine_file_text(source: Path, result: Identified, name: str, data: Sequenc
         spread = min(estimate.relative_sd, 10.0)
         uncertainty[table_key] = float(f"{max(uncertainty.get(table_key, 0.0), spread):.2g}")
         provenance[table_key] = f"{origin}; 90 % interval {_intervals(parameters, table_key)}"
-    provenance["identified"] = _summary(source, result, data, when)
+    provenance["identified"] = identified
     return updated_text(source, values, name=name, uncertainty=uncertainty, provenance=provenance)
 
 

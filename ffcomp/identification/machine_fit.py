@@ -17,6 +17,7 @@ from ffcomp.identification.direct import Identified, scale_is_weak
 from ffcomp.identification.from_resonances import ResonanceStart
 from ffcomp.identification.modal_fit import AxisFit
 from ffcomp.identification.paper import PaperIdentification
+from ffcomp.identification.scan.fit import PageFit
 from ffcomp.identification.uncertainty import Estimate
 from ffcomp.measurement.modes import ModeFit
 from ffcomp.shapers.calibration import ShaperAdvice
@@ -30,6 +31,7 @@ class MachineFit:
     """A machine file's parameters as measurements give them."""
 
     method: ClassVar[str] = ""
+    schema: ClassVar[str] = "ffcomp-identify-fit/1"
 
     start: Machine
     data: Sequence[str]  # files with hashes
@@ -47,9 +49,9 @@ class MachineFit:
         return {}
 
     def to_dict(self, output: str | None = None) -> dict[str, Any]:
-        """Return the JSON object ffcomp-identify-fit/1; output : path of the machine file that was written."""
+        """Return the JSON object `schema`; output : path of the machine file that was written."""
         return {
-            "schema": "ffcomp-identify-fit/1",
+            "schema": self.schema,
             "started_from": {"name": self.start.name, "sha256": self.start.sha256},
             "data": list(self.data),
             "skipped": list(self.skipped),
@@ -188,6 +190,37 @@ class ResonancesFit(MachineFit):
             for fit in self.spectra
         ]
         return {"spectra": spectra, **({} if self.started is None else {"numbers": estimates(self.started.estimates)})}
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class ScanFit(MachineFit):
+    """A machine's numbers from pictures of a page that it drew."""
+
+    method = "scan"
+    schema = "ffcomp-identify-scan/1"
+
+    result: PageFit
+
+    @property
+    def details(self) -> dict[str, Any]:
+        """What the method tells, for the JSON object."""
+        fit = self.result
+        places = [
+            {
+                "position_mm": place,
+                "modes": [{"frequency_hz": asdict(f), "damping_ratio": asdict(d)} for f, d in modes],
+            }
+            for place, modes in fit.modes.items()
+        ]
+        return {
+            "numbers": estimates(fit.estimates),
+            "kept": list(fit.kept),
+            "places": places,
+            "bead": estimates(fit.bead),
+            "explained": fit.explained,
+            "lines": len(fit.lines),
+            "noise_um": float(1e3 * np.median([line.noise_mm for line in fit.lines])),
+        }
 
 
 def estimates(by_name: Mapping[str, Estimate]) -> dict[str, dict[str, float]]:

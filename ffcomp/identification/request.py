@@ -110,6 +110,35 @@ class DecoupleRequest(Request):
     as_json: Annotated[bool, Option("Print one JSON object on stdout.", OUTPUT, "--json")] = False
 
 
+@dataclass(frozen=True, kw_only=True)
+class ScanRequest(Request):
+    """Which pictures `ffcomp identify scan` reads, and what it writes."""
+
+    pictures: Annotated[
+        tuple[Path, ...],
+        Argument("Scans or photos of one page: JPEG, PNG or TIFF. Several may overlap.", metavar="PICTURES..."),
+    ]
+    plan: Annotated[
+        Path,
+        Option("Plan (.json) that `record plan --for scan` wrote beside the page's G-code.", MACHINE, metavar="FILE"),
+    ]
+    machine: MachineName
+    output: Annotated[Path | None, Option("Machine file to write.", OUTPUT, "--output", "-o", metavar="FILE")] = None
+    name: Annotated[
+        str | None, Option("Name of the new machine. Default: the output file's.", OUTPUT, metavar="NAME")
+    ] = None
+    figure: Annotated[
+        Path | None, Option("Draw the page with the fit over it: .png, .svg or .pdf.", OUTPUT, metavar="FILE")
+    ] = None
+    force: Annotated[bool, Option("Overwrite files that exist.", OUTPUT)] = False
+
+    def check(self) -> None:
+        """Raise RequestError rather than overwrite a file."""
+        for path in (self.output, self.figure):
+            if path is not None and path.exists() and not self.force:
+                raise RequestError(f"{path} exists already; give another, or --force.")
+
+
 def _check_axis(text: str) -> None:
     from ffcomp.identification.resonance_tests import direction_of
 

@@ -311,7 +311,7 @@ def _fitting(
 def _demand(machine: Machine, at: FloatArray, request: Request) -> Demand:
     """Return what the limits of nozzle and carriages allow at a place (3,) mm."""
     limits, output = machine.limits, settings_for(machine).output
-    gain = _carriage_gain(machine.kinematics, at)
+    gain = carriage_gain(machine.kinematics, at)
     rising = limits.velocity_mm_per_s if limits.z_velocity_mm_per_s is None else limits.z_velocity_mm_per_s
     acceleration = min(limits.acceleration_mm_per_s2, CARRIAGE_SHARE * limits.carriage_acceleration_mm_per_s2 / gain)
     requested = request.acceleration_mm_per_s2
@@ -330,7 +330,7 @@ def _demand(machine: Machine, at: FloatArray, request: Request) -> Demand:
     )
 
 
-def _carriage_gain(kinematics: Kinematics, at: FloatArray) -> float:
+def carriage_gain(kinematics: Kinematics, at: FloatArray) -> float:
     """Return the speed of the fastest carriage while the nozzle moves at 1 mm/s in the plane."""
     inverse = np.linalg.inv(kinematics.jacobian(at[None, :2])[0])
     return float(np.linalg.norm(inverse[:, :2], axis=1).max())

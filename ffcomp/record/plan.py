@@ -65,6 +65,16 @@ class Experiment:
         return 0.0 if self.excitation is None else float(self.motion.trajectory.start_t[self.excitation.first_knot])
 
 
+@dataclass(frozen=True)
+class Page:
+    """How a page is drawn whose picture is the measurement."""
+
+    pen: bool = False  # in place of the nozzle
+    line_width_mm: float = 0.45
+    nozzle_c: float = 210.0
+    bed_c: float = 60.0
+
+
 @dataclass(frozen=True, eq=False)
 class Plan:
     """All experiments of a file, in the order of their first execution."""
@@ -77,6 +87,7 @@ class Plan:
     rest_after_s: float = REST_AFTER_S
     seed: int = 1
     print_file: str = ""  # the print that is the experiment
+    page: Page | None = None  # that is drawn, and seen instead of felt
 
     def runs(self) -> list[tuple[Experiment, int]]:
         """List experiment and repeat, from 1, in the order of the file: a repeat follows when all were made once."""
@@ -118,10 +129,11 @@ def plan_dict(plan: Plan) -> dict[str, Any]:
         "rest_before_s": plan.rest_before_s,
         "rest_after_s": plan.rest_after_s,
         "shaper": "off",
+        **({} if plan.page is None else {"page": asdict(plan.page)}),
         "experiments": [_experiment_dict(each) for each in plan.experiments],
         "runs": [
             {"name": each.name, "repeat": repeat, "capture": capture_name(each.name, repeat)}
-            for each, repeat in plan.runs()
+            for each, repeat in (plan.runs() if plan.page is None else ())
         ],
     }
 
@@ -207,6 +219,7 @@ def _plan(read: Mapping[str, Any]) -> Plan:
         rest_after_s=float(read["rest_after_s"]),
         seed=int(read["seed"]),
         print_file=read["print"],
+        page=Page(**read["page"]) if "page" in read else None,
     )
 
 

@@ -18,7 +18,8 @@ from ffcomp.record.excitation import (
 )
 from ffcomp.record.gcode_writer import DEFAULT_CHIPS, Firmware, gcode_lines
 from ffcomp.record.moves import MOST_ROUNDING, Place, Request, make_plan
-from ffcomp.record.plan import Experiment, Plan, capture_name, save_plan
+from ffcomp.record.page import PageRequest, make_page, page_lines
+from ffcomp.record.plan import Experiment, Page, Plan, capture_name, save_plan
 from ffcomp.record.prints import plan_print, print_lines
 from ffcomp.record.request import CENTRE, LINE_OF_ACTION, PlanRequest, number_pair, one_of
 from gcode.atomic_write import replace_atomically
@@ -44,11 +45,13 @@ class PlanResult:
     @property
     def captures(self) -> list[str]:
         """Patterns of the captures' names."""
-        return [capture_name(each.name, repeat) for each, repeat in self.plan.runs()]
+        return [capture_name(each.name, repeat) for each, repeat in self.plan.runs()] if self.plan.page is None else []
 
     @property
     def warnings(self) -> list[str]:
         """Say where microsteps matter."""
+        if self.plan.page is not None:  # they are lost in the roughness of the lines
+            return []
         of_periods = self.plan.experiments[0].excitation is not None
         largest = COARSE_ROUNDING if of_periods else MOST_ROUNDING
         coarse = [each for each in self.plan.experiments if each.rounding > largest]
@@ -146,6 +149,9 @@ def _planned(request: PlanRequest, machine: Machine, firmware: Firmware) -> tupl
     if request.print_file is not None:
         plan, program = plan_print(request.print_file, machine, firmware.flavor)
         return plan, print_lines(plan, program, firmware)
+    if request.purpose == "scan":
+        plan = make_page(machine, _page_request(request))
+        return plan, page_lines(plan, machine, firmware)
     if request.purpose == "identify":
         plan = make_excitation_plan(machine, _excitation_request(request, machine))
     else:
@@ -162,6 +168,17 @@ def check_request(machine: Machine) -> Request:
         seed=CHECK_SEED,
         kinds=CHECK_KINDS,
     )
+
+
+def _page_request(request: PlanRequest) -> PageRequest:
+    names = [each.name for each in fields(Page)]
+    drawn = {name: value for name in names if (value := getattr(request, name)) is not None}
+    stated = {
+        "height_mm": request.height_mm,
+        "acceleration_mm_per_s2": request.amplitude_mm_per_s2,
+        "seed": request.seed,
+    }
+    return PageRequest(Page(**drawn), **{key: value for key, value in stated.items() if value is not None})  # type: ignore[arg-type]
 
 
 def _moves_request(request: PlanRequest) -> Request:
@@ -222,6 +239,8 @@ def _next(request: PlanRequest, plan: Plan, machine: Machine) -> str:
     of_plan = f"--plan {request.plan_file} -m {request.machine}"
     if request.purpose == "identify":
         return f"ffcomp identify fit -m {request.machine} --plan {request.plan_file} CAPTURES"
+    if request.purpose == "scan":
+        return f"ffcomp identify scan PICTURE {of_plan} -o better.toml"
     if request.purpose == "check":
         return f"ffcomp record check CAPTURES {of_plan}"
     if not machine.vibration.diagnosable:

@@ -12,7 +12,7 @@ from ffcomp.errors import RequestError
 from ffcomp.options import CAPTURE_AXES, FIGURE, FLAVORS, FORCE, MACHINE_NAME, MOVES_PLAN
 from ffcomp.request import ACCURACY, ADVANCED, MACHINE, OUTPUT, Argument, Option, Request
 
-Purpose = Literal["identify", "diagnose", "check"]
+Purpose = Literal["identify", "diagnose", "check", "scan"]
 CENTRE, LINE_OF_ACTION = "centre", "line-of-action"
 MOVES = ("zigzag", "reversals", "loop", "multisine")
 SIGNALS = ("multisine", "sweep", "log-sweep")
@@ -59,6 +59,7 @@ _OPTIONS_OF: dict[Purpose, set[str]] = {
     | {"segments_per_second", "shaper_off"},
     "diagnose": _PLACED | {"seconds", "print_file"},
     "check": set(),
+    "scan": {"amplitude_mm_per_s2", "height_mm", "seed", "pen", "line_width_mm", "nozzle_c", "bed_c"},
 }  # those that some purposes have and others have not; the others have fixed values
 
 
@@ -71,8 +72,9 @@ class PlanRequest(Request):
     purpose: Annotated[
         Purpose,
         Option(
-            "What the captures are for: identify (the numbers of a machine file), diagnose (what it lacks) or check "
-            "(whether the printer has changed).",
+            "What the file is for: identify (the numbers of a machine file), diagnose (what it lacks), check (whether "
+            "the printer has changed), each from captures of an accelerometer; or scan (the numbers of a machine file, "
+            "without a sensor: a page to print, for ffcomp identify scan).",
             MACHINE,
             "--for",
             metavar="VERB",
@@ -139,7 +141,8 @@ class PlanRequest(Request):
         float | None,
         Option(
             "Acceleration of the nozzle for diagnose (default: the machine file's limit), peak of the excitation for "
-            "identify (default: a safe share of the machine's limits).",
+            "identify (default: a safe share of the machine's limits), of the strokes for scan (default: 8000, or what "
+            "the carriages allow).",
             ACCURACY,
             metavar="A",
             low=1.0,
@@ -192,7 +195,7 @@ class PlanRequest(Request):
     height_mm: Annotated[
         float | None,
         Option(
-            "Nozzle height above the bed. Default: 30; 50 for identify.",
+            "Nozzle height above the bed. Default: 30; 50 for identify; for scan the layer's, 0.2.",
             MACHINE,
             metavar="MM",
             label="Nozzle height, mm",
@@ -214,6 +217,24 @@ class PlanRequest(Request):
             "--print",
             metavar="FILE",
         ),
+    ] = None
+    pen: Annotated[
+        bool | None,
+        Option(
+            "For scan: a pen in the nozzle's place draws on paper; --height-mm is where it touches. Default: no.",
+            MACHINE,
+        ),
+    ] = None
+    line_width_mm: Annotated[
+        float | None, Option("For scan: width of the lines. Default: 0.45.", MACHINE, metavar="MM", low=0.1, high=1.2)
+    ] = None
+    nozzle_c: Annotated[
+        float | None,
+        Option("For scan: temperature of the nozzle. Default: 210.", MACHINE, metavar="C", low=0.0, high=350.0),
+    ] = None
+    bed_c: Annotated[
+        float | None,
+        Option("For scan: temperature of the bed. Default: 60.", MACHINE, metavar="C", low=0.0, high=150.0),
     ] = None
     seed: Annotated[
         int | None, Option("Seed of the moves or the phases. Default: 1.", ADVANCED, metavar="N", low=0)

@@ -228,7 +228,8 @@ def test_record(page: Page, folder: Path, corexy: Path) -> None:
     quick = ("--period-s", "2", "--periods", "1", "--highest-hz", "60")
     excite = ("record", "plan", "--for", "identify", "-m", corexy, "-o", folder / "excite.gcode", *quick)
     hold(page, "ffcomp-record-plan/1", [*told(*plan), *told(*example), *told(*excite)])
-    files = ("moves.json", "print.json", "excite.json")
+    told("record", "plan", "--for", "scan", "-m", corexy, "-o", folder / "page.gcode")
+    files = ("moves.json", "print.json", "excite.json", "page.json")
     plans = [json.loads((folder / name).read_text(encoding="utf-8")) for name in files]
     hold(page, "ffcomp-moves/1", plans)
     captures = write_captures(folder / "moves.json", TRUTH, folder / "captures", kinds=("zigzag",))

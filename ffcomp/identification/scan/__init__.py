@@ -1,0 +1,1 @@
+"""Identification from a picture of a page that the printer has drawn."""

@@ -1,0 +1,352 @@
+"""The output-error fit of a page: the machine's numbers, and what the bead does to its motion.
+
+    minimise  Σ ((y − ŷ(θ, β) − B c) / σ)²  +  |z|²
+
+y is a stroke's distance from the slow line beside it, ŷ that of the simulated nozzle, of which the bead follows late
+(drag, a first-order lag over a length), rounded (over a width), and at a shift along the line. B c takes out what each
+line's place on the page leaves open: an offset, a slope, a bow, and a small shift of its own. z are θ and β in standard
+deviations of their priors; θ are logarithms. The steps are those of `ffcomp/numerics/least_squares.py`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import gaussian_filter1d
+from scipy.signal import lfilter
+
+from ffcomp.errors import MeasurementError
+from ffcomp.identification.scan.lines import STEP_MM, ReadLine
+from ffcomp.identification.uncertainty import Estimate, Joint, lognormal, through
+from ffcomp.numerics.least_squares import BatchedProblem, Iterate, minimise_batched
+from ffcomp.numerics.stages import Stage
+from models.arrays import FloatArray
+from models.machine import Machine, value_of, with_values
+from models.printer.printer import simulate_printers
+
+RATE_HZ = 3200.0
+LEAD_S, SETTLED_S = 0.02, 0.05  # of rest before a motion; after it
+SCALE = "effector.nozzle_mass_kg"  # a picture tells ratios of masses only: one stays as it is
+LEAST_SD, MOST_SD = 0.08, 0.5  # of a prior, relative
+FARTHEST = 4.0  # standard deviations
+FACTORS = np.exp(np.arange(-0.48, 0.481, 0.03))  # on all frequencies, where to begin
+BEAD = {"drag_mm": (0.15, 0.7), "rounding_mm": (0.12, 0.5), "shift_mm": (0.0, 0.15)}  # middle, sd (of the logarithm)
+LINE_SHIFT_MM = 0.04  # sd of a line's own place along it
+FINE_MM = 0.05
+EARLIEST_MM = 0.1  # of a line, where the bead begins to be simulated
+LEAST_EXPLAINED = 0.5  # of the waves' power
+SHAPED = 0.35  # of the expected waves: less, and they were shaped away
+WORST_HELD = 0.5  # posterior over prior: a number that the picture leaves so wide stays as it was
+REWEIGHTED = 2
+
+
+@dataclass(frozen=True, eq=False)
+class PageFit:
+    """What a page says of a machine."""
+
+    machine: Machine
+    estimates: Mapping[str, Estimate]  # of the machine file's numbers
+    kept: Sequence[str]  # numbers that the picture does not tell
+    modes: Mapping[tuple[float, float], Sequence[tuple[Estimate, Estimate]]]  # place -> frequency Hz, damping ratio
+    bead: Mapping[str, Estimate]
+    explained: float  # share of the waves' power
+    lines: Sequence[ReadLine]
+    seen: Sequence[FloatArray]  # of each line, mm: without what its place leaves open
+    fitted: Sequence[FloatArray]
+
+
+@dataclass(frozen=True, eq=False)
+class _Unknown:
+    name: str
+    start: float
+    sd: float  # of the logarithm; of a number around zero, its own
+
+    def value(self, z: float) -> float:
+        return float(self.start * np.exp(self.sd * z)) if self.start else self.sd * z
+
+
+class _Page:
+    """The lines, the commands that drew them, and what a machine would have drawn."""
+
+    def __init__(self, machine: Machine, lines: Sequence[ReadLine]) -> None:
+        self.machine, self.lines = machine, lines
+        self.sigma = np.array([_weight_of(line) for line in lines])
+        strokes = {line.stroke.name: line.stroke for line in lines}
+        self.which = [list(strokes).index(line.stroke.name) for line in lines]
+        self.commands = []
+        for stroke in strokes.values():
+            t = np.arange(-LEAD_S, stroke.duration_s + SETTLED_S, 1 / RATE_HZ)
+            self.commands.append(np.ascontiguousarray(machine.kinematics.inverse(stroke.motion.nozzle(t))))
+        self.unknowns = [*_machine_unknowns(machine), *(_Unknown(n, m, sd) for n, (m, sd) in BEAD.items())]
+        self.of_machine = len(self.unknowns) - len(BEAD)
+
+    def values(self, z: FloatArray) -> dict[str, float]:
+        return {each.name: each.value(float(at)) for each, at in zip(self.unknowns, z, strict=True)}
+
+    def machine_at(self, z: FloatArray) -> Machine:
+        values = self.values(z)
+        return with_values(self.machine, {each.name: values[each.name] for each in self.unknowns[: self.of_machine]})
+
+    def drawn(self, points: Sequence[FloatArray]) -> Iterator[list[FloatArray]]:
+        """Simulate each point (p,): the lines as they would be drawn, (n,) mm each."""
+        machines = [self.machine_at(z) for z in points]
+        pairs = [(machine, command) for machine in machines for command in self.commands]
+        motions = simulate_printers([m for m, _ in pairs], [c for _, c in pairs], 1 / RATE_HZ)
+        count = len(self.commands)
+        for i, z in enumerate(points):
+            own = motions[i * count : (i + 1) * count]
+            bead = self.values(z)
+            paths = []
+            for motion in own:
+                if isinstance(motion, ValueError):
+                    raise motion
+                paths.append(motion.nozzle_mm[:, :2])
+            yield [_laid(line, paths[k], bead) for line, k in zip(self.lines, self.which, strict=True)]
+
+    def residuals(self, points: Sequence[FloatArray]) -> Iterator[FloatArray]:
+        """Return the whitened residual (rows,) of each point (p,)."""
+        for drawn in self.drawn(points):
+            yield np.concatenate(
+                [self.apart(k, line.across_mm, y)[0] / self.sigma[k] for k, (line, y) in enumerate(self.along(drawn))]
+            )
+
+    def along(self, drawn: Sequence[FloatArray]) -> Iterator[tuple[ReadLine, FloatArray]]:
+        return zip(self.lines, drawn, strict=True)
+
+    def apart(self, k: int, seen: FloatArray, drawn: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return what is left of a line, (n,) mm, and what of it was taken for the line's own place."""
+        n = len(seen)
+        u = np.linspace(-1, 1, n)
+        slope = np.gradient(drawn, STEP_MM)
+        basis = np.column_stack([np.ones(n), u, u**2 - 1 / 3, u**3 - 0.6 * u, LINE_SHIFT_MM * slope])
+        ridge = np.diag([0.0, 0.0, 0.0, 0.0, self.sigma[k] ** 2])
+        gap = seen - drawn
+        free = basis @ np.linalg.solve(basis.T @ basis + ridge + 1e-15 * np.eye(5), basis.T @ gap)
+        return gap - free, free
+
+
+def _weight_of(line: ReadLine) -> float:
+    return max(line.noise_mm, 2e-3) * np.sqrt(0.5 / STEP_MM)  # roughness is correlated over some half millimetre
+
+
+def _machine_unknowns(machine: Machine) -> list[_Unknown]:
+    """List the numbers that a picture may tell; masses against one of them."""
+    known = machine.vibration.parameters()
+    sd = dict(zip(known.names, known.relative_sd(machine.uncertainty).tolist(), strict=True))
+    default = machine.uncertainty.get("default", 0.1)
+    names = [
+        n for n in machine.vibration.tunable if n != SCALE and not n.startswith("axes.z.") and "mount_freq" not in n
+    ]
+    unknowns = []
+    for name in names:
+        stem = name.partition("[")[0]
+        own = sd.get(name) or machine.uncertainty.get(name, machine.uncertainty.get(stem, default))
+        wide = 2.0 if "damping" in name else 1.0  # nobody knows damping better
+        if value_of(machine, name):
+            unknowns.append(_Unknown(name, value_of(machine, name), float(np.clip(wide * own, LEAST_SD, MOST_SD))))
+    return unknowns
+
+
+def _laid(line: ReadLine, path: FloatArray, bead: Mapping[str, float]) -> FloatArray:
+    """Return the bead of a nozzle's path (n, 2) mm at the places where the line was read, (n,) mm across."""
+    away = path - line.line.foot
+    s, y = away @ line.line.along, away @ line.line.across
+    first = int(np.flatnonzero(s < EARLIEST_MM)[-1]) if np.any(s < EARLIEST_MM) else 0
+    s, y = s[first:], y[first:]
+    rising = np.append(True, s[1:] > np.maximum.accumulate(s)[:-1])
+    fine = np.arange(EARLIEST_MM, line.line.length_mm, FINE_MM)
+    across = np.interp(fine, s[rising], y[rising])
+    decay = np.exp(-FINE_MM / bead["drag_mm"])
+    lagged = lfilter([1 - decay], [1, -decay], across, zi=[decay * across[0]])[0]
+    rounded = gaussian_filter1d(lagged, bead["rounding_mm"] / FINE_MM, mode="nearest")
+    return np.asarray(np.interp(line.s_mm + bead["shift_mm"], fine, rounded))
+
+
+# ---- the fit -------------------------------------------------------------------------------------
+
+
+def fit_page(machine: Machine, lines: Sequence[ReadLine], progress: Callable[[str], None] = lambda _: None) -> PageFit:
+    """Fit a machine's numbers to a page's lines.
+
+    Raises
+    ------
+    MeasurementError
+        If the lines do not ring as any such machine would.
+    """
+    page = _Page(machine, lines)
+    progress(Stage(2, "seeking where to begin"))
+    start = _start(page)
+    progress(Stage(3, f"fitting {page.of_machine} numbers to {len(lines)} lines"))
+    far = np.full(len(page.unknowns), FARTHEST)
+    here, fitted = start, None
+    for _ in range(1 + REWEIGHTED):
+        fitted = minimise_batched(BatchedProblem(page.residuals, -far, far), here, iterations=12)
+        here = fitted.z
+        (drawn,) = page.drawn([here])
+        _reweight(page, drawn)
+    assert fitted is not None
+    return _result(page, fitted)
+
+
+def _start(page: _Page) -> FloatArray:
+    """Scale all frequencies, of each direction by itself where they are independent, to what rings most alike."""
+    groups = _groups(page)
+    trials = [_scaled(page, dict.fromkeys(groups, float(factor))) for factor in FACTORS]
+    alike = np.zeros((len(groups), len(FACTORS)))
+    for j, drawn in enumerate(page.drawn(trials)):
+        for k, (line, y) in enumerate(page.along(drawn)):
+            seen, model = (_without_bow(each) for each in (line.across_mm, y))
+            gain = max(float(seen @ model), 0.0) / max(float(model @ model), 1e-18)
+            alike[_group_of(groups, line), j] += min(gain, 2.0) * float(seen @ model) / page.sigma[k] ** 2
+    best = {name: float(FACTORS[int(np.argmax(row))]) for name, row in zip(groups, alike, strict=True)}
+    return _scaled(page, best)
+
+
+def _groups(page: _Page) -> list[str]:
+    return ["all"] if page.machine.vibration.position_dependent else ["x", "y"]
+
+
+def _group_of(groups: Sequence[str], line: ReadLine) -> int:
+    return 0 if len(groups) == 1 or abs(line.line.across[0]) > abs(line.line.across[1]) else 1
+
+
+def _scaled(page: _Page, factors: Mapping[str, float]) -> FloatArray:
+    """Return the point whose frequencies are multiplied."""
+    z = np.zeros(len(page.unknowns))
+    for i, each in enumerate(page.unknowns[: page.of_machine]):
+        factor = factors.get("all") or factors.get(each.name.split(".")[1], 1.0)
+        power = 2.0 if "stiffness" in each.name else 1.0 if "frequency" in each.name else 0.0
+        if "damping_n" in each.name:
+            power = 1.0
+        z[i] = np.clip(power * np.log(factor) / each.sd, -FARTHEST, FARTHEST)
+    return z
+
+
+def _without_bow(y: FloatArray) -> FloatArray:
+    u = np.linspace(-1, 1, len(y))
+    return np.asarray(y - np.polyval(np.polyfit(u, y, 3), u))
+
+
+def _reweight(page: _Page, drawn: Sequence[FloatArray]) -> None:
+    """Set each line's weight by what is left of it, correlated as that is."""
+    for k, (line, y) in enumerate(page.along(drawn)):
+        left, _ = page.apart(k, line.across_mm, y)
+        spectrum = np.abs(np.fft.rfft(left, 2 * len(left))) ** 2
+        correlation = np.fft.irfft(spectrum)[: len(left) // 3]
+        correlation /= max(float(correlation[0]), 1e-18)
+        crossing = int(np.argmax(correlation < 0.1)) or len(correlation)
+        times = 1.0 + 2.0 * float(correlation[1:crossing].sum())
+        page.sigma[k] = max(float(np.sqrt(np.mean(left**2))), 1e-3) * np.sqrt(times)
+
+
+def _result(page: _Page, fitted: Iterate) -> PageFit:
+    (drawn,) = page.drawn([fitted.z])
+    seen, model = [], []
+    for k, (line, y) in enumerate(page.along(drawn)):
+        _, free = page.apart(k, line.across_mm, y)
+        bow = y - _without_bow(y)
+        seen.append(line.across_mm - free - bow)
+        model.append(y - bow)
+    weights = [1 / sigma**2 for sigma in page.sigma]
+    left = sum(w * float(np.sum((a - b) ** 2)) for w, a, b in zip(weights, seen, model, strict=True))
+    power = sum(w * float(np.sum(a**2)) for w, a in zip(weights, seen, strict=True))
+    explained = 1.0 - left / power
+    _check(page, seen, explained)
+    covariance = _covariance(page, fitted)
+    machine = page.machine_at(fitted.z)
+    estimates, bead, kept = {}, {}, []
+    for i, each in enumerate(page.unknowns):
+        spread = float(np.sqrt(covariance[i, i]))
+        value = each.value(float(fitted.z[i]))
+        if i >= page.of_machine:
+            bead[each.name] = lognormal(value, each.sd * spread) if each.start else Estimate(value, 0.0, value, value)
+            continue
+        estimates[each.name] = _signed(value, each.sd * spread)
+        if spread > WORST_HELD:
+            kept.append(each.name)
+    modes = _modes(page, fitted.z, covariance)
+    return PageFit(machine, estimates, kept, modes, bead, explained, page.lines, seen, model)
+
+
+def _signed(value: float, relative_sd: float) -> Estimate:
+    e = lognormal(abs(value), relative_sd)
+    return e if value > 0 else Estimate(value, e.sd, -e.high, -e.low)
+
+
+def _check(page: _Page, seen: Sequence[FloatArray], explained: float) -> None:
+    if explained >= LEAST_EXPLAINED:
+        return
+    path = ", ".join(dict.fromkeys(line.picture for line in page.lines))
+    rough = float(np.mean([line.noise_mm**2 for line in page.lines]))
+    waves = float(np.sqrt(max(float(np.mean(np.concatenate(seen) ** 2)) - 2.0 * rough, 0.0)))
+    (as_filed,) = page.drawn([np.zeros(len(page.unknowns))])
+    expected = float(np.sqrt(np.mean(np.concatenate([_without_bow(y) for y in as_filed]) ** 2)))
+    if waves < SHAPED * expected:
+        raise MeasurementError(
+            path,
+            [
+                f"The lines wave by {1e3 * waves:.0f} µm where this machine should make {1e3 * expected:.0f}: they "
+                "were printed with an input shaper on, or much slower. Run the page's G-code as it is, without "
+                "overrides, and let it switch the shaper off."
+            ],
+        )
+    raise MeasurementError(
+        path,
+        [
+            f"The machine explains {100 * max(explained, 0.0):.0f} % of the lines' waves, and "
+            f"{100 * LEAST_EXPLAINED:.0f} % are needed: this page was drawn by another machine, by other G-code, with "
+            "speed overrides, or its lines are torn. Check -m and --plan, or print the page again."
+        ],
+    )
+
+
+def _covariance(page: _Page, fitted: Iterate) -> FloatArray:
+    """Estimate the covariance (p, p) of z, at least as wide as lines differ (sandwich, a cluster for each line)."""
+    normal, _ = fitted.quadratic
+    bread = np.linalg.inv(normal)
+    ends = np.cumsum([len(line.s_mm) for line in page.lines])
+    residual = fitted.residual
+    meat = np.eye(len(bread))
+    for begin, end in zip([0, *ends[:-1]], ends, strict=True):
+        gradient = fitted.jacobian[begin:end].T @ residual[begin:end]
+        meat += np.outer(gradient, gradient)
+    wider = np.sqrt(np.maximum(1.0, np.diag(bread @ meat @ bread) / np.diag(bread)))
+    return np.asarray(bread * np.outer(wider, wider))
+
+
+RINGING = 0.3  # damping ratio: more, and a mode does not ring
+
+
+def _modes(
+    page: _Page, z: FloatArray, covariance: FloatArray
+) -> dict[tuple[float, float], list[tuple[Estimate, Estimate]]]:
+    """Return frequencies and damping ratios of what rings, at the places of the strokes."""
+    names = tuple(each.name for each in page.unknowns)
+    joint = Joint(names, z, covariance)
+    places = {line.stroke.place: line.stroke.position_mm[:2] for line in page.lines}
+    found: dict[tuple[float, float], list[tuple[Estimate, Estimate]]] = {}
+    for x, y in places.values():
+        here = page.machine_at(z).vibration.modes_at(np.array([x, y]))
+        count = len(here.frequencies_hz)
+
+        def both(at: FloatArray, x: float = x, y: float = y, count: int = count) -> FloatArray:
+            modes = page.machine_at(at).vibration.modes_at(np.array([x, y]))
+            n = min(count, len(modes.frequencies_hz))
+            out = np.zeros(2 * count)
+            out[:n], out[count : count + n] = np.log(modes.frequencies_hz[:n]), np.log(modes.damping_ratios[:n])
+            return out
+
+        spread = np.sqrt(
+            np.maximum(
+                np.diag(through(both, tuple(map(str, range(2 * count))), joint).covariance[: 2 * count, : 2 * count]),
+                0.0,
+            )
+        )
+        found[x, y] = [
+            (lognormal(float(f), float(spread[i])), lognormal(float(d), float(spread[count + i])))
+            for i, (f, d) in enumerate(zip(here.frequencies_hz, here.damping_ratios, strict=True))
+            if d < RINGING
+        ]
+    return found

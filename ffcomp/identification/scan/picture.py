@@ -1,0 +1,421 @@
+"""A picture of a page, and where on the page each of its points is.
+
+File -> contrast of ink to paper -> discs -> which disc is which (an affine map of three, then a perspective of all) ->
+perspective and the lens' distortion by least squares. Whatever scanner, lens and paper do beyond that is smooth enough
+to shift a stroke and the slow line beside it alike (`lines.py`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations, permutations
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from ffcomp.errors import MeasurementError
+from ffcomp.numerics.least_squares import minimise
+from ffcomp.record.page import discs_of
+from ffcomp.record.plan import Plan
+from models.arrays import FloatArray, IntArray
+
+MOST_PIXELS = 400e6
+FEWEST_PIXELS_PER_MM = 8.0  # 200 dpi
+COARSE_PX = 1800  # of the picture's longer side, while discs are sought
+TILE_PX = 24  # of the coarse picture, for the brightness of the paper
+LEAST_CONTRAST = 0.12
+ROUND = (0.75, 1.3)  # area of an ellipse by its second moments over its real area
+LEAST_DISCS, MOST_CANDIDATES = 5, 24
+NEAR_AFFINE_MM, NEAR_MM, MOST_MISFIT_MM = 9.0, 1.2, 0.2  # from a disc's place: of an affine map; a perspective; the fit
+LEAST_TRIANGLE_MM2, LEAST_UPRIGHT, MOST_MAPS = 600.0, 0.33, 3  # no needles; no map that stretches more than 2.6 to 1
+LEAST_SHARE = 0.7  # of the discs that lie inside the picture
+
+RETAKE = "Take it again, straight from above, with all discs in it, in even light without flash"
+
+
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """The darkness of a page's ink against its paper: about 0 on paper, 1 in ink."""
+
+    path: str
+    ink: NDArray[np.float32]  # (rows, columns)
+
+
+@dataclass(frozen=True, eq=False)
+class Sight:
+    """A picture with its map from the page: a perspective, then the lens' distortion about the picture's middle."""
+
+    picture: Picture
+    perspective: FloatArray  # (3, 3), of (x, y, 1) mm to pixels: column, row
+    barrel: FloatArray  # (2,) of the second and the fourth power of the radius
+    discs: FloatArray  # (k,) which of the page's discs were seen
+    misfit_mm: float  # rms, of the discs
+
+    def pixels(self, xy: FloatArray) -> FloatArray:
+        """Return the pixels (..., 2) of page positions (..., 2) mm."""
+        return _project(self.perspective, self.barrel, self._middle, xy)
+
+    def pixels_per_mm(self, xy: FloatArray) -> float:
+        """Return the resolution at a page position (2,) mm."""
+        right, left, above, below = self.pixels(xy + 0.05 * np.array([[1, 0], [-1, 0], [0, 1], [0, -1]]))
+        a, b = right - left, above - below
+        return float(10.0 * np.sqrt(abs(a[0] * b[1] - a[1] * b[0])))
+
+    def holds(self, xy: FloatArray) -> bool:
+        """Tell whether page positions (n, 2) mm all lie in the picture."""
+        rows, columns = self.picture.ink.shape
+        px = self.pixels(xy)
+        return bool(np.all((px >= 0.0) & (px <= [columns - 1, rows - 1])))
+
+    @property
+    def _middle(self) -> FloatArray:
+        rows, columns = self.picture.ink.shape
+        return 0.5 * np.array([columns, rows], dtype=float)
+
+
+def _project(perspective: FloatArray, barrel: FloatArray, middle: FloatArray, xy: FloatArray) -> FloatArray:
+    flat = np.concatenate([xy, np.ones((*xy.shape[:-1], 1))], axis=-1) @ perspective.T
+    away = flat[..., :2] / flat[..., 2:] - middle
+    radius2 = np.sum((away / np.linalg.norm(middle)) ** 2, axis=-1, keepdims=True)
+    return np.asarray(middle + away * (1.0 + barrel[0] * radius2 + barrel[1] * radius2**2))
+
+
+# ---- from a file to ink --------------------------------------------------------------------------
+
+
+def read_picture(path: str | Path) -> Picture:
+    """Read a JPEG, PNG or TIFF file.
+
+    Raises
+    ------
+    MeasurementError
+        For a file that is no picture, or is cut off, or shows nothing.
+    """
+    from PIL import Image, ImageOps, UnidentifiedImageError
+
+    try:
+        with Image.open(path) as image:
+            if image.width * image.height > MOST_PIXELS:
+                raise MeasurementError(
+                    str(path),
+                    [f"The picture has {image.width} x {image.height} pixels. 600 dpi of one page are enough."],
+                )
+            grey = _grey(np.asarray(ImageOps.exif_transpose(image.convert(_mode(image.mode)))))
+    except UnidentifiedImageError:
+        raise MeasurementError(
+            str(path), ["This is no picture that can be read: give a JPEG, PNG or TIFF file."]
+        ) from None
+    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
+        if isinstance(error, MeasurementError | FileNotFoundError | PermissionError | IsADirectoryError):
+            raise
+        raise MeasurementError(str(path), [f"The picture is not complete ({error}). Copy or scan it again."]) from None
+    return Picture(str(path), _ink(grey, str(path)))
+
+
+def _mode(mode: str) -> str:
+    return mode if mode.startswith("I;16") or mode in ("I", "F") else "RGB"
+
+
+def _grey(pixels: NDArray[Any]) -> NDArray[np.float32]:
+    """Choose the channel in which ink and paper differ most: (rows, columns), single precision."""
+    if pixels.ndim == 2:
+        return pixels.astype(np.float32)
+    sparse = pixels[::7, ::7].reshape(-1, 3).astype(float)
+    low, middle, high = np.percentile(sparse, [1, 50, 99], axis=0)
+    return pixels[..., int(np.argmax(np.maximum(middle - low, high - middle)))].astype(np.float32)
+
+
+def _ink(grey: NDArray[np.float32], path: str) -> NDArray[np.float32]:
+    """Divide by the paper's brightness around, so that shadows do not matter."""
+    if min(grey.shape) < 200:
+        raise MeasurementError(path, [f"The picture has {grey.shape[1]} x {grey.shape[0]} pixels: too few of a page."])
+    k = max(1, max(grey.shape) // COARSE_PX)
+    small = _reduced(grey, k)
+    low, middle, high = np.percentile(small, [0.5, 50, 99.5])
+    if high - middle > 1.5 * (middle - low):  # bright ink on a dark bed
+        grey, small = grey.max() - grey, grey.max() - small
+    paper = np.maximum(_paper(small), 1e-3 * max(float(small.max()), 1e-6))
+    rows = (np.arange(grey.shape[0]) + 0.5) / k - 0.5
+    columns = (np.arange(grey.shape[1]) + 0.5) / k - 0.5
+    ink = np.empty(grey.shape, dtype=np.float32)
+    for first in range(0, len(rows), 512):  # in strips: a fine scan has 140 million pixels
+        part = slice(first, first + 512)
+        around = _bilinear(paper, rows[part], columns)
+        ink[part] = 1.0 - grey[part] / around
+    return ink
+
+
+def _bilinear(values: FloatArray, rows: FloatArray, columns: FloatArray) -> FloatArray:
+    for axis, at in ((0, rows), (1, columns)):
+        at = np.clip(at, 0, values.shape[axis] - 1)
+        low = np.minimum(at.astype(int), values.shape[axis] - 2)
+        share = (at - low).astype(np.float32)
+        share = share[:, None] if axis == 0 else share
+        values = values.take(low, axis) * (1 - share) + values.take(low + 1, axis) * share
+    return values
+
+
+def _paper(small: FloatArray) -> FloatArray:
+    """Return the paper's brightness (as `small`), between the lines too."""
+    height, width = (max(2, -(-n // TILE_PX)) for n in small.shape)
+    tiles = np.full((height, width), np.nan, dtype=np.float32)
+    for i in range(height):
+        for j in range(width):
+            tile = small[i * TILE_PX : (i + 1) * TILE_PX, j * TILE_PX : (j + 1) * TILE_PX]
+            tiles[i, j] = np.percentile(tile, 80) if tile.size else np.nan
+    tiles = np.where(np.isnan(tiles), np.nanmedian(tiles), tiles)
+    smooth = ndimage.gaussian_filter(ndimage.percentile_filter(tiles, 60, size=5, mode="nearest"), 1.0, mode="nearest")
+    at = [(np.arange(n) + 0.5) / TILE_PX - 0.5 for n in small.shape]
+    return _bilinear(np.asarray(smooth, dtype=np.float32), at[0], at[1])
+
+
+def _reduced(grey: NDArray[np.float32], k: int) -> FloatArray:
+    rows, columns = (n // k * k for n in grey.shape)
+    return np.asarray(grey[:rows, :columns].reshape(rows // k, k, columns // k, k).mean(axis=(1, 3)))
+
+
+# ---- discs ---------------------------------------------------------------------------------------
+
+
+def find_page(picture: Picture, plan: Plan) -> Sight:
+    """Find a plan's page in a picture.
+
+    Raises
+    ------
+    MeasurementError
+        If it is not there, mirrored, of another plan, blurred, or too small.
+    """
+    page = discs_of(plan)
+    seen = _discs(picture)
+    if len(seen) < LEAST_DISCS:
+        raise MeasurementError(
+            picture.path,
+            [
+                f"{len(seen)} of the page's {len(page)} discs can be seen, and {LEAST_DISCS} are needed: the picture "
+                f"is empty, blurred, or cut off. {RETAKE}."
+            ],
+        )
+    pairs = _matched(page, seen[:, :2], picture.ink.shape)
+    sight = _fitted(picture, page, pairs, seen) if pairs else None
+    if sight is None or sight.misfit_mm > MOST_MISFIT_MM:
+        mirror = page * [-1.0, 1.0]
+        pairs = _matched(mirror, seen[:, :2], picture.ink.shape)
+        if pairs and _fitted(picture, mirror, pairs, seen).misfit_mm < MOST_MISFIT_MM:
+            raise MeasurementError(
+                picture.path,
+                ["The page is mirrored. Flip the picture, or scan the printed side (not through a glass plate)."],
+            )
+        raise MeasurementError(
+            picture.path,
+            [
+                f"There are {len(seen)} discs, but they are not where those of this plan are: it is the page of "
+                "another plan or of another machine, or too much of it is missing. Give the .json file written beside "
+                f"the G-code of this page, and the whole page. {RETAKE}."
+            ],
+        )
+    others = np.delete(seen, [j for _, j in pairs], axis=0)
+    if len(others) >= LEAST_DISCS and len(_matched(page, others[:, :2], picture.ink.shape)) >= LEAST_DISCS:
+        raise MeasurementError(picture.path, ["There are two pages in the picture. Cut it so that it shows one."])
+    _check(sight, page)
+    return sight
+
+
+def _check(sight: Sight, page: FloatArray) -> None:
+    path = sight.picture.path
+    resolution = min(sight.pixels_per_mm(page[int(i)]) for i in sight.discs)
+    if resolution < FEWEST_PIXELS_PER_MM:
+        raise MeasurementError(
+            path,
+            [
+                f"The picture has {resolution:.1f} pixels a mm ({25.4 * resolution:.0f} dpi), and needs "
+                f"{FEWEST_PIXELS_PER_MM:g}. Scan at 600 dpi, or let the page fill the photo."
+            ],
+        )
+
+
+def _discs(picture: Picture) -> FloatArray:
+    """Find round dark blots of one size: (n, 3) columns column, row, radius, pixels of the picture."""
+    k = max(1, max(picture.ink.shape) // COARSE_PX)
+    coarse = _reduced(picture.ink, k)
+    dark = coarse > max(LEAST_CONTRAST, 0.5 * float(np.percentile(coarse, 99.7)))
+    depth = ndimage.distance_transform_edt(dark)
+    blots: list[tuple[float, float, float, float]] = []
+    for deep in np.geomspace(1.5, 60.0, 14):
+        labels, count = ndimage.label(depth > deep)
+        if not count or count > 400:
+            continue
+        index = np.arange(1, count + 1)
+        for label, box in zip(index, ndimage.find_objects(labels), strict=True):
+            inside = labels[box] == label
+            row, column = np.nonzero(inside)
+            most = float(depth[box][inside].max())
+            if not 0.25 < deep / most < 0.75 or len(row) < 6:
+                continue
+            spread = np.cov(np.stack([row, column])) + np.eye(2) / 12
+            ellipse = 4 * np.pi * np.sqrt(max(float(np.linalg.det(spread)), 0.0))
+            low, high = np.linalg.eigvalsh(spread)
+            if ROUND[0] < ellipse / len(row) < ROUND[1] and low > 0.3 * high:
+                r, c = row.mean() + box[0].start, column.mean() + box[1].start
+                blots.append((c, r, most, abs(deep / most - 0.5)))
+    return np.array(_of_one_size(blots)) * k + [0.5 * (k - 1), 0.5 * (k - 1), 0.0] if blots else np.empty((0, 3))
+
+
+def _of_one_size(blots: Sequence[tuple[float, float, float, float]]) -> list[tuple[float, float, float]]:
+    """Keep each blot once, and the largest group of one size."""
+    single: list[tuple[float, float, float]] = []
+    for c, r, radius, _ in sorted(blots, key=lambda each: each[3]):
+        if all(np.hypot(c - a, r - b) > max(radius, other) for a, b, other in single):
+            single.append((c, r, radius))
+    groups = [[each for each in single if 0.72 < each[2] / size < 1.4] for _, _, size in single]
+    best = max(groups, key=lambda group: (min(len(group), MOST_CANDIDATES), np.mean([each[2] for each in group])))
+    middle = float(np.median([each[2] for each in best]))
+    return sorted(best, key=lambda each: abs(np.log(each[2] / middle)))[:MOST_CANDIDATES]
+
+
+def _matched(page: FloatArray, seen: FloatArray, shape: tuple[int, ...]) -> list[tuple[int, int]]:
+    """Match discs of the page (n, 2) mm with blots (m, 2) pixels: pairs of indices; rows count downwards.
+
+    Any three discs and any three blots make an affine map; the one that brings most others near is grown to a
+    perspective. The first match of all that can be seen ends the search.
+    """
+    best: list[tuple[int, int]] = []
+    others = np.array(list(permutations(range(len(seen)), 3)))
+    for triple in np.random.default_rng(0).permutation(list(combinations(range(len(page)), 3))):
+        for affine in _affine_maps(page, seen, triple, others):
+            pairs = _grown(page, seen, affine)
+            if len(pairs) > len(best) and _enough(page, seen, pairs, shape):
+                best = pairs
+        if len(best) >= min(len(page), len(seen)):
+            break
+    return best
+
+
+def _affine_maps(page: FloatArray, seen: FloatArray, triple: IntArray, others: IntArray) -> list[FloatArray]:
+    """Return the affine maps (3, 2) of three discs to any three blots (k, 3) that bring most others near."""
+    full = np.column_stack([page, np.ones(len(page))])
+    if abs(np.linalg.det(full[triple])) < LEAST_TRIANGLE_MM2:
+        return []
+    maps = np.einsum("ab,obc->oac", np.linalg.inv(full[triple]), seen[others])
+    linear = maps[:, :2]
+    det = linear[:, 0, 0] * linear[:, 1, 1] - linear[:, 0, 1] * linear[:, 1, 0]
+    upright = (det < 0) & (np.abs(det) > LEAST_UPRIGHT * np.sum(linear**2, axis=(1, 2)))
+    maps, scale = maps[upright], np.sqrt(np.abs(det[upright]))
+    there = np.einsum("nb,obc->onc", full, maps)
+    gap = np.sqrt(((there[:, :, None] - seen) ** 2).sum(axis=3)).min(axis=2) / scale[:, None]
+    score = (gap < NEAR_AFFINE_MM).sum(axis=1) - 1e-3 * np.minimum(gap, NEAR_AFFINE_MM).sum(axis=1)
+    ranked = np.argsort(-score)[:MOST_MAPS]
+    return [maps[o] for o in ranked if score[o] > min(LEAST_DISCS, len(seen)) - 1]
+
+
+def _grown(page: FloatArray, seen: FloatArray, affine: FloatArray) -> list[tuple[int, int]]:
+    """Turn an affine map (3, 2) into a perspective of as many pairs as fit it."""
+    perspective = np.vstack([affine.T, [0.0, 0.0, 1.0]])
+    pairs: list[tuple[int, int]] = []
+    for near in (NEAR_AFFINE_MM, 5.0, 3.0, NEAR_MM, NEAR_MM):
+        flat = np.column_stack([page, np.ones(len(page))]) @ perspective.T
+        there = flat[:, :2] / flat[:, 2:]
+        scale = np.sqrt(abs(np.linalg.det(perspective[:2, :2])))
+        gap = np.linalg.norm(there[:, None] - seen[None], axis=2) / scale
+        nearest = gap.argmin(axis=1)
+        pairs = [(i, int(j)) for i, j in enumerate(nearest) if gap[i, j] < near and gap[:, j].argmin() == i]
+        if len(pairs) < LEAST_DISCS:
+            return []
+        perspective = _perspective(page[[i for i, _ in pairs]], seen[[j for _, j in pairs]])
+    return pairs
+
+
+def _perspective(page: FloatArray, px: FloatArray) -> FloatArray:
+    """Fit a perspective (3, 3) to points by the direct linear transform (Hartley & Zisserman, 2004, algorithm 4.2)."""
+    to_page, to_px = _normal(page), _normal(px)
+    a = np.column_stack([page, np.ones(len(page))]) @ to_page.T
+    b = np.column_stack([px, np.ones(len(px))]) @ to_px.T
+    zero = np.zeros_like(a)
+    rows = np.concatenate([np.hstack([a, zero, -b[:, :1] * a]), np.hstack([zero, a, -b[:, 1:2] * a])], axis=0)
+    found = np.linalg.svd(rows)[2][-1].reshape(3, 3)
+    matrix = np.linalg.inv(to_px) @ found @ to_page
+    return np.asarray(matrix / matrix[2, 2])
+
+
+def _normal(points: FloatArray) -> FloatArray:
+    middle = points.mean(axis=0)
+    scale = np.sqrt(2) / max(float(np.sqrt(np.mean(np.sum((points - middle) ** 2, axis=1)))), 1e-9)
+    return np.array([[scale, 0, -scale * middle[0]], [0, scale, -scale * middle[1]], [0, 0, 1]])
+
+
+def _enough(page: FloatArray, seen: FloatArray, pairs: Sequence[tuple[int, int]], shape: tuple[int, ...]) -> bool:
+    """Tell whether most discs that should be in the picture are seen."""
+    if len(pairs) < LEAST_DISCS:
+        return False
+    perspective = _perspective(page[[i for i, _ in pairs]], seen[[j for _, j in pairs]])
+    flat = np.column_stack([page, np.ones(len(page))]) @ perspective.T
+    there = flat[:, :2] / flat[:, 2:]
+    inside = np.all((there > 0) & (there < [shape[1], shape[0]]), axis=1)
+    return len(pairs) >= LEAST_SHARE * int(inside.sum())
+
+
+def _fitted(picture: Picture, page: FloatArray, pairs: Sequence[tuple[int, int]], seen: FloatArray) -> Sight:
+    """Fit perspective and distortion to the discs' middles at full resolution."""
+    which = np.array([i for i, _ in pairs])
+    px = np.array([_middle_of(picture.ink, *seen[j]) for _, j in pairs])
+    start = _perspective(page[which], px)
+    middle = 0.5 * np.array(picture.ink.shape[::-1], dtype=float)
+    scale = float(np.sqrt(abs(np.linalg.det(start[:2, :2]))))
+    unit = np.array([scale, scale, 1.0, scale, scale, 1.0, 1e-5, 1e-5])
+
+    def residual(z: FloatArray) -> FloatArray:
+        perspective = start + np.append(unit * z[:8], 0.0).reshape(3, 3)
+        there = _project(perspective, z[8:] * [0.02, 0.005], middle, page[which])
+        return np.concatenate([((there - px) / (0.03 * scale)).ravel(), z[8:]])
+
+    solution = minimise(residual, np.zeros(10), evaluations=2000)
+    perspective = start + np.append(unit * solution.x[:8], 0.0).reshape(3, 3)
+    barrel = solution.x[8:] * [0.02, 0.005]
+    gap = _project(perspective, barrel, middle, page[which]) - px
+    misfit = float(np.sqrt(np.sum(gap**2) / (gap.size - 8)))  # a perspective has eight numbers
+    return Sight(picture, perspective, barrel, which, misfit / scale)
+
+
+def _middle_of(ink: NDArray[np.float32], column: float, row: float, radius: float) -> FloatArray:
+    """Return a disc's centroid, (2,) pixels."""
+    reach = int(1.6 * radius) + 3
+    r0, c0 = max(0, int(row) - reach), max(0, int(column) - reach)
+    part = ink[r0 : int(row) + reach + 1, c0 : int(column) + reach + 1].astype(float)
+    weight = np.clip(part - 0.3 * np.percentile(part, 95), 0.0, 0.5 * np.percentile(part, 95))
+    labels, count = ndimage.label(weight > 0)
+    if count:
+        sizes = ndimage.sum_labels(weight, labels, np.arange(1, count + 1))
+        weight = weight * (labels == 1 + int(np.argmax(sizes)))
+    r, c = np.mgrid[r0 : r0 + part.shape[0], c0 : c0 + part.shape[1]]
+    return np.array([np.sum(weight * c), np.sum(weight * r)]) / np.sum(weight)
+
+
+def with_lines(sight: Sight, at_mm: FloatArray, across: FloatArray, off_mm: FloatArray) -> Sight:
+    """Refine a map by how far straight, slow lines were off it.
+
+    Parameters
+    ----------
+    at_mm, across, off_mm : (n, 2), (n, 2), (n,) positions of the page, the lines' normals, how far off they were seen
+    """
+    middle = 0.5 * np.array(sight.picture.ink.shape[::-1], dtype=float)
+    where = sight.pixels(at_mm + off_mm[:, None] * across)
+    step = 0.05
+    normal = (sight.pixels(at_mm + step * across) - sight.pixels(at_mm - step * across)) / (2 * step)
+    size = np.linalg.norm(normal, axis=1)
+    normal /= size[:, None]
+    start = sight.perspective
+    scale = float(np.sqrt(abs(np.linalg.det(start[:2, :2]))))
+    unit = np.array([scale, scale, 1.0, scale, scale, 1.0, 1e-5, 1e-5]) * 0.01
+
+    def residual(z: FloatArray) -> FloatArray:
+        perspective = start + np.append(unit * z[:8], 0.0).reshape(3, 3)
+        barrel = sight.barrel + z[8:] * [0.005, 0.002]
+        gap = np.sum((_project(perspective, barrel, middle, at_mm) - where) * normal, axis=1) / size
+        return np.concatenate([gap / 0.05, 0.3 * z])
+
+    solution = minimise(residual, np.zeros(10), evaluations=500, tolerance=1e-6)
+    perspective = start + np.append(unit * solution.x[:8], 0.0).reshape(3, 3)
+    return replace(sight, perspective=perspective, barrel=sight.barrel + solution.x[8:] * [0.005, 0.002])

@@ -1,0 +1,72 @@
+"""`identify scan` on one page: pictures -> the page in them -> centre lines -> the fit -> a machine file."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from datetime import date
+from pathlib import Path
+
+from ffcomp.errors import MeasurementError, RequestError
+from ffcomp.identification.machine_file import scan_file_text
+from ffcomp.identification.machine_fit import ScanFit, hash_of
+from ffcomp.identification.request import ScanRequest
+from ffcomp.identification.scan.fit import SCALE, PageFit, fit_page
+from ffcomp.identification.scan.lines import read_lines
+from ffcomp.identification.scan.picture import find_page, read_picture
+from ffcomp.numerics.stages import Stage
+from ffcomp.record.plan import Plan, load_plan
+from ffcomp.shapers.calibration import shaper_advice
+from models.file import machine_of_text
+from models.machine import Machine
+
+USUAL_S = (4.0, 4.0, 12.0)  # of CPU: reading, where to begin, the fit
+
+
+def fit_pictures(start: Machine, request: ScanRequest, progress: Callable[[str], None] = lambda _: None) -> ScanFit:
+    """Fit a machine file's numbers to pictures of the page of a plan.
+
+    Raises
+    ------
+    RequestError
+        For a plan of another machine, or one that is no page.
+    MeasurementError
+        For a picture that cannot be used; each sentence says what to do.
+    """
+    plan = load_plan(request.plan)
+    _check(start, plan, request)
+    sights = []
+    for path in request.pictures:
+        progress(Stage(1, f"reading {path.name}"))
+        sights.append(find_page(read_picture(path), plan))
+    lines = read_lines(sights, plan)
+    result = fit_page(start, lines, progress)
+    hashes = [hash_of(path) for path in request.pictures]
+    name = request.name or (request.output.stem if request.output is not None else f"{Path(start.path).stem}-scanned")
+    text = scan_file_text(Path(start.path), result, name, hashes, date.today().isoformat())
+    fit = ScanFit(start=start, data=hashes, name=name, text=text, advice=_advice(start, result), result=result)
+    return replace(fit, shapers=tuple(shaper_advice(machine_of_text(text, name))))
+
+
+def _check(start: Machine, plan: Plan, request: ScanRequest) -> None:
+    if plan.page is None:
+        raise MeasurementError(
+            str(request.plan), ["This is no plan of a page: ffcomp record plan --for scan makes one."]
+        )
+    if plan.machine != start.name and plan.machine_sha256 != start.sha256:
+        raise RequestError(
+            f"The page of {request.plan} is for {plan.machine!r}, and -m {request.machine} is {start.name!r}: give the "
+            "machine that the page was planned for."
+        )
+
+
+def _advice(start: Machine, result: PageFit) -> list[str]:
+    sentences = []
+    if start.vibration.position_dependent:
+        sentences.append(
+            f"A picture shows ratios of masses, stiffnesses and dampings, not their scale: {SCALE} stayed as it was. "
+            "A compensation does not need it."
+        )
+    if result.kept:
+        sentences.append(f"The picture hardly tells {', '.join(result.kept)}: near the starting file's.")
+    return sentences

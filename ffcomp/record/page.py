@@ -1,0 +1,364 @@
+"""A page that a printer draws, so that a picture of it tells how the machine vibrates: its layout and its G-code.
+
+A stroke is a short zigzag along one axis and then a straight, unhurried line along the other one. What the zigzag has
+set ringing is written into that line as a wave, whose length is speed over frequency. Beside each stroke there is the
+same line drawn slowly: scanner, lens and paper shift both alike, so their difference is the machine's. Discs tell where
+the page is. They are scattered by a seed and the machine's hash, so that no two pages have them at the same places.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from ffcomp.errors import LimitsError
+from ffcomp.planner.limits import PlannerLimits, planner_limits
+from ffcomp.record.gcode_writer import TRAVEL_SHARE, Firmware
+from ffcomp.record.motion import Motion, plain_motion
+from ffcomp.record.moves import MODES_HZ, carriage_gain, rounding_share
+from ffcomp.record.plan import Experiment, Page, Plan
+from gcode.dialects import close_limits, open_limits
+from gcode.emit import XYZ_COUNTS, MoveWriter
+from gcode.program import ModalState, MotionLimits
+from models.arrays import BoolArray, FloatArray
+from models.kinematics.base import Kinematics
+from models.machine import Machine
+
+STROKE, SLOW, DISC, LABEL, SKIRT = "stroke", "slow-line", "disc", "label", "skirt"  # kinds of drawings
+
+LINE_MM, PITCH_MM, TWIN_MM = 25.0, 4.4, 2.0  # a line; from stroke to stroke; from a stroke to its slow line
+LEGS = ((1.8, 3, 0.9), (3.0, 1, 0.9), (0.65, 5, 0.45), (0.3, 8, 0.4), (0.13, 14, 0.2))
+# of zigzags: length mm, how many, advance mm of each; long ones excite slow modes, short ones quick ones
+SPEED_SHARES = (1.0, 0.8, 0.62, 0.9, 0.7)  # of the fastest line, one a stroke
+SLOW_MM_PER_S, SLOW_MM_PER_S2 = 20.0, 500.0  # of everything that must not ring
+FASTEST_MM_PER_S, FLOW_MM3_PER_S = 100.0, 9.0  # of a line; what a hot end melts, on a first layer
+STROKE_MM_PER_S2, CARRIAGE_SHARE = 8000.0, 0.3  # of strokes, at most; of the carriages' limit, which motors reach
+DISCS, DISC_MM, DISC_APART_MM = 10, 2.6, 22.0  # how many; their radius; from one to the next
+MARGIN_MM, SKIRT_MM = 4.0, 3.0  # around drawings; from them to the skirt
+LARGEST_MM = 200.0  # of the page, as wide as a flatbed
+FILAMENT_MM2 = np.pi * 1.75**2 / 4
+HOP_MM, RETRACT_MM, RETRACT_MM_PER_S = 0.8, 0.8, 30.0
+DIGIT_MM = (1.8, 3.2)  # width and height
+SEGMENTS = {  # of a digit, as polylines on a grid of two by three points
+    "0": [(0, 0), (1, 0), (1, 2), (0, 2), (0, 0)],
+    "1": [(1, 0), (1, 2)],
+    "2": [(0, 2), (1, 2), (1, 1), (0, 1), (0, 0), (1, 0)],
+    "3": [(0, 2), (1, 2), (1, 1), (0.3, 1), (1, 1), (1, 0), (0, 0)],
+    "4": [(0, 2), (0, 1), (1, 1), (1, 2), (1, 0)],
+    "5": [(1, 2), (0, 2), (0, 1), (1, 1), (1, 0), (0, 0)],
+    "6": [(1, 2), (0, 2), (0, 0), (1, 0), (1, 1), (0, 1)],
+    "7": [(0, 2), (1, 2), (1, 0)],
+    "8": [(0, 1), (0, 2), (1, 2), (1, 0), (0, 0), (0, 1), (1, 1)],
+    "9": [(1, 1), (0, 1), (0, 2), (1, 2), (1, 0), (0, 0)],
+}
+
+
+@dataclass(frozen=True)
+class PageRequest:
+    """The requested page."""
+
+    page: Page = field(default_factory=Page)
+    height_mm: float = 0.2  # of the layer, or of a pen's tip
+    acceleration_mm_per_s2: float | None = None  # of the strokes; None: the machine file's limit
+    seed: int = 1
+
+
+@dataclass(frozen=True)
+class _Box:
+    """A rectangle on the bed: its middle and its half sides, mm."""
+
+    middle: FloatArray  # (2,)
+    half: FloatArray  # (2,)
+
+    def meets(self, other: _Box, apart: float) -> bool:
+        return bool(np.all(np.abs(self.middle - other.middle) < self.half + other.half + apart))
+
+    @property
+    def corners(self) -> FloatArray:
+        return np.asarray(self.middle + self.half * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]))
+
+
+# ---- the plan ------------------------------------------------------------------------------------
+
+
+def make_page(machine: Machine, request: PageRequest) -> Plan:
+    """Lay out a page on the machine's bed.
+
+    Raises
+    ------
+    LimitsError
+        Where the bed is too small, or a limit is exceeded.
+    """
+    limits = _limits(machine, request)
+    cells = _cells(machine.kinematics, 4 if machine.vibration.position_dependent else 2)
+    rng = np.random.default_rng([request.seed, int(machine.sha256[:8] or "0", 16)])
+    discs = _discs(machine.kinematics, cells, rng)
+    draw = _Drawer(machine, request, limits)
+    draw.skirt(cells, discs)
+    for number, at in enumerate(discs):
+        draw.disc(number, at)
+    for number, cell in enumerate(cells):
+        draw.cell(number, cell)
+    return Plan(machine.name, machine.sha256, tuple(draw.experiments), repeats=1, seed=request.seed, page=request.page)
+
+
+def _limits(machine: Machine, request: PageRequest) -> PlannerLimits:
+    """Return the limits of strokes: these are short, and may be harder than a print's moves."""
+    usual = planner_limits(machine)
+    gain = max(carriage_gain(machine.kinematics, np.array(each)) for each in machine.kinematics.around(0.6, 30.0))
+    most = min(STROKE_MM_PER_S2, CARRIAGE_SHARE * machine.limits.carriage_acceleration_mm_per_s2 / gain)
+    requested = request.acceleration_mm_per_s2
+    if requested is not None and requested > max(most, usual.acceleration_mm_per_s2):
+        raise LimitsError(f"{requested:g} mm/s² is more than the carriages' limit allows; {most:.0f} would fit.")
+    return replace(usual, acceleration_mm_per_s2=requested or most, minimum_cruise_ratio=0.0)
+
+
+CELL_HALF_MM = np.array([0.5 * (LINE_MM + 5.0 + 3.0 + 5 * PITCH_MM), 0.5 * (LINE_MM + 5.0)])
+
+
+def _cells(kinematics: Kinematics, most: int) -> list[_Box]:
+    """Place cells: one in the middle, others as far out and apart as the bed and a scanner allow."""
+    centre = np.array(kinematics.centre_mm)
+    chosen = [_Box(centre, CELL_HALF_MM)]
+    if not np.all(_inside(kinematics, chosen[0].corners)):
+        raise LimitsError("The bed is too small for the page: its strokes need 55 x 30 mm in the middle of the bed.")
+    angles = np.radians(np.arange(0, 360, 15))
+    radii = np.arange(30.0, LARGEST_MM, 4.0)
+    ring = centre + (radii[:, None, None] * np.stack([np.cos(angles), np.sin(angles)], axis=-1)).reshape(-1, 2)
+    room = 0.5 * LARGEST_MM - MARGIN_MM - 2 * DISC_MM - SKIRT_MM
+    usable = [
+        box
+        for at in ring
+        if np.all(np.abs((box := _Box(at, CELL_HALF_MM)).corners - centre) < room)
+        and np.all(_inside(kinematics, box.corners, DISC_MM))
+    ]
+    while usable and len(chosen) < most:
+        usable = [box for box in usable if not any(box.meets(each, MARGIN_MM) for each in chosen)]
+        if usable:
+            distance = [min(float(np.linalg.norm(box.middle - each.middle)) for each in chosen) for box in usable]
+            chosen.append(usable[int(np.argmax(distance))])
+    return chosen
+
+
+def _inside(kinematics: Kinematics, xy: FloatArray, margin: float = 0.0) -> BoolArray:
+    return kinematics.contains(xy, -(margin + SKIRT_MM))
+
+
+def _discs(kinematics: Kinematics, cells: Sequence[_Box], rng: np.random.Generator) -> FloatArray:
+    """Scatter discs (n, 2) mm around and between the cells, far from each other."""
+    corners = np.concatenate([cell.corners for cell in cells])
+    outward = MARGIN_MM + 2 * DISC_MM
+    low, high = corners.min(axis=0) - outward, corners.max(axis=0) + outward
+    points = rng.uniform(low, high, (4000, 2))
+    half = np.full(2, DISC_MM)
+    free = [not any(_Box(at, half).meets(cell, MARGIN_MM - 1.0) for cell in cells) for at in points]
+    points = np.round(points[np.array(free) & _inside(kinematics, points, DISC_MM)], 2)
+    chosen = [points[int(np.argmax(np.linalg.norm(points - points.mean(axis=0), axis=1)))]] if len(points) else []
+    while len(chosen) < DISCS and len(points):
+        distance = np.min([np.linalg.norm(points - each, axis=1) for each in chosen], axis=0)
+        best = int(np.argmax(distance * rng.uniform(0.8, 1.0, len(points))))
+        if distance[best] < DISC_APART_MM:
+            break
+        chosen.append(points[best])
+    if len(chosen) < 6:
+        raise LimitsError("The bed is too small for the page: no six discs fit around its strokes.")
+    return np.array(chosen)
+
+
+class _Drawer:
+    """Collects drawings as experiments."""
+
+    def __init__(self, machine: Machine, request: PageRequest, limits: PlannerLimits) -> None:
+        self.machine, self.request, self.limits = machine, request, limits
+        self.slow_limits = replace(limits, acceleration_mm_per_s2=min(SLOW_MM_PER_S2, limits.acceleration_mm_per_s2))
+        page = request.page
+        self.area = 0.0 if page.pen else page.line_width_mm * request.height_mm
+        melted = FLOW_MM3_PER_S / self.area if self.area else np.inf
+        self.fastest = min(FASTEST_MM_PER_S, melted, limits.velocity_mm_per_s)
+        self.experiments: list[Experiment] = []
+        self.strokes = 0
+
+    def add(self, kind: str, number: int, place: int, xy: FloatArray, speed: FloatArray | float) -> None:
+        limits = self.limits if kind == STROKE else self.slow_limits
+        xy = np.rint(xy * XYZ_COUNTS) / XYZ_COUNTS
+        xyz = np.column_stack([xy, np.full(len(xy), self.request.height_mm)])
+        speeds = np.broadcast_to(np.asarray(speed, dtype=float), len(xy) - 1).copy()
+        plain = plain_motion(xyz, speeds, limits)
+        motion = replace(plain, ends_mm=plain.ends_mm.copy())
+        motion.ends_mm[:, 3] = np.cumsum(np.linalg.norm(np.diff(xy, axis=0), axis=1)) * self.area / FILAMENT_MM2
+        rounding = 0.0
+        if kind == STROKE:
+            rounding = rounding_share(motion, self.machine.kinematics, self.machine.steps.per_motor, MODES_HZ)
+        middle = xy.mean(axis=0) if kind == DISC else xy[0]
+        at = (round(float(middle[0]), 4), round(float(middle[1]), 4), self.request.height_mm)
+        self.experiments.append(Experiment(f"ffcomp-{kind}-{number}", kind, place, at, motion, rounding))
+
+    def skirt(self, cells: Sequence[_Box], discs: FloatArray) -> None:
+        """Prime the nozzle around everything that is measured."""
+        points = np.concatenate([*(cell.corners for cell in cells), discs + DISC_MM, discs - DISC_MM])
+        middle, kinematics = 0.5 * (points.min(axis=0) + points.max(axis=0)), self.machine.kinematics
+        half = 0.5 * np.ptp(points, axis=0) + SKIRT_MM - 1.0
+        box = _Box(middle, half).corners
+        if not np.all(kinematics.contains(box)):  # a round bed: around the outermost point
+            radius = np.linalg.norm(points - kinematics.centre_mm, axis=1).max() + 1.0
+            turn = np.radians(np.arange(0, 360, 5))
+            box = kinematics.centre_mm + radius * np.column_stack([np.cos(turn), np.sin(turn)])
+        self.add(SKIRT, 0, 0, np.vstack([box, box[:1]]), SLOW_MM_PER_S)
+
+    def disc(self, number: int, at: FloatArray) -> None:
+        """Fill a disc by a spiral from the rim to the middle, and round its rim first."""
+        spacing = 0.85 * self.request.page.line_width_mm
+        outer = DISC_MM - 0.5 * self.request.page.line_width_mm
+        rim = np.linspace(0, 2 * np.pi, 37)
+        turns = outer / spacing
+        inward = np.linspace(0, 2 * np.pi * turns, int(30 * turns))[1:]
+        angle = np.concatenate([rim, inward])
+        radius = np.concatenate([np.full(37, outer), outer * (1 - inward / inward[-1])])
+        circle = radius[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
+        keep = np.append(True, np.linalg.norm(np.diff(circle, axis=0), axis=1) > 0.02)
+        xy = at + circle[keep]
+        self.add(DISC, number, 0, xy, SLOW_MM_PER_S)
+        last = self.experiments[-1]
+        x, y = at.tolist()
+        self.experiments[-1] = replace(last, position_mm=(x, y, self.request.height_mm))
+
+    def cell(self, number: int, cell: _Box) -> None:
+        """Draw five strokes that ring along x, five that ring along y, and the number of the cell."""
+        left = cell.middle - cell.half
+        count = len(LEGS)
+        for i in range(count):
+            corner = left + np.array([3.2 + i * PITCH_MM, 0.0])
+            self.stroke(number, i, corner, np.array([1.0, 0.0]), np.array([0.0, 1.0]))
+        begin = left + np.array([3.2 + count * PITCH_MM + 1.0, 3.2])
+        for i in range(count):
+            corner = begin + np.array([0.0, i * PITCH_MM])
+            self.stroke(number, i, corner, np.array([0.0, 1.0]), np.array([1.0, 0.0]))
+        text = cell.middle + np.array([cell.half[0] - 12.0, cell.half[1] - DIGIT_MM[1] - 0.5])
+        self.digits(number, f"{number + 1}", text)
+
+    def stroke(self, place: int, i: int, corner: FloatArray, excited: FloatArray, along: FloatArray) -> None:
+        """Draw a zigzag that ends at the line's foot, its line, and the slow line beside it."""
+        leg, legs, advance = LEGS[i]
+        foot = corner + 4.5 * along
+        offsets = [(-leg * (k % 2), -advance * k) for k in range(legs + 1)][::-1]
+        points = [foot + a * excited + b * along for a, b in offsets]
+        line = np.vstack([*points, foot + LINE_MM * along])
+        speeds = np.full(len(line) - 1, self.fastest)
+        speeds[-1] = SPEED_SHARES[i] * self.fastest
+        twin = foot + TWIN_MM * excited
+        self.add(SLOW, self.strokes, place, np.vstack([twin, twin + LINE_MM * along]), SLOW_MM_PER_S)
+        self.add(STROKE, self.strokes, place, line, speeds)
+        self.strokes += 1
+
+    def digits(self, place: int, text: str, at: FloatArray) -> None:
+        """Draw a number."""
+        width, height = DIGIT_MM
+        for k, digit in enumerate(text):
+            points = np.array(SEGMENTS[digit], dtype=float) * [width, height / 2]
+            self.add(LABEL, 10 * place + k, place, at + np.array([1.6 * width * k, 0.0]) + points, SLOW_MM_PER_S)
+
+
+# ---- the G-code ----------------------------------------------------------------------------------
+
+
+def page_lines(plan: Plan, machine: Machine, firmware: Firmware) -> Iterator[bytes]:
+    """Yield the G-code of a page line by line; the bed mesh stays as it is, the shaper is off until the end."""
+    page, limits = plan.page, machine.limits
+    assert page is not None
+    axes = machine.kinematics.raisable_axes
+    travel = 60 * TRAVEL_SHARE * limits.velocity_mm_per_s
+    rising = min(travel, 60 * (limits.z_velocity_mm_per_s or limits.velocity_mm_per_s))
+    height = plan.experiments[0].position_mm[2]
+    yield from (
+        f"; {text}".rstrip().encode() + b"\n" for text in (*_instructions(plan, page), *firmware.explained(), "")
+    )
+    heating = [] if page.pen else [f"M140 S{page.bed_c:g}", f"M104 S{page.nozzle_c:g}"]
+    waiting = [] if page.pen else [f"M190 S{page.bed_c:g}", f"M109 S{page.nozzle_c:g}"]
+    for text in (*heating, "G28", *waiting, "G21", "G90", "M82", "M220 S100", "M221 S100", *firmware.shaper_off()):
+        yield text.encode() + b"\n"
+    yield b"G92 E%.10g\nG1 Z%.10g F%.10g\n" % (-RETRACT_MM, height + 5.0, rising)
+    put_back = MotionLimits(
+        limits.velocity_mm_per_s, limits.acceleration_mm_per_s2, limits.square_corner_velocity_mm_per_s, 0.5
+    )
+    for experiment in plan.experiments:
+        motion = experiment.motion
+        x, y, z, _ = motion.start_mm.tolist()
+        yield b"; %s\nG1 X%.10g Y%.10g F%.10g\nG1 Z%.10g F%.10g\n" % (experiment.name.encode(), x, y, travel, z, rising)
+        if not page.pen:
+            yield b"G92 E%.10g\nG1 E0 F%.10g\n" % (-RETRACT_MM, 60 * RETRACT_MM_PER_S)
+        yield from open_limits(
+            firmware.flavor,
+            motion.limits.velocity_mm_per_s,
+            motion.limits.acceleration_mm_per_s2,
+            motion.limits.square_corner_velocity_mm_per_s,
+            axes,
+        )
+        moves = MoveWriter()
+        moves.reset(ModalState(), motion.start_mm[:3].tolist(), 0.0)
+        yield from moves.moves(np.ascontiguousarray(motion.ends_mm), motion.speed)
+        yield from close_limits(firmware.flavor, put_back, axes)
+        if not page.pen:
+            yield b"G92 E0\nG1 E%.10g F%.10g\n" % (-RETRACT_MM, 60 * RETRACT_MM_PER_S)
+        yield b"G1 Z%.10g F%.10g\n" % (z + HOP_MM, rising)
+    yield b"G1 Z%.10g F%.10g\nM400\n" % (min(height + 50.0, machine.kinematics.height_mm), rising)
+    cooling = [] if page.pen else ["M104 S0", "M140 S0"]
+    for text in (*cooling, *firmware.shaper_on()):
+        yield text.encode() + b"\n"
+
+
+def _instructions(plan: Plan, page: Page) -> list[str]:
+    what = "a pen in the nozzle's place, on paper" if page.pen else "one layer, on a clean bed or on paper taped to it"
+    return [
+        f"A page for {plan.machine} (machine file sha256 {plan.machine_sha256[:8]}): {what}.",
+        "Lines and bed must differ in brightness. Scan it at 600 dpi or more, or take a photo of all of it, straight",
+        "from above, without flash. Then: ffcomp identify scan PICTURE --plan THIS.json -m MACHINE -o better.toml",
+        "Speed and flow overrides are 100 %.",
+        "",
+    ]
+
+
+# ---- what the reader of a picture needs ----------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Line:
+    """A straight line of the page: from `foot`, `length_mm` along `along`; the machine rings along `across`."""
+
+    foot: FloatArray  # (2,) mm
+    along: FloatArray  # (2,)
+    length_mm: float
+
+    @property
+    def across(self) -> FloatArray:
+        """Return the unit vector to the left of the line, (2,)."""
+        return np.array([-self.along[1], self.along[0]])
+
+    def at(self, s: FloatArray, t: FloatArray | float = 0.0) -> FloatArray:
+        """Return page positions s along and t across: (..., 2) mm."""
+        return np.asarray(self.foot + s[..., None] * self.along + np.asarray(t)[..., None] * self.across)
+
+
+def last_line(motion: Motion) -> Line:
+    """Return the last move of a motion as a line."""
+    a, b = motion.vertices_mm[-2:, :2]
+    length = float(np.linalg.norm(b - a))
+    return Line(a, (b - a) / length, length)
+
+
+def twins(plan: Plan) -> list[tuple[Experiment, Experiment]]:
+    """Return each stroke with the slow line beside it."""
+    named = {each.name: each for each in plan.experiments}
+    strokes = [each for each in plan.experiments if each.kind == STROKE]
+    return [(each, named[each.name.replace(STROKE, SLOW)]) for each in strokes]
+
+
+def discs_of(plan: Plan) -> FloatArray:
+    """Return the middles of a page's discs, (n, 2) mm."""
+    return np.array([each.position_mm[:2] for each in plan.experiments if each.kind == DISC])
+
+
+def polylines(plan: Plan) -> list[FloatArray]:
+    """Return everything that is drawn, (k, 2) mm each."""
+    return [each.motion.vertices_mm[:, :2] for each in plan.experiments]

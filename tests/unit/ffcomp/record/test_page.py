@@ -1,0 +1,86 @@
+"""The page that is printed for a picture: on the bed, in one layer, and exactly what its G-code says."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ffcomp.errors import LimitsError
+from ffcomp.record.gcode_writer import Firmware
+from ffcomp.record.page import LARGEST_MM, PageRequest, discs_of, last_line, make_page, page_lines, polylines, twins
+from ffcomp.record.plan import Page, load_plan, save_plan
+from gcode.reader import read_program
+from models.file import load_machine
+
+MACHINES = ("mp-delta-pro", "kossel", "voron-0", "ender-3")
+
+
+@pytest.mark.parametrize("name", MACHINES)
+def test_everything_lies_on_the_bed_and_under_a_scanner(name: str) -> None:
+    machine = load_machine(name)
+    plan = make_page(machine, PageRequest())
+    assert all(np.all(machine.kinematics.contains(line)) for line in polylines(plan))
+    measured = np.concatenate([discs_of(plan), *(each.motion.vertices_mm[:, :2] for each, _ in twins(plan))])
+    assert np.ptp(measured, axis=0).max() < LARGEST_MM
+    assert len(twins(plan)) == (40 if machine.vibration.position_dependent else 20)
+
+
+def test_each_stroke_runs_beside_a_slow_line() -> None:
+    for stroke, slow in twins(make_page(load_machine("voron-250"), PageRequest())):
+        quick, calm = last_line(stroke.motion), last_line(slow.motion)
+        assert np.allclose(quick.along, calm.along) and abs((calm.foot - quick.foot) @ quick.across) == pytest.approx(2)
+        assert slow.motion.speed[-1] < 0.4 * stroke.motion.speed[-1]
+
+
+def test_two_seeds_and_two_machines_scatter_their_discs_differently() -> None:
+    first, machine = discs_of(make_page(load_machine("voron-250"), PageRequest())), load_machine("voron-300")
+    for other in (make_page(load_machine("voron-250"), PageRequest(seed=2)), make_page(machine, PageRequest())):
+        moved = discs_of(other) - discs_of(other).mean(axis=0)
+        gaps = np.linalg.norm(moved[:, None] - (first - first.mean(axis=0))[None], axis=2).min(axis=1)
+        assert (gaps > 3.0).sum() >= 5
+
+
+def test_the_plan_survives_its_file(tmp_path: Path) -> None:
+    plan = make_page(load_machine("kossel"), PageRequest(Page(pen=True, line_width_mm=0.7), height_mm=0.0))
+    save_plan(plan, tmp_path / "page.json")
+    loaded = load_plan(tmp_path / "page.json")
+    assert loaded.page == plan.page and [e.name for e in loaded.experiments] == [e.name for e in plan.experiments]
+    assert all(
+        np.array_equal(a.motion.ends_mm, b.motion.ends_mm)
+        for a, b in zip(plan.experiments, loaded.experiments, strict=True)
+    )
+
+
+@pytest.mark.parametrize("flavor", ["klipper", "marlin", "reprapfirmware"])
+def test_the_gcode_draws_the_plan_in_one_layer_and_puts_everything_back(flavor: str) -> None:
+    machine = load_machine("voron-250")
+    plan = make_page(machine, PageRequest())
+    text = b"".join(page_lines(plan, machine, Firmware(flavor, (), (50.0, 40.0))))
+    moves = read_program(text, "page.gcode", flavor=flavor).moves
+    drawn = (moves.end[:, 3] > moves.start[:, 3]) & np.any(moves.end[:, :2] != moves.start[:, :2], axis=1)
+    assert np.allclose(moves.end[drawn, 2], 0.2) and np.allclose(moves.start[drawn, 2], 0.2)
+    expected = np.concatenate([each.motion.ends_mm[:, :2] for each in plan.experiments])
+    assert np.allclose(moves.end[drawn, :2], expected)
+    filament = (moves.end[drawn, 3] - moves.start[drawn, 3]).sum()
+    length = sum(float(np.linalg.norm(np.diff(line, axis=0), axis=1).sum()) for line in polylines(plan))
+    assert filament * np.pi * 1.75**2 / 4 == pytest.approx(0.45 * 0.2 * length, rel=1e-3)
+    shaper = {"klipper": b"SHAPER_FREQ_X=50", "marlin": b"M593 X F50", "reprapfirmware": b"M593 P{var."}[flavor]
+    assert text.index(shaper) > text.rindex(b"G1 X")
+    accelerations = [line for line in text.splitlines() if line.startswith((b"SET_VELOCITY_LIMIT", b"M204", b"M201"))]
+    assert b"3000" in accelerations[-1] or b"3000" in accelerations[-2]
+
+
+def test_a_pen_draws_without_heat_and_filament() -> None:
+    machine = load_machine("kossel")
+    plan = make_page(machine, PageRequest(Page(pen=True), height_mm=0.0))
+    text = b"".join(page_lines(plan, machine, Firmware("marlin", ())))
+    assert not any(line.startswith((b"M104", b"M109", b"M140", b"M190", b"G1 E")) for line in text.splitlines())
+    moves = read_program(text, "page.gcode", flavor="marlin").moves
+    assert np.all(moves.end[:, 3] == moves.start[:, 3])
+
+
+def test_too_hard_strokes_are_refused() -> None:
+    with pytest.raises(LimitsError, match="would fit"):
+        make_page(load_machine("kossel"), PageRequest(acceleration_mm_per_s2=60000.0))

@@ -1,0 +1,268 @@
+"""A page as an independent printer would draw it, and as a scanner or a phone would see it.
+
+The bead is its own model: it is pulled after the nozzle (a tractrix), rounded by the bore, as wide as flow over speed
+through a pressure that lags, with two rough edges that know nothing of each other, and an elephant's foot. The
+scanner's carriage wobbles and stretches, the phone looks from aside through a lens; both have blur, shading, glints,
+dust, noise and JPEG. Nothing here is shared with `ffcomp/identification/scan`; the nozzle moves as
+the plants do.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from ffcomp.record.page import SLOW, STROKE
+from ffcomp.record.plan import Experiment, Plan
+from validation.plants import delta_plant, straight_plant
+
+Array = NDArray[np.float64]
+
+LEAD_S = 0.05  # at rest before a drawing
+PATH_MM = 0.03  # from point to point of a bead
+
+
+@dataclass(frozen=True)
+class Bead:
+    """What is between the nozzle's motion and the line on the bed."""
+
+    width_mm: float = 0.45
+    foot_mm: float = 0.04  # added by the first layer's squeeze
+    drag_mm: float = 0.18
+    bore_mm: float = 0.3  # over which the melt averages the path
+    pressure_s: float = 0.04
+    rough_mm: float = 0.008  # of each edge
+    rough_length_mm: float = 0.25
+    uneven: float = 0.05  # of the width, over some millimetres
+
+
+@dataclass(frozen=True, eq=False)
+class Drawing:
+    """One bead: n points."""
+
+    points_mm: Array  # (n, 2) of its middle
+    width_mm: Array  # (n,)
+
+
+# ---- what the printer draws ----------------------------------------------------------------------
+
+
+def delta_player(machine: dict[str, Any]) -> Callable[[Experiment, float], Array]:
+    """Return a function that plays an experiment on the independent delta: (n, 2) mm every so many seconds."""
+
+    def play(experiment: Experiment, step_s: float) -> Array:
+        every = 4
+        h = step_s / every
+        t = (
+            0.5 * h * np.arange(2 * every * int((experiment.duration_s + LEAD_S) / step_s) + 1, dtype=np.float64)
+            - LEAD_S
+        )
+        command = delta_plant.carriages_of(machine, experiment.motion.nozzle(t))
+        return np.asarray(delta_plant.simulate(machine, command, h, keep_every=every)["nozzle_mm"][:, :2])
+
+    return play
+
+
+def straight_player(plant: straight_plant.Plant) -> Callable[[Experiment, float], Array]:
+    """Return the same of the independent printer with straight axes."""
+
+    def play(experiment: Experiment, step_s: float) -> Array:
+        t = step_s * np.arange(int((experiment.duration_s + LEAD_S) / step_s) + 1, dtype=np.float64) - LEAD_S
+        return straight_plant.simulate(plant, experiment.motion.nozzle(t)[:, :2], 1 / step_s)["position_mm"]
+
+    return play
+
+
+def draw(plan: Plan, play: Callable[[Experiment, float], Array], bead: Bead, seed: int) -> list[Drawing]:
+    """Draw all of a page: strokes and slow lines as the plant moves, everything else as it is commanded."""
+    rng = np.random.default_rng(seed)
+    drawings = []
+    for each in plan.experiments:
+        step = 1 / 6400
+        if each.kind in (STROKE, SLOW):
+            path = play(each, step)
+        else:
+            step = 1 / 1000
+            path = each.motion.nozzle(step * np.arange(int(each.duration_s / step) + 1, dtype=np.float64))[:, :2]
+        t = step * np.arange(len(path), dtype=np.float64)
+        commanded = np.linalg.norm(np.gradient(each.motion.nozzle(t - LEAD_S)[:, :2], step, axis=0), axis=1)
+        drawings.append(_bead(path, commanded, step, bead, rng))
+    return drawings
+
+
+def _bead(path: Array, commanded: Array, step_s: float, bead: Bead, rng: np.random.Generator) -> Drawing:
+    laid = _pulled(path, bead.drag_mm)
+    flow = _lagged(commanded, bead.pressure_s / step_s)
+    speed = np.linalg.norm(np.gradient(path, step_s, axis=0), axis=1)
+    ratio = np.clip(flow / np.maximum(speed, 2.0), 0.6, 1.5)
+    moved = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(laid, axis=0), axis=1)))
+    at = np.arange(0.0, moved[-1], PATH_MM)
+    keep = np.append(True, np.diff(moved) > 1e-9)
+    points = np.column_stack([np.interp(at, moved[keep], laid[keep, i]) for i in range(2)])
+    width = bead.width_mm * np.interp(at, moved[keep], ratio[keep]) ** 0.5 + bead.foot_mm
+    window = max(1, round(bead.bore_mm / PATH_MM))
+    points, width = _averaged(points, window), _averaged(width[:, None], window)[:, 0]
+    width *= 1.0 + bead.uneven * _noise(len(at), 3.0 / PATH_MM, rng)
+    left, right = (bead.rough_mm * _noise(len(at), bead.rough_length_mm / PATH_MM, rng) for _ in range(2))
+    tangent = np.gradient(points, axis=0)
+    tangent /= np.maximum(np.linalg.norm(tangent, axis=1), 1e-12)[:, None]
+    normal = np.column_stack([-tangent[:, 1], tangent[:, 0]])
+    return Drawing(points + 0.5 * (left - right)[:, None] * normal, width + left + right)
+
+
+@njit(cache=True)
+def _pulled(path: Array, length: float) -> Array:
+    """Pull a point after the nozzle on a string."""
+    laid = np.empty_like(path)
+    laid[0] = path[0]
+    for k in range(1, len(path)):
+        away = path[k] - laid[k - 1]
+        distance = np.sqrt(away[0] ** 2 + away[1] ** 2)
+        laid[k] = laid[k - 1] if distance <= length else path[k] - away * (length / distance)
+    return laid
+
+
+@njit(cache=True)
+def _lagged(values: Array, rows: float) -> Array:
+    out = np.empty_like(values)
+    out[0] = values[0]
+    for k in range(1, len(values)):
+        out[k] = out[k - 1] + (values[k] - out[k - 1]) / rows
+    return out
+
+
+def _averaged(rows: Array, window: int) -> Array:
+    padded = np.pad(rows, ((window // 2, window - 1 - window // 2), (0, 0)), mode="edge")
+    return np.column_stack([np.convolve(column, np.full(window, 1 / window), "valid") for column in padded.T])
+
+
+def _noise(n: int, length: float, rng: np.random.Generator) -> Array:
+    """Return noise of unit variance, correlated over so many rows."""
+    reach = int(3 * length) + 1
+    kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) / length) ** 2)
+    return np.convolve(rng.standard_normal(n + 2 * reach), kernel / np.linalg.norm(kernel), "valid")
+
+
+# ---- what the camera sees ------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A flatbed scanner (tilt 0) or a phone."""
+
+    dpi: float = 600.0  # in the middle of the page
+    turn_deg: float = 1.0
+    tilt_deg: tuple[float, float] = (0.0, 0.0)
+    stretch: float = 0.0  # of one axis
+    wobble_mm: float = 0.0  # rms, of the scanner's carriage
+    barrel: float = 0.0  # of the lens, at the corner of the picture
+    blur_px: float = 0.8
+    noise: float = 0.01
+    shade: float = 0.05  # by which the light falls off
+    glint: float = 0.1
+    dust: int = 200
+    quality: int = 92  # of JPEG; 0: PNG
+    margin_mm: float = 12.0
+    ink: float = 0.15  # brightness of the bead
+    paper: float = 0.9
+
+
+SCANNER = Camera(wobble_mm=0.03, stretch=0.002)
+FINE_SCANNER = Camera(dpi=1200.0, wobble_mm=0.03, stretch=-0.0015, blur_px=1.2)
+PHONE = Camera(
+    dpi=0.0, turn_deg=4.0, tilt_deg=(7.0, -5.0), barrel=-0.012, blur_px=1.1, noise=0.015, shade=0.2, glint=0.15, dust=80
+)
+PHONE_PX = (3024, 4032)
+
+
+def photograph(drawings: list[Drawing], camera: Camera, seed: int, box: Array | None = None) -> NDArray[np.uint8]:
+    """Return the picture (rows, columns) of a page, or of a box (2, 2) mm of it."""
+    rng = np.random.default_rng(seed)
+    points = np.concatenate([each.points_mm for each in drawings])
+    low, high = (points.min(axis=0), points.max(axis=0)) if box is None else box
+    low, high = low - camera.margin_mm, high + camera.margin_mm
+    project, shape = _projection(camera, low, high, rng)
+    light = np.zeros(shape)
+    for each in drawings:
+        step = project(each.points_mm + np.array([[0.05, 0.0]])) - project(each.points_mm - np.array([[0.05, 0.0]]))
+        side = project(each.points_mm + np.array([[0.0, 0.05]])) - project(each.points_mm - np.array([[0.0, 0.05]]))
+        scale = np.sqrt(np.abs(step[:, 0] * side[:, 1] - step[:, 1] * side[:, 0])) / 0.1  # pixels a mm
+        _cover(light, project(each.points_mm), 0.5 * each.width_mm * scale)
+    return _developed(light, camera, shape, rng)
+
+
+def _projection(
+    camera: Camera, low: Array, high: Array, rng: np.random.Generator
+) -> tuple[Callable[[Array], Array], tuple[int, int]]:
+    """Return page mm (n, 2) -> pixels (n, 2) columns column, row; and the picture's shape."""
+    middle, size = 0.5 * (low + high), high - low
+    a, b, c = np.radians([camera.tilt_deg[0], camera.tilt_deg[1], camera.turn_deg])
+    about_x = np.array([[1, 0, 0], [0, np.cos(a), -np.sin(a)], [0, np.sin(a), np.cos(a)]])
+    about_y = np.array([[np.cos(b), 0, np.sin(b)], [0, 1, 0], [-np.sin(b), 0, np.cos(b)]])
+    about_z = np.array([[np.cos(c), -np.sin(c), 0], [np.sin(c), np.cos(c), 0], [0, 0, 1]])
+    turn = about_x @ about_y @ about_z
+    if camera.dpi:
+        scale = camera.dpi / 25.4
+        shape = (int(size[1] * scale * 1.02), int(size[0] * scale * 1.02))
+    else:
+        shape = PHONE_PX[::-1] if size[1] > size[0] else PHONE_PX
+        scale = 0.93 * min(shape[0] / size[1], shape[1] / size[0])
+    distance = 3.0 * float(size.max()) if camera.dpi == 0 else 1e6
+    half = 0.5 * np.array([shape[1], shape[0]])
+    periods = np.exp(rng.uniform(np.log(3.0), np.log(60.0), (6, 2))) * scale  # px
+    phases = rng.uniform(0, 2 * np.pi, (6, 2))
+
+    def project(xy: Array) -> Array:
+        flat = np.column_stack([xy - middle, np.zeros(len(xy))]) @ turn.T
+        seen = flat[:, :2] * (distance / (distance + flat[:, 2:]))
+        px = scale * seen * [1.0 + camera.stretch, -1.0]
+        radius2 = np.sum((px / np.linalg.norm(half)) ** 2, axis=1)
+        px = px * (1.0 + camera.barrel * radius2)[:, None] + half
+        if camera.wobble_mm:
+            wave = np.sin(2 * np.pi * px[:, 1:2, None] / periods.T[None] + phases.T[None]).sum(axis=2)
+            px = px + camera.wobble_mm * scale * wave / np.sqrt(3.0)
+        return np.asarray(px)
+
+    return project, shape
+
+
+@njit(cache=True)
+def _cover(light: Array, px: Array, half: Array) -> None:
+    """Raise each pixel's share that is covered by a bead's points (n, 2) of half widths (n,), all in pixels."""
+    rows, columns = light.shape
+    for k in range(len(px) - 1):
+        ax, ay = px[k]
+        dx, dy = px[k + 1, 0] - ax, px[k + 1, 1] - ay
+        length2 = dx * dx + dy * dy
+        r = half[k]
+        reach = r + 1.0
+        for row in range(max(0, int(min(ay, ay + dy) - reach)), min(rows, int(max(ay, ay + dy) + reach) + 2)):
+            for column in range(max(0, int(min(ax, ax + dx) - reach)), min(columns, int(max(ax, ax + dx) + reach) + 2)):
+                u = 0.0
+                if length2 > 0.0:
+                    u = min(max(((column - ax) * dx + (row - ay) * dy) / length2, 0.0), 1.0)
+                distance = np.sqrt((column - ax - u * dx) ** 2 + (row - ay - u * dy) ** 2)
+                share = min(max(r + 0.5 - distance, 0.0), 1.0)
+                if share > light[row, column]:
+                    light[row, column] = share
+
+
+def _developed(covered: Array, camera: Camera, shape: tuple[int, int], rng: np.random.Generator) -> NDArray[np.uint8]:
+    from scipy.ndimage import gaussian_filter
+
+    rows, columns = shape
+    y, x = np.mgrid[0:rows, 0:columns].astype(np.float32)
+    shade = 1.0 - camera.shade * (0.7 * x / columns + 0.3 * (y / rows) ** 2)
+    paper = camera.paper * np.ones(shape)
+    for _ in range(camera.dust):
+        row, column, size = rng.integers(rows), rng.integers(columns), rng.integers(1, 5)
+        paper[row : row + size, column : column + rng.integers(1, 9)] *= rng.uniform(0.3, 0.9)
+    ink = camera.ink + camera.glint * np.clip(np.gradient(gaussian_filter(covered, 2.0), axis=1) * 4.0, 0.0, 1.0)
+    picture = gaussian_filter(shade * (paper * (1.0 - covered) + ink * covered), camera.blur_px)
+    picture += camera.noise * rng.standard_normal(shape)
+    return np.asarray(np.clip(255 * picture, 0, 255), dtype=np.uint8)
