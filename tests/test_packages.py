@@ -17,7 +17,7 @@ from pathlib import Path
 
 import pytest
 
-from ffcomp.errors import EXTRAS, not_installed
+from ffcomp.errors import EXTRAS, PACKAGE_NAMES, not_installed
 
 ROOT = Path(__file__).parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
@@ -51,13 +51,15 @@ def test_what_is_imported_is_installed_by_the_base_or_an_extra() -> None:
         [each for name, each_of in OPTIONAL.items() if name not in ("test", "dev", "docs") for each in each_of]
     )
     known = names(PROJECT["dependencies"]) | extras | BROUGHT | LATER
-    assert {name.lower() for name in imported("gcode", "models", "ffcomp")} <= known
+    imports = imported("gcode", "models", "ffcomp")
+    assert {PACKAGE_NAMES.get(name, name).lower() for name in imports} <= known
 
 
 @pytest.mark.parametrize("package", EXTRAS)
 def test_each_extra_that_is_named_has_its_package(package: str) -> None:
     extra, _ = EXTRAS[package]
-    assert package in names(OPTIONAL[extra]) and package not in names(PROJECT["dependencies"])
+    installed = PACKAGE_NAMES.get(package, package)
+    assert installed in names(OPTIONAL[extra]) and installed not in names(PROJECT["dependencies"])
     assert f"pip install 'ffcomp[{extra}]'" in str(not_installed(package))
 
 

@@ -122,15 +122,13 @@ class ScanRequest(Request):
         Path,
         Option("Plan (.json) that `record plan --for scan` wrote beside the page's G-code.", MACHINE, metavar="FILE"),
     ]
-    machine: MachineName
-    output: Annotated[Path | None, Option("Machine file to write.", OUTPUT, "--output", "-o", metavar="FILE")] = None
+    machine: Annotated[str, MACHINE_NAME]
+    output: Annotated[Path | None, MACHINE_FILE] = None
     name: Annotated[
         str | None, Option("Name of the new machine. Default: the output file's.", OUTPUT, metavar="NAME")
     ] = None
-    figure: Annotated[
-        Path | None, Option("Draw the page with the fit over it: .png, .svg or .pdf.", OUTPUT, metavar="FILE")
-    ] = None
-    force: Annotated[bool, Option("Overwrite files that exist.", OUTPUT)] = False
+    figure: Annotated[Path | None, FIGURE] = None
+    force: Annotated[bool, FORCE] = False
 
     def check(self) -> None:
         """Raise RequestError rather than overwrite a file."""
