@@ -89,7 +89,7 @@ def scan(request: ScanRequest, shown: Shown) -> None:
 
     Example: ffcomp identify scan page.jpg --plan page.json -m voron-250 -o my-voron.toml --figure page.png
     """
-    from ffcomp.cli.search_progress import SearchProgress
+    from ffcomp.cli.progress import SearchProgress
     from ffcomp.errors import extras_told
     from models.file import load_machine
 
