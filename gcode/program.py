@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import Enum
 from math import nan
 from typing import NamedTuple
@@ -133,6 +133,8 @@ class Program:
     frames: list[ModalState]
     warnings: list[str]  # sentences with line numbers
     first_line: int = 0  # number in the file, from 0, of lines[0]: not 0 in a later part of a file read in parts
+    flavor: str = "klipper"  # the firmware it was read for
+    limits: Mapping[bytes, bytes] = field(default_factory=dict)  # in effect before lines[0] (`limits_in_effect`)
 
 
 class EventQueue:
@@ -164,17 +166,26 @@ class MotionLimits:
 MACHINE_LIMITS = MotionLimits()
 
 
-def limits_in_effect(program: Program, before: Mapping[bytes, bytes]) -> dict[bytes, bytes]:
-    """Return the file's last command for each limit at the end of a program; `before`: at its beginning."""
+def limits_in_effect(program: Program, before: Mapping[bytes, bytes], events: int | None = None) -> dict[bytes, bytes]:
+    """Return the file's last command for each limit at the end of a program, in the order in which they were given.
+
+    before : at its beginning
+    events : how many of its events count; None: all
+    """
     commands = dict(before)
-    for event in program.events:
+    for event in program.events[:events]:
         if event.touches_limits:
-            commands |= limit_set_by(program.lines[event.line])
+            note_limits(commands, program.lines[event.line])
     return commands
 
 
-def limit_set_by(line: bytes) -> dict[bytes, bytes]:
-    """Return the command of a line by its name and letters: one with other letters sets other limits."""
+def note_limits(commands: dict[bytes, bytes], line: bytes) -> None:
+    """Put the command of a line last among those in effect: one with other letters sets other limits, too.
+
+    commands : by their names and letters
+    """
     code = line.partition(b";")[0].strip()
     letters = b"".join(sorted(set(re.findall(rb"[A-Z]", code.upper()))))
-    return {code.split()[0].upper() + letters: code}
+    name = code.split()[0].upper() + letters
+    commands.pop(name, None)
+    commands[name] = code

@@ -7,7 +7,7 @@ the bytes (some thirty times faster than the general way, which reads everything
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from itertools import chain, pairwise
 from math import hypot, isnan, nan
 from pathlib import Path
@@ -29,7 +29,7 @@ from gcode.dialects import (
 )
 from gcode.errors import GcodeError, UnsupportedGcode
 from gcode.fast_scan import STILL_MM2, ByteArray, Cursor, EventTable, Modes, MoveTable, follow
-from gcode.program import EventKind, ModalState, MotionLimits, Program, RawMove
+from gcode.program import EventKind, ModalState, MotionLimits, Program, RawMove, limits_in_effect
 from gcode.state import DEFAULT_FEED_MM_PER_S, FrameValues, Modal, Vector4
 from gcode.text import BOM, PART_BYTES, whole_lines
 from gcode.words import NUMBERED, Command, commands, shown
@@ -62,6 +62,7 @@ def read_program(
     still: Iterable[str] = (),
     homed_mm: tuple[float, float, float] | None = None,
     filament_change_s: float = 0.0,
+    cut: Callable[[Program], Program] | None = None,
 ) -> Program:
     """Read a file's bytes.
 
@@ -86,6 +87,8 @@ def read_program(
         Where homing all axes ends; None: not known.
     filament_change_s : s
         What a change of filament takes, by itself.
+    cut : Program -> Program
+        Cuts the moves as the firmware does, where it does; lines stay what they are.
 
     Raises
     ------
@@ -93,7 +96,8 @@ def read_program(
         A line that cannot be followed, with its number.
     """
     flavor = flavor or detect_flavor([data])
-    reader = _Reader(path, start, offset_mm, arc_tolerance_mm, flavor, (returns, still), homed_mm, filament_change_s)
+    known = (returns, still), homed_mm, filament_change_s, cut
+    reader = _Reader(path, start, offset_mm, arc_tolerance_mm, flavor, *known)
     return reader.program(data)
 
 
@@ -110,6 +114,7 @@ def read_parts(
     still: Iterable[str] = (),
     homed_mm: tuple[float, float, float] | None = None,
     filament_change_s: float = 0.0,
+    cut: Callable[[Program], Program] | None = None,
 ) -> Iterator[Program]:
     """Read a file of any length in parts: consecutive programs that together say what `read_program` says.
 
@@ -128,7 +133,8 @@ def read_parts(
 
     Other parameters, and errors, are those of `read_program`; an error comes when its part is read.
     """
-    reader = _Reader(path, start, offset_mm, arc_tolerance_mm, flavor, (returns, still), homed_mm, filament_change_s)
+    known = (returns, still), homed_mm, filament_change_s, cut
+    reader = _Reader(path, start, offset_mm, arc_tolerance_mm, flavor, *known)
     parts = chain(whole_lines(blocks, part_bytes), [b""])
     for data, ahead in pairwise(parts):
         yield reader.program(data, ahead[:_BYTES_AHEAD])
@@ -166,8 +172,9 @@ class _Reader:
         macros: tuple[Iterable[str], Iterable[str]],
         homed: tuple[float, float, float] | None,
         filament_change_s: float,
+        cut: Callable[[Program], Program] | None,
     ) -> None:
-        self.path, self.arc_tolerance = path, arc_tolerance
+        self.path, self.arc_tolerance, self.cut = path, arc_tolerance, cut
         returns, still = (frozenset(map(str.upper, names)) for names in macros)
         self.modal = Modal(
             offset=offset,
@@ -185,6 +192,7 @@ class _Reader:
         self.e_is_settled = False  # whether a line has said how E counts, or the numbers have told
         self.g90_keeps_m83: bool | None = None  # in Marlin's relatives; None: nothing has told yet
         self.first_line = 0
+        self.limit_commands: dict[bytes, bytes] = {}  # in effect before the part
         self.lines: list[bytes] = []
         self.ahead = b""
         self.modes: Modes | None = None  # None: to be found anew, for a command may have changed them
@@ -206,7 +214,10 @@ class _Reader:
         frame_of_state = np.array(self.states, dtype=np.int64)
         moves = self.moves.moves(frame_of_state, self.frames, self.limits)
         events = self.events.events(frame_of_state)
-        return Program(self.path, self.lines, moves, events, self.frames, self.warnings, self.first_line)
+        whole = (self.path, self.lines, moves, events, self.frames, self.warnings, self.first_line)
+        program = Program(*whole, self.modal.flavor, self.limit_commands)
+        self.limit_commands = limits_in_effect(program, self.limit_commands)
+        return program if self.cut is None else self.cut(program)
 
     def _settle_filament(self, data: bytes) -> list[str]:
         """Where no line says how E counts, see it by the numbers: a start macro has told the printer."""

@@ -9,7 +9,17 @@ from operator import attrgetter
 import numpy as np
 from numpy.typing import NDArray
 
-from gcode.program import Event, EventKind, FloatArray, IntArray, Moves, Program, RawMove, shifted
+from gcode.program import (
+    Event,
+    EventKind,
+    FloatArray,
+    IntArray,
+    Moves,
+    Program,
+    RawMove,
+    limits_in_effect,
+    shifted,
+)
 
 
 def split(program: Program, move: int) -> tuple[Program, Program]:
@@ -40,6 +50,7 @@ def excerpt(program: Program, first: int, last: int | None = None) -> Program:
         events=shifted(events, -begin, -first, number),
         frames=[program.frames[each] for each in used] if program.frames else [],  # where they do not matter
         first_line=program.first_line + begin,
+        limits=limits_in_effect(program, program.limits, a),
     )
 
 
@@ -96,9 +107,15 @@ def part(program: Program, first: int, last: int) -> Program:
     end = int(moves.line[last]) if last < len(moves) else len(program.lines)
     columns = {each.name: getattr(moves, each.name)[first:last] for each in fields(Moves)}
     moves_within = Moves(**{**columns, "line": columns["line"] - begin})
-    events = shifted((event for event in program.events if begin <= event.line < end), -begin, -first)
-    lines, first_line = program.lines[begin:end], program.first_line + begin
-    return replace(program, lines=lines, moves=moves_within, events=events, first_line=first_line)
+    a, b = (bisect_left(program.events, line, key=attrgetter("line")) for line in (begin, end))
+    return replace(
+        program,
+        lines=program.lines[begin:end],
+        moves=moves_within,
+        events=shifted(program.events[a:b], -begin, -first),
+        first_line=program.first_line + begin,
+        limits=limits_in_effect(program, program.limits, a),
+    )
 
 
 def preamble(program: Program, move: int) -> bytes:

@@ -107,15 +107,19 @@ class MarlinSettings:
     stated: tuple[str, ...] = ()  # keys that the machine file states; the others are Marlin's defaults
 
     @classmethod
-    def within(cls, limits: MotionLimits) -> MarlinSettings:
-        """Return Marlin's defaults, with the nozzle's limits for the axes and a usual extruder's for the filament."""
-        v, a = limits.velocity_mm_per_s, limits.acceleration_mm_per_s2
+    def within(cls, limits: MotionLimits, towers: bool) -> MarlinSettings:
+        """Return Marlin's defaults, with the nozzle's limits for the axes and a usual extruder's for the filament.
+
+        towers : X Y Z are the towers of a delta
+        """
+        v, a, jerk = limits.velocity_mm_per_s, limits.acceleration_mm_per_s2, limits.square_corner_velocity_mm_per_s
         return cls(
             (v, v, limits.z_velocity_mm_per_s or v, 120.0),
             (a, a, limits.z_acceleration_mm_per_s2 or a, 10_000.0),
             a,
             a,
             a,
+            jerk_mm_per_s=(jerk, jerk, jerk if towers else 0.3, 5.0),
         )
 
 

@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ffcomp.inverse.settings import SEGMENTS_PER_SECOND
-from ffcomp.planner.limits import known_to_the_firmware, planner_limits
-from ffcomp.planner.lookahead import plan_moves, stops_and_waits
+from ffcomp.planner.lookahead import stops_and_waits
+from ffcomp.planner.program import known_to_the_firmware, planner_of
 from gcode.embedded import OURS, TIME_WAS, WAS, original
 from gcode.metadata import tells
 from gcode.program import Program
@@ -153,7 +153,7 @@ def _of_carriages(written: Program, own: NDArray[np.bool_], machine: Machine) ->
     """Mean velocities of the segments as the firmware plays them, and their changes."""
     limits, moves = machine.limits, written.moves
     stop_before, wait_before = stops_and_waits(written)
-    plan = plan_moves(moves, planner_limits(machine), stop_before=stop_before, wait_before=wait_before)
+    plan = planner_of(written, machine)(moves, stop_before=stop_before, wait_before=wait_before)
     low, high = limits.carriage_travel_mm or (-np.inf, np.inf)
     start, end = (machine.kinematics.inverse(places[own, :3]) for places in (moves.start, moves.end))
     if (end < low - PLACES).any() or (end > high + PLACES).any():

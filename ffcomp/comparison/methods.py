@@ -31,8 +31,7 @@ from ffcomp.compensation.statistics import Statistics
 from ffcomp.compensation.text_stream import Stream
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.settings import Settings
-from ffcomp.planner.limits import known_to_the_firmware
-from ffcomp.planner.program import PlannedProgram, plan_program
+from ffcomp.planner.program import PlannedProgram, known_to_the_firmware, plan_program
 from ffcomp.planner.reach import within_reach
 from ffcomp.planner.trajectory import PlannedMotion, Trajectory
 from ffcomp.shapers.apply import FrequencyOfPosition

@@ -19,6 +19,7 @@ import numpy as np
 from numba import njit
 
 from ffcomp.compensation.gcode_layout import Timeline, tiles, timeline
+from ffcomp.compensation.marlin_segments import MarlinSegments
 from ffcomp.compensation.plan import Context, PlannedChunk
 from ffcomp.compensation.solve import SolvedSection, keep_inside
 from ffcomp.inverse.settings import CUT, Settings
@@ -32,7 +33,7 @@ from gcode.emit import MoveWriter
 from gcode.errors import UnsupportedGcode
 from gcode.layers import begins_layer
 from gcode.metadata import Timed, tells
-from gcode.program import Event, EventKind, EventQueue, MotionLimits, Program, limit_set_by
+from gcode.program import Event, EventKind, EventQueue, MotionLimits, Program, note_limits
 from models.arrays import BoolArray, FloatArray, IntArray
 from models.machine import Machine
 
@@ -57,9 +58,11 @@ class Writer:
         limit_lines: Mapping[bytes, bytes] | None = None,
         raw_s: Mapping[int, float] | None = None,
         inside: Callable[[FloatArray], BoolArray] = lambda xyz: np.ones(len(xyz), dtype=np.bool_),
+        marlin: MarlinSegments | None = None,
     ) -> None:
         self.program, self.flavor, self.machine_limits, self.settings = program, flavor, limits, settings
         self.offset = offset
+        self.marlin = marlin  # whose planner needs segments of its own kind
         self.inside = inside  # which points (n, 3) mm the firmware lets a command go to
         self.raw_s = raw_s or {}  # what lines take that go out as they are, by their index
         self.moves = MoveWriter()
@@ -98,7 +101,7 @@ class Writer:
         self.note_returns([event])
         self._take_frame(event.frame)
         if event.touches_limits:
-            self.limit_lines |= limit_set_by(line)
+            note_limits(self.limit_lines, line)
         if self.open and event.touches_limits:
             yield from self._limits(self._opening())
 
@@ -196,6 +199,10 @@ class Writer:
         if s.joins_lifts:
             stay, pinned = join_lifts(_stated(points, frame.base, frame.unit_mm), timeline.e, timeline.cut)
         chosen = merge(at[stay], points[stay], timeline.e[stay], pinned, s.merging, CUT)
+        if self.marlin is not None:
+            flow, pinned = np.diff(timeline.e[stay]), pinned.copy()
+            pinned[1:-1] |= flow[1:] * flow[:-1] < 0.0  # where the filament turns back
+            chosen = self.marlin.lengthened(at[stay], points[stay], chosen, pinned)
         kept, fixed = stay[chosen], pinned[chosen]
         fixed[0] = fixed[-1] = True
         placed = refit(at[stay], points[stay], chosen, fixed)
@@ -203,16 +210,23 @@ class Writer:
         at, e = at[kept], timeline.e[kept]
         lengthen(at, points, e, fixed, s.shortest_knots, s.merging.shortest_mm)
         points = _stated(points, frame.base, frame.unit_mm)
+        if self.marlin is not None:
+            chosen = self.marlin.executed(points, fixed)
+            at, points, e, kept, fixed = at[chosen], points[chosen], e[chosen], kept[chosen], fixed[chosen]
         lasting = (at[1:] - at[:-1]) * s.segment_s
         slack = np.minimum(SLACK_MM, SLACK_MM_PER_S * np.minimum(lasting, np.append(lasting[1:], 0.0)))
         slack[fixed[1:]] = 0.0  # another writer may go on from there, and the filament must be exact
-        speeds = segment_speeds(points, e[1:] - e[:-1], lasting, s.output)
+        if self.marlin is not None:
+            feed, speeds = self.marlin.speeds(points, e, lasting)
+        else:
+            speeds = segment_speeds(points, e[1:] - e[:-1], lasting, s.output)
+            feed = speeds.cruise
         begin, end = at.searchsorted([piece.begin, piece.end]).tolist()
         timed = TimedSegments(at * s.segment_s, points, speeds).part(begin, end)
         late_s = np.maximum(speeds.duration - lasting, 0.0)  # lifts may be late
         self.late_s += float(late_s[begin:end].sum())
         lasting += late_s
-        segments = _Segments(kept[:-1], points[1:], e[1:], speeds.cruise, lasting, slack)
+        segments = _Segments(kept[:-1], points[1:], e[1:], feed, lasting, slack)
         return segments.part(begin, end), timed
 
     def _turns(self, lines: list[tuple[int, _Line]]) -> Iterator[int]:
@@ -322,21 +336,23 @@ class Writer:
 
     def _closing(self) -> list[bytes]:
         axes = self.settings.output.raised_axes
+        if self.marlin is not None:
+            return list(self.marlin.closing(self.limit_lines, self._unit_mm))
         if self.flavor == KLIPPER:
             return close_limits(self.flavor, _first_known(self._limits_at(self.move), self.machine_limits), axes)
-        return [*close_limits(self.flavor, self._in_units(self.machine_limits), axes), *self.limit_lines.values()]
+        return [*close_limits(self.flavor, self.machine_limits, axes), *self.limit_lines.values()]
 
     def _opening(self) -> list[bytes]:
         o = self.settings.output
+        if self.marlin is not None:
+            return list(self.marlin.opening(self.limit_lines, self._unit_mm))
         wide = MotionLimits(o.velocity_mm_per_s, o.acceleration_mm_per_s2, o.square_corner_velocity_mm_per_s)
-        wide = self._in_units(wide)
         return open_limits(self.flavor, wide.velocity, wide.acceleration, wide.square_corner_velocity, o.raised_axes)
 
-    def _in_units(self, limits: MotionLimits) -> MotionLimits:
-        """As the file must state them: after G20, Marlin takes limits in inches too."""
-        unit = self.program.frames[self.frame].unit_mm if self.flavor == MARLIN else 1.0
-        names = ("velocity", "acceleration", "square_corner_velocity")
-        return replace(limits, **{name: getattr(limits, name) / unit for name in names})
+    @property
+    def _unit_mm(self) -> float:
+        """In which the file states limits: after G20, Marlin takes them in inches too."""
+        return self.program.frames[self.frame].unit_mm
 
     def _limits(self, lines: Iterable[bytes]) -> Iterator[bytes]:
         for line in lines:
@@ -462,6 +478,7 @@ class GcodeRenderer:
             limit_lines=chunk.chunk.limits,
             raw_s=chunk.raw_s,
             inside=partial(self._kinematics.contains, margin_mm=-REFIT_MM),
+            marlin=MarlinSegments.of(context.machine, settings.output) if context.flavor == MARLIN else None,
         )
         self._events, self._waits_s = EventQueue(program.events), chunk.waits_s
         self._writer.note_returns(chunk.chunk.since)

@@ -36,8 +36,8 @@ from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.robust import BOUNDED, PLAIN, RobustChoice, choose_robust
 from ffcomp.inverse.settings import Settings, settings_for
 from ffcomp.inverse.time_scaling import TimeScaling, scale_around_cut
-from ffcomp.planner.limits import known_to_the_firmware, lines_of, planner_limits
-from ffcomp.planner.program import firmware_plan, plan_section
+from ffcomp.planner.limits import lines_of, planner_limits
+from ffcomp.planner.program import firmware_plan, known_to_the_firmware, section_planner
 from ffcomp.planner.reach import OutOfReach, Reach
 from ffcomp.planner.trajectory import PathPosition
 from ffcomp.steps.motion import MotionSink
@@ -429,7 +429,7 @@ class Job:
 
     def _eased(self, around: Program, cut: PathPosition, layers: int) -> tuple[Moves, tuple[TimeScaling, ...]]:
         limits, layer_of = planner_limits(self.machine), LayerLookup(around, layers).of
-        return scale_around_cut(self.model, around, limits, cut, partial(plan_section, limits), layer_of)
+        return scale_around_cut(self.model, around, limits, cut, section_planner(around, self.machine), layer_of)
 
     def _at_first(self) -> Statistics:
         names = ", ".join(self.model.not_modelled)

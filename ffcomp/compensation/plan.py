@@ -17,8 +17,7 @@ from ffcomp.faster.bound import Bound
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.reference import WHOLE
 from ffcomp.inverse.settings import Settings
-from ffcomp.planner.limits import planner_limits
-from ffcomp.planner.program import PlannedProgram, plan_program, raw_durations
+from ffcomp.planner.program import PlannedProgram, plan_program, planner_of, raw_durations
 from ffcomp.planner.trajectory import Section
 from gcode.program import Event
 from models.arrays import FloatArray
@@ -89,7 +88,7 @@ def plan_chunk(chunk: Chunk, context: Context, model: InverseModel) -> PlannedCh
     )
     written = _written_events(chunk)
     raw = [event for event in written if event.raw is not None]
-    raw_s = raw_durations(raw, planner_limits(machine))
+    raw_s = raw_durations(raw, planner_of(chunk.program, machine))
     changes_s = {event.line: event.lasts_s for event in written if event.lasts_s}
     begun = planned.sections if chunk.extent.begin is None else planned.sections[1:]
     waits = {} if context.plain else settling_waits(planned, machine, raw_s, begun, chunk.since)
@@ -150,7 +149,7 @@ def settling_waits(
     travels = np.any(moves.end[:, :3] != moves.start[:, :3], axis=1)
     extruding = np.flatnonzero((moves.end[:, 3] > moves.start[:, 3]) & travels)
     disturbed = [event.move for event in events if event.moves_itself]
-    pending = _lasting(earlier, raw_durations(earlier, planner_limits(machine)))
+    pending = _lasting(earlier, raw_durations(earlier, planner_of(planned.program, machine)))
     waits = {}
     at = 0
     for section in sections:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 
@@ -15,7 +14,7 @@ from ffcomp.inverse.reference import WHOLE, Extent, Reference
 from ffcomp.inverse.solve import Solution, solve
 from ffcomp.inverse.time_scaling import FeasibleSection, SectionRequest, TimeScaling, solve_feasible
 from ffcomp.planner.limits import planner_limits
-from ffcomp.planner.program import PlannedProgram, plan_section, smooth_section
+from ffcomp.planner.program import PlannedProgram, section_planner
 from ffcomp.planner.trajectory import PlannedMotion, Section
 from gcode.layers import LayerLookup
 from gcode.program import EventKind
@@ -84,7 +83,7 @@ def _linear(
     """Solve each section linearly; yield it and how long the nozzle has rested before it (None: others moved it)."""
     program, trajectory, settings = planned.program, planned.trajectory, model.settings
     moved, limits = _moved_before(planned), planner_limits(machine)
-    replan = partial(smooth_section, machine, limits) if settings.s_curve else partial(plan_section, limits)
+    replan = section_planner(program, machine, settings.s_curve)
     layers = LayerLookup(program, layers_before)
     rested = later = 0.0
     for section in planned.sections:

@@ -4,20 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 from ffcomp.errors import NothingToDo
 from ffcomp.estimation.statistics import BEFORE, FILAMENT, KINDS, Layer, Statistics, planned_slices
 from ffcomp.numerics.serialise import to_json
-from ffcomp.planner.limits import known_to_the_firmware, planner_limits
-from ffcomp.planner.marlin import MarlinPlan, MarlinPlanner
-from ffcomp.planner.program import plan_program, raw_durations
-from ffcomp.planner.reach import Reach, check_moves
-from ffcomp.planner.trajectory import PlannedMotion
+from ffcomp.planner.program import firmware_plan, known_to_the_firmware, planner_of, raw_durations
+from ffcomp.planner.reach import Reach
 from gcode.container import Source, blocks_of, ends_of
-from gcode.dialects import MARLIN, choose_flavor, sign_by_ends
+from gcode.dialects import choose_flavor, sign_by_ends
 from gcode.embedded import Stamp, find_offset, find_stamp, holds_original, original_blocks
-from gcode.program import Program
 from gcode.reader import read_parts
 from models.arrays import FloatArray
 from models.machine import Machine, identity
@@ -91,18 +88,10 @@ def estimate(
 def _statistics(
     blocks: Iterable[bytes], path: str, machine: Machine, flavor: str, offset: tuple[float, float]
 ) -> Statistics:
-    marlin = MarlinPlanner(machine, machine.marlin) if flavor == MARLIN and machine.marlin is not None else None
-
-    def plan_of(program: Program) -> PlannedMotion | MarlinPlan:
-        if marlin is None:
-            return plan_program(program, machine).trajectory
-        check_moves(program, machine.kinematics)
-        return marlin.plan(program)
-
     parts = read_parts(blocks, path, flavor=flavor, offset_mm=offset, **known_to_the_firmware(machine))
-    statistics, limits = Statistics(), planner_limits(machine)
-    for part in planned_slices(Reach(machine.kinematics).whole(parts), plan_of):
-        statistics.add(part, raw_durations(part.events, limits))
+    statistics = Statistics()
+    for part in planned_slices(Reach(machine.kinematics).whole(parts), partial(firmware_plan, machine=machine)):
+        statistics.add(part, raw_durations(part.events, planner_of(part.program, machine)))
     if not statistics.moves:
         raise NothingToDo(f"{path}: no move whose start is known; there is no time to tell.")
     return statistics

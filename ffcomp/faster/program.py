@@ -13,8 +13,10 @@ from ffcomp.faster.search import SectionSearch, search
 from ffcomp.inverse.model import InverseModel
 from ffcomp.planner.limits import PlannerLimits, bounds_of, lines_of, planner_limits
 from ffcomp.planner.lookahead import plan_moves, stops_and_waits
+from ffcomp.planner.program import planner_of
 from ffcomp.planner.s_curve import sweep, total_time
 from ffcomp.planner.trajectory import Trajectory, split_sections
+from gcode.dialects import KLIPPER
 from gcode.layers import UNNAMED, LayerLookup, labels
 from gcode.program import Moves, Program
 from gcode.slicing import some
@@ -57,7 +59,7 @@ def faster_program(
     limits, moves = planner_limits(model.machine), program.moves
     named, layer = labels(program, feature), _layers(program, layers_before)
     stop_before, wait_before = stops_and_waits(program)
-    plan = plan_moves(moves, limits, stop_before=stop_before, wait_before=wait_before)
+    plan = planner_of(program, model.machine)(moves, stop_before=stop_before, wait_before=wait_before)
     kept = np.zeros(len(moves), dtype=np.bool_) if kept is None else kept
     if bound.keeps_first_layer:
         kept = kept | (layer == 0)
@@ -82,7 +84,8 @@ def faster_program(
         quick = plan_moves(quicker, limits, stop_before=stop_before, wait_before=wait_before)
     shares = time_by_limit(quick, quicker, ceiling, as_sliced, cooled, quick.end_t)
     least_s = actuator_limit_s(ceiling, model.machine, limits, stop_before, wait_before)
-    return FasterProgram(replace(program, moves=quicker), plan, reverted, least_s, shares, ~as_sliced, p99)
+    own = replace(program, moves=quicker, flavor=KLIPPER)  # its motion is ours: no other firmware plans what is raised
+    return FasterProgram(own, plan, reverted, least_s, shares, ~as_sliced, p99)
 
 
 def _layers(program: Program, before: int) -> IntArray:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, fields
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -240,11 +240,6 @@ def planner_limits(machine: Machine) -> PlannerLimits:
         else machine.pressure.corner_velocity_mm_per_s,
         delta=_slow_zones(machine.kinematics, machine.steps),
     )
-
-
-def known_to_the_firmware(machine: Machine) -> dict[str, Any]:
-    """Return what a G-code reader must know besides the file, as its keyword arguments."""
-    return {"returns": machine.returns, "still": machine.still, "homed_mm": machine.home_mm}
 
 
 def _slow_zones(kinematics: Kinematics, steps: Steps) -> DeltaSlowZones | None:

@@ -1,540 +1,507 @@
-"""Marlin's own plan: blocks of whole motor steps through a queue of sixteen.
+"""Marlin's own plan: moves as its queue of blocks of whole motor steps plays them.
 
 Where Klipper plans lines of mm as if it saw the whole print, Marlin 2.1 plans blocks of steps and looks ahead as far
-as its queue. What decides a print's time and its corners is therefore not the path alone: rates are whole steps a
-second, a block with fewer steps than `minimum_steps` is left out and its target joined to the next one's, the brake
-path in sight caps the speed of short segments, and the first blocks after a rest are slowed on purpose.
+as its queue (`marlin_queue`). What decides a print's time and its corners is therefore not the path alone: rates are
+whole steps a second, a block with fewer steps than `minimum_steps` is left out and its target joined to the next one's,
+the brake path in sight caps the speed of short segments, and the first blocks after a rest are slowed on purpose.
 
-The rules are those of Marlin 2.1.2 (`planner.cpp`, GPL: described, not copied), as far as the real planner's own
-blocks show them; the tests compare with these block by block. Speeds mm/s along the block, rates steps/s of its
-fastest motor ("events"), s and mm.
-
-    populate   length, nominal speed, acceleration, the speed allowed at its beginning
-    look-ahead backwards what each block can brake from, forwards what it can reach; entry speeds in v²
-    trapezoid  whole events of speeding up and braking, no rate below 120 a second
+    cut        a delta's lines by time, arcs by length and turn, as Marlin cuts them: each move within one block
+    settings   what the file itself sets (M201, M203, M204, M205), in force at each move
+    blocks     the queue
+    share out  each block's trapezoid among the moves that it covers
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
-from ffcomp.planner.lookahead import stops_and_waits
+from ffcomp.planner.limits import lines_of
+from ffcomp.planner.lookahead import Phases
+from ffcomp.planner.marlin_queue import (
+    ACCELERATION,
+    COLUMNS,
+    DEVIATION,
+    JERK,
+    LEAST,
+    LEAST_TRAVEL,
+    PRINT,
+    RETRACT,
+    SCALE,
+    SHORTEST_US,
+    SPEED,
+    STEPS,
+    TRAVEL,
+    Blocks,
+    Targets,
+    phases_of,
+    plan_blocks,
+)
+from ffcomp.planner.trajectory import Trajectory
+from gcode.dialects import MARLIN
 from gcode.program import Moves, Program
 from models.arrays import BoolArray, FloatArray, IntArray
 from models.kinematics.delta import DeltaKinematics
 from models.machine import Machine, MarlinSettings
 
-QUEUE = 16  # blocks in Marlin's buffer, of which one is always empty
-LOWEST_RATE = 120.0  # steps/s (MINIMAL_STEP_RATE): the timer goes no slower
-LOWEST_V2 = 0.05**2  # (mm/s)², MINIMUM_PLANNER_SPEED: how a stop is planned
-STRAIGHT, REVERSED = -0.999999, 0.999999  # cosines beyond which two lines are one, or there and back
-SHORT_MM, SHORT_COSINE = 1.0, -np.sqrt(0.5)  # where a junction deviation also looks at the arc that lines may be of
-TURN_CHORDS = 72  # of an arc that turns once, at least (MIN_CIRCLE_SEGMENTS)
+TURN_CHORDS = 72  # of an arc that turns once, at least (MIN_CIRCLE_SEGMENTS),
+CHORD_MM = (0.1, 1.0)  # but none shorter or longer than this (MIN_ARC_SEGMENT_MM, MAX_ARC_SEGMENT_MM)
 EXTRUDER_STEPS_PER_MM = 93.0  # where the machine file states none
+SAME_PLACE = 1e-6  # of an arc's length
+STRAIGHT = 1.0 - 1e-9  # cosine between two pieces of a line that is no arc
+ROUND_MM = 1e-3  # by which the vertices of an arc in the plane may leave its circle
+WHOLE_CHORD = 1e-3  # of a chord that is not missed
+EVEN_MM = 1e-4  # between the pieces of a line that is no arc
 _NUMBER = re.compile(rb"[-+]?\d*\.?\d+")
-LEAST_TURN = 0.033  # rad, below which Marlin's arc cosine does not go
+_XYZE = "XYZE"
 
 
-@dataclass(frozen=True, slots=True)
-class Orders:
-    """n targets as Marlin's motion queue gets them, each with the settings in force."""
-
-    start: FloatArray  # (n, 4) mm of the motors, where the place is named anew; NaN: where the last one ended
-    target: FloatArray  # (n, 4) mm of the motors, columns X Y Z E (or A B C E)
-    length: FloatArray  # (n,) mm that the block shall count as long; NaN: by its motors
-    speed: FloatArray  # (n,) mm/s
-    radius: FloatArray  # (n,) mm of the arc at a joint of which it begins; 0: none
-    arc_left: FloatArray  # (n,) mm of the arc that follow and are not queued yet; 0: none
-    waits: FloatArray  # (n,) s of rest before it, the queue empty; NaN: none
-    settings: FloatArray  # (n, 22), rows as `_row` makes them
+def marlin_settings(machine: Machine) -> MarlinSettings:
+    """Return the planner's settings, Marlin's defaults where the machine file states none."""
+    return machine.marlin or MarlinSettings.within(machine.limits, isinstance(machine.kinematics, DeltaKinematics))
 
 
-@dataclass(frozen=True, slots=True)
-class Blocks:
-    """m blocks as the planner leaves them."""
-
-    order: IntArray  # (m,) whose target the block reaches
-    start: FloatArray  # (m, 4) whole steps
-    end: FloatArray  # (m, 4) whole steps
-    length: FloatArray  # (m,) mm
-    events: FloatArray  # (m,) steps of the fastest motor
-    nominal: FloatArray  # (m,) events/s
-    entry: FloatArray  # (m,) events/s
-    exit: FloatArray  # (m,) events/s
-    acceleration: FloatArray  # (m,) events/s²
-    accelerate: FloatArray  # (m,) events
-    decelerate: FloatArray  # (m,) events
-
-
-# columns of a row of settings
-_STEPS, _SPEED, _ACCELERATION, _PRINT, _RETRACT, _TRAVEL, _DEVIATION, _JUMP, _LEAST, _LEAST_TRAVEL = (
-    0, 4, 8, 12, 13, 14, 15, 16, 20, 21,
-)  # fmt: skip
-
-
-def _row(settings: MarlinSettings, steps_per_mm: FloatArray) -> FloatArray:
-    """Return the settings as one row of numbers, (22,)."""
-    s = settings
-    return np.array(
-        [
-            *steps_per_mm,
-            *s.speed_mm_per_s,
-            *s.acceleration_mm_per_s2,
-            s.printing_acceleration_mm_per_s2,
-            s.retract_acceleration_mm_per_s2,
-            s.travel_acceleration_mm_per_s2,
-            -1.0 if s.junction_deviation_mm is None else s.junction_deviation_mm,
-            *s.jerk_mm_per_s,
-            s.lowest_speed_mm_per_s,
-            s.lowest_travel_speed_mm_per_s,
-        ]
+def settings_sentence(machine: Machine) -> str:
+    """Say which settings of Marlin's planner are taken to be Marlin's defaults; empty: none of those that matter."""
+    stated = () if machine.marlin is None else machine.marlin.stated
+    corner = "junction_deviation_mm" if "junction_deviation_mm" in stated else "jerk_mm_per_s"
+    matter = ("acceleration_mm_per_s2", "speed_mm_per_s", "retract_acceleration_mm_per_s2", corner)
+    missing = [name for name in matter if name not in stated]
+    if not missing:
+        return ""
+    which = "has no [firmware.marlin]" if not stated else f"has no {', '.join(missing)} in [firmware.marlin]"
+    return (
+        f"The machine file {which}, so its limits and Marlin's defaults are taken for Marlin's planner; "
+        "`ffcomp machines import` reads them from the printer's answer to M503."
     )
 
 
-def _changed(row: FloatArray, line: bytes) -> FloatArray:
-    """Return the settings after a line that sets some (M200-M205.cpp)."""
-    code, _, words = line.partition(b";")[0].strip().upper().partition(b" ")
-    values = {word[:1].decode(): float(word[1:]) for word in words.split() if _NUMBER.fullmatch(word[1:])}
-    row = row.copy()
-    if code in (b"M201", b"M203"):
-        first = _ACCELERATION if code == b"M201" else _SPEED
-        for k, letter in enumerate("XYZE"):
-            row[first + k] = values.get(letter, row[first + k])
-    elif code == b"M204":
-        both = values.get("S")
-        row[_PRINT] = values.get("P", both or row[_PRINT])
-        row[_TRAVEL] = values.get("T", both or row[_TRAVEL])
-        row[_RETRACT] = values.get("R", row[_RETRACT])
-    elif code == b"M205":
-        row[_LEAST], row[_LEAST_TRAVEL] = values.get("S", row[_LEAST]), values.get("T", row[_LEAST_TRAVEL])
-        if row[_DEVIATION] < 0.0:
-            for k, letter in enumerate("XYZE"):
-                row[_JUMP + k] = values.get(letter, row[_JUMP + k])
-        elif 0.01 <= values.get("J", 0.0) <= 0.3:
-            row[_DEVIATION] = values["J"]
-    return row
+def planner_of(program: Program, machine: Machine) -> MarlinPlanner:
+    """Return Marlin's planner, with the settings that are in force at each line of a program."""
+    return MarlinPlanner(machine, marlin_settings(machine), SettingsInForce.of(program, machine))
 
 
+@dataclass(frozen=True, slots=True)
 class MarlinPlanner:
-    """Plans programs that follow each other; settings of one hold in the next."""
+    """Plans moves of one program."""
 
-    def __init__(self, machine: Machine, settings: MarlinSettings) -> None:
-        self.settings, self.kinematics = settings, machine.kinematics
-        self.delta = isinstance(machine.kinematics, DeltaKinematics)
-        extruder = machine.steps.extruder_steps_per_mm or EXTRUDER_STEPS_PER_MM
-        self._in_force = _row(settings, np.append(machine.steps.per_motor, extruder))
+    machine: Machine
+    settings: MarlinSettings
+    in_force: SettingsInForce
 
-    def plan(self, program: Program) -> MarlinPlan:
-        """Plan a program as Marlin's queue does, from rest to rest."""
-        moves = program.moves
-        pieces = self._pieces(moves)
-        move, first = pieces.move, pieces.first
-        target = moves.start[move] + (moves.end - moves.start)[move] * pieces.share[:, None]
-        target[pieces.share == 1.0] = moves.end[move[pieces.share == 1.0]]
-        begins = first >= 0
-        jumps = np.append(True, np.any(moves.start[1:] != moves.end[:-1], axis=1))
-        start = np.where((begins & jumps[first])[:, None], self._motors(moves.start)[first], np.nan)
-        stop_before, wait_before = stops_and_waits(program)
-        waits = np.where(begins & (stop_before | (wait_before > 0.0))[first], wait_before[first], np.nan)
-        orders = Orders(
+    def __call__(
+        self,
+        moves: Moves,
+        *,
+        stop_before: BoolArray,
+        wait_before: FloatArray,
+        start_t: float = 0.0,
+        within: bool = False,
+    ) -> Trajectory:
+        """Plan moves from rest to rest; parameters as of `lookahead.plan_moves`.
+
+        within : they are part of a motion, so that nothing is slowed because the queue fills
+        """
+        blocks, ends = self.blocks(moves, stop_before | (wait_before > 0.0), within)
+        lines = lines_of(moves)
+        of_blocks = (blocks.acceleration, blocks.events, tuple(phases_of(blocks)))
+        columns = _shared_out(ends[blocks.target], lines.length, moves.speed, *of_blocks)
+        since = np.array(wait_before, dtype=np.float64)
+        since[1:] += columns[:3].sum(axis=0)[:-1]
+        since[:1] += start_t
+        return Trajectory(np.cumsum(since), *Phases(*columns), moves.start, lines.direction)
+
+    def blocks(self, moves: Moves, rests: BoolArray, within: bool = False) -> tuple[Blocks, IntArray]:
+        """Return what Marlin's queue makes of moves, and at the end of which move each of its targets lies.
+
+        rests : (n,) the queue is empty before the move
+        """
+        chords = _chords(moves)
+        last = chords.last
+        first = np.append(0, last[:-1] + 1)
+        jumps = np.append(True, np.any(moves.start[1:] != moves.end[:-1], axis=1))[first]
+        start = np.where(jumps[:, None], self._motors(moves.start[first]), np.nan)
+        begun = np.concatenate([[0], np.cumsum(rests)])
+        by_motors = not (self._delta or self.machine.kinematics.shares_motors)
+        length = np.where((chords.length == 0.0) | by_motors, np.nan, chords.length)
+        targets = Targets(
             start,
-            self._motors(target),
-            pieces.length,
-            moves.speed[move],
-            pieces.radius,
-            pieces.arc_left,
-            waits,
-            self._settings_of(program)[move],
+            self._motors(self._reached(moves)[last]),
+            length,
+            moves.speed[last],
+            chords.radius,
+            chords.arc_left,
+            begun[last + 1] > begun[first],
+            self.in_force.at(moves)[last],
         )
         s = self.settings
-        slow_s = s.shortest_segment_s if s.slowdown and not self.delta else 0.0
-        blocks = plan_blocks(orders, s.minimum_steps_per_segment, slow_s)
-        duration = np.bincount(move[blocks.order], durations(blocks), minlength=len(moves)).astype(np.float64)
-        return MarlinPlan(blocks, duration, np.cumsum(wait_before + np.append(0.0, duration[:-1])))
+        return plan_blocks(targets, s.minimum_steps_per_segment, s.slowdown and not self._delta and not within), last
 
-    def _settings_of(self, program: Program) -> FloatArray:
-        """Return the settings in force at each move, (n, 22), and keep those at the end."""
-        rows, changes = [self._in_force], [0]
-        for event in program.events:
-            if event.touches_limits:
-                rows.append(_changed(rows[-1], program.lines[event.line]))
-                changes.append(event.move)
-        self._in_force = rows[-1]
-        return np.repeat(np.array(rows), np.diff(np.append(changes, len(program.moves))), axis=0)
+    @property
+    def _delta(self) -> bool:
+        return isinstance(self.machine.kinematics, DeltaKinematics)
 
-    def _pieces(self, moves: Moves) -> _Pieces:
-        """Cut moves as Marlin does: a delta's lines by time, arcs by length and turn; other lines stay whole."""
-        change = (moves.end - moves.start)[:, :3]
-        mm = np.linalg.norm(change, axis=1)
-        count = np.ones(len(moves), dtype=np.int64)
-        if self.delta:
-            aside = np.any(change[:, :2] != 0.0, axis=1)
-            count[aside] = np.maximum((self.settings.segments_per_second * mm / moves.speed)[aside].astype(int), 1)
-        by_motors = not (self.delta or self.kinematics.shares_motors)
-        parts, done = [], 0
-        for begin, end in _arcs(moves, mm):
-            parts += [
-                _lines(done, begin, count, mm, by_motors),
-                _arc(begin, change[begin:end], mm[begin:end], by_motors),
-            ]
-            done = end
-        parts.append(_lines(done, len(moves), count, mm, by_motors))
-        return _Pieces(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+    def _reached(self, moves: Moves) -> FloatArray:
+        """Where each move ends, (n, 4) mm: a delta sums the pieces of a line in single precision."""
+        return _summed(moves.line, moves.start, moves.end) if self._delta else moves.end
 
     def _motors(self, place: FloatArray) -> FloatArray:
         """Return (n, 4) mm of the motors at places (n, 4) of nozzle and filament."""
-        if not len(place):
-            return place
-        return np.column_stack([self.kinematics.inverse(place[:, :3]) @ self.kinematics.motors.T, place[:, 3]])
+        kinematics = self.machine.kinematics
+        return np.column_stack([kinematics.inverse(place[:, :3]) @ kinematics.motors.T, place[:, 3]])
 
 
-class _Pieces(NamedTuple):
-    """What Marlin makes of moves before its queue: (k,) arrays."""
+def block_motion(blocks: Blocks, steps_per_mm: FloatArray, waits: FloatArray) -> Trajectory:
+    """Return blocks as a trajectory of the motors, in whole steps: mm, columns X Y Z E (A B C E).
 
-    move: IntArray  # in which the piece ends
-    share: FloatArray  # of that move which is done then
-    first: IntArray  # the move at whose beginning it begins, -1: at none
-    length: FloatArray  # mm; NaN: by its motors
+    waits : (m,) s at rest before each block
+    """
+    p = phases_of(blocks)
+    change = (blocks.end - blocks.start) / steps_per_mm
+    mm = np.linalg.norm(change, axis=1)
+    per_event = mm / blocks.events
+    since = np.array(waits, dtype=np.float64)
+    since[1:] += p.duration[:-1]
+    speeds = (per_event * p.entry, per_event * p.level, per_event * p.last, per_event * blocks.acceleration)
+    times = (np.cumsum(since), p.accel_t, p.cruise_t, p.decel_t)
+    return Trajectory(*times, *speeds, blocks.start / steps_per_mm, change / mm[:, None])
+
+
+@njit(cache=True, nogil=True)
+def _summed(line: IntArray, start: FloatArray, end: FloatArray) -> FloatArray:
+    out = end.copy()
+    at, step = np.zeros(4, np.float32), np.zeros(4, np.float32)
+    for i in range(len(line)):
+        if i + 1 == len(line) or line[i + 1] != line[i]:
+            at[:] = end[i]
+            continue
+        if i == 0 or line[i - 1] != line[i]:
+            at[:], step[:] = start[i], end[i] - start[i]
+        if np.abs(end[i] - start[i] - step).max() > EVEN_MM:  # a chord of an arc
+            at[:] = end[i]
+            continue
+        at += step
+        out[i] = at
+    return out
+
+
+@njit(cache=True, nogil=True)
+def _shared_out(
+    reached: IntArray,
+    length: FloatArray,
+    speed: FloatArray,
+    acceleration: FloatArray,
+    events: FloatArray,
+    phases: tuple[FloatArray, ...],
+) -> FloatArray:
+    """Share each block out among the moves that it covers, by their lengths: (7, n), rows as `lookahead.Phases`.
+
+    What Marlin never gets to, for nothing follows that would take it along, counts at its own speed.
+
+    reached : (m,) the move at whose end each block ends
+    """
+    out = np.zeros((7, len(length)))
+    first = 0
+    for b in range(len(reached)):
+        last = reached[b]
+        whole = length[first : last + 1].sum()
+        entry, level, leave = phases[3][b], phases[4][b], phases[5][b]
+        a, scale, done = acceleration[b], whole / events[b], 0.0
+        rise, fall = (level**2 - entry**2) / (2.0 * a), (level**2 - leave**2) / (2.0 * a)
+        for i in range(first, last + 1):
+            if length[i] == 0.0:
+                continue
+            until = done + length[i] / scale
+            v0 = _rate(done, events[b], rise, fall, entry, level, leave, a)
+            v1 = _rate(until, events[b], rise, fall, entry, level, leave, a)
+            top = level if until > rise and done < events[b] - fall else max(v0, v1)
+            out[0, i] = (top - v0) / a if done < rise else 0.0
+            out[2, i] = (top - v1) / a if until > events[b] - fall else 0.0
+            out[1, i] = max(min(until, events[b] - fall) - max(done, rise), 0.0) / level
+            out[3, i], out[4, i], out[5, i], out[6, i] = v0 * scale, top * scale, v1 * scale, a * scale
+            done = until
+        first = last + 1
+    for i in range(first, len(length)):
+        out[1, i] = length[i] / speed[i]
+        out[3, i], out[4, i], out[5, i], out[6, i] = speed[i], speed[i], speed[i], 1.0
+    return out
+
+
+@njit(cache=True, nogil=True)
+def _rate(
+    done: float, events: float, rise: float, fall: float, entry: float, level: float, leave: float, a: float
+) -> float:
+    """Return the rate after so many events of a block."""
+    if done < rise:
+        return np.sqrt(entry * entry + 2.0 * a * done)
+    left = events - done
+    if left < fall:
+        return np.sqrt(leave * leave + 2.0 * a * max(left, 0.0))
+    return level
+
+
+# --- What the file sets
+
+
+@dataclass(frozen=True, slots=True)
+class SettingsInForce:
+    """The rows of settings of a program, and from which of its lines on each holds."""
+
+    lines: IntArray  # (k,) rising
+    rows: FloatArray  # (k, COLUMNS)
+    as_read: FloatArray  # (k, 3) mm/s², mm/s², mm/s: P, T and corner of the file as `Moves` has them; NaN: not set
+
+    limits: tuple[float, float]  # mm/s² and mm/s, the machine's own where the file has set nothing
+
+    @classmethod
+    def of(cls, program: Program, machine: Machine) -> SettingsInForce:
+        """Follow a program's own lines on limits."""
+        state = _State(settings_row(machine))
+        for line in program.limits.values():
+            state = state.after(line, 1.0)
+        lines, states = [-1], [state]
+        for event in program.events:
+            if event.touches_limits:
+                unit_mm = program.frames[event.frame].unit_mm if program.frames else 1.0
+                state = state.after(program.lines[event.line], unit_mm)
+                lines.append(event.line)
+                states.append(state)
+        rows, read = np.array([each.row for each in states]), np.array([each.as_read for each in states])
+        own = (machine.limits.acceleration_mm_per_s2, machine.limits.square_corner_velocity_mm_per_s)
+        return cls(np.array(lines, dtype=np.int64), rows, read, own)
+
+    def at(self, moves: Moves) -> NDArray[np.float32]:
+        """Return the settings in force at each move, (n, COLUMNS): gentler where a move asks for less than the file.
+
+        Only time scaling does (`ffcomp.inverse.time_scaling`), for limits of the machine itself.
+        """
+        which = np.searchsorted(self.lines, moves.line, side="right") - 1
+        rows = self.rows[which].astype(np.float32)
+        printing, travel, corner = self.as_read[which].T
+        asked = np.where((moves.end[:, 3] == moves.start[:, 3]) & ~np.isnan(travel), travel, printing)
+        gentler = _share(moves.acceleration, asked, self.limits[0])
+        rows[:, SCALE] = gentler
+        slower = _share(moves.square_corner_velocity, corner, self.limits[1])
+        if (slower < 1.0).any():
+            rows[:, JERK] *= slower[:, None]
+            rows[:, DEVIATION] *= np.where(rows[:, DEVIATION] > 0.0, np.minimum(slower**2 / gentler, 1.0), 1.0)
+        return rows
+
+
+def _share(value: FloatArray, in_file: FloatArray, in_machine: float) -> FloatArray:
+    share = value / np.where(np.isnan(in_file), in_machine, in_file)
+    return np.where(share < 1.0, share, 1.0)
+
+
+def settings_row(machine: Machine) -> FloatArray:
+    """Return a machine's own settings as one row of numbers, (COLUMNS,)."""
+    s, row = marlin_settings(machine), np.zeros(COLUMNS)
+    steps_per_mm = [*machine.steps.per_motor, machine.steps.extruder_steps_per_mm or EXTRUDER_STEPS_PER_MM]
+    row[STEPS], row[SPEED], row[ACCELERATION], row[JERK] = (
+        steps_per_mm,
+        s.speed_mm_per_s,
+        s.acceleration_mm_per_s2,
+        s.jerk_mm_per_s,
+    )
+    row[PRINT], row[RETRACT] = s.printing_acceleration_mm_per_s2, s.retract_acceleration_mm_per_s2
+    row[TRAVEL] = s.travel_acceleration_mm_per_s2
+    row[DEVIATION] = -1.0 if s.junction_deviation_mm is None else s.junction_deviation_mm
+    row[LEAST], row[LEAST_TRAVEL] = s.lowest_speed_mm_per_s, s.lowest_travel_speed_mm_per_s
+    row[SHORTEST_US], row[SCALE] = 1e6 * s.shortest_segment_s, 1.0
+    return row
+
+
+class _State(NamedTuple):
+    """Settings while the lines of a file are followed."""
+
+    row: FloatArray  # (COLUMNS,)
+    requested: tuple[float, float] = (np.nan, np.nan)  # mm/s², of moves that extrude and of others, as the file asks
+    cap: float = np.nan  # mm/s², of M201
+    corner: float = np.nan  # mm/s, of M205 X Y
+
+    @property
+    def as_read(self) -> tuple[float, float, float]:
+        """What the reader of G-code makes of them."""
+        printing, travel = (float(np.fmin(each, self.cap)) for each in self.requested)
+        return printing, travel, self.corner
+
+    def after(self, line: bytes, unit_mm: float) -> _State:
+        """Return the settings after a line that sets some (M200-M205.cpp).
+
+        unit_mm : after G20, Marlin takes them in inches
+        """
+        code, values = _words(line)
+        new = {letter: value * unit_mm for letter, value in values.items()}
+        row = self.row.copy()
+        if code in (b"M201", b"M203"):
+            which = ACCELERATION if code == b"M201" else SPEED
+            row[which] = _named(row[which], new)
+            cap = min((new[axis] for axis in "XY" if axis in new), default=self.cap)
+            return self._replace(row=row, cap=cap if code == b"M201" else self.cap)
+        if code == b"M204":
+            both = new.get("S")
+            printing, travel = new.get("P", both), new.get("T", both)
+            row[RETRACT] = new.get("R", row[RETRACT])
+            row[PRINT] = row[PRINT] if printing is None else printing
+            row[TRAVEL] = row[TRAVEL] if travel is None else travel
+            before, travel_before = self.requested
+            requested = (before if printing is None else printing, travel_before if travel is None else travel)
+            return self._replace(row=row, requested=requested)
+        if code != b"M205":
+            return self
+        row[LEAST], row[LEAST_TRAVEL] = new.get("S", row[LEAST]), new.get("T", row[LEAST_TRAVEL])
+        row[SHORTEST_US] = values.get("B", row[SHORTEST_US])
+        if row[DEVIATION] < 0.0:
+            row[JERK] = _named(row[JERK], new)
+        elif 0.01 <= new.get("J", 0.0) <= 0.3:
+            row[DEVIATION] = new["J"]
+        return self._replace(row=row, corner=min((new[axis] for axis in "XY" if axis in new), default=self.corner))
+
+
+@lru_cache(maxsize=1024)
+def _words(line: bytes) -> tuple[bytes, dict[str, float]]:
+    """Return a command and the numbers behind its letters."""
+    code, _, words = line.partition(b";")[0].strip().upper().partition(b" ")
+    return code, {word[:1].decode(): float(word[1:]) for word in words.split() if _NUMBER.fullmatch(word[1:])}
+
+
+def _named(values: FloatArray, new: dict[str, float]) -> list[float]:
+    return [new.get(axis, old) for axis, old in zip(_XYZE, values.tolist(), strict=True)]
+
+
+# --- How Marlin cuts moves
+
+
+def cut_for_marlin(program: Program, machine: Machine) -> Program:
+    """Cut moves where Marlin begins another block: a delta's lines by time, arcs by length and turn.
+
+    Another firmware's program is returned as it is.
+    """
+    moves = program.moves
+    if program.flavor != MARLIN or not len(moves):
+        return program
+    speed = np.array([frame.feed_mm_per_s for frame in program.frames])[moves.frame]  # M203 caps whole steps, later
+    moves = replace(moves, speed=speed)
+    change = (moves.end - moves.start)[:, :3]
+    mm = np.linalg.norm(change, axis=1)
+    count = np.ones(len(moves), dtype=np.int64)
+    if isinstance(machine.kinematics, DeltaKinematics):
+        aside = np.any(change[:, :2] != 0.0, axis=1)
+        per_s = marlin_settings(machine).segments_per_second
+        count[aside] = np.maximum((per_s * mm / moves.speed)[aside].astype(np.int64), 1)
+    parts, done, arcs = [], 0, _arcs(moves.line, mm, change)
+    for begin, end in arcs:
+        parts += [_in_equal_parts(done, begin, count), _at_joints(begin, mm[begin:end], change[begin:end])]
+        done = end
+    parts.append(_in_equal_parts(done, len(moves), count))
+    rows, shares = (np.concatenate(column) for column in zip(*parts, strict=True))
+    if len(rows) == len(moves):
+        return replace(program, moves=moves)
+    ends = moves.start[rows] + (moves.end - moves.start)[rows] * shares[:, None]
+    whole = shares == 1.0
+    ends[whole] = moves.end[rows[whole]]
+    for begin, end in arcs:
+        joints = slice(*np.searchsorted(rows, [begin, end]).tolist())
+        vertices = np.vstack([moves.start[begin], moves.end[begin:end]])[:, :2]
+        ends[joints, :2] = _on_circle(ends[joints, :2], vertices)
+    begins = np.append(True, whole[:-1])
+    starts = np.where(begins[:, None], moves.start[rows], np.roll(ends, 1, axis=0))
+    columns = {each.name: getattr(moves, each.name)[rows] for each in fields(Moves)} | {"start": starts, "end": ends}
+    before = np.concatenate([[0], np.cumsum(np.bincount(rows, minlength=len(moves)))])
+    events = [event._replace(move=int(before[event.move])) for event in program.events]
+    return replace(program, moves=Moves(**columns), events=events)
+
+
+def _in_equal_parts(begin: int, end: int, count: IntArray) -> tuple[IntArray, FloatArray]:
+    """Return the pieces of the moves begin..end-1: of which move each is, and how much of that is done at its end."""
+    count = count[begin:end]
+    move = np.repeat(np.arange(begin, end), count)
+    nth = np.arange(len(move)) - np.repeat(np.cumsum(count) - count, count) + 1
+    return move, nth / count[move - begin]
+
+
+def _at_joints(begin: int, mm: FloatArray, change: FloatArray) -> tuple[IntArray, FloatArray]:
+    """Return the chords of an arc, cut where Marlin's own chords meet."""
+    until = np.append(0.0, np.cumsum(mm))
+    joints = _joints(mm, change)[0]
+    near = SAME_PLACE * until[-1]
+    joints = joints[np.abs(until[np.searchsorted(until, joints - near)] - joints) > near]
+    places = np.sort(np.concatenate([until[1:], joints]))
+    chord = np.minimum(np.searchsorted(until, places - near) - 1, len(mm) - 1)
+    share = np.minimum((places - until[chord]) / mm[chord], 1.0)
+    share[np.searchsorted(places, until[1:])] = 1.0
+    return begin + chord, share
+
+
+def _on_circle(points: FloatArray, vertices: FloatArray) -> FloatArray:
+    """Move points (k, 2) mm of an arc's chords out to its circle, if its vertices (n, 2) lie on one."""
+    n = len(vertices)
+    a, b = vertices[n // 3] - vertices[0], vertices[2 * n // 3] - vertices[0]
+    double_area = 2.0 * (a[0] * b[1] - a[1] * b[0])
+    if double_area == 0.0:
+        return points
+    a2, b2 = a @ a, b @ b
+    centre = vertices[0] + np.array([b[1] * a2 - a[1] * b2, a[0] * b2 - b[0] * a2]) / double_area
+    radius = np.linalg.norm(vertices - centre, axis=1)
+    if np.ptp(radius) > ROUND_MM:
+        return points
+    out = points - centre
+    return np.asarray(centre + out * (radius[0] / np.linalg.norm(out, axis=1))[:, None])
+
+
+def _arcs(line: IntArray, mm: FloatArray, change: FloatArray) -> list[tuple[int, int]]:
+    """Return the first chord of each arc and the one after its last: they share a line of the file, and turn."""
+    cosine = np.sum(change[1:] * change[:-1], axis=1) / np.maximum(mm[1:] * mm[:-1], np.finfo(float).tiny)
+    bends = np.flatnonzero((line[1:] == line[:-1]) & (cosine < STRAIGHT) & (mm[1:] > 0.0) & (mm[:-1] > 0.0))
+    arcs = np.unique(line[bends])
+    begin, end = np.searchsorted(line, arcs), np.searchsorted(line, arcs, side="right")
+    return list(zip(begin.tolist(), end.tolist(), strict=True))
+
+
+class _Chords(NamedTuple):
+    """What Marlin makes of n moves before its queue: (k,) targets."""
+
+    last: IntArray  # the move at whose end each one lies
+    length: FloatArray  # mm
     radius: FloatArray  # mm of the arc at a joint of which it begins; 0: none
     arc_left: FloatArray  # mm of the arc after it; 0: none
 
 
-def _lines(begin: int, end: int, count: IntArray, mm: FloatArray, by_motors: bool) -> _Pieces:
-    count = count[begin:end]
-    move = np.repeat(np.arange(begin, end), count)
-    nth = np.arange(len(move)) - np.repeat(np.cumsum(count) - count, count) + 1
-    of_move = count[move - begin]
-    length = np.where((mm[move] == 0.0) | by_motors, np.nan, mm[move] / of_move)
-    zero = np.zeros(len(move))
-    return _Pieces(move, nth / of_move, np.where(nth == 1, move, -1), length, zero, zero)
+def _chords(moves: Moves) -> _Chords:
+    change = (moves.end - moves.start)[:, :3]
+    mm = np.linalg.norm(change, axis=1)
+    radius, left, length, kept = np.zeros(len(mm)), np.zeros(len(mm)), mm.copy(), np.ones(len(mm), dtype=np.bool_)
+    for begin, end in _arcs(moves.line, mm, change):
+        joints, r = _joints(mm[begin:end], change[begin:end])
+        until = np.cumsum(mm[begin:end])
+        at = np.minimum(np.searchsorted(until, joints), end - begin - 1)
+        at -= (at > 0) & (joints - until[at - 1] < until[at] - joints)
+        at += begin
+        kept[begin:end] = False
+        kept[at] = True
+        length[at], radius[at], left[at] = until[-1] / len(joints), r, until[-1] - joints
+        radius[at[0]], left[end - 1] = 0.0, 0.0
+    last = np.flatnonzero(kept)
+    return _Chords(last, length[last], radius[last], left[last])
 
 
-def _arcs(moves: Moves, mm: FloatArray) -> Iterator[tuple[int, int]]:
-    """Yield the first chord of each arc and the one after its last: they share a line of the file."""
-    ends = np.flatnonzero(np.append(moves.line[1:] != moves.line[:-1], True)) + 1 if len(moves) else np.zeros(0, int)
-    begins = np.append(0, ends[:-1])
-    for begin, end in zip(begins[ends - begins > 1].tolist(), ends[ends - begins > 1].tolist(), strict=True):
-        if np.all(mm[begin:end] > 0.0):
-            yield begin, end
+def _joints(mm: FloatArray, change: FloatArray) -> tuple[FloatArray, float]:
+    """Return where Marlin's chords of an arc end (plan_arc of G2_G3.cpp), (k,) mm along it, and its radius, mm."""
+    total, turn = float(mm.sum()), _turn(mm, change)
+    shortest, longest = CHORD_MM
+    chord = total * 2.0 * np.pi / (TURN_CHORDS * turn) if turn > 0.0 else total
+    count = int(np.ceil(total / longest)) if chord > longest else int(total / max(chord, shortest) + WHOLE_CHORD)
+    return total * np.arange(1, max(count, 1) + 1) / max(count, 1), total / max(turn, 1e-9)
 
 
-def _arc(begin: int, change: FloatArray, mm: FloatArray, by_motors: bool) -> _Pieces:
-    """Cut an arc anew (plan_arc of G2_G3.cpp): chords of 1 mm at most, 72 or more a turn."""
-    chords, total = len(mm), float(mm.sum())
+def _turn(mm: FloatArray, change: FloatArray) -> float:
+    """Return by how much an arc turns, rad: the angles between its chords, and half of those that its ends lean by."""
     cosine = np.sum(change[1:] * change[:-1], axis=1) / (mm[1:] * mm[:-1])
-    turn = float(np.arccos(np.clip(cosine, -1.0, 1.0)).sum()) * chords / (chords - 1)
-    count = int(max(np.floor(total), np.ceil(TURN_CHORDS * turn / (2 * np.pi)), 1))
-    count = int(np.ceil(total)) if total / count > 1.0 else count
-    done = total * np.arange(1, count + 1) / count
-    until = np.append(0.0, np.cumsum(mm))
-    chord = np.minimum(np.searchsorted(until, done - 1e-9) - 1, chords - 1)
-    share = np.minimum((done - until[chord]) / mm[chord], 1.0)
-    share[-1] = 1.0
-    first = np.full(count, -1)
-    first[0] = begin
-    length = np.full(count, np.nan if by_motors else total / count)
-    radius = np.full(count, total / max(turn, 1e-9))
-    radius[0] = 0.0
-    return _Pieces(begin + chord, share, first, length, radius, total - done)
-
-
-@dataclass(frozen=True, slots=True)
-class MarlinPlan:
-    """n moves as Marlin's queue plays them."""
-
-    blocks: Blocks
-    duration: FloatArray  # (n,) s; of what was too short for a block: in the next move's
-    start_t: FloatArray  # (n,) s
-
-    @property
-    def end_t(self) -> float:
-        """When the last move ends, s."""
-        return float(self.start_t[-1] + self.duration[-1]) if len(self.duration) else 0.0
-
-    def move_at(self, t: float) -> int:
-        """Return the move under way at a time, s."""
-        return max(int(np.searchsorted(self.start_t, t, side="right")) - 1, 0)
-
-
-def plan_blocks(orders: Orders, minimum_steps: int, shortest_segment_s: float) -> Blocks:
-    """Plan targets as Marlin's queue does.
-
-    orders : targets in order; the first one says where it starts
-    minimum_steps : what has fewer steps of every motor is joined to what follows
-    shortest_segment_s : s, to which SLOWDOWN stretches moves while the queue fills; 0: it does not
-    """
-    raw, order, count = _blocks(
-        orders.start,
-        orders.target,
-        orders.length,
-        orders.speed,
-        orders.radius,
-        orders.arc_left,
-        orders.waits,
-        orders.settings,
-        minimum_steps,
-        1e6 * shortest_segment_s,
-    )
-    return Blocks(order[:count], raw[:count, 0:4], raw[:count, 4:8], *raw[:count, 8:].T)
-
-
-def durations(blocks: Blocks) -> FloatArray:
-    """Return how long each block takes, (m,) s, by its trapezoid over whole events."""
-    up, cruise, down = _phases(blocks)
-    return up + cruise + down
-
-
-def _phases(b: Blocks) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Seconds of speeding up, cruising and braking."""
-    entry = np.minimum(b.entry, b.nominal)
-    free = np.sqrt(entry**2 + 2.0 * b.acceleration * b.accelerate)
-    top = np.minimum(free, b.nominal)
-    ramp = (top**2 - entry**2) / (2.0 * b.acceleration)  # events; at the nominal rate what is left of them
-    up = (top - entry) / b.acceleration + (b.accelerate - ramp) / top
-    level = np.where(b.decelerate > b.accelerate, b.nominal, top)
-    last = np.sqrt(np.maximum(level**2 - 2.0 * b.acceleration * (b.events - b.decelerate), 0.0))
-    return up, (b.decelerate - b.accelerate) / level, (level - last) / b.acceleration
-
-
-@njit(cache=True, nogil=True)
-def _blocks(
-    start: FloatArray,
-    target: FloatArray,
-    length: FloatArray,
-    speed: FloatArray,
-    radius: FloatArray,
-    arc_left: FloatArray,
-    waits: FloatArray,
-    settings: FloatArray,
-    minimum_steps: int,
-    slow_us: float,
-) -> tuple[FloatArray, IntArray, int]:
-    n = len(target)
-    out = np.zeros((n, 16))
-    order = np.zeros(n, np.int64)
-    entry2, most2, accel = np.zeros(n), np.zeros(n), np.zeros(n)  # (mm/s)², mm/s²
-    nominal_v = np.zeros(n)
-    surely, stale = np.zeros(n, np.bool_), np.zeros(n, np.bool_)
-    place = np.zeros(4)
-    behind_unit, behind_v = np.zeros(4), np.zeros(4)
-    behind_nominal, behind_safe = 0.0, 0.0
-    tail, planned, head = 0, 0, 0
-    for i in range(n):
-        s = settings[i]
-        if not np.isnan(waits[i]):
-            tail = planned = head
-        steps = np.empty(4)
-        for k in range(4):
-            steps[k] = np.floor(target[i, k] * s[k] + 0.5)
-        if not np.isnan(start[i, 0]):
-            for k in range(4):
-                place[k] = np.floor(start[i, k] * s[k] + 0.5)
-        d = steps - place
-        count = np.abs(d)
-        events = max(count[0], count[1], count[2], count[3])
-        if events < minimum_steps or events == 0:
-            continue
-        if head - tail >= QUEUE - 1:  # the oldest block leaves
-            if planned == tail:
-                planned += 1
-            tail += 1
-        moved = d / s[:_SPEED]
-        still = count[0] < minimum_steps and count[1] < minimum_steps and count[2] < minimum_steps
-        mm = abs(moved[3]) if still else np.sqrt(moved[0] ** 2 + moved[1] ** 2 + moved[2] ** 2)
-        if not still and not np.isnan(length[i]):
-            mm = length[i]
-        v = max(speed[i], s[_LEAST] if count[3] > 0 else s[_LEAST_TRAVEL])
-        per_s = float(np.float32(v) * (np.float32(1.0) / np.float32(mm)))  # as Marlin's floats round it
-        waiting = head - tail
-        if slow_us > 0.0 and 2 <= waiting <= QUEUE // 2 - 1:
-            us = np.floor(1e6 / per_s + 0.5)
-            if us < slow_us:
-                per_s = 1e6 / (us + np.floor(2.0 * (slow_us - us) / waiting + 0.5))
-        v = mm * per_s
-        rate = np.ceil(np.float64(np.float32(events) * np.float32(per_s)))
-        factor = 1.0
-        axis_v = moved * per_s
-        for k in range(4):
-            if abs(axis_v[k]) > s[_SPEED + k]:
-                factor = min(factor, s[_SPEED + k] / abs(axis_v[k]))
-        if factor < 1.0:
-            axis_v *= factor
-            rate, v = np.floor(rate * factor), v * factor
-        per_mm = events / mm
-        if count[0] == 0 and count[1] == 0 and count[2] == 0:
-            a = np.ceil(s[_RETRACT] * per_mm)
-        else:
-            a = np.ceil((s[_PRINT] if count[3] > 0 else s[_TRAVEL]) * per_mm)
-            for k in range(4):
-                most = np.floor(s[_ACCELERATION + k] * s[k])
-                if count[k] > 0 and most < a:
-                    a = min(a, np.floor(most * events / count[k]))
-        acc = a / per_mm
-        unit = moved / mm
-        safe = v
-        if s[_DEVIATION] >= 0.0:
-            if count[3] > 0:
-                unit = moved / np.sqrt(np.sum(moved**2))
-            limit2 = 0.0
-            if waiting > 0 and behind_nominal > 1e-6:
-                limit2 = min(_deviation(unit, behind_unit, acc, mm, s, radius[i]), v * v, behind_nominal**2)
-        else:
-            limit, safe = _jerk(
-                axis_v, behind_v, v, behind_nominal, behind_safe, s, waiting > 0 and behind_nominal > 1e-6
-            )
-            limit2 = limit * limit
-            behind_safe = safe
-        b = head
-        order[b] = i
-        out[b, 0:4], out[b, 4:8] = place, steps
-        out[b, 8], out[b, 9], out[b, 10], out[b, 13] = mm, events, rate, a
-        nominal_v[b], most2[b], accel[b] = v, limit2, acc
-        entry2[b] = LOWEST_V2
-        surely[b] = v * v <= LOWEST_V2 + 2.0 * acc * mm
-        stale[b] = True
-        behind_unit, behind_v, behind_nominal = unit, axis_v, v
-        place[:] = steps
-        head += 1
-        leaving2 = LOWEST_V2
-        if arc_left[i] > 0.0:
-            leaving2 = max(min(acc * radius[i], 2.0 * acc * arc_left[i]), LOWEST_V2)
-        planned = _look_ahead(tail, planned, head, leaving2, entry2, most2, accel, surely, stale, out)
-        _trapezoids(tail, head, np.sqrt(leaving2), entry2, nominal_v, stale, out)
-    return out, order, head
-
-
-@njit(cache=True, nogil=True)
-def _deviation(unit: FloatArray, behind: FloatArray, acc: float, mm: float, s: FloatArray, radius: float) -> float:
-    """Return the highest v² at the joint of two blocks by junction deviation."""
-    cosine = -float(np.sum(unit * behind))
-    if cosine > REVERSED:
-        return LOWEST_V2
-    change = unit - behind
-    size = np.sqrt(np.sum(change**2))
-    a = acc
-    for k in range(4):
-        along = abs(change[k]) / size if size > 0.0 else 0.0
-        if a * along > s[_ACCELERATION + k]:
-            a = s[_ACCELERATION + k] / along
-    if radius > 0.0:
-        return a * radius
-    cosine = max(cosine, STRAIGHT)
-    half = float(np.sqrt(0.5 * (1.0 - cosine)))
-    v2 = a * float(s[_DEVIATION]) * half / (1.0 - half)
-    if mm < SHORT_MM and cosine < SHORT_COSINE:
-        v2 = min(v2, mm * a / max(np.arccos(-cosine), LEAST_TURN))
-    return v2
-
-
-@njit(cache=True, nogil=True)
-def _jerk(
-    axis_v: FloatArray,
-    behind: FloatArray,
-    v: float,
-    behind_nominal: float,
-    behind_safe: float,
-    s: FloatArray,
-    joined: bool,
-) -> tuple[float, float]:
-    """Return the highest speed at the joint by classic jerk, and from which this block may stop or start at once."""
-    safe, limited = v, False
-    for k in range(4):
-        jump, most = abs(axis_v[k]), s[_JUMP + k]
-        if jump > most:
-            if limited:
-                if jump * safe > most * v:
-                    safe = most * v / jump
-            else:
-                safe, limited = safe * most / jump, True
-    if not joined:
-        return safe, safe
-    smaller = v / behind_nominal if v < behind_nominal else 1.0
-    junction = min(v, behind_nominal)
-    share, limited = 1.0, False
-    for k in range(4):
-        leave, enter = behind[k] * smaller * share, axis_v[k] * share
-        if leave > enter:
-            jump = leave - enter if enter > 0.0 or leave < 0.0 else max(leave, -enter)
-        else:
-            jump = enter - leave if enter < 0.0 or leave > 0.0 else max(-leave, enter)
-        if jump > s[_JUMP + k]:
-            share, limited = share * s[_JUMP + k] / jump, True
-    if limited:
-        junction *= share
-    if behind_safe > 0.99 * junction and safe > 0.99 * junction:
-        junction = safe
-    return junction, safe
-
-
-@njit(cache=True, nogil=True)
-def _look_ahead(
-    tail: int,
-    planned: int,
-    head: int,
-    leaving2: float,
-    entry2: FloatArray,
-    most2: FloatArray,
-    accel: FloatArray,
-    surely: BoolArray,
-    stale: BoolArray,
-    out: FloatArray,
-) -> int:
-    """Backwards: what each block can brake from; forwards: what it can reach. Return the first that may change."""
-    if head - 1 == planned:
-        return planned
-    for b in range(head - 1, planned, -1):
-        if entry2[b] != most2[b] or (b + 1 < head and stale[b + 1]):
-            after2 = leaving2 if b + 1 == head else entry2[b + 1]
-            new = most2[b] if surely[b] else min(most2[b], after2 + 2.0 * accel[b] * out[b, 8])
-            if new != entry2[b]:
-                entry2[b], stale[b] = new, True
-    for b in range(planned + 1, head):
-        p = b - 1
-        if not surely[p] and entry2[p] < entry2[b]:
-            new = entry2[p] + 2.0 * accel[p] * out[p, 8]
-            if new < entry2[b]:
-                entry2[b], stale[b] = new, True
-                planned = b
-        if entry2[b] == most2[b]:
-            planned = b
-    return planned
-
-
-@njit(cache=True, nogil=True)
-def _trapezoids(
-    tail: int, head: int, leaving: float, entry2: FloatArray, nominal_v: FloatArray, stale: BoolArray, out: FloatArray
-) -> None:
-    """Lay out anew the blocks whose ends have changed, and the newest one."""
-    for b in range(tail, head - 1):
-        if stale[b + 1]:
-            stale[b] = True
-        if stale[b]:
-            _trapezoid(out[b], np.sqrt(entry2[b]) / nominal_v[b], np.sqrt(entry2[b + 1]) / nominal_v[b])
-            stale[b] = False
-    b = head - 1
-    _trapezoid(out[b], np.sqrt(entry2[b]) / nominal_v[b], leaving / nominal_v[b])
-    stale[b] = False
-
-
-@njit(cache=True, nogil=True)
-def _trapezoid(block: FloatArray, entry: float, leave: float) -> None:
-    """Whole events of speeding up and braking between two shares of the nominal rate."""
-    events, nominal, a = block[9], block[10], block[13]
-    first = max(np.ceil(nominal * min(entry, 1.0)), min(LOWEST_RATE, nominal))
-    last = max(np.ceil(nominal * min(leave, 1.0)), min(LOWEST_RATE, nominal))
-    up, down = 0.5 * (nominal**2 - first**2) / a, 0.5 * (nominal**2 - last**2) / a
-    rising, falling = np.ceil(up), np.trunc(down)
-    if rising < 0.0:
-        rising = 0.0
-    if falling < 0.0:
-        falling = 0.0
-    if events - rising - falling < 0.0:
-        rising = min(max(np.ceil(0.5 * (events + up - down)), 0.0), events)
-        falling = events - rising
-    block[11], block[12], block[14], block[15] = first, last, rising, events - falling
+    between = float(np.arccos(np.clip(cosine, -1.0, 1.0)).sum())
+    return between / (1.0 - 0.5 * float(mm[0] + mm[-1]) / float(mm.sum()))

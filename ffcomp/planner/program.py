@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from math import hypot, nan
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,12 +14,15 @@ from numpy.typing import NDArray
 from ffcomp.errors import NothingToDo
 from ffcomp.planner.limits import PlannerLimits, planner_limits
 from ffcomp.planner.lookahead import junction_limits, plan_moves, stops_and_waits
+from ffcomp.planner.marlin import MarlinPlanner, cut_for_marlin
+from ffcomp.planner.marlin import planner_of as marlin_planner_of
 from ffcomp.planner.reach import check_moves
 from ffcomp.planner.s_curve import SCurve, s_curve
 from ffcomp.planner.trajectory import PlannedMotion, Section, Trajectory, split_sections
+from gcode.dialects import MARLIN
 from gcode.errors import GcodeError
-from gcode.program import Event, EventKind, Moves, Program, RawMove
-from models.arrays import FloatArray
+from gcode.program import Event, EventKind, Moves, Program
+from models.arrays import BoolArray, FloatArray
 from models.machine import Machine
 
 
@@ -31,6 +36,28 @@ class PlannedProgram:
     firmware_s: float  # what the firmware's own plan takes
 
 
+class Planner(Protocol):
+    """A firmware's planner, with what a program and the machine file say of its settings."""
+
+    def __call__(
+        self, moves: Moves, *, stop_before: BoolArray, wait_before: FloatArray, start_t: float = 0.0
+    ) -> Trajectory:
+        """Plan moves of the program from rest to rest; see `lookahead.plan_moves`."""
+
+
+def planner_of(program: Program, machine: Machine) -> Planner:
+    """Return the planner of the firmware that a program was read for."""
+    if program.flavor == MARLIN:
+        return marlin_planner_of(program, machine)
+    return partial(plan_moves, limits=planner_limits(machine))
+
+
+def known_to_the_firmware(machine: Machine) -> dict[str, Any]:
+    """Return what a G-code reader must know besides the file, as its keyword arguments."""
+    known = {"returns": machine.returns, "still": machine.still, "homed_mm": machine.home_mm}
+    return {**known, "cut": partial(cut_for_marlin, machine=machine)}
+
+
 def plan_program(program: Program, machine: Machine, smooth: bool = False) -> PlannedProgram:
     """Check that every move can be reached, and plan them all.
 
@@ -41,7 +68,7 @@ def plan_program(program: Program, machine: Machine, smooth: bool = False) -> Pl
     stop_before, wait_before = stops_and_waits(program)
     if smooth:
         rests = stop_before | (wait_before > 0.0)
-        trajectory = _smoothed(plan, program.moves, machine, planner_limits(machine), rests)
+        trajectory = _smoothed(plan, program, machine, program.moves, rests)
     return PlannedProgram(program, trajectory, split_sections(trajectory, stop_before), plan.end_t)
 
 
@@ -53,32 +80,50 @@ def firmware_plan(program: Program, machine: Machine) -> Trajectory:
     check_moves(program, machine.kinematics)
     stop_before, wait_before = stops_and_waits(program)
     try:
-        return plan_moves(moves, planner_limits(machine), stop_before=stop_before, wait_before=wait_before)
+        return planner_of(program, machine)(moves, stop_before=stop_before, wait_before=wait_before)
     except GcodeError as error:
         raise error.located(program.path, program.first_line) from None
 
 
 def plan_section(limits: PlannerLimits, moves: Moves, begin_t: float) -> Trajectory:
-    """Plan the moves of one section, from rest to rest."""
+    """Plan the moves of one section as Klipper does, from rest to rest."""
+    return _from_rest_to_rest(partial(plan_moves, limits=limits), moves, begin_t)
+
+
+def section_planner(
+    program: Program, machine: Machine, smooth: bool = False
+) -> Callable[[Moves, float], PlannedMotion]:
+    """Return what plans the moves of one section of a program anew, from a time on (s), from rest to rest.
+
+    smooth : with S-curves
+    """
+    planner = planner_of(program, machine)
+    if isinstance(planner, MarlinPlanner):
+        planner = partial(planner, within=True)
+
+    def plan(moves: Moves, begin_t: float) -> PlannedMotion:
+        trajectory = _from_rest_to_rest(planner, moves, begin_t)
+        rests = np.zeros(len(moves), dtype=np.bool_)
+        return _smoothed(trajectory, program, machine, moves, rests) if smooth else trajectory
+
+    return plan
+
+
+def _from_rest_to_rest(planner: Planner, moves: Moves, begin_t: float) -> Trajectory:
     n = len(moves)
-    return plan_moves(moves, limits, stop_before=np.zeros(n, dtype=np.bool_), wait_before=np.zeros(n), start_t=begin_t)
-
-
-def smooth_section(machine: Machine, limits: PlannerLimits, moves: Moves, begin_t: float) -> PlannedMotion:
-    """Plan the moves of one section with S-curves."""
-    plan = plan_section(limits, moves, begin_t)
-    return _smoothed(plan, moves, machine, limits, np.zeros(len(moves), dtype=np.bool_))
+    return planner(moves, stop_before=np.zeros(n, dtype=np.bool_), wait_before=np.zeros(n), start_t=begin_t)
 
 
 def _smoothed(
-    plan: Trajectory, moves: Moves, machine: Machine, limits: PlannerLimits, rests: NDArray[np.bool_]
+    plan: Trajectory, program: Program, machine: Machine, moves: Moves, rests: NDArray[np.bool_]
 ) -> PlannedMotion:
     most = SCurve(limit_mm_per_s2=machine.limits.acceleration_mm_per_s2)
-    allowed = junction_limits(moves, limits, rests)
+    own = program.flavor == MARLIN  # whose joints' limits are those of its plan
+    allowed = plan.start_v if own else junction_limits(moves, planner_limits(machine), rests)
     return s_curve(plan, machine.kinematics.compiled().inverse, most, allowed_v=allowed)
 
 
-def raw_durations(events: Iterable[Event], limits: PlannerLimits) -> dict[int, float]:
+def raw_durations(events: Iterable[Event], planner: Planner) -> dict[int, float]:
     """Return how long each move that goes out as it is takes, s, by its line's index.
 
     Coordinates that are not known do not move. Consecutive moves are planned together, from rest to rest.
@@ -86,9 +131,7 @@ def raw_durations(events: Iterable[Event], limits: PlannerLimits) -> dict[int, f
     return {
         line: seconds
         for run in _runs(events)
-        for line, seconds in zip(
-            (event.line for event in run), _durations([event.raw for event in run if event.raw], limits), strict=True
-        )
+        for line, seconds in zip((event.line for event in run), _durations(run, planner), strict=True)
     }
 
 
@@ -106,13 +149,13 @@ def _runs(events: Iterable[Event]) -> Iterator[list[Event]]:
         yield run
 
 
-def _durations(raw: Sequence[RawMove], limits: PlannerLimits) -> FloatArray:
-    n = len(raw)
+def _durations(run: Sequence[Event], planner: Planner) -> FloatArray:
+    raw, n = [event.raw for event in run if event.raw], len(run)
     end = np.nan_to_num(np.array([each.end for each in raw]))
     start = np.array([each.start for each in raw])
     start = np.where(np.isnan(start), end, start)
     moves = Moves(
-        line=np.arange(n),
+        line=np.array([event.line for event in run]),
         start=start,
         end=end,
         speed=np.array([each.speed for each in raw]),
@@ -122,7 +165,7 @@ def _durations(raw: Sequence[RawMove], limits: PlannerLimits) -> FloatArray:
         square_corner_velocity=np.array([each.square_corner_velocity for each in raw]),
         minimum_cruise_ratio=np.full(n, nan),
     )
-    plan = plan_moves(moves, limits, stop_before=np.zeros(n, dtype=np.bool_), wait_before=np.zeros(n))
+    plan = _from_rest_to_rest(planner, moves, 0.0)
     straight = [hypot(*(b - a)[:3]) for a, b in zip(start, end, strict=True)]
     longer = [each.path_mm / way if way > 0.0 else 1.0 for each, way in zip(raw, straight, strict=True)]  # arcs
     return np.asarray(plan.duration * np.array(longer))

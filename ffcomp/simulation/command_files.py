@@ -13,8 +13,7 @@ from functools import partial
 import numpy as np
 
 from ffcomp.errors import NothingToDo
-from ffcomp.planner.limits import known_to_the_firmware
-from ffcomp.planner.program import PlannedProgram, plan_program
+from ffcomp.planner.program import PlannedProgram, known_to_the_firmware, plan_program
 from ffcomp.planner.reach import within_reach
 from ffcomp.planner.trajectory import PlannedMotion
 from ffcomp.simulation.alignment import section_clock

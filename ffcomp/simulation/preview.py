@@ -21,9 +21,8 @@ from ffcomp.metrics import (
     end_to_end,
     tracking,
 )
-from ffcomp.planner.limits import known_to_the_firmware, planner_limits
-from ffcomp.planner.lookahead import plan_moves, stops_and_waits
-from ffcomp.planner.program import PlannedProgram
+from ffcomp.planner.lookahead import stops_and_waits
+from ffcomp.planner.program import PlannedProgram, known_to_the_firmware, planner_of
 from ffcomp.planner.reach import within_reach
 from ffcomp.planner.trajectory import PlannedMotion, split_sections
 from ffcomp.simulation.alignment import section_clock
@@ -190,5 +189,5 @@ def _kinds(program: Program, plan: PlannedMotion) -> Callable[[FloatArray], tupl
 
 def _plan(program: Program, machine: Machine) -> PlannedProgram:
     stop_before, wait_before = stops_and_waits(program)
-    plan = plan_moves(program.moves, planner_limits(machine), stop_before=stop_before, wait_before=wait_before)
+    plan = planner_of(program, machine)(program.moves, stop_before=stop_before, wait_before=wait_before)
     return PlannedProgram(program, plan, split_sections(plan, stop_before), plan.end_t)

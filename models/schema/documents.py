@@ -213,7 +213,9 @@ class PrinterDocument(Document):
             still=tuple(self.macros.still or ()),
             homed_mm=None if home is None else (home[0], home[1], home[2]),
             flavor=self.firmware.flavor or "",
-            marlin=None if self.firmware.marlin is None else self.firmware.marlin.settings(self.limits.limits()),
+            marlin=None
+            if self.firmware.marlin is None
+            else self.firmware.marlin.settings(self.limits.limits(), self.moves == "carriages"),
             pressure=None if self.extruder is None else self.extruder.pressure(),
         )
 

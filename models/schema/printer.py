@@ -114,13 +114,16 @@ class MarlinTable(Table):
     slowdown: bool | None = None
     segments_per_second: float | None = Field(None, ge=1, le=1000)
 
-    def settings(self, limits: MotionLimits) -> MarlinSettings:
-        """Return the settings; speeds and accelerations that the file does not state are those of its `[limits]`."""
+    def settings(self, limits: MotionLimits, towers: bool) -> MarlinSettings:
+        """Return the settings; speeds, accelerations and jerk that the file does not state are those of its `[limits]`.
+
+        towers : of a delta
+        """
         stated: dict[str, Any] = {
             key: tuple(value) if isinstance(value, list) else value
             for key, value in self.model_dump(exclude_none=True).items()
         }
-        return replace(MarlinSettings.within(limits), **stated, stated=tuple(stated))
+        return replace(MarlinSettings.within(limits, towers), **stated, stated=tuple(stated))
 
 
 class FirmwareTable(Table):

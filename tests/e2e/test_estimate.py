@@ -363,5 +363,5 @@ def test_moves_that_go_out_as_they_are_count() -> None:
     """Y is never named, so nothing is compensated but the moves after it; X moves 60 mm at 10 mm/s."""
     known = "G28\nG1 X0 Y0 Z5 F600\nG1 X60\nG1 X0\n"
     unknown = "G28\nG1 X0 Z5 F600\nG1 X60\nG1 X0\nG1 Y0\nG1 X1\n"
-    whole, raw = (estimate(text.encode(), "print.gcode", machine()).statistics for text in (known, unknown))
+    whole, raw = (estimate(text.encode(), "", machine(), flavor="klipper").statistics for text in (known, unknown))
     assert float(raw.total[:5].sum()) == pytest.approx(float(whole.total[:5].sum()) + 0.1, abs=0.05)

@@ -28,6 +28,7 @@ from ffcomp.planner.trajectory import PathPosition
 from ffcomp.simulation.command import path_corners_with_rests
 from ffcomp.steps.archive import read_events, read_steps
 from ffcomp.steps.sink import Board
+from gcode.dialects import KLIPPER
 from gcode.embedded import original
 from gcode.errors import GcodeError
 from gcode.layers import LayerLookup
@@ -66,7 +67,7 @@ def cut(data: bytes, machine: Machine, part_bytes: int = SMALL, longest_s: float
 
 def places(text: bytes) -> NDArray[np.float64]:
     """Every end of a segment of ours, (n, 4) mm."""
-    moves = read_program(text).moves
+    moves = read_program(text, flavor=KLIPPER).moves
     return moves.end[np.any(moves.end[:, :3] != moves.start[:, :3], axis=1)]
 
 
@@ -176,9 +177,9 @@ def test_a_spiral_is_cut_in_motion_without_a_trace(spiral: bytes, machine: Machi
     for name in ("print_time_s", "original_print_time_s", "moves"):
         assert getattr(cut_result.statistics, name) == pytest.approx(getattr(result.statistics, name), abs=1e-6)
     # joined segments end elsewhere after a cut: both commands, where they pass the same time
-    mine, theirs = (plan_program(read_program(text), machine).trajectory for text in (several, whole))
+    mine, theirs = (plan_program(read_program(text, flavor=KLIPPER), machine).trajectory for text in (several, whole))
     assert mine.end_t == pytest.approx(theirs.end_t, abs=0.02)
-    ends = [np.diff(read_program(text).moves.end[:, 3]).sum() for text in (several, whole)]
+    ends = [np.diff(read_program(text, flavor=KLIPPER).moves.end[:, 3]).sum() for text in (several, whole)]
     assert ends[0] == pytest.approx(ends[1], abs=1e-3)
     both = plan_program(read_program(several), machine), plan_program(read_program(whole), machine)
     path_t, path = path_corners_with_rests(both[1].trajectory)
@@ -250,7 +251,7 @@ def test_no_chunk_holds_more_than_some_minutes(machine: Machine, data: bytes) ->
         - (0.0 if each.extent.begin is None else each.extent.begin.time_in(plan))
         for each, plan in zip(several, plans, strict=True)
     ]
-    assert sum(written_s) == pytest.approx(firmware_plan(read_program(data), machine).end_t, abs=1e-6)
+    assert sum(written_s) == pytest.approx(firmware_plan(read_program(data, flavor=KLIPPER), machine).end_t, abs=1e-6)
 
 
 @pytest.mark.parametrize("limits", [b"", b"M204 S60\n", b"SET_VELOCITY_LIMIT ACCEL=200 MINIMUM_CRUISE_RATIO=0.9\n"])
@@ -276,11 +277,11 @@ def test_one_long_line_is_cut_without_a_trace(machine: Machine) -> None:
     data = VASE + b"G1 X-25 Y10 E20 F72\nM106 S255\nG1 X0 Y0 F3000\nG1 E-1 F1800\n"
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("ffcomp.compensation.chunks.LONGEST_S", 12.0)
-        text, result = compensated(data, machine, predict=False)
-    assert original(text) == data and violations(data, text, machine) == []
+        text, result = compensated(data, machine, flavor=KLIPPER, predict=False)
+    assert original(text) == data and violations(data, text, machine, flavor=KLIPPER) == []
     assert result.statistics.moves == 4 and result.statistics.windows >= 4
     assert result.statistics.original_print_time_s == pytest.approx(
-        plan_program(read_program(data), machine).firmware_s, abs=1e-6
+        plan_program(read_program(data, flavor=KLIPPER), machine).firmware_s, abs=1e-6
     )
     assert text.count(b"SET_VELOCITY_LIMIT") <= 8  # none of them in the line
 
@@ -290,9 +291,9 @@ def test_limits_are_held_in_a_motion_that_is_cut(machine: Machine, monkeypatch: 
     monkeypatch.setattr("ffcomp.compensation.chunks.LONGEST_S", 8.0)
     tight = replace(machine, limits=replace(machine.limits, carriage_velocity_mm_per_s=45.0))
     data = vase(1150, 4800.0)
-    text, result = compensated(data, tight, predict=False)
-    assert original(text) == data and violations(data, text, tight) == []
-    done, planned = result.statistics, plan_program(read_program(data), machine)
+    text, result = compensated(data, tight, flavor=KLIPPER, predict=False)
+    assert original(text) == data and violations(data, text, tight, flavor=KLIPPER) == []
+    done, planned = result.statistics, plan_program(read_program(data, flavor=KLIPPER), machine)
     assert done.warnings == ()  # nowhere is more than a limit asked for
     assert done.original_print_time_s == pytest.approx(planned.firmware_s, abs=2e-3)
     assert 0.1 < done.print_time_s - done.original_print_time_s < 0.4
@@ -313,10 +314,10 @@ def test_a_motion_too_long_for_s_curves_is_planned_without_them(machine: Machine
         patch.setattr("ffcomp.compensation.chunks.LONGEST_S", 8.0)
         patch.setattr(jobs, "S_CURVE_LONGEST_S", 9.0)
         patch.setattr(plan, "S_CURVE_LONGEST_S", 9.0)
-        text, result = compensated(data, machine, predict=False, settings=settings)
+        text, result = compensated(data, machine, flavor=KLIPPER, predict=False, settings=settings)
     (warning,) = result.warnings
     assert warning.startswith("line 8: the motion that begins here does not rest for 0.15 minutes")
-    assert original(text) == data and violations(data, text, machine) == []
+    assert original(text) == data and violations(data, text, machine, flavor=KLIPPER) == []
 
 
 def test_of_a_motion_in_many_chunks_few_are_simulated(machine: Machine) -> None:
@@ -352,10 +353,12 @@ def test_a_motion_that_is_cut_is_quicker_too(machine: Machine, monkeypatch: pyte
     certain = replace(machine, uncertainty={"default": 0.0})
     data = vase(1150, 2400.0)
     bound = Bound(50.0, max_flow_mm3_per_s=20.0, min_layer_time_s=0.0)
-    text, result = compensated(data, certain, predict=False, bound=bound)
-    done, planned = result.statistics, plan_program(read_program(data), machine)
-    assert original(text) == data and violations(data, text, certain) == []
+    text, result = compensated(data, certain, flavor=KLIPPER, predict=False, bound=bound)
+    done, planned = result.statistics, plan_program(read_program(data, flavor=KLIPPER), machine)
+    assert original(text) == data and violations(data, text, certain, flavor=KLIPPER) == []
     assert done.warnings == ()
     assert done.original_print_time_s == pytest.approx(planned.firmware_s, abs=2e-3)
     assert done.print_time_s < 0.9 * done.original_print_time_s
-    assert plan_program(read_program(text), machine).trajectory.end_t == pytest.approx(done.print_time_s, abs=0.05)
+    assert plan_program(read_program(text, flavor=KLIPPER), machine).trajectory.end_t == pytest.approx(
+        done.print_time_s, abs=0.05
+    )

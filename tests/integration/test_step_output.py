@@ -118,7 +118,7 @@ def test_every_wait_is_in_the_steps(machine: Machine, tmp_path: Path, plain: boo
     times, lines = read_events(target)
     at = {line: t - BEFORE_S for line, t in zip(lines, times.tolist(), strict=True)}
     moves_s = result.statistics.print_time_s - 12.8
-    assert 1.2 < moves_s < 1.6
+    assert 0.8 < moves_s < 1.6  # Marlin runs short pieces of slow lines on a delta faster than asked
     assert at[b"M117 a"] == pytest.approx(5.0, abs=1e-6)
     assert at[b"G4 P3000"] - at[b"M117 a"] == pytest.approx(4.0 + moves_s, abs=1e-6)
     assert at[b"M117 b"] - at[b"G4 P4000"] == pytest.approx(4.0, abs=1e-6)

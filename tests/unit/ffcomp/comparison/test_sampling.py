@@ -45,7 +45,7 @@ def shares(printed: Print, stretches: list[PrintSlice], weighted: bool) -> tuple
 @pytest.mark.parametrize("name", ["ringing_tower", "lobed_vase", "far_star"])
 def test_a_share_stands_for_the_whole_and_is_said(name: str) -> None:
     path = judge.ROOT / "sample_prints" / f"{name}.gcode"
-    printed = Print(path.read_bytes(), path.name, MACHINE)
+    printed = Print(path.read_bytes(), path.name, MACHINE, flavor="klipper")
     stretches, sentence = printed.slices(Sampling(share=0.1))
     judged = sum(each.trajectory.end_t for each in stretches)
     assert judged == pytest.approx(0.1 * printed.print_time_s, rel=0.15)

@@ -41,7 +41,7 @@ def smoothed(path: FloatArray, knots: int = 9) -> FloatArray:
 
 def written(data: bytes, length: int) -> tuple[bytes, int]:
     """The program with every run cut into pieces of so many knots (0: whole), and how many segments it took."""
-    program = read_program(data, "print.gcode")
+    program = read_program(data, "print.gcode", flavor=KLIPPER)
     planned: PlannedProgram = plan_program(program, machine())
     writer = Writer(program, KLIPPER, MotionLimits(), settings_for(machine()))
     text: list[bytes] = []

@@ -32,7 +32,7 @@ def machine() -> Machine:
 
 
 def compensated(data: bytes, **options: Any) -> bytes:
-    return anywhere(data, machine(), predict=False, **options)[0]
+    return anywhere(data, machine(), predict=False, **{"flavor": "klipper", **options})[0]
 
 
 def others(data: bytes) -> list[bytes]:
@@ -163,12 +163,12 @@ def test_a_stop_comes_to_rest_on_the_path_and_the_limits_are_back() -> None:
 
 def test_marlins_own_caps_come_back_as_the_file_set_them() -> None:
     limits = b"M201 X500 Y600\nM203 X200 Y200\nM204 P800 T900\nM205 X8 Y8\nM201 X700 Y600\n"
-    out = compensated(START + limits + b"G1 X30 Y20 F9000\nG28\n").splitlines()
+    out = compensated(START + limits + b"G1 X30 Y20 F9000\nG28\n", flavor="marlin").splitlines()
     at = out.index(b"G28", 3)
     closing = [line.removesuffix(OURS) for line in out[at - 9 : at - 1]]
     opened = max(i for i, line in enumerate(out[:at]) if line.startswith(b"M204 P100000"))
     assert b"M204 P10000 T10000" in closing and opened < at - 9  # the machine's own first,
-    assert closing[-4:] == [b"M201 X700 Y600", b"M203 X200 Y200", b"M204 P800 T900", b"M205 X8 Y8"]  # then the file's
+    assert closing[-4:] == [b"M203 X200 Y200", b"M204 P800 T900", b"M205 X8 Y8", b"M201 X700 Y600"]  # then the file's
 
 
 def test_bytes_that_are_no_text_survive() -> None:
@@ -193,8 +193,8 @@ def test_a_wipe_costs_no_time() -> None:
     """Filament pulled back while moving: firmwares hold its acceleration down, so it must flow evenly."""
     wipe = b"G1 X%d Y20 E1 F9000\nG1 X%d Y16 E-.8\nG1 E-1 F2400\nG1 X%d Y18 F9000\nG1 E1.8 F2400\n"
     data = START + b"".join(wipe % (k, k, k + 1) for k in range(10, 20))
-    text, result = anywhere(data, machine(), predict=False)
-    program = read_program(text, flavor=result.flavor.flavor)
+    text, result = anywhere(data, machine(), predict=False, flavor="klipper")
+    program = read_program(text, flavor="klipper")
     stop_before, wait_before = stops_and_waits(program)
     plan = plan_moves(program.moves, planner_limits(machine()), stop_before=stop_before, wait_before=wait_before)
     assert plan.end_t == pytest.approx(result.statistics.print_time_s, rel=0.015)  # 9 % when it follows the clock
@@ -210,7 +210,7 @@ def test_the_comment_before_a_section_ties_its_clock_to_the_originals() -> None:
     out = compensated(data)
     assert original(out) == data
     marks = section_times(out.splitlines(keepends=True))
-    wanted, played = (plan_program(read_program(text), machine()) for text in (data, out))
+    wanted, played = (plan_program(read_program(text, flavor="klipper"), machine()) for text in (data, out))
     sections = [section for section in wanted.sections if section.travels]
     assert [mark.line for mark in marks] == [wanted.program.moves.line[section.first] for section in sections]
     begins = {event.line: event.move for event in played.program.events}

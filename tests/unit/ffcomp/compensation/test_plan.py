@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from ffcomp.compensation.plan import RESIDUAL_MM, ringing_s, settling_waits
-from ffcomp.planner.limits import planner_limits
-from ffcomp.planner.program import PlannedProgram, plan_program, raw_durations
+from ffcomp.planner.program import PlannedProgram, plan_program, planner_of, raw_durations
 from gcode.reader import read_program
 from models.file import load_machine
 
@@ -20,7 +19,7 @@ HEAD = "M83\nG28\nG1 Z5 F600\nG1 X100 Y100 F6000\n"
 
 def waits(text: str) -> list[float]:
     planned = plan_program(read_program(text.encode(), flavor="klipper"), VORON)
-    raw_s = raw_durations(planned.program.events, planner_limits(VORON))
+    raw_s = raw_durations(planned.program.events, planner_of(planned.program, VORON))
     return list(settling_waits(planned, VORON, raw_s, planned.sections).values())
 
 

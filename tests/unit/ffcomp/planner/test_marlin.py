@@ -3,74 +3,189 @@
 from __future__ import annotations
 
 import csv
+import gzip
 from dataclasses import replace
+from functools import cache
 
+import numpy as np
 import pytest
 
-from ffcomp.planner.marlin import MarlinPlan, MarlinPlanner
+from ffcomp.planner.lookahead import stops_and_waits
+from ffcomp.planner.marlin import MarlinPlanner, planner_of, settings_sentence
+from ffcomp.planner.marlin_queue import Blocks, phases_of
+from ffcomp.planner.program import firmware_plan, known_to_the_firmware
+from ffcomp.planner.trajectory import Trajectory
+from gcode.program import Program
 from gcode.reader import read_program
 from models.file import load_machine
 from models.machine import Machine, MarlinSettings, Steps
 from tests.support.data import ROOT
 
 FOLDER = ROOT.parent / "firmware" / "marlin"
+TOTALS = FOLDER / "totals.csv"
 CARTESIAN = MarlinSettings((200, 200, 12, 120), (1000, 1000, 200, 5000), 1250, 1250, 1250, None, (8, 8, 0.4, 1.5))
 DELTA = MarlinSettings((300, 300, 300, 120), (3000, 3000, 3000, 5000), 1250, 1250, 1250, None, (8, 8, 8, 1.5))
+BUILDS = {"jd": replace(CARTESIAN, junction_deviation_mm=0.013), "cj": CARTESIAN, "delta": DELTA}
 KINDS = {
-    "jd-6": replace(CARTESIAN, junction_deviation_mm=0.013, slowdown=False),
-    "jd-1": replace(CARTESIAN, junction_deviation_mm=0.013, slowdown=False, minimum_steps_per_segment=1),
-    "cj-6": replace(CARTESIAN, slowdown=False),
-    "cj-1": replace(CARTESIAN, slowdown=False, minimum_steps_per_segment=1),
-    "jd-6-slowdown": replace(CARTESIAN, junction_deviation_mm=0.013),
-    "cj-6-slowdown": CARTESIAN,
-    "delta-6": DELTA,
-    "delta-1": replace(DELTA, minimum_steps_per_segment=1),
+    f"{name}-{steps}{'-slowdown' * slow}": replace(build, minimum_steps_per_segment=steps, slowdown=slow)
+    for name, build in BUILDS.items()
+    for steps in (6, 1)
+    for slow in (False, True)
 }
-# arcs are read as chords within 5 µm, where Marlin cuts the circle itself; segments of one step depend on how
-# floats are rounded
-EXPECTED = {"arcs": 0.03, "tiny": 0.015}
-TOTALS = FOLDER / "totals.csv"
-pytestmark = pytest.mark.skipif(not TOTALS.exists(), reason="needs the data from outside")
+# where the filament's whole steps fall on another segment of a delta than single precision puts them in Marlin
+SHIFTED = 0.07  # of a program's blocks
+needs_data = pytest.mark.skipif(not TOTALS.exists(), reason=f"needs the real planner's blocks, {FOLDER}")
 
 
 def machine_of(kind: str) -> Machine:
-    if kind.startswith("delta"):
-        return replace(load_machine("kossel"), steps=Steps(80.0, extruder_steps_per_mm=93.0))
-    machine = load_machine("prusa-mk3s")
-    return replace(machine, steps=Steps((80.0, 80.0, 400.0), extruder_steps_per_mm=93.0))
+    delta = kind.startswith("delta")
+    steps = Steps(80.0 if delta else (80.0, 80.0, 400.0), extruder_steps_per_mm=93.0)
+    return replace(load_machine("kossel" if delta else "prusa-mk3s"), marlin=KINDS[kind], steps=steps)
 
 
-def planned(kind: str, program: str) -> MarlinPlan:
-    text = b"G28\n" + (FOLDER / "programs" / f"{program}.gcode").read_bytes()
-    read = read_program(text, flavor="marlin", homed_mm=(0.0, 0.0, 0.0))
-    return MarlinPlanner(machine_of(kind), KINDS[kind]).plan(read)
+def read(text: bytes, machine: Machine) -> Program:
+    return read_program(
+        b"G28\n" + text, flavor="marlin", **{**known_to_the_firmware(machine), "homed_mm": (0.0, 0.0, 0.0)}
+    )
+
+
+@cache
+def program_of(kind: str, name: str) -> Program:
+    return read((FOLDER / "programs" / f"{name}.gcode").read_bytes(), machine_of(kind))
+
+
+def plan_of(program: Program, machine: Machine) -> Trajectory:
+    stop, wait = stops_and_waits(program)
+    return planner_of(program, machine)(program.moves, stop_before=stop, wait_before=wait)
+
+
+def blocks_of(program: Program, machine: Machine) -> Blocks:
+    stop, wait = stops_and_waits(program)
+    return planner_of(program, machine).blocks(program.moves, stop | (wait > 0.0))[0]
+
+
+def real_blocks(kind: str, name: str) -> list[dict[str, str]]:
+    text = gzip.decompress((FOLDER / kind / f"{name}.csv.gz").read_bytes()).decode()
+    return list(csv.DictReader(text.splitlines()))
 
 
 def totals() -> list[tuple[str, str, float]]:
     if not TOTALS.exists():
         return []
     rows = csv.DictReader(TOTALS.read_text().splitlines())
-    return [(r["kind"], r["program"], float(r["duration_s"])) for r in rows if r["kind"] in KINDS]
+    return [(row["kind"], row["program"], float(row["duration_s"])) for row in rows]
 
 
-@pytest.mark.parametrize(("kind", "program", "seconds"), totals(), ids=lambda x: str(x))
-def test_every_program_takes_as_long_as_in_the_real_planner(kind: str, program: str, seconds: float) -> None:
-    assert planned(kind, program).end_t == pytest.approx(seconds, rel=EXPECTED.get(program, 0.01))
+@needs_data
+@pytest.mark.parametrize(("kind", "name", "seconds"), totals(), ids=lambda x: str(x))
+def test_every_program_takes_as_long_as_in_the_real_planner(kind: str, name: str, seconds: float) -> None:
+    assert plan_of(program_of(kind, name), machine_of(kind)).end_t == pytest.approx(seconds, rel=0.01)
+
+
+@needs_data
+@pytest.mark.parametrize(
+    ("kind", "name"),
+    [row[:2] for row in totals() if (FOLDER / row[0] / f"{row[1]}.csv.gz").exists()],
+    ids=lambda x: str(x),
+)
+def test_every_block_begins_cruises_and_ends_as_fast_as_in_the_real_planner(kind: str, name: str) -> None:
+    rows = [row for row in real_blocks(kind, name) if row["block"] != "-1"]
+    blocks = blocks_of(program_of(kind, name), machine_of(kind))
+    if kind.startswith("delta-6") and name == "arcs":  # a block of one step less, at the border of what is swallowed
+        assert len(blocks) == len(rows) - 1
+        return
+    assert len(blocks) == len(rows)
+    mm_per_event = blocks.length / blocks.events
+    for column, mine in (("nominal", blocks.nominal), ("entry", blocks.entry), ("exit", blocks.exit)):
+        theirs = np.array([float(row[column]) for row in rows])
+        off = np.abs(mine * mm_per_event / theirs - 1.0) > 0.02
+        if column == "nominal" or not (kind.startswith("delta") or name in ("arcs", "dwell")):
+            assert not off.any(), f"{column} of blocks {np.flatnonzero(off)}"
+        else:
+            assert off.sum() <= max(SHIFTED * len(rows), 1)  # of dwell: G92 X is planned as a stop
+
+
+@needs_data
+def test_trapezoids_have_the_real_planners_events() -> None:
+    kind, name = "cj-6", "circle-1mm"
+    rows = real_blocks(kind, name)
+    blocks = blocks_of(program_of(kind, name), machine_of(kind))
+    assert blocks.accelerate.tolist() == [float(row["accelerate_until"]) for row in rows]
+    assert blocks.decelerate.tolist() == [float(row["decelerate_after"]) for row in rows]
+    assert phases_of(blocks).duration == pytest.approx([float(row["duration"]) for row in rows], abs=2e-9)
 
 
 def test_lines_that_set_limits_hold_from_there_on() -> None:
     """60 mm at 150 mm/s and 1000 mm/s², then at 500: each ramps for v/a, a rest apart."""
-    machine, settings = machine_of("jd-6"), KINDS["jd-6"]
-    planner = MarlinPlanner(machine, settings)
-    parts = [b"G28\nG1 X60 F9000\nM400\n", b"M204 T500\nG1 X0 F9000\n"]
-    whole = planner.plan(read_program(b"".join(parts), flavor="marlin", homed_mm=(0.0, 0.0, 0.0)))
-    assert whole.duration == pytest.approx([60 / 150 + 150 / 1000, 60 / 150 + 150 / 500], rel=0.01)
+    machine = machine_of("jd-6")
+    plan = plan_of(read(b"G1 X60 F9000\nM400\nM204 T500\nG1 X0 F9000\n", machine), machine)
+    assert plan.duration == pytest.approx([60 / 150 + 150 / 1000, 60 / 150 + 150 / 500], rel=0.01)
+
+
+def test_limits_before_a_part_of_a_program_hold_in_it() -> None:
+    machine = machine_of("jd-6")
+    program = replace(read(b"G1 X60 F9000\n", machine), limits={b"M204T": b"M204 T500"})
+    assert plan_of(program, machine).duration == pytest.approx([60 / 150 + 150 / 500], rel=0.01)
 
 
 def test_what_is_shorter_than_six_steps_is_joined_to_the_next_move() -> None:
-    text = b"G28\nG1 X30 F6000\nG1 X30.05\nG1 X60\n"
-    plan = MarlinPlanner(machine_of("jd-6"), KINDS["jd-6"]).plan(
-        read_program(text, flavor="marlin", homed_mm=(0.0, 0.0, 0.0))
-    )
-    assert len(plan.blocks.order) == 2 and plan.duration[1] == 0.0
-    assert plan.blocks.end[-1, 0] == 60 * 80
+    machine = machine_of("jd-6")
+    program = read(b"G1 X30 F6000\nG1 X30.05\nG1 X60\n", machine)
+    blocks, plan = blocks_of(program, machine), plan_of(program, machine)
+    assert len(blocks) == 2 and blocks.end[-1, 0] == 60 * 80
+    assert plan.duration.sum() == pytest.approx(phases_of(blocks).duration.sum(), rel=1e-9)
+    assert plan.position([plan.end_t])[0, 0] == pytest.approx(60.0, abs=1e-6)
+
+
+@pytest.mark.parametrize("kind", ["jd-6", "cj-1", "delta-6"])
+def test_a_plan_keeps_to_the_path_at_every_moment(kind: str) -> None:
+    """Moves follow each other without a gap, each from its start to its end, whatever blocks they are in."""
+    machine = machine_of(kind)
+    text = b"G1 X20 Y0 F6000\nG1 X20.04 Y.03\nG3 X0 Y20 I-20 J0 E1.03 F4800\nG1 E-1\nG1 X-5 Y3 E.4\n"
+    program = read(text, machine)
+    plan = plan_of(program, machine)
+    before_end = plan.start_t + plan.duration - 1e-9
+    assert plan.position(before_end)[:, :3] == pytest.approx(program.moves.end[:, :3], abs=1e-4)
+    assert plan.start_t[1:] == pytest.approx((plan.start_t + plan.duration)[:-1], abs=1e-12)
+
+
+def test_an_arc_is_cut_on_its_circle_where_marlins_chords_meet() -> None:
+    machine = machine_of("jd-6")
+    program = read(b"G1 X20 Y0 F6000\nG3 X0 Y20 I-20 J0 F4800\n", machine)
+    assert np.hypot(*program.moves.end[1:, :2].T) == pytest.approx(20.0, abs=1e-6)
+    assert len(blocks_of(program, machine)) == 1 + 32  # chords of 1 mm at most
+
+
+def test_a_section_planned_by_itself_is_not_slowed_at_its_beginning() -> None:
+    machine = machine_of("cj-6-slowdown")
+    text = b"".join(b"G1 X%.2f F6000\n" % (0.5 * k) for k in range(1, 60))
+    program = read(text, machine)
+    planner = planner_of(program, machine)
+    assert isinstance(planner, MarlinPlanner)
+    n = len(program.moves)
+    never = {"stop_before": np.zeros(n, dtype=np.bool_), "wait_before": np.zeros(n)}
+    alone, at_rest = (planner(program.moves, **never, within=within).end_t for within in (True, False))
+    assert alone < at_rest
+
+
+def test_moves_that_are_to_be_gentler_are() -> None:
+    """Half the acceleration of a move makes a ramp from rest to rest √2 times as long."""
+    machine = machine_of("jd-6")
+    program = read(b"M204 T800\nG1 X20 F12000\n", machine)
+    gentle = replace(program, moves=replace(program.moves, acceleration=np.array([400.0])))
+    ratio = plan_of(gentle, machine).end_t / plan_of(program, machine).end_t
+    assert ratio == pytest.approx(np.sqrt(2.0), rel=0.01)
+
+
+def test_unknown_settings_are_told() -> None:
+    machine = load_machine("prusa-mk3s")
+    assert "M503" in settings_sentence(replace(machine, marlin=None))
+    stated = ("acceleration_mm_per_s2", "speed_mm_per_s", "retract_acceleration_mm_per_s2", "jerk_mm_per_s")
+    assert settings_sentence(replace(machine, marlin=replace(CARTESIAN, stated=stated))) == ""
+
+
+def test_a_program_of_another_firmware_is_not_cut() -> None:
+    machine = machine_of("delta-6")
+    known = {**known_to_the_firmware(machine), "homed_mm": (0.0, 0.0, 0.0)}
+    program = read_program(b"G28\nG1 X20 F600\n", flavor="klipper", **known)
+    assert len(firmware_plan(program, machine)) == 1

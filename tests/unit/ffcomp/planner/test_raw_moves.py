@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 import pytest
 
@@ -11,6 +13,7 @@ from ffcomp.planner.program import raw_durations
 from gcode.reader import read_program
 
 LIMITS = PlannerLimits(velocity_mm_per_s=300.0, acceleration_mm_per_s2=1000.0, square_corner_velocity_mm_per_s=5.0)
+PLANNER = partial(plan_moves, limits=LIMITS)
 
 
 def test_they_take_what_the_firmware_takes_for_the_same_moves() -> None:
@@ -20,7 +23,7 @@ def test_they_take_what_the_firmware_takes_for_the_same_moves() -> None:
     expected = plan_moves(known.moves, LIMITS, stop_before=stops, wait_before=waits).duration
     raw = read_program(f"G1 X0 Z5 F60\n{path}".encode())  # Y is never named
     assert not len(raw.moves)
-    first, *durations = raw_durations(raw.events, LIMITS).values()
+    first, *durations = raw_durations(raw.events, PLANNER).values()
     assert first == 0.0, "from nowhere"
     assert durations == pytest.approx(expected.tolist())
 
@@ -35,4 +38,4 @@ def test_a_stop_separates_and_a_comment_does_not() -> None:
 def _seconds(lines: str) -> float:
     """Y is never named, so that all are raw; X is known to begin at 0."""
     program = read_program(f"G1 X0 F60000\n{lines}".encode())
-    return sum(raw_durations(program.events, LIMITS).values())
+    return sum(raw_durations(program.events, PLANNER).values())

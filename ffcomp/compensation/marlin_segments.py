@@ -1,0 +1,309 @@
+"""Segments that Marlin executes as they are meant: long enough in steps, timed by its own queue, within limits of ours.
+
+Marlin drops what has fewer steps than MIN_STEPS_PER_SEGMENT and joins it to the next line, so that its time is lost;
+it slows the first lines after a rest (SLOWDOWN, by `M205 B`); and one step of the filament more or less from segment to
+segment is a jump of its speed, at which E's jerk slows the path.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from ffcomp.planner.marlin import marlin_settings, settings_row
+from ffcomp.planner.marlin_queue import (
+    ACCELERATION,
+    DEVIATION,
+    JERK,
+    PRINT,
+    SHORTEST_US,
+    SPEED,
+    STEPS,
+    TRAVEL,
+    Targets,
+    phases_of,
+    plan_blocks,
+)
+from ffcomp.planner.segment_timing import SegmentLimits, SegmentSpeeds
+from models.arrays import BoolArray, FloatArray, IntArray
+from models.kinematics.delta import DeltaKinematics
+from models.machine import Machine, MarlinSettings
+
+SPARE_STEPS = 1  # by which a segment is longer than it must be: ends are rounded, and moved by least squares
+AROUND = 4  # segments on either side of one that is too short, that are chosen anew with it
+MOST_KNOTS = 60.0  # that a segment chosen anew may last
+SEGMENT_COST_MM2 = 1e-7  # knots, of one more segment: a third of a µm all along a knot
+SWEEPS = 2  # of the speeds that make durations exact
+MOST_FASTER = 4.0  # times what a segment's length takes in its time, that a sweep may ask for
+FLICKER_STEPS, FLICKER_S = 2.0, 0.004  # of the filament in a segment, of which E's jerk must let the speed jump
+LONGEST_DEVIATION_MM = 0.3  # that M205 J takes
+
+
+@dataclass(frozen=True, slots=True)
+class MarlinSegments:
+    """How Marlin executes our segments between the limits that the header opens."""
+
+    machine: Machine
+    settings: MarlinSettings
+    output: SegmentLimits
+    row: FloatArray  # of settings (`marlin_queue`), limits opened
+
+    @classmethod
+    def of(cls, machine: Machine, output: SegmentLimits) -> MarlinSegments:
+        """Return those of a machine, with limits that the header may open."""
+        settings, row = marlin_settings(machine), settings_row(machine)
+        axes = ["XYZE".index(axis) for axis in output.raised_axes]
+        row[ACCELERATION][axes], row[SPEED][axes] = output.acceleration_mm_per_s2, output.velocity_mm_per_s
+        row[PRINT] = row[TRAVEL] = output.acceleration_mm_per_s2
+        row[JERK][axes] = output.square_corner_velocity_mm_per_s
+        if row[DEVIATION] > 0.0 and "junction_deviation_mm" in settings.stated:
+            row[DEVIATION] = LONGEST_DEVIATION_MM
+        row[SHORTEST_US] = 0.0
+        return cls(machine, settings, output, row)
+
+    def lengthened(self, at: FloatArray, points: FloatArray, kept: IntArray, edges: BoolArray) -> IntArray:
+        """Choose anew the ends of segments where some have too few steps: so that the command is missed by least.
+
+        Parameters
+        ----------
+        at : (n,) times of the points, in knots
+        points : (n, 3) mm
+        kept : (m,) indices of the points at which segments end
+        edges : (n,) points that must stay: where a line goes out, or another writer goes on
+        """
+        return _lengthened(at, points, self._motor_steps(points), kept, edges, self.settings.minimum_steps_per_segment)
+
+    def executed(self, points: FloatArray, edges: BoolArray) -> IntArray:
+        """Return which of the points (n, 3) mm may end segments so that Marlin drops none of them, (m,).
+
+        edges : (n,) points that must
+        """
+        return _executed(np.rint(self._motor_steps(points)), edges, self.settings.minimum_steps_per_segment)
+
+    def speeds(self, points: FloatArray, e: FloatArray, lasting: FloatArray) -> tuple[FloatArray, SegmentSpeeds]:
+        """Return the speeds to ask for, (n,) mm/s, and how Marlin then executes the segments.
+
+        Parameters
+        ----------
+        points : (n + 1, 3) mm
+        e : (n + 1,) mm of filament
+        lasting : (n,) s that each segment should take
+        """
+        motors = np.column_stack([self._motor_steps(points) / self.row[STEPS][:3], e])
+        change = np.diff(np.rint(motors * self.row[STEPS]), axis=0) / self.row[STEPS]
+        straight = np.linalg.norm(np.diff(points, axis=0), axis=1)
+        by_motors = not (self._delta or self.machine.kinematics.shares_motors)
+        mm = np.linalg.norm(change[:, :3], axis=1) if by_motors else straight
+        meant = np.maximum(np.where(mm > 0.0, mm, straight), 1e-6) / lasting
+        feed = meant.copy()
+        for sweep in range(SWEEPS + 1):
+            duration = self._durations(motors, straight if not by_motors else np.full(len(mm), np.nan), feed)
+            if sweep < SWEEPS:
+                feed = np.clip(feed * np.where(duration > 0.0, duration / lasting, 1.0), meant, MOST_FASTER * meant)
+        executed = np.where(duration > 0.0, duration, lasting)
+        played = straight / executed
+        junction = np.concatenate([[0.0], np.minimum(played[1:], played[:-1]), [0.0]])
+        return feed, SegmentSpeeds(played, junction, np.full(len(mm), self.output.acceleration_mm_per_s2), executed)
+
+    def _durations(self, motors: FloatArray, length: FloatArray, feed: FloatArray) -> FloatArray:
+        n = len(feed)
+        if not n:
+            return np.zeros(0)
+        start = np.full((n, 4), np.nan)
+        start[0] = motors[0]
+        nothing, rests = np.zeros(n), np.zeros(n, dtype=np.bool_)
+        settings = np.broadcast_to(self.row.astype(np.float32), (n, len(self.row)))
+        targets = Targets(start, motors[1:], length, feed, nothing, nothing, rests, np.ascontiguousarray(settings))
+        blocks = plan_blocks(targets, self.settings.minimum_steps_per_segment, False)
+        return np.bincount(blocks.target, phases_of(blocks).duration, minlength=n).astype(np.float64)
+
+    @property
+    def _delta(self) -> bool:
+        return isinstance(self.machine.kinematics, DeltaKinematics)
+
+    def _motor_steps(self, points: FloatArray) -> FloatArray:
+        kinematics = self.machine.kinematics
+        motors: FloatArray = kinematics.inverse(points) @ kinematics.motors.T * self.row[STEPS][:3]
+        return motors
+
+    def opening(self, file_limits: Mapping[bytes, bytes], unit_mm: float) -> Iterable[bytes]:
+        """Return the lines that open the limits our segments need.
+
+        Parameters
+        ----------
+        file_limits : the file's own in effect (`gcode.program`)
+        unit_mm : in which the file states them
+        """
+        o, e = self.output, self._filament(file_limits)
+        corner = {axis: o.square_corner_velocity_mm_per_s for axis in o.raised_axes if axis != "Z" or self._delta}
+        if self._stated("junction_deviation_mm"):
+            corner = {"J": LONGEST_DEVIATION_MM}
+        elif "M205" in e:
+            corner["E"] = self._filament_jerk(self.settings.jerk_mm_per_s[3])
+        yield from self._lines(
+            dict.fromkeys(o.raised_axes + ("E" if "M201" in e else ""), o.acceleration_mm_per_s2),
+            dict.fromkeys(o.raised_axes, o.velocity_mm_per_s),
+            dict.fromkeys("PT", o.acceleration_mm_per_s2),
+            corner,
+            0.0,
+            unit_mm,
+        )
+
+    def closing(self, file_limits: Mapping[bytes, bytes], unit_mm: float) -> Iterable[bytes]:
+        """Return the lines that put back what `opening` has changed, the file's own limits last."""
+        s, o, e = self.settings, self.output, self._filament({})
+        acceleration, speed, jerk = (
+            dict(zip("XYZE", each, strict=True))
+            for each in (s.acceleration_mm_per_s2, s.speed_mm_per_s, s.jerk_mm_per_s)
+        )
+        corner = {axis: jerk[axis] for axis in o.raised_axes if axis != "Z" or self._delta}
+        if s.junction_deviation_mm is not None and self._stated("junction_deviation_mm"):
+            corner = {"J": s.junction_deviation_mm}
+        elif "M205" in e:
+            corner["E"] = jerk["E"]
+        yield from self._lines(
+            {axis: acceleration[axis] for axis in o.raised_axes + ("E" if "M201" in e else "")},
+            {axis: speed[axis] for axis in o.raised_axes},
+            {"P": s.printing_acceleration_mm_per_s2, "T": s.travel_acceleration_mm_per_s2},
+            corner,
+            1e6 * s.shortest_segment_s,
+            unit_mm,
+        )
+        yield from file_limits.values()
+
+    def _filament_jerk(self, own: float) -> float:
+        """Return the jerk of E at which steps that come and go slow nothing: little enough for a retraction."""
+        return max(own, round(FLICKER_STEPS / (FLICKER_S * float(self.row[STEPS][3])), 2))
+
+    def _stated(self, key: str) -> bool:
+        return key in self.settings.stated
+
+    def _filament(self, file_limits: Mapping[bytes, bytes]) -> set[str]:
+        """Return the commands whose limits of the filament are known, and so can be put back."""
+        known = {name[:4].decode() for name in file_limits if b"E" in name[4:]}
+        if self._stated("acceleration_mm_per_s2"):
+            known.add("M201")
+        if self._stated("jerk_mm_per_s"):
+            known.add("M205")
+        return known
+
+    def _lines(
+        self,
+        acceleration: Mapping[str, float],
+        speed: Mapping[str, float],
+        printing: Mapping[str, float],
+        corner: Mapping[str, float],
+        shortest_us: float,
+        unit_mm: float,
+    ) -> Iterable[bytes]:
+        yield _line("M201", acceleration, unit_mm)
+        yield _line("M203", speed, unit_mm)
+        yield _line("M204", printing, unit_mm)
+        slow = b" B%.0f" % shortest_us if self.settings.slowdown and not self._delta else b""
+        yield _line("M205", corner, unit_mm) + slow
+
+
+def _line(command: str, words: Mapping[str, float], unit_mm: float) -> bytes:
+    numbers = (f"{letter}{value / unit_mm:.3f}".rstrip("0").rstrip(".") for letter, value in words.items())
+    return " ".join([command, *numbers]).encode()
+
+
+@njit(cache=True, nogil=True)
+def _lengthened(
+    at: FloatArray, points: FloatArray, steps: FloatArray, kept: IntArray, edges: BoolArray, minimum: int
+) -> IntArray:
+    m, enough = len(kept), minimum + SPARE_STEPS
+    stays = np.zeros(len(at), dtype=np.bool_)
+    stays[kept] = True
+    j = 0
+    while j < m - 1:
+        if _most(steps, kept[j], kept[j + 1]) >= enough:
+            j += 1
+            continue
+        last = j + 1
+        while last < m - 1 and (last - j < 1 + AROUND or _is_short(steps, kept, last, enough)):
+            last += 1
+        first = max(j - AROUND, 0)
+        _choose(at, points, steps, edges, stays, kept[first], kept[last], enough)
+        j = last
+    return np.flatnonzero(stays)
+
+
+@njit(cache=True, nogil=True)
+def _is_short(steps: FloatArray, kept: IntArray, j: int, enough: float) -> bool:
+    """Whether one of the next segments has too few steps."""
+    short = False
+    for k in range(j, min(j + AROUND, len(kept) - 1)):
+        short |= _most(steps, kept[k], kept[k + 1]) < enough
+    return short
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _most(steps: FloatArray, a: int, b: int) -> float:
+    return max(abs(steps[b, 0] - steps[a, 0]), abs(steps[b, 1] - steps[a, 1]), abs(steps[b, 2] - steps[a, 2]))
+
+
+@njit(cache=True, nogil=True)
+def _choose(
+    at: FloatArray,
+    points: FloatArray,
+    steps: FloatArray,
+    edges: BoolArray,
+    stays: BoolArray,
+    first: int,
+    last: int,
+    enough: float,
+) -> None:
+    """Choose the points between two at which segments end, in place: dynamic programming over what they miss.
+
+    Where there is no choice of which all are long enough, they stay what they are.
+    """
+    n = last - first + 1
+    best, before = np.full(n, np.inf), np.zeros(n, dtype=np.int64)
+    best[0] = 0.0
+    for j in range(1, n):
+        for i in range(j - 1, -1, -1):
+            if best[i] < np.inf and _most(steps, first + i, first + j) >= enough:
+                cost = best[i] + _missed2(at, points, first + i, first + j) + SEGMENT_COST_MM2
+                if cost < best[j]:
+                    best[j], before[j] = cost, i
+            if edges[first + i] or at[first + j] - at[first + i] > MOST_KNOTS:
+                break
+    if best[n - 1] == np.inf:
+        return
+    stays[first + 1 : last] = False
+    j = before[n - 1]
+    while j > 0:
+        stays[first + j] = True
+        j = before[j]
+
+
+@njit(cache=True, nogil=True)
+def _missed2(at: FloatArray, points: FloatArray, first: int, last: int) -> float:
+    """Return what a segment misses of the command, squared and summed over time, mm² knots."""
+    total, span = 0.0, at[last] - at[first]
+    for k in range(first + 1, last):
+        f = (at[k] - at[first]) / span
+        for i in range(3):
+            off = points[k, i] - points[first, i] - f * (points[last, i] - points[first, i])
+            total += 0.5 * (at[k + 1] - at[k - 1]) * off * off
+    return total
+
+
+@njit(cache=True, nogil=True)
+def _executed(steps: FloatArray, edges: BoolArray, minimum: int) -> IntArray:
+    n = len(steps)
+    kept = np.empty(n, dtype=np.int64)
+    kept[0] = 0
+    count = 1
+    for k in range(1, n):
+        while count > 1 and edges[k] and not edges[kept[count - 1]] and _most(steps, kept[count - 1], k) < minimum:
+            count -= 1
+        if not edges[k] and _most(steps, kept[count - 1], k) < minimum:
+            continue
+        kept[count] = k
+        count += 1
+    return kept[:count].copy()
