@@ -84,7 +84,7 @@ def _planned(case: Case, original: judge.Original) -> tuple[FasterProgram, Inver
     """Return the quicker program, the inverse, and the seconds of CPU that planning took."""
     certain = {"kinematics.arm_length_mm": 0.0, "kinematics.delta_radius_mm": 0.0}
     machine = replace(original.machine, uncertainty={"default": case.known, **certain})
-    model = InverseModel(machine, replace(settings_for(machine), robust=True, robust_quickly=True))
+    model = InverseModel(machine, replace(settings_for(machine), robust=True))
     bound = Bound(case.um, max_flow_mm3_per_s=case.flow, min_layer_time_s=0.0, change_speed=OPEN if case.opened else ())
     began = time.process_time()
     found = faster_program(original.planned.program, model, bound, layers_before=0 if case.whole else 1)

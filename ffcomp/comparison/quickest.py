@@ -206,7 +206,7 @@ def _faster(job: _Job, known: bool = False) -> TimedMethod:
 
     known : as if it were certain of everything
     """
-    robust = replace(job.settings, robust=True, robust_quickly=True)  # as `compensate` does under a bound
+    robust = replace(job.settings, robust=True)  # as `compensate` does under a bound
     certain = {"default": 0.0, **dict.fromkeys(job.machine.uncertainty, 0.0)}
     model = InverseModel(replace(job.machine, uncertainty=certain) if known else job.machine, robust)
     quick = [_FasterSlice.of(each, model, job) for each in job.bounded_slices]

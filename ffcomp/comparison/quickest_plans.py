@@ -253,7 +253,7 @@ def worth_knowing(
 
     def seconds(uncertainty: dict[str, float]) -> float:
         known_machine = replace(machine, uncertainty=uncertainty)
-        model = InverseModel(known_machine, replace(settings, robust=True, robust_quickly=True))
+        model = InverseModel(known_machine, replace(settings, robust=True))
         now = [_quick_s(each, model, bound, known_machine) for each in bounded_slices]
         return float(whole.cooled(whole.from_slices(bounded_slices, now)).sum())
 

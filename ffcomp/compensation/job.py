@@ -249,7 +249,7 @@ class Job:
         chosen = self.options.settings or settings_for(self.machine)
         if self.options.bound is None or chosen.robust:
             return chosen
-        return replace(chosen, robust=True, robust_quickly=True)  # less of what is not known: quicker at the same bound
+        return replace(chosen, robust=True)  # less of what is not known: quicker at the same bound
 
     @property
     def _robust(self) -> RobustChoice:

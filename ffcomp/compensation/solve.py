@@ -85,10 +85,13 @@ def _linear(
     moved, limits = _moved_before(planned), planner_limits(machine)
     replan = section_planner(program, machine, settings.s_curve)
     layers = LayerLookup(program, layers_before)
+    travels = [section for section in planned.sections if section.travels]
+    parts = [extent if section is planned.sections[0] else WHOLE for section in travels]
+    # robust offsets of many sections together cost half of what they do one by one
+    laid = [part.written(trajectory, section, settings) for part, section in zip(parts, travels, strict=True)]
+    offsets = model.robust_offsets([written.reference for written in laid])
     rested = later = 0.0
-    for section in planned.sections:
-        if not section.travels:
-            continue
+    for section, part, written, offset in zip(travels, parts, laid, offsets, strict=True):
         start, rest_s = trajectory.origin[section.first, :3], section.begin_t - rested
         rested = section.end_t
         if state is None or moved[section.first]:
@@ -97,8 +100,9 @@ def _linear(
             state, rest = model.state_after_rest(state, start, rest_s), rest_s
         if later:
             section = replace(section, begin_t=section.begin_t + later, end_t=section.end_t + later)
-        part = extent if section is planned.sections[0] else WHOLE
-        written = part.written(trajectory, section, settings)
+            written = part.written(trajectory, section, settings)
+        if written.reference.knots * settings.rows_per_segment == len(offset):
+            written.reference.robust_offset = offset
         keep_response = keep(written.reference)
         if settings.time_scaling:
             request = SectionRequest(

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.reference import WrittenReference
-from ffcomp.inverse.sensitivity import SPANS, Sensitivity, span_length
+from ffcomp.inverse.sensitivity import MARGIN, Sensitivity
 from ffcomp.inverse.solve import Solution
 from ffcomp.metrics import contour_error
 from ffcomp.planner.segment_timing import sample_even_segments
@@ -148,28 +148,13 @@ def forecast_error(
     the moments (m,) s; across the path, the file's printer's error (m,) mm, and its changes (k, m, 3) mm in the
     directions of the parameters
     """
-    margin, row_s = sensitivity.solver.margin, sensitivity.row_s
+    row_s = sensitivity.row_s
     n = int(np.ceil((end_t - begin_t + TAIL_S) / row_s))
-    t = begin_t + row_s * np.arange(-margin, n + margin, dtype=np.float64)
+    t = begin_t + row_s * np.arange(-MARGIN, n + MARGIN, dtype=np.float64)
     nozzle, velocity = plan.motion_within(t, begin_t, end_t)
-    error = _tracking_error(sensitivity, nozzle, n)
-    nominal, changes = _normal_error(error, velocity[margin : margin + n], STANDSTILL_MM / row_s)
-    return t[margin : margin + n], nominal, changes
-
-
-def _tracking_error(sensitivity: Sensitivity, nozzle: FloatArray, n: int) -> ShortArray:
-    """Return D r − r (1 + k, n, 3) mm of a path (n + 2 margin, 3) mm."""
-    margin = sensitivity.solver.margin
-    step = SPANS[-1] - 2 * margin
-    parts = []
-    for first in range(0, n, step):
-        rows = nozzle[first : min(first + step, n) + 2 * margin]
-        length = span_length(len(rows))
-        rates = np.diff(rows, axis=0, append=rows[-1:])
-        fade = np.minimum(1.0, np.minimum(np.arange(len(rows)), np.arange(len(rows))[::-1]) * (2.0 / margin))
-        response = sensitivity.along(rows[:, :2], length).to_path((rates * fade[:, None]).astype(np.float32))
-        parts.append(response[:, margin : len(rows) - margin])
-    return np.concatenate(parts, axis=1)
+    error = sensitivity.tracking_error(nozzle)
+    nominal, changes = _normal_error(error, velocity[MARGIN : MARGIN + n], STANDSTILL_MM / row_s)
+    return t[MARGIN : MARGIN + n], nominal, changes
 
 
 @njit(cache=True, nogil=True)

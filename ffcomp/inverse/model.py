@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -11,8 +12,8 @@ from ffcomp.inverse import disk_cache
 from ffcomp.inverse.command_limits import CommandLimits
 from ffcomp.inverse.reference import Reference
 from ffcomp.inverse.riccati import PreviewGains
-from ffcomp.inverse.robust import RobustReference
-from ffcomp.inverse.sensitivity import FULL, QUICK, Sensitivity
+from ffcomp.inverse.robust import Path, RobustReference
+from ffcomp.inverse.sensitivity import MARGIN, Sensitivity
 from ffcomp.inverse.settings import Settings, control_weight_at
 from ffcomp.planner.segment_timing import sample_even_segments
 from models.arrays import FloatArray
@@ -45,7 +46,8 @@ class Iterate:
         self.n = self.last + model.settings.preview
         self.gamma = np.zeros((self.n + 1, 3))
         self.vertices = np.empty((self.last + 1, 3))
-        self.robust_offset = model.robust_offset(reference)
+        known = reference.robust_offset
+        self.robust_offset = model.robust_offsets([reference])[0] if known is None else known
         self.extrusion = np.concatenate([np.diff(reference.extrusion()), np.zeros(self.n - self.last)])
 
 
@@ -230,26 +232,31 @@ class InverseModel:
     @cached_property
     def _robust(self) -> RobustReference:
         s = self.settings
-        row_s, solver = s.segment_s / s.rows_per_segment, QUICK if s.robust_quickly else FULL
-        return RobustReference(self.machine, row_s, s.bandwidth_hz, self.control_weight, solver)
+        return RobustReference(self.machine, s.segment_s / s.rows_per_segment, s.bandwidth_hz, self.control_weight)
 
     @cached_property
     def sensitivity(self) -> Sensitivity:
         """How printers that the machine file allows differ, each span of a path being at one place."""
         s = self.settings
-        if s.robust and s.robust_quickly:
-            return self._robust.sensitivity
-        return Sensitivity(self.machine, s.segment_s / s.rows_per_segment, s.bandwidth_hz, self.control_weight, QUICK)
+        row_s = s.segment_s / s.rows_per_segment
+        return Sensitivity(self.machine, row_s, s.bandwidth_hz, self.control_weight, sampled=False)
 
-    def robust_offset(self, reference: Reference) -> FloatArray:
-        """Return the offset of the robust reference from the path, (rows, 3) mm; empty where it is not used."""
+    @cached_property
+    def _wants_offsets(self) -> bool:
+        certain = not np.any(self.machine.vibration.parameters().relative_sd(self.machine.uncertainty))
+        return self.settings.robust and not certain
+
+    def robust_offsets(self, references: Sequence[Reference]) -> list[FloatArray]:
+        """Return each robust reference's offset from its path, (rows, 3) mm; empty where it is not used."""
+        if not self._wants_offsets:
+            return [np.empty((0, 3))] * len(references)
+        return self._robust.offsets([self._path(reference) for reference in references])
+
+    def _path(self, reference: Reference) -> Path:
         s = self.settings
-        if not s.robust or not np.any(self.machine.vibration.parameters().relative_sd(self.machine.uncertainty)):
-            return np.empty((0, 3))
-        margin = self._robust.solver.margin
-        rows = np.arange(1 - margin, reference.knots * s.rows_per_segment + 1 + margin, dtype=np.float64)
+        rows = np.arange(1 - MARGIN, reference.knots * s.rows_per_segment + 1 + MARGIN, dtype=np.float64)
         t = reference.t0 + rows * s.segment_s / s.rows_per_segment
-        return self._robust.offset(reference.nozzle(t), reference.moving(t))
+        return Path(reference.nozzle(t), reference.moving(t))
 
     def state_after_rest(self, state: FloatArray, nozzle: FloatArray, duration_s: float) -> FloatArray:
         """Return the state after the command has rested at (3,) mm for a while: what still rings, rings on."""

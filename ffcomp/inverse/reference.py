@@ -94,6 +94,7 @@ class Reference:
         room : beyond the path; None: what it needs
         """
         room = room or room_of(trajectory, section, settings)
+        self.robust_offset: FloatArray | None = None  # (rows, 3) mm, where it is known already
         self.t0 = section.begin_t - room.lead_s  # s on the plan's clock
         if through is not None:
             t, multiple = through

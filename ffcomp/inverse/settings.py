@@ -133,8 +133,7 @@ class Settings:
     compliance_s2: tuple[float, float, float] = (1.0, 1.0, 1.0)  # nozzle's lag per acceleration along X Y Z: mm s²/mm
     corrections: int = 1  # of the exact inverse, by the segments as they are executed
     inverse: Literal["fast", "exact"] = "fast"
-    robust: bool = False  # the robust reference instead of the path,
-    robust_quickly: bool = False  # with less work, for a search
+    robust: bool = False  # the robust reference instead of the path
     memory: int = 60  # segments after which the plant has forgotten (1 % is left after 240 ms)
     time_scaling: bool = True  # where limits do not let the nozzle follow, the plan becomes slower
     tolerance_um: float = 25.0  # by which an active limit may take the nozzle off its path before that

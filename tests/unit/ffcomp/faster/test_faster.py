@@ -99,7 +99,7 @@ def test_what_is_not_known_costs_time_and_the_percentile_is_near_the_bound(squar
     times = []
     for sd in (0.0, 0.05):
         machine = replace(load_machine("mp-delta-pro"), uncertainty={"default": sd})
-        own = InverseModel(machine, replace(settings_for(machine), robust=True, robust_quickly=True))
+        own = InverseModel(machine, replace(settings_for(machine), robust=True))
         found = of(squares, own, 15.0, change_speed=("bridge infill", "First layer"))
         times.append(planned(found, own).trajectory.end_t)
     assert times[1] > 1.02 * times[0]

@@ -15,13 +15,21 @@ from ffcomp.comparison.sampling import Print, Sampling
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.robust import (
     TANGENT_WEIGHT,
+    Path,
     RobustReference,
-    across,
-    conjugate_gradients,
+    directions_of,
     normal_errors,
-    preconditioned,
+    weigh,
 )
-from ffcomp.inverse.sensitivity import FULL, SPANS, Response, sampled_machines
+from ffcomp.inverse.sensitivity import (
+    MARGIN,
+    NODE_ROWS,
+    ShortArray,
+    apply,
+    apply_adjoint,
+    lines_of,
+    sampled_machines,
+)
 from ffcomp.inverse.settings import settings_for
 from ffcomp.metrics import contour_error
 from ffcomp.simulation.playback import simulate_nozzles
@@ -30,8 +38,7 @@ from models.machine import Machine, value_of
 from tests.support.prints import squares
 from tests.support.settings import finely_joined
 
-MARGIN = FULL.margin
-
+ComplexArray = NDArray[np.complex64]
 FloatArray = NDArray[np.float64]
 PLACE = np.array([40.0, -30.0, 5.0])
 
@@ -65,88 +72,93 @@ def wish(softening: RobustReference, path: FloatArray) -> FloatArray:
     rested = np.concatenate([np.repeat(path[:1], MARGIN, axis=0), path, np.repeat(path[-1:], MARGIN, axis=0)])
     moving = np.zeros(len(rested), dtype=np.bool_)
     moving[MARGIN:-MARGIN] = True
-    return softening.offset(rested, moving)
-
-
-def response(softening: RobustReference) -> Response:
-    place = np.linspace([-70.0, 20.0], [50.0, -40.0], 700)  # its middle is between the nodes
-    return softening.sensitivity.along(place, SPANS[2])
+    (offset,) = softening.offsets([Path(rested, moving)])
+    return offset
 
 
 # ---- what counts ---------------------------------------------------------------------------------
 
 
 LINE = PLACE + np.outer(np.arange(40.0), [0.3, 0.4, 0.0])
-TANGENT_WEIGHT_IT, BESIDE_IT = np.array([0.6, 0.8, 0.0]), np.array([-0.8, 0.6, 0.0])
+ALONG_IT, BESIDE_IT = np.array([0.6, 0.8, 0.0]), np.array([-0.8, 0.6, 0.0])
+
+
+def errors_of(path: FloatArray, missed: FloatArray) -> tuple[ShortArray, ShortArray]:
+    """n + ε l (m, 3) mm of one path, and the entries (6, m/2) of W."""
+    error = np.ascontiguousarray(missed.T[None], dtype=np.float32)
+    normal, weight = normal_errors(path[None], directions_of(path[None]), error)
+    return normal[0].T, weight[0]
 
 
 def test_an_error_along_a_line_counts_little() -> None:
-    missed = np.tile(0.8 * TANGENT_WEIGHT_IT + 0.02 * BESIDE_IT, (40, 1)).astype(np.float32)  # more than a step late
-    left, along = normal_errors(LINE, missed)
+    missed = np.tile(0.8 * ALONG_IT + 0.02 * BESIDE_IT, (40, 1))  # more than a step late
+    normal, weight = errors_of(LINE, missed)
     inside = slice(2, -2)
-    np.testing.assert_allclose(along[inside], np.tile(TANGENT_WEIGHT_IT, (36, 1)), atol=1e-6)
     np.testing.assert_allclose(
-        left[inside], np.tile(0.02 * BESIDE_IT + 0.8 * TANGENT_WEIGHT * TANGENT_WEIGHT_IT, (36, 1)), atol=1e-6
+        normal[inside], np.tile(0.02 * BESIDE_IT + 0.8 * TANGENT_WEIGHT * ALONG_IT, (36, 1)), atol=1e-6
     )
-    np.testing.assert_allclose(across(missed[None], along)[0, inside], left[inside], atol=1e-6)
+    weighed = weigh(weight[None], np.ascontiguousarray(missed[::2].T[None], dtype=np.float32))
+    np.testing.assert_allclose(weighed[0].T[2:-2], normal[4:-4:2], atol=1e-6)
 
 
 def test_beyond_a_corner_and_at_rest_all_of_an_error_counts() -> None:
     corner = PLACE + np.array([[-1.0, 0, 0], [0, 0, 0], [0, 1, 0], [0, 2, 0], [0, 2, 0], [0, 2, 0]])
-    missed = np.zeros((6, 3), np.float32)
+    missed = np.zeros((6, 3))
     missed[1] = [0.3, -0.2, 0.0]  # outside the corner
     missed[4] = [0.1, 0.2, 0.3]  # beyond the end
-    left, along = normal_errors(corner, missed)
+    normal, weight = errors_of(corner, missed)
     for i in (1, 4):
-        np.testing.assert_allclose(left[i], missed[i], atol=1e-6)
-        assert not along[i].any()
+        np.testing.assert_allclose(normal[i], missed[i], atol=1e-6)
+    np.testing.assert_allclose(weight[:3, 2], 1.0, atol=1e-6)
 
 
-def test_what_conjugate_gradients_begin_with_undoes_the_weights() -> None:
-    along = np.tile(TANGENT_WEIGHT_IT, (5, 1)).astype(np.float32)
-    rows = np.random.default_rng(6).normal(size=(5, 3)).astype(np.float32)
-    weighed = rows - (1.0 - 0.3) * np.sum(rows * along, axis=1, keepdims=True) * along
-    np.testing.assert_allclose(preconditioned(weighed, along, 0.3), rows, atol=1e-5)
-    np.testing.assert_array_equal(preconditioned(rows, np.zeros_like(along), 0.3), rows)
+def test_beside_a_corner_the_nearest_point_may_be_on_the_other_side_of_it() -> None:
+    corner = PLACE + np.array([[-2.0, 0, 0], [-1, 0, 0], [0, 0, 0], [0, 1, 0], [0, 2, 0], [0, 3, 0]])
+    missed = np.zeros((6, 3))
+    missed[1] = [0.9, 0.4, 0.0]
+    np.testing.assert_allclose(errors_of(corner, missed)[0][1, :2], [-0.1, TANGENT_WEIGHT * 0.4], atol=1e-6)
 
 
-def test_conjugate_gradients_solve_in_as_many_steps_as_unknowns() -> None:
-    rng = np.random.default_rng(4)
-    root = rng.normal(size=(6, 6))
-    a, b = (root @ root.T + np.eye(6)), rng.normal(size=6).astype(np.float32)
-    for eased in (np.ones(6), 1.0 / np.diag(a)):
-        found = conjugate_gradients(
-            lambda x: (a @ x).astype(np.float32), b, 12, lambda x, eased=eased: (eased * x).astype(np.float32)
-        )
-        np.testing.assert_allclose(found, np.linalg.solve(a, b), rtol=2e-2, atol=2e-3)
+def test_a_corner_between_two_samples_counts_for_both_its_sides() -> None:
+    corner = PLACE + np.array([[-2.0, 0, 0], [-1, 0, 0], [0, 0, 0], [0, 1, 0], [0, 2, 0], [0, 3, 0]])
+    missed = np.zeros((6, 3))
+    missed[1, 0], missed[2, 1], missed[3, 1] = 0.1, 0.1, 0.1
+    weight = errors_of(corner, missed)[1]
+    np.testing.assert_allclose(weight[:2, 1], [0.75 + 0.25 * TANGENT_WEIGHT, 0.25 + 0.75 * TANGENT_WEIGHT], atol=1e-6)
 
 
 # ---- what the machine may make of it -------------------------------------------------------------
 
 
-def test_the_adjoint_is_one(softening: RobustReference) -> None:
-    rng, known = np.random.default_rng(5), response(softening)
-    d = rng.normal(size=(700, 3)).astype(np.float32)
-    answers = known.to_offset(d)
-    errors = rng.normal(size=answers.shape).astype(np.float32)
-    assert np.vdot(answers, errors) == pytest.approx(np.vdot(d, known.adjoint(errors)), rel=1e-4)
+def test_the_adjoint_is_one() -> None:
+    rng = np.random.default_rng(5)
+
+    def drawn(*shape: int) -> ComplexArray:
+        return (rng.normal(size=shape) + 1j * rng.normal(size=shape)).astype(np.complex64)
+
+    known, lines, errors = drawn(2, 6, 3, 50), drawn(2, 3, 50), drawn(2, 6, 50)
+    assert np.vdot(apply(known, lines), errors) == pytest.approx(np.vdot(lines, apply_adjoint(known, errors)), rel=1e-4)
 
 
 def test_a_path_is_a_wish_that_need_not_end_where_it_begins(softening: RobustReference) -> None:
-    known, t = response(softening), np.arange(700)[:, None]
+    """D r − r of a bump by its steps, against D b − b of the bump itself."""
+    sensitivity, t = softening.sensitivity, np.arange(768)[:, None]
     bump = np.exp(-0.5 * ((t - 350) / 8.0) ** 2) * np.array([1.0, -0.7, 0.1])  # there and back, up to 20 Hz
-    expected = known.to_offset(bump.astype(np.float32))
+    known = sensitivity.of_place(*sensitivity.place_of(PLACE[None, :2]))[..., ::4]
+    error = known.reshape(-1, 3, known.shape[-1])
+    answer = np.fft.irfft(apply(error[None], lines_of(bump.T[None].astype(np.float32), error.shape[-1]))[0], 768)
+    expected = np.moveaxis(answer.reshape(-1, 3, 768), 1, 2)
     expected[0] -= bump
-    found = known.to_path(np.diff(bump, axis=0, append=bump[-1:]).astype(np.float32))
     assert np.abs(expected).max() > 5e-3
-    np.testing.assert_allclose(found, expected, atol=2e-4)
+    inside = slice(MARGIN, -MARGIN)
+    np.testing.assert_allclose(sensitivity.tracking_error(PLACE + bump), expected[:, inside], atol=4e-4)
 
 
 def test_directions_hold_the_spread_of_the_draws(softening: RobustReference) -> None:
     """Σ |M_k|² over the directions, against the variance of printers that were not among the draws."""
     sensitivity, xy = softening.sensitivity, np.zeros(2)
     known = sensitivity._node((0, 0)).astype(np.complex128)
-    f = sensitivity.frequency[30:140:10]  # 15 to 65 Hz
+    f = np.fft.rfftfreq(NODE_ROWS, sensitivity.row_s)[30:140:10]  # 15 to 65 Hz
     plain = np.linalg.inv(sensitivity.machine.vibration.frequency_response(xy, f, "nozzle", "nozzle"))
     plants = draw_plants(sensitivity.machine, 0.1, 100)
     plants = np.array([each.vibration.frequency_response(xy, f, "nozzle", "nozzle") for each in plants]) @ plain
@@ -163,14 +175,15 @@ def test_rest_is_left_alone(softening: RobustReference) -> None:
 
 def test_steady_motion_is_left_alone(softening: RobustReference) -> None:
     path = PLACE + np.arange(MARGIN * 2 + 300.0)[:, None] * np.array([0.05, 0.02, 0.0])
-    assert np.abs(softening.offset(path, np.ones(len(path), dtype=np.bool_))[100:200]).max() < 1e-3
+    (offset,) = softening.offsets([Path(path, np.ones(len(path), dtype=np.bool_))])
+    assert np.abs(offset[100:200]).max() < 1e-3
 
 
 def test_nothing_is_wanted_beyond_the_path_where_the_command_rests(softening: RobustReference) -> None:
     path = zigzag(600 + 2 * MARGIN)
     moving = np.ones(len(path), dtype=np.bool_)
     moving[: MARGIN + 40] = False
-    d = softening.offset(path, moving)
+    (d,) = softening.offsets([Path(path, moving)])
     assert np.array_equal(d[:40], np.zeros((40, 3)))
     assert np.abs(d).max() > 5e-3
 
@@ -204,7 +217,7 @@ def test_where_a_span_ends_does_not_show(softening: RobustReference) -> None:
     path = zigzag(2600 + 2 * MARGIN)
     moving = np.ones(len(path), dtype=np.bool_)
     later = 700
-    whole, part = softening.offset(path, moving), softening.offset(path[later:], moving[later:])
+    whole, part = softening.offsets([Path(path, moving), Path(path[later:], moving[later:])])
     apart = np.abs(whole[later + 200 : -200] - part[200:-200])
     assert apart.max() < 0.1 * np.abs(whole).max()
 
