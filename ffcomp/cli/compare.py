@@ -222,8 +222,8 @@ def _legend(result: Comparison) -> str:
 
     parts = [
         f"µm. rms, p99, max: distance to the reference path, {where_seen(result)}; track: over all moves at equal "
-        "times, constant delay removed; ring: what still swings in straight cruise; peak: m/s² asked of a carriage "
-        "('!': beyond its limit)."
+        "times, constant delay removed, so that it counts what comes late where a limit slows down, and is not off; "
+        "ring: what still swings in straight cruise; peak: m/s² asked of a carriage ('!': beyond its limit)."
     ]
     if result.mismatch:
         parts.append("off, worst: contour rms on Monte-Carlo plants, median and worst.")

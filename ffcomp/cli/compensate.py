@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import shlex
+import sys
 from contextlib import closing
 from dataclasses import fields
 from pathlib import Path
@@ -212,6 +213,8 @@ def _report(done: Compensation, quiet: bool) -> None:
         note(f"predicted contour error, rms: {', '.join(rms)}")
         if not quiet:
             _print_table(result.predicted)
+            if line := late_line(sum(each.seconds for each in numbers.slowed)):
+                print(f"ffcomp: {line}", file=sys.stderr)
     say(result.flavor.reason, quiet)
     if result.placement.reason not in done.file.warnings:
         say(result.placement.reason, quiet)
@@ -219,6 +222,8 @@ def _report(done: Compensation, quiet: bool) -> None:
     if result.faster is not None:
         say(faster_line(result.faster), quiet)
         say(limits_in_words(result.faster.limited_by), quiet)
+        if line := uncertainty_line(done.machine):
+            say(line, quiet)
         for each in done.if_known:
             say(_if_known(each), quiet)
     segments = f" in {numbers.segments} segments" if result.steps is None else ""
@@ -291,6 +296,29 @@ def _print_table(predicted: Mapping[str, Track]) -> None:
             f"{track.peak_command_acceleration_mm_per_s2 / 1e3:.1f} m/s²",
         )
     Console(stderr=True).print(table)
+
+
+def late_line(seconds: float) -> str:
+    """Say what slower places do to errors at equal times; empty: there are none."""
+    if not seconds:
+        return ""
+    late = f"{1e3 * seconds:.0f} ms" if seconds < 1.0 else f"{seconds:.1f} s"
+    return (
+        f"Tracking counts as an error that the nozzle comes up to {late} later where the print was slowed down; the "
+        "part does not show that. What is off the path is the contour error."
+    )
+
+
+def uncertainty_line(machine: Machine) -> str:
+    """Say which uncertainty a bound rests on where the machine file states none; empty: it states some."""
+    from models.schema.documents import DEFAULT_UNCERTAINTY
+
+    if machine.uncertainty != {"default": DEFAULT_UNCERTAINTY}:
+        return ""
+    return (
+        f"The bound is for printers of which every number is off by {100 * DEFAULT_UNCERTAINTY:g} % (standard "
+        "deviation): the machine file's [uncertainty] says nothing else."
+    )
 
 
 NO_GAIN = (
