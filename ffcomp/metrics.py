@@ -20,9 +20,9 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numba import njit
 
 from models.arrays import FloatArray, IntArray
+from models.compiled import fast_kernel, kernel
 
 WINDOW_S = 0.05  # a sample belongs to where the path is within this time, not to other lines and layers
 LONGEST_DELAY_S = 0.02
@@ -229,7 +229,7 @@ def contour_error_in_order(
     return _distance_to_path(np.ascontiguousarray(path_xyz), np.ascontiguousarray(actual_xyz), *bounds)
 
 
-@njit(cache=True, fastmath=True, nogil=True)
+@fast_kernel
 def _distance_to_path(path: FloatArray, points: FloatArray, low: IntArray, high: IntArray) -> FloatArray:
     """Return the distance : (m,) of each point to the nearest of its segments low ≤ k < high."""
     out = np.empty(len(points))
@@ -243,7 +243,7 @@ def _distance_to_path(path: FloatArray, points: FloatArray, low: IntArray, high:
     return out
 
 
-@njit(cache=True, fastmath=True, nogil=True)
+@fast_kernel
 def offset_from_path(path: FloatArray, points: FloatArray, low: IntArray, high: IntArray) -> FloatArray:
     """Return the vector : (m, 3) to each point from the nearest point of its segments low ≤ k < high (at least one).
 
@@ -262,7 +262,7 @@ def offset_from_path(path: FloatArray, points: FloatArray, low: IntArray, high: 
     return out
 
 
-@njit(cache=True, fastmath=True, nogil=True, inline="always")
+@fast_kernel
 def _offset(path: FloatArray, k: int, x: float, y: float, z: float) -> tuple[float, float, float]:
     """Return the vector from segment k to a point; the foot of the perpendicular is clipped to the segment's ends."""
     ux, uy, uz = path[k + 1, 0] - path[k, 0], path[k + 1, 1] - path[k, 1], path[k + 1, 2] - path[k, 2]
@@ -328,7 +328,7 @@ def _best_delay(reference: FloatArray, actual: FloatArray, dt: float, longest: f
     return float(result.x)
 
 
-@njit(cache=True, fastmath=True, nogil=True)
+@fast_kernel
 def _mean_square(reference: FloatArray, actual: FloatArray, shift: float, every: int) -> float:
     """Return the mean of |actual_i - reference(i - shift)|² over every so many i; Lagrange's cubic between samples."""
     total, count, top = 0.0, 0, len(reference) - 1
@@ -430,20 +430,22 @@ def progress_in_order(
     return segment, (piece - first[segment] + share) / pieces[segment]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _cut(path: FloatArray, pieces: IntArray) -> FloatArray:
     """Return the corners of the path's pieces."""
     out = np.empty((pieces.sum() + 1, 3))
     at = 0
     for k in range(len(pieces)):
         for i in range(pieces[k]):
-            out[at] = path[k] + (path[k + 1] - path[k]) * (i / pieces[k])
+            for c in range(3):
+                out[at, c] = path[k, c] + (path[k + 1, c] - path[k, c]) * (i / pieces[k])
             at += 1
-    out[at] = path[-1]
+    for c in range(3):
+        out[at, c] = path[len(path) - 1, c]
     return out
 
 
-@njit(nogil=True)
+@kernel
 def _foot(path: FloatArray, k: int, point: FloatArray) -> tuple[float, float]:
     """Return the squared distance from piece k, and the share of it that lies before the nearest point."""
     dot = length2 = square = 0.0
@@ -456,25 +458,22 @@ def _foot(path: FloatArray, k: int, point: FloatArray) -> tuple[float, float]:
     return max(square - share * (2.0 * dot - share * length2), 0.0), share
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _assigned(
     path: FloatArray, along: FloatArray, points: FloatArray, low: IntArray, high: IntArray
 ) -> tuple[IntArray, FloatArray]:
     """Assign each point to a piece; as `progress_in_order`, of pieces."""
     m = len(points)
     piece, share = np.zeros(m, dtype=np.int64), np.zeros(m)
-    begin, at = 0, low[0] if m else 0
-    while begin < m:
-        end = min(begin + WINDOW, m)
-        _window(path, along, points, low, high, begin, end, at, piece)
-        begin = end if end == m else begin + WINDOW // 2
-        at = piece[begin - 1]
+    for begin in range(0, max(m - WINDOW // 2, min(m, 1)), WINDOW // 2):
+        at = piece[begin - 1] if begin else low[0]
+        _window(path, along, points, low, high, begin, min(begin + WINDOW, m), at, piece)
     for i in range(m):
         share[i] = _foot(path, piece[i], points[i])[1]
     return piece, share
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _window(
     path: FloatArray,
     along: FloatArray,

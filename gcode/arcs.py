@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from math import acos, atan2, ceil, copysign, cos, hypot, sin, sqrt, tau
 
 import numpy as np
-from numba import njit
 
+from gcode.compiled import kernel
 from gcode.errors import GcodeError
 from gcode.program import FloatArray
 
@@ -57,12 +57,12 @@ class Arc:
         return chords(self.start, self.end, self.centre, self.clockwise, tolerance, longest)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _distance(a: Point2, b: Point2) -> float:
     return hypot(b[0] - a[0], b[1] - a[1])
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _sweep(start: Point2, end: Point2, centre: Point2, clockwise: bool) -> float:
     turn = -1.0 if clockwise else 1.0
     if _distance(start, end) < _SAME_POINT_MM:
@@ -72,7 +72,7 @@ def _sweep(start: Point2, end: Point2, centre: Point2, clockwise: bool) -> float
     return turn * ((turn * (finish - begin)) % tau)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def chords(start: Point2, end: Point2, centre: Point2, clockwise: bool, tolerance: float, longest: float) -> FloatArray:
     """See `Arc.chords`."""
     first, last = _distance(centre, start), _distance(centre, end)
@@ -92,13 +92,13 @@ def chords(start: Point2, end: Point2, centre: Point2, clockwise: bool, toleranc
     return points
 
 
-@njit(nogil=True)
+@kernel
 def _chord_count(radius: float, sweep: float, tolerance: float, longest: float) -> int:
     angle = 2 * acos(1 - tolerance / radius) if radius > tolerance else _COARSEST_ANGLE
     return max(1, ceil(sweep / min(angle, _COARSEST_ANGLE) - 1e-9), ceil(sweep * radius / longest - 1e-9))
 
 
-@njit(nogil=True)
+@kernel
 def is_sound(start: Point2, end: Point2, centre: Point2, clockwise: bool) -> bool:
     """Whether `arc_by_centre` has nothing to complain of."""
     first, last = _distance(centre, start), _distance(centre, end)
@@ -135,7 +135,7 @@ def _checked(arc: Arc, line: int | None) -> Arc:
     return arc
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _allowance(radius: float) -> float:
     """How much shorter than half the chord a radius may be: rounding always, 1 % of the radius, never above 0.5 mm."""
     return min(_OFF_CIRCLE_MM, max(_ROUNDING_MM, _OFF_CIRCLE_SHARE * radius))

@@ -11,8 +11,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numba import njit
 
+from gcode.compiled import kernel
 from gcode.program import ByteArray, FloatArray, IntArray, ModalState
 
 Place = tuple[float, float, float, float]  # of X Y Z E
@@ -21,11 +21,12 @@ XYZ_DECIMALS, E_DECIMALS, F_DECIMALS = 4, 5, 3
 E_SLACK_MM = 5e-5  # filament, where a move has any slack: a fortieth of a step
 LATE_S = 2e-5  # at most, where a move has any slack
 LONGEST_LINE = 128  # bytes: five words of a 64-bit count each, with sign and point, are 118
-_AXES = np.frombuffer(b"XYZE", dtype=np.uint8)
-_SPACE, _MINUS, _POINT, _ZERO, _NEWLINE, _G, _F = b" -.0\nGF"
+_LETTERS = np.frombuffer(b"XYZEF", dtype=np.uint8)
+_DECIMALS = np.array([XYZ_DECIMALS] * 3 + [E_DECIMALS, F_DECIMALS])
+_SPACE, _MINUS, _POINT, _ZERO, _NEWLINE, _G = b" -.0\nG"
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def write_moves(
     xyz: FloatArray,
     e: FloatArray,
@@ -57,7 +58,7 @@ def write_moves(
     """
     ends = np.empty(len(e), dtype=np.int64)
     now = np.empty(4, dtype=np.int64)
-    at = 0
+    at = np.int64(0)
     for k in range(len(e)):
         if not np.isfinite(xyz[k].sum() + e[k] + speed[k]):
             raise ValueError("A move to or at a number that is not finite cannot be written.")
@@ -75,7 +76,7 @@ def write_moves(
     return ends
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _short(counts: float, before: np.int64, slack: float, relative: bool) -> np.int64:
     """Round to the number with the fewest digits within the slack, best of all to what the firmware has, in counts."""
     nearest = np.int64(np.rint(counts))
@@ -95,7 +96,7 @@ def _short(counts: float, before: np.int64, slack: float, relative: bool) -> np.
     return nearest
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _feed(
     to: FloatArray,
     now: IntArray,
@@ -137,7 +138,7 @@ def _feed(
     return feed
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _write_move(
     now: IntArray, feed: np.int64, relative: tuple[bool, bool], state: IntArray, out: ByteArray, at: int
 ) -> int:
@@ -148,16 +149,16 @@ def _write_move(
         if now[i] != state[i]:
             differs = relative[0] if i < 3 else relative[1]
             counts = now[i] - state[i] if differs else now[i]
-            at = _write_word(_AXES[i], counts, XYZ_DECIMALS if i < 3 else E_DECIMALS, out, at)
+            at = _write_word(_LETTERS[i], counts, _DECIMALS[i], out, at)
             state[i] = now[i]
     if feed != state[4]:
-        at = _write_word(_F, max(feed, np.int64(1)), F_DECIMALS, out, at)  # F0 would be an error
+        at = _write_word(_LETTERS[4], max(feed, np.int64(1)), _DECIMALS[4], out, at)  # F0 would be an error
         state[4] = feed
     out[at] = _NEWLINE
     return at + 1
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _write_word(letter: int, counts: np.int64, decimals: int, out: ByteArray, at: int) -> int:
     """Write a letter and counts / 10^decimals in as few digits as it takes."""
     out[at], out[at + 1] = _SPACE, letter

@@ -16,11 +16,11 @@ from itertools import repeat
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike
 
 from gcode.arcs import MAX_CHORD_MM, chords, is_sound
 from gcode.commands import PASS, Effect
+from gcode.compiled import kernel
 from gcode.program import BoolArray, ByteArray, Event, EventKind, FloatArray, IntArray, ModalState, MotionLimits, Moves
 from gcode.state import Vector4
 
@@ -75,7 +75,7 @@ class Cursor(NamedTuple):
 # long functions here. Rows are written number by number because a tuple stored whole takes 2 s to compile.
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def follow(
     text: ByteArray, passing: BoolArray, here: Cursor, modes: Modes, limit: int,
     ends: FloatArray, moves: IntArray, events: IntArray, states: FloatArray,
@@ -159,7 +159,7 @@ def follow(
     return Cursor(at, line, move, event, known + new_count, state, x, y, z, e, feed, origin_e, motion, stuck)
 
 
-@njit(nogil=True)
+@kernel
 def _arc(start: Place, end: Place, clockwise: bool, words: FloatArray, modes: Modes, ends: FloatArray) -> int:
     """Write an arc's chords into the first rows of `ends`; returns how many, 0 where it needs more care.
 
@@ -183,7 +183,7 @@ def _arc(start: Place, end: Place, clockwise: bool, words: FloatArray, modes: Mo
     return len(points)
 
 
-@njit(nogil=True, error_model="numpy")
+@kernel
 def _state(states: FloatArray, new_count: int, feed: float, origin_e: float) -> int:
     """Return the row of this state: one of the last few, for prints go to and fro between feeds, or a new one."""
     for row in range(new_count - 1, max(new_count - _RECENT, 0) - 1, -1):
@@ -193,7 +193,7 @@ def _state(states: FloatArray, new_count: int, feed: float, origin_e: float) -> 
     return new_count
 
 
-@njit(nogil=True, error_model="numpy")
+@kernel
 def _read_words(text: ByteArray, at: int, words: FloatArray) -> int:
     """Numbers of X Y Z E F, NaN for what is not said; returns where the code ends, -1 where it is not plain."""
     for column in range(len(words)):
@@ -232,7 +232,7 @@ def _read_words(text: ByteArray, at: int, words: FloatArray) -> int:
         words[column] = -size if sign == _MINUS else size
 
 
-@njit(nogil=True, error_model="numpy")
+@kernel
 def _names_e_only(words: FloatArray) -> bool:
     named = 0
     for word in words:
@@ -240,7 +240,7 @@ def _names_e_only(words: FloatArray) -> bool:
     return named == 1 and not np.isnan(words[_E])
 
 
-@njit(nogil=True, error_model="numpy")
+@kernel
 def _read_m_code(text: ByteArray, at: int, passing: BoolArray) -> int:
     """Where the number of an M code that changes nothing ends, whatever the rest of its line says; -1 for others."""
     code, digit = 0, _digit(text[at])
@@ -252,20 +252,20 @@ def _read_m_code(text: ByteArray, at: int, passing: BoolArray) -> int:
     return at if known and (_ends_code(text[at]) or text[at] in (_SPACE, _TAB)) else -1
 
 
-@njit(nogil=True, error_model="numpy")
+@kernel
 def _digit(byte: int) -> int:
     """0 to 9; -1 for any other byte."""
     digit = byte - 48
     return digit if 0 <= digit <= 9 else -1
 
 
-@njit(nogil=True, error_model="numpy")
+@kernel
 def _ends_code(byte: int) -> bool:
     """Whether a line, or the part of it before its comment, ends with this byte."""
     return byte in (_SEMICOLON, _NEWLINE, _RETURN)
 
 
-@njit(nogil=True, error_model="numpy")
+@kernel
 def _coordinate(word: float, unit: float, place: float, origin: float, relative: bool) -> float:
     if np.isnan(word):
         return place

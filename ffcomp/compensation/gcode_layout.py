@@ -14,7 +14,6 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from ffcomp.inverse.reference import Reference
 from ffcomp.inverse.settings import CUT
@@ -22,6 +21,7 @@ from ffcomp.planner.lifts import FLOWS_MM, even_wipes
 from ffcomp.planner.trajectory import PlannedMotion, Section
 from gcode.program import Event, Program
 from models.arrays import BoolArray, FloatArray, IntArray
+from models.compiled import kernel
 
 ROUNDING = 1e-9  # of a segment
 KNOT_TOLERANCE = 0.1  # of a segment: so near to a knot, a line goes out at the knot
@@ -170,7 +170,7 @@ def _before(events: list[Event], move: int) -> int:
     return bisect_left(events, move, key=lambda event: event.move)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _lay_out(
     at: FloatArray, stands: BoolArray, e: FloatArray, vertices: FloatArray, first: int, shortest: float
 ) -> tuple[FloatArray, FloatArray, BoolArray, FloatArray, IntArray]:
@@ -185,7 +185,7 @@ def _lay_out(
     shortest : knots that a segment must have
     """
     place = _places(at, stands, e, first, shortest)
-    even_wipes(e, vertices, first, CUT)
+    even_wipes(e, vertices, first, np.int64(CUT))
     n = len(e)
     points, filament, cut = np.empty(n + len(at)), np.empty(n + len(at)), np.zeros(n + len(at), dtype=np.bool_)
     point = np.empty(len(at), dtype=np.int64)
@@ -204,7 +204,7 @@ def _lay_out(
     return points[:m], filament[:m], cut[:m], place, point
 
 
-@njit(nogil=True)
+@kernel
 def _places(at: FloatArray, stands: BoolArray, e: FloatArray, first: int, shortest: float) -> FloatArray:
     """Where lines go out, (k,) in knots, rising: at knots and at each other, or at least the shortest segment apart."""
     places = np.empty(len(at))

@@ -16,7 +16,6 @@ from itertools import pairwise
 from operator import itemgetter
 
 import numpy as np
-from numba import njit
 
 from ffcomp.compensation.gcode_layout import Timeline, tiles, timeline
 from ffcomp.compensation.marlin_segments import MarlinSegments
@@ -35,6 +34,7 @@ from gcode.layers import begins_layer
 from gcode.metadata import Timed, tells
 from gcode.program import Event, EventKind, EventQueue, MotionLimits, Program, note_limits
 from models.arrays import BoolArray, FloatArray, IntArray
+from models.compiled import kernel
 from models.machine import Machine
 
 _Place = tuple[float, float, float, float]  # X Y Z E, mm
@@ -396,7 +396,7 @@ class _Segments:
         ]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _unwritten(
     ends: IntArray, lasting: FloatArray, begun: bool, rest: float
 ) -> tuple[IntArray, FloatArray, int, float]:
@@ -426,7 +426,7 @@ def _unwritten(
     return before[:waits], rests[:waits], written, rest
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _points(vertices: FloatArray, at: FloatArray, first: int) -> FloatArray:
     """Return the command at the points : (m, 3) mm.
 

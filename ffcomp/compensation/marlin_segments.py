@@ -11,7 +11,6 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
 from ffcomp.planner.marlin import marlin_settings, settings_row
 from ffcomp.planner.marlin_queue import (
@@ -29,6 +28,7 @@ from ffcomp.planner.marlin_queue import (
 )
 from ffcomp.planner.segment_timing import SegmentLimits, SegmentSpeeds
 from models.arrays import BoolArray, FloatArray, IntArray
+from models.compiled import kernel
 from models.kinematics.delta import DeltaKinematics
 from models.machine import Machine, MarlinSettings
 
@@ -211,7 +211,7 @@ def _line(command: str, words: Mapping[str, float], unit_mm: float) -> bytes:
     return " ".join([command, *numbers]).encode()
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _lengthened(
     at: FloatArray, points: FloatArray, steps: FloatArray, kept: IntArray, edges: BoolArray, minimum: int
 ) -> IntArray:
@@ -232,7 +232,7 @@ def _lengthened(
     return np.flatnonzero(stays)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _is_short(steps: FloatArray, kept: IntArray, j: int, enough: float) -> bool:
     """Whether one of the next segments has too few steps."""
     short = False
@@ -241,12 +241,12 @@ def _is_short(steps: FloatArray, kept: IntArray, j: int, enough: float) -> bool:
     return short
 
 
-@njit(cache=True, nogil=True, inline="always")
+@kernel
 def _most(steps: FloatArray, a: int, b: int) -> float:
     return max(abs(steps[b, 0] - steps[a, 0]), abs(steps[b, 1] - steps[a, 1]), abs(steps[b, 2] - steps[a, 2]))
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _choose(
     at: FloatArray,
     points: FloatArray,
@@ -281,7 +281,7 @@ def _choose(
         j = before[j]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _missed2(at: FloatArray, points: FloatArray, first: int, last: int) -> float:
     """Return what a segment misses of the command, squared and summed over time, mm² knots."""
     total, span = 0.0, at[last] - at[first]
@@ -293,7 +293,7 @@ def _missed2(at: FloatArray, points: FloatArray, first: int, last: int) -> float
     return total
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _executed(steps: FloatArray, edges: BoolArray, minimum: int) -> IntArray:
     n = len(steps)
     kept = np.empty(n, dtype=np.int64)

@@ -19,7 +19,6 @@ from dataclasses import dataclass
 from functools import cache, cached_property
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from ffcomp.inverse.model import InverseModel
@@ -30,6 +29,7 @@ from ffcomp.metrics import contour_error
 from ffcomp.planner.segment_timing import sample_even_segments
 from ffcomp.planner.trajectory import Trajectory
 from models.arrays import ComplexArray, FloatArray, IntArray
+from models.compiled import fast_kernel, kernel
 from models.machine import Machine, with_values
 from models.vibration.scheduled import Schedule, plant_table
 
@@ -93,7 +93,7 @@ def deviates_in(directions: int) -> ShortArray:
     return np.asarray(ndtri(even), dtype=np.float32)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _error_at_quantile(nominal: FloatArray, changes: ShortArray, scale: FloatArray, quantile_sd: float) -> FloatArray:
     error = np.empty(len(nominal))
     for i in range(len(nominal)):
@@ -105,7 +105,7 @@ def _error_at_quantile(nominal: FloatArray, changes: ShortArray, scale: FloatArr
     return error
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@fast_kernel
 def _histogram(nominal: FloatArray, changes: ShortArray, scale: FloatArray, deviates: ShortArray) -> IntArray:
     directions, m, n = changes.shape[0], changes.shape[1], len(deviates)
     counts = np.zeros((n, BINS), np.int64)
@@ -157,7 +157,7 @@ def forecast_error(
     return t[MARGIN : MARGIN + n], nominal, changes
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _normal_error(error: ShortArray, velocity: FloatArray, standing: float) -> tuple[FloatArray, ShortArray]:
     """Take what lies along the motion out of errors (1 + k, m, 3): the first one's size, and the others."""
     k, m = error.shape[0] - 1, error.shape[1]

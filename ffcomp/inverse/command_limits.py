@@ -20,9 +20,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
 from models.arrays import FloatArray
+from models.compiled import kernel
 from models.machine import Machine
 
 VELOCITY, ACCELERATION, TRAVEL = 0, 1, 2
@@ -98,7 +98,7 @@ def peak_utilisation(vertices: FloatArray, limits: CommandLimits) -> float:
     return float(_peak(velocity, height, *limits.scales))
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _utilisation(
     velocity: FloatArray, height: FloatArray, most: FloatArray, change: float, middle: float, half: float
 ) -> FloatArray:
@@ -115,7 +115,7 @@ def _utilisation(
     return utilisation
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _peak(
     velocity: FloatArray, height: FloatArray, most: FloatArray, change: float, middle: float, half: float
 ) -> float:
@@ -139,7 +139,7 @@ def _peak(
     return peak
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _demand(vertices: FloatArray, rows: FloatArray, segment_s: float) -> tuple[FloatArray, FloatArray]:
     n = len(vertices) - 1
     velocity, height = np.empty((n, 3, 2)), np.empty((n, 3, 2))

@@ -9,12 +9,12 @@ very position: what the first sweep misses for that, the second one finds.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from ffcomp.inverse.model import Iterate, KnotWindow
 from ffcomp.inverse.riccati import REST_ROWS, TO_THE_END, Gains, PreviewGains, no_gains, sweep_back, sweep_forward
 from models.arrays import FloatArray
+from models.compiled import kernel
 
 STRETCH = 512  # knots solved at a time
 MOST_PASSES = 5
@@ -97,7 +97,7 @@ class _Part:
         return answer[: self.iterate.model.plant.table.plant.a.shape[1]], float(np.abs(change[:kept]).max())
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _slow_motion(
     edges: FloatArray, q: FloatArray, ahead: FloatArray, compliance: FloatArray, two_knots_s: float, gamma: FloatArray
 ) -> None:

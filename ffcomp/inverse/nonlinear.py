@@ -39,7 +39,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numba import njit
 
 from ffcomp.inverse import lq_preview as fast
 from ffcomp.inverse.command_limits import peak_utilisation, utilisation_from_rest
@@ -48,6 +47,7 @@ from ffcomp.inverse.reference import Reference
 from ffcomp.inverse.riccati import REST_ROWS
 from ffcomp.inverse.solve import Solution
 from models.arrays import FloatArray
+from models.compiled import kernel
 from models.effects.catalogue import values_of, without_effects
 from models.machine import Machine
 from models.printer.kernels.friction import MOST_STRAIN
@@ -167,7 +167,7 @@ def guide_friction(n: PrinterParameters, q: FloatArray, row_s: float) -> FloatAr
     return np.asarray(level * np.where(n.bristles > 0.0, _bent(rate * n.bristles * row_s), smooth))
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _bent(way: FloatArray) -> FloatArray:
     """Z (m, 3): dz = dw − |dw| z, with dw (m, 3) the way in units of s₀ from row to row, from 0."""
     bent = np.zeros_like(way)
@@ -178,7 +178,7 @@ def _bent(way: FloatArray) -> FloatArray:
     return bent
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _strain(ratio: FloatArray, hold: FloatArray, row_s: float) -> FloatArray:
     """φ (m, 3): φ̇ = κ (r − |r| φ/φ_m − r² φ)/(1 + r²) by implicit Euler steps, from 0."""
     strain = np.zeros_like(ratio)

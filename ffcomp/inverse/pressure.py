@@ -13,10 +13,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
 from ffcomp.planner.trajectory import PlannedMotion
 from models.arrays import FloatArray
+from models.compiled import kernel
 from models.machine import Pressure
 
 SUBSTEPS = 4  # of a segment
@@ -81,7 +81,7 @@ def _lead(position: FloatArray, step_s: float, pressure: Pressure) -> FloatArray
     return np.asarray(_lagging(compressed - pressure.firmware_advance_s * flow, step_s / pressure.firmware_advance_s))
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _lagging(wanted: FloatArray, step: float) -> FloatArray:
     """Return the lag of first order of (m,) values, `step` of its time constant apart."""
     out = np.zeros(len(wanted))

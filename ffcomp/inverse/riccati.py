@@ -28,10 +28,10 @@ from threading import Lock
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from models.arrays import FloatArray, IntArray
+from models.compiled import kernel
 from models.vibration.scheduled import sized_recursion
 from models.vibration.state_space import DiscretePlant
 
@@ -42,7 +42,7 @@ _back = sized_recursion(of_input=9)
 _forward = sized_recursion(of_input=3)
 
 
-@njit(cache=True)
+@kernel
 def basis_response(
     a: FloatArray,
     b0: FloatArray,
@@ -116,7 +116,7 @@ def _sizes(gains: Float32Array, of_input: int) -> tuple[tuple[int, ...], tuple[i
     return (0,) * gains.shape[2], (0,) * (gains.shape[1] - of_input)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _sweep_back(
     steady: Float32Array,
     ending: Float32Array,
@@ -142,7 +142,7 @@ def _sweep_back(
     return psi
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _sweep_forward(
     steady: Float32Array,
     ending: Float32Array,
@@ -167,7 +167,7 @@ def _sweep_forward(
     return gamma, state
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def riccati_backwards(
     interval: FloatArray, control_weight: float, resting: int, feedback: FloatArray, preview: FloatArray
 ) -> None:
@@ -208,7 +208,7 @@ def riccati_backwards(
                 value[i, j] = left
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _best_of(
     value_matrix: FloatArray, interval: FloatArray, control_weight: float, f: FloatArray, preview: FloatArray
 ) -> None:

@@ -40,7 +40,6 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from scipy import fft
 
 from ffcomp.inverse.sensitivity import (
@@ -62,6 +61,7 @@ from ffcomp.inverse.sensitivity import (
 )
 from ffcomp.inverse.settings import Settings
 from models.arrays import BoolArray, ComplexArray, FloatArray
+from models.compiled import fast_kernel, kernel
 from models.machine import Machine
 
 TANGENT_WEIGHT = 0.002  # ε
@@ -182,7 +182,7 @@ def _folded(lines: ShortComplexArray, n: int) -> ShortComplexArray:
     return np.asarray(0.5 * out, dtype=np.complex64)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def directions_of(rows: FloatArray) -> FloatArray:
     """Return the directions X Y Z and lengths mm of the steps between rows (s, m, 3) mm: (s, m - 1, 4)."""
     out = np.zeros((rows.shape[0], rows.shape[1] - 1, 4))
@@ -199,7 +199,7 @@ def directions_of(rows: FloatArray) -> FloatArray:
     return out
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def normal_errors(rows: FloatArray, steps: FloatArray, error: ShortArray) -> tuple[ShortArray, ShortArray]:
     """Return n + ε l, and W, for paths (s, m, 3) mm whose positions are missed by (s, 3, m) mm.
 
@@ -235,7 +235,7 @@ def normal_errors(rows: FloatArray, steps: FloatArray, error: ShortArray) -> tup
     return normal_error, weight
 
 
-@njit(cache=True, nogil=True, inline="always")
+@kernel
 def _nearest(rows: FloatArray, steps: FloatArray, ex: float, ey: float, ez: float, i: int) -> tuple[int, float]:
     """Find the nearest of the path's steps to a position that is off its row i, and where along it: 0 to its length mm.
 
@@ -259,7 +259,7 @@ def _nearest(rows: FloatArray, steps: FloatArray, ex: float, ey: float, ez: floa
     return best_k, best_along
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@fast_kernel
 def weigh(weight: ShortArray, errors: ShortArray) -> ShortArray:
     """Multiply errors (s, 3 p, m) by W (s, 6, m)."""
     out = np.empty_like(errors)

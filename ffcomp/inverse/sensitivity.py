@@ -17,11 +17,11 @@ from threading import Lock
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy import fft
 
 from models.arrays import ComplexArray, FloatArray
+from models.compiled import fast_kernel
 from models.machine import Machine, with_values
 
 # NOTE: single precision is enough for an offset, which is a tenth of a millimetre, and takes half the time.
@@ -171,7 +171,7 @@ def flat(known: NDArray[np.complexfloating[Any, Any]]) -> ShortComplexArray:
     return np.ascontiguousarray(known.reshape(-1, 3, known.shape[-1]), dtype=np.complex64)
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@fast_kernel
 def apply(known: ShortComplexArray, lines: ShortComplexArray) -> ShortComplexArray:
     """Multiply known (s, p, 3, f) by lines (s, 3, f): (s, p, f)."""
     spans, directions, _, n = known.shape
@@ -187,7 +187,7 @@ def apply(known: ShortComplexArray, lines: ShortComplexArray) -> ShortComplexArr
     return out
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@fast_kernel
 def apply_adjoint(known: ShortComplexArray, lines: ShortComplexArray) -> ShortComplexArray:
     """Multiply the adjoint of known (s, p, 3, f) by lines (s, p, f): (s, 3, f)."""
     spans, directions, _, n = known.shape

@@ -11,14 +11,14 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from models.arrays import BoolArray, FloatArray, IntArray
+from models.compiled import kernel
 
 FLOWS_MM = 1e-6  # filament per segment from which on it flows
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def even_wipes(e: FloatArray, vertices: FloatArray, first: int, cut: int) -> None:
     """Share out filament that is pulled back while the nozzle moves by the command's path, in place.
 
@@ -75,7 +75,7 @@ def join_lifts(points: FloatArray, e: FloatArray, pinned: BoolArray) -> Joined:
     return Joined(left, must[left])
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _joined(points: FloatArray, e: FloatArray, pinned: BoolArray) -> tuple[BoolArray, BoolArray]:
     n = len(points) - 1
     stay, must = np.ones(n + 1, dtype=np.bool_), pinned.copy()
@@ -93,14 +93,14 @@ def _joined(points: FloatArray, e: FloatArray, pinned: BoolArray) -> tuple[BoolA
     return stay, must
 
 
-@njit(nogil=True)
+@kernel
 def _is_steep(points: FloatArray, e: FloatArray, k: int, up: float) -> bool:
     """Whether the part from point k on leads up (or down, as `up` does) steeply, without filament."""
     x, y, z = points[k + 1, 0] - points[k, 0], points[k + 1, 1] - points[k, 1], points[k + 1, 2] - points[k, 2]
     return z * up > 0.0 and z * z >= STEEP**2 * (x * x + y * y) and abs(e[k + 1] - e[k]) <= FLOWS_MM
 
 
-@njit(nogil=True)
+@kernel
 def _straight_part(points: FloatArray, first: int, last: int) -> tuple[int, int]:
     """Shorten a steep stretch at the end where it bends, until it is straight."""
     while last - first >= FEWEST:

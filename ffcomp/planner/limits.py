@@ -11,10 +11,10 @@ from dataclasses import dataclass, fields
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from gcode.program import Moves
 from models.arrays import BoolArray, FloatArray
+from models.compiled import kernel
 from models.kinematics.base import Kinematics
 from models.machine import CORNER_MM_PER_S, Machine, Steps
 
@@ -106,7 +106,7 @@ def lines_of(moves: Moves) -> Lines:
     return Lines(*_lines(moves.start, moves.end))
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _lines(start: FloatArray, end: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray]:
     n = len(start)
     step, length, direction, travels = np.empty((n, 4)), np.empty(n), np.zeros((n, 4)), np.empty(n, dtype=np.bool_)
@@ -170,7 +170,7 @@ def bounds_of(moves: Moves, lines: Lines, limits: PlannerLimits) -> Bounds:
     )
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _bounds(
     start: FloatArray,
     end: FloatArray,
@@ -212,12 +212,12 @@ def _bounds(
     return top, acceleration, smooth, deviation
 
 
-@njit(nogil=True)
+@kernel
 def _or_default(value: float, default: float) -> float:
     return default if np.isnan(value) else value
 
 
-@njit(nogil=True)
+@kernel
 def _share_bound(
     speed: float, acceleration: float, share: float, most_speed: float, most_acceleration: float
 ) -> tuple[float, float]:

@@ -14,7 +14,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from ffcomp.planner.limits import Bounds, Lines, PlannerLimits, bounds_of, lines_of
@@ -22,9 +21,10 @@ from ffcomp.planner.trajectory import Trajectory
 from gcode.errors import GcodeError
 from gcode.program import EventKind, Moves, Program
 from models.arrays import BoolArray, FloatArray, IntArray
+from models.compiled import kernel
 
 
-@njit(cache=True, nogil=True, inline="always")
+@kernel
 def corner_ratios(along: float) -> tuple[float, float]:
     """Return by how much each rule multiplies v²: junction deviation and centripetal; infinite on a straight path.
 
@@ -103,7 +103,7 @@ def plan_moves(
     return _timed(moves, lines, phases, wait_before, start_t)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _phases(
     kept: IntArray,
     corner: FloatArray,
@@ -168,7 +168,7 @@ def corners(lines: Lines, bounds: Bounds, limits: PlannerLimits, stop_before: Bo
     )
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _corners(
     length: FloatArray,
     direction: FloatArray,
@@ -198,7 +198,7 @@ def _corners(
     return kept[:m], corner[:m]
 
 
-@njit(nogil=True)
+@kernel
 def _turn(ahead: FloatArray, behind: FloatArray, deviation_gain: float, gain: float) -> float:
     """Return the highest v² by the angle between two moves; infinite where the path goes straight on."""
     by_deviation, by_circle = corner_ratios(ahead[0] * behind[0] + ahead[1] * behind[1] + ahead[2] * behind[2])
@@ -210,7 +210,7 @@ def _turn(ahead: FloatArray, behind: FloatArray, deviation_gain: float, gain: fl
 # Sweeps
 
 
-@njit(nogil=True)
+@kernel
 def _reached_from_rest(limit: FloatArray, gain: FloatArray) -> FloatArray:
     """Highest v² at the start of each move under `limit`, when move i can add at most gain[i]; from rest."""
     reached = np.empty_like(limit)
@@ -221,7 +221,7 @@ def _reached_from_rest(limit: FloatArray, gain: FloatArray) -> FloatArray:
     return reached
 
 
-@njit(nogil=True)
+@kernel
 def _stopping_at_the_end(limit: FloatArray, gain: FloatArray) -> FloatArray:
     """Do the same from the other side, (n+1,): move i can take away at most gain[i]; rest after the last one."""
     n = len(limit)
@@ -231,7 +231,7 @@ def _stopping_at_the_end(limit: FloatArray, gain: FloatArray) -> FloatArray:
     return start
 
 
-@njit(nogil=True)
+@kernel
 def _ceilings(start: FloatArray, smooth: FloatArray, smooth_gain: FloatArray, cap: FloatArray) -> FloatArray:
     """Highest v² on each move, (n,): the top of the smooth profile's hill that the move belongs to.
 

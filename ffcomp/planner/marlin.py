@@ -19,7 +19,6 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from ffcomp.planner.limits import lines_of
@@ -47,6 +46,7 @@ from ffcomp.planner.trajectory import Trajectory
 from gcode.dialects import MARLIN
 from gcode.program import Moves, Program
 from models.arrays import BoolArray, FloatArray, IntArray
+from models.compiled import kernel
 from models.kinematics.delta import DeltaKinematics
 from models.machine import Machine, MarlinSettings
 
@@ -173,7 +173,7 @@ def block_motion(blocks: Blocks, steps_per_mm: FloatArray, waits: FloatArray) ->
     return Trajectory(*times, *speeds, blocks.start / steps_per_mm, change / mm[:, None])
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _summed(line: IntArray, start: FloatArray, end: FloatArray) -> FloatArray:
     out = end.copy()
     at, step = np.zeros(4, np.float32), np.zeros(4, np.float32)
@@ -191,7 +191,7 @@ def _summed(line: IntArray, start: FloatArray, end: FloatArray) -> FloatArray:
     return out
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _shared_out(
     reached: IntArray,
     length: FloatArray,
@@ -233,7 +233,7 @@ def _shared_out(
     return out
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _rate(
     done: float, events: float, rise: float, fall: float, entry: float, level: float, leave: float, a: float
 ) -> float:

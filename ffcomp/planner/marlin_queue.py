@@ -18,10 +18,10 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from models.arrays import BoolArray, FloatArray, IntArray
+from models.compiled import kernel
 
 Singles = NDArray[np.float32]
 
@@ -121,7 +121,7 @@ def phases_of(b: Blocks) -> BlockPhases:
     return BlockPhases((top - entry) / b.acceleration, cruise_t, (level - last) / b.acceleration, entry, level, last)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _blocks(
     start: FloatArray,
     end: FloatArray,
@@ -181,7 +181,7 @@ def _blocks(
     return table, target, head
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _populate(
     block: FloatArray,
     events: float,
@@ -241,7 +241,7 @@ def _populate(
         unit /= np.sqrt(np.sum(unit**2))
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _deviation(unit: FloatArray, behind: FloatArray, block: FloatArray, s: Singles, radius: float) -> float:
     """Return the highest v² at the joint of two blocks by junction deviation."""
     cosine, size2 = 0.0, 0.0
@@ -265,7 +265,7 @@ def _deviation(unit: FloatArray, behind: FloatArray, block: FloatArray, s: Singl
     return v2
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _jerk(
     axis_v: Singles,
     behind: Singles,
@@ -305,7 +305,7 @@ def _jerk(
     return junction, safe
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _look_ahead(planned: int, head: int, leaving2: float, table: FloatArray) -> int:
     """Backwards: what each block can brake from; forwards: what it can reach. Return the first that may change."""
     changed = False
@@ -329,7 +329,7 @@ def _look_ahead(planned: int, head: int, leaving2: float, table: FloatArray) -> 
     return planned
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _trapezoid(block: FloatArray, entry: np.float32, leave: np.float32) -> None:
     """Whole events of speeding up and braking between two shares of the nominal rate."""
     events, nominal, one = np.float32(block[_EVENTS]), np.float32(block[_RATE]), np.float32(1.0)

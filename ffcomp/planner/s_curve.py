@@ -29,7 +29,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
 from ffcomp.planner.smooth import (
     GONE,
@@ -44,12 +43,13 @@ from ffcomp.planner.smooth import (
 )
 from ffcomp.planner.trajectory import Trajectory
 from models.arrays import FloatArray, IntArray
+from models.compiled import kernel
 
 ROUNDING_RTOL = 1e-9  # relative; below it speeds, distances and accelerations count as equal
 NEWTON_STEPS = 60  # never needed: each at least halves what is uncertain
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def sweep(
     length: FloatArray, corner: FloatArray, top: FloatArray, up: FloatArray, down: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
@@ -71,7 +71,7 @@ def sweep(
     return start, peak
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def held_down(
     level: float, low: FloatArray, gain: FloatArray, turn: FloatArray, apart: FloatArray, span_s: float, share: float
 ) -> tuple[FloatArray, FloatArray]:
@@ -96,17 +96,17 @@ def held_down(
 # NOTE: single numbers are handed to the two questions below: arrays would be reference-counted at every move.
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _rises(start: float, peak: float) -> bool:
     return peak > start * (1.0 + ROUNDING_RTOL)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _rises_to_its_end(length: float, start: float, peak: float, up: float, end: float) -> bool:
     return end >= peak * (1.0 - ROUNDING_RTOL) and peak - start >= 2.0 * length * up * (1.0 - ROUNDING_RTOL)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def even(length: FloatArray, start: FloatArray, peak: FloatArray, up: FloatArray) -> FloatArray:
     """One acceleration for each ramp, (m,) mm/s²: the lowest `up` of its moves.
 
@@ -127,7 +127,7 @@ def even(length: FloatArray, start: FloatArray, peak: FloatArray, up: FloatArray
     return out
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def cruise_times(
     length: FloatArray, start: FloatArray, peak: FloatArray, up: FloatArray, down: FloatArray
 ) -> FloatArray:
@@ -140,7 +140,7 @@ def cruise_times(
     return out
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def total_time(length: FloatArray, start: FloatArray, peak: FloatArray, up: FloatArray, down: FloatArray) -> float:
     """Return the duration of all moves together, s: rounding the ramps does not change it."""
     total = 0.0
@@ -152,7 +152,7 @@ def total_time(length: FloatArray, start: FloatArray, peak: FloatArray, up: Floa
     return total
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def rounded(
     length: FloatArray, start: FloatArray, peak: FloatArray, up: FloatArray, highest: FloatArray, corner: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
@@ -183,7 +183,7 @@ def rounded(
     return ramps, lasting
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _round(
     length: FloatArray,
     start: FloatArray,
@@ -220,7 +220,7 @@ def _round(
     return -1
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _time_to(x: float, after: float, low: float, plateau: float, jerk_t: float, whole: float) -> float:
     """When a ramp has come as far as x mm, s: Newton's steps, kept between bounds."""
     below, above = after, whole

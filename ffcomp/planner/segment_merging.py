@@ -9,9 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
 from models.arrays import BoolArray, FloatArray, IntArray
+from models.compiled import kernel
 
 MOST_KNOTS_AHEAD, MOST_KNOTS_BEHIND = (
     2.0,
@@ -61,7 +61,7 @@ def merge(
     return _chosen(at, points, e, pinned, tolerance, limits.longest, shortest, float(cut))
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def refit(at: FloatArray, points: FloatArray, kept: IntArray, fixed: BoolArray) -> FloatArray:
     """Place the ends of the segments so that these miss the command to both sides alike: the least squares over time.
 
@@ -94,12 +94,15 @@ def refit(at: FloatArray, points: FloatArray, kept: IntArray, fixed: BoolArray) 
     for j in range(m):
         if fixed[j] or weight[j] <= 0.0:
             weight[j], beside[j], beside[j - 1] = 1.0, 0.0, 0.0  # the last one has none beside it: j - 1 of the first
-            missed[j] = 0.0
+            missed[j, 0], missed[j, 1], missed[j, 2] = 0.0, 0.0, 0.0
     _solve_tridiagonal(weight, beside, missed)
-    return points[kept] + missed
+    for j in range(m):
+        for i in range(3):
+            missed[j, i] += points[kept[j], i]
+    return missed
 
 
-@njit(cache=True, nogil=True, inline="always")
+@kernel
 def _missed(at: FloatArray, x: FloatArray) -> tuple[float, float]:
     """Return what the chord of points (n,) misses, integrated with a weight that falls to its end, and that rises."""
     n = len(at) - 1
@@ -118,20 +121,22 @@ def _missed(at: FloatArray, x: FloatArray) -> tuple[float, float]:
     return left, right
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _solve_tridiagonal(diagonal: FloatArray, beside: FloatArray, right: FloatArray) -> None:
     """Solve a symmetric tridiagonal system (m,) for the columns of `right` (m, 3), in place."""
     for j in range(1, len(diagonal)):
         share = beside[j - 1] / diagonal[j - 1]
         diagonal[j] -= share * beside[j - 1]
-        right[j] -= share * right[j - 1]
+        for i in range(3):
+            right[j, i] -= share * right[j - 1, i]
     for j in range(len(diagonal) - 1, -1, -1):
-        if j + 1 < len(diagonal):
-            right[j] -= beside[j] * right[j + 1]
-        right[j] /= diagonal[j]
+        for i in range(3):
+            if j + 1 < len(diagonal):
+                right[j, i] -= beside[j] * right[j + 1, i]
+            right[j, i] /= diagonal[j]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def lengthen(
     at: FloatArray, points: FloatArray, e: FloatArray, pinned: BoolArray, shortest: float, shortest_mm: float
 ) -> None:
@@ -152,7 +157,7 @@ def lengthen(
                 _slide(at, points, e, k, k + 1, k - 1, shortest, shortest_mm)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _slide(
     at: FloatArray,
     points: FloatArray,
@@ -182,7 +187,7 @@ def _slide(
         points[k, i] += share * (points[far, i] - points[k, i])
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _chosen(
     at: FloatArray,
     points: FloatArray,
@@ -196,7 +201,7 @@ def _chosen(
     n = len(points) - 1
     kept = np.empty(n + 1, dtype=np.int64)
     kept[0] = 0
-    count, first, pin = 1, 0, 0
+    count, first, pin = 1, kept[0], kept[0]  # a literal 0 would compile what is called for it by itself
     ahead = FIRST_KNOTS_AHEAD  # knots that have gone by, less the segments that were used for them
     while first < n:
         if pin <= first:
@@ -220,7 +225,7 @@ def _chosen(
     return kept[:count].copy()
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _furthest(
     at: FloatArray,
     points: FloatArray,
@@ -248,7 +253,7 @@ def _furthest(
     return last
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _balanced(
     at: FloatArray,
     points: FloatArray,
@@ -268,14 +273,14 @@ def _balanced(
     return pin if _may_miss(at, points, e, first, pin, shortest_mm) else last
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _may_miss(at: FloatArray, points: FloatArray, e: FloatArray, first: int, last: int, shortest_mm: float) -> bool:
     """Whether one segment may do because two would be too short; a loop that ends where it began may not."""
     coarse = (COARSE_SHARE * shortest_mm, COARSE_SHARE * shortest_mm, 1e9)
     return _stays_near(points, first, last, 2.0 * shortest_mm) or _straight(at, points, e, first, last, coarse)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _stays_near(points: FloatArray, first: int, last: int, near_mm: float) -> bool:
     """Whether all points between are near the first one, and the last is."""
     furthest = 0.0
@@ -286,13 +291,13 @@ def _stays_near(points: FloatArray, first: int, last: int, near_mm: float) -> bo
     return furthest < near_mm
 
 
-@njit(cache=True, nogil=True, inline="always")
+@kernel
 def _apart(points: FloatArray, a: int, b: int) -> float:
     x, y, z = points[b, 0] - points[a, 0], points[b, 1] - points[a, 1], points[b, 2] - points[a, 2]
     return np.sqrt(x * x + y * y + z * z)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _straight(
     at: FloatArray, points: FloatArray, e: FloatArray, first: int, last: int, tolerance: tuple[float, float, float]
 ) -> bool:

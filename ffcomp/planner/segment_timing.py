@@ -14,10 +14,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
 from ffcomp.planner.lookahead import corner_ratios
 from models.arrays import FloatArray
+from models.compiled import kernel
 from models.machine import CORNER_MM_PER_S
 
 SWEEPS = 12  # at most, of the fixed point between neighbouring speeds; it contracts by about Δv/(a S), 0.1 or less
@@ -126,7 +126,7 @@ def sample_even_segments(
     )
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _played(
     vertices: FloatArray,
     extrusion: FloatArray,
@@ -167,7 +167,7 @@ def _played(
     return cruise, junction, a, duration
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _settle(
     d: FloatArray, lasting: FloatArray, a: FloatArray, limit: FloatArray, top_v: float
 ) -> tuple[FloatArray, FloatArray]:
@@ -191,7 +191,7 @@ def _settle(
     return cruise, junction
 
 
-@njit(cache=True, nogil=True, inline="always")
+@kernel
 def _speed(d: float, t: float, a: float, v0: float, v1: float) -> float:
     """Return c of the module's docstring; where the ramps cannot make it in time, the fastest there is."""
     if d <= 1e-9:
@@ -201,7 +201,7 @@ def _speed(d: float, t: float, a: float, v0: float, v1: float) -> float:
     return 0.5 * a * (b - np.sqrt(root)) if root > 0.0 else np.sqrt(a * d + 0.5 * (v0 * v0 + v1 * v1))
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _junction_limits(
     d: FloatArray, a: FloatArray, unit: FloatArray, ratio: FloatArray, deviation: float, extruder_corner_v: float
 ) -> FloatArray:
@@ -224,7 +224,7 @@ def _junction_limits(
     return limit
 
 
-@njit(cache=True, nogil=True, inline="always")
+@kernel
 def _travelled(
     t: float, left: float, length: float, v0: float, v1: float, c: float, a: float, t_up: float, t_down: float
 ) -> float:
@@ -236,7 +236,7 @@ def _travelled(
     return v0 * t_up + 0.5 * a * t_up * t_up + c * (t - t_up)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _positions(
     due: FloatArray,
     vertices: FloatArray,
@@ -253,7 +253,9 @@ def _positions(
             k += 1
         t = times[i] - due[k]
         if t <= 0.0 or t >= duration[k] or cruise[k] <= 0.0:
-            out[i] = vertices[k] if t <= 0.0 else vertices[k + 1]
+            rest = k if t <= 0.0 else k + 1
+            for j in range(3):
+                out[i, j] = vertices[rest, j]
             continue
         c, a = cruise[k], acceleration[k]
         v0, v1 = min(junction[k], c), min(junction[k + 1], c)
@@ -264,7 +266,7 @@ def _positions(
     return out
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def sample_segments(
     vertices: FloatArray,
     cruise: FloatArray,
@@ -292,11 +294,12 @@ def sample_segments(
             out[row, 0] = vertices[k, 0] + f * ahead_x
             out[row, 1] = vertices[k, 1] + f * ahead_y
             out[row, 2] = vertices[k, 2] + f * ahead_z
-    out[n * substeps] = vertices[n]
+    for i in range(3):
+        out[n * substeps, i] = vertices[n, i]
     return out
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _sampled_evenly(
     vertices: FloatArray,
     extrusion: FloatArray,

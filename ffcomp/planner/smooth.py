@@ -17,10 +17,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
 from ffcomp.planner.trajectory import ACCELERATION, POSITION, VELOCITY, PlannedMotion, move_near
 from models.arrays import FloatArray
+from models.compiled import kernel
 
 LOW, PLATEAU, JERK_T, LASTING, GONE = range(5)  # columns of a ramp as a move sees it
 
@@ -59,7 +59,7 @@ class SmoothTrajectory(PlannedMotion):
         return _sample(t, derivative, self.start_t, phases, self.rise, self.fall, self.origin, self.direction)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def gained_speed(u: float, plateau: float, jerk_t: float, lasting: float) -> float:
     """w(u) of a ramp, mm/s."""
     if u + u > lasting:
@@ -67,13 +67,13 @@ def gained_speed(u: float, plateau: float, jerk_t: float, lasting: float) -> flo
     return _gained_speed_first(u, plateau, jerk_t)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _gained_speed_first(u: float, plateau: float, jerk_t: float) -> float:
     """w(u) in the first half."""
     return 0.5 * plateau * u * u / jerk_t if u < jerk_t else plateau * (u - 0.5 * jerk_t)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def gained_distance(u: float, plateau: float, jerk_t: float, lasting: float) -> float:
     """X(u) of a ramp, mm."""
     if u + u > lasting:
@@ -82,20 +82,20 @@ def gained_distance(u: float, plateau: float, jerk_t: float, lasting: float) -> 
     return _gained_distance_first(u, plateau, jerk_t)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _gained_distance_first(u: float, plateau: float, jerk_t: float) -> float:
     if u < jerk_t:
         return plateau * u * u * u / (6.0 * jerk_t)
     return plateau * (0.5 * u * (u - jerk_t) + jerk_t * jerk_t / 6.0)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _acceleration(u: float, plateau: float, jerk_t: float, lasting: float) -> float:
     edge = max(min(u, lasting - u), 0.0)
     return plateau * edge / jerk_t if edge < jerk_t else plateau
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def speeds(ramps: FloatArray, since: FloatArray) -> FloatArray:
     """Return the speed of each ramp (n, 5) at times (n,) s since its move entered it at the slow side, (n,) mm/s."""
     out = np.empty(len(ramps))
@@ -105,7 +105,7 @@ def speeds(ramps: FloatArray, since: FloatArray) -> FloatArray:
     return out
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _in_ramp(derivative: int, u: float, low: float, plateau: float, jerk_t: float, lasting: float) -> float:
     """Distance, speed or acceleration of a ramp, u after its slow end."""
     if derivative == POSITION:
@@ -115,7 +115,7 @@ def _in_ramp(derivative: int, u: float, low: float, plateau: float, jerk_t: floa
     return _acceleration(u, plateau, jerk_t, lasting)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _sample(
     t: FloatArray,
     derivative: int,
@@ -143,7 +143,7 @@ def _sample(
     return out
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _along(
     derivative: int,
     since: float,

@@ -13,10 +13,10 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from models.arrays import FloatArray, IntArray
+from models.compiled import kernel
 
 POSITION, VELOCITY, ACCELERATION = 0, 1, 2  # which derivative is sampled
 _NEAR_MOVES = 8  # how far to step through the moves before searching
@@ -134,7 +134,7 @@ class Trajectory(PlannedMotion):
         )
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def move_near(start_t: FloatArray, t: float, i: int) -> int:
     """Find the last move that begins at or before t (the first one if none does), from move i on."""
     if t < start_t[i] or (i + _NEAR_MOVES < len(start_t) and start_t[i + _NEAR_MOVES] <= t):
@@ -144,7 +144,7 @@ def move_near(start_t: FloatArray, t: float, i: int) -> int:
     return i
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _along(
     derivative: int,
     since: float,
@@ -171,7 +171,7 @@ def _along(
     return acceleration if since < accel_t else -acceleration
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _sample(
     t: FloatArray,
     derivative: int,
@@ -183,7 +183,7 @@ def _sample(
     # NOTE: single numbers are handed to `_along`: arrays would be reference-counted at every sample.
     accel_t, cruise_t, decel_t, start_v, cruise_v, end_v, acceleration = phases
     out = np.empty((len(t), 4))
-    i = 0
+    i = np.int64(0)
     for k in range(len(t)):
         i = move_near(start_t, t[k], i)
         phase = (accel_t[i], cruise_t[i], decel_t[i], start_v[i], cruise_v[i], end_v[i], acceleration[i])
@@ -195,7 +195,7 @@ def _sample(
     return out
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _sample_within(
     t: FloatArray,
     begin_t: float,

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from numba import njit
 
 from ffcomp.shapers.pulses import DAMPING_RATIO, Shaper
 from ffcomp.shapers.smooth import SHAPERS
 from models.arrays import FloatArray
+from models.compiled import kernel
 from models.kinematics.base import Compiled
 from models.machine import Machine
 
@@ -156,7 +156,7 @@ def shape_samples_by_frequency(
     return out
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _delayed(
     column: FloatArray, period_steps: FloatArray, amplitude: FloatArray, periods: FloatArray, margin: int
 ) -> FloatArray:
@@ -232,7 +232,7 @@ def _inside(xy: FloatArray, reach_mm: float) -> FloatArray:
     return xy * (reach_mm / np.maximum(distance, reach_mm))[:, None]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _interpolated(xy: FloatArray, reach_mm: float, values: FloatArray) -> FloatArray:
     """Interpolate values (n, n, 2) at the nodes of a square grid from -reach_mm to reach_mm, linearly in x and in y."""
     out = np.empty((len(xy), 2))

@@ -10,7 +10,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
 from ffcomp.metrics import (
     ContourStatistics,
@@ -33,6 +32,7 @@ from gcode.layers import labels, outer_walls
 from gcode.program import Program
 from gcode.reader import read_program
 from models.arrays import BoolArray, FloatArray
+from models.compiled import kernel
 from models.machine import Machine, Pressure
 
 STEP_S = 5e-4
@@ -65,7 +65,7 @@ def flow_of(plan: PlannedMotion, pressure: Pressure) -> Flow:
     return Flow(t, pushed, np.convolve(out, window / window.sum(), mode="same"))
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _played(pushed: FloatArray, step_s: float, compressed_there: float, v: float, power: float) -> FloatArray:
     """Return what flows, (m,) mm/s; `compressed_there` is what is compressed where it flows at v."""
     out = np.zeros(len(pushed))

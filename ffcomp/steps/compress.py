@@ -21,10 +21,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from models.arrays import IntArray
+from models.compiled import kernel
 
 WayArray = NDArray[np.int8]
 Rows = tuple[IntArray, NDArray[np.uint16], NDArray[np.int16], WayArray]  # (r,) interval, count, add, direction
@@ -36,7 +36,7 @@ MOST_TRIES = 32
 BATCH_STEPS = 1 << 18  # enough that the steps kept for the next batch (a row, at most 65535) hardly count
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _windows(tick: IntArray, before: int, slack: int, spacing: int) -> tuple[IntArray, IntArray]:
     """Return the first and the last tick allowed for each step, (n,) each.
 
@@ -53,7 +53,7 @@ def _windows(tick: IntArray, before: int, slack: int, spacing: int) -> tuple[Int
     return low, high
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _stretch(tick: IntArray, way: WayArray, first: int, before: int) -> int:
     """Find the end of the steps that may share rows: one way, and no long rest between them or just after the first."""
     if tick[first] - before >= FAR_TICKS:
@@ -64,7 +64,7 @@ def _stretch(tick: IntArray, way: WayArray, first: int, before: int) -> int:
     return len(tick)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _try(low: IntArray, high: IntArray, first: int, end: int, last: int, add: int) -> tuple[int, int, int, int, float]:
     """Return how many steps a row with this `add` holds, and the least and the largest interval for that.
 
@@ -93,7 +93,7 @@ def _try(low: IntArray, high: IntArray, first: int, end: int, last: int, add: in
     return count, shortest, longest, 0, 0.0
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _row(
     low: IntArray, high: IntArray, tick: IntArray, first: int, end: int, last: int, open_end: bool, guess: int
 ) -> tuple[int, int, int]:
@@ -121,7 +121,7 @@ def _row(
     return best, min(max(round(even), from_), to), best_add  # its last step is as exact as can be: the next row's start
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _rows(
     tick: IntArray, way: WayArray, state: IntArray, slack: int, spacing: int, known: int
 ) -> tuple[IntArray, IntArray, IntArray, WayArray, int]:

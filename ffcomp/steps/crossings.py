@@ -25,11 +25,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from ffcomp.planner.trajectory import Trajectory
 from models.arrays import FloatArray, IntArray
+from models.compiled import kernel
 
 WayArray = NDArray[np.int8]
 Columns = tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]
@@ -48,7 +48,7 @@ SWALLOWED = 9  # steps dropped
 STATE_SIZE = 10
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _line(origin: FloatArray, direction: FloatArray, k: int, arm: Arm) -> tuple[float, float, float, float, float]:
     """Return a motor's position at the origin, its slope but for the arm's, and of the arm |d_xy|², p·d_xy and g."""
     x, y, squared, place, slope = arm[0], arm[1], arm[2], arm[3], 0.0
@@ -62,7 +62,7 @@ def _line(origin: FloatArray, direction: FloatArray, k: int, arm: Arm) -> tuple[
     return place + height, slope, dx * dx + dy * dy, px * dx + py * dy, height
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _rise(s: float, slope: float, a: float, b: float, g: float) -> float:
     """How far the motor has moved by s: d_z s + √(g² − 2 b s − a s²) − g."""
     if a == 0.0:
@@ -71,7 +71,7 @@ def _rise(s: float, slope: float, a: float, b: float, g: float) -> float:
     return slope * s - bent / (math.sqrt(g * g - bent) + g)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _turn(slope: float, a: float, b: float, g: float) -> float:
     """Where the motor turns, from up to down: d_z √(g² − 2 b s − a s²) = b + a s. ±∞: it never does."""
     if a == 0.0:
@@ -83,7 +83,7 @@ def _turn(slope: float, a: float, b: float, g: float) -> float:
     return (u - b) / a
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _crossing(rise: float, up: bool, slope: float, a: float, b: float, g: float) -> float:
     """Where the motor has moved by `rise`, on its way up or down."""
     if a == 0.0:
@@ -96,7 +96,7 @@ def _crossing(rise: float, up: bool, slope: float, a: float, b: float, g: float)
     return (-beta - root) / alpha if up else (root - beta) / alpha
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _time_at(s: float, v: float, a: float, duration: float) -> float:
     """τ with v τ + a τ²/2 = s: the first one, without a difference of near numbers."""
     end_v_plus_v = v + math.sqrt(max(v * v + 2.0 * a * s, 0.0))
@@ -105,7 +105,7 @@ def _time_at(s: float, v: float, a: float, duration: float) -> float:
     return min(2.0 * s / end_v_plus_v, duration)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _release(state: IntArray, rules: Rules, tick: IntArray, way: WayArray, n: int) -> int:
     """Write the held step, no sooner after the one before than the electronics can follow."""
     _, spacing, setup = rules
@@ -118,7 +118,7 @@ def _release(state: IntArray, rules: Rules, tick: IntArray, way: WayArray, n: in
     return n + 1
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _step(at: int, up: int, state: IntArray, rules: Rules, tick: IntArray, way: WayArray, n: int) -> int:
     """One crossing: with the step held before it, it may be one that turns back too soon to be worth going."""
     state[LEVEL] += up
@@ -133,7 +133,7 @@ def _step(at: int, up: int, state: IntArray, rules: Rules, tick: IntArray, way: 
     return n
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _room(array: NDArray[Any], used: int, more: int) -> NDArray[Any]:
     """Return the array itself, or a longer copy that `more` entries fit in."""
     if used + more <= len(array):
@@ -143,7 +143,7 @@ def _room(array: NDArray[Any], used: int, more: int) -> NDArray[Any]:
     return longer
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def step_times(
     pieces: Columns,
     arm: Arm,
@@ -188,7 +188,7 @@ def step_times(
     return tick[:n], way[:n]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def last_step(rules: Rules, state: IntArray) -> tuple[IntArray, WayArray]:
     """Return the step that is still held, if there is one."""
     tick, way = np.empty(1, np.int64), np.empty(1, np.int8)

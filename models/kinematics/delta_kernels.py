@@ -8,12 +8,12 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
 from models.arrays import FloatArray
+from models.compiled import kernel
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def inverse_point(
     x: float, y: float, z: float, towers: FloatArray, arms_squared: FloatArray, effector_height: float
 ) -> tuple[float, float, float]:
@@ -26,7 +26,7 @@ def inverse_point(
     )
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _inverse(xyz: FloatArray, towers: FloatArray, arms_squared: FloatArray, effector_height: float) -> FloatArray:
     out = np.empty((len(xyz), 3))
     for n in range(len(xyz)):
@@ -35,7 +35,7 @@ def _inverse(xyz: FloatArray, towers: FloatArray, arms_squared: FloatArray, effe
     return out
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _forward(q: FloatArray, towers: FloatArray, arms_squared: FloatArray, effector_height: float) -> FloatArray:
     """Compute `DeltaKinematics.forward`: two planes for r_xy = u + v r_z seen from joint A, a quadratic in r_z."""
     bx, by = towers[1, 0] - towers[0, 0], towers[1, 1] - towers[0, 1]
@@ -56,7 +56,7 @@ def _forward(q: FloatArray, towers: FloatArray, arms_squared: FloatArray, effect
     return out
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _rate_term(xyz: FloatArray, velocity: FloatArray, towers: FloatArray, arms_squared: FloatArray) -> FloatArray:
     """Compute `DeltaKinematics.jacobian_rate_term`: −S⁻¹ |ṡ_i|² by cofactors."""
     out = np.empty((len(xyz), 3))

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from functools import lru_cache
 
 import numpy as np
-from numba import njit
 
 from models.arrays import FloatArray
+from models.compiled import kernel
 from models.effects.catalogue import effective_machine
 from models.errors import UnreachableError
 from models.kinematics.base import Kinematics
@@ -101,7 +101,7 @@ def static_deflection(plant: Machine, nozzle: FloatArray) -> FloatArray:
     return np.asarray(_powers(np.ascontiguousarray(nozzle[:, :2] / reach)) @ _coefficients(plant))
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _powers(xy: FloatArray) -> FloatArray:
     """Compute x^i y^j for all i + j up to ORDER : (m, 45) of (m, 2)."""
     out = np.empty((len(xy), (ORDER + 1) * (ORDER + 2) // 2))

@@ -17,12 +17,13 @@ from typing import Any
 
 import numpy as np
 from llvmlite import ir
-from numba import njit, types
+from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
 from models.arrays import FloatArray, IntArray
+from models.compiled import kernel
 from models.kinematics.base import Kinematics
 from models.vibration.base import VibrationModel
 from models.vibration.state_space import DiscretePlant, discretise
@@ -260,7 +261,7 @@ def models_along(table: PlantTable, place: FloatArray) -> tuple[FloatArray, Floa
     )
 
 
-@njit(cache=True, inline="always")
+@kernel
 def _corner(x: float, x0: float, pitch: float, nodes: int) -> tuple[int, float]:
     """Grid index below x and the fraction to the next node, kept inside the grid."""
     s = min(max((x - x0) / pitch, 0.0), nodes - 1.000001)
@@ -268,7 +269,7 @@ def _corner(x: float, x0: float, pitch: float, nodes: int) -> tuple[int, float]:
     return i, s - i
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def interpolate(table: FloatArray, x0: float, pitch: float, nodes: int, place: FloatArray) -> FloatArray:
     """Bilinear interpolation of matrices: table (nodes², r, c), place (n, 2) mm -> (n, r, c)."""
     out = np.empty((len(place), table.shape[1], table.shape[2]))
@@ -288,7 +289,7 @@ def interpolate(table: FloatArray, x0: float, pitch: float, nodes: int, place: F
     return out
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def simulate(
     mechanics: FloatArray,
     drive: FloatArray,
@@ -312,9 +313,11 @@ def simulate(
     x, model = state[6:].copy(), np.empty((1, 27, 12))
     entries, flat = model.reshape(27 * 12), mechanics.reshape(len(mechanics), 27 * 12)
     inputs = np.empty((1, 15))  # w, u(t), u(t + h), J̇ q̇
-    inputs[0, :6] = state[:6]
+    for r in range(6):
+        inputs[0, r] = state[r]
     kept, knots = np.empty((n * substeps, 3)), np.empty((n + 1, 18))
-    knots[0] = state
+    for r in range(18):
+        knots[0, r] = state[r]
     at_x, at_y = np.inf, np.inf
     step = 0
     for k in range(n):
@@ -349,7 +352,7 @@ def simulate(
     return kept, knots
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def simulate_constant(
     carriage: FloatArray,
     a: FloatArray,
@@ -371,7 +374,7 @@ def simulate_constant(
     return kept, knots
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def simulate_oscillators(
     axes: IntArray,
     a: FloatArray,
@@ -389,7 +392,8 @@ def simulate_oscillators(
     Returns axes (n·substeps, 3) mm after every step, and the states (n + 1, 2 m) at the knots.
     """
     kept, knots = np.zeros((n * substeps, 3)), np.empty((n + 1, len(state)))
-    knots[0] = state
+    for r in range(len(state)):
+        knots[0, r] = state[r]
     for m in range(len(axes)):
         axis, i = axes[m], 2 * m
         a00, a01, a10, a11 = a[i, i], a[i, i + 1], a[i + 1, i], a[i + 1, i + 1]
