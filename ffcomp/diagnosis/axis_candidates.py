@@ -31,12 +31,14 @@ def axis_candidates(
     signals: Sequence[str],
     names: Sequence[str],
     pitches: Sequence[float] = (),
+    lines: Sequence[float] = (),
 ) -> tuple[Candidate, ...]:
     """List the effects that the axis may lack and that its signals could show.
 
     Parameters
     ----------
     pitches : mm, at which a search for a ripple begins; none: evenly over the travel.
+    lines : the same, mm, of several lines that were seen in a measured force.
     """
     able = [
         CATALOGUE[name]
@@ -49,7 +51,7 @@ def axis_candidates(
     ]
     axis = driven_axis(machine)
     candidates = tuple(
-        _with_lines(_candidate(effect, scales, pitches), effect, scales, pitches, axis.by_force) for effect in able
+        _with_lines(_candidate(effect, scales, lines or pitches), effect, scales, lines) for effect in able
     )
     if not axis.load_mass_kg or axis.free:
         return candidates
@@ -57,11 +59,9 @@ def axis_candidates(
     return tuple(_of_either_spring(c, effect, drive) for c, effect in zip(candidates, able, strict=True))
 
 
-def _with_lines(
-    candidate: Candidate, effect: Effect, scales: MotionScales, pitches: Sequence[float], by_force: bool
-) -> Candidate:
+def _with_lines(candidate: Candidate, effect: Effect, scales: MotionScales, pitches: Sequence[float]) -> Candidate:
     """Let a force that repeats along the axis have several lines, as another form, where the force was measured."""
-    if not by_force or len(pitches) < 2 or not any(p.size == "lines" for p in effect.shapes):
+    if len(pitches) < 2 or not any(p.size == "lines" for p in effect.shapes):
         return candidate
     lines = range(len(pitches))
     amplitudes = tuple(_amplitude(effect, p, scales, i) for i in lines for p in effect.amplitudes)

@@ -57,9 +57,10 @@ class AxisProblem(Problem):
         self.parameters = (*_parameters(machine), *_offset(machine, scales.force_n))
         signals = {name for run in runs for name in run.signals}
         self._same = [_first_equal(self.shots, i) for i in range(len(runs))]
-        self.candidates = axis_candidates(
-            machine, scales, sorted(signals), names, self._pitches() if RIPPLES & set(names) else ()
-        )
+        ripples = bool(RIPPLES & set(names))
+        lines = self._lines() if ripples and self._begins_anew else []
+        pitches = self._pitches() if ripples and not self._begins_anew else []
+        self.candidates = axis_candidates(machine, scales, sorted(signals), names, pitches, lines)
         self.least_density = self._least_density(sorted(signals))
         self._kept: dict[_Key, dict[str, FloatArray]] = {}
 
@@ -68,12 +69,20 @@ class AxisProblem(Problem):
         """Return the run whose simulation serves each window."""
         return [self._same[window.run] for window in self.windows]
 
+    @property
+    def _begins_anew(self) -> bool:
+        return any(one.length for one in self.shots)
+
+    def _distinct(self) -> list[Shots]:
+        return [self.shots[i] for i in sorted(set(self._same))]
+
     def _pitches(self) -> list[float]:
-        """Look for pitches in the data."""
-        distinct = [self.shots[i] for i in sorted(set(self._same))]
-        if any(one.length for one in distinct):
-            return pitches_of_force(self.machine, distinct, LINES)
-        return likely_pitches(self.machine, distinct, self.band_hz, PITCHES)
+        """Look for pitches in what a simulation from beginning to end leaves."""
+        return likely_pitches(self.machine, self._distinct(), self.band_hz, PITCHES)
+
+    def _lines(self) -> list[float]:
+        """Look for them in the force: a simulation that begins anew all the time leaves too little of them."""
+        return pitches_of_force(self.machine, self._distinct(), LINES)
 
     def _least_density(self, signals: Sequence[str]) -> dict[str, float]:
         """Return the least density of each position's noise: of its sensor, and of how exact a simulation can be."""

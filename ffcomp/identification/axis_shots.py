@@ -28,6 +28,7 @@ SHORTEST, LINES_A_SHOT = 20, 5.0  # samples of a shot; its inverse times that is
 WINDOWS, LEAST_ROWS = 6, 200  # of time, in a run; rows of a window
 MOST_OF_POWER, BEYOND = 0.998, 1.25  # of the signals: the band ends so much beyond the frequency that holds it
 LAST = 0.4  # of the sample rate: there every band ends
+HOLDING = {"ground_spring", "pendulum_gravity"}  # effects that hold an axis as a spring does
 LEAST_REST, STILL, CERTAIN = 8, 1e-6, 4.0  # samples at rest; share of the way that is none; standard deviations
 SPANS = (5, 7, 11, 15, 21, 31, 45, 63)  # samples over which a speed may be taken
 
@@ -110,7 +111,7 @@ def shots_of(machine: Machine, runs: Sequence[AxisRun]) -> list[Shots]:
     checked(machine, runs)
     mean = [_mean(runs, i) for i in range(len(runs))]
     speeds = [_speed(_bridged(_place(run)), run.sample_rate_hz) for run in mean]
-    needed = driven_axis(machine).free and any(run.position for run in runs)
+    needed = driven_axis(machine).free and not HOLDING & machine.effects.keys() and any(run.position for run in runs)
     seconds = _shot_s(runs, speeds) if needed else 0.0
     found = [_shots(*each, seconds) for each in zip(runs, mean, speeds, strict=True)]
     return [replace(one, began=_began(machine, one)) for one in found]

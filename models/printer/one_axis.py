@@ -24,6 +24,7 @@ HARDENED = 2.0  # times the frequency at rest, of a spring that hardens under a 
 STEEPEST = 2.0  # the same, where a step can be no shorter: friction then falls with speed below that of one step
 STABLE = 1.5  # a step times the rate at which friction stops what moves: the method is stable up to 2.8
 MOST_SUBSTEPS = 60
+MOST_FOR_FRICTION = 16  # of them for dry friction of what is light: more would resolve speeds far below its own
 NEUTRAL = {"fading_power": 1.0, "creep": 1.0, "presliding": 1.0}  # what is not zero where an effect is absent
 
 
@@ -135,8 +136,8 @@ def substeps_of(p: FloatArray, dt_s: float, step_rad: float = STEP_RAD, load_n: 
     rate = (v["damping"] + v["drive_damping"] + v["coupling_damping"]) / least
     if max(v["cubic"], v["quintic"]) > 0.0:
         omega *= HARDENED
-    if v["dry"] + v["sticking"] + load_n > 0.0:
-        rate += (v["dry"] + v["sticking"] + load_n) / (v["creep"] * v["mass"])
+    if v["dry"] + v["sticking"] + load_n > 0.0:  # beyond, `with_stable_friction` lets it fall sooner
+        rate += min((v["dry"] + v["sticking"] + load_n) / (v["creep"] * v["mass"]), STABLE * MOST_FOR_FRICTION / dt_s)
     if v["bristle_force"] > 0.0:
         omega = math.hypot(omega, math.sqrt(v["bristle_force"] / (v["presliding"] * v["mass"])))
     longest = min(LONGEST_STEP_S, step_rad / max(omega, 1e-9), STABLE / max(rate, 1e-9))
