@@ -36,7 +36,7 @@ BEAD = {"drag_mm": (0.15, 0.7), "rounding_mm": (0.12, 0.5), "shift_mm": (0.0, 0.
 LINE_SHIFT_MM = 0.04  # sd of a line's own place along it
 FINE_MM = 0.05
 EARLIEST_MM = 0.1  # of a line, where the bead begins to be simulated
-LEAST_EXPLAINED = 0.5  # of the waves' power
+LEAST_EXPLAINED, LEAST_GAIN = 0.2, 60.0  # of the waves' power; of χ² by the waves, correlated roughness allowed for
 SHAPED = 0.35  # of the expected waves: less, and they were shaped away
 WORST_HELD = 0.5  # posterior over prior: a number that the picture leaves so wide stays as it was
 REWEIGHTED = 2
@@ -253,7 +253,7 @@ def _result(page: _Page, fitted: Iterate) -> PageFit:
     left = sum(w * float(np.sum((a - b) ** 2)) for w, a, b in zip(weights, seen, model, strict=True))
     power = sum(w * float(np.sum(a**2)) for w, a in zip(weights, seen, strict=True))
     explained = 1.0 - left / power
-    _check(page, seen, explained)
+    _check(page, seen, explained, power - left)
     covariance = _covariance(page, fitted)
     machine = page.machine_at(fitted.z)
     estimates, bead, kept = {}, {}, []
@@ -275,8 +275,8 @@ def _signed(value: float, relative_sd: float) -> Estimate:
     return e if value > 0 else Estimate(value, e.sd, -e.high, -e.low)
 
 
-def _check(page: _Page, seen: Sequence[FloatArray], explained: float) -> None:
-    if explained >= LEAST_EXPLAINED:
+def _check(page: _Page, seen: Sequence[FloatArray], explained: float, gain: float) -> None:
+    if explained >= LEAST_EXPLAINED and gain >= LEAST_GAIN:
         return
     path = ", ".join(dict.fromkeys(line.picture for line in page.lines))
     rough = float(np.mean([line.noise_mm**2 for line in page.lines]))
