@@ -23,7 +23,7 @@ from ffcomp.compensation.plan import Context, PlannedChunk
 from ffcomp.compensation.solve import SolvedSection, keep_inside
 from ffcomp.inverse.settings import CUT, Settings
 from ffcomp.planner.lifts import join_lifts
-from ffcomp.planner.segment_merging import lengthen, merge, refit
+from ffcomp.planner.segment_merging import at_most, lengthen, merge, refit
 from ffcomp.planner.segment_timing import TimedSegments, segment_speeds
 from ffcomp.planner.trajectory import Section
 from gcode.dialects import KLIPPER, MARLIN, close_limits, open_limits
@@ -199,6 +199,7 @@ class Writer:
         if s.joins_lifts:
             stay, pinned = join_lifts(_stated(points, frame.base, frame.unit_mm), timeline.e, timeline.cut)
         chosen = merge(at[stay], points[stay], timeline.e[stay], pinned, s.merging, CUT)
+        chosen = at_most(at[stay], points[stay], chosen, pinned, round(1.0 / s.segment_s))
         if self.marlin is not None:
             flow, pinned = np.diff(timeline.e[stay]), pinned.copy()
             pinned[1:-1] |= flow[1:] * flow[:-1] < 0.0  # where the filament turns back

@@ -20,6 +20,8 @@ MOST_KNOTS_AHEAD, MOST_KNOTS_BEHIND = (
 FIRST_KNOTS_AHEAD = 1.0  # by which it is ahead after a cut
 KNOT_ROUNDING = 1e-9  # of a knot
 WIDEST_TOLERANCE = 4.0  # times the tolerance, where time is behind
+CUT_SHORT_KNOTS = 0.6  # a segment shorter than that was cut by a line
+MOST_SHIFT = 0.03  # of such a segment, by which its end is moved
 COARSE_SHARE = 0.5  # of the shortest segment: what may be missed for it
 
 
@@ -96,10 +98,68 @@ def refit(at: FloatArray, points: FloatArray, kept: IntArray, fixed: BoolArray) 
             weight[j], beside[j], beside[j - 1] = 1.0, 0.0, 0.0  # the last one has none beside it: j - 1 of the first
             missed[j, 0], missed[j, 1], missed[j, 2] = 0.0, 0.0, 0.0
     _solve_tridiagonal(weight, beside, missed)
+    for j in range(1, m - 1):
+        moved = np.sqrt(missed[j, 0] ** 2 + missed[j, 1] ** 2 + missed[j, 2] ** 2)
+        near = np.inf
+        for k in (j - 1, j):
+            if at[kept[k + 1]] - at[kept[k]] < CUT_SHORT_KNOTS:  # its speed would become another one
+                near = min(near, _apart(points, kept[k], kept[k + 1]))
+        if moved > MOST_SHIFT * near:
+            for i in range(3):
+                missed[j, i] *= MOST_SHIFT * near / moved
     for j in range(m):
         for i in range(3):
             missed[j, i] += points[kept[j], i]
     return missed
+
+
+@kernel
+def at_most(at: FloatArray, points: FloatArray, kept: IntArray, pinned: BoolArray, most: int) -> IntArray:
+    """Leave out points where more than `most` segments would begin within as many knots: lines of the file cut some.
+
+    Of those that may go, the one goes that the path between its neighbours misses least.
+
+    Parameters
+    ----------
+    at : (n,) times of the points, in knots
+    points : (n, 3) mm
+    kept : (m,) indices of the points that are kept, as `merge` returns them
+    pinned : (n,) points that must stay
+
+    Returns
+    -------
+    (k,) indices of the points that stay
+    """
+    stays = kept.copy()
+    first, count = 0, len(stays)
+    while first < count - 1:
+        end = min(first + most, count - 1)
+        if end - first < most or at[stays[end]] - at[stays[first]] >= most - KNOT_ROUNDING:
+            first += 1
+            continue
+        worst, least = -1, np.inf
+        for j in range(first + 1, end + 1):
+            if j + 1 < count and not pinned[stays[j]]:
+                missed = _misses(at, points, stays[j - 1], stays[j], stays[j + 1])
+                if missed < least:
+                    worst, least = j, missed
+        if worst < 0:
+            first += 1
+            continue
+        for j in range(worst, count - 1):
+            stays[j] = stays[j + 1]
+        count -= 1
+    return stays[:count].copy()
+
+
+@kernel
+def _misses(at: FloatArray, points: FloatArray, before: int, k: int, after: int) -> float:
+    """How far a point lies from where the segment between two others is at its time, mm."""
+    share, missed = (at[k] - at[before]) / (at[after] - at[before]), 0.0
+    for i in range(3):
+        between = points[before, i] + share * (points[after, i] - points[before, i])
+        missed += (points[k, i] - between) ** 2
+    return float(np.sqrt(missed))
 
 
 @kernel

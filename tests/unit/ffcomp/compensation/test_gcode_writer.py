@@ -220,7 +220,7 @@ def test_the_comment_before_a_section_ties_its_clock_to_the_originals() -> None:
         begin_t = played.trajectory.start_t[begins[mark.at]] - mark.t
         lasts = ends[np.searchsorted(ends, begin_t)] - begin_t
         assert -1e-9 <= lasts - (section.end_t - section.begin_t) <= s.tail_s + s.segment_s
-    assert all(-s.lead_s <= mark.t <= 0.0 for mark in marks) and any(mark.t < 0.0 for mark in marks)
+    assert all(-s.lead_s - s.segment_s <= mark.t <= 0.0 for mark in marks) and any(mark.t < 0.0 for mark in marks)
 
 
 def test_segments_that_need_no_line_do_not_shift_the_sections_clock() -> None:

@@ -17,6 +17,7 @@ from ffcomp.planner.segment_merging import (
     MOST_KNOTS_BEHIND,
     WIDEST_TOLERANCE,
     MergeLimits,
+    at_most,
     lengthen,
     merge,
     refit,
@@ -180,7 +181,7 @@ def test_a_refit_is_the_least_squares_over_time() -> None:
     """The miss is orthogonal to every hat whose top may move, whatever the steps between the points."""
     rng = np.random.default_rng(5)
     at = np.cumsum(rng.uniform(0.2, 1.0, 60))
-    points = np.cumsum(rng.normal(size=(60, 3)), axis=0)
+    points = np.cumsum(rng.normal(size=(60, 3)), axis=0) + 1e3 * at[:, None]  # quick: nothing is short
     kept = np.array([0, 3, 4, 11, 20, 21, 40, 59])
     fixed = unpinned(kept)
     fixed[[0, 4, -1]] = True
@@ -197,3 +198,31 @@ def test_segments_that_leave_nothing_out_stay_where_they_are() -> None:
     points = np.cumsum(np.random.default_rng(1).normal(size=(30, 3)), axis=0)
     kept = np.arange(30)
     np.testing.assert_array_equal(refit(np.arange(30.0), points, kept, unpinned(kept)), points)
+
+
+def test_lines_that_cut_segments_do_not_add_to_their_number() -> None:
+    """277 segments began within one second of a print with many comments; a slow bend makes room for them."""
+    knots = np.arange(101, dtype=np.float64)
+    at = np.sort(np.concatenate([knots, np.arange(20.3, 60.0, 5.0)]))
+    points = np.stack([0.4 * at, 1e-3 * at**2, np.zeros(len(at))], axis=1)
+    pinned = at % 1.0 > 0.0
+    pinned[[0, -1]] = True
+    stays = at_most(at, points, np.arange(len(at)), pinned, 25)
+    begins = at[stays]
+    for first in range(len(stays) - 25):
+        assert begins[first + 25] - begins[first] >= 25 - 1e-9
+    assert set(np.flatnonzero(pinned)) <= set(stays.tolist()) and len(stays) <= 101
+    missed = np.interp(at, begins, points[stays, 1]) - points[:, 1]
+    assert np.abs(missed).max() < 2e-3
+
+
+def test_a_segment_cut_short_by_a_line_keeps_its_speed() -> None:
+    """291 mm/s became 180 in a segment of 0.3 ms: its end was moved beside one that must stay."""
+    at = np.sort(np.append(np.arange(0.0, 13.0), 6.08))
+    along = 1.16 * at + 2e-3 * at**2
+    points = np.stack([along, np.zeros_like(at), np.zeros_like(at)], axis=1)
+    kept = np.flatnonzero(np.isin(at, [0.0, 3.0, 6.0, 6.08, 9.0, 12.0]))
+    fixed = np.isin(at[kept], [0.0, 6.08, 12.0])
+    placed = refit(at, points, kept, fixed)
+    speed = np.diff(placed[:, 0]) / np.diff(at[kept])
+    assert np.abs(speed - np.diff(along[kept]) / np.diff(at[kept])).max() < 0.05 * 1.16
