@@ -229,3 +229,21 @@ def test_segments_that_need_no_line_do_not_shift_the_sections_clock() -> None:
     marks = section_times(out.splitlines(keepends=True))
     late = marks[-1].t / settings_for(machine()).segment_s  # a crawl needs no time before its path
     assert late > 0.5 and late == pytest.approx(round(late), abs=1e-6)
+
+
+def test_every_line_stands_at_its_filament_within_five_micrometres() -> None:
+    """M73 among them, whose text is another one afterwards; lines come close together and where the nozzle turns."""
+    lines = [b"M73 P%d R9\n", b";TYPE:%d\n", b"M106 S%d\n", b"M117 %d\n"]
+    moves = (b"G1 X%.3f Y%.3f E%.4f F4800\n" % (9 * np.cos(k / 7), 9 * np.sin(k / 5), 0.02 * k) for k in range(400))
+    body = b"".join(move + (lines[k // 3 % 4] % (k % 100) if k % 3 == 0 else b"") for k, move in enumerate(moves))
+    data = START + b"M82\nG92 E0\n" + body
+    before, after = (read_program(text) for text in (data, compensated(data)))
+
+    def places(program: Program) -> list[float]:
+        filament = np.concatenate([program.moves.start[:1, 3], program.moves.end[:, 3]])
+        chosen = (event for event in program.events if program.lines[event.line].startswith((b"M73", b";TY", b"M1")))
+        return [float(filament[event.move]) for event in chosen]
+
+    wanted, written = places(before), places(after)
+    assert len(wanted) == len(written) == 134
+    assert np.abs(np.subtract(wanted, written)).max() < 5e-3
