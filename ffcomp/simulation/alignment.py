@@ -21,6 +21,7 @@ from models.arrays import FloatArray, IntArray
 
 RETIMED_S = 0.02  # a section that ends so much earlier or later by its path than by its clock is on another one,
 ADRIFT_S = 0.04  # and one that is so much early or late anywhere, nearly as far as the contour error's window reaches
+HALVINGS = 18  # of a move's time, until it is known when the plan passes a place on it
 FEWEST_HZ, MOST_HZ = 125.0, 500.0  # of segments
 
 
@@ -74,7 +75,13 @@ def _due(places: FloatArray, begin_t: FloatArray, end_t: FloatArray, plan: Plann
     low = np.searchsorted(path_t[1:], begin_t, side="right")
     high = np.maximum(np.searchsorted(path_t[:-1], end_t, side="left"), low + 1)
     segment, share = progress_in_order(path, places, low, high)
-    return np.asarray(path_t[segment] + share * np.diff(path_t)[segment])
+    begin_t, end_t = path_t[segment], path_t[segment + 1]
+    begin, length = path[segment], np.maximum(np.linalg.norm(path[segment + 1] - path[segment], axis=1), 1e-12)
+    for _ in range(HALVINGS):  # a move speeds up and brakes: half of it is not half of its time
+        middle_t = 0.5 * (begin_t + end_t)
+        before = np.linalg.norm(plan.position(middle_t)[:, :3] - begin, axis=1) < share * length
+        begin_t, end_t = np.where(before, middle_t, begin_t), np.where(before, end_t, middle_t)
+    return np.asarray(0.5 * (begin_t + end_t))
 
 
 def section_clock(compensated: PlannedProgram, original: PlannedProgram) -> SectionClock:
