@@ -15,7 +15,7 @@ from pathlib import Path
 
 from ffcomp.cli.command import verb
 from ffcomp.cli.common import say
-from ffcomp.cli.compiled import WARMED, note_compiled
+from ffcomp.cli.compiled import WARMED, collect_rarely, note_compiled
 
 PRINT = """\
 G28
@@ -46,6 +46,7 @@ def warmup() -> None:
 
     Example: ffcomp warmup
     """
+    collect_rarely()
     with _printers_beside() as printers:
         begin = time.perf_counter()
         steps = list(_steps(printers))
@@ -66,6 +67,7 @@ def compile_printers() -> None:
     from models.file import load_machine
     from models.printer.printer import simulate_printer
 
+    collect_rarely()
     for name in MACHINES.values():
         machine = load_machine(name)
         rest = np.repeat(machine.kinematics.inverse(np.array([[0.0, 0.0, 20.0]])), 40, axis=0)
