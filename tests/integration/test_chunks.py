@@ -174,8 +174,10 @@ def test_a_spiral_is_cut_in_motion_without_a_trace(spiral: bytes, machine: Machi
     assert cut_result.statistics.windows > result.statistics.windows  # there were cuts
     assert original(several) == original(whole) == spiral
     assert several.count(b"SET_VELOCITY_LIMIT") <= whole.count(b"SET_VELOCITY_LIMIT") + 4  # none of them in the spiral
-    for name in ("print_time_s", "original_print_time_s", "moves"):
+    for name in ("original_print_time_s", "moves"):
         assert getattr(cut_result.statistics, name) == pytest.approx(getattr(result.statistics, name), abs=1e-6)
+    # segments that the firmware executes late differ a little after a cut
+    assert cut_result.statistics.print_time_s == pytest.approx(result.statistics.print_time_s, abs=1e-4)
     # joined segments end elsewhere after a cut: both commands, where they pass the same time
     mine, theirs = (plan_program(read_program(text, flavor=KLIPPER), machine).trajectory for text in (several, whole))
     assert mine.end_t == pytest.approx(theirs.end_t, abs=0.02)
