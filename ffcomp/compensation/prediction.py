@@ -23,8 +23,8 @@ from ffcomp.simulation.preview import preview
 from models.arrays import FloatArray
 from models.machine import Machine
 
-LONGEST_S = 300.0  # of print time that is simulated for the prediction
-READ_AGAIN_S = 600.0  # of print time, at most, of a file that is read again
+LONGEST_S = 100.0  # of print time that is simulated for the prediction
+READ_AGAIN_S = 120.0  # of print time, at most, of a file that is read again
 SAMPLE_S = 1e-3  # about
 
 

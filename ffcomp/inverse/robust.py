@@ -66,8 +66,8 @@ from models.machine import Machine
 
 TANGENT_WEIGHT = 0.002  # ε
 REGULARISATION = 1e-3  # λ
-CORNER_SHARE = 0.7  # of the bandwidth, where F begins to fall: it takes a third off the command's peak acceleration
-STEPS = 8  # of conjugate gradients
+CORNER_SHARE = 2.0  # of the bandwidth, where F begins to fall: at 0.7, peaks are a little lower and errors alike
+STEPS = 7  # of conjugate gradients; with more a command asks for more, and printers gain little
 ALONG = 10.0  # times as far along the path as across it: what they are preconditioned with
 BLEND = 64  # rows over which one span's answer goes over into the next one's
 TOGETHER = 8  # spans
