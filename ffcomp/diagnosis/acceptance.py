@@ -59,6 +59,8 @@ def rejections(
             "three of the machine file's own numbers would have to be far off at once, as in the file of another "
             "machine: measure this one (ffcomp identify)"
         )
+    if pitches := [name for name in undetermined(best, intervals) if ".pitch_mm" in name]:
+        failed.append(f"{pitches[0].removeprefix('effects.')} is not determined, so nothing shows that it repeats")
     for candidate in best.effects:
         if superfluous(candidate, intervals):
             failed.append(f"the interval of {candidate.name} includes no effect at all")

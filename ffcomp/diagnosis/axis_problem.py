@@ -26,6 +26,7 @@ REACH = 5.0  # standard deviations by which a parameter may be retuned: beyond, 
 OFFSET, OFFSET_SHARE = "axis.offset_n", 0.1  # of the force, by which its zero may be off
 EXACT = 0.003  # of what the forces do in a shot: no simulation is nearer than that
 KEPT = 6  # motions that are held
+STEP_COST = 2.0  # of a printer's steps: these take no lanes
 RIPPLES = frozenset(name for name, effect in CATALOGUE.items() if any(p.is_pitch for p in effect.shapes))
 LINES = 6  # of a force that repeats along the axis
 PITCHES = 4  # at which a search for a ripple begins
@@ -118,7 +119,7 @@ class AxisProblem(Problem):
                 motion = self.shots[key[2]].simulate(machine, coarse=key[1])
             except ValueError as error:
                 raise InfeasibleParameters(str(error)) from None
-            self.work.add(motion.steps)
+            self.work.add(STEP_COST * motion.steps)
             self._kept[key] = motion.sensed(machine)
             for old in list(self._kept)[: -KEPT * len(self.shots)]:
                 del self._kept[old]

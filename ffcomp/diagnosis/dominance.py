@@ -25,13 +25,15 @@ from ffcomp.diagnosis.acceptance import (
     residual_left_out,
     simulate_left_out,
     to_explain,
+    undetermined,
 )
 from ffcomp.diagnosis.fidelity import continue_fit, fit_within_uncertainty
-from ffcomp.diagnosis.fit import EstimationProblem, Fit, intervals_of, superfluous
-from ffcomp.diagnosis.hypotheses import Hypothesis, kin_of, likeliest
+from ffcomp.diagnosis.fit import EstimationProblem, Fit, intervals_of
+from ffcomp.diagnosis.hypotheses import KIN, Hypothesis, likeliest
 from ffcomp.diagnosis.settings import SETTINGS
 from ffcomp.numerics.stages import Progress
 from models.arrays import FloatArray
+from models.effects.catalogue import CATALOGUE
 
 
 @dataclass(frozen=True)
@@ -70,37 +72,60 @@ def dominant_effect(
     base : the machine's parameters alone
     tried : hypotheses of the same data
     """
-    contenders = _best_of_kin([h for h in tried if len(h.fit.residual) == len(base.residual)])
+    contenders = _contenders([h for h in tried if len(h.fit.residual) == len(base.residual)])
     if not contenders or len(groups(estimation.problem)) < 2:
         return None
     progress("nothing explains all of it: looking for what explains most")
     held_out = hold_out(estimation, base, base)
     whole = to_explain(held_out)
-    tested = [_tested(estimation, _fitted(estimation, h, progress)) for h in contenders[: SETTINGS.by_simulation]]
-    first, *others = sorted(tested, key=lambda each: float(each.left.sum()))
+    tested = [_tested(estimation, _fitted(estimation, h, progress)) for h in contenders]
+    ranked = sorted(tested, key=lambda each: float(each.left.sum()))
+    ranked = [each for each in ranked if _sound(estimation, each.hypothesis)]
+    if not ranked:
+        return None
+    first = _simplest([each for each in ranked if _kin(each.hypothesis) == _kin(ranked[0].hypothesis)])
+    others = [each for each in ranked if _kin(each.hypothesis) != _kin(first.hypothesis)]
     explained = [1 - float(each.left.sum()) / whole for each in (first, *others)]
-    for each, share in zip((first, *others), explained, strict=True):
-        told = f"{100 * share:.0f} % of what it was not fitted to; {100 * each.alike:.0f} % of the rest looks like it"
+    for each in ranked:
+        share = 100 * (1 - float(each.left.sum()) / whole)
+        told = f"{share:.0f} % of what it was not fitted to; {100 * each.alike:.0f} % of the rest looks like it"
         progress(f"{each.hypothesis.names[0]} explains {told}")
     if (
         explained[0] < SETTINGS.dominant
         or first.alike > SETTINGS.signature
         or not all(_ahead(first, other) for other in others)
-        or not _everywhere(first, held_out)
-        or not _sound(estimation, first.hypothesis)
+        or not _everywhere(first, held_out, whole)
     ):
         return None
     rivals = tuple(Rival(o.hypothesis.names, x) for o, x in zip(others, explained[1:], strict=True))
     return Dominant(first.hypothesis, explained[0], rivals)
 
 
-def _best_of_kin(tried: Sequence[Hypothesis]) -> list[Hypothesis]:
-    """Return the likeliest single effect of each family, the one that leaves least first."""
+def _contenders(tried: Sequence[Hypothesis]) -> list[Hypothesis]:
+    """Return the single effects to test: of the families that leave least the best, of the first all its laws."""
     best: dict[str, Hypothesis] = {}
     for h in likeliest(tried):
         if len(h.effects) == 1:
-            best.setdefault(kin_of(h.names[0]), h)
-    return sorted(best.values(), key=lambda h: h.discrepancy)
+            best.setdefault(h.names[0], h)
+    ranked = sorted(best.values(), key=lambda h: h.discrepancy)
+    kin = list(dict.fromkeys(_kin(h) for h in ranked))[: SETTINGS.by_simulation]
+    laws = [h for h in ranked if kin and _kin(h) == kin[0]]
+    return [*laws, *(next(h for h in ranked if _kin(h) == each) for each in kin[1:])]
+
+
+def _kin(h: Hypothesis) -> str:
+    return KIN.get(h.names[0], h.names[0])
+
+
+def _simplest(laws: Sequence[_Tested]) -> _Tested:
+    """Return the law of fewest numbers that no other leaves far behind; `laws` : the one that leaves least first."""
+    few = sorted(laws, key=lambda each: _needed(each.hypothesis))
+    return next(each for each in few if each.left.sum() <= SETTINGS.ahead * laws[0].left.sum())
+
+
+def _needed(h: Hypothesis) -> int:
+    """Count the numbers without which there is no such effect; others have a usual value."""
+    return sum(p.role == "amplitude" or p.default is None for p in CATALOGUE[h.names[0]].parameters)
 
 
 def _fitted(estimation: EstimationProblem, h: Hypothesis, progress: Progress) -> Hypothesis:
@@ -142,13 +167,18 @@ def _ahead(first: _Tested, other: _Tested) -> bool:
     return bool(np.all(apart.sum() - apart > 0.0))
 
 
-def _everywhere(first: _Tested, held_out: Sequence[HeldOut]) -> bool:
-    """Tell whether it explains half, whichever group is not counted."""
-    before = np.array([max(min(one.before, one.signal), 0.0) * one.rows for one in held_out])
-    return bool(np.all((before.sum() - before) - 2 * (first.left.sum() - first.left) > 0.0))
+def _everywhere(first: _Tested, held_out: Sequence[HeldOut], whole: float) -> bool:
+    """Tell whether it is as far ahead of retuning alone, which leaves `whole`, whichever group is not counted."""
+    before = np.array([max(one.before, 0.0) * one.rows for one in held_out])
+    before *= whole / max(before.sum(), 1e-300)
+    apart = before - SETTINGS.ahead * first.left
+    return bool(np.all(apart.sum() - apart > 0.0))
 
 
 def _sound(estimation: EstimationProblem, h: Hypothesis) -> bool:
-    """Tell whether it is one of these effects at all, with a plausible file."""
+    """Tell whether the file stays plausible with it, and what is to repeat does.
+
+    Its interval may include no effect where only ratios of forces show, as of a servo whose stiffness is a guess.
+    """
     intervals = intervals_of(estimation, h.fit, h.fit.values, scatter=True)
-    return not out_of_reach(h) and not any(superfluous(c, intervals) for c in h.effects)
+    return not out_of_reach(h) and not any(".pitch_mm" in name for name in undetermined(h, intervals))

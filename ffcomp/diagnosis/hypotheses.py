@@ -17,7 +17,7 @@ from models.effects.catalogue import CATALOGUE
 
 FILE_CHANGES = frozenset(name for name, effect in CATALOGUE.items() if effect.corrects_file)
 NESTED = {name: effect.contains for name, effect in CATALOGUE.items() if effect.contains}
-DRY = "dry friction"
+DRY, PULL = "dry friction", "a pull towards one place"
 FAMILIES = {  # what is told first of an effect with several laws; of any other its name says it
     "coulomb_friction": DRY,
     "bristle_friction": DRY,
@@ -27,12 +27,16 @@ FAMILIES = {  # what is told first of an effect with several laws; of any other 
     "friction_by_direction": "friction that differs by direction",
     "guide_damping": "viscous friction",
     "quadratic_drag": "friction that grows with the square of the speed",
+    "pendulum_gravity": PULL,
+    "ground_spring": PULL,
 }
-
-
-def kin_of(name: str) -> str:
-    """Return what competes as one: laws of dry friction differ by little, whatever may thin it with speed."""
-    return DRY if name in ("coulomb_friction", "bristle_friction", "stribeck_friction") else name
+KIN = {  # laws of one thing, which differ by little: they are no rivals of each other
+    "coulomb_friction": DRY,
+    "bristle_friction": DRY,
+    "stribeck_friction": DRY,
+    "pendulum_gravity": PULL,
+    "ground_spring": PULL,
+}
 
 
 @dataclass(frozen=True, eq=False)

@@ -348,11 +348,12 @@ def compare_repeats(
     differences = _in_band(together - together.mean(axis=0), rate_hz) * np.sqrt(len(signals) / (len(signals) - 1))
     size = float(np.sqrt(np.mean(_in_band(np.stack(signals), rate_hz) ** 2)))
     share = float(np.sqrt(np.mean(differences**2)) / max(size, 1e-12))
-    least = np.asarray(least_noise / scale)
-    rest = _rest_power(differences / scale, moving, rate_hz, least)
+    rest = _rest_power(differences / scale, moving, rate_hz, least_noise / scale)
     loud = float(np.mean((differences / scale)[:, moving] ** 2)) if moving.any() else 0.0
     over_rest = None if rest is None else float(np.sqrt(loud / max(rest, 1e-30)))
-    beyond = _beyond_noise(differences / scale, together / scale, moving, rate_hz, rest)
+    # as they are: of a sensor that feels nothing of the motion, noise is all there is
+    rest = _rest_power(differences, moving, rate_hz, np.full(len(scale), least_noise))
+    beyond = _beyond_noise(differences, together, moving, rate_hz, rest)
     return RepeatComparison(tuple(lags), significant, share, over_rest, beyond)
 
 

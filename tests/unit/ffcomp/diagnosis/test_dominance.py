@@ -26,7 +26,12 @@ def tones(*hz: float) -> FloatArray:
     return np.asarray(WINDOW * sum(np.sin(2 * np.pi * f * T + f) for f in hz))
 
 
-SIGNATURES = {"rubs": tones(7, 19, 31), "bends": tones(11, 43), "rubs_too": tones(7, 19, 31) + 0.1 * tones(40)}
+RUBS, BENDS, TOO = "coulomb_friction", "guide_damping", "belt_stiffness"
+SIGNATURES = {
+    RUBS: tones(7, 19, 31),
+    BENDS: tones(11, 43),
+    TOO: tones(7, 19, 31) + 0.1 * tones(40),
+}
 REST = tones(57, 71)  # nothing known makes it
 
 
@@ -51,7 +56,7 @@ class Linear(Problem):
                 place,
                 RATE_HZ,
                 ("acc_x",),
-                (size * SIGNATURES["rubs"] + rest * REST + tones(5, 23) + NOISE * rng.standard_normal(N))[:, None],
+                (size * SIGNATURES[RUBS] + rest * REST + tones(5, 23) + NOISE * rng.standard_normal(N))[:, None],
                 np.ones((N, 1)),
             )
             for k, (place, size) in enumerate(zip(PLACES, sizes, strict=True))
@@ -66,7 +71,7 @@ class Linear(Problem):
         return [y[:, None]] * len(range(len(self.observations)) if only is None else only)
 
 
-def dominant(sizes: Sequence[float], rest: float = 0.5, names: Sequence[str] = ("rubs", "bends")) -> Dominant | None:
+def dominant(sizes: Sequence[float], rest: float = 0.5, names: Sequence[str] = (RUBS, BENDS)) -> Dominant | None:
     problem = Linear(sizes, rest, names)
     floor = noise_from_repeats(problem.observations)
     assert floor is not None
@@ -81,19 +86,23 @@ def dominant(sizes: Sequence[float], rest: float = 0.5, names: Sequence[str] = (
 def test_an_effect_that_leaves_a_rest_is_named_with_what_it_explains() -> None:
     """A fifth of the power is of the rest: two tones of a half beside three."""
     found = dominant((1.0, 1.02, 0.98, 1.0))
-    assert found is not None and found.hypothesis.names == ("rubs",)
+    assert found is not None and found.hypothesis.names == (RUBS,)
     assert found.explained == pytest.approx(3 / (3 + 2 * 0.25), abs=0.04)
-    assert found.hypothesis.fit.values["effects.rubs.size"] == pytest.approx(1.0, abs=0.02)
-    assert [rival.names for rival in found.rivals] == [("bends",)] and found.rivals[0].explained < 0.05
+    assert found.hypothesis.fit.values["effects.coulomb_friction.size"] == pytest.approx(1.0, abs=0.02)
+    assert [rival.names for rival in found.rivals] == [(BENDS,)] and found.rivals[0].explained < 0.05
 
 
 @pytest.mark.parametrize(
     ("sizes", "rest", "names"),
     [
-        ((1.0, 0.0, 1.6, 0.2), 0.1, ("rubs", "bends")),  # its size changes from place to place: something else does it
-        ((1.0, 1.0, 1.0, 1.0), 1.5, ("rubs", "bends")),  # more is left than it explains
-        ((1.0, 1.0, 1.0, 1.0), 0.5, ("rubs", "rubs_too")),  # another one explains as much
-        ((3.0, 0.0, 0.0, 0.0), 0.1, ("rubs", "bends")),  # at one place only
+        (
+            (1.0, 0.0, 1.6, 0.2),
+            0.1,
+            (RUBS, BENDS),
+        ),  # its size changes from place to place: something else does it
+        ((1.0, 1.0, 1.0, 1.0), 1.5, (RUBS, BENDS)),  # more is left than it explains
+        ((1.0, 1.0, 1.0, 1.0), 0.5, (RUBS, TOO)),  # another one explains as much
+        ((3.0, 0.0, 0.0, 0.0), 0.1, (RUBS, BENDS)),  # at one place only
     ],
 )
 def test_what_is_only_the_nearest_is_not_named(sizes: Sequence[float], rest: float, names: Sequence[str]) -> None:
