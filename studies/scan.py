@@ -1,0 +1,229 @@
+"""Printers that were never measured, known from a picture of a page: how far off, and do the intervals hold?
+
+python -m studies.scan --write          all machines: half an hour of CPU
+python -m studies.scan --deltas 2 --corexy 1 --slingers 1
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import tempfile
+import time
+import tomllib
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from ffcomp.errors import MeasurementError
+from ffcomp.identification.request import ScanRequest
+from ffcomp.identification.scanning import fit_pictures
+from ffcomp.identification.uncertainty import Estimate
+from ffcomp.record.page import PageRequest, make_page
+from ffcomp.record.plan import Experiment, save_plan
+from models.file import load_machine
+from models.kinds import delta_vibration, with_parts
+from models.machine import Machine
+from studies.render import RESULTS, results_of, save
+from validation.drawn_page import (
+    FINE_SCANNER,
+    PHONE,
+    SCANNER,
+    Bead,
+    Camera,
+    delta_player,
+    draw,
+    photograph,
+    straight_player,
+)
+from validation.plants.straight_plant import Plant
+from validation.plants.study import uneven
+
+CAMERAS = {"600 dpi": SCANNER, "1200 dpi": FINE_SCANNER, "phone": PHONE}
+HIGHEST_HZ, RINGING = 110.0, 0.25
+SPREAD = {"stiffness": 0.15, "damping": 0.2, "mass": 0.1}  # standard deviations of the logarithms
+FRICTION_N = 0.3
+EACH_TOWER = ("mass_kg", "belt_stiffness_n_per_m", "belt_damping_n_s_per_m", "guide_damping_n_s_per_m")
+
+Play = Callable[[Experiment, float], NDArray[np.float64]]
+Truth = Callable[[tuple[float, float]], tuple[NDArray[np.float64], NDArray[np.float64]]]
+
+
+def sampled_delta(seed: int) -> tuple[Machine, Play, Truth]:
+    """Sample a delta around the library's, with towers that differ and some friction."""
+    machine = load_machine("mp-delta-pro")
+    document, rng = tomllib.loads(Path(machine.path).read_text(encoding="utf-8")), np.random.default_rng(seed)
+    for table in ("carriage", "effector"):
+        for key, value in document[table].items():
+            kind = next((name for name in SPREAD if name in key and key != "arm_mass_share_at_ends"), None)
+            if kind is not None and key != "arm_pair_mass_kg" and "center" not in key:
+                size = np.exp(SPREAD[kind] * rng.standard_normal(np.shape(value)))
+                document[table][key] = (np.array(value) * size).tolist()
+    real = uneven(document, seed, FRICTION_N)
+    towers, effector = real["towers"], document["effector"]
+    vibration = delta_vibration(machine)
+    towers["mass_kg"] = towers["carriage_mass_kg"]
+    each: dict[str, Any] = {key: np.array(towers[key]) for key in EACH_TOWER}
+    carriage = replace(vibration.carriage, **each)
+    own = replace(
+        vibration.effector,
+        nozzle_mass_kg=effector["nozzle_mass_kg"],
+        extruder_mass_kg=effector["extruder_mass_kg"],
+        extruder_stiffness_n_per_m=np.array(effector["extruder_stiffness_n_per_m"]),
+        extruder_damping_n_s_per_m=np.array(effector["extruder_damping_n_s_per_m"]),
+    )
+    true = with_parts(machine, carriage=carriage, effector=own)
+
+    def modes(place: tuple[float, float]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        found = true.vibration.modes_at(np.array(place))
+        return found.frequencies_hz, found.damping_ratios
+
+    return machine, delta_player(real), modes
+
+
+def sampled_straight(seed: int, corexy: bool) -> tuple[Machine, Play, Truth]:
+    """Sample a CoreXY around a Voron's numbers, or a bed slinger around an Ender's."""
+    machine, rng = load_machine("voron-250" if corexy else "ender-3"), np.random.default_rng(1000 + seed)
+    kg, hz, damping = np.array([0.4, 0.5]), np.empty(2), rng.uniform(0.04, 0.1, 2)
+    for axis, name in enumerate("xy"):
+        hz[axis] = machine.vibration.value(f"axes.{name}.frequency_hz[0]") * np.exp(0.15 * rng.standard_normal())
+    motors = ((1.0, 1.0), (1.0, -1.0)) if corexy else ((1.0, 0.0), (0.0, 1.0))
+    stiffness = kg * (2 * np.pi * hz) ** 2
+    if corexy:  # two belts, alike, pull along both axes: the masses make the frequencies
+        stiffness = np.full(2, 3e4)
+        kg = 6e4 / (2 * np.pi * hz) ** 2
+    held = 2 * damping * kg * 2 * np.pi * hz
+    plant = Plant(
+        motors=motors,
+        carriage_kg=(float(kg[0]), float(kg[1])),
+        belt_n_per_m=(float(stiffness[0]), float(stiffness[1])),
+        guide_n_s_per_m=(float(held[0]), float(held[1])),
+    )
+    return machine, straight_player(plant), lambda place: (hz, damping)
+
+
+def case(name: str, machine: Machine, play: Play, truth: Truth, cameras: list[str], seed: int) -> list[dict[str, Any]]:
+    """Draw a page, see it by each camera, fit, and compare with the truth."""
+    plan, rng = make_page(machine, PageRequest()), np.random.default_rng(seed)
+    bead = Bead(drag_mm=rng.uniform(0.1, 0.3), bore_mm=rng.uniform(0.2, 0.4), rough_mm=rng.uniform(0.005, 0.01))
+    drawings = draw(plan, play, bead, seed)
+    rows = []
+    with tempfile.TemporaryDirectory() as folder:
+        save_plan(plan, Path(folder) / "page.json")
+        for camera in cameras:
+            path = Path(folder) / "picture.jpg"
+            chosen: Camera = replace(CAMERAS[camera], turn_deg=float(rng.uniform(-4, 4)))
+            Image.fromarray(photograph(drawings, chosen, seed)).save(path, quality=chosen.quality)
+            before = time.process_time()
+            row: dict[str, Any] = {"machine": name, "camera": camera}
+            try:
+                request = ScanRequest(pictures=(path,), plan=Path(folder) / "page.json", machine=machine.path)
+                result = fit_pictures(machine, request).result
+                row |= {"explained": result.explained, "modes": _compared(result.modes, truth)}
+            except MeasurementError as error:
+                row["refused"] = error.problems[0]
+            row["cpu_s"] = time.process_time() - before
+            print(json.dumps({key: value for key, value in row.items() if key != "modes"}), _worst(row), flush=True)
+            rows.append(row)
+    return rows
+
+
+def _compared(modes: Any, truth: Truth) -> list[dict[str, float]]:
+    """Compare every ringing mode at every place with the one of the truth that is nearest."""
+    rows = []
+    for place, estimates in modes.items():
+        hz, damping = truth(place)
+        ringing = (damping < RINGING) & (hz < HIGHEST_HZ)
+        hz, damping = hz[ringing], damping[ringing]
+        for f, d in estimates:
+            if f.value < HIGHEST_HZ:
+                k = int(np.argmin(np.abs(np.log(hz / f.value))))
+                rows.append(
+                    {
+                        "hz": float(hz[k]),
+                        "hz_error": f.value / float(hz[k]) - 1,
+                        "damping_error": d.value / float(damping[k]) - 1,
+                        "hz_held": _holds(f, float(hz[k])),
+                        "damping_held": _holds(d, float(damping[k])),
+                    }
+                )
+    return rows
+
+
+def _holds(estimate: Estimate, true: float) -> float:
+    return float(estimate.low <= true <= estimate.high)
+
+
+def _worst(row: dict[str, Any]) -> str:
+    modes = row.get("modes", [])
+    return " ".join(f"{m['hz']:.1f}:{100 * m['hz_error']:+.2f}%/{100 * m['damping_error']:+.0f}%" for m in modes)
+
+
+def summary(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Summarise by kind of machine and camera: medians, worst, and how often intervals hold."""
+    groups: dict[tuple[str, str], list[dict[str, Any]]] = {}
+    for row in rows:
+        groups.setdefault((row["machine"].partition("-")[0], row["camera"]), []).append(row)
+    lines = []
+    for (kind, camera), members in groups.items():
+        modes = [mode for row in members for mode in row.get("modes", [])]
+        f, d = (np.abs([mode[key] for mode in modes]) for key in ("hz_error", "damping_error"))
+        lines.append(
+            {
+                "kind": kind,
+                "camera": camera,
+                "machines": len(members),
+                "refused": sum("refused" in row for row in members),
+                "hz_median": float(np.median(f)) if modes else None,
+                "hz_within": float(np.mean(f < (0.02 if camera == "phone" else 0.01))) if modes else None,
+                "hz_worst": float(f.max()) if modes else None,
+                "damping_median": float(np.median(d)) if modes else None,
+                "damping_within": float(np.mean(d < 0.15)) if modes else None,
+                "held": float(np.mean([[mode["hz_held"], mode["damping_held"]] for mode in modes])) if modes else None,
+                "cpu_s": float(np.median([row["cpu_s"] for row in members])),
+            }
+        )
+    return lines
+
+
+def _keep(rows: list[dict[str, Any]]) -> None:
+    """Add rows to what was measured before, in place of those of the same machine and picture."""
+    before = results_of("scan")["rows"] if (RESULTS / "scan.json").exists() else []
+    new = {(row["machine"], row["camera"]): row for row in [*before, *rows]}
+    merged = [new[key] for key in sorted(new)]
+    machines = len({machine for machine, _ in new})
+    save("scan", {"highest_hz": HIGHEST_HZ, "machines": machines, "rows": merged, "lines": summary(merged)})
+
+
+def main() -> None:
+    """Run the study; --write keeps its numbers and its page."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    for kind, count in (("deltas", 10), ("corexy", 5), ("slingers", 5)):
+        parser.add_argument(f"--{kind}", type=int, default=count)
+    parser.add_argument("--cameras", nargs="*", default=list(CAMERAS), choices=list(CAMERAS))
+    parser.add_argument("--write", action="store_true")
+    asked = parser.parse_args()
+    rows: list[dict[str, Any]] = []
+
+    def kept(more: list[dict[str, Any]]) -> list[dict[str, Any]]:
+        if asked.write:
+            _keep(more)
+        return more
+
+    for seed in range(asked.corexy):
+        rows += kept(case(f"CoreXY-{seed}", *sampled_straight(seed, True), asked.cameras, seed))
+    for seed in range(asked.slingers):
+        rows += kept(case(f"bed slinger-{seed}", *sampled_straight(50 + seed, False), asked.cameras, 50 + seed))
+    for seed in range(asked.deltas):
+        rows += kept(case(f"delta-{seed}", *sampled_delta(100 + seed), asked.cameras, 100 + seed))
+    for line in summary(rows):
+        print(json.dumps(line))
+
+
+if __name__ == "__main__":
+    main()
