@@ -120,7 +120,7 @@ def archive(command: Command, step_mm: float = STEP_MM) -> dict[str, Any]:
 
 
 def planned(machine: Machine = MACHINE) -> Command:
-    return gcode_command(plan_program(read_program(SHORT, start=kalico.START_MM), machine), machine)
+    return gcode_command(plan_program(read_program(SHORT, start=kalico.START_MM, flavor="klipper"), machine), machine)
 
 
 def saved(folder: Path, arrays: dict[str, Any]) -> Path:
@@ -167,7 +167,7 @@ def test_a_print_as_steps_moves_the_nozzle_as_its_gcode_does(
 @pytest.mark.parametrize("error_s", [None, 12.5e-6])
 def test_the_archive_that_is_written_plays_the_plan(error_s: float | None, tmp_path: Path) -> None:
     """Through `read_command`, as `ffcomp simulate` does: no more apart than the microsteps are, compressed or not."""
-    trajectory = plan_program(read_program(SHORT, start=kalico.START_MM), MACHINE).trajectory
+    trajectory = plan_program(read_program(SHORT, start=kalico.START_MM, flavor="klipper"), MACHINE).trajectory
     with StepSink(MACHINE, Board(extruder_steps_per_mm=415.0), tmp_path / "steps", error_s) as sink:
         for pieces in trajectory_pieces(trajectory):
             sink.pieces(pieces)

@@ -18,7 +18,7 @@ SQUARE = b"G1 X30 Y0 F6000\nG1 X30 Y30 F1200\nG1 X29.9 Y30\nG1 X0 Y0 F9000\n"
 
 @pytest.fixture(scope="module")
 def plan() -> Trajectory:
-    return firmware_plan(read_program(SQUARE, start=(0.0, 0.0, 1.0)), load_machine("mp-delta-pro"))
+    return firmware_plan(read_program(SQUARE, start=(0.0, 0.0, 1.0), flavor="klipper"), load_machine("mp-delta-pro"))
 
 
 @given(share=st.floats(0.0, 1.0))
@@ -34,7 +34,7 @@ def test_what_is_needed_around_a_cut_grows_with_the_ramps() -> None:
     machine = load_machine("mp-delta-pro")
     found = []
     for limit in (b"", b"M204 S50\n"):
-        program = read_program(limit + b"G1 X100 F6000\nG1 X-100\n", start=(0.0, 0.0, 1.0))
+        program = read_program(limit + b"G1 X100 F6000\nG1 X-100\n", start=(0.0, 0.0, 1.0), flavor="klipper")
         found.append(context_s(program.moves, firmware_plan(program, machine)))
     assert found[0] == LEAST_CONTEXT_S
     peak = np.sqrt(50.0 * 100.0)  # mm/s, in the middle of 100 mm at 50 mm/s²

@@ -37,7 +37,7 @@ def preview(machine: Machine) -> PreviewGains:
 
 def references(name: str, machine: Machine, settings: Settings, seconds: float) -> list[Reference]:
     """The first runs of a print that move in the plane, `seconds` of them."""
-    planned = plan_program(read_program((PRINTS / f"{name}.gcode").read_bytes()), machine)
+    planned = plan_program(read_program((PRINTS / f"{name}.gcode").read_bytes(), flavor="klipper"), machine)
     found, left = [], seconds
     for run in planned.sections:
         moves = planned.program.moves

@@ -25,7 +25,7 @@ STEP_S = 1e-4
 
 
 def plan(text: bytes = LINE) -> PlannedProgram:
-    return plan_program(read_program(text, "line"), MACHINE)
+    return plan_program(read_program(text, "line", flavor="klipper"), MACHINE)
 
 
 def command(planned: PlannedProgram, lead: Lead, knots_t: FloatArray) -> tuple[FloatArray, FloatArray]:

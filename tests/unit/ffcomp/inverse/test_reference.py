@@ -16,7 +16,7 @@ SOFT, STIFF = (28e-6, 28e-6, 14e-6), (1e-6, 1e-6, 1e-6)  # s², the lag of a slo
 
 
 def planned(text: bytes) -> PlannedProgram:
-    return plan_program(read_program(text, start=START), load_machine("mp-delta-pro"))
+    return plan_program(read_program(text, start=START, flavor="klipper"), load_machine("mp-delta-pro"))
 
 
 def room(text: bytes, compliance_s2: tuple[float, float, float]) -> Room:

@@ -47,7 +47,7 @@ def machine() -> Machine:
 
 @pytest.fixture(scope="module")
 def planned(machine: Machine) -> PlannedProgram:
-    return plan_program(read_program(CORNERS, start=START), machine)
+    return plan_program(read_program(CORNERS, start=START, flavor="klipper"), machine)
 
 
 def limited(machine: Machine, **limits: Any) -> Machine:
@@ -161,7 +161,9 @@ def test_only_the_moves_concerned_become_slower(machine: Machine, planned: Plann
 
 
 def test_the_rest_of_the_plan_is_later_and_otherwise_the_same(machine: Machine) -> None:
-    planned = plan_program(read_program(CORNERS + b"G1 E1 F600\nG1 X10 Y30 F3000\n", start=START), machine)
+    planned = plan_program(
+        read_program(CORNERS + b"G1 E1 F600\nG1 X10 Y30 F3000\n", start=START, flavor="klipper"), machine
+    )
     tight = limited(machine, carriage_velocity_mm_per_s=100.0)
     found = solved(
         inverter_of(tight),
@@ -180,7 +182,7 @@ def test_the_rest_of_the_plan_is_later_and_otherwise_the_same(machine: Machine) 
 def test_the_layer_of_a_record_is_that_of_its_move_in_the_program(machine: Machine) -> None:
     """Moves of a section are counted from its first one, layers by the program's moves."""
     before = b"G1 X-58 Y20 F3000\nG1 X-60 Y20\nG4 P500\n"
-    planned = plan_program(read_program(before + CORNERS, start=START), machine)
+    planned = plan_program(read_program(before + CORNERS, start=START, flavor="klipper"), machine)
     tight = limited(machine, carriage_velocity_mm_per_s=100.0)
     found = solved(inverter_of(tight), planned, planned.sections[-1], tight, layer_of=lambda move: move)
     (record,) = found.records
@@ -225,7 +227,9 @@ def test_a_path_beyond_the_travel_is_refused(machine: Machine, planned: PlannedP
 
 def test_segments_can_be_played_in_their_time(machine: Machine) -> None:
     """A lift whose plan asks for more than the firmware has for Z: no G-code file can raise that."""
-    planned = plan_program(read_program(b"G1 X-40 Y20 F3000\nG1 Z20 F12000\nG1 X-60 F3000\n", start=START), machine)
+    planned = plan_program(
+        read_program(b"G1 X-40 Y20 F3000\nG1 Z20 F12000\nG1 X-60 F3000\n", start=START, flavor="klipper"), machine
+    )
     settings = settings_for(machine)
     output = replace(settings.output, z_acceleration_mm_per_s2=5000.0)
     inverter, (run,) = InverseModel(machine, replace(settings, output=output)), planned.sections
@@ -249,7 +253,7 @@ def test_segments_can_be_played_in_their_time(machine: Machine) -> None:
 
 
 def test_a_plan_with_s_curves_is_planned_again_with_them(machine: Machine) -> None:
-    smooth = plan_program(read_program(CORNERS, start=START), machine, smooth=True)
+    smooth = plan_program(read_program(CORNERS, start=START, flavor="klipper"), machine, smooth=True)
     tight = limited(machine, carriage_velocity_mm_per_s=100.0)
 
     def replan(moves: Any, start_t: float) -> Any:

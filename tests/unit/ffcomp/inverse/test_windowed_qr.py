@@ -47,7 +47,7 @@ def inverter(machine: Machine) -> InverseModel:
 def reference_of(
     gcode: bytes, machine: Machine, settings: Settings, start: tuple[float, float, float] = (-60, 20, 0.3)
 ) -> Reference:
-    program = read_program(gcode, start=start)
+    program = read_program(gcode, start=start, flavor="klipper")
     stops = np.zeros(len(program.moves), dtype=np.bool_)
     trajectory = plan_moves(program.moves, planner_limits(machine), stop_before=stops, wait_before=np.zeros(len(stops)))
     (run,) = split_sections(trajectory, stops)

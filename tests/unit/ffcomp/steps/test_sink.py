@@ -28,7 +28,7 @@ EVENTS = [(0.0, b"M106 S255\n"), (0.3, b"; caf\xe9\r\n"), (0.3, b""), (2.5, b"M1
 
 
 def planned() -> Trajectory:
-    return plan_program(read_program(GCODE, start=(0.0, 0.0, 10.0)), MACHINE).trajectory
+    return plan_program(read_program(GCODE, start=(0.0, 0.0, 10.0), flavor="klipper"), MACHINE).trajectory
 
 
 def written(path: Path, error_s: float | None = None, at_once: int = 10_000) -> dict[str, MotorTotal]:
