@@ -40,6 +40,7 @@ LEAST_EXPLAINED, LEAST_GAIN = 0.2, 60.0  # of the waves' power; of χ² by the w
 SHAPED = 0.35  # of the expected waves: less, and they were shaped away
 WORST_HELD = 0.5  # posterior over prior: a number that the picture leaves so wide stays as it was
 REWEIGHTED = 2
+FLOOR, DAMPING_FLOOR = 0.004, 0.06  # of the logarithms: towers that differ and friction, which the fit does not know
 
 
 @dataclass(frozen=True, eq=False)
@@ -313,7 +314,11 @@ def _covariance(page: _Page, fitted: Iterate) -> FloatArray:
         gradient = fitted.jacobian[begin:end].T @ residual[begin:end]
         meat += np.outer(gradient, gradient)
     wider = np.sqrt(np.maximum(1.0, np.diag(bread @ meat @ bread) / np.diag(bread)))
-    return np.asarray(bread * np.outer(wider, wider))
+    covariance = np.asarray(bread * np.outer(wider, wider))
+    for i, each in enumerate(page.unknowns[: page.of_machine]):
+        unmodelled = DAMPING_FLOOR if "damping" in each.name else FLOOR
+        covariance[i, i] += (unmodelled / each.sd) ** 2
+    return covariance
 
 
 RINGING = 0.3  # damping ratio: more, and a mode does not ring
