@@ -242,6 +242,7 @@ def _discs(picture: Picture) -> FloatArray:
     k = max(1, max(picture.ink.shape) // COARSE_PX)
     coarse = _reduced(picture.ink, k)
     dark = coarse > max(LEAST_CONTRAST, 0.5 * float(np.percentile(coarse, 99.7)))
+    dark = ndimage.binary_closing(dark, iterations=2)  # where the spiral of a disc ends
     depth = ndimage.distance_transform_edt(dark)
     blots: list[tuple[float, float, float, float]] = []
     for deep in np.geomspace(1.5, 60.0, 14):
