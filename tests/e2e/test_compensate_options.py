@@ -147,7 +147,7 @@ def test_a_quicker_print_says_what_it_has_given(tmp_path: Path) -> None:
     print_file = tmp_path / "line.gcode"
     print_file.write_bytes(b"G28\nG1 X0 Y0 Z.3 F6000\n;LAYER:1\n;LAYER:2\nG1 X40 F1200\nG1 Y40\nG1 X0\nG1 Y0\n")
     out = tmp_path / "out.gcode"
-    command = [print_file, "-m", MACHINE, "-o", out, "--json"]
+    command = [print_file, "-m", MACHINE, "-o", out, "--json", "--flavor", "klipper"]
     answer = call(*command, "--max-error-um", "100")
     assert answer.exit_code == 0, answer.output
     faster = json.loads(answer.stdout)["faster"]
