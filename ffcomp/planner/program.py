@@ -23,6 +23,7 @@ from gcode.dialects import MARLIN
 from gcode.errors import GcodeError
 from gcode.program import Event, EventKind, Moves, Program
 from models.arrays import BoolArray, FloatArray
+from models.errors import UnreachableError
 from models.machine import Machine
 
 
@@ -165,7 +166,10 @@ def _durations(run: Sequence[Event], planner: Planner) -> FloatArray:
         square_corner_velocity=np.array([each.square_corner_velocity for each in raw]),
         minimum_cruise_ratio=np.full(n, nan),
     )
-    plan = _from_rest_to_rest(planner, moves, 0.0)
+    try:
+        plan = _from_rest_to_rest(planner, moves, 0.0)
+    except UnreachableError:  # a planner of motor steps cannot plan what no joint reaches: at its speed, then
+        return np.array([max(each.path_mm, abs(each.filament_mm)) / each.speed for each in raw])
     straight = [hypot(*(b - a)[:3]) for a, b in zip(start, end, strict=True)]
     longer = [each.path_mm / way if way > 0.0 else 1.0 for each, way in zip(raw, straight, strict=True)]  # arcs
     return np.asarray(plan.duration * np.array(longer))

@@ -66,7 +66,7 @@ class Reach:
         """
         moves, part = program.moves, self._part.of(program)
         begin, end = (self._kinematics.reachable(points[:, :3]) for points in (moves.start, moves.end))
-        outside = ~(begin & end)
+        outside = np.isin(moves.line, moves.line[~(begin & end)])  # a line that firmware cuts is one line
         self._left += int(np.count_nonzero(~outside))
         if not outside.any():
             return program

@@ -353,7 +353,7 @@ def test_the_command_in_words(tmp_path: Path) -> None:
     assert told.exit_code == 0, told.stderr
     assert "(M109, lines 2, 20)" in told.stdout
     assert "Skirt" in told.stdout and "START_FAN_DANCE, line 19)" in told.stdout
-    assert run(path, "-m", "mp-delta-pro", "--flavor", "sailfish").exit_code == 4
+    assert run(path, "-m", "mp-delta-pro", "--flavor", "sailfish").exit_code == 2
     assert run(path, "-m", "mp-delta-pro", "--figure", "picture.gcode").exit_code == 2
     lost = run(path)
     assert lost.exit_code == 2 and "--machine" in lost.stderr

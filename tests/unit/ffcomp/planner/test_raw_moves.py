@@ -9,8 +9,10 @@ import pytest
 
 from ffcomp.planner.limits import PlannerLimits
 from ffcomp.planner.lookahead import plan_moves, stops_and_waits
-from ffcomp.planner.program import raw_durations
+from ffcomp.planner.program import planner_of, raw_durations
 from gcode.reader import read_program
+from gcode.slicing import passed_through
+from models.file import load_machine
 
 LIMITS = PlannerLimits(velocity_mm_per_s=300.0, acceleration_mm_per_s2=1000.0, square_corner_velocity_mm_per_s=5.0)
 PLANNER = partial(plan_moves, limits=LIMITS)
@@ -33,6 +35,13 @@ def test_a_stop_separates_and_a_comment_does_not() -> None:
     apart = _seconds("G1 X10 F60000\nM400\nG1 X20\nM400\nG1 X30\n")
     assert 2 * np.sqrt(30 / 1000) < together < 0.65 * apart
     assert apart == pytest.approx(3 * _seconds("G1 X10 F60000\n"), rel=1e-6)
+
+
+def test_marlin_has_no_plan_of_steps_for_what_no_joint_reaches() -> None:
+    machine = load_machine("kossel")
+    program = read_program(b"G90\nG1 X0 Y0 Z1 F6000\nG1 X500 F6000\n", flavor="marlin")
+    beside = passed_through(program, np.ones(len(program.moves), dtype=np.bool_), "beside the volume")
+    assert list(raw_durations(beside.events, planner_of(beside, machine)).values())[-1] == pytest.approx(5.0)
 
 
 def _seconds(lines: str) -> float:
