@@ -312,7 +312,7 @@ def _gains(best: Fit, retuned: Fit, noise: NoiseFloor) -> bool:
 
 def _with_a_rest(none: Diagnosis, searched: _Searched, tested: Diagnosis, progress: Progress) -> Diagnosis:
     """Name the effect that holds most of the discrepancy, if one does; else leave the verdict as it is."""
-    dominant = dominant_effect(searched.estimation, searched.base, tested.tried, progress)
+    dominant = dominant_effect(searched.estimation, searched.base, tested.tried, searched.best, progress)
     if dominant is None:
         return tested
     best = dominant.hypothesis
@@ -320,7 +320,8 @@ def _with_a_rest(none: Diagnosis, searched: _Searched, tested: Diagnosis, progre
         whole = hypothesis_in_whole(none.estimation.problem, best)
         best = continue_fit(none.estimation, whole, progress, ", on all data")
     alone = _tested(none, searched, best, progress)
-    return replace(alone, dominant=dominant) if alone.rejections else alone
+    rejections = alone.rejections or tested.rejections
+    return replace(alone, verdict="unknown", named=None, dominant=dominant, rejections=rejections)
 
 
 def _tested(none: Diagnosis, searched: _Searched, best: Hypothesis, progress: Progress) -> Diagnosis:

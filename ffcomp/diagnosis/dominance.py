@@ -63,7 +63,7 @@ class _Tested:
 
 
 def dominant_effect(
-    estimation: EstimationProblem, base: Fit, tried: Sequence[Hypothesis], progress: Progress
+    estimation: EstimationProblem, base: Fit, tried: Sequence[Hypothesis], best: Hypothesis, progress: Progress
 ) -> Dominant | None:
     """Return the effect that holds most of the discrepancy, if one does.
 
@@ -71,6 +71,7 @@ def dominant_effect(
     ----------
     base : the machine's parameters alone
     tried : hypotheses of the same data
+    best : of several effects it may be; one that holds most is among them
     """
     contenders = _contenders([h for h in tried if len(h.fit.residual) == len(base.residual)])
     if not contenders or len(groups(estimation.problem)) < 2:
@@ -92,6 +93,7 @@ def dominant_effect(
         progress(f"{each.hypothesis.names[0]} explains {told}")
     if (
         explained[0] < SETTINGS.dominant
+        or _kin(first.hypothesis) not in {KIN.get(name, name) for name in best.names}
         or first.alike > SETTINGS.signature
         or not all(_ahead(first, other) for other in others)
         or not _everywhere(first, held_out, whole)

@@ -431,7 +431,8 @@ def _beyond_noise(
         return None
     white = float(np.median(apart[quiet] / width[quiet])) if quiet.sum() >= LEAST_QUIET_BINS else 0.0
     noise = width * max(white, rest or 0.0)
-    shares = [np.maximum(apart - times**2 * noise, 0.0).sum() / own.sum() for times in (TIMES_NOISY_REST, TIMES_REST)]
+    size = max(float(own.sum()), 1e-300)
+    shares = [np.maximum(apart - times**2 * noise, 0.0).sum() / size for times in (TIMES_NOISY_REST, TIMES_REST)]
     return float(np.sqrt(shares[0])), float(np.sqrt(shares[1]))
 
 

@@ -80,7 +80,8 @@ def dominant(sizes: Sequence[float], rest: float = 0.5, names: Sequence[str] = (
     tried = [
         Hypothesis((c,), fit(estimation, (*problem.parameters, *c.parameters), np.zeros(2))) for c in problem.candidates
     ]
-    return dominant_effect(estimation, base, tried, lambda _: None)
+    best = min(tried, key=lambda h: h.discrepancy)
+    return dominant_effect(estimation, base, tried, best, lambda _: None)
 
 
 def test_an_effect_that_leaves_a_rest_is_named_with_what_it_explains() -> None:
