@@ -71,7 +71,7 @@ def dominant_effect(
     ----------
     base : the machine's parameters alone
     tried : hypotheses of the same data
-    best : of several effects it may be; one that holds most is among them
+    best : it may be of several effects; where it leaves far less, one that holds most is among them
     """
     contenders = _contenders([h for h in tried if len(h.fit.residual) == len(base.residual)])
     if not contenders or len(groups(estimation.problem)) < 2:
@@ -93,7 +93,7 @@ def dominant_effect(
         progress(f"{each.hypothesis.names[0]} explains {told}")
     if (
         explained[0] < SETTINGS.dominant
-        or _kin(first.hypothesis) not in {KIN.get(name, name) for name in best.names}
+        or _better_without(best, first.hypothesis)
         or first.alike > SETTINGS.signature
         or not all(_ahead(first, other) for other in others)
         or not _everywhere(first, held_out, whole)
@@ -113,6 +113,12 @@ def _contenders(tried: Sequence[Hypothesis]) -> list[Hypothesis]:
     kin = list(dict.fromkeys(_kin(h) for h in ranked))[: SETTINGS.by_simulation]
     laws = [h for h in ranked if kin and _kin(h) == kin[0]]
     return [*laws, *(next(h for h in ranked if _kin(h) == each) for each in kin[1:])]
+
+
+def _better_without(best: Hypothesis, first: Hypothesis) -> bool:
+    """Tell whether the best explanation does without the family, and leaves far less."""
+    without = _kin(first) not in {KIN.get(name, name) for name in best.names}
+    return without and SETTINGS.ahead * best.discrepancy < first.discrepancy
 
 
 def _kin(h: Hypothesis) -> str:
