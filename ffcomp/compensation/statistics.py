@@ -214,10 +214,16 @@ def of_plan(planned: PlannedProgram, extent: Extent) -> Statistics:
         end = _on(extent.end, plan, 0.0)
         last = int(np.searchsorted(plan.start_t, end))
         shares = Shares(of_moves(some(moves, slice(first, last))))
-        return Statistics(moves=last - first, original_print_time_s=end - begin, shares=shares)
+        return Statistics(moves=_lines(moves, first, last), original_print_time_s=end - begin, shares=shares)
     original_s, print_s = planned.firmware_s - begin, float(plan.end_t) - begin
     shares = Shares(of_moves(some(moves, slice(first, None))))
-    return Statistics(moves=len(moves) - first, original_print_time_s=original_s, print_time_s=print_s, shares=shares)
+    count = _lines(moves, first, len(moves))
+    return Statistics(moves=count, original_print_time_s=original_s, print_time_s=print_s, shares=shares)
+
+
+def _lines(moves: Moves, first: int, last: int) -> int:
+    """Count the lines that moves first..last-1 are of: neither chords of arcs nor the pieces that firmware cuts."""
+    return int(np.count_nonzero(np.diff(moves.line[max(first - 1, 0) : last]))) + int(first == 0 < last)
 
 
 def of_raw(events: list[Event], seconds: Mapping[int, float]) -> Statistics:

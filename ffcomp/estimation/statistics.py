@@ -351,9 +351,9 @@ class Statistics:
         rows = np.zeros((len(seconds), COLUMNS))
         rows[np.arange(len(seconds)), kind] = seconds
         rows[:, FILAMENT] = fed
-        self.moves += len(seconds)
         self._feed(fed)
         line = moves.line[counted]
+        self.moves += len(np.unique(line))
         for k, row, _ in summed(np.searchsorted(marks.features, line, side="right"), rows):
             _add_row(self.features, marks.names[k], row)
         begun = np.searchsorted(marks.layers, line, side="right")

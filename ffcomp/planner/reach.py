@@ -124,6 +124,9 @@ def _about(kinematics: Kinematics, program: Program, at_end: BoolArray, at_start
         return None
     move = int(np.flatnonzero(which)[0])
     points = moves.end if at_end.any() else moves.start
+    if at_end.any():  # of a line that firmware cuts, the point that it names
+        last = int(np.flatnonzero(moves.line == moves.line[move])[-1])
+        move = last if at_end[last] else move
     try:
         kinematics.check_reach(points[move : move + 1, :3])
     except UnreachableError as error:

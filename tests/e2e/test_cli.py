@@ -114,7 +114,7 @@ def test_a_dry_run_writes_nothing(small: Path) -> None:
         (FAR, ["--offset-mm", "0,0"], 4, "--offset-mm -119,-120 brings it inside"),
         (SMALL + b"G1 X900 E9\nG1 X0 E12\n", [], 4, "no offset helps"),
         (SMALL, ["--machine", "mp-delta-por"], 5, "Did you mean"),
-        (SMALL, ["--flavor", "marlyn"], 4, "marlyn"),
+        (SMALL, ["--flavor", "marlyn"], 2, "marlyn"),
         (SMALL, ["--offset-mm", "1;2"], 2, "offset"),
         (SMALL, ["--output", "stone"], 2, "stone"),
     ],
