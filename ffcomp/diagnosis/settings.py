@@ -78,7 +78,7 @@ class SearchSettings:
     )
     worse_place: float = _setting(1.5, "ratio", "by which no place left out may become worse")
     dominant: float = _setting(0.6, "of the discrepancy", "what one effect explains elsewhere, to be named with a rest")
-    ahead: float = _setting(1.3, "ratio", "by which any other family, and retuning alone, leave more there")
+    ahead: float = _setting(1.5, "ratio", "by which any other family, and retuning alone, leave more there")
     signature: float = _setting(0.5, "of what is left there", "that still looks like the effect")
     mostly: float = _setting(0.9, "of the discrepancy", "an explanation that failed a test is worth reporting")
     confounded: float = _setting(0.8, "cos²", "of projected signatures from which effects are confounded")
