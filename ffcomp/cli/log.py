@@ -42,7 +42,7 @@ def log_path(environment: Mapping[str, str] = os.environ) -> Path | None:
 
 def note(text: str) -> None:
     """Write a message into the log of this run, every line with its time and process."""
-    for line in text.splitlines():
+    for line in text.encode("utf-8", "backslashreplace").decode().splitlines():  # names of files may be no text
         LOGGER.info("%s", line)
 
 
@@ -93,7 +93,7 @@ def _opened() -> _Log | None:
     with suppress(OSError, RuntimeError):  # RuntimeError: no home folder
         if path := log_path():
             path.parent.mkdir(parents=True, exist_ok=True)
-            log = _Log(path, maxBytes=LARGEST, backupCount=1, encoding="utf-8", errors="backslashreplace")
+            log = _Log(path, maxBytes=LARGEST, backupCount=1, encoding="utf-8")
             log.setFormatter(logging.Formatter("%(asctime)s [%(process)d] %(message)s", "%Y-%m-%dT%H:%M:%S%z"))
             return log
     return None
