@@ -61,7 +61,7 @@ class PageRequest:
 
     page: Page = field(default_factory=Page)
     height_mm: float = 0.2  # of the layer, or of a pen's tip
-    acceleration_mm_per_s2: float | None = None  # of the strokes; None: the machine file's limit
+    acceleration_mm_per_s2: float | None = None  # of the strokes; None: what STROKE_MM_PER_S2 and CARRIAGE_SHARE allow
     seed: int = 1
 
 
