@@ -110,7 +110,7 @@ def word(line: bytes, letter: bytes, change: Callable[[float], float]) -> bytes:
         (lambda line: word(line, b"X", lambda x: x + 400), "outside"),
         (lambda line: word(word(line, b"X", lambda x: x + 50), b"F", lambda f: 20 * f), "velocity"),
         (lambda line: word(line, b"E", lambda e: e + 0.5), "There and back"),
-        (lambda line: word(line, b"E", lambda e: 1e-9 + e) + b"1" * 90, "too long"),
+        (lambda line: line.replace(b"E", b"E" + b"0" * 90), "too long"),
         (lambda line: line.replace(b"G1 ", b"G1 Z1e1 "), "exponent"),
         (lambda line: line + b" S1", "no plain G1"),
         (lambda line: b"M107\n" + line, "not those of the original"),

@@ -20,12 +20,13 @@ from models.file import load_machine
 from tests.support.prints import squares
 
 MACHINE = load_machine("mp-delta-pro")
+KLIPPER_PRINT = b"; gcode_flavor = klipper\n" + squares(2)
 BOUND = Bound(25.0, max_flow_mm3_per_s=20.0, min_layer_time_s=0.0, change_speed=("first layer",))
 
 
 @cache
 def printed() -> Print:
-    return Print(squares(2), "squares.gcode", MACHINE)
+    return Print(KLIPPER_PRINT, "squares.gcode", MACHINE)
 
 
 def stretch(bound: Bound = BOUND) -> BoundedSlice:
@@ -37,7 +38,7 @@ def found() -> Quickest:
     certain = {"kinematics.arm_length_mm": 0.0, "kinematics.delta_radius_mm": 0.0}
     machine = replace(MACHINE, uncertainty={"default": 0.02, **certain})
     return quickest(
-        squares(2), "squares.gcode", machine, request=QuickestRequest(BOUND, Sampling(1, 1), ("mzv",), 0.1, 2)
+        KLIPPER_PRINT, "squares.gcode", machine, request=QuickestRequest(BOUND, Sampling(1, 1), ("mzv",), 0.1, 2)
     )
 
 
