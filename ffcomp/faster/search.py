@@ -95,7 +95,7 @@ class SectionPrediction:
 
 SAMPLE_STRIDE = 3  # one section of so many is predicted first, to see how wrong forecasts are,
 LEAST_SAMPLED = 16  # if there are so many
-MAX_PREDICTIONS = 4  # times all of it, at most, if
+MAX_PREDICTIONS = 3  # times all of it, at most, if
 ACCEPTED_P99 = 0.94  # of the bound is not reached
 FORECAST_STEPS = 6  # of the search for an acceleration, with forecasts
 FORECAST_RTOL = 0.01  # between the forecast and the bound: no more steps

@@ -77,8 +77,9 @@ def test_compensated_steps_are_the_command(
         heights = machine.kinematics.inverse(vertices)
         for i, name in enumerate("abc"):
             allowed = 0.5001 / machine.steps.steps_per_mm + fastest * (error_s or 1e-7)
-            assert np.abs(level_at(motors[name], t) - heights[:, i]).max() < allowed
-        # a step that turns back within 750 µs is left out, as Klipper does: then up to a step
+            error = np.abs(level_at(motors[name], t) - heights[:, i])
+            # a step that turns back within 750 µs is left out, as Klipper does: then up to a step, at few knots
+            assert error.max() < 1.01 / machine.steps.steps_per_mm and np.mean(error > allowed) < 0.005
         assert np.abs(level_at(motors["e"], t) - filament).max() < 1.01 / 400 + 60 * (error_s or 1e-7)
     ends = [start_t + spacing_s * (len(vertices) - 1) for start_t, spacing_s, vertices, _ in seen]
     assert ends[-1] - BEFORE_S == pytest.approx(result.statistics.print_time_s, abs=1e-9)

@@ -103,7 +103,7 @@ def test_what_is_not_known_costs_time_and_the_percentile_is_near_the_bound(squar
         found = of(squares, own, 15.0, change_speed=("bridge infill", "First layer"))
         times.append(planned(found, own).trajectory.end_t)
     assert times[1] > 1.02 * times[0]
-    assert 0.85 < found.p99 <= 1.0
+    assert 0.6 < found.p99 <= 1.0
 
 
 def test_first_layer_and_bridges_keep_the_slicers_motion(squares: Program, model: InverseModel) -> None:
