@@ -3,7 +3,7 @@
 The bead is its own model: it is pulled after the nozzle (a tractrix), rounded by the bore, as wide as flow over speed
 through a pressure that lags, with two rough edges that know nothing of each other, and an elephant's foot. The
 scanner's carriage wobbles and stretches, the phone looks from aside through a lens; both have blur, shading, glints,
-dust, noise and JPEG. Nothing here is shared with `ffcomp/identification/scan`; the nozzle moves as
+dust, noise and JPEG. Nothing here is shared with `ffcomp/identification`; the nozzle moves as
 the plants do.
 """
 

@@ -13,8 +13,8 @@ from ffcomp.identification.direct import Identified
 from ffcomp.identification.from_resonances import ResonanceStart
 from ffcomp.identification.modal_fit import AxisFit
 from ffcomp.identification.output_error import DRIVE, TOTAL_MASS, UNKNOWNS
+from ffcomp.identification.page_fit import PageFit
 from ffcomp.identification.paper import PaperIdentification
-from ffcomp.identification.scan.fit import PageFit
 from ffcomp.identification.uncertainty import Estimate
 from models.file import updated_text
 from models.kinds import delta_vibration

@@ -16,8 +16,8 @@ from ffcomp.identification.belts import BeltComparison
 from ffcomp.identification.direct import Identified, scale_is_weak
 from ffcomp.identification.from_resonances import ResonanceStart
 from ffcomp.identification.modal_fit import AxisFit
+from ffcomp.identification.page_fit import PageFit
 from ffcomp.identification.paper import PaperIdentification
-from ffcomp.identification.scan.fit import PageFit
 from ffcomp.identification.uncertainty import Estimate
 from ffcomp.measurement.modes import ModeFit
 from ffcomp.shapers.calibration import ShaperAdvice

@@ -10,10 +10,10 @@ from pathlib import Path
 from ffcomp.errors import MeasurementError, RequestError
 from ffcomp.identification.machine_file import scan_file_text
 from ffcomp.identification.machine_fit import ScanFit, hash_of
+from ffcomp.identification.page_fit import SCALE, PageFit, fit_page
+from ffcomp.identification.page_lines import read_lines
+from ffcomp.identification.page_picture import find_page, read_picture
 from ffcomp.identification.request import ScanRequest
-from ffcomp.identification.scan.fit import SCALE, PageFit, fit_page
-from ffcomp.identification.scan.lines import read_lines
-from ffcomp.identification.scan.picture import find_page, read_picture
 from ffcomp.numerics.stages import Stage
 from ffcomp.record.plan import Plan, load_plan
 from ffcomp.shapers.calibration import shaper_advice

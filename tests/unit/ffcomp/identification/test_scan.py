@@ -13,8 +13,8 @@ from PIL import Image
 
 from ffcomp.errors import MeasurementError, RequestError
 from ffcomp.identification.machine_fit import ScanFit
+from ffcomp.identification.page_picture import find_page, read_picture
 from ffcomp.identification.request import ScanRequest
-from ffcomp.identification.scan.picture import find_page, read_picture
 from ffcomp.identification.scanning import fit_pictures
 from ffcomp.record.page import PageRequest, make_page
 from ffcomp.record.plan import Experiment, Plan, save_plan

@@ -14,7 +14,7 @@ from scipy import ndimage
 from scipy.signal import savgol_filter
 
 from ffcomp.errors import MeasurementError
-from ffcomp.identification.scan.picture import RETAKE, Sight, with_lines
+from ffcomp.identification.page_picture import RETAKE, Sight, with_lines
 from ffcomp.record.page import Line, last_line, twins
 from ffcomp.record.plan import Experiment, Plan
 from models.arrays import FloatArray

@@ -18,7 +18,7 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.signal import lfilter
 
 from ffcomp.errors import MeasurementError
-from ffcomp.identification.scan.lines import STEP_MM, ReadLine
+from ffcomp.identification.page_lines import STEP_MM, ReadLine
 from ffcomp.identification.uncertainty import Estimate, Joint, lognormal, through
 from ffcomp.numerics.least_squares import BatchedProblem, Iterate, minimise_batched
 from ffcomp.numerics.stages import Stage

@@ -1,1 +1,0 @@
-"""Identification from a picture of a page that the printer has drawn."""
