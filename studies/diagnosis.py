@@ -1,6 +1,6 @@
 """The full blind test of `ffcomp diagnose`, with three rivals on the same sealed cases.
 
-    python -m studies.diagnosis --cases 240 --jobs 2 --resume DIR       docs/DIAGNOSIS.md and its figure
+    python -m studies.diagnosis --cases 240 --jobs 2 --resume DIR       reports/diagnosis.md and its figure
     python -m studies.diagnosis --cases 240 --scheduler tcp://HOST:8786 --resume DIR      by a Dask cluster
     python -m studies.diagnosis --cases 240 --resume DIR --render       the page of what is done so far
     python -m studies.diagnosis --cases 48 --seed 9130 --resume DIR2 --earlier      another bank, told on the same page
@@ -40,7 +40,7 @@ from validation.blind.summary import confusion, miss, rate_of
 
 ROOT = Path(__file__).parents[1]
 LONGEST_S = 900.0
-FIGURE = ROOT / "docs" / "diagnosis_confusion.png"
+FIGURE = ROOT / "studies" / "reports" / "diagnosis_confusion.png"
 EDGES = (0.0, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, np.inf)
 METHODS = {"ours": "ffcomp", "sindy": "SINDy", "spike_slab": "spike and slab", "bic": "BIC, one effect"}
 

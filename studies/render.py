@@ -26,7 +26,7 @@ import jinja2
 ROOT = Path(__file__).parents[1]
 STUDIES = ROOT / "studies"
 TEMPLATES, RESULTS, REPORTS = STUDIES / "templates", STUDIES / "results", STUDIES / "reports"
-SUMMARIES = {"accuracy": "docs/ACCURACY.md", "diagnosis": "docs/DIAGNOSIS.md"}
+SUMMARIES = {"accuracy": "docs/ACCURACY.md"}
 """Pages that every user may want to read; the others are reports beside the studies."""
 PAGES = tuple(sorted(path.name.removesuffix(".md.jinja") for path in TEMPLATES.glob("*.md.jinja")))
 WIDTH = 120  # of a line of a paragraph
