@@ -167,8 +167,8 @@ class Checkout:
         diagnosing = sum(len(f.constants) for f in files if f.name.startswith("ffcomp.diagnosis"))
         kinds = [KIND_OF_MACHINE.findall(f.text) for f in files if not f.name.startswith("models")]
         pages = [self.root / "README.md", *(self.root / "docs").rglob("*.md")]
-        words = {page: len(page.read_text(encoding="utf-8").split()) for page in pages}
-        written = {page: count for page, count in words.items() if page.stem not in GENERATED}
+        prose = {page: len(page.read_text(encoding="utf-8").split()) for page in pages}
+        written = {page: count for page, count in prose.items() if page.stem not in GENERATED}
         return [
             ("Python files of the product", f"{len(files)}"),
             ("Lines", f"{sum(f.lines for f in files):,}"),
@@ -191,7 +191,7 @@ class Checkout:
             (f"Calls with {MANY} arguments by position, or more", f"{len(calls)}"),
             *((f"Definitions on the way of `{verb}`", _reach_text(self.reached(verb))) for verb in VERBS),
             ("Places outside models/ that ask for the kind of machine", f"{sum(map(len, kinds))}"),
-            ("Pages and words of README and docs", f"{len(words)}, {sum(words.values()):,}"),
+            ("Pages and words of README and docs", f"{len(prose)}, {sum(prose.values()):,}"),
             ("Without the pages made from the code", f"{len(written)}, {sum(written.values()):,}"),
             ("Lines of tests", f"{sum(p.read_bytes().count(10) for p in (self.root / 'tests').rglob('*.py')):,}"),
         ]
