@@ -58,6 +58,7 @@ STRAIGHT = 1.0 - 1e-9  # cosine between two pieces of a line that is no arc
 ROUND_MM = 1e-3  # by which the vertices of an arc in the plane may leave its circle
 WHOLE_CHORD = 1e-3  # of a chord that is not missed
 EVEN_MM = 1e-4  # between the pieces of a line that is no arc
+LOW_JERK = 0.25  # of x's and y's: below it a tower's jerk was meant for a lead screw
 _NUMBER = re.compile(rb"[-+]?\d*\.?\d+")
 _XYZE = "XYZE"
 
@@ -386,6 +387,8 @@ def cut_for_marlin(program: Program, machine: Machine) -> Program:
     moves = program.moves
     if program.flavor != MARLIN or not len(moves):
         return program
+    if isinstance(machine.kinematics, DeltaKinematics) and (warning := _low_jerk_warning(program, machine)):
+        program = replace(program, warnings=[*program.warnings, warning])
     speed = np.array([frame.feed_mm_per_s for frame in program.frames])[moves.frame]  # M203 caps whole steps, later
     moves = replace(moves, speed=speed)
     change = (moves.end - moves.start)[:, :3]
@@ -416,6 +419,21 @@ def cut_for_marlin(program: Program, machine: Machine) -> Program:
     before = np.concatenate([[0], np.cumsum(np.bincount(rows, minlength=len(moves)))])
     events = [event._replace(move=int(before[event.move])) for event in program.events]
     return replace(program, moves=Moves(**columns), events=events)
+
+
+def _low_jerk_warning(program: Program, machine: Machine) -> str:
+    """Say where a delta's print sets a jerk for Z that suits a lead screw; empty: nowhere."""
+    in_force = SettingsInForce.of(program, machine)
+    for line, row in zip(in_force.lines[1:].tolist(), in_force.rows[1:], strict=True):
+        code, values = _words(program.lines[line])
+        x, y, z = row[JERK][:3].tolist()
+        if code == b"M205" and "Z" in values and z < LOW_JERK * min(x, y):
+            return (
+                f"line {program.first_line + line + 1}: M205 sets the jerk of Z to {z:g} mm/s, and Z is a tower of "
+                "this delta, so that Marlin slows down at nearly every joint of the path; set it to "
+                f"{min(x, y):g} like those of X and Y, in the slicer's machine limits."
+            )
+    return ""
 
 
 def _in_equal_parts(begin: int, end: int, count: IntArray) -> tuple[IntArray, FloatArray]:

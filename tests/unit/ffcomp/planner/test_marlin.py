@@ -184,6 +184,14 @@ def test_unknown_settings_are_told() -> None:
     assert settings_sentence(replace(machine, marlin=replace(CARTESIAN, stated=stated))) == ""
 
 
+def test_a_lead_screws_jerk_is_named_where_z_is_a_tower() -> None:
+    low, even = b"M205 X10 Y10 Z0.2\nG1 X20 F600\n", b"M205 X10 Y10 Z10\nG1 X20 F600\n"
+    (warning,) = read(low, machine_of("delta-6")).warnings
+    assert warning.startswith("line 2: M205 sets the jerk of Z to 0.2 mm/s") and "set it to 10 like" in warning
+    assert not read(even, machine_of("delta-6")).warnings
+    assert not read(low, machine_of("cj-6")).warnings
+
+
 def test_a_program_of_another_firmware_is_not_cut() -> None:
     machine = machine_of("delta-6")
     known = {**known_to_the_firmware(machine), "homed_mm": (0.0, 0.0, 0.0)}
