@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ffcomp.diagnosis.diagnosis import noise_floor
 from ffcomp.diagnosis.noise import NoiseFloor, Whitener, whitener
-from ffcomp.diagnosis.problem import Observation, Repeated
+from ffcomp.diagnosis.problem import Observation, Repeats
 from ffcomp.diagnosis.problems import plant_of, problem_of, recordings_of
 from ffcomp.diagnosis.request import GapRequest
 from ffcomp.diagnosis.validation import Recorded, check_alike
@@ -196,7 +196,7 @@ def measure_gap(machine: Machine, recordings: Sequence[Recorded]) -> Discrepancy
     return Discrepancy(residual, floor.from_repeats, tuple(_notes(problem.repeats)), places)
 
 
-def _notes(repeats: Sequence[Repeated]) -> list[str]:
+def _notes(repeats: Sequence[Repeats]) -> list[str]:
     late = [
         f"{each.late()}; they were moved onto each other before they were compared." for each in repeats if each.apart
     ]

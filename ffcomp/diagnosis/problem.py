@@ -7,11 +7,11 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import inf
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ffcomp.measurement.faults import REPEATS_REMEDY, RepeatComparison
 from models.arrays import FloatArray
 from models.effects.catalogue import CATALOGUE
 from models.effects.effect import Effect
@@ -119,38 +119,27 @@ class InfeasibleParameters(ValueError):
     """Raised for parameters with which the machine cannot be simulated; a fit must not go there."""
 
 
-class Repeated(Protocol):
-    """What repeats of one experiment say of each other, see `ffcomp/diagnosis/recording_clocks.py`."""
+@dataclass(frozen=True, kw_only=True)
+class Repeats(RepeatComparison):
+    """One experiment that was recorded several times."""
 
-    @property
-    def members(self) -> tuple[int, ...]:
-        """Return the indices of its observations."""
-
-    @property
-    def files(self) -> tuple[str, ...]:
-        """Return their files."""
-
-    @property
-    def lag_s(self) -> tuple[float, ...]:
-        """Return how late each is behind their mean."""
-
-    @property
-    def signals(self) -> tuple[str, ...]:
-        """Return the signals that were compared, of one clock; none named: all."""
-
-    @property
-    def apart(self) -> bool:
-        """Tell whether they lie so far apart in time that it matters."""
-
-    @property
-    def differ(self) -> bool:
-        """Tell whether they differ by more than any noise of sensors."""
+    experiment: str
+    members: tuple[int, ...]  # indices of its observations
+    files: tuple[str, ...]
+    signals: tuple[str, ...] = ()  # that were compared, of one clock; empty: all
 
     def late(self) -> str:
         """Say how far apart they lie, in a sentence."""
+        first, last = (self.files[int(f(self.lag_s))] for f in (np.argmin, np.argmax))
+        apart = 1e3 * (max(self.lag_s) - min(self.lag_s))
+        return f"{last} lies {apart:.2g} ms late against {first}, which repeats the same motion"
 
     def trouble(self) -> str:
-        """Say by what they differ, in a sentence."""
+        """Say that they do not repeat, and what to do, in full sentences."""
+        return (
+            f"{' and '.join(self.files[:2])} are named as repeats, but these repeats do not repeat: they differ by "
+            f"{self.difference}. {REPEATS_REMEDY}; and leave these files out."
+        )
 
 
 @dataclass
@@ -194,7 +183,7 @@ class Problem(ABC):
     name: str  # of the machine
     path: str  # of its file
     recordings: Sequence[object]  # that the observations are from
-    repeats: Sequence[Repeated] = ()
+    repeats: Sequence[Repeats] = ()
     commands: Sequence[FloatArray] = ()  # (n, 3) mm of a printer's carriages, of each observation
     commanded: bool = True  # by a position, which a firmware may shape; else by a force
     cycle_mm: float = 0.0  # of a motor

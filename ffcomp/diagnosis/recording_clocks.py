@@ -9,14 +9,14 @@ Signals of several chips are on several clocks: each has a delay and a drift.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from ffcomp.diagnosis.noise import fill_gaps
-from ffcomp.diagnosis.problem import Candidate, Observation, Parameter
-from ffcomp.measurement.faults import REPEATS_REMEDY, RepeatComparison, compare_repeats
+from ffcomp.diagnosis.problem import Candidate, Observation, Parameter, Repeats
+from ffcomp.measurement.faults import compare_repeats
 from ffcomp.measurement.recording import Recording
 from ffcomp.numerics.delay import moved_columns
 from models.arrays import FloatArray
@@ -26,29 +26,6 @@ OFFSET = "sensor_time_offset"  # of all recordings, as the catalogue calls it
 BOUND_SD = 5.0  # standard deviations within which they are looked for
 FEW_LAGS = 1.5  # a spread known from few lags is taken to be wider
 SMALL_DRIFT_S = 2e-5  # at the ends of a recording: less is not worth a parameter
-
-
-@dataclass(frozen=True, kw_only=True)
-class Repeats(RepeatComparison):
-    """One experiment that was recorded several times."""
-
-    experiment: str
-    members: tuple[int, ...]  # indices of its observations
-    files: tuple[str, ...]
-    signals: tuple[str, ...] = ()  # that were compared, of one clock; empty: all
-
-    def late(self) -> str:
-        """Say how far apart they lie, in a sentence."""
-        first, last = (self.files[int(f(self.lag_s))] for f in (np.argmin, np.argmax))
-        apart = 1e3 * (max(self.lag_s) - min(self.lag_s))
-        return f"{last} lies {apart:.2g} ms late against {first}, which repeats the same motion"
-
-    def trouble(self) -> str:
-        """Say that they do not repeat, and what to do, in full sentences."""
-        return (
-            f"{' and '.join(self.files[:2])} are named as repeats, but these repeats do not repeat: they differ by "
-            f"{self.difference}. {REPEATS_REMEDY}; and leave these files out."
-        )
 
 
 def repeats_of(observations: Sequence[Observation]) -> list[Repeats]:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ffcomp.diagnosis.problem import Repeated
+from ffcomp.diagnosis.problem import Repeats
 from ffcomp.errors import MeasurementError
 from ffcomp.measurement.axis_run import AxisRun
 from ffcomp.measurement.recording import Recording
@@ -150,7 +150,7 @@ def check_repeats(recordings: Sequence[Recorded]) -> None:
     raise MeasurementError(named, [rule + _lengths(recordings)])
 
 
-def check_repeating(repeats: Sequence[Repeated]) -> None:
+def check_repeating(repeats: Sequence[Repeats]) -> None:
     """Refuse repeats that differ by more than noise: what they differ by is no floor for anything.
 
     Raises

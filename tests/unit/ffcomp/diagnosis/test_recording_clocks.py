@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from ffcomp.diagnosis.noise import noise_from_repeats
-from ffcomp.diagnosis.problem import Candidate, Observation, Parameter
+from ffcomp.diagnosis.problem import Candidate, Observation, Parameter, Repeats
 from ffcomp.diagnosis.recording_clocks import (
-    Repeats,
     aligned,
     as_recorded,
     delay_parameters,
