@@ -30,16 +30,7 @@ from ffcomp.diagnosis.fidelity import (
 from ffcomp.diagnosis.fit import EstimationProblem, Fit, estimation_problem, fit, intervals_of
 from ffcomp.diagnosis.hypotheses import FILE_CHANGES, Hypothesis, competing_with, implausible, likeliest, significant
 from ffcomp.diagnosis.moves import Search
-from ffcomp.diagnosis.noise import (
-    NoiseFloor,
-    at_least,
-    noise_from_repeats,
-    noise_from_residual,
-    noise_of_sensors,
-    noise_share,
-    scaled,
-    whitener,
-)
+from ffcomp.diagnosis.noise import NoiseFloor, at_least, noise_floor, noise_share, scaled, whitener
 from ffcomp.diagnosis.problem import Parameter, Problem
 from ffcomp.diagnosis.recording_clocks import belongs_to_recording
 from ffcomp.diagnosis.recording_faults import Fault, fault_of_recordings, odd_signal
@@ -48,7 +39,6 @@ from ffcomp.diagnosis.search import Selection, find_best, finish, on_all_data
 from ffcomp.diagnosis.settings import SETTINGS
 from ffcomp.identification.uncertainty import Estimate
 from ffcomp.numerics.stages import Progress, Stage
-from models.arrays import FloatArray
 
 USUAL_S = (1.0, 15.0, 9.0, 11.0, 6.0, 4.0, 6.0)  # of CPU, in each stage of a search that names one effect
 
@@ -138,31 +128,6 @@ def diagnose(problem: Problem, progress: Progress = lambda _: None, budget: floa
         problem.work.begin(budget)
         result = _diagnosed(problem, scaled(result.noise, mean_square(result.final)), {}, progress)
     return replace(_concluded(result), cut_short=problem.work.cut)
-
-
-# ---- the noise -----------------------------------------------------------------------------------
-
-
-def noise_floor(problem: Problem, simulated: Sequence[FloatArray] | None = None) -> NoiseFloor:
-    """Take the noise from repeats; without any, from what is left above the model's band.
-
-    Parameters
-    ----------
-    simulated : (n, m) an observation with the file as it is, if it is known already.
-    """
-    floor = noise_from_repeats(problem.observations)
-    if floor is not None:
-        return floor
-    known = problem.least_density  # of positions: what their sensors and the simulation cannot tell apart
-    if known and all(name in known for o in problem.observations for name in o.signals):
-        return noise_of_sensors(problem.observations, known)
-    predicted = problem.simulate({}) if simulated is None else simulated
-    errors = [o.measured - y for o, y in zip(problem.observations, predicted, strict=True)]
-    above = noise_from_residual(problem.observations, errors, problem.band_hz)
-    if not known:
-        return above
-    sensors = noise_of_sensors(problem.observations, known)
-    return replace(sensors, density={**above.density, **{name: sensors.density[name] for name in known}})
 
 
 def _spread(estimation: EstimationProblem) -> float:

@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ffcomp.diagnosis.diagnosis import noise_floor
-from ffcomp.diagnosis.noise import NoiseFloor, Whitener, whitener
+from ffcomp.diagnosis.noise import NoiseFloor, Whitener, noise_floor, whitener
 from ffcomp.diagnosis.problem import Observation, Repeats
 from ffcomp.diagnosis.problems import plant_of, problem_of, recordings_of
 from ffcomp.diagnosis.request import GapRequest

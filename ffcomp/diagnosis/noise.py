@@ -8,14 +8,14 @@ frequency domain, which is zero-phase, holds the band exactly, and treats measur
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ffcomp.diagnosis.problem import Observation
+from ffcomp.diagnosis.problem import Observation, Problem
 from models.arrays import ComplexArray, FloatArray
 
 BAND_HZ = (1.0, 200.0)
@@ -37,6 +37,28 @@ class NoiseFloor:
     def at(self, signal: str, frequency_hz: FloatArray) -> FloatArray:
         """Interpolate the density of one signal: (n,) Hz -> (n,) unit²/Hz."""
         return np.interp(frequency_hz, self.frequency_hz, self.density[signal])
+
+
+def noise_floor(problem: Problem, simulated: Sequence[FloatArray] | None = None) -> NoiseFloor:
+    """Take the noise from repeats; without any, from what is left above the model's band.
+
+    Parameters
+    ----------
+    simulated : (n, m) an observation with the file as it is, if it is known already.
+    """
+    floor = noise_from_repeats(problem.observations)
+    if floor is not None:
+        return floor
+    known = problem.least_density  # of positions: what their sensors and the simulation cannot tell apart
+    if known and all(name in known for o in problem.observations for name in o.signals):
+        return noise_of_sensors(problem.observations, known)
+    predicted = problem.simulate({}) if simulated is None else simulated
+    errors = [o.measured - y for o, y in zip(problem.observations, predicted, strict=True)]
+    above = noise_from_residual(problem.observations, errors, problem.band_hz)
+    if not known:
+        return above
+    sensors = noise_of_sensors(problem.observations, known)
+    return replace(sensors, density={**above.density, **{name: sensors.density[name] for name in known}})
 
 
 def noise_from_repeats(observations: Sequence[Observation]) -> NoiseFloor | None:

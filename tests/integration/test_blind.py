@@ -15,9 +15,8 @@ import pytest
 
 from ffcomp.cli.app import app
 from ffcomp.cli.command import run
-from ffcomp.diagnosis.diagnosis import noise_floor
 from ffcomp.diagnosis.gap import locate_residual
-from ffcomp.diagnosis.noise import whitener
+from ffcomp.diagnosis.noise import noise_floor, whitener
 from ffcomp.diagnosis.problems import problem_of, recordings_of
 from models.effects.catalogue import CATALOGUE, measured, with_effect
 from models.file import load_machine, load_plant

@@ -7,11 +7,10 @@ from functools import cache
 import numpy as np
 import pytest
 
-from ffcomp.diagnosis.diagnosis import noise_floor
 from ffcomp.diagnosis.fidelity import excerpt_of, fit_in_excerpt, hypothesis_in_whole
 from ffcomp.diagnosis.fit import EstimationProblem, Fit, estimation_problem
 from ffcomp.diagnosis.hypotheses import Hypothesis
-from ffcomp.diagnosis.noise import whitener
+from ffcomp.diagnosis.noise import noise_floor, whitener
 from ffcomp.diagnosis.observations import (
     EXCERPT_MOTIONS,
     EXCERPT_S,

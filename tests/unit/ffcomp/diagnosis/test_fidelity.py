@@ -13,11 +13,11 @@ import numpy as np
 import pytest
 
 from ffcomp.diagnosis.acceptance import out_of_reach
-from ffcomp.diagnosis.diagnosis import _fitted_to_the_end, noise_floor
+from ffcomp.diagnosis.diagnosis import _fitted_to_the_end
 from ffcomp.diagnosis.fidelity import by_continuation, continue_fit, fit_within_uncertainty, from_short_horizon
 from ffcomp.diagnosis.fit import EstimationProblem, Fit, derivatives, estimation_problem, fit, values_at
 from ffcomp.diagnosis.hypotheses import Hypothesis
-from ffcomp.diagnosis.noise import whitener
+from ffcomp.diagnosis.noise import noise_floor, whitener
 from ffcomp.diagnosis.problem import Candidate, Parameter
 from ffcomp.diagnosis.problems import problem_of, recordings_of
 from ffcomp.diagnosis.score_test import screen

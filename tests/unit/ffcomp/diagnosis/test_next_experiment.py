@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from ffcomp.diagnosis import next_experiment as experiment
-from ffcomp.diagnosis.diagnosis import Diagnosis, noise_floor
+from ffcomp.diagnosis.diagnosis import Diagnosis
 from ffcomp.diagnosis.fit import EstimationProblem, Fit, estimation_problem
 from ffcomp.diagnosis.hypotheses import Hypothesis
 from ffcomp.diagnosis.next_experiment import Proposal, library, positions, propose
-from ffcomp.diagnosis.noise import whitener
+from ffcomp.diagnosis.noise import noise_floor, whitener
 from ffcomp.diagnosis.printer_problem import PrinterProblem
 from ffcomp.diagnosis.problem import Parameter
 from ffcomp.diagnosis.score_test import screen

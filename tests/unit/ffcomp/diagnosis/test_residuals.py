@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 
 from ffcomp.cli.app import app
-from ffcomp.diagnosis.diagnosis import noise_floor
-from ffcomp.diagnosis.noise import whitener
+from ffcomp.diagnosis.noise import noise_floor, whitener
 from ffcomp.diagnosis.printer_problem import PrinterProblem
 from ffcomp.measurement.recording import Recording
 from models.file import load_machine
