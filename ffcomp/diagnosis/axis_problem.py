@@ -10,19 +10,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ffcomp.diagnosis.axis_candidates import axis_candidates
+from ffcomp.diagnosis.candidates import axis_candidates, effect_tables, machine_parameters
 from ffcomp.diagnosis.observations import quick_length
 from ffcomp.diagnosis.pitches import likely_pitches, pitches_of_force
-from ffcomp.diagnosis.printer_candidates import effect_tables
 from ffcomp.diagnosis.problem import InfeasibleParameters, Observation, Parameter, Problem
 from ffcomp.identification.axis_shots import Shots, band_of, noise_sd, scales_of, shots_of, windows
 from ffcomp.measurement.axis_run import AxisRun
 from models.arrays import FloatArray
 from models.effects.catalogue import CATALOGUE, catalogue_of, with_effects
 from models.kinds import driven_axis
-from models.machine import Machine, value_of, with_values
+from models.machine import Machine, with_values
 
-REACH = 5.0  # standard deviations by which a parameter may be retuned: beyond, it is an effect
 OFFSET, OFFSET_SHARE = "axis.offset_n", 0.1  # of the force, by which its zero may be off
 EXACT = 0.003  # of what the forces do in a shot: no simulation is nearer than that
 KEPT = 6  # motions that are held
@@ -55,7 +53,7 @@ class AxisProblem(Problem):
         self.windows = [Window(i, part) for i, one in enumerate(self.shots) for part in _parts(one)]
         self.observations = [_observation(self.shots[w.run], w.rows) for w in self.windows]
         scales = replace(scales_of(machine, self.shots), highest_hz=self.band_hz[1])
-        self.parameters = (*_parameters(machine), *_offset(machine, scales.force_n))
+        self.parameters = (*machine_parameters(machine), *_offset(machine, scales.force_n))
         signals = {name for run in runs for name in run.signals}
         self._same = [_first_equal(self.shots, i) for i in range(len(runs))]
         ripples = bool(RIPPLES & set(names))
@@ -161,17 +159,6 @@ def _observation(one: Shots, rows: slice) -> Observation:
     speed = np.tile(one.speed[rows, None], (1, len(signals)))
     name, repeat = f"{run.source} from {began:g} s", f"{run.repeat_of} from {began:g} s"
     return Observation(name, repeat, (began,), run.sample_rate_hz, signals, measured, speed)
-
-
-def _parameters(machine: Machine) -> list[Parameter]:
-    found = []
-    for name in machine.vibration.tunable:
-        value = value_of(machine, name)
-        relative = machine.uncertainty.get(name, machine.uncertainty.get("default", 0.02))
-        if relative:
-            sd = relative * value
-            found.append(Parameter(name, value, sd, max(value - REACH * sd, 0.05 * value), value + REACH * sd))
-    return found
 
 
 def _offset(machine: Machine, force_n: float) -> list[Parameter]:

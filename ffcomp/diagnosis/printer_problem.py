@@ -14,6 +14,7 @@ from typing import TypeVar
 
 import numpy as np
 
+from ffcomp.diagnosis.candidates import EFFECT_KEY, effect_tables, machine_parameters, printer_candidates
 from ffcomp.diagnosis.noise import BAND_HZ
 from ffcomp.diagnosis.observations import (
     Part,
@@ -25,16 +26,7 @@ from ffcomp.diagnosis.observations import (
     led_in,
     observation_of,
 )
-from ffcomp.diagnosis.printer_candidates import (
-    EFFECT_KEY,
-    candidate_of,
-    effect_tables,
-    idle_actuators,
-    longest_travel,
-    machine_parameters,
-    possible_effects,
-)
-from ffcomp.diagnosis.problem import InfeasibleParameters, Problem, within_travel
+from ffcomp.diagnosis.problem import InfeasibleParameters, Problem
 from ffcomp.diagnosis.recording_clocks import (
     aligned,
     as_recorded,
@@ -82,11 +74,8 @@ class PrinterProblem(Problem):
         self.repeats = repeats_of(recorded)
         self.observations = aligned(recorded, self.repeats)
         self.parameters = (*machine_parameters(machine), *delay_parameters(recordings, recorded, self.repeats))
-        possible, idle = possible_effects(machine, self.commands), idle_actuators(machine, self.commands)
-        effects = [CATALOGUE[n] for n in names if n in possible and n not in machine.effects]
-        travel = longest_travel(machine, self.commands)
-        limited = [within_travel(candidate_of(machine, effect, idle), travel) for effect in effects]
-        self.candidates = tuple(with_stated_clock(each, recordings) for each in limited if each is not None)
+        possible = printer_candidates(machine, self.commands, names)
+        self.candidates = tuple(with_stated_clock(each, recordings) for each in possible)
         self.same_command = [_first_equal(self.commands, i) for i in range(len(recordings))]
         self.kept: dict[_Key, dict[int, PrinterMotion]] = {}
         self.parts: Sequence[Part] = [Part(0, len(command), 0) for command in self.commands]

@@ -68,25 +68,6 @@ class Candidate:
         return replace(self, shapes=(*self.shapes, *self.alternative), finer=(), alternative=())
 
 
-def within_travel(candidate: Candidate, travel_mm: float) -> Candidate | None:
-    """Limit a pitch to half the travel; None if no pitch is left to begin at.
-
-    With less than two periods nothing repeats, and a ripple explains any slow error.
-    """
-    most = travel_mm / 2.0
-    pitches = [n for n in candidate.shapes if n.name.endswith(".pitch_mm")]
-    if not pitches:
-        return candidate
-    grid = tuple(point for point in candidate.grid if all(point.get(n.name, 0.0) <= most for n in pitches))
-    if not grid:
-        return None
-    shapes = tuple(
-        replace(n, start=min(n.start, most), high=min(n.high, most)) if n in pitches else n for n in candidate.shapes
-    )
-    other = None if candidate.other is None else within_travel(candidate.other, travel_mm)
-    return replace(candidate, shapes=shapes, grid=grid, other=other)
-
-
 @dataclass(frozen=True, eq=False)
 class Observation:
     """One recording as it is compared: n samples of m signals, NaN where nothing was measured."""

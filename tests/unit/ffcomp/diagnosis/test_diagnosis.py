@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from ffcomp.diagnosis.candidates import effect_tables
 from ffcomp.diagnosis.diagnosis import diagnose
 from ffcomp.diagnosis.gap import locate_residual
-from ffcomp.diagnosis.printer_problem import PrinterProblem, effect_tables
+from ffcomp.diagnosis.printer_problem import PrinterProblem
 from ffcomp.diagnosis.result import better_file, result_of
 from ffcomp.measurement.recording import Recording
 from models.file import LIBRARY, load_machine

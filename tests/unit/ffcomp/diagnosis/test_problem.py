@@ -6,7 +6,8 @@ from dataclasses import replace
 
 import pytest
 
-from ffcomp.diagnosis.problem import Candidate, Parameter, within_travel
+from ffcomp.diagnosis.candidates import within_travel
+from ffcomp.diagnosis.problem import Candidate, Parameter
 
 AMPLITUDE = Parameter("effects.cogging.amplitude_mm", 0.0, 0.01)
 PITCH = Parameter("effects.cogging.pitch_mm", 0.2, 0.4, 0.05, 50.0)

@@ -1,0 +1,374 @@
+"""The effects of the catalogue as candidates for a machine, and fitted parameters as tables of its file.
+
+Parameters are those of the machine file, except amplitudes whose effect does not grow in proportion: those are fitted
+as `value ** power`, which is zero without effect. A direction is fitted as an angle. How large an effect of a printer
+usually is stands in the catalogue; that of an axis by itself, whatever its size, follows from the sizes of its motion.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from ffcomp.diagnosis.problem import Candidate, Parameter
+from models.arrays import FloatArray
+from models.effects.catalogue import CATALOGUE, effects_of
+from models.effects.effect import AT_DRIVE, Effect, MotionScales
+from models.effects.effect import Parameter as EffectParameter
+from models.kinds import driven_axis
+from models.machine import Machine, value_of
+from models.printer.one_axis import axis_effects
+
+REACH_SD = 5.0  # by which a parameter may be retuned: beyond, it is an effect
+PROBE = 0.1  # of what a usual effect of an axis takes, with which a signature is taken
+LEAST_TURN = 0.5  # rad of travel, or m of a file that writes 1 rad as 1 m: below, a weight pulls as a spring does
+BOTH = 9.0  # in place of an angle: alike in x and y
+WHOLE = "whole"  # the one parameter of an effect that is there or not
+EFFECT_KEY = re.compile(r"effects\.(?P<effect>\w+)\.(?P<parameter>\w+)(\[(?P<index>\d)\])?")
+
+
+# ---- of any machine ------------------------------------------------------------------------------
+
+
+def machine_parameters(machine: Machine) -> list[Parameter]:
+    """Return the parameters that may be retuned within their stated uncertainty."""
+    parameters = []
+    for name in machine.vibration.tunable:
+        value = value_of(machine, name)
+        table_key = name.partition("[")[0]
+        stated = machine.uncertainty.get(table_key, machine.uncertainty.get("default", 0.02))
+        relative = machine.vibration.guessed.get(name, stated)
+        if value and relative:
+            sd = relative * abs(value)
+            low = value - REACH_SD * sd
+            parameters.append(
+                Parameter(name, value, sd, low if value < 0 else max(low, 0.05 * value), value + REACH_SD * sd)
+            )
+    return parameters
+
+
+def _full(effect: Effect, p: EffectParameter, line: int = 0) -> str:
+    return f"effects.{effect.name}.{p.name}{f'[{line}]' if p.size == 'lines' else ''}"
+
+
+def _searched(effect: Effect) -> list[EffectParameter]:
+    return [p for p in effect.shapes if p.default is None or p.starts]
+
+
+def _finer_of(effect: Effect) -> tuple[Parameter, ...]:
+    return tuple(_finer(effect, p, p.default) for p in effect.shapes if p.default is not None and not p.starts)
+
+
+def _finer(effect: Effect, p: EffectParameter, usual: float) -> Parameter:
+    if p.logarithmic:
+        low, high = (math.log(max(x, 1e-3)) for x in p.bounds)
+        return Parameter(_full(effect, p), math.log(usual), 1.5, low, high)
+    return Parameter(_full(effect, p), usual, p.typical[1] / 2, *p.bounds)
+
+
+def _grid(starts: Iterable[tuple[str, Sequence[float]]]) -> tuple[dict[str, float], ...]:
+    """List every combination of the shapes' starting values, by their names."""
+    grid: list[dict[str, float]] = [{}]
+    for name, values in starts:
+        grid = [{**point, name: value} for point in grid for value in values]
+    return tuple(grid)
+
+
+# ---- of a printer --------------------------------------------------------------------------------
+
+
+def printer_candidates(machine: Machine, commands: Sequence[FloatArray], names: Sequence[str]) -> list[Candidate]:
+    """List the effects that the printer may lack and that these recordings could tell from its own numbers.
+
+    Parameters
+    ----------
+    commands : (n, 3) mm of the carriages, of each recording
+    names : the effects that are looked for
+    """
+    possible, idle = _possible_effects(machine, commands), _idle_actuators(machine, commands)
+    effects = [CATALOGUE[n] for n in names if n in possible and n not in machine.effects]
+    travel = float(max(np.ptp(command @ machine.kinematics.motors.T, axis=0).max() for command in commands))
+    limited = (within_travel(_printer_candidate(machine, effect, idle), travel) for effect in effects)
+    return [candidate for candidate in limited if candidate is not None]
+
+
+def _possible_effects(machine: Machine, commands: Sequence[FloatArray]) -> list[str]:
+    """List the effects of this kind of machine that these recordings could tell from its own numbers.
+
+    What depends on a place is no more than another number of the file where all is recorded at one place.
+    """
+    places = np.array([machine.kinematics.forward(command.mean(axis=0)[None])[0] for command in commands])
+    spread = np.ptp(places, axis=0)
+    return [n for n in effects_of(machine.vibration.moves) if np.all(spread >= CATALOGUE[n].spread_mm)]
+
+
+def _idle_actuators(machine: Machine, commands: Sequence[FloatArray]) -> frozenset[int]:
+    """Return which actuators rest in all recordings, and their motors with them: nothing can be said of them."""
+    travel = np.max([np.ptp(command, axis=0) for command in commands], axis=0)
+    moves = travel > 0.05  # mm: an actuator that moves less rests
+    driven = np.abs(machine.kinematics.motors) @ moves > 0
+    return frozenset(np.flatnonzero(~(moves | driven)).tolist()) if moves.any() else frozenset()
+
+
+def within_travel(candidate: Candidate, travel_mm: float) -> Candidate | None:
+    """Limit a pitch to half the travel; None if no pitch is left to begin at.
+
+    With less than two periods nothing repeats, and a ripple explains any slow error.
+    """
+    most = travel_mm / 2.0
+    pitches = [n for n in candidate.shapes if n.name.endswith(".pitch_mm")]
+    if not pitches:
+        return candidate
+    grid = tuple(point for point in candidate.grid if all(point.get(n.name, 0.0) <= most for n in pitches))
+    if not grid:
+        return None
+    shapes = tuple(
+        replace(n, start=min(n.start, most), high=min(n.high, most)) if n in pitches else n for n in candidate.shapes
+    )
+    other = None if candidate.other is None else within_travel(candidate.other, travel_mm)
+    return replace(candidate, shapes=shapes, grid=grid, other=other)
+
+
+def _printer_candidate(machine: Machine, effect: Effect, idle: frozenset[int]) -> Candidate:
+    """Make a candidate of an effect; `idle` : actuators of which nothing can be said."""
+    if not effect.amplitudes:
+        name = f"effects.{effect.name}.{WHOLE}"
+        return Candidate(effect.name, (Parameter(name, 0.0, 1.0, 1.0, 1.0),), {name: 1.0}, switch=True)
+    shared = _shared(machine, effect, idle, each=False)
+    if any(p.size == "direction" for p in effect.shapes):
+        return replace(shared, other=replace(shared, shapes=tuple(_in_both(n) for n in shared.shapes)))
+    if all(p.size != "per_tower" for p in effect.amplitudes):
+        return shared
+    return replace(shared, other=_shared(machine, effect, idle, each=True))
+
+
+def _in_both(shape: Parameter) -> Parameter:
+    """Fix the direction to both: alike in x and y."""
+    return replace(shape, start=BOTH, low=BOTH, high=BOTH) if shape.name.endswith(".direction") else shape
+
+
+def _shared(machine: Machine, effect: Effect, idle: frozenset[int], each: bool) -> Candidate:
+    """Make the candidate of an effect.
+
+    Parameters
+    ----------
+    each : a value for each tower that is not idle, or one that all share.
+    """
+    amplitudes = [n for p in effect.amplitudes for n in _amplitude(effect, p, idle, each)]
+    probe = {n.name: _linear(p, p.probe) for p in effect.amplitudes for n in _amplitude(effect, p, idle, each)}
+    searched = [(p, _starts(p, machine)) for p in _searched(effect)]
+    shapes = tuple(_shape(effect, p, starts[0]) for p, starts in searched)
+    alternative = tuple(n for p in effect.of_printers for n in _alternative(effect, p, idle, each))
+    grid = _grid((_full(effect, p), starts) for p, starts in searched)
+    return Candidate(effect.name, tuple(amplitudes), probe, shapes, grid, _finer_of(effect), alternative)
+
+
+def _alternative(effect: Effect, p: EffectParameter, idle: frozenset[int], each: bool) -> list[Parameter]:
+    """Make one parameter, or one an axis, of a shape whose default is to have no say."""
+    usual = _finer(effect, p, math.sqrt(p.typical[0] * p.typical[1]))
+    if not each:
+        return [usual]
+    return [replace(usual, name=f"{usual.name}[{i}]") for i in range(3) if i not in idle]
+
+
+def _amplitude(effect: Effect, p: EffectParameter, idle: frozenset[int], each: bool) -> list[Parameter]:
+    """Make one parameter, or one an axis, or one a tower."""
+    low, high = sorted(_linear(p, b) for b in p.on_printers or p.bounds)
+    width = max(abs(_linear(p, t)) for t in p.typical if t)
+    spared = idle if p.size == "per_tower" else frozenset()
+    three = p.size == "vector3" or (each and p.size == "per_tower")
+    suffixes = [f"[{i}]" for i in range(3) if i not in spared] if three else [""]
+    names = [_full(effect, p) + suffix for suffix in suffixes]
+    return [Parameter(name, 0.0, width, 0.0 if p.power < 0 else low, high) for name in names]
+
+
+def _linear(p: EffectParameter, value: float) -> float:
+    return float(value**p.power) if value else 0.0
+
+
+def _shape(effect: Effect, p: EffectParameter, first: float) -> Parameter:
+    if p.size == "direction":
+        return Parameter(_full(effect, p), 0.0, 2.0, -2 * np.pi, 2 * np.pi)
+    low, high = p.typical
+    return Parameter(_full(effect, p), first, max(high - low, abs(first)) / 2, *p.bounds)
+
+
+def _starts(p: EffectParameter, machine: Machine) -> list[float]:
+    if p.starts:
+        return list(p.starts)
+    if p.size == "direction":
+        return [0.0, np.pi / 4, np.pi / 2, 3 * np.pi / 4]
+    if p.is_pitch:
+        # it repeats every full step, or every four
+        return [steps / float(machine.steps.full_per_motor[0]) for steps in (1.0, 4.0)]
+    low, high = p.typical
+    if p.name == "x_centre_mm":
+        return [float(machine.kinematics.centre_mm[0])]
+    if p.name == "q_centre_mm":
+        return [0.5 * (low + high)]
+    if p.name == "damping_ratio":
+        return [float(np.sqrt(low * high))]
+    return [float(x) for x in np.geomspace(low, high, 20 if p.name == "frequency_hz" else 3)]
+
+
+# ---- of an axis by itself --------------------------------------------------------------------------
+
+
+def axis_candidates(
+    machine: Machine,
+    scales: MotionScales,
+    signals: Sequence[str],
+    names: Sequence[str],
+    pitches: Sequence[float] = (),
+    lines: Sequence[float] = (),
+) -> tuple[Candidate, ...]:
+    """List the effects that the axis may lack and that its signals could show.
+
+    Parameters
+    ----------
+    pitches : mm, at which a search for a ripple begins; none: evenly over the travel.
+    lines : the same, mm, of several lines that were seen in a measured force.
+    """
+    able = [
+        CATALOGUE[name]
+        for name in axis_effects(machine)
+        if name in names
+        and name not in machine.effects
+        and (CATALOGUE[name].needs != "accelerometer" or "acc_q" in signals)
+        and (CATALOGUE[name].needs != "turning" or scales.travel_m > LEAST_TURN)
+        and any(p.on_axis.size is not None for p in CATALOGUE[name].amplitudes)
+    ]
+    axis = driven_axis(machine)
+    candidates = tuple(
+        _with_lines(_axis_candidate(effect, scales, lines or pitches), effect, scales, lines) for effect in able
+    )
+    if not axis.load_mass_kg or axis.free:
+        return candidates
+    drive = replace(scales, stiffness_n_per_m=axis.stiffness_n_per_m, stretch_m=scales.force_n / axis.stiffness_n_per_m)
+    return tuple(_of_either_spring(c, effect, drive) for c, effect in zip(candidates, able, strict=True))
+
+
+def _with_lines(candidate: Candidate, effect: Effect, scales: MotionScales, pitches: Sequence[float]) -> Candidate:
+    """Let a force that repeats along the axis have several lines, as another form, where the force was measured."""
+    if len(pitches) < 2 or not any(p.size == "lines" for p in effect.shapes):
+        return candidate
+    lines = range(len(pitches))
+    amplitudes = tuple(_axis_amplitude(effect, p, scales, i) for i in lines for p in effect.amplitudes)
+    names = [_full(effect, p, i) for i in lines for p in effect.shapes]
+    shapes = tuple(Parameter(n, p, 0.003 * p, 0.97 * p, 1.03 * p) for n, p in zip(names, pitches, strict=True))
+    grid = (dict(zip(names, pitches, strict=True)),)
+    probe = {a.name: PROBE * a.sd for a in amplitudes}
+    return replace(candidate, other=Candidate(effect.name, amplitudes, probe, shapes, grid))
+
+
+def _of_either_spring(candidate: Candidate, effect: Effect, drive: MotionScales) -> Candidate:
+    """Let an effect of belts be of the drive too, as another form: nobody knows which of two springs it is of."""
+    if AT_DRIVE not in effect.of_axis:
+        return candidate
+    there = _axis_candidate(effect, drive)
+    chosen = Parameter(_full(effect, AT_DRIVE), 1.0, 1.0, 1.0, 1.0)
+    return replace(candidate, other=replace(there, shapes=(*there.shapes, chosen)))
+
+
+def _axis_candidate(effect: Effect, scales: MotionScales, pitches: Sequence[float] = ()) -> Candidate:
+    amplitudes = tuple(_axis_amplitude(effect, p, scales) for p in effect.amplitudes if p.on_axis.size is not None)
+    searched = _searched(effect)
+    starts = {
+        p.name: list(dict.fromkeys(float(np.clip(x, *p.bounds)) for x in _axis_starts(p, scales))) for p in searched
+    }
+    shapes = tuple(_axis_shape(effect, p, starts[p.name], scales) for p in searched)
+    if pitches and any(p.is_pitch for p in searched):
+        starts |= {p.name: list(pitches) for p in searched if p.is_pitch}
+        shapes = tuple(_near(n, pitches) if p.is_pitch else n for n, p in zip(shapes, searched, strict=True))
+    grid = _grid((_full(effect, p), starts[p.name]) for p in searched)
+    probe = {a.name: PROBE * a.sd for a in amplitudes}
+    return Candidate(effect.name, amplitudes, probe, shapes, grid, _finer_of(effect))
+
+
+def _axis_amplitude(effect: Effect, p: EffectParameter, scales: MotionScales, line: int = 0) -> Parameter:
+    suffix = "[0]" if p.size == "vector3" else ""
+    low, high = p.bounds
+    size = p.on_axis.size(scales) if p.on_axis.size is not None else 0.0
+    return Parameter(
+        _full(effect, p, line) + suffix, 0.0, size, low if p.on_axis.lowest is None else p.on_axis.lowest, high
+    )
+
+
+def _axis_starts(p: EffectParameter, scales: MotionScales) -> list[float]:
+    """Return the values of a shape at which a search begins."""
+    starts = (p.starts or p.typical) if p.starts or p.on_axis.starts is None else p.on_axis.starts(scales)
+    return list(dict.fromkeys(float(np.clip(x, *p.bounds)) for x in starts))
+
+
+def _axis_shape(effect: Effect, p: EffectParameter, starts: Sequence[float], scales: MotionScales) -> Parameter:
+    """Make a shape's parameter; no pitch may be longer than half the travel, or nothing repeats."""
+    low, high = p.bounds
+    if p.is_pitch:
+        high = min(high, 1e3 * scales.travel_m / 2)
+    elif not p.starts:  # far below, nothing changes any more, and every step is short
+        low, high = max(low, min(starts) / 10), min(high, max(starts) * 10)
+    begin = min(max(starts[len(starts) // 2], low), high)
+    return Parameter(_full(effect, p), begin, max(abs(x) for x in starts), low, high)
+
+
+def _near(pitch: Parameter, pitches: Sequence[float]) -> Parameter:
+    """Keep a pitch near those that the data show: it is known to a part of a period in the whole travel."""
+    return replace(
+        pitch,
+        start=pitches[0],
+        sd=0.05 * max(pitches),
+        low=min(pitches) / 2,
+        high=min(pitch.high, 2 * max(pitches)),
+    )
+
+
+# ---- fitted parameters as tables of a machine file ---------------------------------------------------
+
+
+def effect_tables(values: Mapping[str, float]) -> dict[str, dict[str, Any]]:
+    """Turn fitted parameters into the tables of a machine file, without effects that do nothing."""
+    tables: dict[str, dict[str, Any]] = {}
+    for name, value in values.items():
+        match = EFFECT_KEY.fullmatch(name)
+        if match is None:
+            continue
+        effect, key, index = CATALOGUE[match["effect"]], match["parameter"], match["index"]
+        table = tables.setdefault(effect.name, {})
+        if key == WHOLE:
+            table[WHOLE] = value
+        elif index is None:
+            table[key] = _machine_value(effect.parameter(key), value)
+        else:
+            each = effect.parameter(key)
+            none = _machine_value(each, 0.0, True) if each.default is None else each.default
+            row = table.setdefault(key, [] if each.size == "lines" else [none, none, none])
+            row += [none] * (int(index) + 1 - len(row))
+            row[int(index)] = _machine_value(each, value, True)
+    return {name: _without_whole(table) for name, table in tables.items() if _acts(CATALOGUE[name], table)}
+
+
+def _without_whole(table: dict[str, Any]) -> dict[str, Any]:
+    return {key: value for key, value in table.items() if key != WHOLE}
+
+
+def _acts(effect: Effect, table: Mapping[str, Any]) -> bool:
+    if WHOLE in table:
+        return bool(table[WHOLE] > 0.5)
+    return any(np.any(np.asarray(table[a.name]) != a.neutral) for a in effect.amplitudes if a.name in table)
+
+
+def _machine_value(parameter: EffectParameter, value: float, of_three: bool = False) -> Any:
+    if parameter.logarithmic:
+        return math.exp(value)
+    if parameter.size == "direction":
+        return "both" if value == BOTH else [round(float(f(value)), 6) for f in (np.cos, np.sin)]
+    if parameter.power == 1:
+        return value
+    if of_three and parameter.power < 0:  # a list has no room for infinity: the largest value does nothing either
+        return min(float(max(value, 1e-300) ** (1 / parameter.power)), parameter.bounds[1])
+    return float(value ** (1 / parameter.power)) if value > 0 else parameter.neutral
