@@ -4,8 +4,9 @@ Each module knows only the ones before it:
 
 problem        the interface to a machine: observations, parameters, candidate effects, simulation
 candidates     the catalogue's effects as candidates, and their numbers as tables of a machine file
-printer_problem, axis_problem    a printer, and one axis by itself; problems: the one that a machine file describes
-observations   recordings as they are compared, and excerpts; validation: checks of them
+printer_problem, axis_problem    a printer, and one axis by itself
+problems       the one that a machine file describes; checks of its recordings
+observations   recordings as they are compared, and excerpts
 noise          the noise floor, and the whitener that puts every signal and frequency on its scale
 settings       the numbers of the search
 fit            parameter values in, whitened residual out; fits with priors, their evidence and intervals

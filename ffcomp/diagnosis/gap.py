@@ -13,9 +13,8 @@ from numpy.typing import NDArray
 
 from ffcomp.diagnosis.noise import NoiseFloor, Whitener, noise_floor, whitener
 from ffcomp.diagnosis.problem import Observation, Repeats
-from ffcomp.diagnosis.problems import plant_of, problem_of, recordings_of
+from ffcomp.diagnosis.problems import Recorded, check_alike, plant_of, problem_of, recordings_of
 from ffcomp.diagnosis.request import GapRequest
-from ffcomp.diagnosis.validation import Recorded, check_alike
 from ffcomp.record.axes import turn_of
 from models.arrays import FloatArray
 from models.machine import Machine

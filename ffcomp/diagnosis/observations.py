@@ -16,12 +16,16 @@ import numpy as np
 
 from ffcomp.diagnosis.noise import fill_gaps
 from ffcomp.diagnosis.problem import Observation
+from ffcomp.errors import MeasurementError
 from ffcomp.measurement.recording import Recording
+from ffcomp.measurement.sensors import command_unit, misplaced, wrong_scale
 from models.arrays import FloatArray
+from models.errors import UnreachableError
 from models.machine import Machine
 from models.printer.playback import START_S, gentle_start
 
 LEAST_RATE_HZ = 1500.0  # more than seven times the band's end; faster recordings are thinned to at least this
+MARGIN_MM = 25.0  # around the print volume, in which a nozzle may still be commanded
 APART_MM = 20.0  # from which two places count as two
 EXCERPT_S = 1.2
 EXCERPT_LEAD_S = 0.4  # simulated before, from a gentle start: a belt's vibration has decayed by then
@@ -98,6 +102,75 @@ def clustered(positions: Sequence[Position]) -> list[Position]:
                 old, new = max(label[i], label[k]), min(label[i], label[k])
                 label = [new if x == old else x for x in label]
     return [positions[x] for x in label]
+
+
+# ---- commands ------------------------------------------------------------------------------------
+
+
+def carriages_of(machine: Machine, recording: Recording) -> FloatArray:
+    """Return the carriages' command, (n, 3) mm; a nozzle command goes through the file's kinematics, as in firmware.
+
+    Raises
+    ------
+    MeasurementError
+        If this machine cannot execute the command, or the sensors move otherwise than they are named.
+    """
+    try:
+        carriages = (
+            recording.command
+            if recording.command_space == "carriage"
+            else machine.kinematics.inverse(recording.command)
+        )
+        nozzle = machine.kinematics.forward(carriages)
+        problem = _outside(machine, recording, nozzle)
+    except UnreachableError as error:
+        problem = f"{error} {_another(machine)}"
+    if problem:
+        raise MeasurementError(recording.source, command_unit(recording.command, recording.inputs) or [problem])
+    problems = misplaced(
+        {**recording.acceleration, **recording.position},
+        _expected(carriages, nozzle, recording),
+        recording.sample_rate_hz,
+    )
+    problems = _wrong_nozzle_scale(recording, nozzle) or problems
+    if problems:
+        raise MeasurementError(recording.source, problems)
+    return carriages
+
+
+def _wrong_nozzle_scale(recording: Recording, nozzle: FloatArray) -> list[str]:
+    """Check the nozzle's sensors against its path, which only a machine knows where carriages are commanded."""
+    if recording.command_space == "nozzle":
+        return []  # the reader has done it
+    nozzle_signals = {name: x for name, x in recording.acceleration.items() if name[-1] in "xyz"}
+    return wrong_scale(nozzle, ("cmd_x", "cmd_y", "cmd_z"), nozzle_signals, recording.sample_rate_hz)
+
+
+def _expected(carriages: FloatArray, nozzle: FloatArray, recording: Recording) -> dict[str, FloatArray]:
+    """Compute every sensor signal of a printer that follows its command exactly; m/s² and mm."""
+    moving = dict(zip("ABCxyz", np.hstack([carriages, nozzle]).T, strict=True))
+    accelerations = {
+        f"acc_{axis}": np.pad(np.diff(x * 1e-3, 2) * recording.sample_rate_hz**2, 1) for axis, x in moving.items()
+    }
+    return accelerations | {f"pos_{axis}": x for axis, x in moving.items()}
+
+
+def _outside(machine: Machine, recording: Recording, nozzle: FloatArray) -> str:
+    """Say where the nozzle leaves the print volume, in a sentence; '' if nowhere."""
+    beyond = ~machine.kinematics.contains(nozzle, MARGIN_MM)
+    if not beyond.any():
+        return ""
+    i = int(np.argmax(beyond))
+    x, y, z = nozzle[i]
+    return (
+        f"{recording.time_s[i] - recording.time_s[0]:.4g} s after the beginning the command means a nozzle at "
+        f"({x:.0f}, {y:.0f}, {z:.0f}) mm; the print volume of {machine.name} "
+        f"{machine.kinematics.volume_text()}. {_another(machine)}"
+    )
+
+
+def _another(machine: Machine) -> str:
+    return f"Was the recording made on another machine than {machine.name}, or does its file hold another geometry?"
 
 
 # ---- excerpts ------------------------------------------------------------------------------------

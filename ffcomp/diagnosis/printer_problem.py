@@ -18,6 +18,7 @@ from ffcomp.diagnosis.candidates import EFFECT_KEY, effect_tables, machine_param
 from ffcomp.diagnosis.noise import BAND_HZ
 from ffcomp.diagnosis.observations import (
     Part,
+    carriages_of,
     compared,
     every_row,
     excerpt_parts,
@@ -36,7 +37,6 @@ from ffcomp.diagnosis.recording_clocks import (
     seen_parameters,
     with_stated_clock,
 )
-from ffcomp.diagnosis.validation import carriages_of
 from ffcomp.measurement.recording import Recording
 from models.arrays import FloatArray
 from models.effects.catalogue import CATALOGUE, measured

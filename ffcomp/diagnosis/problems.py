@@ -6,11 +6,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from ffcomp.diagnosis.axis_problem import AxisProblem
 from ffcomp.diagnosis.printer_problem import PrinterProblem
-from ffcomp.diagnosis.problem import Problem
-from ffcomp.diagnosis.validation import Recorded, check_alike, check_repeating, check_repeats
-from ffcomp.errors import RequestError
+from ffcomp.diagnosis.problem import Problem, Repeats
+from ffcomp.errors import MeasurementError, RequestError
 from ffcomp.measurement.axis_run import AxisRun, read_axis_run
 from ffcomp.measurement.recording import Recording
 from ffcomp.record.join import load_recordings
@@ -20,7 +21,10 @@ from models.file import load_plant
 from models.kinds import driven_axis, is_one_axis
 from models.machine import Machine
 
+Recorded = Recording | AxisRun
+
 ALL = tuple(CATALOGUE)
+SAME_COMMAND_MM = 0.01  # a microstep or less: what two repeats may differ by
 
 
 def plant_of(machine: str | Path | Machine) -> Machine:
@@ -93,3 +97,86 @@ def check_recordings(problem: Problem, recordings: Sequence[Recorded], without_r
 def _knows_its_noise(recording: Recorded) -> bool:
     """Tell whether a run needs no repeat: a measured force is never the same twice, and an encoder shows its noise."""
     return isinstance(recording, AxisRun) and recording.by_force and bool(recording.position)
+
+
+def check_alike(recordings: Sequence[Recorded]) -> None:
+    """Refuse recordings that are named as repeats of one experiment, and are none.
+
+    Raises
+    ------
+    MeasurementError
+    """
+    firsts: dict[str, Recorded] = {}
+    for recording in recordings:
+        first = firsts.setdefault(recording.repeat_of, recording)
+        problem = _other_sensors(first, recording) or _another_command(first, recording)
+        if problem:
+            raise MeasurementError(
+                recording.source, [f"By its name it repeats {Path(first.source).name}, but {problem}"]
+            )
+
+
+def _other_sensors(first: Recorded, recording: Recorded) -> str:
+    sensors = [{*one.acceleration, *one.position} for one in (first, recording)]
+    if sensors[0] == sensors[1]:
+        return ""
+    only = ", ".join(sorted(sensors[0] ^ sensors[1]))
+    return f"only one of the two has {only}; repeats have the same sensors. Leave the column out of both, or of none."
+
+
+def _another_command(first: Recorded, recording: Recorded) -> str:
+    if first.command_space != recording.command_space:
+        return "one command is of the carriages, the other of the nozzle; repeats have the same command."
+    rows = min(len(first.time_s), len(recording.time_s))
+    apart = np.abs(first.command[:rows] - recording.command[:rows]).max(axis=1)
+    if apart.max() <= SAME_COMMAND_MM:
+        return ""
+    after = float(first.time_s[int(apart.argmax())] - first.time_s[0])
+    return (
+        f"{after:.4g} s after the beginning the commands are {apart.max():.3g} mm apart; repeats have the same command."
+        " Give another experiment another name."
+    )
+
+
+def check_repeats(recordings: Sequence[Recorded]) -> None:
+    """Refuse recordings without repeats, for the noise would be a guess, and repeats that are none.
+
+    Raises
+    ------
+    MeasurementError
+    """
+    check_alike(recordings)
+    kinds = [(recording.repeat_of, len(recording.time_s)) for recording in recordings]
+    if any(kinds.count(kind) > 1 for kind in kinds):
+        return
+    named = ", ".join(Path(recording.source).name for recording in recordings[:3]) + (
+        " …" if len(recordings) > 3 else ""
+    )
+    rule = (
+        f"None of the {len(recordings)} recordings repeats another, but only repeats tell how large the noise is: at "
+        "least one experiment must be there twice, in files of the same length whose names differ in a trailing -1, -2 "
+        "only."
+    )
+    raise MeasurementError(named, [rule + _lengths(recordings)])
+
+
+def check_repeating(repeats: Sequence[Repeats]) -> None:
+    """Refuse repeats that differ by more than noise: what they differ by is no floor for anything.
+
+    Raises
+    ------
+    MeasurementError
+    """
+    differing = [each for each in repeats if each.differ]
+    if differing:
+        raise MeasurementError(differing[0].files[0], [each.trouble() for each in differing])
+
+
+def _lengths(recordings: Sequence[Recorded]) -> str:
+    """Say which lengths the repeats by name have, in a sentence; '' if there are none."""
+    for recording in recordings:
+        repeats = [other for other in recordings if other.repeat_of == recording.repeat_of]
+        if len(repeats) > 1:
+            rows = ", ".join(f"{Path(other.source).name} {len(other.time_s)}" for other in repeats)
+            return f" These are named as repeats, but differ in length (rows): {rows}. Cut them to the same."
+    return ""

@@ -11,7 +11,7 @@ from ffcomp.options import CAPTURE_AXES, MACHINE_NAME, MOVES_PLAN, RUNS
 from ffcomp.request import ACCURACY, OUTPUT, Option, Request
 
 if TYPE_CHECKING:
-    from ffcomp.diagnosis.validation import Recorded
+    from ffcomp.diagnosis.problems import Recorded
     from models.machine import Machine
 
     Files = Sequence[str | Path] | str | Path

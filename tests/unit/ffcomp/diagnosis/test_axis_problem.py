@@ -13,8 +13,7 @@ import pytest
 from ffcomp.diagnosis.axis_problem import AxisProblem
 from ffcomp.diagnosis.diagnosis import Diagnosis, diagnose
 from ffcomp.diagnosis.problem import InfeasibleParameters
-from ffcomp.diagnosis.problems import with_folders
-from ffcomp.diagnosis.validation import check_alike
+from ffcomp.diagnosis.problems import check_alike, with_folders
 from ffcomp.errors import MeasurementError
 from ffcomp.identification.axis_shots import shots_of
 from ffcomp.measurement.axis_run import AxisRun, read_axis_run

@@ -10,8 +10,9 @@ import pytest
 
 from ffcomp.diagnosis.fit import EstimationProblem, derivatives, fit
 from ffcomp.diagnosis.noise import NoiseFloor, whitener
+from ffcomp.diagnosis.observations import carriages_of
 from ffcomp.diagnosis.problem import Candidate, Observation, Parameter, Problem
-from ffcomp.diagnosis.validation import carriages_of, check_repeats
+from ffcomp.diagnosis.problems import check_repeats
 from ffcomp.errors import MeasurementError
 from ffcomp.measurement.recording import Recording
 from models.effects.catalogue import with_effect

@@ -9,6 +9,7 @@ import pytest
 
 from ffcomp.diagnosis.noise import noise_from_repeats
 from ffcomp.diagnosis.problem import Candidate, Observation, Parameter, Repeats
+from ffcomp.diagnosis.problems import check_repeating
 from ffcomp.diagnosis.recording_clocks import (
     aligned,
     as_recorded,
@@ -16,7 +17,6 @@ from ffcomp.diagnosis.recording_clocks import (
     repeats_of,
     with_stated_clock,
 )
-from ffcomp.diagnosis.validation import check_repeating
 from ffcomp.errors import MeasurementError
 from ffcomp.measurement.recording import Recording
 from ffcomp.numerics.delay import delayed

@@ -15,7 +15,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from ffcomp.cli.app import app
-from ffcomp.diagnosis.validation import carriages_of, check_alike, check_repeats
+from ffcomp.diagnosis.observations import carriages_of
+from ffcomp.diagnosis.problems import check_alike, check_repeats
 from ffcomp.errors import MeasurementError
 from ffcomp.measurement.recording import read_recording
 from ffcomp.measurement.sensors import misplaced

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from ffcomp.diagnosis.validation import carriages_of
+from ffcomp.diagnosis.observations import carriages_of
 from ffcomp.errors import MeasurementError
 from ffcomp.measurement.recording import read_recording
 from models.file import load_machine
