@@ -16,8 +16,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ffcomp.diagnosis.acceptance import HeldOut, hold_out, out_of_reach, rejections, unproven
-from ffcomp.diagnosis.dominance import Dominant, dominant_effect
+from ffcomp.diagnosis.acceptance import Dominant, HeldOut, dominant_effect, hold_out, out_of_reach, rejections, unproven
 from ffcomp.diagnosis.fidelity import (
     continue_fit,
     excerpt_of,

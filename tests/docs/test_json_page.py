@@ -14,10 +14,9 @@ import pytest
 
 from ffcomp.cli.app import app
 from ffcomp.diagnosis.gap import ResidualBreakdown, ResidualSize
-from ffcomp.diagnosis.print_gain import PrintGain
 from ffcomp.diagnosis.result import DiagnosisResult, FileNumbers, Gap, Rest
 from ffcomp.diagnosis.separation import Separation
-from ffcomp.diagnosis.verb import result_json
+from ffcomp.diagnosis.verb import PrintGain, result_json
 from ffcomp.identification.uncertainty import normal
 from ffcomp.measurement.frf_files import write_frf
 from models.file import LIBRARY, load_machine

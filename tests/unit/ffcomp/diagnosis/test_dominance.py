@@ -8,8 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ffcomp.diagnosis.acceptance import HeldOut, contradicting, explained_elsewhere
-from ffcomp.diagnosis.dominance import Dominant, dominant_effect
+from ffcomp.diagnosis.acceptance import Dominant, HeldOut, contradicting, dominant_effect, explained_elsewhere
 from ffcomp.diagnosis.fit import estimation_problem, fit
 from ffcomp.diagnosis.hypotheses import Hypothesis
 from ffcomp.diagnosis.noise import noise_from_repeats, whitener

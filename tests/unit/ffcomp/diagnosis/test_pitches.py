@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ffcomp.diagnosis.axis_problem import AxisProblem
-from ffcomp.diagnosis.pitches import likely_pitches, pitches_of_force
+from ffcomp.diagnosis.axis_problem import AxisProblem, likely_pitches, pitches_of_force
 from ffcomp.identification.axis_shots import shots_of
 from ffcomp.measurement.axis_run import AxisRun
 from models.kinds import machine_of_axis

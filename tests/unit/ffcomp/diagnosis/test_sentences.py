@@ -11,9 +11,9 @@ import pytest
 
 from ffcomp.diagnosis.diagnosis import FINDINGS
 from ffcomp.diagnosis.gap import ResidualBreakdown, ResidualSize
-from ffcomp.diagnosis.print_gain import print_gain
 from ffcomp.diagnosis.result import DiagnosisResult, FileNumbers, Gap, PlantNames, Rest
 from ffcomp.diagnosis.sentences import summary_sentences, what_to_do
+from ffcomp.diagnosis.verb import print_gain
 from ffcomp.identification.uncertainty import normal
 from models.effects.catalogue import CATALOGUE
 from models.file import load_machine
