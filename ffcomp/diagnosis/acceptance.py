@@ -33,7 +33,6 @@ from ffcomp.numerics.stages import Progress
 from models.arrays import FloatArray
 from models.effects.catalogue import CATALOGUE
 
-NEAR_NOISE = 0.44  # discrepancy of an error of 1.2 times the noise
 AT_BOUND = 1e-6  # of a parameter's range: no nearer to its end is at it
 
 
@@ -148,7 +147,7 @@ class HeldOut:
     def explained(self, tolerance: float) -> bool:
         """Whether little is left; `tolerance` is a share of the noise."""
         return self.after < max(
-            SETTINGS.left * self.before, tolerance, min(SETTINGS.left_near_noise * self.before, NEAR_NOISE)
+            SETTINGS.left * self.before, tolerance, min(SETTINGS.left_near_noise * self.before, SETTINGS.near_noise)
         )
 
     @property

@@ -21,6 +21,7 @@ from scipy.ndimage import uniform_filter1d
 from ffcomp.diagnosis.candidates import axis_candidates, effect_tables, machine_parameters
 from ffcomp.diagnosis.observations import quick_length
 from ffcomp.diagnosis.problem import InfeasibleParameters, Observation, Parameter, Problem
+from ffcomp.diagnosis.settings import SETTINGS
 from ffcomp.identification.axis_shots import Shots, band_of, noise_sd, scales_of, shots_of, windows
 from ffcomp.measurement.axis_run import AxisRun
 from models.arrays import ComplexArray, FloatArray
@@ -30,13 +31,10 @@ from models.machine import Machine, with_values
 from models.printer.one_axis import simulate_axis
 from models.vibration.driven_axis import DrivenAxis
 
-OFFSET, OFFSET_SHARE = "axis.offset_n", 0.1  # of the force, by which its zero may be off
-EXACT = 0.003  # of what the forces do in a shot: no simulation is nearer than that
+OFFSET = "axis.offset_n"
 KEPT = 6  # motions that are held
 STEP_COST = 2.0  # of a printer's steps: these take no lanes
 RIPPLES = frozenset(name for name, effect in CATALOGUE.items() if any(p.is_pitch for p in effect.shapes))
-LINES = 6  # of a force that repeats along the axis
-PITCHES = 4  # at which a search for a ripple begins
 
 _Key = tuple[tuple[tuple[str, float], ...], bool, int]
 
@@ -59,17 +57,29 @@ class AxisProblem(Problem):
         self.commanded = not driven_axis(machine).by_force
         self.shots = shots_of(machine, runs)
         self.band_hz = band_of(self.shots)
-        self.windows = [Window(i, part) for i, one in enumerate(self.shots) for part in _parts(one)]
+        self.windows = [
+            Window(i, slice(rows.start, rows.start + quick_length(rows.stop - rows.start)))
+            for i, one in enumerate(self.shots)
+            for rows in windows(one)
+        ]
         self.observations = [_observation(self.shots[w.run], w.rows) for w in self.windows]
         scales = replace(scales_of(machine, self.shots), highest_hz=self.band_hz[1])
-        self.parameters = (*machine_parameters(machine), *_offset(machine, scales.force_n))
-        signals = {name for run in runs for name in run.signals}
+        self.parameters = tuple(machine_parameters(machine))
+        if not self.commanded:  # the zero of a measured force may be off
+            sd = SETTINGS.force_offset * scales.force_n
+            self.parameters += (Parameter(OFFSET, driven_axis(machine).offset_n, sd),)
+        signals = sorted({name for run in runs for name in run.signals})
         self._same = [_first_equal(self.shots, i) for i in range(len(runs))]
-        ripples = bool(RIPPLES & set(names))
-        lines = self._lines() if ripples and self._begins_anew else []
-        pitches = self._pitches() if ripples and not self._begins_anew else []
-        self.candidates = axis_candidates(machine, scales, sorted(signals), names, pitches, lines)
-        self.least_density = self._least_density(sorted(signals))
+        lines: list[float] = []
+        pitches: list[float] = []
+        if RIPPLES & set(names):
+            distinct = [self.shots[i] for i in sorted(set(self._same))]
+            if any(one.length for one in self.shots):  # it begins anew all the time, and leaves too little of a ripple
+                lines = pitches_of_force(machine, distinct, SETTINGS.most_lines)
+            else:
+                pitches = likely_pitches(machine, distinct, self.band_hz, SETTINGS.most_pitches)
+        self.candidates = axis_candidates(machine, scales, signals, names, pitches, lines)
+        self.least_density = self._least_density(signals)
         self._kept: dict[_Key, dict[str, FloatArray]] = {}
 
     @property
@@ -77,33 +87,21 @@ class AxisProblem(Problem):
         """Return the run whose simulation serves each window."""
         return [self._same[window.run] for window in self.windows]
 
-    @property
-    def _begins_anew(self) -> bool:
-        return any(one.length for one in self.shots)
-
-    def _distinct(self) -> list[Shots]:
-        return [self.shots[i] for i in sorted(set(self._same))]
-
-    def _pitches(self) -> list[float]:
-        """Look for pitches in what a simulation from beginning to end leaves."""
-        return likely_pitches(self.machine, self._distinct(), self.band_hz, PITCHES)
-
-    def _lines(self) -> list[float]:
-        """Look for them in the force: a simulation that begins anew all the time leaves too little of them."""
-        return pitches_of_force(self.machine, self._distinct(), LINES)
-
     def _least_density(self, signals: Sequence[str]) -> dict[str, float]:
         """Return the least density of each position's noise: of its sensor, and of how exact a simulation can be."""
-        found: dict[str, float] = {}
+        density: dict[str, float] = {}
         for name in (s for s in signals if s.startswith("pos")):
-            own = [one for one in self.shots if name in one.run.signals]
-            rate = min(one.run.sample_rate_hz for one in own)
-            each = [noise_sd(x[np.isfinite(x)]) for x in (one.run.position[name] for one in own)]
+            shots = [one for one in self.shots if name in one.run.signals]
+            rate = min(one.run.sample_rate_hz for one in shots)
+            each = [noise_sd(x[np.isfinite(x)]) for x in (one.run.position[name] for one in shots)]
             # of a free axis a quick run's bends would pass for noise, and by that hide what its shots show
             sensor = float(np.median(each) if driven_axis(self.machine).free else np.max(each))
-            motion = float(np.sqrt(np.mean([np.nanmean(_told(one, name) ** 2) for one in own])))
-            found[name] = 2 * sensor**2 / rate + (EXACT * motion) ** 2 / (self.band_hz[1] - self.band_hz[0])
-        return found
+            # what of a position its shots tell: beyond where each began; or beyond its command
+            moved = [one.told(one.run.signals)[name] if one.length else one.own_motion(name) for one in shots]
+            motion = float(np.sqrt(np.mean([np.nanmean(x**2) for x in moved])))
+            error = (SETTINGS.simulation_error * motion) ** 2 / (self.band_hz[1] - self.band_hz[0])
+            density[name] = 2 * sensor**2 / rate + error
+        return density
 
     def simulate(
         self, values: Mapping[str, float], only: Sequence[int] | None = None, *, coarse: bool = False
@@ -112,14 +110,14 @@ class AxisProblem(Problem):
         machine = self.machine_with(values)
         chosen = range(len(self.windows)) if only is None else only
         key = (tuple(sorted(values.items())), coarse)
-        told: dict[int, FloatArray] = {}
+        compared: dict[int, FloatArray] = {}
         for run in dict.fromkeys(self.windows[i].run for i in chosen):
-            one, felt = self.shots[run], self._felt(machine, (*key, self._same[run]))
-            own = one.told({s: felt[s] for s in one.run.signals})
-            told[run] = np.stack(list(own.values()), axis=1)
-        return [told[self.windows[i].run][self.windows[i].rows] for i in chosen]
+            one, sensed = self.shots[run], self._sensed(machine, (*key, self._same[run]))
+            signals = one.told({s: sensed[s] for s in one.run.signals})
+            compared[run] = np.stack(list(signals.values()), axis=1)
+        return [compared[self.windows[i].run][self.windows[i].rows] for i in chosen]
 
-    def _felt(self, machine: Machine, key: _Key) -> dict[str, FloatArray]:
+    def _sensed(self, machine: Machine, key: _Key) -> dict[str, FloatArray]:
         """Return what the sensors of a run would read; the last few are kept, for windows ask one by one."""
         if key not in self._kept:
             try:
@@ -142,16 +140,6 @@ class AxisProblem(Problem):
         return f"from {position[0]:g} s"
 
 
-def _told(one: Shots, name: str) -> FloatArray:
-    """Return what of a position its shots tell: beyond where each began; or beyond its command."""
-    return one.told(one.run.signals)[name] if one.length else one.own_motion(name)
-
-
-def _parts(one: Shots) -> list[slice]:
-    """Cut windows to lengths that are transformed quickly."""
-    return [slice(p.start, p.start + quick_length(p.stop - p.start)) for p in windows(one)]
-
-
 def _first_equal(shots: Sequence[Shots], i: int) -> int:
     """Return the first run that the same input drives from the same states: repeats need one simulation."""
 
@@ -170,24 +158,11 @@ def _observation(one: Shots, rows: slice) -> Observation:
     return Observation(name, repeat, (began,), run.sample_rate_hz, signals, measured, speed)
 
 
-def _offset(machine: Machine, force_n: float) -> list[Parameter]:
-    if not driven_axis(machine).by_force:
-        return []
-    return [Parameter(OFFSET, driven_axis(machine).offset_n, OFFSET_SHARE * force_n)]
-
-
 # ---- pitches -----------------------------------------------------------------------------------------
 
 
 A_TURN = 4  # tries for each turn over the travel
-FASTEST = 2.0  # times the usual speed over the highest frequency compared: the shortest pitch is passed in no less
 MOST_TRIES = 1500
-SMOOTH = 31  # lines of a spectrum over which its level is taken
-PULSE = 64  # samples before a pulse
-MOST_ROWS = 2500  # of a run, of which a force's lines are found
-SHORTEST_SHARE, MOST_LINES_A_TURN = 0.005, 400  # of the travel, a pitch; lines a turn
-APART, LEAST_LINE = 0.04, 0.1  # relative, lines; of the first line's size, what counts as another
-LEAST_SHARE = 0.15  # of what is left, that a line explains
 
 
 @dataclass(frozen=True, eq=False)
@@ -215,7 +190,7 @@ def likely_pitches(machine: Machine, shots: Sequence[Shots], band_hz: tuple[floa
     speed = float(np.sqrt(np.mean(np.concatenate([one.speed for one in shots]) ** 2)))
     if min(travel, speed) <= 0.0:
         return []
-    first, last = 2.0 / travel, FASTEST * band_hz[1] / speed
+    first, last = 2.0 / travel, 2.0 * band_hz[1] / speed  # passed at twice the highest frequency compared
     count = min(max(int((last - first) * travel * A_TURN), 0), MOST_TRIES)
     turns = first + np.arange(count) / (A_TURN * travel)
     return [float(1.0 / turns[i]) for i in _peaks(_gains(parts, turns), most)]
@@ -238,25 +213,26 @@ def pitches_of_force(machine: Machine, shots: Sequence[Shots], most: int) -> lis
             return []
         v = one.speed / 1e3
         change = np.gradient(v, 1 / one.run.sample_rate_hz)
-        thin = slice(None, None, max(len(v) // MOST_ROWS, 1))
+        thin = slice(None, None, max(len(v) // 2500, 1))  # some thousand rows show the lines
         columns.append(np.column_stack([change, v, np.sign(v), np.ones(len(v))])[thin])
         forces.append(axis.force_of(one.run.drive, one.run.supply_v)[thin])
         places.append(np.asarray(place)[thin])
     place, force, known = np.concatenate(places), np.concatenate(forces), np.concatenate(columns)
     turns, first = _tries(axis, places), 0.0
-    found: list[int] = []
-    while len(found) < min(most, len(turns)):
+    lines: list[int] = []
+    while len(lines) < min(most, len(turns)):
         left = force - known @ np.linalg.lstsq(known, force, rcond=1e-9)[0]
         gains = np.array([abs(np.exp(2j * np.pi * turn * place) @ left) for turn in turns])
-        gains[[i for i in range(len(turns)) if any(abs(turns[i] / turns[j] - 1) < APART for j in found)]] = 0.0
+        gains[[i for i in range(len(turns)) if any(abs(turns[i] / turns[j] - 1) < 0.04 for j in lines)]] = 0.0
         best = int(np.argmax(gains))
-        if gains[best] <= LEAST_LINE * first or gains[best] ** 2 < LEAST_SHARE * len(left) * (left @ left) / 2:
+        # a tenth of the first line, and 15 % of what is left, or it is none
+        if gains[best] <= 0.1 * first or gains[best] ** 2 < 0.15 * len(left) * (left @ left) / 2:
             break
         first = max(first, float(gains[best]))
-        found.append(best)
+        lines.append(best)
         angle = 2 * np.pi * turns[best] * place
         known = np.column_stack([known, np.sin(angle), np.cos(angle)])
-    return [float(1.0 / turns[i]) for i in found]
+    return [float(1.0 / turns[i]) for i in lines]
 
 
 def _tries(axis: DrivenAxis, places: Sequence[FloatArray]) -> FloatArray:
@@ -264,8 +240,8 @@ def _tries(axis: DrivenAxis, places: Sequence[FloatArray]) -> FloatArray:
     travel = float(np.ptp(np.concatenate(places)))
     if axis.quantities.turns:
         turn = 2e3 * np.pi
-        return np.arange(max(int(np.ceil(2 * turn / max(travel, 1e-9))), 1), MOST_LINES_A_TURN + 1) / turn
-    count = min(int((1 / SHORTEST_SHARE - 2) * A_TURN), MOST_TRIES)
+        return np.arange(max(int(np.ceil(2 * turn / max(travel, 1e-9))), 1), 401) / turn  # to 400 lines a turn
+    count = min(int((200 - 2) * A_TURN), MOST_TRIES)
     return np.asarray((2 + np.arange(count) / A_TURN) / max(travel, 1e-9))
 
 
@@ -283,7 +259,7 @@ def _part(machine: Machine, one: Shots, band_hz: tuple[float, float]) -> _Part |
     if name != "acc_q":  # mm, to m/s²
         error = -1e-3 * (2 * np.pi * frequency) ** 2 * error
     lines = slice(*np.searchsorted(frequency, band_hz).tolist())
-    weight = 1 / np.maximum(np.sqrt(uniform_filter1d(np.abs(error) ** 2, SMOOTH)), 1e-12)[lines]
+    weight = 1 / np.maximum(np.sqrt(uniform_filter1d(np.abs(error) ** 2, 31)), 1e-12)[lines]
     place = run.drive if not run.by_force else np.asarray(run.signals[next(s for s in run.signals if "pos" in s)])
     return _Part(place, weight * error[lines], weight * _answer(machine, rate, n)[lines], taper, lines)
 
@@ -291,11 +267,11 @@ def _part(machine: Machine, one: Shots, band_hz: tuple[float, float]) -> _Part |
 def _answer(machine: Machine, rate_hz: float, n: int) -> ComplexArray:
     """Return the response of the last mass' acceleration to the input, (lines,), by that to a smooth pulse."""
     k = np.arange(2 * n)
-    pulse = np.exp(-0.5 * ((k - PULSE) / 1.5) ** 2)
-    felt = simulate_axis(machine, pulse, 1 / rate_hz).sensed(machine)["acc_q"]
+    pulse = np.exp(-0.5 * ((k - 64) / 1.5) ** 2)
+    sensed = simulate_axis(machine, pulse, 1 / rate_hz).sensed(machine)["acc_q"]
     driven = np.fft.rfft(pulse)
     small = np.abs(driven) < 1e-6 * np.abs(driven[0])
-    return np.asarray(np.where(small, 0.0, np.fft.rfft(felt) / np.where(small, 1.0, driven)))
+    return np.asarray(np.where(small, 0.0, np.fft.rfft(sensed) / np.where(small, 1.0, driven)))
 
 
 def _gains(parts: Sequence[_Part], turns: FloatArray) -> FloatArray:
@@ -324,10 +300,10 @@ def _spectra(wave: ComplexArray, lines: slice) -> ComplexArray:
 
 def _peaks(gains: FloatArray, most: int) -> list[int]:
     """Return the highest points that are not on the slope of a higher one."""
-    found: list[int] = []
+    peaks: list[int] = []
     for i in np.argsort(-gains).tolist():
-        if all(abs(i - j) > A_TURN for j in found):
-            found.append(i)
-        if len(found) == most:
+        if all(abs(i - j) > A_TURN for j in peaks):
+            peaks.append(i)
+        if len(peaks) == most:
             break
-    return found
+    return peaks

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from ffcomp.diagnosis.problem import Candidate, Parameter
+from ffcomp.diagnosis.settings import SETTINGS
 from models.arrays import FloatArray
 from models.effects.catalogue import CATALOGUE, effects_of
 from models.effects.effect import AT_DRIVE, Effect, MotionScales
@@ -24,9 +25,6 @@ from models.kinds import driven_axis
 from models.machine import Machine, value_of
 from models.printer.one_axis import axis_effects
 
-REACH_SD = 5.0  # by which a parameter may be retuned: beyond, it is an effect
-PROBE = 0.1  # of what a usual effect of an axis takes, with which a signature is taken
-LEAST_TURN = 0.5  # rad of travel, or m of a file that writes 1 rad as 1 m: below, a weight pulls as a spring does
 BOTH = 9.0  # in place of an angle: alike in x and y
 WHOLE = "whole"  # the one parameter of an effect that is there or not
 EFFECT_KEY = re.compile(r"effects\.(?P<effect>\w+)\.(?P<parameter>\w+)(\[(?P<index>\d)\])?")
@@ -45,9 +43,9 @@ def machine_parameters(machine: Machine) -> list[Parameter]:
         relative = machine.vibration.guessed.get(name, stated)
         if value and relative:
             sd = relative * abs(value)
-            low = value - REACH_SD * sd
+            low = value - SETTINGS.reach_sd * sd
             parameters.append(
-                Parameter(name, value, sd, low if value < 0 else max(low, 0.05 * value), value + REACH_SD * sd)
+                Parameter(name, value, sd, low if value < 0 else max(low, 0.05 * value), value + SETTINGS.reach_sd * sd)
             )
     return parameters
 
@@ -240,7 +238,7 @@ def axis_candidates(
         if name in names
         and name not in machine.effects
         and (CATALOGUE[name].needs != "accelerometer" or "acc_q" in signals)
-        and (CATALOGUE[name].needs != "turning" or scales.travel_m > LEAST_TURN)
+        and (CATALOGUE[name].needs != "turning" or scales.travel_m > 0.5)  # rad; below, a weight pulls as a spring does
         and any(p.on_axis.size is not None for p in CATALOGUE[name].amplitudes)
     ]
     axis = driven_axis(machine)
@@ -262,7 +260,7 @@ def _with_lines(candidate: Candidate, effect: Effect, scales: MotionScales, pitc
     names = [_full(effect, p, i) for i in lines for p in effect.shapes]
     shapes = tuple(Parameter(n, p, 0.003 * p, 0.97 * p, 1.03 * p) for n, p in zip(names, pitches, strict=True))
     grid = (dict(zip(names, pitches, strict=True)),)
-    probe = {a.name: PROBE * a.sd for a in amplitudes}
+    probe = {a.name: SETTINGS.probe * a.sd for a in amplitudes}
     return replace(candidate, other=Candidate(effect.name, amplitudes, probe, shapes, grid))
 
 
@@ -286,7 +284,7 @@ def _axis_candidate(effect: Effect, scales: MotionScales, pitches: Sequence[floa
         starts |= {p.name: list(pitches) for p in searched if p.is_pitch}
         shapes = tuple(_near(n, pitches) if p.is_pitch else n for n, p in zip(shapes, searched, strict=True))
     grid = _grid((_full(effect, p), starts[p.name]) for p in searched)
-    probe = {a.name: PROBE * a.sd for a in amplitudes}
+    probe = {a.name: SETTINGS.probe * a.sd for a in amplitudes}
     return Candidate(effect.name, amplitudes, probe, shapes, grid, _finer_of(effect))
 
 

@@ -29,7 +29,6 @@ from models.arrays import FloatArray
 
 INFEASIBLE_SD = 1e6  # standard deviations, each entry of the residual of infeasible parameters
 DERIVATIVE_RTOL = 1e-4  # combinations of derivatives that cancel to less are not determined
-BLOCK_HZ = 5.0  # of the sandwich: the residual of a wrong shape keeps its sign over a few Hz
 
 
 # ---- the residual --------------------------------------------------------------------------------
@@ -248,9 +247,9 @@ class Fit:
     def _slopes(self, frequency_hz: FloatArray, rows: Sequence[slice], same: Sequence[int]) -> list[FloatArray]:
         """Return Jᵀr of each motion by blocks of 5 Hz, (blocks, p) each."""
         by_motion: dict[int, FloatArray] = {}
-        blocks = int(frequency_hz.max() // BLOCK_HZ) + 1
+        blocks = int(frequency_hz.max() // SETTINGS.block_hz) + 1
         for part, motion in zip(rows, same, strict=True):
-            block = (frequency_hz[part] // BLOCK_HZ).astype(np.int64)
+            block = (frequency_hz[part] // SETTINGS.block_hz).astype(np.int64)
             sums = by_motion.setdefault(motion, np.zeros((blocks, len(self.z))))
             np.add.at(sums, block, self.jacobian[part] * self.residual[part][:, None])
         return list(by_motion.values())

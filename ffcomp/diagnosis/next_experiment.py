@@ -19,6 +19,7 @@ from ffcomp.diagnosis.noise import whitener
 from ffcomp.diagnosis.printer_problem import PrinterProblem
 from ffcomp.diagnosis.problem import InfeasibleParameters
 from ffcomp.diagnosis.score_test import Screened, confounded_with
+from ffcomp.diagnosis.settings import SETTINGS
 from ffcomp.measurement.recording import Recording
 from ffcomp.planner.program import plan_program
 from gcode.reader import read_program
@@ -26,9 +27,8 @@ from models.arrays import FloatArray
 from models.effects.catalogue import CATALOGUE
 from models.machine import Machine
 
-LOW_MM, HIGH_SHARE = 30.0, 0.5  # height, and share of the print height
+LOW_MM = 30.0  # height
 BEFORE_S, AFTER_S = 0.12, 0.3  # of rest in the recording: the printer rings for 0.2 s
-ENOUGH_SD, MANY_SD = 3.0, 100.0  # to separate two hypotheses; no more are reported
 
 Point = tuple[float, float, float]
 Lines = Iterator[str]
@@ -165,13 +165,13 @@ def _ranked(problem: PrinterProblem, diagnosis: Diagnosis, question: _Question) 
     tried = _trials(problem, diagnosis, question, [(best.move, position) for position in around])
     top = max([best, *tried], key=lambda p: p.rate)
     x, y, _ = top.position
-    high = _trials(problem, diagnosis, question, [(best.move, (x, y, HIGH_SHARE * machine.kinematics.height_mm))])
+    high = _trials(problem, diagnosis, question, [(best.move, (x, y, 0.5 * machine.kinematics.height_mm))])
     top = max([top, *high], key=lambda p: p.rate)
     return [top, *sorted((p for p in kinds if p.move is not best.move), key=lambda p: -p.rate)]
 
 
 def _tells(trial: _Trial) -> bool:
-    return trial.rate * np.sqrt(trial.seconds) > ENOUGH_SD
+    return trial.rate * np.sqrt(trial.seconds) > SETTINGS.visible_sd
 
 
 def _trials(
@@ -241,7 +241,7 @@ def _proposal(machine: Machine, question: _Question, trial: _Trial) -> Proposal:
     sigmas = trial.rate * np.sqrt(trial.seconds)
     where = f"{trial.move.kind} at ({x:.0f}, {y:.0f}, {z:.0f}) mm"
     if _tells(trial):
-        size = f"{sigmas:.0f}" if sigmas < MANY_SD else f"more than {MANY_SD:.0f}"
+        size = f"{sigmas:.0f}" if sigmas < 100 else "more than 100"
         text = f"{where}: {trial.seconds:.1f} s of them {question.words} with {size} standard deviations."
     else:
         text = (

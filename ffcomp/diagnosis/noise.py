@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ffcomp.diagnosis.problem import Observation, Problem
+from ffcomp.diagnosis.settings import SETTINGS
 from models.arrays import ComplexArray, FloatArray
 
 BAND_HZ = (1.0, 200.0)
@@ -23,7 +24,6 @@ TAPER_S = 0.1  # faded in and out at both ends
 SEGMENT_S = 0.64  # of the averaged spectra: 1.6 Hz lines
 SMOOTHING_HZ = 5.0
 SMOOTHED_LINES = 4.6  # independent ones in that: dividing by a floor of n averages makes noise 1 + 1/n too large
-SIMULATION_ERROR = 0.003  # of each signal: no simulation is nearer than that, however quiet the sensors are
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,7 +134,7 @@ def at_least(
         floor = NoiseFloor(floor.frequency_hz, held, floor.from_repeats)
     powers = _powers(whitener(observations, floor, band_hz), floor)
     factors = {  # positions are nearly the command: no share of them says how exact a simulation is
-        name: SIMULATION_ERROR**2 * signal / max(noise, 1e-300)
+        name: SETTINGS.simulation_error**2 * signal / max(noise, 1e-300)
         for name, (signal, noise) in powers.items()
         if name[:3] == "acc"
     }

@@ -16,6 +16,7 @@ import numpy as np
 
 from ffcomp.diagnosis.noise import fill_gaps
 from ffcomp.diagnosis.problem import Observation
+from ffcomp.diagnosis.settings import SETTINGS
 from ffcomp.errors import MeasurementError
 from ffcomp.measurement.recording import Recording
 from ffcomp.measurement.sensors import command_unit, misplaced, wrong_scale
@@ -26,10 +27,6 @@ from models.printer.playback import START_S, gentle_start
 
 LEAST_RATE_HZ = 1500.0  # more than seven times the band's end; faster recordings are thinned to at least this
 MARGIN_MM = 25.0  # around the print volume, in which a nozzle may still be commanded
-APART_MM = 20.0  # from which two places count as two
-EXCERPT_S = 1.2
-EXCERPT_LEAD_S = 0.4  # simulated before, from a gentle start: a belt's vibration has decayed by then
-MANY_MOTIONS, EXCERPT_MOTIONS = 8, 6  # from the one on, only so many are searched in, each recorded once
 
 
 Position = tuple[float, ...]
@@ -97,7 +94,7 @@ def clustered(positions: Sequence[Position]) -> list[Position]:
     label = list(range(len(positions)))
     for i, a in enumerate(positions):
         for k in range(i):
-            near = a == positions[k] if len(a) == 1 else math.dist(a, positions[k]) < APART_MM
+            near = a == positions[k] if len(a) == 1 else math.dist(a, positions[k]) < SETTINGS.places_apart_mm
             if near and label[i] != label[k]:
                 old, new = max(label[i], label[k]), min(label[i], label[k])
                 label = [new if x == old else x for x in label]
@@ -201,13 +198,13 @@ def informative_recordings(observations: Sequence[Observation], same_command: Se
     later motion than the one before: that covers every place and every kind of motion soonest.
     """
     distinct = sorted(set(same_command))
-    if len(distinct) < MANY_MOTIONS:
+    if len(distinct) < SETTINGS.many_motions:
         return list(range(len(observations)))
     by_place: dict[tuple[float, ...], list[int]] = {}
     for i, place in zip(distinct, clustered([observations[i].position for i in distinct]), strict=True):
         by_place.setdefault(place, []).append(i)
     rotated = [runs[n % len(runs) :] + runs[: n % len(runs)] for n, runs in enumerate(by_place.values())]
-    turns = [i for turn in zip_longest(*rotated) for i in turn if i is not None][:EXCERPT_MOTIONS]
+    turns = [i for turn in zip_longest(*rotated) for i in turn if i is not None][: SETTINGS.excerpt_motions]
     chosen: dict[tuple[int, tuple[str, ...]], int] = {}
     for i, first in enumerate(same_command):
         if first in turns:
@@ -236,7 +233,8 @@ def first_seconds(observation: Observation, command: FloatArray, seconds: float)
 
 
 def _part(observation: Observation, late: bool) -> Part:
-    rows, lead = quick_length(round(EXCERPT_S * observation.rate_hz)), round(EXCERPT_LEAD_S * observation.rate_hz)
+    rows = quick_length(round(SETTINGS.excerpt_s * observation.rate_hz))
+    lead = round(SETTINGS.excerpt_lead_s * observation.rate_hz)
     starts = len(observation.measured) - rows
     if starts <= 2 * lead:
         return Part(0, len(observation.measured), 0)

@@ -16,6 +16,7 @@ import numpy as np
 
 from ffcomp.diagnosis.noise import fill_gaps
 from ffcomp.diagnosis.problem import Candidate, Observation, Parameter, Repeats
+from ffcomp.diagnosis.settings import SETTINGS
 from ffcomp.measurement.faults import compare_repeats
 from ffcomp.measurement.recording import Recording
 from ffcomp.numerics.delay import moved_columns
@@ -23,9 +24,6 @@ from models.arrays import FloatArray
 
 PREFIX = "recording."
 OFFSET = "sensor_time_offset"  # of all recordings, as the catalogue calls it
-BOUND_SD = 5.0  # standard deviations within which they are looked for
-FEW_LAGS = 1.5  # a spread known from few lags is taken to be wider
-SMALL_DRIFT_S = 2e-5  # at the ends of a recording: less is not worth a parameter
 
 
 def repeats_of(observations: Sequence[Observation]) -> list[Repeats]:
@@ -92,7 +90,7 @@ def delay_parameters(
     for recording, o in zip(recordings, observations, strict=True):
         sd = max(_number(recording, "delay_sd_s"), by_hand)
         drift_sd = _number(recording, "drift_sd")
-        drifts = drift_sd * len(o.measured) / o.rate_hz / 2 > SMALL_DRIFT_S
+        drifts = drift_sd * len(o.measured) / o.rate_hz / 2 > 2e-5  # s, at the ends: less is not worth a parameter
         for clock in o.by_clock:
             delay, drift = _names(o, clock)
             if sd > 0:
@@ -116,15 +114,15 @@ def with_stated_clock(candidate: Candidate, recordings: Sequence[Recording]) -> 
 
 
 def _parameter(name: str, sd: float) -> Parameter:
-    return Parameter(name, 0.0, sd, -BOUND_SD * sd, BOUND_SD * sd)
+    return Parameter(name, 0.0, sd, -SETTINGS.reach_sd * sd, SETTINGS.reach_sd * sd)
 
 
 def _spread_s(repeats: Sequence[Repeats]) -> float:
-    """Return how far files lie off, s, by repeats that lie apart; 0 where all lie together."""
+    """Return how far files lie off, s, by repeats that lie apart, wider for few lags; 0: all together."""
     if not any(each.apart for each in repeats):
         return 0.0
     squares = sum(lag**2 for each in repeats for lag in each.lag_s)
-    return float(FEW_LAGS * np.sqrt(squares / sum(len(each.lag_s) - 1 for each in repeats)))
+    return float(1.5 * np.sqrt(squares / sum(len(each.lag_s) - 1 for each in repeats)))
 
 
 def _number(recording: Recording, key: str) -> float:

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from ffcomp.diagnosis.fit import EstimationProblem, Fit
+from ffcomp.diagnosis.settings import SETTINGS
 from ffcomp.measurement.faults import (
     BadSensor,
     GapSpectra,
@@ -21,9 +22,6 @@ from ffcomp.measurement.faults import (
     shaper_in_gap,
 )
 from models.arrays import FloatArray
-
-LOUD = 3.0  # discrepancy, of the noise, from which a shaper is looked for
-ONE_SIGNAL = 0.85  # of the excess in one signal of three or more
 
 Fault = ShapersLeftOn | BadSensor
 
@@ -43,7 +41,7 @@ def shaper_on(estimation: EstimationProblem, simulated: Sequence[FloatArray], re
     if not estimation.problem.commanded:
         return None
     filed = estimation.measured - estimation.whiten(simulated)
-    if min(float(filed @ filed), retuned.chi_squared) < (1 + LOUD) * len(filed):
+    if min(float(filed @ filed), retuned.chi_squared) < (1 + SETTINGS.shaped) * len(filed):
         return None
     names = frozenset(name for o in estimation.whiten.observations for name in o.signals)
     axes = {axis: frozenset(name for name in names if name.endswith(f"_{axis}")) for axis in "xy"}
@@ -87,7 +85,7 @@ def clipped_sensor(estimation: EstimationProblem, simulated: Sequence[FloatArray
 def odd_signal(estimation: EstimationProblem, fits: Sequence[Fit]) -> BadSensor | None:
     """Return the signal that holds nearly all of the excess of some fit, where three or more are compared."""
     name, share = max((_share(estimation, fit) for fit in fits), key=lambda each: each[1], default=("", 0.0))
-    return BadSensor(name, "holds the gap", share) if share > ONE_SIGNAL else None
+    return BadSensor(name, "holds the gap", share) if share > SETTINGS.one_signal else None
 
 
 def _share(estimation: EstimationProblem, fit: Fit) -> tuple[str, float]:

@@ -37,8 +37,6 @@ from models.effects.catalogue import CATALOGUE
 from models.finding import machine_paths
 from models.machine import Machine
 
-ENOUGH_RMS = 0.3  # times the noise, rms: a thousand samples then differ by more than nine standard deviations
-
 
 @dataclass(frozen=True)
 class Separation:
@@ -60,7 +58,7 @@ class Separation:
     @property
     def tells(self) -> bool:
         """Tell whether the recording separates them."""
-        return not self.command or self.there > max(ENOUGH_RMS, 2.0 * self.now)
+        return not self.command or self.there > max(SETTINGS.separates_rms, 2.0 * self.now)
 
     def sentence(self) -> str:
         """Say what to record, and what it promises; or that no move does."""

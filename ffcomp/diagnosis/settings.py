@@ -21,7 +21,17 @@ def _setting(default: Any, unit: str, meaning: str, origin: str = BANK) -> Any:
 class SearchSettings:
     """What the search tries, prunes, accepts and refuses by."""
 
+    # ---- candidates ----
+    reach_sd: float = _setting(5.0, "standard deviations", "by which the file's numbers may be retuned")
+    probe: float = _setting(0.1, "of a usual size", "with which the signature of an axis' effect is taken")
+    force_offset: float = _setting(0.1, "of the force", "by which the zero of an axis' measured force may be off")
+    most_lines: int = _setting(6, "lines", "of a force that repeats along an axis")
+    most_pitches: int = _setting(4, "pitches", "at which a search for a ripple of an axis begins")
+    places_apart_mm: float = _setting(20.0, "mm", "from which two places count as two")
     # ---- is there a discrepancy ----
+    shaped: float = _setting(3.0, "noise power", "discrepancy from which an input shaper is looked for")
+    one_signal: float = _setting(0.85, "of the discrepancy", "in one signal of three or more: its sensor is at fault")
+    simulation_error: float = _setting(3e-3, "of the signals", "no simulation is nearer, however quiet sensors are")
     exists: float = _setting(0.05, "noise power", "a smaller discrepancy is none; added where two are compared")
     known_noise: float = _setting(0.1, "noise power", "tolerance where repeats tell the noise", "spread of repeats")
     guessed_noise: float = _setting(3.0, "noise power", "tolerance where the noise is guessed", "spread of guesses")
@@ -59,6 +69,10 @@ class SearchSettings:
     subset_share: float = _setting(0.5, "of |r|²", "that the motions of a low-fidelity subset hold")
     subset_worth: float = _setting(0.7, "of the motions", "a subset of more saves too little", "time")
     excerpt_information: float = _setting(3000.0, "χ²", "of a discrepancy in an excerpt that decides as all data do")
+    excerpt_s: float = _setting(1.2, "s", "of each motion in an excerpt")
+    excerpt_lead_s: float = _setting(0.4, "s", "simulated before, from a gentle start: vibrations decay", "belts")
+    many_motions: int = _setting(8, "motions", "from which an excerpt holds only some, each recorded once", "time")
+    excerpt_motions: int = _setting(6, "motions", "that it then holds", "time")
     coarse_error: float = _setting(1e-3, "of |r|²", "by which coarse simulations may be off")
     quick_gain: float = _setting(
         1e-2, "of the cost", "that another step must promise while hypotheses are ranked", "time"
@@ -73,6 +87,7 @@ class SearchSettings:
     left_near_noise: float = _setting(
         0.3, "of the discrepancy", "the same where the error is within 1.2 times the noise"
     )
+    near_noise: float = _setting(0.44, "noise power", "of an error of 1.2 times the noise")
     minor_place: float = _setting(
         0.05, "of all that is unexplained", "a place with less proves nothing against an effect"
     )
@@ -82,6 +97,8 @@ class SearchSettings:
     signature: float = _setting(0.5, "of what is left there", "that still looks like the effect")
     mostly: float = _setting(0.9, "of the discrepancy", "an explanation that failed a test is worth reporting")
     confounded: float = _setting(0.8, "cos²", "of projected signatures from which effects are confounded")
+    block_hz: float = _setting(5.0, "Hz", "over which the residual of a wrong shape keeps its sign, for intervals")
+    separates_rms: float = _setting(0.3, "of the noise, rms", "between predictions, that tells them apart", "1000 rows")
     loosened: float = _setting(5.0, "ratio", "of uncertainties, in the fit of the file's numbers that may all be wrong")
     as_loose: float = _setting(1.5, "ratio", "of what the effects leave: such a fit explains as much")
     # ---- work ----

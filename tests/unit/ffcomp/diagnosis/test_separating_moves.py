@@ -14,7 +14,7 @@ from ffcomp.diagnosis.next_experiment import blank_recording
 from ffcomp.diagnosis.printer_problem import PrinterProblem
 from ffcomp.diagnosis.result import DiagnosisResult, result_of
 from ffcomp.diagnosis.sentences import what_to_do
-from ffcomp.diagnosis.separation import ENOUGH_RMS, Separation, separations
+from ffcomp.diagnosis.separation import Separation, separations
 from ffcomp.diagnosis.verb import result_json
 from ffcomp.diagnosis.words import digits
 from ffcomp.measurement.recording import Recording
@@ -128,7 +128,7 @@ def separation(**changed: object) -> Separation:
 
 
 def test_twins_are_said_to_be_twins() -> None:
-    twins = separation(there=0.5 * ENOUGH_RMS)
+    twins = separation(there=0.15)
     assert not twins.tells and not twins.to_dict()["separates"]
     assert twins.sentence().startswith("No move of ffcomp record plan can tell a from b: it shows 0.15 times the noise")
     assert twins.sentence().endswith("Weigh it.")
