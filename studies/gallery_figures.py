@@ -31,12 +31,12 @@ from PIL import Image
 
 from ffcomp.diagnosis.diagnosis import diagnose
 from ffcomp.diagnosis.printer_problem import PrinterProblem
-from ffcomp.diagnosis.summary import DiagnosisSummary, summarise
 from ffcomp.identification.predict import predicted
 from ffcomp.measurement.frf import FrequencyResponse
 from ffcomp.measurement.frf_files import write_frf
 from ffcomp.measurement.recording import read_recording
 from ffcomp.report.diagnose import figures
+from ffcomp.report.diagnose.summary import DiagnosisSummary, summarise
 from ffcomp.report.drawing import Drawing, file_of, layout
 from models.file import load_machine
 from models.machine import Machine

@@ -76,10 +76,10 @@ def _page(diagnosis: Diagnosis) -> bytes:
     """Make the report."""
     from datetime import date
 
-    from ffcomp.diagnosis.summary import summarise
     from ffcomp.identification.machine_fit import hash_of
     from ffcomp.report.diagnose import page
     from ffcomp.report.diagnose.sentences import Origin, ReportInput
+    from ffcomp.report.diagnose.summary import summarise
     from ffcomp.version import __version__
 
     problem, gain = diagnosis.problem, diagnosis.print_gain
@@ -94,7 +94,7 @@ def _page(diagnosis: Diagnosis) -> bytes:
     )
     summary = summarise(problem, diagnosis.search)
     sentence = "" if gain is None else gain.sentence()
-    return page.page(ReportInput(diagnosis.result, summary, diagnosis.proposals(), origin, sentence))
+    return page.page(ReportInput(diagnosis.result, diagnosis.search, summary, diagnosis.proposals(), origin, sentence))
 
 
 def _digits(value: Any) -> str:

@@ -12,8 +12,8 @@ from matplotlib.patches import Circle
 from matplotlib.ticker import NullLocator
 
 from ffcomp.diagnosis.acceptance import HeldOut
-from ffcomp.diagnosis.summary import Confounding, DiagnosisSummary, Overlay, Spectrum, Split
 from ffcomp.report.diagnose.sentences import stands_out
+from ffcomp.report.diagnose.summary import Confounding, DiagnosisSummary, Overlay, Spectrum, Split
 from ffcomp.report.diagnose.words import digits, times, times_noise
 from ffcomp.report.drawing import (
     AFTER,
@@ -111,16 +111,16 @@ def alike(summary: DiagnosisSummary, named: tuple[str, ...]) -> Drawing | None:
     return Drawing("alike", "Confounded effects", "", "", side + 0.8, side, draw)
 
 
-def held_out(summary: DiagnosisSummary, labels: list[str]) -> Drawing | None:
+def held_out(places: Sequence[HeldOut], labels: Sequence[str]) -> Drawing | None:
     """Return the figure of what was left out of the fit in turn, if anything was."""
-    if not summary.held_out:
+    if not places:
         return None
-    label, worst = max(zip(labels, summary.held_out, strict=True), key=lambda pair: pair[1].after)
+    label, worst = max(zip(labels, places, strict=True), key=lambda pair: pair[1].after)
     finding = (
         f"At the worst of them, {label}, the error is {times(times_noise(worst.before))} the noise before and "
         f"{times(times_noise(worst.after))} after."
     )
-    draw = partial(draw_places, places=summary.held_out, labels=labels)
+    draw = partial(draw_places, places=places, labels=labels)
     height = ROW * len(labels) + AXIS + 0.3
     return Drawing("held-out", "Places left out of the fit", finding, "", 6.5, height, draw)
 

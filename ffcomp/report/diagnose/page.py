@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from ffcomp.diagnosis.sentences import finding_of, what_to_do
-from ffcomp.diagnosis.summary import DiagnosisSummary
 from ffcomp.report.diagnose import figures
 from ffcomp.report.diagnose.sentences import ReportInput, verdict
 from ffcomp.report.diagnose.tables import (
@@ -52,7 +51,10 @@ GLOSSARY = {
 def page(report: ReportInput) -> bytes:
     """Render the whole diagnosis as one HTML file."""
     result, summary, named = report.result, report.summary, tuple(report.result.effects)
-    labels = place_labels(summary)
+    search, names = report.search, result.names
+    places = search.held_out if search.best is not None else ()  # of retuning alone the page says nothing
+    # places on the bed, or experiments where all are at one place
+    labels = [p.label if p.experiment or len(p.position) == 1 else f"{p.label} mm" for p in places]
     return rendered(
         "diagnose",
         {"tied": tied},
@@ -67,22 +69,17 @@ def page(report: ReportInput) -> bytes:
         where=[_image(each) for each in figures.splits(summary)],
         overlays=[_image(each) for each in figures.overlays(summary)],
         spectra=[_image(each) for each in figures.spectra(summary)],
-        evidence=evidence_rows(summary),
-        promises=promise_rows(summary),
+        evidence=evidence_rows(search, names.catalogue),
+        promises=promise_rows(search, names.catalogue),
         alike=_maybe(figures.alike(summary, named)),
-        confounded=confounded_rows(result, summary),
-        held_out=_maybe(figures.held_out(summary, labels)),
-        places=place_rows(summary, labels),
-        retuned=retuned_rows(summary),
+        confounded=confounded_rows(result, summary.confounding),
+        held_out=_maybe(figures.held_out(places, labels)),
+        places=place_rows(places, labels),
+        retuned=retuned_rows(search, names.quantities),
         to_do=what_to_do(result),
         gain=report.gain,
         glossary=GLOSSARY,
     )
-
-
-def place_labels(summary: DiagnosisSummary) -> list[str]:
-    """Label what was left out in turn: places on the bed, or experiments where all are at one place."""
-    return [p.label if p.experiment or len(p.position) == 1 else f"{p.label} mm" for p in summary.held_out]
 
 
 def _image(drawing: Drawing) -> Image:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ffcomp.diagnosis.diagnosis import Diagnosis
 from ffcomp.diagnosis.next_experiment import Proposal
 from ffcomp.diagnosis.result import DiagnosisResult
 from ffcomp.diagnosis.sentences import (
@@ -18,7 +19,7 @@ from ffcomp.diagnosis.sentences import (
     summary_sentences,
     unproven_places,
 )
-from ffcomp.diagnosis.summary import DiagnosisSummary, Split
+from ffcomp.report.diagnose.summary import DiagnosisSummary, Split
 from ffcomp.report.diagnose.tables import in_words
 from ffcomp.report.diagnose.words import evidence, joined, most_of, percent, times, times_noise, title
 
@@ -43,6 +44,7 @@ class ReportInput:
     """Everything that the report shows."""
 
     result: DiagnosisResult
+    search: Diagnosis
     summary: DiagnosisSummary
     proposals: Sequence[Proposal]
     origin: Origin
@@ -107,7 +109,7 @@ def _unproven(report: ReportInput) -> list[str]:
 
 def _unexplained(report: ReportInput) -> list[str]:
     result = report.result
-    known = _count(len(report.summary.promises), "effect")
+    known = _count(len(report.search.screened), "effect")
     nearest = joined(list(result.effects)) or "retuning alone"
     return [
         f"Something is missing from the machine file, and it is none of what ffcomp knows ({known}).",
@@ -168,17 +170,15 @@ def _file(report: ReportInput) -> str:
 
 
 def _nearest_promise(report: ReportInput) -> list[str]:
-    seen = [p for p in report.summary.promises if p.visible]
+    seen = [s for s in report.search.screened if s.visible]
     if not seen:
         return []
-    first = max(seen, key=lambda p: p.gain)
-    named = title(first.name, report.result.names.catalogue)
-    if first.gain < 0:
-        return [f"No effect would have been worth its cost; {first.name} ({named}) came nearest."]
-    return [
-        f"{first.name} ({named}) came nearest: it promised {evidence(first.gain)} in −2 ln Z, too little "
-        "to call it an effect."
-    ]
+    first = min(seen, key=lambda s: s.evidence)
+    name, gain = first.candidate.name, -first.evidence
+    named = title(name, report.result.names.catalogue)
+    if gain < 0:
+        return [f"No effect would have been worth its cost; {name} ({named}) came nearest."]
+    return [f"{name} ({named}) came nearest: it promised {evidence(gain)} in −2 ln Z, too little to call it an effect."]
 
 
 def _invisible(result: DiagnosisResult) -> list[str]:

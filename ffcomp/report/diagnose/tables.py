@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from ffcomp.diagnosis.acceptance import HeldOut
-from ffcomp.diagnosis.result import DiagnosisResult
-from ffcomp.diagnosis.summary import DiagnosisSummary
+from ffcomp.diagnosis.diagnosis import Diagnosis
+from ffcomp.diagnosis.fit import intervals_of
+from ffcomp.diagnosis.result import RETUNED_SD, DiagnosisResult, of_machine
 from ffcomp.identification.uncertainty import Estimate
+from ffcomp.report.diagnose.summary import Confounding
 from ffcomp.report.diagnose.words import (
     INFINITELY,
     digits,
@@ -23,10 +25,12 @@ from ffcomp.report.diagnose.words import (
     times,
     times_noise,
     title,
-    together,
 )
 from ffcomp.report.drawing import AFTER, BEFORE, SOFT
 from models.effects.effect import Effect, Parameter
+from models.quantities import Quantities
+
+Catalogue = Mapping[str, Effect]
 
 OF_THREE = {"per_tower": "ABC", "vector3": "xyz"}
 SHOWN_COS2 = 0.3
@@ -74,18 +78,23 @@ class EvidenceRow:
     named: bool
 
 
-def evidence_rows(summary: DiagnosisSummary) -> list[EvidenceRow]:
-    """Return the hypotheses, the likeliest first."""
+def evidence_rows(diagnosis: Diagnosis, catalogue: Catalogue) -> list[EvidenceRow]:
+    """Return the hypotheses that were tried, and retuning alone; the likeliest first."""
+    if diagnosis.best is None:
+        return []
+    base, named = diagnosis.base, () if diagnosis.named is None else diagnosis.named.names
+    tried = [(h.names, h.fit, diagnosis.behind(h)) for h in diagnosis.tried]
+    tried.append(((), base, base.evidence - diagnosis.best.fit.evidence))
     return [
         EvidenceRow(
-            together(e.effects),
-            "; ".join(title(name, summary.catalogue) for name in e.effects),
-            digits(times_noise(e.left)),
-            evidence(e.against_best),
-            e.parameters,
-            e.named,
+            " + ".join(names) if names else "nothing added, only retuned",
+            "; ".join(title(name, catalogue) for name in names),
+            digits(times_noise(fit.discrepancy)),
+            evidence(behind),
+            len(fit.parameters),
+            bool(names) and names == named,
         )
-        for e in sorted(summary.evidence, key=lambda e: e.against_best)
+        for names, fit, behind in sorted(tried, key=lambda each: each[2])
     ]
 
 
@@ -100,22 +109,18 @@ class PromiseRow:
     visible: bool
 
 
-def promise_rows(summary: DiagnosisSummary) -> list[PromiseRow]:
+def promise_rows(diagnosis: Diagnosis, catalogue: Catalogue) -> list[PromiseRow]:
     """Return the effects in the score test, visible ones first."""
     return [
         PromiseRow(
-            p.name,
-            title(p.name, summary.catalogue),
-            evidence(p.gain),
-            _sigmas(p.strength),
-            p.visible,
+            s.candidate.name,
+            title(s.candidate.name, catalogue),
+            evidence(-s.evidence),
+            digits(s.strength, 2) if s.strength < 100 else evidence(s.strength),
+            s.visible,
         )
-        for p in sorted(summary.promises, key=lambda p: (not p.visible, -p.gain))
+        for s in sorted(diagnosis.screened, key=lambda s: (not s.visible, s.evidence))
     ]
-
-
-def _sigmas(strength: float) -> str:
-    return digits(strength, 2) if strength < 100 else evidence(strength)
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,18 +135,22 @@ class RetunedRow:
     sds: str
 
 
-def retuned_rows(summary: DiagnosisSummary) -> list[RetunedRow]:
-    """Return the retuned parameters."""
+def retuned_rows(diagnosis: Diagnosis, quantities: Quantities) -> list[RetunedRow]:
+    """Return every parameter of the machine file, those that moved furthest first."""
+    full = diagnosis.base if diagnosis.best is None else diagnosis.best.fit
+    values = diagnosis.final.values
+    intervals = diagnosis.intervals or intervals_of(diagnosis.estimation, full, values)
+    moved = [(n, (intervals[n.name].value - n.start) / n.sd) for n in full.parameters if of_machine(n.name)]
     return [
         RetunedRow(
-            r.name,
-            digits(r.start, 5),
-            interval(r.now),
-            percent(r.sd / abs(r.start)) if r.start else digits(r.sd),
-            r.moved,
-            f"{(r.now.value - r.start) / r.sd:+.1f}",
+            quantities.key(n.name),
+            digits(n.start, 5),
+            interval(intervals[n.name]),
+            percent(n.sd / abs(n.start)) if n.start else digits(n.sd),
+            abs(values.get(n.name, n.start) - n.start) > RETUNED_SD * n.sd,
+            f"{sds:+.1f}",
         )
-        for r in summary.retuned
+        for n, sds in sorted(moved, key=lambda each: -abs(each[1]))
     ]
 
 
@@ -155,24 +164,14 @@ class PlaceRow:
     left: str  # of the excess
 
 
-def place_rows(summary: DiagnosisSummary, labels: list[str]) -> list[PlaceRow]:
+def place_rows(places: Sequence[HeldOut], labels: Sequence[str]) -> list[PlaceRow]:
     """Return the positions left out of the fit."""
-    return [
-        PlaceRow(
-            label,
-            digits(times_noise(p.before)),
-            digits(times_noise(p.after)),
-            _left(p),
-        )
-        for label, p in zip(labels, summary.held_out, strict=True)
-    ]
-
-
-def _left(p: HeldOut) -> str:
-    if p.before <= 0:
-        return "–"
-    share = max(p.after, 0.0) / p.before
-    return percent(share) if share >= 1e-3 else "< 0.1 %"
+    rows = []
+    for label, p in zip(labels, places, strict=True):
+        share = max(p.after, 0.0) / p.before if p.before > 0 else np.nan
+        left = "–" if np.isnan(share) else percent(share) if share >= 1e-3 else "< 0.1 %"
+        rows.append(PlaceRow(label, digits(times_noise(p.before)), digits(times_noise(p.after)), left))
+    return rows
 
 
 # ---- effects -------------------------------------------------------------------------------------
@@ -261,22 +260,16 @@ class Confounded:
     apart: str  # how to tell them apart; '' if the catalogue does not say
 
 
-def confounded_rows(result: DiagnosisResult, summary: DiagnosisSummary) -> list[Confounded]:
+def confounded_rows(result: DiagnosisResult, alike: Confounding) -> list[Confounded]:
     """List for each effect of the best hypothesis the visible ones most like it."""
-    alike, named, rows = summary.confounding, tuple(result.effects), list[Confounded]()
+    named, catalogue, rows = tuple(result.effects), result.names.catalogue, list[Confounded]()
     for name in named:
         if name not in alike.names:
             continue
         row = alike.cos2[alike.names.index(name)]
         others = [(alike.names[i], float(row[i])) for i in np.argsort(-row) if alike.names[i] not in named]
-        rows += [
-            _confounded(name, other, c, result.names.catalogue)
-            for other, c in others[:MOST_CONFOUNDED]
-            if c > SHOWN_COS2
-        ]
+        for other, cos2 in others[:MOST_CONFOUNDED]:
+            if cos2 > SHOWN_COS2:
+                apart = catalogue[name].confounded_with.get(other) or catalogue[other].confounded_with.get(name) or ""
+                rows.append(Confounded(name, other, title(other, catalogue), f"{cos2:.2f}", apart))
     return rows
-
-
-def _confounded(name: str, other: str, cos2: float, catalogue: Mapping[str, Effect]) -> Confounded:
-    apart = catalogue[name].confounded_with.get(other) or catalogue[other].confounded_with.get(name) or ""
-    return Confounded(name, other, title(other, catalogue), f"{cos2:.2f}", apart)

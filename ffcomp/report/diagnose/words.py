@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 from ffcomp.diagnosis.words import digits as digits
 from ffcomp.diagnosis.words import joined as joined
@@ -45,8 +45,3 @@ def title(effect: str, catalogue: Mapping[str, Effect]) -> str:
     """`more on the nozzle holder`: to stand inside a sentence."""
     words = catalogue[effect].title
     return words[0].lower() + words[1:]
-
-
-def together(effects: Sequence[str]) -> str:
-    """Name a hypothesis by its effects."""
-    return " + ".join(effects) if effects else "nothing added, only retuned"

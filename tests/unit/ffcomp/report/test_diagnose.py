@@ -19,12 +19,12 @@ from ffcomp.diagnosis.gap import ResidualSize
 from ffcomp.diagnosis.next_experiment import Proposal
 from ffcomp.diagnosis.printer_problem import PrinterProblem
 from ffcomp.diagnosis.result import DiagnosisResult, Gap
-from ffcomp.diagnosis.summary import DiagnosisSummary, Split
 from ffcomp.identification.uncertainty import Estimate, normal
 from ffcomp.report.diagnose import page as pages
 from ffcomp.report.diagnose import words
 from ffcomp.report.diagnose.page import page
 from ffcomp.report.diagnose.sentences import ReportInput, stands_out, verdict
+from ffcomp.report.diagnose.summary import DiagnosisSummary, Split
 from ffcomp.report.diagnose.tables import confounded_rows, effect_rows, in_words
 from models.effects.catalogue import CATALOGUE, with_effect
 from models.file import LIBRARY, load_machine
@@ -136,9 +136,9 @@ def told(heavy: Case) -> ReportInput:
 @pytest.fixture
 def found_already(plain: Case, monkeypatch: pytest.MonkeyPatch) -> None:
     """The verb without its search: the picture and the answer of a case that was searched before."""
-    monkeypatch.setattr(verb, "diagnose", lambda *_: None)
+    monkeypatch.setattr(verb, "diagnose", lambda *_: plain.told.search)
     monkeypatch.setattr(verb, "result_of", lambda *_: plain.told.result)
-    monkeypatch.setattr("ffcomp.diagnosis.summary.summarise", lambda *_: plain.told.summary)
+    monkeypatch.setattr("ffcomp.report.diagnose.summary.summarise", lambda *_: plain.told.summary)
     monkeypatch.setattr(verb, "propose", lambda *_: [PROPOSAL])
     monkeypatch.setattr(verb, "separations", lambda *_: [])
 
@@ -335,7 +335,7 @@ def test_rivals_are_named_with_what_tells_them_apart(told: ReportInput) -> None:
     alike = replace(
         told.summary.confounding, cos2=np.array([[1.0, 0.9], [0.9, 1.0]]), names=("effector_mass", "belt_stiffness")
     )
-    (row,) = confounded_rows(told.result, replace(told.summary, confounding=alike))
+    (row,) = confounded_rows(told.result, alike)
     assert (row.other, row.cos2) == ("belt_stiffness", "0.90")
     assert row.apart == CATALOGUE["effector_mass"].confounded_with["belt_stiffness"]
     said = verdict(changed(told, confounded_with=[("belt_stiffness", "somehow")]))
@@ -371,7 +371,7 @@ def test_text_from_files_is_escaped(told: ReportInput) -> None:
     overlays = tuple(replace(each, recording=nasty) for each in told.summary.overlays)
     found = replace(told.summary, splits=splits, overlays=overlays)
     origin = replace(told.origin, machine=nasty, machine_file=nasty, runs=[nasty], written=nasty)
-    text = page(ReportInput(told.result, found, told.proposals, origin)).decode()
+    text = page(replace(told, summary=found, origin=origin)).decode()
     assert "alert(1)" in text and "<script" not in text
 
 

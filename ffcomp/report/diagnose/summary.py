@@ -1,13 +1,13 @@
-"""A diagnosis as data for reports: where the residual was and is, curves, spectra, evidence, confounding.
+"""What the report draws of a diagnosis: where the residual was and is, curves, spectra, confounding.
 
-Drawing is for `ffcomp.report`. Excess is the mean square of the whitened error, less one: 0 is noise
+Excess is the mean square of the whitened error, less one: 0 is noise
 alone, 3 means that the error is twice as large as the noise.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -15,18 +15,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ffcomp.diagnosis.acceptance import HeldOut
 from ffcomp.diagnosis.diagnosis import Diagnosis
-from ffcomp.diagnosis.fit import EstimationProblem, intervals_of
+from ffcomp.diagnosis.fit import EstimationProblem
 from ffcomp.diagnosis.gap import EDGES_HZ, SLOW_SHARE
 from ffcomp.diagnosis.noise import lines, taper
-from ffcomp.diagnosis.problem import Parameter, Problem
-from ffcomp.diagnosis.result import RETUNED_SD, of_machine
+from ffcomp.diagnosis.problem import Problem
 from ffcomp.diagnosis.score_test import similarity
-from ffcomp.identification.uncertainty import Estimate
 from models.arrays import FloatArray
-from models.effects.catalogue import CATALOGUE
-from models.effects.effect import Effect
 from models.quantities import Quantities
 
 TIME_BINS = 24
@@ -76,16 +71,6 @@ class Spectrum:
     noise: FloatArray
 
 
-@dataclass(frozen=True)
-class Promise:
-    """The prediction of screening for one effect before anything was fitted."""
-
-    name: str
-    gain: float  # of −2 ln Z, predicted
-    strength: float  # standard deviations by which a usual size would stand out
-    visible: bool
-
-
 @dataclass(frozen=True, eq=False)
 class Confounding:
     """cos² between the signatures of visible effects beyond retuning: 1 if one can be taken for the other."""
@@ -94,31 +79,9 @@ class Confounding:
     cos2: FloatArray  # (n, n)
 
 
-@dataclass(frozen=True)
-class Retuned:
-    """A parameter of the machine file that the diagnosis could have moved."""
-
-    name: str
-    start: float
-    sd: float  # that the file allows
-    now: Estimate
-    moved: bool
-
-
-@dataclass(frozen=True)
-class Evidence:
-    """One hypothesis that was tried."""
-
-    effects: tuple[str, ...]
-    left: float  # discrepancy, of the noise
-    against_best: float  # −2 ln Z more than the best's
-    parameters: int
-    named: bool
-
-
 @dataclass(frozen=True, eq=False)
 class DiagnosisSummary:
-    """Everything a report shows."""
+    """Everything that is drawn."""
 
     band_hz: tuple[float, float]  # where measurement and simulation are compared
     noise_from_repeats: bool
@@ -126,12 +89,7 @@ class DiagnosisSummary:
     splits: tuple[Split, ...]
     overlays: tuple[Overlay, ...]
     spectra: tuple[Spectrum, ...]
-    evidence: tuple[Evidence, ...]
-    promises: tuple[Promise, ...]
     confounding: Confounding
-    held_out: tuple[HeldOut, ...]
-    retuned: tuple[Retuned, ...]
-    catalogue: Mapping[str, Effect] = field(default_factory=lambda: CATALOGUE)  # effects in the machine's words
 
 
 def summarise(problem: Problem, diagnosis: Diagnosis) -> DiagnosisSummary:
@@ -146,12 +104,7 @@ def summarise(problem: Problem, diagnosis: Diagnosis) -> DiagnosisSummary:
         tuple(_splits(problem, estimation, before, after)),
         tuple(_overlays(problem, estimation, answers, before)),
         tuple(_spectra(problem, estimation, answers)),
-        tuple(_evidence(diagnosis)),
-        tuple(Promise(s.candidate.name, -s.evidence, s.strength, s.visible) for s in diagnosis.screened),
         _confounding(diagnosis),
-        tuple(diagnosis.held_out) if diagnosis.best is not None else (),  # of retuning alone the page says nothing
-        tuple(_retuned(diagnosis, problem.quantities)),
-        problem.catalogue,
     )
 
 
@@ -364,21 +317,7 @@ def _densities(
     return frequency, [*(np.abs(x) ** 2 / scale for x, _ in spectra), noise]
 
 
-# ---- evidence ------------------------------------------------------------------------------------
-
-
-def _evidence(diagnosis: Diagnosis) -> list[Evidence]:
-    if diagnosis.best is None:
-        return []
-    best = diagnosis.best.fit.evidence
-    named = () if diagnosis.named is None else diagnosis.named.names
-    rows = [
-        Evidence(h.names, h.discrepancy, diagnosis.behind(h), len(h.fit.parameters), h.names == named)
-        for h in diagnosis.tried
-    ]
-    base = diagnosis.base
-    nothing = Evidence((), base.discrepancy, base.evidence - best, len(base.parameters), False)
-    return [*rows, nothing]
+# ---- confounding -----------------------------------------------------------------------------------
 
 
 def _confounding(diagnosis: Diagnosis) -> Confounding:
@@ -387,17 +326,3 @@ def _confounding(diagnosis: Diagnosis) -> Confounding:
     seen = sorted((s for s in diagnosis.screened if s.visible), key=lambda s: s.candidate.name not in best)
     table = np.array([[similarity(a, b) for b in seen] for a in seen]).reshape(len(seen), len(seen))
     return Confounding(tuple(s.candidate.name for s in seen), table)
-
-
-def _retuned(diagnosis: Diagnosis, quantities: Quantities) -> list[Retuned]:
-    """List every parameter of the machine file, those that moved furthest first."""
-    full = diagnosis.base if diagnosis.best is None else diagnosis.best.fit
-    values = diagnosis.final.values
-    intervals = diagnosis.intervals or intervals_of(diagnosis.estimation, full, values)
-    numbers = [n for n in full.parameters if of_machine(n.name)]
-    rows = [_row(n, quantities.key(n.name), values.get(n.name, n.start), intervals[n.name]) for n in numbers]
-    return sorted(rows, key=lambda r: -abs(r.now.value - r.start) / r.sd)
-
-
-def _row(n: Parameter, key: str, value: float, interval: Estimate) -> Retuned:
-    return Retuned(key, n.start, n.sd, interval, abs(value - n.start) > RETUNED_SD * n.sd)
