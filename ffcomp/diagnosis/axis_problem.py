@@ -20,7 +20,7 @@ from scipy.ndimage import uniform_filter1d
 
 from ffcomp.diagnosis.candidates import axis_candidates, effect_tables, machine_parameters
 from ffcomp.diagnosis.observations import quick_length
-from ffcomp.diagnosis.problem import InfeasibleParameters, Observation, Parameter, Problem
+from ffcomp.diagnosis.problem import InfeasibleParameters, MachineNames, Observation, Parameter, Problem
 from ffcomp.diagnosis.settings import SETTINGS
 from ffcomp.identification.axis_shots import Shots, band_of, noise_sd, scales_of, shots_of, windows
 from ffcomp.measurement.axis_run import AxisRun
@@ -52,8 +52,8 @@ class AxisProblem(Problem):
 
     def __init__(self, machine: Machine, runs: Sequence[AxisRun], names: Sequence[str] = tuple(CATALOGUE)) -> None:
         self.machine, self.recordings = machine, runs
-        self.name, self.path, self.quantities = machine.name, machine.path, machine.vibration.quantities
-        self.catalogue = catalogue_of(self.quantities, machine.vibration.moves)
+        self.name, self.path, quantities = machine.name, machine.path, machine.vibration.quantities
+        self.names = MachineNames(quantities=quantities, catalogue=catalogue_of(quantities, machine.vibration.moves))
         self.commanded = not driven_axis(machine).by_force
         self.shots = shots_of(machine, runs)
         self.band_hz = band_of(self.shots)

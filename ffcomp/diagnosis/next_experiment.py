@@ -18,7 +18,7 @@ from ffcomp.diagnosis.diagnosis import Diagnosis
 from ffcomp.diagnosis.noise import whitener
 from ffcomp.diagnosis.printer_problem import PrinterProblem
 from ffcomp.diagnosis.problem import InfeasibleParameters
-from ffcomp.diagnosis.score_test import Screened, confounded_with
+from ffcomp.diagnosis.score_test import Screened, confounded_with, separated_by
 from ffcomp.diagnosis.settings import SETTINGS
 from ffcomp.measurement.recording import Recording
 from ffcomp.planner.program import plan_program
@@ -119,14 +119,8 @@ def _named(diagnosis: Diagnosis, names: set[str]) -> list[Screened]:
 def _separation(diagnosis: Diagnosis, other: tuple[str, ...], values: Mapping[str, float]) -> _Question:
     assert diagnosis.best is not None
     ours = diagnosis.best.names
-    sentences = [
-        CATALOGUE[a].confounded_with.get(b) or CATALOGUE[b].confounded_with.get(a, "")
-        for a in ours
-        for b in other
-        if a in CATALOGUE and b in CATALOGUE
-    ]
     words = _difference([n for n in ours if n not in other], [n for n in other if n not in ours])
-    return _Question(other, diagnosis.best.fit.values, values, words, next(filter(None, sentences), ""))
+    return _Question(other, diagnosis.best.fit.values, values, words, separated_by(ours, other))
 
 
 def _difference(ours: Sequence[str], theirs: Sequence[str]) -> str:

@@ -27,7 +27,7 @@ from ffcomp.diagnosis.observations import (
     led_in,
     observation_of,
 )
-from ffcomp.diagnosis.problem import InfeasibleParameters, Problem
+from ffcomp.diagnosis.problem import InfeasibleParameters, MachineNames, Problem
 from ffcomp.diagnosis.recording_clocks import (
     aligned,
     as_recorded,
@@ -65,9 +65,10 @@ class PrinterProblem(Problem):
         self, machine: Machine, recordings: Sequence[Recording], names: Sequence[str] = tuple(CATALOGUE)
     ) -> None:
         self.machine, self.recordings = machine, recordings
-        self.name, self.path, self.quantities = machine.name, machine.path, machine.vibration.quantities
+        self.name, self.path = machine.name, machine.path
+        self.names = MachineNames(quantities=machine.vibration.quantities)
         if not machine.kinematics.tower_directions:
-            self.carriages, self.belts = STRAIGHT, machine.kinematics.actuator_names
+            self.names = replace(self.names, carriages=STRAIGHT, belts=machine.kinematics.actuator_names)
         self.reach_mm, self.cycle_mm = machine.kinematics.bed_radius_mm, 4.0 / machine.steps.full_per_motor[0]
         self.commands = [compared(carriages_of(machine, one), every_row(one)) for one in recordings]
         recorded = [observation_of(machine, one, c) for one, c in zip(recordings, self.commands, strict=True)]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from math import inf
 
@@ -154,6 +154,16 @@ class Work:
         self.limit = max(self.limit, self.steps + further)
 
 
+@dataclass(frozen=True, kw_only=True)
+class MachineNames:
+    """What people call the parts of a machine."""
+
+    quantities: Quantities = PLAIN  # keys, units and scales of its file
+    catalogue: Mapping[str, Effect] = field(default_factory=lambda: CATALOGUE)  # the effects in the words of its kind
+    carriages: tuple[str, ...] = TOWERS  # what a value for each is of, and
+    belts: tuple[str, ...] = TOWERS  # of belts and their motors
+
+
 class Problem(ABC):
     """A machine, its observations, and what it would have measured with other parameters."""
 
@@ -169,10 +179,7 @@ class Problem(ABC):
     commanded: bool = True  # by a position, which a firmware may shape; else by a force
     cycle_mm: float = 0.0  # of a motor
     reach_mm: float = 0.0  # how far from the middle of its bed a printer goes; 0: there is no bed
-    quantities: Quantities = PLAIN  # keys, units and scales of its machine file
-    catalogue: Mapping[str, Effect] = CATALOGUE  # the effects in the words of its kind
-    carriages: tuple[str, ...] = TOWERS  # what people call what a value for each is of
-    belts: tuple[str, ...] = TOWERS  # the same, of belts and their motors
+    names: MachineNames = MachineNames()
     least_density: Mapping[str, float] = {}  # of a signal's noise, unit²/Hz: no simulation is nearer than that
 
     @cached_property

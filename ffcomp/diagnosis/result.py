@@ -15,14 +15,13 @@ from ffcomp.diagnosis.candidates import WHOLE, effect_tables
 from ffcomp.diagnosis.diagnosis import Diagnosis
 from ffcomp.diagnosis.fit import Fit
 from ffcomp.diagnosis.gap import ResidualBreakdown, ResidualSize, locate_residual
-from ffcomp.diagnosis.problem import TOWERS, Problem
+from ffcomp.diagnosis.problem import MachineNames, Problem
 from ffcomp.diagnosis.recording_clocks import belongs_to_recording, delay_of
+from ffcomp.diagnosis.score_test import separated_by
 from ffcomp.diagnosis.separation import Separation
 from ffcomp.identification.uncertainty import Estimate
 from models.effects.catalogue import CATALOGUE, key_in_file
-from models.effects.effect import Effect
 from models.file import updated_text
-from models.quantities import PLAIN, Quantities
 
 LATE_S = 1e-4  # from which it is reported that a file lies late
 OFF_SHARE = 0.05  # of a number of the file, from which it is reported that it may be off by so much
@@ -101,22 +100,12 @@ class Rest:
         }
 
 
-@dataclass(frozen=True, kw_only=True)
-class PlantNames:
-    """What people call the parts of a machine."""
-
-    quantities: Quantities = PLAIN  # its keys, units and scales
-    catalogue: Mapping[str, Effect] = field(default_factory=lambda: CATALOGUE)  # in its words
-    carriages: tuple[str, ...] = TOWERS  # what a value for each is of, and
-    belts: tuple[str, ...] = TOWERS  # of belts and their motors
-
-
 @dataclass(frozen=True, eq=False, kw_only=True)
 class DiagnosisResult:
     """The contents of the answer and of the better machine file."""
 
     verdict: str  # "effects", "none" or "unknown"
-    finding: str = ""  # the verdict more closely, see diagnosis.FINDINGS
+    finding: str  # the verdict more closely, see diagnosis.FINDINGS
     fault: str = ""  # of the recordings: a sentence
     effects: Mapping[str, Mapping[str, Any]]  # of the best hypothesis, as tables of a machine file
     intervals: Mapping[str, Estimate]  # effects.name.key -> in the machine file's terms
@@ -130,7 +119,7 @@ class DiagnosisResult:
     rest: Rest | None = None  # of an effect that is named with a rest
     undetermined: Sequence[str] = ()  # numbers of the effects at their bounds, or open over all of their range
     file: FileNumbers
-    names: PlantNames = PlantNames()
+    names: MachineNames = field(default_factory=MachineNames)
     late_s: Mapping[str, float] = field(default_factory=dict)  # files that lie off their command by more than 0.1 ms
     cut_short: bool = False  # the search ended at its budget
 
@@ -167,11 +156,13 @@ def result_of(problem: Problem, diagnosis: Diagnosis) -> DiagnosisResult:
     """Translate a diagnosis; the best hypothesis is reported even if it was rejected."""
     fitted = diagnosis.final
     tables = effect_tables(fitted.values) if diagnosis.best is not None else {}
+    catalogue = problem.names.catalogue
+    more = "more places and at several speeds" if catalogue is CATALOGUE else "several speeds and sizes"
     before, after = (
         locate_residual(diagnosis.estimation.whiten, diagnosis.noise, problem.simulate(values))
         for values in ({}, fitted.values)
     )
-    key = problem.quantities.key
+    key = problem.names.quantities.key
     dominant, noise = diagnosis.dominant, before.total.noise_nrms
     moved = [
         (n.name, float(z), (n.start, problem.stated(fitted.values, n.name)))
@@ -188,7 +179,9 @@ def result_of(problem: Problem, diagnosis: Diagnosis) -> DiagnosisResult:
         evidence=diagnosis.base.evidence - fitted.evidence,
         rejections=diagnosis.rejections,
         invisible=diagnosis.invisible,
-        confounded_with=[(n, _how_to_separate(tables, n, problem.catalogue)) for n in diagnosis.confounded],
+        confounded_with=[
+            (n, separated_by(tuple(tables), [n], catalogue) or f"Runs at {more}.") for n in diagnosis.confounded
+        ],
         gap=Gap(
             before=before.total,
             after=after.total,
@@ -210,9 +203,7 @@ def result_of(problem: Problem, diagnosis: Diagnosis) -> DiagnosisResult:
                 key(name): abs(z) for name, z, _ in sorted(moved, key=lambda each: -abs(each[1])) if abs(z) > BEYOND_SD
             },
         ),
-        names=PlantNames(
-            quantities=problem.quantities, catalogue=problem.catalogue, carriages=problem.carriages, belts=problem.belts
-        ),
+        names=problem.names,
         late_s=_late(problem, diagnosis),
         cut_short=diagnosis.cut_short,
     )
@@ -312,17 +303,6 @@ def _in_file(effect: str, key: str, estimates: Sequence[Estimate], table: Any) -
     return {what: values if len(values) > 1 else values[0] for what, values in each.items()}
 
 
-def _how_to_separate(tables: Mapping[str, Any], other: str, catalogue: Mapping[str, Effect]) -> str:
-    """Say how to tell another effect from the named ones."""
-    for name in tables:
-        sentence = catalogue[name].confounded_with.get(other) or catalogue[other].confounded_with.get(name)
-        if sentence:
-            return sentence
-    return (
-        "Runs at more places and at several speeds." if catalogue is CATALOGUE else "Runs at several speeds and sizes."
-    )
-
-
 def better_file(source: Path, name: str, result: DiagnosisResult, data: Sequence[str], when: str) -> str:
     """Write the machine file with the named effects, the retuned parameters and their provenance; comments survive."""
     quantities = result.names.quantities
@@ -330,16 +310,16 @@ def better_file(source: Path, name: str, result: DiagnosisResult, data: Sequence
     for effect, table in result.effects.items():
         if not table:
             values[f"effects.{effect}"] = {}
-        values |= {
-            f"effects.{effect}.{_key_to_write(effect, key, result.names.quantities)}": _rounded(value)
-            for key, value in table.items()
-        }
+        for key, value in table.items():  # of an axis by itself `updated_text` knows the keys
+            written = key_in_file(effect, key, quantities) if quantities.per_kilogram else key
+            values[f"effects.{effect}.{written}"] = _rounded(value)
     entry = {
         "date": when,
         "started_from": source.stem,
         "data": list(data),
         "intervals_90_percent": {
-            quantities.key(n): _range(quantities.scale(n), e) for n, e in result.intervals.items()
+            quantities.key(n): f"{quantities.scale(n) * e.low:.4g} to {quantities.scale(n) * e.high:.4g}"
+            for n, e in result.intervals.items()
         },
         "gap_nrms_before": float(f"{result.gap.before.nrms:.4g}"),
         "gap_nrms_after": float(f"{result.gap.after.nrms:.4g}"),
@@ -349,15 +329,6 @@ def better_file(source: Path, name: str, result: DiagnosisResult, data: Sequence
     if result.rest is not None:
         entry["explains_of_the_gap_elsewhere"] = float(f"{result.rest.explained:.3g}")
     return updated_text(source, values, name=name, provenance={"diagnosed": entry})
-
-
-def _range(scale: float, e: Estimate) -> str:
-    return f"{scale * e.low:.4g} to {scale * e.high:.4g}"
-
-
-def _key_to_write(effect: str, key: str, quantities: Quantities) -> str:
-    """Return the key for `updated_text`, which itself knows the keys of an axis."""
-    return key_in_file(effect, key, quantities) if quantities.per_kilogram else key
 
 
 def _rounded(value: Any) -> Any:

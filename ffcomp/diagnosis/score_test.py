@@ -21,6 +21,8 @@ from ffcomp.diagnosis.fit import EstimationProblem, Fit, step_within
 from ffcomp.diagnosis.problem import Candidate, Parameter
 from ffcomp.diagnosis.settings import SETTINGS
 from models.arrays import FloatArray
+from models.effects.catalogue import CATALOGUE
+from models.effects.effect import Effect
 
 Shape = Mapping[str, float]
 
@@ -241,6 +243,14 @@ def confounded_with(
     others = [s for s in screened if s.candidate.name not in names and s.visible]
     similar = {o.candidate.name: max((similarity(o, s) for s in named), default=0.0) for o in others}
     return sorted(((name, c) for name, c in similar.items() if c > limit), key=lambda pair: -pair[1])
+
+
+def separated_by(ours: Sequence[str], theirs: Sequence[str], catalogue: Mapping[str, Effect] = CATALOGUE) -> str:
+    """Return the catalogue's advice on telling one of our effects from one of theirs; "" if it has none."""
+    sentences = (
+        catalogue[a].confounded_with.get(b) or catalogue[b].confounded_with.get(a) for a in ours for b in theirs
+    )
+    return next(filter(None, sentences), "")
 
 
 def pair_evidence(base: Fit, pair: Sequence[Screened]) -> float:

@@ -23,12 +23,7 @@ def summary_sentences(result: DiagnosisResult) -> list[str]:
         "unproven": _unproven,
         "recording": lambda result: [f"The recordings are at fault: {result.fault}"],
     }
-    return [*by_finding.get(finding_of(result), _unexplained)(result), *cut_short(result), *late_files(result)]
-
-
-def finding_of(result: DiagnosisResult) -> str:
-    """Return the finding; of a result made without one, what its verdict says."""
-    return result.finding or {"effects": "effects", "none": "nothing"}.get(result.verdict, "unexplained")
+    return [*by_finding.get(result.finding, _unexplained)(result), *cut_short(result), *late_files(result)]
 
 
 def _gap(result: DiagnosisResult) -> str:
@@ -239,7 +234,7 @@ def late_files(result: DiagnosisResult) -> list[str]:
 
 def what_to_do(result: DiagnosisResult) -> list[str]:
     """Return steps in order: to the printer first, then to the file, then what to record."""
-    finding, separating = finding_of(result), [each.sentence() for each in result.separations]
+    finding, separating = result.finding, [each.sentence() for each in result.separations]
     if finding == "dominant":
         return [
             _remedy(result, result.named[0]),

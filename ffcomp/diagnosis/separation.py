@@ -26,14 +26,13 @@ from ffcomp.diagnosis.hypotheses import Hypothesis
 from ffcomp.diagnosis.next_experiment import blank_recording, linear_estimate
 from ffcomp.diagnosis.noise import whitener
 from ffcomp.diagnosis.printer_problem import PrinterProblem
-from ffcomp.diagnosis.score_test import confounded_with
+from ffcomp.diagnosis.score_test import confounded_with, separated_by
 from ffcomp.diagnosis.settings import SETTINGS
 from ffcomp.diagnosis.words import digits, joined
 from ffcomp.errors import FfcompError
 from ffcomp.record.moves import KINDS, Request, default_places, make_plan
 from ffcomp.record.plan import Experiment
 from models.arrays import FloatArray
-from models.effects.catalogue import CATALOGUE
 from models.finding import machine_paths
 from models.machine import Machine
 
@@ -136,7 +135,7 @@ def separations(problem: PrinterProblem, diagnosis: Diagnosis) -> list[Separatio
     ours = diagnosis.best.names
     now = _differences(replace(diagnosis.estimation, coarse=True), diagnosis.best.fit, [*rivals, *beaten], None)
     settled = [
-        Separation(ours, rival.names, here, here, "", (), "", _otherwise(ours, rival.names))
+        Separation(ours, rival.names, here, here, "", (), "", separated_by(ours, rival.names))
         for rival, here in zip(beaten, now[len(rivals) :], strict=True)
     ]
     if not rivals:
@@ -264,19 +263,8 @@ def _separation(
         trial.request.kinds[0],
         trial.position_mm,
         command_of(machine, trial.request),
-        _otherwise(ours, rival.names),
+        separated_by(ours, rival.names),
     )
-
-
-def _otherwise(ours: Sequence[str], theirs: Sequence[str]) -> str:
-    """Return the catalogue's advice on telling them apart."""
-    sentences = (
-        CATALOGUE[a].confounded_with.get(b) or CATALOGUE[b].confounded_with.get(a)
-        for a in ours
-        for b in theirs
-        if a != b and a in CATALOGUE and b in CATALOGUE
-    )
-    return next(filter(None, sentences), "")
 
 
 def command_of(machine: Machine, request: Request) -> str:

@@ -178,7 +178,7 @@ def test_diagnose(page: Page) -> None:
                 "report": "page.html",
                 "seconds": 1.0,
             }
-            for why in ("effects", "unknown", "dominant")
+            for why in ("effects", "unexplained", "dominant")
         ],
     )
 
@@ -190,6 +190,7 @@ def _outcome(finding: str) -> DiagnosisResult:
     rest = Rest(explained=0.83, left=left, rivals=[(("joint_friction",), 0.4)])
     return DiagnosisResult(
         verdict=verdict,
+        finding=finding,
         effects={name: {"force_n": 1.1}},
         intervals={f"effects.{name}.force_n": normal(1.1, 0.1)},
         confidence={name: 0.99},

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ffcomp.diagnosis.sentences import finding_of, what_to_do
+from ffcomp.diagnosis.sentences import what_to_do
 from ffcomp.report.diagnose import figures
 from ffcomp.report.diagnose.sentences import ReportInput, verdict
 from ffcomp.report.diagnose.tables import (
@@ -62,7 +62,7 @@ def page(report: ReportInput) -> bytes:
         origin=report.origin,
         summary=summary,
         proposals=report.proposals,
-        in_words=WORDS[finding_of(result)],
+        in_words=WORDS[result.finding],
         sentences=verdict(report),
         tiles=tiles(result),
         effect_rows={name: effect_rows(result, name) for name in named},

@@ -13,7 +13,6 @@ from ffcomp.diagnosis.result import DiagnosisResult
 from ffcomp.diagnosis.sentences import (
     elsewhere,
     file_off,
-    finding_of,
     guessed_noise,
     late_files,
     summary_sentences,
@@ -60,7 +59,7 @@ def verdict(report: ReportInput) -> list[str]:
         "unexplained": _unexplained,
     }
     result = report.result
-    chosen = by_finding.get(finding_of(result))
+    chosen = by_finding.get(result.finding)
     sentences = chosen(report) + late_files(result) if chosen else summary_sentences(result)
     return [*sentences, *_invisible(result), *_noise(report)]
 

@@ -263,7 +263,7 @@ def _overlay(
     noise = estimation.whiten.floor.at(r.signals[k], frequency)
     rms = float(np.sqrt(np.sum(noise) * (frequency[1] - frequency[0])))
     time = np.arange(part.start, part.stop) / r.rate_hz
-    _, unit, scale = problem.quantities.signal(r.signals[k])
+    _, unit, scale = problem.names.quantities.signal(r.signals[k])
     shown = (scale * measured, scale * before, scale * after, scale * rms)
     return Overlay(Path(r.name).name, r.signals[k], time, *shown, unit)
 
@@ -279,7 +279,7 @@ def _in_band(estimation: EstimationProblem, i: int, x: FloatArray) -> FloatArray
 
 def _spectra(problem: Problem, estimation: EstimationProblem, answers: Answers) -> list[Spectrum]:
     kinds = {(s[:3], _whose(s)) for r in estimation.whiten.observations for s in r.signals}
-    return [_spectrum(problem.quantities, estimation, answers, *kind) for kind in sorted(kinds)]
+    return [_spectrum(problem.names.quantities, estimation, answers, *kind) for kind in sorted(kinds)]
 
 
 def _spectrum(

@@ -13,6 +13,7 @@ from ffcomp.diagnosis.acceptance import HeldOut
 from ffcomp.diagnosis.diagnosis import Diagnosis
 from ffcomp.diagnosis.fit import intervals_of
 from ffcomp.diagnosis.result import RETUNED_SD, DiagnosisResult, of_machine
+from ffcomp.diagnosis.score_test import separated_by
 from ffcomp.identification.uncertainty import Estimate
 from ffcomp.report.diagnose.summary import Confounding
 from ffcomp.report.diagnose.words import (
@@ -270,6 +271,6 @@ def confounded_rows(result: DiagnosisResult, alike: Confounding) -> list[Confoun
         others = [(alike.names[i], float(row[i])) for i in np.argsort(-row) if alike.names[i] not in named]
         for other, cos2 in others[:MOST_CONFOUNDED]:
             if cos2 > SHOWN_COS2:
-                apart = catalogue[name].confounded_with.get(other) or catalogue[other].confounded_with.get(name) or ""
+                apart = separated_by([name], [other], catalogue)
                 rows.append(Confounded(name, other, title(other, catalogue), f"{cos2:.2f}", apart))
     return rows

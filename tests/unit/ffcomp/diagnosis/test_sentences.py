@@ -11,7 +11,8 @@ import pytest
 
 from ffcomp.diagnosis.diagnosis import FINDINGS
 from ffcomp.diagnosis.gap import ResidualBreakdown, ResidualSize
-from ffcomp.diagnosis.result import DiagnosisResult, FileNumbers, Gap, PlantNames, Rest
+from ffcomp.diagnosis.problem import MachineNames
+from ffcomp.diagnosis.result import DiagnosisResult, FileNumbers, Gap, Rest
 from ffcomp.diagnosis.sentences import summary_sentences, what_to_do
 from ffcomp.diagnosis.verb import print_gain
 from ffcomp.identification.uncertainty import normal
@@ -149,7 +150,7 @@ def test_every_effect_has_a_remedy_and_uneven_towers_are_named() -> None:
     assert what_to_do(found)[0].startswith("Clean and oil the rails, first of tower B;")
     slinger = replace(found, effects={"belt_stiffness": {"relative_change": [0.0, -0.2, 0.0]}})
     slinger = replace(
-        slinger, names=PlantNames(carriages=("axis X", "axis Y", "axis Z"), belts=("axis X", "axis Y", "axis Z"))
+        slinger, names=MachineNames(carriages=("axis X", "axis Y", "axis Z"), belts=("axis X", "axis Y", "axis Z"))
     )
     assert what_to_do(slinger)[0].startswith("Check the belts' tension, first of axis Y, and tension them alike")
     assert ", first of axis Y;" in what_to_do(replace(slinger, effects=found.effects))[0]
