@@ -29,12 +29,11 @@ from typing import Any
 import joblib
 import numpy as np
 
-from ffcomp.errors import FfcompError
 from studies.render import results_of, save
 from validation.blind import score
-from validation.blind.cases import case
 from validation.blind.kinds import KINDS, MACHINES
-from validation.blind.seal import label_path, open_labels, verdict_path, write_case
+from validation.blind.make import make_case
+from validation.blind.seal import label_path, open_labels, refusal_path, verdict_path
 from validation.blind.strata import FULL, full_bank
 from validation.blind.summary import confusion, miss, rate_of
 
@@ -61,7 +60,7 @@ def main() -> None:
     if options.earlier:
         save("diagnosis", {"earlier": with_earlier(results(judged, options))})
         return
-    without_runs = sum(refused_path(bank, name).exists() and name not in done for name in cases)
+    without_runs = sum(refusal_path(bank, name).exists() and name not in done for name in cases)
     save("diagnosis", {**results(judged, options), "without_runs": without_runs})
     draw_confusion(judged, FIGURE)
 
@@ -118,14 +117,9 @@ def same_bank(bank: Path, seconds: float) -> None:
 
 def one(bank: Path, name: str, seed: int, stratum: str, seconds: float) -> None:
     """Make a case and seal its label; then ask for the verdicts. What is there is kept."""
-    if not label_path(bank, name).exists():
-        try:
-            write_case(bank, name, case(seed, stratum, seconds))
-        except FfcompError as error:  # captures that `record join` refuses: no runs to diagnose
-            refused_path(bank, name).parent.mkdir(parents=True, exist_ok=True)
-            _write(refused_path(bank, name), {"why": str(error)})
-            tell(f"{name}: no case, {str(error)[:200]}")
-            return
+    if not label_path(bank, name).exists() and (refusal := make_case(bank, name, seed, stratum, seconds)):
+        tell(f"{name}: {refusal}")
+        return
     if answered(bank, name):
         return
     verdict_path(bank, name).parent.mkdir(parents=True, exist_ok=True)
@@ -134,11 +128,6 @@ def one(bank: Path, name: str, seed: int, stratum: str, seconds: float) -> None:
     found = _read(verdict_path(bank, name))
     _write(verdict_path(bank, name), {**found, "commit": commit(), "when": datetime.now(UTC).isoformat("T", "minutes")})
     tell(f"{name}: {found['verdict']} after {time.monotonic() - began:.0f} s")
-
-
-def refused_path(bank: Path, name: str) -> Path:
-    """Return where it is noted that there are no runs of a case, and why."""
-    return bank / "refused" / f"{name}.json"
 
 
 def answered(bank: Path, name: str) -> bool:

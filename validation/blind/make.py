@@ -7,11 +7,11 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from ffcomp.errors import RequestError
+from ffcomp.errors import FfcompError, RequestError
 from validation.blind.answers import read_answers
 from validation.blind.cases import case
 from validation.blind.score import Judged
-from validation.blind.seal import cases_of, label_path, opened, write_case
+from validation.blind.seal import cases_of, label_path, opened, refusal_path, write_case
 from validation.blind.strata import full_bank
 from validation.blind.summary import summary
 
@@ -23,6 +23,8 @@ def make_bank(
 ) -> list[str]:
     """Write cases and sealed labels; what is there is kept. Return the names of the cases, in order.
 
+    A case whose captures `record join` refuses has no runs to diagnose: it is left out, and `refused/` says why.
+
     Raises
     ------
     RequestError
@@ -31,11 +33,22 @@ def make_bank(
     asked = {"seed": seed, "seconds": seconds, "machines": list(machines)}
     same_bank(folder, asked)
     wanted = full_bank(count, seed, machines)
-    for number, (name, (own, stratum)) in enumerate(wanted.items(), start=1):
+    for number, (name, (seed_of_case, stratum)) in enumerate(wanted.items(), start=1):
         if not label_path(folder, name).exists():
-            write_case(folder, name, case(own, stratum, seconds))
-            progress(f"{name}: made, {number} of {count}")
-    return list(wanted)
+            refusal = make_case(folder, name, seed_of_case, stratum, seconds)
+            progress(f"{name}: {refusal or 'made'}, {number} of {count}")
+    return [name for name in wanted if label_path(folder, name).exists()]
+
+
+def make_case(folder: Path, name: str, seed: int, stratum: str, seconds: float) -> str | None:
+    """Write a case and seal its label, or note and return why `record join` refuses its captures."""
+    try:
+        write_case(folder, name, case(seed, stratum, seconds))
+    except FfcompError as error:
+        refusal_path(folder, name).parent.mkdir(parents=True, exist_ok=True)
+        refusal_path(folder, name).write_text(json.dumps({"why": str(error)}), encoding="utf-8")
+        return f"no case, {str(error)[:200]}"
+    return None
 
 
 def same_bank(folder: Path, asked: dict[str, Any]) -> None:

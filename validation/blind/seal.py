@@ -48,6 +48,11 @@ def label_path(bank: Path, name: str) -> Path:
     return bank / "sealed" / name / "label.json"
 
 
+def refusal_path(bank: Path, name: str) -> Path:
+    """Return where it is noted why a case has no runs."""
+    return bank / "refused" / f"{name}.json"
+
+
 def verdict_path(bank: Path, name: str) -> Path:
     """Return where a case's verdict is written."""
     return bank / "verdicts" / f"{name}.json"

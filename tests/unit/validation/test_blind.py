@@ -13,6 +13,7 @@ from ffcomp.errors import MeasurementError
 from tests.support.json_page import Page
 from validation.blind.__main__ import main
 from validation.blind.answers import read_answers
+from validation.blind.make import make_bank
 
 Told = dict[str, Any]
 PAGE = Path(__file__).parents[3] / "validation/blind/README.md"
@@ -63,6 +64,19 @@ def test_a_bank_goes_on_as_it_began(bank: Path, capsys: pytest.CaptureFixture[st
     assert sorted(printed["cases"]) == sorted(labels(bank))
     assert before == {path: path.stat().st_mtime_ns for path in bank.rglob("*.csv")}
     assert make(bank, seconds=1.0) == 2
+
+
+def test_a_bank_goes_on_after_a_case_without_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: object) -> None:
+        raise MeasurementError("captures: None of them could be joined.")
+
+    monkeypatch.setattr("validation.blind.make.case", refuse)
+    progress: list[str] = []
+    assert make_bank(tmp_path, 2, 1, 0.8, ["axis"], progress.append) == []
+    assert [line.partition(": ")[2] for line in progress] == [
+        f"no case, captures: None of them could be joined., {k} of 2" for k in (1, 2)
+    ]
+    assert len(list(tmp_path.glob("refused/*.json"))) == 2
 
 
 def test_right_and_wrong_answers_are_told_apart(bank: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
