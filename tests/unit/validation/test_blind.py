@@ -68,7 +68,7 @@ def test_a_bank_goes_on_as_it_began(bank: Path, capsys: pytest.CaptureFixture[st
 
 def test_a_bank_goes_on_after_a_case_without_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(*_: object) -> None:
-        raise MeasurementError("captures: None of them could be joined.")
+        raise MeasurementError("captures", ["None of them could be joined."])
 
     monkeypatch.setattr("validation.blind.make.case", refuse)
     progress: list[str] = []
