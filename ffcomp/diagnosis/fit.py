@@ -160,7 +160,10 @@ class Fit:
     @property
     def evidence(self) -> float:
         """−2 ln Z without what all hypotheses share: the smaller the likelier."""
-        return self.cost + float(np.linalg.slogdet(self.information)[1])
+        logarithm = float(np.linalg.slogdet(self.information)[1])
+        if not 0.0 <= logarithm < np.inf:  # beyond rounding: no eigenvalue of it is below one
+            logarithm = float(np.sum(np.log(np.maximum(np.linalg.eigvalsh(self.information), 1.0))))
+        return self.cost + logarithm
 
     @property
     def discrepancy(self) -> float:

@@ -48,3 +48,12 @@ def test_what_one_motion_alone_shows_is_refused_for_no_scatter() -> None:
     assert said[size.name].sd > 2 * asked[size.name].sd
     wider = intervals_of(estimation, shown, shown.values, True, 1.5)
     assert wider[size.name].sd == pytest.approx(1.5 * said[size.name].sd)
+
+
+def test_derivatives_that_are_alike_beyond_rounding_make_no_fit_certain() -> None:
+    """A determinant of nothing would be infinitely likely: a robot's joint had one such hypothesis."""
+    column = 1e9 * np.linspace(1.0, 2.0, 50)
+    alike = Fit(
+        (Parameter("a", 0.0, 1.0), Parameter("b", 0.0, 1.0)), np.zeros(2), np.ones(50), np.stack([column] * 2, 1)
+    )
+    assert alike.evidence - alike.cost == pytest.approx(np.log(2 * column @ column), abs=0.1)
