@@ -1,14 +1,65 @@
-"""How numerical loops are compiled: all alike, since the compiler compiles its own functions for every set of options.
-
-A literal number as an argument, another memory layout of an array, or one array assigned to a row of another one each
-cost half a second and more of every user's first run (docs/decisions/0010-compile-on-the-first-run.md).
-"""
+"""How numerical loops are compiled: as in `models/compiled.py`, of which this package knows nothing."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import cached_property
 from typing import Any
 
 from numba import njit
+from numba.core.caching import FunctionCache, _Cache
+from numba.core.dispatcher import Dispatcher
+from numba.core.runtime import rtsys
 
-_OPTIONS: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
-kernel = njit(**_OPTIONS)
+
+class KernelCache(_Cache):
+    """Numba's cache of one kernel, made when the kernel is first called: most of 270 never are.
+
+    Numba fills its tables of all functions before it loads compiled code, for 0.2 s. Only compiling needs them.
+    """
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        """Cache a function's code until its file changes."""
+        self._function = function
+
+    @cached_property
+    def files(self) -> FunctionCache:
+        """Numba's own cache."""
+        return FunctionCache(self._function)
+
+    @property
+    def cache_path(self) -> str:
+        """The folder."""
+        return str(self.files.cache_path)
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        """Load compiled code for these types; None: there is none, and the tables are filled."""
+        rtsys.initialize(target_context)  # the allocator of arrays, which loaded code calls
+        with self.files._guard_against_spurious_io_errors():
+            if loaded := self.files._load_overload(sig, target_context):
+                return loaded
+        return self.files.load_overload(sig, target_context)
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        """Save code that has been compiled."""
+        self.files.save_overload(sig, data)
+
+    def enable(self) -> None:
+        """Use the cache."""
+        self.files.enable()
+
+    def disable(self) -> None:
+        """Use no cache."""
+        self.files.disable()
+
+    def flush(self) -> None:
+        """Forget all code."""
+        self.files.flush()
+
+
+def kernel(function: Callable[..., Any]) -> Any:
+    """Compile a function when it is first called."""
+    compiled = njit(nogil=True, error_model="numpy", no_cfunc_wrapper=True)(function)
+    if isinstance(compiled, Dispatcher):  # not with NUMBA_DISABLE_JIT
+        compiled._cache = KernelCache(function)
+    return compiled

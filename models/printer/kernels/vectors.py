@@ -12,6 +12,7 @@ import numpy as np
 from numba import njit
 
 from models.arrays import FloatArray
+from models.compiled import cached
 from models.printer.kernels.record import LANES, Row, Vector
 
 SOURCES = hashlib.sha256(b"".join(path.read_bytes() for path in sorted(Path(__file__).parent.glob("*.py")))).hexdigest()
@@ -23,11 +24,7 @@ def compiled(function: Callable[..., Any]) -> Any:
     Numba compares its cache with the function's own file only, and would go on with the old code of what the function
     calls in the others.
     """
-    kernel = njit(cache=True, error_model="numpy", nogil=True, fastmath={"contract"})(function)
-    cache = getattr(getattr(kernel, "_cache", None), "_cache_file", None)
-    if cache is not None:  # without the compiler, or without a place to write to, there is none
-        cache._source_stamp = SOURCES
-    return kernel
+    return cached(njit(error_model="numpy", nogil=True, fastmath={"contract"})(function), function, SOURCES)
 
 
 # Functions called in a loop over lanes have to be inlined, or the loop is not vectorised.

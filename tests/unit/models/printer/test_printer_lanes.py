@@ -201,4 +201,4 @@ def test_cached_code_depends_on_every_file_of_the_kernels() -> None:
     """Numba alone would keep the code of a function whose callee in another file has changed."""
     kernels = [find_equilibrium, cubic_spline, *(f for f in vars(integrate).values() if hasattr(f, "py_func"))]
     cached = [f for f in kernels if f.targetoptions.get("forceinline") is None]
-    assert {f._cache._cache_file._source_stamp for f in cached} == {vectors.SOURCES}
+    assert {f._cache.files._cache_file._source_stamp for f in cached} == {vectors.SOURCES}
