@@ -14,7 +14,7 @@ from typing import Annotated, Any, get_type_hints
 from cyclopts import App, CycloptsError, Group, MissingArgumentError, Parameter
 
 from ffcomp.cli.common import exit_codes, require, say
-from ffcomp.cli.compiled import VERBS, collect_rarely, first_run, note_compiled, sentence
+from ffcomp.cli.compiled import VERBS, first_run, note_compiled, sentence
 from ffcomp.request import GROUPS, OUTPUT, Declared, Option, Request, declared
 
 HELP_FLAGS = ("--help", "-h")
@@ -70,7 +70,6 @@ def command(
             compiles = name in VERBS and first_run(name)
             if compiles:
                 say(f"ffcomp: {sentence(name)}", bool(values.get("quiet")))
-                collect_rarely()
             work()
             if compiles:
                 note_compiled(name)

@@ -10,12 +10,13 @@ import os
 import sys
 from contextlib import suppress
 from hashlib import sha256
+from importlib.util import find_spec
 from pathlib import Path
 
 from ffcomp.numerics.numba_cache import cache_folder
 
 WARMED = ("compensate", "simulate")  # those that most people call first, and that `warmup` compiles, in about a minute
-NEW_OBJECTS = 50_000  # after which garbage is collected; most of the compiler's objects stay
+NEW_OBJECTS = 50_000  # after which garbage is collected
 VERBS = (*WARMED, "compare", "diagnose", "fit")  # all that compile for more than some seconds
 
 
@@ -33,7 +34,7 @@ def sentence(verb: str) -> str:
 
 
 def collect_rarely() -> None:
-    """Let the compiler work with fewer collections of garbage, until the process ends: a tenth of its time."""
+    """Collect garbage less often, until the process ends: what is imported and compiled stays."""
     gc.set_threshold(NEW_OBJECTS, 50, 100)
 
 
@@ -46,14 +47,15 @@ def note_compiled(verb: str) -> None:
 
 
 def _marker(verb: str) -> Path | None:
-    from importlib.metadata import PackageNotFoundError, version
-
     folder = cache_folder()
     if folder == Path(os.devnull):  # no cache is wanted
         return None
-    code = Path(__file__)
-    try:
-        known = (str(code), code.stat().st_mtime_ns, sys.version, version("numba"))
-    except (OSError, PackageNotFoundError):
+    code, compiler = Path(__file__), find_spec("numba")
+    if compiler is None or compiler.origin is None:
         return None
+    try:
+        installed = [each.stat().st_mtime_ns for each in (code, Path(compiler.origin))]
+    except OSError:
+        return None
+    known = (str(code), sys.version, installed)
     return folder / f"compiled-{verb}-{sha256(repr(known).encode()).hexdigest()[:16]}"

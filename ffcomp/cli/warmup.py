@@ -46,7 +46,6 @@ def warmup() -> None:
 
     Example: ffcomp warmup
     """
-    collect_rarely()
     with _printers_beside() as printers:
         begin = time.perf_counter()
         steps = list(_steps(printers))
