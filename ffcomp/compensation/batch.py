@@ -1,29 +1,37 @@
 """Many files, on the cores of this computer or on a cluster.
 
-A file is one task, the biggest first (`ffcomp.compensation.worker_pool`). Where the others would have to wait for a
-file at last, all processes work at it together instead, chunk by chunk. The bytes are those of a single process.
+A file is one task for whichever process is free, the biggest first. Where the others would have to wait for a file at
+last, all processes work at it together instead, chunk by chunk. The bytes are those of a single process.
+
+Only the process that was called writes the user's files. The others hand over drafts, which end in one place whatever
+becomes of them, or bytes where they may not see our files.
 """
 
 from __future__ import annotations
 
 import math
 import threading
+import warnings
 from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import BrokenExecutor
-from contextlib import ExitStack, closing, contextmanager
-from dataclasses import dataclass
+from contextlib import ExitStack, closing, contextmanager, suppress
+from dataclasses import dataclass, field, replace
 from os.path import normcase, realpath
 from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
 
 from ffcomp.compensation.file import compensate_file
 from ffcomp.compensation.job import Options
 from ffcomp.compensation.request import CompensateFilesRequest
-from ffcomp.compensation.result import DIED, FileResult, attempt
-from ffcomp.compensation.worker_pool import Pool
+from ffcomp.compensation.result import DIED, FileResult, attempt, failure_of
 from ffcomp.errors import FfcompError, RequestError
-from gcode.text import PART_BYTES
+from gcode.atomic_write import replace_atomically
+from gcode.errors import GcodeError
+from gcode.text import PART_BYTES, raw_blocks
 from models.machine import Machine
 
+MARK = ".done"  # of the file whose length says how many bytes of its print are done
 LARGEST_SENT = 8 << 20  # bytes of a file that goes to a cluster whole; what comes back is ten times as much
 TELL_S = 0.5  # from one word on progress to the next
 
@@ -54,7 +62,32 @@ def compensate_files(
     """
     chosen: list[Path | None] = list(files) if targets is None else list(targets)
     check_targets(files, chosen)
-    return _Batch(list(files), chosen, machine, options, progress).run(jobs, scheduler)
+    return _compensated(list(files), chosen, machine, options, jobs, scheduler, progress)
+
+
+def _compensated(
+    files: list[Path],
+    targets: list[Path | None],
+    machine: Machine,
+    options: Options,
+    jobs: int,
+    scheduler: str,
+    progress: Callable[[float], None],
+) -> Generator[FileResult, None, None]:
+    sizes, done = [size_of(file) for file in files], 0
+    tell = _Forwards(progress)
+    with workers(jobs, scheduler) as at_once, ExitStack() as drafts:
+        batch = _Batch(files, targets, machine, options, at_once, None if scheduler else drafts)
+        alone, together = _shares(sizes, at_once, LARGEST_SENT if scheduler else math.inf)
+        for number in alone:
+            yield batch.by_all(number, _share_of(sizes[number], done, tell))
+            done += sizes[number]
+            tell(done)
+        with _reporting(lambda: done + batch.under_way(), tell), closing(batch.side_by_side(together)) as outcomes:
+            for outcome in outcomes:
+                done += sizes[outcome.number]
+                tell(done)
+                yield outcome
 
 
 def targets_in(folder: Path, files: Sequence[Path]) -> list[Path]:
@@ -127,37 +160,172 @@ def workers(jobs: int, scheduler: str = "") -> Iterator[int]:
 
 
 @dataclass(frozen=True, slots=True)
+class _Task:
+    """A file for another process."""
+
+    number: int
+    file: Path
+    data: bytes | None  # its content, for one that may not see it
+    draft: Path | None  # where the result goes; None: back, if there is `data`, or nowhere
+    wanted: bool  # is there to be a result?
+
+
+@dataclass(frozen=True, slots=True)
+class _Done:
+    """What another process gives back."""
+
+    outcome: FileResult
+    text: bytes | None = None
+
+
+@dataclass(frozen=True, slots=True)
 class _Batch:
-    files: list[Path]
-    targets: list[Path | None]
+    """Files and where they go; `drafts` removes the folders of drafts, None where processes may not see our files."""
+
+    files: Sequence[Path]
+    targets: Sequence[Path | None]
     machine: Machine
     options: Options
-    progress: Callable[[float], None]
+    jobs: int
+    drafts: ExitStack | None
+    folders: dict[Path, Path] = field(default_factory=dict)  # of drafts, by the targets' folder
 
-    def run(self, jobs: int, scheduler: str) -> Generator[FileResult, None, None]:
-        sizes, done = [size_of(file) for file in self.files], 0
-        tell = _Forwards(self.progress)
-        with workers(jobs, scheduler) as at_once, ExitStack() as drafts:
-            alone, together = _shares(sizes, at_once, LARGEST_SENT if scheduler else math.inf)
-            for number in alone:
-                yield self._alone(number, at_once, _share_of(sizes[number], done, tell))
-                done += sizes[number]
-                tell(done)
-            pool = Pool(self.files, self.targets, self.machine, self.options, at_once, None if scheduler else drafts)
-            with _told(lambda: done + pool.under_way(), tell), closing(pool.outcomes(together)) as outcomes:
-                for outcome in outcomes:
-                    done += sizes[outcome.number]
-                    tell(done)
-                    yield outcome
-
-    def _alone(self, number: int, jobs: int, progress: Callable[[float], None]) -> FileResult:
+    def by_all(self, number: int, progress: Callable[[float], None]) -> FileResult:
         """Compensate a file that all processes work at."""
-        machine, options, target = self.machine, self.options, self.targets[number]
         return attempt(
             number,
             self.files[number],
-            lambda path: compensate_file(path, str(path), machine, options, target, jobs=jobs, progress=progress),
+            lambda path: compensate_file(
+                path, str(path), self.machine, self.options, self.targets[number], jobs=self.jobs, progress=progress
+            ),
         )
+
+    def under_way(self) -> int:
+        """Return the bytes that are done of the files that are not, as far as their processes tell."""
+        done = 0
+        for folder in list(self.folders.values()):
+            for mark in folder.glob("*" + MARK):
+                with suppress(FileNotFoundError):  # done in the meantime
+                    done += mark.stat().st_size
+        return done
+
+    def side_by_side(self, numbers: Sequence[int]) -> Generator[FileResult, None, None]:
+        """Yield the files' results. When a process dies, those that are left are tried one by one."""
+        if not numbers:
+            return
+        left = list(numbers)
+        try:
+            with _closing(self._answers(numbers)) as answers:
+                for done in answers:
+                    left.remove(done.outcome.number)
+                    yield self._written(done)
+        except BrokenExecutor as error:
+            if len(left) == 1:
+                yield self._failed(left[0], error)
+            else:
+                for number in left:
+                    yield from self.side_by_side([number])
+        except FfcompError as error:
+            lost = [FfcompError(f"{self.files[number]}: {error}") for number in left]
+            yield from map(self._failed, left, lost)
+
+    def _answers(self, numbers: Sequence[int]) -> Generator[_Done, None, None]:
+        from joblib import Parallel
+
+        several = max(2, min(self.jobs, len(numbers)))  # one would be this very process, and a death its own
+        # one more than are at work: while a file is read and sent, nobody waits
+        pool = Parallel(n_jobs=several, return_as="generator_unordered", batch_size=1, pre_dispatch="n_jobs + 1")
+        outcomes: Generator[_Done, None, None] = pool(map(self._call, numbers))
+        return outcomes
+
+    def _call(self, number: int) -> Any:
+        """Return what `Parallel` takes; never raises: its errors would be those of all files."""
+        from joblib import delayed
+
+        file = self.files[number]
+        try:
+            data = b"".join(raw_blocks(file)) if self.drafts is None else None
+            task = _Task(number, file, data, self._draft(number), self.targets[number] is not None)
+        except (OSError, GcodeError) as error:
+            return delayed(_Done)(self._failed(number, error))
+        return delayed(_work)(task, self.machine, self.options)
+
+    def _draft(self, number: int) -> Path | None:
+        """In a folder beside the target, which has room for it; one for all files that go there."""
+        target = self.targets[number]
+        if target is None or self.drafts is None:
+            return None
+        place = target.resolve().parent
+        if place not in self.folders:
+            made = TemporaryDirectory(prefix=".ffcomp-", dir=place, ignore_cleanup_errors=True)
+            self.folders[place] = Path(self.drafts.enter_context(made))
+        return self.folders[place] / str(number)
+
+    def _written(self, done: _Done) -> FileResult:
+        outcome, target = done.outcome, self.targets[done.outcome.number]
+        for folder in self.folders.values():
+            (folder / f"{outcome.number}{MARK}").unlink(missing_ok=True)
+        if outcome.done is None:
+            return outcome
+        file = self.files[outcome.number]
+        if outcome.done.already and (target is None or (target.exists() and target.samefile(file))):
+            return replace(outcome, done=replace(outcome.done, output=str(file)))
+        if target is None:
+            return replace(outcome, done=replace(outcome.done, output=None))
+        try:
+            if done.text is None:
+                draft = Path(str(outcome.done.output))
+                replace_atomically(target, raw_blocks(draft))
+                draft.unlink()
+            else:
+                replace_atomically(target, [done.text])
+        except OSError as error:
+            return self._failed(outcome.number, error)
+        return replace(outcome, done=replace(outcome.done, output=str(target)))
+
+    def _failed(self, number: int, error: Exception) -> FileResult:
+        file = self.files[number]
+        return FileResult(number, file, 0.0, None, failure_of(error, str(file)))
+
+
+@contextmanager
+def _closing(answers: Generator[_Done, None, None]) -> Iterator[Generator[_Done, None, None]]:
+    """Whoever stops early wants the others' work to end, and knows that it is lost: no warning."""
+    try:
+        yield answers
+    finally:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)
+            answers.close()
+
+
+def _work(task: _Task, machine: Machine, options: Options) -> _Done:
+
+    def to(draft: Path | None, progress: Callable[[float], None]) -> FileResult:
+        source = task.file if task.data is None else task.data
+        return attempt(
+            task.number,
+            task.file,
+            lambda path: compensate_file(source, str(path), machine, options, draft, progress=progress),
+        )
+
+    if task.data is None and task.draft is not None:
+        return _Done(to(task.draft, _marking(task.draft.with_suffix(MARK), task.file)))
+    if task.data is None or not task.wanted:
+        return _Done(to(None, lambda share: None))
+    with TemporaryDirectory() as folder:
+        draft = Path(folder) / "draft"
+        return _Done(to(draft, lambda share: None), draft.read_bytes() if draft.exists() else None)
+
+
+def _marking(mark: Path, file: Path) -> Callable[[float], None]:
+    """Progress, told to another process by the length of a file: it is never half told."""
+
+    def progress(share: float) -> None:
+        with open(mark, "ab") as mark_file:
+            mark_file.truncate(round(share * file.stat().st_size))
+
+    return progress
 
 
 class _Forwards:
@@ -174,12 +342,11 @@ class _Forwards:
 
 
 def _share_of(size: int, before: int, tell: Callable[[float], None]) -> Callable[[float], None]:
-    """Progress of one file as progress of all."""
     return lambda share: tell(before + share * size)
 
 
 @contextmanager
-def _told(done: Callable[[], float], tell: Callable[[float], None]) -> Iterator[None]:
+def _reporting(done: Callable[[], float], tell: Callable[[float], None]) -> Iterator[None]:
     """Meanwhile what is done is told now and then, from a thread: we wait for others, who cannot call us."""
     over = threading.Event()
 

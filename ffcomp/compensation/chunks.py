@@ -47,7 +47,6 @@ class Chunk:
     since: tuple[Event, ...] = ()  # the lines after these
     limits: Mapping[bytes, bytes] = field(default_factory=dict)  # in effect where it begins (`gcode.program`)
     layers: int = 0  # that have begun before it
-    last: bool = True
     extent: Extent = WHOLE  # what is written of it
     slowed: tuple[TimeScaling, ...] = ()  # what had to become slower before its end could be cut
     cuts: int = 0  # in motion, before it
@@ -73,9 +72,9 @@ def split_chunks(
     ease : makes a motion slower, where that has to be, around the position where it is to be cut
     """
     settings = _Settings(segment_s, lead_s, longest_s, plan_of, ease)
-    ahead: _Ahead | None = None
+    ahead: Chunk | None = None
     for program in parts:
-        ahead = _Ahead(program) if ahead is None else replace(ahead, program=join(ahead.program, program))
+        ahead = Chunk(program) if ahead is None else replace(ahead, program=join(ahead.program, program))
         if not len(ahead.program.moves):
             continue
         known = _Known.of(ahead, settings)
@@ -84,7 +83,7 @@ def split_chunks(
             yield chunk
         ahead = known.ahead
     if ahead is not None:
-        yield ahead.chunk(ahead.program, last=True)
+        yield ahead
 
 
 def with_features(split: Iterable[Chunk]) -> Iterator[Chunk]:
@@ -107,46 +106,19 @@ class _Settings:
 
 
 @dataclass(frozen=True, slots=True)
-class _Ahead:
-    """What is not in a chunk yet, and what the chunks before it leave behind."""
-
-    program: Program
-    before: Program | None = None
-    since: tuple[Event, ...] = ()
-    limits: Mapping[bytes, bytes] = field(default_factory=dict)
-    layers: int = 0
-    begin: PathPosition | None = None
-    slowed: tuple[TimeScaling, ...] = ()
-    cuts: int = 0
-
-    def chunk(self, program: Program, last: bool = False, end: PathPosition | None = None) -> Chunk:
-        extent = Extent(self.begin, end)
-        return Chunk(
-            program,
-            before=self.before,
-            since=self.since,
-            limits=self.limits,
-            layers=self.layers,
-            last=last,
-            extent=extent,
-            slowed=self.slowed,
-            cuts=self.cuts,
-        )
-
-
-@dataclass(frozen=True, slots=True)
 class _Known:
     """What is ahead, with its plan."""
 
-    ahead: _Ahead
+    ahead: Chunk  # what is not cut off yet, and what the chunks before it leave behind
     plan: Trajectory  # of its moves; one that is cut begins as if it were whole
     begin_t: float  # s, when the next chunk begins
     settings: _Settings
 
     @staticmethod
-    def of(ahead: _Ahead, settings: _Settings) -> _Known:
+    def of(ahead: Chunk, settings: _Settings) -> _Known:
         plan = settings.plan_of(ahead.program)
-        begin_t = float(plan.start_t[0]) - settings.lead_s if ahead.begin is None else ahead.begin.time_in(plan)
+        begin = ahead.extent.begin
+        begin_t = float(plan.start_t[0]) - settings.lead_s if begin is None else begin.time_in(plan)
         return _Known(ahead, plan, begin_t, settings)
 
     def first(self) -> tuple[Chunk, _Known] | None:
@@ -198,9 +170,9 @@ class _Known:
         before = _remembered(head, _columns(self.plan, slice(0, move)))
         layers = ahead.layers + len(layer_starts(head))
         since = tuple(event for event in head.events if event.move == len(head.moves))
-        left = _Ahead(tail, before, since, limits_in_effect(head, ahead.limits), layers, cuts=ahead.cuts)
+        left = Chunk(tail, before, since, limits_in_effect(head, ahead.limits), layers, cuts=ahead.cuts)
         begin_t = float(plan.start_t[0]) - self.settings.lead_s
-        return ahead.chunk(head), _Known(left, plan, begin_t, self.settings)
+        return replace(ahead, program=head), _Known(left, plan, begin_t, self.settings)
 
     def _in_motion(self, knots: int, rest: int | None) -> tuple[Chunk, _Known]:
         """Cut after about so many segments; `rest` is the move before which the motion ends, if that is known."""
@@ -224,9 +196,15 @@ class _Known:
         begin = PathPosition(place.move - first, _far(plan.position([t])[0], tail.moves.start[place.move - first]))
         limits = limits_in_effect(excerpt(ahead.program, 0, place.move + 1), ahead.limits)
         passed = layer_starts(excerpt(ahead.program, 0, first)) if first else []
-        tail = replace(tail, warnings=[])
-        left = _Ahead(tail, None, (), limits, ahead.layers + len(passed), begin, cuts=ahead.cuts + 1)
-        chunk = ahead.chunk(_until(ahead.program, plan, t + around, rest), end=place)
+        left = Chunk(
+            replace(tail, warnings=[]),
+            limits=limits,
+            layers=ahead.layers + len(passed),
+            extent=Extent(begin),
+            cuts=ahead.cuts + 1,
+        )
+        written = _until(ahead.program, plan, t + around, rest)
+        chunk = replace(ahead, program=written, extent=Extent(ahead.extent.begin, place))
         return chunk, _Known(left, _columns(plan, slice(first, None)), t, self.settings)
 
     def _slowed(self, knots: int, rest: int | None) -> _Known | None:

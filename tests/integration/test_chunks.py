@@ -79,7 +79,6 @@ def tower() -> bytes:
 def test_chunks_are_the_program(tower: bytes, machine: Machine) -> None:
     whole, several = read_program(tower), cut(tower, machine)
     assert len(several) >= 4
-    assert [each.last for each in several] == [False] * (len(several) - 1) + [True]
     assert b"".join(line for each in several for line in each.program.lines) == tower
     together = several[0].program
     for each in several[1:]:
@@ -217,7 +216,7 @@ def test_steps_of_a_spiral_cut_in_motion(spiral: bytes, machine: Machine, short_
 def test_a_print_without_rests_is_one_chunk(machine: Machine) -> None:
     spiral = b"G28\nG1 X0 Y0 Z1 F6000\n" + b"".join(b"G1 X%d Y%d E%d\n" % (k % 7, k % 5, k) for k in range(3000))
     (only,) = cut(spiral, machine, 5000)
-    assert only.last and only.program.lines == spiral.splitlines(keepends=True)
+    assert only.program.lines == spiral.splitlines(keepends=True)
 
 
 VASE = b"G28\nG90\nM83\nG1 X25 Y0 Z0.3 F6000\nG1 E1 F1800\n"
