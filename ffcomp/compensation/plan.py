@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from math import ceil
+from math import ceil, isnan, log
 
 import numpy as np
 
 from ffcomp.compensation.chunks import Chunk
 from ffcomp.compensation.faster import Faster, faster_chunk
 from ffcomp.compensation.solve import solutions
-from ffcomp.compensation.statistics import Statistics, of_changes, of_plan, of_raw, of_waits
+from ffcomp.compensation.statistics import Statistics, of_plan, of_raw
 from ffcomp.faster.bound import Bound
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.reference import WHOLE
@@ -96,9 +95,12 @@ def plan_chunk(chunk: Chunk, context: Context, model: InverseModel) -> PlannedCh
     if faster is not None and chunk.extent != WHOLE:  # what is written takes another time as it was sliced
         sliced = of_plan(plan_program(chunk.program, machine), chunk.extent)
         by_plan = replace(by_plan, original_print_time_s=sliced.original_print_time_s)
-    statistics = around + by_plan + of_raw(raw, raw_s) + of_changes(changes_s) + of_waits(waits)
-    is_simulated = _is_simulated(chunk, context.share)
-    return PlannedChunk(chunk, planned, state, is_simulated, statistics, raw_s | changes_s, waits)
+    changing_s, settling_s = sum(changes_s.values()), sum(waits.values())
+    changes = Statistics(original_print_time_s=changing_s, print_time_s=changing_s)
+    settling = Statistics(print_time_s=settling_s, settlings=len(waits), settling_s=settling_s)
+    statistics = around + by_plan + of_raw(raw, raw_s) + changes + settling
+    simulated = _is_simulated(chunk, context.share)
+    return PlannedChunk(chunk, planned, state, simulated, statistics, raw_s | changes_s, waits)
 
 
 def _written_events(chunk: Chunk) -> list[Event]:
@@ -166,7 +168,7 @@ def settling_waits(
             continue  # nothing is extruded before the firmware moves by itself again
         wait = needed - (float(planned.trajectory.start_t[extruding[k]]) - section.begin_t)
         if wait > SHORTEST_S:
-            waits[section.first] = math.ceil(1e3 * wait) / 1e3
+            waits[section.first] = ceil(1e3 * wait) / 1e3
     return waits
 
 
@@ -193,7 +195,7 @@ def _excited(modes: Modes, axes: list[int]) -> list[tuple[float, float]]:
 
 def _mode_s(w: float, damping: float, acceleration: float) -> float:
     too_much = 2.0 * acceleration / (w * w * RESIDUAL_MM)
-    return math.log(too_much) / (damping * w) if too_much > 1.0 and damping > 0.0 else 0.0
+    return log(too_much) / (damping * w) if too_much > 1.0 and damping > 0.0 else 0.0
 
 
 def _lasting(events: Iterable[Event], raw_s: Mapping[int, float]) -> list[tuple[Event, float]]:
@@ -208,7 +210,7 @@ def _needed_s(events: list[tuple[Event, float]], machine: Machine, xy: FloatArra
         if event.moves_itself:
             axes = (0, 1, 2) if event.raw is None else event.raw.axes
             acceleration = machine.limits.acceleration_mm_per_s2
-            if event.raw is not None and not math.isnan(event.raw.acceleration):
+            if event.raw is not None and not isnan(event.raw.acceleration):
                 acceleration = event.raw.acceleration
             if axes:
                 needed = max(needed, ringing_s(machine, xy, acceleration, axes) - since)

@@ -130,18 +130,6 @@ def of_moves(moves: Moves) -> Part:
     return Part(float(lines.length[lines.travels].sum()), float(pushed[lines.travels].sum()))
 
 
-def of_raw_moves(events: Iterable[Event], seconds: Mapping[int, float]) -> Shares:
-    """Count moves that go out as they were; `seconds` by the line's index."""
-    left: dict[Place, Part] = {}
-    for event in events:
-        if event.raw is not None:
-            pushed = max(event.raw.filament_mm, 0.0) if event.raw.path_mm > 0.0 else 0.0
-            part = Part(event.raw.path_mm, pushed, seconds.get(event.line, 0.0))
-            place = Place(*event.raw.cause)
-            left[place] = left.get(place, Part()) + part
-    return Shares(left=left)
-
-
 def _share(part: float, rest: float) -> float:
     return 1.0 if rest <= 0.0 else part / (part + rest)
 
@@ -226,23 +214,18 @@ def _lines(moves: Moves, first: int, last: int) -> int:
     return int(np.count_nonzero(np.diff(moves.line[max(first - 1, 0) : last]))) + int(first == 0 < last)
 
 
-def of_raw(events: list[Event], seconds: Mapping[int, float]) -> Statistics:
-    """Count moves that go out as they were, which take as long before and after."""
-    shares = of_raw_moves(events, seconds)
+def of_raw(events: Iterable[Event], seconds: Mapping[int, float]) -> Statistics:
+    """Count moves that go out as they were, which take as long before and after; `seconds` by the line's index."""
+    left: dict[Place, Part] = {}
+    for event in events:
+        if event.raw is not None:
+            pushed = max(event.raw.filament_mm, 0.0) if event.raw.path_mm > 0.0 else 0.0
+            part = Part(event.raw.path_mm, pushed, seconds.get(event.line, 0.0))
+            place = Place(*event.raw.cause)
+            left[place] = left.get(place, Part()) + part
+    shares = Shares(left=left)
     lasting_s = shares.uncompensated.seconds
     return Statistics(original_print_time_s=lasting_s, print_time_s=lasting_s, shares=shares)
-
-
-def of_changes(seconds: Mapping[int, float]) -> Statistics:
-    """Count changes of filament, which take as long before and after; `seconds` by the line's index."""
-    total_s = sum(seconds.values())
-    return Statistics(original_print_time_s=total_s, print_time_s=total_s)
-
-
-def of_waits(waits_s: Mapping[int, float]) -> Statistics:
-    """Count waits until ringing has died away."""
-    total_s = sum(waits_s.values())
-    return Statistics(print_time_s=total_s, settlings=len(waits_s), settling_s=total_s)
 
 
 def of_section(
@@ -340,11 +323,8 @@ def _slowed(slowed: Sequence[TimeScaling], machine: Machine, original_s: float) 
         lost_s = sum(each.seconds for each in group)
         places = "1 place" if len(group) == 1 else f"{len(group)} places"
         share = f" ({100 * lost_s / original_s:+.2g} %)" if original_s > 0 else ""
-        yield f"Slowed at {places}, {_seconds(lost_s)} longer in all{share}: {_reason(group, machine)}"
-
-
-def _seconds(value: float) -> str:
-    return f"{value:.0f} s" if value >= 10 else f"{value:.2g} s"
+        longer = f"{lost_s:.0f} s" if lost_s >= 10 else f"{lost_s:.2g} s"
+        yield f"Slowed at {places}, {longer} longer in all{share}: {_reason(group, machine)}"
 
 
 def _reason(group: Sequence[TimeScaling], machine: Machine) -> str:
