@@ -236,7 +236,7 @@ def test_targets_that_cannot_be(small: Path) -> None:
 
 # -- the process --
 
-LONG = SMALL + b"".join(b"G1 X%d Y%d E.1\n%b" % (k % 40, k * 7 % 40, b"M400\n" * (k % 50 == 0)) for k in range(20_000))
+LONG = SMALL + b"".join(b"G1 X%d Y%d E.1\n%b" % (k % 40, k * 7 % 40, b"M400\n" * (k % 50 == 0)) for k in range(6_000))
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL], ids=lambda number: number.name)

@@ -27,7 +27,7 @@ OFFSETS = {  # beds with their origin in a corner; the vase's start moves need m
     "makreeltje_orca_slicer.gcode": (-150.0, -150.0),
     "makreeltje_cura_slicer.gcode": (-150.0, -150.0),
 }
-HEAD, TAIL = 2500, 400  # lines: the whole files take minutes (validation/all_files.py)
+HEAD, TAIL = 1000, 200  # lines: the whole files take minutes (validation/all_files.py)
 
 needs_data = pytest.mark.skipif(
     not DATA.is_dir(), reason=f"no G-code of others at {DATA}; FFCOMP_DATA names its folder"
@@ -72,7 +72,7 @@ def test_a_real_print_comes_through(path: Path) -> None:
     work.machine.kinematics.check_reach(after.moves.end[:, :3])
     assert (after.moves.speed > 0).all()
     assert found.segments < 260 * found.print_time_s
-    assert found.warnings == ()
+    assert all("sets the jerk of Z" in each for each in found.warnings)  # for a bed on a screw, not for a tower
 
 
 @needs_data

@@ -73,7 +73,7 @@ def places(text: bytes) -> NDArray[np.float64]:
 
 @pytest.fixture(scope="module")
 def tower() -> bytes:
-    return (PRINTS / "ringing_tower.gcode").read_bytes()[:100_000].rpartition(b"\n")[0] + b"\n"
+    return (PRINTS / "ringing_tower.gcode").read_bytes()[:80_000].rpartition(b"\n")[0] + b"\n"
 
 
 def test_chunks_are_the_program(tower: bytes, machine: Machine) -> None:

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 import pytest
 
 from ffcomp.comparison.evaluation import Execution, contour
 from ffcomp.comparison.methods import COMPENSATED, inversion
-from ffcomp.comparison.sampling import Print, Sampling
+from ffcomp.comparison.sampling import Print, PrintSlice, Sampling
 from ffcomp.inverse import lq_preview as fast
 from ffcomp.inverse.model import GEOMETRY, InverseModel
 from ffcomp.inverse.settings import settings_for
+from ffcomp.simulation.command import Motion
 from ffcomp.simulation.playback import simulate_nozzles
 from models.arrays import constant
 from models.effects.catalogue import CATALOGUE, effects_of_printers, with_effect
@@ -30,9 +33,16 @@ FOLDED = {
 }
 
 
-def contour_rms_um(believed: Machine, plant: Machine, text: bytes = squares(1)) -> float:
+def command(believed: Machine, text: bytes) -> tuple[PrintSlice, Motion]:
     (stretch,), _ = Print(text, "squares.gcode", believed).slices(Sampling())
-    motion, _ = inversion(believed, finely_joined(believed), COMPENSATED).motion(stretch)
+    return stretch, inversion(believed, finely_joined(believed), COMPENSATED).motion(stretch)[0]
+
+
+command_once = cache(command)  # of a file that several plants are played with
+
+
+def contour_rms_um(believed: Machine, plant: Machine, text: bytes = squares(1)) -> float:
+    stretch, motion = command_once(believed, text) if believed is MACHINE else command(believed, text)
     t, (nozzle,) = simulate_nozzles([plant], motion, believed)
     return float(1e3 * np.sqrt(np.mean(contour([Execution(stretch, motion, t, nozzle)]) ** 2)))
 

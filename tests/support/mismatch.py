@@ -35,7 +35,7 @@ def tuned() -> list[TunedMethod]:
 
 
 @cache
-def study(jobs: int = 1, scheduler: str = "") -> tuple[dict[str, tuple[Spread | None, Spread | None]], list[float]]:
+def study(jobs: int = 1) -> tuple[dict[str, tuple[Spread | None, Spread | None]], list[float]]:
     """Each method's numbers as it was tuned and tuned anew, and the progress that was told.
 
     Of three plants two go side by side, so that each method is two tasks.
@@ -46,6 +46,6 @@ def study(jobs: int = 1, scheduler: str = "") -> tuple[dict[str, tuple[Spread | 
     methods = {each.name: method(each.name, each.label, each.family, 1.0) for each in tuned()}
     methods["mzv"] = method("mzv", "MZV", "best fixed", 1.0)
     plants = draw_plants(MACHINE, 0.1, SEEDS)
-    with patch("ffcomp.comparison.monte_carlo.LANES", 2), workers(jobs, scheduler) as at_once:
+    with patch("ffcomp.comparison.monte_carlo.LANES", 2), workers(jobs) as at_once:
         found = with_spread(methods, tuned(), "mzv", slices, slices, plants, at_once, progress)
     return {name: (each.spread, each.retuned) for name, each in found.items()}, told

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ffcomp.compensation.gcode_layout import CONTEXT_KNOTS, Tile, tiles, timeline
 from ffcomp.compensation.gcode_writer import Writer
 from ffcomp.inverse.reference import Reference
-from ffcomp.inverse.settings import CUT, settings_for
+from ffcomp.inverse.settings import CUT, Settings, settings_for
 from ffcomp.planner.program import PlannedProgram, plan_program
 from gcode.dialects import KLIPPER
 from gcode.embedded import original
@@ -31,6 +31,11 @@ def machine() -> Machine:
     return load_machine("mp-delta-pro")
 
 
+@cache
+def inverse_settings() -> Settings:
+    return settings_for(machine())
+
+
 def smoothed(path: FloatArray, knots: int = 9) -> FloatArray:
     """A command as busy as a compensated one: corners become curves. (n + 1, 3) mm"""
     padded = np.concatenate([path[:1].repeat(knots // 2, axis=0), path, path[-1:].repeat(knots // 2, axis=0)])
@@ -43,7 +48,7 @@ def written(data: bytes, length: int) -> tuple[bytes, int]:
     """The program with every run cut into pieces of so many knots (0: whole), and how many segments it took."""
     program = read_program(data, "print.gcode", flavor=KLIPPER)
     planned: PlannedProgram = plan_program(program, machine())
-    writer = Writer(program, KLIPPER, MotionLimits(), settings_for(machine()))
+    writer = Writer(program, KLIPPER, MotionLimits(), inverse_settings())
     text: list[bytes] = []
     taken = 0
     for run in planned.sections:

@@ -19,7 +19,7 @@ from ffcomp.compensation.statistics import (
     Statistics,
     grouped,
     of_moves,
-    of_raw_moves,
+    of_raw,
     shortened,
     warning_lines,
 )
@@ -82,7 +82,7 @@ def test_moves_that_travel_count_and_retractions_do_not() -> None:
 def test_parts_add_up_by_place_and_command() -> None:
     text = "M83\nG1 X10 E1 F600\nMACRO_A\nG1 X20 E1\nG1 Y5\nMACRO_B\nG1 X0 Y0 E9\nMACRO_A\nG1 X5 Y5\n"
     events = read_program(text.encode(), start=HOME).events
-    first, second = of_raw_moves(events[:3], {}), of_raw_moves(events[3:], {})
+    first, second = of_raw(events[:3], {}).shares, of_raw(events[3:], {}).shares
     shares = Shares(Part(10.0, 1.0)) + first + second
     lost = {place: (part.path_mm, part.filament_mm) for place, part in shares.left.items()}
     way = 5.0**2 * 17  # 20, 5 and back to 0, 0

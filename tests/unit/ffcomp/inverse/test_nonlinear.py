@@ -38,6 +38,13 @@ def solved(machine: Machine, printer: Machine | None = None) -> tuple[InverseMod
     return inverter, list(solutions(part().planned, inverter.machine, inverter, None, lambda wanted: True))
 
 
+@cache
+def answers_of(machine: Machine) -> tuple[list[SolvedSection], int]:
+    """The answers for a printer that is as its file says, and how often all of it was simulated."""
+    with patch.object(nonlinear, "_played", side_effect=nonlinear._played) as rounds:
+        return solved(machine)[1], rounds.call_count
+
+
 def tracking_um(answers: list[SolvedSection]) -> float:
     """Rms of the error that the loop has seen in the end."""
     errors = []
@@ -49,18 +56,12 @@ def tracking_um(answers: list[SolvedSection]) -> float:
 
 @pytest.mark.parametrize(("plant", "most"), [(PLAY, 16), (FRICTION, 8)], ids=["play", "friction"])
 def test_within_one_and_a_half_times_the_printer_without_the_effect(plant: Machine, most: int) -> None:
-    with patch.object(nonlinear, "_played", side_effect=nonlinear._played) as rounds:
-        answers = solved(plant)[1]
-    assert tracking_um(answers) < 1.5 * without_um()
-    assert rounds.call_count <= most
+    answers, rounds = answers_of(plant)
+    assert tracking_um(answers) < 1.5 * tracking_um(answers_of(MACHINE)[0])
+    assert rounds <= most
 
 
 @cache
-def without_um() -> float:
-    """What is left on the printer without any effect."""
-    return tracking_um(solved(MACHINE)[1])
-
-
 def linear_um(plant: Machine) -> float:
     """What the linear command does on the plant: played once, and left as it is."""
     with patch.object(nonlinear, "FEEDFORWARD_EFFECTS", ()), patch.object(nonlinear, "ROUNDS", 2):
@@ -89,26 +90,25 @@ def test_play_too_wide_to_be_crossed_leaves_no_run_worse_than_the_linear_command
 
 @pytest.mark.parametrize("plant", [PLAY, FRICTION], ids=["play", "friction"])
 def test_no_limit_is_broken_for_an_effect(plant: Machine) -> None:
-    free = max(each.solution.utilisation for each in solved(plant)[1])
-    linear = max(each.solution.utilisation for each in solved(MACHINE)[1])
+    free, linear = (max(each.solution.utilisation for each in answers_of(of)[0]) for of in (plant, MACHINE))
     assert free > 1.1 * linear
     ceiling = 0.5 * (free + linear) * plant.limits.carriage_acceleration_mm_per_s2
     tight = replace(plant, limits=replace(plant.limits, carriage_acceleration_mm_per_s2=ceiling))
     inverter, answers = solved(tight)
     assert max(each.solution.utilisation for each in answers) <= 1.0
     assert all(peak_utilisation(each.solution.vertices, inverter.limits) <= 1.0 for each in answers)
-    assert tracking_um(answers) < 3.0 * without_um()
+    assert tracking_um(answers) < 3.0 * tracking_um(answers_of(MACHINE)[0])
 
 
 def test_a_command_begins_and_ends_on_the_path_at_rest() -> None:
-    for each in solved(PLAY)[1]:
+    for each in answers_of(PLAY)[0]:
         ends = each.reference.at_knots(np.array([0, each.reference.knots]))
         assert np.abs(each.solution.vertices[[0, -1]] - ends).max() < 1e-9
 
 
 def test_a_printer_without_effects_leaves_the_linear_command() -> None:
     """Played on the printer that the model is made from, what is left is not worth a step."""
-    (_, linear), (_, again) = solved(MACHINE), solved(MACHINE, MACHINE)
+    linear, again = answers_of(MACHINE)[0], solved(MACHINE, MACHINE)[1]
     far = max(
         float(np.abs(a.solution.vertices - b.solution.vertices).max()) for a, b in zip(linear, again, strict=True)
     )
