@@ -72,7 +72,7 @@ def compensated(
     progress : called with the print seconds done so far
     """
     chunk, context = PlannedChunk.whole(planned), Context(machine, model.settings, flavor, offset)
-    lines = Stream(compensate(chunk, context, model, GcodeRenderer(chunk, context), progress=progress))
+    lines = Stream(compensate(chunk, context, model, GcodeRenderer(chunk, context, model), progress=progress))
     text = b"".join(lines)
     return Compensated(text, planned, model.settings, flavor, lines.value)
 

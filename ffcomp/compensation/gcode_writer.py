@@ -21,6 +21,7 @@ from ffcomp.compensation.gcode_layout import Timeline, tiles, timeline
 from ffcomp.compensation.marlin_segments import MarlinSegments
 from ffcomp.compensation.plan import Context, PlannedChunk
 from ffcomp.compensation.solve import SolvedSection, keep_inside
+from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.settings import CUT, Settings
 from ffcomp.planner.lifts import join_lifts
 from ffcomp.planner.segment_merging import at_most, lengthen, merge, refit
@@ -198,7 +199,10 @@ class Writer:
         stay, pinned = np.arange(len(at)), timeline.cut
         if s.joins_lifts:
             stay, pinned = join_lifts(_stated(points, frame.base, frame.unit_mm), timeline.e, timeline.cut)
-        chosen = merge(at[stay], points[stay], timeline.e[stay], pinned, s.merging, CUT)
+        merging = s.merging
+        if self.marlin is not None:
+            merging = replace(merging, longest=min(merging.longest, self.marlin.longest_s / s.segment_s))
+        chosen = merge(at[stay], points[stay], timeline.e[stay], pinned, merging, CUT)
         chosen = at_most(at[stay], points[stay], chosen, pinned, round(1.0 / s.segment_s))
         if self.marlin is not None:
             flow, pinned = np.diff(timeline.e[stay]), pinned.copy()
@@ -210,11 +214,18 @@ class Writer:
         points = np.where(self.inside(placed)[:, None], placed, points[kept])
         at, e = at[kept], timeline.e[kept]
         lengthen(at, points, e, fixed, s.shortest_knots, s.merging.shortest_mm)
+        if self.marlin is not None:
+            stepped = self.marlin.steps.placed(at, points, fixed)
+            points = np.where(self.inside(stepped)[:, None], stepped, points)
         points = _stated(points, frame.base, frame.unit_mm)
         if self.marlin is not None:
             chosen = self.marlin.executed(points, fixed)
             at, points, e, kept, fixed = at[chosen], points[chosen], e[chosen], kept[chosen], fixed[chosen]
         lasting = (at[1:] - at[:-1]) * s.segment_s
+        due = at * s.segment_s
+        if self.marlin is not None:
+            lasting = self.marlin.uncut(points, lasting)
+            due = due[0] + np.append(0.0, np.cumsum(lasting))
         slack = np.minimum(SLACK_MM, SLACK_MM_PER_S * np.minimum(lasting, np.append(lasting[1:], 0.0)))
         slack[fixed[1:]] = 0.0  # another writer may go on from there, and the filament must be exact
         if self.marlin is not None:
@@ -223,7 +234,7 @@ class Writer:
             speeds = segment_speeds(points, e[1:] - e[:-1], lasting, s.output)
             feed = speeds.cruise
         begin, end = at.searchsorted([piece.begin, piece.end]).tolist()
-        timed = TimedSegments(at * s.segment_s, points, speeds).part(begin, end)
+        timed = TimedSegments(due, points, speeds).part(begin, end)
         late_s = np.maximum(speeds.duration - lasting, 0.0)  # lifts may be late
         self.late_s += float(late_s[begin:end].sum())
         lasting += late_s
@@ -467,7 +478,7 @@ REFIT_MM = 1e-3  # so near the border no end of a segment is moved from the comm
 class GcodeRenderer:
     """Lines of the compensated file, of one chunk; see `compensate.program.Renderer`."""
 
-    def __init__(self, chunk: PlannedChunk, context: Context) -> None:
+    def __init__(self, chunk: PlannedChunk, context: Context, model: InverseModel) -> None:
         self._planned, self._extent, self._kinematics = chunk.planned, chunk.chunk.extent, context.machine.kinematics
         program, settings = chunk.planned.program, context.settings
         self._writer = Writer(
@@ -479,7 +490,7 @@ class GcodeRenderer:
             limit_lines=chunk.chunk.limits,
             raw_s=chunk.raw_s,
             inside=partial(self._kinematics.contains, margin_mm=-REFIT_MM),
-            marlin=MarlinSegments.of(context.machine, settings.output) if context.flavor == MARLIN else None,
+            marlin=MarlinSegments.of(context.machine, model) if context.flavor == MARLIN else None,
         )
         self._events, self._waits_s = EventQueue(program.events), chunk.waits_s
         self._writer.note_returns(chunk.chunk.since)

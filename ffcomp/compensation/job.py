@@ -450,7 +450,7 @@ def _lines_of(chunk: Chunk, context: Context, model: InverseModel, progress: Pro
             planned,
             context,
             model,
-            GcodeRenderer(planned, context),
+            GcodeRenderer(planned, context, model),
             progress=lambda done_s: progress(done_s / max(end_t, done_s)),
         )
     )

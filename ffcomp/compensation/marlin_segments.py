@@ -1,8 +1,9 @@
 """Segments that Marlin executes as they are meant: long enough in steps, timed by its own queue, within limits of ours.
 
 Marlin drops what has fewer steps than MIN_STEPS_PER_SEGMENT and joins it to the next line, so that its time is lost;
-it slows the first lines after a rest (SLOWDOWN, by `M205 B`); and one step of the filament more or less from segment to
-segment is a jump of its speed, at which E's jerk slows the path.
+it cuts a delta's lines that last 10 ms and more into equal parts, each of which may be too short; it slows the first
+lines after a rest (SLOWDOWN, by `M205 B`); it rounds every end to whole steps (`whole_steps`); and one step of the
+filament more or less from segment to segment is a jump of its speed, at which E's jerk slows the path.
 """
 
 from __future__ import annotations
@@ -12,6 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ffcomp.compensation.whole_steps import WholeSteps
+from ffcomp.inverse.model import InverseModel
 from ffcomp.planner.marlin import marlin_settings, settings_row
 from ffcomp.planner.marlin_queue import (
     ACCELERATION,
@@ -35,6 +38,7 @@ from models.machine import Machine, MarlinSettings
 SPARE_STEPS = 1  # by which a segment is longer than it must be: ends are rounded, and moved by least squares
 AROUND = 4  # segments on either side of one that is too short, that are chosen anew with it
 MOST_KNOTS = 60.0  # that a segment chosen anew may last
+WHOLE_S = 0.95  # of the time from which on a delta's line is cut in two
 SEGMENT_COST_MM2 = 1e-7  # knots, of one more segment: a third of a µm all along a knot
 SWEEPS = 2  # of the speeds that make durations exact
 MOST_FASTER = 4.0  # times what a segment's length takes in its time, that a sweep may ask for
@@ -49,11 +53,14 @@ class MarlinSegments:
     machine: Machine
     settings: MarlinSettings
     output: SegmentLimits
+    knot_s: float
     row: FloatArray  # of settings (`marlin_queue`), limits opened
+    steps: WholeSteps
 
     @classmethod
-    def of(cls, machine: Machine, output: SegmentLimits) -> MarlinSegments:
-        """Return those of a machine, with limits that the header may open."""
+    def of(cls, machine: Machine, model: InverseModel) -> MarlinSegments:
+        """Return those of a machine and its inverse model."""
+        output = model.settings.output
         settings, row = marlin_settings(machine), settings_row(machine)
         axes = ["XYZE".index(axis) for axis in output.raised_axes]
         row[ACCELERATION][axes], row[SPEED][axes] = output.acceleration_mm_per_s2, output.velocity_mm_per_s
@@ -62,7 +69,9 @@ class MarlinSegments:
         if row[DEVIATION] > 0.0 and "junction_deviation_mm" in settings.stated:
             row[DEVIATION] = LONGEST_DEVIATION_MM
         row[SHORTEST_US] = 0.0
-        return cls(machine, settings, output, row)
+        free = np.array([axis in axes for axis in range(3)])
+        steps = WholeSteps.of(model, row[STEPS][:3], free, settings.minimum_steps_per_segment)
+        return cls(machine, settings, output, model.settings.segment_s, row, steps)
 
     def lengthened(self, at: FloatArray, points: FloatArray, kept: IntArray, edges: BoolArray) -> IntArray:
         """Choose anew the ends of segments where some have too few steps: so that the command is missed by least.
@@ -74,14 +83,24 @@ class MarlinSegments:
         kept : (m,) indices of the points at which segments end
         edges : (n,) points that must stay: where a line goes out, or another writer goes on
         """
-        return _lengthened(at, points, self._motor_steps(points), kept, edges, self.settings.minimum_steps_per_segment)
+        most = min(MOST_KNOTS, self.longest_s / self.knot_s)
+        minimum = self.settings.minimum_steps_per_segment
+        return _lengthened(at, points, self.steps.motors(points), kept, edges, minimum, most)
 
     def executed(self, points: FloatArray, edges: BoolArray) -> IntArray:
         """Return which of the points (n, 3) mm may end segments so that Marlin drops none of them, (m,).
 
         edges : (n,) points that must
         """
-        return _executed(np.rint(self._motor_steps(points)), edges, self.settings.minimum_steps_per_segment)
+        return _executed(np.rint(self.steps.motors(points)), edges, self.settings.minimum_steps_per_segment)
+
+    def uncut(self, points: FloatArray, lasting: FloatArray) -> FloatArray:
+        """Return how long segments (n,) s last if none is to be cut: where one is too long, the next make up for it.
+
+        points : (n + 1, 3) mm
+        """
+        aside = np.any(points[1:, :2] != points[:-1, :2], axis=1)  # what only lifts is not cut
+        return _shortened(lasting, np.where(aside, self.longest_s, np.inf))
 
     def speeds(self, points: FloatArray, e: FloatArray, lasting: FloatArray) -> tuple[FloatArray, SegmentSpeeds]:
         """Return the speeds to ask for, (n,) mm/s, and how Marlin then executes the segments.
@@ -92,7 +111,7 @@ class MarlinSegments:
         e : (n + 1,) mm of filament
         lasting : (n,) s that each segment should take
         """
-        motors = np.column_stack([self._motor_steps(points) / self.row[STEPS][:3], e])
+        motors = np.column_stack([self.steps.motors(points) / self.row[STEPS][:3], e])
         change = np.diff(np.rint(motors * self.row[STEPS]), axis=0) / self.row[STEPS]
         straight = np.linalg.norm(np.diff(points, axis=0), axis=1)
         by_motors = not (self._delta or self.machine.kinematics.shares_motors)
@@ -121,13 +140,13 @@ class MarlinSegments:
         return np.bincount(blocks.target, phases_of(blocks).duration, minlength=n).astype(np.float64)
 
     @property
+    def longest_s(self) -> float:
+        """Return how long a segment may last that Marlin executes as one: a delta's lines are cut in equal parts."""
+        return WHOLE_S * 2.0 / self.settings.segments_per_second if self._delta else np.inf
+
+    @property
     def _delta(self) -> bool:
         return isinstance(self.machine.kinematics, DeltaKinematics)
-
-    def _motor_steps(self, points: FloatArray) -> FloatArray:
-        kinematics = self.machine.kinematics
-        motors: FloatArray = kinematics.inverse(points) @ kinematics.motors.T * self.row[STEPS][:3]
-        return motors
 
     def opening(self, file_limits: Mapping[bytes, bytes], unit_mm: float) -> Iterable[bytes]:
         """Return the lines that open the limits our segments need.
@@ -213,7 +232,7 @@ def _line(command: str, words: Mapping[str, float], unit_mm: float) -> bytes:
 
 @kernel
 def _lengthened(
-    at: FloatArray, points: FloatArray, steps: FloatArray, kept: IntArray, edges: BoolArray, minimum: int
+    at: FloatArray, points: FloatArray, steps: FloatArray, kept: IntArray, edges: BoolArray, minimum: int, most: float
 ) -> IntArray:
     m, enough = len(kept), minimum + SPARE_STEPS
     stays = np.zeros(len(at), dtype=np.bool_)
@@ -227,9 +246,19 @@ def _lengthened(
         while last < m - 1 and (last - j < 1 + AROUND or _is_short(steps, kept, last, enough)):
             last += 1
         first = max(j - AROUND, 0)
-        _choose(at, points, steps, edges, stays, kept[first], kept[last], enough)
+        _choose(at, points, steps, edges, stays, kept[first], kept[last], enough, most)
         j = last
     return np.flatnonzero(stays)
+
+
+@kernel
+def _shortened(lasting: FloatArray, most: FloatArray) -> FloatArray:
+    out, lost = lasting.copy(), 0.0
+    for k in range(len(out)):
+        wanted = out[k] + lost
+        out[k] = min(wanted, most[k])
+        lost = min(wanted - out[k], most[k])  # more of it would slow what comes later for long
+    return out
 
 
 @kernel
@@ -256,6 +285,7 @@ def _choose(
     first: int,
     last: int,
     enough: float,
+    most: float,
 ) -> None:
     """Choose the points between two at which segments end, in place: dynamic programming over what they miss.
 
@@ -266,11 +296,13 @@ def _choose(
     best[0] = 0.0
     for j in range(1, n):
         for i in range(j - 1, -1, -1):
+            if i < j - 1 and at[first + j] - at[first + i] > most:
+                break
             if best[i] < np.inf and _most(steps, first + i, first + j) >= enough:
                 cost = best[i] + _missed2(at, points, first + i, first + j) + SEGMENT_COST_MM2
                 if cost < best[j]:
                     best[j], before[j] = cost, i
-            if edges[first + i] or at[first + j] - at[first + i] > MOST_KNOTS:
+            if edges[first + i]:
                 break
     if best[n - 1] == np.inf:
         return

@@ -228,7 +228,7 @@ _SECTIONS: list[Callable[[_Print], None]] = [
 ]
 
 
-HARMED = frozenset({41, 90})  # see their test
+HARMED = frozenset({90})  # see their test
 
 
 @cache
@@ -252,7 +252,7 @@ def solved(data: bytes, own: InverseModel) -> Iterator[SolvedSection]:
     return solutions(planned, own.machine, own, None, lambda wanted: False)
 
 
-@pytest.mark.xfail(strict=True, reason="written for Marlin: 14 % above a carriage's limit (41), 2 µm of filament (90)")
+@pytest.mark.xfail(strict=True, reason="written for Marlin: 2.08 µm of filament more there and back, of 2.03 that may be")
 @pytest.mark.parametrize("seed", HARMED)
 def test_no_random_print_is_harmed_that_marlin_plans(seed: int) -> None:
     data = random_print(seed)

@@ -1,0 +1,272 @@
+"""Which whole motor steps the ends of segments are rounded to, so that the machine answers least: noise shaping.
+
+Marlin rounds the end of every block to whole steps. Of a delta with 80 steps/mm that alone makes a nozzle far from the
+centre swing by 24 µm rms: rounding is white noise up to half the rate of the segments, and the machine's resonances lie
+there. So the ends are written where steps are, and which ones is chosen one after the other with the machine's model:
+what the steps before have missed still rings, x, and the next miss e is the one that costs least from now on,
+
+    e_j = steps − command     z_j = (x_j, e_j)     z_{j+1} = F_j (z_j, e_{j+1})     cost  Σ ‖R_j (z_j, e_{j+1})‖²
+
+with R_j the nozzle's error at a few moments of segment j, most of it across its direction. Without whole numbers that
+is a linear-quadratic regulator: e* = −K z, by the Riccati equation backwards over the segments as they come. With them,
+of the whole steps around the command and e* the ones are taken whose distance from e* costs least. (The optimal noise
+shaper for a plant: D. E. Quevedo & G. C. Goodwin, IEEE Trans. Automatic Control 50 (2005) 1184-1196.)
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ffcomp.inverse.model import InverseModel
+from ffcomp.inverse.settings import CUT
+from models.arrays import BoolArray, FloatArray, IntArray
+from models.compiled import kernel
+from models.kinematics.base import Kinematics
+from models.vibration.scheduled import PlantTable
+
+MOST_ROWS = 8  # moments of a segment at which the nozzle's error counts
+ALONG = 0.3  # of an error along the path, that counts
+MISS_COST = 0.2  # of e², in squares of what a step moves: less of it asks for misses of many steps
+SETTLE = 12  # segments like the last, after which what follows it is known well enough
+WIDER = 2  # steps beyond the nearest that are tried for a segment that would be too short
+
+
+@dataclass(frozen=True, eq=False)
+class WholeSteps:
+    """Chooses the steps of one machine's motors."""
+
+    kinematics: Kinematics
+    table: PlantTable  # by rows
+    rows: int  # of a knot
+    steps_per_mm: FloatArray  # (3,) of the motors
+    free: BoolArray  # (3,) which motors may be moved off the command: no lead screw
+    minimum: int  # steps that a segment must have
+    _intervals: dict[tuple[int, int], tuple[FloatArray, FloatArray]] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, model: InverseModel, steps_per_mm: FloatArray, free: BoolArray, minimum: int) -> WholeSteps:
+        """Return those of a machine, from its inverse model."""
+        rows = model.settings.rows_per_segment
+        return cls(model.machine.kinematics, model.row_table, rows, steps_per_mm, free, minimum)
+
+    def placed(self, at: FloatArray, points: FloatArray, fixed: BoolArray) -> FloatArray:
+        """Return the ends of segments where whole steps are, (n, 3) mm.
+
+        Parameters
+        ----------
+        at : (n,) times of the points, in knots; at multiples of CUT one begins anew, so that tiles say the same
+        points : (n, 3) mm
+        fixed : (n,) which of them stay as they are
+        """
+        steps = self.motors(points)
+        t = self.table
+        node = np.clip(np.rint((points[1:, :2] - t.x0_mm) / t.pitch_mm), 0, t.nodes - 1).astype(np.int64)
+        rows = np.maximum(np.rint(np.diff(at) * self.rows), 1).astype(np.int64)
+        pairs, kind = np.unique(np.column_stack([node[:, 0] * t.nodes + node[:, 1], rows]), axis=0, return_inverse=True)
+        intervals = [self._interval(int(place), int(count)) for place, count in pairs]
+        move = np.diff(points, axis=0)
+        unit = move / np.maximum(np.linalg.norm(move, axis=1), 1e-9)[:, None]
+        chosen = _chosen(
+            steps,
+            kind.ravel(),
+            unit,
+            fixed,
+            at % CUT == 0.0,
+            np.array([each[0] for each in intervals]),
+            np.array([each[1] for each in intervals]),
+            MISS_COST / self.steps_per_mm**2,
+            self.free,
+            self.minimum,
+        )
+        chosen[:, ~self.free] = steps[:, ~self.free]
+        k = self.kinematics
+        placed = k.forward(chosen / self.steps_per_mm @ np.linalg.inv(k.motors).T)
+        return np.where(fixed[:, None], points, placed)
+
+    def motors(self, points: FloatArray) -> FloatArray:
+        """Return the motors' steps, not rounded, at points (n, 3) mm."""
+        steps: FloatArray = self.kinematics.inverse(points) @ self.kinematics.motors.T * self.steps_per_mm
+        return steps
+
+    def _interval(self, node: int, rows: int) -> tuple[FloatArray, FloatArray]:
+        """Return F (N, N + 3) and R (3 · MOST_ROWS, N + 3) of a segment of so many rows, e linear between its ends."""
+        if (node, rows) not in self._intervals:
+            p = self.table.plant
+            to_carriages = np.linalg.inv(self.kinematics.motors) / self.steps_per_mm
+            a, b0, b1 = p.a[node], p.b0[node] @ to_carriages, p.b1[node] @ to_carriages
+            to_nozzle = self.table.jacobian[node] @ p.carriage
+            n, none = len(a), np.zeros((3, len(a)))
+            x, errors = np.eye(n, n + 6), []
+            for k in range(rows):
+                since, until = (
+                    np.hstack([none, (1.0 - f) * np.eye(3), f * np.eye(3)]) for f in (k / rows, (k + 1) / rows)
+                )
+                x = a @ x + b0 @ since + b1 @ until
+                errors.append(to_nozzle @ x)
+            count = min(rows, MOST_ROWS)
+            weighed = [errors[(k + 1) * rows // count - 1] * np.sqrt(rows / count) for k in range(count)]
+            weighed += [np.zeros((3, n + 6))] * (MOST_ROWS - count)
+            carried = np.hstack([np.zeros((3, n + 3)), np.eye(3)])
+            self._intervals[node, rows] = np.vstack([x, carried]), np.vstack(weighed)
+        return self._intervals[node, rows]
+
+
+@kernel
+def _chosen(
+    steps: FloatArray,
+    kind: IntArray,
+    unit: FloatArray,
+    fixed: BoolArray,
+    begins: BoolArray,
+    forward: FloatArray,
+    errors: FloatArray,
+    penalty: FloatArray,
+    free: BoolArray,
+    minimum: int,
+) -> FloatArray:
+    """Return whole steps (n, 3) for a command in steps (n, 3).
+
+    kind (n - 1,): which of forward (g, N, N + 3) and errors (g, 3 · MOST_ROWS, N + 3) a segment is of.
+    unit (n - 1, 3): its direction.   begins (n,): where what was missed before is forgotten.   penalty (3,): of e².
+    """
+    n, size = len(steps), forward.shape[1]
+    gain, cost = _regulator(kind, unit, begins, forward, errors, penalty)
+    z, missed, off, tried = np.zeros(size), np.zeros(size + 3), np.zeros(3), np.zeros(3)
+    out = np.floor(steps + 0.5)
+    for j in range(n):
+        if j > 0 and not fixed[j]:
+            for i in range(3):
+                off[i] = steps[j, i]
+                for c in range(size):
+                    off[i] -= gain[j, i, c] * z[c]
+            _nearest(off, cost[j], j, free, minimum, tried, out)
+        for i in range(3):
+            missed[size + i] = out[j, i] - steps[j, i]
+        if j == 0 or begins[j]:
+            for i in range(size):
+                z[i] = missed[i + 3] if i >= size - 3 else 0.0
+            continue
+        for i in range(size):
+            missed[i], z[i] = z[i], 0.0
+        for i in range(size):
+            for c in range(size + 3):
+                z[i] += forward[kind[j - 1], i, c] * missed[c]
+    return out
+
+
+@kernel
+def _regulator(
+    kind: IntArray,
+    unit: FloatArray,
+    begins: BoolArray,
+    forward: FloatArray,
+    errors: FloatArray,
+    penalty: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
+    """Return K (n, 3, N) and H (n, 3, 3) at the end of each segment, by the Riccati equation backwards."""
+    n, size = len(begins), forward.shape[1]
+    gain, cost = np.empty((n, 3, size)), np.empty((n, 3, 3))
+    p, ahead, across = np.zeros((size, size)), np.empty((size, size + 3)), np.empty(errors.shape[1:])
+    whole = np.empty((size + 3, size + 3))
+    for j in range(n - 1, 0, -1):
+        k, passes = kind[j - 1], 1
+        if begins[j] or j == n - 1:
+            passes = SETTLE
+            _fill(p, 0.0)
+        _across(errors[k], unit[j - 1], across)
+        for _ in range(passes):
+            _fill(ahead, 0.0)
+            _add_product(p, forward[k], ahead)
+            _fill(whole, 0.0)
+            _add_product(across, across, whole)
+            _add_product(forward[k], ahead, whole)
+            for i in range(3):
+                whole[size + i, size + i] += penalty[i]
+                for c in range(3):
+                    cost[j, i, c] = whole[size + i, size + c]
+            _solve(cost[j], whole, gain[j])
+            for r in range(size):
+                for c in range(r + 1):
+                    value = whole[r, c]
+                    for i in range(3):
+                        value -= whole[size + i, r] * gain[j, i, c]
+                    p[r, c] = p[c, r] = value
+    return gain, cost
+
+
+@kernel
+def _fill(matrix: FloatArray, value: float) -> None:
+    for i in range(matrix.shape[0]):
+        for c in range(matrix.shape[1]):
+            matrix[i, c] = value
+
+
+@kernel
+def _add_product(a: FloatArray, b: FloatArray, out: FloatArray) -> None:
+    """Add aᵀ b, in place."""
+    for k in range(a.shape[0]):
+        for i in range(a.shape[1]):
+            factor = a[k, i]
+            if factor != 0.0:
+                for c in range(b.shape[1]):
+                    out[i, c] += factor * b[k, c]
+
+
+@kernel
+def _across(errors: FloatArray, unit: FloatArray, out: FloatArray) -> None:
+    """Take away most of what lies along the path."""
+    for r in range(0, errors.shape[0], 3):
+        for c in range(errors.shape[1]):
+            along = unit[0] * errors[r, c] + unit[1] * errors[r + 1, c] + unit[2] * errors[r + 2, c]
+            for i in range(3):
+                out[r + i, c] = errors[r + i, c] - (1.0 - ALONG) * along * unit[i]
+
+
+@kernel
+def _solve(h: FloatArray, whole: FloatArray, gain: FloatArray) -> None:
+    """H K = G for a symmetric H (3, 3), by cofactors; G (3, N): the last rows of `whole` (N + 3, N + 3)."""
+    size = gain.shape[1]
+    inverse = np.empty((3, 3))
+    for i in range(3):
+        a, b = (i + 1) % 3, (i + 2) % 3
+        for c in range(3):
+            d, e = (c + 1) % 3, (c + 2) % 3
+            inverse[i, c] = h[a, d] * h[b, e] - h[a, e] * h[b, d]
+    determinant = h[0, 0] * inverse[0, 0] + h[0, 1] * inverse[0, 1] + h[0, 2] * inverse[0, 2]
+    for i in range(3):
+        for c in range(size):
+            gain[i, c] = 0.0
+            for k in range(3):
+                gain[i, c] += inverse[i, k] / determinant * whole[size + k, c]
+
+
+@kernel
+def _nearest(
+    wanted: FloatArray, cost: FloatArray, j: int, free: BoolArray, minimum: int, tried: FloatArray, out: FloatArray
+) -> None:
+    """Put the whole steps that cost least near `wanted` into row j, of those that are `minimum` from the last row's."""
+    least, executed = np.inf, False
+    for wider in range(WIDER + 1):
+        width = 2 + 2 * wider
+        for number in range(width * width * width):
+            rest, apart, usable = number, 0.0, True
+            for i in range(3):
+                digit = rest % width
+                rest //= width
+                tried[i] = np.floor(wanted[i]) - wider + digit if free[i] else out[j, i]
+                usable &= free[i] or digit == 0
+                apart = max(apart, abs(tried[i] - out[j - 1, i]))
+            if not usable or (executed and apart < minimum):
+                continue
+            total = 0.0
+            for i in range(3):
+                for c in range(3):
+                    total += (tried[i] - wanted[i]) * cost[i, c] * (tried[c] - wanted[c])
+            if total < least or (apart >= minimum and not executed):
+                least, executed = total, apart >= minimum
+                for i in range(3):
+                    out[j, i] = tried[i]
+        if executed:
+            return

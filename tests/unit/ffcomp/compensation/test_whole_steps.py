@@ -1,0 +1,102 @@
+"""Ends of segments on whole motor steps: the machine hardly answers, and nothing else changes."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.signal import cont2discrete, lfilter
+
+from ffcomp.compensation.marlin_segments import MarlinSegments
+from ffcomp.compensation.whole_steps import WholeSteps
+from ffcomp.inverse.model import InverseModel
+from ffcomp.inverse.settings import CUT, settings_for
+from models.file import load_machine
+
+FloatArray = NDArray[np.float64]
+KNOT_S, FINE = 0.004, 16
+MODES = {0: (50.7, 0.1), 1: (40.6, 0.1)}  # of prusa-mk3s, Hz and damping ratio
+
+
+def whole_steps(name: str, free: tuple[bool, bool, bool]) -> WholeSteps:
+    machine = load_machine(name)
+    model = InverseModel(machine, settings_for(machine))
+    return WholeSteps.of(model, np.array(machine.steps.per_motor), np.array(free), 6)
+
+
+@pytest.fixture(scope="module")
+def cartesian() -> WholeSteps:
+    return whole_steps("prusa-mk3s", (True, True, False))
+
+
+@pytest.fixture(scope="module")
+def delta() -> WholeSteps:
+    return whole_steps("mp-delta-pro", (True, True, True))
+
+
+def circle(centre: tuple[float, float], knots: int) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
+    """Times in knots, points mm and which are fixed, of a circle at 60 mm/s: the first, the last, and at each cut."""
+    at = np.arange(knots + 1, dtype=np.float64)
+    turned = 0.012 * at
+    points = np.column_stack(
+        [centre[0] + 20 * np.cos(turned), centre[1] + 20 * np.sin(turned), np.full(len(at), 0.3001)]
+    )
+    fixed = at % CUT == 0
+    fixed[-1] = True
+    return at, points, fixed
+
+
+def response(error: FloatArray, frequency_hz: float, damping: float) -> FloatArray:
+    """What one mode makes of an error (n,) at the knots that is linear between them: the closed form, sampled."""
+    omega, step_s = 2 * np.pi * frequency_hz, KNOT_S / FINE
+    fine = np.interp(np.arange((len(error) - 1) * FINE) / FINE, np.arange(len(error)), error)
+    b, a, _ = cont2discrete(([omega**2], [1.0, 2 * damping * omega, omega**2]), step_s, method="foh")
+    return np.asarray(lfilter(b.ravel(), a, fine))
+
+
+def test_modes_answer_far_less_than_to_plain_rounding(cartesian: WholeSteps) -> None:
+    """Across the path, by the modes' closed form."""
+    at, points, fixed = circle((125.0, 105.0), 3 * CUT)
+    steps = cartesian.motors(points)
+    outward = np.repeat((points[:-1, :2] - [125.0, 105.0]) / 20.0, FINE, axis=0)
+
+    def across(chosen: FloatArray) -> float:
+        off = np.column_stack([response(chosen[:, i] - steps[:, i], *MODES[i]) for i in MODES])
+        return float(np.std(np.sum(off * outward, axis=1)))
+
+    shaped = across(np.rint(cartesian.motors(cartesian.placed(at, points, fixed))))
+    assert shaped < 0.6 * across(np.rint(steps))
+
+
+@pytest.mark.parametrize("name", ["cartesian", "delta"])
+def test_ends_are_whole_steps_near_the_command_and_none_is_dropped(name: str, request: pytest.FixtureRequest) -> None:
+    own = request.getfixturevalue(name)
+    at, points, fixed = circle((125.0, 105.0) if name == "cartesian" else (0.0, -60.0), CUT)
+    placed = own.placed(at, points, fixed)
+    steps = own.motors(placed)
+    apart = np.abs(steps - np.rint(steps))[:, own.free]
+    assert apart[~fixed].max() < 1e-6
+    assert np.array_equal(placed[fixed], points[fixed])
+    assert np.abs(np.diff(np.rint(steps), axis=0)).max(axis=1).min() >= 6
+    assert np.abs(steps - own.motors(points)).max() < 6
+    if name == "cartesian":
+        assert np.array_equal(placed[:, 2], points[:, 2])
+
+
+def test_a_part_that_begins_at_a_cut_says_what_the_whole_says(delta: WholeSteps) -> None:
+    at, points, fixed = circle((0.0, 0.0), 3 * CUT)
+    part = slice(CUT, 2 * CUT + 1)
+    whole = delta.placed(at, points, fixed)[part]
+    assert np.array_equal(delta.placed(at[part], points[part], fixed[part]), whole)
+
+
+def test_a_deltas_segments_are_short_enough_not_to_be_cut() -> None:
+    """10 ms and more are two lines' worth at 200 a second; the next segments make up for it, but not for long."""
+    machine = load_machine("mp-delta-pro")
+    segments = MarlinSegments.of(machine, InverseModel(machine, settings_for(machine)))
+    points = np.column_stack([np.arange(8.0), np.zeros(8), np.zeros(8)])
+    lasting = np.array([4.0, 12.0, 4.0, 8.0, 90.0, 4.0, 8.0]) / 1e3
+    expected = np.array([4.0, 9.5, 6.5, 8.0, 9.5, 9.5, 9.5]) / 1e3
+    assert segments.uncut(points, lasting) == pytest.approx(expected)
+    lifts = points[:, [1, 2, 0]]
+    assert np.array_equal(segments.uncut(lifts, lasting), lasting)
