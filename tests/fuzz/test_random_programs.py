@@ -252,7 +252,7 @@ def solved(data: bytes, own: InverseModel) -> Iterator[SolvedSection]:
     return solutions(planned, own.machine, own, None, lambda wanted: False)
 
 
-@pytest.mark.xfail(strict=True, reason="written for Marlin: 2.08 µm of filament more there and back, of 2.03 that may be")
+@pytest.mark.xfail(strict=True, reason="written for Marlin: 2.08 µm more filament there and back; 2.03 may be")
 @pytest.mark.parametrize("seed", HARMED)
 def test_no_random_print_is_harmed_that_marlin_plans(seed: int) -> None:
     data = random_print(seed)
