@@ -13,8 +13,8 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from ffcomp.errors import MeasurementError
-from ffcomp.measurement.estimators import periodic_frf, sweep_frf, welch_frf
-from ffcomp.measurement.frf import FrequencyResponse, Setup
+from ffcomp.measurement.estimators import periodic_frf, sweep_frf
+from ffcomp.measurement.frf import FrequencyResponse
 from ffcomp.measurement.recording import Recording
 from models.arrays import FloatArray
 
@@ -27,17 +27,13 @@ def frfs_from_recordings(
     lowest_hz: float,
     highest_hz: float,
     *,
-    period_s: float | None = None,
-    segment_s: float | None = None,
     half_width_hz: float = 1.0,
-    setup: Setup = "assembly",
     position_mm: tuple[float, float, float] | None = None,
-    added_mass_kg: float = 0.0,
 ) -> list[FrequencyResponse]:
     """Estimate all responses of the recordings' sensors to their commands that move, in a band.
 
-    With `period_s` (or a comment `# period_s:` in the recordings) by `periodic_frf`; with `segment_s` by H1 of their
-    segments; else by `sweep_frf`. Responses of accelerations are in 1/s², of positions without dimension.
+    With a comment `# period_s:` in the recordings by `periodic_frf`, else by `sweep_frf`. Responses of accelerations
+    are in 1/s², of positions without dimension.
     """
     _belong_together(recordings)
     inputs = [name for name, column in zip(recordings[0].inputs, _commands(recordings), strict=True) if column]
@@ -47,12 +43,10 @@ def frfs_from_recordings(
     u = np.stack([group[0].command[:, moving] * 1e-3 for group in experiments])  # (e, n, i) m
     y = np.stack([np.mean([_sensors(recording, outputs) for recording in group], axis=0) for group in experiments])
     rate = recordings[0].sample_rate_hz
-    period_s = period_s or _stated_period(recordings[0])
+    period_s = _stated_period(recordings[0])
     try:
         if period_s is not None:
             matrix = periodic_frf(u, y, rate, _whole(recordings[0], period_s, rate))
-        elif segment_s is not None:
-            matrix = welch_frf(u, y, rate, round(segment_s * rate))
         else:
             matrix = sweep_frf(u, y, rate, lowest_hz, highest_hz, half_width_hz=half_width_hz)
     except MeasurementError as error:  # the estimators know no files
@@ -60,9 +54,7 @@ def frfs_from_recordings(
     return matrix.between(lowest_hz, highest_hz).responses(
         inputs,
         outputs,
-        setup=setup,
         position_mm=position_mm,
-        added_mass_kg=added_mass_kg,
         source=", ".join(Path(recording.source).name for recording in recordings),
     )
 
