@@ -15,8 +15,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from ffcomp.check.signals import ByExperiment, SensorSignal, in_band, rows_of, weighed
-from ffcomp.record.motion import Commanded
-from ffcomp.record.plan import Experiment
+from ffcomp.record.plan import Commanded, Experiment
 from models.arrays import FloatArray
 from models.effects.catalogue import effects_of, measured
 from models.machine import Machine, value_of, with_values

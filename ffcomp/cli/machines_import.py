@@ -26,8 +26,7 @@ def import_machine(request: ImportMachineRequest, shown: Json) -> None:
     Example: ffcomp machines import printer.cfg -o my-printer.toml
     """
     from ffcomp.cli.common import fail, print_json
-    from ffcomp.importers.builder import build_draft, machine_text
-    from ffcomp.importers.detect import read_printer_config
+    from ffcomp.importers.builder import build_draft, machine_text, read_printer_config
     from models.file import check_text, find_machine
     from models.finding import user_folder
 

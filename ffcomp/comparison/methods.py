@@ -37,8 +37,7 @@ from ffcomp.planner.trajectory import PlannedMotion, Trajectory
 from ffcomp.shapers.apply import FrequencyOfPosition
 from ffcomp.shapers.calibration import Spectrum
 from ffcomp.shapers.smooth import USUAL
-from ffcomp.simulation.alignment import SectionStarts, section_starts
-from ffcomp.simulation.command import Motion, SectionClock, motion_of
+from ffcomp.simulation.command import Motion, SectionClock, SectionStarts, motion_of, section_starts
 from gcode.reader import read_program
 from models.arrays import FloatArray
 from models.effects.catalogue import effective_machine

@@ -16,9 +16,8 @@ import numpy as np
 from ffcomp.comparison.equal_quality import HIGHEST, LOWEST, p99_um
 from ffcomp.comparison.methods import TunedMethod
 from ffcomp.comparison.sampling import Print, PrintSlice, Sampling
-from ffcomp.faster.bound import FIRST_LAYER, SHORTEST_LAYER_S, Bound, with_slicer_settings
+from ffcomp.faster.bound import FIRST_LAYER, SHORTEST_LAYER_S, Bound, RaisedLimits, raised_limits, with_slicer_settings
 from ffcomp.faster.program import actuator_limit_s, faster_program
-from ffcomp.faster.raised_limits import RaisedLimits, raised_limits
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.settings import Settings
 from ffcomp.planner.limits import planner_limits

@@ -10,9 +10,8 @@ import numpy as np
 
 from ffcomp.compensation.chunks import Chunk
 from ffcomp.errors import LimitsError
-from ffcomp.faster.bound import Bound
+from ffcomp.faster.bound import Bound, slowed
 from ffcomp.faster.program import AS_SLICED, FasterProgram, faster_program
-from ffcomp.faster.raised_limits import slowed
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.reference import WHOLE, Extent, context_s
 from ffcomp.inverse.settings import Settings

@@ -6,9 +6,16 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from ffcomp.faster.bound import SHORTEST_LAYER_S, Bound
+from ffcomp.faster.bound import (
+    PATH_SHARE,
+    SHORTEST_LAYER_S,
+    Bound,
+    RaisedLimits,
+    least_carriage_gain,
+    raised_limits,
+    slowed,
+)
 from ffcomp.faster.predicted_error import ensemble_of
-from ffcomp.faster.raised_limits import PATH_SHARE, RaisedLimits, least_carriage_gain, raised_limits, slowed
 from ffcomp.faster.search import SectionSearch, search
 from ffcomp.inverse.model import InverseModel
 from ffcomp.planner.limits import PlannerLimits, bounds_of, lines_of, planner_limits

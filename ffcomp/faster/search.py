@@ -17,6 +17,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from ffcomp.faster.bound import RaisedLimits, selected_limits
 from ffcomp.faster.predicted_error import (
     EXCEEDANCE,
     Ensemble,
@@ -25,7 +26,6 @@ from ffcomp.faster.predicted_error import (
     forecast_error,
     histogram,
 )
-from ffcomp.faster.raised_limits import RaisedLimits, selected_limits
 from ffcomp.inverse.command_limits import ACCELERATION, TRAVEL, VELOCITY, utilisation_from_rest
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.reference import WHOLE

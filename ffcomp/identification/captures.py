@@ -23,9 +23,8 @@ from ffcomp.measurement.recording import Recording
 from ffcomp.measurement.recording_frfs import frfs_from_recordings
 from ffcomp.measurement.vibration import read_capture
 from ffcomp.record.axes import STRAIGHT, turning
-from ffcomp.record.clock import ClockFit, Reference, every_clock, fit_clock, thinned
+from ffcomp.record.clock import ClockFit, Reference, every_clock, expectation, fit_clock, thinned
 from ffcomp.record.excitation import excited_coordinate
-from ffcomp.record.expected import expectation
 from ffcomp.record.plan import Experiment, Plan
 from ffcomp.record.result import NO_ACCELERATIONS
 from models.arrays import FloatArray

@@ -1,4 +1,4 @@
-"""Build a machine file from a configuration: other values are assumed, or named as missing.
+"""Read a configuration, and build a machine file: other values are assumed, or named as missing.
 
 The vibration parameters of a delta are a library machine's until they are measured; those of a Cartesian or CoreXY
 machine come from the firmware's input shaper, from a machine that the user names, or stay missing. [provenance] holds
@@ -8,6 +8,7 @@ the origin of each.
 from __future__ import annotations
 
 import hashlib
+import re
 import tomllib
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
@@ -16,9 +17,55 @@ from typing import Any
 
 import tomlkit
 
-from ffcomp.importers.values import ConfigValues, PrinterConfigError, Value, farthest_reach
+from ffcomp.importers.klipper import from_klipper, read_klipper
+from ffcomp.importers.marlin import from_marlin
+from ffcomp.importers.reprapfirmware import from_reprapfirmware
+from ffcomp.importers.values import ConfigValues, PrinterConfigError, Value, commands, decoded, farthest_reach
 from models.file import LIBRARY, load_machine
 from models.machine import ASSUMED, MotionLimits, Steps, is_assumed
+
+KLIPPER = re.compile(r"^\[(?:printer\]|include |stepper_\w+\]|mcu\])", re.MULTILINE)
+MARLIN = re.compile(r"\becho:|\bFIRMWARE_NAME:Marlin", re.IGNORECASE)
+SMOOTHIEWARE = re.compile(r"M203\.1|Max actuator feedrates|WCS settings")
+MARLIN_SOURCE = re.compile(r"^\s*(?://)?\s*#define\s+[A-Z]", re.MULTILINE)
+ONLY_REPRAPFIRMWARE = {"M98", "M307", "M308", "M550", "M563", "M566", "M574", "M584", "M667", "M669", "M950"}
+MARLIN_ANSWER = {"M92", "M201", "M203"}  # a slicer writes the latter two as well, but not the first
+MOVES = {"G0", "G1", "G28"}  # a print, whatever limits it sets
+
+
+def read_printer_config(path: Path, kinematics: str | None = None, alone: bool = False) -> ConfigValues:
+    """Read the configuration in a file, whichever of the firmwares it is for.
+
+    Parameters
+    ----------
+    kinematics : for Marlin, which does not tell: "cartesian" or "corexy".
+    alone : read no file that this one includes or runs: it comes from somebody who may not name files here.
+
+    Raises
+    ------
+    PrinterConfigError
+        For a file that is none of them, or that says something its firmware would refuse.
+    """
+    text = decoded(path)
+    codes = {command.code for command in commands(text, path.name)}
+    if KLIPPER.search(text):
+        return from_klipper(read_klipper(path, alone))
+    if MARLIN_SOURCE.search(text):
+        raise PrinterConfigError(
+            f"{path}: this is source code, perhaps Marlin's Configuration.h; send M503 to the printer and import its "
+            "answer."
+        )
+    if SMOOTHIEWARE.search(text):
+        raise PrinterConfigError(f"{path}: this is Smoothieware's answer to M503, whose M665 ffcomp does not read.")
+    if codes & ONLY_REPRAPFIRMWARE and not MARLIN.search(text):
+        return from_reprapfirmware(path, alone)
+    if codes >= MARLIN_ANSWER and not codes & MOVES:
+        return from_marlin(path, kinematics)
+    raise PrinterConfigError(
+        f"{path}: this is no printer.cfg (there is no section [printer]), no config.g of RepRapFirmware, and no answer "
+        "of Marlin to M503."
+    )
+
 
 TABLES = ("kinematics", "carriage", "effector", "axes", "limits", "steps", "homing", "firmware")
 ARMS = ("kinematics.arm_length_mm", "kinematics.arm_lengths_mm")

@@ -11,14 +11,15 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from ffcomp.importers.commands import Command, commands
 from ffcomp.importers.values import (
     AXES,
+    Command,
     ConfigValues,
     PrinterConfigError,
     Value,
     arm_lengths,
     changed,
+    commands,
     converted,
     decoded,
     full_steps,

@@ -19,9 +19,8 @@ from ffcomp.inverse.settings import settings_for
 from ffcomp.planner.limits import SLOW_RATIOS, planner_limits
 from ffcomp.planner.segment_timing import SegmentLimits
 from ffcomp.record import multisine
-from ffcomp.record.motion import Motion, segment_motion
 from ffcomp.record.multisine import Band, always_moving, band, lines_of
-from ffcomp.record.plan import Excitation, Experiment, Plan
+from ffcomp.record.plan import Excitation, Experiment, Motion, Plan, segment_motion
 from gcode.emit import XYZ_COUNTS
 from models.arrays import FloatArray
 from models.errors import UnreachableError

@@ -24,8 +24,7 @@ from ffcomp.measurement.faults import (
     shaper_of_captures,
 )
 from ffcomp.record.axes import turn_of
-from ffcomp.record.clock import without_gaps
-from ffcomp.record.expected import Expectation
+from ffcomp.record.clock import Expectation, without_gaps
 from ffcomp.record.plan import run_name
 from ffcomp.record.result import Joined, Refused
 from models.arrays import FloatArray

@@ -6,7 +6,7 @@ A capture that cannot be joined is refused in sentences; the others are joined a
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -18,11 +18,10 @@ from ffcomp.errors import MeasurementError
 from ffcomp.measurement.faults import SHAPER_REMEDY, wrong_gravity
 from ffcomp.measurement.kinds import kind_of
 from ffcomp.measurement.printer_logs import is_closed_loop, read_closed_loop
-from ffcomp.measurement.recording import Recording, read_recording
+from ffcomp.measurement.recording import CLOCKS, Recording, read_recording
 from ffcomp.record.axes import best_score, find_turn, tilt, words
-from ffcomp.record.chips import of_all_chips, without_deaf_axes, without_lacking_runs
-from ffcomp.record.clock import ClockFit, felt_shares, fit_clock, long_gaps, without_gaps
-from ffcomp.record.expected import Expectation
+from ffcomp.record.clock import DEAF, ClockFit, Expectation, felt_shares, fit_clock, long_gaps, without_gaps
+from ffcomp.record.executions import Expected, Task, read_tasks, stated
 from ffcomp.record.faults import check_repeats, left_handed, shapers_left_on, unlike
 from ffcomp.record.motor_runs import BLIND, motor_runs
 from ffcomp.record.plan import Plan, load_plan, run_name
@@ -35,7 +34,6 @@ from ffcomp.record.result import (
     joined_comments,
     measured_run,
 )
-from ffcomp.record.tasks import Expected, Task, read_tasks, stated
 from models.arrays import FloatArray
 from models.machine import Machine
 
@@ -286,3 +284,104 @@ def _recording(task: Task, clock: ClockFit, tau: FloatArray, measured: FloatArra
     comments = joined_comments(clock, capture.source, name, task.repeat, capture.clock, capture.overflows)
     sensors = {f"acc_{axis}": measured[:, i] for i, axis in enumerate("xyz")}
     return measured_run(run_name(name, task.repeat), task.motion, tau, sensors, {**comments, "axes_map": axes_map})
+
+
+# Several chips
+#
+# The toolhead of a bed slinger does not move along y: its chip feels x, and one on the bed feels y, the other way
+# round. Where all that moves carries one chip, there is nothing to choose.
+
+AXES = "xyz"
+
+
+def of_all_chips(by_chip: Sequence[Sequence[Joined]]) -> list[Joined]:
+    """Return one recording an execution: on the rows of one chip, with the axes that it is deaf to of the others.
+
+    Repeats are compared row by row, so all are on the rows of the chip that fits its commands best, if it has them.
+    """
+    by_name: dict[str, list[Joined]] = {}
+    for members in sorted(by_chip, key=_fitting, reverse=True):
+        for each in members:
+            by_name.setdefault(each.name, []).append(each)
+    return [_together(members) for members in by_name.values()]
+
+
+def _fitting(joined: Sequence[Joined]) -> float:
+    """Return how many captures of a chip there are, and how well they fit."""
+    return sum(each.clock.correlation for each in joined)
+
+
+def _together(members: Sequence[Joined]) -> Joined:
+    """Join the recordings of one execution, the best chip's first."""
+    best, chips = members[0], dict.fromkeys(AXES, 0)
+    for i, axis in enumerate(AXES):
+        chip = int(np.argmax([each.felt[i] for each in members]))
+        if members[chip].felt[i] > best.felt[i] and best.felt[i] < DEAF:
+            shares = (*best.felt[:i], members[chip].felt[i], *best.felt[i + 1 :])
+            best = replace(best, recording=_with_axis(best, members[chip], f"acc_{axis}"), felt=shares)
+            chips[axis] = chip
+    return best if len(set(chips.values())) == 1 else _of_clocks(best, chips)
+
+
+def _of_clocks(best: Joined, chips: Mapping[str, int]) -> Joined:
+    """Say which columns are of one chip, and so on one clock."""
+    groups = [
+        " ".join(f"acc_{axis}" for axis, of_axis in chips.items() if of_axis == chip)
+        for chip in sorted({*chips.values()})
+    ]
+    recording = best.recording
+    return replace(best, recording=replace(recording, comments={**recording.comments, CLOCKS: ", ".join(groups)}))
+
+
+def _with_axis(best: Joined, source: Joined, column: str) -> Recording:
+    """Put another chip's axis on the rows of the first one's recording; both are on the experiment's clock."""
+    recording, other = best.recording, source.recording
+    at = np.clip(recording.time_s + best.begin_s - source.begin_s, 0.0, other.time_s[-1])  # both end at rest
+    values = other.acceleration[column]
+    known = np.isfinite(values)
+    resampled = np.asarray(CubicSpline(other.time_s[known], values[known])(at))
+    near = np.clip(np.searchsorted(other.time_s, at), 1, len(values) - 1)
+    resampled[~(known[near] & known[near - 1])] = np.nan
+    return replace(
+        recording, acceleration={**recording.acceleration, column: resampled}, gaps=recording.gaps | np.isnan(resampled)
+    )
+
+
+def without_deaf_axes(joined: Sequence[Joined], machine: Machine) -> tuple[list[Joined], list[str]]:
+    """Leave out axes that no chip feels, on a machine whose bed may be what moves; and say so."""
+    with_chips = [each for each in joined if each.recording.acceleration]
+    if not (machine.kinematics.bed_may_move and with_chips):
+        return list(joined), []
+    heard = np.median([each.felt for each in with_chips], axis=0)
+    deaf = [f"acc_{axis}" for axis, share in zip(AXES, heard.tolist(), strict=True) if share < DEAF]
+    notes = [
+        f"No chip feels the motion along {column[-1]}, so nothing is said of it. A bed slinger's bed needs a chip of "
+        "its own: give `ffcomp record plan` both (--chip adxl345 --chip bed), and here the captures of both."
+        for column in deaf
+    ]
+    return [_without(each, deaf) for each in joined], notes
+
+
+def without_lacking_runs(joined: Sequence[Joined], machine: Machine) -> tuple[list[Joined], list[str]]:
+    """Leave out runs that lack the one chip that feels an axis: the others would say that it rests; and say so."""
+    with_chips = [each for each in joined if each.recording.acceleration]
+    if not (machine.kinematics.bed_may_move and with_chips):
+        return list(joined), []
+    heard = np.median([each.felt for each in with_chips], axis=0)
+    audible = [axis for axis, share in zip(AXES, heard.tolist(), strict=True) if share >= DEAF]
+    lacking = {each.name: axis for each in with_chips for axis in _lacking(each) if axis in audible}
+    notes = [
+        f"{name} is left out: the capture of the chip that feels {axis} is missing, or was not joined."
+        for name, axis in lacking.items()
+    ]
+    return [each for each in joined if each.name not in lacking], notes
+
+
+def _lacking(each: Joined) -> list[str]:
+    """List the axes along which a run moves and its chips do not."""
+    return [axis for axis, share in zip(AXES, each.felt, strict=True) if share < DEAF]
+
+
+def _without(each: Joined, columns: Sequence[str]) -> Joined:
+    kept = {name: values for name, values in each.recording.acceleration.items() if name not in columns}
+    return replace(each, recording=replace(each.recording, acceleration=kept))

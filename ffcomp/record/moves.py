@@ -23,9 +23,8 @@ from ffcomp.errors import LimitsError
 from ffcomp.inverse.settings import settings_for
 from ffcomp.planner.limits import SLOW_RATIOS, PlannerLimits, planner_limits
 from ffcomp.planner.segment_timing import SegmentLimits
-from ffcomp.record.motion import Motion, plain_motion, segment_motion
 from ffcomp.record.multisine import Band, always_moving, band, scaled, smooth_step
-from ffcomp.record.plan import Experiment, Plan
+from ffcomp.record.plan import Experiment, Motion, Plan, plain_motion, segment_motion
 from gcode.emit import F_COUNTS, XYZ_COUNTS
 from models.arrays import FloatArray
 from models.errors import UnreachableError

@@ -16,9 +16,8 @@ import numpy as np
 from ffcomp.errors import LimitsError
 from ffcomp.planner.limits import PlannerLimits, planner_limits
 from ffcomp.record.gcode_writer import TRAVEL_SHARE, Firmware
-from ffcomp.record.motion import Motion, plain_motion
 from ffcomp.record.moves import MODES_HZ, carriage_gain, rounding_share
-from ffcomp.record.plan import Experiment, Page, Plan
+from ffcomp.record.plan import Experiment, Motion, Page, Plan, plain_motion
 from gcode.dialects import close_limits, open_limits
 from gcode.emit import XYZ_COUNTS, MoveWriter
 from gcode.program import ModalState, MotionLimits

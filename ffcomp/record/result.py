@@ -13,8 +13,7 @@ from ffcomp.errors import MeasurementError
 from ffcomp.measurement.capture import ClockKind
 from ffcomp.measurement.recording import Recording
 from ffcomp.record.clock import ClockFit
-from ffcomp.record.motion import Commanded
-from ffcomp.record.plan import Plan, run_name
+from ffcomp.record.plan import Commanded, Plan, run_name
 from models.arrays import FloatArray
 from models.machine import Machine
 

@@ -1,4 +1,7 @@
-"""A command over time, whatever its source, and the reference path of the nozzle.
+"""A command over time, whatever its source, the reference path of the nozzle, and the clock that aligns both.
+
+A comment before each section of a compensated file tells its time on the original's clock. Files of an old ffcomp have
+none: there the notes that stand where each line of the original was tie the moves of both together.
 
 mm, s. Actuators in the order A, B, C.
 """
@@ -6,13 +9,17 @@ mm, s. Actuators in the order A, B, C.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ffcomp.metrics import peak_acceleration
-from ffcomp.planner.trajectory import PlannedMotion
-from models.arrays import BoolArray, FloatArray
+from ffcomp.inverse.settings import Settings
+from ffcomp.metrics import peak_acceleration, progress_in_order
+from ffcomp.planner.program import PlannedProgram
+from ffcomp.planner.trajectory import PlannedMotion, Section
+from gcode.embedded import WAS, noted, section_times
+from gcode.program import Program
+from models.arrays import BoolArray, FloatArray, IntArray
 from models.machine import Machine
 from models.printer.printer import Hold
 
@@ -141,3 +148,134 @@ def path_corners_with_rests(trajectory: PlannedMotion) -> tuple[FloatArray, Floa
     ends = trajectory.position(np.nextafter(end_t, -np.inf))[:, :3]
     t = np.stack([trajectory.start_t, end_t], axis=1).ravel()
     return t, np.stack([trajectory.origin[:, :3], ends], axis=1).reshape(-1, 3)
+
+
+RETIMED_S = 0.02  # a section that ends so much earlier or later by its path than by its clock is on another one,
+ADRIFT_S = 0.04  # and one that is so much early or late anywhere, nearly as far as the contour error's window reaches
+HALVINGS = 18  # of a move's time, until it is known when the plan passes a place on it
+FEWEST_HZ, MOST_HZ = 125.0, 500.0  # of segments
+
+
+@dataclass(frozen=True, slots=True)
+class SectionStarts:
+    """The m sections of the original that begin in a compensated file, as its comments tell."""
+
+    move: IntArray  # (m,) first travelling move of each in the compensated file
+    plan_t: FloatArray  # (m,) s on the original's clock when that move begins
+    begin_t: FloatArray  # (m,) s on that clock when the section's path begins
+    end_t: FloatArray  # (m,) s and ends
+    passing: IntArray  # (k,) the travelling moves from the first section on
+    due_t: FloatArray  # (k,) s on the original's clock, when the plan is where each of them begins
+
+    def clock(self, start_t: FloatArray) -> SectionClock:
+        """Return the clock if move k of the compensated file begins at start_t[k], whoever planned it."""
+        if not len(self.move):
+            return SectionClock(start_t[self.move], self.plan_t, self.begin_t, self.end_t)
+        first = np.searchsorted(self.passing, self.move)
+        last = np.append(first[1:], len(self.passing)) - 1
+        passed_t = start_t[self.passing]
+        section = np.searchsorted(self.move, self.passing, side="right") - 1
+        kept_t = (self.plan_t - start_t[self.move])[section] + passed_t
+        off_s = np.abs(np.clip(kept_t, self.begin_t[section], self.end_t[section]) - self.due_t)
+        retimed = (off_s[last] > RETIMED_S) | (np.maximum.reduceat(off_s, first) > ADRIFT_S)
+        return SectionClock(start_t[self.move], self.plan_t, self.begin_t, self.end_t, retimed, passed_t, self.due_t)
+
+
+def section_starts(compensated: Program, original: PlannedProgram) -> SectionStarts:
+    """Read from a compensated file when each section of its original begins; nothing from a file of an old ffcomp."""
+    program, moves = original.program, compensated.moves
+    line_of = program.first_line + program.moves.line
+    by_line = {int(line_of[section.first]): section for section in original.sections if section.travels}
+    times = [time for time in section_times(compensated.lines) if time.line in by_line]
+    travels = np.flatnonzero(np.any(moves.end[:, :3] != moves.start[:, :3], axis=1))
+    after = np.searchsorted(moves.line[travels], [time.at for time in times], side="right")
+    begin_t = np.array([by_line[time.line].begin_t for time in times])
+    end_t = np.array([by_line[time.line].end_t for time in times])
+    passing = travels[after[0] :] if len(after) else travels[:0]
+    section = np.searchsorted(travels[after], passing, side="right") - 1
+    due_t = _due(moves.start[passing, :3], begin_t[section], end_t[section], original.trajectory)
+    plan_t = begin_t + np.array([time.t for time in times])
+    return SectionStarts(travels[after], plan_t, begin_t, end_t, passing, due_t)
+
+
+def _due(places: FloatArray, begin_t: FloatArray, end_t: FloatArray, plan: PlannedMotion) -> FloatArray:
+    """Return when the plan is at each of the places (k, 3) mm, which lie on sections between these times (k,), s."""
+    path_t, path = path_corners_with_rests(plan)
+    if not len(places):
+        return np.empty(0)
+    low = np.searchsorted(path_t[1:], begin_t, side="right")
+    high = np.maximum(np.searchsorted(path_t[:-1], end_t, side="left"), low + 1)
+    segment, share = progress_in_order(path, places, low, high)
+    begin_t, end_t = path_t[segment], path_t[segment + 1]
+    begin, length = path[segment], np.maximum(np.linalg.norm(path[segment + 1] - path[segment], axis=1), 1e-12)
+    for _ in range(HALVINGS):  # a move speeds up and brakes: half of it is not half of its time
+        middle_t = 0.5 * (begin_t + end_t)
+        before = np.linalg.norm(plan.position(middle_t)[:, :3] - begin, axis=1) < share * length
+        begin_t, end_t = np.where(before, middle_t, begin_t), np.where(before, end_t, middle_t)
+    return np.asarray(0.5 * (begin_t + end_t))
+
+
+def section_clock(compensated: PlannedProgram, original: PlannedProgram) -> SectionClock:
+    """Align a planned compensated file with its planned original: each section from the beginning of its path on."""
+    starts = section_starts(compensated.program, original)
+    if not len(starts.move):
+        return _noted_clock(compensated, original)
+    clock = starts.clock(compensated.trajectory.start_t)
+    return replace(clock, executed_t=clock.executed_t + (starts.begin_t - starts.plan_t), plan_t=starts.begin_t)
+
+
+def _noted_clock(compensated: PlannedProgram, original: PlannedProgram) -> SectionClock:
+    """Align by where each section's first move is noted: all that a file of an old ffcomp tells.
+
+    The note stands at the knot at or before the section's beginning, `lead_s` after the first knot. NOTE: where both
+    fall together, rounding may have put it one knot early; the time left until the section's end tells.
+    """
+    sections, note_t, executed_end_t = _noted_sections(compensated, original)
+    begin_t, end_t = np.array([s.begin_t for s in sections]), np.array([s.end_t for s in sections])
+    usual, segment_s = Settings(), _segment_s(compensated)
+    knots = np.ceil((usual.lead_s + (end_t - begin_t) + usual.tail_s) / segment_s - 1e-9)
+    before = np.floor(usual.lead_s / segment_s + 1e-9)
+    early = executed_end_t - note_t > (knots - before + 0.5) * segment_s
+    executed_t = note_t + segment_s * early + (usual.lead_s - before * segment_s)
+    return SectionClock(executed_t, begin_t, begin_t, end_t)
+
+
+def _noted_sections(
+    compensated: PlannedProgram, original: PlannedProgram
+) -> tuple[list[Section], FloatArray, FloatArray]:
+    executed = compensated.trajectory
+    notes, moves = _noted_moves(compensated.program, original.program)
+    note_of = dict(zip(moves.tolist(), notes.tolist(), strict=True))
+    sections = [section for section in original.sections if section.travels and section.first in note_of]
+    note_t = np.append(executed.start_t, executed.end_t)[[note_of[section.first] for section in sections]]
+    ends = np.array([section.end_t for section in compensated.sections if section.travels])
+    return sections, note_t, ends[np.minimum(np.searchsorted(ends, note_t, side="right"), len(ends) - 1)]
+
+
+def _noted_moves(compensated: Program, original: Program) -> tuple[IntArray, IntArray]:
+    """Return the moves of the compensated file before which moves of the original are noted, and those, (k,) each."""
+    notes = np.array([e.move for e in compensated.events if compensated.lines[e.line].startswith(WAS)], dtype=np.int64)
+    first = np.flatnonzero(np.diff(original.moves.line, prepend=-1))  # of each line that moves
+    moving_line = _moving_lines(compensated, original)
+    moves = moving_line >= 0
+    return notes[moves], first[moving_line[moves]]
+
+
+def _moving_lines(compensated: Program, original: Program) -> IntArray:
+    """Return which of the original's moving lines each note stands for; -1 for a line that only sets a feed."""
+    order = {line: i for i, line in enumerate(sorted(set(original.moves.line.tolist())))}
+    texts = [text for line in compensated.lines if (text := noted(line)) is not None]
+    out, at = [], 0
+    for text in texts:
+        while original.lines[at] != text and original.lines[at].rstrip() != text.rstrip():
+            at += 1
+        out.append(order.get(at, -1))
+        at += 1
+    return np.array(out, dtype=np.int64)
+
+
+def _segment_s(compensated: PlannedProgram) -> float:
+    """Return the time of a segment: the most frequent one, of those that can be asked for."""
+    a_second = np.round(1 / np.maximum(compensated.trajectory.duration, 1e-9), 1)
+    rate, count = np.unique(a_second[(a_second >= FEWEST_HZ) & (a_second <= MOST_HZ)], return_counts=True)
+    return 1 / float(rate[int(count.argmax())]) if len(rate) else Settings().segment_s

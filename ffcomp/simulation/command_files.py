@@ -16,7 +16,6 @@ from ffcomp.errors import NothingToDo
 from ffcomp.planner.program import PlannedProgram, known_to_the_firmware, plan_program
 from ffcomp.planner.reach import within_reach
 from ffcomp.planner.trajectory import PlannedMotion
-from ffcomp.simulation.alignment import section_clock
 from ffcomp.simulation.command import (
     Command,
     CommandSection,
@@ -25,6 +24,7 @@ from ffcomp.simulation.command import (
     SectionClock,
     path_corners_with_rests,
     reference_clock,
+    section_clock,
 )
 from ffcomp.simulation.linear import continuous_intervals
 from ffcomp.steps.archive import MOTORS, MotorSteps, StepsError

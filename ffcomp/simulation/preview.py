@@ -24,8 +24,7 @@ from ffcomp.planner.lookahead import stops_and_waits
 from ffcomp.planner.program import PlannedProgram, known_to_the_firmware, planner_of
 from ffcomp.planner.reach import within_reach
 from ffcomp.planner.trajectory import PlannedMotion, split_sections
-from ffcomp.simulation.alignment import section_clock
-from ffcomp.simulation.command import command_peaks, motion_of, path_corners_with_rests, reference_clock
+from ffcomp.simulation.command import command_peaks, motion_of, path_corners_with_rests, reference_clock, section_clock
 from ffcomp.simulation.linear import continuous_intervals, simulate_linear
 from gcode.embedded import original_lines
 from gcode.layers import labels, outer_walls

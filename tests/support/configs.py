@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from ffcomp.importers.builder import MachineDraft, build_draft, machine_text
-from ffcomp.importers.detect import read_printer_config
+from ffcomp.importers.builder import MachineDraft, build_draft, machine_text, read_printer_config
 from models.file import load_machine
 from models.machine import Machine
 

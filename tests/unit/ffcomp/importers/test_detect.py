@@ -9,8 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ffcomp.importers.builder import build_draft, machine_text
-from ffcomp.importers.detect import read_printer_config
+from ffcomp.importers.builder import build_draft, machine_text, read_printer_config
 from ffcomp.importers.values import PrinterConfigError
 from models.errors import MachineFileError
 from models.file import check_text

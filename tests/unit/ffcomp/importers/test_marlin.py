@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from ffcomp.importers.detect import read_printer_config
+from ffcomp.importers.builder import read_printer_config
 from ffcomp.importers.values import ConfigValues, PrinterConfigError
 from tests.support.configs import imported, written
 

@@ -33,9 +33,8 @@ from ffcomp.record.excitation import (
     peaks_of,
 )
 from ffcomp.record.gcode_writer import DEFAULT_CHIPS, Firmware, gcode_lines
-from ffcomp.record.motion import segment_motion
 from ffcomp.record.multisine import lines_of, polyline_gain
-from ffcomp.record.plan import Excitation, Experiment, Plan, load_plan, plan_dict, save_plan
+from ffcomp.record.plan import Excitation, Experiment, Plan, load_plan, plan_dict, save_plan, segment_motion
 from gcode.program import EventKind, Program
 from gcode.reader import read_program
 from models.arrays import FloatArray, constant

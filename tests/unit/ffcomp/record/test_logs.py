@@ -14,8 +14,8 @@ from scipy.interpolate import CubicSpline
 from ffcomp.errors import MeasurementError
 from ffcomp.measurement.printer_logs import read_motion_log
 from ffcomp.measurement.vibration import read_captures
+from ffcomp.record.executions import differences
 from ffcomp.record.join import join_captures, load_recordings
-from ffcomp.record.log_runs import differences
 from ffcomp.record.moves import Request, make_plan
 from ffcomp.record.plan import Plan, save_plan
 from ffcomp.shapers.pulses import Shaper

@@ -1,0 +1,469 @@
+"""What a file holds of a plan: executions of its experiments, each with what its sensor is expected to feel.
+
+A capture tells its execution by its name. One that holds several, or bears no name of the plan (a phone or a logger
+that ran all the time, a file that was renamed), is searched for every experiment's motion below 20 Hz, whichever way
+the sensor is turned, in the plan's order. In a log of Klipper's data logger the commanded nozzle tells,
+exactly in time; there the motors' steps are the authority on the command: where they differ, a shaper was on.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+from scipy.signal import butter, fftconvolve, sosfiltfilt
+
+from ffcomp.errors import MeasurementError
+from ffcomp.measurement.capture import Capture, make_capture
+from ffcomp.measurement.printer_logs import MotionLog, Samples, Steps, is_index, is_motion_log, read_motion_log
+from ffcomp.measurement.table import Table
+from ffcomp.measurement.vibration import read_captures
+from ffcomp.record.clock import Expectation, Matches, Reference, every_clock, expectation, known_clock, thinned
+from ffcomp.record.plan import Commanded, Experiment, Plan, run_name
+from models.arrays import FloatArray
+from models.kinematics.base import Kinematics
+from models.machine import Machine
+
+MOST_MISSING = 0.02  # rows in the motion
+LONGEST, LONGER_S = 1.5, 3.0  # a capture of one execution: RepRapFirmware's go on for a while
+
+
+class Expected(dict[str, tuple[Expectation, Reference]]):
+    """What each experiment of a plan is expected to feel like, computed when first needed."""
+
+    def __init__(self, plan: Plan, machine: Machine) -> None:
+        super().__init__()
+        self._plan, self._machine = plan, machine
+
+    def __missing__(self, name: str) -> tuple[Expectation, Reference]:
+        self[name] = self._computed(next(each.motion for each in self._plan.experiments if each.name == name))
+        return self[name]
+
+    def of(self, each: Execution) -> tuple[Expectation, Reference]:
+        """Return it of one execution, whose command may be its own."""
+        return self[each.experiment.name] if each.played is None else self._computed(each.played)
+
+    def _computed(self, motion: Commanded) -> tuple[Expectation, Reference]:
+        expected = expectation(motion, self._machine, self._plan.rest_before_s)
+        return expected, Reference(expected)
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """A capture and the execution that it belongs to."""
+
+    capture: Capture
+    experiment: Experiment
+    repeat: int
+    chip: str
+    since: FloatArray  # (k,) s, of the thinned record
+    record: FloatArray  # (k, 3) m/s², the sensor's axes
+    matches: Matches
+    motion: Commanded
+    ready: Expectation
+    reference: Reference
+
+    @property
+    def gravity(self) -> FloatArray:
+        """Return the mean, (3,) m/s²: a motion from rest to rest has none of its own."""
+        return np.asarray(np.nanmean(self.capture.acceleration, axis=0))
+
+
+def read_tasks(
+    path: str | Path, plan: Plan, machine: Machine, expected: Expected, taken: set[str]
+) -> tuple[list[Task], list[str]]:
+    """Return what a file holds of the plan, and sentences about it.
+
+    Parameters
+    ----------
+    taken : names of executions that were found by their motion in other files, to which these are added
+
+    Raises
+    ------
+    MeasurementError
+        For a file that cannot be read, or holds none of the plan's experiments.
+    """
+    executed: list[Execution] = []
+    notes: list[str] = []
+    if is_motion_log(path):
+        if not is_index(path):  # which is read along with its log
+            executed, notes = executions(read_motion_log(path), plan, machine)
+    else:
+        for capture in read_captures(path):
+            executed += _executions(capture, plan, expected, taken)
+    return [_task(each, plan, expected) for each in executed], notes
+
+
+def _task(each: Execution, plan: Plan, expected: Expected) -> Task:
+    capture = each.capture
+    _check_rows(capture)
+    ready, reference = expected.of(each)
+    since, record = thinned(capture.time_s, capture.acceleration)
+    if capture.clock == "firmware":
+        matches = known_clock(since, record, reference, (stated(capture, plan, each.experiment)[0], 1.0))
+    elif each.start is not None:
+        matches = known_clock(since, record, reference, each.start)
+    else:
+        matches = every_clock(since, record, reference, ready)
+    return Task(capture, each.experiment, each.repeat, each.chip, since, record, matches, each.motion, ready, reference)
+
+
+def _executions(capture: Capture, plan: Plan, expected: Expected, taken: set[str]) -> list[Execution]:
+    """Tell by name or motion which of the plan's executions a capture holds, of which chip."""
+    named = _belongs(capture, plan)
+    if named is not None:
+        lasting = plan.rest_before_s + named[0].duration_s + plan.rest_after_s
+        if capture.time_s[-1] - capture.time_s[0] < LONGEST * lasting + LONGER_S:
+            return [Execution(capture, *named)]
+    references = [expected[each.name][1] for each in plan.experiments]
+    executed = split_capture(capture, plan, references, taken)
+    if not executed:
+        first = run_name(plan.experiments[0].name, 1)
+        stem = capture.name or Path(capture.source).stem
+        raise MeasurementError(
+            capture.source,
+            [
+                f"Its name {stem!r} holds none of the plan's experiments, as {first!r} does, and its motion is none of "
+                "those that are still to be found. Give the plan that its G-code was made with, and captures of one "
+                "accelerometer and of one run of that file."
+            ],
+        )
+    return executed
+
+
+def _belongs(capture: Capture, plan: Plan) -> tuple[Experiment, int, str] | None:
+    """Find experiment, repeat and chip by the name that the capture's command gave it."""
+    stem = capture.name or Path(capture.source).stem
+    for experiment in sorted(plan.experiments, key=lambda each: -len(each.name)):
+        match = re.search(rf"{re.escape(experiment.name)}-(\d+)(?!\d)", stem)
+        if match and 1 <= int(match[1]) <= plan.repeats:
+            return experiment, int(match[1]), stem[: match.start()].strip("-_")
+    return None
+
+
+def _check_rows(capture: Capture) -> None:
+    if capture.overflows:
+        raise MeasurementError(
+            capture.source,
+            [
+                f"The chip lost samples ({capture.overflows} overflows or drops), so its times are wrong. Record it "
+                "again, with less load on the printer's host, or at a lower rate of the chip."
+            ],
+        )
+    missing = float(np.isnan(capture.acceleration).any(axis=1).mean())
+    if missing > MOST_MISSING:
+        raise MeasurementError(
+            capture.source,
+            [f"{missing:.1%} of its rows are missing; {MOST_MISSING:.0%} may be. Record it again."],
+        )
+
+
+def stated(capture: Capture, plan: Plan, experiment: Experiment) -> tuple[float, float]:
+    """Return between which times of the experiment the firmware has the first row, s.
+
+    The first row is the first one at or after the beginning of the rest, the last row the last one at or before the end
+    of the rest behind: two intervals of one sample, of which the common part is what is left.
+    """
+    period = 1.0 / capture.sample_rate_hz
+    low, high = -plan.rest_before_s, -plan.rest_before_s + period
+    span = float(capture.time_s[-1] - capture.time_s[0])
+    end = experiment.duration_s + plan.rest_after_s - span
+    both = max(low, end - period), min(high, end)
+    return both if both[1] > both[0] else (low, high)
+
+
+# Captures without a name of the plan
+
+LEAST_LIKENESS = 0.8  # of a place in the record and an experiment, 0 to 1
+RATIOS = 1.0 + 0.03 * np.linspace(-1.0, 1.0, 11)  # of clocks that nobody has set
+MARGIN_S = 0.05  # kept from what comes before the rest and after it
+
+
+@dataclass(frozen=True, eq=False)
+class Execution:
+    """A capture of one execution of an experiment."""
+
+    capture: Capture
+    experiment: Experiment
+    repeat: int
+    chip: str
+    start: tuple[float, float] | None = None  # offset and ratio of its clock, about; None: not known
+    played: Commanded | None = None  # the command, where it is not the experiment's own
+
+    @property
+    def motion(self) -> Commanded:
+        """What was commanded."""
+        return self.played or self.experiment.motion
+
+
+@dataclass(frozen=True)
+class _Place:
+    """Where an experiment may begin in a record."""
+
+    experiment: Experiment
+    begin_s: float  # from the first row
+    likeness: float
+    ratio: float  # of the clocks
+
+    @property
+    def end_s(self) -> float:
+        """Of the motion."""
+        return self.begin_s + self.experiment.duration_s
+
+
+def split_capture(capture: Capture, plan: Plan, references: Sequence[Reference], taken: set[str]) -> list[Execution]:
+    """Cut a capture into the plan's executions, each with its experiment and the number of its repeat.
+
+    Parameters
+    ----------
+    references : of the plan's experiments, in its order
+    taken : names of the executions that were found in other captures, to which these are added
+    """
+    since, record = thinned(capture.time_s, capture.acceleration)
+    runs = [run for run in plan.runs() if run_name(run[0].name, run[1]) not in taken]
+    tried = []
+    for ratio in (1.0,) if capture.clock == "firmware" else RATIOS:
+        places = {
+            experiment.name: _places(experiment, reference, since, record, plan.repeats, ratio)
+            for experiment, reference in zip(plan.experiments, references, strict=True)
+        }
+        tried.append(_in_order([(repeat, place) for each, repeat in runs for place in places[each.name]], runs))
+    chosen = max(tried, key=lambda each: sum(place.likeness for _, place in each))
+    taken |= {run_name(place.experiment.name, repeat) for repeat, place in chosen}
+    return [_cut(capture, place, repeat, plan) for repeat, place in chosen]
+
+
+def _in_order(places: Sequence[tuple[int, _Place]], runs: Sequence[tuple[Experiment, int]]) -> list[tuple[int, _Place]]:
+    """Choose the executions that follow each other as the plan has them and are likeliest together."""
+    order = {(each.name, repeat): k for k, (each, repeat) in enumerate(runs)}
+    best: list[tuple[float, int]] = []  # the sum up to each place, and the place before it
+    for k, (repeat, place) in enumerate(places):  # in the order of the runs
+        total, before = 0.0, -1
+        for j, (other, earlier) in enumerate(places[:k]):
+            follows = order[earlier.experiment.name, other] < order[place.experiment.name, repeat]
+            if follows and earlier.end_s < place.begin_s and best[j][0] > total:
+                total, before = best[j][0], j
+        best.append((total + place.likeness, before))
+    chosen: list[tuple[int, _Place]] = []
+    k = max(range(len(best)), key=lambda i: best[i][0], default=-1)
+    while k >= 0:
+        chosen.append(places[k])
+        k = best[k][1]
+    return chosen[::-1]
+
+
+def _places(
+    experiment: Experiment, reference: Reference, since: FloatArray, record: FloatArray, repeats: int, ratio: float
+) -> list[_Place]:
+    """Find where an experiment fits best, a few times more often than the plan repeats it."""
+    period = float(since[1] - since[0])
+    t = np.arange(0.0, experiment.duration_s, period * ratio)
+    if len(t) > len(record):
+        return []
+    likeness = _likeness(record, reference.at(t)[0])
+    places = []
+    for _ in range(2 * repeats):
+        best = int(likeness.argmax())
+        if likeness[best] < LEAST_LIKENESS:
+            break
+        places.append(_Place(experiment, best * period, float(likeness[best]), ratio))
+        likeness[max(0, best - len(t) // 2) : best + len(t) // 2 + 1] = 0.0
+    return places
+
+
+def _likeness(record: FloatArray, expected: FloatArray) -> FloatArray:
+    """Return how well (k, 3) fits (n, 3) from each row on under the best turn of the sensor: (n − k + 1,), 0 to 1.
+
+    The correlation under the best rotation or reflection is the sum of the singular values of the axes' correlations.
+    """
+    size = len(expected)
+    tables = np.stack(
+        [fftconvolve(record, expected[::-1, [j]], mode="valid", axes=0) for j in range(3)], axis=2
+    )  # (lags, sensor axis, printer axis)
+    power = np.concatenate([[0.0], np.cumsum((record**2).sum(axis=1))])
+    local = np.sqrt(np.maximum(power[size:] - power[:-size], 0.0)) * np.linalg.norm(expected)
+    weight = np.maximum(local, 0.05 * local.max())  # at rest anything is alike
+    likely = np.sqrt((tables**2).sum(axis=(1, 2))) / weight * np.sqrt(3.0) >= LEAST_LIKENESS  # an upper bound
+    likeness = np.zeros(len(tables))
+    likeness[likely] = np.linalg.svd(tables[likely], compute_uv=False).sum(axis=1) / weight[likely]
+    return likeness
+
+
+def _cut(capture: Capture, place: _Place, repeat: int, plan: Plan) -> Execution:
+    experiment = place.experiment
+    since = capture.time_s - capture.time_s[0]
+    first = place.begin_s - plan.rest_before_s + MARGIN_S
+    last = place.begin_s + experiment.duration_s + plan.rest_after_s - MARGIN_S
+    rows = slice(int(np.searchsorted(since, first)), int(np.searchsorted(since, last)))
+    name = run_name(experiment.name, repeat)
+    part = replace(
+        capture, time_s=capture.time_s[rows], acceleration=capture.acceleration[rows], name=name, clock="free"
+    )
+    start = place.ratio * float(since[rows.start] - place.begin_s)
+    return Execution(part, experiment, repeat, "", (start, place.ratio))
+
+
+# Logs of Klipper's data logger
+
+REST_S = 0.3  # between two motions
+NEAR_MM = 0.05  # of the plan's nozzle to the log's
+MOST_STEPS = 1.0  # rms, of the motors to the nozzle's plan: more is a shaper
+PER_SECOND = 200.0  # places at which nozzles are compared
+SETTLES_S = 0.01  # a motor reaches its rest after its last step
+RATE_HZ, SMOOTH_HZ = 3200.0, 400.0  # of a command from steps
+STEPPERS = (("stepper_a", "stepper_b", "stepper_c"), ("stepper_x", "stepper_y", "stepper_z"))
+
+
+@dataclass(frozen=True, eq=False)
+class Played:
+    """A motion as the motors executed it; it begins at zero."""
+
+    spline: Callable[[FloatArray], FloatArray]
+    begin_s: float
+    end_s: float
+    duration_s: float  # of the plan's motion
+
+    def nozzle(self, t_s: FloatArray) -> FloatArray:
+        """Return the nozzle's command at the times (k,) s: (k, 3) mm. It rests before and after."""
+        return np.asarray(self.spline(np.clip(t_s, self.begin_s, self.end_s)))
+
+
+def executions(log: MotionLog, plan: Plan, machine: Machine) -> tuple[list[Execution], list[str]]:
+    """Return the captures of every execution that the log holds, and sentences about what is in it.
+
+    Raises
+    ------
+    MeasurementError
+        If none of the plan's experiments is in it.
+    """
+    executed: list[Execution] = []
+    notes = list(differences(log, machine))
+    made: dict[str, int] = {}
+    for begin in _beginnings(log):
+        experiment = next((each for each in plan.experiments if _is(log, begin, each)), None)
+        if experiment is None or made.get(experiment.name, 0) >= plan.repeats:
+            continue
+        made[experiment.name] = repeat = made.get(experiment.name, 0) + 1
+        played, note = _played(log, begin, experiment, plan, machine.kinematics)
+        notes += [f"{run_name(experiment.name, repeat)}: {note}"] if note else []
+        for chip, samples in log.sensors.items():
+            capture = _capture(log, samples, begin, experiment, plan, run_name(experiment.name, repeat))
+            start = (float(capture.time_s[0]) - begin, 1.0)
+            executed.append(Execution(capture, experiment, repeat, chip, start, played))
+    if not executed:
+        raise MeasurementError(
+            log.source,
+            [
+                "None of the plan's experiments is in its commanded motion. Log while the plan's own G-code runs, with "
+                "bed mesh and skew correction off as it switches them."
+            ],
+        )
+    return executed, notes
+
+
+def _beginnings(log: MotionLog) -> list[float]:
+    """List the print times at which the nozzle begins to move after a rest."""
+    nozzle = log.nozzle
+    moving = (nozzle.speed != 0) | (nozzle.acceleration != 0)
+    begin, end = nozzle.begin_s[moving], (nozzle.begin_s + nozzle.lasts_s)[moving]
+    return [float(t) for t in begin[np.concatenate([[True], begin[1:] - end[:-1] >= REST_S])]]
+
+
+def _is(log: MotionLog, begin: float, experiment: Experiment) -> bool:
+    t = np.linspace(0.0, experiment.duration_s, max(2, int(PER_SECOND * experiment.duration_s)))
+    return bool(np.abs(log.nozzle.at(begin + t) - experiment.motion.nozzle(t)).max() < NEAR_MM)
+
+
+def _capture(log: MotionLog, samples: Samples, begin: float, experiment: Experiment, plan: Plan, name: str) -> Capture:
+    first, last = begin - plan.rest_before_s, begin + experiment.duration_s + plan.rest_after_s
+    within = (samples.time_s >= first) & (samples.time_s <= last)
+    rows = np.column_stack([samples.time_s[within], samples.acceleration[within]])
+    if len(rows) < 2:
+        raise MeasurementError(log.source, [f"It holds no accelerations of {name}: the logger was started too late."])
+    table = Table(("time", "x", "y", "z"), rows, np.arange(1, len(rows) + 1), {})
+    lost = int(((samples.lost_at_s >= first) & (samples.lost_at_s <= last)).sum())
+    return make_capture(log.source, table, rows[:, 0], rows[:, 1:], name=name, clock="log", overflows=lost)
+
+
+# The command
+
+
+def _played(
+    log: MotionLog, begin: float, experiment: Experiment, plan: Plan, kinematics: Kinematics
+) -> tuple[Commanded | None, str]:
+    """Return the command from the steps where they differ from the plan, and a sentence; None: they do not."""
+    steppers = next(([log.steps[n] for n in names] for names in STEPPERS if all(n in log.steps for n in names)), None)
+    if steppers is None:
+        return None, "the log holds no steps, so nobody can tell whether the input shaper was on."
+    t = np.arange(-plan.rest_before_s, experiment.duration_s + plan.rest_after_s, 1 / RATE_HZ)
+    planned = kinematics.inverse(experiment.motion.nozzle(t)) @ kinematics.motors.T
+    done = np.column_stack([_position(each, begin + t, planned[:, i]) for i, each in enumerate(steppers)])
+    steps = np.array([each.step_mm for each in steppers])
+    moving = (t >= 0) & (t <= experiment.duration_s)
+    apart = np.sqrt((((done - planned)[moving] / steps) ** 2).mean(axis=0))
+    if apart.max() <= MOST_STEPS:
+        return None, ""
+    smooth = butter(2, SMOOTH_HZ, fs=RATE_HZ, output="sos")
+    rounded = sosfiltfilt(smooth, done - done[0], axis=0) + done[0]
+    nozzle = kinematics.forward(rounded @ np.linalg.inv(kinematics.motors).T)
+    end = float(t[-1])
+    return (
+        Played(CubicSpline(t, nozzle), float(t[0]), end, experiment.duration_s),
+        f"the motors differ from the plan by up to {apart.max():.0f} steps rms: the input shaper was on. What the "
+        "motors did is taken for the command.",
+    )
+
+
+def _position(steps: Steps, t: FloatArray, planned: FloatArray) -> FloatArray:
+    """Return where a motor is commanded to be at print times (k,), mm; the plan (k,) says where it rests.
+
+    A step is made when the command crosses half a step. From which height the firmware counts is not known: shapers do
+    not delay on the whole, so on the average the motor is where the plan has it.
+    """
+    within = slice(*np.searchsorted(steps.time_s, [t[0], t[-1]]).tolist())
+    knots = steps.time_s[within]
+    if len(knots) < 2:
+        return np.full(len(t), planned[0])
+    way = np.sign(np.diff(steps.position_mm, prepend=steps.position_mm[0]))
+    crossing = (steps.position_mm - 0.5 * way * steps.step_mm)[within]
+    before, after = max(float(t[0]), knots[0] - SETTLES_S), min(float(t[-1]), knots[-1] + SETTLES_S)
+    inside = (t >= knots[0]) & (t <= knots[-1])
+    crossing = crossing - np.mean((np.interp(t, knots, crossing) - planned)[inside])
+    return np.interp(t, [before, *knots, after], [planned[0], *crossing, planned[-1]])
+
+
+# The configuration
+
+
+def differences(log: MotionLog, machine: Machine) -> list[str]:
+    """Say where the printer's configuration contradicts the machine file."""
+    settings = log.settings
+    if not settings:
+        return ["there is no index beside the log, so the printer's configuration cannot be compared."]
+    sentences = []
+    steps = machine.steps.per_motor
+    for names in STEPPERS:
+        for name, ours in zip(names, steps.tolist(), strict=True):
+            theirs = _steps_per_mm(settings.get(name, {}))
+            if theirs is not None and abs(theirs / ours - 1.0) > 1e-3:
+                sentences.append(f"{name}: the configuration has {theirs:.6g} steps/mm, and the machine file {ours:g}.")
+    arms = getattr(machine.kinematics, "arm_lengths_mm", None)
+    for name, ours in zip(STEPPERS[0], () if arms is None else np.asarray(arms).tolist(), strict=False):
+        theirs = settings.get(name, {}).get("arm_length", settings.get(STEPPERS[0][0], {}).get("arm_length"))
+        if theirs is not None and abs(float(theirs) - ours) > 0.5:
+            sentences.append(
+                f"{name}: the arm is {float(theirs):g} mm in the configuration, {ours:g} in the machine file."
+            )
+    return sentences
+
+
+def _steps_per_mm(section: object) -> float | None:
+    if not isinstance(section, dict) or not {"rotation_distance", "microsteps"} <= set(section):
+        return None
+    full = float(section.get("full_steps_per_rotation", 200))
+    geared = np.prod([a / b for a, b in section.get("gear_ratio") or []])
+    return float(full * float(section["microsteps"]) * geared / float(section["rotation_distance"]))
