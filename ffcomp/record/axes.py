@@ -19,27 +19,16 @@ from models.arrays import FloatArray
 NEARLY_G = 0.25  # of g: less or more at rest, and gravity is not in the capture
 UPRIGHT = 0.8  # of gravity along the axis that is taken for the vertical
 STRAIGHT = ("x", "y", "z")
+LEFT_HANDED_SHARE = 0.8  # of its score that counts
 
 
 def turn_of(axes_map: str | None) -> FloatArray | None:
-    """Return the matrix (3, 3) from sensor to printer axes that a text like "x,-z,y" means; None: to be found.
-
-    Raises
-    ------
-    MeasurementError
-        If the three are not x, y and z with signs.
-    """
+    """Return the matrix (3, 3) from sensor to printer axes that a text like "x,-z,y" means; None: to be found."""
     return None if axes_map is None else turning(axes_map.split(","))
 
 
 def turning(axes: Sequence[str]) -> FloatArray:
-    """Return the matrix (3, 3) from sensor axes to printer axes.
-
-    Raises
-    ------
-    MeasurementError
-        If the three are not x, y and z with signs.
-    """
+    """Return the matrix (3, 3) from sensor to printer axes; MeasurementError unless they are x, y and z with signs."""
     turn = np.zeros((3, 3))
     for row, text in enumerate(axes):
         name = text.strip().lstrip("+-")
@@ -67,15 +56,14 @@ def candidates(gravity: FloatArray) -> list[FloatArray]:
 
 
 def find_turn(matches: Sequence[Matches], gravity: FloatArray) -> FloatArray:
-    """Return the signed permutation (3, 3) under which the captures of one chip fit their experiments best.
+    """Return the signed permutation (3, 3) under which the captures of one chip fit their experiments best."""
 
-    A left-handed one is taken only if it fits clearly better: chips are right-handed, a firmware's `axes_map` need not
-    be.
-    """
-    turns = candidates(gravity)
-    scores = [sum(best_score(each, turn)[0] for each in matches) for turn in turns]
-    proper = [score if np.linalg.det(turn) > 0 else 0.8 * score for turn, score in zip(turns, scores, strict=True)]
-    return turns[int(np.argmax(proper))]
+    def score(turn: FloatArray) -> float:
+        # left-handed only if it fits clearly better: chips are right-handed, a firmware's `axes_map` need not be
+        handedness = 1.0 if np.linalg.det(turn) > 0 else LEFT_HANDED_SHARE
+        return handedness * sum(best_score(each, turn)[0] for each in matches)
+
+    return max(candidates(gravity), key=score)
 
 
 def best_score(matches: Matches, turn: FloatArray) -> tuple[float, tuple[float, float]]:

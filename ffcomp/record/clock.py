@@ -13,7 +13,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -47,36 +46,32 @@ def expectation(motion: Commanded, machine: Machine, lead_s: float, with_signatu
     """Simulate an experiment's motion on the machine file's printer, at rest for `lead_s` before it.
 
     Without signatures, for a clock whose delay stays free in what is fitted next, only the plain motion is simulated.
-
-    Raises
-    ------
-    UnreachableError
-        If the machine cannot execute the motion.
+    Raises UnreachableError if the machine cannot execute the motion.
     """
     t = np.arange(-lead_s, motion.duration_s + TAIL_S, 1 / RATE_HZ)
     carriages = machine.kinematics.inverse(motion.nozzle(t))
     if not with_signatures:
-        (plain,) = _felt([machine], [carriages])
+        (plain,) = _accelerations([machine], [carriages])
         return Expectation(t, plain, np.empty((0, *plain.shape)), motion.duration_s)
     velocity = np.gradient(carriages, 1 / RATE_HZ, axis=0)
     massive = carriages - MASS_S2 * np.gradient(velocity, 1 / RATE_HZ, axis=0)
-    rubbing = [replace(machine, effects=_with_friction(machine, force)) for force in FRICTION_N]
-    plain, heavy, *rubbed = _felt([machine, machine, *rubbing], [carriages, massive, *[carriages] * len(rubbing)])
+    friction = machine.effects.get("coulomb_friction", {})
+    usual_n = float(np.mean(friction.get("force_n", 0.0)))
+    rubbing = [
+        replace(machine, effects={**machine.effects, "coulomb_friction": {**friction, "force_n": usual_n + more_n}})
+        for more_n in FRICTION_N
+    ]
+    plain, heavy, *rubbed = _accelerations(
+        [machine, machine, *rubbing], [carriages, massive, *[carriages] * len(rubbing)]
+    )
     signatures = [heavy - plain, *(each - plain for each in rubbed)]
     if np.abs(signatures[-1]).max() < UNFELT_M_PER_S2:  # a model without guides
-        (dragged,) = _felt([machine], [carriages - FRICTION_MM * np.tanh(velocity / CREEP_MM_PER_S)])
+        (dragged,) = _accelerations([machine], [carriages - FRICTION_MM * np.tanh(velocity / CREEP_MM_PER_S)])
         signatures = [heavy - plain, dragged - plain]
     return Expectation(t, plain, np.array(signatures), motion.duration_s)
 
 
-def _with_friction(machine: Machine, force_n: float) -> dict[str, Any]:
-    """Return the effects of a machine with so much more dry friction."""
-    known = machine.effects.get("coulomb_friction", {})
-    already = float(np.mean(known.get("force_n", 0.0)))
-    return {**machine.effects, "coulomb_friction": {**known, "force_n": already + force_n}}
-
-
-def _felt(machines: Sequence[Machine], commands: Sequence[FloatArray]) -> list[FloatArray]:
+def _accelerations(machines: Sequence[Machine], commands: Sequence[FloatArray]) -> list[FloatArray]:
     """Simulate the nozzle's acceleration, (N, 3) m/s² each."""
     accelerations = []
     for motion in simulate_printers(machines, commands, 1 / RATE_HZ):
@@ -126,6 +121,7 @@ class Reference:
 
     def __init__(self, expected: Expectation) -> None:
         columns = [expected.acceleration, *expected.signatures]
+        self.expected = expected
         self._begin, self._end = float(expected.time_s[0]), float(expected.time_s[-1])
         self._splines = [CubicSpline(expected.time_s, filtered(expected.time_s, each)) for each in columns]
 
@@ -173,13 +169,9 @@ def felt_shares(record: FloatArray, reference: Reference, t: FloatArray) -> tupl
 def fit_clock(
     since: FloatArray, record: FloatArray, reference: Reference, start: tuple[float, float], free_ratio: bool
 ) -> ClockFit:
-    """Refine offset and ratio by Gauss-Newton, the gains of the axes and the signatures eliminated.
+    """Refine offset and ratio from a start by Gauss-Newton, the gains of the axes and the signatures eliminated.
 
-    Parameters
-    ----------
-    since : (k,) s from the capture's first row
-    record : (k, 3) m/s² as of `thinned`, along the printer's axes
-    start : offset and ratio to begin with
+    The record (k, 3) m/s² is along the printer's axes, at times (k,) s since the capture's first row, as of `thinned`.
     """
     estimate, centre = np.array(start), float(since.mean())
     audible = np.array(felt_shares(record, reference, start[0] + start[1] * since)) >= DEAF
@@ -245,10 +237,8 @@ def every_clock(
 ) -> Matches:
     """Correlate at every offset and every ratio of the clocks.
 
-    Parameters
-    ----------
-    known_axes : whether the record is along the printer's axes, so that only their signs are free: a bed moves against
-        the nozzle. Otherwise any turn of the sensor is allowed.
+    With `known_axes` the record is along the printer's axes, and only their signs are free: a bed moves against the
+    nozzle. Otherwise any turn of the sensor is allowed.
     """
     period, length = float(since[1] - since[0]), float(since[-1] - since[0])
     steps = int(np.ceil(WORST_CLOCK * length * float(np.mean(BAND_HZ)) / CYCLES_OF_CLOCK_STEP / 4))

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
+from itertools import product
 
 import numpy as np
 
@@ -80,13 +81,7 @@ def line_of_action(geometry: Kinematics) -> list[tuple[float, float]]:
 
 
 def make_excitation_plan(machine: Machine, request: ExcitationRequest) -> Plan:
-    """Design every experiment, and check that the machine can do it.
-
-    Raises
-    ------
-    LimitsError
-        For a motion out of reach, too fast or too hard, with one that would fit.
-    """
+    """Design every experiment; LimitsError for a motion out of reach, too fast or too hard, with one that would fit."""
     spectrum_band = band(request.lowest_hz, request.highest_hz, request.period_s, request.segments_per_second)
     output = settings_for(machine).output
     if request.z_acceleration_mm_per_s2:
@@ -95,18 +90,17 @@ def make_excitation_plan(machine: Machine, request: ExcitationRequest) -> Plan:
     for x, y in request.places_mm:
         _check_place(machine, x, y, request.height_mm)
     experiments = []
-    for place, (x, y) in enumerate(request.places_mm):
-        for realisation in range(request.realisations):
-            for direction in request.directions:
-                top_a, top_v = _allowed(machine, request, direction, allowed)
-                signal = multisine.excitation(
-                    request.kind, spectrum_band, request.periods, top_a, top_v, request.seed + realisation
-                )
-                target = _Target(
-                    machine, output, f"ffcomp-{direction}-{place}-{realisation}", direction, (x, y, request.height_mm)
-                )
-                motion = _checked_motion(target, spectrum_band, signal.displacement_mm, top_a, allowed)
-                experiments.append(_experiment(target, motion, request.kind, place, spectrum_band, signal))
+    for place, realisation, direction in product(
+        range(len(request.places_mm)), range(request.realisations), request.directions
+    ):
+        top_a, top_v = _allowed(machine, request, direction, allowed)
+        signal = multisine.excitation(
+            request.kind, spectrum_band, request.periods, top_a, top_v, request.seed + realisation
+        )
+        position, name = (*request.places_mm[place], request.height_mm), f"ffcomp-{direction}-{place}-{realisation}"
+        target = _Target(machine, output, name, direction, position)
+        motion = _checked_motion(target, spectrum_band, signal.displacement_mm, top_a, allowed)
+        experiments.append(_experiment(target, motion, request.kind, place, spectrum_band, signal))
     return Plan(machine.name, machine.sha256, tuple(experiments), request.repeats, seed=request.seed)
 
 
@@ -138,26 +132,21 @@ class _Target:
 def _checked_motion(
     target: _Target, spectrum_band: Band, displacement_mm: FloatArray, acceleration: float, allowed: Peaks
 ) -> Motion:
-    vertices = target.vertices(displacement_mm)
-    _check_vertices(target, vertices, spectrum_band.segment_s, acceleration, allowed)
+    vertices, segment_s = target.vertices(displacement_mm), spectrum_band.segment_s
+    _check_vertices(target, vertices, segment_s, acceleration, allowed)
     try:
-        return segment_motion(vertices, spectrum_band.segment_s, target.output)
+        return segment_motion(vertices, segment_s, target.output)
     except LimitsError as error:
-        share = _feasible_share(target, spectrum_band.segment_s, displacement_mm)
-        raise LimitsError(
-            f"{target.name}: {error} An amplitude of {share * acceleration:.0f} mm/s² would fit."
-        ) from None
-
-
-def _feasible_share(target: _Target, segment_s: float, displacement_mm: FloatArray) -> float:
-    """Return the largest tried share of the displacement that can be executed."""
+        reason = error
+    feasible = 0.0  # the largest tried share of the displacement that can be executed
     for share in np.geomspace(0.98, 0.02, 80).tolist():
         try:
             segment_motion(target.vertices(share * displacement_mm), segment_s, target.output)
         except LimitsError:
             continue
-        return float(share)
-    return 0.0
+        feasible = share
+        break
+    raise LimitsError(f"{target.name}: {reason} An amplitude of {feasible * acceleration:.0f} mm/s² would fit.")
 
 
 def _experiment(
@@ -290,9 +279,11 @@ def _check_vertices(
     for name in HARD:
         peak, limit = getattr(peaks, name), getattr(allowed, name)
         if peak > limit:
+            what, _, unit = name.partition("_mm_per_")
             raise LimitsError(
-                f"{target.name}: the {_words(name)} would peak at {peak:.0f}, and may at {limit:.0f}; "
-                f"an amplitude of {0.99 * acceleration * limit / peak:.0f} mm/s² would fit."
+                f"{target.name}: the {what.replace('_', ' ')} in mm/{unit.replace('s2', 's²')} would peak at "
+                f"{peak:.0f}, and may at {limit:.0f}; an amplitude of "
+                f"{0.99 * acceleration * limit / peak:.0f} mm/s² would fit."
             )
 
 
@@ -313,12 +304,6 @@ def _check_sideways(target: _Target, vertices: FloatArray) -> None:
             f"{target.name} reaches {radius:.2f} mm from the centre, and may reach {widest:.2f}; "
             f"a place not farther out than {fits:.1f} mm would fit."
         )
-
-
-def _words(name: str) -> str:
-    """Put `nozzle_velocity_mm_per_s` in plain words."""
-    what, _, unit = name.partition("_mm_")
-    return f"{what.replace('_', ' ')} in mm/{unit.removeprefix('per_').replace('s2', 's²')}"
 
 
 def microstep_error(

@@ -9,6 +9,7 @@ exactly in time; there the motors' steps are the authority on the command: where
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -22,7 +23,7 @@ from ffcomp.measurement.capture import Capture, make_capture
 from ffcomp.measurement.printer_logs import MotionLog, Samples, Steps, is_index, is_motion_log, read_motion_log
 from ffcomp.measurement.table import Table
 from ffcomp.measurement.vibration import read_captures
-from ffcomp.record.clock import Expectation, Matches, Reference, every_clock, expectation, known_clock, thinned
+from ffcomp.record.clock import Matches, Reference, every_clock, expectation, known_clock, thinned
 from ffcomp.record.plan import Commanded, Experiment, Plan, run_name
 from models.arrays import FloatArray
 from models.kinematics.base import Kinematics
@@ -32,24 +33,20 @@ MOST_MISSING = 0.02  # rows in the motion
 LONGEST, LONGER_S = 1.5, 3.0  # a capture of one execution: RepRapFirmware's go on for a while
 
 
-class Expected(dict[str, tuple[Expectation, Reference]]):
-    """What each experiment of a plan is expected to feel like, computed when first needed."""
+class Expected:
+    """What the experiments of a plan are expected to feel like, computed when first needed."""
 
     def __init__(self, plan: Plan, machine: Machine) -> None:
-        super().__init__()
         self._plan, self._machine = plan, machine
+        self._references: dict[str, Reference] = {}
 
-    def __missing__(self, name: str) -> tuple[Expectation, Reference]:
-        self[name] = self._computed(next(each.motion for each in self._plan.experiments if each.name == name))
-        return self[name]
-
-    def of(self, each: Execution) -> tuple[Expectation, Reference]:
-        """Return it of one execution, whose command may be its own."""
-        return self[each.experiment.name] if each.played is None else self._computed(each.played)
-
-    def _computed(self, motion: Commanded) -> tuple[Expectation, Reference]:
-        expected = expectation(motion, self._machine, self._plan.rest_before_s)
-        return expected, Reference(expected)
+    def of(self, experiment: Experiment, played: Commanded | None = None) -> Reference:
+        """Return it of an experiment, or of the command that was played in its place."""
+        if played is not None:
+            return Reference(expectation(played, self._machine, self._plan.rest_before_s))
+        if experiment.name not in self._references:
+            self._references[experiment.name] = self.of(experiment, experiment.motion)
+        return self._references[experiment.name]
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,28 +61,15 @@ class Task:
     record: FloatArray  # (k, 3) m/s², the sensor's axes
     matches: Matches
     motion: Commanded
-    ready: Expectation
     reference: Reference
-
-    @property
-    def gravity(self) -> FloatArray:
-        """Return the mean, (3,) m/s²: a motion from rest to rest has none of its own."""
-        return np.asarray(np.nanmean(self.capture.acceleration, axis=0))
 
 
 def read_tasks(
     path: str | Path, plan: Plan, machine: Machine, expected: Expected, taken: set[str]
 ) -> tuple[list[Task], list[str]]:
-    """Return what a file holds of the plan, and sentences about it.
+    """Return what a file holds of the plan, and sentences about it; MeasurementError if it is nothing.
 
-    Parameters
-    ----------
     taken : names of executions that were found by their motion in other files, to which these are added
-
-    Raises
-    ------
-    MeasurementError
-        For a file that cannot be read, or holds none of the plan's experiments.
     """
     executed: list[Execution] = []
     notes: list[str] = []
@@ -100,30 +84,41 @@ def read_tasks(
 
 def _task(each: Execution, plan: Plan, expected: Expected) -> Task:
     capture = each.capture
-    _check_rows(capture)
-    ready, reference = expected.of(each)
+    if capture.overflows:
+        raise MeasurementError(
+            capture.source,
+            [
+                f"The chip lost samples ({capture.overflows} overflows or drops), so its times are wrong. Record it "
+                "again, with less load on the printer's host, or at a lower rate of the chip."
+            ],
+        )
+    missing = float(np.isnan(capture.acceleration).any(axis=1).mean())
+    if missing > MOST_MISSING:
+        reason = f"{missing:.1%} of its rows are missing; {MOST_MISSING:.0%} may be. Record it again."
+        raise MeasurementError(capture.source, [reason])
+    reference = expected.of(each.experiment, each.played)
     since, record = thinned(capture.time_s, capture.acceleration)
     if capture.clock == "firmware":
         matches = known_clock(since, record, reference, (stated(capture, plan, each.experiment)[0], 1.0))
     elif each.start is not None:
         matches = known_clock(since, record, reference, each.start)
     else:
-        matches = every_clock(since, record, reference, ready)
-    return Task(capture, each.experiment, each.repeat, each.chip, since, record, matches, each.motion, ready, reference)
+        matches = every_clock(since, record, reference, reference.expected)
+    motion = each.played or each.experiment.motion
+    return Task(capture, each.experiment, each.repeat, each.chip, since, record, matches, motion, reference)
 
 
 def _executions(capture: Capture, plan: Plan, expected: Expected, taken: set[str]) -> list[Execution]:
     """Tell by name or motion which of the plan's executions a capture holds, of which chip."""
-    named = _belongs(capture, plan)
+    stem = capture.name or Path(capture.source).stem
+    named = _named(stem, plan)
     if named is not None:
-        lasting = plan.rest_before_s + named[0].duration_s + plan.rest_after_s
+        lasting = plan.capture_s(named[0])
         if capture.time_s[-1] - capture.time_s[0] < LONGEST * lasting + LONGER_S:
             return [Execution(capture, *named)]
-    references = [expected[each.name][1] for each in plan.experiments]
-    executed = split_capture(capture, plan, references, taken)
+    executed = _split(capture, plan, expected, taken)
     if not executed:
         first = run_name(plan.experiments[0].name, 1)
-        stem = capture.name or Path(capture.source).stem
         raise MeasurementError(
             capture.source,
             [
@@ -135,31 +130,13 @@ def _executions(capture: Capture, plan: Plan, expected: Expected, taken: set[str
     return executed
 
 
-def _belongs(capture: Capture, plan: Plan) -> tuple[Experiment, int, str] | None:
+def _named(stem: str, plan: Plan) -> tuple[Experiment, int, str] | None:
     """Find experiment, repeat and chip by the name that the capture's command gave it."""
-    stem = capture.name or Path(capture.source).stem
     for experiment in sorted(plan.experiments, key=lambda each: -len(each.name)):
         match = re.search(rf"{re.escape(experiment.name)}-(\d+)(?!\d)", stem)
         if match and 1 <= int(match[1]) <= plan.repeats:
             return experiment, int(match[1]), stem[: match.start()].strip("-_")
     return None
-
-
-def _check_rows(capture: Capture) -> None:
-    if capture.overflows:
-        raise MeasurementError(
-            capture.source,
-            [
-                f"The chip lost samples ({capture.overflows} overflows or drops), so its times are wrong. Record it "
-                "again, with less load on the printer's host, or at a lower rate of the chip."
-            ],
-        )
-    missing = float(np.isnan(capture.acceleration).any(axis=1).mean())
-    if missing > MOST_MISSING:
-        raise MeasurementError(
-            capture.source,
-            [f"{missing:.1%} of its rows are missing; {MOST_MISSING:.0%} may be. Record it again."],
-        )
 
 
 def stated(capture: Capture, plan: Plan, experiment: Experiment) -> tuple[float, float]:
@@ -192,12 +169,7 @@ class Execution:
     repeat: int
     chip: str
     start: tuple[float, float] | None = None  # offset and ratio of its clock, about; None: not known
-    played: Commanded | None = None  # the command, where it is not the experiment's own
-
-    @property
-    def motion(self) -> Commanded:
-        """What was commanded."""
-        return self.played or self.experiment.motion
+    played: Commanded | None = None  # the command, where it is not the experiment's
 
 
 @dataclass(frozen=True)
@@ -215,21 +187,14 @@ class _Place:
         return self.begin_s + self.experiment.duration_s
 
 
-def split_capture(capture: Capture, plan: Plan, references: Sequence[Reference], taken: set[str]) -> list[Execution]:
-    """Cut a capture into the plan's executions, each with its experiment and the number of its repeat.
-
-    Parameters
-    ----------
-    references : of the plan's experiments, in its order
-    taken : names of the executions that were found in other captures, to which these are added
-    """
+def _split(capture: Capture, plan: Plan, expected: Expected, taken: set[str]) -> list[Execution]:
+    """Cut a capture into those of the plan's executions that are not in other captures."""
     since, record = thinned(capture.time_s, capture.acceleration)
     runs = [run for run in plan.runs() if run_name(run[0].name, run[1]) not in taken]
     tried = []
     for ratio in (1.0,) if capture.clock == "firmware" else RATIOS:
         places = {
-            experiment.name: _places(experiment, reference, since, record, plan.repeats, ratio)
-            for experiment, reference in zip(plan.experiments, references, strict=True)
+            each.name: _places(each, expected.of(each), since, record, plan.repeats, ratio) for each in plan.experiments
         }
         tried.append(_in_order([(repeat, place) for each, repeat in runs for place in places[each.name]], runs))
     chosen = max(tried, key=lambda each: sum(place.likeness for _, place in each))
@@ -333,27 +298,22 @@ class Played:
 
 
 def executions(log: MotionLog, plan: Plan, machine: Machine) -> tuple[list[Execution], list[str]]:
-    """Return the captures of every execution that the log holds, and sentences about what is in it.
-
-    Raises
-    ------
-    MeasurementError
-        If none of the plan's experiments is in it.
-    """
+    """Return the captures of every execution that the log holds, and sentences about what is in it."""
     executed: list[Execution] = []
     notes = list(differences(log, machine))
-    made: dict[str, int] = {}
+    repeats: Counter[str] = Counter()
     for begin in _beginnings(log):
         experiment = next((each for each in plan.experiments if _is(log, begin, each)), None)
-        if experiment is None or made.get(experiment.name, 0) >= plan.repeats:
+        if experiment is None or repeats[experiment.name] >= plan.repeats:
             continue
-        made[experiment.name] = repeat = made.get(experiment.name, 0) + 1
+        repeats[experiment.name] += 1
+        name = run_name(experiment.name, repeats[experiment.name])
         played, note = _played(log, begin, experiment, plan, machine.kinematics)
-        notes += [f"{run_name(experiment.name, repeat)}: {note}"] if note else []
+        notes += [f"{name}: {note}"] if note else []
         for chip, samples in log.sensors.items():
-            capture = _capture(log, samples, begin, experiment, plan, run_name(experiment.name, repeat))
+            capture = _capture(log, samples, begin, experiment, plan, name)
             start = (float(capture.time_s[0]) - begin, 1.0)
-            executed.append(Execution(capture, experiment, repeat, chip, start, played))
+            executed.append(Execution(capture, experiment, repeats[experiment.name], chip, start, played))
     if not executed:
         raise MeasurementError(
             log.source,

@@ -87,17 +87,30 @@ def check_repeats(joined: Sequence[Joined]) -> tuple[list[Joined], list[Refused]
                 (a if b is each else b, between) for a, b, between in pairs if each in (a, b) and not between.copied
             ]
             if originals and each is not originals[0]:
-                refused.append(Refused(each.source, _copy_of(originals[0])))
+                reason = (
+                    f"Its rows are those of {Path(originals[0].source).name}: one recording under two names shows no "
+                    "noise. Give the capture that was made when the experiment was repeated, or leave this one out, "
+                    "with --without-repeats."
+                )
+                refused.append(Refused(each.source, reason))
             elif not others or any(not between.differ for _, between in others):
                 kept.append(each)
             else:
-                refused.append(_refusal(each, *min(others, key=lambda pair: pair[1].share)))
-        apart = [
-            (a, b, between.lag_s[1] - between.lag_s[0])
-            for a, b, between in pairs
-            if between.apart and not between.differ
-        ]
-        notes += [_late(a, b, lag_s) for a, b, lag_s in apart]
+                other, between = min(others, key=lambda pair: pair[1].share)
+                reason = (
+                    f"Repeat {each.repeat} of {each.experiment} does not repeat: it differs from repeat {other.repeat} "
+                    f"by {between.difference}. {REPEATS_REMEDY}; or give one repeat of each experiment, with "
+                    "--without-repeats."
+                )
+                refused.append(Refused(each.source, reason))
+        for a, b, between in pairs:
+            if between.apart and not between.differ:
+                lag_s = between.lag_s[1] - between.lag_s[0]
+                notes.append(
+                    f"{run_name(b.experiment, b.repeat)} is {1e3 * abs(lag_s):.2f} ms "
+                    f"{'behind' if lag_s > 0 else 'ahead of'} {run_name(a.experiment, a.repeat)}; a delay of each "
+                    "capture stays free in the diagnosis."
+                )
     return kept, refused, notes
 
 
@@ -119,26 +132,4 @@ def _compared(first: Joined, second: Joined) -> RepeatComparison:
         rate,
         scale=np.ones(3),
         least_noise=LEAST_NOISE_M_PER_S2,
-    )
-
-
-def _copy_of(original: Joined) -> str:
-    return (
-        f"Its rows are those of {Path(original.source).name}: one recording under two names shows no noise. Give the "
-        "capture that was made when the experiment was repeated, or leave this one out, with --without-repeats."
-    )
-
-
-def _refusal(each: Joined, other: Joined, between: RepeatComparison) -> Refused:
-    return Refused(
-        each.source,
-        f"Repeat {each.repeat} of {each.experiment} does not repeat: it differs from repeat {other.repeat} by "
-        f"{between.difference}. {REPEATS_REMEDY}; or give one repeat of each experiment, with --without-repeats.",
-    )
-
-
-def _late(a: Joined, b: Joined, lag_s: float) -> str:
-    return (
-        f"{run_name(b.experiment, b.repeat)} is {1e3 * abs(lag_s):.2f} ms {'behind' if lag_s > 0 else 'ahead of'} "
-        f"{run_name(a.experiment, a.repeat)}; a delay of each capture stays free in the diagnosis."
     )

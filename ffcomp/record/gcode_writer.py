@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ffcomp.record.plan import SETTLE_S, Experiment, Plan, capture_name, run_name
+from ffcomp.record.plan import SETTLE_S, Experiment, Motion, Plan, capture_name, run_name
 from gcode.dialects import KLIPPER, MARLIN, REPRAPFIRMWARE, close_limits, open_limits, shaper_off
 from gcode.emit import MoveWriter
 from gcode.program import ModalState, MotionLimits
@@ -55,12 +55,15 @@ class Firmware:
     @property
     def records(self) -> bool:
         """Whether the firmware itself records."""
-        return self.flavor in _START
+        return self.flavor in (KLIPPER, REPRAPFIRMWARE)
 
     def start(self, name: str, lasting_s: float) -> list[str]:
         """Return the lines that begin the capture of one execution, which lasts so long, rests included."""
-        make = _START.get(self.flavor)
-        return [] if make is None else [make(chip, name, lasting_s) for chip in self.chips]
+        if self.flavor == KLIPPER:
+            return [f"ACCELEROMETER_MEASURE CHIP={chip} NAME={name}" for chip in self.chips]
+        if self.flavor == REPRAPFIRMWARE:
+            return [f'M956 P{chip} S{math.ceil(lasting_s * FASTEST_HZ)} A0 F"{name}.csv"' for chip in self.chips]
+        return []
 
     def stop(self, name: str, lasting_s: float) -> list[str]:
         """Return the lines that end it."""
@@ -84,14 +87,6 @@ class Firmware:
         known = [] if self.shaper is None else [_SHAPER_ON[self.flavor].format(*self.shaper)]
         return [*known, *([RESTORE] if self.flavor == KLIPPER else [])]
 
-    def corrections_off(self) -> list[str]:
-        """Return the lines that switch shaper, bed mesh and skew correction off."""
-        return [*self.shaper_off(), *_OFF[self.flavor]]
-
-    def corrections_on(self) -> list[str]:
-        """Return the lines that switch them on again, as far as it is known how they were."""
-        return [*_MESH_ON.get(self.flavor, ()), *self.shaper_on()]
-
     def explained(self) -> list[str]:
         """Return the comments at the head of a file: how everything is put back, with the macro that does it."""
         return [*self.restores(), *(["", *MACRO.splitlines()] if self.flavor == KLIPPER else [])]
@@ -102,15 +97,6 @@ class Firmware:
         return [_RESTORES[self.flavor], *([] if shaper_returns else [_STAYS_OFF])]
 
 
-def _klipper(chip: str, name: str, lasting_s: float) -> str:
-    return f"ACCELEROMETER_MEASURE CHIP={chip} NAME={name}"
-
-
-def _reprapfirmware(chip: str, name: str, lasting_s: float) -> str:
-    return f'M956 P{chip} S{math.ceil(lasting_s * FASTEST_HZ)} A0 F"{name}.csv"'
-
-
-_START = {KLIPPER: _klipper, REPRAPFIRMWARE: _reprapfirmware}
 DEFAULT_CHIPS: Mapping[str, Sequence[str]] = {KLIPPER: ("adxl345",), REPRAPFIRMWARE: ("0",), MARLIN: ()}
 
 _KEEP_SHAPER = (
@@ -119,7 +105,7 @@ _KEEP_SHAPER = (
     "var ffcompDamping = move.shaping.damping",
 )
 _BACK = ("M593 P{var.ffcompShaper} F{var.ffcompFrequency} S{var.ffcompDamping}",)
-_OFF: Mapping[str, Sequence[str]] = {
+_CORRECTIONS_OFF: Mapping[str, Sequence[str]] = {
     KLIPPER: ("BED_MESH_CLEAR", "SET_SKEW CLEAR=1"),
     REPRAPFIRMWARE: ("G29 S2",),
     MARLIN: ("M420 S0",),
@@ -147,26 +133,21 @@ _RESTORES: Mapping[str, str] = {
 
 
 def gcode_lines(plan: Plan, machine: Machine, firmware: Firmware) -> Iterator[bytes]:
-    """Yield the G-code file line by line.
-
-    Parameters
-    ----------
-    machine : whose limits are put back after every experiment
-    """
-    yield from _comments(_instructions(plan, machine, firmware))
-    yield from _lines(["G28", "G21", "G90", "M220 S100", *firmware.corrections_off()])
-    limits = machine.limits
-    travel = 60 * TRAVEL_SHARE * limits.velocity_mm_per_s
-    rising = 60 * (limits.z_velocity_mm_per_s or limits.velocity_mm_per_s)
+    """Yield the G-code file line by line; the machine's limits are put back after every experiment."""
+    yield from comments(_instructions(plan, machine, firmware))
+    yield from lines(["G28", "G21", "G90", "M220 S100", *firmware.shaper_off(), *_CORRECTIONS_OFF[firmware.flavor]])
+    travel, rising = travel_feeds(machine)
     # up first: homing may leave the nozzle low
-    yield b"G1 Z%.10g F%.10g\n" % (plan.experiments[0].position_mm[2], min(travel, rising))
+    yield b"G1 Z%.10g F%.10g\n" % (plan.experiments[0].position_mm[2], rising)
     for experiment, repeat in plan.runs():
         name = run_name(experiment.name, repeat)
         of_repeats = f", {repeat} of {plan.repeats}" if plan.repeats > 1 else ""
-        yield from _comments(["", f"{name}: {_kind(experiment)}, {experiment.duration_s:.1f} s{of_repeats}"])
+        yield from comments(["", f"{name}: {_kind(experiment)}, {experiment.duration_s:.1f} s{of_repeats}"])
         yield from _recorded(experiment, name, plan, machine, firmware, travel)
-    yield from _comments(["", *_closing(plan, firmware)])
-    yield from _lines(firmware.corrections_on())
+    where = "from the temporary folder of the printer's host" if firmware.flavor == KLIPPER else "from the printer"
+    bring = f"Bring back, {where}:" if firmware.records else "Captures:"
+    yield from comments(["", "Done.", bring, *(capture_name(each.name, repeat) for each, repeat in plan.runs())])
+    yield from lines([*_MESH_ON.get(firmware.flavor, ()), *firmware.shaper_on()])
 
 
 def _recorded(
@@ -178,32 +159,52 @@ def _recorded(
     quarter of a second after whatever the host is doing: the first rest gives the host time in hand, so that the
     capture begins exactly `rest_before_s` before the first move.
     """
-    motion, limits, usual = experiment.motion, experiment.motion.limits, machine.limits
     axes = machine.kinematics.raisable_axes
     if experiment.excitation is not None and experiment.excitation.direction == "z" and "Z" not in axes:
         axes += "Z"  # the very axis that is excited
-    duration = plan.rest_before_s + experiment.duration_s + plan.rest_after_s
-    there = b"G1 X%.10g Y%.10g Z%.10g F%.10g\n" % (*motion.start_mm[:3].tolist(), travel)
+    duration = plan.capture_s(experiment)
+    there = b"G1 X%.10g Y%.10g Z%.10g F%.10g\n" % (*experiment.motion.start_mm[:3].tolist(), travel)
     yield there
-    yield from _lines(["M400", f"M117 {name}"])
-    yield from open_limits(
-        firmware.flavor,
-        limits.velocity_mm_per_s,
-        limits.acceleration_mm_per_s2,
-        limits.square_corner_velocity_mm_per_s,
-        axes,
-    )
-    yield from _lines([rest(SETTLE_S), *firmware.start(name, duration), rest(plan.rest_before_s)])
-    yield there  # repeated: a reader of the file then knows the position after a command it does not know
+    yield from lines(["M400", f"M117 {name}"])
+    before = [rest(SETTLE_S), *firmware.start(name, duration), rest(plan.rest_before_s)]
+    # the place repeated: a reader of the file then knows the position after a command it does not know
+    lead = [*lines(before), there]
+    tail = lines([rest(plan.rest_after_s), *firmware.stop(name, duration)])
+    yield from moves_within_limits(experiment.motion, machine, firmware.flavor, axes, lead, tail)
+    yield b"M400\n"
+
+
+def moves_within_limits(
+    motion: Motion,
+    machine: Machine,
+    flavor: str,
+    axes: str,
+    lead: Iterable[bytes] = (),
+    tail: Iterable[bytes] = (),
+) -> Iterator[bytes]:
+    """Yield the moves of an experiment, around them lines before and after, around these its limits and the machine's.
+
+    axes : in which the limits are raised
+    """
+    limits, usual = motion.limits, machine.limits
+    velocity, acceleration = limits.velocity_mm_per_s, limits.acceleration_mm_per_s2
+    yield from open_limits(flavor, velocity, acceleration, limits.square_corner_velocity_mm_per_s, axes)
+    yield from lead
     moves = MoveWriter()
     moves.reset(ModalState(), motion.start_mm[:3].tolist(), 0.0)
     yield from moves.moves(np.ascontiguousarray(motion.ends_mm), motion.speed)
-    yield from _lines([rest(plan.rest_after_s), *firmware.stop(name, duration)])
-    put_back = MotionLimits(
+    yield from tail
+    restored = MotionLimits(
         usual.velocity_mm_per_s, usual.acceleration_mm_per_s2, usual.square_corner_velocity_mm_per_s, 0.5
     )
-    yield from close_limits(firmware.flavor, put_back, axes)
-    yield b"M400\n"
+    yield from close_limits(flavor, restored, axes)
+
+
+def travel_feeds(machine: Machine) -> tuple[float, float]:
+    """Return F between experiments, and F where the nozzle rises, mm/min."""
+    limits = machine.limits
+    travel = 60 * TRAVEL_SHARE * limits.velocity_mm_per_s
+    return travel, min(travel, 60 * (limits.z_velocity_mm_per_s or limits.velocity_mm_per_s))
 
 
 def rest(seconds: float) -> str:
@@ -211,11 +212,13 @@ def rest(seconds: float) -> str:
     return f"G4 P{1e3 * seconds:.0f}"
 
 
-def _lines(texts: Iterable[str]) -> Iterator[bytes]:
+def lines(texts: Iterable[str]) -> Iterator[bytes]:
+    """Encode lines."""
     return (text.encode() + b"\n" for text in texts)
 
 
-def _comments(sentences: Iterable[str]) -> Iterator[bytes]:
+def comments(sentences: Iterable[str]) -> Iterator[bytes]:
+    """Encode comments."""
     return (f"; {sentence}".rstrip().encode() + b"\n" for sentence in sentences)
 
 
@@ -262,9 +265,3 @@ def _z_limits(plan: Plan, machine: Machine) -> list[str]:
         f"- The firmware lets Z move at {machine.limits.velocity_mm_per_s:g} mm/s and "
         f"{rising[0].motion.limits.z_acceleration_mm_per_s2:g} mm/s² (Klipper: max_z_velocity, max_z_accel)."
     ]
-
-
-def _closing(plan: Plan, firmware: Firmware) -> list[str]:
-    where = "from the temporary folder of the printer's host" if firmware.flavor == KLIPPER else "from the printer"
-    bring = f"Bring back, {where}:" if firmware.records else "Captures:"
-    return ["Done.", bring, *(capture_name(each.name, repeat) for each, repeat in plan.runs())]

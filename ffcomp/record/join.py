@@ -6,7 +6,7 @@ A capture that cannot be joined is refused in sentences; the others are joined a
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -56,9 +56,7 @@ def join_captures(
 ) -> JoinResult:
     """Join captures with the commands of their plan.
 
-    Parameters
-    ----------
-    turn : (3, 3) from the sensor's axes to the printer's; None: found in the captures
+    turn : (3, 3) from the sensor's axes to the printer's; None: to be estimated from the captures
     """
     refused: list[Refused] = []
     expected, taken = Expected(plan, machine), set[str]()
@@ -83,10 +81,10 @@ def join_captures(
         good, bad = _join_chip(of_chip, plan, turn)
         joined.append(good)
         refused += bad
-    whole, lacking = without_lacking_runs(of_all_chips(joined), machine)
+    whole, lacking = _without_lacking_runs(_of_all_chips(joined), machine)
     kept, apart, late = check_repeats(sorted(whole, key=lambda each: each.name))
     blind = [BLIND] if motors else []
-    heard, deaf = without_deaf_axes(kept, machine)
+    heard, deaf = _without_deaf_axes(kept, machine)
     return JoinResult(
         (*heard, *motors), (*refused, *apart), (*notes, *lacking, *late, *deaf, *left_handed(kept), *blind)
     )
@@ -94,13 +92,18 @@ def join_captures(
 
 def _join_chip(tasks: Sequence[Task], plan: Plan, turn: FloatArray | None) -> tuple[list[Joined], list[Refused]]:
     """Join the captures of one accelerometer."""
-    axes = turn if turn is not None else find_turn([task.matches for task in tasks], tasks[0].gravity)
-    clocks, refused = _of_these_motions([(task, _clock(task, plan, axes)) for task in tasks])
+    if turn is None:  # gravity is the mean: a motion from rest to rest has none of its own
+        turn = find_turn([task.matches for task in tasks], np.nanmean(tasks[0].capture.acceleration, axis=0))
+    clocks = [(task, _clock(task, plan, turn)) for task in tasks]
+    refused: list[Refused] = []
+    if not _all_alike_late([clock for _, clock in clocks]):  # else the machine follows all commands as late
+        refused = [_displaced(task, clock) for task, clock in clocks if abs(clock.late_s) > FARTHEST_S]
+        clocks = [each for each in clocks if abs(each[1].late_s) <= FARTHEST_S]
     rate = float(np.round(np.median([task.capture.sample_rate_hz for task in tasks])))
     joined: list[tuple[Joined, Expectation]] = []
     for task, clock in _narrowed(clocks):
         try:
-            joined.append((_joined(task, clock, axes, rate), task.ready))
+            joined.append((_joined(task, clock, turn, rate), task.reference.expected))
         except MeasurementError as error:
             refused += [Refused(task.capture.source, problem) for problem in error.problems]
     if shapers := shapers_left_on(joined):
@@ -120,16 +123,13 @@ def load_recordings(
 ) -> list[Recording]:
     """Read measured runs, and join captures with the commands of their plan.
 
+    Raises MeasurementError for a run that cannot be used, for captures without a plan, and if none can be joined.
+
     Parameters
     ----------
     plan : the file that `ffcomp record plan` wrote beside its G-code; None: there are no captures
-    turn : (3, 3) from the accelerometer's axes to the printer's; None: found in the captures
-    progress : told what is read, joined, and refused
-
-    Raises
-    ------
-    MeasurementError
-        For a run that cannot be used, for captures without a plan, and if no capture can be joined.
+    turn : as of `join_captures`
+    progress : called with what is read, joined, and refused
     """
     if plan is None:
         return [read_recording(path) for path in paths]  # which says what to do with a capture
@@ -179,25 +179,17 @@ def _clock(task: Task, plan: Plan, axes: FloatArray) -> _Clock:
     return _Clock(fit, interval, late, ratio)
 
 
-def _of_these_motions(clocks: Sequence[tuple[Task, _Clock]]) -> tuple[list[tuple[Task, _Clock]], list[Refused]]:
-    """Refuse captures that begin elsewhere than the plan has them, unless the machine follows all commands as late."""
-    alike = _all_alike_late([clock for _, clock in clocks])
-    apart = [each for each in clocks if abs(each[1].late_s) > FARTHEST_S and not alike]
-    refused = [
-        Refused(
-            task.capture.source,
-            f"The motion in it begins {1e3 * clock.late_s:+.1f} ms from where the plan has it, and may be "
-            f"{1e3 * FARTHEST_S:g} ms off{_pace(clock.ratio)}: it is of another motion, or the printer did not run the "
-            "plan's G-code as it is. Run the file again, from its beginning, with a speed factor of 100 %.",
-        )
-        for task, clock in apart
-    ]
-    return [each for each in clocks if each not in apart], refused
-
-
-def _pace(ratio: float) -> str:
-    """Say at which pace a motion is made, or a clock runs: nothing tells them apart."""
-    return "" if abs(ratio - 1.0) < WORST_RATIO else f"; by its clock it runs at {ratio:.1%} of the plan's pace"
+def _displaced(task: Task, clock: _Clock) -> Refused:
+    """Refuse a capture that begins elsewhere than the plan has it."""
+    pace = ""  # of the motion or of the clock: nothing tells them apart
+    if abs(clock.ratio - 1.0) >= WORST_RATIO:
+        pace = f"; by its clock it runs at {clock.ratio:.1%} of the plan's pace"
+    return Refused(
+        task.capture.source,
+        f"The motion in it begins {1e3 * clock.late_s:+.1f} ms from where the plan has it, and may be "
+        f"{1e3 * FARTHEST_S:g} ms off{pace}: it is of another motion, or the printer did not run the "
+        "plan's G-code as it is. Run the file again, from its beginning, with a speed factor of 100 %.",
+    )
 
 
 def _all_alike_late(clocks: Sequence[_Clock]) -> bool:
@@ -239,31 +231,42 @@ def _narrowed(clocks: Sequence[tuple[Task, _Clock]]) -> list[tuple[Task, ClockFi
 
 
 def _joined(task: Task, clock: ClockFit, axes: FloatArray, rate_hz: float) -> Joined:
-    capture, ready = task.capture, task.ready
+    capture, duration_s = task.capture, task.reference.expected.duration_s
     tau = clock.experiment_time(capture.time_s)
-    if tau[0] > -LEAST_REST_S or tau[-1] < ready.duration_s:
-        raise MeasurementError(
-            capture.source,
-            [
-                f"It runs from {tau[0]:.2f} to {tau[-1]:.2f} s of a motion of {ready.duration_s:.2f} s; it must begin "
-                f"{LEAST_REST_S:g} s before and end after it. Record longer."
-            ],
+    if tau[0] > -LEAST_REST_S or tau[-1] < duration_s:
+        reason = (
+            f"It runs from {tau[0]:.2f} to {tau[-1]:.2f} s of a motion of {duration_s:.2f} s; it must begin "
+            f"{LEAST_REST_S:g} s before and end after it. Record longer."
         )
+        raise MeasurementError(capture.source, [reason])
     rest = tau < -0.5 * LEAST_REST_S
     gravity = np.nanmean(capture.acceleration[rest] @ axes.T, axis=0)
     if complaint := wrong_gravity(gravity, may_be_removed=capture.clock == "free"):
         raise MeasurementError(capture.source, [complaint])
     upright = tilt(gravity)
     measured = (capture.acceleration @ axes.T - gravity) @ upright.T
-    first, last = max(float(tau[0]), -KEPT_REST_S[0]), min(float(tau[-1]), ready.duration_s + KEPT_REST_S[1])
+    first, last = max(float(tau[0]), -KEPT_REST_S[0]), min(float(tau[-1]), duration_s + KEPT_REST_S[1])
     # repeats are compared row by row: all have their rows at the same times of the experiment
     factor = max(1, int(np.ceil(LOWEST_RATE_HZ / rate_hz)))
     step = 1.0 / (factor * rate_hz)
     grid = step * np.arange(np.ceil(first / step), np.floor(last / step) + 1)
-    recording = _recording(task, clock, grid, _on_grid(tau, measured, grid, factor), words(axes))
-    name, begin = task.experiment.name, float(grid[0])
-    heard = felt_shares(task.record @ axes.T, task.reference, clock.offset_s + clock.ratio * task.since)
-    return Joined(recording, name, task.repeat, clock, capture.overflows, capture.source, words(axes), begin, heard)
+    name, rows = task.experiment.name, _on_grid(tau, measured, grid, factor)
+    comments = joined_comments(clock, capture.source, name, task.repeat, capture.clock, capture.overflows)
+    sensors = {f"acc_{axis}": rows[:, i] for i, axis in enumerate("xyz")}
+    recording = measured_run(
+        run_name(name, task.repeat), task.motion, grid, sensors, {**comments, "axes_map": words(axes)}
+    )
+    return Joined(
+        recording=recording,
+        experiment=name,
+        repeat=task.repeat,
+        clock=clock,
+        overflows=capture.overflows,
+        source=capture.source,
+        axes_map=words(axes),
+        begin_s=float(grid[0]),
+        felt=felt_shares(task.record @ axes.T, task.reference, clock.offset_s + clock.ratio * task.since),
+    )
 
 
 def _on_grid(tau: FloatArray, measured: FloatArray, grid: FloatArray, factor: int) -> FloatArray:
@@ -279,13 +282,6 @@ def _on_grid(tau: FloatArray, measured: FloatArray, grid: FloatArray, factor: in
     return resampled
 
 
-def _recording(task: Task, clock: ClockFit, tau: FloatArray, measured: FloatArray, axes_map: str) -> Recording:
-    capture, name = task.capture, task.experiment.name
-    comments = joined_comments(clock, capture.source, name, task.repeat, capture.clock, capture.overflows)
-    sensors = {f"acc_{axis}": measured[:, i] for i, axis in enumerate("xyz")}
-    return measured_run(run_name(name, task.repeat), task.motion, tau, sensors, {**comments, "axes_map": axes_map})
-
-
 # Several chips
 #
 # The toolhead of a bed slinger does not move along y: its chip feels x, and one on the bed feels y, the other way
@@ -294,21 +290,16 @@ def _recording(task: Task, clock: ClockFit, tau: FloatArray, measured: FloatArra
 AXES = "xyz"
 
 
-def of_all_chips(by_chip: Sequence[Sequence[Joined]]) -> list[Joined]:
+def _of_all_chips(by_chip: Sequence[Sequence[Joined]]) -> list[Joined]:
     """Return one recording an execution: on the rows of one chip, with the axes that it is deaf to of the others.
 
     Repeats are compared row by row, so all are on the rows of the chip that fits its commands best, if it has them.
     """
     by_name: dict[str, list[Joined]] = {}
-    for members in sorted(by_chip, key=_fitting, reverse=True):
+    for members in sorted(by_chip, key=lambda joined: sum(each.clock.correlation for each in joined), reverse=True):
         for each in members:
             by_name.setdefault(each.name, []).append(each)
     return [_together(members) for members in by_name.values()]
-
-
-def _fitting(joined: Sequence[Joined]) -> float:
-    """Return how many captures of a chip there are, and how well they fit."""
-    return sum(each.clock.correlation for each in joined)
 
 
 def _together(members: Sequence[Joined]) -> Joined:
@@ -320,17 +311,14 @@ def _together(members: Sequence[Joined]) -> Joined:
             shares = (*best.felt[:i], members[chip].felt[i], *best.felt[i + 1 :])
             best = replace(best, recording=_with_axis(best, members[chip], f"acc_{axis}"), felt=shares)
             chips[axis] = chip
-    return best if len(set(chips.values())) == 1 else _of_clocks(best, chips)
-
-
-def _of_clocks(best: Joined, chips: Mapping[str, int]) -> Joined:
-    """Say which columns are of one chip, and so on one clock."""
-    groups = [
+    if len(set(chips.values())) == 1:
+        return best
+    groups = [  # the columns of one chip, and so on one clock
         " ".join(f"acc_{axis}" for axis, of_axis in chips.items() if of_axis == chip)
         for chip in sorted({*chips.values()})
     ]
-    recording = best.recording
-    return replace(best, recording=replace(recording, comments={**recording.comments, CLOCKS: ", ".join(groups)}))
+    comments = {**best.recording.comments, CLOCKS: ", ".join(groups)}
+    return replace(best, recording=replace(best.recording, comments=comments))
 
 
 def _with_axis(best: Joined, source: Joined, column: str) -> Recording:
@@ -347,39 +335,38 @@ def _with_axis(best: Joined, source: Joined, column: str) -> Recording:
     )
 
 
-def without_deaf_axes(joined: Sequence[Joined], machine: Machine) -> tuple[list[Joined], list[str]]:
+def _without_deaf_axes(joined: Sequence[Joined], machine: Machine) -> tuple[list[Joined], list[str]]:
     """Leave out axes that no chip feels, on a machine whose bed may be what moves; and say so."""
-    with_chips = [each for each in joined if each.recording.acceleration]
-    if not (machine.kinematics.bed_may_move and with_chips):
-        return list(joined), []
-    heard = np.median([each.felt for each in with_chips], axis=0)
-    deaf = [f"acc_{axis}" for axis, share in zip(AXES, heard.tolist(), strict=True) if share < DEAF]
+    deaf = [f"acc_{axis}" for axis, share in _median_shares(joined, machine).items() if share < DEAF]
     notes = [
         f"No chip feels the motion along {column[-1]}, so nothing is said of it. A bed slinger's bed needs a chip of "
         "its own: give `ffcomp record plan` both (--chip adxl345 --chip bed), and here the captures of both."
         for column in deaf
     ]
-    return [_without(each, deaf) for each in joined], notes
+    return [_without(each, deaf) for each in joined] if deaf else list(joined), notes
 
 
-def without_lacking_runs(joined: Sequence[Joined], machine: Machine) -> tuple[list[Joined], list[str]]:
+def _median_shares(joined: Sequence[Joined], machine: Machine) -> dict[str, float]:
+    """Return how much of the motion along each axis its chip feels, where another thing than the nozzle may move."""
+    if not (machine.kinematics.bed_may_move and joined):
+        return {}
+    return dict(zip(AXES, np.median([each.felt for each in joined], axis=0).tolist(), strict=True))
+
+
+def _without_lacking_runs(joined: Sequence[Joined], machine: Machine) -> tuple[list[Joined], list[str]]:
     """Leave out runs that lack the one chip that feels an axis: the others would say that it rests; and say so."""
-    with_chips = [each for each in joined if each.recording.acceleration]
-    if not (machine.kinematics.bed_may_move and with_chips):
-        return list(joined), []
-    heard = np.median([each.felt for each in with_chips], axis=0)
-    audible = [axis for axis, share in zip(AXES, heard.tolist(), strict=True) if share >= DEAF]
-    lacking = {each.name: axis for each in with_chips for axis in _lacking(each) if axis in audible}
+    audible = [axis for axis, share in _median_shares(joined, machine).items() if share >= DEAF]
+    lacking = {
+        each.name: axis
+        for each in joined
+        for axis, share in zip(AXES, each.felt, strict=True)
+        if share < DEAF and axis in audible
+    }
     notes = [
         f"{name} is left out: the capture of the chip that feels {axis} is missing, or was not joined."
         for name, axis in lacking.items()
     ]
     return [each for each in joined if each.name not in lacking], notes
-
-
-def _lacking(each: Joined) -> list[str]:
-    """List the axes along which a run moves and its chips do not."""
-    return [axis for axis, share in zip(AXES, each.felt, strict=True) if share < DEAF]
 
 
 def _without(each: Joined, columns: Sequence[str]) -> Joined:

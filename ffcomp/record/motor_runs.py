@@ -8,6 +8,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -49,12 +50,12 @@ class _Fit:
     zero: float  # steps, at height 0
     apart: float  # microsteps rms, of the target to the plan
     spread_s: float  # of the target in time, as a shaper does it
-    own_size: bool  # the steps/mm are the machine file's
+    of_this_size: bool  # the steps/mm are the machine file's
 
     @property
     def good(self) -> bool:
-        """Whether the motor was told what the plan says."""
-        return self.own_size and self.apart <= MOST_STEPS and self.spread_s <= MOST_SPREAD_S
+        """Whether the motor was commanded what the plan says."""
+        return self.of_this_size and self.apart <= MOST_STEPS and self.spread_s <= MOST_SPREAD_S
 
     @property
     def span(self) -> tuple[float, float]:
@@ -64,73 +65,59 @@ class _Fit:
 
 
 def motor_runs(log: MotorLog, plan: Plan, machine: Machine, before: Sequence[Joined]) -> list[Joined]:
-    """Make a measured run of each execution that the log of a motor holds.
+    """Make a measured run of each execution that the log of a motor holds; MeasurementError if it holds none, and why.
 
-    Parameters
-    ----------
     before : the runs of the logs before, whose numbers are taken
-
-    Raises
-    ------
-    MeasurementError
-        If the log holds none of the plan's experiments, and why.
     """
-    _check_machine(log, machine)
-    fits = [fit for each in plan.experiments for motor in _motors(log) for fit in _fits(log, each, motor, machine)]
-    chosen = _apart([each for each in fits if each.good])
-    if not chosen:
-        raise MeasurementError(log.source, [_refusal(log, plan, machine, fits)])
-    taken, joined = [each.name for each in before], list[Joined]()
-    for fit in sorted(chosen, key=lambda each: each.span[0]):
-        _check_motor(log, fit, fits)
-        stem = f"{fit.experiment.name}-{MOTORS[fit.motor]}"
-        repeat = next((k for k in range(1, plan.repeats + 1) if run_name(stem, k) not in taken), None)
-        if repeat is None:
-            raise MeasurementError(
-                log.source,
-                [f"There are {plan.repeats} logs of motor {stem[-1]} in {fit.experiment.name} already. Leave one out."],
-            )
-        taken.append(run_name(stem, repeat))
-        joined.append(_joined(log, fit, repeat, run_name(stem, repeat)))
-    return joined
 
+    def refusal(*sentences: str) -> MeasurementError:
+        return MeasurementError(log.source, [" ".join(sentences)])
 
-def _check_machine(log: MotorLog, machine: Machine) -> None:
     if not np.array_equal(machine.kinematics.motors, np.eye(3)):
-        raise MeasurementError(
-            log.source,
-            [
-                f"The motors of {machine.name} move its axes together, and one motor's log does not tell where an axis "
-                "is. Record this printer with an accelerometer."
-            ],
+        raise refusal(
+            f"The motors of {machine.name} move its axes together, and one motor's log does not tell where an axis is.",
+            "Record this printer with an accelerometer.",
         )
     if not set(SIZES) & set(machine.steps.stated):
-        raise MeasurementError(
-            log.source,
-            [
-                f"It counts steps, and the file of {machine.name} does not state their size. Write steps_per_mm (and "
-                "full_steps_per_mm) under [steps]: M92 shows them."
-            ],
+        raise refusal(
+            f"It counts steps, and the file of {machine.name} does not state their size.",
+            "Write steps_per_mm (and full_steps_per_mm) under [steps]: M92 shows them.",
         )
-
-
-def _motors(log: MotorLog) -> Sequence[int]:
-    """Return the motor that the file's name says at its end, as in `…-A.csv`; all of them if it says none."""
-    named = re.search(r"(?:^|[-_. ])([ABC])$", Path(log.source).stem)
-    return range(3) if named is None else (MOTORS.index(named[1]),)
+    fits = _fits(log, plan, machine)
+    chosen = _apart([each for each in fits if each.good])
+    if not chosen:
+        raise refusal(_nearest(log, plan, machine, fits))
+    taken, joined = [each.name for each in before], list[Joined]()
+    for fit in sorted(chosen, key=lambda each: each.span[0]):
+        motor, experiment = MOTORS[fit.motor], fit.experiment.name
+        others = [each for each in fits if each.good and each.motor != fit.motor and _overlap(fit, each)]
+        if others:
+            raise refusal(
+                f"It may be of motor {motor} or of motor {MOTORS[others[0].motor]}: both move alike in {experiment}.",
+                f"End the file's name with the motor, as in duet-{motor}.csv.",
+            )
+        names = [run_name(f"{experiment}-{motor}", k) for k in range(1, plan.repeats + 1)]
+        free = [name for name in names if name not in taken]
+        if not free:
+            raise refusal(f"There are {plan.repeats} logs of motor {motor} in {experiment} already. Leave one out.")
+        taken.append(free[0])
+        joined.append(_joined(log, fit, names.index(free[0]) + 1, free[0]))
+    return joined
 
 
 # The search
 
 
-def _fits(log: MotorLog, experiment: Experiment, motor: int, machine: Machine) -> list[_Fit]:
-    t = np.arange(-PADDED_S, experiment.duration_s + PADDED_S, 1 / FINE_HZ)
-    way = CubicSpline(t, machine.kinematics.inverse(experiment.motion.nozzle(t))[:, motor])
-    return [
-        fit
-        for begin in _places(log, way, experiment.duration_s)
-        if (fit := _fit(log, experiment, motor, machine, way, begin)) is not None
-    ]
+def _fits(log: MotorLog, plan: Plan, machine: Machine) -> list[_Fit]:
+    """Fit each experiment wherever it may be, with the motor that the file's name ends with (`…-A.csv`), or all."""
+    named = re.search(r"(?:^|[-_. ])([ABC])$", Path(log.source).stem)
+    fits = []
+    for experiment, motor in product(plan.experiments, range(3) if named is None else [MOTORS.index(named[1])]):
+        t = np.arange(-PADDED_S, experiment.duration_s + PADDED_S, 1 / FINE_HZ)
+        way = CubicSpline(t, machine.kinematics.inverse(experiment.motion.nozzle(t))[:, motor])
+        places = _places(log, way, experiment.duration_s)
+        fits += [_fit(log, experiment, motor, machine, way, begin) for begin in places]
+    return [fit for fit in fits if fit is not None]
 
 
 def _places(log: MotorLog, way: CubicSpline, duration_s: float) -> list[float]:
@@ -234,21 +221,9 @@ def _overlap(first: _Fit, second: _Fit) -> bool:
     return first.span[0] < second.span[1] and second.span[0] < first.span[1]
 
 
-def _check_motor(log: MotorLog, fit: _Fit, fits: Sequence[_Fit]) -> None:
-    others = [each for each in fits if each.good and each.motor != fit.motor and _overlap(fit, each)]
-    if others:
-        raise MeasurementError(
-            log.source,
-            [
-                f"It may be of motor {MOTORS[fit.motor]} or of motor {MOTORS[others[0].motor]}: both move alike in "
-                f"{fit.experiment.name}. End the file's name with the motor, as in duet-{MOTORS[fit.motor]}.csv."
-            ],
-        )
-
-
-def _refusal(log: MotorLog, plan: Plan, machine: Machine, fits: Sequence[_Fit]) -> str:
+def _nearest(log: MotorLog, plan: Plan, machine: Machine, fits: Sequence[_Fit]) -> str:
     """Say why a log holds none of the plan's experiments, by the one that is nearest."""
-    near = min(fits, key=lambda each: (not each.own_size, each.apart), default=None)
+    near = min(fits, key=lambda each: (not each.of_this_size, each.apart), default=None)
     lasts, shortest = log.time_s[-1] - log.time_s[0], min(each.duration_s for each in plan.experiments)
     if near is None and lasts < shortest - LATEST_S:
         return (
@@ -262,7 +237,7 @@ def _refusal(log: MotorLog, plan: Plan, machine: Machine, fits: Sequence[_Fit]) 
             "from before the motion until after it."
         )
     motor, what = MOTORS[near.motor], near.experiment.name
-    if not near.own_size and near.spread_s <= MOST_SPREAD_S:
+    if not near.of_this_size and near.spread_s <= MOST_SPREAD_S:
         stated = ", ".join(f"{key} = {getattr(machine.steps, key)}" for key in SIZES if key in machine.steps.stated)
         return (
             f"Its motion is that of motor {motor} in {what}, but with {abs(near.steps_per_mm):.5g} steps/mm, and the "
@@ -284,13 +259,11 @@ def _joined(log: MotorLog, fit: _Fit, repeat: int, name: str) -> Joined:
     experiment, clock = fit.experiment, fit.clock
     tau = clock.experiment_time(log.time_s)
     if tau[0] > LATEST_S or tau[-1] < experiment.duration_s:
-        raise MeasurementError(
-            log.source,
-            [
-                f"It runs from {tau[0]:.2f} to {tau[-1]:.2f} s of a motion of {experiment.duration_s:.2f} s: it was "
-                "cut off. Record it again, from before the motion, and with more samples (S)."
-            ],
+        reason = (
+            f"It runs from {tau[0]:.2f} to {tau[-1]:.2f} s of a motion of {experiment.duration_s:.2f} s: it was "
+            "cut off. Record it again, from before the motion, and with more samples (S)."
         )
+        raise MeasurementError(log.source, [reason])
     step = 1.0 / float(np.round(log.sample_rate_hz))
     first = max(min(float(tau[0]), -LATEST_S), -KEPT_REST_S[0])  # rows that the log lacks are gaps
     last = min(float(tau[-1]), experiment.duration_s + KEPT_REST_S[1])

@@ -106,17 +106,13 @@ def _strokes(
         if np.linalg.norm(at + step) > length_mm[1]:
             step = -step
         at = at + step if np.linalg.norm(at + step) <= length_mm[1] else np.zeros(2)
-        spent += _stroke_s(float(np.linalg.norm(at - vertices[-1])), v, limits.acceleration_mm_per_s2)
+        way = float(np.linalg.norm(at - vertices[-1]))  # from rest to rest
+        top = min(v, float(np.sqrt(way * limits.acceleration_mm_per_s2)))
+        spent += way / max(top, 1e-9) + top / limits.acceleration_mm_per_s2
         vertices.append(at)
         speeds.append(v)
     xy = np.array([*vertices, np.zeros(2)])
     return _rounded_motion(place_mm, np.column_stack([xy, np.zeros(len(xy))]), [*speeds, speeds[-1]], limits)
-
-
-def _stroke_s(length: float, speed: float, acceleration: float) -> float:
-    """Time of a stroke from rest to rest."""
-    top = min(speed, float(np.sqrt(length * acceleration)))
-    return length / max(top, 1e-9) + top / acceleration
 
 
 def loop(place_mm: FloatArray, demand: Demand, seconds: float, rng: np.random.Generator) -> Motion:
@@ -209,10 +205,7 @@ class Request:
 def make_plan(machine: Machine, request: Request) -> Plan:
     """Choose and check the experiments.
 
-    Raises
-    ------
-    LimitsError
-        For places out of reach or too near to each other, or a file that would take too long.
+    Raises LimitsError for places out of reach or too near to each other, or a file that would take too long.
     """
     places = list(request.places_mm) or default_places(machine)
     _check_places(machine, places, request.height_mm)

@@ -22,7 +22,7 @@ from math import ceil, floor
 import numpy as np
 
 from ffcomp.errors import LimitsError
-from models.arrays import ComplexArray, FloatArray, IntArray
+from models.arrays import FloatArray, IntArray
 
 HIGHEST_SHARE = 0.45  # of the segments' rate: nearer to half of it, the image at 1/S − f is as strong as the signal
 FASTEST_RATE = 500.0  # segments a second that firmwares' hosts follow
@@ -63,10 +63,7 @@ class Band:
 def band(lowest_hz: float, highest_hz: float, period_s: float, segments_per_second: float) -> Band:
     """Make a band with the requested number of knots, or more if its highest frequency needs them.
 
-    Raises
-    ------
-    LimitsError
-        For a band that is empty, or that needs more segments than a firmware's host can follow.
+    Raises LimitsError for a band that is empty, or that needs more segments than a firmware's host can follow.
     """
     rate = max(segments_per_second, highest_hz / HIGHEST_SHARE)
     if rate > FASTEST_RATE:
@@ -237,11 +234,6 @@ class Lines:
     frequency_hz: FloatArray  # (m,)
     amplitude_mm: FloatArray  # (m,) as it is executed
     phase_rad: FloatArray  # (m,)
-
-    @property
-    def complex_mm(self) -> ComplexArray:
-        """(m,) amplitude and phase in one."""
-        return np.asarray(self.amplitude_mm * np.exp(1j * self.phase_rad), dtype=np.complex128)
 
 
 def lines_of(moved: FloatArray, band: Band) -> Lines:

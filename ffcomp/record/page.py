@@ -15,12 +15,10 @@ import numpy as np
 
 from ffcomp.errors import LimitsError
 from ffcomp.planner.limits import PlannerLimits, planner_limits
-from ffcomp.record.gcode_writer import TRAVEL_SHARE, Firmware
+from ffcomp.record.gcode_writer import Firmware, comments, lines, moves_within_limits, travel_feeds
 from ffcomp.record.moves import MODES_HZ, carriage_gain, rounding_share
 from ffcomp.record.plan import Experiment, Motion, Page, Plan, plain_motion
-from gcode.dialects import close_limits, open_limits
-from gcode.emit import XYZ_COUNTS, MoveWriter
-from gcode.program import ModalState, MotionLimits
+from gcode.emit import XYZ_COUNTS
 from models.arrays import BoolArray, FloatArray
 from models.kinematics.base import Kinematics
 from models.machine import Machine
@@ -83,13 +81,7 @@ class _Box:
 
 
 def make_page(machine: Machine, request: PageRequest) -> Plan:
-    """Lay out a page on the machine's bed.
-
-    Raises
-    ------
-    LimitsError
-        Where the bed is too small, or a limit is exceeded.
-    """
+    """Lay out a page on the machine's bed; LimitsError where the bed is too small, or a limit is exceeded."""
     limits = _limits(machine, request)
     cells = _cells(machine.kinematics, 4 if machine.vibration.position_dependent else 2)
     rng = np.random.default_rng([request.seed, int(machine.sha256[:8] or "0", 16)])
@@ -264,47 +256,26 @@ class _Drawer:
 
 def page_lines(plan: Plan, machine: Machine, firmware: Firmware) -> Iterator[bytes]:
     """Yield the G-code of a page line by line; the bed mesh stays as it is, the shaper is off until the end."""
-    page, limits = plan.page, machine.limits
+    page, (travel, rising) = plan.page, travel_feeds(machine)
     assert page is not None
-    axes = machine.kinematics.raisable_axes
-    travel = 60 * TRAVEL_SHARE * limits.velocity_mm_per_s
-    rising = min(travel, 60 * (limits.z_velocity_mm_per_s or limits.velocity_mm_per_s))
     height = plan.experiments[0].position_mm[2]
-    yield from (
-        f"; {text}".rstrip().encode() + b"\n" for text in (*_instructions(plan, page), *firmware.explained(), "")
-    )
+    yield from comments((*_instructions(plan, page), *firmware.explained(), ""))
     heating = [] if page.pen else [f"M140 S{page.bed_c:g}", f"M104 S{page.nozzle_c:g}"]
     waiting = [] if page.pen else [f"M190 S{page.bed_c:g}", f"M109 S{page.nozzle_c:g}"]
-    for text in (*heating, "G28", *waiting, "G21", "G90", "M82", "M220 S100", "M221 S100", *firmware.shaper_off()):
-        yield text.encode() + b"\n"
+    units = ("G21", "G90", "M82", "M220 S100", "M221 S100")
+    yield from lines((*heating, "G28", *waiting, *units, *firmware.shaper_off()))
     yield b"G92 E%.10g\nG1 Z%.10g F%.10g\n" % (-RETRACT_MM, height + 5.0, rising)
-    put_back = MotionLimits(
-        limits.velocity_mm_per_s, limits.acceleration_mm_per_s2, limits.square_corner_velocity_mm_per_s, 0.5
-    )
     for experiment in plan.experiments:
-        motion = experiment.motion
-        x, y, z, _ = motion.start_mm.tolist()
+        x, y, z, _ = experiment.motion.start_mm.tolist()
         yield b"; %s\nG1 X%.10g Y%.10g F%.10g\nG1 Z%.10g F%.10g\n" % (experiment.name.encode(), x, y, travel, z, rising)
         if not page.pen:
             yield b"G92 E%.10g\nG1 E0 F%.10g\n" % (-RETRACT_MM, 60 * RETRACT_MM_PER_S)
-        yield from open_limits(
-            firmware.flavor,
-            motion.limits.velocity_mm_per_s,
-            motion.limits.acceleration_mm_per_s2,
-            motion.limits.square_corner_velocity_mm_per_s,
-            axes,
-        )
-        moves = MoveWriter()
-        moves.reset(ModalState(), motion.start_mm[:3].tolist(), 0.0)
-        yield from moves.moves(np.ascontiguousarray(motion.ends_mm), motion.speed)
-        yield from close_limits(firmware.flavor, put_back, axes)
+        yield from moves_within_limits(experiment.motion, machine, firmware.flavor, machine.kinematics.raisable_axes)
         if not page.pen:
             yield b"G92 E0\nG1 E%.10g F%.10g\n" % (-RETRACT_MM, 60 * RETRACT_MM_PER_S)
         yield b"G1 Z%.10g F%.10g\n" % (z + HOP_MM, rising)
     yield b"G1 Z%.10g F%.10g\nM400\n" % (min(height + 50.0, machine.kinematics.height_mm), rising)
-    cooling = [] if page.pen else ["M104 S0", "M140 S0"]
-    for text in (*cooling, *firmware.shaper_on()):
-        yield text.encode() + b"\n"
+    yield from lines((*([] if page.pen else ["M104 S0", "M140 S0"]), *firmware.shaper_on()))
 
 
 def _instructions(plan: Plan, page: Page) -> list[str]:

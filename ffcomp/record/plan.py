@@ -93,10 +93,7 @@ def plain_motion(vertices_mm: FloatArray, speed: FloatArray, limits: PlannerLimi
 def segment_motion(vertices_mm: FloatArray, segment_s: float, output: SegmentLimits) -> Motion:
     """Build the motion through (n + 1, 3) mm in which every segment lasts S, as the firmware executes it.
 
-    Raises
-    ------
-    LimitsError
-        Knots that the firmware's acceleration cannot reach in time.
+    Raises LimitsError for knots that the firmware's acceleration cannot reach in time.
     """
     n = len(vertices_mm) - 1
     speeds = segment_speeds(vertices_mm, np.zeros(n), np.full(n, segment_s), output)
@@ -201,6 +198,10 @@ class Plan:
         """List experiment and repeat, from 1, in the order of the file: a repeat follows when all were made once."""
         return [(each, repeat) for repeat in range(1, self.repeats + 1) for each in self.experiments]
 
+    def capture_s(self, experiment: Experiment) -> float:
+        """Return how long the capture of one execution lasts, rests included, s."""
+        return self.rest_before_s + experiment.duration_s + self.rest_after_s
+
     @property
     def duration_s(self) -> float:
         """From the first experiment to the end of the last one, without homing and travel."""
@@ -292,19 +293,13 @@ def _excitation_dict(excitation: Excitation) -> dict[str, Any]:
 
 
 def load_plan(path: str | Path) -> Plan:
-    """Load a plan from its JSON file; an earlier one of `identify plan` (ffcomp-excitation/1) too.
-
-    Raises
-    ------
-    MeasurementError
-        For a file that is no such plan, or an incomplete one.
-    """
+    """Load a plan from its JSON file; MeasurementError for a file that is no such plan, or an incomplete one."""
     try:
         read = json.loads(Path(path).read_text(encoding="utf-8"))
         schema = read["schema"]
-        if schema not in _READERS:
+        if schema not in (SCHEMA, EARLIER_SCHEMA):
             raise MeasurementError(str(path), [f"The schema is {schema!r}; {SCHEMA!r} is needed."])
-        return _READERS[schema](read)
+        return _plan(read) if schema == SCHEMA else _earlier_plan(read)
     except OSError as error:
         raise MeasurementError(str(path), [f"The plan cannot be read: {error.strerror}."]) from None
     except (json.JSONDecodeError, UnicodeDecodeError) as error:
@@ -380,7 +375,7 @@ def _excitation(entry: Mapping[str, Any]) -> Excitation:
 
 
 def _earlier_plan(read: Mapping[str, Any]) -> Plan:
-    """Read ffcomp-excitation/1: vertices and the time between them, and limits that are those of all experiments."""
+    """Read ffcomp-excitation/1 of the former `identify plan`: vertices, the time between them, limits of them all."""
     output, machine = SegmentLimits(**read["output"]), read["machine"]
     places = list(dict.fromkeys(tuple(entry["position_mm"]) for entry in read["experiments"]))
     experiments = []
@@ -393,6 +388,3 @@ def _earlier_plan(read: Mapping[str, Any]) -> Plan:
             Experiment(entry["name"], read["kind"], places.index(position), (x, y, z), motion, 0.0, excitation)
         )
     return Plan(machine["name"], machine["sha256"], tuple(experiments), repeats=1, seed=int(read["seed"]))
-
-
-_READERS = {SCHEMA: _plan, EARLIER_SCHEMA: _earlier_plan}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -136,12 +136,7 @@ class PlanResult:
 def plan_recording(request: PlanRequest) -> PlanResult:
     """Plan experiments, and write their G-code with the plan beside it.
 
-    Raises
-    ------
-    RequestError
-        For options that contradict each other.
-    LimitsError
-        For motion that the machine cannot execute.
+    Raises RequestError for options that contradict each other, LimitsError for motion that the machine cannot execute.
     """
     machine = load_machine(request.machine)
     flavor = request.flavor or machine.flavor or KLIPPER
@@ -163,78 +158,43 @@ def plan_recording(request: PlanRequest) -> PlanResult:
 
 
 def _planned(request: PlanRequest, machine: Machine, firmware: Firmware) -> tuple[Plan, Iterable[bytes]]:
+    kinematics, amplitude = machine.kinematics, request.amplitude_mm_per_s2
     if request.print_file is not None:
         plan, program = plan_print(request.print_file, machine, firmware.flavor)
         return plan, print_lines(plan, program, firmware)
     if request.purpose == "scan":
-        plan = make_page(machine, _page_request(request))
+        page = Page(**_options(request, Page))
+        options = _options(request, PageRequest, page=page, acceleration_mm_per_s2=amplitude)
+        plan = make_page(machine, PageRequest(**options))
         return plan, page_lines(plan, machine, firmware)
     if request.purpose == "identify":
-        plan = make_excitation_plan(machine, _excitation_request(request, machine))
+        groups = kinematics.excitation_directions
+        axes = request.axes or next(iter(groups))  # the first is the machine's default
+        one_of("--axes", [axes], groups)
+        options = _options(
+            request,
+            ExcitationRequest,
+            places_mm=_excited_places(request.at or (CENTRE,), machine),
+            directions=groups[axes],
+            kind=request.kind[0] if request.kind else None,
+            acceleration_mm_per_s2=amplitude,
+        )
+        plan = make_excitation_plan(machine, ExcitationRequest(**options))
+    elif request.purpose == "check":  # half a minute in the middle of the bed, always the same
+        options = {"seconds": CHECK_SECONDS, "repeats": CHECK_REPEATS, "seed": CHECK_SEED, "kinds": CHECK_KINDS}
+        plan = make_plan(machine, Request([kinematics.centre_mm], **options))
     else:
-        plan = make_plan(machine, check_request(machine) if request.purpose == "check" else _moves_request(request))
+        places = [number_pair("--at", text) for text in request.at]
+        kinds = list(dict.fromkeys(request.kind)) or None
+        options = _options(request, Request, places_mm=places, kinds=kinds, acceleration_mm_per_s2=amplitude)
+        plan = make_plan(machine, Request(**options))
     return plan, gcode_lines(plan, machine, firmware)
 
 
-def check_request(machine: Machine) -> Request:
-    """Return the moves of a check: half a minute in the middle of the bed, always the same."""
-    return Request(
-        [machine.kinematics.centre_mm],
-        seconds=CHECK_SECONDS,
-        repeats=CHECK_REPEATS,
-        seed=CHECK_SEED,
-        kinds=CHECK_KINDS,
-    )
-
-
-def _page_request(request: PlanRequest) -> PageRequest:
-    names = [each.name for each in fields(Page)]
-    drawn = {name: value for name in names if (value := getattr(request, name)) is not None}
-    stated = {
-        "height_mm": request.height_mm,
-        "acceleration_mm_per_s2": request.amplitude_mm_per_s2,
-        "seed": request.seed,
-    }
-    return PageRequest(Page(**drawn), **{key: value for key, value in stated.items() if value is not None})  # type: ignore[arg-type]
-
-
-def _moves_request(request: PlanRequest) -> Request:
-    stated = {
-        "height_mm": request.height_mm,
-        "seconds": request.seconds,
-        "repeats": request.repeats,
-        "acceleration_mm_per_s2": request.amplitude_mm_per_s2,
-        "seed": request.seed,
-        "kinds": list(dict.fromkeys(request.kind)) if request.kind else None,
-    }
-    places = [number_pair("--at", text) for text in request.at]
-    return Request(places, **{key: value for key, value in stated.items() if value is not None})  # type: ignore[arg-type]
-
-
-def _excitation_request(request: PlanRequest, machine: Machine) -> ExcitationRequest:
-    groups = machine.kinematics.excitation_directions
-    axes = request.axes or next(iter(groups))  # the first is the machine's default
-    one_of("--axes", [axes], groups)
-    stated = {
-        "height_mm": request.height_mm,
-        "kind": request.kind[0] if request.kind else None,
-        "lowest_hz": request.lowest_hz,
-        "highest_hz": request.highest_hz,
-        "period_s": request.period_s,
-        "periods": request.periods,
-        "realisations": request.realisations,
-        "z_acceleration_mm_per_s2": request.z_acceleration_mm_per_s2,
-        "acceleration_mm_per_s2": request.amplitude_mm_per_s2,
-        "repeats": request.repeats,
-        "segments_per_second": request.segments_per_second,
-        "seed": request.seed,
-    }
-    places = tuple(_excited_places(request.at or (CENTRE,), machine))
-    return ExcitationRequest(
-        places,
-        directions=groups[axes],
-        **{key: value for key, value in stated.items() if value is not None},  # type: ignore[arg-type]
-    )
+def _options(request: PlanRequest, cls: type[Any], **others: Any) -> dict[str, Any]:
+    """Return the fields of a plan's own request that the command line states; the others keep their defaults."""
+    values = {each.name: getattr(request, each.name, None) for each in fields(cls)} | others
+    return {name: value for name, value in values.items() if value is not None}
 
 
 def _excited_places(texts: Sequence[str], machine: Machine) -> list[Place]:
@@ -278,10 +238,7 @@ REST_BEFORE_S, REST_AFTER_S = 0.5, 0.3  # shorter than elsewhere: filament oozes
 def plan_print(path: Path, machine: Machine, flavor: str) -> tuple[Plan, Program]:
     """Choose up to twelve sections of a print, those with the hardest motion among its first layers.
 
-    Raises
-    ------
-    NothingToDo
-        If no section is long enough to be recorded.
+    Raises NothingToDo if no section is long enough to be recorded.
     """
     program = read_program(path.read_bytes(), str(path), flavor=flavor or None)
     trajectory = firmware_plan(program, machine)
@@ -292,14 +249,14 @@ def plan_print(path: Path, machine: Machine, flavor: str) -> tuple[Plan, Program
             f"{path.name} has no motion of {SHORTEST_S:g} to {LONGEST_S:g} s without a stop or a retraction inside in "
             f"its first {WITHIN_S / 60:g} min; record another print, or ffcomp's own moves (without --print)."
         )
-    made = [_experiment(each, program, machine) for each in sections]
-    hardest = sorted(range(len(made)), key=lambda k: -_hardness(made[k]))[:MOST_EXPERIMENTS]
-    chosen = [replace(made[k], name=f"ffcomp-print-{n}", place=n) for n, k in enumerate(sorted(hardest))]
-    rounded = [
-        replace(e, rounding=rounding_share(e.motion, machine.kinematics, machine.steps.per_motor, MODES_HZ))
-        for e in chosen
-    ]
-    plan = Plan(machine.name, machine.sha256, tuple(rounded), 1, REST_BEFORE_S, REST_AFTER_S, print_file=path.name)
+    motions = [_motion(each, program, machine) for each in sections]
+    hardest = sorted(range(len(motions)), key=lambda k: -_hardness(motions[k]))[:MOST_EXPERIMENTS]
+    experiments = []
+    for place, k in enumerate(sorted(hardest)):
+        x, y, z, _ = motions[k].start_mm.tolist()
+        rounding = rounding_share(motions[k], machine.kinematics, machine.steps.per_motor, MODES_HZ)
+        experiments.append(Experiment(f"ffcomp-print-{place}", "print", place, (x, y, z), motions[k], rounding))
+    plan = Plan(machine.name, machine.sha256, tuple(experiments), 1, REST_BEFORE_S, REST_AFTER_S, print_file=path.name)
     return plan, program
 
 
@@ -310,11 +267,10 @@ def _suits(section: Section, program: Program) -> bool:
     return section.travels and SHORTEST_S <= lasting <= LONGEST_S and section.begin_t < WITHIN_S and bool(whole)
 
 
-def _experiment(section: Section, program: Program, machine: Machine) -> Experiment:
+def _motion(section: Section, program: Program, machine: Machine) -> Motion:
     part, moves = slice(section.first, section.last), program.moves
     n = section.last - section.first
-    x, y, z, _ = moves.start[section.first].tolist()
-    motion = Motion(
+    return Motion(
         start_mm=moves.start[section.first],
         ends_mm=moves.end[part],
         speed=moves.speed[part],
@@ -323,14 +279,12 @@ def _experiment(section: Section, program: Program, machine: Machine) -> Experim
         stop_before=np.zeros(n, dtype=np.bool_),
         wait_before=np.zeros(n),
     )
-    return Experiment("", "print", section.first, (x, y, z), motion, 0.0)
 
 
-def _hardness(experiment: Experiment) -> float:
+def _hardness(motion: Motion) -> float:
     """Return the motion's acceleration, rms mm/s²."""
-    t = np.arange(0.0, experiment.duration_s, 1e-3)
-    acceleration = experiment.motion.trajectory.acceleration_at(t)[:, :2]
-    return float(np.sqrt((acceleration**2).sum(axis=1).mean()))
+    t = np.arange(0.0, motion.duration_s, 1e-3)
+    return float(np.sqrt((motion.trajectory.acceleration_at(t)[:, :2] ** 2).sum(axis=1).mean()))
 
 
 def print_lines(plan: Plan, program: Program, firmware: Firmware) -> Iterator[bytes]:
@@ -338,9 +292,7 @@ def print_lines(plan: Plan, program: Program, firmware: Firmware) -> Iterator[by
     before: dict[int, list[str]] = {}
     after: dict[int, list[str]] = {}
     for each in plan.experiments:
-        first = _first_move(each, program)
-        name = run_name(each.name, 1)
-        lasting = plan.rest_before_s + each.duration_s + plan.rest_after_s
+        first, name, lasting = _first_move(each, program), run_name(each.name, 1), plan.capture_s(each)
         start, stop = firmware.start(name, lasting), firmware.stop(name, lasting)
         before[int(program.moves.line[first])] = ["M400", rest(SETTLE_S), *start, rest(plan.rest_before_s)]
         after[int(program.moves.line[first + len(each.motion.speed) - 1])] = [rest(plan.rest_after_s), *stop]

@@ -119,11 +119,7 @@ class JoinResult:
 
 
 def measured_run(
-    name: str,
-    motion: Commanded,
-    tau: FloatArray,
-    sensors: Mapping[str, FloatArray],
-    comments: Mapping[str, str],
+    name: str, motion: Commanded, tau: FloatArray, sensors: Mapping[str, FloatArray], comments: Mapping[str, str]
 ) -> Recording:
     """Make a measured run of signals (n,) at the times (n,) s of an experiment: the command is the motion's."""
     return Recording(

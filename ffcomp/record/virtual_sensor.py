@@ -15,7 +15,7 @@ from scipy.interpolate import CubicSpline
 
 from ffcomp.errors import RequestError
 from ffcomp.measurement.sensors import G
-from ffcomp.record.plan import Experiment, Plan, load_plan, run_name
+from ffcomp.record.plan import Experiment, load_plan, run_name
 from gcode.atomic_write import replace_atomically
 from gcode.dialects import KLIPPER, REPRAPFIRMWARE
 from gcode.program import Program
@@ -55,21 +55,21 @@ def write_captures(
 ) -> list[Path]:
     """Write one capture for each execution of a plan.
 
+    Raises RequestError if the G-code is not the plan's, or the firmware records nothing itself.
+
     Parameters
     ----------
     program : the plan's G-code
     machine : what the firmware knows; the plant is what it drives
-    progress : told the share that is done
-
-    Raises
-    ------
-    RequestError
-        If the G-code is not the plan's, or the firmware records nothing itself.
+    progress : called with the share that is done
     """
     if flavor not in NAMES:
         raise RequestError(f"{flavor} has no accelerometer; --flavor klipper or reprapfirmware.")
-    plan = load_plan(plan_file)
-    _check_program(program, plan, plan_file)
+    plan, ends = load_plan(plan_file), program.moves.end[:, :3]
+    for each in plan.experiments:
+        corners = each.motion.nozzle(np.array([0.0, each.duration_s]))
+        if not all((np.abs(ends - place).max(axis=1) < 1e-3).any() for place in corners):
+            raise RequestError(f"{each.name} of {plan_file} is not in the G-code: give the file written with it.")
     rng = np.random.default_rng(sensor.seed)
     turn, rate = _tilt(rng, sensor.tilt_deg), sensor.rate_hz * rng.uniform(1 - WORST_RATE, 1 + WORST_RATE)
     folder.mkdir(parents=True, exist_ok=True)
@@ -90,15 +90,6 @@ def write_captures(
         written.append(path)
         progress((k + 1) / len(runs))
     return written
-
-
-def _check_program(program: Program, plan: Plan, plan_file: Path) -> None:
-    """Refuse G-code that does not end each experiment where the plan does."""
-    ends = program.moves.end[:, :3]
-    for experiment in plan.experiments:
-        corners = experiment.motion.nozzle(np.array([0.0, experiment.duration_s]))
-        if not all((np.abs(ends - place).max(axis=1) < 1e-3).any() for place in corners):
-            raise RequestError(f"{experiment.name} of {plan_file} is not in the G-code: give the file written with it.")
 
 
 def _tilt(rng: np.random.Generator, tilt_deg: float) -> FloatArray:

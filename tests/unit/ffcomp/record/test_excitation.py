@@ -33,11 +33,11 @@ from ffcomp.record.excitation import (
     peaks_of,
 )
 from ffcomp.record.gcode_writer import DEFAULT_CHIPS, Firmware, gcode_lines
-from ffcomp.record.multisine import lines_of, polyline_gain
+from ffcomp.record.multisine import Lines, lines_of, polyline_gain
 from ffcomp.record.plan import Excitation, Experiment, Plan, load_plan, plan_dict, save_plan, segment_motion
 from gcode.program import EventKind, Program
 from gcode.reader import read_program
-from models.arrays import FloatArray, constant
+from models.arrays import ComplexArray, FloatArray, constant
 from models.file import load_machine
 from models.machine import Machine
 from models.vibration.state_space import discretise
@@ -66,6 +66,10 @@ def excited(experiment: Experiment) -> Excitation:
 
 def named(plan: Plan, direction: str) -> Experiment:
     return next(each for each in plan.experiments if excited(each).direction == direction)
+
+
+def phasors(lines: Lines) -> ComplexArray:
+    return np.asarray(lines.amplitude_mm * np.exp(1j * lines.phase_rad))
 
 
 def command(experiment: Experiment, t: FloatArray) -> FloatArray:
@@ -171,7 +175,7 @@ def test_the_lines_are_those_of_the_polyline_that_quick_ramps_come_near() -> Non
     experiment = named(short(), "A")
     band, first = excited(experiment).band, excited(experiment).first_knot
     period = experiment.motion.vertices_mm[first : first + band.knots]
-    at_knots = lines_of(machine().kinematics.inverse(period)[:, 0], band).complex_mm
+    at_knots = phasors(lines_of(machine().kinematics.inverse(period)[:, 0], band))
     designed = at_knots * polyline_gain(band.frequencies_hz, band.segment_s)
 
     def error(acceleration: float) -> float:
@@ -181,7 +185,7 @@ def test_the_lines_are_those_of_the_polyline_that_quick_ramps_come_near() -> Non
         begin, t = motion.trajectory.start_t[first], np.arange(32 * band.knots) * band.segment_s / 32
         lines = lines_of(excited_coordinate(machine().kinematics, "A", motion, begin + t), band)
         upper = slice(len(designed) // 2, None)
-        return float(np.linalg.norm((lines.complex_mm - designed)[upper]) / np.linalg.norm(designed[upper]))
+        return float(np.linalg.norm((phasors(lines) - designed)[upper]) / np.linalg.norm(designed[upper]))
 
     own, quick, quicker = error(1e5), error(1e6), error(1e7)
     assert own < 0.2
@@ -254,11 +258,11 @@ def test_a_plant_that_plays_it_shows_its_frequency_response() -> None:
         carriages[k] = rest[6:9]
     frequency = excited(experiment).lines.frequency_hz
     period = slice(excited(experiment).first_knot * substeps, periods * substeps)
-    given = lines_of(carriages_mm[period, 1], excited(experiment).band).complex_mm * polyline_gain(frequency, step)
+    commanded = phasors(lines_of(carriages_mm[period, 1], excited(experiment).band)) * polyline_gain(frequency, step)
     wanted = machine().vibration.frequency_response(np.zeros(2), frequency)[:, :, 1]
     for output in range(3):
-        answer = lines_of(carriages[period.start - 1 : period.stop - 1, output], excited(experiment).band).complex_mm
-        assert np.abs(answer / given - wanted[:, output]).max() < 3e-3 * np.abs(wanted).max()
+        answer = phasors(lines_of(carriages[period.start - 1 : period.stop - 1, output], excited(experiment).band))
+        assert np.abs(answer / commanded - wanted[:, output]).max() < 3e-3 * np.abs(wanted).max()
 
 
 # What the machine can do
