@@ -64,12 +64,10 @@ def measured(case: Case, folder: Path) -> dict[str, Any]:
     certain = {name: 0.0 for name in machine.uncertainty if name in CERTAIN}
     machine = replace(machine, uncertainty={"default": KNOWN, **certain})
     bound = Bound(case.um, max_flow_mm3_per_s=FLOW)
-    whole_s = Print(data, case.print_name, machine).print_time_s
-    sampling = Sampling(share=min(EVALUATED_S / whole_s, 1.0))
+    printed = Print(data, case.print_name, machine)
+    sampling = Sampling(share=min(EVALUATED_S / printed.print_time_s, 1.0))
     began = time.process_time()
-    found = quickest(
-        data, case.print_name, machine, request=QuickestRequest(bound, sampling, case.shapers, OFF, case.printers)
-    )
+    found = quickest(printed, request=QuickestRequest(bound, sampling, case.shapers, OFF, case.printers))
     return {"case": case, "cpu_s": time.process_time() - began, **_row(found)}
 
 

@@ -12,12 +12,13 @@ from ffcomp.api.machines import load_machine
 from ffcomp.comparison import engine
 from ffcomp.comparison.request import CompareRequest
 from ffcomp.comparison.result import Comparison
-from ffcomp.comparison.sampling import Sampling
+from ffcomp.comparison.sampling import Print, Sampling
 from ffcomp.compensation.batch import workers
 from ffcomp.errors import RequestError, extras_told
 from ffcomp.inverse.settings import settings_for
 from ffcomp.metrics import Track
 from ffcomp.request import function
+from ffcomp.simulation.playback import check_same_kinematics
 from gcode.container import read_bytes
 from gcode.embedded import STAMP_REACH, already_processed, find_offset, original
 
@@ -94,17 +95,11 @@ def evaluate_print(
         note(f"{request.file} is compensated already: what is compared is the original that it holds.")
         offset = offset if any(offset) else find_offset(data[:STAMP_REACH])
         data = original(data)
-    return evaluate(
-        data,
-        str(request.file),
-        machine,
-        plant,
-        options,
-        settings=settings_for(machine, request.max_segments_per_second),
-        offset=offset,
-        flavor=request.flavor,
-        progress=request.progress,
-    )
+    if plant is not None:
+        check_same_kinematics(machine, plant)
+    printed = Print(data, str(request.file), machine, offset, request.flavor)
+    settings = settings_for(machine, request.max_segments_per_second)
+    return evaluate(printed, plant, options, settings=settings, progress=request.progress)
 
 
 def comparison_options(request: CompareRequest) -> engine.Request:

@@ -139,20 +139,13 @@ def compensate_print(
     if not request.if_known or done.already:
         return Compensation(machine, done)
     from ffcomp.comparison.quickest_plans import worth_knowing
+    from ffcomp.comparison.sampling import Print
 
     assert options.bound is not None and options.settings is not None
     result = done.result
-    known = worth_knowing(
-        data,
-        name or str(file),
-        machine,
-        options.settings,
-        options.bound,
-        request.if_known,
-        result.statistics.print_time_s,
-        offset=result.placement.offset,
-        flavor=result.flavor.flavor,
-    )
+    printed = Print(data, name or str(file), machine, result.placement.offset, result.flavor.flavor)
+    print_time_s = result.statistics.print_time_s
+    known = worth_knowing(printed, options.settings, options.bound, request.if_known, print_time_s)
     return Compensation(machine, done, tuple(known))
 
 

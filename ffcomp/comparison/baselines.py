@@ -110,21 +110,9 @@ def shaped_by_position(motion: Motion, frequency_of_position: FrequencyOfPositio
     return replace(motion, position=lambda t: shapers.scheduled_shape(motion.position, t, frequency_of_position, kind))
 
 
-def scaled(of_position: FrequencyOfPosition, factor: float) -> FrequencyOfPosition:
-    """Multiply the frequency of every position."""
-    return lambda xy: factor * of_position(xy)
-
-
 def resonance_tests(plant: Machine) -> list[Spectrum]:
     """Return the firmware's own tests of x and y in the middle of the bed: all kinds of shapers are set by them."""
     return [resonance_test_psd(effective_machine(plant), np.zeros(2), axis) for axis in ("x", "y")]
-
-
-def calibrated_shapers(tests: Sequence[Spectrum], kind: str) -> tuple[FloatArray, shapers.Shaper, shapers.Shaper]:
-    """Return what the firmware's calibration finds by these tests: (2,) Hz and the x and y shapers."""
-    frequency = np.array([fit(kind, each).frequency_hz for each in tests])
-    x, y = (shapers.SHAPERS[kind](f, shapers.DAMPING_RATIO) for f in frequency)
-    return frequency, x, y
 
 
 SHAPED_Z, INVERSE, CARRIAGES = "-z", "-inverse", "-carriages"
@@ -199,25 +187,18 @@ def kind_and_variant(name: str) -> tuple[str, str]:
 
 
 def shaper_variant(kind: str, variant: str, machine: Machine) -> ShaperVariant:
-    """Return one kind of shaper in one variant.
-
-    Parameters
-    ----------
-    kind : a name in `SHAPERS`
-    variant : "" or one of `OF_ALL` or, for a smooth kind, `OF_SMOOTH`
-    machine : whose carriages they are
-    """
-    z = ("z",) if variant.endswith(SHAPED_Z) else ()
+    """Return a kind of shaper, of `SHAPERS`, in a variant: "", one of `OF_ALL`, or of a smooth kind `OF_SMOOTH`."""
+    z, inverse = ("z",) if variant.endswith(SHAPED_Z) else (), variant.startswith(INVERSE)
     if variant == CARRIAGES:
         names: tuple[str, ...] = machine.kinematics.actuator_names
-    elif variant.startswith(INVERSE):
+    elif inverse:
         names = ("kernel x", "kernel y", *z, "mode x", "mode y")
     else:
         names = ("x", "y", *z)
     scans = [Scan(range(len(names)), COMMON_FACTORS)]
-    if variant.startswith(INVERSE):
-        scans.append(Scan([k for k, name in enumerate(names) if name.startswith("kernel")], KERNEL_FACTORS))
-    if kind not in KERNELS or variant.startswith(INVERSE):
+    if inverse:
+        scans.append(Scan([0, 1], KERNEL_FACTORS))
+    if kind not in KERNELS or inverse:
         names = (*names, DAMPING)
         scans.append(Scan([len(names) - 1], DAMPING_FACTORS))
     return ShaperVariant(kind, variant, names, tuple(scans))
@@ -301,10 +282,7 @@ class VariantTuner:
     ) -> Optimum:
         """Return the settings with the least contour rms on this print, and that.
 
-        Parameters
-        ----------
-        start : (k,), None: the calibrated ones
-        free : settings that may change; None: all
+        The search begins at `start`, or at the calibrated ones, and may change the `free` ones, or all.
         """
 
         def cost(settings: FloatArray) -> float:
@@ -312,14 +290,8 @@ class VariantTuner:
 
         if start is not None:
             return search(cost, start, variant.scans if free is None else (Scan(free, COMMON_FACTORS),), free)
-        if variant.inverse:  # from the calibrated one it ends at a kernel that is nearly a shaper
-            return search(cost, self._quick_kernel(variant), variant.scans[1:])
-        return search(cost, self.calibrated(variant), variant.scans)
-
-    def _quick_kernel(self, variant: ShaperVariant) -> FloatArray:
-        """Return settings whose kernel is far quicker than the mode, which is what ZV's calibration finds."""
-        settings = self.calibrated(variant)
-        modes = [self._fitted("zv", k, self._axes) for k in range(2)]
-        settings[:2] = 3 * np.array(modes)
-        settings[-3:-1] = modes
-        return settings
+        settings, scans = self.calibrated(variant), variant.scans
+        if variant.inverse:  # from the calibrated one it ends at a kernel that is nearly a shaper: begin far quicker
+            modes = [self._fitted("zv", k, self._axes) for k in range(2)]
+            settings[:2], settings[-3:-1], scans = 3 * np.array(modes), modes, scans[1:]
+        return search(cost, settings, scans)

@@ -10,7 +10,6 @@ quality     compare.equal_quality how fast each method may go for the same quali
 
 from __future__ import annotations
 
-import hashlib
 import time
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -24,7 +23,6 @@ from ffcomp.comparison.equal_quality import QUALITY, equal_qualities, within_lim
 from ffcomp.comparison.evaluation import (
     SAMPLE_S,
     Execution,
-    MethodEvaluation,
     Piece,
     Progress,
     Stages,
@@ -37,19 +35,17 @@ from ffcomp.comparison.evaluation import (
 from ffcomp.comparison.methods import COMPENSATED, TunedMethod
 from ffcomp.comparison.monte_carlo import ON_PLANTS, TUNING_ON_PLANTS, draw_plants, with_spread
 from ffcomp.comparison.result import BedMap, Comparison, Layer, Method, Outline, Party, Peaks
-from ffcomp.comparison.sampling import SETTLE_S, Print, PrintSlice, Sampling
+from ffcomp.comparison.sampling import SETTLE_S, SHORTEST_S, Print, PrintSlice, Sampling, check_long_enough
 from ffcomp.compensation.job import Job, Options
 from ffcomp.compensation.prediction import READ_AGAIN_S, read_again
-from ffcomp.errors import NothingToDo
 from ffcomp.inverse.robust import choose_robust
 from ffcomp.inverse.settings import Settings, settings_for
 from ffcomp.metrics import Track
-from ffcomp.simulation.playback import ROW_S, check_same_kinematics
+from ffcomp.simulation.playback import ROW_S
 from ffcomp.version import __version__
 from models.effects.catalogue import design_machine
 from models.machine import Machine
 
-SHORTEST_S = 3 * SETTLE_S
 ON_PLANTS_S = 60.0  # of print time that is executed on every Monte-Carlo plant
 TUNING_S, TUNING_PIECE_S = 30.0, 5.0  # on which shapers are tuned and accelerations tried
 BED_PITCH_MM = 10.0
@@ -70,44 +66,30 @@ class Request:
 
 
 def compare(
-    data: bytes,
-    path: str,
-    machine: Machine,
+    printed: Print,
     plant: Machine | None = None,
     request: Request | None = None,
     *,
     settings: Settings | None = None,
-    offset: tuple[float, float] = (0.0, 0.0),
-    flavor: str = "",
     jobs: int = 1,
     progress: Progress = lambda what, done: None,
 ) -> Comparison:
-    """Evaluate every method on one print. With several jobs call it within `compensate.batch.workers`.
+    """Evaluate every method on one print; NothingToDo if the chosen part is too short.
+
+    With several jobs call it within `compensate.batch.workers`.
 
     Parameters
     ----------
-    data, path : the G-code file and its name
-    machine : the machine file that the methods use
-    plant : the printer that evaluates; None: the machine itself
+    printed : the print, on the machine whose file the methods use
+    plant : the printer that evaluates, with the same kinematics; None: the machine itself
     settings : of the inverse
-    offset : (float, float), added to every position, mm
-    flavor : "" for what the machine file says, or else the file
     jobs : processes that share the Monte-Carlo plants; the numbers are the same
     progress : called with the current step and the share of it that is done
-
-    Raises
-    ------
-    NothingToDo: If the chosen part is too short.
-    MachineFileError: If the plant's kinematics are not the machine's.
     """
-    started = time.perf_counter()
+    started, machine = time.perf_counter(), printed.machine
     request, plant, settings = request or Request(), plant or machine, settings or settings_for(machine)
-    check_same_kinematics(machine, plant)
-    printed = Print(data, path, machine, offset, flavor)
     slices, sampled = printed.slices(request.sampling)
-    if max(each.trajectory.end_t for each in slices) < SHORTEST_S:
-        raise NothingToDo(f"{path}: the part to be evaluated lasts less than {SHORTEST_S:g} s: nothing to compare.")
-    plant_slices, _ = printed.slices(request.sampling, at_most_s=ON_PLANTS_S)
+    check_long_enough(slices, printed.path)
     tuning_slices, _ = printed.slices(request.sampling, TUNING_PIECE_S, TUNING_S)
     if max(each.trajectory.end_t for each in tuning_slices) < SHORTEST_S:
         tuning_slices = slices  # in small pieces of a short print nothing is left but their beginnings
@@ -116,21 +98,20 @@ def compare(
     chosen = {*names(request), written_method}
     progress = Stages(progress, _stages(request, len(chosen)))
     tuned = [_named(each, written_method) for each in _tuned(machine, plant, tuning_slices, settings, chosen, progress)]
-    written = replace(settings, robust=choice.robust)
-    predicted = _predicted(data, path, machine, written, printed) if request.predict else {}
-    executed = _executed(tuned, slices, plant, progress)
-    evaluated = {method.name: _method(method, executed[method.name], printed.labels.features) for method in tuned}
+    predicted = _predicted(printed, replace(settings, robust=choice.robust)) if request.predict else {}
+    evaluated = _evaluated(tuned, slices, plant, printed.labels.features, progress)
     best = _best_fixed(evaluated)
     if request.seeds:
         plants = draw_plants(plant, request.mismatch, request.seeds)
+        plant_slices, _ = printed.slices(request.sampling, at_most_s=ON_PLANTS_S)
         evaluated = with_spread(evaluated, tuned, best, plant_slices, tuning_slices, plants, jobs, progress)
     if request.quality_bound_um:
         p99 = {name: method.track.contour_p99_um for name, method in evaluated.items()}
         quality = equal_qualities(tuned, printed, plant, tuning_slices, request.quality_bound_um, p99, progress)
         evaluated = {name: replace(method, equal_quality=quality[name]) for name, method in evaluated.items()}
     return Comparison(
-        print_name=path,
-        print_sha256=hashlib.sha256(data).hexdigest(),
+        print_name=printed.path,
+        print_sha256=printed.sha256,
         print_time_s=printed.print_time_s,
         layers_total=printed.labels.layers,
         sampling=sampled,
@@ -163,9 +144,7 @@ def compare(
 def names(request: Request) -> Collection[str]:
     """Return the names of the methods to compare.
 
-    Raises
-    ------
-    ValueError: For a name that no method has, or if there is no best fixed shaper to compare with.
+    Raises ValueError for a name that no method has, or if there is no best fixed shaper to compare with.
     """
     unknown = [name for name in request.only if name not in every.NAMES and request.only != (ALL,)]
     if unknown:
@@ -226,30 +205,29 @@ def _named(method: TunedMethod, written: str) -> TunedMethod:
 
 
 @dataclass(frozen=True, eq=False)
-class _Executed:
-    executions: list[Execution]
+class _Commanded:
+    """A method's commands."""
+
+    pieces: list[Piece]
     peaks: Peaks
     print_time_s: float
     warnings: tuple[str, ...]
 
 
-def _executed(
-    tuned: Sequence[TunedMethod], slices: Sequence[PrintSlice], plant: Machine, progress: Progress
-) -> dict[str, _Executed]:
-    tasks = [partial(_commanded, method, slices) for method in tuned]
-    commanded = in_parallel(tasks, PLANNING, progress)
-    pieces = [piece for each in commanded for piece in each.pieces]
-    executions, count = execute(plant, pieces, PRINTING, progress), len(slices)
-    return {
-        method.name: _Executed(executions[k * count : (k + 1) * count], *each.about)
-        for k, (method, each) in enumerate(zip(tuned, commanded, strict=True))
-    }
-
-
-@dataclass(frozen=True, eq=False)
-class _Commanded:
-    pieces: list[Piece]
-    about: tuple[Peaks, float, tuple[str, ...]]  # the print time, s, and warnings
+def _evaluated(
+    tuned: Sequence[TunedMethod],
+    slices: Sequence[PrintSlice],
+    plant: Machine,
+    features: Sequence[str],
+    progress: Progress,
+) -> dict[str, Method]:
+    """Command, execute and evaluate every method."""
+    commanded = in_parallel([partial(_commanded, method, slices) for method in tuned], PLANNING, progress)
+    executions = execute(plant, [piece for each in commanded for piece in each.pieces], PRINTING, progress)
+    evaluated, count = {}, len(slices)
+    for k, (method, each) in enumerate(zip(tuned, commanded, strict=True)):
+        evaluated[method.name] = _method(method, each, executions[k * count : (k + 1) * count], features)
+    return evaluated
 
 
 def _commanded(method: TunedMethod, slices: Sequence[PrintSlice]) -> _Commanded:
@@ -264,26 +242,28 @@ def _commanded(method: TunedMethod, slices: Sequence[PrintSlice]) -> _Commanded:
     longer = sum(s.print_time_s - s.original_print_time_s for s in statistics if s is not None)
     seconds = sum(each.trajectory.end_t for each in slices) + longer
     warnings = tuple(sentence for each in statistics if each is not None for sentence in each.warnings)
-    return _Commanded(pieces, (Peaks(velocity, acceleration, within), seconds, warnings))
+    return _Commanded(pieces, Peaks(velocity, acceleration, within), seconds, warnings)
 
 
-def _method(method: TunedMethod, executed: _Executed, features: Sequence[str]) -> Method:
-    evaluation: MethodEvaluation = evaluate(executed.executions)
-    s, peak = evaluation.samples, executed.peaks.acceleration_mm_per_s2
+def _method(
+    method: TunedMethod, commanded: _Commanded, executions: Sequence[Execution], features: Sequence[str]
+) -> Method:
+    evaluation = evaluate(executions)
+    s, peak = evaluation.samples, commanded.peaks.acceleration_mm_per_s2
     everywhere = np.ones(len(s.due), dtype=np.bool_)
     return Method(
         name=method.name,
         label=method.label,
         family=method.family,
         tuning=method.tuning,
-        track=track(evaluation, everywhere, executed.print_time_s, peak),
-        extruding=track(evaluation, s.extruding, executed.print_time_s, peak),
+        track=track(evaluation, everywhere, commanded.print_time_s, peak),
+        extruding=track(evaluation, s.extruding, commanded.print_time_s, peak),
         by_layer=by(s.layer, s),
         by_feature={features[k]: error for k, error in by(s.feature, s).items()},
         residual_rms_um=evaluation.residual_rms_um,
-        peaks=executed.peaks,
+        peaks=commanded.peaks,
         samples=s,
-        warnings=executed.warnings,
+        warnings=commanded.warnings,
     )
 
 
@@ -318,26 +298,22 @@ def _settings(settings: Settings) -> dict[str, str]:
     }
 
 
-def _predicted(data: bytes, path: str, machine: Machine, settings: Settings, printed: Print) -> dict[str, Track]:
+def _predicted(printed: Print, settings: Settings) -> dict[str, Track]:
     """Predict the whole print as `compensate` does, and `show`; nothing of what they would predict in another way."""
-    if printed.print_time_s > READ_AGAIN_S or design_machine(machine)[1]:
+    if printed.print_time_s > READ_AGAIN_S or design_machine(printed.machine)[1]:
         return {}
     options = Options(offset=printed.offset, flavor=printed.flavor, settings=settings, predict=False)
-    written = b"".join(Job(data, path, machine, options).lines())
-    return read_again(written, path, machine, printed.offset, printed.flavor)
+    written = b"".join(Job(printed.data, printed.path, printed.machine, options).lines())
+    return read_again(written, printed.path, printed.machine, printed.offset, printed.flavor)
 
 
 def _layers(printed: Print, method: Method) -> tuple[Layer, ...]:
-    s, moves = method.samples, printed.program.moves
-    begins, ends = (
-        printed.planned.trajectory.start_t,
-        printed.planned.trajectory.start_t + printed.planned.trajectory.duration,
-    )
+    s, plan = method.samples, printed.planned.trajectory
     layers = []
     for number in sorted(method.by_layer):
-        moves_of_layer = np.flatnonzero(printed.labels.layer == number)
-        z = float(np.median(s.reference[s.layer == number, 2])) if len(moves) else 0.0
-        layers.append(Layer(number, z, float(begins[moves_of_layer[0]]), float(ends[moves_of_layer[-1]])))
+        first, last = np.flatnonzero(printed.labels.layer == number)[[0, -1]]
+        z = float(np.median(s.reference[s.layer == number, 2]))
+        layers.append(Layer(number, z, float(plan.start_t[first]), float(plan.start_t[last] + plan.duration[last])))
     return tuple(layers)
 
 

@@ -39,10 +39,9 @@ def equal_qualities(
 
     Parameters
     ----------
-    printed : gives the print time at that acceleration
     slices : evaluated at every acceleration; half a minute of print is enough
     bound_um : of the contour error's 99th percentile
-    p99_um : mapping of method names, it at the print's own acceleration: where the search begins
+    p99_um : by method, at the print's acceleration: where the search begins
     """
     stated = printed.acceleration_mm_per_s2 or USUAL
     searches = [

@@ -139,12 +139,7 @@ def _weights(execution: Execution) -> FloatArray:
 
 
 def evaluate(executions: Sequence[Execution]) -> MethodEvaluation:
-    """Evaluate one method over all slices.
-
-    Raises
-    ------
-    NothingToDo: If every slice is shorter than SETTLE_S.
-    """
+    """Evaluate one method over all slices; NothingToDo if every slice is shorter than SETTLE_S."""
     executions = [each for each in executions if each.counted.any()]
     if not executions:
         raise NothingToDo(
@@ -168,8 +163,9 @@ def evaluate(executions: Sequence[Execution]) -> MethodEvaluation:
         extruding=np.concatenate([each.print_slice.extrudes[m] for each, m in zip(executions, moves, strict=True)]),
         weight=np.concatenate([_weights(each) for each in executions]),
     )
-    residual = _residual_um([n - w for n, w in zip(nozzle, reference, strict=True)], reference)
-    return MethodEvaluation(samples, np.concatenate(late), delay, residual)
+    ringing = [part for n, r in zip(nozzle, reference, strict=True) for part in _steady(n - r, r)]
+    residual_um = rms(np.linalg.norm(np.concatenate(ringing), axis=1)) * 1e3 if ringing else float("nan")
+    return MethodEvaluation(samples, np.concatenate(late), delay, residual_um)
 
 
 def track(evaluation: MethodEvaluation, which: BoolArray, print_time_s: float, peak_acceleration: float) -> Track:
@@ -198,13 +194,8 @@ def by(labels: IntArray, samples: Samples) -> dict[int, Error]:
     return {int(k): contour_numbers(samples, labels == k) for k in np.unique(labels)}
 
 
-def _residual_um(errors: Sequence[FloatArray], reference: Sequence[FloatArray]) -> float:
-    """Return the rms of the error about its mean where the reference is steady: residual ringing."""
-    ringing = [part for e, r in zip(errors, reference, strict=True) for part in _steady(e, r)]
-    return rms(np.linalg.norm(np.concatenate(ringing), axis=1)) * 1e3 if ringing else float("nan")
-
-
 def _steady(error: FloatArray, reference: FloatArray) -> list[FloatArray]:
+    """Return the error about its mean, stretch by stretch, where the reference is steady: residual ringing."""
     bend = np.linalg.norm(np.diff(reference, 2, axis=0), axis=1) / SAMPLE_S
     edge = np.flatnonzero(np.diff(np.concatenate([[0], (bend < STEADY_MM_PER_S).astype(np.int8), [0]])))
     long_enough = round(STEADY_S / SAMPLE_S)
@@ -218,14 +209,7 @@ Piece = tuple[PrintSlice, Motion]
 def execute(
     plant: Machine, pieces: Sequence[Piece], what: str, progress: Progress, *, coarse: bool = False
 ) -> list[Execution]:
-    """Execute every piece from rest, in the order of the pieces.
-
-    Parameters
-    ----------
-    pieces : sequence of (PrintSlice, Motion)
-    what : for the progress
-    coarse : see `simulate_side_by_side`
-    """
+    """Execute every piece from rest, in the order of the pieces; coarse as `simulate_side_by_side` is."""
     groups = side_by_side([motion for _, motion in pieces])
     tasks = [partial(_together, plant, [pieces[k] for k in group], coarse) for group in groups]
     executed: dict[int, Execution] = {}

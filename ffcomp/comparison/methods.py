@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,9 +15,7 @@ from ffcomp.comparison.baselines import (
     LinearPrinter,
     ShaperVariant,
     VariantTuner,
-    calibrated_shapers,
     kind_and_variant,
-    scaled,
     shaped,
     shaped_by_position,
     shaped_by_variant,
@@ -35,7 +34,7 @@ from ffcomp.planner.program import PlannedProgram, known_to_the_firmware, plan_p
 from ffcomp.planner.reach import within_reach
 from ffcomp.planner.trajectory import PlannedMotion, Trajectory
 from ffcomp.shapers.apply import FrequencyOfPosition
-from ffcomp.shapers.calibration import Spectrum
+from ffcomp.shapers.calibration import Spectrum, fit
 from ffcomp.shapers.smooth import USUAL
 from ffcomp.simulation.command import Motion, SectionClock, SectionStarts, motion_of, section_starts
 from gcode.reader import read_program
@@ -63,11 +62,8 @@ def compensated(
     offset: tuple[float, float] = (0.0, 0.0),
     progress: Callable[[float], None] = lambda done_s: None,
 ) -> Compensated:
-    """Compensate a planned program as the command line does.
+    """Compensate a planned program, whose positions were shifted by an offset (mm), as the command line does.
 
-    Parameters
-    ----------
-    offset : (float, float), by which the program's positions were shifted, mm
     progress : called with the print seconds done so far
     """
     chunk, context = PlannedChunk.whole(planned), Context(machine, model.settings, flavor, offset)
@@ -93,10 +89,8 @@ def segments(
 ) -> Segments:
     """Read the compensated file as a firmware would, and find the sections in it.
 
-    Parameters
-    ----------
-    before : lines that set what was in effect where it begins, if it is a slice of a print
-    start : (float, float, float), where the nozzle is then, mm
+    Of a slice of a print, `before` are lines that set what was in effect where it begins, and `start` is where the
+    nozzle is then, mm.
     """
     program = read_program(
         before + file.text, "compensated", start=start, flavor=file.flavor, **known_to_the_firmware(machine)
@@ -205,10 +199,10 @@ def calibrated(tests: Sequence[Spectrum], kind: str) -> TunedMethod:
 
     tests : of x and y, see `resonance_tests`
     """
-    frequency, x, y = calibrated_shapers(tests, kind)
+    frequency = [fit(kind, each).frequency_hz for each in tests]
     tuning = f"x {frequency[0]:.1f} Hz, y {frequency[1]:.1f} Hz: Klipper's calibration from a resonance test at 0, 0."
-    label = f"{kind.upper()}, calibrated"
-    return TunedMethod(kind + CALIBRATED, label, "calibrated", tuning, _shaping(x, y))
+    x, y = (shapers.SHAPERS[kind](f, shapers.DAMPING_RATIO) for f in frequency)
+    return TunedMethod(kind + CALIBRATED, f"{kind.upper()}, calibrated", "calibrated", tuning, _shaping(x, y))
 
 
 def best_fixed(linear: LinearPrinter, kind: str) -> TunedMethod:
@@ -231,7 +225,10 @@ def scheduled(linear: LinearPrinter, of_position: FrequencyOfPosition, kind: str
     tuning = (
         f"{factor:.2f} times the frequency of the plant's dominant mode at each position, the best of twelve factors."
     )
-    motion = _by_position(scaled(of_position, factor), kind)
+
+    def motion(print_slice: PrintSlice) -> tuple[Motion, Statistics | None]:
+        return shaped_by_position(print_slice.motion, lambda xy: factor * of_position(xy), kind), None
+
     return TunedMethod(kind + SCHEDULED, f"{kind.upper()}, scheduled", "scheduled", tuning, motion)
 
 
@@ -248,30 +245,19 @@ def inversion(machine: Machine, settings: Settings, name: str) -> TunedMethod:
     )
     # every method keeps the plan's time
     inverse_model = InverseModel(machine, replace(settings, one_model=one_model, robust=robust, time_scaling=False))
-    return TunedMethod(name, label, "inversion", tuning, _inverting(inverse_model))
+
+    def motion(s: PrintSlice) -> tuple[Motion, Statistics | None]:
+        file = compensated(s.planned, s.machine, inverse_model, s.flavor, s.offset)
+        return segments_motion(segments(file, s.machine, s.before, s.start)), file.statistics
+
+    return TunedMethod(name, label, "inversion", tuning, motion)
 
 
 def _shaping(x: shapers.Shaper, y: shapers.Shaper) -> Executor:
     return lambda print_slice: (shaped(print_slice.motion, x, y), None)
 
 
-def _by_position(of_position: FrequencyOfPosition, kind: str) -> Executor:
-    return lambda print_slice: (shaped_by_position(print_slice.motion, of_position, kind), None)
-
-
-def _inverting(inverse_model: InverseModel) -> Executor:
-    def motion(s: PrintSlice) -> tuple[Motion, Statistics | None]:
-        file = compensated(s.planned, s.machine, inverse_model, s.flavor, s.offset)
-        return segments_motion(segments(file, s.machine, s.before, s.start)), file.statistics
-
-    return motion
-
-
 def mode_frequencies(plant: Machine) -> FrequencyOfPosition:
     """Return the dominant mode's frequency over the plant's bed, along x and along y."""
     linear_plant = effective_machine(plant)
-
-    def at(xy: np.ndarray) -> np.ndarray:
-        return shapers.dominant_frequencies(linear_plant, xy)
-
-    return shapers.over_the_bed(linear_plant, at)
+    return shapers.over_the_bed(linear_plant, partial(shapers.dominant_frequencies, linear_plant))

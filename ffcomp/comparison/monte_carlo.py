@@ -28,12 +28,9 @@ TRUNCATION_SD = 2.5  # standard deviations; farther draws are drawn again
 
 
 def draw_plants(machine: Machine, relative_sd: float, seeds: int) -> list[Machine]:
-    """Draw machines whose dynamic parameters are all off, each by its own draw from a normal distribution.
+    """Draw machines whose dynamic parameters are all off, each by a draw from a normal distribution.
 
-    Parameters
-    ----------
-    relative_sd : standard deviation of parameter / nominal
-    seeds : seed k gives machine k, independent of the number of seeds
+    The standard deviation is that of parameter / nominal. Seed k gives machine k, whatever the number of seeds.
     """
     parameters = machine.vibration.parameters()
     plants = []

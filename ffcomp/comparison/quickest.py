@@ -8,9 +8,8 @@ ffcomp     faster                   the quickest plan whose error stays under th
 
 from __future__ import annotations
 
-import hashlib
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 
@@ -21,32 +20,37 @@ from ffcomp.comparison.baselines import LinearPrinter
 from ffcomp.comparison.evaluation import Execution, Progress, contour, in_parallel, weights
 from ffcomp.comparison.methods import COMPENSATED, TunedMethod, compensated, segments, segments_motion
 from ffcomp.comparison.monte_carlo import draw_plants
-from ffcomp.comparison.quickest_plans import FEEDS, BoundedSlice, Setting, SettingSearch, WholePrint, seconds_of
+from ffcomp.comparison.quickest_plans import (
+    FEEDS,
+    SLICE_S,
+    BoundedSlice,
+    SettingSearch,
+    WholePrint,
+    bound_of,
+    seconds_of,
+)
 from ffcomp.comparison.result import FASTER, KNOWN, Family, Party, Piece, Quickest, TimedMethod
-from ffcomp.comparison.sampling import SETTLE_S, Print, PrintSlice, Sampling
-from ffcomp.errors import NothingToDo
-from ffcomp.faster.bound import FIRST_LAYER, Bound, with_slicer_settings
-from ffcomp.faster.program import AS_SLICED, COOLING, faster_program
+from ffcomp.comparison.sampling import Print, PrintSlice, Sampling, check_long_enough
+from ffcomp.faster.bound import Bound
+from ffcomp.faster.program import AS_SLICED, COOLING
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.settings import Settings, settings_for
 from ffcomp.metrics import contour_statistics
 from ffcomp.planner.limits import planner_limits
-from ffcomp.planner.program import plan_program
 from ffcomp.shapers.smooth import USUAL
-from ffcomp.simulation.playback import check_same_kinematics, simulate_nozzles
+from ffcomp.simulation.playback import simulate_nozzles
 from ffcomp.version import __version__
 from models.arrays import FloatArray, IntArray
 from models.machine import Machine
 
-SLICE_S, EVALUATED_S = 8.0, 48.0  # length of a slice, and of all unless more is asked for
+EVALUATED_S = 48.0  # of all slices unless more is requested
 TUNED_S = 30.0  # on which shapers are tuned
-ENDS = 1 << 16  # bytes at both ends of a file, in which slicers say their settings
 KEPT_FEEDS = (1.0, 0.7, 0.5, 0.35)
 
 
 @dataclass(frozen=True, slots=True)
 class QuickestRequest:
-    """What is asked for."""
+    """Options of a comparison at equal error."""
 
     bound: Bound = field(default_factory=lambda: Bound(25.0))
     sampling: Sampling = field(default_factory=Sampling)
@@ -65,57 +69,40 @@ class _Job:
     bound: Bound
     whole: WholePrint
     bounded_slices: list[BoundedSlice]
-    plants: list[Machine]  # printers that are off, on which what was found is judged too
+    plants: list[Machine]  # printers that are off, on which the commands are evaluated too
 
 
 def quickest(
-    data: bytes,
-    path: str,
-    machine: Machine,
+    printed: Print,
     plant: Machine | None = None,
     request: QuickestRequest | None = None,
     *,
     settings: Settings | None = None,
-    offset: tuple[float, float] = (0.0, 0.0),
-    flavor: str = "",
     progress: Progress = lambda what, done: None,
 ) -> Quickest:
-    """Find how long the print takes with every method at the error that all may have.
-
-    Parameters
-    ----------
-    data, path : the G-code file and its name
-    machine : the machine file that the methods use
-    plant : the printer that evaluates; None: the machine itself
-    settings : of the inverse
-    offset, flavor :: As of `compare`.
-    progress : called with the current step and the share of it that is done
-
-    Raises
-    ------
-    NothingToDo: If the chosen part is too short.
-    """
-    started = time.perf_counter()
+    """Find how long the print takes with every method at the error that all may have; arguments as of `compare`."""
+    started, machine = time.perf_counter(), printed.machine
     request, plant, settings = request or QuickestRequest(), plant or machine, settings or settings_for(machine)
-    check_same_kinematics(machine, plant)
-    printed = Print(data, path, machine, offset, flavor)
-    bound = with_slicer_settings(request.bound, data[:ENDS], data[-ENDS:])
+    bound = bound_of(printed, request.bound)
     at_most_s = EVALUATED_S if request.sampling.share is None else np.inf
     slices, sampled = printed.slices(request.sampling, SLICE_S, at_most_s)
-    if max(each.trajectory.end_t for each in slices) < 3 * SETTLE_S:
-        raise NothingToDo(f"{path}: the part to be evaluated lasts less than {3 * SETTLE_S:g} s: nothing to compare.")
+    check_long_enough(slices, printed.path)
     bounded_slices = [BoundedSlice.of(each, printed.labels.features, bound) for each in slices]
     plants = draw_plants(plant, request.mismatch, request.seeds)
     job = _Job(machine, plant, settings, bound, WholePrint(printed, bound), bounded_slices, plants)
-    few = _some(slices)
-    linear = LinearPrinter(plant, few)
-    tasks = [partial(_kept, job, every.none()), *(partial(_shaper, job, linear, kind) for kind in request.shapers)]
+    linear = LinearPrinter(plant, _some(slices))
     feeds_kept = replace(every.inversion(machine, settings, COMPENSATED), label="ffcomp, feeds kept")
-    tasks += [partial(_kept, job, feeds_kept), partial(_faster, job), partial(_faster, job, known=True)]
+    tasks = [
+        partial(_set, job, every.none, FEEDS),
+        *(partial(_set, job, partial(every.best_fixed, linear, kind), FEEDS) for kind in request.shapers),
+        partial(_set, job, lambda: feeds_kept, KEPT_FEEDS),
+        partial(_faster, job),
+        partial(_faster, job, known=True),
+    ]
     methods = in_parallel(tasks, "seeking the quickest print", progress)
     return Quickest(
-        print_name=path,
-        print_sha256=hashlib.sha256(data).hexdigest(),
+        print_name=printed.path,
+        print_sha256=printed.sha256,
         machine=Party.of(machine),
         plant=Party.of(plant),
         version=__version__,
@@ -128,16 +115,12 @@ def quickest(
         methods={each.name: each for each in methods},
         actuator_limit_s=job.whole.actuator_limit_s(),
         seconds=time.perf_counter() - started,
-        mismatch=_mismatch(request),
-    )
-
-
-def _mismatch(request: QuickestRequest) -> str:
-    if not request.seeds:
-        return ""
-    return (
-        f"What was found is also played on {request.seeds} printers whose dynamic parameters are each off by a normal "
-        f"draw with a standard deviation of {request.mismatch:.0%}."
+        mismatch=(
+            f"What was found is also played on {request.seeds} printers whose dynamic parameters are each off by a "
+            f"normal draw with a standard deviation of {request.mismatch:.0%}."
+            if request.seeds
+            else ""
+        ),
     )
 
 
@@ -167,38 +150,26 @@ def _flow(job: _Job) -> float | None:
 
 
 def _sliced(job: _Job) -> TimedMethod:
-    slices, whole = [each.print_slice for each in job.bounded_slices], job.whole
-    execution = _executions(every.none(), slices, job.plant)
+    executions = [_execution(job.plant, each.print_slice, every.none()) for each in job.bounded_slices]
     about = "The slicer's speeds, without compensation."
-    return _timed_method(job, ("sliced", "as sliced", "none", about), execution, whole.bounded.seconds)
+    return _timed_method(job, ("sliced", "as sliced", "none", about), executions, job.whole.bounded.seconds)
 
 
-def _shaper(job: _Job, linear: LinearPrinter, kind: str) -> TimedMethod:
-    return _set(job, every.best_fixed(linear, kind), FEEDS)
-
-
-def _kept(job: _Job, method: TunedMethod) -> TimedMethod:
-    """Seek the highest acceleration with the slicer's feeds, or with slower ones where none keeps the bound."""
-    return _set(job, method, FEEDS if method.family == "none" else KEPT_FEEDS)
-
-
-def _set(job: _Job, method: TunedMethod, feeds: Sequence[float]) -> TimedMethod:
-    setting: Setting = SettingSearch(method, job.bounded_slices, job.plant, job.bound.max_error_um).setting(feeds)
-    slices = [each.at(setting.feed, setting.acceleration_mm_per_s2) for each in job.bounded_slices]
-    execution = _executions(method, slices, job.plant)
-    seconds = job.whole.at(setting.feed, setting.acceleration_mm_per_s2)
+def _set(job: _Job, tune: Callable[[], TunedMethod], feeds: Sequence[float]) -> TimedMethod:
+    """Seek the quickest feeds, of these, and acceleration of a method that keep the bound."""
+    method = tune()
+    setting = SettingSearch(method, job.bounded_slices, job.plant, job.bound.max_error_um).setting(feeds)
+    feed, acceleration = setting.feed, setting.acceleration_mm_per_s2
+    executions = [_execution(job.plant, each.at(feed, acceleration), method) for each in job.bounded_slices]
     about = (method.name, method.label, method.family, method.tuning)
-    timed = _timed_method(job, about, execution, seconds)
-    return replace(timed, feed=setting.feed, acceleration_mm_per_s2=setting.acceleration_mm_per_s2)
+    timed = _timed_method(job, about, executions, job.whole.at(feed, acceleration))
+    return replace(timed, feed=feed, acceleration_mm_per_s2=acceleration)
 
 
-def _executions(method: TunedMethod, slices: Sequence[PrintSlice], plant: Machine) -> list[Execution]:
-    executions = []
-    for print_slice in slices:
-        motion, _ = method.motion(print_slice)
-        t, (nozzle,) = simulate_nozzles([plant], motion, print_slice.machine)
-        executions.append(Execution(print_slice, motion, t, nozzle))
-    return executions
+def _execution(plant: Machine, print_slice: PrintSlice, method: TunedMethod) -> Execution:
+    motion, _ = method.motion(print_slice)
+    t, (nozzle,) = simulate_nozzles([plant], motion, print_slice.machine)
+    return Execution(print_slice, motion, t, nozzle)
 
 
 def _faster(job: _Job, known: bool = False) -> TimedMethod:
@@ -212,19 +183,14 @@ def _faster(job: _Job, known: bool = False) -> TimedMethod:
     quick = [_FasterSlice.of(each, model, job) for each in job.bounded_slices]
     estimated = job.whole.from_slices(job.bounded_slices, [each.seconds for each in quick])
     seconds = job.whole.cooled(estimated)
-    timed = _timed_method(job, _about_faster(job, known), [each.execution for each in quick], seconds)
+    name, label = (KNOWN, "ffcomp, faster, machine known") if known else (FASTER, "ffcomp, faster")
+    share = f"{100 * (1 - job.bound.safety):.0f} % of printers as uncertain as the machine file says"
+    whose = "the machine file's printer alone" if known else share
+    tuning = f"Every move as fast as error, flow and the machine's limits allow; the bound holds for {whose}."
+    timed = _timed_method(job, (name, label, "inversion", tuning), [each.execution for each in quick], seconds)
     limited = _limited(job, quick, estimated, float(seconds.sum() - estimated.sum()))
     warnings = dict.fromkeys(warning for each in quick for warning in each.warnings)
     return replace(timed, limited_by=limited, warnings=tuple(warnings))
-
-
-def _about_faster(job: _Job, known: bool) -> tuple[str, str, Family, str]:
-    tuning = "Every move as fast as error, flow and the machine's limits allow; the bound holds for "
-    if known:
-        return KNOWN, "ffcomp, faster, machine known", "inversion", f"{tuning}the machine file's printer alone."
-    share = f"{100 * (1 - job.bound.safety):.0f} %"
-    about = f"{tuning}{share} of printers as uncertain as the machine file says."
-    return FASTER, "ffcomp, faster", "inversion", about
 
 
 @dataclass(frozen=True, eq=False)
@@ -239,11 +205,8 @@ class _FasterSlice:
     @classmethod
     def of(cls, bounded: BoundedSlice, model: InverseModel, job: _Job) -> _FasterSlice:
         part, machine = bounded.print_slice, job.machine
-        bound = replace(job.bound, min_layer_time_s=0.0, change_speed=(*job.bound.change_speed, FIRST_LAYER))
-        feature = bounded.features[part.feature[0]]
-        kept = (part.layer == 0) & job.bound.keeps_first_layer
-        faster = faster_program(part.planned.program, model, bound, 1, feature, kept)
-        quick = replace(part, planned=plan_program(faster.program, machine))
+        faster, planned = bounded.faster(model, job.bound)
+        quick = replace(part, planned=planned)
         file = compensated(quick.planned, machine, model, part.flavor, part.offset)
         motion = segments_motion(segments(file, machine, part.before, part.start))
         t, (nozzle,) = simulate_nozzles([job.plant], motion, machine)

@@ -17,15 +17,14 @@ from ffcomp.comparison.equal_quality import HIGHEST, LOWEST, p99_um
 from ffcomp.comparison.methods import TunedMethod
 from ffcomp.comparison.sampling import Print, PrintSlice, Sampling
 from ffcomp.faster.bound import FIRST_LAYER, SHORTEST_LAYER_S, Bound, RaisedLimits, raised_limits, with_slicer_settings
-from ffcomp.faster.program import actuator_limit_s, faster_program
+from ffcomp.faster.program import FasterProgram, actuator_limit_s, faster_program
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.settings import Settings
 from ffcomp.planner.limits import planner_limits
 from ffcomp.planner.lookahead import stops_and_waits
-from ffcomp.planner.program import plan_program
+from ffcomp.planner.program import PlannedProgram, plan_program
 from ffcomp.planner.trajectory import PlannedMotion
 from gcode.layers import Labels
-from gcode.program import Moves
 from models.arrays import BoolArray, FloatArray, IntArray
 from models.machine import Machine
 
@@ -65,24 +64,29 @@ class BoundedSlice:
 
     def at(self, feed: float, acceleration: float) -> PrintSlice:
         """Plan with feeds times a factor and with this acceleration, mm/s²."""
-        part = self.print_slice
-        changed = _at(part.planned.program.moves, self.ceiling, feed, acceleration)
+        part, free, top = self.print_slice, self.free, self.ceiling.moves
+        moves = part.planned.program.moves
+        travels = np.any(moves.end[:, :3] != moves.start[:, :3], axis=1)
+        quickest = np.minimum(moves.speed * feed, top.speed)
+        kept = np.where(travels, moves.speed * min(feed, 1.0), moves.speed)
+        gentler = np.where(travels, np.fmin(moves.acceleration, acceleration), moves.acceleration)
+        faster = np.fmax(moves.velocity_limit, top.velocity_limit)
+        changed = replace(
+            moves,
+            speed=np.where(free, quickest, kept),
+            velocity_limit=np.where(free, faster, moves.velocity_limit),
+            acceleration=np.where(free, acceleration, gentler),
+        )
         return replace(part, planned=plan_program(replace(part.planned.program, moves=changed), part.machine))
 
-
-def _at(moves: Moves, ceiling: RaisedLimits, feed: float, acceleration: float) -> Moves:
-    free, travels = ~ceiling.kept, np.any(moves.end[:, :3] != moves.start[:, :3], axis=1)
-    quickest = np.minimum(moves.speed * feed, ceiling.moves.speed)
-    kept = np.where(travels, moves.speed * min(feed, 1.0), moves.speed)
-    gentler = np.where(travels, np.fmin(moves.acceleration, acceleration), moves.acceleration)
-    return replace(
-        moves,
-        speed=np.where(free, quickest, kept),
-        velocity_limit=np.where(
-            free, np.fmax(moves.velocity_limit, ceiling.moves.velocity_limit), moves.velocity_limit
-        ),
-        acceleration=np.where(free, acceleration, gentler),
-    )
+    def faster(self, model: InverseModel, bound: Bound) -> tuple[FasterProgram, PlannedProgram]:
+        """Make the moves as quick as the bound allows, however short their layers become."""
+        part = self.print_slice
+        alone = replace(bound, min_layer_time_s=0.0, change_speed=(*bound.change_speed, FIRST_LAYER))
+        kept = (part.layer == 0) & bound.keeps_first_layer
+        feature = self.features[part.feature[0]]
+        faster = faster_program(part.planned.program, model, alone, 1, feature, kept)
+        return faster, plan_program(faster.program, part.machine)
 
 
 def seconds_of(plan: PlannedMotion) -> FloatArray:
@@ -214,6 +218,11 @@ SLICE_S, EVALUATED_S = 8.0, 24.0  # length of a slice, and of all of them
 ENDS = 1 << 16  # bytes at both ends of a file, in which slicers say their settings
 
 
+def bound_of(printed: Print, bound: Bound) -> Bound:
+    """Fill in what the user left open from the slicer's settings in the file."""
+    return with_slicer_settings(bound, printed.data[:ENDS], printed.data[-ENDS:])
+
+
 @dataclass(frozen=True, slots=True)
 class Known:
     """What the print takes if no number of the machine file is less certain than this."""
@@ -224,37 +233,25 @@ class Known:
 
 
 def worth_knowing(
-    data: bytes,
-    path: str,
-    machine: Machine,
-    settings: Settings,
-    bound: Bound,
-    known: Sequence[float],
-    print_time_s: float,
-    *,
-    offset: tuple[float, float] = (0.0, 0.0),
-    flavor: str = "",
+    printed: Print, settings: Settings, bound: Bound, known: Sequence[float], print_time_s: float
 ) -> list[Known]:
     """Plan slices that stand for the print at other uncertainties.
 
     Parameters
     ----------
-    data, path, machine, settings, bound : what was compensated, and how
+    settings, bound : how the print was compensated
     known : relative standard deviations that no number of the machine file shall exceed
     print_time_s : of the quicker print, with the machine file as it is
-    offset, flavor : as of `compare`
     """
-    printed = Print(data, path, machine, offset, flavor)
-    bound = with_slicer_settings(bound, data[:ENDS], data[-ENDS:])
+    machine, bound = printed.machine, bound_of(printed, bound)
     slices, _ = printed.slices(Sampling(), SLICE_S, EVALUATED_S)
     bounded_slices = [BoundedSlice.of(each, printed.labels.features, bound) for each in slices]
     whole = WholePrint(printed, bound)
 
     def seconds(uncertainty: dict[str, float]) -> float:
-        known_machine = replace(machine, uncertainty=uncertainty)
-        model = InverseModel(known_machine, replace(settings, robust=True))
-        now = [_quick_s(each, model, bound, known_machine) for each in bounded_slices]
-        return float(whole.cooled(whole.from_slices(bounded_slices, now)).sum())
+        model = InverseModel(replace(machine, uncertainty=uncertainty), replace(settings, robust=True))
+        plans = [each.faster(model, bound)[1].trajectory for each in bounded_slices]
+        return float(whole.cooled(whole.from_slices(bounded_slices, [seconds_of(plan) for plan in plans])).sum())
 
     as_it_is = seconds(dict(machine.uncertainty))
     answers = []
@@ -262,11 +259,3 @@ def worth_knowing(
         share = seconds({name: min(value, sd) for name, value in machine.uncertainty.items()}) / as_it_is
         answers.append(Known(sd, share, share * print_time_s))
     return answers
-
-
-def _quick_s(bounded: BoundedSlice, model: InverseModel, bound: Bound, machine: Machine) -> FloatArray:
-    part = bounded.print_slice
-    alone = replace(bound, min_layer_time_s=0.0, change_speed=(*bound.change_speed, FIRST_LAYER))
-    kept = (part.layer == 0) & bound.keeps_first_layer
-    faster = faster_program(part.planned.program, model, alone, 1, bounded.features[part.feature[0]], kept)
-    return seconds_of(plan_program(faster.program, machine).trajectory)

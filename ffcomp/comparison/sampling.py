@@ -8,6 +8,7 @@ Cochran, Sampling Techniques, 3rd ed. 1977, 5A.9).
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -52,15 +53,7 @@ class Strata:
         extrudes: BoolArray,
         outer: BoolArray,
     ) -> Strata:
-        """Partition n moves.
-
-        Parameters
-        ----------
-        feature, layer : (n,) arrays
-        middle_mm : (n, 2), where each move is
-        seconds : (n,) array
-        extrudes, outer : (n,), whether it extrudes, and whether it is an outer wall
-        """
+        """Partition n moves, which lie at (n, 2) mm, extrude or not, and are outer walls or not."""
         kind = 2 * feature + extrudes
         low, high = int(layer.min()), int(layer.max())
         height = (HEIGHTS * (layer - low)) // (high - low + 1)
@@ -79,12 +72,7 @@ class Strata:
         return np.stack(columns, axis=1)
 
     def weights(self, chosen: FloatArray) -> FloatArray:
-        """Return the weight (n,) of each move's samples, on average 1 over what is chosen.
-
-        Parameters
-        ----------
-        chosen : (n,), seconds of each move that are evaluated
-        """
+        """Return the weight (n,) of each move's samples, on average 1 over the seconds (n,) that are evaluated."""
         whole = np.bincount(self.kind, self.seconds)
         taken = np.bincount(self.kind, chosen, len(whole))
         share = np.divide(whole, taken, out=np.zeros(len(whole)), where=taken > 0.0)
@@ -142,6 +130,7 @@ class _Choice:
 LONGEST_S = 120.0  # of print time that is evaluated unless more is requested
 SLICE_S = 4.0  # length of one slice of a sampled print
 SETTLE_S = 0.5  # at the beginning of a slice, not evaluated: the printer may have come from anywhere
+SHORTEST_S = 3 * SETTLE_S  # of the longest slice
 
 
 @dataclass(frozen=True, slots=True)
@@ -208,12 +197,19 @@ def accelerated(planned: PlannedProgram, machine: Machine, acceleration: float) 
 
 
 class Print:
-    """A sliced print on a machine."""
+    """A sliced print on a machine.
+
+    Parameters
+    ----------
+    data, path : the G-code file and its name
+    offset : added to every position, mm
+    flavor : "" for what the machine file says, or else the file
+    """
 
     def __init__(
         self, data: bytes, path: str, machine: Machine, offset: tuple[float, float] = (0.0, 0.0), flavor: str = ""
     ) -> None:
-        self.path, self.machine, self.offset = path, machine, offset
+        self.data, self.path, self.machine, self.offset = data, path, machine, offset
         stated = flavor or machine.flavor
         program = read_program(data, path, offset_mm=offset, flavor=stated or None, **known_to_the_firmware(machine))
         self.flavor = stated or detect_flavor(program.lines)
@@ -224,6 +220,11 @@ class Print:
     def program(self) -> Program:
         """The whole program."""
         return self.planned.program
+
+    @property
+    def sha256(self) -> str:
+        """Of the file."""
+        return hashlib.sha256(self.data).hexdigest()
 
     @property
     def print_time_s(self) -> float:
@@ -248,19 +249,15 @@ class Print:
     def slices(
         self, sampling: Sampling, slice_s: float = SLICE_S, at_most_s: float = np.inf
     ) -> tuple[list[PrintSlice], str]:
-        """Return the slices to be evaluated, and a sentence that says which they are.
-
-        sampling : Sampling
-        slice_s, at_most_s : float
-            Length of one slice of a sampled print and of all together, s.
-        """
+        """Return the slices to be evaluated, so long each and at most so long together, and a sentence about them."""
         first, last = self._layers(sampling)
         start_t = np.append(self.planned.trajectory.start_t, self.print_time_s)
         seconds = float(start_t[last] - start_t[first])
         whole = first == 0 and last == len(self.program.moves)
         evaluated = min(LONGEST_S, seconds) if sampling.share is None else sampling.share * seconds
         evaluated = min(evaluated, at_most_s)
-        what = "the whole print" if whole else _layers_named(sampling)
+        last_layer = "the last" if sampling.last_layer is None else sampling.last_layer
+        what = "the whole print" if whole else f"layers {sampling.first_layer} to {last_layer}"
         cuts = [] if evaluated >= seconds - slice_s / 2 else list(self._cuts(first, last, evaluated, slice_s))
         if not cuts:  # all is requested, or it is a single arc, which is not cut
             slices = [self.whole()] if whole else [self._part(first, last)]
@@ -382,6 +379,7 @@ def _weighted(slices: Sequence[PrintSlice], begins: Sequence[int], strata: Strat
     ]
 
 
-def _layers_named(sampling: Sampling) -> str:
-    last = "the last" if sampling.last_layer is None else f"{sampling.last_layer}"
-    return f"layers {sampling.first_layer} to {last}"
+def check_long_enough(slices: Sequence[PrintSlice], path: str) -> None:
+    """Raise NothingToDo if nothing is left of any slice but its beginning."""
+    if max(each.trajectory.end_t for each in slices) < SHORTEST_S:
+        raise NothingToDo(f"{path}: the part to be evaluated lasts less than {SHORTEST_S:g} s: nothing to compare.")

@@ -70,39 +70,19 @@ def scheduled_shape(
     of what they suppress and they smooth less: on three sample prints 1.2-1.3 times for zvd and ei, 1.45-1.6 times for
     2hump_ei.
 
-    Parameters
-    ----------
-    position : callable
-        The planned motion.
-    t : (k,) array
-        Times in s.
-    frequency_of_position : callable
-        Frequencies of the x and y shapers.
-    kind : str
-        A name in `SHAPERS`.
-    damping_ratio : float
-
-    Returns
-    -------
-    (k, 3) array
-        In mm, z as planned.
+    kind : a name in `SHAPERS`
     """
     in_periods = SHAPERS[kind](1.0, damping_ratio)
     out = np.array(position(t), dtype=float)
-    frequency = _checked(frequency_of_position(out[:, :2].copy()))
+    frequency = frequency_of_position(out[:, :2].copy())
+    if (wrong := frequency[~(frequency > 0)]).size:
+        raise ValueError(f"A shaper's frequency must be above zero at every position, not {wrong[0]} Hz.")
     for axis in range(2):
         out[:, axis] = sum(
             a * position(t - delay / frequency[:, axis])[:, axis]
             for a, delay in zip(in_periods.amplitude, in_periods.time, strict=True)
         )
     return out
-
-
-def _checked(frequency_hz: FloatArray) -> FloatArray:
-    wrong = frequency_hz[~(frequency_hz > 0)]
-    if wrong.size:
-        raise ValueError(f"A shaper's frequency must be above zero at every position, not {wrong[0]} Hz.")
-    return frequency_hz
 
 
 def shape_samples(samples: FloatArray, by_column: Sequence[Shaper | None], step_s: float, margin: int) -> FloatArray:
@@ -174,21 +154,10 @@ def _delayed(
 
 
 def dominant_frequencies(machine: Machine, xy: FloatArray) -> FloatArray:
-    """Return the frequencies of the modes at one position in which the nozzle vibrates most.
+    """Return the frequencies (2,) Hz of the modes at a position (2,) mm that the nozzle vibrates most in along X and Y.
 
     For the same commanded acceleration, that is the largest |X/Ẍ_d| = |G|/ω² at a natural frequency, with G from
-    commanded to real nozzle. The drive's own resonance is not among the modes: it is the same everywhere.
-
-    Parameters
-    ----------
-    machine : Machine
-    xy : (2,) array
-        In mm, columns X Y.
-
-    Returns
-    -------
-    (2,) array
-        In Hz, for command and response along X, and along Y.
+    commanded to real nozzle. The drive's resonance is not among the modes: it is the same everywhere.
     """
     natural = machine.vibration.modes_at(xy).frequencies_hz
     loudness = (
@@ -200,17 +169,10 @@ def dominant_frequencies(machine: Machine, xy: FloatArray) -> FloatArray:
 def over_the_bed(
     machine: Machine, frequencies_at: Callable[[FloatArray], FloatArray], pitch_mm: float = 10.0
 ) -> FrequencyOfPosition:
-    """Tabulate frequencies at the nodes of a square grid, and interpolate linearly between them.
+    """Tabulate frequencies, (2,) mm → (2,) Hz, at the nodes of a square grid, and interpolate linearly between them.
 
     Where the dominant mode changes, its frequency jumps, and with it the shaped position would; between two nodes the
     interpolation makes a slope of it. Outside the bed the value at the rim's nearest node holds.
-
-    Parameters
-    ----------
-    machine : Machine
-    frequencies_at : callable
-        (2,) mm, columns X Y → (2,) Hz, along X and Y.
-    pitch_mm : float
     """
     reach = machine.kinematics.model_reach_mm
     if not reach:

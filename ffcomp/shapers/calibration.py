@@ -98,21 +98,7 @@ def resonance_test(
 ) -> FloatArray:
     """Return the nozzle's acceleration while a firmware's resonance test excites it along one axis, for small motion.
 
-    See `_answer` for the test itself.
-
-    Parameters
-    ----------
-    machine : Machine
-    xy : (2,) array
-        Position that is tested, mm, columns X Y.
-    axis : {"x", "y", "z"}
-    acceleration_per_hz : float
-        mm/s² per Hz.
-
-    Returns
-    -------
-    (n, 3) array
-        mm/s², columns X Y Z, at RATE_HZ.
+    The test is made at one position (2,) mm; the acceleration is (n, 3) mm/s² at RATE_HZ.
     """
 
     def response(lines: FloatArray) -> ComplexArray:
@@ -139,20 +125,14 @@ def _answer(response: Callable[[FloatArray], ComplexArray], acceleration_per_hz:
 
     response : (k,) Hz → (k, 3), of X Y Z to what is excited, acceleration per acceleration.
     """
-    command = _commanded_acceleration(acceleration_per_hz)
+    time, velocity = pulse_train(acceleration_per_hz)
+    grid = np.arange(int(np.ceil(time[-1] + _SETTLE_S)) * _FINE_RATE_HZ + 1) / _FINE_RATE_HZ  # whole seconds
+    command = np.diff(np.interp(grid, time, velocity)) * _FINE_RATE_HZ  # the mean over each sample
     ratio = _FINE_RATE_HZ // RATE_HZ
     kept = len(command) // (2 * ratio) + 1  # lines up to half the slow rate
     lines = np.linspace(0.0, RATE_HZ / 2, kept)
     answered = response(lines) * np.fft.rfft(command)[:kept, None] / ratio
     return np.fft.irfft(answered, len(command) // ratio, axis=0)
-
-
-def _commanded_acceleration(acceleration_per_hz: float) -> FloatArray:
-    """Return (n,) mm/s² at _FINE_RATE_HZ, the mean over each sample; whole seconds."""
-    time, velocity = pulse_train(acceleration_per_hz)
-    seconds = int(np.ceil(time[-1] + _SETTLE_S))
-    grid = np.arange(seconds * _FINE_RATE_HZ + 1) / _FINE_RATE_HZ
-    return np.diff(np.interp(grid, time, velocity)) * _FINE_RATE_HZ
 
 
 def pulse_train(acceleration_per_hz: float) -> tuple[FloatArray, FloatArray]:
@@ -192,38 +172,21 @@ def normalised(frequency_hz: FloatArray, psd: FloatArray) -> Spectrum:
 def calibrated(
     x: Spectrum, y: Spectrum, square_corner_velocity: float = 5.0, slack: float = 0.0
 ) -> tuple[Calibration, Calibration]:
-    """Return the frequency of every kind and the recommended shaper, for the x and the y axis.
-
-    Parameters
-    ----------
-    x, y : Spectrum
-    square_corner_velocity : float
-        The printer's, mm/s.
-    slack : float
-        See `fit`.
-    """
-    first, second = (_calibrated(axis, square_corner_velocity, slack) for axis in (x, y))
-    return first, second
-
-
-def _calibrated(spectrum: Spectrum, square_corner_velocity: float, slack: float) -> Calibration:
-    fits = {kind: fit(kind, spectrum, square_corner_velocity, slack) for kind in _CANDIDATES}
-    return Calibration(fits, recommended(fits.values()))
+    """Return the frequency of every kind and the recommended shaper, for x and for y; arguments as of `fit`."""
+    of_x, of_y = (
+        {kind: fit(kind, spectrum, square_corner_velocity, slack) for kind in _CANDIDATES} for spectrum in (x, y)
+    )
+    return Calibration(of_x, recommended(of_x.values())), Calibration(of_y, recommended(of_y.values()))
 
 
 def fit(kind: str, spectrum: Spectrum, square_corner_velocity: float = 5.0, slack: float = 0.0) -> Fit:
-    """Find the frequency with the lowest score among those that leave hardly more vibration than the best.
+    """Find the frequency of a kind in `SHAPERS` with the lowest score of those that leave hardly more than the best.
 
     Parameters
     ----------
-    kind : str
-        A name in `SHAPERS`.
-    spectrum : Spectrum
-    square_corner_velocity : float
-        In mm/s.
-    slack : float
-        Vibration that may remain beyond 1.1 times the least: none in Kalico and in Klipper until 2023, 0.0005 in
-        Klipper today.
+    square_corner_velocity : mm/s
+    slack : vibration that may remain beyond 1.1 times the least: none in Kalico and in Klipper until 2023, 0.0005 in
+        Klipper today
     """
     tried = np.arange(_LOWEST_HZ[kind], _UP_TO_HZ, _STEP_HZ)
     vibration = _remaining(SHAPERS[kind](1.0, DAMPING_RATIO), tried, *_checked(*spectrum))
@@ -233,22 +196,6 @@ def fit(kind: str, spectrum: Spectrum, square_corner_velocity: float = 5.0, slac
     good = (vibration < 1.1 * least + slack) | (vibration == least)
     best = int(np.argmin(np.where(good, score, np.inf)))
     return Fit(kind, float(tried[best]), float(vibration[best]), float(smooth[best]), float(score[best]))
-
-
-def calibrated_frequencies(
-    machine: Machine, xy: FloatArray, kind: str, axes: tuple[Axis, ...] = ("x", "y")
-) -> FloatArray:
-    """Return what `fit` chooses at one position, in Hz for each of the axes, as a firmware's calibration there does.
-
-    Parameters
-    ----------
-    machine : Machine
-    xy : (2,) array
-        In mm, columns X Y.
-    kind : str
-        A name in `SHAPERS`.
-    """
-    return np.array([fit(kind, resonance_test_psd(machine, xy, axis)).frequency_hz for axis in axes])
 
 
 def recommended(fits: Iterable[Fit]) -> Fit:
@@ -315,11 +262,7 @@ class ShaperAdvice:
 def shaper_advice(machine: Machine, square_corner_velocity: float | None = None) -> tuple[ShaperAdvice, ...]:
     """Return what suits x and y, as a firmware's calibration of the machine in the middle of the bed has it.
 
-    Parameters
-    ----------
-    machine : Machine
-    square_corner_velocity : float, optional
-        In mm/s; None: the machine file's.
+    square_corner_velocity : mm/s; None: the machine file's
     """
     corner = (
         machine.limits.square_corner_velocity_mm_per_s if square_corner_velocity is None else square_corner_velocity

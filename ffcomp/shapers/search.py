@@ -42,18 +42,12 @@ def best_fixed(
 
     Parameters
     ----------
-    kind : str
-        A name in `SHAPERS`.
-    cost : callable
-        Best on the very motion the shapers are to serve: no calibration can do better.
-    range_hz : (float, float)
-        Lowest and highest frequency of the scans.
-    damping_ratios : sequence of float
-        The scans' best one is kept.
-    tolerance : float
-        Relative step of the frequencies at which the search ends.
-    scanned : callable
-        A cheaper cost for the scans; None: the same.
+    kind : a name in `SHAPERS`
+    cost : best on the very motion the shapers are to serve: no calibration can do better
+    range_hz : lowest and highest frequency of the scans
+    damping_ratios : the scans' best one is kept
+    tolerance : relative step of the frequencies at which the search ends
+    scanned : a cheaper cost for the scans; None: the same
     """
     rough = scanned or cost
     count = int(np.ceil(np.log(range_hz[1] / range_hz[0]) / np.log(_COARSE))) + 1
@@ -63,10 +57,6 @@ def best_fixed(
     best = _best(kind, rough, [(best.frequency_hz[0], f, best.damping_ratio) for f in scan], best)
     if scanned is not None:
         best = replace(best, cost=float(cost(best.x, best.y)))
-    return _refined(kind, cost, best, tolerance)
-
-
-def _refined(kind: str, cost: ShaperCost, best: Fixed, tolerance: float) -> Fixed:
     step = float(np.sqrt(_COARSE))
     while step > 1 + tolerance:
         x, y = best.frequency_hz
@@ -117,14 +107,10 @@ def search(cost: Cost, start: FloatArray, scans: Sequence[Scan] = (), free: Sequ
 
     Parameters
     ----------
-    cost : callable
-        Infinite where settings are not allowed.
-    start : (k,) array
-        Above zero.
-    scans : sequence of Scan
-        One after the other, each from the best so far.
-    free : sequence of int, optional
-        What steps may change; None: all.
+    cost : infinite where settings are not allowed
+    start : (k,) above zero
+    scans : one after the other, each from the best so far
+    free : what steps may change; None: all
     """
     best = Optimum(np.asarray(start, dtype=float), cost(start))
     for scan in scans:

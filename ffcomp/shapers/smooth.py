@@ -148,12 +148,8 @@ def mode_inverse(name: str, frequency_hz: float, mode_hz: float, damping_ratio: 
 
     Parameters
     ----------
-    name : str
-        A name in `KERNELS`.
-    frequency_hz : float
-        Of the kernel.
-    mode_hz, damping_ratio : float
-        Of the mode that is inverted.
+    name, frequency_hz : of the kernel, one of `KERNELS`
+    mode_hz, damping_ratio : of the mode that is inverted
     """
     if not mode_hz > 0:
         raise ValueError(f"A mode's frequency must be above zero, not {mode_hz} Hz.")

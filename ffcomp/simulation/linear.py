@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -29,18 +29,13 @@ class LinearPlayback:
     def respond(
         self, nozzle: FloatArray, velocity: FloatArray, state: FloatArray | None = None
     ) -> tuple[FloatArray, FloatArray]:
-        """Return the nozzle's response to a command, and the state at its end.
+        """Return the nozzle's response to a command, (n, 3) mm after every step, and the state at its end.
 
         Parameters
         ----------
         nozzle : (n + 1, 3), commanded positions in mm, STEP_S apart; n is a multiple of SUBSTEPS
         velocity : (n + 1, 3), their velocity in mm/s
         state : (18,), at the first sample. None: at rest there
-
-        Returns
-        -------
-        response : (n, 3), nozzle in mm after every step
-        state : (18,) array
         """
         begin = self._machine.equilibrium(nozzle[0]) if state is None else state
         return self._schedule.respond(nozzle, velocity, begin, SUBSTEPS)
@@ -51,25 +46,15 @@ def whole_steps(seconds: float) -> int:
     return SUBSTEPS * int(seconds / STEP_S / SUBSTEPS)
 
 
-def simulate_linear(
-    machine: Machine, trajectory: PlannedMotion, progress: Callable[[float], None] = lambda done_s: None
-) -> tuple[FloatArray, FloatArray]:
+def simulate_linear(machine: Machine, trajectory: PlannedMotion) -> tuple[FloatArray, FloatArray]:
     """Simulate the nozzle under a plan, from its first move to its last, on the machine's design model.
 
-    Parameters
-    ----------
-    progress : called with the time, s, on the plan's clock that has been reached
-
-    Returns
-    -------
-    t : (m,), in s on the plan's clock, rising in steps of 1 ms (except where something else has moved the nozzle)
-    nozzle : (m, 3), in mm
+    Returns times (m,) s on the plan's clock, in steps of 1 ms (except where something else has moved the nozzle), and
+    the nozzle (m, 3) mm.
     """
-    playback, parts = LinearPlayback(design_machine(machine)[0]), []
-    for begin, end in continuous_intervals(trajectory):
-        for part in _interval(playback, trajectory, begin, end):
-            parts.append(part)
-            progress(float(part[0][-1]))
+    playback = LinearPlayback(design_machine(machine)[0])
+    intervals = continuous_intervals(trajectory)
+    parts = [part for begin, end in intervals for part in _interval(playback, trajectory, begin, end)]
     return np.concatenate([t for t, _ in parts]), np.concatenate([nozzle for _, nozzle in parts])
 
 

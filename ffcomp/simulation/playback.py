@@ -68,12 +68,8 @@ def play(
 ) -> Iterator[Chunk]:
     """Execute a part of a command on the plant, section by section, each from rest.
 
-    While a chunk is used, the next one is computed in a thread.
-
-    Raises
-    ------
-    MachineFileError: If the plant cannot even rest.
-    UnreachableError: If its nozzle leaves the reach of its arms.
+    While a chunk is used, the next one is computed in a thread. Raises MachineFileError if the plant cannot even rest,
+    UnreachableError if its nozzle leaves the reach of its arms.
     """
     rows = rows_per_sample(rate_hz)
     for section, begin_s, end_s in command.between(from_s, to_s):
@@ -138,17 +134,11 @@ def levelled(plant: Machine, nozzle: FloatArray) -> FloatArray:
 def simulate_nozzles(
     plants: Sequence[Machine], motion: Motion, believed: Machine, threads: int = JOBS
 ) -> tuple[FloatArray, list[FloatArray]]:
-    """Execute one motion on every plant, from rest, and return their levelled nozzles.
+    """Execute one motion on every plant, from rest, by threads that share them.
 
-    Parameters
-    ----------
+    Returns times (m,) s on the motion's clock, SAMPLE_S apart, and each plant's levelled nozzle (m, 3) mm.
+
     believed : the machine whose inverse kinematics the firmware uses
-    threads : that share the plants
-
-    Returns
-    -------
-    t : (m,), times in s on the motion's clock, SAMPLE_S apart
-    nozzles : list of (m, 3), one a plant, in mm
     """
     rows, command = _row_count(motion), _command(motion, believed)
     parts_of: list[list[FloatArray]] = [[] for _ in plants]
@@ -165,17 +155,17 @@ def simulate_side_by_side(
 ) -> list[tuple[FloatArray, FloatArray]]:
     """Execute several motions, each from rest on a printer of its own, which take little longer than one.
 
+    Returns times and nozzle of each, as of `simulate_nozzles`.
+
     Parameters
     ----------
     motions : at best LANES of them, of about the same length
     believed : the machine whose inverse kinematics the firmware uses
     coarse : with longer rows, for a search; only of printers that are smooth, others stay as they are
-
-    Returns
-    -------
-    list of (t, nozzle): As of `simulate_nozzles`, one a motion.
     """
-    longer = COARSE if coarse and _is_smooth(plant) else 1
+    printer = converted_printer(plant)
+    smooth = longest_step(printer.parameters, printer.modes) >= (1 - ROUNDING) * ROW_S  # one step a row is enough
+    longer = COARSE if coarse and smooth else 1
     row_s, keep_every = longer * ROW_S, KEEP_EVERY // longer
     counts = [_row_count(motion) // longer for motion in motions]
     parts_of: list[list[FloatArray]] = [[] for _ in motions]
@@ -188,12 +178,6 @@ def simulate_side_by_side(
             into.append(each.nozzle_mm[keep_every : max(count - first, 0) + 1 : keep_every])
     nozzles = [levelled(plant, np.concatenate(each_parts)) for each_parts in parts_of]
     return list(zip(map(_times, motions), nozzles, strict=True))
-
-
-def _is_smooth(plant: Machine) -> bool:
-    """Tell whether one step from row to row is enough."""
-    printer = converted_printer(plant)
-    return longest_step(printer.parameters, printer.modes) >= (1 - ROUNDING) * ROW_S
 
 
 def side_by_side(motions: Sequence[Motion]) -> list[list[int]]:
@@ -223,12 +207,7 @@ def _options(printers: int, threads: int) -> dict[str, Any]:
 
 
 def check_same_kinematics(machine: Machine, plant: Machine) -> None:
-    """Check that a plant has the machine's kinematics; else its error would be that of the geometry.
-
-    Raises
-    ------
-    MachineFileError: If the plant's kinematics differ by more than ALLOWED.
-    """
+    """Raise MachineFileError unless a plant has the machine's kinematics; else its error would be the geometry's."""
     if type(machine.kinematics) is not type(plant.kinematics):
         rule = f"A plant must have the machine's kind of kinematics, that of {machine.path or machine.name}."
         raise MachineFileError(plant.path or plant.name, [rule])

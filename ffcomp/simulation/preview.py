@@ -123,21 +123,15 @@ class Preview:
     before: Curve
     after: Curve
     original: Original | None = None
-    flows: tuple[Flow, Flow] | None = (
-        None  # before and after, on their own clocks; None: no pressure in the machine file
-    )
+    flows: tuple[Flow, Flow] | None = None  # before and after, on their clocks; None: no pressure in the machine file
 
 
 def preview(
     data: bytes, path: str, machine: Machine, offset: tuple[float, float] = (0.0, 0.0), flavor: str | None = None
 ) -> Preview:
-    """Simulate the original and the compensated print with the design model.
+    """Simulate the original and the compensated print, both in one file, with the design model.
 
-    Parameters
-    ----------
-    data, path : the compensated file and its name
-    offset : (float, float), by which the original's positions were shifted, mm
-    flavor : None: as the file says
+    offset : by which the original's positions were shifted, mm
     """
     lines = data.splitlines(keepends=True)
     firmware = known_to_the_firmware(machine)
@@ -154,17 +148,19 @@ def preview(
     after_reference = reference.position(after_due)[:, :3]
     kinds = _kinds(original, reference)
     peaks = [_peak(machine, plan) for plan in (reference, executed)]
-    contours = (contour_error(path_t, corners, t, xyz) for t, xyz in ((before_t, before), (after_due, after)))
-    of_before, of_after = contours
+    of_before, of_after = (
+        contour_error(path_t, corners, t, xyz) for t, xyz in ((before_t, before), (after_due, after))
+    )
+    flows = None
+    if machine.pressure is not None:
+        flows = flow_of(reference, machine.pressure), flow_of(executed, machine.pressure)
     return Preview(
         corners,
         path_t,
         Curve(before_t, before, before_reference, of_before, *kinds(before_t), peaks[0]),
         Curve(after_t, after, after_reference, of_after, *kinds(after_due), peaks[1]),
         Original(original, reference, before_t, after_due),
-        None
-        if machine.pressure is None
-        else (flow_of(reference, machine.pressure), flow_of(executed, machine.pressure)),
+        flows,
     )
 
 

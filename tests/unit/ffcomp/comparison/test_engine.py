@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import fields
+from dataclasses import fields, replace
 from functools import cache
 
 import numpy as np
@@ -25,9 +25,18 @@ MACHINE = load_machine("mp-delta-pro")
 ONLY = ("mzv", "zv-calibrated", "ei-scheduled", "fbs-lti", "fbs-robust")
 
 
+PRINTED = Print(squares(), "squares.gcode", MACHINE)
+FIRST_LAYER = Request(Sampling(0, 0), quality_bound_um=0.0, only=("mzv",), predict=False)
+
+
 @cache
 def found() -> Comparison:
-    return compare(squares(), "squares.gcode", MACHINE, request=Request(mismatch=0.1, seeds=3, only=ONLY))
+    return compare(PRINTED, request=Request(mismatch=0.1, seeds=3, only=ONLY))
+
+
+@cache
+def of_first_layer() -> Comparison:
+    return compare(PRINTED, request=FIRST_LAYER)
 
 
 def test_the_methods_rank_as_they_should() -> None:
@@ -84,30 +93,26 @@ def test_the_json_is_the_documented_object() -> None:
 
 
 def test_twice_is_the_same() -> None:
-    request = Request(Sampling(0, 0), quality_bound_um=0.0, only=("mzv",))
-    first, second = (compare(squares(), "squares.gcode", MACHINE, request=request) for _ in range(2))
+    first, second = of_first_layer(), compare(PRINTED, request=FIRST_LAYER)
     for name in first.methods:
         assert first.methods[name].track == second.methods[name].track
         assert first.methods[name].tuning == second.methods[name].tuning
 
 
 def test_a_plant_with_an_effect_judges_and_is_named() -> None:
-    plant = with_effect(MACHINE, "coulomb_friction", force_n=4.0)
-    request = Request(Sampling(0, 0), quality_bound_um=0.0, only=("mzv",))
-    stuck = compare(squares(), "squares.gcode", MACHINE, plant, request)
-    free = compare(squares(), "squares.gcode", MACHINE, None, request)
+    stuck, free = compare(PRINTED, with_effect(MACHINE, "coulomb_friction", force_n=4.0), FIRST_LAYER), of_first_layer()
     assert stuck.plant.effects == ("coulomb_friction",) and not stuck.machine.effects
     assert stuck.methods[COMPENSATED].track.contour_rms_um > 2 * free.methods[COMPENSATED].track.contour_rms_um
 
 
 def test_a_plant_with_uneven_belts_can_judge() -> None:
     plant = with_effect(MACHINE, "belt_stiffness", relative_change=[0.1, -0.1, 0.05])
-    request = Request(Sampling(0, 0), quality_bound_um=0.0, only=("mzv", "mzv-calibrated"))
-    assert compare(squares(), "squares.gcode", MACHINE, plant, request).methods["mzv"].track.contour_rms_um > 0
+    found = compare(PRINTED, plant, replace(FIRST_LAYER, only=("mzv", "mzv-calibrated")))
+    assert found.methods["mzv"].track.contour_rms_um > 0
 
 
 def test_the_search_beats_the_calibration_and_its_neighbours() -> None:
-    (stretch,), _ = Print(squares(), "squares.gcode", MACHINE).slices(Sampling())
+    (stretch,), _ = PRINTED.slices(Sampling())
     linear = LinearPrinter(MACHINE, [stretch])
     best = linear.contour_rms_um([best_fixed(linear, "ei").motion(stretch)[0]])
     assert best < linear.contour_rms_um([calibrated(resonance_tests(MACHINE), "ei").motion(stretch)[0]])

@@ -37,9 +37,8 @@ def stretch(bound: Bound = BOUND) -> BoundedSlice:
 def found() -> Quickest:
     certain = {"kinematics.arm_length_mm": 0.0, "kinematics.delta_radius_mm": 0.0}
     machine = replace(MACHINE, uncertainty={"default": 0.02, **certain})
-    return quickest(
-        KLIPPER_PRINT, "squares.gcode", machine, request=QuickestRequest(BOUND, Sampling(1, 1), ("mzv",), 0.1, 2)
-    )
+    request = QuickestRequest(BOUND, Sampling(1, 1), ("mzv",), 0.1, 2)
+    return quickest(Print(KLIPPER_PRINT, "squares.gcode", machine), request=request)
 
 
 def test_feeds_and_acceleration_change_only_what_is_free() -> None:

@@ -7,6 +7,7 @@ from dataclasses import replace
 import pytest
 
 from ffcomp.comparison.quickest_plans import worth_knowing
+from ffcomp.comparison.sampling import Print
 from ffcomp.faster.bound import Bound
 from ffcomp.inverse.settings import settings_for
 from models.file import load_machine
@@ -18,6 +19,6 @@ BOUND = Bound(10.0, max_flow_mm3_per_s=20.0, min_layer_time_s=0.0, change_speed=
 
 def test_a_better_known_machine_prints_quicker() -> None:
     vague = replace(MACHINE, uncertainty={"default": 0.2})
-    (known,) = worth_knowing(squares(1), "squares", vague, settings_for(vague), BOUND, (0.02,), 100.0)
+    (known,) = worth_knowing(Print(squares(1), "squares", vague), settings_for(vague), BOUND, (0.02,), 100.0)
     assert (known.relative_sd, known.print_time_s) == (0.02, pytest.approx(100.0 * known.share))
     assert known.share < 0.97
