@@ -36,15 +36,12 @@ MOVES = {"G0", "G1", "G28"}  # a print, whatever limits it sets
 def read_printer_config(path: Path, kinematics: str | None = None, alone: bool = False) -> ConfigValues:
     """Read the configuration in a file, whichever of the firmwares it is for.
 
+    Raises PrinterConfigError for a file that is none of them, or that says something its firmware would refuse.
+
     Parameters
     ----------
-    kinematics : for Marlin, which does not tell: "cartesian" or "corexy".
-    alone : read no file that this one includes or runs: it comes from somebody who may not name files here.
-
-    Raises
-    ------
-    PrinterConfigError
-        For a file that is none of them, or that says something its firmware would refuse.
+    kinematics : for Marlin, which does not tell: "cartesian" or "corexy"
+    alone : read no file that this one includes or runs: it comes from somebody who may not name files here
     """
     text = decoded(path)
     codes = {command.code for command in commands(text, path.name)}
@@ -120,7 +117,7 @@ def build_draft(config: ConfigValues, name: str, like: Path | None = None) -> Ma
     like : machine file to take the unknown values from; for deltas the library's one with the nearest arm length,
         if none is given.
     """
-    source = like or (_nearest(config) if config.kinematics == "delta" else None)
+    source = like or (_nearest_delta(config) if config.kinematics == "delta" else None)
     lender = {} if source is None else _lender(source, config)
     stem = "" if source is None else source.stem
     values = dict(config.values)
@@ -131,24 +128,18 @@ def build_draft(config: ConfigValues, name: str, like: Path | None = None) -> Ma
     return MachineDraft(name, config, values, {key: hint(key) for key in required if key not in values}, stem or None)
 
 
-def _nearest(config: ConfigValues) -> Path:
+def _nearest_delta(config: ConfigValues) -> Path:
     """Find the library's delta with the nearest arm length; the first of all where it is not known."""
     arm = _shortest_arm(config) or 0.0
-
-    def distance(path: Path) -> float:
-        return abs(_document(path)["kinematics"].get("arm_length_mm", 0.0) - arm)
-
-    return min(_deltas(), key=distance)
+    paths = sorted(LIBRARY.glob("*.toml"), key=lambda path: path.stem)
+    kinematics = {path: _document(path)["kinematics"] for path in paths}
+    deltas = [path for path in paths if kinematics[path]["type"] == "delta"]
+    return min(deltas, key=lambda path: abs(kinematics[path].get("arm_length_mm", 0.0) - arm))
 
 
 def _shortest_arm(config: ConfigValues) -> float | None:
     arms = next((config.values[key].value for key in ARMS if key in config.values), None)
     return min(arms) if isinstance(arms, list) else arms
-
-
-def _deltas() -> Iterator[Path]:
-    paths = sorted(LIBRARY.glob("*.toml"), key=lambda path: path.stem)
-    return (path for path in paths if _document(path)["kinematics"]["type"] == "delta")
 
 
 def _lender(path: Path, config: ConfigValues) -> dict[str, Any]:
@@ -176,8 +167,9 @@ def _assumed(config: ConfigValues, lender: Mapping[str, Any], like: str) -> Iter
     if config.kinematics == "delta":
         yield from _assumed_reach(config, lender, like)
     if steps := config.values.get("steps.steps_per_mm"):
-        rule = f"{ASSUMED}: {USUAL_MICROSTEPS:g} microsteps for each full step"
-        yield "steps.full_steps_per_mm", Value(_over(steps.value, USUAL_MICROSTEPS), "assumed", rule)
+        rule, each = f"{ASSUMED}: {USUAL_MICROSTEPS:g} microsteps for each full step", steps.value
+        full = [x / USUAL_MICROSTEPS for x in each] if isinstance(each, list) else each / USUAL_MICROSTEPS
+        yield "steps.full_steps_per_mm", Value(full, "assumed", rule)
     for key, default in DEFAULTS.items():
         table, _, name = key.partition(".")
         whose = f"as the machine {like!r}" if name in lender.get(table, {}) else "ffcomp's default"
@@ -203,23 +195,25 @@ def _flat(table: Mapping[str, Any], prefix: str) -> Iterator[tuple[str, Any]]:
             yield prefix + key, value
 
 
-def _over(value: float | list[float], divisor: float) -> float | list[float]:
-    return [each / divisor for each in value] if isinstance(value, list) else value / divisor
-
-
 # --- Text
 
 
 def machine_text(draft: MachineDraft, source: Path) -> str:
     """Write the machine file, to be loaded once nothing is missing."""
-    document = tomlkit.document()
-    for line in _heading(draft, source):
+    document, config = tomlkit.document(), draft.config
+    heading = [
+        f"{draft.name}, imported from the {config.firmware} configuration {source.name}.",
+        "A start: what is assumed says so in [provenance]; `ffcomp machines check` lists it.",
+    ]
+    if draft.missing:
+        heading.append(f"NOT COMPLETE: {', '.join(draft.missing)} must be filled in first.")
+    for line in heading:
         document.add(tomlkit.comment(line))
     document.add(tomlkit.nl())
     document["format"] = "ffcomp-machine/1"
     document["name"] = draft.name
     document["kinematics"] = tomlkit.table()
-    document["kinematics"]["type"] = draft.config.kinematics
+    document["kinematics"]["type"] = config.kinematics
     for table in TABLES:
         for key, value in draft.values.items():
             if key.startswith(f"{table}."):
@@ -227,17 +221,23 @@ def machine_text(draft: MachineDraft, source: Path) -> str:
         for key, what in draft.missing.items():
             if key.startswith(f"{table}."):
                 _table_of(document, key).add(tomlkit.comment(f"{key.rpartition('.')[2]} is missing: {what}"))
-    _put(document, FLAVOR, draft.config.firmware.lower())
-    document["uncertainty"] = _uncertainty(draft)
-    document["provenance"] = _provenance(draft, source)
+    _put(document, FLAVOR, config.firmware.lower())
+    lengths = (*ARMS, "kinematics.delta_radius_mm")
+    document["uncertainty"] = {
+        "default": UNCERTAIN,
+        **{key: MEASURED_LENGTH for key in lengths if key in config.values},
+    }
+    digest = hashlib.sha256(source.read_bytes()).hexdigest()
+    document["provenance"] = {
+        "kinematics.type": config.kinematics_origin,
+        **{key: value.origin for key, value in draft.values.items()},
+        FLAVOR: f"the configuration is one of {config.firmware}",
+        IMPORTED: {
+            "from": f"{config.firmware} configuration {source.name} sha256:{digest}",
+            "notes": list(config.notes),
+        },
+    }
     return tomlkit.dumps(document)
-
-
-def _heading(draft: MachineDraft, source: Path) -> Iterator[str]:
-    yield f"{draft.name}, imported from the {draft.config.firmware} configuration {source.name}."
-    yield "A start: what is assumed says so in [provenance]; `ffcomp machines check` lists it."
-    if draft.missing:
-        yield f"NOT COMPLETE: {', '.join(draft.missing)} must be filled in first."
 
 
 def _put(document: tomlkit.TOMLDocument, key: str, value: Any) -> None:
@@ -249,25 +249,6 @@ def _table_of(document: tomlkit.TOMLDocument, key: str) -> Any:
     for part in key.split(".")[:-1]:
         table = table.setdefault(part, tomlkit.table())
     return table
-
-
-def _uncertainty(draft: MachineDraft) -> dict[str, float]:
-    lengths = (*ARMS, "kinematics.delta_radius_mm")
-    read = {key: MEASURED_LENGTH for key in lengths if key in draft.config.values}
-    return {"default": UNCERTAIN, **read}
-
-
-def _provenance(draft: MachineDraft, source: Path) -> dict[str, Any]:
-    digest = hashlib.sha256(source.read_bytes()).hexdigest()
-    return {
-        "kinematics.type": draft.config.kinematics_origin,
-        **{key: value.origin for key, value in draft.values.items()},
-        FLAVOR: f"the configuration is one of {draft.config.firmware}",
-        IMPORTED: {
-            "from": f"{draft.config.firmware} configuration {source.name} sha256:{digest}",
-            "notes": list(draft.config.notes),
-        },
-    }
 
 
 IDENTIFY = "measure: ffcomp record plan --for identify, run its G-code with an accelerometer, then ffcomp identify fit"

@@ -96,15 +96,18 @@ class KlipperConfig:
 def read_klipper(path: Path, alone: bool = False) -> KlipperConfig:
     """Read a `printer.cfg` with all it includes, or without if it is read alone.
 
-    Raises
-    ------
-    PrinterConfigError
-        For a line that is neither a section nor an option, a file that includes itself, a damaged SAVE_CONFIG block.
+    Raises PrinterConfigError for a line that is neither a section nor an option, a file that includes itself, a damaged
+    SAVE_CONFIG block.
     """
     regular, head, block = decoded(path).partition(SAVED_HEAD)
     config, saved = KlipperConfig(path.name, alone=alone), KlipperConfig(path.name, alone=alone)
     first_line = (regular + head).count("\n") + 1
-    _refuse_stray_marks(regular, path)
+    for line_number, line in enumerate(regular.split("\n"), 1):
+        if line.startswith("#*# "):
+            raise PrinterConfigError(
+                f"{path.name}:{line_number}: {line[:60]!r} is a saved value, but the head of the SAVE_CONFIG block "
+                "does not stand above it as the firmware writes it: the firmware takes no notice of such values."
+            )
     _read(regular, 1, path, config, (path.resolve(),))
     _read(_unmarked(block, first_line, path), first_line, path, saved, ())
     remarks = [*config.remarks, *_overruled(config, saved)]
@@ -119,16 +122,6 @@ def _overruled(config: KlipperConfig, saved: KlipperConfig) -> Iterator[str]:
             yield (
                 f"{option.place}: the saved {key} = {option.text!r} of [{section}] does not count, because "
                 f"{regular.place} says {regular.text!r}."
-            )
-
-
-def _refuse_stray_marks(regular: str, path: Path) -> None:
-    """Raise for saved values above the block, or without its head."""
-    for line_number, line in enumerate(regular.split("\n"), 1):
-        if line.startswith("#*# "):
-            raise PrinterConfigError(
-                f"{path.name}:{line_number}: {line[:60]!r} is a saved value, but the head of the SAVE_CONFIG block "
-                "does not stand above it as the firmware writes it: the firmware takes no notice of such values."
             )
 
 
@@ -175,7 +168,8 @@ def _include(pattern: str, place: str, source: Path, config: KlipperConfig, with
     if config.alone:
         config.remarks.append(f"{place}: [include {pattern}]: only this file is read, not what it includes.")
         return
-    files = list(_included(pattern, source))
+    names = sorted(glob.glob(str(Path(glob.escape(str(source.parent))) / pattern), recursive=True))
+    files = [Path(name) for name in names if Path(name).is_file()]
     if not files and not glob.has_magic(pattern):
         config.remarks.append(f"{place}: [include {pattern}]: there is no such file; what it sets was not read.")
     for file in files:
@@ -184,11 +178,6 @@ def _include(pattern: str, place: str, source: Path, config: KlipperConfig, with
             rule = f"more than {MOST_FILES} files are included" if config.files > MOST_FILES else "includes itself"
             raise PrinterConfigError(f"{place}: [include {pattern}]: {file.name}: {rule}.")
         _read(decoded(file), 1, file, config, (*within, file.resolve()))
-
-
-def _included(pattern: str, source: Path) -> Iterator[Path]:
-    names = sorted(glob.glob(str(Path(glob.escape(str(source.parent))) / pattern), recursive=True))
-    return (Path(name) for name in names if Path(name).is_file())
 
 
 KINDS = {
@@ -209,20 +198,8 @@ DAMPING_RATIO = 0.1
 def from_klipper(config: KlipperConfig) -> ConfigValues:
     """Collect all values of a configuration that a machine file can hold.
 
-    Raises
-    ------
-    PrinterConfigError
-        If it is no configuration of a printer, or of one with unsupported kinematics.
+    Raises PrinterConfigError if it is no configuration of a printer, or of one with unsupported kinematics.
     """
-    kind, origin = _kinematics(config)
-    of_kind = _delta(config) if kind == "delta" else _straight(config)
-    homing = {"homing.position_mm": _homed(config, kind)}
-    values = known({**of_kind, **_limits(config), **_steps(config, TOWERS if kind == "delta" else AXES), **homing})
-    shaper_hz = _shaper_hz(config) if kind == "delta" else ()
-    return ConfigValues("Klipper", kind, origin, values, tuple(_notes(config)), shaper_hz)
-
-
-def _kinematics(config: KlipperConfig) -> tuple[str, str]:
     option = config.text("printer", "kinematics")
     if option is None:
         remarks = "".join(f" {sentence}" for sentence in config.remarks)
@@ -231,7 +208,13 @@ def _kinematics(config: KlipperConfig) -> tuple[str, str]:
         raise PrinterConfigError(
             f"{option.place}: [printer] kinematics = {option.text!r}: ffcomp has delta, cartesian and corexy machines."
         )
-    return KINDS[option.text], f"{option.place} [printer] kinematics"
+    kind, origin = KINDS[option.text], f"{option.place} [printer] kinematics"
+    of_kind = _delta(config) if kind == "delta" else _straight(config)
+    homing = {"homing.position_mm": _homed(config, kind)}
+    values = known({**of_kind, **_limits(config), **_steps(config, TOWERS if kind == "delta" else AXES), **homing})
+    shaped = [_shaper_frequency(config, axis) for axis in AXES] if kind == "delta" else []
+    shaper_hz = tuple(each.number for each in shaped if each is not None)
+    return ConfigValues("Klipper", kind, origin, values, tuple(_notes(config)), shaper_hz)
 
 
 def _default(number: float, option: str) -> Value:
@@ -243,12 +226,14 @@ def _default(number: float, option: str) -> Value:
 
 def _delta(config: KlipperConfig) -> dict[str, Value | None]:
     radius = config.number("printer", "delta_radius", above=0)
+    stated = config.number("printer", "print_radius", above=0)
+    stated = stated or changed(radius, float, "print_radius is not given, so it is the delta_radius")
     arms = _of_towers(config, "arm_length")
     return {
         **arm_lengths(arms),
         "kinematics.delta_radius_mm": radius,
         "kinematics.tower_angles_deg": listed(_towers(config)),
-        "kinematics.print_radius_mm": print_radius(_stated_radius(config, radius), radius, least(arms)),
+        "kinematics.print_radius_mm": print_radius(stated, radius, least(arms)),
         "kinematics.print_height_mm": _print_height(config),
     }
 
@@ -267,11 +252,6 @@ def _print_height(config: KlipperConfig) -> Value | None:
     if lowest is None or homed is None or isinstance(homed.value, float) or homed.value[2] <= lowest.number:
         return lowest
     return converted(homed.value[2], "where homing ends", lowest)
-
-
-def _stated_radius(config: KlipperConfig, radius: Value | None) -> Value | None:
-    stated = config.number("printer", "print_radius", above=0)
-    return stated or changed(radius, float, "print_radius is not given, so it is the delta_radius")
 
 
 def _of_towers(config: KlipperConfig, option: str) -> list[Value | None]:
@@ -293,11 +273,6 @@ def _range(config: KlipperConfig, section: str) -> Value | None:
     highest = config.number(section, "position_max")
     lowest = config.number(section, "position_min") or _default(0.0, "position_min")
     return None if highest is None else listed([lowest, highest])
-
-
-def _shaper_hz(config: KlipperConfig) -> tuple[float, ...]:
-    frequencies = (_shaper_frequency(config, axis) for axis in AXES)
-    return tuple(each.number for each in frequencies if each is not None)
 
 
 def _shaper_frequency(config: KlipperConfig, axis: str) -> Value | None:
@@ -326,9 +301,13 @@ def _homes_elsewhere(config: KlipperConfig) -> str | None:
 def _homed(config: KlipperConfig, kind: str) -> Value | None:
     """Return where homing all axes leaves the nozzle; None: the configuration does not tell."""
     elsewhere = _homes_elsewhere(config)
-    if elsewhere is None:
-        return _homed_delta(config) if kind == "delta" else _homed_straight(config)
-    return _homed_safely(config) if elsewhere.lower() == "safe_z_home" else None
+    if elsewhere is not None:
+        return _homed_safely(config) if elsewhere.lower() == "safe_z_home" else None
+    if kind == "delta":
+        return _homed_delta(config)
+    endstops = [config.number(f"stepper_{axis}", "position_endstop") for axis in AXES]
+    known_endstops = [each for each in endstops if each is not None]
+    return listed(known_endstops) if len(known_endstops) == len(endstops) else None  # a probe that homes Z has none
 
 
 def _homed_safely(config: KlipperConfig) -> Value | None:
@@ -342,13 +321,6 @@ def _homed_safely(config: KlipperConfig) -> Value | None:
     except ValueError:
         return None
     return converted([x, y, hop.number], "[safe_z_home] and its z_hop", hop)
-
-
-def _homed_straight(config: KlipperConfig) -> Value | None:
-    """Return the endstops' position, if every axis has one; a probe that homes Z gives none."""
-    endstops = [config.number(f"stepper_{axis}", "position_endstop") for axis in AXES]
-    known_endstops = [each for each in endstops if each is not None]
-    return listed(known_endstops) if len(known_endstops) == len(endstops) else None
 
 
 def _homed_delta(config: KlipperConfig) -> Value | None:

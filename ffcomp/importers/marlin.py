@@ -53,24 +53,21 @@ Settings = Mapping[tuple[str, str], Value]
 
 
 def from_marlin(path: Path, kinematics: str | None) -> ConfigValues:
-    """Collect all values of the answer that a machine file can hold.
+    """Collect all values of the answer that a machine file can hold; the kinematics where M503 does not tell them.
 
-    Parameters
-    ----------
-    kinematics : kind of machine, where M503 does not tell; None: it must tell.
-
-    Raises
-    ------
-    PrinterConfigError
-        Where a number is none, the units are inches, or nobody says which kinematics the machine has.
+    Raises PrinterConfigError where a number is none, the units are inches, or nobody says which kinematics it has.
     """
     text = decoded(path)
     settings = {key: value for command in _received(text, path.name) for key, value in _words(command)}
     kind, origin = _kinematics(settings, kinematics, path)
-    of_kind = _delta(settings) if kind == "delta" else _straight(settings, _places(text, path.name))
-    values = known({**of_kind, **_limits(settings), **_steps(settings), **_planner(settings)})
-    shaper_hz = _shaper_hz(settings) if kind == "delta" else ()
-    return ConfigValues("Marlin", kind, origin, values, tuple(_notes(kind)), shaper_hz)
+    limits = {**_limits(settings), **_steps(settings), **_planner(settings)}
+    if kind != "delta":
+        values = known({**_straight(settings, _places(text, path.name)), **limits})
+        return ConfigValues("Marlin", kind, origin, values)
+    note = "M503 does not tell DELTA_RADIUS_TRIM_TOWER: if the firmware was built with it, give delta_radii_mm."
+    frequencies = (settings.get((f"M593 {axis.upper()}", "F")) for axis in AXES)
+    shaper_hz = tuple(each.number for each in frequencies if each is not None and each.number > 0)
+    return ConfigValues("Marlin", kind, origin, known({**_delta(settings), **limits}), (note,), shaper_hz)
 
 
 def _received(text: str, name: str) -> Iterator[Command]:
@@ -116,18 +113,17 @@ def _kinematics(settings: Settings, stated: str | None, path: Path) -> tuple[str
 
 
 def _delta(settings: Settings) -> dict[str, Value | None]:
+    height = settings.get(("M665", "H"))
+    homed = None
+    if height is not None:
+        homed = converted([0.0, 0.0, height.number], "homing ends over the middle", height)
     return {
         **arm_lengths(_arms(settings)),
         "kinematics.delta_radius_mm": settings["M665", "R"],
         "kinematics.tower_angles_deg": tower_angles([settings.get(("M665", letter)) for letter in "XYZ"]),
-        "kinematics.print_height_mm": settings.get(("M665", "H")),
-        "homing.position_mm": _homed(settings.get(("M665", "H"))),
+        "kinematics.print_height_mm": height,
+        "homing.position_mm": homed,
     }
-
-
-def _homed(height: Value | None) -> Value | None:
-    """Return where homing leaves the nozzle: over the middle, as high as M665 H."""
-    return None if height is None else converted([0.0, 0.0, height.number], "homing ends over the middle", height)
 
 
 def _arms(settings: Settings) -> list[Value | None]:
@@ -157,21 +153,15 @@ def _places(text: str, name: str) -> dict[str, Value]:
         match = AREA.search(line) or ENDS.search(line)
         if match is None:
             continue
-        ends = [dict(_place(match[end], f"{name}:{line_number}")) for end in ("low", "high")]
+        place = f"{name}:{line_number}"
+        ends = [
+            {each["axis"].lower(): plain_number(each["number"], place) for each in PLACE.finditer(match[end])}
+            for end in ("low", "high")
+        ]
         if all(set(end) == set(AXES) for end in ends):
-            origin = f"{name}:{line_number} {match[0][:4].strip('{:')}"
+            origin = f"{place} {match[0][:4].strip('{:')}"
             return {axis: Value([ends[0][axis], ends[1][axis]], "read", origin) for axis in AXES}
     return {}
-
-
-def _place(text: str, place: str) -> Iterator[tuple[str, float]]:
-    for match in PLACE.finditer(text):
-        yield match["axis"].lower(), plain_number(match["number"], place)
-
-
-def _shaper_hz(settings: Settings) -> tuple[float, ...]:
-    frequencies = (settings.get((f"M593 {axis.upper()}", "F")) for axis in AXES)
-    return tuple(each.number for each in frequencies if each is not None and each.number > 0)
 
 
 def _shaped_axis(settings: Settings, axis: str) -> dict[str, Value]:
@@ -188,7 +178,8 @@ def _shaped_axis(settings: Settings, axis: str) -> dict[str, Value]:
 
 
 def _limits(settings: Settings) -> dict[str, Value | None]:
-    acceleration = least([settings.get(key) for key in (("M201", "X"), ("M201", "Y"), _print_acceleration(settings))])
+    printing = ("M204", "P") if ("M204", "P") in settings else ("M204", "S")  # older firmwares use S
+    acceleration = least([settings.get(key) for key in (("M201", "X"), ("M201", "Y"), printing)])
     return {
         "limits.velocity_mm_per_s": least([settings.get(("M203", "X")), settings.get(("M203", "Y"))]),
         "limits.acceleration_mm_per_s2": acceleration,
@@ -221,11 +212,6 @@ def _planner(settings: Settings) -> dict[str, Value | None]:
     return {f"firmware.marlin.{key}": value for key, value in planner.items()}
 
 
-def _print_acceleration(settings: Settings) -> tuple[str, str]:
-    """Select P; older firmwares use S."""
-    return ("M204", "P") if ("M204", "P") in settings else ("M204", "S")
-
-
 def _corner(settings: Settings, acceleration: Value | None) -> Value | None:
     """Return the jerk of X or Y; or, of a junction deviation J, v² = J a / (√2 − 1) at a right angle."""
     deviation = settings.get(("M205", "J"))
@@ -245,8 +231,3 @@ def _steps(settings: Settings) -> dict[str, Value | None]:
         "steps.full_steps_per_mm": together([full_steps(*pair) for pair in zip(steps, microsteps, strict=True)]),
         "steps.extruder_steps_per_mm": settings.get(("M92", "E")),
     }
-
-
-def _notes(kind: str) -> Iterator[str]:
-    if kind == "delta":
-        yield "M503 does not tell DELTA_RADIUS_TRIM_TOWER: if the firmware was built with it, give delta_radii_mm."

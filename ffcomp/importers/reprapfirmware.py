@@ -77,10 +77,7 @@ class Settings:
 def from_reprapfirmware(path: Path, alone: bool = False) -> ConfigValues:
     """Collect all values of a `config.g` that a machine file can hold.
 
-    Raises
-    ------
-    PrinterConfigError
-        Where a number is none, macros run in a circle, or the kinematics are unsupported.
+    Raises PrinterConfigError where a number is none, macros run in a circle, or the kinematics are unsupported.
     """
     settings = Settings(alone=alone)
     for command in _run(path, settings, (path.resolve(),)):
@@ -90,7 +87,9 @@ def from_reprapfirmware(path: Path, alone: bool = False) -> ConfigValues:
     values = known({**of_kind, **_limits(settings), **_steps(settings)})
     shaper = _shaper(settings) if kind == "delta" else None
     shaper_hz = () if shaper is None else (shaper.number,)
-    return ConfigValues("RepRapFirmware", kind, origin, values, (*settings.notes, *_notes(settings)), shaper_hz)
+    tilts = [tilt for letter in "AB" if (tilt := settings.first("M666", letter)) is not None and tilt.number]
+    notes = [f"{tilt.origin} = {tilt.number:g} % of tilt: a machine file has no place for it." for tilt in tilts]
+    return ConfigValues("RepRapFirmware", kind, origin, values, (*settings.notes, *notes), shaper_hz)
 
 
 # --- The firmware's order
@@ -139,6 +138,12 @@ def _apply(command: Command, settings: Settings) -> None:
         settings.kept |= {key: values for key, values in numbers.items() if values}
     if command.code in APPLY:
         APPLY[command.code](command, settings)
+    elif command.code == "M593":
+        settings.shaper = command.words.get("P", settings.shaper).lower()
+    elif command.code == "M665":
+        settings.kinematics = ("delta", f"{command.place} M665")
+    elif command.code == "M667":  # the older command; S1 is CoreXY
+        _set_kind(command, command.words.get("S", "0"), settings)
 
 
 def _m92(command: Command, settings: Settings) -> None:
@@ -182,19 +187,6 @@ def _m208(command: Command, settings: Settings) -> None:
         settings.ranges.setdefault(letter, {}).update(zip(ends, numbers, strict=False))
 
 
-def _m593(command: Command, settings: Settings) -> None:
-    settings.shaper = command.words.get("P", settings.shaper).lower()
-
-
-def _m665(command: Command, settings: Settings) -> None:
-    settings.kinematics = ("delta", f"{command.place} M665")
-
-
-def _m667(command: Command, settings: Settings) -> None:
-    """Set the kinematics by the older command; S1 is CoreXY."""
-    _set_kind(command, command.words.get("S", "0"), settings)
-
-
 def _m669(command: Command, settings: Settings) -> None:
     if "K" in command.words:
         _set_kind(command, command.words["K"].lower(), settings)
@@ -213,7 +205,7 @@ def _set_kind(command: Command, word: str, settings: Settings) -> None:
     settings.kinematics = (KINDS[word], f"{command.place} {command.code}")
 
 
-APPLY = {"M92": _m92, "M208": _m208, "M350": _m350, "M593": _m593, "M665": _m665, "M667": _m667, "M669": _m669}
+APPLY = {"M92": _m92, "M208": _m208, "M350": _m350, "M669": _m669}
 
 
 # --- Values of the machine
@@ -235,8 +227,13 @@ def _delta(settings: Settings) -> dict[str, Value | None]:
 
 
 def _straight(settings: Settings) -> dict[str, Value | None]:
-    ranges = {f"kinematics.{axis}_range_mm": _range(settings, axis.upper()) for axis in AXES}
-    return {**ranges, **_shaped_axes(settings)}
+    values = {f"kinematics.{axis}_range_mm": _range(settings, axis.upper()) for axis in AXES}
+    frequency = _shaper(settings)
+    if frequency is not None:  # one for both axes
+        default = Value(DAMPING_RATIO, "default", "M593 S is not given: the firmware's default")
+        damping = settings.first("M593", "S") or default
+        values |= {**shaped_axis("x", frequency, damping), **shaped_axis("y", frequency, damping)}
+    return values
 
 
 def _range(settings: Settings, letter: str) -> Value | None:
@@ -250,16 +247,6 @@ def _range(settings: Settings, letter: str) -> Value | None:
 def _shaper(settings: Settings) -> Value | None:
     frequency = settings.first("M593", "F")
     return frequency if frequency and frequency.number > 0 and settings.shaper != "none" else None
-
-
-def _shaped_axes(settings: Settings) -> dict[str, Value]:
-    """Use one frequency for both axes, as this firmware's shaper does."""
-    frequency = _shaper(settings)
-    if frequency is None:
-        return {}
-    default = Value(DAMPING_RATIO, "default", "M593 S is not given: the firmware's default")
-    damping = settings.first("M593", "S") or default
-    return {**shaped_axis("x", frequency, damping), **shaped_axis("y", frequency, damping)}
 
 
 def _limits(settings: Settings) -> dict[str, Value | None]:
@@ -285,10 +272,3 @@ def _steps(settings: Settings) -> dict[str, Value | None]:
         "steps.full_steps_per_mm": together([full_steps(*pair) for pair in zip(steps, microsteps, strict=True)]),
         "steps.extruder_steps_per_mm": settings.steps_per_mm.get("E"),
     }
-
-
-def _notes(settings: Settings) -> Iterator[str]:
-    for letter in "AB":
-        tilt = settings.first("M666", letter)
-        if tilt is not None and tilt.number:
-            yield f"{tilt.origin} = {tilt.number:g} % of tilt: a machine file has no place for it."

@@ -120,10 +120,7 @@ def shaped_axis(axis: str, frequency: Value, damping: Value) -> dict[str, Value]
 def plain_number(text: str, place: str, *, above: float = -math.inf) -> float:
     """Parse the number in a text; `place` names its position in the file and its meaning.
 
-    Raises
-    ------
-    PrinterConfigError
-        For anything that is not a plain finite number, or not above the bound.
+    Raises PrinterConfigError for anything that is not a plain finite number, or not above the bound.
     """
     try:
         value = float(text)
@@ -149,13 +146,7 @@ LARGEST_BYTES = 16_000_000  # a configuration has some kilobytes, a day's termin
 
 
 def decoded(path: Path) -> str:
-    r"""Read a file's text, with lines ending in \n.
-
-    Raises
-    ------
-    PrinterConfigError
-        For a file that holds no text, or far too much of it.
-    """
+    r"""Read a file's text, with lines ending in \n; PrinterConfigError if it holds none, or far too much of it."""
     if path.stat().st_size > LARGEST_BYTES:
         raise PrinterConfigError(f"{path}: a printer configuration has at most {LARGEST_BYTES // 10**6} MB.")
     data = path.read_bytes()
