@@ -43,17 +43,12 @@ ORIGINAL = "the planned path of the original print, which the compensated file k
 def read_gcode(
     data: bytes, path: str, machine: Machine, offset: tuple[float, float] = (0.0, 0.0), flavor: str = ""
 ) -> tuple[Command, Program]:
-    """Read a sliced or a compensated file.
+    """Read a sliced or a compensated file; return the command, and the program that was read.
 
     Parameters
     ----------
-    data, path : the file and its name
     offset : (float, float), added to every position, mm; a compensated file states its own
     flavor : "" for what the machine file says, or else the file
-
-    Returns
-    -------
-    Command, Program: The command, and the program that was read.
     """
     firmware = known_to_the_firmware(machine)
     inside = partial(within_reach, kinematics=machine.kinematics)
@@ -158,24 +153,19 @@ def smoothed(motor: MotorSteps, t: FloatArray) -> FloatArray:
 
 
 def steps_command(motors: Mapping[str, MotorSteps], machine: Machine, path: str = "") -> Command:
-    """Return the steps of a, b, c, from rest to rest, evaluated against the path they stand for.
+    """Return the steps of the motors a, b, c, from rest to rest, evaluated against the path they stand for.
 
-    Parameters
-    ----------
-    motors : mapping, steps of "a", "b" and "c", and of others
-    path : the archive, as the user named it
-
-    Raises
-    ------
-    StepsError: If the carriages begin where the machine's arms cannot join them.
-    NothingToDo: If no carriage steps.
+    Raises StepsError if the carriages begin where the arms cannot join them, NothingToDo if no carriage steps.
     """
     carriages = [motors[motor] for motor in MOTORS]
     moving = [each.time_s for each in carriages if len(each.time_s)]
     if not moving:
         raise NothingToDo(f"{path or 'The archive'} holds no step of a carriage: nothing to simulate.")
     back = np.linalg.inv(machine.kinematics.motors).T
-    _check_start(machine.kinematics, np.array([[each.start_mm for each in carriages]]) @ back, path)
+    try:
+        machine.kinematics.forward(np.array([[each.start_mm for each in carriages]]) @ back)
+    except UnreachableError as error:
+        raise StepsError(f"a_start_mm, b_start_mm, c_start_mm: {error}", path=path) from error
     begin_s = max(min(float(t[0]) for t in moving) - LEAD_S, 0.0)
     end_s = max(float(t[-1]) for t in moving) + AT_REST_S
 
@@ -187,13 +177,6 @@ def steps_command(motors: Mapping[str, MotorSteps], machine: Machine, path: str 
 
     reference = _reference(commanded, machine.kinematics)
     return Command([CommandSection(begin_s, end_s, rows, commanded, reference)], "linear", REFERENCE)
-
-
-def _check_start(kinematics: Kinematics, carriages: FloatArray, path: str) -> None:
-    try:
-        kinematics.forward(carriages)
-    except UnreachableError as error:
-        raise StepsError(f"a_start_mm, b_start_mm, c_start_mm: {error}", path=path) from error
 
 
 def _reference(commanded: OfTime, kinematics: Kinematics) -> ReferencePath:

@@ -43,14 +43,12 @@ class Levels:
 def gcode_preview(
     original: Original, curve: Curve, due: FloatArray, offset: tuple[float, float] = (0.0, 0.0)
 ) -> Iterator[bytes]:
-    """Yield the lines of the preview.
+    """Yield the lines of the preview: the original's moves in the colours of a curve's error.
 
     Parameters
     ----------
-    original : whose moves are drawn
-    curve : whose error is shown
-    due : shape (m,), s: when the original's plan is at the reference of each sample of the curve
-    offset : (float, float), by which the print was shifted, mm: the preview lies where the slicer had it
+    due : (m,) s, when the original's plan is at the reference of each sample of the curve
+    offset : by which the print was shifted, mm: the preview lies where the slicer had it
     """
     program = original.program
     slicer = detect_slicer(program.lines)
@@ -59,9 +57,9 @@ def gcode_preview(
     comments = _comments(program, queue.up_to(0))
     yield next(comments, b"; ffcomp\n")  # viewers know the slicer by the first line
     yield NOT_FOR_PRINTING
-    yield from (
-        f"; {text}: {name.split(':')[1].strip()}\n".encode() for text, name in zip(_level_texts(), names, strict=True)
-    )
+    between = [f"{low:g} to {high:g} um" for low, high in pairwise(EDGES_UM)]
+    texts = [f"below {EDGES_UM[0]:g} um", *between, f"above {EDGES_UM[-1]:g} um"]
+    yield from (f"; {text}: {name.split(':')[1].strip()}\n".encode() for text, name in zip(texts, names, strict=True))
     yield b"G21\nG90\nM83\n"
     yield from comments
     write = _Writer(names)
@@ -86,18 +84,8 @@ def error_levels(original: Original, curve: Curve, due: FloatArray) -> Levels:
     piece = first[move] + np.minimum(np.clip(along, 0.0, 1.0) * count[move], count[move] - 1).astype(np.int64)
     worst = np.full(int(count.sum()), -1.0)
     np.maximum.at(worst, piece, 1e3 * curve.contour)
-    return Levels(count, first, np.searchsorted(EDGES_UM, _filled(worst), side="right"))
-
-
-def _filled(values: FloatArray) -> FloatArray:
-    known = np.maximum.accumulate(np.where(values >= 0.0, np.arange(len(values)), 0))
-    return np.asarray(np.maximum(values[known], 0.0))
-
-
-def _level_texts() -> list[str]:
-    edges = [f"{edge:g}" for edge in EDGES_UM]
-    between = [f"{low} to {high} um" for low, high in pairwise(edges)]
-    return [f"below {edges[0]} um", *between, f"above {edges[-1]} um"]
+    known = np.maximum.accumulate(np.where(worst >= 0.0, np.arange(len(worst)), 0))  # pieces between two samples too
+    return Levels(count, first, np.searchsorted(EDGES_UM, np.maximum(worst[known], 0.0), side="right"))
 
 
 def _comments(program: Program, events: Iterable[Event]) -> Iterator[bytes]:

@@ -76,39 +76,30 @@ class Evaluator:
 
     def evaluation(self) -> Evaluation:
         """Evaluate everything that was added."""
-        sections = [self._section(section) for section in self._parts]
-        reference, nozzle = end_to_end([each.reference for each in sections], [each.nozzle for each in sections])
-        contour = np.concatenate([each.contour() for each in sections])
-        speeds, accelerations = zip(*(each.peaks() for each in sections), strict=True)
-        seconds = sum(float(each.t[-1] - each.t[0]) for each in sections)
+        times: list[FloatArray] = []
+        nozzles: list[FloatArray] = []
+        contours: list[FloatArray] = []
+        for section, parts in self._parts.items():
+            t, nozzle = (np.concatenate(part) for part in zip(*parts, strict=True))
+            plan_t = section.reference.plan_time(t)
+            corners = section.reference.corners(float(plan_t[0]), float(plan_t[-1]))
+            times.append(t)
+            nozzles.append(nozzle)
+            contours.append(contour_error(*corners, plan_t, nozzle))
+        references = [each.reference.position(t) for each, t in zip(self._parts, times, strict=True)]
+        spans = [(float(t[0]), float(t[-1])) for t in times]
+        peaks = [command_peaks(each.actuators, *span) for each, span in zip(self._parts, spans, strict=True)]
+        speeds, accelerations = zip(*peaks, strict=True)
+        contour, seconds = np.concatenate(contours), sum(end - begin for begin, end in spans)
+        follows = tracking(*end_to_end(references, nozzles), self._sample_s)
         return Evaluation(
-            time_s=np.concatenate([each.t for each in sections]),
-            reference_mm=np.concatenate([each.reference for each in sections]),
-            nozzle_mm=np.concatenate([each.nozzle for each in sections]),
+            time_s=np.concatenate(times),
+            reference_mm=np.concatenate(references),
+            nozzle_mm=np.concatenate(nozzles),
             error_um=1e3 * contour,
-            track=build_track(tracking(reference, nozzle, self._sample_s), contour, seconds, max(accelerations)),
+            track=build_track(follows, contour, seconds, max(accelerations)),
             peak_actuator_velocity_mm_per_s=max(speeds),
         )
-
-    def _section(self, section: CommandSection) -> _EvaluatedSection:
-        t, nozzle = (np.concatenate(parts) for parts in zip(*self._parts[section], strict=True))
-        return _EvaluatedSection(section, t, nozzle)
-
-
-class _EvaluatedSection:
-    """One section: where the nozzle was, and where it should have been."""
-
-    def __init__(self, section: CommandSection, t: FloatArray, nozzle: FloatArray) -> None:
-        self.section, self.t, self.nozzle = section, t, nozzle
-        self.reference = section.reference.position(t)
-
-    def contour(self) -> FloatArray:
-        plan_t = self.section.reference.plan_time(self.t)
-        corners = self.section.reference.corners(float(plan_t[0]), float(plan_t[-1]))
-        return contour_error(*corners, plan_t, self.nozzle)
-
-    def peaks(self) -> tuple[float, float]:
-        return command_peaks(self.section.actuators, float(self.t[0]), float(self.t[-1]))
 
 
 KINDS = ("acc", "pos")
@@ -123,46 +114,23 @@ def recording_lines(
     ----------
     chunks : of one section
     plant : the printer whose sensors record
-    comments : mapping, key and text of each comment
-    kinds : sequence of {"acc", "pos"}, accelerations (m/s², gravity removed) and positions (mm)
+    kinds : of "acc" and "pos", accelerations (m/s², gravity removed) and positions (mm)
     """
     yield "".join(f"# {key}: {' '.join(text.split())}\n" for key, text in comments.items()).encode()
-    columns, actuators = _columns(kinds, plant.vibration.channels), _actuators(plant.vibration.channels)
+    channels, units = plant.vibration.channels, {"acc": "m_per_s2", "pos": "mm"}
+    carriages = [name for name in channels if name not in "xyz"]  # straight axes are their own carriages
+    sensors = [f"{kind}_{axis}_{units[kind]}" for kind in kinds for axis in (*carriages, *"xyz")]
+    columns = ["t_s", *(f"cmd_{axis}_mm" for axis in channels), *sensors]
     yield (",".join(columns) + "\n").encode()
     row = ",".join(["%.7f"] * len(columns)) + "\n"
-    for chunk in _recorded(chunks, plant):
-        values = _values(chunk, kinds, bool(actuators))
-        yield (row * len(values) % tuple(values.ravel().tolist())).encode()
-
-
-def _actuators(channels: Sequence[str]) -> list[str]:
-    return [name for name in channels if name not in "xyz"]
-
-
-def _columns(kinds: Sequence[str], channels: Sequence[str]) -> list[str]:
-    units = {"acc": "m_per_s2", "pos": "mm"}
-    sensors = [f"{kind}_{axis}_{units[kind]}" for kind in kinds for axis in (*_actuators(channels), *"xyz")]
-    return ["t_s", *(f"cmd_{axis}_mm" for axis in channels), *sensors]
-
-
-def _values(chunk: Chunk, kinds: Sequence[str], carriages: bool) -> FloatArray:
-    """Return the rows : (n, columns); of straight axes, which are their own carriages, without those."""
-    blocks = {"acc": (chunk.signals.carriage, chunk.signals.nozzle), "pos": (chunk.carriage_mm, chunk.nozzle_mm)}
-    sensors = [block for kind in kinds for block in blocks[kind][0 if carriages else 1 :]]
-    return np.column_stack([chunk.t_s, chunk.section.actuators(chunk.t_s), *sensors])
-
-
-def _recorded(chunks: Iterable[Chunk], plant: Machine) -> Iterator[Chunk]:
     if any(CATALOGUE[name].shifts_time for name in plant.effects):
-        yield _with_sensor_signals(_joined(list(chunks)), plant)
-    else:
-        for chunk in chunks:
-            yield _with_sensor_signals(chunk, plant)
-
-
-def _with_sensor_signals(chunk: Chunk, plant: Machine) -> Chunk:
-    since_begin = replace(chunk.signals, t_s=chunk.t_s - chunk.t_s[0])
-    return replace(chunk, signals=measured(plant, since_begin))
+        chunks = [_joined(list(chunks))]
+    for chunk in chunks:
+        felt = measured(plant, replace(chunk.signals, t_s=chunk.t_s - chunk.t_s[0]))
+        blocks = {"acc": (felt.carriage, felt.nozzle), "pos": (chunk.carriage_mm, chunk.nozzle_mm)}
+        recorded = [block for kind in kinds for block in blocks[kind][0 if carriages else 1 :]]
+        values = np.column_stack([chunk.t_s, chunk.section.actuators(chunk.t_s), *recorded])
+        yield (row * len(values) % tuple(values.ravel().tolist())).encode()
 
 
 def _joined(chunks: Sequence[Chunk]) -> Chunk:
@@ -252,19 +220,14 @@ def read_command(
     flavor: str = "",
     plate: int | None = None,
 ) -> tuple[Command, list[str]]:
-    """Read a G-code file or a step archive, recognised by their content.
+    """Read a G-code file or a step archive, recognised by their content; return the command and the reader's warnings.
 
     Parameters
     ----------
-    path : path
     machine : the one that the command was computed with
     offset : (float, float), added to every position, mm
     flavor : "" for what the machine file says, or else the file
     plate : of an archive that holds several prints
-
-    Returns
-    -------
-    Command, list of str: The command, and the reader's warnings.
     """
     check_regular(Path(path))
     if is_step_archive(path):
@@ -285,18 +248,15 @@ def simulate_command(
 ) -> SimulationResult:
     """Execute a command, evaluate it, and record it.
 
+    Raises NothingToDo if the part holds too little motion, MachineFileError if the plant's kinematics are not the
+    machine's, or it cannot rest, and GcodeError if the nozzle leaves the reach of its arms.
+
     Parameters
     ----------
     machine, plant : the one that the command was computed with, and the printer that moves
     path : the command's file, as the user named it
     target : the recording, which is replaced whole or not at all. None: nothing is recorded
     progress : called with the print seconds done so far
-
-    Raises
-    ------
-    NothingToDo: If the part holds too little motion.
-    MachineFileError: If the plant's kinematics are not the machine's, or it cannot rest.
-    GcodeError: If the nozzle leaves the reach of its arms.
     """
     check_same_kinematics(machine, plant)
     started = time.perf_counter()
@@ -306,44 +266,17 @@ def simulate_command(
     if not evaluator.enough(len(parts), simulated_s):
         part = f"from {request.from_s:g} to {request.to_s:g} s, {simulated_s:g} s of motion are too few"
         raise NothingToDo(f"{path}: {part} to simulate; the motion ends at {command.sections[-1].end_s:.3f} s.")
-    count = _Count()
-    chunks = play(command, plant, request.rate_hz, request.from_s, request.to_s, gravity=request.gravity)
-    watched = _watched(chunks, evaluator, count, request.rate_hz, progress)
-    try:
-        _write(watched, target, plant, _comments(path, machine, plant, request), request.kinds)
-    except UnreachableError as error:
-        raise GcodeError(str(error), path=path) from error
-    evaluation, seconds = evaluator.evaluation(), time.perf_counter() - started
-    return SimulationResult(machine, plant, request, command.reference, evaluation, simulated_s, seconds, count.rows)
+    rows = 0
 
+    def evaluated() -> Iterator[Chunk]:
+        nonlocal rows
+        for chunk in play(command, plant, request.rate_hz, request.from_s, request.to_s, gravity=request.gravity):
+            evaluator.add(chunk)
+            yield chunk
+            rows += len(chunk.t_s)
+            progress(rows / request.rate_hz)
 
-@dataclass
-class _Count:
-    rows: int = 0
-
-
-def _watched(
-    chunks: Iterable[Chunk], evaluator: Evaluator, count: _Count, rate_hz: float, progress: Progress
-) -> Iterator[Chunk]:
-    for chunk in chunks:
-        evaluator.add(chunk)
-        yield chunk
-        count.rows += len(chunk.t_s)
-        progress(count.rows / rate_hz)
-
-
-def _write(
-    chunks: Iterable[Chunk], target: Path | None, plant: Machine, comments: dict[str, str], kinds: Sequence[str]
-) -> None:
-    if target is None:
-        for _ in chunks:
-            pass
-    else:
-        replace_atomically(target, recording_lines(chunks, plant, comments, kinds))
-
-
-def _comments(path: str, machine: Machine, plant: Machine, request: Request) -> dict[str, str]:
-    return {
+    comments = {
         "made by": f"ffcomp v{__version__} simulate",
         "command": Path(path).name,
         "machine": f"{machine.name}, sha256 {machine.sha256}",
@@ -351,3 +284,13 @@ def _comments(path: str, machine: Machine, plant: Machine, request: Request) -> 
         "effects": ", ".join(plant.effects) or "none",
         "gravity": "yes" if request.gravity else "no",
     }
+    try:
+        if target is None:
+            for _ in evaluated():
+                pass
+        else:
+            replace_atomically(target, recording_lines(evaluated(), plant, comments, request.kinds))
+    except UnreachableError as error:
+        raise GcodeError(str(error), path=path) from error
+    evaluation, seconds = evaluator.evaluation(), time.perf_counter() - started
+    return SimulationResult(machine, plant, request, command.reference, evaluation, simulated_s, seconds, rows)
