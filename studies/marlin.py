@@ -25,8 +25,7 @@ from ffcomp.planner.marlin import planner_of, settings_row
 from ffcomp.planner.marlin_queue import STEPS, Blocks, phases_of
 from ffcomp.planner.program import known_to_the_firmware, plan_program
 from ffcomp.planner.trajectory import Trajectory
-from ffcomp.simulation.alignment import section_starts
-from ffcomp.simulation.command import SectionClock, path_corners, reference_clock
+from ffcomp.simulation.command import SectionClock, path_corners, reference_clock, section_starts
 from gcode.program import Program
 from gcode.reader import read_program
 from models.file import find_machine, load_machine
