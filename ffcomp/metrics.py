@@ -21,6 +21,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from ffcomp.numerics.bounded_minimum import bounded_minimum
 from models.arrays import FloatArray, IntArray
 from models.compiled import fast_kernel, kernel
 
@@ -320,12 +321,7 @@ def _best_delay(reference: FloatArray, actual: FloatArray, dt: float, longest: f
     def cost(tau: float) -> float:
         return float(_mean_square(reference, actual, tau / dt, 1))
 
-    from scipy.optimize import minimize_scalar  # 0.2 s to import: only when a delay is sought
-
-    result = minimize_scalar(cost, bounds=(valley - step, valley + step), method="bounded", options={"xatol": 1e-10})
-    if not result.success:
-        raise RuntimeError(f"The search for the delay near {valley:.4f} s has not ended: {result.message}")
-    return float(result.x)
+    return bounded_minimum(cost, float(valley - step), float(valley + step), 1e-10)
 
 
 @fast_kernel

@@ -15,6 +15,7 @@ from ffcomp.integrations.slicer import Bed, between, offset_for, pair, place
 from ffcomp.planner.reach import PartMoves
 from gcode.program import Program
 from models.arrays import FloatArray
+from models.compiled import kernel
 from models.kinematics.base import SLACK_MM, Kinematics
 
 Offset = tuple[float, float]
@@ -58,15 +59,28 @@ def footprint_of(programs: Iterable[Program]) -> Footprint | None:
 
 
 def _enclosing(known: FloatArray, more: FloatArray) -> FloatArray:
-    from scipy.spatial import ConvexHull, QhullError
-
     points = np.unique(np.concatenate([known, more]), axis=0)
-    if len(points) < 4:
-        return points
-    try:
-        return np.asarray(points[ConvexHull(points).vertices])
-    except QhullError:  # all on a line: its ends
-        return points[[0, -1]]
+    return points if len(points) < 4 else np.asarray(_hull(points))
+
+
+@kernel
+def _hull(points: FloatArray) -> FloatArray:
+    """Return the corners of the convex hull of points (n, 2) in the order of x, then y: Andrew's monotone chain."""
+    n = len(points)
+    corners, count, least = np.empty((2 * n, 2)), 0, 1
+    for turn in range(2):  # below from left to right, then above from right to left
+        for k in range(1 if turn else 0, n):
+            at = n - 1 - k if turn else k
+            while count > least:
+                ax, ay = corners[count - 1, 0] - corners[count - 2, 0], corners[count - 1, 1] - corners[count - 2, 1]
+                bx, by = points[at, 0] - corners[count - 2, 0], points[at, 1] - corners[count - 2, 1]
+                if ax * by - ay * bx > 0.0:
+                    break
+                count -= 1
+            corners[count, 0], corners[count, 1] = points[at, 0], points[at, 1]
+            count += 1
+        least = count
+    return corners[: count - 1].copy()
 
 
 def choose_offset(kinematics: Kinematics, bed: Bed | None, footprint: Callable[[], Footprint | None]) -> Placement:

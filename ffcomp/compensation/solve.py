@@ -9,7 +9,6 @@ import numpy as np
 
 from ffcomp.errors import LimitsError
 from ffcomp.inverse.model import InverseModel
-from ffcomp.inverse.nonlinear import LinearSolution, correct_sections
 from ffcomp.inverse.reference import WHOLE, Extent, Reference
 from ffcomp.inverse.solve import Solution, solve
 from ffcomp.inverse.time_scaling import FeasibleSection, SectionRequest, TimeScaling, solve_feasible
@@ -64,6 +63,8 @@ def solutions(
     if model.printer is None:
         yield from (solved for solved, _ in linear)
         return
+    from ffcomp.inverse.nonlinear import LinearSolution, correct_sections  # with the whole printer: effects only
+
     known = list(linear)
     results = correct_sections(
         model, model.printer, [LinearSolution(s.reference, s.solution, rest) for s, rest in known]

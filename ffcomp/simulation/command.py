@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -21,7 +22,9 @@ from gcode.embedded import WAS, noted, section_times
 from gcode.program import Program
 from models.arrays import BoolArray, FloatArray, IntArray
 from models.machine import Machine
-from models.printer.printer import Hold
+
+if TYPE_CHECKING:
+    from models.printer.printer import Hold
 
 OfTime = Callable[[FloatArray], FloatArray]  # t : (k,) s → (k, 3) mm
 

@@ -8,7 +8,6 @@ import numpy as np
 
 from ffcomp.planner.trajectory import PlannedMotion
 from models.arrays import FloatArray
-from models.effects.catalogue import design_machine
 from models.machine import Machine
 from models.vibration.scheduled import Schedule, plant_table
 
@@ -46,13 +45,12 @@ def whole_steps(seconds: float) -> int:
     return SUBSTEPS * int(seconds / STEP_S / SUBSTEPS)
 
 
-def simulate_linear(machine: Machine, trajectory: PlannedMotion) -> tuple[FloatArray, FloatArray]:
-    """Simulate the nozzle under a plan, from its first move to its last, on the machine's design model.
+def simulate_linear(playback: LinearPlayback, trajectory: PlannedMotion) -> tuple[FloatArray, FloatArray]:
+    """Simulate the nozzle under a plan, from its first move to its last.
 
     Returns times (m,) s on the plan's clock, in steps of 1 ms (except where something else has moved the nozzle), and
     the nozzle (m, 3) mm.
     """
-    playback = LinearPlayback(design_machine(machine)[0])
     intervals = continuous_intervals(trajectory)
     parts = [part for begin, end in intervals for part in _interval(playback, trajectory, begin, end)]
     return np.concatenate([t for t, _ in parts]), np.concatenate([nozzle for _, nozzle in parts])

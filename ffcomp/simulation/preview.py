@@ -25,13 +25,14 @@ from ffcomp.planner.program import PlannedProgram, known_to_the_firmware, planne
 from ffcomp.planner.reach import within_reach
 from ffcomp.planner.trajectory import PlannedMotion, split_sections
 from ffcomp.simulation.command import command_peaks, motion_of, path_corners_with_rests, reference_clock, section_clock
-from ffcomp.simulation.linear import continuous_intervals, simulate_linear
+from ffcomp.simulation.linear import LinearPlayback, continuous_intervals, simulate_linear
 from gcode.embedded import original_lines
 from gcode.layers import labels, outer_walls
 from gcode.program import Program
 from gcode.reader import read_program
 from models.arrays import BoolArray, FloatArray
 from models.compiled import kernel
+from models.effects.catalogue import design_machine
 from models.machine import Machine, Pressure
 
 STEP_S = 5e-4
@@ -141,8 +142,9 @@ def preview(
     planned, compensation = _plan(original, machine), _plan(compensated, machine)
     reference, executed = planned.trajectory, compensation.trajectory
     path_t, corners = path_corners_with_rests(reference)
-    before_t, before = simulate_linear(machine, reference)
-    after_t, after = simulate_linear(machine, executed)
+    playback = LinearPlayback(design_machine(machine)[0])
+    before_t, before = simulate_linear(playback, reference)
+    after_t, after = simulate_linear(playback, executed)
     before_reference = reference.position(before_t)[:, :3]
     after_due = section_clock(compensation, planned).plan_time(after_t)
     after_reference = reference.position(after_due)[:, :3]
