@@ -10,8 +10,8 @@ import numpy as np
 
 from ffcomp.api.machines import load_machine
 from ffcomp.errors import RequestError, extras_told
-from ffcomp.identification.frf_request import FrfRequest
 from ffcomp.identification.frf_study import Study, View, frf_json, study, view_of
+from ffcomp.identification.request import FrfRequest
 from ffcomp.measurement.frf import FrequencyResponse
 from ffcomp.measurement.frf_files import read_frfs
 from ffcomp.request import function

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from ffcomp.cli.command import verb
 from ffcomp.cli.common import print_json, say
-from ffcomp.identification.frf_request import FrfRequest
+from ffcomp.identification.request import FrfRequest
 from ffcomp.options import FIGURE
 from ffcomp.request import OUTPUT, Option, Request
 

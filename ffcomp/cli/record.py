@@ -11,7 +11,7 @@ from ffcomp.errors import RequestError
 from ffcomp.record.request import CheckRequest, JoinRequest, PlanRequest
 
 if TYPE_CHECKING:
-    from ffcomp.check.result import CheckResult
+    from ffcomp.check.compare import CheckResult
     from ffcomp.record.plan import Plan
     from ffcomp.record.planning import PlanResult
     from ffcomp.record.result import JoinResult
@@ -164,8 +164,8 @@ def check(request: CheckRequest, shown: Shown) -> None:
 def _compare(request: CheckRequest, shown: Shown) -> None:
     from datetime import datetime
 
+    from ffcomp.check.compare import check_result
     from ffcomp.check.history import read_history, write_history
-    from ffcomp.check.result import check_result
     from ffcomp.record.axes import turn_of
     from ffcomp.record.join import join_captures
     from ffcomp.record.plan import load_plan
@@ -198,7 +198,7 @@ def _compare(request: CheckRequest, shown: Shown) -> None:
 
 
 def _report_check(result: CheckResult, request: CheckRequest) -> None:
-    from ffcomp.check.result import against_file, to_do
+    from ffcomp.check.compare import against_file, to_do
 
     print(result.verdict.message)
     if result.since_first is not None:

@@ -7,7 +7,7 @@
                     └─ spectra alone ─────────────── starting_machine ─── ResonancesFit
     tests along belts or towers are compared beside that (compare_belts)
 
-Each fit brings its machine file's text (`machine_file.py`) and its JSON object (`machine_fit.py`).
+Each fit brings its machine file's text and its JSON object (`machine_fit.py`).
 """
 
 from __future__ import annotations
@@ -27,7 +27,6 @@ from ffcomp.identification.belts import BeltComparison, compare_belts
 from ffcomp.identification.direct import identify
 from ffcomp.identification.from_resonances import Resonance, starting_machine
 from ffcomp.identification.load import Gathered, gather, resonances_of
-from ffcomp.identification.machine_file import axes_file_text, machine_file_text, modes_file_text, paper_file_text
 from ffcomp.identification.machine_fit import (
     AxesFit,
     BeltsFit,
@@ -35,7 +34,11 @@ from ffcomp.identification.machine_fit import (
     ParametersFit,
     ResonancesFit,
     StepwiseFit,
+    axes_file_text,
     hash_of,
+    machine_file_text,
+    modes_file_text,
+    paper_file_text,
 )
 from ffcomp.identification.modal_fit import AxisFit
 from ffcomp.identification.output_error import TOTAL_MASS

@@ -8,8 +8,7 @@ from datetime import date
 from pathlib import Path
 
 from ffcomp.errors import MeasurementError, RequestError
-from ffcomp.identification.machine_file import scan_file_text
-from ffcomp.identification.machine_fit import ScanFit, hash_of
+from ffcomp.identification.machine_fit import ScanFit, hash_of, scan_file_text
 from ffcomp.identification.page_fit import SCALE, PageFit, fit_page
 from ffcomp.identification.page_lines import read_lines
 from ffcomp.identification.page_picture import find_page, read_picture

@@ -18,6 +18,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
@@ -36,6 +37,7 @@ from ffcomp.measurement.klipper import (
 from ffcomp.measurement.printer_logs import is_closed_loop, is_motion_log
 from ffcomp.measurement.sensors import G
 from ffcomp.measurement.table import Table, comments_of, read_table, read_text, rows_of
+from ffcomp.measurement.uff import is_universal
 from models.arrays import FloatArray
 
 _RULE = (
@@ -222,3 +224,33 @@ def _by_gravity(path: str, values: FloatArray) -> float:
             f"{size:.4g}. Write the unit into the columns' names, as in 't_s,ax_m_per_s2,ay_m_per_s2,az_m_per_s2'."
         ],
     )
+
+
+Kind = Literal["frf", "recording", "vibration"]
+
+
+def kind_of(path: Path) -> Kind:
+    """Tell the kind of a file by its first line that is no comment of ours.
+
+    Raises
+    ------
+    MeasurementError
+        If it cannot be read, or is of no known kind.
+    """
+    if not path.is_file():
+        raise MeasurementError(str(path), ["There is no such file."])
+    if is_stdata(path) or is_motion_log(path) or is_closed_loop(path):
+        return "vibration"
+    if is_universal(path):
+        return "frf"
+    lines = [line.strip().lower() for line in read_text(path).splitlines() if line.strip()]
+    if not lines:
+        raise MeasurementError(str(path), ["The file is empty."])
+    header = next((line for line in lines if not line.startswith("# ") and ":" not in line.split(",")[0]), lines[0])
+    if header.startswith("frequency_hz"):
+        return "frf"
+    if columns_of(header) is not None and "cmd_" not in header:
+        return "vibration"
+    if "t_s" in [name.strip() for name in header.split(",")] or "cmd_" in header:
+        return "recording"
+    return "vibration"

@@ -16,9 +16,9 @@ from scipy.signal import resample_poly
 
 from ffcomp.errors import MeasurementError
 from ffcomp.measurement.faults import SHAPER_REMEDY, wrong_gravity
-from ffcomp.measurement.kinds import kind_of
 from ffcomp.measurement.printer_logs import is_closed_loop, read_closed_loop
 from ffcomp.measurement.recording import CLOCKS, Recording, read_recording
+from ffcomp.measurement.vibration import kind_of
 from ffcomp.record.axes import best_score, find_turn, tilt, words
 from ffcomp.record.clock import DEAF, ClockFit, Expectation, felt_shares, fit_clock, long_gaps, without_gaps
 from ffcomp.record.executions import Expected, Task, read_tasks, stated

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from ffcomp.check.compare import CheckResult, check_result
 from ffcomp.check.history import MOST, WITH_MOTION, Check, read_history, write_history
 from ffcomp.check.parts import Signatures
-from ffcomp.check.result import CheckResult, check_result
 from ffcomp.check.signals import SensorSignal, signals_of
 from ffcomp.errors import MeasurementError
 from ffcomp.measurement.recording import Recording

@@ -11,7 +11,7 @@ import pytest
 
 from ffcomp.identification.axes import Exchange, IdentifiedAxes, find_exchange, identify_axes
 from ffcomp.identification.axis_spectra import usable
-from ffcomp.identification.machine_file import axes_file_text
+from ffcomp.identification.machine_fit import axes_file_text
 from ffcomp.identification.modal_fit import AxisFit, AxisMode
 from ffcomp.identification.uncertainty import normal
 from ffcomp.measurement.frf import FrequencyResponse

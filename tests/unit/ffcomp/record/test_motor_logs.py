@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from ffcomp.errors import MeasurementError
-from ffcomp.identification.captures import responses_of
-from ffcomp.identification.load import kind_of
+from ffcomp.identification.load import kind_of, responses_of
 from ffcomp.measurement.printer_logs import read_closed_loop
 from ffcomp.measurement.recording import read_recording
 from ffcomp.measurement.vibration import read_captures
