@@ -8,8 +8,9 @@ from typing import Any
 
 from numba import njit
 from numba.core.caching import FunctionCache, _Cache
-from numba.core.dispatcher import Dispatcher
 from numba.core.runtime import rtsys
+
+_OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
 
 
 class KernelCache(_Cache):
@@ -59,7 +60,7 @@ class KernelCache(_Cache):
 
 def kernel(function: Callable[..., Any]) -> Any:
     """Compile a function when it is first called."""
-    compiled = njit(nogil=True, error_model="numpy", no_cfunc_wrapper=True)(function)
-    if isinstance(compiled, Dispatcher):  # not with NUMBA_DISABLE_JIT
+    compiled: Any = njit(**_OPTIONS)(function)
+    if hasattr(compiled, "_cache"):  # not with NUMBA_DISABLE_JIT
         compiled._cache = KernelCache(function)
     return compiled

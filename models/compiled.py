@@ -12,7 +12,6 @@ from typing import Any
 
 from numba import njit
 from numba.core.caching import FunctionCache, _Cache
-from numba.core.dispatcher import Dispatcher
 from numba.core.runtime import rtsys
 
 _OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
@@ -68,7 +67,7 @@ class KernelCache(_Cache):
 
 def cached(compiled: Any, function: Callable[..., Any], sources: str = "") -> Any:
     """Give what `njit` has made of a function its cache; see `KernelCache`."""
-    if isinstance(compiled, Dispatcher):  # not with NUMBA_DISABLE_JIT
+    if hasattr(compiled, "_cache"):  # not with NUMBA_DISABLE_JIT
         compiled._cache = KernelCache(function, sources)
     return compiled
 
