@@ -13,7 +13,7 @@ from ffcomp.diagnosis.request import DiagnoseRequest, GapRequest
 from ffcomp.diagnosis.verb import diagnose_request
 from ffcomp.errors import RequestError, extras_told
 from ffcomp.identification.fitting import fit_files
-from ffcomp.identification.machine_fit import AxesFit, MachineFit, ParametersFit
+from ffcomp.identification.machine_fit import MachineFit
 from ffcomp.identification.request import FitRequest, Method
 from ffcomp.request import function
 from models.machine import Machine
@@ -49,18 +49,12 @@ class Identification:
         RequestError
             If the data hold no responses.
         """
-        from ffcomp.report.identify import axes_figure, belts_figure, fit_figure
-        from ffcomp.shapers.calibration import in_words
+        from ffcomp.report.identify import figure_of
 
-        more = in_words(self.fit.shapers)
-        match self.fit:
-            case ParametersFit(result=result):
-                return fit_figure(result, more)
-            case AxesFit(result=axes):
-                return axes_figure(axes, self.fit.name, self.fit.belts, more)
-        if self.fit.belts is not None:
-            return belts_figure(self.fit.belts, self.fit.name)
-        raise RequestError("These data hold no frequency responses to draw.")
+        figure = figure_of(self.fit)
+        if figure is None:
+            raise RequestError("These data hold no frequency responses to draw.")
+        return figure
 
 
 def identify(

@@ -39,14 +39,7 @@ def fit(request: FitRequest, shown: Shown) -> None:
     start = load_plant(request.machine)
     with SearchProgress(shown.quiet, USUAL_S, "reading the files") as progress:
         result = fit_files(start, request, progress)
-    _write(result, request.output)
-    if request.figure is not None:
-        _draw(result, request.figure)
-        say(f"ffcomp: {request.figure}", shown.quiet)
-    if shown.as_json:
-        print_json(result.to_dict(None if request.output is None else str(request.output)))
-    else:
-        _print(result, request.output)
+    _deliver(result, request, shown)
 
 
 @verb
@@ -99,16 +92,7 @@ def scan(request: ScanRequest, shown: Shown) -> None:
 
         with SearchProgress(shown.quiet, USUAL_S, "reading the pictures") as progress:
             result = fit_pictures(start, request, progress)
-    _write(result, request.output)
-    if request.figure is not None:
-        from ffcomp.report.scan import draw_page
-
-        draw_page(result, request.figure)
-        say(f"ffcomp: {request.figure}", shown.quiet)
-    if shown.as_json:
-        print_json(result.to_dict(None if request.output is None else str(request.output)))
-    else:
-        _print(result, request.output)
+    _deliver(result, request, shown)
 
 
 identify = group(
@@ -135,31 +119,28 @@ def _print_parts(place: PlaceParts) -> None:
         print(f"  {mark}  {100 * part.error:6.1f} % (noise {100 * part.noise:.1f} %)  {part.statement}")
 
 
-def _write(result: MachineFit, output: Path | None) -> None:
-    """Write the machine file, if one is wanted; check it in any case, for a later run would write it."""
+def _deliver(result: MachineFit, request: FitRequest | ScanRequest, shown: Shown) -> None:
+    """Write the machine file and the figure, if they are wanted, and print."""
     from models.file import check_text
 
+    output = request.output
     if output is not None:
         result.write(output)
-    elif result.text:
+    elif result.text:  # a later run would write it
         check_text(result.text, result.name)
+    if request.figure is not None:
+        from ffcomp.report.drawing import write_figure
+        from ffcomp.report.identify import figure_of
 
-
-def _draw(result: MachineFit, target: Path) -> None:
-    from ffcomp.identification.machine_fit import AxesFit, ParametersFit
-    from ffcomp.report.identify import draw_axes, draw_belts, draw_fit
-    from ffcomp.shapers.calibration import in_words
-
-    more = in_words(result.shapers)
-    match result:
-        case ParametersFit():
-            draw_fit(result.result, target, more)
-        case AxesFit():
-            draw_axes(result.result, result.name, target, result.belts, more)
-        case _ if result.belts is not None:
-            draw_belts(result.belts, result.name, target)
-        case _:
+        figure = figure_of(result)
+        if figure is None:
             raise RequestError("--figure shows frequency responses; these files hold none (see: --plan).")
+        write_figure(figure, request.figure, figure.dpi)
+        say(f"ffcomp: {request.figure}", shown.quiet)
+    if shown.as_json:
+        print_json(result.to_dict(None if output is None else str(output)))
+    else:
+        _print(result, output)
 
 
 # ---- for people ----------------------------------------------------------------------------------

@@ -188,9 +188,10 @@ def _compare(request: CheckRequest, shown: Shown) -> None:
     if not result.known:
         write_history(request.history_file, checks)
     if request.figure is not None:
-        from ffcomp.report.check import draw_checks
+        from ffcomp.report.check import checks_figure
+        from ffcomp.report.drawing import write_figure
 
-        draw_checks(checks, machine.name, request.figure)
+        write_figure(checks_figure(checks, machine.name), request.figure, dpi=130)
     if shown.as_json:
         print_json(result.to_dict(machine.name, request.history_file))
     else:

@@ -24,6 +24,7 @@ import numpy as np
 
 from ffcomp.errors import MeasurementError
 from ffcomp.measurement.capture import Capture, make_capture
+from ffcomp.measurement.frf_files import is_universal
 from ffcomp.measurement.klipper import (
     Resonances,
     is_paxxel,
@@ -37,7 +38,6 @@ from ffcomp.measurement.klipper import (
 from ffcomp.measurement.printer_logs import is_closed_loop, is_motion_log
 from ffcomp.measurement.sensors import G
 from ffcomp.measurement.table import Table, comments_of, read_table, read_text, rows_of
-from ffcomp.measurement.uff import is_universal
 from models.arrays import FloatArray
 
 _RULE = (

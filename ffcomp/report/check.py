@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 
 import matplotlib
 from matplotlib.axes import Axes
@@ -11,18 +10,13 @@ from matplotlib.figure import Figure
 
 from ffcomp.check.compare import CHANGED, SAME, SENSOR, UNKNOWN
 from ffcomp.check.history import Check
-from ffcomp.report.drawing import BAND, RC, SOFT, grid, write_figure
+from ffcomp.report.drawing import BAND, RC, SOFT, grid
 from ffcomp.version import __version__
 
 SHOWN = 30  # checks, the last ones
 GAP, CHANGE = "#0072b2", "#d55e00"  # told apart by colour-blind people too
 MARKED = {CHANGED: "changed", UNKNOWN: "changed", SENSOR: "sensor"}
 WORDS = {SAME: "as last time", **MARKED}
-
-
-def draw_checks(checks: Sequence[Check], name: str, target: Path) -> None:
-    """Write the figure; the suffix of `target` names the format."""
-    write_figure(checks_figure(checks, name), target, dpi=130)
 
 
 def checks_figure(checks: Sequence[Check], name: str) -> Figure:

@@ -1,4 +1,4 @@
-"""Measured frequency responses beside the fitted model.
+"""What `identify` measured beside the fitted model: responses, spectra, belts, the lines of a page.
 
 Blue is the model, as everywhere; what was measured is dark, its noise grey. Peaks of the model are marked.
 """
@@ -19,6 +19,7 @@ from ffcomp.identification.axes import IdentifiedAxes
 from ffcomp.identification.axis_spectra import Datum
 from ffcomp.identification.belts import BeltComparison
 from ffcomp.identification.direct import Identified
+from ffcomp.identification.machine_fit import AxesFit, MachineFit, ParametersFit, ScanFit
 from ffcomp.identification.modal_fit import AxisFit
 from ffcomp.report.drawing import (
     AFTER,
@@ -32,23 +33,31 @@ from ffcomp.report.drawing import (
     grid,
     machine_line,
     room_below,
-    write_figure,
 )
+from ffcomp.shapers.calibration import in_words
 from ffcomp.version import __version__
 from models.arrays import ComplexArray, FloatArray
 
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")  # told apart by colour-blind people too
 
 
-def draw_belts(belts: BeltComparison, name: str, target: Path) -> None:
-    """Write the figure; the suffix of `target` names the format."""
-    write_figure(belts_figure(belts, name), target, dpi=130)
+def figure_of(fit: MachineFit) -> Figure | None:
+    """Draw the measurements beside the fitted model; None where they hold nothing that is drawn."""
+    more = in_words(fit.shapers)
+    match fit:
+        case ScanFit():
+            return page_figure(fit)
+        case ParametersFit():
+            return fit_figure(fit.result, more)
+        case AxesFit():
+            return axes_figure(fit.result, fit.name, fit.belts, more)
+    return None if fit.belts is None else belts_figure(fit.belts, fit.name)
 
 
 def belts_figure(belts: BeltComparison, name: str) -> Figure:
     """Draw all tests in one panel, its finding above it."""
     with matplotlib.rc_context(RC):
-        figure = Figure(figsize=(8.4, 4.7), layout="constrained")
+        figure = Figure(figsize=(8.4, 4.7), dpi=130, layout="constrained")
         finding = belts.sentence.partition(". ")[0]
         figure.suptitle(finding, x=0.01, ha="left", fontsize=12, fontweight="bold", color=BAND)
         axes = figure.add_subplot()
@@ -89,6 +98,7 @@ if TYPE_CHECKING:
     from ffcomp.measurement.frf import FrequencyResponse
 
 COLUMNS = 3
+PAGE_COLUMNS, MAGNIFIED = 5, 20.0
 PANEL, HIGH, AXIS_HIGH = 4.4, 3.7, 3.6  # inches
 GOOD_FIT, FAIR_FIT = 0.05, 0.20  # model error of the worst response, up to which a fit is called so
 PEAK_PROMINENCE = 0.08  # decades by which a peak stands above its surroundings
@@ -97,11 +107,6 @@ MOST_PEAKS = 12  # of a printer in this band
 HEADROOM, NAME_WIDE = 8.0, 0.14  # above the curves for the names of peaks; of the panel's width
 AXES_KEY = "dots: measured  ·  blue: the fitted modes together  ·  dashed: a mode, with its 90 % interval"
 DOTS: dict[str, Any] = {"color": REFERENCE, "markersize": 3, "alpha": 0.55, "markeredgewidth": 0}
-
-
-def draw_fit(identified: Identified, target: Path, more: str = "") -> None:
-    """Write the figure of a fit; the suffix of `target` names the format."""
-    write_figure(fit_figure(identified, more), target, dpi=110)
 
 
 def fit_figure(identified: Identified, more: str = "") -> Figure:
@@ -119,7 +124,8 @@ def fit_figure(identified: Identified, more: str = "") -> Figure:
     order, columns = _in_a_grid([response for response, _, _ in pairs])
     rows = -(-len(order) // columns)
     with matplotlib.rc_context(RC):
-        figure = Figure(figsize=(PANEL * columns + 0.4, HIGH * rows + BAND_HEIGHT + 0.6), layout="constrained")
+        size = (PANEL * columns + 0.4, HIGH * rows + BAND_HEIGHT + 0.6)
+        figure = Figure(figsize=size, dpi=110, layout="constrained")
         key = "dots: measured  ·  blue: the model  ·  grey: noise of the measurement"
         of = f"{machine_line(identified.machine)}  ·  {key}"
         room_below(figure, band(figure, "Measured responses and the fitted model", _verdict(identified), of, more))
@@ -148,13 +154,6 @@ def _in_a_grid(responses: Sequence[FrequencyResponse]) -> tuple[list[int], int]:
     return list(range(len(where))), min(COLUMNS, len(where))
 
 
-def draw_axes(
-    identified: IdentifiedAxes, name: str, target: Path, belts: BeltComparison | None = None, more: str = ""
-) -> None:
-    """Write the figure of the axes' modes; the suffix of `target` names the format."""
-    write_figure(axes_figure(identified, name, belts, more), target, dpi=110)
-
-
 def axes_figure(identified: IdentifiedAxes, name: str, belts: BeltComparison | None = None, more: str = "") -> Figure:
     """Draw one panel for each file and axis: measured values, the sum of the modes, and the modes' frequencies.
 
@@ -172,7 +171,7 @@ def axes_figure(identified: IdentifiedAxes, name: str, belts: BeltComparison | N
     rows = -(-count // columns)
     with matplotlib.rc_context(RC):
         size = (max(PANEL * columns, 8.5) + 0.4, AXIS_HIGH * rows + BAND_HEIGHT + 0.6)
-        figure = Figure(figsize=size, layout="constrained")
+        figure = Figure(figsize=size, dpi=110, layout="constrained")
         finding = "  ·  ".join(_modes_text(axis) for axis in identified.axes)
         room_below(
             figure, band(figure, "Measured resonances and the fitted modes", finding, f"{name}  ·  {AXES_KEY}", more)
@@ -287,3 +286,35 @@ def _title(response: FrequencyResponse) -> str:
     at = f" at ({', '.join(f'{x:g}' for x in place[:2])}) mm" if place else ""
     setup = {"assembly": "", "carriage": "carriage alone: ", "carriage+mass": "carriage with mass: "}
     return f"{setup.get(response.setup, 'effector: ')}{response.input} → {response.output}{at}"
+
+
+def page_figure(fit: ScanFit) -> Figure:
+    """Draw where the lines lie, their waves magnified, and below each line with the fit over it."""
+    result = fit.result
+    rows = -(-len(result.lines) // PAGE_COLUMNS)
+    with matplotlib.rc_context(RC):
+        figure = Figure(figsize=(11.0, 5.2 + 1.15 * rows), dpi=110, layout="constrained")
+        figure.suptitle(
+            f"{fit.name}: {len(result.lines)} lines, {100 * result.explained:.0f} % of their waves explained",
+            x=0.01, ha="left", fontsize=12, fontweight="bold", color=BAND,
+        )  # fmt: skip
+        parts = figure.add_gridspec(rows + 1, PAGE_COLUMNS, height_ratios=[4.0, *[1.0] * rows])
+        page = figure.add_subplot(parts[0, :])
+        most = 1e3 * max(float(np.abs(seen).max()) for seen in result.seen)
+        for k, (line, seen, model) in enumerate(zip(result.lines, result.seen, result.fitted, strict=True)):
+            for wave, colour, width in ((seen, REFERENCE, 1.6), (model, AFTER, 0.8)):
+                page.plot(*line.line.at(line.s_mm, MAGNIFIED * wave).T, color=colour, lw=width)
+            panel = figure.add_subplot(parts[1 + k // PAGE_COLUMNS, k % PAGE_COLUMNS])
+            panel.plot(line.s_mm, 1e3 * seen, color=REFERENCE, lw=1.2)
+            panel.plot(line.s_mm, 1e3 * model, color=AFTER, lw=0.9)
+            panel.set_ylim(-most, most)
+            speed = float(line.stroke.motion.speed[-1])
+            panel.set_title(f"{line.stroke.name.removeprefix('ffcomp-')} · {speed:.0f} mm/s", fontsize=6, color=SOFT)
+            panel.tick_params(labelsize=6)
+            grid(panel)
+        page.set_aspect("equal")
+        page.set_title(
+            f"waves {MAGNIFIED:.0f} times larger, mm; below: µm across over mm along each line; dark as drawn, blue "
+            f"the machine · ffcomp {__version__}", fontsize=8, color=SOFT,
+        )  # fmt: skip
+    return figure
