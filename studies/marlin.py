@@ -102,7 +102,8 @@ def nozzle(motion: Trajectory, name: str) -> FloatArray:
     for first in range(0, count, CHUNK_SAMPLES):
         steps = min(CHUNK_SAMPLES, count - first) * every
         t = first / JUDGED_HZ + np.arange(2 * steps + 1) * (DELTA_STEP_S / 2)
-        answer = delta_plant.simulate(plant, motion.position(t)[:, :3], DELTA_STEP_S, keep_every=every, start=state)
+        carriages = motion.position(t)[:, :3] + machine.kinematics.effector_height_mm
+        answer = delta_plant.simulate(plant, carriages, DELTA_STEP_S, keep_every=every, start=state)
         state = answer["state"]
         parts.append(answer["nozzle_mm"][: steps // every])
     return np.concatenate(parts)

@@ -24,6 +24,7 @@ from ffcomp.inverse.settings import CUT
 from models.arrays import BoolArray, FloatArray, IntArray
 from models.compiled import kernel
 from models.kinematics.base import Kinematics
+from models.kinematics.delta import DeltaKinematics
 from models.vibration.scheduled import PlantTable
 
 MOST_ROWS = 8  # moments of a segment at which the nozzle's error counts
@@ -82,13 +83,18 @@ class WholeSteps:
         )
         chosen[:, ~self.free] = steps[:, ~self.free]
         k = self.kinematics
-        placed = k.forward(chosen / self.steps_per_mm @ np.linalg.inv(k.motors).T)
+        placed = k.forward((chosen / self.steps_per_mm + self._lift_mm) @ np.linalg.inv(k.motors).T)
         return np.where(fixed[:, None], points, placed)
 
     def motors(self, points: FloatArray) -> FloatArray:
         """Return the motors' steps, not rounded, at points (n, 3) mm."""
-        steps: FloatArray = self.kinematics.inverse(points) @ self.kinematics.motors.T * self.steps_per_mm
-        return steps
+        motors: FloatArray = self.kinematics.inverse(points) @ self.kinematics.motors.T
+        return (motors - self._lift_mm) * self.steps_per_mm
+
+    @property
+    def _lift_mm(self) -> float:
+        """Marlin counts a delta's carriages from the nozzle's height, not from that of the effector's joints."""
+        return self.kinematics.effector_height_mm if isinstance(self.kinematics, DeltaKinematics) else 0.0
 
     def _interval(self, node: int, rows: int) -> tuple[FloatArray, FloatArray]:
         """Return F (N, N + 3) and R (3 · MOST_ROWS, N + 3) of a segment of so many rows, e linear between its ends."""

@@ -38,6 +38,7 @@ from ffcomp.planner.marlin_queue import (
     STEPS,
     TRAVEL,
     Blocks,
+    Singles,
     Targets,
     phases_of,
     plan_blocks,
@@ -47,6 +48,7 @@ from gcode.dialects import MARLIN
 from gcode.program import Moves, Program
 from models.arrays import BoolArray, FloatArray, IntArray
 from models.compiled import kernel
+from models.kinematics.base import Kinematics
 from models.kinematics.delta import DeltaKinematics
 from models.machine import Machine, MarlinSettings
 
@@ -85,7 +87,8 @@ def settings_sentence(machine: Machine) -> str:
 
 def planner_of(program: Program, machine: Machine) -> MarlinPlanner:
     """Return Marlin's planner, with the settings that are in force at each line of a program."""
-    return MarlinPlanner(machine, marlin_settings(machine), SettingsInForce.of(program, machine))
+    zeros = np.array([frame.base[3] for frame in program.frames] or [0.0])
+    return MarlinPlanner(machine, marlin_settings(machine), SettingsInForce.of(program, machine), zeros)
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,6 +98,7 @@ class MarlinPlanner:
     machine: Machine
     settings: MarlinSettings
     in_force: SettingsInForce
+    filament_zeros: FloatArray  # (frames,) mm of the filament where each frame has E0
 
     def __call__(
         self,
@@ -127,13 +131,15 @@ class MarlinPlanner:
         last = chords.last
         first = np.append(0, last[:-1] + 1)
         jumps = np.append(True, np.any(moves.start[1:] != moves.end[:-1], axis=1))[first]
-        start = np.where(jumps[:, None], self._motors(moves.start[first]), np.nan)
+        shift = self._filament_shift(moves)
+        start = np.full((len(first), 4), np.nan)
+        start[jumps] = self._motors(moves.start[first[jumps]], shift[first[jumps]])
         begun = np.concatenate([[0], np.cumsum(rests)])
         by_motors = not (self._delta or self.machine.kinematics.shares_motors)
         length = np.where((chords.length == 0.0) | by_motors, np.nan, chords.length)
         targets = Targets(
             start,
-            self._motors(self._reached(moves)[last]),
+            self._motors(self._reached(moves)[last], shift[last]),
             length,
             moves.speed[last],
             chords.radius,
@@ -152,43 +158,63 @@ class MarlinPlanner:
         """Where each move ends, (n, 4) mm: a delta sums the pieces of a line in single precision."""
         return _summed(moves.line, moves.start, moves.end) if self._delta else moves.end
 
-    def _motors(self, place: FloatArray) -> FloatArray:
+    def _filament_shift(self, moves: Moves) -> FloatArray:
+        """Return by how much Marlin's filament is off the moves', (n,) mm: after G92 E it counts on from a step."""
+        steps_per_mm = settings_row(self.machine)[STEPS][3]
+        zero = self.filament_zeros[moves.frame]
+        shift, count, before = np.zeros(len(zero)), 0.0, 0.0
+        begins = np.flatnonzero(np.diff(zero, prepend=np.nan) != 0.0)
+        for first, end in zip(begins.tolist(), np.append(begins[1:], len(zero)).tolist(), strict=True):
+            at = float(moves.start[first, 3])
+            count += np.rint((at - before) * steps_per_mm) - np.rint((at - zero[first]) * steps_per_mm)
+            before = zero[first]
+            shift[first:end] = count / steps_per_mm - before
+        return shift
+
+    def _motors(self, place: FloatArray, filament_shift: FloatArray) -> FloatArray:
         """Return (n, 4) mm of the motors at places (n, 4) of nozzle and filament."""
-        kinematics = self.machine.kinematics
-        return np.column_stack([kinematics.inverse(place[:, :3]) @ kinematics.motors.T, place[:, 3]])
+        return np.column_stack([_motor_places(self.machine.kinematics, place[:, :3]), place[:, 3] + filament_shift])
 
 
-def block_motion(blocks: Blocks, steps_per_mm: FloatArray, waits: FloatArray) -> Trajectory:
-    """Return blocks as a trajectory of the motors, in whole steps: mm, columns X Y Z E (A B C E).
+def _motor_places(kinematics: Kinematics, xyz: FloatArray) -> FloatArray:
+    """Return where Marlin has the motors at points (n, 3) mm: a delta's from the nozzle's height, in float's digits."""
+    if isinstance(kinematics, DeltaKinematics):
+        places = _carriages(xyz.astype(np.float32), kinematics.towers_mm, kinematics.arm_lengths_mm)
+        if not np.isnan(places).any():
+            return places
+    return kinematics.inverse(xyz) @ kinematics.motors.T  # which says what cannot be reached
 
-    waits : (m,) s at rest before each block
-    """
-    p = phases_of(blocks)
-    change = (blocks.end - blocks.start) / steps_per_mm
-    mm = np.linalg.norm(change, axis=1)
-    per_event = mm / blocks.events
-    since = np.array(waits, dtype=np.float64)
-    since[1:] += p.duration[:-1]
-    speeds = (per_event * p.entry, per_event * p.level, per_event * p.last, per_event * blocks.acceleration)
-    times = (np.cumsum(since), p.accel_t, p.cruise_t, p.decel_t)
-    return Trajectory(*times, *speeds, blocks.start / steps_per_mm, change / mm[:, None])
+
+@kernel
+def _carriages(xyz: Singles, towers: FloatArray, arms: FloatArray) -> FloatArray:
+    out = np.empty((len(xyz), 3))
+    for k in range(3):
+        x, y, rod2 = np.float32(towers[k, 0]), np.float32(towers[k, 1]), np.float32(arms[k] * arms[k])
+        for i in range(len(xyz)):
+            dx, dy = x - xyz[i, 0], y - xyz[i, 1]
+            out[i, k] = xyz[i, 2] + np.sqrt(rod2 - (dx * dx + dy * dy))
+    return out
 
 
 @kernel
 def _summed(line: IntArray, start: FloatArray, end: FloatArray) -> FloatArray:
-    out = end.copy()
+    out, n = end.copy(), len(line)
     at, step = np.zeros(4, np.float32), np.zeros(4, np.float32)
-    for i in range(len(line)):
-        if i + 1 == len(line) or line[i + 1] != line[i]:
-            at[:] = end[i]
-            continue
-        if i == 0 or line[i - 1] != line[i]:
-            at[:], step[:] = start[i], end[i] - start[i]
-        if np.abs(end[i] - start[i] - step).max() > EVEN_MM:  # a chord of an arc
-            at[:] = end[i]
-            continue
-        at += step
-        out[i] = at
+    first = 0
+    while first < n:
+        last = first
+        while last + 1 < n and line[last + 1] == line[first]:
+            last += 1
+        share = np.float32(1.0) / np.float32(last - first + 1)
+        for k in range(4):
+            at[k] = start[first, k]
+            step[k] = (np.float32(end[last, k]) - at[k]) * share
+        for i in range(first, last):
+            at += step
+            if np.abs(end[i] - at).max() > EVEN_MM:  # the line is an arc
+                break
+            out[i] = at
+        first = last + 1
     return out
 
 
@@ -283,7 +309,7 @@ class SettingsInForce:
         Only time scaling does (`ffcomp.inverse.time_scaling`), for limits of the machine itself.
         """
         which = np.searchsorted(self.lines, moves.line, side="right") - 1
-        rows = self.rows[which].astype(np.float32)
+        rows = self.rows.astype(np.float32)[which]
         printing, travel, corner = self.as_read[which].T
         asked = np.where((moves.end[:, 3] == moves.start[:, 3]) & ~np.isnan(travel), travel, printing)
         gentler = _share(moves.acceleration, asked, self.limits[0])

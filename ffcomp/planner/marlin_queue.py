@@ -147,8 +147,8 @@ def _blocks(
         events = 0.0
         for k in range(4):
             if not np.isnan(start[i, 0]):
-                place[k] = np.floor(start[i, k] * s[k] + 0.5)
-            block[_START + k], block[_END + k] = place[k], np.floor(end[i, k] * s[k] + 0.5)
+                place[k] = _whole(start[i, k], s[k])
+            block[_START + k], block[_END + k] = place[k], _whole(end[i, k], s[k])
             events = max(events, abs(block[_END + k] - place[k]))
         if events < minimum_steps or events == 0.0:
             continue
@@ -179,6 +179,13 @@ def _blocks(
         v, leave2 = np.float32(table[b, _V]), table[b + 1, _ENTRY2] if b + 1 < head else leaving2
         _trapezoid(table[b], np.sqrt(np.float32(table[b, _ENTRY2])) / v, np.sqrt(np.float32(leave2)) / v)
     return table, target, head
+
+
+@kernel
+def _whole(mm: float, steps_per_mm: np.float32) -> float:
+    """Return the whole steps of a place, as single precision has them."""
+    steps = np.float64(np.float32(mm) * steps_per_mm)
+    return np.floor(steps + 0.5) if steps >= 0.0 else np.ceil(steps - 0.5)
 
 
 @kernel
