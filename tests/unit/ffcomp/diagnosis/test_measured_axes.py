@@ -48,8 +48,8 @@ def test_emps_has_dry_friction_and_friction_by_direction(tmp_path: Path) -> None
     if not (DATA / "emps").is_dir():
         pytest.skip("the EMPS data set is not beside the project")
     machine, (run, _) = loaded(measured_axes.emps(tmp_path))
-    tried = ("coulomb_friction", "friction_by_direction", "stribeck_friction")
-    found = diagnose(AxisProblem(machine, [cut(run, slice(0, 12000))], tried))
+    tried = ("coulomb_friction", "friction_by_direction")
+    found = diagnose(AxisProblem(machine, [cut(run, slice(0, 8000))], tried))
     assert found.named is not None and found.named.names == ("coulomb_friction", "friction_by_direction")
     values = found.final.values
     assert values["axis.mass_kg"] == pytest.approx(95.1, rel=0.01)
