@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,19 +10,10 @@ import numpy as np
 from ffcomp.diagnosis.diagnosis import Diagnosis
 from ffcomp.diagnosis.next_experiment import Proposal
 from ffcomp.diagnosis.result import DiagnosisResult
-from ffcomp.diagnosis.sentences import (
-    elsewhere,
-    file_off,
-    guessed_noise,
-    late_files,
-    summary_sentences,
-    unproven_places,
-)
+from ffcomp.diagnosis.sentences import summary_sentences
 from ffcomp.report.diagnose.summary import DiagnosisSummary, Split
 from ffcomp.report.diagnose.tables import in_words
 from ffcomp.report.diagnose.words import evidence, joined, most_of, percent, times, times_noise, title
-
-MUCH_LESS = 0.7  # times the noise: its floor is wrong
 
 
 @dataclass(frozen=True)
@@ -51,85 +42,19 @@ class ReportInput:
 
 
 def verdict(report: ReportInput) -> list[str]:
-    """Return the finding, then its evidence."""
-    by_finding: dict[str, Callable[[ReportInput], list[str]]] = {
-        "effects": _effects,
-        "nothing": _nothing,
-        "unproven": _unproven,
-        "unexplained": _unexplained,
-    }
-    result = report.result
-    chosen = by_finding.get(result.finding)
-    sentences = chosen(report) + late_files(result) if chosen else summary_sentences(result)
+    """Return the finding in the words of the verb, with sizes first; then where it shows, and how sure it is."""
+    result, finding = report.result, report.result.finding
+    sentences = summary_sentences(result)
+    if finding == "effects":
+        named = joined([in_words(result, effect) for effect in result.effects])
+        sentences = [f"Missing from the machine file: {named}.", *sentences, *_where(report)]
+        sentences += [f"{_sure(result)} {_confounded(result)}", _file(report)]
+    elif finding == "nothing":
+        sentences += _nearest_promise(report)
+        sentences.append("Other motions, speeds and positions may still show something that these could not.")
+    elif finding in ("unproven", "unexplained"):
+        sentences += _where(report)
     return [*sentences, *_invisible(result), *_noise(report)]
-
-
-def _effects(report: ReportInput) -> list[str]:
-    result = report.result
-    named = joined([in_words(result, effect) for effect in result.effects])
-    return [
-        f"Missing from the machine file: {named}.",
-        f"{_size(result)} With this added {percent(result.gap.after.nrms)} are left: it explains "
-        f"{most_of(result.gap.explained)} of the gap.",
-        elsewhere(result),
-        *unproven_places(result),
-        *file_off(result),
-        *_where(report),
-        f"{_sure(result)} {_confounded(result)}",
-        _file(report),
-    ]
-
-
-def _nothing(report: ReportInput) -> list[str]:
-    result = report.result
-    moved = _count(len(result.file.retuned), "number")
-    retuned = f" {moved} moved a little within what the file allows." if result.file.retuned else ""
-    return [
-        "Nothing is missing that these runs could show.",
-        f"{_size(result)} What is left is noise, or retuning within the uncertainties that the file states.{retuned}",
-        *guessed_noise(result),
-        *_nearest_promise(report),
-        "Other motions, speeds and positions may still show something that these could not.",
-    ]
-
-
-def _unproven(report: ReportInput) -> list[str]:
-    result = report.result
-    nearest = joined([in_words(result, effect) for effect in result.effects])
-    return [
-        f"Most of the gap is explained, but not proven: {nearest}.",
-        f"{_size(result)} With this added {percent(result.gap.after.nrms)} are left: it explains "
-        f"{most_of(result.gap.explained)} of the gap. It is not named because {'; '.join(result.rejections)}.",
-        elsewhere(result),
-        *file_off(result),
-        *_where(report),
-    ]
-
-
-def _unexplained(report: ReportInput) -> list[str]:
-    result = report.result
-    known = _count(len(report.search.screened), "effect")
-    nearest = joined(list(result.effects)) or "retuning alone"
-    return [
-        f"Something is missing from the machine file, and it is none of what ffcomp knows ({known}).",
-        f"{_size(result)} That is a real gap, and it is not explained.",
-        f"Nearest came {nearest}: it would explain {most_of(result.gap.explained)} of the gap, and was "
-        f"refused because {'; '.join(result.rejections)}.",
-        *file_off(result),
-        *_where(report),
-    ]
-
-
-def _size(result: DiagnosisResult) -> str:
-    size = result.gap.before
-    ratio = size.nrms / size.noise_nrms
-    more = f"{times(ratio)} as much as noise alone" if ratio > 1.05 else "as much as noise alone"
-    if ratio < MUCH_LESS:
-        more = "much less than what repeats differ by, so that is no noise"
-    return (
-        f"Simulated with the file as it is, the signals are {percent(size.nrms)} off, {more} "
-        f"({percent(size.noise_nrms)})."
-    )
 
 
 def _where(report: ReportInput) -> list[str]:
@@ -190,10 +115,6 @@ def _noise(report: ReportInput) -> list[str]:
     if report.summary.noise_from_repeats:
         return []
     return ["Nothing was measured twice, so the noise is a guess from above the model's band: weaker evidence."]
-
-
-def _count(n: int, what: str) -> str:
-    return f"{n} {what}{'s' if n > 1 else ''}"
 
 
 # ---- what stands out where the excess is split ----------------------------------------------------
