@@ -347,11 +347,8 @@ def effect_tables(values: Mapping[str, float]) -> dict[str, dict[str, Any]]:
             row = table.setdefault(key, [] if each.size == "lines" else [none, none, none])
             row += [none] * (int(index) + 1 - len(row))
             row[int(index)] = _machine_value(each, value, True)
-    return {name: _without_whole(table) for name, table in tables.items() if _acts(CATALOGUE[name], table)}
-
-
-def _without_whole(table: dict[str, Any]) -> dict[str, Any]:
-    return {key: value for key, value in table.items() if key != WHOLE}
+    acting = {name: table for name, table in tables.items() if _acts(CATALOGUE[name], table)}
+    return {name: {key: x for key, x in table.items() if key != WHOLE} for name, table in acting.items()}
 
 
 def _acts(effect: Effect, table: Mapping[str, Any]) -> bool:

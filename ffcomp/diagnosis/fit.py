@@ -371,8 +371,6 @@ def _interval(n: Parameter, value: float, spread: float) -> Estimate:
 
 def superfluous(candidate: Candidate, intervals: Mapping[str, Estimate]) -> bool:
     """Tell whether the intervals of an effect include no effect at all."""
-    return not candidate.switch and all(_includes(intervals[a.name], a.start) for a in candidate.amplitudes)
-
-
-def _includes(interval: Estimate, value: float) -> bool:
-    return interval.low <= value <= interval.high
+    if candidate.switch:
+        return False
+    return all(intervals[a.name].low <= a.start <= intervals[a.name].high for a in candidate.amplitudes)

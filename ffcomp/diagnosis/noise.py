@@ -63,7 +63,8 @@ def noise_floor(problem: Problem, simulated: Sequence[FloatArray] | None = None)
 
 def noise_from_repeats(observations: Sequence[Observation]) -> NoiseFloor | None:
     """Estimate the noise from repeats; None if nothing was measured twice."""
-    pairs = [(a, b) for a, b in pairwise(sorted(observations, key=_by_repeat)) if _repeat(a, b)]
+    ordered = sorted(observations, key=lambda o: (o.repeat_of, o.name))
+    pairs = [(a, b) for a, b in pairwise(ordered) if a.repeat_of == b.repeat_of and len(a.measured) == len(b.measured)]
     if not pairs:
         return None
     grid = np.arange(0.0, min(r.rate_hz for r, _ in pairs) / 2 + 1e-9, 1 / SEGMENT_S)
@@ -161,14 +162,6 @@ def _powers(whiten: Whitener, floor: NoiseFloor) -> dict[str, tuple[float, float
             loud = float(np.sum(floor.at(name, frequency))) * 2 * whiten.power(o)
             powers[name] = signal + float(np.sum(np.abs(line) ** 2)), noise + loud
     return powers
-
-
-def _by_repeat(observation: Observation) -> tuple[str, str]:
-    return observation.repeat_of, observation.name
-
-
-def _repeat(a: Observation, b: Observation) -> bool:
-    return a.repeat_of == b.repeat_of and len(a.measured) == len(b.measured)
 
 
 def _column(observation: Observation, signal: str) -> FloatArray:

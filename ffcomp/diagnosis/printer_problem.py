@@ -77,7 +77,11 @@ class PrinterProblem(Problem):
         self.parameters = (*machine_parameters(machine), *delay_parameters(recordings, recorded, self.repeats))
         possible = printer_candidates(machine, self.commands, names)
         self.candidates = tuple(with_stated_clock(each, recordings) for each in possible)
-        self.same_command = [_first_equal(self.commands, i) for i in range(len(recordings))]
+        # the first recording with the same command, of each: repeats need one simulation
+        self.same_command = [
+            next(k for k in range(i + 1) if np.array_equal(self.commands[k], command))
+            for i, command in enumerate(self.commands)
+        ]
         self.kept: dict[_Key, dict[int, PrinterMotion]] = {}
         self.parts: Sequence[Part] = [Part(0, len(command), 0) for command in self.commands]
         self.whole, self.chosen = self, tuple(range(len(recordings)))  # what this is a part of, and which recordings
@@ -139,7 +143,8 @@ class PrinterProblem(Problem):
     def _answer(
         self, values: Mapping[str, float], motions: Mapping[int, PrinterMotion], chosen: Sequence[int]
     ) -> list[FloatArray]:
-        machine = self._machine_with_sensors(values)
+        in_file = any(CATALOGUE[name].kind == "sensor" for name in self.machine.effects)
+        machine = self.machine_with(values) if in_file or any(map(_is_sensor, values)) else None
         observations = [self.observations[i] for i in chosen]
         kinds = [
             (self.same_command[i], o.repeat_of, o.signals, o.clocks) for i, o in zip(chosen, observations, strict=True)
@@ -155,7 +160,10 @@ class PrinterProblem(Problem):
         self, many: Sequence[Mapping[str, float]], needed: Sequence[int], coarse: bool
     ) -> list[dict[int, PrinterMotion] | InfeasibleParameters]:
         """Simulate motions by index of the recording; the last few are kept, for sensor effects need no new motion."""
-        plain = [_without_sensors(values) for values in many]
+        plain = [
+            {name: x for name, x in values.items() if not (_is_sensor(name) or belongs_to_recording(name))}
+            for values in many
+        ]
         keys = [(tuple(sorted(values.items())), tuple(needed), coarse) for values in plain]
         new = {key: values for key, values in zip(keys, plain, strict=True) if key not in self.kept}
         known: dict[_Key, dict[int, PrinterMotion] | InfeasibleParameters] = {
@@ -176,8 +184,12 @@ class PrinterProblem(Problem):
         printers = {n: each for n, each in enumerate(converted) if not isinstance(each, ValueError)}
         longest = {n: _longest(printer, coarse) for n, printer in printers.items()}
         by_steps: dict[_Steps, list[tuple[int, int]]] = {}
+
+        def rows_of(i: int) -> int:
+            return len(self.commands[i])
+
         # together in the lanes: commands of one length, and among those one printer, which is then prepared once
-        for _, alike in groupby(sorted(needed, key=self._rows), self._rows):
+        for _, alike in groupby(sorted(needed, key=rows_of), rows_of):
             for (n, step_s), i in product(longest.items(), list(alike)):
                 by_steps.setdefault(_steps(step_s, self.observations[i].rate_hz), []).append((n, i))
         self.work.add(
@@ -207,14 +219,6 @@ class PrinterProblem(Problem):
                 motions[n][i] = motion
         return [_whole(by_run) for by_run in motions]
 
-    def _rows(self, i: int) -> int:
-        return len(self.commands[i])
-
-    def _machine_with_sensors(self, values: Mapping[str, float]) -> Machine | None:
-        """Return the machine whose sensors have effects; None if none of them has any."""
-        in_file = any(CATALOGUE[name].kind == "sensor" for name in self.machine.effects)
-        return self.machine_with(values) if in_file or any(map(_is_sensor, values)) else None
-
     def stated(self, values: Mapping[str, float], name: str) -> float:
         """Return what a file states of one of the machine's numbers: a mount lies between the modes of its axis."""
         return value_of(self.machine_with(values), name)
@@ -232,10 +236,6 @@ def _each(function: Callable[[_Pack], _Answer], packs: Sequence[_Pack]) -> list[
         return [function(pack) for pack in packs]
     with ThreadPoolExecutor(WORKERS) as pool:
         return list(pool.map(function, packs))
-
-
-def _without_sensors(values: Mapping[str, float]) -> dict[str, float]:
-    return {name: x for name, x in values.items() if not (_is_sensor(name) or belongs_to_recording(name))}
 
 
 @lru_cache(maxsize=4096)
@@ -281,16 +281,16 @@ def _whole(motions: Mapping[int, PrinterMotion | ValueError]) -> dict[int, Print
     return {i: m for i, m in motions.items() if isinstance(m, PrinterMotion)}
 
 
-def _first_equal(commands: Sequence[FloatArray], i: int) -> int:
-    """Return the first recording with the same command: repeats need one simulation."""
-    return next(k for k in range(i + 1) if np.array_equal(commands[k], commands[i]))
-
-
 # ---- signals ---------------------------------------------------------------------------------------
 
 
 def _signals(machine: Machine | None, motion: PrinterMotion, names: Sequence[str], part: Part) -> FloatArray:
-    """Return the sensor signals, (n, m), in the order of `names`, of the rows that are compared."""
+    """Return the sensor signals, (n, m), in the order of `names`, of the rows that are compared.
+
+    Parameters
+    ----------
+    machine : whose sensors have effects; None: none of them has any.
+    """
     rows, sensed = part.compared(len(motion.t_s)), motion.signals
     if machine is not None:
         dt_s = float(motion.t_s[1] - motion.t_s[0])

@@ -89,14 +89,11 @@ def check_recordings(problem: Problem, recordings: Sequence[Recorded], without_r
     MeasurementError
     """
     check_alike(recordings)
-    if not (without_repeats or all(_knows_its_noise(each) for each in recordings)):
+    # a measured force is never the same twice, and an encoder shows its noise: such a run needs no repeat
+    needless = all(isinstance(each, AxisRun) and each.by_force and each.position for each in recordings)
+    if not (without_repeats or needless):
         check_repeats(recordings)
     check_repeating(problem.repeats)
-
-
-def _knows_its_noise(recording: Recorded) -> bool:
-    """Tell whether a run needs no repeat: a measured force is never the same twice, and an encoder shows its noise."""
-    return isinstance(recording, AxisRun) and recording.by_force and bool(recording.position)
 
 
 def check_alike(recordings: Sequence[Recorded]) -> None:
