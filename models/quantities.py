@@ -143,7 +143,7 @@ class Quantities:
 
     def unit(self, unit: str) -> str:
         """Return the unit of files and reports for a unit of the inside."""
-        same = (own for _, own in _ENDINGS if own.format(**PLAIN._parts) == unit)
+        same = (template for _, template in _ENDINGS if template.format(**PLAIN._parts) == unit)
         return next(same, unit).format(**self._parts)
 
     def sentence(self, text: str) -> str:

@@ -131,7 +131,6 @@ ARM_INERTIA = Effect(
 
 
 def _other_geometry(machine: Machine, values: Values) -> Machine:
-    """Add the deviations to arm lengths and delta radii."""
     """Change the arms' lengths and the towers' radii of the true geometry."""
     true = machine.kinematics.recalibrated(values["arm_length_mm"], values["delta_radius_mm"])
     return replace(machine, kinematics=true or machine.kinematics)

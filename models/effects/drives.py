@@ -65,11 +65,6 @@ BELT_STIFFNESS = Effect(
 )
 
 
-def _with_belt_damping(machine: Machine, values: Values) -> Machine:
-    """Move damping from the guides to the belts."""
-    return replace(machine, vibration=machine.vibration.with_belt_damping(values["share"]))
-
-
 BELT_DAMPING = Effect(
     name="belt_damping",
     title="Belts that hold a part of the damping",
@@ -97,7 +92,7 @@ BELT_DAMPING = Effect(
         "command_delay": "Tones above the resonance: there a delay turns the phase on, belts only once.",
         "guide_damping": "The resonance: guides change its height, the belts' share does not.",
     },
-    fold=_with_belt_damping,
+    fold=lambda machine, values: replace(machine, vibration=machine.vibration.with_belt_damping(values["share"])),
     of=("axes", "axis"),
     needs="command",
     remedy="Nothing to mend: write the share in the file, belt_damping_share of each axis{where}.",
@@ -113,10 +108,6 @@ BELT_DAMPING = Effect(
         },
     ),
 )
-
-
-def _position_terms(values: Values, printer: Terms) -> Terms:
-    return {"slope": values["slope_per_m"], "centre": values["q_centre_mm"] / 1e3}
 
 
 BELT_POSITION_STIFFNESS = Effect(
@@ -140,7 +131,7 @@ BELT_POSITION_STIFFNESS = Effect(
     ),
     in_data="Resonances differ between low and high prints at the same place over the bed.",
     confounded_with={"belt_stiffness": "Two heights: a constant change does not depend on them."},
-    terms=_position_terms,
+    terms=lambda values, _: {"slope": values["slope_per_m"], "centre": values["q_centre_mm"] / 1e3},
     remedy="Check the belts' tension at both ends of the travel{where}, and pulleys out of line.",
     of_motors=True,
 )
@@ -229,7 +220,7 @@ BELT_BACKLASH = Effect(
             (0.01, 0.2),
             0.02,
             size="per_tower",
-            on_axis=OnAxis(size=lambda s: 1e3 * USUAL_SHARE * s.stretch_m),
+            on_axis=USUAL_STRETCH,
         ),
         Parameter(
             "landing_s_per_m",
@@ -269,10 +260,6 @@ BELT_BACKLASH = Effect(
 )
 
 
-def _torque_terms(values: Values, printer: Terms) -> Terms:
-    return {"inverse_amplitude": 1e3 / values["amplitude_mm"], "belt_share": values["belt_share"]}
-
-
 TORQUE_ANGLE = Effect(
     name="torque_angle",
     title="Motors near their holding torque",
@@ -306,20 +293,10 @@ TORQUE_ANGLE = Effect(
         "belt_hardening": "The same to third order; only a larger stretch separates the two.",
         "belt_backlash": "Small motions: play softens them, the sine does not.",
     },
-    terms=_torque_terms,
+    terms=lambda values, _: {"inverse_amplitude": 1e3 / values["amplitude_mm"], "belt_share": values["belt_share"]},
     remedy="Raise the motor current within what the motors bear, or lower accelerations.",
     of_motors=True,
 )
-
-
-def _cogging_terms(values: Values, printer: Terms) -> Terms:
-    return {
-        "ripple": values["amplitude_mm"] / 1e3,
-        "wave": 2e3 * np.pi / values["pitch_mm"],
-        "phase": np.radians(values["phase_deg"]),
-        "second_sine": values["second_sine"],
-        "second_cosine": values["second_cosine"],
-    }
 
 
 PITCH_SHARES = np.geomspace(1 / 40, 1 / 2, 12)  # of the travel, tried as pitches on an axis by itself
@@ -332,16 +309,7 @@ COGGING = Effect(
     physics="The rotor's equilibrium between full steps is not where an even current split would put it.",
     equation="u → u + a (sin θ + s₂ sin 2θ + c₂ cos 2θ),  θ = 2π u_d / p + φ",
     parameters=(
-        Parameter(
-            "amplitude_mm",
-            "mm",
-            "a",
-            (0, 1),
-            (0.002, 0.05),
-            0.005,
-            size="per_tower",
-            on_axis=OnAxis(size=lambda s: 1e3 * USUAL_SHARE * s.stretch_m),
-        ),
+        Parameter("amplitude_mm", "mm", "a", (0, 1), (0.002, 0.05), 0.005, size="per_tower", on_axis=USUAL_STRETCH),
         Parameter(
             "pitch_mm",
             "mm",
@@ -383,7 +351,13 @@ COGGING = Effect(
         "belt_stiffness": "Moves at several speeds: a resonance stays where it is, ripple moves with the speed."
     },
     of=("carriages", "axes", "axis"),
-    terms=_cogging_terms,
+    terms=lambda values, _: {
+        "ripple": values["amplitude_mm"] / 1e3,
+        "wave": 2e3 * np.pi / values["pitch_mm"],
+        "phase": np.radians(values["phase_deg"]),
+        "second_sine": values["second_sine"],
+        "second_cosine": values["second_cosine"],
+    },
     needs="command",
     remedy="Calibrate the drivers' microsteps or lower the current{where}; stiffer mounts do not help.",
     of_motors=True,
@@ -396,10 +370,6 @@ COGGING = Effect(
         },
     ),
 )
-
-
-def _delay_terms(values: Values, printer: Terms) -> Terms:
-    return {"delay": values["delay_s"]}
 
 
 COMMAND_DELAY = Effect(
@@ -426,7 +396,7 @@ COMMAND_DELAY = Effect(
         "sensor_time_offset": "A delay of one tower only, or position sensors on the same clock as the command.",
     },
     of=("carriages", "axes", "axis"),
-    terms=_delay_terms,
+    terms=lambda values, _: {"delay": values["delay_s"]},
     remedy="Nothing to mend: the firmware or drives act late{where}. With it in the file it is compensated.",
     of_motors=True,
     axis_words=AxisWords(

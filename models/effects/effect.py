@@ -235,7 +235,7 @@ class Effect:
         """Return the effect in the words, keys and units of one axis by itself."""
         words = self.axis_words or AxisWords(self.title, self.physics, self.remedy, self.confounded_with)
 
-        def told(parameters: Sequence[Parameter]) -> tuple[Parameter, ...]:
+        def in_words(parameters: Sequence[Parameter]) -> tuple[Parameter, ...]:
             return tuple(p.on(quantities, words.meanings.get(p.name, p.meaning)) for p in parameters)
 
         return replace(
@@ -244,8 +244,8 @@ class Effect:
             physics=words.physics,
             remedy=words.remedy,
             confounded_with=words.confounded_with,
-            parameters=told(self.parameters),
-            of_axis=told(self.of_axis),
+            parameters=in_words(self.parameters),
+            of_axis=in_words(self.of_axis),
             of_printers=(),
         )
 

@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 
 from models.effects.effect import USUAL_SHARE, AxisWords, Effect, OnAxis, Parameter, Size, Terms, Values
-from models.machine import Machine
 
 LEAST_FORCE_N = 1e-12  # of a weight
 USUAL_DAMPING = OnAxis(size=lambda s: USUAL_SHARE * s.force_n / s.speed_m_per_s)
@@ -57,11 +56,6 @@ def reversal_parameters(size: Size) -> tuple[Parameter, Parameter]:
     )
 
 
-def _with_damping(machine: Machine, values: Values) -> Machine:
-    """Add the damping to the guides."""
-    return replace(machine, vibration=machine.vibration.with_guide_damping(values["added_n_s_per_m"]))
-
-
 GUIDE_DAMPING = Effect(
     name="guide_damping",
     title="Guides with more viscous friction",
@@ -70,14 +64,7 @@ GUIDE_DAMPING = Effect(
     equation="b → b + Δb",
     parameters=(
         Parameter(
-            "added_n_s_per_m",
-            "N s/m",
-            "Δb",
-            (-1000, 10000),
-            (-10, 50),
-            1.0,
-            size="per_tower",
-            on_axis=USUAL_DAMPING,
+            "added_n_s_per_m", "N s/m", "Δb", (-1000, 10000), (-10, 50), 1.0, size="per_tower", on_axis=USUAL_DAMPING
         ),
     ),
     in_data="Lower, broader resonances, and a carriage that lags in proportion to its speed.",
@@ -86,7 +73,9 @@ GUIDE_DAMPING = Effect(
         "coulomb_friction": "Two speeds: dry friction does not grow with speed.",
         "carriage.belt_damping_n_s_per_m": "Long moves at constant speed: the belt's damper is not stretched there.",
     },
-    fold=_with_damping,
+    fold=lambda machine, values: replace(
+        machine, vibration=machine.vibration.with_guide_damping(values["added_n_s_per_m"])
+    ),
     of=("carriages", "axes", "axis"),
     remedy="Check the rails{where} for stiff grease and tight carriages; warm grease damps less.",
     corrects_file=True,
@@ -131,14 +120,7 @@ COULOMB_FRICTION = Effect(
     equation="F = F_C sgn(q̇); at rest any |F| ≤ F_C",
     parameters=(
         Parameter(
-            "force_n",
-            "N",
-            "friction of each guideway",
-            (0, 200),
-            (0.5, 10),
-            0.5,
-            size="per_tower",
-            on_axis=USUAL_FORCE,
+            "force_n", "N", "friction of each guideway", (0, 200), (0.5, 10), 0.5, size="per_tower", on_axis=USUAL_FORCE
         ),
         *reversal_parameters("per_tower"),
     ),
@@ -168,15 +150,6 @@ COULOMB_FRICTION = Effect(
 )
 
 
-def _stribeck_terms(values: Values, printer: Terms) -> Terms:
-    return {
-        **_dry_terms(values, printer),
-        "sticking": values["extra_force_n"],
-        "fading": 1e3 / values["velocity_mm_per_s"],
-        "fading_power": values["exponent"] / 2,
-    }
-
-
 STRIBECK_FRICTION = Effect(
     name="stribeck_friction",
     title="Sticking guides: dry friction with a surplus at rest",
@@ -184,16 +157,7 @@ STRIBECK_FRICTION = Effect(
     physics="Grease and seals stick at rest; the surplus over dry friction fades as the lubricant is drawn in.",
     equation="F = (F_C + F_extra exp(−|q̇/v_s|^δ)) sgn(q̇)   (Armstrong-Hélouvry, Dupont & Canudas de Wit, 1994)",
     parameters=(
-        Parameter(
-            "force_n",
-            "N",
-            "friction at speed",
-            (0, 200),
-            (0.5, 10),
-            0.5,
-            size="per_tower",
-            on_axis=USUAL_FORCE,
-        ),
+        Parameter("force_n", "N", "friction at speed", (0, 200), (0.5, 10), 0.5, size="per_tower", on_axis=USUAL_FORCE),
         Parameter(
             "extra_force_n",
             "N",
@@ -224,7 +188,12 @@ STRIBECK_FRICTION = Effect(
     confounded_with={"coulomb_friction": "Moves slower than v_s: only here the friction rises towards rest."},
     of=("carriages", "axes", "axis"),
     of_printers=(PRESLIDING,),
-    terms=_stribeck_terms,
+    terms=lambda values, printer: {
+        **_dry_terms(values, printer),
+        "sticking": values["extra_force_n"],
+        "fading": 1e3 / values["velocity_mm_per_s"],
+        "fading_power": values["exponent"] / 2,
+    },
     contains="coulomb_friction",
     remedy="Clean and oil the rails{where}: they stick at rest; a thinner oil, or fresh bearings, help.",
     axis_words=AxisWords(
@@ -236,10 +205,6 @@ STRIBECK_FRICTION = Effect(
 )
 
 
-def _bristle_terms(values: Values, printer: Terms) -> Terms:
-    return {"bristle_force": values["force_n"], "presliding": values["presliding_mm"] / 1e3}
-
-
 BRISTLE_FRICTION = Effect(
     name="bristle_friction",
     title="Friction that gives like a spring before it slides",
@@ -247,15 +212,7 @@ BRISTLE_FRICTION = Effect(
     physics="Contacts bend as bristles do before they slide, and what is bent remembers: hysteresis.",
     equation="F = F_C z,  ż = (q̇ − |q̇| z)/s₀   (Dahl, 1968)",
     parameters=(
-        Parameter(
-            "force_n",
-            "N",
-            "F_C: once it slides",
-            (0, 1e5),
-            (0.5, 10),
-            0.5,
-            on_axis=USUAL_FORCE,
-        ),
+        Parameter("force_n", "N", "F_C: once it slides", (0, 1e5), (0.5, 10), 0.5, on_axis=USUAL_FORCE),
         Parameter(
             "presliding_mm",
             "mm",
@@ -273,7 +230,7 @@ BRISTLE_FRICTION = Effect(
         "belt_backlash": "The size of motion: play has a width of its own, bristles bend at any.",
     },
     of=("axis",),
-    terms=_bristle_terms,
+    terms=lambda values, _: {"bristle_force": values["force_n"], "presliding": values["presliding_mm"] / 1e3},
     remedy="Nothing to mend: contacts bend before they slide. Seals and wipers bend most.",
 )
 
@@ -301,10 +258,6 @@ JOINT_FRICTION = Effect(
 )
 
 
-def _direction_terms(values: Values, printer: Terms) -> Terms:
-    return {"by_direction": values["damping_difference_n_s_per_m"]}
-
-
 FRICTION_BY_DIRECTION = Effect(
     name="friction_by_direction",
     title="Viscous friction that differs by direction",
@@ -328,7 +281,7 @@ FRICTION_BY_DIRECTION = Effect(
         "coulomb_friction": "Two speeds: dry friction does not grow with speed.",
     },
     of=("axis",),
-    terms=_direction_terms,
+    terms=lambda values, _: {"by_direction": values["damping_difference_n_s_per_m"]},
     remedy="Look for what resists one way only: a cable chain, a wiper's lip, a preload, a slope.",
 )
 
@@ -378,10 +331,6 @@ FRICTION_BY_LOAD = Effect(
 )
 
 
-def _drag_terms(values: Values, printer: Terms) -> Terms:
-    return {"drag": values["force_n_s2_per_m2"]}
-
-
 QUADRATIC_DRAG = Effect(
     name="quadratic_drag",
     title="Drag that grows with the speed's square",
@@ -404,7 +353,7 @@ QUADRATIC_DRAG = Effect(
     in_data="Fast moves take more force than friction in proportion to the speed explains.",
     confounded_with={"guide_damping": "Two speeds: viscous friction is in proportion to them."},
     of=("axis",),
-    terms=_drag_terms,
+    terms=lambda values, _: {"drag": values["force_n_s2_per_m2"]},
     remedy="Look for what is pushed aside at speed: air in a closed space, oil, coolant.",
 )
 

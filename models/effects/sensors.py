@@ -72,11 +72,6 @@ SENSOR_MISALIGNMENT = Effect(
 )
 
 
-def _shifted(true: Signals, values: Values) -> Signals:
-    """Shift the signals in time."""
-    return resampled(true, true.t_s - float(values["offset_s"]))
-
-
 SENSOR_TIME_OFFSET = Effect(
     name="sensor_time_offset",
     title="A recording whose clock is off by a constant",
@@ -89,15 +84,10 @@ SENSOR_TIME_OFFSET = Effect(
         "command_delay": "Alike in every channel: only position sensors on the command's clock can tell.",
         "belt_damping": "Tones above the resonance: there an offset turns the phase on, belts only once.",
     },
-    measure=_shifted,
+    measure=lambda true, values: resampled(true, true.t_s - float(values["offset_s"])),
     shifts_time=True,
     remedy="Nothing to mend on the printer: join captures by the firmware's clock (ffcomp record join).",
 )
-
-
-def _by_its_clock(true: Signals, values: Values) -> Signals:
-    """Sample the signals by the recorder's clock."""
-    return resampled(true, true.t_s / (1 + float(values["relative_drift"])))
 
 
 SENSOR_CLOCK_DRIFT = Effect(
@@ -109,7 +99,7 @@ SENSOR_CLOCK_DRIFT = Effect(
     parameters=(Parameter("relative_drift", "", "ε: the clock is fast", (-0.2, 0.2), (-0.02, 0.02), 1e-4),),
     in_data="The offset in time grows along the recording; all frequencies off by one factor.",
     confounded_with={"sensor_time_offset": "Beginning and end of one recording: an offset is the same at both."},
-    measure=_by_its_clock,
+    measure=lambda true, values: resampled(true, true.t_s / (1 + float(values["relative_drift"]))),
     shifts_time=True,
     remedy="Nothing to mend on the printer: join captures by the firmware's clock (ffcomp record join).",
 )

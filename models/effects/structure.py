@@ -165,10 +165,6 @@ TOOLHEAD_MODE = Effect(
 )
 
 
-def _growth_terms(values: Values, printer: Terms) -> Terms:
-    return {"growth": values["growth_per_m"]}
-
-
 GROWING_BED = Effect(
     name="growing_bed",
     title="A bed that grows heavier with the print",
@@ -184,18 +180,12 @@ GROWING_BED = Effect(
         ),
     ),
     in_data="The resonance of the bed's axis falls from layer to layer, those of the other axes stay.",
-    confounded_with={
-        "belt_stiffness": "Two heights of one print: a slack belt is as slack at the first layer.",
-    },
+    confounded_with={"belt_stiffness": "Two heights of one print: a slack belt is as slack at the first layer."},
     of=("axes",),
     spread_mm=(0.0, 0.0, 20.0),
-    terms=_growth_terms,
+    terms=lambda values, _: {"growth": values["growth_per_m"]},
     remedy="Nothing to mend: a print weighs. With it in the file every layer is compensated for its own mass.",
 )
-
-
-def _ground_terms(values: Values, printer: Terms) -> Terms:
-    return {"ground": values["stiffness_n_per_m"]}
 
 
 GROUND_SPRING = Effect(
@@ -218,14 +208,10 @@ GROUND_SPRING = Effect(
     in_data="The force at rest grows along the axis.",
     confounded_with={"cogging_force": "The whole travel: a ripple comes back, a spring does not."},
     of=("axis",),
-    terms=_ground_terms,
+    terms=lambda values, _: {"ground": values["stiffness_n_per_m"]},
     needs="freedom",
     remedy="Look for what pulls to one place: hoses, cables, a bellows, a counterweight.",
 )
-
-
-def _weight_terms(values: Values, printer: Terms) -> Terms:
-    return {"weight_moment": values["force_n"], "weight_angle": np.radians(values["angle_deg"])}
 
 
 PENDULUM_GRAVITY = Effect(
@@ -255,7 +241,7 @@ PENDULUM_GRAVITY = Effect(
         "cogging_force": "A whole turn: gravity comes once, a ripple several times.",
     },
     of=("axis",),
-    terms=_weight_terms,
+    terms=lambda values, _: {"weight_moment": values["force_n"], "weight_angle": np.radians(values["angle_deg"])},
     needs="turning",
     remedy="Nothing to mend: a weight hangs at the axis. Balance it, or leave it in the file.",
 )
@@ -269,10 +255,6 @@ def _force_pitches(s: MotionScales) -> list[float]:
 
 
 USUAL_RIPPLE = OnAxis(size=lambda s: USUAL_SHARE * s.force_n / 3)
-
-
-def _ripple_terms(values: Values, printer: Terms) -> Terms:
-    return {"ripples": np.column_stack([values["sine_n"], values["cosine_n"], 2e3 * np.pi / values["pitch_mm"]])}
 
 
 COGGING_FORCE = Effect(
@@ -302,7 +284,9 @@ COGGING_FORCE = Effect(
     in_data="The force needed at constant speed repeats with the place, whatever the speed.",
     confounded_with={"ground_spring": "More than one pitch of travel: a spring does not come back."},
     of=("axis",),
-    terms=_ripple_terms,
+    terms=lambda values, _: {
+        "ripples": np.column_stack([values["sine_n"], values["cosine_n"], 2e3 * np.pi / values["pitch_mm"]])
+    },
     remedy="Look for what repeats along the travel: magnets, a screw's balls, a rack's or a belt's teeth.",
     of_motors=True,
 )

@@ -101,8 +101,8 @@ def simulate_axis(
     # a drive goes smoothly from order to order: a straight line between them would lose a percent of 100 Hz
     slope = np.empty(0) if axis.by_force else slopes(np.diff(samples))
     beside = np.empty(0) if extra is None else np.ascontiguousarray(extra, float)
-    given, gentler = AxisInput(samples, slope, beside, dt_s), with_stable_friction(p, dt_s / steps, loudest)
-    out = integrate_axis(given, steps, shot or len(drive) + 1, np.ascontiguousarray(first), gentler, ripples)
+    inputs, gentler = AxisInput(samples, slope, beside, dt_s), with_stable_friction(p, dt_s / steps, loudest)
+    out = integrate_axis(inputs, steps, shot or len(drive) + 1, np.ascontiguousarray(first), gentler, ripples)
     if not np.all(np.isfinite(out)):
         raise ValueError("With these numbers the axis moves to infinity.")
     t = np.asarray(dt_s * np.arange(len(drive)), dtype=np.float64)

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from models.arrays import FloatArray
-from models.effects.catalogue import effect_named, effective_machine, terms_of
+from models.effects.catalogue import effective_machine, terms_of
 from models.kinematics.base import Kinematics
 from models.machine import Machine
 from models.printer.kernels.record import PARAMETERS, PrinterParameters
@@ -29,17 +29,7 @@ def printer_parameters(machine: Machine, *, gravity: bool = True) -> PrinterPara
     ValueError
         If an effect is unknown or incomplete.
     """
-    return _record_of(_folded(machine), gravity)
-
-
-def _folded(machine: Machine) -> Machine:
-    """Return the machine with the effects on its parameters; a ValueError if one is unknown."""
-    for name in machine.effects:
-        effect_named(name)
-    return effective_machine(machine)
-
-
-def _record_of(effective: Machine, gravity: bool) -> PrinterParameters:
+    effective = effective_machine(machine)
     model = effective.vibration.printer_parameters(GRAVITY_M_PER_S2 if gravity else 0.0)
     geometry = effective.kinematics.printer_parameters()
     motor_k = np.asarray(geometry.get("axis_matrix", np.eye(3))).T ** 2 @ np.broadcast_to(model["belt_k"], 3)
@@ -48,11 +38,6 @@ def _record_of(effective: Machine, gravity: bool) -> PrinterParameters:
     for name in terms.keys() & KNOWN:
         record[name][0] = terms[name]
     return record.view(np.recarray)[0]
-
-
-def printer_modes(machine: Machine) -> FloatArray:
-    """Return the modes of a machine with straight axes and its effects, (n, 7, 3) SI; none of a delta."""
-    return effective_machine(machine).vibration.printer_modes()
 
 
 class ConvertedPrinter(NamedTuple):
@@ -64,6 +49,8 @@ class ConvertedPrinter(NamedTuple):
 
 
 def converted_printer(machine: Machine, *, gravity: bool = True) -> ConvertedPrinter:
-    """Convert a machine: see `printer_parameters` and `printer_modes`."""
-    effective = _folded(machine)
-    return ConvertedPrinter(_record_of(effective, gravity), effective.vibration.printer_modes(), effective.kinematics)
+    """Convert a machine: see `printer_parameters` and `VibrationModel.printer_modes`."""
+    effective = effective_machine(machine)
+    return ConvertedPrinter(
+        printer_parameters(effective, gravity=gravity), effective.vibration.printer_modes(), effective.kinematics
+    )

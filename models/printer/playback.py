@@ -76,7 +76,7 @@ def play(
     states: list[PrinterState] | None = None
 
     def advance(part: Sequence[int]) -> list[PrinterMotion]:
-        found = simulate_printers(
+        motions = simulate_printers(
             [machines[i] for i in part],
             [commands[i % len(commands)] for i in part],
             row_s,
@@ -86,23 +86,23 @@ def play(
             hold=hold,
             ahead=coming,
         )
-        return [_played(each) for each in found]
+        return [_played(motion) for motion in motions]
 
     with ThreadPoolExecutor(max(threads, 1)) as pool:
         for first in range(0, count - 1, chunk_rows):
             last = min(first + chunk_rows + 1, count)
-            both = [own(first, last + ahead) for own in each]
-            commands, coming = [own[: last - first] for own in both], both[0][last - first :]
+            both = [one(first, last + ahead) for one in each]
+            commands, coming = [one[: last - first] for one in both], both[0][last - first :]
             run = pool.map if threads > 1 and len(parts) > 1 else map
             motions = [motion for group in run(advance, parts) for motion in group]
             states = [motion.state for motion in motions]
             yield first, motions
 
 
-def _played(found: PrinterMotion | ValueError) -> PrinterMotion:
-    if isinstance(found, ValueError):
-        raise found
-    return found
+def _played(motion: PrinterMotion | ValueError) -> PrinterMotion:
+    if isinstance(motion, ValueError):
+        raise motion
+    return motion
 
 
 Observe = Callable[[PrinterMotion], FloatArray]  # (n, 3) mm of a motion of n rows

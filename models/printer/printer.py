@@ -137,7 +137,7 @@ def simulate_printers(
     raise, its ValueError or UnreachableError stands in the list instead. Those with as many steps from row to row go
     together, best when their commands are of one length.
     """
-    found: dict[int, PrinterMotion | ValueError] = {}
+    motions: dict[int, PrinterMotion | ValueError] = {}
     tasks: dict[int, _Task] = {}
     splines = Splines() if splines is None else splines
     commands = list(commands)  # indexing an array of them would make a new object each time
@@ -149,20 +149,20 @@ def simulate_printers(
             printer = converted_printer(machine, gravity=gravity) if converted is None else converted[i]
             if converted is None or id(printer) not in ready:
                 ready[id(printer)] = _ready(printer, dt_s, substeps)
-            own, coming = ready[id(printer)], command[:0] if ahead is None else ahead
-            cubics = splines.of(command, coming, start, own.motors, dt_s, hold)
-            tasks[i] = _task(command, cubics, dt_s, own, start)
+            prepared, coming = ready[id(printer)], command[:0] if ahead is None else ahead
+            cubics = splines.of(command, coming, start, prepared.motors, dt_s, hold)
+            tasks[i] = _task(command, cubics, prepared, start)
         except ValueError as error:
-            found[i] = error
+            motions[i] = error
     for i, state in _settled({i: task for i, task in tasks.items() if len(task.values) == 0}).items():
         if isinstance(state, ValueError):
-            found[i] = state
+            motions[i] = state
             del tasks[i]
         else:
             tasks[i] = replace(tasks[i], values=state)
     for together in _batches(tasks):
-        found |= zip(together, _simulate([tasks[i] for i in together], dt_s, splines), strict=True)
-    return [found[i] for i in range(len(machines))]
+        motions |= zip(together, _simulate([tasks[i] for i in together], dt_s, splines), strict=True)
+    return [motions[i] for i in range(len(machines))]
 
 
 class Splines:
@@ -222,26 +222,11 @@ def _motors_of(printer: ConvertedPrinter) -> FloatArray | None:
 
 
 @dataclass(frozen=True, eq=False)
-class _Task:
-    """One simulation, ready for a lane."""
-
-    parameters: PrinterParameters
-    modes: FloatArray  # (n, 7, 3) of straight axes, n = 0 of a delta; see `VibrationModel.printer_modes`
-    kinematics: Kinematics
-    steps: int  # from row to row
-    cubics: FloatArray  # (n, 3, 4), see `kernels.motors.Commands`
-    first: int  # row of the command at which it begins
-    begin_s: float
-    values: FloatArray  # state there, see `PrinterState`
-    history: FloatArray  # (k, 3) mm, see `PrinterState`
-
-
-@dataclass(frozen=True, eq=False)
 class _Ready:
     """A converted printer, limited to what the integration steps can resolve."""
 
     parameters: PrinterParameters
-    modes: FloatArray
+    modes: FloatArray  # (n, 7, 3) of straight axes, n = 0 of a delta; see `VibrationModel.printer_modes`
     kinematics: Kinematics  # with the effects on it
     motors: FloatArray | None  # see `_motors_of`
     steps: int  # from row to row
@@ -256,23 +241,32 @@ def _ready(printer: ConvertedPrinter, dt_s: float, substeps: int | None) -> _Rea
     return _Ready(p, _limit_rigidity(modes, dt_s / steps), printer.kinematics, _motors_of(printer), steps, kept)
 
 
-def _task(
-    command: FloatArray, cubics: FloatArray, dt_s: float, ready: _Ready, start: PrinterState | None = None
-) -> _Task:
+@dataclass(frozen=True, eq=False)
+class _Task:
+    """One simulation, ready for a lane."""
+
+    printer: _Ready
+    cubics: FloatArray  # (n, 3, 4), see `kernels.motors.Commands`
+    first: int  # row of the command at which it begins
+    begin_s: float
+    values: FloatArray  # state there, see `PrinterState`; empty of a delta at rest, see `_settled`
+    history: FloatArray  # (k, 3) mm, see `PrinterState`
+
+
+def _task(command: FloatArray, cubics: FloatArray, printer: _Ready, start: PrinterState | None) -> _Task:
     """Prepare the simulation of a printer under a command : (n, 3) mm with its cubics."""
-    p, modes, steps, kept = ready.parameters, ready.modes, ready.steps, ready.kept
     if start is None:
-        values = axes_at_rest(modes, command[0] / 1e3) if len(modes) else np.empty(0)  # of deltas see `_settled`
-        return _Task(p, modes, ready.kinematics, steps, cubics, 0, 0.0, values, command[-kept:].copy())
-    history = np.concatenate([start.history[:-1], command])[-kept:]
-    return _Task(p, modes, ready.kinematics, steps, cubics, len(start.history) - 1, start.t_s, start.values, history)
+        values = axes_at_rest(printer.modes, command[0] / 1e3) if len(printer.modes) else np.empty(0)
+        return _Task(printer, cubics, 0, 0.0, values, command[-printer.kept :].copy())
+    history = np.concatenate([start.history[:-1], command])[-printer.kept :]
+    return _Task(printer, cubics, len(start.history) - 1, start.t_s, start.values, history)
 
 
 def _settled(tasks: Mapping[int, _Task]) -> dict[int, FloatArray | ValueError]:
     """Return the states in which deltas begin at rest under the first row of their commands, or why there is none."""
     commands = np.array([1e3 * task.cubics[0, :, 3] for task in tasks.values()]).reshape(-1, 3)
-    printers = [task.parameters for task in tasks.values()]
-    states = deltas_at_rest([task.kinematics for task in tasks.values()], commands, printers)
+    printers = [task.printer.parameters for task in tasks.values()]
+    states = deltas_at_rest([task.printer.kinematics for task in tasks.values()], commands, printers)
     return dict(zip(tasks, states, strict=True))
 
 
@@ -281,10 +275,11 @@ def _batches(tasks: Mapping[int, _Task]) -> Iterator[list[int]]:
     matrices: dict[int, bytes] = {}  # by the record, which several tasks share: reading a field of it takes long
 
     def kind(i: int) -> tuple[int, bytes, int, int]:
-        p = tasks[i].parameters
+        printer = tasks[i].printer
+        p = printer.parameters
         if id(p) not in matrices:
             matrices[id(p)] = p.motor_matrix.tobytes()
-        return len(tasks[i].modes), matrices[id(p)], tasks[i].steps, tasks[i].first
+        return len(printer.modes), matrices[id(p)], printer.steps, tasks[i].first
 
     for _, group in groupby(sorted(tasks, key=lambda i: (kind(i), len(tasks[i].cubics))), kind):
         names = list(group)
@@ -293,19 +288,20 @@ def _batches(tasks: Mapping[int, _Task]) -> Iterator[list[int]]:
 
 def _simulate(tasks: Sequence[_Task], dt_s: float, splines: Splines) -> list[PrinterMotion | UnreachableError]:
     """Simulate at most LANES tasks with the same number of steps and the same first row."""
-    values, parameters = np.array([task.values for task in tasks]), parameter_table([t.parameters for t in tasks])
+    printers, values = [task.printer for task in tasks], np.array([task.values for task in tasks])
+    parameters = parameter_table([printer.parameters for printer in printers])
     commands = {id(task.cubics): task.cubics for task in tasks}
     ends = dict(zip(commands, np.cumsum([len(cubics) for cubics in commands.values()]), strict=True))
     ranges = [(ends[id(task.cubics)] - len(task.cubics), ends[id(task.cubics)]) for task in tasks]
-    first, steps = tasks[0].first, tasks[0].steps
+    first, steps = tasks[0].first, printers[0].steps
     cubics = splines.joined(list(commands.values()))
     where = (np.array(ranges, dtype=np.int64), first, dt_s, steps, UNITS)
-    if len(tasks[0].modes):
-        samples = integrate_axes(values, np.array([task.modes for task in tasks]), parameters, cubics, *where)
+    if len(printers[0].modes):
+        samples = integrate_axes(values, np.array([printer.modes for printer in printers]), parameters, cubics, *where)
     else:
         samples = integrate(values, parameters, cubics, *where)
     lanes = zip(tasks, zip(*samples, strict=True), values, strict=True)
-    return [_motion(task, own, end, dt_s) for task, own, end in lanes]
+    return [_motion(task, lane, end, dt_s) for task, lane, end in lanes]
 
 
 def longest_step(p: PrinterParameters, modes: FloatArray) -> float:
@@ -393,11 +389,11 @@ def _motion(
     task: _Task, samples: Sequence[FloatArray], values: FloatArray, dt_s: float
 ) -> PrinterMotion | UnreachableError:
     """Build the motion from samples : seven of (n, 3), and values : (30,) the last state, SI, from the kernels."""
-    own = [each[: len(task.cubics) - task.first] for each in samples]
-    t = task.begin_s + dt_s * np.arange(len(own[0]), dtype=np.float64)
-    if not math.isfinite(sum(float(each[-1].sum()) for each in own)):  # NaN persists
-        lost = np.flatnonzero(~np.isfinite(np.hstack(own)).all(axis=1))
+    lane = [each[: len(task.cubics) - task.first] for each in samples]
+    t = task.begin_s + dt_s * np.arange(len(lane[0]), dtype=np.float64)
+    if not math.isfinite(sum(float(each[-1].sum()) for each in lane)):  # NaN persists
+        lost = np.flatnonzero(~np.isfinite(np.hstack(lane)).all(axis=1))
         rule = f"At t = {t[lost[0]]:.4f} s the simulated nozzle has left the reach of its arms."
         return UnreachableError(rule, lost)
     end = PrinterState(float(t[-1]), values, task.history)
-    return PrinterMotion(t, own[0], own[1], own[2], own[3], own[4], own[5], own[6], end)
+    return PrinterMotion(t, lane[0], lane[1], lane[2], lane[3], lane[4], lane[5], lane[6], end)

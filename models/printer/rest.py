@@ -16,7 +16,7 @@ from models.machine import Machine
 from models.printer.kernels.axes import FIRST, SHARE
 from models.printer.kernels.integrate import find_equilibrium
 from models.printer.kernels.record import LANES, STATES, PrinterParameters, Q, V, parameter_table
-from models.printer.parameters import printer_modes, printer_parameters
+from models.printer.parameters import printer_parameters
 
 EQUILIBRIUM_TOLERANCE_M = 1e-9
 
@@ -31,13 +31,14 @@ def equilibrium_state(machine: Machine, command: FloatArray, p: PrinterParameter
     ValueError
         If there is no equilibrium.
     """
-    modes = printer_modes(machine)
+    effective = effective_machine(machine)
+    modes = effective.vibration.printer_modes()
     if len(modes):
         return axes_at_rest(modes, command / 1e3)
-    (found,) = deltas_at_rest([effective_machine(machine).kinematics], command[None], [p])
-    if isinstance(found, ValueError):
-        raise found
-    return found
+    (state,) = deltas_at_rest([effective.kinematics], command[None], [p])
+    if isinstance(state, ValueError):
+        raise state
+    return state
 
 
 def axes_at_rest(modes: FloatArray, command_m: FloatArray) -> FloatArray:
@@ -51,16 +52,16 @@ def deltas_at_rest(
     kinematics: Sequence[Kinematics], commands: FloatArray, printers: Sequence[PrinterParameters]
 ) -> list[FloatArray | ValueError]:
     """Return the state of equilibrium (30,) of each delta under its command of (k, 3) mm, or why there is none."""
-    found: dict[int, FloatArray | ValueError] = {}
-    owners = {id(own): own for own in kinematics}
-    for key, own in owners.items():
+    states: dict[int, FloatArray | ValueError] = {}
+    distinct = {id(each): each for each in kinematics}
+    for key, shared in distinct.items():
         members = [i for i, each in enumerate(kinematics) if id(each) == key]
-        found |= zip(members, _joined(own, commands[members]), strict=True)
-    joined = [i for i, error in found.items() if not isinstance(error, ValueError)]
+        states |= zip(members, _joined(shared, commands[members]), strict=True)
+    joined = [i for i, error in states.items() if not isinstance(error, ValueError)]
     for first in range(0, len(joined), LANES):
         lanes = joined[first : first + LANES]
-        found |= zip(lanes, _settled(commands[lanes], [printers[i] for i in lanes]), strict=True)
-    return [found[i] for i in range(len(kinematics))]
+        states |= zip(lanes, _settled(commands[lanes], [printers[i] for i in lanes]), strict=True)
+    return [states[i] for i in range(len(kinematics))]
 
 
 def _joined(kinematics: Kinematics, commands: FloatArray) -> list[FloatArray | ValueError]:
@@ -70,7 +71,7 @@ def _joined(kinematics: Kinematics, commands: FloatArray) -> list[FloatArray | V
         return list(commands)
     except UnreachableError as error:
         return (
-            [error] if len(commands) == 1 else [found for one in commands for found in _joined(kinematics, one[None])]
+            [error] if len(commands) == 1 else [state for one in commands for state in _joined(kinematics, one[None])]
         )
 
 

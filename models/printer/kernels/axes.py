@@ -135,10 +135,10 @@ def _driven_points(m: FloatArray, s: AxesState) -> None:
 
 
 @compiled
-def _mix(m: FloatArray, matrix: Row, given: Row, given_rate: Row, to: Row, to_rate: Row) -> None:
+def _mix(m: FloatArray, matrix: Row, x: Row, x_rate: Row, to: Row, to_rate: Row) -> None:
     """Evaluate a matrix times three rows, and times the three of their rates."""
     for l in range(LANES):
-        q, qd = vector(m, given, l), vector(m, given_rate, l)
+        q, qd = vector(m, x, l), vector(m, x_rate, l)
         rows = vector(m, matrix, l), vector(m, matrix + 3, l), vector(m, matrix + 6, l)
         put(m, to, l, (dot(rows[0], q), dot(rows[1], q), dot(rows[2], q)))
         put(m, to_rate, l, (dot(rows[0], qd), dot(rows[1], qd), dot(rows[2], qd)))

@@ -81,13 +81,13 @@ ALL_ROWS = MOTION + 18
 @compiled
 def with_modes(m: FloatArray, modes: FloatArray) -> FloatArray:
     """Return m with the rows of this file, the modes (n, 7, WIDTH) filled in."""
-    found = np.zeros(ALL_ROWS * LANES)
-    found[: len(m)] = m
+    rows = np.zeros(ALL_ROWS * LANES)
+    rows[: len(m)] = m
     for i in range(FEW_MODES):
         for field in range(FIELDS):
             for n in range(WIDTH):
-                found[(MODES + 3 * (FIELDS * i + field)) * LANES + n] = modes[i, field, n]
-    return found
+                rows[(MODES + 3 * (FIELDS * i + field)) * LANES + n] = modes[i, field, n]
+    return rows
 
 
 @compiled
@@ -108,11 +108,11 @@ def keep_state(m: FloatArray, l: int, states: FloatArray) -> None:
 @compiled
 def has_springs(m: FloatArray) -> bool:
     """Tell whether any belt has play, or pulls other than in proportion to its stretch."""
-    found = False
+    springs = False
     for n in range(WIDTH):
-        found |= at(m, HALF_BACKLASH, n) != 0.0 or at(m, LANDING, n) != 0.0 or at(m, SLOPE, n) != 0.0
-        found |= at(m, HARDENING, n) != 0.0 or at(m, QUINTIC, n) != 0.0
-    return found
+        springs |= at(m, HALF_BACKLASH, n) != 0.0 or at(m, LANDING, n) != 0.0 or at(m, SLOPE, n) != 0.0
+        springs |= at(m, HARDENING, n) != 0.0 or at(m, QUINTIC, n) != 0.0
+    return springs
 
 
 @compiled
@@ -132,9 +132,9 @@ def motors_at(m: FloatArray, half: int, t: float, ripple: bool) -> None:
         m[(MOTORS + 6 * half + 3) * LANES + n] = (3.0 * a * t + 2.0 * b) * t + c
     if ripple:
         for n in range(WIDTH):
-            own = (MOTORS + 6 * half) * LANES + n
-            more = rippled(m, n, m[own], m[own + 3 * LANES])
-            m[own], m[own + 3 * LANES] = m[own] + more[0], m[own + 3 * LANES] + more[1]
+            place = (MOTORS + 6 * half) * LANES + n
+            more = rippled(m, n, m[place], m[place + 3 * LANES])
+            m[place], m[place + 3 * LANES] = m[place] + more[0], m[place + 3 * LANES] + more[1]
 
 
 Sway: TypeAlias = tuple[float, float, float, float, float, float]  # θ, θ̇; d and ḋ of the frame's two directions

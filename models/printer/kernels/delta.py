@@ -136,7 +136,7 @@ def mass_along_arms(m: FloatArray) -> None:
     for l in range(LANES):
         j_a, j_b, j_c = vector(m, J, l), vector(m, J + 3, l), vector(m, J + 6, l)
         nu = at(m, ARM_INERTIA, l)
-        put(m, ARMS, l, (_own_arm(nu, j_a), _own_arm(nu, j_b), _own_arm(nu, j_c)))
+        put(m, ARMS, l, (_same_arm(nu, j_a), _same_arm(nu, j_b), _same_arm(nu, j_c)))
         put(m, ARMS + 3, l, (_both_arms(nu, j_a, j_b), _both_arms(nu, j_a, j_c), _both_arms(nu, j_b, j_c)))
         turn = scale(nu, combine(vector(m, CENTRIPETAL, l), j_a, j_b, j_c))
         by_a, by_b, by_c = 3.0 * dot(j_a, turn), 3.0 * dot(j_b, turn), 3.0 * dot(j_c, turn)
@@ -144,7 +144,7 @@ def mass_along_arms(m: FloatArray) -> None:
 
 
 @inlined
-def _own_arm(nu: float, j: Vector) -> float:
+def _same_arm(nu: float, j: Vector) -> float:
     return -nu * (3.0 * dot(j, j) - 2.0 * j[2] + 1.0)
 
 
@@ -158,16 +158,16 @@ def solve_carriages(m: FloatArray) -> None:
     """Solve for q̈: (m I + Γ R M₁ J + arms) q̈ = pull − Γ (R (M₁ J w + f₀) − M₁ (1 − μ) D ρ)."""
     for l in range(LANES):
         j_a, j_b, j_c = vector(m, J, l), vector(m, J + 3, l), vector(m, J + 6, l)
-        mass, own, load = at(m, HOLDER_MASS, l), vector(m, CARRIAGE_MASS, l), _load(m, l)
+        mass, inertia, load = at(m, HOLDER_MASS, l), vector(m, CARRIAGE_MASS, l), _load(m, l)
         a, b, c = scale(mass, j_a), scale(mass, j_b), scale(mass, j_c)
         a, b, c = _with_frame_reaction(m, a, l), _with_frame_reaction(m, b, l), _with_frame_reaction(m, c, l)
         g_a, g_b, g_c = _load_row(m, 0, j_a, l), _load_row(m, 1, j_b, l), _load_row(m, 2, j_c, l)
         pull = add(vector(m, PULL, l), (-dot(g_a, load), -dot(g_b, load), -dot(g_c, load)))
         put(m, PULL, l, pull)
-        own, (ab, ac, bc) = add(own, vector(m, ARMS, l)), vector(m, ARMS + 3, l)
-        row_a = dot(g_a, a) + own[0], dot(g_a, b) + ab, dot(g_a, c) + ac
-        row_b = dot(g_b, a) + ab, dot(g_b, b) + own[1], dot(g_b, c) + bc
-        row_c = dot(g_c, a) + ac, dot(g_c, b) + bc, dot(g_c, c) + own[2]
+        inertia, (ab, ac, bc) = add(inertia, vector(m, ARMS, l)), vector(m, ARMS + 3, l)
+        row_a = dot(g_a, a) + inertia[0], dot(g_a, b) + ab, dot(g_a, c) + ac
+        row_b = dot(g_b, a) + ab, dot(g_b, b) + inertia[1], dot(g_b, c) + bc
+        row_c = dot(g_c, a) + ac, dot(g_c, b) + bc, dot(g_c, c) + inertia[2]
         put(m, RATE + QD, l, solve(row_a, row_b, row_c, pull))
 
 

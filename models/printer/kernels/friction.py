@@ -73,10 +73,10 @@ def stribeck(m: FloatArray) -> None:
 @compiled
 def has_powers(m: FloatArray) -> bool:
     """Tell whether friction near rest fades otherwise than by the square of the speed, in any lane."""
-    found = False
+    uneven = False
     for n in range(3 * LANES):
-        found |= at(m, STICKING, n) != 0.0 and at(m, FADING_POWER, n) != 1.0
-    return found
+        uneven |= at(m, STICKING, n) != 0.0 and at(m, FADING_POWER, n) != 1.0
+    return uneven
 
 
 @compiled

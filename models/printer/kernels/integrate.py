@@ -62,10 +62,10 @@ PAGE = 64  # samples are copied by the page: a write at a time would touch too m
 @compiled
 def any_nonzero(m: FloatArray, row: Row, rows: int) -> bool:
     """Tell whether so many rows hold anything in any lane."""
-    found = False
+    nonzero = False
     for n in range(row * LANES, (row + rows) * LANES):
-        found |= m[n] != 0.0
-    return found
+        nonzero |= m[n] != 0.0
+    return nonzero
 
 
 @compiled

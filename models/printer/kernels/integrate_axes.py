@@ -58,13 +58,13 @@ def _in_lanes(m: FloatArray, states: FloatArray, modes: FloatArray) -> AxesState
     base = np.zeros(max(rows, FIRST + 2 * FEW_MODES) * WIDTH)
     table = np.zeros((max(modes.shape[1], FEW_MODES), 7, WIDTH))  # a mode of zeros stays at rest
     for l in range(LANES):
-        own = l if l < len(states) else 0
+        source = l if l < len(states) else 0
         for a in range(3):
             for row in range(rows):
-                base[row * WIDTH + a * LANES + l] = states[own, row, a]
+                base[row * WIDTH + a * LANES + l] = states[source, row, a]
             for i in range(modes.shape[1]):
                 for field in range(7):
-                    table[i, field, a * LANES + l] = modes[own, i, field, a]
+                    table[i, field, a * LANES + l] = modes[source, i, field, a]
     mixed = any_nonzero(m, TO_MOTORS + 1, 3)
     swaying, growing = any_nonzero(m, FRAME, 1) or any_nonzero(m, YAW_INERTIA, 1), any_nonzero(m, GROWTH, 3)
     by_place = any_nonzero(m, BY_X, 3) or any_nonzero(m, BY_X_SQUARED, 3)

@@ -127,10 +127,10 @@ def load_cubics(m: FloatArray, row: int, rows_back: Rows, cubics: FloatArray, ra
     """Load the cubics that the motors execute in a row of the command. Before the first row, they rest."""
     for l in range(len(ranges)):
         for i in range(3):
-            own = ranges[l, 0] + row - rows_back[i * LANES + l]
-            cubic = cubics[min(max(own, ranges[l, 0]), ranges[l, 1] - 1), i]
+            interval = ranges[l, 0] + row - rows_back[i * LANES + l]
+            cubic = cubics[min(max(interval, ranges[l, 0]), ranges[l, 1] - 1), i]
             for power in range(4):
-                m[(CUBIC + 3 * power + i) * LANES + l] = cubic[power] if own >= ranges[l, 0] or power == 3 else 0.0
+                m[(CUBIC + 3 * power + i) * LANES + l] = cubic[power] if interval >= ranges[l, 0] or power == 3 else 0.0
 
 
 @compiled
@@ -199,10 +199,10 @@ def torque_angle(m: FloatArray) -> None:
 def torque(m: FloatArray, n: int, stretch: float) -> float:
     """Return a sin θ of one motor; the stretch itself without the effect."""
     inverse, share = at(m, INVERSE_AMPLITUDE, n), at(m, BELT_SHARE, n)
-    told = inverse * stretch
-    angle, sine, cosine = told, *sine_cosine(told)
+    electric = inverse * stretch
+    angle, sine, cosine = electric, *sine_cosine(electric)
     for _ in range(NEWTON_STEPS):
-        angle -= ((1.0 - share) * angle + share * sine - told) / (1.0 - share + share * cosine)
+        angle -= ((1.0 - share) * angle + share * sine - electric) / (1.0 - share + share * cosine)
         sine, cosine = sine_cosine(angle)
     return sine / inverse if inverse != 0.0 else stretch
 

@@ -11,7 +11,7 @@ the drive, S_c the coupling, by the law of the printers' belts (`motors.py`); on
 harden: S_c if there is a load and nothing else is said. SI units; of an axis that turns, rad for m and N m for N.
 
 It has an integrator of its own because its motion begins anew at every shot, its input may be a force that is straight
-between samples, and one simulation at a time is asked for: lanes of eight printers with three motors each would compute
+between samples, and simulations come one at a time: lanes of eight printers with three motors each would compute
 24 axes for one.
 """
 
@@ -88,8 +88,8 @@ def _drive(q: float, v: float, value: float, value_rate: float, p: FloatArray) -
         loaded = p[LOAD] > 0.0
         play, hardens = not loaded or p[PLAY_AT_DRIVE] > 0.5, not loaded or p[HARDENS_AT_DRIVE] > 0.5
         spring = _spring(u - q, u_rate - v, p[STIFFNESS], p[DRIVE_DAMPING], play, hardens, p)
-    given = min(max(value if by_force else spring, -p[DRIVE_LIMIT]), p[DRIVE_LIMIT])
-    return given, spring if by_force else 0.0
+    force = min(max(value if by_force else spring, -p[DRIVE_LIMIT]), p[DRIVE_LIMIT])
+    return force, spring if by_force else 0.0
 
 
 @inlined
@@ -132,11 +132,11 @@ class AxisInput(NamedTuple):
 
 
 @inlined
-def _rate_at(x: State, at: float, given: AxisInput, p: FloatArray, ripples: FloatArray) -> State:
+def _rate_at(x: State, at: float, inputs: AxisInput, p: FloatArray, ripples: FloatArray) -> State:
     """Return the state's rate so many samples after the first."""
-    value, step = _input(given.samples, given.slope, at - p[DELAY] / given.dt)
-    extra = 0.0 if len(given.extra) == 0 else _input(given.extra, given.extra[:0], at)[0]
-    return _rates(x, value, step / given.dt, extra, p, ripples)
+    value, step = _input(inputs.samples, inputs.slope, at - p[DELAY] / inputs.dt)
+    extra = 0.0 if len(inputs.extra) == 0 else _input(inputs.extra, inputs.extra[:0], at)[0]
+    return _rates(x, value, step / inputs.dt, extra, p, ripples)
 
 
 @inlined
@@ -153,12 +153,12 @@ def _moved(x: State, h: float, k: State) -> State:
 
 
 @inlined
-def _step(x: State, first: State, at: float, h: float, given: AxisInput, p: FloatArray, ripples: FloatArray) -> State:
+def _step(x: State, first: State, at: float, h: float, inputs: AxisInput, p: FloatArray, ripples: FloatArray) -> State:
     """Step by the classical Runge-Kutta method from x, whose rate is `first`, so many samples after the first."""
-    middle = at + 0.5 * h / given.dt
-    second = _rate_at(_moved(x, 0.5 * h, first), middle, given, p, ripples)
-    third = _rate_at(_moved(x, 0.5 * h, second), middle, given, p, ripples)
-    last = _rate_at(_moved(x, h, third), at + h / given.dt, given, p, ripples)
+    middle = at + 0.5 * h / inputs.dt
+    second = _rate_at(_moved(x, 0.5 * h, first), middle, inputs, p, ripples)
+    third = _rate_at(_moved(x, 0.5 * h, second), middle, inputs, p, ripples)
+    last = _rate_at(_moved(x, h, third), at + h / inputs.dt, inputs, p, ripples)
     mean = _moved(_moved(_moved(first, 2.0, second), 2.0, third), 1.0, last)
     return _moved(x, h / 6.0, mean)
 
@@ -184,7 +184,7 @@ def _begin(x: State, at: FloatArray, drive: float, p: FloatArray) -> State:
 
 @compiled
 def integrate_axis(
-    given: AxisInput, substeps: int, shot: int, begin: FloatArray, p: FloatArray, ripples: FloatArray
+    inputs: AxisInput, substeps: int, shot: int, begin: FloatArray, p: FloatArray, ripples: FloatArray
 ) -> FloatArray:
     """Integrate an axis whose motion begins anew every so many samples.
 
@@ -201,21 +201,21 @@ def integrate_axis(
     (n, 5) position of the first mass and of the last one, m; the last one's acceleration, m/s², and speed, m/s; the
     drive's force, N.
     """
-    n, x = len(given.samples), (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    out, h, late, loaded = np.empty((n, 5)), given.dt / substeps, p[DELAY] / given.dt, p[LOAD] > 0.0
+    n, x = len(inputs.samples), (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    out, h, late, loaded = np.empty((n, 5)), inputs.dt / substeps, p[DELAY] / inputs.dt, p[LOAD] > 0.0
     for i in range(n):
-        value, step = _input(given.samples, given.slope, i - late)
+        value, step = _input(inputs.samples, inputs.slope, i - late)
         if i % shot == 0 and i // shot < len(begin):
             x = _begin(x, begin[i // shot], value, p)
-        rate = _rate_at(x, i, given, p, ripples)
+        rate = _rate_at(x, i, inputs, p, ripples)
         out[i, 0] = x[Q]
         out[i, 1] = x[Q_LOAD] if loaded else x[Q]
         out[i, 2] = rate[V_LOAD] if loaded else rate[V]
         out[i, 3] = x[V_LOAD] if loaded else x[V]
-        out[i, 4] = _drive(x[Q], x[V], value, step / given.dt, p)[0]
+        out[i, 4] = _drive(x[Q], x[V], value, step / inputs.dt, p)[0]
         for j in range(substeps if i < n - 1 else 0):
             at = i + j / substeps
             if j > 0:
-                rate = _rate_at(x, at, given, p, ripples)
-            x = _step(x, rate, at, h, given, p, ripples)
+                rate = _rate_at(x, at, inputs, p, ripples)
+            x = _step(x, rate, at, h, inputs, p, ripples)
     return out
