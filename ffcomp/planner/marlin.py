@@ -209,11 +209,15 @@ def _summed(line: IntArray, start: FloatArray, end: FloatArray) -> FloatArray:
         for k in range(4):
             at[k] = start[first, k]
             step[k] = (np.float32(end[last, k]) - at[k]) * share
+        is_arc = False
         for i in range(first, last):
-            at += step
-            if np.abs(end[i] - at).max() > EVEN_MM:  # the line is an arc
+            for k in range(4):
+                at[k] += step[k]
+                is_arc |= abs(end[i, k] - at[k]) > EVEN_MM
+            if is_arc:
                 break
-            out[i] = at
+            for k in range(4):
+                out[i, k] = at[k]
         first = last + 1
     return out
 

@@ -168,8 +168,9 @@ def _blocks(
             limit2 = np.float64(limit * limit)
         block[_MOST2], block[_ENTRY2] = limit2, LOWEST_V2
         target[head] = i
-        place[:] = block[_END : _END + 4]
-        behind_unit[:], behind_v[:], behind[0] = unit, axis_v, block[_V]
+        behind[0] = block[_V]
+        for k in range(4):
+            place[k], behind_unit[k], behind_v[k] = block[_END + k], unit[k], axis_v[k]
         head += 1
         leaving2 = LOWEST_V2
         if arc_left[i] > 0.0:
@@ -229,7 +230,8 @@ def _populate(
         moves |= k < 3 and unit[k] != 0.0
         unit[k] /= mm
     if factor < 1.0:
-        axis_v *= factor
+        for k in range(4):
+            axis_v[k] *= factor
         rate, v = np.floor(rate * factor), v * factor
     per_mm = events / np.float64(mm)
     a = np.ceil((s[RETRACT] if not moves else s[PRINT] if extrudes else s[TRAVEL]) * per_mm)
@@ -245,7 +247,9 @@ def _populate(
     block[_GAIN] = 2.0 * block[_A] * block[_MM]
     block[_SURE] = v * v <= LOWEST_V2 + block[_GAIN]
     if s[DEVIATION] >= 0.0 and extrudes:
-        unit /= np.sqrt(np.sum(unit**2))
+        norm = np.sqrt(unit[0] ** 2 + unit[1] ** 2 + unit[2] ** 2 + unit[3] ** 2)
+        for k in range(4):
+            unit[k] /= norm
 
 
 @kernel
