@@ -169,8 +169,9 @@ class InverseModel:
         reach = self.machine.kinematics.model_reach_mm
         states = self.row_table.plant.a.shape[1]
         gains = PreviewGains(self._plant_at, states, reach, self.settings.rows_per_segment, self.control_weight)
-        if self._cache.arrays:
-            gains.take_up(self._cache.arrays)
+        if arrays := self._cache.arrays:
+            gains.take_up(arrays)
+            self._cache.arrays = {name: each for name, each in arrays.items() if name not in ("backward", "forward")}
         return gains
 
     @cached_property
@@ -190,16 +191,24 @@ class InverseModel:
 
     def save_cache(self) -> None:
         """Save tables and gains on disk for the next time."""
-        computed = self.settings.inverse == "fast" and len(self.gains)
-        cache = self._cache
-        if not computed or (cache.arrays and computed == len(cache.arrays["node"])):
+        cache, robust = self._cache, self.__dict__.get("_robust")
+        places = len(self.gains) if self.settings.inverse == "fast" else 0
+        nodes = 0 if robust is None else len(robust.sensitivity)
+        if not places or (places == cache.rows("node") and nodes <= cache.rows("sensitivity node")):
             return
-        if meanwhile := disk_cache.load(cache.name):  # another process may have been elsewhere on the bed
+        meanwhile = disk_cache.load(cache.name)  # another process may have been elsewhere on the bed
+        if meanwhile:
             self.gains.take_up(meanwhile)
         tables = {"fine": self.plant.table, "coarse": self.row_table}
         arrays = {f"{name} {each}": array for name, table in tables.items() for each, array in table.arrays().items()}
-        cache.arrays = {**arrays, **self.gains.known()}
-        disk_cache.save(cache.name, cache.arrays)
+        if robust is not None:
+            robust.sensitivity.take_up(meanwhile)
+            arrays |= robust.sensitivity.known()
+        else:
+            arrays |= {name: each for name, each in meanwhile.items() if name.startswith("sensitivity")}
+        arrays |= self.gains.known()
+        disk_cache.save(cache.name, arrays)
+        cache.arrays = {name: each for name, each in arrays.items() if name not in ("backward", "forward")}
 
     def _plant_at(self, xy: FloatArray) -> tuple[DiscretePlant, FloatArray]:
         """Return the plant for half a segment at positions (g, 2) mm, and the nozzle's Jacobian there."""
@@ -232,7 +241,10 @@ class InverseModel:
     @cached_property
     def _robust(self) -> RobustReference:
         s = self.settings
-        return RobustReference(self.machine, s.segment_s / s.rows_per_segment, s.bandwidth_hz, self.control_weight)
+        row_s = s.segment_s / s.rows_per_segment
+        robust = RobustReference(self.machine, row_s, s.bandwidth_hz, self.control_weight)
+        robust.sensitivity.take_up(self._cache.arrays)
+        return robust
 
     @cached_property
     def sensitivity(self) -> Sensitivity:
@@ -276,7 +288,11 @@ class _Cache:
     """The arrays of one machine on disk."""
 
     name: str
-    arrays: disk_cache.Arrays  # as they were loaded or saved; empty: there are none
+    arrays: disk_cache.Arrays  # as they were loaded or saved, but for gains that are taken up; empty: there are none
+
+    def rows(self, name: str) -> int:
+        """Return how many rows an array has; 0: there is none."""
+        return len(self.arrays[name]) if name in self.arrays else 0
 
 
 def steady_delay(machine: Machine) -> float:

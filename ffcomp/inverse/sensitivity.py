@@ -10,8 +10,8 @@ side of a span.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from functools import cached_property
+from collections.abc import Iterator, Mapping
+from functools import cached_property, lru_cache
 from itertools import pairwise
 from threading import Lock
 from typing import Any
@@ -111,6 +111,27 @@ class Sensitivity:
         share = ((self.frequency - at_nodes[before]) / np.diff(at_nodes)[before]).astype(np.float32)
         return np.asarray(known[..., before] + share * (known[..., before + 1] - known[..., before]))
 
+    def __len__(self) -> int:
+        """Nodes at which D is known."""
+        return len(self._nodes)
+
+    def known(self) -> dict[str, NDArray[Any]]:
+        """Return all of D so far, to be taken up again; nothing where none is known."""
+        with self._working:
+            if not self._nodes:
+                return {}
+            return {
+                "sensitivity node": np.array(list(self._nodes)),
+                "sensitivity": np.stack(list(self._nodes.values())),
+            }
+
+    def take_up(self, known: Mapping[str, NDArray[Any]]) -> None:
+        """Take up D of the same machine that somebody else has worked out."""
+        if "sensitivity" in known:
+            with self._working:
+                for (a, b), response in zip(known["sensitivity node"].tolist(), known["sensitivity"], strict=True):
+                    self._nodes.setdefault((a, b), response)
+
     def _node(self, node: tuple[int, int]) -> ShortComplexArray:
         if node not in self._nodes:
             mixed = np.tensordot(self._mixing, self._of_draws(np.array(node) * PITCH_MM), axes=1)
@@ -154,11 +175,16 @@ class Sensitivity:
 
 def steps_of(rows: FloatArray, length: int) -> ShortArray:
     """Return a span's steps from row to row, (3, length) mm, fading in and out over half of its margins."""
-    edge = np.arange(len(rows)) + 0.5
-    near = np.clip(np.minimum(edge, len(rows) - edge) / (MARGIN / 2), 0.0, 1.0)
     steps = np.zeros((3, length), np.float32)
-    steps[:, : len(rows)] = (np.diff(rows, axis=0, append=rows[-1:]) * (0.5 - 0.5 * np.cos(np.pi * near))[:, None]).T
+    steps[:, : len(rows) - 1] = ((rows[1:] - rows[:-1]) * _fading(len(rows))[:-1, None]).T
     return steps
+
+
+@lru_cache(maxsize=64)
+def _fading(n: int) -> FloatArray:
+    edge = np.arange(n) + 0.5
+    near = np.clip(np.minimum(edge, n - edge) / (MARGIN / 2), 0.0, 1.0)
+    return np.asarray(0.5 - 0.5 * np.cos(np.pi * near))
 
 
 def lines_of(rows: ShortArray, lines: int) -> ShortComplexArray:

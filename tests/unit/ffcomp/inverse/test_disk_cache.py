@@ -65,6 +65,19 @@ def test_two_that_went_elsewhere_keep_both(folder: Path, machine: Machine) -> No
     assert len(InverseModel(machine, settings_for(machine)).gains) == len(HERE) + len(THERE)
 
 
+def test_how_printers_differ_is_kept_too_also_by_a_plain_inverse(
+    folder: Path, machine: Machine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    robust = replace(settings_for(machine), robust=True)
+    first, second = InverseModel(machine, robust), InverseModel(machine, robust)
+    first.gains.at(HERE)
+    response = first._robust.sensitivity.of_place(1, -2)
+    first.save_cache()
+    been_at(machine, THERE).save_cache()
+    monkeypatch.setattr(second._robust.sensitivity, "_of_draws", None)  # would fail
+    np.testing.assert_array_equal(second._robust.sensitivity.of_place(1, -2), response)
+
+
 def test_another_machine_finds_nothing(folder: Path, machine: Machine) -> None:
     been_at(machine, HERE).save_cache()
     heavier = with_parts(machine, effector=replace(delta_vibration(machine).effector, extruder_mass_kg=0.3))
