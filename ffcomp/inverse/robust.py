@@ -131,11 +131,11 @@ class RobustReference:
         operators = [self._operators(*self.sensitivity.place_of(span.rows[:, :2])) for span in spans]
         of_steps, of_y = (np.stack([each[k][..., ::stride] for each in operators]) for k in range(2))
         lines = of_y.shape[-1]
-        rows = np.stack([np.pad(span.rows, ((0, length - len(span.rows)), (0, 0)), "edge") for span in spans])
-        directions = directions_of(rows)
-        moving = np.zeros((len(spans), 1, length), np.float32)
+        rows, moving = np.empty((len(spans), length, 3)), np.zeros((len(spans), 1, length), np.float32)
         for k, span in enumerate(spans):
+            rows[k, : len(span.rows)], rows[k, len(span.rows) :] = span.rows, span.rows[-1]
             moving[k, 0, : len(span.rows)] = span.moving
+        directions = directions_of(rows)
         allowed = np.ascontiguousarray(moving[..., ::2])
 
         steps = np.stack([steps_of(span.rows, length) for span in spans])
@@ -145,10 +145,12 @@ class RobustReference:
         y: ShortArray = np.zeros((len(spans), 3, n), np.float32)
         direction, last_z = np.zeros_like(y), np.zeros_like(y)
         last_energy = np.zeros((len(spans), 1, 1), np.float32)
-        for _ in range(STEPS):
-            normal, weight = normal_errors(rows, directions, path_error + _rows(2.0 * mean_lines, length))
-            weighed = weigh(weight, spread)
-            errors = np.concatenate([0.5 * lines_of(normal, lines), lines_of(weighed, lines)], axis=1)
+        error, errors = path_error, np.empty((len(spans), 3 + spread.shape[1], lines), np.complex64)
+        for left in reversed(range(STEPS)):
+            normal, weight = normal_errors(rows, directions, error)
+            errors[:, :3] = fft.rfft(normal)[..., :lines]
+            errors[:, :3] *= 0.5
+            errors[:, 3:] = fft.rfft(weigh(weight, spread))[..., :lines]
             gradient = allowed * _rows(apply_adjoint(of_y, errors), n) + REGULARISATION * y
             z = ALONG * gradient - (ALONG - 1.0) * weigh(weight, gradient)
             energy = _dots(gradient, z)
@@ -160,8 +162,10 @@ class RobustReference:
             curvature = _dots(change, weigh(weight, change)) + REGULARISATION * _dots(direction, direction)
             step = _over(_dots(gradient, direction), curvature)
             y -= step * direction
-            spread -= step * change[:, 3:]
-            mean_lines -= step * change_lines[:, :3]
+            if left:
+                spread -= step * change[:, 3:]
+                mean_lines -= step * change_lines[:, :3]
+                error = path_error + _rows(2.0 * mean_lines, length)
         return moving * _rows(lines_of(y, lines) * (2.0 * self._low_pass[::stride]), length)
 
 
@@ -212,10 +216,14 @@ def normal_errors(rows: FloatArray, steps: FloatArray, error: ShortArray) -> tup
     normal_error, weight = np.empty_like(error), np.zeros((spans, 6, m // 2), np.float32)
     for s in range(spans):
         weight[s, :3] = 1.0
+        path, ways = rows[s], steps[s]
         for i in range(m):
             ex, ey, ez = error[s, 0, i], error[s, 1, i], error[s, 2, i]
-            k, along = _nearest(rows[s], steps[s], ex, ey, ez, i)
-            tx, ty, tz, length = steps[s, k]
+            if _rests(ways, i):
+                normal_error[s, 0, i], normal_error[s, 1, i], normal_error[s, 2, i] = ex, ey, ez
+                continue
+            k, along = _nearest(path, ways, ex, ey, ez, i)
+            tx, ty, tz, length = ways[k]
             if 0.0 < along < length:
                 for at in range(i // 2, (i + 1) // 2 + 1):  # the sample at it, or those on both sides
                     if at < m // 2:
@@ -227,10 +235,19 @@ def normal_errors(rows: FloatArray, steps: FloatArray, error: ShortArray) -> tup
                         weight[s, 4, at] -= share * tx * tz
                         weight[s, 5, at] -= share * ty * tz
                 along -= TANGENT_WEIGHT * (tx * ex + ty * ey + tz * ez)
-            normal_error[s, 0, i] = rows[s, i, 0] - rows[s, k, 0] + ex - along * tx
-            normal_error[s, 1, i] = rows[s, i, 1] - rows[s, k, 1] + ey - along * ty
-            normal_error[s, 2, i] = rows[s, i, 2] - rows[s, k, 2] + ez - along * tz
+            normal_error[s, 0, i] = path[i, 0] - path[k, 0] + ex - along * tx
+            normal_error[s, 1, i] = path[i, 1] - path[k, 1] + ey - along * ty
+            normal_error[s, 2, i] = path[i, 2] - path[k, 2] + ez - along * tz
     return normal_error, weight
+
+
+@kernel
+def _rests(steps: FloatArray, i: int) -> bool:
+    """Return whether the path rests around its row i: then no other of its points is nearer."""
+    for k in range(max(i - 1, 0), min(i + 2, len(steps))):
+        if steps[k, 3] != 0.0:
+            return False
+    return i < len(steps)
 
 
 @kernel
@@ -240,9 +257,9 @@ def _nearest(rows: FloatArray, steps: FloatArray, ex: float, ey: float, ez: floa
     The search goes downhill from i, either way. An end of a step is nearest outside a corner, or at rest.
     """
     first = min(i, len(steps) - 1)
-    best, best_k, best_along = np.inf, first, 0.0
+    best, best_k, best_along, at_first = np.inf, first, 0.0, np.inf
     for way in (1, -1):
-        k, last = first, np.inf
+        k, last = (first, np.inf) if way == 1 else (first - 1, at_first)
         while 0 <= k < len(steps):
             x, y, z = rows[i, 0] - rows[k, 0] + ex, rows[i, 1] - rows[k, 1] + ey, rows[i, 2] - rows[k, 2] + ez
             along = min(max(steps[k, 0] * x + steps[k, 1] * y + steps[k, 2] * z, 0.0), steps[k, 3])
@@ -252,6 +269,8 @@ def _nearest(rows: FloatArray, steps: FloatArray, ex: float, ey: float, ez: floa
                 break
             if apart < best:
                 best, best_k, best_along = apart, k, along
+            if k == first:
+                at_first = apart
             last = apart
             k += way
     return best_k, best_along
