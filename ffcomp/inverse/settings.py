@@ -19,7 +19,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from ffcomp.planner.limits import planner_limits
+from ffcomp.planner.limits import EXTRUSION_RATIO, planner_limits
 from ffcomp.planner.segment_merging import MergeLimits
 from ffcomp.planner.segment_timing import SegmentLimits
 from ffcomp.planner.trajectory import Trajectory
@@ -180,7 +180,7 @@ def settings_for(machine: Machine, segments_per_second: float = SEGMENTS_PER_SEC
         z_acceleration_mm_per_s2=limits.z_acceleration_mm_per_s2 or limits.acceleration_mm_per_s2,
         raised_axes=machine.kinematics.raisable_axes,
         instantaneous_corner_velocity_mm_per_s=limits.instantaneous_corner_velocity_mm_per_s,
-        retract_acceleration_mm_per_s2=limits.acceleration_mm_per_s2 * limits.extrusion_ratio,
+        retract_acceleration_mm_per_s2=limits.acceleration_mm_per_s2 * EXTRUSION_RATIO,
     )
     segment_s = 1.0 / segments_per_second
     design = design_machine(machine)[0]

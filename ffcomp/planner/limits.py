@@ -7,7 +7,7 @@ mm, s, mm/s, mm/s²; a limit that does not apply is infinite.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -19,6 +19,8 @@ from models.kinematics.base import Kinematics
 from models.machine import CORNER_MM_PER_S, Machine, Steps
 
 SHORTEST_TRAVEL_MM = 1e-9  # what moves the nozzle less than this counts as extruder-only
+NOZZLE_MM, FILAMENT_MM = 0.4, 1.75  # diameters
+EXTRUSION_RATIO = 16.0 * NOZZLE_MM**2 / (math.pi * FILAMENT_MM**2)  # of path to filament, four nozzle squares thick
 SLOW_RATIOS = ((3.0, 0.5), (6.0, 0.25))  # beyond this carriage speed / nozzle speed, this share is allowed
 
 
@@ -50,35 +52,10 @@ class PlannerLimits:
     minimum_cruise_ratio: float = 0.5
     z_velocity_mm_per_s: float | None = None  # None: as the nozzle
     z_acceleration_mm_per_s2: float | None = None  # None: as the nozzle
-    extruder_velocity_mm_per_s: float | None = None  # None: velocity times `extrusion_ratio`
-    extruder_acceleration_mm_per_s2: float | None = None  # None: acceleration times `extrusion_ratio`
+    extruder_velocity_mm_per_s: float | None = None  # None: velocity times EXTRUSION_RATIO
+    extruder_acceleration_mm_per_s2: float | None = None  # None: acceleration times EXTRUSION_RATIO
     instantaneous_corner_velocity_mm_per_s: float = CORNER_MM_PER_S  # step in the speed of the filament at a corner
-    nozzle_diameter_mm: float = 0.4
-    filament_diameter_mm: float = 1.75
     delta: DeltaSlowZones | None = None  # None: no slow zones
-
-    def __post_init__(self) -> None:
-        complaints = [_complaint(field.name, getattr(self, field.name)) for field in fields(self)]
-        if any(complaints):
-            raise ValueError(" ".join(filter(None, complaints)))
-
-    @property
-    def extrusion_ratio(self) -> float:
-        """Filament per path in the thickest line expected: four nozzle squares over the filament's area."""
-        return 16.0 * self.nozzle_diameter_mm**2 / (math.pi * self.filament_diameter_mm**2)
-
-
-def _complaint(name: str, value: float | None) -> str:
-    """Say what is wrong with a firmware limit; empty if nothing is."""
-    if value is None or name == "delta":
-        return ""
-    if name == "minimum_cruise_ratio":
-        allowed, rule = 0.0 <= value < 1.0, "at least zero and below one"
-    elif name.endswith("corner_velocity_mm_per_s"):
-        allowed, rule = value >= 0.0, "zero or more"
-    else:
-        allowed, rule = value > 0.0, "above zero"
-    return "" if allowed else f"The firmware limit {name} is {value:g}; it must be {rule}."
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,7 +119,7 @@ class _Configured(NamedTuple):
     @staticmethod
     def of(limits: PlannerLimits) -> _Configured:
         velocity, acceleration = limits.velocity_mm_per_s, limits.acceleration_mm_per_s2
-        ratio, delta = limits.extrusion_ratio, limits.delta
+        delta = limits.delta
         return _Configured(
             velocity,
             acceleration,
@@ -150,8 +127,8 @@ class _Configured(NamedTuple):
             limits.minimum_cruise_ratio,
             limits.z_velocity_mm_per_s or velocity,
             limits.z_acceleration_mm_per_s2 or acceleration,
-            limits.extruder_velocity_mm_per_s or velocity * ratio,
-            limits.extruder_acceleration_mm_per_s2 or acceleration * ratio,
+            limits.extruder_velocity_mm_per_s or velocity * EXTRUSION_RATIO,
+            limits.extruder_acceleration_mm_per_s2 or acceleration * EXTRUSION_RATIO,
             tuple((delta.radius_of_ratio(most) ** 2 if delta else math.inf, share) for most, share in SLOW_RATIOS),
         )
 

@@ -266,14 +266,14 @@ class SCurve:
 
 
 @dataclass(frozen=True, slots=True)
-class Held:
+class _Held:
     """What a motion is held under."""
 
     level: float = np.inf  # mm/s², of the carriages
     reserve: float = 0.0  # the edge of ramps whose acceleration is at the limit
 
 
-AS_PLANNED = Held()  # where the time allows nothing else: every ramp with the accelerations that its moves have
+_AS_PLANNED = _Held()  # where the time allows nothing else: every ramp with the accelerations that its moves have
 
 
 @dataclass(frozen=True, slots=True)
@@ -310,58 +310,49 @@ def s_curve(
     settings: SCurve | None = None,
     *,
     allowed_v: FloatArray | None = None,
-    held: Held | None = None,
-    delay_s: float = 0.0,
 ) -> SmoothTrajectory:
     """Plan the same path with S-curves.
 
     Parameters
     ----------
-    plan : from rest to rest; a part of a longer one begins and ends where the nozzle rests
+    plan : from rest to rest
     carriages : where the carriages are for places of the nozzle; None: the nozzle itself is what is accelerated
     allowed_v : (n,) mm/s, how fast each move may begin at most (`junctions.py`); None: not faster than in the plan
-    held : as `hold` found it, for this plan or for a longer one it is part of; None: found for this one
-    delay_s : how much later the motion begins than planned, because what came before has become slower
     """
     settings = settings or SCurve()
     path = _path_of(plan, carriages, settings.limit_mm_per_s2)
-    held = held or _hold(path, settings)
+    held = _hold(path, settings)
     allowed_v = plan.start_v if allowed_v is None else allowed_v
     profile = _profile(path, settings, held)
-    return _timed(plan, path, profile, _plateaus(path, settings, held.level, profile), allowed_v, delay_s)
+    return _timed(plan, path, profile, _plateaus(path, settings, held.level, profile), allowed_v)
 
 
-def hold(plan: Trajectory, carriages: Carriages | None = None, settings: SCurve | None = None) -> Held:
-    """Find the lowest level under which the plan's path takes no longer than allowed."""
-    settings = settings or SCurve()
-    return _hold(_path_of(plan, carriages, settings.limit_mm_per_s2), settings)
-
-
-def _hold(path: _Path, settings: SCurve) -> Held:
+def _hold(path: _Path, settings: SCurve) -> _Held:
+    """Find the lowest level under which the path takes no longer than allowed."""
     if not len(path.moves):
-        return AS_PLANNED
+        return _AS_PLANNED
     reserve = _reserve(path, settings)
     high = 2.0 * float((path.acceleration * path.gain).max(initial=0.0))
     low, best = high / WIDEST_SEARCH, np.inf
     for _ in range(SEARCH_STEPS):
         level = float(np.sqrt(low * high))
-        if _slower(path, settings, Held(level, reserve)) <= settings.slower:
+        if _slower(path, settings, _Held(level, reserve)) <= settings.slower:
             best = high = level
         else:
             low = level
-    return Held(best, reserve)
+    return _Held(best, reserve)
 
 
 def _reserve(path: _Path, settings: SCurve) -> float:
     """As much of the edge as ramps at the limit can be given for their share of the time."""
     for halvings in range(HALVINGS):
         reserve = settings.edge * 0.5**halvings
-        if _slower(path, settings, Held(np.inf, reserve)) <= settings.slower * settings.for_edges:
+        if _slower(path, settings, _Held(np.inf, reserve)) <= settings.slower * settings.for_edges:
             return reserve
     return 0.0
 
 
-def _slower(path: _Path, settings: SCurve, held: Held) -> float:
+def _slower(path: _Path, settings: SCurve, held: _Held) -> float:
     """By which share the motion takes longer."""
     profile = _profile(path, settings, held)
     return total_time(path.length, profile.start, profile.peak, profile.up, profile.down) / path.time_s - 1.0
@@ -402,13 +393,13 @@ def _rates(carriages: Carriages | None, places: FloatArray, steps: FloatArray) -
 # The gentler plan
 
 
-def _profile(path: _Path, settings: SCurve, held: Held) -> _Profile:
+def _profile(path: _Path, settings: SCurve, held: _Held) -> _Profile:
     low = np.where(path.gain > 0.0, np.minimum(path.acceleration, (1.0 - held.reserve) * path.limit), path.acceleration)
     shared = (path.gain, path.turn, path.apart, settings.span_s, 1.0 - settings.edge)
     mean, gentle = held_down(held.level, low, *shared)
     corner = np.minimum(path.corner, gentle)
     start, peak = sweep(path.length, corner, path.top, mean, mean)
-    if held == AS_PLANNED:
+    if held == _AS_PLANNED:
         return _Profile(start, peak, mean, mean, mean, gentle)
     down = _reversed(even(*(_reversed(values) for values in (path.length, start, peak, mean))))
     up = even(path.length, start, peak, mean)
@@ -448,7 +439,7 @@ def _reversed(values: FloatArray) -> FloatArray:
 
 
 def _timed(
-    plan: Trajectory, path: _Path, profile: _Profile, highest: FloatArray, allowed_v: FloatArray, delay_s: float
+    plan: Trajectory, path: _Path, profile: _Profile, highest: FloatArray, allowed_v: FloatArray
 ) -> SmoothTrajectory:
     """Round the ramps and put the moves one after the other, with the given plan's rests between them."""
     allowed = np.minimum(profile.corner, np.append(allowed_v[path.moves] ** 2, 0.0))
@@ -460,7 +451,7 @@ def _timed(
     highest_v = _highest_v(profile.peak, rise, accel_t, fall, decel_t)
     lasting = _spread(accel_t + cruise_t + decel_t, path.moves, len(plan))
     return SmoothTrajectory(
-        start_t=np.cumsum(_rests(plan) + np.concatenate([[delay_s], lasting])[:-1]),
+        start_t=np.cumsum(_rests(plan) + np.append(0.0, lasting)[:-1]),
         accel_t=_spread(accel_t, path.moves, len(plan)),
         cruise_t=_spread(cruise_t, path.moves, len(plan)),
         decel_t=_spread(decel_t, path.moves, len(plan)),

@@ -23,6 +23,10 @@ from models.machine import CORNER_MM_PER_S
 SWEEPS = 12  # at most, of the fixed point between neighbouring speeds; it contracts by about Δv/(a S), 0.1 or less
 SETTLED_MM_PER_S = 1e-9  # a junction that moves less no longer moves the segments beside it
 
+_Numbers = tuple[
+    float, float, float, float, float, float
+]  # acceleration, corner, z, extruder's corner, retraction, top
+
 
 @dataclass(frozen=True, slots=True)
 class SegmentLimits:
@@ -35,6 +39,18 @@ class SegmentLimits:
     instantaneous_corner_velocity_mm_per_s: float = CORNER_MM_PER_S  # of the extruder
     retract_acceleration_mm_per_s2: float = 2600.0  # of the filament, on moves that pull it back; the printer's own
     raised_axes: str = "XYZ"  # whose limits the header opens where firmware has one for each: no lead screw's
+
+    @property
+    def numbers(self) -> _Numbers:
+        """The limits for compiled loops."""
+        return (
+            self.acceleration_mm_per_s2,
+            self.square_corner_velocity_mm_per_s,
+            self.z_acceleration_mm_per_s2,
+            self.instantaneous_corner_velocity_mm_per_s,
+            self.retract_acceleration_mm_per_s2,
+            self.velocity_mm_per_s,
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,19 +96,7 @@ def segment_speeds(
     extrusion : (n,) mm of filament in each segment
     lasting : (n,) s, the S of each segment
     """
-    return SegmentSpeeds(
-        *_played(
-            vertices,
-            extrusion,
-            lasting,
-            limits.acceleration_mm_per_s2,
-            limits.square_corner_velocity_mm_per_s,
-            limits.z_acceleration_mm_per_s2,
-            limits.instantaneous_corner_velocity_mm_per_s,
-            limits.retract_acceleration_mm_per_s2,
-            limits.velocity_mm_per_s,
-        )
-    )
+    return SegmentSpeeds(*_played(vertices, extrusion, lasting, limits.numbers))
 
 
 def sample_even_segments(
@@ -112,18 +116,7 @@ def sample_even_segments(
     -------
     (n·substeps + 1, 3) mm
     """
-    return _sampled_evenly(
-        vertices,
-        extrusion,
-        lasting_s,
-        limits.acceleration_mm_per_s2,
-        limits.square_corner_velocity_mm_per_s,
-        limits.z_acceleration_mm_per_s2,
-        limits.instantaneous_corner_velocity_mm_per_s,
-        limits.retract_acceleration_mm_per_s2,
-        limits.velocity_mm_per_s,
-        substeps,
-    )
+    return _sampled_evenly(vertices, extrusion, lasting_s, limits.numbers, substeps)
 
 
 @kernel
@@ -131,13 +124,9 @@ def _played(
     vertices: FloatArray,
     extrusion: FloatArray,
     lasting: FloatArray,
-    acceleration: float,
-    corner_v: float,
-    z_acceleration: float,
-    extruder_corner_v: float,
-    retract_acceleration: float,
-    top_v: float,
+    limits: _Numbers,
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    acceleration, corner_v, z_acceleration, extruder_corner_v, retract_acceleration, top_v = limits
     n = len(vertices) - 1
     d = np.empty(n)
     a = np.empty(n)
@@ -304,24 +293,9 @@ def _sampled_evenly(
     vertices: FloatArray,
     extrusion: FloatArray,
     lasting_s: float,
-    acceleration: float,
-    corner_v: float,
-    z_acceleration: float,
-    extruder_corner_v: float,
-    retract_acceleration: float,
-    top_v: float,
+    limits: _Numbers,
     substeps: int,
 ) -> FloatArray:
     lasting = np.full(len(vertices) - 1, lasting_s)
-    cruise, junction, accelerations, duration = _played(
-        vertices,
-        extrusion,
-        lasting,
-        acceleration,
-        corner_v,
-        z_acceleration,
-        extruder_corner_v,
-        retract_acceleration,
-        top_v,
-    )
+    cruise, junction, accelerations, duration = _played(vertices, extrusion, lasting, limits)
     return sample_segments(vertices, cruise, junction, accelerations, duration, substeps)

@@ -99,10 +99,3 @@ def test_less_than_a_millionth_of_a_micrometre_is_extruder_only() -> None:
     assert lines.travels.tolist() == [False, True]
     assert lines.direction[0].tolist() == [0.0, 0.0, 0.0, -1.0]
     assert lines.length[0] == 2.0
-
-
-def test_impossible_limits_are_all_named_at_once() -> None:
-    with pytest.raises(ValueError, match="velocity_mm_per_s is 0; it must be above zero") as failure:
-        PlannerLimits(0.0, 3000.0, square_corner_velocity_mm_per_s=-1.0, minimum_cruise_ratio=1.0)
-    assert "square_corner_velocity_mm_per_s is -1; it must be zero or more." in str(failure.value)
-    assert "minimum_cruise_ratio is 1; it must be at least zero and below one." in str(failure.value)

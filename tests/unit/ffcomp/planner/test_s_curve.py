@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +13,7 @@ from numpy.typing import NDArray
 
 from ffcomp.planner.limits import PlannerLimits
 from ffcomp.planner.lookahead import junction_limits, plan_moves, stops_and_waits
-from ffcomp.planner.s_curve import SCurve, hold, s_curve
+from ffcomp.planner.s_curve import SCurve, s_curve
 from ffcomp.planner.smooth import SmoothTrajectory
 from ffcomp.planner.trajectory import Trajectory
 from gcode.reader import read_program
@@ -208,22 +207,6 @@ def test_velocity_is_the_slope_of_position_and_acceleration_that_of_velocity() -
     bend = (smooth.velocity(t + h) - smooth.velocity(t - h)) / (2 * h)
     jerk = (smooth.rise[:, 1] / np.maximum(smooth.rise[:, 2], 1e-6)).max()
     assert smooth.acceleration_at(t) == pytest.approx(bend, rel=1e-6, abs=h * jerk)
-
-
-def test_parts_one_after_the_other_are_the_whole() -> None:
-    plan, _ = planned(random_program(5, 12))
-    cuts = [0, *np.flatnonzero(plan.start_t[1:] - (plan.start_t + plan.duration)[:-1] > 0.01) + 1, len(plan)]
-    assert len(cuts) > 3
-    held = hold(plan)
-    whole, delay_s = s_curve(plan, held=held, settings=SCurve()), 0.0
-    for a, b in pairwise(cuts):
-        columns = {name: getattr(plan, name)[a:b] for name in Trajectory.__dataclass_fields__}
-        given_part = Trajectory(**columns)
-        limit = float(plan.acceleration[plan.direction[:, :3].any(axis=1)].max())
-        part = s_curve(given_part, held=held, settings=SCurve(limit_mm_per_s2=limit), delay_s=delay_s)
-        assert part.start_t == pytest.approx(whole.start_t[a:b], abs=1e-9)
-        assert part.rise == pytest.approx(whole.rise[a:b])
-        delay_s = part.end_t - given_part.end_t
 
 
 def test_no_junction_is_planned_faster_than_it_may_be_passed() -> None:
