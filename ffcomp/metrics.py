@@ -55,14 +55,15 @@ class ContourStatistics:
 class Track:
     """Evaluation of one motion: the TRACK object of every JSON output."""
 
-    tracking_rms_um: float
-    tracking_max_um: float
-    contour_rms_um: float
-    contour_p99_um: float
-    contour_max_um: float
-    delay_s: float
-    tracking_rms_no_delay_um: float
-    print_time_s: float
+    tracking_rms_um: float  # nozzle against plan at equal times, root mean square
+    tracking_max_um: float  # the largest of it
+    contour_rms_um: float  # distance to the reference path's segments, root mean square: what a print shows
+    contour_p99_um: float  # 99 % of the samples are closer
+    contour_max_um: float  # the largest
+    delay_s: float  # by which the nozzle is late, on the whole
+    tracking_rms_no_delay_um: float  # tracking with that delay taken out
+    print_time_s: float  # of what was evaluated
+    # the most that a carriage is asked for: change of its velocity over one segment's time
     peak_command_acceleration_mm_per_s2: float
 
 

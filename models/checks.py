@@ -47,10 +47,10 @@ ROUNDING_RTOL = 1e-9  # relative to a norm: less than this is rounding
 class Extreme:
     """A largest or smallest value, with its position and frequency."""
 
-    value: float
-    x_mm: float
-    y_mm: float
-    frequency_hz: float | None = None  # None: independent of frequency
+    value: float  # number [of the quantity]: the worst over the bed
+    x_mm: float  # where
+    y_mm: float  # where
+    frequency_hz: float | None = None  # at which frequency; null if it does not depend on one
 
 
 @dataclass(frozen=True)

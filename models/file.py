@@ -243,11 +243,11 @@ def updated_text(
 class Difference:
     """One key; None where a file does not have it."""
 
-    key: str
-    old: Any
-    new: Any
+    key: str  # `table.key`
+    old: Any  # number or text or list of numbers or null [`unit`]: null: it was not there
+    new: Any  # number or text or list of numbers or null [`unit`]: null: it is gone
     unit: str
-    relative: tuple[float, ...]  # change over the old value, of each number; empty where that means nothing
+    relative: tuple[float, ...]  # change over the old value; empty where that means nothing
     provenance: str  # of the new value
 
 

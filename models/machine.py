@@ -211,4 +211,10 @@ def sources(machine: Machine) -> dict[str, str]:
 
 def identity(machine: Machine) -> dict[str, str | None]:
     """Return the machine as every JSON object names it."""
-    return {"name": machine.name, "sha256": machine.sha256, "assumed": assumed_modes(machine)}
+    return {
+        "name": machine.name,  # the machine file's `name`
+        "sha256": machine.sha256,  # of the file's bytes
+        # text or null, may be missing: the sentence that its modes are assumed, and what to do; null: its file does not
+        # say so
+        "assumed": assumed_modes(machine),
+    }

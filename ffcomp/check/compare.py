@@ -276,41 +276,56 @@ class CheckResult:
         turned = comparison.turned if comparison else None
         return {
             "schema": "ffcomp-check/1",
-            "machine": {"name": machine, "sha256": self.check.machine_sha256},
-            "date": self.check.date,
+            "machine": {
+                "name": machine,
+                "sha256": self.check.machine_sha256,  # of the file's bytes
+            },
+            "date": self.check.date,  # ISO 8601
+            # `first`: nothing to compare with; `same`: as last time; `changed`: `named` says what; `unknown`:
+            # changed, and no single part explains it; `sensor`: the accelerometer is turned or another one;
+            # `cannot_tell`: noise
             "finding": self.verdict.finding,
-            "said": self.verdict.message,
-            "compared_with": self.compared_with,
-            "gap": self.check.gap,
-            "noise": self.check.noise,
-            "difference": self.check.difference,
+            "said": self.verdict.message,  # the same in sentences
+            "compared_with": self.compared_with,  # text or null: date of the check before
+            "gap": self.check.gap,  # number: to the machine file's printer
+            "noise": self.check.noise,  # number: of the mean of the repeats
+            "difference": self.check.difference,  # number or null: to the check before
+            # number or null: the same, each row by its noise: below 1.25 it is as last time
             "times_noise": comparison.times if comparison else None,
             "named": [
                 {
-                    "part": each.part.name,
-                    "change": each.value,
-                    "sd": each.sd,
-                    "unit": each.part.unit,
-                    "explains": min(each.share, 1.0),
+                    "part": each.part.name,  # what changed: of several, these cannot be told apart
+                    "change": each.value,  # number [as `unit` says]
+                    "sd": each.sd,  # number [as `unit` says]: by the noise
+                    "unit": each.part.unit,  # empty: a relative change
+                    "explains": min(each.share, 1.0),  # number: share of the change, of its power
                     "said": each.part.words(each.value),
                 }
                 for each in self.verdict.named
             ],
+            # number or null: about the vertical, if that were all that changed
             "sensor_turned_deg": turned.degrees if turned else None,
+            # number or null: relative change, if that were all that changed
             "sensor_gain": turned.gain if turned else None,
-            "axes_map": self.check.axes_map,
+            "axes_map": self.check.axes_map,  # the printer's axes in the sensor's own
             "since_first": {
+                # text or null: of the first check, where the last one says `same` and the first one does not
                 "date": self.first_date if since else None,
-                "finding": since.finding if since else None,
-                "said": since.message if since else None,
+                "finding": since.finding if since else None,  # text or null: compared with that one
+                "said": since.message if since else None,  # text or null
             },
             "experiments": [
-                {"name": each.name, "gap": each.gap, "noise": each.noise, "difference": each.difference}
+                {
+                    "name": each.name,
+                    "gap": each.gap,  # number
+                    "noise": each.noise,  # number
+                    "difference": each.difference,  # number or null
+                }
                 for each in self.experiments
             ],
-            "history": str(history),
-            "added": not self.known,
-            "notes": list(self.notes),
+            "history": str(history),  # the file of earlier checks
+            "added": not self.known,  # true or false: whether this check was added to it
+            "notes": list(self.notes),  # list of text
         }
 
 

@@ -93,7 +93,10 @@ def compare(request: CompareRequest, quality: EqualQuality, pages: Pages, shown:
         return
     written = _write(comparison, pages)
     if shown.as_json:
-        names = {"report": _text(pages.report), "figures": [str(path) for path in written]}
+        names = {
+            "report": _text(pages.report),  # text or null: the page that was written
+            "figures": [str(path) for path in written],  # list of text: the files that were written
+        }
         print_json({**comparison.to_dict(), **names})
     elif not shown.quiet:
         _print(comparison, pages.report, written)
@@ -266,7 +269,13 @@ def _report_quickest(result: Quickest, report: Path | None, as_json: bool, quiet
     if as_json:
         from ffcomp.report.quickest.words import answer
 
-        print_json({**result.to_dict(), "answer": answer(result), "report": _text(report)})
+        print_json(
+            {
+                **result.to_dict(),
+                "answer": answer(result),  # a sentence
+                "report": _text(report),  # text or null: the page that was written
+            }
+        )
     elif not quiet:
         _print_quickest(result, report)
 

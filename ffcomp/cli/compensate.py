@@ -60,7 +60,13 @@ def compensate(request: CompensateFilesRequest, shown: Shown) -> None:
     if shown.as_json:
         failed = sum(each.failure is not None for each in results)
         objects = [each.to_dict() for each in results]
-        print_json({"schema": "ffcomp-compensate-batch/1", "results": objects, "failed": failed})
+        print_json(
+            {
+                "schema": "ffcomp-compensate-batch/1",
+                "results": objects,  # [] ffcomp-compensate/1 or FAILED: in the order of the files
+                "failed": failed,  # whole number: how many files were not compensated
+            }
+        )
     for each in results:
         if each.failure is not None:
             raise SystemExit(each.failure.exit_code)

@@ -61,7 +61,14 @@ def estimate(request: EstimateFilesRequest, details: EstimateShown, shown: Json)
         else:
             _print(each, details.layers)
     if shown.as_json:
-        print_json(results[0] if len(results) == 1 else {"schema": "ffcomp-estimate-batch/1", "results": results})
+        print_json(
+            results[0]
+            if len(results) == 1
+            else {
+                "schema": "ffcomp-estimate-batch/1",
+                "results": results,  # [] ffcomp-estimate/1: in the order of the files
+            }
+        )
 
 
 def _estimates(file: Path, request: EstimateFilesRequest) -> Iterator[Estimate]:

@@ -65,7 +65,13 @@ def decouple(request: DecoupleRequest) -> None:
     places = parts_of_places(machine, gather(request.data, machine, band_hz=band_hz).responses)
     if request.as_json:
         answers = [place.to_dict() for place in places]
-        print_json({"schema": "ffcomp-identify-decouple/1", "machine": machine.name, "places": answers})
+        print_json(
+            {
+                "schema": "ffcomp-identify-decouple/1",
+                "machine": machine.name,  # its name
+                "places": answers,
+            }
+        )
     else:
         for place in places:
             _print_parts(place)

@@ -361,7 +361,13 @@ def _print_diff_json(old: str, new: str, changes: list[Difference], frequencies:
             "old": {"sha256": old},
             "new": {"sha256": new},
             "changes": [asdict(each) for each in changes],
-            "frequencies_hz": [{"old": before, "new": after} for before, after in frequencies],
+            "frequencies_hz": [
+                {
+                    "old": before,  # number [Hz]: natural frequencies in the middle of the bed
+                    "new": after,  # number [Hz]
+                }
+                for before, after in frequencies
+            ],
         }
     )
 
@@ -416,7 +422,14 @@ def effort(request: EffortRequest, shown: Json) -> None:
         say(f"ffcomp: drawn into {request.figure}.")
     if shown.as_json:
         rates = [_effort_json(rate, curve) for rate, curve in curves.items()]
-        print_json({"schema": "ffcomp-effort/1", "machine": loaded.name, "sha256": loaded.sha256, "rates": rates})
+        print_json(
+            {
+                "schema": "ffcomp-effort/1",
+                "machine": loaded.name,  # its name
+                "sha256": loaded.sha256,
+                "rates": rates,
+            }
+        )
     else:
         for rate, curve in curves.items():
             _print_effort(rate, curve)
@@ -424,11 +437,11 @@ def effort(request: EffortRequest, shown: Json) -> None:
 
 def _effort_json(rate: float, curve: EffortCurve) -> dict[str, object]:
     return {
-        "segments_per_second": rate,
-        "bandwidth_hz": curve.bandwidth_hz.tolist(),
-        "tracking_rms_um": curve.error_um.tolist(),
-        "peak_command_acceleration_mm_per_s2": curve.peak_mm_per_s2.tolist(),
-        "knee_hz": curve.knee_hz,
+        "segments_per_second": rate,  # number
+        "bandwidth_hz": curve.bandwidth_hz.tolist(),  # list of numbers
+        "tracking_rms_um": curve.error_um.tolist(),  # list of numbers: at each bandwidth
+        "peak_command_acceleration_mm_per_s2": curve.peak_mm_per_s2.tolist(),  # list of numbers: at each bandwidth
+        "knee_hz": curve.knee_hz,  # what `compensate` takes
     }
 
 

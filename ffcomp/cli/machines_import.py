@@ -73,17 +73,17 @@ def _as_json(made: MachineDraft, path: Path, model_hz: float | None) -> dict[str
 
     return {
         "schema": "ffcomp-machine-import/1",
-        "machine": str(path),
+        "machine": str(path),  # the file that was written
         "name": made.name,
-        "firmware": made.config.firmware,
-        "kinematics": made.config.kinematics,
-        "like": made.like,
-        "complete": made.is_complete,
+        "firmware": made.config.firmware,  # what the configuration is of
+        "kinematics": made.config.kinematics,  # delta, cartesian or corexy
+        "like": made.like,  # text or null: the library machine whose vibration numbers were taken
+        "complete": made.is_complete,  # true or false: false: the file lacks numbers, and the exit code is 5
         "values": {key: asdict(value) for key, value in made.values.items()},
-        "missing": dict(made.missing),
-        "notes": list(made.config.notes),
-        "shaper_hz": list(made.config.shaper_hz),
-        "model_loudest_hz": model_hz,
+        "missing": dict(made.missing),  # .* text: by `table.key`: why it matters, or how to get it
+        "notes": list(made.config.notes),  # list of text: what a machine file cannot hold
+        "shaper_hz": list(made.config.shaper_hz),  # list of numbers: of a delta: the input shaper's frequencies
+        "model_loudest_hz": model_hz,  # number or null: beside them: the loudest vibration of the assumed machine
     }
 
 

@@ -109,9 +109,15 @@ def _show(request: ShowRequest) -> dict[str, Any]:
     return {
         "schema": "ffcomp-show/1",
         "input": str(file),
-        "machine": identity(machine),
-        "picture": str(picture),
-        **({} if target is None else {"gcode_preview": str(target)}),
-        "verdict": verdict(seen),
+        "machine": identity(machine),  # MACHINE
+        "picture": str(picture),  # the file that was drawn
+        **(
+            {}
+            if target is None
+            else {
+                "gcode_preview": str(target)  # with `--gcode-preview`: the G-code for viewers
+            }
+        ),
+        "verdict": verdict(seen),  # a sentence
         "contour_um": {"uncompensated": asdict(numbers(seen.before)), "compensated": asdict(numbers(seen.after))},
     }

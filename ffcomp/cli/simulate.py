@@ -83,11 +83,15 @@ def _write_captures(request: SimulateRequest, captures: CapturesRequest, folder:
         written = write_captures(plan, program, machine, plant, folder, sensor, flavor, progress)
     return {
         "schema": "ffcomp-captures/1",
-        "input": str(file),
+        "input": str(file),  # the plan's G-code
         "plan": str(plan),
-        "plant": {"name": plant.name, "sha256": plant.sha256, "effects": list(plant.effects)},
-        "flavor": flavor,
-        "captures": [str(path) for path in written],
+        "plant": {
+            "name": plant.name,  # the machine file's `name`
+            "sha256": plant.sha256,  # of the file's bytes
+            "effects": list(plant.effects),  # list of text: its effects
+        },
+        "flavor": flavor,  # firmware in whose format the captures are
+        "captures": [str(path) for path in written],  # list of text: the files
     }
 
 
@@ -113,9 +117,10 @@ def _simulate(request: SimulateRequest, quiet: bool) -> dict[str, Any]:
     return {
         "schema": "ffcomp-simulate/1",
         "input": str(request.file),
+        # text or null: the run that was written
         "output": None if request.recording is None else str(request.recording),
         **simulation.to_dict(),
-        "warnings": warnings,
+        "warnings": warnings,  # list of text
     }
 
 

@@ -227,9 +227,9 @@ def bound_of(printed: Print, bound: Bound) -> Bound:
 class Known:
     """What the print takes if no number of the machine file is less certain than this."""
 
-    relative_sd: float
-    share: float  # of the time that it takes with the machine file as it is
-    print_time_s: float
+    relative_sd: float  # with `--if-known`: no number of the machine file is less certain
+    share: float  # of the quicker print's time, measured on slices that stand for it
+    print_time_s: float  # that share of `faster.print_time_s`
 
 
 def worth_knowing(

@@ -34,9 +34,9 @@ class Samples:
 class Error:
     """Contour error over some of the samples, µm."""
 
-    rms_um: float
-    p99_um: float
-    max_um: float
+    rms_um: float  # contour error, root mean square
+    p99_um: float  # 99 % of the samples are closer
+    max_um: float  # the largest
     share: float  # of all samples
 
 
@@ -44,9 +44,9 @@ class Error:
 class Peaks:
     """The largest demand on any carriage, and whether the machine file allows it."""
 
-    velocity_mm_per_s: float
-    acceleration_mm_per_s2: float
-    within_limits: bool
+    velocity_mm_per_s: float  # the most that a carriage is asked for
+    acceleration_mm_per_s2: float  # the same
+    within_limits: bool  # of the machine file
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,18 +67,22 @@ class Spread:
 
     def to_dict(self) -> dict[str, Any]:
         """Return its JSON object."""
-        return {"median_um": self.median_um, "worst_um": self.worst_um, "contour_rms_um": list(self.contour_rms_um)}
+        return {
+            "median_um": self.median_um,  # over the Monte-Carlo plants
+            "worst_um": self.worst_um,  # of the Monte-Carlo plants
+            "contour_rms_um": list(self.contour_rms_um),  # list of numbers: one for each
+        }
 
 
 @dataclass(frozen=True, slots=True)
 class EqualQuality:
     """The highest acceleration at which the contour error's p99 stays below a bound, and the print time then."""
 
-    acceleration_mm_per_s2: float
+    acceleration_mm_per_s2: float  # the highest at which 99 % of the contour error is below the bound
     print_time_s: float  # of the whole print at that acceleration
     p99_um: float  # at that acceleration
-    capped: bool  # good even at the highest acceleration that was tried
-    reached: bool = True  # False: above the bound even at the lowest that was tried
+    capped: bool  # it was still good at the highest that was tried
+    reached: bool = True  # false: above the bound even at the lowest that was tried
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,40 +108,45 @@ class Method:
     def to_dict(self) -> dict[str, Any]:
         """Return the method's object in the JSON of `ffcomp compare`."""
         values = {
-            "label": self.label,
-            "family": self.family,
-            "tuning": self.tuning,
-            "extruding": self.extruding,
-            "by_layer": self.by_layer,
-            "by_feature": self.by_feature,
+            **to_json(self.track),  # … TRACK: its keys stand here too, of all samples
+            "label": self.label,  # for people
+            "family": self.family,  # none, calibrated, best fixed, scheduled or inversion
+            "tuning": self.tuning,  # what was chosen, and how
+            "extruding": self.extruding,  # TRACK: where plastic flows only
+            "by_layer": self.by_layer,  # .* ERROR: by the layer's number
+            "by_feature": self.by_feature,  # .* ERROR: by the slicer's feature names
+            # number or null: residual ringing while the reference cruises straight
             "residual_rms_um": self.residual_rms_um,
             "peaks": self.peaks,
+            # SPREAD or null: on printers that are not as the file says; null without `--mismatch`
             "mismatch": None if self.spread is None else self.spread.to_dict(),
+            # SPREAD or null: the same with a shaper's frequencies sought again on each
             "mismatch_retuned": None if self.retuned is None else self.retuned.to_dict(),
+            # QUALITY or null: how fast the method could go; null with `--quality-um 0`
             "equal_quality": self.equal_quality,
-            "warnings": self.warnings,
+            "warnings": self.warnings,  # list of text
         }
-        return dict(to_json(self.track) | to_json(values))
+        return dict(to_json(values))
 
 
 @dataclass(frozen=True, slots=True)
 class Layer:
     """An evaluated layer."""
 
-    number: int  # from 0
+    number: int  # from 0; those that were evaluated
     z_mm: float
-    begin_t: float  # s, on the reference plan's clock
-    end_t: float
+    begin_t: float  # number [s]: on the plan's clock
+    end_t: float  # number [s]
 
 
 @dataclass(frozen=True, slots=True)
 class Party:
     """A machine file of the comparison."""
 
-    name: str
-    sha256: str
-    effects: tuple[str, ...] = ()
-    assumed: str | None = None  # the sentence that its modes are assumed
+    name: str  # the machine file's `name`
+    sha256: str  # of the file's bytes
+    effects: tuple[str, ...] = ()  # its effects
+    assumed: str | None = None  # as of a MACHINE
 
     @classmethod
     def of(cls, machine: Machine) -> Party:
@@ -206,25 +215,39 @@ class Comparison:
         values = {
             "schema": "ffcomp-compare/1",
             "input": self.print_name,
-            "input_sha256": self.print_sha256,
-            "version": self.version,
-            "machine": self.machine,
-            "plant": self.plant,
-            "sampling": self.sampling,
-            "mismatch": self.mismatch,
-            "settings": self.settings,
-            "limits": self.limits,
-            "print_time_s": self.print_time_s,
+            "input_sha256": self.print_sha256,  # of the print
+            "version": self.version,  # of ffcomp
+            "machine": self.machine,  # PARTY: what every method believes
+            "plant": self.plant,  # PARTY: what evaluated them
+            "sampling": self.sampling,  # what part of the print was evaluated
+            "mismatch": self.mismatch,  # which Monte-Carlo plants; empty without `--mismatch`
+            "settings": self.settings,  # .* text: as they were used
+            "limits": self.limits,  # .* number [mm/s, mm/s²]: of the carriages' commands
+            "print_time_s": self.print_time_s,  # of the whole print
+            # number or null: of most of the outer walls, or of all that extrudes; null if the print sets none
             "acceleration_mm_per_s2": self.acceleration_mm_per_s2,
             "layers": self.layers,
+            # the fixed shaper with the least contour error where plastic flows, a name in `methods`
             "best_fixed": self.best_fixed,
+            # the name in `methods` of what `compensate` writes with this machine file: fbs-robust or fbs-lpv
             "ours": self.compensated,
-            "quality_bound_um": self.quality_bound_um,
-            **({"predicted": self.predicted} if self.predicted else {}),
+            "quality_bound_um": self.quality_bound_um,  # what `equal_quality` holds
+            **(
+                {
+                    # .* TRACK: uncompensated and compensated: of the whole print on the design model, the numbers of
+                    # `compensate` and `show`; missing for prints beyond 10 minutes and with effects that are not in the
+                    # linear model
+                    "predicted": self.predicted
+                }
+                if self.predicted
+                else {}
+            ),
+            # true or false: with this machine file `compensate` inverts robustly unless told otherwise
             "robust_by_default": self.robust.robust,
-            "robust_reason": self.robust.reason,
+            "robust_reason": self.robust.reason,  # why, or why not
+            # .* METHOD: by name: none, zv, …, zv-calibrated, …, zv-scheduled, …, fbs-lti, fbs-robust, fbs-lpv
             "methods": {name: method.to_dict() for name, method in self.methods.items()},
-            "seconds": self.seconds,
+            "seconds": self.seconds,  # number [s]: that it took
         }
         return dict(to_json(values))
 
@@ -249,21 +272,23 @@ class TimedMethod:
     """One method at the error that all may have."""
 
     name: str
-    label: str
-    family: Family
-    tuning: str
+    label: str  # for people
+    family: Family  # text: none, best fixed or inversion
+    tuning: str  # what was chosen, and how
     print_time_s: float  # of the whole print
-    by_feature_s: dict[str, float]  # where it goes
-    contour_rms_um: float
+    by_feature_s: dict[str, float]  # where it goes: what extrudes by its feature, and `travel`
+    contour_rms_um: float  # whatever the clock
     contour_p99_um: float
     contour_max_um: float
-    reached: bool  # the bound
+    reached: bool  # it keeps the bound; false: not even at the slowest setting that was tried
     pieces: tuple[Piece, ...]
-    feed: float | None = None  # times the slicer's
-    acceleration_mm_per_s2: float | None = None
-    limited_by: dict[str, float] = field(default_factory=dict)  # s
-    off_p99_um: tuple[float, ...] = ()  # on each Monte-Carlo plant
-    by_feature_p99_um: dict[str, float] = field(default_factory=dict)  # where plastic flows
+    feed: float | None = None  # times the slicer's; null where moves have their own
+    acceleration_mm_per_s2: float | None = None  # that the firmware is told; null where moves have their own
+    # number [s]: of `print_time_s`, by what limits it; of ffcomp's quicker prints only
+    limited_by: dict[str, float] = field(default_factory=dict)
+    off_p99_um: tuple[float, ...] = ()  # [] number: on each Monte-Carlo plant; empty without `--mismatch`
+    # where plastic flows, by its feature, in what was evaluated
+    by_feature_p99_um: dict[str, float] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
@@ -313,21 +338,24 @@ class Quickest:
         values = {
             "schema": "ffcomp-equal-quality/1",
             "input": self.print_name,
-            "input_sha256": self.print_sha256,
-            "version": self.version,
-            "machine": self.machine,
-            "plant": self.plant,
-            "bound_um": self.bound_um,
+            "input_sha256": self.print_sha256,  # of the print
+            "version": self.version,  # of ffcomp
+            "machine": self.machine,  # PARTY: what every method believes
+            "plant": self.plant,  # PARTY: what evaluated them
+            "bound_um": self.bound_um,  # that 99 % of the contour error is below
+            # number or null: that no method exceeds; null if nothing extrudes
             "max_flow_mm3_per_s": self.max_flow_mm3_per_s,
-            "min_layer_time_s": self.min_layer_time_s,
-            "sampling": self.sampling,
-            "mismatch": self.mismatch,
-            "whole": self.whole,
-            "print_time_s": self.sliced.print_time_s,
-            "actuator_limit_s": self.actuator_limit_s,
-            "best_shaper": self.best_shaper.name,
-            "sliced": self.sliced.to_dict(),
+            "min_layer_time_s": self.min_layer_time_s,  # that no layer is shorter than, unless it was as sliced
+            "sampling": self.sampling,  # what part of the print was evaluated
+            "mismatch": self.mismatch,  # which Monte-Carlo plants; empty without `--mismatch`
+            "whole": self.whole,  # true or false: all of the print was evaluated; false: slices that stand for it
+            "print_time_s": self.sliced.print_time_s,  # of the whole print as sliced
+            "actuator_limit_s": self.actuator_limit_s,  # what the whole print takes at least, whatever the error
+            "best_shaper": self.best_shaper.name,  # the quickest one that keeps the bound, a name in `methods`
+            "sliced": self.sliced.to_dict(),  # CONTENDER: the print as it is, without compensation
+            # .* CONTENDER: by name: none, zv, …, fbs-lpv (feeds kept), faster, faster-known (as if the machine file
+            # were certain of everything)
             "methods": {name: each.to_dict() for name, each in self.methods.items()},
-            "seconds": self.seconds,
+            "seconds": self.seconds,  # number [s]: that it took
         }
         return dict(to_json(values))

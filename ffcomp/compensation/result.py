@@ -30,12 +30,17 @@ DIED = "A process that worked at it has died, perhaps for want of memory."
 class QuickerPrint:
     """What a bound on the error has brought."""
 
-    print_time_s: float
-    original_print_time_s: float
-    actuator_limit_s: float  # nothing can be quicker
-    limited_by: Mapping[str, float]  # seconds by what limits the speed
-    contour_p99_um: float | None  # None: not predicted
-    contour_max_um: float | None
+    print_time_s: float  # with `--max-error-um`: of the quicker print
+    original_print_time_s: float  # of the original
+    # what no plan of the same moves can be quicker than: corners without slowing down, limits of carriages and
+    # flow
+    actuator_limit_s: float
+    # number [s]: the time by what limits it: `flow`, `error_bound`, `carriage_acceleration`, `speed`,
+    # `cooling`, `as_sliced` (kept), `filament_alone`
+    limited_by: Mapping[str, float]
+    contour_p99_um: float | None  # predicted for the machine as its file says; null without a prediction
+    contour_max_um: float | None  # the largest
+    # number [s]: of one kind of line: `original_s` as sliced, `print_time_s` now
     by_feature: Mapping[str, Mapping[str, float]]
 
 
@@ -118,29 +123,47 @@ class Result:
         answer = {
             "schema": SCHEMA,
             "input": self.path,
-            "machine": identity(self.machine),
-            "flavor": self.flavor.flavor,
-            "flavor_reason": self.flavor.reason,
-            "offset_mm": self.placement.offset,
-            "offset_reason": self.placement.reason,
+            "machine": identity(self.machine),  # MACHINE
+            "flavor": self.flavor.flavor,  # the dialect: klipper, marlin or reprapfirmware
+            "flavor_reason": self.flavor.reason,  # why, in a sentence
+            "offset_mm": self.placement.offset,  # list of numbers: two: by how much the print was moved, along x and y
+            "offset_reason": self.placement.reason,  # why, in a sentence
+            # true or false: whether the expected error over the machine file's `[uncertainty]` was minimised
             "robust": self.robust.robust,
-            "robust_reason": self.robust.reason,
-            "print_time_s": numbers.print_time_s,
-            "original_print_time_s": numbers.original_print_time_s,
-            "compute_time_s": self.compute_time_s,
+            "robust_reason": self.robust.reason,  # why, in a sentence
+            "print_time_s": numbers.print_time_s,  # of the compensated print, heating and macros not counted
+            "original_print_time_s": numbers.original_print_time_s,  # of the original, planned the same way
+            "compute_time_s": self.compute_time_s,  # that it took
             **numbers.shares.to_dict(),
-            "settling": {"times": numbers.settlings, "seconds": numbers.settling_s},
-            "moves": numbers.moves,
-            "segments": numbers.segments,
-            "windows": numbers.windows,
+            "settling": {
+                # whole number: waits until the ringing of what the firmware has moved by itself has died away
+                "times": numbers.settlings,
+                "seconds": numbers.settling_s,  # number [s]: that they take in all; counted in `print_time_s`
+            },
+            "moves": numbers.moves,  # whole number: of the original
+            "segments": numbers.segments,  # whole number: that were written; 0 with step timings
+            "windows": numbers.windows,  # whole number: windows that were solved
+            # whole number: of them solved again because a limit was exceeded
             "limited_windows": numbers.limited_windows,
             "warnings": self.warnings,
             "warning_lines": self.warning_lines,
             "slowed": numbers.slowed,
+            # .* TRACK: uncompensated: of the design model over all moves, the same numbers as `show`'s `contour_um`;
+            # compensated: of the written file, read again as `show` does. Nothing with `--no-predict`. Prints beyond
+            # 10 minutes, step timings and machines with effects that are not in the linear model are predicted on the
+            # way, section by section. `simulate` and `compare` judge by the virtual printer instead, which is not
+            # linear: another quantity
             "predicted": self.predicted,
-            "predicted_over_s": self.predicted_over_s,
+            "predicted_over_s": self.predicted_over_s,  # how much of the print the prediction is of
             **({} if self.faster is None else {"faster": self.faster}),
-            **({"original_embedded": self.embedded} if self.steps is None else {"steps": self.steps}),
+            **(
+                {
+                    # true or false: of G-code: whether the file holds its original; false with `--no-embed`
+                    "original_embedded": self.embedded
+                }
+                if self.steps is None
+                else {"steps": self.steps}
+            ),
         }
         return dict(to_json(answer))
 
@@ -193,13 +216,29 @@ class CompensatedFile:
     def to_dict(self) -> dict[str, Any]:
         """Return the JSON object of `compensate`."""
         if not self.prints:
-            return {"schema": SCHEMA, "input": self.path, "output": self.output, "already": self.already}
-        answer = {**self.result.to_dict(), "warnings": self.warnings, "warning_lines": self.warning_lines}
+            return {
+                "schema": SCHEMA,
+                "input": self.path,  # the file, as it was given
+                "output": self.output,  # text or null: what was written; null with `--dry-run`
+                # text, may be missing: the file is compensated already: by what, in a sentence; nothing else is there
+                "already": self.already,
+            }
+        answer = {
+            **self.result.to_dict(),
+            # list of text, may be missing: every warning, and the first dozen of the places that became slower
+            "warnings": self.warnings,
+            # list of text, may be missing: the same for people: at most five lines, one for each cause, with what
+            # would avoid it
+            "warning_lines": self.warning_lines,
+        }
         if len(self.prints) > 1:
-            times = ("print_time_s", "original_print_time_s")
             answer["prints"] = [
-                {"name": name, **{key: getattr(result.statistics, key) for key in times}}
-                for name, result in self.prints.items()
+                {
+                    "name": name,  # of a container with several prints: each of them
+                    "print_time_s": one.statistics.print_time_s,
+                    "original_print_time_s": one.statistics.original_print_time_s,
+                }
+                for name, one in self.prints.items()
             ]
         return {**answer, "input": self.path, "output": self.output}
 
@@ -234,7 +273,11 @@ class FileResult:
         if self.done is not None:
             return self.done.to_dict()
         assert self.failure is not None
-        return {"input": str(self.file), "error": self.failure.sentence, "exit_code": self.failure.exit_code}
+        return {
+            "input": str(self.file),  # the file
+            "error": self.failure.sentence,  # why it was not compensated
+            "exit_code": self.failure.exit_code,  # whole number: that of the file by itself
+        }
 
 
 def attempt(number: int, file: Path, work: Callable[[Path], CompensatedFile]) -> FileResult:

@@ -97,7 +97,11 @@ class Shares:
     def to_dict(self) -> dict[str, Any]:
         """Return the keys of `compensate`'s JSON object."""
         return {
-            "compensated_share": {"path": self.path, "filament": self.filament},
+            "compensated_share": {
+                # number: 0 to 1, of all moves that the file makes by itself: what the nozzle travels
+                "path": self.path,
+                "filament": self.filament,  # number: what is pushed out on the way
+            },
             "uncompensated": [_command_dict(places) for places in self.by_command().values()],
         }
 
@@ -113,13 +117,15 @@ def _worst(places: Mapping[Place, Part]) -> Place:
 def _command_dict(places: Mapping[Place, Part]) -> dict[str, Any]:
     first, whole = next(iter(places)), sum(places.values(), Part())
     return {
-        "line": first.line,
+        "line": first.line,  # whole number: its first line in the input, from 1; 0: the beginning
+        # why moves went out as they were: since this command nobody knew the place; empty: since the file's
+        # beginning
         "command": first.command,
-        "places": len(places),
-        "worst_line": _worst(places).line,
-        "path_mm": whole.path_mm,
+        "places": len(places),  # whole number: after how many such commands
+        "worst_line": _worst(places).line,  # whole number: the line after which the most of the path went out so
+        "path_mm": whole.path_mm,  # of these moves, as far as it is known
         "filament_mm": whole.filament_mm,
-        "seconds": whole.seconds,
+        "seconds": whole.seconds,  # number [s]: that they take; counted in both print times
     }
 
 

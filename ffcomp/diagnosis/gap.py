@@ -37,7 +37,11 @@ class ResidualSize:
 
     def to_dict(self) -> dict[str, float]:
         """Return the JSON's pair of numbers."""
-        return {"nrms": self.nrms, "noise_nrms": self.noise_nrms}
+        return {
+            # number: √(Σ(measured − simulated)² / Σ measured²), both filtered alike to the machine's band
+            "nrms": self.nrms,
+            "noise_nrms": self.noise_nrms,  # number: what noise alone would leave
+        }
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,22 +141,34 @@ class Discrepancy:
         residual = self.residual
         return {
             "schema": "ffcomp-gap/1",
-            **residual.total.to_dict(),
+            **residual.total.to_dict(),  # … SIZE: its keys stand here too, of all signals of all runs
+            # true or false: false: from the spectrum above the model's band, which is weaker
             "noise_from_repeats": self.from_repeats,
-            "notes": list(self.notes),
+            "notes": list(self.notes),  # list of text: repeats that lie apart in time, or do not repeat: sentences
+            # .* SIZE: by sensor: acc_A, acc_x, …
             "signals": {name: size.to_dict() for name, size in residual.signals.items()},
             "where": {
-                "frequency_hz": [{"from": low, "to": high, "share": share} for low, high, share in residual.bands],
+                "frequency_hz": [
+                    {
+                        "from": low,  # number [Hz]: bands
+                        "to": high,  # number [Hz]
+                        "share": share,  # number: of what lies above the noise
+                    }
+                    for low, high, share in residual.bands
+                ],
+                # .* number: by sensor: times the noise
                 "signal": {name: size.over_noise for name, size in residual.signals.items()},
                 "region": [
-                    # of an axis by itself a window of time
-                    {"place_mm": list(position), "share": share}
+                    {
+                        "place_mm": list(position),  # list of numbers: of an axis by itself `from_s`, a window of time
+                        "share": share,  # number
+                    }
                     if len(position) > 1
                     else {"from_s": position[0], "share": share}
                     for position, share in residual.positions.items()
                 ],
-                "near_reversals": residual.near_reversals,
-                "runs": {name: size.to_dict() for name, size in residual.recordings.items()},
+                "near_reversals": residual.near_reversals,  # number: share while a carriage turns back or rests
+                "runs": {name: size.to_dict() for name, size in residual.recordings.items()},  # .* SIZE: by file
             },
         }
 

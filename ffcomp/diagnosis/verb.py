@@ -82,9 +82,10 @@ class Diagnosis:
         """Return the JSON object ffcomp-diagnose/1."""
         return {
             **result_json(self.result, self.print_gain),
+            # text or null: the better machine file, if one was written
             "machine": None if self.output is None else str(self.output),
-            "report": None if self.report is None else str(self.report),
-            "seconds": self.seconds,
+            "report": None if self.report is None else str(self.report),  # text or null: the page, if one was written
+            "seconds": self.seconds,  # number [s]: that it took
         }
 
 
@@ -96,39 +97,80 @@ def result_json(result: DiagnosisResult, gain: PrintGain | None = None) -> dict[
     refused = {"effects": list(result.effects), "because": list(result.rejections)}
     return {
         "schema": "ffcomp-diagnose/1",
+        # `effects`: these are missing; `none`: nothing is; `unknown`: anything else, see `finding`
         "verdict": result.verdict,
+        # `effects`; `nothing`; `unexplained`: nothing known explains the gap; `unproven`: one explanation holds
+        # most of it, but failed a test; `dominant`: one effect holds most of it and leaves a rest, see `dominant`;
+        # `cannot_tell`: the noise is too loud, or repeats differ by more than noise; `recording`: an input shaper
+        # left on, a sensor that does not measure
         "finding": result.finding,
-        "said": summary_sentences(result),
+        "said": summary_sentences(result),  # [] text: the answer in sentences, the finding first
         "effects": [_effect_json(result, name) for name in named],
+        # DOMINANT or null: the effect that holds most of the gap and leaves a rest; the verdict is then `unknown`,
+        # for not all is explained
         "dominant": most,
+        # list of text: numbers of the named effect, or of the nearest, that these runs leave open: at the end of
+        # their range, or open over all of it
         "undetermined": list(result.undetermined),
+        # REFUSED or null: what came nearest, and why it does not explain all
         "refused": refused if result.rejections else None,
-        "invisible": list(result.invisible),
-        "retuned": {key: {"from": a, "to": b} for key, (a, b) in result.file.retuned.items()},
+        "invisible": list(result.invisible),  # list of text: effects of which these runs could not show a usual size
+        "retuned": {
+            key: {
+                "from": a,  # number [of the number]: by `table.key`: numbers of the file that moved
+                "to": b,  # number [of the number]
+            }
+            for key, (a, b) in result.file.retuned.items()
+        },
         "separate": [each.to_dict() for each in result.separations],
-        "confusable_with": [{"name": name, "separate_by": how} for name, how in result.confounded_with],
+        "confusable_with": [
+            {
+                "name": name,  # an effect that looks alike in these runs
+                "separate_by": how,  # how to tell them apart
+            }
+            for name, how in result.confounded_with
+        ],
+        # .* number: by file: how late it lies against its command, where that is more than 0.1 ms
         "late_s": dict(result.late_s),
+        # what was left out of the fit in turn: `places` at least 20 mm apart, `experiments` at one place, `windows`
+        # of time of an axis, or nothing (empty)
         "left_out": gap.left_out,
-        "unproven_at": list(gap.unproven),
-        "or_file_off": {key: {"from": a, "to": b} for key, (a, b) in result.file.off.items()},
+        "unproven_at": list(gap.unproven),  # [] text: places or experiments where it is not explained
+        "or_file_off": {
+            key: {
+                # number [of the number]: by `table.key`: numbers of the file that would explain as much if wrong
+                "from": a,
+                "to": b,  # number [of the number]
+            }
+            for key, (a, b) in result.file.off.items()
+        },
+        # true or false: the search ended at its budget of work, so that not everything was tried; `--thorough` goes
+        # on
         "cut_short": result.cut_short,
-        "to_do": what_to_do(result),
+        "to_do": what_to_do(result),  # [] text: steps: to the printer, to its file, what to record next
+        # GAIN or null: what prints gain, where an effect of the machine is named
         "print_gain": None if gain is None else gain.to_dict(),
         "gap": {
-            "before": gap.before.nrms,
-            "after": gap.after.nrms,
-            "noise": gap.noise,
-            "held_out": {"before": gap.elsewhere[0], "after": gap.elsewhere[1], "noise": gap.noise},
+            "before": gap.before.nrms,  # number: nrms with the file as it is
+            "after": gap.after.nrms,  # number: nrms with what was found
+            "noise": gap.noise,  # number: nrms that noise alone leaves
+            "held_out": {
+                "before": gap.elsewhere[0],  # number: at places that were left out of the fit, one after the other
+                "after": gap.elsewhere[1],  # number
+                "noise": gap.noise,  # number
+            },
         },
     }
 
 
 def _effect_json(result: DiagnosisResult, name: str) -> dict[str, Any]:
     return {
-        "name": name,
+        "name": name,  # one of [the effects](../EFFECTS.md); none in `effects` unless that is the verdict
+        # what it is, whatever its law: `dry friction`, `dry friction that falls with speed`, … ; or its name
         "family": FAMILIES.get(name, name),
-        "parameters": result.parameters(name),
-        "confidence": result.confidence[name],
+        "parameters": result.parameters(name),  # .* INTERVAL: by the machine file's key
+        "confidence": result.confidence[name],  # number: probability against the best explanation without this effect
+        # number: −2 ln of the likelihood gained against retuning alone, of all named effects
         "evidence": result.evidence,
     }
 
@@ -198,9 +240,9 @@ class PrintGain:
     def to_dict(self) -> dict[str, float]:
         """Return the JSON's `print_gain`."""
         return {
-            "uncompensated_um": self.uncompensated_um,
-            "before_um": self.before_um,
-            "after_um": self.after_um,
+            "uncompensated_um": self.uncompensated_um,  # rms
+            "before_um": self.before_um,  # compensated with the file as it is
+            "after_um": self.after_um,  # compensated with the better file
         }
 
     def sentence(self) -> str:

@@ -40,10 +40,11 @@ class Estimate:
         values = {
             "schema": "ffcomp-estimate/1",
             "input": self.path,
-            "machine": identity(self.machine),
+            "machine": identity(self.machine),  # MACHINE
             "flavor": self.flavor,
-            "compensated": self.original is not None,
-            **_values(self.statistics),
+            "compensated": self.original is not None,  # true or false
+            **_values(self.statistics),  # … ACCOUNT: its keys stand here too, of the file as it is
+            # ACCOUNT or null: of a compensated file: the print as it was
             "original": _values(self.original) if self.original else None,
         }
         return dict(to_json(values))
@@ -104,16 +105,17 @@ def seconds(row: FloatArray) -> float:
 
 def _values(statistics: Statistics) -> dict[str, Any]:
     return {
-        "time_s": seconds(statistics.total),
-        **_row(statistics.total),
-        "filament_mm": statistics.filament_mm,
-        "moves": statistics.moves,
-        "retractions": statistics.retractions,
-        "slicer_time_s": statistics.slicer_s,
+        "time_s": seconds(statistics.total),  # all of it
+        **_row(statistics.total),  # … SPENT: its keys stand here too
+        "filament_mm": statistics.filament_mm,  # used
+        "moves": statistics.moves,  # whole number
+        "retractions": statistics.retractions,  # whole number
+        "slicer_time_s": statistics.slicer_s,  # number or null: what the slicer's comment states
+        # .* SPENT: by the slicer's feature names (`;TYPE:`)
         "features": {name: {"time_s": seconds(row), **_row(row)} for name, row in statistics.features.items()},
         "layers": [_layer(number, layer) for number, layer in statistics.layers.in_order()],
         "unknown": list(statistics.unknown.values()),
-        "warnings": statistics.warnings,
+        "warnings": statistics.warnings,  # list of text
     }
 
 
@@ -123,10 +125,10 @@ def _row(row: FloatArray) -> dict[str, float]:
 
 def _layer(number: int, layer: Layer) -> dict[str, Any]:
     return {
-        "layer": None if number == BEFORE else number,
-        "line": layer.line,
-        "z_mm": layer.z_mm,
-        "time_s": seconds(layer.row),
-        **_row(layer.row),
+        "layer": None if number == BEFORE else number,  # whole number or null: from 0; null: before the first
+        "line": layer.line,  # whole number: of the file, from 1, where it begins
+        "z_mm": layer.z_mm,  # number or null
+        "time_s": seconds(layer.row),  # as above, of the layer
+        **_row(layer.row),  # … SPENT: as above, of the layer
         "filament_mm": float(layer.row[FILAMENT]),
     }

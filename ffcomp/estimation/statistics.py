@@ -228,10 +228,10 @@ _FROM_NOWHERE = "a move from a place not known"
 class Unknown:
     """Lines with one command that may take time."""
 
-    what: str
+    what: str  # what takes a time that no file tells: homing, heating, …
     command: str
     count: int = 0
-    lines: list[int] = field(default_factory=list)  # from 1, the first of them
+    lines: list[int] = field(default_factory=list)  # of the file, from 1
 
     def add(self, line: int) -> None:
         """Count one more line."""

@@ -53,7 +53,11 @@ class OneAxisFit(MachineFit):
         """What the method tells, for the JSON object."""
         return {
             "numbers": estimates(self.result.estimates),
-            "nrms": {"before": self.result.before, "after": self.result.after},
+            "nrms": {
+                # number: axis: rms of the error over that of the signals' own motion, with the file as it is
+                "before": self.result.before,
+                "after": self.result.after,  # number: axis: the same as fitted
+            },
             "kept": list(self.kept),
         }
 

@@ -147,10 +147,19 @@ class PlaceParts:
     def to_dict(self) -> dict[str, Any]:
         """Return one of the places of ffcomp-identify-decouple/1."""
         parts = [
-            {"part": p.name, "statement": p.statement, "error": p.error, "noise": p.noise, "holds": p.holds}
+            {
+                "part": p.name,  # of the model
+                "statement": p.statement,  # what should hold if that part is right
+                "error": p.error,  # number: how far it does not
+                "noise": p.noise,  # number: what noise explains
+                "holds": p.holds,  # true or false
+            }
             for p in self.parts
         ]
-        return {"position_mm": self.position_mm, "parts": parts}
+        return {
+            "position_mm": self.position_mm,  # list of numbers or null
+            "parts": parts,
+        }
 
 
 def parts_of_places(machine: Machine, responses: Sequence[FrequencyResponse]) -> list[PlaceParts]:

@@ -422,45 +422,59 @@ def frf_json(study: Study, station: Station) -> dict[str, Any]:
     phase, carriage_phase = (np.degrees(np.unwrap(np.angle(g), axis=0)) for g in (station.value, station.carriage))
     return {
         "schema": "ffcomp-frf/1",
-        "machine": identity(study.machine),
+        "machine": identity(study.machine),  # MACHINE
+        # text or null: virtual_work or paper; null of cartesian and CoreXY axes
         "force_map": study.machine.vibration.describe().force_map
         if study.machine.vibration.position_dependent
         else None,
-        "position_mm": [*station.xy.tolist(), 0.0],
-        "frequency_hz": study.frequency_hz.tolist(),
+        "position_mm": [*station.xy.tolist(), 0.0],  # list of numbers: x, y, z
+        "frequency_hz": study.frequency_hz.tolist(),  # list of numbers
+        # [][] BODE: always Eq. 29: 3 × 3, row is the carriage that responds, column the one commanded
         "carriage": [[_bode(station.carriage, carriage_phase, i, k) for k in range(3)] for i in range(3)],
         "response": {
-            "of": view.of,
+            "of": view.of,  # the output, as of `--of`
+            # text or null: the input, as of `--per`; null of a sub-model
             "per": view.per if view.depends_on_place else None,
-            "unit": view.unit,
-            "rows": list(view.rows),
-            "columns": list(view.columns),
+            "unit": view.unit,  # mm/mm, 1/s² or 1/kg
+            "rows": list(view.rows),  # list of text: the outputs
+            "columns": list(view.columns),  # list of text: what is commanded
+            # [][] BODE: the response that was asked for
             "values": [[_bode(station.value, phase, i, k) for k in columns] for i in rows],
         },
-        "added_mass_kg": station.added_mass_kg,
+        "added_mass_kg": station.added_mass_kg,  # on the bare carriage
         "modes": [
-            {"number": m.number, "frequency_hz": m.frequency_hz, "damping_ratio": m.damping_ratio, "kind": m.kind}
+            {
+                # whole number or null: the same number is the same mode all over the bed; null: the drive's own
+                "number": m.number,
+                "frequency_hz": m.frequency_hz,  # undamped
+                "damping_ratio": m.damping_ratio,  # number
+                "kind": m.kind,  # what moves most
+            }
             for m in station.modes
         ],
         "measured": [_compared_answer(each) for each in station.compared],
-        "verdict": verdict(study),
+        "verdict": verdict(study),  # a sentence
     }
 
 
 def _bode(g: Any, phase: Any, i: int, k: int) -> dict[str, list[float]]:
-    return {"magnitude": abs(g[:, i, k]).tolist(), "phase_deg": phase[:, i, k].tolist()}
+    return {
+        "magnitude": abs(g[:, i, k]).tolist(),  # list of numbers [`response.unit`]: at each frequency
+        "phase_deg": phase[:, i, k].tolist(),  # list of numbers: unwrapped
+    }
 
 
 def _compared_answer(each: Compared) -> dict[str, Any]:
     return {
-        "source": each.response.source,
+        "source": each.response.source,  # the file
         "input": each.response.input,
         "output": each.response.output,
-        "lines": len(each.frequency_hz),
+        "lines": len(each.frequency_hz),  # whole number: that were compared
+        # list of numbers: the first and the last
         "band_hz": [float(each.frequency_hz[0]), float(each.frequency_hz[-1])],
-        "magnitude_accuracy_percent": each.magnitude_percent,
+        "magnitude_accuracy_percent": each.magnitude_percent,  # 100 less the mean error
         "phase_accuracy_percent": each.phase_percent,
-        "log_error_db": each.log_error_db,
+        "log_error_db": each.log_error_db,  # root mean square of the log error
     }
 
 
@@ -471,16 +485,17 @@ def mode_map_json(machine: Machine, modes: ModeMap) -> dict[str, Any]:
     """
     return {
         "schema": "ffcomp-frf-map/1",
-        "machine": identity(machine),
+        "machine": identity(machine),  # MACHINE
         "force_map": machine.vibration.describe().force_map,
-        "x_mm": modes.x_mm.tolist(),
-        "y_mm": modes.x_mm.tolist(),
+        "x_mm": modes.x_mm.tolist(),  # list of numbers: row i of the tables is X = x_mm[i]
+        "y_mm": modes.x_mm.tolist(),  # list of numbers: column k is Y = y_mm[k]
         "modes": [
             {
-                "number": mode + 1,
-                "kind": kind,
+                "number": mode + 1,  # whole number: from 1
+                "kind": kind,  # what moves most
+                # list of lists of numbers and nulls: null off the bed, or where the mode does not swing
                 "frequency_hz": _rows(modes, modes.frequency_hz[:, :, mode]),
-                "damping_ratio": _rows(modes, modes.damping_ratio[:, :, mode]),
+                "damping_ratio": _rows(modes, modes.damping_ratio[:, :, mode]),  # list of lists of numbers and nulls
             }
             for mode, kind in enumerate(modes.kinds)
         ],

@@ -37,9 +37,9 @@ class PrinterConfigError(FfcompError, ValueError):
 class Value:
     """One value of the machine file."""
 
-    value: float | list[float]
-    how: How
-    origin: str  # a place and what stands there, or the rule that made the value
+    value: float | list[float]  # number or text or list of numbers [as the key says]: by `table.key`
+    how: How  # text: read, converted, default or assumed
+    origin: str  # a place in the configuration, or the rule
 
     @property
     def number(self) -> float:

@@ -70,14 +70,14 @@ STEADY = 0.02  # relative variation of a speed that counts as constant
 class TimeScaling:
     """Record of moves that had to become slower, and why."""
 
-    first_line: int  # counted from 1
+    first_line: int  # of the input, from 1: moves that had to become slower
     last_line: int
-    layer: int | None
+    layer: int | None  # from 0; null if the file names no layers
     factor: float  # mean speed, as a share of what was planned
-    seconds: float  # lost in them
-    carriage: str  # A, B or C; empty: not a carriage's limit
-    limit: str  # velocity, acceleration, travel; empty: the firmware's own acceleration
-    asked: float  # demand over the limit, at first
+    seconds: float  # number [s]: lost there
+    carriage: str  # A, B or C; empty: no carriage's limit
+    limit: str  # velocity, acceleration or travel; empty: the firmware's own acceleration
+    asked: float  # times the limit, at first
 
     def sentence(self, verb: str = "slowed") -> str:
         """Say where moves became slower, by how much and why."""

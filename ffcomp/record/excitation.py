@@ -39,11 +39,12 @@ SUBSTEPS = 32  # samples per segment where a spectrum is taken
 class Peaks:
     """The largest speeds and accelerations of a command, or how large they may be."""
 
-    carriage_velocity_mm_per_s: float
-    carriage_acceleration_mm_per_s2: float
-    nozzle_velocity_mm_per_s: float
-    nozzle_acceleration_mm_per_s2: float
-    z_acceleration_mm_per_s2: float  # of the nozzle; a G-code file cannot raise the firmware's own limit
+    carriage_velocity_mm_per_s: float  # number or null
+    carriage_acceleration_mm_per_s2: float  # number or null
+    nozzle_velocity_mm_per_s: float  # number or null
+    nozzle_acceleration_mm_per_s2: float  # number or null
+    # number or null: of the nozzle; a G-code file cannot raise the firmware's own limit
+    z_acceleration_mm_per_s2: float
 
 
 # Without an amplitude from the user, these shares of the machine file's limits: motors keep reserves, the nozzle is

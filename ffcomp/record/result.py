@@ -100,21 +100,27 @@ class JoinResult:
         """Return the JSON object ffcomp-join/1; files: of the runs, "" where none is written."""
         runs = [
             {
-                "file": file,
+                "file": file,  # the measured run
                 "experiment": each.experiment,
-                "repeat": each.repeat,
-                "offset_s": each.clock.offset_s,
+                "repeat": each.repeat,  # whole number
+                "offset_s": each.clock.offset_s,  # time of the capture's first row since the first move began
                 "offset_sd_s": each.clock.offset_sd_s,
-                "clock_ratio": each.clock.ratio,
-                "clock_sd": each.clock.ratio_sd,
-                "correlation": each.clock.correlation,
-                "overflows": each.overflows,
+                "clock_ratio": each.clock.ratio,  # number: seconds of the command in a second of the capture
+                "clock_sd": each.clock.ratio_sd,  # number
+                "correlation": each.clock.correlation,  # number: of what was measured and what is expected, below 20 Hz
+                "overflows": each.overflows,  # whole number: samples that the chip lost
                 "capture": each.source,
-                "axes_map": each.axes_map,
+                "axes_map": each.axes_map,  # the printer's axes in the sensor's own
             }
             for each, file in zip(self.joined, files, strict=True)
         ]
-        refused = [{"file": each.file, "why": each.why} for each in self.refused]
+        refused = [
+            {
+                "file": each.file,
+                "why": each.why,  # a sentence
+            }
+            for each in self.refused
+        ]
         return {"schema": "ffcomp-join/1", "runs": runs, "refused": refused}
 
 

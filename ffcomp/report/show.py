@@ -30,9 +30,9 @@ SETTLE_S = 0.5  # at the beginning: the nozzle may come from anywhere
 class Numbers:
     """Contour error, µm."""
 
-    rms: float
-    p99: float
-    worst: float
+    rms: float  # number [µm]: contour error on the design model
+    p99: float  # number [µm]
+    worst: float  # number [µm]
 
 
 def numbers(curve: Curve) -> Numbers:

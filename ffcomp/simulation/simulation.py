@@ -198,18 +198,18 @@ class SimulationResult:
     def to_dict(self) -> dict[str, Any]:
         """Return the numbers of `ffcomp simulate --json`, without names of files and without samples."""
         return {
-            "machine": identity(self.machine),
-            "plant": identity(self.plant),
-            "effects": list(self.plant.effects),
-            "gravity": self.request.gravity,
-            "rate_hz": self.request.rate_hz,
-            "rows": self.rows,
-            "simulated_s": self.simulated_s,
-            "wall_s": self.seconds,
-            "print_s_per_wall_s": self.simulated_s / self.seconds,
-            "reference": self.reference,
-            "track": to_json(self.track),
-            "peak_carriage_velocity_mm_per_s": self.evaluation.peak_actuator_velocity_mm_per_s,
+            "machine": identity(self.machine),  # MACHINE: what the firmware believes
+            "plant": identity(self.plant),  # MACHINE: the printer that moved
+            "effects": list(self.plant.effects),  # list of text: of the plant
+            "gravity": self.request.gravity,  # true or false
+            "rate_hz": self.request.rate_hz,  # of the rows
+            "rows": self.rows,  # whole number
+            "simulated_s": self.simulated_s,  # of motion
+            "wall_s": self.seconds,  # that it took
+            "print_s_per_wall_s": self.simulated_s / self.seconds,  # number: the first over the second
+            "reference": self.reference,  # what the track is evaluated against
+            "track": to_json(self.track),  # TRACK
+            "peak_carriage_velocity_mm_per_s": self.evaluation.peak_actuator_velocity_mm_per_s,  # of the command
         }
 
 

@@ -60,10 +60,10 @@ class Board:
 class MotorTotal:
     """What became of one motor's steps."""
 
-    steps: int
-    rows: int  # after compression; 0: none
-    swallowed: int  # steps left out because they turned back at once
-    latest_s: float  # the longest that a pulse was put off for its spacing
+    steps: int  # with `--output steps`: of motors a, b, c, e
+    rows: int  # after compression; 0 without
+    swallowed: int  # left out because they turned back at once
+    latest_s: float  # the longest that a pulse was put off to keep its distance
 
 
 class _Part(Protocol):

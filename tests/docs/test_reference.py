@@ -17,7 +17,7 @@ from ffcomp.measurement.recording import COLUMNS, check_header
 from models.effects.catalogue import CATALOGUE
 from models.errors import MachineFileError
 from models.file import load_machine, load_plant
-from studies import cli_reference, machine_file_reference
+from studies import cli_reference, json_reference, machine_file_reference
 from tests.support.reference import MACHINE, MACHINE_FILE, REFERENCE, ROOT, SMALL, call, examples, rows_of
 
 TRUTH = load_machine("mp-delta-pro")
@@ -41,6 +41,11 @@ def test_every_example_of_a_verb_names_options_that_it_has() -> None:
 
 
 # ---- machine_file.md -----------------------------------------------------------------------------
+
+
+def test_the_tables_of_json_are_those_of_the_code() -> None:
+    written_page = json_reference.PAGE.read_text(encoding="utf-8")
+    assert written_page == json_reference.page(), "python -m studies.json_reference --write"
 
 
 def test_the_tables_of_machine_files_are_in_step_with_the_schema() -> None:
