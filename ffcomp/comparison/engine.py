@@ -97,7 +97,9 @@ def compare(
     written_method = every.ROBUST if choice.robust else COMPENSATED
     chosen = {*names(request), written_method}
     progress = Stages(progress, _stages(request, len(chosen)))
-    tuned = [_named(each, written_method) for each in _tuned(machine, plant, tuning_slices, settings, chosen, progress)]
+    tuned = _tuned(machine, plant, tuning_slices, settings, chosen, progress)
+    labels = {COMPENSATED: every.PLAIN_LABEL, written_method: "ffcomp"}
+    tuned = [replace(each, label=labels.get(each.name, each.label)) for each in tuned]
     predicted = _predicted(printed, replace(settings, robust=choice.robust)) if request.predict else {}
     evaluated = _evaluated(tuned, slices, plant, printed.labels.features, progress)
     best = _best_fixed(evaluated)
@@ -196,12 +198,6 @@ def _tuned(
         return every.best_fixed(linear, kind)
 
     return in_parallel([partial(method, name) for name in every.NAMES if name in names], TUNING, progress)
-
-
-def _named(method: TunedMethod, written: str) -> TunedMethod:
-    if method.name == written:
-        return replace(method, label="ffcomp")
-    return replace(method, label=every.PLAIN_LABEL) if method.name == COMPENSATED else method
 
 
 @dataclass(frozen=True, eq=False)

@@ -46,8 +46,11 @@ class Bound:
     def keeps(self, labels: Labels) -> BoolArray:
         """Tell which moves keep the slicer's motion because of their feature, (n,)."""
         kept, changed = ({name.lower() for name in names} for names in (self.keep_speed, self.change_speed))
-        by_feature = np.array([_keeps(name.lower(), kept, changed) for name in labels.features])
-        return np.asarray(by_feature[labels.feature])
+        by_feature = [
+            name in kept or (name not in changed and any(word in name for word in KEPT_FEATURES))
+            for name in map(str.lower, labels.features)
+        ]
+        return np.asarray(by_feature)[labels.feature]
 
     @property
     def keeps_first_layer(self) -> bool:
@@ -55,12 +58,8 @@ class Bound:
         return FIRST_LAYER not in {name.lower() for name in self.change_speed}
 
 
-def _keeps(name: str, kept: set[str], changed: set[str]) -> bool:
-    return name in kept or (name not in changed and any(word in name for word in KEPT_FEATURES))
-
-
 def with_slicer_settings(bound: Bound, head: bytes, tail: bytes) -> Bound:
-    """Fill in what was not asked for from the slicer's settings, which stand in a file's first or last lines."""
+    """Fill in what the user left open from the slicer's settings, which stand in a file's first or last lines."""
     settings = {key: float(value) for key, value in _SETTING.findall(head + b"\n" + tail) if value.count(b".") < 2}
     flow, shortest_s = bound.max_flow_mm3_per_s, bound.min_layer_time_s
     if flow is None:
@@ -85,12 +84,7 @@ LEAST_SHARE = 0.005  # that is worth a word
 
 
 def limits_in_words(limited_by: Mapping[str, float]) -> str:
-    """Say where the time goes, the most first; an empty text if no time is known of.
-
-    Parameters
-    ----------
-    limited_by : limit -> s, as `ffcomp.faster.program.limited_by` gives it.
-    """
+    """Say where the time (s, by limit, as of `time_by_limit`) goes, the most first; an empty text if none is known."""
     seconds = sorted(limited_by.items(), key=lambda each: -each[1])
     whole = max(sum(s for _, s in seconds), 1e-9)
     parts = [f"{LIMITS[name]} {100 * s / whole:.0f} %" for name, s in seconds if s >= LEAST_SHARE * whole]
@@ -133,8 +127,12 @@ def raised_limits(
     velocity = float(np.min(machine.limits.carriage_velocity_mm_per_s))
     speed = np.minimum(fastest, PATH_SHARE * velocity / gain)
     flowing = lines.travels & (filament > 0.0)
+    if bound.max_flow_mm3_per_s is None:
+        fastest_filament = float((moves.speed * filament)[flowing].max(initial=0.0))
+    else:
+        fastest_filament = bound.max_flow_mm3_per_s / (0.25 * np.pi * limits.filament_diameter_mm**2)
     by_flow = np.full(len(moves), np.inf)
-    by_flow[flowing] = _flow(moves, filament, flowing, bound, limits) / filament[flowing]
+    by_flow[flowing] = fastest_filament / filament[flowing]
     at_flow = by_flow < speed
     speed = np.minimum(speed, by_flow)
     corner = np.clip(CORNER_VELOCITY_PER_UM * 1e3 * errors_mm, *CORNER_VELOCITY_RANGE)
@@ -156,13 +154,7 @@ def selected_limits(ones: Moves, others: Moves, which: BoolArray) -> Moves:
 
 
 def slowed(moves: Moves, share: FloatArray, speed: FloatArray) -> Moves:
-    """Scale time where the share is below one: speed v → s v, acceleration a → s² a.
-
-    Parameters
-    ----------
-    share : (n,) s
-    speed : (n,) mm/s that is scaled
-    """
+    """Scale time by shares (n,) below one: speed v → s v, of speeds (n,) mm/s, acceleration a → s² a."""
     less = share < 1.0
     return replace(
         moves,
@@ -170,13 +162,6 @@ def slowed(moves: Moves, share: FloatArray, speed: FloatArray) -> Moves:
         acceleration=np.where(less, moves.acceleration * share**2, moves.acceleration),
         square_corner_velocity=np.where(less, moves.square_corner_velocity * share, moves.square_corner_velocity),
     )
-
-
-def _flow(moves: Moves, filament: FloatArray, flowing: BoolArray, bound: Bound, limits: PlannerLimits) -> float:
-    """Return how fast the filament may go, mm/s."""
-    if bound.max_flow_mm3_per_s is not None:
-        return bound.max_flow_mm3_per_s / (0.25 * np.pi * limits.filament_diameter_mm**2)
-    return float((moves.speed * filament)[flowing].max(initial=0.0))
 
 
 def least_carriage_gain(moves: Moves, machine: Machine) -> FloatArray:

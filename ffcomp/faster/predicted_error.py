@@ -50,7 +50,6 @@ def error_at_quantile(nominal: FloatArray, changes: ShortArray, scale: FloatArra
     nominal : (m,) mm, of the machine file's printer
     changes : (k, m, 3) mm, across the path, for one standard deviation in each direction
     scale : (m,) 1/mm, what errors are multiplied by: one over the bound
-    far : standard deviations of the quantile
     """
     return np.asarray(_error_at_quantile(np.ascontiguousarray(nominal), changes, scale, quantile_sd))
 
@@ -274,16 +273,13 @@ class Ensemble:
             q = plant.play(place, centripetal, command, machine.equilibrium(nozzle[0]), s.substeps)[0]
             return model.kinematics.forward(q)
 
-        nominal, tangential = respond(model.machine, self.nominal), _unit_vectors(velocity[1:])
+        speed = np.sqrt((velocity[1:] ** 2).sum(axis=1, keepdims=True))
+        moving = np.maximum(speed, STANDSTILL_MM_PER_S)
+        tangential = np.where(speed > STANDSTILL_MM_PER_S, velocity[1:] / moving, 0.0)
+        nominal = respond(model.machine, self.nominal)
         for machine, plant in self.perturbed:
             change = respond(machine, plant) - nominal
             yield change - (change * tangential).sum(axis=1, keepdims=True) * tangential
-
-
-def _unit_vectors(velocity: FloatArray) -> FloatArray:
-    """Return the directions of velocities (m, 3), zero where the nozzle stands."""
-    speed = np.sqrt((velocity**2).sum(axis=1, keepdims=True))
-    return np.asarray(np.where(speed > STANDSTILL_MM_PER_S, velocity / np.maximum(speed, STANDSTILL_MM_PER_S), 0.0))
 
 
 def _principal(machine: Machine, each: list[Machine], bandwidth_hz: float) -> FloatArray:

@@ -52,19 +52,17 @@ def faster_program(
     feature: str = UNNAMED,
     kept: BoolArray | None = None,
 ) -> FasterProgram:
-    """Return a program as quick as the bound allows.
+    """Return a program, from rest to rest, as quick as the bound allows.
 
     Parameters
     ----------
-    program : from rest to rest
-    model : the machine's inverse
-    bound : the bound
     layers_before : layers of the file that have begun before this program
     feature : what is printed when it begins
     kept : (n,), moves that keep the slicer's motion whatever they are
     """
     limits, moves = planner_limits(model.machine), program.moves
-    named, layer = labels(program, feature), _layers(program, layers_before)
+    named, lookup = labels(program, feature), LayerLookup(program, layers_before)
+    layer = np.array([lookup.of(move) for move in range(len(moves))], dtype=np.int64)
     stop_before, wait_before = stops_and_waits(program)
     plan = planner_of(program, model.machine)(moves, stop_before=stop_before, wait_before=wait_before)
     kept = np.zeros(len(moves), dtype=np.bool_) if kept is None else kept
@@ -93,11 +91,6 @@ def faster_program(
     least_s = actuator_limit_s(ceiling, model.machine, limits, stop_before, wait_before)
     own = replace(program, moves=quicker, flavor=KLIPPER)  # its motion is ours: no other firmware plans what is raised
     return FasterProgram(own, plan, reverted, least_s, shares, ~as_sliced, p99)
-
-
-def _layers(program: Program, before: int) -> IntArray:
-    lookup = LayerLookup(program, before)
-    return np.array([lookup.of(move) for move in range(len(program.moves))], dtype=np.int64)
 
 
 def _with(moves: Moves, part: slice, replacement: Moves) -> Moves:
@@ -160,14 +153,11 @@ BINDING = 0.98  # of a limit: it binds
 def time_by_limit(
     plan: Trajectory, moves: Moves, ceiling: RaisedLimits, as_sliced: BoolArray, cooled: BoolArray, seconds: float
 ) -> dict[str, float]:
-    """Return the time that goes to each limit, s; together all of it.
+    """Return the time of the quicker motion that goes to each limit, s; together all of it.
 
     Parameters
     ----------
-    plan, moves : the quicker motion
-    ceiling : what its moves are allowed
-    as_sliced : (n,) moves that keep the slicer's motion
-    cooled : (n,) moves slowed down because their layer would be too short
+    as_sliced, cooled : (n,) moves that keep the slicer's motion, and that are slowed down for a layer too short
     seconds : of the whole plan, waits included
     """
     alone = ~np.any(plan.direction[:, :3] != 0.0, axis=1)

@@ -34,7 +34,7 @@ from ffcomp.planner.limits import PlannerLimits
 from ffcomp.planner.program import plan_section
 from ffcomp.planner.trajectory import Section, Trajectory
 from gcode.program import Moves
-from models.arrays import BoolArray, FloatArray, IntArray
+from models.arrays import FloatArray, IntArray
 
 INFLUENCE_S = (0.03, 0.012)  # moves are held responsible for what comes so much after them, or before them
 
@@ -55,14 +55,11 @@ class SectionPrediction:
     t0: float  # s on the plan's clock: the first moment
     step_s: float
     error: FloatArray  # (m,) times the bound, at the quantile at each moment by itself
-    counts: IntArray = field(
-        default_factory=lambda: np.empty((0, 0), dtype=np.int64)
-    )  # of moments, by the printer and its error
+    # the rest is of a solved command
+    counts: IntArray = field(default_factory=lambda: np.empty((0, 0), dtype=np.int64))  # by printer and its error
     limits_t0: float = 0.0  # s: the beginning of the first segment
     segment_s: float = 1.0
-    by_acceleration: FloatArray = field(
-        default_factory=lambda: np.empty(0)
-    )  # (k,) of the carriages' limits, by the segment
+    by_acceleration: FloatArray = field(default_factory=lambda: np.empty(0))  # (k,) of the carriages' limits
     by_speed: FloatArray = field(default_factory=lambda: np.empty(0))  # (k,)
 
     @property
@@ -192,7 +189,7 @@ class SectionSearch:
         """
         for _ in range(SLOWING_ROUNDS):
             demand = self._verified.demand(level)
-            if not self._beyond(demand).any():
+            if not (self.free & (np.maximum(demand.acceleration, demand.speed) > DEMAND_TOLERANCE)).any():
                 return
             self.moves = self._slower(demand)
             self.predicted = self.predict(self.moves)
@@ -211,20 +208,15 @@ class SectionSearch:
             self.predicted = self.predict(self.moves)
         return self.predicted
 
-    def _beyond(self, demand: Demand) -> BoolArray:
-        return self.free & ((demand.acceleration > DEMAND_TOLERANCE) | (demand.speed > DEMAND_TOLERANCE))
-
     def _slower(self, demand: Demand) -> Moves:
-        moves, free = self.moves, self.free
-        by_acceleration = _slowing_factor(demand.acceleration, LEAST_FACTOR)
-        by_speed = _slowing_factor(demand.speed, 0.8)
+        moves = self.moves
+        by_acceleration = np.where(self.free, _slowing_factor(demand.acceleration, LEAST_FACTOR), 1.0)
+        by_speed = np.where(self.free, _slowing_factor(demand.speed, 0.8), 1.0)
         return replace(
             moves,
-            acceleration=np.where(free, moves.acceleration * by_acceleration, moves.acceleration),
-            square_corner_velocity=np.where(
-                free, moves.square_corner_velocity * by_acceleration, moves.square_corner_velocity
-            ),
-            speed=np.where(free, moves.speed * by_speed, moves.speed),
+            acceleration=moves.acceleration * by_acceleration,
+            square_corner_velocity=moves.square_corner_velocity * by_acceleration,
+            speed=moves.speed * by_speed,
         )
 
 

@@ -251,7 +251,11 @@ def _experiment_dict(experiment: Experiment) -> dict[str, Any]:
     motion = experiment.motion
     columns = zip(LIMIT_COLUMNS, motion.move_limits.T, strict=True)
     optional = {
-        "own_limits": {name: _without_nan(column) for name, column in columns if not np.isnan(column).all()},
+        "own_limits": {
+            name: [None if x != x else x for x in column.tolist()]  # JSON has no NaN
+            for name, column in columns
+            if not np.isnan(column).all()
+        },
         "stops": np.flatnonzero(motion.stop_before).tolist(),
         "waits_s": {str(i): float(motion.wait_before[i]) for i in np.flatnonzero(motion.wait_before).tolist()},
         "excitation": experiment.excitation and _excitation_dict(experiment.excitation),
@@ -270,11 +274,6 @@ def _experiment_dict(experiment: Experiment) -> dict[str, Any]:
         "speed_mm_per_s": motion.speed.tolist(),
         **{key: value for key, value in optional.items() if value},
     }
-
-
-def _without_nan(values: FloatArray) -> list[float | None]:
-    """List values (n,), None where there is none: JSON has no NaN."""
-    return [None if x != x else x for x in values.tolist()]
 
 
 def _excitation_dict(excitation: Excitation) -> dict[str, Any]:
