@@ -36,7 +36,7 @@ from ffcomp.faster.program import AS_SLICED, COOLING
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.settings import Settings, settings_for
 from ffcomp.metrics import contour_statistics
-from ffcomp.planner.limits import planner_limits
+from ffcomp.planner.limits import FILAMENT_MM
 from ffcomp.shapers.smooth import USUAL
 from ffcomp.simulation.playback import simulate_nozzles
 from ffcomp.version import __version__
@@ -142,8 +142,7 @@ def _flow(job: _Job) -> float | None:
     filament = print_slice.trajectory.direction[:, 3][extrudes]
     if not filament.size:
         return None
-    area = 0.25 * np.pi * planner_limits(job.machine).filament_diameter_mm ** 2
-    return float((moves.speed[extrudes] * filament).max() * area)
+    return float((moves.speed[extrudes] * filament).max() * 0.25 * np.pi * FILAMENT_MM**2)
 
 
 # ---- the methods ---------------------------------------------------------------------------------

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ffcomp.planner.limits import PlannerLimits, lines_of
+from ffcomp.planner.limits import FILAMENT_MM, PlannerLimits, lines_of
 from gcode.layers import Labels
 from gcode.program import Moves
 from gcode.slicing import some
@@ -130,7 +130,7 @@ def raised_limits(
     if bound.max_flow_mm3_per_s is None:
         fastest_filament = float((moves.speed * filament)[flowing].max(initial=0.0))
     else:
-        fastest_filament = bound.max_flow_mm3_per_s / (0.25 * np.pi * limits.filament_diameter_mm**2)
+        fastest_filament = bound.max_flow_mm3_per_s / (0.25 * np.pi * FILAMENT_MM**2)
     by_flow = np.full(len(moves), np.inf)
     by_flow[flowing] = fastest_filament / filament[flowing]
     at_flow = by_flow < speed

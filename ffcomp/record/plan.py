@@ -128,6 +128,7 @@ def _as_written(length: FloatArray, speeds: SegmentSpeeds) -> FloatArray:
 
 
 SCHEMA, EARLIER_SCHEMA = "ffcomp-moves/1", "ffcomp-excitation/1"
+FORMER_LIMITS = ("nozzle_diameter_mm", "filament_diameter_mm")  # that plans stated, and nothing needs
 REST_BEFORE_S, REST_AFTER_S = 1.0, 0.5  # in the capture: gravity and noise; ringing
 SETTLE_S = 0.5  # before a capture begins, so that the firmware has time in hand and begins exactly
 
@@ -349,13 +350,14 @@ def _motion(entry: Mapping[str, Any]) -> Motion:
     stops[entry.get("stops", [])] = True
     for index, wait in entry.get("waits_s", {}).items():
         waits[int(index)] = wait
-    limits = entry["limits"]
-    zones = {"delta": DeltaSlowZones(*limits["delta"])} if "delta" in limits else {}
+    limits = {key: value for key, value in entry["limits"].items() if key not in FORMER_LIMITS}
+    if "delta" in limits:
+        limits["delta"] = DeltaSlowZones(*limits["delta"])
     return Motion(
         start_mm=np.array(entry["start_mm"], dtype=np.float64),
         ends_mm=ends,
         speed=np.array(entry["speed_mm_per_s"], dtype=np.float64),
-        limits=PlannerLimits(**{**limits, **zones}),
+        limits=PlannerLimits(**limits),
         move_limits=move_limits,
         stop_before=stops,
         wait_before=waits,
