@@ -10,7 +10,6 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 
@@ -27,59 +26,6 @@ USUAL_AVERAGES = 400  # segments of half a second or so, half overlapping, of a 
 FLOOR_SHARE = 0.1
 COARSE = 0.3  # model error while the modes are looked for
 WRONG_SCALE = 0.15  # of a sensor's gain
-
-
-class Datum(Protocol):
-    """One file's view of one axis."""
-
-    @property
-    def source(self) -> str:
-        """File name."""
-
-    @property
-    def axis(self) -> str:
-        """x, y or z."""
-
-    @property
-    def frequency_hz(self) -> FloatArray:
-        """(k,) Hz."""
-
-    @property
-    def value(self) -> FloatArray | ComplexArray:
-        """(k,) as measured."""
-
-    @property
-    def level(self) -> FloatArray:
-        """(k,) the factor that levels the value of an axis that does not vibrate."""
-
-    @property
-    def unit(self) -> str:
-        """Unit of the levelled value, for figures."""
-
-    @property
-    def limits(self) -> FloatArray:
-        """(2, 2) lowest and highest value of each nuisance parameter."""
-
-    def begin(self, modes: FloatArray) -> FloatArray:
-        """Estimate the nuisance parameters (2,) with given modes (m, 3)."""
-
-    def model(self, modes: FloatArray, nuisance: FloatArray) -> FloatArray | ComplexArray:
-        """Predict the value (k,) from modes (m, 3) and nuisance parameters (2,)."""
-
-    def residual(self, modes: FloatArray, nuisance: FloatArray) -> FloatArray:
-        """Compare value and model: (n,) real."""
-
-    def slopes(self, modes: FloatArray, nuisance: FloatArray) -> FloatArray:
-        """Differentiate the residual: (n, p)."""
-
-    def variance(self, error: float) -> FloatArray:
-        """Return the residual's variance (n,) for a relative model error."""
-
-    def remarks(self, nuisance: FloatArray) -> list[str]:
-        """Describe oddities that the nuisance parameters show, in sentences."""
-
-    def beyond(self, frequency_hz: float, damping_ratio: float) -> str:
-        """Say that the excitation ended before it passed a mode; '' if it did pass it."""
 
 
 def closed_form(modes: FloatArray, frequency_hz: FloatArray) -> ComplexArray:
@@ -275,6 +221,9 @@ class Response:
         if not self.measured.clock and delay_ms > 0.5:
             return [f"{what}: it comes {delay_ms:.1f} ms late, which modes do not tell (see the effect command_delay)."]
         return []
+
+
+Datum = Spectrum | Response  # one file's view of one axis
 
 
 def usable(responses: Iterable[FrequencyResponse]) -> tuple[list[Response], list[str]]:

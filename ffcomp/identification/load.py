@@ -201,9 +201,7 @@ def _extent(recording: Recording, machine: Machine) -> tuple[list[float], float]
     return ((low + high) / 2).tolist(), float(np.linalg.norm(high - low) / 2)
 
 
-def resonances_of(
-    spectra: Sequence[ModeFit], place: tuple[float, float] = (0.0, 0.0)
-) -> tuple[list[Resonance], list[str]]:
+def resonances_of(spectra: Sequence[ModeFit]) -> tuple[list[Resonance], list[str]]:
     """Select the strongest mode of each spectrum whose axis is known and whose mode is clear; say what is left out."""
     resonances, left_out = [], []
     for spectrum in spectra:
@@ -220,7 +218,7 @@ def resonances_of(
                 f"{main.frequency_sd_hz:.1f} Hz only. Test it again, excited harder, with the sensor fastened."
             )
         else:
-            resonances.append(Resonance(spectrum.axis, place, main))
+            resonances.append(Resonance(spectrum.axis, (0.0, 0.0), main))
     return resonances, left_out
 
 

@@ -50,19 +50,17 @@ WEIGHED_SD = 1e-6  # relative, of a weight given without an uncertainty
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """The result of one step, and its data."""
+    """The result of one step."""
 
     title: str
     joint: Joint
     consistency: float  # χ² by degree of freedom of its redundant equations: 1 if they agree
-    fits: Sequence[RationalFit]
-    responses: Sequence[FrequencyResponse]
 
 
 # ---- sub-model 1 ---------------------------------------------------------------------------------
 
 
-def carriage_step(alone: FrequencyResponse, loaded: FrequencyResponse, added_sd_kg: float = 0.0) -> Step:
+def carriage_step(alone: FrequencyResponse, loaded: FrequencyResponse) -> Step:
     """Identify m, k, c, b, d₀, d₁, d₂ from the carriage without and with `loaded.added_mass_kg` (Eqs. 30-43).
 
     Raises
@@ -78,11 +76,11 @@ def carriage_step(alone: FrequencyResponse, loaded: FrequencyResponse, added_sd_
         return np.concatenate([_coefficients(numbers[:-1], 0.0), _coefficients(numbers[:-1], numbers[-1])])
 
     def weighed(numbers: FloatArray) -> FloatArray:
-        return np.array([(numbers[-1] - added) / max(added_sd_kg, WEIGHED_SD * added)])
+        return np.array([(numbers[-1] - added) / (WEIGHED_SD * added)])
 
     names = ("m", "k", "c", "b", "d0", "d1", "d2", "m_add")
     joint, consistency = _solved(names, start, equations, fits, weighed)
-    return Step("carriage", joint, consistency, fits, (alone, loaded))
+    return Step("carriage", joint, consistency)
 
 
 def _coefficients(numbers: FloatArray, added_kg: float) -> FloatArray:
@@ -147,7 +145,7 @@ def hammer_step(struck: FrequencyResponse, total_mass_kg: float, total_sd_kg: fl
     axis = struck.input.split("_")[-1]
     names = ("m1", "m2", f"b_{axis}", f"k_{axis}", "gain")
     joint, consistency = _solved(names, start, equations, [fit], weighed)
-    return Step(f"hammer {axis}", joint, consistency, [fit], [struck])
+    return Step(f"hammer {axis}", joint, consistency)
 
 
 # ---- the whole printer at the centre -------------------------------------------------------------
@@ -184,7 +182,7 @@ def assembly_step(machine: Machine, responses: Sequence[FrequencyResponse], earl
     fitted = fit_machine(machine, taking_part, known, unknowns=(*known, *mount), starts=_mounts(m2, mount))
     mounts = [fitted.estimates[name] for name in mount]
     joint = Joint((f"k_{axis}", f"b_{axis}"), np.array([e.value for e in mounts]), np.diag([e.sd**2 for e in mounts]))
-    return Step(f"assembly {axis}", joint, fitted.misfit, (), taking_part)
+    return Step(f"assembly {axis}", joint, fitted.misfit)
 
 
 def _mounts(m2: float, names: Sequence[str]) -> list[dict[str, float]]:

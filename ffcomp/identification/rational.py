@@ -31,18 +31,6 @@ class RationalFit:
     numerators: FloatArray  # (r, nb + 1)
     denominator: FloatArray  # (na + 1,), the last one is 1
     covariance: FloatArray  # (p, p), p = r (nb + 1) + na: numerators row by row, then the denominator without its 1
-    chi_squared: float
-    degrees_of_freedom: int
-
-    @property
-    def misfit(self) -> float:
-        """χ² by degree of freedom: 1 if only noise of the stated variance is left."""
-        return self.chi_squared / max(self.degrees_of_freedom, 1)
-
-    def __call__(self, s: ComplexArray) -> ComplexArray:
-        """Evaluate at s : (k,) 1/s; (r, k)."""
-        above = np.stack([np.polyval(row[::-1], s) for row in self.numerators])
-        return np.asarray(above / np.polyval(self.denominator[::-1], s))
 
     @property
     def poles(self) -> ComplexArray:
@@ -55,43 +43,6 @@ class RationalFit:
         roots = np.roots(self.numerators[response][::-1]).astype(np.complex128)
         return roots[np.argsort(np.abs(roots))]
 
-    def mode(self, pole: complex) -> Mode:
-        """Return the mode of one of `poles` with its uncertainty, to first order in the coefficients."""
-        n = len(self.denominator) - 1
-        slope = np.polyval(np.polyder(self.denominator[::-1]), pole)
-        return _mode(pole, -(pole ** np.arange(n)) / slope, self.covariance[-n:, -n:])
-
-    def zero_mode(self, zero: complex, response: int = 0) -> Mode:
-        """Return the antiresonance of one of the `zeros` of a response, with its uncertainty."""
-        count = self.numerators.shape[1]
-        row = slice(response * count, (response + 1) * count)
-        slope = np.polyval(np.polyder(self.numerators[response][::-1]), zero)
-        return _mode(zero, -(zero ** np.arange(count)) / slope, self.covariance[row, row])
-
-
-@dataclass(frozen=True)
-class Mode:
-    """A resonance (or antiresonance): natural frequency and damping ratio with standard uncertainties."""
-
-    frequency_rad_per_s: float
-    damping_ratio: float
-    frequency_sd: float  # rad/s
-    damping_sd: float
-
-
-def _mode(root: complex, gradient: ComplexArray, covariance: FloatArray) -> Mode:
-    """Compute |p| and −Re p/|p|.
-
-    Parameters
-    ----------
-    gradient : (q,) dp/dcoefficient.
-    """
-    size = abs(root)
-    d_size = np.real(np.conj(root) * gradient) / size
-    d_damping = -np.real(gradient) / size + root.real / size**2 * d_size
-    sd = [float(np.sqrt(max(g @ covariance @ g, 0.0))) for g in (d_size, d_damping)]
-    return Mode(size, -root.real / size, *sd)
-
 
 def fit_rational(responses: Sequence[FrequencyResponse], numerator_order: int, denominator_order: int) -> RationalFit:
     """Fit responses on one frequency grid with a common denominator.
@@ -101,22 +52,19 @@ def fit_rational(responses: Sequence[FrequencyResponse], numerator_order: int, d
     SolverError
         If there are fewer measured values than unknowns, or no finite fit.
     """
-    value = np.stack([r.value for r in responses])
+    s, value = responses[0].s, np.stack([r.value for r in responses])
     variance = np.stack([r.variance for r in responses])
-    return fit_values(responses[0].s, value, variance, numerator_order, denominator_order)
-
-
-def fit_values(
-    s: ComplexArray, value: ComplexArray, variance: FloatArray, numerator_order: int, denominator_order: int
-) -> RationalFit:
-    """`fit_rational` for plain arrays: s (k,) 1/s, value and variance (r, k)."""
     unknowns = len(value) * (numerator_order + 1) + denominator_order
     if 2 * value.size < unknowns + 1:
         raise SolverError(f"{value.size} measured values cannot determine a rational fit of {unknowns} coefficients.")
     scale = float(np.max(np.abs(s))) / 2
     floor = 1e-12 * np.mean(np.abs(value) ** 2)  # noise-free data: finite weights all the same
     problem = _Problem(s / scale, value, np.sqrt(2 / (variance + floor)), numerator_order, denominator_order)
-    return _unscaled(problem, _refined(problem, _linear_start(problem)), scale)
+    theta = start = _linear_start(problem)
+    solution = minimise(problem.residual, start, problem.jacobian, evaluations=400)
+    if solution.converged or solution.cost < np.sum(problem.residual(start) ** 2):
+        theta = solution.x
+    return _unscaled(problem, theta, scale)
 
 
 @dataclass(frozen=True, eq=False)
@@ -191,11 +139,6 @@ def _stabilised(theta: FloatArray, na: int) -> FloatArray:
     return np.concatenate([theta[:-na], np.real(np.poly(roots))[::-1][:-1]])
 
 
-def _refined(problem: _Problem, start: FloatArray) -> FloatArray:
-    solution = minimise(problem.residual, start, problem.jacobian, evaluations=400)
-    return solution.x if solution.converged or solution.cost < np.sum(problem.residual(start) ** 2) else start
-
-
 def _unscaled(problem: _Problem, theta: FloatArray, scale: float) -> RationalFit:
     nb, na, r = problem.nb, problem.na, len(problem.value)
     chi_squared = float(np.sum(problem.residual(theta) ** 2))
@@ -205,7 +148,7 @@ def _unscaled(problem: _Problem, theta: FloatArray, scale: float) -> RationalFit
     covariance = scaled_inverse(j.T @ j) * max(1.0, chi_squared / max(freedom, 1)) * np.outer(back, back)
     coefficients = theta * back
     numerators = coefficients[:-na].reshape(r, nb + 1)
-    return RationalFit(numerators, np.append(coefficients[-na:], 1.0), covariance, chi_squared, freedom)
+    return RationalFit(numerators, np.append(coefficients[-na:], 1.0), covariance)
 
 
 def scaled_inverse(information: NDArray[np.float64]) -> FloatArray:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -58,24 +58,6 @@ class Joint:
         """Return each value by itself."""
         sd = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
         return {name: normal(float(v), float(s)) for name, v, s in zip(self.names, self.values, sd, strict=True)}
-
-
-def joined(*parts: Joint) -> Joint:
-    """Join independent results."""
-    names = tuple(name for part in parts for name in part.names)
-    covariance = np.zeros((len(names), len(names)))
-    at = 0
-    for part in parts:
-        end = at + len(part.names)
-        covariance[at:end, at:end] = part.covariance
-        at = end
-    return Joint(names, np.concatenate([part.values for part in parts]), covariance)
-
-
-def measured(numbers: Mapping[str, tuple[float, float]]) -> Joint:
-    """Join values measured each by itself: name -> (value, standard uncertainty)."""
-    values = np.array([value for value, _ in numbers.values()], dtype=float)
-    return Joint(tuple(numbers), values, np.diag([float(sd) ** 2 for _, sd in numbers.values()]))
 
 
 def through(function: Callable[[FloatArray], FloatArray], names: Sequence[str], inputs: Joint) -> Joint:

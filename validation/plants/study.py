@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -68,4 +69,5 @@ def measure_places(machine: dict[str, Any], snr_db: float, seed: int) -> list[Fr
 def _responses(record: lab.Record, excited: str, answers: list[str], **about: Any) -> list[FrequencyResponse]:
     period = round(lab.PERIOD_S * lab.RATE_HZ)
     lifted = record.answer - record.answer.mean(axis=0)  # where a carriage stands is not how it answers
-    return periodic_frf(record.excited[:, None], lifted, lab.RATE_HZ, period).responses([excited], answers, **about)
+    matrix = periodic_frf(record.excited[:, None], lifted, lab.RATE_HZ, period)
+    return [replace(each, **about) for each in matrix.responses([excited], answers)]
