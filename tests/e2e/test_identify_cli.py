@@ -95,7 +95,7 @@ def test_from_a_plan_through_captures_to_a_machine_file(tmp_path: Path) -> None:
 
 def test_frequency_responses_both_ways(tmp_path: Path) -> None:
     files = []
-    for i, response in enumerate(measured(TRUTH, paper_bench(np.arange(2.0, 200.1, 1.0)), 40.0, 0)):
+    for i, response in enumerate(measured(TRUTH, paper_bench(np.arange(2.0, 200.1, 3.0)), 45.0, 0)):
         files.append(tmp_path / f"{i}.csv")
         write_frf(files[-1], response)
     for method in ("direct", "stepwise"):
@@ -108,7 +108,7 @@ def test_frequency_responses_both_ways(tmp_path: Path) -> None:
 
 def test_the_wrong_force_map_is_found_out(tmp_path: Path) -> None:
     files = []
-    for i, response in enumerate(measured(TRUTH, towers_bench(-80.0, 0.0, np.arange(4.0, 125.0, 2.0)), 40.0, 0)):
+    for i, response in enumerate(measured(TRUTH, towers_bench(-80.0, 0.0, np.arange(4.0, 125.0, 4.0)), 40.0, 0)):
         files.append(tmp_path / f"{i}.csv")
         write_frf(files[-1], response)
     printed = LIBRARY / "mp-delta-pro-as-printed.toml"  # Eq. 25's map
@@ -151,14 +151,10 @@ def test_tables_two_and_three_of_the_paper() -> None:
 
 
 @pytest.mark.skipif(not VIBRATION, reason="the vibration data from outside are not beside the project")
-@pytest.mark.parametrize("path", VIBRATION, ids=lambda p: p.name)
-def test_every_measurement_from_outside_gives_a_result(path: Path) -> None:
-    if path.suffix == ".tsv":
-        refused = call("fit", path, "-m", "kossel")
-        assert refused.exit_code == 5 and "excited at one frequency" in refused.output
-        return
-    result = good("fit", path, "-m", "kossel")
-    assert result["method"] == "modes" and result["spectra"][0]["verdict"]
+def test_a_measurement_at_one_frequency_shows_no_modes() -> None:
+    tone = next(path for path in VIBRATION if path.suffix == ".tsv")
+    refused = call("fit", tone, "-m", "kossel")
+    assert refused.exit_code == 5 and "excited at one frequency" in refused.output
 
 
 @pytest.mark.skipif(not VIBRATION, reason="the vibration data from outside are not beside the project")
@@ -170,6 +166,7 @@ def test_resonances_scale_a_starting_machine(tmp_path: Path) -> None:
         load_machine("kossel"), "carriage.belt_stiffness_n_per_m"
     )
     assert result["numbers"]["carriage.belt_stiffness_n_per_m"]["sd"] > 0
+    assert result["method"] == "modes" and all(each["verdict"] for each in result["spectra"])
 
 
 @pytest.mark.parametrize(

@@ -109,9 +109,8 @@ def test_a_bad_picture_is_refused_with_the_remedy(folder: Path, plan: Plan, tmp_
         find_page(read_picture(tmp_path / "bad.png"), plan)
 
 
-@pytest.mark.parametrize("turn", [90, 180, 270])
-def test_a_turned_colour_picture_is_as_good(folder: Path, plan: Plan, tmp_path: Path, turn: int) -> None:
-    grey = Image.open(folder / "phone.jpg").rotate(turn, expand=True)
+def test_a_turned_colour_picture_is_as_good(folder: Path, plan: Plan, tmp_path: Path) -> None:
+    grey = Image.open(folder / "phone.jpg").rotate(90, expand=True)
     Image.merge("RGB", [grey, grey.point(lambda v: 120 + v // 2), grey.point(lambda v: 255)]).save(tmp_path / "p.tiff")
     assert len(find_page(read_picture(tmp_path / "p.tiff"), plan).discs) == 10
 
