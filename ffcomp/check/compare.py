@@ -340,11 +340,11 @@ def check_result(joined: JoinResult, plan: Plan, machine: Machine, history: Sequ
     signatures = Signatures(machine, [each for each in plan.experiments if each.name in names])
     axes = joined.joined[0].axes_map
     last, comparison = (earlier[-1] if earlier else None), None
-    today, first_said = Verdict(FIRST, _first_words(history, moves)), None
+    today, since_first = Verdict(FIRST, _first_words(history, moves)), None
     if last is not None and pairs_of(signals, last.signals):
         comparison = compare(pairs_of(signals, last.signals), fitted(signatures, last.signals_of(names)))
         today = verdict(comparison, _day(last.date), last.axes_map, axes)
-        first_said = _since_first(signals, earlier, signatures, axes) if today.finding == SAME else None
+        since_first = _since_first(signals, earlier, signatures, axes) if today.finding == SAME else None
     sizes = [_size(each, signatures, last) for each in signals]
     total = _total(sizes, signals)
     check = Check(
@@ -361,7 +361,7 @@ def check_result(joined: JoinResult, plan: Plan, machine: Machine, history: Sequ
     )
     notes = tuple(_notes(known, plan, names, last, machine))
     date_then, first = (last.date if comparison and last else None), (earlier[0].date if earlier else None)
-    return CheckResult(check, today, tuple(sizes), comparison, date_then, first_said, first, bool(known), notes)
+    return CheckResult(check, today, tuple(sizes), comparison, date_then, since_first, first, bool(known), notes)
 
 
 def against_file(result: CheckResult) -> str:

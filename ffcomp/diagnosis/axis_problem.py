@@ -97,7 +97,10 @@ class AxisProblem(Problem):
             # of a free axis a quick run's bends would pass for noise, and by that hide what its shots show
             sensor = float(np.median(each) if driven_axis(self.machine).free else np.max(each))
             # what of a position its shots tell: beyond where each began; or beyond its command
-            moved = [one.told(one.run.signals)[name] if one.length else one.own_motion(name) for one in shots]
+            moved = [
+                one.without_beginnings(one.run.signals)[name] if one.length else one.forced_motion(name)
+                for one in shots
+            ]
             motion = float(np.sqrt(np.mean([np.nanmean(x**2) for x in moved])))
             error = (SETTINGS.simulation_error * motion) ** 2 / (self.band_hz[1] - self.band_hz[0])
             density[name] = 2 * sensor**2 / rate + error
@@ -113,7 +116,7 @@ class AxisProblem(Problem):
         compared: dict[int, FloatArray] = {}
         for run in dict.fromkeys(self.windows[i].run for i in chosen):
             one, sensed = self.shots[run], self._sensed(machine, (*key, self._same[run]))
-            signals = one.told({s: sensed[s] for s in one.run.signals})
+            signals = one.without_beginnings({s: sensed[s] for s in one.run.signals})
             compared[run] = np.stack(list(signals.values()), axis=1)
         return [compared[self.windows[i].run][self.windows[i].rows] for i in chosen]
 
@@ -152,7 +155,7 @@ def _first_equal(shots: Sequence[Shots], i: int) -> int:
 def _observation(one: Shots, rows: slice) -> Observation:
     run, signals = one.run, tuple(one.run.signals)
     began = round(float(run.time_s[rows.start] - run.time_s[0]), 3)
-    measured = np.stack(list(one.told(run.signals).values()), axis=1)[rows]
+    measured = np.stack(list(one.without_beginnings(run.signals).values()), axis=1)[rows]
     speed = np.tile(one.speed[rows, None], (1, len(signals)))
     name, repeat = f"{run.source} from {began:g} s", f"{run.repeat_of} from {began:g} s"
     return Observation(name, repeat, (began,), run.sample_rate_hz, signals, measured, speed)

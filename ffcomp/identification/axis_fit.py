@@ -139,26 +139,26 @@ def fitted_axis(start: Machine, runs: Sequence[AxisRun], known: Mapping[str, tup
 def _sizes(shots: Sequence[Shots]) -> dict[str, float]:
     """Return the rms of each signal's own motion."""
     names = {name for one in shots for name in one.run.signals}
-    squares = {n: [np.nanmean(one.own_motion(n) ** 2) for one in shots if n in one.run.signals] for n in names}
+    squares = {n: [np.nanmean(one.forced_motion(n) ** 2) for one in shots if n in one.run.signals] for n in names}
     return {name: max(float(np.sqrt(np.mean(x))), 1e-12) for name, x in squares.items()}
 
 
 def _error(one: Shots, machine: Machine, sizes: Mapping[str, float]) -> FloatArray:
     """Return measured − simulated of a run's signals, over their size: (rows,); gaps are zero."""
     try:
-        felt = one.simulate(machine).sensed(machine)
+        simulated = one.simulate(machine).sensed(machine)
     except ValueError:
         return np.full(len(one.run.drive) * len(one.run.signals), FAR)
-    return np.concatenate([np.nan_to_num(x - felt[name]) / sizes[name] for name, x in one.run.signals.items()])
+    return np.concatenate([np.nan_to_num(x - simulated[name]) / sizes[name] for name, x in one.run.signals.items()])
 
 
 def _blocks(shots: Sequence[Shots]) -> IntArray:
     """Return the block of each row of the error, (rows,)."""
-    found: list[IntArray] = []
+    blocks: list[IntArray] = []
     for k, one in enumerate(shots):
         n = len(one.run.drive)
-        found += [BLOCKS * k + np.arange(n) * BLOCKS // n for _ in one.run.signals]
-    return np.concatenate(found)
+        blocks += [BLOCKS * k + np.arange(n) * BLOCKS // n for _ in one.run.signals]
+    return np.concatenate(blocks)
 
 
 def _covariance(jacobian: FloatArray, residual: FloatArray, blocks: IntArray) -> FloatArray:
@@ -172,13 +172,13 @@ def _covariance(jacobian: FloatArray, residual: FloatArray, blocks: IntArray) ->
     return np.asarray(inverse @ middle @ inverse)
 
 
-def _text(start: Machine, found: AxisFitted, name: str, hashes: Sequence[str]) -> str:
+def _text(start: Machine, result: AxisFitted, name: str, hashes: Sequence[str]) -> str:
     """Return the new machine file's text."""
     if not start.path:
         return ""
-    values = {key: float(f"{e.value:.6g}") for key, e in found.estimates.items()}
-    sds = {key: float(f"{e.relative_sd:.3g}") for key, e in found.estimates.items() if key != OFFSET}
+    values = {key: float(f"{e.value:.6g}") for key, e in result.estimates.items()}
+    sds = {key: float(f"{e.relative_sd:.3g}") for key, e in result.estimates.items() if key != OFFSET}
     entry = {"date": date.today().isoformat(), "started_from": Path(start.path).stem, "data": list(hashes)}
     return updated_text(
-        Path(start.path), values, name=name, uncertainty=sds, provenance={"identified": entry | {"nrms": found.after}}
+        Path(start.path), values, name=name, uncertainty=sds, provenance={"identified": entry | {"nrms": result.after}}
     )

@@ -59,25 +59,25 @@ class Shots:
             extra=self.run.extra,
         )
 
-    def told(self, signals: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
+    def without_beginnings(self, signals: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
         """Return signals, (n,) each, of whose positions is gone in each shot what only tells where it began.
 
         That is measured, and so as noisy as anything: left in what is compared, twenty samples would be wrong by the
         noise of one. It is fitted where the sensors spoke.
         """
-        found, names = dict(signals), [name for name in self.began if name in signals]
+        result, names = dict(signals), [name for name in self.began if name in signals]
         if not names:
-            return found
+            return result
         gone = -len(self.run.drive) % self.length
-        spoken = [np.pad(np.isfinite(self.run.signals[name]), (0, gone)) for name in names]
-        kept = _by_shots(spoken, self.length)
+        known_rows = [np.pad(np.isfinite(self.run.signals[name]), (0, gone)) for name in names]
+        kept = _by_shots(known_rows, self.length)
         x = _by_shots([np.pad(signals[name], (0, gone)) for name in names], self.length)
         out = _without(np.concatenate([self.began[name] for name in names]), x, kept)
         for i, name in enumerate(names):
-            found[name] = out[:, i * self.length : (i + 1) * self.length].ravel()[: len(signals[name])]
-        return found
+            result[name] = out[:, i * self.length : (i + 1) * self.length].ravel()[: len(signals[name])]
+        return result
 
-    def own_motion(self, name: str) -> FloatArray:
+    def forced_motion(self, name: str) -> FloatArray:
         """Return what of a signal, (n,), the forces of a shot make: without its beginning, or without its command."""
         x = self.run.signals[name]
         if not name.startswith("pos"):
@@ -113,8 +113,8 @@ def shots_of(machine: Machine, runs: Sequence[AxisRun]) -> list[Shots]:
     speeds = [_speed(_bridged(_place(run)), run.sample_rate_hz) for run in mean]
     needed = driven_axis(machine).free and not HOLDING & machine.effects.keys() and any(run.position for run in runs)
     seconds = _shot_s(runs, speeds) if needed else 0.0
-    found = [_shots(*each, seconds) for each in zip(runs, mean, speeds, strict=True)]
-    return [replace(one, began=_began(machine, one)) for one in found]
+    result = [_shots(*each, seconds) for each in zip(runs, mean, speeds, strict=True)]
+    return [replace(one, began=_began(machine, one)) for one in result]
 
 
 def _began(machine: Machine, one: Shots) -> dict[str, FloatArray]:
@@ -122,11 +122,11 @@ def _began(machine: Machine, one: Shots) -> dict[str, FloatArray]:
     names, axis = list(one.run.position) if one.length else [], driven_axis(machine)
     t = np.arange(one.length) / one.run.sample_rate_hz
     line = np.column_stack([np.ones(one.length), t - t.mean()]) if names else np.empty((0, 2))
-    found = {}
+    result = {}
     for i, name in enumerate(names):
         lines = [line if i == k else np.zeros((one.length, 2)) for k in range(len(names))]
-        found[name] = np.hstack([*lines, _ringing(axis, t, name)])
-    return found
+        result[name] = np.hstack([*lines, _ringing(axis, t, name)])
+    return result
 
 
 def _ringing(axis: DrivenAxis, t: FloatArray, name: str) -> FloatArray:
@@ -148,13 +148,13 @@ def _by_shots(columns: Sequence[NDArray[Any]], length: int) -> NDArray[Any]:
     return np.hstack([x.reshape(-1, length) for x in columns])
 
 
-def _without(basis: FloatArray, x: FloatArray, spoken: NDArray[np.bool_]) -> FloatArray:
+def _without(basis: FloatArray, x: FloatArray, known_rows: NDArray[np.bool_]) -> FloatArray:
     """Return rows x (shots, n) without their parts along a basis (n, k), by what is known of each."""
-    out, whole = np.zeros_like(x), spoken.all(axis=1)
+    out, whole = np.zeros_like(x), known_rows.all(axis=1)
     directions = np.linalg.qr(basis)[0]
     out[whole] = x[whole] - x[whole] @ directions @ directions.T
     for row in np.flatnonzero(~whole):
-        known = spoken[row]
+        known = known_rows[row]
         if known.sum() > basis.shape[1]:
             part = np.linalg.lstsq(basis[known], x[row][known], rcond=1e-9)[0]
             out[row] = x[row] - basis @ part
@@ -163,10 +163,10 @@ def _without(basis: FloatArray, x: FloatArray, spoken: NDArray[np.bool_]) -> Flo
 
 def _mean(runs: Sequence[AxisRun], i: int) -> AxisRun:
     """Return the mean of the runs that the same input drives: it tells best where each shot begins."""
-    own = runs[i]
-    same = [r for r in runs if r.repeat_of == own.repeat_of and np.array_equal(r.drive, own.drive)]
-    kept = [r for r in same if r.position.keys() == own.position.keys()]
-    return replace(own, position={k: np.mean([_bridged(r.position[k]) for r in kept], axis=0) for k in own.position})
+    run = runs[i]
+    same = [r for r in runs if r.repeat_of == run.repeat_of and np.array_equal(r.drive, run.drive)]
+    kept = [r for r in same if r.position.keys() == run.position.keys()]
+    return replace(run, position={k: np.mean([_bridged(r.position[k]) for r in kept], axis=0) for k in run.position})
 
 
 def _shots(run: AxisRun, mean: AxisRun, speed: FloatArray, seconds: float) -> Shots:
@@ -191,13 +191,13 @@ def _rested(command: FloatArray) -> int:
     return int(moved[0]) if len(moved) else len(command)
 
 
-def _resting(told: float, place: FloatArray) -> float:
+def _resting(commanded: float, place: FloatArray) -> float:
     """Return where an axis rests, (n,) mm measured: as it was told, unless friction holds it elsewhere.
 
     A single sample is off by the sensor's noise, with which a sprung axis would begin to ring.
     """
     middle = float(place.mean())
-    return told if abs(middle - told) < CERTAIN * float(place.std()) / np.sqrt(len(place)) else middle
+    return commanded if abs(middle - commanded) < CERTAIN * float(place.std()) / np.sqrt(len(place)) else middle
 
 
 def _place(run: AxisRun) -> FloatArray:
@@ -262,7 +262,7 @@ def band_of(shots: Sequence[Shots]) -> tuple[float, float]:
 
 
 def _where_it_ends(one: Shots, name: str) -> float:
-    x = _bridged(one.own_motion(name))
+    x = _bridged(one.forced_motion(name))
     power = np.cumsum(np.abs(np.fft.rfft((x - np.mean(x)) * np.hanning(len(x)))) ** 2)
     return float(np.searchsorted(power, MOST_OF_POWER * power[-1]) * one.run.sample_rate_hz / len(x))
 

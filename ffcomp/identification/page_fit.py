@@ -97,10 +97,10 @@ class _Page:
         motions = simulate_printers([m for m, _ in pairs], [c for _, c in pairs], 1 / RATE_HZ)
         count = len(self.commands)
         for i, z in enumerate(points):
-            own = motions[i * count : (i + 1) * count]
+            motions_here = motions[i * count : (i + 1) * count]
             bead = self.values(z)
             paths = []
-            for motion in own:
+            for motion in motions_here:
                 if isinstance(motion, ValueError):
                     raise motion
                 paths.append(motion.nozzle_mm[:, :2])
@@ -143,10 +143,10 @@ def _machine_unknowns(machine: Machine) -> list[_Unknown]:
     unknowns = []
     for name in names:
         stem = name.partition("[")[0]
-        own = sd.get(name) or machine.uncertainty.get(name, machine.uncertainty.get(stem, default))
+        spread = sd.get(name) or machine.uncertainty.get(name, machine.uncertainty.get(stem, default))
         wide = 2.0 if "damping" in name else 1.0  # nobody knows damping better
         if value_of(machine, name):
-            unknowns.append(_Unknown(name, value_of(machine, name), float(np.clip(wide * own, LEAST_SD, MOST_SD))))
+            unknowns.append(_Unknown(name, value_of(machine, name), float(np.clip(wide * spread, LEAST_SD, MOST_SD))))
     return unknowns
 
 
@@ -331,7 +331,7 @@ def _modes(
     names = tuple(each.name for each in page.unknowns)
     joint = Joint(names, z, covariance)
     places = {line.stroke.place: line.stroke.position_mm[:2] for line in page.lines}
-    found: dict[tuple[float, float], list[tuple[Estimate, Estimate]]] = {}
+    by_place: dict[tuple[float, float], list[tuple[Estimate, Estimate]]] = {}
     for x, y in places.values():
         here = page.machine_at(z).vibration.modes_at(np.array([x, y]))
         count = len(here.frequencies_hz)
@@ -349,9 +349,9 @@ def _modes(
                 0.0,
             )
         )
-        found[x, y] = [
+        by_place[x, y] = [
             (lognormal(float(f), float(spread[i])), lognormal(float(d), float(spread[count + i])))
             for i, (f, d) in enumerate(zip(here.frequencies_hz, here.damping_ratios, strict=True))
             if d < RINGING
         ]
-    return found
+    return by_place

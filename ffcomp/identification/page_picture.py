@@ -336,8 +336,8 @@ def _perspective(page: FloatArray, px: FloatArray) -> FloatArray:
     b = np.column_stack([px, np.ones(len(px))]) @ to_px.T
     zero = np.zeros_like(a)
     rows = np.concatenate([np.hstack([a, zero, -b[:, :1] * a]), np.hstack([zero, a, -b[:, 1:2] * a])], axis=0)
-    found = np.linalg.svd(rows)[2][-1].reshape(3, 3)
-    matrix = np.linalg.inv(to_px) @ found @ to_page
+    scaled = np.linalg.svd(rows)[2][-1].reshape(3, 3)
+    matrix = np.linalg.inv(to_px) @ scaled @ to_page
     return np.asarray(matrix / matrix[2, 2])
 
 

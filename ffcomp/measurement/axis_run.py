@@ -151,8 +151,8 @@ def _driving(columns: tuple[str, ...], drive: Input | None) -> tuple[str, list[s
     if not any(name in sensors for name in columns):
         known = "pos_q_mm, pos_motor_mm, vel_q_mm_per_s, acc_q_m_per_s2 (or rad, deg)"
         problems.append(f"No sensor column is there; a run needs at least one of {known}.{_mistyped(columns, sensors)}")
-    told = [sensors[name][0] for name in columns if name in sensors]
-    problems += [f"{name} is told in two units; give one column of it." for name in set(told) if told.count(name) > 1]
+    names = [sensors[name][0] for name in columns if name in sensors]
+    problems += [f"{name} is told in two units; give one column of it." for name in set(names) if names.count(name) > 1]
     return chosen[0], problems
 
 

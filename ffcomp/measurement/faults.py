@@ -424,14 +424,14 @@ def _beyond_noise(
         square = np.mean(np.abs(np.fft.rfft(x[:, moving], axis=1)) ** 2, axis=(0, 2))[inside]
         return np.asarray(2.0 * np.bincount(bins, square) / moving.sum() ** 2)
 
-    apart, own = powers(differences), powers(signals)
-    quiet = own < TIMES_NOISY_REST**2 * apart
+    apart, power = powers(differences), powers(signals)
+    quiet = power < TIMES_NOISY_REST**2 * apart
     width = np.bincount(bins) / len(inside)
     if rest is None and quiet.sum() < LEAST_QUIET_BINS:
         return None
     white = float(np.median(apart[quiet] / width[quiet])) if quiet.sum() >= LEAST_QUIET_BINS else 0.0
     noise = width * max(white, rest or 0.0)
-    size = max(float(own.sum()), 1e-300)
+    size = max(float(power.sum()), 1e-300)
     shares = [np.maximum(apart - times**2 * noise, 0.0).sum() / size for times in (TIMES_NOISY_REST, TIMES_REST)]
     return float(np.sqrt(shares[0])), float(np.sqrt(shares[1]))
 

@@ -102,14 +102,14 @@ def test_an_error_of_where_a_shot_began_is_no_discrepancy() -> None:
     moved = replace(one, begin=one.begin + np.array([0.01, 0.05, 0.01, 0.05]))
     places = [each.simulate(STAGE).position_mm for each in (one, moved)]
     assert np.abs(places[0] - places[1]).min() > 0.009
-    true, off = (one.told({"pos_q": place})["pos_q"] for place in places)
+    true, off = (one.without_beginnings({"pos_q": place})["pos_q"] for place in places)
     np.testing.assert_allclose(off, true, atol=1e-4)  # its damping slows it down
-    assert np.abs(true).max() > 0.05 and one.told({"acc_q": places[0]})["acc_q"] is places[0]
+    assert np.abs(true).max() > 0.05 and one.without_beginnings({"acc_q": places[0]})["acc_q"] is places[0]
     lost = run.position["pos_q"].copy()
     lost[7::5] = np.nan
     gaps = shots_of(STAGE, [replace(run, position={"pos_q": lost})])[0]
-    assert np.abs(gaps.told({"pos_q": places[0]})["pos_q"] - true).max() < 0.2 * np.abs(true).max()
-    assert np.isnan(gaps.told({"pos_q": lost})["pos_q"]).sum() == np.isnan(lost).sum()
+    assert np.abs(gaps.without_beginnings({"pos_q": places[0]})["pos_q"] - true).max() < 0.2 * np.abs(true).max()
+    assert np.isnan(gaps.without_beginnings({"pos_q": lost})["pos_q"]).sum() == np.isnan(lost).sum()
 
 
 def test_dry_friction_of_a_free_axis_is_named_with_its_size() -> None:
