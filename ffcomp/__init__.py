@@ -19,17 +19,25 @@ from ffcomp.numerics.numba_cache import ensure_cache_folder
 from ffcomp.version import __version__
 
 if TYPE_CHECKING:
-    from ffcomp.api import (
-        compare,
-        compensate,
-        diagnose,
-        estimate,
-        frf,
-        gap,
-        identify,
-        load_machine,
-        simulate,
-    )
+    from ffcomp.api.comparison import compare
+    from ffcomp.api.compensation import compensate
+    from ffcomp.api.estimation import estimate
+    from ffcomp.api.machines import load_machine
+    from ffcomp.api.measurements import diagnose, gap, identify
+    from ffcomp.api.responses import frf
+    from ffcomp.api.simulation import simulate
+
+_MODULES = {
+    "compare": "comparison",
+    "compensate": "compensation",
+    "diagnose": "measurements",
+    "estimate": "estimation",
+    "frf": "responses",
+    "gap": "measurements",
+    "identify": "measurements",
+    "load_machine": "machines",
+    "simulate": "simulation",
+}
 
 __all__ = [
     "__version__",
@@ -48,8 +56,8 @@ ensure_cache_folder()  # for compiled code, before anything is imported that com
 
 
 def __getattr__(name: str) -> Any:
-    if name in __all__:
-        return getattr(import_module("ffcomp.api"), name)
+    if name in _MODULES:
+        return getattr(import_module(f"ffcomp.api.{_MODULES[name]}"), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 

@@ -67,7 +67,7 @@ OBJECTS: dict[str, dict[str, str]] = {  # by heading of the page: by place of it
     "QUALITY": {"": "ffcomp.comparison.result:EqualQuality"},
     "ffcomp-equal-quality/1": {"": "ffcomp.comparison.result:Quickest.to_dict ffcomp.cli.compare:_report_quickest"},
     "CONTENDER": {"": "ffcomp.comparison.result:TimedMethod"},
-    "ffcomp-simulate/1": {"": "ffcomp.cli.simulate:_simulate ffcomp.simulation.simulation:SimulationResult.to_dict"},
+    "ffcomp-simulate/1": {"": "ffcomp.cli.simulate:simulate ffcomp.simulation.simulation:SimulationResult.to_dict"},
     "ffcomp-frf/1": {
         "": "ffcomp.identification.frf_study:frf_json",
         "measured[].": "ffcomp.identification.frf_study:_compared_answer",
@@ -237,6 +237,11 @@ def _lines(file: Path) -> list[str]:
     return file.read_text(encoding="utf-8").splitlines()
 
 
+@cache
+def _tree(file: Path) -> ast.Module:
+    return ast.parse("\n".join(_lines(file)))
+
+
 def keys_of(places: Mapping[str, str], prefix: str = "") -> Iterator[Key]:
     """Return the keys of an object, in the order in which they are made."""
     names = {prefix + each[1:] for each in places[prefix].split() if each[0] == "-"}
@@ -254,7 +259,7 @@ def _made(place: str, prefix: str) -> Iterator[Key]:
     spec = find_spec(module)
     assert spec is not None and spec.origin is not None
     file = Path(spec.origin)
-    node: ast.AST = ast.parse("\n".join(_lines(file)))
+    node: ast.AST = _tree(file)
     for part in name.split("."):
         inside = {
             each.name: each for each in ast.iter_child_nodes(node) if isinstance(each, ast.ClassDef | ast.FunctionDef)

@@ -31,20 +31,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Compensation:
-    """A compensated print and what it took.
-
-    Attributes
-    ----------
-    machine : Machine
-    file : CompensatedFile
-        What was done, print by print.
-    if_known : tuple of Known
-        What the quicker print would take if the machine were known better.
-    """
+    """A compensated print and what it took."""
 
     machine: Machine
-    file: CompensatedFile
-    if_known: tuple[Known, ...] = ()
+    file: CompensatedFile  # what was done, print by print
+    if_known: tuple[Known, ...] = ()  # what the quicker print would take if the machine were known better
 
     @property
     def output(self) -> Path | None:

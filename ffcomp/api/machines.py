@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 
 from models.file import load_machine as read_machine
-from models.file import load_plant as read_plant
 from models.machine import Machine
 
 
@@ -22,8 +21,3 @@ def load_machine(machine: str | Path | Machine) -> Machine:
         If the file cannot be read, with every mistake in it as a sentence.
     """
     return machine if isinstance(machine, Machine) else read_machine(str(machine))
-
-
-def load_plant(machine: str | Path | Machine) -> Machine:
-    """Load a printer or one axis by itself, as `load_machine` does."""
-    return read_plant(str(machine)) if isinstance(machine, str | Path) else machine

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ffcomp.api.machines import load_plant
 from ffcomp.diagnosis.gap import gap_request
+from ffcomp.diagnosis.problems import paths_of, plant_of
 from ffcomp.diagnosis.request import DiagnoseRequest, GapRequest
 from ffcomp.diagnosis.verb import diagnose_request
 from ffcomp.errors import RequestError, extras_told
@@ -23,10 +23,6 @@ if TYPE_CHECKING:
 
 Files = Sequence[str | Path] | str | Path
 Progress = Callable[[str], None]
-
-
-def _paths(files: Files) -> list[Path]:
-    return [Path(files)] if isinstance(files, str | Path) else [Path(file) for file in files]
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,9 +91,9 @@ def identify(
     ------
     MeasurementError, MachineFileError, RequestError
     """
-    start = load_plant(machine)
+    start = plant_of(machine)
     request = FitRequest(
-        data=tuple(_paths(data)),
+        data=tuple(paths_of(data)),
         machine=start.path,
         output=None if output is None else Path(output),
         plan=None if plan is None else Path(plan),

@@ -25,24 +25,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class FrequencyResponses:
-    """Frequency responses of a machine at some positions.
-
-    Attributes
-    ----------
-    machine : Machine
-    frequency_hz : (k,) array
-    positions_mm : (n, 2) array, columns X Y
-    values : (n, k, r, c) complex array
-        Row r answers column c: carriages A B C, or nozzle axes X Y Z, as was asked for.
-    rows, columns : names of the outputs and of the inputs
-    """
+    """Frequency responses of a machine at some positions: carriages A B C or nozzle axes X Y Z, as was requested."""
 
     machine: Machine
-    frequency_hz: FloatArray
-    positions_mm: FloatArray
-    values: ComplexArray
-    rows: tuple[str, ...]
-    columns: tuple[str, ...]
+    frequency_hz: FloatArray  # (k,)
+    positions_mm: FloatArray  # (n, 2), columns X Y
+    values: ComplexArray  # (n, k, r, c): row r answers column c
+    rows: tuple[str, ...]  # names of the outputs
+    columns: tuple[str, ...]  # and of the inputs
     study: Study
 
     def to_dict(self) -> list[dict[str, Any]]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 from ffcomp.cli.command import Shown, verb
 from ffcomp.cli.common import print_json, say, say_assumed
@@ -12,6 +12,9 @@ from ffcomp.cli.progress import Progress
 from ffcomp.errors import RequestError
 from ffcomp.request import ADVANCED, OUTPUT, Option, Request
 from ffcomp.simulation.request import SimulateRequest
+
+if TYPE_CHECKING:
+    from ffcomp.api.simulation import Simulation
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,11 +61,20 @@ def simulate(request: SimulateRequest, captures: CapturesRequest, shown: Shown) 
         elif not shown.quiet:
             print(f"{len(result['captures'])} captures of {result['plan']}: {captures.as_captures}")
         return
-    result = _simulate(request, shown.quiet)
+    simulation, warnings = _simulate(request, shown.quiet)
     if shown.as_json:
-        print_json(result)
+        print_json(
+            {
+                "schema": "ffcomp-simulate/1",
+                "input": str(request.file),
+                # text or null: the run that was written
+                "output": None if request.recording is None else str(request.recording),
+                **simulation.to_dict(),
+                "warnings": warnings,  # list of text
+            }
+        )
     elif not shown.quiet:
-        _print(result)
+        _print(simulation, request.recording)
 
 
 def _write_captures(request: SimulateRequest, captures: CapturesRequest, folder: Path, quiet: bool) -> dict[str, Any]:
@@ -95,8 +107,8 @@ def _write_captures(request: SimulateRequest, captures: CapturesRequest, folder:
     }
 
 
-def _simulate(request: SimulateRequest, quiet: bool) -> dict[str, Any]:
-    """Simulate, and return the JSON object ffcomp-simulate/1."""
+def _simulate(request: SimulateRequest, quiet: bool) -> tuple[Simulation, list[str]]:
+    """Simulate, and return the warnings of reading too."""
     from dataclasses import replace
 
     from ffcomp.api.simulation import read_simulation, run_simulation
@@ -113,36 +125,28 @@ def _simulate(request: SimulateRequest, quiet: bool) -> dict[str, Any]:
             "choose with --from and --to."
         )
     with Progress(sum(end - begin for _, begin, end in parts), quiet, "simulating") as progress:
-        simulation = run_simulation(replace(request, progress=progress), command, machine, plant)
-    return {
-        "schema": "ffcomp-simulate/1",
-        "input": str(request.file),
-        # text or null: the run that was written
-        "output": None if request.recording is None else str(request.recording),
-        **simulation.to_dict(),
-        "warnings": warnings,  # list of text
-    }
+        return run_simulation(replace(request, progress=progress), command, machine, plant), warnings
 
 
-def _print(result: dict[str, Any]) -> None:
-    track = result["track"]
+def _print(simulation: Simulation, recording: str | Path | None) -> None:
+    track, seconds = simulation.track, simulation.simulated_s
     print(
-        f"{result['simulated_s']:.1f} s of motion on {result['plant']['name']} (effects: "
-        f"{', '.join(result['effects']) or 'none'}), {result['wall_s']:.1f} s: {result['print_s_per_wall_s']:.0f} "
-        "times faster than printing."
+        f"{seconds:.1f} s of motion on {simulation.plant.name} (effects: "
+        f"{', '.join(simulation.plant.effects) or 'none'}), {simulation.seconds:.1f} s: "
+        f"{seconds / simulation.seconds:.0f} times faster than printing."
     )
-    print(f"Against {result['reference']}:")
+    print(f"Against {simulation.reference}:")
     print(
-        f"  contour   rms {track['contour_rms_um']:.2f} µm, 99 % below {track['contour_p99_um']:.1f} µm, "
-        f"largest {track['contour_max_um']:.1f} µm"
-    )
-    print(
-        f"  tracking  rms {track['tracking_rms_um']:.1f} µm, of it {track['tracking_rms_no_delay_um']:.2f} µm beside a "
-        f"delay of {1e3 * track['delay_s']:.3f} ms"
+        f"  contour   rms {track.contour_rms_um:.2f} µm, 99 % below {track.contour_p99_um:.1f} µm, "
+        f"largest {track.contour_max_um:.1f} µm"
     )
     print(
-        f"  carriages asked for {result['peak_carriage_velocity_mm_per_s']:.0f} mm/s and "
-        f"{track['peak_command_acceleration_mm_per_s2'] / 1e3:.1f} m/s² at most"
+        f"  tracking  rms {track.tracking_rms_um:.1f} µm, of it {track.tracking_rms_no_delay_um:.2f} µm beside a "
+        f"delay of {1e3 * track.delay_s:.3f} ms"
     )
-    if result["output"] is not None:
-        print(f"{result['rows']} samples at {result['rate_hz']:g} Hz: {result['output']}")
+    print(
+        f"  carriages asked for {simulation.evaluation.peak_actuator_velocity_mm_per_s:.0f} mm/s and "
+        f"{track.peak_command_acceleration_mm_per_s2 / 1e3:.1f} m/s² at most"
+    )
+    if recording is not None:
+        print(f"{simulation.rows} samples at {simulation.request.rate_hz:g} Hz: {recording}")

@@ -105,25 +105,25 @@ def _in_a_folder(do: Callable[[Path, str], None], machine: str) -> None:
 
 
 def _compensate(file: Path, machine: str) -> None:
-    from ffcomp.api import compensate
+    from ffcomp import compensate
 
     compensate(file, machine, file.with_suffix(".out"))
 
 
 def _compensate_robustly(file: Path, machine: str) -> None:
-    from ffcomp.api import compensate
+    from ffcomp import compensate
 
     compensate(file, machine, file.with_suffix(".out"), robust=True, predict=False)
 
 
 def _simulate(file: Path, machine: str) -> None:
-    from ffcomp.api import compensate, simulate
+    from ffcomp import compensate, simulate
 
     compensate(file, machine, file, predict=False)
     simulate(file, machine)
 
 
 def _estimate(file: Path, machine: str) -> None:
-    from ffcomp.api import estimate
+    from ffcomp import estimate
 
     estimate(file, machine)

@@ -22,59 +22,25 @@ ENDED = (DONE, FAILED, CANCELLED)
 
 @dataclass(frozen=True, slots=True)
 class Job:
-    """One piece of work.
+    """One piece of work; times in seconds since 1970, 0 for not yet."""
 
-    Parameters
-    ----------
-    id : str
-        Its folder's name.
-    kind : str
-        One of `commands.KINDS`.
-    title : str
-        What a person calls it.
-    machine : str
-        Name of the machine; empty where none is needed.
-    inputs : tuple of str
-        Names of the files in `in/`.
-    options : dict
-        Options, checked.
-    created, started, ended : float
-        Seconds since 1970; 0 for not yet.
-    state : str
-        One of QUEUED, RUNNING, DONE, FAILED, CANCELLED.
-    share : float or None
-        Share that is done, 0 to 1; None where nobody knows.
-    doing : str
-        What it is doing.
-    error : str
-        Why it failed, in a sentence.
-    outputs : tuple of str
-        Names of the files in `out/`.
-    answer : dict
-        What it found, as the page shows it (`answers`).
-    pid : int
-        Its process while it runs.
-    printer_path : str
-        Where the first input lies on the printer, if it comes from there.
-    """
-
-    id: str
-    kind: str
-    title: str
-    machine: str = ""
-    inputs: tuple[str, ...] = ()
-    options: dict[str, Any] = field(default_factory=dict)
+    id: str  # its folder's name
+    kind: str  # one of `commands.KINDS`
+    title: str  # what a person calls it
+    machine: str = ""  # its name; empty where none is needed
+    inputs: tuple[str, ...] = ()  # names of the files in `in/`
+    options: dict[str, Any] = field(default_factory=dict)  # checked
     created: float = 0.0
     started: float = 0.0
     ended: float = 0.0
     state: str = QUEUED
-    share: float | None = None
+    share: float | None = None  # that is done, 0 to 1; None where nobody knows
     doing: str = ""
-    error: str = ""
-    outputs: tuple[str, ...] = ()
-    answer: dict[str, Any] = field(default_factory=dict)
-    pid: int = 0
-    printer_path: str = ""
+    error: str = ""  # why it failed, in a sentence
+    outputs: tuple[str, ...] = ()  # names of the files in `out/`
+    answer: dict[str, Any] = field(default_factory=dict)  # as the page shows it (`answers`)
+    pid: int = 0  # while it runs
+    printer_path: str = ""  # where the first input lies on the printer, if it comes from there
 
 
 class JobFolder:

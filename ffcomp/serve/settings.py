@@ -14,48 +14,20 @@ RESERVE = 300 * MEGABYTE  # free on the disk, whatever comes in: the system and 
 
 @dataclass(frozen=True, slots=True)
 class Settings:
-    """Settings of one server.
+    """Settings of one server."""
 
-    Parameters
-    ----------
-    folder : Path
-        Where uploads and jobs are kept.
-    host : str
-        Address to listen on.
-    port : int
-        Port to listen on.
-    jobs : int
-        Jobs that run at the same time.
-    largest_bytes : int
-        Largest file that is taken.
-    room_bytes : int
-        All files of the folder together.
-    keep_days : float
-        Age at which jobs that have ended are removed.
-    names : tuple of str
-        Names, beside those that `guard` knows, by which the server is reached.
-    frames : tuple of str
-        Origins of pages that may show this one in a frame, e.g. `http://mainsailos.local`.
-    token : str
-        Secret that a visitor needs; empty for none.
-    moonraker : str
-        Address of the printer's Moonraker; empty for none.
-    secure : bool
-        Whether the server speaks TLS.
-    """
-
-    folder: Path
-    host: str = "127.0.0.1"
+    folder: Path  # where uploads and jobs are kept
+    host: str = "127.0.0.1"  # address to listen on
     port: int = 8017
-    jobs: int = 1
-    largest_bytes: int = 1024 * MEGABYTE
-    room_bytes: int = 20 * 1024 * MEGABYTE
-    keep_days: float = 14.0
-    names: tuple[str, ...] = ()
-    frames: tuple[str, ...] = ()
-    token: str = ""
-    moonraker: str = ""
-    secure: bool = False
+    jobs: int = 1  # that run at the same time
+    largest_bytes: int = 1024 * MEGABYTE  # of a file that is taken
+    room_bytes: int = 20 * 1024 * MEGABYTE  # for all files of the folder together
+    keep_days: float = 14.0  # age at which jobs that have ended are removed
+    names: tuple[str, ...] = ()  # beside those that `guard` knows, by which the server is reached
+    frames: tuple[str, ...] = ()  # origins of pages that may show this one in a frame, e.g. `http://mainsailos.local`
+    token: str = ""  # that a visitor needs; empty: none
+    moonraker: str = ""  # address of the printer's Moonraker; empty: none
+    secure: bool = False  # the server speaks TLS
 
     @property
     def address(self) -> str:
