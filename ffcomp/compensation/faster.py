@@ -36,6 +36,7 @@ class Faster:
     actuator_limit_s: float = 0.0  # what no plan of the moves can be quicker than
     limited_by: Mapping[str, float] = field(default_factory=dict)  # s, by what limits the motion
     warnings: tuple[str, ...] = ()
+    bound_um: float = 0.0  # the largest error that a feature may have
 
     def __add__(self, later: Faster) -> Faster:
         return Faster(
@@ -43,6 +44,7 @@ class Faster:
             _added(self.planned_s, later.planned_s),
             self.actuator_limit_s + later.actuator_limit_s,
             _added(self.limited_by, later.limited_by),
+            bound_um=max(self.bound_um, later.bound_um),
         )
 
 
@@ -55,7 +57,7 @@ def faster_chunk(chunk: Chunk, bound: Bound, model: InverseModel, smooth: bool) 
     slicers = firmware_plan(program, machine)
     near = _near_cuts(chunk, slicers)
     quicker = faster_program(program, model, bound, chunk.layers, chunk.feature, near)
-    warnings = (*_bound_exceeded(chunk, quicker), *_unchanged_moves(chunk, quicker))
+    warnings = (*_bound_exceeded(chunk, quicker, bound), *_unchanged_moves(chunk, quicker))
     if warnings and model.settings.strict:
         raise LimitsError(warnings[0])
     quick: Program | None = quicker.program
@@ -64,7 +66,7 @@ def faster_chunk(chunk: Chunk, bound: Bound, model: InverseModel, smooth: bool) 
     if quick is None:
         seconds = _by_feature(program, slicers, chunk.feature)
         return plan_program(program, machine, smooth), Faster(
-            seconds, seconds, slicers.end_t, {AS_SLICED: slicers.end_t}, (_not_faster(chunk),)
+            seconds, seconds, slicers.end_t, {AS_SLICED: slicers.end_t}, (_not_faster(chunk),), bound.loosest_um
         )
     planned = plan_program(quick, machine, smooth)
     return (
@@ -75,6 +77,7 @@ def faster_chunk(chunk: Chunk, bound: Bound, model: InverseModel, smooth: bool) 
             quicker.actuator_limit_s,
             quicker.limited_by,
             warnings,
+            bound.loosest_um,
         ),
     )
 
@@ -105,13 +108,16 @@ def _not_faster(chunk: Chunk) -> str:
     )
 
 
-def _bound_exceeded(chunk: Chunk, quicker: FasterProgram) -> tuple[str, ...]:
+def _bound_exceeded(chunk: Chunk, quicker: FasterProgram, bound: Bound) -> tuple[str, ...]:
     if quicker.p99 <= P99_LEVEL:
         return ()
     line = chunk.program.first_line + int(chunk.program.moves.line[0]) + 1
+    held = f"{quicker.p99:.2g} times the bound"
+    if not bound.of_features_um:
+        held = f"{quicker.p99 * bound.max_error_um:.2g} µm, not {bound.max_error_um:g}"
     return (
-        f"line {line}: the bound is not held from here on, however slow: for 1 % of the time the predicted error is "
-        f"above {quicker.p99:.2g} times it. A higher bound would be, or fewer features that keep the slicer's motion.",
+        f"line {line}: the bound is not held from here on, however slow: for 99 % of the time the predicted error is "
+        f"below {held}. A higher bound would be, or fewer features that keep the slicer's motion.",
     )
 
 

@@ -59,6 +59,8 @@ ROW_ERROR_S = 12.5e-6  # of a step of compressed rows, early or late: half of wh
 Progress = Callable[[float], None]  # called with the share that is done, 0 to 1
 Lines = Generator[bytes, None, Statistics]  # a chunk's output, and what was done
 
+MERGED_SHARE = 0.1  # of a bound, that joined segments may miss their path by
+
 
 _per_thread = threading.local()
 
@@ -247,10 +249,16 @@ class Job:
     @cached_property
     def settings(self) -> Settings:
         """The settings asked for, or those of the machine; what is to be quicker is inverted robustly."""
-        chosen = self.options.settings or settings_for(self.machine)
-        if self.options.bound is None or chosen.robust:
+        chosen, bound = self.options.settings or settings_for(self.machine), self.options.bound
+        if bound is None:
             return chosen
-        return replace(chosen, robust=True)  # less of what is not known: quicker at the same bound
+        joined_um = MERGED_SHARE * bound.tightest_um
+        return replace(
+            chosen,
+            robust=True,  # less of what is not known: quicker at the same bound
+            merge_um=min(chosen.merge_um, joined_um),
+            merge_along_um=min(chosen.merge_along_um, 3.0 * joined_um),
+        )
 
     @property
     def _robust(self) -> RobustChoice:

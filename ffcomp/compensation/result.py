@@ -10,6 +10,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from ffcomp.compensation.faster import P99_LEVEL
 from ffcomp.compensation.placement import Placement
 from ffcomp.compensation.statistics import Statistics, shortened, warning_lines
 from ffcomp.errors import INPUT_ERRORS, explain, interrupts_restored
@@ -69,14 +70,28 @@ class Result:
             sentences.append(
                 f"{len(slowed) - LISTED} more places were slowed down in the same way, {more_s:.2g} s longer in all."
             )
-        return [*self.statistics.shares.warnings(), *self.statistics.warnings, *sentences]
+        return [*self.statistics.shares.warnings(), *self.statistics.warnings, *self._bound_missed, *sentences]
 
     @property
     def warning_lines(self) -> list[str]:
         """The same for people, in a few lines."""
         numbers = self.statistics
-        warnings = [*numbers.shares.warnings(), *numbers.warnings]
+        warnings = [*numbers.shares.warnings(), *numbers.warnings, *self._bound_missed]
         return warning_lines(warnings, numbers.slowed, self.machine, numbers.original_print_time_s)
+
+    @property
+    def _bound_missed(self) -> list[str]:
+        """Say what error the print as it is written keeps, where that is not the bound."""
+        quicker, faster = self.faster, self.statistics.faster
+        if quicker is None or faster is None or quicker.contour_p99_um is None:
+            return []
+        if quicker.contour_p99_um <= P99_LEVEL * faster.bound_um:
+            return []
+        return [
+            f"The bound of {faster.bound_um:g} µm is not held: for 99 % of the time the predicted error is below "
+            f"{quicker.contour_p99_um:.2g} µm. What keeps the slicer's speed is not made slower, and segments and "
+            "rests leave some 2 µm, however slow a print is."
+        ]
 
     @property
     def predicted(self) -> Mapping[str, Track]:

@@ -37,6 +37,16 @@ class Bound:
     change_speed: tuple[str, ...] = ()  # of what keeps the slicer's motion otherwise; `FIRST_LAYER` is one of them
     safety: float = 0.05  # share of the printers, as uncertain as the machine file says, that may be beyond the bound
 
+    @property
+    def tightest_um(self) -> float:
+        """The smallest error that any feature may have."""
+        return min([self.max_error_um, *(um for _, um in self.of_features_um)])
+
+    @property
+    def loosest_um(self) -> float:
+        """The largest error that any feature may have."""
+        return max([self.max_error_um, *(um for _, um in self.of_features_um)])
+
     def errors_mm(self, labels: Labels) -> FloatArray:
         """Return each move's own bound, (n,) mm."""
         special = {name.lower(): um for name, um in self.of_features_um}

@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
+from ffcomp.compensation.job import Job, Options
+from ffcomp.errors import LimitsError
 from ffcomp.faster.bound import Bound, with_slicer_settings
 from ffcomp.faster.program import FasterProgram, faster_program
 from ffcomp.inverse.model import InverseModel
@@ -19,6 +23,7 @@ from ffcomp.planner.program import PlannedProgram, plan_program
 from gcode.program import Program
 from gcode.reader import read_program
 from models.file import load_machine
+from tests.support import prints
 
 SQUARES = b"""M83
 ;LAYER_CHANGE
@@ -36,6 +41,7 @@ G1 X0 Y20 E.7
 ;TYPE:Bridge infill
 G1 X0 Y0 E.7
 """
+MACHINE = load_machine("mp-delta-pro")
 FILAMENT_MM2 = 0.25 * np.pi * 1.75**2
 
 
@@ -104,6 +110,37 @@ def test_what_is_not_known_costs_time_and_the_percentile_is_near_the_bound(squar
         times.append(planned(found, own).trajectory.end_t)
     assert times[1] > 1.02 * times[0]
     assert 0.6 < found.p99 <= 1.0
+
+
+@pytest.mark.parametrize("feature", [{}, {"of_features_um": (("External perimeter", 0.9),)}])
+def test_a_bound_that_no_speed_holds_is_told_with_what_is_held(tmp_path: Path, feature: dict[str, Any]) -> None:
+    """1 µm is less than what segments and rests leave. Where nothing may miss its bound, nothing is written."""
+    bound = Bound(1.0, change_speed=("first layer",), **feature)
+    options = Options(settings=settings_for(MACHINE), bound=bound)
+    target = tmp_path / "out.gcode"
+    result = Job(prints.squares(2), "squares", MACHINE, options).write(target)
+    held = result.faster and result.faster.contour_p99_um
+    assert held is not None and 1.1 < held < 2.5
+    (sentence,) = (line for line in result.warning_lines if "is not held" in line)
+    assert f"The bound of 1 µm is not held: for 99 % of the time the predicted error is below {held:.2g} µm" in sentence
+    target.unlink()
+    strict = replace(options, settings=replace(settings_for(MACHINE), strict=True))
+    with pytest.raises(LimitsError, match=r"the predicted error is [\d.]+ µm"):
+        Job(prints.squares(2), "squares", MACHINE, strict).write(target)
+    assert not target.exists()
+
+
+def test_a_bound_that_is_held_is_not_complained_of_and_segments_are_joined_as_ever() -> None:
+    job = Job(prints.squares(1), "squares", MACHINE, Options(settings=settings_for(MACHINE), bound=Bound(25.0)))
+    assert not job.write(None).warnings
+    assert (job.settings.merge_um, job.settings.merge_along_um) == (1.0, 3.0)
+
+
+def test_what_keeps_the_slicers_motion_may_miss_the_bound_and_the_program_tells_by_how_much(
+    squares: Program, model: InverseModel
+) -> None:
+    missed = of(squares, model, 1.0)
+    assert missed.p99 > 1.5 and of(squares, model, 25.0).p99 <= 1.0
 
 
 def test_first_layer_and_bridges_keep_the_slicers_motion(squares: Program, model: InverseModel) -> None:

@@ -14,7 +14,7 @@ from ffcomp.planner.limits import PlannerLimits
 from ffcomp.planner.lookahead import plan_moves, stops_and_waits
 from ffcomp.record.gcode_writer import DEFAULT_CHIPS, RESTORE, Firmware, gcode_lines
 from ffcomp.record.moves import MOST_ROUNDING, NEAREST_MM, Request, make_plan, schedule
-from ffcomp.record.plan import Plan, load_plan, plan_dict, save_plan
+from ffcomp.record.plan import Plan, load_plan, plan_dict
 from gcode.reader import read_program
 from models.file import load_machine
 from models.machine import Machine
