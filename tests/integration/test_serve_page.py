@@ -22,7 +22,6 @@ from tests.support.server import client, started, uploaded, wait_for
 READY = ".machines optgroup"
 PRINT = Path(__file__).parents[2] / "docs" / "examples" / "wiggle.gcode"
 CONFIG = PRINT.with_name("printer.cfg")
-WIDTHS = (1200, 390)
 WAIT_MS = 60_000
 
 
@@ -113,8 +112,8 @@ def test_from_nothing_to_a_compensated_print_in_five_clicks_and_two_minutes(
     assert times["downloaded"] < 120.0, times
 
 
-@pytest.mark.parametrize("width", WIDTHS)
-def test_a_batch_of_prints_is_compensated_and_compared(width: int, quick: None, browser: Any, server: Any) -> None:
+def test_a_batch_of_prints_is_compensated_and_compared(quick: None, browser: Any, server: Any) -> None:
+    width = 390
     with visit(browser, address(server), width) as seen:
         attached(seen, READY)
         assert seen.page.is_disabled("[data-job=compensate]")
@@ -142,8 +141,8 @@ def test_a_batch_of_prints_is_compensated_and_compared(width: int, quick: None, 
         seen.page.wait_for_selector(card("compensate", "failed"), state="detached", timeout=WAIT_MS)
 
 
-@pytest.mark.parametrize("width", WIDTHS)
-def test_from_a_configuration_to_a_machine_that_is_measured(width: int, quick: None, browser: Any, server: Any) -> None:
+def test_from_a_configuration_to_a_machine_that_is_measured(quick: None, browser: Any, server: Any) -> None:
+    width = 1200
     with visit(browser, address(server), width) as seen:
         attached(seen, READY)
         seen.page.click("#tab-machine")
