@@ -139,9 +139,9 @@ class RobustReference:
         allowed = np.ascontiguousarray(moving[..., ::2])
 
         steps = np.stack([steps_of(span.rows, length) for span in spans])
-        path_lines = apply(of_steps, lines_of(steps, of_steps.shape[-1]))
+        path_lines = apply(of_steps, lines_of(steps, of_steps.shape[-1]), length // 2 + 1)
         path_error, spread = _rows(path_lines[:, :3], length), _rows(_folded(path_lines[:, 3:], n), n)
-        mean_lines = np.zeros((len(spans), 3, lines), np.complex64)  # of what y makes of the mean
+        mean_lines = np.zeros((len(spans), 3, length // 2 + 1), np.complex64)  # of what y makes of the mean, twice
         y: ShortArray = np.zeros((len(spans), 3, n), np.float32)
         direction, last_z = np.zeros_like(y), np.zeros_like(y)
         last_energy = np.zeros((len(spans), 1, 1), np.float32)
@@ -151,21 +151,21 @@ class RobustReference:
             errors[:, :3] = fft.rfft(normal)[..., :lines]
             errors[:, :3] *= 0.5
             errors[:, 3:] = fft.rfft(weigh(weight, spread))[..., :lines]
-            gradient = allowed * _rows(apply_adjoint(of_y, errors), n) + REGULARISATION * y
+            gradient = allowed * _rows(apply_adjoint(of_y, errors, n // 2 + 1), n) + REGULARISATION * y
             z = ALONG * gradient - (ALONG - 1.0) * weigh(weight, gradient)
             energy = _dots(gradient, z)
             share = np.maximum(_over(energy - _dots(gradient, last_z), last_energy), 0.0)
             direction = np.asarray(allowed * z + share * direction, dtype=np.float32)
             last_z, last_energy = z, energy
-            change_lines = apply(of_y, lines_of(direction, lines))
+            change_lines = apply(of_y, lines_of(direction, lines), n // 2 + 1)
             change = _rows(change_lines, n)
             curvature = _dots(change, weigh(weight, change)) + REGULARISATION * _dots(direction, direction)
             step = _over(_dots(gradient, direction), curvature)
             y -= step * direction
             if left:
                 spread -= step * change[:, 3:]
-                mean_lines -= step * change_lines[:, :3]
-                error = path_error + _rows(2.0 * mean_lines, length)
+                mean_lines[..., :lines] -= 2.0 * step * change_lines[:, :3, :lines]
+                error = path_error + _rows(mean_lines, length)
         return moving * _rows(lines_of(y, lines) * (2.0 * self._low_pass[::stride]), length)
 
 

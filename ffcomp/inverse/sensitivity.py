@@ -168,7 +168,8 @@ class Sensitivity:
             span = rows[first : last + 2 * MARGIN]
             length = span_length(len(span))
             response = self.to_steps(self.of_place(*self.place_of(span[:, :2])))[None, :, :, :: ROWS // length]
-            error = fft.irfft(apply(response, lines_of(steps_of(span, length)[None], response.shape[-1])), length)
+            lines = lines_of(steps_of(span, length)[None], response.shape[-1])
+            error = fft.irfft(apply(response, lines, length // 2 + 1), length)
             parts.append(np.moveaxis(error[0, :, MARGIN : len(span) - MARGIN].reshape(1 + DIRECTIONS, 3, -1), 1, 2))
         return np.concatenate(parts, axis=1)
 
@@ -198,10 +199,10 @@ def flat(known: NDArray[np.complexfloating[Any, Any]]) -> ShortComplexArray:
 
 
 @fast_kernel
-def apply(known: ShortComplexArray, lines: ShortComplexArray) -> ShortComplexArray:
-    """Multiply known (s, p, 3, f) by lines (s, 3, f): (s, p, f)."""
+def apply(known: ShortComplexArray, lines: ShortComplexArray, width: int) -> ShortComplexArray:
+    """Multiply known (s, p, 3, f) by lines (s, 3, f): (s, p, width), zero from f on."""
     spans, directions, _, n = known.shape
-    out = np.empty((spans, directions, n), np.complex64)
+    out = np.zeros((spans, directions, width), np.complex64)
     for s in range(spans):
         for p in range(directions):
             for f in range(n):
@@ -214,10 +215,10 @@ def apply(known: ShortComplexArray, lines: ShortComplexArray) -> ShortComplexArr
 
 
 @fast_kernel
-def apply_adjoint(known: ShortComplexArray, lines: ShortComplexArray) -> ShortComplexArray:
-    """Multiply the adjoint of known (s, p, 3, f) by lines (s, p, f): (s, 3, f)."""
+def apply_adjoint(known: ShortComplexArray, lines: ShortComplexArray, width: int) -> ShortComplexArray:
+    """Multiply the adjoint of known (s, p, 3, f) by lines (s, p, f): (s, 3, width), zero from f on."""
     spans, directions, _, n = known.shape
-    out = np.zeros((spans, 3, n), np.complex64)
+    out = np.zeros((spans, 3, width), np.complex64)
     for s in range(spans):
         for p in range(directions):
             for j in range(3):

@@ -137,7 +137,9 @@ def test_the_adjoint_is_one() -> None:
         return (rng.normal(size=shape) + 1j * rng.normal(size=shape)).astype(np.complex64)
 
     known, lines, errors = drawn(2, 6, 3, 50), drawn(2, 3, 50), drawn(2, 6, 50)
-    assert np.vdot(apply(known, lines), errors) == pytest.approx(np.vdot(lines, apply_adjoint(known, errors)), rel=1e-4)
+    answer, adjoint = apply(known, lines, 50), apply_adjoint(known, errors, 50)
+    assert np.vdot(answer, errors) == pytest.approx(np.vdot(lines, adjoint), rel=1e-4)
+    assert not apply(known, lines, 60)[..., 50:].any()
 
 
 def test_a_path_is_a_wish_that_need_not_end_where_it_begins(softening: RobustReference) -> None:
@@ -146,7 +148,7 @@ def test_a_path_is_a_wish_that_need_not_end_where_it_begins(softening: RobustRef
     bump = np.exp(-0.5 * ((t - 350) / 8.0) ** 2) * np.array([1.0, -0.7, 0.1])  # there and back, up to 20 Hz
     known = sensitivity.of_place(*sensitivity.place_of(PLACE[None, :2]))[..., ::4]
     error = known.reshape(-1, 3, known.shape[-1])
-    answer = np.fft.irfft(apply(error[None], lines_of(bump.T[None].astype(np.float32), error.shape[-1]))[0], 768)
+    answer = np.fft.irfft(apply(error[None], lines_of(bump.T[None].astype(np.float32), error.shape[-1]), 385)[0], 768)
     expected = np.moveaxis(answer.reshape(-1, 3, 768), 1, 2)
     expected[0] -= bump
     assert np.abs(expected).max() > 5e-3
