@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,15 +13,11 @@ from ffcomp.diagnosis.verb import diagnose_request
 from ffcomp.errors import RequestError, extras_told
 from ffcomp.identification.fitting import fit_files
 from ffcomp.identification.machine_fit import MachineFit
-from ffcomp.identification.request import FitRequest, Method
+from ffcomp.identification.request import IdentifyRequest
 from ffcomp.request import function
-from models.machine import Machine
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-Files = Sequence[str | Path] | str | Path
-Progress = Callable[[str], None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,66 +48,25 @@ class Identification:
         return figure
 
 
-def identify(
-    data: Files,
-    machine: str | Path | Machine,
-    output: str | Path | None = None,
-    *,
-    plan: str | Path | None = None,
-    known: Mapping[str, tuple[float, float]] | None = None,
-    method: Method = "direct",
-    name: str = "",
-    band_hz: tuple[float, float] = (2.0, 400.0),
-    axes_map: Sequence[str] = ("x", "y", "z"),
-    axis: str | Sequence[str] = (),
-    column: str | None = None,
-    rough: bool = False,
-    progress: Progress = lambda sentence: None,
-) -> Identification:
+def _identify(request: IdentifyRequest) -> Identification:
     """Fit a machine file's parameters to measurements, with their uncertainties.
 
     Parameters
     ----------
-    data : frequency responses, recordings, captures of a plan, or a firmware's resonance tests
-    machine : the machine to start from
-    output : the machine file to write; None: write nothing
-    plan : the file that `ffcomp record plan` wrote beside its G-code, for its captures
-    known : value and standard deviation of parameters that are known, e.g. by a scale
-    method : "direct", the output-error fit, or "stepwise", the paper's method
-    name : of the new machine; "": the output file's
-    band_hz : frequencies that are used
-    axes_map : the printer's axes in the accelerometer's own
-    axis : excited axis of resonance tests whose names do not state it: x, y, or a direction such as "1,-1"; one for
-        all of them, or one each
-    column : the spectrum to be used of files with several, where their header does not say what these are
-    rough : write modes too that leave more than 20 % of their measurement unexplained
+    progress : takes sentences on what is being done
 
     Raises
     ------
     MeasurementError, MachineFileError, RequestError
     """
-    start = plant_of(machine)
-    request = FitRequest(
-        data=tuple(paths_of(data)),
-        machine=start.path,
-        output=None if output is None else Path(output),
-        plan=None if plan is None else Path(plan),
-        known=known,
-        method=method,
-        name=name or None,
-        lowest_hz=band_hz[0],
-        highest_hz=band_hz[1],
-        axes_map=",".join(axes_map),
-        axis=(axis,) if isinstance(axis, str) else tuple(axis),
-        column=column,
-        rough=rough,
-        force=True,
-    )
-    fit = fit_files(start, request, progress)
-    if request.output is not None:
-        fit.write(request.output)
-    return Identification(fit, request.output)
+    output, plan = (None if each is None else Path(each) for each in (request.output, request.plan))
+    request = replace(request, data=tuple(paths_of(request.data)), output=output, plan=plan)
+    fit = fit_files(plant_of(request.machine), request, request.progress)
+    if output is not None:
+        fit.write(output)
+    return Identification(fit, output)
 
 
+identify = function(IdentifyRequest, _identify)
 gap = function(GapRequest, gap_request)
 diagnose = function(DiagnoseRequest, diagnose_request)

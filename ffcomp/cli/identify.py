@@ -36,7 +36,7 @@ def fit(request: FitRequest, shown: Shown) -> None:
     from ffcomp.identification.fitting import USUAL_S, fit_files
     from models.file import load_plant
 
-    start = load_plant(request.machine)
+    start = load_plant(str(request.machine))
     with SearchProgress(shown.quiet, USUAL_S, "reading the files") as progress:
         result = fit_files(start, request, progress)
     _deliver(result, request, shown)

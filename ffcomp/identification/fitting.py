@@ -43,7 +43,7 @@ from ffcomp.identification.machine_fit import (
 from ffcomp.identification.modal_fit import AxisFit
 from ffcomp.identification.output_error import TOTAL_MASS
 from ffcomp.identification.paper import identify_as_paper
-from ffcomp.identification.request import FitRequest
+from ffcomp.identification.request import IdentifyRequest
 from ffcomp.measurement.modes import Mode, ModeFit
 from ffcomp.shapers.calibration import shaper_advice
 from models.file import machine_of_text
@@ -58,7 +58,7 @@ Progress = Callable[[str], None]
 F = TypeVar("F", bound=MachineFit)
 
 
-def fit_files(start: Machine, request: FitRequest, progress: Progress = lambda _: None) -> MachineFit:
+def fit_files(start: Machine, request: IdentifyRequest, progress: Progress = lambda _: None) -> MachineFit:
     """Fit a machine file's numbers to files.
 
     Raises
@@ -108,7 +108,7 @@ def _with_shapers(fit: F) -> F:
 class _Task:
     """What all fits of some files have in common."""
 
-    def __init__(self, start: Machine, gathered: Gathered, hashes: Sequence[str], request: FitRequest) -> None:
+    def __init__(self, start: Machine, gathered: Gathered, hashes: Sequence[str], request: IdentifyRequest) -> None:
         self.start, self.gathered, self.hashes, self.request = start, gathered, hashes, request
         self.known = dict(request.known or {})
         self.source, self.name, self.today = Path(start.path), _name(start, request), date.today().isoformat()
@@ -205,7 +205,7 @@ class _Task:
         )
 
 
-def _name(start: Machine, request: FitRequest) -> str:
+def _name(start: Machine, request: IdentifyRequest) -> str:
     """Return the new machine's name."""
     return request.name or (start.name if request.output is None else request.output.stem)
 

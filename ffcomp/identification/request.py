@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -17,6 +17,10 @@ DATA = (
     "raw_data_*.csv."
 )
 Data = Annotated[tuple[Path, ...], Argument(DATA, metavar="DATA...")]
+if TYPE_CHECKING:
+    Files = Sequence[str | Path] | str | Path
+else:  # as the command line reads them
+    Files = tuple[Path, ...]
 
 
 def known_numbers(texts: Sequence[str]) -> dict[str, tuple[float, float]]:
@@ -33,13 +37,14 @@ def _known(text: str) -> tuple[str, tuple[float, float]]:
         raise RequestError(f"--known {text!r}: it reads KEY=VALUE±SD, with numbers.") from None
 
 
-@dataclass(frozen=True, kw_only=True)
-class FitRequest(Request):
-    """Which files `ffcomp identify fit` fits, and how."""
+@dataclass(frozen=True)
+class IdentifyRequest(Request):
+    """Measurements, and the machine whose file is fitted to them."""
 
-    data: Data
-    machine: Annotated[str, MACHINE_NAME]
+    data: Annotated[Files, Argument(DATA, metavar="DATA...")]
+    machine: Annotated[MachineLike, MACHINE_NAME]
     output: Annotated[Path | None, MACHINE_FILE] = None
+    _: KW_ONLY
     plan: Annotated[Path | None, MOVES_PLAN] = None
     known: Annotated[
         Mapping[str, tuple[float, float]] | None,
@@ -63,7 +68,6 @@ class FitRequest(Request):
     name: Annotated[
         str | None, Option("Name of the new machine. Default: the output file's.", OUTPUT, metavar="NAME")
     ] = None
-    figure: Annotated[Path | None, FIGURE] = None
     lowest_hz: Annotated[float, LOWEST_FITTED] = 2.0
     highest_hz: Annotated[float, HIGHEST_FITTED] = 400.0
     axes_map: Annotated[
@@ -89,12 +93,24 @@ class FitRequest(Request):
     rough: Annotated[
         bool, Option("Write modes too that leave more than 20 % of their measurement unexplained.", ACCURACY)
     ] = False
+    progress: Callable[[str], None] = lambda sentence: None
+
+    def check(self) -> None:
+        """Raise RequestError for what is no axis."""
+        for axis in self.axis:
+            _check_axis(axis)
+
+
+@dataclass(frozen=True, kw_only=True)
+class FitRequest(IdentifyRequest):
+    """Which files `ffcomp identify fit` fits, and how."""
+
+    figure: Annotated[Path | None, FIGURE] = None
     force: Annotated[bool, FORCE] = False
 
     def check(self) -> None:
         """Raise RequestError for what is no axis, and rather than overwrite a file."""
-        for axis in self.axis:
-            _check_axis(axis)
+        super().check()
         if self.output is not None and self.output.exists() and not self.force:
             raise RequestError(f"{self.output} exists already; give another --output, or --force.")
 
