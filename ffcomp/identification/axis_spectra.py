@@ -236,7 +236,11 @@ def usable(responses: Iterable[FrequencyResponse]) -> tuple[list[Response], list
                 f"{response.source}: {response.input} to {response.output} ({response.setup}) tells nothing about an "
                 "axis; what does is the response of the whole printer to a command, such as cmd_x to acc_x."
             )
-        elif not any(_same(response, other.measured) for other in kept):
+        elif not any(
+            (response.input, response.output) == (other.measured.input, other.measured.output)
+            and np.array_equal(response.value, other.value)
+            for other in kept
+        ):  # a simulated carriage is the nozzle, to the last digit
             kept.append(Response(response))
     return kept, left_out
 
@@ -246,8 +250,3 @@ def _of_axes(response: FrequencyResponse) -> FrequencyResponse:
     named = (name.translate(str.maketrans(CARRIAGES, AXES)) for name in (response.input, response.output))
     command, answers = named
     return replace(response, input=command, output=answers)
-
-
-def _same(one: FrequencyResponse, other: FrequencyResponse) -> bool:
-    """Tell whether two responses are one: a simulated carriage is the nozzle, to the last digit."""
-    return (one.input, one.output) == (other.input, other.output) and np.array_equal(one.value, other.value)

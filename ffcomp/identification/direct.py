@@ -66,7 +66,9 @@ def identify(
         else fit_machine(start, responses, known, progress=progress)
     )
     kept = tuple(name for name, share in fitted.prior_share.items() if share > UNDETERMINED)
-    restored = _with_old(fitted, start, kept)
+    has_drive = delta_vibration(start).carriage.drive is not None
+    before = {name: value_of(start, name) for name in kept if name not in DRIVE or has_drive}
+    restored = replace(fitted, machine=with_values(fitted.machine, before))
     advice = [*_other_force_map(fitted, known, progress), *advice_on(restored, kept)]
     return Identified(restored, kept, tuple(advice))
 
@@ -107,15 +109,6 @@ def _with_drive(
     values = {name: e.value for name, e in fitted.estimates.items() if name not in (*DRIVE, TOTAL_MASS)}
     ideal = fit_machine(start, responses, known, starts=[values, {}], progress=progress)
     return fitted if fitted.bic < ideal.bic - DRIVE_COSTS else ideal
-
-
-def _with_old(fitted: Fitted, start: Machine, kept: Sequence[str]) -> Fitted:
-    old = {
-        name: value_of(start, name)
-        for name in kept
-        if name not in DRIVE or delta_vibration(start).carriage.drive is not None
-    }
-    return replace(fitted, machine=with_values(fitted.machine, old))
 
 
 # ---- advice --------------------------------------------------------------------------------------

@@ -64,7 +64,9 @@ def starting_machine(start: Machine, resonances: Sequence[Resonance]) -> Resonan
             "No belt stiffness between a tenth and ten times the starting machine's brings its resonances to the "
             f"measured ones ({measured}): start from another machine."
         )
-    scale = _refined(start, resonances, float(SCALES[nearest - 1]), float(SCALES[nearest + 1]))
+    fine = np.geomspace(float(SCALES[nearest - 1]), float(SCALES[nearest + 1]), 41)
+    misfits = [_misfit(with_values(start, {STIFFNESS: stiffness * scale}), resonances) for scale in fine]
+    scale = float(fine[np.argmin(misfits)])
     tuned = with_values(start, {STIFFNESS: stiffness * scale})
     factor = _damping_factor(tuned, resonances)
     dampings = {name: value_of(tuned, name) * factor for name in DAMPINGS}
@@ -87,12 +89,6 @@ def _main(machine: Machine, r: Resonance) -> float:
     i = AXES.index(r.axis)
     size = np.abs(machine.vibration.frequency_response(np.array(r.place_mm), BAND_HZ, "nozzle", "nozzle")[:, i, i])
     return float(BAND_HZ[np.argmax(size)])
-
-
-def _refined(start: Machine, resonances: Sequence[Resonance], low: float, high: float) -> float:
-    stiffness = value_of(start, STIFFNESS)
-    fine = np.geomspace(low, high, 41)
-    return float(fine[np.argmin([_misfit(with_values(start, {STIFFNESS: stiffness * s}), resonances) for s in fine])])
 
 
 def _damping_factor(machine: Machine, resonances: Sequence[Resonance]) -> float:

@@ -337,14 +337,9 @@ def responses_of(recordings: Sequence[Recording], plan: Plan, band_hz: tuple[flo
         places.setdefault(experiments[recording.comments["experiment"]].place, []).append(recording)
     responses = []
     for place, members in sorted(places.items()):
-        at = _position(experiments[members[0].comments["experiment"]])
-        responses += _of_place(members, place, at, (max(BAND_HZ[0], band_hz[0]), min(BAND_HZ[1], band_hz[1])))
+        x, y, z = map(float, experiments[members[0].comments["experiment"]].position_mm)
+        responses += _of_place(members, place, (x, y, z), (max(BAND_HZ[0], band_hz[0]), min(BAND_HZ[1], band_hz[1])))
     return responses
-
-
-def _position(experiment: Experiment) -> tuple[float, float, float]:
-    x, y, z = (float(c) for c in experiment.position_mm)
-    return x, y, z
 
 
 def _of_place(
@@ -355,13 +350,9 @@ def _of_place(
     alike = [_resting(recording, longest) for recording in members]
     responses = frfs_from_recordings(alike, *band_hz, half_width_hz=HALF_WIDTH_HZ, position_mm=position)
     name = f"place {place}, {len(members)} captures"
-    known = [r for r in responses if r.input in INPUTS and _noise(r) < MOST_NOISE]
+    commanded = [r for r in responses if r.input in INPUTS]
+    known = [r for r in commanded if np.sqrt(r.variance.sum() / np.sum(np.abs(r.value) ** 2)) < MOST_NOISE]
     return [replace(r, variance=r.variance * VARIANCE_FACTOR, source=name, clock=f"place-{place}") for r in known]
-
-
-def _noise(response: FrequencyResponse) -> float:
-    """Return the noise as a share of the values."""
-    return float(np.sqrt(response.variance.sum() / np.sum(np.abs(response.value) ** 2)))
 
 
 def _resting(recording: Recording, count: int) -> Recording:
@@ -371,11 +362,7 @@ def _resting(recording: Recording, count: int) -> Recording:
         recording,
         time_s=np.arange(count) / recording.sample_rate_hz,
         command=np.concatenate([recording.command, np.repeat(recording.command[-1:], more, axis=0)]),
-        acceleration={name: _with_zeros(values, more) for name, values in recording.acceleration.items()},
+        acceleration={name: np.pad(values, (0, more)) for name, values in recording.acceleration.items()},
         position={},
         gaps=np.concatenate([recording.gaps, np.zeros(more, dtype=bool)]),
     )
-
-
-def _with_zeros(values: FloatArray, more: int) -> FloatArray:
-    return np.concatenate([values, np.zeros(more)])

@@ -337,10 +337,6 @@ def _least_squares(
     return solution.x
 
 
-def _jacobian(problem: _Problem, theta: FloatArray, epsilon: FloatArray) -> FloatArray:
-    return central_differences(lambda at: problem.residual(at, epsilon), theta, np.full(len(theta), STEP))
-
-
 def _model_error(problem: _Problem, theta: FloatArray, together: bool) -> FloatArray:
     """Find the ε, (r,), that makes Σ|H − Ĥ|²/(σ² + ε²|H|²) its expected value, 0 if the noise explains it already.
 
@@ -439,7 +435,7 @@ def _covariance(problem: _Problem, theta: FloatArray, epsilon: FloatArray) -> Fl
     Where the model's error is more than noise it is correlated over neighbouring frequencies: the sandwich of Huber and
     White with blocks of 5 Hz (Liang & Zeger, Biometrika 73, 1986) then widens the inverse information.
     """
-    j = _jacobian(problem, theta, epsilon)
+    j = central_differences(lambda at: problem.residual(at, epsilon), theta, np.full(len(theta), STEP))
     bread = scaled_inverse(j.T @ j)
     if not epsilon.any():
         return bread

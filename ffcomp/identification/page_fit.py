@@ -73,7 +73,8 @@ class _Page:
 
     def __init__(self, machine: Machine, lines: Sequence[ReadLine]) -> None:
         self.machine, self.lines = machine, lines
-        self.sigma = np.array([_weight_of(line) for line in lines])
+        # roughness is correlated over some half millimetre
+        self.sigma = np.array([max(line.noise_mm, 2e-3) * np.sqrt(0.5 / STEP_MM) for line in lines])
         strokes = {line.stroke.name: line.stroke for line in lines}
         self.which = [list(strokes).index(line.stroke.name) for line in lines]
         self.commands = []
@@ -126,10 +127,6 @@ class _Page:
         gap = seen - drawn
         free = basis @ np.linalg.solve(basis.T @ basis + ridge + 1e-15 * np.eye(5), basis.T @ gap)
         return gap - free, free
-
-
-def _weight_of(line: ReadLine) -> float:
-    return max(line.noise_mm, 2e-3) * np.sqrt(0.5 / STEP_MM)  # roughness is correlated over some half millimetre
 
 
 def _machine_unknowns(machine: Machine) -> list[_Unknown]:
@@ -193,24 +190,17 @@ def fit_page(machine: Machine, lines: Sequence[ReadLine], progress: Callable[[st
 
 def _start(page: _Page) -> FloatArray:
     """Scale all frequencies, of each direction by itself where they are independent, to what rings most alike."""
-    groups = _groups(page)
+    groups = ["all"] if page.machine.vibration.position_dependent else ["x", "y"]
     trials = [_scaled(page, dict.fromkeys(groups, float(factor))) for factor in FACTORS]
     alike = np.zeros((len(groups), len(FACTORS)))
     for j, drawn in enumerate(page.drawn(trials)):
         for k, (line, y) in enumerate(page.along(drawn)):
             seen, model = (_without_bow(each) for each in (line.across_mm, y))
             gain = max(float(seen @ model), 0.0) / max(float(model @ model), 1e-18)
-            alike[_group_of(groups, line), j] += min(gain, 2.0) * float(seen @ model) / page.sigma[k] ** 2
+            along_y = len(groups) > 1 and abs(line.line.across[0]) <= abs(line.line.across[1])
+            alike[int(along_y), j] += min(gain, 2.0) * float(seen @ model) / page.sigma[k] ** 2
     best = {name: float(FACTORS[int(np.argmax(row))]) for name, row in zip(groups, alike, strict=True)}
     return _scaled(page, best)
-
-
-def _groups(page: _Page) -> list[str]:
-    return ["all"] if page.machine.vibration.position_dependent else ["x", "y"]
-
-
-def _group_of(groups: Sequence[str], line: ReadLine) -> int:
-    return 0 if len(groups) == 1 or abs(line.line.across[0]) > abs(line.line.across[1]) else 1
 
 
 def _scaled(page: _Page, factors: Mapping[str, float]) -> FloatArray:

@@ -99,7 +99,8 @@ def _read(sight: Sight, stroke: Experiment, slow: Experiment) -> ReadLine | None
     smooth = savgol_filter(theirs, window, 2)
     shift = _row_shift(sight, line, twin)
     beside = np.interp(s + shift, s, smooth)
-    noise = _roughness(theirs - savgol_filter(theirs, 4 * window + 1, 3))
+    rough = theirs - savgol_filter(theirs, 4 * window + 1, 3)
+    noise = max(1.4826 * float(np.median(np.abs(rough - np.median(rough)))), 5e-4)
     return ReadLine(stroke, line, s, ours - beside, noise, sight.picture.path)
 
 
@@ -165,8 +166,3 @@ def _clean(middle: FloatArray, ink: FloatArray) -> FloatArray | None:
         return None
     index = np.arange(len(middle))
     return np.asarray(np.interp(index, index[~bad], middle[~bad]))
-
-
-def _roughness(rough: FloatArray) -> float:
-    """Return the robust standard deviation of a high-passed line."""
-    return float(max(1.4826 * np.median(np.abs(rough - np.median(rough))), 5e-4))

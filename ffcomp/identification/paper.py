@@ -27,7 +27,7 @@ from ffcomp.identification.rational import RationalFit, fit_rational, scaled_inv
 from ffcomp.identification.uncertainty import Joint
 from ffcomp.measurement.frf import FrequencyResponse
 from ffcomp.numerics.least_squares import minimise
-from models.arrays import ComplexArray, FloatArray, constant
+from models.arrays import FloatArray, constant
 from models.kinds import delta_vibration, with_parts
 from models.machine import Machine
 from models.vibration.substructures import Carriage, Drive
@@ -95,7 +95,7 @@ def _coefficients(numbers: FloatArray, added_kg: float) -> FloatArray:
 
 def _carriage_start(alone: RationalFit, loaded: RationalFit, added_kg: float) -> FloatArray:
     """Begin at the paper's closed forms: the pole moved by the mass is the carriage's, the other one the drive's."""
-    free, held = (_oscillating(fit.poles) for fit in (alone, loaded))
+    free, held = (fit.poles[fit.poles.imag > 0] for fit in (alone, loaded))
     if len(free) < 2 or len(held) < 2:
         raise SolverError("The carriage's response does not show two oscillating poles (belt and drive, Eq. 42).")
     pairs = [(i, j) for i in range(2) for j in range(2)]
@@ -112,10 +112,6 @@ def _carriage_start(alone: RationalFit, loaded: RationalFit, added_kg: float) ->
     k, total = m * omega**2, -2 * free[1 - drive].real * m  # Eqs. 36 and 35
     c = float(np.clip(lead[-1] * k, 0.02 * total, 0.98 * total))
     return np.array([m, k, c, total - c, d0, lead[0] * d0, d2])
-
-
-def _oscillating(poles: ComplexArray) -> ComplexArray:
-    return poles[poles.imag > 0]
 
 
 # ---- sub-model 2 ---------------------------------------------------------------------------------

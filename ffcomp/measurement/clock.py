@@ -45,15 +45,12 @@ class Clock:
         out = np.full(self.count, np.nan)
         taken = np.isfinite(values)
         at = self.index[taken]
-        if self._jitter() <= _NEGLIGIBLE_JITTER or taken.sum() < 4:
+        jitter = np.abs(self.time_s - self.grid_s[self.index]).max() / self.period_s
+        if jitter <= _NEGLIGIBLE_JITTER or taken.sum() < 4:
             out[at] = values[taken]
         else:
             out[at] = CubicSpline(self.time_s[taken], values[taken])(self.grid_s[at])
         return out
-
-    def _jitter(self) -> float:
-        """Return the largest distance of a row from its grid point, in sample periods."""
-        return float(np.abs(self.time_s - self.grid_s[self.index]).max() / self.period_s)
 
 
 def clock_of(
@@ -94,10 +91,11 @@ def _falling(time_s: FloatArray, row: IntArray) -> list[str]:
 def _bad_rate(period_s: float, count: int, length_s: float, lowest_hz: float) -> list[str]:
     problems = []
     rate = 1.0 / period_s
+    faster = " Record with a faster sensor: an accelerometer on the printer's own board." if rate < lowest_hz else ""
     if not lowest_hz * 0.99 <= rate <= HIGHEST_RATE_HZ * 1.01:
         problems.append(
             f"The sample rate in column t_s is {rate:.6g} Hz; it must lie between {lowest_hz:g} and "
-            f"{HIGHEST_RATE_HZ:g} Hz.{_other_unit(rate) or _slow(rate, lowest_hz)}"
+            f"{HIGHEST_RATE_HZ:g} Hz.{_other_unit(rate) or faster}"
         )
     if length_s + period_s < SHORTEST_S:
         problems.append(
@@ -113,11 +111,6 @@ def _other_unit(rate_hz: float) -> str:
         if LOWEST_RATE_HZ * 0.999 <= rate_hz * per_second <= HIGHEST_RATE_HZ * 1.001:
             return f" It looks as if the time were in {unit}, not in s: multiply it by {1 / per_second:g}."
     return ""
-
-
-def _slow(rate_hz: float, lowest_hz: float) -> str:
-    """Say what to do about a sensor that is too slow, in a sentence; '' if it is not."""
-    return " Record with a faster sensor: an accelerometer on the printer's own board." if rate_hz < lowest_hz else ""
 
 
 def _uneven(periods: FloatArray, time_s: FloatArray, row: IntArray) -> list[str]:

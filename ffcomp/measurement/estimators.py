@@ -103,7 +103,9 @@ def periodic_frf(
     if periods < 2:
         rule = f"{periods} whole periods of {period_samples} samples are left after {transient_periods} for settling"
         raise MeasurementError("", [f"{rule}; at least 2 are needed for a mean and a variance."])
-    _enough_experiments(u)
+    if u.shape[0] < u.shape[2]:
+        rule = f"{u.shape[2]} inputs need at least {u.shape[2]} experiments with different commands, but there are"
+        raise MeasurementError("", [f"{rule} {u.shape[0]}; sweep_frf can do with fewer."])
     spectra = [_period_spectra(record, period_samples, transient_periods, periods) for record in (u, y)]
     mean_u, mean_y = (spectrum.mean(axis=0) for spectrum in spectra)  # (e, k, i), (e, k, o)
     frequency = lines_of_dft(period_samples, rate_hz)
@@ -119,15 +121,6 @@ def periodic_frf(
 
 def _experiments(record: FloatArray) -> FloatArray:
     return record if record.ndim == 3 else record[None]
-
-
-def _enough_experiments(u: FloatArray) -> None:
-    experiments, _, inputs = u.shape
-    if experiments < inputs:
-        rule = (
-            f"{inputs} inputs need at least {inputs} experiments with different commands, but there are {experiments}"
-        )
-        raise MeasurementError("", [f"{rule}; sweep_frf can do with fewer."])
 
 
 def _period_spectra(record: FloatArray, period: int, skipped: int, periods: int) -> ComplexArray:
@@ -182,19 +175,15 @@ def sweep_frf(
     half_width_hz : of the window; take about half of ζ f of the narrowest mode. Widened if the unknowns need it.
     degree : of the polynomials.
     """
-    u, y = (record if record.ndim == 3 else record[None] for record in (input, output))
+    u, y = _experiments(input), _experiments(output)
     frequency = lines_of_dft(u.shape[1], rate_hz)
-    half = _half_width(half_width_hz / frequency[1], u.shape[0], u.shape[2], degree)
+    unknowns = (degree + 1) * (u.shape[2] + len(u))
+    half = max(round(half_width_hz / frequency[1]), int(np.ceil((_SPARE_EQUATIONS * unknowns / len(u) - 1) / 2)))
     centre = _centres(frequency, lowest_hz, highest_hz, half, degree)
     spectra_u, spectra_y = (np.fft.rfft(record - record[:, :1], axis=1) for record in (u, y))
     parts = [_local(spectra_u, spectra_y, centre[k : k + _BLOCK], half, degree) for k in range(0, len(centre), _BLOCK)]
     value, variance = (np.concatenate(blocks) for blocks in zip(*parts, strict=True))
     return FrfMatrix(frequency[centre], value, variance)
-
-
-def _half_width(lines: float, experiments: int, inputs: int, degree: int) -> int:
-    unknowns = (degree + 1) * (inputs + experiments)
-    return max(round(lines), int(np.ceil((_SPARE_EQUATIONS * unknowns / experiments - 1) / 2)))
 
 
 def _centres(frequency: FloatArray, lowest_hz: float, highest_hz: float, half: int, degree: int) -> IntArray:

@@ -94,7 +94,9 @@ def read_labels(comments: Mapping[str, str]) -> tuple[Labels | None, list[str]]:
 
     Unknown keys are ignored, unless they are nearly a known one.
     """
-    problems = [unknown(f"Label {key!r}", key, KEYS) for key in comments if _nearly_ours(key)]
+    others = [key for key in comments if key not in KEYS]
+    mistyped = [key for key in others if difflib.get_close_matches(key, KEYS, 1, 0.8)]
+    problems = [unknown(f"Label {key!r}", key, KEYS) for key in mistyped]
     problems += _bad_name(comments, "input", INPUTS) + _bad_name(comments, "output", OUTPUTS)
     setup = comments.get("setup", "assembly")
     if setup not in get_args(Setup):
@@ -136,10 +138,6 @@ def unknown(what: str, name: str, known: Sequence[str]) -> str:
     """Write a sentence about an unknown name, with the nearest known one."""
     near = closest(name, known)
     return f"{what} is unknown; " + (f"did you mean {near!r}?" if near else f"known are {', '.join(known)}.")
-
-
-def _nearly_ours(key: str) -> bool:
-    return key not in KEYS and bool(difflib.get_close_matches(key, KEYS, 1, 0.8))
 
 
 def _bad_name(comments: Mapping[str, str], key: str, known: Sequence[str]) -> list[str]:

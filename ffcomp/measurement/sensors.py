@@ -80,16 +80,16 @@ def _clipped(name: str, values: FloatArray, row: IntArray) -> list[str]:
 
 def with_gravity(acceleration: Mapping[str, FloatArray]) -> list[str]:
     """Report accelerations (n,) m/s² with a mean: a motion that begins and ends at rest has none."""
-    means = {name: float(np.nanmean(values)) for name, values in acceleration.items()}
-    return [_gravity(name, mean) for name, mean in means.items() if abs(mean) > _LARGEST_MEAN]
-
-
-def _gravity(name: str, mean: float) -> str:
-    what = "gravity" if abs(abs(mean) / G - 1) < 0.1 else "gravity on a tilted sensor, or an offset,"
-    return (
-        f"Column {name}_m_per_s2 has a mean of {mean:.4g} m/s², and a motion from rest to rest has none: {what} is "
-        f"still in it. Subtract {mean:.4g} from the column."
-    )
+    sentences = []
+    for name, values in acceleration.items():
+        mean = float(np.nanmean(values))
+        if abs(mean) > _LARGEST_MEAN:
+            what = "gravity" if abs(abs(mean) / G - 1) < 0.1 else "gravity on a tilted sensor, or an offset,"
+            sentences.append(
+                f"Column {name}_m_per_s2 has a mean of {mean:.4g} m/s², and a motion from rest to rest has none: "
+                f"{what} is still in it. Subtract {mean:.4g} from the column."
+            )
+    return sentences
 
 
 def wrong_scale(
