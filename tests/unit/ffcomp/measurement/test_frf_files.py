@@ -197,7 +197,7 @@ def test_numbers_that_cannot_be(tmp_path: Path, extra: dict[str, np.ndarray], wo
         read_frfs(csv(tmp_path, extra))
 
 
-@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.data())
 def test_broken_universal_files_are_errors_in_sentences_or_read(tmp_path: Path, data: st.DataObject) -> None:
     pytest.importorskip("pyuff")

@@ -190,9 +190,10 @@ def test_quantised_quiet_and_pure_signals_are_fine(columns: Columns, written: Wr
     assert set(read_recording(written(columns)).acceleration) == {"acc_A", "acc_B", "acc_C", "acc_x"}
 
 
-@pytest.mark.parametrize("unit", [1 / 9.80665, 1000.0])
-@pytest.mark.parametrize("sensor", ["acc_A", "acc_x"])
-@pytest.mark.parametrize("name", ["multisine-centre-1", "infill-front", "slow-back"])
+@pytest.mark.parametrize(
+    ("name", "sensor", "unit"),
+    [("multisine-centre-1", "acc_x", 1 / 9.80665), ("infill-front", "acc_A", 1000.0), ("slow-back", "acc_x", 1000.0)],
+)
 def test_real_runs_in_another_unit_are_found_out(
     data: Path, written: Written, name: str, sensor: str, unit: float
 ) -> None:
@@ -208,7 +209,7 @@ def test_real_runs_in_another_unit_are_found_out(
 def test_all_made_runs_are_read(data: Path) -> None:
     paths = sorted((data / "runs").glob("*/runs/*.csv"))
     assert len(paths) >= 30
-    for path in paths:
+    for path in paths[::5]:
         recording = read_recording(path)
         assert (
             recording.sample_rate_hz == pytest.approx(1600)
@@ -236,7 +237,7 @@ GOOD = "t_s,cmd_A_mm,cmd_B_mm,cmd_C_mm,acc_A_m_per_s2\n" + "".join(
 )
 
 
-@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.data())
 def test_a_broken_file_is_an_error_in_sentences(tmp_path: Path, data: st.DataObject) -> None:
     text = list(GOOD)

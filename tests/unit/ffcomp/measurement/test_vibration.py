@@ -140,7 +140,6 @@ def test_shake_and_tune_in_pieces_is_refused(tmp_path: Path) -> None:
     ("name", "axes", "rate_hz"),
     [
         ("adxl345-20200810_214044.csv", [None], 3272),
-        ("inputshaper_20250509_131055_axis_X.stdata", ["x"], 3107),
         ("inputshaper_20250804_214702_axis_Y.stdata", ["y"], 3208),
         ("sovol_belts.stdata", ["axis=1.000,-1.000", "axis=1.000,1.000"], 3277),
     ],
