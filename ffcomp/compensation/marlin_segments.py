@@ -35,7 +35,6 @@ from models.compiled import kernel
 from models.kinematics.delta import DeltaKinematics
 from models.machine import Machine, MarlinSettings
 
-SPARE_STEPS = 1  # by which a segment is longer than it must be: ends are rounded, and moved by least squares
 AROUND = 4  # segments on either side of one that is too short, that are chosen anew with it
 MOST_KNOTS = 60.0  # that a segment chosen anew may last
 WHOLE_S = 0.95  # of the time from which on a delta's line is cut in two
@@ -84,8 +83,7 @@ class MarlinSegments:
         edges : (n,) points that must stay: where a line goes out, or another writer goes on
         """
         most = min(MOST_KNOTS, self.longest_s / self.knot_s)
-        minimum = self.settings.minimum_steps_per_segment
-        return _lengthened(at, points, self.steps.motors(points), kept, edges, minimum, most)
+        return _lengthened(at, points, self.steps.motors(points), kept, edges, self.steps.enough, most)
 
     def executed(self, points: FloatArray, edges: BoolArray) -> IntArray:
         """Return which of the points (n, 3) mm may end segments so that Marlin drops none of them, (m,).
@@ -232,9 +230,9 @@ def _line(command: str, words: Mapping[str, float], unit_mm: float) -> bytes:
 
 @kernel
 def _lengthened(
-    at: FloatArray, points: FloatArray, steps: FloatArray, kept: IntArray, edges: BoolArray, minimum: int, most: float
+    at: FloatArray, points: FloatArray, steps: FloatArray, kept: IntArray, edges: BoolArray, enough: int, most: float
 ) -> IntArray:
-    m, enough = len(kept), minimum + SPARE_STEPS
+    m = len(kept)
     stays = np.zeros(len(at), dtype=np.bool_)
     stays[kept] = True
     j = 0

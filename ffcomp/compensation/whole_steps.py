@@ -31,7 +31,7 @@ MOST_ROWS = 8  # moments of a segment at which the nozzle's error counts
 ALONG = 0.3  # of an error along the path, that counts
 MISS_COST = 0.2  # of e², in squares of what a step moves: less of it asks for misses of many steps
 SETTLE = 12  # segments like the last, after which what follows it is known well enough
-WIDER = 2  # steps beyond the nearest that are tried for a segment that would be too short
+WIDER = 4  # steps beyond the nearest that are tried for a segment that would be too short
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,6 +90,11 @@ class WholeSteps:
         """Return the motors' steps, not rounded, at points (n, 3) mm."""
         motors: FloatArray = self.kinematics.inverse(points) @ self.kinematics.motors.T
         return (motors - self._lift_mm) * self.steps_per_mm
+
+    @property
+    def enough(self) -> int:
+        """Steps from which on a segment can be moved to ends that are far enough: each motor may be the one that is."""
+        return self.minimum + 1 - int(np.count_nonzero(self.free))
 
     @property
     def _lift_mm(self) -> float:
