@@ -28,7 +28,6 @@ from models.compiled import fast_kernel, kernel
 WINDOW_S = 0.05  # a sample belongs to where the path is within this time, not to other lines and layers
 LONGEST_DELAY_S = 0.02
 EFFORT_SPAN_S = 1e-3  # a jump of speed at a corner counts as spread over this time, whatever the sampling
-NEAR_MM = 0.1  # of a path around the place where a sample is, within which its nearest segment is sought
 SCAN_SAMPLES = 20_000  # enough to see in which millisecond the best delay lies
 
 
@@ -203,32 +202,6 @@ def contour_error(
     low = np.minimum(np.searchsorted(last, actual_t - window_s, side="left"), len(last) - 1)
     high = np.maximum(np.searchsorted(first, actual_t + window_s, side="right"), 1)
     return _distance_to_path(np.ascontiguousarray(path_xyz), np.ascontiguousarray(actual_xyz), low, high)
-
-
-def contour_error_in_order(
-    path_xyz: FloatArray, actual_xyz: FloatArray, low: IntArray | None = None, high: IntArray | None = None
-) -> FloatArray:
-    """Return the distance : (m,) mm of each sample to the path, passed in its order, at whatever times.
-
-    Parameters
-    ----------
-    path_xyz : (n + 1, 3) array
-        The path's corners in mm.
-    actual_xyz : (m, 3) array
-        The nozzle in mm, in the order of time.
-    low, high : (m,) arrays, optional
-        The segments low ≤ k < high that each sample may belong to, those of its section; neither ever falls.
-    """
-    m, n = len(actual_xyz), len(path_xyz) - 1
-    low = np.zeros(m, dtype=np.int64) if low is None else low
-    high = np.full(m, n, dtype=np.int64) if high is None else high
-    segment, share = progress_in_order(path_xyz, actual_xyz, low, high)
-    begins = np.concatenate([[0.0], np.cumsum(np.sqrt((np.diff(path_xyz, axis=0) ** 2).sum(axis=1)))])
-    at = begins[segment] + share * np.diff(begins)[segment]
-    first = np.minimum(np.searchsorted(begins[1:], at - NEAR_MM), segment)
-    last = np.maximum(np.searchsorted(begins[:-1], at + NEAR_MM), segment + 1)
-    bounds = np.maximum(first, low), np.minimum(last, np.maximum(high, low + 1))
-    return _distance_to_path(np.ascontiguousarray(path_xyz), np.ascontiguousarray(actual_xyz), *bounds)
 
 
 @fast_kernel

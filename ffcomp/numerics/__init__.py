@@ -1,1 +1,1 @@
-"""Disk cache, numba cache folder and small matrix-vector kernels."""
+"""Least squares, signals moved in time, the one serialiser, stages of long work, and folders of caches."""

@@ -187,14 +187,6 @@ def read_steps(path: str | Path) -> dict[str, MotorSteps]:
         raise error.located(str(path)) from None
 
 
-def read_events(path: str | Path) -> tuple[FloatArray, list[bytes]]:
-    """When each G-code line is to run, (n,) s, and the lines; none in an archive that does not speak of them."""
-    with np.load(path, allow_pickle=False) as archive:
-        if "events_tick" not in archive:
-            return np.zeros(0), []
-        return archive["events_tick"] / _number(archive, "clock_hz"), archive["events_line"].tolist()
-
-
 def _motors(arrays: Mapping[str, NDArray[Any]]) -> dict[str, MotorSteps]:
     named = [motor for motor in MOTORS + FOLLOWING if motor in MOTORS or f"{motor}_direction" in arrays]
     needed = ["clock_hz", *(key for motor in named for key in _keys(motor, arrays))]

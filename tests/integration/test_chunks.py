@@ -26,7 +26,7 @@ from ffcomp.metrics import contour_error
 from ffcomp.planner.program import firmware_plan, plan_program
 from ffcomp.planner.trajectory import PathPosition
 from ffcomp.simulation.command import path_corners_with_rests
-from ffcomp.steps.archive import read_events, read_steps
+from ffcomp.steps.archive import read_steps
 from ffcomp.steps.sink import Board
 from gcode.dialects import KLIPPER
 from gcode.embedded import original
@@ -38,6 +38,7 @@ from gcode.slicing import join, split
 from models.file import load_machine
 from models.machine import Machine
 from tests.support.compensated import compensated, job
+from tests.support.steps import read_events
 from validation.invariants import violations
 
 PRINTS = Path(__file__).parents[2] / "sample_prints"

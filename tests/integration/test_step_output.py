@@ -12,7 +12,7 @@ from ffcomp.compensation.result import Result
 from ffcomp.compensation.step_output import BEFORE_S
 from ffcomp.errors import NothingToDo
 from ffcomp.planner.program import plan_program
-from ffcomp.steps.archive import read_events, read_steps
+from ffcomp.steps.archive import read_steps
 from ffcomp.steps.sink import Board
 from gcode.reader import read_program
 from models.file import load_machine
@@ -20,6 +20,7 @@ from models.machine import Machine
 from tests.support.compensated import job
 from tests.support.klipper_host import reader
 from tests.support.prints import squares
+from tests.support.steps import read_events
 
 BOARD = Board(extruder_steps_per_mm=400.0)
 

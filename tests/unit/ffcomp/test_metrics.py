@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from ffcomp import metrics
+from tests.support.contour import contour_error_in_order
 
 FloatArray = NDArray[np.float64]
 
@@ -242,7 +243,7 @@ def test_in_order_a_line_beside_another_is_not_taken_for_it() -> None:
     """There and back 0.4 mm apart, nozzle 0.3 mm towards the way back: nearest is 0.1 mm, its own line is 0.3 mm."""
     path = [(0.0, 0.0), (50.0, 0.0), (50.0, 0.4), (0.0, 0.4)]
     nozzle = walked([(0.0, 0.3), (49.0, 0.3), (50.0, 0.0), (50.0, 0.4), (0.0, 0.4)], 0.2)
-    error = metrics.contour_error_in_order(polygon(path), nozzle)
+    error = contour_error_in_order(polygon(path), nozzle)
     assert error[10:200] == pytest.approx(0.3, abs=1e-9)
     assert error[-200:] == pytest.approx(0.0, abs=1e-9)
 
@@ -251,7 +252,7 @@ def test_in_order_a_crossing_line_is_not_taken_for_it() -> None:
     """A figure of eight whose second line is 5 mm off where it crosses the first: 5 mm, though a line is there."""
     path = [(0.0, 0.0), (40.0, 40.0), (40.0, 0.0), (0.0, 40.0)]
     nozzle = walked([(0.0, 0.0), (40.0, 40.0), (40.0, 0.0), (25.0, 25.0), (20.0, 20.0), (15.0, 15.0), (0.0, 40.0)], 0.1)
-    error = metrics.contour_error_in_order(polygon(path), nozzle)
+    error = contour_error_in_order(polygon(path), nozzle)
     second = slice(int((40.0 * (2**0.5) + 40.0) / 0.1), None)
     assert error[: second.start - 20].max() < 1e-6
     beside = walked([(40.0, 0.0), (25.0, 25.0), (20.0, 20.0), (15.0, 15.0), (0.0, 40.0)], 0.1)
@@ -267,7 +268,7 @@ def test_in_order_the_clock_does_not_matter(pace: float) -> None:
     bend = np.column_stack([29.0 + np.cos(angle), 1.0 + np.sin(angle), np.zeros(len(angle))])
     step = 0.05 * pace
     nozzle = np.concatenate([walked([(0.0, 0.0), (29.0, 0.0)], step), bend, walked([(30.0, 1.0), (30.0, 30.0)], step)])
-    error = metrics.contour_error_in_order(polygon(path), nozzle)
+    error = contour_error_in_order(polygon(path), nozzle)
     assert error.max() == pytest.approx(1.0 - 0.5**0.5, abs=2e-3)
 
 
@@ -276,14 +277,14 @@ def test_in_order_a_second_round_one_layer_higher_is_its_own() -> None:
     angle = np.linspace(0, 4 * np.pi, 2000)
     spiral = np.column_stack([20 * np.cos(angle), 20 * np.sin(angle), 0.2 * angle / (2 * np.pi)])
     nozzle = spiral[::3] - np.array([0.0, 0.0, 0.15])
-    assert metrics.contour_error_in_order(spiral, nozzle)[50:] == pytest.approx(0.15, abs=1e-3)
+    assert contour_error_in_order(spiral, nozzle)[50:] == pytest.approx(0.15, abs=1e-3)
 
 
 def test_in_order_a_sample_belongs_to_its_own_section() -> None:
     path = polygon([(0.0, 0.0), (10.0, 0.0), (0.0, 0.0)])
     nozzle = walked([(0.0, 0.1), (10.0, 0.1)], 0.5)
     ones = np.ones(len(nozzle), dtype=np.int64)
-    assert metrics.contour_error_in_order(path, nozzle, ones, 2 * ones) == pytest.approx(0.1, abs=1e-9)
+    assert contour_error_in_order(path, nozzle, ones, 2 * ones) == pytest.approx(0.1, abs=1e-9)
 
 
 def test_equal_weights_change_nothing_and_a_weight_is_a_number_of_samples() -> None:

@@ -17,13 +17,13 @@ from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.reference import WHOLE
 from ffcomp.inverse.settings import settings_for
 from ffcomp.inverse.solve import solve
-from ffcomp.metrics import contour_error_in_order
 from ffcomp.planner.limits import lines_of
 from ffcomp.planner.program import PlannedProgram, plan_program
 from gcode.program import Program
 from gcode.reader import read_program
 from models.file import load_machine
 from tests.support import prints
+from tests.support.contour import contour_error_in_order
 
 SQUARES = b"""M83
 ;LAYER_CHANGE

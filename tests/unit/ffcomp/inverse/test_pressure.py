@@ -7,8 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ffcomp.inverse.pressure import Lead, lead_of
-from ffcomp.inverse.reference import Reference
+from ffcomp.inverse.reference import Lead, Reference, lead_of
 from ffcomp.inverse.settings import settings_for
 from ffcomp.planner.program import PlannedProgram, plan_program
 from gcode.reader import read_program

@@ -12,12 +12,13 @@ from ffcomp.errors import LimitsError
 from ffcomp.planner.program import plan_program
 from ffcomp.planner.trajectory import Trajectory
 from ffcomp.steps import compress, sink
-from ffcomp.steps.archive import StepsError, is_step_archive, read_events, read_steps
+from ffcomp.steps.archive import StepsError, is_step_archive, read_steps
 from ffcomp.steps.crossings import Pieces, knot_pieces, trajectory_pieces
 from ffcomp.steps.sink import Board, MotorTotal, StepSink
 from gcode.reader import read_program
 from models.errors import UnreachableError
 from models.file import load_machine
+from tests.support.steps import read_events
 
 MACHINE = load_machine("mp-delta-pro")
 BOARD = Board(extruder_steps_per_mm=415.0)
@@ -97,11 +98,6 @@ def test_events_come_back_byte_for_byte(tmp_path: Path) -> None:
     times, lines = read_events(tmp_path / "steps")
     np.testing.assert_allclose(times, [t for t, _ in EVENTS], atol=1 / BOARD.clock_hz)
     assert lines == [line.rstrip(b"\r\n") for _, line in EVENTS]
-
-
-def test_an_archive_without_events_has_none(tmp_path: Path) -> None:
-    np.savez(tmp_path / "steps.npz", clock_hz=1e6)
-    assert read_events(tmp_path / "steps.npz")[1] == []
 
 
 def knots(*vertices: tuple[float, float, float], begin_s: float = 0.1, spacing_s: float = 0.5) -> Pieces:
