@@ -73,7 +73,8 @@ def test_every_rival_is_a_method_by_name_and_the_best_is_compared_unless_others_
 
 
 def test_compare_evaluates_them_like_any_shaper() -> None:
-    request = Request(Sampling(0, 0), quality_bound_um=0.0, only=("mzv-z", "mzv-carriages-calibrated"))
+    only = ("mzv-z", "mzv-carriages-calibrated")
+    request = Request(Sampling(0, 0), quality_bound_um=0.0, only=only, predict=False)
     found = compare(Print(squares(), "squares.gcode", MACHINE), request=request)
     rms = {name: method.track.contour_rms_um for name, method in found.methods.items()}
     assert found.best_fixed == "mzv-z"

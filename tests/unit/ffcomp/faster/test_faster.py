@@ -119,7 +119,8 @@ def test_a_bound_that_no_speed_holds_is_told_with_what_is_held(tmp_path: Path, f
     options = Options(settings=settings_for(MACHINE), bound=bound)
     target = tmp_path / "out.gcode"
     result = Job(prints.squares(2), "squares", MACHINE, options).write(target)
-    held = result.faster and result.faster.contour_p99_um
+    assert result.faster is not None
+    held = result.faster.contour_p99_um
     assert held is not None and 1.1 < held < 2.5
     (sentence,) = (line for line in result.warning_lines if "is not held" in line)
     assert f"The bound of 1 µm is not held: for 99 % of the time the predicted error is below {held:.2g} µm" in sentence

@@ -7,7 +7,9 @@ them: turned, tilted by 2°, with counts of 3.9 mg, noise of 0.15 m/s², gravity
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -52,16 +54,30 @@ def short_plan(machine: Machine) -> Plan:
     return replace(plan, experiments=tuple(each for each in plan.experiments if each.kind in KINDS))
 
 
+@pytest.fixture(scope="module")
+def bench_of(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Bench]:
+    return cache(lambda what: recorded(what, tmp_path_factory.mktemp("captures")))
+
+
 @pytest.fixture(scope="module", params=["120 g", "3 N"])
-def bench(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Bench:
+def either(request: pytest.FixtureRequest, bench_of: Callable[[str], Bench]) -> Bench:
+    return bench_of(request.param)
+
+
+@pytest.fixture(scope="module")
+def bench(bench_of: Callable[[str], Bench]) -> Bench:
+    return bench_of("3 N")
+
+
+def recorded(what: str, folder: Path) -> Bench:
     machine = load_machine("mp-delta-pro")
     hidden = {**delta_plant.load_machine(machine.path), "effects": {}}
-    if request.param == "120 g":
+    if what == "120 g":
         hidden["effector"] = {**hidden["effector"], "nozzle_mass_kg": hidden["effector"]["nozzle_mass_kg"] + 0.12}
     else:
         hidden["towers"] = {"friction_n": [3.0] * 3, "stiction": 0.3}
     rng = np.random.default_rng(7)
-    plan, folder, chip = short_plan(machine), tmp_path_factory.mktemp("captures"), draw_chip(rng, TURNED)
+    plan, chip = short_plan(machine), draw_chip(rng, TURNED)
     felt = {e.name: nozzle_felt(hidden, e.motion.nozzle, -1.2, e.duration_s + 0.8) for e in plan.experiments}
     made = Bench(folder, plan, machine, chip, felt, {}, {})
     for kind in ("klipper", "free"):
@@ -76,40 +92,45 @@ def bench(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
     return made
 
 
-@pytest.fixture(scope="module")
-def klipper(bench: Bench) -> JoinResult:
+@cache
+def joined(bench: Bench) -> JoinResult:
     return join_captures(bench.paths("klipper"), bench.plan, bench.machine)
 
 
-def test_klippers_captures_are_joined_within_a_tenth_of_a_millisecond(bench: Bench, klipper: JoinResult) -> None:
-    assert [each.name for each in klipper.joined] == sorted(bench.begin) and not klipper.refused
-    for each in klipper.joined:
+@pytest.fixture
+def klipper(bench: Bench) -> JoinResult:
+    return joined(bench)
+
+
+def test_klippers_captures_are_joined_within_a_tenth_of_a_millisecond(either: Bench) -> None:
+    assert [each.name for each in joined(either).joined] == sorted(either.begin) and not joined(either).refused
+    for each in joined(either).joined:
         first = float(Path(each.source).read_text().splitlines()[1].split(",")[0])
-        truth = first - bench.begin[each.name] - 1.0
+        truth = first - either.begin[each.name] - 1.0
         assert abs(each.clock.offset_s - truth) < 1e-4
         assert each.clock.ratio == 1.0 and each.clock.correlation > 0.99
         assert abs(each.clock.offset_s - truth) < 3 * each.clock.offset_sd_s
 
 
-def test_a_free_clock_is_aligned_within_three_tenths(bench: Bench) -> None:
-    found = join_captures(bench.paths("free"), bench.plan, bench.machine)
+def test_a_free_clock_is_aligned_within_three_tenths(either: Bench) -> None:
+    found = join_captures(either.paths("free"), either.plan, either.machine)
     assert len(found.joined) == 4 and not found.refused
     for each in found.joined:
         lines = Path(each.source).read_text().splitlines()
         count, stated = len(lines) - 2, float(lines[-1].split()[1].rstrip(","))
         middle = 0.5 * (count - 1)
-        truth = bench.first[each.name] + middle / bench.chip.rate_hz
+        truth = either.first[each.name] + middle / either.chip.rate_hz
         assert abs(each.clock.offset_s + each.clock.ratio * middle / stated - truth) < 3e-4
-        assert each.clock.ratio == pytest.approx(stated / bench.chip.rate_hz, abs=2e-4)
+        assert each.clock.ratio == pytest.approx(stated / either.chip.rate_hz, abs=2e-4)
         assert abs(each.clock.ratio - 1.0) < 5e-3
 
 
-def test_axes_and_tilt_are_found_and_gravity_is_gone(bench: Bench, klipper: JoinResult) -> None:
-    assert {each.axes_map for each in klipper.joined} == {"-z,-x,y"}
-    for each in klipper.joined:
+def test_axes_and_tilt_are_found_and_gravity_is_gone(either: Bench) -> None:
+    assert {each.axes_map for each in joined(either).joined} == {"-z,-x,y"}
+    for each in joined(either).joined:
         t = each.recording.time_s - 0.5
         assert t[0] == pytest.approx(-0.5, abs=1e-3)
-        truth = bench.felt[each.experiment](t)
+        truth = either.felt[each.experiment](t)
         for i, axis in enumerate("xyz"):
             error = each.recording.acceleration[f"acc_{axis}"] - truth[:, i]
             # the noise, and a tenth of a millisecond of what rings at 43 Hz
@@ -137,18 +158,8 @@ def test_a_joined_run_reads_back(klipper: JoinResult, tmp_path: Path) -> None:
 def test_the_json_object_is_the_fixed_one(klipper: JoinResult) -> None:
     found = klipper.to_dict(["a.csv"] * 4)
     assert found["schema"] == "ffcomp-join/1" and found["refused"] == []
-    keys = [
-        "file",
-        "experiment",
-        "repeat",
-        "offset_s",
-        "offset_sd_s",
-        "clock_ratio",
-        "clock_sd",
-        "correlation",
-        "overflows",
-    ]
-    assert all(set(keys) <= set(run) for run in found["runs"])
+    keys = "file experiment repeat offset_s offset_sd_s clock_ratio clock_sd correlation overflows"
+    assert all(set(keys.split()) <= set(run) for run in found["runs"])
 
 
 def one(bench: Bench) -> Path:
@@ -216,8 +227,8 @@ def test_lost_samples_are_refused(bench: Bench, tmp_path: Path) -> None:
 def test_a_renamed_capture_is_known_by_its_motion(bench: Bench, tmp_path: Path) -> None:
     path = tmp_path / "adxl345-other-1.csv"
     path.write_bytes(one(bench).read_bytes())
-    (joined,) = join_captures([path], bench.plan, bench.machine).joined
-    assert joined.name == one(bench).stem.removeprefix("adxl345-")[:-1] + "1" and joined.source == str(path)
+    (found,) = join_captures([path], bench.plan, bench.machine).joined
+    assert found.name == one(bench).stem.removeprefix("adxl345-")[:-1] + "1" and found.source == str(path)
 
 
 def test_wrong_axes_are_refused(bench: Bench) -> None:
@@ -238,8 +249,8 @@ def test_a_few_lost_rows_are_gaps(bench: Bench, tmp_path: Path) -> None:
     lines = one(bench).read_text().splitlines(keepends=True)
     path = tmp_path / one(bench).name
     path.write_text("".join(lines[:5000] + lines[5020:]))
-    (joined,) = join_captures([path], bench.plan, bench.machine).joined
-    assert 18 <= joined.recording.gaps.sum() <= 24
+    (found,) = join_captures([path], bench.plan, bench.machine).joined
+    assert 18 <= found.recording.gaps.sum() <= 24
 
 
 def test_single_lost_rows_are_bridged_within_the_noise(bench: Bench, tmp_path: Path) -> None:
