@@ -17,6 +17,7 @@ from ffcomp.diagnosis.diagnosis import _fitted_to_the_end
 from ffcomp.diagnosis.fidelity import by_continuation, continue_fit, fit_within_uncertainty, from_short_horizon
 from ffcomp.diagnosis.fit import EstimationProblem, Fit, derivatives, estimation_problem, fit, values_at
 from ffcomp.diagnosis.hypotheses import Hypothesis
+from ffcomp.diagnosis.moves import free_shapes
 from ffcomp.diagnosis.noise import noise_floor, whitener
 from ffcomp.diagnosis.problem import Candidate, Parameter
 from ffcomp.diagnosis.problems import problem_of, recordings_of
@@ -29,23 +30,13 @@ NAMES = ("belt_backlash", "coulomb_friction", "belt_stiffness")
 WIDTH = "effects.belt_backlash.width_mm"
 
 
-def linear(measured: np.ndarray, columns: dict[str, np.ndarray], start: dict[str, float]) -> Any:
-    """A problem whose simulation is linear in its parameters."""
-
-    def residuals(many: Sequence[Mapping[str, float]]) -> Iterator[np.ndarray]:
-        for v in many:
-            yield measured - sum(columns[n] * (v.get(n, x) - x) for n, x in start.items())
-
-    return SimpleNamespace(residuals=residuals, coarse=False)
-
-
 def test_numbers_that_make_up_for_each_other_come_back_before_an_effect_is_named_for_it() -> None:
     """Mass and stiffness four uncertainties off leave nothing, as they do at home: no effect is needed."""
     rng = np.random.default_rng(2)
     both = rng.standard_normal(LONG)
     columns = {"mass": 3.0 * both, "belt": -3.0 * both}
     own = tuple(Parameter(n, 0.0, 1.0, -5.0, 5.0) for n in columns)
-    problem = linear(rng.standard_normal(LONG), columns, dict.fromkeys(columns, 0.0))
+    problem: Any = Linear(rng.standard_normal(LONG), columns)
     z = np.array([4.0, 4.0])
     jacobian = np.stack(list(columns.values()), axis=1)
     astray = Fit(own, z, next(problem.residuals([values_at(own, z)])), jacobian)
@@ -161,3 +152,45 @@ def test_where_nothing_explains_the_beginnings_nothing_is_followed(folder: Path)
     base = retuned(estimation)
     others = [c for c in estimation.problem.candidates if c.name == "belt_stiffness"]
     assert from_short_horizon(estimation, screen(estimation, base, others), lambda said: None) is None
+
+
+# ---- shapes set free -----------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Linear:
+    """A problem whose simulation is linear in its parameters, of one motion."""
+
+    measured: np.ndarray
+    columns: Mapping[str, np.ndarray]
+    coarse: bool = False
+    only: tuple[int, ...] = (0,)
+    may_go_on: bool = True
+
+    def residual(self, values: Mapping[str, float]) -> np.ndarray:
+        return np.asarray(self.measured - sum(values.get(n, 0.0) * column for n, column in self.columns.items()))
+
+    def residuals(self, many: Sequence[Mapping[str, float]]) -> Iterator[np.ndarray]:
+        return map(self.residual, many)
+
+
+def test_a_usual_shape_that_bends_the_numbers_beside_it_is_set_free() -> None:
+    """A sine without the belt's share fits nearly as well with a wrong amplitude: its interval would lie."""
+    rng = np.random.default_rng(5)
+    size, share = Parameter("effects.sine.size", 0.0, 10.0), Parameter("effects.sine.share", 0.0, 1.0)
+    along, across = rng.standard_normal((2, LONG))
+    columns = {size.name: along, share.name: 0.2 * along + 0.05 * across}
+    sine = Candidate("sine", (size,), {}, finer=(share,))
+
+    def explained(shared: float) -> Hypothesis:
+        measured = rng.standard_normal(LONG) + 3.0 * along + shared * columns[share.name]
+        problem: Any = Linear(measured, columns)
+        alone = 10.0 * along[:, None]
+        z = np.linalg.lstsq(alone, measured, rcond=None)[0]
+        held = Hypothesis((sine,), Fit((size,), z, measured - alone @ z, alone))
+        return free_shapes(problem, held, lambda _: None)
+
+    freed = explained(2.0)
+    assert freed.fit.values[size.name] == pytest.approx(3.0, abs=0.1)
+    assert freed.fit.values[share.name] == pytest.approx(2.0, abs=0.4)
+    assert explained(0.0).effects == (sine,)  # nothing asks for it

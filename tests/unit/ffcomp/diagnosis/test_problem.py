@@ -1,13 +1,17 @@
-"""What a candidate may be in the motion that was recorded."""
+"""What a candidate may be in the motion that was recorded, and parameters of no possible printer."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from ffcomp.diagnosis.candidates import within_travel
-from ffcomp.diagnosis.problem import Candidate, Parameter
+from ffcomp.diagnosis.printer_problem import PrinterProblem
+from ffcomp.diagnosis.problem import Candidate, InfeasibleParameters, Parameter
+from ffcomp.measurement.recording import Recording
+from models.file import load_machine
 
 AMPLITUDE = Parameter("effects.cogging.amplitude_mm", 0.0, 0.01)
 PITCH = Parameter("effects.cogging.pitch_mm", 0.2, 0.4, 0.05, 50.0)
@@ -27,3 +31,14 @@ def test_without_two_periods_there_is_no_ripple_to_name() -> None:
     assert within_travel(COGGING, 0.3) is None
     friction = replace(COGGING, shapes=(), grid=({},))
     assert within_travel(friction, 0.3) == friction
+
+
+def test_arms_too_short_for_the_bed_are_infeasible_and_stop_nothing() -> None:
+    t = np.arange(400) / 1600.0
+    moving = np.column_stack([0.5 * np.sin(40.0 * t) ** 2, np.zeros(400), np.full(400, 30.0)])
+    run = Recording("run.csv", t, moving, "nozzle", {"acc_x": np.sin(40.0 * t)}, {}, np.zeros(400, dtype=np.bool_), {})
+    problem = PrinterProblem(load_machine("mp-delta-pro"), [run])
+    short = {f"effects.arm_geometry.arm_length_mm[{i}]": -250.0 for i in range(3)}
+    impossible, plain = problem.simulate_many([short, {}])
+    assert isinstance(impossible, InfeasibleParameters) and "arm" in str(impossible)
+    assert not isinstance(plain, InfeasibleParameters) and len(plain) == 1
