@@ -202,6 +202,21 @@ def hold_out(estimation: EstimationProblem, base: Fit, best: Fit) -> list[HeldOu
     return left_out
 
 
+def motions_against(estimation: EstimationProblem, larger: Fit, smaller: Fit) -> bool:
+    """Leave each motion out in turn: tell whether the larger model simulates as many of them worse as better.
+
+    What a motion alone shows is in no other: left out, it is simulated neither better nor worse.
+    """
+    motions = estimation.problem.motions
+    better = worse = 0
+    for one in sorted(set(motions)) if len(set(motions)) > 1 else ():
+        members = [i for i, motion in enumerate(motions) if motion == one]
+        less, more = (excess(estimation, _left_out(estimation, each, members), members) for each in (smaller, larger))
+        worse += more > max(SETTINGS.worse_place * less, estimation.tolerance)
+        better += less > max(SETTINGS.worse_place * more, estimation.tolerance)
+    return worse >= max(better, 1)
+
+
 def _left_out(estimation: EstimationProblem, fitted: Fit, members: Sequence[int]) -> list[FloatArray]:
     """Simulate these observations, (n, m) each, with the parameters that the others alone give.
 

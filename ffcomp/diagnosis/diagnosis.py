@@ -72,6 +72,7 @@ class Diagnosis:
     held_out: Sequence[HeldOut] = ()
     rejections: tuple[str, ...] = ()  # acceptance tests that the best hypothesis failed, in words
     intervals: Mapping[str, Estimate] = field(default_factory=dict)  # of all parameters of the best hypothesis
+    scattered: Sequence[str] = ()  # parameters whose intervals few motions make much wider, by how far they scatter
     fault: Fault | None = None  # of the recordings
     dominant: Dominant | None = None  # the effect that holds most of the discrepancy, and leaves a rest
     file_off: Fit | None = None  # the machine's numbers alone, far beyond their uncertainties, if they explain as much
@@ -294,6 +295,11 @@ def _tested(none: Diagnosis, searched: _Searched, best: Hypothesis, progress: Pr
     best = _believable(none, best, progress)
     final = parsimonious_fit(estimation, best)
     intervals = intervals_of(estimation, best.fit, final.values)
+    # a shape that is not ours is wrong alike in all blocks of frequencies and all motions: Birge's ratio
+    # (Physical Review 40, 1932) on top of what they show
+    birge = float(np.sqrt(best.fit.misfit))
+    wide = intervals_of(estimation, best.fit, final.values, scatter=True, wider=birge)
+    few = len(set(estimation.problem.motions)) <= SETTINGS.few_motions
     held_out = hold_out(estimation, none.base, best.fit)
     signal = float(estimation.measured @ estimation.measured) / len(estimation.measured) - 1
     failed = tuple(rejections(none.base, best, held_out, intervals, estimation.tolerance, signal))
@@ -313,9 +319,8 @@ def _tested(none: Diagnosis, searched: _Searched, best: Hypothesis, progress: Pr
         competing=competing_with(there, ranked, searched.share, none.base.discrepancy),
         held_out=held_out,
         rejections=failed,
-        # a shape that is not ours is wrong alike in all blocks of frequencies and all motions: Birge's ratio
-        # (Physical Review 40, 1932) on top of what they show
-        intervals=intervals_of(estimation, best.fit, final.values, True, float(np.sqrt(best.fit.misfit))),
+        intervals=wide,
+        scattered=[name for name, e in wide.items() if few and e.sd > 2 * birge * intervals[name].sd],
     )
 
 

@@ -13,6 +13,7 @@ from itertools import combinations, product
 
 import numpy as np
 
+from ffcomp.diagnosis.acceptance import motions_against
 from ffcomp.diagnosis.fidelity import (
     ESTIMATE_SCALES,
     USUAL_SIZES,
@@ -195,8 +196,9 @@ def add_file_change(search: Search, best: Hypothesis) -> list[Hypothesis]:
 def drop(search: Search, best: Hypothesis) -> Hypothesis:
     """Drop effects whose intervals include none, or that the others can do without, while nothing significant is lost.
 
-    A number of the file that is off may bring in an effect beside the right one, before that one is there. And where
-    the others leave nothing, what no two motions agree on is the error of their shapes, however significant it is.
+    A number of the file that is off may bring in an effect beside the right one, before that one is there. And what no
+    two motions agree on is the error of the others' shapes, however significant it is, where these leave nothing, or
+    where it does as much harm as good to motions that it was not fitted to.
     """
     estimation = search.estimation
     intervals, agreed = (intervals_of(estimation, best.fit, best.fit.values, scatter=each) for each in (False, True))
@@ -212,9 +214,10 @@ def drop(search: Search, best: Hypothesis) -> Hypothesis:
     least = min(idle, key=lambda c: without[c.name].evidence)
     smaller = refit(estimation, best.without(least), search.progress)
     nothing_left = smaller.discrepancy < max(estimation.tolerance, search.trace)
-    nothing_lost = least in disputed and nothing_left and smaller.plausible
-    if significant(best.fit, smaller.fit) and not nothing_lost:
-        return best
+    if significant(best.fit, smaller.fit):
+        spurious = least in disputed and smaller.plausible
+        if not (spurious and (nothing_left or motions_against(estimation, best.fit, smaller.fit))):
+            return best
     return drop(search, fit_exactly(estimation, smaller, search.progress))
 
 

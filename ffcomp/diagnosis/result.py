@@ -133,6 +133,9 @@ class DiagnosisResult:
     gap: Gap
     rest: Rest | None = None  # of an effect that is named with a rest
     undetermined: Sequence[str] = ()  # numbers of the effects at their bounds, or open over all of their range
+    # numbers whose intervals are wide because few motions scatter -> as the machine file calls them
+    scattered: Mapping[str, str] = field(default_factory=dict)
+    motions: int = 0  # different ones, in the recordings
     file: FileNumbers
     names: MachineNames = field(default_factory=MachineNames)
     late_s: Mapping[str, float] = field(default_factory=dict)  # files that lie off their command by more than 0.1 ms
@@ -211,6 +214,12 @@ def result_of(problem: Problem, diagnosis: Diagnosis) -> DiagnosisResult:
         undetermined=[]
         if diagnosis.best is None
         else [name.removeprefix("effects.") for name in undetermined(diagnosis.best, diagnosis.intervals)],
+        scattered={
+            n.removeprefix("effects."): key(n).removeprefix("effects.")
+            for n in diagnosis.scattered
+            if n.startswith("effects.")
+        },
+        motions=len(set(problem.motions)),
         file=FileNumbers(
             retuned={key(name): values for name, z, values in moved if abs(z) > RETUNED_SD},
             off={} if diagnosis.file_off is None else {key(n): x for n, x in _off(diagnosis.file_off).items()},

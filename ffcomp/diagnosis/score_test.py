@@ -130,9 +130,9 @@ def _likely(
 def _other_shapes(c: Candidate, best: Screened) -> list[Shape]:
     """List the shapes to try the other form with: the best one so far; all of them where that form fixes a shape."""
     fixed = {n.name: n.start for n in (c.other or c).shapes if n.low == n.high}
-    own = [shape for shape in (c.other or c).grid if not shape.keys() <= best.shape.keys()]
-    if own and not fixed:  # several lines: its shapes are not those of one
-        return list(own)
+    several = [shape for shape in (c.other or c).grid if not shape.keys() <= best.shape.keys()]
+    if several and not fixed:  # lines, whose shapes are not those of one
+        return list(several)
     if not fixed:
         return [best.shape]
     distinct = {tuple(({**shape, **fixed}).items()) for shape in c.grid}

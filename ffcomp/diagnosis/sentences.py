@@ -77,17 +77,29 @@ def where_left(rest: Rest) -> str:
 
 def instead(rest: Rest) -> list[str]:
     """Say what else would explain how much."""
-    told = [f"{joined(list(names))} would explain {percent(max(share, 0.0))}" for names, share in rest.rivals]
-    return [f"Of other effects {joined(told)} there."] if told else []
+    shares = [f"{joined(list(names))} would explain {percent(max(share, 0.0))}" for names, share in rest.rivals]
+    return [f"Of other effects {joined(shares)} there."] if shares else []
 
 
 def undetermined_numbers(result: DiagnosisResult) -> list[str]:
-    """Say which numbers these recordings leave open."""
-    if not result.undetermined:
-        return []
+    """Say which numbers these recordings leave open, and which so few motions do."""
+    numbers = [name for name in result.undetermined if name not in result.scattered]
+    if not numbers:
+        return few_motions(result)
     return [
-        f"These recordings do not determine {joined(list(result.undetermined))}: any value near the end of its range "
-        "fits as well."
+        f"These recordings do not determine {joined(numbers)}: any value near the end of its range fits as well.",
+        *few_motions(result),
+    ]
+
+
+def few_motions(result: DiagnosisResult) -> list[str]:
+    """Say why intervals are wide that would be narrow within each motion."""
+    if not result.scattered:
+        return []
+    names = joined(list(result.scattered.values()))
+    return [
+        f"Of {names} the {result.motions} motions by themselves give different values, and so few do not tell how "
+        "different those of others are: that makes the interval so wide. Record more motions."
     ]
 
 

@@ -98,6 +98,7 @@ class SearchSettings:
     mostly: float = _setting(0.9, "of the discrepancy", "an explanation that failed a test is worth reporting")
     confounded: float = _setting(0.8, "cos²", "of projected signatures from which effects are confounded")
     block_hz: float = _setting(5.0, "Hz", "over which the residual of a wrong shape keeps its sign, for intervals")
+    few_motions: int = _setting(3, "motions", "that do not tell how far a value scatters", "Student's t")
     separates_rms: float = _setting(0.3, "of the noise, rms", "between predictions, that tells them apart", "1000 rows")
     loosened: float = _setting(5.0, "ratio", "of uncertainties, in the fit of the file's numbers that may all be wrong")
     as_loose: float = _setting(1.5, "ratio", "of what the effects leave: such a fit explains as much")

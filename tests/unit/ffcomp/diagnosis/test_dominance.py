@@ -8,8 +8,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ffcomp.diagnosis.acceptance import Dominant, HeldOut, contradicting, dominant_effect, explained_elsewhere
-from ffcomp.diagnosis.fit import estimation_problem, fit
+from ffcomp.diagnosis.acceptance import (
+    Dominant,
+    HeldOut,
+    contradicting,
+    dominant_effect,
+    explained_elsewhere,
+    motions_against,
+)
+from ffcomp.diagnosis.fit import EstimationProblem, Fit, estimation_problem, fit
 from ffcomp.diagnosis.hypotheses import Hypothesis
 from ffcomp.diagnosis.noise import noise_from_repeats, whitener
 from ffcomp.diagnosis.problem import Candidate, Observation, Parameter, Problem
@@ -44,6 +51,7 @@ class Linear(Problem):
     band_hz = (1.0, 200.0)
     name, path, recordings = "linear", "", ()
     parameters = (Parameter("gain", 1.0, 0.02),)
+    motions = tuple(2 * (i // 2) for i in range(2 * len(PLACES)))  # each is recorded twice
 
     def __init__(self, sizes: Sequence[float], rest: float, names: Sequence[str]) -> None:
         rng = np.random.default_rng(3)
@@ -70,12 +78,17 @@ class Linear(Problem):
         return [y[:, None]] * len(range(len(self.observations)) if only is None else only)
 
 
-def dominant(sizes: Sequence[float], rest: float = 0.5, names: Sequence[str] = (RUBS, BENDS)) -> Dominant | None:
-    problem = Linear(sizes, rest, names)
+def begun(problem: Problem) -> tuple[EstimationProblem, Fit]:
+    """The problem with its noise, and its own parameter fitted alone."""
     floor = noise_from_repeats(problem.observations)
     assert floor is not None
     estimation = estimation_problem(problem, whitener(problem.observations, floor, problem.band_hz))
-    base = fit(estimation, problem.parameters, np.zeros(1))
+    return estimation, fit(estimation, tuple(problem.parameters), np.zeros(1))
+
+
+def dominant(sizes: Sequence[float], rest: float = 0.5, names: Sequence[str] = (RUBS, BENDS)) -> Dominant | None:
+    problem = Linear(sizes, rest, names)
+    estimation, base = begun(problem)
     tried = [
         Hypothesis((c,), fit(estimation, (*problem.parameters, *c.parameters), np.zeros(2))) for c in problem.candidates
     ]
@@ -107,6 +120,17 @@ def test_an_effect_that_leaves_a_rest_is_named_with_what_it_explains() -> None:
 )
 def test_what_is_only_the_nearest_is_not_named(sizes: Sequence[float], rest: float, names: Sequence[str]) -> None:
     assert dominant(sizes, rest, names) is None
+
+
+@pytest.mark.parametrize(
+    ("sizes", "against"),
+    [((1.0, 1.1, 0.9, 1.0), False), ((1.0, -1.0, 1.0, -1.0), True), ((2.0, -0.5, -0.5, -0.5), True)],
+)
+def test_an_effect_that_harms_motions_it_was_not_fitted_to_is_told(sizes: Sequence[float], against: bool) -> None:
+    problem = Linear(sizes, 0.1, (RUBS,))
+    estimation, base = begun(problem)
+    larger = fit(estimation, (*problem.parameters, size_of(RUBS)), np.zeros(2))
+    assert motions_against(estimation, larger, base) == against
 
 
 def test_a_window_with_little_motion_refuses_nothing() -> None:

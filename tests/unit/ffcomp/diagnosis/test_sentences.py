@@ -122,6 +122,15 @@ def test_a_file_is_written_for_retuning_only_where_it_holds_elsewhere() -> None:
     assert not result("nothing", **closed, held_out=(0.02, 0.006), late_s={"a.csv": 1e-3}).mends
 
 
+def test_an_interval_that_few_motions_make_wide_is_told_from_a_number_that_nothing_determines() -> None:
+    name = "effector_mass.added_kg"
+    sentences = " ".join(
+        summary_sentences(result(undetermined=[name], scattered={name: "effector_mass.added_g"}, motions=2))
+    )
+    assert "Of effector_mass.added_g the 2 motions by themselves give different values" in sentences
+    assert "Record more motions." in sentences and "do not determine" not in sentences
+
+
 @pytest.mark.parametrize("finding", FINDINGS)
 def test_every_finding_has_sentences_and_steps(finding: str) -> None:
     found = result(finding)
