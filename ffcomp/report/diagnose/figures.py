@@ -12,9 +12,9 @@ from matplotlib.patches import Circle
 from matplotlib.ticker import NullLocator
 
 from ffcomp.diagnosis.acceptance import HeldOut
+from ffcomp.diagnosis.words import digits, times, times_noise
 from ffcomp.report.diagnose.sentences import stands_out
 from ffcomp.report.diagnose.summary import Confounding, DiagnosisSummary, Overlay, Spectrum, Split
-from ffcomp.report.diagnose.words import digits, times, times_noise
 from ffcomp.report.drawing import (
     AFTER,
     BEFORE,

@@ -11,9 +11,9 @@ from ffcomp.diagnosis.diagnosis import Diagnosis
 from ffcomp.diagnosis.next_experiment import Proposal
 from ffcomp.diagnosis.result import DiagnosisResult
 from ffcomp.diagnosis.sentences import summary_sentences
+from ffcomp.diagnosis.words import evidence, joined, most_of, percent, times, times_noise, title
 from ffcomp.report.diagnose.summary import DiagnosisSummary, Split
 from ffcomp.report.diagnose.tables import in_words
-from ffcomp.report.diagnose.words import evidence, joined, most_of, percent, times, times_noise, title
 
 
 @dataclass(frozen=True)

@@ -14,9 +14,7 @@ from ffcomp.diagnosis.diagnosis import Diagnosis
 from ffcomp.diagnosis.fit import intervals_of
 from ffcomp.diagnosis.result import RETUNED_SD, DiagnosisResult, of_machine
 from ffcomp.diagnosis.score_test import separated_by
-from ffcomp.identification.uncertainty import Estimate
-from ffcomp.report.diagnose.summary import Confounding
-from ffcomp.report.diagnose.words import (
+from ffcomp.diagnosis.words import (
     INFINITELY,
     digits,
     evidence,
@@ -27,6 +25,8 @@ from ffcomp.report.diagnose.words import (
     times_noise,
     title,
 )
+from ffcomp.identification.uncertainty import Estimate
+from ffcomp.report.diagnose.summary import Confounding
 from ffcomp.report.drawing import AFTER, BEFORE, SOFT
 from models.effects.effect import Effect, Parameter
 from models.quantities import Quantities

@@ -14,14 +14,13 @@ import numpy as np
 import pytest
 
 from ffcomp.cli.app import app
-from ffcomp.diagnosis import problems, verb
+from ffcomp.diagnosis import problems, verb, words
 from ffcomp.diagnosis.gap import ResidualSize
 from ffcomp.diagnosis.next_experiment import Proposal
 from ffcomp.diagnosis.printer_problem import PrinterProblem
 from ffcomp.diagnosis.result import DiagnosisResult, Gap
 from ffcomp.identification.uncertainty import Estimate, normal
 from ffcomp.report.diagnose import page as pages
-from ffcomp.report.diagnose import words
 from ffcomp.report.diagnose.page import page
 from ffcomp.report.diagnose.sentences import ReportInput, stands_out, verdict
 from ffcomp.report.diagnose.summary import DiagnosisSummary, Split
