@@ -13,10 +13,10 @@ from typing import Any
 
 import numpy as np
 
-from ffcomp.check.history import Check, plan_hash
+from ffcomp.check.history import Check, moves_hash
 from ffcomp.check.parts import Part, Signatures, fitted
 from ffcomp.check.signals import RATE_HZ, SensorSignal, Weighed, signals_of, weighed
-from ffcomp.record.plan import Plan
+from ffcomp.record.plan import Plan, plan_dict
 from ffcomp.record.result import JoinResult
 from models.arrays import FloatArray
 from models.machine import Machine
@@ -332,7 +332,7 @@ class CheckResult:
 def check_result(joined: JoinResult, plan: Plan, machine: Machine, history: Sequence[Check], date: str) -> CheckResult:
     """Compare what was joined with the machine file and with the history."""
     signals = signals_of(joined.joined, plan)
-    moves = plan_hash(plan)
+    moves = moves_hash(plan_dict(plan)["experiments"])
     comparable = [each for each in history if each.plan == moves and each.signals]
     known = [each for each in comparable if each.is_same_recording(signals)]
     earlier = comparable[: comparable.index(known[0])] if known else comparable

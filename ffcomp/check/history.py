@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Container, Sequence
+from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,11 +17,11 @@ import numpy as np
 
 from ffcomp.check.signals import SensorSignal
 from ffcomp.errors import MeasurementError
-from ffcomp.record.plan import Plan, plan_dict
 from gcode.atomic_write import replace_atomically
 
 SCHEMA = "ffcomp-check-history/1"
 MOST, WITH_MOTION = 100, 5  # checks; the last ones whose motion is kept, besides the first
+FORMER_LIMITS = {"filament_diameter_mm": 1.75, "nozzle_diameter_mm": 0.4}  # that plans stated, and histories hashed
 MM = 1e3  # accelerations are kept as whole mm/s²
 
 
@@ -30,7 +30,7 @@ class Check:
     """One check of the history."""
 
     date: str  # ISO 8601
-    plan: str  # of what moves it is, see `plan_hash`
+    plan: str  # of what moves it is, see `moves_hash`
     machine_sha256: str
     axes_map: str
     finding: str
@@ -52,9 +52,9 @@ class Check:
         )
 
 
-def plan_hash(plan: Plan) -> str:
-    """Return what tells moves from others."""
-    moves = plan_dict(plan)["experiments"]
+def moves_hash(experiments: Sequence[Mapping[str, Any]]) -> str:
+    """Return what tells the moves of a plan from others; of earlier plans the same as when they were made."""
+    moves = [{**each, "limits": {**each["limits"], **FORMER_LIMITS}} for each in experiments]
     return hashlib.sha256(json.dumps(moves, sort_keys=True).encode()).hexdigest()
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -12,7 +13,7 @@ import numpy as np
 import pytest
 
 from ffcomp.check.compare import CheckResult, check_result
-from ffcomp.check.history import MOST, WITH_MOTION, Check, read_history, write_history
+from ffcomp.check.history import MOST, WITH_MOTION, Check, moves_hash, read_history, write_history
 from ffcomp.check.parts import Signatures
 from ffcomp.check.signals import SensorSignal, signals_of
 from ffcomp.errors import MeasurementError
@@ -202,6 +203,14 @@ def test_a_history_keeps_what_it_was_given_and_stays_small(tmp_path: Path) -> No
     assert [each.date for each in read] == [str(k) for k in range(7, MOST + 7)]
     assert [bool(each.signals) for each in read] == [True, *[False] * (MOST - 1 - WITH_MOTION), *[True] * WITH_MOTION]
     assert np.array_equal(read[-1].signals[0].acceleration, light("", seed=MOST + 6).signals[0].acceleration)
+
+
+def test_checks_of_plans_made_before_stay_comparable(tmp_path: Path) -> None:
+    """A history knows its moves by a hash that then held the diameters of nozzle and filament."""
+    move: dict[str, Any] = {"name": "a", "kind": "zigzag", "limits": {"velocity_mm_per_s": 100.0}}
+    before = {**move, "limits": {**move["limits"], "filament_diameter_mm": 1.75, "nozzle_diameter_mm": 0.4}}
+    hashed = hashlib.sha256(json.dumps([before], sort_keys=True).encode()).hexdigest()
+    assert moves_hash([move]) == moves_hash([before]) == hashed
 
 
 @pytest.mark.parametrize("damage", ["half", "other", "numbers"])
