@@ -100,7 +100,7 @@ def not_installed(package: str) -> FfcompError:
 
 
 @contextmanager
-def extras_told() -> Iterator[None]:
+def missing_extras_explained() -> Iterator[None]:
     """Say which extra brings a package that is missing; also a decorator.
 
     Raises

@@ -14,7 +14,7 @@ from ffcomp.comparison.request import CompareRequest
 from ffcomp.comparison.result import Comparison
 from ffcomp.comparison.sampling import Print, Sampling
 from ffcomp.compensation.batch import workers
-from ffcomp.errors import RequestError, extras_told
+from ffcomp.errors import RequestError, missing_extras_explained
 from ffcomp.inverse.settings import settings_for
 from ffcomp.metrics import Track
 from ffcomp.request import function
@@ -50,7 +50,7 @@ class MethodComparison:
         """Return the JSON object ffcomp-compare/1."""
         return self.comparison.to_dict()
 
-    @extras_told()
+    @missing_extras_explained()
     def plot(self, name: Literal["close-up", "methods"] | str = "methods") -> Figure:
         """Draw one figure of the report.
 
@@ -66,7 +66,7 @@ class MethodComparison:
             raise RequestError(f"There is no figure {name!r}, but {', '.join(figures)}.")
         return figures[name]()
 
-    @extras_told()
+    @missing_extras_explained()
     def write_report(self, path: str | Path) -> None:
         """Write one HTML page that opens offline."""
         from ffcomp.report.compare.html import write_report

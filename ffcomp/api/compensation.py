@@ -13,7 +13,7 @@ from ffcomp.compensation.file import compensate_file
 from ffcomp.compensation.job import Options
 from ffcomp.compensation.request import CompensateRequest
 from ffcomp.compensation.result import CompensatedFile
-from ffcomp.errors import RequestError, extras_told
+from ffcomp.errors import RequestError, missing_extras_explained
 from ffcomp.integrations.slicer import Bed
 from ffcomp.metrics import Track
 from ffcomp.numerics.serialise import to_json
@@ -79,7 +79,7 @@ class Compensation:
             answer["faster"] |= {"if_known": to_json(self.if_known)}
         return answer
 
-    @extras_told()
+    @missing_extras_explained()
     def plot(self, *, z_mm: float | None = None) -> Figure:
         """Draw the reference, the uncompensated and the compensated path.
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ffcomp.api.machines import load_machine
-from ffcomp.errors import extras_told
+from ffcomp.errors import missing_extras_explained
 from ffcomp.estimation import engine as estimation
 from ffcomp.estimation.request import EstimateRequest
 from ffcomp.estimation.statistics import Statistics
@@ -38,7 +38,7 @@ class PrintTime:
         """Return the JSON object ffcomp-estimate/1."""
         return self.estimate.to_dict()
 
-    @extras_told()
+    @missing_extras_explained()
     def plot(self) -> Figure:
         """Draw the time by layer and by feature."""
         from ffcomp.report.estimate import estimate_figure

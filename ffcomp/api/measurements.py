@@ -10,7 +10,7 @@ from ffcomp.diagnosis.gap import gap_request
 from ffcomp.diagnosis.problems import paths_of, plant_of
 from ffcomp.diagnosis.request import DiagnoseRequest, GapRequest
 from ffcomp.diagnosis.verb import diagnose_request
-from ffcomp.errors import RequestError, extras_told
+from ffcomp.errors import RequestError, missing_extras_explained
 from ffcomp.identification.fitting import fit_files
 from ffcomp.identification.machine_fit import MachineFit
 from ffcomp.identification.request import IdentifyRequest
@@ -31,7 +31,7 @@ class Identification:
         """Return the JSON object ffcomp-identify-fit/1."""
         return self.fit.to_dict(None if self.output is None else str(self.output))
 
-    @extras_told()
+    @missing_extras_explained()
     def plot(self) -> Figure:
         """Draw the measured responses beside the fitted model.
 

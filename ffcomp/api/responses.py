@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ffcomp.api.machines import load_machine
-from ffcomp.errors import RequestError, extras_told
+from ffcomp.errors import RequestError, missing_extras_explained
 from ffcomp.identification.frf_study import Study, View, frf_json, study, view_of
 from ffcomp.identification.request import FrfRequest
 from ffcomp.measurement.frf import FrequencyResponse
@@ -39,7 +39,7 @@ class FrequencyResponses:
         """Return an object ffcomp-frf/1 for each position."""
         return [frf_json(self.study, station) for station in self.study.stations]
 
-    @extras_told()
+    @missing_extras_explained()
     def to_control(self) -> list[Any]:
         """Return each position's responses as a `control.FrequencyResponseData`, frequencies in rad/s."""
         import control
@@ -47,7 +47,7 @@ class FrequencyResponses:
         omega = 2 * np.pi * self.frequency_hz
         return [control.frd(np.moveaxis(value, 0, -1), omega) for value in self.values]
 
-    @extras_told()
+    @missing_extras_explained()
     def plot(self, *, full: bool = False) -> Figure:
         """Draw a Bode figure; full : all nine responses, not only the diagonal."""
         from ffcomp.report.model import bode_figure

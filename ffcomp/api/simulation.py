@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ffcomp.api.machines import load_machine
-from ffcomp.errors import extras_told
+from ffcomp.errors import missing_extras_explained
 from ffcomp.request import function
 from ffcomp.simulation.command import Command
 from ffcomp.simulation.request import SimulateRequest
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 class Simulation(SimulationResult):
     """A simulated command: arrays `time_s`, `reference_mm`, `nozzle_mm` and `error_um`, and their `track`."""
 
-    @extras_told()
+    @missing_extras_explained()
     def plot(self) -> Figure:
         """Draw the position of the largest error close up, and the contour error along the time."""
         from ffcomp.report.show import simulation_figure

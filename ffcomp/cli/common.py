@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ffcomp.cli.log import note
-from ffcomp.errors import INPUT_ERRORS, explain, extras_told, interrupts_restored, not_installed
+from ffcomp.errors import INPUT_ERRORS, explain, interrupts_restored, missing_extras_explained, not_installed
 from ffcomp.numerics.serialise import json_line
 from gcode.atomic_write import drafts_noted, replaced_since
 
@@ -28,7 +28,7 @@ def exit_codes() -> Iterator[None]:
     """Turn errors of the input into one sentence and the documented exit code. A bug keeps its traceback (1)."""
     noted = drafts_noted()
     try:
-        with interrupts_restored(), extras_told():
+        with interrupts_restored(), missing_extras_explained():
             yield
     except KeyboardInterrupt:
         fail(f"Interrupted; {written_already(noted)}.", 130)

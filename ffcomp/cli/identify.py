@@ -89,11 +89,11 @@ def scan(request: ScanRequest, shown: Shown) -> None:
     Example: ffcomp identify scan page.jpg --plan page.json -m voron-250 -o my-voron.toml --figure page.png
     """
     from ffcomp.cli.progress import SearchProgress
-    from ffcomp.errors import extras_told
+    from ffcomp.errors import missing_extras_explained
     from models.file import load_machine
 
     start = load_machine(request.machine)
-    with extras_told():
+    with missing_extras_explained():
         from ffcomp.identification.scanning import USUAL_S, fit_pictures
 
         with SearchProgress(shown.quiet, USUAL_S, "reading the pictures") as progress:

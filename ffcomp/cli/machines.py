@@ -50,14 +50,14 @@ def list_machines(shown: Json) -> None:
 
 
 @dataclass(frozen=True)
-class ShowMachineRequest(Request):
-    """A machine file to be shown."""
+class MachineRequest(Request):
+    """A machine file to be looked at."""
 
     machine: Annotated[str, Argument("A machine's name or the path of its TOML file.", metavar="MACHINE")]
 
 
 @verb
-def show_machine(request: ShowMachineRequest, shown: Json) -> None:
+def show_machine(request: MachineRequest, shown: Json) -> None:
     """Show every parameter of a machine with its provenance, and its modes."""
     from models.file import entries, load_machine
     from models.machine import assumed_modes, sources
@@ -81,15 +81,8 @@ def show_machine(request: ShowMachineRequest, shown: Json) -> None:
         print(f"\n{assumed}")
 
 
-@dataclass(frozen=True)
-class CheckMachineRequest(Request):
-    """A machine file to be checked."""
-
-    machine: Annotated[str, Argument("A machine's name or the path of its TOML file.", metavar="MACHINE")]
-
-
 @verb
-def check_machine(request: CheckMachineRequest, shown: Json) -> None:
+def check_machine(request: MachineRequest, shown: Json) -> None:
     """Check a machine file: mistakes, redundant parameters that disagree, stability and passivity."""
     from ffcomp.importers.builder import still_assumed
     from models.checks import check_physics, redundancy_problems, redundant_quantities, unstable_positions
@@ -394,10 +387,9 @@ RATES = (250.0, 500.0)  # segments a second
 
 
 @dataclass(frozen=True)
-class EffortRequest(Request):
+class EffortRequest(MachineRequest):
     """A machine whose bandwidth is looked at."""
 
-    machine: Annotated[str, Argument("A machine's name or the path of its file.", metavar="MACHINE")]
     figure: Annotated[Path | None, FIGURE] = None
 
 

@@ -30,9 +30,9 @@ def import_machine(request: ImportMachineRequest, shown: Json) -> None:
     from models.file import check_text, find_machine
     from models.finding import user_folder
 
-    found = read_printer_config(request.file, request.kinematics, request.alone)
+    config = read_printer_config(request.file, request.kinematics, request.alone)
     path = request.output or user_folder() / f"{request.file.stem}.toml"
-    made = build_draft(found, path.stem, None if request.like is None else find_machine(request.like))
+    made = build_draft(config, path.stem, None if request.like is None else find_machine(request.like))
     text = machine_text(made, request.file)
     if made.is_complete:
         check_text(text, str(request.file))

@@ -103,9 +103,9 @@ def _measured(task: Task, *verb: str) -> tuple[str, ...]:
     """Words of a verb that reads captures: the plan is the input that is JSON."""
     plans = [path for path in task.inputs if path.suffix == ".json"]
     captures = [str(path) for path in task.inputs if path.suffix != ".json"]
-    given = ("--plan", str(plans[0])) if plans else ()
+    plan_words = ("--plan", str(plans[0])) if plans else ()
     better = str(task.out / BETTER)
-    return (*verb, *captures, "-m", task.machine, *given, "-o", better, "--json", *task.words)
+    return (*verb, *captures, "-m", task.machine, *plan_words, "-o", better, "--json", *task.words)
 
 
 # -- options --

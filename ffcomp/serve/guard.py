@@ -36,8 +36,8 @@ def known_host(host: str, settings: Settings) -> bool:
         ipaddress.ip_address(name)
         return True
     except ValueError:
-        own = socket.gethostname().lower()
-        return name in {"localhost", own, f"{own}.local", settings.host.lower(), *map(str.lower, settings.names)}
+        this = socket.gethostname().lower()
+        return name in {"localhost", this, f"{this}.local", settings.host.lower(), *map(str.lower, settings.names)}
 
 
 def same_origin(origin: str | None, host: str) -> bool:
@@ -72,10 +72,10 @@ def token_of(headers: dict[str, str]) -> str:
     if kind.lower() == "bearer":
         return token.strip()
     try:
-        found = SimpleCookie(headers.get("cookie", "")).get(COOKIE)
+        cookie = SimpleCookie(headers.get("cookie", "")).get(COOKIE)
     except CookieError:
         return ""
-    return found.value if found else ""
+    return cookie.value if cookie else ""
 
 
 def matches(token: str, settings: Settings) -> bool:
@@ -119,11 +119,11 @@ class Guard:
 
     async def _let_in(self, scope: Scope, send: Send) -> bool:
         """Turn the token of the printed address into a cookie, so that it stays in no history."""
-        asked = parse_qs(scope["query_string"].decode("latin-1")).get("token", [""])[0]
-        if scope["path"] != "/" or not asked or not matches(asked, self.settings):
+        token = parse_qs(scope["query_string"].decode("latin-1")).get("token", [""])[0]
+        if scope["path"] != "/" or not token or not matches(token, self.settings):
             return False
         secure = "; Secure" if self.settings.secure else ""
-        cookie = f"{COOKIE}={asked}; Path=/; HttpOnly; SameSite=Strict; Max-Age=31536000{secure}"
+        cookie = f"{COOKIE}={token}; Path=/; HttpOnly; SameSite=Strict; Max-Age=31536000{secure}"
         headers = [(b"location", b"/"), (b"set-cookie", cookie.encode("latin-1")), (b"cache-control", b"no-store")]
         await send({"type": "http.response.start", "status": 303, "headers": headers})
         await send({"type": "http.response.body", "body": b""})

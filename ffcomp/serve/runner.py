@@ -284,8 +284,8 @@ def _why(code: int, place: Path) -> str:
 def _answer(job: Job, place: Path) -> dict[str, Any]:
     """Read what the first step printed; empty where that is no JSON."""
     with suppress(OSError, ValueError, LookupError, TypeError, AttributeError):
-        found = json.loads((place / "0.json").read_text(encoding="utf-8").splitlines()[-1])
-        return json.loads(messages.without_folder(json.dumps(answer_of(job.kind, found), ensure_ascii=False), place))
+        result = json.loads((place / "0.json").read_text(encoding="utf-8").splitlines()[-1])
+        return json.loads(messages.without_folder(json.dumps(answer_of(job.kind, result), ensure_ascii=False), place))
     return {}
 
 
