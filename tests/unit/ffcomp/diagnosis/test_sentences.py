@@ -170,7 +170,8 @@ def test_every_effect_has_a_remedy_and_uneven_towers_are_named() -> None:
 
 @pytest.mark.slow
 def test_prints_gain_by_a_heavier_effector_in_the_file() -> None:
-    found = print_gain(load_machine("mp-delta-pro"), replace(result(), file=FileNumbers()))
+    machine = replace(load_machine("mp-delta-pro"), flavor="klipper")  # Marlin's whole steps leave 9 µm with any file
+    found = print_gain(machine, replace(result(), file=FileNumbers()))
     assert found is not None
     assert found.after_um < 0.3 * found.before_um < 0.3 * found.uncompensated_um
     told = [float(x) for x in re.findall(r"([\d.]+) µm", found.sentence())]
