@@ -28,6 +28,13 @@ def test_importing_it_is_light() -> None:
     assert python(f"import sys, ffcomp; print(*[m for m in {HEAVY!r} if m in sys.modules])") == ""
 
 
+def test_a_print_imports_nothing_that_it_does_not_need(tmp_path: Path) -> None:
+    """Each costs every user's every print 0.05 s and more."""
+    unneeded = ("scipy.optimize", "scipy.spatial", "scipy.signal", "models.printer.printer", "matplotlib", "cvxpy")
+    code = f"import ffcomp, sys; ffcomp.compensate({str(PRINT)!r}, 'mp-delta-pro', {str(tmp_path / 'out.gcode')!r})"
+    assert python(f"{code}; print(*[m for m in {unneeded!r} if m in sys.modules])") == ""
+
+
 @pytest.mark.parametrize("name", [name for name in ffcomp.__all__ if name != "__version__"])
 def test_every_name_is_a_documented_function(name: str) -> None:
     function = getattr(ffcomp, name)
