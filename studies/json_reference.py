@@ -302,8 +302,8 @@ class _Entries:
                 yield from self._of(each, prefix, optional)
             if isinstance(each, ast.Assign) and isinstance(each.targets[0], ast.Subscript):
                 key = each.targets[0].slice
-                if isinstance(key, ast.Constant):
-                    yield from self._value(key, each.value, f"{prefix}{key.value!s}", True)
+                if isinstance(key, ast.Constant) and isinstance(key.value, str):
+                    yield from self._value(key, each.value, prefix + key.value, True)
 
     def _dictionaries(self, value: ast.expr) -> Iterator[ast.Dict]:
         for each in ast.walk(value):
@@ -314,8 +314,8 @@ class _Entries:
 
     def _of(self, node: ast.Dict, prefix: str, optional: bool) -> Iterator[Key]:
         for key, value in zip(node.keys, node.values, strict=True):
-            if isinstance(key, ast.Constant):
-                yield from self._value(key, value, f"{prefix}{key.value!s}", optional)
+            if isinstance(key, ast.Constant) and isinstance(key.value, str):
+                yield from self._value(key, value, prefix + key.value, optional)
             elif key is None:  # **
                 sides = [value.body, value.orelse] if isinstance(value, ast.IfExp) else [value]
                 for side in sides:
