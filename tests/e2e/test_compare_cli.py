@@ -14,6 +14,8 @@ import pytest
 
 from ffcomp.cli.app import app
 from ffcomp.comparison.quickest import QuickestRequest
+from ffcomp.comparison.result import Quickest
+from ffcomp.comparison.sampling import Print
 from tests.support.cli import CliRunner
 from tests.support.prints import squares
 from tests.support.quickest import made_up_quickest
@@ -36,7 +38,7 @@ def small(tmp_path: Path) -> Path:
 def test_the_whole_way(small: Path, tmp_path: Path) -> None:
     page, pictures = tmp_path / "report.html", tmp_path / "pictures"
     options = ("-m", "mp-delta-pro", "--only", "mzv", "--quality-um", "0", "--report", page, "--figures", pictures)
-    answer = call(small, *options, "--mismatch", "5%", "--seeds", "2", "--json")
+    answer = call(small, *options, "--layers", "0", "--mismatch", "5%", "--seeds", "2", "--json")
     assert answer.exit_code == 0, answer.output
     found = json.loads(answer.stdout)
     assert found["schema"] == "ffcomp-compare/1"
@@ -147,9 +149,9 @@ def test_a_short_print_in_inches(tmp_path: Path) -> None:
 def test_equal_quality(small: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[QuickestRequest] = []
 
-    def found(data: bytes, path: str, machine: object, plant: object, request: QuickestRequest, **_: object):
+    def found(printed: Print, plant: object, request: QuickestRequest, **_: object) -> Quickest:
         asked.append(request)
-        return made_up_quickest(path)
+        return made_up_quickest(printed.path)
 
     monkeypatch.setattr("ffcomp.comparison.quickest.quickest", found)
     page = tmp_path / "page.html"

@@ -49,6 +49,7 @@ from tests.support.comparison import (
     everything,
     method,
     samples,
+    whole_page,
 )
 
 # ---- words and verdict ---------------------------------------------------------------------------
@@ -391,7 +392,7 @@ def test_the_same_numbers_give_the_same_figure() -> None:
 @pytest.fixture(scope="module")
 def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
     target = tmp_path_factory.mktemp("report") / "report.html"
-    write_report(everything(), target)
+    target.write_bytes(whole_page())
     return target
 
 

@@ -12,10 +12,9 @@ import numpy as np
 import pytest
 
 from ffcomp.report import drawing as style
-from ffcomp.report.compare.html import write_report
 from models.arrays import FloatArray
 from tests.support.browser import Visit, chromium, contrast, hard_to_read, linear, visit
-from tests.support.comparison import READY, everything
+from tests.support.comparison import READY, whole_page
 
 METHODS = (style.BEFORE, style.AFTER, style.SHAPER, style.CALIBRATED, style.SCHEDULED, style.BEYOND)
 LINES = 3.0  # least contrast with the ground of what is no word (WCAG 2.1)
@@ -28,7 +27,7 @@ CUT = """() => [...document.querySelectorAll(".sortable td, .sortable th")].filt
 @pytest.fixture(scope="module")
 def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
     target = tmp_path_factory.mktemp("viewer") / "report.html"
-    write_report(everything(), target)
+    target.write_bytes(whole_page())
     return target
 
 

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 from itertools import pairwise
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -23,6 +26,7 @@ from ffcomp.comparison.result import (
     Spread,
 )
 from ffcomp.metrics import Track
+from ffcomp.report.compare.html import write_report
 
 SAMPLE_S = 1e-3
 SIDE, SPEED, LAYERS = 40.0, 80.0, 3  # mm, mm/s
@@ -152,3 +156,11 @@ def everything(name: str = "prints/square.gcode") -> Comparison:
         quality = EqualQuality(1e3 * (4 - factor), 3000.0 + 100 * factor, 24.0, capped=False, reached=key != "none")
         found = changed(found, key, spread=spread, equal_quality=quality)
     return changed(found, "mzv", retuned=found.methods["mzv"].spread)
+
+
+@cache
+def whole_page() -> bytes:
+    """The page of a comparison that has everything."""
+    with TemporaryDirectory() as folder:
+        write_report(everything(), Path(folder) / "report.html")
+        return (Path(folder) / "report.html").read_bytes()
