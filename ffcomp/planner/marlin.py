@@ -87,7 +87,7 @@ def settings_sentence(machine: Machine) -> str:
 
 def planner_of(program: Program, machine: Machine) -> MarlinPlanner:
     """Return Marlin's planner, with the settings that are in force at each line of a program."""
-    zeros = np.array([frame.base[3] for frame in program.frames] or [0.0])
+    zeros = np.array([frame.base[3] for frame in program.frames])
     return MarlinPlanner(machine, marlin_settings(machine), SettingsInForce.of(program, machine), zeros)
 
 
@@ -98,7 +98,7 @@ class MarlinPlanner:
     machine: Machine
     settings: MarlinSettings
     in_force: SettingsInForce
-    filament_zeros: FloatArray  # (frames,) mm of the filament where each frame has E0
+    filament_zeros: FloatArray  # (frames,) mm of the filament where each frame has E0; empty: it is not told
 
     def __call__(
         self,
@@ -161,7 +161,7 @@ class MarlinPlanner:
     def _filament_shift(self, moves: Moves) -> FloatArray:
         """Return by how much Marlin's filament is off the moves', (n,) mm: after G92 E it counts on from a step."""
         steps_per_mm = settings_row(self.machine)[STEPS][3]
-        zero = self.filament_zeros[moves.frame]
+        zero = self.filament_zeros[moves.frame] if len(self.filament_zeros) else np.zeros(len(moves.frame))
         shift, count, before = np.zeros(len(zero)), 0.0, 0.0
         begins = np.flatnonzero(np.diff(zero, prepend=np.nan) != 0.0)
         for first, end in zip(begins.tolist(), np.append(begins[1:], len(zero)).tolist(), strict=True):
