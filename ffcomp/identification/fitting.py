@@ -16,7 +16,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from datetime import date
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -31,6 +31,7 @@ from ffcomp.identification.machine_fit import (
     AxesFit,
     BeltsFit,
     MachineFit,
+    Origin,
     ParametersFit,
     ResonancesFit,
     StepwiseFit,
@@ -109,10 +110,17 @@ class _Task:
     """What all fits of some files have in common."""
 
     def __init__(self, start: Machine, gathered: Gathered, hashes: Sequence[str], request: IdentifyRequest) -> None:
-        self.start, self.gathered, self.hashes, self.request = start, gathered, hashes, request
+        self.start, self.gathered, self.request = start, gathered, request
         self.known = dict(request.known or {})
-        self.source, self.name, self.today = Path(start.path), _name(start, request), date.today().isoformat()
+        self.origin = Origin(Path(start.path), _name(start, request), hashes, date.today().isoformat())
         self.belts = compare_belts(start, gathered.belts) if gathered.belts else None
+        self.common: dict[str, Any] = {
+            "start": start,
+            "data": hashes,
+            "name": self.origin.name,
+            "skipped": gathered.skipped,
+            "belts": self.belts,
+        }
         if not start.vibration.position_dependent and (request.method == "stepwise" or request.known):
             raise RequestError("--method stepwise and --known are for deltas; this machine's axes are straight.")
 
@@ -120,14 +128,7 @@ class _Task:
         """Fit all parameters to all frequency responses."""
         result = identify(self.start, self.gathered.responses, self.known, progress)
         return ParametersFit(
-            start=self.start,
-            data=self.hashes,
-            name=self.name,
-            text=machine_file_text(self.source, result, self.name, self.hashes, self.today),
-            skipped=self.gathered.skipped,
-            advice=result.advice,
-            result=result,
-            belts=self.belts,
+            **self.common, text=machine_file_text(self.origin, result), advice=result.advice, result=result
         )
 
     def stepwise(self) -> StepwiseFit:
@@ -135,16 +136,7 @@ class _Task:
         if TOTAL_MASS not in self.known:
             raise RequestError(f"--method stepwise needs the effector's weight: --known {TOTAL_MASS}=KG±SD.")
         result = identify_as_paper(self.start, self.gathered.responses, *self.known[TOTAL_MASS])
-        result = replace(result, machine=replace(result.machine, name=self.name))
-        return StepwiseFit(
-            start=self.start,
-            data=self.hashes,
-            name=self.name,
-            text=paper_file_text(self.source, result, self.hashes, self.today),
-            skipped=self.gathered.skipped,
-            result=result,
-            belts=self.belts,
-        )
+        return StepwiseFit(**self.common, text=paper_file_text(self.origin, result), result=result)
 
     def axes(self, progress: Progress) -> AxesFit:
         """Fit the modes of cartesian and CoreXY axes."""
@@ -154,29 +146,17 @@ class _Task:
         rough = [_too_rough(axis) for axis in result.axes if axis not in kept]
         written = replace(result, axes=kept, exchange=None if rough else result.exchange)
         return AxesFit(
-            start=self.start,
-            data=self.hashes,
-            name=self.name,
-            text=axes_file_text(self.source, written, self.name, self.hashes, self.today) if kept else "",
-            skipped=self.gathered.skipped,
+            **self.common,
+            text=axes_file_text(self.origin, written) if kept else "",
             advice=[*rough, *result.advice],
             refusal=rough,
             result=result,
-            belts=self.belts,
         )
 
     def belts_alone(self) -> BeltsFit:
         """Compare belts; they make no machine file."""
         rule = "Tests along the belts compare these; for the modes of x and y test AXIS=X and AXIS=Y."
-        return BeltsFit(
-            start=self.start,
-            data=self.hashes,
-            name=self.name,
-            skipped=self.gathered.skipped,
-            advice=[rule],
-            refusal=[rule],
-            belts=self.belts,
-        )
+        return BeltsFit(**self.common, advice=[rule], refusal=[rule])
 
     def resonances(self) -> ResonancesFit:
         """Tabulate resonances where nothing else is known, and make a starting file of them."""
@@ -187,11 +167,8 @@ class _Task:
         resonances += _of_towers(self.belts)
         started = starting_machine(self.start, resonances) if resonances and self.request.output is not None else None
         return ResonancesFit(
-            start=self.start,
-            data=self.hashes,
-            name=self.name,
-            text="" if started is None else modes_file_text(self.source, started, self.name, self.hashes, self.today),
-            skipped=self.gathered.skipped,
+            **self.common,
+            text="" if started is None else modes_file_text(self.origin, started),
             advice=[
                 *unclear,
                 *left_out,
@@ -201,7 +178,6 @@ class _Task:
             refusal=() if resonances else [*left_out, *unclear, *self.gathered.skipped],
             spectra=spectra,
             started=started,
-            belts=self.belts,
         )
 
 

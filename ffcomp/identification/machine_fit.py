@@ -320,45 +320,69 @@ def _quality(result: Identified) -> list[dict[str, Any]]:
 SMALLEST_SD = 0.002  # relative: no frequency of a printer is more constant from day to day
 
 
-def machine_file_text(source: Path, result: Identified, name: str, data: Sequence[str], when: str) -> str:
-    """Write the starting file's text with the identified parameters, their uncertainties and provenance.
+@dataclass(frozen=True)
+class Origin:
+    """What a new machine file comes from."""
 
-    Parameters
-    ----------
-    data : file names with hashes, for the provenance.
-    when : date.
-    """
-    parameters = {key: e for key, e in result.determined.items() if key != TOTAL_MASS}
-    origin = f"identified {when} by ffcomp identify fit"
-    return _numbers_text(source, parameters, name, origin, _summary(source, result, data, when))
+    source: Path  # the starting file
+    name: str  # of the new machine
+    data: Sequence[str]  # file names with hashes
+    date: str
+
+    def text(
+        self,
+        values: Mapping[str, Any],
+        uncertainty: Mapping[str, float],
+        provenance: Mapping[str, Any],
+        **identified: Any,
+    ) -> str:
+        """Write the starting file's text with other values, their uncertainties and provenance."""
+        table = {"date": self.date, "started_from": self.source.stem, "data": list(self.data), **identified}
+        return updated_text(
+            self.source,
+            values,
+            name=self.name,
+            uncertainty=uncertainty,
+            provenance={**provenance, "identified": table},
+        )
+
+    def text_of(self, parameters: Mapping[str, Estimate], verb: str, **identified: Any) -> str:
+        """Write the text with parameters that the verb has identified."""
+        values = {key: _rounded(e) for key, e in parameters.items()}
+        provenance: dict[str, Any] = {}
+        uncertainty: dict[str, float] = {}
+        for key, estimate in parameters.items():
+            table_key = key.partition("[")[0]
+            spread = min(estimate.relative_sd, 10.0)
+            uncertainty[table_key] = float(f"{max(uncertainty.get(table_key, 0.0), spread):.2g}")
+            alike = [e for other, e in parameters.items() if other.partition("[")[0] == table_key]
+            intervals = ", ".join(f"{e.low:.4g} to {e.high:.4g}" for e in alike)
+            provenance[table_key] = f"identified {self.date} by ffcomp identify {verb}; 90 % interval {intervals}"
+        return self.text(values, uncertainty, provenance, **identified)
 
 
-def scan_file_text(source: Path, result: PageFit, name: str, data: Sequence[str], when: str) -> str:
-    """Write the starting file's text with the numbers that a picture of a page gives."""
-    identified = {
-        "date": when,
-        "started_from": source.stem,
-        "data": list(data),
-        "lines": len(result.lines),
-        "explained_share": float(f"{result.explained:.3g}"),
-        "kept_from_the_starting_file": list(result.kept),
-    }
-    return _numbers_text(source, result.estimates, name, f"identified {when} by ffcomp identify scan", identified)
+def machine_file_text(origin: Origin, result: Identified) -> str:
+    """Write the file of all parameters of a delta."""
+    fitted = result.fitted
+    return origin.text_of(
+        {key: e for key, e in result.determined.items() if key != TOTAL_MASS},
+        "fit",
+        responses=len(fitted.responses),
+        misfit_chi_squared_per_degree_of_freedom=float(f"{fitted.misfit:.4g}"),
+        model_error_share=float(f"{fitted.model_error:.3g}"),
+        kept_from_the_starting_file=list(result.kept),
+    )
 
 
-def _numbers_text(
-    source: Path, parameters: Mapping[str, Estimate], name: str, origin: str, identified: Mapping[str, Any]
-) -> str:
-    values = {key: _rounded(e) for key, e in parameters.items()}
-    provenance: dict[str, Any] = {}
-    uncertainty: dict[str, float] = {}
-    for key, estimate in parameters.items():
-        table_key = key.partition("[")[0]
-        spread = min(estimate.relative_sd, 10.0)
-        uncertainty[table_key] = float(f"{max(uncertainty.get(table_key, 0.0), spread):.2g}")
-        provenance[table_key] = f"{origin}; 90 % interval {_intervals(parameters, table_key)}"
-    provenance["identified"] = identified
-    return updated_text(source, values, name=name, uncertainty=uncertainty, provenance=provenance)
+def scan_file_text(origin: Origin, result: PageFit) -> str:
+    """Write the file of the numbers that a picture of a page gives."""
+    return origin.text_of(
+        result.estimates,
+        "scan",
+        lines=len(result.lines),
+        explained_share=float(f"{result.explained:.3g}"),
+        kept_from_the_starting_file=list(result.kept),
+    )
 
 
 def _rounded(estimate: Estimate) -> float:
@@ -369,55 +393,33 @@ def _rounded(estimate: Estimate) -> float:
     return float(f"{estimate.value:.{digits}g}")
 
 
-def _intervals(parameters: Mapping[str, Estimate], table_key: str) -> str:
-    parts = [e for key, e in parameters.items() if key.partition("[")[0] == table_key]
-    return ", ".join(f"{e.low:.4g} to {e.high:.4g}" for e in parts)
-
-
-def _summary(source: Path, result: Identified, data: Sequence[str], when: str) -> dict[str, Any]:
-    fitted = result.fitted
-    return {
-        "date": when,
-        "started_from": source.stem,
-        "data": list(data),
-        "responses": len(fitted.responses),
-        "misfit_chi_squared_per_degree_of_freedom": float(f"{fitted.misfit:.4g}"),
-        "model_error_share": float(f"{fitted.model_error:.3g}"),
-        "kept_from_the_starting_file": list(result.kept),
-    }
-
-
-def paper_file_text(source: Path, result: PaperIdentification, data: Sequence[str], when: str) -> str:
-    """Write the file of the paper's method; `result.machine.name` is the new file's."""
+def paper_file_text(origin: Origin, result: PaperIdentification) -> str:
+    """Write the file of the paper's method."""
     machine = result.machine
     names = [n for n in UNKNOWNS if delta_vibration(machine).carriage.drive is not None or n not in DRIVE]
-    origin = f"identified {when} by ffcomp identify fit --method stepwise"
-    provenance: dict[str, Any] = {name.partition("[")[0]: origin for name in names}
-    steps = {step.title: float(f"{step.consistency:.4g}") for step in result.steps}
-    provenance["identified"] = {
-        "date": when,
-        "started_from": source.stem,
-        "data": list(data),
-        "chi_squared_per_degree_of_freedom": steps,
-    }
-    values = {name: float(f"{value_of(machine, name):.6g}") for name in names}
-    return updated_text(source, values, name=machine.name, provenance=provenance)
+    by = f"identified {origin.date} by ffcomp identify fit --method stepwise"
+    return origin.text(
+        {name: float(f"{value_of(machine, name):.6g}") for name in names},
+        {},
+        {name.partition("[")[0]: by for name in names},
+        chi_squared_per_degree_of_freedom={step.title: float(f"{step.consistency:.4g}") for step in result.steps},
+    )
 
 
-def modes_file_text(source: Path, started: ResonanceStart, name: str, data: Sequence[str], when: str) -> str:
+def modes_file_text(origin: Origin, started: ResonanceStart) -> str:
     """Write the file of a resonance start."""
-    origin = f"scaled {when} by ffcomp identify fit until the resonances are the measured ones"
-    predicted = [float(f"{f:.4g}") for f in started.predicted_hz]
-    identified = {"date": when, "started_from": source.stem, "data": list(data), "resonances_hz": predicted}
-    values = {key: _rounded(e) for key, e in started.estimates.items()}
-    uncertainty = {key: float(f"{e.relative_sd:.2g}") for key, e in started.estimates.items()}
-    provenance = {**dict.fromkeys(started.estimates, origin), "identified": identified}
-    return updated_text(source, values, name=name, uncertainty=uncertainty, provenance=provenance)
+    by = f"scaled {origin.date} by ffcomp identify fit until the resonances are the measured ones"
+    return origin.text(
+        {key: _rounded(e) for key, e in started.estimates.items()},
+        {key: float(f"{e.relative_sd:.2g}") for key, e in started.estimates.items()},
+        dict.fromkeys(started.estimates, by),
+        resonances_hz=[float(f"{f:.4g}") for f in started.predicted_hz],
+    )
 
 
-def axes_file_text(source: Path, result: IdentifiedAxes, name: str, data: Sequence[str], when: str) -> str:
+def axes_file_text(origin: Origin, result: IdentifiedAxes) -> str:
     """Write the file of a machine of modal axes: `[axes.x]` and its like, of the axes that were measured."""
-    origin = f"identified {when} by ffcomp identify fit"
+    by = f"identified {origin.date} by ffcomp identify fit"
     values: dict[str, Any] = {}
     uncertainty: dict[str, float] = {}
     provenance: dict[str, Any] = {}
@@ -426,7 +428,7 @@ def axes_file_text(source: Path, result: IdentifiedAxes, name: str, data: Sequen
             estimates = [getattr(mode, key) for mode in axis.modes]
             intervals = ", ".join(f"{e.low:.4g} to {e.high:.4g}" for e in estimates)
             values[f"axes.{axis.name}.{key}"] = [_rounded(e) for e in estimates]
-            provenance[f"axes.{axis.name}.{key}"] = f"{origin}; 90 % interval {intervals}"
+            provenance[f"axes.{axis.name}.{key}"] = f"{by}; 90 % interval {intervals}"
             spread = max(SMALLEST_SD, *(min(e.relative_sd, 10.0) for e in estimates))
             uncertainty[f"axes.{axis.name}.{key}"] = float(f"{spread:.2g}")
         del uncertainty[f"axes.{axis.name}.share"]  # a machine file has none for it
@@ -435,12 +437,9 @@ def axes_file_text(source: Path, result: IdentifiedAxes, name: str, data: Sequen
     if result.exchange is not None:
         delta = result.exchange.delta
         values["axes.exchange"] = round(delta.value, 4)
-        provenance["axes.exchange"] = f"{origin}; 90 % interval {delta.low:.4g} to {delta.high:.4g}"
+        provenance["axes.exchange"] = f"{by}; 90 % interval {delta.low:.4g} to {delta.high:.4g}"
     model_errors = {axis.name: float(f"{max(axis.errors):.3g}") for axis in result.axes}
-    identified = {"date": when, "started_from": source.stem, "data": list(data), "model_error_share": model_errors}
-    return updated_text(
-        source, values, name=name, uncertainty=uncertainty, provenance={**provenance, "identified": identified}
-    )
+    return origin.text(values, uncertainty, provenance, model_error_share=model_errors)
 
 
 def _shares(axis: AxisFit) -> list[float]:

@@ -8,7 +8,7 @@ from datetime import date
 from pathlib import Path
 
 from ffcomp.errors import MeasurementError, RequestError
-from ffcomp.identification.machine_fit import ScanFit, hash_of, scan_file_text
+from ffcomp.identification.machine_fit import Origin, ScanFit, hash_of, scan_file_text
 from ffcomp.identification.page_fit import SCALE, PageFit, fit_page
 from ffcomp.identification.page_lines import read_lines
 from ffcomp.identification.page_picture import find_page, read_picture
@@ -42,7 +42,7 @@ def fit_pictures(start: Machine, request: ScanRequest, progress: Callable[[str],
     result = fit_page(start, lines, progress)
     hashes = [hash_of(path) for path in request.pictures]
     name = request.name or (request.output.stem if request.output is not None else f"{Path(start.path).stem}-scanned")
-    text = scan_file_text(Path(start.path), result, name, hashes, date.today().isoformat())
+    text = scan_file_text(Origin(Path(start.path), name, hashes, date.today().isoformat()), result)
     fit = ScanFit(start=start, data=hashes, name=name, text=text, advice=_advice(start, result), result=result)
     return replace(fit, shapers=tuple(shaper_advice(machine_of_text(text, name))))
 

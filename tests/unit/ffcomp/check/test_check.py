@@ -205,7 +205,7 @@ def test_a_history_keeps_what_it_was_given_and_stays_small(tmp_path: Path) -> No
     assert np.array_equal(read[-1].signals[0].acceleration, light("", seed=MOST + 6).signals[0].acceleration)
 
 
-def test_checks_of_plans_made_before_stay_comparable(tmp_path: Path) -> None:
+def test_checks_of_plans_made_before_stay_comparable() -> None:
     """A history knows its moves by a hash that then held the diameters of nozzle and filament."""
     move: dict[str, Any] = {"name": "a", "kind": "zigzag", "limits": {"velocity_mm_per_s": 100.0}}
     before = {**move, "limits": {**move["limits"], "filament_diameter_mm": 1.75, "nozzle_diameter_mm": 0.4}}

@@ -11,7 +11,7 @@ import pytest
 
 from ffcomp.identification.axes import Exchange, IdentifiedAxes, find_exchange, identify_axes
 from ffcomp.identification.axis_spectra import usable
-from ffcomp.identification.machine_fit import axes_file_text
+from ffcomp.identification.machine_fit import Origin, axes_file_text
 from ffcomp.identification.modal_fit import AxisFit, AxisMode
 from ffcomp.identification.uncertainty import normal
 from ffcomp.measurement.frf import FrequencyResponse
@@ -99,7 +99,7 @@ def test_what_it_does_not_explain_is_told_and_not_written() -> None:
 
 def test_it_is_written_with_its_interval_and_read_again() -> None:
     found = fitted(0.05)
-    text = axes_file_text(ROOT / "models/library/voron-300.toml", found, "mine", ["a.csv"], "today")
+    text = axes_file_text(Origin(ROOT / "models/library/voron-300.toml", "mine", ["a.csv"], "today"), found)
     model = machine_of_text(text, "mine").vibration
     assert isinstance(model, ModalAxes) and model.exchange == pytest.approx(0.05, rel=0.05)
     assert '"axes.exchange" = "identified today' in text and "90 % interval" in text
