@@ -348,20 +348,29 @@ def check_result(joined: JoinResult, plan: Plan, machine: Machine, history: Sequ
     sizes = [_size(each, signatures, last) for each in signals]
     total = _total(sizes, signals)
     check = Check(
-        date,
-        moves,
-        machine.sha256,
-        axes,
-        today.finding,
-        today.message,
-        total.gap,
-        None if comparison is None else comparison.size,
-        total.noise,
-        tuple(signals),
+        date=date,
+        plan=moves,
+        machine_sha256=machine.sha256,
+        axes_map=axes,
+        finding=today.finding,
+        message=today.message,
+        gap=total.gap,
+        difference=None if comparison is None else comparison.size,
+        noise=total.noise,
+        signals=tuple(signals),
     )
-    notes = tuple(_notes(known, plan, names, last, machine))
     date_then, first = (last.date if comparison and last else None), (earlier[0].date if earlier else None)
-    return CheckResult(check, today, tuple(sizes), comparison, date_then, since_first, first, bool(known), notes)
+    return CheckResult(
+        check=check,
+        verdict=today,
+        experiments=tuple(sizes),
+        compared=comparison,
+        compared_with=date_then,
+        since_first=since_first,
+        first_date=first,
+        known=bool(known),
+        notes=tuple(_notes(known, plan, names, last, machine)),
+    )
 
 
 def against_file(result: CheckResult) -> str:

@@ -264,16 +264,16 @@ def _result(problem: _Problem, theta: FloatArray, errors: FloatArray) -> BeltCom
     stiffness = tuple(_relative(problem, theta, covariance, i) for i in range(len(problem.rows)))
     sd = [float(np.sqrt(covariance[0, 0])) * f for f in frequency]
     return BeltComparison(
-        problem.kind,
-        problem.names,
-        problem.rows,
-        stiffness,
-        (normal(float(frequency[0]), sd[0]), normal(float(frequency[1]), sd[1])),
-        (float(damping[0]), float(damping[1])),
-        tests,
-        tuple(problem.model(n, theta) for n in range(len(tests))),
-        tuple(float(e) for e in errors),
-        _sentence(problem, stiffness),
+        kind=problem.kind,
+        names=problem.names,
+        rows=problem.rows,
+        stiffness=stiffness,
+        modes_hz=(normal(float(frequency[0]), sd[0]), normal(float(frequency[1]), sd[1])),
+        damping_ratio=(float(damping[0]), float(damping[1])),
+        tests=tests,
+        fitted=tuple(problem.model(n, theta) for n in range(len(tests))),
+        errors=tuple(float(e) for e in errors),
+        sentence=_sentence(problem, stiffness),
     )
 
 

@@ -182,7 +182,7 @@ def study(
     for xy, mass in cases:
         here = [(r, pair) for r, pair in fitting if _belongs(view, r, xy, mass)]
         compared = tuple(_compare(machine, view, response, pair) for response, pair in here)
-        stations.append(Station(*model.case(xy, mass), compared))
+        stations.append(model.station(xy, mass, compared))
     return Study(machine, view, frequency_hz, tuple(stations), left_out)
 
 
@@ -331,14 +331,14 @@ class _Model:
     frequency_hz: FloatArray  # (k,)
     with_arms: bool
 
-    def case(
-        self, xy: FloatArray, mass: float
-    ) -> tuple[str, FloatArray, float, ComplexArray, ComplexArray, tuple[NumberedMode, ...]]:
-        """Return the fields of a station before the measurements."""
-        label, value, modes = {"carriage-alone": self._carriage, "effector-alone": self._effector}.get(
+    def station(self, xy: FloatArray, mass: float, compared: tuple[Compared, ...]) -> Station:
+        """Evaluate the model at one position, or with one mass."""
+        evaluate = {"carriage-alone": self._carriage, "effector-alone": self._effector}.get(
             self.view.of, self._assembly
-        )(xy, mass)
-        return label, xy, mass, value, self.machine.vibration.frequency_response(xy, self.frequency_hz), modes
+        )
+        label, value, modes = evaluate(xy, mass)
+        carriage = self.machine.vibration.frequency_response(xy, self.frequency_hz)
+        return Station(label, xy, mass, value, carriage, modes, compared)
 
     def _assembly(self, xy: FloatArray, _: float) -> _Case:
         value = self.machine.vibration.frequency_response(xy, self.frequency_hz, self.view.answering, self.view.per)

@@ -383,19 +383,19 @@ def _result(problem: _Problem, theta: FloatArray, epsilon: FloatArray) -> Fitted
     chi = sum(float(np.sum(e / _variance(r, 0.0))) for e, r in zip(errors, problem.responses, strict=True))
     count = sum(map(len, problem.values))
     return Fitted(
-        problem.machine(theta),
-        estimates,
-        share,
-        _weak(problem, covariance),
-        {clock: normal(DELAY_UNIT_S * t, DELAY_UNIT_S * s) for clock, t, s in clocks},
-        _rotation(problem, theta, sd),
-        scale_sd,
-        {name: _estimate(name, values[name], beside[i]) for i, name in enumerate(problem.names)},
-        chi / (count - len(theta) / 2),
-        _deviance(problem, errors, epsilon) + len(theta) * float(np.log(2 * count)),
-        epsilon,
-        problem.responses,
-        problem.model(theta),
+        machine=problem.machine(theta),
+        estimates=estimates,
+        prior_share=share,
+        weak=_weak(problem, covariance),
+        delays_s={clock: normal(DELAY_UNIT_S * t, DELAY_UNIT_S * s) for clock, t, s in clocks},
+        rotation_deg=_rotation(problem, theta, sd),
+        common_scale_sd=scale_sd,
+        beside_scale={name: _estimate(name, values[name], beside[i]) for i, name in enumerate(problem.names)},
+        misfit=chi / (count - len(theta) / 2),
+        bic=_deviance(problem, errors, epsilon) + len(theta) * float(np.log(2 * count)),
+        model_errors=epsilon,
+        responses=problem.responses,
+        predictions=problem.model(theta),
     )
 
 

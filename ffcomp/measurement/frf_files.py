@@ -97,17 +97,17 @@ def build(
     if variance is None:
         variance = _estimated_variance(value, coherence, labels.averages)
     return FrequencyResponse(
-        labels.input,
-        labels.output,
-        frequency_hz,
-        value,
-        variance,
-        labels.setup,
-        labels.position_mm,
-        labels.added_mass_kg,
-        coherence,
-        Path(path).name,
-        labels.clock,
+        input=labels.input,
+        output=labels.output,
+        frequency_hz=frequency_hz,
+        value=value,
+        variance=variance,
+        setup=labels.setup,
+        position_mm=labels.position_mm,
+        added_mass_kg=labels.added_mass_kg,
+        coherence=coherence,
+        source=Path(path).name,
+        clock=labels.clock,
     ), []
 
 

@@ -152,15 +152,15 @@ def fit_modes(
     if swept is not None and swept.high_hz < HIGHEST_HZ:
         modes = tuple(m for m in modes if not cut_off(even[keep], power[keep], m.frequency_hz, m.damping_ratio))
     return ModeFit(
-        source,
-        signal,
-        modes,
-        frequency_hz[keep],
-        power[keep],
-        np.exp(target - best.residual),
-        best.misfit,
-        _verdict(modes, best.misfit, swept),
-        swept,
+        source=source,
+        signal=signal,
+        modes=modes,
+        frequency_hz=frequency_hz[keep],
+        power=power[keep],
+        fitted=np.exp(target - best.residual),
+        misfit=best.misfit,
+        verdict=_verdict(modes, best.misfit, swept),
+        swept=swept,
     )
 
 
