@@ -139,8 +139,12 @@ class MarlinSegments:
 
     @property
     def longest_s(self) -> float:
-        """Return how long a segment may last that Marlin executes as one: a delta's lines are cut in equal parts."""
-        return WHOLE_S * 2.0 / self.settings.segments_per_second if self._delta else np.inf
+        """Return how long a segment may last that Marlin does not cut: a delta's lines it cuts in equal parts.
+
+        Where even a knot is longer, segments are cut, and any length will do.
+        """
+        whole_s = WHOLE_S * 2.0 / self.settings.segments_per_second
+        return whole_s if self._delta and whole_s >= self.knot_s else np.inf
 
     @property
     def _delta(self) -> bool:

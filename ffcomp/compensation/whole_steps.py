@@ -31,7 +31,7 @@ MOST_ROWS = 8  # moments of a segment at which the nozzle's error counts
 ALONG = 0.3  # of an error along the path, that counts
 MISS_COST = 0.2  # of e², in squares of what a step moves: less of it asks for misses of many steps
 SETTLE = 12  # segments like the last, after which what follows it is known well enough
-WIDER = 4  # steps beyond the nearest that are tried for a segment that would be too short
+WIDER = 4  # steps beyond the nearest, where there and back in two segments is within the motors' acceleration
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,13 +44,17 @@ class WholeSteps:
     steps_per_mm: FloatArray  # (3,) of the motors
     free: BoolArray  # (3,) which motors may be moved off the command: no lead screw
     minimum: int  # steps that a segment must have
+    wider: int  # steps beyond the nearest that are tried for a segment that would be too short
     _intervals: dict[tuple[int, int], tuple[FloatArray, FloatArray]] = field(default_factory=dict)
 
     @classmethod
     def of(cls, model: InverseModel, steps_per_mm: FloatArray, free: BoolArray, minimum: int) -> WholeSteps:
         """Return those of a machine, from its inverse model."""
-        rows = model.settings.rows_per_segment
-        return cls(model.machine.kinematics, model.row_table, rows, steps_per_mm, free, minimum)
+        settings, limits = model.settings, model.machine.limits
+        turn = 2.0 * minimum / float(steps_per_mm[free].min()) / settings.segment_s**2
+        wider = WIDER if turn <= limits.carriage_acceleration_mm_per_s2 else 0
+        per_knot = settings.rows_per_segment
+        return cls(model.machine.kinematics, model.row_table, per_knot, steps_per_mm, free, minimum, wider)
 
     def placed(self, at: FloatArray, points: FloatArray, fixed: BoolArray) -> FloatArray:
         """Return the ends of segments where whole steps are, (n, 3) mm.
@@ -80,6 +84,7 @@ class WholeSteps:
             MISS_COST / self.steps_per_mm**2,
             self.free,
             self.minimum,
+            self.wider,
         )
         chosen[:, ~self.free] = steps[:, ~self.free]
         k = self.kinematics
@@ -94,7 +99,7 @@ class WholeSteps:
     @property
     def enough(self) -> int:
         """Steps from which on a segment can be moved to ends that are far enough: each motor may be the one that is."""
-        return self.minimum + 1 - int(np.count_nonzero(self.free))
+        return self.minimum + 1 - (int(np.count_nonzero(self.free)) if self.wider else 0)
 
     @property
     def _lift_mm(self) -> float:
@@ -136,6 +141,7 @@ def _chosen(
     penalty: FloatArray,
     free: BoolArray,
     minimum: int,
+    wider: int,
 ) -> FloatArray:
     """Return whole steps (n, 3) for a command in steps (n, 3).
 
@@ -152,7 +158,7 @@ def _chosen(
                 off[i] = steps[j, i]
                 for c in range(size):
                     off[i] -= gain[j, i, c] * z[c]
-            _nearest(off, cost[j], j, free, minimum, tried, out)
+            _nearest(off, cost[j], j, free, minimum, wider, tried, out)
         for i in range(3):
             missed[size + i] = out[j, i] - steps[j, i]
         if j == 0 or begins[j]:
@@ -255,11 +261,18 @@ def _solve(h: FloatArray, whole: FloatArray, gain: FloatArray) -> None:
 
 @kernel
 def _nearest(
-    wanted: FloatArray, cost: FloatArray, j: int, free: BoolArray, minimum: int, tried: FloatArray, out: FloatArray
+    wanted: FloatArray,
+    cost: FloatArray,
+    j: int,
+    free: BoolArray,
+    minimum: int,
+    most_wider: int,
+    tried: FloatArray,
+    out: FloatArray,
 ) -> None:
     """Put the whole steps that cost least near `wanted` into row j, of those that are `minimum` from the last row's."""
     least, executed = np.inf, False
-    for wider in range(WIDER + 1):
+    for wider in range(most_wider + 1):
         width = 2 + 2 * wider
         for number in range(width * width * width):
             rest, apart, usable = number, 0.0, True

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -98,5 +100,14 @@ def test_a_deltas_segments_are_short_enough_not_to_be_cut() -> None:
     lasting = np.array([4.0, 12.0, 4.0, 8.0, 90.0, 4.0, 8.0]) / 1e3
     expected = np.array([4.0, 9.5, 6.5, 8.0, 9.5, 9.5, 9.5]) / 1e3
     assert segments.uncut(points, lasting) == pytest.approx(expected)
+    often = replace(segments, settings=replace(segments.settings, segments_per_second=600.0))
+    assert np.array_equal(often.uncut(points, lasting), lasting)  # a knot of 4 ms is cut in any case
     lifts = points[:, [1, 2, 0]]
     assert np.array_equal(segments.uncut(lifts, lasting), lasting)
+
+
+def test_motors_that_are_too_weak_for_it_are_not_moved_to_and_fro() -> None:
+    machine = load_machine("mp-delta-pro")
+    weak = replace(machine, limits=replace(machine.limits, carriage_acceleration_mm_per_s2=9000.0))
+    for each, enough in ((machine, 4), (weak, 7)):
+        assert MarlinSegments.of(each, InverseModel(each, settings_for(each))).steps.enough == enough
