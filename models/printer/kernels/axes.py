@@ -27,6 +27,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import numpy as np
+
 from models.arrays import FloatArray
 from models.printer.kernels.friction import guide_friction, stribeck
 from models.printer.kernels.motors import stiffness_by_length, torque_angle
@@ -74,8 +76,8 @@ DRIVE, DRIVE_RATE, BEYOND, SLIP, STIFFER = XD, X, PULL, F0, RHO
 LIGHTER, COMPLIANCE = J, J + 3  # the mass over that at this height; 1/k of `drive_stiffness`
 LEAST_STIFFER = -0.9  # of ω², however far x is from the place where the file's holds
 WIDTH = 3 * LANES  # of a row of a state
-STRAIN, YAW, SWAY, SWAY_RATE, FIRST = 0, 1, 2, 3, 4
-FREQUENCY2, DAMPING, BELT_DAMPING, SHARE, PART, REACTION, HIGHEST = range(7)
+STRAIN, YAW, SWAY, SWAY_RATE, FIRST = np.arange(5)
+FREQUENCY2, DAMPING, BELT_DAMPING, SHARE, PART, REACTION, HIGHEST = np.arange(7)
 
 
 class AxesState(NamedTuple):

@@ -51,7 +51,6 @@ from models.printer.kernels.axes import (
     YAW_INERTIA,
     YAW_K,
     YAW_SHARE,
-    AxesState,
 )
 from models.printer.kernels.friction import DRY, FADING, FADING_POWER, STICKING, dry_friction, sliding_level
 from models.printer.kernels.motors import rippled, stiffness_by_length, torque
@@ -60,9 +59,14 @@ from models.printer.kernels.record import (
     COMMAND_RATE,
     CUBIC,
     LANES,
+    NO,
+    ONE,
     RIPPLE,
     RIPPLE_RATE,
     ROWS,
+    TWO,
+    YES,
+    ZERO,
     ActiveEffects,
     Row,
     Vector,
@@ -70,8 +74,8 @@ from models.printer.kernels.record import (
 from models.printer.kernels.vectors import at, compiled, inlined, power
 
 FEW_MODES, FIELDS = 2, 7
-MODES = ROWS  # three rows a field
-STATE = MODES + 3 * FEW_MODES * FIELDS  # as of `AxesState`
+MODES = np.int64(ROWS)  # three rows a field
+STATE = MODES + 3 * FEW_MODES * FIELDS  # as of `axes.AxesState`
 MODE = STATE + 3 * FIRST  # p and ṗ of each mode
 MOTORS = MODE + 6 * FEW_MODES  # u and u̇ at the beginning, the middle and the end of a step
 MOTION = MOTORS + 18  # at the step's beginning: place, velocity, acceleration of the nozzle, then of the axes
@@ -79,22 +83,23 @@ ALL_ROWS = MOTION + 18
 
 
 @compiled
-def with_modes(m: FloatArray, modes: FloatArray) -> FloatArray:
-    """Return m with the rows of this file, the modes (n, 7, WIDTH) filled in."""
+def in_rows(m: FloatArray, states: FloatArray, modes: FloatArray) -> FloatArray:
+    """Return m with the rows of this file: k printers' states (k, rows, 3) and modes (k, n, 7, 3).
+
+    Idle lanes repeat the first printer. A mode of zeros stays at rest.
+    """
     rows = np.zeros(ALL_ROWS * LANES)
-    rows[: len(m)] = m
-    for i in range(FEW_MODES):
-        for field in range(FIELDS):
-            for n in range(WIDTH):
-                rows[(MODES + 3 * (FIELDS * i + field)) * LANES + n] = modes[i, field, n]
+    for n in range(len(m)):
+        rows[n] = m[n]
+    for l in range(LANES):
+        source = l if l < len(states) else 0
+        for a in range(3):
+            for row in range(states.shape[1]):
+                rows[(STATE + 3 * row + a) * LANES + l] = states[source, row, a]
+            for i in range(modes.shape[1]):
+                for field in range(FIELDS):
+                    rows[(MODES + 3 * (FIELDS * i + field) + a) * LANES + l] = modes[source, i, field, a]
     return rows
-
-
-@compiled
-def take_state(m: FloatArray, s: AxesState) -> None:
-    """Take the state over from s."""
-    for n in range(len(s.base)):
-        m[STATE * LANES + n] = s.base[n]
 
 
 @compiled
@@ -116,7 +121,7 @@ def has_springs(m: FloatArray) -> bool:
 
 
 @compiled
-def keep_motors(m: FloatArray, half: int) -> None:
+def keep_motors(m: FloatArray, half: Row) -> None:
     """Keep where the motors are and how fast, at one of a step's three times."""
     for n in range(WIDTH):
         m[(MOTORS + 6 * half) * LANES + n] = at(m, COMMAND, n) + at(m, RIPPLE, n)
@@ -124,7 +129,7 @@ def keep_motors(m: FloatArray, half: int) -> None:
 
 
 @compiled
-def motors_at(m: FloatArray, half: int, t: float, ripple: bool) -> None:
+def motors_at(m: FloatArray, half: Row, t: float, ripple: bool) -> None:
     """Evaluate the motors t seconds after the row whose cubics are loaded, for one of a step's three times."""
     for n in range(WIDTH):
         a, b, c = at(m, CUBIC, n), at(m, CUBIC + 3, n), at(m, CUBIC + 6, n)
@@ -158,11 +163,11 @@ def sway_rates(m: FloatArray, l: int, sway: Sway, forces: Two, driven: Two, x: f
     torque -= inertia * (at(m, YAW_K, l) * theta + at(m, YAW_B, l) * turning)
     whole = inertia + (1.0 - at(m, YAW_SHARE, l)) * off * off
     turn = torque / whole if inertia > 0.0 else 0.0
-    return turning, turn, dd0, dd1, _swayed(m, 0, l, d0, dd0, forces), _swayed(m, 1, l, d1, dd1, forces)
+    return turning, turn, dd0, dd1, _swayed(m, ZERO, l, d0, dd0, forces), _swayed(m, ONE, l, d1, dd1, forces)
 
 
 @inlined
-def _swayed(m: FloatArray, j: int, l: int, d: float, dd: float, forces: Two) -> float:
+def _swayed(m: FloatArray, j: Row, l: int, d: float, dd: float, forces: Two) -> float:
     force = at(m, DIRECTIONS + 2 * j, l) * forces[0] + at(m, DIRECTIONS + 2 * j + 1, l) * forces[1]
     return -at(m, FRAME_K, l) * d - at(m, FRAME_B, l) * dd - at(m, FRAME, l) * force
 
@@ -222,43 +227,43 @@ def step_lanes(m: FloatArray, h: float, has: ActiveEffects, springs: bool, swayi
 @compiled
 def _linear(m: FloatArray, h: float, lanes: int) -> None:
     for l in range(min(lanes, LANES)):
-        _step(m, l, h, False, False, False, False, False)
+        _step(m, l, h, NO, NO, NO, NO, NO)
 
 
 @compiled
 def _smooth(m: FloatArray, h: float, lanes: int) -> None:
     for l in range(min(lanes, LANES)):
-        _step(m, l, h, True, False, False, False, False)
+        _step(m, l, h, YES, NO, NO, NO, NO)
 
 
 @compiled
 def _rubbing(m: FloatArray, h: float, lanes: int) -> None:
     for l in range(min(lanes, LANES)):
-        _step(m, l, h, True, True, False, False, False)
+        _step(m, l, h, YES, YES, NO, NO, NO)
 
 
 @compiled
 def _sticking(m: FloatArray, h: float, lanes: int) -> None:
     for l in range(min(lanes, LANES)):
-        _step(m, l, h, True, True, True, False, False)
+        _step(m, l, h, YES, YES, YES, NO, NO)
 
 
 @compiled
 def _swaying(m: FloatArray, h: float, lanes: int) -> None:
     for l in range(min(lanes, LANES)):
-        _step(m, l, h, False, False, False, True, False)
+        _step(m, l, h, NO, NO, NO, YES, NO)
 
 
 @compiled
 def _most(m: FloatArray, h: float, lanes: int) -> None:
     for l in range(min(lanes, LANES)):
-        _step(m, l, h, True, True, True, True, False)
+        _step(m, l, h, YES, YES, YES, YES, NO)
 
 
 @compiled
 def _everything(m: FloatArray, h: float, lanes: int) -> None:
     for l in range(min(lanes, LANES)):
-        _step(m, l, h, True, True, True, True, True)
+        _step(m, l, h, YES, YES, YES, YES, YES)
 
 
 @inlined
@@ -268,15 +273,15 @@ def _step(
     """Step one lane."""
     sway = _sway(m, l) if swaying else (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     y = _axis(m, l), _axis(m, LANES + l), _axis(m, 2 * LANES + l), sway
-    k1 = _rates(m, y, 0, l, springs, rubbing, sticking, swaying, odd)
-    _sample(m, l, 0, y[0], k1[0])
-    _sample(m, l, 1, y[1], k1[1])
-    _sample(m, l, 2, y[2], k1[2])
+    k1 = _rates(m, y, ZERO, l, springs, rubbing, sticking, swaying, odd)
+    _sample(m, l, ZERO, y[0], k1[0])
+    _sample(m, l, ONE, y[1], k1[1])
+    _sample(m, l, TWO, y[2], k1[2])
     if swaying:
         _sample_sway(m, l, y, k1)
-    k2 = _rates(m, _moved(y, k1, 0.5 * h), 1, l, springs, rubbing, sticking, swaying, odd)
-    k3 = _rates(m, _moved(y, k2, 0.5 * h), 1, l, springs, rubbing, sticking, swaying, odd)
-    k4 = _rates(m, _moved(y, k3, h), 2, l, springs, rubbing, sticking, swaying, odd)
+    k2 = _rates(m, _moved(y, k1, 0.5 * h), ONE, l, springs, rubbing, sticking, swaying, odd)
+    k3 = _rates(m, _moved(y, k2, 0.5 * h), ONE, l, springs, rubbing, sticking, swaying, odd)
+    k4 = _rates(m, _moved(y, k3, h), TWO, l, springs, rubbing, sticking, swaying, odd)
     end = _moved(_moved(_moved(_moved(y, k1, h / 6.0), k2, h / 3.0), k3, h / 3.0), k4, h / 6.0)
     _put(m, l, end[0])
     _put(m, LANES + l, end[1])
@@ -286,7 +291,7 @@ def _step(
 
 
 @inlined
-def _sample(m: FloatArray, l: int, a: int, y: Axis, rates: Axis) -> None:
+def _sample(m: FloatArray, l: int, a: Row, y: Axis, rates: Axis) -> None:
     m[(MOTION + a) * LANES + l], m[(MOTION + 3 + a) * LANES + l] = y[1] + y[3], y[2] + y[4]
     m[(MOTION + 6 + a) * LANES + l] = rates[2] + rates[4]
 
@@ -299,8 +304,8 @@ def _sample_sway(m: FloatArray, l: int, y: Axes, rates: Axes) -> None:
     q = _driven(m, l, y[0][1], y[0][3])
     pull = pull_of(m, l, rates[3], q)
     shares = (
-        _mode(m, 0, SHARE, l) + _mode(m, 1, SHARE, l),
-        _mode(m, 0, SHARE, l + LANES) + _mode(m, 1, SHARE, l + LANES),
+        _mode(m, ZERO, SHARE, l) + _mode(m, ONE, SHARE, l),
+        _mode(m, ZERO, SHARE, l + LANES) + _mode(m, ONE, SHARE, l + LANES),
     )
     theta, turning, turn = y[3][0], y[3][1], rates[3][1]
     x, xd, xdd = at(m, MOTION, l) - at(m, YAW_CENTRE, l), at(m, MOTION + 3, l), at(m, MOTION + 6, l)
@@ -352,16 +357,16 @@ def _moved_axis(y: Axis, k: Axis, by: float) -> Axis:
 
 @inlined
 def _rates(
-    m: FloatArray, y: Axes, half: int, l: int, springs: bool, rubbing: bool, sticking: bool, swaying: bool, odd: bool
+    m: FloatArray, y: Axes, half: Row, l: int, springs: bool, rubbing: bool, sticking: bool, swaying: bool, odd: bool
 ) -> Axes:
     """Evaluate the rates of one lane's axes with the motors at one half step."""
     a, b, c = l, LANES + l, 2 * LANES + l
     q = _driven(m, a, y[0][1], y[0][3]), _driven(m, b, y[1][1], y[1][3]), _driven(m, c, y[2][1], y[2][3])
     qd = _driven(m, a, y[0][2], y[0][4]), _driven(m, b, y[1][2], y[1][4]), _driven(m, c, y[2][2], y[2][4])
     u, ud = _mixed(m, TO_MOTORS, l, q), _mixed(m, TO_MOTORS, l, qd)
-    pull_a = _pull(m, a, _motor(m, half, 0, a), _motor(m, half, 1, a), u[0], ud[0], springs, odd)
-    pull_b = _pull(m, b, _motor(m, half, 0, b), _motor(m, half, 1, b), u[1], ud[1], springs, odd)
-    pull_c = _pull(m, c, _motor(m, half, 0, c), _motor(m, half, 1, c), u[2], ud[2], springs, odd)
+    pull_a = _pull(m, a, _motor(m, half, ZERO, a), _motor(m, half, ONE, a), u[0], ud[0], springs, odd)
+    pull_b = _pull(m, b, _motor(m, half, ZERO, b), _motor(m, half, ONE, b), u[1], ud[1], springs, odd)
+    pull_c = _pull(m, c, _motor(m, half, ZERO, c), _motor(m, half, ONE, c), u[2], ud[2], springs, odd)
     drive = _mixed(m, TO_AXES, l, (pull_a[0], pull_b[0], pull_c[0]))
     rate = _mixed(m, TO_AXES, l, (pull_a[1], pull_b[1], pull_c[1]))
     x = _axis_rate(m, a, q[0], y[0], drive[0], rate[0], qd[0], rubbing, sticking, swaying, odd)
@@ -379,7 +384,7 @@ def _rates(
 
 @inlined
 def _reaction(m: FloatArray, n: int, rates: Axis) -> float:
-    return _mode(m, 0, REACTION, n) * rates[2] + _mode(m, 1, REACTION, n) * rates[4]
+    return _mode(m, ZERO, REACTION, n) * rates[2] + _mode(m, ONE, REACTION, n) * rates[4]
 
 
 @inlined
@@ -390,22 +395,22 @@ def _lightened(m: FloatArray, n: int, height: float, rates: Axis) -> Axis:
 
 @inlined
 def _less(m: FloatArray, n: int, rates: Axis, pull: float) -> Axis:
-    first, second = rates[2] - _mode(m, 0, SHARE, n) * pull, rates[4] - _mode(m, 1, SHARE, n) * pull
+    first, second = rates[2] - _mode(m, ZERO, SHARE, n) * pull, rates[4] - _mode(m, ONE, SHARE, n) * pull
     return rates[0], rates[1], first, rates[3], second
 
 
 @inlined
 def _driven(m: FloatArray, n: int, first: float, second: float) -> float:
-    return _mode(m, 0, PART, n) * first + _mode(m, 1, PART, n) * second
+    return _mode(m, ZERO, PART, n) * first + _mode(m, ONE, PART, n) * second
 
 
 @inlined
-def _mode(m: FloatArray, i: int, field: int, n: int) -> float:
+def _mode(m: FloatArray, i: Row, field: Row, n: int) -> float:
     return at(m, MODES + 3 * (FIELDS * i + field), n)
 
 
 @inlined
-def _motor(m: FloatArray, half: int, rate: int, n: int) -> float:
+def _motor(m: FloatArray, half: Row, rate: Row, n: int) -> float:
     return at(m, MOTORS + 6 * half + 3 * rate, n)
 
 
@@ -464,13 +469,13 @@ def _axis_rate(
         force, strain = dry_friction(m, n, level, qd, y[0])
         drive -= force * at(m, COMPLIANCE, n)
     follow, more = drive_rate + qd, stiffer(m, n, x) if swaying else 0.0
-    first = _force(m, 0, n, more, drive, follow, y[1], y[2])
-    return strain, y[2], first, y[4], _force(m, 1, n, more, drive, follow, y[3], y[4])
+    first = _force(m, ZERO, n, more, drive, follow, y[1], y[2])
+    return strain, y[2], first, y[4], _force(m, ONE, n, more, drive, follow, y[3], y[4])
 
 
 @inlined
 def _force(
-    m: FloatArray, i: int, n: int, stiffer: float, drive: float, follow: float, place: float, rate: float
+    m: FloatArray, i: Row, n: int, stiffer: float, drive: float, follow: float, place: float, rate: float
 ) -> float:
     """Evaluate the acceleration of one mode."""
     share, belt = _mode(m, i, SHARE, n), _mode(m, i, BELT_DAMPING, n)

@@ -33,6 +33,7 @@ from models.printer.kernels.record import (
     LEVEL,
     MOTOR,
     NOW,
+    ONE,
     PRINTER,
     PULL,
     QD,
@@ -41,7 +42,9 @@ from models.printer.kernels.record import (
     STATES,
     STRETCH,
     SUM,
+    THREE,
     XD,
+    ZERO,
     ActiveEffects,
     Q,
     Row,
@@ -71,10 +74,10 @@ def any_nonzero(m: FloatArray, row: Row, rows: int) -> bool:
 @compiled
 def active_effects(m: FloatArray) -> ActiveEffects:
     """List the effects that are active in any lane."""
-    sticking = any_nonzero(m, STICKING, 3)
-    guides, joints = sticking or any_nonzero(m, DRY, 3), any_nonzero(m, JOINT_DRY, 1)
-    torque_angle, ripple = any_nonzero(m, INVERSE_AMPLITUDE, 3), any_nonzero(m, COGGING, 3)
-    delay, arms = any_nonzero(m, DELAY, 3), any_nonzero(m, ARM_INERTIA, 1)
+    sticking = any_nonzero(m, STICKING, THREE)
+    guides, joints = sticking or any_nonzero(m, DRY, THREE), any_nonzero(m, JOINT_DRY, ONE)
+    torque_angle, ripple = any_nonzero(m, INVERSE_AMPLITUDE, THREE), any_nonzero(m, COGGING, THREE)
+    delay, arms = any_nonzero(m, DELAY, THREE), any_nonzero(m, ARM_INERTIA, ONE)
     return ActiveEffects(sticking, guides, joints, torque_angle, ripple, delay, arms)
 
 
@@ -156,10 +159,15 @@ def _sample(m: FloatArray, sample: FloatArray) -> None:
 
 
 @compiled
-def copy_page(page: FloatArray, first: int, rows: int, units: FloatArray, samples: tuple[FloatArray, ...]) -> None:
-    """Copy a page : (PAGE, 7, 3 LANES), each quantity in its unit, to samples : (k, n, 3) from row `first`."""
+def copy_page(
+    page: FloatArray, first: int, rows: int, units: FloatArray, samples: tuple[FloatArray, ...], begin: int
+) -> None:
+    """Copy a page : (PAGE, 7, 3 LANES), each quantity in its unit, to samples : (k, n, 3) from row `first`.
+
+    begin : the first quantity that is copied
+    """
     for quantity, target in enumerate(samples):
-        for l in range(len(target)):
+        for l in range(len(target) if quantity >= begin else 0):
             for n in range(rows):
                 for i in range(3):
                     target[l, first + n, i] = units[quantity] * page[n, quantity, i * LANES + l]
@@ -213,11 +221,11 @@ def integrate(
     commands, has = Commands(cubics, ranges, elapsed, rows_back), active_effects(m)
     page, samples = np.empty((PAGE, 7, 3 * LANES)), empty_samples(len(states), rows.max())
     for n in range(rows.max()):
-        read_command(m, first + n, 0, commands, has)
+        read_command(m, first + n, ZERO, commands, has)
         rate(m, has)
         _sample(m, page[n % PAGE])
         if n % PAGE == PAGE - 1 or n == rows.max() - 1:
-            copy_page(page, n - n % PAGE, n % PAGE + 1, units, samples)
+            copy_page(page, n - n % PAGE, n % PAGE + 1, units, samples, ZERO)
         for l in range(len(states)):
             if n == rows[l] - 1:
                 store_state(m, l, states)

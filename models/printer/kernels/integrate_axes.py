@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from models.arrays import FloatArray
 from models.printer.kernels.axes import (
     BY_X,
     BY_X_SQUARED,
-    FIRST,
     FRAME,
     GROWTH,
     TO_AXES,
@@ -25,12 +26,11 @@ from models.printer.kernels.axes_step import (
     MOTION,
     MOTORS,
     has_springs,
+    in_rows,
     keep_motors,
     keep_state,
     motors_at,
     step_lanes,
-    take_state,
-    with_modes,
 )
 from models.printer.kernels.friction import has_powers
 from models.printer.kernels.integrate import PAGE, active_effects, any_nonzero, copy_page, empty_samples, fill_lanes
@@ -40,9 +40,14 @@ from models.printer.kernels.record import (
     LANES,
     MOTOR,
     NOW,
+    ONE,
     QD,
     RATE,
+    STATES,
+    THREE,
+    TWO,
     XD,
+    ZERO,
     ActiveEffects,
     Q,
     Rows,
@@ -55,8 +60,7 @@ from models.printer.kernels.vectors import at, compiled, dot, vector
 def _in_lanes(m: FloatArray, states: FloatArray, modes: FloatArray) -> AxesState:
     """Return k printers' states (k, rows, 3) and modes (k, n, 7, 3) in the first lanes; idle lanes repeat the first."""
     rows = states.shape[1]
-    base = np.zeros(max(rows, FIRST + 2 * FEW_MODES) * WIDTH)
-    table = np.zeros((max(modes.shape[1], FEW_MODES), 7, WIDTH))  # a mode of zeros stays at rest
+    base, table = np.zeros(rows * WIDTH), np.empty((modes.shape[1], 7, WIDTH))
     for l in range(LANES):
         source = l if l < len(states) else 0
         for a in range(3):
@@ -65,11 +69,27 @@ def _in_lanes(m: FloatArray, states: FloatArray, modes: FloatArray) -> AxesState
             for i in range(modes.shape[1]):
                 for field in range(7):
                     table[i, field, a * LANES + l] = modes[source, i, field, a]
-    mixed = any_nonzero(m, TO_MOTORS + 1, 3)
-    swaying, growing = any_nonzero(m, FRAME, 1) or any_nonzero(m, YAW_INERTIA, 1), any_nonzero(m, GROWTH, 3)
-    by_place = any_nonzero(m, BY_X, 3) or any_nonzero(m, BY_X_SQUARED, 3)
+    mixed = any_nonzero(m, TO_MOTORS + 1, THREE)
     now, rate, total = base.copy(), np.zeros(len(base)), np.zeros(len(base))
-    return AxesState(base, now, rate, total, table, mixed, swaying, growing, by_place)
+    return AxesState(base, now, rate, total, table, mixed, is_swaying(m), is_growing(m), depends_on_place(m))
+
+
+@compiled
+def is_swaying(m: FloatArray) -> bool:
+    """Tell whether there is a frame that sways, or a gantry that yaws, in any lane."""
+    return any_nonzero(m, FRAME, ONE) or any_nonzero(m, YAW_INERTIA, ONE)
+
+
+@compiled
+def is_growing(m: FloatArray) -> bool:
+    """Tell whether the mass depends on the nozzle's height, in any lane."""
+    return any_nonzero(m, GROWTH, THREE)
+
+
+@compiled
+def depends_on_place(m: FloatArray) -> bool:
+    """Tell whether a mode depends on x, in any lane."""
+    return any_nonzero(m, BY_X, THREE) or any_nonzero(m, BY_X_SQUARED, THREE)
 
 
 @compiled
@@ -116,7 +136,19 @@ def _sample(m: FloatArray, sample: FloatArray) -> None:
 
 
 @compiled
-def integrate_axes(
+def _filled(parameters: FloatArray) -> FloatArray:
+    """Return m with the parameters of k printers in its lanes; idle lanes repeat the last one's."""
+    repeated = np.empty((LANES, parameters.shape[1]))
+    for l in range(LANES):
+        for n in range(parameters.shape[1]):
+            repeated[l, n] = parameters[min(l, len(parameters) - 1), n]
+    m = fill_lanes(np.zeros((LANES, STATES)), repeated)
+    fill_rows(m)
+    return m
+
+
+@compiled
+def _integrate_any(
     states: FloatArray,
     modes: FloatArray,
     parameters: FloatArray,
@@ -127,26 +159,19 @@ def integrate_axes(
     substeps: int,
     units: FloatArray,
 ) -> tuple[FloatArray, ...]:
-    """Integrate k printers of straight axes: as `integrate` does, with states (k, rows, 3) and modes (k, n, 7, 3)."""
-    k, rows = len(states), ranges[:, 1] - ranges[:, 0] - first
-    idle = np.zeros((LANES, parameters.shape[1]))
-    for l in range(LANES):
-        idle[l] = parameters[min(l, k - 1)]
-    m = fill_lanes(np.zeros((LANES, 30)), idle)
-    fill_rows(m)
+    """Integrate axes of any number of modes."""
+    k, rows, m = len(states), ranges[:, 1] - ranges[:, 0] - first, _filled(parameters)
     s = _in_lanes(m, states, modes)
     elapsed, rows_back = command_times(m, dt, substeps)
     commands, has = Commands(cubics, ranges, elapsed, rows_back), active_effects(m)
-    if len(s.modes) == FEW_MODES:
-        return _integrate_quickly(with_modes(m, s.modes), s, states, commands, has, first, dt, substeps, units)
     page, samples = np.empty((PAGE, 7, WIDTH)), empty_samples(k, rows.max())
     for n in range(rows.max()):
-        read_command(m, first + n, 0, commands, has)
+        read_command(m, first + n, ZERO, commands, has)
         axes_rate(m, s, has)
         axes_motion(m, s)
         _sample(m, page[n % PAGE])
         if n % PAGE == PAGE - 1 or n == rows.max() - 1:
-            copy_page(page, n - n % PAGE, n % PAGE + 1, units, samples)
+            copy_page(page, n - n % PAGE, n % PAGE + 1, units, samples, ZERO)
         for l in range(k):
             if n == rows[l] - 1:
                 _store_state(s.now, l, states)
@@ -156,35 +181,37 @@ def integrate_axes(
 
 
 @compiled
-def _integrate_quickly(
-    m: FloatArray,
-    s: AxesState,
+def _integrate_few(
     states: FloatArray,
-    commands: Commands,
-    has: ActiveEffects,
+    modes: FloatArray,
+    parameters: FloatArray,
+    cubics: FloatArray,
+    ranges: Rows,
     first: int,
     dt: float,
     substeps: int,
     units: FloatArray,
 ) -> tuple[FloatArray, ...]:
-    """Integrate by `step_lanes`."""
-    rows = commands.ranges[:, 1] - commands.ranges[:, 0] - first
-    take_state(m, s)
-    h, straight = dt / substeps, not has.delay
-    springs, swaying = has_springs(m), s.swaying or s.growing or s.by_place
+    """Integrate axes of few modes, by `step_lanes`."""
+    rows, m = ranges[:, 1] - ranges[:, 0] - first, in_rows(_filled(parameters), states, modes)
+    elapsed, rows_back = command_times(m, dt, substeps)
+    commands, has = Commands(cubics, ranges, elapsed, rows_back), active_effects(m)
+    h, straight, springs = dt / substeps, not has.delay, has_springs(m)
+    swaying = is_swaying(m) or is_growing(m) or depends_on_place(m)
     odd = has.torque_angle or (has.sticking and has_powers(m))
     page, samples = np.empty((PAGE, 7, WIDTH)), _samples(len(states), rows.max(), swaying)
+    copied = ZERO if swaying else THREE  # the first of the quantities that are not those of another
     for n in range(rows.max()):
         for l in range(len(states)):
             if n == rows[l] - 1:
                 keep_state(m, l, states)
-        read_command(m, first + n, 0, commands, has)
-        keep_motors(m, 0)
+        read_command(m, first + n, ZERO, commands, has)
+        keep_motors(m, ZERO)
         _sample_motors(m, page[n % PAGE])
         for step in range(substeps):
             if straight:
-                motors_at(m, 1, (step + 0.5) * h, has.ripple)
-                motors_at(m, 2, (step + 1) * h, has.ripple)
+                motors_at(m, ONE, (step + 0.5) * h, has.ripple)
+                motors_at(m, TWO, (step + 1) * h, has.ripple)
             else:
                 for ahead in range(1, 3):
                     read_command(m, first + n, 2 * step + ahead, commands, has)
@@ -193,9 +220,19 @@ def _integrate_quickly(
             if step == 0:
                 _sample_motion(m, page[n % PAGE])
         if n % PAGE == PAGE - 1 or n == rows.max() - 1:
-            copy_page(page[:, 3:], n - n % PAGE, n % PAGE + 1, units[3:], samples[3:])
-            if swaying:
-                copy_page(page[:, :3], n - n % PAGE, n % PAGE + 1, units[:3], samples[:3])
+            copy_page(page, n - n % PAGE, n % PAGE + 1, units, samples, copied)
+    return samples
+
+
+def integrate_axes(
+    states: FloatArray, modes: FloatArray, parameters: FloatArray, *commands_and_steps: Any
+) -> tuple[FloatArray, ...]:
+    """Integrate k printers of straight axes: as `integrate` does, with states (k, rows, 3) and modes (k, n, 7, 3).
+
+    Chosen here so that axes of few modes, as most are, do not wait for the others' loops to be compiled.
+    """
+    chosen = _integrate_few if modes.shape[1] <= FEW_MODES else _integrate_any
+    samples: tuple[FloatArray, ...] = chosen(states, modes, parameters, *commands_and_steps)
     return samples
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, NamedTuple, TypeAlias, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +12,10 @@ from models.arrays import FloatArray
 
 LANES = 8  # doubles in a vector of 512 bits
 
-# Rows are numpy integers: numba makes a Python constant part of a type, and would compile for each of them.
+# Rows, and whatever else is an argument, are of numpy: numba makes a Python constant part of a type, and would compile
+# for each of them.
+ZERO, ONE, TWO, THREE = np.arange(4)
+YES, NO = cast("tuple[bool, bool]", (np.True_, np.False_))
 # Parts of a state, three rows each: drive, carriages, extruder relative to nozzle, frame (its last row is idle),
 # strain of the guides' and of the joints' dry friction.
 V, VD, Q, QD, ETA, ETAD, D, DD, GUIDE, JOINT = np.arange(0, 30, 3)
