@@ -37,7 +37,7 @@ from __future__ import annotations
 
 import inspect
 import types
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import MISSING, dataclass, fields
 from math import isinf
 from pathlib import Path
@@ -290,3 +290,8 @@ def function(request: Callable[P, Q], work: Callable[[Q], R]) -> Callable[P, R]:
     rows = [f"{each.field} : {each.option.help}" for each in declared(request)]  # type: ignore[arg-type]
     call.__doc__ = "\n".join([f"{text}Parameters", "----------", *rows, python_only])
     return call
+
+
+def paths_of(files: Sequence[str | Path] | str | Path) -> list[Path]:
+    """Return the paths of one file or several."""
+    return [Path(files)] if isinstance(files, str | Path) else [Path(file) for file in files]

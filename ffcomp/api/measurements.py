@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ffcomp.diagnosis.gap import gap_request
-from ffcomp.diagnosis.problems import paths_of, plant_of
+from ffcomp.diagnosis.problems import plant_of
 from ffcomp.diagnosis.request import DiagnoseRequest, GapRequest
 from ffcomp.diagnosis.verb import diagnose_request
 from ffcomp.errors import RequestError, missing_extras_explained
@@ -60,7 +60,7 @@ def _identify(request: IdentifyRequest) -> Identification:
     MeasurementError, MachineFileError, RequestError
     """
     output, plan = (None if each is None else Path(each) for each in (request.output, request.plan))
-    request = replace(request, data=tuple(paths_of(request.data)), output=output, plan=plan)
+    request = replace(request, output=output, plan=plan)
     fit = fit_files(plant_of(request.machine), request, request.progress)
     if output is not None:
         fit.write(output)

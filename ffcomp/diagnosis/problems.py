@@ -32,11 +32,6 @@ def plant_of(machine: str | Path | Machine) -> Machine:
     return load_plant(str(machine)) if isinstance(machine, str | Path) else machine
 
 
-def paths_of(files: Sequence[str | Path] | str | Path) -> list[Path]:
-    """Return the paths of one file or several."""
-    return [Path(files)] if isinstance(files, str | Path) else [Path(file) for file in files]
-
-
 def recordings_of(
     plant: Machine,
     paths: Sequence[str | Path],

@@ -19,7 +19,7 @@ from ffcomp.diagnosis.hypotheses import FAMILIES
 from ffcomp.diagnosis.next_experiment import Proposal, propose
 from ffcomp.diagnosis.printer_problem import PrinterProblem
 from ffcomp.diagnosis.problem import Problem
-from ffcomp.diagnosis.problems import check_recordings, paths_of, plant_of, problem_of, recordings_of
+from ffcomp.diagnosis.problems import check_recordings, plant_of, problem_of, recordings_of
 from ffcomp.diagnosis.request import DiagnoseRequest
 from ffcomp.diagnosis.result import DiagnosisResult, better_file, result_of
 from ffcomp.diagnosis.sentences import summary_sentences, what_to_do
@@ -31,6 +31,7 @@ from ffcomp.identification.machine_fit import hash_of
 from ffcomp.inverse.model import GEOMETRY
 from ffcomp.numerics.stages import Progress
 from ffcomp.record.axes import turn_of
+from ffcomp.request import paths_of
 from ffcomp.simulation.simulation import Request, read_command, simulate_command
 from gcode.atomic_write import replace_atomically
 from gcode.errors import GcodeError

@@ -46,6 +46,7 @@ from ffcomp.identification.output_error import TOTAL_MASS
 from ffcomp.identification.paper import identify_as_paper
 from ffcomp.identification.request import IdentifyRequest
 from ffcomp.measurement.modes import Mode, ModeFit
+from ffcomp.request import paths_of
 from ffcomp.shapers.calibration import shaper_advice
 from models.file import machine_of_text
 from models.kinds import is_one_axis
@@ -70,12 +71,13 @@ def fit_files(start: Machine, request: IdentifyRequest, progress: Progress = lam
         If the files hold nothing that can be fitted.
     MachineFileError
     """
+    data = paths_of(request.data)
     if is_one_axis(start):
         if request.plan is not None or request.method != "direct":
             raise RequestError("--plan and --method are for printers; an axis by itself is fitted to its runs.")
-        return fit_axis(start, request.data, request.known or {}, _name(start, request), progress)
+        return fit_axis(start, data, request.known or {}, _name(start, request), progress)
     gathered = gather(
-        request.data,
+        data,
         start,
         band_hz=(request.lowest_hz, request.highest_hz),
         plan=request.plan,
@@ -89,7 +91,7 @@ def fit_files(start: Machine, request: IdentifyRequest, progress: Progress = lam
         raise MeasurementError("data", [*gathered.skipped, rule])
     for sentence in gathered.skipped:
         progress(sentence)
-    task = _Task(start, gathered, [hash_of(path) for path in request.data], request)
+    task = _Task(start, gathered, [hash_of(path) for path in data], request)
     if not start.vibration.position_dependent:
         return _with_shapers(task.axes(progress)) if gathered.shaken or gathered.responses else task.belts_alone()
     if not gathered.responses:
