@@ -47,7 +47,7 @@ class Turned:
 
 
 @dataclass(frozen=True)
-class Comparison:
+class Difference:
     """What differs between two checks."""
 
     size: float  # of the difference, as a share of the signal
@@ -72,7 +72,7 @@ def share_apart(felt: SensorSignal, other: FloatArray) -> float:
     return float(np.sqrt(np.mean(apart**2))) / felt.size
 
 
-def compare(pairs: Sequence[tuple[SensorSignal, SensorSignal]], around: Signatures) -> Comparison:
+def compare(pairs: Sequence[tuple[SensorSignal, SensorSignal]], around: Signatures) -> Difference:
     """Compare two checks; the signatures are those around the earlier one."""
     problem = weighed(pairs)
     left = problem.fit([]).left
@@ -85,7 +85,7 @@ def compare(pairs: Sequence[tuple[SensorSignal, SensorSignal]], around: Signatur
     signal = np.sqrt(np.mean([felt.size**2 for felt, _ in pairs]))
     apart = np.sqrt(np.mean([(a.size * share_apart(a, b.acceleration)) ** 2 for a, b in pairs]))
     noise = np.sqrt(np.mean([np.mean(a.noise**2 + b.noise**2) for a, b in pairs]))
-    return Comparison(
+    return Difference(
         size=float(apart / signal),
         noise=float(noise / signal),
         times=float(np.sqrt(left / problem.rows)),
@@ -160,7 +160,7 @@ class Verdict:
     named: tuple[Explanation, ...] = ()
 
 
-def verdict(comparison: Comparison, last: str, axes_then: str, axes_now: str) -> Verdict:
+def verdict(comparison: Difference, last: str, axes_then: str, axes_now: str) -> Verdict:
     """Say what two checks show, the earlier one of the date `last`."""
     turned = (
         ""
@@ -182,11 +182,11 @@ def verdict(comparison: Comparison, last: str, axes_then: str, axes_now: str) ->
     return Verdict(explained.finding, turned + explained.message, explained.named)
 
 
-def _differs(comparison: Comparison) -> str:
+def _differs(comparison: Difference) -> str:
     return f"it differs by {comparison.size:.1%} of the signal, and noise would by {comparison.noise:.1%}"
 
 
-def _quiet(comparison: Comparison, last: str) -> Verdict:
+def _quiet(comparison: Difference, last: str) -> Verdict:
     """Judge a difference that looks like noise."""
     hidden = [each for each in comparison.explanations if each.part.worth is not None]
     loud = [each for each in hidden if abs(each.value) + 3.0 * each.sd > (each.part.worth or 0.0)]
@@ -201,7 +201,7 @@ def _quiet(comparison: Comparison, last: str) -> Verdict:
     return Verdict(SAME, f"As on {last}: {_differs(comparison)}.")
 
 
-def _sensor(comparison: Comparison) -> str | None:
+def _sensor(comparison: Difference) -> str | None:
     turned = comparison.turned
     others = max((each.share for each in comparison.explanations), default=0.0)
     if turned.share < EXPLAINED or turned.share <= others:
@@ -221,7 +221,7 @@ def _sensor(comparison: Comparison) -> str | None:
     return None
 
 
-def _explained(comparison: Comparison, last: str) -> Verdict:
+def _explained(comparison: Difference, last: str) -> Verdict:
     """Name the part that explains the change, or the parts that do so equally well."""
     changed = f"The printer has changed since {last}: {_differs(comparison)}."
     best = comparison.explanations[0] if comparison.explanations else None
@@ -263,7 +263,7 @@ class CheckResult:
     check: Check  # for the history
     verdict: Verdict
     experiments: tuple[Size, ...]
-    compared: Comparison | None
+    compared: Difference | None
     compared_with: str | None  # date
     since_first: Verdict | None  # where it differs from the verdict
     first_date: str | None

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from ffcomp.errors import MeasurementError
-from ffcomp.identification.axis_spectra import AXES, Datum, Response, Spectrum, closed_form, usable
+from ffcomp.identification.axis_spectra import Datum, Response, Spectrum, closed_form, usable
 from ffcomp.identification.modal_fit import AxisFit, fit_axis
 from ffcomp.identification.uncertainty import Estimate, normal
-from ffcomp.measurement.frf import FrequencyResponse
+from ffcomp.measurement.frf import AXES, FrequencyResponse
 from ffcomp.measurement.modal import independent_share
 from ffcomp.numerics.stages import Stage
 from models.arrays import ComplexArray, FloatArray

@@ -13,12 +13,11 @@ from pathlib import Path
 
 import numpy as np
 
-from ffcomp.measurement.frf import FrequencyResponse
+from ffcomp.measurement.frf import AXES, CARRIAGES, FrequencyResponse
 from ffcomp.measurement.modal import SMALLEST_ERROR, WindowedPower, single_modes, slopes_of_modes
 from ffcomp.measurement.swept import SweptBand, cut_off
 from models.arrays import ComplexArray, FloatArray
 
-AXES, CARRIAGES = "xyz", "ABC"
 NO_FLOOR = 10.0  # ln of a share of the smallest power
 LONGEST_DELAY_MS = 100.0
 DELAYS_MS = np.linspace(-40.0, 40.0, 161)  # tried: a capture that is upside down is aligned half a period wrong

@@ -17,8 +17,7 @@ from typing import Any
 import numpy as np
 
 from ffcomp.errors import MeasurementError
-from ffcomp.identification.predict import CARRIAGES
-from ffcomp.measurement.frf import FrequencyResponse
+from ffcomp.measurement.frf import CARRIAGES, FrequencyResponse
 from models.arrays import ComplexArray, FloatArray
 from models.kinds import delta_vibration
 from models.machine import Machine

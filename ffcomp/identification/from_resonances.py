@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ffcomp.errors import SolverError
-from ffcomp.identification.predict import AXES
 from ffcomp.identification.uncertainty import Estimate, lognormal
+from ffcomp.measurement.frf import AXES
 from ffcomp.measurement.modes import Mode
 from models.arrays import FloatArray
 from models.machine import Machine, value_of, with_values

@@ -12,11 +12,10 @@ from scipy.interpolate import CubicSpline
 from ffcomp.errors import MeasurementError
 from ffcomp.identification.axis_spectra import Spectrum
 from ffcomp.identification.from_resonances import Resonance
-from ffcomp.identification.predict import AXES
 from ffcomp.identification.resonance_tests import BeltTest, TestFile, no_test, read_test
 from ffcomp.measurement.capture import Capture
 from ffcomp.measurement.estimators import periodic_frf
-from ffcomp.measurement.frf import FrequencyResponse
+from ffcomp.measurement.frf import AXES, FrequencyResponse
 from ffcomp.measurement.frf_files import read_frfs
 from ffcomp.measurement.klipper import Resonances
 from ffcomp.measurement.modes import ModeFit, modes_in
@@ -238,7 +237,7 @@ BAND_HZ = (5.0, 150.0)  # that such motions excite
 HALF_WIDTH_HZ = 2.0  # zigzags and loops have a few lines in a hertz only
 VARIANCE_FACTOR = 4.0  # polynomials of such wide windows err by twice the noise, measured on simulated captures
 MOST_NOISE = 0.15  # of a response's values: beyond it, as across the axes at the centre, it tells nothing
-INPUTS = ("cmd_x", "cmd_y")  # z moves too little beside them
+COMMANDS = ("cmd_x", "cmd_y")  # z moves too little beside them
 
 
 def frfs_from_captures(
@@ -350,7 +349,7 @@ def _of_place(
     alike = [_resting(recording, longest) for recording in members]
     responses = frfs_from_recordings(alike, *band_hz, half_width_hz=HALF_WIDTH_HZ, position_mm=position)
     name = f"place {place}, {len(members)} captures"
-    commanded = [r for r in responses if r.input in INPUTS]
+    commanded = [r for r in responses if r.input in COMMANDS]
     known = [r for r in commanded if np.sqrt(r.variance.sum() / np.sum(np.abs(r.value) ** 2)) < MOST_NOISE]
     return [replace(r, variance=r.variance * VARIANCE_FACTOR, source=name, clock=f"place-{place}") for r in known]
 

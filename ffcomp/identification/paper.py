@@ -22,10 +22,9 @@ import numpy as np
 
 from ffcomp.errors import MeasurementError, SolverError
 from ffcomp.identification.output_error import DAMPING, DRIVE, STIFFNESS, fit_machine
-from ffcomp.identification.predict import AXES, CARRIAGES
 from ffcomp.identification.rational import RationalFit, fit_rational, scaled_inverse
 from ffcomp.identification.uncertainty import Joint
-from ffcomp.measurement.frf import FrequencyResponse
+from ffcomp.measurement.frf import AXES, CARRIAGES, FrequencyResponse
 from ffcomp.numerics.least_squares import minimise
 from models.arrays import FloatArray, constant
 from models.kinds import delta_vibration, with_parts

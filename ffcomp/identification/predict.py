@@ -9,13 +9,11 @@ from typing import NoReturn
 import numpy as np
 
 from ffcomp.errors import MeasurementError
-from ffcomp.measurement.frf import FrequencyResponse
+from ffcomp.measurement.frf import AXES, CARRIAGES, FrequencyResponse
 from models.arrays import ComplexArray, FloatArray
 from models.kinds import delta_vibration
 from models.machine import Machine
 from models.vibration.substructures import belt, command_frf, drive_frf
-
-CARRIAGES, AXES = "ABC", "xyz"
 
 
 def predicted(machine: Machine, responses: Sequence[FrequencyResponse]) -> list[ComplexArray]:

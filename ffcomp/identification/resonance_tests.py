@@ -12,8 +12,9 @@ from pathlib import Path
 
 import numpy as np
 
-from ffcomp.identification.axis_spectra import AXES, USUAL_AVERAGES, Spectrum
+from ffcomp.identification.axis_spectra import USUAL_AVERAGES, Spectrum
 from ffcomp.measurement.capture import Capture
+from ffcomp.measurement.frf import AXES
 from ffcomp.measurement.klipper import Resonances
 from ffcomp.measurement.modes import HIGHEST_HZ, fitted_band, segment_powers
 from ffcomp.measurement.swept import SweptBand, swept_band, swept_band_of_spectrum

@@ -71,13 +71,14 @@ def variance_from_coherence(value: ComplexArray, coherence: FloatArray, averages
     return np.asarray(np.abs(value) ** 2 * (1 - gamma2) / (gamma2 * averages))
 
 
-INPUTS = tuple(f"{kind}_{axis}" for kind in ("cmd", "force") for axis in "ABCxyz")
-OUTPUTS = tuple(f"{kind}_{axis}" for kind in ("pos", "acc") for axis in "ABCxyz")
+CARRIAGES, AXES = "ABC", "xyz"
+INPUTS = tuple(f"{kind}_{axis}" for kind in ("cmd", "force") for axis in CARRIAGES + AXES)
+OUTPUTS = tuple(f"{kind}_{axis}" for kind in ("pos", "acc") for axis in CARRIAGES + AXES)
 KEYS = ("input", "output", "position_mm", "setup", "added_mass_kg", "averages", "clock")
 
 
 @dataclass(frozen=True)
-class Labels:
+class ResponseLabels:
     """Everything a file states about a response besides its lines."""
 
     input: str
@@ -89,7 +90,7 @@ class Labels:
     clock: str = ""
 
 
-def read_labels(comments: Mapping[str, str]) -> tuple[Labels | None, list[str]]:
+def read_labels(comments: Mapping[str, str]) -> tuple[ResponseLabels | None, list[str]]:
     """Parse labels from `key: value` pairs, or return the problems, in full sentences.
 
     Unknown keys are ignored, unless they are nearly a known one.
@@ -111,7 +112,7 @@ def read_labels(comments: Mapping[str, str]) -> tuple[Labels | None, list[str]]:
     if problems:
         return None, problems
     place = cast("tuple[float, float, float]", tuple(position)) if position else None
-    return Labels(
+    return ResponseLabels(
         comments["input"],
         comments["output"],
         cast(Setup, setup),

@@ -226,10 +226,10 @@ def _by_gravity(path: str, values: FloatArray) -> float:
     )
 
 
-Kind = Literal["frf", "recording", "vibration"]
+FileKind = Literal["frf", "recording", "vibration"]
 
 
-def kind_of(path: Path) -> Kind:
+def kind_of(path: Path) -> FileKind:
     """Tell the kind of a file by its first line that is no comment of ours.
 
     Raises
