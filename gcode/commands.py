@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
+from itertools import chain
 from math import isnan
 from typing import NamedTuple
 
@@ -443,28 +444,37 @@ _RESTING = _names("""
     M975 M981 M982.2 M991 M1002 M1003 M1007 M9833.2
     MANUAL_STEPPER SET_INPUT_SHAPER SYNC_EXTRUDER_MOTION TEMPERATURE_WAIT
 """)
-# Pauses, filament changes, wiping.
-_RETURNING = _names("""
-    M0 M1 M25 M226 M600 M601 M602 PAUSE RESUME
-    CLEAN_NOZZLE NOZZLE_CLEAN CLEANNOZZLE WIPE_NOZZLE NOZZLE_WIPE NOZZLE_CLEANING NOZZLE_SCRUB SCRUB_NOZZLE
-    BRUSH_NOZZLE NOZZLE_BRUSH WIPE BRUSH
-""")
+# What comes back to where it was, by what docs/DIALECTS.md says of each group.
+RETURNING_MACROS = {
+    "pauses, filament changes: what they move may ring": _names("M0 M1 M25 M226 M600 M601 M602 PAUSE RESUME"),
+    "wiping: likewise": _names("""
+        CLEAN_NOZZLE NOZZLE_CLEAN CLEANNOZZLE WIPE_NOZZLE NOZZLE_WIPE NOZZLE_CLEANING NOZZLE_SCRUB SCRUB_NOZZLE
+        BRUSH_NOZZLE NOZZLE_BRUSH WIPE BRUSH
+    """),
+}
 # These move nothing unless somebody has set them up to, and then come back: timelapse of Moonraker, Mainsail, Creality,
 # Qidi, whose parking is off by default; fans, lamps, states and layer hooks of Voron, Klippain, RatOS, Creality.
-_STILL_MACROS = _names("""
-    M240
-    TIMELAPSE_TAKE_FRAME HYPERLAPSE TIMELAPSE_RENDER _TIMELAPSE_NEW_FRAME TAKE_FRAME TIMELAPSE TAKE_TIMELAPSE
-    TAKE_PHOTO TAKE_SNAPSHOT SNAPSHOT
-    PART_FAN PART_FANS PART_FAN_ON PART_FAN_OFF SET_PART_FAN COOLING_FAN AUX_FAN AUX_FAN_ON AUX_FAN_OFF SET_AUX_FAN
-    CHAMBER_FAN EXHAUST_FAN EXHAUST_FAN_ON EXHAUST_FAN_OFF SIDE_FAN NEVERMORE_ON NEVERMORE_OFF START_FILTER STOP_FILTER
-    FILTER_ON FILTER_OFF AIR_FILTER FAN_ON FAN_OFF SET_EXHAUST_FAN
-    LIGHT LIGHT_ON LIGHT_OFF LIGHTS LIGHTS_ON LIGHTS_OFF LED LED_ON LED_OFF LEDS_ON LEDS_OFF CASELIGHT_ON CASELIGHT_OFF
-    CASE_LIGHT_ON CASE_LIGHT_OFF STOP_LED_EFFECTS BEEP BEEPER
-    SET_PAUSE_NEXT_LAYER SET_PAUSE_AT_LAYER LAYER_CHANGE _LAYER_CHANGE ON_LAYER_CHANGE _ON_LAYER_CHANGE
-    AFTER_LAYER_CHANGE BEFORE_LAYER_CHANGE _AFTER_LAYER_CHANGE _BEFORE_LAYER_CHANGE BEFORE_LAYER AFTER_LAYER
-    _ON_LAYER _PRINT_STATUS PRINT_STATUS UPDATE_PRINT_STATS SET_PRINT_STATE SET_PRINT_PROGRESS PRINT_PROGRESS
-    CLEAR_DISPLAY DISPLAY_MESSAGE
-""")
+STILL_MACROS = {
+    "photographs; list yours under `returns` if it parks the nozzle": _names("""
+        M240 TIMELAPSE_TAKE_FRAME HYPERLAPSE TIMELAPSE_RENDER _TIMELAPSE_NEW_FRAME TAKE_FRAME TIMELAPSE TAKE_TIMELAPSE
+        TAKE_PHOTO TAKE_SNAPSHOT SNAPSHOT
+    """),
+    "fans and filters": _names("""
+        PART_FAN PART_FANS PART_FAN_ON PART_FAN_OFF SET_PART_FAN COOLING_FAN AUX_FAN AUX_FAN_ON AUX_FAN_OFF SET_AUX_FAN
+        CHAMBER_FAN EXHAUST_FAN EXHAUST_FAN_ON EXHAUST_FAN_OFF SIDE_FAN NEVERMORE_ON NEVERMORE_OFF START_FILTER
+        STOP_FILTER FILTER_ON FILTER_OFF AIR_FILTER FAN_ON FAN_OFF SET_EXHAUST_FAN
+    """),
+    "lamps and sounds": _names("""
+        LIGHT LIGHT_ON LIGHT_OFF LIGHTS LIGHTS_ON LIGHTS_OFF LED LED_ON LED_OFF LEDS_ON LEDS_OFF CASELIGHT_ON
+        CASELIGHT_OFF CASE_LIGHT_ON CASE_LIGHT_OFF STOP_LED_EFFECTS BEEP BEEPER
+    """),
+    "layers and states": _names("""
+        SET_PAUSE_NEXT_LAYER SET_PAUSE_AT_LAYER LAYER_CHANGE _LAYER_CHANGE ON_LAYER_CHANGE _ON_LAYER_CHANGE
+        AFTER_LAYER_CHANGE BEFORE_LAYER_CHANGE _AFTER_LAYER_CHANGE _BEFORE_LAYER_CHANGE BEFORE_LAYER AFTER_LAYER
+        _ON_LAYER _PRINT_STATUS PRINT_STATUS UPDATE_PRINT_STATS SET_PRINT_STATE SET_PRINT_PROGRESS PRINT_PROGRESS
+        CLEAR_DISPLAY DISPLAY_MESSAGE
+    """),
+}
 # Firmwares skip the moves of an object that is excluded while printing. The next move then begins elsewhere: at rest,
 # and by the stated place, it is made at travel speed within the file's own limits.
 _OBJECTS = _names("EXCLUDE_OBJECT_START EXCLUDE_OBJECT_END M486")
@@ -486,14 +496,13 @@ _REFUSED = _names("""
     G92.2 G92.3 G93 G95 IF ELIF ELSE WHILE BREAK CONTINUE ABORT
 """)
 
-RETURNING = frozenset(_RETURNING + _STILL_MACROS)
 PASSING_M_CODES = frozenset(int(name[1:]) for name in _PASSING if re.fullmatch(r"M\d+", name))
 EFFECTS: dict[str, Handler] = {
     **dict.fromkeys(_PASSING, _pass),
     **dict.fromkeys(_RESTING, _rest),
     **dict.fromkeys(_STILL, _rest),
-    **dict.fromkeys(_RETURNING, _come_back),
-    **dict.fromkeys(_STILL_MACROS, _stay),
+    **dict.fromkeys(chain(*RETURNING_MACROS.values()), _come_back),
+    **dict.fromkeys(chain(*STILL_MACROS.values()), _stay),
     **dict.fromkeys(_OBJECTS, _stay),
     **dict.fromkeys(_MOVING_AWAY, _move_away),
     **dict.fromkeys(_REFUSED, _refuse),

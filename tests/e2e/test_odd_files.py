@@ -1,94 +1,34 @@
-"""docs/DIALECTS.md row by row, and files that end, break or repeat in odd ways."""
+"""docs/DIALECTS.md, and files that end, break or repeat in odd ways."""
 
 from __future__ import annotations
-
-import re
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from gcode.commands import RETURNING
 from gcode.embedded import original
 from gcode.errors import GcodeError, UnsupportedGcode
-from gcode.program import EventKind, Program
 from gcode.reader import read_program
+from studies import dialects_reference
 from tests.fuzz.test_random_programs import compensated, inverter
 from validation.invariants import violations
 
-PAGE = Path(__file__).parents[2] / "docs" / "DIALECTS.md"
-START = "G28\nG90\nM83\nG1 X10 Y10 Z5 F6000\nSAVE_GCODE_STATE NAME=a\nG1 X11 Y10 E.1\n"
-OUTCOMES = {
-    "compensated": "replaced by segments",
-    "followed": "goes out as it is, at its move's time, and what comes after is read by it",
-    "passes": "goes out as it is, at its move's time; the motion goes on",
-    "waits": "the motion rests for that long, and the line goes out",
-    "rests": "the motion rests before it; the line goes out as it is",
-    "rests, place unknown": "and moves go out as they are until the file has named X and Y again",
-    "refused": "the file is not changed; exit code 4, with the line and the rule",
-}
-
-
-def rows() -> list[tuple[str, str, str]]:
-    """Each row of the page that holds a snippet: the lines, the firmware they are for, and what becomes of them."""
-    found = re.findall(r"^\| `(.+?)` \| (\w*) \| ([\w, ]+?) \|", PAGE.read_text(encoding="utf-8"), re.MULTILINE)
-    return [
-        (code.replace(" ⏎ ", "\n").replace("\\|", "|"), flavor or "marlin", outcome) for code, flavor, outcome in found
-    ]
-
-
-def outcome(snippet: str, flavor: str) -> str:
-    """What becomes of the snippet's last line in a print."""
-    data = (START + snippet + "\nG1 X12 Y11 Z6 E.1\n").encode()
-    try:
-        program = read_program(data, flavor=flavor)
-    except GcodeError:
-        return "refused"
-    line = (START + snippet).count("\n")
-    if line in program.moves.line:
-        return "compensated"
-    event = next(event for event in program.events if event.line == line)
-    if event.kind is EventKind.STOP:
-        return "rests" if line + 1 in program.moves.line else "rests, place unknown"
-    if event.kind is EventKind.DWELL:
-        return "waits"
-    return "followed" if event.touches_limits or _changes(program, line) else "passes"
-
-
-def _changes(program: Program, line: int) -> bool:
-    """Whether the modes, names of places, factors or the feed are others after a line than before it."""
-    moves = program.moves
-    frames = {event.line: event.frame for event in program.events}
-    frames |= dict(zip(moves.line.tolist(), moves.frame.tolist(), strict=True))
-    return frames[line] != frames[line - 1]
+START = dialects_reference.START
 
 
 def test_the_page_says_what_the_code_does() -> None:
-    found = rows()
-    assert len(found) > 100
-    wrong = [(code, flavor, said, is_) for code, flavor, said in found if (is_ := outcome(code, flavor)) != said]
-    assert wrong == []
-
-
-def test_the_page_explains_its_words_and_all_of_them_are_needed() -> None:
-    text = PAGE.read_text(encoding="utf-8")
-    assert all(f"| {word} | {meaning} |" in text for word, meaning in OUTCOMES.items())
-    assert {said for _, _, said in rows()} == OUTCOMES.keys()
+    written = dialects_reference.PAGE.read_text(encoding="utf-8")
+    assert written == dialects_reference.page(), "python -m studies.dialects_reference --write"
+    rows = dialects_reference.rows(written)
+    assert len(rows) > 100 and {row.outcome for row in rows} == dialects_reference.OUTCOMES.keys()
 
 
 def test_a_refusal_names_the_line_and_the_rule() -> None:
-    for code, flavor, said in rows():
-        if said == "refused":
+    for code, flavor, outcome in dialects_reference.rows(dialects_reference.PAGE.read_text(encoding="utf-8")):
+        if outcome == "refused":
             with pytest.raises(GcodeError) as caught:
                 read_program((START + code).encode(), "print.gcode", flavor=flavor)
             assert caught.value.line == (START + code).count("\n") + 1
             assert str(caught.value).startswith("print.gcode:") and caught.value.rule.endswith(".")
-
-
-def test_the_page_lists_the_macros_that_come_back() -> None:
-    section = PAGE.read_text(encoding="utf-8").partition("### Macros that come back")[2].partition("##")[0]
-    names = set(re.findall(r"`([A-Z_0-9]+)`", section.partition("|---")[2].partition("After any other")[0]))
-    assert names == RETURNING
 
 
 # -- what only shows between lines --
