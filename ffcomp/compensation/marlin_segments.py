@@ -158,72 +158,68 @@ class MarlinSegments:
         file_limits : the file's own in effect (`gcode.program`)
         unit_mm : in which the file states them
         """
-        o, e = self.output, self._filament(file_limits)
-        corner = {axis: o.square_corner_velocity_mm_per_s for axis in o.raised_axes if axis != "Z" or self._delta}
-        if self._stated("junction_deviation_mm"):
-            corner = {"J": LONGEST_DEVIATION_MM}
-        elif "M205" in e:
-            corner["E"] = self._filament_jerk(self.settings.jerk_mm_per_s[3])
+        o = self.output
+        acceleration, corner = o.acceleration_mm_per_s2, o.square_corner_velocity_mm_per_s
+        # of E at which steps that come and go slow nothing: little enough for a retraction
+        flicker = round(FLICKER_STEPS / (FLICKER_S * float(self.row[STEPS][3])), 2)
         yield from self._lines(
-            dict.fromkeys(o.raised_axes + ("E" if "M201" in e else ""), o.acceleration_mm_per_s2),
-            dict.fromkeys(o.raised_axes, o.velocity_mm_per_s),
-            dict.fromkeys("PT", o.acceleration_mm_per_s2),
-            corner,
-            0.0,
-            unit_mm,
+            self._filament(file_limits),
+            acceleration=(acceleration,) * 4,
+            speed=(o.velocity_mm_per_s,) * 4,
+            printing={"P": acceleration, "T": acceleration},
+            jerk=(corner, corner, corner, max(self.settings.jerk_mm_per_s[3], flicker)),
+            deviation_mm=LONGEST_DEVIATION_MM,
+            shortest_s=0.0,
+            unit_mm=unit_mm,
         )
 
     def closing(self, file_limits: Mapping[bytes, bytes], unit_mm: float) -> Iterable[bytes]:
         """Return the lines that put back what `opening` has changed, the file's own limits last."""
-        s, o, e = self.settings, self.output, self._filament({})
-        acceleration, speed, jerk = (
-            dict(zip("XYZE", each, strict=True))
-            for each in (s.acceleration_mm_per_s2, s.speed_mm_per_s, s.jerk_mm_per_s)
-        )
-        corner = {axis: jerk[axis] for axis in o.raised_axes if axis != "Z" or self._delta}
-        if s.junction_deviation_mm is not None and self._stated("junction_deviation_mm"):
-            corner = {"J": s.junction_deviation_mm}
-        elif "M205" in e:
-            corner["E"] = jerk["E"]
+        s = self.settings
         yield from self._lines(
-            {axis: acceleration[axis] for axis in o.raised_axes + ("E" if "M201" in e else "")},
-            {axis: speed[axis] for axis in o.raised_axes},
-            {"P": s.printing_acceleration_mm_per_s2, "T": s.travel_acceleration_mm_per_s2},
-            corner,
-            1e6 * s.shortest_segment_s,
-            unit_mm,
+            self._filament({}),
+            acceleration=s.acceleration_mm_per_s2,
+            speed=s.speed_mm_per_s,
+            printing={"P": s.printing_acceleration_mm_per_s2, "T": s.travel_acceleration_mm_per_s2},
+            jerk=s.jerk_mm_per_s,
+            deviation_mm=s.junction_deviation_mm or LONGEST_DEVIATION_MM,
+            shortest_s=s.shortest_segment_s,
+            unit_mm=unit_mm,
         )
         yield from file_limits.values()
-
-    def _filament_jerk(self, own: float) -> float:
-        """Return the jerk of E at which steps that come and go slow nothing: little enough for a retraction."""
-        return max(own, round(FLICKER_STEPS / (FLICKER_S * float(self.row[STEPS][3])), 2))
-
-    def _stated(self, key: str) -> bool:
-        return key in self.settings.stated
 
     def _filament(self, file_limits: Mapping[bytes, bytes]) -> set[str]:
         """Return the commands whose limits of the filament are known, and so can be put back."""
         known = {name[:4].decode() for name in file_limits if b"E" in name[4:]}
-        if self._stated("acceleration_mm_per_s2"):
-            known.add("M201")
-        if self._stated("jerk_mm_per_s"):
-            known.add("M205")
-        return known
+        keys = {"M201": "acceleration_mm_per_s2", "M205": "jerk_mm_per_s"}
+        return known | {command for command, key in keys.items() if key in self.settings.stated}
 
     def _lines(
         self,
-        acceleration: Mapping[str, float],
-        speed: Mapping[str, float],
+        filament: set[str],
+        *,
+        acceleration: tuple[float, ...],
+        speed: tuple[float, ...],
         printing: Mapping[str, float],
-        corner: Mapping[str, float],
-        shortest_us: float,
+        jerk: tuple[float, ...],
+        deviation_mm: float,
+        shortest_s: float,
         unit_mm: float,
     ) -> Iterable[bytes]:
-        yield _line("M201", acceleration, unit_mm)
-        yield _line("M203", speed, unit_mm)
+        """Return the limits of the axes that may be raised; filament : commands that also set those of E."""
+        raised = self.output.raised_axes
+
+        def words(axes: str, values: tuple[float, ...], command: str = "") -> dict[str, float]:
+            axes += "E" if command in filament else ""
+            return {axis: values["XYZE".index(axis)] for axis in axes}
+
+        corner = words(raised if self._delta else raised.replace("Z", ""), jerk, "M205")
+        if "junction_deviation_mm" in self.settings.stated:
+            corner = {"J": deviation_mm}
+        yield _line("M201", words(raised, acceleration, "M201"), unit_mm)
+        yield _line("M203", words(raised, speed), unit_mm)
         yield _line("M204", printing, unit_mm)
-        slow = b" B%.0f" % shortest_us if self.settings.slowdown and not self._delta else b""
+        slow = b" B%.0f" % (1e6 * shortest_s) if self.settings.slowdown and not self._delta else b""
         yield _line("M205", corner, unit_mm) + slow
 
 
