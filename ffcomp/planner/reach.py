@@ -70,9 +70,9 @@ class Reach:
         self._left += int(np.count_nonzero(~outside))
         if not outside.any():
             return program
-        if (error := self._about(program, part & ~end, part & ~begin)) is not None:
+        if (error := _about(self._kinematics, program, part & ~end, part & ~begin)) is not None:
             raise error
-        self._first = self._first or self._about(program, ~end, ~begin)
+        self._first = self._first or _about(self._kinematics, program, ~end, ~begin)
         self._lines += len(np.unique(moves.line[outside]))
         points = np.concatenate([self._points, moves.start[~begin, :3], moves.end[~end, :3]])
         self._points = np.unique(np.round(points, 3), axis=0)
@@ -94,9 +94,6 @@ class Reach:
         remedy = f" If the printer reaches it, {widening}; the firmware decides in any case." if widening else ""
         rule = f"{self._first.rule.rstrip('.')}{others}: not of the part, so it goes out as it was, uncompensated."
         return (f"line {self._first.line}: {rule}{remedy}",)
-
-    def _about(self, program: Program, at_end: BoolArray, at_start: BoolArray) -> OutOfReach | None:
-        return _about(self._kinematics, program, at_end, at_start)
 
 
 class OutOfReach(GcodeError):

@@ -1,11 +1,11 @@
-"""Lifts are written as one segment."""
+"""Lifts are written as one segment, and filament that is pulled back while the nozzle moves is shared out evenly."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from ffcomp.planner.lifts import STRAIGHT_MM, join_lifts
+from ffcomp.planner.lifts import STRAIGHT_MM, even_wipes, join_lifts
 from ffcomp.planner.segment_timing import SegmentLimits, segment_speeds
 from models.arrays import FloatArray
 
@@ -74,3 +74,26 @@ def test_one_segment_takes_the_time_of_the_plan_where_many_cannot() -> None:
     one = segment_speeds(points[[0, -1]], np.zeros(1), np.array([n * S]), limits)
     assert many.duration.sum() > n * S + 1e-4
     assert one.duration.sum() == pytest.approx(n * S, rel=1e-9)
+
+
+POINTS = np.array([[0.0, 0, 0], [1, 0, 0], [3, 0, 0], [4, 0, 0], [6, 0, 0]])
+
+
+def test_a_wipe_pulls_by_the_way() -> None:
+    e = np.array([0.0, -0.5, -0.6, -0.7, -1.2])
+    even_wipes(e, POINTS, 0, 256)
+    np.testing.assert_allclose(e, -1.2 * POINTS[:, 0] / 6.0)
+
+
+def test_filament_that_is_pushed_stays() -> None:
+    e = np.array([0.0, 0.5, 0.6, 0.7, 1.2])
+    before = e.copy()
+    even_wipes(e, POINTS, 0, 256)
+    np.testing.assert_array_equal(e, before)
+
+
+def test_nothing_is_shared_across_a_cut() -> None:
+    e = np.array([0.0, -0.5, -0.6, -0.7, -1.2])
+    even_wipes(e, POINTS, 254, 256)
+    assert e[2] == -0.6
+    np.testing.assert_allclose(e, [0.0, -0.2, -0.6, -0.8, -1.2])
