@@ -10,14 +10,13 @@ import re
 from collections.abc import Callable, Iterable, Iterator
 from itertools import chain, pairwise
 from math import hypot, isnan, nan
-from pathlib import Path
+from typing import TypedDict, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from gcode.arcs import ARC_TOLERANCE_MM, Arc, arc_by_centre, arc_by_radius
 from gcode.commands import LIMITS, MOVED, PASS, PASSING_M_CODES, Effect, apply
-from gcode.container import read_bytes
 from gcode.dialects import (
     MARLIN,
     REPRAPFIRMWARE,
@@ -50,55 +49,44 @@ _PASSING = np.isin(np.arange(1 + max(PASSING_M_CODES)), list(PASSING_M_CODES))
 LimitState = tuple[MotionLimits, MotionLimits, float]  # own, caps, unit: what a command that sets limits depends on
 
 
-def read_program(
-    data: bytes,
-    path: str = "",
-    *,
-    start: tuple[float, float, float] | None = None,
-    offset_mm: tuple[float, float] = (0.0, 0.0),
-    arc_tolerance_mm: float = ARC_TOLERANCE_MM,
-    flavor: str | None = None,
-    returns: Iterable[str] = (),
-    still: Iterable[str] = (),
-    homed_mm: tuple[float, float, float] | None = None,
-    filament_change_s: float = 0.0,
-    cut: Callable[[Program], Program] | None = None,
-) -> Program:
+class Settings(TypedDict, total=False):
+    """What a reader is told besides the file."""
+
+    start: tuple[float, float, float] | None
+    """Where the nozzle is before the first line, mm; None: not known until the file names a place."""
+    offset_mm: tuple[float, float]
+    """Added to the toolhead's XY, mm, for prints made for a bed with its origin elsewhere. `ModalState.base` leaves it
+    out: a writer emits the printer's coordinates. Where G92 names a place, that place keeps its name."""
+    arc_tolerance_mm: float
+    """Largest distance between an arc and its chords."""
+    returns: Iterable[str]
+    """Macros after which the nozzle is where it was, besides those that are known to come back."""
+    still: Iterable[str]
+    """Macros that move nothing, besides those that are known not to."""
+    homed_mm: tuple[float, float, float] | None
+    """Where homing all axes ends; None: not known."""
+    filament_change_s: float
+    """What a change of filament takes, by itself."""
+    cut: Callable[[Program], Program] | None
+    """Cuts the moves as the firmware does, where it does; lines stay what they are."""
+
+
+def read_program(data: bytes, path: str = "", *, flavor: str | None = None, **settings: Unpack[Settings]) -> Program:
     """Read a file's bytes.
 
     Parameters
     ----------
     path : str
         The file's name, for errors.
-    start : (x, y, z) mm or None
-        Where the nozzle is before the first line; None: not known until the file names a place.
-    offset_mm : (x, y) mm
-        Added to the toolhead's XY, for prints made for a bed with its origin elsewhere. `ModalState.base` leaves
-        it out: a writer emits the printer's coordinates. Where G92 names a place, that place keeps its name.
-    arc_tolerance_mm : float
-        Largest distance between an arc and its chords.
     flavor : str or None
         "klipper", "marlin" or "reprapfirmware"; None: as the file says.
-    returns : names
-        Of macros after which the nozzle is where it was, besides those that are known to come back.
-    still : names
-        Of macros that move nothing, besides those that are known not to.
-    homed_mm : (x, y, z) mm or None
-        Where homing all axes ends; None: not known.
-    filament_change_s : s
-        What a change of filament takes, by itself.
-    cut : Program -> Program
-        Cuts the moves as the firmware does, where it does; lines stay what they are.
 
     Raises
     ------
     GcodeError
         A line that cannot be followed, with its number.
     """
-    flavor = flavor or detect_flavor([data])
-    known = (returns, still), homed_mm, filament_change_s, cut
-    reader = _Reader(path, start, offset_mm, arc_tolerance_mm, flavor, *known)
-    return reader.program(data)
+    return _Reader(path, flavor or detect_flavor([data]), **settings).program(data)
 
 
 def read_parts(
@@ -106,15 +94,8 @@ def read_parts(
     path: str = "",
     *,
     flavor: str,
-    start: tuple[float, float, float] | None = None,
-    offset_mm: tuple[float, float] = (0.0, 0.0),
-    arc_tolerance_mm: float = ARC_TOLERANCE_MM,
     part_bytes: int = PART_BYTES,
-    returns: Iterable[str] = (),
-    still: Iterable[str] = (),
-    homed_mm: tuple[float, float, float] | None = None,
-    filament_change_s: float = 0.0,
-    cut: Callable[[Program], Program] | None = None,
+    **settings: Unpack[Settings],
 ) -> Iterator[Program]:
     """Read a file of any length in parts: consecutive programs that together say what `read_program` says.
 
@@ -131,32 +112,12 @@ def read_parts(
     part_bytes : int
         Size of a part, but for the rest of its last line. 1 MiB are some 30,000 lines.
 
-    Other parameters, and errors, are those of `read_program`; an error comes when its part is read.
+    Errors are those of `read_program`, and come when their part is read.
     """
-    known = (returns, still), homed_mm, filament_change_s, cut
-    reader = _Reader(path, start, offset_mm, arc_tolerance_mm, flavor, *known)
+    reader = _Reader(path, flavor, **settings)
     parts = chain(whole_lines(blocks, part_bytes), [b""])
     for data, ahead in pairwise(parts):
         yield reader.program(data, ahead[:_BYTES_AHEAD])
-
-
-def read_file(
-    path: str | Path,
-    *,
-    start: tuple[float, float, float] | None = None,
-    offset_mm: tuple[float, float] = (0.0, 0.0),
-    arc_tolerance_mm: float = ARC_TOLERANCE_MM,
-    flavor: str | None = None,
-) -> Program:
-    """Read a plain-text G-code file; see `read_program`."""
-    return read_program(
-        read_bytes(path),
-        str(path),
-        start=start,
-        offset_mm=offset_mm,
-        arc_tolerance_mm=arc_tolerance_mm,
-        flavor=flavor,
-    )
 
 
 class _Reader:
@@ -165,23 +126,24 @@ class _Reader:
     def __init__(
         self,
         path: str,
-        start: tuple[float, float, float] | None,
-        offset: tuple[float, float],
-        arc_tolerance: float,
         flavor: str,
-        macros: tuple[Iterable[str], Iterable[str]],
-        homed: tuple[float, float, float] | None,
-        filament_change_s: float,
-        cut: Callable[[Program], Program] | None,
+        *,
+        start: tuple[float, float, float] | None = None,
+        offset_mm: tuple[float, float] = (0.0, 0.0),
+        arc_tolerance_mm: float = ARC_TOLERANCE_MM,
+        returns: Iterable[str] = (),
+        still: Iterable[str] = (),
+        homed_mm: tuple[float, float, float] | None = None,
+        filament_change_s: float = 0.0,
+        cut: Callable[[Program], Program] | None = None,
     ) -> None:
-        self.path, self.arc_tolerance, self.cut = path, arc_tolerance, cut
-        returns, still = (frozenset(map(str.upper, names)) for names in macros)
+        self.path, self.arc_tolerance, self.cut = path, arc_tolerance_mm, cut
         self.modal = Modal(
-            offset=offset,
+            offset=offset_mm,
             flavor=flavor,
-            returns=returns,
-            still=still,
-            homed=homed,
+            returns=frozenset(map(str.upper, returns)),
+            still=frozenset(map(str.upper, still)),
+            homed=homed_mm,
             filament_change_s=filament_change_s,
         )
         if start is not None:
