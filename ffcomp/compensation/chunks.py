@@ -53,56 +53,41 @@ class Chunk:
     feature: str = UNNAMED  # what is printed when it begins
 
 
-def split_chunks(
-    parts: Iterable[Program],
-    segment_s: float,
-    lead_s: float,
-    plan_of: PlanOf,
-    longest_s: float = LONGEST_S,
-    ease: Ease | None = None,
-) -> Iterator[Chunk]:
-    """Split programs that follow each other anew; what is left of one goes together with the next.
+@dataclass(frozen=True, slots=True)
+class Splitting:
+    """How a print is split."""
 
-    Parameters
-    ----------
-    parts : a file's programs, in order
-    segment_s, lead_s : length of a segment, and time from a section's first knot to the beginning of its path, s
-    plan_of : returns the firmware's plan for a program
-    longest_s : motion without a rest, s, before it is cut; inf: never
-    ease : makes a motion slower, where that has to be, around the position where it is to be cut
+    segment_s: float  # length of a segment
+    lead_s: float  # from a section's first knot to the beginning of its path
+    plan_of: PlanOf  # the firmware's plan for a program
+    longest_s: float = LONGEST_S  # motion without a rest, before it is cut; inf: never
+    ease: Ease | None = None  # makes a motion slower, where that has to be, around the place where it is to be cut
+
+
+def split_chunks(parts: Iterable[Program], splitting: Splitting) -> Iterator[Chunk]:
+    """Split a file's programs, which follow each other, anew; what is left of one goes together with the next.
+
+    Each chunk holds what is printed when it begins, as the comments before it say.
     """
-    settings = _Settings(segment_s, lead_s, longest_s, plan_of, ease)
+    feature = UNNAMED
+    for chunk in _split(parts, splitting):
+        yield replace(chunk, feature=feature)
+        feature = last_feature(chunk.program) or feature
+
+
+def _split(parts: Iterable[Program], splitting: Splitting) -> Iterator[Chunk]:
     ahead: Chunk | None = None
     for program in parts:
         ahead = Chunk(program) if ahead is None else replace(ahead, program=join(ahead.program, program))
         if not len(ahead.program.moves):
             continue
-        known = _Known.of(ahead, settings)
+        known = _Known.of(ahead, splitting)
         while (cut := known.first()) is not None:
             chunk, known = cut
             yield chunk
         ahead = known.ahead
     if ahead is not None:
         yield ahead
-
-
-def with_features(split: Iterable[Chunk]) -> Iterator[Chunk]:
-    """Tell each chunk what is printed when it begins, as the comments before it say."""
-    feature = UNNAMED
-    for chunk in split:
-        yield replace(chunk, feature=feature)
-        feature = last_feature(chunk.program) or feature
-
-
-@dataclass(frozen=True, slots=True)
-class _Settings:
-    """The arguments of `split_chunks`."""
-
-    segment_s: float
-    lead_s: float
-    longest_s: float
-    plan_of: PlanOf
-    ease: Ease | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,14 +97,14 @@ class _Known:
     ahead: Chunk  # what is not cut off yet, and what the chunks before it leave behind
     plan: Trajectory  # of its moves; one that is cut begins as if it were whole
     begin_t: float  # s, when the next chunk begins
-    settings: _Settings
+    splitting: Splitting
 
     @staticmethod
-    def of(ahead: Chunk, settings: _Settings) -> _Known:
-        plan = settings.plan_of(ahead.program)
+    def of(ahead: Chunk, splitting: Splitting) -> _Known:
+        plan = splitting.plan_of(ahead.program)
         begin = ahead.extent.begin
-        begin_t = float(plan.start_t[0]) - settings.lead_s if begin is None else begin.time_in(plan)
-        return _Known(ahead, plan, begin_t, settings)
+        begin_t = float(plan.start_t[0]) - splitting.lead_s if begin is None else begin.time_in(plan)
+        return _Known(ahead, plan, begin_t, splitting)
 
     def first(self) -> tuple[Chunk, _Known] | None:
         """Return the next chunk, and what is left; None: what comes after must be known."""
@@ -138,7 +123,7 @@ class _Known:
 
         rest : the move before which it ends; None: not in sight
         """
-        longest_s, begin_t = self.settings.longest_s, self.begin_t
+        longest_s, begin_t = self.splitting.longest_s, self.begin_t
         known_t = self.plan.end_t if rest is None else float(self.plan.start_t[rest - 1] + self.plan.duration[rest - 1])
         many = rest is None and len(self.plan) > MOST_MOVES and longest_s < np.inf
         if known_t <= begin_t + longest_s and not many:
@@ -155,7 +140,7 @@ class _Known:
 
         Filament that is pulled back is shared out over its whole way (`ffcomp/compensation/gcode_layout.py`).
         """
-        segment_s, wipes = self.settings.segment_s, self.plan.direction[:, 3] < 0.0
+        segment_s, wipes = self.splitting.segment_s, self.plan.direction[:, 3] < 0.0
         at = (self.plan.start_t - self.begin_t) / segment_s
         last = int((latest_t - self.begin_t) / segment_s + KNOT_ROUNDING) // CUT * CUT
         for knots in range(last, int(2.0 * self._around_s / segment_s), -CUT):
@@ -171,8 +156,8 @@ class _Known:
         layers = ahead.layers + len(layer_starts(head))
         since = tuple(event for event in head.events if event.move == len(head.moves))
         left = Chunk(tail, before, since, limits_in_effect(head, ahead.limits), layers, cuts=ahead.cuts)
-        begin_t = float(plan.start_t[0]) - self.settings.lead_s
-        return replace(ahead, program=head), _Known(left, plan, begin_t, self.settings)
+        begin_t = float(plan.start_t[0]) - self.splitting.lead_s
+        return replace(ahead, program=head), _Known(left, plan, begin_t, self.splitting)
 
     def _in_motion(self, knots: int, rest: int | None) -> tuple[Chunk, _Known]:
         """Cut after about so many segments; `rest` is the move before which the motion ends, if that is known."""
@@ -182,7 +167,7 @@ class _Known:
         return self._cut(knots, rest)
 
     def _t(self, knots: int) -> float:
-        return self.begin_t + knots * self.settings.segment_s
+        return self.begin_t + knots * self.splitting.segment_s
 
     def _position(self, knots: int) -> PathPosition:
         t = self._t(knots)
@@ -205,11 +190,11 @@ class _Known:
         )
         written = _until(ahead.program, plan, t + around, rest)
         chunk = replace(ahead, program=written, extent=Extent(ahead.extent.begin, place))
-        return chunk, _Known(left, _columns(plan, slice(first, None)), t, self.settings)
+        return chunk, _Known(left, _columns(plan, slice(first, None)), t, self.splitting)
 
     def _slowed(self, knots: int, rest: int | None) -> _Known | None:
         """Slow it down around the position where it is to be cut; None: that need not be."""
-        ease, ahead, plan, t = self.settings.ease, self.ahead, self.plan, self._t(knots)
+        ease, ahead, plan, t = self.splitting.ease, self.ahead, self.plan, self._t(knots)
         if ease is None:
             return None
         first, tail = _from(ahead.program, plan, t - self._around_s)
@@ -222,7 +207,7 @@ class _Known:
         if not records:
             return None
         program = replace(ahead.program, moves=_with(ahead.program.moves, first, slower))
-        return _Known.of(replace(ahead, program=program, slowed=ahead.slowed + records), self.settings)
+        return _Known.of(replace(ahead, program=program, slowed=ahead.slowed + records), self.splitting)
 
 
 def _with(moves: Moves, first: int, slower: Moves) -> Moves:

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from os.path import realpath
 from pathlib import Path
 
-from ffcomp.compensation.job import Job, Options, StepOutput
+from ffcomp.compensation.job import Job, Options
 from ffcomp.compensation.prediction import read_again
 from ffcomp.compensation.result import CompensatedFile, Result, already_compensated
 from ffcomp.compensation.text_stream import Stream
@@ -65,7 +65,10 @@ def compensate_file(
                 todo = {name: replace(job, read_again=True) for name, job in todo.items()}
             results = _write(container, todo, target, progress, still_the_same)
         else:
-            results = _write_steps(todo, path, target, options.steps, progress)
+            if len(todo) > 1:
+                several = ", ".join(todo)
+                raise UnsupportedGcode(f"Step timings are of one print, and the file holds {several}.", path=path)
+            results = {name: job.write_steps(target, options.steps, progress) for name, job in todo.items()}
         return CompensatedFile(path, None if target is None else str(target), results)
 
 
@@ -89,7 +92,7 @@ def _write(
     todo : by the print's name;  check : is called before the target is replaced
     """
     streams = _streams(todo, None if target is None else Path(realpath(target)).parent, progress)
-    texts = (_text(container, streams, name) for name in container.prints)
+    texts = (iter(streams[name]) if name in streams else blocks_of(text) for name, text in container.prints.items())
     if target is None:
         for lines in texts:
             deque(lines, maxlen=0)
@@ -112,10 +115,6 @@ def _predicted_again(job: Job, result: Result, target: Path) -> Result:
     return replace(result, read_again=read_again(read_bytes(target), str(target), job.machine, job.offset, job.flavor))
 
 
-def _text(container: Container, streams: Mapping[str, Stream[Result]], name: str) -> Iterator[bytes]:
-    return iter(streams[name]) if name in streams else blocks_of(container.prints[name])
-
-
 def _streams(
     todo: Mapping[str, Job], folder: Path | None, progress: Callable[[float], None]
 ) -> dict[str, Stream[Result]]:
@@ -130,12 +129,3 @@ def _streams(
         streams[name] = job.lines(tell, folder)
         done += job.size
     return streams
-
-
-def _write_steps(
-    todo: Mapping[str, Job], path: str, target: Path | None, steps: StepOutput, progress: Callable[[float], None]
-) -> dict[str, Result]:
-    if len(todo) > 1:
-        raise UnsupportedGcode(f"Step timings are of one print, and the file holds {', '.join(todo)}.", path=path)
-    ((name, job),) = todo.items()
-    return {name: job.write_steps(target, steps, progress)}

@@ -18,7 +18,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from ffcomp.compensation import chunks
-from ffcomp.compensation.chunks import Chunk, split_chunks, with_features
+from ffcomp.compensation.chunks import Chunk, Splitting, split_chunks
 from ffcomp.compensation.gcode_writer import GcodeRenderer
 from ffcomp.compensation.placement import NOWHERE, Footprint, Offset, Placement, advice, choose_offset, footprint_of
 from ffcomp.compensation.plan import S_CURVE_LONGEST_S, Context, plan_chunk
@@ -309,11 +309,6 @@ class Job:
         return choose_offset(self.machine.kinematics, self._bed, self._footprint)
 
     @property
-    def _bound(self) -> Bound | None:
-        bound = self.options.bound
-        return None if bound is None else with_slicer_settings(bound, *self._ends[:2])
-
-    @property
     def _bed(self) -> Bed | None:
         return self.options.bed or bed_in(*self._ends[:2])
 
@@ -390,7 +385,10 @@ class Job:
         while not len(first[-1].moves) and (more := next(parts, None)) is not None:
             first.append(more)
         share = self._share(first[-1]) if self.options.predict else 0.0
-        context = Context(self.machine, self.settings, self.flavor, self.offset, share, plain, self._bound)
+        bound = self.options.bound
+        if bound is not None:
+            bound = with_slicer_settings(bound, *self._ends[:2])
+        context = Context(self.machine, self.settings, self.flavor, self.offset, share, plain, bound)
         return self._chunks(chain(first, parts), plain), context
 
     def _share(self, first: Program) -> float:
@@ -427,16 +425,8 @@ class Job:
         s = self.settings
         longest_s = inf if plain else S_CURVE_LONGEST_S if s.s_curve else chunks.LONGEST_S
         ease = self._eased if s.time_scaling and not plain else None
-        return with_features(
-            split_chunks(
-                parts,
-                s.segment_s,
-                s.lead_s,
-                partial(firmware_plan, machine=self.machine),
-                longest_s=longest_s,
-                ease=ease,
-            )
-        )
+        plan_of = partial(firmware_plan, machine=self.machine)
+        return split_chunks(parts, Splitting(s.segment_s, s.lead_s, plan_of, longest_s, ease))
 
     def _eased(self, around: Program, cut: PathPosition, layers: int) -> tuple[Moves, tuple[TimeScaling, ...]]:
         limits, layer_of = planner_limits(self.machine), LayerLookup(around, layers).of

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Protocol, cast
+from typing import cast
 
 import numpy as np
 
@@ -19,38 +19,20 @@ from ffcomp.planner.lookahead import stops_and_waits
 from ffcomp.planner.program import PlannedProgram
 from ffcomp.planner.segment_timing import TimedSegments
 from ffcomp.planner.trajectory import Section, Trajectory
-from ffcomp.steps.crossings import Pieces, knot_pieces, on_grid, trajectory_pieces
-from ffcomp.steps.sink import MotorTotal
+from ffcomp.steps.crossings import knot_pieces, on_grid, trajectory_pieces
+from ffcomp.steps.motion import MotionSink
+from ffcomp.steps.sink import StepSink
 from gcode.program import Event, EventKind, EventQueue, Program
 
 SAMPLE_S = 1e-3  # of moves of the extruder alone
 BEFORE_S = 0.1  # at rest before the first motion
 
 
-class Sink(Protocol):
-    """Where a path goes: `steps.sink.StepSink` makes steps of it, `steps.motion.MotionSink` keeps it."""
-
-    def pieces(self, pieces: Pieces) -> None:
-        """Take the next part of the path."""
-
-    def event(self, t: float, line: bytes, *, still: bool = False) -> None:
-        """Add a G-code line to run at the time t, s; still: nothing moves by it."""
-
-    def rest(self, until: float) -> None:
-        """Note that the nozzle rests where the path has come to, until a time, s, at least."""
-
-    def height(self, known: bool) -> None:
-        """Say whether the file has stated the Z of what follows, or it is only taken to be that of before a macro."""
-
-    def finish(self) -> dict[str, MotorTotal]:
-        """Write what was gathered, and return what became of each motor's steps."""
-
-
 @dataclass
 class StepStream:
     """The path of chunk after chunk on one clock."""
 
-    sink: Sink
+    sink: StepSink | MotionSink  # makes steps of it, or keeps it
     clock_s: float = BEFORE_S
 
     def uncompensated(self, planned: PlannedProgram) -> None:

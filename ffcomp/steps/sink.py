@@ -6,14 +6,14 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import Protocol, Self, cast
+from typing import Any, Self, cast
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import DTypeLike, NDArray
 
 from ffcomp.errors import LimitsError
 from ffcomp.steps.archive import FOLLOWING, MOTORS, Column, StepsError, TextColumn, number_npy, write_archive
-from ffcomp.steps.compress import Compressor, Rows
+from ffcomp.steps.compress import Compressor
 from ffcomp.steps.crossings import (
     LATEST,
     LATEST_TICK,
@@ -66,49 +66,26 @@ class MotorTotal:
     latest_s: float  # the longest that a pulse was put off to keep its distance
 
 
-class _Part(Protocol):
-    """Where one motor's steps go."""
+class _Part:
+    """Where one motor's steps go: every step as it is, or rows of them."""
 
-    columns: dict[str, Column]
-
-    def add(self, tick: IntArray, way: WayArray) -> None: ...
-    def finish(self) -> None: ...
-
-
-class _Exact:
-    """Every step, as it is."""
-
-    def __init__(self, folder: Path) -> None:
-        self.columns = {"tick": Column(np.int64, folder), "direction": Column(np.int8, folder)}
-
-    def add(self, tick: IntArray, way: WayArray) -> None:
-        self.columns["tick"].append(tick)
-        self.columns["direction"].append(way)
-
-    def finish(self) -> None:
-        """Nothing is kept back."""
-
-
-class _Compressed:
-    """Rows of steps."""
-
-    def __init__(self, folder: Path, slack: int, spacing: int) -> None:
-        types = {"interval": np.int64, "count": np.uint16, "add": np.int16, "direction": np.int8}
+    def __init__(self, folder: Path, compressor: Compressor | None) -> None:
+        types: dict[str, DTypeLike] = {"tick": np.int64, "direction": np.int8}
+        if compressor is not None:
+            types = {"interval": np.int64, "count": np.uint16, "add": np.int16, "direction": np.int8}
         self.columns = {name: Column(dtype, folder) for name, dtype in types.items()}
-        self._compressor = Compressor(slack, spacing)
+        self._compressor = compressor
 
     def add(self, tick: IntArray, way: WayArray) -> None:
-        self._append(self._compressor.add(tick, way))
+        self._append((tick, way) if self._compressor is None else self._compressor.add(tick, way))
 
     def finish(self) -> None:
-        self._append(self._compressor.finish())
+        if self._compressor is not None:
+            self._append(self._compressor.finish())
 
-    def _append(self, rows: Rows) -> None:
-        interval, count, add, way = rows
-        self.columns["interval"].append(interval)
-        self.columns["count"].append(count)
-        self.columns["add"].append(add)
-        self.columns["direction"].append(way)
+    def _append(self, columns: tuple[NDArray[Any], ...]) -> None:
+        for column, values in zip(self.columns.values(), columns, strict=True):
+            column.append(values)
 
 
 class _Motor:
@@ -201,8 +178,9 @@ class StepSink:
 
     def _part(self, folder: Path, error_s: float | None) -> _Part:
         if error_s is None:
-            return _Exact(folder)
-        return _Compressed(folder, int(error_s * self._board.clock_hz), self._board.ticks(self._board.pulse_spacing_s))
+            return _Part(folder, None)
+        slack, spacing = int(error_s * self._board.clock_hz), self._board.ticks(self._board.pulse_spacing_s)
+        return _Part(folder, Compressor(slack, spacing))
 
     def __enter__(self) -> Self:
         return self

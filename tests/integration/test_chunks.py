@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 
 from ffcomp.compensation import job as jobs
 from ffcomp.compensation import plan
-from ffcomp.compensation.chunks import LONGEST_S, REMEMBERED_S, Chunk, split_chunks
+from ffcomp.compensation.chunks import LONGEST_S, REMEMBERED_S, Chunk, Splitting, split_chunks
 from ffcomp.compensation.job import StepOutput
 from ffcomp.compensation.plan import _is_simulated
 from ffcomp.errors import LimitsError
@@ -63,7 +64,7 @@ def small_parts(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def cut(data: bytes, machine: Machine, part_bytes: int = SMALL, longest_s: float = np.inf) -> list[Chunk]:
     parts = read_parts([data], flavor="klipper", part_bytes=part_bytes)
-    return list(split_chunks(parts, 0.004, 0.008, lambda program: firmware_plan(program, machine), longest_s))
+    return list(split_chunks(parts, Splitting(0.004, 0.008, partial(firmware_plan, machine=machine), longest_s)))
 
 
 def places(text: bytes) -> NDArray[np.float64]:
@@ -167,10 +168,10 @@ def short_spirals(monkeypatch: pytest.MonkeyPatch, small_parts: None) -> None:
 
 
 def test_a_spiral_is_cut_in_motion_without_a_trace(spiral: bytes, machine: Machine, short_spirals: None) -> None:
-    several, cut_result = compensated(spiral, machine)
+    several, cut_result = compensated(spiral, machine, flavor=KLIPPER)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("ffcomp.compensation.chunks.MOST_MOVES", 10**9)
-        whole, result = compensated(spiral, machine)
+        whole, result = compensated(spiral, machine, flavor=KLIPPER)
     assert cut_result.statistics.windows > result.statistics.windows  # there were cuts
     assert original(several) == original(whole) == spiral
     assert several.count(b"SET_VELOCITY_LIMIT") <= whole.count(b"SET_VELOCITY_LIMIT") + 4  # none of them in the spiral
