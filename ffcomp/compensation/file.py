@@ -12,6 +12,7 @@ from ffcomp.compensation.job import Job, Options
 from ffcomp.compensation.prediction import read_again
 from ffcomp.compensation.result import CompensatedFile, Result, already_compensated
 from ffcomp.compensation.text_stream import Stream
+from ffcomp.errors import LimitsError
 from gcode.atomic_write import replace_atomically, replacing, unchanged
 from gcode.container import Container, blocks_of, ends_of, opened, read_bytes
 from gcode.embedded import find_stamp
@@ -100,6 +101,9 @@ def _write(
         with replacing(target) as file:
             container.write(file, texts)
             check()
+            for name, job in todo.items():
+                if job.settings.strict and (missed := streams[name].value.bound_missed):
+                    raise LimitsError(missed[0])
     (name, *others) = todo
     results = {name: stream.value for name, stream in streams.items()}
     if not others and target is not None:

@@ -70,17 +70,17 @@ class Result:
             sentences.append(
                 f"{len(slowed) - LISTED} more places were slowed down in the same way, {more_s:.2g} s longer in all."
             )
-        return [*self.statistics.shares.warnings(), *self.statistics.warnings, *self._bound_missed, *sentences]
+        return [*self.statistics.shares.warnings(), *self.statistics.warnings, *self.bound_missed, *sentences]
 
     @property
     def warning_lines(self) -> list[str]:
         """The same for people, in a few lines."""
         numbers = self.statistics
-        warnings = [*numbers.shares.warnings(), *numbers.warnings, *self._bound_missed]
+        warnings = [*numbers.shares.warnings(), *numbers.warnings, *self.bound_missed]
         return warning_lines(warnings, numbers.slowed, self.machine, numbers.original_print_time_s)
 
     @property
-    def _bound_missed(self) -> list[str]:
+    def bound_missed(self) -> list[str]:
         """Say what error the print as it is written keeps, where that is not the bound."""
         quicker, faster = self.faster, self.statistics.faster
         if quicker is None or faster is None or quicker.contour_p99_um is None:
@@ -90,7 +90,7 @@ class Result:
         return [
             f"The bound of {faster.bound_um:g} µm is not held: for 99 % of the time the predicted error is below "
             f"{quicker.contour_p99_um:.2g} µm. What keeps the slicer's speed is not made slower, and segments and "
-            "rests leave some 2 µm, however slow a print is."
+            "rests leave 1 to 2 µm, however slow a print is."
         ]
 
     @property
