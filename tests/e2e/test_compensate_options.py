@@ -8,11 +8,12 @@ from pathlib import Path
 import pytest
 
 from ffcomp.cli.app import app
-from ffcomp.steps.archive import read_events, read_steps
+from ffcomp.steps.archive import read_steps
 from gcode.embedded import TIME_WAS, WITHOUT_ORIGINAL
 from models.file import load_machine
 from tests.support.cli import CliRunner, Result
 from tests.support.prints import squares
+from tests.support.steps import read_events
 
 MACHINE = "mp-delta-pro"
 
