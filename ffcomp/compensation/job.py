@@ -393,7 +393,8 @@ class Job:
 
     def _share(self, first: Program) -> float:
         """Return how much of the print is simulated while it is compensated; none of what is read again."""
-        quickest_s = _quickest_s(first, self.size)
+        first_s = float((lines_of(first.moves).length / first.moves.speed).sum())
+        quickest_s = first_s * self.size / max(_size(first), 1)
         left_out = design_machine(self.machine)[1]  # effects that are not in the model by which a file is read again
         if self.predicts_again and quickest_s <= READ_AGAIN_S and not left_out:
             return 0.0
@@ -475,8 +476,3 @@ def _drained(lines: Lines) -> Statistics:
 
 def _size(program: Program) -> int:
     return sum(map(len, program.lines))
-
-
-def _quickest_s(first: Program, size: int) -> float:
-    moves = first.moves
-    return float((lines_of(moves).length / moves.speed).sum()) * size / max(_size(first), 1)

@@ -97,7 +97,9 @@ def choose_offset(kinematics: Kinematics, bed: Bed | None, footprint: Callable[[
     if printed is None or _fits(kinematics, printed.part, NOWHERE):
         if bed is not None and by_bed == NOWHERE:
             return Placement(NOWHERE, "Offset 0,0: the slicer's bed lies about where the machine's does.")
-        elsewhere = "" if bed is None else _other_bed(kinematics, bed, by_bed)
+        elsewhere = ""
+        if bed is not None:
+            elsewhere = f" ({_beds(kinematics, bed)}: --offset-mm {pair(by_bed)} would move it there)"
         return Placement(NOWHERE, f"Offset 0,0: the print lies inside as it is{elsewhere}.", notable=bool(elsewhere))
     offset = _helping(kinematics, bed, printed)
     if offset is None:
@@ -143,10 +145,6 @@ def no_offset(kinematics: Kinematics, footprint: Footprint) -> str:
 
 def _fits(kinematics: Kinematics, points: FloatArray, offset: Offset) -> bool:
     return bool(kinematics.contains(points + offset, SLACK_MM).all())
-
-
-def _other_bed(kinematics: Kinematics, bed: Bed, by_bed: Offset) -> str:
-    return f" ({_beds(kinematics, bed)}: --offset-mm {pair(by_bed)} would move it there)"
 
 
 def _beds(kinematics: Kinematics, bed: Bed) -> str:

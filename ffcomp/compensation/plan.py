@@ -85,7 +85,12 @@ def plan_chunk(chunk: Chunk, context: Context, model: InverseModel) -> PlannedCh
         slowed=tuple(each for each in chunk.slowed if each.seconds > 0.0),
         faster=faster,
     )
-    written = _written_events(chunk)
+    begin, end = chunk.extent
+    written = [
+        event
+        for event in chunk.program.events
+        if (begin is None or event.move > begin.move) and (end is None or event.move <= end.move)
+    ]
     raw = [event for event in written if event.raw is not None]
     raw_s = raw_durations(raw, planner_of(chunk.program, machine))
     changes_s = {event.line: event.lasts_s for event in written if event.lasts_s}
@@ -101,16 +106,6 @@ def plan_chunk(chunk: Chunk, context: Context, model: InverseModel) -> PlannedCh
     statistics = around + by_plan + of_raw(raw, raw_s) + changes + settling
     simulated = _is_simulated(chunk, context.share)
     return PlannedChunk(chunk, planned, state, simulated, statistics, raw_s | changes_s, waits)
-
-
-def _written_events(chunk: Chunk) -> list[Event]:
-    """Return the events that this chunk writes."""
-    begin, end = chunk.extent
-    return [
-        event
-        for event in chunk.program.events
-        if (begin is None or event.move > begin.move) and (end is None or event.move <= end.move)
-    ]
 
 
 def _is_simulated(chunk: Chunk, share: float) -> bool:

@@ -242,7 +242,8 @@ def correct_sections(model: InverseModel, machine: Machine, runs: Sequence[Linea
         before = now
         for each in rounds:
             _step(each, share)
-    if _promised(rounds) < STALL_RATIO * _reached(rounds):
+    reached = np.sqrt(np.average([each.rms**2 for each in rounds], weights=[each.iterate.last for each in rounds]))
+    if _promised(rounds) < STALL_RATIO * float(reached):
         for each in rounds:
             _change(each, each.best, each.gamma - each.best)
         _round(model, machine, rounds)
@@ -281,11 +282,6 @@ def _round(model: InverseModel, machine: Machine, rounds: Sequence[_Round]) -> N
 
     for each, places in zip(rounds, _played(model, machine, rounds, nozzle), strict=True):
         _judge(each, places)
-
-
-def _reached(rounds: Sequence[_Round]) -> float:
-    """Return the error's rms with the best commands simulated, mm."""
-    return float(np.sqrt(np.average([each.rms**2 for each in rounds], weights=[each.iterate.last for each in rounds])))
 
 
 def _promised(rounds: Sequence[_Round]) -> float:

@@ -48,6 +48,7 @@ from ffcomp.planner.limits import PlannerLimits, bounds_of, lines_of
 from ffcomp.planner.segment_timing import segment_speeds
 from ffcomp.planner.trajectory import PathPosition, PlannedMotion, Section, Trajectory
 from gcode.program import Moves, Program
+from gcode.slicing import some
 from models.arrays import BoolArray, FloatArray, IntArray
 
 Replan = Callable[[Moves, float], PlannedMotion]  # the moves of a section, when it begins (s) → its plan
@@ -138,7 +139,7 @@ def solve_feasible(model: InverseModel, request: SectionRequest) -> FeasibleSect
         return FeasibleSection(trajectory, section, written, solution)
     if (roomy := _with_more_room(model, request, written)) is not None:
         return roomy
-    moves, first_line = _slice(request.program.moves, section), request.program.first_line
+    moves = some(request.program.moves, slice(section.first, section.last))
     scaled = _ScaledSection(
         model,
         moves,
@@ -147,7 +148,7 @@ def solve_feasible(model: InverseModel, request: SectionRequest) -> FeasibleSect
         section.begin_t,
         request.extent,
         request.state,
-        first_line,
+        request.program.first_line,
         keep_response=keep,
     )
     written, solution = scaled.solve(settings.tolerance_um * 1e-3)
@@ -514,10 +515,6 @@ class _ScaledSection:
 def _among(violations: Iterator[Violation], written: WrittenReference) -> list[Violation]:
     """Return those that touch the written part."""
     return [each for each in violations if each.last >= written.first and each.first < written.last]
-
-
-def _slice(moves: Moves, section: Section) -> Moves:
-    return Moves(*(getattr(moves, field.name)[section.first : section.last] for field in fields(moves)))
 
 
 def _spliced(trajectory: Motion, section: Section, part: PlannedMotion) -> tuple[Motion, float]:

@@ -208,15 +208,13 @@ class StepSink:
         # it refuses what is out of reach
         carriages = self._geometry.inverse(np.vstack([block.origin[:1, :3], ends[:, :3]]))
         if self._end is None:
-            self._begin(self._geometry.motors @ carriages[0], float(block.origin[0, 3]))
+            begins = [*(self._geometry.motors @ carriages[0]).tolist(), float(block.origin[0, 3])]
+            for motor, start_mm in zip(self._motors, begins, strict=True):
+                motor.start_mm = start_mm
         self._check_joints(block, ends)
         for motor in self._motors:
             motor.add(block)
         self._end, self._end_t = ends[-1], float(block.start_t[-1] + block.duration[-1])
-
-    def _begin(self, heights: FloatArray, filament: float) -> None:
-        for motor, start_mm in zip(self._motors, (*heights.tolist(), filament), strict=True):
-            motor.start_mm = start_mm
 
     def _check_joints(self, block: Pieces, ends: FloatArray) -> None:
         """Each piece begins where and when the one before it ended, or later."""
