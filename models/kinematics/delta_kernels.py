@@ -90,7 +90,7 @@ class FastDelta:
 
     def inverse(self, xyz: FloatArray) -> FloatArray:
         """Return carriages of nozzle positions, mm."""
-        return _inverse(xyz, self._towers, self._arms, self._height)
+        return _inverse(np.ascontiguousarray(xyz), self._towers, self._arms, self._height)
 
     def forward(self, q: FloatArray) -> FloatArray:
         """Return nozzle positions of carriages, mm."""
