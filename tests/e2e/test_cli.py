@@ -69,7 +69,7 @@ def test_the_main_job_and_the_way_back(small: Path) -> None:
 
 def test_json_is_one_object_with_the_documented_keys(small: Path, tmp_path: Path) -> None:
     target = tmp_path / "out.gcode"
-    answer = ffcomp("compensate", "-m", "mp-delta-pro", small, "-o", target, "--json")
+    answer = ffcomp("compensate", "-m", "mp-delta-pro", small, "-o", target, "--flavor", "klipper", "--json")
     assert answer.exit_code == 0
     result = json.loads(answer.stdout)
     assert result["schema"] == "ffcomp-compensate/1"
