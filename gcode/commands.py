@@ -157,33 +157,18 @@ def _retraction_or_tool_setting(modal: Modal, command: Command) -> Effect:
 # -- modes --
 
 
-def _inches(modal: Modal, command: Command) -> Effect:
-    modal.unit = INCH_MM
+def _unit(modal: Modal, command: Command) -> Effect:
+    modal.unit = INCH_MM if command.name == "G20" else 1.0
     return PASS
 
 
-def _millimetres(modal: Modal, command: Command) -> Effect:
-    modal.unit = 1.0
+def _distances(modal: Modal, command: Command) -> Effect:
+    modal.set_modes(absolute=command.name == "G90")
     return PASS
 
 
-def _absolute(modal: Modal, command: Command) -> Effect:
-    modal.set_modes(absolute=True)
-    return PASS
-
-
-def _relative(modal: Modal, command: Command) -> Effect:
-    modal.set_modes(absolute=False)
-    return PASS
-
-
-def _absolute_e(modal: Modal, command: Command) -> Effect:
-    modal.set_e_mode(absolute=True)
-    return PASS
-
-
-def _relative_e(modal: Modal, command: Command) -> Effect:
-    modal.set_e_mode(absolute=False)
+def _filament_distances(modal: Modal, command: Command) -> Effect:
+    modal.set_e_mode(absolute=command.name == "M82")
     return PASS
 
 
@@ -510,16 +495,13 @@ EFFECTS: dict[str, Handler] = {
     "M400": _finish_moves,
     "G10": _retraction_or_tool_setting,
     **dict.fromkeys(("G17", "G18", "G19"), _plane),
-    "G20": _inches,
-    "G21": _millimetres,
+    **dict.fromkeys(("G20", "G21"), _unit),
     "G28": _home,
-    "G90": _absolute,
-    "G91": _relative,
+    **dict.fromkeys(("G90", "G91"), _distances),
     "G92": _rename,
     "G92.1": _names_back,
     **dict.fromkeys(("M18", "M84"), _motors_off),
-    "M82": _absolute_e,
-    "M83": _relative_e,
+    **dict.fromkeys(("M82", "M83"), _filament_distances),
     "M200": _volumetric,
     "M201": _axis_acceleration,
     "M203": _axis_velocity,

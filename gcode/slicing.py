@@ -92,8 +92,8 @@ def join(first: Program, second: Program) -> Program:
     )
 
 
-def some(moves: Moves, which: slice) -> Moves:
-    """Return a slice of moves."""
+def some(moves: Moves, which: slice | NDArray[np.bool_]) -> Moves:
+    """Return a slice of moves, or those that are marked."""
     return Moves(**{each.name: getattr(moves, each.name)[which] for each in fields(Moves)})
 
 
@@ -105,13 +105,12 @@ def part(program: Program, first: int, last: int) -> Program:
     moves = program.moves
     begin = int(moves.line[first])
     end = int(moves.line[last]) if last < len(moves) else len(program.lines)
-    columns = {each.name: getattr(moves, each.name)[first:last] for each in fields(Moves)}
-    moves_within = Moves(**{**columns, "line": columns["line"] - begin})
+    moves_within = some(moves, slice(first, last))
     a, b = (bisect_left(program.events, line, key=attrgetter("line")) for line in (begin, end))
     return replace(
         program,
         lines=program.lines[begin:end],
-        moves=moves_within,
+        moves=replace(moves_within, line=moves_within.line - begin),
         events=shifted(program.events[a:b], -begin, -first),
         first_line=program.first_line + begin,
         limits=limits_in_effect(program, program.limits, a),
@@ -152,8 +151,7 @@ def passed_through(program: Program, which: NDArray[np.bool_], reason: str) -> P
     before = np.concatenate([[0], np.cumsum(~gone)])  # moves that stay before each one
     passing = [_event(program, numbers, int(before[numbers[0]]), reason) for numbers in _lines_of(moves, gone)]
     staying = [event._replace(move=int(before[event.move])) for event in program.events]
-    left = Moves(**{each.name: getattr(moves, each.name)[~gone] for each in fields(Moves)})
-    return replace(program, moves=left, events=sorted([*staying, *passing], key=lambda event: event.line))
+    return replace(program, moves=some(moves, ~gone), events=sorted([*staying, *passing], key=lambda event: event.line))
 
 
 def _lines_of(moves: Moves, gone: NDArray[np.bool_]) -> list[IntArray]:

@@ -124,8 +124,8 @@ class DrivenAxis(VibrationModel):
             limit = min(limit, self.drive.supply_v * self.drive.force_per_volt)
         return float(limit)
 
-    def force_of(self, given: FloatArray, supply_v: FloatArray | None = None) -> FloatArray:
-        """Return the drive's force, (n,) N, from what a run gives it, (n,) N, A, V or a duty of -1 to 1.
+    def force_of(self, command: FloatArray, supply_v: FloatArray | None = None) -> FloatArray:
+        """Return the drive's force, (n,) N, from its command, (n,) N, A, V or a duty of -1 to 1.
 
         Parameters
         ----------
@@ -134,14 +134,16 @@ class DrivenAxis(VibrationModel):
         drive = self.drive
         if self.input == "current":
             most = drive.current_limit_a or np.inf
-            return np.asarray(np.clip(given, -most, most) * (drive.force_constant_n_per_a or 1.0))
+            return np.asarray(np.clip(command, -most, most) * (drive.force_constant_n_per_a or 1.0))
         if self.input in ("voltage", "duty"):
             supply = drive.supply_v if supply_v is None else supply_v
             volts = (
-                given if self.input == "voltage" else np.clip(given, -1.0, 1.0) * (1.0 if supply is None else supply)
+                command
+                if self.input == "voltage"
+                else np.clip(command, -1.0, 1.0) * (1.0 if supply is None else supply)
             )
             return np.asarray((volts if supply is None else np.clip(volts, -supply, supply)) * drive.force_per_volt)
-        return given
+        return command
 
     @property
     def free(self) -> bool:
