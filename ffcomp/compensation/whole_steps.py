@@ -32,6 +32,7 @@ ALONG = 0.3  # of an error along the path, that counts
 MISS_COST = 0.2  # of e², in squares of what a step moves: less of it asks for misses of many steps
 SETTLE = 12  # segments like the last, after which what follows it is known well enough
 WIDER = 4  # steps beyond the nearest, where there and back in two segments is within the motors' acceleration
+SPARE = 0.9  # of that acceleration, for Marlin's times are not quite ours
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,16 +46,17 @@ class WholeSteps:
     free: BoolArray  # (3,) which motors may be moved off the command: no lead screw
     minimum: int  # steps that a segment must have
     wider: int  # steps beyond the nearest that are tried for a segment that would be too short
+    most: FloatArray  # (3,) steps a knot², of the motors' acceleration
     _intervals: dict[tuple[int, int], tuple[FloatArray, FloatArray]] = field(default_factory=dict)
 
     @classmethod
     def of(cls, model: InverseModel, steps_per_mm: FloatArray, free: BoolArray, minimum: int) -> WholeSteps:
         """Return those of a machine, from its inverse model."""
         settings, limits = model.settings, model.machine.limits
-        turn = 2.0 * minimum / float(steps_per_mm[free].min()) / settings.segment_s**2
-        wider = WIDER if turn <= limits.carriage_acceleration_mm_per_s2 else 0
+        most = SPARE * limits.carriage_acceleration_mm_per_s2 * settings.segment_s**2 * steps_per_mm
+        wider = WIDER if 2.0 * minimum <= float(most[free].min()) else 0
         per_knot = settings.rows_per_segment
-        return cls(model.machine.kinematics, model.row_table, per_knot, steps_per_mm, free, minimum, wider)
+        return cls(model.machine.kinematics, model.row_table, per_knot, steps_per_mm, free, minimum, wider, most)
 
     def placed(self, at: FloatArray, points: FloatArray, fixed: BoolArray) -> FloatArray:
         """Return the ends of segments where whole steps are, (n, 3) mm.
@@ -74,6 +76,7 @@ class WholeSteps:
         move = np.diff(points, axis=0)
         unit = move / np.maximum(np.linalg.norm(move, axis=1), 1e-9)[:, None]
         chosen = _chosen(
+            at,
             steps,
             kind.ravel(),
             unit,
@@ -85,6 +88,7 @@ class WholeSteps:
             self.free,
             self.minimum,
             self.wider,
+            self.most,
         )
         chosen[:, ~self.free] = steps[:, ~self.free]
         k = self.kinematics
@@ -131,6 +135,7 @@ class WholeSteps:
 
 @kernel
 def _chosen(
+    at: FloatArray,
     steps: FloatArray,
     kind: IntArray,
     unit: FloatArray,
@@ -142,8 +147,9 @@ def _chosen(
     free: BoolArray,
     minimum: int,
     wider: int,
+    most: FloatArray,
 ) -> FloatArray:
-    """Return whole steps (n, 3) for a command in steps (n, 3).
+    """Return whole steps (n, 3) for a command in steps (n, 3) at times (n,), in knots.
 
     kind (n - 1,): which of forward (g, N, N + 3) and errors (g, 3 · MOST_ROWS, N + 3) a segment is of.
     unit (n - 1, 3): its direction.   begins (n,): where what was missed before is forgotten.   penalty (3,): of e².
@@ -151,14 +157,18 @@ def _chosen(
     n, size = len(steps), forward.shape[1]
     gain, cost = _regulator(kind, unit, begins, forward, errors, penalty)
     z, missed, off, tried = np.zeros(size), np.zeros(size + 3), np.zeros(3), np.zeros(3)
+    low, high = np.zeros(3), np.zeros(3)
     out = np.floor(steps + 0.5)
     for j in range(n):
         if j > 0 and not fixed[j]:
+            _reach(at, out, j, begins, most, low, high)
             for i in range(3):
                 off[i] = steps[j, i]
                 for c in range(size):
                     off[i] -= gain[j, i, c] * z[c]
-            _nearest(off, cost[j], j, free, minimum, wider, tried, out)
+                if np.ceil(low[i]) <= np.floor(high[i]):
+                    off[i] = min(max(off[i], np.ceil(low[i])), np.floor(high[i]))
+            _nearest(off, cost[j], j, free, minimum, wider, low, high, tried, out)
         for i in range(3):
             missed[size + i] = out[j, i] - steps[j, i]
         if j == 0 or begins[j]:
@@ -171,6 +181,29 @@ def _chosen(
             for c in range(size + 3):
                 z[i] += forward[kind[j - 1], i, c] * missed[c]
     return out
+
+
+@kernel
+def _reach(
+    at: FloatArray, out: FloatArray, j: int, begins: BoolArray, most: FloatArray, low: FloatArray, high: FloatArray
+) -> None:
+    """Fill in which steps motors reach at point j, by their acceleration from the last segment and into the next.
+
+    What comes next in `out` is the command. Behind a cut the last segment does not count, for its part may be another.
+    """
+    last = at[j] - at[j - 1]
+    for i in range(3):
+        low[i], high[i] = -np.inf, np.inf
+        if j > 1 and not begins[j - 1]:
+            before = at[j - 1] - at[j - 2]
+            on = out[j - 1, i] + (out[j - 1, i] - out[j - 2, i]) * last / before
+            change = most[i] * max(0.5 * (last + before), 1.0) * last
+            low[i], high[i] = on - change, on + change
+        if j + 1 < len(at):
+            then = at[j + 1] - at[j]
+            between = (out[j - 1, i] * then + out[j + 1, i] * last) / (last + then)
+            change = most[i] * max(0.5 * (last + then), 1.0) * last * then / (last + then)
+            low[i], high[i] = max(low[i], between - change), min(high[i], between + change)
 
 
 @kernel
@@ -267,30 +300,37 @@ def _nearest(
     free: BoolArray,
     minimum: int,
     most_wider: int,
+    low: FloatArray,
+    high: FloatArray,
     tried: FloatArray,
     out: FloatArray,
 ) -> None:
-    """Put the whole steps that cost least near `wanted` into row j, of those that are `minimum` from the last row's."""
-    least, executed = np.inf, False
+    """Put the whole steps that cost least near `wanted` into row j: of those that motors reach, and are not dropped.
+
+    low, high (3,): what the motors reach.   minimum: steps of one motor from the last row, from which none is dropped.
+    """
+    least, best = np.inf, -1
     for wider in range(most_wider + 1):
         width = 2 + 2 * wider
         for number in range(width * width * width):
-            rest, apart, usable = number, 0.0, True
+            rest, apart, usable, within = number, 0.0, True, True
             for i in range(3):
                 digit = rest % width
                 rest //= width
                 tried[i] = np.floor(wanted[i]) - wider + digit if free[i] else out[j, i]
                 usable &= free[i] or digit == 0
+                within &= not free[i] or low[i] <= tried[i] <= high[i]
                 apart = max(apart, abs(tried[i] - out[j - 1, i]))
-            if not usable or (executed and apart < minimum):
+            rank = 2 * int(within) + int(apart >= minimum)
+            if not usable or rank < best or (wider > 0 and rank < 3):
                 continue
             total = 0.0
             for i in range(3):
                 for c in range(3):
                     total += (tried[i] - wanted[i]) * cost[i, c] * (tried[c] - wanted[c])
-            if total < least or (apart >= minimum and not executed):
-                least, executed = total, apart >= minimum
+            if total < least or rank > best:
+                least, best = total, rank
                 for i in range(3):
                     out[j, i] = tried[i]
-        if executed:
+        if best != 2:  # not dropped, or beyond the motors whatever is tried
             return

@@ -106,6 +106,18 @@ def test_a_deltas_segments_are_short_enough_not_to_be_cut() -> None:
     assert np.array_equal(segments.uncut(lifts, lasting), lasting)
 
 
+def test_motors_keep_their_acceleration_before_a_line_that_stays(delta: WholeSteps) -> None:
+    """A fifth of a knot after a point that goes elsewhere, since six steps are too many at 10 mm/s."""
+    at = np.sort(np.append(np.arange(1.0, 240.0), np.arange(9, 230, 11) + 0.2))
+    turned = 0.002 * at
+    points = np.column_stack([20 * np.cos(turned), 20 * np.sin(turned) - 60.0, np.full(len(at), 0.3)])
+    fixed = np.append(at[:-1] % 1.0 != 0.0, True)
+    lasting = np.diff(at)[:, None]
+    velocity = np.diff(delta.motors(delta.placed(at, points, fixed)), axis=0) / lasting
+    change = np.abs(np.diff(velocity, axis=0)) / np.maximum(0.5 * (lasting[1:] + lasting[:-1]), 1.0)
+    assert (change / delta.most).max() < 1.0
+
+
 def test_motors_that_are_too_weak_for_it_are_not_moved_to_and_fro() -> None:
     machine = load_machine("mp-delta-pro")
     weak = replace(machine, limits=replace(machine.limits, carriage_acceleration_mm_per_s2=9000.0))
