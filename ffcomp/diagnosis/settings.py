@@ -104,7 +104,7 @@ class SearchSettings:
     as_loose: float = _setting(1.5, "ratio", "of what the effects leave: such a fit explains as much")
     # ---- work ----
     budget_steps: float = _setting(
-        8e7, "integration steps", "after which nothing more is tried, of a printer", "30 s of CPU, 2026"
+        2.4e8, "integration steps", "after which nothing more is tried, of a printer", "90 s of CPU, 2026"
     )
     restart_steps: float = _setting(4e7, "integration steps", "that a warm start may take beyond", "15 s of CPU, 2026")
 
