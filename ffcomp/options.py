@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from math import isfinite
+from pathlib import Path
 
 from ffcomp.errors import RequestError
 from ffcomp.request import ADVANCED, FASTER, MACHINE, OUTPUT, SPEED, Argument, Option
 
 Offset = tuple[float, float]
+FIGURES = ("", ".png", ".svg", ".pdf")
 FLAVORS = ("klipper", "marlin", "reprapfirmware")
 
 
@@ -22,6 +24,14 @@ def parse_offset(text: str) -> Offset | None:
     except ValueError:
         raise RequestError(f"--offset-mm {text!r}: two numbers with a comma between them, in mm.") from None
     return x, y
+
+
+def parse_figure(text: str) -> Path:
+    """Read the name of a figure; without a suffix it is a .png."""
+    path = Path(text)
+    if path.suffix.lower() not in FIGURES:
+        raise RequestError(f"{text}: the name of a figure ends in {', '.join(FIGURES[1:])}.")
+    return path if path.suffix else path.with_name(f"{path.name}.png")
 
 
 MACHINE_NAME = Option(
@@ -66,7 +76,7 @@ SCHEDULER = Option(
     "Use a Dask cluster, e.g. tcp://host:8786. Its workers need ffcomp but not the files.", SPEED, metavar="ADDRESS"
 )
 REPORT = Option("Write one HTML page that opens offline.", OUTPUT, "--report", "-r", metavar="FILE")
-FIGURE = Option("Draw a figure: .png, .svg or .pdf.", OUTPUT, metavar="FILE")
+FIGURE = Option("Draw a figure: .png, .svg or .pdf.", OUTPUT, metavar="FILE", parse=parse_figure)
 MACHINE_FILE = Option("Machine file to write.", OUTPUT, "--output", "-o", metavar="FILE")
 FORCE = Option("Overwrite files that exist.", OUTPUT)
 MAX_FLOW = Option(

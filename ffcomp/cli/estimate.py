@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from gcode.container import Source
     from models.machine import Machine
 
-FIGURES = (".png", ".svg", ".pdf")
 MOST_LINES = 4  # of each command whose time is not known
 
 
@@ -32,11 +31,6 @@ class EstimateShown(Request):
 
     layers: Annotated[bool, Option("Print a row for every layer.", OUTPUT)] = False
     figure: Annotated[Path | None, FIGURE] = None
-
-    def check(self) -> None:
-        """Check the kind of figure."""
-        if self.figure is not None and self.figure.suffix not in FIGURES:
-            raise RequestError(f"--figure {self.figure}: a name that ends in {', '.join(FIGURES)}.")
 
 
 @verb

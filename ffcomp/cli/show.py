@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 from ffcomp.cli.command import Json, verb
 from ffcomp.cli.common import opened, print_json, say, say_assumed
 from ffcomp.errors import RequestError
-from ffcomp.options import PLATE, STAMPED_MACHINE
+from ffcomp.options import PLATE, STAMPED_MACHINE, parse_figure
 from ffcomp.request import OUTPUT, Argument, Option, Request
 
 
@@ -20,7 +20,14 @@ class ShowRequest(Request):
     file: Annotated[Path, Argument("Compensated print.", metavar="FILE")]
     output: Annotated[
         Path | None,
-        Option("Picture: .png, .svg or .pdf. Default: FILE.png.", OUTPUT, "--output-file", "-o", metavar="FILE"),
+        Option(
+            "Picture: .png, .svg or .pdf. Default: FILE.png.",
+            OUTPUT,
+            "--output-file",
+            "-o",
+            metavar="FILE",
+            parse=parse_figure,
+        ),
     ] = None
     machine: Annotated[str, STAMPED_MACHINE] = ""
     z_mm: Annotated[

@@ -130,21 +130,19 @@ def layout() -> ConstrainedLayoutEngine:
     return ConstrainedLayoutEngine(w_pad=0.12, h_pad=0.1)
 
 
-def file_of(figure: Figure, form: str) -> bytes:
-    """Return the figure as a file of the form "png" or "svg"."""
+def file_of(figure: Figure, form: str, dpi: float = DPI) -> bytes:
+    """Return the figure as a file of the form "png", "svg" or "pdf"."""
     file = io.BytesIO()
     with warnings.catch_warnings():  # a print's name may be written in any script: what the font lacks is a box
         warnings.filterwarnings("ignore", message="Glyph .* missing from font")
-        figure.savefig(file, format=form, dpi=DPI, metadata={"Date": None} if form == "svg" else None)
+        figure.savefig(file, format=form, dpi=dpi, metadata={"Date": None} if form == "svg" else None)
     return file.getvalue()
 
 
 def write_figure(figure: Figure, target: Path, dpi: float) -> None:
     """Write the figure whole or not at all; the suffix of `target` names the format, without one it becomes .png."""
     named = target if target.suffix else target.with_name(f"{target.name}.png")
-    content = io.BytesIO()
-    figure.savefig(content, format=named.suffix.removeprefix("."), dpi=dpi)
-    replace_atomically(named, [content.getvalue()])
+    replace_atomically(named, [file_of(figure, named.suffix.removeprefix("."), dpi)])
 
 
 @dataclass(frozen=True, slots=True)

@@ -63,6 +63,8 @@ def test_the_main_job_and_the_way_back(small: Path) -> None:
     assert shown.exit_code == 0, shown.stderr
     verdict, picture = shown.stdout.splitlines()
     assert "times less" in verdict and Path(picture).read_bytes().startswith(b"\x89PNG")
+    refused = ffcomp("show", small, "-o", "picture.gcode")
+    assert refused.exit_code == 2 and "picture.gcode: the name of a figure ends in .png, .svg, .pdf" in refused.stderr
     assert ffcomp("restore", small).exit_code == 0
     assert small.read_bytes() == SMALL
 
