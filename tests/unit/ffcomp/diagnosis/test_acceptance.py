@@ -49,3 +49,12 @@ def test_where_three_of_the_files_numbers_are_far_off_it_is_of_another_machine(
     intervals = {own.name: Estimate(0.12, 0.01, 0.1, 0.14) for own in sizes}
     found = rejections(base, Hypothesis(effects, fitted), held_out, intervals, 0.05)
     assert any("the file of another machine" in text for text in found) == said
+
+
+@pytest.mark.parametrize(("residual", "named_it"), [(1.004, False), (10.0, True)])
+def test_an_effect_must_explain_more_than_its_number_is_worth(residual: float, named_it: bool) -> None:
+    """A thousand rows of 1.004 are 8 more in χ² than a thousand of 1: less than the 10 that a number must bring."""
+    base = Fit(OWN, np.zeros(2), np.full(1000, residual), np.zeros((1000, 2)))
+    held_out = [HeldOut(place, "", rows=500, before=99.0, after=0.0) for place in ((0.0, 0.0), (55.0, 20.0))]
+    reasons = rejections(base, named((0.0, 0.0)), held_out, {EFFECT.name: Estimate(0.12, 0.01, 0.1, 0.14)}, 0.05)
+    assert ("it is not significantly better than retuning alone" not in reasons) == named_it
