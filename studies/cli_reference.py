@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import sys
 import textwrap
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -14,6 +13,7 @@ from cyclopts import App
 from ffcomp.cli.app import app
 from ffcomp.cli.command import commands
 from ffcomp.request import Declared
+from studies.render import print_or_write
 
 PAGE = Path(__file__).parents[1] / "docs" / "reference" / "cli.md"
 WORDS = {str: "TEXT", Path: "PATH", int: "WHOLE NUMBER", float: "NUMBER"}
@@ -126,12 +126,5 @@ def _safe(text: str) -> str:
     return re.sub(r"([*<|])", r"\\\1", text)
 
 
-def main() -> None:
-    if sys.argv[1:] == ["--write"]:
-        PAGE.write_text(page(), encoding="utf-8")
-    else:
-        print(page(), end="")
-
-
 if __name__ == "__main__":
-    main()
+    print_or_write(page(), PAGE)

@@ -6,7 +6,6 @@ Which lines the page shows, for which firmware, and what it says of each, is wri
 from __future__ import annotations
 
 import re
-import sys
 from pathlib import Path
 from typing import NamedTuple
 
@@ -14,6 +13,7 @@ from gcode.commands import RETURNING_MACROS, STILL_MACROS
 from gcode.errors import GcodeError
 from gcode.program import EventKind, Program
 from gcode.reader import read_program
+from studies.render import print_or_write
 
 PAGE = Path(__file__).parents[1] / "docs" / "DIALECTS.md"
 START = "G28\nG90\nM83\nG1 X10 Y10 Z5 F6000\nSAVE_GCODE_STATE NAME=a\nG1 X11 Y10 E.1\n"
@@ -89,12 +89,5 @@ def _changes(program: Program, line: int) -> bool:
     return frames[line] != frames[line - 1]
 
 
-def main() -> None:
-    if sys.argv[1:] == ["--write"]:
-        PAGE.write_text(page(), encoding="utf-8")
-    else:
-        print(page(), end="")
-
-
 if __name__ == "__main__":
-    main()
+    print_or_write(page(), PAGE)

@@ -11,12 +11,13 @@ from __future__ import annotations
 
 import ast
 import re
-import sys
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
+
+from studies.render import print_or_write
 
 PAGE = Path(__file__).parents[1] / "docs" / "reference" / "json.md"
 
@@ -359,12 +360,5 @@ def page() -> str:
     return text
 
 
-def main() -> None:
-    if sys.argv[1:] == ["--write"]:
-        PAGE.write_text(page(), encoding="utf-8")
-    else:
-        print(page(), end="")
-
-
 if __name__ == "__main__":
-    main()
+    print_or_write(page(), PAGE)

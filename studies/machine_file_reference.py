@@ -6,12 +6,12 @@ What a key means is written by hand, in the last column; a new key gets a row th
 from __future__ import annotations
 
 import re
-import sys
 from pathlib import Path
 from typing import Any
 
 from models.schema.documents import AxisDocument, DeltaDocument, StraightDocument
 from models.schema.table import unit_of
+from studies.render import print_or_write
 
 PAGE = Path(__file__).parents[1] / "docs" / "reference" / "machine_file.md"
 
@@ -124,12 +124,5 @@ def _number(value: float) -> str:
     return f"{float(digits):g}e{int(exponent)}"
 
 
-def main() -> None:
-    if sys.argv[1:] == ["--write"]:
-        PAGE.write_text(page(), encoding="utf-8")
-    else:
-        print(page(), end="")
-
-
 if __name__ == "__main__":
-    main()
+    print_or_write(page(), PAGE)
