@@ -44,8 +44,12 @@ def numbers(curve: Curve) -> Numbers:
 def verdict(preview: Preview) -> str:
     """State the improvement in one sentence."""
     before, after = numbers(preview.before), numbers(preview.after)
+    ratio = before.rms / after.rms
+    change = f"{ratio:.0f} times less"
+    if ratio < 1.0:
+        change = f"{1.0 / ratio:.1f} times more: see that -m names the machine it was compensated for"
     return (
-        f"Contour error {before.rms:.1f} → {after.rms:.2f} µm rms ({before.rms / after.rms:.0f} times less), "
+        f"Contour error {before.rms:.1f} → {after.rms:.2f} µm rms ({change}), "
         f"99 % of the print within {before.p99:.0f} → {after.p99:.1f} µm"
     )
 

@@ -9,7 +9,7 @@ import pytest
 
 from ffcomp.cli.show import open_picture
 from ffcomp.report.drawing import ERROR, NEIGHBOUR
-from ffcomp.report.show import show_figure
+from ffcomp.report.show import show_figure, verdict
 from ffcomp.simulation.preview import Curve, Preview
 
 COUNT = 400  # samples of each kind: an outer wall, infill, travel
@@ -63,3 +63,9 @@ def test_the_picture_is_opened_or_it_is_said_where_it_is(
     monkeypatch.setattr("ffcomp.cli.show.opened", lambda url: False)
     open_picture("out.png")
     assert "look at out.png yourself" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("scale", "change"), [(0.01, "(100 times less)"), (2.0, "(2.0 times more: see that -m")])
+def test_what_became_worse_is_said(scale: float, change: str) -> None:
+    before = curve(1.0)
+    assert change in verdict(Preview(before.reference, before.t, before, curve(scale)))
