@@ -1,7 +1,7 @@
 """How numerical loops are compiled: all alike, since the compiler compiles its own functions for every set of options.
 
 A literal number as an argument, another memory layout of an array, or one array assigned to a row of another one each
-cost half a second and more of every user's first run (docs/decisions/0010-compile-on-the-first-run.md).
+cost half a second and more of every user's first run (docs/decisions.md, 0010).
 """
 
 from __future__ import annotations
