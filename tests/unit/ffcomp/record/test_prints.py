@@ -12,7 +12,7 @@ from ffcomp.planner.program import firmware_plan
 from ffcomp.record.gcode_writer import DEFAULT_CHIPS, Firmware
 from ffcomp.record.join import join_captures
 from ffcomp.record.plan import Plan, load_plan, save_plan
-from ffcomp.record.planning import plan_print, print_lines
+from ffcomp.record.prints import plan_print, print_lines
 from gcode.program import Program
 from gcode.reader import read_program
 from models.file import load_machine
