@@ -100,7 +100,12 @@ CHANGE_SPEED = Option(
 RUNS = Argument(
     "Recordings (CSV), or captures with --plan. Names that differ in -1, -2, … only are repeats.", metavar="RUNS..."
 )
-MOVES_PLAN = Option("Plan (.json) of captures, as `record plan` wrote it.", MACHINE, "--plan", metavar="FILE")
+MOVES_PLAN = Option(
+    "Plan (.json) of captures, as `record plan` wrote it; or the print (.gcode) that holds their commands.",
+    MACHINE,
+    "--plan",
+    metavar="FILE",
+)
 CAPTURE_AXES = Option(
     "The printer's axes in the accelerometer's own, e.g. x,-z,y. Default: found in the captures.",
     MACHINE,

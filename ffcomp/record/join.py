@@ -24,7 +24,8 @@ from ffcomp.record.clock import DEAF, ClockFit, Expectation, felt_shares, fit_cl
 from ffcomp.record.executions import Expected, Task, read_tasks, stated
 from ffcomp.record.faults import check_repeats, left_handed, shapers_left_on, unlike
 from ffcomp.record.motor_runs import BLIND, motor_runs
-from ffcomp.record.plan import Plan, load_plan, run_name
+from ffcomp.record.plan import Plan, run_name
+from ffcomp.record.prints import plan_of
 from ffcomp.record.result import (
     DELAY_SD_S,
     KEPT_REST_S,
@@ -127,7 +128,8 @@ def load_recordings(
 
     Parameters
     ----------
-    plan : the file that `ffcomp record plan` wrote beside its G-code; None: there are no captures
+    plan : the file that `ffcomp record plan` wrote beside its G-code, or a print with the commands of captures; None:
+        there are no captures
     turn : as of `join_captures`
     progress : called with what is read, joined, and refused
     """
@@ -137,7 +139,7 @@ def load_recordings(
     runs = [read_recording(path) for path in paths if path not in captures]
     if not captures:
         return runs
-    moves = load_plan(plan)
+    moves = plan_of(plan, machine)
     joined = join_captures(captures, moves, machine, turn, progress)
     joined.check()
     for each in joined.refused:

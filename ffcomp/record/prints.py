@@ -6,20 +6,23 @@ file stays what it is; around each chosen section there are the commands of a ca
 
 from __future__ import annotations
 
+import re
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
-from ffcomp.errors import NothingToDo
+from ffcomp.errors import MeasurementError, NothingToDo
 from ffcomp.planner.limits import planner_limits
 from ffcomp.planner.lookahead import stops_and_waits
 from ffcomp.planner.program import firmware_plan
 from ffcomp.planner.trajectory import Section, split_sections
 from ffcomp.record.gcode_writer import Firmware, rest
 from ffcomp.record.moves import MODES_HZ, MOST_EXPERIMENTS, rounding_share
-from ffcomp.record.plan import LIMIT_COLUMNS, SETTLE_S, Experiment, Motion, Plan, run_name
-from gcode.program import Program
+from ffcomp.record.plan import LIMIT_COLUMNS, SETTLE_S, Experiment, Motion, Plan, load_plan, run_name
+from gcode.program import EventKind, Program
 from gcode.reader import read_program
 from models.machine import Machine
 
@@ -42,7 +45,7 @@ def plan_print(path: Path, machine: Machine, flavor: str) -> tuple[Plan, Program
             f"{path.name} has no motion of {SHORTEST_S:g} to {LONGEST_S:g} s without a stop or a retraction inside in "
             f"its first {WITHIN_S / 60:g} min; record another print, or ffcomp's own moves (without --print)."
         )
-    motions = [_motion(each, program, machine) for each in sections]
+    motions = [_motion(program, machine, each.first, each.last) for each in sections]
     hardest = sorted(range(len(motions)), key=lambda k: -_hardness(motions[k]))[:MOST_EXPERIMENTS]
     experiments = []
     for place, k in enumerate(sorted(hardest)):
@@ -60,17 +63,19 @@ def _suits(section: Section, program: Program) -> bool:
     return section.travels and SHORTEST_S <= lasting <= LONGEST_S and section.begin_t < WITHIN_S and bool(whole)
 
 
-def _motion(section: Section, program: Program, machine: Machine) -> Motion:
-    part, moves = slice(section.first, section.last), program.moves
-    n = section.last - section.first
+def _motion(program: Program, machine: Machine, first: int, last: int) -> Motion:
+    """Return some of the program's moves, with the rests between them."""
+    part, moves = slice(first, last), program.moves
+    stops, waits = stops_and_waits(program)
+    stops[first], waits[first] = False, 0.0
     return Motion(
-        start_mm=moves.start[section.first],
+        start_mm=moves.start[first],
         ends_mm=moves.end[part],
         speed=moves.speed[part],
         limits=planner_limits(machine),
         move_limits=np.column_stack([getattr(moves, name)[part] for name in LIMIT_COLUMNS]),
-        stop_before=np.zeros(n, dtype=np.bool_),
-        wait_before=np.zeros(n),
+        stop_before=stops[part],
+        wait_before=waits[part],
     )
 
 
@@ -106,3 +111,86 @@ def _first_move(experiment: Experiment, program: Program) -> int:
         if np.array_equal(ends[k : k + n], experiment.motion.ends_mm):
             return int(k)
     raise ValueError(f"{experiment.name} is not in the print.")
+
+
+# ---- the print itself as the plan ----------------------------------------------------------------
+
+TOGGLE = re.compile(rb"^[ \t]*(ACCELEROMETER_MEASURE\b|M956\b)[^\r\n]*", re.IGNORECASE | re.MULTILINE)
+MARK = b"M400 ;capture "  # which waits as these commands do, and is known to a reader
+NAMED = re.compile(rb'(?:\bNAME=|\bF")"?([^"\s;]+?)(?:\.csv)?(?:["\s;]|$)', re.IGNORECASE)
+LEAST_REST_S = 0.2
+
+
+def plan_of(path: str | Path, machine: Machine) -> Plan:
+    """Load the plan of captures: the file of `ffcomp record plan`, or a print with the commands of captures in it.
+
+    Raises MeasurementError for a file that is neither.
+    """
+    try:
+        data = Path(path).read_bytes()
+    except OSError as error:
+        raise MeasurementError(str(path), [f"The plan cannot be read: {error.strerror}."]) from None
+    if Path(path).suffix.lower() == ".json" or data.lstrip()[:1] == b"{":
+        return load_plan(path)
+    return plan_of_print(Path(path).name, data, machine)
+
+
+def plan_of_print(name: str, data: bytes, machine: Machine) -> Plan:
+    """Make each capture's moves an experiment, as the print's own commands begin and end the capture.
+
+    Whether `ffcomp record plan --print` has written these commands, or a slicer's G-code of layer changes.
+    """
+    program = read_program(TOGGLE.sub(MARK + rb"\g<0>", data), name, flavor=machine.flavor or None)
+    captures = _captures(program)
+    if captures:
+        firmware_plan(program, machine)  # which says what cannot be reached
+    usual, _ = Counter(each.rests_s for each in captures).most_common(1)[0] if captures else ((0.0, 0.0), 0)
+    if min(usual) < LEAST_REST_S:
+        what = "no captures between two rests" if captures else "no captures: no ACCELEROMETER_MEASURE and no M956"
+        raise MeasurementError(
+            name,
+            [
+                f"It holds {what}. `ffcomp record plan --print {name} -o recorded.gcode` writes them, with "
+                f"rests of {LEAST_REST_S:g} s or more; print that file, and give it here."
+            ],
+        )
+    experiments = []
+    for place, each in enumerate(capture for capture in captures if capture.rests_s == usual):
+        motion = _motion(program, machine, each.first, each.last)
+        x, y, z, _ = motion.start_mm.tolist()
+        experiments.append(Experiment(each.name, "print", place, (x, y, z), motion, 0.0))
+    return Plan(machine.name, "", tuple(experiments), 1, *usual, print_file=name)
+
+
+class _Capture(NamedTuple):
+    """The moves of one capture, by index, and how long it rests before and after them."""
+
+    name: str
+    first: int
+    last: int  # the move after them
+    rests_s: tuple[float, float]
+
+
+def _captures(program: Program) -> list[_Capture]:
+    begun: dict[bytes, int] = {}
+    captures: dict[str, _Capture] = {}  # by name: several chips record the same
+    rests = [(each.line, each.dwell_s) for each in program.events if each.kind is EventKind.DWELL]
+    for number, line in enumerate(program.lines):
+        named = NAMED.search(line) if line.startswith(MARK) else None
+        if named is None:
+            continue
+        begin, end = begun.pop(line, None), number
+        if b"M956" in line.upper():  # it ends by itself, in the rest behind
+            begin, moved = number, program.moves.line[program.moves.line > number][:1]
+            end = next((at + 1 for at, dwell_s in rests if len(moved) and at > moved[0] and dwell_s >= LEAST_REST_S), 0)
+        if begin is None:
+            begun[line] = number
+            continue
+        first, last = np.searchsorted(program.moves.line, [begin, end]).tolist()
+        if last > first:
+            edges = int(program.moves.line[first]), int(program.moves.line[last - 1])
+            before = sum(dwell_s for at, dwell_s in rests if begin < at < edges[0])
+            after = sum(dwell_s for at, dwell_s in rests if edges[1] < at < end)
+            name = re.sub("-1$", "", named[1].decode(errors="replace"))
+            captures.setdefault(name, _Capture(name, first, last, (round(before, 3), round(after, 3))))
+    return sorted(captures.values(), key=lambda each: each.first)

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from ffcomp.errors import NothingToDo
+from ffcomp.errors import MeasurementError, NothingToDo
 from ffcomp.planner.program import firmware_plan
 from ffcomp.record.gcode_writer import DEFAULT_CHIPS, Firmware
 from ffcomp.record.join import join_captures
 from ffcomp.record.plan import Plan, load_plan, save_plan
-from ffcomp.record.prints import plan_print, print_lines
+from ffcomp.record.prints import plan_of, plan_print, print_lines
 from gcode.program import Program
 from gcode.reader import read_program
 from models.file import load_machine
@@ -79,3 +80,66 @@ def test_a_print_without_motion_says_so(machine: Machine, tmp_path: Path) -> Non
     path.write_text("G28\nG90\nG1 X0 Y0 Z5 F3000\nG1 X5\n", encoding="utf-8")
     with pytest.raises(NothingToDo, match=r"has no motion of 1\.5 to 15 s without a stop"):
         plan_print(path, machine, "klipper")
+
+
+def test_a_print_with_its_captures_commands_is_its_own_plan(
+    planned: tuple[Plan, Program], machine: Machine, tmp_path: Path
+) -> None:
+    """Read from the G-code, the experiments are those of the plan beside it, to the last digit."""
+    path = tmp_path / "recorded.gcode"
+    path.write_bytes(b"".join(text_of(planned)))
+    read = plan_of(path, machine)
+    assert (read.rest_before_s, read.rest_after_s) == (planned[0].rest_before_s, planned[0].rest_after_s)
+    assert [each.name for each in read.experiments] == [each.name for each in planned[0].experiments]
+    for ours, theirs in zip(read.experiments, planned[0].experiments, strict=True):
+        t = np.linspace(0.0, theirs.duration_s, 200)
+        assert np.array_equal(ours.motion.nozzle(t), theirs.motion.nozzle(t))
+
+
+def test_whole_layers_are_recorded_by_what_a_slicer_puts_between_them(machine: Machine, tmp_path: Path) -> None:
+    """A layer with a retraction and a dwell inside is one experiment; Klipper's toggles and M956 say the same."""
+    layer = "G1 X20 Y10 F9000\nG1 E-2 F2400\nG4 P50\nG1 X-20 Y0 F6000\nG1 X0 Y0\n"
+    texts = {
+        "klipper": "ACCELEROMETER_MEASURE CHIP=bed NAME=layer_{0}\nG4 P400\n{1}G4 P300\n"
+        "ACCELEROMETER_MEASURE CHIP=bed NAME=layer_{0}\n",
+        "reprapfirmware": 'M956 P0 S9999 A0 F"layer_{0}.csv"\nG4 P400\n{1}G4 P300\n',
+    }
+    plans = []
+    for flavor, text in texts.items():
+        path = tmp_path / f"{flavor}.gcode"
+        body = "".join(text.format(k, layer) + f"G1 Z{5 + k} F600\n" for k in (3, 14))
+        path.write_text(f"G28\nG90\nM83\nG1 X0 Y0 Z5 F3000\n{body}", encoding="utf-8")
+        plans.append(plan_of(path, replace(machine, flavor=flavor)))
+    for plan in plans:
+        assert [each.name for each in plan.experiments] == ["layer_3", "layer_14"]
+        assert (plan.rest_before_s, plan.rest_after_s) == (0.4, 0.3)
+        t = np.linspace(0.0, 1.0, 100)
+        assert plan.experiments[0].duration_s == plans[0].experiments[0].duration_s
+        assert np.array_equal(plan.experiments[0].motion.nozzle(t), plans[0].experiments[0].motion.nozzle(t))
+    waits = plans[0].experiments[0].motion
+    assert waits.wait_before.tolist() == [0.0, 0.0, 0.05, 0.0] and waits.nozzle(np.array([9.0]))[0, 0] == 0.0
+
+
+def test_captures_without_a_number_belong_to_the_print(machine: Machine, tmp_path: Path) -> None:
+    path = tmp_path / "layers.gcode"
+    toggle = "ACCELEROMETER_MEASURE NAME=layer_7\n"
+    moves = "".join(f"G1 X{x} Y{y} F9000\n" for x, y in ((20, 0), (20, 15), (-10, 15), (0, 0)))
+    path.write_text(f"G28\nG90\nG1 X0 Y0 Z5 F3000\n{toggle}G4 P400\n{moves}G4 P300\n{toggle}", encoding="utf-8")
+    save_plan(plan_of(path, machine), tmp_path / "p.json")
+    (capture,) = write_captures(tmp_path / "p.json", machine, tmp_path)
+    named = capture.rename(tmp_path / "adxl345-layer_7.csv")
+    joined = join_captures([named], plan_of(path, machine), machine)
+    assert [each.experiment for each in joined.joined] == ["layer_7"] and not joined.refused
+
+
+@pytest.mark.parametrize(
+    ("rest", "sentence"), [("", "no captures between two rests"), (None, "no captures: no ACCELEROMETER_MEASURE")]
+)
+def test_a_print_that_records_nothing_says_what_to_print(
+    rest: str | None, sentence: str, machine: Machine, tmp_path: Path
+) -> None:
+    path = tmp_path / "plain.gcode"
+    toggle = "" if rest is None else f"ACCELEROMETER_MEASURE NAME=a{rest}\n"
+    path.write_text(f"G28\nG90\nG1 X0 Y0 Z5 F3000\n{toggle}G1 X9 F6000\n{toggle}", encoding="utf-8")
+    with pytest.raises(MeasurementError, match=rf"{sentence}.*record plan --print plain\.gcode"):
+        plan_of(path, machine)
