@@ -37,8 +37,7 @@ from ffcomp.inverse.robust import BOUNDED, PLAIN, RobustChoice, choose_robust
 from ffcomp.inverse.settings import Settings, settings_for
 from ffcomp.inverse.time_scaling import TimeScaling, scale_around_cut
 from ffcomp.planner.limits import lines_of, planner_limits
-from ffcomp.planner.marlin import settings_sentence
-from ffcomp.planner.program import firmware_plan, known_to_the_firmware, section_planner
+from ffcomp.planner.program import firmware_plan, known_to_the_firmware, section_planner, settings_sentence
 from ffcomp.planner.reach import OutOfReach, Reach
 from ffcomp.planner.trajectory import PathPosition
 from ffcomp.steps.motion import MotionSink
@@ -46,7 +45,7 @@ from ffcomp.steps.sink import Board, StepSink
 from ffcomp.version import __version__
 from gcode.atomic_write import replace_atomically
 from gcode.container import Source, blocks_of, ends_of
-from gcode.dialects import MARLIN, FlavorChoice, choose_flavor, sign_by_ends
+from gcode.dialects import FlavorChoice, choose_flavor, sign_by_ends
 from gcode.embedded import WITHOUT_ORIGINAL, Stamp, find_offset, joined, offset_line, original_blocks, stamp_line
 from gcode.layers import LayerLookup
 from gcode.metadata import Timed, filament_change_s
@@ -291,7 +290,7 @@ class Job:
     @cached_property
     def _flavor_choice(self) -> FlavorChoice:
         choice = choose_flavor(self.options.flavor, self.machine.flavor, sign_by_ends(*self._ends[:2]), self.path)
-        assumed = settings_sentence(self.machine) if choice.flavor == MARLIN else ""
+        assumed = settings_sentence(choice.flavor, self.machine)
         return replace(choice, reason=f"{choice.reason} {assumed}".strip())
 
     @property

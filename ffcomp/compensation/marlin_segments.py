@@ -216,14 +216,15 @@ class MarlinSegments:
         corner = words(raised if self._delta else raised.replace("Z", ""), jerk, "M205")
         if "junction_deviation_mm" in self.settings.stated:
             corner = {"J": deviation_mm}
-        yield _line("M201", words(raised, acceleration, "M201"), unit_mm)
-        yield _line("M203", words(raised, speed), unit_mm)
-        yield _line("M204", printing, unit_mm)
+        yield limit_line("M201", words(raised, acceleration, "M201"), unit_mm)
+        yield limit_line("M203", words(raised, speed), unit_mm)
+        yield limit_line("M204", printing, unit_mm)
         slow = b" B%.0f" % (1e6 * shortest_s) if self.settings.slowdown and not self._delta else b""
-        yield _line("M205", corner, unit_mm) + slow
+        yield limit_line("M205", corner, unit_mm) + slow
 
 
-def _line(command: str, words: Mapping[str, float], unit_mm: float) -> bytes:
+def limit_line(command: str, words: Mapping[str, float], unit_mm: float = 1.0) -> bytes:
+    """Return a command with numbers behind its letters, in a unit of so many mm."""
     numbers = (f"{letter}{value / unit_mm:.3f}".rstrip("0").rstrip(".") for letter, value in words.items())
     return " ".join([command, *numbers]).encode()
 

@@ -40,7 +40,7 @@ from ffcomp.planner.marlin_queue import (
     phases_of,
     plan_blocks,
 )
-from ffcomp.planner.settings_in_force import SettingsInForce, words_of
+from ffcomp.planner.settings_in_force import SettingsInForce, assumed_sentence, words_of
 from ffcomp.planner.trajectory import Trajectory
 from gcode.dialects import MARLIN
 from gcode.program import Moves, Program
@@ -71,14 +71,7 @@ def settings_sentence(machine: Machine) -> str:
     stated = () if machine.marlin is None else machine.marlin.stated
     corner = "junction_deviation_mm" if "junction_deviation_mm" in stated else "jerk_mm_per_s"
     matter = ("acceleration_mm_per_s2", "speed_mm_per_s", "retract_acceleration_mm_per_s2", corner)
-    missing = [name for name in matter if name not in stated]
-    if not missing:
-        return ""
-    which = "has no [firmware.marlin]" if not stated else f"has no {', '.join(missing)} in [firmware.marlin]"
-    return (
-        f"The machine file {which}, so its limits and Marlin's defaults are taken for Marlin's planner; "
-        "`ffcomp machines import` reads them from the printer's answer to M503."
-    )
+    return assumed_sentence("Marlin", stated, matter, "the printer's answer to M503")
 
 
 def planner_of(program: Program, machine: Machine) -> MarlinPlanner:

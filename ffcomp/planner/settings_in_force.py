@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import NamedTuple
@@ -16,6 +17,7 @@ from ffcomp.planner.marlin_queue import (
     JERK,
     LEAST,
     LEAST_TRAVEL,
+    POLICY,
     PRINT,
     RETRACT,
     SCALE,
@@ -42,9 +44,13 @@ class SettingsInForce:
     limits: tuple[float, float]  # mm/s² and mm/s, the machine's own where the file has set nothing
 
     @classmethod
-    def of(cls, program: Program, machine: Machine, row: FloatArray) -> SettingsInForce:
-        """Follow a program's own lines on limits, from the machine's settings (COLUMNS,) on."""
-        state = _State(row)
+    def of(cls, program: Program, machine: Machine, row: FloatArray, minutes: bool = False) -> SettingsInForce:
+        """Follow a program's own lines on limits.
+
+        row : (COLUMNS,) the machine's settings
+        minutes : M203 is in mm/min, as RepRapFirmware's
+        """
+        state = _State(row, 60.0 if minutes else 1.0)
         for line in program.limits.values():
             state = state.after(line, 1.0)
         lines, states = [-1], [state]
@@ -85,9 +91,10 @@ class _State(NamedTuple):
     """Settings while the lines of a file are followed."""
 
     row: FloatArray  # (COLUMNS,)
+    speed_unit_s: float = 1.0  # of M203
     requested: tuple[float, float] = (np.nan, np.nan)  # mm/s², of moves that extrude and of others, as the file asks
     cap: float = np.nan  # mm/s², of M201
-    corner: float = np.nan  # mm/s, of M205 X Y
+    corner: float = np.nan  # mm/s, of M205 or M566, X Y
 
     @property
     def as_read(self) -> tuple[float, float, float]:
@@ -96,13 +103,15 @@ class _State(NamedTuple):
         return printing, travel, self.corner
 
     def after(self, line: bytes, unit_mm: float) -> _State:
-        """Return the settings after a line that sets some (M200-M205.cpp).
+        """Return the settings after a line that sets some (Marlin's M200-M205.cpp; RepRapFirmware's dictionary).
 
-        unit_mm : after G20, Marlin takes them in inches
+        unit_mm : after G20, they are in inches
         """
         code, values = words_of(line)
         new = {letter: value * unit_mm for letter, value in values.items()}
         row = self.row.copy()
+        if code == b"M203" or code == b"M566":
+            new = {letter: value / (60.0 if code == b"M566" else self.speed_unit_s) for letter, value in new.items()}
         if code in (b"M201", b"M203"):
             which = ACCELERATION if code == b"M201" else SPEED
             row[which] = _named(row[which], new)
@@ -117,10 +126,13 @@ class _State(NamedTuple):
             before, travel_before = self.requested
             requested = (before if printing is None else printing, travel_before if travel is None else travel)
             return self._replace(row=row, requested=requested)
-        if code != b"M205":
+        if code not in (b"M205", b"M566"):
             return self
-        row[LEAST], row[LEAST_TRAVEL] = new.get("S", row[LEAST]), new.get("T", row[LEAST_TRAVEL])
-        row[SHORTEST_US] = values.get("B", row[SHORTEST_US])
+        if code == b"M566":
+            row[POLICY] = values.get("P", row[POLICY])
+        else:
+            row[LEAST], row[LEAST_TRAVEL] = new.get("S", row[LEAST]), new.get("T", row[LEAST_TRAVEL])
+            row[SHORTEST_US] = values.get("B", row[SHORTEST_US])
         if row[DEVIATION] < 0.0:
             row[JERK] = _named(row[JERK], new)
         elif 0.01 <= new.get("J", 0.0) <= 0.3:
@@ -128,11 +140,25 @@ class _State(NamedTuple):
         return self._replace(row=row, corner=min((new[axis] for axis in "XY" if axis in new), default=self.corner))
 
 
+def assumed_sentence(firmware: str, stated: Sequence[str], matter: Sequence[str], source: str) -> str:
+    """Say which of the settings that matter a machine file does not state; empty: none."""
+    missing = [name for name in matter if name not in stated]
+    if not missing:
+        return ""
+    table = f"[firmware.{firmware.lower()}]"
+    which = f"has no {table}" if not stated else f"has no {', '.join(missing)} in {table}"
+    return (
+        f"The machine file {which}, so its limits and {firmware}'s defaults are taken for {firmware}'s planner; "
+        f"`ffcomp machines import` reads them from {source}."
+    )
+
+
 @lru_cache(maxsize=1024)
 def words_of(line: bytes) -> tuple[bytes, dict[str, float]]:
     """Return a command and the numbers behind its letters."""
     code, _, words = line.partition(b";")[0].strip().upper().partition(b" ")
-    return code, {word[:1].decode(): float(word[1:]) for word in words.split() if _NUMBER.fullmatch(word[1:])}
+    first = ((word[:1].decode(), word[1:].partition(b":")[0]) for word in words.split())  # of several extruders
+    return code, {letter: float(number) for letter, number in first if _NUMBER.fullmatch(number)}
 
 
 def _named(values: FloatArray, new: dict[str, float]) -> list[float]:

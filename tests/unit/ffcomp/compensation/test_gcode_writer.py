@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from functools import cache
 from typing import Any
 
@@ -20,7 +21,7 @@ from gcode.metadata import tells
 from gcode.program import Program
 from gcode.reader import read_program
 from models.file import load_machine
-from models.machine import Machine
+from models.machine import Machine, RepRapFirmwareSettings
 from tests.support.compensated import compensated as anywhere
 
 MOVE = re.compile(rb"\s*(?:N\d+\s*)?G0*[0-3](?!\d)", re.IGNORECASE)
@@ -169,6 +170,17 @@ def test_marlins_own_caps_come_back_as_the_file_set_them() -> None:
     opened = max(i for i, line in enumerate(out[:at]) if line.startswith(b"M204 P100000"))
     assert b"M204 P10000 T10000" in closing and opened < at - 9  # the machine's own first,
     assert closing[-4:] == [b"M203 X200 Y200", b"M204 P800 T900", b"M205 X8 Y8", b"M201 X700 Y600"]  # then the file's
+
+
+def test_reprapfirmwares_limits_come_back_axis_by_axis() -> None:
+    with_axes = RepRapFirmwareSettings((300, 200, 10, 60), (3000, 2000, 100, 5000), (10, 8, 0.2, 5), 1500, 2500, 1)
+    data = START + b"M566 X300\nG1 X30 Y20 F9000\nG28\n"
+    own = replace(machine(), reprapfirmware=with_axes)
+    lines = anywhere(data, own, predict=False, flavor="reprapfirmware")[0].splitlines()
+    at = lines.index(b"G28", 3)
+    assert [line.removesuffix(OURS) for line in lines[at - 6 : at - 1]] == [
+        b"M201 X3000 Y2000 Z100", b"M203 X18000 Y12000 Z600", b"M204 P1500 T2500", b"M566 X600 Y480 Z12", b"M566 X300",
+    ]  # fmt: skip
 
 
 def test_bytes_that_are_no_text_survive() -> None:
