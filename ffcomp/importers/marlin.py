@@ -17,6 +17,7 @@ from ffcomp.importers.values import (
     ConfigValues,
     PrinterConfigError,
     Value,
+    all_listed,
     arm_lengths,
     changed,
     commands,
@@ -25,7 +26,6 @@ from ffcomp.importers.values import (
     full_steps,
     known,
     least,
-    listed,
     plain_number,
     shaped_axis,
     together,
@@ -193,8 +193,7 @@ def _planner(settings: Settings) -> dict[str, Value | None]:
     """Return what Marlin's own planner needs, in its own terms."""
 
     def four(code: str) -> Value | None:
-        values = [settings.get((code, axis)) for axis in "XYZE"]
-        return listed([each for each in values if each is not None]) if all(values) else None
+        return all_listed([settings.get((code, axis)) for axis in "XYZE"])
 
     both, shortest = settings.get(("M204", "S")), settings.get(("M205", "B"))
     planner = {

@@ -17,6 +17,7 @@ from ffcomp.importers.values import (
     ConfigValues,
     PrinterConfigError,
     Value,
+    all_listed,
     arm_lengths,
     changed,
     commands,
@@ -30,6 +31,7 @@ from ffcomp.importers.values import (
     shaped_axis,
     together,
     tower_angles,
+    whole,
 )
 
 KINDS = {
@@ -41,11 +43,12 @@ KINDS = {
     "lineardelta": "delta",
 }
 KEPT = {  # letters that are kept until a later command gives them anew
-    "M201": "XYZ",
-    "M203": "XYZ",
-    "M204": "P",
-    "M566": "XYZ",
+    "M201": "XYZE",
+    "M203": "XYZE",
+    "M204": "PT",
+    "M566": "XYZEP",
     "M593": "FS",
+    "M595": "P",
     "M665": "BHLRXYZ",
     "M666": "AB",
 }
@@ -84,7 +87,7 @@ def from_reprapfirmware(path: Path, alone: bool = False) -> ConfigValues:
         _apply(command, settings)
     kind, origin = settings.kinematics
     of_kind = _delta(settings) if kind == "delta" else _straight(settings)
-    values = known({**of_kind, **_limits(settings), **_steps(settings)})
+    values = known({**of_kind, **_limits(settings), **_planner(settings), **_steps(settings)})
     shaper = _shaper(settings) if kind == "delta" else None
     shaper_hz = () if shaper is None else (shaper.number,)
     tilts = [tilt for letter in "AB" if (tilt := settings.first("M666", letter)) is not None and tilt.number]
@@ -262,6 +265,24 @@ def _limits(settings: Settings) -> dict[str, Value | None]:
         "limits.z_velocity_mm_per_s": per_minute("M203", "Z"),
         "limits.z_acceleration_mm_per_s2": settings.first("M201", "Z"),
     }
+
+
+def _planner(settings: Settings) -> dict[str, Value | None]:
+    """Return what the firmware's own planner needs."""
+
+    def four(code: str) -> list[Value | None]:
+        return [settings.first(code, axis) for axis in "XYZE"]
+
+    planner = {
+        "speed_mm_per_s": all_listed(four("M203"), 1 / 60, PER_MINUTE),
+        "acceleration_mm_per_s2": all_listed(four("M201")),
+        "jerk_mm_per_s": all_listed(four("M566"), 1 / 60, PER_MINUTE),
+        "printing_acceleration_mm_per_s2": settings.first("M204", "P"),
+        "travel_acceleration_mm_per_s2": settings.first("M204", "T"),
+        "jerk_policy": whole(settings.first("M566", "P")),
+        "queue_moves": whole(settings.first("M595", "P")),
+    }
+    return {f"firmware.reprapfirmware.{key}": value for key, value in planner.items()}
 
 
 def _steps(settings: Settings) -> dict[str, Value | None]:
