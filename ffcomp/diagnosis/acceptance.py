@@ -34,6 +34,7 @@ from models.arrays import FloatArray
 from models.effects.catalogue import CATALOGUE
 
 AT_BOUND = 1e-6  # of a parameter's range: no nearer to its end is at it
+NARROW = 0.1  # of a number: a range that leaves no more open determines it
 
 
 # ---- the tests -----------------------------------------------------------------------------------
@@ -97,7 +98,8 @@ def undetermined(best: Hypothesis, intervals: Mapping[str, Estimate]) -> list[st
 def _open(n: Parameter, interval: Estimate) -> bool:
     at_high = interval.value >= n.high - AT_BOUND * (n.high - max(n.low, -n.high)) if np.isfinite(n.high) else False
     at_low = n.low != 0.0 and np.isfinite(n.low) and interval.value <= n.low + AT_BOUND * abs(n.low)
-    return at_high or at_low or (interval.low <= n.low and interval.high >= n.high)
+    wide = n.high - n.low > NARROW * max(abs(n.low), abs(n.high))  # a line's pitch is sought close to where it was seen
+    return at_high or at_low or (wide and interval.low <= n.low and interval.high >= n.high)
 
 
 def contradicting(held_out: Sequence[HeldOut], tolerance: float) -> list[HeldOut]:
@@ -172,16 +174,32 @@ def groups(problem: Problem) -> Mapping[tuple[Position, str], list[int]]:
     return members if len(members) > 1 else {}
 
 
-def simulate_left_out(estimation: EstimationProblem, fitted: Fit) -> list[list[FloatArray]]:
-    """Leave each group out in turn: move a fit to the optimum of the others, to first order; simulate there."""
-    return [_left_out(estimation, fitted, members) for members in groups(estimation.problem).values()]
+def motions_or_groups(problem: Problem) -> Mapping[tuple[Position, str], list[int]]:
+    """Group the observations as `groups` does, but those of an axis by its motions, where there are several.
+
+    The other windows of a motion tell much of each: what rings on, and where it came to rest. What an effect by place
+    or by speed says of another motion they do not tell.
+    """
+    observations, motions = problem.observations, problem.motions
+    if len(set(motions)) < 2 or any(len(o.position) > 1 for o in observations):
+        return groups(problem)
+    first = [motions.index(motion) for motion in sorted(set(motions))]
+    return {(observations[i].position, observations[i].name): _members(motions, motions[i]) for i in first}
 
 
-def hold_out(estimation: EstimationProblem, base: Fit, best: Fit) -> list[HeldOut]:
-    """Leave each group out in turn, of both fits."""
-    left_out, retuned = [], simulate_left_out(estimation, base)
-    effects = retuned if best is base else simulate_left_out(estimation, best)
-    each = zip(groups(estimation.problem).items(), retuned, effects, strict=True)
+def _members(motions: Sequence[int], one: int) -> list[int]:
+    return [i for i, motion in enumerate(motions) if motion == one]
+
+
+Groups = Mapping[tuple[Position, str], Sequence[int]]
+
+
+def hold_out(estimation: EstimationProblem, base: Fit, best: Fit, parts: Groups | None = None) -> list[HeldOut]:
+    """Leave each group out in turn, of both fits: move a fit to the optimum of the others, to first order."""
+    left_out, parts = [], groups(estimation.problem) if parts is None else parts
+    retuned = [_left_out(estimation, base, members) for members in parts.values()]
+    effects = retuned if best is base else [_left_out(estimation, best, members) for members in parts.values()]
+    each = zip(parts.items(), retuned, effects, strict=True)
     for ((position, experiment), members), before, after in each:
         filed = estimation.problem.simulate({}, members)
         nothing = [np.zeros_like(y) for y in filed]
@@ -210,7 +228,7 @@ def motions_against(estimation: EstimationProblem, larger: Fit, smaller: Fit) ->
     motions = estimation.problem.motions
     better = worse = 0
     for one in sorted(set(motions)) if len(set(motions)) > 1 else ():
-        members = [i for i, motion in enumerate(motions) if motion == one]
+        members = _members(motions, one)
         less, more = (excess(estimation, _left_out(estimation, each, members), members) for each in (smaller, larger))
         worse += more > max(SETTINGS.worse_place * less, estimation.tolerance)
         better += less > max(SETTINGS.worse_place * more, estimation.tolerance)
@@ -360,12 +378,13 @@ def dominant_effect(
     best : it may be of several effects; where it leaves far less, one that holds most is among them
     """
     contenders = _contenders([h for h in tried if len(h.fit.residual) == len(base.residual)])
-    if not contenders or len(groups(estimation.problem)) < 2:
+    parts = motions_or_groups(estimation.problem)
+    if not contenders or len(parts) < 2:
         return None
     progress("nothing explains all of it: looking for what explains most")
-    held_out = hold_out(estimation, base, base)
+    held_out = hold_out(estimation, base, base, parts)
     whole = to_explain(held_out)
-    tested = [_tested(estimation, _fitted(estimation, h, progress)) for h in contenders]
+    tested = [_tested(estimation, _fitted(estimation, h, progress), parts) for h in contenders]
     ranked = sorted(tested, key=lambda each: float(each.left.sum()))
     ranked = [each for each in ranked if _sound(estimation, each.hypothesis)]
     if not ranked:
@@ -430,11 +449,10 @@ def _fitted(estimation: EstimationProblem, h: Hypothesis, progress: Progress) ->
     return fit_within_uncertainty(estimation, fitted, progress) if out_of_reach(fitted) else fitted
 
 
-def _tested(estimation: EstimationProblem, h: Hypothesis) -> _Tested:
+def _tested(estimation: EstimationProblem, h: Hypothesis, parts: Groups) -> _Tested:
     left, alike, total = [], 0.0, 0.0
-    for members, simulated in zip(
-        groups(estimation.problem).values(), simulate_left_out(estimation, h.fit), strict=True
-    ):
+    for members in parts.values():
+        simulated = _left_out(estimation, h.fit, members)
         residual, rows = residual_left_out(estimation, simulated, members), estimation.rows_of(members)
         squares = float(residual @ residual)
         left.append(max(squares - len(rows), 0.0))

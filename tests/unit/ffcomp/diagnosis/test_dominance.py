@@ -14,7 +14,9 @@ from ffcomp.diagnosis.acceptance import (
     contradicting,
     dominant_effect,
     explained_elsewhere,
+    groups,
     motions_against,
+    motions_or_groups,
 )
 from ffcomp.diagnosis.fit import EstimationProblem, Fit, estimation_problem, fit
 from ffcomp.diagnosis.hypotheses import Hypothesis
@@ -146,3 +148,14 @@ def test_what_is_worse_than_standing_still_is_no_measure() -> None:
     """A free axis whose file is far off: 2877 % of the signals are left, then 96 %."""
     windows = [HeldOut((float(t),), "", 40, before=8.3e4, after=92.0, filed=8.4e4, signal=100.0) for t in range(5)]
     assert explained_elsewhere(windows) == pytest.approx(0.08)
+
+
+def test_windows_of_an_axis_are_left_out_by_whole_motions_where_there_are_several() -> None:
+    """A window's own motion tells much of it. Of a printer, places take turns, whatever moved there."""
+    problem = Linear((1.0,) * 4, 0.5, (RUBS,))
+    assert list(motions_or_groups(problem).values()) == list(groups(problem).values())
+    problem.observations = [replace(o, position=(float(i // 2 % 2),)) for i, o in enumerate(problem.observations)]
+    assert list(groups(problem).values()) == [[0, 1, 4, 5], [2, 3, 6, 7]]
+    assert list(motions_or_groups(problem).values()) == [[0, 1], [2, 3], [4, 5], [6, 7]]
+    problem.motions = (0,) * 8
+    assert list(motions_or_groups(problem).values()) == list(groups(problem).values())
