@@ -22,8 +22,9 @@ from typing import Any
 
 import numpy as np
 
-from ffcomp.diagnosis.gap import measure_gap
-from ffcomp.diagnosis.problems import plant_of, recordings_of
+from ffcomp.diagnosis.gap import gap_of
+from ffcomp.diagnosis.problem import Problem
+from ffcomp.diagnosis.problems import plant_of, problem_of, recordings_of
 from models.file import load_plant
 from studies.measured_axes import DATA
 from studies.render import REPORTS, results_of, save
@@ -214,8 +215,9 @@ def measured(system: System, data: Path, folder: Path) -> dict[str, Any]:
         "retuned": [f"{key} {each['from']:.4g} to {each['to']:.4g}" for key, each in answer["retuned"].items()],
         "right": bool(set(named) & set(system.expected)),
         "wrong": sorted(set(named) - set(system.expected)),
-        "fit": {key: gap(path, fit) for key, path in files.items()},
-        "test": {key: gap(path, test) for key, path in files.items()},
+        "compared": answer["compared"],
+        "fit": {key: gap(path, fit, answer["compared"]) for key, path in files.items()},
+        "test": {key: gap(path, test, answer["compared"]) for key, path in files.items()},
         "seconds": answer["seconds"],
     }
 
@@ -241,10 +243,14 @@ def run(words: list[str]) -> str:
     return subprocess.run(command, check=True, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True).stdout
 
 
-def gap(machine: Path, files: list[Path]) -> float:
-    """Return the gap of a machine file on recordings, as a share of the signals."""
+def gap(machine: Path, files: list[Path], compared: str) -> float:
+    """Return the gap of a machine file on recordings, as a share of what the answer compared."""
     plant = plant_of(machine)
-    return measure_gap(plant, recordings_of(plant, files)).residual.total.nrms
+    problem: Problem | None = problem_of(plant, recordings_of(plant, files), ())
+    if problem is not None and compared == "forces":
+        problem = problem.balance()
+    assert problem is not None
+    return gap_of(problem).residual.total.nrms
 
 
 def numbers(parameters: dict[str, Any]) -> str:

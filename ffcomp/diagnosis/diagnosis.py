@@ -126,7 +126,8 @@ def diagnose(problem: Problem, progress: Progress = lambda _: None, budget: floa
     if guessed and result.floor_is_wrong:
         progress("less is left than the guessed noise: what is left is taken for it, and the search begins anew")
         problem.work.begin(budget)
-        result = _diagnosed(problem, scaled(result.noise, mean_square(result.final)), {}, progress)
+        same = result.estimation.problem
+        result = _diagnosed(same, scaled(result.noise, mean_square(result.final)), {}, progress)
     return replace(_concluded(result), cut_short=problem.work.cut)
 
 
@@ -170,6 +171,10 @@ def _diagnosed(problem: Problem, noise: NoiseFloor, density: Mapping[str, float]
     filed = _as_filed(estimation)
     base = fit(estimation, filed.parameters, filed.z, filed.jacobian, (), 12, SETTINGS.quick_gain / 10)
     base = _fitted_to_the_end(estimation, base, least)
+    still = float(estimation.measured @ estimation.measured) / len(estimation.measured) - 1
+    if base.discrepancy > still and (balance := problem.balance()) is not None:
+        progress("simulated from its force, the axis is further off than one that stands still: forces are compared")
+        return _diagnosed(balance, noise_floor(balance), {}, progress)
     times = float(np.sqrt(max(1.0 + base.discrepancy, 0.0)))
     progress(f"the machine's own parameters alone: the error that is left is {times:.4g} times the noise")
     none = Diagnosis(verdict="none", finding="nothing", base=base, final=base, estimation=estimation, noise=noise)
@@ -333,7 +338,7 @@ def _believable(none: Diagnosis, best: Hypothesis, progress: Progress) -> Hypoth
         return best
     held = fit_within_uncertainty(none.estimation, best, progress)
     little = max(SETTINGS.little * none.base.discrepancy, none.estimation.tolerance)
-    return held if held.discrepancy < little else best
+    return held if held.discrepancy < max(little, (1 + SETTINGS.quick_gain) * best.discrepancy) else best
 
 
 def _concluded(result: Diagnosis) -> Diagnosis:

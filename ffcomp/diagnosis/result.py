@@ -140,6 +140,12 @@ class DiagnosisResult:
     names: MachineNames = field(default_factory=MachineNames)
     late_s: Mapping[str, float] = field(default_factory=dict)  # files that lie off their command by more than 0.1 ms
     cut_short: bool = False  # the search ended at its budget
+    forces: bool = False  # compared are forces, see `Problem.forces`
+
+    @property
+    def compared(self) -> str:
+        """Say what is compared."""
+        return "the drive's forces" if self.forces else "the signals"
 
     @property
     def named(self) -> tuple[str, ...]:
@@ -230,6 +236,7 @@ def result_of(problem: Problem, diagnosis: Diagnosis) -> DiagnosisResult:
         names=problem.names,
         late_s=_late(problem, diagnosis),
         cut_short=diagnosis.cut_short,
+        forces=problem.forces,
     )
 
 

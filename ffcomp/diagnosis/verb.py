@@ -151,6 +151,9 @@ def result_json(result: DiagnosisResult, gain: PrintGain | None = None) -> dict[
         "to_do": what_to_do(result),  # [] text: steps: to the printer, to its file, what to record next
         # GAIN or null: what prints gain, where an effect of the machine is named
         "print_gain": None if gain is None else gain.to_dict(),
+        # `signals`, or `forces`: the drive's and those that the measured motion needs, where an axis that is simulated
+        # from its force is further off than one that stands still
+        "compared": "forces" if result.forces else "signals",
         "gap": {
             "before": gap.before.nrms,  # number: nrms with the file as it is
             "after": gap.after.nrms,  # number: nrms with what was found
@@ -193,6 +196,7 @@ def diagnose_files(request: DiagnoseRequest, search_progress: Progress | None = 
     check_recordings(problem, recordings, request.without_repeats)
     budget = inf if request.thorough else SETTINGS.budget_steps
     search = diagnose(problem, search_progress or request.progress, budget)
+    problem = search.estimation.problem
     result, gain = result_of(problem, search), None
     if isinstance(problem, PrinterProblem):  # one axis takes no G-code, prints nothing
         result = replace(result, separations=separations(problem, search))
