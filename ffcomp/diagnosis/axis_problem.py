@@ -33,7 +33,7 @@ from models.arrays import ComplexArray, FloatArray
 from models.effects.catalogue import CATALOGUE, catalogue_of, with_effects
 from models.kinds import driven_axis
 from models.machine import Machine, with_values
-from models.printer.kernels.record import AXIS_PARAMETERS
+from models.printer.kernels.one_axis import AXIS_PARAMETERS
 from models.printer.one_axis import axis_parameters, simulate_axis
 from models.vibration.driven_axis import DrivenAxis
 
