@@ -114,6 +114,7 @@ OBJECTS: dict[str, dict[str, str]] = {  # by heading of the page: by place of it
         "experiments[].": "ffcomp.record.planning:PlanResult._experiment_dict",
         "experiments[].peaks.": "ffcomp.record.excitation:Peaks",
     },
+    "ffcomp-update/1": {"": "ffcomp.diagnosis.update:Updated.to_dict"},
     "ffcomp-join/1": {"": "ffcomp.record.result:JoinResult.to_dict"},
     "ffcomp-check/1": {"": "ffcomp.check.compare:CheckResult.to_dict"},
     "ffcomp-captures/1": {"": "ffcomp.cli.simulate:_write_captures"},

@@ -8,7 +8,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from ffcomp.errors import RequestError
-from ffcomp.options import FIGURE, FORCE, HIGHEST_FITTED, LOWEST_FITTED, MACHINE_FILE, MACHINE_NAME, MOVES_PLAN
+from ffcomp.options import (
+    CAPTURE_AXES,
+    FIGURE,
+    FORCE,
+    HIGHEST_FITTED,
+    LOWEST_FITTED,
+    MACHINE_FILE,
+    MACHINE_NAME,
+    MOVES_PLAN,
+    RUNS,
+)
 from ffcomp.request import ACCURACY, ADVANCED, MACHINE, OUTPUT, Argument, MachineLike, Option, Request
 
 Method = Literal["direct", "stepwise"]
@@ -151,6 +161,49 @@ class ScanRequest(Request):
         for path in (self.output, self.figure):
             if path is not None and path.exists() and not self.force:
                 raise RequestError(f"{path} exists already; give another, or --force.")
+
+
+@dataclass(frozen=True, kw_only=True)
+class UpdateRequest(Request):
+    """Which recordings of prints `ffcomp identify update` learns from, and what it writes."""
+
+    data: Annotated[tuple[Path, ...], RUNS]
+    machine: Annotated[str, MACHINE_NAME]
+    output: Annotated[
+        Path,
+        Option("Machine file to write; it may be the one that is updated.", OUTPUT, "--output", "-o", metavar="FILE"),
+    ]
+    plan: Annotated[Path | None, MOVES_PLAN] = None
+    axes_map: Annotated[str | None, CAPTURE_AXES] = None
+    drift: Annotated[
+        float,
+        Option(
+            "Relative standard deviation by which stiffnesses, masses and frequencies drift from print to print, for "
+            "belts age and spools empty; dampings drift three times as much. The larger, the sooner old prints are "
+            "forgotten.",
+            ACCURACY,
+            metavar="SHARE",
+            low=0.0,
+            high=0.2,
+        ),
+    ] = 0.005
+    prints: Annotated[
+        int, Option("Prints since the file was last updated, this one included.", ACCURACY, metavar="N", low=1)
+    ] = 1
+    history: Annotated[
+        Path | None,
+        Option(
+            "Earlier updates; this one is added. Default: beside the machine file that is written, .updates.jsonl.",
+            OUTPUT,
+            metavar="FILE",
+        ),
+    ] = None
+    force: Annotated[bool, FORCE] = False
+
+    @property
+    def history_file(self) -> Path:
+        """The history."""
+        return self.history or self.output.with_suffix(".updates.jsonl")
 
 
 def _check_axis(text: str) -> None:
