@@ -409,4 +409,4 @@ def belts_share_error(fit: _Fit) -> float:
     slope, weight = np.concatenate(columns), np.concatenate(weights)
     j = _jacobian(fit.data, fit.theta, fit.count, fit.errors)
     left = slope - j @ (fit.covariance @ (j.T @ (weight * slope)))
-    return float(1 / np.sqrt(max(slope @ (weight * left), 1e-300)))
+    return float(1 / np.sqrt(max(float(slope @ (weight * left)), 1e-300)))
