@@ -16,7 +16,8 @@ from place to place, so that what is left has its signature.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -236,7 +237,13 @@ def motions_against(estimation: EstimationProblem, larger: Fit, smaller: Fit) ->
 
 
 def _left_out(estimation: EstimationProblem, fitted: Fit, members: Sequence[int]) -> list[FloatArray]:
-    """Simulate these observations, (n, m) each, with the parameters that the others alone give.
+    """Simulate these observations, (n, m) each, with the parameters that the others alone give."""
+    z = _fitted_to_others(estimation, fitted, members)
+    return estimation.problem.simulate(values_at(fitted.parameters, z), members)
+
+
+def _fitted_to_others(estimation: EstimationProblem, fitted: Fit, members: Sequence[int]) -> FloatArray:
+    """Return z (p,) as all but these observations give it.
 
     The parameters go as far along the step to the others' optimum, to first order, as serves the others best.
     """
@@ -255,8 +262,7 @@ def _left_out(estimation: EstimationProblem, fitted: Fit, members: Sequence[int]
     costs = _costs(estimation, fitted, trials[:1], inside)
     if not before - costs[0] > promised / 2:
         costs += _costs(estimation, fitted, trials[1:], inside)
-    best = _on_their_clocks(estimation, fitted, trials[int(np.argmin(costs))], members)
-    return estimation.problem.simulate(values_at(fitted.parameters, best), members)
+    return _on_their_clocks(estimation, fitted, trials[int(np.argmin(costs))], members)
 
 
 def _on_their_clocks(estimation: EstimationProblem, fitted: Fit, z: FloatArray, members: Sequence[int]) -> FloatArray:
@@ -269,12 +275,19 @@ def _on_their_clocks(estimation: EstimationProblem, fitted: Fit, z: FloatArray, 
     clocks = [i for i, n in enumerate(fitted.parameters) if n.name in delays]
     if not clocks:
         return z
-    others = [i for i in range(len(z)) if i not in clocks]
+    return _fitted_there(estimation, fitted, z, members, clocks)
+
+
+def _fitted_there(
+    estimation: EstimationProblem, fitted: Fit, z: FloatArray, members: Sequence[int], which: Sequence[int]
+) -> FloatArray:
+    """Return z (p,) with some parameters fitted to these observations alone."""
+    others = [i for i in range(len(z)) if i not in which]
     alone = estimation.limited_to(members).with_fixed(values_at([fitted.parameters[i] for i in others], z[others]))
-    columns = fitted.jacobian[estimation.rows_of(members)][:, clocks]
-    best = fit(alone, tuple(fitted.parameters[i] for i in clocks), z[clocks], columns, iterations=3)
+    columns = fitted.jacobian[estimation.rows_of(members)][:, which]
+    best = fit(alone, tuple(fitted.parameters[i] for i in which), z[which], columns, iterations=3)
     moved = z.copy()
-    moved[clocks] = best.z
+    moved[which] = best.z
     return moved
 
 
@@ -335,6 +348,69 @@ def _noise_power(estimation: EstimationProblem, members: Sequence[int]) -> float
         power = 2 * whiten.power(observation)
         total += sum(float(np.sum(whiten.floor.at(s, frequency))) * power for s in observation.signals)
     return total
+
+
+# ---- other motions ---------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class OtherMotion:
+    """A motion of an axis, simulated with what was fitted to the others; rms of errors as shares of its signals."""
+
+    name: str  # of its recording
+    filed: float  # with the file as it is
+    after: float  # with the effects
+    number: str = ""  # of an effect, that is another in this motion: refitted to it alone, it explains most of the rest
+    changed: float = 0.0  # by this share
+    refitted: float = 0.0  # what is left then
+
+    @property
+    def worse(self) -> bool:
+        """Whether it is simulated worse than with the file as it is."""
+        return self.after > self.filed
+
+
+def other_motions(estimation: EstimationProblem, best: Hypothesis) -> list[OtherMotion]:
+    """Leave each motion of an axis out of the fit, whole; none where there is only one, or places take turns.
+
+    The same effect may be a little larger in one recording than in others, as dry friction is on another day: a size
+    that is refitted to it alone, and changes little, then explains a good part of what is left.
+    """
+    parts, sizes = motions_or_groups(estimation.problem), [a.name for c in best.effects for a in c.amplitudes]
+    if parts.keys() == groups(estimation.problem).keys():
+        return []
+    which = [i for i, n in enumerate(best.fit.parameters) if n.name in sizes]
+    return [_other_motion(estimation, best.fit, members, which) for members in parts.values()]
+
+
+def _other_motion(
+    estimation: EstimationProblem, fitted: Fit, members: Sequence[int], sizes: Sequence[int]
+) -> OtherMotion:
+    problem, noise = estimation.problem, _noise_power(estimation, members)
+    measured = [problem.observations[i].measured for i in members]
+    signals = _power(estimation, [np.zeros_like(x) for x in measured], members)
+
+    def power(values: Mapping[str, float]) -> float:
+        return _power(estimation, problem.simulate(values, members), members)
+
+    z = _fitted_to_others(estimation, fitted, members)
+    left = power(values_at(fitted.parameters, z))
+    name = Path(problem.observations[members[0]].name.rpartition(" from ")[0]).name
+    filed, after = (float(np.sqrt(x / signals)) for x in (power({}), left))
+    result = OtherMotion(name, filed, after)
+    least = noise + SETTINGS.differs * (left - noise)
+    for i in sizes:
+        there = _fitted_there(estimation, fitted, z, members, [i])
+        n = fitted.parameters[i]
+        was, now = (n.start + n.sd * float(x[i]) for x in (z, there))
+        less = power(values_at(fitted.parameters, there))
+        changed = now / was - 1 if was else np.inf
+        if less < least and SETTINGS.differs_from < abs(changed) < SETTINGS.differs_by:
+            result, least = (
+                replace(result, number=n.name, changed=changed, refitted=float(np.sqrt(less / signals))),
+                less,
+            )
+    return result
 
 
 # ---- named, with a rest ------------------------------------------------------------------------------

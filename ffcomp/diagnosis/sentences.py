@@ -24,7 +24,8 @@ def summary_sentences(result: DiagnosisResult) -> list[str]:
         "recording": lambda result: [f"The recordings are at fault: {result.fault}"],
     }
     said = by_finding.get(result.finding, _unexplained)(result)
-    return [*said, *forces_compared(result), *cut_short(result), *late_files(result)]
+    beside = (forces_compared, other_motions, cut_short, late_files)
+    return [*worse_elsewhere(result), *said, *(sentence for each in beside for sentence in each(result))]
 
 
 def _gap(result: DiagnosisResult) -> str:
@@ -217,6 +218,27 @@ def _unexplained(result: DiagnosisResult) -> list[str]:
             f"because {'; '.join(result.rejections)}."
         )
     return [*sentences, *file_off(result)]
+
+
+def worse_elsewhere(result: DiagnosisResult) -> list[str]:
+    """Say on top in which motions the answer is worse than the file as it is."""
+    worse = [
+        f"{one.name} is {percent(one.filed)} off with the file as it is and {percent(one.after)} with the effects"
+        for one in result.others
+        if one.worse
+    ]
+    return [f"Does not hold for other motions: where only the others were fitted, {joined(worse)}."] if worse else []
+
+
+def other_motions(result: DiagnosisResult) -> list[str]:
+    """Say which size of an effect is another in one motion."""
+    return [
+        f"In {one.name} {one.number} is {percent(abs(one.changed))} {'larger' if one.changed > 0 else 'smaller'} than "
+        f"in the other recordings: with that number alone changed, {percent(one.refitted)} of {result.compared} are "
+        f"left there and not {percent(one.after)}. It may change from recording to recording."
+        for one in result.others
+        if one.number
+    ]
 
 
 def forces_compared(result: DiagnosisResult) -> list[str]:
