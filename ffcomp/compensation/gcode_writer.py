@@ -232,7 +232,7 @@ class Writer:
         slack = np.minimum(SLACK_MM, SLACK_MM_PER_S * np.minimum(lasting, np.append(lasting[1:], 0.0)))
         slack[fixed[1:]] = 0.0  # another writer may go on from there, and the filament must be exact
         if self.marlin is not None:
-            feed, speeds = self.marlin.speeds(points, e, lasting)
+            feed, speeds = self.marlin.speeds(points, e, lasting, self.limit_lines)
         else:
             speeds = segment_speeds(points, e[1:] - e[:-1], lasting, s.output)
             feed = speeds.cruise

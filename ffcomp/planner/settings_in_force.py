@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import NamedTuple
@@ -138,6 +138,14 @@ class _State(NamedTuple):
         elif 0.01 <= new.get("J", 0.0) <= 0.3:
             row[DEVIATION] = new["J"]
         return self._replace(row=row, corner=min((new[axis] for axis in "XY" if axis in new), default=self.corner))
+
+
+def row_after(row: FloatArray, lines: Iterable[bytes], unit_mm: float = 1.0) -> FloatArray:
+    """Return Marlin's settings (COLUMNS,) after lines that set some, in a unit of so many mm."""
+    state = _State(row)
+    for line in lines:
+        state = state.after(line, unit_mm)
+    return state.row
 
 
 def assumed_sentence(firmware: str, stated: Sequence[str], matter: Sequence[str], source: str) -> str:
