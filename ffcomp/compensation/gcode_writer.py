@@ -206,11 +206,12 @@ class Writer:
         if self.marlin is not None:
             merging = replace(merging, longest=min(merging.longest, self.marlin.longest_s / s.segment_s))
         chosen = merge(at[stay], points[stay], timeline.e[stay], pinned, merging, CUT)
-        chosen = at_most(at[stay], points[stay], chosen, pinned, round(1.0 / s.segment_s))
         if self.marlin is not None:
             flow, pinned = np.diff(timeline.e[stay]), pinned.copy()
             pinned[1:-1] |= flow[1:] * flow[:-1] < 0.0  # where the filament turns back
             chosen = self.marlin.lengthened(at[stay], points[stay], chosen, pinned)
+        whole = piece.begin == 0, piece.end == piece.last
+        chosen = at_most(at[stay], points[stay], chosen, pinned, round(1.0 / s.segment_s) - 1, *whole)
         kept, fixed = stay[chosen], pinned[chosen]
         fixed[0] = fixed[-1] = True
         placed = refit(at[stay], points[stay], chosen, fixed)
