@@ -53,7 +53,7 @@ OBJECTS: dict[str, dict[str, str]] = {  # by heading of the page: by place of it
     },
     "ffcomp-estimate-batch/1": {"": "ffcomp.cli.estimate:estimate"},
     "ffcomp-show/1": {
-        "": "ffcomp.cli.show:_show",
+        "": "ffcomp.cli.show:ShowResult.to_dict",
         "contour_um.uncompensated.": "ffcomp.report.show:Numbers",
         "contour_um.compensated.": "ffcomp.report.show:Numbers",
     },
