@@ -344,7 +344,7 @@ def _with_rest(plan: Plan, rng: np.random.Generator, seed: int) -> Plan:
         size = 1.0
         for _ in range(3):
             found, share = _beside(plan, name, size, seed)
-            if abs(share - wanted) < 0.1 * wanted:
+            if share <= 0.0 or abs(share - wanted) < 0.1 * wanted:
                 break
             size *= float(np.sqrt(wanted / (1 - wanted) * (1 - share) / share))
             size = min(max(size, 1e-3), LARGEST_REST)
