@@ -116,7 +116,11 @@ OBJECTS: dict[str, dict[str, str]] = {  # by heading of the page: by place of it
     },
     "ffcomp-update/1": {"": "ffcomp.diagnosis.update:Updated.to_dict"},
     "ffcomp-join/1": {"": "ffcomp.record.result:JoinResult.to_dict"},
-    "ffcomp-check/1": {"": "ffcomp.check.compare:CheckResult.to_dict"},
+    "ffcomp-check/1": {
+        "": "ffcomp.check.compare:CheckResult.to_dict",
+        "named[].": "ffcomp.check.compare:Explanation.to_dict",
+        "experiments[].": "ffcomp.check.compare:Size",
+    },
     "ffcomp-captures/1": {"": "ffcomp.cli.simulate:_write_captures"},
     "ffcomp-effort/1": {
         "": "ffcomp.cli.machines:effort",

@@ -5,6 +5,7 @@
 | a sensor that is dead, clipped or in another unit; gravity left in | its column, and the command | `sensors.py` |
 | sensors swapped, reversed, turned, late or stuck | the command below 20 Hz | `sensors.py` |
 | a chip whose scale is misread; axes as in a mirror | gravity at rest; its mounting | `wrong_gravity`, `mirrored` |
+| an axis that no chip feels | the command below 20 Hz | `deaf_to` |
 | another motion, a shaken printer | the command, the rest before the motion | `other_motion` |
 | repeats that are copies, lie apart in time, or do not repeat | each other, the rests | `compare_repeats` |
 | an input shaper left on | what is expected without one | `shaper_of_captures`, `shaper_in_gap` |
@@ -509,6 +510,19 @@ def mirrored(axes: str) -> str:
         f"The accelerometer's axes are {axes}, as in a mirror, and no chip's are: either axes_map in the firmware's "
         "configuration is wrong, or the printer moves x or y the wrong way. Command a single move to the right, and "
         "look."
+    )
+
+
+def deaf_to(axis: str, all_needed: bool) -> str:
+    """Report an axis along which no chip feels the motion: a check needs all of them, a diagnosis does without."""
+    start = f"No chip feels the motion along {axis}"
+    if all_needed:
+        return (
+            f"{start}, and a check compares all axes: give the captures of both chips, on the toolhead and on the bed."
+        )
+    return (
+        f"{start}, so nothing is said of it. A bed slinger's bed needs a chip of its own: give `ffcomp record plan` "
+        "both (--chip adxl345 --chip bed), and here the captures of both."
     )
 
 

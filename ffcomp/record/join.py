@@ -15,7 +15,7 @@ from scipy.interpolate import CubicSpline
 from scipy.signal import resample_poly
 
 from ffcomp.errors import MeasurementError
-from ffcomp.measurement.faults import SHAPER_REMEDY, wrong_gravity
+from ffcomp.measurement.faults import SHAPER_REMEDY, deaf_to, wrong_gravity
 from ffcomp.measurement.printer_logs import is_closed_loop, read_closed_loop
 from ffcomp.measurement.recording import CLOCKS, Recording, read_recording
 from ffcomp.measurement.vibration import kind_of
@@ -340,11 +340,7 @@ def _with_axis(best: Joined, source: Joined, column: str) -> Recording:
 def _without_deaf_axes(joined: Sequence[Joined], machine: Machine) -> tuple[list[Joined], list[str]]:
     """Leave out axes that no chip feels, on a machine whose bed may be what moves; and say so."""
     deaf = [f"acc_{axis}" for axis, share in _median_shares(joined, machine).items() if share < DEAF]
-    notes = [
-        f"No chip feels the motion along {column[-1]}, so nothing is said of it. A bed slinger's bed needs a chip of "
-        "its own: give `ffcomp record plan` both (--chip adxl345 --chip bed), and here the captures of both."
-        for column in deaf
-    ]
+    notes = [deaf_to(column[-1], all_needed=False) for column in deaf]
     return [_without(each, deaf) for each in joined] if deaf else list(joined), notes
 
 
