@@ -6,10 +6,10 @@ from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ffcomp.cli.command import Shown, group, verb
+from ffcomp.cli.command import Json, Shown, group, verb
 from ffcomp.cli.common import print_json, say
 from ffcomp.errors import RequestError
-from ffcomp.identification.request import DecoupleRequest, FitRequest, ScanRequest, UpdateRequest
+from ffcomp.identification.request import DecoupleRequest, FitRequest, RingingRequest, ScanRequest, UpdateRequest
 
 if TYPE_CHECKING:
     from ffcomp.identification.axes import AxisFit
@@ -102,6 +102,26 @@ def scan(request: ScanRequest, shown: Shown) -> None:
 
 
 @verb
+def ringing(request: RingingRequest, shown: Json) -> None:
+    """Move a machine's modes to frequencies that you have read off a print, where there is nothing to measure with.
+
+    Print a tower with walls along x and y and a sharp corner before each, the shaper off. The speed of the wall in mm/s
+    over the distance of two waves in mm is the frequency. What is read so is known to 5 %.
+
+    Example: ffcomp identify ringing --x-hz 48 --y-hz 37 -m ender-3 -o my-ender.toml
+    """
+    from ffcomp.identification.fitting import fit_ringing
+    from models.file import load_machine
+
+    result = fit_ringing(load_machine(request.machine), request)
+    result.write(request.output)
+    if shown.as_json:
+        print_json(result.to_dict(str(request.output)))
+    else:
+        _print(result, request.output)
+
+
+@verb
 def update(request: UpdateRequest, shown: Shown) -> None:
     """Update a machine file's numbers by recordings of a print, with what the file knew already.
 
@@ -135,7 +155,8 @@ identify = group(
     "identify",
     """Identify a machine file's parameters from measurements.
 
-    Without a sensor: ffcomp record plan --for scan, print its page, scan it, ffcomp identify scan.
+    Without a sensor: ffcomp record plan --for scan, print its page, scan it, ffcomp identify scan. Without a scanner:
+    ffcomp identify ringing.
 
     With an accelerometer and no laboratory: ffcomp record plan --for identify, run its G-code, ffcomp identify fit.
     From then on, leave the sensor on while you print: ffcomp identify update.
@@ -143,6 +164,7 @@ identify = group(
     """,
     fit,
     scan,
+    ringing,
     update,
     decouple,
 )

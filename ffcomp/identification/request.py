@@ -164,6 +164,41 @@ class ScanRequest(Request):
 
 
 @dataclass(frozen=True, kw_only=True)
+class RingingRequest(Request):
+    """Frequencies that somebody has read off a print, and the machine whose modes they are."""
+
+    machine: Annotated[str, MACHINE_NAME]
+    x_hz: Annotated[
+        float | None,
+        Option(
+            "Frequency along x: the speed of the wall over the distance of two waves. Of a delta's centre: any.",
+            MACHINE,
+            "--x-hz",
+            metavar="HZ",
+            low=3.0,
+            high=200.0,
+            label="Ringing along x, Hz",
+        ),
+    ] = None
+    y_hz: Annotated[
+        float | None,
+        Option("Frequency along y.", MACHINE, "--y-hz", metavar="HZ", low=3.0, high=200.0, label="Ringing along y, Hz"),
+    ] = None
+    output: Annotated[Path, MACHINE_FILE]
+    name: Annotated[
+        str | None, Option("Name of the new machine. Default: the output file's.", OUTPUT, metavar="NAME")
+    ] = None
+    force: Annotated[bool, FORCE] = False
+
+    def check(self) -> None:
+        """Raise RequestError without a frequency, and rather than overwrite a file."""
+        if self.x_hz is None and self.y_hz is None:
+            raise RequestError("A frequency is needed: along x, along y, or both.")
+        if self.output.exists() and not self.force:
+            raise RequestError(f"{self.output} exists already; give another --output, or --force.")
+
+
+@dataclass(frozen=True, kw_only=True)
 class UpdateRequest(Request):
     """Which recordings of prints `ffcomp identify update` learns from, and what it writes."""
 

@@ -26,7 +26,8 @@ from gcode.program import EventKind, Program
 from gcode.reader import read_program
 from models.machine import Machine
 
-SHORTEST_S, LONGEST_S = 1.5, 15.0  # of a section
+SHORTEST_S, LONGEST_S = 1.5, (15.0, 60.0)  # of a section; longer where there are hardly any
+FEW = 3
 WITHIN_S = 1800.0  # of the print: its first layers
 REST_BEFORE_S, REST_AFTER_S = 0.5, 0.3  # shorter than elsewhere: filament oozes
 
@@ -39,11 +40,14 @@ def plan_print(path: Path, machine: Machine, flavor: str) -> tuple[Plan, Program
     program = read_program(path.read_bytes(), str(path), flavor=flavor or None)
     trajectory = firmware_plan(program, machine)
     stops, _ = stops_and_waits(program)
-    sections = [each for each in split_sections(trajectory, stops) if _suits(each, program)]
+    sections: list[Section] = []
+    for longest_s in LONGEST_S:
+        if len(sections) < FEW:
+            sections = [each for each in split_sections(trajectory, stops) if _suits(each, program, longest_s)]
     if not sections:
         raise NothingToDo(
-            f"{path.name} has no motion of {SHORTEST_S:g} to {LONGEST_S:g} s without a stop or a retraction inside in "
-            f"its first {WITHIN_S / 60:g} min; record another print, or ffcomp's own moves (without --print)."
+            f"{path.name} has no motion of {SHORTEST_S:g} to {LONGEST_S[-1]:g} s without a stop or a retraction inside "
+            f"in its first {WITHIN_S / 60:g} min; record another print, or ffcomp's own moves (without --print)."
         )
     motions = [_motion(program, machine, each.first, each.last) for each in sections]
     hardest = sorted(range(len(motions)), key=lambda k: -_hardness(motions[k]))[:MOST_EXPERIMENTS]
@@ -56,11 +60,11 @@ def plan_print(path: Path, machine: Machine, flavor: str) -> tuple[Plan, Program
     return plan, program
 
 
-def _suits(section: Section, program: Program) -> bool:
+def _suits(section: Section, program: Program, longest_s: float) -> bool:
     lasting = section.end_t - section.begin_t
     lines = program.moves.line[section.first : section.last]
     whole = section.last >= len(program.moves) or program.moves.line[section.last] != lines[-1]
-    return section.travels and SHORTEST_S <= lasting <= LONGEST_S and section.begin_t < WITHIN_S and bool(whole)
+    return section.travels and SHORTEST_S <= lasting <= longest_s and section.begin_t < WITHIN_S and bool(whole)
 
 
 def _motion(program: Program, machine: Machine, first: int, last: int) -> Motion:

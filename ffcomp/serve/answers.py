@@ -86,7 +86,7 @@ def _plan(result: JsonObject) -> Answer:
     to_do = [
         "Put the accelerometer on the nozzle holder and nothing on the bed, heaters off; print moves.gcode, and stay "
         "beside it.",
-        "Drop the captures that it writes (on Klipper: /tmp/*.csv on the printer's computer) at step 2.",
+        "Drop the captures that it writes (on Klipper: /tmp/*.csv on the printer's computer) below the moves.",
         *map(str, result.get("restores", [])),
     ]
     return Answer(lead, facts, list(result["warnings"]), to_do)
@@ -118,6 +118,28 @@ def _fit(result: JsonObject) -> Answer:
     return Answer(lead, numbers + axes, warnings, machine=bool(result["output"]))
 
 
+def _page(result: JsonObject) -> Answer:
+    to_do = [
+        "Print moves.gcode as it is: one layer of lines, the input shaper off.",
+        "Scan it at 600 dpi or more, or photograph all of it straight from above, in even light, without flash.",
+        "Drop the picture under the page.",
+        *map(str, result.get("restores", [])),
+    ]
+    lead = f"A page of strokes, {clock(result['duration_s'])} to print."
+    return Answer(lead, [["Firmware", str(result["flavor"])]], to_do=to_do)
+
+
+def _update(result: JsonObject) -> Answer:
+    numbers = [[key, _interval(each["after"])] for key, each in result["numbers"].items()]
+    held = result["held_out"]
+    lead = (
+        f"Updated by {result['layers']} layers of the print. Where each was left out, {100 * held['after']:.2g} % of "
+        f"its motion is left; with the file as it was {100 * held['before']:.2g} %."
+    )
+    kept = [f"The print does not tell {', '.join(result['kept'])}."] if result["kept"] else []
+    return Answer(lead, numbers, kept, machine=True)
+
+
 def _axis_facts(axis: str, result: JsonObject) -> list[list[str]]:
     modes = [
         [f"{axis} axis", f"{_interval(mode['frequency_hz'])} Hz, damping ratio {_interval(mode['damping_ratio'])}"]
@@ -143,7 +165,7 @@ def _import(result: JsonObject) -> Answer:
     warnings = [f"{key} is missing: {why}" for key, why in result["missing"].items()]
     if assumed:
         like = f" as of {result['like']}" if result["like"] else ""
-        warnings.append(f"How it vibrates is assumed{like}: no configuration tells it. Measure, under Measure.")
+        warnings.append(f"How it vibrates is assumed{like}: no configuration tells it. See Know my machine.")
     return Answer(lead, facts, [*warnings, *map(str, result["notes"])])
 
 
@@ -154,6 +176,10 @@ _ANSWERS: dict[str, Callable[[JsonObject], Answer]] = {
     "excite": _plan,
     "diagnose": _diagnose,
     "fit": _fit,
+    "scan": _fit,
+    "ringing": _fit,
+    "page": _page,
+    "update": _update,
     "import": _import,
 }
 

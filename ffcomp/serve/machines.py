@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import shutil
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from ffcomp.serve.commands import BETTER, NAME
+from ffcomp.serve.commands import BETTER, NAME, UPDATES
 from ffcomp.serve.jobs import DONE, Job, JobFolder
 from ffcomp.serve.uploads import Refused
 from models.finding import machine_paths, named_machines, user_folder
@@ -52,7 +54,10 @@ def keep(job: Job, kept: JobFolder, name: str) -> str:
         raise Refused(400, "A machine's name has letters, digits, - and _ only.")
     if name in machine_paths():
         raise Refused(409, f"There is a machine {name} already; choose another name.")
-    return _copied(kept.output(job, BETTER), name)
+    made = kept.output(job, BETTER)
+    with suppress(FileNotFoundError):
+        shutil.copyfile(made.with_suffix(UPDATES), user_folder() / f"{name}{UPDATES}")
+    return _copied(made, name)
 
 
 def kept_if_imported(job: Job, place: Path) -> Job:
