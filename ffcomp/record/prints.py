@@ -183,12 +183,12 @@ def _captures(program: Program) -> list[_Capture]:
         named = NAMED.search(line) if line.startswith(MARK) else None
         if named is None:
             continue
-        begin, end = begun.pop(line, None), number
+        begin, end = begun.pop(line.strip(), None), number
         if b"M956" in line.upper():  # it ends by itself, in the rest behind
             begin, moved = number, program.moves.line[program.moves.line > number][:1]
             end = next((at + 1 for at, dwell_s in rests if len(moved) and at > moved[0] and dwell_s >= LEAST_REST_S), 0)
         if begin is None:
-            begun[line] = number
+            begun[line.strip()] = number
             continue
         first, last = np.searchsorted(program.moves.line, [begin, end]).tolist()
         if last > first:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from ffcomp.cli.app import app
 from ffcomp.errors import MeasurementError, NothingToDo
 from ffcomp.planner.program import firmware_plan
 from ffcomp.record.gcode_writer import DEFAULT_CHIPS, Firmware
@@ -18,9 +20,11 @@ from gcode.program import Program
 from gcode.reader import read_program
 from models.file import load_machine
 from models.machine import Machine
+from tests.support.cli import CliRunner
 from tests.support.recordings import write_captures
 
 EXAMPLE = Path(__file__).parents[4] / "docs" / "examples" / "print.gcode"
+COREXY = EXAMPLE.with_name("corexy.toml")
 
 
 @pytest.fixture(scope="module")
@@ -143,3 +147,69 @@ def test_a_print_that_records_nothing_says_what_to_print(
     path.write_text(f"G28\nG90\nG1 X0 Y0 Z5 F3000\n{toggle}G1 X9 F6000\n{toggle}", encoding="utf-8")
     with pytest.raises(MeasurementError, match=rf"{sentence}.*record plan --print plain\.gcode"):
         plan_of(path, machine)
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[Path]]:
+    """A print of three layers that records each, on a CoreXY: its G-code, and the captures."""
+    folder, rng = tmp_path_factory.mktemp("recorded"), np.random.default_rng(3)
+    return _recorded(folder, "part.gcode", rng)
+
+
+def _recorded(folder: Path, name: str, rng: np.random.Generator) -> tuple[Path, list[Path]]:
+    lines = ["G28", "G90", "G1 X110 Y110 Z5 F3000"]
+    for k in range(3):
+        toggle = f"ACCELEROMETER_MEASURE NAME=layer_{k}"
+        moves = [f"G1 X{x:.2f} Y{y:.2f} F9000" for x, y in rng.uniform(100.0, 120.0, (12, 2))]
+        lines += [toggle, "G4 P400", *moves, "G1 X110 Y110", "G4 P300", toggle]
+    path = folder / name
+    path.write_text("\n".join(lines), encoding="utf-8")
+    machine = load_machine(str(COREXY))
+    save_plan(plan_of(path, machine), path.with_suffix(".json"))
+    return path, write_captures(path.with_suffix(".json"), machine, folder / path.stem)
+
+
+def updated(print_file: Path, captures: Sequence[Path], folder: Path) -> tuple[int, str]:
+    """Run `identify update`, and see that nothing is written; its exit code, and what it says."""
+    output = folder / "better.toml"
+    words = ["identify", "update", *map(str, captures), "--plan", str(print_file), "-m", str(COREXY)]
+    result = CliRunner().invoke(app, [*words, "-o", str(output), "-q"])
+    assert not list(folder.glob("better*"))
+    return result.exit_code, result.output
+
+
+def test_captures_of_another_print_are_refused(
+    recorded: tuple[Path, list[Path]], tmp_path_factory: pytest.TempPathFactory, tmp_path: Path
+) -> None:
+    _, others = _recorded(tmp_path_factory.mktemp("other"), "part.gcode", np.random.default_rng(4))
+    code, text = updated(recorded[0], others, tmp_path)
+    assert code == 5 and "None of them could be joined" in text
+    assert text.count("It is of another motion (another plan") == len(others)
+
+
+@pytest.mark.parametrize(
+    ("more", "sentence"), [(7, "The file breaks off there: copy it again, or record again"), (0, "Record longer")]
+)
+def test_a_print_that_was_cancelled_leaves_too_little(
+    more: int, sentence: str, recorded: tuple[Path, list[Path]], tmp_path: Path
+) -> None:
+    """The first layer is whole, the second breaks off, in the middle of a row or behind one; the third was not made."""
+    print_file, (first, second, _) = recorded
+    broken = tmp_path / second.name
+    text = second.read_text(encoding="utf-8")
+    broken.write_text(text[: text.index("\n", len(text) // 2) + 1 + more], encoding="utf-8")
+    machine = load_machine(str(COREXY))
+    joined = join_captures([first, broken], plan_of(print_file, machine), machine)
+    assert [each.experiment for each in joined.joined] == ["layer_0"]
+    assert [each.file for each in joined.refused] == [str(broken)]
+    assert sentence in joined.refused[0].why
+    code, said = updated(print_file, [first, broken], tmp_path)
+    assert code == 5 and "There is one layer only" in said and "give captures of two or more" in said
+
+
+def test_a_print_of_another_printer_is_refused(recorded: tuple[Path, list[Path]], tmp_path: Path) -> None:
+    """Beyond the bed of the machine: the command itself says so."""
+    path = tmp_path / "far.gcode"
+    path.write_text(recorded[0].read_text(encoding="utf-8").replace("X110 Y110", "X410 Y110"), encoding="utf-8")
+    code, said = updated(path, recorded[1], tmp_path)
+    assert code in (4, 5) and "far.gcode" in said
