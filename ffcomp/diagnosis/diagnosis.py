@@ -349,7 +349,7 @@ def _believable(none: Diagnosis, best: Hypothesis, progress: Progress) -> Hypoth
         return best
     held = fit_within_uncertainty(none.estimation, best, progress)
     little = max(SETTINGS.little * none.base.discrepancy, none.estimation.tolerance)
-    return held if held.discrepancy < max(little, (1 + SETTINGS.quick_gain) * best.discrepancy) else best
+    return held if held.discrepancy < little else best
 
 
 def _concluded(result: Diagnosis) -> Diagnosis:
