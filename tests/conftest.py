@@ -5,10 +5,13 @@ New draws are sought by `validation/fuzz.py`, and here with HYPOTHESIS_PROFILE=d
 
 from __future__ import annotations
 
+import base64
+import gc
 import os
 import sys
 import tempfile
 from pathlib import Path
+from typing import IO
 
 import pytest
 from hypothesis import settings
@@ -17,12 +20,20 @@ os.environ["FFCOMP_LOG"] = "off"
 if "PYTEST_XDIST_WORKER" not in os.environ:  # all workers share what one has computed for a machine
     cache = tempfile.TemporaryDirectory(prefix="ffcomp-tests-")
     os.environ["FFCOMP_CACHE"] = cache.name
+gc.set_threshold(50_000, 50, 100)  # as the command line does: what is imported and compiled stays
 sys.dont_write_bytecode = False  # pytest keeps the tests it has compiled: that halves the time of collection
 
 settings.register_profile("same", derandomize=True, deadline=None)  # others may use the machine too
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "same"))
 
 TESTS = Path(__file__).parent
+EMPTY = {  # pictures of one point or none
+    "png": base64.b64decode(
+        b"iVBORw0KGgoAAAANSUhEUgAAAAEAAAABCAAAAAA6fptVAAAACklEQVR4nGP4DwABAQEAsTj2FAAAAABJRU5ErkJggg=="
+    ),
+    "svg": b'<svg xmlns="http://www.w3.org/2000/svg"><defs></defs></svg>',
+    "pdf": b"%PDF-1.4\n%%EOF\n",
+}
 NOT_SLOW = "not slow"
 SLOW = (  # folders and files; single tests have the marker themselves
     "docs/test_examples.py",
@@ -77,8 +88,26 @@ def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool 
     return True if config.option.markexpr == NOT_SLOW and is_slow(collection_path) else None
 
 
+def pytest_collection_finish() -> None:
+    """Let the garbage collector pass over all that has been read until now."""
+    gc.freeze()
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Mark the tests of slow files."""
     for item in items:
         if is_slow(item.path):
             item.add_marker(pytest.mark.slow)
+
+
+@pytest.fixture
+def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Figures are composed, but what is written of each is empty: that they can be drawn is tested where they are made.
+
+    Drawing takes half of the time of a verb that writes a page.
+    """
+    monkeypatch.setattr("matplotlib.figure.Figure.savefig", _save_nothing)
+
+
+def _save_nothing(_: object, file: IO[bytes], **options: object) -> None:
+    file.write(EMPTY[str(options.get("format", "png"))])
