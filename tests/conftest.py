@@ -109,5 +109,9 @@ def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("matplotlib.figure.Figure.savefig", _save_nothing)
 
 
-def _save_nothing(_: object, file: IO[bytes], **options: object) -> None:
-    file.write(EMPTY[str(options.get("format", "png"))])
+def _save_nothing(_: object, target: str | Path | IO[bytes], **options: object) -> None:
+    empty = EMPTY[str(options.get("format", "png"))]
+    if isinstance(target, str | Path):
+        Path(target).write_bytes(empty)
+    else:
+        target.write(empty)

@@ -622,7 +622,6 @@ SMOKE = {  # a delta's effects take a minute each: they are in the full bank
     "axis:bristle_friction": ("effects", ("bristle_friction",)),
     "axis-by-force:friction_by_direction": ("effects", ("friction_by_direction",)),
     "axis-by-force:none": ("none", ()),
-    "axis/outside:creeping_belt": ("unknown", ()),
     "axis/pair:cogging+guide_damping": ("unknown", ()),
 }
 DOMINANT = {"axis/pair:cogging+guide_damping": "guide_damping"}  # a pitch of 0.8 mm does not repeat in 1.4 mm of travel

@@ -9,7 +9,7 @@ from ffcomp.comparison.result import Family, Party, Piece, Quickest, TimedMethod
 
 def made_up_quickest(path: str = "print.gcode") -> Quickest:
     """Return one of a print that took 5 h 12 min."""
-    party = Party("printer", "0" * 64, (), False)
+    party = Party("printer", "0" * 64)
     every = [
         timed("none", "no compensation", "none", 40_000.0, 80.0),
         timed("mzv", "MZV, best fixed", "best fixed", 19_000.0, 24.0),
