@@ -571,4 +571,6 @@ def _sound(estimation: EstimationProblem, h: Hypothesis) -> bool:
     Its interval may include no effect where only ratios of forces show, as of a servo whose stiffness is a guess.
     """
     intervals = intervals_of(estimation, h.fit, h.fit.values, scatter=True)
-    return not out_of_reach(h) and not any(".pitch_mm" in name for name in undetermined(h, intervals))
+    moved = [z**2 for _, z in moved_numbers(h.fit, h.machine_count)]
+    held = sum(moved) <= SETTINGS.implausible * len(moved) * (1 + 1e-9)  # what is held there is not beyond it
+    return held and not any(".pitch_mm" in name for name in undetermined(h, intervals))

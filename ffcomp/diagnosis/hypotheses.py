@@ -176,8 +176,7 @@ def moved_numbers(fitted: Fit, machine_count: int | None = None) -> list[tuple[s
 def implausible(fitted: Fit, machine_count: int | None = None) -> bool:
     """Tell whether the file's numbers moved further than their uncertainties make likely."""
     moved = moved_numbers(fitted, machine_count)
-    most = SETTINGS.implausible * len(moved)
-    return sum(z**2 for _, z in moved) > most * (1 + 1e-9)  # numbers that are held there are not beyond it
+    return sum(z**2 for _, z in moved) > SETTINGS.implausible * len(moved)
 
 
 def with_a_plausible(contenders: Sequence[Hypothesis], ranked: Sequence[Hypothesis]) -> list[Hypothesis]:
