@@ -57,4 +57,5 @@ def timed(name: str, label: str, family: Family, seconds: float, p99_um: float) 
         None if own_feeds else 5000.0,
         {"flow": 0.6 * seconds, "error_bound": 0.4 * seconds} if own_feeds else {},
         (p99_um, 2 * p99_um),
+        {"External perimeter": p99_um},
     )
