@@ -112,11 +112,3 @@ def test_another_processor_leaves_the_library_alone(tmp_path: Path, monkeypatch:
     table["processor"] = []
     (tmp_path / f"{compiled.LIBRARY}.json").write_text(json.dumps(table), encoding="ascii")
     assert compiled._table.__wrapped__() == {"a.b": {("f8",): "k0_0"}}
-
-
-def test_every_listed_kernel_exists() -> None:
-    listed = json.loads(WHEEL.LIST.read_text(encoding="ascii"))
-    kernels = WHEEL.kernels()
-    assert set(listed) <= set(kernels)
-    for name, variants in listed.items():
-        assert {len(kinds) for kinds in variants} == {kernels[name].py_func.__code__.co_argcount}, name
