@@ -59,7 +59,7 @@ TOLD = 0.9  # of the prior's standard deviation: a number that stays wider is le
 FLOOR, DAMPING_FLOOR = 4e-3, 0.04  # relative standard deviations: towers that differ and friction, which no fit knows
 UNLIKELY = 1e-4  # probability of an innovation that is refused
 DETERMINED = 0.2  # 1 − C of a direction that the recordings tell
-LEFT = 0.06  # of the signals' power: more that is left is another motion, or another machine
+LEFT = 0.25  # of the signals' power: more that is left is another machine, or something is loose
 CHANCE = 0.02  # of the squares of what is left of layers that were left out: no worse
 
 
