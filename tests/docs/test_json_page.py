@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from ffcomp.cli.app import app
+from ffcomp.diagnosis.acceptance import OtherMotion
 from ffcomp.diagnosis.gap import ResidualBreakdown, ResidualSize
 from ffcomp.diagnosis.result import DiagnosisResult, FileNumbers, Gap, Rest
 from ffcomp.diagnosis.separation import Separation
@@ -198,6 +199,7 @@ def _outcome(finding: str) -> DiagnosisResult:
         intervals={f"effects.{name}.force_n": normal(1.1, 0.1)},
         confidence={name: 0.99},
         evidence=800.0,
+        others=[OtherMotion("b-1.csv", 0.3, 0.02, "coulomb_friction.force_n", 0.05, 0.015)],
         rejections=["The interval holds zero."] if verdict == "unknown" else [],
         invisible=["cogging"],
         confounded_with=[("joint_friction", "Move one carriage by itself.")],
