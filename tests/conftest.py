@@ -5,16 +5,16 @@ New draws are sought by `validation/fuzz.py`, and here with HYPOTHESIS_PROFILE=d
 
 from __future__ import annotations
 
-import base64
 import gc
 import os
 import sys
 import tempfile
 from pathlib import Path
-from typing import IO
 
 import pytest
 from hypothesis import settings
+
+from tests.support.undrawn import save_nothing
 
 os.environ["FFCOMP_LOG"] = "off"
 if "PYTEST_XDIST_WORKER" not in os.environ:  # all workers share what one has computed for a machine
@@ -27,13 +27,6 @@ settings.register_profile("same", derandomize=True, deadline=None)  # others may
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "same"))
 
 TESTS = Path(__file__).parent
-EMPTY = {  # pictures of one point or none
-    "png": base64.b64decode(
-        b"iVBORw0KGgoAAAANSUhEUgAAAAEAAAABCAAAAAA6fptVAAAACklEQVR4nGP4DwABAQEAsTj2FAAAAABJRU5ErkJggg=="
-    ),
-    "svg": b'<svg xmlns="http://www.w3.org/2000/svg"><defs></defs></svg>',
-    "pdf": b"%PDF-1.4\n%%EOF\n",
-}
 NOT_SLOW = "not slow"
 SLOW = (  # folders and files; single tests have the marker themselves
     "docs/test_examples.py",
@@ -106,12 +99,4 @@ def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
 
     Drawing takes half of the time of a verb that writes a page.
     """
-    monkeypatch.setattr("matplotlib.figure.Figure.savefig", _save_nothing)
-
-
-def _save_nothing(_: object, target: str | Path | IO[bytes], **options: object) -> None:
-    empty = EMPTY[str(options.get("format", "png"))]
-    if isinstance(target, str | Path):
-        Path(target).write_bytes(empty)
-    else:
-        target.write(empty)
+    monkeypatch.setattr("matplotlib.figure.Figure.savefig", save_nothing)

@@ -33,6 +33,7 @@ from tests.support.recordings import write_captures
 from tests.support.reference import MACHINE, MACHINE_FILE, REFERENCE, ROOT, SMALL, call, examples
 
 TRUTH = load_machine("mp-delta-pro")
+pytestmark = pytest.mark.usefixtures("undrawn")
 
 
 @pytest.fixture(scope="module")
