@@ -615,6 +615,34 @@ def test_the_score_of_known_verdicts() -> None:
     assert table["a pair"] == {"2 right, 0 wrong": 1, "1 right, 0 wrong": 1}
 
 
+def test_what_belts_damp_need_not_be_named_and_a_rest_may_be_left() -> None:
+    late = {"command_delay": {"delay_s": 1e-3}}
+    found = judged("single", late, ["command_delay"])
+    free = replace(found.label, also={"belt_damping": {"share": 0.5}}, condition="free-damping")
+    share = {"name": "belt_damping", "parameters": {"share": _told(0.5)}}
+    verdict = {**found.verdict, "effects": [*found.verdict["effects"], share]}
+    both = replace(found, label=free, verdict=verdict)
+    assert both.right and [e.key for e in score.numbers([both])] == ["command_delay.delay_s", "belt_damping.share"]
+    alone = replace(found, label=replace(free, hides="nothing", effects={}), verdict={**verdict, "effects": [share]})
+    assert alone.says == "none" and score.as_wanted(alone)
+    assert not score.as_wanted(replace(alone, label=replace(alone.label, also={})))
+
+    def most(name: str, rest: Mapping[str, float]) -> score.Judged:
+        verdict = {"verdict": "unknown", "dominant": {"name": name}}
+        return replace(found, label=replace(found.label, rest=rest), verdict=verdict)
+
+    right, bare, wrong = (
+        most("command_delay", {"fans_tone": 0.1}),
+        most("command_delay", {}),
+        most("cogging", {"x": 0.1}),
+    )
+    assert [score.as_wanted(j) for j in (right, bare, wrong)] == [True, False, False]
+    counts = {rate.title: rate.hits for rate in score.rates([right, bare, wrong])}
+    assert counts["top-1, visible single effects"] == 0
+    assert counts["top-1, alone or with a rest, visible single effects"] == 2
+    assert counts["a wrong name alone"] == 1
+
+
 # ---- a handful of cases, through the public verb --------------------------------------------------
 
 SMOKE = {  # a delta's effects take a minute each: they are in the full bank
