@@ -208,7 +208,8 @@ def torque(m: FloatArray, n: int, stretch: float) -> float:
     """Return a sin θ of one motor; the stretch itself without the effect."""
     inverse, share = at(m, INVERSE_AMPLITUDE, n), at(m, BELT_SHARE, n)
     electric = inverse * stretch
-    angle, sine, cosine = electric, *sine_cosine(electric)
+    angle = electric
+    sine, cosine = sine_cosine(electric)
     for _ in range(NEWTON_STEPS):
         angle -= ((1.0 - share) * angle + share * sine - electric) / (1.0 - share + share * cosine)
         sine, cosine = sine_cosine(angle)
