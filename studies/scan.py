@@ -1,6 +1,6 @@
 """Printers that were never measured, known from a picture of a page: how far off, and do the intervals hold?
 
-python -m studies.scan --write          all machines: half an hour of CPU
+python -m studies.scan --write          all machines that are not in its results yet: half an hour of CPU
 python -m studies.scan --deltas 2 --corexy 1 --slingers 1
 """
 
@@ -47,7 +47,7 @@ from validation.plants.study import uneven
 CAMERAS = {"600 dpi": SCANNER, "1200 dpi": FINE_SCANNER, "phone": PHONE}
 HIGHEST_HZ, RINGING = 110.0, 0.25
 SPREAD = {"stiffness": 0.15, "damping": 0.2, "mass": 0.1}  # standard deviations of the logarithms
-FRICTION_N = 0.3
+FRICTION_N, BRISTLE_N_PER_M, RIPPLE_M = 0.3, 8e4, 2e-6
 EACH_TOWER = ("mass_kg", "belt_stiffness_n_per_m", "belt_damping_n_s_per_m", "guide_damping_n_s_per_m")
 
 Play = Callable[[Experiment, float], NDArray[np.float64]]
@@ -98,11 +98,15 @@ def sampled_straight(seed: int, corexy: bool) -> tuple[Machine, Play, Truth]:
         stiffness = np.full(2, 3e4)
         kg = 6e4 / (2 * np.pi * hz) ** 2
     held = 2 * damping * kg * 2 * np.pi * hz
+    friction = rng.uniform(0.2, 0.5, 2)
     plant = Plant(
         motors=motors,
         carriage_kg=(float(kg[0]), float(kg[1])),
         belt_n_per_m=(float(stiffness[0]), float(stiffness[1])),
         guide_n_s_per_m=(float(held[0]), float(held[1])),
+        friction_n=(float(friction[0]), float(friction[1])),
+        bristle_n_per_m=BRISTLE_N_PER_M,
+        ripple_m=(RIPPLE_M, RIPPLE_M),
     )
     return machine, straight_player(plant), lambda place: (hz, damping)
 
@@ -136,7 +140,8 @@ def case(name: str, machine: Machine, play: Play, truth: Truth, cameras: list[st
 def _compared(modes: Any, truth: Truth) -> list[dict[str, float]]:
     """Compare every ringing mode at every place with the one of the truth that is nearest."""
     rows = []
-    for place, estimates in modes.items():
+    alike = len({tuple(f.value for f, _ in each) for each in modes.values()}) == 1
+    for place, estimates in list(modes.items())[: 1 if alike else None]:
         hz, damping = truth(place)
         ringing = (damping < RINGING) & (hz < HIGHEST_HZ)
         hz, damping = hz[ringing], damping[ringing]
@@ -184,11 +189,27 @@ def summary(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
                 "hz_worst": float(f.max()) if modes else None,
                 "damping_median": float(np.median(d)) if modes else None,
                 "damping_within": float(np.mean(d < 0.15)) if modes else None,
-                "held": float(np.mean([[mode["hz_held"], mode["damping_held"]] for mode in modes])) if modes else None,
+                "held": {key: _wilson([m[f"{key}_held"] for m in modes]) for key in ("hz", "damping")}
+                if modes
+                else None,
                 "cpu_s": float(np.median([row["cpu_s"] for row in members])),
             }
         )
     return lines
+
+
+def _wilson(held: list[float]) -> list[float]:
+    """Return a share and its 95 % interval (Wilson, J. Am. Stat. Assoc. 22, 1927)."""
+    n, share, z = len(held), float(np.mean(held)), 1.96
+    middle, half = share + z**2 / (2 * n), z * float(np.sqrt(share * (1 - share) / n + z**2 / (4 * n**2)))
+    return [share, (middle - half) / (1 + z**2 / n), (middle + half) / (1 + z**2 / n)]
+
+
+def _done() -> set[tuple[str, str]]:
+    """Return which machines and pictures were measured before."""
+    if not (RESULTS / "scan.json").exists():
+        return set()
+    return {(row["machine"], row["camera"]) for row in results_of("scan")["rows"]}
 
 
 def _keep(rows: list[dict[str, Any]]) -> None:
@@ -205,22 +226,24 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     for kind, count in (("deltas", 10), ("corexy", 5), ("slingers", 5)):
         parser.add_argument(f"--{kind}", type=int, default=count)
-    parser.add_argument("--cameras", nargs="*", default=list(CAMERAS), choices=list(CAMERAS))
+    parser.add_argument("--cameras", nargs="*", default=["600 dpi", "phone"], choices=list(CAMERAS))
     parser.add_argument("--write", action="store_true")
     asked = parser.parse_args()
+    done = _done() if asked.write else set()
+    kinds: list[tuple[str, int, int, Callable[[int], tuple[Machine, Play, Truth]]]] = [
+        ("CoreXY", asked.corexy, 200, lambda seed: sampled_straight(seed, True)),
+        ("bed slinger", asked.slingers, 250, lambda seed: sampled_straight(seed, False)),
+        ("delta", asked.deltas, 600, sampled_delta),
+    ]
     rows: list[dict[str, Any]] = []
-
-    def kept(more: list[dict[str, Any]]) -> list[dict[str, Any]]:
-        if asked.write:
-            _keep(more)
-        return more
-
-    for seed in range(asked.corexy):
-        rows += kept(case(f"CoreXY-{seed}", *sampled_straight(seed, True), asked.cameras, seed))
-    for seed in range(asked.slingers):
-        rows += kept(case(f"bed slinger-{seed}", *sampled_straight(50 + seed, False), asked.cameras, 50 + seed))
-    for seed in range(asked.deltas):
-        rows += kept(case(f"delta-{seed}", *sampled_delta(100 + seed), asked.cameras, 100 + seed))
+    for kind, count, first, sampled in kinds:
+        for i in range(count):
+            cameras = [camera for camera in asked.cameras if (f"{kind}-{i}", camera) not in done]
+            if cameras:
+                more = case(f"{kind}-{i}", *sampled(first + i), cameras, first + i)
+                rows += more
+                if asked.write:
+                    _keep(more)
     for line in summary(rows):
         print(json.dumps(line))
 

@@ -238,8 +238,9 @@ class ScanFit(MachineFit):
             "numbers": estimates(fit.estimates),
             "kept": list(fit.kept),  # list of text: numbers that the picture hardly tells
             "places": places,
-            # .* ESTIMATE [mm]: how far the bead lags behind the nozzle and rounds its path, and its shift along a
-            # line
+            # .* ESTIMATE: what else shapes lines: dry friction of the guides (N; m/s² where the file has no masses),
+            # over which way contacts bend or at which speed they creep, how far the bead lags behind the nozzle (mm),
+            # rounds its path (mm) and is shifted along a line (mm), and how much it follows as on a string (0 to 1)
             "bead": estimates(fit.bead),
             "explained": fit.explained,  # number: share of the power of the lines' waves that the machine explains
             "lines": len(fit.lines),  # whole number: that were read

@@ -1,17 +1,22 @@
-"""The output-error fit of a page: the machine's numbers, and what the bead does to its motion.
+"""The output-error fit of a page: the machine's numbers, and what guides and bead do to its motion.
 
     minimise  Σ ((y − ŷ(θ, β) − B c) / σ)²  +  |z|²
 
 y is a stroke's distance from the slow line beside it, ŷ that of the simulated nozzle, of which the bead follows late
-(drag, a first-order lag over a length), rounded (over a width), and at a shift along the line. B c takes out what each
-line's place on the page leaves open: an offset, a slope, a bow, and a small shift of its own. z are θ and β in standard
-deviations of their priors; θ are logarithms. The steps are those of `ffcomp/numerics/least_squares.py`.
+(drag, between a first-order lag over the way and a point pulled on a string), rounded (over a width). B c takes out
+what each line's place on the page leaves open: an offset, a slope, a bow, and a small shift along it. z are θ and β in
+standard deviations of their priors; θ are logarithms. β has the dry friction of each guide too, which makes small waves
+die sooner and, where contacts bend, ring quicker: without it, dampings came out 8 to 30 % high on drawn deltas. Its law
+near a reversal is one of two; the likelier counts, and the other widens the intervals as far as it is likely too. σ is
+what is left of a line, times its correlation (effective sample size); covariances are at least as wide as lines differ.
+The steps are those of `ffcomp/numerics/least_squares.py`.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
@@ -23,8 +28,10 @@ from ffcomp.identification.uncertainty import Estimate, Joint, lognormal, throug
 from ffcomp.numerics.least_squares import BatchedProblem, Iterate, minimise_batched
 from ffcomp.numerics.stages import Stage
 from models.arrays import FloatArray
+from models.compiled import kernel
 from models.machine import Machine, value_of, with_values
-from models.printer.printer import simulate_printers
+from models.printer.parameters import ConvertedPrinter, converted_printer
+from models.printer.printer import Splines, simulate_printers
 
 RATE_HZ = 3200.0
 LEAD_S, SETTLED_S = 0.02, 0.05  # of rest before a motion; after it
@@ -32,15 +39,19 @@ SCALE = "effector.nozzle_mass_kg"  # a picture tells ratios of masses only: one 
 LEAST_SD, MOST_SD = 0.08, 0.5  # of a prior, relative
 FARTHEST = 4.0  # standard deviations
 FACTORS = np.exp(np.arange(-0.48, 0.481, 0.03))  # on all frequencies, where to begin
-BEAD = {"drag_mm": (0.15, 0.7), "rounding_mm": (0.12, 0.5), "shift_mm": (0.0, 0.15)}  # middle, sd (of the logarithm)
+FRICTION = ("friction_a", "friction_b", "friction_c")  # of the guides, N; of axes without masses, m/s²
+FRICTION_SD, LEAST_FRICTION = 1.0, 1e-3  # in units of it: without any, bristles would not be limited
+LAWS = {"presliding_mm": (0.003, 1.0), "creep_mm_per_s": (0.5, 1.0)}  # near a reversal: contacts bend, or creep
+# middle, sd (of the logarithm); taut: 0, the bead follows in proportion to how far it is behind, 1: as on a string
+BEAD = {"drag_mm": (0.15, 0.7), "rounding_mm": (0.12, 0.5), "shift_mm": (0.0, 0.015), "taut": (0.5, 0.7)}
 LINE_SHIFT_MM = 0.04  # sd of a line's own place along it
 FINE_MM = 0.05
-EARLIEST_MM = 0.1  # of a line, where the bead begins to be simulated
+EARLIEST_MM, BEFORE_MM = 0.1, 1.5  # of a line; of the way before it: where the bead begins to be simulated
 LEAST_EXPLAINED, LEAST_GAIN = 0.2, 60.0  # of the waves' power; of χ² by the waves, correlated roughness allowed for
-SHAPED = 0.35  # of the expected waves: less, and they were shaped away
+FLAT, SHAPED = 0.15, 0.35  # of the expected waves: less, at once or where hardly any are explained: shaped away
 WORST_HELD = 0.5  # posterior over prior: a number that the picture leaves so wide stays as it was
 REWEIGHTED = 2
-FLOOR, DAMPING_FLOOR = 0.004, 0.06  # of the logarithms: towers that differ and friction, which the fit does not know
+FLOOR, DAMPING_FLOOR = 0.004, 0.1  # of the logarithms: towers that differ, friction of yet another law
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +82,7 @@ class _Unknown:
 class _Page:
     """The lines, the commands that drew them, and what a machine would have drawn."""
 
-    def __init__(self, machine: Machine, lines: Sequence[ReadLine]) -> None:
+    def __init__(self, machine: Machine, lines: Sequence[ReadLine], law: str) -> None:
         self.machine, self.lines = machine, lines
         # roughness is correlated over some half millimetre
         self.sigma = np.array([max(line.noise_mm, 2e-3) * np.sqrt(0.5 / STEP_MM) for line in lines])
@@ -81,8 +92,16 @@ class _Page:
         for stroke in strokes.values():
             t = np.arange(-LEAD_S, stroke.duration_s + SETTLED_S, 1 / RATE_HZ)
             self.commands.append(np.ascontiguousarray(machine.kinematics.inverse(stroke.motion.nozzle(t))))
-        self.unknowns = [*_machine_unknowns(machine), *(_Unknown(n, m, sd) for n, (m, sd) in BEAD.items())]
-        self.of_machine = len(self.unknowns) - len(BEAD)
+        of_machine = _machine_unknowns(machine)
+        self.of_machine = len(of_machine)
+        rubbing = FRICTION if machine.vibration.position_dependent else FRICTION[:2]
+        self.law = law
+        nuisances = dict.fromkeys(rubbing, (0.0, FRICTION_SD)) | {law: LAWS[law]} | BEAD
+        self.unknowns = [*of_machine, *(_Unknown(n, m, sd) for n, (m, sd) in nuisances.items())]
+        self.low = np.array([LEAST_FRICTION if each.name in FRICTION else -FARTHEST for each in self.unknowns])
+        high = np.full(len(self.unknowns), FARTHEST)
+        self.problem = BatchedProblem(self.residuals, self.low, high)
+        self.splines = Splines()
 
     def values(self, z: FloatArray) -> dict[str, float]:
         return {each.name: each.value(float(at)) for each, at in zip(self.unknowns, z, strict=True)}
@@ -91,12 +110,26 @@ class _Page:
         values = self.values(z)
         return with_values(self.machine, {each.name: values[each.name] for each in self.unknowns[: self.of_machine]})
 
+    def rubbing(self, z: FloatArray) -> ConvertedPrinter:
+        """Return the machine at z with dry friction, as the simulation takes it."""
+        values = self.values(z)
+        force = [values.get(name, 0.0) for name in FRICTION]
+        friction = {"force_n": force, self.law: values[self.law]}
+        effects = {**self.machine.effects, "coulomb_friction": friction}
+        return converted_printer(replace(self.machine_at(z), effects=effects), gravity=False)
+
     def drawn(self, points: Sequence[FloatArray]) -> Iterator[list[FloatArray]]:
         """Simulate each point (p,): the lines as they would be drawn, (n,) mm each."""
-        machines = [self.machine_at(z) for z in points]
-        pairs = [(machine, command) for machine in machines for command in self.commands]
-        motions = simulate_printers([m for m, _ in pairs], [c for _, c in pairs], 1 / RATE_HZ)
         count = len(self.commands)
+        printers = [printer for z in points for printer in [self.rubbing(z)] * count]
+        motions = simulate_printers(
+            [self.machine] * len(printers),
+            self.commands * len(points),
+            1 / RATE_HZ,
+            substeps=1,
+            converted=printers,
+            splines=self.splines,
+        )
         for i, z in enumerate(points):
             motions_here = motions[i * count : (i + 1) * count]
             bead = self.values(z)
@@ -150,16 +183,30 @@ def _machine_unknowns(machine: Machine) -> list[_Unknown]:
 def _laid(line: ReadLine, path: FloatArray, bead: Mapping[str, float]) -> FloatArray:
     """Return the bead of a nozzle's path (n, 2) mm at the places where the line was read, (n,) mm across."""
     away = path - line.line.foot
-    s, y = away @ line.line.along, away @ line.line.across
-    first = int(np.flatnonzero(s < EARLIEST_MM)[-1]) if np.any(s < EARLIEST_MM) else 0
-    s, y = s[first:], y[first:]
-    rising = np.append(True, s[1:] > np.maximum.accumulate(s)[:-1])
-    fine = np.arange(EARLIEST_MM, line.line.length_mm, FINE_MM)
-    across = np.interp(fine, s[rising], y[rising])
+    sy = np.column_stack([away @ line.line.along, away @ line.line.across])
+    before = np.flatnonzero(sy[:, 0] < EARLIEST_MM)
+    way = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(sy, axis=0), axis=1)))
+    way -= way[before[-1]] if len(before) else 0.0
+    moving = np.append(True, np.diff(way) > 1e-9) & (way > -BEFORE_MM)
+    even = np.arange(way[moving][0], way[-1], FINE_MM)
+    nozzle = np.column_stack([np.interp(even, way[moving], each[moving]) for each in sy.T])
     decay = np.exp(-FINE_MM / bead["drag_mm"])
-    lagged = lfilter([1 - decay], [1, -decay], across, zi=[decay * across[0]])[0]
-    rounded = gaussian_filter1d(lagged, bead["rounding_mm"] / FINE_MM, mode="nearest")
-    return np.asarray(np.interp(line.s_mm + bead["shift_mm"], fine, rounded))
+    lagged = lfilter([1 - decay], [1, -decay], nozzle, axis=0, zi=decay * nozzle[:1])[0]
+    laid = lagged + bead["taut"] * (_pulled(nozzle, bead["drag_mm"]) - lagged)
+    s, y = gaussian_filter1d(laid, bead["rounding_mm"] / FINE_MM, axis=0, mode="nearest").T
+    s = np.maximum.accumulate(s)
+    return np.asarray(np.interp(line.s_mm + bead["shift_mm"], s, y))
+
+
+@kernel
+def _pulled(path: FloatArray, length: float) -> FloatArray:
+    """Pull a point after the path (n, 2) on a string."""
+    laid = path.copy()
+    for k in range(1, len(path)):
+        x, y = path[k, 0] - laid[k - 1, 0], path[k, 1] - laid[k - 1, 1]
+        slack = 1.0 - min(length / max(math.hypot(x, y), 1e-12), 1.0)
+        laid[k, 0], laid[k, 1] = laid[k - 1, 0] + slack * x, laid[k - 1, 1] + slack * y
+    return laid
 
 
 # ---- the fit -------------------------------------------------------------------------------------
@@ -173,19 +220,23 @@ def fit_page(machine: Machine, lines: Sequence[ReadLine], progress: Callable[[st
     MeasurementError
         If the lines do not ring as any such machine would.
     """
-    page = _Page(machine, lines)
+    bends, creeps = (_Page(machine, lines, law) for law in LAWS)
+    _check_waves(bends, FLAT)
     progress(Stage(2, "seeking where to begin"))
-    start = _start(page)
-    progress(Stage(3, f"fitting {page.of_machine} numbers to {len(lines)} lines"))
-    far = np.full(len(page.unknowns), FARTHEST)
-    here, fitted = start, None
-    for _ in range(1 + REWEIGHTED):
-        fitted = minimise_batched(BatchedProblem(page.residuals, -far, far), here, iterations=12)
-        here = fitted.z
-        (drawn,) = page.drawn([here])
-        _reweight(page, drawn)
-    assert fitted is not None
-    return _result(page, fitted)
+    start = _start(bends)
+    progress(Stage(3, f"fitting {bends.of_machine} numbers to {len(lines)} lines"))
+    fitted = minimise_batched(bends.problem, start, iterations=12)
+    for _ in range(REWEIGHTED):
+        (drawn,) = bends.drawn([fitted.z])
+        before = bends.sigma.copy()
+        _reweight(bends, drawn)
+        again = np.repeat(before / bends.sigma, [len(line.s_mm) for line in lines])
+        fitted = minimise_batched(bends.problem, fitted.z, again[:, None] * fitted.jacobian, iterations=12)
+    creeps.sigma = bends.sigma
+    other = minimise_batched(creeps.problem, fitted.z, fitted.jacobian, iterations=12)
+    if other.cost < fitted.cost:
+        return _result(creeps, other, fitted)
+    return _result(bends, fitted, other)
 
 
 def _start(page: _Page) -> FloatArray:
@@ -206,6 +257,7 @@ def _start(page: _Page) -> FloatArray:
 def _scaled(page: _Page, factors: Mapping[str, float]) -> FloatArray:
     """Return the point whose frequencies are multiplied."""
     z = np.zeros(len(page.unknowns))
+    z[page.low == LEAST_FRICTION] = 0.2
     for i, each in enumerate(page.unknowns[: page.of_machine]):
         factor = factors.get("all") or factors.get(each.name.split(".")[1], 1.0)
         power = 2.0 if "stiffness" in each.name else 1.0 if "frequency" in each.name else 0.0
@@ -232,7 +284,7 @@ def _reweight(page: _Page, drawn: Sequence[FloatArray]) -> None:
         page.sigma[k] = max(float(np.sqrt(np.mean(left**2))), 1e-3) * np.sqrt(times)
 
 
-def _result(page: _Page, fitted: Iterate) -> PageFit:
+def _result(page: _Page, fitted: Iterate, other: Iterate) -> PageFit:
     (drawn,) = page.drawn([fitted.z])
     seen, model = [], []
     for k, (line, y) in enumerate(page.along(drawn)):
@@ -246,6 +298,9 @@ def _result(page: _Page, fitted: Iterate) -> PageFit:
     explained = 1.0 - left / power
     _check(page, seen, explained, power - left)
     covariance = _covariance(page, fitted)
+    # of two laws of friction the likelier one counts, and the other one as far as it is likely too
+    apart, odds = other.z - fitted.z, np.exp(min(0.5 * (other.cost - fitted.cost), 50.0))
+    covariance = covariance + np.outer(apart, apart) / (1.0 + odds)
     machine = page.machine_at(fitted.z)
     estimates, bead, kept = {}, {}, []
     for i, each in enumerate(page.unknowns):
@@ -269,20 +324,8 @@ def _signed(value: float, relative_sd: float) -> Estimate:
 def _check(page: _Page, seen: Sequence[FloatArray], explained: float, gain: float) -> None:
     if explained >= LEAST_EXPLAINED and gain >= LEAST_GAIN:
         return
+    _check_waves(page, SHAPED)
     path = ", ".join(dict.fromkeys(line.picture for line in page.lines))
-    rough = float(np.mean([line.noise_mm**2 for line in page.lines]))
-    waves = float(np.sqrt(max(float(np.mean(np.concatenate(seen) ** 2)) - 2.0 * rough, 0.0)))
-    (as_filed,) = page.drawn([np.zeros(len(page.unknowns))])
-    expected = float(np.sqrt(np.mean(np.concatenate([_without_bow(y) for y in as_filed]) ** 2)))
-    if waves < SHAPED * expected:
-        raise MeasurementError(
-            path,
-            [
-                f"The lines wave by {1e3 * waves:.0f} µm where this machine should make {1e3 * expected:.0f}: they "
-                "were printed with an input shaper on, or much slower. Run the page's G-code as it is, without "
-                "overrides, and let it switch the shaper off."
-            ],
-        )
     raise MeasurementError(
         path,
         [
@@ -291,6 +334,25 @@ def _check(page: _Page, seen: Sequence[FloatArray], explained: float, gain: floa
             "speed overrides, or its lines are torn. Check -m and --plan, or print the page again."
         ],
     )
+
+
+def _check_waves(page: _Page, share: float) -> None:
+    """Refuse lines that wave by less than a share of what the machine file expects."""
+    path = ", ".join(dict.fromkeys(line.picture for line in page.lines))
+    rough = float(np.mean([line.noise_mm**2 for line in page.lines]))
+    seen = np.concatenate([_without_bow(line.across_mm) for line in page.lines])
+    waves = float(np.sqrt(max(float(np.mean(seen**2)) - 2.0 * rough, 0.0)))
+    (as_filed,) = page.drawn([page.problem.clip(np.zeros(len(page.unknowns)))])
+    expected = float(np.sqrt(np.mean(np.concatenate([_without_bow(y) for y in as_filed]) ** 2)))
+    if waves < share * expected:
+        raise MeasurementError(
+            path,
+            [
+                f"The lines wave by {1e3 * waves:.0f} µm where this machine should make {1e3 * expected:.0f}: they "
+                "were printed with an input shaper on, or much slower. Run the page's G-code as it is, without "
+                "overrides, and let it switch the shaper off."
+            ],
+        )
 
 
 def _covariance(page: _Page, fitted: Iterate) -> FloatArray:
@@ -326,12 +388,10 @@ def _modes(
         here = page.machine_at(z).vibration.modes_at(np.array([x, y]))
         count = len(here.frequencies_hz)
 
-        def both(at: FloatArray, x: float = x, y: float = y, count: int = count) -> FloatArray:
+        def both(at: FloatArray, x: float = x, y: float = y, hz: FloatArray = here.frequencies_hz) -> FloatArray:
             modes = page.machine_at(at).vibration.modes_at(np.array([x, y]))
-            n = min(count, len(modes.frequencies_hz))
-            out = np.zeros(2 * count)
-            out[:n], out[count : count + n] = np.log(modes.frequencies_hz[:n]), np.log(modes.damping_ratios[:n])
-            return out
+            same = np.abs(np.log(modes.frequencies_hz / hz[:, None])).argmin(axis=1)  # one may cease to swing
+            return np.log(np.concatenate([modes.frequencies_hz[same], modes.damping_ratios[same]]))
 
         spread = np.sqrt(
             np.maximum(

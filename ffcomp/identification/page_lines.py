@@ -7,7 +7,7 @@ over 1 mm, is what scanner, lens and paper do there; it is subtracted from the s
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import ndimage
@@ -19,12 +19,14 @@ from ffcomp.record.page import Line, last_line, twins
 from ffcomp.record.plan import Experiment, Plan
 from models.arrays import FloatArray
 
-STEP_MM, ENDS_MM = 0.1, (1.2, 1.2)  # along a line; left out at its foot and at its end
+STEP_MM, ENDS_MM = 0.1, (0.9, 1.2)  # along a line; left out at its foot and at its end
 REACH_MM, CORE_MM = 0.85, 0.5  # across: read; around the middle for the centroid
 SMOOTHED_MM = 1.1  # of a slow line
 LEAST_INK, BROKEN_SHARE = 0.15, 0.25  # of a line's middle; of a line that may be missing
 OUTLIER_MM, WAVE_SHARE = 0.03, 0.4  # from the median around: dust, unless the line waves as much there
 LEAST_LINES_SHARE = 0.6
+CALM_SHARE = 0.5  # of a stroke's line, from which it hardly rings
+WOBBLE_MM, WOBBLE_NOISE_MM, WOBBLE_LENGTH_MM = 0.2, 0.008, 4.0  # of a scanner's carriage: most; noise of 3 mm of a line
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,23 +70,64 @@ def read_lines(sights: Sequence[Sight], plan: Plan) -> list[ReadLine]:
 def _refined(sight: Sight, plan: Plan) -> Sight:
     """Fit the map to the slow lines, twice: the first readings may lie aside."""
     for _ in range(2):
-        at, across, off = [], [], []
-        for _, slow in twins(plan):
-            line = last_line(slow.motion)
-            s = np.arange(ENDS_MM[0], line.length_mm - ENDS_MM[1], 0.5)
-            if sight.holds(line.at(s, REACH_MM)):
-                middle, ink = _middles(sight, line, s)
-                good = np.isfinite(middle) & (ink > LEAST_INK)
-                blocks = s // 3.0
-                for block in np.unique(blocks[good]):
-                    part = good & (blocks == block)
-                    at.append(line.at(np.array(np.mean(s[part]))))
-                    across.append(line.across)
-                    off.append(float(np.median(middle[part])))
+        at, across, off = _offsets(sight, [last_line(slow.motion) for _, slow in twins(plan)])
         if len(at) < 20:
             return sight
-        sight = with_lines(sight, np.array(at), np.array(across), np.array(off))
-    return sight
+        sight = with_lines(sight, at, across, off)
+    return _steadied(sight, plan)
+
+
+def _offsets(sight: Sight, lines: Sequence[Line], calm: float = 0.0) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return places (n, 2) every 3 mm of lines, from a share of their length, normals, and how far off they are."""
+    at, across, off = [], [], []
+    for line in lines:
+        s = np.arange(max(ENDS_MM[0], calm * line.length_mm), line.length_mm - ENDS_MM[1], 0.5)
+        if sight.holds(line.at(s, REACH_MM)):
+            middle, ink = _middles(sight, line, s)
+            good = np.isfinite(middle) & (ink > LEAST_INK)
+            blocks = s // 3.0
+            for block in np.unique(blocks[good]):
+                part = good & (blocks == block)
+                at.append(line.at(np.array(np.mean(s[part]))))
+                across.append(line.across)
+                off.append(float(np.median(middle[part])))
+    return np.array(at).reshape(-1, 2), np.array(across).reshape(-1, 2), np.array(off)
+
+
+def _steadied(sight: Sight, plan: Plan) -> Sight:
+    """Take out the unsteady run of a scanner's carriage, by all lines along its rows where they do not ring.
+
+    The shift is a Gaussian process of the row, as strong as the lines lie off, of Matérn's kernel 3/2 (Rasmussen &
+    Williams, 2006, eq. 4.17). It counts along the other lines, whose waves it would stretch.
+    """
+    lines = [
+        (last_line(each.motion), calm)
+        for pair in twins(plan)
+        for each, calm in zip(pair, (CALM_SHARE, 0.0), strict=True)
+    ]
+    rows, shifts = [], []
+    for line, calm in lines:
+        ends = sight.pixels(np.stack([line.at(np.array(0.0)), line.at(np.array(line.length_mm))]))
+        if abs(ends[1, 1] - ends[0, 1]) < 0.3 * abs(ends[1, 0] - ends[0, 0]):
+            at, across, off = _offsets(sight, [line], calm)
+            here = sight.pixels(at)[:, 1]
+            rows.append(here)
+            shifts.append(sight.pixels(at + off[:, None] * across)[:, 1] - here)
+    row, shift = np.concatenate([np.empty(0), *rows]), np.concatenate([np.empty(0), *shifts])
+    if len(row) < 10:
+        return sight
+    scale = sight.pixels_per_mm(lines[0][0].foot)
+    noise = WOBBLE_NOISE_MM * scale
+    shift = np.clip(shift, -WOBBLE_MM * scale, WOBBLE_MM * scale)
+
+    def kernel(a: FloatArray, b: FloatArray) -> FloatArray:
+        away = np.sqrt(3.0) * np.abs(a[:, None] - b) / (WOBBLE_LENGTH_MM * scale)
+        return (1.0 + away) * np.exp(-away)
+
+    power = max(float(np.mean(shift**2)) - noise**2, 1e-9)
+    weights = np.linalg.solve(power * kernel(row, row) + noise**2 * np.eye(len(row)), shift)
+    at = np.arange(0.0, sight.picture.ink.shape[0], 0.5 * scale)
+    return replace(sight, wobble=np.stack([at, power * kernel(at, row) @ weights]))
 
 
 def _read(sight: Sight, stroke: Experiment, slow: Experiment) -> ReadLine | None:

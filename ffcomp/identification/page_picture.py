@@ -8,7 +8,7 @@ to shift a stroke and the slow line beside it alike (`lines.py`).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import combinations, permutations
 from pathlib import Path
 from typing import Any
@@ -54,10 +54,13 @@ class Sight:
     barrel: FloatArray  # (2,) of the second and the fourth power of the radius
     discs: FloatArray  # (k,) which of the page's discs were seen
     misfit_mm: float  # rms, of the discs
+    wobble: FloatArray = field(default_factory=lambda: np.zeros((2, 1)))  # (2, k) rows, and by how many rows off there
 
     def pixels(self, xy: FloatArray) -> FloatArray:
         """Return the pixels (..., 2) of page positions (..., 2) mm."""
-        return _project(self.perspective, self.barrel, self._middle, xy)
+        px = _project(self.perspective, self.barrel, self._middle, xy)
+        px[..., 1] += np.interp(px[..., 1], *self.wobble)
+        return px
 
     def pixels_per_mm(self, xy: FloatArray) -> float:
         """Return the resolution at a page position (2,) mm."""

@@ -96,7 +96,11 @@ def make_page(machine: Machine, request: PageRequest) -> Plan:
 
 
 def _limits(machine: Machine, request: PageRequest) -> PlannerLimits:
-    """Return the limits of strokes: these are short, and may be harder than a print's moves."""
+    """Return the limits of strokes: not a print's, which are chosen so that little rings.
+
+    Waves that small drown in dry friction and the roughness of lines. Legs of few millimetres are slower than a print,
+    so that motors have torque to spare; the carriages' limit holds.
+    """
     usual = planner_limits(machine)
     gain = max(carriage_gain(machine.kinematics, np.array(each)) for each in machine.kinematics.around(0.6, 30.0))
     most = min(STROKE_MM_PER_S2, CARRIAGE_SHARE * machine.limits.carriage_acceleration_mm_per_s2 / gain)

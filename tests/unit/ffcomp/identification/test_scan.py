@@ -1,9 +1,13 @@
-"""A page that an independent printer has drawn, seen by a scanner and by a phone, and what the pictures tell of it."""
+"""A page that an independent printer has drawn, seen by a scanner and by a phone, and what the pictures tell of it.
+
+To be cheap, the page is the first cell of one, seen at 300 dpi; `studies/scan.py` has whole pages and many printers.
+"""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,13 +20,13 @@ from ffcomp.identification.machine_fit import ScanFit
 from ffcomp.identification.page_picture import find_page, read_picture
 from ffcomp.identification.request import ScanRequest
 from ffcomp.identification.scanning import fit_pictures
-from ffcomp.record.page import PageRequest, make_page
+from ffcomp.record.page import DISC, PageRequest, discs_of, make_page
 from ffcomp.record.plan import Experiment, Plan, save_plan
 from models.file import load_machine, machine_of_text
 from models.machine import Machine
 from tests.support.json_page import Page
 from tests.support.reference import REFERENCE
-from validation.drawn_page import LEAD_S, PHONE, SCANNER, Bead, Drawing, draw, photograph, straight_player
+from validation.drawn_page import LEAD_S, SCANNER, Bead, Drawing, draw, photograph, straight_player
 from validation.plants.straight_plant import COREXY, Plant
 
 PRINTER = Plant(
@@ -32,6 +36,7 @@ PRINTER = Plant(
     guide_n_s_per_m=(18.0, 25.0),
 )  # x rings at 60.2 Hz, y at 52.6; the file says 57 and 48
 assert np.array_equal(PRINTER.motors, COREXY)
+COARSE = replace(SCANNER, dpi=300.0, dust=50, margin_mm=6.0)
 
 
 @pytest.fixture(scope="module")
@@ -41,7 +46,8 @@ def machine() -> Machine:
 
 @pytest.fixture(scope="module")
 def plan(machine: Machine) -> Plan:
-    return make_page(machine, PageRequest())
+    whole = make_page(machine, PageRequest())
+    return replace(whole, experiments=tuple(each for each in whole.experiments if each.kind == DISC or each.place == 0))
 
 
 @pytest.fixture(scope="module")
@@ -50,12 +56,15 @@ def drawings(plan: Plan) -> list[Drawing]:
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory, plan: Plan, drawings: list[Drawing]) -> Path:
+def scan(drawings: list[Drawing]) -> NDArray[np.uint8]:
+    return photograph(drawings, COARSE, seed=2)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory, plan: Plan, scan: NDArray[np.uint8]) -> Path:
     folder = tmp_path_factory.mktemp("scan")
     save_plan(plan, folder / "page.json")
-    for name, camera in (("scan", SCANNER), ("phone", PHONE)):
-        Image.fromarray(photograph(drawings, camera, seed=2)).save(folder / f"{name}.jpg", quality=camera.quality)
-    Image.open(folder / "phone.jpg").reduce(2).save(folder / "half.png")  # enough to find a page
+    Image.fromarray(scan).save(folder / "scan.jpg", quality=92)
     return folder
 
 
@@ -66,10 +75,8 @@ def fitted(machine: Machine, folder: Path, *pictures: str) -> ScanFit:
     return fit_pictures(machine, request)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("picture", ["scan.jpg", "phone.jpg"])
-def test_a_picture_tells_frequencies_and_damping(machine: Machine, folder: Path, picture: str) -> None:
-    fit = fitted(machine, folder, picture)
+def test_a_picture_tells_frequencies_and_damping(machine: Machine, folder: Path) -> None:
+    fit = fitted(machine, folder, "scan.jpg")
     written = machine_of_text(fit.text, "scanned")
     page = Page(REFERENCE / "json.md")
     assert page.problems(json.loads(json.dumps(fit.to_dict())), "ffcomp-identify-scan/1") == []
@@ -77,52 +84,56 @@ def test_a_picture_tells_frequencies_and_damping(machine: Machine, folder: Path,
     for axis, name in enumerate("xy"):
         (frequency,), (damping,), _ = PRINTER.axis_modes(axis)
         f, d = (fit.result.estimates[f"axes.{name}.{key}[0]"] for key in ("frequency_hz", "damping_ratio"))
-        assert f.value == pytest.approx(frequency, rel=0.01 if picture == "scan.jpg" else 0.02)
-        assert d.value == pytest.approx(damping, rel=0.15)
-        assert abs(f.value - frequency) < 3 * f.sd and abs(d.value - damping) < 3 * d.sd
-        assert written.vibration.value(f"axes.{name}.frequency_hz[0]") == pytest.approx(frequency, rel=0.02)
+        assert f.value == pytest.approx(frequency, rel=0.015)
+        assert abs(np.log(d.value / damping)) < 0.25
+        assert abs(f.value - frequency) < 3 * f.sd < 0.05 * frequency
+        assert abs(np.log(d.value / damping)) < 3 * d.relative_sd < 0.6
+        assert written.vibration.value(f"axes.{name}.frequency_hz[0]") == pytest.approx(f.value, rel=1e-3)
         assert written.uncertainty[f"axes.{name}.frequency_hz"] < 0.02
-
-
-def test_the_page_is_found_to_a_fraction_of_a_line(folder: Path, plan: Plan) -> None:
-    """The phone's, which looks from aside through a lens; the frequencies of both tell that the scan's is found."""
-    sight = find_page(read_picture(folder / "phone.jpg"), plan)
-    assert len(sight.discs) == 10 and sight.misfit_mm < 0.03
 
 
 Spoil = Callable[[NDArray[np.uint8]], NDArray[np.uint8]]
 SPOILED: dict[str, tuple[Spoil, str]] = {
     "mirrored": (lambda picture: picture[:, ::-1], "mirrored"),
     "empty": (lambda picture: np.full_like(picture, 230), "0 of the page's 10 discs"),
-    "a corner of it": (lambda picture: picture[: len(picture) // 3, : len(picture) // 2], "discs"),
+    "a corner of it": (lambda picture: picture[: len(picture) // 3, : picture.shape[1] // 2], "discs"),
     "two pages": (lambda picture: np.concatenate([picture, picture]), "two pages"),
     "too small": (lambda picture: picture[::3, ::3], "pixels a mm"),
-    "tiny": (lambda picture: picture[::15, ::15], "too few"),
+    "tiny": (lambda picture: picture[::16, ::16], "too few"),
 }
 
 
 @pytest.mark.parametrize("spoiled", SPOILED)
-def test_a_bad_picture_is_refused_with_the_remedy(folder: Path, plan: Plan, tmp_path: Path, spoiled: str) -> None:
+def test_a_bad_picture_is_refused_with_the_remedy(
+    scan: NDArray[np.uint8], plan: Plan, tmp_path: Path, spoiled: str
+) -> None:
     spoil, words = SPOILED[spoiled]
-    picture = spoil(np.asarray(Image.open(folder / "half.png")))
-    Image.fromarray(np.ascontiguousarray(picture)).save(tmp_path / "bad.png")
+    Image.fromarray(np.ascontiguousarray(spoil(scan))).save(tmp_path / "bad.png", compress_level=1)
     with pytest.raises(MeasurementError, match=words):
         find_page(read_picture(tmp_path / "bad.png"), plan)
 
 
-def test_a_turned_colour_picture_is_as_good(folder: Path, plan: Plan, tmp_path: Path) -> None:
-    grey = Image.open(folder / "half.png").rotate(90, expand=True)
+def test_a_picture_may_be_turned_coloured_bright_on_dark_or_lack_a_corner(
+    scan: NDArray[np.uint8], plan: Plan, tmp_path: Path
+) -> None:
+    grey = Image.fromarray(255 - scan).rotate(90, expand=True)
     Image.merge("RGB", [grey, grey.point(lambda v: 120 + v // 2), grey.point(lambda v: 255)]).save(tmp_path / "p.tiff")
-    assert len(find_page(read_picture(tmp_path / "p.tiff"), plan).discs) == 10
+    sight = find_page(read_picture(tmp_path / "p.tiff"), plan)
+    assert len(sight.discs) == 10 and sight.misfit_mm < 0.03
+    without = scan.copy()
+    row, column = np.rint(_pixels(scan, plan, tmp_path)[0]).astype(int)[::-1]
+    without[max(0, row - 60) : row + 60, max(0, column - 60) : column + 60] = 230
+    Image.fromarray(without).save(tmp_path / "corner.png", compress_level=1)
+    assert len(find_page(read_picture(tmp_path / "corner.png"), plan).discs) == 9
 
 
-def test_bright_lines_on_a_dark_bed_are_seen(folder: Path, plan: Plan, tmp_path: Path) -> None:
-    Image.open(folder / "half.png").point(lambda v: 255 - v).save(tmp_path / "dark.png")
-    assert len(find_page(read_picture(tmp_path / "dark.png"), plan).discs) == 10
+def _pixels(scan: NDArray[np.uint8], plan: Plan, tmp_path: Path) -> NDArray[np.float64]:
+    Image.fromarray(scan).save(tmp_path / "whole.png", compress_level=1)
+    return find_page(read_picture(tmp_path / "whole.png"), plan).pixels(discs_of(plan))
 
 
 def test_a_file_cut_off_and_a_file_of_text_are_refused(folder: Path, tmp_path: Path) -> None:
-    whole = (folder / "phone.jpg").read_bytes()
+    whole = (folder / "scan.jpg").read_bytes()
     (tmp_path / "cut.jpg").write_bytes(whole[: len(whole) // 2])
     (tmp_path / "text.jpg").write_text("no picture")
     with pytest.raises(MeasurementError, match="not complete"):
@@ -131,15 +142,14 @@ def test_a_file_cut_off_and_a_file_of_text_are_refused(folder: Path, tmp_path: P
         read_picture(tmp_path / "text.jpg")
 
 
-def test_the_page_of_another_seed_or_machine_is_refused(folder: Path, machine: Machine, tmp_path: Path) -> None:
+def test_the_page_of_another_seed_or_machine_is_refused(folder: Path, machine: Machine) -> None:
     other = make_page(machine, PageRequest(seed=2))
     with pytest.raises(MeasurementError, match="another plan"):
-        find_page(read_picture(folder / "half.png"), other)
+        find_page(read_picture(folder / "scan.jpg"), other)
     with pytest.raises(RequestError, match="give the machine that the page was planned for"):
-        fitted(load_machine("ender-3"), folder, "half.png")
+        fitted(load_machine("ender-3"), folder, "scan.jpg")
 
 
-@pytest.mark.slow
 def test_a_page_drawn_with_a_shaper_on_is_refused(machine: Machine, plan: Plan, tmp_path: Path) -> None:
 
     def obedient(experiment: Experiment, step_s: float) -> NDArray[np.float64]:
@@ -148,6 +158,6 @@ def test_a_page_drawn_with_a_shaper_on_is_refused(machine: Machine, plan: Plan, 
 
     drawn = draw(plan, obedient, Bead(), seed=1)
     save_plan(plan, tmp_path / "page.json")
-    Image.fromarray(photograph(drawn, PHONE, seed=2)).save(tmp_path / "phone.jpg")
+    Image.fromarray(photograph(drawn, COARSE, seed=2)).save(tmp_path / "scan.jpg")
     with pytest.raises(MeasurementError, match="shaper"):
-        fitted(machine, tmp_path, "phone.jpg")
+        fitted(machine, tmp_path, "scan.jpg")
