@@ -111,8 +111,9 @@ def nested(name: str, other: str) -> bool:
 
 
 def may_join(name: str, names: Sequence[str]) -> bool:
-    """Tell whether an effect is none of these, nor one of them with more or fewer numbers."""
-    return name not in names and not any(nested(name, each) for each in names)
+    """Tell whether an effect is none of these, nor a law of the same thing: friction has one, however it is bent."""
+    kin = KIN.get(name, name)
+    return not any(kin == KIN.get(each, each) or nested(name, each) for each in names)
 
 
 # ---- evidence ------------------------------------------------------------------------------------
