@@ -72,7 +72,7 @@ def test_compensated_steps_are_the_command(
     target = tmp_path / "steps.npz"
     result = written(machine, target, error_s=error_s)
     motors = read_steps(target)
-    fastest = 300.0  # mm/s, of a carriage: what an error in time can make of one in place
+    fastest, beyond = 300.0, []  # mm/s, of a carriage: what an error in time can make of one in place
     for start_t, spacing_s, vertices, filament in seen:
         t = start_t + spacing_s * np.arange(len(vertices))
         heights = machine.kinematics.inverse(vertices)
@@ -80,8 +80,10 @@ def test_compensated_steps_are_the_command(
             allowed = 0.5001 / machine.steps.steps_per_mm + fastest * (error_s or 1e-7)
             error = np.abs(level_at(motors[name], t) - heights[:, i])
             # a step that turns back within 750 µs is left out, as Klipper does: then up to a step, at few knots
-            assert error.max() < 1.01 / machine.steps.steps_per_mm and np.mean(error > allowed) < 0.005
+            assert error.max() < 1.01 / machine.steps.steps_per_mm
+            beyond += (error > allowed).tolist()
         assert np.abs(level_at(motors["e"], t) - filament).max() < 1.01 / 400 + 60 * (error_s or 1e-7)
+    assert np.mean(beyond) < 0.002
     ends = [start_t + spacing_s * (len(vertices) - 1) for start_t, spacing_s, vertices, _ in seen]
     assert ends[-1] - BEFORE_S == pytest.approx(result.statistics.print_time_s, abs=1e-9)
     assert result.to_dict()["predicted"]["compensated"]["contour_rms_um"] > 0
