@@ -51,7 +51,8 @@ LEAST_EXPLAINED, LEAST_GAIN = 0.2, 60.0  # of the waves' power; of χ² by the w
 FLAT, SHAPED = 0.15, 0.35  # of the expected waves: less, at once or where hardly any are explained: shaped away
 WORST_HELD = 0.5  # posterior over prior: a number that the picture leaves so wide stays as it was
 REWEIGHTED = 2
-FLOOR, DAMPING_FLOOR = 0.004, 0.1  # of the logarithms: towers that differ, friction of yet another law
+FLOOR, DAMPING_FLOOR = 0.004, 0.1  # of the logarithms: towers that differ
+FRICTION_LAW = 0.5  # of friction's part in what looks like damping: no law of it is better known
 
 
 @dataclass(frozen=True, eq=False)
@@ -367,9 +368,16 @@ def _covariance(page: _Page, fitted: Iterate) -> FloatArray:
         meat += np.outer(gradient, gradient)
     wider = np.sqrt(np.maximum(1.0, np.diag(bread @ meat @ bread) / np.diag(bread)))
     covariance = np.asarray(bread * np.outer(wider, wider))
+    size = np.sum(fitted.jacobian**2, axis=0)
     for i, each in enumerate(page.unknowns[: page.of_machine]):
-        unmodelled = DAMPING_FLOOR if "damping" in each.name else FLOOR
-        covariance[i, i] += (unmodelled / each.sd) ** 2
+        covariance[i, i] += ((DAMPING_FLOOR if "damping" in each.name else FLOOR) / each.sd) ** 2
+        if "damping" in each.name:  # of friction, what looks like this damping
+            alike = [
+                fitted.z[j] * float(fitted.jacobian[:, i] @ fitted.jacobian[:, j]) / max(float(size[i]), 1e-12)
+                for j, other in enumerate(page.unknowns)
+                if other.name in FRICTION
+            ]
+            covariance[i, i] += (FRICTION_LAW * sum(alike)) ** 2
     return covariance
 
 
