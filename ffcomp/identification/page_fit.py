@@ -85,8 +85,10 @@ class _Page:
 
     def __init__(self, machine: Machine, lines: Sequence[ReadLine], law: str) -> None:
         self.machine, self.lines = machine, lines
+        names = [line.stroke.name for line in lines]
+        self.copies = np.sqrt([names.count(name) for name in names])  # pictures of a stroke share its roughness
         # roughness is correlated over some half millimetre
-        self.sigma = np.array([max(line.noise_mm, 2e-3) * np.sqrt(0.5 / STEP_MM) for line in lines])
+        self.sigma = self.copies * [max(line.noise_mm, 2e-3) * np.sqrt(0.5 / STEP_MM) for line in lines]
         strokes = {line.stroke.name: line.stroke for line in lines}
         self.which = [list(strokes).index(line.stroke.name) for line in lines]
         self.commands = []
@@ -282,7 +284,7 @@ def _reweight(page: _Page, drawn: Sequence[FloatArray]) -> None:
         correlation /= max(float(correlation[0]), 1e-18)
         crossing = int(np.argmax(correlation < 0.1)) or len(correlation)
         times = 1.0 + 2.0 * float(correlation[1:crossing].sum())
-        page.sigma[k] = max(float(np.sqrt(np.mean(left**2))), 1e-3) * np.sqrt(times)
+        page.sigma[k] = page.copies[k] * max(float(np.sqrt(np.mean(left**2))), 1e-3) * np.sqrt(times)
 
 
 def _result(page: _Page, fitted: Iterate, other: Iterate) -> PageFit:
@@ -357,15 +359,16 @@ def _check_waves(page: _Page, share: float) -> None:
 
 
 def _covariance(page: _Page, fitted: Iterate) -> FloatArray:
-    """Estimate the covariance (p, p) of z, at least as wide as lines differ (sandwich, a cluster for each line)."""
+    """Estimate the covariance (p, p) of z, at least as wide as strokes differ (sandwich, a cluster for each stroke)."""
     normal, _ = fitted.quadratic
     bread = np.linalg.inv(normal)
     ends = np.cumsum([len(line.s_mm) for line in page.lines])
     residual = fitted.residual
-    meat = np.eye(len(bread))
-    for begin, end in zip([0, *ends[:-1]], ends, strict=True):
+    gradients: dict[str, FloatArray] = {}
+    for line, begin, end in zip(page.lines, [0, *ends[:-1]], ends, strict=True):
         gradient = fitted.jacobian[begin:end].T @ residual[begin:end]
-        meat += np.outer(gradient, gradient)
+        gradients[line.stroke.name] = gradients.get(line.stroke.name, 0.0) + gradient
+    meat = np.eye(len(bread)) + sum(np.outer(each, each) for each in gradients.values())
     wider = np.sqrt(np.maximum(1.0, np.diag(bread @ meat @ bread) / np.diag(bread)))
     covariance = np.asarray(bread * np.outer(wider, wider))
     size = np.sum(fitted.jacobian**2, axis=0)

@@ -76,7 +76,8 @@ def fitted(machine: Machine, folder: Path, *pictures: str) -> ScanFit:
 
 
 def test_a_picture_tells_frequencies_and_damping(machine: Machine, folder: Path) -> None:
-    fit = fitted(machine, folder, "scan.jpg")
+    fit = fitted(machine, folder, "scan.jpg", "scan.jpg")  # several pictures are joined
+    assert len(fit.result.lines) == 20
     written = machine_of_text(fit.text, "scanned")
     page = Page(REFERENCE / "json.md")
     assert page.problems(json.loads(json.dumps(fit.to_dict())), "ffcomp-identify-scan/1") == []
