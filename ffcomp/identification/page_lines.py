@@ -60,7 +60,7 @@ def read_lines(sights: Sequence[Sight], plan: Plan) -> list[ReadLine]:
         raise MeasurementError(
             ", ".join(each.picture.path for each in sights),
             [
-                f"{len(strokes)} of {len(twins(plan))} strokes can be read: lines are missing, torn, too faint, or lie "
+                f"{len(strokes)} of {len(twins(plan))} strokes can be read: lines are missing, torn, faint, blurred or "
                 f"under a glare. Clean the bed, print the page again if it is torn. {RETAKE}."
             ],
         )

@@ -13,10 +13,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from PIL import Image
+from PIL import Image, ImageFilter
 
 from ffcomp.errors import MeasurementError, RequestError
 from ffcomp.identification.machine_fit import ScanFit
+from ffcomp.identification.page_lines import read_lines
 from ffcomp.identification.page_picture import find_page, read_picture
 from ffcomp.identification.request import ScanRequest
 from ffcomp.identification.scanning import fit_pictures
@@ -112,6 +113,12 @@ def test_a_bad_picture_is_refused_with_the_remedy(
     Image.fromarray(np.ascontiguousarray(spoil(scan))).save(tmp_path / "bad.png", compress_level=1)
     with pytest.raises(MeasurementError, match=words):
         find_page(read_picture(tmp_path / "bad.png"), plan)
+
+
+def test_a_blurred_picture_is_refused(scan: NDArray[np.uint8], plan: Plan, tmp_path: Path) -> None:
+    Image.fromarray(scan).filter(ImageFilter.GaussianBlur(8)).save(tmp_path / "blurred.png", compress_level=1)
+    with pytest.raises(MeasurementError, match=r"0 of 10 strokes can be read: .* blurred"):
+        read_lines([find_page(read_picture(tmp_path / "blurred.png"), plan)], plan)
 
 
 def test_a_picture_may_be_turned_coloured_bright_on_dark_or_lack_a_corner(
