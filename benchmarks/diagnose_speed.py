@@ -202,7 +202,7 @@ def _six(folder: Path, effect: str) -> None:
     from validation.blind.delta.numbers import carriages_of
     from validation.blind.delta.real import played
     from validation.blind.printer.motions import KINDS, Motion
-    from validation.blind.sensors import commands_of, csv_of, draw_sensors
+    from validation.blind.sensors import columns_of, commands_of, csv_of, draw_sensors
 
     real = _real(folder, effect)
     sensors = draw_sensors(np.random.default_rng(11), "all", RATE_HZ)
@@ -213,7 +213,7 @@ def _six(folder: Path, effect: str) -> None:
         t = reading.t[:: round(1 / (RATE_HZ * reading.t[1]))]
         command = carriages_of(real.machine["kinematics"], motion.path(t))
         for n in range(times):
-            text = csv_of(t, commands_of(command, "ABC"), sensors.record(reading, rng))
+            text = csv_of(t, commands_of(command, "ABC"), columns_of(sensors.record(reading, rng)))
             (folder / "runs" / f"{kind}-{k}-{n + 1}.csv").write_text(text, encoding="utf-8")
 
 

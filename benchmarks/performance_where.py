@@ -29,7 +29,8 @@ from ffcomp.inverse.riccati import AXES, augmented
 from ffcomp.inverse.solve import Solution, solve
 from models.file import load_machine
 from models.vibration.delta import STATES
-from models.vibration.scheduled import SAME_MM, recursion
+from models.vibration.recursion import recursion
+from models.vibration.scheduled import SAME_MM
 
 FloatArray = NDArray[np.float64]
 

@@ -14,9 +14,9 @@ from math import acos, atan2, ceil, copysign, cos, hypot, sin, sqrt, tau
 
 import numpy as np
 
-from gcode.compiled import kernel
 from gcode.errors import GcodeError
 from gcode.program import FloatArray
+from models.compiled import kernel
 
 Point2 = tuple[float, float]
 

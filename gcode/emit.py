@@ -12,8 +12,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from gcode.compiled import kernel
 from gcode.program import ByteArray, FloatArray, IntArray, ModalState
+from models.compiled import kernel
 
 Place = tuple[float, float, float, float]  # of X Y Z E
 

@@ -20,9 +20,9 @@ from numpy.typing import ArrayLike
 
 from gcode.arcs import MAX_CHORD_MM, chords, is_sound
 from gcode.commands import PASS, Effect
-from gcode.compiled import kernel
 from gcode.program import BoolArray, ByteArray, Event, EventKind, FloatArray, IntArray, ModalState, MotionLimits, Moves
 from gcode.state import Vector4
+from models.compiled import kernel
 
 Place = tuple[float, float, float, float]  # X Y Z E, mm
 

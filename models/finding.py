@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import tomllib
+from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 
 import platformdirs
@@ -19,6 +21,38 @@ def machine_paths() -> dict[str, Path]:
     """Every machine that can be asked for by name, in alphabetical order."""
     paths = {path.stem: path for folder in (LIBRARY, user_folder()) for path in folder.glob("*.toml")}
     return dict(sorted(paths.items()))
+
+
+@dataclass(frozen=True, slots=True)
+class NamedMachine:
+    """What a list says of a machine; None: its file does not."""
+
+    name: str
+    origin: str  # library or user
+    path: Path
+    kinematics: str | None
+    printer: str | None
+
+
+def named_machines() -> list[NamedMachine]:
+    """Return every machine that has a name, in alphabetical order."""
+    return [
+        NamedMachine(name, "library" if path.parent == LIBRARY else "user", path, *_glanced(path, _changed(path)))
+        for name, path in machine_paths().items()
+    ]
+
+
+@lru_cache(maxsize=512)
+def _glanced(path: Path, changed: int) -> tuple[str | None, str | None]:
+    """Read a file once for each time that it was changed: the page of `ffcomp serve` asks every second."""
+    return glance(path)
+
+
+def _changed(path: Path) -> int:
+    try:
+        return path.stat().st_mtime_ns
+    except OSError:  # removed meanwhile
+        return 0
 
 
 def glance(path: Path) -> tuple[str | None, str | None]:

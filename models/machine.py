@@ -123,6 +123,32 @@ class MarlinSettings:
         )
 
 
+@dataclass(frozen=True, slots=True)
+class RepRapFirmwareSettings:
+    """Settings of RepRapFirmware's planner; four values are in the order X Y Z E."""
+
+    speed_mm_per_s: Four  # M203 over 60
+    acceleration_mm_per_s2: Four  # M201
+    jerk_mm_per_s: Four  # M566 over 60
+    printing_acceleration_mm_per_s2: float  # M204 P
+    travel_acceleration_mm_per_s2: float  # M204 T
+    jerk_policy: int = 0  # M566 P: 0 stops where a move extrudes and its neighbour does not, 1 never for that alone
+    queue_moves: int = 40  # M595 P
+    stated: tuple[str, ...] = ()  # keys that the machine file states
+
+    @classmethod
+    def within(cls, limits: MotionLimits, delta: bool) -> RepRapFirmwareSettings:
+        """Return settings with the nozzle's limits for the axes, and a usual extruder's for the filament."""
+        v, a, jerk = limits.velocity_mm_per_s, limits.acceleration_mm_per_s2, limits.square_corner_velocity_mm_per_s
+        return cls(
+            (v, v, limits.z_velocity_mm_per_s or v, 120.0),
+            (a, a, limits.z_acceleration_mm_per_s2 or a, 10_000.0),
+            (jerk, jerk, jerk if delta else 0.2, 5.0),
+            a,
+            a,
+        )
+
+
 @dataclass(frozen=True, eq=False)
 class Machine:
     """Everything a machine file says."""
@@ -143,6 +169,7 @@ class Machine:
     flavor: str = ""  # of its firmware: "klipper", "marlin" or "reprapfirmware"; empty: not said
     pressure: Pressure | None = None  # what the hot end keeps back; None: not said
     marlin: MarlinSettings | None = None  # of its planner; None: not said
+    reprapfirmware: RepRapFirmwareSettings | None = None  # likewise
 
     def __post_init__(self) -> None:
         """Bind the vibration model to the kinematics."""

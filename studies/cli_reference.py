@@ -30,7 +30,7 @@ What holds for all verbs:
   in `.toml` or holds a folder separator is a path. Your own machine folder goes before the library.
 - A **print** may be `.gcode`, `.gcode.gz`, `.gcode.3mf` or `.bgcode`. The content decides, not the name.
 - **Results** go to stdout, messages and progress to stderr. `--json` prints one object ([every key](json.md)).
-- Every run ends with one of a few [exit codes](exit_codes_and_log.md) and is noted in the log there.
+- Every run ends with one of a few [exit codes](files.md#exit-codes) and is noted in the log there.
 - Options may stand before or after the files. An option that may be given again is repeated with its name:
   `--at 0,0 --at 40,0`.
 """

@@ -16,6 +16,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import signal
 import subprocess
 import sys
 import time
@@ -29,6 +30,7 @@ from typing import Any
 import joblib
 import numpy as np
 
+from studies.bank_case import LONGEST_S
 from studies.render import results_of, save
 from validation.blind import score
 from validation.blind.kinds import KINDS, MACHINES
@@ -38,7 +40,6 @@ from validation.blind.strata import FULL, full_bank
 from validation.blind.summary import confusion, miss, rate_of
 
 ROOT = Path(__file__).parents[1]
-LONGEST_S = 900.0
 FIGURE = ROOT / "studies" / "reports" / "diagnosis_confusion.png"
 EDGES = (0.0, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, np.inf)
 METHODS = {"ours": "ffcomp", "sindy": "SINDy", "spike_slab": "spike and slab", "bic": "BIC, one effect"}
@@ -142,14 +143,10 @@ def asked(bank: Path, name: str) -> None:
     out = bank / "verdicts" / name
     command = [sys.executable, "-m", "studies.bank_case", str(bank / "cases" / name), str(out), *map(str, fresh)]
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "OPENBLAS_NUM_THREADS": "1"}
-    why = f"no answer within {LONGEST_S:.0f} s"
-    try:
-        answer = subprocess.run(
-            command, capture_output=True, text=True, cwd=ROOT, env=environment, timeout=LONGEST_S, check=False
-        )
-        why = f"exit {answer.returncode}: {answer.stderr[-800:]}"
-    except subprocess.TimeoutExpired:
-        pass
+    answer = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, env=environment, check=False)
+    why = f"exit {answer.returncode}: {answer.stderr[-800:]}"
+    if answer.returncode == -signal.SIGXCPU:
+        why = f"no answer within {LONGEST_S:.0f} s of CPU"
     if not verdict_path(bank, name).exists():
         _write(verdict_path(bank, name), {"verdict": score.FAILED, "why": why})
     if not _proof_path(bank, name).exists():
@@ -212,7 +209,10 @@ def results(judged: Sequence[score.Judged], options: argparse.Namespace) -> dict
         "verdict_s": {
             m: _median([j.verdict.get("cpu_seconds") for j in judged if j.label.machine == m]) for m in KINDS
         },
+        "cpu": cpu_of([j.verdict["cpu_seconds"] for j in judged if "cpu_seconds" in j.verdict]),
         "rates": [rate_of(rate) for rate in score.rates(judged)],
+        "damping": by_damping(judged),
+        "rests": rests_of([j for j in judged if j.label.rest and j.label.visible]),
         "sets": asdict(score.sets(judged)),
         "shrink": shrink_of(score.shrink(judged)),
         "methods": [compared(name, everyone[method]) for method, name in METHODS.items()],
@@ -229,6 +229,31 @@ def results(judged: Sequence[score.Judged], options: argparse.Namespace) -> dict
 def _median(values: Sequence[float | None]) -> float | None:
     known = [value for value in values if value is not None]
     return float(np.median(known)) if known else None
+
+
+def cpu_of(seconds: Sequence[float]) -> dict[str, float]:
+    """Return how long verdicts take, s of CPU."""
+    return {"median": float(np.median(seconds)), "worst": max(seconds)}
+
+
+def by_damping(judged: Sequence[score.Judged]) -> list[dict[str, Any]]:
+    """Return the counts of cases whose damping is anywhere, beside the others of the same machines."""
+    machines = {j.label.machine for j in judged if j.label.condition == "free-damping"}
+    same = [j for j in judged if j.label.machine in machines and j.label.condition != "rest"]
+    free, known = ([j for j in same if (j.label.condition == "free-damping") == is_free] for is_free in (True, False))
+    both = zip(score.rates(free), score.rates(known), strict=True)
+    return [{"title": a.title, "free": rate_of(a), "known": rate_of(b)} for a, b in both]
+
+
+def rests_of(judged: Sequence[score.Judged]) -> dict[str, int]:
+    """Count how effects with a rest beside them were named."""
+    return {
+        "total": len(judged),
+        "alone": sum(j.right for j in judged),
+        "with_rest": sum(j.right_with_rest and not j.right for j in judged),
+        "beside": sum(j.truth < j.named for j in judged),
+        "unknown": sum(j.says == "unknown" and not j.dominant for j in judged),
+    }
 
 
 def as_said_by(j: score.Judged, method: str) -> score.Judged:

@@ -44,7 +44,7 @@ from validation.blind.delta.real import played
 from validation.blind.printer.motions import KINDS, Motion, Place
 from validation.blind.printer.motions import Path as NozzlePath
 from validation.blind.printer.real import Reading, Real
-from validation.blind.sensors import commands_of, csv_of, draw_sensors
+from validation.blind.sensors import columns_of, commands_of, csv_of, draw_sensors
 
 FloatArray = NDArray[np.float64]
 
@@ -130,7 +130,9 @@ def record(
         nozzle = KINDS[experiment.kind](rng, experiment.place_mm, seconds, experiment.loudness)
         t, command, reading = moved(nozzle)
         for path in paths:
-            path.write_text(csv_of(t, commands_of(command, "ABC"), sensors.record(reading, rng)), encoding="utf-8")
+            path.write_text(
+                csv_of(t, commands_of(command, "ABC"), columns_of(sensors.record(reading, rng))), encoding="utf-8"
+            )
     return found
 
 

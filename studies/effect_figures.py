@@ -469,7 +469,7 @@ HEAD = """# The effects
 What may be missing from a machine file: {count} effects, each with its physics, its numbers, how it looks in data and
 what it is taken for. `ffcomp diagnose` names them; a machine file holds them as `[effects.name]`; the virtual printer
 plays them. Every one is one declaration, in the file of its family in `models/effects/`;
-[Adding an effect](ADDING_AN_EFFECT.md) tells how to add one.
+[Where do I change …?](where_do_I_change.md#a-new-effect) tells how to add one.
 
 Figures: the library's `{machine}` at the centre, {height:g} mm over the bed, without the effect (grey) and with it
 (blue), in time also their difference (orange). Accelerations as sensors would feel them; responses are acceleration

@@ -53,7 +53,7 @@ OBJECTS: dict[str, dict[str, str]] = {  # by heading of the page: by place of it
     },
     "ffcomp-estimate-batch/1": {"": "ffcomp.cli.estimate:estimate"},
     "ffcomp-show/1": {
-        "": "ffcomp.cli.show:_show",
+        "": "ffcomp.cli.show:ShowResult.to_dict",
         "contour_um.uncompensated.": "ffcomp.report.show:Numbers",
         "contour_um.compensated.": "ffcomp.report.show:Numbers",
     },
@@ -114,8 +114,13 @@ OBJECTS: dict[str, dict[str, str]] = {  # by heading of the page: by place of it
         "experiments[].": "ffcomp.record.planning:PlanResult._experiment_dict",
         "experiments[].peaks.": "ffcomp.record.excitation:Peaks",
     },
+    "ffcomp-update/1": {"": "ffcomp.diagnosis.update:Updated.to_dict"},
     "ffcomp-join/1": {"": "ffcomp.record.result:JoinResult.to_dict"},
-    "ffcomp-check/1": {"": "ffcomp.check.compare:CheckResult.to_dict"},
+    "ffcomp-check/1": {
+        "": "ffcomp.check.compare:CheckResult.to_dict",
+        "named[].": "ffcomp.check.compare:Explanation.to_dict",
+        "experiments[].": "ffcomp.check.compare:Size",
+    },
     "ffcomp-captures/1": {"": "ffcomp.cli.simulate:_write_captures"},
     "ffcomp-effort/1": {
         "": "ffcomp.cli.machines:effort",

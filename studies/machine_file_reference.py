@@ -31,6 +31,7 @@ SECTIONS = {  # of the page -> path into the JSON schema of a document
     "extruder": (DeltaDocument, "extruder"),
     "firmware": (DeltaDocument, "firmware"),
     "firmware.marlin": (DeltaDocument, "firmware.marlin"),
+    "firmware.reprapfirmware": (DeltaDocument, "firmware.reprapfirmware"),
     "macros": (DeltaDocument, "macros"),
     "homing": (DeltaDocument, "homing"),
 }

@@ -1,6 +1,6 @@
 """Six measured systems whose answer is published, diagnosed from their own recordings: studies/reports/measured.md.
 
-    python -m studies.measured [NAME ...] [--keep FOLDER]     some 6 min of CPU
+    python -m studies.measured [NAME ...] [--keep FOLDER]     some 3 min of CPU
 
 Needs `measured` in `../shared/data`, or in $FFCOMP_DATA: recordings of robot joints, a servo, a motor and a flexible
 link, with licences and origins in their READMEs. Here each gets a machine file in its own words (what turns turns, and
@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import resource
 import subprocess
 import sys
 import tempfile
@@ -22,8 +23,9 @@ from typing import Any
 
 import numpy as np
 
-from ffcomp.diagnosis.gap import measure_gap
-from ffcomp.diagnosis.problems import plant_of, recordings_of
+from ffcomp.diagnosis.gap import gap_of
+from ffcomp.diagnosis.problem import Problem
+from ffcomp.diagnosis.problems import plant_of, problem_of, recordings_of
 from models.file import load_plant
 from studies.measured_axes import DATA
 from studies.render import REPORTS, results_of, save
@@ -197,7 +199,9 @@ def measured(system: System, data: Path, folder: Path) -> dict[str, Any]:
     kept = folder / "answer.json"
     if not kept.exists():
         after.unlink(missing_ok=True)
-        kept.write_text(run(words), encoding="utf-8")
+        before_s = cpu_s()
+        told = json.loads(run(words))
+        kept.write_text(json.dumps(told | {"cpu_s": cpu_s() - before_s}), encoding="utf-8")
     answer = json.loads(kept.read_text(encoding="utf-8"))
     effects = [*answer["effects"], *([answer["dominant"]] if answer["dominant"] else [])]
     named = {each["name"]: each["parameters"] for each in effects}
@@ -214,9 +218,11 @@ def measured(system: System, data: Path, folder: Path) -> dict[str, Any]:
         "retuned": [f"{key} {each['from']:.4g} to {each['to']:.4g}" for key, each in answer["retuned"].items()],
         "right": bool(set(named) & set(system.expected)),
         "wrong": sorted(set(named) - set(system.expected)),
-        "fit": {key: gap(path, fit) for key, path in files.items()},
-        "test": {key: gap(path, test) for key, path in files.items()},
-        "seconds": answer["seconds"],
+        "compared": answer["compared"],
+        "fit": {key: gap(path, fit, answer["compared"]) for key, path in files.items()},
+        "test": {key: gap(path, test, answer["compared"]) for key, path in files.items()},
+        "others": answer["other_motions"],
+        "seconds": answer["cpu_s"],
     }
 
 
@@ -241,10 +247,20 @@ def run(words: list[str]) -> str:
     return subprocess.run(command, check=True, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True).stdout
 
 
-def gap(machine: Path, files: list[Path]) -> float:
-    """Return the gap of a machine file on recordings, as a share of the signals."""
+def cpu_s() -> float:
+    """Return the CPU time of all processes that ended."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
+
+
+def gap(machine: Path, files: list[Path], compared: str) -> float:
+    """Return the gap of a machine file on recordings, as a share of what the answer compared."""
     plant = plant_of(machine)
-    return measure_gap(plant, recordings_of(plant, files)).residual.total.nrms
+    problem: Problem | None = problem_of(plant, recordings_of(plant, files), ())
+    if problem is not None and compared == "forces":
+        problem = problem.balance()
+    assert problem is not None
+    return gap_of(problem).residual.total.nrms
 
 
 def numbers(parameters: dict[str, Any]) -> str:
@@ -277,7 +293,7 @@ def draw(rows: list[dict[str, Any]]) -> None:
         )
         heights = [100 * row[kind].get(when, np.nan) for row in rows]
         axes.bar(np.arange(len(rows)) + 0.2 * (k - 1.5), heights, 0.18, color=colour, label=label)
-    axes.set(yscale="log", ylabel="gap, % of the signals", xticks=range(len(rows)))
+    axes.set(yscale="log", ylabel="gap, % of what is compared", xticks=range(len(rows)))
     axes.set_xticklabels([row["name"].replace("_", "\n", 1) for row in rows])
     axes.spines[["top", "right"]].set_visible(False)
     axes.legend(ncols=2, frameon=False, fontsize=8, loc="lower center", bbox_to_anchor=(0.5, 1.0))

@@ -1,6 +1,6 @@
 """Story: a real axis, where rigid mass and viscous friction are not enough.
 
-    python -m studies.story_emps [--keep FOLDER] [--only EFFECT ...]    reports/story_emps.md, some 1 min
+    python -m studies.story_emps [--keep FOLDER] [--only EFFECT ...]    reports/story_emps.md, some 2 min
 
 Needs the EMPS data set in `../shared/data/emps`, or in `emps` of $FFCOMP_DATA; `studies/measured_axes.py` makes a
 machine file and two runs of it.
@@ -89,6 +89,7 @@ def main() -> None:
     answers = [answer(run, before, after) for run in runs]
     told = results(problem, found, answers) | {"limit": friction_that_differs(problem, run_free, runs[1])}
     told |= {"free": free_scores(runs, before, after, problem.machine_with(run_free))}
+    told |= {"both": given_both(AxisProblem(machine, runs, given.only), runs)}
     save("story_emps", told | {"pulses": about_pulses(runs[1])})
     draw_error(answers, FIGURES["error"])
     draw_force(found, runs[0], FIGURES["force"])
@@ -182,6 +183,20 @@ def free_scores(runs: list[AxisRun], *machines: Machine) -> list[dict[str, Any]]
         {"label": label, "plain_mm": rms(free_run(runs[0], m)), "pulses_mm": rms(free_run(runs[1], m))}
         for label, m in zip(labels, machines, strict=True)
     ]
+
+
+def given_both(problem: AxisProblem, runs: list[AxisRun]) -> dict[str, Any]:
+    """Return what a diagnosis of both recordings says of the one with pulses, and the free runs of its one file."""
+    found = diagnose(problem)
+    machine, pulses = problem.machine_with(found.final.values), found.others[1]
+    return {
+        "effects": [] if found.named is None else list(found.named.names),
+        "free_mm": [rms(free_run(run, machine)) for run in runs],
+        "number": pulses.number.removeprefix("effects."),
+        "changed": pulses.changed,
+        "after": pulses.after,
+        "refitted": pulses.refitted,
+    }
 
 
 def rms(x: FloatArray) -> float:

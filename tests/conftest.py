@@ -5,6 +5,7 @@ New draws are sought by `validation/fuzz.py`, and here with HYPOTHESIS_PROFILE=d
 
 from __future__ import annotations
 
+import gc
 import os
 import sys
 import tempfile
@@ -13,10 +14,13 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
+from tests.support.undrawn import save_nothing
+
 os.environ["FFCOMP_LOG"] = "off"
 if "PYTEST_XDIST_WORKER" not in os.environ:  # all workers share what one has computed for a machine
     cache = tempfile.TemporaryDirectory(prefix="ffcomp-tests-")
     os.environ["FFCOMP_CACHE"] = cache.name
+gc.set_threshold(50_000, 50, 100)  # as the command line does: what is imported and compiled stays
 sys.dont_write_bytecode = False  # pytest keeps the tests it has compiled: that halves the time of collection
 
 settings.register_profile("same", derandomize=True, deadline=None)  # others may use the machine too
@@ -77,8 +81,22 @@ def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool 
     return True if config.option.markexpr == NOT_SLOW and is_slow(collection_path) else None
 
 
+def pytest_collection_finish() -> None:
+    """Let the garbage collector pass over all that has been read until now."""
+    gc.freeze()
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Mark the tests of slow files."""
     for item in items:
         if is_slow(item.path):
             item.add_marker(pytest.mark.slow)
+
+
+@pytest.fixture
+def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Figures are composed, but what is written of each is empty: that they can be drawn is tested where they are made.
+
+    Drawing takes half of the time of a verb that writes a page.
+    """
+    monkeypatch.setattr("matplotlib.figure.Figure.savefig", save_nothing)

@@ -36,6 +36,17 @@ class Explanation:
     sd: float
     share: float  # of the difference that is not noise
 
+    def to_dict(self) -> dict[str, Any]:
+        """Return its JSON object."""
+        return {
+            "part": self.part.name,  # what changed: of several, these cannot be told apart
+            "change": self.value,  # number [as `unit` says]
+            "sd": self.sd,  # number [as `unit` says]: by the noise
+            "unit": self.part.unit,  # empty: a relative change
+            "explains": min(self.share, 1.0),  # number: share of the change, of its power
+            "said": self.part.words(self.value),
+        }
+
 
 @dataclass(frozen=True)
 class Turned:
@@ -251,9 +262,9 @@ class Size:
     """How one experiment, or all, differ: shares of the signal, root mean squares."""
 
     name: str
-    gap: float  # to the machine file
+    gap: float
     noise: float
-    difference: float | None  # to the check before
+    difference: float | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -292,17 +303,7 @@ class CheckResult:
             "difference": self.check.difference,  # number or null: to the check before
             # number or null: the same, each row by its noise: below 1.25 it is as last time
             "times_noise": comparison.times if comparison else None,
-            "named": [
-                {
-                    "part": each.part.name,  # what changed: of several, these cannot be told apart
-                    "change": each.value,  # number [as `unit` says]
-                    "sd": each.sd,  # number [as `unit` says]: by the noise
-                    "unit": each.part.unit,  # empty: a relative change
-                    "explains": min(each.share, 1.0),  # number: share of the change, of its power
-                    "said": each.part.words(each.value),
-                }
-                for each in self.verdict.named
-            ],
+            "named": [each.to_dict() for each in self.verdict.named],
             # number or null: about the vertical, if that were all that changed
             "sensor_turned_deg": turned.degrees if turned else None,
             # number or null: relative change, if that were all that changed
@@ -314,18 +315,10 @@ class CheckResult:
                 "finding": since.finding if since else None,  # text or null: compared with that one
                 "said": since.message if since else None,  # text or null
             },
-            "experiments": [
-                {
-                    "name": each.name,
-                    "gap": each.gap,  # number
-                    "noise": each.noise,  # number
-                    "difference": each.difference,  # number or null
-                }
-                for each in self.experiments
-            ],
+            "experiments": self.experiments,
             "history": str(history),  # the file of earlier checks
             "added": not self.known,  # true or false: whether this check was added to it
-            "notes": list(self.notes),  # list of text
+            "notes": self.notes,  # list of text
         }
 
 

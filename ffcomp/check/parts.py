@@ -15,13 +15,12 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from ffcomp.check.signals import ByExperiment, SensorSignal, in_band, rows_of, weighed
+from ffcomp.record.clock import RATE_HZ, simulated
 from ffcomp.record.plan import Commanded, Experiment
 from models.arrays import FloatArray
 from models.effects.catalogue import effects_of, measured
 from models.machine import Machine, value_of, with_values
-from models.printer.printer import simulate_printers
 
-SIMULATED_HZ = 1600.0
 SPARE_S = 0.4  # simulated before and after
 WORDS = {
     "frequency_hz": ("the mode of {} near {:.0f} Hz is {:.0f} % {}", "higher", "lower"),
@@ -137,7 +136,7 @@ def _rubbing(what: str, per_kg: str, value: float) -> str:
     return f"dry friction of {what} is {abs(value):.1f} N{per_kg} {'higher' if value > 0 else 'lower'}"
 
 
-def simulated(machines: Sequence[Machine], motion: Commanded) -> FloatArray:
+def expected_signals(machines: Sequence[Machine], motion: Commanded) -> FloatArray:
     """Simulate what the sensor feels in an experiment: (m, n, 3) m/s² at its rows, thinned as recordings are.
 
     Raises
@@ -145,17 +144,12 @@ def simulated(machines: Sequence[Machine], motion: Commanded) -> FloatArray:
     UnreachableError
         If a machine cannot execute the motion.
     """
-    t = np.arange(-SPARE_S, motion.duration_s + SPARE_S, 1.0 / SIMULATED_HZ)
+    t = np.arange(-SPARE_S, motion.duration_s + SPARE_S, 1.0 / RATE_HZ)
     command = machines[0].kinematics.inverse(motion.nozzle(t))
     rows = rows_of(motion.duration_s)
-    signals = []
-    for machine, played in zip(
-        machines, simulate_printers(machines, [command] * len(machines), 1.0 / SIMULATED_HZ), strict=True
-    ):
-        if isinstance(played, ValueError):
-            raise played
-        signals.append(CubicSpline(t, in_band(measured(machine, played.signals).nozzle, SIMULATED_HZ))(rows))
-    return np.array(signals)
+    motions = zip(machines, simulated(machines, [command] * len(machines)), strict=True)
+    sensed = [in_band(measured(machine, played.signals).nozzle, RATE_HZ) for machine, played in motions]
+    return np.array([CubicSpline(t, each)(rows) for each in sensed])
 
 
 UNSEEN = 1e-3  # of the signal, root mean squares: nothing can be said of such a part
@@ -169,7 +163,7 @@ class Signatures:
         self.machine, self.experiments = machine, experiments
         parts = parts_of(machine)
         probed = [part.changed(machine, part.probe) for part in parts]
-        played = {each.name: simulated([machine, *probed], each.motion) for each in experiments}
+        played = {each.name: expected_signals([machine, *probed], each.motion) for each in experiments}
         self.expected: ByExperiment = {name: signals[0] for name, signals in played.items()}
         size = np.sqrt(sum(np.sum(values**2) for values in self.expected.values()))
         self.of: dict[Part, ByExperiment] = {}
@@ -183,7 +177,7 @@ class Signatures:
         many = [part.changed(self.machine, x) for part, size in sizes.items() for x in (size, size + part.probe)]
         changes: dict[Part, tuple[dict[str, Any], dict[str, Any]]] = {part: ({}, {}) for part in sizes}
         for each in self.experiments:
-            played = simulated(many, each.motion)
+            played = expected_signals(many, each.motion)
             for k, part in enumerate(sizes):
                 changes[part][0][each.name] = played[2 * k] - self.expected[each.name]
                 changes[part][1][each.name] = (played[2 * k + 1] - played[2 * k]) / part.probe

@@ -14,6 +14,7 @@ from scipy.interpolate import CubicSpline
 from scipy.signal import butter, sosfiltfilt
 
 from ffcomp.errors import MeasurementError
+from ffcomp.measurement.faults import deaf_to
 from ffcomp.record.clock import without_gaps
 from ffcomp.record.faults import LEAST_NOISE_M_PER_S2
 from ffcomp.record.plan import Plan
@@ -91,13 +92,7 @@ def _filtered(each: Joined) -> tuple[FloatArray, FloatArray]:
     """Return times (n,) s of the experiment and the record (n, 3) in the band."""
     recording = each.recording
     if missing := {f"acc_{axis}" for axis in "xyz"} - set(recording.acceleration):
-        raise MeasurementError(
-            each.source,
-            [
-                f"No chip feels the motion along {min(missing)[-1]}, and a check compares all axes: give the captures "
-                "of both chips, on the toolhead and on the bed."
-            ],
-        )
+        raise MeasurementError(each.source, [deaf_to(min(missing)[-1], all_needed=True)])
     rows = np.column_stack([recording.acceleration[f"acc_{axis}"] for axis in "xyz"])
     whole = without_gaps(recording.time_s, rows)
     return each.begin_s + recording.time_s, in_band(whole, recording.sample_rate_hz)

@@ -47,8 +47,10 @@ def note_compiled(verb: str) -> None:
 
 
 def _marker(verb: str) -> Path | None:
+    from models.compiled import ahead
+
     folder = cache_folder()
-    if folder == Path(os.devnull):  # no cache is wanted
+    if ahead() or folder == Path(os.devnull):  # nothing is to be compiled; no cache is wanted
         return None
     code, compiler = Path(__file__), find_spec("numba")
     if compiler is None or compiler.origin is None:

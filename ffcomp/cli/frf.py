@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -56,12 +57,11 @@ def _draw(result: Study, figures: FrfFigures) -> None:
 
         draw_bode(result, figures.figure, figures.full)
         say(f"ffcomp: {figures.figure}")
-    for target in figures.bed_map:
-        _write_map(result.machine, target)
-        say(f"ffcomp: {target}")
+    if figures.bed_map:
+        _write_maps(result.machine, figures.bed_map)
 
 
-def _write_map(machine: Machine, target: Path) -> None:
+def _write_maps(machine: Machine, targets: Sequence[Path]) -> None:
     from ffcomp.identification.frf_study import mode_map_json
     from gcode.atomic_write import replace_atomically
     from models.errors import MachineFileError
@@ -72,9 +72,11 @@ def _write_map(machine: Machine, target: Path) -> None:
         rule = "Straight axes answer alike everywhere on the bed, so there is no map; --figure shows how."
         raise MachineFileError("--map", [rule])
     modes = mode_map(delta_vibration(machine))
-    if target.suffix == ".json":
-        replace_atomically(target, [json.dumps(mode_map_json(machine, modes)).encode()])
-        return
-    from ffcomp.report.model import draw_map
+    for target in targets:
+        if target.suffix == ".json":
+            replace_atomically(target, [json.dumps(mode_map_json(machine, modes)).encode()])
+        else:
+            from ffcomp.report.model import draw_map
 
-    draw_map(machine, modes, target)
+            draw_map(machine, modes, target)
+        say(f"ffcomp: {target}")

@@ -6,10 +6,10 @@ from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ffcomp.cli.command import Shown, group, verb
+from ffcomp.cli.command import Json, Shown, group, verb
 from ffcomp.cli.common import print_json, say
 from ffcomp.errors import RequestError
-from ffcomp.identification.request import DecoupleRequest, FitRequest, ScanRequest
+from ffcomp.identification.request import DecoupleRequest, FitRequest, RingingRequest, ScanRequest, UpdateRequest
 
 if TYPE_CHECKING:
     from ffcomp.identification.axes import AxisFit
@@ -101,17 +101,71 @@ def scan(request: ScanRequest, shown: Shown) -> None:
     _deliver(result, request, shown)
 
 
+@verb
+def ringing(request: RingingRequest, shown: Json) -> None:
+    """Move a machine's modes to frequencies that you have read off a print, where there is nothing to measure with.
+
+    Print a tower with walls along x and y and a sharp corner before each, the shaper off. The speed of the wall in mm/s
+    over the distance of two waves in mm is the frequency. What is read so is known to 5 %.
+
+    Example: ffcomp identify ringing --x-hz 48 --y-hz 37 -m ender-3 -o my-ender.toml
+    """
+    from ffcomp.identification.fitting import fit_ringing
+    from models.file import load_machine
+
+    result = fit_ringing(load_machine(request.machine), request)
+    result.write(request.output)
+    if shown.as_json:
+        print_json(result.to_dict(str(request.output)))
+    else:
+        _print(result, request.output)
+
+
+@verb
+def update(request: UpdateRequest, shown: Shown) -> None:
+    """Update a machine file's numbers by recordings of a print, with what the file knew already.
+
+    Each print with the sensor on narrows [uncertainty] and moves the numbers, as far as print and drift allow (Bayes'
+    rule). Each layer is left out in turn: unless what the others say simulates it as well as the file does, nothing is
+    written. What does not fit at all is refused: then ffcomp diagnose tells what has changed. Every update is kept as a
+    line of the history beside the machine file.
+
+    Example: ffcomp identify update captures/*.csv --plan recorded.gcode -m my-delta.toml -o my-delta.toml
+    """
+    from ffcomp.cli.progress import SearchProgress
+    from ffcomp.diagnosis.update import USUAL_S, update_files
+
+    with SearchProgress(shown.quiet, USUAL_S) as progress:
+        result = update_files(request, progress)
+    if shown.as_json:
+        print_json(result.to_dict(request.output, request.history_file))
+        return
+    _print_numbers(result.after)
+    if result.kept:
+        print(f"The recordings do not tell {', '.join(result.kept)}: as they were.")
+    before, after, noise = (100 * each for each in result.held_out)
+    print(
+        f"{result.layers} layers, each left out in turn: {after:.2g} % of its motion is left, {before:.2g} % with the "
+        f"file as it was; noise {noise:.2g} %."
+    )
+    print(f"{request.output}: written; a line is added to {request.history_file}.")
+
+
 identify = group(
     "identify",
     """Identify a machine file's parameters from measurements.
 
-    Without a sensor: ffcomp record plan --for scan, print its page, scan it, ffcomp identify scan.
+    Without a sensor: ffcomp record plan --for scan, print its page, scan it, ffcomp identify scan. Without a scanner:
+    ffcomp identify ringing.
 
     With an accelerometer and no laboratory: ffcomp record plan --for identify, run its G-code, ffcomp identify fit.
+    From then on, leave the sensor on while you print: ffcomp identify update.
     With frequency responses of your own: ffcomp identify fit responses.csv … (CSV or UFF 58).
     """,
     fit,
     scan,
+    ringing,
+    update,
     decouple,
 )
 

@@ -5,7 +5,6 @@ Results go to stdout, complaints to stderr. Heavy imports wait inside the functi
 
 from __future__ import annotations
 
-import json
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -34,19 +33,15 @@ USAGE, BAD_MACHINE = 2, 5  # exit codes, the same for the whole program
 @verb
 def list_machines(shown: Json) -> None:
     """List the machines that have a name: deltas, CoreXY machines, cartesian ones."""
-    from models.finding import LIBRARY, glance, machine_paths
+    from models.finding import named_machines
 
-    rows: list[dict[str, str | None]] = []
-    for name, path in machine_paths().items():
-        kind, printer = glance(path)
-        origin = "library" if path.parent == LIBRARY else "user"
-        rows.append({"name": name, "origin": origin, "path": str(path), "kinematics": kind, "printer": printer})
+    rows = named_machines()
     if shown.as_json:
         _print_json("machines-list", machines=rows)
         return
-    rows.sort(key=lambda row: KINDS.index(row["kinematics"]) if row["kinematics"] in KINDS else len(KINDS))
-    columns = ("name", "kinematics", "origin", "printer")
-    _print_table(columns, [[row[column] or UNREADABLE for column in columns] for row in rows])
+    rows.sort(key=lambda row: KINDS.index(row.kinematics) if row.kinematics in KINDS else len(KINDS))
+    cells = [[row.name, row.kinematics or UNREADABLE, row.origin, row.printer or UNREADABLE] for row in rows]
+    _print_table(("name", "kinematics", "origin", "printer"), cells)
 
 
 @dataclass(frozen=True)
@@ -76,7 +71,7 @@ def show_machine(request: MachineRequest, shown: Json) -> None:
     if named:
         _print_table(["source", "address"], [[*each] for each in named.items()])
         print()
-    _print_table(["modes at", "Hz (damping ratio)"], [[mode["place"], _mode_text(mode)] for mode in modes])
+    _print_table(["modes at", "Hz (damping ratio)"], [[mode.place, _mode_text(mode)] for mode in modes])
     if assumed := assumed_modes(loaded):
         print(f"\n{assumed}")
 
@@ -280,23 +275,24 @@ def _instability(places: FloatArray) -> list[str]:
     ]
 
 
-def _modes(machine: Machine) -> list[dict[str, Any]]:
+@dataclass(frozen=True)
+class ModesAt:
+    """The modes at one place."""
+
+    place: str
+    position_mm: FloatArray  # (2,)
+    frequency_hz: FloatArray
+    damping_ratio: FloatArray
+
+
+def _modes(machine: Machine) -> list[ModesAt]:
     """Return the modes at the positions that show how they change over the bed."""
-    places = machine.kinematics.sample_positions
-    modes = {place: machine.vibration.modes_at(xy) for place, xy in places.items()}
-    return [
-        {
-            "place": place,
-            "position_mm": places[place].tolist(),
-            "frequency_hz": mode.frequencies_hz.tolist(),
-            "damping_ratio": mode.damping_ratios.tolist(),
-        }
-        for place, mode in modes.items()
-    ]
+    modes = {place: (xy, machine.vibration.modes_at(xy)) for place, xy in machine.kinematics.sample_positions.items()}
+    return [ModesAt(place, xy, each.frequencies_hz, each.damping_ratios) for place, (xy, each) in modes.items()]
 
 
-def _mode_text(mode: dict[str, Any]) -> str:
-    pairs = zip(mode["frequency_hz"], mode["damping_ratio"], strict=True)
+def _mode_text(modes: ModesAt) -> str:
+    pairs = zip(modes.frequency_hz.tolist(), modes.damping_ratio.tolist(), strict=True)
     return ", ".join(f"{frequency:.1f} ({damping:.3f})" for frequency, damping in pairs)
 
 
@@ -307,7 +303,7 @@ def _number(value: Any) -> str:
 
 
 def _print_json(schema: str, **result: Any) -> None:
-    print(json.dumps({"schema": f"ffcomp-{schema}/1", **result}))
+    print_json({"schema": f"ffcomp-{schema}/1", **result})
 
 
 def _print_table(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:

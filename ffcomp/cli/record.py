@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ffcomp.cli.command import Shown, group, verb
 from ffcomp.cli.common import print_json, say
 from ffcomp.errors import RequestError
-from ffcomp.record.request import CheckRequest, JoinRequest, PlanRequest
+from ffcomp.record.request import CheckRequest, JoinRequest, PlanRequest, PrintRequest
 
 if TYPE_CHECKING:
     from ffcomp.check.compare import CheckResult
@@ -99,14 +100,32 @@ def join(request: JoinRequest, shown: Shown) -> None:
 
     Example: ffcomp record join captures/*.csv --plan moves.json -m my-delta.toml -o runs/
     """
+    _join(request, request.plan, shown)
+
+
+@verb
+def print_captures(request: PrintRequest, shown: Shown) -> None:
+    """Join captures that were made during a print with the print's own motion: one measured run for each.
+
+    The print, compensated or not, holds the commands of the captures: as ffcomp record plan --print writes them, or as
+    your slicer puts them between layers (ACCELEROMETER_MEASURE, or M956, and a rest of 0.2 s or more inside, before and
+    after the moves). Whatever takes a plan of captures with --plan takes such a print too.
+
+    Example: ffcomp record print recorded.gcode captures/*.csv -m my-delta.toml -o runs/
+    """
+    _join(request, request.print_file, shown)
+
+
+def _join(request: JoinRequest | PrintRequest, plan_file: Path, shown: Shown) -> None:
     from ffcomp.record.axes import turn_of
     from ffcomp.record.join import join_captures
-    from ffcomp.record.plan import load_plan
+    from ffcomp.record.prints import plan_of
     from ffcomp.record.result import recording_lines
     from gcode.atomic_write import replace_atomically
     from models.file import load_machine
 
-    plan, machine = load_plan(request.plan), load_machine(request.machine)
+    machine = load_machine(request.machine)
+    plan = plan_of(plan_file, machine)
     result = join_captures(
         request.captures, plan, machine, turn_of(request.axes_map), lambda text: say(f"ffcomp: {text}", shown.quiet)
     )
@@ -126,7 +145,7 @@ def join(request: JoinRequest, shown: Shown) -> None:
     result.check()
 
 
-def _report_join(result: JoinResult, request: JoinRequest, plan: Plan, diagnosable: bool) -> None:
+def _report_join(result: JoinResult, request: JoinRequest | PrintRequest, plan: Plan, diagnosable: bool) -> None:
     for each in result.joined:
         clock = each.clock
         print(
@@ -223,5 +242,6 @@ record = group(
     """,
     plan,
     join,
+    print_captures,
     check,
 )

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from ffcomp.cli.command import Json, verb
 from ffcomp.cli.common import opened, print_json, say, say_assumed
 from ffcomp.errors import RequestError
 from ffcomp.options import PLATE, STAMPED_MACHINE, parse_figure
 from ffcomp.request import OUTPUT, Argument, Option, Request
+
+if TYPE_CHECKING:
+    from ffcomp.report.show import Numbers
 
 
 @dataclass(frozen=True)
@@ -65,12 +68,11 @@ def show(request: ShowRequest, shown: Json) -> None:
     """
     result = _show(request)
     if shown.as_json:
-        print_json(result)
+        print_json(result.to_dict())
     else:
-        print(result["verdict"])
-        print(*(result[key] for key in ("picture", "gcode_preview") if key in result), sep="\n")
+        print(result.verdict, result.picture, *filter(None, [result.gcode_preview]), sep="\n")
     if request.open_it:
-        open_picture(result["picture"])
+        open_picture(str(result.picture))
 
 
 def open_picture(picture: str) -> None:
@@ -79,9 +81,38 @@ def open_picture(picture: str) -> None:
         say(f"ffcomp: no program here opens pictures; look at {picture} yourself.")
 
 
-def _show(request: ShowRequest) -> dict[str, Any]:
-    from dataclasses import asdict
+@dataclass(frozen=True)
+class ShowResult:
+    """What was drawn of a print."""
 
+    input: Path
+    machine: dict[str, str | None]  # as of `identity`
+    picture: Path
+    gcode_preview: Path | None
+    verdict: str
+    uncompensated: Numbers
+    compensated: Numbers
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the JSON object ffcomp-show/1."""
+        return {
+            "schema": "ffcomp-show/1",
+            "input": self.input,
+            "machine": self.machine,  # MACHINE
+            "picture": self.picture,  # the file that was drawn
+            **(
+                {}
+                if self.gcode_preview is None
+                else {
+                    "gcode_preview": self.gcode_preview  # with `--gcode-preview`: the G-code for viewers
+                }
+            ),
+            "verdict": self.verdict,  # a sentence
+            "contour_um": {"uncompensated": self.uncompensated, "compensated": self.compensated},
+        }
+
+
+def _show(request: ShowRequest) -> ShowResult:
     from ffcomp.cli.machine_files import machine_of
     from ffcomp.errors import NothingToDo
     from ffcomp.report.show import draw, numbers, verdict
@@ -113,18 +144,5 @@ def _show(request: ShowRequest) -> dict[str, Any]:
         replace_atomically(target, gcode_preview(original, *curve, offset))
     picture = request.output or file.with_name(file.name + ".png")
     draw(seen, f"{file.name} on {machine.name}", footer, picture, request.z_mm)
-    return {
-        "schema": "ffcomp-show/1",
-        "input": str(file),
-        "machine": identity(machine),  # MACHINE
-        "picture": str(picture),  # the file that was drawn
-        **(
-            {}
-            if target is None
-            else {
-                "gcode_preview": str(target)  # with `--gcode-preview`: the G-code for viewers
-            }
-        ),
-        "verdict": verdict(seen),  # a sentence
-        "contour_um": {"uncompensated": asdict(numbers(seen.before)), "compensated": asdict(numbers(seen.after))},
-    }
+    measured = numbers(seen.before), numbers(seen.after)
+    return ShowResult(file, identity(machine), picture, target, verdict(seen), *measured)

@@ -46,6 +46,11 @@ def warmup() -> None:
 
     Example: ffcomp warmup
     """
+    from models.compiled import ahead
+
+    if ahead():
+        print("Nothing to compile: this ffcomp came compiled.")
+        return
     with _printers_beside() as printers:
         begin = time.perf_counter()
         steps = list(_steps(printers))

@@ -41,6 +41,7 @@ from ffcomp.compensation.prediction import READ_AGAIN_S, read_again
 from ffcomp.inverse.robust import choose_robust
 from ffcomp.inverse.settings import Settings, settings_for
 from ffcomp.metrics import Track
+from ffcomp.shapers.apply import FrequencyOfPosition
 from ffcomp.simulation.playback import ROW_S
 from ffcomp.version import __version__
 from models.effects.catalogue import design_machine
@@ -97,7 +98,8 @@ def compare(
     written_method = every.ROBUST if choice.robust else COMPENSATED
     chosen = {*names(request), written_method}
     progress = Stages(progress, _stages(request, len(chosen)))
-    tuned = _tuned(machine, plant, tuning_slices, settings, chosen, progress)
+    of_place = every.mode_frequencies(plant)
+    tuned = _tuned(machine, plant, of_place, tuning_slices, settings, chosen, progress)
     labels = {COMPENSATED: every.PLAIN_LABEL, written_method: "ffcomp"}
     tuned = [replace(each, label=labels.get(each.name, each.label)) for each in tuned]
     predicted = _predicted(printed, replace(settings, robust=choice.robust)) if request.predict else {}
@@ -128,7 +130,7 @@ def compare(
         best_fixed=best,
         compensated=written_method,
         sample_s=SAMPLE_S,
-        bed=_bed(plant),
+        bed=_bed(plant, of_place),
         limits={
             "carriage_velocity_mm_per_s": machine.limits.carriage_velocity_mm_per_s,
             "carriage_acceleration_mm_per_s2": machine.limits.carriage_acceleration_mm_per_s2,
@@ -173,13 +175,14 @@ def _stages(request: Request, methods: int) -> dict[str, float]:
 def _tuned(
     machine: Machine,
     plant: Machine,
+    of_place: FrequencyOfPosition,
     tuning_slices: Sequence[PrintSlice],
     settings: Settings,
     names: Collection[str],
     progress: Progress,
 ) -> list[TunedMethod]:
     """Tune the methods; the searches share the processors."""
-    linear, of_place = LinearPrinter(plant, tuning_slices), every.mode_frequencies(plant)
+    linear = LinearPrinter(plant, tuning_slices)
     tuner = VariantTuner(machine, plant, linear) if any(map(every.is_variant, names)) else None
     tests = resonance_tests(plant) if any(name.endswith(every.CALIBRATED) for name in names) else []
 
@@ -321,14 +324,14 @@ def _outline(printed: Print) -> Outline:
     )
 
 
-def _bed(plant: Machine) -> BedMap:
+def _bed(plant: Machine, of_place: FrequencyOfPosition) -> BedMap:
     rim = plant.kinematics.rings(1, 72)
     x, y = (
         np.linspace(low, high, 2 * int(np.ceil((high - low) / 2 / BED_PITCH_MM)) + 1)
         for low, high in zip(rim.min(axis=0).tolist(), rim.max(axis=0).tolist(), strict=True)
     )
     places = np.stack(np.meshgrid(x, y), axis=-1)
-    frequency = every.mode_frequencies(plant)(places.reshape(-1, 2)).reshape(places.shape)
+    frequency = of_place(places.reshape(-1, 2)).reshape(places.shape)
     inside = plant.kinematics.contains(places.reshape(-1, 2), 1e-3 * plant.kinematics.bed_radius_mm)
     frequency[~inside.reshape(frequency.shape[:2])] = np.nan
     return BedMap(x, y, frequency)

@@ -7,7 +7,7 @@ around them in sight, what the whole run says.
 
 from __future__ import annotations
 
-from bisect import bisect_left
+from bisect import bisect_left, bisect_right
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
@@ -286,6 +286,7 @@ def _meet(filament: FloatArray, points: FloatArray, e: FloatArray, at: FloatArra
 
     Between knots the command runs evenly, the plan need not: the difference, a ten-thousandth of a mm, is spread
     over the flow around it. Met in one short segment it would be a jump of flow, and firmwares slow down at those.
+    Where the flow pauses nothing is off: spread beyond, it would be a little filament there and back.
 
     Parameters
     ----------
@@ -296,7 +297,8 @@ def _meet(filament: FloatArray, points: FloatArray, e: FloatArray, at: FloatArra
         return
     first = int(points[0])
     flow = np.abs(np.diff(e))
-    gone = np.concatenate([[0.0], np.cumsum(flow)])  # where nothing flows, nothing is spread
+    gone = np.concatenate([[0.0], np.cumsum(flow)])
+    pauses = [0.0, *np.unique(gone[:-1][flow <= FLOWS_MM]).tolist(), float(gone[-1])]
     place = _interpolated(at, gone, first)
     missing = known - _interpolated(at, e, first)
     between = (at // CUT).astype(np.int64).tolist()  # which cuts
@@ -304,8 +306,13 @@ def _meet(filament: FloatArray, points: FloatArray, e: FloatArray, at: FloatArra
     reaches = [SPREAD_SEGMENTS * usual[cut] for cut in between]
     nodes, values, behind = [0.0], [0.0], reaches[0]
     for s, m, reach in zip(place.tolist(), missing.tolist(), reaches, strict=True):
-        # lines close together, or close to the run's end: one is met, the flow stays even
-        since, left = s - nodes[-1], float(gone[-1]) - s
+        pause = min(bisect_right(pauses, s), len(pauses) - 1)
+        if pauses[pause - 1] > nodes[-1]:
+            nodes += [min(nodes[-1] + behind, pauses[bisect_right(pauses, nodes[-1])]), pauses[pause - 1]]
+            values += [0.0, 0.0]
+            behind = 0.0
+        # lines close together, or close to where the flow ends: one is met, the flow stays even
+        since, left = s - nodes[-1], pauses[pause] - s
         if abs(m - values[-1]) <= FLOW_CHANGE * since + FLOWS_MM and abs(m) <= FLOW_CHANGE * left + FLOWS_MM:
             if since > behind + reach:
                 nodes += [nodes[-1] + behind, s - reach]
@@ -313,7 +320,7 @@ def _meet(filament: FloatArray, points: FloatArray, e: FloatArray, at: FloatArra
             nodes.append(s)
             values.append(m)
             behind = reach
-    nodes += [min(nodes[-1] + behind, gone[-1]), gone[-1]]
+    nodes += [min(nodes[-1] + behind, pauses[min(bisect_right(pauses, nodes[-1]), len(pauses) - 1)]), pauses[-1]]
     values += [0.0, 0.0]
     filament += np.interp(_interpolated(points, gone, first), nodes, values)
 

@@ -18,16 +18,17 @@ from operator import itemgetter
 import numpy as np
 
 from ffcomp.compensation.gcode_layout import Timeline, tiles, timeline
-from ffcomp.compensation.marlin_segments import MarlinSegments
+from ffcomp.compensation.marlin_segments import MarlinSegments, limit_line
 from ffcomp.compensation.plan import Context, PlannedChunk
 from ffcomp.compensation.solve import SolvedSection, keep_inside
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.settings import CUT, Settings
 from ffcomp.planner.lifts import join_lifts
+from ffcomp.planner.reprapfirmware import reprapfirmware_settings
 from ffcomp.planner.segment_merging import at_most, lengthen, merge, refit
 from ffcomp.planner.segment_timing import TimedSegments, segment_speeds
 from ffcomp.planner.trajectory import Section
-from gcode.dialects import KLIPPER, MARLIN, close_limits, open_limits
+from gcode.dialects import KLIPPER, MARLIN, REPRAPFIRMWARE, close_limits, open_limits
 from gcode.embedded import CUT_SHORT, OURS, WAS, joined, like_ours, section_time_line
 from gcode.emit import MoveWriter
 from gcode.errors import UnsupportedGcode
@@ -60,8 +61,10 @@ class Writer:
         raw_s: Mapping[int, float] | None = None,
         inside: Callable[[FloatArray], BoolArray] = lambda xyz: np.ones(len(xyz), dtype=np.bool_),
         marlin: MarlinSegments | None = None,
+        machine_lines: Sequence[bytes] = (),
     ) -> None:
         self.program, self.flavor, self.machine_limits, self.settings = program, flavor, limits, settings
+        self.machine_lines = machine_lines  # which put the machine's own limits back where axes have them
         self.offset = offset
         self.marlin = marlin  # whose planner needs segments of its own kind
         self.inside = inside  # which points (n, 3) mm the firmware lets a command go to
@@ -203,11 +206,12 @@ class Writer:
         if self.marlin is not None:
             merging = replace(merging, longest=min(merging.longest, self.marlin.longest_s / s.segment_s))
         chosen = merge(at[stay], points[stay], timeline.e[stay], pinned, merging, CUT)
-        chosen = at_most(at[stay], points[stay], chosen, pinned, round(1.0 / s.segment_s))
         if self.marlin is not None:
             flow, pinned = np.diff(timeline.e[stay]), pinned.copy()
             pinned[1:-1] |= flow[1:] * flow[:-1] < 0.0  # where the filament turns back
             chosen = self.marlin.lengthened(at[stay], points[stay], chosen, pinned)
+        whole = piece.begin == 0, piece.end == piece.last
+        chosen = at_most(at[stay], points[stay], chosen, pinned, round(1.0 / s.segment_s) - 1, *whole)
         kept, fixed = stay[chosen], pinned[chosen]
         fixed[0] = fixed[-1] = True
         placed = refit(at[stay], points[stay], chosen, fixed)
@@ -229,7 +233,7 @@ class Writer:
         slack = np.minimum(SLACK_MM, SLACK_MM_PER_S * np.minimum(lasting, np.append(lasting[1:], 0.0)))
         slack[fixed[1:]] = 0.0  # another writer may go on from there, and the filament must be exact
         if self.marlin is not None:
-            feed, speeds = self.marlin.speeds(points, e, lasting)
+            feed, speeds = self.marlin.speeds(points, e, lasting, self.limit_lines)
         else:
             speeds = segment_speeds(points, e[1:] - e[:-1], lasting, s.output)
             feed = speeds.cruise
@@ -347,12 +351,11 @@ class Writer:
         self.moves.reset(self.program.frames[self.frame], place[:3], place[3])
 
     def _closing(self) -> list[bytes]:
-        axes = self.settings.output.raised_axes
         if self.marlin is not None:
             return list(self.marlin.closing(self.limit_lines, self._unit_mm))
         if self.flavor == KLIPPER:
-            return close_limits(self.flavor, _first_known(self._limits_at(self.move), self.machine_limits), axes)
-        return [*close_limits(self.flavor, self.machine_limits, axes), *self.limit_lines.values()]
+            return close_limits(self.flavor, _first_known(self._limits_at(self.move), self.machine_limits))
+        return [*self.machine_lines, *self.limit_lines.values()]
 
     def _opening(self) -> list[bytes]:
         o = self.settings.output
@@ -491,6 +494,9 @@ class GcodeRenderer:
             raw_s=chunk.raw_s,
             inside=partial(self._kinematics.contains, margin_mm=-REFIT_MM),
             marlin=MarlinSegments.of(context.machine, model) if context.flavor == MARLIN else None,
+            machine_lines=_reprapfirmware_lines(context.machine, settings.output.raised_axes)
+            if context.flavor == REPRAPFIRMWARE
+            else (),
         )
         self._events, self._waits_s = EventQueue(program.events), chunk.waits_s
         self._writer.note_returns(chunk.chunk.since)
@@ -543,6 +549,21 @@ class GcodeRenderer:
     def _events_before(self, move: int) -> Iterator[bytes]:
         for event in self._events.up_to(move):
             yield from self._writer.event(event)
+
+
+def _reprapfirmware_lines(machine: Machine, axes: str) -> list[bytes]:
+    """Return what puts RepRapFirmware's limits of some axes back."""
+    s = reprapfirmware_settings(machine)
+
+    def words(values: Sequence[float], per_unit: float = 1.0) -> dict[str, float]:
+        return {axis: per_unit * values["XYZ".index(axis)] for axis in axes}
+
+    return [
+        limit_line("M201", words(s.acceleration_mm_per_s2)),
+        limit_line("M203", words(s.speed_mm_per_s, 60.0)),
+        limit_line("M204", {"P": s.printing_acceleration_mm_per_s2, "T": s.travel_acceleration_mm_per_s2}),
+        limit_line("M566", words(s.jerk_mm_per_s, 60.0)),
+    ]
 
 
 def _machine_limits(machine: Machine) -> MotionLimits:

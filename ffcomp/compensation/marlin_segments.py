@@ -17,19 +17,13 @@ from ffcomp.compensation.whole_steps import WholeSteps
 from ffcomp.inverse.model import InverseModel
 from ffcomp.planner.marlin import marlin_settings, settings_row
 from ffcomp.planner.marlin_queue import (
-    ACCELERATION,
-    DEVIATION,
-    JERK,
-    PRINT,
-    SHORTEST_US,
-    SPEED,
     STEPS,
-    TRAVEL,
     Targets,
     phases_of,
     plan_blocks,
 )
 from ffcomp.planner.segment_timing import SegmentLimits, SegmentSpeeds
+from ffcomp.planner.settings_in_force import row_after
 from models.arrays import BoolArray, FloatArray, IntArray
 from models.compiled import kernel
 from models.kinematics.delta import DeltaKinematics
@@ -53,7 +47,7 @@ class MarlinSegments:
     settings: MarlinSettings
     output: SegmentLimits
     knot_s: float
-    row: FloatArray  # of settings (`marlin_queue`), limits opened
+    row: FloatArray  # the machine's own settings (`marlin_queue`)
     steps: WholeSteps
 
     @classmethod
@@ -61,14 +55,7 @@ class MarlinSegments:
         """Return those of a machine and its inverse model."""
         output = model.settings.output
         settings, row = marlin_settings(machine), settings_row(machine)
-        axes = ["XYZE".index(axis) for axis in output.raised_axes]
-        row[ACCELERATION][axes], row[SPEED][axes] = output.acceleration_mm_per_s2, output.velocity_mm_per_s
-        row[PRINT] = row[TRAVEL] = output.acceleration_mm_per_s2
-        row[JERK][axes] = output.square_corner_velocity_mm_per_s
-        if row[DEVIATION] > 0.0 and "junction_deviation_mm" in settings.stated:
-            row[DEVIATION] = LONGEST_DEVIATION_MM
-        row[SHORTEST_US] = 0.0
-        free = np.array([axis in axes for axis in range(3)])
+        free = np.array([axis in output.raised_axes for axis in "XYZ"])
         steps = WholeSteps.of(model, row[STEPS][:3], free, settings.minimum_steps_per_segment)
         return cls(machine, settings, output, model.settings.segment_s, row, steps)
 
@@ -100,7 +87,9 @@ class MarlinSegments:
         aside = np.any(points[1:, :2] != points[:-1, :2], axis=1)  # what only lifts is not cut
         return _shortened(lasting, np.where(aside, self.longest_s, np.inf))
 
-    def speeds(self, points: FloatArray, e: FloatArray, lasting: FloatArray) -> tuple[FloatArray, SegmentSpeeds]:
+    def speeds(
+        self, points: FloatArray, e: FloatArray, lasting: FloatArray, file_limits: Mapping[bytes, bytes]
+    ) -> tuple[FloatArray, SegmentSpeeds]:
         """Return the speeds to ask for, (n,) mm/s, and how Marlin then executes the segments.
 
         Parameters
@@ -108,7 +97,9 @@ class MarlinSegments:
         points : (n + 1, 3) mm
         e : (n + 1,) mm of filament
         lasting : (n,) s that each segment should take
+        file_limits : the file's own in effect (`gcode.program`), which hold where the header opens none
         """
+        row = row_after(self.row, [*file_limits.values(), *self.opening(file_limits, 1.0)])
         motors = np.column_stack([self.steps.motors(points) / self.row[STEPS][:3], e])
         change = np.diff(np.rint(motors * self.row[STEPS]), axis=0) / self.row[STEPS]
         straight = np.linalg.norm(np.diff(points, axis=0), axis=1)
@@ -117,7 +108,7 @@ class MarlinSegments:
         meant = np.maximum(np.where(mm > 0.0, mm, straight), 1e-6) / lasting
         feed = meant.copy()
         for sweep in range(SWEEPS + 1):
-            duration = self._durations(motors, straight if not by_motors else np.full(len(mm), np.nan), feed)
+            duration = self._durations(motors, straight if not by_motors else np.full(len(mm), np.nan), feed, row)
             if sweep < SWEEPS:
                 feed = np.clip(feed * np.where(duration > 0.0, duration / lasting, 1.0), meant, MOST_FASTER * meant)
         executed = np.where(duration > 0.0, duration, lasting)
@@ -125,14 +116,14 @@ class MarlinSegments:
         junction = np.concatenate([[0.0], np.minimum(played[1:], played[:-1]), [0.0]])
         return feed, SegmentSpeeds(played, junction, np.full(len(mm), self.output.acceleration_mm_per_s2), executed)
 
-    def _durations(self, motors: FloatArray, length: FloatArray, feed: FloatArray) -> FloatArray:
+    def _durations(self, motors: FloatArray, length: FloatArray, feed: FloatArray, row: FloatArray) -> FloatArray:
         n = len(feed)
         if not n:
             return np.zeros(0)
         start = np.full((n, 4), np.nan)
         start[0] = motors[0]
         nothing, rests = np.zeros(n), np.zeros(n, dtype=np.bool_)
-        settings = np.broadcast_to(self.row.astype(np.float32), (n, len(self.row)))
+        settings = np.broadcast_to(row.astype(np.float32), (n, len(row)))
         targets = Targets(start, motors[1:], length, feed, nothing, nothing, rests, np.ascontiguousarray(settings))
         blocks = plan_blocks(targets, self.settings.minimum_steps_per_segment, False)
         return np.bincount(blocks.target, phases_of(blocks).duration, minlength=n).astype(np.float64)
@@ -216,14 +207,15 @@ class MarlinSegments:
         corner = words(raised if self._delta else raised.replace("Z", ""), jerk, "M205")
         if "junction_deviation_mm" in self.settings.stated:
             corner = {"J": deviation_mm}
-        yield _line("M201", words(raised, acceleration, "M201"), unit_mm)
-        yield _line("M203", words(raised, speed), unit_mm)
-        yield _line("M204", printing, unit_mm)
+        yield limit_line("M201", words(raised, acceleration, "M201"), unit_mm)
+        yield limit_line("M203", words(raised, speed), unit_mm)
+        yield limit_line("M204", printing, unit_mm)
         slow = b" B%.0f" % (1e6 * shortest_s) if self.settings.slowdown and not self._delta else b""
-        yield _line("M205", corner, unit_mm) + slow
+        yield limit_line("M205", corner, unit_mm) + slow
 
 
-def _line(command: str, words: Mapping[str, float], unit_mm: float) -> bytes:
+def limit_line(command: str, words: Mapping[str, float], unit_mm: float = 1.0) -> bytes:
+    """Return a command with numbers behind its letters, in a unit of so many mm."""
     numbers = (f"{letter}{value / unit_mm:.3f}".rstrip("0").rstrip(".") for letter, value in words.items())
     return " ".join([command, *numbers]).encode()
 

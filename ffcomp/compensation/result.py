@@ -70,14 +70,31 @@ class Result:
             sentences.append(
                 f"{len(slowed) - LISTED} more places were slowed down in the same way, {more_s:.2g} s longer in all."
             )
-        return [*self.statistics.shares.warnings(), *self.statistics.warnings, *self.bound_missed, *sentences]
+        return [*self._general_warnings, *sentences]
 
     @property
     def warning_lines(self) -> list[str]:
         """The same for people, in a few lines."""
         numbers = self.statistics
-        warnings = [*numbers.shares.warnings(), *numbers.warnings, *self.bound_missed]
-        return warning_lines(warnings, numbers.slowed, self.machine, numbers.original_print_time_s)
+        return warning_lines(self._general_warnings, numbers.slowed, self.machine, numbers.original_print_time_s)
+
+    @property
+    def _general_warnings(self) -> list[str]:
+        numbers = self.statistics
+        return [*self.no_gain, *numbers.shares.warnings(), *numbers.warnings, *self.bound_missed]
+
+    @property
+    def no_gain(self) -> list[str]:
+        """Say that the print as it was sliced is predicted to be the better one, unless it was to be quicker."""
+        if not self.predicted or self.statistics.faster is not None:
+            return []
+        before, after = (f"{self.predicted[name].contour_rms_um:.2f}" for name in ("uncompensated", "compensated"))
+        if float(after) <= float(before):
+            return []
+        return [
+            f"Compensation makes this print worse by its own prediction: contour error {after} µm rms, against "
+            f"{before} µm without it. Print the file as it was sliced."
+        ]
 
     @property
     def bound_missed(self) -> list[str]:

@@ -11,6 +11,9 @@ with R_j the nozzle's error at a few moments of segment j, most of it across its
 is a linear-quadratic regulator: e* = −K z, by the Riccati equation backwards over the segments as they come. With them,
 of the whole steps around the command and e* the ones are taken whose distance from e* costs least. (The optimal noise
 shaper for a plant: D. E. Quevedo & G. C. Goodwin, IEEE Trans. Automatic Control 50 (2005) 1184-1196.)
+
+The choice is a quantiser with feedback: a command that is 0.1 µm off (windows at limits lie elsewhere where a motion is
+cut) gets other steps until the next beginning, ends of segments up to 65 µm away, and the nozzle's error is as large.
 """
 
 from __future__ import annotations

@@ -8,6 +8,11 @@ amplitude and phase follow from one 2 × 2 system (Lomb 1976, for the place in p
 next the ripple shifts by a quarter of a turn over the whole travel, or a short pitch falls between them. Where a
 simulation begins anew all the time, it leaves too little of a ripple. There the force is known, and what of it inertia
 and friction do not explain is searched line by line (matching pursuit; Mallat and Zhang 1993).
+
+Under feedback a free axis may hardly move while its drive holds all that is missing: simulated from that force alone it
+runs away within a shot, and what merely holds it still seems to explain that. Then the force is the answer to the
+motion: `ForceBalance` compares it with the force that the measured motion needs (inverse dynamics, as robots are
+identified; Gautier 1986).
 """
 
 from __future__ import annotations
@@ -28,11 +33,13 @@ from models.arrays import ComplexArray, FloatArray
 from models.effects.catalogue import CATALOGUE, catalogue_of, with_effects
 from models.kinds import driven_axis
 from models.machine import Machine, with_values
-from models.printer.one_axis import simulate_axis
+from models.printer.kernels.one_axis import AXIS_PARAMETERS
+from models.printer.one_axis import axis_parameters, simulate_axis
 from models.vibration.driven_axis import DrivenAxis
 
 OFFSET = "axis.offset_n"
 KEPT = 6  # motions that are held
+HEAVY_KG = 1e9  # of a mass that forces leave where it is
 STEP_COST = 2.0  # of a printer's steps: these take no lanes
 RIPPLES = frozenset(name for name, effect in CATALOGUE.items() if any(p.is_pitch for p in effect.shapes))
 
@@ -124,14 +131,23 @@ class AxisProblem(Problem):
         """Return what the sensors of a run would read; the last few are kept, for windows ask one by one."""
         if key not in self._kept:
             try:
-                motion = self.shots[key[2]].simulate(machine, coarse=key[1])
+                self._kept[key] = self._read(machine, *key[1:])
             except ValueError as error:
                 raise InfeasibleParameters(str(error)) from None
-            self.work.add(STEP_COST * motion.steps)
-            self._kept[key] = motion.sensed(machine)
             for old in list(self._kept)[: -KEPT * len(self.shots)]:
                 del self._kept[old]
         return self._kept[key]
+
+    def _read(self, machine: Machine, coarse: bool, run: int) -> dict[str, FloatArray]:
+        motion = self.shots[run].simulate(machine, coarse=coarse)
+        self.work.add(STEP_COST * motion.steps)
+        return motion.sensed(machine)
+
+    def balance(self) -> ForceBalance | None:
+        """Return the same recordings by the force that their motion needs; None where that is not known."""
+        axis = driven_axis(self.machine)
+        known = [one.length and not axis.load_mass_kg and np.isfinite(_way(one.run)).all() for one in self.shots]
+        return ForceBalance(self) if all(known) else None
 
     def machine_with(self, values: Mapping[str, float]) -> Machine:
         """Return the machine file's axis with these parameters and effects."""
@@ -141,6 +157,46 @@ class AxisProblem(Problem):
     def place_name(self, position: tuple[float, ...]) -> str:
         """Name a window of time."""
         return f"from {position[0]:g} s"
+
+
+class ForceBalance(AxisProblem):
+    """The force of the drive, beside the one that the measured motion needs: at every sample, from its state there."""
+
+    forces = True
+
+    def __init__(self, problem: AxisProblem) -> None:
+        self.__dict__.update(problem.__dict__)
+        axis = driven_axis(self.machine)
+        self._moved = [np.gradient(1e-3 * one.speed, 1 / one.run.sample_rate_hz) for one in self.shots]
+        forces = [axis.force_of(one.run.drive, one.run.supply_v) for one in self.shots]
+        self.shots = [
+            replace(
+                one,
+                run=replace(one.run, acceleration={}, position={}, other={"force": force}),
+                length=1,
+                begin=np.column_stack([_way(one.run), one.speed] * 2),
+                began={},
+            )
+            for one, force in zip(self.shots, forces, strict=True)
+        ]
+        self.band_hz = band_of([replace(one, length=0) for one in self.shots])
+        self.observations = [_observation(self.shots[w.run], w.rows) for w in self.windows]
+        self.least_density, self._kept = {}, {}
+
+    def _read(self, machine: Machine, coarse: bool, run: int) -> dict[str, FloatArray]:
+        """Return the force that the measured motion of a run needs.
+
+        The axis is simulated with a mass that no force moves in a sample: so bristles bend by the measured motion, and
+        not by the force that would be missing without them.
+        """
+        motion = self.shots[run].simulate(with_values(machine, {"axis.mass_kg": HEAVY_KG}), coarse=coarse)
+        self.work.add(STEP_COST * motion.steps)
+        mass = float(axis_parameters(machine)[0][AXIS_PARAMETERS.index("mass")])
+        return {"force": mass * self._moved[run] + motion.force - HEAVY_KG * motion.acceleration}
+
+
+def _way(run: AxisRun) -> FloatArray:
+    return run.position["pos_q"] if "pos_q" in run.position else run.position.get("pos_motor", np.full(1, np.nan))
 
 
 def _first_equal(shots: Sequence[Shots], i: int) -> int:

@@ -16,7 +16,17 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ffcomp.diagnosis.acceptance import Dominant, HeldOut, dominant_effect, hold_out, out_of_reach, rejections, unproven
+from ffcomp.diagnosis.acceptance import (
+    Dominant,
+    HeldOut,
+    OtherMotion,
+    dominant_effect,
+    hold_out,
+    other_motions,
+    out_of_reach,
+    rejections,
+    unproven,
+)
 from ffcomp.diagnosis.fidelity import (
     continue_fit,
     excerpt_of,
@@ -70,6 +80,7 @@ class Diagnosis:
     searched: Hypothesis | None = None  # the best, on the data on which the others were tried
     share: float = 1.0  # of the data on which they were
     held_out: Sequence[HeldOut] = ()
+    others: Sequence[OtherMotion] = ()  # motions of an axis, each simulated with what was fitted to the others
     rejections: tuple[str, ...] = ()  # acceptance tests that the best hypothesis failed, in words
     intervals: Mapping[str, Estimate] = field(default_factory=dict)  # of all parameters of the best hypothesis
     scattered: Sequence[str] = ()  # parameters whose intervals few motions make much wider, by how far they scatter
@@ -126,7 +137,8 @@ def diagnose(problem: Problem, progress: Progress = lambda _: None, budget: floa
     if guessed and result.floor_is_wrong:
         progress("less is left than the guessed noise: what is left is taken for it, and the search begins anew")
         problem.work.begin(budget)
-        result = _diagnosed(problem, scaled(result.noise, mean_square(result.final)), {}, progress)
+        same = result.estimation.problem
+        result = _diagnosed(same, scaled(result.noise, mean_square(result.final)), {}, progress)
     return replace(_concluded(result), cut_short=problem.work.cut)
 
 
@@ -170,6 +182,10 @@ def _diagnosed(problem: Problem, noise: NoiseFloor, density: Mapping[str, float]
     filed = _as_filed(estimation)
     base = fit(estimation, filed.parameters, filed.z, filed.jacobian, (), 12, SETTINGS.quick_gain / 10)
     base = _fitted_to_the_end(estimation, base, least)
+    still = float(estimation.measured @ estimation.measured) / len(estimation.measured) - 1
+    if base.discrepancy > still and (balance := problem.balance()) is not None:
+        progress("simulated from its force, the axis is further off than one that stands still: forces are compared")
+        return _diagnosed(balance, noise_floor(balance), {}, progress)
     times = float(np.sqrt(max(1.0 + base.discrepancy, 0.0)))
     progress(f"the machine's own parameters alone: the error that is left is {times:.4g} times the noise")
     none = Diagnosis(verdict="none", finding="nothing", base=base, final=base, estimation=estimation, noise=noise)
@@ -343,7 +359,7 @@ def _concluded(result: Diagnosis) -> Diagnosis:
     if result.noise.from_repeats and result.floor_is_wrong:
         return replace(result, verdict="unknown", named=None, finding="cannot_tell")
     if result.verdict == "effects":
-        return replace(result, finding="effects", file_off=_file_off(result))
+        return replace(result, finding="effects", file_off=_file_off(result), others=_others(result))
     if result.verdict == "none":
         return _nothing(result)
     base, best = result.base, result.best
@@ -354,8 +370,12 @@ def _concluded(result: Diagnosis) -> Diagnosis:
     if fault is not None:
         return replace(result, finding="recording", fault=fault, dominant=None)
     if result.dominant is not None:
-        return replace(result, finding="dominant")
+        return replace(result, finding="dominant", others=_others(result))
     return replace(result, finding="unproven" if explained else "unexplained", file_off=_file_off(result))
+
+
+def _others(result: Diagnosis) -> Sequence[OtherMotion]:
+    return [] if result.best is None else other_motions(result.estimation, result.best)
 
 
 def _nothing(result: Diagnosis) -> Diagnosis:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ffcomp.diagnosis.noise import NoiseFloor, Whitener, noise_floor, whitener
-from ffcomp.diagnosis.problem import Observation, Repeats
+from ffcomp.diagnosis.problem import Observation, Problem, Repeats
 from ffcomp.diagnosis.problems import Recorded, check_alike, plant_of, problem_of, recordings_of
 from ffcomp.diagnosis.request import GapRequest
 from ffcomp.record.axes import turn_of
@@ -203,6 +203,11 @@ def measure_gap(machine: Machine, recordings: Sequence[Recorded]) -> Discrepancy
     """
     problem = problem_of(machine, recordings, ())
     check_alike(recordings)
+    return gap_of(problem)
+
+
+def gap_of(problem: Problem) -> Discrepancy:
+    """Compare a problem's observations with its simulation by the file as it is."""
     simulated = problem.simulate({})
     floor = noise_floor(problem, simulated)
     residual = locate_residual(whitener(problem.observations, floor, problem.band_hz), floor, simulated)

@@ -145,6 +145,23 @@ def at_least(
     return NoiseFloor(floor.frequency_hz, raised, floor.from_repeats)
 
 
+def raised_to_residual(
+    floor: NoiseFloor, observations: Sequence[Observation], errors: Sequence[FloatArray]
+) -> NoiseFloor:
+    """Raise the floor to the smooth spectrum of what is left, measured − simulated, (n, m) an observation."""
+    density = {}
+    for signal, least in floor.density.items():
+        spectra = [
+            _smooth(
+                _density(fill_gaps(e[:, o.signals.index(signal)]), o.rate_hz, floor.frequency_hz), floor.frequency_hz
+            )
+            for o, e in zip(observations, errors, strict=True)
+            if signal in o.signals
+        ]
+        density[signal] = np.maximum(least, np.mean(spectra, axis=0))
+    return NoiseFloor(floor.frequency_hz, density, floor.from_repeats)
+
+
 def noise_share(whiten: Whitener, floor: NoiseFloor) -> float:
     """Return the rms of the noise inside the band, of the signals'."""
     powers = np.array(list(_powers(whiten, floor).values()))

@@ -180,6 +180,7 @@ class Problem(ABC):
     cycle_mm: float = 0.0  # of a motor
     reach_mm: float = 0.0  # how far from the middle of its bed a printer goes; 0: there is no bed
     names: MachineNames = MachineNames()
+    forces: bool = False  # compared are the drive's force and the one that the measured motion needs, not signals
     least_density: Mapping[str, float] = {}  # of a signal's noise, unit²/Hz: no simulation is nearer than that
 
     @cached_property
@@ -218,6 +219,10 @@ class Problem(ABC):
 
     def excerpt(self) -> Problem | None:
         """Return the problem on a part of its observations, which is quicker; None if there is none."""
+        return None
+
+    def balance(self) -> Problem | None:
+        """Return the problem of the forces that the measured motion needs; None if there is none."""
         return None
 
     def short_horizon(self, seconds: float) -> Problem | None:

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ffcomp.diagnosis.acceptance import undetermined
+from ffcomp.diagnosis.acceptance import OtherMotion, undetermined
 from ffcomp.diagnosis.candidates import WHOLE, effect_tables
 from ffcomp.diagnosis.diagnosis import Diagnosis
 from ffcomp.diagnosis.fit import Fit
@@ -126,6 +126,7 @@ class DiagnosisResult:
     intervals: Mapping[str, Estimate]  # effects.name.key -> in the machine file's terms
     confidence: Mapping[str, float]  # of each effect against the best that was tried without it
     evidence: float  # −2 ln Z gained against retuning alone
+    others: Sequence[OtherMotion] = ()  # motions of an axis, each simulated with what was fitted to the others
     rejections: Sequence[str] = ()
     invisible: Sequence[str] = ()  # effects of which the recordings could not show a usual size
     confounded_with: Sequence[tuple[str, str]] = ()  # effect, how to tell them apart
@@ -140,6 +141,12 @@ class DiagnosisResult:
     names: MachineNames = field(default_factory=MachineNames)
     late_s: Mapping[str, float] = field(default_factory=dict)  # files that lie off their command by more than 0.1 ms
     cut_short: bool = False  # the search ended at its budget
+    forces: bool = False  # compared are forces, see `Problem.forces`
+
+    @property
+    def compared(self) -> str:
+        """Say what is compared."""
+        return "the drive's forces" if self.forces else "the signals"
 
     @property
     def named(self) -> tuple[str, ...]:
@@ -195,6 +202,7 @@ def result_of(problem: Problem, diagnosis: Diagnosis) -> DiagnosisResult:
         intervals={n: _in_file_terms(n, e) for n, e in diagnosis.intervals.items() if n.startswith("effects.")},
         confidence={name: _confidence(diagnosis, name) for name in tables},
         evidence=diagnosis.base.evidence - fitted.evidence,
+        others=[replace(o, number=key(o.number).removeprefix("effects.")) for o in diagnosis.others],
         rejections=diagnosis.rejections,
         invisible=diagnosis.invisible,
         confounded_with=[
@@ -230,6 +238,7 @@ def result_of(problem: Problem, diagnosis: Diagnosis) -> DiagnosisResult:
         names=problem.names,
         late_s=_late(problem, diagnosis),
         cut_short=diagnosis.cut_short,
+        forces=problem.forces,
     )
 
 

@@ -23,11 +23,13 @@ def summary_sentences(result: DiagnosisResult) -> list[str]:
         "unproven": _unproven,
         "recording": lambda result: [f"The recordings are at fault: {result.fault}"],
     }
-    return [*by_finding.get(result.finding, _unexplained)(result), *cut_short(result), *late_files(result)]
+    said = by_finding.get(result.finding, _unexplained)(result)
+    beside = (forces_compared, other_motions, cut_short, late_files)
+    return [*worse_elsewhere(result), *said, *(sentence for each in beside for sentence in each(result))]
 
 
 def _gap(result: DiagnosisResult) -> str:
-    return f"{percent(result.gap.before.nrms)} of the signals (noise {percent(result.gap.noise)})"
+    return f"{percent(result.gap.before.nrms)} of {result.compared} (noise {percent(result.gap.noise)})"
 
 
 def in_family(name: str) -> str:
@@ -53,7 +55,7 @@ def _dominant(result: DiagnosisResult) -> list[str]:
     return [
         f"There is a gap of {_gap(result)}. Most of it is {in_family(name)}: where it was not fitted to, it explains "
         f"{most_of(rest.explained)} of the gap.",
-        f"A rest of {percent(result.gap.after.nrms)} of the signals stays, which nothing known explains: "
+        f"A rest of {percent(result.gap.after.nrms)} of {result.compared} stays, which nothing known explains: "
         f"{where_left(rest)}.",
         *instead(rest),
         *undetermined_numbers(result),
@@ -106,7 +108,7 @@ def few_motions(result: DiagnosisResult) -> list[str]:
 def elsewhere(result: DiagnosisResult) -> str:
     """Say what is explained where it was not fitted, and what it was not tested on."""
     before, after = (percent(x) for x in result.gap.elsewhere)
-    numbers = f"the signals were {before} off and are {after} off: {_shrunk_elsewhere(result)}"
+    numbers = f"{result.compared} were {before} off and are {after} off: {_shrunk_elsewhere(result)}"
     if result.gap.left_out == "places":
         return f"At places it was not fitted to, one after the other, {numbers}."
     if result.gap.left_out == "windows":
@@ -216,6 +218,37 @@ def _unexplained(result: DiagnosisResult) -> list[str]:
             f"because {'; '.join(result.rejections)}."
         )
     return [*sentences, *file_off(result)]
+
+
+def worse_elsewhere(result: DiagnosisResult) -> list[str]:
+    """Say on top in which motions the answer is worse than the file as it is."""
+    worse = [
+        f"{one.name} is {percent(one.filed)} off with the file as it is and {percent(one.after)} with the effects"
+        for one in result.others
+        if one.worse
+    ]
+    return [f"Does not hold for other motions: where only the others were fitted, {joined(worse)}."] if worse else []
+
+
+def other_motions(result: DiagnosisResult) -> list[str]:
+    """Say which size of an effect is another in one motion."""
+    return [
+        f"In {one.name} {one.number} is {percent(abs(one.changed))} {'larger' if one.changed > 0 else 'smaller'} than "
+        f"in the other recordings: with that number alone changed, {percent(one.refitted)} of {result.compared} are "
+        f"left there and not {percent(one.after)}. It may change from recording to recording."
+        for one in result.others
+        if one.number
+    ]
+
+
+def forces_compared(result: DiagnosisResult) -> list[str]:
+    """Say that forces are compared, and why."""
+    if not result.forces:
+        return []
+    return [
+        "The drive's force is compared with the one that the measured motion needs: simulated from its force, this "
+        "axis is further off than one that stands still, for what its drive holds is missing in the file."
+    ]
 
 
 def cut_short(result: DiagnosisResult) -> list[str]:

@@ -105,7 +105,8 @@ def result_json(result: DiagnosisResult, gain: PrintGain | None = None) -> dict[
         # `cannot_tell`: the noise is too loud, or repeats differ by more than noise; `recording`: an input shaper
         # left on, a sensor that does not measure
         "finding": result.finding,
-        "said": summary_sentences(result),  # [] text: the answer in sentences, the finding first
+        # [] text: the answer in sentences: what speaks against its use, if anything does; the finding; the rest
+        "said": summary_sentences(result),
         "effects": [_effect_json(result, name) for name in named],
         # DOMINANT or null: the effect that holds most of the gap and leaves a rest; the verdict is then `unknown`,
         # for not all is explained
@@ -151,6 +152,23 @@ def result_json(result: DiagnosisResult, gain: PrintGain | None = None) -> dict[
         "to_do": what_to_do(result),  # [] text: steps: to the printer, to its file, what to record next
         # GAIN or null: what prints gain, where an effect of the machine is named
         "print_gain": None if gain is None else gain.to_dict(),
+        # of an axis, where several motions were recorded
+        "other_motions": [
+            {
+                "recording": one.name,  # text: the file of a motion, to which nothing was fitted
+                "before": one.filed,  # number: nrms with the file as it is
+                "after": one.after,  # number: nrms with what was fitted to the others
+                # text: an effect's key that is another there, and alone explains a fifth or more of what is left; or
+                # empty
+                "number": one.number,
+                "changed": one.changed,  # number: by this share of it
+                "refitted": one.refitted,  # number: nrms with it
+            }
+            for one in result.others
+        ],
+        # `signals`, or `forces`: the drive's and those that the measured motion needs, where an axis that is simulated
+        # from its force is further off than one that stands still
+        "compared": "forces" if result.forces else "signals",
         "gap": {
             "before": gap.before.nrms,  # number: nrms with the file as it is
             "after": gap.after.nrms,  # number: nrms with what was found
@@ -193,6 +211,7 @@ def diagnose_files(request: DiagnoseRequest, search_progress: Progress | None = 
     check_recordings(problem, recordings, request.without_repeats)
     budget = inf if request.thorough else SETTINGS.budget_steps
     search = diagnose(problem, search_progress or request.progress, budget)
+    problem = search.estimation.problem
     result, gain = result_of(problem, search), None
     if isinstance(problem, PrinterProblem):  # one axis takes no G-code, prints nothing
         result = replace(result, separations=separations(problem, search))

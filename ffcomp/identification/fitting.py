@@ -25,7 +25,7 @@ from ffcomp.identification.axes import identify_axes
 from ffcomp.identification.axis_fit import fit_axis
 from ffcomp.identification.belts import BeltComparison, compare_belts
 from ffcomp.identification.direct import identify
-from ffcomp.identification.from_resonances import Resonance, starting_machine
+from ffcomp.identification.from_resonances import STIFFNESS, Resonance, ResonanceStart, starting_machine
 from ffcomp.identification.load import Gathered, gather, resonances_of
 from ffcomp.identification.machine_fit import (
     AxesFit,
@@ -44,13 +44,14 @@ from ffcomp.identification.machine_fit import (
 from ffcomp.identification.modal_fit import AxisFit
 from ffcomp.identification.output_error import TOTAL_MASS
 from ffcomp.identification.paper import identify_as_paper
-from ffcomp.identification.request import IdentifyRequest
+from ffcomp.identification.request import IdentifyRequest, RingingRequest
+from ffcomp.identification.uncertainty import Estimate, lognormal
 from ffcomp.measurement.modes import Mode, ModeFit
 from ffcomp.request import paths_of
 from ffcomp.shapers.calibration import shaper_advice
 from models.file import machine_of_text
 from models.kinds import is_one_axis
-from models.machine import Machine
+from models.machine import Machine, value_of
 
 USUAL_S = (2.0, 1.0, 6.0, 1.0, 2.0)  # of CPU: reading, where to begin, other mounts, the fit, and without a filter
 ROUGH = 0.2  # of the measurement: modes that leave more of it unexplained are written if the user says so
@@ -97,6 +98,37 @@ def fit_files(start: Machine, request: IdentifyRequest, progress: Progress = lam
     if not gathered.responses:
         return task.resonances()
     return _with_shapers(task.stepwise() if request.method == "stepwise" else task.parameters(progress))
+
+
+READ_SD = 0.05  # of a frequency that is read off the waves of a print
+
+
+def fit_ringing(start: Machine, request: RingingRequest) -> ResonancesFit:
+    """Move a machine's modes to frequencies that are read off the waves of a print.
+
+    Of a delta's towers they tell the belts' stiffness, of straight axes all modes of each, in proportion.
+    """
+    read = {axis: hz for axis, hz in (("x", request.x_hz), ("y", request.y_hz)) if hz is not None}
+    origin = Origin(Path(start.path), request.name or request.output.stem, (), date.today().isoformat())
+    if start.vibration.position_dependent:
+        damping = float(start.vibration.modes_at(np.array(start.kinematics.centre_mm)).damping_ratios[0])
+        modes = {axis: Mode(hz, READ_SD * hz, damping, damping, 1.0) for axis, hz in read.items()}
+        started = starting_machine(start, [Resonance(axis, (0.0, 0.0), mode) for axis, mode in modes.items()])
+        kept = {key: e for key, e in started.estimates.items() if key == STIFFNESS}
+        started = replace(started, estimates=kept)
+    else:
+        estimates = dict[str, Estimate]()
+        for axis, hz in read.items():
+            keys = [key for key in start.vibration.tunable if key.startswith(f"axes.{axis}.frequency_hz")]
+            if not keys:
+                raise RequestError(f"{start.name} has no modes along {axis}: it is stiff there.")
+            shares = [value_of(start, key.replace("frequency_hz", "share")) for key in keys]
+            main = value_of(start, keys[int(np.argmax(shares))])
+            estimates |= {key: lognormal(value_of(start, key) * hz / main, READ_SD) for key in keys}
+        started = ResonanceStart(start, estimates, list(read.values()))
+    text = origin.text_of(started.estimates, "ringing", read_hz=read)
+    advice = ["Damping stays as it was: waves on a wall tell how fast it rings, and hardly how long."]
+    return ResonancesFit(start=start, data=(), name=origin.name, text=text, advice=advice, spectra=(), started=started)
 
 
 def _with_shapers(fit: F) -> F:

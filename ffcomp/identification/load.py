@@ -27,7 +27,8 @@ from ffcomp.record.axes import STRAIGHT, turning
 from ffcomp.record.clock import ClockFit, Reference, every_clock, expectation, fit_clock, thinned
 from ffcomp.record.excitation import excited_coordinate
 from ffcomp.record.join import load_recordings
-from ffcomp.record.plan import Experiment, Plan, load_plan
+from ffcomp.record.plan import Experiment, Plan
+from ffcomp.record.prints import plan_of
 from ffcomp.record.result import NO_ACCELERATIONS
 from models.arrays import FloatArray
 from models.machine import Machine
@@ -122,7 +123,7 @@ def _of_plan(
     progress: Callable[[str], None],
 ) -> list[FrequencyResponse]:
     """Estimate the responses that captures of a plan show."""
-    plan = load_plan(plan_file)
+    plan = plan_of(plan_file, machine)
     if all(each.excitation is not None for each in plan.experiments):
         responses = [r.between(*band_hz) for r in frfs_from_captures(plan, captures, machine, axes)]
         return [r for r in responses if len(r.frequency_hz)]

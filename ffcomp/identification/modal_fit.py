@@ -12,6 +12,10 @@ its height against the first one's and from the dip between them.
 σ² is the noise, ε the model's own error, chosen for each file such that χ² has its expected value. A second mode is
 accepted only where the Bayesian information criterion asks for it, with correlated residuals counted as fewer, and
 where its frequency and its share are sharp.
+
+How much of the damping belts hold is not fitted. A share s multiplies each mode by 1 + 2i ζ_j s f/f_j, to first order a
+delay, which each response has of its own; what is left is about (2 ζ f/f_j)² s. `belts_share_error` says how sharp s
+could be.
 """
 
 from __future__ import annotations
@@ -26,9 +30,9 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.signal import find_peaks
 
 from ffcomp.errors import MeasurementError
-from ffcomp.identification.axis_spectra import COARSE, Datum, Spectrum
-from ffcomp.identification.uncertainty import Estimate, lognormal, normal
-from ffcomp.measurement.modal import SMALLEST_ERROR, independent_share, model_error
+from ffcomp.identification.axis_spectra import COARSE, Datum, Response, Spectrum
+from ffcomp.identification.uncertainty import NINETY_PERCENT, Estimate, lognormal, normal
+from ffcomp.measurement.modal import SMALLEST_ERROR, independent_share, model_error, single_modes
 from ffcomp.numerics.least_squares import minimise
 from models.arrays import ComplexArray, FloatArray
 
@@ -139,7 +143,7 @@ def fit_axis(name: str, data: Sequence[Datum]) -> AxisFit:
         datum.model(accepted.modes, nuisances) for datum, nuisances in zip(data, accepted.nuisances, strict=True)
     )
     errors = tuple(float(e) if e > SMALLEST_ERROR else 0.0 for e in accepted.errors)
-    advice = (*disagreement, *_weak(name, modes, errors), *remarks)
+    advice = (*disagreement, *_weak(name, modes, errors), *remarks, *_about_belts(name, accepted))
     return AxisFit(name, modes, tuple(data), fitted, errors, verdict, advice)
 
 
@@ -371,3 +375,38 @@ def _weak(name: str, modes: Sequence[AxisMode], errors: Sequence[float]) -> list
             "than a machine file holds, or it rattles. Look at it with --figure."
         )
     return advice
+
+
+def _about_belts(name: str, fit: _Fit) -> list[str]:
+    """Say that the belts' share of the damping stays open, where responses could have shown it."""
+    if not any(isinstance(datum, Response) for datum in fit.data):
+        return []
+    half = NINETY_PERCENT * belts_share_error(fit)
+    known = (
+        "is not determined by these responses: of 0 to 1 they leave all open"
+        if half >= 0.5
+        else f"is not fitted: these responses would show it to ±{half:.2f} if two modes were all there is"
+    )
+    return [
+        f"How much of the damping of {name} its belts hold (belt_damping_share) {known}, for below the resonance it "
+        "looks like a delay. ffcomp diagnose finds it in runs with their commands, as the effect belt_damping."
+    ]
+
+
+def belts_share_error(fit: _Fit) -> float:
+    """Return the standard deviation of the belts' share about one half, everything else fitted too (Fisher)."""
+    modes, columns, weights = fit.modes, [], []
+    for datum, nuisances, error, own in zip(fit.data, fit.nuisances, fit.errors, fit.independent, strict=True):
+        slope = np.zeros(len(datum.variance(error)))  # of a spectrum: it has no phase
+        if isinstance(datum, Response):
+            turned = 2j * modes[:, 1:2] * datum.frequency_hz / modes[:, :1]
+            each = modes[:, 2:] * single_modes(modes[:, 0], modes[:, 1], datum.frequency_hz)
+            by_share = (each * turned).sum(axis=0) / (each * (1 + turned / 2)).sum(axis=0)
+            column = datum.model(modes, nuisances) * by_share
+            slope = np.concatenate([column.real, column.imag])
+        columns.append(slope / np.sqrt(datum.variance(error)))
+        weights.append(np.full(len(slope), own))
+    slope, weight = np.concatenate(columns), np.concatenate(weights)
+    j = _jacobian(fit.data, fit.theta, fit.count, fit.errors)
+    left = slope - j @ (fit.covariance @ (j.T @ (weight * slope)))
+    return float(1 / np.sqrt(max(float(slope @ (weight * left)), 1e-300)))

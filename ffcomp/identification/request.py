@@ -8,7 +8,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from ffcomp.errors import RequestError
-from ffcomp.options import FIGURE, FORCE, HIGHEST_FITTED, LOWEST_FITTED, MACHINE_FILE, MACHINE_NAME, MOVES_PLAN
+from ffcomp.options import (
+    CAPTURE_AXES,
+    FIGURE,
+    FORCE,
+    HIGHEST_FITTED,
+    LOWEST_FITTED,
+    MACHINE_FILE,
+    MACHINE_NAME,
+    MOVES_PLAN,
+    RUNS,
+)
 from ffcomp.request import ACCURACY, ADVANCED, MACHINE, OUTPUT, Argument, MachineLike, Option, Request
 
 Method = Literal["direct", "stepwise"]
@@ -151,6 +161,84 @@ class ScanRequest(Request):
         for path in (self.output, self.figure):
             if path is not None and path.exists() and not self.force:
                 raise RequestError(f"{path} exists already; give another, or --force.")
+
+
+@dataclass(frozen=True, kw_only=True)
+class RingingRequest(Request):
+    """Frequencies that somebody has read off a print, and the machine whose modes they are."""
+
+    machine: Annotated[str, MACHINE_NAME]
+    x_hz: Annotated[
+        float | None,
+        Option(
+            "Frequency along x: the speed of the wall over the distance of two waves. Of a delta's centre: any.",
+            MACHINE,
+            "--x-hz",
+            metavar="HZ",
+            low=3.0,
+            high=200.0,
+            label="Ringing along x, Hz",
+        ),
+    ] = None
+    y_hz: Annotated[
+        float | None,
+        Option("Frequency along y.", MACHINE, "--y-hz", metavar="HZ", low=3.0, high=200.0, label="Ringing along y, Hz"),
+    ] = None
+    output: Annotated[Path, MACHINE_FILE]
+    name: Annotated[
+        str | None, Option("Name of the new machine. Default: the output file's.", OUTPUT, metavar="NAME")
+    ] = None
+    force: Annotated[bool, FORCE] = False
+
+    def check(self) -> None:
+        """Raise RequestError without a frequency, and rather than overwrite a file."""
+        if self.x_hz is None and self.y_hz is None:
+            raise RequestError("A frequency is needed: along x, along y, or both.")
+        if self.output.exists() and not self.force:
+            raise RequestError(f"{self.output} exists already; give another --output, or --force.")
+
+
+@dataclass(frozen=True, kw_only=True)
+class UpdateRequest(Request):
+    """Which recordings of prints `ffcomp identify update` learns from, and what it writes."""
+
+    data: Annotated[tuple[Path, ...], RUNS]
+    machine: Annotated[str, MACHINE_NAME]
+    output: Annotated[
+        Path,
+        Option("Machine file to write; it may be the one that is updated.", OUTPUT, "--output", "-o", metavar="FILE"),
+    ]
+    plan: Annotated[Path | None, MOVES_PLAN] = None
+    axes_map: Annotated[str | None, CAPTURE_AXES] = None
+    drift: Annotated[
+        float,
+        Option(
+            "Relative standard deviation by which stiffnesses, masses and frequencies drift from print to print, for "
+            "belts age and spools empty; dampings drift three times as much. The larger, the sooner old prints are "
+            "forgotten.",
+            ACCURACY,
+            metavar="SHARE",
+            low=0.0,
+            high=0.2,
+        ),
+    ] = 0.005
+    prints: Annotated[
+        int, Option("Prints since the file was last updated, this one included.", ACCURACY, metavar="N", low=1)
+    ] = 1
+    history: Annotated[
+        Path | None,
+        Option(
+            "Earlier updates; this one is added. Default: beside the machine file that is written, .updates.jsonl.",
+            OUTPUT,
+            metavar="FILE",
+        ),
+    ] = None
+    force: Annotated[bool, FORCE] = False
+
+    @property
+    def history_file(self) -> Path:
+        """The history."""
+        return self.history or self.output.with_suffix(".updates.jsonl")
 
 
 def _check_axis(text: str) -> None:

@@ -17,6 +17,8 @@ from ffcomp.importers.values import (
     ConfigValues,
     PrinterConfigError,
     Value,
+    above_the_middle,
+    all_listed,
     arm_lengths,
     changed,
     commands,
@@ -25,7 +27,6 @@ from ffcomp.importers.values import (
     full_steps,
     known,
     least,
-    listed,
     plain_number,
     shaped_axis,
     together,
@@ -114,15 +115,12 @@ def _kinematics(settings: Settings, stated: str | None, path: Path) -> tuple[str
 
 def _delta(settings: Settings) -> dict[str, Value | None]:
     height = settings.get(("M665", "H"))
-    homed = None
-    if height is not None:
-        homed = converted([0.0, 0.0, height.number], "homing ends over the middle", height)
     return {
         **arm_lengths(_arms(settings)),
         "kinematics.delta_radius_mm": settings["M665", "R"],
         "kinematics.tower_angles_deg": tower_angles([settings.get(("M665", letter)) for letter in "XYZ"]),
         "kinematics.print_height_mm": height,
-        "homing.position_mm": homed,
+        "homing.position_mm": above_the_middle(height),
     }
 
 
@@ -193,8 +191,7 @@ def _planner(settings: Settings) -> dict[str, Value | None]:
     """Return what Marlin's own planner needs, in its own terms."""
 
     def four(code: str) -> Value | None:
-        values = [settings.get((code, axis)) for axis in "XYZE"]
-        return listed([each for each in values if each is not None]) if all(values) else None
+        return all_listed([settings.get((code, axis)) for axis in "XYZE"])
 
     both, shortest = settings.get(("M204", "S")), settings.get(("M205", "B"))
     planner = {

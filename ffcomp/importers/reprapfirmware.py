@@ -17,6 +17,8 @@ from ffcomp.importers.values import (
     ConfigValues,
     PrinterConfigError,
     Value,
+    above_the_middle,
+    all_listed,
     arm_lengths,
     changed,
     commands,
@@ -30,6 +32,7 @@ from ffcomp.importers.values import (
     shaped_axis,
     together,
     tower_angles,
+    whole,
 )
 
 KINDS = {
@@ -41,15 +44,17 @@ KINDS = {
     "lineardelta": "delta",
 }
 KEPT = {  # letters that are kept until a later command gives them anew
-    "M201": "XYZ",
-    "M203": "XYZ",
-    "M204": "P",
-    "M566": "XYZ",
+    "M201": "XYZE",
+    "M203": "XYZE",
+    "M204": "PT",
+    "M566": "XYZEP",
     "M593": "FS",
+    "M595": "P",
     "M665": "BHLRXYZ",
     "M666": "AB",
 }
-READ = {*KEPT, "M92", "M208", "M350", "M667", "M669"}
+READ = {*KEPT, "M92", "M208", "M350", "M574", "M667", "M669"}
+ENDS = {1.0: "low", 2.0: "high"}  # of an axis: M574
 MICROSTEPS, DAMPING_RATIO = 16.0, 0.1  # the firmware's defaults
 MOST_FILES = 1000
 PER_MINUTE = "mm/min over 60"
@@ -63,6 +68,7 @@ class Settings:
     steps_per_mm: dict[str, Value] = field(default_factory=dict)  # letter -> number
     microsteps: dict[str, Value] = field(default_factory=dict)
     ranges: dict[str, dict[str, Value]] = field(default_factory=dict)  # letter -> "low", "high" -> number
+    endstops: dict[str, str] = field(default_factory=dict)  # letter -> "low" or "high"; "": none, or a probe
     kinematics: tuple[str, str] = ("cartesian", "neither M669 nor M665 is given: the firmware's default")
     shaper: str = ""
     notes: list[str] = field(default_factory=list)
@@ -84,7 +90,7 @@ def from_reprapfirmware(path: Path, alone: bool = False) -> ConfigValues:
         _apply(command, settings)
     kind, origin = settings.kinematics
     of_kind = _delta(settings) if kind == "delta" else _straight(settings)
-    values = known({**of_kind, **_limits(settings), **_steps(settings)})
+    values = known({**of_kind, **_limits(settings), **_planner(settings), **_steps(settings)})
     shaper = _shaper(settings) if kind == "delta" else None
     shaper_hz = () if shaper is None else (shaper.number,)
     tilts = [tilt for letter in "AB" if (tilt := settings.first("M666", letter)) is not None and tilt.number]
@@ -187,6 +193,14 @@ def _m208(command: Command, settings: Settings) -> None:
         settings.ranges.setdefault(letter, {}).update(zip(ends, numbers, strict=False))
 
 
+def _m574(command: Command, settings: Settings) -> None:
+    """Say at which end of its range an axis has its endstop; S2: a probe takes its place, which is at no end."""
+    for letter in "XYZ":
+        end = command.number(letter)
+        if end is not None:
+            settings.endstops[letter] = "" if command.words.get("S") == "2" else ENDS.get(end.number, "")
+
+
 def _m669(command: Command, settings: Settings) -> None:
     if "K" in command.words:
         _set_kind(command, command.words["K"].lower(), settings)
@@ -205,7 +219,7 @@ def _set_kind(command: Command, word: str, settings: Settings) -> None:
     settings.kinematics = (KINDS[word], f"{command.place} {command.code}")
 
 
-APPLY = {"M92": _m92, "M208": _m208, "M350": _m350, "M669": _m669}
+APPLY = {"M92": _m92, "M208": _m208, "M350": _m350, "M574": _m574, "M669": _m669}
 
 
 # --- Values of the machine
@@ -223,11 +237,13 @@ def _delta(settings: Settings) -> dict[str, Value | None]:
         "kinematics.tower_angles_deg": tower_angles([settings.first("M665", letter) for letter in "XYZ"]),
         "kinematics.print_radius_mm": print_radius(settings.first("M665", "B"), radius, least(of_towers)),
         "kinematics.print_height_mm": settings.first("M665", "H"),
+        "homing.position_mm": above_the_middle(settings.first("M665", "H")),
     }
 
 
 def _straight(settings: Settings) -> dict[str, Value | None]:
     values = {f"kinematics.{axis}_range_mm": _range(settings, axis.upper()) for axis in AXES}
+    values["homing.position_mm"] = _homed(settings)
     frequency = _shaper(settings)
     if frequency is not None:  # one for both axes
         default = Value(DAMPING_RATIO, "default", "M593 S is not given: the firmware's default")
@@ -242,6 +258,12 @@ def _range(settings: Settings, letter: str) -> Value | None:
         return None
     low = limits.get("low", Value(0.0, "default", f"M208 gives no lowest {letter}: the firmware's default"))
     return listed([low, limits["high"]])
+
+
+def _homed(settings: Settings) -> Value | None:
+    """Return where homing leaves straight axes: at their endstops; None: a probe decides where one of them ends."""
+    ends = (settings.ranges.get(letter, {}).get(settings.endstops.get(letter, "")) for letter in "XYZ")
+    return all_listed(list(ends))
 
 
 def _shaper(settings: Settings) -> Value | None:
@@ -262,6 +284,24 @@ def _limits(settings: Settings) -> dict[str, Value | None]:
         "limits.z_velocity_mm_per_s": per_minute("M203", "Z"),
         "limits.z_acceleration_mm_per_s2": settings.first("M201", "Z"),
     }
+
+
+def _planner(settings: Settings) -> dict[str, Value | None]:
+    """Return what the firmware's own planner needs."""
+
+    def four(code: str) -> list[Value | None]:
+        return [settings.first(code, axis) for axis in "XYZE"]
+
+    planner = {
+        "speed_mm_per_s": all_listed(four("M203"), 1 / 60, PER_MINUTE),
+        "acceleration_mm_per_s2": all_listed(four("M201")),
+        "jerk_mm_per_s": all_listed(four("M566"), 1 / 60, PER_MINUTE),
+        "printing_acceleration_mm_per_s2": settings.first("M204", "P"),
+        "travel_acceleration_mm_per_s2": settings.first("M204", "T"),
+        "jerk_policy": whole(settings.first("M566", "P")),
+        "queue_moves": whole(settings.first("M595", "P")),
+    }
+    return {f"firmware.reprapfirmware.{key}": value for key, value in planner.items()}
 
 
 def _steps(settings: Settings) -> dict[str, Value | None]:

@@ -71,9 +71,31 @@ def changed(value: Value | None, change: Callable[[float], float], rule: str) ->
     return None if value is None else converted(change(value.number), rule, value)
 
 
+def whole(value: Value | None) -> Value | None:
+    """Take a value as a whole number."""
+    return None if value is None else replace(value, value=int(value.number))
+
+
 def listed(values: Sequence[Value]) -> Value:
     """Join single values in one list."""
     return _combined([each.number for each in values], values)
+
+
+def all_listed(values: Sequence[Value | None], factor: float = 1.0, rule: str = "") -> Value | None:
+    """Join single values in one list, times a factor; None unless all are known.
+
+    rule : what the factor converts
+    """
+    known_values = [each for each in values if each is not None]
+    if len(known_values) < len(values):
+        return None
+    joined = listed(known_values)
+    return converted([each.number * factor for each in known_values], rule, joined) if rule else joined
+
+
+def above_the_middle(height: Value | None) -> Value | None:
+    """Return where homing leaves a delta's nozzle, by its height there."""
+    return None if height is None else converted([0.0, 0.0, height.number], "homing ends over the middle", height)
 
 
 def together(values: Sequence[Value | None]) -> Value | None:

@@ -31,15 +31,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from models.arrays import FloatArray, IntArray
-from models.compiled import kernel
-from models.vibration.scheduled import sized_recursion
+from models.compiled import kernel, with_numba
 from models.vibration.state_space import DiscretePlant
 
 Float32Array = NDArray[np.float32]
 
+
 # (s, ψ) ← (s, ē, d), of a delta five numbers of 32 unused; z ← (z, ψ)
-_back = sized_recursion(of_input=9)
-_forward = sized_recursion(of_input=3)
+@with_numba
+def _back() -> Any:
+    from models.vibration.recursion import sized_recursion
+
+    return sized_recursion(of_input=9)
+
+
+@with_numba
+def _forward() -> Any:
+    from models.vibration.recursion import sized_recursion
+
+    return sized_recursion(of_input=3)
 
 
 @kernel

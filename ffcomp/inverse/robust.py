@@ -41,7 +41,6 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from scipy import fft
 
 from ffcomp.inverse.sensitivity import (
     MARGIN,
@@ -56,6 +55,7 @@ from ffcomp.inverse.sensitivity import (
     flat,
     lines_of,
     perturbed_machines,
+    rows_of,
     span_length,
     spans_of,
     steps_of,
@@ -140,7 +140,7 @@ class RobustReference:
 
         steps = np.stack([steps_of(span.rows, length) for span in spans])
         path_lines = apply(of_steps, lines_of(steps, of_steps.shape[-1]), length // 2 + 1)
-        path_error, spread = _rows(path_lines[:, :3], length), _rows(_folded(path_lines[:, 3:], n), n)
+        path_error, spread = rows_of(path_lines[:, :3], length), rows_of(_folded(path_lines[:, 3:], n), n)
         mean_lines = np.zeros((len(spans), 3, length // 2 + 1), np.complex64)  # of what y makes of the mean, twice
         y: ShortArray = np.zeros((len(spans), 3, n), np.float32)
         direction, last_z = np.zeros_like(y), np.zeros_like(y)
@@ -148,29 +148,25 @@ class RobustReference:
         error, errors = path_error, np.empty((len(spans), 3 + spread.shape[1], lines), np.complex64)
         for left in reversed(range(STEPS)):
             normal, weight = normal_errors(rows, directions, error)
-            errors[:, :3] = fft.rfft(normal)[..., :lines]
+            errors[:, :3] = lines_of(normal, lines)
             errors[:, :3] *= 0.5
-            errors[:, 3:] = fft.rfft(weigh(weight, spread))[..., :lines]
-            gradient = allowed * _rows(apply_adjoint(of_y, errors, n // 2 + 1), n) + REGULARISATION * y
+            errors[:, 3:] = lines_of(weigh(weight, spread), lines)
+            gradient = allowed * rows_of(apply_adjoint(of_y, errors, n // 2 + 1), n) + REGULARISATION * y
             z = ALONG * gradient - (ALONG - 1.0) * weigh(weight, gradient)
             energy = _dots(gradient, z)
             share = np.maximum(_over(energy - _dots(gradient, last_z), last_energy), 0.0)
             direction = np.asarray(allowed * z + share * direction, dtype=np.float32)
             last_z, last_energy = z, energy
             change_lines = apply(of_y, lines_of(direction, lines), n // 2 + 1)
-            change = _rows(change_lines, n)
+            change = rows_of(change_lines, n)
             curvature = _dots(change, weigh(weight, change)) + REGULARISATION * _dots(direction, direction)
             step = _over(_dots(gradient, direction), curvature)
             y -= step * direction
             if left:
                 spread -= step * change[:, 3:]
                 mean_lines[..., :lines] -= 2.0 * step * change_lines[:, :3, :lines]
-                error = path_error + _rows(mean_lines, length)
-        return moving * _rows(lines_of(y, lines) * (2.0 * self._low_pass[::stride]), length)
-
-
-def _rows(lines: ShortComplexArray, length: int) -> ShortArray:
-    return np.asarray(fft.irfft(lines, length))
+                error = path_error + rows_of(mean_lines, length)
+        return moving * rows_of(lines_of(y, lines) * (2.0 * self._low_pass[::stride]), length)
 
 
 def _folded(lines: ShortComplexArray, n: int) -> ShortComplexArray:

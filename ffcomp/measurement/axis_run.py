@@ -17,7 +17,7 @@ import numpy as np
 
 from ffcomp.errors import MeasurementError
 from ffcomp.measurement.clock import Clock, clock_of
-from ffcomp.measurement.recording import experiment_of
+from ffcomp.measurement.recording import Run
 from ffcomp.measurement.table import closest, read_table, read_text, repeated_columns
 from models.arrays import FloatArray
 from models.vibration.driven_axis import Input
@@ -45,7 +45,7 @@ LOWEST_RATE_HZ = 20.0
 
 
 @dataclass(frozen=True, eq=False)
-class AxisRun:
+class AxisRun(Run):
     """One experiment of n samples at a constant rate."""
 
     source: str  # the file, as the user named it
@@ -61,16 +61,6 @@ class AxisRun:
     supply_v: FloatArray | None = None  # (n,) V of the drive
     extra: FloatArray | None = None  # (n,) N, known to push beside the drive
     remarks: tuple[str, ...] = ()  # what was left out, in sentences
-
-    @property
-    def sample_rate_hz(self) -> float:
-        """Mean sample rate."""
-        return float((len(self.time_s) - 1) / (self.time_s[-1] - self.time_s[0]))
-
-    @property
-    def repeat_of(self) -> str:
-        """The file's stem without a trailing -1, -2, …: runs that share it repeat one experiment."""
-        return experiment_of(self.source, self.folder)
 
     @property
     def signals(self) -> dict[str, FloatArray]:

@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 
 from ffcomp.errors import MeasurementError
-from ffcomp.measurement.clock import clock_of
+from ffcomp.measurement.clock import Uniform, clock_of
 from ffcomp.measurement.sensors import broken_sensor
 from ffcomp.measurement.table import Table
 from models.arrays import FloatArray
@@ -21,7 +21,7 @@ _PLAUSIBLE_RMS = (0.03, 1000.0)  # m/s²: between the noise of the best such chi
 
 
 @dataclass(frozen=True, eq=False)
-class Capture:
+class Capture(Uniform):
     """An accelerometer's record, gravity included; its clock starts anywhere."""
 
     source: str
@@ -33,11 +33,6 @@ class Capture:
     name: str = ""  # of the measurement, where one file holds several
     clock: ClockKind = "free"  # the print time of the motion: exact, or within a sample
     overflows: int = 0  # samples that the chip lost, as far as the file says it
-
-    @property
-    def sample_rate_hz(self) -> float:
-        """Mean sample rate."""
-        return float((len(self.time_s) - 1) / (self.time_s[-1] - self.time_s[0]))
 
 
 def make_capture(

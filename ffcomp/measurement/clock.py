@@ -17,6 +17,17 @@ _LARGEST_JITTER = 0.25  # of a sample period: beyond it, which sample is missing
 _NEGLIGIBLE_JITTER = 0.01  # of a sample period: 0.5° of phase at 200 Hz and 1600 Hz sampling
 
 
+class Uniform:
+    """What was taken at a constant rate."""
+
+    time_s: FloatArray  # (n,) s, uniform
+
+    @property
+    def sample_rate_hz(self) -> float:
+        """Mean sample rate."""
+        return float((len(self.time_s) - 1) / (self.time_s[-1] - self.time_s[0]))
+
+
 @dataclass(frozen=True, eq=False)
 class Clock:
     """A uniform grid of n times and where the file's rows fall on it."""

@@ -5,6 +5,7 @@
 | a sensor that is dead, clipped or in another unit; gravity left in | its column, and the command | `sensors.py` |
 | sensors swapped, reversed, turned, late or stuck | the command below 20 Hz | `sensors.py` |
 | a chip whose scale is misread; axes as in a mirror | gravity at rest; its mounting | `wrong_gravity`, `mirrored` |
+| an axis that no chip feels | the command below 20 Hz | `deaf_to` |
 | another motion, a shaken printer | the command, the rest before the motion | `other_motion` |
 | repeats that are copies, lie apart in time, or do not repeat | each other, the rests | `compare_repeats` |
 | an input shaper left on | what is expected without one | `shaper_of_captures`, `shaper_in_gap` |
@@ -105,21 +106,32 @@ class NormalEquations:
 Responses = Callable[[FloatArray], ComplexArray]  # of h hypotheses: (k,) Hz → (h, k)
 
 
-def residual_power(equations: Sequence[NormalEquations], responses: Responses, free_gains: bool) -> FloatArray:
-    """Return Σ |Y − H X g|² of each hypothesis H, (h,), with the gains g of the columns fitted, or all one."""
+def residual_power(
+    equations: Sequence[NormalEquations], responses: Responses, free_gains: bool, late_s: FloatArray | None = None
+) -> FloatArray:
+    """Return Σ |Y − H X g|² of each hypothesis H, (h,), with the gains g of the columns fitted, or all one.
+
+    late_s : (d,) delays, of which each hypothesis has the best
+    """
     normal: FloatArray | float = 0.0
     right: FloatArray | float = 0.0
+    late = np.zeros(1) if late_s is None else late_s
     for each in equations:
-        response = responses(each.frequency_hz)
+        response, early = responses(each.frequency_hz), delays(each.frequency_hz, -late)
         normal = normal + np.tensordot(np.abs(response) ** 2, each.square, axes=1)  # (h, c, c)
-        right = right + (response.conj() @ each.cross).real  # (h, c)
+        cross = early.T[:, :, None] * each.cross[:, None, :]  # (k, d, c)
+        right = right + (response.conj() @ cross.reshape(len(cross), -1)).real.reshape(
+            -1, *cross.shape[1:]
+        )  # (h, d, c)
     normal, right = np.asarray(normal), np.asarray(right)
     power = sum(each.power for each in equations)
-    if not free_gains:
-        return np.asarray(power - 2 * right.sum(axis=1) + normal.sum(axis=(1, 2)))
-    ridge = 1e-9 * np.trace(normal, axis1=1, axis2=2)[:, None, None] * np.eye(right.shape[1])
-    gains = np.linalg.solve(normal + ridge, right[..., None])[..., 0]
-    return np.asarray(power - np.einsum("hc,hc->h", right, gains))
+    if free_gains:
+        ridge = 1e-9 * np.trace(normal, axis1=1, axis2=2)[:, None, None] * np.eye(right.shape[2])
+        gains = np.linalg.solve(normal + ridge, right.swapaxes(1, 2)).swapaxes(1, 2)
+        left = power - np.einsum("hdc,hdc->hd", right, gains)
+    else:
+        left = power - 2 * right.sum(axis=2) + normal.sum(axis=(1, 2))[:, None]
+    return np.asarray(left.min(axis=1))
 
 
 def delays(frequency_hz: FloatArray, delay_s: FloatArray) -> ComplexArray:
@@ -173,14 +185,8 @@ def _shaper_of(captures: Sequence[NormalEquations], axis: str, most: float, bett
     """Return the likeliest shaper of an axis, if it leaves little enough of the power; None otherwise."""
     power = max(sum(each.power for each in captures), 1e-300)
     kinds = [*SHAPERS]
-    unexplained = np.min(
-        [
-            residual_power(captures, partial(shapers, kinds=kinds, shaper_hz=CAPTURES_HZ, delay_s=float(late)), True)
-            for late in CAPTURES_DELAYS_S[::5]
-        ],
-        axis=0,
-    )
-    unexplained = unexplained / power
+    hypotheses = partial(shapers, kinds=kinds, shaper_hz=CAPTURES_HZ)
+    unexplained = residual_power(captures, hypotheses, True, CAPTURES_DELAYS_S[::5]) / power
     without = float(residual_power(captures, partial(delays, delay_s=CAPTURES_DELAYS_S), True).min()) / power
     best = _likeliest(unexplained)
     if unexplained[best] > most or without < max(better * unexplained[best], LEAST_UNEXPLAINED_WITHOUT):
@@ -509,6 +515,19 @@ def mirrored(axes: str) -> str:
         f"The accelerometer's axes are {axes}, as in a mirror, and no chip's are: either axes_map in the firmware's "
         "configuration is wrong, or the printer moves x or y the wrong way. Command a single move to the right, and "
         "look."
+    )
+
+
+def deaf_to(axis: str, all_needed: bool) -> str:
+    """Report an axis along which no chip feels the motion: a check needs all of them, a diagnosis does without."""
+    start = f"No chip feels the motion along {axis}"
+    if all_needed:
+        return (
+            f"{start}, and a check compares all axes: give the captures of both chips, on the toolhead and on the bed."
+        )
+    return (
+        f"{start}, so nothing is said of it. A bed slinger's bed needs a chip of its own: give `ffcomp record plan` "
+        "both (--chip adxl345 --chip bed), and here the captures of both."
     )
 
 

@@ -29,7 +29,7 @@ from typing import Any
 import numpy as np
 
 from ffcomp.errors import MeasurementError
-from ffcomp.measurement.clock import clock_of
+from ffcomp.measurement.clock import Uniform, clock_of
 from ffcomp.measurement.table import read_text, rows_of
 from models.arrays import FloatArray
 
@@ -230,18 +230,13 @@ _TIME, _MEASURED, _TARGET = "timestamp", "measured motor steps", "target motor s
 
 
 @dataclass(frozen=True, eq=False)
-class MotorLog:
+class MotorLog(Uniform):
     """What one motor was commanded and what it did, on one clock."""
 
     source: str
     time_s: FloatArray  # (n,) rising
     target: FloatArray  # (n,) steps
     measured: FloatArray  # (n,) steps
-
-    @property
-    def sample_rate_hz(self) -> float:
-        """Mean sample rate."""
-        return float((len(self.time_s) - 1) / (self.time_s[-1] - self.time_s[0]))
 
 
 def is_closed_loop(path: str | Path) -> bool:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from ffcomp.errors import MeasurementError
-from ffcomp.measurement.clock import Clock, clock_of
+from ffcomp.measurement.clock import Clock, Uniform, clock_of
 from ffcomp.measurement.klipper import is_stdata
 from ffcomp.measurement.sensors import broken_sensor, with_gravity, wrong_scale
 from ffcomp.measurement.table import Table, closest, read_table, read_text, repeated_columns
@@ -38,8 +38,20 @@ _NO_COMMAND = (
 )
 
 
+class Run(Uniform):
+    """One experiment, of a printer or of an axis by itself."""
+
+    source: str  # the file, as the user named it
+    folder: str  # of the file, where another folder has one of the same name
+
+    @property
+    def repeat_of(self) -> str:
+        """The file's stem without a trailing -1, -2, …: runs that share it repeat one experiment."""
+        return experiment_of(self.source, self.folder)
+
+
 @dataclass(frozen=True, eq=False)
-class Recording:
+class Recording(Run):
     """One experiment of n samples at a constant rate. Gaps are NaN in the sensors; the command has none."""
 
     source: str  # the file, as the user named it
@@ -53,20 +65,10 @@ class Recording:
     folder: str = ""  # of the file, where another folder has one of the same name
 
     @property
-    def sample_rate_hz(self) -> float:
-        """Mean sample rate."""
-        return float((len(self.time_s) - 1) / (self.time_s[-1] - self.time_s[0]))
-
-    @property
     def inputs(self) -> tuple[str, str, str]:
         """The names of the command's columns: cmd_A … or cmd_x …."""
         a, b, c = (f"cmd_{axis}" for axis in AXES[self.command_space])
         return a, b, c
-
-    @property
-    def repeat_of(self) -> str:
-        """The file's stem without a trailing -1, -2, …: recordings that share it repeat one experiment."""
-        return experiment_of(self.source, self.folder)
 
     def clocks_of(self, signals: Sequence[str]) -> tuple[str, ...]:
         """Name the clock of each signal by the first of the group it is in: "" of the first, and of what is in none.

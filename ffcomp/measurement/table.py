@@ -123,7 +123,9 @@ def _cell_by_cell(
                 bad_cells.append(f"row {row[i]}, column {columns[j]}: {field.strip()[:20]!r}")
     problems = [f"A field must be a number or empty, but {_some(bad_cells)}."] if bad_cells else []
     if bad_rows:
-        problems.append(f"Every row needs {len(columns)} fields, as the header names, but {_some(bad_rows)}.")
+        cut_off = len(bad_rows) == 1 and len(body[-1].split(delimiter)) != len(columns)
+        remedy = " The file breaks off there: copy it again, or record again." if cut_off else ""
+        problems.append(f"Every row needs {len(columns)} fields, as the header names, but {_some(bad_rows)}.{remedy}")
     return values, problems
 
 

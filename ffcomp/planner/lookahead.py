@@ -94,13 +94,29 @@ def plan_moves(
     GcodeError
         A move whose place, speed or limits no firmware can follow, with its line.
     """
-    _check(moves)
-    _check_waits(wait_before)
+    check(moves, wait_before)
     lines = lines_of(moves)
     bounds = bounds_of(moves, lines, limits)
     kept, corner = corners(lines, bounds, limits, stop_before | (wait_before > 0.0))
-    phases = Phases(*_phases(kept, corner, lines.length, bounds.speed, bounds.acceleration, bounds.smooth_acceleration))
-    return _timed(moves, lines, phases, wait_before, start_t)
+    phases = phases_from_corners(
+        kept, corner, lines.length, bounds.speed, bounds.acceleration, bounds.smooth_acceleration
+    )
+    return timed(moves, lines, phases, wait_before, start_t)
+
+
+def phases_from_corners(
+    kept: IntArray,
+    corner: FloatArray,
+    length: FloatArray,
+    speed: FloatArray,
+    acceleration: FloatArray,
+    smooth_acceleration: FloatArray,
+) -> Phases:
+    """Return the trapezoids of n moves that pass their corners as fast as looking ahead allows.
+
+    kept, corner : (m,) of the moves that go somewhere: their indices, and the highest v² at which each may begin
+    """
+    return Phases(*_phases(kept, corner, length, speed, acceleration, smooth_acceleration))
 
 
 @kernel
@@ -137,7 +153,7 @@ def _phases(
     return phases
 
 
-def _timed(moves: Moves, lines: Lines, phases: Phases, wait_before: FloatArray, start_t: float) -> Trajectory:
+def timed(moves: Moves, lines: Lines, phases: Phases, wait_before: FloatArray, start_t: float) -> Trajectory:
     """Put the moves one after the other, with their waits.
 
     NOTE: times are summed one by one, as the firmware does: a move begins exactly when its neighbour ends.
@@ -258,7 +274,9 @@ def _ceilings(start: FloatArray, smooth: FloatArray, smooth_gain: FloatArray, ca
 # Complaints
 
 
-def _check(moves: Moves) -> None:
+def check(moves: Moves, wait_before: FloatArray) -> None:
+    """Refuse moves and waits that no firmware can follow."""
+    _check_waits(wait_before)
     place = np.linalg.norm(moves.end - moves.start, axis=1)
     _refuse(moves, ~np.isfinite(place), place, "travels {} mm; a distance is finite")
     _refuse(moves, ~(moves.speed > 0.0), moves.speed, "has the speed {} mm/s; it must be above zero")

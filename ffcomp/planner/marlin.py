@@ -13,13 +13,10 @@ the brake path in sight caps the speed of short segments, and the first blocks a
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass, fields, replace
-from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ffcomp.planner.limits import lines_of
 from ffcomp.planner.lookahead import Phases
@@ -43,6 +40,7 @@ from ffcomp.planner.marlin_queue import (
     phases_of,
     plan_blocks,
 )
+from ffcomp.planner.settings_in_force import SettingsInForce, assumed_sentence, words_of
 from ffcomp.planner.trajectory import Trajectory
 from gcode.dialects import MARLIN
 from gcode.program import Moves, Program
@@ -61,8 +59,6 @@ ROUND_MM = 1e-3  # by which the vertices of an arc in the plane may leave its ci
 WHOLE_CHORD = 1e-3  # of a chord that is not missed
 EVEN_MM = 1e-4  # between the pieces of a line that is no arc
 LOW_JERK = 0.25  # of x's and y's: below it a tower's jerk was meant for a lead screw
-_NUMBER = re.compile(rb"[-+]?\d*\.?\d+")
-_XYZE = "XYZE"
 
 
 def marlin_settings(machine: Machine) -> MarlinSettings:
@@ -75,20 +71,15 @@ def settings_sentence(machine: Machine) -> str:
     stated = () if machine.marlin is None else machine.marlin.stated
     corner = "junction_deviation_mm" if "junction_deviation_mm" in stated else "jerk_mm_per_s"
     matter = ("acceleration_mm_per_s2", "speed_mm_per_s", "retract_acceleration_mm_per_s2", corner)
-    missing = [name for name in matter if name not in stated]
-    if not missing:
-        return ""
-    which = "has no [firmware.marlin]" if not stated else f"has no {', '.join(missing)} in [firmware.marlin]"
-    return (
-        f"The machine file {which}, so its limits and Marlin's defaults are taken for Marlin's planner; "
-        "`ffcomp machines import` reads them from the printer's answer to M503."
-    )
+    return assumed_sentence("Marlin", stated, matter, "the printer's answer to M503")
 
 
 def planner_of(program: Program, machine: Machine) -> MarlinPlanner:
     """Return Marlin's planner, with the settings that are in force at each line of a program."""
     zeros = np.array([frame.base[3] for frame in program.frames])
-    return MarlinPlanner(machine, marlin_settings(machine), SettingsInForce.of(program, machine), zeros)
+    return MarlinPlanner(
+        machine, marlin_settings(machine), SettingsInForce.of(program, machine, settings_row(machine)), zeros
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -277,59 +268,6 @@ def _rate(
     return level
 
 
-# --- What the file sets
-
-
-@dataclass(frozen=True, slots=True)
-class SettingsInForce:
-    """The rows of settings of a program, and from which of its lines on each holds."""
-
-    lines: IntArray  # (k,) rising
-    rows: FloatArray  # (k, COLUMNS)
-    as_read: FloatArray  # (k, 3) mm/s², mm/s², mm/s: P, T and corner of the file as `Moves` has them; NaN: not set
-
-    limits: tuple[float, float]  # mm/s² and mm/s, the machine's own where the file has set nothing
-
-    @classmethod
-    def of(cls, program: Program, machine: Machine) -> SettingsInForce:
-        """Follow a program's own lines on limits."""
-        state = _State(settings_row(machine))
-        for line in program.limits.values():
-            state = state.after(line, 1.0)
-        lines, states = [-1], [state]
-        for event in program.events:
-            if event.touches_limits:
-                unit_mm = program.frames[event.frame].unit_mm if program.frames else 1.0
-                state = state.after(program.lines[event.line], unit_mm)
-                lines.append(event.line)
-                states.append(state)
-        rows, read = np.array([each.row for each in states]), np.array([each.as_read for each in states])
-        own = (machine.limits.acceleration_mm_per_s2, machine.limits.square_corner_velocity_mm_per_s)
-        return cls(np.array(lines, dtype=np.int64), rows, read, own)
-
-    def at(self, moves: Moves) -> NDArray[np.float32]:
-        """Return the settings in force at each move, (n, COLUMNS): gentler where a move asks for less than the file.
-
-        Only time scaling does (`ffcomp.inverse.time_scaling`), for limits of the machine itself.
-        """
-        which = np.searchsorted(self.lines, moves.line, side="right") - 1
-        rows = self.rows.astype(np.float32)[which]
-        printing, travel, corner = self.as_read[which].T
-        asked = np.where((moves.end[:, 3] == moves.start[:, 3]) & ~np.isnan(travel), travel, printing)
-        gentler = _share(moves.acceleration, asked, self.limits[0])
-        rows[:, SCALE] = gentler
-        slower = _share(moves.square_corner_velocity, corner, self.limits[1])
-        if (slower < 1.0).any():
-            rows[:, JERK] *= slower[:, None]
-            rows[:, DEVIATION] *= np.where(rows[:, DEVIATION] > 0.0, np.minimum(slower**2 / gentler, 1.0), 1.0)
-        return rows
-
-
-def _share(value: FloatArray, in_file: FloatArray, in_machine: float) -> FloatArray:
-    share = value / np.where(np.isnan(in_file), in_machine, in_file)
-    return np.where(share < 1.0, share, 1.0)
-
-
 def settings_row(machine: Machine) -> FloatArray:
     """Return a machine's own settings as one row of numbers, (COLUMNS,)."""
     s, row = marlin_settings(machine), np.zeros(COLUMNS)
@@ -346,64 +284,6 @@ def settings_row(machine: Machine) -> FloatArray:
     row[LEAST], row[LEAST_TRAVEL] = s.lowest_speed_mm_per_s, s.lowest_travel_speed_mm_per_s
     row[SHORTEST_US], row[SCALE] = 1e6 * s.shortest_segment_s, 1.0
     return row
-
-
-class _State(NamedTuple):
-    """Settings while the lines of a file are followed."""
-
-    row: FloatArray  # (COLUMNS,)
-    requested: tuple[float, float] = (np.nan, np.nan)  # mm/s², of moves that extrude and of others, as the file asks
-    cap: float = np.nan  # mm/s², of M201
-    corner: float = np.nan  # mm/s, of M205 X Y
-
-    @property
-    def as_read(self) -> tuple[float, float, float]:
-        """What the reader of G-code makes of them."""
-        printing, travel = (float(np.fmin(each, self.cap)) for each in self.requested)
-        return printing, travel, self.corner
-
-    def after(self, line: bytes, unit_mm: float) -> _State:
-        """Return the settings after a line that sets some (M200-M205.cpp).
-
-        unit_mm : after G20, Marlin takes them in inches
-        """
-        code, values = _words(line)
-        new = {letter: value * unit_mm for letter, value in values.items()}
-        row = self.row.copy()
-        if code in (b"M201", b"M203"):
-            which = ACCELERATION if code == b"M201" else SPEED
-            row[which] = _named(row[which], new)
-            cap = min((new[axis] for axis in "XY" if axis in new), default=self.cap)
-            return self._replace(row=row, cap=cap if code == b"M201" else self.cap)
-        if code == b"M204":
-            both = new.get("S")
-            printing, travel = new.get("P", both), new.get("T", both)
-            row[RETRACT] = new.get("R", row[RETRACT])
-            row[PRINT] = row[PRINT] if printing is None else printing
-            row[TRAVEL] = row[TRAVEL] if travel is None else travel
-            before, travel_before = self.requested
-            requested = (before if printing is None else printing, travel_before if travel is None else travel)
-            return self._replace(row=row, requested=requested)
-        if code != b"M205":
-            return self
-        row[LEAST], row[LEAST_TRAVEL] = new.get("S", row[LEAST]), new.get("T", row[LEAST_TRAVEL])
-        row[SHORTEST_US] = values.get("B", row[SHORTEST_US])
-        if row[DEVIATION] < 0.0:
-            row[JERK] = _named(row[JERK], new)
-        elif 0.01 <= new.get("J", 0.0) <= 0.3:
-            row[DEVIATION] = new["J"]
-        return self._replace(row=row, corner=min((new[axis] for axis in "XY" if axis in new), default=self.corner))
-
-
-@lru_cache(maxsize=1024)
-def _words(line: bytes) -> tuple[bytes, dict[str, float]]:
-    """Return a command and the numbers behind its letters."""
-    code, _, words = line.partition(b";")[0].strip().upper().partition(b" ")
-    return code, {word[:1].decode(): float(word[1:]) for word in words.split() if _NUMBER.fullmatch(word[1:])}
-
-
-def _named(values: FloatArray, new: dict[str, float]) -> list[float]:
-    return [new.get(axis, old) for axis, old in zip(_XYZE, values.tolist(), strict=True)]
 
 
 # --- How Marlin cuts moves
@@ -453,9 +333,9 @@ def cut_for_marlin(program: Program, machine: Machine) -> Program:
 
 def _low_jerk_warning(program: Program, machine: Machine) -> str:
     """Say where a delta's print sets a jerk for Z that suits a lead screw; empty: nowhere."""
-    in_force = SettingsInForce.of(program, machine)
+    in_force = SettingsInForce.of(program, machine, settings_row(machine))
     for line, row in zip(in_force.lines[1:].tolist(), in_force.rows[1:], strict=True):
-        code, values = _words(program.lines[line])
+        code, values = words_of(program.lines[line])
         x, y, z = row[JERK][:3].tolist()
         if code == b"M205" and "Z" in values and z < LOW_JERK * min(x, y):
             return (

@@ -35,7 +35,7 @@ LEAST_TURN = 0.033  # rad, below which Marlin's arc cosine does not go
 
 # columns of a row of settings
 STEPS, SPEED, ACCELERATION, JERK = (slice(first, first + 4) for first in (0, 4, 8, 12))  # of X Y Z E
-PRINT, RETRACT, TRAVEL, DEVIATION, LEAST, LEAST_TRAVEL, SHORTEST_US, SCALE, COLUMNS = range(16, 25)
+PRINT, RETRACT, TRAVEL, DEVIATION, LEAST, LEAST_TRAVEL, SHORTEST_US, SCALE, POLICY, COLUMNS = range(16, 26)
 _SPEED, _ACCELERATION, _JERK = SPEED.start, ACCELERATION.start, JERK.start
 
 # columns of a block while it is planned

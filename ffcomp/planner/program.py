@@ -12,14 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ffcomp.errors import NothingToDo
+from ffcomp.planner import marlin, reprapfirmware
 from ffcomp.planner.limits import PlannerLimits, planner_limits
 from ffcomp.planner.lookahead import junction_limits, plan_moves, stops_and_waits
 from ffcomp.planner.marlin import MarlinPlanner, cut_for_marlin
-from ffcomp.planner.marlin import planner_of as marlin_planner_of
 from ffcomp.planner.reach import check_moves
 from ffcomp.planner.s_curve import SCurve, s_curve
 from ffcomp.planner.trajectory import PlannedMotion, Section, Trajectory, split_sections
-from gcode.dialects import MARLIN
+from gcode.dialects import KLIPPER, MARLIN, REPRAPFIRMWARE
 from gcode.errors import GcodeError
 from gcode.program import Event, EventKind, Moves, Program
 from models.arrays import BoolArray, FloatArray
@@ -49,8 +49,17 @@ class Planner(Protocol):
 def planner_of(program: Program, machine: Machine) -> Planner:
     """Return the planner of the firmware that a program was read for."""
     if program.flavor == MARLIN:
-        return marlin_planner_of(program, machine)
+        return marlin.planner_of(program, machine)
+    if program.flavor == REPRAPFIRMWARE:
+        return reprapfirmware.planner_of(program, machine)
     return partial(plan_moves, limits=planner_limits(machine))
+
+
+def settings_sentence(flavor: str, machine: Machine) -> str:
+    """Say which settings of a firmware's planner are assumed; empty: none that matter."""
+    if flavor == MARLIN:
+        return marlin.settings_sentence(machine)
+    return reprapfirmware.settings_sentence(machine) if flavor == REPRAPFIRMWARE else ""
 
 
 def known_to_the_firmware(machine: Machine) -> dict[str, Any]:
@@ -119,8 +128,8 @@ def _smoothed(
     plan: Trajectory, program: Program, machine: Machine, moves: Moves, rests: NDArray[np.bool_]
 ) -> PlannedMotion:
     most = SCurve(limit_mm_per_s2=machine.limits.acceleration_mm_per_s2)
-    own = program.flavor == MARLIN  # whose joints' limits are those of its plan
-    allowed = plan.start_v if own else junction_limits(moves, planner_limits(machine), rests)
+    by_klipper = program.flavor == KLIPPER  # of the others, the joints' limits are those of their plan
+    allowed = junction_limits(moves, planner_limits(machine), rests) if by_klipper else plan.start_v
     return s_curve(plan, machine.kinematics.compiled().inverse, most, allowed_v=allowed)
 
 

@@ -114,10 +114,14 @@ def refit(at: FloatArray, points: FloatArray, kept: IntArray, fixed: BoolArray) 
 
 
 @kernel
-def at_most(at: FloatArray, points: FloatArray, kept: IntArray, pinned: BoolArray, most: int) -> IntArray:
-    """Leave out points where more than `most` segments would begin within as many knots: lines of the file cut some.
+def at_most(
+    at: FloatArray, points: FloatArray, kept: IntArray, pinned: BoolArray, most: int, begins: bool, ends: bool
+) -> IntArray:
+    """Leave out points where `most` segments or more would begin within as many knots: lines of the file cut some.
 
-    Of those that may go, the one goes that the path between its neighbours misses least.
+    From a run's begin on, and up to its end, there is also no more than one for each knot of any shorter time: so that
+    whatever time holds parts of several runs has no more either. Of those that may go, the one goes that the path
+    between its neighbours misses least.
 
     Parameters
     ----------
@@ -125,31 +129,54 @@ def at_most(at: FloatArray, points: FloatArray, kept: IntArray, pinned: BoolArra
     points : (n, 3) mm
     kept : (m,) indices of the points that are kept, as `merge` returns them
     pinned : (n,) points that must stay
+    begins, ends : the first point, the last is where a run does
 
     Returns
     -------
     (k,) indices of the points that stay
     """
-    stays = kept.copy()
-    first, count = 0, len(stays)
+    stays, count, first = kept.copy(), len(kept), 0
     while first < count - 1:
-        end = min(first + most, count - 1)
-        if end - first < most or at[stays[end]] - at[stays[first]] >= most - KNOT_ROUNDING:
-            first += 1
-            continue
-        worst, least = -1, np.inf
-        for j in range(first + 1, end + 1):
-            if j + 1 < count and not pinned[stays[j]]:
-                missed = _misses(at, points, stays[j - 1], stays[j], stays[j + 1])
-                if missed < least:
-                    worst, least = j, missed
-        if worst < 0:
-            first += 1
-            continue
-        for j in range(worst, count - 1):
-            stays[j] = stays[j + 1]
-        count -= 1
+        end = first + most
+        if end < count and at[stays[end]] - at[stays[first]] < most + 1.0 - KNOT_ROUNDING:
+            fewer = _leave_out(at, points, stays, count, pinned, first + 1, end)
+        else:
+            fewer = count
+        first += fewer == count
+        count = fewer
+    size = 1
+    while begins and size < min(most, count):
+        fewer = count
+        if at[stays[size]] - at[stays[0]] < size - KNOT_ROUNDING:
+            fewer = _leave_out(at, points, stays, count, pinned, 1, size)
+        size += fewer == count
+        count = fewer
+    size = 1
+    while ends and size < min(most, count):
+        fewer = count
+        if at[stays[count - 1]] - at[stays[count - 1 - size]] < size - KNOT_ROUNDING:
+            fewer = _leave_out(at, points, stays, count, pinned, max(count - 1 - size, 1), count - 2)
+        size += fewer == count
+        count = fewer
     return stays[:count].copy()
+
+
+@kernel
+def _leave_out(
+    at: FloatArray, points: FloatArray, stays: IntArray, count: int, pinned: BoolArray, first: int, last: int
+) -> int:
+    """Leave one point from `first` to `last` out of the first `count` that stay, if one may; return how many do."""
+    worst, least = -1, np.inf
+    for j in range(first, min(last + 1, count - 1)):
+        if not pinned[stays[j]]:
+            missed = _misses(at, points, stays[j - 1], stays[j], stays[j + 1])
+            if missed < least:
+                worst, least = j, missed
+    if worst < 0:
+        return count
+    for j in range(worst, count - 1):
+        stays[j] = stays[j + 1]
+    return count - 1
 
 
 @kernel

@@ -22,7 +22,7 @@ from scipy.signal import butter, fftconvolve, sosfiltfilt
 from ffcomp.record.plan import Commanded
 from models.arrays import BoolArray, FloatArray
 from models.machine import Machine
-from models.printer.printer import simulate_printers
+from models.printer.printer import PrinterMotion, simulate_printers
 
 RATE_HZ = 1600.0
 TAIL_S = 0.4  # simulated after the motion: the printer rings for 0.2 s
@@ -73,12 +73,17 @@ def expectation(motion: Commanded, machine: Machine, lead_s: float, with_signatu
 
 def _accelerations(machines: Sequence[Machine], commands: Sequence[FloatArray]) -> list[FloatArray]:
     """Simulate the nozzle's acceleration, (N, 3) m/s² each."""
-    accelerations = []
+    return [motion.nozzle_acceleration for motion in simulated(machines, commands)]
+
+
+def simulated(machines: Sequence[Machine], commands: Sequence[FloatArray]) -> list[PrinterMotion]:
+    """Simulate each machine under its command at `RATE_HZ`; UnreachableError if one cannot execute it."""
+    motions = []
     for motion in simulate_printers(machines, commands, 1 / RATE_HZ):
         if isinstance(motion, ValueError):
             raise motion
-        accelerations.append(motion.nozzle_acceleration)
-    return accelerations
+        motions.append(motion)
+    return motions
 
 
 BAND_HZ = (2.0, 20.0)

@@ -133,9 +133,10 @@ def _executions(capture: Capture, plan: Plan, expected: Expected, taken: set[str
 def _named(stem: str, plan: Plan) -> tuple[Experiment, int, str] | None:
     """Find experiment, repeat and chip by the name that the capture's command gave it."""
     for experiment in sorted(plan.experiments, key=lambda each: -len(each.name)):
-        match = re.search(rf"{re.escape(experiment.name)}-(\d+)(?!\d)", stem)
-        if match and 1 <= int(match[1]) <= plan.repeats:
-            return experiment, int(match[1]), stem[: match.start()].strip("-_")
+        once = "?" if plan.print_file else ""  # a print is made once, and its captures need no number
+        match = re.search(rf"{re.escape(experiment.name)}(?:-(\d+)){once}(?!\d)", stem)
+        if match and 1 <= int(match[1] or 1) <= plan.repeats:
+            return experiment, int(match[1] or 1), stem[: match.start()].strip("-_")
     return None
 
 

@@ -15,7 +15,7 @@ from scipy.interpolate import CubicSpline
 from scipy.signal import resample_poly
 
 from ffcomp.errors import MeasurementError
-from ffcomp.measurement.faults import SHAPER_REMEDY, wrong_gravity
+from ffcomp.measurement.faults import SHAPER_REMEDY, deaf_to, wrong_gravity
 from ffcomp.measurement.printer_logs import is_closed_loop, read_closed_loop
 from ffcomp.measurement.recording import CLOCKS, Recording, read_recording
 from ffcomp.measurement.vibration import kind_of
@@ -24,7 +24,8 @@ from ffcomp.record.clock import DEAF, ClockFit, Expectation, felt_shares, fit_cl
 from ffcomp.record.executions import Expected, Task, read_tasks, stated
 from ffcomp.record.faults import check_repeats, left_handed, shapers_left_on, unlike
 from ffcomp.record.motor_runs import BLIND, motor_runs
-from ffcomp.record.plan import Plan, load_plan, run_name
+from ffcomp.record.plan import Plan, run_name
+from ffcomp.record.prints import plan_of
 from ffcomp.record.result import (
     DELAY_SD_S,
     KEPT_REST_S,
@@ -127,7 +128,8 @@ def load_recordings(
 
     Parameters
     ----------
-    plan : the file that `ffcomp record plan` wrote beside its G-code; None: there are no captures
+    plan : the file that `ffcomp record plan` wrote beside its G-code, or a print with the commands of captures; None:
+        there are no captures
     turn : as of `join_captures`
     progress : called with what is read, joined, and refused
     """
@@ -137,7 +139,7 @@ def load_recordings(
     runs = [read_recording(path) for path in paths if path not in captures]
     if not captures:
         return runs
-    moves = load_plan(plan)
+    moves = plan_of(plan, machine)
     joined = join_captures(captures, moves, machine, turn, progress)
     joined.check()
     for each in joined.refused:
@@ -338,11 +340,7 @@ def _with_axis(best: Joined, source: Joined, column: str) -> Recording:
 def _without_deaf_axes(joined: Sequence[Joined], machine: Machine) -> tuple[list[Joined], list[str]]:
     """Leave out axes that no chip feels, on a machine whose bed may be what moves; and say so."""
     deaf = [f"acc_{axis}" for axis, share in _median_shares(joined, machine).items() if share < DEAF]
-    notes = [
-        f"No chip feels the motion along {column[-1]}, so nothing is said of it. A bed slinger's bed needs a chip of "
-        "its own: give `ffcomp record plan` both (--chip adxl345 --chip bed), and here the captures of both."
-        for column in deaf
-    ]
+    notes = [deaf_to(column[-1], all_needed=False) for column in deaf]
     return [_without(each, deaf) for each in joined] if deaf else list(joined), notes
 
 

@@ -1,4 +1,4 @@
-"""What `ffcomp record plan`, `record join` and `record check` can be asked for."""
+"""What `ffcomp record plan`, `record join`, `record print` and `record check` can be asked for."""
 
 from __future__ import annotations
 
@@ -26,6 +26,7 @@ CHIP = Option(
     MACHINE,
     metavar="NAME",
 )
+RUNS_FOLDER = Option("Folder for the measured runs.", OUTPUT, "--output", "-o", metavar="FOLDER")
 
 
 def number_pair(option: str, text: str, more: str = "") -> tuple[float, float]:
@@ -285,7 +286,21 @@ class JoinRequest(Request):
     ]
     plan: Annotated[Path, MOVES_PLAN]
     machine: Annotated[str, MACHINE_NAME]
-    output: Annotated[Path, Option("Folder for the measured runs.", OUTPUT, "--output", "-o", metavar="FOLDER")]
+    output: Annotated[Path, RUNS_FOLDER]
+    axes_map: Annotated[str | None, CAPTURE_AXES] = None
+    force: Annotated[bool, FORCE] = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class PrintRequest(Request):
+    """Captures to be joined with the print that was made meanwhile."""
+
+    print_file: Annotated[
+        Path, Argument("The G-code as it was printed, with the commands of its captures.", metavar="PRINT")
+    ]
+    captures: Annotated[tuple[Path, ...], Argument("Captures that were made meanwhile.", metavar="CAPTURES...")]
+    machine: Annotated[str, MACHINE_NAME]
+    output: Annotated[Path, RUNS_FOLDER]
     axes_map: Annotated[str | None, CAPTURE_AXES] = None
     force: Annotated[bool, FORCE] = False
 

@@ -2,35 +2,39 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 JsonObject = Mapping[str, Any]
-Answer = dict[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """What the page shows of one job."""
+
+    lead: str = ""  # a sentence
+    facts: Sequence[Sequence[str]] = ()  # pairs of a name and a value
+    warnings: Sequence[str] = ()
+    to_do: Sequence[str] = ()  # sentences
+    machine: bool = False  # whether the job has made a machine file that can be kept
+    kept: str = ""  # the name of one that was kept
 
 
 def answer_of(kind: str, result: JsonObject) -> Answer:
-    """Return what the page shows of one job.
-
-    Returns
-    -------
-    dict
-        `lead`, a sentence; `facts`, pairs of a name and a value; `warnings` and `to_do`, sentences; `machine`, whether
-        the job has made a machine file that can be kept.
-    """
-    empty: Answer = {"lead": "", "facts": [], "warnings": [], "to_do": [], "machine": False}
+    """Return what the page shows of one job."""
     make = _ANSWERS.get(kind)
-    return empty | (make(result) if make else {})
+    return make(result) if make else Answer()
 
 
 def _compensate(result: JsonObject) -> Answer:
     if result.get("already"):
-        return {"lead": str(result["already"])}
+        return Answer(str(result["already"]))
     if "prints" in result and "print_time_s" not in result:
-        return {"lead": f"{len(result['prints'])} prints in one file are compensated."}
+        return Answer(f"{len(result['prints'])} prints in one file are compensated.")
     assumed = (result.get("machine") or {}).get("assumed")
     warnings = [*([str(assumed)] if assumed else []), *map(str, result.get("warning_lines", []))]
-    return {"lead": _error_sentence(result), "facts": _print_facts(result), "warnings": warnings}
+    return Answer(_error_sentence(result), _print_facts(result), warnings)
 
 
 def _error_sentence(result: JsonObject) -> str:
@@ -70,11 +74,7 @@ def _compare(result: JsonObject) -> Answer:
     ]
     times = best["contour_rms_um"] / max(compensated["contour_rms_um"], 1e-9)
     lead = f"ffcomp leaves {times:.1f} times less contour error than the best input shaper, on the simulated printer."
-    return {
-        "lead": lead,
-        "facts": [*errors, ["Evaluated", str(result["sampling"])]],
-        "warnings": compensated["warnings"],
-    }
+    return Answer(lead, [*errors, ["Evaluated", str(result["sampling"])]], compensated["warnings"])
 
 
 def _plan(result: JsonObject) -> Answer:
@@ -86,10 +86,10 @@ def _plan(result: JsonObject) -> Answer:
     to_do = [
         "Put the accelerometer on the nozzle holder and nothing on the bed, heaters off; print moves.gcode, and stay "
         "beside it.",
-        "Drop the captures that it writes (on Klipper: /tmp/*.csv on the printer's computer) at step 2.",
+        "Drop the captures that it writes (on Klipper: /tmp/*.csv on the printer's computer) below the moves.",
         *map(str, result.get("restores", [])),
     ]
-    return {"lead": lead, "facts": facts, "warnings": list(result["warnings"]), "to_do": to_do}
+    return Answer(lead, facts, list(result["warnings"]), to_do)
 
 
 def _diagnose(result: JsonObject) -> Answer:
@@ -104,13 +104,8 @@ def _diagnose(result: JsonObject) -> Answer:
         facts.append(
             ["A sample print", f"{gain['before_um']:.0f} → {gain['after_um']:.0f} µm rms with the better file"]
         )
-    return {
-        "lead": sentences[0] if sentences else "",
-        "facts": facts,
-        "warnings": sentences[1:],
-        "to_do": list(result["to_do"]),
-        "machine": bool(result["machine"]),
-    }
+    lead = sentences[0] if sentences else ""
+    return Answer(lead, facts, sentences[1:], list(result["to_do"]), bool(result["machine"]))
 
 
 def _fit(result: JsonObject) -> Answer:
@@ -120,7 +115,29 @@ def _fit(result: JsonObject) -> Answer:
     axes = [fact for axis, each in (result.get("axes") or {}).items() for fact in _axis_facts(axis, each)]
     lead = "The machine file is fitted to the measurements." if result["output"] else "Nothing could be fitted."
     warnings = [*map(str, result["skipped"]), *map(str, result["advice"])]
-    return {"lead": lead, "facts": numbers + axes, "warnings": warnings, "machine": bool(result["output"])}
+    return Answer(lead, numbers + axes, warnings, machine=bool(result["output"]))
+
+
+def _page(result: JsonObject) -> Answer:
+    to_do = [
+        "Print moves.gcode as it is: one layer of lines, the input shaper off.",
+        "Scan it at 600 dpi or more, or photograph all of it straight from above, in even light, without flash.",
+        "Drop the picture under the page.",
+        *map(str, result.get("restores", [])),
+    ]
+    lead = f"A page of strokes, {clock(result['duration_s'])} to print."
+    return Answer(lead, [["Firmware", str(result["flavor"])]], to_do=to_do)
+
+
+def _update(result: JsonObject) -> Answer:
+    numbers = [[key, _interval(each["after"])] for key, each in result["numbers"].items()]
+    held = result["held_out"]
+    lead = (
+        f"Updated by {result['layers']} layers of the print. Where each was left out, {100 * held['after']:.2g} % of "
+        f"its motion is left; with the file as it was {100 * held['before']:.2g} %."
+    )
+    kept = [f"The print does not tell {', '.join(result['kept'])}."] if result["kept"] else []
+    return Answer(lead, numbers, kept, machine=True)
 
 
 def _axis_facts(axis: str, result: JsonObject) -> list[list[str]]:
@@ -140,7 +157,7 @@ def _interval(estimate: JsonObject) -> str:
 
 def _import(result: JsonObject) -> Answer:
     if "values" not in result:  # a machine file that was checked
-        return {"lead": f"{result['machine']['name']} can be used.", "warnings": list(result.get("notes", []))}
+        return Answer(f"{result['machine']['name']} can be used.", warnings=list(result.get("notes", [])))
     origins = [each["how"] for each in result["values"].values()]
     assumed = origins.count("assumed")
     lead = f"{result['name']}: a {result['kinematics']} machine, from a {result['firmware']} configuration."
@@ -148,8 +165,8 @@ def _import(result: JsonObject) -> Answer:
     warnings = [f"{key} is missing: {why}" for key, why in result["missing"].items()]
     if assumed:
         like = f" as of {result['like']}" if result["like"] else ""
-        warnings.append(f"How it vibrates is assumed{like}: no configuration tells it. Measure, under Measure.")
-    return {"lead": lead, "facts": facts, "warnings": [*warnings, *map(str, result["notes"])]}
+        warnings.append(f"How it vibrates is assumed{like}: no configuration tells it. See Know my machine.")
+    return Answer(lead, facts, [*warnings, *map(str, result["notes"])])
 
 
 _ANSWERS: dict[str, Callable[[JsonObject], Answer]] = {
@@ -159,6 +176,10 @@ _ANSWERS: dict[str, Callable[[JsonObject], Answer]] = {
     "excite": _plan,
     "diagnose": _diagnose,
     "fit": _fit,
+    "scan": _fit,
+    "ringing": _fit,
+    "page": _page,
+    "update": _update,
     "import": _import,
 }
 

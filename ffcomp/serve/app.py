@@ -107,7 +107,7 @@ class Server:
         """Return everything that the page shows."""
         return {
             "version": __version__,
-            "machines": machines.listed(),
+            "machines": list(map(asdict, machines.listed())),
             "jobs": [asdict(replace(job, pid=0)) for job in self.runner.all() if not _is_past_warmup(job)],
             "printer": self.printer is not None,
             "largest_mb": self.settings.largest_bytes // MEGABYTE,
@@ -210,7 +210,7 @@ class Server:
 
     def printer_files(self, request: Request, fields: Any) -> list[dict[str, Any]]:
         """Return the prints on the printer."""
-        return self._printer().files()
+        return list(map(asdict, self._printer().files()))
 
     async def fetch(self, request: Request) -> Response:
         """Copy a print from the printer to here."""

@@ -6,6 +6,7 @@ The page offers the options that have a label; a value is read, checked and writ
 from __future__ import annotations
 
 import re
+import shutil
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
@@ -16,17 +17,18 @@ from ffcomp.comparison.request import CompareRequest
 from ffcomp.compensation.request import CompensateFilesRequest
 from ffcomp.diagnosis.request import DiagnoseRequest
 from ffcomp.errors import RequestError
-from ffcomp.identification.request import FitRequest
+from ffcomp.identification.request import FitRequest, RingingRequest, ScanRequest, UpdateRequest
 from ffcomp.importers.request import ImportMachineRequest
 from ffcomp.record.request import PlanRequest, Purpose
 from ffcomp.request import Declared, Option, Request, declared
 from ffcomp.serve.uploads import Refused
 
-PICTURE, REPORT, BETTER = "picture.png", "report.html", "better.toml"
+PICTURE, REPORT, BETTER, UPDATES = "picture.png", "report.html", "better.toml", ".updates.jsonl"
 MOVES, PLAN = "moves.gcode", "moves.json"
+PRINTS = (".gcode", ".gco", ".g")
 MOST_CAPTURES = 200
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,59}")  # of a machine
-MEASURED = ("diagnose", "fit")  # kinds that take captures
+MEASURED = ("diagnose", "fit", "scan", "update")  # kinds that take captures or pictures
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,6 +86,26 @@ def fit(task: Task) -> list[Step]:
     return [Step(_measured(task, "identify", "fit", *figure), "fitting the machine file")]
 
 
+def scan(task: Task) -> list[Step]:
+    """Fit the machine file's parameters to pictures of a page."""
+    figure = ("--figure", str(task.out / PICTURE))
+    return [Step(_measured(task, "identify", "scan", *figure), "reading the pictures")]
+
+
+def update(task: Task) -> list[Step]:
+    """Update the machine file by captures of a print; what was learnt before goes on."""
+    history = Path(task.machine).with_suffix(UPDATES)
+    if history.exists():
+        shutil.copyfile(history, (task.out / BETTER).with_suffix(UPDATES))
+    return [Step(_measured(task, "identify", "update"), "updating the machine file")]
+
+
+def ringing(task: Task) -> list[Step]:
+    """Move the machine file's modes to frequencies that were read off a print."""
+    words = ("identify", "ringing", "-m", task.machine, "-o", str(task.out / BETTER), "--json", *task.words)
+    return [Step(words, "moving the modes")]
+
+
 def read_machine(task: Task) -> list[Step]:
     """Make a machine file of a printer's configuration, or check one that is a machine file already."""
     (source,) = task.inputs
@@ -100,9 +122,9 @@ def warmup(task: Task) -> list[Step]:
 
 
 def _measured(task: Task, *verb: str) -> tuple[str, ...]:
-    """Words of a verb that reads captures: the plan is the input that is JSON."""
-    plans = [path for path in task.inputs if path.suffix == ".json"]
-    captures = [str(path) for path in task.inputs if path.suffix != ".json"]
+    """Words of a verb that reads captures: the plan is the input that is JSON, or the print that was recorded."""
+    plans = [path for path in task.inputs if path.suffix in (".json", *PRINTS)]
+    captures = [str(path) for path in task.inputs if path not in plans]
     plan_words = ("--plan", str(plans[0])) if plans else ()
     better = str(task.out / BETTER)
     return (*verb, *captures, "-m", task.machine, *plan_words, "-o", better, "--json", *task.words)
@@ -188,6 +210,14 @@ KINDS: dict[str, Kind] = {
     "excite": _plan_for("identify", without=("seconds",), title="Moves to fit {machine}"),
     "diagnose": Kind(diagnose, _CAPTURES, (partial(DiagnoseRequest, (_ANY,), ""),), title="Diagnosis of {machine}"),
     "fit": Kind(fit, _CAPTURES, (partial(FitRequest, data=(_ANY,), machine=""), Weighed), title="Fit of {machine}"),
+    "page": _plan_for("scan", without=("at", "seconds", "repeats", "height_mm"), title="Page for {machine}"),
+    "scan": Kind(
+        scan, _CAPTURES, (partial(ScanRequest, pictures=(_ANY,), plan=_ANY, machine=""),), title="Scan for {machine}"
+    ),
+    "ringing": Kind(ringing, _NONE, (partial(RingingRequest, machine="", output=_ANY),), title="Ringing of {machine}"),
+    "update": Kind(
+        update, _CAPTURES, (partial(UpdateRequest, data=(_ANY,), machine="", output=_ANY),), title="Update of {machine}"
+    ),
     "import": Kind(
         read_machine, _ONE, (Called, partial(ImportMachineRequest, _ANY)), machine=False, title="Machine from {name}"
     ),

@@ -13,6 +13,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
+from ffcomp.serve.answers import Answer
 from ffcomp.serve.uploads import ID, Refused
 from gcode.atomic_write import replace_atomically
 
@@ -38,7 +39,7 @@ class Job:
     doing: str = ""
     error: str = ""  # why it failed, in a sentence
     outputs: tuple[str, ...] = ()  # names of the files in `out/`
-    answer: dict[str, Any] = field(default_factory=dict)  # as the page shows it (`answers`)
+    answer: Answer = field(default_factory=Answer)  # as the page shows it
     pid: int = 0  # while it runs
     printer_path: str = ""  # where the first input lies on the printer, if it comes from there
 
@@ -73,7 +74,8 @@ class JobFolder:
                 continue
             try:
                 kept = json.loads((place / "job.json").read_text(encoding="utf-8"))
-                yield Job(**kept | {name: tuple(kept[name]) for name in ("inputs", "outputs")})
+                names = {name: tuple(kept[name]) for name in ("inputs", "outputs")}
+                yield Job(**kept | names | {"answer": Answer(**kept["answer"])})
             except (OSError, ValueError, TypeError, KeyError):
                 shutil.rmtree(place, ignore_errors=True)
 

@@ -2,37 +2,30 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-from functools import lru_cache
+import shutil
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
-from ffcomp.serve.commands import BETTER, NAME
+from ffcomp.serve.commands import BETTER, NAME, UPDATES
 from ffcomp.serve.jobs import DONE, Job, JobFolder
 from ffcomp.serve.uploads import Refused
-from models.finding import LIBRARY, glance, machine_paths, user_folder
+from models.finding import machine_paths, named_machines, user_folder
 
 
-def listed() -> list[dict[str, Any]]:
-    """Return every machine that has a name: `name`, `kinematics`, `printer`, and whether it is the user's `own`."""
-    rows = []
-    for name, path in machine_paths().items():
-        kinematics, printer = _glanced(path, _changed(path))
-        rows.append({"name": name, "kinematics": kinematics, "printer": printer, "own": path.parent != LIBRARY})
-    return rows
+@dataclass(frozen=True, slots=True)
+class Listed:
+    """A machine as the page lists it."""
+
+    name: str
+    kinematics: str | None
+    printer: str | None
+    own: bool  # it is the user's own
 
 
-@lru_cache(maxsize=512)
-def _glanced(path: Path, changed: int) -> tuple[str | None, str | None]:
-    """Read a file once for each time that it was changed: the page asks every second."""
-    return glance(path)
-
-
-def _changed(path: Path) -> int:
-    try:
-        return path.stat().st_mtime_ns
-    except OSError:  # removed meanwhile
-        return 0
+def listed() -> list[Listed]:
+    """Return every machine that has a name."""
+    return [Listed(each.name, each.kinematics, each.printer, each.origin == "user") for each in named_machines()]
 
 
 def path_of(name: str) -> Path:
@@ -61,7 +54,10 @@ def keep(job: Job, kept: JobFolder, name: str) -> str:
         raise Refused(400, "A machine's name has letters, digits, - and _ only.")
     if name in machine_paths():
         raise Refused(409, f"There is a machine {name} already; choose another name.")
-    return _copied(kept.output(job, BETTER), name)
+    made = kept.output(job, BETTER)
+    with suppress(FileNotFoundError):
+        shutil.copyfile(made.with_suffix(UPDATES), user_folder() / f"{name}{UPDATES}")
+    return _copied(made, name)
 
 
 def kept_if_imported(job: Job, place: Path) -> Job:
@@ -73,7 +69,7 @@ def kept_if_imported(job: Job, place: Path) -> Job:
     taken = machine_paths()
     name = next(each for each in (wanted, *(f"{wanted}-{k}" for k in range(2, 1000))) if each not in taken)
     kept = _copied(made[0], name)
-    return replace(job, answer=job.answer | {"kept": kept})
+    return replace(job, answer=replace(job.answer, kept=kept))
 
 
 def _copied(source: Path, name: str) -> str:

@@ -25,19 +25,28 @@ _KINDS = (".gcode", ".g", ".gco", ".bgcode", ".gcode.gz")
 
 
 @dataclass(frozen=True, slots=True)
+class PrinterFile:
+    """A print on the printer."""
+
+    path: str
+    bytes: int
+    modified: float  # s since 1970
+
+
+@dataclass(frozen=True, slots=True)
 class Printer:
     """One Moonraker, by its address."""
 
     url: str
 
-    def files(self) -> list[dict[str, Any]]:
-        """Return the prints on the printer, the newest first: `path`, `bytes`, `modified` (s since 1970)."""
+    def files(self) -> list[PrinterFile]:
+        """Return the prints on the printer, the newest first."""
         listed = [
-            {"path": str(each["path"]), "bytes": int(each["size"]), "modified": float(each["modified"])}
+            PrinterFile(str(each["path"]), int(each["size"]), float(each["modified"]))
             for each in self._listed()
             if str(each["path"]).lower().endswith(_KINDS)
         ]
-        return sorted(listed, key=lambda each: -float(str(each["modified"])))[:MOST_FILES]
+        return sorted(listed, key=lambda each: -each.modified)[:MOST_FILES]
 
     def read(self, path: str) -> Iterator[bytes]:
         """Read a file that the printer lists, piece by piece.
@@ -47,7 +56,7 @@ class Printer:
         Refused
             If the printer does not list it.
         """
-        if path not in {each["path"] for each in self.files()}:
+        if path not in {each.path for each in self.files()}:
             raise Refused(404, "The printer has no such file.")
         with self._answers(), self._client() as client, client.stream("GET", f"{FILES}/gcodes/{quote(path)}") as answer:
             answer.raise_for_status()
@@ -56,7 +65,7 @@ class Printer:
     def write(self, source: Path, beside: str) -> str:
         """Put a file beside another one on the printer, under a name of its own, and return its path."""
         folder = PurePosixPath(beside).parent if beside else PurePosixPath(".")
-        name = _free_name(source.name, folder, {each["path"] for each in self.files()})
+        name = _free_name(source.name, folder, {each.path for each in self.files()})
         fields = {"root": "gcodes", "path": "" if str(folder) == "." else str(folder), "print": "false"}
         with self._answers(), self._client() as client, open(source, "rb") as file:
             client.post(f"{FILES}/upload", data=fields, files={"file": (name, file)}).raise_for_status()

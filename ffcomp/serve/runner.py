@@ -12,12 +12,11 @@ import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any
 
 from ffcomp.serve import messages
-from ffcomp.serve.answers import answer_of
+from ffcomp.serve.answers import Answer, answer_of
 from ffcomp.serve.commands import KINDS, Step, task_of
 from ffcomp.serve.jobs import CANCELLED, DONE, ENDED, FAILED, QUEUED, RUNNING, Job, JobFolder
 from ffcomp.serve.settings import MEGABYTE, RESERVE, Settings
@@ -128,7 +127,7 @@ class Runner:
             job = self.find(id_)
             if job.state not in ENDED:
                 raise Refused(409, "It has not ended yet.")
-            job = replace(job, state=QUEUED, error="", answer={}, outputs=(), started=0.0, ended=0.0, share=None)
+            job = replace(job, state=QUEUED, error="", answer=Answer(), outputs=(), started=0.0, ended=0.0, share=None)
             self._keep(job)
             self._changed.notify()
         return job
@@ -212,8 +211,7 @@ class Runner:
                     return
                 notes.append(f"{step.doing} failed: {why}")
         answer = _answer(job, place)
-        answer["warnings"] = [*answer.get("warnings", []), *notes]
-        self._end_job(job.id, DONE, answer=answer)
+        self._end_job(job.id, DONE, answer=replace(answer, warnings=[*answer.warnings, *notes]))
 
     def _step(self, id_: str, step: Step, place: Path, number: int) -> int:
         """Run one process to its end, and return its exit code."""
@@ -245,14 +243,14 @@ class Runner:
                     process.wait(LOOK_EVERY_S)
         return process.returncode
 
-    def _end_job(self, id_: str, state: str, error: str = "", answer: dict[str, Any] | None = None) -> None:
+    def _end_job(self, id_: str, state: str, error: str = "", answer: Answer | None = None) -> None:
         place = self.kept.place(id_)
         outputs = tuple(sorted(path.name for path in (place / "out").glob("*") if path.is_file()))
         with self._changed:
             job = self._jobs[id_]
             if job.state != RUNNING:
                 return
-            job = replace(job, state=state, error=error, answer=answer or {}, outputs=outputs, ended=time.time())
+            job = replace(job, state=state, error=error, answer=answer or Answer(), outputs=outputs, ended=time.time())
             job = replace(job, share=None, doing="", pid=0)
         if state == DONE:
             job = self.ended(job, place)
@@ -281,12 +279,13 @@ def _why(code: int, place: Path) -> str:
     return messages.why_failed(code, messages.log_end(place))
 
 
-def _answer(job: Job, place: Path) -> dict[str, Any]:
+def _answer(job: Job, place: Path) -> Answer:
     """Read what the first step printed; empty where that is no JSON."""
     with suppress(OSError, ValueError, LookupError, TypeError, AttributeError):
         result = json.loads((place / "0.json").read_text(encoding="utf-8").splitlines()[-1])
-        return json.loads(messages.without_folder(json.dumps(answer_of(job.kind, result), ensure_ascii=False), place))
-    return {}
+        text = json.dumps(asdict(answer_of(job.kind, result)), ensure_ascii=False)
+        return Answer(**json.loads(messages.without_folder(text, place)))
+    return Answer()
 
 
 def _environment() -> dict[str, str]:

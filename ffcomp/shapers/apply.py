@@ -154,33 +154,35 @@ def _delayed(
 
 
 def dominant_frequencies(machine: Machine, xy: FloatArray) -> FloatArray:
-    """Return the frequencies (2,) Hz of the modes at a position (2,) mm that the nozzle vibrates most in along X and Y.
+    """Return the frequencies (n, 2) Hz of the modes at positions (n, 2) mm that the nozzle vibrates most in along X, Y.
 
     For the same commanded acceleration, that is the largest |X/Ẍ_d| = |G|/ω² at a natural frequency, with G from
     commanded to real nozzle. The drive's resonance is not among the modes: it is the same everywhere.
     """
-    natural = machine.vibration.modes_at(xy).frequencies_hz
-    loudness = (
-        np.abs(machine.vibration.frequency_response(xy, natural, "nozzle", "nozzle")) / natural[:, None, None] ** 2
-    )  # (modes, 3, 3)
-    return natural[np.argmax(loudness[:, [0, 1], [0, 1]], axis=0)]
+    found = np.empty((len(xy), 2))
+    for k, modes in enumerate(machine.vibration.modes(xy)):
+        natural = modes.frequencies_hz
+        response = machine.vibration.frequency_response(xy[k], natural, "nozzle", "nozzle")  # (modes, 3, 3)
+        loudness = np.abs(response) / natural[:, None, None] ** 2
+        found[k] = natural[np.argmax(loudness[:, [0, 1], [0, 1]], axis=0)]
+    return found
 
 
 def over_the_bed(
     machine: Machine, frequencies_at: Callable[[FloatArray], FloatArray], pitch_mm: float = 10.0
 ) -> FrequencyOfPosition:
-    """Tabulate frequencies, (2,) mm → (2,) Hz, at the nodes of a square grid, and interpolate linearly between them.
+    """Tabulate frequencies, (n, 2) mm → (n, 2) Hz, at the nodes of a square grid, and interpolate between them.
 
     Where the dominant mode changes, its frequency jumps, and with it the shaped position would; between two nodes the
     interpolation makes a slope of it. Outside the bed the value at the rim's nearest node holds.
     """
     reach = machine.kinematics.model_reach_mm
     if not reach:
-        everywhere = frequencies_at(np.zeros(2))
+        everywhere = frequencies_at(np.zeros((1, 2)))[0]
         return lambda xy: np.tile(everywhere, (len(xy), 1))
     x = np.linspace(-reach, reach, 2 * int(np.ceil(reach / pitch_mm)) + 1)
     nodes = _inside(np.stack(np.meshgrid(x, x, indexing="ij"), axis=-1).reshape(-1, 2), reach)
-    values = np.array([frequencies_at(node) for node in nodes]).reshape(len(x), len(x), 2)
+    values = frequencies_at(nodes).reshape(len(x), len(x), 2)
 
     def of_position(xy: FloatArray) -> FloatArray:
         return _interpolated(np.ascontiguousarray(_inside(xy, reach)), reach, values)

@@ -21,7 +21,6 @@ from models.errors import UnreachableError
 
 SLACK_MM = 1e-6  # a point on the rim, written with rounded digits, is inside
 INSIDE_MM = 1e-4  # what a command keeps from the border: one digit of the text
-OUTLINE_POINTS = 72
 
 TOWERS, AXES = ("A", "B", "C"), ("x", "y", "z")
 ALONG: Mapping[str, tuple[str, ...]] = {"xy": AXES[:2], **{axis: (axis,) for axis in AXES}}
@@ -119,12 +118,6 @@ class Kinematics(ABC):
     @abstractmethod
     def around(self, share: float, margin_mm: float) -> FloatArray:
         """Return six positions (6, 2) mm around the centre, at a share of the way out and a margin from the border."""
-
-    @property
-    def bed_outline(self) -> FloatArray:
-        """Return a closed line of points (k, 2) mm along the border of the bed."""
-        outline = self.rings(1, OUTLINE_POINTS)[1:]
-        return np.concatenate([outline, outline[:1]])
 
     @property
     def bed_may_move(self) -> bool:

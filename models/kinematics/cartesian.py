@@ -106,12 +106,6 @@ class CartesianKinematics(Kinematics):
         return np.asarray(self.centre_mm + np.minimum(share * half, half - margin_mm) * rings(np.ones(1), 6)[1:])
 
     @property
-    def bed_outline(self) -> FloatArray:
-        """Return a closed line of points (k, 2) mm along the border of the bed."""
-        (x0, x1), (y0, y1) = self.range_mm[:2]
-        return np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1], [x0, y0]])
-
-    @property
     def bed_radius_mm(self) -> float:
         """Return how far from the middle of the bed the nozzle may go."""
         return float(0.5 * np.ptp(self.range_mm[:2], axis=1).max())

@@ -14,8 +14,7 @@ from models.effects.effect import Signals
 from models.kinds import driven_axis
 from models.machine import Machine
 from models.printer.kernels.motors import slopes
-from models.printer.kernels.one_axis import AxisInput, integrate_axis
-from models.printer.kernels.record import AXIS_PARAMETERS
+from models.printer.kernels.one_axis import AXIS_PARAMETERS, AxisInput, integrate_axis
 
 LONGEST_STEP_S = 0.002
 STEP_RAD = 0.25  # may the fastest mode turn in a step

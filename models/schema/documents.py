@@ -216,6 +216,9 @@ class PrinterDocument(Document):
             marlin=None
             if self.firmware.marlin is None
             else self.firmware.marlin.settings(self.limits.limits(), self.moves == "carriages"),
+            reprapfirmware=None
+            if self.firmware.reprapfirmware is None
+            else self.firmware.reprapfirmware.settings(self.limits.limits(), self.moves == "carriages"),
             pressure=None if self.extruder is None else self.extruder.pressure(),
         )
 

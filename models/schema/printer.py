@@ -3,12 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypeVar
 
 import numpy as np
 from pydantic import Field, model_validator
 
-from models.machine import CORNER_MM_PER_S, REFERENCE_MM_PER_S, MarlinSettings, MotionLimits, Pressure, Steps
+from models.machine import (
+    CORNER_MM_PER_S,
+    REFERENCE_MM_PER_S,
+    MarlinSettings,
+    MotionLimits,
+    Pressure,
+    RepRapFirmwareSettings,
+    Steps,
+)
 from models.schema.table import FOUR, THREE, TWO, Place, Table, refuse
 
 DEFAULT_LIMITS = MotionLimits(velocity_mm_per_s=0, acceleration_mm_per_s2=0)  # these two have no default
@@ -97,6 +105,17 @@ Speeds = Annotated[list[Annotated[float, Field(ge=0.01, le=5000)]], FOUR]
 Accelerations = Annotated[list[Annotated[float, Field(ge=1, le=1e6)]], FOUR]
 
 
+_Settings = TypeVar("_Settings", MarlinSettings, RepRapFirmwareSettings)
+
+
+def _stated(table: Table, settings: _Settings) -> _Settings:
+    stated: dict[str, Any] = {
+        key: tuple(value) if isinstance(value, list) else value
+        for key, value in table.model_dump(exclude_none=True).items()
+    }
+    return replace(settings, **stated, stated=tuple(stated))
+
+
 class MarlinTable(Table):
     """`[firmware.marlin]`: what M503 says of the planner, and what the firmware was built with."""
 
@@ -119,11 +138,23 @@ class MarlinTable(Table):
 
         towers : of a delta
         """
-        stated: dict[str, Any] = {
-            key: tuple(value) if isinstance(value, list) else value
-            for key, value in self.model_dump(exclude_none=True).items()
-        }
-        return replace(MarlinSettings.within(limits, towers), **stated, stated=tuple(stated))
+        return _stated(self, MarlinSettings.within(limits, towers))
+
+
+class RepRapFirmwareTable(Table):
+    """`[firmware.reprapfirmware]`: what config.g says of the planner."""
+
+    speed_mm_per_s: Speeds | None = None
+    acceleration_mm_per_s2: Accelerations | None = None
+    jerk_mm_per_s: Speeds | None = None
+    printing_acceleration_mm_per_s2: float | None = Field(None, ge=1, le=1e6)
+    travel_acceleration_mm_per_s2: float | None = Field(None, ge=1, le=1e6)
+    jerk_policy: int | None = Field(None, ge=0, le=1)
+    queue_moves: int | None = Field(None, ge=2, le=1000)
+
+    def settings(self, limits: MotionLimits, delta: bool) -> RepRapFirmwareSettings:
+        """Return the settings; what the file does not state is by its `[limits]`."""
+        return _stated(self, RepRapFirmwareSettings.within(limits, delta))
 
 
 class FirmwareTable(Table):
@@ -131,6 +162,7 @@ class FirmwareTable(Table):
 
     flavor: Literal["klipper", "marlin", "reprapfirmware"] | None = None
     marlin: MarlinTable | None = None
+    reprapfirmware: RepRapFirmwareTable | None = None
 
 
 MacroName = Annotated[str, Field(pattern=r"^@?[A-Za-z_]\w*$")]

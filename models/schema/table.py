@@ -72,6 +72,8 @@ RULES = {  # pydantic's type of error -> our rule, filled in from its context
     "greater_than": "must be greater than {gt:g}{unit}",
     "less_than": "must be less than {lt:g}{unit}",
     "float_type": "must be a number{unit}",
+    "int_type": "must be a whole number",
+    "bool_type": "must be true or false",
     "finite_number": "must be a finite number{unit}",
     "string_type": "must be a text in quotes",
     "string_too_short": "must not be empty",

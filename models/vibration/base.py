@@ -20,7 +20,6 @@ from models.quantities import Quantities
 from models.vibration.state_space import StateSpace
 
 if TYPE_CHECKING:
-    from control import FrequencyResponseData
     from control import StateSpace as ControlStateSpace
 
 SWINGING = 1e-6  # imaginary part of a pole over its size; below, rounding alone keeps two real poles from meeting
@@ -335,22 +334,4 @@ def to_control(
         outputs=[f"{KINDS[output]}_{name}" for name in (channels if output == "carriage" else AXES)],
         states=[plant.names[i] for i in keep],
         name=f"{output}_per_{input}",
-    )
-
-
-def frf_to_control(
-    frequency_hz: FloatArray, value: ComplexArray, inputs: Sequence[str], outputs: Sequence[str]
-) -> FrequencyResponseData:
-    """Return a frequency response as data of python-control.
-
-    Parameters
-    ----------
-    frequency_hz : (k,) Hz.
-    value : (k, outputs, inputs).
-    """
-    import control
-
-    omega = 2 * np.pi * np.asarray(frequency_hz)
-    return control.FrequencyResponseData(
-        np.moveaxis(np.asarray(value), 0, -1), omega, inputs=list(inputs), outputs=list(outputs)
     )

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from ffcomp.cli.app import app
+from ffcomp.diagnosis.acceptance import OtherMotion
 from ffcomp.diagnosis.gap import ResidualBreakdown, ResidualSize
 from ffcomp.diagnosis.result import DiagnosisResult, FileNumbers, Gap, Rest
 from ffcomp.diagnosis.separation import Separation
@@ -27,10 +28,12 @@ from tests.support.containers import archive_3mf
 from tests.support.identification import blank, measured, paper_bench, towers_bench
 from tests.support.json_page import Page
 from tests.support.prints import squares
+from tests.support.quickest import made_up_quickest
 from tests.support.recordings import write_captures
 from tests.support.reference import MACHINE, MACHINE_FILE, REFERENCE, ROOT, SMALL, call, examples
 
 TRUTH = load_machine("mp-delta-pro")
+pytestmark = pytest.mark.usefixtures("undrawn")
 
 
 @pytest.fixture(scope="module")
@@ -124,7 +127,9 @@ def test_compare(page: Page, folder: Path) -> None:
     hold(page, "ffcomp-compare/1", told("compare", print_, *MACHINE, *options))
 
 
-def test_equal_quality(page: Page, folder: Path) -> None:
+def test_equal_quality(page: Page, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of an answer made up: `test_quickest.py` holds a real one."""
+    monkeypatch.setattr("ffcomp.comparison.quickest.quickest", lambda printed, *_, **__: made_up_quickest(printed.path))
     print_ = folder / "squares.gcode"
     print_.write_bytes(squares(1))
     options = ("--only", "mzv", "--equal-quality", "--mismatch", "5%", "--seeds", "1", "--min-layer-time-s", "0", "-q")
@@ -195,6 +200,7 @@ def _outcome(finding: str) -> DiagnosisResult:
         intervals={f"effects.{name}.force_n": normal(1.1, 0.1)},
         confidence={name: 0.99},
         evidence=800.0,
+        others=[OtherMotion("b-1.csv", 0.3, 0.02, "coulomb_friction.force_n", 0.05, 0.015)],
         rejections=["The interval holds zero."] if verdict == "unknown" else [],
         invisible=["cogging"],
         confounded_with=[("joint_friction", "Move one carriage by itself.")],
@@ -236,6 +242,9 @@ def test_record(page: Page, folder: Path, corexy: Path) -> None:
     captures[1].write_text(captures[0].read_text(encoding="utf-8").replace("accel_x", "##drops=1"), encoding="utf-8")
     joined = ("record", "join", *captures, "--plan", folder / "moves.json", *MACHINE, "-o", folder / "runs", "-q")
     hold(page, "ffcomp-join/1", told(*joined))
+    stretches = write_captures(folder / "print.json", TRUTH, folder / "stretches")
+    of_print = ("--plan", folder / "print.g", "-o", folder / "updated.toml")
+    hold(page, "ffcomp-update/1", told("identify", "update", *stretches, *of_print, *MACHINE, "-q"))
     checks = ("record", "check", *captures, "--plan", folder / "moves.json", *MACHINE, "--history", folder / "h.jsonl")
     soft = replace(TRUTH, effects={"belt_stiffness": {"relative_change": [0.0, -0.1, 0.0]}})
     later = write_captures(folder / "moves.json", soft, folder / "later", kinds=("zigzag",))

@@ -135,7 +135,7 @@ def test_the_arrays_of_a_step_archive_are_told(tmp_path: Path, kind: str) -> Non
 
 
 def test_exit_codes_are_those_of_the_errors() -> None:
-    codes = {int(row[0]) for row in rows_of(REFERENCE / "exit_codes_and_log.md", "Exit codes")}
+    codes = {int(row[0]) for row in rows_of(REFERENCE / "files.md", "Exit codes")}
     errors = [each for each in FfcompError.__subclasses__() if each.__module__ == FfcompError.__module__]
     assert {each.exit_code for each in errors} | {0, 1, 2, 4, 130, 141, 143} == codes
     table = rows_of(REFERENCE / "python.md", "What can go wrong")

@@ -296,7 +296,7 @@ def test_an_interrupt_leaves_what_is_finished(prints: list[Path], alone: list[by
         if prints[0].read_bytes() != a_print(3):
             break
         time.sleep(0.1)
-    time.sleep(1.0)  # the process that is done has yet to say so
+    time.sleep(0.5)  # the process that is done has yet to say so
     process.send_signal(signal.SIGINT)
     _, errors = process.communicate(timeout=60)
     assert process.returncode == 130 and "Interrupted; 1 of 2 files are done" in errors, errors

@@ -24,12 +24,12 @@ from ffcomp.inverse import lq_preview
 from ffcomp.inverse.reference import Extent
 from ffcomp.inverse.settings import settings_for
 from ffcomp.metrics import contour_error
-from ffcomp.planner.program import firmware_plan, plan_program
+from ffcomp.planner.program import firmware_plan, known_to_the_firmware, plan_program
 from ffcomp.planner.trajectory import PathPosition
-from ffcomp.simulation.command import path_corners_with_rests
+from ffcomp.simulation.command import path_corners, path_corners_with_rests, section_starts
 from ffcomp.steps.archive import read_steps
 from ffcomp.steps.sink import Board
-from gcode.dialects import KLIPPER
+from gcode.dialects import KLIPPER, MARLIN
 from gcode.embedded import original
 from gcode.errors import GcodeError
 from gcode.layers import LayerLookup
@@ -38,6 +38,7 @@ from gcode.reader import read_parts, read_program
 from gcode.slicing import join, split
 from models.file import load_machine
 from models.machine import Machine
+from studies import marlin
 from tests.support.compensated import compensated, job
 from tests.support.steps import read_events
 from validation.invariants import violations
@@ -189,6 +190,33 @@ def test_a_spiral_is_cut_in_motion_without_a_trace(spiral: bytes, machine: Machi
     t = np.linspace(1.0, both[0].trajectory.end_t - 1.0, 20_000)
     off = contour_error(path_t, path, t, both[0].trajectory.position(t)[:, :3])
     assert off.max() < 1.5e-3  # mm: segments are joined where they stay this near to what was solved
+
+
+def test_marlins_steps_behind_a_cut_leave_the_same_error(machine: Machine, small_parts: None) -> None:
+    """Beside a cut, windows at the limits lie elsewhere: 0.1 µm of the command, and from there on other whole steps.
+
+    Ends of segments are then tens of µm apart until the choice begins anew, and what an independent printer leaves is
+    the same.
+    """
+    data, scores = vase(1200, 4800.0), []
+    planned = plan_program(read_program(data, flavor=MARLIN, **known_to_the_firmware(machine)), machine)
+    for most in (400, 10**9):
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr("ffcomp.compensation.chunks.MOST_MOVES", most)
+            text, result = compensated(data, machine, flavor=MARLIN, predict=False)
+        assert original(text) == data and violations(data, text, machine, flavor=MARLIN) == []
+        program = read_program(text, flavor=MARLIN, **known_to_the_firmware(machine))
+        plan, motors = marlin.played(program, machine)
+        clock = section_starts(program, planned).clock(plan.start_t)
+        score = marlin.score(motors, "mp-delta-pro", clock, path_corners(planned.trajectory))
+        scores.append((result.statistics.windows, result.statistics.print_time_s, program.moves.end[-1], score))
+    (windows, print_time_s, end, cut), (fewer, whole_s, whole_end, whole) = scores
+    assert windows > fewer  # there were cuts
+    assert print_time_s == pytest.approx(whole_s, abs=1e-4)
+    assert end == pytest.approx(whole_end, abs=1e-4)
+    assert cut.seconds == pytest.approx(whole.seconds, abs=1e-3)
+    assert cut.rms_um == pytest.approx(whole.rms_um, rel=0.03)
+    assert cut.p99_um == pytest.approx(whole.p99_um, rel=0.05)
 
 
 def test_jobs_change_no_byte_of_a_spiral(spiral: bytes, machine: Machine, short_spirals: None) -> None:

@@ -19,7 +19,7 @@ from validation import judge
 def test_captures_of_the_hosts_motion_are_joined_with_their_command(tmp_path: Path) -> None:
     """With 122 g hidden, lost rows, tilt and turned axes: two thirds of a sample at worst."""
     plan, told = tmp_path / "moves.gcode", ("-m", judge.MACHINE_FILE, "--json")
-    made = ffcomp("record", "plan", "-o", plan, "--seconds", "2", "--at", "0,0", *told)
+    made = ffcomp("record", "plan", "-o", plan, "--seconds", "2", "--at", "0,0", "--repeats", "1", *told)
     assert "why" not in made, made["why"]
     moves = load_plan(plan.with_suffix(".json"))
     _, real = hidden("effector_mass", 5)

@@ -14,6 +14,7 @@ from typing import Any
 import pytest
 
 from ffcomp.cli.app import app
+from models.finding import user_folder
 from tests.support import stand_in
 from tests.support.browser import Visit, chromium, hard_to_read, visit
 from tests.support.cli import CliRunner
@@ -152,6 +153,7 @@ def test_from_a_configuration_to_a_machine_that_is_measured(quick: None, browser
         seen.page.click(f"{card('import')} >> text=Use it", timeout=WAIT_MS)
         assert seen.page.input_value(".machines") == "my-delta"
         seen.page.click("#tab-measure")
+        seen.page.click("#sensor summary")
         seen.page.fill("[name=at]", "0,0")
         press(seen, "plan")
         seen.page.wait_for_selector(card("plan"), timeout=WAIT_MS)
@@ -168,6 +170,60 @@ def test_from_a_configuration_to_a_machine_that_is_measured(quick: None, browser
         check(seen, server, width)
         own = seen.page.locator(".machines optgroup[label=Yours] option").all_inner_texts()
         assert own == ["my-delta", "my-delta-measured"]
+
+
+def test_each_way_to_know_my_machine_takes_six_clicks_at_most(
+    quick: None, browser: Any, server: Any, tmp_path: Path
+) -> None:
+    clicks = [0]
+    with visit(browser, address(server), 390) as seen:
+        attached(seen, READY)
+        seen.page.select_option(".machines", "kossel")
+
+        def click(selector: str) -> None:
+            seen.page.click(selector, timeout=WAIT_MS)
+            clicks[0] += 1
+
+        def choose(place: str, *files: tuple[str, bytes]) -> None:
+            with seen.page.expect_file_chooser() as chooser:
+                click(f"#drop-{place}")
+            chooser.value.set_files([payload(*each) for each in files])
+
+        def downloaded(kind: str) -> None:
+            with seen.page.expect_download():
+                click(f"{card(kind)} >> text=Download moves.gcode")
+
+        def kept(kind: str) -> int:
+            assert clicks[0] < 6
+            click(f"{card(kind)} >> text=Keep as my machine")
+            seen.page.wait_for_selector(f"{card(kind)} >> text=Kept and chosen", timeout=WAIT_MS)
+            taken, clicks[0] = clicks[0], 0
+            click("#tab-measure")
+            return taken
+
+        click("#tab-measure")
+        click("[data-job=excite]")
+        downloaded("excite")
+        choose("captures", ("adxl345-a-1.csv", b"1"), ("adxl345-b-1.csv", b"2"))
+        click("[data-job=fit]:enabled")
+        assert kept("fit") == 6
+        click("[data-job=page]")
+        downloaded("page")
+        assert seen.page.is_disabled("[data-job=scan]")
+        choose("pictures", ("page.jpg", b"1"))
+        click("[data-job=scan]:enabled")
+        assert kept("scan") == 6
+        seen.page.fill("[name=x_hz]", "48")
+        click("[data-job=ringing]")
+        assert kept("ringing") == 3
+        choose("captures", ("recorded.gcode", b"G28"))  # beside the captures of before
+        click("[data-job=update]:enabled")
+        assert seen.page.is_disabled("[data-job=fit]")
+        assert kept("update") == 4
+        assert "5 % of its motion is left; with the file as it was 20 %" in seen.page.inner_text(card("update"))
+        check(seen, server, 390)
+    name = "kossel" + 4 * "-measured"
+    assert (user_folder() / f"{name}.updates.jsonl").read_text() == "{}\n"  # the history goes with the file
 
 
 def test_a_job_is_cancelled_and_started_again(quick: None, browser: Any, server: Any) -> None:

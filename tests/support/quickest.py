@@ -9,7 +9,7 @@ from ffcomp.comparison.result import Family, Party, Piece, Quickest, TimedMethod
 
 def made_up_quickest(path: str = "print.gcode") -> Quickest:
     """Return one of a print that took 5 h 12 min."""
-    party = Party("printer", "0" * 64, (), False)
+    party = Party("printer", "0" * 64)
     every = [
         timed("none", "no compensation", "none", 40_000.0, 80.0),
         timed("mzv", "MZV, best fixed", "best fixed", 19_000.0, 24.0),
@@ -57,4 +57,5 @@ def timed(name: str, label: str, family: Family, seconds: float, p99_um: float) 
         None if own_feeds else 5000.0,
         {"flow": 0.6 * seconds, "error_bound": 0.4 * seconds} if own_feeds else {},
         (p99_um, 2 * p99_um),
+        {"External perimeter": p99_um},
     )

@@ -13,13 +13,15 @@ for. Conditions:
     weak         at a thirtieth to a third of the size (half, if it is one of the file's numbers)
     sensors      only some of the channels of a delta, or encoders, or a laser
     few          one repeat of one motion
+    free-damping the damping sits anywhere between belts and guides, of which the file knows nothing
+    rest         beside what is hidden something that no entry of the catalogue is meant for, worth 5 to 20 %
 """
 
 from __future__ import annotations
 
 import zlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
 
@@ -34,7 +36,23 @@ from validation.blind.tables import toml_of
 from validation.blind.visible import PROBE, Visibility, retuning, samples, visibility, whitened
 
 HIDES = ("nothing", "single", "pair", "outside")
-CONDITIONS = ("usual", "rough-file", "joined", "exact-file", "weak", "sensors", "few")
+CONDITIONS = ("usual", "rough-file", "joined", "exact-file", "weak", "sensors", "few", "free-damping", "rest")
+REST = (0.05, 0.2)  # of what all that is hidden is worth when the file's numbers are refitted
+LARGEST_REST = 1.5  # times its usual size
+RESTS = (  # that may be of any size
+    "off_centre_pulley",
+    "warming_belt",
+    "swinging_cable",
+    "fans_tone",
+    "notched_wheel",
+    "creeping_belt",
+    "heavy_rotor",
+    "one_sided_belt",
+    "warming_motor",
+    "commutation",
+    "bent_rail",
+    "unbalanced_spindle",
+)
 WEAK = (0.03, 0.3)  # of the size, drawn evenly in its logarithm
 RATE_HZ = 1600.0
 # what must pass a file's uncertainty before it is an effect comes in weak by half; what is there or not, not at all
@@ -59,6 +77,7 @@ NEVER_TOGETHER = (
     {"torque_angle", "belt_backlash"},
     {"center_of_mass", "force_map"},
     {"gantry_racking", "toolhead_mode"},
+    {"belt_damping", "guide_damping"},
 )
 
 
@@ -85,6 +104,9 @@ class Label:
     visibility: Mapping[str, Visibility]  # of each, the others present
     alike: tuple[str, ...]  # names that no sensor can tell from the truth, by construction
     around: Circumstances
+    # what is true as well, and need not be named: damping in the belts
+    also: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    rest: Mapping[str, float] = field(default_factory=dict)  # what no entry is meant for, and what share it is worth
 
     @property
     def stratum(self) -> str:
@@ -148,6 +170,7 @@ class Plan:
     without: Mapping[str, Real]  # the printer with all that is hidden but this
     plain: Real
     sensors: Sensors
+    spreads: tuple[float, ...]  # of the numbers of the file, as `kind.probes` has them
     motions: tuple[Motion, ...]
     repeats: tuple[int, ...]
     fresh: tuple[Motion, ...]
@@ -192,12 +215,20 @@ def draw(seed: int, stratum: str, seconds: float = 3.0, short: bool = False) -> 
     wanted = Wanted.parse(stratum)
     kind = KINDS[wanted.machine]
     names = _names(seed, wanted) if wanted.names is None else wanted.names
-    own = [np.random.default_rng([seed, n]) for n in range(5)]
-    machine = kind.draw(own[1], names)
+    own = [np.random.default_rng([seed, n]) for n in range(6)]
+    drawn = machine = kind.draw(own[1], names)
+    also: Tables = {}
+    free = wanted.condition == "free-damping" and "belt_damping" not in names
+    if free:
+        assert kind.damped is not None
+        machine, table = kind.damped(drawn, float(np.clip(own[5].uniform(-0.15, 1.15), 0.0, 1.0)))
+        also = {"belt_damping": table} if table else {}
     around = _circumstances(kind, wanted, own[0], machine)
     sizes = _sizes(wanted.condition, names, own[0])
     real, tables = _hidden(kind, machine, seed, sizes)
-    file = kind.file_of(machine, around.file_error, own[3])
+    file = kind.file_of(drawn, around.file_error, own[3])
+    if free and kind.unknown:
+        file["uncertainty"] = {**file.get("uncertainty", {}), **{f'"{key}"': 1.0 for key in kind.unknown}}
     motions, fresh = kind.motions(machine, own[2], seconds, short)
     repeats = (4 if kind.repeats > 1 else 1, 1) if short else _repeats(wanted.condition, around, motions)
     if wanted.condition == "joined":
@@ -205,7 +236,7 @@ def draw(seed: int, stratum: str, seconds: float = 3.0, short: bool = False) -> 
     inside = kind.restated({name: tables[name] for name in names if name in kind.effects}, real.machine, file)
     outside = "".join(name for name in names if name in kind.outside)
     alike = _alike(inside, around.sensors)
-    return Plan(
+    plan = Plan(
         kind=kind,
         file=file,
         firmware=machine["kinematics"],
@@ -213,11 +244,13 @@ def draw(seed: int, stratum: str, seconds: float = 3.0, short: bool = False) -> 
         without={name: _hidden(kind, machine, seed, {**sizes, name: 0.0})[0] for name in names},
         plain=_hidden(kind, machine, seed, dict.fromkeys(names, 0.0))[0],
         sensors=draw_sensors(own[4], around.sensors, RATE_HZ),
+        spreads=_spreads(kind, machine, file, max(around.file_error, 0.02)),
         motions=motions,
         repeats=repeats,
         fresh=fresh,
-        label=Label(wanted.machine, wanted.hides, wanted.condition, seed, inside, outside, {}, alike, around),
+        label=Label(wanted.machine, wanted.hides, wanted.condition, seed, inside, outside, {}, alike, around, also),
     )
+    return plan if wanted.condition != "rest" else _with_rest(plan, own[5], seed)
 
 
 def _sizes(condition: str, names: Sequence[str], rng: np.random.Generator) -> dict[str, float]:
@@ -290,15 +323,54 @@ def _records(
             name = f"{motion.name}-{n + 1}.csv" if count > 1 else f"{motion.name}.csv"
             if plan.kind.force is not None:
                 given = plan.kind.force(plan.real.machine, times, reading, rng)
-            found[name] = csv_of(times, given, plan.sensors.record(reading, rng))
+            found[name] = csv_of(times, given, plan.kind.columns(plan.real.machine, plan.sensors.record(reading, rng)))
     return found
+
+
+def _spreads(kind: Kind, machine: Tables, file: Tables, usual: float) -> tuple[float, ...]:
+    """Return the standard deviation of each number that is probed, as a share of what it really is."""
+    spreads = [usual for _ in kind.probes(machine, PROBE)]
+    for key, at in kind.unknown.items():
+        table, _, name = key.partition(".")
+        if f'"{key}"' in file.get("uncertainty", {}):
+            spreads[at] = file[table][name] / machine[table][name]
+    return tuple(spreads)
+
+
+def _with_rest(plan: Plan, rng: np.random.Generator, seed: int) -> Plan:
+    """Hide something else beside: the first of some that can be worth its share, by the first two motions."""
+    wanted, found = rng.uniform(*REST), plan
+    for name in map(str, rng.permutation([each for each in plan.kind.outside if each in RESTS])):
+        size = 1.0
+        for _ in range(3):
+            found, share = _beside(plan, name, size, seed)
+            if share <= 0.0 or abs(share - wanted) < 0.1 * wanted:
+                break
+            size *= float(np.sqrt(wanted / (1 - wanted) * (1 - share) / share))
+            size = min(max(size, 1e-3), LARGEST_REST)
+        if REST[0] <= share <= REST[1]:
+            break
+    return found
+
+
+def _beside(plan: Plan, name: str, size: float, seed: int) -> tuple[Plan, float]:
+    """Hide something else beside, and return what share of all that is hidden it is worth."""
+
+    def beside(real: Real) -> Real:
+        return plan.kind.outside[name](np.random.default_rng([seed, zlib.crc32(name.encode())]), size, real)[1]
+
+    without = {each: beside(real) for each, real in plan.without.items()}
+    found = replace(plan, real=beside(plan.real), without=without)
+    short = replace(found, motions=plan.motions[:2], repeats=plan.repeats[:2], without={**without, "": plan.real})
+    *effects, rest = (each.left for each in _seen(short, short.readings(short.real, short.motions)).values())
+    share = rest / (sum(effects) + rest)
+    return replace(found, label=replace(plan.label, rest={name: share})), share
 
 
 def _seen(plan: Plan, readings: Sequence[Reading]) -> dict[str, Visibility]:
     """Return what can be seen of each hidden thing."""
     if not plan.without:
         return {}
-    spread = max(plan.label.around.file_error, 0.02)
     probed = plan.kind.probes(plan.plain.machine, PROBE)
     players = [
         partial(plan.judged, Real(machine, readers=plan.plain.readers), readings, True)
@@ -306,7 +378,7 @@ def _seen(plan: Plan, readings: Sequence[Reading]) -> dict[str, Visibility]:
     ]
     taken = zip(samples(plan.sensors, readings), samples(plan.sensors, players[0]()), strict=True)
     counts = [min(pair) for pair in taken]
-    n = retuning(players[0], players[1:], plan.sensors, plan.repeats, counts, spread)
+    n = retuning(players[0], players[1:], plan.sensors, plan.repeats, counts, plan.spreads)
     own = readings if plan.kind.replayed is None else [plan.kind.replayed(None, reading) for reading in readings]
     true = whitened(plan.sensors, own, plan.repeats, counts)
     others = {name: plan.judged(real, readings) for name, real in plan.without.items()}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -16,11 +16,13 @@ from validation.blind.delta.outside import OUTSIDE as DELTA_OUTSIDE
 from validation.blind.printer.motions import KINDS as MOTIONS
 from validation.blind.printer.motions import Motion, Path, Place
 from validation.blind.printer.real import FloatArray, Hide, Labels, Reading, Real, Rng, Tables
-from validation.blind.straight import forced, single
+from validation.blind.sensors import columns_of
+from validation.blind.straight import forced, single, turning
 from validation.blind.straight import machines as straight
 from validation.blind.straight.forced_effects import EFFECTS as FORCED_EFFECTS
 from validation.blind.straight.forced_effects import OUTSIDE as FORCED_OUTSIDE
-from validation.blind.straight.hidden import effects_of
+from validation.blind.straight.forced_effects import TURNING
+from validation.blind.straight.hidden import damped_by_belts, effects_of
 from validation.blind.straight.outside import OUTSIDE as STRAIGHT_OUTSIDE
 
 MEASURED = (  # motion, place, name, loudness
@@ -44,6 +46,8 @@ OF_A_STAGE = (
 FRESH_OF_A_STAGE = (("multisine", 5, "fresh", 1.2), ("strokes", 5, "fresh", 1.3))
 Given: TypeAlias = Callable[[Tables, FloatArray, Reading, Rng], dict[str, FloatArray]]
 Replayed: TypeAlias = Callable[[Real | None, Reading], Reading]
+Columns: TypeAlias = Callable[[Tables, Mapping[str, FloatArray]], dict[str, FloatArray]]
+Damped: TypeAlias = Callable[[Tables, float], tuple[Tables, dict[str, Any]]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,6 +70,11 @@ class Kind:
     repeats: int = 2  # of the first motions
     force: Given | None = None  # what is recorded of the force that drives it, by column
     replayed: Replayed | None = None  # another machine under a reading's forces, or the reading itself, as it is judged
+    columns: Columns = lambda _, measured: columns_of(measured)
+    # the machine with a share of its damping in its belts, and the table of it where a file that says nothing is wrong
+    damped: Damped | None = None
+    # numbers of a file that knows nothing of them where damping is anywhere, and which of `probes` is of each
+    unknown: Mapping[str, int] = field(default_factory=dict)
 
     def command(self, firmware: Mapping[str, Any], path: FloatArray, axes: str) -> FloatArray:
         """Return what a run's file has as the command, (n, axes) mm, of a nozzle's path."""
@@ -137,6 +146,7 @@ def _straight(kind: str, sensors: str) -> Kind:
         sensors=sensors,
         axes="xyz",
         moving=(1.0, 1.0, 0.0),
+        damped=damped_by_belts,
     )
 
 
@@ -151,6 +161,8 @@ _DELTA = Kind(
     restated=delta_machines.restated,
     sensors="all",
     axes="ABC",
+    damped=delta_machines.damped_by_belts,
+    unknown=dict(zip(delta_machines.DAMPERS, (3, 4), strict=True)),
 )
 _AXIS = Kind(
     draw=lambda rng, names: single.draw_machine(rng),
@@ -164,6 +176,7 @@ _AXIS = Kind(
     sensors="axis",
     axes="q",
     moving=(1.0, 0.0, 0.0),
+    damped=damped_by_belts,
 )
 _FORCED = Kind(
     draw=forced.draw_machine,
@@ -183,6 +196,15 @@ _FORCED = Kind(
     force=forced.given,
     replayed=forced.replayed,
 )
+_TURNING = replace(
+    _FORCED,
+    draw=turning.draw_machine,
+    file_of=turning.file_of,
+    effects=TURNING,
+    restated=turning.restated,
+    force=turning.given,
+    columns=turning.columns,
+)
 KINDS: Mapping[str, Kind] = {
     "delta": _DELTA,
     "nozzle": replace(_DELTA, sensors="effector", axes="xyz"),  # what owners have: one chip on the nozzle holder
@@ -190,8 +212,9 @@ KINDS: Mapping[str, Kind] = {
     "corexy": _straight("corexy", "effector"),
     "axis": _AXIS,
     "axis-by-force": _FORCED,
+    "turning": _TURNING,
 }
 MACHINES: Mapping[str, Sequence[str]] = {  # that a bank takes in turn; those of one place in it take turns too
-    **{name: (name,) for name in KINDS if not name.startswith("axis")},
-    "axis": ("axis", "axis-by-force"),
+    **{name: (name,) for name in ("delta", "nozzle", "cartesian", "corexy", "axis")},
+    "servo": ("axis-by-force", "turning"),
 }

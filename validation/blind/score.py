@@ -25,6 +25,7 @@ INEXACT = {
     "belt_hardening": ("cubic_n_per_m3",),
     "stribeck_friction": ("extra_force_n", "velocity_mm_per_s"),
     "belt_position_stiffness": ("q_centre_mm",),
+    "sensor_lag": ("damping_ratio",),
 }
 
 
@@ -39,13 +40,25 @@ class Judged:
 
     @property
     def named(self) -> frozenset[str]:
-        """Return the names of a verdict that names."""
-        return frozenset(effect["name"] for effect in self.verdict.get("effects", []) if self.says == "effects")
+        """Return the names of a verdict that names, without what is true beside and need not be named."""
+        names = {effect["name"] for effect in self.verdict.get("effects", []) if self.verdict["verdict"] == "effects"}
+        return frozenset(names - set(self.label.also))
 
     @property
     def says(self) -> str:
-        """Return the verdict."""
-        return str(self.verdict["verdict"])
+        """Return the verdict; `none` if it names only what need not be named."""
+        verdict = str(self.verdict["verdict"])
+        return "none" if verdict == "effects" and not self.named else verdict
+
+    @property
+    def dominant(self) -> str:
+        """Return the effect that a verdict names with a rest, '' if none."""
+        return str((self.verdict.get("dominant") or {}).get("name", ""))
+
+    @property
+    def right_with_rest(self) -> bool:
+        """Right, or the one effect that is hidden is named with a rest."""
+        return self.right or {self.dominant} == self.truth
 
     @property
     def truth(self) -> frozenset[str]:
@@ -68,6 +81,8 @@ class Judged:
     @property
     def answer(self) -> str:
         """In one word."""
+        if self.dominant:
+            return f"{self.dominant} with a rest"
         return "+".join(sorted(self.named)) if self.says == "effects" else self.says
 
     @property
@@ -84,6 +99,8 @@ def as_wanted(j: Judged) -> bool:
         return j.says == "unknown" or (not j.label.visible and j.says == "none")
     if j.label.hides == "nothing":
         return j.says == "none"
+    if j.label.rest and j.right_with_rest:
+        return True
     return j.right or (not j.label.visible and j.says in ("none", "unknown"))
 
 
@@ -144,8 +161,9 @@ def rates(judged: Sequence[Judged]) -> list[Rate]:
 
     coverage = Rate("true values inside the 90 % interval", sum(covered), len(covered), "85-95 %", _ninety)
     return [
-        rate("top-1, visible single effects", [j.right for j in visible], 0.97),
-        rate("a wrong name alone", [bool(j.named) and not j.named & _acceptable(j) for j in single], 0.01, True),
+        rate("top-1, visible single effects", [j.right for j in visible], 0.95),
+        rate("top-1, alone or with a rest, visible single effects", [j.right_with_rest for j in visible], 0.95),
+        rate("a wrong name alone", [_wrong_alone(j) for j in single], 0.01, True),
         rate("truth in the returned set, visible single effects", [j.in_set for j in visible], 0.98),
         rate("false alarms (nothing hidden)", [j.says == "effects" for j in nothing], 0.02, True),
         rate("nothing hidden and `none` said", [j.says == "none" for j in nothing], 0.98),
@@ -185,6 +203,11 @@ def _ninety(share: float) -> bool:
     return 0.85 <= share <= 0.95
 
 
+def _wrong_alone(j: Judged) -> bool:
+    named = j.named | ({j.dominant} if j.dominant else set())
+    return bool(named) and not named & _acceptable(j)
+
+
 def _acceptable(j: Judged) -> frozenset[str]:
     return j.truth | frozenset(j.label.alike)
 
@@ -212,7 +235,8 @@ def numbers(judged: Sequence[Judged]) -> list[NumberError]:
 
 def _numbers_of(j: Judged) -> Iterator[NumberError]:
     told = {effect["name"]: effect["parameters"] for effect in j.verdict["effects"]}
-    for name, table in j.label.effects.items():
+    also = {} if "guide_damping" in j.label.effects else {k: x for k, x in j.label.also.items() if k in told}
+    for name, table in {**j.label.effects, **also}.items():
         for key, true in table.items():
             if key == "direction" or key in INEXACT.get(name, ()):
                 continue

@@ -97,10 +97,15 @@ def commands_of(command: FloatArray, axes: str) -> dict[str, FloatArray]:
     return {f"cmd_{axis}_mm": command[:, i] for i, axis in enumerate(axes)}
 
 
+def columns_of(measured: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
+    """Return what each channel said by its column in a run."""
+    return {f"{name}_{UNITS[name[:3]]}": values for name, values in measured.items()}
+
+
 def csv_of(times: FloatArray, given: Mapping[str, FloatArray], measured: Mapping[str, FloatArray]) -> str:
-    """Return the text of a run: what drove the machine by column, and what each channel said."""
-    names = ["t_s", *given, *(f"{c}_{UNITS[c[:3]]}" for c in measured)]
-    formats = ["%.7f"] + ["%.6f"] * len(given) + ["%.4f"] * len(measured)
+    """Return the text of a run, by column: what drove the machine, and what was measured."""
+    names = ["t_s", *given, *measured]
+    formats = ["%.7f"] + ["%.6f"] * len(given) + ["%.7f" if "rad" in name else "%.4f" for name in measured]
     rows = np.column_stack([times, *given.values(), *measured.values()])
     row_format = ",".join(formats) + "\n"
     return ",".join(names) + "\n" + "".join(row_format % tuple(row) for row in rows.tolist())

@@ -16,11 +16,12 @@ from validation.blind.kinds import KINDS, MACHINES
 ROUND = ("single", "nothing", "single", "outside", "single", "pair")
 # in turn, for every machine and what is hidden
 CONDITIONS: Mapping[str, Sequence[str]] = {
-    "delta": ("usual", "rough-file"),
-    "nozzle": ("usual", "joined", "rough-file"),
-    "cartesian": ("usual", "rough-file"),
-    "corexy": ("usual", "joined", "rough-file"),
-    "axis": ("usual", "rough-file"),
+    "delta": ("usual", "free-damping", "rest", "rough-file"),
+    "nozzle": ("free-damping", "usual", "joined", "rest"),
+    "cartesian": ("rest", "free-damping", "usual", "rough-file"),
+    "corexy": ("joined", "rest", "free-damping", "usual"),
+    "axis": ("rough-file", "usual", "rest", "free-damping"),
+    "servo": ("usual", "rest", "rough-file"),
 }
 FULL = 240
 
@@ -46,6 +47,8 @@ def full_bank(
         several, conditions = MACHINES[machine], CONDITIONS[machine]
         kind = several[before % len(several)]
         condition = conditions[before // len(several) % len(conditions)]
+        if condition == "rest" and what != "single":  # a rest is beside one effect
+            condition = "usual"
         name = hashlib.sha256(f"{seed} {machine} {turn}".encode()).hexdigest()[:8]
         own = 10000 * seed + 100 * turn + which
         cases[f"case-{name}"] = (own, f"{kind}/{what}/{condition}:{next(names[kind, what])}")

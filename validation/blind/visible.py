@@ -66,11 +66,12 @@ def retuning(
     sensors: Sensors,
     repeats: Sequence[int],
     counts: Sequence[int],
-    spread: float,
+    spreads: Sequence[float],
 ) -> FloatArray:
-    """N : (rows, numbers), the answers of the plain printer to one standard deviation `spread` of each number."""
+    """N : (rows, numbers), the answers of the plain printer to one standard deviation of each number."""
     base = whitened(sensors, plain(), repeats, counts)
-    return np.column_stack([(whitened(sensors, each(), repeats, counts) - base) * spread / PROBE for each in probed])
+    answers = [(whitened(sensors, each(), repeats, counts) - base) / PROBE for each in probed]
+    return np.column_stack(answers) * spreads
 
 
 def visibility(difference: FloatArray, n: FloatArray) -> Visibility:

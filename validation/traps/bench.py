@@ -18,7 +18,7 @@ from validation.blind.delta.numbers import FloatArray, carriages_of
 from validation.blind.delta.real import played
 from validation.blind.printer.motions import KINDS, Motion, Place
 from validation.blind.printer.real import Order, Reading, Real, Tables
-from validation.blind.sensors import commands_of, csv_of
+from validation.blind.sensors import columns_of, commands_of, csv_of
 from validation.blind.tables import toml_of
 
 PRINTER_SEED, RATE_HZ, SECONDS = 6, 1600.0, 1.6
@@ -181,7 +181,8 @@ def write(bench: Bench, spoils: Sequence[Spoil], folder: Path, kept: Path) -> li
         path = folder / "runs" / run.name
         comments = "".join(f"# {key}: {value}\n" for key, value in run.comments.items())
         path.write_text(
-            comments + csv_of(run.time_s, commands_of(run.command, bench.axes), run.signals), encoding="utf-8"
+            comments + csv_of(run.time_s, commands_of(run.command, bench.axes), columns_of(run.signals)),
+            encoding="utf-8",
         )
         paths.append(path)
     return sorted(paths)

@@ -63,9 +63,9 @@ machines.addEventListener("change", machineChosen);
 
 // ---- files ----
 
-const dropped = { prints: [], config: [], captures: [] }; // {name, size, id, share, error}
+const dropped = { prints: [], config: [], captures: [], pictures: [] }; // {name, size, id, share, error}
 let largest = Infinity; // bytes
-const MANY = { prints: true, config: false, captures: true };
+const MANY = { prints: true, config: false, captures: true, pictures: true };
 
 function upload(file, entry, redraw) {
   return new Promise((resolve) => {
@@ -118,6 +118,7 @@ function showFiles(kind) {
   }));
 }
 
+const PRINT = /\.(gcode|gco|g)$/i;
 const bytes = (n) => (n < 1e6 ? `${Math.max(1, Math.round(n / 1e3))} kB` : `${(n / 1e6).toFixed(1)} MB`);
 
 for (const kind of Object.keys(dropped)) {
@@ -139,7 +140,10 @@ function ready() {
   const prints = here("prints").length > 0 && !arriving("prints") && machine;
   const captures = here("captures").length > 0 && !arriving("captures") && machine;
   const plan = one("#plans").selectedOptions[0]?.dataset.kind || ""; // captures of moves serve what the moves were made for
-  const can = { compensate: prints, compare: prints, import: here("config").length > 0, plan: machine, excite: machine, diagnose: captures && plan === "plan", fit: captures && plan !== "plan" };
+  const recorded = here("captures").filter((entry) => PRINT.test(entry.name)).length; // a print that holds its captures' commands is a plan itself
+  const pictures = here("pictures").length > 0 && !arriving("pictures") && machine && one("#pages").value !== "";
+  const can = { compensate: prints, compare: prints, import: here("config").length > 0, plan: machine, excite: machine, page: machine, ringing: machine, scan: pictures,
+    diagnose: captures && !recorded && plan === "plan", fit: captures && !recorded && plan !== "plan", update: captures && recorded === 1 && here("captures").length > 1 };
   all("[data-job]").forEach((button) => { button.disabled = !can[button.dataset.job]; });
 }
 
@@ -165,6 +169,7 @@ async function drawForms() {
 /** The options of a kind of job that are set. */
 function options(kind) {
   const panel = one(`[data-form~=${kind}]`);
+  if (!panel) return {};
   return Object.fromEntries(forms[kind].map(({ name }) => one(`[name=${name}]`, panel)).map((input) => [input.name, input.type === "checkbox" ? input.checked : input.value.trim()])
     .filter(([, value]) => value !== "" && value !== false));
 }
@@ -179,10 +184,15 @@ const STARTS = {
   import: async () => { await start("import", here("config").map((each) => each.id)); clear("config"); },
   plan: () => start("plan", []),
   excite: () => start("excite", []),
+  page: () => start("page", []),
+  ringing: () => start("ringing", []),
   diagnose: () => measured("diagnose"),
   fit: () => measured("fit"),
+  update: () => start("update", ids("captures")),
+  scan: () => start("scan", ids("pictures"), { plan: one("#pages").value }),
 };
-const measured = (kind) => start(kind, here("captures").map((each) => each.id), { plan: one("#plans").value });
+const ids = (kind) => here(kind).map((each) => each.id);
+const measured = (kind) => start(kind, ids("captures"), { plan: one("#plans").value });
 
 function clear(kind) {
   dropped[kind].length = 0;
@@ -197,13 +207,15 @@ all("[data-job]").forEach((button) => button.addEventListener("click", async () 
   await look();
 }));
 
-one("#plans").addEventListener("change", ready);
+for (const id of ["#plans", "#pages"]) one(id).addEventListener("change", ready);
 function showPlans(jobs) {
-  const plans = jobs.filter((job) => ["plan", "excite"].includes(job.kind) && job.state === "done");
-  const select = one("#plans"), chosen = select.value;
-  const shown = [...select.options].map((each) => each.value);
+  offer(one("#plans"), jobs.filter((job) => ["plan", "excite"].includes(job.kind) && job.state === "done"), "none: resonance tests, or a print");
+  offer(one("#pages"), jobs.filter((job) => job.kind === "page" && job.state === "done"), "none");
+}
+function offer(select, plans, without) {
+  const chosen = select.value, shown = [...select.options].map((each) => each.value);
   if (shown.length && plans.map((job) => job.id).join() === shown.filter(Boolean).join()) return;
-  const none = make("option", { value: "", textContent: plans.length ? "none: resonance tests" : "none yet: write them above" });
+  const none = make("option", { value: "", textContent: plans.length ? without : "none yet: write them above" });
   const option = (job) => make("option", { value: job.id, textContent: `${job.title}, ${new Date(1000 * job.ended).toLocaleString()}` });
   const options = plans.map(option);
   options.forEach((each, k) => { each.dataset.kind = plans[k].kind; });

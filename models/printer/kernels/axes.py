@@ -31,7 +31,7 @@ import numpy as np
 
 from models.arrays import FloatArray
 from models.printer.kernels.friction import guide_friction, stribeck
-from models.printer.kernels.motors import stiffness_by_length, torque_angle
+from models.printer.kernels.motors import drive_of_axes, effective_stretch, torque_angle
 from models.printer.kernels.record import (
     ACC,
     COMMAND,
@@ -43,6 +43,7 @@ from models.printer.kernels.record import (
     MOTOR,
     MOTOR_RATE,
     NOW,
+    ONE,
     PULL,
     QD,
     RATE,
@@ -51,6 +52,7 @@ from models.printer.kernels.record import (
     RIPPLE_RATE,
     SPRING,
     STRETCH,
+    THREE,
     XD,
     ActiveEffects,
     J,
@@ -59,12 +61,9 @@ from models.printer.kernels.record import (
     X,
     parameter_rows,
 )
-from models.printer.kernels.vectors import at, compiled, dot, put, vector
+from models.printer.kernels.vectors import any_nonzero, at, compiled, dot, put, vector
 
-TO_MOTORS, TO_AXES, MOTOR_K, BELT_K = parameter_rows("motor_matrix", "axis_matrix", "motor_k", "belt_k")
-HARDENING, QUINTIC, PEAK_STRETCH = parameter_rows("cubic", "quintic", "peak_stretch")
-SLOPE, HALF_BACKLASH, LANDING = parameter_rows("slope", "half_backlash", "landing")
-UNEVEN, GROWTH = parameter_rows("uneven", "growth")
+TO_MOTORS, TO_AXES, BELT_K, GROWTH = parameter_rows("motor_matrix", "axis_matrix", "belt_k", "growth")
 DIRECTIONS, FRAME_K, FRAME_B, FRAME = parameter_rows("frame_directions", "frame_k", "frame_b", "frame_inverse_mass")
 YAW_K, YAW_B, YAW_INERTIA = parameter_rows("yaw_k", "yaw_b", "yaw_inertia")
 YAW_SHARE, YAW_CENTRE, YAW_ARM = parameter_rows("yaw_share", "yaw_centre", "yaw_arm")
@@ -92,6 +91,24 @@ class AxesState(NamedTuple):
     swaying: bool  # whether there is a frame that sways, or a gantry that yaws
     growing: bool  # whether the mass depends on the nozzle's height
     by_place: bool  # whether a mode depends on x
+
+
+@compiled
+def is_swaying(m: FloatArray) -> bool:
+    """Tell whether there is a frame that sways, or a gantry that yaws, in any lane."""
+    return any_nonzero(m, FRAME, ONE) or any_nonzero(m, YAW_INERTIA, ONE)
+
+
+@compiled
+def is_growing(m: FloatArray) -> bool:
+    """Tell whether the mass depends on the nozzle's height, in any lane."""
+    return any_nonzero(m, GROWTH, THREE)
+
+
+@compiled
+def depends_on_place(m: FloatArray) -> bool:
+    """Tell whether a mode depends on x, in any lane."""
+    return any_nonzero(m, BY_X, THREE) or any_nonzero(m, BY_X_SQUARED, THREE)
 
 
 @compiled
@@ -155,9 +172,7 @@ def _belts(m: FloatArray) -> None:
     for n in range(WIDTH):
         motor, motor_rate = at(m, COMMAND, n) + at(m, RIPPLE, n), at(m, COMMAND_RATE, n) + at(m, RIPPLE_RATE, n)
         m[MOTOR * LANES + n], m[MOTOR_RATE * LANES + n] = motor, motor_rate
-        stretch, half_backlash = motor - at(m, BEYOND, n), at(m, HALF_BACKLASH, n)
-        stretch -= min(max(stretch, -half_backlash), half_backlash)
-        stretch = min(max(stretch, -at(m, PEAK_STRETCH, n)), at(m, PEAK_STRETCH, n))
+        stretch = effective_stretch(m, n, motor - at(m, BEYOND, n))
         m[STRETCH * LANES + n] = m[SPRING * LANES + n] = stretch
         m[SLIP * LANES + n] = motor_rate - m[SLIP * LANES + n]
 
@@ -166,13 +181,8 @@ def _belts(m: FloatArray) -> None:
 def _forces(m: FloatArray) -> None:
     """Evaluate u + g(s) − s of the belts, with s = u − T q_d, and ẇ; unmixed they are the axes' own."""
     for n in range(WIDTH):
-        q, stretch, slip = at(m, BEYOND, n), at(m, STRETCH, n), at(m, SLIP, n)
-        k = at(m, UNEVEN, n) + stiffness_by_length(m, n, q)
-        squared = stretch * stretch
-        harder = (at(m, HARDENING, n) + at(m, QUINTIC, n) * squared) * squared * stretch / at(m, MOTOR_K, n)
-        force = k * (at(m, SPRING, n) + abs(stretch) * at(m, LANDING, n) * slip) + harder
-        slack = abs(at(m, MOTOR, n) - q) < at(m, HALF_BACKLASH, n)
-        force, slip = q + (0.0 if slack else force), 0.0 if slack else slip
+        stretch, spring = at(m, STRETCH, n), at(m, SPRING, n)
+        force, slip = drive_of_axes(m, n, at(m, MOTOR, n), at(m, BEYOND, n), stretch, spring, at(m, SLIP, n))
         m[BEYOND * LANES + n], m[SLIP * LANES + n] = force, slip
         m[DRIVE * LANES + n], m[DRIVE_RATE * LANES + n] = force, slip
 

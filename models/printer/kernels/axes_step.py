@@ -26,23 +26,15 @@ from models.printer.kernels.axes import (
     FRAME_K,
     FREQUENCY2,
     GROWTH,
-    HALF_BACKLASH,
-    HARDENING,
     HIGHEST,
-    LANDING,
     LEAST_STIFFER,
-    MOTOR_K,
     PART,
-    PEAK_STRETCH,
-    QUINTIC,
     REACTION,
     SHARE,
-    SLOPE,
     SWAY,
     SWAY_RATE,
     TO_AXES,
     TO_MOTORS,
-    UNEVEN,
     WIDTH,
     YAW,
     YAW_ARM,
@@ -52,8 +44,8 @@ from models.printer.kernels.axes import (
     YAW_K,
     YAW_SHARE,
 )
-from models.printer.kernels.friction import DRY, FADING, FADING_POWER, STICKING, dry_friction, sliding_level
-from models.printer.kernels.motors import rippled, stiffness_by_length, torque
+from models.printer.kernels.friction import DRY, FADING, FADING_POWER, STICKING, guide_force, sliding_level
+from models.printer.kernels.motors import UNEVEN, drive_of_axes, effective_stretch, rippled, torque
 from models.printer.kernels.record import (
     COMMAND,
     COMMAND_RATE,
@@ -108,16 +100,6 @@ def keep_state(m: FloatArray, l: int, states: FloatArray) -> None:
     for row in range(states.shape[1]):
         for a in range(3):
             states[l, row, a] = at(m, STATE + 3 * row + a, l)
-
-
-@compiled
-def has_springs(m: FloatArray) -> bool:
-    """Tell whether any belt has play, or pulls other than in proportion to its stretch."""
-    springs = False
-    for n in range(WIDTH):
-        springs |= at(m, HALF_BACKLASH, n) != 0.0 or at(m, LANDING, n) != 0.0 or at(m, SLOPE, n) != 0.0
-        springs |= at(m, HARDENING, n) != 0.0 or at(m, QUINTIC, n) != 0.0
-    return springs
 
 
 @compiled
@@ -431,17 +413,8 @@ def _pull(
     """Return what one belt adds to w, and to ẇ less that of its driven point."""
     if not springs:
         return motor + at(m, UNEVEN, n) * (motor - q), motor_rate - qd
-    half, peak, slip = at(m, HALF_BACKLASH, n), at(m, PEAK_STRETCH, n), motor_rate - qd
-    stretch = motor - q
-    stretch = stretch - min(max(stretch, -half), half)
-    stretch = min(max(stretch, -peak), peak)
-    k = at(m, UNEVEN, n) + stiffness_by_length(m, n, q)
-    squared = stretch * stretch
-    harder = (at(m, HARDENING, n) + at(m, QUINTIC, n) * squared) * squared * stretch / at(m, MOTOR_K, n)
-    spring = torque(m, n, stretch) if odd else stretch
-    force = k * (spring + abs(stretch) * at(m, LANDING, n) * slip) + harder
-    slack = abs(motor - q) < half
-    return q + (0.0 if slack else force), 0.0 if slack else slip
+    stretch, slip = effective_stretch(m, n, motor - q), motor_rate - qd
+    return drive_of_axes(m, n, motor, q, stretch, torque(m, n, stretch) if odd else stretch, slip)
 
 
 @inlined
@@ -466,7 +439,7 @@ def _axis_rate(
             squared = (qd * at(m, FADING, n)) ** 2
             faded = power(squared, at(m, FADING_POWER, n)) if odd else squared
             level = sliding_level(level, at(m, STICKING, n), faded)
-        force, strain = dry_friction(m, n, level, qd, y[0])
+        force, strain = guide_force(m, n, level, qd, y[0])
         drive -= force * at(m, COMPLIANCE, n)
     follow, more = drive_rate + qd, stiffer(m, n, x) if swaying else 0.0
     first = _force(m, ZERO, n, more, drive, follow, y[1], y[2])

@@ -1,4 +1,4 @@
-"""Evaluate the dry friction of guides and joints."""
+"""Evaluate what rubs on guides and joints: all that a new force on a guide touches here is `guide_force`."""
 
 from __future__ import annotations
 
@@ -15,10 +15,11 @@ from models.printer.kernels.record import (
     NOW,
     QD,
     RATE,
+    THREE,
     XD,
     parameter_rows,
 )
-from models.printer.kernels.vectors import add, at, compiled, dot, inlined, power, put, scale, tanh, vector
+from models.printer.kernels.vectors import add, any_nonzero, at, compiled, dot, inlined, power, put, scale, tanh, vector
 
 DRY, STICKING, FADING, FADING_POWER = parameter_rows("dry", "sticking", "fading", "fading_power")
 CREEP, HOLD, BRISTLES, BRISTLE_LAG = parameter_rows("creep", "hold", "bristles", "bristle_lag")
@@ -47,9 +48,15 @@ def sliding_level(dry: float, sticking: float, power: float) -> float:
     return dry + sticking * (1.0 - faded) / (1.0 + faded)
 
 
+@compiled
+def guides_rub(m: FloatArray) -> bool:
+    """Tell whether there is a force on a guide, in any lane."""
+    return any_nonzero(m, DRY, THREE) or any_nonzero(m, STICKING, THREE)
+
+
 @inlined
-def dry_friction(m: FloatArray, n: int, level: float, rate: float, state: float) -> tuple[float, float]:
-    """Return the friction of a guide and the rate of its state: how far bristles are bent, or the strain."""
+def guide_force(m: FloatArray, n: int, level: float, rate: float, state: float) -> tuple[float, float]:
+    """Return the force of a guide and the rate of its state: how far bristles are bent, or the strain."""
     ratio, bristles = rate / at(m, CREEP, n), at(m, BRISTLES, n)
     bending = bristle_rate(bristles, at(m, BRISTLE_LAG, n), rate, state)
     straining = strain_rate(at(m, HOLD, n), ratio, abs(ratio), state)
@@ -83,7 +90,7 @@ def has_powers(m: FloatArray) -> bool:
 def guide_friction(m: FloatArray) -> None:
     """Evaluate the friction on the carriages, positive when they move up, and the rate of its state."""
     for n in range(3 * LANES):
-        force, rate = dry_friction(m, n, at(m, LEVEL, n), at(m, NOW + QD, n), at(m, NOW + GUIDE, n))
+        force, rate = guide_force(m, n, at(m, LEVEL, n), at(m, NOW + QD, n), at(m, NOW + GUIDE, n))
         m[GUIDES * LANES + n] = force
         m[(RATE + GUIDE) * LANES + n] = rate
 

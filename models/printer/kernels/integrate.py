@@ -6,14 +6,32 @@ import numpy as np
 
 from models.arrays import FloatArray
 from models.printer.kernels.delta import (
+    ARM_INERTIA,
+    EXTRUDER_MASS,
+    GRAVITY,
+    MOUNT_K,
     arm_kinematics,
     effector_and_frame,
     holder_forces,
     mass_along_arms,
     solve_carriages,
 )
-from models.printer.kernels.friction import guide_friction, joint_friction, stribeck
+from models.printer.kernels.friction import (
+    DRY,
+    JOINT_DRY,
+    STICKING,
+    guide_friction,
+    guides_rub,
+    joint_friction,
+    stribeck,
+)
 from models.printer.kernels.motors import (
+    BELT_K,
+    COGGING,
+    DELAY,
+    HARDENING,
+    INVERSE_AMPLITUDE,
+    QUINTIC,
     Commands,
     belts,
     cogging,
@@ -47,35 +65,19 @@ from models.printer.kernels.record import (
     ZERO,
     ActiveEffects,
     Q,
-    Row,
     Rows,
     V,
     X,
-    parameter_rows,
 )
-from models.printer.kernels.vectors import at, compiled
-
-INVERSE_AMPLITUDE, DELAY, COGGING = parameter_rows("inverse_amplitude", "delay", "ripple")
-DRY, STICKING = parameter_rows("dry", "sticking")
-JOINT_DRY, ARM_INERTIA = parameter_rows("joint_dry", "arm_inertia")
+from models.printer.kernels.vectors import any_nonzero, at, compiled
 
 PAGE = 64  # samples are copied by the page: a write at a time would touch too many cache lines
 
 
 @compiled
-def any_nonzero(m: FloatArray, row: Row, rows: int) -> bool:
-    """Tell whether so many rows hold anything in any lane."""
-    nonzero = False
-    for n in range(row * LANES, (row + rows) * LANES):
-        nonzero |= m[n] != 0.0
-    return nonzero
-
-
-@compiled
 def active_effects(m: FloatArray) -> ActiveEffects:
     """List the effects that are active in any lane."""
-    sticking = any_nonzero(m, STICKING, THREE)
-    guides, joints = sticking or any_nonzero(m, DRY, THREE), any_nonzero(m, JOINT_DRY, ONE)
+    sticking, guides, joints = any_nonzero(m, STICKING, THREE), guides_rub(m), any_nonzero(m, JOINT_DRY, ONE)
     torque_angle, ripple = any_nonzero(m, INVERSE_AMPLITUDE, THREE), any_nonzero(m, COGGING, THREE)
     delay, arms = any_nonzero(m, DELAY, THREE), any_nonzero(m, ARM_INERTIA, ONE)
     return ActiveEffects(sticking, guides, joints, torque_angle, ripple, delay, arms)
@@ -233,9 +235,6 @@ def integrate(
             _step(m, first + n, half, dt / substeps, commands, has)
     return samples
 
-
-BELT_K, HARDENING, QUINTIC = parameter_rows("belt_k", "cubic", "quintic")
-EXTRUDER_MASS, MOUNT_K, GRAVITY = parameter_rows("extruder_mass", "mount_k", "gravity")
 
 PASSES = 2000
 TOLERANCE_M = 1e-13

@@ -8,24 +8,21 @@ import numpy as np
 
 from models.arrays import FloatArray
 from models.printer.kernels.axes import (
-    BY_X,
-    BY_X_SQUARED,
-    FRAME,
-    GROWTH,
     TO_AXES,
     TO_MOTORS,
     WIDTH,
-    YAW_INERTIA,
     AxesState,
     axes_motion,
     axes_rate,
+    depends_on_place,
     fill_rows,
+    is_growing,
+    is_swaying,
 )
 from models.printer.kernels.axes_step import (
     FEW_MODES,
     MOTION,
     MOTORS,
-    has_springs,
     in_rows,
     keep_motors,
     keep_state,
@@ -33,8 +30,8 @@ from models.printer.kernels.axes_step import (
     step_lanes,
 )
 from models.printer.kernels.friction import has_powers
-from models.printer.kernels.integrate import PAGE, active_effects, any_nonzero, copy_page, empty_samples, fill_lanes
-from models.printer.kernels.motors import Commands, command_times, read_command
+from models.printer.kernels.integrate import PAGE, active_effects, copy_page, empty_samples, fill_lanes
+from models.printer.kernels.motors import Commands, command_times, has_springs, read_command
 from models.printer.kernels.record import (
     ACC,
     LANES,
@@ -53,7 +50,7 @@ from models.printer.kernels.record import (
     Rows,
     X,
 )
-from models.printer.kernels.vectors import at, compiled, dot, vector
+from models.printer.kernels.vectors import any_nonzero, at, compiled, dot, vector
 
 
 @compiled
@@ -72,24 +69,6 @@ def _in_lanes(m: FloatArray, states: FloatArray, modes: FloatArray) -> AxesState
     mixed = any_nonzero(m, TO_MOTORS + 1, THREE)
     now, rate, total = base.copy(), np.zeros(len(base)), np.zeros(len(base))
     return AxesState(base, now, rate, total, table, mixed, is_swaying(m), is_growing(m), depends_on_place(m))
-
-
-@compiled
-def is_swaying(m: FloatArray) -> bool:
-    """Tell whether there is a frame that sways, or a gantry that yaws, in any lane."""
-    return any_nonzero(m, FRAME, ONE) or any_nonzero(m, YAW_INERTIA, ONE)
-
-
-@compiled
-def is_growing(m: FloatArray) -> bool:
-    """Tell whether the mass depends on the nozzle's height, in any lane."""
-    return any_nonzero(m, GROWTH, THREE)
-
-
-@compiled
-def depends_on_place(m: FloatArray) -> bool:
-    """Tell whether a mode depends on x, in any lane."""
-    return any_nonzero(m, BY_X, THREE) or any_nonzero(m, BY_X_SQUARED, THREE)
 
 
 @compiled

@@ -23,6 +23,7 @@ from models.printer.kernels.record import (
     RIPPLE_RATE,
     SPRING,
     STRETCH,
+    THREE,
     TIME,
     VD,
     ActiveEffects,
@@ -31,7 +32,7 @@ from models.printer.kernels.record import (
     V,
     parameter_rows,
 )
-from models.printer.kernels.vectors import at, compiled, inlined, sine_cosine
+from models.printer.kernels.vectors import any_nonzero, at, compiled, inlined, sine_cosine
 
 
 @compiled
@@ -73,6 +74,7 @@ def cubic_spline(rows: FloatArray, dt: float) -> FloatArray:
 
 
 WEIGHT, BELT_K, BELT_C, GUIDE_B = parameter_rows("weight", "belt_k", "belt_c", "guide_b")
+MOTOR_K, UNEVEN = parameter_rows("motor_k", "uneven")  # of straight axes
 IDEAL, D0, LEAD, D2 = parameter_rows("ideal_drive", "d0", "lead", "d2")
 HARDENING, QUINTIC, PEAK_STRETCH = parameter_rows("cubic", "quintic", "peak_stretch")
 SHORTEST = 0.25  # times its length at q_c: no belt is taken to be shorter
@@ -180,12 +182,18 @@ def motors(m: FloatArray) -> None:
         vdd = at(m, D0, n) * (command - v) - at(m, D2, n) * vd
         u = (command if ideal else v + lead * vd) + at(m, RIPPLE, n)
         ud = (command_rate if ideal else vd + lead * vdd) + at(m, RIPPLE_RATE, n)
-        stretch, half_backlash, peak_stretch = u - at(m, NOW + Q, n), at(m, HALF_BACKLASH, n), at(m, PEAK_STRETCH, n)
-        stretch -= min(max(stretch, -half_backlash), half_backlash)
-        stretch = min(max(stretch, -peak_stretch), peak_stretch)
+        stretch = effective_stretch(m, n, u - at(m, NOW + Q, n))
         m[MOTOR * LANES + n], m[MOTOR_RATE * LANES + n] = u, ud
         m[STRETCH * LANES + n], m[SPRING * LANES + n] = stretch, stretch
         m[(RATE + V) * LANES + n], m[(RATE + VD) * LANES + n] = vd, vdd
+
+
+@inlined
+def effective_stretch(m: FloatArray, n: int, stretch: float) -> float:
+    """Return what of a belt's stretch pulls: less the backlash, and up to that of the peak force."""
+    half_backlash, peak = at(m, HALF_BACKLASH, n), at(m, PEAK_STRETCH, n)
+    stretch -= min(max(stretch, -half_backlash), half_backlash)
+    return min(max(stretch, -peak), peak)
 
 
 @compiled
@@ -200,7 +208,8 @@ def torque(m: FloatArray, n: int, stretch: float) -> float:
     """Return a sin θ of one motor; the stretch itself without the effect."""
     inverse, share = at(m, INVERSE_AMPLITUDE, n), at(m, BELT_SHARE, n)
     electric = inverse * stretch
-    angle, sine, cosine = electric, *sine_cosine(electric)
+    angle = electric
+    sine, cosine = sine_cosine(electric)
     for _ in range(NEWTON_STEPS):
         angle -= ((1.0 - share) * angle + share * sine - electric) / (1.0 - share + share * cosine)
         sine, cosine = sine_cosine(angle)
@@ -221,6 +230,26 @@ def belt_force(
     squared = stretch * stretch
     force = k * spring + (cubic + quintic * squared) * stretch * squared
     return force + (c + k * abs(stretch) * landing) * slip
+
+
+@inlined
+def drive_of_axes(
+    m: FloatArray, n: int, motor: float, q: float, stretch: float, spring: float, slip: float
+) -> tuple[float, float]:
+    """Return u + g(s) − s of a belt of straight axes, and its part of ẇ; both are those of q where it is slack."""
+    k = at(m, UNEVEN, n) + stiffness_by_length(m, n, q)
+    squared = stretch * stretch
+    harder = (at(m, HARDENING, n) + at(m, QUINTIC, n) * squared) * squared * stretch / at(m, MOTOR_K, n)
+    force = k * (spring + abs(stretch) * at(m, LANDING, n) * slip) + harder
+    slack = abs(motor - q) < at(m, HALF_BACKLASH, n)
+    return q + (0.0 if slack else force), 0.0 if slack else slip
+
+
+@compiled
+def has_springs(m: FloatArray) -> bool:
+    """Tell whether any belt of straight axes has play, or pulls other than in proportion to its stretch."""
+    springs = any_nonzero(m, HALF_BACKLASH, THREE) or any_nonzero(m, LANDING, THREE) or any_nonzero(m, SLOPE, THREE)
+    return springs or any_nonzero(m, HARDENING, THREE) or any_nonzero(m, QUINTIC, THREE)
 
 
 @compiled

@@ -25,16 +25,39 @@ import numpy as np
 from models.arrays import FloatArray
 from models.printer.kernels.friction import bristle_rate, sliding_level, strain_rate
 from models.printer.kernels.motors import belt_force, ripple
-from models.printer.kernels.record import AXIS_PARAMETERS
 from models.printer.kernels.vectors import compiled, inlined
 
-(MASS, STIFFNESS, DAMPING, OFFSET, LOAD, COUPLING, COUPLING_DAMPING, BY_FORCE) = range(8)
-DRIVE_DAMPING, DRIVE_LIMIT = range(8, 10)
-(DRY, STICKING, FADING, FADING_POWER, CREEP, HOLD, HALF_BACKLASH, LANDING, CUBIC, QUINTIC) = range(10, 20)
-(RIPPLE, WAVE, PHASE, SECOND_SINE, SECOND_COSINE, DELAY, GROUND, DRAG) = range(20, 28)
-(WEIGHT_MOMENT, WEIGHT_ANGLE, LOAD_SHARE, HELD_SHARE, BY_DIRECTION, BRISTLE_FORCE, PRESLIDING) = range(28, 35)
-PLAY_AT_DRIVE, HARDENS_AT_DRIVE = range(35, 37)
-assert len(AXIS_PARAMETERS) == 37
+# The parameters of one axis by itself: those of its model, those that printers have too, and its own.
+AXIS_PARAMETERS = (
+    *("mass", "stiffness", "damping", "offset", "load", "coupling", "coupling_damping", "by_force"),
+    *("drive_damping", "drive_limit"),  # N s/m, across the drive's spring; N, of the drive
+    *("dry", "sticking", "fading", "fading_power", "creep", "hold", "half_backlash", "landing", "cubic", "quintic"),
+    *("ripple", "wave", "phase", "second_sine", "second_cosine", "delay"),
+    "ground",  # N/m, ground_spring
+    "drag",  # N s²/m², quadratic_drag
+    *("weight_moment", "weight_angle"),  # N, m, pendulum_gravity
+    *("load_share", "held_share"),  # friction_by_load
+    "by_direction",  # N s/m, friction_by_direction
+    *("bristle_force", "presliding"),  # N, m, bristle_friction
+    *("play_at_drive", "hardens_at_drive"),  # 1: it is the drive of an axis with a load that has play, or hardens
+)
+
+
+def _places(*names: str) -> list[int]:
+    return [AXIS_PARAMETERS.index(name) for name in names]
+
+
+MASS, STIFFNESS, DAMPING, OFFSET, LOAD = _places("mass", "stiffness", "damping", "offset", "load")
+COUPLING, COUPLING_DAMPING, BY_FORCE = _places("coupling", "coupling_damping", "by_force")
+DRIVE_DAMPING, DRIVE_LIMIT = _places("drive_damping", "drive_limit")
+DRY, STICKING, FADING, FADING_POWER = _places("dry", "sticking", "fading", "fading_power")
+CREEP, HOLD, BRISTLE_FORCE, PRESLIDING = _places("creep", "hold", "bristle_force", "presliding")
+HALF_BACKLASH, LANDING, PLAY_AT_DRIVE = _places("half_backlash", "landing", "play_at_drive")
+CUBIC, QUINTIC, HARDENS_AT_DRIVE = _places("cubic", "quintic", "hardens_at_drive")
+RIPPLE, WAVE, PHASE, DELAY = _places("ripple", "wave", "phase", "delay")
+SECOND_SINE, SECOND_COSINE = _places("second_sine", "second_cosine")
+GROUND, DRAG, WEIGHT_MOMENT, WEIGHT_ANGLE = _places("ground", "drag", "weight_moment", "weight_angle")
+LOAD_SHARE, HELD_SHARE, BY_DIRECTION = _places("load_share", "held_share", "by_direction")
 Q, V, Q_LOAD, V_LOAD, STRAIN, BENT = range(6)
 State: TypeAlias = tuple[float, float, float, float, float, float]  # in this order
 

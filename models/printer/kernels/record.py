@@ -98,20 +98,6 @@ PARAMETERS = np.dtype(
     ]
 )
 PrinterParameters: TypeAlias = np.record
-# The parameters of one axis by itself: those of its model, those that printers have too, and its own.
-AXIS_PARAMETERS = (
-    *("mass", "stiffness", "damping", "offset", "load", "coupling", "coupling_damping", "by_force"),
-    *("drive_damping", "drive_limit"),  # N s/m, across the drive's spring; N, of the drive
-    *("dry", "sticking", "fading", "fading_power", "creep", "hold", "half_backlash", "landing", "cubic", "quintic"),
-    *("ripple", "wave", "phase", "second_sine", "second_cosine", "delay"),
-    "ground",  # N/m, ground_spring
-    "drag",  # N s²/m², quadratic_drag
-    *("weight_moment", "weight_angle"),  # N, m, pendulum_gravity
-    *("load_share", "held_share"),  # friction_by_load
-    "by_direction",  # N s/m, friction_by_direction
-    *("bristle_force", "presliding"),  # N, m, bristle_friction
-    *("play_at_drive", "hardens_at_drive"),  # 1: it is the drive of an axis with a load that has play, or hardens
-)
 COUNT = PARAMETERS.itemsize // 8
 
 # The rows of m. Four states: at the step's start, where the rate is evaluated, the rate, the step's sum of rates.

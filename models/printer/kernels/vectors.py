@@ -9,12 +9,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numba import njit
 
+from models import compiled as how
 from models.arrays import FloatArray
-from models.compiled import cached
 from models.printer.kernels.record import LANES, Row, Vector
 
+_OPTIONS = {"error_model": "numpy", "nogil": True, "fastmath": {"contract"}}
 SOURCES = hashlib.sha256(b"".join(path.read_bytes() for path in sorted(Path(__file__).parent.glob("*.py")))).hexdigest()
 
 
@@ -24,17 +24,28 @@ def compiled(function: Callable[..., Any]) -> Any:
     Numba compares its cache with the function's own file only, and would go on with the old code of what the function
     calls in the others.
     """
-    return cached(njit(error_model="numpy", nogil=True, fastmath={"contract"})(function), function, SOURCES)
+    return how.compiled(function, _OPTIONS, SOURCES)
 
 
 # Functions called in a loop over lanes have to be inlined, or the loop is not vectorised.
-inlined = njit(error_model="numpy", nogil=True, fastmath={"contract"}, forceinline=True)
+def inlined(function: Callable[..., Any]) -> Any:
+    """Compile a function into every kernel that calls it."""
+    return how.compiled(function, {**_OPTIONS, "forceinline": True}, sources=None)
 
 
 @inlined
 def at(m: FloatArray, row: Row, l: int) -> float:
     """Return a row of lane l."""
     return m[row * LANES + l]
+
+
+@compiled
+def any_nonzero(m: FloatArray, row: Row, rows: int) -> bool:
+    """Tell whether so many rows hold anything in any lane."""
+    nonzero = False
+    for n in range(row * LANES, (row + rows) * LANES):
+        nonzero |= m[n] != 0.0
+    return nonzero
 
 
 @inlined

@@ -24,7 +24,7 @@ from models.errors import MachineFileError
 from models.file import LIBRARY, load_machine
 from models.kinds import delta_vibration
 from models.machine import Machine, value_of
-from models.printer.kernels import record
+from models.printer.kernels import one_axis, record
 
 NAMED_BY_THE_FORMAT = {
     "coulomb_friction": {"force_n"},
@@ -79,7 +79,7 @@ def test_the_kernels_know_every_term_of_an_effect(effect: Effect) -> None:
     assert effect.terms is not None
     values = {p.name: p.as_array([p.probe] * 3 if p.size == "vector3" else _of(p)) for p in effect.by_name.values()}
     terms = effect.terms(values, {"motor_k": np.ones(3), "holder_mass": 1.0})
-    assert terms.keys() <= {*(record.PARAMETERS.names or ()), *record.AXIS_PARAMETERS, "ripples"}
+    assert terms.keys() <= {*(record.PARAMETERS.names or ()), *one_axis.AXIS_PARAMETERS, "ripples"}
 
 
 def _of(p: Parameter) -> object:

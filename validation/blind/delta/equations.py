@@ -28,12 +28,12 @@ import numpy as np
 from numba import njit
 
 from validation.blind.delta.numbers import FloatArray, Printer
-from validation.blind.printer.shapes import belt, guide, slid
+from validation.blind.printer.shapes import DAHL, belt, bent, guide, slid
 
 GRAVITY = 9.80665
 # where the parts of a state begin
 X, V, ETA, ETAV, U, UV, SWAY, SWAYV, CABLE, CABLEV, MOUNT, MOUNTV, ARM = 0, 3, 6, 9, 12, 15, 18, 20, 22, 24, 26, 27, 28
-STATES = 31
+ROTOR, ROTORV, STATES = 31, 34, 37
 
 
 @njit(cache=True, error_model="numpy")
@@ -139,14 +139,20 @@ def _rate(
     for j in range(2):
         f[j] -= p.cable_k * y[CABLE + j] + p.cable_b * y[CABLEV + j]
     for i in range(3):
-        u, du, bent = _motor(y, ud, dud, i, p)
+        u, du, bends = _motor(y, ud, dud, i, p)
         if i == p.soft_tower:
             u, du = u + y[MOUNT], du + y[MOUNTV]
+        sent, turned = u, du
+        if p.rotor[i] > 0.0:
+            u, du = y[ROTOR + i], y[ROTORV + i]
         pull = belt(u - q[i], du - dq[i], q[i], ud[i], y[ARM + i], t, i, p)
+        if p.rotor[i] > 0.0:
+            dy[ROTOR + i] = du
+            dy[ROTORV + i] = (p.rotor_k[i] * (sent - u) + p.rotor_b[i] * (turned - du) - pull) / p.rotor[i]
         if i == p.soft_tower:
             dy[MOUNT] = y[MOUNTV]
             dy[MOUNTV] = -(pull + p.soft_k * y[MOUNT] + p.soft_b * y[MOUNTV]) / p.soft_mass
-        dy[U + i], dy[UV + i] = y[UV + i], bent
+        dy[U + i], dy[UV + i] = y[UV + i], bends
         dy[ARM + i] = (u - q[i] - y[ARM + i]) / p.visco_s if p.visco_k[i] > 0.0 else 0.0
         r[i] = pull - guide(dq[i], q[i], z[i], i, p) - p.carriage[i] * (GRAVITY + bend[i])
         for j in range(3):
@@ -187,10 +193,10 @@ def _follow(y: FloatArray, r: FloatArray, p: Printer, dy: FloatArray) -> None:
 def _bristles(y: FloatArray, z: FloatArray, span: float, p: Printer, w: FloatArray, out: FloatArray) -> None:
     """Every bristle after `span`, its slider going on at the same speed: ż = v/b - |v| z/b, solved exactly."""
     a, q, dq, bend = w[10:13, :3], w[1, :3], w[2, :3], w[3, :3]
-    if p.dry_kind == 2:
+    if p.dry_kind >= DAHL:
         _arms(y, p, a, q, dq, bend)
         for i in range(3):
-            out[i] = slid(z[i], dq[i], abs(dq[i]), span, p.bristle)
+            out[i] = bent(z[i], dq[i], span, p)
     if p.joint > 0.0:
         speed = np.sqrt(y[V] ** 2 + y[V + 1] ** 2 + y[V + 2] ** 2)
         for j in range(3):
@@ -226,7 +232,7 @@ def run(command: FloatArray, speed: FloatArray, h: float, every: int, y: FloatAr
     z, half, full = np.zeros(6), np.zeros(6), np.zeros(6)
     k1, k2, k3, k4 = np.zeros(STATES), np.zeros(STATES), np.zeros(STATES), np.zeros(STATES)
     mid = np.zeros(STATES)
-    bristly = p.dry_kind == 2 or p.joint > 0.0
+    bristly = p.dry_kind >= DAHL or p.joint > 0.0
     for n in range(steps + 1):
         b, t = 2 * n, n * h
         _rate(y, z, t, command[b], speed[b], p, w, k1)
@@ -282,6 +288,9 @@ def _hung(y: FloatArray, command: FloatArray, q: float, load: float, i: int, p: 
     if i == p.soft_tower:
         y[MOUNT] = -load / p.soft_k
         u += y[MOUNT]
+    if p.rotor[i] > 0.0:
+        u -= load / p.rotor_k[i]
+        y[ROTOR + i] = u
     low, high, s = -2e-3, 2e-3, 0.0
     for _ in range(60):
         s = (low + high) / 2

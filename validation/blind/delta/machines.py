@@ -31,6 +31,7 @@ DYNAMIC = {
         "extruder_damping_n_s_per_m",
     ),
 }
+DAMPERS = ("carriage.belt_damping_n_s_per_m", "carriage.guide_damping_n_s_per_m")
 
 
 def draw_machine(rng: np.random.Generator) -> Tables:
@@ -135,3 +136,11 @@ def probes(machine: Tables, by: float) -> Iterator[Tables]:
         probed = copy.deepcopy(machine)
         probed["carriage"]["drive"][key] *= 1 + by
         yield probed
+
+
+def damped_by_belts(machine: Tables, share: float) -> tuple[Tables, dict[str, Any]]:
+    """Return the printer with so much of its carriages' damping in its belts; a file has a number for each."""
+    share = min(max(share, 0.01), 0.99)  # no number of a file is zero
+    belt, guide = (key.partition(".")[2] for key in DAMPERS)
+    damping = machine["carriage"][belt] + machine["carriage"][guide]
+    return {**machine, "carriage": machine["carriage"] | {belt: share * damping, guide: (1 - share) * damping}}, {}

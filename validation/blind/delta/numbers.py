@@ -27,7 +27,10 @@ PRINTER = np.dtype(
         ("shares", "f8", (3, 3, 3)),  # P_i; unit matrices for virtual work
         ("ideal", "?"),
         ("drive", "f8", 3),
-        # friction of the guides: kind 0 none, 1 tanh, 2 bristle
+        ("rotor", "f8", 3),  # kg, of a motor that stands between its magnets and its belt; 0: it goes where it is sent
+        ("rotor_k", "f8", 3),
+        ("rotor_b", "f8", 3),
+        # friction of the guides: kind 0 none, else of `shapes`
         ("dry_kind", "i8"),
         ("dry", "f8", 3),  # N
         ("stick", "f8", 3),  # N, more at rest
@@ -35,6 +38,8 @@ PRINTER = np.dtype(
         ("stick_power", "f8"),
         ("dry_v", "f8"),  # m/s, of the tanh
         ("bristle", "f8"),  # m, deflection that slides
+        ("micro", "f8"),  # N s/m, while it bends
+        ("breaks", "f8"),  # share of the deflection up to which nothing slides
         ("grease", "f8", 3),  # N s/m, shear-thinning
         ("joint", "f8"),  # N
         ("joint_bristle", "f8"),  # m
@@ -42,6 +47,7 @@ PRINTER = np.dtype(
         ("cubic", "f8", 3),  # N/m³
         ("quintic", "f8", 3),  # N/m⁵
         ("slope", "f8", 3),  # 1/m
+        ("lean", "f8", 3),  # share by which it is stiffer pulled, and softer pushed
         ("slope_at", "f8", 3),  # m
         ("play", "f8", 3),  # m, whole width
         ("flank", "f8"),  # m, softness of its edges

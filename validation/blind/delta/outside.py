@@ -35,6 +35,7 @@ OUTSIDE: Mapping[str, Hide] = {  # in the order in which the bank draws them
         "soft_tower",
         "loose_extruder",
         "creeping_belt",
+        "heavy_rotor",
         "sluggish_sensor",
         "clipping_sensor",
     )

@@ -16,20 +16,28 @@ from scipy.interpolate import CubicSpline
 
 from validation.blind.printer.drawn import Drawn, Table, told
 from validation.blind.printer.real import FloatArray, Hide, Order, Reading, Real, Rng, read_at, sign, turned
+from validation.blind.printer.shapes import BREAKS, TANH
 
 # ---- friction ------------------------------------------------------------------------------------
 
 
-def _dry(rng: Rng) -> dict[str, Any]:
-    """Hide it: a bristle that slides after some µm, or a tanh."""
-    kind, length, speed = int(rng.integers(1, 3)), rng.uniform(1.2e-5, 4e-5), rng.uniform(1e-3, 2e-3)
-    return {"dry_kind": kind, "bristle": length, "dry_v": speed}
+def _dry(rng: Rng, force: FloatArray) -> dict[str, Any]:
+    """Hide it: a tanh, or what bends for some µm before it slides, of any kind."""
+    kind, length, speed = int(rng.integers(TANH, BREAKS + 1)), rng.uniform(1.2e-5, 4e-5), rng.uniform(1e-3, 2e-3)
+    return {"dry_kind": kind, "dry_v": speed, **presliding(rng, force, kind, length)}
+
+
+def presliding(rng: Rng, force: FloatArray, kind: int, length: float) -> dict[str, Any]:
+    """Return how it bends before it slides: within `length`, or a part of it where it breaks away."""
+    length *= rng.uniform(0.15, 1.0) if kind == BREAKS else 1.0
+    damping = rng.uniform(0.1, 0.4) * float(np.max(force)) / np.sqrt(2 * length)
+    return {"bristle": length, "micro": damping, "breaks": rng.uniform(0.4, 0.8)}
 
 
 def coulomb_friction(kind: Drawn, rng: Rng, size: float, real: Real) -> tuple[Table, Real]:
     """Hide dry friction of the guides."""
     force = size * kind.each(rng, rng.uniform(*kind.friction)) * kind.loads(real)
-    return kind.forces(real, force_n=force), real.having(dry=force, **_dry(rng))
+    return kind.forces(real, force_n=force), real.having(dry=force, **_dry(rng, force))
 
 
 def stribeck_friction(kind: Drawn, rng: Rng, size: float, real: Real) -> tuple[Table, Real]:
@@ -37,7 +45,7 @@ def stribeck_friction(kind: Drawn, rng: Rng, size: float, real: Real) -> tuple[T
     force = size * rng.uniform(*kind.stiction) * kind.loads(real)
     extra, speed = rng.uniform(0.5, 1.2) * force, rng.uniform(6.0, 25.0)
     table = {**kind.forces(real, force_n=force, extra_force_n=extra), "velocity_mm_per_s": speed}
-    return table, real.having(dry=force, stick=extra, stick_v=speed / 1e3, stick_power=1.0, **_dry(rng))
+    return table, real.having(dry=force, stick=extra, stick_v=speed / 1e3, stick_power=1.0, **_dry(rng, force))
 
 
 def guide_damping(kind: Drawn, rng: Rng, size: float, real: Real) -> tuple[Table, Real]:

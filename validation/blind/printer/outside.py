@@ -12,7 +12,7 @@ import numpy as np
 from validation.blind.printer.drawn import Drawn, Table
 from validation.blind.printer.hidden import Drawing
 from validation.blind.printer.mishaps import behind, clipped_at, hummed, slipped, slowed
-from validation.blind.printer.real import Real, Rng
+from validation.blind.printer.real import Real, Rng, sign
 
 
 def off_centre_pulley(kind: Drawn, rng: Rng, size: float, real: Real) -> tuple[Table, Real]:
@@ -75,6 +75,22 @@ def creeping_belt(kind: Drawn, rng: Rng, size: float, real: Real) -> tuple[Table
     return {}, real.having(visco_k=added, visco_s=rng.uniform(4e-3, 1.2e-2))
 
 
+def heavy_rotor(kind: Drawn, rng: Rng, size: float, real: Real) -> tuple[Table, Real]:
+    """Hide it: rotors with inertia between magnets and belts, which at rest give way together as the file says."""
+    share, hertz = rng.uniform(3.0, 6.0), rng.uniform(70.0, 130.0)
+    magnets = share * kind.springs(real)
+    mass = size * magnets / (2 * np.pi * hertz) ** 2
+    fields = {"rotor_k": magnets, "rotor_b": rng.uniform(0.02, 0.06) * 2 * np.sqrt(magnets * mass)}
+    if size > 0:
+        fields["belt_k"] = magnets / (share - 1.0)  # of the belt alone
+    return {}, real.having(rotor=mass, **fields)
+
+
+def one_sided_belt(kind: Drawn, rng: Rng, size: float, real: Real) -> tuple[Table, Real]:
+    """Hide it: belts that are stiffer pulled than pushed, for one side is slack."""
+    return {}, real.having(lean=size * sign(rng) * kind.some(rng) * rng.uniform(0.25, 0.45))
+
+
 def sluggish_sensor(_: Drawn, rng: Rng, size: float, real: Real) -> tuple[Table, Real]:
     """Hide it: the nozzle's accelerometer answers slowly: a low-pass of second order."""
     return {}, real.read_by(slowed(rng.uniform(70.0, 130.0), size))
@@ -97,6 +113,8 @@ SHARED: Mapping[str, Drawing] = {
         notched_wheel,
         soft_bracket,
         creeping_belt,
+        heavy_rotor,
+        one_sided_belt,
         sluggish_sensor,
         clipping_sensor,
     )

@@ -25,11 +25,11 @@ import numpy as np
 from numba import njit
 
 from validation.blind.printer.real import FloatArray
-from validation.blind.printer.shapes import belt, guide, slid
+from validation.blind.printer.shapes import DAHL, belt, bent, guide
 
 # where the parts of a state begin
 Q, V, TOOL, TOOLV, SWAY, SWAYV, CABLE, CABLEV, MOUNT, MOUNTV, ARM, LOOSE = 0, 2, 4, 6, 8, 10, 12, 14, 16, 17, 18, 20
-YAW, STATES = 22, 24
+YAW, ROTOR, ROTORV, STATES = 22, 24, 26, 28
 SLIDES_M_PER_S = 2e-3
 
 
@@ -68,7 +68,13 @@ def _rate(
         u, du = _motor(y, ud, dud, i, p)
         q = p.turn[i, 0] * y[Q] + p.turn[i, 1] * y[Q + 1]
         dq = p.turn[i, 0] * y[V] + p.turn[i, 1] * y[V + 1]
+        sent, turning = u, du
+        if p.rotor[i] > 0.0:
+            u, du = y[ROTOR + i], y[ROTORV + i]
         pull = belt(u - q, du - dq, q, ud[i], y[ARM + i], t, i, p)
+        if p.rotor[i] > 0.0:
+            dy[ROTOR + i] = du
+            dy[ROTORV + i] = (p.rotor_k[i] * (sent - u) + p.rotor_b[i] * (turning - du) - pull) / p.rotor[i]
         dy[ARM + i] = (u - q - y[ARM + i]) / p.visco_s if p.visco_k[i] > 0.0 else 0.0
         if i == p.soft_motor:
             dy[MOUNT] = y[MOUNTV]
@@ -136,7 +142,7 @@ def _swing(y: FloatArray, p: Any, frame: FloatArray, dy: FloatArray) -> None:
 def _bristles(y: FloatArray, z: FloatArray, span: float, p: Any, out: FloatArray) -> None:
     """Every bristle after `span`, its slider going on at the same speed."""
     for a in range(2):
-        out[a] = slid(z[a], y[V + a], abs(y[V + a]), span, p.bristle)
+        out[a] = bent(z[a], y[V + a], span, p)
 
 
 @njit(cache=True, error_model="numpy")
@@ -151,6 +157,7 @@ def run(command: FloatArray, speed: FloatArray, h: float, every: int, p: Any) ->
     k1, k2, k3, k4 = np.zeros(STATES), np.zeros(STATES), np.zeros(STATES), np.zeros(STATES)
     y[Q : Q + 2] = np.linalg.solve(p.turn, command[0])
     y[TOOL : TOOL + 2] = y[Q : Q + 2]
+    y[ROTOR : ROTOR + 2] = command[0]
     for n in range(steps + 1):
         b, t = 2 * n, n * h
         _rate(y, z, t, command[b], speed[b], p, w, k1)
@@ -159,7 +166,7 @@ def run(command: FloatArray, speed: FloatArray, h: float, every: int, p: Any) ->
             out[n // every, 0, 1] += (y[Q] - p.yaw_at) * y[YAW]
         if n == steps:
             break
-        if p.dry_kind == 2:
+        if p.dry_kind >= DAHL:
             _bristles(y + h / 2 * k1, z, h / 2, p, half)
             _bristles(y + h / 2 * k1, z, h, p, full)
         _rate(y + h / 2 * k1, half, t + h / 2, command[b + 1], speed[b + 1], p, w, k2)

@@ -14,6 +14,7 @@ import numpy as np
 from validation.blind.printer.hidden import SHARED, of_kind
 from validation.blind.printer.real import Hide, Real, Rng, sign
 from validation.blind.straight.drawn import AXES, masses, springs
+from validation.blind.straight.single import presliding_friction
 
 FORCED = replace(AXES, friction=(0.3, 1.5), stiction=(0.4, 1.5), grease=(2.0, 8.0), play_mm=(0.04, 0.12))
 LOUD_M_PER_S2 = 4.0  # under which a coupling that hardens has its usual stretch
@@ -33,9 +34,9 @@ def _alone(name: str) -> Hide:
 
 
 def bristle_friction(rng: Rng, size: float, real: Real) -> tuple[dict[str, Any], Real]:
-    """Hide dry friction that bends bristles before it slides."""
-    force, length = size * rng.uniform(*FORCED.friction) * masses(real)[0], rng.uniform(1.5e-5, 1.2e-4)
-    return {"force_n": force, "presliding_mm": 1e3 * length}, real.having(dry=[force] * 2, dry_kind=2, bristle=length)
+    """Hide dry friction that bends before it slides."""
+    force = size * rng.uniform(*FORCED.friction) * masses(real)[0]
+    return presliding_friction(rng, real, float(force), rng.uniform(1.5e-5, 1.2e-4))
 
 
 def friction_by_direction(rng: Rng, size: float, real: Real) -> tuple[dict[str, Any], Real]:
@@ -107,6 +108,26 @@ EFFECTS: Mapping[str, Hide] = {
     "bristle_friction": bristle_friction,
     **{name: _alone(name) for name in ("guide_damping", "belt_backlash")},
     **{hide.__name__: hide for hide in OF_AXES},
+}
+
+
+def pendulum_gravity(rng: Rng, size: float, real: Real) -> tuple[dict[str, Any], Real]:
+    """Hide an arm, not balanced, that hangs down somewhere near where the axis begins."""
+    force, angle = size * rng.uniform(0.3, 1.5) * masses(real)[0], rng.uniform(-90.0, 90.0)
+    wave = {"weight_wave": 1 / real.machine["rim_m"], "weight_at": np.radians(angle)}
+    return {"force_n": force, "angle_deg": angle}, real.having(weight=force, **wave)
+
+
+def friction_by_load(rng: Rng, size: float, real: Real) -> tuple[dict[str, Any], Real]:
+    """Hide teeth that rub in proportion to what they pass on."""
+    share = size * rng.uniform(0.05, 0.25)
+    return {"share": share}, real.having(load=share)
+
+
+TURNING: Mapping[str, Hide] = {
+    **EFFECTS,
+    "pendulum_gravity": pendulum_gravity,
+    "friction_by_load": friction_by_load,
 }
 
 

@@ -15,9 +15,9 @@ import numpy as np
 
 from validation.blind.printer.drawn import told
 from validation.blind.printer.hidden import SHARED, of_kind
-from validation.blind.printer.real import FloatArray, Hide, Real, Rng, sign
+from validation.blind.printer.real import FloatArray, Hide, Real, Rng, Tables, sign
 from validation.blind.straight.drawn import AXES, of_mass, springs
-from validation.blind.straight.numbers import turn_of
+from validation.blind.straight.numbers import modes_of, turn_of
 
 
 def belt_stiffness(rng: Rng, size: float, real: Real) -> tuple[dict[str, Any], Real]:
@@ -26,6 +26,29 @@ def belt_stiffness(rng: Rng, size: float, real: Real) -> tuple[dict[str, Any], R
     change = size * one * sign(rng) * rng.uniform(0.12, 0.25)
     stiffness = springs(real) * (1 + change)
     return {"relative_change": told(change)}, real.changed("plant", belt_k=stiffness.tolist())
+
+
+def belt_damping(rng: Rng, size: float, real: Real) -> tuple[dict[str, Any], Real]:
+    """Hide it: belts, alike, that hold a part of what damps the axes."""
+    machine, table = damped_by_belts(real.machine, size * rng.uniform(0.4, 1.0))
+    return table, replace(real, machine=machine)
+
+
+def damped_by_belts(machine: Tables, share: float) -> tuple[Tables, dict[str, Any]]:
+    """Return the printer with so much of its carriages' damping in its belts, and the table of it.
+
+    The two belts of a CoreXY, which are alike, damp both axes: the axis that is damped less decides.
+    """
+    plant, turn = copy.deepcopy(machine["plant"]), turn_of(machine["kinematics"]["type"])
+    held = np.array(plant["guide_b"]) + plant["ground"]
+    belts = share * (np.full(2, held.min() / 2) if machine["kinematics"]["type"] == "corexy" else held)
+    left = 1.0 - np.sum(turn**2 * belts[:, None], axis=0) / held
+    plant |= {"belt_c": belts.tolist(), "guide_b": (left * plant["guide_b"]).tolist()}
+    plant["ground"] = (left * plant["ground"]).tolist()
+    changed = {**machine, "plant": plant}
+    if machine["kinematics"]["type"] == "axis":  # its file tells of dampers, not of modes
+        return changed, {"share": share}
+    return changed, {"share": [*(modes_of(changed, axis)["belt_damping_share"][0] for axis in range(2)), 0.0]}
 
 
 def belt_hardening(rng: Rng, size: float, real: Real) -> tuple[dict[str, Any], Real]:
@@ -98,13 +121,23 @@ def _middle_mm(real: Real) -> float:
     return 0.5 * float(real.machine["kinematics"]["x_range_mm"][1])
 
 
-_OWN = (belt_stiffness, belt_hardening, frame_mode, sensor_gain, growing_bed, toolhead_mode, gantry_racking)
+_OWN = (
+    belt_stiffness,
+    belt_damping,
+    belt_hardening,
+    frame_mode,
+    sensor_gain,
+    growing_bed,
+    toolhead_mode,
+    gantry_racking,
+)
 _KNOWN: Mapping[str, Hide] = {**_SHARED, **{hide.__name__: hide for hide in _OWN}}
 EVERYWHERE = (  # in the order in which the bank draws them
     "coulomb_friction",
     "stribeck_friction",
     "guide_damping",
     "belt_stiffness",
+    "belt_damping",
     "belt_hardening",
     "belt_position_stiffness",
     "belt_backlash",

@@ -12,12 +12,12 @@ from validation.blind.printer.real import FloatArray
 COREXY = np.array([[1.0, 1.0], [1.0, -1.0]])
 EACH = (
     "carriage tool belt_k belt_c guide_b ground tool_ground mount_k mount_b dry stick grease cubic quintic slope "
-    "slope_at play stepper ripple ripple_wave notch visco_k sway_mass sway_k sway_b loose"
+    "slope_at lean play stepper ripple ripple_wave notch visco_k sway_mass sway_k sway_b loose rotor rotor_k rotor_b"
 )
 ONE = (
-    "stick_v stick_power dry_v bristle flank landing stepper_share ripple_second ripple_phase warm_share warm_s "
-    "pulley_share pulley_wave cable_mass cable_k cable_b notch_wave soft_mass soft_k soft_b stop_gap stop_k visco_s "
-    "loose_grip beam beam_at beam_half yaw yaw_k yaw_b yaw_at yaw_arm head"
+    "stick_v stick_power dry_v bristle micro breaks flank landing stepper_share ripple_second ripple_phase warm_share "
+    "warm_s pulley_share pulley_wave cable_mass cable_k cable_b notch_wave soft_mass soft_k soft_b stop_gap stop_k "
+    "visco_s loose_grip beam beam_at beam_half yaw yaw_k yaw_b yaw_at yaw_arm head"
 )
 PRINTER = np.dtype(
     [
@@ -25,7 +25,7 @@ PRINTER = np.dtype(
         *((name, "f8") for name in ONE.split()),
         ("turn", "f8", (2, 2)),  # from axes to motors
         ("sway_dir", "f8", (2, 2)),
-        ("dry_kind", "i8"),  # 0 none, 1 tanh, 2 bristle
+        ("dry_kind", "i8"),  # 0 none, else of `shapes`
         ("soft_motor", "i8"),  # -1 for none
     ]
 )
@@ -64,6 +64,7 @@ def modes_of(machine: Mapping[str, Any], axis: int) -> dict[str, list[float]]:
     """Return frequencies, damping ratios and shares of an axis, as a machine file has them, by its masses and springs.
 
     The dampers are proportional (`machines.draw_machine`), so that the modes are those of the undamped axis.
+    `belt_damping_share` is of the first mode.
     """
     plant = machine["plant"]
     turn = turn_of(machine["kinematics"]["type"])
@@ -75,7 +76,8 @@ def modes_of(machine: Mapping[str, Any], axis: int) -> dict[str, list[float]]:
         mass = np.array([plant["carriage"][axis], tool])
         stiff = np.array([[belt + mount, -mount], [-mount, mount]])
         damp = damper * np.array([[1.0, -1.0], [-1.0, 1.0]]) + np.diag([0.0, plant["tool_ground"][axis]])
-    damp[0, 0] += plant["guide_b"][axis] + plant["ground"][axis]
+    belts = float(turn[:, axis] ** 2 @ plant.get("belt_c", np.zeros(2)))
+    damp[0, 0] += plant["guide_b"][axis] + plant["ground"][axis] + belts
     square, shape = np.linalg.eigh(stiff / np.sqrt(np.outer(mass, mass)))
     shape = shape / np.sqrt(mass)[:, None]
     omega = np.sqrt(square)
@@ -85,4 +87,5 @@ def modes_of(machine: Mapping[str, Any], axis: int) -> dict[str, list[float]]:
         "frequency_hz": (omega / (2 * np.pi)).tolist(),
         "damping_ratio": ratio.tolist(),
         "share": share.tolist(),
+        "belt_damping_share": [float(belts * shape[0, 0] ** 2 / (2 * omega[0] * ratio[0]))],
     }

@@ -34,6 +34,8 @@ OUTSIDE: Mapping[str, Hide] = {  # in the order in which the bank draws them
         "notched_wheel",
         "soft_motor",
         "creeping_belt",
+        "heavy_rotor",
+        "one_sided_belt",
         "sluggish_sensor",
         "clipping_sensor",
         "loose_load",

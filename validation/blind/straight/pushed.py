@@ -17,7 +17,7 @@ import numpy as np
 from numba import njit
 
 from validation.blind.printer.real import FloatArray
-from validation.blind.printer.shapes import belt, guide, slid
+from validation.blind.printer.shapes import DAHL, belt, bent, guide
 from validation.blind.straight.numbers import NEUTRAL, PRINTER
 
 Q, V, END, ENDV, CABLE, CABLEV, LOOSE, STATES = 0, 1, 2, 3, 4, 5, 6, 7
@@ -25,7 +25,8 @@ SLIDES_M_PER_S = 2e-3
 TURNS_M_PER_S = 2e-3  # below which a direction is not quite one
 ONE = (
     "offset drag direction hose hose_at tooth tooth_wave tooth_phase tooth_second delay delay_pace delay_phase fade "
-    "fade_s limit commute commute_wave commute_phase bump bump_at bump_wide spin spin_wave"
+    "fade_s limit commute commute_wave commute_phase bump bump_at bump_wide spin spin_wave weight weight_wave "
+    "weight_at load"
 )
 LOOP = "stiff damp slow ahead filter_s lag_s pace_s count_m"
 # its own numbers first: a record that began as a printer's would pass for one in what is compiled, with a warning
@@ -65,9 +66,13 @@ def _acts(force: float, q: float, t: float, p: Any) -> float:
 
 
 @njit(cache=True, error_model="numpy")
-def _resists(q: float, v: float, z: float, p: Any) -> float:
+def _resists(q: float, v: float, z: float, acts: float, p: Any) -> float:
     """Return all that resists the first mass but the coupling, N."""
     held = guide(v, q, z, 0, p) + p.ground[0] * v + p.drag * v * abs(v)
+    if p.load != 0.0:
+        held += p.load * abs(acts) * np.tanh(v / TURNS_M_PER_S)
+    if p.weight != 0.0:
+        held += p.weight * np.sin(p.weight_wave * q - p.weight_at)
     if p.direction != 0.0:
         held += 0.5 * p.direction * v * np.tanh(v / TURNS_M_PER_S)
     if p.hose != 0.0:
@@ -83,7 +88,8 @@ def _resists(q: float, v: float, z: float, p: Any) -> float:
 @njit(cache=True, error_model="numpy")
 def _rate(y: FloatArray, z: float, t: float, force: float, p: Any, dy: FloatArray) -> None:
     """Dy = d(state)/dt. z : the bristle of the guide."""
-    first = _acts(force, y[Q], t, p) + p.offset - _resists(y[Q], y[V], z, p)
+    acts = _acts(force, y[Q], t, p)
+    first = acts + p.offset - _resists(y[Q], y[V], z, acts, p)
     two = p.tool[0] > 0.0
     last = ENDV if two else V
     grip = 0.0
@@ -117,8 +123,8 @@ def _step(y: FloatArray, z: float, n: int, h: float, forces: FloatArray, p: Any,
     """Step the state once; returns where the bristle is then. k : (4, STATES), its first row the rate at y."""
     t, half, full = n * h, z, z
     speed = y[V] + h / 2 * k[0, V]
-    if p.dry_kind == 2:
-        half, full = slid(z, speed, abs(speed), h / 2, p.bristle), slid(z, speed, abs(speed), h, p.bristle)
+    if p.dry_kind >= DAHL:
+        half, full = bent(z, speed, h / 2, p), bent(z, speed, h, p)
     middle = _late(forces, t + h / 2, h, p)
     _rate(y + h / 2 * k[0], half, t + h / 2, middle, p, k[1])
     _rate(y + h / 2 * k[1], half, t + h / 2, middle, p, k[2])

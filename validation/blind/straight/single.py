@@ -11,13 +11,16 @@ from typing import Any
 
 import numpy as np
 
+from validation.blind.printer.hidden import presliding
+from validation.blind.printer.mishaps import slowed
 from validation.blind.printer.real import FloatArray, Hide, Labels, Real, Rng, Tables, sign
+from validation.blind.printer.shapes import BREAKS, DAHL
 from validation.blind.straight import hidden, outside
 from validation.blind.straight.drawn import masses
 
 SMOOTH = ("coulomb_friction", "stribeck_friction")
-SHARED = ("guide_damping", "belt_hardening", "belt_backlash", "cogging")
-OUTSIDE: Mapping[str, Hide] = {  # a wheel with notches is a force along the axis, which its catalogue has
+SHARED = ("guide_damping", "belt_damping", "belt_hardening", "belt_backlash", "cogging")
+OUTSIDE: Mapping[str, Hide] = {  # its catalogue has notches, a force along the axis, and sensors that are sluggish
     name: outside.OUTSIDE[name]
     for name in (
         "off_centre_pulley",
@@ -26,7 +29,8 @@ OUTSIDE: Mapping[str, Hide] = {  # a wheel with notches is a force along the axi
         "swinging_cable",
         "fans_tone",
         "creeping_belt",
-        "sluggish_sensor",
+        "heavy_rotor",
+        "one_sided_belt",
         "clipping_sensor",
         "loose_load",
     )
@@ -114,10 +118,23 @@ def _smooth(name: str) -> Hide:
 
 
 def bristle_friction(rng: Rng, size: float, real: Real) -> tuple[dict[str, Any], Real]:
-    """Hide dry friction that bends bristles before it slides."""
-    force, length = size * rng.uniform(1.2, 4.0) * masses(real)[0], rng.uniform(1.5e-5, 6e-5)
-    table = {"force_n": force, "presliding_mm": 1e3 * length}
-    return table, real.having(dry=[force, force], dry_kind=2, bristle=length)
+    """Hide dry friction that bends before it slides."""
+    return presliding_friction(rng, real, size * rng.uniform(1.2, 4.0) * masses(real)[0], rng.uniform(1.5e-5, 6e-5))
+
+
+def presliding_friction(rng: Rng, real: Real, force: float, length: float) -> tuple[dict[str, Any], Real]:
+    """Hide a friction of one of three laws; the way is told of Dahl's only, whose own it is."""
+    kind = int(rng.integers(DAHL, BREAKS + 1))
+    fields = presliding(rng, np.full(2, force), kind, length)
+    table = {"force_n": force} | ({"presliding_mm": 1e3 * length} if kind == DAHL else {})
+    return table, real.having(dry=[force, force], dry_kind=kind, **fields)
+
+
+def sensor_lag(rng: Rng, size: float, real: Real) -> tuple[dict[str, Any], Real]:
+    """Hide an accelerometer behind a low-pass of second order."""
+    cutoff = rng.uniform(70.0, 130.0) / max(size, 0.05)
+    lag = [0.0, 0.0, 1 / (2 * np.pi * cutoff)]
+    return {"time_constant_s": lag, "damping_ratio": np.sqrt(0.5)}, real.read_by(slowed(cutoff, size))
 
 
 def command_delay(rng: Rng, size: float, real: Real) -> tuple[dict[str, Any], Real]:
@@ -136,4 +153,5 @@ EFFECTS: Mapping[str, Hide] = {
     **{name: _alone(name) for name in SHARED},
     "belt_stiffness": belt_stiffness,
     "command_delay": command_delay,
+    "sensor_lag": sensor_lag,
 }

@@ -12,7 +12,7 @@ import pytest
 from ffcomp.comparison.baselines import LinearPrinter, resonance_tests
 from ffcomp.comparison.engine import Request, compare, names
 from ffcomp.comparison.equal_quality import within_limits
-from ffcomp.comparison.methods import COMPENSATED, NAMES, ROBUST, best_fixed, calibrated
+from ffcomp.comparison.methods import COMPENSATED, NAMES, ROBUST, best_fixed, calibrated, mode_frequencies
 from ffcomp.comparison.result import Comparison
 from ffcomp.comparison.sampling import Print, Sampling
 from ffcomp.metrics import Track
@@ -109,6 +109,9 @@ def test_a_plant_with_uneven_belts_can_judge() -> None:
     plant = with_effect(MACHINE, "belt_stiffness", relative_change=[0.1, -0.1, 0.05])
     found = compare(PRINTED, plant, replace(FIRST_LAYER, only=("mzv", "mzv-calibrated")))
     assert found.methods["mzv"].track.contour_rms_um > 0
+    middle = tuple(each // 2 for each in found.bed.frequency_hz.shape[:2])
+    assert found.bed.frequency_hz[middle] == pytest.approx(mode_frequencies(plant)(np.zeros((1, 2)))[0])
+    assert found.bed.frequency_hz[middle] != pytest.approx(of_first_layer().bed.frequency_hz[middle], rel=0.01)
 
 
 def test_the_search_beats_the_calibration_and_its_neighbours() -> None:

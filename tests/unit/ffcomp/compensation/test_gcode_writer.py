@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from functools import cache
+from math import cos, sin
 from typing import Any
 
 import numpy as np
@@ -14,13 +16,13 @@ from hypothesis import strategies as st
 from ffcomp.inverse.settings import settings_for
 from ffcomp.planner.limits import planner_limits
 from ffcomp.planner.lookahead import plan_moves, stops_and_waits
-from ffcomp.planner.program import plan_program
+from ffcomp.planner.program import known_to_the_firmware, plan_program, planner_of
 from gcode.embedded import OURS, TIME_WAS, WAS, original, section_times
 from gcode.metadata import tells
 from gcode.program import Program
 from gcode.reader import read_program
 from models.file import load_machine
-from models.machine import Machine
+from models.machine import Machine, RepRapFirmwareSettings
 from tests.support.compensated import compensated as anywhere
 
 MOVE = re.compile(rb"\s*(?:N\d+\s*)?G0*[0-3](?!\d)", re.IGNORECASE)
@@ -171,6 +173,17 @@ def test_marlins_own_caps_come_back_as_the_file_set_them() -> None:
     assert closing[-4:] == [b"M203 X200 Y200", b"M204 P800 T900", b"M205 X8 Y8", b"M201 X700 Y600"]  # then the file's
 
 
+def test_reprapfirmwares_limits_come_back_axis_by_axis() -> None:
+    with_axes = RepRapFirmwareSettings((300, 200, 10, 60), (3000, 2000, 100, 5000), (10, 8, 0.2, 5), 1500, 2500, 1)
+    data = START + b"M566 X300\nG1 X30 Y20 F9000\nG28\n"
+    own = replace(machine(), reprapfirmware=with_axes)
+    lines = anywhere(data, own, predict=False, flavor="reprapfirmware")[0].splitlines()
+    at = lines.index(b"G28", 3)
+    assert [line.removesuffix(OURS) for line in lines[at - 6 : at - 1]] == [
+        b"M201 X3000 Y2000 Z100", b"M203 X18000 Y12000 Z600", b"M204 P1500 T2500", b"M566 X600 Y480 Z12", b"M566 X300",
+    ]  # fmt: skip
+
+
 def test_bytes_that_are_no_text_survive() -> None:
     odd = b"; caf\xe9 \xc3\xa9 \xff\nM117 \xb5m\n"
     assert others(compensated(START + odd + b"G1 X20 Y5\n" + odd))[3:] == others(START + odd + odd)[3:]
@@ -202,6 +215,29 @@ def test_a_wipe_costs_no_time() -> None:
     moving = np.abs(program.moves.end[:, :3] - program.moves.start[:, :3]).max(axis=1) > 0
     pulled = (program.moves.end[:, 3] - program.moves.start[:, 3])[falls & moving]
     assert float(pulled.sum()) == pytest.approx(-8.0, abs=0.05)
+
+
+@pytest.mark.parametrize("flavor", ["klipper", "marlin"])
+def test_no_second_has_more_than_250_segments(flavor: str) -> None:
+    """By the firmware's plan: with lines that cut segments, retractions, and limits of the file that hold on."""
+    hop = b"G1 E-.04 F3000\nG1 Z0.8 F9000\nG1 Z0.3\nG1 E.04 F3000\n"
+    chords = b"".join(
+        b"G1 X%.3f Y%.3f E.02 F6000\n" % (10 - 6 * cos(k / 12) - 2 * cos(k / 2), 10 - 6 * sin(k / 12) + 2 * sin(k / 2))
+        + (b"M106 S%d\n" % (k % 255) if k % 3 else b"")
+        + (hop if k % 50 == 49 else b"")
+        for k in range(300)
+    )
+    program = read_program(
+        compensated(START + b"M201 Z2000 E3000\nM203 Z30\nM205 Z2 E4\n" + chords, flavor=flavor),
+        flavor=flavor,
+        **known_to_the_firmware(machine()),
+    )
+    stops, waits = stops_and_waits(program)
+    moves, plan = program.moves, planner_of(program, machine())(program.moves, stop_before=stops, wait_before=waits)
+    ours = np.any(moves.end[:, :3] != moves.start[:, :3], axis=1) & (np.diff(moves.line, prepend=-1) > 0)
+    begin_t = plan.start_t[ours]
+    fullest = (np.searchsorted(begin_t, begin_t + 1.0) - np.arange(len(begin_t))).max()
+    assert 230 < fullest <= 250
 
 
 def test_the_comment_before_a_section_ties_its_clock_to_the_originals() -> None:

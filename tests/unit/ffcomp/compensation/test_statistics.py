@@ -10,7 +10,10 @@ from operator import add
 import numpy as np
 import pytest
 
+from ffcomp.compensation.faster import Faster
+from ffcomp.compensation.placement import Placement
 from ffcomp.compensation.prediction import Samples
+from ffcomp.compensation.result import Result
 from ffcomp.compensation.statistics import (
     MOST_LINES,
     Part,
@@ -25,6 +28,8 @@ from ffcomp.compensation.statistics import (
 )
 from ffcomp.compensation.text_stream import Stream
 from ffcomp.inverse.time_scaling import TimeScaling
+from ffcomp.metrics import Track
+from gcode.dialects import FlavorChoice
 from gcode.reader import read_program
 from models.file import load_machine
 from models.machine import Machine
@@ -163,3 +168,18 @@ def test_what_differs_in_numbers_only_is_one_cause() -> None:
         "line 3: odd. 1 more like this: see --json, or the log (ffcomp --log-path).",
         "another",
     ]
+
+
+def test_a_print_that_is_predicted_to_become_worse_says_so_first(ender: Machine) -> None:
+    def result(before: float, after: float, faster: Faster | None = None) -> Result:
+        errors = {"uncompensated": before, "compensated": after}
+        tracks = {name: Track(0.0, 0.0, rms, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0) for name, rms in errors.items()}
+        numbers = Statistics(warnings=("another",), faster=faster)
+        chosen, place = FlavorChoice("marlin", ""), Placement((0.0, 0.0), "")
+        return Result("", ender, chosen, place, numbers, 1.0, read_again=tracks)
+
+    first, *others = result(3.946, 6.052).warning_lines
+    assert "contour error 6.05 µm rms, against 3.95 µm without it. Print the file as it was sliced." in first
+    assert others == ["another"] and result(3.946, 6.052).warnings == [first, "another"]
+    for better in (result(6.052, 3.946), result(3.946, 3.949), result(3.946, 6.052, Faster(bound_um=10.0))):
+        assert better.no_gain == []

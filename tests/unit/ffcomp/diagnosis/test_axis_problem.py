@@ -114,6 +114,7 @@ def test_an_error_of_where_a_shot_began_is_no_discrepancy() -> None:
 
 def test_dry_friction_of_a_free_axis_is_named_with_its_size() -> None:
     told = found(STAGE, coulomb_friction={"force_n": 6.0})
+    assert not told.estimation.problem.forces  # its motion shows what is missing
     assert told.named is not None and told.named.names == ("coulomb_friction",)
     assert told.final.values["effects.coulomb_friction.force_n"] == pytest.approx(6.0, rel=0.03)
 

@@ -14,7 +14,10 @@ from ffcomp.diagnosis.acceptance import (
     contradicting,
     dominant_effect,
     explained_elsewhere,
+    groups,
     motions_against,
+    motions_or_groups,
+    other_motions,
 )
 from ffcomp.diagnosis.fit import EstimationProblem, Fit, estimation_problem, fit
 from ffcomp.diagnosis.hypotheses import Hypothesis
@@ -146,3 +149,42 @@ def test_what_is_worse_than_standing_still_is_no_measure() -> None:
     """A free axis whose file is far off: 2877 % of the signals are left, then 96 %."""
     windows = [HeldOut((float(t),), "", 40, before=8.3e4, after=92.0, filed=8.4e4, signal=100.0) for t in range(5)]
     assert explained_elsewhere(windows) == pytest.approx(0.08)
+
+
+def test_windows_of_an_axis_are_left_out_by_whole_motions_where_there_are_several() -> None:
+    """A window's own motion tells much of it. Of a printer, places take turns, whatever moved there."""
+    problem = Linear((1.0,) * 4, 0.5, (RUBS,))
+    assert list(motions_or_groups(problem).values()) == list(groups(problem).values())
+    problem.observations = [replace(o, position=(float(i // 2 % 2),)) for i, o in enumerate(problem.observations)]
+    assert list(groups(problem).values()) == [[0, 1, 4, 5], [2, 3, 6, 7]]
+    assert list(motions_or_groups(problem).values()) == [[0, 1], [2, 3], [4, 5], [6, 7]]
+    problem.motions = (0,) * 8
+    assert list(motions_or_groups(problem).values()) == list(groups(problem).values())
+
+
+@pytest.mark.parametrize(
+    ("sizes", "changed"),
+    [((1.0, 1.0, 1.05, 1.0), 0.05), ((1.0, 1.0, 1.0, 1.0), 0.0), ((1.0, 1.0, 1.6, 1.0), 0.0)],
+)
+def test_a_size_that_is_a_little_larger_in_one_motion_is_told(sizes: Sequence[float], changed: float) -> None:
+    """By a half it is another effect; and none says that what repeats exactly changes."""
+    problem = Linear(sizes, 0.0, (RUBS,))
+    assert other_motions(begun(problem)[0], rubbing(problem)) == []  # places
+    problem.observations = [replace(o, position=(0.0,), name=f"{o.name} from 0 s") for o in problem.observations]
+    told = other_motions(begun(problem)[0], rubbing(problem))
+    assert [one.name for one in told] == [f"{k}-1.csv" for k in range(4)] and not any(one.worse for one in told)
+    assert told[2].changed == pytest.approx(changed, abs=0.01)
+    assert told[2].number == (size_of(RUBS).name if changed else "") and not told[0].number
+
+
+def rubbing(problem: Linear) -> Hypothesis:
+    (candidate,) = problem.candidates
+    parameters = (*problem.parameters, *candidate.parameters)
+    return Hypothesis((candidate,), fit(begun(problem)[0], parameters, np.zeros(2)))
+
+
+def test_what_makes_another_motion_worse_is_said_first() -> None:
+    problem = Linear((1.0, 1.0, -0.8, 1.0), 0.0, (RUBS,))
+    problem.observations = [replace(o, position=(0.0,), name=f"{o.name} from 0 s") for o in problem.observations]
+    told = other_motions(begun(problem)[0], rubbing(problem))
+    assert [one.worse for one in told] == [False, False, True, False]

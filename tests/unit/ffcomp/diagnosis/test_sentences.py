@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from ffcomp.diagnosis.acceptance import OtherMotion
 from ffcomp.diagnosis.diagnosis import FINDINGS
 from ffcomp.diagnosis.gap import ResidualBreakdown, ResidualSize
 from ffcomp.diagnosis.problem import MachineNames
@@ -210,3 +211,17 @@ def test_no_share_is_told_of_a_gap_that_does_not_stand_above_the_noise(
 def test_none_by_a_guessed_noise_says_what_may_be_hidden(guess: bool) -> None:
     told = " ".join(summary_sentences(result("nothing", noise_guessed=guess)))
     assert ("is a guess, for no motion was repeated" in told) == guess
+
+
+def test_what_speaks_against_an_answer_is_said_first_and_what_changes_beside() -> None:
+    plain = summary_sentences(result())
+    harms = OtherMotion("b.csv", filed=0.266, after=0.442)
+    larger = OtherMotion("c.csv", 0.5, 0.057, "effector_mass.added_kg", 0.051, 0.049)
+    first, *rest = summary_sentences(result(others=[OtherMotion("a.csv", 0.5, 0.1), harms, larger]))
+    assert (
+        first.endswith("b.csv is 27 % off with the file as it is and 44 % with the effects.") and "a.csv" not in first
+    )
+    (beside,) = (sentence for sentence in rest if sentence not in plain)
+    assert shares(beside) == [0.051, 0.049, 0.057] and "c.csv effector_mass.added_kg" in beside and "larger" in beside
+    smaller = replace(larger, changed=-0.051)
+    assert "smaller" in summary_sentences(result(others=[smaller]))[-1]

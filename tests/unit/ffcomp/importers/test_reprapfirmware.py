@@ -87,6 +87,34 @@ def test_speeds_are_per_minute_and_the_slowest_counts(tmp_path: Path) -> None:
     assert value(says, "limits.square_corner_velocity_mm_per_s") == 10.0
 
 
+def test_what_the_firmwares_planner_needs_is_imported_axis_by_axis(tmp_path: Path) -> None:
+    """The last number of several extruders' does not count, and a setting that config.g lacks is left out."""
+    text = "M203 X18000 Y12000 Z6000 E3600\nM201 X1500 Y1600 Z700 E4000\nM204 T3000\nM566 X600 Y900 Z12 E120:240 P1\n"
+    found(tmp_path, DELTA + text)
+    s = imported(tmp_path / "config.g").reprapfirmware
+    assert s is not None and set(s.stated) == {
+        "speed_mm_per_s", "acceleration_mm_per_s2", "jerk_mm_per_s", "travel_acceleration_mm_per_s2", "jerk_policy",
+    }  # fmt: skip
+    assert (s.speed_mm_per_s, s.acceleration_mm_per_s2) == ((300, 200, 100, 60), (1500, 1600, 700, 4000))
+    assert (s.jerk_mm_per_s, s.jerk_policy, s.travel_acceleration_mm_per_s2) == ((10, 15, 0.2, 2), 1, 3000)
+
+
+@pytest.mark.parametrize(
+    ("text", "place"),
+    [
+        (CARTESIAN + 'M574 X1 Y2 S1 P"xstop"\nM574 Z1 S1 P"zstop"\n', [0.0, 225.0, 0.0]),
+        (CARTESIAN + "M574 X1 Y1 S3\nM574 Z1 S2\n", None),  # a probe homes Z, somewhere over the bed
+        (CARTESIAN + "M574 X1 Y1 S1\n", None),
+        (DELTA + "M574 X2 Y2 Z2 S1\n", [0.0, 0.0, 250.0]),
+    ],
+)
+def test_where_homing_ends_is_imported_unless_a_probe_decides(
+    tmp_path: Path, text: str, place: list[float] | None
+) -> None:
+    says = found(tmp_path, text)
+    assert (says.values["homing.position_mm"].value if "homing.position_mm" in says.values else None) == place
+
+
 def test_conditions_and_formulas_are_said_not_guessed(tmp_path: Path) -> None:
     text = (
         DELTA

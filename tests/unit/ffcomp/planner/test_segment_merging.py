@@ -207,13 +207,27 @@ def test_lines_that_cut_segments_do_not_add_to_their_number() -> None:
     points = np.stack([0.4 * at, 1e-3 * at**2, np.zeros(len(at))], axis=1)
     pinned = at % 1.0 > 0.0
     pinned[[0, -1]] = True
-    stays = at_most(at, points, np.arange(len(at)), pinned, 25)
+    stays = at_most(at, points, np.arange(len(at)), pinned, 24, begins=False, ends=False)
     begins = at[stays]
-    for first in range(len(stays) - 25):
-        assert begins[first + 25] - begins[first] >= 25 - 1e-9
+    for first in range(len(stays) - 24):
+        assert begins[first + 24] - begins[first] >= 25 - 1e-9
     assert set(np.flatnonzero(pinned)) <= set(stays.tolist()) and len(stays) <= 101
     missed = np.interp(at, begins, points[stays, 1]) - points[:, 1]
     assert np.abs(missed).max() < 2e-3
+
+
+@pytest.mark.parametrize("begins", [True, False])
+def test_no_part_at_a_runs_end_has_more_segments_than_knots(begins: bool) -> None:
+    """So that parts of several runs have no more together."""
+    at = np.sort(np.concatenate([np.arange(60.0), [3.3, 3.7, 55.2, 56.4, 57.7]]))
+    points = np.stack([0.4 * at, 1e-3 * at**2, np.zeros(len(at))], axis=1)
+    pinned = at % 1.0 > 0.0
+    pinned[[0, -1]] = True
+    stays = at_most(at, points, np.arange(len(at)), pinned, 24, begins=begins, ends=not begins)
+    since = at[stays] - at[0] if begins else (at[-1] - at[stays])[::-1]
+    early, other = np.arange(1, 24), 59.0 - since[::-1]
+    assert (since[early] >= early - 1e-9).all() and not (other[early] >= early - 1e-9).all()
+    assert set(np.flatnonzero(pinned)) <= set(stays.tolist())
 
 
 def test_a_segment_cut_short_by_a_line_keeps_its_speed() -> None:

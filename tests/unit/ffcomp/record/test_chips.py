@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -17,6 +19,7 @@ from models.machine import Machine
 from studies.straight_proof import KINDS, as_captures, machine_text
 
 SLINGER = KINDS["cartesian"]
+Joins = Callable[[bool, bool], JoinResult]
 
 
 @pytest.fixture(scope="module")
@@ -28,13 +31,20 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[Path], Plan, M
     return as_captures(folder / "captures", plan, SLINGER.plant, SLINGER, 30.0), plan, machine
 
 
-def joined(bench: tuple[list[Path], Plan, Machine], *, bed: bool, head: bool = True) -> JoinResult:
+@pytest.fixture(scope="module")
+def joined(bench: tuple[list[Path], Plan, Machine]) -> Joins:
+    """Joins the captures of the bed's chip, the head's, or of both."""
     captures, plan, machine = bench
-    return join_captures([p for p in captures if (bed if "-bed-" in p.name else head)], plan, machine)
+
+    @cache
+    def of(bed: bool, head: bool) -> JoinResult:
+        return join_captures([p for p in captures if (bed if "-bed-" in p.name else head)], plan, machine)
+
+    return of
 
 
-def test_each_axis_comes_from_the_chip_that_feels_it(bench: tuple[list[Path], Plan, Machine]) -> None:
-    found = joined(bench, bed=True)
+def test_each_axis_comes_from_the_chip_that_feels_it(bench: tuple[list[Path], Plan, Machine], joined: Joins) -> None:
+    found = joined(True, True)
     assert len(found.joined) == 4 and not found.refused
     assert all(min(each.felt[:2]) > 0.9 for each in found.joined)
     gap = measure_gap(bench[2], found.recordings).residual.total
@@ -46,7 +56,7 @@ def test_each_axis_comes_from_the_chip_that_feels_it(bench: tuple[list[Path], Pl
         and recording.clocks_of(("acc_x",)) != recording.clocks_of(("acc_y",))
         for recording, names in zip(found.recordings, columns, strict=True)
     )
-    assert all("clocks" not in each.comments for each in joined(bench, bed=False).recordings)
+    assert all("clocks" not in each.comments for each in joined(False, True).recordings)
 
 
 def test_friction_of_the_bed_is_no_other_motion(bench: tuple[list[Path], Plan, Machine], tmp_path: Path) -> None:
@@ -59,9 +69,11 @@ def test_friction_of_the_bed_is_no_other_motion(bench: tuple[list[Path], Plan, M
     assert min(found.joined[0].felt[:2]) > 0.8
 
 
-def test_an_axis_that_no_chip_feels_is_left_out_and_said(bench: tuple[list[Path], Plan, Machine]) -> None:
+def test_an_axis_that_no_chip_feels_is_left_out_and_said(
+    bench: tuple[list[Path], Plan, Machine], joined: Joins
+) -> None:
     for chip, missing in (("head", "y"), ("bed", "x")):
-        found = joined(bench, bed=chip == "bed", head=chip == "head")
+        found = joined(chip == "bed", chip == "head")
         assert all(
             set(each.acceleration) == {"acc_x", "acc_y", "acc_z"} - {f"acc_{missing}"} for each in found.recordings
         )

@@ -30,6 +30,7 @@ from models.file import LIBRARY, load_machine
 from models.printer.printer import simulate_printer
 from tests.support.browser import chromium, visit
 from tests.support.cli import CliRunner
+from tests.support.undrawn import save_nothing
 
 RATE_HZ, SECONDS, NOISE = 1600.0, 1.2, 0.3
 PLACES = {"centre": (0.0, 0.0, 30.0), "left": (-70.0, 20.0, 30.0), "front": (40.0, -60.0, 30.0)}
@@ -94,14 +95,19 @@ class Case:
     told: ReportInput
 
 
-def made(folder: Path, hidden: dict[str, dict[str, Any]], names: tuple[str, ...]) -> Case:
-    """Through the verb, with few candidates: the search is not what is tested here."""
+def made(folder: Path, hidden: dict[str, dict[str, Any]], names: tuple[str, ...], *, drawn: bool = False) -> Case:
+    """Through the verb, with few candidates: the search is not what is tested here.
+
+    drawn : whether its figures are, too; two pages of three are about words
+    """
     write_machine(folder)
     runs, report, told = write_runs(folder, hidden), folder / "d.html", []
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(problems, "PrinterProblem", lambda plant, runs, _: PrinterProblem(plant, runs, names))
         patch.setattr(pages, "page", lambda given: told.append(given) or page(given))
         patch.setattr(verb, "propose", lambda *_: [PROPOSAL])
+        if not drawn:
+            patch.setattr("matplotlib.figure.Figure.savefig", save_nothing)
         answer = run(runs, "-o", str(folder / "better.toml"), "--report", str(report))
     assert answer.exit_code == 0, answer.output
     result = json.loads(answer.stdout)
@@ -112,7 +118,7 @@ def made(folder: Path, hidden: dict[str, dict[str, Any]], names: tuple[str, ...]
 @pytest.fixture(scope="module")
 def heavy(tmp_path_factory: pytest.TempPathFactory) -> Case:
     hidden = {"effector_mass": {"added_kg": 0.08}}
-    return made(tmp_path_factory.mktemp("heavy"), hidden, ("effector_mass", "guide_damping"))
+    return made(tmp_path_factory.mktemp("heavy"), hidden, ("effector_mass", "guide_damping"), drawn=True)
 
 
 @pytest.fixture(scope="module")
@@ -221,6 +227,7 @@ def test_every_figure_has_words(heavy: Case) -> None:
 # ---- files ---------------------------------------------------------------------------------------
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_an_existing_report_is_refused_before_the_work_and_replaced_with_force(
     plain: Case, found_already: None, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:

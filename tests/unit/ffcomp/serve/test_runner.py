@@ -89,8 +89,8 @@ def test_a_job_ends_with_its_files_and_answer(tmp_path: Path) -> None:
     with runner(tmp_path) as made:
         job = ended(made, add(made, "G28"))
         assert job.state == DONE and job.outputs == ("a.gcode",) and job.error == ""
-        assert ["Print time", "1 min 0 s, was 59.0 s"] in job.answer["facts"]
-        assert job.answer["warnings"] == ["drawing failed: Figures and pages need Matplotlib."]
+        assert ["Print time", "1 min 0 s, was 59.0 s"] in job.answer.facts
+        assert job.answer.warnings == ["drawing failed: Figures and pages need Matplotlib."]
         printed = json.loads((made.kept.place(job.id) / "0.json").read_text())
         assert printed["niceness"] >= 0  # set from outside, a moment after it has started
 
@@ -178,7 +178,7 @@ def test_a_restart_lists_everything_and_goes_on(tmp_path: Path) -> None:
         pid = running(made, slow).pid
     assert not alive(pid)
     with runner(tmp_path) as made:
-        assert made.find(done).state == DONE and made.find(done).answer["facts"]
+        assert made.find(done).state == DONE and made.find(done).answer.facts
         assert made.find(slow).state == FAILED and made.find(slow).error == STOPPED
         assert ended(made, waits).state == DONE
         assert [job.id for job in made.all()] == [waits, slow, done]

@@ -13,7 +13,7 @@ from models.errors import MachineFileError
 from models.file import entries, load_machine, load_plant, updated_text
 from models.kinds import driven_axis, is_one_axis, machine_of_axis
 from models.machine import Machine
-from models.printer.kernels.record import AXIS_PARAMETERS
+from models.printer.kernels.one_axis import AXIS_PARAMETERS
 from models.printer.one_axis import AxisMotion, axis_effects, axis_parameters, simulate_axis, substeps_of
 from models.vibration.driven_axis import Drive, DrivenAxis
 

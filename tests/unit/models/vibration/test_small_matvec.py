@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numba import njit
 
-from models.vibration.scheduled import recursion
+from models.vibration.recursion import recursion
 
 
 @pytest.mark.parametrize(("kind", "rounding"), [(np.float64, 1e-14), (np.float32, 1e-5)])

@@ -1,4 +1,7 @@
-"""How numerical loops are compiled: as in `models/compiled.py`, of which this package knows nothing."""
+"""Compile a loop with numba when it is first called, and keep the code on disk.
+
+The cache and `numba_type` use names of numba that are not public (docs/decisions.md, 0010).
+"""
 
 from __future__ import annotations
 
@@ -8,9 +11,8 @@ from typing import Any
 
 from numba import njit
 from numba.core.caching import FunctionCache, _Cache
+from numba.core.registry import cpu_target
 from numba.core.runtime import rtsys
-
-_OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
 
 
 class KernelCache(_Cache):
@@ -19,14 +21,17 @@ class KernelCache(_Cache):
     Numba fills its tables of all functions before it loads compiled code, for 0.2 s. Only compiling needs them.
     """
 
-    def __init__(self, function: Callable[..., Any]) -> None:
-        """Cache a function's code until its file changes."""
-        self._function = function
+    def __init__(self, function: Callable[..., Any], sources: str = "") -> None:
+        """Cache a function's code until its file changes, or `sources` does if there are any."""
+        self._function, self._sources = function, sources
 
     @cached_property
     def files(self) -> FunctionCache:
         """Numba's own cache."""
-        return FunctionCache(self._function)
+        files = FunctionCache(self._function)
+        if self._sources:
+            files._cache_file._source_stamp = self._sources
+        return files
 
     @property
     def cache_path(self) -> str:
@@ -58,9 +63,20 @@ class KernelCache(_Cache):
         self.files.flush()
 
 
-def kernel(function: Callable[..., Any]) -> Any:
-    """Compile a function when it is first called."""
-    compiled: Any = njit(**_OPTIONS)(function)
-    if hasattr(compiled, "_cache"):  # not with NUMBA_DISABLE_JIT
-        compiled._cache = KernelCache(function)
+def jit(function: Callable[..., Any], options: dict[str, Any], sources: str | None) -> Any:
+    """Return the function as numba compiles it.
+
+    Parameters
+    ----------
+    options : of `numba.njit`
+    sources : keep the code on disk until this changes; empty: until the function's file does; None: keep none
+    """
+    compiled: Any = njit(**options)(function)
+    if sources is not None and hasattr(compiled, "_cache"):  # not with NUMBA_DISABLE_JIT
+        compiled._cache = KernelCache(function, sources)
     return compiled
+
+
+def numba_type(value: Any) -> Any:
+    """Return the type by which a kernel that is being compiled knows something that it calls."""
+    return cpu_target.typing_context.resolve_value_type(value)

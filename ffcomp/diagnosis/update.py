@@ -1,0 +1,387 @@
+"""`identify update`: what recordings of prints say of a machine file's numbers, by Bayes' rule.
+
+    prior        the file's numbers θ₀, as uncertain as its `[uncertainty]` says, and wider by the drift between prints
+    posterior    minimise |r(θ)|² + |z|², z = (θ − θ₀)/σ₀, by Gauss-Newton on the output error; r is whitened
+    noise        raised to the spectrum of what is left: no model has the machine's shape (Birge, Phys. Rev. 40, 1932)
+    intervals    at least as wide as blocks of 5 Hz, and motions that are left out in turn, scatter
+    innovation   zᵀ(I − C)⁻¹z, C the posterior covariance: χ² in the directions that the recordings tell
+    held out     each layer is left out in turn; what the others say must not simulate it worse than the file does
+
+Between prints numbers drift: a random walk, so that what was learnt long ago counts less and less.
+
+Motion tells combinations of numbers better than each by itself, and `[uncertainty]` has no room for that. So the file
+states how well each number is known with the others given: of all independent ones these standard deviations are
+nearest to the posterior (mean field: MacKay, Information Theory, Inference, and Learning Algorithms, 2003, 33), and by
+them the modes are as uncertain as they are. The history keeps how well each is known by itself, for the next prior.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from datetime import date
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ffcomp.diagnosis.acceptance import groups, hold_out
+from ffcomp.diagnosis.fit import EstimationProblem, Fit, estimation_problem, fit, values_at
+from ffcomp.diagnosis.noise import NoiseFloor, at_least, noise_floor, noise_share, raised_to_residual, whitener
+from ffcomp.diagnosis.printer_problem import PrinterProblem
+from ffcomp.diagnosis.problem import Parameter, stem_of
+from ffcomp.diagnosis.recording_clocks import belongs_to_recording
+from ffcomp.diagnosis.settings import SETTINGS
+from ffcomp.errors import MeasurementError, NothingToDo, RequestError
+from ffcomp.identification.machine_fit import estimates, hash_of
+from ffcomp.identification.page_fit import SCALE
+from ffcomp.identification.request import UpdateRequest
+from ffcomp.identification.uncertainty import Estimate, normal
+from ffcomp.measurement.recording import Recording
+from ffcomp.numerics.stages import Progress, Stage
+from ffcomp.record.axes import turn_of
+from ffcomp.record.join import load_recordings
+from gcode.atomic_write import replace_atomically
+from models.arrays import FloatArray
+from models.file import check_text, load_machine, updated_text
+from models.finding import LIBRARY
+from models.machine import Machine, identity
+
+SCHEMA = "ffcomp-update/1"
+USUAL_S = (6.0, 2.0, 8.0, 2.0)  # of CPU: reading, where to begin, the fit, layers left out
+HORIZON_S, MOST_LAYERS = 10.0, 12  # of each recording, and of a print, that are fitted
+DAMPING_TIMES = 3.0  # as uncertain, and as quick to drift, as stiffness: nobody knows damping better
+FACTORS = np.exp(np.arange(-0.45, 0.451, 0.03))  # on all frequencies, where to begin
+FARTHEST_START = 2.5  # standard deviations
+TOLD = 0.9  # of the prior's standard deviation: a number that stays wider is left as it was
+FLOOR, DAMPING_FLOOR = 4e-3, 0.04  # relative standard deviations: towers that differ and friction, which no fit knows
+UNLIKELY = 1e-4  # probability of an innovation that is refused
+DETERMINED = 0.2  # 1 − C of a direction that the recordings tell
+LEFT = 0.25  # of the signals' power: more that is left is another machine, or something is loose
+CHANCE = 0.02  # of the squares of what is left of layers that were left out: no worse
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Updated:
+    """A machine file's numbers before and after some recordings."""
+
+    start: Machine
+    before: Mapping[str, Estimate]  # the prior, drift included
+    after: Mapping[str, Estimate]  # of the numbers that the recordings tell
+    beside: Mapping[str, float]  # relative standard deviation of each, the others being given
+    kept: Sequence[str]  # numbers that they do not tell
+    innovation: tuple[float, int, float]  # χ², its degrees of freedom, the probability of more
+    held_out: tuple[float, float, float]  # nrms of layers left out: with the file as it is, updated; of noise alone
+    layers: int
+    drift: float
+    prints: int
+    data: Sequence[str]  # files with hashes
+    date: str
+
+    def file_text(self, output: Path) -> str:
+        """Write the machine file: numbers, how well they are known, and where that is from."""
+        machine, uncertainty = self.start, dict[str, float]()
+        for key, sd in self.beside.items():
+            uncertainty[stem_of(key)] = max(uncertainty.get(stem_of(key), 0.0), float(f"{sd:.2g}"))
+        if SCALE in machine.vibration.tunable:  # of all masses, stiffnesses and dampings: motion tells their ratios
+            uncertainty[SCALE] = FLOOR
+        entry = {
+            "date": self.date,
+            "data": list(self.data),
+            "numbers": sorted(uncertainty),
+            "held_out_nrms_before_after": [float(f"{x:.4g}") for x in self.held_out[:2]],
+        }
+        values = {key: float(f"{each.value:.6g}") for key, each in self.after.items()}
+        source = Path(machine.path)
+        name = output.stem if source.resolve().parent == LIBRARY.resolve() else None
+        return updated_text(source, values, name=name, uncertainty=uncertainty, provenance={"updated": entry})
+
+    def to_dict(self, output: Path, history: Path) -> dict[str, Any]:
+        """Return the JSON object ffcomp-update/1, which is a line of the history too."""
+        (chi_squared, degrees, probability), before = self.innovation, estimates(self.before)
+        return {
+            "schema": SCHEMA,
+            "date": self.date,
+            "machine": identity(self.start),  # MACHINE: that was updated
+            "data": list(self.data),  # list of text: recordings and their hashes
+            "layers": self.layers,  # whole number: recordings that were fitted
+            "prints": self.prints,  # whole number: since the file was last updated
+            "drift": self.drift,  # number: relative standard deviation by which a number drifts from print to print
+            "numbers": {
+                key: {
+                    "before": before[key],  # ESTIMATE: as uncertain as the file says, and wider by the drift
+                    "after": each,  # ESTIMATE
+                    # number: relative standard deviation with the other numbers given, as the file states it
+                    "given_others": self.beside[key],
+                }
+                for key, each in estimates(self.after).items()
+            },
+            "kept": list(self.kept),  # list of text: numbers that these recordings do not tell
+            "innovation": {
+                "chi_squared": chi_squared,  # number: how far the numbers moved, against what the file allowed
+                "degrees_of_freedom": degrees,  # whole number
+                "probability": probability,  # number: of as much or more by chance
+            },
+            "held_out": {
+                "before": self.held_out[0],  # number: nrms of layers left out, with the file as it was
+                "after": self.held_out[1],  # number: with what the other layers say
+                "noise": self.held_out[2],  # number: of noise alone
+            },
+            "output": str(output),  # the machine file
+            "written_sha256": hashlib.sha256(self.file_text(output).encode()).hexdigest(),  # of it
+            "history": str(history),  # the file to which this object was added
+        }
+
+
+def update_files(request: UpdateRequest, progress: Progress = lambda _: None) -> Updated:
+    """Update a machine file's numbers by recordings; write the file and a line of its history, or nothing.
+
+    Raises
+    ------
+    RequestError, MeasurementError, MachineFileError
+    NothingToDo
+        If the file is as good as what the recordings say.
+    """
+    machine = load_machine(request.machine)
+    data = [hash_of(path) for path in request.data]
+    _check(request, machine, data)
+    progress(Stage(1, "reading the recordings"))
+    turn = turn_of(request.axes_map)
+    recordings = load_recordings(request.data, machine, request.plan, turn, progress)
+    updated = update(machine, recordings, request, data, progress)
+    text = updated.file_text(request.output)
+    check_text(text, str(request.output))
+    line = json.dumps(updated.to_dict(request.output, request.history_file), ensure_ascii=False)
+    earlier = request.history_file.read_bytes() if request.history_file.exists() else b""
+    replace_atomically(request.output, [text.encode()])
+    replace_atomically(request.history_file, [earlier, line.encode(), b"\n"])
+    return updated
+
+
+def _check(request: UpdateRequest, machine: Machine, data: Sequence[str]) -> None:
+    """Refuse to overwrite another file, and to count recordings twice."""
+    path = request.output
+    if path.exists() and not (request.force or path.samefile(machine.path)):
+        raise RequestError(f"{path} exists already; give another --output, or --force.")
+    if path.exists() and path.resolve().parent == LIBRARY.resolve():
+        raise RequestError(f"{path} is of the library; give a file of your own, with --output.")
+    for each in read_history(request.history_file):
+        if again := set(data) & set(each["data"]):
+            raise MeasurementError(
+                sorted(again)[0].partition(" sha256:")[0],
+                [f"The file was updated by it on {each['date']} already. A recording counts once: give new ones."],
+            )
+
+
+def read_history(path: Path) -> list[dict[str, Any]]:
+    """Read all updates, the oldest first; none where there is no file."""
+    if not path.exists():
+        return []
+    try:
+        entries = [dict(json.loads(line)) for line in path.read_text(encoding="utf-8").splitlines()]
+        if all(each["schema"] == SCHEMA and "data" in each and "date" in each for each in entries):
+            return entries
+        wrong = f"its lines are not {SCHEMA}"
+    except (ValueError, KeyError, TypeError) as error:
+        wrong = str(error)
+    raise MeasurementError(
+        str(path), [f"This is no history of updates ({wrong}). Give another with --history, or move this one away."]
+    )
+
+
+# ---- Bayes' rule ---------------------------------------------------------------------------------
+
+
+def update(
+    machine: Machine,
+    recordings: Sequence[Recording],
+    request: UpdateRequest,
+    data: Sequence[str] = (),
+    progress: Progress = lambda _: None,
+) -> Updated:
+    """Update a machine's numbers by recordings; nothing is written. See `update_files`."""
+    problem = update_problem(machine, recordings, request)
+    if not groups(problem):
+        raise MeasurementError(
+            ", ".join(Path(each.source).name for each in recordings),
+            ["There is one layer only, so that nothing is left to test the numbers on: give captures of two or more."],
+        )
+    progress(Stage(2, "seeking where to begin"))
+    noise = noise_floor(problem)
+    floor = at_least(noise, problem.observations, problem.band_hz, problem.least_density)
+    estimation = estimation_problem(problem, whitener(problem.observations, floor, problem.band_hz))
+    start = _start(estimation, machine)
+    progress(Stage(3, f"fitting {len(problem.parameters)} numbers to {len(recordings)} layers"))
+    fitted = fit(estimation, problem.parameters, start, iterations=12)
+    estimation = _reweighted(estimation, floor, fitted)
+    fitted = fit(estimation, problem.parameters, fitted.z, iterations=12)
+    progress(Stage(4, "leaving out one layer after the other"))
+    share = noise_share(whitener(problem.observations, floor, problem.band_hz), floor)
+    held_out = (*_held_out(estimation, fitted), share)
+    of_machine = [i for i, n in enumerate(fitted.parameters) if not belongs_to_recording(n.name)]
+    innovation = _innovation(fitted, of_machine)
+    _refuse(request, machine, held_out, innovation)
+    before, after, beside = _posterior(estimation, fitted, of_machine)
+    if not after:
+        raise NothingToDo("The recordings say no more than the file does: nothing is written.")
+    today = date.today().isoformat()
+    return Updated(
+        start=machine,
+        before=before,
+        after=after,
+        beside=beside,
+        kept=[name for name in before if name not in after],
+        innovation=innovation,
+        held_out=held_out,
+        layers=len(problem.recordings),
+        drift=request.drift,
+        prints=request.prints,
+        data=data,
+        date=today,
+    )
+
+
+def update_problem(machine: Machine, recordings: Sequence[Recording], request: UpdateRequest) -> PrinterProblem:
+    """Return the problem of the machine whose numbers are as uncertain as before these prints."""
+    chosen = np.unique(np.linspace(0, len(recordings) - 1, MOST_LAYERS).round().astype(int))
+    problem = PrinterProblem(machine, [recordings[i] for i in chosen], ())
+    problem = problem.short_horizon(HORIZON_S) or problem
+    last = next((e for e in read_history(request.history_file)[::-1] if e["written_sha256"] == machine.sha256), {})
+    known = {name: each["after"]["sd"] for name, each in last.get("numbers", {}).items()}
+    skipped = {SCALE, *machine.vibration.guessed}
+    problem.parameters = tuple(
+        each if belongs_to_recording(each.name) else _prior(each, machine, known, request)
+        for each in problem.parameters
+        if each.name not in skipped
+    )
+    return problem
+
+
+def _prior(n: Parameter, machine: Machine, known: Mapping[str, float], request: UpdateRequest) -> Parameter:
+    """Return a number as it is known before these prints: by the history, or by what the file says, and its drift."""
+    times = DAMPING_TIMES if "damping" in n.name else 1.0
+    assumed = times if stem_of(n.name) not in machine.uncertainty else 1.0
+    sd = known.get(n.name, assumed * n.sd)
+    sd = float(np.hypot(sd, times * request.drift * np.sqrt(request.prints) * abs(n.start)))
+    edges = n.start - SETTINGS.reach_sd * sd, n.start + SETTINGS.reach_sd * sd
+    least = 0.05 * n.start
+    return replace(n, sd=sd, low=max(edges[0], least) if n.start > 0 else edges[0], high=edges[1])
+
+
+def _start(estimation: EstimationProblem, machine: Machine) -> FloatArray:
+    """Scale all frequencies, of each direction by itself where these are independent, to what fits best."""
+    parameters, coarse = estimation.problem.parameters, replace(estimation, coarse=True)
+    start = np.zeros(len(parameters))
+    for part in ("",) if machine.vibration.position_dependent else ("axes.x.", "axes.y."):
+        trials = [_scaled(parameters, part, float(factor), start) for factor in FACTORS]
+        possible = [z for z in trials if np.abs(z).max(initial=0.0) <= FARTHEST_START]
+        costs = [float(r @ r) for r in coarse.residuals([values_at(parameters, z) for z in possible])]
+        start = possible[int(np.argmin(costs))]
+    return start
+
+
+def _scaled(parameters: Sequence[Parameter], part: str, factor: float, start: FloatArray) -> FloatArray:
+    """Return z (p,) at which the frequencies of a part of the machine are multiplied."""
+    z = start.copy()
+    for i, n in enumerate(parameters):
+        power = 2.0 if "stiffness" in n.name else 1.0 if "frequency" in n.name or "damping_n" in n.name else 0.0
+        if n.name.startswith(part) and power:
+            z[i] = n.start * (factor**power - 1.0) / n.sd
+    return z
+
+
+def _reweighted(estimation: EstimationProblem, floor: NoiseFloor, fitted: Fit) -> EstimationProblem:
+    """Raise the noise to what is left."""
+    problem = estimation.problem
+    errors = [o.measured - y for o, y in zip(problem.observations, problem.simulate(fitted.values), strict=True)]
+    raised = raised_to_residual(floor, problem.observations, errors)
+    return estimation_problem(problem, whitener(problem.observations, raised, problem.band_hz))
+
+
+def _held_out(estimation: EstimationProblem, fitted: Fit) -> tuple[float, float]:
+    """Return nrms of the layers left out in turn: with the file, and with what the others say.
+
+    Raises NothingToDo where the others' numbers are worse than the file's.
+    """
+    clocks = tuple(n for n in fitted.parameters if belongs_to_recording(n.name))
+    filed = Fit((), np.zeros(0), estimation.residual({}), np.zeros((len(fitted.residual), 0)))
+    if clocks:
+        filed = fit(estimation, clocks, np.zeros(len(clocks)))
+    each = hold_out(estimation, filed, fitted)
+    rows = np.array([one.rows for one in each])
+    squares = [float(rows @ np.array([getattr(one, key) + 1.0 for one in each])) for key in ("before", "after")]
+    power = np.sum([one.power for one in each], axis=0)
+    after = float(np.sqrt(power[1] / power[2]))
+    before = after * float(np.sqrt(squares[0] / squares[1]))
+    if squares[1] > (1.0 + CHANCE) * squares[0]:
+        raise NothingToDo(
+            f"Layers that were left out of the fit are simulated no better with what the others say ({after:.1%} of "
+            f"the motion is left) than with the file as it is ({before:.1%}): nothing is written. Record more layers, "
+            "or harder motion."
+        )
+    return before, after
+
+
+def _posterior(
+    estimation: EstimationProblem, fitted: Fit, of_machine: Sequence[int]
+) -> tuple[dict[str, Estimate], dict[str, Estimate], dict[str, float]]:
+    """Return the numbers before; those that the recordings tell; and their relative deviations, the others given."""
+    whiten, same = estimation.whiten, estimation.problem.motions
+    parameters = [fitted.parameters[i] for i in of_machine]
+    covariance = fitted.covariance(whiten.frequencies(), whiten.rows, same)[np.ix_(of_machine, of_machine)]
+    sd = np.sqrt(np.diag(covariance))
+    scatter = fitted.scatter(whiten.rows, same)[of_machine]
+    told = sd < TOLD
+    wider = max(1.0, float(np.median((scatter / sd)[told]))) if told.any() else 1.0
+    alone = np.minimum(np.maximum(sd, scatter), 1.0)
+    given = wider / np.sqrt(np.diag(np.linalg.inv(covariance)))
+    floor = np.array([DAMPING_FLOOR if "damping" in n.name else FLOOR for n in parameters])
+    before = {n.name: normal(n.start, n.sd) for n in parameters}
+    after, beside = {}, {}
+    for k in np.flatnonzero(told).tolist():
+        n, value = parameters[k], fitted.values[parameters[k].name]
+        after[n.name] = normal(value, float(np.hypot(n.sd * alone[k], floor[k] * abs(value))))
+        beside[n.name] = float(np.hypot(n.sd * min(given[k], alone[k]) / abs(value), floor[k]))
+    return before, after, beside
+
+
+def _innovation(fitted: Fit, of_machine: Sequence[int]) -> tuple[float, int, float]:
+    """Test how far the numbers moved: before the recordings, z has the covariance I − C where these tell it."""
+    from scipy.stats import chi2
+
+    covariance = np.linalg.inv(fitted.information)[np.ix_(of_machine, of_machine)]
+    told, directions = np.linalg.eigh(np.eye(len(of_machine)) - covariance)
+    moved = directions.T @ fitted.z[list(of_machine)]
+    counted = told > DETERMINED
+    statistic = float(np.sum(moved[counted] ** 2 / told[counted]))
+    return statistic, int(counted.sum()), float(chi2.sf(statistic, max(int(counted.sum()), 1)))
+
+
+def _refuse(
+    request: UpdateRequest,
+    machine: Machine,
+    held_out: tuple[float, float, float],
+    innovation: tuple[float, int, float],
+) -> None:
+    _, after, noise = held_out
+    plan = "" if request.plan is None else f" --plan {request.plan}"
+    remedy = f"Nothing is written. See what the file lacks: ffcomp diagnose RUNS{plan} -m {request.machine}"
+    if after**2 - noise**2 > LEFT:
+        raise MeasurementError(
+            machine.name,
+            [
+                f"With any numbers that the file allows, {after:.0%} of the motion is left: the printer is another, or "
+                f"something is loose or lacks in the file. {remedy}"
+            ],
+        )
+    if innovation[2] < UNLIKELY:
+        raise MeasurementError(
+            machine.name,
+            [
+                f"Its numbers would have to move farther than its [uncertainty] and the drift allow (χ² "
+                f"{innovation[0]:.0f} of {innovation[1]}): something has changed, or the file is of another printer. "
+                f"{remedy}"
+            ],
+        )

@@ -1,0 +1,190 @@
+"""RepRapFirmware's plan, by its documentation: each axis and the filament have limits and jumps of speed of their own.
+
+    speed          F, and M203 of each axis by its share of the path
+    acceleration   M201 likewise; where X or Y moves also M204 P (extruding) or T (travel)
+    corner         the speed of both moves' lower top at which no axis jumps by more than M566: |u - u'| v <= jerk; a
+                   stop where only one of both extrudes, or only one moves X or Y, unless M566 P1 allows jumps there
+    look-ahead     as many moves as the queue holds (M595), the last of which ends at rest
+
+u is the direction of a move, mm of X Y Z E per mm of path. Along X and Y a delta keeps to the lower of both axes'
+limits in every direction, and CoreXY to those at which no motor exceeds its own. Nothing of this was compared with the
+firmware itself; what is assumed is in docs/explanation/firmware_planners.md.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ffcomp.planner.limits import Lines, lines_of
+from ffcomp.planner.lookahead import Phases, check, phases_from_corners, timed
+from ffcomp.planner.marlin_queue import (
+    ACCELERATION,
+    COLUMNS,
+    DEVIATION,
+    JERK,
+    LEAST,
+    POLICY,
+    PRINT,
+    SCALE,
+    SPEED,
+    TRAVEL,
+)
+from ffcomp.planner.settings_in_force import SettingsInForce, assumed_sentence
+from ffcomp.planner.trajectory import Trajectory
+from gcode.program import Moves, Program
+from models.arrays import BoolArray, FloatArray, IntArray
+from models.compiled import kernel
+from models.kinematics.delta import DeltaKinematics
+from models.machine import Machine, RepRapFirmwareSettings
+
+Singles = NDArray[np.float32]
+SLOWEST_MM_PER_S = 0.5  # of any move, unless M203 I says otherwise
+_AXES, _TOWERS, _BELTS = range(3)  # how X and Y share their limits
+
+
+def reprapfirmware_settings(machine: Machine) -> RepRapFirmwareSettings:
+    """Return the planner's settings, by the machine's limits where its file states none."""
+    return machine.reprapfirmware or RepRapFirmwareSettings.within(
+        machine.limits, isinstance(machine.kinematics, DeltaKinematics)
+    )
+
+
+def settings_row(machine: Machine) -> FloatArray:
+    """Return a machine's own settings as one row of numbers, (COLUMNS,)."""
+    s, row = reprapfirmware_settings(machine), np.zeros(COLUMNS)
+    row[SPEED], row[ACCELERATION], row[JERK] = s.speed_mm_per_s, s.acceleration_mm_per_s2, s.jerk_mm_per_s
+    row[PRINT], row[TRAVEL] = s.printing_acceleration_mm_per_s2, s.travel_acceleration_mm_per_s2
+    row[DEVIATION], row[LEAST], row[SCALE], row[POLICY] = -1.0, SLOWEST_MM_PER_S, 1.0, s.jerk_policy
+    return row
+
+
+def settings_sentence(machine: Machine) -> str:
+    """Say which settings of RepRapFirmware's planner are taken to be its defaults; empty: none of those that matter."""
+    stated = () if machine.reprapfirmware is None else machine.reprapfirmware.stated
+    matter = ("acceleration_mm_per_s2", "speed_mm_per_s", "jerk_mm_per_s")
+    return assumed_sentence("RepRapFirmware", stated, matter, "config.g")
+
+
+def planner_of(program: Program, machine: Machine) -> RepRapFirmwarePlanner:
+    """Return RepRapFirmware's planner, with the settings that are in force at each line of a program."""
+    in_force = SettingsInForce.of(program, machine, settings_row(machine), minutes=True)
+    return RepRapFirmwarePlanner(sharing_of(machine), reprapfirmware_settings(machine).queue_moves, in_force)
+
+
+def sharing_of(machine: Machine) -> int:
+    """Return how X and Y share their limits on this machine."""
+    if isinstance(machine.kinematics, DeltaKinematics):
+        return _TOWERS
+    return _BELTS if machine.kinematics.shares_motors else _AXES
+
+
+@dataclass(frozen=True, slots=True)
+class RepRapFirmwarePlanner:
+    """Plans moves of one program."""
+
+    sharing: int
+    queue: int  # moves
+    in_force: SettingsInForce
+
+    def __call__(
+        self, moves: Moves, *, stop_before: BoolArray, wait_before: FloatArray, start_t: float = 0.0
+    ) -> Trajectory:
+        """Plan moves from rest to rest; parameters as of `lookahead.plan_moves`."""
+        check(moves, wait_before)
+        lines = lines_of(moves)
+        rests = stop_before | (wait_before > 0.0)
+        phases = phases_by_axes(lines, moves.speed, self.in_force.at(moves), rests, self.sharing, self.queue)
+        return timed(moves, lines, phases, wait_before, start_t)
+
+
+def phases_by_axes(
+    lines: Lines, speed: FloatArray, settings: Singles, rests: BoolArray, sharing: int, queue: int
+) -> Phases:
+    """Plan n lines from rest to rest.
+
+    speed : (n,) mm/s asked for
+    settings : (n, COLUMNS) in force
+    rests : (n,) the motion comes to rest before the line
+    sharing : of X and Y, `sharing_of`
+    queue : lines that are in sight
+    """
+    top, acceleration = _bounds(lines.direction, lines.length, speed, settings, sharing)
+    kept, corner = _corners(lines.direction, lines.length, top, settings, rests)
+    in_sight = _in_sight(corner, 2.0 * lines.length[kept] * acceleration[kept], queue)
+    return phases_from_corners(kept, in_sight, lines.length, top, acceleration, acceleration)
+
+
+@kernel
+def _bounds(
+    direction: FloatArray, length: FloatArray, speed: FloatArray, settings: Singles, sharing: int
+) -> tuple[FloatArray, FloatArray]:
+    """Return the top speed and the acceleration of each line, (n,) mm/s and mm/s²."""
+    n = len(speed)
+    top, acceleration = np.empty(n), np.full(n, np.inf)
+    for i in range(n):
+        u, s = direction[i], settings[i]
+        top[i] = max(speed[i], s[LEAST])
+        if length[i] == 0.0:
+            continue
+        top[i] = min(top[i], _most(u, s, SPEED.start, sharing))
+        acceleration[i] = _most(u, s, ACCELERATION.start, sharing)
+        if u[0] != 0.0 or u[1] != 0.0:
+            acceleration[i] = min(acceleration[i], s[PRINT] if u[3] > 0.0 else s[TRAVEL])
+        acceleration[i] *= s[SCALE]
+    return top, acceleration
+
+
+@kernel
+def _most(u: FloatArray, s: Singles, first: int, sharing: int) -> float:
+    """Return what all axes allow along a direction: four limits stand from a column of the settings on."""
+    x, y = abs(u[0]), abs(u[1])
+    share = max(abs(u[2]) / s[first + 2], abs(u[3]) / s[first + 3])
+    if sharing == _TOWERS:
+        share = max(share, np.sqrt(x * x + y * y) / min(s[first], s[first + 1]))
+    elif sharing == _BELTS:
+        share = max(share, x / s[first] + y / s[first + 1])
+    else:
+        share = max(share, x / s[first], y / s[first + 1])
+    return 1.0 / share
+
+
+@kernel
+def _corners(
+    direction: FloatArray, length: FloatArray, top: FloatArray, settings: Singles, rests: BoolArray
+) -> tuple[IntArray, FloatArray]:
+    """Return the lines that go somewhere, (m,), and the highest v² at which each may follow the last, (m,)."""
+    kept, corner = np.empty(len(length), dtype=np.int64), np.zeros(len(length))
+    m, last, stops = 0, 0, True
+    for i in range(len(length)):
+        stops |= rests[i]
+        if length[i] == 0.0:
+            continue
+        u, before = direction[i], direction[last]
+        aside, was_aside = u[0] != 0.0 or u[1] != 0.0, before[0] != 0.0 or before[1] != 0.0
+        alike = aside == was_aside and (aside and u[3] > 0.0) == (was_aside and before[3] > 0.0)
+        if not stops and (alike or settings[i, POLICY] > 0.0):
+            v = min(top[i], top[last])
+            for k in range(4):
+                jump = abs(u[k] - before[k])
+                if jump * v > settings[i, JERK.start + k]:
+                    v = settings[i, JERK.start + k] / jump
+            corner[m] = v * v
+        kept[m] = i
+        m, last, stops = m + 1, i, False
+    return kept[:m], corner[:m]
+
+
+@kernel
+def _in_sight(corner: FloatArray, gain: FloatArray, queue: int) -> FloatArray:
+    """Lower each v² at the start of a line to what the queue behind it lets it brake from."""
+    n = len(corner)
+    out = np.empty(n)
+    for i in range(n):
+        v2 = 0.0
+        for j in range(min(i + queue, n) - 1, i - 1, -1):
+            v2 = min(corner[j], v2 + gain[j])
+        out[i] = v2
+    return out

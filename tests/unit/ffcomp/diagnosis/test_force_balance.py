@@ -1,0 +1,91 @@
+"""A free axis whose drive holds what is missing: forces are compared, for its motion tells next to nothing."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ffcomp.diagnosis.axis_problem import AxisProblem
+from ffcomp.diagnosis.diagnosis import diagnose
+from ffcomp.diagnosis.result import result_of
+from ffcomp.diagnosis.sentences import summary_sentences
+from ffcomp.measurement.axis_run import AxisRun
+from models.arrays import FloatArray
+from models.effects.catalogue import with_effects
+from models.kinds import machine_of_axis
+from models.machine import Machine
+from models.vibration.driven_axis import DrivenAxis
+
+INERTIA, DAMPING = 0.0035, 0.01
+MOTOR = machine_of_axis(
+    "motor",
+    DrivenAxis("current", INERTIA, 0.0, DAMPING, unit="rad"),
+    uncertainty={"axis.mass_kg": 0.3, "axis.damping_n_s_per_m": 1.0},
+)
+LINES = ((7, 0.8, 0.0), (28, 0.0, 0.5), (12, 0.3, 0.2))
+NAMES = ("cogging_force", "guide_damping", "bristle_friction")
+
+
+def turned(seed: int, machine: Machine = MOTOR, missing: bool = True) -> AxisProblem:
+    """A rotor that is turned slowly by a controller that leaves nothing of its cogging in the motion."""
+    rng, t = np.random.default_rng(seed), np.arange(2400) / 400.0
+    runs = []
+    for k, speed in enumerate((0.5, -0.6)):
+        q, v, a = (f(t, speed, k) for f in (_place, _speed, _acceleration))
+        force = INERTIA * a + DAMPING * v + 5e-3 * rng.normal(size=len(t))
+        if missing:
+            force += sum(s * np.sin(n * q) + c * np.cos(n * q) for n, s, c in LINES)
+        place = 1e3 * q + 1e-3 * rng.normal(size=len(t))
+        runs.append(AxisRun(f"run{'ab'[k]}.csv", t, force, True, {}, {"pos_q": place}, {}, input="current"))
+    return AxisProblem(machine, runs, NAMES)
+
+
+def _place(t: FloatArray, speed: float, k: int) -> FloatArray:
+    return speed * t + 0.05 * np.sin((3 + k) * t)
+
+
+def _speed(t: FloatArray, speed: float, k: int) -> FloatArray:
+    return speed + 0.05 * (3 + k) * np.cos((3 + k) * t)
+
+
+def _acceleration(t: FloatArray, speed: float, k: int) -> FloatArray:
+    return -0.05 * (3 + k) ** 2 * np.sin((3 + k) * t) + 0.0 * speed
+
+
+def test_cogging_is_named_from_the_forces_where_the_motion_hardly_shows_it() -> None:
+    problem = turned(1)
+    found = diagnose(problem)
+    told = result_of(found.estimation.problem, found)
+    assert told.forces and told.named == ("cogging_force",)
+    table = told.effects["cogging_force"]
+    sizes = {
+        round(2e3 * np.pi / p): float(np.hypot(s, c))
+        for p, s, c in zip(table["pitch_mm"], table["sine_n"], table["cosine_n"], strict=True)
+    }
+    assert sizes == pytest.approx({n: float(np.hypot(s, c)) for n, s, c in LINES}, rel=0.03)
+    assert told.gap.before.nrms > 0.9 and told.gap.after.nrms < 0.1  # of the force, which is an absolute measure
+    said = summary_sentences(told)
+    assert "of the drive's forces" in said[0] and any("stands still" in sentence for sentence in said)
+
+
+def test_the_force_that_a_motion_needs_is_the_models_at_the_measured_states() -> None:
+    """Whatever the drive's force is: it bends no bristle, and stops no motion. Ends of a smoothed speed are rough."""
+    rubbing = with_effects(MOTOR, {"bristle_friction": {"force_n": 0.3, "presliding_mm": 2.0}})
+    quiet = turned(2, rubbing, missing=False)
+    pushed = [replace(run, drive=run.drive + 5.0) for run in quiet.recordings if isinstance(run, AxisRun)]
+    both = [AxisProblem(rubbing, runs, NAMES).balance() for runs in (quiet.recordings, pushed)]  # type: ignore[arg-type]
+    needed, same = (np.concatenate(each.simulate({}))[:, 0] for each in both if each is not None)
+    np.testing.assert_allclose(needed, same, atol=1e-6)
+    forwards = needed[60:2300]
+    t = np.arange(60, 2300) / 400.0
+    expected = INERTIA * _acceleration(t, 0.5, 0) + DAMPING * _speed(t, 0.5, 0) + 0.3
+    np.testing.assert_allclose(forwards, expected, atol=0.01)
+
+
+def test_only_a_free_axis_has_a_balance() -> None:
+    sprung = machine_of_axis("sprung", DrivenAxis("current", INERTIA, 5.0, DAMPING, unit="rad"))
+    assert turned(1, sprung).balance() is None
+    two = DrivenAxis("current", INERTIA, 0.0, DAMPING, load_mass_kg=0.002, coupling_stiffness_n_per_m=30.0, unit="rad")
+    assert turned(1, machine_of_axis("two", two)).balance() is None
