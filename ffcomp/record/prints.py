@@ -35,9 +35,15 @@ REST_BEFORE_S, REST_AFTER_S = 0.5, 0.3  # shorter than elsewhere: filament oozes
 def plan_print(path: Path, machine: Machine, flavor: str) -> tuple[Plan, Program]:
     """Choose up to twelve sections of a print, those with the hardest motion among its first layers.
 
-    Raises NothingToDo if no section is long enough to be recorded.
+    Raises NothingToDo if no section is long enough to be recorded, or captures are commanded already.
     """
-    program = read_program(path.read_bytes(), str(path), flavor=flavor or None)
+    data = path.read_bytes()
+    if TOGGLE.search(data):
+        raise NothingToDo(
+            f"{path.name} holds the commands of captures already: print it as it is, and give it to ffcomp record "
+            "print with the captures."
+        )
+    program = read_program(data, str(path), flavor=flavor or None)
     trajectory = firmware_plan(program, machine)
     stops, _ = stops_and_waits(program)
     sections: list[Section] = []

@@ -255,6 +255,8 @@ class PlanRequest(Request):
                 raise RequestError(f"{option} is for --for {purposes}, not for --for {self.purpose}.")
         if self.plan_file == self.output:
             raise RequestError(f"-o {self.output}: the G-code needs another ending, for .json is that of its plan.")
+        if self.print_file is not None and self.print_file.resolve() == self.output.resolve():
+            raise RequestError(f"-o {self.output}: that is the print itself; give another file.")
         words = (CENTRE, LINE_OF_ACTION) if self.purpose == "identify" else ()
         for place in self.at:
             if place not in words:

@@ -149,6 +149,18 @@ def test_a_print_that_records_nothing_says_what_to_print(
         plan_of(path, machine)
 
 
+def test_a_print_keeps_its_file_and_is_recorded_once(tmp_path: Path) -> None:
+    path = tmp_path / "part.gcode"
+    path.write_bytes(EXAMPLE.read_bytes())
+    words = ["record", "plan", "-m", "mp-delta-pro", "--print", str(path), "-q", "-o"]
+    refused = CliRunner().invoke(app, [*words, str(path)])
+    assert refused.exit_code == 2 and "that is the print itself" in refused.output
+    assert path.read_bytes() == EXAMPLE.read_bytes()
+    path.write_bytes(b"ACCELEROMETER_MEASURE NAME=a\n" + EXAMPLE.read_bytes())
+    refused = CliRunner().invoke(app, [*words, str(tmp_path / "out.gcode")])
+    assert refused.exit_code == 3 and "part.gcode holds the commands of captures already" in refused.output
+
+
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[Path]]:
     """A print of three layers that records each, on a CoreXY: its G-code, and the captures."""
