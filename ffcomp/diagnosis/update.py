@@ -43,7 +43,7 @@ from ffcomp.measurement.recording import Recording
 from ffcomp.numerics.stages import Progress, Stage
 from ffcomp.record.axes import turn_of
 from ffcomp.record.join import load_recordings
-from gcode.atomic_write import replace_atomically
+from gcode.atomic_write import replace_atomically, replacing
 from models.arrays import FloatArray
 from models.file import check_text, load_machine, updated_text
 from models.finding import LIBRARY
@@ -155,8 +155,9 @@ def update_files(request: UpdateRequest, progress: Progress = lambda _: None) ->
     check_text(text, str(request.output))
     line = json.dumps(updated.to_dict(request.output, request.history_file), ensure_ascii=False)
     earlier = request.history_file.read_bytes() if request.history_file.exists() else b""
-    replace_atomically(request.output, [text.encode()])
-    replace_atomically(request.history_file, [earlier, line.encode(), b"\n"])
+    with replacing(request.output) as file:  # which is there when the history is, or neither
+        file.write(text.encode())
+        replace_atomically(request.history_file, [earlier, line.encode(), b"\n"])
     return updated
 
 
@@ -181,14 +182,23 @@ def read_history(path: Path) -> list[dict[str, Any]]:
         return []
     try:
         entries = [dict(json.loads(line)) for line in path.read_text(encoding="utf-8").splitlines()]
-        if all(each["schema"] == SCHEMA and "data" in each and "date" in each for each in entries):
+        for each in entries:
+            _ = set(each["data"]), each["date"], each["written_sha256"], _deviations(each)
+        if all(each["schema"] == SCHEMA for each in entries):
             return entries
         wrong = f"its lines are not {SCHEMA}"
-    except (ValueError, KeyError, TypeError) as error:
+    except KeyError as error:
+        wrong = f"a line has no {error}"
+    except (ValueError, TypeError, AttributeError) as error:
         wrong = str(error)
     raise MeasurementError(
         str(path), [f"This is no history of updates ({wrong}). Give another with --history, or move this one away."]
     )
+
+
+def _deviations(entry: Mapping[str, Any]) -> dict[str, float]:
+    """Return how uncertain each number was after an update."""
+    return {name: float(each["after"]["sd"]) for name, each in entry["numbers"].items()}
 
 
 # ---- Bayes' rule ---------------------------------------------------------------------------------
@@ -248,8 +258,8 @@ def update_problem(machine: Machine, recordings: Sequence[Recording], request: U
     chosen = np.unique(np.linspace(0, len(recordings) - 1, MOST_LAYERS).round().astype(int))
     problem = PrinterProblem(machine, [recordings[i] for i in chosen], ())
     problem = problem.short_horizon(HORIZON_S) or problem
-    last = next((e for e in read_history(request.history_file)[::-1] if e["written_sha256"] == machine.sha256), {})
-    known = {name: each["after"]["sd"] for name, each in last.get("numbers", {}).items()}
+    last = next((e for e in read_history(request.history_file)[::-1] if e["written_sha256"] == machine.sha256), None)
+    known = {} if last is None else _deviations(last)
     skipped = {SCALE, *machine.vibration.guessed}
     problem.parameters = tuple(
         each if belongs_to_recording(each.name) else _prior(each, machine, known, request)
