@@ -159,7 +159,8 @@ def _report_join(result: JoinResult, request: JoinRequest | PrintRequest, plan: 
         executions = len({(each.experiment, each.repeat) for each in result.joined})
         print(f"{executions} of {len(plan.runs())} executions joined in {request.output}{axes}.")
         if diagnosable:
-            print(f"Then: ffcomp diagnose {request.output}/*.csv -m {request.machine}")
+            once = "" if plan.repeats > 1 else " --without-repeats"
+            print(f"Then: ffcomp diagnose {request.output}/*.csv -m {request.machine}{once}")
 
 
 @verb
