@@ -96,7 +96,7 @@ def square() -> bytes:
 
 def stretches_of(name: str, machine: Machine) -> list[PrintSlice]:
     data = square() if name == SQUARE else (ROOT / "sample_prints" / f"{name}.gcode").read_bytes()
-    whole = Print(data, name, machine)
+    whole = Print(data, name, machine, flavor="klipper")  # no motor steps in the commands of one side only
     return whole.slices(Sampling(share=min(1.0, SECONDS / whole.print_time_s)), PIECE_S)[0]
 
 
