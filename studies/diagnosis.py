@@ -212,6 +212,7 @@ def results(judged: Sequence[score.Judged], options: argparse.Namespace) -> dict
         "cpu": cpu_of([j.verdict["cpu_seconds"] for j in judged if "cpu_seconds" in j.verdict]),
         "rates": [rate_of(rate) for rate in score.rates(judged)],
         "damping": by_damping(judged),
+        "late": late_of(judged),
         "rests": rests_of([j for j in judged if j.label.rest and j.label.visible]),
         "sets": asdict(score.sets(judged)),
         "shrink": shrink_of(score.shrink(judged)),
@@ -243,6 +244,16 @@ def by_damping(judged: Sequence[score.Judged]) -> list[dict[str, Any]]:
     free, known = ([j for j in same if (j.label.condition == "free-damping") == is_free] for is_free in (True, False))
     both = zip(score.rates(free), score.rates(known), strict=True)
     return [{"title": a.title, "free": rate_of(a), "known": rate_of(b)} for a, b in both]
+
+
+def late_of(judged: Sequence[score.Judged]) -> dict[str, dict[str, int]]:
+    """Count the cases, of those whose damping is anywhere and of others, that name a delay or an offset by mistake."""
+    found = {}
+    for which, is_free in (("free", True), ("known", False)):
+        cases = [j for j in judged if (j.label.condition == "free-damping") == is_free]
+        wrong = [bool({"sensor_time_offset", "command_delay"} & (j.named - score.acceptable(j))) for j in cases]
+        found[which] = {"hits": sum(wrong), "total": len(wrong)}
+    return found
 
 
 def rests_of(judged: Sequence[score.Judged]) -> dict[str, int]:

@@ -169,7 +169,7 @@ def rates(judged: Sequence[Judged]) -> list[Rate]:
         rate("nothing hidden and `none` said", [j.says == "none" for j in nothing], 0.98),
         rate("outside the catalogue and `unknown` said", [j.says == "unknown" for j in outside], 0.92),
         rate("pairs, both found", [j.truth <= j.named for j in pairs], 0.85),
-        rate("pairs, a wrong name among those found", [bool(j.named - _acceptable(j)) for j in pairs], 0.0, True),
+        rate("pairs, a wrong name among those found", [bool(j.named - acceptable(j)) for j in pairs], 0.0, True),
         coverage,
         rate("numbers within 3 % of the truth (half of them: the median is)", near, 0.5),
     ]
@@ -205,10 +205,11 @@ def _ninety(share: float) -> bool:
 
 def _wrong_alone(j: Judged) -> bool:
     named = j.named | ({j.dominant} if j.dominant else set())
-    return bool(named) and not named & _acceptable(j)
+    return bool(named) and not named & acceptable(j)
 
 
-def _acceptable(j: Judged) -> frozenset[str]:
+def acceptable(j: Judged) -> frozenset[str]:
+    """Return what may be named."""
     return j.truth | frozenset(j.label.alike)
 
 
