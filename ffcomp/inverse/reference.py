@@ -27,7 +27,7 @@ from models.machine import Pressure
 
 EDGE_EFFECT_S = 0.03  # of motion, that a command feels which begins too late or ends too early
 JUMP_MM = {True: (0.03, 0.1), False: (0.05, 0.12)}  # by whether filament flows there; see `room_of`
-LEAST_NEED = 0.45  # of the time that a command needs, that it gets at least
+LEAST_NEED = 0.7  # of the time that a command needs, that it gets at least
 MOST_SHARE = 0.05  # of a section's time, that is spent beyond its path
 ALL_ROOM_FROM_S = 5.0
 ROUNDING = 1e-6  # of a segment
@@ -46,10 +46,9 @@ def room_of(trajectory: PlannedMotion, section: Section, settings: Settings) -> 
     Where the nozzle starts with an acceleration a, the command must jump by C a, C the machine's compliance. A small
     jump is made within the path's own time at the cost of 2 % of it in error. The larger it is, the more of the time
     that the settings allow is spent, and where no filament flows less of it. A short section spends no more than a
-    share of its own time, for prints that rest often would lose much by it, and shares it evenly between both ends: a
-    tail below 3 ms rings in what follows, a lead beyond that gains nothing. The section becomes a whole number of
-    segments long, the nearest one that holds the path; a long one gets all of the time: it costs nothing, and where a
-    motion is cut, both sides must find the same knots.
+    share of its own time, for prints that rest often would lose much by it. The section becomes a whole number of
+    segments long, and what that leaves is shared out too; a long one gets all of the time: it costs nothing, and where
+    a motion is cut, both sides must find the same knots.
     """
     if section.end_t - section.begin_t > ALL_ROOM_FROM_S:
         return Room(settings.lead_s, settings.tail_s)
@@ -59,15 +58,15 @@ def room_of(trajectory: PlannedMotion, section: Section, settings: Settings) -> 
     jumps = np.sqrt(((speeds * settings.compliance_s2) ** 2).sum(axis=1)) / settings.lead_s
     near = np.array([ends[0], ends[0] + EDGE_EFFECT_S, ends[1] - EDGE_EFFECT_S, ends[1]])
     filament = trajectory.position(np.clip(near, *ends))[:, 3]
-    lead, tail = (
+    shares = (
         float(np.interp(jump, JUMP_MM[bool(flow > 0.0)], (0.0, 1.0)))
         for jump, flow in zip(jumps, (filament[1] - filament[0], filament[3] - filament[2]), strict=True)
     )
-    needed_s, duration_s = lead * settings.lead_s + tail * settings.tail_s, section.end_t - section.begin_t
+    lead_s, tail_s = (share * most_s for share, most_s in zip(shares, (settings.lead_s, settings.tail_s), strict=True))
+    needed_s, duration_s = lead_s + tail_s, section.end_t - section.begin_t
     affordable_s = max(MOST_SHARE * duration_s - settings.segment_s, LEAST_NEED * needed_s)
-    nearest = _segments_of(duration_s + min(needed_s, affordable_s) - 0.5 * settings.segment_s, settings.segment_s)
-    segments = max(nearest, _segments_of(duration_s, settings.segment_s))
-    return room_in(section, segments, settings, lead / (lead + tail) if lead + tail > 0.0 else 0.5)
+    segments = _segments_of(duration_s + min(needed_s, affordable_s), settings.segment_s)
+    return room_in(section, segments, settings, lead_s / needed_s if needed_s > 0.0 else 0.5)
 
 
 def room_in(section: Section, segments: int, settings: Settings, lead_share: float) -> Room:

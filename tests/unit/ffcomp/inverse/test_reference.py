@@ -33,10 +33,10 @@ def total(text: bytes, compliance_s2: tuple[float, float, float]) -> float:
 
 @pytest.mark.parametrize(("way", "share"), [(b"X5", LEAST_NEED), (b"X5.3", LEAST_NEED), (b"X60", 1.0), (b"X61", 1.0)])
 def test_a_soft_machine_gets_all_of_the_time_and_less_in_a_short_section(way: bytes, share: float) -> None:
-    """As near to that as whole segments come, evenly at both ends: prints with four rests a second lost most by it."""
+    """And what whole segments leave beyond that is shared out: prints with four rests a second lost most by it."""
     given, needed_s = room(b"M204 S5000\nG1 %s E1 F6000\n" % way, SOFT), share * (S.lead_s + S.tail_s)
-    assert abs(sum(given) - needed_s) <= 0.5 * S.segment_s + 1e-9
-    assert given.lead_s == pytest.approx(given.tail_s)
+    assert needed_s - 1e-9 <= sum(given) < needed_s + S.segment_s
+    assert given.lead_s == pytest.approx(2.0 * given.tail_s)
 
 
 @pytest.mark.parametrize("text", [b"M204 S5000\nG1 X30 E1 F6000\n", b"M204 S5000\nG1 X30 F6000\n"])
@@ -46,8 +46,7 @@ def test_a_stiff_machine_needs_no_time_beyond_whole_segments(text: bytes) -> Non
 
 
 def test_less_time_is_spent_where_no_filament_flows() -> None:
-    ways = [30.0 + 0.1 * k for k in range(4)]
-    travel, line = (sum(total(b"M204 S4000\nG1 X%.1f %sF6000\n" % (x, e), SOFT) for x in ways) for e in (b"", b"E1 "))
+    travel, line = (total(b"M204 S4000\nG1 X30 %sF6000\n" % e, SOFT) for e in (b"", b"E1 "))
     assert travel < line
 
 
