@@ -69,11 +69,7 @@ PLATE = Option(
     "Plate of a .gcode.3mf that holds several, counted from 1.", MACHINE, metavar="N", low=1, label="Comparison: plate"
 )
 SEGMENT_RATE = Option(
-    "Highest segment rate. Default: 250; Klipper on straight axes 400. A lower rate follows less of the vibration.",
-    SPEED,
-    metavar="RATE",
-    low=125.0,
-    high=500.0,
+    "Highest segment rate. A lower rate follows less of the vibration.", SPEED, metavar="RATE", low=125.0, high=500.0
 )
 JOBS = Option("Number of processes. The output is the same.", SPEED, "--jobs", "-j", metavar="N", low=1)
 SCHEDULER = Option(

@@ -98,7 +98,7 @@ def evaluate_print(
     if plant is not None:
         check_same_kinematics(machine, plant)
     printed = Print(data, str(request.file), machine, offset, request.flavor)
-    settings = settings_for(machine, request.max_segments_per_second, printed.flavor)
+    settings = settings_for(machine, request.max_segments_per_second)
     return evaluate(printed, plant, options, settings=settings, progress=request.progress)
 
 

@@ -102,7 +102,7 @@ class CompareRequest(Request):
     ] = ()
     offset_mm: Annotated[Offset, OFFSET] = (0.0, 0.0)
     flavor: Annotated[str, FLAVOR] = ""
-    max_segments_per_second: Annotated[float | None, SEGMENT_RATE] = None
+    max_segments_per_second: Annotated[float, SEGMENT_RATE] = 250.0
     plate: Annotated[int | None, PLATE] = None
     jobs: Annotated[int, JOBS] = 1
     scheduler: Annotated[str, SCHEDULER] = ""

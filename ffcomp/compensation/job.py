@@ -34,7 +34,7 @@ from ffcomp.faster.bound import Bound, with_slicer_settings
 from ffcomp.integrations.slicer import Bed, bed_in, pair
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.robust import BOUNDED, PLAIN, RobustChoice, choose_robust
-from ffcomp.inverse.settings import STRAIGHT_PER_SECOND, Settings, settings_for
+from ffcomp.inverse.settings import Settings, settings_for
 from ffcomp.inverse.time_scaling import TimeScaling, scale_around_cut
 from ffcomp.planner.limits import lines_of, planner_limits
 from ffcomp.planner.program import firmware_plan, known_to_the_firmware, section_planner, settings_sentence
@@ -45,7 +45,7 @@ from ffcomp.steps.sink import Board, StepSink
 from ffcomp.version import __version__
 from gcode.atomic_write import replace_atomically
 from gcode.container import Source, blocks_of, ends_of
-from gcode.dialects import KLIPPER, FlavorChoice, choose_flavor, sign_by_ends
+from gcode.dialects import FlavorChoice, choose_flavor, sign_by_ends
 from gcode.embedded import WITHOUT_ORIGINAL, Stamp, find_offset, joined, offset_line, original_blocks, stamp_line
 from gcode.layers import LayerLookup
 from gcode.metadata import Timed, filament_change_s
@@ -90,7 +90,6 @@ class Options:
     offset: Offset | None = None  # mm, added to every position; None: chosen so that the print lies inside
     flavor: str = ""  # "": what the machine file says, or else the file
     settings: Settings | None = None  # None: what the machine's limits give
-    segments_per_second: float | None = None  # at most, if somebody said so; None: what the file's firmware can do too
     predict: bool = True
     shaper_off: bool = False
     force: bool = False  # compensate again what is stamped
@@ -104,7 +103,7 @@ class Options:
         """Return the options that a request means for a machine."""
         plain = request.inverse == "none"
         settings = replace(
-            settings_for(machine, request.max_segments_per_second, request.flavor),
+            settings_for(machine, request.max_segments_per_second),
             inverse="exact" if request.inverse == "exact" else "fast",
             s_curve=request.s_curve and not plain,
             strict=request.strict,
@@ -120,7 +119,6 @@ class Options:
             offset=request.offset_mm,
             flavor=request.flavor,
             settings=replace(settings, robust=choice.robust),
-            segments_per_second=request.max_segments_per_second,
             predict=request.predict,
             shaper_off=request.shaper_off,
             force=request.force,
@@ -250,11 +248,7 @@ class Job:
     @cached_property
     def settings(self) -> Settings:
         """The settings asked for, or those of the machine; what is to be quicker is inverted robustly."""
-        chosen = self.options.settings or settings_for(self.machine, flavor=self.flavor)
-        bound, quick = self.options.bound, chosen.segment_s == 1.0 / STRAIGHT_PER_SECOND
-        if quick and self.flavor != KLIPPER and self.options.segments_per_second is None:  # as only the file has said
-            slow = settings_for(self.machine, flavor=self.flavor)
-            chosen = replace(chosen, segment_s=slow.segment_s, substeps=slow.substeps, bandwidth_hz=slow.bandwidth_hz)
+        chosen, bound = self.options.settings or settings_for(self.machine), self.options.bound
         if bound is None:
             return chosen
         joined_um = MERGED_SHARE * bound.tightest_um

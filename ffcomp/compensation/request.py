@@ -105,7 +105,7 @@ class CompensateOptions(Request):
         ),
     ] = False
     predict: Annotated[bool, Option("Simulate the print before and after with the design model.", SPEED)] = True
-    max_segments_per_second: Annotated[float | None, SEGMENT_RATE] = None
+    max_segments_per_second: Annotated[float, SEGMENT_RATE] = 250.0
     inverse: Annotated[
         Literal["fast", "exact", "none"],
         Option(

@@ -8,8 +8,7 @@ square with sharp corners at seven places of the bed, line by line of frequency:
 
 The knee is where error times peak^1.5 is least: from there on a percent more of peak acceleration takes less than one
 and a half percent of the error away. To the error belongs a floor, what other things leave anyway: without it a step
-would always pay. Axes that are straight are followed further, up to a third of the knots' rate: the error halves, and
-firmware that inverts one mode exactly would leave less else. Beyond that peaks double and lifts have to be slowed down.
+would always pay.
 """
 
 from __future__ import annotations
@@ -24,23 +23,12 @@ from ffcomp.planner.limits import EXTRUSION_RATIO, planner_limits
 from ffcomp.planner.segment_merging import MergeLimits
 from ffcomp.planner.segment_timing import SegmentLimits
 from ffcomp.planner.trajectory import Trajectory
-from gcode.dialects import KLIPPER
 from models.arrays import FloatArray
 from models.effects.catalogue import design_machine
 from models.machine import Machine, Pressure
 
-
-@dataclass(frozen=True, slots=True)
-class Knee:
-    """How a machine's bandwidth is chosen."""
-
-    highest: float  # of the knots' rate
-    floor_um: float  # what other things leave anyway: the path's own facets, the segments, the motors' steps
-    exponent: float  # of the peak
-
-
-COUPLED, STRAIGHT = Knee(0.46, 1.0, 1.5), Knee(0.33, 0.1, 0.5)
-LOWEST_HZ, STEP = 60.0, 1.06  # from one bandwidth to the next
+LOWEST_HZ, HIGHEST, STEP = 60.0, 0.46, 1.06  # Hz, of the segments' rate, from one bandwidth to the next
+FLOOR_UM = 1.0  # what other things leave anyway: the path's own facets, the segments, the motors' steps
 KNOTS = 512
 SIDE_MM, SPEED_MM_PER_S, ACCELERATION_MM_PER_S2 = 8.0, 150.0, 3000.0  # as prints are made
 REACH = 0.6  # of the print radius, for the six places around the middle
@@ -54,12 +42,11 @@ class EffortCurve:
     error_um: FloatArray  # (k,) rms over places
     peak_mm_per_s2: FloatArray  # (k,) of the carriages' command, over places
     plan_mm_per_s2: float  # what the plan itself asks for
-    exponent: float  # of the peak, at the knee
 
     @property
     def knee(self) -> int:
         """The index of the knee."""
-        return int(np.argmin(self.error_um * self.peak_mm_per_s2**self.exponent))
+        return int(np.argmin(self.error_um * self.peak_mm_per_s2**1.5))
 
     @property
     def knee_hz(self) -> float:
@@ -68,20 +55,12 @@ class EffortCurve:
 
 
 def control_weight_at(machine: Machine, bandwidth_hz: float, segment_s: float, rows: int = 1) -> float:
-    """Return ρ for which accuracy and effort weigh alike at the bandwidth: ρ |D²(ω)|² = |G(ω)|² at the centre.
-
-    |G|² is the mean of all directions, of straight axes that of the one that follows least: others may be stiff.
-    """
+    """Return ρ for which accuracy and effort weigh alike at the bandwidth: ρ |D²(ω)|² = mean |G(ω)|² at the centre."""
     g = machine.vibration.frequency_response(np.zeros(2), np.array([bandwidth_hz]), "nozzle", "nozzle")[0]
     hat = np.sinc(bandwidth_hz * segment_s) ** 2  # the hats' own spectrum
     second_difference = (2 * np.sin(np.pi * bandwidth_hz * segment_s)) ** 2
-    gain2 = float(np.linalg.norm(g, -2)) ** 2 if is_straight(machine) else float(np.trace((g.conj().T @ g).real)) / 3
-    return gain2 * hat**2 * rows / second_difference**2
-
-
-def is_straight(machine: Machine) -> bool:
-    """Whether the model of the machine is the same everywhere."""
-    return machine.kinematics.model_reach_mm == 0.0
+    gain2 = float(np.trace((g.conj().T @ g).real)) / 3 * hat**2
+    return gain2 * rows / second_difference**2
 
 
 def effort_curve(machine: Machine, segment_s: float) -> EffortCurve:
@@ -96,9 +75,8 @@ def effort_curve(machine: Machine, segment_s: float) -> EffortCurve:
         * (np.sinc(f * segment_s) ** 2)[:, None, None]
     )
     to_carriages = np.linalg.inv(machine.kinematics.jacobian(places))
-    rule = STRAIGHT if is_straight(machine) else COUPLED
-    count = int(np.log(rule.highest / segment_s / LOWEST_HZ) / np.log(STEP)) + 1
-    bandwidths = np.geomspace(LOWEST_HZ, rule.highest / segment_s, max(count, 2))
+    count = int(np.log(HIGHEST / segment_s / LOWEST_HZ) / np.log(STEP)) + 1
+    bandwidths = np.geomspace(LOWEST_HZ, HIGHEST / segment_s, max(count, 2))
 
     def acceleration(spectrum: NDArray[np.complex128]) -> float:
         """Return the peak of the carriages' acceleration under nozzle commands (places, lines, 3)."""
@@ -112,10 +90,10 @@ def effort_curve(machine: Machine, segment_s: float) -> EffortCurve:
         inverse = np.linalg.solve(adjoint @ frfs + weight[:, None, None] * np.eye(3), adjoint)
         command = np.einsum("pfij,fj->pfi", inverse, wanted)
         error = np.fft.irfft(wanted - np.einsum("pfij,pfj->pfi", frfs, command), axis=1)
-        errors.append(float(np.hypot(1e3 * np.sqrt(np.mean(np.sum(error**2, axis=2))), rule.floor_um)))
+        errors.append(float(np.hypot(1e3 * np.sqrt(np.mean(np.sum(error**2, axis=2))), FLOOR_UM)))
         peaks.append(acceleration(command))
     plan = acceleration(np.broadcast_to(wanted, (len(places), *wanted.shape)))
-    return EffortCurve(bandwidths, np.array(errors), np.array(peaks), plan, rule.exponent)
+    return EffortCurve(bandwidths, np.array(errors), np.array(peaks), plan)
 
 
 def _square(machine: Machine, segment_s: float) -> FloatArray:
@@ -136,8 +114,6 @@ def _square(machine: Machine, segment_s: float) -> FloatArray:
 
 
 SEGMENTS_PER_SECOND = 250.0
-STRAIGHT_PER_SECOND = 400.0  # with Klipper on straight axes: there nothing but the segments limits the inverse
-STRAIGHT_ROBUST = 0.75  # of the bandwidth: with all of it peaks are 1.5 times as high, and printers gain nothing
 LIFT_LAG_MM = 0.02  # of the nozzle in a lift, that is left as it is
 CUT = 256  # knots: no segment is joined across a knot whose number is a multiple of it
 
@@ -158,7 +134,6 @@ class Settings:
     corrections: int = 1  # of the exact inverse, by the segments as they are executed
     inverse: Literal["fast", "exact"] = "fast"
     robust: bool = False  # the robust reference instead of the path
-    robust_share: float = 1.0  # of the bandwidth, for it
     memory: int = 60  # segments after which the plant has forgotten (1 % is left after 240 ms)
     time_scaling: bool = True  # where limits do not let the nozzle follow, the plan becomes slower
     tolerance_um: float = 25.0  # by which an active limit may take the nozzle off its path before that
@@ -174,11 +149,6 @@ class Settings:
     embed: bool = True  # the file holds its original, as comments
     pressure: Pressure | None = None  # of the hot end, which the filament allows for; None: it follows the plan
     output: SegmentLimits = field(default_factory=SegmentLimits)
-
-    @property
-    def inverse_hz(self) -> float:
-        """The bandwidth of the inverse."""
-        return self.robust_share * self.bandwidth_hz if self.robust else self.bandwidth_hz
 
     @property
     def joins_lifts(self) -> bool:
@@ -203,15 +173,8 @@ class Settings:
         return min(self.shortest_s / self.segment_s, 1.0)
 
 
-def settings_for(machine: Machine, segments_per_second: float | None = None, flavor: str = "") -> Settings:
-    """Choose a machine's settings: its bandwidth at the knee, and from its own limits what no G-code file can raise.
-
-    Parameters
-    ----------
-    machine : what is compensated
-    segments_per_second : at most; None: what its kinematics ask for, and its firmware can do
-    flavor : of the firmware; empty: what the machine file says, or else Klipper's
-    """
+def settings_for(machine: Machine, segments_per_second: float = SEGMENTS_PER_SECOND) -> Settings:
+    """Choose a machine's settings: its bandwidth at the knee, and from its own limits what no G-code file can raise."""
     limits = planner_limits(machine)
     output = SegmentLimits(
         z_acceleration_mm_per_s2=limits.z_acceleration_mm_per_s2 or limits.acceleration_mm_per_s2,
@@ -219,18 +182,13 @@ def settings_for(machine: Machine, segments_per_second: float | None = None, fla
         instantaneous_corner_velocity_mm_per_s=limits.instantaneous_corner_velocity_mm_per_s,
         retract_acceleration_mm_per_s2=limits.acceleration_mm_per_s2 * EXTRUSION_RATIO,
     )
+    segment_s = 1.0 / segments_per_second
     design = design_machine(machine)[0]
-    straight = is_straight(design)
-    quick = straight and (flavor or machine.flavor or KLIPPER) == KLIPPER
-    segment_s = 1.0 / (segments_per_second or (STRAIGHT_PER_SECOND if quick else SEGMENTS_PER_SECOND))
+    bandwidth = effort_curve(design, segment_s).knee_hz
     return Settings(
         output=output,
         segment_s=segment_s,
-        substeps=2 if quick else 4,
-        bandwidth_hz=effort_curve(design, segment_s).knee_hz,
-        robust_share=STRAIGHT_ROBUST if straight else 1.0,
-        merge_um=0.5 if quick else 1.0,
-        merge_along_um=1.5 if quick else 3.0,
+        bandwidth_hz=bandwidth,
         compliance_s2=_nozzle_compliance(design),
         pressure=machine.pressure,
     )

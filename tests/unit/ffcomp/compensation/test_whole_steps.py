@@ -22,7 +22,7 @@ MODES = {0: (50.7, 0.1), 1: (40.6, 0.1)}  # of prusa-mk3s, Hz and damping ratio
 
 def whole_steps(name: str, free: tuple[bool, bool, bool]) -> WholeSteps:
     machine = load_machine(name)
-    model = InverseModel(machine, settings_for(machine, flavor="marlin"))
+    model = InverseModel(machine, settings_for(machine))
     return WholeSteps.of(model, np.array(machine.steps.per_motor), np.array(free), 6)
 
 

@@ -10,15 +10,7 @@ import numpy as np
 import pytest
 
 from ffcomp.cli.app import app
-from ffcomp.inverse.settings import (
-    COUPLED,
-    LOWEST_HZ,
-    STRAIGHT,
-    _square,
-    control_weight_at,
-    effort_curve,
-    settings_for,
-)
+from ffcomp.inverse.settings import HIGHEST, LOWEST_HZ, _square, control_weight_at, effort_curve, settings_for
 from models.file import load_machine
 from models.kinds import delta_vibration, with_parts
 from models.machine import Machine
@@ -42,27 +34,12 @@ def test_the_knee_lies_above_the_modes_that_ring(name: str) -> None:
 
 def test_more_bandwidth_costs_more_and_errs_less(machine: Machine) -> None:
     curve = effort_curve(machine, 0.002)
-    assert curve.bandwidth_hz[0] == pytest.approx(LOWEST_HZ) and curve.bandwidth_hz[-1] == pytest.approx(
-        COUPLED.highest * 500
-    )
+    assert curve.bandwidth_hz[0] == pytest.approx(LOWEST_HZ) and curve.bandwidth_hz[-1] == pytest.approx(HIGHEST * 500)
     assert curve.error_um[0] > 10 * curve.error_um[curve.knee]
     beyond = slice(curve.knee, None)
     assert (np.diff(curve.peak_mm_per_s2[beyond]) > 0).all()
     assert curve.peak_mm_per_s2[-1] > 5 * curve.peak_mm_per_s2[curve.knee]
     assert curve.knee_hz < 140.0  # where commands of two milliseconds become violent
-
-
-def test_straight_axes_are_followed_as_far_as_the_segments_go() -> None:
-    printer = load_machine("ender-3")
-    settings = settings_for(printer)
-    assert (
-        settings.bandwidth_hz == pytest.approx(STRAIGHT.highest / settings.segment_s) and settings.segment_s == 1 / 400
-    )
-    assert replace(settings, robust=True).inverse_hz < 0.8 * settings.inverse_hz
-    assert settings_for(printer, 250.0).segment_s == settings_for(printer, flavor="marlin").segment_s == 1 / 250
-    y = printer.vibration.frequency_response(np.zeros(2), np.array([90.0]), "nozzle", "nozzle")[0, 1, 1]
-    hats = np.sinc(0.36) ** 2 / (2 * np.sin(np.pi * 0.36)) ** 2
-    assert control_weight_at(printer, 90.0, 0.004) == pytest.approx(abs(y) ** 2 * hats**2)
 
 
 def test_grease_in_the_guides_does_not_take_bandwidth_away(machine: Machine) -> None:
