@@ -13,10 +13,8 @@ FIGURES = ("", ".png", ".svg", ".pdf")
 FLAVORS = ("klipper", "marlin", "reprapfirmware")
 
 
-def parse_offset(text: str) -> Offset | None:
-    """Read `X,Y` in mm; None for `auto`."""
-    if text == "auto":
-        return None
+def parse_offset(text: str) -> Offset:
+    """Read `X,Y` in mm."""
     try:
         x, y = (float(part) for part in text.split(","))
         if not isfinite(x + y):
@@ -24,6 +22,11 @@ def parse_offset(text: str) -> Offset | None:
     except ValueError:
         raise RequestError(f"--offset-mm {text!r}: two numbers with a comma between them, in mm.") from None
     return x, y
+
+
+def parse_offset_or_auto(text: str) -> Offset | None:
+    """Read `X,Y` in mm; None for `auto`."""
+    return None if text == "auto" else parse_offset(text)
 
 
 def parse_figure(text: str) -> Path:

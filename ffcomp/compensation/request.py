@@ -18,7 +18,7 @@ from ffcomp.options import (
     SCHEDULER,
     SEGMENT_RATE,
     Offset,
-    parse_offset,
+    parse_offset_or_auto,
 )
 from ffcomp.request import ACCURACY, ADVANCED, FASTER, MACHINE, OUTPUT, SPEED, Argument, MachineLike, Option, Request
 
@@ -77,7 +77,7 @@ class CompensateOptions(Request):
             "the bed. auto: none where the print lies inside as it is, else one that brings it inside.",
             MACHINE,
             metavar="X,Y",
-            parse=parse_offset,
+            parse=parse_offset_or_auto,
             unset="auto",
             label="Shift, mm",
         ),
