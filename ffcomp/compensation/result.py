@@ -7,6 +7,7 @@ import traceback
 from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import BrokenExecutor
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -45,7 +46,7 @@ class QuickerPrint:
     by_feature: Mapping[str, Mapping[str, float]]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Result:
     """What the compensation of a print has given."""
 
@@ -110,7 +111,7 @@ class Result:
             "rests leave 1 to 2 µm, however slow a print is."
         ]
 
-    @property
+    @cached_property
     def predicted(self) -> Mapping[str, Track]:
         """Errors of the uncompensated and of the compensated print; empty: not predicted."""
         samples = self.statistics.predicted
