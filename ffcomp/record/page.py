@@ -26,9 +26,10 @@ from models.machine import Machine
 STROKE, SLOW, DISC, LABEL, SKIRT = "stroke", "slow-line", "disc", "label", "skirt"  # kinds of drawings
 
 LINE_MM, PITCH_MM, TWIN_MM = 25.0, 4.4, 2.0  # a line; from stroke to stroke; from a stroke to its slow line
-LEGS = ((1.8, 3, 0.9), (3.0, 1, 0.9), (0.65, 5, 0.45), (0.3, 8, 0.4), (0.13, 14, 0.2))
-# of zigzags: length mm, how many, advance mm of each; long ones excite slow modes, short ones quick ones
-SPEED_SHARES = (1.0, 0.8, 0.62, 0.9, 0.7)  # of the fastest line, one a stroke
+STROKES = 5  # a direction and a cell
+TUNED_WIDE, HIGHEST_HZ, RINGING = 1.35, 110.0, 0.3  # beyond the file's modes that ring: their damping ratio
+RINGING_MM, MOST_LEGS, ADVANCE_SHARE = 0.3, 8, 0.1  # of a mode without damping; of a leg, along the line
+SPEED_SHARES = (0.8, 0.9, 0.85, 0.95, 1.0)  # of the fastest line, from the slowest zigzag to the quickest
 SLOW_MM_PER_S, SLOW_MM_PER_S2 = 20.0, 500.0  # of everything that must not ring
 FASTEST_MM_PER_S, FLOW_MM3_PER_S = 100.0, 9.0  # of a line; what a hot end melts, on a first layer
 STROKE_MM_PER_S2, CARRIAGE_SHARE = 8000.0, 0.3  # of strokes, at most; of the carriages' limit, which motors reach
@@ -98,8 +99,8 @@ def make_page(machine: Machine, request: PageRequest) -> Plan:
 def _limits(machine: Machine, request: PageRequest) -> PlannerLimits:
     """Return the limits of strokes: not a print's, which are chosen so that little rings.
 
-    Waves that small drown in dry friction and the roughness of lines. Legs of few millimetres are slower than a print,
-    so that motors have torque to spare; the carriages' limit holds.
+    Waves that small drown in dry friction and the roughness of lines. Legs shorter than a millimetre are slower than a
+    print, so that motors have torque to spare; the carriages' limit holds.
     """
     usual = planner_limits(machine)
     gain = max(carriage_gain(machine.kinematics, np.array(each)) for each in machine.kinematics.around(0.6, 30.0))
@@ -108,6 +109,17 @@ def _limits(machine: Machine, request: PageRequest) -> PlannerLimits:
     if requested is not None and requested > max(most, usual.acceleration_mm_per_s2):
         raise LimitsError(f"{requested:g} mm/s² is more than the carriages' limit allows; {most:.0f} would fit.")
     return replace(usual, acceleration_mm_per_s2=requested or most, minimum_cruise_ratio=0.0)
+
+
+def _tuned_hz(machine: Machine) -> FloatArray:
+    """Return frequencies of zigzags, from slow to quick, over the file's modes and as far beyond as it may be off."""
+    places = [np.array(machine.kinematics.centre_mm), *machine.kinematics.around(0.6, 0.0)]
+    modes = [machine.vibration.modes_at(place) for place in places]
+    hz = np.concatenate([each.frequencies_hz[each.damping_ratios < RINGING] for each in modes])
+    hz = hz[hz < HIGHEST_HZ]
+    if not len(hz):
+        raise LimitsError(f"No mode of this file rings below {HIGHEST_HZ:g} Hz: a page would show nothing.")
+    return np.geomspace(hz.min() / TUNED_WIDE, min(hz.max() * TUNED_WIDE, HIGHEST_HZ), 2 * STROKES)
 
 
 CELL_HALF_MM = np.array([0.5 * (LINE_MM + 5.0 + 3.0 + 5 * PITCH_MM), 0.5 * (LINE_MM + 5.0)])
@@ -174,15 +186,24 @@ class _Drawer:
         self.fastest = min(FASTEST_MM_PER_S, melted, limits.velocity_mm_per_s)
         self.experiments: list[Experiment] = []
         self.strokes = 0
+        self.tuned_hz = _tuned_hz(machine)
 
-    def add(self, kind: str, number: int, place: int, xy: FloatArray, speed: FloatArray | float) -> None:
+    def add(
+        self,
+        kind: str,
+        number: int,
+        place: int,
+        xy: FloatArray,
+        speed: FloatArray | float,
+        flow: FloatArray | float = 1.0,
+    ) -> None:
         limits = self.limits if kind == STROKE else self.slow_limits
         xy = np.rint(xy * XYZ_COUNTS) / XYZ_COUNTS
         xyz = np.column_stack([xy, np.full(len(xy), self.request.height_mm)])
         speeds = np.broadcast_to(np.asarray(speed, dtype=float), len(xy) - 1).copy()
         plain = plain_motion(xyz, speeds, limits)
         motion = replace(plain, ends_mm=plain.ends_mm.copy())
-        motion.ends_mm[:, 3] = np.cumsum(np.linalg.norm(np.diff(xy, axis=0), axis=1)) * self.area / FILAMENT_MM2
+        motion.ends_mm[:, 3] = np.cumsum(flow * np.linalg.norm(np.diff(xy, axis=0), axis=1)) * self.area / FILAMENT_MM2
         rounding = 0.0
         if kind == STROKE:
             rounding = rounding_share(motion, self.machine.kinematics, self.machine.steps.per_motor, MODES_HZ)
@@ -222,7 +243,7 @@ class _Drawer:
     def cell(self, number: int, cell: _Box) -> None:
         """Draw five strokes that ring along x, five that ring along y, and the number of the cell."""
         left = cell.middle - cell.half
-        count = len(LEGS)
+        count = STROKES
         for i in range(count):
             corner = left + np.array([3.2 + i * PITCH_MM, 0.0])
             self.stroke(number, i, corner, np.array([1.0, 0.0]), np.array([0.0, 1.0]))
@@ -235,7 +256,10 @@ class _Drawer:
 
     def stroke(self, place: int, i: int, corner: FloatArray, excited: FloatArray, along: FloatArray) -> None:
         """Draw a zigzag that ends at the line's foot, its line, and the slow line beside it."""
-        leg, legs, advance = LEGS[i]
+        tuned = self.tuned_hz[2 * i + place % 2]  # cells share the band
+        length, legs = self.zigzag(float(tuned))
+        advance = ADVANCE_SHARE * length
+        leg = np.sqrt(length**2 - advance**2)
         foot = corner + 4.5 * along
         offsets = [(-leg * (k % 2), -advance * k) for k in range(legs + 1)][::-1]
         points = [foot + a * excited + b * along for a, b in offsets]
@@ -244,8 +268,16 @@ class _Drawer:
         speeds[-1] = SPEED_SHARES[i] * self.fastest
         twin = foot + TWIN_MM * excited
         self.add(SLOW, self.strokes, place, np.vstack([twin, twin + LINE_MM * along]), SLOW_MM_PER_S)
-        self.add(STROKE, self.strokes, place, line, speeds)
+        flow = np.ones(len(speeds))
+        flow[:-1] = (leg + legs * advance) / (legs * length)  # a zigzag that treads one place lays one line there
+        self.add(STROKE, self.strokes, place, line, speeds, flow)
         self.strokes += 1
+
+    def zigzag(self, tuned_hz: float) -> tuple[float, int]:
+        """Return the length of a leg, from rest to rest in half a period, mm, and how many ring enough."""
+        acceleration = self.limits.acceleration_mm_per_s2
+        legs = RINGING_MM * (2 * np.pi * tuned_hz) ** 2 / (2 * acceleration)  # each adds 2 a/ω²
+        return acceleration / (4 * tuned_hz) ** 2, int(np.clip(round(legs), 1, MOST_LEGS))
 
     def digits(self, place: int, text: str, at: FloatArray) -> None:
         """Draw a number."""

@@ -9,7 +9,17 @@ import pytest
 
 from ffcomp.errors import LimitsError
 from ffcomp.record.gcode_writer import Firmware
-from ffcomp.record.page import LARGEST_MM, PageRequest, discs_of, last_line, make_page, page_lines, polylines, twins
+from ffcomp.record.page import (
+    LARGEST_MM,
+    STROKE,
+    PageRequest,
+    discs_of,
+    last_line,
+    make_page,
+    page_lines,
+    polylines,
+    twins,
+)
 from ffcomp.record.plan import Page, load_plan, save_plan
 from gcode.reader import read_program
 from models.file import load_machine
@@ -32,6 +42,36 @@ def test_each_stroke_runs_beside_a_slow_line() -> None:
         quick, calm = last_line(stroke.motion), last_line(slow.motion)
         assert np.allclose(quick.along, calm.along) and abs((calm.foot - quick.foot) @ quick.across) == pytest.approx(2)
         assert slow.motion.speed[-1] < 0.4 * stroke.motion.speed[-1]
+
+
+def test_a_line_is_as_thick_everywhere_and_a_zigzag_is_no_heap() -> None:
+    plan = make_page(load_machine("voron-250"), PageRequest())
+    for each, line in zip(plan.experiments, polylines(plan), strict=True):
+        laid = np.diff(each.motion.ends_mm[:, 3], prepend=0.0) * np.pi * 1.75**2 / 4
+        length = np.linalg.norm(np.diff(line, axis=0), axis=1)
+        straight = slice(-1, None) if each.kind == STROKE else slice(None)
+        assert np.allclose(laid[straight], 0.45 * 0.2 * length[straight], rtol=2e-3)
+        if each.kind == STROKE:
+            covered = np.ptp(line[:-1], axis=0).sum()
+            assert laid[:-1].sum() == pytest.approx(0.45 * 0.2 * covered, rel=0.05)
+
+
+@pytest.mark.parametrize("name", ["voron-250", "ender-3", "mp-delta-pro"])
+def test_zigzags_excite_all_that_a_file_may_be_wrong_about_and_not_too_much(name: str) -> None:
+    machine = load_machine(name)
+    modes = machine.vibration.modes_at(np.array(machine.kinematics.centre_mm))
+    slowest = modes.frequencies_hz[modes.damping_ratios < 0.3].min()
+    strokes = [stroke for stroke, _ in twins(make_page(machine, PageRequest()))]
+    for factor in (0.8, 1.0, 1.25):
+        omega = 2 * np.pi * factor * slowest
+        for axis in (0, 1):
+            waves: list[float] = []
+            for stroke in strokes:
+                if abs(last_line(stroke.motion).across[axis]) > 0.5:  # what rings, without damping: Duhamel's integral
+                    times = np.arange(0.0, stroke.duration_s, 5e-4)
+                    velocity = np.gradient(stroke.motion.nozzle(times)[:, axis], times)
+                    waves.append(abs(np.trapezoid(velocity * np.exp(-1j * omega * times), times)))
+            assert 0.2 < max(waves) < 0.7, (name, factor, axis, waves)
 
 
 def test_two_seeds_and_two_machines_scatter_their_discs_differently() -> None:
@@ -64,8 +104,7 @@ def test_the_gcode_draws_the_plan_in_one_layer_and_puts_everything_back(flavor: 
     expected = np.concatenate([each.motion.ends_mm[:, :2] for each in plan.experiments])
     assert np.allclose(moves.end[drawn, :2], expected)
     filament = (moves.end[drawn, 3] - moves.start[drawn, 3]).sum()
-    length = sum(float(np.linalg.norm(np.diff(line, axis=0), axis=1).sum()) for line in polylines(plan))
-    assert filament * np.pi * 1.75**2 / 4 == pytest.approx(0.45 * 0.2 * length, rel=1e-3)
+    assert filament == pytest.approx(sum(each.motion.ends_mm[-1, 3] for each in plan.experiments), rel=1e-5)
     shaper = {"klipper": b"SHAPER_FREQ_X=50", "marlin": b"M593 X F50", "reprapfirmware": b"M593 P{var."}[flavor]
     assert text.index(shaper) > text.rindex(b"G1 X")
     accelerations = [line for line in text.splitlines() if line.startswith((b"SET_VELOCITY_LIMIT", b"M204", b"M201"))]
