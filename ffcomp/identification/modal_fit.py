@@ -399,7 +399,7 @@ def belts_share_error(fit: _Fit) -> float:
     for datum, nuisances, error, own in zip(fit.data, fit.nuisances, fit.errors, fit.independent, strict=True):
         slope = np.zeros(len(datum.variance(error)))  # of a spectrum: it has no phase
         if isinstance(datum, Response):
-            turned = 2j * modes[:, 1:2] * datum.frequency_hz / modes[:, :1]
+            turned = 2j * modes[:1, 1:2] * datum.frequency_hz / modes[:1, :1]  # as its springs, belts drive all modes
             each = modes[:, 2:] * single_modes(modes[:, 0], modes[:, 1], datum.frequency_hz)
             by_share = (each * turned).sum(axis=0) / (each * (1 + turned / 2)).sum(axis=0)
             column = datum.model(modes, nuisances) * by_share

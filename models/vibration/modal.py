@@ -60,8 +60,7 @@ class Axis:
         shares = [*self.share[: len(self.frequency_hz) - 1]]
         shares.append(1.0 - sum(shares))
         modes = zip(self.frequency_hz, self.damping_ratio, shares, strict=True)
-        free = (_oscillator(2 * np.pi * f, zeta, share) for f, zeta, share in modes)
-        return tuple(mode.with_belt_damping(self.belt_damping_share) for mode in free)
+        return tuple(_oscillator(2 * np.pi * f, zeta, share) for f, zeta, share in modes)
 
 
 @dataclass(frozen=True)
@@ -106,9 +105,9 @@ class Oscillator:
         """Return how much of the damping the belts hold."""
         return self.belt_damping / (self.damping + self.belt_damping) if self.belt_damping else 0.0
 
-    def with_belt_damping(self, share: float) -> Oscillator:
-        """Return the mode with so much of its guides' damping in its belts instead."""
-        return replace(self, damping=self.damping * (1 - share), belt_damping=self.belt_damping + self.damping * share)
+    def with_belt_damping(self, moved: float) -> Oscillator:
+        """Return the mode with so much of its damping, 1/s, in its belts instead of its guides."""
+        return replace(self, damping=self.damping - moved, belt_damping=self.belt_damping + moved)
 
 
 def _oscillator(omega: float, zeta: float, share: float) -> Oscillator:
@@ -134,7 +133,8 @@ class ModalAxes(VibrationModel):
         """Return the model of three axes X Y Z, of which x and y exchange motion."""
         x, y, z = (axis.oscillators for axis in axes)
         mounts = tuple(axis.mount_frequency_hz for axis in axes)
-        return cls((x, y, z), tuple(axis.mass_kg for axis in axes), exchange, mounts)
+        guided = cls((x, y, z), tuple(axis.mass_kg for axis in axes), exchange, mounts)
+        return guided.with_belt_damping(np.array([axis.belt_damping_share for axis in axes]))
 
     def _each(self) -> Iterator[tuple[int, int, Oscillator]]:
         """Yield axis, number on the axis and oscillator, in the order of the states."""
@@ -262,8 +262,19 @@ class ModalAxes(VibrationModel):
 
     def with_belt_damping(self, share: FloatArray) -> ModalAxes:
         """Return the model with so much (3,) of its guides' damping in its belts instead."""
-        each = zip(self.axes, share.tolist(), strict=True)
-        return self._with_axes([[mode.with_belt_damping(part) for mode in modes] for modes, part in each])
+        return self._with_axes([self._damped_by_belts(axis, part) for axis, part in enumerate(share.tolist())])
+
+    def _damped_by_belts(self, axis: int, share: float) -> tuple[Oscillator, ...]:
+        """Return the modes of an axis with this share of the damping, of the mode that they move most, in its belts.
+
+        A belt's damper c lies beside its spring k, and pulls at every mode by c/k of what the spring does: each mode
+        follows the rate of the motor in proportion to its stiffness. Of the loss it has w of that, as of the spring's
+        motion; a mode that it drives more than it damps gets the difference back.
+        """
+        modes, weights = self.axes[axis], self._weights(axis)
+        most = int(np.argmax(weights))
+        slower = share * modes[most].damping / (float(weights[most]) * modes[most].stiffness)  # c/k, s
+        return tuple(mode.with_belt_damping(slower * mode.stiffness) for mode in modes)
 
     def with_moved_mass(self, added_kg: FloatArray) -> ModalAxes:
         """Return the model with so much more (3,) on the axes' driven points."""

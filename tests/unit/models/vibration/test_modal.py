@@ -64,6 +64,29 @@ def test_what_the_belts_damp_follows_the_command(share: float) -> None:
     assert (mode.belt_share, mode.damping_ratio) == pytest.approx((share, 0.1))
 
 
+def test_a_belts_damper_pulls_at_every_mode_as_its_spring_does() -> None:
+    """A tool on a carriage, damped in proportion: the masses' own equations, against the modes of a file."""
+    carriage, tool, belt, mount, damper = 0.3, 0.1, 3e4, 2.5e4, 12.0
+    mass, s = np.diag([carriage, tool]), 2j * np.pi * F[:, None, None]
+    stiff = np.array([[belt + mount, -mount], [-mount, mount]])
+    damp = 20.0 * mass + 3e-4 * stiff  # of guides and belt, 15 N s/m act on the carriage
+    pulled = np.zeros((len(F), 2, 1), dtype=complex)
+    pulled[:, 0] = belt + damper * s[:, 0]
+    expected = np.linalg.solve(mass * s**2 + damp * s + stiff, pulled)[:, 1, 0]
+    square, shape = np.linalg.eigh(np.linalg.inv(np.sqrt(mass)) @ stiff @ np.linalg.inv(np.sqrt(mass)))
+    shape = np.linalg.inv(np.sqrt(mass)) @ shape
+    lost = np.einsum("im,ij,jm->m", shape, damp, shape)
+    axis = Axis(
+        list(np.sqrt(square) / (2 * np.pi)),
+        list(lost / (2 * np.sqrt(square))),
+        list(belt * shape[0] * shape[1] / square),
+        mount_frequency_hz=float(np.sqrt(mount / tool) / (2 * np.pi)),
+        belt_damping_share=float(damper * shape[0, 0] ** 2 / lost[0]),
+    )
+    found = machine(axis).vibration.carriage_response(np.zeros(2), s[:, 0, 0])[:, 0, 0]
+    np.testing.assert_allclose(found, expected, rtol=1e-9)
+
+
 @given(st.floats(20, 80), st.floats(1.0, 3.0), st.floats(0.01, 0.3), st.floats(0.01, 0.3), st.floats(0.05, 0.95))
 def test_two_modes_add_up(f: float, ratio: float, first: float, second: float, share: float) -> None:
     axis = Axis([f, f * ratio], [first, second], [share, 1.0 - share])
