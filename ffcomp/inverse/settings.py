@@ -8,7 +8,7 @@ square with sharp corners at seven places of the bed, line by line of frequency:
 
 The knee is where error times peak^1.5 is least: from there on a percent more of peak acceleration takes less than one
 and a half percent of the error away. To the error belongs a floor, what other things leave anyway: without it a step
-would always pay.
+would always pay. On straight axes, whose model is the same everywhere, little else is left.
 """
 
 from __future__ import annotations
@@ -28,7 +28,8 @@ from models.effects.catalogue import design_machine
 from models.machine import Machine, Pressure
 
 LOWEST_HZ, HIGHEST, STEP = 60.0, 0.46, 1.06  # Hz, of the segments' rate, from one bandwidth to the next
-FLOOR_UM = 1.0  # what other things leave anyway: the path's own facets, the segments, the motors' steps
+FLOOR_UM = 1.0  # what other things leave anyway: the path's own facets, the segments, the motors' steps,
+STRAIGHT_FLOOR_UM = 0.3  # and on straight axes
 KNOTS = 512
 SIDE_MM, SPEED_MM_PER_S, ACCELERATION_MM_PER_S2 = 8.0, 150.0, 3000.0  # as prints are made
 REACH = 0.6  # of the print radius, for the six places around the middle
@@ -75,6 +76,7 @@ def effort_curve(machine: Machine, segment_s: float) -> EffortCurve:
         * (np.sinc(f * segment_s) ** 2)[:, None, None]
     )
     to_carriages = np.linalg.inv(machine.kinematics.jacobian(places))
+    floor_um = FLOOR_UM if machine.kinematics.model_reach_mm > 0.0 else STRAIGHT_FLOOR_UM
     count = int(np.log(HIGHEST / segment_s / LOWEST_HZ) / np.log(STEP)) + 1
     bandwidths = np.geomspace(LOWEST_HZ, HIGHEST / segment_s, max(count, 2))
 
@@ -90,7 +92,7 @@ def effort_curve(machine: Machine, segment_s: float) -> EffortCurve:
         inverse = np.linalg.solve(adjoint @ frfs + weight[:, None, None] * np.eye(3), adjoint)
         command = np.einsum("pfij,fj->pfi", inverse, wanted)
         error = np.fft.irfft(wanted - np.einsum("pfij,pfj->pfi", frfs, command), axis=1)
-        errors.append(float(np.hypot(1e3 * np.sqrt(np.mean(np.sum(error**2, axis=2))), FLOOR_UM)))
+        errors.append(float(np.hypot(1e3 * np.sqrt(np.mean(np.sum(error**2, axis=2))), floor_um)))
         peaks.append(acceleration(command))
     plan = acceleration(np.broadcast_to(wanted, (len(places), *wanted.shape)))
     return EffortCurve(bandwidths, np.array(errors), np.array(peaks), plan)

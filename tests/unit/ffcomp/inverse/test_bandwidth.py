@@ -42,6 +42,15 @@ def test_more_bandwidth_costs_more_and_errs_less(machine: Machine) -> None:
     assert curve.knee_hz < 140.0  # where commands of two milliseconds become violent
 
 
+@pytest.mark.parametrize("name", ["ender-3", "voron-300"])
+def test_straight_axes_are_followed_as_far_as_it_costs_little(name: str) -> None:
+    curve = effort_curve(load_machine(name), 0.004)
+    at = int(np.searchsorted(curve.bandwidth_hz, 80.0))  # where a floor of 1 µm would end
+    assert curve.knee_hz > 110.0
+    assert curve.error_um[curve.knee] < 0.75 * curve.error_um[at]
+    assert curve.peak_mm_per_s2[curve.knee] < 1.15 * curve.peak_mm_per_s2[at]
+
+
 def test_grease_in_the_guides_does_not_take_bandwidth_away(machine: Machine) -> None:
     carriage = replace(delta_vibration(machine).carriage, guide_damping_n_s_per_m=120.0)
     assert effort_curve(with_parts(machine, carriage=carriage), 0.004).knee_hz > 80.0
