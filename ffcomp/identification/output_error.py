@@ -171,10 +171,16 @@ class _Problem:
         known = [(values[name] - value) / sd for name, (value, sd) in self.known.items()]
         return np.concatenate([known, (theta - self.weak_mean) / PRIOR_SD])
 
-    def residual(self, theta: FloatArray, epsilon: FloatArray) -> FloatArray:
+    def weights(self, epsilon: FloatArray) -> list[FloatArray]:
+        """Return what a residual of each response is multiplied by, at a model error for each."""
+        return [
+            np.sqrt(2 / _variance(response, share)) for response, share in zip(self.responses, epsilon, strict=True)
+        ]
+
+    def residual(self, theta: FloatArray, weights: Sequence[FloatArray]) -> FloatArray:
         parts = []
-        for h, measured, response, share in zip(self.model(theta), self.values, self.responses, epsilon, strict=True):
-            error = (h - measured) * np.sqrt(2 / _variance(response, share))
+        for h, measured, weight in zip(self.model(theta), self.values, weights, strict=True):
+            error = (h - measured) * weight
             parts += [error.real, error.imag]
         return np.concatenate([*parts, self.prior(theta)])
 
@@ -208,7 +214,7 @@ def _unknown(name: str, value: float) -> float:
 
 
 def _parameter(name: str, theta: float) -> float:
-    return float(theta * SIGNED_UNIT if name in SIGNED else np.exp(np.clip(theta, -30.0, 30.0)))
+    return float(theta * SIGNED_UNIT if name in SIGNED else np.exp(min(max(theta, -30.0), 30.0)))
 
 
 def _total_mass(start: Machine, values: Mapping[str, float]) -> float:
@@ -240,9 +246,9 @@ def _best_start(
 
 def _other_mounts(problem: _Problem, best: FloatArray, progress: Callable[[str], None]) -> FloatArray:
     """Try far softer and harder mounts too: a mount taken for one of them is a local optimum that looks fair."""
-    share = _same(problem, FINE)
+    weights = problem.weights(_same(problem, FINE))
     best = _roughly(problem, best, FINE)
-    least = float(np.sum(problem.residual(best, share) ** 2))
+    least = float(np.sum(problem.residual(best, weights) ** 2))
     progress(Stage(3, "trying softer and harder mounts"))
     for stiffness, damping in zip(STIFFNESS, DAMPING, strict=True):
         if stiffness not in problem.names:
@@ -253,7 +259,7 @@ def _other_mounts(problem: _Problem, best: FloatArray, progress: Callable[[str],
             trial[problem.names.index(stiffness)] += np.log(factor)
             trial[problem.names.index(damping)] += np.log(factor) / 2
             trial = _roughly(problem, trial, FINE)
-            cost = float(np.sum(problem.residual(trial, share) ** 2))
+            cost = float(np.sum(problem.residual(trial, weights) ** 2))
             best, least = (trial, cost) if cost < least else (best, least)
     return best
 
@@ -322,8 +328,10 @@ def _roughly(problem: _Problem, theta: FloatArray, epsilon: float) -> FloatArray
 def _least_squares(
     problem: _Problem, theta: FloatArray, epsilon: FloatArray, *, evaluations: int = 200, tolerance: float = 1e-8
 ) -> FloatArray:
+    weights = problem.weights(epsilon)
+
     def residual(at: FloatArray) -> FloatArray:
-        return problem.residual(at, epsilon)
+        return problem.residual(at, weights)
 
     solution = minimise(
         residual,
@@ -435,11 +443,12 @@ def _covariance(problem: _Problem, theta: FloatArray, epsilon: FloatArray) -> Fl
     Where the model's error is more than noise it is correlated over neighbouring frequencies: the sandwich of Huber and
     White with blocks of 5 Hz (Liang & Zeger, Biometrika 73, 1986) then widens the inverse information.
     """
-    j = central_differences(lambda at: problem.residual(at, epsilon), theta, np.full(len(theta), STEP))
+    weights = problem.weights(epsilon)
+    j = central_differences(lambda at: problem.residual(at, weights), theta, np.full(len(theta), STEP))
     bread = scaled_inverse(j.T @ j)
     if not epsilon.any():
         return bread
-    residual = problem.residual(theta, epsilon)
+    residual = problem.residual(theta, weights)
     data = len(residual) - len(problem.known) - len(theta)
     gradients = [j[rows].T @ residual[rows] for rows in _blocks(problem)]
     meat = sum((np.outer(g, g) for g in gradients), j[data:].T @ j[data:])

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from types import MappingProxyType
 from typing import ClassVar
 
@@ -215,8 +216,9 @@ class DeltaKinematics(Kinematics):
         -------
         (n, 3, 3) mm/mm, rows X Y Z, columns A B C.
         """
-        s, heights = self._arms(xy)
-        return -np.linalg.inv(s) * heights[:, None, :]
+        if len(xy) == 1:  # a fit asks for the same place thousands of times
+            return _jacobian_at(self, float(xy[0, 0]), float(xy[0, 1])).copy()
+        return self._jacobian(xy)
 
     def jacobian_rate_term(self, xyz: FloatArray, velocity: FloatArray) -> FloatArray:
         """Return J̇ q̇, the part of Ẍ = J q̈ + J̇ q̇ that is there without any carriage acceleration.
@@ -310,6 +312,10 @@ class DeltaKinematics(Kinematics):
         angles = np.deg2rad(self.tower_angles_deg[0] + 60.0 * np.arange(6))
         return np.column_stack([radius * np.cos(angles), radius * np.sin(angles)])
 
+    def _jacobian(self, xy: FloatArray) -> FloatArray:
+        s, heights = self._arms(xy)
+        return -np.linalg.inv(s) * heights[:, None, :]
+
     def _arms(self, xy: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return joint vectors s_i, (n, 3, 3) with rows A B C and columns X Y Z, and heights h_i, (n, 3); mm."""
         across = xy[:, None, :2] - self.towers_mm
@@ -325,3 +331,8 @@ class DeltaKinematics(Kinematics):
 
 def _listed(values: Sequence[float] | FloatArray) -> str:
     return " ".join(f"{value:g}" for value in values)
+
+
+@lru_cache(maxsize=64)
+def _jacobian_at(kinematics: DeltaKinematics, x: float, y: float) -> FloatArray:
+    return kinematics._jacobian(np.array([[x, y]]))
