@@ -220,7 +220,7 @@ class Ensemble:
             return with_values(machine, parameters.scaled(deviates, spread, least=LEAST_VALUE))
 
         each = [moved(deviates) for deviates in np.eye(parameters.columns)]
-        directions = _principal(machine, each, self.model.settings.bandwidth_hz)
+        directions = _principal(machine, each, self.model.settings.inverse_hz)
         return [(printer, self._plant(printer)) for printer in map(moved, directions)]
 
     def _plant(self, machine: Machine) -> Schedule:

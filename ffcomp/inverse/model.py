@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -151,7 +151,7 @@ class InverseModel:
     def control_weight(self) -> float:
         """The weight ρ of the command's second differences."""
         s = self.settings
-        return control_weight_at(self.machine, s.bandwidth_hz, s.segment_s, s.rows_per_segment)
+        return control_weight_at(self.machine, s.inverse_hz, s.segment_s, s.rows_per_segment)
 
     @cached_property
     def delay_s(self) -> float:
@@ -177,9 +177,7 @@ class InverseModel:
     @cached_property
     def _cache(self) -> _Cache:
         s = self.settings
-        name = disk_cache.name_of(
-            self.machine, s.segment_s, s.substeps, s.rows_per_segment, s.bandwidth_hz, s.one_model
-        )
+        name = disk_cache.name_of(self.machine, s.segment_s, s.substeps, s.rows_per_segment, s.inverse_hz, s.one_model)
         return _Cache(name, disk_cache.load(name))
 
     def _table(self, name: str, steps: int) -> PlantTable:
@@ -231,18 +229,10 @@ class InverseModel:
         return self.machine.vibration.low_frequency(positions)[1]
 
     @cached_property
-    def plain(self) -> InverseModel:
-        """The inverse with the path itself as its reference; what both need is held once."""
-        other = InverseModel(self.full_machine, replace(self.settings, robust=False))
-        shared = {name: getattr(self, name) for name in ("_design", "_cache", "gains", "plant", "_compliance")}
-        other.__dict__.update(shared)
-        return other
-
-    @cached_property
     def _robust(self) -> RobustReference:
         s = self.settings
         row_s = s.segment_s / s.rows_per_segment
-        robust = RobustReference(self.machine, row_s, s.bandwidth_hz, self.control_weight)
+        robust = RobustReference(self.machine, row_s, s.inverse_hz, self.control_weight)
         robust.sensitivity.take_up(self._cache.arrays)
         return robust
 
@@ -251,7 +241,7 @@ class InverseModel:
         """How printers that the machine file allows differ, each span of a path being at one place."""
         s = self.settings
         row_s = s.segment_s / s.rows_per_segment
-        return Sensitivity(self.machine, row_s, s.bandwidth_hz, self.control_weight, sampled=False)
+        return Sensitivity(self.machine, row_s, s.inverse_hz, self.control_weight, sampled=False)
 
     @cached_property
     def _wants_offsets(self) -> bool:

@@ -330,7 +330,7 @@ def choose_robust(machine: Machine, settings: Settings, requested: bool | None =
     """Choose for a machine. requested : by the user; None: by the machine file."""
     if requested is not None:
         return RobustChoice(requested, f"{'Robust' if requested else 'Plain'} inversion, as it was asked for.")
-    sd = mode_sd(machine, settings.bandwidth_hz)
+    sd = mode_sd(machine, settings.robust_share * settings.bandwidth_hz)
     known = f"by its [uncertainty] the machine file knows its modes to {100 * sd:.2g} %"
     if not PAYING_SD[0] <= sd <= PAYING_SD[1]:
         least, most = (f"{100 * each:g}" for each in PAYING_SD)

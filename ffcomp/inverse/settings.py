@@ -8,7 +8,8 @@ square with sharp corners at seven places of the bed, line by line of frequency:
 
 The knee is where error times peak^1.5 is least: from there on a percent more of peak acceleration takes less than one
 and a half percent of the error away. To the error belongs a floor, what other things leave anyway: without it a step
-would always pay. On straight axes, whose model is the same everywhere, little else is left.
+would always pay. On straight axes, whose model is the same everywhere, little else is left, but of a robust inverse
+what is not known: following them as far would ask for up to three times the acceleration and leave as much.
 """
 
 from __future__ import annotations
@@ -53,6 +54,10 @@ class EffortCurve:
     def knee_hz(self) -> float:
         """The bandwidth at the knee, Hz."""
         return float(self.bandwidth_hz[self.knee])
+
+    def knee_above(self, floor_um: float) -> float:
+        """Return the bandwidth at the knee where so much more is left anyway, Hz."""
+        return float(self.bandwidth_hz[np.argmin(np.hypot(self.error_um, floor_um) * self.peak_mm_per_s2**1.5)])
 
 
 def control_weight_at(machine: Machine, bandwidth_hz: float, segment_s: float, rows: int = 1) -> float:
@@ -129,7 +134,8 @@ class Settings:
     substeps: int = 4  # of the simulation, per segment
     commit: int = 64  # segments kept of each window of the exact inverse
     preview: int = 24  # segments looked ahead there, thrown away
-    bandwidth_hz: float = 100.0  # where accuracy is given up for a gentler command
+    bandwidth_hz: float = 100.0  # where accuracy is given up for a gentler command,
+    robust_share: float = 1.0  # and the share of it that robust inversion takes
     lead_s: float = 0.008  # how long before the path's start the command may begin, at most
     tail_s: float = 0.004  # how long after the path's end the command comes to rest, at most
     compliance_s2: tuple[float, float, float] = (1.0, 1.0, 1.0)  # nozzle's lag per acceleration along X Y Z: mm s²/mm
@@ -151,6 +157,11 @@ class Settings:
     embed: bool = True  # the file holds its original, as comments
     pressure: Pressure | None = None  # of the hot end, which the filament allows for; None: it follows the plan
     output: SegmentLimits = field(default_factory=SegmentLimits)
+
+    @property
+    def inverse_hz(self) -> float:
+        """The bandwidth of the inverse, plain or robust."""
+        return self.robust_share * self.bandwidth_hz if self.robust else self.bandwidth_hz
 
     @property
     def joins_lifts(self) -> bool:
@@ -186,11 +197,13 @@ def settings_for(machine: Machine, segments_per_second: float = SEGMENTS_PER_SEC
     )
     segment_s = 1.0 / segments_per_second
     design = design_machine(machine)[0]
-    bandwidth = effort_curve(design, segment_s).knee_hz
+    curve = effort_curve(design, segment_s)
+    coupled = design.kinematics.model_reach_mm > 0.0
     return Settings(
         output=output,
         segment_s=segment_s,
-        bandwidth_hz=bandwidth,
+        bandwidth_hz=curve.knee_hz,
+        robust_share=1.0 if coupled else curve.knee_above(FLOOR_UM) / curve.knee_hz,
         compliance_s2=_nozzle_compliance(design),
         pressure=machine.pressure,
     )
