@@ -347,11 +347,14 @@ def compare_repeats(
     """
     if scale is None:
         scale = np.maximum(np.std(signals[0], axis=0), 1e-12)
-    lags, significant = _lags([np.fft.rfft(x / scale, axis=0) for x in signals], len(moving), rate_hz)
-    together = np.stack([delayed(x, -lag, rate_hz) for x, lag in zip(signals, lags, strict=True)])
-    if known is not None:
-        together = together * known[:, None]  # what one of them lacks shows nothing
-    differences = _in_band(together - together.mean(axis=0), rate_hz) * np.sqrt(len(signals) / (len(signals) - 1))
+    weights = scale
+    for _ in range(2):  # then signals weigh by what they differ by: of one that feels no motion, noise alone is known
+        lags, significant = _lags([np.fft.rfft(x / weights, axis=0) for x in signals], len(moving), rate_hz)
+        together = np.stack([delayed(x, -lag, rate_hz) for x, lag in zip(signals, lags, strict=True)])
+        if known is not None:
+            together = together * known[:, None]  # what one of them lacks shows nothing
+        differences = _in_band(together - together.mean(axis=0), rate_hz) * np.sqrt(len(signals) / (len(signals) - 1))
+        weights = np.maximum(np.sqrt(np.mean(differences**2, axis=(0, 1))), 1e-9 * scale)
     size = float(np.sqrt(np.mean(_in_band(np.stack(signals), rate_hz) ** 2)))
     share = float(np.sqrt(np.mean(differences**2)) / max(size, 1e-12))
     rest = _rest_power(differences / scale, moving, rate_hz, least_noise / scale)

@@ -72,6 +72,13 @@ def test_good_repeats_stay_as_they_are() -> None:
     check_repeating([found])
 
 
+def test_a_signal_that_feels_nothing_of_the_motion_does_not_shift_the_others() -> None:
+    """By its own noise it would weigh as much as they do; a lag that is none makes resonances differ."""
+    for n in range(1, 9, 2):
+        (found,) = repeats_of([observed(motion() * [1.0, 1e-4], repeat) for repeat in (n, n + 1)])
+        assert 1e6 * (max(found.lag_s) - min(found.lag_s)) < 20.0  # or it would be 60
+
+
 def test_missing_samples_of_one_are_no_difference() -> None:
     holes = motion()
     holes[600:1500:100] = holes[601:1501:100] = np.nan
