@@ -232,23 +232,26 @@ def axis_candidates(
     pitches : mm, at which a search for a ripple begins; none: evenly over the travel.
     lines : the same, mm, of several lines that were seen in a measured force.
     """
+    axis = driven_axis(machine)
     able = [
         CATALOGUE[name]
         for name in axis_effects(machine)
         if name in names
         and name not in machine.effects
         and (CATALOGUE[name].needs != "accelerometer" or "acc_q" in signals)
+        # one sensor alone lags as its drive does; and where an axis begins anew all the time, it remembers nothing
+        and (CATALOGUE[name].needs != "two sensors" or (len(signals) > 1 and not axis.free))
         and (CATALOGUE[name].needs != "turning" or scales.travel_m > 0.5)  # rad; below, a weight pulls as a spring does
         and any(p.on_axis.size is not None for p in CATALOGUE[name].amplitudes)
     ]
-    axis = driven_axis(machine)
     candidates = tuple(
-        _with_lines(_axis_candidate(effect, scales, lines or pitches), effect, scales, lines) for effect in able
+        _with_lines(_axis_candidate(effect, scales, signals, lines or pitches), effect, scales, lines)
+        for effect in able
     )
     if not axis.load_mass_kg or axis.free:
         return candidates
     drive = replace(scales, stiffness_n_per_m=axis.stiffness_n_per_m, stretch_m=scales.force_n / axis.stiffness_n_per_m)
-    return tuple(_of_either_spring(c, effect, drive) for c, effect in zip(candidates, able, strict=True))
+    return tuple(_of_either_spring(c, effect, drive, signals) for c, effect in zip(candidates, able, strict=True))
 
 
 def _with_lines(candidate: Candidate, effect: Effect, scales: MotionScales, pitches: Sequence[float]) -> Candidate:
@@ -264,17 +267,20 @@ def _with_lines(candidate: Candidate, effect: Effect, scales: MotionScales, pitc
     return replace(candidate, other=Candidate(effect.name, amplitudes, probe, shapes, grid))
 
 
-def _of_either_spring(candidate: Candidate, effect: Effect, drive: MotionScales) -> Candidate:
+def _of_either_spring(candidate: Candidate, effect: Effect, drive: MotionScales, signals: Sequence[str]) -> Candidate:
     """Let an effect of belts be of the drive too, as another form: nobody knows which of two springs it is of."""
     if AT_DRIVE not in effect.of_axis:
         return candidate
-    there = _axis_candidate(effect, drive)
+    there = _axis_candidate(effect, drive, signals)
     chosen = Parameter(_full(effect, AT_DRIVE), 1.0, 1.0, 1.0, 1.0)
     return replace(candidate, other=replace(there, shapes=(*there.shapes, chosen)))
 
 
-def _axis_candidate(effect: Effect, scales: MotionScales, pitches: Sequence[float] = ()) -> Candidate:
-    amplitudes = tuple(_axis_amplitude(effect, p, scales) for p in effect.amplitudes if p.on_axis.size is not None)
+def _axis_candidate(
+    effect: Effect, scales: MotionScales, signals: Sequence[str], pitches: Sequence[float] = ()
+) -> Candidate:
+    sized = [p for p in effect.amplitudes if p.on_axis.size is not None]
+    amplitudes = tuple(_axis_amplitude(effect, p, scales, i) for p in sized for i in _numbers_of(p, signals))
     searched = _searched(effect)
     starts = {
         p.name: list(dict.fromkeys(float(np.clip(x, *p.bounds)) for x in _axis_starts(p, scales))) for p in searched
@@ -288,8 +294,13 @@ def _axis_candidate(effect: Effect, scales: MotionScales, pitches: Sequence[floa
     return Candidate(effect.name, amplitudes, probe, shapes, grid, _finer_of(effect))
 
 
+def _numbers_of(p: EffectParameter, signals: Sequence[str]) -> list[int]:
+    """Return which of a vector's numbers these signals show; of one number, the first."""
+    return [i for i, s in enumerate(p.on_axis.signals) if s in signals] if p.size == "vector3" else [0]
+
+
 def _axis_amplitude(effect: Effect, p: EffectParameter, scales: MotionScales, line: int = 0) -> Parameter:
-    suffix = "[0]" if p.size == "vector3" else ""
+    suffix = f"[{line}]" if p.size == "vector3" else ""
     low, high = p.bounds
     size = p.on_axis.size(scales) if p.on_axis.size is not None else 0.0
     return Parameter(

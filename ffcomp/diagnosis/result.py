@@ -162,10 +162,11 @@ class DiagnosisResult:
 
     def parameters(self, effect: str) -> dict[str, dict[str, Any]]:
         """Return value, low and high of one effect by the machine file's keys; lists where the file has lists."""
-        prefix, estimates = f"effects.{effect}.", dict[str, list[Estimate]]()
+        prefix, estimates = f"effects.{effect}.", dict[str, dict[int, Estimate]]()
         for name, e in self.intervals.items():
             if name.startswith(prefix):
-                estimates.setdefault(name.removeprefix(prefix).partition("[")[0], []).append(e)
+                key, _, index = name.removeprefix(prefix).rstrip("]").partition("[")
+                estimates.setdefault(key, {})[int(index or 0)] = e
         quantities = self.names.quantities
         return {
             key_in_file(effect, key, quantities): {
@@ -318,11 +319,12 @@ def _in_file_terms(name: str, e: Estimate) -> Estimate:
     return Estimate(value, value * e.sd / e.value / abs(power), min(ends), max(ends))
 
 
-def _in_file(effect: str, key: str, estimates: Sequence[Estimate], table: Any) -> dict[str, Any]:
+def _in_file(effect: str, key: str, estimates: Mapping[int, Estimate], table: Any) -> dict[str, Any]:
     """Return value, low and high of one key.
 
     Parameters
     ----------
+    estimates : by their places in a list.
     table : the key's value in the machine file.
     """
     if CATALOGUE[effect].parameter(key).size == "direction":
@@ -330,9 +332,11 @@ def _in_file(effect: str, key: str, estimates: Sequence[Estimate], table: Any) -
         ends = [[round(math.cos(x), 6), round(math.sin(x), 6)] for x in (first.low, first.high)]
         low, high = (table, table) if isinstance(table, str) else ends
         return {"value": table, "low": low, "high": high}
-    each = {what: [float(getattr(e, what)) for e in estimates] for what in ("value", "low", "high")}
-    if isinstance(table, list):  # actuators that rested in all recordings have no estimate
-        each = {what: [*values, *table[len(values) :]] for what, values in each.items()}
+    told = table if isinstance(table, list) else [table]  # actuators that rested in all recordings have no estimate
+    each = {
+        what: [float(getattr(estimates[i], what)) if i in estimates else x for i, x in enumerate(told)]
+        for what in ("value", "low", "high")
+    }
     return {what: values if len(values) > 1 else values[0] for what, values in each.items()}
 
 

@@ -51,6 +51,7 @@ class OnAxis:
     size: Callable[[MotionScales], float] | None = None  # of a usual effect; None: an amplitude that an axis has not
     starts: Callable[[MotionScales], Sequence[float]] | None = None  # of the search for a shape
     lowest: float | None = None  # in place of the lower one of `bounds`
+    signals: tuple[str, ...] = ("acc_q",)  # of which each number of a vector is
 
 
 @dataclass(frozen=True)
@@ -205,7 +206,7 @@ class Effect:
     # how far the nozzle's places must lie apart along x, y, z, over all recordings, to tell it from other numbers
     spread_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
     # what not every axis by itself has
-    needs: Literal["", "spring", "command", "freedom", "turning", "accelerometer"] = ""
+    needs: Literal["", "spring", "command", "freedom", "turning", "accelerometer", "two sensors"] = ""
     contains: str = ""  # an effect of which it has all numbers, and more
     corrects_file: bool = False  # it is a number of the machine file that is wrong, and no more
     axis_words: AxisWords | None = None  # None: its words are of any machine

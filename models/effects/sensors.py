@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from models.arrays import FloatArray
-from models.effects.effect import Effect, OnAxis, Parameter, Signals, Values, resampled
+from models.effects.effect import USUAL_SHARE, Effect, OnAxis, Parameter, Signals, Values, resampled
 
 
 def _scaled(true: Signals, values: Values) -> Signals:
@@ -141,13 +141,33 @@ SENSOR_LAG = Effect(
     equation="T² ÿ + 2 ζ T ẏ + y = x(t − τ);  ζ = 0: T ẏ + y = x(t − τ)",
     parameters=(
         Parameter("delay_s", "s", "τ of pos_q, pos_motor, acc_q", (0, 10), (0, 0.005), 1e-4, size="vector3"),
-        Parameter("time_constant_s", "s", "T of pos_q, pos_motor, acc_q", (0, 100), (0, 0.1), 1e-4, size="vector3"),
-        Parameter("damping_ratio", "", "ζ; 0: of first order", (0, 10), (0, 1), 0.1, role="shape", default=0.0),
+        Parameter(
+            "time_constant_s",
+            "s",
+            "T of pos_q, pos_motor, acc_q",
+            (0, 100),
+            (0, 0.1),
+            1e-4,
+            size="vector3",
+            on_axis=OnAxis(size=lambda s: USUAL_SHARE / s.highest_hz, signals=("pos_q", "pos_motor", "acc_q")),
+        ),
+        Parameter(
+            "damping_ratio",
+            "",
+            "ζ; 0: of first order",
+            (0, 10),
+            (0, 1),
+            0.1,
+            role="shape",
+            default=0.0,
+            starts=(0.7,),
+        ),
     ),
     in_data="One sensor's signals come after another's, by a time or with less of what is quick.",
     confounded_with={"command_delay": "Two sensors of one motion: a late command is late in both."},
     measure=_lagging,
     of=("axis",),
+    needs="two sensors",
     shifts_time=True,
     remedy="Nothing to mend on the axis: state the sensor's lag in the file, or read all sensors at once.",
 )
