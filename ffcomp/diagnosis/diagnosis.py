@@ -37,7 +37,15 @@ from ffcomp.diagnosis.fidelity import (
     parsimonious_fit,
 )
 from ffcomp.diagnosis.fit import EstimationProblem, Fit, estimation_problem, fit, intervals_of
-from ffcomp.diagnosis.hypotheses import FILE_CHANGES, Hypothesis, competing_with, implausible, likeliest, significant
+from ffcomp.diagnosis.hypotheses import (
+    FILE_CHANGES,
+    Hypothesis,
+    competing_with,
+    implausible,
+    likeliest,
+    significant,
+    worth,
+)
 from ffcomp.diagnosis.moves import Search
 from ffcomp.diagnosis.noise import NoiseFloor, at_least, noise_floor, noise_share, scaled, whitener
 from ffcomp.diagnosis.problem import Parameter, Problem
@@ -207,7 +215,7 @@ def _diagnosed(problem: Problem, noise: NoiseFloor, density: Mapping[str, float]
     none, best = replace(none, screened=searched.screened), searched.selection.best
     progress(Stage(7, "testing it at places that were left out of the fit"))
     retuned = _retuned(estimation, best, least)
-    if retuned.discrepancy < least and not _gains(best.fit, retuned, noise):
+    if retuned.discrepancy < least and not worth(best.fit, retuned, noise, 0.0):
         return replace(none, base=retuned, final=retuned)
     tested = _tested(none, searched, searched.selection.best, progress)
     if tested.rejections and not small:
@@ -275,17 +283,6 @@ def _fitted_to_the_end(estimation: EstimationProblem, fitted: Fit, least: float)
         return fitted
     ended = fit(estimation, fitted.parameters, fitted.z, fitted.jacobian, iterations=10, exact=True)
     return min(fitted, ended, key=lambda each: each.evidence)
-
-
-def _gains(best: Fit, retuned: Fit, noise: NoiseFloor) -> bool:
-    """Tell whether a hypothesis says more than the machine's own numbers do, where these leave hardly anything.
-
-    By a noise that is only guessed, any number of rows makes the smallest difference significant: there it must take
-    a share of what is left.
-    """
-    if not significant(best, retuned, 0.0):
-        return False
-    return noise.from_repeats or best.chi_squared < (1 - SETTINGS.exists) * retuned.chi_squared
 
 
 # ---- the verdict ---------------------------------------------------------------------------------

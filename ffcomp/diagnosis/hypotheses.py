@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ffcomp.diagnosis.fit import EstimationProblem, Fit
+from ffcomp.diagnosis.noise import NoiseFloor
 from ffcomp.diagnosis.problem import Candidate, Parameter
 from ffcomp.diagnosis.recording_clocks import belongs_to_recording
 from ffcomp.diagnosis.settings import SETTINGS
@@ -124,6 +125,16 @@ def significant(larger: Fit, smaller: Fit, share: float = SETTINGS.added_share) 
     remains = max(smaller.cost - len(smaller.residual), 0.0)
     gain = (smaller.evidence - larger.evidence) / larger.misfit
     return gain > SETTINGS.significant and smaller.cost - larger.cost > share * remains
+
+
+def worth(larger: Fit, smaller: Fit, floor: NoiseFloor, share: float = SETTINGS.added_share) -> bool:
+    """Tell whether the larger model is significant, by a noise that is known.
+
+    By one that is only guessed, any number of rows makes the smallest difference significant: there it must take a
+    share of what is left.
+    """
+    enough = floor.from_repeats or larger.chi_squared < (1 - SETTINGS.exists) * smaller.chi_squared
+    return enough and significant(larger, smaller, share)
 
 
 def comparable(h: Hypothesis, best: Hypothesis, factor: float) -> bool:

@@ -53,6 +53,7 @@ from ffcomp.diagnosis.hypotheses import (
     may_join,
     nested,
     significant,
+    worth,
 )
 from ffcomp.diagnosis.problem import Candidate, Parameter, stem_of
 from ffcomp.diagnosis.score_test import Screened, pair_evidence, screen_in_subset, similarity, subset_of
@@ -214,7 +215,7 @@ def drop(search: Search, best: Hypothesis) -> Hypothesis:
     least = min(idle, key=lambda c: without[c.name].evidence)
     smaller = refit(estimation, best.without(least), search.progress)
     nothing_left = smaller.discrepancy < max(estimation.tolerance, search.trace)
-    if significant(best.fit, smaller.fit):
+    if worth(best.fit, smaller.fit, estimation.whiten.floor):
         spurious = least in disputed and smaller.plausible
         if not (spurious and (nothing_left or motions_against(estimation, best.fit, smaller.fit))):
             return best
@@ -284,6 +285,36 @@ def swap_for_nested(search: Search, h: Hypothesis) -> list[Hypothesis]:
             reshape(search.estimation, continue_fit(search.estimation, begun, search.progress), search.progress)
         )
     return fitted
+
+
+def swap_for_law_within(search: Search, best: Hypothesis) -> Hypothesis:
+    """Exchange each law for the simpler one that it contains, at the numbers that it has, where that loses nothing.
+
+    A richer law may only have led to the right place: what it has beyond the simpler one is then not determined.
+    """
+    by_name = {c.name: c for c in search.candidates}
+    for effect in best.effects:
+        if (simple := by_name.get(NESTED.get(effect.name, ""))) is None:
+            continue
+        kinds = [kind for c in (simple, simple.other or simple) for kind in (c.shaped, c.of_alternative_kind)]
+        prefix = f"effects.{effect.name}."
+        values = {n.replace(prefix, f"effects.{simple.name}."): x for n, x in best.fit.values.items()}
+        form = max(kinds, key=lambda c: sum(n.name in values for n in c.parameters))
+        kept = replace(
+            form,
+            amplitudes=tuple(n for n in form.amplitudes if n.name in values),
+            shapes=tuple(n for n in form.shapes if n.name in values),
+            other=None,
+        )
+        effects = tuple(kept if c is effect else c for c in best.effects)
+        parameters = (*best.machine_parameters, *(n for c in effects for n in c.parameters))
+        z = np.array([(values[n.name] - n.start) / n.sd for n in parameters])
+        begun = Hypothesis(effects, Fit(parameters, clipped(parameters, z), best.fit.residual, best.fit.jacobian))
+        smaller = fit_exactly(
+            search.estimation, continue_fit(search.estimation, begun, search.progress), search.progress
+        )
+        best = best if worth(best.fit, smaller.fit, search.estimation.whiten.floor) else smaller
+    return best
 
 
 def _started_richer(quick: EstimationProblem, h: Hypothesis, effect: Candidate, form: Candidate) -> Hypothesis:

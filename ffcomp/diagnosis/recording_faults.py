@@ -83,17 +83,28 @@ def clipped_sensor(estimation: EstimationProblem, simulated: Sequence[FloatArray
 
 
 def odd_signal(estimation: EstimationProblem, fits: Sequence[Fit]) -> BadSensor | None:
-    """Return the signal that holds nearly all of the excess of some fit, where three or more are compared."""
+    """Return the signal that holds nearly all of the excess of some fit, where three or more are compared.
+
+    Not where the last of the fits explains most of its excess: there an effect acts on its axis.
+    """
     name, share = max((_share(estimation, fit) for fit in fits), key=lambda each: each[1], default=("", 0.0))
-    return BadSensor(name, "holds the gap", share) if share > SETTINGS.one_signal else None
+    if share <= SETTINGS.one_signal:
+        return None
+    first, last = (_excess(estimation, fit)[name] for fit in (fits[0], fits[-1]))
+    return BadSensor(name, "holds the gap", share) if last > (1 - SETTINGS.dominant) * first else None
 
 
-def _share(estimation: EstimationProblem, fit: Fit) -> tuple[str, float]:
+def _excess(estimation: EstimationProblem, fit: Fit) -> dict[str, float]:
     excess: dict[str, float] = {}
     for o, rows in zip(estimation.whiten.observations, estimation.whiten.rows, strict=True):
         parts = fit.residual[rows].reshape(2, len(o.signals), -1)
         for k, name in enumerate(o.signals):
             excess[name] = excess.get(name, 0.0) + float(np.sum(parts[:, k] ** 2 - 1))
+    return excess
+
+
+def _share(estimation: EstimationProblem, fit: Fit) -> tuple[str, float]:
+    excess = _excess(estimation, fit)
     total = sum(max(x, 0.0) for x in excess.values())
     name = max(excess, key=lambda each: excess[each])
     stands_out = total > estimation.tolerance * len(fit.residual)  # by chance alone, one signal has all of a trace

@@ -53,6 +53,7 @@ from ffcomp.diagnosis.moves import (
     reshape,
     reshape_thoroughly,
     swap,
+    swap_for_law_within,
     swap_for_nested,
     swap_for_smaller,
 )
@@ -89,6 +90,7 @@ def finish(search: Search, selection: Selection) -> Selection:
     for rival in smaller_rivals(best, selection.tried, search.candidates)[:1]:
         smaller = fit_exactly(search.estimation, rival, search.progress)
         best = best if significant(best.fit, smaller.fit) else smaller
+    best = swap_for_law_within(search, best)
     return replace(selection, best=free_shapes(search.estimation, best, search.progress))
 
 

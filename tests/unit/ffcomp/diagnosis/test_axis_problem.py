@@ -12,8 +12,14 @@ import pytest
 
 from ffcomp.diagnosis.axis_problem import AxisProblem
 from ffcomp.diagnosis.diagnosis import Diagnosis, diagnose
+from ffcomp.diagnosis.fidelity import linearised
+from ffcomp.diagnosis.fit import estimation_problem
+from ffcomp.diagnosis.hypotheses import Hypothesis
+from ffcomp.diagnosis.moves import Search, swap_for_law_within
+from ffcomp.diagnosis.noise import noise_floor, whitener
 from ffcomp.diagnosis.problem import InfeasibleParameters
 from ffcomp.diagnosis.problems import check_alike, with_folders
+from ffcomp.diagnosis.result import result_of
 from ffcomp.errors import MeasurementError
 from ffcomp.identification.axis_shots import shots_of
 from ffcomp.measurement.axis_run import AxisRun, read_axis_run
@@ -123,6 +129,43 @@ def test_a_spring_that_hardens_is_named_on_a_driven_axis() -> None:
     told = found(DRIVE, belt_hardening={"cubic_n_per_m3": 4e9})
     assert told.named is not None and told.named.names == ("belt_hardening",)
     assert told.final.values["effects.belt_hardening.cubic_n_per_m3"] == pytest.approx(4e9, rel=0.05)
+
+
+def test_of_two_sensors_the_one_that_lags_is_found_with_its_time() -> None:
+    """One sensor alone would lag as its drive does, so that it is not looked for there."""
+    lag = {"sensor_lag": {"time_constant_s": [0.0, 0.0, 2e-3], "damping_ratio": 0.7}}
+    late = with_effects(DRIVE, lag)
+    rng, both = np.random.default_rng(5), []
+    for run in runs_of(DRIVE, 3):
+        sensed = shots_of(late, [replace(run, position={"pos_q": run.drive})])[0].simulate(late).sensed(late)
+        place = {"pos_q": sensed["pos_q"] + 1e-3 * rng.normal(size=len(run.time_s))}
+        felt = {"acc_q": sensed["acc_q"] + 0.03 * rng.normal(size=len(run.time_s))}
+        both.append(replace(run, acceleration=felt, position=place))
+    names = ("command_delay", "guide_damping", "sensor_lag")
+    told = diagnose(AxisProblem(DRIVE, both, names))
+    assert told.named is not None and told.named.names == ("sensor_lag",)
+    stated = result_of(told.estimation.problem, told).parameters("sensor_lag")["time_constant_s"]
+    assert stated["value"] == pytest.approx([0.0, 0.0, 2e-3], abs=1e-4) and stated["high"][1] == 0.0
+    alone = AxisProblem(DRIVE, runs_of(DRIVE, 3), names)
+    assert {c.name for c in alone.candidates} == {"guide_damping", "command_delay"}
+
+
+def test_a_law_gives_way_to_the_simpler_one_that_it_contains() -> None:
+    """Only the richer one came here, from where the other one would have had to begin."""
+    problem = AxisProblem(DRIVE, runs_of(DRIVE, 3, coulomb_friction={"force_n": 5.0}), ("coulomb_friction",))
+    rich = AxisProblem(DRIVE, problem.recordings, ("coulomb_friction", "stribeck_friction"))  # type: ignore[arg-type]
+    estimation = estimation_problem(rich, whitener(rich.observations, noise_floor(rich), rich.band_hz))
+    law = next(c for c in rich.candidates if c.name == "stribeck_friction")
+    values = {"force_n": 4.6, "extra_force_n": 0.4, "velocity_mm_per_s": 20.0}
+    known = {f"effects.stribeck_friction.{key}": x for key, x in values.items()}
+    parameters = (*rich.parameters, *law.parameters)
+    z = np.array([(known.get(n.name, n.start) - n.start) / n.sd for n in parameters])
+    base = linearised(estimation, rich.parameters, np.zeros(len(rich.parameters)))
+    search = Search(estimation, (), base, lambda _: None)
+    best = Hypothesis((law,), linearised(estimation, parameters, z))
+    simple = swap_for_law_within(search, best)
+    assert simple.names == ("coulomb_friction",)
+    assert simple.fit.values["effects.coulomb_friction.force_n"] == pytest.approx(5.0, rel=0.03)
 
 
 def test_of_two_springs_the_one_that_hardens_is_found() -> None:
