@@ -39,7 +39,6 @@ def test_only_compensate_chooses_an_offset() -> None:
     assert result.exit_code == 2 and "two numbers with a comma between them" in result.output
 
 
-@pytest.mark.usefixtures("undrawn")
 def test_the_whole_way(small: Path, tmp_path: Path) -> None:
     page, pictures = tmp_path / "report.html", tmp_path / "pictures"
     options = ("-m", "mp-delta-pro", "--only", "mzv", "--quality-um", "0", "--report", page, "--figures", pictures)
@@ -154,7 +153,6 @@ def test_a_short_print_in_inches(tmp_path: Path) -> None:
     assert 5 * methods["fbs-lpv"]["contour_rms_um"] < methods["none"]["contour_rms_um"]
 
 
-@pytest.mark.usefixtures("undrawn")
 def test_equal_quality(small: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[QuickestRequest] = []
 

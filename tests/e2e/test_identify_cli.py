@@ -88,7 +88,7 @@ def test_from_a_plan_through_captures_to_a_machine_file(tmp_path: Path) -> None:
     found = load_machine(out)
     for name in ("carriage.belt_stiffness_n_per_m", "carriage.mass_kg", "effector.nozzle_mass_kg"):
         assert value_of(found, name) == pytest.approx(value_of(TRUTH, name), rel=0.02), name
-    assert len(result["responses"]) == 9 and figure.stat().st_size > 20_000
+    assert len(result["responses"]) == 9 and figure.exists()
     assert any("along z" in sentence for sentence in result["advice"])  # its mount resonates beyond the plan's band
     assert str(found.provenance["identified"]["data"]).count("sha256:") == 3  # type: ignore[index]
 
