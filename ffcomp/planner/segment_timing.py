@@ -248,10 +248,13 @@ def _positions(
             continue
         c, a = cruise[k], acceleration[k]
         v0, v1 = min(junction[k], c), min(junction[k + 1], c)
-        ahead = vertices[k + 1] - vertices[k]
-        length = np.sqrt(np.sum(ahead * ahead))
+        length = 0.0
+        for j in range(3):
+            length += (vertices[k + 1, j] - vertices[k, j]) ** 2
+        length = np.sqrt(length)
         f = _travelled(t, duration[k] - t, length, v0, v1, c, a, (c - v0) / a, (c - v1) / a)
-        out[i] = vertices[k] + f / length * ahead
+        for j in range(3):
+            out[i, j] = vertices[k, j] + f / length * (vertices[k + 1, j] - vertices[k, j])
     return out
 
 
