@@ -12,26 +12,35 @@ import tempfile
 import time
 import tomllib
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from ffcomp.comparison.baselines import LinearPrinter
+from ffcomp.comparison.evaluation import Execution, contour
+from ffcomp.comparison.methods import COMPENSATED, best_fixed, inversion
+from ffcomp.comparison.sampling import Print, PrintSlice, Sampling
 from ffcomp.errors import MeasurementError
 from ffcomp.identification.request import ScanRequest
 from ffcomp.identification.scanning import fit_pictures
 from ffcomp.identification.uncertainty import Estimate
+from ffcomp.inverse.settings import settings_for
+from ffcomp.metrics import rms
 from ffcomp.record.page import PageRequest, make_page
 from ffcomp.record.plan import Experiment, save_plan
-from models.file import load_machine
+from ffcomp.simulation.command import Motion
+from models.file import load_machine, machine_of_text
 from models.kinds import delta_vibration, with_parts
-from models.machine import Machine
+from models.machine import Machine, with_values
 from studies.render import RESULTS, results_of, save
 from validation.drawn_page import (
     FINE_SCANNER,
+    LEAD_S,
     PHONE,
     SCANNER,
     Bead,
@@ -50,11 +59,28 @@ SPREAD = {"stiffness": 0.15, "damping": 0.2, "mass": 0.1}  # standard deviations
 FRICTION_N, BRISTLE_N_PER_M, RIPPLE_M = 0.3, 8e4, 2e-6
 EACH_TOWER = ("mass_kg", "belt_stiffness_n_per_m", "belt_damping_n_s_per_m", "guide_damping_n_s_per_m")
 
+PRINT = Path(__file__).parents[1] / "docs" / "examples" / "print.gcode"
+SHAPERS = ("zv", "mzv", "ei", "2hump_ei")
+PLAYED_S = 1 / 3200
+
 Play = Callable[[Experiment, float], NDArray[np.float64]]
-Truth = Callable[[tuple[float, float]], tuple[NDArray[np.float64], NDArray[np.float64]]]
 
 
-def sampled_delta(seed: int) -> tuple[Machine, Play, Truth]:
+@dataclass(frozen=True, eq=False)
+class Printer:
+    """A printer that is not quite as its file says."""
+
+    machine: Machine  # the file
+    true: Machine  # the best file that there can be; a delta's has three towers
+    play: Play
+
+    def modes(self, place: tuple[float, float]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return frequencies, Hz, and damping ratios at a place."""
+        modes = self.true.vibration.modes_at(np.array(place))
+        return modes.frequencies_hz, modes.damping_ratios
+
+
+def sampled_delta(seed: int) -> Printer:
     """Sample a delta around the library's, with towers that differ and some friction."""
     machine = load_machine("mp-delta-pro")
     document, rng = tomllib.loads(Path(machine.path).read_text(encoding="utf-8")), np.random.default_rng(seed)
@@ -77,16 +103,10 @@ def sampled_delta(seed: int) -> tuple[Machine, Play, Truth]:
         extruder_stiffness_n_per_m=np.array(effector["extruder_stiffness_n_per_m"]),
         extruder_damping_n_s_per_m=np.array(effector["extruder_damping_n_s_per_m"]),
     )
-    true = with_parts(machine, carriage=carriage, effector=own)
-
-    def modes(place: tuple[float, float]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        found = true.vibration.modes_at(np.array(place))
-        return found.frequencies_hz, found.damping_ratios
-
-    return machine, delta_player(real), modes
+    return Printer(machine, with_parts(machine, carriage=carriage, effector=own), delta_player(real))
 
 
-def sampled_straight(seed: int, corexy: bool) -> tuple[Machine, Play, Truth]:
+def sampled_straight(seed: int, corexy: bool) -> Printer:
     """Sample a CoreXY around a Voron's numbers, or a bed slinger around an Ender's."""
     machine, rng = load_machine("voron-250" if corexy else "ender-3"), np.random.default_rng(1000 + seed)
     kg, hz, damping = np.array([0.4, 0.5]), np.empty(2), rng.uniform(0.04, 0.1, 2)
@@ -108,14 +128,46 @@ def sampled_straight(seed: int, corexy: bool) -> tuple[Machine, Play, Truth]:
         bristle_n_per_m=BRISTLE_N_PER_M,
         ripple_m=(RIPPLE_M, RIPPLE_M),
     )
-    return machine, straight_player(plant), lambda place: (hz, damping)
+    values = {f"axes.{axis}.frequency_hz[0]": float(hz[k]) for k, axis in enumerate("xy")}
+    values |= {f"axes.{axis}.damping_ratio[0]": float(damping[k]) for k, axis in enumerate("xy")}
+    return Printer(machine, with_values(machine, values), straight_player(plant))
 
 
-def case(name: str, machine: Machine, play: Play, truth: Truth, cameras: list[str], seed: int) -> list[dict[str, Any]]:
-    """Draw a page, see it by each camera, fit, and compare with the truth."""
-    plan, rng = make_page(machine, PageRequest()), np.random.default_rng(seed)
+def printed(printer: Printer, file: Machine | None) -> float:
+    """Return the contour rms, µm, of a print on the printer: compensated with a file, or by the best shaper of all.
+
+    Shapers are sought with the true printer known, and each kind's best one is played.
+    """
+    x, y = np.array(printer.machine.kinematics.centre_mm).tolist()
+    slices = Print(PRINT.read_bytes(), PRINT.name, printer.machine, (x, y), "klipper").slices(Sampling(share=1.0))[0]
+    if file is not None:
+        ways = [inversion(file, settings_for(file), COMPENSATED)]
+    else:
+        linear = LinearPrinter(printer.true, slices)
+        ways = [best_fixed(linear, kind) for kind in SHAPERS]
+    played = ([_executed(printer, each, way.motion(each)[0]) for each in slices] for way in ways)
+    return min(1e3 * rms(contour(each)) for each in played)
+
+
+def _executed(printer: Printer, print_slice: PrintSlice, motion: Motion) -> Execution:
+    lasts_s = motion.end_t - motion.begin_t
+    drawn = SimpleNamespace(
+        duration_s=lasts_s,
+        motion=SimpleNamespace(nozzle=lambda t: motion.position(motion.begin_t + np.maximum(t, 0.0))),
+    )
+    xy = printer.play(cast(Experiment, drawn), PLAYED_S)
+    t = motion.begin_t + PLAYED_S * np.arange(len(xy), dtype=np.float64) - LEAD_S
+    kept = (t > motion.begin_t) & (t < motion.end_t)
+    height = motion.position(t[kept])[:, 2]  # what moves up and down only is not judged
+    return Execution(print_slice, motion, t[kept], np.column_stack([xy[kept], height]))
+
+
+def case(name: str, printer: Printer, cameras: list[str], seed: int) -> list[dict[str, Any]]:
+    """Draw a page, see it by each camera, fit, and compare with the truth; print with the fitted file."""
+    plan, rng = make_page(printer.machine, PageRequest()), np.random.default_rng(seed)
     bead = Bead(drag_mm=rng.uniform(0.1, 0.3), bore_mm=rng.uniform(0.2, 0.4), rough_mm=rng.uniform(0.005, 0.01))
-    drawings = draw(plan, play, bead, seed)
+    drawings = draw(plan, printer.play, bead, seed)
+    shaper_um, perfect_um = printed(printer, None), printed(printer, printer.true)
     rows = []
     with tempfile.TemporaryDirectory() as folder:
         save_plan(plan, Path(folder) / "page.json")
@@ -126,23 +178,25 @@ def case(name: str, machine: Machine, play: Play, truth: Truth, cameras: list[st
             before = time.process_time()
             row: dict[str, Any] = {"machine": name, "camera": camera}
             try:
-                request = ScanRequest(pictures=(path,), plan=Path(folder) / "page.json", machine=machine.path)
-                result = fit_pictures(machine, request).result
-                row |= {"explained": result.explained, "modes": _compared(result.modes, truth)}
+                request = ScanRequest(pictures=(path,), plan=Path(folder) / "page.json", machine=printer.machine.path)
+                fit = fit_pictures(printer.machine, request)
+                row |= {"explained": fit.result.explained, "modes": _compared(fit.result.modes, printer)}
+                row["cpu_s"] = time.process_time() - before
+                row["scanned_um"] = printed(printer, machine_of_text(fit.text, fit.name))
             except MeasurementError as error:
-                row["refused"] = error.problems[0]
-            row["cpu_s"] = time.process_time() - before
+                row |= {"refused": error.problems[0], "cpu_s": time.process_time() - before}
+            row["shaper_um"], row["perfect_um"] = shaper_um, perfect_um
             print(json.dumps({key: value for key, value in row.items() if key != "modes"}), _worst(row), flush=True)
             rows.append(row)
     return rows
 
 
-def _compared(modes: Any, truth: Truth) -> list[dict[str, float]]:
+def _compared(modes: Any, printer: Printer) -> list[dict[str, float]]:
     """Compare every ringing mode at every place with the one of the truth that is nearest."""
     rows = []
     alike = len({tuple(f.value for f, _ in each) for each in modes.values()}) == 1
     for place, estimates in list(modes.items())[: 1 if alike else None]:
-        hz, damping = truth(place)
+        hz, damping = printer.modes(place)
         ringing = (damping < RINGING) & (hz < HIGHEST_HZ)
         hz, damping = hz[ringing], damping[ringing]
         for f, d in estimates:
@@ -193,9 +247,16 @@ def summary(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
                 if modes
                 else None,
                 "cpu_s": float(np.median([row["cpu_s"] for row in members])),
+                "times": _times(members),
             }
         )
     return lines
+
+
+def _times(members: list[dict[str, Any]]) -> list[float] | None:
+    """Return how many times the prints are below the best shaper's: median, least, most."""
+    times = [row["shaper_um"] / row["scanned_um"] for row in members if "scanned_um" in row]
+    return [float(np.median(times)), min(times), max(times)] if times else None
 
 
 def _wilson(held: list[float]) -> list[float]:
@@ -216,7 +277,9 @@ def _keep(rows: list[dict[str, Any]]) -> None:
     """Add rows to what was measured before, in place of those of the same machine and picture."""
     before = results_of("scan")["rows"] if (RESULTS / "scan.json").exists() else []
     new = {(row["machine"], row["camera"]): row for row in [*before, *rows]}
-    merged = [new[key] for key in sorted(new)]
+    merged = [
+        new[key] for key in sorted(new, key=lambda key: (key[0].partition("-")[0], list(CAMERAS).index(key[1]), key))
+    ]
     machines = len({machine for machine, _ in new})
     save("scan", {"highest_hz": HIGHEST_HZ, "machines": machines, "rows": merged, "lines": summary(merged)})
 
@@ -230,17 +293,17 @@ def main() -> None:
     parser.add_argument("--write", action="store_true")
     asked = parser.parse_args()
     done = _done() if asked.write else set()
-    kinds: list[tuple[str, int, int, Callable[[int], tuple[Machine, Play, Truth]]]] = [
-        ("CoreXY", asked.corexy, 200, lambda seed: sampled_straight(seed, True)),
-        ("bed slinger", asked.slingers, 250, lambda seed: sampled_straight(seed, False)),
-        ("delta", asked.deltas, 600, sampled_delta),
+    kinds: list[tuple[str, int, int, Callable[[int], Printer]]] = [
+        ("CoreXY", asked.corexy, 2200, lambda seed: sampled_straight(seed, True)),
+        ("bed slinger", asked.slingers, 2250, lambda seed: sampled_straight(seed, False)),
+        ("delta", asked.deltas, 2600, sampled_delta),
     ]
     rows: list[dict[str, Any]] = []
     for kind, count, first, sampled in kinds:
         for i in range(count):
             cameras = [camera for camera in asked.cameras if (f"{kind}-{i}", camera) not in done]
             if cameras:
-                more = case(f"{kind}-{i}", *sampled(first + i), cameras, first + i)
+                more = case(f"{kind}-{i}", sampled(first + i), cameras, first + i)
                 rows += more
                 if asked.write:
                     _keep(more)

@@ -347,8 +347,10 @@ class Origin:
             provenance={**provenance, "identified": table},
         )
 
-    def text_of(self, parameters: Mapping[str, Estimate], verb: str, **identified: Any) -> str:
-        """Write the text with parameters that the verb has identified."""
+    def text_of(
+        self, parameters: Mapping[str, Estimate], verb: str, effects: Mapping[str, Any] | None = None, **identified: Any
+    ) -> str:
+        """Write the text with parameters that the verb has identified, and with numbers of effects."""
         values = {key: _rounded(e) for key, e in parameters.items()}
         provenance: dict[str, Any] = {}
         uncertainty: dict[str, float] = {}
@@ -359,7 +361,7 @@ class Origin:
             alike = [e for other, e in parameters.items() if other.partition("[")[0] == table_key]
             intervals = ", ".join(f"{e.low:.4g} to {e.high:.4g}" for e in alike)
             provenance[table_key] = f"identified {self.date} by ffcomp identify {verb}; 90 % interval {intervals}"
-        return self.text(values, uncertainty, provenance, **identified)
+        return self.text(values | dict(effects or {}), uncertainty, provenance, **identified)
 
 
 def machine_file_text(origin: Origin, result: Identified) -> str:
@@ -380,6 +382,7 @@ def scan_file_text(origin: Origin, result: PageFit) -> str:
     return origin.text_of(
         result.estimates,
         "scan",
+        {f"effects.coulomb_friction.{key}": value for key, value in result.friction.items()},
         lines=len(result.lines),
         explained_share=float(f"{result.explained:.3g}"),
         kept_from_the_starting_file=list(result.kept),

@@ -17,6 +17,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
@@ -24,11 +25,12 @@ from scipy.signal import lfilter
 
 from ffcomp.errors import MeasurementError
 from ffcomp.identification.page_lines import STEP_MM, ReadLine
-from ffcomp.identification.uncertainty import Estimate, Joint, lognormal, through
+from ffcomp.identification.uncertainty import Estimate, Joint, lognormal, normal, through
 from ffcomp.numerics.least_squares import BatchedProblem, Iterate, minimise_batched
 from ffcomp.numerics.stages import Stage
 from models.arrays import FloatArray
 from models.compiled import kernel
+from models.effects.catalogue import key_in_file
 from models.machine import Machine, value_of, with_values
 from models.printer.parameters import ConvertedPrinter, converted_printer
 from models.printer.printer import Splines, simulate_printers
@@ -52,7 +54,7 @@ FLAT, SHAPED = 0.15, 0.35  # of the expected waves: less, at once or where hardl
 WORST_HELD = 0.5  # posterior over prior: a number that the picture leaves so wide stays as it was
 REWEIGHTED = 2
 FLOOR, DAMPING_FLOOR = 0.004, 0.1  # of the logarithms: towers that differ
-FRICTION_LAW = 0.5  # of friction's part in what looks like damping: no law of it is better known
+FRICTION_LAW = 0.25  # of friction's part in what looks like damping: no law of it is better known
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,6 +70,17 @@ class PageFit:
     lines: Sequence[ReadLine]
     seen: Sequence[FloatArray]  # of each line, mm: without what its place leaves open
     fitted: Sequence[FloatArray]
+
+    @property
+    def friction(self) -> dict[str, Any]:
+        """Return the guides' dry friction as a machine file has it; nothing where the page does not show any."""
+        forces = [self.bead[name] for name in FRICTION if name in self.bead]
+        if not any(each.low > 0.0 for each in forces):
+            return {}
+        law = next(name for name in LAWS if name in self.bead)
+        sizes = [float(f"{each.value:.3g}") if each.low > 0.0 else 0.0 for each in forces]
+        key = key_in_file("coulomb_friction", "force_n", self.machine.vibration.quantities)
+        return {key: sizes + [0.0] * (len(FRICTION) - len(sizes)), law: float(f"{self.bead[law].value:.3g}")}
 
 
 @dataclass(frozen=True, eq=False)
@@ -310,7 +323,10 @@ def _result(page: _Page, fitted: Iterate, other: Iterate) -> PageFit:
         spread = float(np.sqrt(covariance[i, i]))
         value = each.value(float(fitted.z[i]))
         if i >= page.of_machine:
-            bead[each.name] = lognormal(value, each.sd * spread) if each.start else Estimate(value, 0.0, value, value)
+            sd = each.sd * spread
+            bead[each.name] = lognormal(value, sd) if each.start else normal(value, sd)
+            if each.name in FRICTION:
+                bead[each.name] = replace(bead[each.name], low=max(bead[each.name].low, 0.0))
             continue
         estimates[each.name] = _signed(value, each.sd * spread)
         if spread > WORST_HELD:
