@@ -22,7 +22,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ffcomp.diagnosis.fidelity import continue_fit, fit_within_uncertainty, predicted_without
+from ffcomp.diagnosis.fidelity import continue_fit, fit_within_uncertainty
 from ffcomp.diagnosis.fit import EstimationProblem, Fit, clipped, fit, intervals_of, step_within, superfluous, values_at
 from ffcomp.diagnosis.hypotheses import FILE_CHANGES, KIN, Hypothesis, implausible, likeliest, moved_numbers
 from ffcomp.diagnosis.observations import Position, clustered
@@ -60,7 +60,6 @@ def rejections(
         failed.append("it is not significantly better than retuning alone")
     if best.discrepancy > max(SETTINGS.left * whole, tolerance):
         failed.append(f"{100 * best.discrepancy / whole:.0f} % of the discrepancy is left")
-    failed += _poor_beside(best, tolerance)
     failed += [_unexplained(one, tolerance) for one in contradicting(held_out, tolerance)]
     # where retuning alone explains the data as well, but by implausible parameters, there is nothing to gain
     if not held_out:
@@ -79,19 +78,6 @@ def rejections(
         if superfluous(candidate, intervals):
             failed.append(f"the interval of {candidate.name} includes no effect at all")
     return failed
-
-
-def _poor_beside(best: Hypothesis, tolerance: float) -> list[str]:
-    """Say which of several effects explains less than most of what there is without it.
-
-    Beside one that explains nearly all, anything that takes a part of its rest would pass.
-    """
-    without = {c.name: predicted_without(best, c).discrepancy for c in best.effects if len(best.effects) > 1}
-    return [
-        f"{name} leaves {100 * best.discrepancy / before:.0f} % of what there is without it"
-        for name, before in without.items()
-        if best.discrepancy > max((1 - SETTINGS.dominant) * before, tolerance)
-    ]
 
 
 def out_of_reach(best: Hypothesis) -> list[str]:

@@ -58,24 +58,3 @@ def test_an_effect_must_explain_more_than_its_number_is_worth(residual: float, n
     held_out = [HeldOut(place, "", rows=500, before=99.0, after=0.0) for place in ((0.0, 0.0), (55.0, 20.0))]
     reasons = rejections(base, named((0.0, 0.0)), held_out, {EFFECT.name: Estimate(0.12, 0.01, 0.1, 0.14)}, 0.05)
     assert ("it is not significantly better than retuning alone" not in reasons) == named_it
-
-
-@pytest.mark.parametrize(("second", "said"), [(1.5, True), (2.0, False)])
-def test_a_second_effect_must_explain_most_of_what_there_is_without_it(second: float, said: bool) -> None:
-    """Beside one that explains nearly all, it would pass by taking a half of what that leaves."""
-    rng = np.random.default_rng(1)
-    columns = np.linalg.qr(rng.normal(size=(1000, 2)))[0] * np.sqrt(1000) * [40.0, second]
-    sizes = tuple(Parameter(f"effects.{name}.size", 0.0, 1.0) for name in ("cogging", "sensor_gain"))
-    z = np.ones(2)
-    left = rng.normal(size=1000)
-    left -= columns @ np.linalg.lstsq(columns, left, rcond=None)[0]
-    left *= np.sqrt(1000 * 3.0) / np.linalg.norm(left)  # a discrepancy of two beyond the noise
-    effects = tuple(Candidate(n.name.split(".")[1], (n,), {n.name: 0.1}) for n in sizes)
-    best = Hypothesis(effects, Fit(sizes, z, left, columns))
-    base = Fit((), np.zeros(0), left + columns @ z, np.zeros((1000, 0)))
-    held_out = [HeldOut(place, "", rows=500, before=1600.0, after=2.0) for place in ((0.0, 0.0), (55.0, 20.0))]
-    intervals = {n.name: Estimate(1.0, 0.1, 0.8, 1.2) for n in sizes}
-    reasons = rejections(base, best, held_out, intervals, 0.1)
-    assert [text for text in reasons if "without it" in text] == (
-        ["sensor_gain leaves 47 % of what there is without it"] if said else []
-    )
