@@ -11,6 +11,7 @@ written.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple, cast
@@ -28,6 +29,7 @@ from models.machine import Pressure
 EDGE_EFFECT_S = 0.03  # of motion, that a command feels which begins too late or ends too early
 JUMP_MM = {True: (0.03, 0.1), False: (0.05, 0.12)}  # by whether filament flows there; see `room_of`
 LEAST_NEED = 0.7  # of the time that a command needs, that it gets at least
+LEAST_S, LITTLE = 0.003, 0.02  # the same where its ends ask for little, and share of a section's time not worth it
 MOST_SHARE = 0.05  # of a section's time, that is spent beyond its path
 ALL_ROOM_FROM_S = 5.0
 ROUNDING = 1e-6  # of a segment
@@ -67,6 +69,17 @@ def room_of(trajectory: PlannedMotion, section: Section, settings: Settings) -> 
     affordable_s = max(MOST_SHARE * duration_s - settings.segment_s, LEAST_NEED * needed_s)
     segments = _segments_of(duration_s + min(needed_s, affordable_s), settings.segment_s)
     return room_in(section, segments, settings, lead_s / needed_s if needed_s > 0.0 else 0.5)
+
+
+def tighter_rooms(section: Section, segments: int, settings: Settings) -> Iterator[Room]:
+    """Yield less time beyond a section than makes so many segments of it, evenly before and after, the least first.
+
+    None is yielded where that would save next to nothing.
+    """
+    duration_s = section.end_t - section.begin_t
+    if segments * settings.segment_s > (1.0 + LITTLE) * duration_s:
+        fewest = _segments_of(duration_s + LEAST_S, settings.segment_s)
+        yield from (room_in(section, each, settings, 0.5) for each in range(fewest, segments))
 
 
 def room_in(section: Section, segments: int, settings: Settings, lead_share: float) -> Room:

@@ -28,7 +28,7 @@ from typing import NamedTuple, TypeVar, cast
 import numpy as np
 
 from ffcomp.errors import LimitsError, SolverError
-from ffcomp.inverse.command_limits import NAMES, TRAVEL, VELOCITY, utilisation_from_rest
+from ffcomp.inverse.command_limits import ACCELERATION, NAMES, TRAVEL, VELOCITY, utilisation_from_rest
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.reference import (
     SLOWEST_RAMPS,
@@ -39,6 +39,7 @@ from ffcomp.inverse.reference import (
     WrittenReference,
     context_s,
     room_in,
+    tighter_rooms,
 )
 from ffcomp.inverse.settings import CUT
 from ffcomp.inverse.solve import Solution, solve
@@ -65,6 +66,8 @@ LayerOf = Callable[[int], int | None]  # move of the program → its layer
 Motion = TypeVar("Motion", bound=PlannedMotion)
 
 ROUNDS = 8
+ENDS = 6  # knots of a command at either end, that answer for where it begins and ends to move
+STEEP = 1.4  # times the accelerations of its path and its middle, that ends may ask for
 PHASES = 4  # of the knots, at which a path is looked at
 APART = 8  # moves: scaled ones that lie closer share a record
 LATE_MM = 1e-3  # how far a segment may fall behind
@@ -141,6 +144,8 @@ def solve_feasible(model: InverseModel, request: SectionRequest) -> FeasibleSect
         Where the path itself lies beyond a carriage's travel, where no slower plan is found, or when `strict`.
     """
     trajectory, section, settings = request.trajectory, request.section, model.settings
+    if (tight := _with_less_room(model, request)) is not None:
+        return tight
     written, keep = request.written, request.keep_response
     solution = solve(model, written.reference, request.state, keep_response=keep, enforce_limits=False)
     late = _late(model, written, solution.vertices)
@@ -173,6 +178,34 @@ def solve_feasible(model: InverseModel, request: SectionRequest) -> FeasibleSect
         _refuse(records)
     section = replace(section, end_t=scaled.section.end_t)
     return FeasibleSection(spliced, section, written, solution, records, lost)
+
+
+def _with_less_room(model: InverseModel, request: SectionRequest) -> FeasibleSection | None:
+    """Solve a section with less time before and after its path than it needs; None where its ends would ask for more.
+
+    They may ask for a little more than its path and its middle do, but not for more than the nozzle's own acceleration.
+    """
+    s, section, plan = model.settings, request.section, request.trajectory
+    if request.extent != WHOLE or s.robust:
+        return None
+    for room in tighter_rooms(section, request.written.reference.knots, s):
+        written = request.extent.written(plan, section, s, room)
+        solution = solve(
+            model, written.reference, request.state, keep_response=request.keep_response, enforce_limits=False
+        )
+        path = written.reference.at_knots(np.arange(written.reference.knots + 1))
+        nozzle = np.sqrt((np.diff(path, 2, axis=0) ** 2).sum(axis=1)).max(initial=0.0) / s.segment_s**2
+        asked, by_path = _accelerations(model, solution.vertices), _accelerations(model, path).max()
+        inner = asked[ENDS:-ENDS].max(initial=0.0)
+        most = max(inner, min(STEEP * max(by_path, inner), nozzle / model.limits.acceleration_mm_per_s2))
+        if asked.max() <= most and not _exceeds(model, written, solution, _late(model, written, solution.vertices)):
+            return FeasibleSection(plan, section, written, solution)
+    return None
+
+
+def _accelerations(model: InverseModel, vertices: FloatArray) -> FloatArray:
+    """Return the largest share of a carriage's acceleration limit that every knot of a command asks for."""
+    return np.asarray(utilisation_from_rest(vertices, model.limits)[:, ACCELERATION].max(axis=1))
 
 
 def _with_more_room(model: InverseModel, request: SectionRequest, tight: WrittenReference) -> FeasibleSection | None:

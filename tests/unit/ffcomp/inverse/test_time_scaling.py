@@ -274,3 +274,18 @@ def test_marks_are_widened_within_their_stretch(count: int) -> None:
     found = widened(marked, 5)
     assert len(found) == count
     np.testing.assert_array_equal(found, np.abs(np.arange(count) - count // 2) <= 5)
+
+
+@pytest.mark.parametrize(("name", "saves"), [("flsun-v400", True), ("mp-delta-pro", False)])
+def test_a_short_travel_takes_less_time_where_its_ends_then_ask_for_little(name: str, saves: bool) -> None:
+    """On a slow delta, half of the time before a travel doubles what the command asks for, and nothing is saved."""
+    machine = load_machine(name)
+    text = b"M204 S8000\nG1 X-20 Y20 F24000\n"
+    planned = plan_program(read_program(text, start=START, flavor="klipper"), machine)
+    inverter, run = inverter_of(machine), planned.sections[0]
+    feasible = solved(inverter, planned, run, machine)
+    full = WHOLE.written(planned.trajectory, run, inverter.settings)
+    state = machine.equilibrium(planned.trajectory.origin[run.first, :3])
+    roomy = solve(inverter, full.reference, state, enforce_limits=False)
+    assert (feasible.written.reference.knots < full.reference.knots) == saves
+    assert feasible.solution.utilisation <= 1.05 * roomy.utilisation
