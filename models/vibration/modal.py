@@ -271,6 +271,8 @@ class ModalAxes(VibrationModel):
         follows the rate of the motor in proportion to its stiffness. Of the loss it has w of that, as of the spring's
         motion; a mode that it drives more than it damps gets the difference back.
         """
+        if not share:
+            return self.axes[axis]
         modes, weights = self.axes[axis], self._weights(axis)
         most = int(np.argmax(weights))
         slower = share * modes[most].damping / (float(weights[most]) * modes[most].stiffness)  # c/k, s
@@ -429,11 +431,12 @@ class ModalAxes(VibrationModel):
         """
         table = np.zeros((max(map(len, self.axes)), 7, 3))
         table[:, 0] = table[:, 1] = 1.0  # of a mode that takes no part
-        for (axis, i, o), k in ((each, self.drive_stiffness[each[0]]) for each in self._each()):
-            omega2, part = o.stiffness / o.mass, self._part(axis, i)
-            highest = all(o is mode or o.frequency_hz > mode.frequency_hz for mode in self.axes[axis])
-            table[i, :2, axis] = omega2, o.damping / o.mass
-            table[i, 2:, axis] = o.belt_damping / o.mass, o.share, part, k * part / omega2, highest
+        for axis, (modes, k) in enumerate(zip(self.axes, self.drive_stiffness, strict=True)):
+            for i, (o, weight) in enumerate(zip(modes, self._weights(axis), strict=True)):
+                omega2, part = o.stiffness / o.mass, weight / o.share if o.share else 0.0
+                highest = all(o is mode or o.frequency_hz > mode.frequency_hz for mode in modes)
+                table[i, :2, axis] = omega2, o.damping / o.mass
+                table[i, 2:, axis] = o.belt_damping / o.mass, o.share, part, k * part / omega2, highest
         return table
 
     def describe(self) -> Description:
