@@ -251,10 +251,13 @@ def _print_steps(result: StepwiseFit) -> None:
 
 def _print_page(result: ScanFit) -> None:
     fit = result.result
-    for (x, y), modes in fit.modes.items():
-        words = "; ".join(f"{_interval(f)} Hz, ζ {_interval(d)}" for f, d in modes)
-        print(f"at {x:.0f}, {y:.0f} mm: {words}")
+    if result.start.vibration.position_dependent:
+        for (x, y), modes in fit.modes.items():
+            words = "; ".join(f"{_interval(f)} Hz, ζ {_interval(d)}" for f, d in modes)
+            print(f"at {x:.0f}, {y:.0f} mm: {words}")
     _print_numbers(fit.estimates, fit.kept)
+    if fit.friction:
+        print("Dry friction of the guides is in the file too, and a compensation takes it into account.")
     noise = sorted(1e3 * line.noise_mm for line in fit.lines)[len(fit.lines) // 2]
     explained = f"the machine explains {100 * fit.explained:.0f} % of their waves"
     print(f"{len(fit.lines)} lines, rough by {noise:.0f} µm; {explained}.")

@@ -303,7 +303,9 @@ def load_plan(path: str | Path) -> Plan:
     except OSError as error:
         raise MeasurementError(str(path), [f"The plan cannot be read: {error.strerror}."]) from None
     except (json.JSONDecodeError, UnicodeDecodeError) as error:
-        raise MeasurementError(str(path), [f"This is not JSON: {error}."]) from None
+        raise MeasurementError(
+            str(path), [f"This is not JSON: {error}. Give the .json file beside the G-code."]
+        ) from None
     except KeyError as error:
         raise MeasurementError(str(path), [f"The key {error} is missing; it belongs to a plan ({SCHEMA})."]) from None
     except (TypeError, ValueError, IndexError, AttributeError) as error:

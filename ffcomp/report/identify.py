@@ -289,11 +289,12 @@ def _title(response: FrequencyResponse) -> str:
 
 
 def page_figure(fit: ScanFit) -> Figure:
-    """Draw where the lines lie, their waves magnified, and below each line with the fit over it."""
+    """Draw where the lines lie, their waves magnified, and below each line with the fit over it and what is left."""
     result = fit.result
     rows = -(-len(result.lines) // PAGE_COLUMNS)
+    places = list(dict.fromkeys(line.stroke.place for line in result.lines))
     with matplotlib.rc_context(RC):
-        figure = Figure(figsize=(11.0, 5.2 + 1.15 * rows), dpi=110, layout="constrained")
+        figure = Figure(figsize=(11.0, 5.4 + 1.15 * rows), dpi=110, layout="constrained")
         figure.suptitle(
             f"{fit.name}: {len(result.lines)} lines, {100 * result.explained:.0f} % of their waves explained",
             x=0.01, ha="left", fontsize=12, fontweight="bold", color=BAND,
@@ -302,19 +303,32 @@ def page_figure(fit: ScanFit) -> Figure:
         page = figure.add_subplot(parts[0, :])
         most = 1e3 * max(float(np.abs(seen).max()) for seen in result.seen)
         for k, (line, seen, model) in enumerate(zip(result.lines, result.seen, result.fitted, strict=True)):
-            for wave, colour, width in ((seen, REFERENCE, 1.6), (model, AFTER, 0.8)):
-                page.plot(*line.line.at(line.s_mm, MAGNIFIED * wave).T, color=colour, lw=width)
             panel = figure.add_subplot(parts[1 + k // PAGE_COLUMNS, k % PAGE_COLUMNS])
-            panel.plot(line.s_mm, 1e3 * seen, color=REFERENCE, lw=1.2)
-            panel.plot(line.s_mm, 1e3 * model, color=AFTER, lw=0.9)
+            panel.plot(line.s_mm, 1e3 * (seen - model), color=NOISE, lw=1.2, label="what is left: best without waves")
+            for wave, colour, width, label in (
+                (seen, REFERENCE, 1.4, "the line in the picture"),
+                (model, AFTER, 0.9, "the fitted machine: should lie on it as long as it waves"),
+            ):
+                page.plot(*line.line.at(line.s_mm, MAGNIFIED * wave).T, color=colour, lw=width)
+                panel.plot(line.s_mm, 1e3 * wave, color=colour, lw=width, label=label)
             panel.set_ylim(-most, most)
-            speed = float(line.stroke.motion.speed[-1])
-            panel.set_title(f"{line.stroke.name.removeprefix('ffcomp-')} · {speed:.0f} mm/s", fontsize=6, color=SOFT)
+            speed, rings = float(line.stroke.motion.speed[-1]), "xy"[int(np.argmax(np.abs(line.line.across)))]
+            place = places.index(line.stroke.place) + 1
+            panel.set_title(f"place {place} · {rings} rings · {speed:.0f} mm/s", fontsize=7, color=SOFT)
             panel.tick_params(labelsize=6)
+            if k == 0:
+                panel.set_xlabel("mm along the line", fontsize=6, color=SOFT)
+                panel.set_ylabel("µm across", fontsize=6, color=SOFT)
+                handles = panel.get_lines()
             grid(panel)
+        for number, place in enumerate(places, 1):
+            lines = [line for line in result.lines if line.stroke.place == place]
+            x, y = np.concatenate([line.line.at(line.s_mm) for line in lines]).max(axis=0)
+            page.annotate(f"{number}", (x, y), (4, 4), textcoords="offset points", color=SOFT, fontweight="bold")
         page.set_aspect("equal")
-        page.set_title(
-            f"waves {MAGNIFIED:.0f} times larger, mm; below: µm across over mm along each line; dark as drawn, blue "
-            f"the machine · ffcomp {__version__}", fontsize=8, color=SOFT,
-        )  # fmt: skip
+        page.margins(0.12)
+        page.set_xlabel("x, mm", fontsize=8, color=SOFT)
+        page.set_ylabel("y, mm", fontsize=8, color=SOFT)
+        page.set_title(f"the page, waves {MAGNIFIED:.0f} times larger · ffcomp {__version__}", fontsize=8, color=SOFT)
+        figure.legend(handles=handles, loc="outside lower left", ncols=len(handles), fontsize=8, frameon=False)
     return figure
