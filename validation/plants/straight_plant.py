@@ -105,15 +105,21 @@ def _gantry(plant: Plant) -> list[float]:
 
 
 @njit(cache=True)
+def _turned(motors: Array, axes: Array) -> Array:
+    """Return how far the motors are for the axes, (2,): numba takes seconds to compile `@`."""
+    return axes[0] * motors[:, 0] + axes[1] * motors[:, 1]
+
+
+@njit(cache=True)
 def _motors(t: float, command: Array, dt: float, motors: Array, p: Array, numbers: Array) -> Array:
     """Return where the motors are at t and how fast, (4,) m and m/s: late, and with their ripple."""
     at = min(max((t - numbers[1]) / dt, 0.0), len(command) - 1.0)
     row = min(int(at), len(command) - 2)
     step = command[row + 1] - command[row]
     u = np.empty(4)
-    u[0:2] = motors @ (command[row] + (at - row) * step)
+    u[0:2] = _turned(motors, command[row] + (at - row) * step)
     moving = 1.0 if 0.0 < at < len(command) - 1.0 else 0.0
-    u[2:4] = motors @ step * (moving / dt)
+    u[2:4] = _turned(motors, step) * (moving / dt)
     for i in range(2):
         wave = 2 * np.pi / numbers[0]
         phase = wave * u[i]
@@ -125,11 +131,11 @@ def _motors(t: float, command: Array, dt: float, motors: Array, p: Array, number
 @njit(cache=True)
 def _pulls(y: Array, u: Array, motors: Array, p: Array, numbers: Array) -> Array:
     """Return the belts' forces on the axes, (2,) N."""
-    stretch, slip, pull = u[0:2] - motors @ y[0:2], u[2:4] - motors @ y[2:4], np.zeros(2)
+    stretch, slip, pull = u[0:2] - _turned(motors, y[0:2]), u[2:4] - _turned(motors, y[2:4]), np.zeros(2)
     for i in range(2):
         s = stretch[i] - min(max(stretch[i], -p[7, i] / 2), p[7, i] / 2)
         pull[i] = p[2, i] * s + p[8, i] * s**3 + (p[10, i] * slip[i] if s != 0.0 else 0.0)
-    force = motors.T @ pull
+    force = pull[0] * motors[0] + pull[1] * motors[1]
     along = min(abs((y[0] - numbers[7]) / numbers[9]), 1.0)
     force[1] /= 1.0 + numbers[8] * (1.0 - along**2) ** 2
     return force

@@ -259,6 +259,20 @@ def run(command: FloatArray, speed: FloatArray, h: float, every: int, y: FloatAr
 
 
 @njit(cache=True, error_model="numpy")
+def _solved(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Return x of a x = b, (3,), by Cramer's rule: numba takes five seconds to compile `np.linalg.solve`."""
+    x, whole = np.empty(3), 0.0
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        whole += a[0, i] * (a[1, j] * a[2, k] - a[1, k] * a[2, j])
+        x[i] = 0.0
+        for r in range(3):
+            s, t = (r + 1) % 3, (r + 2) % 3
+            x[i] += b[r] * (a[s, j] * a[t, k] - a[s, k] * a[t, j])
+    return x / whole
+
+
+@njit(cache=True, error_model="numpy")
 def rest(xyz: FloatArray, command: FloatArray, p: Printer) -> FloatArray:
     """Evaluate the state : (STATES,) of rest under a command : (3,) m, near the nozzle xyz : (3,) m, loaded."""
     y = np.zeros(STATES)
@@ -271,7 +285,7 @@ def rest(xyz: FloatArray, command: FloatArray, p: Printer) -> FloatArray:
             _arms(y, p, a, q, dq, bend)
             _load_shares(a, p, gamma)
             wanted = target if target[0] != 0.0 else command
-            step = np.linalg.solve(a, wanted - q)
+            step = _solved(a, wanted - q)
             y[X : X + 3] += step
             if np.max(np.abs(step)) < 1e-15:
                 break

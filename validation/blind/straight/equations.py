@@ -155,7 +155,14 @@ def run(command: FloatArray, speed: FloatArray, h: float, every: int, p: Any) ->
     out = np.empty((steps // every + 1, 2, 2))
     y, w, z, half, full = np.zeros(STATES), np.zeros((3, 2)), np.zeros(2), np.zeros(2), np.zeros(2)
     k1, k2, k3, k4 = np.zeros(STATES), np.zeros(STATES), np.zeros(STATES), np.zeros(STATES)
-    y[Q : Q + 2] = np.linalg.solve(p.turn, command[0])
+    a, b, c, d = (
+        p.turn[0, 0],
+        p.turn[0, 1],
+        p.turn[1, 0],
+        p.turn[1, 1],
+    )  # numba takes five seconds to compile `np.linalg.solve`
+    y[Q] = (d * command[0, 0] - b * command[0, 1]) / (a * d - b * c)
+    y[Q + 1] = (a * command[0, 1] - c * command[0, 0]) / (a * d - b * c)
     y[TOOL : TOOL + 2] = y[Q : Q + 2]
     y[ROTOR : ROTOR + 2] = command[0]
     for n in range(steps + 1):
