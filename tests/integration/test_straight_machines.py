@@ -25,6 +25,7 @@ from gcode.reader import read_program
 from models.file import load_machine
 from models.machine import Machine
 from tests.support.compensated import compensated
+from tests.support.configs import STEPS
 from validation.independent.kalico import config_of
 from validation.judge import HOST_KNOWS
 from validation.kalico import kalico_moves
@@ -50,16 +51,13 @@ acceleration_mm_per_s2 = 5000.0
 z_velocity_mm_per_s = 20.0
 z_acceleration_mm_per_s2 = 500.0
 {limits}
-[steps]
-steps_per_mm = [80.0, 80.0, 400.0]
-full_steps_per_mm = [5.0, 5.0, 25.0]
-extruder_steps_per_mm = 415.0
+{steps}extruder_steps_per_mm = 415.0
 """
 
 
 def machine_text(kind: str = "corexy", rigid: bool = False, limits: str = "") -> str:
     tables = [] if rigid else [_axis(name, found) for name, found in MODES.items()]
-    return HEAD.format(kind=kind, limits=limits) + "".join(tables)
+    return HEAD.format(kind=kind, limits=limits, steps=STEPS) + "".join(tables)
 
 
 def _axis(name: str, found: list[tuple[float, float, float]]) -> str:

@@ -11,6 +11,7 @@ from models.machine import Machine
 
 SAVED = "\n#*# <---------------------- SAVE_CONFIG ---------------------->\n#*# DO NOT EDIT"
 SAVED += " THIS BLOCK OR BELOW. The contents are auto-generated.\n#*#\n"
+STEPS = "[steps]\nsteps_per_mm = [80.0, 80.0, 400.0]\nfull_steps_per_mm = [5.0, 5.0, 25.0]\n"  # of a machine file
 
 
 @dataclass(frozen=True)

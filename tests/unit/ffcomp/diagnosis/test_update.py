@@ -23,11 +23,12 @@ from ffcomp.record.result import measured_run, recording_lines
 from models.file import load_machine, machine_of_text
 from models.machine import Machine, value_of
 from tests.support.cli import CliRunner
+from tests.support.configs import STEPS
 from validation.plants.straight_plant import Plant, simulate
 
 RATE_HZ, NOISE = 1600.0, 0.15
 LIMITS = PlannerLimits(300.0, 8000.0, 5.0, minimum_cruise_ratio=0.5)
-TEXT = """format = "ffcomp-machine/1"
+TEXT = f"""format = "ffcomp-machine/1"
 name = "two axes"
 [kinematics]
 type = "corexy"
@@ -43,11 +44,8 @@ damping_ratio = [0.06]
 [limits]
 velocity_mm_per_s = 300.0
 acceleration_mm_per_s2 = 8000.0
-[steps]
-steps_per_mm = [80.0, 80.0, 400.0]
-full_steps_per_mm = [5.0, 5.0, 25.0]
-[uncertainty]
-default = {default}
+{STEPS}[uncertainty]
+default = {{default}}
 """
 KEYS = ("axes.x.frequency_hz[0]", "axes.y.frequency_hz[0]")
 
