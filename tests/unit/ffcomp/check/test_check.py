@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,7 @@ import pytest
 
 from ffcomp.check.compare import CheckResult, check_result
 from ffcomp.check.history import MOST, WITH_MOTION, Check, moves_hash, read_history, write_history
-from ffcomp.check.parts import Signatures
+from ffcomp.check.parts import Signatures, fitted
 from ffcomp.check.signals import SensorSignal, signals_of
 from ffcomp.errors import MeasurementError
 from ffcomp.measurement.recording import Recording
@@ -63,6 +63,26 @@ def _joined(name: str, repeat: int, t: np.ndarray, rows: np.ndarray, axes: str) 
     gaps = np.zeros(len(t), dtype=np.bool_)
     recording = Recording(f"{name}-{repeat}.csv", t - t[0], np.zeros_like(rows), "nozzle", acceleration, {}, gaps, {})
     return Joined(recording, name, repeat, ClockFit(0.0, 1e-4, 1.0, 0.0, 0.99), 0, "", axes, float(t[0]))
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _simulated_once() -> Iterator[None]:
+    """What a machine's sensor should feel, and of one fitted to an earlier check, is the same in every check."""
+    kept: dict[tuple[object, ...], tuple[Any, ...]] = {}
+
+    def once(make: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
+        def called(first: Any, others: Any) -> Any:
+            key = (make, id(first), *map(id, others))
+            if key not in kept:
+                kept[key] = make(first, others), first, others  # which live on, so that no other has their ids
+            return kept[key][0]
+
+        return called
+
+    with pytest.MonkeyPatch.context() as patch:
+        for make in (Signatures, fitted):
+            patch.setattr(f"ffcomp.check.compare.{make.__name__}", once(make))
+        yield
 
 
 @pytest.fixture(scope="module")
