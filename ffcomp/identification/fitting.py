@@ -25,7 +25,7 @@ from ffcomp.identification.axes import identify_axes
 from ffcomp.identification.axis_fit import fit_axis
 from ffcomp.identification.belts import BeltComparison, compare_belts
 from ffcomp.identification.direct import identify
-from ffcomp.identification.from_resonances import STIFFNESS, Resonance, ResonanceStart, starting_machine
+from ffcomp.identification.from_resonances import STIFFNESS, Resonance, ResonanceStart, ringing_mode, starting_machine
 from ffcomp.identification.load import Gathered, gather, resonances_of
 from ffcomp.identification.machine_fit import (
     AxesFit,
@@ -51,7 +51,7 @@ from ffcomp.request import paths_of
 from ffcomp.shapers.calibration import shaper_advice
 from models.file import machine_of_text
 from models.kinds import is_one_axis
-from models.machine import Machine, value_of
+from models.machine import Machine, value_of, with_values
 
 USUAL_S = (2.0, 1.0, 6.0, 1.0, 2.0)  # of CPU: reading, where to begin, other mounts, the fit, and without a filter
 ROUGH = 0.2  # of the measurement: modes that leave more of it unexplained are written if the user says so
@@ -113,9 +113,12 @@ def fit_ringing(start: Machine, request: RingingRequest) -> ResonancesFit:
     if start.vibration.position_dependent:
         damping = float(start.vibration.modes_at(np.array(start.kinematics.centre_mm)).damping_ratios[0])
         modes = {axis: Mode(hz, READ_SD * hz, damping, damping, 1.0) for axis, hz in read.items()}
-        started = starting_machine(start, [Resonance(axis, (0.0, 0.0), mode) for axis, mode in modes.items()])
+        resonances = [Resonance(axis, (0.0, 0.0), mode) for axis, mode in modes.items()]
+        started = starting_machine(start, resonances, ringing_mode)
         kept = {key: e for key, e in started.estimates.items() if key == STIFFNESS}
-        started = replace(started, estimates=kept)
+        belts = with_values(start, {key: e.value for key, e in kept.items()})
+        made = [ringing_mode(belts, each) for each in resonances]
+        started = replace(started, machine=belts, estimates=kept, predicted_hz=made)
     else:
         estimates = dict[str, Estimate]()
         for axis, hz in read.items():
@@ -128,6 +131,13 @@ def fit_ringing(start: Machine, request: RingingRequest) -> ResonancesFit:
         started = ResonanceStart(start, estimates, list(read.values()))
     text = origin.text_of(started.estimates, "ringing", read_hz=read)
     advice = ["Damping stays as it was: waves on a wall tell how fast it rings, and hardly how long."]
+    off = {axis: made / hz - 1 for (axis, hz), made in zip(read.items(), started.predicted_hz, strict=True)}
+    if max(map(abs, off.values()), default=0.0) > 2 * READ_SD:
+        words = " and ".join(f"{axis} rings at {read[axis] * (1 + share):.1f} Hz" for axis, share in off.items())
+        advice.append(
+            f"One stiffness of the belts does not make both: with the nearest, {words}. Read the waves again, or print "
+            "a page, which tells masses and mounts too: ffcomp record plan --for scan."
+        )
     return ResonancesFit(start=start, data=(), name=origin.name, text=text, advice=advice, spectra=(), started=started)
 
 

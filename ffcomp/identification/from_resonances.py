@@ -8,7 +8,7 @@ the starting file's, with its uncertainty.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,6 +23,7 @@ from models.machine import Machine, value_of, with_values
 STIFFNESS = "carriage.belt_stiffness_n_per_m"
 DAMPINGS = ("carriage.belt_damping_n_s_per_m", "carriage.guide_damping_n_s_per_m")
 SCALES = np.geomspace(0.1, 10.0, 81)  # of the stiffness, searched before it is refined
+RINGING = 0.3  # damping ratio: more, and a mode does not ring
 BAND_HZ = np.arange(8.0, 160.0, 0.25)
 MODEL_SD = 0.10  # of a frequency: the error of a model of two parameters
 
@@ -45,8 +46,10 @@ class ResonanceStart:
     predicted_hz: list[float]  # of each resonance, by the tuned machine
 
 
-def starting_machine(start: Machine, resonances: Sequence[Resonance]) -> ResonanceStart:
-    """Scale the starting machine to the resonances.
+def starting_machine(
+    start: Machine, resonances: Sequence[Resonance], main: Callable[[Machine, Resonance], float] | None = None
+) -> ResonanceStart:
+    """Scale the starting machine to the resonances, which are those of `main` in a machine: of spectra, their peaks.
 
     Raises
     ------
@@ -55,8 +58,8 @@ def starting_machine(start: Machine, resonances: Sequence[Resonance]) -> Resonan
     """
     if not resonances:
         raise SolverError("None of the measurements shows a clear mode; there is nothing to tune a machine to.")
-    stiffness = value_of(start, STIFFNESS)
-    misfits = [_misfit(with_values(start, {STIFFNESS: stiffness * scale}), resonances) for scale in SCALES]
+    stiffness, main = value_of(start, STIFFNESS), main or _main
+    misfits = [_misfit(with_values(start, {STIFFNESS: stiffness * scale}), resonances, main) for scale in SCALES]
     nearest = int(np.argmin(misfits))
     if nearest in (0, len(SCALES) - 1):
         measured = ", ".join(f"{r.mode.frequency_hz:.1f} Hz" for r in resonances)
@@ -65,19 +68,19 @@ def starting_machine(start: Machine, resonances: Sequence[Resonance]) -> Resonan
             f"measured ones ({measured}): start from another machine."
         )
     fine = np.geomspace(float(SCALES[nearest - 1]), float(SCALES[nearest + 1]), 41)
-    misfits = [_misfit(with_values(start, {STIFFNESS: stiffness * scale}), resonances) for scale in fine]
+    misfits = [_misfit(with_values(start, {STIFFNESS: stiffness * scale}), resonances, main) for scale in fine]
     scale = float(fine[np.argmin(misfits)])
     tuned = with_values(start, {STIFFNESS: stiffness * scale})
     factor = _damping_factor(tuned, resonances)
     dampings = {name: value_of(tuned, name) * factor for name in DAMPINGS}
     tuned = with_values(tuned, dampings)
     return ResonanceStart(
-        tuned, _estimates(stiffness * scale, dampings, resonances), [_main(tuned, r) for r in resonances]
+        tuned, _estimates(stiffness * scale, dampings, resonances), [main(tuned, r) for r in resonances]
     )
 
 
-def _misfit(machine: Machine, resonances: Sequence[Resonance]) -> float:
-    return sum((np.log(_main(machine, r) / r.mode.frequency_hz) / _sd(r)) ** 2 for r in resonances)
+def _misfit(machine: Machine, resonances: Sequence[Resonance], main: Callable[[Machine, Resonance], float]) -> float:
+    return sum((np.log(main(machine, r) / r.mode.frequency_hz) / _sd(r)) ** 2 for r in resonances)
 
 
 def _sd(r: Resonance) -> float:
@@ -89,6 +92,13 @@ def _main(machine: Machine, r: Resonance) -> float:
     i = AXES.index(r.axis)
     size = np.abs(machine.vibration.frequency_response(np.array(r.place_mm), BAND_HZ, "nozzle", "nozzle")[:, i, i])
     return float(BAND_HZ[np.argmax(size)])
+
+
+def ringing_mode(machine: Machine, r: Resonance) -> float:
+    """Find the mode that rings and moves the nozzle most along the axis, Hz: a drive's own peak is none of them."""
+    modes = machine.vibration.modes_at(np.array(r.place_mm))
+    size = np.abs(modes.nozzle[:, AXES.index(r.axis)]) * (modes.damping_ratios < RINGING)
+    return float(modes.frequencies_hz[np.argmax(size)])
 
 
 def _damping_factor(machine: Machine, resonances: Sequence[Resonance]) -> float:

@@ -238,7 +238,8 @@ def _joined(task: Task, clock: ClockFit, axes: FloatArray, rate_hz: float) -> Jo
     if tau[0] > -LEAST_REST_S or tau[-1] < duration_s:
         reason = (
             f"It runs from {tau[0]:.2f} to {tau[-1]:.2f} s of a motion of {duration_s:.2f} s; it must begin "
-            f"{LEAST_REST_S:g} s before and end after it. Record longer."
+            f"{LEAST_REST_S:g} s before and end after it. The print was cancelled, the capture ended early, or the "
+            "machine file is of another printer, whose limits make the motion longer. Record longer."
         )
         raise MeasurementError(capture.source, [reason])
     rest = tau < -0.5 * LEAST_REST_S

@@ -40,6 +40,20 @@ def test_the_belts_of_a_delta_are_tuned_until_it_rings_there() -> None:
     assert value_of(mine, "carriage.guide_damping_n_s_per_m") == value_of(start, "carriage.guide_damping_n_s_per_m")
 
 
+def test_a_drive_that_peaks_higher_than_the_belts_is_not_what_rings() -> None:
+    start = load_machine("mp-delta-pro")  # whose motors peak at 60 Hz, above its mode along x at 39.6 Hz
+    result = fit_ringing(start, RingingRequest(machine="mp-delta-pro", x_hz=41.5, y_hz=38.8, output=Path("mine.toml")))
+    modes = machine_of_text(result.text, "mine").vibration.modes_at(np.zeros(2)).frequencies_hz
+    assert np.abs(modes - 41.5).min() < 0.5 and np.abs(modes - 38.8).min() < 0.5
+    assert len(result.advice) == 1
+
+
+def test_frequencies_that_no_stiffness_makes_both_are_named() -> None:
+    start = load_machine("mp-delta-pro")
+    result = fit_ringing(start, RingingRequest(machine="mp-delta-pro", x_hz=52.0, y_hz=34.0, output=Path("mine.toml")))
+    assert "One stiffness of the belts does not make both: with the nearest, x rings at 4" in result.advice[1]
+
+
 def test_the_verb_writes_the_file_once(tmp_path: Path) -> None:
     words = ["identify", "ringing", "--x-hz", "48", "--y-hz", "37", "-m", "ender-3", "-o", str(tmp_path / "my.toml")]
     result = CliRunner().invoke(app, words)
