@@ -267,10 +267,10 @@ def _wilson(held: list[float]) -> list[float]:
 
 
 def _done() -> set[tuple[str, str]]:
-    """Return which machines and pictures were measured before."""
+    """Return which machines and pictures were measured before, with a print."""
     if not (RESULTS / "scan.json").exists():
         return set()
-    return {(row["machine"], row["camera"]) for row in results_of("scan")["rows"]}
+    return {(row["machine"], row["camera"]) for row in results_of("scan")["rows"] if "shaper_um" in row}
 
 
 def _keep(rows: list[dict[str, Any]]) -> None:
