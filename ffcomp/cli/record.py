@@ -87,7 +87,10 @@ def _sentences(result: PlanResult) -> Iterator[str]:
         options = " ".join(f"--at {x:g},{y:g}" for x, y in places)
         yield f"Places that would tell more: {options} (or --at line-of-action)."
     yield from result.firmware.restores()
-    yield f"Bring back the captures, {len(result.captures)} for each accelerometer, and keep {result.plan_file}."
+    if result.firmware.records:
+        yield f"Bring back the captures, {len(result.captures)} for each accelerometer, and keep {result.plan_file}."
+    else:
+        yield f"This firmware records nothing: record all of it with a sensor of your own, and keep {result.plan_file}."
     yield f"Then: {result.next}"
 
 

@@ -22,6 +22,7 @@ from ffcomp.planner.trajectory import Section, split_sections
 from ffcomp.record.gcode_writer import Firmware, rest
 from ffcomp.record.moves import MODES_HZ, MOST_EXPERIMENTS, rounding_share
 from ffcomp.record.plan import LIMIT_COLUMNS, SETTLE_S, Experiment, Motion, Plan, load_plan, run_name
+from gcode.container import read_bytes
 from gcode.program import EventKind, Program
 from gcode.reader import read_program
 from models.machine import Machine
@@ -37,7 +38,7 @@ def plan_print(path: Path, machine: Machine, flavor: str) -> tuple[Plan, Program
 
     Raises NothingToDo if no section is long enough to be recorded, or captures are commanded already.
     """
-    data = path.read_bytes()
+    data = read_bytes(path)
     if TOGGLE.search(data):
         raise NothingToDo(
             f"{path.name} holds the commands of captures already: print it as it is, and give it to ffcomp record "

@@ -32,6 +32,13 @@ def moves(folder: Path, *more: str) -> tuple[Path, Path]:
     return target, folder / "moves.json"
 
 
+def test_a_plan_for_a_firmware_that_records_nothing_says_so(tmp_path: Path) -> None:
+    for flavor, said in (("marlin", "records nothing"), ("klipper", "for each accelerometer")):
+        target = tmp_path / f"{flavor}.gcode"
+        done = ffcomp("record", "plan", "-m", "ender-3", "-o", target, "--seconds", "2", "--flavor", flavor)
+        assert done.exit_code == 0 and said in done.output, done.output
+
+
 @pytest.mark.parametrize("flavor", ["klipper", "reprapfirmware"])
 def test_captures_of_the_virtual_printer_are_joined(flavor: str, tmp_path: Path) -> None:
     target, plan = moves(tmp_path, "--repeats", "1")
