@@ -45,7 +45,7 @@ from ffcomp.steps.sink import Board, StepSink
 from ffcomp.version import __version__
 from gcode.atomic_write import replace_atomically
 from gcode.container import Source, blocks_of, ends_of
-from gcode.dialects import FlavorChoice, choose_flavor, sign_by_ends
+from gcode.dialects import KLIPPER, FlavorChoice, choose_flavor, sign_by_ends
 from gcode.embedded import WITHOUT_ORIGINAL, Stamp, find_offset, joined, offset_line, original_blocks, stamp_line
 from gcode.layers import LayerLookup
 from gcode.metadata import Timed, filament_change_s
@@ -58,6 +58,9 @@ ROW_ERROR_S = 12.5e-6  # of a step of compressed rows, early or late: half of wh
 Progress = Callable[[float], None]  # called with the share that is done, 0 to 1
 Lines = Generator[bytes, None, Statistics]  # a chunk's output, and what was done
 
+QUICKER_BY_KLIPPER = (
+    "What becomes quicker is planned by Klipper's rules of corners: any firmware gets ffcomp's segments."
+)
 MERGED_SHARE = 0.1  # of a bound, that joined segments may miss their path by
 
 
@@ -291,7 +294,8 @@ class Job:
     def _flavor_choice(self) -> FlavorChoice:
         choice = choose_flavor(self.options.flavor, self.machine.flavor, sign_by_ends(*self._ends[:2]), self.path)
         assumed = settings_sentence(choice.flavor, self.machine)
-        return replace(choice, reason=f"{choice.reason} {assumed}".strip())
+        sought = "" if self.options.bound is None or choice.flavor == KLIPPER else QUICKER_BY_KLIPPER
+        return replace(choice, reason=" ".join(each for each in (choice.reason, assumed, sought) if each))
 
     @property
     def offset(self) -> Offset:

@@ -10,7 +10,7 @@ from typing import Any
 from ffcomp.errors import NothingToDo
 from ffcomp.estimation.statistics import BEFORE, FILAMENT, KINDS, Layer, Statistics, planned_slices
 from ffcomp.numerics.serialise import to_json
-from ffcomp.planner.program import firmware_plan, known_to_the_firmware, planner_of, raw_durations
+from ffcomp.planner.program import firmware_plan, known_to_the_firmware, planner_of, raw_durations, settings_sentence
 from ffcomp.planner.reach import Reach
 from gcode.container import Source, blocks_of, ends_of
 from gcode.dialects import choose_flavor, sign_by_ends
@@ -91,6 +91,8 @@ def _statistics(
 ) -> Statistics:
     parts = read_parts(blocks, path, flavor=flavor, offset_mm=offset, **known_to_the_firmware(machine))
     statistics = Statistics()
+    if assumed := settings_sentence(flavor, machine):
+        statistics.warnings.append(assumed)
     for part in planned_slices(Reach(machine.kinematics).whole(parts), partial(firmware_plan, machine=machine)):
         statistics.add(part, raw_durations(part.events, planner_of(part.program, machine)))
     if not statistics.moves:

@@ -142,6 +142,11 @@ def _apply(command: Command, settings: Settings) -> None:
     if command.code in KEPT:
         numbers = {(command.code, letter): command.numbers(letter) for letter in KEPT[command.code]}
         settings.kept |= {key: values for key, values in numbers.items() if values}
+    if command.code == "M203" and "I" in command.words:
+        settings.notes.append(
+            f"{command.place}: M203 I{command.words['I']}, the slowest speed of any move, has no place in a machine "
+            "file; 0.5 mm/s is taken, and what a print's own M203 I says."
+        )
     if command.code in APPLY:
         APPLY[command.code](command, settings)
     elif command.code == "M593":

@@ -41,7 +41,7 @@ from models.kinematics.delta import DeltaKinematics
 from models.machine import Machine, RepRapFirmwareSettings
 
 Singles = NDArray[np.float32]
-SLOWEST_MM_PER_S = 0.5  # of any move; M203 I, which moves it, is not followed
+SLOWEST_MM_PER_S = 0.5  # of any move, unless the file's M203 I says otherwise
 _AXES, _TOWERS, _BELTS = range(3)  # how X and Y share their limits
 
 

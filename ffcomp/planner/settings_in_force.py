@@ -115,6 +115,8 @@ class _State(NamedTuple):
         if code in (b"M201", b"M203"):
             which = ACCELERATION if code == b"M201" else SPEED
             row[which] = _named(row[which], new)
+            if code == b"M203" and self.speed_unit_s > 1.0:  # the slowest of any move is RepRapFirmware's
+                row[LEAST] = new.get("I", row[LEAST])
             cap = min((new[axis] for axis in "XY" if axis in new), default=self.cap)
             return self._replace(row=row, cap=cap if code == b"M201" else self.cap)
         if code == b"M204":

@@ -34,6 +34,7 @@ from ffcomp.estimation.statistics import (
 )
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.settings import settings_for
+from ffcomp.options import FLAVORS
 from ffcomp.planner.lookahead import stops_and_waits
 from ffcomp.planner.program import plan_program
 from gcode.embedded import TIME_WAS, original
@@ -166,6 +167,12 @@ def test_a_spiral_without_rests_is_cut_in_motion(monkeypatch: pytest.MonkeyPatch
 
 def planned(program: Program) -> object:
     return plan_program(program, machine()).trajectory
+
+
+def test_assumed_settings_of_the_firmware_are_said() -> None:
+    text = b"G90\nG1 X0 Y0 Z1 F3000\nG1 X30\n"
+    said = {each: estimate(text, "a.gcode", machine(), flavor=each).to_dict()["warnings"] for each in FLAVORS}
+    assert not said["klipper"] and "config.g" in said["reprapfirmware"][0] and "M503" in said["marlin"][0]
 
 
 def test_nothing_moves() -> None:

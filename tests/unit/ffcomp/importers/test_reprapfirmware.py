@@ -87,6 +87,11 @@ def test_speeds_are_per_minute_and_the_slowest_counts(tmp_path: Path) -> None:
     assert value(says, "limits.square_corner_velocity_mm_per_s") == 10.0
 
 
+def test_a_slowest_speed_is_noted(tmp_path: Path) -> None:
+    assert any("M203 I60, the slowest speed" in note for note in found(tmp_path, DELTA + "M203 X6000 I60\n").notes)
+    assert not found(tmp_path, DELTA + "M203 X6000\n").notes
+
+
 def test_what_the_firmwares_planner_needs_is_imported_axis_by_axis(tmp_path: Path) -> None:
     """The last number of several extruders' does not count, and a setting that config.g lacks is left out."""
     text = "M203 X18000 Y12000 Z6000 E3600\nM201 X1500 Y1600 Z700 E4000\nM204 T3000\nM566 X600 Y900 Z12 E120:240 P1\n"

@@ -81,6 +81,11 @@ def test_limits_that_the_file_sets_hold_from_their_line_on() -> None:
     assert made.duration == pytest.approx(ends, rel=1e-6)
 
 
+def test_nothing_is_slower_than_the_file_says() -> None:
+    made = plan("G1 X60 F6\nM203 I120 ; 2 mm/s\nG1 X120\nG1 X180 F6000")
+    assert made.cruise_v == pytest.approx([0.5, 2.0, 100.0], rel=1e-6)
+
+
 @pytest.mark.parametrize(
     "lines",
     [
