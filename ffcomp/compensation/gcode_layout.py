@@ -17,7 +17,7 @@ import numpy as np
 
 from ffcomp.inverse.reference import Reference
 from ffcomp.inverse.settings import CUT
-from ffcomp.planner.lifts import FLOWS_MM, even_flow, even_wipes
+from ffcomp.planner.lifts import FLOWS_MM, even_wipes
 from ffcomp.planner.trajectory import PlannedMotion, Section
 from gcode.program import Event, Program
 from models.arrays import BoolArray, FloatArray, IntArray
@@ -110,8 +110,7 @@ def timeline(
     if tile.last == reference.knots:
         e[-1] = program.moves.end[run.last - 1, 3]
     lines, among, at = _lines_of(program, trajectory, run, reference, inside, tile)
-    stands, limits = lines.event >= 0, (reference.shortest_knots, reference.extruder_jump_mm)
-    laid = _Laid(*_lay_out(at, stands, e, vertices, tile.first, *limits))
+    laid = _Laid(*_lay_out(at, lines.event >= 0, e, vertices, tile.first, reference.shortest_knots))
     laid.cut[np.searchsorted(laid.at, tile.end)] = True  # where a motion is cut that had to be slowed down
     _meet_the_events(laid, program, run, e, lines, among, reference.lead_at)
     lead_s = run.begin_t - reference.t0
@@ -173,13 +172,7 @@ def _before(events: list[Event], move: int) -> int:
 
 @kernel
 def _lay_out(
-    at: FloatArray,
-    stands: BoolArray,
-    e: FloatArray,
-    vertices: FloatArray,
-    first: int,
-    shortest: float,
-    jump_mm: float,
+    at: FloatArray, stands: BoolArray, e: FloatArray, vertices: FloatArray, first: int, shortest: float
 ) -> tuple[FloatArray, FloatArray, BoolArray, FloatArray, IntArray]:
     """Compute the columns of `_Laid`; lines that stand where filament flows have points between the knots.
 
@@ -187,14 +180,12 @@ def _lay_out(
     ----------
     at : (k,) the lines' times in knots
     stands : (k,) whether it stands between moves (an event) or is one
-    e : (n + 1,) mm of filament at the knots from `first` on; it is evened in place
+    e : (n + 1,) mm of filament at the knots from `first` on; wipes are evened in place
     vertices : (n + 1, 3) mm
     shortest : knots that a segment must have
-    jump_mm : by which filament per segment may differ from one to the next
     """
     place = _places(at, stands, e, first, shortest)
     even_wipes(e, vertices, first, np.int64(CUT))
-    even_flow(e, vertices, first, np.int64(CUT), jump_mm)
     n = len(e)
     points, filament, cut = np.empty(n + len(at)), np.empty(n + len(at)), np.zeros(n + len(at), dtype=np.bool_)
     point = np.empty(len(at), dtype=np.int64)

@@ -135,7 +135,7 @@ class Prediction:
     def _joining(self, solved: SolvedSection, nozzle: FloatArray, written: Sequence[TimedSegments]) -> FloatArray:
         """Return what the joined segments add to the response, (n, 3) mm: the model is linear in the command."""
         model, s, vertices = self.model, self.model.settings, solved.solution.vertices
-        filament = solved.reference.limiting_filament()
+        filament = np.diff(solved.reference.extrusion())
         command = sample_even_segments(vertices, filament, s.segment_s, s.output, s.substeps)
         joined = command.copy()
         times = np.arange(len(command), dtype=np.float64) * (s.segment_s / s.substeps)

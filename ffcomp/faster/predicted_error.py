@@ -265,7 +265,7 @@ class Ensemble:
         nozzle, velocity = reference.substeps(0, reference.knots)
         place = np.ascontiguousarray(nozzle[s.substeps // 2 :: s.substeps, :2])
         centripetal = model.kinematics.rate_term(nozzle, np.ascontiguousarray(velocity))
-        filament = reference.limiting_filament()
+        filament = np.diff(reference.extrusion())
         played = sample_even_segments(solution.vertices, filament, s.segment_s, s.output, s.substeps)
         command = model.kinematics.inverse(played)
 

@@ -48,7 +48,7 @@ class Iterate:
         self.vertices = np.empty((self.last + 1, 3))
         known = reference.robust_offset
         self.robust_offset = model.robust_offsets([reference])[0] if known is None else known
-        self.extrusion = np.concatenate([reference.limiting_filament(), np.zeros(self.n - self.last)])
+        self.extrusion = np.concatenate([np.diff(reference.extrusion()), np.zeros(self.n - self.last)])
 
 
 class KnotWindow:

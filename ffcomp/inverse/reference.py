@@ -125,7 +125,6 @@ class Reference:
         length = section.end_t - self.t0 + room.tail_s
         self.knots = _segments_of(length, settings.segment_s)
         self.shortest_knots = settings.shortest_knots  # that a segment must have
-        self.extruder_jump_mm = settings.extruder_jump_mm  # from one segment to the next
         self._trajectory, self._section = trajectory, section
         self._segment_s, self._substep_s = settings.segment_s, settings.segment_s / settings.substeps
         self._substeps, self._pressure = settings.substeps, settings.pressure
@@ -155,12 +154,6 @@ class Reference:
     def extrusion(self, first: int = 0, last: int | None = None) -> FloatArray:
         """Return the filament at the knots first … last (all of them), (n,) mm."""
         return self._filament[first : (self.knots if last is None else last) + 1].copy()
-
-    def limiting_filament(self) -> FloatArray:
-        """Return the filament of every segment (n,) mm as it limits its speed: none where it flows (`even_flow`)."""
-        filament = np.diff(self.extrusion())
-        forward = np.concatenate([[True], filament >= 0.0, [True]])
-        return np.where(forward[:-2] & forward[1:-1] & forward[2:], 0.0, filament)
 
     @cached_property
     def _filament(self) -> FloatArray:

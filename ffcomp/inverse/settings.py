@@ -121,7 +121,6 @@ def _square(machine: Machine, segment_s: float) -> FloatArray:
 
 
 SEGMENTS_PER_SECOND = 250.0
-AHEAD = 1.25  # times the highest speed of a path, that commands are free to reach
 LIFT_LAG_MM = 0.02  # of the nozzle in a lift, that is left as it is
 CUT = 256  # knots: no segment is joined across a knot whose number is a multiple of it
 
@@ -170,11 +169,6 @@ class Settings:
         return self.compliance_s2[2] * self.output.z_acceleration_mm_per_s2 <= LIFT_LAG_MM
 
     @property
-    def extruder_jump_mm(self) -> float:
-        """By how much filament per segment may differ from one to the next, for firmwares to keep their speed."""
-        return self.output.instantaneous_corner_velocity_mm_per_s * self.segment_s
-
-    @property
     def merging(self) -> MergeLimits:
         """What a segment may be."""
         return MergeLimits(
@@ -196,7 +190,6 @@ def settings_for(machine: Machine, segments_per_second: float = SEGMENTS_PER_SEC
     """Choose a machine's settings: its bandwidth at the knee, and from its own limits what no G-code file can raise."""
     limits = planner_limits(machine)
     output = SegmentLimits(
-        velocity_mm_per_s=max(SegmentLimits().velocity_mm_per_s, AHEAD * limits.velocity_mm_per_s),
         z_acceleration_mm_per_s2=limits.z_acceleration_mm_per_s2 or limits.acceleration_mm_per_s2,
         raised_axes=machine.kinematics.raisable_axes,
         instantaneous_corner_velocity_mm_per_s=limits.instantaneous_corner_velocity_mm_per_s,

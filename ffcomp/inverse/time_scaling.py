@@ -53,7 +53,7 @@ from ffcomp.inverse.violations import (
     solution_violations,
     timing_violations,
 )
-from ffcomp.planner.lifts import FLOWS_MM, even_flow, even_wipes, join_lifts
+from ffcomp.planner.lifts import FLOWS_MM, even_wipes, join_lifts
 from ffcomp.planner.limits import PlannerLimits, bounds_of, lines_of
 from ffcomp.planner.segment_timing import segment_speeds
 from ffcomp.planner.trajectory import PathPosition, PlannedMotion, Section, Trajectory
@@ -292,7 +292,6 @@ def _late(model: InverseModel, written: WrittenReference, vertices: FloatArray) 
     s = model.settings
     e, stay = written.reference.extrusion(), np.arange(len(vertices))
     even_wipes(e, vertices, 0, CUT)
-    even_flow(e, vertices, 0, CUT, s.extruder_jump_mm)
     if s.joins_lifts:
         stay = join_lifts(vertices, e, stay % CUT == 0).stay
     step, filament, lasting = np.diff(vertices[stay], axis=0), np.diff(e[stay]), np.diff(stay) * s.segment_s

@@ -16,7 +16,6 @@ from models.arrays import BoolArray, FloatArray, IntArray
 from models.compiled import kernel
 
 FLOWS_MM = 1e-6  # filament per segment from which on it flows
-STANDS_MM = 1e-9  # of a segment, up to which nothing moves
 
 
 @kernel
@@ -49,42 +48,6 @@ def even_wipes(e: FloatArray, vertices: FloatArray, first: int, cut: int) -> Non
                 for k in range(begin, end + 1):
                     e[k] = before + pulled * gone[k - begin] / gone[-1]
         begin = max(end, begin + 1)
-
-
-SWEEPS = 32
-
-
-@kernel
-def even_flow(e: FloatArray, vertices: FloatArray, first: int, cut: int, jump_mm: float) -> None:
-    """Share out filament where the extruder's speed would jump by more than a firmware lets it, in place.
-
-    Where a command is ahead of its path, at beginnings and corners of strong acceleration, filament that flows by the
-    path's clock changes from segment to segment against the way of the nozzle. It is shared out by that way, knot by
-    knot, until no jump is too large: µm of filament a few ms early or late, where the firmware would slow down.
-
-    Parameters
-    ----------
-    e, vertices, first, cut : as for `even_wipes`
-    jump_mm : by which what flows in one knot's time may differ from the next one's
-    """
-    n = len(e) - 1
-    way = np.empty(n)
-    for k in range(n):
-        x, y = vertices[k + 1, 0] - vertices[k, 0], vertices[k + 1, 1] - vertices[k, 1]
-        z = vertices[k + 1, 2] - vertices[k, 2]
-        way[k] = np.sqrt(x * x + y * y + z * z)
-    for _ in range(SWEEPS):
-        even = True
-        for k in range(1, n):
-            before, after = e[k] - e[k - 1], e[k + 1] - e[k]
-            goes = min(way[k - 1], way[k])
-            if goes <= STANDS_MM or min(before, after) < 0.0 or before + after <= FLOWS_MM or (first + k) % cut == 0:
-                continue
-            if abs(after / way[k] - before / way[k - 1]) * goes > jump_mm:
-                e[k] = e[k - 1] + (before + after) * way[k - 1] / (way[k - 1] + way[k])
-                even = False
-        if even:
-            return
 
 
 STRAIGHT_MM = 5e-3  # from the straight line between its ends, at most

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ffcomp.planner.lifts import STRAIGHT_MM, even_flow, even_wipes, join_lifts
+from ffcomp.planner.lifts import STRAIGHT_MM, even_wipes, join_lifts
 from ffcomp.planner.segment_timing import SegmentLimits, segment_speeds
 from models.arrays import FloatArray
 
@@ -97,47 +97,3 @@ def test_nothing_is_shared_across_a_cut() -> None:
     even_wipes(e, POINTS, 254, 256)
     assert e[2] == -0.6
     np.testing.assert_allclose(e, [0.0, -0.2, -0.6, -0.8, -1.2])
-
-
-JUMP_MM = 0.004  # 1 mm/s, of segments of 4 ms
-
-
-def ahead(n: int = 30) -> tuple[FloatArray, FloatArray]:
-    """A command that leads its path by a jump at first, (n + 1, 3) mm, and the path's filament, (n + 1,) mm."""
-    t = np.arange(n + 1, dtype=np.float64)
-    way = np.where(t < 6.0, 0.1 * t**2, 1.2 * t - 3.6)
-    points = np.zeros((n + 1, 3))
-    points[:, 0] = way + 0.5 * np.minimum(t, 1.0)
-    return points, 0.05 * way
-
-
-def lasting(points: FloatArray, e: FloatArray) -> float:
-    n = len(e) - 1
-    return float(segment_speeds(points, np.diff(e), np.full(n, S), SegmentLimits()).duration.sum()) - n * S
-
-
-def test_filament_that_flows_unevenly_costs_time_and_evenly_none() -> None:
-    points, e = ahead()
-    evened = e.copy()
-    even_flow(evened, points, 0, 256, JUMP_MM)
-    by_the_way_alone = lasting(points, np.zeros_like(e))
-    assert lasting(points, e) > by_the_way_alone + 3e-4
-    assert lasting(points, evened) == pytest.approx(by_the_way_alone, abs=1e-9)
-    assert evened[[0, -1]].tolist() == e[[0, -1]].tolist() and (np.diff(evened) >= 0.0).all()
-    assert np.abs(evened - e).max() < 0.03
-    np.testing.assert_array_equal(evened[20:], e[20:])
-
-
-def test_filament_that_a_firmware_follows_is_left_as_it_is() -> None:
-    points, e = ahead()
-    for each in (0.1 * e, -e):  # little of it; pulled back
-        before = each.copy()
-        even_flow(each, points, 0, 256, JUMP_MM)
-        np.testing.assert_array_equal(each, before)
-
-
-def test_no_filament_goes_across_a_cut() -> None:
-    points, e = ahead()
-    evened = e.copy()
-    even_flow(evened, points, 254, 256, JUMP_MM)
-    assert evened[2] == e[2] and not np.array_equal(evened, e)
