@@ -478,7 +478,7 @@ def dominant_effect(
         explained[0] < SETTINGS.dominant
         or _better_without(best, first.hypothesis)
         or first.alike > SETTINGS.signature
-        or not all(_ahead(first, other) for other in others)
+        or not all(_ahead(first, other.left) for other in others)
         or not _everywhere(first, held_out, whole)
     ):
         return None
@@ -551,26 +551,26 @@ def _explained_by(h: Hypothesis, rows: FloatArray, residual: FloatArray) -> floa
     return max(float(part @ part) - by_chance, 0.0)
 
 
-def _ahead(first: _Tested, other: _Tested) -> bool:
-    """Tell whether another effect leaves far more, whichever group is not counted."""
-    apart = other.left - SETTINGS.ahead * first.left
+def _ahead(first: _Tested, left: FloatArray) -> bool:
+    """Tell whether something else leaves far more, (groups,), whichever group is not counted."""
+    apart = left - SETTINGS.ahead * first.left
     return bool(np.all(apart.sum() - apart > 0.0))
 
 
 def _everywhere(first: _Tested, held_out: Sequence[HeldOut], whole: float) -> bool:
     """Tell whether it is as far ahead of retuning alone, which leaves `whole`, whichever group is not counted."""
     before = np.array([max(one.before, 0.0) * one.rows for one in held_out])
-    before *= whole / max(before.sum(), 1e-300)
-    apart = before - SETTINGS.ahead * first.left
-    return bool(np.all(apart.sum() - apart > 0.0))
+    return _ahead(first, before * whole / max(before.sum(), 1e-300))
 
 
 def _sound(estimation: EstimationProblem, h: Hypothesis) -> bool:
-    """Tell whether the file stays plausible with it, and what is to repeat does.
+    """Tell whether the file stays plausible, with few numbers at its ends, and what is to repeat does.
 
     Its interval may include no effect where only ratios of forces show, as of a servo whose stiffness is a guess.
     """
+    squares = [z**2 for _, z in moved_numbers(h.fit, h.machine_count)]
+    held = sum(squares) <= SETTINGS.implausible * len(squares) * (1 + 1e-9)  # what is held there is not beyond it
+    ends = sum(square > SETTINGS.implausible * (1 - 1e-9) for square in squares)
     intervals = intervals_of(estimation, h.fit, h.fit.values, scatter=True)
-    moved = [z**2 for _, z in moved_numbers(h.fit, h.machine_count)]
-    held = sum(moved) <= SETTINGS.implausible * len(moved) * (1 + 1e-9)  # what is held there is not beyond it
-    return held and not any(".pitch_mm" in name for name in undetermined(h, intervals))
+    repeats = not any(".pitch_mm" in name for name in undetermined(h, intervals))
+    return held and ends <= max(len(squares) / 2, SETTINGS.most_effects) and repeats
