@@ -118,7 +118,11 @@ def _against_best(comparison: Comparison, best: Method, ours: Method) -> str:
     usual = _calibrated(comparison)
     sentence = f"The best fixed input shaper ({nick(best)}, {_short(best.tuning)}) leaves {um(best_um)} µm"
     if ours_um > TIE_RATIO * best_um:
-        return f"{sentence}: {times(ours_um / best_um)} less than ffcomp. Use the shaper.{usual}"
+        asked, by_ours = best.peaks.acceleration_mm_per_s2, ours.peaks.acceleration_mm_per_s2
+        harder = ""
+        if asked > TIE_RATIO * by_ours:
+            harder = f" if the carriages can do {acceleration(asked)}, where ffcomp asks for {acceleration(by_ours)}"
+        return f"{sentence}: {times(ours_um / best_um)} less than ffcomp. Use the shaper{harder}.{usual}"
     if best_um <= TIE_RATIO * ours_um:
         return f"{sentence}, the same as ffcomp.{usual}"
     return f"{sentence}: {times(best_um / ours_um)} as much as ffcomp.{usual}"
