@@ -27,12 +27,14 @@ from ffcomp.comparison.methods import TunedMethod
 from ffcomp.comparison.monte_carlo import draw_plants
 from ffcomp.comparison.sampling import Print, PrintSlice, Sampling
 from ffcomp.inverse.settings import settings_for
-from ffcomp.metrics import contour_error, contour_statistics, rms
+from ffcomp.metrics import contour_error, contour_statistics, peak_acceleration, rms
+from ffcomp.simulation.linear import STEP_S
 from ffcomp.simulation.playback import simulate_nozzles
+from gcode.dialects import KLIPPER
 from models.file import load_machine
 from models.machine import Machine
 from studies.comparison_extruder import extruder_rows
-from studies.comparison_rivals import Pair, inversions, pairs
+from studies.comparison_rivals import SPANS_S, Pair, inverse_within, inversions, pairs
 from studies.render import results_of, save
 
 ROOT = Path(__file__).parents[1]
@@ -79,7 +81,7 @@ class Case:
 def case(path: Path, machine: Machine, whole: bool) -> dict[str, Any]:
     """Compare the methods on one print."""
     began = time.process_time()
-    printed = Print(path.read_bytes(), path.name, machine)
+    printed = Print(path.read_bytes(), path.name, machine, flavor=KLIPPER)
     slices, sampling = printed.slices(Sampling(), at_most_s=JUDGED_S)
     few, off = (printed.slices(Sampling(), PIECE_S, seconds)[0] for seconds in (SOUGHT_S, OFF_S))
     own = Case(printed, machine, slices, few, off)
@@ -110,10 +112,15 @@ def case(path: Path, machine: Machine, whole: bool) -> dict[str, Any]:
         "floor_um": floor_um(slices),
     }
     chosen = [tried[best].best]
+    if machine.kinematics.model_reach_mm == 0.0:
+        highest = [1e3 * peak for peak in ours[-1]["peaks_m_per_s2"]]
+        gentle = [inverse_within(machine, few, *each) for each in zip(highest, SPANS_S, strict=True)]
+        found["gentle"] = [_row(each, slices, machine) for each in gentle]
+        chosen.append(replace(gentle[0].best, name="gentle", label=f"{gentle[0].label}, at ffcomp's peak"))
     found["off"] = [_off(own, chosen, sd) for sd in MISMATCHES]
     _said("off", began)
     p99 = {chosen[0].name: rows[best]["best"]["p99_um"], every.COMPENSATED: ours[-1]["p99_um"]}
-    found["quality"] = _quality(own, chosen, p99)
+    found["quality"] = _quality(own, chosen[:1], p99)
     _said("quality", began)
     found["whole"] = _whole(own, chosen) if whole else []
     found["extruder"] = extruder_rows(machine, slices, few) if whole else None
@@ -147,7 +154,15 @@ def _judged(method: TunedMethod, slices: Sequence[PrintSlice], plant: Machine) -
     """Execute a method on the simulated printer."""
     (executions,), within = _executed(method, slices, [plant])
     statistics = contour_statistics(contour(executions), weights(executions))
-    return {"rms_um": statistics.rms_um, "p99_um": statistics.p99_um, "max_um": statistics.max_um, "within": within}
+    peaks = [max(_peak_m_per_s2(each, span_s) for each in executions) for span_s in SPANS_S]
+    errors = {"rms_um": statistics.rms_um, "p99_um": statistics.p99_um, "max_um": statistics.max_um}
+    return {**errors, "peaks_m_per_s2": peaks, "within": within}
+
+
+def _peak_m_per_s2(execution: Execution, span_s: float) -> float:
+    motion, machine = execution.motion, execution.print_slice.machine
+    command = motion.actuators(machine)(np.arange(motion.begin_t, motion.end_t, STEP_S))
+    return 1e-3 * peak_acceleration(command, STEP_S, span_s)
 
 
 def _executed(
@@ -171,7 +186,7 @@ def _executed(
 def _whole(own: Case, methods: Sequence[TunedMethod]) -> list[dict[str, Any]]:
     """Judge the whole print."""
     all_of_it = [own.printed.whole()]
-    ours = every.inversion(own.machine, settings_for(own.machine), every.COMPENSATED)
+    ours = every.inversion(own.machine, settings_for(own.machine), every.COMPENSATED, slows_down=True)
     return [_own_row(method, all_of_it, own.machine) for method in (*methods, ours)]
 
 
@@ -180,8 +195,8 @@ def _off(own: Case, methods: Sequence[TunedMethod], sd: float) -> dict[str, Any]
     plants = draw_plants(own.machine, sd, SEEDS)
     settings = settings_for(own.machine)
     told = replace(own.machine, uncertainty=dict.fromkeys(own.machine.uncertainty, sd) | {"default": sd})
-    ours = every.inversion(own.machine, settings, every.COMPENSATED)
-    robust = every.inversion(told, settings, every.ROBUST)
+    ours = every.inversion(own.machine, settings, every.COMPENSATED, slows_down=True)
+    robust = every.inversion(told, settings, every.ROBUST, slows_down=True)
     rows: list[dict[str, Any]] = []
     for method in (*methods, ours, robust):
         executions, _ = _executed(method, own.off, plants)

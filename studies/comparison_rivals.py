@@ -19,11 +19,15 @@ from ffcomp.comparison.baselines import (
 from ffcomp.comparison.methods import TunedMethod
 from ffcomp.comparison.sampling import PrintSlice
 from ffcomp.inverse.settings import settings_for
+from ffcomp.metrics import peak_acceleration
 from ffcomp.shapers import SHAPERS
 from ffcomp.shapers.search import Optimum
+from ffcomp.simulation.linear import STEP_S
+from models.arrays import FloatArray
 from models.machine import Machine
 
 INVERTED = ("smooth_zv", "smooth_mzv")  # the kernels of the firmware that inverts a mode
+SPANS_S = (0.004, 0.001)  # over which accelerations count: of one segment of ours, and of a quick kernel
 JUDGED = 6  # kinds, the best of all on this print, that are executed; of the others the linear plant's answer is told
 SOUGHT = "the least contour rms on this print, sought with the plant known."
 
@@ -73,10 +77,29 @@ def pairs(machine: Machine, slices: list[PrintSlice]) -> tuple[list[Pair], dict[
     return found, {each.rival.label: each.found.cost for each in kinds[JUDGED:]}
 
 
+class _GentleTuner(VariantTuner):
+    """Settings whose commands ask for no more than a peak acceleration over a time."""
+
+    peak_mm_per_s2, span_s = np.inf, SPANS_S[0]
+
+    def _possible(self, command: FloatArray) -> bool:
+        carriages = self._compiled.inverse(command)
+        return super()._possible(command) and peak_acceleration(carriages, STEP_S, self.span_s) <= self.peak_mm_per_s2
+
+
+def inverse_within(machine: Machine, slices: list[PrintSlice], peak_mm_per_s2: float, span_s: float) -> Pair:
+    """Set the best inverse of a mode whose command has no higher peak of acceleration."""
+    tuner = _GentleTuner(machine, machine, LinearPrinter(machine, slices))
+    tuner.peak_mm_per_s2, tuner.span_s = peak_mm_per_s2, span_s
+    each = [_known(tuner, shaper_variant(kind, INVERSE, machine)) for kind in INVERTED]
+    return _pair(tuner, min(each, key=lambda known: known.found.cost), machine)
+
+
 def inversions(machine: Machine) -> list[TunedMethod]:
     """Return ffcomp's ways."""
     settings = settings_for(machine)
-    return [every.inversion(machine, settings, name) for name in (every.ONE_MODEL, every.ROBUST, every.COMPENSATED)]
+    names = (every.ONE_MODEL, every.ROBUST, every.COMPENSATED)
+    return [every.inversion(machine, settings, name, slows_down=True) for name in names]
 
 
 def z_rings(machine: Machine) -> bool:

@@ -37,11 +37,8 @@ def compared(print_: str) -> list[float]:
         line.split(" | ") for line in COMPARISON.partition("## ")[0].splitlines() if line.startswith(f"| {print_} |")
     ]
     assert len(table) == 1
-    none, best, *rest = table[0][2:]
-    measured_anew = re.fullmatch(r"[\d.]+", rest[0])  # else the column after the best shaper names it
-    return (
-        [float(none), float(rest[0]), float(rest[2])] if measured_anew else [float(none), float(best), float(rest[1])]
-    )
+    none, _, best, _, ours = table[0][2:7]
+    return [float(none), float(best), float(ours)]
 
 
 def medians_10(print_: str) -> list[float]:
