@@ -53,6 +53,7 @@ LEAST_EXPLAINED, LEAST_GAIN = 0.2, 60.0  # of the waves' power; of χ² by the w
 FLAT, SHAPED = 0.15, 0.35  # of the expected waves: less, at once or where hardly any are explained: shaped away
 WORST_HELD = 0.5  # posterior over prior: a number that the picture leaves so wide stays as it was
 REWEIGHTED = 2
+TOWERS = 0.007  # of the logarithm of a frequency at one place: towers that differ by 2 %, and are fitted as one
 FLOOR, DAMPING_FLOOR = 0.004, 0.1  # of the logarithms: towers that differ
 FRICTION_LAW = 0.25  # of friction's part in what looks like damping: no law of it is better known
 
@@ -426,6 +427,8 @@ def _modes(
                 0.0,
             )
         )
+        if page.machine.vibration.position_dependent:
+            spread[:count] = np.hypot(spread[:count], TOWERS)
         by_place[x, y] = [
             (lognormal(float(f), float(spread[i])), lognormal(float(d), float(spread[count + i])))
             for i, (f, d) in enumerate(zip(here.frequencies_hz, here.damping_ratios, strict=True))
