@@ -101,9 +101,10 @@ def plan_moves(
     phases = phases_from_corners(
         kept, corner, lines.length, bounds.speed, bounds.acceleration, bounds.smooth_acceleration
     )
-    return timed(moves, lines, phases, wait_before, start_t)
+    return timed(moves, lines, Phases(*phases), wait_before, start_t)
 
 
+@kernel
 def phases_from_corners(
     kept: IntArray,
     corner: FloatArray,
@@ -111,24 +112,11 @@ def phases_from_corners(
     speed: FloatArray,
     acceleration: FloatArray,
     smooth_acceleration: FloatArray,
-) -> Phases:
-    """Return the trapezoids of n moves that pass their corners as fast as looking ahead allows.
+) -> FloatArray:
+    """Return the trapezoids of n moves that pass their corners as fast as looking ahead allows, (7, n): `Phases`.
 
     kept, corner : (m,) of the moves that go somewhere: their indices, and the highest v² at which each may begin
     """
-    return Phases(*_phases(kept, corner, length, speed, acceleration, smooth_acceleration))
-
-
-@kernel
-def _phases(
-    kept: IntArray,
-    corner: FloatArray,
-    length: FloatArray,
-    speed: FloatArray,
-    acceleration: FloatArray,
-    smooth_acceleration: FloatArray,
-) -> FloatArray:
-    """Compute the trapezoids, (7, n), rows as `Phases`; kept, corner: (m,) of the moves that go somewhere."""
     # NOTE: loops, not expressions of whole arrays: those take seconds to compile
     m = len(kept)
     gain, smooth_gain, cap = np.empty(m), np.empty(m), np.empty(m)

@@ -114,7 +114,7 @@ def phases_by_axes(
     top, acceleration = _bounds(lines.direction, lines.length, speed, settings, sharing)
     kept, corner = _corners(lines.direction, lines.length, top, settings, rests)
     in_sight = _in_sight(corner, 2.0 * lines.length[kept] * acceleration[kept], queue)
-    return phases_from_corners(kept, in_sight, lines.length, top, acceleration, acceleration)
+    return Phases(*phases_from_corners(kept, in_sight, lines.length, top, acceleration, acceleration))
 
 
 @kernel
