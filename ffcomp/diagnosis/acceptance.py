@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from ffcomp.diagnosis.fidelity import continue_fit, fit_within_uncertainty
 from ffcomp.diagnosis.fit import EstimationProblem, Fit, clipped, fit, intervals_of, step_within, superfluous, values_at
-from ffcomp.diagnosis.hypotheses import FILE_CHANGES, KIN, Hypothesis, implausible, likeliest, moved_numbers
+from ffcomp.diagnosis.hypotheses import FILE_CHANGES, LAW_GROUPS, Hypothesis, implausible, likeliest, moved_numbers
 from ffcomp.diagnosis.observations import Position, clustered
 from ffcomp.diagnosis.problem import Parameter, Problem
 from ffcomp.diagnosis.recording_clocks import clock_parameters
@@ -465,8 +465,8 @@ def dominant_effect(
     ranked = [each for each in ranked if _sound(estimation, each.hypothesis)]
     if not ranked:
         return None
-    first = _simplest([each for each in ranked if _kin(each.hypothesis) == _kin(ranked[0].hypothesis)])
-    others = [each for each in ranked if _kin(each.hypothesis) != _kin(first.hypothesis)]
+    first = _simplest([each for each in ranked if _law_group(each.hypothesis) == _law_group(ranked[0].hypothesis)])
+    others = [each for each in ranked if _law_group(each.hypothesis) != _law_group(first.hypothesis)]
     explained = [1 - float(each.left.sum()) / whole for each in (first, *others)]
     for each in ranked:
         share = 100 * (1 - float(each.left.sum()) / whole)
@@ -493,19 +493,19 @@ def _contenders(tried: Sequence[Hypothesis]) -> list[Hypothesis]:
         if len(h.effects) == 1:
             best.setdefault(h.names[0], h)
     ranked = sorted(best.values(), key=lambda h: h.discrepancy)
-    kin = list(dict.fromkeys(_kin(h) for h in ranked))[: SETTINGS.by_simulation]
-    laws = [h for h in ranked if kin and _kin(h) == kin[0]]
-    return [*laws, *(next(h for h in ranked if _kin(h) == each) for each in kin[1:])]
+    groups = list(dict.fromkeys(_law_group(h) for h in ranked))[: SETTINGS.by_simulation]
+    laws = [h for h in ranked if groups and _law_group(h) == groups[0]]
+    return [*laws, *(next(h for h in ranked if _law_group(h) == each) for each in groups[1:])]
 
 
 def _better_without(best: Hypothesis, first: Hypothesis) -> bool:
     """Tell whether the best explanation does without the family, and leaves far less."""
-    without = _kin(first) not in {KIN.get(name, name) for name in best.names}
+    without = _law_group(first) not in {LAW_GROUPS.get(name, name) for name in best.names}
     return without and SETTINGS.ahead * best.discrepancy < first.discrepancy
 
 
-def _kin(h: Hypothesis) -> str:
-    return KIN.get(h.names[0], h.names[0])
+def _law_group(h: Hypothesis) -> str:
+    return LAW_GROUPS.get(h.names[0], h.names[0])
 
 
 def _simplest(laws: Sequence[_Tested]) -> _Tested:

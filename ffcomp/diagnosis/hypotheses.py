@@ -31,7 +31,7 @@ FAMILIES = {  # what is told first of an effect with several laws; of any other 
     "pendulum_gravity": PULL,
     "ground_spring": PULL,
 }
-KIN = {  # laws of one thing, which differ by little: they are no rivals of each other
+LAW_GROUPS = {  # laws of one thing, which differ by little: they are no rivals of each other
     "coulomb_friction": DRY,
     "bristle_friction": DRY,
     "stribeck_friction": DRY,
@@ -113,8 +113,8 @@ def nested(name: str, other: str) -> bool:
 
 def may_join(name: str, names: Sequence[str]) -> bool:
     """Tell whether an effect is none of these, nor a law of the same thing: friction has one, however it is bent."""
-    kin = KIN.get(name, name)
-    return not any(kin == KIN.get(each, each) or nested(name, each) for each in names)
+    group = LAW_GROUPS.get(name, name)
+    return not any(group == LAW_GROUPS.get(each, each) or nested(name, each) for each in names)
 
 
 # ---- evidence ------------------------------------------------------------------------------------
