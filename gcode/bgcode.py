@@ -5,7 +5,8 @@ is in the blocks of G-code (MeatPack, Heatshrink) is unpacked and packed by the 
 has the metadata as comments around the G-code.
 
 MeatPack keeps comments that have a line of their own, no others. Those are put into a line of their own before it
-(`_HELD`), and back behind it when the file is read.
+(`_HELD`), and back behind it when the file is read. Comments between commands that the codec would take for metadata,
+such as `; max_layer_z = 6.2` of a Prusa MK4's end code, are masked (`_MASKED`).
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ from tempfile import TemporaryDirectory
 from typing import BinaryIO
 
 from gcode import bgcode_codec
-from gcode.embedded import TIME_WAS
+from gcode.embedded import OURS, TIME_WAS
 from gcode.errors import GcodeError, UnsupportedGcode
 from gcode.text import ENDS, Source, blocks, check_text, most_unpacked, too_much, whole_lines
 
@@ -135,6 +136,8 @@ def with_times(metadata: Mapping[bytes, bytes], times: Mapping[bytes, bytes]) ->
 _Open = Callable[[], BinaryIO]
 
 _HELD = b";ffcomp|"  # before a comment that belongs to the end of the next line
+_MASKED = b";ffcomp="  # before a comment that looks like a line of metadata
+_METADATA = re.compile(rb"; [^=\r\n]+ = ")
 _INLINE = re.compile(rb"([^;\r\n]*[^;\s])([ \t]*;[^\r\n]*)(\r?\n?)")
 _TIME = b"; estimated "  # before a time
 _PLAIN = 0  # encoding of G-code; others are MeatPack
@@ -183,7 +186,7 @@ class Bgcode:
         with TemporaryDirectory() as folder, self.reopen() as old:
             text, packed = Path(folder, "text"), Path(folder, "packed")
             packing = self._packing()
-            introduced = _introduced(_without_old_times(lines))
+            introduced = _introduced(_masked(_without_old_times(lines)))
             _write(text, introduced if packing["encoding"] == "none" else _apart(introduced))
             _converted(text, packed, self.path, packing)
             _check_kept(text, packed, Path(folder, "again"), self.path)
@@ -293,6 +296,21 @@ def _without_old_times(pieces: Iterable[bytes]) -> Iterator[bytes]:
         yield line
 
 
+def _masked(lines: Iterable[bytes]) -> Iterator[bytes]:
+    """Mask comments that look like metadata, between the print's commands: metadata stands before and after them."""
+    begun, waiting = False, list[bytes]()
+    for line in lines:
+        if not line.startswith((b";", b"\r", b"\n")) and not line.rstrip().endswith(OURS):
+            yield from (_MASKED + each if _METADATA.match(each) else each for each in waiting)
+            yield line
+            begun, waiting = True, []
+        elif begun and (waiting or _METADATA.match(line)):
+            waiting.append(line)
+        else:
+            yield line
+    yield from waiting
+
+
 def _apart(lines: Iterable[bytes]) -> Iterator[bytes]:
     """Each comment in a line of its own."""
     for line in lines:
@@ -309,6 +327,7 @@ def _together(pieces: Iterable[bytes]) -> Iterator[bytes]:
         if line.startswith(_HELD):
             held = line[len(_HELD) :].rstrip(b"\r\n")
             continue
+        line = line.removeprefix(_MASKED)
         if held:
             code = line.rstrip(b"\r\n")
             line, held = code + held + line[len(code) :], b""

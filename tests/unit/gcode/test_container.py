@@ -175,7 +175,9 @@ def test_binary_gcode_is_changed_and_restored(tmp_path: Path, encoding: str) -> 
     (text,) = contents(packed).values()
     assert b"G1 X30 Y12 E1\n" in text and text.count(b"(normal mode) = 1m 1s\n") == 2 and b"gcode_flavor" in text
     ours = text.replace(b"X30", b"X31").replace(b"= 1m 1s\n", b"= 2m 2s\n")
-    ours = ours.replace(b"M107\n", b"M204 P1 ; ffcomp\n;~M107 ; x\n; ffcomp was P0 R1\nM73 P1 R1\n")
+    ours = ours.replace(
+        b"M107\n", b"M204 P1 ; ffcomp\n;~M107 ; x\n; max_layer_z = 6.2\n;x\n; ffcomp was P0 R1\nM73 P1 R1\n"
+    )
     new = rewritten(packed, ours)
     before, after = _blocks(packed), _blocks(new)
     assert [block.kind for block in before] == [block.kind for block in after]
