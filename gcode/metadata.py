@@ -37,6 +37,7 @@ class Durations:
 
     total_s: float
     first_layer_s: float | None = None  # None: nothing says where it ends
+    sliced_s: float | None = None  # as it was sliced, where the slicer's times count what no plan knows; else None
 
 
 _SHORT_UNITS = {"d": 86400, "h": 3600, "m": 60, "s": 1}
@@ -76,8 +77,11 @@ def _whole(seconds: float) -> str:
     return str(floor(seconds + 0.5))
 
 
+_TOTAL = "; total estimated time: "
+
+
 def _model_and_total(seconds: float) -> str:
-    return f"{short(seconds)}; total estimated time: {short(seconds)}"
+    return short(seconds) + _TOTAL + short(seconds)
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,11 +112,11 @@ _FORMS = (
     _form(rb"; estimated first layer printing time" + _MODE, _DURATION, Tells.FIRST_LAYER, short),
     _form(  # BambuStudio, OrcaSlicer
         rb"; model printing time: ",
-        _DURATION + rb"; total estimated time: " + _DURATION,
+        _DURATION + _TOTAL.encode() + _DURATION,
         Tells.TOTAL,
         _model_and_total,
     ),
-    _form(rb"; total estimated time: ", _DURATION, Tells.TOTAL, short),
+    _form(_TOTAL.encode(), _DURATION, Tells.TOTAL, short),
     _form(rb";TIME:", rb"\d+(?:\.\d+)?", Tells.TOTAL, _whole),  # Cura
     _form(rb";TIME_ELAPSED:", rb"\d+(?:\.\d+)?", Tells.ELAPSED, "{:.6f}".format),
     _form(rb";PRINT\.TIME:", rb"\d+", Tells.TOTAL, _whole),  # Cura for UltiMaker
@@ -179,12 +183,22 @@ def with_time(line: bytes, time: bytes) -> bytes:
     return hit[1][1] + time + hit[1][3] if hit else line
 
 
+def with_waiting_s(line: bytes) -> float | None:
+    """Return the time of a print by its slicer, s, where that counts homing, heating and probing; else None."""
+    return slicer_time_s([line]) if _TOTAL.encode() in stated_time(line) else None
+
+
 def retold(line: Timed, durations: Durations) -> bytes:
-    """Return the line with the time as it is now; what is not known stays."""
+    """Return the line with the time as it is now; what is not known stays.
+
+    Where the slicer's times count what no plan knows, its own number stays, but for what the plan has become longer.
+    """
     hit = _matched(line)
     if hit is None:
         return line
     form, match = hit
+    if durations.sliced_s is not None and form.tells in (Tells.TOTAL, Tells.LEFT):
+        return with_time(line, _longer(form, match[2], line.at_s, durations.total_s, durations.sliced_s))
     if form.tells is Tells.LEFT:
         return with_time(line, _progress(match[2], line.at_s, durations.total_s))
     known = {
@@ -194,6 +208,21 @@ def retold(line: Timed, durations: Durations) -> bytes:
     }
     seconds = known[form.tells]
     return line if seconds is None else with_time(line, form.spell(seconds).encode())
+
+
+def _longer(form: _Form, words: bytes, at_s: float, total_s: float, sliced_s: float) -> bytes:
+    """Return a slicer's time with what the print takes longer than it was sliced, in whole or from M73 on."""
+    if form.tells is Tells.TOTAL:
+        return _TOTAL.encode().join(
+            form.spell(_seconds(each, form.bare_s) + total_s - sliced_s).partition(_TOTAL)[0].encode()
+            for each in words.split(_TOTAL.encode())
+        )
+    longer_s = max(total_s - at_s, 0.0) * (1.0 - sliced_s / total_s)
+
+    def retell(word: re.Match[bytes]) -> bytes:
+        return word[1] + b"%d" % max(floor(float(word[2]) + longer_s / 60 + 0.5), 0)
+
+    return re.sub(rb"([RS])(\d+(?:\.\d*)?)", retell, words)
 
 
 def _progress(words: bytes, at_s: float, total_s: float) -> bytes:

@@ -322,7 +322,11 @@ class Job:
         started = time.perf_counter()
         stamp = stamp_line(__version__, self.machine.name, self.machine.sha256, self.flavor)
         body = Stream(self._body(progress))
-        pieces = with_times_retold(body, lambda: body.value.print_time_s, folder, embed=self.settings.embed)
+
+        def planned_s() -> tuple[float, float]:
+            return body.value.print_time_s, body.value.original_print_time_s
+
+        pieces = with_times_retold(body, planned_s, folder, embed=self.settings.embed)
         if self.options.shaper_off:
             pieces = with_shaper_off(pieces, self.flavor)
         notes = offset_line(self.offset) + (b"" if self.settings.embed else WITHOUT_ORIGINAL + b"\n")

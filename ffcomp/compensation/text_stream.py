@@ -14,7 +14,7 @@ from typing import IO, Generic, TypeVar
 
 from gcode.dialects import shaper_off
 from gcode.embedded import OURS, TIME_WAS
-from gcode.metadata import Durations, Tells, Timed, retold, stated_time, tells
+from gcode.metadata import Durations, Tells, Timed, retold, stated_time, tells, with_waiting_s
 
 T = TypeVar("T")
 
@@ -35,14 +35,18 @@ IN_MEMORY, BLOCK = 4 << 20, 1 << 20  # bytes
 
 
 def with_times_retold(
-    pieces: Iterable[bytes], total_s: Callable[[], float], folder: Path | None = None, *, embed: bool = True
+    pieces: Iterable[bytes],
+    planned_s: Callable[[], tuple[float, float]],
+    folder: Path | None = None,
+    *,
+    embed: bool = True,
 ) -> Iterator[bytes]:
     """Rewrite the lines that tell a time; a comment before each keeps what it was.
 
     Parameters
     ----------
     pieces : with every line that tells a time, or begins a layer, as a `Timed` of its own
-    total_s : asked at the end of the pieces
+    planned_s : what the print takes, and took as it was sliced, s; asked at the end of the pieces
     folder : where they may wait; None: where the system keeps such files
     embed : whether the comments are written
     """
@@ -63,7 +67,10 @@ def with_times_retold(
             else:
                 yield text
         first_layer_s = layers[1] - layers[0] if len(layers) > 1 else None
-        yield from _released(held, waiting, Durations(total_s(), first_layer_s), embed)
+        total_s, sliced_s = planned_s()
+        stated_s = next(filter(None, (with_waiting_s(line) for _, line in waiting)), 0.0)
+        durations = Durations(total_s, first_layer_s, sliced_s if stated_s > sliced_s > 0.0 else None)
+        yield from _released(held, waiting, durations, embed)
 
 
 def _released(held: IO[bytes], waiting: list[tuple[int, Timed]], durations: Durations, embed: bool) -> Iterator[bytes]:

@@ -127,7 +127,7 @@ def test_what_cannot_be_read_is_refused_and_stays(tmp_path: Path, verb: str, con
 
 def test_the_archives_own_prediction_follows_the_time_in_the_gcode(tmp_path: Path) -> None:
     """BambuStudio's account of its plates: the second one's is told in seconds, and comes back with `restore`."""
-    said = b"; model printing time: 1h 0m 0s; total estimated time: 1h 1m 0s\n"
+    said = b"; total estimated time: 1h 1m 0s\n"
     plates = [PRINT, said + PRINT]
     info = b'<config><plate><metadata key="index" value="2"/><metadata key="prediction" value="3660"/></plate></config>'
     packed = archive_3mf(*plates)

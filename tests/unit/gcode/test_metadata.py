@@ -83,6 +83,28 @@ def test_progress_in_whole_numbers(line: bytes, at_s: float, new: bytes) -> None
 
 
 @pytest.mark.parametrize(
+    ("line", "at_s", "new"),
+    [
+        (
+            b"; model printing time: 14m 40s; total estimated time: 2h 4m 0s\n",
+            0.0,
+            b"; model printing time: 16m 40s; total estimated time: 2h 6m 0s\n",
+        ),
+        (
+            b"; estimated printing time (normal mode) = 2h 4m 0s\n",
+            0.0,
+            b"; estimated printing time (normal mode) = 2h 6m 0s\n",
+        ),
+        (b"M73 P3 R124\n", 0.0, b"M73 P3 R126\n"),
+        (b"M73 P60 R40 S41\n", 1800.0, b"M73 P60 R41 S42\n"),
+        (b"M73 P100 R0\n", 3600.0, b"M73 P100 R0\n"),
+    ],
+)
+def test_what_a_slicer_counts_beside_the_moves_is_kept(line: bytes, at_s: float, new: bytes) -> None:
+    assert retold(Timed.at(line, at_s), Durations(3600.0, sliced_s=3480.0)) == new
+
+
+@pytest.mark.parametrize(
     "line", [b"M73 L7\n", b"M73.2   R1.0 ;Reset\n", b"M730 P1\n", b"M73 ; P50\n", b"N4 M73 P5*9\n"]
 )
 def test_progress_of_other_kinds_stays(line: bytes) -> None:
