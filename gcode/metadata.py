@@ -211,16 +211,20 @@ def retold(line: Timed, durations: Durations) -> bytes:
 
 
 def _longer(form: _Form, words: bytes, at_s: float, total_s: float, sliced_s: float) -> bytes:
-    """Return a slicer's time with what the print takes longer than it was sliced, in whole or from M73 on."""
+    """Return a slicer's time with what the print takes longer than it was sliced, in whole or from M73 on.
+
+    What is left is no less than the plan alone takes.
+    """
     if form.tells is Tells.TOTAL:
         return _TOTAL.encode().join(
             form.spell(_seconds(each, form.bare_s) + total_s - sliced_s).partition(_TOTAL)[0].encode()
             for each in words.split(_TOTAL.encode())
         )
-    longer_s = max(total_s - at_s, 0.0) * (1.0 - sliced_s / total_s)
+    left_s = max(total_s - at_s, 0.0)
+    longer_s = left_s * (1.0 - sliced_s / total_s)
 
     def retell(word: re.Match[bytes]) -> bytes:
-        return word[1] + b"%d" % max(floor(float(word[2]) + longer_s / 60 + 0.5), 0)
+        return word[1] + b"%d" % floor(max(60.0 * float(word[2]) + longer_s, left_s) / 60.0 + 0.5)
 
     return re.sub(rb"([RS])(\d+(?:\.\d*)?)", retell, words)
 

@@ -97,6 +97,7 @@ def test_progress_in_whole_numbers(line: bytes, at_s: float, new: bytes) -> None
         ),
         (b"M73 P3 R124\n", 0.0, b"M73 P3 R126\n"),
         (b"M73 P60 R40 S41\n", 1800.0, b"M73 P60 R41 S42\n"),
+        (b"M73 P60 R20\n", 1800.0, b"M73 P60 R30\n"),
         (b"M73 P100 R0\n", 3600.0, b"M73 P100 R0\n"),
     ],
 )
