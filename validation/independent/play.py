@@ -77,22 +77,23 @@ def _due(read: Moves, written: Moves, clock: Times, laid: Lines) -> FloatArray:
     begin = np.append(clock.begin_s, clock.end_s)
     at = written.after[laid.place[read.line]]
     due = begin[at]
-    # the chords of an arc share a line: they share its time, too
+    # the chords of an arc share a line: they share its time, too, by their length
     same = np.flatnonzero(np.diff(read.line) == 0) + 1
     if len(same):
         due = due.copy()
         heads = np.flatnonzero(np.diff(read.line, prepend=-1))
         group = np.cumsum(np.diff(read.line, prepend=-1) != 0) - 1
         until = np.append(due[heads[1:]], clock.end_s)
-        size = np.bincount(group)
-        place = np.arange(len(due)) - heads[group]
-        due += (until[group] - due) * place / size[group]
+        way = np.linalg.norm(read.step[:, :3], axis=1)
+        gone = np.cumsum(way) - way
+        due += (until[group] - due) * (gone - gone[heads[group]]) / np.maximum(np.bincount(group, way)[group], 1e-12)
     return np.asarray(np.maximum.accumulate(due))
 
 
 def _part(read: Moves, written: Moves, clock: Times, laid: Lines) -> tuple[int, int]:
-    """The moves that are judged: from the first that has become segments."""
-    replaced = np.flatnonzero(laid.kept[read.line] & (np.hypot(read.step[:, 0], read.step[:, 1]) > 0.0))
+    """The moves that are judged: from the first that has become segments and begins at a known place."""
+    travels = np.hypot(read.step[:, 0], read.step[:, 1]) > 0.0
+    replaced = np.flatnonzero(laid.kept[read.line] & travels & read.known)
     if not len(replaced):
         return 0, 0
     due = _due(read, written, clock, laid)

@@ -17,6 +17,7 @@ IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
 ARC_MM = 2e-3  # how far a chord may leave its arc
+ROUNDED_MM = 0.02  # by which an arc's radii differ at its ends where that is a slicer's rounding
 E_RESTARTS = 0.3  # share of extrusions whose E is no more than the last one's, from which on E must be relative
 X, Y, Z, E = range(4)
 
@@ -310,7 +311,7 @@ def _copy(state: State) -> State:
 def _arc(
     start: list[float], end: list[float], said: dict[bytes, float], unit: float, clockwise: bool
 ) -> list[list[float]]:
-    """Chords of an arc in the plane of X and Y, whose radius is that of its start."""
+    """Chords of an arc in the plane of X and Y, whose radius is that of its start; the last goes straight to its end."""
     dx, dy = end[X] - start[X], end[Y] - start[Y]
     if b"R" in said:
         radius, chord = said[b"R"] * unit, math.hypot(dx, dy)
@@ -333,6 +334,7 @@ def _arc(
     step = 2.0 * math.acos(max(1.0 - ARC_MM / radius, -1.0))
     count = max(math.ceil(abs(turn) / max(step, 1e-3)), 1)
     last = math.hypot(end[X] - cx, end[Y] - cy)
+    last = last if abs(last - radius) <= ROUNDED_MM else radius
     points = []
     for k in range(1, count):
         share = k / count

@@ -122,6 +122,21 @@ def test_the_nozzle_comes_closer_to_the_path(
     assert after < 0.2 * before
 
 
+def test_a_print_that_is_moved_is_judged_where_it_lies(machine: dict[str, dict[str, object]], printer: Printer) -> None:
+    print_ = PRINT.replace(b"G1 X130 Y112 E.5\n", b"G1 X130 Y112 E.5\nG3 X100 Y142 I-30 E2\nG1 X100 Y112 E1\n")
+    result = compensated(print_, load_machine(NAME), flavor="klipper", predict=False, offset=(10.0, 20.0))[0]
+    found = contour(print_, result, machine, printer)
+    before, after = found["judged_contour_um"], found["judged_contour_compensated_um"]
+    assert before is not None and after is not None
+    assert after < 0.3 * before
+
+
+def test_an_arc_that_misses_its_end_goes_straight_there_at_last() -> None:
+    moves = reader.read(b"G1 X-150\nG3 X0 Y-130 I150\n", LIMITS)
+    radius = np.hypot(*(moves.end[1:, :2]).T)
+    assert radius[:-1] == pytest.approx(150.0) and moves.end[-1, :2].tolist() == [0.0, -130.0]
+
+
 def test_a_move_from_rest_to_rest_takes_what_the_formula_says() -> None:
     moves = reader.read(b"G1 X30 F3600\n", LIMITS)
     assert clock.times(moves, Own()).end_s == pytest.approx(30 / 60 + 60 / 3000)
