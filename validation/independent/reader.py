@@ -311,7 +311,7 @@ def _copy(state: State) -> State:
 def _arc(
     start: list[float], end: list[float], said: dict[bytes, float], unit: float, clockwise: bool
 ) -> list[list[float]]:
-    """Chords of an arc in the plane of X and Y, whose radius is that of its start; the last goes straight to its end."""
+    """Chords of an arc in the plane of X and Y, whose radius is that of its start; the last one goes to its end."""
     dx, dy = end[X] - start[X], end[Y] - start[Y]
     if b"R" in said:
         radius, chord = said[b"R"] * unit, math.hypot(dx, dy)
