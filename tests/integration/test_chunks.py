@@ -331,6 +331,17 @@ def test_limits_are_held_in_a_motion_that_is_cut(machine: Machine, monkeypatch: 
     assert {record.layer for record in done.slowed} == set(range(7))
 
 
+def test_no_filament_is_lost_where_whole_steps_move_a_cut(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Marlin's steps a second keep a motion that was slowed down from ending at a knot exactly."""
+    monkeypatch.setattr("ffcomp.compensation.chunks.LONGEST_S", 8.0)
+    machine = load_machine("ender-3")
+    tight = replace(machine, limits=replace(machine.limits, carriage_velocity_mm_per_s=45.0))
+    data = vase(1150, 4800.0)
+    text, result = compensated(data, tight, flavor="marlin", predict=False, offset=(110.0, 110.0))
+    filament = [float(read_program(each, flavor="marlin").moves.end[-1, 3]) for each in (data, text)]
+    assert result.statistics.slowed and filament[1] == pytest.approx(filament[0], abs=1e-5)
+
+
 def test_a_cut_that_must_be_slower_is_refused_when_strict(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
     tight = replace(machine, limits=replace(machine.limits, carriage_velocity_mm_per_s=45.0))
     settings = replace(settings_for(tight), strict=True)
