@@ -242,7 +242,7 @@ def swap(search: Search, best: Hypothesis, tried: Sequence[Hypothesis]) -> list[
         for h in ranked[: SETTINGS.swaps]
         if comparable(h, min(best, ranked[0], key=lambda each: each.discrepancy), SETTINGS.keep_fitted)
     ]
-    return [_fitted_in_best_shape(search, h) for h in kept]
+    return [_fitted_in_best_shape(search, h, best) for h in kept]
 
 
 def swap_for_smaller(search: Search, best: Hypothesis, tried: Sequence[Hypothesis]) -> list[Hypothesis]:
@@ -258,12 +258,15 @@ def swap_for_smaller(search: Search, best: Hypothesis, tried: Sequence[Hypothesi
                 rest = restart_from_file(search.estimation, best).without(effect)
                 start = best_start(search.estimation, rest.fit, (s,), ESTIMATE_SCALES[:4], USUAL_SIZES)
                 grown = grow(search.estimation, rest, start, search.progress)
-                fitted.append(_fitted_in_best_shape(search, grown))
+                fitted.append(_fitted_in_best_shape(search, grown, best))
     return fitted
 
 
-def _fitted_in_best_shape(search: Search, h: Hypothesis) -> Hypothesis:
+def _fitted_in_best_shape(search: Search, h: Hypothesis, best: Hypothesis) -> Hypothesis:
+    """Fit what replaces an effect of the best hypothesis; where that leaves far more, no restart or shape is tried."""
     fitted = continue_fit(search.estimation, h, search.progress)
+    if not comparable(fitted, best, SETTINGS.keep_initial):
+        return fitted
     return reshape(search.estimation, with_restart(search.estimation, fitted, search.progress), search.progress)
 
 
@@ -310,9 +313,10 @@ def swap_for_law_within(search: Search, best: Hypothesis) -> Hypothesis:
         parameters = (*best.machine_parameters, *(n for c in effects for n in c.parameters))
         z = np.array([(values[n.name] - n.start) / n.sd for n in parameters])
         begun = Hypothesis(effects, Fit(parameters, clipped(parameters, z), best.fit.residual, best.fit.jacobian))
-        smaller = fit_exactly(
-            search.estimation, continue_fit(search.estimation, begun, search.progress), search.progress
-        )
+        smaller = continue_fit(search.estimation, begun, search.progress)
+        if not comparable(smaller, best, SETTINGS.keep_initial):
+            continue
+        smaller = fit_exactly(search.estimation, smaller, search.progress)
         best = best if worth(best.fit, smaller.fit, search.estimation.whiten.floor) else smaller
     return best
 
