@@ -11,6 +11,7 @@ excerpt of the recordings, or on a short horizon of every motion.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -35,6 +36,7 @@ from models.arrays import FloatArray
 
 ESTIMATE_SCALES = (1.0, 0.5, 0.25, 0.1, 0.03, -0.1, -0.5)  # of a linear estimate, and, where that may lead astray,
 USUAL_SIZES = (1.0, 0.5, 0.25, 0.1, 0.03, 0.01, -0.03, -0.1, -0.25, -0.5, -1.0)  # of a usual size
+FORCE_LIKE = re.compile(r"_(n|kg)(_|\[|$)")  # in the name of a mass, a force, a stiffness, a damper
 HORIZON_SIZES = (1.0, 0.7, 0.5, 0.35, 0.25, 0.1, -0.1, -0.25, -0.5, -1.0)  # of a usual size
 
 
@@ -192,7 +194,31 @@ def refit(estimation: EstimationProblem, h: Hypothesis, progress: Progress) -> H
     begun = continue_fit(estimation, h, progress)
     gain = min(SETTINGS.quick_gain / 10, 2.0 / len(begun.fit.residual))
     fitted = fit(estimation, begun.fit.parameters, begun.fit.z, begun.fit.jacobian, (), 8, gain, rough=h.machine_count)
-    return log_fit(Hypothesis(h.effects, fitted), progress, " to the end")
+    ended = log_fit(Hypothesis(h.effects, fitted), progress, " to the end")
+    return ended if ended.plausible else _rescaled(estimation, ended)
+
+
+def _rescaled(estimation: EstimationProblem, h: Hypothesis) -> Hypothesis:
+    """Multiply all masses and forces by the factor that the file's numbers would have, where that is likelier.
+
+    Where no force is measured the motion tells their ratios alone, so that the prior alone tells the factor; and
+    derivatives of dry friction do not cancel well enough to show the way there.
+    """
+    parameters, machine = h.fit.parameters, h.machine_count
+    scaled = [i for i, n in enumerate(parameters) if FORCE_LIKE.search(n.name)]
+    numbers = [parameters[i] for i in scaled]
+    start, sd, x = np.array([(n.start, n.sd, h.fit.values[n.name]) for n in numbers]).reshape(-1, 3).T
+    of_file = np.array(scaled) < machine
+    if not of_file.any():
+        return h
+    weight = (x / sd**2)[of_file]
+    factor = float(weight @ start[of_file]) / float(weight @ x[of_file])
+    z, jacobian = h.fit.z.copy(), h.fit.jacobian.copy()
+    z[scaled] = (factor * x - start) / sd
+    jacobian[:, scaled] /= factor
+    z = clipped(parameters, z)
+    fitted = Fit(parameters, z, estimation.residual(values_at(parameters, z)), jacobian)
+    return min(h, Hypothesis(h.effects, fitted), key=lambda each: each.fit.evidence)
 
 
 def fit_exactly(estimation: EstimationProblem, h: Hypothesis, progress: Progress) -> Hypothesis:

@@ -14,7 +14,13 @@ import pytest
 
 from ffcomp.diagnosis.acceptance import out_of_reach
 from ffcomp.diagnosis.diagnosis import _fitted_to_the_end
-from ffcomp.diagnosis.fidelity import by_continuation, continue_fit, fit_within_uncertainty, from_short_horizon
+from ffcomp.diagnosis.fidelity import (
+    _rescaled,
+    by_continuation,
+    continue_fit,
+    fit_within_uncertainty,
+    from_short_horizon,
+)
 from ffcomp.diagnosis.fit import EstimationProblem, Fit, derivatives, estimation_problem, fit, values_at
 from ffcomp.diagnosis.hypotheses import Hypothesis
 from ffcomp.diagnosis.moves import free_shapes
@@ -43,6 +49,28 @@ def test_numbers_that_make_up_for_each_other_come_back_before_an_effect_is_named
     assert np.abs(_fitted_to_the_end(problem, astray, 0.1).z).max() < 0.1
     loud = replace(astray, residual=astray.residual + 3.0 * rng.standard_normal(LONG))
     assert _fitted_to_the_end(problem, loud, 0.1) is loud  # it leaves something that they cannot explain
+
+
+def test_all_masses_and_forces_come_back_by_one_factor_where_motion_tells_only_their_ratios() -> None:
+    """Mass, stiffness and friction are a fifth too small together: ratios that fit; the file tells the factor."""
+    mass, stiffness = Parameter("axis.mass_kg", 5.0, 0.25), Parameter("axis.stiffness_n_per_m", 1e5, 5e3)
+    force, speed = Parameter("effects.coulomb_friction.force_n", 0.0, 4.0), Parameter("effects.x.shape_mm", 0.0, 1.0)
+    friction = Candidate("coulomb_friction", (force, speed), {})
+    own = (mass, stiffness, force, speed)
+    noise = np.random.default_rng(4).standard_normal(LONG)
+
+    def residual(v: Mapping[str, float]) -> np.ndarray:
+        ratios = v[stiffness.name] / v[mass.name] - 2e4, v[force.name] / v[mass.name] - 2.0, v[speed.name] - 3.0
+        return noise + 30.0 * sum(ratios)
+
+    z = np.array([-4.0, -4.0, 2.0, 3.0])
+    astray = Hypothesis((friction,), Fit(own, z, residual(values_at(own, z)), np.ones((LONG, 4))))
+    problem: Any = SimpleNamespace(residual=residual)
+    back = _rescaled(problem, astray)
+    assert not astray.plausible
+    assert back.fit.z == pytest.approx([0.0, 0.0, 2.5, 3.0])
+    measured: Any = SimpleNamespace(residual=lambda v: noise + (v[force.name] - 8.0))  # a force is measured as well
+    assert _rescaled(measured, replace(astray, fit=replace(astray.fit, residual=noise))).fit.z == pytest.approx(z)
 
 
 def test_numbers_of_the_file_are_held_within_reach_where_an_effect_explains_as_much() -> None:
