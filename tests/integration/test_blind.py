@@ -6,7 +6,7 @@ import json
 import math
 from collections.abc import Mapping
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -33,8 +33,9 @@ from validation.blind.delta.real import played
 from validation.blind.kinds import KINDS as MACHINES
 from validation.blind.printer import shapes
 from validation.blind.printer.motions import KINDS, Motion
-from validation.blind.printer.real import Reading, Real
+from validation.blind.printer.real import Reading, Real, read_at
 from validation.blind.seal import SealedError, open_labels, verdict_path, write_case
+from validation.blind.sensors import draw_sensors
 from validation.blind.straight import forced, turning
 from validation.blind.straight import machines as straight
 from validation.blind.straight.forced_effects import OUTSIDE as FORCED_OUTSIDE
@@ -44,7 +45,7 @@ from validation.blind.straight.numbers import modes_of
 from validation.blind.straight.outside import OUTSIDE as STRAIGHT_OUTSIDE
 from validation.blind.strata import CONDITIONS, full_bank
 from validation.blind.tables import toml_of
-from validation.blind.visible import Visibility, samples, visibility, whitened
+from validation.blind.visible import Visibility, samples, visibility, visibility_by_other_clocks, whitened
 
 SECONDS = 0.8
 
@@ -485,6 +486,22 @@ def test_what_retuning_leaves_in_closed_form() -> None:
     assert Visibility(0.2, 31.0, 9).visible
     assert not Visibility(0.05, 31.0, 9).visible
     assert not Visibility(0.2, 29.0, 9).visible
+
+
+def test_a_late_chip_is_not_seen_where_its_clock_may_be_as_late() -> None:
+    """Two motions, each late by 4/3 of what its clock may be off: worth 2 (4/3)², though it is 3.5 noises."""
+    told, rng, t = KINDS["multisine"], np.random.default_rng(3), np.arange(0.0, SECONDS, 1 / 6400)
+    paths = [1e-3 * told(rng, (0.0, 0.0, 0.0), SECONDS, 1.0)(t) for _ in range(2)]
+    moves = [np.gradient(np.gradient(p, t, axis=0), t, axis=0) for p in paths]
+    without = [Reading(t, a, a, p, p) for a, p in zip(moves, paths, strict=True)]
+    chip = draw_sensors(np.random.default_rng(4), "effector", 1600.0)
+    seen = partial(whitened, chip, repeats=(1, 1), counts=samples(chip, without))
+    true = seen([read_at(r, r.t - 4e-4) for r in without])
+    none = np.empty((len(true), 0))
+    found = visibility_by_other_clocks(true, without, none, 3e-4, seen)
+    assert found.raw > 3.0
+    assert found.left == pytest.approx(2 * (4 / 3) ** 2, rel=0.02)
+    assert visibility(true - seen(without), none).left == pytest.approx(found.raw**2 * found.rows)
 
 
 # ---- bank, seals, score --------------------------------------------------------------------------

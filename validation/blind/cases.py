@@ -27,13 +27,22 @@ from typing import Any
 
 import numpy as np
 
+from ffcomp.record.result import DELAY_SD_S
 from validation.blind.captures import joined_runs, planned_motions
 from validation.blind.kinds import KINDS, Kind
 from validation.blind.printer.motions import Motion
 from validation.blind.printer.real import Reading, Real, Tables
 from validation.blind.sensors import SENSORS, Sensors, commands_of, csv_of, draw_sensors
 from validation.blind.tables import toml_of
-from validation.blind.visible import PROBE, Visibility, retuning, samples, visibility, whitened
+from validation.blind.visible import (
+    PROBE,
+    Visibility,
+    retuning,
+    samples,
+    visibility,
+    visibility_by_other_clocks,
+    whitened,
+)
 
 HIDES = ("nothing", "single", "pair", "outside")
 CONDITIONS = ("usual", "rough-file", "joined", "exact-file", "weak", "sensors", "few", "free-damping", "rest")
@@ -379,7 +388,11 @@ def _seen(plan: Plan, readings: Sequence[Reading]) -> dict[str, Visibility]:
     taken = zip(samples(plan.sensors, readings), samples(plan.sensors, players[0]()), strict=True)
     counts = [min(pair) for pair in taken]
     n = retuning(players[0], players[1:], plan.sensors, plan.repeats, counts, plan.spreads)
+    told = partial(whitened, plan.sensors, repeats=plan.repeats, counts=counts)
     own = readings if plan.kind.replayed is None else [plan.kind.replayed(None, reading) for reading in readings]
-    true = whitened(plan.sensors, own, plan.repeats, counts)
+    true = told(own)
     others = {name: plan.judged(real, readings) for name, real in plan.without.items()}
-    return {name: visibility(true - whitened(plan.sensors, o, plan.repeats, counts), n) for name, o in others.items()}
+    if plan.label.condition == "joined":
+        sd_s = DELAY_SD_S["firmware"]
+        return {name: visibility_by_other_clocks(true, o, n, sd_s, told) for name, o in others.items()}
+    return {name: visibility(true - told(o), n) for name, o in others.items()}

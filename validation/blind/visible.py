@@ -2,17 +2,18 @@
 
 Everything in standard deviations of the noise, 1 to 200 Hz. `raw` is the rms of the difference over all rows. `left`
 is what no retuning explains, dᵀ P d with P = I - N (NᵀN + I)⁻¹ Nᵀ, the columns of N the answers to one standard
-deviation of each number of the machine file: twice the log-likelihood that the right name is worth.
+deviation of each number of the machine file, and of each motion's delay where its clock is in doubt: twice the
+log-likelihood that the right name is worth.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from validation.blind.printer.real import FloatArray, Reading
+from validation.blind.printer.real import FloatArray, Reading, read_at
 from validation.blind.sensors import Sensors
 
 BAND_HZ = (1.0, 200.0)
@@ -76,7 +77,34 @@ def retuning(
 
 def visibility(difference: FloatArray, n: FloatArray) -> Visibility:
     """Of a whitened difference : (rows,), given the answers to retuning : (rows, numbers)."""
-    slope = n.T @ difference
-    explained = slope @ np.linalg.solve(n.T @ n + np.eye(n.shape[1]), slope)
+    explained = difference @ n @ refitted(difference, n)
     rows = len(difference)
     return Visibility(float(np.sqrt(difference @ difference / rows)), float(difference @ difference - explained), rows)
+
+
+def refitted(difference: FloatArray, n: FloatArray) -> FloatArray:
+    """(numbers,): the numbers of the file that explain a difference best, in standard deviations."""
+    return np.asarray(np.linalg.solve(n.T @ n + np.eye(n.shape[1]), n.T @ difference))
+
+
+def visibility_by_other_clocks(
+    true: FloatArray,
+    without: Sequence[Reading],
+    n: FloatArray,
+    sd_s: float,
+    told: Callable[[Sequence[Reading]], FloatArray],
+) -> Visibility:
+    """Of what differs from `without`, where each motion's accelerometers may be late by a standard deviation of `sd_s`.
+
+    Gauss-Newton in the delays, for a delay of 0.5 ms is no small one to what moves at 100 Hz. `told` : whitens.
+    """
+    plain, late = told(without), np.zeros(len(without))
+    for _ in range(4):
+        moved = [read_at(r, r.t - sd_s * z) for r, z in zip(without, late, strict=True)]
+        base, columns = told(moved), []
+        for i, r in enumerate(moved):
+            probed = [*moved[:i], read_at(r, r.t - PROBE * sd_s), *moved[i + 1 :]]
+            columns.append((told(probed) - base) / PROBE)
+        all_n, difference = np.column_stack([n, *columns]), true - base + np.column_stack(columns) @ late
+        late = refitted(difference, all_n)[n.shape[1] :]
+    return replace(visibility(difference, all_n), raw=visibility(true - plain, n).raw)
