@@ -186,7 +186,7 @@ def _executed(
 def _whole(own: Case, methods: Sequence[TunedMethod]) -> list[dict[str, Any]]:
     """Judge the whole print."""
     all_of_it = [own.printed.whole()]
-    ours = every.inversion(own.machine, settings_for(own.machine), every.COMPENSATED, slows_down=True)
+    ours = every.inversion(own.machine, settings_for(own.machine), every.COMPENSATED)
     return [_own_row(method, all_of_it, own.machine) for method in (*methods, ours)]
 
 
@@ -195,8 +195,8 @@ def _off(own: Case, methods: Sequence[TunedMethod], sd: float) -> dict[str, Any]
     plants = draw_plants(own.machine, sd, SEEDS)
     settings = settings_for(own.machine)
     told = replace(own.machine, uncertainty=dict.fromkeys(own.machine.uncertainty, sd) | {"default": sd})
-    ours = every.inversion(own.machine, settings, every.COMPENSATED, slows_down=True)
-    robust = every.inversion(told, settings, every.ROBUST, slows_down=True)
+    ours = every.inversion(own.machine, settings, every.COMPENSATED)
+    robust = every.inversion(told, settings, every.ROBUST)
     rows: list[dict[str, Any]] = []
     for method in (*methods, ours, robust):
         executions, _ = _executed(method, own.off, plants)
@@ -213,7 +213,8 @@ def _off(own: Case, methods: Sequence[TunedMethod], sd: float) -> dict[str, Any]
 
 def _quality(own: Case, methods: Sequence[TunedMethod], p99_um: Mapping[str, float]) -> list[dict[str, Any]]:
     """Return the highest acceleration of each method for the same quality."""
-    tried = [*methods, every.inversion(own.machine, settings_for(own.machine), every.COMPENSATED)]
+    keep_time = replace(settings_for(own.machine), time_scaling=False)
+    tried = [*methods, every.inversion(own.machine, keep_time, every.COMPENSATED)]
     found = equal_qualities(tried, own.printed, own.machine, own.few, BOUND_UM, p99_um, lambda what, done: None)
     return [
         {

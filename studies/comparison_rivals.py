@@ -99,7 +99,7 @@ def inversions(machine: Machine) -> list[TunedMethod]:
     """Return ffcomp's ways."""
     settings = settings_for(machine)
     names = (every.ONE_MODEL, every.ROBUST, every.COMPENSATED)
-    return [every.inversion(machine, settings, name, slows_down=True) for name in names]
+    return [every.inversion(machine, settings, name) for name in names]
 
 
 def z_rings(machine: Machine) -> bool:

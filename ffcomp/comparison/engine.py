@@ -111,7 +111,9 @@ def compare(
         evaluated = with_spread(evaluated, tuned, best, plant_slices, tuning_slices, plants, jobs, progress)
     if request.quality_bound_um:
         p99 = {name: method.track.contour_p99_um for name, method in evaluated.items()}
-        quality = equal_qualities(tuned, printed, plant, tuning_slices, request.quality_bound_um, p99, progress)
+        keep_time = replace(settings, time_scaling=False)  # as sought: the acceleration alone makes the time
+        alike = [every.inversion(machine, keep_time, m.name) if m.family == "inversion" else m for m in tuned]
+        quality = equal_qualities(alike, printed, plant, tuning_slices, request.quality_bound_um, p99, progress)
         evaluated = {name: replace(method, equal_quality=quality[name]) for name, method in evaluated.items()}
     return Comparison(
         print_name=printed.path,

@@ -232,11 +232,8 @@ def scheduled(linear: LinearPrinter, of_position: FrequencyOfPosition, kind: str
     return TunedMethod(kind + SCHEDULED, f"{kind.upper()}, scheduled", "scheduled", tuning, motion)
 
 
-def inversion(machine: Machine, settings: Settings, name: str, *, slows_down: bool = False) -> TunedMethod:
-    """Return inversion with the model of the bed's middle, of each position, or of each with its uncertainty.
-
-    slows_down : where a limit asks for it, as `compensate` does; else the plan keeps its time, as with every method
-    """
+def inversion(machine: Machine, settings: Settings, name: str) -> TunedMethod:
+    """Return inversion with the model of the bed's middle, of each position, or of each with its uncertainty."""
     one_model, robust = name == ONE_MODEL, name == ROBUST
     label = {ONE_MODEL: "ffcomp, one model", ROBUST: "ffcomp, robust"}.get(name, "ffcomp")
     model = "at 0, 0 for the whole bed" if one_model else "at each position"
@@ -246,9 +243,7 @@ def inversion(machine: Machine, settings: Settings, name: str, *, slows_down: bo
         f"The machine file's model {model}; {1 / settings.segment_s:.0f} segments/s at most, bandwidth "
         f"{settings.bandwidth_hz:.0f} Hz; the compensated G-code, read again and planned as the firmware plans it."
     )
-    inverse_model = InverseModel(
-        machine, replace(settings, one_model=one_model, robust=robust, time_scaling=slows_down)
-    )
+    inverse_model = InverseModel(machine, replace(settings, one_model=one_model, robust=robust))
 
     def motion(s: PrintSlice) -> tuple[Motion, Statistics | None]:
         file = compensated(s.planned, s.machine, inverse_model, s.flavor, s.offset)

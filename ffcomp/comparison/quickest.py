@@ -91,7 +91,8 @@ def quickest(
     plants = draw_plants(plant, request.mismatch, request.seeds)
     job = _Job(machine, plant, settings, bound, WholePrint(printed, bound), bounded_slices, plants)
     linear = LinearPrinter(plant, _some(slices))
-    feeds_kept = replace(every.inversion(machine, settings, COMPENSATED), label="ffcomp, feeds kept")
+    keep_time = replace(settings, time_scaling=False)
+    feeds_kept = replace(every.inversion(machine, keep_time, COMPENSATED), label="ffcomp, feeds kept")
     tasks = [
         partial(_set, job, every.none, FEEDS),
         *(partial(_set, job, partial(every.best_fixed, linear, kind), FEEDS) for kind in request.shapers),

@@ -74,6 +74,14 @@ def test_off_nominal_printers_judge_too_and_the_retuned_shaper_is_no_worse() -> 
     assert "3 plants" in found().mismatch and "10%" in found().mismatch
 
 
+def test_what_compensate_would_slow_down_is_slowed_here_too_and_its_time_counts() -> None:
+    limits = replace(MACHINE.limits, carriage_velocity_mm_per_s=60.0)
+    methods = compare(Print(squares(), "", replace(MACHINE, limits=limits)), request=FIRST_LAYER).methods
+    assert not methods["mzv"].peaks.within_limits
+    assert methods[COMPENSATED].peaks.within_limits
+    assert methods[COMPENSATED].track.print_time_s > 1.03 * methods["mzv"].track.print_time_s
+
+
 def test_equal_quality_holds_its_bound_and_orders_the_methods() -> None:
     quality = {name: method.equal_quality for name, method in found().methods.items()}
     for each in quality.values():
