@@ -119,26 +119,32 @@ def test_intervals_hold_the_truth() -> None:
 
 
 def test_how_much_belts_damp_is_not_determined() -> None:
-    """The number is that of a fit of gain, delay, frequency, damping and share at once, by differences."""
-    for damping, word in ((0.03, "is not determined by these responses"), (0.1, "is not fitted")):
-        noise = 0.01
-        (told,) = fit_axis("x", [Response(response(ONE * [1, 0, 1] + [0, damping, 0], noise=noise, seed=3))]).advice
+    """The number is that of a fit of gain, delay, frequencies, dampings and shares at once, by differences."""
+    noise = 0.01
+    slightly, well = (ONE * [1, 0, 1] + [0, damping, 0] for damping in (0.03, 0.1))
+    for modes, word in ((slightly, "is not determined by these responses"), (well, "is not fitted"), (TWO, "±")):
+        (told,) = fit_axis("x", [Response(response(modes, noise=noise, seed=3))]).advice
         assert word in told and "belt_damping_share" in told
-        if word == "is not fitted":
-            known = float(re.search(r"±([\d.]+)", told)[1])  # type: ignore[index]
-            assert known == pytest.approx(1.645 * share_error(43.0, damping, noise), rel=0.2)
+        if known := re.search(r"±([\d.]+)", told):
+            assert float(known[1]) == pytest.approx(1.645 * share_error(modes, noise), rel=0.2)
 
 
-def share_error(frequency: float, damping: float, noise: float) -> float:
+def share_error(modes: FloatArray, noise: float) -> float:
+    """Belts drive every mode as their springs do, by 1 + s c/k."""
+    n = len(modes)
+
     def seen(theta: FloatArray) -> FloatArray:
-        x = F / theta[0]
-        h = (1 + 2j * theta[1] * theta[2] * x) / (1 - x**2 + 2j * theta[1] * x)
-        value = theta[3] * np.exp(-2j * np.pi * F * theta[4]) * h * (2 * np.pi * F) ** 2
+        (gain, delay, belts), f0, zeta, share = theta[:3], *theta[3 : 3 + 2 * n].reshape(2, n), theta[3 + 2 * n :]
+        damped = 2j * zeta * F[:, None] / f0
+        each = np.append(share, 1 - share.sum()) / (1 - (F[:, None] / f0) ** 2 + damped)
+        h = each.sum(axis=1) * (1 + belts * damped[:, 0])
+        value = gain * np.exp(-2j * np.pi * F * delay) * h * (2 * np.pi * F) ** 2
         return np.concatenate([value.real, value.imag])
 
-    at, steps = np.array([frequency, damping, 0.5, 1.0, 0.0]), np.diag([1e-3, 1e-5, 1e-3, 1e-4, 1e-7])
+    at = np.concatenate([[1.0, 0.0, 0.5], modes[:, 0], modes[:, 1], modes[:-1, 2]])
+    steps = np.diag(np.concatenate([[1e-4, 1e-7, 1e-3], n * [1e-3], n * [1e-5], (n - 1) * [1e-4]]))
     slopes = np.column_stack([(seen(at + d) - seen(at - d)) / (2 * d.max()) for d in steps])
-    largest = np.abs(closed_form(np.array([[frequency, damping, 1.0]]), F) * (2 * np.pi * F) ** 2).max()
+    largest = np.abs(closed_form(modes, F) * (2 * np.pi * F) ** 2).max()
     return float(noise * largest / np.sqrt(2) * np.sqrt(np.linalg.inv(slopes.T @ slopes)[2, 2]))
 
 
