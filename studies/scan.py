@@ -294,9 +294,9 @@ def main() -> None:
     asked = parser.parse_args()
     done = _done() if asked.write else set()
     kinds: list[tuple[str, int, int, Callable[[int], Printer]]] = [
-        ("CoreXY", asked.corexy, 2200, lambda seed: sampled_straight(seed, True)),
-        ("bed slinger", asked.slingers, 2250, lambda seed: sampled_straight(seed, False)),
-        ("delta", asked.deltas, 2600, sampled_delta),
+        ("CoreXY", asked.corexy, 2300, lambda seed: sampled_straight(seed, True)),
+        ("bed slinger", asked.slingers, 2350, lambda seed: sampled_straight(seed, False)),
+        ("delta", asked.deltas, 2700, sampled_delta),
     ]
     rows: list[dict[str, Any]] = []
     for kind, count, first, sampled in kinds:

@@ -3,12 +3,14 @@
     minimise  Σ ((y − ŷ(θ, β) − B c) / σ)²  +  |z|²
 
 y is a stroke's distance from the slow line beside it, ŷ that of the simulated nozzle, of which the bead follows late
-(drag, between a first-order lag over the way and a point pulled on a string), rounded (over a width). B c takes out
+(drag, between a first-order lag over the way and a point pulled on a string), rounded (over a width); as wide as it
+is, it is seen between its edges, which lie aside of its path where that bends and is steep. B c takes out
 what each line's place on the page leaves open: an offset, a slope, a bow, and a small shift along it. z are θ and β in
 standard deviations of their priors; θ are logarithms. β has the dry friction of each guide too, which makes small waves
 die sooner and, where contacts bend, ring quicker: without it, dampings came out 8 to 30 % high on drawn deltas. Its law
 near a reversal is one of two; the likelier counts, and the other widens the intervals as far as it is likely too. σ is
-what is left of a line, times its correlation (effective sample size); covariances are at least as wide as lines differ.
+what is left of a line, or around a place of it, times its correlation (effective sample size), and more where a bead
+may fold; covariances are at least as wide as lines differ.
 The steps are those of `ffcomp/numerics/least_squares.py`.
 """
 
@@ -20,7 +22,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.ndimage import gaussian_filter1d
+from scipy.ndimage import gaussian_filter1d, maximum_filter1d
 from scipy.signal import lfilter
 
 from ffcomp.errors import MeasurementError
@@ -46,15 +48,18 @@ FRICTION_SD, LEAST_FRICTION = 1.0, 1e-3  # in units of it: without any, bristles
 LAWS = {"presliding_mm": (0.003, 1.0), "creep_mm_per_s": (0.5, 1.0)}  # near a reversal: contacts bend, or creep
 # middle, sd (of the logarithm); taut: 0, the bead follows in proportion to how far it is behind, 1: as on a string
 BEAD = {"drag_mm": (0.15, 0.7), "rounding_mm": (0.12, 0.5), "shift_mm": (0.0, 0.015), "taut": (0.5, 0.7)}
+BEAD |= {"radius_mm": (0.24, 0.2)}
 LINE_SHIFT_MM = 0.04  # sd of a line's own place along it
-FINE_MM = 0.05
+FINE_MM = 0.025
 EARLIEST_MM, BEFORE_MM = 0.1, 1.5  # of a line; of the way before it: where the bead begins to be simulated
 LEAST_EXPLAINED, LEAST_GAIN = 0.2, 60.0  # of the waves' power; of χ² by the waves, correlated roughness allowed for
 FLAT, SHAPED = 0.15, 0.35  # of the expected waves: less, at once or where hardly any are explained: shaped away
 WORST_HELD = 0.5  # posterior over prior: a number that the picture leaves so wide stays as it was
-REWEIGHTED = 2
+REWEIGHTED, LOCAL_MM = 2, 0.5  # passes; of a line, around a place
+STEEP, STEEP_MM, STEEP_TIMES = 0.5, 1.0, 5.0  # of a slope where a bead may fold; around it; of σ there
 TOWERS = 0.007  # of the logarithm of a frequency at one place: towers that differ by 2 %, and are fitted as one
 FLOOR, DAMPING_FLOOR = 0.004, 0.1  # of the logarithms: towers that differ
+MASS_FLOOR = 0.12  # of a carriage's: it shows along z, which lines hardly do, and is up to a fifth off
 FRICTION_LAW = 0.25  # of friction's part in what looks like damping: no law of it is better known
 
 
@@ -102,7 +107,8 @@ class _Page:
         names = [line.stroke.name for line in lines]
         self.copies = np.sqrt([names.count(name) for name in names])  # pictures of a stroke share its roughness
         # roughness is correlated over some half millimetre
-        self.sigma = self.copies * [max(line.noise_mm, 2e-3) * np.sqrt(0.5 / STEP_MM) for line in lines]
+        rough = self.copies * [max(line.noise_mm, 2e-3) * np.sqrt(0.5 / STEP_MM) for line in lines]
+        self.sigma = [each * _steep(line.across_mm) for line, each in zip(lines, rough, strict=True)]  # (n,) mm each
         strokes = {line.stroke.name: line.stroke for line in lines}
         self.which = [list(strokes).index(line.stroke.name) for line in lines]
         self.commands = []
@@ -173,9 +179,10 @@ class _Page:
         u = np.linspace(-1, 1, n)
         slope = np.gradient(drawn, STEP_MM)
         basis = np.column_stack([np.ones(n), u, u**2 - 1 / 3, u**3 - 0.6 * u, LINE_SHIFT_MM * slope])
-        ridge = np.diag([0.0, 0.0, 0.0, 0.0, self.sigma[k] ** 2])
+        ridge = np.diag([0.0, 0.0, 0.0, 0.0, 1.0])
         gap = seen - drawn
-        free = basis @ np.linalg.solve(basis.T @ basis + ridge + 1e-15 * np.eye(5), basis.T @ gap)
+        weighted = basis / self.sigma[k][:, None] ** 2
+        free = basis @ np.linalg.solve(weighted.T @ basis + ridge + 1e-9 * np.eye(5), weighted.T @ gap)
         return gap - free, free
 
 
@@ -210,9 +217,20 @@ def _laid(line: ReadLine, path: FloatArray, bead: Mapping[str, float]) -> FloatA
     decay = np.exp(-FINE_MM / bead["drag_mm"])
     lagged = lfilter([1 - decay], [1, -decay], nozzle, axis=0, zi=decay * nozzle[:1])[0]
     laid = lagged + bead["taut"] * (_pulled(nozzle, bead["drag_mm"]) - lagged)
-    s, y = gaussian_filter1d(laid, bead["rounding_mm"] / FINE_MM, axis=0, mode="nearest").T
-    s = np.maximum.accumulate(s)
-    return np.asarray(np.interp(line.s_mm + bead["shift_mm"], s, y))
+    bent = gaussian_filter1d(laid, bead["rounding_mm"] / FINE_MM, axis=0, mode="nearest")
+    return _swept(bent, bead["radius_mm"], line.s_mm[0] + bead["shift_mm"], len(line.s_mm), STEP_MM)
+
+
+@kernel
+def _swept(path: FloatArray, radius: float, first: float, count: int, step: float) -> FloatArray:
+    """Sweep a disc along a path (n, 2), and return the middle between both edges (count,) every step."""
+    upper, lower = np.full(count, -1e9), np.full(count, 1e9)
+    for s, y in path:
+        begin = max(0, math.ceil((s - radius - first) / step))
+        for k in range(begin, min(count, math.floor((s + radius - first) / step) + 1)):
+            high = math.sqrt(max(radius**2 - (first + k * step - s) ** 2, 0.0))
+            upper[k], lower[k] = max(upper[k], y + high), min(lower[k], y - high)
+    return 0.5 * (upper + lower)
 
 
 @kernel
@@ -245,9 +263,9 @@ def fit_page(machine: Machine, lines: Sequence[ReadLine], progress: Callable[[st
     fitted = minimise_batched(bends.problem, start, iterations=12)
     for _ in range(REWEIGHTED):
         (drawn,) = bends.drawn([fitted.z])
-        before = bends.sigma.copy()
+        before = list(bends.sigma)
         _reweight(bends, drawn)
-        again = np.repeat(before / bends.sigma, [len(line.s_mm) for line in lines])
+        again = np.concatenate([old / new for old, new in zip(before, bends.sigma, strict=True)])
         fitted = minimise_batched(bends.problem, fitted.z, again[:, None] * fitted.jacobian, iterations=12)
     creeps.sigma = bends.sigma
     other = minimise_batched(creeps.problem, fitted.z, fitted.jacobian, iterations=12)
@@ -263,10 +281,10 @@ def _start(page: _Page) -> FloatArray:
     alike = np.zeros((len(groups), len(FACTORS)))
     for j, drawn in enumerate(page.drawn(trials)):
         for k, (line, y) in enumerate(page.along(drawn)):
-            seen, model = (_without_bow(each) for each in (line.across_mm, y))
+            seen, model = (_without_bow(each) / page.sigma[k] for each in (line.across_mm, y))
             gain = max(float(seen @ model), 0.0) / max(float(model @ model), 1e-18)
             along_y = len(groups) > 1 and abs(line.line.across[0]) <= abs(line.line.across[1])
-            alike[int(along_y), j] += min(gain, 2.0) * float(seen @ model) / page.sigma[k] ** 2
+            alike[int(along_y), j] += min(gain, 2.0) * float(seen @ model)
     best = {name: float(FACTORS[int(np.argmax(row))]) for name, row in zip(groups, alike, strict=True)}
     return _scaled(page, best)
 
@@ -289,8 +307,14 @@ def _without_bow(y: FloatArray) -> FloatArray:
     return np.asarray(y - np.polyval(np.polyfit(u, y, 3), u))
 
 
+def _steep(y: FloatArray) -> FloatArray:
+    """Return the factor (n,) of sigma: more than 1 where a bead is so steep, or near it, that it may fold."""
+    slope = np.abs(gaussian_filter1d(y, 2, order=1)) / STEP_MM
+    return np.where(maximum_filter1d(slope, 2 * round(STEEP_MM / STEP_MM) + 1) > STEEP, STEEP_TIMES, 1.0)
+
+
 def _reweight(page: _Page, drawn: Sequence[FloatArray]) -> None:
-    """Set each line's weight by what is left of it, correlated as that is."""
+    """Set each place's weight by what is left of its line and around it, correlated as that is."""
     for k, (line, y) in enumerate(page.along(drawn)):
         left, _ = page.apart(k, line.across_mm, y)
         spectrum = np.abs(np.fft.rfft(left, 2 * len(left))) ** 2
@@ -298,7 +322,10 @@ def _reweight(page: _Page, drawn: Sequence[FloatArray]) -> None:
         correlation /= max(float(correlation[0]), 1e-18)
         crossing = int(np.argmax(correlation < 0.1)) or len(correlation)
         times = 1.0 + 2.0 * float(correlation[1:crossing].sum())
-        page.sigma[k] = page.copies[k] * max(float(np.sqrt(np.mean(left**2))), 1e-3) * np.sqrt(times)
+        here = np.sqrt(gaussian_filter1d(left**2, LOCAL_MM / STEP_MM))
+        steep = np.maximum(_steep(line.across_mm), _steep(y))
+        everywhere = max(float(np.sqrt(np.mean(left[steep == 1.0] ** 2))), 1e-3)
+        page.sigma[k] = page.copies[k] * steep * np.maximum(here, everywhere) * np.sqrt(times)
 
 
 def _result(page: _Page, fitted: Iterate, other: Iterate) -> PageFit:
@@ -309,9 +336,8 @@ def _result(page: _Page, fitted: Iterate, other: Iterate) -> PageFit:
         bow = y - _without_bow(y)
         seen.append(line.across_mm - free - bow)
         model.append(y - bow)
-    weights = [1 / sigma**2 for sigma in page.sigma]
-    left = sum(w * float(np.sum((a - b) ** 2)) for w, a, b in zip(weights, seen, model, strict=True))
-    power = sum(w * float(np.sum(a**2)) for w, a in zip(weights, seen, strict=True))
+    left = sum(float(np.sum(((a - b) / s) ** 2)) for s, a, b in zip(page.sigma, seen, model, strict=True))
+    power = sum(float(np.sum((a / s) ** 2)) for s, a in zip(page.sigma, seen, strict=True))
     explained = 1.0 - left / power
     _check(page, seen, explained, power - left)
     covariance = _covariance(page, fitted)
@@ -390,7 +416,8 @@ def _covariance(page: _Page, fitted: Iterate) -> FloatArray:
     covariance = np.asarray(bread * np.outer(wider, wider))
     size = np.sum(fitted.jacobian**2, axis=0)
     for i, each in enumerate(page.unknowns[: page.of_machine]):
-        covariance[i, i] += ((DAMPING_FLOOR if "damping" in each.name else FLOOR) / each.sd) ** 2
+        floor = DAMPING_FLOOR if "damping" in each.name else MASS_FLOOR if each.name == "carriage.mass_kg" else FLOOR
+        covariance[i, i] += (floor / each.sd) ** 2
         if "damping" in each.name:  # of friction, what looks like this damping
             alike = [
                 fitted.z[j] * float(fitted.jacobian[:, i] @ fitted.jacobian[:, j]) / max(float(size[i]), 1e-12)

@@ -17,6 +17,7 @@ from PIL import Image, ImageFilter
 
 from ffcomp.errors import MeasurementError, RequestError
 from ffcomp.identification.machine_fit import ScanFit
+from ffcomp.identification.page_fit import _steep, _swept
 from ffcomp.identification.page_lines import read_lines
 from ffcomp.identification.page_picture import find_page, read_picture
 from ffcomp.identification.request import ScanRequest
@@ -100,6 +101,21 @@ def test_a_picture_tells_frequencies_and_damping(machine: Machine, folder: Path)
     rubbing = written.effects["coulomb_friction"]  # per kilogram, for nobody knows the masses
     assert rubbing["force_n"][1] == pytest.approx(0.4 / 0.55, rel=0.25) and rubbing["force_n"][0] < 0.15
     assert 0.001 < rubbing["presliding_mm"] < 0.02
+
+
+def test_a_wide_line_is_seen_between_its_edges() -> None:
+    s, steepness, radius = np.arange(-2.0, 2.0, 0.01), 0.75, 0.24
+    straight = _swept(np.column_stack([s, steepness * s]), radius, -1.0, 21, 0.1)
+    assert straight == pytest.approx(steepness * np.arange(-1.0, 1.05, 0.1), abs=1e-4)
+    bent = _swept(np.column_stack([s, steepness * np.abs(s)]), radius, -1.0, 21, 0.1)
+    assert bent[10] == pytest.approx(radius * (np.hypot(1.0, steepness) - 1.0) / 2, abs=1e-4)  # above the path's corner
+    assert bent[[0, -1]] == pytest.approx(steepness, abs=1e-4)
+
+
+def test_places_around_steep_waves_count_little() -> None:
+    s = np.arange(-5.0, 5.05, 0.1)
+    steep = _steep(0.3 * np.exp(-2.0 * s**2) * np.sin(4.0 * s))  # in the middle, with a slope of 1.2
+    assert np.all(steep[np.abs(s) < 1.0] > 1.0) and np.all(steep[np.abs(s) > 2.0] == 1.0)
 
 
 Spoil = Callable[[NDArray[np.uint8]], NDArray[np.uint8]]
