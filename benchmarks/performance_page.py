@@ -148,7 +148,7 @@ def whole_prints(found: Numbers) -> Iterator[str]:
     yield f"""From file to file: read, planned, inverted, written; without the prediction, as with `--no-predict`. The
 first time, the tables over the bed and the gains of the places that the print comes by are worked out; they are kept in
 the user's cache (`ffcomp/inverse/disk_cache.py`), and the second column of print-seconds is of a job that finds
-them there. Memory is
+them there (of a print that takes more than a minute of CPU it repeats the first). Memory is
 the peak of a process that did nothing else; the aim is {AIM_MEMORY_MB:g} MB, and {AIM_SPEED:g} print-seconds a second.
 The files of others are what `validation/all_files.py` reads; they are not part of this repository.
 

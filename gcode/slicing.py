@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from bisect import bisect_left
+from collections.abc import Iterator
 from dataclasses import fields, replace
 from operator import attrgetter
 
@@ -52,6 +53,22 @@ def excerpt(program: Program, first: int, last: int | None = None) -> Program:
         first_line=program.first_line + begin,
         limits=limits_in_effect(program, program.limits, a),
     )
+
+
+def portions(program: Program, longest_s: float) -> Iterator[Program]:
+    """Split a program between lines into ones that follow each other, of so much motion or of one line."""
+    moves = program.moves
+    until_s = np.cumsum(np.linalg.norm((moves.end - moves.start)[:, :3], axis=1) / moves.speed)
+    lines = np.flatnonzero(np.diff(moves.line, append=-1))  # the last move of each
+    first, warnings = 0, program.warnings
+    while first < len(moves):
+        begun_s = float(until_s[first - 1]) if first else 0.0
+        at = max(int(np.searchsorted(until_s[lines], begun_s + longest_s)), int(np.searchsorted(lines, first)) + 1)
+        last = int(lines[at - 1]) + 1
+        yield replace(excerpt(program, first, last), warnings=warnings)
+        first, warnings = last, []
+    if not len(moves):
+        yield program
 
 
 def _frame_before(program: Program, move: int, event: int) -> int:

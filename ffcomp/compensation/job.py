@@ -37,7 +37,7 @@ from ffcomp.inverse.robust import BOUNDED, PLAIN, RobustChoice, choose_robust
 from ffcomp.inverse.settings import Settings, settings_for
 from ffcomp.inverse.time_scaling import TimeScaling, scale_around_cut
 from ffcomp.planner.limits import lines_of, planner_limits
-from ffcomp.planner.program import firmware_plan, known_to_the_firmware, section_planner, settings_sentence
+from ffcomp.planner.program import firmware_plan, read_as_planned, section_planner, settings_sentence
 from ffcomp.planner.reach import OutOfReach, Reach
 from ffcomp.planner.trajectory import PathPosition
 from ffcomp.steps.motion import MotionSink
@@ -50,7 +50,6 @@ from gcode.embedded import WITHOUT_ORIGINAL, Stamp, find_offset, joined, offset_
 from gcode.layers import LayerLookup
 from gcode.metadata import Timed, filament_change_s
 from gcode.program import Moves, Program
-from gcode.reader import read_parts
 from models.effects.catalogue import design_machine
 from models.machine import Machine
 
@@ -419,13 +418,9 @@ class Job:
         blocks = blocks_of(self.source)
         if self.restore:
             blocks = original_blocks(blocks)
-        return read_parts(
-            blocks,
-            self.path,
-            flavor=self.flavor,
-            offset_mm=offset,
-            filament_change_s=filament_change_s(*self._ends[:2]),
-            **known_to_the_firmware(self.machine),
+        change_s = filament_change_s(*self._ends[:2])
+        return read_as_planned(
+            blocks, self.path, self.machine, self.flavor, offset_mm=offset, filament_change_s=change_s
         )
 
     def _chunks(self, parts: Iterable[Program], plain: bool) -> Iterator[Chunk]:

@@ -10,12 +10,11 @@ from typing import Any
 from ffcomp.errors import NothingToDo
 from ffcomp.estimation.statistics import BEFORE, FILAMENT, KINDS, Layer, Statistics, planned_slices
 from ffcomp.numerics.serialise import to_json
-from ffcomp.planner.program import firmware_plan, known_to_the_firmware, planner_of, raw_durations, settings_sentence
+from ffcomp.planner.program import firmware_plan, planner_of, raw_durations, read_as_planned, settings_sentence
 from ffcomp.planner.reach import Reach
 from gcode.container import Source, blocks_of, ends_of
 from gcode.dialects import choose_flavor, sign_by_ends
 from gcode.embedded import Stamp, find_offset, find_stamp, holds_original, original_blocks
-from gcode.reader import read_parts
 from models.arrays import FloatArray
 from models.machine import Machine, identity
 
@@ -89,7 +88,7 @@ def estimate(
 def _statistics(
     blocks: Iterable[bytes], path: str, machine: Machine, flavor: str, offset: tuple[float, float]
 ) -> Statistics:
-    parts = read_parts(blocks, path, flavor=flavor, offset_mm=offset, **known_to_the_firmware(machine))
+    parts = read_as_planned(blocks, path, machine, flavor, offset_mm=offset)
     statistics = Statistics()
     if assumed := settings_sentence(flavor, machine):
         statistics.warnings.append(assumed)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
-from math import hypot, nan
+from math import hypot, inf, nan
 from typing import Any, Protocol
 
 import numpy as np
@@ -22,9 +22,14 @@ from ffcomp.planner.trajectory import PlannedMotion, Section, Trajectory, split_
 from gcode.dialects import KLIPPER, MARLIN, REPRAPFIRMWARE
 from gcode.errors import GcodeError
 from gcode.program import Event, EventKind, Moves, Program
+from gcode.reader import read_parts
+from gcode.slicing import portions
 from models.arrays import BoolArray, FloatArray
 from models.errors import UnreachableError
+from models.kinematics.delta import DeltaKinematics
 from models.machine import Machine
+
+PART_S = 300.0  # of motion in a part of a file, where Marlin cuts a delta's lines by time
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,6 +71,20 @@ def known_to_the_firmware(machine: Machine) -> dict[str, Any]:
     """Return what a G-code reader must know besides the file, as its keyword arguments."""
     known = {"returns": machine.returns, "still": machine.still, "homed_mm": machine.home_mm}
     return {**known, "cut": partial(cut_for_marlin, machine=machine)}
+
+
+def read_as_planned(
+    blocks: Iterable[bytes], path: str, machine: Machine, flavor: str, **settings: Any
+) -> Iterator[Program]:
+    """Read a file in parts (`gcode.reader.read_parts`), cut as the firmware cuts its moves.
+
+    Marlin cuts a delta's lines by time, a megabyte of slow text into millions of pieces: there a part has PART_S.
+    """
+    known = known_to_the_firmware(machine)
+    cut = known.pop("cut")
+    longest_s = PART_S if flavor == MARLIN and isinstance(machine.kinematics, DeltaKinematics) else inf
+    for program in read_parts(blocks, path, flavor=flavor, **known, **settings):
+        yield from map(cut, portions(program, longest_s))
 
 
 def plan_program(program: Program, machine: Machine, smooth: bool = False) -> PlannedProgram:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from functools import reduce
 from itertools import pairwise
 
 import numpy as np
@@ -9,7 +11,7 @@ import pytest
 
 from gcode.program import Program
 from gcode.reader import read_program
-from gcode.slicing import excerpt, join, shortened
+from gcode.slicing import excerpt, join, portions, shortened
 
 MANY_FRAMES = b"G90\nM82\nG1 X0 Y0 Z1 F1200\n" + b"".join(
     b"G1 X%d E%d F%d\n;between\nG92 E0\nG1 E-1 F600\n" % (k % 50, k % 7 + 1, 1000 + k) for k in range(100)
@@ -41,6 +43,21 @@ def test_a_part_says_what_the_whole_says_and_keeps_only_its_own_frames(every: in
         together = join(together, part)
     assert said(together) == said(whole)
     assert max(len(part.frames) for part in parts) <= 4 * (every + 2)
+
+
+@pytest.mark.parametrize("longest_s", [0.0, 2.5, 1e9])
+def test_portions_of_little_motion_together_are_the_whole_and_end_with_lines(longest_s: float) -> None:
+    whole = read_program(MANY_FRAMES + ARC)
+    parts = list(portions(replace(whole, warnings=["once"]), longest_s))
+    assert b"".join(line for part in parts for line in part.lines) == MANY_FRAMES + ARC
+    assert [sentence for part in parts for sentence in part.warnings] == ["once"]
+    assert said(reduce(join, parts)) == said(whole)
+    for part in parts:
+        moves = part.moves
+        seconds = np.linalg.norm((moves.end - moves.start)[:, :3], axis=1) @ (1.0 / moves.speed)
+        assert seconds <= longest_s or len(set(moves.line.tolist())) == 1
+    assert len(parts) == {0.0: len(set(whole.moves.line.tolist())), 1e9: 1}.get(longest_s, len(parts)) and parts
+    assert next(portions(read_program(b"; nothing\n"), 1.0)).lines == [b"; nothing\n"]
 
 
 def test_the_first_frame_is_the_one_in_force_before_a_part() -> None:

@@ -13,7 +13,7 @@ import pytest
 from ffcomp.planner.lookahead import stops_and_waits
 from ffcomp.planner.marlin import MarlinPlanner, planner_of, settings_sentence
 from ffcomp.planner.marlin_queue import Blocks, phases_of
-from ffcomp.planner.program import firmware_plan, known_to_the_firmware
+from ffcomp.planner.program import PART_S, firmware_plan, known_to_the_firmware, read_as_planned
 from ffcomp.planner.trajectory import Trajectory
 from gcode.program import Program
 from gcode.reader import read_program
@@ -51,6 +51,16 @@ def read(text: bytes, machine: Machine) -> Program:
 @cache
 def program_of(kind: str, name: str) -> Program:
     return read((FOLDER / "programs" / f"{name}.gcode").read_bytes(), machine_of(kind))
+
+
+def test_a_delta_that_creeps_is_read_in_parts_of_little_motion_for_marlin_alone() -> None:
+    """At 1 mm/s a line of text is 9,000 pieces: a megabyte would be hundreds of millions, planned at once."""
+    machine = load_machine("mp-delta-pro")
+    text = b"G28\nG1 X0 Y0 Z1 F6000\n" + b"G1 X45 F60\nG1 X0\n" * 20
+    parts = list(read_as_planned([text], "creeps", machine, "marlin"))
+    assert max(len(part.moves) for part in parts) <= PART_S * 200 < sum(len(part.moves) for part in parts) / 5
+    assert b"".join(line for part in parts for line in part.lines) == text
+    assert len(list(read_as_planned([text], "creeps", machine, "klipper"))) == 1
 
 
 def plan_of(program: Program, machine: Machine) -> Trajectory:
