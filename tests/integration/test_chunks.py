@@ -24,6 +24,7 @@ from ffcomp.inverse import lq_preview
 from ffcomp.inverse.reference import Extent
 from ffcomp.inverse.settings import settings_for
 from ffcomp.metrics import contour_error
+from ffcomp.planner import program as reading
 from ffcomp.planner.program import firmware_plan, known_to_the_firmware, plan_program
 from ffcomp.planner.trajectory import PathPosition
 from ffcomp.simulation.command import path_corners, path_corners_with_rests, section_starts
@@ -60,7 +61,7 @@ def small_parts(monkeypatch: pytest.MonkeyPatch) -> None:
     def parts(blocks: Iterator[bytes], path: str, **options: object) -> Iterator[Program]:
         return read_parts(blocks, path, part_bytes=SMALL, **options)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(jobs, "read_parts", parts)
+    monkeypatch.setattr(reading, "read_parts", parts)
 
 
 def cut(data: bytes, machine: Machine, part_bytes: int = SMALL, longest_s: float = np.inf) -> list[Chunk]:
@@ -118,7 +119,7 @@ def test_splitting_and_joining_gives_the_program_again(tower: bytes, machine: Ma
 def test_the_command_is_the_same_in_chunks(tower: bytes, machine: Machine, small_parts: None) -> None:
     several, cut_result = compensated(tower, machine, predict=False)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(jobs, "read_parts", read_parts)
+        patch.setattr(reading, "read_parts", read_parts)
         whole, result = compensated(tower, machine, predict=False)
     assert several.count(b"SET_VELOCITY_LIMIT") > whole.count(b"SET_VELOCITY_LIMIT")  # there were chunks
     assert original(several) == original(whole) == tower
