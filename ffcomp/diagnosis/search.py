@@ -32,6 +32,7 @@ from ffcomp.diagnosis.hypotheses import (
     NESTED,
     Hypothesis,
     comparable,
+    competing_with,
     distinct,
     incomplete,
     leaves_excess,
@@ -90,8 +91,22 @@ def finish(search: Search, selection: Selection) -> Selection:
     for rival in smaller_rivals(best, selection.tried, search.candidates)[:1]:
         smaller = fit_exactly(search.estimation, rival, search.progress)
         best = best if significant(best.fit, smaller.fit) else smaller
+    best = _likelier_at_the_end(search, best, selection)
     best = swap_for_law_within(search, best)
     return replace(selection, best=free_shapes(search.estimation, best, search.progress))
+
+
+def _likelier_at_the_end(search: Search, best: Hypothesis, selection: Selection) -> Hypothesis:
+    """Fit a rival that was nearly as likely exactly as well: which of the two is likelier shows at the end.
+
+    What was likelier already was passed over for a reason.
+    """
+    near = likeliest(competing_with(selection.best, selection.tried))
+    behind = [h for h in near if h.plausible and h.fit.evidence > selection.best.fit.evidence]
+    for rival in [h for h in behind if len(h.effects) == len(best.effects) and not _is_richer(h, best)][:1]:
+        equal = fit_exactly(search.estimation, rival, search.progress)
+        best = equal if equal.plausible and equal.fit.evidence < best.fit.evidence else best
+    return best
 
 
 def on_all_data(search: Search, selection: Selection) -> Selection | None:

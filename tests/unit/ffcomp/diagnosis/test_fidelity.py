@@ -28,6 +28,7 @@ from ffcomp.diagnosis.noise import noise_floor, whitener
 from ffcomp.diagnosis.problem import Candidate, Parameter
 from ffcomp.diagnosis.problems import problem_of, recordings_of
 from ffcomp.diagnosis.score_test import screen
+from ffcomp.diagnosis.search import Selection, _likelier_at_the_end
 from models.file import load_plant
 from validation.blind.cases import case
 
@@ -222,3 +223,23 @@ def test_a_usual_shape_that_bends_the_numbers_beside_it_is_set_free() -> None:
     assert freed.fit.values[size.name] == pytest.approx(3.0, abs=0.1)
     assert freed.fit.values[share.name] == pytest.approx(2.0, abs=0.4)
     assert explained(0.0).effects == (sine,)  # nothing asks for it
+
+
+def test_of_two_that_explain_the_same_the_likelier_at_the_end_is_named() -> None:
+    """A gain 8 % too small is a sensor turned by 22 degrees as well; its fit was not yet at its end."""
+    rng = np.random.default_rng(6)
+    gain, turn = Parameter("effects.gain.change", 0.0, 0.1), Parameter("effects.turn.angle", 0.0, 5.0)
+    true = 20.0 * rng.standard_normal(LONG)
+    problem: Any = Linear(rng.standard_normal(LONG) - 0.08 * true, {gain.name: true, turn.name: -0.08 / 22 * true})
+
+    def hypothesis(n: Parameter, value: float) -> Hypothesis:
+        z = np.array([value / n.sd])
+        fitted = Fit((n,), z, problem.residual({n.name: value}), n.sd * problem.columns[n.name][:, None])
+        return Hypothesis((Candidate(n.name.split(".")[1], (n,), {}),), fitted)
+
+    turned, scaled = hypothesis(turn, 22.0), hypothesis(gain, -0.0787)
+    search: Any = SimpleNamespace(estimation=problem, progress=lambda _: None)
+    assert 0.0 < scaled.fit.evidence - turned.fit.evidence < 20.0
+    found = _likelier_at_the_end(search, turned, Selection(turned, (turned, scaled)))
+    assert found.names == ("gain",) and found.fit.values[gain.name] == pytest.approx(-0.08, abs=0.001)
+    assert _likelier_at_the_end(search, turned, Selection(turned, (turned,))) is turned
