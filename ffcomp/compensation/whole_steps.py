@@ -314,7 +314,13 @@ def _nearest(
     """
     least, best = np.inf, -1
     for wider in range(most_wider + 1):
-        width = 2 + 2 * wider
+        width, farthest = 2 + 2 * wider, 0.0
+        for i in range(3):
+            if free[i]:
+                ahead = np.floor(wanted[i]) - out[j - 1, i]
+                farthest = max(farthest, wider - ahead, ahead + wider + 1)
+        if wider > 0 and farthest < minimum:  # nor do so many more make the segment long enough
+            continue
         for number in range(width * width * width):
             rest, apart, usable, within = number, 0.0, True, True
             for i in range(3):
