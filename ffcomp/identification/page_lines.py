@@ -142,9 +142,15 @@ def _read(sight: Sight, stroke: Experiment, slow: Experiment) -> ReadLine | None
     smooth = savgol_filter(theirs, window, 2)
     shift = _row_shift(sight, line, twin)
     beside = np.interp(s + shift, s, smooth)
-    rough = theirs - savgol_filter(theirs, 4 * window + 1, 3)
-    noise = max(1.4826 * float(np.median(np.abs(rough - np.median(rough)))), 5e-4)
+    noise = max(_roughness(ours, np.interp(s + shift, s, theirs), 4 * window + 1), 5e-4)
     return ReadLine(stroke, line, s, ours - beside, noise, sight.picture.path)
+
+
+def _roughness(ours: FloatArray, theirs: FloatArray, window: int) -> float:
+    """Return the noise of a place, mm: of the slow line or, without a scanner's wobble, of both lines' calm ends."""
+    calm = (ours - theirs)[round(CALM_SHARE * len(ours)) :]
+    rough = [each - savgol_filter(each, window, 3) for each in (theirs, calm / np.sqrt(2))]
+    return min(1.4826 * float(np.median(np.abs(each - np.median(each)))) for each in rough)
 
 
 def _row_shift(sight: Sight, line: Line, twin: Line) -> float:

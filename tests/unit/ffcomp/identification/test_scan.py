@@ -18,7 +18,7 @@ from PIL import Image, ImageFilter
 from ffcomp.errors import MeasurementError, RequestError
 from ffcomp.identification.machine_fit import ScanFit
 from ffcomp.identification.page_fit import _steep, _swept
-from ffcomp.identification.page_lines import read_lines
+from ffcomp.identification.page_lines import _roughness, read_lines
 from ffcomp.identification.page_picture import find_page, read_picture
 from ffcomp.identification.request import ScanRequest
 from ffcomp.identification.scanning import fit_pictures
@@ -110,6 +110,15 @@ def test_a_wide_line_is_seen_between_its_edges() -> None:
     bent = _swept(np.column_stack([s, steepness * np.abs(s)]), radius, -1.0, 21, 0.1)
     assert bent[10] == pytest.approx(radius * (np.hypot(1.0, steepness) - 1.0) / 2, abs=1e-4)  # above the path's corner
     assert bent[[0, -1]] == pytest.approx(steepness, abs=1e-4)
+
+
+def test_a_scanners_wobble_is_no_roughness_of_lines_and_a_wave_is_none() -> None:
+    s, rng = np.arange(0.0, 23.0, 0.1), np.random.default_rng(1)
+    ours, theirs = (0.004 * rng.standard_normal(len(s)) for _ in range(2))
+    wave, wobble = 0.2 * np.exp(-s / 2.0) * np.sin(3.0 * s), 0.02 * np.sin(2.0 * s)
+    assert _roughness(ours + wave, theirs, 45) == pytest.approx(0.004, rel=0.15)
+    assert _roughness(ours + wave + wobble, theirs + wobble, 45) == pytest.approx(0.004, rel=0.15)
+    assert _roughness(ours + 0.1 * np.sin(3.0 * s), theirs, 45) == pytest.approx(0.004, rel=0.15)  # rings to the end
 
 
 def test_places_around_steep_waves_count_little() -> None:
