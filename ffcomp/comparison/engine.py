@@ -44,6 +44,7 @@ from ffcomp.metrics import Track
 from ffcomp.shapers.apply import FrequencyOfPosition
 from ffcomp.simulation.playback import ROW_S
 from ffcomp.version import __version__
+from gcode.dialects import MARLIN
 from models.effects.catalogue import design_machine
 from models.machine import Machine
 
@@ -124,7 +125,7 @@ def compare(
         machine=Party.of(machine),
         plant=Party.of(plant),
         mismatch=_mismatch(plant, request),
-        settings=_settings(settings),
+        settings=_settings(settings, printed.flavor),
         version=__version__,
         layers=_layers(printed, evaluated[written_method]),
         features=printed.labels.features,
@@ -288,8 +289,8 @@ def _mismatch(plant: Machine, request: Request) -> str:
     )
 
 
-def _settings(settings: Settings) -> dict[str, str]:
-    return {
+def _settings(settings: Settings, flavor: str) -> dict[str, str]:
+    used = {
         "segments per second, at most": f"{1 / settings.segment_s:.0f}",
         "bandwidth of the inversion": f"{settings.bandwidth_hz:.0f} Hz",
         "virtual printer": f"Runge-Kutta, {1 / ROW_S:.0f} steps a second or more, with gravity; static deflection "
@@ -297,6 +298,13 @@ def _settings(settings: Settings) -> dict[str, str]:
         "judged": f"{1 / SAMPLE_S:.0f} times a second, but for the first {SETTLE_S:g} s of each slice",
         "shapers tuned on": f"{TUNING_S:.0f} s of the print, contour rms, plant known",
     }
+    return used | ({"Marlin": MARLINS_STEPS} if flavor == MARLIN else {})
+
+
+MARLINS_STEPS = (
+    "The ends of ffcomp's segments are on whole motor steps, as Marlin's are. No other row has that rounding, which a "
+    "real printer adds to each."
+)
 
 
 def _predicted(printed: Print, settings: Settings) -> dict[str, Track]:

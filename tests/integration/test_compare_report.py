@@ -21,8 +21,10 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
+from ffcomp.comparison.engine import _settings
 from ffcomp.comparison.result import Comparison, EqualQuality, Party, Peaks, Samples, Spread
 from ffcomp.inverse.robust import RobustChoice
+from ffcomp.inverse.settings import settings_for
 from ffcomp.report.compare import html
 from ffcomp.report.compare import html as table
 from ffcomp.report.compare import samples as packed
@@ -35,6 +37,8 @@ from ffcomp.report.compare.samples import contour_vectors, spectrum, unbroken
 from ffcomp.report.compare.sentences import answer, verdict
 from ffcomp.report.compare.words import duration, times, um
 from ffcomp.report.page import coded
+from gcode.dialects import KLIPPER, MARLIN
+from models.file import load_machine
 from tests.support.browser import Visit, chromium, visit
 from tests.support.comparison import (
     LAYERS,
@@ -136,6 +140,13 @@ def test_errors_by_layer_and_feature_are_those_of_the_tiles() -> None:
     travel = replace(found.methods["mzv"].samples, extruding=np.zeros(len(samples(1.0).due), dtype=bool))
     still = changed(changed(found, "mzv", samples=travel), "fbs-lpv", samples=travel)
     assert set(parts.layer_errors(still, still.methods["mzv"])) == set(range(LAYERS))
+
+
+def test_of_a_print_for_marlin_it_is_said_whose_ends_are_on_whole_steps() -> None:
+    machine = load_machine("mp-delta-pro")
+    marlin, klipper = (replace(comparison(), settings=_settings(settings_for(machine), f)) for f in (MARLIN, KLIPPER))
+    assert any("No other row has that rounding" in sentence for sentence in verdict(marlin))
+    assert not any("motor steps" in sentence for sentence in verdict(klipper))
 
 
 def test_limits_and_warnings_are_in_the_verdict() -> None:

@@ -85,6 +85,7 @@ def verdict(comparison: Comparison) -> list[str]:
         *_limits(comparison, ours),
         *(f"Warning: {sentence}" for sentence in dict.fromkeys(ours.warnings)),
         comparison.sampling,
+        *filter(None, [comparison.settings.get("Marlin")]),
         *_assumed(comparison),
         _plant(comparison),
         *_predicted(comparison),
