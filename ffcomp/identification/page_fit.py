@@ -48,7 +48,7 @@ FRICTION_SD, LEAST_FRICTION = 1.0, 1e-3  # in units of it: without any, bristles
 LAWS = {"presliding_mm": (0.003, 1.0), "creep_mm_per_s": (0.5, 1.0)}  # near a reversal: contacts bend, or creep
 # middle, sd (of the logarithm); taut: 0, the bead follows in proportion to how far it is behind, 1: as on a string
 BEAD = {"drag_mm": (0.15, 0.7), "rounding_mm": (0.12, 0.5), "shift_mm": (0.0, 0.015), "taut": (0.5, 0.7)}
-BEAD |= {"radius_mm": (0.24, 0.2)}
+RADIUS = (0.53, 0.2)  # of a line, in its widths on the page: a first layer is squeezed
 LINE_SHIFT_MM = 0.04  # sd of a line's own place along it
 FINE_MM = 0.025
 EARLIEST_MM, BEFORE_MM = 0.1, 1.5  # of a line; of the way before it: where the bead begins to be simulated
@@ -90,19 +90,22 @@ class PageFit:
 
 
 @dataclass(frozen=True, eq=False)
-class _Unknown:
+class Unknown:
+    """A number that a page tells, and what is known of it before."""
+
     name: str
     start: float
     sd: float  # of the logarithm; of a number around zero, its own
 
     def value(self, z: float) -> float:
+        """Return the number z standard deviations from where it starts."""
         return float(self.start * np.exp(self.sd * z)) if self.start else self.sd * z
 
 
 class _Page:
     """The lines, the commands that drew them, and what a machine would have drawn."""
 
-    def __init__(self, machine: Machine, lines: Sequence[ReadLine], law: str) -> None:
+    def __init__(self, machine: Machine, lines: Sequence[ReadLine], law: str, width_mm: float) -> None:
         self.machine, self.lines = machine, lines
         names = [line.stroke.name for line in lines]
         self.copies = np.sqrt([names.count(name) for name in names])  # pictures of a stroke share its roughness
@@ -115,12 +118,13 @@ class _Page:
         for stroke in strokes.values():
             t = np.arange(-LEAD_S, stroke.duration_s + SETTLED_S, 1 / RATE_HZ)
             self.commands.append(np.ascontiguousarray(machine.kinematics.inverse(stroke.motion.nozzle(t))))
-        of_machine = _machine_unknowns(machine)
+        of_machine = machine_unknowns(machine)
         self.of_machine = len(of_machine)
         rubbing = FRICTION if machine.vibration.position_dependent else FRICTION[:2]
         self.law = law
         nuisances = dict.fromkeys(rubbing, (0.0, FRICTION_SD)) | {law: LAWS[law]} | BEAD
-        self.unknowns = [*of_machine, *(_Unknown(n, m, sd) for n, (m, sd) in nuisances.items())]
+        nuisances["radius_mm"] = (RADIUS[0] * width_mm, RADIUS[1])
+        self.unknowns = [*of_machine, *(Unknown(n, m, sd) for n, (m, sd) in nuisances.items())]
         self.low = np.array([LEAST_FRICTION if each.name in FRICTION else -FARTHEST for each in self.unknowns])
         high = np.full(len(self.unknowns), FARTHEST)
         self.problem = BatchedProblem(self.residuals, self.low, high)
@@ -186,7 +190,7 @@ class _Page:
         return gap - free, free
 
 
-def _machine_unknowns(machine: Machine) -> list[_Unknown]:
+def machine_unknowns(machine: Machine) -> list[Unknown]:
     """List the numbers that a picture may tell; masses against one of them."""
     known = machine.vibration.parameters()
     sd = dict(zip(known.names, known.relative_sd(machine.uncertainty).tolist(), strict=True))
@@ -200,7 +204,7 @@ def _machine_unknowns(machine: Machine) -> list[_Unknown]:
         spread = sd.get(name) or machine.uncertainty.get(name, machine.uncertainty.get(stem, default))
         wide = 2.0 if "damping" in name else 1.0  # nobody knows damping better
         if value_of(machine, name):
-            unknowns.append(_Unknown(name, value_of(machine, name), float(np.clip(wide * spread, LEAST_SD, MOST_SD))))
+            unknowns.append(Unknown(name, value_of(machine, name), float(np.clip(wide * spread, LEAST_SD, MOST_SD))))
     return unknowns
 
 
@@ -247,15 +251,17 @@ def _pulled(path: FloatArray, length: float) -> FloatArray:
 # ---- the fit -------------------------------------------------------------------------------------
 
 
-def fit_page(machine: Machine, lines: Sequence[ReadLine], progress: Callable[[str], None] = lambda _: None) -> PageFit:
-    """Fit a machine's numbers to a page's lines.
+def fit_page(
+    machine: Machine, lines: Sequence[ReadLine], width_mm: float, progress: Callable[[str], None] = lambda _: None
+) -> PageFit:
+    """Fit a machine's numbers to a page's lines, which are to be so wide.
 
     Raises
     ------
     MeasurementError
         If the lines do not ring as any such machine would.
     """
-    bends, creeps = (_Page(machine, lines, law) for law in LAWS)
+    bends, creeps = (_Page(machine, lines, law, width_mm) for law in LAWS)
     _check_waves(bends, FLAT)
     progress(Stage(2, "seeking where to begin"))
     start = _start(bends)

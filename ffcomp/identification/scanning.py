@@ -7,18 +7,21 @@ from dataclasses import replace
 from datetime import date
 from pathlib import Path
 
+import numpy as np
+
 from ffcomp.errors import MeasurementError, RequestError
 from ffcomp.identification.machine_fit import Origin, ScanFit, hash_of, scan_file_text
-from ffcomp.identification.page_fit import SCALE, PageFit, fit_page
+from ffcomp.identification.page_fit import SCALE, PageFit, fit_page, machine_unknowns
 from ffcomp.identification.page_lines import read_lines
 from ffcomp.identification.page_picture import find_page, read_picture
 from ffcomp.identification.request import ScanRequest
 from ffcomp.numerics.stages import Stage
-from ffcomp.record.plan import Plan, load_plan
+from ffcomp.record.plan import Page, Plan, load_plan
 from ffcomp.shapers.calibration import shaper_advice
 from models.file import machine_of_text
 from models.machine import Machine
 
+FAR = 2.5  # of a prior's standard deviations
 USUAL_S = (4.0, 4.0, 12.0)  # of CPU: reading, where to begin, the fit
 
 
@@ -33,13 +36,13 @@ def fit_pictures(start: Machine, request: ScanRequest, progress: Callable[[str],
         For a picture that cannot be used; each sentence says what to do.
     """
     plan = load_plan(request.plan)
-    _check(start, plan, request)
+    page = _checked(start, plan, request)
     sights = []
     for path in request.pictures:
         progress(Stage(1, f"reading {path.name}"))
         sights.append(find_page(read_picture(path), plan))
     lines = read_lines(sights, plan)
-    result = fit_page(start, lines, progress)
+    result = fit_page(start, lines, page.line_width_mm, progress)
     hashes = [hash_of(path) for path in request.pictures]
     name = request.name or (request.output.stem if request.output is not None else f"{Path(start.path).stem}-scanned")
     text = scan_file_text(Origin(Path(start.path), name, hashes, date.today().isoformat()), result)
@@ -47,7 +50,7 @@ def fit_pictures(start: Machine, request: ScanRequest, progress: Callable[[str],
     return replace(fit, shapers=tuple(shaper_advice(machine_of_text(text, name))))
 
 
-def _check(start: Machine, plan: Plan, request: ScanRequest) -> None:
+def _checked(start: Machine, plan: Plan, request: ScanRequest) -> Page:
     if plan.page is None:
         raise MeasurementError(
             str(request.plan), ["This is no plan of a page: ffcomp record plan --for scan makes one."]
@@ -57,6 +60,7 @@ def _check(start: Machine, plan: Plan, request: ScanRequest) -> None:
             f"The page of {request.plan} is for {plan.machine!r}, and -m {request.machine} is {start.name!r}: give the "
             "machine that the page was planned for."
         )
+    return plan.page
 
 
 def _advice(start: Machine, result: PageFit) -> list[str]:
@@ -65,6 +69,16 @@ def _advice(start: Machine, result: PageFit) -> list[str]:
         sentences.append(
             f"A picture shows ratios of masses, stiffnesses and dampings, not their scale: {SCALE} stayed as it was. "
             "A compensation does not need it."
+        )
+    far = [
+        each.name
+        for each in machine_unknowns(start)
+        if each.name not in result.kept and abs(np.log(result.estimates[each.name].value / each.start)) > FAR * each.sd
+    ]
+    if far:
+        sentences.append(
+            f"{', '.join(far)}: further from the starting file's than it says that it knows them. A page cannot tell "
+            "another printer of the same kind: check that the file, the G-code and the page are of one printer."
         )
     if result.kept:
         sentences.append(f"The picture hardly tells {', '.join(result.kept)}: near the starting file's.")

@@ -21,11 +21,11 @@ from ffcomp.identification.page_fit import _steep, _swept
 from ffcomp.identification.page_lines import _roughness, read_lines
 from ffcomp.identification.page_picture import find_page, read_picture
 from ffcomp.identification.request import ScanRequest
-from ffcomp.identification.scanning import fit_pictures
+from ffcomp.identification.scanning import _advice, fit_pictures
 from ffcomp.record.page import DISC, PageRequest, discs_of, make_page
 from ffcomp.record.plan import Experiment, Plan, save_plan
 from models.file import load_machine, machine_of_text
-from models.machine import Machine
+from models.machine import Machine, with_values
 from tests.support.json_page import Page
 from tests.support.reference import REFERENCE
 from validation.drawn_page import LEAD_S, SCANNER, Bead, Drawing, draw, photograph, straight_player
@@ -101,6 +101,9 @@ def test_a_picture_tells_frequencies_and_damping(machine: Machine, folder: Path)
     rubbing = written.effects["coulomb_friction"]  # per kilogram, for nobody knows the masses
     assert rubbing["force_n"][1] == pytest.approx(0.4 / 0.55, rel=0.25) and rubbing["force_n"][0] < 0.15
     assert 0.001 < rubbing["presliding_mm"] < 0.02
+    assert fit.advice == []
+    (warning,) = _advice(with_values(machine, {"axes.x.frequency_hz[0]": 35.0}), fit.result)
+    assert warning.startswith("axes.x.frequency_hz[0]: further from") and "another printer of the same kind" in warning
 
 
 def test_a_wide_line_is_seen_between_its_edges() -> None:
