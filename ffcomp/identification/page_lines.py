@@ -61,7 +61,7 @@ def read_lines(sights: Sequence[Sight], plan: Plan) -> list[ReadLine]:
             ", ".join(each.picture.path for each in sights),
             [
                 f"{len(strokes)} of {len(twins(plan))} strokes can be read: lines are missing, torn, faint, blurred or "
-                f"under a glare. Clean the bed, print the page again if it is torn. {RETAKE}."
+                f"under a glare. Clean the bed, print the page again if it is torn or not complete. {RETAKE}."
             ],
         )
     return read
