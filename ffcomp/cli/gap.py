@@ -33,14 +33,9 @@ def gap(request: GapRequest, shown: Shown) -> None:
 
 def _print(discrepancy: Discrepancy) -> None:
     residual = discrepancy.residual
-    origin = (
-        "repeats"
-        if discrepancy.from_repeats
-        else "the spectrum above the model's band, which is weaker: measure something twice"
-    )
     print(
         f"Simulation and measurement differ by {100 * residual.total.nrms:.2f} % of the signals; noise alone would "
-        f"leave {100 * residual.total.noise_nrms:.2f} % (known from {origin})."
+        f"leave {100 * residual.total.noise_nrms:.2f} % (known from {discrepancy.floor.origin})."
     )
     for title, sizes in (("signal", residual.signals), ("run", residual.recordings)):
         width = max(map(len, sizes))

@@ -179,7 +179,7 @@ class _Searched:
 
 def _diagnosed(problem: Problem, noise: NoiseFloor, density: Mapping[str, float], progress: Progress) -> Diagnosis:
     progress(Stage(1, "estimating the noise"))
-    if not noise.from_repeats:
+    if not (noise.from_repeats or noise.of_sensors):
         progress("no repeats: the noise floor is taken from above the model's band")
     floor = at_least(noise, problem.observations, problem.band_hz, density)
     estimation = estimation_problem(problem, whitener(problem.observations, floor, problem.band_hz))

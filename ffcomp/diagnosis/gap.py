@@ -132,7 +132,7 @@ class Discrepancy:
     """The model discrepancy of a machine file on some recordings."""
 
     residual: ResidualBreakdown
-    from_repeats: bool  # whether repeats give the noise; else the spectrum above the model's band does
+    floor: NoiseFloor
     notes: tuple[str, ...] = ()  # what is wrong with the repeats, in full sentences
     places: Mapping[tuple[float, ...], str] = field(default_factory=dict)  # what people call them
 
@@ -142,8 +142,8 @@ class Discrepancy:
         return {
             "schema": "ffcomp-gap/1",
             **residual.total.to_dict(),  # … SIZE: its keys stand here too, of all signals of all runs
-            # true or false: false: from the spectrum above the model's band, which is weaker
-            "noise_from_repeats": self.from_repeats,
+            # true or false: false: an encoder's own, or from the spectrum above the model's band, which is weaker
+            "noise_from_repeats": self.floor.from_repeats,
             "notes": list(self.notes),  # list of text: repeats that lie apart in time, or do not repeat: sentences
             # .* SIZE: by sensor: acc_A, acc_x, …
             "signals": {name: size.to_dict() for name, size in residual.signals.items()},
@@ -212,7 +212,7 @@ def gap_of(problem: Problem) -> Discrepancy:
     floor = noise_floor(problem, simulated)
     residual = locate_residual(whitener(problem.observations, floor, problem.band_hz), floor, simulated)
     places = {place: problem.place_name(place) for place in residual.positions}
-    return Discrepancy(residual, floor.from_repeats, tuple(_notes(problem.repeats)), places)
+    return Discrepancy(residual, floor, tuple(_notes(problem.repeats)), places)
 
 
 def _notes(repeats: Sequence[Repeats]) -> list[str]:

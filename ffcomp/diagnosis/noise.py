@@ -33,6 +33,16 @@ class NoiseFloor:
     frequency_hz: FloatArray  # (k,)
     density: Mapping[str, FloatArray]  # signal -> (k,)
     from_repeats: bool
+    of_sensors: bool = False  # of positions that show it by themselves
+
+    @property
+    def origin(self) -> str:
+        """Say what tells the noise."""
+        if self.from_repeats:
+            return "repeats"
+        if self.of_sensors:
+            return f"the encoder, and {100 * SETTINGS.simulation_error:g} % of the motion: no simulation is nearer"
+        return "the spectrum above the model's band, which is weaker: measure something twice"
 
     def at(self, signal: str, frequency_hz: FloatArray) -> FloatArray:
         """Interpolate the density of one signal: (n,) Hz -> (n,) unit²/Hz."""
@@ -58,7 +68,9 @@ def noise_floor(problem: Problem, simulated: Sequence[FloatArray] | None = None)
     if not known:
         return above
     sensors = noise_of_sensors(problem.observations, known)
-    return replace(sensors, density={**above.density, **{name: sensors.density[name] for name in known}})
+    return replace(
+        sensors, of_sensors=False, density={**above.density, **{name: sensors.density[name] for name in known}}
+    )
 
 
 def noise_from_repeats(observations: Sequence[Observation]) -> NoiseFloor | None:
@@ -107,7 +119,9 @@ def noise_of_sensors(observations: Sequence[Observation], density: Mapping[str, 
     """Take white noise of known densities, unit²/Hz; signals without one have none to speak of."""
     grid = np.arange(0.0, min(r.rate_hz for r in observations) / 2 + 1e-9, 1 / SEGMENT_S)
     signals = sorted({name for r in observations for name in r.signals})
-    return NoiseFloor(grid, {name: np.full(len(grid), density.get(name, 0.0)) for name in signals}, False)
+    return NoiseFloor(
+        grid, {name: np.full(len(grid), density.get(name, 0.0)) for name in signals}, False, of_sensors=True
+    )
 
 
 def scaled(floor: NoiseFloor, factor: float) -> NoiseFloor:
@@ -132,7 +146,7 @@ def at_least(
     """
     held = {name: np.maximum(x, (least or {}).get(name, 0.0)) for name, x in floor.density.items()}
     if any(bool((held[name] > x).any()) for name, x in floor.density.items()):
-        floor = NoiseFloor(floor.frequency_hz, held, floor.from_repeats)
+        floor = replace(floor, density=held)
     powers = _powers(whitener(observations, floor, band_hz), floor)
     factors = {  # positions are nearly the command: no share of them says how exact a simulation is
         name: SETTINGS.simulation_error**2 * signal / max(noise, 1e-300)
@@ -142,7 +156,7 @@ def at_least(
     if max(factors.values(), default=0.0) <= 1.0:
         return floor
     raised = {name: density * max(1.0, factors.get(name, 0.0)) for name, density in floor.density.items()}
-    return NoiseFloor(floor.frequency_hz, raised, floor.from_repeats)
+    return replace(floor, density=raised)
 
 
 def raised_to_residual(
@@ -159,7 +173,7 @@ def raised_to_residual(
             if signal in o.signals
         ]
         density[signal] = np.maximum(least, np.mean(spectra, axis=0))
-    return NoiseFloor(floor.frequency_hz, density, floor.from_repeats)
+    return replace(floor, density=density)
 
 
 def noise_share(whiten: Whitener, floor: NoiseFloor) -> float:

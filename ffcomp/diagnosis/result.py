@@ -38,7 +38,7 @@ class Gap:
     elsewhere: tuple[float, float]  # nrms before and after, at positions that were left out of the fit
     left_out: str = "places"  # what was left out of the fit in turn: places, experiments, windows, or nothing ("")
     unproven: Sequence[str] = ()  # places or experiments where it is not explained
-    noise_guessed: bool = False  # no motion was repeated
+    noise_guessed: bool = False  # no motion was repeated, and no sensor shows its own
 
     @property
     def noise(self) -> float:
@@ -215,7 +215,7 @@ def result_of(problem: Problem, diagnosis: Diagnosis) -> DiagnosisResult:
             elsewhere=_elsewhere(diagnosis, noise),
             left_out=_left_out(diagnosis),
             unproven=[place.label for place in diagnosis.unproven],
-            noise_guessed=not diagnosis.noise.from_repeats,
+            noise_guessed=not (diagnosis.noise.from_repeats or diagnosis.noise.of_sensors),
         ),
         rest=None
         if dominant is None

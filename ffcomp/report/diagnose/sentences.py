@@ -112,7 +112,7 @@ def _invisible(result: DiagnosisResult) -> list[str]:
 
 
 def _noise(report: ReportInput) -> list[str]:
-    if report.summary.noise_from_repeats:
+    if not report.result.gap.noise_guessed:
         return []
     return ["Nothing was measured twice, so the noise is a guess from above the model's band: weaker evidence."]
 

@@ -84,7 +84,7 @@ class DiagnosisSummary:
     """Everything that is drawn."""
 
     band_hz: tuple[float, float]  # where measurement and simulation are compared
-    noise_from_repeats: bool
+    noise_from: str  # in words
     bed_radius_mm: float
     splits: tuple[Split, ...]
     overlays: tuple[Overlay, ...]
@@ -99,7 +99,7 @@ def summarise(problem: Problem, diagnosis: Diagnosis) -> DiagnosisSummary:
     before, after = (estimation.measured - estimation.whiten(simulated) for simulated in answers)
     return DiagnosisSummary(
         estimation.whiten.band_hz,
-        diagnosis.noise.from_repeats,
+        diagnosis.noise.origin,
         problem.reach_mm,
         tuple(_splits(problem, estimation, before, after)),
         tuple(_overlays(problem, estimation, answers, before)),

@@ -348,7 +348,7 @@ def test_rivals_are_named_with_what_tells_them_apart(told: ReportInput) -> None:
 
 
 def test_noise_that_is_a_guess_is_called_one(told: ReportInput) -> None:
-    guess = replace(told, summary=replace(told.summary, noise_from_repeats=False))
+    guess = changed(told, gap=replace(told.result.gap, noise_guessed=True))
     assert "weaker evidence" in verdict(guess)[-1] and "weaker evidence" not in verdict(told)[-1]
 
 
@@ -373,9 +373,10 @@ def test_text_from_files_is_escaped_and_a_guess_called_one(told: ReportInput) ->
     runs = replace(told.summary.splits[3], labels=tuple(nasty for _ in told.summary.splits[3].labels))
     splits = (*told.summary.splits[:3], runs, *told.summary.splits[4:])
     overlays = tuple(replace(each, recording=nasty) for each in told.summary.overlays)
-    found = replace(told.summary, splits=splits, overlays=overlays, noise_from_repeats=False)
+    found = replace(told.summary, splits=splits, overlays=overlays)
     origin = replace(told.origin, machine=nasty, machine_file=nasty, runs=[nasty], written=nasty)
-    text = page(replace(told, summary=found, origin=origin)).decode()
+    guess = replace(told.result, gap=replace(told.result.gap, noise_guessed=True))
+    text = page(replace(told, summary=found, origin=origin, result=guess)).decode()
     assert "alert(1)" in text and "<script" not in text
     assert "a guess from above" in text
 
