@@ -311,7 +311,9 @@ def _part(machine: Machine, one: Shots, band_hz: tuple[float, float]) -> _Part |
         return None
     run, n, rate = one.run, len(one.run.drive), one.run.sample_rate_hz
     name = next((s for s in ("acc_q", *run.signals) if s in run.signals and np.isfinite(run.signals[s]).all()), None)
-    if name is None:
+    known = (x for x in run.position.values() if np.isfinite(x).all())
+    place = next(known, None) if run.by_force else run.drive
+    if name is None or place is None:
         return None
     frequency, taper = np.fft.rfftfreq(2 * n, 1 / rate), np.hanning(n)
     error = np.fft.rfft(taper * (run.signals[name] - motion[name]), 2 * n)
@@ -319,7 +321,6 @@ def _part(machine: Machine, one: Shots, band_hz: tuple[float, float]) -> _Part |
         error = -1e-3 * (2 * np.pi * frequency) ** 2 * error
     lines = slice(*np.searchsorted(frequency, band_hz).tolist())
     weight = 1 / np.maximum(np.sqrt(uniform_filter1d(np.abs(error) ** 2, 31)), 1e-12)[lines]
-    place = run.drive if not run.by_force else np.asarray(run.signals[next(s for s in run.signals if "pos" in s)])
     return _Part(place, weight * error[lines], weight * _answer(machine, rate, n)[lines], taper, lines)
 
 

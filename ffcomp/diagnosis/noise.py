@@ -42,7 +42,7 @@ class NoiseFloor:
             return "repeats"
         if self.of_sensors:
             return f"the encoder, and {100 * SETTINGS.simulation_error:g} % of the motion: no simulation is nearer"
-        return "the spectrum above the model's band, which is weaker: measure something twice"
+        return "the spectrum above the model's band, which is weaker than repeats"
 
     def at(self, signal: str, frequency_hz: FloatArray) -> FloatArray:
         """Interpolate the density of one signal: (n,) Hz -> (n,) unit²/Hz."""

@@ -149,6 +149,8 @@ def check_repeats(recordings: Sequence[Recorded]) -> None:
         "least one experiment must be there twice, in files of the same length whose names differ in a trailing -1, -2 "
         "only."
     )
+    if all(isinstance(each, AxisRun) and each.by_force for each in recordings):
+        rule += " Of an axis that a force drives an encoder's position tells it as well."
     raise MeasurementError(named, [rule + _lengths(recordings)])
 
 

@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 from ffcomp.diagnosis.axis_problem import AxisProblem, likely_pitches, pitches_of_force
+from ffcomp.diagnosis.problems import check_repeats
+from ffcomp.errors import MeasurementError
 from ffcomp.identification.axis_shots import shots_of
 from ffcomp.measurement.axis_run import AxisRun
 from models.kinds import machine_of_axis
@@ -26,6 +28,15 @@ def test_without_a_motion_there_is_no_pitch() -> None:
         type(run)(run.source, run.time_s, 0 * run.drive, False, run.acceleration, {}, {}) for run in runs_of(DRIVE, 5)
     ]
     assert likely_pitches(DRIVE, shots_of(DRIVE, runs), (2.0, 60.0), 3) == []
+
+
+def test_a_force_and_a_speed_show_no_pitch_without_a_place() -> None:
+    t = np.arange(800) / 400.0
+    run = AxisRun("a.csv", t, np.sin(20 * t), True, {}, {}, {}, other={"vel_q": np.cos(20 * t)})
+    free = machine_of_axis("stage", DrivenAxis("force", 1.0, 0.0, 2.0))
+    assert likely_pitches(free, shots_of(free, [run]), (2.0, 60.0), 3) == []
+    with pytest.raises(MeasurementError, match="an encoder's position tells it as well"):
+        check_repeats([run])
 
 
 def test_a_ripple_is_looked_for_at_the_pitches_of_the_data() -> None:

@@ -85,7 +85,7 @@ def test_without_repeats_the_floor_is_taken_above_the_band() -> None:
     floor = noise_floor(plant)
     assert not floor.from_repeats
     assert floor.density["acc_x"][0] == pytest.approx(0.2**2 / 800, rel=0.15)
-    assert "measure something twice" in floor.origin
+    assert "weaker than repeats" in floor.origin
 
 
 def test_an_encoder_that_shows_its_noise_is_no_guess() -> None:
