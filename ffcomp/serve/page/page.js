@@ -215,7 +215,7 @@ function showPlans(jobs) {
 function offer(select, plans, without) {
   const chosen = select.value, shown = [...select.options].map((each) => each.value);
   if (shown.length && plans.map((job) => job.id).join() === shown.filter(Boolean).join()) return;
-  const none = make("option", { value: "", textContent: plans.length ? without : "none yet: write them above" });
+  const none = make("option", { value: "", textContent: plans.length ? without : "none yet: begin with the button above" });
   const option = (job) => make("option", { value: job.id, textContent: `${job.title}, ${new Date(1000 * job.ended).toLocaleString()}` });
   const options = plans.map(option);
   options.forEach((each, k) => { each.dataset.kind = plans[k].kind; });
