@@ -267,10 +267,10 @@ def _wilson(held: list[float]) -> list[float]:
 
 
 def _done() -> set[tuple[str, str]]:
-    """Return which machines and pictures were measured before, with a print."""
+    """Return which machines and pictures were measured before."""
     if not (RESULTS / "scan.json").exists():
         return set()
-    return {(row["machine"], row["camera"]) for row in results_of("scan")["rows"] if "shaper_um" in row}
+    return {(row["machine"], row["camera"]) for row in results_of("scan")["rows"]}
 
 
 def _keep(rows: list[dict[str, Any]]) -> None:
