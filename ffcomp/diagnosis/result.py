@@ -131,6 +131,7 @@ class DiagnosisResult:
     invisible: Sequence[str] = ()  # effects of which the recordings could not show a usual size
     confounded_with: Sequence[tuple[str, str]] = ()  # effect, how to tell them apart
     separations: Sequence[Separation] = ()  # from what fits as well
+    prints_worse: bool = False  # by the better file, as the sample print is predicted
     gap: Gap
     rest: Rest | None = None  # of an effect that is named with a rest
     undetermined: Sequence[str] = ()  # numbers of the effects at their bounds, or open over all of their range

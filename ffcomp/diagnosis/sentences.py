@@ -323,7 +323,10 @@ def _afterwards(result: DiagnosisResult) -> list[str]:
     if result.gap.left_out == "windows":
         return ["Compare the better machine file (-o better.toml) with new runs (ffcomp gap)."]
     steps = [
-        "Until then, compensate with the better machine file (-o better.toml), and compare it with new recordings."
+        "Until then, compensate with the file as it is: with the better one the sample print is predicted to be worse. "
+        "Compare the better machine file (-o better.toml) with new recordings."
+        if result.prints_worse
+        else "Until then, compensate with the better machine file (-o better.toml), and compare it with new recordings."
     ]
     if result.gap.left_out != "places":
         steps.append("Record the same motions at two more places, at least 20 mm apart, and diagnose again.")

@@ -216,6 +216,7 @@ def diagnose_files(request: DiagnoseRequest, search_progress: Progress | None = 
     if isinstance(problem, PrinterProblem):  # one axis takes no G-code, prints nothing
         result = replace(result, separations=separations(problem, search))
         gain = print_gain(plant, result)
+        result = replace(result, prints_worse=gain is not None and gain.after_um > gain.before_um)
     return Diagnosis(
         result=result,
         problem=problem,

@@ -207,6 +207,13 @@ def test_no_share_is_told_of_a_gap_that_does_not_stand_above_the_noise(
     assert "of the gap there" not in sentence
 
 
+@pytest.mark.parametrize("worse", [True, False])
+def test_a_file_by_which_prints_are_predicted_to_be_worse_is_not_compensated_with(worse: bool) -> None:
+    told = " ".join(what_to_do(result(prints_worse=worse)))
+    assert ("compensate with the file as it is" in told) == worse
+    assert ("compensate with the better machine file" in told) != worse
+
+
 @pytest.mark.parametrize("guess", [True, False])
 def test_none_by_a_guessed_noise_says_what_may_be_hidden(guess: bool) -> None:
     told = " ".join(summary_sentences(result("nothing", noise_guessed=guess)))
