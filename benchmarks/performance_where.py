@@ -38,7 +38,7 @@ ONCE = "bandwidth, plant over the bed"
 
 # stage → where the names are looked up that belong to it; what is called inside of them counts to its own stage
 STAGES = {
-    "read": ("ffcomp.compensation.job.split_chunks", "ffcomp.compensation.job.read_parts"),
+    "read": ("ffcomp.compensation.job.split_chunks", "ffcomp.compensation.job.read_as_planned"),
     "plan": ("ffcomp.compensation.plan.plan_program",),
     ONCE: ("ffcomp.compensation.job.settings_for", "ffcomp.compensation.job.InverseModel"),
     "invert: gains": ("ffcomp.inverse.riccati.PreviewGains.at", "ffcomp.inverse.riccati.PreviewGains.end"),
