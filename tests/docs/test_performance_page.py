@@ -133,3 +133,10 @@ def test_stages_name_functions_that_are_there() -> None:
         for path in paths:
             owner, name = performance_where.named(path)
             assert callable(getattr(owner, name)), path
+
+
+def test_every_stage_is_where_the_product_looks_it_up() -> None:
+    for paths in performance_where.STAGES.values():
+        for path in paths:
+            owner, name = performance_where.named(path)
+            assert callable(getattr(owner, name)), path
