@@ -15,7 +15,6 @@ import pytest
 
 from ffcomp.cli.app import app
 from ffcomp.compensation import chunks
-from ffcomp.compensation import job as jobs
 from ffcomp.compensation import text_stream as times
 from ffcomp.compensation.statistics import Statistics as Compensation
 from ffcomp.compensation.text_stream import with_times_retold
@@ -35,6 +34,7 @@ from ffcomp.estimation.statistics import (
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.settings import settings_for
 from ffcomp.options import FLAVORS
+from ffcomp.planner import program as reading
 from ffcomp.planner.lookahead import stops_and_waits
 from ffcomp.planner.program import plan_program
 from gcode.embedded import TIME_WAS, original
@@ -277,7 +277,7 @@ def test_the_original_times_are_kept() -> None:
 def test_times_do_not_depend_on_who_works(monkeypatch: pytest.MonkeyPatch) -> None:
     from joblib import parallel_config
 
-    monkeypatch.setattr(jobs, "read_parts", lambda *a, **options: read_parts(*a, **options, part_bytes=400))
+    monkeypatch.setattr(reading, "read_parts", lambda *a, **options: read_parts(*a, **options, part_bytes=400))
     monkeypatch.setattr(times, "IN_MEMORY", 100)
     one, found = compensated(timed_print())
     with parallel_config(backend="threading"):
@@ -293,7 +293,7 @@ def test_times_of_a_print_that_is_cut_in_motion(monkeypatch: pytest.MonkeyPatch)
     places[::50] = [place + b"M73 P1 R1\n" for place in places[::50]]
     data = START + b"".join(places) + b";TIME:7\n"
     whole, _ = compensated(data)
-    monkeypatch.setattr(jobs, "read_parts", lambda *a, **options: read_parts(*a, **options, part_bytes=9000))
+    monkeypatch.setattr(reading, "read_parts", lambda *a, **options: read_parts(*a, **options, part_bytes=9000))
     monkeypatch.setattr(chunks, "MOST_MOVES", 500)
     cut, found = compensated(data)
     assert found.print_time_s == pytest.approx(seconds(account_of(whole).total), abs=0.05)
