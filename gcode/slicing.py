@@ -59,6 +59,9 @@ def portions(program: Program, longest_s: float) -> Iterator[Program]:
     """Split a program between lines into ones that follow each other, of so much motion or of one line."""
     moves = program.moves
     until_s = np.cumsum(np.linalg.norm((moves.end - moves.start)[:, :3], axis=1) / moves.speed)
+    if not len(moves) or until_s[-1] <= longest_s:
+        yield program
+        return
     lines = np.flatnonzero(np.diff(moves.line, append=-1))  # the last move of each
     first, warnings = 0, program.warnings
     while first < len(moves):
@@ -67,8 +70,6 @@ def portions(program: Program, longest_s: float) -> Iterator[Program]:
         last = int(lines[at - 1]) + 1
         yield replace(excerpt(program, first, last), warnings=warnings)
         first, warnings = last, []
-    if not len(moves):
-        yield program
 
 
 def _frame_before(program: Program, move: int, event: int) -> int:

@@ -112,9 +112,9 @@ def compare(
         evaluated = with_spread(evaluated, tuned, best, plant_slices, tuning_slices, plants, jobs, progress)
     if request.quality_bound_um:
         p99 = {name: method.track.contour_p99_um for name, method in evaluated.items()}
-        keep_time = replace(settings, time_scaling=False)  # as sought: the acceleration alone makes the time
-        alike = [every.inversion(machine, keep_time, m.name) if m.family == "inversion" else m for m in tuned]
-        quality = equal_qualities(alike, printed, plant, tuning_slices, request.quality_bound_um, p99, progress)
+        keep_time = replace(settings, time_scaling=False)  # what a limit would slow is too fast
+        at_its_time = [every.inversion(machine, keep_time, m.name) if m.family == "inversion" else m for m in tuned]
+        quality = equal_qualities(at_its_time, printed, plant, tuning_slices, request.quality_bound_um, p99, progress)
         evaluated = {name: replace(method, equal_quality=quality[name]) for name, method in evaluated.items()}
     return Comparison(
         print_name=printed.path,
