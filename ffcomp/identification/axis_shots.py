@@ -24,6 +24,7 @@ from models.printer.one_axis import AxisMotion, simulate_axis
 from models.vibration.driven_axis import DrivenAxis
 
 SHOT = 0.4  # of the time in which the motion changes its speed by as much as it has of it
+PERIODS = 2.0  # of a load on its coupling, in a shot: its beginning takes two numbers of each
 SHORTEST, LINES_A_SHOT = 20, 5.0  # samples of a shot; its inverse times that is where the band ends
 WINDOWS, LEAST_ROWS = 6, 200  # of time, in a run; rows of a window
 MOST_OF_POWER, BEYOND = 0.998, 1.25  # of the signals: the band ends so much beyond the frequency that holds it
@@ -112,7 +113,7 @@ def shots_of(machine: Machine, runs: Sequence[AxisRun]) -> list[Shots]:
     mean = [_mean(runs, i) for i in range(len(runs))]
     speeds = [_speed(_bridged(_place(run)), run.sample_rate_hz) for run in mean]
     needed = driven_axis(machine).free and not HOLDING & machine.effects.keys() and any(run.position for run in runs)
-    seconds = _shot_s(runs, speeds) if needed else 0.0
+    seconds = max(_shot_s(runs, speeds), PERIODS * _period_s(driven_axis(machine))) if needed else 0.0
     result = [_shots(*each, seconds) for each in zip(runs, mean, speeds, strict=True)]
     return [replace(one, began=_began(machine, one)) for one in result]
 
@@ -133,11 +134,7 @@ def _ringing(axis: DrivenAxis, t: FloatArray, name: str) -> FloatArray:
     """Return how a load that began elsewhere than it seemed rings on the first mass: (n, 2); (n, 0) without one."""
     if not axis.load_mass_kg:
         return np.empty((len(t), 0))
-    softness = 1 / axis.mass_kg + 1 / axis.load_mass_kg
-    omega, decay = (
-        np.sqrt((axis.coupling_stiffness_n_per_m or 0.0) * softness),
-        axis.coupling_damping_n_s_per_m * softness,
-    )
+    omega, decay = _coupling(axis)
     share = axis.mass_kg if name == "pos_q" else -axis.load_mass_kg
     shape = np.exp(-0.5 * decay * t)[:, None] * np.column_stack([np.cos(omega * t), np.sin(omega * t)])
     return np.asarray(share / axis.moved_kg * shape)
@@ -249,6 +246,24 @@ def _shot_s(runs: Sequence[AxisRun], speeds: Sequence[FloatArray]) -> float:
     v = float(np.sqrt(np.mean(np.concatenate(speeds) ** 2)))
     a = float(np.sqrt(np.mean(np.concatenate(change) ** 2)))
     return SHOT * v / max(a, 1e-12)
+
+
+def _period_s(axis: DrivenAxis) -> float:
+    """Return how long a load takes to ring once on its coupling, s; 0 without one.
+
+    What a shorter shot shows of a coupling can hardly be told from a load that began elsewhere than it seemed.
+    """
+    omega = _coupling(axis)[0]
+    return 2 * np.pi / omega if omega else 0.0
+
+
+def _coupling(axis: DrivenAxis) -> tuple[float, float]:
+    """Return how a load rings on its coupling, rad/s, and how it decays, 1/s; zeros without one."""
+    if not axis.load_mass_kg:
+        return 0.0, 0.0
+    softness = 1 / axis.mass_kg + 1 / axis.load_mass_kg
+    stiffness = axis.coupling_stiffness_n_per_m or 0.0
+    return float(np.sqrt(stiffness * softness)), float(axis.coupling_damping_n_s_per_m * softness)
 
 
 def band_of(shots: Sequence[Shots]) -> tuple[float, float]:

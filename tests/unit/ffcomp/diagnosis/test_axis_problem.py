@@ -88,6 +88,18 @@ def test_shots_band_and_windows_come_from_the_data() -> None:
     assert quick.band_hz[1] == pytest.approx(min(5.0 / shot, 0.4 * RATE), rel=0.05)
     slow = [AxisRun(r.source, 4 * r.time_s, r.drive, True, {}, r.position, {}) for r in quick.recordings]  # type: ignore[attr-defined]
     assert AxisProblem(STAGE, slow).shots[0].length / (RATE / 4) == pytest.approx(4 * shot, rel=0.1)
+    run, ringing_hz = quick.recordings[0], 5.0
+    two = DrivenAxis(
+        "force",
+        20.0,
+        0.0,
+        60.0,
+        load_mass_kg=20.0,
+        coupling_stiffness_n_per_m=10.0 * (2 * np.pi * ringing_hz) ** 2,
+        coupling_damping_n_s_per_m=1.0,
+    )
+    coupled = machine_of_axis("coupled", two)
+    assert shots_of(coupled, [run])[0].length == pytest.approx(2 * RATE / ringing_hz, abs=1)  # type: ignore[list-item]
     driven = AxisProblem(DRIVE, runs_of(DRIVE, 1))
     assert driven.shots[0].length == 0  # a spring holds it
     assert len(driven.windows) == 12 and driven.observations[0].position == driven.observations[6].position
