@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import json
 import math
 from collections.abc import Mapping
@@ -33,7 +34,7 @@ from validation.blind.delta.real import played
 from validation.blind.kinds import KINDS as MACHINES
 from validation.blind.printer import shapes
 from validation.blind.printer.motions import KINDS, Motion
-from validation.blind.printer.real import Reading, Real, read_at
+from validation.blind.printer.real import Reading, Real, combined, read_at
 from validation.blind.seal import SealedError, open_labels, verdict_path, write_case
 from validation.blind.sensors import draw_sensors
 from validation.blind.straight import forced, turning
@@ -45,7 +46,14 @@ from validation.blind.straight.numbers import modes_of
 from validation.blind.straight.outside import OUTSIDE as STRAIGHT_OUTSIDE
 from validation.blind.strata import CONDITIONS, full_bank
 from validation.blind.tables import toml_of
-from validation.blind.visible import Visibility, samples, visibility, visibility_by_other_clocks, whitened
+from validation.blind.visible import (
+    Visibility,
+    samples,
+    visibility,
+    visibility_by_other_clocks,
+    visibility_by_refit,
+    whitened,
+)
 
 SECONDS = 0.8
 
@@ -486,6 +494,30 @@ def test_what_retuning_leaves_in_closed_form() -> None:
     assert Visibility(0.2, 31.0, 9).visible
     assert not Visibility(0.05, 31.0, 9).visible
     assert not Visibility(0.2, 29.0, 9).visible
+
+
+def test_what_numbers_explain_that_are_far_off_is_not_seen() -> None:
+    """A phase two standard deviations off is worth 2², though a line through where it was leaves thousands."""
+
+    def told(z: FloatArray) -> FloatArray:
+        return np.asarray(50.0 * np.sin(np.arange(400) / 9.0 + 0.6 * float(z[0])))
+
+    still, true = told(np.zeros(1)), told(np.array([2.0]))
+    n = (told(np.array([1e-3])) - still)[:, None] / 1e-3
+    assert visibility(true - still, n).left > 1e4
+    found = visibility_by_refit(true, still, n, told)
+    assert found.left < 30.0 and not found.visible and found.raw == visibility(true - still, n).raw
+    another = true + 5.0 * np.cos(np.arange(400.0))
+    assert visibility_by_refit(another, still, n, told).left == pytest.approx(4 + 12.5 * 400, rel=0.02)
+
+
+def test_numbers_of_a_printer_are_moved_together() -> None:
+    plain = {"plant": {"k": [10.0, np.array([2.0, 4.0])], "name": "a"}, "on": True}
+    one, other = copy.deepcopy(plain), copy.deepcopy(plain)
+    one["plant"]["k"][0], other["plant"]["k"][1] = 10.1, np.array([2.0, 4.04])  # type: ignore[index]
+    moved = combined(plain, [one, other], [5.0, -10.0])
+    assert moved["plant"]["k"][0] == pytest.approx(10.5) and moved["plant"]["name"] == "a" and moved["on"] is True
+    np.testing.assert_allclose(moved["plant"]["k"][1], [2.0, 3.6])
 
 
 def test_a_late_chip_is_not_seen_where_its_clock_may_be_as_late() -> None:

@@ -31,7 +31,7 @@ from ffcomp.record.result import DELAY_SD_S
 from validation.blind.captures import joined_runs, planned_motions
 from validation.blind.kinds import KINDS, Kind
 from validation.blind.printer.motions import Motion
-from validation.blind.printer.real import Reading, Real, Tables
+from validation.blind.printer.real import FloatArray, Reading, Real, Tables, combined
 from validation.blind.sensors import SENSORS, Sensors, commands_of, csv_of, draw_sensors
 from validation.blind.tables import toml_of
 from validation.blind.visible import (
@@ -39,8 +39,8 @@ from validation.blind.visible import (
     Visibility,
     retuning,
     samples,
-    visibility,
     visibility_by_other_clocks,
+    visibility_by_refit,
     whitened,
 )
 
@@ -395,4 +395,13 @@ def _seen(plan: Plan, readings: Sequence[Reading]) -> dict[str, Visibility]:
     if plan.label.condition == "joined":
         sd_s = DELAY_SD_S["firmware"]
         return {name: visibility_by_other_clocks(true, o, n, sd_s, told) for name, o in others.items()}
-    return {name: visibility(true - told(o), n) for name, o in others.items()}
+
+    def moved(real: Real, z: FloatArray) -> FloatArray:
+        """Return what a printer would tell whose numbers are off by so many standard deviations, at most by half."""
+        off = np.clip(z * plan.spreads, -0.5, 0.5) / PROBE
+        machine = combined(real.machine, list(plan.kind.probes(real.machine, PROBE)), off.tolist())
+        return told(plan.judged(replace(real, machine=machine), readings))
+
+    return {
+        name: visibility_by_refit(true, told(o), n, partial(moved, plan.without[name])) for name, o in others.items()
+    }

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, TypeAlias
 
@@ -84,3 +84,14 @@ def read_at(r: Reading, times: FloatArray) -> Reading:
     """Return the accelerometers sample at other times; encoders keep the command's clock."""
     at = np.clip(times, r.t[0], r.t[-1])
     return replace(r, carriage=CubicSpline(r.t, r.carriage)(at), nozzle=CubicSpline(r.t, r.nozzle)(at))
+
+
+def combined(machine: Any, probed: Sequence[Any], times: Sequence[float]) -> Any:
+    """Return the tables (or what is in them) moved so many times as far as each of the probed ones is."""
+    if isinstance(machine, Mapping):
+        return {key: combined(value, [p[key] for p in probed], times) for key, value in machine.items()}
+    if isinstance(machine, list | tuple):
+        return [combined(value, [p[i] for p in probed], times) for i, value in enumerate(machine)]
+    if isinstance(machine, bool | str) or all(np.array_equal(p, machine) for p in probed):
+        return machine
+    return machine + sum(n * (p - machine) for n, p in zip(times, probed, strict=True))
