@@ -215,7 +215,7 @@ def _diagnosed(problem: Problem, noise: NoiseFloor, density: Mapping[str, float]
     none, best = replace(none, screened=searched.screened), searched.selection.best
     progress(Stage(7, "testing it at places that were left out of the fit"))
     retuned = _retuned(estimation, best, least)
-    if retuned.discrepancy < least and not worth(best.fit, retuned, noise, 0.0):
+    if retuned.discrepancy < least and not _needed(best, retuned, noise):
         return replace(none, base=retuned, final=retuned)
     tested = _tested(none, searched, searched.selection.best, progress)
     if tested.rejections and not small:
@@ -283,6 +283,15 @@ def _fitted_to_the_end(estimation: EstimationProblem, fitted: Fit, least: float)
         return fitted
     ended = fit(estimation, fitted.parameters, fitted.z, fitted.jacobian, iterations=10, exact=True)
     return min(fitted, ended, key=lambda each: each.evidence)
+
+
+def _needed(best: Hypothesis, retuned: Fit, floor: NoiseFloor) -> bool:
+    """Tell whether effects are needed, where the machine's parameters alone leave nothing.
+
+    Numbers far beyond what the file says explain nothing, if an effect does better without: by any noise.
+    """
+    astray = implausible(retuned) and best.plausible and significant(best.fit, retuned, 0.0)
+    return astray or worth(best.fit, retuned, floor, 0.0)
 
 
 # ---- the verdict ---------------------------------------------------------------------------------

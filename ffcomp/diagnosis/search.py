@@ -199,12 +199,20 @@ def _rounds(search: Search, selection: Selection) -> Selection:
         if search.may_go_on:
             best = reshape_thoroughly(search, best)
         if search.may_go_on:
-            tried = (*tried, *swap_for_smaller(search, best, tried))
+            best, tried = _swapped(search, best, tried)
         if search.may_go_on:
             best = simplest(best, tried, search.candidates)
         if not search.may_go_on:
             break
     return Selection(best, tried, left_nothing=not incomplete(search.estimation, best))
+
+
+def _swapped(
+    search: Search, best: Hypothesis, tried: tuple[Hypothesis, ...]
+) -> tuple[Hypothesis, tuple[Hypothesis, ...]]:
+    """Swap effects for smaller ones; one that is likelier beyond doubt takes their place at once."""
+    smaller = swap_for_smaller(search, best, tried)
+    return accepted(best, [h for h in smaller if h.plausible or not best.plausible]), (*tried, *smaller)
 
 
 def _larger(search: Search, best: Hypothesis) -> tuple[Hypothesis | None, list[Hypothesis]]:

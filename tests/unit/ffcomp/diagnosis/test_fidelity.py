@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from ffcomp.diagnosis.acceptance import out_of_reach
-from ffcomp.diagnosis.diagnosis import _fitted_to_the_end
+from ffcomp.diagnosis.diagnosis import _fitted_to_the_end, _needed
 from ffcomp.diagnosis.fidelity import (
     _rescaled,
     by_continuation,
@@ -24,11 +24,11 @@ from ffcomp.diagnosis.fidelity import (
 from ffcomp.diagnosis.fit import EstimationProblem, Fit, derivatives, estimation_problem, fit, values_at
 from ffcomp.diagnosis.hypotheses import Hypothesis
 from ffcomp.diagnosis.moves import free_shapes
-from ffcomp.diagnosis.noise import noise_floor, whitener
+from ffcomp.diagnosis.noise import NoiseFloor, noise_floor, whitener
 from ffcomp.diagnosis.problem import Candidate, Parameter
 from ffcomp.diagnosis.problems import problem_of, recordings_of
 from ffcomp.diagnosis.score_test import screen
-from ffcomp.diagnosis.search import Selection, _likelier_at_the_end
+from ffcomp.diagnosis.search import Selection, _likelier_at_the_end, _swapped
 from models.file import load_plant
 from validation.blind.cases import case
 
@@ -243,3 +243,30 @@ def test_of_two_that_explain_the_same_the_likelier_at_the_end_is_named() -> None
     found = _likelier_at_the_end(search, turned, Selection(turned, (turned, scaled)))
     assert found.names == ("gain",) and found.fit.values[gain.name] == pytest.approx(-0.08, abs=0.001)
     assert _likelier_at_the_end(search, turned, Selection(turned, (turned,))) is turned
+
+
+def test_of_two_laws_the_smaller_one_takes_the_place_of_the_other_where_it_is_likelier(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A weight with an angle, and a spring that leaves less: it was tried and passed over, for both need one number."""
+
+    def one(name: str, left: float) -> Hypothesis:
+        n = Parameter(f"effects.{name}.size", 0.0, 1.0)
+        return Hypothesis((Candidate(name, (n,), {}),), Fit((n,), np.ones(1), np.full(900, left), np.ones((900, 1))))
+
+    weight, spring, worse = one("weight", 1.7), one("spring", 1.2), one("other", 2.0)
+    monkeypatch.setattr("ffcomp.diagnosis.search.swap_for_smaller", lambda *_: [worse, spring])
+    search: Any = None
+    assert _swapped(search, weight, (weight,)) == (spring, (weight, worse, spring))
+    assert _swapped(search, spring, ())[0] is spring
+
+
+def test_numbers_far_beyond_what_the_file_says_are_no_better_file() -> None:
+    """By a noise that is guessed an effect must leave 5 % less; but not if the file would be off by 4.9 of its sd."""
+    number, size = Parameter("axis.stiffness", 1.0, 0.02), Parameter("effects.belt.change", 0.0, 0.1)
+    belt, rows = Candidate("belt", (size,), {}), np.full(900, 1.0)
+    best = Hypothesis((belt,), Fit((number, size), np.array([0.3, 1.0]), rows, np.ones((900, 2))))
+    guessed = NoiseFloor(np.array([0.0, 800.0]), {}, from_repeats=False)
+    for z, needed in ((1.5, False), (4.9, True)):
+        retuned = Fit((number,), np.array([z]), 1.02 * rows, np.ones((900, 1)))
+        assert _needed(best, retuned, guessed) is needed
