@@ -664,6 +664,15 @@ def test_the_score_of_known_verdicts() -> None:
     assert table["a pair"] == {"2 right, 0 wrong": 1, "1 right, 0 wrong": 1}
 
 
+def test_of_a_pair_what_cannot_be_seen_need_not_be_named() -> None:
+    both = {"effector_mass": {"added_kg": 0.1}, "command_delay": {"delay_s": 1e-3}}
+    for named, wanted in (("command_delay", True), ("effector_mass", False), ("cogging", False), ("none", True)):
+        one = judged("pair", both, [named])
+        hidden = {**one.label.visibility, "effector_mass": Visibility(1.0, 14.0, 1000)}
+        assert score.as_wanted(replace(one, label=replace(one.label, visibility=hidden))) is wanted, named
+    assert not score.as_wanted(judged("pair", both, ["command_delay"]))
+
+
 def test_what_belts_damp_need_not_be_named_and_a_rest_may_be_left() -> None:
     late = {"command_delay": {"delay_s": 1e-3}}
     found = judged("single", late, ["command_delay"])

@@ -101,6 +101,9 @@ def as_wanted(j: Judged) -> bool:
         return j.says == "none"
     if j.label.rest and j.right_with_rest:
         return True
+    seen = {name for name, found in j.label.visibility.items() if found.visible}
+    if seen and seen <= j.named <= j.truth:
+        return True
     return j.right or (not j.label.visible and j.says in ("none", "unknown"))
 
 
