@@ -72,8 +72,7 @@ def rejections(
             "three of the machine file's own numbers would have to be far off at once, as in the file of another "
             "machine: measure this one (ffcomp identify)"
         )
-    if pitches := [name for name in undetermined(best, intervals) if ".pitch_mm" in name]:
-        failed.append(f"{pitches[0].removeprefix('effects.')} is not determined, so nothing shows that it repeats")
+    failed += unfounded(best, intervals)
     for candidate in best.effects:
         if superfluous(candidate, intervals):
             failed.append(f"the interval of {candidate.name} includes no effect at all")
@@ -88,6 +87,18 @@ def out_of_reach(best: Hypothesis) -> list[str]:
     return [
         "with it the machine file's own numbers would have to be off by more than the file says, "
         f"{name} by {z:.1f} times its uncertainty"
+    ]
+
+
+def unfounded(best: Hypothesis, intervals: Mapping[str, Estimate]) -> list[str]:
+    """Say of which effect nothing shows what makes it one: a ripple without a pitch, a mode without a frequency.
+
+    A mode that swings far below the band is a mass that stays behind, and stands in for whatever asks for a gain.
+    """
+    return [
+        f"{name.removeprefix('effects.')} is not determined, so nothing shows that it {does}"
+        for does, key in (("repeats", ".pitch_mm"), ("swings", ".frequency_hz"))
+        for name in [n for n in undetermined(best, intervals) if key in n][:1]
     ]
 
 
@@ -564,7 +575,7 @@ def _everywhere(first: _Tested, held_out: Sequence[HeldOut], whole: float) -> bo
 
 
 def _sound(estimation: EstimationProblem, h: Hypothesis) -> bool:
-    """Tell whether the file stays plausible, with few numbers at its ends, and what is to repeat does.
+    """Tell whether the file stays plausible, with few numbers at its ends, and what is to repeat or swing does.
 
     Its interval may include no effect where only ratios of forces show, as of a servo whose stiffness is a guess.
     """
@@ -572,5 +583,4 @@ def _sound(estimation: EstimationProblem, h: Hypothesis) -> bool:
     held = sum(squares) <= SETTINGS.implausible * len(squares) * (1 + 1e-9)  # what is held there is not beyond it
     ends = sum(square > SETTINGS.implausible * (1 - 1e-9) for square in squares)
     intervals = intervals_of(estimation, h.fit, h.fit.values, scatter=True)
-    repeats = not any(".pitch_mm" in name for name in undetermined(h, intervals))
-    return held and ends <= max(len(squares) / 2, SETTINGS.most_effects) and repeats
+    return held and ends <= max(len(squares) / 2, SETTINGS.most_effects) and not unfounded(h, intervals)

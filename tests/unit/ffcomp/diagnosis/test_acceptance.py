@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ffcomp.diagnosis.acceptance import HeldOut, rejections
+from ffcomp.diagnosis.acceptance import HeldOut, rejections, unfounded
 from ffcomp.diagnosis.fit import Fit
 from ffcomp.diagnosis.hypotheses import Hypothesis
 from ffcomp.diagnosis.problem import Candidate, Parameter
@@ -58,3 +58,17 @@ def test_an_effect_must_explain_more_than_its_number_is_worth(residual: float, n
     held_out = [HeldOut(place, "", rows=500, before=99.0, after=0.0) for place in ((0.0, 0.0), (55.0, 20.0))]
     reasons = rejections(base, named((0.0, 0.0)), held_out, {EFFECT.name: Estimate(0.12, 0.01, 0.1, 0.14)}, 0.05)
     assert ("it is not significantly better than retuning alone" not in reasons) == named_it
+
+
+@pytest.mark.parametrize(("frequency_hz", "said"), [(0.5, 1), (18.0, 0)])
+def test_a_mode_swings_at_a_frequency_that_is_determined(frequency_hz: float, said: int) -> None:
+    """At the low end of its range it is a mass that stays behind, as the creeping belt of a CoreXY had it."""
+    mass, swings = (
+        Parameter("effects.frame_mode.mass_kg", 0.0, 3.0, 0.0, 100.0),
+        Parameter("effects.frame_mode.frequency_hz", frequency_hz, 1.5, 0.5, 500.0),
+    )
+    fitted = Fit((mass, swings), np.array([1.1, 0.0]), np.ones(100), np.zeros((100, 2)))
+    frame = Hypothesis((Candidate("frame_mode", (mass,), {mass.name: 0.3}, shapes=(swings,)),), fitted)
+    near = Estimate(frequency_hz, 0.05, frequency_hz - 0.08, frequency_hz + 0.08)
+    reasons = unfounded(frame, {mass.name: Estimate(3.4, 0.3, 2.9, 4.1), swings.name: near})
+    assert reasons == ["frame_mode.frequency_hz is not determined, so nothing shows that it swings"] * said
