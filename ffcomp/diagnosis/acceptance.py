@@ -469,13 +469,12 @@ def dominant_effect(
     if not contenders or len(parts) < 2:
         return None
     progress("nothing explains all of it: looking for what explains most")
+    sound = [h for h in (_fitted(estimation, h, progress) for h in contenders) if _sound(estimation, h)]
+    if not sound:
+        return None
     held_out = hold_out(estimation, base, base, parts)
     whole = to_explain(held_out)
-    tested = [_tested(estimation, _fitted(estimation, h, progress), parts) for h in contenders]
-    ranked = sorted(tested, key=lambda each: float(each.left.sum()))
-    ranked = [each for each in ranked if _sound(estimation, each.hypothesis)]
-    if not ranked:
-        return None
+    ranked = sorted((_tested(estimation, h, parts) for h in sound), key=lambda each: float(each.left.sum()))
     first = _simplest([each for each in ranked if _law_group(each.hypothesis) == _law_group(ranked[0].hypothesis)])
     others = [each for each in ranked if _law_group(each.hypothesis) != _law_group(first.hypothesis)]
     explained = [1 - float(each.left.sum()) / whole for each in (first, *others)]
