@@ -352,6 +352,8 @@ def by_continuation(estimation: EstimationProblem, h: Hypothesis, progress: Prog
             return h
         part = estimation.limited_to([i for i, m in enumerate(estimation.problem.motions) if m in quiet[:count]])
         begun = continue_fit(part, transferred(part, begun), progress, f", in {count} quiet motions")
+        if _no_better(part, begun, h):
+            return h
     if len(quiet) <= 2:
         begun = h
     fitted = continue_fit(estimation, transferred(estimation, begun), progress, ", by degrees")
@@ -362,6 +364,15 @@ def transferred(part: EstimationProblem, h: Hypothesis) -> Hypothesis:
     """Take values over into a problem of other rows; derivatives are taken anew by whoever fits."""
     residual = part.residual(h.fit.values)
     return Hypothesis(h.effects, Fit(h.fit.parameters, h.fit.z, residual, np.zeros((len(residual), len(h.fit.z)))))
+
+
+def _no_better(part: EstimationProblem, begun: Hypothesis, h: Hypothesis) -> bool:
+    """Tell whether what was fitted to a part leaves nearly as much there as another that was fitted to all.
+
+    Beyond that part it is no better either: the way through it leads nowhere.
+    """
+    there = transferred(part, h).discrepancy
+    return begun.discrepancy > max(SETTINGS.large, (1 - SETTINGS.reshaped_share) * there)
 
 
 # ---- excerpts ------------------------------------------------------------------------------------
@@ -411,7 +422,7 @@ def hypothesis_in_whole(problem: Problem, h: Hypothesis) -> Hypothesis:
 
 
 def from_short_horizon(
-    estimation: EstimationProblem, screened: Sequence[Screened], progress: Progress
+    estimation: EstimationProblem, screened: Sequence[Screened], instead: Hypothesis, progress: Progress
 ) -> Hypothesis | None:
     """Fit what explains the first instants of all motions, and follow it to their ends, on longer and longer horizons.
 
@@ -422,7 +433,8 @@ def from_short_horizon(
 
     Returns
     -------
-    A hypothesis fitted to all of `estimation`; None where nothing explains the first instants, or there are none.
+    A hypothesis fitted to all of `estimation`; None where nothing explains the first instants, or there are none, or
+    where it explains a longer horizon no better than `instead`.
     """
     seconds = _first_horizon_s(estimation)
     part = short_horizon(estimation, seconds)
@@ -442,6 +454,8 @@ def from_short_horizon(
     seconds *= SETTINGS.horizon_growth
     while (part := short_horizon(estimation, seconds)) is not None and part.may_go_on:
         best = log_fit(_fitted_anew(part, best, 6), progress, f", in the first {seconds:.2g} s")
+        if _no_better(part, best, instead):
+            return None
         seconds *= SETTINGS.horizon_growth
     return continue_fit(estimation, transferred(estimation, best), progress, ", from the beginnings")
 

@@ -79,7 +79,7 @@ def find_best(search: Search) -> Selection:
     if best.discrepancy > max(SETTINGS.large, search.little) or not best.plausible:
         if search.estimation.problem.short_horizon(SETTINGS.horizon_s) is not None:
             search.estimation.problem.work.extend(SETTINGS.restart_steps)
-        warm = from_short_horizon(search.estimation, search.bases[0][1], search.progress)
+        warm = from_short_horizon(search.estimation, search.bases[0][1], best, search.progress)
         if warm is not None and warm.fit.evidence <= best.fit.evidence:
             selection = _rounds(search, Selection(warm, (*selection.tried, warm)))
     return _floating(search, selection)

@@ -137,6 +137,14 @@ def test_a_number_that_loud_motions_hide_is_found_from_the_quiet_ones() -> None:
     assert found.fit.values[size.name] == pytest.approx(1.2, abs=1e-3)
 
 
+def test_quiet_motions_that_are_explained_no_better_by_themselves_lead_nowhere() -> None:
+    problem: Any = Swinging(1.2)
+    size, said = Parameter("effects.cubic.size", 0.0, 1.0, 1.3, 2.0), list[str]()  # the truth is out of reach
+    held = Hypothesis((Candidate("cubic", (size,), {}),), fit(problem, (size,), np.array([1.3])))
+    assert by_continuation(problem, held, said.append) is held
+    assert sum("in 2 quiet motions:" in each for each in said) == 1 and not any("in 4" in each for each in said)
+
+
 # ---- a short horizon -----------------------------------------------------------------------------
 
 
@@ -169,7 +177,7 @@ def test_wide_play_is_found_with_its_widths(folder: Path) -> None:
     base = retuned(estimation)
     assert base.discrepancy > 100.0  # times the noise, and so much in the dark
     screened = screen(estimation, base, estimation.problem.candidates)
-    found = from_short_horizon(estimation, screened, lambda said: None)
+    found = from_short_horizon(estimation, screened, Hypothesis((), base), lambda said: None)
     assert found is not None and found.names == ("belt_backlash",) and found.plausible
     assert found.discrepancy < 0.02 * base.discrepancy
     widths = [found.fit.values[f"{WIDTH}[{i}]"] for i in range(2)]
@@ -180,7 +188,8 @@ def test_where_nothing_explains_the_beginnings_nothing_is_followed(folder: Path)
     estimation, _ = printer("belt_backlash", 81234303, folder)
     base = retuned(estimation)
     others = [c for c in estimation.problem.candidates if c.name == "belt_stiffness"]
-    assert from_short_horizon(estimation, screen(estimation, base, others), lambda said: None) is None
+    screened, nothing = screen(estimation, base, others), Hypothesis((), base)
+    assert from_short_horizon(estimation, screened, nothing, lambda said: None) is None
 
 
 # ---- shapes set free -----------------------------------------------------------------------------
