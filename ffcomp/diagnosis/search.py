@@ -70,6 +70,7 @@ class Selection:
     best: Hypothesis
     tried: tuple[Hypothesis, ...]
     left_nothing: bool = False  # the rounds ended because there was nothing left to explain
+    shaped: bool = False  # the best one's shapes are those that pay
 
 
 def find_best(search: Search) -> Selection:
@@ -186,7 +187,7 @@ def _shaped(search: Search, fitted: Sequence[Hypothesis], best: Hypothesis) -> l
 
 def _rounds(search: Search, selection: Selection) -> Selection:
     """Add effects to the best hypothesis, round by round, until none is significant or nothing is left."""
-    best, tried = selection.best, selection.tried
+    best, tried, shaped = selection.best, selection.tried, selection.shaped
     while len(best.effects) < SETTINGS.most_effects and incomplete(search.estimation, best):
         best = straightened(search.estimation, refit(search.estimation, best, search.progress), search.progress)
         if not incomplete(search.estimation, best) or not search.may_go_on:
@@ -194,17 +195,19 @@ def _rounds(search: Search, selection: Selection) -> Selection:
         larger, more = _larger(search, best)
         tried = (*tried, *more)
         if larger is None:
-            return Selection(best, tried)
+            return Selection(best, tried, shaped=shaped)
         best = larger
         if search.may_go_on:
             best = reshape_thoroughly(search, best)
+        reshaped = best
         if search.may_go_on:
             best, tried = _swapped(search, best, tried)
         if search.may_go_on:
             best = simplest(best, tried, search.candidates)
+        shaped = best is reshaped
         if not search.may_go_on:
             break
-    return Selection(best, tried, left_nothing=not incomplete(search.estimation, best))
+    return Selection(best, tried, left_nothing=not incomplete(search.estimation, best), shaped=shaped)
 
 
 def _swapped(
@@ -246,7 +249,7 @@ def _is_shape(search: Search, best: Hypothesis, larger: Hypothesis) -> bool:
 def _floating(search: Search, selection: Selection) -> Selection:
     """Swap effects that were added one after the other, and add one for a number of the file that is implausible."""
     estimation, best, others = search.estimation, selection.best, list[Hypothesis]()
-    if len(best.effects) > 1 and incomplete(estimation, best) and search.may_go_on:
+    if len(best.effects) > 1 and not selection.shaped and incomplete(estimation, best) and search.may_go_on:
         best = reshape(estimation, best, search.progress)  # one that replaced another as simpler has its first shape
     if len(best.effects) > 1 and incomplete(estimation, best):
         others += swap(search, best, selection.tried)
