@@ -263,11 +263,20 @@ def swap_for_smaller(search: Search, best: Hypothesis, tried: Sequence[Hypothesi
 
 
 def _fitted_in_best_shape(search: Search, h: Hypothesis, best: Hypothesis) -> Hypothesis:
-    """Fit what replaces an effect of the best hypothesis; where that leaves far more, no restart or shape is tried."""
+    """Fit what replaces an effect of the best hypothesis.
+
+    Where that leaves far more, or as much as without what was put in its place, no restart or shape is tried.
+    """
     fitted = continue_fit(search.estimation, h, search.progress)
-    if not comparable(fitted, best, SETTINGS.keep_initial):
+    idle = [c for c in fitted.effects if c.name not in best.names and not _gains(fitted, c)]
+    if idle or not comparable(fitted, best, SETTINGS.keep_initial):
         return fitted
     return reshape(search.estimation, with_restart(search.estimation, fitted, search.progress), search.progress)
+
+
+def _gains(h: Hypothesis, effect: Candidate) -> bool:
+    """Tell whether an effect removes a tenth of what is left without it, as predicted."""
+    return significant(h.fit, predicted_without(h, effect), SETTINGS.reshaped_share)
 
 
 def swap_for_nested(search: Search, h: Hypothesis) -> list[Hypothesis]:
