@@ -31,6 +31,7 @@ from ffcomp.diagnosis.problem import Candidate, Parameter, Problem
 from ffcomp.diagnosis.recording_clocks import belongs_to_recording
 from ffcomp.diagnosis.score_test import Screened, squares_by_motion, subset_of
 from ffcomp.diagnosis.settings import SETTINGS
+from ffcomp.numerics.least_squares import SMALL_GAIN
 from ffcomp.numerics.stages import Progress, Stage
 from models.arrays import FloatArray
 
@@ -163,24 +164,48 @@ def continue_fit(
     if known is not None:
         columns = np.hstack([known, columns])
     renew = every[-h.effect_count :] if h.effect_count <= SETTINGS.renewed else ()
-    fitted = fit(ranked, h.fit.parameters, h.fit.z, columns, renew, 10, SETTINGS.quick_gain, rough=machine)
-    if ranked is not estimation:
-        exact = estimation.residual(fitted.values)
-        if _negligible(fitted.residual - exact, exact):
-            fitted = replace(fitted, residual=exact)
-        else:
-            jacobian = fitted.jacobian
-            fitted = fit(
-                estimation, fitted.parameters, fitted.z, jacobian, renew, 10, SETTINGS.quick_gain, rough=machine
-            )
+    fitted = _fit_quickest(
+        estimation, h.fit.parameters, h.fit.z, columns, renew, 10, SETTINGS.quick_gain, rough=machine
+    )
     return log_fit(Hypothesis(h.effects, fitted), progress, note)
 
 
-def _quickest(estimation: EstimationProblem, values: Mapping[str, float]) -> tuple[EstimationProblem, FloatArray]:
-    """Return the problem, coarse where that errs by nothing that matters beside what is left, and its residual."""
-    quick, residual = replace(estimation, coarse=True), estimation.residual(values)
-    if estimation.coarse:
+def _fit_quickest(
+    estimation: EstimationProblem,
+    parameters: Sequence[Parameter],
+    start: FloatArray,
+    jacobian: FloatArray,
+    renew: Sequence[int],
+    iterations: int,
+    small_gain: float = SMALL_GAIN,
+    rough: int = 0,
+    exact: bool = False,
+    little: float = -1.0,
+) -> Fit:
+    """Fit coarsely where that errs by nothing that matters, and more than `little` is left; see `fit`."""
+    ranked, _ = _quickest(estimation, values_at(parameters, clipped(parameters, start)), little)
+    fitted = fit(ranked, parameters, start, jacobian, renew, iterations, small_gain, exact=exact, rough=rough)
+    if ranked is estimation:
+        return fitted
+    z, jacobian = fitted.z, fitted.jacobian
+    if _quickest(estimation, fitted.values, little)[0] is estimation:
+        return fit(estimation, parameters, z, jacobian, renew, iterations, small_gain, exact=exact, rough=rough)
+    return replace(fitted, residual=estimation.residual(fitted.values))
+
+
+def _quickest(
+    estimation: EstimationProblem, values: Mapping[str, float], little: float = -1.0
+) -> tuple[EstimationProblem, FloatArray]:
+    """Return the problem, coarse where that errs by nothing that matters beside what is left, and its residual.
+
+    Parameters
+    ----------
+    little : discrepancy up to which it is not coarse.
+    """
+    residual = estimation.residual(values)
+    if estimation.coarse or float(residual @ residual) < (1 + little) * len(residual):
         return estimation, residual
+    quick = replace(estimation, coarse=True)
     roughly = quick.residual(values)
     return (quick, roughly) if _negligible(roughly - residual, residual) else (estimation, residual)
 
@@ -233,7 +258,9 @@ def fit_exactly(estimation: EstimationProblem, h: Hypothesis, progress: Progress
     alone = fit(estimation, added, h.effect_z, columns, range(len(added)), 5, renew_all=False)
     from_file = np.concatenate([np.zeros(h.machine_count), alone.z])
     start = from_file if alone.evidence < h.fit.evidence else h.fit.z
-    fitted = fit(estimation, h.fit.parameters, start, h.fit.jacobian, iterations=5, exact=True)
+    fitted = _fit_quickest(
+        estimation, h.fit.parameters, start, h.fit.jacobian, (), 5, exact=True, little=SETTINGS.large
+    )
     return log_fit(Hypothesis(h.effects, fitted, exact=True), progress, " at the end")
 
 
@@ -252,8 +279,8 @@ def fit_within_uncertainty(estimation: EstimationProblem, h: Hypothesis, progres
     """Fit with the file's numbers held to what it says of them: what moved them may be an effect's shape."""
     log_try(h.effects, progress, " with the file's numbers within reach")
     parameters = (*_held(h.machine_parameters, float(np.sqrt(SETTINGS.implausible))), *h.effect_parameters)
-    start = clipped(parameters, h.fit.z)
-    fitted = fit(estimation, parameters, start, h.fit.jacobian, range(h.machine_count, len(parameters)), iterations=8)
+    start, renew = clipped(parameters, h.fit.z), range(h.machine_count, len(parameters))
+    fitted = _fit_quickest(estimation, parameters, start, h.fit.jacobian, renew, 8, little=SETTINGS.large)
     return log_fit(Hypothesis(h.effects, fitted), progress, " with the file's numbers within reach")
 
 

@@ -84,7 +84,7 @@ def test_numbers_of_the_file_are_held_within_reach_where_an_effect_explains_as_m
         for v in many:
             yield measured - columns[0] * (v[stiffness.name] - 1.0) - columns[1] * v[delay.name]
 
-    problem: Any = SimpleNamespace(residuals=residuals, coarse=False)
+    problem: Any = SimpleNamespace(residuals=residuals, residual=lambda v: next(residuals([v])), coarse=True)
     z = np.array([-4.0, 5.0])
     begun = Fit((stiffness, delay), z, next(residuals([values_at((stiffness, delay), z)])), columns.T * [0.02, 1.0])
     best = Hypothesis((Candidate("command_delay", (delay,), {}),), begun)
