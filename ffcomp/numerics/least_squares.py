@@ -303,7 +303,10 @@ def bounded_step(normal: FloatArray, gradient: FloatArray, low: FloatArray, high
     lower = np.linalg.cholesky(regular)
     right = solve_triangular(lower, scale * gradient[free], lower=True)
     bounds = (np.minimum(low[free], 0.0) / scale, np.maximum(high[free], 0.0) / scale)
-    step[free] = scale * lsq_linear(lower.T, right, bounds, "bvls", tol=1e-14, max_iter=MOST_PASSES).x
+    inside = solve_triangular(lower, right, lower=True, trans="T")
+    if not np.all((bounds[0] <= inside) & (inside <= bounds[1])):
+        inside = lsq_linear(lower.T, right, bounds, "bvls", tol=1e-14, max_iter=MOST_PASSES).x
+    step[free] = scale * inside
     return step
 
 
