@@ -151,7 +151,8 @@ def solve_feasible(model: InverseModel, request: SectionRequest) -> FeasibleSect
     late = _late(model, written, solution.vertices)
     if not _exceeds(model, written, solution, late):
         return FeasibleSection(trajectory, section, written, solution)
-    if (roomy := _with_more_room(model, request, written)) is not None:
+    roomy = _with_more_room(model, request, written, solution)
+    if isinstance(roomy, FeasibleSection):
         return roomy
     moves = some(request.program.moves, slice(section.first, section.last))
     scaled = _ScaledSection(
@@ -165,7 +166,7 @@ def solve_feasible(model: InverseModel, request: SectionRequest) -> FeasibleSect
         request.program.first_line,
         keep_response=keep,
     )
-    written, solution = scaled.solve(settings.tolerance_um * 1e-3)
+    written, solution = scaled.solve(settings.tolerance_um * 1e-3, roomy)
     if not scaled.reasons:
         return FeasibleSection(trajectory, section, written, solution)
     spliced, lost = _spliced(trajectory, section, scaled.plan)
@@ -208,24 +209,32 @@ def _accelerations(model: InverseModel, vertices: FloatArray) -> FloatArray:
     return np.asarray(utilisation_from_rest(vertices, model.limits)[:, ACCELERATION].max(axis=1))
 
 
-def _with_more_room(model: InverseModel, request: SectionRequest, tight: WrittenReference) -> FeasibleSection | None:
-    """Solve a section with more time before and after its path, at most all that a command may have; None: too little.
+def _with_more_room(
+    model: InverseModel, request: SectionRequest, tight: WrittenReference, solution: Solution
+) -> FeasibleSection | _Free:
+    """Solve a section with more time before and after its path, at most all that a command may have.
 
-    A few ms there are less than what slower moves would take.
+    A few ms there are less than what slower moves would take. Too little: return the last command, without limits.
     """
-    s, section = model.settings, request.section
+    s, section, free = model.settings, request.section, _Free(tight, solution)
     if request.extent != WHOLE:
-        return None
+        return free
     most = math.ceil((section.end_t - section.begin_t + s.lead_s + s.tail_s) / s.segment_s)
-    for segments in range(tight.reference.knots + 1, most + 1):
-        room = room_in(section, segments, s, s.lead_s / (s.lead_s + s.tail_s))
+    rooms = [
+        room_in(section, segments, s, s.lead_s / (s.lead_s + s.tail_s))
+        for segments in range(tight.reference.knots + 1, most)
+    ]
+    if tight.reference.t0 != section.begin_t - s.lead_s:
+        rooms.append(Room(s.lead_s, s.tail_s))
+    for room in rooms:
         written = request.extent.written(request.trajectory, section, s, room)
         solution = solve(
             model, written.reference, request.state, keep_response=request.keep_response, enforce_limits=False
         )
         if not _exceeds(model, written, solution, _late(model, written, solution.vertices)):
             return FeasibleSection(request.trajectory, section, written, solution)
-    return None
+        free = _Free(written, solution)
+    return free
 
 
 def scale_around_cut(
@@ -306,6 +315,13 @@ def _late(model: InverseModel, written: WrittenReference, vertices: FloatArray) 
     return np.repeat(late, np.diff(stay))
 
 
+class _Free(NamedTuple):
+    """One plan's reference, and its command without limits."""
+
+    written: WrittenReference
+    solution: Solution
+
+
 class _Attempt(NamedTuple):
     """One plan's reference, its command and what keeps the machine from following."""
 
@@ -346,28 +362,29 @@ class _ScaledSection:
         self.plan = self.replan(self.moves, self.begin_t)
         self.section = Section(0, len(self.moves), True, self.begin_t, self.plan.end_t)
 
-    def solve(self, tolerance_mm: float) -> tuple[WrittenReference, Solution]:
-        """Return the first plan in a few rounds that can be followed, and its command."""
+    def solve(self, tolerance_mm: float, first: _Free) -> tuple[WrittenReference, Solution]:
+        """Return the first plan in a few rounds that can be followed, and its command. first : of the plan as it is."""
         moves, plan = self.moves, self.plan
-        written, solution = self.scale(tolerance_mm)
+        written, solution = self.scale(tolerance_mm, first)
         if self.reasons and self.extent.end is not None:
             if not self._fit():
                 self.moves, self.plan, self.reasons = moves, plan, {}
-            written, solution, violations = self._attempt(tolerance_mm)
+            written, solution, violations = self._attempt(tolerance_mm, self._free())
             solution = self._constrained(written, solution) if violations else solution
         return written, solution
 
-    def scale(self, tolerance_mm: float) -> tuple[WrittenReference, Solution]:
+    def scale(self, tolerance_mm: float, first: _Free | None = None) -> tuple[WrittenReference, Solution]:
         """Do the same without regard to where the written part ends."""
         for _ in range(ROUNDS):
-            written, solution, violations = self._attempt(tolerance_mm)
+            written, solution, violations = self._attempt(tolerance_mm, first or self._free())
+            first = None
             if not violations:
                 return written, solution
             self._refuse_travel(written.reference, violations)
             if not self._slow(written.reference, violations):  # the rest is near a cut: constrained, off the path
                 return written, self._constrained(written, solution)
             self._plan_again()
-        written, free, violations = self._attempt(tolerance_mm)
+        written, free, violations = self._attempt(tolerance_mm, self._free())
         if self.extent != WHOLE:
             return written, self._constrained(written, free)
         solution = self._solve(written)
@@ -420,12 +437,16 @@ class _ScaledSection:
         first_t = self.begin_t - self.model.settings.lead_s if begin is None else begin.time_in(plan)
         return (self.plan.end_t if end is None else end.time_in(plan)) - first_t
 
-    def _attempt(self, tolerance_mm: float) -> _Attempt:
-        """Solve on the plan as it stands, without limits first, and list the violations in the written part."""
-        model = self.model
-        all_room = Room(model.settings.lead_s, model.settings.tail_s)
-        written = self.extent.written(self.plan, self.section, model.settings, all_room)
-        free = self._solve(written, enforce_limits=False)
+    def _free(self) -> _Free:
+        """Solve on the plan as it stands, without limits."""
+        settings = self.model.settings
+        all_room = Room(settings.lead_s, settings.tail_s)
+        written = self.extent.written(self.plan, self.section, settings, all_room)
+        return _Free(written, self._solve(written, enforce_limits=False))
+
+    def _attempt(self, tolerance_mm: float, command: _Free) -> _Attempt:
+        """List the violations in the written part of a command; where its limits alone are exceeded, with them kept."""
+        model, (written, free) = self.model, command
         feasible = _utilisation(model, written, free) <= 1.0
         utilisation = utilisation_from_rest(free.vertices, model.limits)[1:-1]
         violations = _among(path_violations(self._path_utilisation(written.reference), utilisation), written)
