@@ -127,6 +127,8 @@ class RobustReference:
 
     def _solve(self, spans: Sequence[_Span], length: int) -> ShortArray:
         """Find d (spans, 3, length) mm of some spans, each by itself."""
+        from scipy.fft import rfft
+
         n, stride = length // 2, ROWS // length
         operators = [self._operators(*self.sensitivity.place_of(span.rows[:, :2])) for span in spans]
         of_steps, of_y = (np.stack([each[k][..., ::stride] for each in operators]) for k in range(2))
@@ -144,27 +146,19 @@ class RobustReference:
         mean_lines = np.zeros((len(spans), 3, length // 2 + 1), np.complex64)  # of what y makes of the mean, twice
         y: ShortArray = np.zeros((len(spans), 3, n), np.float32)
         direction, last_z = np.zeros_like(y), np.zeros_like(y)
-        last_energy = np.zeros((len(spans), 1, 1), np.float32)
+        last_energy = np.zeros(len(spans), np.float32)
         error, errors = path_error, np.empty((len(spans), 3 + spread.shape[1], lines), np.complex64)
         for left in reversed(range(STEPS)):
             normal, weight = normal_errors(rows, directions, error)
-            errors[:, :3] = lines_of(normal, lines)
-            errors[:, :3] *= 0.5
-            errors[:, 3:] = lines_of(weigh(weight, spread), lines)
-            gradient = allowed * rows_of(apply_adjoint(of_y, errors, n // 2 + 1), n) + REGULARISATION * y
-            z = ALONG * gradient - (ALONG - 1.0) * weigh(weight, gradient)
-            energy = _dots(gradient, z)
-            share = np.maximum(_over(energy - _dots(gradient, last_z), last_energy), 0.0)
-            direction = np.asarray(allowed * z + share * direction, dtype=np.float32)
-            last_z, last_energy = z, energy
+            np.multiply(rfft(normal)[..., :lines], 0.5, out=errors[:, :3])
+            errors[:, 3:] = rfft(weigh(weight, spread))[..., :lines]
+            gradient = rows_of(apply_adjoint(of_y, errors, n // 2 + 1), n)
+            descent = search(gradient, allowed, weight, y, last_z, last_energy, direction)
             change_lines = apply(of_y, lines_of(direction, lines), n // 2 + 1)
             change = rows_of(change_lines, n)
-            curvature = _dots(change, weigh(weight, change)) + REGULARISATION * _dots(direction, direction)
-            step = _over(_dots(gradient, direction), curvature)
-            y -= step * direction
+            step = advance(change, weight, direction, descent, y, spread)
             if left:
-                spread -= step * change[:, 3:]
-                mean_lines[..., :lines] -= 2.0 * step * change_lines[:, :3, :lines]
+                mean_lines[..., :lines] -= (2.0 * step)[:, None, None] * change_lines[:, :3, :lines]
                 error = path_error + rows_of(mean_lines, length)
         return moving * rows_of(lines_of(y, lines) * (2.0 * self._low_pass[::stride]), length)
 
@@ -288,13 +282,95 @@ def weigh(weight: ShortArray, errors: ShortArray) -> ShortArray:
     return out
 
 
-def _dots(a: ShortArray, b: ShortArray) -> ShortArray:
-    return np.einsum("sij,sij->s", a, b)[:, None, None]
+@fast_kernel
+def search(
+    gradient: ShortArray,
+    allowed: ShortArray,
+    weight: ShortArray,
+    y: ShortArray,
+    last_z: ShortArray,
+    last_energy: ShortArray,
+    direction: ShortArray,
+) -> ShortArray:
+    """Turn directions of search (s, 3, n) to where y gets better, and return how fast (s,) it does along them.
+
+    gradient : (s, 3, n), without what the size of y itself adds
+    allowed : (s, 1, n), 1 where y may be something; weight : (s, 6, n), W
+    last_z, last_energy : (s, 3, n) and (s,), the preconditioned gradient of the step before and its product with the
+        gradient; overwritten
+    """
+    out = np.empty(len(y), np.float32)
+    z = np.empty_like(y[0])
+    g = np.empty_like(z)
+    for s in range(len(y)):
+        may = allowed[s, 0]
+        xx, yy, zz, xy, xz, yz = weight[s]
+        for j in range(3):
+            for i in range(len(may)):
+                g[j, i] = may[i] * gradient[s, j, i] + np.float32(REGULARISATION) * y[s, j, i]
+        energy, before = np.float32(0.0), np.float32(0.0)
+        near = np.float32(ALONG - 1.0)
+        for i in range(len(may)):
+            z[0, i] = np.float32(ALONG) * g[0, i] - near * (xx[i] * g[0, i] + xy[i] * g[1, i] + xz[i] * g[2, i])
+            z[1, i] = np.float32(ALONG) * g[1, i] - near * (xy[i] * g[0, i] + yy[i] * g[1, i] + yz[i] * g[2, i])
+            z[2, i] = np.float32(ALONG) * g[2, i] - near * (xz[i] * g[0, i] + yz[i] * g[1, i] + zz[i] * g[2, i])
+        for j in range(3):
+            for i in range(len(may)):
+                energy += g[j, i] * z[j, i]
+                before += g[j, i] * last_z[s, j, i]
+        share = np.float32(0.0)  # nothing by nothing is nothing
+        if last_energy[s] > 0.0:
+            share = max((energy - before) / last_energy[s], share)
+        last_energy[s] = energy
+        descent = np.float32(0.0)
+        for j in range(3):
+            for i in range(len(may)):
+                last_z[s, j, i] = z[j, i]
+                direction[s, j, i] = may[i] * z[j, i] + share * direction[s, j, i]
+                descent += g[j, i] * direction[s, j, i]
+        out[s] = descent
+    return out
 
 
-def _over(a: ShortArray, b: ShortArray) -> ShortArray:
-    """Divide; nothing by nothing is nothing."""
-    return np.divide(a, b, out=np.zeros_like(a), where=b > 0.0)
+@fast_kernel
+def advance(
+    change: ShortArray,
+    weight: ShortArray,
+    direction: ShortArray,
+    descent: ShortArray,
+    y: ShortArray,
+    spread: ShortArray,
+) -> ShortArray:
+    """Go along directions (s, 3, n) as far as the errors become less, change y and `spread`, and return how far (s,).
+
+    change : (s, 3 + 3 p, n), of the errors by the directions: of the mean, and of the spread (s, 3 p, n)
+    """
+    out = np.zeros(len(y), np.float32)
+    for s in range(len(y)):
+        xx, yy, zz, xy, xz, yz = weight[s]
+        curvature = np.float32(0.0)
+        for p in range(0, change.shape[1], 3):
+            a, b, c = change[s, p], change[s, p + 1], change[s, p + 2]
+            for i in range(y.shape[2]):
+                curvature += (
+                    xx[i] * a[i] * a[i]
+                    + yy[i] * b[i] * b[i]
+                    + zz[i] * c[i] * c[i]
+                    + np.float32(2.0) * (xy[i] * a[i] * b[i] + xz[i] * a[i] * c[i] + yz[i] * b[i] * c[i])
+                )
+        for j in range(3):
+            for i in range(y.shape[2]):
+                curvature += np.float32(REGULARISATION) * direction[s, j, i] * direction[s, j, i]
+        if curvature > 0.0:
+            step = descent[s] / curvature
+            out[s] = step
+            for j in range(3):
+                for i in range(y.shape[2]):
+                    y[s, j, i] -= step * direction[s, j, i]
+            for j in range(spread.shape[1]):
+                for i in range(y.shape[2]):
+                    spread[s, j, i] -= step * change[s, 3 + j, i]
+    return out
 
 
 def _blending(n: int, rises: bool, falls: bool) -> FloatArray:
