@@ -70,7 +70,7 @@ REGULARISATION = 1e-3  # λ
 STEPS = 7  # of conjugate gradients; with more a command asks for more, and printers gain little
 ALONG = 10.0  # times as far along the path as across it: what they are preconditioned with
 BLEND = 64  # rows over which one span's answer goes over into the next one's
-TOGETHER = 8  # spans
+TOGETHER = 12288  # rows of several spans
 
 
 class Path(NamedTuple):
@@ -86,7 +86,8 @@ class _Span(NamedTuple):
     path: int
     first: int
     last: int
-    rows: FloatArray  # (last - first + 2 MARGIN, 3) mm
+    before: int  # rows in sight before the first
+    rows: FloatArray  # (before + last - first + MARGIN, 3) mm
     moving: BoolArray
 
 
@@ -105,18 +106,20 @@ class RobustReference:
         """Return the offset d (n, 3) mm from each path."""
         sizes = [len(path.rows) - 2 * MARGIN for path in paths]
         out = [np.zeros((n + 2 * BLEND, 3)) for n in sizes]  # with what the first and the last span blend into
-        spans = [
-            _Span(k, first, last, path.rows[first : last + 2 * MARGIN], path.moving[first : last + 2 * MARGIN])
-            for k, (path, n) in enumerate(zip(paths, sizes, strict=True))
-            for first, last in spans_of(n)
-        ]
+        spans = list[_Span]()
+        for k, (path, n) in enumerate(zip(paths, sizes, strict=True)):
+            for first, last in spans_of(n):
+                before = MARGIN if first else BLEND  # at rest
+                seen = slice(first + MARGIN - before, last + 2 * MARGIN)
+                spans.append(_Span(k, first, last, before, path.rows[seen], path.moving[seen]))
         for length in SPANS:
             alike = [span for span in spans if span_length(len(span.rows)) == length]
-            for begin in range(0, len(alike), TOGETHER):
-                some = alike[begin : begin + TOGETHER]
+            together = TOGETHER // length
+            for begin in range(0, len(alike), together):
+                some = alike[begin : begin + together]
                 for span, d in zip(some, self._solve(some, length), strict=True):
-                    seen = d[:, MARGIN - BLEND : len(span.rows) - MARGIN + BLEND].T
-                    blended = seen * _blending(len(seen), span.first > 0, span.last < sizes[span.path])[:, None]
+                    part = d[:, span.before - BLEND : len(span.rows) - MARGIN + BLEND].T
+                    blended = part * _blending(len(part), span.first > 0, span.last < sizes[span.path])[:, None]
                     out[span.path][span.first : span.last + 2 * BLEND] += blended
         return [each[BLEND:-BLEND] for each in out]
 

@@ -34,7 +34,7 @@ PLACES_MM = 15.0  # to which the middle of a span is rounded
 PITCH_MM = 60.0  # half of it gives the same errors to 3 %
 PLACES_KEPT = 24  # of 0.6 MB each
 
-SPANS = (512, 768, 1024, 1536)  # rows worked on at a time, margins included: the first that is long enough
+SPANS = (256, 384, 512, 768, 1024, 1536)  # rows worked on at a time, margins included: the first that is long enough
 MARGIN = 128  # rows in sight on either side: a quarter of a second
 ROWS = 3072  # whose lines of frequency are those of every span
 NODE_ROWS = 1024  # whose lines D is worked out at; between them it is interpolated
