@@ -171,13 +171,16 @@ def _initial_fits(search: Search) -> list[Hypothesis]:
 def _shaped(search: Search, fitted: Sequence[Hypothesis], best: Hypothesis) -> list[Hypothesis]:
     """Reshape those nearly as good as the best, the smallest first.
 
-    What is another effect with more numbers stays as it is where that one leaves nothing in its best shape.
+    What is another effect with more numbers stays as it is where that one leaves nothing in its best shape, and so does
+    what one in its best shape leaves far behind.
     """
     shaped: list[Hypothesis] = []
     for h in sorted(fitted, key=lambda each: each.effect_count):
         simpler = [x for x in shaped if len(x.effects) == len(h.effects) == 1 and nested(*x.names, *h.names)]
         needless = any(not incomplete(search.estimation, x) for x in simpler)
         nearly = comparable(h, best, SETTINGS.keep_fitted) and not needless
+        rivals = [x for x in shaped if x.plausible or not h.plausible]
+        nearly = nearly and all(comparable(h, x, SETTINGS.keep_initial) for x in rivals)
         shaped.append(reshape_thoroughly(search, h) if nearly else h)
     return shaped
 
