@@ -22,7 +22,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ffcomp.diagnosis.fidelity import continue_fit, fit_within_uncertainty
+from ffcomp.diagnosis.fidelity import continue_fit, fit_within_uncertainty, quickest
 from ffcomp.diagnosis.fit import EstimationProblem, Fit, clipped, fit, intervals_of, step_within, superfluous, values_at
 from ffcomp.diagnosis.hypotheses import FILE_CHANGES, LAW_GROUPS, Hypothesis, implausible, likeliest, moved_numbers
 from ffcomp.diagnosis.observations import Position, clustered
@@ -269,10 +269,11 @@ def _fitted_to_others(estimation: EstimationProblem, fitted: Fit, members: Seque
     step[keep] = moved
     trials = [clipped(fitted.parameters, fitted.z + share * step) for share in (1.0, 0.5, 0.2, 0.05, 0.0)]
     # the whole step, if it brings at least half of what it promises: then there is hardly a better one
-    promised, before = float(2 * slope @ moved - moved @ normal @ moved), _cost(r, fitted.z)
-    costs = _costs(estimation, fitted, trials[:1], inside)
+    ranked, residual = quickest(estimation, fitted.values)
+    promised, before = float(2 * slope @ moved - moved @ normal @ moved), _cost(residual[inside], fitted.z)
+    costs = _costs(ranked, fitted, trials[:1], inside)
     if not before - costs[0] > promised / 2:
-        costs += _costs(estimation, fitted, trials[1:], inside)
+        costs += _costs(ranked, fitted, trials[1:], inside)
     return _on_their_clocks(estimation, fitted, trials[int(np.argmin(costs))], members)
 
 

@@ -158,19 +158,17 @@ def continue_fit(
     """
     log_try(h.effects, progress, note)
     every, machine = range(len(h.fit.parameters)), h.machine_count
-    ranked, residual = _quickest(estimation, h.fit.values)
+    ranked, residual = quickest(estimation, h.fit.values)
     which = every if known is None else every[-h.effect_count :]
     columns = derivatives(ranked, h.fit.parameters, h.fit.z, residual, which, rough=machine)
     if known is not None:
         columns = np.hstack([known, columns])
     renew = every[-h.effect_count :] if h.effect_count <= SETTINGS.renewed else ()
-    fitted = _fit_quickest(
-        estimation, h.fit.parameters, h.fit.z, columns, renew, 10, SETTINGS.quick_gain, rough=machine
-    )
+    fitted = _fit_quickly(estimation, h.fit.parameters, h.fit.z, columns, renew, 10, SETTINGS.quick_gain, rough=machine)
     return log_fit(Hypothesis(h.effects, fitted), progress, note)
 
 
-def _fit_quickest(
+def _fit_quickly(
     estimation: EstimationProblem,
     parameters: Sequence[Parameter],
     start: FloatArray,
@@ -183,17 +181,17 @@ def _fit_quickest(
     little: float = -1.0,
 ) -> Fit:
     """Fit coarsely where that errs by nothing that matters, and more than `little` is left; see `fit`."""
-    ranked, _ = _quickest(estimation, values_at(parameters, clipped(parameters, start)), little)
+    ranked, _ = quickest(estimation, values_at(parameters, clipped(parameters, start)), little)
     fitted = fit(ranked, parameters, start, jacobian, renew, iterations, small_gain, exact=exact, rough=rough)
     if ranked is estimation:
         return fitted
     z, jacobian = fitted.z, fitted.jacobian
-    if _quickest(estimation, fitted.values, little)[0] is estimation:
+    if quickest(estimation, fitted.values, little)[0] is estimation:
         return fit(estimation, parameters, z, jacobian, renew, iterations, small_gain, exact=exact, rough=rough)
     return replace(fitted, residual=estimation.residual(fitted.values))
 
 
-def _quickest(
+def quickest(
     estimation: EstimationProblem, values: Mapping[str, float], little: float = -1.0
 ) -> tuple[EstimationProblem, FloatArray]:
     """Return the problem, coarse where that errs by nothing that matters beside what is left, and its residual.
@@ -258,9 +256,7 @@ def fit_exactly(estimation: EstimationProblem, h: Hypothesis, progress: Progress
     alone = fit(estimation, added, h.effect_z, columns, range(len(added)), 5, renew_all=False)
     from_file = np.concatenate([np.zeros(h.machine_count), alone.z])
     start = from_file if alone.evidence < h.fit.evidence else h.fit.z
-    fitted = _fit_quickest(
-        estimation, h.fit.parameters, start, h.fit.jacobian, (), 5, exact=True, little=SETTINGS.large
-    )
+    fitted = _fit_quickly(estimation, h.fit.parameters, start, h.fit.jacobian, (), 5, exact=True, little=SETTINGS.large)
     return log_fit(Hypothesis(h.effects, fitted, exact=True), progress, " at the end")
 
 
@@ -280,7 +276,7 @@ def fit_within_uncertainty(estimation: EstimationProblem, h: Hypothesis, progres
     log_try(h.effects, progress, " with the file's numbers within reach")
     parameters = (*_held(h.machine_parameters, float(np.sqrt(SETTINGS.implausible))), *h.effect_parameters)
     start, renew = clipped(parameters, h.fit.z), range(h.machine_count, len(parameters))
-    fitted = _fit_quickest(estimation, parameters, start, h.fit.jacobian, renew, 8, little=SETTINGS.large)
+    fitted = _fit_quickly(estimation, parameters, start, h.fit.jacobian, renew, 8, little=SETTINGS.large)
     return log_fit(Hypothesis(h.effects, fitted), progress, " with the file's numbers within reach")
 
 
@@ -339,7 +335,7 @@ def restart_from_file(estimation: EstimationProblem, h: Hypothesis) -> Hypothesi
     Where the machine's parameters became implausible to help, the effects may have been led astray.
     """
     machine, added = h.machine_count, h.effect_parameters
-    ranked, residual = _quickest(estimation, values_at(added, h.effect_z))
+    ranked, residual = quickest(estimation, values_at(added, h.effect_z))
     columns = derivatives(ranked, added, h.effect_z, residual, range(len(added)))
     renew = range(len(added)) if len(added) <= 2 * SETTINGS.renewed else ()
     alone = fit(ranked, added, h.effect_z, columns, renew, 6, SETTINGS.quick_gain, renew_all=False)
