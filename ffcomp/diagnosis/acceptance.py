@@ -469,6 +469,8 @@ def dominant_effect(
     parts = motions_or_groups(estimation.problem)
     if not contenders or len(parts) < 2:
         return None
+    if min(h.discrepancy for h in contenders) > (1 - SETTINGS.dominant / 2) * base.discrepancy:
+        return None  # even where they were fitted, none explains half of what one must elsewhere
     progress("nothing explains all of it: looking for what explains most")
     sound = [h for h in (_fitted(estimation, h, progress) for h in contenders) if _sound(estimation, h)]
     if not sound:

@@ -129,6 +129,14 @@ def test_an_effect_that_leaves_a_rest_is_named_with_what_it_explains() -> None:
     assert [rival.names for rival in found.rivals] == [(BENDS,)] and found.rivals[0].explained < 0.05
 
 
+def test_what_explains_little_where_it_was_fitted_is_tested_nowhere_else() -> None:
+    problem, said = Linear((1.0, 1.02, 0.98, 1.0), 0.5, (BENDS,)), list[str]()
+    estimation, base = begun(problem)
+    parameters = (*problem.parameters, *problem.candidates[0].parameters)
+    little = Hypothesis((problem.candidates[0],), fit(estimation, parameters, np.zeros(2)))
+    assert dominant_effect(estimation, base, [little], little, said.append) is None and not said
+
+
 @pytest.mark.parametrize(("off", "named"), [(0.01, True), (0.06, False)])
 def test_with_the_file_of_another_machine_nothing_is_named(off: float, named: bool) -> None:
     """Five of six numbers would have to go as far as the file lets them."""
