@@ -274,7 +274,8 @@ def weigh(weight: ShortArray, errors: ShortArray) -> ShortArray:
     """Multiply errors (s, 3 p, m) by W (s, 6, m)."""
     out = np.empty_like(errors)
     for s in range(errors.shape[0]):
-        xx, yy, zz, xy, xz, yz = weight[s]
+        w = weight[s]
+        xx, yy, zz, xy, xz, yz = w[0], w[1], w[2], w[3], w[4], w[5]  # NOTE: unpacked, they would not be vectorised
         for p in range(0, errors.shape[1], 3):
             x, y, z = errors[s, p], errors[s, p + 1], errors[s, p + 2]
             ox, oy, oz = out[s, p], out[s, p + 1], out[s, p + 2]
@@ -307,10 +308,12 @@ def search(
     g = np.empty_like(z)
     for s in range(len(y)):
         may = allowed[s, 0]
-        xx, yy, zz, xy, xz, yz = weight[s]
+        w = weight[s]
+        xx, yy, zz, xy, xz, yz = w[0], w[1], w[2], w[3], w[4], w[5]  # NOTE: unpacked, they would not be vectorised
         for j in range(3):
+            free, at = gradient[s, j], y[s, j]
             for i in range(len(may)):
-                g[j, i] = may[i] * gradient[s, j, i] + np.float32(REGULARISATION) * y[s, j, i]
+                g[j, i] = may[i] * free[i] + np.float32(REGULARISATION) * at[i]
         energy, before = np.float32(0.0), np.float32(0.0)
         near = np.float32(ALONG - 1.0)
         for i in range(len(may)):
@@ -350,11 +353,12 @@ def advance(
     """
     out = np.zeros(len(y), np.float32)
     for s in range(len(y)):
-        xx, yy, zz, xy, xz, yz = weight[s]
+        w = weight[s]
+        xx, yy, zz, xy, xz, yz = w[0], w[1], w[2], w[3], w[4], w[5]  # NOTE: unpacked, they would not be vectorised
         curvature = np.float32(0.0)
         for p in range(0, change.shape[1], 3):
             a, b, c = change[s, p], change[s, p + 1], change[s, p + 2]
-            for i in range(y.shape[2]):
+            for i in range(len(a)):
                 curvature += (
                     xx[i] * a[i] * a[i]
                     + yy[i] * b[i] * b[i]
@@ -362,17 +366,20 @@ def advance(
                     + np.float32(2.0) * (xy[i] * a[i] * b[i] + xz[i] * a[i] * c[i] + yz[i] * b[i] * c[i])
                 )
         for j in range(3):
-            for i in range(y.shape[2]):
-                curvature += np.float32(REGULARISATION) * direction[s, j, i] * direction[s, j, i]
+            along = direction[s, j]
+            for i in range(len(along)):
+                curvature += np.float32(REGULARISATION) * along[i] * along[i]
         if curvature > 0.0:
             step = descent[s] / curvature
             out[s] = step
             for j in range(3):
-                for i in range(y.shape[2]):
-                    y[s, j, i] -= step * direction[s, j, i]
+                row, by = y[s, j], direction[s, j]
+                for i in range(len(row)):
+                    row[i] -= step * by[i]
             for j in range(spread.shape[1]):
-                for i in range(y.shape[2]):
-                    spread[s, j, i] -= step * change[s, 3 + j, i]
+                row, by = spread[s, j], change[s, 3 + j]
+                for i in range(len(row)):
+                    row[i] -= step * by[i]
     return out
 
 
