@@ -216,7 +216,7 @@ def normal_errors(rows: FloatArray, steps: FloatArray, error: ShortArray) -> tup
                 normal_error[s, 0, i], normal_error[s, 1, i], normal_error[s, 2, i] = ex, ey, ez
                 continue
             k, along = _nearest(path, ways, ex, ey, ez, i)
-            tx, ty, tz, length = ways[k]
+            tx, ty, tz, length = ways[k, 0], ways[k, 1], ways[k, 2], ways[k, 3]
             if 0.0 < along < length:
                 for at in range(i // 2, (i + 1) // 2 + 1):  # the sample at it, or those on both sides
                     if at < m // 2:
