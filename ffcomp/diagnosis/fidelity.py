@@ -375,7 +375,7 @@ def by_continuation(estimation: EstimationProblem, h: Hypothesis, progress: Prog
             return h
         part = estimation.limited_to([i for i, m in enumerate(estimation.problem.motions) if m in quiet[:count]])
         begun = continue_fit(part, transferred(part, begun), progress, f", in {count} quiet motions")
-        if _no_better(part, begun, h):
+        if count + 2 < len(quiet) and _no_better(part, begun, h):  # the last step is taken in any case
             return h
     if len(quiet) <= 2:
         begun = h
