@@ -9,6 +9,9 @@ rest, if, where it was left out of the fit,
     it explains most of the discrepancy · it leaves far less than any effect of another family · what it leaves no
     longer looks like it · it does so whichever group is not counted
 
+Of a place that was left out the file's numbers are fitted there, within what the file says: a rest bends them, at every
+place otherwise, and a frequency that is off there by a little would hide whatever the effect explains.
+
 An effect that is only the nearest wrong one fails these: another is nearly as near, or its size would have to change
 from place to place, so that what is left has its signature.
 """
@@ -206,12 +209,19 @@ def _members(motions: Sequence[int], one: int) -> list[int]:
 Groups = Mapping[tuple[Position, str], Sequence[int]]
 
 
-def hold_out(estimation: EstimationProblem, base: Fit, best: Fit, parts: Groups | None = None) -> list[HeldOut]:
-    """Leave each group out in turn, of both fits: move a fit to the optimum of the others, to first order."""
+def hold_out(
+    estimation: EstimationProblem, base: Fit, best: Fit, parts: Groups | None = None, retuned: bool = False
+) -> list[HeldOut]:
+    """Leave each group out in turn, of both fits: move a fit to the optimum of the others, to first order.
+
+    Parameters
+    ----------
+    retuned : as `_left_out` takes it
+    """
     left_out, parts = [], groups(estimation.problem) if parts is None else parts
-    retuned = [_left_out(estimation, base, members) for members in parts.values()]
-    effects = retuned if best is base else [_left_out(estimation, best, members) for members in parts.values()]
-    each = zip(parts.items(), retuned, effects, strict=True)
+    alone = [_left_out(estimation, base, members, retuned) for members in parts.values()]
+    effects = alone if best is base else [_left_out(estimation, best, members, retuned) for members in parts.values()]
+    each = zip(parts.items(), alone, effects, strict=True)
     for ((position, experiment), members), before, after in each:
         filed = estimation.problem.simulate({}, members)
         nothing = [np.zeros_like(y) for y in filed]
@@ -247,10 +257,44 @@ def motions_against(estimation: EstimationProblem, larger: Fit, smaller: Fit) ->
     return worse >= max(better, 1)
 
 
-def _left_out(estimation: EstimationProblem, fitted: Fit, members: Sequence[int]) -> list[FloatArray]:
-    """Simulate these observations, (n, m) each, with the parameters that the others alone give."""
+def _left_out(
+    estimation: EstimationProblem, fitted: Fit, members: Sequence[int], retuned: bool = False
+) -> list[FloatArray]:
+    """Simulate these observations, (n, m) each, with the parameters that the others alone give.
+
+    Parameters
+    ----------
+    retuned : the file's numbers are fitted to these observations, within their uncertainties
+    """
     z = _fitted_to_others(estimation, fitted, members)
+    if retuned:
+        z = _retuned_there(estimation, fitted, z, members)
     return estimation.problem.simulate(values_at(fitted.parameters, z), members)
+
+
+def _by_place(estimation: EstimationProblem) -> bool:
+    """Tell whether places may bend the file's numbers; an axis has one, and its motions share them."""
+    return any(len(o.position) > 1 for o in estimation.problem.observations)
+
+
+def _retuned_there(estimation: EstimationProblem, fitted: Fit, z: FloatArray, members: Sequence[int]) -> FloatArray:
+    """Return z (p,) with the file's numbers as these observations have them: two steps, to first order."""
+    own = [i for i, n in enumerate(fitted.parameters) if not n.name.startswith("effects.")]
+    parameters, j = [fitted.parameters[i] for i in own], fitted.jacobian[estimation.rows_of(members)][:, own]
+    alone, normal = estimation.limited_to(members), np.eye(len(own)) + j.T @ j
+    residual = alone.residual(values_at(fitted.parameters, z))
+    for _ in range(2):
+        step, least = step_within(parameters, z[own], normal, j.T @ residual - z[own]), _cost(residual, z[own])
+        for share in (1.0, 0.4, 0.1):
+            trial = z.copy()
+            trial[own] += share * step
+            there = alone.residual(values_at(fitted.parameters, trial))
+            if _cost(there, trial[own]) < least:
+                z, residual = trial, there
+                break
+        else:
+            break
+    return z
 
 
 def _fitted_to_others(estimation: EstimationProblem, fitted: Fit, members: Sequence[int]) -> FloatArray:
@@ -475,7 +519,7 @@ def dominant_effect(
     sound = [h for h in (_fitted(estimation, h, progress) for h in contenders) if _sound(estimation, h)]
     if not sound:
         return None
-    held_out = hold_out(estimation, base, base, parts)
+    held_out = hold_out(estimation, base, base, parts, retuned=_by_place(estimation))
     whole = to_explain(held_out)
     ranked = sorted((_tested(estimation, h, parts) for h in sound), key=lambda each: float(each.left.sum()))
     first = _simplest([each for each in ranked if _law_group(each.hypothesis) == _law_group(ranked[0].hypothesis)])
@@ -541,7 +585,7 @@ def _fitted(estimation: EstimationProblem, h: Hypothesis, progress: Progress) ->
 def _tested(estimation: EstimationProblem, h: Hypothesis, parts: Groups) -> _Tested:
     left, alike, total = [], 0.0, 0.0
     for members in parts.values():
-        simulated = _left_out(estimation, h.fit, members)
+        simulated = _left_out(estimation, h.fit, members, retuned=_by_place(estimation))
         residual, rows = residual_left_out(estimation, simulated, members), estimation.rows_of(members)
         squares = float(residual @ residual)
         left.append(max(squares - len(rows), 0.0))
