@@ -242,7 +242,7 @@ def test_nothing_hidden_leaves_only_the_noise(stratum: str, tmp_path: Path) -> N
     simulated = plant.simulate({})
     floor = noise_floor(plant, simulated)
     found = locate_residual(whitener(plant.observations, floor, plant.band_hz), floor, simulated)
-    forced = stratum == "axis-by-force:none"  # its noise is guessed from the encoder's counts
+    forced = stratum in ("axis-by-force:none", "turning:none")  # their noise is guessed from the encoder's counts
     assert found.total.nrms < (1.5 if forced else 1.1) * found.total.noise_nrms
     most = 1.5 if forced or stratum == "axis:none" else 1.2  # an axis' shots begin where the noisy encoder says
     assert all(size.nrms < most * size.noise_nrms for size in found.signals.values())
