@@ -168,7 +168,7 @@ def whole_prints(options: argparse.Namespace) -> None:
     print("|" + "---|" * (len(names) + len(OFF)), flush=True)
     with tempfile.TemporaryDirectory() as folder:
         first = shlex.split(f"compensate {places['prints']}/ringing_tower.gcode -m mp-delta-pro -q -o {folder}/o.gcode")
-        for name, checkout in both.items():
+        for name, checkout in () if options.only else both.items():
             shutil.rmtree(cache_of(checkout), ignore_errors=True)
             run = timed([sys.executable, "-c", RUN, *first], checkout)
             print(f"| ringing_tower | the first of all | {name} | {run.cpu_s:.1f} | {run.wall_s:.1f} | | |", flush=True)
