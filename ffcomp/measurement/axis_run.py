@@ -42,6 +42,8 @@ SENSORS = {
 }
 BESIDE = {"supply_v": ("supply", 1.0), "extra_force_n": ("extra", 1.0), "extra_torque_n_m": ("extra", 1.0)}
 LOWEST_RATE_HZ = 20.0
+SPEED_OFF = 0.01  # of its signal: so far a measured speed may be from that of the position
+OF_POWER = 0.95  # of a measured speed: lines of frequency from the lowest on, by which the two are compared
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,6 +104,10 @@ def read_axis_run(path: str | Path, drive: Input | None = None) -> AxisRun:
     if problems:
         raise MeasurementError(str(path), problems)
     signals = {used[name][0]: used[name][1] * x for name, x in columns.items()}
+    remarks = _left_out(path, table.columns, used)
+    if late := _late_speed(signals, clock):
+        signals.pop("vel_q")
+        remarks.append(f"{Path(path).name}: {late}")
     return AxisRun(
         str(path),
         clock.grid_s,
@@ -114,7 +120,7 @@ def read_axis_run(path: str | Path, drive: Input | None = None) -> AxisRun:
         input=INPUTS[chosen][0],
         supply_v=signals.get("supply"),
         extra=signals.get("extra"),
-        remarks=tuple(_left_out(path, table.columns, used)),
+        remarks=tuple(remarks),
     )
 
 
@@ -165,6 +171,40 @@ def _left_out(path: str | Path, columns: tuple[str, ...], used: Collection[str])
         hint = f"; did you mean {near!r}?" if near else "."
         sentences.append(f"{Path(path).name}: column {name!r} {why}, and is left out{hint}")
     return sentences
+
+
+def _late_speed(signals: dict[str, FloatArray], clock: Clock) -> str:
+    """Say that a measured speed comes after that of the measured position, and by how much; '' where it does not.
+
+    Both are of one motion, and their ratio at each frequency is their sensors' alone, whatever drives the axis: its
+    delay is the slope of its phase, fitted with the power of the speed as weight.
+    """
+    if not {"vel_q", "pos_q"} <= signals.keys():
+        return ""
+    told, place = signals["vel_q"], signals["pos_q"]
+    if not (np.isfinite(told).all() and np.isfinite(place).all()):
+        return ""
+    step = float(clock.grid_s[1] - clock.grid_s[0])
+    window = np.hanning(len(told))
+    omega = 2 * np.pi * np.fft.rfftfreq(len(told), step)[1:]
+    measured = np.fft.rfft(window * (told - told.mean()))[1:]
+    power = np.abs(measured) ** 2
+    band = (np.cumsum(power) <= OF_POWER * power.sum()) & (omega * step < np.pi / 4)
+    omega, measured, power = omega[band], measured[band], power[band]
+    # a central difference tells sin(ω h)/(ω h) of the speed
+    true = np.fft.rfft(window * np.gradient(place, step))[1:][band] * omega * step / np.sin(omega * step)
+    off = float(np.sum(np.abs(measured - true) ** 2))
+    if off <= SPEED_OFF**2 * np.sum(power):
+        return ""
+    delay_s = -float(np.sum(power * omega * np.angle(measured * true.conj())) / np.sum(power * omega**2))
+    shifted = true * np.exp(-1j * omega * delay_s)
+    gain = float(np.real(np.vdot(shifted, measured)) / np.sum(np.abs(shifted) ** 2))
+    if np.sum(np.abs(measured - gain * shifted) ** 2) > off / 4:
+        return ""
+    return (
+        f"the measured speed comes {1e3 * delay_s:.3g} ms after that of the position and is {gain:.3g} times as large, "
+        "as through a filter; it is left out, for the position tells the same motion."
+    )
 
 
 def _silent(columns: dict[str, FloatArray], clock: Clock, sensors: Collection[str]) -> list[str]:
