@@ -191,16 +191,17 @@ def _late_speed(signals: dict[str, FloatArray], clock: Clock) -> str:
     power = np.abs(measured) ** 2
     band = (np.cumsum(power) <= OF_POWER * power.sum()) & (omega * step < np.pi / 4)
     omega, measured, power = omega[band], measured[band], power[band]
+    slope = np.gradient(place, step)
     # a central difference tells sin(ω h)/(ω h) of the speed
-    true = np.fft.rfft(window * np.gradient(place, step))[1:][band] * omega * step / np.sin(omega * step)
-    off = float(np.sum(np.abs(measured - true) ** 2))
-    if off <= SPEED_OFF**2 * np.sum(power):
+    true = np.fft.rfft(window * (slope - slope.mean()))[1:][band] * omega * step / np.sin(omega * step)
+    off, moved = float(np.sum(np.abs(measured - true) ** 2)), float(np.sum(np.abs(true) ** 2))
+    if off <= SPEED_OFF**2 * np.sum(power) or not moved:
         return ""
     delay_s = -float(np.sum(power * omega * np.angle(measured * true.conj())) / np.sum(power * omega**2))
     shifted = true * np.exp(-1j * omega * delay_s)
-    gain = float(np.real(np.vdot(shifted, measured)) / np.sum(np.abs(shifted) ** 2))
-    if np.sum(np.abs(measured - gain * shifted) ** 2) > off / 4:
-        return ""
+    gain = float(np.real(np.vdot(shifted, measured)) / moved)
+    if not (delay_s > 0.0 and 0.5 < gain < 2.0 and np.sum(np.abs(measured - gain * shifted) ** 2) <= off / 4):
+        return ""  # no filter does that
     return (
         f"the measured speed comes {1e3 * delay_s:.3g} ms after that of the position and is {gain:.3g} times as large, "
         "as through a filter; it is left out, for the position tells the same motion."

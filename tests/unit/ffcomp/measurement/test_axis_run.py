@@ -18,7 +18,7 @@ def written(folder: Path, lag_s: float, gain: float = 1.0) -> Path:
     passed = omega * size / (1 + 1j * omega * lag_s)
     speed = gain * np.real(np.exp(1j * np.outer(t, omega)) @ passed) + 0.01 * rng.standard_normal(len(t))
     path = folder / "run.csv"
-    columns = np.column_stack([t, speed, place, speed])
+    columns = np.column_stack([t, speed, place + 3 * t, speed + 3])
     np.savetxt(path, columns, "%.9g", ",", header="t_s,voltage_v,pos_q_rad,vel_q_rad_per_s", comments="")
     return path
 
