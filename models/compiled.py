@@ -3,6 +3,9 @@
 A literal number as an argument, another memory layout of an array, or one array assigned to a row of another one each
 cost half a second and more of every user's first run (docs/decisions.md, 0010).
 
+Rows of an array are taken by their numbers, `a, b = w[0], w[1]`: unpacked at once, `a, b = w`, no loop over them is
+vectorised, and it takes four to eight times as long.
+
 An installed wheel may hold the loops compiled ahead (`scripts/wheel`): then nothing is compiled, and numba, which takes
 its time, is not imported. Without that, as in a checkout, numba compiles a loop when it is first called.
 """

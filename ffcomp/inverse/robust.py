@@ -275,7 +275,7 @@ def weigh(weight: ShortArray, errors: ShortArray) -> ShortArray:
     out = np.empty_like(errors)
     for s in range(errors.shape[0]):
         w = weight[s]
-        xx, yy, zz, xy, xz, yz = w[0], w[1], w[2], w[3], w[4], w[5]  # NOTE: unpacked, they would not be vectorised
+        xx, yy, zz, xy, xz, yz = w[0], w[1], w[2], w[3], w[4], w[5]
         for p in range(0, errors.shape[1], 3):
             x, y, z = errors[s, p], errors[s, p + 1], errors[s, p + 2]
             ox, oy, oz = out[s, p], out[s, p + 1], out[s, p + 2]
@@ -309,7 +309,7 @@ def search(
     for s in range(len(y)):
         may = allowed[s, 0]
         w = weight[s]
-        xx, yy, zz, xy, xz, yz = w[0], w[1], w[2], w[3], w[4], w[5]  # NOTE: unpacked, they would not be vectorised
+        xx, yy, zz, xy, xz, yz = w[0], w[1], w[2], w[3], w[4], w[5]
         for j in range(3):
             free, at = gradient[s, j], y[s, j]
             for i in range(len(may)):
@@ -354,7 +354,7 @@ def advance(
     out = np.zeros(len(y), np.float32)
     for s in range(len(y)):
         w = weight[s]
-        xx, yy, zz, xy, xz, yz = w[0], w[1], w[2], w[3], w[4], w[5]  # NOTE: unpacked, they would not be vectorised
+        xx, yy, zz, xy, xz, yz = w[0], w[1], w[2], w[3], w[4], w[5]
         curvature = np.float32(0.0)
         for p in range(0, change.shape[1], 3):
             a, b, c = change[s, p], change[s, p + 1], change[s, p + 2]

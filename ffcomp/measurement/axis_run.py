@@ -181,13 +181,13 @@ def _late_speed(signals: dict[str, FloatArray], clock: Clock) -> str:
     """
     if not {"vel_q", "pos_q"} <= signals.keys():
         return ""
-    told, place = signals["vel_q"], signals["pos_q"]
-    if not (np.isfinite(told).all() and np.isfinite(place).all()):
+    speed, place = signals["vel_q"], signals["pos_q"]
+    if not (np.isfinite(speed).all() and np.isfinite(place).all()):
         return ""
     step = float(clock.grid_s[1] - clock.grid_s[0])
-    window = np.hanning(len(told))
-    omega = 2 * np.pi * np.fft.rfftfreq(len(told), step)[1:]
-    measured = np.fft.rfft(window * (told - told.mean()))[1:]
+    window = np.hanning(len(speed))
+    omega = 2 * np.pi * np.fft.rfftfreq(len(speed), step)[1:]
+    measured = np.fft.rfft(window * (speed - speed.mean()))[1:]
     power = np.abs(measured) ** 2
     band = (np.cumsum(power) <= OF_POWER * power.sum()) & (omega * step < np.pi / 4)
     omega, measured, power = omega[band], measured[band], power[band]
