@@ -26,11 +26,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ffcomp.diagnosis.fidelity import continue_fit, fit_within_uncertainty, quickest
-from ffcomp.diagnosis.fit import EstimationProblem, Fit, clipped, fit, intervals_of, step_within, superfluous, values_at
+from ffcomp.diagnosis.fit import (
+    EstimationProblem,
+    Fit,
+    clipped,
+    derivatives,
+    fit,
+    intervals_of,
+    step_within,
+    superfluous,
+    values_at,
+    wide_intervals_of,
+)
 from ffcomp.diagnosis.hypotheses import FILE_CHANGES, LAW_GROUPS, Hypothesis, implausible, likeliest, moved_numbers
 from ffcomp.diagnosis.observations import Position, clustered
 from ffcomp.diagnosis.problem import Parameter, Problem
-from ffcomp.diagnosis.recording_clocks import clock_parameters
+from ffcomp.diagnosis.recording_clocks import belongs_to_recording, clock_parameters
 from ffcomp.diagnosis.settings import SETTINGS
 from ffcomp.identification.uncertainty import Estimate
 from ffcomp.numerics.stages import Progress
@@ -621,12 +632,31 @@ def _everywhere(first: _Tested, held_out: Sequence[HeldOut], whole: float) -> bo
 
 
 def _sound(estimation: EstimationProblem, h: Hypothesis) -> bool:
-    """Tell whether the file stays plausible, with few numbers at its ends, and what is to repeat or swing does.
+    """Tell whether the file stays plausible, what is to repeat or swing does, and any of its numbers is determined.
+
+    A rest bends the file's numbers, in quiet data as far as they may go: then the effect must hold most with the file
+    as it is, for what numbers at their ends explain another file would.
 
     Its interval may include no effect where only ratios of forces show, as of a servo whose stiffness is a guess.
     """
     squares = [z**2 for _, z in moved_numbers(h.fit, h.machine_count)]
     held = sum(squares) <= SETTINGS.implausible * len(squares) * (1 + 1e-9)  # what is held there is not beyond it
     ends = sum(square > SETTINGS.implausible * (1 - 1e-9) for square in squares)
-    intervals = intervals_of(estimation, h.fit, h.fit.values, scatter=True)
-    return held and ends <= max(len(squares) / 2, SETTINGS.most_effects) and not unfounded(h, intervals)
+    if not held or (ends > max(len(squares) / 2, SETTINGS.most_effects) and not _holds_most_as_filed(estimation, h)):
+        return False
+    if unfounded(h, intervals_of(estimation, h.fit, h.fit.values, scatter=True)):
+        return False
+    numbers = [n for n in h.effect_parameters if n.low < n.high]
+    return not numbers or len(undetermined(h, wide_intervals_of(estimation, h.fit, h.fit.values))) < len(numbers)
+
+
+def _holds_most_as_filed(estimation: EstimationProblem, h: Hypothesis) -> bool:
+    """Tell whether the effect explains most of what the file as it is leaves, without any of its numbers retuned."""
+    machine = zip(h.machine_parameters, h.fit.z, strict=False)
+    filed = values_at(h.machine_parameters, np.array([z if belongs_to_recording(n.name) else 0.0 for n, z in machine]))
+    there, every = estimation.with_fixed(filed), range(h.effect_count)
+    without = there.residual({})
+    begun = there.residual(values_at(h.effect_parameters, h.effect_z))
+    columns = derivatives(there, h.effect_parameters, h.effect_z, begun, every)
+    alone = fit(there, h.effect_parameters, h.effect_z, columns, every, 6)
+    return alone.chi_squared < (1 - SETTINGS.dominant) * float(without @ without)

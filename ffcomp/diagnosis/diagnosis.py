@@ -36,7 +36,7 @@ from ffcomp.diagnosis.fidelity import (
     linearised,
     parsimonious_fit,
 )
-from ffcomp.diagnosis.fit import EstimationProblem, Fit, estimation_problem, fit, intervals_of
+from ffcomp.diagnosis.fit import EstimationProblem, Fit, estimation_problem, fit, intervals_of, wide_intervals_of
 from ffcomp.diagnosis.hypotheses import (
     FILE_CHANGES,
     Hypothesis,
@@ -317,10 +317,7 @@ def _tested(none: Diagnosis, searched: _Searched, best: Hypothesis, progress: Pr
     best = _believable(none, best, progress)
     final = parsimonious_fit(estimation, best)
     intervals = intervals_of(estimation, best.fit, final.values)
-    # a shape that is not ours is wrong alike in all blocks of frequencies and all motions: Birge's ratio
-    # (Physical Review 40, 1932) on top of what they show
-    birge = float(np.sqrt(best.fit.misfit))
-    wide = intervals_of(estimation, best.fit, final.values, scatter=True, wider=birge)
+    wide = wide_intervals_of(estimation, best.fit, final.values)
     few = len(set(estimation.problem.motions)) <= SETTINGS.few_motions
     held_out = hold_out(estimation, none.base, best.fit)
     signal = float(estimation.measured @ estimation.measured) / len(estimation.measured) - 1
@@ -342,7 +339,9 @@ def _tested(none: Diagnosis, searched: _Searched, best: Hypothesis, progress: Pr
         held_out=held_out,
         rejections=failed,
         intervals=wide,
-        scattered=[name for name, e in wide.items() if few and e.sd > 2 * birge * intervals[name].sd],
+        scattered=[
+            name for name, e in wide.items() if few and e.sd > 2 * np.sqrt(best.fit.misfit) * intervals[name].sd
+        ],
     )
 
 

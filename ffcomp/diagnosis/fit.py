@@ -364,6 +364,15 @@ def intervals_of(
     }
 
 
+def wide_intervals_of(estimation: EstimationProblem, fitted: Fit, values: Mapping[str, float]) -> dict[str, Estimate]:
+    """Put intervals about the values as they are told of an effect: at least as wide as its motions scatter.
+
+    A shape that is not ours is wrong alike in all blocks of frequencies and all motions: Birge's ratio (Physical
+    Review 40, 1932) comes on top of what they show.
+    """
+    return intervals_of(estimation, fitted, values, scatter=True, wider=float(np.sqrt(fitted.misfit)))
+
+
 def _interval(n: Parameter, value: float, spread: float) -> Estimate:
     low, high = max(n.low, value - NINETY_PERCENT * spread), min(n.high, value + NINETY_PERCENT * spread)
     return Estimate(value, spread, low, high)

@@ -162,10 +162,19 @@ def test_numbers_of_the_file_that_a_rest_bends_hide_no_effect() -> None:
     assert found.explained == pytest.approx(3 / (3 + 2 * 0.25), abs=0.04)
 
 
-@pytest.mark.parametrize(("off", "named"), [(0.01, True), (0.06, False)])
+@pytest.mark.parametrize(("off", "named"), [(0.01, True), (0.06, True), (0.5, False)])
 def test_with_the_file_of_another_machine_nothing_is_named(off: float, named: bool) -> None:
-    """Five of six numbers would have to go as far as the file lets them."""
+    """Five of six numbers go as far as they may: off by 6 % they matter less than the effect, by 50 % more."""
     assert (dominant_of(OfMany(off)) is not None) == named
+
+
+@pytest.mark.parametrize(("high", "named"), [(np.inf, True), (1.2, False)])
+def test_an_effect_none_of_whose_numbers_is_determined_is_not_named(high: float, named: bool) -> None:
+    """A notch in a chip is a frame that sways with any mass, at any frequency: places differ by more than its range."""
+    problem = Linear((1.0, 1.3, 0.75, 1.0), 0.5, (RUBS, BENDS))
+    rubs = replace(size_of(RUBS), low=0.8 if high < np.inf else -np.inf, high=high)
+    problem.candidates[0] = Candidate(RUBS, (rubs,), {rubs.name: 0.1})
+    assert (dominant_of(problem) is not None) == named
 
 
 @pytest.mark.parametrize(
