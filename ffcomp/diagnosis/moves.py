@@ -245,16 +245,19 @@ def swap(search: Search, best: Hypothesis, tried: Sequence[Hypothesis]) -> list[
     return [_fitted_in_best_shape(search, h, best) for h in kept]
 
 
-def swap_for_smaller(search: Search, best: Hypothesis, tried: Sequence[Hypothesis]) -> list[Hypothesis]:
-    """Fit a hypothesis with one of its effects replaced by a smaller one that is nearly confounded with it."""
+def swap_for_alike(search: Search, best: Hypothesis, tried: Sequence[Hypothesis]) -> list[Hypothesis]:
+    """Fit a hypothesis with one of its effects replaced by a smaller one that does much the same.
+
+    Or by any that is confounded with it: which of the two it is shows beside the others only.
+    """
     screened, fitted, known = search.bases[0][1], list[Hypothesis](), [set(h.names) for h in tried]
     for effect in best.effects:
         named = [s for s in screened if s.candidate.name == effect.name]
         for s in screened:
-            name = s.candidate.name
-            smaller = len(s.candidate.parameters) < len(effect.parameters) and name not in best.names
-            new = smaller and {name, *best.names} - {effect.name} not in known
-            if new and any(similarity(s, each) > SETTINGS.alike for each in named) and search.may_go_on:
+            name, smaller = s.candidate.name, len(s.candidate.parameters) < len(effect.parameters)
+            new = name not in best.names and {name, *best.names} - {effect.name} not in known
+            enough = SETTINGS.alike if smaller else SETTINGS.confounded
+            if new and any(similarity(s, each) > enough for each in named) and search.may_go_on:
                 rest = restart_from_file(search.estimation, best).without(effect)
                 start = best_start(search.estimation, rest.fit, (s,), ESTIMATE_SCALES[:4], USUAL_SIZES)
                 grown = grow(search.estimation, rest, start, search.progress)

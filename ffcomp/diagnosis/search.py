@@ -54,9 +54,9 @@ from ffcomp.diagnosis.moves import (
     reshape,
     reshape_thoroughly,
     swap,
+    swap_for_alike,
     swap_for_law_within,
     swap_for_nested,
-    swap_for_smaller,
 )
 from ffcomp.diagnosis.score_test import overlap
 from ffcomp.diagnosis.settings import SETTINGS
@@ -217,7 +217,7 @@ def _swapped(
     search: Search, best: Hypothesis, tried: tuple[Hypothesis, ...]
 ) -> tuple[Hypothesis, tuple[Hypothesis, ...]]:
     """Swap effects for smaller ones; one that is likelier beyond doubt takes their place at once."""
-    smaller = swap_for_smaller(search, best, tried)
+    smaller = swap_for_alike(search, best, tried)
     return accepted(best, [h for h in smaller if h.plausible or not best.plausible]), (*tried, *smaller)
 
 

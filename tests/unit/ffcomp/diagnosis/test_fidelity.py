@@ -264,7 +264,7 @@ def test_of_two_laws_the_smaller_one_takes_the_place_of_the_other_where_it_is_li
         return Hypothesis((Candidate(name, (n,), {}),), Fit((n,), np.ones(1), np.full(900, left), np.ones((900, 1))))
 
     weight, spring, worse = one("weight", 1.7), one("spring", 1.2), one("other", 2.0)
-    monkeypatch.setattr("ffcomp.diagnosis.search.swap_for_smaller", lambda *_: [worse, spring])
+    monkeypatch.setattr("ffcomp.diagnosis.search.swap_for_alike", lambda *_: [worse, spring])
     search: Any = None
     assert _swapped(search, weight, (weight,)) == (spring, (weight, worse, spring))
     assert _swapped(search, spring, ())[0] is spring
