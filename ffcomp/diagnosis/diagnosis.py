@@ -16,17 +16,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ffcomp.diagnosis.acceptance import (
-    Dominant,
-    HeldOut,
-    OtherMotion,
-    dominant_effect,
-    hold_out,
-    other_motions,
-    out_of_reach,
-    rejections,
-    unproven,
-)
+from ffcomp.diagnosis.acceptance import out_of_reach, rejections, unproven
+from ffcomp.diagnosis.dominance import Dominant, dominant_effect
 from ffcomp.diagnosis.fidelity import (
     continue_fit,
     excerpt_of,
@@ -37,6 +28,7 @@ from ffcomp.diagnosis.fidelity import (
     parsimonious_fit,
 )
 from ffcomp.diagnosis.fit import EstimationProblem, Fit, estimation_problem, fit, intervals_of, wide_intervals_of
+from ffcomp.diagnosis.held_out import HeldOut, OtherMotion, hold_out, other_motions
 from ffcomp.diagnosis.hypotheses import (
     FILE_CHANGES,
     Hypothesis,

@@ -13,7 +13,6 @@ from itertools import combinations, product
 
 import numpy as np
 
-from ffcomp.diagnosis.acceptance import motions_against
 from ffcomp.diagnosis.fidelity import (
     ESTIMATE_SCALES,
     USUAL_SIZES,
@@ -40,6 +39,7 @@ from ffcomp.diagnosis.fit import (
     superfluous,
     values_at,
 )
+from ffcomp.diagnosis.held_out import motions_against
 from ffcomp.diagnosis.hypotheses import (
     FILE_CHANGES,
     NESTED,

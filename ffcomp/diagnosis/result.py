@@ -10,11 +10,12 @@ from typing import Any
 
 import numpy as np
 
-from ffcomp.diagnosis.acceptance import OtherMotion, undetermined
+from ffcomp.diagnosis.acceptance import undetermined
 from ffcomp.diagnosis.candidates import WHOLE, effect_tables
 from ffcomp.diagnosis.diagnosis import Diagnosis
 from ffcomp.diagnosis.fit import Fit
 from ffcomp.diagnosis.gap import ResidualBreakdown, ResidualSize, locate_residual
+from ffcomp.diagnosis.held_out import OtherMotion
 from ffcomp.diagnosis.problem import MachineNames, Problem
 from ffcomp.diagnosis.recording_clocks import belongs_to_recording, delay_of
 from ffcomp.diagnosis.score_test import separated_by

@@ -27,8 +27,8 @@ from typing import Any
 
 import numpy as np
 
-from ffcomp.diagnosis.acceptance import groups, hold_out
 from ffcomp.diagnosis.fit import EstimationProblem, Fit, estimation_problem, fit, values_at
+from ffcomp.diagnosis.held_out import groups, hold_out
 from ffcomp.diagnosis.noise import NoiseFloor, at_least, noise_floor, noise_share, raised_to_residual, whitener
 from ffcomp.diagnosis.printer_problem import PrinterProblem
 from ffcomp.diagnosis.problem import Parameter, stem_of

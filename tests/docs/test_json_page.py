@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from ffcomp.cli.app import app
-from ffcomp.diagnosis.acceptance import OtherMotion
 from ffcomp.diagnosis.gap import ResidualBreakdown, ResidualSize
+from ffcomp.diagnosis.held_out import OtherMotion
 from ffcomp.diagnosis.result import DiagnosisResult, FileNumbers, Gap, Rest
 from ffcomp.diagnosis.separation import Separation
 from ffcomp.diagnosis.verb import PrintGain, result_json

@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Circle
 from matplotlib.ticker import NullLocator
 
-from ffcomp.diagnosis.acceptance import HeldOut
+from ffcomp.diagnosis.held_out import HeldOut
 from ffcomp.diagnosis.words import digits, times, times_noise
 from ffcomp.report.diagnose.sentences import stands_out
 from ffcomp.report.diagnose.summary import Confounding, DiagnosisSummary, Overlay, Spectrum, Split

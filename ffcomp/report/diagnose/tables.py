@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from ffcomp.diagnosis.acceptance import HeldOut
 from ffcomp.diagnosis.diagnosis import Diagnosis
 from ffcomp.diagnosis.fit import intervals_of
+from ffcomp.diagnosis.held_out import HeldOut
 from ffcomp.diagnosis.result import RETUNED_SD, DiagnosisResult, of_machine
 from ffcomp.diagnosis.score_test import separated_by
 from ffcomp.diagnosis.words import (

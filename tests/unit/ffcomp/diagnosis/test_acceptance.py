@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ffcomp.diagnosis.acceptance import HeldOut, rejections, unfounded
+from ffcomp.diagnosis.acceptance import rejections, unfounded
 from ffcomp.diagnosis.fit import Fit
+from ffcomp.diagnosis.held_out import HeldOut
 from ffcomp.diagnosis.hypotheses import Hypothesis
 from ffcomp.diagnosis.problem import Candidate, Parameter
 from ffcomp.identification.uncertainty import Estimate

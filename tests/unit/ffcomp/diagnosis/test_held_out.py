@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import pytest
 
-from ffcomp.diagnosis.acceptance import hold_out
 from ffcomp.diagnosis.fit import estimation_problem, fit
+from ffcomp.diagnosis.held_out import hold_out
 from ffcomp.diagnosis.noise import noise_from_repeats, whitener
 from ffcomp.diagnosis.problem import Observation, Parameter, Problem
 from ffcomp.diagnosis.recording_clocks import PREFIX, as_recorded

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from scipy.signal import butter, sosfilt
 
-from ffcomp.diagnosis.acceptance import HeldOut, contradicting
+from ffcomp.diagnosis.acceptance import contradicting
 from ffcomp.diagnosis.fit import EstimationProblem, Fit
+from ffcomp.diagnosis.held_out import HeldOut
 from ffcomp.diagnosis.noise import NoiseFloor, at_least, noise_share, whitener
 from ffcomp.diagnosis.observations import clustered
 from ffcomp.diagnosis.problem import Observation

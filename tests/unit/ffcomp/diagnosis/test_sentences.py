@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ffcomp.diagnosis.acceptance import OtherMotion
 from ffcomp.diagnosis.diagnosis import FINDINGS
 from ffcomp.diagnosis.gap import ResidualBreakdown, ResidualSize
+from ffcomp.diagnosis.held_out import OtherMotion
 from ffcomp.diagnosis.problem import MachineNames
 from ffcomp.diagnosis.result import DiagnosisResult, FileNumbers, Gap, Rest
 from ffcomp.diagnosis.sentences import summary_sentences, what_to_do
