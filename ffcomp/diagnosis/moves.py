@@ -56,7 +56,8 @@ from ffcomp.diagnosis.hypotheses import (
     worth,
 )
 from ffcomp.diagnosis.problem import Candidate, Parameter, stem_of
-from ffcomp.diagnosis.score_test import Screened, pair_evidence, screen_in_subset, similarity, subset_of
+from ffcomp.diagnosis.recording_clocks import belongs_to_recording
+from ffcomp.diagnosis.score_test import Screened, Subset, pair_evidence, screen, screen_in_subset, similarity, subset_of
 from ffcomp.diagnosis.settings import SETTINGS
 from ffcomp.numerics.stages import Progress
 from models.arrays import FloatArray
@@ -179,16 +180,45 @@ def fit_fully(search: Search, contenders: Sequence[Hypothesis]) -> list[Hypothes
 
 
 def add_file_change(search: Search, best: Hypothesis) -> list[Hypothesis]:
-    """Add an effect that is a change of a number of the file, begun at the file: the other one of two may be it."""
+    """Add an effect that is a change of a number of the file, begun at the file: the other one of two may be it.
+
+    Above all the one that does what the number did that moved furthest.
+    """
     others = [c for c in search.candidates if c.name in FILE_CHANGES and c.name not in best.names]
     if not others or not search.may_go_on:
         return []
     rest = restart_from_file(search.quick, best)
-    starts = _helpful_starts(search.quick, rest, others, SETTINGS.swaps)
-    grown = [grow(search.quick, rest, start, search.progress) for start in starts]
+    starts = select_starts(search.quick, rest.fit, screen_in_subset(search.quick, rest.fit, others), large=True)
+    starts = sorted(starts, key=lambda start: start.cost)
+    alike = _like_the_furthest(search, best, others)
+    tried = [*starts[: SETTINGS.swaps], *(start for start in starts[SETTINGS.swaps :] if _name(start) == alike)]
+    grown = {_name(start): grow(search.quick, rest, start, search.progress) for start in tried}
     # the file's numbers go back for the price of their prior alone: that is seen at the end of a fit only
-    near = [h for h in likeliest(grown)[:1] if comparable(h, best, SETTINGS.keep_straight)]
+    first = likeliest(list(grown.values()))[:1]
+    near = [h for name, h in grown.items() if h in first or name == alike]
+    near = [h for h in near if comparable(h, best, SETTINGS.keep_straight)]
     return [h for h in (refit(search.estimation, h, search.progress) for h in near) if h.plausible]
+
+
+def _name(start: Start) -> str:
+    return start.chosen[0].candidate.name
+
+
+def _like_the_furthest(search: Search, best: Hypothesis, others: Sequence[Candidate]) -> str:
+    """Return which of these effects does nearly what that number of the file does that moved furthest; "" if none."""
+    moved = [
+        0.0 if belongs_to_recording(n.name) else abs(z)
+        for n, z in zip(best.machine_parameters, best.fit.z, strict=False)
+    ]
+    there = subset_of(search.quick, best.fit) or Subset(search.quick, best.fit)
+    column = there.fit.jacobian[:, int(np.argmax(moved))]
+
+    def share(s: Screened) -> float:
+        part = s.signature @ np.linalg.lstsq(s.signature, column, rcond=None)[0]
+        return float(part @ part) / max(float(column @ column), 1e-300)
+
+    first = max(screen(there.estimation, there.fit, others), key=share)
+    return first.candidate.name if share(first) > SETTINGS.confounded else ""
 
 
 # ---- drop ----------------------------------------------------------------------------------------
