@@ -190,20 +190,25 @@ def _everywhere(first: _Tested, held_out: Sequence[HeldOut], whole: float) -> bo
 
 
 def _sound(estimation: EstimationProblem, h: Hypothesis) -> bool:
-    """Tell whether the file stays plausible, what is to repeat or swing does, and any of its numbers is determined.
+    """Tell whether the file stays plausible, and what is to repeat or swing does.
 
     A rest bends the file's numbers, in quiet data as far as they may go: then the effect must hold most with the file
-    as it is, for what numbers at their ends explain another file would.
+    as it is, for what numbers at their ends explain another file would, and any of its numbers must be determined.
 
     Its interval may include no effect where only ratios of forces show, as of a servo whose stiffness is a guess.
     """
     squares = [z**2 for _, z in moved_numbers(h.fit, h.machine_count)]
-    held = sum(squares) <= SETTINGS.implausible * len(squares) * (1 + 1e-9)  # what is held there is not beyond it
+    if sum(squares) > SETTINGS.implausible * len(squares) * (1 + 1e-9):  # what is held there is not beyond it
+        return False
     ends = sum(square > SETTINGS.implausible * (1 - 1e-9) for square in squares)
-    if not held or (ends > max(len(squares) / 2, SETTINGS.most_effects) and not _holds_most_as_filed(estimation, h)):
+    bent = ends > max(len(squares) / 2, SETTINGS.most_effects)
+    if bent and not (_holds_most_as_filed(estimation, h) and _any_determined(estimation, h)):
         return False
-    if unfounded(h, intervals_of(estimation, h.fit, h.fit.values, scatter=True)):
-        return False
+    return not unfounded(h, intervals_of(estimation, h.fit, h.fit.values, scatter=True))
+
+
+def _any_determined(estimation: EstimationProblem, h: Hypothesis) -> bool:
+    """Tell whether the intervals that are told leave any number of the effect less than its whole range."""
     numbers = [n for n in h.effect_parameters if n.low < n.high]
     return not numbers or len(undetermined(h, wide_intervals_of(estimation, h.fit, h.fit.values))) < len(numbers)
 
