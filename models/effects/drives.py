@@ -402,7 +402,10 @@ COMMAND_DELAY = Effect(
     axis_words=AxisWords(
         title="A drive that acts late",
         physics="Electronics, filters and buses take time; what drives the axis is what was given a moment ago.",
-        remedy="Nothing to mend: drive or sensors are late. With it in the file it is accounted for.",
+        remedy=(
+            "Nothing to mend: drive or sensors are late. With it in the file it is accounted for. Half a sample of a "
+            'recorded force, current, voltage or duty is its controller, which holds it: axis.drive.hold = "steps".'
+        ),
         confounded_with={
             "guide_damping": "Several speeds and frequencies: damping lowers a resonance, a delay does not.",
             "belt_damping": "Tones above the resonance: there a delay turns the phase on, damping only once.",

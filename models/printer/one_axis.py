@@ -76,8 +76,8 @@ def simulate_axis(
 
     Parameters
     ----------
-    drive : (n,) the input: N, A, V or a duty, straight between samples; or mm of the commanded position, a cubic
-        spline between them.
+    drive : (n,) the input: N, A, V or a duty, straight between samples, or held where the file says so; or mm of the
+        commanded position, a cubic spline between them.
     shot : samples after which the motion begins anew; 0: never.
     begin : (shots, 4) mm and mm/s of the last mass and of the first one at each beginning, NaN where one is not
         known; None: at rest where the input holds them.
@@ -100,7 +100,8 @@ def simulate_axis(
     # a drive goes smoothly from order to order: a straight line between them would lose a percent of 100 Hz
     slope = np.empty(0) if axis.by_force else slopes(np.diff(samples))
     beside = np.empty(0) if extra is None else np.ascontiguousarray(extra, float)
-    inputs, gentler = AxisInput(samples, slope, beside, dt_s), with_stable_friction(p, dt_s / steps, loudest)
+    held = axis.by_force and axis.drive.hold == "steps"
+    inputs, gentler = AxisInput(samples, slope, beside, dt_s, held), with_stable_friction(p, dt_s / steps, loudest)
     out = integrate_axis(inputs, steps, shot or len(drive) + 1, np.ascontiguousarray(first), gentler, ripples)
     if not np.all(np.isfinite(out)):
         raise ValueError("With these numbers the axis moves to infinity.")

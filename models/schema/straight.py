@@ -11,7 +11,7 @@ from models.arrays import constant
 from models.kinematics.cartesian import CARTESIAN, COREXY, CartesianKinematics
 from models.quantities import Quantities
 from models.schema.table import MODES, TWO, Place, Table, refuse
-from models.vibration.driven_axis import Drive, DrivenAxis, Input
+from models.vibration.driven_axis import Drive, DrivenAxis, Hold, Input
 from models.vibration.modal import Axis, ModalAxes
 
 
@@ -124,6 +124,7 @@ class DriveTable(Table):
     rate_gain_v_s_per_m: float = Field(0.0, ge=0, le=1e12)
     current_limit_a: float | None = Field(None, ge=1e-6, le=1e6)
     force_limit_n: float | None = Field(None, ge=1e-12, le=1e12)
+    hold: Hold = "straight"
 
 
 class DrivenAxisTable(Table):
@@ -194,5 +195,7 @@ def _drive_problems(table: DrivenAxisTable) -> Iterator[str]:
         yield "axis.drive.supply_v is missing: a duty is a share of it. A column supply_v of a run goes before it."
     if drive.current_limit_a is not None and by != "current":
         yield 'axis.drive.current_limit_a is of input = "current"; state axis.drive.force_limit_n.'
+    if drive.hold == "steps" and by == "position":
+        yield 'axis.drive.hold = "steps" is of a force, a current, a voltage or a duty; a position is a cubic spline.'
     if drive.rate_gain_v_s_per_m and not drive.gain_v_per_m:
         yield "axis.drive.rate_gain_v_s_per_m is of a servo law; axis.drive.gain_v_per_m is missing."

@@ -38,6 +38,7 @@ TUNABLE = (
     "drive.force_constant_n_per_a",
 )
 Input = Literal["position", "force", "current", "voltage", "duty"]
+Hold = Literal["straight", "steps"]
 
 
 @dataclass(frozen=True)
@@ -51,6 +52,7 @@ class Drive:
     rate_gain_v_s_per_m: float = 0.0  # h
     current_limit_a: float | None = None
     force_limit_n: float | None = None  # of any drive
+    hold: Hold = "straight"  # between samples of a force, a current, a voltage or a duty
 
     @property
     def force_per_volt(self) -> float:

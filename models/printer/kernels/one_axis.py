@@ -11,8 +11,8 @@ the drive, S_c the coupling, by the law of the printers' belts (`motors.py`); on
 harden: S_c if there is a load and nothing else is said. SI units; of an axis that turns, rad for m and N m for N.
 
 It has an integrator of its own because its motion begins anew at every shot, its input may be a force that is straight
-between samples, and simulations come one at a time: lanes of eight printers with three motors each would compute
-24 axes for one.
+between samples, or held, and simulations come one at a time: lanes of eight printers with three motors each would
+compute 24 axes for one.
 """
 
 from __future__ import annotations
@@ -145,6 +145,9 @@ def _input(samples: FloatArray, slope: FloatArray, at: float) -> tuple[float, fl
     return value, slope[i] + s * (2.0 * bend + 3.0 * s * twist) if inside else 0.0
 
 
+ROUNDING = 1e-9  # of a sample
+
+
 class AxisInput(NamedTuple):
     """What drives an axis, n samples."""
 
@@ -152,12 +155,29 @@ class AxisInput(NamedTuple):
     slope: FloatArray  # (n,) its rate by sample, where it is a cubic between samples; (0,) where it is straight
     extra: FloatArray  # (n,) N, what is known to push beside it; (0,): nothing
     dt: float  # s
+    held: bool  # from each sample to the next, instead of straight
 
 
 @inlined
-def _rate_at(x: State, at: float, inputs: AxisInput, p: FloatArray, ripples: FloatArray) -> State:
-    """Return the state's rate so many samples after the first."""
-    value, step = _input(inputs.samples, inputs.slope, at - p[DELAY] / inputs.dt)
+def _given(inputs: AxisInput, at: float, begun: float, p: FloatArray) -> tuple[float, float]:
+    """Return the input so many samples after the first, and its rate by sample, in a step that began there."""
+    late = p[DELAY] / inputs.dt
+    if inputs.held:
+        return inputs.samples[min(max(math.floor(begun - late + ROUNDING), 0), len(inputs.samples) - 1)], 0.0
+    return _input(inputs.samples, inputs.slope, at - late)
+
+
+@inlined
+def _until_jump(inputs: AxisInput, at: float, p: FloatArray) -> float:
+    """Return for how many samples an input goes on as it does; one that is held jumps at each, its delay late."""
+    since = at - p[DELAY] / inputs.dt + ROUNDING
+    return 1.0 - (since - math.floor(since)) + ROUNDING if inputs.held else math.inf
+
+
+@inlined
+def _rate_at(x: State, at: float, begun: float, inputs: AxisInput, p: FloatArray, ripples: FloatArray) -> State:
+    """Return the state's rate so many samples after the first, in a step that began there."""
+    value, step = _given(inputs, at, begun, p)
     extra = 0.0 if len(inputs.extra) == 0 else _input(inputs.extra, inputs.extra[:0], at)[0]
     return _rates(x, value, step / inputs.dt, extra, p, ripples)
 
@@ -179,9 +199,9 @@ def _moved(x: State, h: float, k: State) -> State:
 def _step(x: State, first: State, at: float, h: float, inputs: AxisInput, p: FloatArray, ripples: FloatArray) -> State:
     """Step by the classical Runge-Kutta method from x, whose rate is `first`, so many samples after the first."""
     middle = at + 0.5 * h / inputs.dt
-    second = _rate_at(_moved(x, 0.5 * h, first), middle, inputs, p, ripples)
-    third = _rate_at(_moved(x, 0.5 * h, second), middle, inputs, p, ripples)
-    last = _rate_at(_moved(x, h, third), at + h / inputs.dt, inputs, p, ripples)
+    second = _rate_at(_moved(x, 0.5 * h, first), middle, at, inputs, p, ripples)
+    third = _rate_at(_moved(x, 0.5 * h, second), middle, at, inputs, p, ripples)
+    last = _rate_at(_moved(x, h, third), at + h / inputs.dt, at, inputs, p, ripples)
     mean = _moved(_moved(_moved(first, 2.0, second), 2.0, third), 1.0, last)
     return _moved(x, h / 6.0, mean)
 
@@ -225,20 +245,23 @@ def integrate_axis(
     drive's force, N.
     """
     n, x = len(inputs.samples), (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    out, h, late, loaded = np.empty((n, 5)), inputs.dt / substeps, p[DELAY] / inputs.dt, p[LOAD] > 0.0
+    out, loaded = np.empty((n, 5)), p[LOAD] > 0.0
     for i in range(n):
-        value, step = _input(inputs.samples, inputs.slope, i - late)
+        value, step = _given(inputs, i, i, p)
         if i % shot == 0 and i // shot < len(begin):
             x = _begin(x, begin[i // shot], value, p)
-        rate = _rate_at(x, i, inputs, p, ripples)
+        rate = _rate_at(x, i, i, inputs, p, ripples)
         out[i, 0] = x[Q]
         out[i, 1] = x[Q_LOAD] if loaded else x[Q]
         out[i, 2] = rate[V_LOAD] if loaded else rate[V]
         out[i, 3] = x[V_LOAD] if loaded else x[V]
         out[i, 4] = _drive(x[Q], x[V], value, step / inputs.dt, p)[0]
         for j in range(substeps if i < n - 1 else 0):
-            at = i + j / substeps
-            if j > 0:
-                rate = _rate_at(x, at, inputs, p, ripples)
-            x = _step(x, rate, at, h, inputs, p, ripples)
+            at, end = i + j / substeps, i + (j + 1) / substeps
+            while end - at > ROUNDING:
+                part = min(end - at, _until_jump(inputs, at, p))
+                if at > i:
+                    rate = _rate_at(x, at, at, inputs, p, ripples)
+                x = _step(x, rate, at, part * inputs.dt, inputs, p, ripples)
+                at += part
     return out

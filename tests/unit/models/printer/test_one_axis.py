@@ -216,6 +216,24 @@ def test_a_voltage_drives_a_motor_to_the_speed_at_which_it_induces_as_much() -> 
     np.testing.assert_allclose(duty.force_of(np.array([0.5, 2.0]), np.array([4.0, 8.0])), [0.5 * 4.0 * 5.0, 8.0 * 5.0])
 
 
+@pytest.mark.parametrize("late", [0.0, 0.42])
+def test_a_force_that_a_controller_holds_moves_a_mass_exactly(late: float) -> None:
+    """Under a constant force v → v e^(−bt/M) + F/b (1 − e^(−bt/M)); what is late jumps within a sample."""
+    mass, b, force = 2.0, 40.0, 50.0 * np.random.default_rng(2).standard_normal(300)
+    machine = machine_of_axis("held", DrivenAxis("force", mass, 0.0, b, drive=Drive(hold="steps")))
+    found = moved(machine, force, **({"command_delay": {"delay_s": late * DT}} if late else {}))
+    q = v = 0.0
+    exact = [(q, v)]
+    for before, now in zip(np.roll(force, 1)[:-1], force[:-1], strict=True):
+        for f, t in ((before if len(exact) > 1 else force[0], late * DT), (now, (1 - late) * DT)):
+            left, top = np.exp(-b * t / mass), f / b
+            q, v = q + top * t + (v - top) * mass / b * (1 - left), top + (v - top) * left
+        exact.append((q, v))
+    np.testing.assert_allclose(np.column_stack([found.position_mm, found.speed]), 1e3 * np.array(exact), atol=2e-5)
+    straight = machine_of_axis("straight", DrivenAxis("force", mass, 0.0, b))
+    assert np.abs(moved(straight, force).speed - found.speed).max() > 1.0
+
+
 def test_damping_across_the_drive_follows_a_steady_speed_and_answers_as_its_linear_model() -> None:
     """q/u = (s c + k)/(m s² + (b + c) s + k): of one sine, and no lag at a steady speed from c alone."""
     axis = DrivenAxis("position", 2.0, 2e4, 5.0, drive_damping_n_s_per_m=60.0)
