@@ -699,6 +699,13 @@ def test_what_belts_damp_need_not_be_named_and_a_rest_may_be_left() -> None:
     assert counts["top-1, visible single effects"] == 0
     assert counts["top-1, alone or with a rest, visible single effects"] == 2
     assert counts["a wrong name alone"] == 1
+    dry = replace(found, label=replace(found.label, effects={"bristle_friction": {"force_n": 9.0}}))
+    other = replace(dry, verdict={"verdict": "unknown", "dominant": {"name": "coulomb_friction"}})
+    alone = replace(dry, verdict={"verdict": "effects", "effects": [{"name": "coulomb_friction", "parameters": {}}]})
+    counts = {rate.title: rate.hits for rate in score.rates([other, alone])}
+    assert counts["top-1, alone or with a rest, visible single effects"] == 0
+    assert counts["the same, or another law of its family with a rest"] == 1
+    assert counts["a wrong name alone"] == 1
 
 
 # ---- a handful of cases, through the public verb --------------------------------------------------
