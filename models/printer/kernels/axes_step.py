@@ -188,7 +188,9 @@ def step_lanes(m: FloatArray, h: float, has: ActiveEffects, springs: bool, swayi
     sine or a power: motors' torque, friction that fades otherwise than by the square.
     """
     lanes = len(m) // ALL_ROWS  # LANES, which the compiler is not to know: it would write each lane out
-    if odd:
+    if odd and not (swaying or has.guides):
+        _electric(m, h, lanes)
+    elif odd:
         _everything(m, h, lanes)
     elif swaying and (springs or has.guides):
         _most(m, h, lanes)
@@ -216,6 +218,12 @@ def _linear(m: FloatArray, h: float, lanes: int) -> None:
 def _smooth(m: FloatArray, h: float, lanes: int) -> None:
     for l in range(min(lanes, LANES)):
         _step(m, l, h, YES, NO, NO, NO, NO)
+
+
+@compiled
+def _electric(m: FloatArray, h: float, lanes: int) -> None:
+    for l in range(min(lanes, LANES)):
+        _step(m, l, h, YES, NO, NO, NO, YES)
 
 
 @compiled
