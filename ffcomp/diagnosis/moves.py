@@ -194,9 +194,10 @@ def add_file_change(search: Search, best: Hypothesis) -> list[Hypothesis]:
     tried = [*starts[: SETTINGS.swaps], *(start for start in starts[SETTINGS.swaps :] if _name(start) == alike)]
     grown = {_name(start): grow(search.quick, rest, start, search.progress) for start in tried}
     # the file's numbers go back for the price of their prior alone: that is seen at the end of a fit only
-    first = likeliest(list(grown.values()))[:1]
-    near = [h for name, h in grown.items() if h in first or name == alike]
-    near = [h for h in near if comparable(h, best, SETTINGS.keep_straight)]
+    near = [h for h in likeliest(list(grown.values()))[:1] if comparable(h, best, SETTINGS.keep_straight)]
+    same = grown.get(alike)
+    if same is not None and same not in near and comparable(same, best, SETTINGS.keep_fitted):
+        near.append(same)
     return [h for h in (refit(search.estimation, h, search.progress) for h in near) if h.plausible]
 
 
