@@ -168,7 +168,7 @@ class ForceBalance(AxisProblem):
         self.__dict__.update(problem.__dict__)
         axis = driven_axis(self.machine)
         self._moved = [np.gradient(1e-3 * one.speed, 1 / one.run.sample_rate_hz) for one in self.shots]
-        forces = [axis.force_of(one.run.drive, one.run.supply_v) for one in self.shots]
+        forces = [_acting(axis, axis.force_of(one.run.drive, one.run.supply_v)) for one in self.shots]
         self.shots = [
             replace(
                 one,
@@ -193,6 +193,11 @@ class ForceBalance(AxisProblem):
         self.work.add(STEP_COST * motion.steps)
         mass = float(axis_parameters(machine)[0][AXIS_PARAMETERS.index("mass")])
         return {"force": mass * self._moved[run] + motion.force - HEAVY_KG * motion.acceleration}
+
+
+def _acting(axis: DrivenAxis, force: FloatArray) -> FloatArray:
+    """Return what acts at each sample, (n,): of a force that is held the mean of before and after."""
+    return 0.5 * (force + np.concatenate([force[:1], force[:-1]])) if axis.drive.hold == "steps" else force
 
 
 def _way(run: AxisRun) -> FloatArray:
