@@ -32,10 +32,11 @@ from ffcomp.compensation.text_stream import Stream, stamped, with_shaper_off, wi
 from ffcomp.errors import NothingToDo, RequestError
 from ffcomp.faster.bound import Bound, with_slicer_settings
 from ffcomp.integrations.slicer import Bed, bed_in, pair
+from ffcomp.inverse.feasible import scale_around_cut
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.robust import BOUNDED, PLAIN, RobustChoice, choose_robust
 from ffcomp.inverse.settings import Settings, settings_for
-from ffcomp.inverse.time_scaling import TimeScaling, scale_around_cut
+from ffcomp.inverse.time_scaling import TimeScaling
 from ffcomp.planner.limits import lines_of, planner_limits
 from ffcomp.planner.program import firmware_plan, read_as_planned, section_planner, settings_sentence
 from ffcomp.planner.reach import OutOfReach, Reach

@@ -8,10 +8,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ffcomp.errors import LimitsError
+from ffcomp.inverse.feasible import FeasibleSection, SectionRequest, solve_feasible
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.reference import WHOLE, Extent, Reference
 from ffcomp.inverse.solve import Solution, solve
-from ffcomp.inverse.time_scaling import FeasibleSection, SectionRequest, TimeScaling, solve_feasible
+from ffcomp.inverse.time_scaling import TimeScaling
 from ffcomp.planner.limits import planner_limits
 from ffcomp.planner.program import PlannedProgram, section_planner
 from ffcomp.planner.trajectory import PlannedMotion, Section

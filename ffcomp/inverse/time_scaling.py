@@ -20,15 +20,14 @@ that takes.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, fields, replace
-from typing import NamedTuple, TypeVar, cast
+from dataclasses import dataclass, replace
+from typing import NamedTuple, cast
 
 import numpy as np
 
 from ffcomp.errors import LimitsError, SolverError
-from ffcomp.inverse.command_limits import ACCELERATION, NAMES, TRAVEL, VELOCITY, utilisation_from_rest
+from ffcomp.inverse.command_limits import NAMES, TRAVEL, VELOCITY, utilisation_from_rest
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.reference import (
     SLOWEST_RAMPS,
@@ -38,8 +37,6 @@ from ffcomp.inverse.reference import (
     Room,
     WrittenReference,
     context_s,
-    room_in,
-    tighter_rooms,
 )
 from ffcomp.inverse.settings import CUT
 from ffcomp.inverse.solve import Solution, solve
@@ -56,26 +53,20 @@ from ffcomp.inverse.violations import (
 from ffcomp.planner.lifts import FLOWS_MM, even_wipes, join_lifts
 from ffcomp.planner.limits import PlannerLimits, bounds_of, lines_of
 from ffcomp.planner.segment_timing import segment_speeds
-from ffcomp.planner.trajectory import PathPosition, PlannedMotion, Section, Trajectory
-from gcode.program import Moves, Program
-from gcode.slicing import some
+from ffcomp.planner.trajectory import PlannedMotion, Section, Trajectory
+from gcode.program import Moves
 from models.arrays import BoolArray, FloatArray, IntArray
 
 Replan = Callable[[Moves, float], PlannedMotion]  # the moves of a section, when it begins (s) → its plan
 LayerOf = Callable[[int], int | None]  # move of the program → its layer
-Motion = TypeVar("Motion", bound=PlannedMotion)
 
 ROUNDS = 8
-ENDS = 6  # knots of a command at either end, that answer for where it begins and ends to move
-STEEP = 1.4  # times the accelerations of its path and its middle, that ends may ask for
 PHASES = 4  # of the knots, at which a path is looked at
 APART = 8  # moves: scaled ones that lie closer share a record
 LATE_MM = 1e-3  # how far a segment may fall behind
 LATE_TRAVEL_MM = 50e-3  # and how far in XY where no filament flows, on a machine that joins lifts
 LATEST_S = 0.1  # that a section may end later than planned because of such segments
-NO_TOLERANCE_MM = 0.0  # around a cut: where no limit is active, both sides find the same command
 KNOT = 1e-6  # of a segment: nearer is at a knot
-SCALED = 0.75  # share of the context of a cut that may become slower before the cut
 STEADY = 0.02  # relative variation of a speed that counts as constant
 
 
@@ -104,218 +95,7 @@ class TimeScaling:
         return f"line {lines}{layer}: {verb} to {percent} %, {self.seconds:.2g} s longer: {why}."
 
 
-@dataclass(frozen=True, slots=True)
-class SectionRequest:
-    """A section to be solved within the machine's limits."""
-
-    program: Program  # whose moves the trajectory plans
-    trajectory: PlannedMotion
-    section: Section
-    written: WrittenReference  # the section's reference by this plan
-    state: FloatArray  # (18,) of the plant at the section's first knot
-    limits: PlannerLimits  # as the trajectory was planned
-    replan: Replan  # as the trajectory was planned
-    extent: Extent = WHOLE
-    keep_response: bool = False
-    layer_of: LayerOf = lambda move: None
-
-
-@dataclass(frozen=True, slots=True)
-class FeasibleSection:
-    """A section within the limits, and its command."""
-
-    trajectory: PlannedMotion  # the whole plan; what comes after the section is later by `lost_s`
-    section: Section
-    written: WrittenReference
-    solution: Solution
-    records: tuple[TimeScaling, ...] = ()
-    lost_s: float = 0.0
-
-
-def solve_feasible(model: InverseModel, request: SectionRequest) -> FeasibleSection:
-    """Solve a section; where its limits cannot be kept within the tolerance, on a plan that is slower there.
-
-    The model's settings say how far the nozzle may leave the path where a limit is active, and whether to refuse
-    (`strict`) instead of slowing down.
-
-    Raises
-    ------
-    LimitsError
-        Where the path itself lies beyond a carriage's travel, where no slower plan is found, or when `strict`.
-    """
-    trajectory, section, settings = request.trajectory, request.section, model.settings
-    if (tight := _with_less_room(model, request)) is not None:
-        return tight
-    written, keep = request.written, request.keep_response
-    solution = solve(model, written.reference, request.state, keep_response=keep, enforce_limits=False)
-    late = _late(model, written, solution.vertices)
-    if not _exceeds(model, written, solution, late):
-        return FeasibleSection(trajectory, section, written, solution)
-    roomy = _with_more_room(model, request, written, solution)
-    if isinstance(roomy, FeasibleSection):
-        return roomy
-    moves = some(request.program.moves, slice(section.first, section.last))
-    scaled = _ScaledSection(
-        model,
-        moves,
-        request.limits,
-        request.replan,
-        section.begin_t,
-        request.extent,
-        request.state,
-        request.program.first_line,
-        keep_response=keep,
-    )
-    written, solution = scaled.solve(settings.tolerance_um * 1e-3, roomy)
-    if not scaled.reasons:
-        return FeasibleSection(trajectory, section, written, solution)
-    spliced, lost = _spliced(trajectory, section, scaled.plan)
-    records = tuple(
-        scaled.records(
-            trajectory.duration[section.first : section.last], lambda move: request.layer_of(section.first + move)
-        )
-    )
-    if settings.strict:
-        _refuse(records)
-    section = replace(section, end_t=scaled.section.end_t)
-    return FeasibleSection(spliced, section, written, solution, records, lost)
-
-
-def _with_less_room(model: InverseModel, request: SectionRequest) -> FeasibleSection | None:
-    """Solve a section with less time before and after its path than it needs; None where its ends would ask for more.
-
-    They may ask for a little more than its path and its middle do, but not for more than the nozzle's own acceleration.
-    """
-    s, section, plan = model.settings, request.section, request.trajectory
-    if request.extent != WHOLE or s.robust:
-        return None
-    for room in tighter_rooms(section, request.written.reference.knots, s):
-        written = request.extent.written(plan, section, s, room)
-        solution = solve(
-            model, written.reference, request.state, keep_response=request.keep_response, enforce_limits=False
-        )
-        path = written.reference.at_knots(np.arange(written.reference.knots + 1))
-        nozzle = np.sqrt((np.diff(path, 2, axis=0) ** 2).sum(axis=1)).max(initial=0.0) / s.segment_s**2
-        asked, by_path = _accelerations(model, solution.vertices), _accelerations(model, path).max()
-        inner = asked[ENDS:-ENDS].max(initial=0.0)
-        most = max(inner, min(STEEP * max(by_path, inner), nozzle / model.limits.acceleration_mm_per_s2))
-        if asked.max() <= most and not _exceeds(model, written, solution, _late(model, written, solution.vertices)):
-            return FeasibleSection(plan, section, written, solution)
-    return None
-
-
-def _accelerations(model: InverseModel, vertices: FloatArray) -> FloatArray:
-    """Return the largest share of a carriage's acceleration limit that every knot of a command asks for."""
-    return np.asarray(utilisation_from_rest(vertices, model.limits)[:, ACCELERATION].max(axis=1))
-
-
-def _with_more_room(
-    model: InverseModel, request: SectionRequest, tight: WrittenReference, solution: Solution
-) -> FeasibleSection | _Free:
-    """Solve a section with more time before and after its path, at most all that a command may have.
-
-    A few ms there are less than what slower moves would take. Too little: return the last command, without limits.
-    """
-    s, section, free = model.settings, request.section, _Free(tight, solution)
-    if request.extent != WHOLE:
-        return free
-    most = math.ceil((section.end_t - section.begin_t + s.lead_s + s.tail_s) / s.segment_s)
-    rooms = [
-        room_in(section, segments, s, s.lead_s / (s.lead_s + s.tail_s))
-        for segments in range(tight.reference.knots + 1, most)
-    ]
-    if tight.reference.t0 != section.begin_t - s.lead_s:
-        rooms.append(Room(s.lead_s, s.tail_s))
-    for room in rooms:
-        written = request.extent.written(request.trajectory, section, s, room)
-        solution = solve(
-            model, written.reference, request.state, keep_response=request.keep_response, enforce_limits=False
-        )
-        if not _exceeds(model, written, solution, _late(model, written, solution.vertices)):
-            return FeasibleSection(request.trajectory, section, written, solution)
-        free = _Free(written, solution)
-    return free
-
-
-def scale_around_cut(
-    model: InverseModel,
-    program: Program,
-    limits: PlannerLimits,
-    cut: PathPosition,
-    replan: Replan,
-    layer_of: LayerOf = lambda move: None,
-) -> tuple[Moves, tuple[TimeScaling, ...]]:
-    """Scale the moves around a position where a motion is to be cut, once for the chunks on both sides.
-
-    Parameters
-    ----------
-    program : planned from rest to rest; moves near its ends stay as they are
-    limits, replan, layer_of : as in `SectionRequest`; the plan has trapezoids
-
-    Returns
-    -------
-    the moves, slower where they have to be; the records of what became slower
-
-    Raises
-    ------
-    LimitsError
-        As `solve_feasible`.
-    """
-    moves = program.moves
-    plan = cast(Trajectory, replan(moves, 0.0))
-    reach_s = SCALED * context_s(moves, plan)
-    t = cut.time_in(plan)
-    inner = (plan.start_t >= t - reach_s) & (plan.start_t + plan.duration <= t + reach_s)
-    if not inner.any():
-        return moves, ()
-    first, last = np.flatnonzero(inner)[[0, -1]].tolist()
-    middle = Extent(PathPosition(first, 0.0), PathPosition(last, float(lines_of(moves).length[last])))
-    state = model.machine.equilibrium(moves.start[0, :3])
-    scaled = _ScaledSection(model, moves, limits, replan, 0.0, middle, state, program.first_line, fixed=~inner)
-    scaled.scale(NO_TOLERANCE_MM)
-    records = tuple(scaled.records(plan.duration, layer_of)) if scaled.reasons else ()
-    if records and model.settings.strict:
-        _refuse(records)
-    return scaled.moves, records
-
-
-def _refuse(records: tuple[TimeScaling, ...]) -> None:
-    raise LimitsError(" ".join(record.sentence("would have to be slowed") for record in records))
-
-
-def _exceeds(model: InverseModel, written: WrittenReference, solution: Solution, late: BoolArray) -> bool:
-    # what is not finite is out of reach, which is nothing that speed could help
-    return _utilisation(model, written, solution) > 1.0 or bool(late[written.first : written.last].any())
-
-
-def _utilisation(model: InverseModel, written: WrittenReference, solution: Solution) -> float:
-    """Return the peak demand over the limit, between the knots that are written."""
-    if (written.first, written.last) == (0, len(solution.vertices) - 1):
-        return solution.utilisation
-    inside = slice(written.first, written.last)
-    return float(utilisation_from_rest(solution.vertices, model.limits)[1:-1][inside].max())
-
-
-def _late(model: InverseModel, written: WrittenReference, vertices: FloatArray) -> BoolArray:
-    """Find the segments (n,) that the firmware cannot execute in their time, where that matters."""
-    s = model.settings
-    e, stay = written.reference.extrusion(), np.arange(len(vertices))
-    even_wipes(e, vertices, 0, CUT)
-    if s.joins_lifts:
-        stay = join_lifts(vertices, e, stay % CUT == 0).stay
-    step, filament, lasting = np.diff(vertices[stay], axis=0), np.diff(e[stay]), np.diff(stay) * s.segment_s
-    speeds = segment_speeds(vertices[stay], filament, lasting, s.output)
-    behind_s = np.maximum(speeds.duration - lasting, 0.0)
-    late = behind_s * speeds.cruise > LATE_MM
-    if s.joins_lifts and late.any():
-        waits = late & (filament <= FLOWS_MM)
-        waits &= np.minimum(behind_s / lasting, 1.0) * np.hypot(step[:, 0], step[:, 1]) <= LATE_TRAVEL_MM
-        if behind_s[waits].sum() <= LATEST_S:
-            late &= ~waits
-    return np.repeat(late, np.diff(stay))
-
-
-class _Free(NamedTuple):
+class Free(NamedTuple):
     """One plan's reference, and its command without limits."""
 
     written: WrittenReference
@@ -331,7 +111,7 @@ class _Attempt(NamedTuple):
 
 
 @dataclass
-class _ScaledSection:
+class ScaledSection:
     """The moves of one section, while they become slower."""
 
     model: InverseModel
@@ -362,7 +142,7 @@ class _ScaledSection:
         self.plan = self.replan(self.moves, self.begin_t)
         self.section = Section(0, len(self.moves), True, self.begin_t, self.plan.end_t)
 
-    def solve(self, tolerance_mm: float, first: _Free) -> tuple[WrittenReference, Solution]:
+    def solve(self, tolerance_mm: float, first: Free) -> tuple[WrittenReference, Solution]:
         """Return the first plan in a few rounds that can be followed, and its command. first : of the plan as it is."""
         moves, plan = self.moves, self.plan
         written, solution = self.scale(tolerance_mm, first)
@@ -373,7 +153,7 @@ class _ScaledSection:
             solution = self._constrained(written, solution) if violations else solution
         return written, solution
 
-    def scale(self, tolerance_mm: float, first: _Free | None = None) -> tuple[WrittenReference, Solution]:
+    def scale(self, tolerance_mm: float, first: Free | None = None) -> tuple[WrittenReference, Solution]:
         """Do the same without regard to where the written part ends."""
         for _ in range(ROUNDS):
             written, solution, violations = self._attempt(tolerance_mm, first or self._free())
@@ -437,21 +217,21 @@ class _ScaledSection:
         first_t = self.begin_t - self.model.settings.lead_s if begin is None else begin.time_in(plan)
         return (self.plan.end_t if end is None else end.time_in(plan)) - first_t
 
-    def _free(self) -> _Free:
+    def _free(self) -> Free:
         """Solve on the plan as it stands, without limits."""
         settings = self.model.settings
         all_room = Room(settings.lead_s, settings.tail_s)
         written = self.extent.written(self.plan, self.section, settings, all_room)
-        return _Free(written, self._solve(written, enforce_limits=False))
+        return Free(written, self._solve(written, enforce_limits=False))
 
-    def _attempt(self, tolerance_mm: float, command: _Free) -> _Attempt:
+    def _attempt(self, tolerance_mm: float, command: Free) -> _Attempt:
         """List the violations in the written part of a command; where its limits alone are exceeded, with them kept."""
         model, (written, free) = self.model, command
-        feasible = _utilisation(model, written, free) <= 1.0
+        feasible = peak_utilisation(model, written, free) <= 1.0
         utilisation = utilisation_from_rest(free.vertices, model.limits)[1:-1]
         violations = _among(path_violations(self._path_utilisation(written.reference), utilisation), written)
         if not violations and feasible:
-            violations = _among(timing_violations(_late(model, written, free.vertices)), written)
+            violations = _among(timing_violations(late_segments(model, written, free.vertices)), written)
         if violations or feasible:
             return _Attempt(written, free, violations)
         try:
@@ -459,7 +239,7 @@ class _ScaledSection:
         except SolverError:  # no command keeps the limits
             return _Attempt(written, free, _among(command_violations(utilisation), written))
         violations = _among(solution_violations(solution, utilisation, tolerance_mm, model.limits), written)
-        violations += _among(timing_violations(_late(model, written, solution.vertices)), written)
+        violations += _among(timing_violations(late_segments(model, written, solution.vertices)), written)
         return _Attempt(written, solution, violations)
 
     def _path_utilisation(self, reference: Reference) -> FloatArray:
@@ -580,13 +360,28 @@ def _among(violations: Iterator[Violation], written: WrittenReference) -> list[V
     return [each for each in violations if each.last >= written.first and each.first < written.last]
 
 
-def _spliced(trajectory: Motion, section: Section, part: PlannedMotion) -> tuple[Motion, float]:
-    """Replace a section of the plan; return the plan and by how much later what follows begins, s."""
-    lost = part.end_t - section.end_t
-    columns = {}
-    for field in fields(trajectory):  # type: ignore[arg-type]  # every planned motion is a dataclass of columns
-        whole = getattr(trajectory, field.name).copy()
-        whole[section.first : section.last] = getattr(part, field.name)
-        columns[field.name] = whole
-    columns["start_t"][section.last :] += lost
-    return replace(trajectory, **columns), lost  # type: ignore[type-var]
+def peak_utilisation(model: InverseModel, written: WrittenReference, solution: Solution) -> float:
+    """Return the peak demand over the limit, between the knots that are written."""
+    if (written.first, written.last) == (0, len(solution.vertices) - 1):
+        return solution.utilisation
+    inside = slice(written.first, written.last)
+    return float(utilisation_from_rest(solution.vertices, model.limits)[1:-1][inside].max())
+
+
+def late_segments(model: InverseModel, written: WrittenReference, vertices: FloatArray) -> BoolArray:
+    """Find the segments (n,) that the firmware cannot execute in their time, where that matters."""
+    s = model.settings
+    e, stay = written.reference.extrusion(), np.arange(len(vertices))
+    even_wipes(e, vertices, 0, CUT)
+    if s.joins_lifts:
+        stay = join_lifts(vertices, e, stay % CUT == 0).stay
+    step, filament, lasting = np.diff(vertices[stay], axis=0), np.diff(e[stay]), np.diff(stay) * s.segment_s
+    speeds = segment_speeds(vertices[stay], filament, lasting, s.output)
+    behind_s = np.maximum(speeds.duration - lasting, 0.0)
+    late = behind_s * speeds.cruise > LATE_MM
+    if s.joins_lifts and late.any():
+        waits = late & (filament <= FLOWS_MM)
+        waits &= np.minimum(behind_s / lasting, 1.0) * np.hypot(step[:, 0], step[:, 1]) <= LATE_TRAVEL_MM
+        if behind_s[waits].sum() <= LATEST_S:
+            late &= ~waits
+    return np.repeat(late, np.diff(stay))

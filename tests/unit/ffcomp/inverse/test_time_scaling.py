@@ -11,11 +11,12 @@ import pytest
 from numpy.typing import NDArray
 
 from ffcomp.errors import LimitsError
+from ffcomp.inverse.feasible import FeasibleSection, SectionRequest, solve_feasible
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.reference import WHOLE, Reference
 from ffcomp.inverse.settings import Settings, settings_for
 from ffcomp.inverse.solve import solve
-from ffcomp.inverse.time_scaling import FeasibleSection, LayerOf, Replan, SectionRequest, solve_feasible
+from ffcomp.inverse.time_scaling import LayerOf, Replan
 from ffcomp.inverse.violations import widened
 from ffcomp.planner.limits import planner_limits
 from ffcomp.planner.program import PlannedProgram, plan_program, plan_section

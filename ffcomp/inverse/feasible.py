@@ -1,0 +1,242 @@
+"""A section's command within all limits of machine and firmware: with more room where that helps, else more time."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields, replace
+from typing import TypeVar, cast
+
+import numpy as np
+
+from ffcomp.errors import LimitsError
+from ffcomp.inverse.command_limits import ACCELERATION, utilisation_from_rest
+from ffcomp.inverse.model import InverseModel
+from ffcomp.inverse.reference import (
+    WHOLE,
+    Extent,
+    Room,
+    WrittenReference,
+    context_s,
+    room_in,
+    tighter_rooms,
+)
+from ffcomp.inverse.solve import Solution, solve
+from ffcomp.inverse.time_scaling import (
+    Free,
+    LayerOf,
+    Replan,
+    ScaledSection,
+    TimeScaling,
+    late_segments,
+    peak_utilisation,
+)
+from ffcomp.planner.limits import PlannerLimits, lines_of
+from ffcomp.planner.trajectory import PathPosition, PlannedMotion, Section, Trajectory
+from gcode.program import Moves, Program
+from gcode.slicing import some
+from models.arrays import BoolArray, FloatArray
+
+Motion = TypeVar("Motion", bound=PlannedMotion)
+
+ENDS = 6  # knots of a command at either end, that answer for where it begins and ends to move
+STEEP = 1.4  # times the accelerations of its path and its middle, that ends may ask for
+SCALED = 0.75  # share of the context of a cut that may become slower before the cut
+NO_TOLERANCE_MM = 0.0  # around a cut: where no limit is active, both sides find the same command
+
+
+@dataclass(frozen=True, slots=True)
+class SectionRequest:
+    """A section to be solved within the machine's limits."""
+
+    program: Program  # whose moves the trajectory plans
+    trajectory: PlannedMotion
+    section: Section
+    written: WrittenReference  # the section's reference by this plan
+    state: FloatArray  # (18,) of the plant at the section's first knot
+    limits: PlannerLimits  # as the trajectory was planned
+    replan: Replan  # as the trajectory was planned
+    extent: Extent = WHOLE
+    keep_response: bool = False
+    layer_of: LayerOf = lambda move: None
+
+
+@dataclass(frozen=True, slots=True)
+class FeasibleSection:
+    """A section within the limits, and its command."""
+
+    trajectory: PlannedMotion  # the whole plan; what comes after the section is later by `lost_s`
+    section: Section
+    written: WrittenReference
+    solution: Solution
+    records: tuple[TimeScaling, ...] = ()
+    lost_s: float = 0.0
+
+
+def solve_feasible(model: InverseModel, request: SectionRequest) -> FeasibleSection:
+    """Solve a section; where its limits cannot be kept within the tolerance, on a plan that is slower there.
+
+    The model's settings say how far the nozzle may leave the path where a limit is active, and whether to refuse
+    (`strict`) instead of slowing down.
+
+    Raises
+    ------
+    LimitsError
+        Where the path itself lies beyond a carriage's travel, where no slower plan is found, or when `strict`.
+    """
+    trajectory, section, settings = request.trajectory, request.section, model.settings
+    if (tight := _with_less_room(model, request)) is not None:
+        return tight
+    written, keep = request.written, request.keep_response
+    solution = solve(model, written.reference, request.state, keep_response=keep, enforce_limits=False)
+    late = late_segments(model, written, solution.vertices)
+    if not _exceeds(model, written, solution, late):
+        return FeasibleSection(trajectory, section, written, solution)
+    roomy = _with_more_room(model, request, written, solution)
+    if isinstance(roomy, FeasibleSection):
+        return roomy
+    moves = some(request.program.moves, slice(section.first, section.last))
+    scaled = ScaledSection(
+        model,
+        moves,
+        request.limits,
+        request.replan,
+        section.begin_t,
+        request.extent,
+        request.state,
+        request.program.first_line,
+        keep_response=keep,
+    )
+    written, solution = scaled.solve(settings.tolerance_um * 1e-3, roomy)
+    if not scaled.reasons:
+        return FeasibleSection(trajectory, section, written, solution)
+    spliced, lost = _spliced(trajectory, section, scaled.plan)
+    records = tuple(
+        scaled.records(
+            trajectory.duration[section.first : section.last], lambda move: request.layer_of(section.first + move)
+        )
+    )
+    if settings.strict:
+        _refuse(records)
+    section = replace(section, end_t=scaled.section.end_t)
+    return FeasibleSection(spliced, section, written, solution, records, lost)
+
+
+def _with_less_room(model: InverseModel, request: SectionRequest) -> FeasibleSection | None:
+    """Solve a section with less time before and after its path than it needs; None where its ends would ask for more.
+
+    They may ask for a little more than its path and its middle do, but not for more than the nozzle's own acceleration.
+    """
+    s, section, plan = model.settings, request.section, request.trajectory
+    if request.extent != WHOLE or s.robust:
+        return None
+    for room in tighter_rooms(section, request.written.reference.knots, s):
+        written = request.extent.written(plan, section, s, room)
+        solution = solve(
+            model, written.reference, request.state, keep_response=request.keep_response, enforce_limits=False
+        )
+        path = written.reference.at_knots(np.arange(written.reference.knots + 1))
+        nozzle = np.sqrt((np.diff(path, 2, axis=0) ** 2).sum(axis=1)).max(initial=0.0) / s.segment_s**2
+        asked, by_path = _accelerations(model, solution.vertices), _accelerations(model, path).max()
+        inner = asked[ENDS:-ENDS].max(initial=0.0)
+        most = max(inner, min(STEEP * max(by_path, inner), nozzle / model.limits.acceleration_mm_per_s2))
+        if asked.max() <= most and not _exceeds(
+            model, written, solution, late_segments(model, written, solution.vertices)
+        ):
+            return FeasibleSection(plan, section, written, solution)
+    return None
+
+
+def _accelerations(model: InverseModel, vertices: FloatArray) -> FloatArray:
+    """Return the largest share of a carriage's acceleration limit that every knot of a command asks for."""
+    return np.asarray(utilisation_from_rest(vertices, model.limits)[:, ACCELERATION].max(axis=1))
+
+
+def _with_more_room(
+    model: InverseModel, request: SectionRequest, tight: WrittenReference, solution: Solution
+) -> FeasibleSection | Free:
+    """Solve a section with more time before and after its path, at most all that a command may have.
+
+    A few ms there are less than what slower moves would take. Too little: return the last command, without limits.
+    """
+    s, section, free = model.settings, request.section, Free(tight, solution)
+    if request.extent != WHOLE:
+        return free
+    most = math.ceil((section.end_t - section.begin_t + s.lead_s + s.tail_s) / s.segment_s)
+    rooms = [
+        room_in(section, segments, s, s.lead_s / (s.lead_s + s.tail_s))
+        for segments in range(tight.reference.knots + 1, most)
+    ]
+    if tight.reference.t0 != section.begin_t - s.lead_s:
+        rooms.append(Room(s.lead_s, s.tail_s))
+    for room in rooms:
+        written = request.extent.written(request.trajectory, section, s, room)
+        solution = solve(
+            model, written.reference, request.state, keep_response=request.keep_response, enforce_limits=False
+        )
+        if not _exceeds(model, written, solution, late_segments(model, written, solution.vertices)):
+            return FeasibleSection(request.trajectory, section, written, solution)
+        free = Free(written, solution)
+    return free
+
+
+def scale_around_cut(
+    model: InverseModel,
+    program: Program,
+    limits: PlannerLimits,
+    cut: PathPosition,
+    replan: Replan,
+    layer_of: LayerOf = lambda move: None,
+) -> tuple[Moves, tuple[TimeScaling, ...]]:
+    """Scale the moves around a position where a motion is to be cut, once for the chunks on both sides.
+
+    Parameters
+    ----------
+    program : planned from rest to rest; moves near its ends stay as they are
+    limits, replan, layer_of : as in `SectionRequest`; the plan has trapezoids
+
+    Returns
+    -------
+    the moves, slower where they have to be; the records of what became slower
+
+    Raises
+    ------
+    LimitsError
+        As `solve_feasible`.
+    """
+    moves = program.moves
+    plan = cast(Trajectory, replan(moves, 0.0))
+    reach_s = SCALED * context_s(moves, plan)
+    t = cut.time_in(plan)
+    inner = (plan.start_t >= t - reach_s) & (plan.start_t + plan.duration <= t + reach_s)
+    if not inner.any():
+        return moves, ()
+    first, last = np.flatnonzero(inner)[[0, -1]].tolist()
+    middle = Extent(PathPosition(first, 0.0), PathPosition(last, float(lines_of(moves).length[last])))
+    state = model.machine.equilibrium(moves.start[0, :3])
+    scaled = ScaledSection(model, moves, limits, replan, 0.0, middle, state, program.first_line, fixed=~inner)
+    scaled.scale(NO_TOLERANCE_MM)
+    records = tuple(scaled.records(plan.duration, layer_of)) if scaled.reasons else ()
+    if records and model.settings.strict:
+        _refuse(records)
+    return scaled.moves, records
+
+
+def _refuse(records: tuple[TimeScaling, ...]) -> None:
+    raise LimitsError(" ".join(record.sentence("would have to be slowed") for record in records))
+
+
+def _exceeds(model: InverseModel, written: WrittenReference, solution: Solution, late: BoolArray) -> bool:
+    # what is not finite is out of reach, which is nothing that speed could help
+    return peak_utilisation(model, written, solution) > 1.0 or bool(late[written.first : written.last].any())
+
+
+def _spliced(trajectory: Motion, section: Section, part: PlannedMotion) -> tuple[Motion, float]:
+    """Replace a section of the plan; return the plan and by how much later what follows begins, s."""
+    lost = part.end_t - section.end_t
+    columns = {}
+    for field in fields(trajectory):  # type: ignore[arg-type]  # every planned motion is a dataclass of columns
+        whole = getattr(trajectory, field.name).copy()
+        whole[section.first : section.last] = getattr(part, field.name)
+        columns[field.name] = whole
+    columns["start_t"][section.last :] += lost
+    return replace(trajectory, **columns), lost  # type: ignore[type-var]
