@@ -282,6 +282,7 @@ def swap_for_alike(search: Search, best: Hypothesis, tried: Sequence[Hypothesis]
     Or by any that is confounded with it: which of the two it is shows beside the others only.
     """
     screened, fitted, known = search.bases[0][1], list[Hypothesis](), [set(h.names) for h in tried]
+    restarted: Hypothesis | None = None
     for effect in best.effects:
         named = [s for s in screened if s.candidate.name == effect.name]
         for s in screened:
@@ -289,7 +290,8 @@ def swap_for_alike(search: Search, best: Hypothesis, tried: Sequence[Hypothesis]
             new = name not in best.names and {name, *best.names} - {effect.name} not in known
             enough = SETTINGS.alike if smaller else SETTINGS.confounded
             if new and any(similarity(s, each) > enough for each in named) and search.may_go_on:
-                rest = restart_from_file(search.estimation, best).without(effect)
+                restarted = restarted or restart_from_file(search.estimation, best)
+                rest = restarted.without(effect)
                 start = best_start(search.estimation, rest.fit, (s,), ESTIMATE_SCALES[:4], USUAL_SIZES)
                 grown = grow(search.estimation, rest, start, search.progress)
                 fitted.append(_fitted_in_best_shape(search, grown, best))

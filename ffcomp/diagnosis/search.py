@@ -1,7 +1,7 @@
 """Sequential floating search for the effects of a machine: forward selection with steps back.
 
     begin     quick fits of the promising candidates, full fits of the contenders, their best shapes
-    round     add the effect that helps most, reshape, swap for smaller ones, keep the simplest; while significant
+    round     add the effect that helps most, reshape, swap for what is alike, keep the simplest; while significant
     restart   where too little is explained: a warm start on a short horizon, and rounds from there
     float     swap each effect for what helps most beside the rest, for a richer model, add a change of the file
     finish    exact derivatives; drop what is superfluous; a smaller rival; free shapes
@@ -216,9 +216,9 @@ def _rounds(search: Search, selection: Selection) -> Selection:
 def _swapped(
     search: Search, best: Hypothesis, tried: tuple[Hypothesis, ...]
 ) -> tuple[Hypothesis, tuple[Hypothesis, ...]]:
-    """Swap effects for smaller ones; one that is likelier beyond doubt takes their place at once."""
-    smaller = swap_for_alike(search, best, tried)
-    return accepted(best, [h for h in smaller if h.plausible or not best.plausible]), (*tried, *smaller)
+    """Swap effects for what is alike; one that is likelier beyond doubt takes their place at once."""
+    alike = swap_for_alike(search, best, tried)
+    return accepted(best, [h for h in alike if h.plausible or not best.plausible]), (*tried, *alike)
 
 
 def _larger(search: Search, best: Hypothesis) -> tuple[Hypothesis | None, list[Hypothesis]]:

@@ -159,7 +159,7 @@ class AxisInput(NamedTuple):
 
 
 @inlined
-def _given(inputs: AxisInput, at: float, begun: float, p: FloatArray) -> tuple[float, float]:
+def _driven_by(inputs: AxisInput, at: float, begun: float, p: FloatArray) -> tuple[float, float]:
     """Return the input so many samples after the first, and its rate by sample, in a step that began there."""
     late = p[DELAY] / inputs.dt
     if inputs.held:
@@ -177,7 +177,7 @@ def _until_jump(inputs: AxisInput, at: float, p: FloatArray) -> float:
 @inlined
 def _rate_at(x: State, at: float, begun: float, inputs: AxisInput, p: FloatArray, ripples: FloatArray) -> State:
     """Return the state's rate so many samples after the first, in a step that began there."""
-    value, step = _given(inputs, at, begun, p)
+    value, step = _driven_by(inputs, at, begun, p)
     extra = 0.0 if len(inputs.extra) == 0 else _input(inputs.extra, inputs.extra[:0], at)[0]
     return _rates(x, value, step / inputs.dt, extra, p, ripples)
 
@@ -247,7 +247,7 @@ def integrate_axis(
     n, x = len(inputs.samples), (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     out, loaded = np.empty((n, 5)), p[LOAD] > 0.0
     for i in range(n):
-        value, step = _given(inputs, i, i, p)
+        value, step = _driven_by(inputs, i, i, p)
         if i % shot == 0 and i // shot < len(begin):
             x = _begin(x, begin[i // shot], value, p)
         rate = _rate_at(x, i, i, inputs, p, ripples)
