@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from scripts import weight
 from scripts.structure import Checkout, main
 
 FILES = {
@@ -80,3 +81,19 @@ def test_commits_are_compared(root: Path, capsys: pytest.CaptureFixture[str]) ->
     assert "| Measure | Before | After |" in table and "| Python files of the product | 6 | 5 |" in table
     assert main([str(root), "--list", "twice"]) == 0
     assert capsys.readouterr().out == "lonely: ffcomp/other.py, ffcomp/table.py\n"
+
+
+def test_a_package_over_its_limit_fails_and_is_never_raised(
+    root: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    limits = root / "docs" / "weight.toml"
+    for page in ("CONTRIBUTING.md", "CHANGELOG.md"):
+        (root / page).touch()
+    monkeypatch.setattr(weight, "ROOT", root)
+    monkeypatch.setattr(weight, "LIMITS", limits)
+    limits.write_text("[lines]\nmodels = 1\nffcomp = 99\n[words]\n", encoding="utf-8")
+    assert weight.main(["--lower"]) == 1
+    assert "models: 2 lines, limit 1 (+1)." in capsys.readouterr().out
+    lowered = limits.read_text(encoding="utf-8")
+    assert "models = 1\n" in lowered
+    assert f"ffcomp = {sum(FILES[f'ffcomp/{n}.py'].count(chr(10)) for n in ('search', 'table', 'other'))}\n" in lowered
