@@ -13,8 +13,9 @@ from itertools import chain
 from math import isnan
 from typing import NamedTuple
 
+from gcode.dialects import MARLIN, REPRAPFIRMWARE, limit_unit
 from gcode.errors import GcodeError, UnsupportedGcode
-from gcode.program import EventKind, RawMove
+from gcode.program import EventKind, LimitCommand, RawMove
 from gcode.state import AXES, INCH_MM, Modal
 from gcode.words import Command
 
@@ -24,7 +25,7 @@ class Effect(NamedTuple):
 
     kind: EventKind
     dwell_s: float = 0.0
-    touches_limits: bool = False
+    limits: LimitCommand | None = None
     warning: str = ""
     unknown: bool = False  # nobody knows what the command does; all such codes share a warning
     moves_itself: bool = False
@@ -43,7 +44,6 @@ _PARK_NAME = re.compile(r"P\d+")  # Prusa XL: the tool that is picked up next co
 
 PASS = Effect(EventKind.PASS)
 STOP = Effect(EventKind.STOP)
-LIMITS = Effect(EventKind.PASS, touches_limits=True)
 MOVED = Effect(EventKind.STOP, moves_itself=True)
 RETURNED = Effect(EventKind.STOP, moves_itself=True, returns=True)
 STAYED = Effect(EventKind.STOP, returns=True)
@@ -284,20 +284,26 @@ def _restore_state(modal: Modal, command: Command) -> Effect:
 
 def _acceleration(modal: Modal, command: Command) -> Effect:
     """M204: Klipper takes S, or the smaller of P and T if both are there; others P for printing, T for travel."""
-    words = command.settings()
-    if modal.flavor != "klipper" and ("P" in words or "T" in words):
-        if "P" in words:
-            modal.set_limits(acceleration=_positive(words["P"], command) * modal.unit)
-        if "T" in words:
-            modal.set_limits(travel_acceleration=_positive(words["T"], command) * modal.unit)
-    elif "S" in words and modal.flavor != "klipper":
-        both = _positive(words["S"], command) * modal.unit
-        modal.set_limits(acceleration=both, travel_acceleration=both)
+    words = _limit_words(modal, command)
+    if modal.flavor == "klipper":
+        value = words["S"] if "S" in words else min(words["P"], words["T"]) if words.keys() >= {"P", "T"} else None
+        words = {} if value is None else {"P": value}
     elif "S" in words:
-        modal.set_limits(acceleration=_positive(words["S"], command) * modal.unit)
-    elif "P" in words and "T" in words:
-        modal.set_limits(acceleration=_positive(min(words["P"], words["T"]), command) * modal.unit)
-    return LIMITS
+        both = words.pop("S")
+        words = {"P": both, "T": both, **words}
+    named = {"P": "acceleration", "T": "travel_acceleration"}
+    modal.set_limits(**{name: _positive(words[letter], command) for letter, name in named.items() if letter in words})
+    return _limits(modal, command.name, words)
+
+
+def _limit_words(modal: Modal, command: Command) -> dict[str, float]:
+    """Return the words of a command that sets limits, mm, mm/s, mm/s²."""
+    words = command.settings().items()
+    return {letter: value * limit_unit(modal.flavor, command.name, letter, modal.unit) for letter, value in words}
+
+
+def _limits(modal: Modal, code: str, words: dict[str, float] | None = None) -> Effect:
+    return Effect(EventKind.PASS, limits=LimitCommand(code, words or {}, modal.limits))
 
 
 def _positive(value: float, command: Command) -> float:
@@ -306,10 +312,8 @@ def _positive(value: float, command: Command) -> float:
     return value
 
 
-def _smallest_xy(modal: Modal, command: Command) -> float | None:
-    words = command.settings()
-    named = [_positive(words[letter], command) for letter in "XY" if letter in words]
-    return min(named) * modal.unit if named else None
+def _smallest_xy(words: dict[str, float], command: Command) -> float | None:
+    return min((_positive(words[letter], command) for letter in "XY" if letter in words), default=None)
 
 
 def _not_in_klipper(handler: Handler) -> Handler:
@@ -323,34 +327,36 @@ def _not_in_klipper(handler: Handler) -> Handler:
 
 @_not_in_klipper
 def _axis_acceleration(modal: Modal, command: Command) -> Effect:
-    if (value := _smallest_xy(modal, command)) is not None:
+    words = _limit_words(modal, command)
+    if (value := _smallest_xy(words, command)) is not None:
         modal.set_caps(acceleration=value)
-    return LIMITS
+    return _limits(modal, command.name, words)
 
 
 @_not_in_klipper
 def _axis_velocity(modal: Modal, command: Command) -> Effect:
-    per_s = 1 / 60 if modal.flavor == "reprapfirmware" else 1.0
-    if (value := _smallest_xy(modal, command)) is not None:
-        modal.set_caps(velocity=value * per_s)
-    if (filament := command.settings().get("E")) is not None:
-        modal.set_caps(filament_velocity=_positive(filament, command) * modal.unit * per_s)
-    return LIMITS
+    words = _limit_words(modal, command)
+    if (value := _smallest_xy(words, command)) is not None:
+        modal.set_caps(velocity=value)
+    if "E" in words:
+        modal.set_caps(filament_velocity=_positive(words["E"], command))
+    return _limits(modal, command.name, words)
 
 
 @_not_in_klipper
 def _jerk(modal: Modal, command: Command) -> Effect:
-    """M205: at a right angle each axis jumps by the whole speed, so the axis jerk is the corner velocity."""
-    if (value := _smallest_xy(modal, command)) is not None:
+    """M205, M566: at a right angle each axis jumps by the whole speed, so the axis jerk is the corner velocity.
+
+    RepRapFirmware knows both, and Marlin only the first.
+    """
+    code, words = command.name, _limit_words(modal, command)
+    if modal.flavor == REPRAPFIRMWARE and code == "M205":
+        code, words = "M566", {axis: words[axis] for axis in AXES if axis in words}
+    elif modal.flavor == MARLIN and code == "M566":
+        return PASS
+    if (value := _smallest_xy(words, command)) is not None:
         modal.set_limits(square_corner_velocity=value)
-    return LIMITS
-
-
-@_not_in_klipper
-def _jerk_per_minute(modal: Modal, command: Command) -> Effect:
-    if (value := _smallest_xy(modal, command)) is not None:
-        modal.set_limits(square_corner_velocity=value / 60)
-    return LIMITS
+    return _limits(modal, code, words)
 
 
 def _velocity_limit(modal: Modal, command: Command) -> Effect:
@@ -363,7 +369,7 @@ def _velocity_limit(modal: Modal, command: Command) -> Effect:
         ratio = 1 - _positive(fields["ACCEL_TO_DECEL"], command) / modal.limits.acceleration
     if ratio is not None and not isnan(ratio):
         modal.set_limits(minimum_cruise_ratio=min(1.0, max(0.0, ratio)))
-    return LIMITS
+    return _limits(modal, command.name)
 
 
 _LIMIT_FIELDS = {
@@ -375,7 +381,7 @@ _LIMIT_FIELDS = {
 
 def _reset_limits(modal: Modal, command: Command) -> Effect:
     modal.reset_limits()
-    return LIMITS
+    return _limits(modal, command.name)
 
 
 def _motors_off(modal: Modal, command: Command) -> Effect:
@@ -511,7 +517,7 @@ EFFECTS: dict[str, Handler] = {
     "M205": _jerk,
     "M220": _feed_factor,
     "M221": _flow,
-    "M566": _jerk_per_minute,
+    "M566": _jerk,
     "M622": _begin_condition,
     "M623": _end_condition,
     "RESET_VELOCITY_LIMIT": _reset_limits,

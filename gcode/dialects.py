@@ -8,7 +8,7 @@ slicers set its limits for each axis as well, or by P and T.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from math import nan
 from typing import NamedTuple
@@ -199,6 +199,27 @@ def close_limits(flavor: str, limits: MotionLimits, axes: str = "XYZ") -> list[b
     return _WRITERS[flavor](limits, axes)
 
 
+def limit_line(flavor: str, code: str, words: Mapping[str, float], unit_mm: float = 1.0) -> bytes:
+    """Return a command that sets limits.
+
+    words : letter → mm, mm/s or mm/s² (`gcode.program.LimitCommand`)
+    unit_mm : in which the file states them
+    """
+    numbers = ((letter, value / limit_unit(flavor, code, letter, unit_mm)) for letter, value in words.items())
+    return " ".join([code, *(f"{letter}{_number(x)}" for letter, x in numbers)]).encode()
+
+
+def limit_unit(flavor: str, code: str, letter: str, unit_mm: float) -> float:
+    """Return what one in a command on limits is: mm, mm/s or mm/s²; RepRapFirmware's speeds are by the minute."""
+    if (code, letter) in _NO_LENGTHS:
+        return 1.0
+    return unit_mm / 60.0 if flavor == REPRAPFIRMWARE and code in _PER_MINUTE else unit_mm
+
+
+_NO_LENGTHS = {("M205", "B"), ("M566", "P")}  # µs; RepRapFirmware's policy of jerk
+_PER_MINUTE = {"M203", "M566"}
+
+
 def shaper_off(flavor: str) -> list[bytes]:
     """Lines that switch the firmware's own input shaper off.
 
@@ -215,13 +236,6 @@ _SHAPER_OFF = {
 }
 
 
-def _line(pattern: str, *values: float) -> list[bytes]:
-    """One line with the values filled in; none when a value is not known."""
-    if any(value != value for value in values):
-        return []
-    return [(pattern.format(*(f"{value:.3f}".rstrip("0").rstrip(".") for value in values)) + "\n").encode()]
-
-
 def _klipper(limits: MotionLimits, axes: str) -> list[bytes]:
     """Klipper's limits are the nozzle's; Z has its own besides, which only the configuration sets."""
     fields = {
@@ -230,33 +244,30 @@ def _klipper(limits: MotionLimits, axes: str) -> list[bytes]:
         "SQUARE_CORNER_VELOCITY": limits.square_corner_velocity,
         "MINIMUM_CRUISE_RATIO": limits.minimum_cruise_ratio,
     }
-    known = {key: value for key, value in fields.items() if value == value}
-    pattern = "SET_VELOCITY_LIMIT " + " ".join(f"{key}={{}}" for key in known)
-    return _line(pattern, *known.values()) if known else []
+    text = "".join(f" {key}={_number(value)}" for key, value in fields.items() if value == value)
+    return [f"SET_VELOCITY_LIMIT{text}\n".encode()] if text else []
+
+
+def _number(value: float) -> str:
+    return f"{value:.3f}".rstrip("0").rstrip(".")
 
 
 def _marlin(limits: MotionLimits, axes: str) -> list[bytes]:
-    return [
-        *_line(_each("M201", axes), limits.acceleration),
-        *_line(_each("M203", axes), limits.velocity),
-        *_line("M204 P{0} T{0}", limits.acceleration),
-        *_line("M205 X{0} Y{0}", limits.square_corner_velocity),
-    ]
+    return _by_axes(MARLIN, limits, axes, corner=("M205", "XY"))
 
 
 def _reprapfirmware(limits: MotionLimits, axes: str) -> list[bytes]:
-    """RepRapFirmware states speeds in mm/min."""
-    return [
-        *_line(_each("M201", axes), limits.acceleration),
-        *_line(_each("M203", axes), limits.velocity * 60),
-        *_line("M204 P{0} T{0}", limits.acceleration),
-        *_line(_each("M566", axes), limits.square_corner_velocity * 60),
-    ]
+    return _by_axes(REPRAPFIRMWARE, limits, axes, corner=("M566", axes))
 
 
-def _each(command: str, axes: str) -> str:
-    """Write the command with the same number for every axis."""
-    return " ".join([command, *(f"{axis}{{0}}" for axis in axes)])
+def _by_axes(flavor: str, limits: MotionLimits, axes: str, corner: tuple[str, str]) -> list[bytes]:
+    each = (
+        ("M201", axes, limits.acceleration),
+        ("M203", axes, limits.velocity),
+        ("M204", "PT", limits.acceleration),
+        (*corner, limits.square_corner_velocity),
+    )
+    return [limit_line(flavor, code, dict.fromkeys(of, x)) + b"\n" for code, of, x in each if x == x]
 
 
 _WRITERS: dict[str, Callable[[MotionLimits, str], list[bytes]]] = {

@@ -374,5 +374,5 @@ class EventTable:
         for number, effect in self.effects.items():
             line, move, _, frame, *_ = events[number]
             flags = effect.moves_itself, effect.returns, effect.raw, effect.lasts_s
-            events[number] = Event(line, move, effect.kind, frame, effect.dwell_s, effect.touches_limits, *flags)
+            events[number] = Event(line, move, effect.kind, frame, effect.dwell_s, effect.limits, *flags)
         return events

@@ -7,7 +7,6 @@ a move's `ModalState` is what turns them back into the numbers of the file.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
@@ -47,6 +46,29 @@ class RawMove(NamedTuple):
     axes: tuple[int, ...] = (0, 1, 2)  # along which it moves, or may
 
 
+@dataclass(frozen=True, slots=True)
+class MotionLimits:
+    """Limits of the firmware's planner."""
+
+    velocity: float = nan  # mm/s
+    acceleration: float = nan  # mm/s²; where travel has its own, of moves that extrude
+    square_corner_velocity: float = nan  # mm/s
+    minimum_cruise_ratio: float = nan  # -
+    travel_acceleration: float = nan  # mm/s², Marlin and RepRapFirmware: of moves that do not extrude; NaN: no other
+    filament_velocity: float = nan  # mm/s of filament, likewise
+
+
+MACHINE_LIMITS = MotionLimits()
+
+
+class LimitCommand(NamedTuple):
+    """A command that sets limits of the firmware's planner, in whatever spelling."""
+
+    code: str  # M201, M203, M204, M205, M566, SET_VELOCITY_LIMIT, RESET_VELOCITY_LIMIT
+    words: Mapping[str, float]  # mm, mm/s, mm/s²; M205 B in µs; M204 S as P and T; Klipper's are in `after` alone
+    after: MotionLimits = MACHINE_LIMITS  # what the file asks for from here on
+
+
 class Event(NamedTuple):
     """A line that is not a compensated move."""
 
@@ -55,9 +77,7 @@ class Event(NamedTuple):
     kind: EventKind
     frame: int  # index into Program.frames: the state in force AFTER the line
     dwell_s: float = 0.0
-    touches_limits: bool = (
-        False  # changes velocity, acceleration or corner limits (M201-M205, M566, SET_VELOCITY_LIMIT)
-    )
+    limits: LimitCommand | None = None  # that the line sets
     moves_itself: bool = False  # the firmware may move, uncompensated: homing, a macro, a pause, a raw move
     returns: bool = False  # and comes back to where it was
     raw: RawMove | None = None  # of a RAW_MOVE
@@ -134,7 +154,7 @@ class Program:
     warnings: list[str]  # sentences with line numbers
     first_line: int = 0  # number in the file, from 0, of lines[0]: not 0 in a later part of a file read in parts
     flavor: str = "klipper"  # the firmware it was read for
-    limits: Mapping[bytes, bytes] = field(default_factory=dict)  # in effect before lines[0] (`limits_in_effect`)
+    limits: Mapping[str, LimitCommand] = field(default_factory=dict)  # in effect before lines[0] (`limits_in_effect`)
 
 
 class EventQueue:
@@ -151,41 +171,22 @@ class EventQueue:
         return self._events[first : self._taken]
 
 
-@dataclass(frozen=True, slots=True)
-class MotionLimits:
-    """Limits of the firmware's planner."""
-
-    velocity: float = nan  # mm/s
-    acceleration: float = nan  # mm/s²; where travel has its own, of moves that extrude
-    square_corner_velocity: float = nan  # mm/s
-    minimum_cruise_ratio: float = nan  # -
-    travel_acceleration: float = nan  # mm/s², Marlin and RepRapFirmware: of moves that do not extrude; NaN: no other
-    filament_velocity: float = nan  # mm/s of filament, likewise
-
-
-MACHINE_LIMITS = MotionLimits()
-
-
-def limits_in_effect(program: Program, before: Mapping[bytes, bytes], events: int | None = None) -> dict[bytes, bytes]:
-    """Return the file's last command for each limit at the end of a program, in the order in which they were given.
+def limits_in_effect(
+    program: Program, before: Mapping[str, LimitCommand], events: int | None = None
+) -> dict[str, LimitCommand]:
+    """Return what the file has set of each limit at the end of a program, by code, the latest code last.
 
     before : at its beginning
     events : how many of its events count; None: all
     """
     commands = dict(before)
     for event in program.events[:events]:
-        if event.touches_limits:
-            note_limits(commands, program.lines[event.line])
+        if event.limits is not None:
+            note_limits(commands, event.limits)
     return commands
 
 
-def note_limits(commands: dict[bytes, bytes], line: bytes) -> None:
-    """Put the command of a line last among those in effect: one with other letters sets other limits, too.
-
-    commands : by their names and letters
-    """
-    code = line.partition(b";")[0].strip()
-    letters = b"".join(sorted(set(re.findall(rb"[A-Z]", code.upper()))))
-    name = code.split()[0].upper() + letters
-    commands.pop(name, None)
-    commands[name] = code
+def note_limits(commands: dict[str, LimitCommand], command: LimitCommand) -> None:
+    """Put a command last among those in effect; what its code has set before by other letters still holds."""
+    earlier = commands.pop(command.code, command)
+    commands[command.code] = command._replace(words={**earlier.words, **command.words})

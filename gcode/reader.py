@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gcode.arcs import ARC_TOLERANCE_MM, Arc, arc_by_centre, arc_by_radius
-from gcode.commands import LIMITS, MOVED, PASS, PASSING_M_CODES, Effect, apply
+from gcode.commands import MOVED, PASS, PASSING_M_CODES, Effect, apply
 from gcode.dialects import (
     MARLIN,
     REPRAPFIRMWARE,
@@ -28,7 +28,7 @@ from gcode.dialects import (
 )
 from gcode.errors import GcodeError, UnsupportedGcode
 from gcode.fast_scan import STILL_MM2, ByteArray, Cursor, EventTable, Modes, MoveTable, follow
-from gcode.program import EventKind, ModalState, MotionLimits, Program, RawMove, limits_in_effect
+from gcode.program import EventKind, LimitCommand, ModalState, MotionLimits, Program, RawMove, limits_in_effect
 from gcode.state import DEFAULT_FEED_MM_PER_S, FrameValues, Modal, Vector4
 from gcode.text import BOM, PART_BYTES, whole_lines
 from gcode.words import NUMBERED, Command, commands, shown
@@ -154,7 +154,7 @@ class _Reader:
         self.e_is_settled = False  # whether a line has said how E counts, or the numbers have told
         self.g90_keeps_m83: bool | None = None  # in Marlin's relatives; None: nothing has told yet
         self.first_line = 0
-        self.limit_commands: dict[bytes, bytes] = {}  # in effect before the part
+        self.limit_commands: dict[str, LimitCommand] = {}  # in effect before the part
         self.lines: list[bytes] = []
         self.ahead = b""
         self.modes: Modes | None = None  # None: to be found anew, for a command may have changed them
@@ -207,7 +207,7 @@ class _Reader:
         self.limits = [self.modal.limits]
         self.limit_numbers = {self.modal.limits: 0}
         self.limit = 0
-        self.known_limits: dict[bytes, dict[LimitState, tuple[MotionLimits, MotionLimits, MotionLimits]]] = {}
+        self.known_limits: dict[bytes, dict[LimitState, tuple[MotionLimits, MotionLimits, LimitCommand]]] = {}
         self.warnings: list[str] = []
 
     def _follow(self, data: bytes) -> None:
@@ -320,9 +320,10 @@ class _Reader:
         modal = self.modal
         known = self.known_limits[self.lines[at]].get((modal.requested, modal.caps, modal.unit))
         if known is not None:
-            modal.requested, modal.caps, modal.limits = known
+            modal.requested, modal.caps, command = known
+            modal.limits = command.after
             self._settle_limits()
-            self._event(at, LIMITS)
+            self._event(at, Effect(EventKind.PASS, limits=command))
         return known is not None
 
     def _command(self, at: int, command: Command) -> None:
@@ -339,8 +340,8 @@ class _Reader:
         if self.modal.position != before:
             self.lost = self._number(at), command.name
             self.moves.jumps[self.moves.count] = self.modal.position[:]
-        if effect is LIMITS:
-            limits_after = self.modal.requested, self.modal.caps, self.modal.limits
+        if effect.limits is not None:
+            limits_after = self.modal.requested, self.modal.caps, effect.limits
             self.known_limits.setdefault(self.lines[at], {})[limits_before] = limits_after
         self._settle()
         self._event(at, effect)

@@ -27,7 +27,7 @@ _OTHER_CODE = re.compile(rb"([DHLPQSdhlpqs])\s*(\d+)(?![\w.])")  # the Prusa XL 
 _BARE_WORD = re.compile(rb"[XYZEFIJKRABCUVWxyzefijkrabcuvw]\s*[-+.\d]")
 _WORD = re.compile(rb"\s*([A-Za-z])\s*([-+]?(?:\d+\.?\d*|\.\d+))?")
 _EXPONENT = re.compile(rb"[A-Z]\s*[-+]?[\d.]+e[-+]?\d")
-_LOOSE_WORD = re.compile(rb"([A-Za-z])\s*([-+]?(?:\d+\.?\d*|\.\d+))(?![\w.{])")
+_LOOSE_WORD = re.compile(rb"([A-Za-z])\s*([-+]?(?:\d+\.?\d*|\.\d+))(?![\d._{])")
 _FIELD = re.compile(r"(?<!\w)([A-Za-z_]\w*+)\s*+=\s*(\"[^\"]*\"|'[^']*'|\S*)")
 
 

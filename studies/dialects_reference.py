@@ -78,7 +78,7 @@ def outcome(snippet: str, flavor: str) -> str:
         return "rests" if line + 1 in program.moves.line else "rests, place unknown"
     if event.kind is EventKind.DWELL:
         return "waits"
-    return "followed" if event.touches_limits or _changes(program, line) else "passes"
+    return "followed" if event.limits or _changes(program, line) else "passes"
 
 
 def _changes(program: Program, line: int) -> bool:

@@ -21,7 +21,7 @@ from ffcomp.planner.limits import lines_of
 from ffcomp.planner.lookahead import stops_and_waits
 from ffcomp.planner.trajectory import PathPosition, Trajectory
 from gcode.layers import UNNAMED, last_feature, layer_starts
-from gcode.program import Event, EventKind, Moves, Program, limits_in_effect
+from gcode.program import Event, EventKind, LimitCommand, Moves, Program, limits_in_effect
 from gcode.slicing import excerpt, join, shortened, split
 from models.arrays import FloatArray, IntArray
 
@@ -45,7 +45,7 @@ class Chunk:
     program: Program
     before: Program | None = None  # the moves just before it, from a rest on; None: others have moved the nozzle
     since: tuple[Event, ...] = ()  # the lines after these
-    limits: Mapping[bytes, bytes] = field(default_factory=dict)  # in effect where it begins (`gcode.program`)
+    limits: Mapping[str, LimitCommand] = field(default_factory=dict)  # in effect where it begins (`gcode.program`)
     layers: int = 0  # that have begun before it
     extent: Extent = WHOLE  # what is written of it
     slowed: tuple[TimeScaling, ...] = ()  # what had to become slower before its end could be cut

@@ -19,7 +19,7 @@ from typing import cast
 import numpy as np
 
 from ffcomp.compensation.gcode_layout import Timeline, tiles, timeline
-from ffcomp.compensation.marlin_segments import MarlinSegments, limit_line
+from ffcomp.compensation.marlin_segments import MarlinSegments
 from ffcomp.compensation.plan import Context, PlannedChunk
 from ffcomp.compensation.solve import SolvedSection, keep_inside
 from ffcomp.inverse.model import InverseModel
@@ -29,13 +29,13 @@ from ffcomp.planner.reprapfirmware import reprapfirmware_settings
 from ffcomp.planner.segment_merging import at_most, lengthen, merge, refit
 from ffcomp.planner.segment_timing import TimedSegments, segment_speeds
 from ffcomp.planner.trajectory import Section, Trajectory
-from gcode.dialects import KLIPPER, MARLIN, REPRAPFIRMWARE, close_limits, open_limits
+from gcode.dialects import KLIPPER, MARLIN, REPRAPFIRMWARE, close_limits, limit_line, open_limits
 from gcode.embedded import CUT_SHORT, OURS, WAS, joined, like_ours, section_time_line
 from gcode.emit import MoveWriter
 from gcode.errors import UnsupportedGcode
 from gcode.layers import begins_layer
 from gcode.metadata import Timed, tells
-from gcode.program import Event, EventKind, EventQueue, MotionLimits, Program, note_limits
+from gcode.program import Event, EventKind, EventQueue, LimitCommand, MotionLimits, Program, note_limits
 from models.arrays import BoolArray, FloatArray, IntArray
 from models.compiled import kernel
 from models.machine import Machine
@@ -58,14 +58,14 @@ class Writer:
         settings: Settings,
         *,
         offset: tuple[float, float] = (0.0, 0.0),
-        limit_lines: Mapping[bytes, bytes] | None = None,
+        file_limits: Mapping[str, LimitCommand] | None = None,
         raw_s: Mapping[int, float] | None = None,
         inside: Callable[[FloatArray], BoolArray] = lambda xyz: np.ones(len(xyz), dtype=np.bool_),
         marlin: MarlinSegments | None = None,
-        machine_lines: Sequence[bytes] = (),
+        machine_limit_commands: Sequence[LimitCommand] = (),
     ) -> None:
         self.program, self.flavor, self.machine_limits, self.settings = program, flavor, limits, settings
-        self.machine_lines = machine_lines  # which put the machine's own limits back where axes have them
+        self.machine_limit_commands = machine_limit_commands  # of axes that have limits of their own
         self.offset = offset
         self.marlin = marlin  # whose planner needs segments of its own kind
         self.inside = inside  # which points (n, 3) mm the firmware lets a command go to
@@ -75,7 +75,7 @@ class Writer:
         self.open = False
         self.to_return = False  # a macro that comes back has run since the last move
         self.move = 0  # the last that was begun: its limits are the file's own
-        self.limit_lines = dict(limit_lines or {})  # the file's last line on each limit
+        self.file_limits = dict(file_limits or {})  # what the file has set of each limit
         self.ending = b"\r\n" if program.lines and program.lines[0].endswith(b"\r\n") else b"\n"
         self.segments = 0
         self.late_s = 0.0  # by which they take longer than their knots
@@ -105,10 +105,10 @@ class Writer:
         self.now_s += event.dwell_s + self.raw_s.get(event.line, 0.0)
         self.note_returns([event])
         self._take_frame(event.frame)
-        if event.touches_limits:
-            note_limits(self.limit_lines, line)
-        if self.open and event.touches_limits:
-            yield from self._limits(self._opening())
+        if event.limits is not None:
+            note_limits(self.file_limits, event.limits)
+            if self.open:
+                yield from self._limits(self._opening())
 
     def note_returns(self, events: Iterable[Event]) -> None:
         """Note whether the last to have moved the nozzle is a macro that comes back."""
@@ -234,7 +234,7 @@ class Writer:
         slack = np.minimum(SLACK_MM, SLACK_MM_PER_S * np.minimum(lasting, np.append(lasting[1:], 0.0)))
         slack[fixed[1:]] = 0.0  # another writer may go on from there, and the filament must be exact
         if self.marlin is not None:
-            feed, speeds = self.marlin.speeds(points, e, lasting, self.limit_lines)
+            feed, speeds = self.marlin.speeds(points, e, lasting, self.file_limits)
         else:
             speeds = segment_speeds(points, e[1:] - e[:-1], lasting, s.output)
             feed = speeds.cruise
@@ -353,22 +353,22 @@ class Writer:
 
     def _closing(self) -> list[bytes]:
         if self.marlin is not None:
-            return list(self.marlin.closing(self.limit_lines, self._unit_mm))
+            return self._limit_lines(self.marlin.closing(self.file_limits))
         if self.flavor == KLIPPER:
             return close_limits(self.flavor, _first_known(self._limits_at(self.move), self.machine_limits))
-        return [*self.machine_lines, *self.limit_lines.values()]
+        return self._limit_lines([*self.machine_limit_commands, *self.file_limits.values()])
 
     def _opening(self) -> list[bytes]:
         o = self.settings.output
         if self.marlin is not None:
-            return list(self.marlin.opening(self.limit_lines, self._unit_mm))
+            return self._limit_lines(self.marlin.opening(self.file_limits))
         wide = MotionLimits(o.velocity_mm_per_s, o.acceleration_mm_per_s2, o.square_corner_velocity_mm_per_s)
         return open_limits(self.flavor, wide.velocity, wide.acceleration, wide.square_corner_velocity, o.raised_axes)
 
-    @property
-    def _unit_mm(self) -> float:
-        """In which the file states limits: after G20, Marlin takes them in inches too."""
-        return self.program.frames[self.frame].unit_mm
+    def _limit_lines(self, commands: Iterable[LimitCommand]) -> list[bytes]:
+        """Return commands as the file states them here: after G20, Marlin takes limits in inches too."""
+        unit_mm = self.program.frames[self.frame].unit_mm
+        return [limit_line(self.flavor, each.code, each.words, unit_mm) for each in commands]
 
     def _limits(self, lines: Iterable[bytes]) -> Iterator[bytes]:
         for line in lines:
@@ -491,11 +491,11 @@ class GcodeRenderer:
             _machine_limits(context.machine),
             settings,
             offset=context.offset,
-            limit_lines=chunk.chunk.limits,
+            file_limits=chunk.chunk.limits,
             raw_s=chunk.raw_s,
             inside=partial(self._kinematics.contains, margin_mm=-REFIT_MM),
             marlin=MarlinSegments.of(context.machine, model) if context.flavor == MARLIN else None,
-            machine_lines=_reprapfirmware_lines(context.machine, settings.output.raised_axes)
+            machine_limit_commands=_reprapfirmware_limits(context.machine, settings.output.raised_axes)
             if context.flavor == REPRAPFIRMWARE
             else (),
         )
@@ -559,18 +559,18 @@ class GcodeRenderer:
             yield from self._writer.event(event)
 
 
-def _reprapfirmware_lines(machine: Machine, axes: str) -> list[bytes]:
+def _reprapfirmware_limits(machine: Machine, axes: str) -> list[LimitCommand]:
     """Return what puts RepRapFirmware's limits of some axes back."""
     s = reprapfirmware_settings(machine)
 
-    def words(values: Sequence[float], per_unit: float = 1.0) -> dict[str, float]:
-        return {axis: per_unit * values["XYZ".index(axis)] for axis in axes}
+    def words(values: Sequence[float]) -> dict[str, float]:
+        return {axis: values["XYZ".index(axis)] for axis in axes}
 
     return [
-        limit_line("M201", words(s.acceleration_mm_per_s2)),
-        limit_line("M203", words(s.speed_mm_per_s, 60.0)),
-        limit_line("M204", {"P": s.printing_acceleration_mm_per_s2, "T": s.travel_acceleration_mm_per_s2}),
-        limit_line("M566", words(s.jerk_mm_per_s, 60.0)),
+        LimitCommand("M201", words(s.acceleration_mm_per_s2)),
+        LimitCommand("M203", words(s.speed_mm_per_s)),
+        LimitCommand("M204", {"P": s.printing_acceleration_mm_per_s2, "T": s.travel_acceleration_mm_per_s2}),
+        LimitCommand("M566", words(s.jerk_mm_per_s)),
     ]
 
 

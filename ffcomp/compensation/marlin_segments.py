@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from functools import reduce
 
 import numpy as np
 
@@ -24,6 +25,7 @@ from ffcomp.planner.marlin_queue import (
 )
 from ffcomp.planner.segment_timing import SegmentLimits, SegmentSpeeds
 from ffcomp.planner.settings_in_force import row_after
+from gcode.program import LimitCommand
 from models.arrays import BoolArray, FloatArray, IntArray
 from models.compiled import kernel
 from models.kinematics.delta import DeltaKinematics
@@ -88,7 +90,7 @@ class MarlinSegments:
         return _shortened(lasting, np.where(aside, self.longest_s, np.inf))
 
     def speeds(
-        self, points: FloatArray, e: FloatArray, lasting: FloatArray, file_limits: Mapping[bytes, bytes]
+        self, points: FloatArray, e: FloatArray, lasting: FloatArray, file_limits: Mapping[str, LimitCommand]
     ) -> tuple[FloatArray, SegmentSpeeds]:
         """Return the speeds to ask for, (n,) mm/s, and how Marlin then executes the segments.
 
@@ -99,7 +101,7 @@ class MarlinSegments:
         lasting : (n,) s that each segment should take
         file_limits : the file's own in effect (`gcode.program`), which hold where the header opens none
         """
-        row = row_after(self.row, [*file_limits.values(), *self.opening(file_limits, 1.0)])
+        row = reduce(row_after, [*file_limits.values(), *self.opening(file_limits)], self.row)
         motors = np.column_stack([self.steps.motors(points) / self.row[STEPS][:3], e])
         change = np.diff(np.rint(motors * self.row[STEPS]), axis=0) / self.row[STEPS]
         straight = np.linalg.norm(np.diff(points, axis=0), axis=1)
@@ -141,13 +143,10 @@ class MarlinSegments:
     def _delta(self) -> bool:
         return isinstance(self.machine.kinematics, DeltaKinematics)
 
-    def opening(self, file_limits: Mapping[bytes, bytes], unit_mm: float) -> Iterable[bytes]:
-        """Return the lines that open the limits our segments need.
+    def opening(self, file_limits: Mapping[str, LimitCommand]) -> Iterable[LimitCommand]:
+        """Return what opens the limits our segments need.
 
-        Parameters
-        ----------
         file_limits : the file's own in effect (`gcode.program`)
-        unit_mm : in which the file states them
         """
         o = self.output
         acceleration, corner = o.acceleration_mm_per_s2, o.square_corner_velocity_mm_per_s
@@ -161,11 +160,10 @@ class MarlinSegments:
             jerk=(corner, corner, corner, max(self.settings.jerk_mm_per_s[3], flicker)),
             deviation_mm=LONGEST_DEVIATION_MM,
             shortest_s=0.0,
-            unit_mm=unit_mm,
         )
 
-    def closing(self, file_limits: Mapping[bytes, bytes], unit_mm: float) -> Iterable[bytes]:
-        """Return the lines that put back what `opening` has changed, the file's own limits last."""
+    def closing(self, file_limits: Mapping[str, LimitCommand]) -> Iterable[LimitCommand]:
+        """Return what puts back what `opening` has changed, the file's own limits last."""
         s = self.settings
         yield from self._lines(
             self._filament({}),
@@ -175,13 +173,12 @@ class MarlinSegments:
             jerk=s.jerk_mm_per_s,
             deviation_mm=s.junction_deviation_mm or LONGEST_DEVIATION_MM,
             shortest_s=s.shortest_segment_s,
-            unit_mm=unit_mm,
         )
         yield from file_limits.values()
 
-    def _filament(self, file_limits: Mapping[bytes, bytes]) -> set[str]:
+    def _filament(self, file_limits: Mapping[str, LimitCommand]) -> set[str]:
         """Return the commands whose limits of the filament are known, and so can be put back."""
-        known = {name[:4].decode() for name in file_limits if b"E" in name[4:]}
+        known = {code for code, command in file_limits.items() if "E" in command.words}
         keys = {"M201": "acceleration_mm_per_s2", "M205": "jerk_mm_per_s"}
         return known | {command for command, key in keys.items() if key in self.settings.stated}
 
@@ -195,8 +192,7 @@ class MarlinSegments:
         jerk: tuple[float, ...],
         deviation_mm: float,
         shortest_s: float,
-        unit_mm: float,
-    ) -> Iterable[bytes]:
+    ) -> Iterable[LimitCommand]:
         """Return the limits of the axes that may be raised; filament : commands that also set those of E."""
         raised = self.output.raised_axes
 
@@ -207,17 +203,12 @@ class MarlinSegments:
         corner = words(raised if self._delta else raised.replace("Z", ""), jerk, "M205")
         if "junction_deviation_mm" in self.settings.stated:
             corner = {"J": deviation_mm}
-        yield limit_line("M201", words(raised, acceleration, "M201"), unit_mm)
-        yield limit_line("M203", words(raised, speed), unit_mm)
-        yield limit_line("M204", printing, unit_mm)
-        slow = b" B%.0f" % (1e6 * shortest_s) if self.settings.slowdown and not self._delta else b""
-        yield limit_line("M205", corner, unit_mm) + slow
-
-
-def limit_line(command: str, words: Mapping[str, float], unit_mm: float = 1.0) -> bytes:
-    """Return a command with numbers behind its letters, in a unit of so many mm."""
-    numbers = (f"{letter}{value / unit_mm:.3f}".rstrip("0").rstrip(".") for letter, value in words.items())
-    return " ".join([command, *numbers]).encode()
+        if self.settings.slowdown and not self._delta:
+            corner["B"] = 1e6 * shortest_s
+        yield LimitCommand("M201", words(raised, acceleration, "M201"))
+        yield LimitCommand("M203", words(raised, speed))
+        yield LimitCommand("M204", printing)
+        yield LimitCommand("M205", corner)
 
 
 @kernel

@@ -40,7 +40,7 @@ from ffcomp.planner.marlin_queue import (
     phases_of,
     plan_blocks,
 )
-from ffcomp.planner.settings_in_force import SettingsInForce, assumed_sentence, words_of
+from ffcomp.planner.settings_in_force import SettingsInForce, assumed_sentence
 from ffcomp.planner.trajectory import Trajectory
 from gcode.dialects import MARLIN
 from gcode.program import Moves, Program
@@ -334,10 +334,10 @@ def cut_for_marlin(program: Program, machine: Machine) -> Program:
 def _low_jerk_warning(program: Program, machine: Machine) -> str:
     """Say where a delta's print sets a jerk for Z that suits a lead screw; empty: nowhere."""
     in_force = SettingsInForce.of(program, machine, settings_row(machine))
-    for line, row in zip(in_force.lines[1:].tolist(), in_force.rows[1:], strict=True):
-        code, values = words_of(program.lines[line])
+    commands = ((event.line, event.limits) for event in program.events if event.limits is not None)
+    for (line, command), row in zip(commands, in_force.rows[1:], strict=True):
         x, y, z = row[JERK][:3].tolist()
-        if code == b"M205" and "Z" in values and z < LOW_JERK * min(x, y):
+        if command.code == "M205" and "Z" in command.words and z < LOW_JERK * min(x, y):
             return (
                 f"line {program.first_line + line + 1}: M205 sets the jerk of Z to {z:g} mm/s, and Z is a tower of "
                 "this delta, so that Marlin slows down at nearly every joint of the path; set it to "

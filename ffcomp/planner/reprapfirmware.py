@@ -70,7 +70,7 @@ def settings_sentence(machine: Machine) -> str:
 
 def planner_of(program: Program, machine: Machine) -> RepRapFirmwarePlanner:
     """Return RepRapFirmware's planner, with the settings that are in force at each line of a program."""
-    in_force = SettingsInForce.of(program, machine, settings_row(machine), minutes=True)
+    in_force = SettingsInForce.of(program, machine, settings_row(machine))
     return RepRapFirmwarePlanner(sharing_of(machine), reprapfirmware_settings(machine).queue_moves, in_force)
 
 

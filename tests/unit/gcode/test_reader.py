@@ -351,7 +351,7 @@ def test_klipper_limits() -> None:
     np.testing.assert_equal(moves.minimum_cruise_ratio, [nan, 0.5, 0, 0, nan])
     np.testing.assert_equal(moves.velocity_limit, [nan, nan, 100, 100, nan])
     np.testing.assert_equal(moves.square_corner_velocity, [nan, nan, 8, 8, nan])
-    assert [event.touches_limits for event in program.events] == [True, True, True, True, False, True]
+    assert [event.limits is not None for event in program.events] == [True, True, True, True, False, True]
 
 
 def test_marlin_travels_with_its_own_acceleration() -> None:
@@ -373,7 +373,7 @@ def test_marlin_limits_bound_one_another() -> None:
     )
     moves = program.moves
     assert (moves.acceleration[0], moves.velocity_limit[0], moves.square_corner_velocity[0]) == (1500, 200, 8)
-    assert all(event.touches_limits for event in program.events[1:])
+    assert all(event.limits for event in program.events[1:])
 
 
 def test_reprapfirmware_counts_in_minutes() -> None:

@@ -15,7 +15,7 @@ from ffcomp.planner.marlin import MarlinPlanner, planner_of, settings_sentence
 from ffcomp.planner.marlin_queue import Blocks, phases_of
 from ffcomp.planner.program import PART_S, firmware_plan, known_to_the_firmware, read_as_planned
 from ffcomp.planner.trajectory import Trajectory
-from gcode.program import Program
+from gcode.program import LimitCommand, Program, limits_in_effect
 from gcode.reader import read_program
 from models.file import load_machine
 from models.machine import Machine, MarlinSettings, Steps
@@ -133,9 +133,29 @@ def test_lines_that_set_limits_hold_from_there_on() -> None:
     assert plan.duration == pytest.approx([60 / 150 + 150 / 1000, 60 / 150 + 150 / 500], rel=0.01)
 
 
+@pytest.mark.parametrize(
+    "line", ["M201X1000Y1000", "N5 M201 X1000 Y1000", "(c) M201 X1000 Y1000", "m201 y1000 x 1000", "M0201 X1000Y1000 ;"]
+)
+def test_limits_hold_in_every_spelling(line: str) -> None:
+    """60 mm at 150 mm/s: planned, read and put back with the limits of the last line."""
+    machine = machine_of("jd-6")
+    program = read(f"M201 X200 Y200\n{line}\nG1 X60 F9000\n".encode(), machine)
+    assert plan_of(program, machine).duration == pytest.approx([60 / 150 + 150 / 1000], rel=0.01)
+    assert program.moves.acceleration.tolist() == [1000.0]
+    assert limits_in_effect(program, {})["M201"].words == {"X": 1000.0, "Y": 1000.0}
+
+
+def test_marlin_does_not_know_m566() -> None:
+    """30 mm along x, then along y, with the jerk of the machine at the corner."""
+    machine = machine_of("cj-6")
+    corner = b"G1 X30 F6000\nG1 Y30\n"
+    plain = plan_of(read(corner, machine), machine)
+    assert plan_of(read(b"M566 X60 Y60\n" + corner, machine), machine).end_t == plain.end_t
+
+
 def test_limits_before_a_part_of_a_program_hold_in_it() -> None:
     machine = machine_of("jd-6")
-    program = replace(read(b"G1 X60 F9000\n", machine), limits={b"M204T": b"M204 T500"})
+    program = replace(read(b"G1 X60 F9000\n", machine), limits={"M204": LimitCommand("M204", {"T": 500.0})})
     assert plan_of(program, machine).duration == pytest.approx([60 / 150 + 150 / 500], rel=0.01)
 
 

@@ -39,6 +39,10 @@ def ramped_s(mm: float, top: float, a: float, begin: float = 0.0, end: float = 0
         ("G1 X60 F6000", 60, 100, 2000),  # M201 X is less than M204 T
         ("G1 X60 E2 F6000", 60, 100, 1500),  # M204 P
         ("G1 X60 E60 F6000", 60, 50, 1500),  # M203 E
+        ("M201 X500\nN5 M201X1000\nG1 X60 F6000", 60, 100, 1000),  # spelling makes no difference
+        ("(slow) M203X3000\nG1 X60 F6000", 60, 50, 2000),
+        ("M204P500\nG1 X60 E2 F6000", 60, 100, 500),
+        ("G20\nM203 X60\nG21\nG1 X60 F6000", 60, 25.4, 2000),  # in/min
         ("G1 X60 E150 F600", 60, 10, 1200),  # M201 E by its share
         ("G1 Y60 F12000", 60, 150, 1000),  # M203 Y, M201 Y
         ("G1 X80 Y60 F6000", 100, 100, 1000 / 0.6),  # each axis by its share
@@ -61,6 +65,7 @@ def test_one_line_from_rest_to_rest(line: str, mm: float, top: float, a: float) 
         ("G1 X60 E3 F6000\nG1 X120 E12", 5 / 0.15),  # the filament jumps
         ("M566 Y6\nG1 X60 F6000\nG1 Y60", 0.1),  # mm/min
         ("M205 Y6\nG1 X60 F6000\nG1 Y60", 6.0),  # mm/s
+        ("m566y300\nG1 X60 F6000\nG1 Y60", 5.0),
     ],
 )
 def test_the_speed_in_a_corner_is_that_at_which_no_axis_jumps_too_far(lines: str, speed: float) -> None:
