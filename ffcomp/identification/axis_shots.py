@@ -1,8 +1,8 @@
 """How runs of an axis are compared with its simulation: shots, windows, band and scales, all taken from the data.
 
-Where nothing holds an axis, a missing force adds up in its position without bound. So the simulation begins anew at
-every shot, with the measured position and speed (multiple shooting; Bock, 1981): its error is the effect of a missing
-force in that time. An axis that a spring holds is simulated from the beginning to the end.
+Where nothing holds an axis, a missing force adds up in its position without bound. So the simulation restarts at every
+shot from the measured position and speed (multiple shooting; Bock, 1981): its error is the effect of a missing force in
+that time. An axis that the spring of its drive holds is simulated from the beginning to the end.
 """
 
 from __future__ import annotations
@@ -29,7 +29,6 @@ SHORTEST, LINES_A_SHOT = 20, 5.0  # samples of a shot; its inverse times that is
 WINDOWS, LEAST_ROWS = 6, 200  # of time, in a run; rows of a window
 MOST_OF_POWER, BEYOND = 0.998, 1.25  # of the signals: the band ends so much beyond the frequency that holds it
 LAST = 0.4  # of the sample rate: there every band ends
-HOLDING = {"ground_spring", "pendulum_gravity"}  # effects that hold an axis as a spring does
 LEAST_REST, STILL, CERTAIN = 8, 1e-6, 4.0  # samples at rest; share of the way that is none; standard deviations
 SPANS = (5, 7, 11, 15, 21, 31, 45, 63)  # samples over which a speed may be taken
 
@@ -108,11 +107,15 @@ def checked(machine: Machine, runs: Sequence[AxisRun]) -> None:
 
 
 def shots_of(machine: Machine, runs: Sequence[AxisRun]) -> list[Shots]:
-    """Choose where the simulation of each run begins anew; one length for all."""
+    """Choose where the simulation of each run restarts; one length for all.
+
+    The machine file's effects have no say in it: gravity holds an arm that hangs but not one that stands up, and the
+    gaps of two files are compared only where both are simulated over the same shots.
+    """
     checked(machine, runs)
     mean = [_mean(runs, i) for i in range(len(runs))]
     speeds = [_speed(_bridged(_place(run)), run.sample_rate_hz) for run in mean]
-    needed = driven_axis(machine).free and not HOLDING & machine.effects.keys() and any(run.position for run in runs)
+    needed = driven_axis(machine).free and any(run.position for run in runs)
     seconds = max(_shot_s(runs, speeds), PERIODS * _period_s(driven_axis(machine))) if needed else 0.0
     result = [_shots(*each, seconds) for each in zip(runs, mean, speeds, strict=True)]
     return [replace(one, began=_began(machine, one)) for one in result]

@@ -105,6 +105,25 @@ def test_shots_band_and_windows_come_from_the_data() -> None:
     assert len(driven.windows) == 12 and driven.observations[0].position == driven.observations[6].position
 
 
+def test_an_arm_that_stands_up_is_simulated_in_shots_whatever_its_file_says_of_gravity() -> None:
+    """In one piece it would fall over: the true file would have a larger gap than one without gravity."""
+    arm = machine_of_axis("arm", DrivenAxis("force", 0.2, 0.0, 0.05, unit="rad"))
+    heavy = with_effects(arm, {"pendulum_gravity": {"force_n": 3.3, "angle_deg": 0.0}})
+    t = np.arange(2000) / RATE
+    angle = np.pi + 0.3 * np.sin(2 * np.pi * 0.7 * t)
+    speed, change = np.gradient(angle, 1 / RATE), -((2 * np.pi * 0.7) ** 2) * (angle - np.pi)
+    torque = 0.2 * change + 0.05 * speed + 3.3 * np.sin(angle)
+    place = {"pos_q": 1e3 * angle + 0.01 * np.random.default_rng(5).normal(size=len(t))}
+    run = AxisRun("a.csv", t, torque, True, {}, place, {})
+    both = [shots_of(machine, [run])[0] for machine in (arm, heavy)]
+    assert both[0].length == both[1].length > 0
+    errors = [
+        one.without_beginnings({"pos_q": one.simulate(m).position_mm - place["pos_q"]})["pos_q"]
+        for one, m in zip(both, (arm, heavy), strict=True)
+    ]
+    assert np.sqrt(np.mean(errors[1] ** 2)) < 0.05 * np.sqrt(np.mean(errors[0] ** 2))
+
+
 def test_every_shot_begins_where_the_axis_was_measured() -> None:
     problem = AxisProblem(STAGE, runs_of(STAGE, 1))
     length = problem.shots[0].length
