@@ -27,7 +27,6 @@ from models.file import updated_text
 LATE_S = 1e-4  # from which it is reported that a file lies late
 OFF_SHARE = 0.05  # of a number of the file, from which it is reported that it may be off by so much
 BEYOND_SD = 3.0  # by chance one of fifteen numbers is so far off in one machine of 25
-RETUNED_SD = 0.1  # from which a parameter counts as retuned
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -232,7 +231,7 @@ def result_of(problem: Problem, diagnosis: Diagnosis) -> DiagnosisResult:
         },
         motions=len(set(problem.motions)),
         file=FileNumbers(
-            retuned={key(name): values for name, z, values in moved if abs(z) > RETUNED_SD},
+            retuned={key(name): values for name, z, values in moved if z},
             off={} if diagnosis.file_off is None else {key(n): x for n, x in _off(diagnosis.file_off).items()},
             beyond={
                 key(name): abs(z) for name, z, _ in sorted(moved, key=lambda each: -abs(each[1])) if abs(z) > BEYOND_SD

@@ -37,6 +37,7 @@ def test_an_axis_is_diagnosed_and_its_better_file_closes_the_gap(folder: Path) -
     assert "By window of time" in page and "Axis' position" in page
     gaps = [json.loads(run("gap", *runs, "-m", file, "--json")[1]) for file in (folder / "slide.toml", better)]
     assert gaps[1]["nrms"] < 0.2 * gaps[0]["nrms"]
+    assert gaps[1]["nrms"] == pytest.approx(answer["gap"]["after"], rel=0.01)  # the file is what was fitted
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ import numpy as np
 from ffcomp.diagnosis.diagnosis import Diagnosis
 from ffcomp.diagnosis.fit import intervals_of
 from ffcomp.diagnosis.held_out import HeldOut
-from ffcomp.diagnosis.result import RETUNED_SD, DiagnosisResult, of_machine
+from ffcomp.diagnosis.result import DiagnosisResult, of_machine
 from ffcomp.diagnosis.score_test import separated_by
 from ffcomp.diagnosis.words import (
     INFINITELY,
@@ -148,7 +148,7 @@ def retuned_rows(diagnosis: Diagnosis, quantities: Quantities) -> list[RetunedRo
             digits(n.start, 5),
             interval(intervals[n.name]),
             percent(n.sd / abs(n.start)) if n.start else digits(n.sd),
-            abs(values.get(n.name, n.start) - n.start) > RETUNED_SD * n.sd,
+            values.get(n.name, n.start) != n.start,
             f"{sds:+.1f}",
         )
         for n, sds in sorted(moved, key=lambda each: -abs(each[1]))
