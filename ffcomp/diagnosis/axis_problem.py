@@ -184,15 +184,33 @@ class ForceBalance(AxisProblem):
         self.least_density, self._kept = {}, {}
 
     def _read(self, machine: Machine, coarse: bool, run: int) -> dict[str, FloatArray]:
-        """Return the force that the measured motion of a run needs.
+        """Return the drive's force F̂ that the measured motion of a run needs.
 
-        The axis is simulated with a mass that no force moves in a sample: so bristles bend by the measured motion, and
-        not by the force that would be missing without them.
+        Friction in proportion μ to the load grows with that force itself: F̂ = F₀ + μ t |F̂|, where t is the direction
+        of motion and F₀ the force that everything else needs. The measured force must not stand on this side: with it,
+        a share of one would explain any force.
         """
-        motion = self.shots[run].simulate(with_values(machine, {"axis.mass_kg": HEAVY_KG}), coarse=coarse)
+        share = float(axis_parameters(machine)[0][AXIS_PARAMETERS.index("load_share")])
+        one = self.shots[run]
+        needed = self._needed(machine, one, run, coarse)
+        if not share:
+            return {"force": needed}
+        force = np.abs(driven_axis(machine).force_of(one.run.drive, one.run.supply_v))
+        idle = replace(one, run=replace(one.run, drive=np.zeros_like(one.run.drive)))
+        without = self._needed(machine, idle, run, coarse)
+        direction = np.clip((needed - without) / np.maximum(force, 1e-12), -share, share)
+        return {"force": without / (1 - direction * np.sign(without))}
+
+    def _needed(self, machine: Machine, one: Shots, run: int, coarse: bool) -> FloatArray:
+        """Return the force, (n,) N, that the motion needs while the drive presses as in these shots.
+
+        The axis is simulated with a mass that no force moves in a sample, so that bristles bend by the measured
+        motion, and not by the force that would be missing without them.
+        """
+        motion = one.simulate(with_values(machine, {"axis.mass_kg": HEAVY_KG}), coarse=coarse)
         self.work.add(STEP_COST * motion.steps)
         mass = float(axis_parameters(machine)[0][AXIS_PARAMETERS.index("mass")])
-        return {"force": mass * self._moved[run] + motion.force - HEAVY_KG * motion.acceleration}
+        return mass * self._moved[run] + motion.force - HEAVY_KG * motion.acceleration
 
 
 def _acting(axis: DrivenAxis, force: FloatArray) -> FloatArray:

@@ -106,3 +106,17 @@ def test_only_a_free_axis_has_a_balance() -> None:
     assert turned(1, sprung).balance() is None
     two = DrivenAxis("current", INERTIA, 0.0, DAMPING, load_mass_kg=0.002, coupling_stiffness_n_per_m=30.0, unit="rad")
     assert turned(1, machine_of_axis("two", two)).balance() is None
+
+
+def test_friction_by_load_is_solved_for_the_force_and_explains_no_force_by_itself() -> None:
+    """Closed form: driving forwards takes 1/(1 - μ) of the rest, holding back 1/(1 + μ), whatever was measured."""
+    quiet = turned(2, missing=False)
+    t = np.arange(60, 2300) / 400.0
+    rest = INERTIA * _acceleration(t, 0.5, 0) + DAMPING * _speed(t, 0.5, 0)
+    for share, drive in ((0.3, 1.0), (0.3, 40.0), (0.97, 1.0)):
+        runs = [replace(run, drive=drive * run.drive) for run in quiet.recordings if isinstance(run, AxisRun)]
+        balance = AxisProblem(with_effects(MOTOR, {"friction_by_load": {"share": share}}), runs, NAMES).balance()
+        assert balance is not None
+        needed = np.concatenate(balance.simulate({}))[60:2300, 0]
+        forwards = np.where(rest > 0, 1 - share, 1 + share)
+        np.testing.assert_allclose(needed * forwards, rest, atol=0.01)
