@@ -96,10 +96,8 @@ def _stay(modal: Modal, command: Command) -> Effect:
 
 
 def _home(modal: Modal, command: Command) -> Effect:
-    """G28; where the machine file says where it ends, that place is stated before the next move, as after a macro."""
-    axes = command.letters() & set("XYZ")
-    modal.home(axes)
-    return MOVED if axes or modal.homed is None else RETURNED
+    modal.home()
+    return MOVED
 
 
 def _unknown(modal: Modal, command: Command) -> Effect:

@@ -216,16 +216,16 @@ class MoveWriter:
         counts = self._state.tolist()
         return tuple(counts[i] / self._per_mm[i] + self._base[i] for i in range(4))
 
-    def here(self, speed: float) -> bytes:
-        """One line that states the place itself, but no height that is not known; empty in relative mode.
+    def here(self, speed: float) -> list[bytes]:
+        """Lines that state the place itself, but no height that is not known; none in relative mode.
 
-        Nothing moves, unless somebody has moved the toolhead away and not back.
+        Nothing moves unless the toolhead was moved away and not back: then it goes over the place first, and then down.
         """
         if self._relative[0]:
-            return b""
-        letters = b"XY" if self._holds_z else b"XYZ"
-        words = (b" %c%.4f" % (letters[k], self._state[k] / XYZ_COUNTS) for k in range(len(letters)))
-        return b"G1%b F%.3f\n" % (b"".join(words), max(speed * self._f_counts / F_COUNTS, 1e-3))
+            return []
+        x, y, z = (b"%.4f" % (count / XYZ_COUNTS) for count in self._state[:3])
+        over = b"G1 X%b Y%b F%.3f\n" % (x, y, max(speed * self._f_counts / F_COUNTS, 1e-3))
+        return [over] if self._holds_z else [over, b"G1 Z%b\n" % z]
 
     def move(self, x: float, y: float, z: float, e: float, speed: float) -> bytes:
         """One line to this place (mm) at `speed` mm/s; empty when nothing moves by a count."""

@@ -63,8 +63,6 @@ class Settings(TypedDict, total=False):
     """Macros after which the nozzle is where it was, besides those that are known to come back."""
     still: Iterable[str]
     """Macros that move nothing, besides those that are known not to."""
-    homed_mm: tuple[float, float, float] | None
-    """Where homing all axes ends; None: not known."""
     filament_change_s: float
     """What a change of filament takes, by itself."""
     cut: Callable[[Program], Program] | None
@@ -133,7 +131,6 @@ class _Reader:
         arc_tolerance_mm: float = ARC_TOLERANCE_MM,
         returns: Iterable[str] = (),
         still: Iterable[str] = (),
-        homed_mm: tuple[float, float, float] | None = None,
         filament_change_s: float = 0.0,
         cut: Callable[[Program], Program] | None = None,
     ) -> None:
@@ -143,7 +140,6 @@ class _Reader:
             flavor=flavor,
             returns=frozenset(map(str.upper, returns)),
             still=frozenset(map(str.upper, still)),
-            homed=homed_mm,
             filament_change_s=filament_change_s,
         )
         if start is not None:

@@ -72,7 +72,6 @@ class Modal:
     pushed: list[tuple[bool, bool, float, float]] = field(default_factory=list)  # M120: modes, feed, unit
     returns: frozenset[str] = frozenset()  # macros that come back, besides those of gcode.commands
     still: frozenset[str] = frozenset()  # and those that move nothing
-    homed: tuple[float, float, float] | None = None  # where homing all axes ends, mm; None: not known
     conditions: list[Whereabouts] = field(default_factory=list)  # where each M622 that is open has begun
 
     def __post_init__(self) -> None:
@@ -111,12 +110,10 @@ class Modal:
         self.forget()
         self.guess[:3] = [nan, nan, nan]
 
-    def home(self, axes: set[str]) -> None:
+    def home(self) -> None:
         """Homing also takes back what G92 did. On a delta it moves all axes, whichever were named."""
         self.take_names_back()
         self.forget_even_roughly()
-        if self.homed is not None and not axes:
-            self.position[:3] = self.homed
 
     def pass_through(self, words: dict[str, float]) -> tuple[Vector4, Vector4]:
         """Follow a move from or to a place that is not known; returns its start and end as far as they can be guessed.

@@ -165,7 +165,6 @@ class Machine:
     path: str = ""
     returns: tuple[str, ...] = ()  # macros after which the nozzle is where it was
     still: tuple[str, ...] = ()  # macros that move nothing
-    homed_mm: tuple[float, float, float] | None = None  # where homing all axes ends; None: not known
     flavor: str = ""  # of its firmware: "klipper", "marlin" or "reprapfirmware"; empty: not said
     pressure: Pressure | None = None  # what the hot end keeps back; None: not said
     marlin: MarlinSettings | None = None  # of its planner; None: not said
@@ -174,12 +173,6 @@ class Machine:
     def __post_init__(self) -> None:
         """Bind the vibration model to the kinematics."""
         object.__setattr__(self, "vibration", self.vibration.on(self.kinematics))
-
-    @property
-    def home_mm(self) -> tuple[float, float, float] | None:
-        """Where homing all axes ends, if motion from there can be planned."""
-        home = self.homed_mm
-        return home if home is not None and bool(self.kinematics.contains(np.array([home]))[0]) else None
 
     def equilibrium(self, nozzle: FloatArray) -> FloatArray:
         """Return the state of the vibration model at rest with the nozzle at (3,) mm."""

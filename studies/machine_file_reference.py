@@ -33,7 +33,6 @@ SECTIONS = {  # of the page -> path into the JSON schema of a document
     "firmware.marlin": (DeltaDocument, "firmware.marlin"),
     "firmware.reprapfirmware": (DeltaDocument, "firmware.reprapfirmware"),
     "macros": (DeltaDocument, "macros"),
-    "homing": (DeltaDocument, "homing"),
 }
 TABLES = {
     "kinematics",
@@ -45,7 +44,6 @@ TABLES = {
     "steps",
     "firmware",
     "macros",
-    "homing",
     "effects",
     "uncertainty",
     "provenance",

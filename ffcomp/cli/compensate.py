@@ -245,15 +245,7 @@ def _report(done: Compensation, quiet: bool) -> None:
         waits = "waits once" if times == 1 else f"waits {times} times"
         why = "so that what the firmware moves by itself has stopped ringing when extrusion begins"
         say(f"The nozzle {waits}, {numbers.settling_s:.2g} s in all, {why}.", quiet)
-        if done.machine.home_mm is None and any(place.command.startswith("G28") for place in numbers.shares.left):
-            say(WHERE_HOMING_ENDS, quiet)
     _report_next(done, quiet)
-
-
-WHERE_HOMING_ENDS = (
-    "No print says where G28 leaves the nozzle: with homing.position_mm in the machine file, the first travel after it "
-    "is compensated too, and nothing waits."
-)
 
 
 def _report_next(done: Compensation, quiet: bool) -> None:

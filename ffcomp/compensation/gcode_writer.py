@@ -322,8 +322,8 @@ class Writer:
 
         A macro that did not come back, or an object that was excluded, is then made up for at travel speed.
         """
-        if self.to_return and (stated := self.moves.here(speed)):
-            yield stated.rstrip(b"\n") + OURS + self.ending
+        if self.to_return:
+            yield from self._limits(self.moves.here(speed))
         self.to_return = False
 
     def _original(self, line: int) -> bytes:

@@ -64,7 +64,7 @@ def read_printer_config(path: Path, kinematics: str | None = None, alone: bool =
     )
 
 
-TABLES = ("kinematics", "carriage", "effector", "axes", "limits", "steps", "homing", "firmware")
+TABLES = ("kinematics", "carriage", "effector", "axes", "limits", "steps", "firmware")
 ARMS = ("kinematics.arm_length_mm", "kinematics.arm_lengths_mm")
 REQUIRED = {
     "delta": (

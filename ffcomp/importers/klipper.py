@@ -9,8 +9,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-import numpy as np
-
 from ffcomp.importers.values import (
     AXES,
     TOWER_ANGLES_DEG,
@@ -29,7 +27,6 @@ from ffcomp.importers.values import (
     shaped_axis,
     together,
 )
-from models.kinematics.delta import DeltaKinematics
 
 SAVED_HEAD = (
     "\n#*# <---------------------- SAVE_CONFIG ---------------------->\n"
@@ -188,7 +185,6 @@ KINDS = {
     "limited_corexy": "corexy",
 }
 TOWERS = "abc"
-HOMES_ELSEWHERE = ("gcode_macro g28", "homing_override", "safe_z_home")
 FULL_STEPS_PER_ROTATION = 200.0
 SQUARE_CORNER_VELOCITY_MM_PER_S = 5.0
 CRUISE_RATIO = 0.5  # ffcomp plans with the firmware's default
@@ -210,8 +206,7 @@ def from_klipper(config: KlipperConfig) -> ConfigValues:
         )
     kind, origin = KINDS[option.text], f"{option.place} [printer] kinematics"
     of_kind = _delta(config) if kind == "delta" else _straight(config)
-    homing = {"homing.position_mm": _homed(config, kind)}
-    values = known({**of_kind, **_limits(config), **_steps(config, TOWERS if kind == "delta" else AXES), **homing})
+    values = known({**of_kind, **_limits(config), **_steps(config, TOWERS if kind == "delta" else AXES)})
     shaped = [_shaper_frequency(config, axis) for axis in AXES] if kind == "delta" else []
     shaper_hz = tuple(each.number for each in shaped if each is not None)
     return ConfigValues("Klipper", kind, origin, values, tuple(_notes(config)), shaper_hz)
@@ -234,7 +229,7 @@ def _delta(config: KlipperConfig) -> dict[str, Value | None]:
         "kinematics.delta_radius_mm": radius,
         "kinematics.tower_angles_deg": listed(_towers(config)),
         "kinematics.print_radius_mm": print_radius(stated, radius, least(arms)),
-        "kinematics.print_height_mm": _print_height(config),
+        "kinematics.print_height_mm": least(_of_towers(config, "position_endstop")),
     }
 
 
@@ -244,14 +239,6 @@ def _towers(config: KlipperConfig) -> list[Value]:
         config.number(f"stepper_{tower}", "angle") or _default(angle, f"[stepper_{tower}] angle")
         for tower, angle in zip(TOWERS, TOWER_ANGLES_DEG, strict=True)
     ]
-
-
-def _print_height(config: KlipperConfig) -> Value | None:
-    """Return the lowest endstop; homing may end a little above it, where the endstops differ."""
-    lowest, homed = least(_of_towers(config, "position_endstop")), _homed_delta(config)
-    if lowest is None or homed is None or isinstance(homed.value, float) or homed.value[2] <= lowest.number:
-        return lowest
-    return converted(homed.value[2], "where homing ends", lowest)
 
 
 def _of_towers(config: KlipperConfig, option: str) -> list[Value | None]:
@@ -287,55 +274,6 @@ def _shaped_axis(config: KlipperConfig, axis: str) -> dict[str, Value]:
         return {}
     damping = config.number("input_shaper", f"damping_ratio_{axis}", above=0)
     return shaped_axis(axis, frequency, damping or _default(DAMPING_RATIO, f"damping_ratio_{axis}"))
-
-
-# --- Where homing all axes ends
-
-
-def _homes_elsewhere(config: KlipperConfig) -> str | None:
-    """Return the section by which homing ends elsewhere than at the endstops, the last word first; None: none."""
-    sections = {section.lower(): section for section, _ in config.options}
-    return next((sections[name] for name in HOMES_ELSEWHERE if name in sections), None)
-
-
-def _homed(config: KlipperConfig, kind: str) -> Value | None:
-    """Return where homing all axes leaves the nozzle; None: the configuration does not tell."""
-    elsewhere = _homes_elsewhere(config)
-    if elsewhere is not None:
-        return _homed_safely(config) if elsewhere.lower() == "safe_z_home" else None
-    if kind == "delta":
-        return _homed_delta(config)
-    endstops = [config.number(f"stepper_{axis}", "position_endstop") for axis in AXES]
-    known_endstops = [each for each in endstops if each is not None]
-    return listed(known_endstops) if len(known_endstops) == len(endstops) else None  # a probe that homes Z has none
-
-
-def _homed_safely(config: KlipperConfig) -> Value | None:
-    """Return the place of `[safe_z_home]`: above the bed by `z_hop`, to which Z is lifted after it has been homed."""
-    place, hop = config.text("safe_z_home", "home_xy_position"), config.number("safe_z_home", "z_hop", above=0)
-    back = config.text("safe_z_home", "move_to_previous")
-    if place is None or hop is None or (back is not None and back.text.lower() not in ("false", "no", "off", "0")):
-        return None
-    try:
-        x, y = (float(each) for each in place.text.split(","))
-    except ValueError:
-        return None
-    return converted([x, y, hop.number], "[safe_z_home] and its z_hop", hop)
-
-
-def _homed_delta(config: KlipperConfig) -> Value | None:
-    """Return the nozzle's position with each carriage at its endstop."""
-    radius, towers = config.number("printer", "delta_radius", above=0), _towers(config)
-    arms, endstops = (_of_towers(config, option) for option in ("arm_length", "position_endstop"))
-    sources = [each for each in (radius, *arms, *endstops) if each is not None]
-    if radius is None or len(sources) < 7:
-        return None
-    lengths, heights = (np.array([each.number for each in several if each]) for several in (arms, endstops))
-    radii = np.full(3, radius.number)
-    angles = np.array([each.number for each in towers])
-    delta = DeltaKinematics(lengths, radii, angles, effector_height_mm=0.0, print_radius_mm=1.0, print_height_mm=1.0)
-    nozzle = delta.forward((heights + np.sqrt(lengths**2 - radii**2))[None])[0]
-    return converted([round(float(each), 4) + 0.0 for each in nozzle], "the carriages at their endstops", *sources)
 
 
 # --- Limits and steps
@@ -408,11 +346,6 @@ def _gear_ratio(config: KlipperConfig, section: str) -> float:
 
 def _notes(config: KlipperConfig) -> Iterator[str]:
     yield from config.remarks
-    if (elsewhere := _homes_elsewhere(config)) and _homed(config, "") is None:
-        yield (
-            f"Homing ends where [{elsewhere}] leaves the nozzle: if that is always one place, give it as position_mm "
-            "in [homing], and the first travel is compensated too."
-        )
     ratio = config.number("printer", "minimum_cruise_ratio")
     if ratio is not None and ratio.number != CRUISE_RATIO:
         yield (

@@ -17,7 +17,6 @@ from ffcomp.importers.values import (
     ConfigValues,
     PrinterConfigError,
     Value,
-    above_the_middle,
     all_listed,
     arm_lengths,
     changed,
@@ -114,13 +113,11 @@ def _kinematics(settings: Settings, stated: str | None, path: Path) -> tuple[str
 
 
 def _delta(settings: Settings) -> dict[str, Value | None]:
-    height = settings.get(("M665", "H"))
     return {
         **arm_lengths(_arms(settings)),
         "kinematics.delta_radius_mm": settings["M665", "R"],
         "kinematics.tower_angles_deg": tower_angles([settings.get(("M665", letter)) for letter in "XYZ"]),
-        "kinematics.print_height_mm": height,
-        "homing.position_mm": above_the_middle(height),
+        "kinematics.print_height_mm": settings.get(("M665", "H")),
     }
 
 

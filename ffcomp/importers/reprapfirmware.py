@@ -17,7 +17,6 @@ from ffcomp.importers.values import (
     ConfigValues,
     PrinterConfigError,
     Value,
-    above_the_middle,
     all_listed,
     arm_lengths,
     changed,
@@ -53,8 +52,7 @@ KEPT = {  # letters that are kept until a later command gives them anew
     "M665": "BHLRXYZ",
     "M666": "AB",
 }
-READ = {*KEPT, "M92", "M208", "M350", "M574", "M667", "M669"}
-ENDS = {1.0: "low", 2.0: "high"}  # of an axis: M574
+READ = {*KEPT, "M92", "M208", "M350", "M667", "M669"}
 MICROSTEPS, DAMPING_RATIO = 16.0, 0.1  # the firmware's defaults
 MOST_FILES = 1000
 PER_MINUTE = "mm/min over 60"
@@ -68,7 +66,6 @@ class Settings:
     steps_per_mm: dict[str, Value] = field(default_factory=dict)  # letter -> number
     microsteps: dict[str, Value] = field(default_factory=dict)
     ranges: dict[str, dict[str, Value]] = field(default_factory=dict)  # letter -> "low", "high" -> number
-    endstops: dict[str, str] = field(default_factory=dict)  # letter -> "low" or "high"; "": none, or a probe
     kinematics: tuple[str, str] = ("cartesian", "neither M669 nor M665 is given: the firmware's default")
     shaper: str = ""
     notes: list[str] = field(default_factory=list)
@@ -198,14 +195,6 @@ def _m208(command: Command, settings: Settings) -> None:
         settings.ranges.setdefault(letter, {}).update(zip(ends, numbers, strict=False))
 
 
-def _m574(command: Command, settings: Settings) -> None:
-    """Say at which end of its range an axis has its endstop; S2: a probe takes its place, which is at no end."""
-    for letter in "XYZ":
-        end = command.number(letter)
-        if end is not None:
-            settings.endstops[letter] = "" if command.words.get("S") == "2" else ENDS.get(end.number, "")
-
-
 def _m669(command: Command, settings: Settings) -> None:
     if "K" in command.words:
         _set_kind(command, command.words["K"].lower(), settings)
@@ -224,7 +213,7 @@ def _set_kind(command: Command, word: str, settings: Settings) -> None:
     settings.kinematics = (KINDS[word], f"{command.place} {command.code}")
 
 
-APPLY = {"M92": _m92, "M208": _m208, "M350": _m350, "M574": _m574, "M669": _m669}
+APPLY = {"M92": _m92, "M208": _m208, "M350": _m350, "M669": _m669}
 
 
 # --- Values of the machine
@@ -242,13 +231,11 @@ def _delta(settings: Settings) -> dict[str, Value | None]:
         "kinematics.tower_angles_deg": tower_angles([settings.first("M665", letter) for letter in "XYZ"]),
         "kinematics.print_radius_mm": print_radius(settings.first("M665", "B"), radius, least(of_towers)),
         "kinematics.print_height_mm": settings.first("M665", "H"),
-        "homing.position_mm": above_the_middle(settings.first("M665", "H")),
     }
 
 
 def _straight(settings: Settings) -> dict[str, Value | None]:
     values = {f"kinematics.{axis}_range_mm": _range(settings, axis.upper()) for axis in AXES}
-    values["homing.position_mm"] = _homed(settings)
     frequency = _shaper(settings)
     if frequency is not None:  # one for both axes
         default = Value(DAMPING_RATIO, "default", "M593 S is not given: the firmware's default")
@@ -263,12 +250,6 @@ def _range(settings: Settings, letter: str) -> Value | None:
         return None
     low = limits.get("low", Value(0.0, "default", f"M208 gives no lowest {letter}: the firmware's default"))
     return listed([low, limits["high"]])
-
-
-def _homed(settings: Settings) -> Value | None:
-    """Return where homing leaves straight axes: at their endstops; None: a probe decides where one of them ends."""
-    ends = (settings.ranges.get(letter, {}).get(settings.endstops.get(letter, "")) for letter in "XYZ")
-    return all_listed(list(ends))
 
 
 def _shaper(settings: Settings) -> Value | None:

@@ -93,11 +93,6 @@ def all_listed(values: Sequence[Value | None], factor: float = 1.0, rule: str = 
     return converted([each.number * factor for each in known_values], rule, joined) if rule else joined
 
 
-def above_the_middle(height: Value | None) -> Value | None:
-    """Return where homing leaves a delta's nozzle, by its height there."""
-    return None if height is None else converted([0.0, 0.0, height.number], "homing ends over the middle", height)
-
-
 def together(values: Sequence[Value | None]) -> Value | None:
     """Join values: one number if all are the same, a list otherwise; None unless all are known."""
     known_values = [each for each in values if each is not None]

@@ -69,8 +69,7 @@ def settings_sentence(flavor: str, machine: Machine) -> str:
 
 def known_to_the_firmware(machine: Machine) -> dict[str, Any]:
     """Return what a G-code reader must know besides the file, as its keyword arguments."""
-    known = {"returns": machine.returns, "still": machine.still, "homed_mm": machine.home_mm}
-    return {**known, "cut": partial(cut_for_marlin, machine=machine)}
+    return {"returns": machine.returns, "still": machine.still, "cut": partial(cut_for_marlin, machine=machine)}
 
 
 def read_as_planned(

@@ -20,7 +20,7 @@ from models.kinematics.base import Kinematics
 from models.machine import Machine
 from models.quantities import PLAIN, Quantities
 from models.schema.delta import CarriageTable, EffectorTable, KinematicsTable, missing_lengths
-from models.schema.printer import ExtruderTable, FirmwareTable, HomingTable, LimitsTable, MacrosTable, StepsTable
+from models.schema.printer import ExtruderTable, FirmwareTable, LimitsTable, MacrosTable, StepsTable
 from models.schema.straight import AxesTable, DrivenAxisTable, OneAxisTable, StraightTable, quantities_of
 from models.schema.table import Table, did_you_mean, number_keys, refuse, sentences
 from models.vibration.base import VibrationModel
@@ -181,7 +181,6 @@ class PrinterDocument(Document):
     extruder: ExtruderTable | None = None
     firmware: FirmwareTable = FirmwareTable()
     macros: MacrosTable = MacrosTable()
-    homing: HomingTable = HomingTable()
     effects: dict[str, dict[str, Any]] = Field(default_factory=dict)
     uncertainty: dict[str, Annotated[float, Field(ge=0, le=10)]] = Field(default_factory=dict)
     provenance: dict[str, Any] = Field(default_factory=dict)
@@ -197,7 +196,6 @@ class PrinterDocument(Document):
     def printer(self, sha256: str, path: str) -> Machine:
         """Return the printer that the file describes."""
         kinematics, vibration = self.machine_parts()
-        home = self.homing.position_mm
         return Machine(
             name=self.name,
             kinematics=kinematics,
@@ -211,7 +209,6 @@ class PrinterDocument(Document):
             path=path,
             returns=tuple(self.macros.returns or ()),
             still=tuple(self.macros.still or ()),
-            homed_mm=None if home is None else (home[0], home[1], home[2]),
             flavor=self.firmware.flavor or "",
             marlin=None
             if self.firmware.marlin is None

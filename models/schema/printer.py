@@ -1,4 +1,4 @@
-"""Tables that every printer may have, whatever moves its nozzle: limits, steps, extruder, firmware, macros, homing."""
+"""Tables that every printer may have, whatever moves its nozzle: limits, steps, extruder, firmware, macros."""
 
 from __future__ import annotations
 
@@ -173,12 +173,6 @@ class MacrosTable(Table):
 
     returns: list[MacroName] | None = None
     still: list[MacroName] | None = None
-
-
-class HomingTable(Table):
-    """`[homing]`: where homing all axes ends."""
-
-    position_mm: Annotated[list[Place], THREE] | None = None
 
 
 def _number_or_tuple(value: float | list[float]) -> float | tuple[float, ...]:

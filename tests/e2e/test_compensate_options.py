@@ -10,7 +10,7 @@ import pytest
 from ffcomp.cli.app import app
 from ffcomp.steps.archive import read_steps
 from gcode.embedded import TIME_WAS, WITHOUT_ORIGINAL
-from models.file import find_machine, load_machine
+from models.file import load_machine
 from tests.support.cli import CliRunner, Result
 from tests.support.prints import squares
 from tests.support.steps import read_events
@@ -169,13 +169,3 @@ def test_a_bound_that_is_not_kept_is_told_and_refused(printed: Path, tmp_path: P
     assert said.startswith("line ") and " µm here" in said
     refused = call(printed, "-m", MACHINE, "--strict", *bound)
     assert refused.exit_code == 6 and "times its bound" in refused.stderr
-
-
-def test_where_homing_ends_is_asked_for_only_where_the_machine_file_does_not_say_it(tmp_path: Path) -> None:
-    source, known = tmp_path / "a.gcode", tmp_path / "known.toml"
-    source.write_bytes(b"G28\nG1 X0 Y0 Z1 F6000\nG1 X9 E1 F3000\n")
-    text = find_machine("kossel").read_text(encoding="utf-8")
-    known.write_text(f"{text}\n[homing]\nposition_mm = [0, 0, 200]\n", encoding="utf-8")
-    for machine, asks in (("kossel", True), (str(known), False)):
-        said = call(source, "-m", machine, "--no-predict", "-o", tmp_path / "out.gcode").output
-        assert ("No print says where G28 leaves the nozzle" in said) == ("The nozzle waits once" in said) == asks, said

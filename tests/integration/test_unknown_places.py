@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
 from ffcomp.compensation.job import Job, Options
+from ffcomp.importers.builder import build_draft, machine_text, read_printer_config
 from gcode.embedded import OURS, original
 from models.file import load_machine
 from models.machine import Machine
@@ -44,28 +46,34 @@ def test_a_height_that_is_not_known_is_not_written(name: str) -> None:
     assert [line for line in lines[end + 1 :] if line.startswith("G1") and "X" in line]
 
 
+@pytest.mark.parametrize("homing", [None, "[gcode_macro G28]\nrename_existing: G28.1\ngcode:\n  G28.1\n  G1 Z10\n", ""])
+def test_no_line_of_ours_states_a_place_after_homing(tmp_path: Path, homing: str | None) -> None:
+    """Whether or not a configuration could be read whole: its endstops are not where its macros leave the nozzle."""
+    ends = "".join(
+        f"[stepper_{axis}]\nrotation_distance: 40\nmicrosteps: 16\nposition_endstop: 0\nposition_max: 220\n"
+        for axis in "xyz"
+    )
+    shaper = "[input_shaper]\nshaper_freq_x: 55\nshaper_freq_y: 40\n"
+    printer = "[printer]\nkinematics: cartesian\nmax_velocity: 300\nmax_accel: 3000\n"
+    config, path = tmp_path / "printer.cfg", tmp_path / "mine.toml"
+    config.write_text("[include homing.cfg]\n" + printer + ends + shaper, encoding="utf-8")
+    if homing is not None:
+        (tmp_path / "homing.cfg").write_text(homing, encoding="utf-8")
+    path.write_text(machine_text(build_draft(read_printer_config(config), "mine"), config), encoding="utf-8")
+    text = "; gcode_flavor = klipper\nG28\nG90\nM83\nG1 X100 Y100 Z0.2 F6000\nG1 X120 Y100 E1 F3000\nG1 X120 Y120 E1\n"
+    lines = compensated(text, load_machine(str(path))).splitlines()
+    travel = lines.index("G1 X100 Y100 Z0.2 F6000")
+    assert not [line for line in lines[:travel] if line.startswith("G1")], "the firmware drives there by itself"
+    assert "Z" not in "".join(line for line in lines[travel + 1 :] if line.startswith("G1"))
+
+
 def test_after_a_macro_that_comes_back_the_place_is_stated_once() -> None:
     machine = replace(load_machine("voron-300"), returns=("MY_PHOTO",))
     lines = compensated(shifted(HEAD + SQUARE + "MY_PHOTO\n" + SQUARE), machine).splitlines()
-    stated = [
-        k for k, line in enumerate(lines) if re.fullmatch(rf"G1 X[\d.]+ Y[\d.]+ Z[\d.]+ F[\d.]+{OURS.decode()}", line)
-    ]
-    assert [lines[k].removesuffix(OURS.decode()) for k in stated] == ["G1 X100.0000 Y100.0000 Z5.0000 F6000.000"]
-    assert stated[0] > lines.index("MY_PHOTO")
+    stated = f"G1 X100.0000 Y100.0000 F6000.000{OURS.decode()}"
+    assert lines.count(stated) == 1 and (at := lines.index(stated)) > lines.index("MY_PHOTO")
+    assert lines[at + 1] == f"G1 Z5.0000{OURS.decode()}", "over the place first, then down"
     assert "MY_PHOTO" in lines and not any(line == "G1 X120 Y100 E1" for line in lines)
-
-
-def test_the_first_travel_after_homing_is_compensated_where_homing_ends_is_known() -> None:
-    machine = load_machine("voron-300")
-    known = replace(machine, homed_mm=(150.0, 150.0, 10.0))
-    text = shifted(HEAD + SQUARE)
-    assert "\nG1 X100 Y100 F6000\n" in compensated(text, machine), "it goes out as it was"
-    started = compensated(text, known)
-    assert "\n;~G1 X100 Y100 F6000\n" in started
-    stated = f"\nG1 X150.0000 Y150.0000 Z10.0000 F6000.000{OURS.decode()}\n"
-    assert started.index("\nG28\n") < started.index(stated) < started.index("SET_VELOCITY_LIMIT")
-    far = replace(machine, homed_mm=(150.0, 150.0, 999.0))
-    assert "\nG1 X100 Y100 F6000\n" in compensated(text, far), "out of reach: not planned from there"
 
 
 def test_waits_are_written_and_counted() -> None:

@@ -522,12 +522,6 @@ def test_z_is_not_guessed_where_nobody_has_known_it() -> None:
     assert ends(program) == [[3, 1, 1, 0]]
 
 
-def test_homing_ends_where_the_machine_file_says_if_all_axes_are_homed() -> None:
-    data = b"G28\nG1 Z5 F600\n"
-    assert read_program(data, homed_mm=(0, 0, 200)).moves.start[0, :3].tolist() == [0, 0, 200]
-    assert not len(read_program(data.replace(b"G28", b"G28 X"), homed_mm=(0, 0, 200)).moves)
-
-
 def test_what_is_known_of_a_raw_move() -> None:
     (raw,) = (e.raw for e in read("G1 X1 Y2 Z3 F600", "M204 S500", "MY_MACRO", "G1 X4 Y6 E.5 F1200").events if e.raw)
     assert raw.path_mm == 5 and raw.filament_mm == 0.5

@@ -124,8 +124,6 @@ flavor = "reprapfirmware"
 [macros]
 returns = ["MY_PHOTO", "nozzle_dance"]
 still = ["MY_LAMP"]
-[homing]
-position_mm = [0, 0, 200]
 [carriage.drive]
 d0_per_s2 = 1.4e5
 d1_per_s = -200
@@ -150,7 +148,6 @@ who = { name = "me" }
     assert machine.effects["coulomb_friction"] == {"force_n": [2.1, 2.2, 2.3]}
     assert machine.flavor == "reprapfirmware"
     assert machine.returns == ("MY_PHOTO", "nozzle_dance") and machine.still == ("MY_LAMP",)
-    assert machine.homed_mm == (0, 0, 200)
     assert machine.uncertainty["carriage.belt_stiffness_n_per_m"] == 0.05
     assert machine.provenance["who"] == {"name": "me"}
 
@@ -241,7 +238,6 @@ def test_mistakes_are_named_with_key_value_and_rule(problems, old: str, new: str
         ),
         ("[firmware]\nflavor = 'kliper'", "firmware.flavor = 'kliper' must be"),
         ("[macros]\nreturns = ['G 1']", "macros.returns[0] = 'G 1' must be a name"),
-        ("[homing]\nposition_mm = [0, 0]", "homing.position_mm = [0, 0] must be a list of three numbers"),
         ("[firmware]\nflavour = 'klipper'", "firmware.flavour is not a key of a machine file. Did you mean 'flavor'?"),
         ("[uncertainty]\ndefault = -1", "uncertainty.default = -1 must be at least 0."),
     ],

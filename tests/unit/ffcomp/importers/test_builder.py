@@ -122,8 +122,3 @@ def test_the_firmware_of_the_configuration_is_the_printers(flavor: str, tmp_path
     machine = imported(written(tmp_path, text, "printer.txt"))
     assert machine.flavor == flavor
     assert machine.provenance["firmware.flavor"].startswith("the configuration is one of")
-
-
-def test_where_homing_ends_is_in_the_machine_file(tmp_path: Path) -> None:
-    machine = imported(written(tmp_path, Delta(arms=(280.0,) * 3, trims=(0.0,) * 3).klipper(), "printer.cfg"))
-    assert machine.homed_mm == pytest.approx((0.0, 0.0, 300.5))

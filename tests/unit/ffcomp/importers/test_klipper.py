@@ -31,8 +31,6 @@ microsteps: 16
 rotation_distance: 32
 """
 
-UNEVEN_HOME_MM = [1.657424, -0.956914, 310.509533]
-
 
 def found(folder: Path, text: str | bytes) -> ConfigValues:
     return read_printer_config(written(folder, text, "printer.cfg"))
@@ -234,46 +232,3 @@ def test_towers_of_a_turned_printer(tmp_path: Path) -> None:
     turned = Delta(trims=(-90.0, -90.0, -90.0))
     machine = imported(written(tmp_path, turned.klipper(), "printer.cfg"))
     assert machine.kinematics.tower_angles_deg.tolist() == [120.0, 240.0, 0.0]
-
-
-# --- Where homing ends
-
-
-def test_a_delta_is_homed_with_its_carriages_at_their_endstops(tmp_path: Path) -> None:
-    says = found(tmp_path, PLAIN)
-    assert value(says, "homing.position_mm") == [0.0, 0.0, 310.0]
-    assert says.values["homing.position_mm"].how == "converted"
-
-
-def test_towers_that_differ_home_beside_the_middle(tmp_path: Path) -> None:
-    """As `actuator_to_cartesian` of the firmware's own kinematics says of these numbers."""
-    uneven = PLAIN.replace("[stepper_b]", "[stepper_b]\nangle: 329.5\nposition_endstop: 311.5\narm_length: 280.75")
-    says = found(tmp_path, uneven)
-    assert value(says, "homing.position_mm") == pytest.approx(UNEVEN_HOME_MM, abs=1e-4)
-    assert value(says, "kinematics.print_height_mm") == value(says, "homing.position_mm")[2], "or it was out of reach"
-
-
-def test_straight_axes_are_homed_at_their_endstops(tmp_path: Path) -> None:
-    ends = "".join(
-        f"[stepper_{axis}]\nposition_endstop: {at}\n" for axis, at in zip("xyz", (300, 305, -0.5), strict=True)
-    )
-    says = found(tmp_path, COREXY + ends)
-    assert value(says, "homing.position_mm") == [300.0, 305.0, -0.5]
-    probed = found(tmp_path, COREXY + ends.replace("position_endstop: -0.5", "endstop_pin: probe:z_virtual_endstop"))
-    assert "homing.position_mm" not in probed.values
-
-
-def test_homing_ends_above_the_place_of_safe_z_home(tmp_path: Path) -> None:
-    safe = "[safe_z_home]\nhome_xy_position: 117.5, 110\nz_hop: 10\n"
-    says = found(tmp_path, COREXY + safe)
-    assert value(says, "homing.position_mm") == [117.5, 110.0, 10.0]
-    assert not any("[homing]" in note for note in says.notes)
-    for more in ("move_to_previous: True\n", "[homing_override]\ngcode:\n G28\n"):
-        assert "homing.position_mm" not in found(tmp_path, COREXY + safe + more).values
-
-
-@pytest.mark.parametrize("section", ["safe_z_home", "homing_override", "gcode_macro G28"])
-def test_homing_that_ends_elsewhere_is_not_guessed(section: str, tmp_path: Path) -> None:
-    says = found(tmp_path, f"{PLAIN}[{section}]\ngcode:\n  G1 Z5\n")
-    assert "homing.position_mm" not in says.values
-    assert any(f"[{section}]" in note and "[homing]" in note for note in says.notes)

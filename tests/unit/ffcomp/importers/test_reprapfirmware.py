@@ -104,22 +104,6 @@ def test_what_the_firmwares_planner_needs_is_imported_axis_by_axis(tmp_path: Pat
     assert (s.jerk_mm_per_s, s.jerk_policy, s.travel_acceleration_mm_per_s2) == ((10, 15, 0.2, 2), 1, 3000)
 
 
-@pytest.mark.parametrize(
-    ("text", "place"),
-    [
-        (CARTESIAN + 'M574 X1 Y2 S1 P"xstop"\nM574 Z1 S1 P"zstop"\n', [0.0, 225.0, 0.0]),
-        (CARTESIAN + "M574 X1 Y1 S3\nM574 Z1 S2\n", None),  # a probe homes Z, somewhere over the bed
-        (CARTESIAN + "M574 X1 Y1 S1\n", None),
-        (DELTA + "M574 X2 Y2 Z2 S1\n", [0.0, 0.0, 250.0]),
-    ],
-)
-def test_where_homing_ends_is_imported_unless_a_probe_decides(
-    tmp_path: Path, text: str, place: list[float] | None
-) -> None:
-    says = found(tmp_path, text)
-    assert (says.values["homing.position_mm"].value if "homing.position_mm" in says.values else None) == place
-
-
 def test_conditions_and_formulas_are_said_not_guessed(tmp_path: Path) -> None:
     text = (
         DELTA

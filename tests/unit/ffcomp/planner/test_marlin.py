@@ -33,6 +33,7 @@ KINDS = {
     for slow in (False, True)
 }
 SHIFTED = {True: 0.03, False: 0.07}  # of the blocks of deltas and arcs: a step beyond a half by a last digit, or not
+START = (0.0, 0.0, 0.0)
 needs_data = pytest.mark.skipif(not TOTALS.exists(), reason=f"needs the real planner's blocks, {FOLDER}")
 
 
@@ -43,9 +44,7 @@ def machine_of(kind: str) -> Machine:
 
 
 def read(text: bytes, machine: Machine) -> Program:
-    return read_program(
-        b"G28\n" + text, flavor="marlin", **{**known_to_the_firmware(machine), "homed_mm": (0.0, 0.0, 0.0)}
-    )
+    return read_program(text, flavor="marlin", start=START, **known_to_the_firmware(machine))
 
 
 @cache
@@ -218,13 +217,13 @@ def test_unknown_settings_are_told() -> None:
 def test_a_lead_screws_jerk_is_named_where_z_is_a_tower() -> None:
     low, even = b"M205 X10 Y10 Z0.2\nG1 X20 F600\n", b"M205 X10 Y10 Z10\nG1 X20 F600\n"
     (warning,) = read(low, machine_of("delta-6")).warnings
-    assert warning.startswith("line 2: M205 sets the jerk of Z to 0.2 mm/s") and "set it to 10 like" in warning
+    assert warning.startswith("line 1: M205 sets the jerk of Z to 0.2 mm/s") and "set it to 10 like" in warning
     assert not read(even, machine_of("delta-6")).warnings
     assert not read(low, machine_of("cj-6")).warnings
 
 
 def test_a_program_of_another_firmware_is_not_cut() -> None:
     machine = machine_of("delta-6")
-    known = {**known_to_the_firmware(machine), "homed_mm": (0.0, 0.0, 0.0)}
-    program = read_program(b"G28\nG1 X20 F600\n", flavor="klipper", **known)
+    known = known_to_the_firmware(machine)
+    program = read_program(b"G1 X20 F600\n", flavor="klipper", start=START, **known)
     assert len(firmware_plan(program, machine)) == 1

@@ -17,12 +17,13 @@ SETTINGS = RepRapFirmwareSettings((200, 150, 10, 50), (2000, 1000, 100, 3000), (
 
 
 def machine_of(name: str = "prusa-mk3s", settings: RepRapFirmwareSettings | None = SETTINGS) -> Machine:
-    return replace(load_machine(name), reprapfirmware=settings, homed_mm=(0.0, 0.0, 10.0))
+    return replace(load_machine(name), reprapfirmware=settings)
 
 
 def plan(text: str, machine: Machine | None = None) -> Trajectory:
     machine = machine or machine_of()
-    program = read_program(f"M83\nG28\n{text}".encode(), flavor="reprapfirmware", **known_to_the_firmware(machine))
+    known = known_to_the_firmware(machine)
+    program = read_program(f"M83\n{text}".encode(), flavor="reprapfirmware", start=(0.0, 0.0, 10.0), **known)
     return firmware_plan(program, machine)
 
 
@@ -127,8 +128,9 @@ def test_the_queue_is_as_far_as_it_sees() -> None:
 def test_moves_that_are_to_be_gentler_are() -> None:
     """Time scaling lowers a move's acceleration and corner below the file's."""
     machine = machine_of()
-    text = b"G28\nM204 P1500 T1000\nG1 X60 F6000\nG1 Y60\n"
-    program = read_program(text, flavor="reprapfirmware", **known_to_the_firmware(machine))
+    text = b"M204 P1500 T1000\nG1 X60 F6000\nG1 Y60\n"
+    known = known_to_the_firmware(machine)
+    program = read_program(text, flavor="reprapfirmware", start=(0.0, 0.0, 10.0), **known)
     moves = replace(program.moves, acceleration=0.5 * program.moves.acceleration)
     assert firmware_plan(replace(program, moves=moves), machine).acceleration == pytest.approx([500.0, 500.0])
 
