@@ -103,12 +103,17 @@ def check_physics(machine: Machine) -> PhysicsChecks:
 def unstable_positions(machine: Machine, radii: int = 6, directions: int = 24) -> FloatArray:
     """Find the positions, on a polar grid over the bed, at which a vibration of the model does not decay.
 
+    A free axis may rest anywhere: its pole at zero is no vibration.
+
     Returns
     -------
     (k, 2) mm, columns X Y; empty for a stable machine.
     """
-    xy = bed(machine, radii, directions)
-    return xy[machine.vibration.poles(xy).real.max(axis=1) >= 0]
+    everywhere = machine.vibration.position_dependent
+    xy = bed(machine, radii, directions) if everywhere else np.array([*machine.kinematics.sample_positions.values()])
+    poles = machine.vibration.poles(xy)
+    vibrates = np.abs(poles) > ROUNDING_RTOL * np.abs(poles).max(axis=1, keepdims=True)
+    return xy[np.any(vibrates & (poles.real >= 0), axis=1)]
 
 
 def bed(machine: Machine, radii: int = 6, directions: int = 24) -> FloatArray:

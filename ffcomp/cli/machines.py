@@ -54,11 +54,11 @@ class MachineRequest(Request):
 @verb
 def show_machine(request: MachineRequest, shown: Json) -> None:
     """Show every parameter of a machine with its provenance, and its modes."""
-    from models.file import entries, load_machine
+    from models.file import entries, load_plant
     from models.machine import assumed_modes, sources
 
     with _machine_errors(shown.as_json):
-        loaded = load_machine(request.machine)
+        loaded = load_plant(request.machine)
     values, modes, named = entries(Path(loaded.path)), _modes(loaded), sources(loaded)
     if shown.as_json:
         numbers = {e.key: {"value": e.value, "unit": e.unit, "provenance": e.provenance} for e in values}
@@ -81,10 +81,10 @@ def check_machine(request: MachineRequest, shown: Json) -> None:
     """Check a machine file: mistakes, redundant parameters that disagree, stability and passivity."""
     from ffcomp.importers.builder import still_assumed
     from models.checks import check_physics, redundancy_problems, redundant_quantities, unstable_positions
-    from models.file import load_machine
+    from models.file import load_plant
 
     with _machine_errors(shown.as_json):
-        loaded = load_machine(request.machine)
+        loaded = load_plant(request.machine)
     if not loaded.vibration.position_dependent:
         _check_axes(loaded, _instability(unstable_positions(loaded)), shown.as_json)
         return

@@ -141,8 +141,9 @@ class CartesianKinematics(Kinematics):
 
     @property
     def centre_mm(self) -> tuple[float, float]:
-        """Return the middle of the bed."""
-        x, y = self.range_mm[:2].mean(axis=1).tolist()
+        """Return the middle of the bed; of an axis that may go anywhere, its origin."""
+        bed = self.range_mm[:2]
+        x, y = bed.mean(axis=1).tolist() if np.isfinite(bed).all() else (0.0, 0.0)
         return x, y
 
     @property

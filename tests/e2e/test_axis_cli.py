@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from html import unescape
 from pathlib import Path
 
@@ -38,6 +39,16 @@ def test_an_axis_is_diagnosed_and_its_better_file_closes_the_gap(folder: Path) -
     gaps = [json.loads(run("gap", *runs, "-m", file, "--json")[1]) for file in (folder / "slide.toml", better)]
     assert gaps[1]["nrms"] < 0.2 * gaps[0]["nrms"]
     assert gaps[1]["nrms"] == pytest.approx(answer["gap"]["after"], rel=0.01)  # the file is what was fitted
+
+
+def test_its_file_is_checked_and_shown_and_a_free_axis_may_rest_anywhere(folder: Path, tmp_path: Path) -> None:
+    code, said, _ = run("machines", "check", folder / "slide.toml")
+    assert (code, said.strip()) == (0, "slide: the file is valid, and its vibrations decay.")
+    assert "axis.mass_kg" in run("machines", "show", folder / "slide.toml")[1]
+    growing = tmp_path / "growing.toml"
+    text = (folder / "slide.toml").read_text()
+    growing.write_text(re.sub(r"(damping_n_s_per_m\s*=\s*)\S+", r"\g<1>-1.0", text))
+    assert run("machines", "check", growing)[0] == 5
 
 
 @pytest.mark.parametrize(
