@@ -43,7 +43,7 @@ from models.file import load_machine, updated_text
 from models.kinds import delta_vibration, with_parts
 from models.machine import Machine
 from studies.render import REPORTS, save
-from studies.scan import EACH_TOWER, FRICTION_N, SPREAD
+from studies.scan import EACH_TOWER, SPREAD
 from validation.independent.checks import printer_of
 from validation.independent.play import contour
 from validation.plants.accelerometer import draw_chip, klipper_capture, nozzle_felt
@@ -52,6 +52,7 @@ from validation.plants.study import uneven
 
 FloatArray = NDArray[np.float64]
 
+FRICTION_N = 0.3
 PRINT = Path(__file__).parents[1] / "docs" / "examples" / "print.gcode"
 AXIS = re.compile(rb"\b([XY])(-?[\d.]+)")
 BOUND_UM, ASSUMED, SHOWN = 25.0, 0.2, (1, 2, 3, 5, 10)

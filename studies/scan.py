@@ -36,7 +36,8 @@ from ffcomp.record.plan import Experiment, save_plan
 from ffcomp.simulation.command import Motion
 from models.file import load_machine, machine_of_text
 from models.kinds import delta_vibration, with_parts
-from models.machine import Machine, with_values
+from models.machine import Machine
+from models.vibration.modal import Axis, ModalAxes
 from studies.render import RESULTS, results_of, save
 from validation.drawn_page import (
     FINE_SCANNER,
@@ -56,7 +57,7 @@ from validation.plants.study import uneven
 CAMERAS = {"600 dpi": SCANNER, "1200 dpi": FINE_SCANNER, "phone": PHONE}
 HIGHEST_HZ, RINGING = 110.0, 0.25
 SPREAD = {"stiffness": 0.15, "damping": 0.2, "mass": 0.1}  # standard deviations of the logarithms
-FRICTION_N, BRISTLE_N_PER_M, RIPPLE_M = 0.3, 8e4, 2e-6
+RIPPLE_M = 2e-6
 EACH_TOWER = ("mass_kg", "belt_stiffness_n_per_m", "belt_damping_n_s_per_m", "guide_damping_n_s_per_m")
 
 PRINT = Path(__file__).parents[1] / "docs" / "examples" / "print.gcode"
@@ -90,7 +91,7 @@ def sampled_delta(seed: int) -> Printer:
             if kind is not None and key != "arm_pair_mass_kg" and "center" not in key:
                 size = np.exp(SPREAD[kind] * rng.standard_normal(np.shape(value)))
                 document[table][key] = (np.array(value) * size).tolist()
-    real = uneven(document, seed, FRICTION_N)
+    real = uneven(document, seed, float(rng.uniform(0.1, 0.4)))
     towers, effector = real["towers"], document["effector"]
     vibration = delta_vibration(machine)
     towers["mass_kg"] = towers["carriage_mass_kg"]
@@ -107,30 +108,37 @@ def sampled_delta(seed: int) -> Printer:
 
 
 def sampled_straight(seed: int, corexy: bool) -> Printer:
-    """Sample a CoreXY around a Voron's numbers, or a bed slinger around an Ender's."""
+    """Sample a CoreXY around a Voron's numbers, or a bed slinger around an Ender's, with a second mode or without."""
     machine, rng = load_machine("voron-250" if corexy else "ender-3"), np.random.default_rng(1000 + seed)
-    kg, hz, damping = np.array([0.4, 0.5]), np.empty(2), rng.uniform(0.04, 0.1, 2)
-    for axis, name in enumerate("xy"):
-        hz[axis] = machine.vibration.value(f"axes.{name}.frequency_hz[0]") * np.exp(0.15 * rng.standard_normal())
-    motors = ((1.0, 1.0), (1.0, -1.0)) if corexy else ((1.0, 0.0), (0.0, 1.0))
-    stiffness = kg * (2 * np.pi * hz) ** 2
-    if corexy:  # two belts, alike, pull along both axes: the masses make the frequencies
-        stiffness = np.full(2, 3e4)
-        kg = 6e4 / (2 * np.pi * hz) ** 2
-    held = 2 * damping * kg * 2 * np.pi * hz
-    friction = rng.uniform(0.2, 0.5, 2)
+    pull = 2.0 if corexy else 1.0  # belts along each axis
+    stiffness, rows = rng.uniform(2e4, 4e4), []
+    for name in "xy":
+        hz = machine.vibration.value(f"axes.{name}.frequency_hz[0]") * np.exp(0.15 * rng.standard_normal())
+        kg = pull * stiffness / (2 * np.pi * hz) ** 2
+        low, high = ((0.0, 0.0), (0.08, 0.2), (0.3, 0.5))[rng.choice(3, p=(0.4, 0.35, 0.25))]
+        tool = kg * rng.uniform(low, high)  # none, weak or strong
+        mount = tool * (2 * np.pi * hz * rng.uniform(1.4, 2.4)) ** 2
+        held, in_belts = 2 * rng.uniform(0.04, 0.1) * kg * 2 * np.pi * hz, rng.uniform(0.0, 0.6)
+        belt, guide = held * in_belts / pull, held * (1 - in_belts)
+        rows.append((kg - tool, tool, mount, 2 * rng.uniform(0.03, 0.08) * np.sqrt(mount * tool), guide, belt))
+    friction = rng.uniform(0.05, 0.5, 2)
+    columns = [(float(a), float(b)) for a, b in zip(*rows, strict=True)]
     plant = Plant(
-        motors=motors,
-        carriage_kg=(float(kg[0]), float(kg[1])),
-        belt_n_per_m=(float(stiffness[0]), float(stiffness[1])),
-        guide_n_s_per_m=(float(held[0]), float(held[1])),
+        motors=((1.0, 1.0), (1.0, -1.0)) if corexy else ((1.0, 0.0), (0.0, 1.0)),
+        carriage_kg=columns[0],
+        tool_kg=columns[1],
+        belt_n_per_m=(stiffness, stiffness),
+        mount_n_per_m=columns[2],
+        mount_n_s_per_m=columns[3],
+        guide_n_s_per_m=columns[4],
+        belt_n_s_per_m=(float(np.mean(columns[5])),) * 2,
         friction_n=(float(friction[0]), float(friction[1])),
-        bristle_n_per_m=BRISTLE_N_PER_M,
+        bristle_n_per_m=float(friction.min() / rng.uniform(3e-6, 8e-6)),  # stiffer ones are too quick for the plant
         ripple_m=(RIPPLE_M, RIPPLE_M),
     )
-    values = {f"axes.{axis}.frequency_hz[0]": float(hz[k]) for k, axis in enumerate("xy")}
-    values |= {f"axes.{axis}.damping_ratio[0]": float(damping[k]) for k, axis in enumerate("xy")}
-    return Printer(machine, with_values(machine, values), straight_player(plant))
+    modal = [Axis(*plant.axis_modes(axis)) for axis in range(2)]
+    true = replace(machine, vibration=ModalAxes.of([*modal, Axis()]))
+    return Printer(machine, true, straight_player(plant))
 
 
 def printed(printer: Printer, file: Machine | None) -> float:

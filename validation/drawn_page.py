@@ -1,16 +1,18 @@
 """A page as an independent printer would draw it, and as a scanner or a phone would see it.
 
-The bead is its own model: it is pulled after the nozzle (a tractrix), rounded by the bore, as wide as flow over speed
-through a pressure that lags, with two rough edges that know nothing of each other, and an elephant's foot. The
-scanner's carriage wobbles and stretches, the phone looks from aside through a lens; both have blur, shading, glints,
-dust, noise and JPEG. Nothing here is shared with `ffcomp/identification`; the nozzle moves as
-the plants do.
+The nozzle moves as the plants do: masses on belts that damp, a second mass on its mount, bristles that rub. The bead
+conserves volume: pressure lags behind the extruder, so that a line begins thin and ends in a blot. It is pulled after
+the nozzle (a tractrix), averaged over the bore, and has two rough edges that know nothing of each other. The scanner's
+carriage wobbles and stretches, the phone looks from aside through a lens; both have blur, shading, gloss, dust, noise
+and JPEG. Wrong conditions of a print are drawn too: a speed factor, an input shaper. Nothing here is shared with
+`ffcomp/identification` or with the vibration models.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -23,19 +25,19 @@ from validation.plants import delta_plant, straight_plant
 
 Array = NDArray[np.float64]
 
-LEAD_S = 0.05  # at rest before a drawing
+LEAD_S, AFTER_S = 0.05, 0.02  # at rest before a drawing, and after it
 PATH_MM = 0.03  # from point to point of a bead
+FILAMENT_MM2 = np.pi * 1.75**2 / 4
 
 
 @dataclass(frozen=True)
 class Bead:
     """What is between the nozzle's motion and the line on the bed."""
 
-    width_mm: float = 0.45
-    foot_mm: float = 0.04  # added by the first layer's squeeze
+    foot_mm: float = 0.04  # added to the width by the first layer's squeeze
     drag_mm: float = 0.18
     bore_mm: float = 0.3  # over which the melt averages the path
-    pressure_s: float = 0.04
+    pressure_s: float = 0.004  # by which the flow lags; pressure advance leaves some milliseconds
     rough_mm: float = 0.008  # of each edge
     rough_length_mm: float = 0.25
     uneven: float = 0.05  # of the width, over some millimetres
@@ -49,70 +51,107 @@ class Drawing:
     width_mm: Array  # (n,)
 
 
+@dataclass(frozen=True)
+class Conditions:
+    """How the G-code of a page is executed: as it is written, or not."""
+
+    speed_factor: float = 1.0
+    pulses: tuple[tuple[tuple[float, float], ...], ...] = (((1.0, 0.0),), ((1.0, 0.0),))  # of x, y: share, delay s
+
+    def command(self, experiment: Experiment) -> Any:
+        """Return what the motors are told, in place of the experiment."""
+        motion = replace(experiment.motion, speed=experiment.motion.speed * self.speed_factor)
+
+        def nozzle(t: Array) -> Array:
+            xyz = motion.nozzle(t)
+            for axis, pulses in enumerate(self.pulses):
+                xyz[:, axis] = sum(share * motion.nozzle(t - delay)[:, axis] for share, delay in pulses)
+            return xyz
+
+        def volume(t: Array) -> Array:
+            return FILAMENT_MM2 * motion.trajectory.position(t)[:, 3]
+
+        return SimpleNamespace(duration_s=motion.duration_s, motion=SimpleNamespace(nozzle=nozzle, volume=volume))
+
+
+def zv(hz: tuple[float, float], damping: float = 0.1) -> Conditions:
+    """Return a print with the shaper ZV on, tuned to x and y (Singer & Seering, 1990)."""
+    k = float(np.exp(-damping * np.pi / np.sqrt(1 - damping**2)))
+    halves = (0.5 / (each * np.sqrt(1 - damping**2)) for each in hz)
+    return Conditions(pulses=tuple(((1 / (1 + k), 0.0), (k / (1 + k), float(half))) for half in halves))
+
+
 # ---- what the printer draws ----------------------------------------------------------------------
 
 
-def delta_player(machine: dict[str, Any]) -> Callable[[Experiment, float], Array]:
+def delta_player(machine: dict[str, Any]) -> Callable[[Any, float], Array]:
     """Return a function that plays an experiment on the independent delta: (n, 2) mm every so many seconds."""
 
-    def play(experiment: Experiment, step_s: float) -> Array:
+    def play(experiment: Any, step_s: float) -> Array:
         every = 4
         h = step_s / every
-        t = (
-            0.5 * h * np.arange(2 * every * int((experiment.duration_s + LEAD_S) / step_s) + 1, dtype=np.float64)
-            - LEAD_S
-        )
+        rows = every * int((experiment.duration_s + LEAD_S + AFTER_S) / step_s)
+        t = 0.5 * h * np.arange(2 * rows + 1, dtype=np.float64) - LEAD_S
         command = delta_plant.carriages_of(machine, experiment.motion.nozzle(t))
         return np.asarray(delta_plant.simulate(machine, command, h, keep_every=every)["nozzle_mm"][:, :2])
 
     return play
 
 
-def straight_player(plant: straight_plant.Plant) -> Callable[[Experiment, float], Array]:
+def straight_player(plant: straight_plant.Plant) -> Callable[[Any, float], Array]:
     """Return the same of the independent printer with straight axes."""
 
-    def play(experiment: Experiment, step_s: float) -> Array:
-        t = step_s * np.arange(int((experiment.duration_s + LEAD_S) / step_s) + 1, dtype=np.float64) - LEAD_S
+    def play(experiment: Any, step_s: float) -> Array:
+        rows = int((experiment.duration_s + LEAD_S + AFTER_S) / step_s)
+        t = step_s * np.arange(rows + 1, dtype=np.float64) - LEAD_S
         return straight_plant.simulate(plant, experiment.motion.nozzle(t)[:, :2], 1 / step_s)["position_mm"]
 
     return play
 
 
-def draw(plan: Plan, play: Callable[[Experiment, float], Array], bead: Bead, seed: int) -> list[Drawing]:
+AS_WRITTEN = Conditions()
+
+
+def draw(
+    plan: Plan, play: Callable[[Any, float], Array], bead: Bead, seed: int, conditions: Conditions = AS_WRITTEN
+) -> list[Drawing]:
     """Draw all of a page: strokes and slow lines as the plant moves, everything else as it is commanded."""
     rng = np.random.default_rng(seed)
     drawings = []
     for each in plan.experiments:
-        step = 1 / 6400
+        step, command = 1 / 6400, conditions.command(each)
         if each.kind in (STROKE, SLOW):
-            path = play(each, step)
+            path = play(command, step)
         else:
             step = 1 / 1000
-            path = each.motion.nozzle(step * np.arange(int(each.duration_s / step) + 1, dtype=np.float64))[:, :2]
-        t = step * np.arange(len(path), dtype=np.float64)
-        commanded = np.linalg.norm(np.gradient(each.motion.nozzle(t - LEAD_S)[:, :2], step, axis=0), axis=1)
-        drawings.append(_bead(path, commanded, step, bead, rng))
+            path = command.motion.nozzle(step * np.arange(int(command.duration_s / step) + 1) - LEAD_S)[:, :2]
+        volume = command.motion.volume(step * np.arange(len(path)) - LEAD_S)
+        drawings.append(_bead(path, volume, each.position_mm[2], step, bead, rng))
     return drawings
 
 
-def _bead(path: Array, commanded: Array, step_s: float, bead: Bead, rng: np.random.Generator) -> Drawing:
+def _bead(path: Array, volume: Array, height: float, step_s: float, bead: Bead, rng: np.random.Generator) -> Drawing:
+    """Lay the extruded volume (n,) mm³ along the path (n, 2); what is left in the nozzle ends as a blot."""
     laid = _pulled(path, bead.drag_mm)
-    flow = _lagged(commanded, bead.pressure_s / step_s)
-    speed = np.linalg.norm(np.gradient(path, step_s, axis=0), axis=1)
-    ratio = np.clip(flow / np.maximum(speed, 2.0), 0.6, 1.5)
+    out = _lagged(volume, max(bead.pressure_s / step_s, 1.0))
     moved = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(laid, axis=0), axis=1)))
     at = np.arange(0.0, moved[-1], PATH_MM)
     keep = np.append(True, np.diff(moved) > 1e-9)
     points = np.column_stack([np.interp(at, moved[keep], laid[keep, i]) for i in range(2)])
-    width = bead.width_mm * np.interp(at, moved[keep], ratio[keep]) ** 0.5 + bead.foot_mm
+    last = len(out) - 1 - int(np.argmax(keep[::-1]))  # after it nothing moves
     window = max(1, round(bead.bore_mm / PATH_MM))
-    points, width = _averaged(points, window), _averaged(width[:, None], window)[:, 0]
+    volume_there = np.interp(at, moved[keep], out[keep])
+    points, extruded = _averaged(points, window), _averaged(volume_there[:, None], window)[:, 0]
+    width = np.gradient(extruded, PATH_MM) / height
+    width = np.clip(width, 0.1, 1.2) + bead.foot_mm
     width *= 1.0 + bead.uneven * _noise(len(at), 3.0 / PATH_MM, rng)
     left, right = (bead.rough_mm * _noise(len(at), bead.rough_length_mm / PATH_MM, rng) for _ in range(2))
     tangent = np.gradient(points, axis=0)
     tangent /= np.maximum(np.linalg.norm(tangent, axis=1), 1e-12)[:, None]
     normal = np.column_stack([-tangent[:, 1], tangent[:, 0]])
-    return Drawing(points + 0.5 * (left - right)[:, None] * normal, width + left + right)
+    points, width = points + 0.5 * (left - right)[:, None] * normal, width + left + right
+    blot = 2 * np.sqrt(width[-1] ** 2 / 4 + max(volume[-1] - out[last], 0.0) / (np.pi * height))
+    return Drawing(np.vstack([points, points[-1:], points[-1:]]), np.append(width, [blot, blot]))
 
 
 @njit(cache=True)
@@ -164,7 +203,8 @@ class Camera:
     blur_px: float = 0.8
     noise: float = 0.01
     shade: float = 0.05  # by which the light falls off
-    glint: float = 0.1
+    glint: float = 0.1  # of edges
+    gloss: float = 0.0  # of crests, towards the light
     dust: int = 200
     quality: int = 92  # of JPEG; 0: PNG
     margin_mm: float = 12.0
@@ -178,6 +218,7 @@ PHONE = Camera(
     dpi=0.0, turn_deg=4.0, tilt_deg=(7.0, -5.0), barrel=-0.012, blur_px=1.1, noise=0.015, shade=0.2, glint=0.15, dust=80
 )
 PHONE_PX = (3024, 4032)
+CREST = np.array([0.3, -0.2])  # of a half width: where the light is mirrored
 
 
 def photograph(drawings: list[Drawing], camera: Camera, seed: int, box: Array | None = None) -> NDArray[np.uint8]:
@@ -187,13 +228,16 @@ def photograph(drawings: list[Drawing], camera: Camera, seed: int, box: Array | 
     low, high = (points.min(axis=0), points.max(axis=0)) if box is None else box
     low, high = low - camera.margin_mm, high + camera.margin_mm
     project, shape = _projection(camera, low, high, rng)
-    light = np.zeros(shape)
+    light, crest = np.zeros(shape), np.zeros(shape)
     for each in drawings:
         step = project(each.points_mm + np.array([[0.05, 0.0]])) - project(each.points_mm - np.array([[0.05, 0.0]]))
         side = project(each.points_mm + np.array([[0.0, 0.05]])) - project(each.points_mm - np.array([[0.0, 0.05]]))
         scale = np.sqrt(np.abs(step[:, 0] * side[:, 1] - step[:, 1] * side[:, 0])) / 0.1  # pixels a mm
-        _cover(light, project(each.points_mm), 0.5 * each.width_mm * scale)
-    return _developed(light, camera, shape, rng)
+        px, half = project(each.points_mm), 0.5 * each.width_mm * scale
+        _cover(light, px, half)
+        if camera.gloss:
+            _cover(crest, px + half[:, None] * CREST, 0.3 * half)
+    return _developed(light, crest, camera, shape, rng)
 
 
 def _projection(
@@ -252,7 +296,9 @@ def _cover(light: Array, px: Array, half: Array) -> None:
                     light[row, column] = share
 
 
-def _developed(covered: Array, camera: Camera, shape: tuple[int, int], rng: np.random.Generator) -> NDArray[np.uint8]:
+def _developed(
+    covered: Array, crest: Array, camera: Camera, shape: tuple[int, int], rng: np.random.Generator
+) -> NDArray[np.uint8]:
     from scipy.ndimage import gaussian_filter
 
     rows, columns = shape
@@ -263,6 +309,7 @@ def _developed(covered: Array, camera: Camera, shape: tuple[int, int], rng: np.r
         row, column, size = rng.integers(rows), rng.integers(columns), rng.integers(1, 5)
         paper[row : row + size, column : column + rng.integers(1, 9)] *= rng.uniform(0.3, 0.9)
     ink = camera.ink + camera.glint * np.clip(np.gradient(gaussian_filter(covered, 2.0), axis=1) * 4.0, 0.0, 1.0)
+    ink = ink + camera.gloss * crest
     picture = gaussian_filter(shade * (paper * (1.0 - covered) + ink * covered), camera.blur_px)
     picture += camera.noise * rng.standard_normal(shape)
     return np.asarray(np.clip(255 * picture, 0, 255), dtype=np.uint8)

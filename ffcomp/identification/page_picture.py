@@ -9,17 +9,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from itertools import combinations, permutations
+from itertools import combinations
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
+from scipy.spatial import KDTree
 
 from ffcomp.errors import MeasurementError
 from ffcomp.numerics.least_squares import minimise
-from ffcomp.record.page import discs_of
+from ffcomp.record.page import DISC_MM, TWIN_MM, discs_of, last_line, twins
 from ffcomp.record.plan import Plan
 from models.arrays import FloatArray, IntArray
 
@@ -29,10 +30,12 @@ COARSE_PX = 1800  # of the picture's longer side, while discs are sought
 TILE_PX = 24  # of the coarse picture, for the brightness of the paper
 LEAST_CONTRAST = 0.12
 ROUND = (0.75, 1.3)  # area of an ellipse by its second moments over its real area
-LEAST_DISCS, MOST_CANDIDATES = 5, 24
+LEAST_DISCS, MOST_TRIPLES = 5, 20000  # of the page; of blots, for three discs
+ONE_SIZE, SIZE_STEP, APART = (0.7, 1.45), 1.3, 1.7  # radii and distances of discs in one picture: perspective
 NEAR_AFFINE_MM, NEAR_MM, MOST_MISFIT_MM = 9.0, 1.2, 0.2  # from a disc's place: of an affine map; a perspective; the fit
 LEAST_TRIANGLE_MM2, LEAST_UPRIGHT, MOST_MAPS = 600.0, 0.33, 3  # no needles; no map that stretches more than 2.6 to 1
 LEAST_SHARE = 0.7  # of the discs that lie inside the picture
+LEAST_STANDARD_ERRORS = 4.0  # by which slow lines are darker than the paper beside them
 
 RETAKE = "Take it again, straight from above, with all discs in it, in even light without flash"
 
@@ -192,22 +195,18 @@ def find_page(picture: Picture, plan: Plan) -> Sight:
     MeasurementError
         If it is not there, mirrored, of another plan, blurred, or too small.
     """
-    page = discs_of(plan)
-    seen = _discs(picture)
-    if len(seen) < LEAST_DISCS:
+    page, blots = discs_of(plan), _blots(picture)
+    if len(blots) < LEAST_DISCS:
         raise MeasurementError(
             picture.path,
             [
-                f"{len(seen)} of the page's {len(page)} discs can be seen, and {LEAST_DISCS} are needed: the picture "
+                f"{len(blots)} of the page's {len(page)} discs can be seen, and {LEAST_DISCS} are needed: the picture "
                 f"is empty, blurred, or cut off. {RETAKE}."
             ],
         )
-    pairs = _matched(page, seen[:, :2], picture.ink.shape)
-    sight = _fitted(picture, page, pairs, seen) if pairs else None
-    if sight is None or sight.misfit_mm > MOST_MISFIT_MM:
-        mirror = page * [-1.0, 1.0]
-        pairs = _matched(mirror, seen[:, :2], picture.ink.shape)
-        if pairs and _fitted(picture, mirror, pairs, seen).misfit_mm < MOST_MISFIT_MM:
+    found = _found(picture, plan, blots)
+    if found is None:
+        if _found(picture, plan, blots, flip=-1.0) is not None:
             raise MeasurementError(
                 picture.path,
                 ["The page is mirrored. Flip the picture, or scan the printed side (not through a glass plate)."],
@@ -215,16 +214,51 @@ def find_page(picture: Picture, plan: Plan) -> Sight:
         raise MeasurementError(
             picture.path,
             [
-                f"There are {len(seen)} discs, but they are not where those of this plan are: it is the page of "
-                "another plan or of another machine, or too much of it is missing. Give the .json file written beside "
-                f"the G-code of this page, and the whole page. {RETAKE}."
+                f"There are {len(blots)} round blots, but no {LEAST_DISCS} of them are where this plan's discs are: it "
+                "is the page of another plan or of another machine, or too much of it is missing. Give the .json file "
+                f"that was written with the G-code of this page, and the whole page. {RETAKE}."
             ],
         )
-    others = np.delete(seen, [j for _, j in pairs], axis=0)
-    if len(others) >= LEAST_DISCS and len(_matched(page, others[:, :2], picture.ink.shape)) >= LEAST_DISCS:
+    sight, used = found
+    if _found(picture, plan, np.delete(blots, used, axis=0)) is not None:
         raise MeasurementError(picture.path, ["There are two pages in the picture. Cut it so that it shows one."])
     _check(sight, page)
     return sight
+
+
+def _found(picture: Picture, plan: Plan, blots: FloatArray, flip: float = 1.0) -> tuple[Sight, list[int]] | None:
+    """Return the map of the page, mirrored if `flip` is -1, and which blots are its discs; None if none fits.
+
+    Discs are of one size; which one is not known, so each is tried, the largest first. Ink where the slow lines are
+    proves a map: few discs among many blots fit by chance.
+    """
+    turned = np.array([flip, 1.0])
+    page = turned * discs_of(plan)
+    size = float(blots[:, 2].max(initial=0.0))
+    while size > blots[:, 2].min(initial=np.inf):
+        group = np.flatnonzero((blots[:, 2] > ONE_SIZE[0] * size) & (blots[:, 2] < ONE_SIZE[1] * size))
+        pairs = _matched(page, blots[group], picture.ink.shape) if len(group) >= LEAST_DISCS else []
+        if pairs:
+            sight = _fitted(picture, page, pairs, blots[group])
+            if sight.misfit_mm < MOST_MISFIT_MM and _lines_are_dark(sight, plan, turned):
+                return sight, [int(group[j]) for _, j in pairs]
+        size /= SIZE_STEP
+    return None
+
+
+def _lines_are_dark(sight: Sight, plan: Plan, turned: FloatArray) -> bool:
+    """Tell whether slow lines are darker than what lies beside them, beyond chance."""
+    darker = []
+    for _, slow in twins(plan):
+        line = last_line(slow.motion)
+        s = np.arange(1.0, line.length_mm - 1.0, 0.25)[:, None]
+        xy = turned * line.at(np.repeat(s, 5, axis=1), np.array([-0.5 * TWIN_MM, -0.15, 0.0, 0.15, 0.5 * TWIN_MM]))
+        if sight.holds(xy):
+            px = sight.pixels(xy)
+            ink = ndimage.map_coordinates(sight.picture.ink, [px[..., 1], px[..., 0]], order=1).mean(axis=0)
+            darker.append(float(ink[1:4].mean() - 0.5 * (ink[0] + ink[4])))
+    error = np.std(darker, ddof=1) / np.sqrt(len(darker)) if len(darker) > 2 else np.inf
+    return bool(np.mean(darker or [0.0]) > LEAST_STANDARD_ERRORS * error)
 
 
 def _check(sight: Sight, page: FloatArray) -> None:
@@ -240,9 +274,9 @@ def _check(sight: Sight, page: FloatArray) -> None:
         )
 
 
-def _discs(picture: Picture) -> FloatArray:
-    """Find round dark blots of one size: (n, 3) columns column, row, radius, pixels of the picture."""
-    k = max(1, max(picture.ink.shape) // COARSE_PX)
+def _blots(picture: Picture) -> FloatArray:
+    """Find round dark blots of all sizes: (n, 3) columns column, row, radius, pixels of the picture."""
+    k = max(1, -(-max(picture.ink.shape) // COARSE_PX))
     coarse = _reduced(picture.ink, k)
     dark = coarse > max(LEAST_CONTRAST, 0.5 * float(np.percentile(coarse, 99.7)))
     dark = ndimage.binary_closing(dark, iterations=2)  # where the spiral of a disc ends
@@ -250,8 +284,6 @@ def _discs(picture: Picture) -> FloatArray:
     blots: list[tuple[float, float, float, float]] = []
     for deep in np.geomspace(1.5, 60.0, 14):
         labels, count = ndimage.label(depth > deep)
-        if not count or count > 400:
-            continue
         index = np.arange(1, count + 1)
         for label, box in zip(index, ndimage.find_objects(labels), strict=True):
             inside = labels[box] == label
@@ -265,51 +297,51 @@ def _discs(picture: Picture) -> FloatArray:
             if ROUND[0] < ellipse / len(row) < ROUND[1] and low > 0.3 * high:
                 r, c = row.mean() + box[0].start, column.mean() + box[1].start
                 blots.append((c, r, most, abs(deep / most - 0.5)))
-    return np.array(_of_one_size(blots)) * k + [0.5 * (k - 1), 0.5 * (k - 1), 0.0] if blots else np.empty((0, 3))
-
-
-def _of_one_size(blots: Sequence[tuple[float, float, float, float]]) -> list[tuple[float, float, float]]:
-    """Keep each blot once, and the largest group of one size."""
-    single: list[tuple[float, float, float]] = []
-    for c, r, radius, _ in sorted(blots, key=lambda each: each[3]):
-        if all(np.hypot(c - a, r - b) > max(radius, other) for a, b, other in single):
-            single.append((c, r, radius))
-    groups = [[each for each in single if 0.72 < each[2] / size < 1.4] for _, _, size in single]
-    best = max(groups, key=lambda group: (min(len(group), MOST_CANDIDATES), np.mean([each[2] for each in group])))
-    middle = float(np.median([each[2] for each in best]))
-    return sorted(best, key=lambda each: abs(np.log(each[2] / middle)))[:MOST_CANDIDATES]
+    single = np.empty((0, 3))
+    for c, r, radius, _ in sorted(blots, key=lambda each: each[3]):  # each blot once
+        apart = np.hypot(single[:, 0] - c, single[:, 1] - r)
+        if np.all(apart > np.maximum(single[:, 2], radius)):
+            single = np.vstack([single, [c, r, radius]])
+    return k * single + [0.5 * (k - 1), 0.5 * (k - 1), 0.0]
 
 
 def _matched(page: FloatArray, seen: FloatArray, shape: tuple[int, ...]) -> list[tuple[int, int]]:
-    """Match discs of the page (n, 2) mm with blots (m, 2) pixels: pairs of indices; rows count downwards.
+    """Match discs of the page (n, 2) mm with blots (m, 3) pixels: pairs of indices; rows count downwards.
 
-    Any three discs and any three blots make an affine map; the one that brings most others near is grown to a
-    perspective. The first match of all that can be seen ends the search.
+    Any three discs and any three blots make an affine map, if its scale is that of the blots' sizes; the one that
+    brings most others near is grown to a perspective. The first match of all that can be seen ends the search.
     """
     best: list[tuple[int, int]] = []
-    others = np.array(list(permutations(range(len(seen)), 3)))
+    nearest = KDTree(seen[:, :2])
     for triple in np.random.default_rng(0).permutation(list(combinations(range(len(page)), 3))):
-        for affine in _affine_maps(page, seen, triple, others):
-            pairs = _grown(page, seen, affine)
-            if len(pairs) > len(best) and _enough(page, seen, pairs, shape):
+        for affine in _affine_maps(page, seen, triple, nearest):
+            pairs = _grown(page, seen[:, :2], affine)
+            expected = _expected(page, seen, pairs, shape) if len(pairs) > len(best) else len(page) + 1
+            if len(pairs) >= max(LEAST_DISCS, LEAST_SHARE * expected):
                 best = pairs
-        if len(best) >= min(len(page), len(seen)):
-            break
+                if len(pairs) >= expected:
+                    return best
     return best
 
 
-def _affine_maps(page: FloatArray, seen: FloatArray, triple: IntArray, others: IntArray) -> list[FloatArray]:
-    """Return the affine maps (3, 2) of three discs to any three blots (k, 3) that bring most others near."""
+def _affine_maps(page: FloatArray, seen: FloatArray, triple: IntArray, nearest: KDTree) -> list[FloatArray]:
+    """Return the affine maps (3, 2) of three discs to any three blots (m, 3) that bring most others near."""
     full = np.column_stack([page, np.ones(len(page))])
     if abs(np.linalg.det(full[triple])) < LEAST_TRIANGLE_MM2:
         return []
-    maps = np.einsum("ab,obc->oac", np.linalg.inv(full[triple]), seen[others])
+    at, per_mm = seen[:, :2], seen[:, 2] / DISC_MM
+    apart_mm = np.linalg.norm(at[:, None] - at, axis=2) / np.sqrt(per_mm[:, None] * per_mm)
+    sides = np.linalg.norm(page[triple[[0, 0, 1]]] - page[triple[[1, 2, 2]]], axis=1)
+    a, b, c = ((apart_mm > each / APART) & (apart_mm < each * APART) for each in sides)
+    others = np.argwhere(a[:, :, None] & b[:, None, :] & c[None])
+    if len(others) > MOST_TRIPLES:
+        others = np.random.default_rng(0).permutation(others)[:MOST_TRIPLES]
+    maps = np.einsum("ab,obc->oac", np.linalg.inv(full[triple]), at[others])
     linear = maps[:, :2]
     det = linear[:, 0, 0] * linear[:, 1, 1] - linear[:, 0, 1] * linear[:, 1, 0]
     upright = (det < 0) & (np.abs(det) > LEAST_UPRIGHT * np.sum(linear**2, axis=(1, 2)))
     maps, scale = maps[upright], np.sqrt(np.abs(det[upright]))
-    there = np.einsum("nb,obc->onc", full, maps)
-    gap = np.sqrt(((there[:, :, None] - seen) ** 2).sum(axis=3)).min(axis=2) / scale[:, None]
+    gap = nearest.query(np.einsum("nb,obc->onc", full, maps))[0] / scale[:, None]
     score = (gap < NEAR_AFFINE_MM).sum(axis=1) - 1e-3 * np.minimum(gap, NEAR_AFFINE_MM).sum(axis=1)
     ranked = np.argsort(-score)[:MOST_MAPS]
     return [maps[o] for o in ranked if score[o] > min(LEAST_DISCS, len(seen)) - 1]
@@ -350,15 +382,12 @@ def _normal(points: FloatArray) -> FloatArray:
     return np.array([[scale, 0, -scale * middle[0]], [0, scale, -scale * middle[1]], [0, 0, 1]])
 
 
-def _enough(page: FloatArray, seen: FloatArray, pairs: Sequence[tuple[int, int]], shape: tuple[int, ...]) -> bool:
-    """Tell whether most discs that should be in the picture are seen."""
-    if len(pairs) < LEAST_DISCS:
-        return False
-    perspective = _perspective(page[[i for i, _ in pairs]], seen[[j for _, j in pairs]])
+def _expected(page: FloatArray, seen: FloatArray, pairs: Sequence[tuple[int, int]], shape: tuple[int, ...]) -> int:
+    """Count the discs that should be in the picture."""
+    perspective = _perspective(page[[i for i, _ in pairs]], seen[[j for _, j in pairs], :2])
     flat = np.column_stack([page, np.ones(len(page))]) @ perspective.T
     there = flat[:, :2] / flat[:, 2:]
-    inside = np.all((there > 0) & (there < [shape[1], shape[0]]), axis=1)
-    return len(pairs) >= LEAST_SHARE * int(inside.sum())
+    return int(np.all((there > 0) & (there < [shape[1], shape[0]]), axis=1).sum())
 
 
 def _fitted(picture: Picture, page: FloatArray, pairs: Sequence[tuple[int, int]], seen: FloatArray) -> Sight:
