@@ -117,7 +117,7 @@ def zero_phase(machine: Machine) -> TunedMethod:
 
         return Motion(position, plan.begin_t, plan.end_t, plan.clock), None
 
-    return TunedMethod(ZERO_PHASE, "zero-phase-error tracking, scheduled", "scheduled", tuning, motion)
+    return TunedMethod(ZERO_PHASE, "zero-phase-error tracking, scheduled", "inversion", tuning, motion)
 
 
 def knots(stretch: PrintSlice) -> FloatArray:

@@ -114,7 +114,7 @@ def table(name: str, machine: Machine, rounds: int, exact_rounds: int, seconds: 
 
 def every_method(machine: Machine, stretches: Sequence[PrintSlice]) -> list[Method]:
     usual = settings_for(machine)
-    linear, of_place = LinearPrinter(machine, stretches), ways.mode_frequencies(machine)
+    linear = LinearPrinter(machine, stretches)
     plain = replace(usual, inverse="exact")
     found = [
         inverting(machine, exact_settings(machine), EXACT),
@@ -125,8 +125,6 @@ def every_method(machine: Machine, stretches: Sequence[PrintSlice]) -> list[Meth
     ]
     for kind in SHAPERS:
         found.append(sampling(ways.best_fixed(linear, kind)))
-    for kind in SHAPERS:
-        found.append(sampling(ways.scheduled(linear, of_place, kind)))
     return found
 
 

@@ -34,7 +34,8 @@ from gcode.dialects import KLIPPER
 from models.file import load_machine
 from models.machine import Machine
 from studies.comparison_extruder import extruder_rows
-from studies.comparison_rivals import SPANS_S, Pair, inverse_within, inversions, pairs
+from studies.comparison_inverse import SPANS_S
+from studies.comparison_rivals import Pair, inverse_within, inversions, pairs
 from studies.render import results_of, save
 
 ROOT = Path(__file__).parents[1]
@@ -91,9 +92,8 @@ def case(path: Path, machine: Machine, whole: bool) -> dict[str, Any]:
     ours = [_own_row(method, slices, machine) for method in inversions(machine)]
     none = _judged(every.none(), slices, machine)
     _said("judged", began)
-    rivals = [k for k, pair in enumerate(tried) if pair.by_firmware]
-    best = min(rivals, key=lambda k: rows[k]["best"]["rms_um"])
-    plain = [k for k in rivals if tried[k].plain]
+    best = min(range(len(tried)), key=lambda k: rows[k]["best"]["rms_um"])
+    plain = [k for k, pair in enumerate(tried) if pair.plain]
     simple = min(plain, key=lambda k: rows[k]["best"]["rms_um"])
     found = {
         "machine": machine.name,
@@ -107,7 +107,7 @@ def case(path: Path, machine: Machine, whole: bool) -> dict[str, Any]:
         "best_um": rows[best]["best"]["rms_um"],
         "best_xy": rows[simple]["label"],
         "best_xy_um": rows[simple]["best"]["rms_um"],
-        "best_calibrated_um": min(r["calibrated"]["rms_um"] for r in rows if r["calibrated"]),
+        "best_calibrated_um": min(row["calibrated"]["rms_um"] for row in rows),
         "margin": rows[best]["best"]["rms_um"] / ours[-1]["rms_um"],
         "floor_um": floor_um(slices),
     }
@@ -137,12 +137,9 @@ def _row(pair: Pair, slices: Sequence[PrintSlice], plant: Machine) -> dict[str, 
     return {
         "label": pair.label,
         "group": pair.group,
-        "by_firmware": pair.by_firmware,
-        "calibrated": pair.calibrated and _judged(pair.calibrated, slices, plant),
+        "calibrated": _judged(pair.calibrated, slices, plant),
         "best": _judged(pair.best, slices, plant),
-        "tuning": pair.best.tuning.partition(": ")[0]
-        if pair.calibrated
-        else pair.best.tuning.partition(" times")[0] + " times",
+        "tuning": pair.best.tuning.partition(": ")[0],
     }
 
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ffcomp.comparison import methods as every
-from ffcomp.comparison.baselines import LinearPrinter, shaped
+from ffcomp.comparison.baselines import LinearPrinter, Shaping, shaped
 from ffcomp.comparison.evaluation import Execution
 from ffcomp.comparison.sampling import PrintSlice
 from ffcomp.inverse.settings import settings_for
@@ -25,20 +25,21 @@ SLOW_MM_PER_S = 1.0
 
 def extruder_rows(machine: Machine, slices: Sequence[PrintSlice], few: Sequence[PrintSlice]) -> dict[str, float]:
     """Return `ahead_um` without compensation, with MZV at its best (out of step, in step) and with ffcomp."""
-    fixed = LinearPrinter(machine, few).best_fixed("mzv")
+    mzv = Shaping("mzv")
+    by_axis = mzv.shapers(LinearPrinter(machine, few).best(mzv).settings)
     ours = every.inversion(machine, settings_for(machine), every.COMPENSATED)
-    none, mzv, inverse = (
+    none, shaping, inverse = (
         [_executed(each, motion(each), machine) for each in slices]
         for motion in (
             lambda each: each.motion,
-            lambda each: shaped(each.motion, fixed.x, fixed.y),
+            lambda each: shaped(each.motion, *by_axis),
             lambda each: ours.motion(each)[0],
         )
     )
     return {
         "none_um": ahead_um(none, None),
-        "shaper_um": ahead_um(mzv, None),
-        "in_step_um": ahead_um(mzv, fixed.x),
+        "shaper_um": ahead_um(shaping, None),
+        "in_step_um": ahead_um(shaping, by_axis[0]),
         "compensated_um": ahead_um(inverse, None),
     }
 

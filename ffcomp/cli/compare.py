@@ -121,10 +121,9 @@ def _refuse_beside(request: CompareRequest, quality: EqualQuality, figures: Path
 
 def _quickest_request(options: engine.Request, quality: EqualQuality) -> QuickestRequest:
     """Return the request at equal error: the same bound, part of the print and shapers."""
-    from ffcomp.comparison.methods import KINDS
     from ffcomp.comparison.quickest import QuickestRequest
     from ffcomp.faster.bound import Bound
-    from ffcomp.shapers.smooth import USUAL
+    from ffcomp.shapers.smooth import SHAPERS, USUAL
 
     bound = Bound(
         options.quality_bound_um,
@@ -133,7 +132,7 @@ def _quickest_request(options: engine.Request, quality: EqualQuality) -> Quickes
         min_layer_time_s=quality.min_layer_time_s,
         change_speed=quality.change_speed,
     )
-    shapers = tuple(name for name in options.only if name in KINDS)
+    shapers = tuple(name for name in options.only if name in SHAPERS)
     return QuickestRequest(bound, options.sampling, shapers or USUAL, options.mismatch, options.seeds)
 
 

@@ -18,7 +18,7 @@ from functools import partial
 import numpy as np
 
 from ffcomp.comparison import methods as every
-from ffcomp.comparison.baselines import VARIANT_NAMES, LinearPrinter, VariantTuner, resonance_tests
+from ffcomp.comparison.baselines import SHAPER_NAMES, LinearPrinter
 from ffcomp.comparison.equal_quality import QUALITY, equal_qualities, within_limits
 from ffcomp.comparison.evaluation import (
     SAMPLE_S,
@@ -100,7 +100,7 @@ def compare(
     chosen = {*names(request), written_method}
     progress = Stages(progress, _stages(request, len(chosen)))
     of_place = every.mode_frequencies(plant)
-    tuned = _tuned(machine, plant, of_place, tuning_slices, settings, chosen, progress)
+    tuned = _tuned(machine, plant, tuning_slices, settings, chosen, progress)
     labels = {COMPENSATED: every.PLAIN_LABEL, written_method: "ffcomp"}
     tuned = [replace(each, label=labels.get(each.name, each.label)) for each in tuned]
     predicted = _predicted(printed, replace(settings, robust=choice.robust)) if request.predict else {}
@@ -158,8 +158,8 @@ def names(request: Request) -> Collection[str]:
         raise ValueError(f"No method is named {unknown[0]!r}; there are {', '.join(every.NAMES)}.")
     if request.only == (ALL,):
         return every.NAMES
-    if request.only and not set(request.only) & {*every.KINDS, *VARIANT_NAMES}:
-        raise ValueError(f"Name at least one shaper to compare with: {', '.join(every.KINDS)}.")
+    if request.only and not set(request.only) & {*SHAPER_NAMES}:
+        raise ValueError(f"Name at least one shaper to compare with: {', '.join(SHAPER_NAMES)}.")
     return {"none", COMPENSATED, *request.only} if request.only else every.USUAL_NAMES
 
 
@@ -178,7 +178,6 @@ def _stages(request: Request, methods: int) -> dict[str, float]:
 def _tuned(
     machine: Machine,
     plant: Machine,
-    of_place: FrequencyOfPosition,
     tuning_slices: Sequence[PrintSlice],
     settings: Settings,
     names: Collection[str],
@@ -186,22 +185,15 @@ def _tuned(
 ) -> list[TunedMethod]:
     """Tune the methods; the searches share the processors."""
     linear = LinearPrinter(plant, tuning_slices)
-    tuner = VariantTuner(machine, plant, linear) if any(map(every.is_variant, names)) else None
-    tests = resonance_tests(plant) if any(name.endswith(every.CALIBRATED) for name in names) else []
 
     def method(name: str) -> TunedMethod:
-        if tuner is not None and every.is_variant(name):
-            return every.variant(tuner, machine, name)
-        kind = name.removesuffix(every.CALIBRATED).removesuffix(every.SCHEDULED)
         if name == "none":
             return every.none()
         if name in (every.ONE_MODEL, every.ROBUST, COMPENSATED):
             return every.inversion(machine, settings, name)
         if name.endswith(every.CALIBRATED):
-            return every.calibrated(tests, kind)
-        if name.endswith(every.SCHEDULED):
-            return every.scheduled(linear, of_place, kind)
-        return every.best_fixed(linear, kind)
+            return every.calibrated(linear, name.removesuffix(every.CALIBRATED))
+        return every.best_fixed(linear, name)
 
     return in_parallel([partial(method, name) for name in every.NAMES if name in names], TUNING, progress)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -10,17 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ffcomp import shapers
-from ffcomp.comparison.baselines import (
-    VARIANT_NAMES,
-    LinearPrinter,
-    ShaperVariant,
-    VariantTuner,
-    kind_and_variant,
-    shaped,
-    shaped_by_position,
-    shaped_by_variant,
-    shaper_variant,
-)
+from ffcomp.comparison.baselines import SHAPER_NAMES, LinearPrinter, Shaping, shaped
 from ffcomp.comparison.result import Family
 from ffcomp.comparison.sampling import PrintSlice
 from ffcomp.compensation.gcode_writer import GcodeRenderer
@@ -34,7 +24,6 @@ from ffcomp.planner.program import PlannedProgram, known_to_the_firmware, plan_p
 from ffcomp.planner.reach import within_reach
 from ffcomp.planner.trajectory import PlannedMotion, Trajectory
 from ffcomp.shapers.apply import FrequencyOfPosition
-from ffcomp.shapers.calibration import Spectrum, fit
 from ffcomp.shapers.smooth import USUAL
 from ffcomp.simulation.command import Motion, SectionClock, SectionStarts, motion_of, section_starts
 from gcode.reader import read_program
@@ -117,26 +106,22 @@ def pick(trajectory: PlannedMotion, which: NDArray[np.bool_] | slice) -> Traject
     return Trajectory(**{name: np.ascontiguousarray(getattr(trajectory, name)[which]) for name in names})
 
 
-KINDS = tuple(shapers.SHAPERS)
-CALIBRATED, SCHEDULED = "-calibrated", "-scheduled"  # behind a kind
+CALIBRATED = "-calibrated"  # after a shaper's name
 ONE_MODEL, ROBUST, COMPENSATED = "fbs-lti", "fbs-robust", "fbs-lpv"
 PLAIN_LABEL = "ffcomp, plain"  # of COMPENSATED, where another row is what the command line writes
 NAMES = (
     "none",
-    *(kind + CALIBRATED for kind in (*KINDS, *VARIANT_NAMES)),
-    *KINDS,
-    *VARIANT_NAMES,
-    *(kind + SCHEDULED for kind in KINDS),
+    *(name + CALIBRATED for name in SHAPER_NAMES),
+    *SHAPER_NAMES,
     ONE_MODEL,
     ROBUST,
     COMPENSATED,
 )  # in the order of the table
-USUAL_VARIANTS = ("mzv-z",)  # the best rival near the centre of a delta
+USUAL_SHAPERS = (*USUAL, "mzv-z")  # the second is the best rival near the centre of a delta
 USUAL_NAMES = tuple(  # compared unless others are named
     name
     for name in NAMES
-    if name.removesuffix(CALIBRATED).removesuffix(SCHEDULED) in (*USUAL, *USUAL_VARIANTS)
-    or name in ("none", ONE_MODEL, ROBUST, COMPENSATED)
+    if name.removesuffix(CALIBRATED) in USUAL_SHAPERS or name in ("none", ONE_MODEL, ROBUST, COMPENSATED)
 )
 
 
@@ -154,82 +139,30 @@ class TunedMethod:
     motion: Executor
 
 
-def is_variant(name: str) -> bool:
-    """Tell whether a method, calibrated or not, is a variant of newer firmware."""
-    return name.removesuffix(CALIBRATED) in VARIANT_NAMES
-
-
-def variant(tuner: VariantTuner, machine: Machine, name: str) -> TunedMethod:
-    """Return a variant by its method's name."""
-    shaper = shaper_variant(*kind_and_variant(name.removesuffix(CALIBRATED)), machine)
-    return tuned_variant(tuner, shaper, "calibrated" if name.endswith(CALIBRATED) else "best fixed", machine)
-
-
-def tuned_variant(tuner: VariantTuner, shaper: ShaperVariant, family: Family, machine: Machine) -> TunedMethod:
-    """Return a variant as its firmware would set it (family "calibrated") or at its best on this print."""
-    if family == "calibrated":
-        settings, how = tuner.calibrated(shaper), "Klipper's calibration from resonance tests in the middle of the bed."
-    else:
-        settings = tuner.best(shaper).settings
-        how = "the least contour rms on this print, sought with the plant known."
-    return fixed_variant(shaper, settings, family, how, machine)
-
-
-def fixed_variant(
-    shaper: ShaperVariant, settings: FloatArray, family: Family, how: str, machine: Machine
-) -> TunedMethod:
-    """Return a variant with these settings."""
-    name = shaper.kind + shaper.variant + (CALIBRATED if family == "calibrated" else "")
-    tuning = f"{shaper.settings_text(settings)}: {how}"
-
-    def motion(print_slice: PrintSlice) -> tuple[Motion, Statistics | None]:
-        return shaped_by_variant(shaper, print_slice.motion, settings, machine), None
-
-    return TunedMethod(name, f"{shaper.label}, {family}", family, tuning, motion)
-
-
 def none() -> TunedMethod:
     """Return the print without compensation."""
     tuning = "The firmware's plan as it stands."
     return TunedMethod("none", "no compensation", "none", tuning, lambda s: (s.motion, None))
 
 
-def calibrated(tests: Sequence[Spectrum], kind: str) -> TunedMethod:
-    """Return a shaper as the firmware's own resonance test at the bed's middle would set it.
-
-    tests : of x and y, see `resonance_tests`
-    """
-    frequency = [fit(kind, each).frequency_hz for each in tests]
-    tuning = f"x {frequency[0]:.1f} Hz, y {frequency[1]:.1f} Hz: Klipper's calibration from a resonance test at 0, 0."
-    x, y = (shapers.SHAPERS[kind](f, shapers.DAMPING_RATIO) for f in frequency)
-    return TunedMethod(kind + CALIBRATED, f"{kind.upper()}, calibrated", "calibrated", tuning, _shaping(x, y))
+def calibrated(linear: LinearPrinter, name: str) -> TunedMethod:
+    """Return a shaper as the firmware's own resonance test in the middle of the bed would set it."""
+    shaping, how = Shaping.of(name), "Klipper's calibration from resonance tests in the middle of the bed."
+    return fixed(shaping, linear.calibrated(shaping), "calibrated", how)
 
 
-def best_fixed(linear: LinearPrinter, kind: str) -> TunedMethod:
-    """Return a shaper at the fixed frequencies that serve this very print best."""
-    best = linear.best_fixed(kind)
-    x, y = best.frequency_hz
-    tuning = (
-        f"x {x:.1f} Hz, y {y:.1f} Hz, damping ratio {best.damping_ratio:g}: the least contour rms on this print, "
-        "sought with the plant known."
-    )
-    return TunedMethod(kind, f"{kind.upper()}, best fixed", "best fixed", tuning, _shaping(best.x, best.y))
+def best_fixed(linear: LinearPrinter, name: str) -> TunedMethod:
+    """Return a shaper at the fixed settings that serve this very print best."""
+    shaping, how = Shaping.of(name), "the least contour rms on this print, sought with the plant known."
+    return fixed(shaping, linear.best(shaping).settings, "best fixed", how)
 
 
-def scheduled(linear: LinearPrinter, of_position: FrequencyOfPosition, kind: str) -> TunedMethod:
-    """Return a shaper whose frequency follows the mode over the bed.
-
-    No firmware schedules by the place on the bed; Marlin's dynamic frequency mode does by height or by mass.
-    """
-    factor = linear.best_factor(kind, of_position)
-    tuning = (
-        f"{factor:.2f} times the frequency of the plant's dominant mode at each position, the best of twelve factors."
-    )
-
-    def motion(print_slice: PrintSlice) -> tuple[Motion, Statistics | None]:
-        return shaped_by_position(print_slice.motion, lambda xy: factor * of_position(xy), kind), None
-
-    return TunedMethod(kind + SCHEDULED, f"{kind.upper()}, scheduled", "scheduled", tuning, motion)
+def fixed(shaping: Shaping, settings: FloatArray, family: Family, how: str) -> TunedMethod:
+    """Return a shaper with these settings."""
+    by_axis = shaping.shapers(settings)
+    name = shaping.name + (CALIBRATED if family == "calibrated" else "")
+    tuning = f"{shaping.settings_text(settings)}: {how}"
+    return TunedMethod(name, f"{shaping.label}, {family}", family, tuning, lambda s: (shaped(s.motion, *by_axis), None))
 
 
 def inversion(machine: Machine, settings: Settings, name: str) -> TunedMethod:
@@ -250,10 +183,6 @@ def inversion(machine: Machine, settings: Settings, name: str) -> TunedMethod:
         return segments_motion(segments(file, s.machine, s.before, s.start)), file.statistics
 
     return TunedMethod(name, label, "inversion", tuning, motion)
-
-
-def _shaping(x: shapers.Shaper, y: shapers.Shaper) -> Executor:
-    return lambda print_slice: (shaped(print_slice.motion, x, y), None)
 
 
 def mode_frequencies(plant: Machine) -> FrequencyOfPosition:

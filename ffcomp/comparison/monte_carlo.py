@@ -14,7 +14,7 @@ from itertools import chain
 import numpy as np
 
 from ffcomp.comparison import methods as every
-from ffcomp.comparison.baselines import LinearPrinter, VariantTuner
+from ffcomp.comparison.baselines import LinearPrinter
 from ffcomp.comparison.evaluation import Execution, Piece, Progress, contour, in_parallel, in_processes, weights
 from ffcomp.comparison.methods import TunedMethod
 from ffcomp.comparison.result import Method, Spread
@@ -61,7 +61,7 @@ def with_spread(
     with_plants = dict(methods)
     for name, spread in _spreads(tuned, slices, plants, jobs, progress).items():
         with_plants[name] = replace(methods[name], spread=spread)
-    tasks = [partial(_retuned, best, few[0].machine, each, few, slices) for each in plants]
+    tasks = [partial(_retuned, best, each, few, slices) for each in plants]
     retuned = tuple(in_processes(tasks, jobs, TUNING_ON_PLANTS, progress))
     with_plants[best] = replace(with_plants[best], retuned=Spread(retuned))
     return with_plants
@@ -100,12 +100,6 @@ def _rms_on(plants: Sequence[Machine], pieces: Sequence[Piece]) -> list[float]:
     return [rms(contour(each), weights(each)) * 1e3 for each in executed]
 
 
-def _retuned(
-    name: str, machine: Machine, plant: Machine, few: Sequence[PrintSlice], slices: Sequence[PrintSlice]
-) -> float:
-    linear = LinearPrinter(plant, few)
-    if every.is_variant(name):
-        method = every.variant(VariantTuner(machine, plant, linear), machine, name)
-    else:
-        method = every.best_fixed(linear, name)
+def _retuned(name: str, plant: Machine, few: Sequence[PrintSlice], slices: Sequence[PrintSlice]) -> float:
+    method = every.best_fixed(LinearPrinter(plant, few), name)
     return _rms_on([plant], _commanded(method, slices))[0]

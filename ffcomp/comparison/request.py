@@ -91,9 +91,7 @@ class CompareRequest(Request):
             "Evaluate only these methods beside none and ffcomp, e.g. mzv,ei-calibrated. Shapers: zv, mzv, zvd, ei, "
             "2hump_ei, 3hump_ei, and, compared only when named, zvdd, zvddd (Marlin), smooth_zv, smooth_mzv, "
             "smooth_ei, smooth_2hump_ei, smooth_zvd_ei, smooth_si (Kalico's other branches); each also with "
-            "-calibrated and -scheduled; with -z (z shaped too), -carriages (each carriage by itself) or, if smooth, "
-            "-inverse and -inverse-z (one mode of x and y inverted), these also with -calibrated; fbs-lti, fbs-robust; "
-            "all.",
+            "-z (z shaped too), and each of these with -calibrated; fbs-lti, fbs-robust; all.",
             SPEED,
             metavar="NAMES",
             parse=parse_names,

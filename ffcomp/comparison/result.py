@@ -13,7 +13,7 @@ from ffcomp.numerics.serialise import to_json
 from models.arrays import BoolArray, FloatArray, IntArray
 from models.machine import Machine, assumed_modes
 
-Family = Literal["none", "calibrated", "best fixed", "scheduled", "inversion"]
+Family = Literal["none", "calibrated", "best fixed", "inversion"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,7 +89,7 @@ class EqualQuality:
 class Method:
     """One method, evaluated."""
 
-    name: str  # the key in JSON: none, zv, …, zv-calibrated, …, zv-scheduled, …, fbs-lti, fbs-robust, fbs-lpv
+    name: str  # the key in JSON: none, zv, …, zv-calibrated, …, fbs-lti, fbs-robust, fbs-lpv
     label: str  # for people
     family: Family
     tuning: str  # a sentence: what was chosen, and how
@@ -110,7 +110,7 @@ class Method:
         values = {
             **to_json(self.track),  # … TRACK: its keys stand here too, of all samples
             "label": self.label,  # for people
-            "family": self.family,  # none, calibrated, best fixed, scheduled or inversion
+            "family": self.family,  # none, calibrated, best fixed or inversion
             "tuning": self.tuning,  # what was chosen, and how
             "extruding": self.extruding,  # TRACK: where plastic flows only
             "by_layer": self.by_layer,  # .* ERROR: by the layer's number
@@ -245,7 +245,7 @@ class Comparison:
             # true or false: with this machine file `compensate` inverts robustly unless told otherwise
             "robust_by_default": self.robust.robust,
             "robust_reason": self.robust.reason,  # why, or why not
-            # .* METHOD: by name: none, zv, …, zv-calibrated, …, zv-scheduled, …, fbs-lti, fbs-robust, fbs-lpv
+            # .* METHOD: by name: none, zv, …, zv-calibrated, …, fbs-lti, fbs-robust, fbs-lpv
             "methods": {name: method.to_dict() for name, method in self.methods.items()},
             "seconds": self.seconds,  # number [s]: that it took
         }

@@ -26,7 +26,7 @@ matplotlib.use("Agg")
 
 # One colour, one meaning, in every figure and on every page; lines have contrast 3 with their ground, words 4.5.
 BEFORE, AFTER = "#bd4b00", "#0072b2"  # without compensation or diagnosis, and with it
-SHAPER, CALIBRATED, SCHEDULED = "#007a59", "#6b8e23", "#7a6a5a"  # the best of them, and those that are set otherwise
+SHAPER, CALIBRATED = "#007a59", "#6b8e23"  # the best of them, and those that the firmware sets
 BEYOND = "#b00020"  # more than the machine allows
 REFERENCE = "#222222"
 BAND, INK, SOFT, LINE, EDGE, PAPER = "#1f2a37", "#1f2a37", "#6b7280", "#e6e9ee", "#c5cad3", "#ffffff"
@@ -40,7 +40,6 @@ ON_DARK = {  # what each colour becomes where the reader's screen is dark
     AFTER: "#5bb4ea",
     SHAPER: "#3ecf9f",
     CALIBRATED: "#a9cc52",
-    SCHEDULED: "#c2b09c",
     BEYOND: "#ff8092",
     REFERENCE: "#f2f5f8",
     INK: "#e3e8ef",

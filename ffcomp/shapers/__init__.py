@@ -5,7 +5,7 @@ and only then turned into carriage paths, as Klipper does on a delta: taking T̄
 constant speed, so a `Shaper` holds the times with T̄ taken off already.
 """
 
-from ffcomp.shapers.apply import Position, dominant_frequencies, over_the_bed, scheduled_shape, shape, shape_carriages
+from ffcomp.shapers.apply import Position, dominant_frequencies, over_the_bed, shape
 from ffcomp.shapers.pulses import (
     DAMPING_RATIO,
     TOLERATED_VIBRATION,
@@ -20,7 +20,7 @@ from ffcomp.shapers.pulses import (
     zvdd,
     zvddd,
 )
-from ffcomp.shapers.smooth import SHAPERS, mode_inverse
+from ffcomp.shapers.smooth import SHAPERS
 
 __all__ = [
     "DAMPING_RATIO",
@@ -30,13 +30,10 @@ __all__ = [
     "Shaper",
     "dominant_frequencies",
     "ei",
-    "mode_inverse",
     "mzv",
     "over_the_bed",
     "residual_vibration",
-    "scheduled_shape",
     "shape",
-    "shape_carriages",
     "three_hump_ei",
     "two_hump_ei",
     "zv",

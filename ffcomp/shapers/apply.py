@@ -1,4 +1,4 @@
-"""Shape a planned motion, with the same shapers everywhere or with a frequency that changes over the bed."""
+"""Shape a planned motion, and find the frequencies of the modes over the bed."""
 
 from __future__ import annotations
 
@@ -6,11 +6,9 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from ffcomp.shapers.pulses import DAMPING_RATIO, Shaper
-from ffcomp.shapers.smooth import SHAPERS
+from ffcomp.shapers.pulses import Shaper
 from models.arrays import FloatArray
 from models.compiled import kernel
-from models.kinematics.base import Compiled
 from models.machine import Machine
 
 Position = Callable[[FloatArray], FloatArray]  # t : (k,) s → (k, 3) mm, at any time, resting before and after
@@ -34,53 +32,6 @@ def shape(
         axes = [j for j in range(3) if by_axis[j] is shaper]
         out[:, axes] = sum(
             a * position(t - delay)[:, axes] for a, delay in zip(shaper.amplitude, shaper.time, strict=True)
-        )
-    return out
-
-
-def shape_carriages(
-    position: Position, t: FloatArray, kinematics: Compiled, by_carriage: tuple[Shaper, Shaper, Shaper]
-) -> FloatArray:
-    """Return the position : (k, 3) mm of a nozzle each of whose carriages is shaped by itself, at the times t : (k,) s.
-
-    What Klipper's author tried on his delta: one shaper per tower, after the inverse kinematics instead of before.
-    """
-
-    def carriages(at: FloatArray) -> FloatArray:
-        return kinematics.inverse(np.ascontiguousarray(position(at)))
-
-    return kinematics.forward(shape(carriages, t, *by_carriage))
-
-
-def scheduled_shape(
-    position: Position,
-    t: FloatArray,
-    frequency_of_position: FrequencyOfPosition,
-    kind: str,
-    damping_ratio: float = DAMPING_RATIO,
-) -> FloatArray:
-    """Shape with x and y shapers whose frequency is that of the position where the plan is at each time.
-
-    x_s(t) = Σ A_i x(t - T_i / f(x(t))), T_i in periods. No firmware has it: Marlin's frequency may follow the
-    height or the printed mass, elsewhere a change of the shaper is a full stop. Looked up at t, not when the
-    pulses set out: so the amplitudes still sum to one, rest stays rest, and the position is as continuous as
-    the frequency is over the bed.
-
-    NOTE: mzv wants the frequency of the mode itself; the wider shapers want more, so that the mode lies at the low end
-    of what they suppress and they smooth less: on three sample prints 1.2-1.3 times for zvd and ei, 1.45-1.6 times for
-    2hump_ei.
-
-    kind : a name in `SHAPERS`
-    """
-    in_periods = SHAPERS[kind](1.0, damping_ratio)
-    out = np.array(position(t), dtype=float)
-    frequency = frequency_of_position(out[:, :2].copy())
-    if (wrong := frequency[~(frequency > 0)]).size:
-        raise ValueError(f"A shaper's frequency must be above zero at every position, not {wrong[0]} Hz.")
-    for axis in range(2):
-        out[:, axis] = sum(
-            a * position(t - delay / frequency[:, axis])[:, axis]
-            for a, delay in zip(in_periods.amplitude, in_periods.time, strict=True)
         )
     return out
 
@@ -117,40 +68,6 @@ def on_grid(shaper: Shaper, step_s: float) -> tuple[int, FloatArray]:
     for shift, share in ((-1, (off**2 - off) / 2), (0, 1 - off**2), (1, (off**2 + off) / 2)):
         np.add.at(weights, middle + shift - first, shaper.amplitude * share)
     return first, weights
-
-
-def shape_samples_by_frequency(
-    samples: FloatArray, frequency_hz: FloatArray, kind: str, step_s: float, margin: int
-) -> FloatArray:
-    """Return the samples (margin + n + margin, 3), shaped in x and y with the frequencies (n, 2) of each moment.
-
-    As `apply.scheduled_shape` does, on an even grid: (n, 3).
-    """
-    in_periods = SHAPERS[kind](1.0, DAMPING_RATIO)
-    out = samples[margin : len(samples) - margin].copy()
-    for axis in range(2):
-        delays = 1.0 / (frequency_hz[:, axis] * step_s)
-        out[:, axis] = _delayed(
-            np.ascontiguousarray(samples[:, axis]), delays, in_periods.amplitude, in_periods.time, margin
-        )
-    return out
-
-
-@kernel
-def _delayed(
-    column: FloatArray, period_steps: FloatArray, amplitude: FloatArray, periods: FloatArray, margin: int
-) -> FloatArray:
-    """Sum the pulses' delayed values, each from the parabola through the three samples that are nearest."""
-    out = np.zeros(len(period_steps))
-    last = len(column) - 2
-    for k in range(len(out)):
-        for j in range(len(amplitude)):
-            at = margin + k - periods[j] * period_steps[k]
-            i = min(max(int(np.rint(at)), 1), last)
-            off = min(max(at - i, -1.0), 1.0)
-            bend = 0.5 * (column[i + 1] - 2.0 * column[i] + column[i - 1])
-            out[k] += amplitude[j] * (column[i] + off * (0.5 * (column[i + 1] - column[i - 1]) + off * bend))
-    return out
 
 
 def dominant_frequencies(machine: Machine, xy: FloatArray) -> FloatArray:

@@ -107,15 +107,6 @@ def resonance_test(
     return _answer(response, acceleration_per_hz)
 
 
-def carriage_test_psd(machine: Machine, xy: FloatArray, carriage: int) -> Spectrum:
-    """Return the spectrum of the same test with one carriage excited, the others held."""
-
-    def response(lines: FloatArray) -> ComplexArray:
-        return machine.vibration.frequency_response(xy, lines, "nozzle", "carriage")[:, :, carriage]
-
-    return normalised(*_density(_answer(response, ACCELERATION_PER_HZ)))
-
-
 def _answer(response: Callable[[FloatArray], ComplexArray], acceleration_per_hz: float) -> FloatArray:
     """Return the nozzle's acceleration (n, 3) mm/s² at RATE_HZ under the test's pulses.
 

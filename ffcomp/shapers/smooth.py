@@ -18,7 +18,6 @@ import numpy as np
 from ffcomp.shapers.pulses import DAMPING_RATIO, Shaper, ei, mzv, three_hump_ei, two_hump_ei, zv, zvd, zvdd, zvddd
 
 NODES = 24  # of the sum: the position along a 30 ms kernel is then exact to 0.1 µm at an acceleration's step of 10 m/s²
-INVERSE_NODES = 64  # with the kernel's second derivative: to 0.1 µm too, at 5 m/s² and a mode of 40 Hz
 
 
 @dataclass(frozen=True)
@@ -41,23 +40,6 @@ class Kernel:
         if not frequency_hz > 0:
             raise ValueError(f"A shaper's frequency must be above zero, not {frequency_hz} Hz.")
         return self.support_periods / frequency_hz
-
-    def with_derivatives(self, name: str, frequency_hz: float, first_s: float, second_s2: float) -> Shaper:
-        """Return the kernel followed by x + first ẋ + second ẍ, on the kernel's own time.
-
-        The derivatives are the kernel's: ẍ_s = ∫ w''(τ) x(t − τ) dτ + w'(−T/2) x(t + T/2) − w'(T/2) x(t − T/2).
-        """
-        support = self.support_s(frequency_hz)
-        w = np.polynomial.Polynomial(self.coefficients[::-1])
-        nodes, weights = np.polynomial.legendre.leggauss(INVERSE_NODES)
-        at, share = nodes / 2, weights / 2
-        area = share @ w(at)
-        k1, k2 = first_s / support, second_s2 / support**2
-        inside = share * (w(at) + k1 * w.deriv()(at) + k2 * w.deriv(2)(at))
-        begin, end = k2 * w.deriv()(-0.5), -k2 * w.deriv()(0.5)
-        amplitude = np.concatenate([[begin], inside, [end]]) / area
-        mean = support * (share @ (w(at) * at)) / area
-        return Shaper(name, amplitude, support * np.concatenate([[-0.5], at, [0.5]]) - mean)
 
 
 KERNELS = {
@@ -137,24 +119,6 @@ def smooth(name: str, frequency_hz: float, damping_ratio: float = DAMPING_RATIO)
     """Return a smooth shaper; the published kernels are for one damping ratio, whatever the mode's is."""
     del damping_ratio
     return KERNELS[name].shaper(name, frequency_hz)
-
-
-def mode_inverse(name: str, frequency_hz: float, mode_hz: float, damping_ratio: float) -> Shaper:
-    """Return a smooth shaper followed by the inverse of one mode: u = x + (2ζ/ω) ẋ + ẍ/ω².
-
-    So an axis with nothing but this mode follows the smoothed plan exactly; one firmware has it (dderg's Kalico,
-    `mode_inverse`). At constant speed the command runs ahead by the 2ζ/ω that such an axis lags behind, so the mean
-    delay is not zero but minus that.
-
-    Parameters
-    ----------
-    name, frequency_hz : of the kernel, one of `KERNELS`
-    mode_hz, damping_ratio : of the mode that is inverted
-    """
-    if not mode_hz > 0:
-        raise ValueError(f"A mode's frequency must be above zero, not {mode_hz} Hz.")
-    omega = 2 * np.pi * mode_hz
-    return KERNELS[name].with_derivatives(name, frequency_hz, 2 * damping_ratio / omega, 1 / omega**2)
 
 
 SHAPERS: dict[str, Callable[[float, float], Shaper]] = {

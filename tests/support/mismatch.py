@@ -5,8 +5,9 @@ from __future__ import annotations
 from functools import cache
 from unittest.mock import patch
 
+from ffcomp import shapers
 from ffcomp.comparison import methods as every
-from ffcomp.comparison.baselines import resonance_tests, shaped_by_position
+from ffcomp.comparison.baselines import LinearPrinter, shaped
 from ffcomp.comparison.evaluation import Stages
 from ffcomp.comparison.methods import TunedMethod
 from ffcomp.comparison.monte_carlo import ON_PLANTS, TUNING_ON_PLANTS, draw_plants, with_spread
@@ -25,11 +26,11 @@ MACHINE = load_machine("mp-delta-pro")
 @cache
 def tuned() -> list[TunedMethod]:
     """One method of each kind that is commanded in another way, without a search."""
-    place = every.mode_frequencies(MACHINE)
+    zv = shapers.zv(40.0)
     return [
         every.none(),
-        every.calibrated(resonance_tests(MACHINE), "mzv"),
-        TunedMethod("zv-scheduled", "", "scheduled", "", lambda s: (shaped_by_position(s.motion, place, "zv"), None)),
+        every.calibrated(LinearPrinter(MACHINE, []), "mzv"),
+        TunedMethod("zv", "", "best fixed", "", lambda s: (shaped(s.motion, zv, zv), None)),
         every.inversion(MACHINE, settings_for(MACHINE), every.COMPENSATED),
     ]
 

@@ -37,7 +37,6 @@ from ffcomp.report.drawing import (
     INK,
     LINE,
     REFERENCE,
-    SCHEDULED,
     SHAPER,
     SOFT,
     Box,
@@ -51,7 +50,6 @@ FAMILIES: dict[Family, str] = {
     "none": NONE,
     "calibrated": CALIBRATED,
     "best fixed": BEST,
-    "scheduled": SCHEDULED,
     "inversion": COMPENSATED,
 }
 

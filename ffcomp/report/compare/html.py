@@ -44,7 +44,6 @@ FAMILY_WORDS: dict[Family, str] = {
     "none": "as the firmware would print it",
     "calibrated": "input shapers as the firmware's own resonance test sets them",
     "best fixed": "input shapers at the best frequencies for this print, the printer known",
-    "scheduled": "input shapers whose frequency follows the place on the bed: no firmware has them",
     "inversion": "the motion computed backwards through a model of the printer",
 }
 

@@ -294,8 +294,6 @@ GLOSSARY = {
     "best fixed": "For each kind of shaper the frequencies and damping ratio with the least contour error on this very "
     "print, sought with the virtual printer known. No owner can tune this well: it is the fairest rival.",
     "calibrated": "What Klipper's resonance test at the middle of the bed would choose on this virtual printer.",
-    "scheduled": "A shaper whose frequency follows the resonance at each position on the bed. No firmware has that; "
-    "Marlin's can follow the height or the mass that was printed.",
     "Monte-Carlo plants": "Printers whose masses, stiffnesses, dampings and drives are all off by random shares, "
     "unknown to every method; “tuned again” is the best fixed shaper with its frequencies sought anew on each of them.",
     "equal quality": "Every move of the print is planned with one acceleration, raised until 1 % of the contour error "

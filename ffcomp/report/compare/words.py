@@ -18,7 +18,6 @@ FAMILY_NAMES: dict[Family, str] = {
     "none": "no compensation",
     "calibrated": "shaper, calibrated",
     "best fixed": "shaper, best fixed",
-    "scheduled": "shaper, scheduled",
     "inversion": "ffcomp",
 }
 

@@ -5,24 +5,24 @@ from __future__ import annotations
 import json
 from dataclasses import fields, replace
 from functools import cache
+from itertools import product
 
 import numpy as np
 import pytest
 
-from ffcomp.comparison.baselines import LinearPrinter, resonance_tests
+from ffcomp.comparison.baselines import LinearPrinter, Shaping
 from ffcomp.comparison.engine import Request, compare, names
 from ffcomp.comparison.equal_quality import within_limits
 from ffcomp.comparison.methods import COMPENSATED, NAMES, ROBUST, best_fixed, calibrated, mode_frequencies
 from ffcomp.comparison.result import Comparison
 from ffcomp.comparison.sampling import Print, Sampling
 from ffcomp.metrics import Track
-from ffcomp.shapers import SHAPERS
 from models.effects.catalogue import with_effect
 from models.file import load_machine
 from tests.support.prints import squares
 
 MACHINE = load_machine("mp-delta-pro")
-ONLY = ("mzv", "zv-calibrated", "ei-scheduled", "fbs-lti", "fbs-robust")
+ONLY = ("mzv", "zv-calibrated", "ei-calibrated", "fbs-lti", "fbs-robust")
 
 
 PRINTED = Print(squares(), "squares.gcode", MACHINE)
@@ -126,15 +126,14 @@ def test_the_search_beats_the_calibration_and_its_neighbours() -> None:
     (stretch,), _ = PRINTED.slices(Sampling())
     linear = LinearPrinter(MACHINE, [stretch])
     best = linear.contour_rms_um([best_fixed(linear, "ei").motion(stretch)[0]])
-    assert best < linear.contour_rms_um([calibrated(resonance_tests(MACHINE), "ei").motion(stretch)[0]])
-    fixed = linear.best_fixed("ei")
-    x, y = fixed.frequency_hz
-    assert best == pytest.approx(fixed.cost, rel=1e-4)  # the search samples the plan, the print asks it anew
-    from ffcomp.comparison.baselines import shaped
-
-    for fx, fy in ((1.05, 1.0), (0.95, 1.0), (1.0, 1.05), (1.0, 0.95)):
-        near = (SHAPERS["ei"](f, fixed.damping_ratio) for f in (fx * x, fy * y))
-        assert linear.contour_rms_um([shaped(stretch.motion, *near)]) >= best
+    assert best < linear.contour_rms_um([calibrated(linear, "ei").motion(stretch)[0]])
+    shaping = Shaping("ei")
+    found = linear.best(shaping)
+    assert best == pytest.approx(found.cost, rel=1e-4)  # the search samples the plan, the print asks it anew
+    for k, factor in product(range(3), (1.05, 0.95)):
+        near = found.settings.copy()
+        near[k] *= factor
+        assert linear.cost(shaping, near) >= found.cost
 
 
 def test_commands_beyond_the_carriages_limits_do_not_count() -> None:

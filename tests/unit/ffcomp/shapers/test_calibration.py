@@ -15,7 +15,6 @@ from ffcomp import shapers
 from ffcomp.measurement.klipper import Resonances
 from ffcomp.measurement.vibration import read_vibration
 from ffcomp.shapers import calibration as calibrate
-from ffcomp.shapers import search
 from models.arrays import constant
 from models.file import load_machine
 from models.kinds import delta_vibration, with_parts
@@ -196,38 +195,3 @@ def test_a_calibrated_machine_has_its_modes_shaped() -> None:
     machine = load_machine("kossel")
     hz = [calibrate.fit("zv", calibrate.resonance_test_psd(machine, np.zeros(2), axis)).frequency_hz for axis in "xy"]
     assert hz == pytest.approx(shapers.dominant_frequencies(machine, np.zeros((1, 2)))[0], rel=0.01)
-
-
-# ---- the best of all -----------------------------------------------------------------------------
-
-
-def left(shaper: shapers.Shaper, hz: float, zeta: float) -> float:
-    return float(shapers.residual_vibration(shaper, np.array([hz]), zeta)[0])
-
-
-@pytest.mark.parametrize("kind", shapers.SHAPERS)
-def test_the_best_fixed_shapers_sit_on_the_vibrations_they_are_for(kind: str) -> None:
-    """Shortest among those that leave next to nothing at 41.3 and 66.6 Hz, with the right damping."""
-
-    def judge(x: shapers.Shaper, y: shapers.Shaper) -> float:
-        return left(x, 41.3, 0.05) ** 2 + left(y, 66.6, 0.05) ** 2 + 0.01 * (x.duration_s + y.duration_s)
-
-    best = search.best_fixed(kind, judge, damping_ratios=(0.02, 0.05, 0.1))
-    assert best.cost == judge(best.x, best.y)
-    beside = [(f, 1.0) for f in (0.95, 1.05)] + [(1.0, f) for f in (0.95, 1.05)]
-    for a, b in beside:
-        x_hz, y_hz = best.frequency_hz[0] * a, best.frequency_hz[1] * b
-        make = shapers.SHAPERS[kind]
-        assert judge(make(x_hz, best.damping_ratio), make(y_hz, best.damping_ratio)) >= best.cost
-    if kind in ("zv", "mzv", "zvd"):
-        assert best.damping_ratio == 0.05
-        assert best.frequency_hz == pytest.approx((41.3, 66.6), rel=0.03)
-
-
-def test_the_best_fixed_shaper_is_found_beyond_a_nearer_dip() -> None:
-    def judge(x: shapers.Shaper, y: shapers.Shaper) -> float:
-        hz = np.array([0.5 / x.duration_s, 0.5 / y.duration_s])  # of undamped zv
-        return float(np.sum(np.minimum(1 + np.abs(hz - 30.0), np.abs(hz - 77.0) / 3)))
-
-    best = search.best_fixed("zv", judge, damping_ratios=(0.0,))
-    assert best.frequency_hz == pytest.approx((77.0, 77.0), rel=0.01)
