@@ -4,7 +4,6 @@
 
 For each sample print eight stretches, 36 s in all, and a small square far from the bed's middle; N printers (20) whose
 dynamic numbers are all off. The machine file says how unsure it is; robust inversion wants what is best over that.
-Where a plan that takes longer is looked at, the shapers have the same one, tuned for it.
 """
 
 from __future__ import annotations
@@ -27,10 +26,6 @@ from ffcomp.comparison.methods import COMPENSATED, ROBUST, TunedMethod, best_fix
 from ffcomp.comparison.monte_carlo import draw_plants
 from ffcomp.comparison.sampling import Print, PrintSlice, Sampling
 from ffcomp.inverse.settings import settings_for
-from ffcomp.planner.limits import planner_limits
-from ffcomp.planner.lookahead import junction_limits, plan_moves, stops_and_waits
-from ffcomp.planner.s_curve import SCurve, s_curve
-from ffcomp.planner.trajectory import split_sections
 from ffcomp.simulation.playback import simulate_nozzles
 from models.file import load_machine
 from models.machine import Machine, value_of, with_values
@@ -42,7 +37,6 @@ SQUARE = "20 mm square"
 SECONDS, PIECE_S = 36.0, 4.5
 AIM = 4.0  # times below the best shaper, at 10 %
 SHAPERS = ("mzv", "ei", "2hump_ei")
-BUDGETS = (0.009, 0.03)  # shares by which a plan may take longer; the first is that of --s-curve
 
 Draw = Callable[[Machine, int], list[Machine]]
 
@@ -78,7 +72,6 @@ class Found:
     """Contour rms, µm."""
 
     label: str
-    longer: float  # share by which its plan takes longer
     nominal: float
     off: list[float]  # of each printer
 
@@ -100,18 +93,6 @@ def stretches_of(name: str, machine: Machine) -> list[PrintSlice]:
     return whole.slices(Sampling(share=min(1.0, SECONDS / whole.print_time_s)), PIECE_S)[0]
 
 
-def slower(stretch: PrintSlice, share: float) -> PrintSlice:
-    """On the same path, with gentler ramps in a time longer by a share."""
-    planned, machine = stretch.planned, stretch.machine
-    moves, limits = planned.program.moves, planner_limits(machine)
-    stops, waits = stops_and_waits(planned.program)
-    plan = plan_moves(moves, limits, stop_before=stops, wait_before=waits)
-    allowed = junction_limits(moves, limits, stops | (waits > 0.0))
-    most = SCurve(slower=share, limit_mm_per_s2=machine.limits.acceleration_mm_per_s2)
-    gentle = s_curve(plan, machine.kinematics.compiled().inverse, most, allowed_v=allowed)
-    return replace(stretch, planned=replace(planned, trajectory=gentle, sections=split_sections(gentle, stops)))
-
-
 def judged(
     stretches: Sequence[PrintSlice], way: TunedMethod, plants: Sequence[Machine], machine: Machine
 ) -> list[float]:
@@ -126,10 +107,10 @@ def judged(
 
 
 class Comparison:
-    """The stretches of one print on one plan, and the shapers that serve them best."""
+    """The stretches of one print, and the shapers that serve them best."""
 
-    def __init__(self, stretches: Sequence[PrintSlice], longer: float = 0.0) -> None:
-        self.stretches, self.longer, self.machine = stretches, longer, stretches[0].machine
+    def __init__(self, stretches: Sequence[PrintSlice]) -> None:
+        self.stretches, self.machine = stretches, stretches[0].machine
         linear = LinearPrinter(self.machine, stretches)
         self.shapers = [best_fixed(linear, kind) for kind in SHAPERS]
 
@@ -143,12 +124,12 @@ class Comparison:
 
     def _found(self, way: TunedMethod, plants: Sequence[Machine]) -> Found:
         nominal, *off = judged(self.stretches, way, plants, self.machine)
-        return Found(way.label, self.longer, nominal, off)
+        return Found(way.label, nominal, off)
 
 
 @dataclass(frozen=True)
 class Against:
-    """One of our ways against the best shaper on the firmware's plan."""
+    """One of our ways against the best shaper."""
 
     name: str  # of the print
     off: Off
@@ -166,38 +147,34 @@ class Against:
         return sum(a > b for a, b in zip(self.way.off, self.shaper.off, strict=True))
 
 
-def against_shapers(name: str, off: Off, plans: Sequence[Comparison], count: int) -> Iterator[tuple[Against, Found]]:
-    """Yield each method, and the best shaper on its own plan: the given plan first, then those that take longer."""
-    machine = plans[0].machine
+def against_shapers(name: str, off: Off, comparison: Comparison, count: int) -> Iterator[Against]:
+    """Yield the best shaper, then each inversion."""
+    machine = comparison.machine
     plants = [machine, *off.draw(machine, count)]
-    given = plans[0].shaper(plants)
-    for plan in plans:
-        shaper = given if plan is plans[0] else plan.shaper(plants)
-        yield Against(name, off, shaper, given), shaper
-        for kind in (COMPENSATED, ROBUST) if plan is plans[0] else (ROBUST,):
-            yield Against(name, off, plan.inversion(kind, off.sd, plants), given, kind), shaper
+    shaper = comparison.shaper(plants)
+    yield Against(name, off, shaper, shaper)
+    for kind in (COMPENSATED, ROBUST):
+        yield Against(name, off, comparison.inversion(kind, off.sd, plants), shaper, kind)
 
 
-def row(against: Against, shaper: Found) -> dict[str, Any]:
-    """Return what the page says of a method. shaper : the best on the method's own plan"""
-    found, compared = against.way, against.way is not shaper
+def row(against: Against) -> dict[str, Any]:
+    """Return a method's row of the page."""
+    found, compared = against.way, against.way is not against.shaper
     return {
         "print": against.name,
         "off_by": against.off.label,
-        "longer": found.longer,
         "method": found.label,
         "nominal_um": found.nominal,
         "median_um": found.median,
         "mean_um": np.mean(found.off),
         "worst_um": max(found.off),
         "times_below": against.times if compared else None,
-        "times_below_same_plan": shaper.median / found.median if compared else None,
         "above": against.above if compared else None,
     }
 
 
 def summary(found: Sequence[Against], label: str) -> dict[str, Any]:
-    """Return how many times below the shaper the medians of a method are on the given plan, and where it is above."""
+    """Return how many times below the shaper the medians of a method are, and where it is above."""
     cases = []
     for off in CASES:
         on_prints = [each.times for each in found if each.off is off and each.name != SQUARE]
@@ -213,15 +190,12 @@ def main() -> None:
     parser.add_argument("--plants", type=int, default=20)
     count = parser.parse_args().plants
     machine = load_machine("mp-delta-pro")
-    found: list[tuple[Against, Found]] = []
+    found: list[Against] = []
     for name in (*PRINTS, SQUARE):
-        stretches = stretches_of(name, machine)
-        given, gentler = Comparison(stretches), list[Comparison]()
-        if name != SQUARE:
-            gentler = [Comparison([slower(each, share) for each in stretches], share) for share in BUDGETS]
+        comparison = Comparison(stretches_of(name, machine))
         for off in CASES:
-            found += against_shapers(name, off, [given, *(gentler if off is CASES[-1] else ())], count)
-    of_kind = {kind: [a for a, _ in found if a.kind == kind and a.way.longer == 0.0] for kind in (COMPENSATED, ROBUST)}
+            found += against_shapers(name, off, comparison, count)
+    of_kind = {kind: [each for each in found if each.kind == kind] for kind in (COMPENSATED, ROBUST)}
     missed = [each for each in of_kind[ROBUST] if each.off is not CASES[0] and each.times < AIM]
     save(
         "robust",
@@ -231,7 +205,7 @@ def main() -> None:
             "plants": count,
             "shapers": SHAPERS,
             "aim_times": AIM,
-            "rows": [row(*each) for each in found],
+            "rows": [row(each) for each in found],
             "summary": [
                 summary(of_kind[COMPENSATED], "Scheduled inversion"),
                 summary(of_kind[ROBUST], "Robust inversion"),

@@ -93,9 +93,7 @@ class Original:
 
     @property
     def trajectory(self) -> Trajectory:
-        trajectory = self.planned.trajectory
-        assert isinstance(trajectory, Trajectory)  # as the firmware plans it, without S-curves
-        return trajectory
+        return self.planned.trajectory
 
     @property
     def corner_velocity_mm_per_s(self) -> float:

@@ -188,7 +188,6 @@ def _small() -> Iterator[Run]:
     """A print of eleven seconds with every option."""
     source = "examples/print.gcode"
     ways = {
-        "s-curve": (("--s-curve",), True),
         "exact": (("--inverse", "exact"), False),
         "robust": (("--robust",), False),
         "offset": (("--offset-mm", "20,-15", "--flavor", "marlin"), True),

@@ -22,7 +22,7 @@ from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.settings import Settings
 from ffcomp.planner.program import PlannedProgram, known_to_the_firmware, plan_program
 from ffcomp.planner.reach import within_reach
-from ffcomp.planner.trajectory import PlannedMotion, Trajectory
+from ffcomp.planner.trajectory import Trajectory
 from ffcomp.shapers.apply import FrequencyOfPosition
 from ffcomp.shapers.smooth import USUAL
 from ffcomp.simulation.command import Motion, SectionClock, SectionStarts, motion_of, section_starts
@@ -100,7 +100,7 @@ def segments_motion(compensated_segments: Segments) -> Motion:
     )
 
 
-def pick(trajectory: PlannedMotion, which: NDArray[np.bool_] | slice) -> Trajectory:
+def pick(trajectory: Trajectory, which: NDArray[np.bool_] | slice) -> Trajectory:
     """Return some moves of a plan."""
     names = Trajectory.__dataclass_fields__
     return Trajectory(**{name: np.ascontiguousarray(getattr(trajectory, name)[which]) for name in names})

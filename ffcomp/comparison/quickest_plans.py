@@ -23,7 +23,7 @@ from ffcomp.inverse.settings import Settings
 from ffcomp.planner.limits import planner_limits
 from ffcomp.planner.lookahead import stops_and_waits
 from ffcomp.planner.program import PlannedProgram, plan_program
-from ffcomp.planner.trajectory import PlannedMotion
+from ffcomp.planner.trajectory import Trajectory
 from gcode.layers import Labels
 from models.arrays import BoolArray, FloatArray, IntArray
 from models.machine import Machine
@@ -89,7 +89,7 @@ class BoundedSlice:
         return faster, plan_program(faster.program, part.machine)
 
 
-def seconds_of(plan: PlannedMotion) -> FloatArray:
+def seconds_of(plan: Trajectory) -> FloatArray:
     """Return what each move of a plan takes, (n,) s; a wait counts to the move before."""
     return np.diff(np.append(plan.start_t, plan.end_t))
 

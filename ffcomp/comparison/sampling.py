@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from ffcomp.errors import NothingToDo
 from ffcomp.planner.program import PlannedProgram, known_to_the_firmware, plan_program
 from ffcomp.planner.reach import within_reach
-from ffcomp.planner.trajectory import PlannedMotion
+from ffcomp.planner.trajectory import Trajectory
 from ffcomp.simulation.command import Motion, path_corners, planned_motion
 from gcode.dialects import detect_flavor
 from gcode.layers import Labels, labels, outer_walls
@@ -158,7 +158,7 @@ class PrintSlice:
     weight: FloatArray | None = None  # (n,) of each move's samples, where the slices stand for a whole; None: 1
 
     @property
-    def trajectory(self) -> PlannedMotion:
+    def trajectory(self) -> Trajectory:
         """The plan of its moves."""
         return self.planned.trajectory
 
@@ -182,7 +182,7 @@ class PrintSlice:
         return replace(self, planned=accelerated(self.planned, self.machine, acceleration))
 
 
-def _extrudes(trajectory: PlannedMotion) -> NDArray[np.bool_]:
+def _extrudes(trajectory: Trajectory) -> NDArray[np.bool_]:
     direction = trajectory.direction
     return np.asarray((direction[:, 3] > 0.0) & np.any(direction[:, :3] != 0.0, axis=1))
 

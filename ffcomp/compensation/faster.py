@@ -16,7 +16,7 @@ from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.reference import WHOLE, Extent, context_s
 from ffcomp.inverse.settings import Settings
 from ffcomp.planner.program import PlannedProgram, firmware_plan, plan_program
-from ffcomp.planner.trajectory import PlannedMotion, Trajectory
+from ffcomp.planner.trajectory import Trajectory
 from gcode.layers import labels
 from gcode.program import Program
 from models.arrays import BoolArray
@@ -48,7 +48,7 @@ class Faster:
         )
 
 
-def faster_chunk(chunk: Chunk, bound: Bound, model: InverseModel, smooth: bool) -> tuple[PlannedProgram, Faster]:
+def faster_chunk(chunk: Chunk, bound: Bound, model: InverseModel) -> tuple[PlannedProgram, Faster]:
     """Plan a chunk as quick as the bound allows; around a cut in motion it keeps the slicer's motion.
 
     So the chunks on both sides of a cut find the same plan there, each by itself.
@@ -65,10 +65,10 @@ def faster_chunk(chunk: Chunk, bound: Bound, model: InverseModel, smooth: bool) 
         quick = in_whole_segments(quicker.program, quicker.free, chunk.extent, machine, model.settings)
     if quick is None:
         seconds = _by_feature(program, slicers, chunk.feature)
-        return plan_program(program, machine, smooth), Faster(
+        return plan_program(program, machine), Faster(
             seconds, seconds, slicers.end_t, {AS_SLICED: slicers.end_t}, (_not_faster(chunk),), bound.loosest_um
         )
-    planned = plan_program(quick, machine, smooth)
+    planned = plan_program(quick, machine)
     return (
         replace(planned, firmware_s=slicers.end_t),
         Faster(
@@ -90,7 +90,7 @@ def _near_cuts(chunk: Chunk, slicers: Trajectory) -> BoolArray:
     return near
 
 
-def _by_feature(program: Program, plan: PlannedMotion, feature: str) -> dict[str, float]:
+def _by_feature(program: Program, plan: Trajectory, feature: str) -> dict[str, float]:
     named = labels(program, feature)
     seconds = np.bincount(named.feature, plan.duration, len(named.features))
     return {name: float(s) for name, s in zip(named.features, seconds, strict=True) if s > 0.0}

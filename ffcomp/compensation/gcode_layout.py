@@ -18,7 +18,7 @@ import numpy as np
 from ffcomp.inverse.reference import Reference
 from ffcomp.inverse.settings import CUT
 from ffcomp.planner.lifts import FLOWS_MM, even_wipes
-from ffcomp.planner.trajectory import PlannedMotion, Section
+from ffcomp.planner.trajectory import Section, Trajectory
 from gcode.program import Event, Program
 from models.arrays import BoolArray, FloatArray, IntArray
 from models.compiled import kernel
@@ -87,7 +87,7 @@ class _Lines:
 
 def timeline(
     program: Program,
-    trajectory: PlannedMotion,
+    trajectory: Trajectory,
     run: Section,
     reference: Reference,
     vertices: FloatArray,
@@ -138,7 +138,7 @@ class _Laid(NamedTuple):
 
 
 def _lines_of(
-    program: Program, trajectory: PlannedMotion, run: Section, reference: Reference, inside: list[Event], tile: Tile
+    program: Program, trajectory: Trajectory, run: Section, reference: Reference, inside: list[Event], tile: Tile
 ) -> tuple[_Lines, list[Event], FloatArray]:
     """Return the original's lines whose time lies in a tile or its context, the events among them, and times in knots.
 

@@ -14,7 +14,6 @@ from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
 from operator import itemgetter
-from typing import cast
 
 import numpy as np
 
@@ -28,7 +27,7 @@ from ffcomp.planner.lifts import join_lifts
 from ffcomp.planner.reprapfirmware import reprapfirmware_settings
 from ffcomp.planner.segment_merging import at_most, lengthen, merge, refit
 from ffcomp.planner.segment_timing import TimedSegments, segment_speeds
-from ffcomp.planner.trajectory import Section, Trajectory
+from ffcomp.planner.trajectory import Section
 from gcode.dialects import KLIPPER, MARLIN, REPRAPFIRMWARE, close_limits, limit_line, open_limits
 from gcode.embedded import CUT_SHORT, OURS, WAS, joined, like_ours, section_time_line
 from gcode.emit import MoveWriter
@@ -537,7 +536,7 @@ class GcodeRenderer:
             events = timeline(planned.program, solved.trajectory, solved.section, reference, part, inside, tile)
             if tile.end == end < reference.knots and self._extent.end is not None:
                 # where whole steps keep a motion that was slowed down from ending at a knot, the next one resumes here
-                t = self._extent.end.time_in(cast(Trajectory, solved.trajectory))
+                t = self._extent.end.time_in(solved.trajectory)
                 ends = float(solved.trajectory.position(np.array([t]))[0, 3])
                 events.e[np.searchsorted(events.at, end)] = (
                     ends + reference.lead_at(np.array([reference.knot_of(t)]))[0]

@@ -21,7 +21,7 @@ from ffcomp.compensation import chunks
 from ffcomp.compensation.chunks import Chunk, Splitting, split_chunks
 from ffcomp.compensation.gcode_writer import GcodeRenderer
 from ffcomp.compensation.placement import NOWHERE, Footprint, Offset, Placement, advice, choose_offset, footprint_of
-from ffcomp.compensation.plan import S_CURVE_LONGEST_S, Context, plan_chunk
+from ffcomp.compensation.plan import Context, plan_chunk
 from ffcomp.compensation.prediction import LONGEST_S, READ_AGAIN_S
 from ffcomp.compensation.program import compensate
 from ffcomp.compensation.request import CompensateOptions
@@ -108,7 +108,6 @@ class Options:
         settings = replace(
             settings_for(machine, request.max_segments_per_second),
             inverse="exact" if request.inverse == "exact" else "fast",
-            s_curve=request.s_curve and not plain,
             strict=request.strict,
             tolerance_um=request.tolerance_um,
             embed=request.embed,
@@ -425,9 +424,8 @@ class Job:
         )
 
     def _chunks(self, parts: Iterable[Program], plain: bool) -> Iterator[Chunk]:
-        # plain steps are written from rest to rest, and an S-curve has one level of acceleration
         s = self.settings
-        longest_s = inf if plain else S_CURVE_LONGEST_S if s.s_curve else chunks.LONGEST_S
+        longest_s = inf if plain else chunks.LONGEST_S  # plain steps are written from rest to rest
         ease = self._eased if s.time_scaling and not plain else None
         plan_of = partial(firmware_plan, machine=self.machine)
         return split_chunks(parts, Splitting(s.segment_s, s.lead_s, plan_of, longest_s, ease))

@@ -23,8 +23,6 @@ from models.arrays import FloatArray
 from models.machine import Machine
 from models.vibration.base import Modes
 
-S_CURVE_LONGEST_S = 900.0  # of motion without a rest that is planned with S-curves
-
 
 @dataclass(frozen=True, slots=True)
 class Context:
@@ -59,22 +57,19 @@ class PlannedChunk:
 
 def plan_chunk(chunk: Chunk, context: Context, model: InverseModel) -> PlannedChunk:
     """Plan a chunk, and solve the moves before it of which the printer may still ring."""
-    machine, s_curve = context.machine, context.settings.s_curve
-    smooth = s_curve and chunk.extent == WHOLE
+    machine = context.machine
     faster: Faster | None = None
     if context.bound is None or context.plain:
-        planned = plan_program(chunk.program, machine, smooth)
+        planned = plan_program(chunk.program, machine)
     else:
-        planned, faster = faster_chunk(chunk, context.bound, model, smooth)
+        planned, faster = faster_chunk(chunk, context.bound, model)
     state = None
     if chunk.before is not None:
-        past = plan_program(chunk.before, machine, s_curve)
+        past = plan_program(chunk.before, machine)
         for solved in solutions(past, machine, model, None, lambda reference: False):
             state = solved.solution.state
     lost_s, waits_s = sum(each.seconds for each in chunk.slowed), 0.0
     warnings = [*chunk.program.warnings, *(faster.warnings if faster is not None else ())]
-    if smooth < s_curve and chunk.extent.begin is None:
-        warnings.append(_not_smooth(chunk))
     if chunk.extent.end is None:
         moves = len(chunk.program.moves)
         waits_s = sum(event.dwell_s for event in chunk.program.events if event.move == moves)
@@ -113,12 +108,6 @@ def _is_simulated(chunk: Chunk, share: float) -> bool:
     if chunk.extent == WHOLE:
         return share > 0.0
     return ceil(share * (chunk.cuts + 1)) > ceil(share * chunk.cuts)
-
-
-def _not_smooth(chunk: Chunk) -> str:
-    line = chunk.program.first_line + int(chunk.program.moves.line[0]) + 1
-    longest = f"{S_CURVE_LONGEST_S / 60:g} minutes"
-    return f"line {line}: the motion that begins here does not rest for {longest}; it is planned without S-curves."
 
 
 RESIDUAL_MM = 1e-3  # of vibration, when the first compensated extrusion begins

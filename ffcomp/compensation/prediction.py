@@ -18,7 +18,7 @@ from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.reference import Reference
 from ffcomp.metrics import Track, peak_acceleration, track
 from ffcomp.planner.segment_timing import TimedSegments, sample_even_segments
-from ffcomp.planner.trajectory import PlannedMotion, Section
+from ffcomp.planner.trajectory import Section, Trajectory
 from ffcomp.simulation.preview import preview
 from models.arrays import FloatArray
 from models.machine import Machine
@@ -150,7 +150,7 @@ class Prediction:
         response = solved.solution.response
         return kinematics.forward(kinematics.inverse(response) + q) - response
 
-    def _add_path(self, trajectory: PlannedMotion, run: Section, reference: Reference, shift: FloatArray) -> None:
+    def _add_path(self, trajectory: Trajectory, run: Section, reference: Reference, shift: FloatArray) -> None:
         part, samples = slice(run.first, run.last), self.samples
         corners = np.vstack([trajectory.origin[part, :3], reference.nozzle(np.array([run.end_t]))])
         due = np.append(trajectory.start_t[part], run.end_t)

@@ -112,10 +112,6 @@ class CompensateOptions(Request):
             "Inverse: fast; exact, the reference, far slower; none, for step timings only.", ADVANCED, metavar="NAME"
         ),
     ] = "fast"
-    s_curve: Annotated[
-        bool,
-        Option("Limit the jerk of the ramps: lower peaks for at most one percent more time.", ACCURACY),
-    ] = False
     robust: Annotated[
         bool | None,
         Option(
@@ -206,8 +202,6 @@ class CompensateOptions(Request):
             if self.if_known:
                 raise RequestError("--if-known is about a quicker print: --max-error-um UM.")
             return
-        if self.s_curve:
-            raise RequestError("--s-curve plans for the slicer's speeds; leave it out with --max-error-um.")
         for um in self.errors_um.values():
             if not 0.1 <= um <= 10_000.0:
                 raise RequestError(f"--max-error-um {um:g}: it is a number of µm from 0.1 to 10000.")

@@ -15,7 +15,7 @@ from ffcomp.inverse.solve import Solution, solve
 from ffcomp.inverse.time_scaling import TimeScaling
 from ffcomp.planner.limits import planner_limits
 from ffcomp.planner.program import PlannedProgram, section_planner
-from ffcomp.planner.trajectory import PlannedMotion, Section
+from ffcomp.planner.trajectory import Section, Trajectory
 from gcode.layers import LayerLookup
 from gcode.program import EventKind
 from models.arrays import FloatArray
@@ -27,7 +27,7 @@ from models.machine import Machine
 class SolvedSection:
     """A section that travels, and the command whose response it is."""
 
-    trajectory: PlannedMotion  # the plan, slower than it was before where limits asked for it
+    trajectory: Trajectory  # the plan, slower than it was before where limits asked for it
     section: Section
     reference: Reference
     solution: Solution
@@ -85,7 +85,7 @@ def _linear(
     """Solve each section linearly; yield it and how long the nozzle has rested before it (None: others moved it)."""
     program, trajectory, settings = planned.program, planned.trajectory, model.settings
     moved, limits = _moved_before(planned), planner_limits(machine)
-    replan = section_planner(program, machine, settings.s_curve)
+    replan = section_planner(program, machine)
     layers = LayerLookup(program, layers_before)
     travels = [section for section in planned.sections if section.travels]
     parts = [extent if section is planned.sections[0] else WHOLE for section in travels]

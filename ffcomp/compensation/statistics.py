@@ -6,7 +6,7 @@ import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
@@ -20,7 +20,7 @@ from ffcomp.inverse.time_scaling import TimeScaling
 from ffcomp.planner.limits import lines_of
 from ffcomp.planner.program import PlannedProgram
 from ffcomp.planner.reach import BESIDE
-from ffcomp.planner.trajectory import PathPosition, PlannedMotion, Section, Trajectory
+from ffcomp.planner.trajectory import PathPosition, Section, Trajectory
 from gcode.program import Event, Moves, Program
 from gcode.slicing import some
 from models.machine import Machine
@@ -258,8 +258,8 @@ def _counted_s(section: Section, planned: PlannedProgram, extent: Extent) -> flo
     return section.end_t - (_on(extent.begin, planned.trajectory, section.begin_t) if first else section.begin_t)
 
 
-def _on(position: PathPosition | None, plan: PlannedMotion, otherwise: float) -> float:
-    return otherwise if position is None else position.time_in(cast(Trajectory, plan))
+def _on(position: PathPosition | None, plan: Trajectory, otherwise: float) -> float:
+    return otherwise if position is None else position.time_in(plan)
 
 
 def _excesses(solved: SolvedSection, program: Program, model: InverseModel) -> Iterator[str]:

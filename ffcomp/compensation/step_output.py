@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import cast
 
 import numpy as np
 
@@ -18,7 +17,7 @@ from ffcomp.compensation.solve import SolvedSection, keep_inside
 from ffcomp.planner.lookahead import stops_and_waits
 from ffcomp.planner.program import PlannedProgram
 from ffcomp.planner.segment_timing import TimedSegments
-from ffcomp.planner.trajectory import Section, Trajectory
+from ffcomp.planner.trajectory import Section
 from ffcomp.steps.crossings import knot_pieces, on_grid, trajectory_pieces
 from ffcomp.steps.motion import MotionSink
 from ffcomp.steps.sink import StepSink
@@ -36,9 +35,9 @@ class StepStream:
     clock_s: float = BEFORE_S
 
     def uncompensated(self, planned: PlannedProgram) -> None:
-        """Write the plan as it is; it must be the firmware's own, of trapezoids."""
+        """Write the plan without compensation."""
         program, begun = planned.program, self.clock_s
-        trajectory = cast(Trajectory, planned.trajectory)
+        trajectory = planned.trajectory
         _, waits = stops_and_waits(program)
         due = begun + np.append(trajectory.start_t - waits, trajectory.end_t)
         for event in program.events:

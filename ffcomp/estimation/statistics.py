@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from ffcomp.compensation.chunks import MOST_MOVES, rests_of
 from ffcomp.inverse.reference import LEAST_CONTEXT_S
 from ffcomp.planner.limits import lines_of
-from ffcomp.planner.trajectory import PlannedMotion
+from ffcomp.planner.trajectory import Trajectory
 from gcode.embedded import TIME_WAS, WAS
 from gcode.layers import FEW_MOVES, SLOPE_MM, UNNAMED, begins_feature, begins_layer
 from gcode.metadata import slicer_time_s, with_time
@@ -25,7 +25,7 @@ from gcode.slicing import join, split
 from gcode.words import commands
 from models.arrays import BoolArray, FloatArray, IntArray
 
-PlanOf = Callable[[Program], PlannedMotion]
+PlanOf = Callable[[Program], Trajectory]
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,7 +33,7 @@ class PlannedSlice:
     """A planned program, of which the moves first … last - 1 and the lines between them are counted."""
 
     program: Program
-    plan: PlannedMotion | None  # None: nothing in it moves
+    plan: Trajectory | None  # None: nothing in it moves
     first: int
     last: int
 
@@ -83,7 +83,7 @@ def planned_slices(parts: Iterable[Program], plan_of: PlanOf) -> Iterator[Planne
         yield PlannedSlice(pending, plan_of(pending), counted, len(pending.moves))
 
 
-def _line_begun(program: Program, plan: PlannedMotion, t: float) -> int:
+def _line_begun(program: Program, plan: Trajectory, t: float) -> int:
     line = program.moves.line
     return int(np.searchsorted(line, line[int(plan.move_at(t))]))
 

@@ -19,9 +19,8 @@ from ffcomp.faster.predicted_error import ensemble_of
 from ffcomp.faster.search import SectionSearch, search
 from ffcomp.inverse.model import InverseModel
 from ffcomp.planner.limits import PlannerLimits, bounds_of, lines_of, planner_limits
-from ffcomp.planner.lookahead import plan_moves, stops_and_waits
+from ffcomp.planner.lookahead import phases_from_corners, plan_moves, stops_and_waits
 from ffcomp.planner.program import planner_of
-from ffcomp.planner.s_curve import sweep, total_time
 from ffcomp.planner.trajectory import Trajectory, split_sections
 from gcode.dialects import KLIPPER
 from gcode.layers import UNNAMED, LayerLookup, labels
@@ -138,11 +137,11 @@ def actuator_limit_s(
     alone = stops | ~lines.travels[goes]
     alone[1:] |= ~lines.travels[goes][:-1]
     speed2 = bounds.speed[goes] ** 2
-    corner = np.zeros(len(goes) + 1)
-    corner[1:-1] = np.where(alone[1:], 0.0, np.minimum(speed2[1:], speed2[:-1]))
-    ramps = bounds.acceleration[goes]
-    start, peak = sweep(lines.length[goes], corner, speed2, ramps, ramps)
-    return float(total_time(lines.length[goes], start, peak, ramps, ramps) + wait_before.sum())
+    corner = np.zeros(len(goes))
+    corner[1:] = np.where(alone[1:], 0.0, np.minimum(speed2[1:], speed2[:-1]))
+    ramps = bounds.acceleration
+    accel_t, cruise_t, decel_t, *_ = phases_from_corners(goes, corner, lines.length, bounds.speed, ramps, ramps)
+    return float((accel_t + cruise_t + decel_t + wait_before).sum())
 
 
 AS_SLICED, ALONE, COOLING = "as_sliced", "filament_alone", "cooling"

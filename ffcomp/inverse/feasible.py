@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, fields, replace
-from typing import TypeVar, cast
 
 import numpy as np
 
@@ -31,12 +30,10 @@ from ffcomp.inverse.time_scaling import (
     peak_utilisation,
 )
 from ffcomp.planner.limits import PlannerLimits, lines_of
-from ffcomp.planner.trajectory import PathPosition, PlannedMotion, Section, Trajectory
+from ffcomp.planner.trajectory import PathPosition, Section, Trajectory
 from gcode.program import Moves, Program
 from gcode.slicing import some
 from models.arrays import BoolArray, FloatArray
-
-Motion = TypeVar("Motion", bound=PlannedMotion)
 
 ENDS = 6  # knots of a command at either end, that answer for where it begins and ends to move
 STEEP = 1.4  # times the accelerations of its path and its middle, that ends may ask for
@@ -49,7 +46,7 @@ class SectionRequest:
     """A section to be solved within the machine's limits."""
 
     program: Program  # whose moves the trajectory plans
-    trajectory: PlannedMotion
+    trajectory: Trajectory
     section: Section
     written: WrittenReference  # the section's reference by this plan
     state: FloatArray  # (18,) of the plant at the section's first knot
@@ -64,7 +61,7 @@ class SectionRequest:
 class FeasibleSection:
     """A section within the limits, and its command."""
 
-    trajectory: PlannedMotion  # the whole plan; what comes after the section is later by `lost_s`
+    trajectory: Trajectory  # the whole plan; what comes after the section is later by `lost_s`
     section: Section
     written: WrittenReference
     solution: Solution
@@ -204,7 +201,7 @@ def scale_around_cut(
         As `solve_feasible`.
     """
     moves = program.moves
-    plan = cast(Trajectory, replan(moves, 0.0))
+    plan = replan(moves, 0.0)
     reach_s = SCALED * context_s(moves, plan)
     t = cut.time_in(plan)
     inner = (plan.start_t >= t - reach_s) & (plan.start_t + plan.duration <= t + reach_s)
@@ -230,13 +227,13 @@ def _exceeds(model: InverseModel, written: WrittenReference, solution: Solution,
     return peak_utilisation(model, written, solution) > 1.0 or bool(late[written.first : written.last].any())
 
 
-def _spliced(trajectory: Motion, section: Section, part: PlannedMotion) -> tuple[Motion, float]:
+def _spliced(trajectory: Trajectory, section: Section, part: Trajectory) -> tuple[Trajectory, float]:
     """Replace a section of the plan; return the plan and by how much later what follows begins, s."""
     lost = part.end_t - section.end_t
     columns = {}
-    for field in fields(trajectory):  # type: ignore[arg-type]  # every planned motion is a dataclass of columns
+    for field in fields(trajectory):
         whole = getattr(trajectory, field.name).copy()
         whole[section.first : section.last] = getattr(part, field.name)
         columns[field.name] = whole
     columns["start_t"][section.last :] += lost
-    return replace(trajectory, **columns), lost  # type: ignore[type-var]
+    return replace(trajectory, **columns), lost

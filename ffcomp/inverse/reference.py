@@ -14,13 +14,13 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple, cast
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ffcomp.inverse.settings import CUT, Settings
-from ffcomp.planner.trajectory import PathPosition, PlannedMotion, Section, Trajectory
+from ffcomp.planner.trajectory import PathPosition, Section, Trajectory
 from gcode.program import Moves
 from models.arrays import FloatArray
 from models.compiled import kernel
@@ -42,7 +42,7 @@ class Room(NamedTuple):
     tail_s: float  # after it
 
 
-def room_of(trajectory: PlannedMotion, section: Section, settings: Settings) -> Room:
+def room_of(trajectory: Trajectory, section: Section, settings: Settings) -> Room:
     """Return how much earlier than its path a command must begin, and how much later come to rest.
 
     Where the nozzle starts with an acceleration a, the command must jump by C a, C the machine's compliance. A small
@@ -102,7 +102,7 @@ class Reference:
 
     def __init__(
         self,
-        trajectory: PlannedMotion,
+        trajectory: Trajectory,
         section: Section,
         settings: Settings,
         through: tuple[float, int] | None = None,
@@ -197,12 +197,12 @@ class Lead:
     share: float  # of what the model asks for; below 1 where the firmware's extruder cannot follow
 
 
-def lead_of(trajectory: PlannedMotion, begin_s: float, end_s: float, knots_t: FloatArray, pressure: Pressure) -> Lead:
+def lead_of(trajectory: Trajectory, begin_s: float, end_s: float, knots_t: FloatArray, pressure: Pressure) -> Lead:
     """Return the lead of a motion from rest to rest.
 
     Parameters
     ----------
-    trajectory : PlannedMotion
+    trajectory : Trajectory
     begin_s, end_s : float
         Where the motion begins and ends on the plan's clock, s.
     knots_t : (n + 1,) array
@@ -297,19 +297,19 @@ class WrittenReference(NamedTuple):
 
 
 class Extent(NamedTuple):
-    """Which part of a section is written. A section that is cut in motion has no S-curves."""
+    """Which part of a section is written."""
 
     begin: PathPosition | None = None  # None: from the section's beginning
     end: PathPosition | None = None  # None: to the section's end
 
     def written(
-        self, plan: PlannedMotion, section: Section, settings: Settings, room: Room | None = None
+        self, plan: Trajectory, section: Section, settings: Settings, room: Room | None = None
     ) -> WrittenReference:
         """Lay the section's knots, one of them where the written part begins, and find those of the written part.
 
         room : beyond the path; None: what a section that is not cut needs
         """
-        begin_t, end_t = (None if cut is None else cut.time_in(cast(Trajectory, plan)) for cut in self)
+        begin_t, end_t = (None if cut is None else cut.time_in(plan) for cut in self)
         # both sides of a cut must find the same knots, whatever becomes slower on one of them
         room = room if self == WHOLE else Room(settings.lead_s, settings.tail_s)
         reference = Reference(plan, section, settings, None if begin_t is None else (begin_t, CUT), room)

@@ -146,7 +146,6 @@ class Settings:
     time_scaling: bool = True  # where limits do not let the nozzle follow, the plan becomes slower
     tolerance_um: float = 25.0  # by which an active limit may take the nozzle off its path before that
     strict: bool = False  # an error instead
-    s_curve: bool = False  # the plan's ramps with limited jerk
     one_model: bool = False  # that of the bed's middle everywhere
     merge_um: float = 1.0  # segments are joined while they miss the command by less than this across its direction,
     merge_along_um: float = 3.0  # than this along it: the nozzle is early or late, not beside its path,

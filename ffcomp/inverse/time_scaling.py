@@ -22,7 +22,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from typing import NamedTuple, cast
+from typing import NamedTuple
 
 import numpy as np
 
@@ -53,11 +53,11 @@ from ffcomp.inverse.violations import (
 from ffcomp.planner.lifts import FLOWS_MM, even_wipes, join_lifts
 from ffcomp.planner.limits import PlannerLimits, bounds_of, lines_of
 from ffcomp.planner.segment_timing import segment_speeds
-from ffcomp.planner.trajectory import PlannedMotion, Section, Trajectory
+from ffcomp.planner.trajectory import Section, Trajectory
 from gcode.program import Moves
 from models.arrays import BoolArray, FloatArray, IntArray
 
-Replan = Callable[[Moves, float], PlannedMotion]  # the moves of a section, when it begins (s) → its plan
+Replan = Callable[[Moves, float], Trajectory]  # the moves of a section, when it begins (s) → its plan
 LayerOf = Callable[[int], int | None]  # move of the program → its layer
 
 ROUNDS = 8
@@ -133,8 +133,7 @@ class ScaledSection:
     def _near_cuts(self) -> BoolArray:
         near = np.zeros(len(self.moves), dtype=np.bool_)
         if self.extent != WHOLE:
-            plan = cast(Trajectory, self.plan)
-            for part in self.extent.near(plan, context_s(self.moves, plan) / SLOWEST_RAMPS):
+            for part in self.extent.near(self.plan, context_s(self.moves, self.plan) / SLOWEST_RAMPS):
                 near[part] = True
         return near
 
@@ -213,7 +212,7 @@ class ScaledSection:
 
     def _written_s(self) -> float:
         """Return the duration of the written part, s, as far as it ends in motion."""
-        plan, (begin, end) = cast(Trajectory, self.plan), self.extent
+        plan, (begin, end) = self.plan, self.extent
         first_t = self.begin_t - self.model.settings.lead_s if begin is None else begin.time_in(plan)
         return (self.plan.end_t if end is None else end.time_in(plan)) - first_t
 

@@ -1,1 +1,1 @@
-"""The firmware's plan: limits, look-ahead, trajectories, S-curves, sections, segment timing."""
+"""The firmware's plan: limits, look-ahead, trajectories, sections, segment timing."""

@@ -14,7 +14,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ffcomp.planner.limits import Bounds, Lines, PlannerLimits, bounds_of, lines_of
 from ffcomp.planner.trajectory import Trajectory
@@ -287,15 +286,3 @@ def _check_waits(wait_before: FloatArray) -> None:
     if wrong.any():
         i = int(np.argmax(wrong))
         raise ValueError(f"The wait before move {i} is {wait_before[i]} s; it must be finite and not negative.")
-
-
-def junction_limits(moves: Moves, limits: PlannerLimits, stop_before: NDArray[np.bool_]) -> FloatArray:
-    """Return the firmware's limit on the speed at the start of each move, (n,) mm/s: its corner, and both moves' own.
-
-    stop_before : (n,) the motion comes to rest before the move, waits included
-    """
-    lines = lines_of(moves)
-    kept, corner = corners(lines, bounds_of(moves, lines, limits), limits, stop_before)
-    allowed = np.zeros(len(moves))
-    allowed[kept] = np.sqrt(corner)
-    return allowed

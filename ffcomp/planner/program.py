@@ -9,17 +9,15 @@ from math import hypot, inf, nan
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ffcomp.errors import NothingToDo
 from ffcomp.planner import marlin, reprapfirmware
 from ffcomp.planner.limits import PlannerLimits, planner_limits
-from ffcomp.planner.lookahead import junction_limits, plan_moves, stops_and_waits
+from ffcomp.planner.lookahead import plan_moves, stops_and_waits
 from ffcomp.planner.marlin import MarlinPlanner, cut_for_marlin
 from ffcomp.planner.reach import check_moves
-from ffcomp.planner.s_curve import SCurve, s_curve
-from ffcomp.planner.trajectory import PlannedMotion, Section, Trajectory, split_sections
-from gcode.dialects import KLIPPER, MARLIN, REPRAPFIRMWARE
+from ffcomp.planner.trajectory import Section, Trajectory, split_sections
+from gcode.dialects import MARLIN, REPRAPFIRMWARE
 from gcode.errors import GcodeError
 from gcode.program import Event, EventKind, Moves, Program
 from gcode.reader import read_parts
@@ -37,7 +35,7 @@ class PlannedProgram:
     """A program with the firmware's plan for it."""
 
     program: Program
-    trajectory: PlannedMotion
+    trajectory: Trajectory
     sections: list[Section]
     firmware_s: float  # what the firmware's own plan takes
 
@@ -86,18 +84,11 @@ def read_as_planned(
         yield from map(cut, portions(program, longest_s))
 
 
-def plan_program(program: Program, machine: Machine, smooth: bool = False) -> PlannedProgram:
-    """Check that every move can be reached, and plan them all.
-
-    smooth : with S-curves, within a percent of the firmware's time
-    """
-    trajectory: PlannedMotion
-    trajectory = plan = firmware_plan(program, machine)
-    stop_before, wait_before = stops_and_waits(program)
-    if smooth:
-        rests = stop_before | (wait_before > 0.0)
-        trajectory = _smoothed(plan, program, machine, program.moves, rests)
-    return PlannedProgram(program, trajectory, split_sections(trajectory, stop_before), plan.end_t)
+def plan_program(program: Program, machine: Machine) -> PlannedProgram:
+    """Check that every move can be reached, and plan them all."""
+    plan = firmware_plan(program, machine)
+    stop_before, _ = stops_and_waits(program)
+    return PlannedProgram(program, plan, split_sections(plan, stop_before), plan.end_t)
 
 
 def firmware_plan(program: Program, machine: Machine) -> Trajectory:
@@ -118,37 +109,17 @@ def plan_section(limits: PlannerLimits, moves: Moves, begin_t: float) -> Traject
     return _from_rest_to_rest(partial(plan_moves, limits=limits), moves, begin_t)
 
 
-def section_planner(
-    program: Program, machine: Machine, smooth: bool = False
-) -> Callable[[Moves, float], PlannedMotion]:
-    """Return what plans the moves of one section of a program anew, from a time on (s), from rest to rest.
-
-    smooth : with S-curves
-    """
+def section_planner(program: Program, machine: Machine) -> Callable[[Moves, float], Trajectory]:
+    """Return what plans the moves of one section of a program again, from a time on (s), from rest to rest."""
     planner = planner_of(program, machine)
     if isinstance(planner, MarlinPlanner):
         planner = partial(planner, within=True)
-
-    def plan(moves: Moves, begin_t: float) -> PlannedMotion:
-        trajectory = _from_rest_to_rest(planner, moves, begin_t)
-        rests = np.zeros(len(moves), dtype=np.bool_)
-        return _smoothed(trajectory, program, machine, moves, rests) if smooth else trajectory
-
-    return plan
+    return partial(_from_rest_to_rest, planner)
 
 
 def _from_rest_to_rest(planner: Planner, moves: Moves, begin_t: float) -> Trajectory:
     n = len(moves)
     return planner(moves, stop_before=np.zeros(n, dtype=np.bool_), wait_before=np.zeros(n), start_t=begin_t)
-
-
-def _smoothed(
-    plan: Trajectory, program: Program, machine: Machine, moves: Moves, rests: NDArray[np.bool_]
-) -> PlannedMotion:
-    most = SCurve(limit_mm_per_s2=machine.limits.acceleration_mm_per_s2)
-    by_klipper = program.flavor == KLIPPER  # of the others, the joints' limits are those of their plan
-    allowed = junction_limits(moves, planner_limits(machine), rests) if by_klipper else plan.start_v
-    return s_curve(plan, machine.kinematics.compiled().inverse, most, allowed_v=allowed)
 
 
 def raw_durations(events: Iterable[Event], planner: Planner) -> dict[int, float]:

@@ -7,8 +7,6 @@ executed there.
 
 from __future__ import annotations
 
-import math
-from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -22,20 +20,23 @@ POSITION, VELOCITY, ACCELERATION = 0, 1, 2  # which derivative is sampled
 _NEAR_MOVES = 8  # how far to step through the moves before searching
 
 
-class PlannedMotion(ABC):
-    """n planned moves in time order, whatever the time law along each. mm, s.
+@dataclass(frozen=True, slots=True)
+class Trajectory:
+    """n planned moves in time order, each a trapezoid of speed. mm, s, mm/s, mm/s².
 
     Between two moves there may be a gap (a dwell, a wait): the nozzle rests there at the end of the earlier
     move. Before the first move it rests at its origin, after the last one at its end. Speed and acceleration
     at an instant are those just after it.
     """
 
-    __slots__ = ()
-
     start_t: FloatArray  # (n,) s, when the move begins
     accel_t: FloatArray  # (n,) s
     cruise_t: FloatArray  # (n,) s
     decel_t: FloatArray  # (n,) s
+    start_v: FloatArray  # (n,) mm/s along the path
+    cruise_v: FloatArray  # (n,)
+    end_v: FloatArray  # (n,)
+    acceleration: FloatArray  # (n,) mm/s² along the path, of the accel and decel phases
     origin: FloatArray  # (n, 4) mm, columns X Y Z E: where the move begins
     direction: FloatArray  # (n, 4) mm per mm of path, columns X Y Z E; extruder-only: XYZ zero and E ±1
 
@@ -82,43 +83,12 @@ class PlannedMotion(ABC):
         -------
         (k, 3) mm and (k, 3) mm/s, columns X Y Z
         """
-        last = math.nextafter(end_t, -math.inf)  # at end_t itself another motion may have begun, somewhere else
-        nozzle = np.ascontiguousarray(self.position(np.minimum(np.maximum(t, begin_t), last))[:, :3])
-        velocity = self.velocity(t)[:, :3].copy()
-        begin, end = np.searchsorted(t, [begin_t, end_t])
-        velocity[:begin], velocity[end:] = 0.0, 0.0
-        return nozzle, velocity
+        return _sample_within(t, begin_t, end_t, self.start_t, self._phases, self.origin, self.direction)
 
     def _sampled(self, t: ArrayLike, derivative: int) -> FloatArray:
         if not len(self):
             raise ValueError("A trajectory without moves has no place at any time; plan at least one move.")
-        return self._sample(np.ascontiguousarray(t, dtype=np.float64), derivative)
-
-    @abstractmethod
-    def _sample(self, t: FloatArray, derivative: int) -> FloatArray:
-        """Return a derivative of the position, (k, 4), at times t (k,) s."""
-
-
-@dataclass(frozen=True, slots=True)
-class Trajectory(PlannedMotion):
-    """n planned moves in time order, each a trapezoid of speed. mm, s, mm/s, mm/s²."""
-
-    start_t: FloatArray  # (n,) s, when the move begins
-    accel_t: FloatArray  # (n,) s
-    cruise_t: FloatArray  # (n,) s
-    decel_t: FloatArray  # (n,) s
-    start_v: FloatArray  # (n,) mm/s along the path
-    cruise_v: FloatArray  # (n,)
-    end_v: FloatArray  # (n,)
-    acceleration: FloatArray  # (n,) mm/s² along the path, of the accel and decel phases
-    origin: FloatArray  # (n, 4) mm, columns X Y Z E: where the move begins
-    direction: FloatArray  # (n, 4) mm per mm of path, columns X Y Z E; extruder-only: XYZ zero and E ±1
-
-    def motion_within(self, t: FloatArray, begin_t: float, end_t: float) -> tuple[FloatArray, FloatArray]:
-        """Return what `PlannedMotion.motion_within` says, in one pass."""
-        return _sample_within(t, begin_t, end_t, self.start_t, self._phases, self.origin, self.direction)
-
-    def _sample(self, t: FloatArray, derivative: int) -> FloatArray:
+        t = np.ascontiguousarray(t, dtype=np.float64)
         return _sample(t, derivative, self.start_t, self._phases, self.origin, self.direction)
 
     @property
@@ -207,7 +177,7 @@ def _sample_within(
 ) -> tuple[FloatArray, FloatArray]:
     accel_t, cruise_t, decel_t, start_v, cruise_v, end_v, acceleration = phases
     nozzle, velocity = np.empty((len(t), 3)), np.zeros((len(t), 3))
-    last = np.nextafter(end_t, -np.inf)
+    last = np.nextafter(end_t, -np.inf)  # at end_t itself another motion may have begun, somewhere else
     i = 0
     for k in range(len(t)):
         at = min(max(t[k], begin_t), last)
@@ -261,7 +231,7 @@ class Section:
     end_t: float
 
 
-def split_sections(trajectory: PlannedMotion, stop_before: NDArray[np.bool_]) -> list[Section]:
+def split_sections(trajectory: Trajectory, stop_before: NDArray[np.bool_]) -> list[Section]:
     """Return the plan's sections in order; moves that go nowhere and take no time belong to the one they stand in."""
     travels = np.any(trajectory.direction[:, :3] != 0.0, axis=1)
     extrudes = ~travels & (trajectory.direction[:, 3] != 0.0)

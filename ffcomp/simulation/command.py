@@ -17,7 +17,7 @@ import numpy as np
 from ffcomp.inverse.settings import Settings
 from ffcomp.metrics import peak_acceleration, progress_in_order
 from ffcomp.planner.program import PlannedProgram
-from ffcomp.planner.trajectory import PlannedMotion, Section
+from ffcomp.planner.trajectory import Section, Trajectory
 from gcode.embedded import WAS, noted, section_times
 from gcode.program import Program
 from models.arrays import BoolArray, FloatArray, IntArray
@@ -122,30 +122,30 @@ class Motion:
         return command_peaks(self.actuators(machine), self.begin_t, self.end_t)
 
 
-def motion_of(trajectory: PlannedMotion, clock: SectionClock) -> Motion:
+def motion_of(trajectory: Trajectory, clock: SectionClock) -> Motion:
     """Execute a plan as it stands."""
     begin, end = float(trajectory.start_t[0]), trajectory.end_t
     return Motion(lambda t: trajectory.position(np.clip(t, begin, end))[:, :3], begin, end, clock)
 
 
-def reference_clock(trajectory: PlannedMotion) -> SectionClock:
+def reference_clock(trajectory: Trajectory) -> SectionClock:
     """Return the clock of the reference plan itself."""
     begin, end = trajectory.start_t[:1], np.array([trajectory.end_t])
     return SectionClock(begin, begin, begin, end)
 
 
-def planned_motion(trajectory: PlannedMotion) -> Motion:
+def planned_motion(trajectory: Trajectory) -> Motion:
     """Execute the reference plan itself, on its own clock."""
     return motion_of(trajectory, reference_clock(trajectory))
 
 
-def path_corners(trajectory: PlannedMotion) -> tuple[FloatArray, FloatArray]:
+def path_corners(trajectory: Trajectory) -> tuple[FloatArray, FloatArray]:
     """Return when each corner of the path is due (n + 1,) s, and where it is (n + 1, 3) mm."""
     end = trajectory.position(np.array([trajectory.end_t]))
     return np.append(trajectory.start_t, trajectory.end_t), np.vstack([trajectory.origin, end])[:, :3]
 
 
-def path_corners_with_rests(trajectory: PlannedMotion) -> tuple[FloatArray, FloatArray]:
+def path_corners_with_rests(trajectory: Trajectory) -> tuple[FloatArray, FloatArray]:
     """Return when each straight move begins and ends (2 n,) s, and where (2 n, 3) mm: a rest is a corner twice."""
     end_t = trajectory.start_t + trajectory.duration
     ends = trajectory.position(np.nextafter(end_t, -np.inf))[:, :3]
@@ -201,7 +201,7 @@ def section_starts(compensated: Program, original: PlannedProgram) -> SectionSta
     return SectionStarts(travels[after], plan_t, begin_t, end_t, passing, due_t)
 
 
-def _due(places: FloatArray, begin_t: FloatArray, end_t: FloatArray, plan: PlannedMotion) -> FloatArray:
+def _due(places: FloatArray, begin_t: FloatArray, end_t: FloatArray, plan: Trajectory) -> FloatArray:
     """Return when the plan is at each of the places (k, 3) mm, which lie on sections between these times (k,), s."""
     path_t, path = path_corners_with_rests(plan)
     if not len(places):

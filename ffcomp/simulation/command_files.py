@@ -15,7 +15,7 @@ import numpy as np
 from ffcomp.errors import NothingToDo
 from ffcomp.planner.program import PlannedProgram, known_to_the_firmware, plan_program
 from ffcomp.planner.reach import within_reach
-from ffcomp.planner.trajectory import PlannedMotion
+from ffcomp.planner.trajectory import Trajectory
 from ffcomp.simulation.command import (
     Command,
     CommandSection,
@@ -76,7 +76,7 @@ def compensated_command(compensated: PlannedProgram, original: PlannedProgram, m
 
 
 def _command(
-    executed: PlannedMotion, reference: PlannedMotion, clock: SectionClock, machine: Machine, description: str
+    executed: Trajectory, reference: Trajectory, clock: SectionClock, machine: Machine, description: str
 ) -> Command:
     intervals = continuous_intervals(executed)
     sections = [_section(executed, begin, end, reference, clock, machine) for begin, end in intervals]
@@ -84,10 +84,10 @@ def _command(
 
 
 def _section(
-    executed: PlannedMotion,
+    executed: Trajectory,
     begin_s: float,
     end_s: float,
-    reference: PlannedMotion,
+    reference: Trajectory,
     clock: SectionClock,
     machine: Machine,
 ) -> CommandSection:

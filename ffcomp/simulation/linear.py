@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from ffcomp.planner.trajectory import PlannedMotion
+from ffcomp.planner.trajectory import Trajectory
 from models.arrays import FloatArray
 from models.machine import Machine
 from models.vibration.scheduled import Schedule, plant_table
@@ -45,7 +45,7 @@ def whole_steps(seconds: float) -> int:
     return SUBSTEPS * int(seconds / STEP_S / SUBSTEPS)
 
 
-def simulate_linear(playback: LinearPlayback, trajectory: PlannedMotion) -> tuple[FloatArray, FloatArray]:
+def simulate_linear(playback: LinearPlayback, trajectory: Trajectory) -> tuple[FloatArray, FloatArray]:
     """Simulate the nozzle under a plan, from its first move to its last.
 
     Returns times (m,) s on the plan's clock, in steps of 1 ms (except where something else has moved the nozzle), and
@@ -56,7 +56,7 @@ def simulate_linear(playback: LinearPlayback, trajectory: PlannedMotion) -> tupl
     return np.concatenate([t for t, _ in parts]), np.concatenate([nozzle for _, nozzle in parts])
 
 
-def continuous_intervals(trajectory: PlannedMotion) -> list[tuple[float, float]]:
+def continuous_intervals(trajectory: Trajectory) -> list[tuple[float, float]]:
     """Return begin and end, s, of the intervals in which every move begins where the last one ended."""
     end_t = trajectory.start_t + trajectory.duration
     just_before_end = np.nextafter(end_t, -np.inf)
@@ -67,7 +67,7 @@ def continuous_intervals(trajectory: PlannedMotion) -> list[tuple[float, float]]
 
 
 def _interval(
-    playback: LinearPlayback, trajectory: PlannedMotion, begin: float, end: float
+    playback: LinearPlayback, trajectory: Trajectory, begin: float, end: float
 ) -> Iterator[tuple[FloatArray, FloatArray]]:
     state = None
     last = np.nextafter(end, -np.inf)  # at `end` itself the next interval may have begun

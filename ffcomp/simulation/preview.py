@@ -23,7 +23,7 @@ from ffcomp.metrics import (
 from ffcomp.planner.lookahead import stops_and_waits
 from ffcomp.planner.program import PlannedProgram, known_to_the_firmware, planner_of
 from ffcomp.planner.reach import within_reach
-from ffcomp.planner.trajectory import PlannedMotion, split_sections
+from ffcomp.planner.trajectory import Trajectory, split_sections
 from ffcomp.simulation.command import command_peaks, motion_of, path_corners_with_rests, reference_clock, section_clock
 from ffcomp.simulation.linear import LinearPlayback, continuous_intervals, simulate_linear
 from gcode.embedded import original_lines
@@ -52,7 +52,7 @@ class Flow:
         return np.interp(t, self.t, self.flows)
 
 
-def flow_of(plan: PlannedMotion, pressure: Pressure) -> Flow:
+def flow_of(plan: Trajectory, pressure: Pressure) -> Flow:
     """Play a plan's filament through the firmware's own pressure advance and an extruder of one state."""
     t = np.arange(float(plan.start_t[0]), plan.end_t, STEP_S)
     travels = np.any(plan.direction[:, :3] != 0.0, axis=1)[plan.move_at(t)]
@@ -110,7 +110,7 @@ class Original:
     """What was compensated, within reach, and when its plan is at the references of both curves."""
 
     program: Program
-    plan: PlannedMotion
+    plan: Trajectory
     before_due: FloatArray  # (m,) s on the original plan's clock, for each sample of `before`
     after_due: FloatArray  # the same of `after`
 
@@ -166,13 +166,13 @@ def preview(
     )
 
 
-def _peak(machine: Machine, plan: PlannedMotion) -> float:
+def _peak(machine: Machine, plan: Trajectory) -> float:
     """Return the largest acceleration of a carriage's command, mm/s²; jumps by others are left out."""
     actuators = motion_of(plan, reference_clock(plan)).actuators(machine)
     return max(command_peaks(actuators, begin, end)[1] for begin, end in continuous_intervals(plan))
 
 
-def _kinds(program: Program, plan: PlannedMotion) -> Callable[[FloatArray], tuple[BoolArray, BoolArray]]:
+def _kinds(program: Program, plan: Trajectory) -> Callable[[FloatArray], tuple[BoolArray, BoolArray]]:
     direction = plan.direction
     extrudes = (direction[:, 3] > 0.0) & np.any(direction[:, :3] != 0.0, axis=1)
     walls = extrudes & outer_walls(labels(program))

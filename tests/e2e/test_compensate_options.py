@@ -115,17 +115,17 @@ def test_a_limit_slows_down_or_stops(printed: Path, tmp_path: Path) -> None:
     assert result["print_time_s"] > 1.05 * result["original_print_time_s"]
 
 
-def test_robust_and_s_curve_are_options(printed: Path, tmp_path: Path) -> None:
+def test_robust_is_an_option(printed: Path, tmp_path: Path) -> None:
     """The library's file is off by 10 %, so it is inverted robustly unless it is told not to."""
     texts, chosen = [], []
-    for words in ((), ("--robust",), ("--robust", "auto"), ("--no-robust",), ("--no-robust", "--s-curve")):
+    for words in ((), ("--robust",), ("--robust", "auto"), ("--no-robust",)):
         target = tmp_path / "out.gcode"
         done = call(printed, "-m", MACHINE, "-q", "--no-predict", "--json", "-o", target, *words)
         assert done.exit_code == 0, done.output
         texts.append(target.read_bytes())
         chosen.append([(found := json.loads(done.stdout))["robust"], "[uncertainty]" in found["robust_reason"]])
-    assert len(set(texts[:3])) == 1 and len(set(texts)) == 3
-    assert chosen == [[True, True], [True, False], [True, True], [False, False], [False, False]]
+    assert len(set(texts[:3])) == 1 and len(set(texts)) == 2
+    assert chosen == [[True, True], [True, False], [True, True], [False, False]]
 
 
 def test_people_read_a_line_for_each_cause(printed: Path, tmp_path: Path) -> None:

@@ -16,7 +16,7 @@ from ffcomp.compensation.solve import SolvedSection, solutions
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.settings import settings_for
 from ffcomp.planner.program import plan_program
-from ffcomp.planner.trajectory import PlannedMotion
+from ffcomp.planner.trajectory import Trajectory
 from gcode.dialects import FLAVORS
 from gcode.emit import MoveWriter
 from gcode.program import ModalState, Moves
@@ -310,7 +310,7 @@ def test_an_ideal_machine_is_told_the_plan_itself() -> None:
     assert steady > 1000
 
 
-def distance_to_changes(plan: PlannedMotion, t: FloatArray) -> FloatArray:
+def distance_to_changes(plan: Trajectory, t: FloatArray) -> FloatArray:
     """From each of the times (k,) to the nearest at which an acceleration begins or ends, (k,) s."""
     parts = np.stack([np.zeros(len(plan)), plan.accel_t, plan.cruise_t, plan.decel_t])
     changes = np.sort((plan.start_t + np.cumsum(parts, axis=0)).ravel())

@@ -13,8 +13,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from ffcomp.compensation import job as jobs
-from ffcomp.compensation import plan
 from ffcomp.compensation.chunks import LONGEST_S, REMEMBERED_S, Chunk, Splitting, split_chunks
 from ffcomp.compensation.job import StepOutput
 from ffcomp.compensation.plan import _is_simulated
@@ -351,18 +349,6 @@ def test_a_cut_that_must_be_slower_is_refused_when_strict(machine: Machine, monk
         compensated(vase(1150, 4800.0), tight, predict=False, settings=settings)
 
 
-def test_a_motion_too_long_for_s_curves_is_planned_without_them(machine: Machine) -> None:
-    settings, data = replace(settings_for(machine), s_curve=True), vase(2000, 4800.0)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("ffcomp.compensation.chunks.LONGEST_S", 8.0)
-        patch.setattr(jobs, "S_CURVE_LONGEST_S", 9.0)
-        patch.setattr(plan, "S_CURVE_LONGEST_S", 9.0)
-        text, result = compensated(data, machine, flavor=KLIPPER, predict=False, settings=settings)
-    (warning,) = result.warnings
-    assert warning.startswith("line 8: the motion that begins here does not rest for 0.15 minutes")
-    assert original(text) == data and violations(data, text, machine, flavor=KLIPPER) == []
-
-
 def test_of_a_motion_in_many_chunks_few_are_simulated(machine: Machine) -> None:
     (chunk,) = cut(VASE, machine)
     motion = [replace(chunk, extent=Extent(end=PathPosition(0, 0.0)), cuts=cuts) for cuts in range(200)]
@@ -379,15 +365,6 @@ def test_layers_are_counted_through_the_chunks(tower: bytes, machine: Machine) -
             line = each.program.first_line + int(moves.line[move])
             assert LayerLookup(each.program, each.layers).of(move) == of_line[line]
     assert max(of_line.values()) >= 3
-
-
-def test_s_curves_in_chunks_keep_the_time(tower: bytes, machine: Machine, small_parts: None) -> None:
-    settings = settings_for(machine)
-    _, plain = compensated(tower, machine, settings=settings, predict=False)
-    text, smooth = compensated(tower, machine, settings=replace(settings, s_curve=True), predict=False)
-    assert smooth.statistics.original_print_time_s == pytest.approx(plain.statistics.original_print_time_s)
-    assert plain.statistics.print_time_s < smooth.statistics.print_time_s < 1.01 * plain.statistics.print_time_s
-    assert original(text) == tower
 
 
 def test_a_motion_that_is_cut_is_quicker_too(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:

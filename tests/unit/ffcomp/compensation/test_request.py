@@ -25,7 +25,6 @@ def test_bounds_and_shares_are_read_from_texts() -> None:
         ({"keep_speed": ("Bridge",)}, "--max-error-um"),
         ({"max_error_um": 0.01}, "from 0.1"),
         ({"max_error_um": {"Bridge": 10.0}}, "without a feature"),
-        ({"max_error_um": 10.0, "s_curve": True}, "--s-curve"),
         ({"inverse": "none"}, "--inverse none"),
         ({"inverse": "quick"}, "there is no 'quick'"),
         ({"tolerance_um": 0.0}, "at least 0.1 µm"),

@@ -20,7 +20,6 @@ from ffcomp.inverse.time_scaling import LayerOf, Replan
 from ffcomp.inverse.violations import widened
 from ffcomp.planner.limits import planner_limits
 from ffcomp.planner.program import PlannedProgram, plan_program, plan_section
-from ffcomp.planner.s_curve import s_curve
 from ffcomp.planner.segment_timing import segment_speeds
 from ffcomp.planner.trajectory import Section
 from gcode.program import Program
@@ -251,20 +250,6 @@ def test_segments_can_be_played_in_their_time(machine: Machine) -> None:
     assert "firmware's own acceleration" in record.sentence()
     assert 0 < found.lost_s < 0.1
     assert found.solution.utilisation <= 1.0
-
-
-def test_a_plan_with_s_curves_is_planned_again_with_them(machine: Machine) -> None:
-    smooth = plan_program(read_program(CORNERS, start=START, flavor="klipper"), machine, smooth=True)
-    tight = limited(machine, carriage_velocity_mm_per_s=100.0)
-
-    def replan(moves: Any, start_t: float) -> Any:
-        program = replace(smooth.program, moves=moves)
-        plan = plan_program(program, machine).trajectory
-        return s_curve(replace(plan, start_t=plan.start_t + start_t), machine.kinematics.compiled().inverse)
-
-    found = solved(inverter_of(tight), smooth, smooth.sections[0], tight, replan=replan)
-    assert type(found.trajectory) is type(smooth.trajectory)
-    assert found.records and found.solution.utilisation <= 1.001
 
 
 @pytest.mark.parametrize("count", [1, 3, 40])

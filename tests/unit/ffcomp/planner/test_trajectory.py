@@ -7,7 +7,7 @@ import pytest
 
 from ffcomp.planner.limits import PlannerLimits
 from ffcomp.planner.lookahead import plan_moves, stops_and_waits
-from ffcomp.planner.trajectory import PlannedMotion, Trajectory
+from ffcomp.planner.trajectory import Trajectory
 from gcode.reader import read_program
 from tests.support.programs import moves_through, random_program
 
@@ -95,13 +95,13 @@ def test_no_moves_have_no_place() -> None:
 
 
 def test_motion_within_a_section_rests_outside_it(motion: Trajectory) -> None:
-    """One pass over a section gives what position and velocity say, to the last bit, and rests around it."""
+    """Inside a section it is position and velocity to the last bit; around it the nozzle rests."""
     begin_t, end_t = motion.start_t[[3, 9]].tolist()
     t = np.sort(np.concatenate([np.linspace(begin_t - 0.05, end_t + 0.05, 4001), [begin_t, end_t]]))
     nozzle, velocity = motion.motion_within(t, begin_t, end_t)
-    by_two = PlannedMotion.motion_within(motion, t, begin_t, end_t)
-    assert np.array_equal(nozzle, by_two[0]) and np.array_equal(velocity, by_two[1])
     inside = (t >= begin_t) & (t < end_t)
     assert np.array_equal(nozzle[inside], motion.position(t[inside])[:, :3])
+    assert np.array_equal(velocity[inside], motion.velocity(t[inside])[:, :3])
     assert np.any(velocity[inside]) and not np.any(velocity[~inside])
-    assert np.ptp(nozzle[t < begin_t], axis=0).max() == 0.0
+    at_begin, before_end = motion.position([begin_t, np.nextafter(end_t, -np.inf)])[:, :3]
+    assert (nozzle[t < begin_t] == at_begin).all() and (nozzle[t >= end_t] == before_end).all()
