@@ -9,7 +9,7 @@ mm, s. Actuators in the order A, B, C.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -100,7 +100,8 @@ class SectionClock:
         planned = self.plan_t[i] + (t - self.executed_t[i])
         if self.retimed is not None and self.passed_t is not None and self.due_t is not None:
             planned = np.where(self.retimed[i], np.interp(t, self.passed_t, self.due_t), planned)
-        return np.clip(planned, self.begin_t[i], self.end_t[i])
+        # at the end itself the next section may have begun, somewhere else
+        return np.clip(planned, self.begin_t[i], np.nextafter(self.end_t[i], -np.inf))
 
 
 @dataclass(frozen=True, slots=True)
@@ -219,12 +220,9 @@ def _due(places: FloatArray, begin_t: FloatArray, end_t: FloatArray, plan: Traje
 
 
 def section_clock(compensated: PlannedProgram, original: PlannedProgram) -> SectionClock:
-    """Align a planned compensated file with its planned original: each section from the beginning of its path on."""
+    """Align a planned compensated file with its planned original, section by section."""
     starts = section_starts(compensated.program, original)
-    if not len(starts.move):
-        return _noted_clock(compensated, original)
-    clock = starts.clock(compensated.trajectory.start_t)
-    return replace(clock, executed_t=clock.executed_t + (starts.begin_t - starts.plan_t), plan_t=starts.begin_t)
+    return starts.clock(compensated.trajectory.start_t) if len(starts.move) else _noted_clock(compensated, original)
 
 
 def _noted_clock(compensated: PlannedProgram, original: PlannedProgram) -> SectionClock:

@@ -57,12 +57,15 @@ def simulate_linear(playback: LinearPlayback, trajectory: Trajectory) -> tuple[F
 
 
 def continuous_intervals(trajectory: Trajectory) -> list[tuple[float, float]]:
-    """Return begin and end, s, of the intervals in which every move begins where the last one ended."""
+    """Return begin and end, s, of the intervals in which every move begins where the last one ended.
+
+    An interval that others have begun or ended begins or ends with a move that travels.
+    """
     end_t = trajectory.start_t + trajectory.duration
-    just_before_end = np.nextafter(end_t, -np.inf)
-    ends = trajectory.position(just_before_end)[:-1, :3]
-    jumps = np.flatnonzero(np.abs(trajectory.origin[1:, :3] - ends).max(axis=1, initial=0.0) > JUMP_MM) + 1
-    firsts, lasts = [0, *jumps], [*(jumps - 1), len(trajectory) - 1]
+    travels = np.flatnonzero(np.any(trajectory.direction[:, :3] != 0.0, axis=1))
+    ends = trajectory.position(np.nextafter(end_t[travels[:-1]], -np.inf))[:, :3]
+    jumps = np.abs(trajectory.origin[travels[1:], :3] - ends).max(axis=1, initial=0.0) > JUMP_MM
+    firsts, lasts = [0, *travels[1:][jumps]], [*travels[:-1][jumps], len(trajectory) - 1]
     return [(float(trajectory.start_t[a]), float(end_t[b])) for a, b in zip(firsts, lasts, strict=True)]
 
 
@@ -71,11 +74,14 @@ def _interval(
 ) -> Iterator[tuple[FloatArray, FloatArray]]:
     state = None
     last = np.nextafter(end, -np.inf)  # at `end` itself the next interval may have begun
+    following = int(np.searchsorted(trajectory.start_t, end))
+    over = trajectory.start_t[following] if following < len(trajectory) else np.inf  # when that is
     while begin < end:
         steps = min(CHUNK_STEPS, SUBSTEPS * int(np.ceil((end - begin) / STEP_S / SUBSTEPS)))
         t = begin + STEP_S * np.arange(steps + 1, dtype=np.float64)
         nozzle = np.ascontiguousarray(trajectory.position(np.minimum(t, last))[:, :3])
         velocity = trajectory.velocity(t)[:, :3] * (t < end)[:, None]
         response, state = playback.respond(nozzle, velocity, state)
-        yield t[KEEP_EVERY::KEEP_EVERY], response[KEEP_EVERY - 1 :: KEEP_EVERY]
+        kept = t[KEEP_EVERY::KEEP_EVERY] < over
+        yield t[KEEP_EVERY::KEEP_EVERY][kept], response[KEEP_EVERY - 1 :: KEEP_EVERY][kept]
         begin = float(t[-1])
