@@ -9,8 +9,10 @@ in effect. So chunks can be compensated in parallel, and the result does not dep
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, fields, replace
+from operator import attrgetter
 
 import numpy as np
 
@@ -21,7 +23,7 @@ from ffcomp.planner.limits import lines_of
 from ffcomp.planner.lookahead import stops_and_waits
 from ffcomp.planner.trajectory import PathPosition, Trajectory
 from gcode.layers import UNNAMED, last_feature, layer_starts
-from gcode.program import Event, EventKind, LimitCommand, Moves, Program, limits_in_effect
+from gcode.program import Event, EventKind, LimitCommand, Moves, Program, limits_in_effect, shifted
 from gcode.slicing import excerpt, join, shortened, split
 from models.arrays import FloatArray, IntArray
 
@@ -44,7 +46,7 @@ class Chunk:
 
     program: Program
     before: Program | None = None  # the moves just before it, from a rest on; None: others have moved the nozzle
-    since: tuple[Event, ...] = ()  # the lines after these
+    since: tuple[Event, ...] = ()  # after the last move before it that travels; counted back from its beginning
     limits: Mapping[str, LimitCommand] = field(default_factory=dict)  # in effect where it begins (`gcode.program`)
     layers: int = 0  # that have begun before it
     extent: Extent = WHOLE  # what is written of it
@@ -152,9 +154,9 @@ class _Known:
     def _at_rest(self, move: int) -> tuple[Chunk, _Known]:
         ahead, plan = self.ahead, _columns(self.plan, slice(move, None))
         head, tail = split(ahead.program, move)
-        before = _remembered(head, _columns(self.plan, slice(0, move)))
+        since = _since_travel(head)
+        before = _remembered(head, since, _columns(self.plan, slice(0, move)))
         layers = ahead.layers + len(layer_starts(head))
-        since = tuple(event for event in head.events if event.move == len(head.moves))
         left = Chunk(tail, before, since, limits_in_effect(head, ahead.limits), layers, cuts=ahead.cuts)
         begin_t = float(plan.start_t[0]) - self.splitting.lead_s
         return replace(ahead, program=head), _Known(left, plan, begin_t, self.splitting)
@@ -261,10 +263,21 @@ def rests_of(program: Program) -> IntArray:
     return np.flatnonzero(rests)
 
 
-def _remembered(chunk: Program, plan: Trajectory) -> Program | None:
-    """Return the last moves of a chunk, from a rest on, that take half a second at least; of a long motion its end."""
+def _since_travel(chunk: Program) -> tuple[Event, ...]:
+    """Return the events after a chunk's last move that travels, their lines and moves counted back from its end."""
+    travelling = np.flatnonzero(lines_of(chunk.moves).travels)
+    last = int(travelling[-1]) if len(travelling) else -1
+    events = chunk.events[bisect_right(chunk.events, last, key=attrgetter("move")) :]
+    return tuple(shifted(events, -len(chunk.lines), -len(chunk.moves)))
+
+
+def _remembered(chunk: Program, since: tuple[Event, ...], plan: Trajectory) -> Program | None:
+    """Return the last moves of a chunk, from a rest on, that take half a second at least; of a long motion its end.
+
+    None is returned where others have moved the nozzle after its last move that travels.
+    """
     moves = chunk.moves
-    if any(e.move == len(moves) and e.kind in (EventKind.STOP, EventKind.RAW_MOVE) for e in reversed(chunk.events)):
+    if any(event.kind in (EventKind.STOP, EventKind.RAW_MOVE) for event in since):
         return None
     quickest = lines_of(moves).length / moves.speed
     left = np.cumsum(quickest[::-1])[::-1]  # until the end, at least

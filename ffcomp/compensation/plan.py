@@ -10,7 +10,7 @@ import numpy as np
 
 from ffcomp.compensation.chunks import Chunk
 from ffcomp.compensation.faster import Faster, faster_chunk
-from ffcomp.compensation.solve import solutions
+from ffcomp.compensation.solve import Resting, solutions
 from ffcomp.compensation.statistics import Statistics, of_plan, of_raw
 from ffcomp.faster.bound import Bound
 from ffcomp.inverse.model import InverseModel
@@ -43,7 +43,7 @@ class PlannedChunk:
 
     chunk: Chunk
     planned: PlannedProgram
-    state: FloatArray | None = None  # (18,) of the plant as the chunk begins; None: at rest
+    before: Resting | None = None  # what the moves before it leave behind; None: others have moved the nozzle
     simulated: bool = False  # whether some of it is, for the prediction
     statistics: Statistics = field(default_factory=Statistics)  # what it takes by its plan
     raw_s: Mapping[int, float] = field(default_factory=dict)  # what lines take that go out as they are: moves, changes
@@ -63,11 +63,7 @@ def plan_chunk(chunk: Chunk, context: Context, model: InverseModel) -> PlannedCh
         planned = plan_program(chunk.program, machine)
     else:
         planned, faster = faster_chunk(chunk, context.bound, model)
-    state = None
-    if chunk.before is not None:
-        past = plan_program(chunk.before, machine)
-        for solved in solutions(past, machine, model, None, lambda reference: False):
-            state = solved.solution.state
+    before = None if chunk.before is None else _left_behind(chunk, plan_program(chunk.before, machine), model)
     lost_s, waits_s = sum(each.seconds for each in chunk.slowed), 0.0
     warnings = [*chunk.program.warnings, *(faster.warnings if faster is not None else ())]
     if chunk.extent.end is None:
@@ -100,7 +96,18 @@ def plan_chunk(chunk: Chunk, context: Context, model: InverseModel) -> PlannedCh
     settling = Statistics(print_time_s=settling_s, settlings=len(waits), settling_s=settling_s)
     statistics = around + by_plan + of_raw(raw, raw_s) + changes + settling
     simulated = _is_simulated(chunk, context.share)
-    return PlannedChunk(chunk, planned, state, simulated, statistics, raw_s | changes_s, waits)
+    return PlannedChunk(chunk, planned, before, simulated, statistics, raw_s | changes_s, waits)
+
+
+def _left_behind(chunk: Chunk, past: PlannedProgram, model: InverseModel) -> Resting | None:
+    """Return the plant after the moves before a chunk, on the chunk's clock; None: none of them travels."""
+    resting = None
+    for solved in solutions(past, model.full_machine, model, None, lambda reference: False):
+        resting = Resting.after(solved, past)
+    if resting is None:
+        return None
+    dwells_s = sum(event.dwell_s for event in chunk.since if event.move == 0)
+    return replace(resting, since_t=resting.since_t - past.trajectory.end_t - dwells_s)
 
 
 def _is_simulated(chunk: Chunk, share: float) -> bool:

@@ -98,7 +98,7 @@ def compensate(
         wanted.append(prediction is not None and prediction.wants(reference))
         return wanted[-1] or check is not None
 
-    solved_sections = solutions(planned, context.machine, model, chunk.state, keep, chunk.chunk.layers, extent)
+    solved_sections = solutions(planned, context.machine, model, chunk.before, keep, chunk.chunk.layers, extent)
     statistics = chunk.statistics
     for section in planned.sections:
         yield from renderer.before(section)

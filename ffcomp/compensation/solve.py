@@ -35,11 +35,34 @@ class SolvedSection:
     knots: tuple[int, int]  # between which it is written
 
 
+SAME_PLACE_MM = 1e-6  # apart: what rounding may do to the end of one move and the start of the next
+
+
+@dataclass(frozen=True, slots=True)
+class Resting:
+    """The plant while the command rests after a section."""
+
+    state: FloatArray  # (18,), as the section ends
+    nozzle: FloatArray  # (3,) mm, where the command rests
+    since_t: float  # s, when it came to rest, on the clock of the plan that follows
+
+    @staticmethod
+    def after(solved: SolvedSection, planned: PlannedProgram) -> Resting:
+        """Return the plant after a section of a plan; time that was lost by slowing down does not count."""
+        last = solved.section.last - 1
+        plan, nozzle = planned.trajectory, planned.program.moves.end[last, :3]
+        return Resting(solved.solution.state, nozzle, float(plan.start_t[last] + plan.duration[last]))
+
+    def is_at(self, nozzle: FloatArray) -> bool:
+        """Return whether the command rests at a place, (3,) mm."""
+        return float(np.abs(self.nozzle - nozzle).max()) <= SAME_PLACE_MM
+
+
 def solutions(
     planned: PlannedProgram,
     machine: Machine,
     model: InverseModel,
-    state: FloatArray | None,
+    before: Resting | None,
     keep: Callable[[Reference], bool],
     layers_before: int = 0,
     extent: Extent = WHOLE,
@@ -51,7 +74,7 @@ def solutions(
     planned : a chunk's program
     machine : what it is planned for
     model : the machine's inverse
-    state : (18,) or None, of the plant as the first section begins; None: at rest
+    before : the plant before the first section; None: others have moved the nozzle, and it is at rest
     keep : asked once for each section whether its response is needed
     layers_before : layers of the file that have begun before this program
     extent : what is written of the program, if it begins or ends in motion
@@ -60,7 +83,7 @@ def solutions(
     ------
     LimitsError: Where a limit cannot be held, and the plan must not or cannot be slowed down.
     """
-    linear = _linear(planned, machine, model, state, keep, layers_before, extent)
+    linear = _linear(planned, machine, model, before, keep, layers_before, extent)
     if model.printer is None:
         yield from (solved for solved, _ in linear)
         return
@@ -77,7 +100,7 @@ def _linear(
     planned: PlannedProgram,
     machine: Machine,
     model: InverseModel,
-    state: FloatArray | None,
+    before: Resting | None,
     keep: Callable[[Reference], bool],
     layers_before: int,
     extent: Extent,
@@ -92,14 +115,14 @@ def _linear(
     # robust offsets of many sections together cost half of what they do one by one
     laid = [part.written(trajectory, section, settings) for part, section in zip(parts, travels, strict=True)]
     offsets = model.robust_offsets([written.reference for written in laid])
-    rested = later = 0.0
+    later = 0.0
     for section, part, written, offset in zip(travels, parts, laid, offsets, strict=True):
-        start, rest_s = trajectory.origin[section.first, :3], section.begin_t - rested
-        rested = section.end_t
-        if state is None or moved[section.first]:
+        start = trajectory.origin[section.first, :3]
+        if before is None or moved[section.first] or not before.is_at(start):
             state, rest = machine.equilibrium(start), None
         else:
-            state, rest = model.state_after_rest(state, start, rest_s), rest_s
+            rest = section.begin_t - before.since_t
+            state = model.state_after_rest(before.state, start, rest)
         if later:
             section = replace(section, begin_t=section.begin_t + later, end_t=section.end_t + later)
             written = part.written(trajectory, section, settings)
@@ -125,13 +148,11 @@ def _linear(
             result = solve(model, written.reference, state, keep_response=keep_response)
             feasible = FeasibleSection(trajectory, section, written, result)
         reference, *knots = feasible.written
-        yield (
-            SolvedSection(
-                trajectory, feasible.section, reference, feasible.solution, feasible.records, (knots[0], knots[1])
-            ),
-            rest,
+        solved = SolvedSection(
+            trajectory, feasible.section, reference, feasible.solution, feasible.records, (knots[0], knots[1])
         )
-        state = feasible.solution.state
+        yield solved, rest
+        before = Resting.after(solved, planned)
 
 
 def _moved_before(planned: PlannedProgram) -> dict[int, bool]:

@@ -6,14 +6,19 @@ import re
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from ffcomp.compensation.job import Job, Options
+from ffcomp.compensation.prediction import read_again
 from ffcomp.importers.builder import build_draft, machine_text, read_printer_config
+from ffcomp.metrics import contour_error
+from ffcomp.planner.program import known_to_the_firmware
 from gcode.embedded import OURS, original
+from gcode.reader import read_program
 from models.file import load_machine
 from models.machine import Machine
-from validation.invariants import violations
+from validation.invariants import told_apart, violations
 
 SQUARE = "G1 X20 Y0 E1\nG1 X20 Y20 E1\nG1 X0 Y20 E1\nG1 X0 Y0 E1\n"
 HEAD = "; gcode_flavor = klipper\nG90\nM83\nG28\nG1 X0 Y0 F6000\nG1 Z5\n"
@@ -90,3 +95,57 @@ def test_waits_are_written_and_counted() -> None:
     assert told == pytest.approx(statistics.print_time_s, abs=0.5)
     longer_s = statistics.print_time_s - statistics.original_print_time_s
     assert sum(waits) < longer_s < sum(waits) + 0.2
+
+
+ELSEWHERE = """G28
+G90
+M83
+G1 X0 Y0 Z0.2 F6000
+G1 X10 Y0 E1 F3000
+G1 E-.8 F1800
+{unknown}
+G1 X50 Y50 F9000
+G1 E.8 F1800
+G1 X70 Y50 E1 F3000
+G1 X70 Y70 E1
+"""
+ONE_MORE = "G1 E-.8 F1800\nG1 X60 Y70 F9000\n"
+
+
+@pytest.mark.parametrize("more", ["", ONE_MORE, 2 * ELSEWHERE], ids=["last", "one more", "two tools more"])
+@pytest.mark.parametrize("unknown", ["T1", "G28", "M84", "MY_MACRO"])
+@pytest.mark.parametrize(
+    ("name", "flavor"), [("voron-300", "klipper"), ("ender-3", "marlin"), ("kossel", "reprapfirmware")]
+)
+def test_what_follows_an_unknown_place_begins_where_the_nozzle_is(
+    name: str, flavor: str, unknown: str, more: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Wherever a chunk ends: the plant of the chunk after it must not ring from the place before."""
+    machine = load_machine(name)
+    place = str if name == "kossel" else shifted
+    data = place((ELSEWHERE + more).format(unknown=unknown)).encode()
+    for longest_s in (300.0, 0.3):
+        monkeypatch.setattr("ffcomp.compensation.chunks.LONGEST_S", longest_s)
+        stream = Job(data, "print.gcode", machine, Options(predict=False, flavor=flavor)).lines()
+        out = b"".join(stream)
+        assert violations(data, out, machine, flavor=flavor) == []
+        assert farthest_mm(data, out, machine, flavor) < 0.035
+        numbers = stream.value.statistics
+        longer_s = numbers.print_time_s - numbers.original_print_time_s - numbers.settling_s
+        assert not numbers.slowed and longer_s < 0.05
+        errors = read_again(out, "print.gcode", machine, (0.0, 0.0), flavor)
+        assert errors["compensated"].contour_rms_um < 0.5 * errors["uncompensated"].contour_rms_um < 50.0
+
+
+def farthest_mm(data: bytes, out: bytes, machine: Machine, flavor: str) -> float:
+    """How far the segments' ends are from the sliced path at most."""
+    known = known_to_the_firmware(machine)
+    sliced, written = (read_program(text, flavor=flavor, **known).moves for text in (data, out))
+    own = np.isin(written.line, told_apart(out.splitlines(keepends=True)).segments)
+    corners = np.stack([sliced.start[:, :3], sliced.end[:, :3]], axis=1).reshape(-1, 3)
+    connected = np.full(len(corners) - 1, True)
+    connected[1::2] = (sliced.start[1:, :3] == sliced.end[:-1, :3]).all(axis=1)
+    t = np.concatenate([[0.0], np.cumsum(np.where(connected, 0.0, 1.0))])  # a jump is never within the window
+    ends = written.end[own, :3]
+    parts = [contour_error(t, corners, np.full(len(ends), at), ends, 0.1) for at in np.unique(t)]
+    return float(np.min(parts, axis=0).max())
