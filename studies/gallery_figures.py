@@ -48,7 +48,7 @@ TUTORIALS = docs_runner.ROOT / "docs" / "tutorials"
 WIDTH_PX, LARGEST_BYTES = 1000, 100_000
 COLOURS = (128, 96, 64, 48)  # the most that the size allows
 ROWS = "mzv,ei,2hump_ei"  # of the page that is photographed
-SETTLED_MS = 400  # the viewer draws finely a while after the last movement
+SETTLED_MS = 400  # until a page is drawn
 LIMIT_MM_PER_S2 = 2500.0  # of a carriage, for the picture of limits that bind
 LINES_HZ = np.arange(2.0, 125.1, 0.5)
 # What a tenth wrong is: softer belts and a heavier effector, both of which lower its resonances.
@@ -175,8 +175,8 @@ def page_1400_light() -> Image.Image:
 
 
 def page_1400_dark() -> Image.Image:
-    """The worst corners and the print in space."""
-    return sections(compare_page(), "dark", "#close-up", "#whole-print")
+    """The worst corners, and errors by layer and feature."""
+    return sections(compare_page(), "dark", "#close-up", "#errors-by-layer")
 
 
 def page_390_light() -> Image.Image:
@@ -185,8 +185,8 @@ def page_390_light() -> Image.Image:
 
 
 def page_390_dark() -> Image.Image:
-    """The print in space with its sliders, and the speeds."""
-    return screens(compare_page(), "dark", "#whole-print", "#viewer .keys", "#equal-quality")
+    """Errors by layer and feature, their spectrum, and the speeds."""
+    return screens(compare_page(), "dark", "#errors-by-layer", "#spectrum", "#equal-quality")
 
 
 @cache
@@ -222,7 +222,7 @@ def screens(page: bytes, scheme: str, *tops: str) -> Image.Image:
 def opened(page: bytes, scheme: str, width: int, height: int) -> Iterator[Any]:
     path = Path("shown.html").resolve()
     path.write_bytes(page)
-    with chromium() as browser, visit(browser, path, width, height, "#viewer[data-ready]") as seen:
+    with chromium() as browser, visit(browser, path, width, height) as seen:
         seen.page.emulate_media(color_scheme=scheme)
         seen.page.wait_for_timeout(SETTLED_MS)
         yield seen.page

@@ -34,7 +34,7 @@ from ffcomp.comparison.evaluation import (
 )
 from ffcomp.comparison.methods import COMPENSATED, TunedMethod
 from ffcomp.comparison.monte_carlo import ON_PLANTS, TUNING_ON_PLANTS, draw_plants, with_spread
-from ffcomp.comparison.result import BedMap, Comparison, Layer, Method, Outline, Party, Peaks
+from ffcomp.comparison.result import BedMap, Comparison, Layer, Method, Party, Peaks
 from ffcomp.comparison.sampling import SETTLE_S, SHORTEST_S, Print, PrintSlice, Sampling, check_long_enough
 from ffcomp.compensation.job import Job, Options
 from ffcomp.compensation.prediction import READ_AGAIN_S, read_again
@@ -142,7 +142,6 @@ def compare(
         seconds=time.perf_counter() - started,
         acceleration_mm_per_s2=printed.acceleration_mm_per_s2,
         whole=len(slices) == 1 and slices[0].planned is printed.planned,
-        outline=_outline(printed),
         predicted=predicted,
         robust=choice,
     )
@@ -316,14 +315,6 @@ def _layers(printed: Print, method: Method) -> tuple[Layer, ...]:
         z = float(np.median(s.reference[s.layer == number, 2]))
         layers.append(Layer(number, z, float(plan.start_t[first]), float(plan.start_t[last] + plan.duration[last])))
     return tuple(layers)
-
-
-def _outline(printed: Print) -> Outline:
-    moves, kinds = printed.program.moves, printed.labels
-    extruding = np.flatnonzero(printed.extrudes)
-    return Outline(
-        moves.start[extruding, :3], moves.end[extruding, :3], kinds.layer[extruding], kinds.feature[extruding]
-    )
 
 
 def _bed(plant: Machine, of_place: FrequencyOfPosition) -> BedMap:

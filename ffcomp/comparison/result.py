@@ -169,16 +169,6 @@ class BedMap:
 
 
 @dataclass(frozen=True, eq=False)
-class Outline:
-    """The k moves of the whole print that extrude."""
-
-    start: FloatArray  # (k, 3) mm
-    end: FloatArray  # (k, 3) mm
-    layer: IntArray  # (k,)
-    feature: IntArray  # (k,) index into Comparison.features
-
-
-@dataclass(frozen=True, eq=False)
 class Comparison:
     """A comparison: all that the JSON, the report and the figures are made of."""
 
@@ -206,7 +196,6 @@ class Comparison:
     seconds: float = 0.0  # that the comparison took
     acceleration_mm_per_s2: float | None = None  # of the print: most of its outer walls, or of all that extrudes
     whole: bool = False  # the evaluated part is the whole print, in one piece
-    outline: Outline | None = None  # all that the print extrudes, evaluated or not
     predicted: dict[str, Track] = field(default_factory=dict)  # of the whole print, as `compensate` and `show` say it
     robust: RobustChoice = PLAIN  # of `compensate` with this machine file, unless told otherwise
 

@@ -34,7 +34,6 @@ NOISE, GROUND = "#c9ced8", "#f5f7fa"  # of a measurement; beneath something
 NEIGHBOUR = "#d5d9e0"  # other lines of the layer, and travel: there, but not in question
 # How far off the path: from violet, hardly, to what stands out most from the ground. No method has such a colour.
 ERROR = ("#9d84c9", "#a55eda", "#a433c7", "#9a05a4", "#860079", "#6e0354", "#501135")
-ERROR_ON_DARK = ("#76609f", "#9458c1", "#bf5be0", "#e669ef", "#fe8cec", "#febbe5", "#fde3ee")
 ON_DARK = {  # what each colour becomes where the reader's screen is dark
     BEFORE: "#ff9248",
     AFTER: "#5bb4ea",
@@ -68,9 +67,9 @@ RC: dict[Any, Any] = {
 }
 
 
-def error_colours(on_dark: bool = False) -> LinearSegmentedColormap:
+def error_colours() -> LinearSegmentedColormap:
     """Return the colours of an error, from hardly to far off the path."""
-    return LinearSegmentedColormap.from_list("error", ERROR_ON_DARK if on_dark else ERROR)
+    return LinearSegmentedColormap.from_list("error", ERROR)
 
 
 def grid(axes: Axes, axis: Any = "both") -> None:

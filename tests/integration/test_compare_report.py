@@ -7,11 +7,9 @@ number in the report has a closed form.
 from __future__ import annotations
 
 import base64
-import json
 import math
 import re
 import xml.etree.ElementTree as ElementTree
-import zlib
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -27,7 +25,6 @@ from ffcomp.inverse.robust import RobustChoice
 from ffcomp.inverse.settings import settings_for
 from ffcomp.report.compare import html
 from ffcomp.report.compare import html as table
-from ffcomp.report.compare import samples as packed
 from ffcomp.report.compare import words as parts
 from ffcomp.report.compare.charts import by_layer, errors, print_times
 from ffcomp.report.compare.close_up import worst_positions
@@ -43,7 +40,6 @@ from tests.support.browser import Visit, chromium, visit
 from tests.support.comparison import (
     LAYERS,
     NASTY,
-    READY,
     RING_HZ,
     SAMPLE_S,
     SIDE,
@@ -257,73 +253,6 @@ def test_close_ups_are_on_outer_walls_first() -> None:
     assert all(place.feature == "External perimeter" for place in worst_positions(comparison()))
 
 
-# ---- the viewer's data ---------------------------------------------------------------------------
-
-
-def unpacked(data: dict[str, Any], judged: dict[str, Any]) -> dict[str, Any]:
-    """The columns again, as the viewer reads them."""
-    raw, at, columns = zlib.decompress(base64.b64decode(judged["data"])), 0, {}
-    for name, form, width in packed.COLUMNS:
-        kind, count = np.dtype(form), judged["count"]
-        planes = np.frombuffer(raw, np.uint8, count * width * kind.itemsize, at).reshape(width, kind.itemsize, count)
-        at += planes.size
-        steps = np.ascontiguousarray(planes.transpose(0, 2, 1)).view(kind)[..., 0]
-        column = np.cumsum(steps, axis=1, dtype=kind).T
-        columns[name] = column if width > 1 else column[:, 0]
-    assert at == len(raw)
-    columns["foot"] = np.array(data["origin"]) + data["grain"] * columns["foot"]
-    columns["away"] = data["step"] * columns["away"]
-    columns["due"] = data["tick"] * columns["due"]
-    return columns
-
-
-def test_what_is_packed_is_what_was_judged() -> None:
-    found = comparison()
-    data = packed.packed(found)
-    assert [each["label"] for each in data["methods"]] == [found.methods[n].label for n in ("none", "mzv", "fbs-lpv")]
-    assert packed.thinned_out(found) == ""
-    for judged, name in zip(data["methods"], ("none", "mzv", "fbs-lpv"), strict=True):
-        s, columns = found.methods[name].samples, unpacked(data, judged)
-        assert judged["count"] == len(s.due)
-        np.testing.assert_allclose(columns["foot"] + columns["away"], s.nozzle, atol=2e-3)
-        np.testing.assert_allclose(columns["due"], s.due, atol=6e-5)
-        np.testing.assert_array_equal(columns["layer"], s.layer)
-        np.testing.assert_array_equal(columns["kind"] & packed.EXTRUDING > 0, s.extruding)
-        np.testing.assert_array_equal(columns["kind"] & packed.FEATURES, s.feature)
-        error = packed.LOWEST_UM * (data["highest"] / packed.LOWEST_UM) ** (columns["error"] / 255)
-        np.testing.assert_allclose(error, np.maximum(1e3 * s.contour, packed.LOWEST_UM), rtol=0.02)
-
-
-def test_thinning_keeps_the_peaks_and_straight_lines_need_few_points() -> None:
-    s = samples(0.1)
-    wavy = packed.Trace(method("none", "none", "none", 0.0, samples=s), s.reference, s.nozzle - s.reference)
-    kept, joined = packed.thin(wavy, 900)
-    assert 900 <= len(kept) < 1000 and kept[0] == 0 and not joined[0] and joined[1:].all()
-    between = np.interp(s.due, s.due[kept], (s.nozzle - s.reference)[kept, 0])
-    assert np.abs(between - (s.nozzle - s.reference)[:, 0]).max() < 0.01
-    straight = packed.Trace(wavy.method, s.reference, np.zeros_like(s.reference))
-    assert len(packed.thin(straight, 900)[0]) < 120
-
-
-def test_points_of_a_long_print_stand_for_the_largest_error_around_them(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(packed, "POINTS", 3000)
-    found = comparison()
-    data = packed.packed(found)
-    assert "of the samples" in packed.thinned_out(found)
-    for judged, name in zip(data["methods"], ("none", "mzv", "fbs-lpv"), strict=True):
-        assert judged["count"] < 1100
-        s, columns = found.methods[name].samples, unpacked(data, judged)
-        kept = np.searchsorted(s.due, columns["due"] - SAMPLE_S / 2)
-        worst = np.maximum.reduceat(1e3 * s.contour, kept)
-        error = packed.LOWEST_UM * (data["highest"] / packed.LOWEST_UM) ** (columns["error"] / 255)
-        np.testing.assert_allclose(error, np.maximum(worst, packed.LOWEST_UM), rtol=0.02)
-
-
-def test_the_page_of_a_long_print_is_below_four_megabytes(page: Path) -> None:
-    own = sum(len(judged["data"]) for judged in packed.packed(everything())["methods"])
-    assert page.stat().st_size - own + 4 / 3 * 9 * packed.POINTS < 4e6  # 9 bytes a point, seen on real prints
-
-
 # ---- the table -----------------------------------------------------------------------------------
 
 
@@ -455,8 +384,6 @@ def test_the_page_fetches_nothing(page: Path) -> None:
 def test_text_from_files_is_escaped(nasty_page: Path) -> None:
     text = nasty_page.read_text(encoding="utf-8")
     assert "alert(1)" in text and "<script>alert" not in text and "<img src=x" not in text
-    data = re.search(r'id="samples">(.*?)</script>', text, re.DOTALL)
-    assert data is not None and json.loads(data[1])["features"][1] == f"</script>{NASTY}"
 
 
 def test_a_failed_report_leaves_the_old_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -512,59 +439,8 @@ def clean(seen: Visit) -> bool:
     return not seen.errors and not seen.requests
 
 
-def test_the_viewer_scrubs_switches_turns_and_points(browser: Any, page: Path) -> None:
-    with visit(browser, page, ready=READY) as seen:
-        label, slider = seen.page.locator("[data-role=label]"), seen.page.locator("[data-role=layer]")
-        assert "3 layers evaluated" in label.inner_text()
-        shots = [seen.shot("canvas")]
-        slider.fill("1")
-        assert label.inner_text().startswith("Layer 1, Z 0.40 mm")
-        shots.append(seen.shot("canvas"))
-        seen.page.locator("canvas").press("ArrowUp")
-        assert label.inner_text().startswith("Layer 2, Z 0.60 mm") and slider.input_value() == "2"
-        shots.append(seen.shot("canvas"))
-        seen.page.get_by_role("button", name="no compensation").click()
-        shots.append(seen.shot("canvas"))
-        box = seen.page.locator("canvas").bounding_box()
-        x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
-        seen.page.mouse.move(x, y)
-        seen.page.mouse.down()
-        seen.page.mouse.move(x + 90, y + 40, steps=4)
-        seen.page.mouse.up()
-        shots.append(seen.shot("canvas"))
-        seen.page.mouse.wheel(0, -300)
-        shots.append(seen.shot("canvas"))
-        seen.page.locator("[data-role=exaggeration]").fill("0.7")
-        assert seen.page.locator("[data-role=times]").inner_text().startswith("5 ×")
-        shots.append(seen.shot("canvas"))
-        assert len(set(shots)) == len(shots)
-        assert clean(seen), (seen.errors, seen.requests)
-
-
-def test_pointing_at_a_line_tells_its_numbers(browser: Any, page: Path) -> None:
-    with visit(browser, page, ready=READY) as seen:
-        seen.page.get_by_role("button", name="no compensation").click()
-        seen.page.get_by_role("button", name="from above").click()
-        seen.page.locator("[data-role=layer]").fill("1")
-        seen.page.locator("canvas").scroll_into_view_if_needed()
-        box, tip = seen.page.locator("canvas").bounding_box(), seen.page.locator("[data-role=tip]")
-        for y in np.arange(box["y"] + box["height"] - 4, box["y"] + box["height"] / 2, -6):  # up to the square's side
-            seen.page.mouse.move(box["x"] + box["width"] / 2, float(y))
-            if tip.is_visible():
-                break
-        said = tip.inner_text()
-        assert "Z 0.40 mm" in said and "layer 1, Perimeter" in said
-        none, shaped = (re.search(rf"([\d.]+) µm  {name}", said) for name in ("no compensation", "MZV"))
-        assert none is not None and shaped is not None, said
-        assert float(none[1]) == pytest.approx(10 * float(shaped[1]), abs=0.6)  # of the same instant
-        at = re.search(r"X (-?[\d.]+)  Y (-?[\d.]+)", said)
-        assert at is not None
-        assert [float(at[1]), float(at[2])] == pytest.approx([0.0, -SIDE / 2], abs=1.0)
-        assert clean(seen), (seen.errors, seen.requests)
-
-
 def test_the_table_sorts_and_comes_back(browser: Any, page: Path) -> None:
-    with visit(browser, page, ready=READY) as seen:
+    with visit(browser, page) as seen:
         head = seen.page.locator("table.sortable thead button", has_text="rms").first
 
         def order() -> list[str]:
@@ -581,13 +457,12 @@ def test_the_table_sorts_and_comes_back(browser: Any, page: Path) -> None:
 
 
 def test_narrow_screens_need_no_sideways_scrolling(browser: Any, page: Path) -> None:
-    with visit(browser, page, 390, 800, READY) as seen:
+    with visit(browser, page, 390, 800) as seen:
         assert seen.page.evaluate("document.documentElement.scrollWidth") <= 390
         assert clean(seen), (seen.errors, seen.requests)
 
 
 def test_nothing_from_a_file_is_executed(browser: Any, nasty_page: Path) -> None:
-    with visit(browser, nasty_page, ready=READY) as seen:
-        seen.page.locator("[data-role=layer]").fill("1")
+    with visit(browser, nasty_page) as seen:
         assert "alert(1)" in seen.page.locator("h1").inner_text()
         assert clean(seen), (seen.errors, seen.requests)

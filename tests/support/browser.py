@@ -76,11 +76,6 @@ class Visit:
         if not url.startswith((own, "data:")):
             self.requests.append(url)
 
-    def shot(self, selector: str) -> bytes:
-        """PNG of one element, once everything asked for is drawn."""
-        self.page.wait_for_timeout(180)  # the viewer draws finely 120 ms after the last movement
-        return bytes(self.page.locator(selector).screenshot())
-
 
 @contextmanager
 def visit(browser: Any, path: Path | str, width: int = 1200, height: int = 900, ready: str = "body") -> Iterator[Visit]:

@@ -19,7 +19,6 @@ from ffcomp.comparison.result import (
     Family,
     Layer,
     Method,
-    Outline,
     Party,
     Peaks,
     Samples,
@@ -33,7 +32,6 @@ SIDE, SPEED, LAYERS = 40.0, 80.0, 3  # mm, mm/s
 RING_HZ, DECAY_PER_S = 42.0, 12.0
 SIDE_N = round(SIDE / SPEED / SAMPLE_S)
 FEATURES = ("other", "Perimeter", "External perimeter")
-READY = "#viewer[data-ready]"
 NASTY = '"><script>alert(1)</script><img src=x onerror=alert(2)>'
 
 
@@ -101,14 +99,6 @@ def bed() -> BedMap:
     return BedMap(axis, axis, frequency)
 
 
-def outline() -> Outline:
-    """The squares of the evaluated layers, and of as many above, which nobody evaluated."""
-    corners = 0.5 * SIDE * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
-    rows = [np.column_stack([corners, np.full(4, 0.2 * (layer + 1))]) for layer in range(2 * LAYERS)]
-    start, end = (np.concatenate([row[part] for row in rows]) for part in (slice(0, 3), slice(1, 4)))
-    return Outline(start, end, np.repeat(np.arange(2 * LAYERS), 3), np.tile([1, 2, 1], 2 * LAYERS))
-
-
 def comparison(
     none_um: float = 200.0, best_um: float = 20.0, ours_um: float = 2.0, name: str = "prints/square.gcode", **about: Any
 ) -> Comparison:
@@ -137,7 +127,6 @@ def comparison(
         "limits": {"carriage_velocity_mm_per_s": 300.0, "carriage_acceleration_mm_per_s2": 2e4},
         "quality_bound_um": 25.0,
         "acceleration_mm_per_s2": 5000.0,
-        "outline": outline(),
     }
     return Comparison(print_name=name, **(given | about))
 

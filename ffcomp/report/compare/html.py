@@ -4,22 +4,18 @@ from __future__ import annotations
 
 import base64
 import hashlib
-import json
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import groupby
 from pathlib import Path
-from typing import Any
 
-import matplotlib
 from markupsafe import Markup
 
 from ffcomp.comparison.result import Comparison, EqualQuality, Family, Method, Spread
 from ffcomp.report.compare.charts import colour_of
 from ffcomp.report.compare.figures import HOW_TO_READ, close_ups, drawings, panels
-from ffcomp.report.compare.samples import FEATURES, LOWEST_UM, packed, thinned_out
 from ffcomp.report.compare.sentences import GLOSSARY, answer, verdict
 from ffcomp.report.compare.words import (
     contour_p99_um,
@@ -36,7 +32,7 @@ from ffcomp.report.compare.words import (
     um,
     where_seen,
 )
-from ffcomp.report.drawing import ON_DARK, error_colours, panel
+from ffcomp.report.drawing import ON_DARK, panel
 from ffcomp.report.page import rendered, resource, tied
 from gcode.atomic_write import replace_atomically
 
@@ -232,16 +228,13 @@ def _cell(column: Column, method: Method, best: float | None) -> Cell:
     return Cell(column.text(method, value), f"{value:.9g}", best_here, beyond, below)
 
 
-COLOURS = 48
-
-
 def write_report(comparison: Comparison, target: Path) -> None:
     """Write the whole comparison as one HTML file; an old one stays until the new one is complete."""
     replace_atomically(target, _page(comparison))
 
 
 def _page(comparison: Comparison) -> Iterator[bytes]:
-    script = "\n".join(resource(f"compare/{name}.js") for name in ("unpack", "viewer", "controls", "page"))
+    script = resource("compare/page.js")
     yield rendered(
         "compare",
         {"um": um, "duration": duration, "tied": tied},
@@ -249,11 +242,6 @@ def _page(comparison: Comparison) -> Iterator[bytes]:
         name=file_name(comparison),
         script=Markup(script),
         script_hash=base64.b64encode(hashlib.sha256(script.encode()).digest()).decode("ascii"),
-        data=_json(packed(comparison)),
-        thinned_out=thinned_out(comparison),
-        colours=_json({"light": _colours(False), "dark": _colours(True)}),
-        ramps={"light": ", ".join(_colours(False)), "dark": ", ".join(_colours(True))},
-        ticks=_ticks(comparison),
         answer=answer(comparison),
         sentences=[tied(sentence) for sentence in verdict(comparison)],
         tiles=_tiles(comparison),
@@ -269,28 +257,9 @@ def _page(comparison: Comparison) -> Iterator[bytes]:
         families=_families(comparison),
         layers=_layers(comparison),
         features=_features(comparison),
-        feature_numbers=_feature_numbers(comparison),
         warnings=[(m.label, each) for m in comparison.methods.values() for each in dict.fromkeys(m.warnings)],
         glossary=GLOSSARY,
     )
-
-
-def _json(value: Any) -> Markup:
-    """Escape JSON for a <script> element, which only `</` could end."""
-    return Markup(json.dumps(value, ensure_ascii=True, separators=(",", ":")).replace("<", "\\u003c"))
-
-
-def _colours(on_dark: bool) -> list[str]:
-    """Return colours from violet (on the path) to what stands out most (far off)."""
-    colours = error_colours(on_dark)
-    return [matplotlib.colors.to_hex(colours(k / (COLOURS - 1))) for k in range(COLOURS)]
-
-
-def _ticks(comparison: Comparison) -> list[tuple[float, str]]:
-    """Return where on the colour bar, in %, powers of ten stand."""
-    highest = max(1e3 * float(method.samples.contour.max()) for method in shown(comparison))
-    decades = math.log10(max(highest, 1.0) / LOWEST_UM)
-    return [(100 * k / decades, f"{LOWEST_UM * 10**k:g}") for k in range(math.floor(decades) + 1)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -339,8 +308,3 @@ def _features(comparison: Comparison) -> list[tuple[str, str, list[str]]]:
     share = {name: error.share for name, error in feature_errors(comparison, comparison.methods["none"]).items()}
     names = outer_first(share, share)
     return [(name, f"{share[name]:.1%}", [rms_um(each.get(name)) for each in errors]) for name in names]
-
-
-def _feature_numbers(comparison: Comparison) -> list[tuple[int, str]]:
-    number = {name: k for k, name in enumerate(comparison.features[: FEATURES + 1])}
-    return [(number[name], name) for name, _, _ in _features(comparison) if name in number]

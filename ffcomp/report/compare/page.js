@@ -1,4 +1,4 @@
-// Tables that sort by a click on their heads, and the start of the viewer.
+// Tables that sort by a click on their heads.
 "use strict";
 
 function sortable(table) {
@@ -28,6 +28,3 @@ function sortable(table) {
 }
 
 document.querySelectorAll("table.sortable").forEach(sortable);
-const data = document.getElementById("samples");
-const colours = JSON.parse(document.getElementById("colours").textContent);
-showPrint(document.getElementById("viewer"), JSON.parse(data.textContent), colours);
