@@ -220,20 +220,25 @@ _NO_LENGTHS = {("M205", "B"), ("M566", "P")}  # µs; RepRapFirmware's policy of 
 _PER_MINUTE = {"M203", "M566"}
 
 
-def shaper_off(flavor: str) -> list[bytes]:
-    """Lines that switch the firmware's own input shaper off.
+SHAPER_COMMAND = {KLIPPER: b"SET_INPUT_SHAPER", MARLIN: b"M593", REPRAPFIRMWARE: b"M593"}
+_SHAPER_FREQUENCY = re.compile(rb"(?:SHAPER|SMOOTHER)_FREQ_\w", re.IGNORECASE)
+
+
+def shaper_off(flavor: str, on: Iterable[bytes] = ()) -> list[bytes]:
+    """Lines that switch the firmware's own input shaper off; types and damping ratios stay what they are.
 
     On Klipper this stops the motion for a moment; without an [input_shaper] section the host only says that it does not
     know the command.
+
+    Parameters
+    ----------
+    on : lines that switch it on, if they are known: on Klipper they name its axes
     """
-    return [_SHAPER_OFF[flavor]]
-
-
-_SHAPER_OFF = {
-    KLIPPER: b"SET_INPUT_SHAPER SHAPER_FREQ_X=0 SHAPER_FREQ_Y=0\n",
-    MARLIN: b"M593 F0\n",
-    REPRAPFIRMWARE: b'M593 P"none"\n',
-}
+    if flavor == KLIPPER:
+        named = _SHAPER_FREQUENCY.findall(b" ".join(on).upper())
+        words = dict.fromkeys([b"SHAPER_FREQ_X", b"SHAPER_FREQ_Y", *named])
+        return [b"SET_INPUT_SHAPER %b\n" % b" ".join(word + b"=0" for word in words)]
+    return [b"M593 F0\n" if flavor == MARLIN else b'M593 P"none"\n']
 
 
 def _klipper(limits: MotionLimits, axes: str) -> list[bytes]:

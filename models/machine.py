@@ -165,6 +165,7 @@ class Machine:
     path: str = ""
     returns: tuple[str, ...] = ()  # macros after which the nozzle is where it was
     still: tuple[str, ...] = ()  # macros that move nothing
+    input_shaper: tuple[str, ...] | None = None  # commands that switch the firmware's own on; None: not known
     flavor: str = ""  # of its firmware: "klipper", "marlin" or "reprapfirmware"; empty: not said
     pressure: Pressure | None = None  # what the hot end keeps back; None: not said
     marlin: MarlinSettings | None = None  # of its planner; None: not said

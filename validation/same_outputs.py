@@ -192,7 +192,7 @@ def _small() -> Iterator[Run]:
         "robust": (("--robust",), False),
         "offset": (("--offset-mm", "20,-15", "--flavor", "marlin"), True),
         "coarse": (("--max-segments-per-second", "150", "--no-predict", "--tolerance-um", "5"), True),
-        "shaper-off": (("--shaper-off",), False),
+        "shaper-off": (("--no-keep-shaper",), False),
     }
     for name, (options, quick) in ways.items():
         out = f"small.{name}.gcode"

@@ -225,6 +225,8 @@ def _report(done: Compensation, quiet: bool) -> None:
     if result.placement.reason not in done.file.warnings:
         say(result.placement.reason, quiet)
     say(result.robust.reason, quiet)
+    if result.shaper and result.shaper.reason not in done.file.warnings:
+        say(result.shaper.reason, quiet)
     if result.faster is not None:
         say(faster_line(result.faster), quiet)
         say(limits_in_words(result.faster.limited_by), quiet)

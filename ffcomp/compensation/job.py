@@ -20,6 +20,7 @@ from typing import Any
 from ffcomp.compensation import chunks
 from ffcomp.compensation.chunks import Chunk, Splitting, split_chunks
 from ffcomp.compensation.gcode_writer import GcodeRenderer
+from ffcomp.compensation.own_shaper import OwnShaper, own_shaper, with_shaper_off
 from ffcomp.compensation.placement import NOWHERE, Footprint, Offset, Placement, advice, choose_offset, footprint_of
 from ffcomp.compensation.plan import Context, plan_chunk
 from ffcomp.compensation.prediction import LONGEST_S, READ_AGAIN_S
@@ -28,7 +29,7 @@ from ffcomp.compensation.request import CompensateOptions
 from ffcomp.compensation.result import Result
 from ffcomp.compensation.statistics import Statistics
 from ffcomp.compensation.step_output import StepRenderer, StepStream
-from ffcomp.compensation.text_stream import Stream, stamped, with_shaper_off, with_times_retold
+from ffcomp.compensation.text_stream import Stream, stamped, with_times_retold
 from ffcomp.errors import NothingToDo, RequestError
 from ffcomp.faster.bound import Bound, with_slicer_settings
 from ffcomp.integrations.slicer import Bed, bed_in, pair
@@ -94,7 +95,7 @@ class Options:
     flavor: str = ""  # "": what the machine file says, or else the file
     settings: Settings | None = None  # None: what the machine's limits give
     predict: bool = True
-    shaper_off: bool = False
+    keep_shaper: bool | None = None  # the firmware's own; None: off if the machine file has it
     force: bool = False  # compensate again what is stamped
     steps: StepOutput | None = None  # None: G-code
     bed: Bed | None = None  # the slicer's, if it has said it otherwise than in the file
@@ -122,7 +123,7 @@ class Options:
             flavor=request.flavor,
             settings=replace(settings, robust=choice.robust),
             predict=request.predict,
-            shaper_off=request.shaper_off,
+            keep_shaper=request.keep_shaper,
             force=request.force,
             steps=_step_output(request, machine),
             bed=bed,
@@ -311,6 +312,10 @@ class Job:
         return choose_offset(self.machine.kinematics, self._bed, self._footprint)
 
     @property
+    def _shaper(self) -> OwnShaper:
+        return own_shaper(self.options.keep_shaper, self.machine, self.flavor)
+
+    @property
     def _bed(self) -> Bed | None:
         return self.options.bed or bed_in(*self._ends[:2])
 
@@ -326,8 +331,8 @@ class Job:
             return body.value.print_time_s, body.value.original_print_time_s
 
         pieces = with_times_retold(body, planned_s, folder, embed=self.settings.embed)
-        if self.options.shaper_off:
-            pieces = with_shaper_off(pieces, self.flavor)
+        if self._shaper.state != "kept":
+            pieces = with_shaper_off(pieces, self._shaper)
         notes = offset_line(self.offset) + (b"" if self.settings.embed else WITHOUT_ORIGINAL + b"\n")
         yield from stamped(filter(None, pieces), stamp, notes)
         self.model.save_cache()
@@ -341,6 +346,7 @@ class Job:
             took_s,
             embedded=embedded,
             robust=self._robust,
+            shaper=self._shaper,
         )
 
     def _body(self, progress: Progress) -> Lines:

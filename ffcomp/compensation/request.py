@@ -98,12 +98,15 @@ class CompensateOptions(Request):
             OUTPUT,
         ),
     ] = True
-    shaper_off: Annotated[
-        bool,
+    keep_shaper: Annotated[
+        bool | None,
         Option(
-            "Switch the firmware's input shaper off in the file.", MACHINE, label="Switch the firmware's shaper off"
+            "Leave the firmware's own input shaper on. Default: off during the print and on again at its end, if the "
+            "machine file has it. --no-keep-shaper: off even if the machine file does not have it, and left off.",
+            MACHINE,
+            label="Keep the firmware's own shaper on",
         ),
-    ] = False
+    ] = None
     predict: Annotated[bool, Option("Simulate the print before and after with the design model.", SPEED)] = True
     max_segments_per_second: Annotated[float, SEGMENT_RATE] = 250.0
     inverse: Annotated[

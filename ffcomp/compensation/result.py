@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from ffcomp.compensation.faster import P99_LEVEL
+from ffcomp.compensation.own_shaper import OwnShaper
 from ffcomp.compensation.placement import Placement
 from ffcomp.compensation.statistics import Statistics, shortened, warning_lines
 from ffcomp.errors import INPUT_ERRORS, explain, interrupts_restored
@@ -59,6 +60,7 @@ class Result:
     steps: Mapping[str, MotorTotal] | None = None  # by the motor's letter; None: G-code was written
     embedded: bool = True  # whether the G-code holds its original
     robust: RobustChoice = PLAIN
+    shaper: OwnShaper | None = None  # None: step timings, which cannot switch it
     read_again: Mapping[str, Track] = field(default_factory=dict)  # errors of the file as it was written
 
     @property
@@ -82,7 +84,8 @@ class Result:
     @property
     def _general_warnings(self) -> list[str]:
         numbers = self.statistics
-        return [*self.no_gain, *numbers.shares.warnings(), *numbers.warnings, *self.bound_missed]
+        shaper = self.shaper.warnings if self.shaper else []
+        return [*self.no_gain, *numbers.shares.warnings(), *numbers.warnings, *self.bound_missed, *shaper]
 
     @property
     def no_gain(self) -> list[str]:
@@ -164,6 +167,9 @@ class Result:
             # true or false: whether the expected error over the machine file's `[uncertainty]` was minimised
             "robust": self.robust.robust,
             "robust_reason": self.robust.reason,  # why, in a sentence
+            # text or null: the firmware's own: off, kept, none or unknown; null: step timings, which cannot switch it
+            "input_shaper": self.shaper.state if self.shaper else None,
+            "input_shaper_reason": self.shaper.reason if self.shaper else "",  # what is done about it, in a sentence
             "print_time_s": numbers.print_time_s,  # of the compensated print, heating and macros not counted
             "original_print_time_s": numbers.original_print_time_s,  # of the original, planned the same way
             "compute_time_s": self.compute_time_s,  # that it took

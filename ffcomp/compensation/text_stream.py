@@ -1,4 +1,4 @@
-"""Write the text of a compensated file as it streams: stamp, shaper off, and times retold when the end is known.
+"""Write the text of a compensated file as it streams: stamp, and times retold when the end is known.
 
 A file says at its head how long it takes, and with M73 all along how much is left. So from the first such line on,
 what is written waits in a file without a name, and is read out again when the whole print has been planned. The
@@ -12,8 +12,7 @@ from pathlib import Path
 from tempfile import SpooledTemporaryFile
 from typing import IO, Generic, TypeVar
 
-from gcode.dialects import shaper_off
-from gcode.embedded import OURS, TIME_WAS
+from gcode.embedded import TIME_WAS
 from gcode.metadata import Durations, Tells, Timed, retold, stated_time, tells, with_waiting_s
 
 T = TypeVar("T")
@@ -95,21 +94,6 @@ def _retold(line: Timed, durations: Durations, embed: bool) -> bytes:
     new = retold(line, durations)
     ending = line[len(line.rstrip(b"\r\n")) :] or b"\n"
     return new if new == line or not embed else TIME_WAS + stated_time(line) + ending + new
-
-
-def with_shaper_off(pieces: Iterator[bytes], flavor: str) -> Iterator[bytes]:
-    """Switch the firmware's own shaper off where our first block opens."""
-    waiting = True
-    for piece in pieces:
-        at = piece.find(OURS) if waiting else -1
-        if at >= 0:
-            waiting = False
-            begin = piece.rfind(b"\n", 0, at) + 1
-            ending = b"\r\n" if piece[: piece.find(b"\n", at) + 1].endswith(b"\r\n") else b"\n"
-            yield piece[:begin]
-            yield from (off.rstrip(b"\n") + OURS + ending for off in shaper_off(flavor))
-            piece = piece[begin:]
-        yield piece
 
 
 def stamped(pieces: Iterator[bytes], stamp: bytes, notes: bytes) -> Iterator[bytes]:

@@ -138,8 +138,7 @@ def _nearest_delta(config: ConfigValues) -> Path:
 
 
 def _shortest_arm(config: ConfigValues) -> float | None:
-    arms = next((config.values[key].value for key in ARMS if key in config.values), None)
-    return min(arms) if isinstance(arms, list) else arms
+    return next((min(config.values[key].numbers) for key in ARMS if key in config.values), None)
 
 
 def _lender(path: Path, config: ConfigValues) -> dict[str, Any]:
@@ -167,9 +166,9 @@ def _assumed(config: ConfigValues, lender: Mapping[str, Any], like: str) -> Iter
     if config.kinematics == "delta":
         yield from _assumed_reach(config, lender, like)
     if steps := config.values.get("steps.steps_per_mm"):
-        rule, each = f"{ASSUMED}: {USUAL_MICROSTEPS:g} microsteps for each full step", steps.value
-        full = [x / USUAL_MICROSTEPS for x in each] if isinstance(each, list) else each / USUAL_MICROSTEPS
-        yield "steps.full_steps_per_mm", Value(full, "assumed", rule)
+        full = [each / USUAL_MICROSTEPS for each in steps.numbers]
+        rule = f"{ASSUMED}: {USUAL_MICROSTEPS:g} microsteps for each full step"
+        yield "steps.full_steps_per_mm", Value(full if len(full) > 1 else full[0], "assumed", rule)
     for key, default in DEFAULTS.items():
         table, _, name = key.partition(".")
         whose = f"as the machine {like!r}" if name in lender.get(table, {}) else "ffcomp's default"

@@ -22,6 +22,7 @@ from ffcomp.importers.values import (
     known,
     least,
     listed,
+    own_shaper,
     plain_number,
     print_radius,
     shaped_axis,
@@ -63,6 +64,7 @@ class KlipperConfig:
     options: dict[tuple[str, str], Option] = field(default_factory=dict)  # (section, option in small letters)
     remarks: list[str] = field(default_factory=list)  # sentences about parts that were not read
     files: int = 0  # included so far
+    unread: bool = False  # an included file was not read
     alone: bool = False  # no other file is read
 
     def text(self, section: str, option: str) -> Option | None:
@@ -108,7 +110,7 @@ def read_klipper(path: Path, alone: bool = False) -> KlipperConfig:
     _read(regular, 1, path, config, (path.resolve(),))
     _read(_unmarked(block, first_line, path), first_line, path, saved, ())
     remarks = [*config.remarks, *_overruled(config, saved)]
-    return KlipperConfig(path.name, {**saved.options, **config.options}, remarks)
+    return KlipperConfig(path.name, {**saved.options, **config.options}, remarks, unread=config.unread)
 
 
 def _overruled(config: KlipperConfig, saved: KlipperConfig) -> Iterator[str]:
@@ -164,11 +166,13 @@ def _take(line: str, section: str, place: str, config: KlipperConfig) -> str:
 def _include(pattern: str, place: str, source: Path, config: KlipperConfig, within: tuple[Path, ...]) -> None:
     if config.alone:
         config.remarks.append(f"{place}: [include {pattern}]: only this file is read, not what it includes.")
+        config.unread = True
         return
     names = sorted(glob.glob(str(Path(glob.escape(str(source.parent))) / pattern), recursive=True))
     files = [Path(name) for name in names if Path(name).is_file()]
     if not files and not glob.has_magic(pattern):
         config.remarks.append(f"{place}: [include {pattern}]: there is no such file; what it sets was not read.")
+        config.unread = True
     for file in files:
         config.files += 1
         if file.resolve() in within or config.files > MOST_FILES:
@@ -207,6 +211,7 @@ def from_klipper(config: KlipperConfig) -> ConfigValues:
     kind, origin = KINDS[option.text], f"{option.place} [printer] kinematics"
     of_kind = _delta(config) if kind == "delta" else _straight(config)
     values = known({**of_kind, **_limits(config), **_steps(config, TOWERS if kind == "delta" else AXES)})
+    values |= _own_shaper(config)
     shaped = [_shaper_frequency(config, axis) for axis in AXES] if kind == "delta" else []
     shaper_hz = tuple(each.number for each in shaped if each is not None)
     return ConfigValues("Klipper", kind, origin, values, tuple(_notes(config)), shaper_hz)
@@ -264,8 +269,27 @@ def _range(config: KlipperConfig, section: str) -> Value | None:
 
 def _shaper_frequency(config: KlipperConfig, axis: str) -> Value | None:
     """Read the shaper's frequency; Kalico calls some shapers smoothers; zero switches either off."""
-    frequencies = (config.number("input_shaper", f"{name}_{axis}") for name in ("shaper_freq", "smoother_freq"))
-    return next((each for each in frequencies if each is not None and each.number > 0), None)
+    return next((frequency for _, frequency in _frequencies(config, axis)), None)
+
+
+def _frequencies(config: KlipperConfig, axis: str) -> Iterator[tuple[str, Value]]:
+    """Yield the options that switch the shaper of an axis on, in the words of SET_INPUT_SHAPER."""
+    for name in (f"shaper_freq_{axis}", f"smoother_freq_{axis}"):
+        frequency = config.number("input_shaper", name)
+        if frequency is not None and frequency.number > 0:
+            yield name.upper(), frequency
+
+
+def _own_shaper(config: KlipperConfig) -> dict[str, Value]:
+    words, sources = [], []
+    for axis in AXES:
+        kind = config.text("input_shaper", f"shaper_type_{axis}") or config.text("input_shaper", "shaper_type")
+        for name, frequency in _frequencies(config, axis):
+            words += [f"SHAPER_TYPE_{axis.upper()}={kind.text}"] if kind else []
+            words.append(f"{name}={frequency.number:.10g}")
+            sources.append(frequency)
+    commands = [" ".join(["SET_INPUT_SHAPER", *words])] if words else []
+    return own_shaper(commands, sources, config.unread, "[input_shaper] sets no frequency: there is no shaper")
 
 
 def _shaped_axis(config: KlipperConfig, axis: str) -> dict[str, Value]:

@@ -26,6 +26,7 @@ from ffcomp.importers.values import (
     full_steps,
     known,
     least,
+    own_shaper,
     plain_number,
     shaped_axis,
     together,
@@ -60,7 +61,7 @@ def from_marlin(path: Path, kinematics: str | None) -> ConfigValues:
     text = decoded(path)
     settings = {key: value for command in _received(text, path.name) for key, value in _words(command)}
     kind, origin = _kinematics(settings, kinematics, path)
-    limits = {**_limits(settings), **_steps(settings), **_planner(settings)}
+    limits = {**_limits(settings), **_steps(settings), **_planner(settings), **_own_shaper(settings)}
     if kind != "delta":
         values = known({**_straight(settings, _places(text, path.name)), **limits})
         return ConfigValues("Marlin", kind, origin, values)
@@ -167,6 +168,13 @@ def _shaped_axis(settings: Settings, axis: str) -> dict[str, Value]:
     default = Value(DAMPING_RATIO, "default", "M593 D is not given: the firmware's default")
     damping = settings.get((f"M593 {axis.upper()}", "D"), default)
     return shaped_axis(axis, frequency, damping)
+
+
+def _own_shaper(settings: Settings) -> dict[str, Value]:
+    on = {axis: settings.get((f"M593 {axis}", "F")) for axis in "XYZ"}
+    shaped = {axis: frequency for axis, frequency in on.items() if frequency is not None and frequency.number > 0}
+    commands = [f"M593 {axis} F{frequency.number:.10g}" for axis, frequency in shaped.items()]
+    return own_shaper(commands, list(shaped.values()), False, "M593 is not in the answer: there is no shaper")
 
 
 # --- Limits and steps

@@ -27,6 +27,7 @@ from ffcomp.importers.values import (
     known,
     least,
     listed,
+    own_shaper,
     print_radius,
     shaped_axis,
     together,
@@ -67,9 +68,10 @@ class Settings:
     microsteps: dict[str, Value] = field(default_factory=dict)
     ranges: dict[str, dict[str, Value]] = field(default_factory=dict)  # letter -> "low", "high" -> number
     kinematics: tuple[str, str] = ("cartesian", "neither M669 nor M665 is given: the firmware's default")
-    shaper: str = ""
+    shaper: dict[str, str] = field(default_factory=dict)  # letter -> the text after it: M593
     notes: list[str] = field(default_factory=list)
     files: int = 0  # run so far
+    unread: bool = False  # a macro, or a shaper under a condition, was not read
     alone: bool = False  # no other file is read
 
     def first(self, code: str, letter: str) -> Value | None:
@@ -87,7 +89,7 @@ def from_reprapfirmware(path: Path, alone: bool = False) -> ConfigValues:
         _apply(command, settings)
     kind, origin = settings.kinematics
     of_kind = _delta(settings) if kind == "delta" else _straight(settings)
-    values = known({**of_kind, **_limits(settings), **_planner(settings), **_steps(settings)})
+    values = known({**of_kind, **_limits(settings), **_planner(settings), **_steps(settings)}) | _own_shaper(settings)
     shaper = _shaper(settings) if kind == "delta" else None
     shaper_hz = () if shaper is None else (shaper.number,)
     tilts = [tilt for letter in "AB" if (tilt := settings.first("M666", letter)) is not None and tilt.number]
@@ -103,6 +105,7 @@ def _run(path: Path, settings: Settings, within: tuple[Path, ...]) -> Iterator[C
     for command in commands(decoded(path), path.name):
         if command.conditional and command.code in {*READ, "M98", "M501"}:
             settings.notes.append(f"{command.place}: this {command.code} stands under a condition and was not read.")
+            settings.unread |= command.code in ("M98", "M501", "M593")
         elif command.code == "M98" and "P" in command.words:
             yield from _macro(command, command.words["P"], path, settings, within)
         elif command.code == "M501":
@@ -117,6 +120,7 @@ def _macro(
     """Find a macro in /sys, or in another folder of the same card, and yield its commands."""
     if settings.alone:
         settings.notes.append(f"{command.place}: {command.code} runs {name}; only this file is read.")
+        settings.unread = True
         return
     relative = name.removeprefix("0:").removeprefix("/sys/").lstrip("/")
     file = next(
@@ -124,6 +128,7 @@ def _macro(
     )
     if file is None:
         settings.notes.append(f"{command.place}: {command.code} runs {name}, which is not here; it was not read.")
+        settings.unread = True
         return
     settings.files += 1
     if file.resolve() in within or settings.files > MOST_FILES:
@@ -147,7 +152,8 @@ def _apply(command: Command, settings: Settings) -> None:
     if command.code in APPLY:
         APPLY[command.code](command, settings)
     elif command.code == "M593":
-        settings.shaper = command.words.get("P", settings.shaper).lower()
+        settings.shaper |= command.words
+        settings.unread |= any(text.startswith("{") for text in command.words.values())
     elif command.code == "M665":
         settings.kinematics = ("delta", f"{command.place} M665")
     elif command.code == "M667":  # the older command; S1 is CoreXY
@@ -254,7 +260,16 @@ def _range(settings: Settings, letter: str) -> Value | None:
 
 def _shaper(settings: Settings) -> Value | None:
     frequency = settings.first("M593", "F")
-    return frequency if frequency and frequency.number > 0 and settings.shaper != "none" else None
+    is_on = settings.shaper.get("P", "").lower() != "none"
+    return frequency if frequency and frequency.number > 0 and is_on else None
+
+
+def _own_shaper(settings: Settings) -> dict[str, Value]:
+    frequency = _shaper(settings)
+    words = {**settings.shaper, "P": f'"{settings.shaper["P"]}"'} if "P" in settings.shaper else settings.shaper
+    commands = [" ".join(["M593", *(letter + text for letter, text in words.items())])] if frequency else []
+    sources = [frequency] if frequency else []
+    return own_shaper(commands, sources, settings.unread, "M593 switches none on: there is no shaper")
 
 
 def _limits(settings: Settings) -> dict[str, Value | None]:

@@ -37,9 +37,16 @@ class PrinterConfigError(FfcompError, ValueError):
 class Value:
     """One value of the machine file."""
 
-    value: float | list[float]  # number or text or list of numbers [as the key says]: by `table.key`
+    value: (
+        float | list[float] | list[str]
+    )  # number or text or list of numbers or list of text [as the key says]: by `table.key`
     how: How  # text: read, converted, default or assumed
     origin: str  # a place in the configuration, or the rule
+
+    @property
+    def numbers(self) -> list[float]:
+        """The value, of one number or several."""
+        return [float(each) for each in (self.value if isinstance(self.value, list) else [self.value])]
 
     @property
     def number(self) -> float:
@@ -121,6 +128,21 @@ def full_steps(steps: Value | None, microsteps: Value | None) -> Value | None:
 def known(values: Mapping[str, Value | None]) -> dict[str, Value]:
     """Drop the keys without a value."""
     return {key: value for key, value in values.items() if value is not None}
+
+
+SHAPER = "firmware.input_shaper"
+
+
+def own_shaper(commands: Sequence[str], sources: Sequence[Value], unread: bool, rule: str) -> dict[str, Value]:
+    """Return the commands that switch the firmware's shaper on; nothing where a part that was not read may hold them.
+
+    Parameters
+    ----------
+    rule : where there are none, why
+    """
+    if not commands and unread:
+        return {}
+    return {SHAPER: Value(list(commands), "read" if commands else "default", _origins(sources) or rule)}
 
 
 def shaped_axis(axis: str, frequency: Value, damping: Value) -> dict[str, Value]:

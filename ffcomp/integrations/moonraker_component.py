@@ -4,7 +4,7 @@
 
     [ffcomp]
     machine: my-delta
-    options: --shaper-off
+    options: --offset-mm -110,-110
     timeout: 600
 
 Moonraker itself has no section for file processors: components register them. It logs a processor that fails, and the

@@ -209,6 +209,7 @@ class PrinterDocument(Document):
             path=path,
             returns=tuple(self.macros.returns or ()),
             still=tuple(self.macros.still or ()),
+            input_shaper=None if self.firmware.input_shaper is None else tuple(self.firmware.input_shaper),
             flavor=self.firmware.flavor or "",
             marlin=None
             if self.firmware.marlin is None

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from typing import Annotated, Any, Literal, TypeVar
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
 from models.machine import (
     CORNER_MM_PER_S,
@@ -157,10 +158,23 @@ class RepRapFirmwareTable(Table):
         return _stated(self, RepRapFirmwareSettings.within(limits, delta))
 
 
+_SHAPER = re.compile(r'SET_INPUT_SHAPER(?: +\w+=[\w.-]+)+|M593(?: *[A-Z](?:"[\w+]*"|[\w.:-]*))+', re.IGNORECASE)
+
+
+def _shaper_command(text: str) -> str:
+    if not _SHAPER.fullmatch(text):
+        raise ValueError(
+            f"firmware.input_shaper: {text!r} must be a command that switches an input shaper on, such as "
+            "SET_INPUT_SHAPER SHAPER_FREQ_X=55 or M593 X F40."
+        )
+    return text
+
+
 class FirmwareTable(Table):
-    """`[firmware]`: which one the printer runs."""
+    """`[firmware]`: which one the printer runs, and its own input shaper."""
 
     flavor: Literal["klipper", "marlin", "reprapfirmware"] | None = None
+    input_shaper: list[Annotated[str, AfterValidator(_shaper_command)]] | None = None
     marlin: MarlinTable | None = None
     reprapfirmware: RepRapFirmwareTable | None = None
 

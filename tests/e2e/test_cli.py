@@ -87,7 +87,7 @@ def test_json_is_one_object_with_the_documented_keys(small: Path, tmp_path: Path
 
 def test_fewer_segments_and_the_firmwares_shaper(small: Path) -> None:
     answer = ffcomp(
-        "compensate", "-m", "mp-delta-pro", "--max-segments-per-second", "160", "--shaper-off", "--json", small
+        "compensate", "-m", "mp-delta-pro", "--max-segments-per-second", "160", "--no-keep-shaper", "--json", small
     )
     assert answer.exit_code == 0, answer.stderr
     result = json.loads(answer.stdout)

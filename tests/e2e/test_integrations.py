@@ -360,9 +360,9 @@ def moonraker(tmp_path: Path, program: str) -> Callable[[str], dict[str, Any]]:
 
 
 def test_moonraker_is_given_a_processor(moonraker: Callable[[str], dict[str, Any]], program: str) -> None:
-    made = moonraker("machine: my delta.toml\noptions: --shaper-off --offset-mm '-110, -110'\ntimeout: 90")
+    made = moonraker("machine: my delta.toml\noptions: --keep-shaper --offset-mm '-110, -110'\ntimeout: 90")
     assert made["command"][:5] == [program, "compensate", "--quiet", "--machine", "my delta.toml"]
-    assert made["command"][5:] == ["--shaper-off", "--offset-mm", "-110, -110", "{gcode_file_path}"]
+    assert made["command"][5:] == ["--keep-shaper", "--offset-mm", "-110, -110", "{gcode_file_path}"]
     assert made["name"] == "ffcomp" and made["timeout"] == 90.0 and made["ident"]["location"] == "header"
     with pytest.raises(ValueError, match="needs a machine"):
         moonraker("timeout: 90")

@@ -24,9 +24,9 @@ def words_of(kind: str, options: dict[str, Any], *inputs: str) -> list[tuple[str
 
 
 def test_a_print_is_compensated_and_drawn() -> None:
-    first, second = words_of("compensate", {"shaper_off": True, "max_error_um": "25"}, "in/a.gcode")
+    first, second = words_of("compensate", {"keep_shaper": True, "max_error_um": "25"}, "in/a.gcode")
     assert first[:6] == ("compensate", "in/a.gcode", "-m", "/machines/kossel.toml", "-o", str(OUT / "a.gcode"))
-    assert first[6:] == ("--json", "--shaper-off", "--max-error-um=25") and second[0] == "show"
+    assert first[6:] == ("--json", "--keep-shaper", "--max-error-um=25") and second[0] == "show"
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,118 @@
+"""The firmware's own input shaper: off while a compensated print runs, on again after the print's last segment.
+
+Two compensations disturb each other. The machine file holds the commands that switch the shaper on
+(`[firmware] input_shaper`, which an import fills in); a print may hold some of its own.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from tempfile import SpooledTemporaryFile
+from typing import Literal
+
+from gcode.dialects import SHAPER_COMMAND, shaper_off
+from gcode.embedded import OURS
+from models.machine import Machine
+
+IN_MEMORY = 4 << 20  # bytes
+State = Literal["off", "kept", "none", "unknown"]
+
+OFF = "The firmware's input shaper is off during this print and on again at its end. After a cancelled print: {on}."
+STAYS_OFF = (
+    "The firmware's input shaper is switched off and stays off after the print: the machine file has no "
+    "input_shaper in [firmware] with which to switch it on again."
+)
+KEPT = "The firmware's input shaper stays as it is (--keep-shaper): if it is on, two compensations disturb each other."
+UNKNOWN = (
+    "The machine file does not state whether the firmware has an input shaper; if one is on, two compensations disturb "
+    "each other. Import the printer's configuration, or set input_shaper in [firmware] (none: []); "
+    "--no-keep-shaper switches it off."
+)
+
+
+@dataclass(frozen=True, slots=True)
+class OwnShaper:
+    """What happens to the firmware's input shaper during a print."""
+
+    state: State
+    reason: str  # a sentence; empty: there is no shaper
+    flavor: str
+    on: tuple[bytes, ...] = ()  # lines that switch it on as the firmware has it
+
+    @property
+    def warnings(self) -> list[str]:
+        """The sentence, if somebody has to act on it."""
+        return [self.reason] if self.state == "unknown" else []
+
+
+def own_shaper(keep: bool | None, machine: Machine, flavor: str) -> OwnShaper:
+    """Decide what happens to the firmware's input shaper.
+
+    Parameters
+    ----------
+    keep : True: leave it alone; False: switch it off, known or not; None: switch it off if the machine file has one
+    flavor : of the print's firmware
+    """
+    lines = machine.input_shaper
+    if lines is not None and any(not line.upper().startswith(SHAPER_COMMAND[flavor].decode()) for line in lines):
+        lines = None  # of another firmware than the print's
+    on = tuple(f"{line}\n".encode() for line in lines or ())
+    if keep:
+        return OwnShaper("kept", KEPT, flavor)
+    if on:
+        return OwnShaper("off", OFF.format(on=", ".join(lines or ())), flavor, on)
+    if keep is False:
+        return OwnShaper("off", STAYS_OFF, flavor)
+    return OwnShaper("unknown", UNKNOWN, flavor) if lines is None else OwnShaper("none", "", flavor)
+
+
+def with_shaper_off(pieces: Iterator[bytes], shaper: OwnShaper) -> Iterator[bytes]:
+    """Switch the firmware's shaper off where our first block opens, and on again after our last line.
+
+    Where the print itself sets the shaper, it is switched off again before the next block, and the print's own setting
+    is the one that is in force at the end.
+
+    Parameters
+    ----------
+    pieces : of whole lines
+    """
+    command = SHAPER_COMMAND[shaper.flavor]
+    sets_it = re.compile(rb"(?im)^[ \t]*%b\b[^\n]*(?:\n|\Z)" % command)
+    on, is_on, was_off, ending = list(shaper.on), shaper.state == "off", False, b"\n"
+
+    def ours(lines: Sequence[bytes]) -> Iterator[bytes]:
+        yield from (line.rstrip() + OURS + ending for line in lines)
+
+    with SpooledTemporaryFile(IN_MEMORY) as held:  # what has come since our last line
+
+        def released() -> Iterator[bytes]:
+            held.seek(0)
+            yield from iter(lambda: held.read(1 << 20), b"")
+            held.seek(0)
+            held.truncate()
+
+        for piece in pieces:
+            at = 0
+            for own in [*(sets_it.finditer(piece) if command in piece.upper() else ()), None]:
+                text = piece[at : own.start() if own else len(piece)]
+                if OURS in text:
+                    begin = text.rfind(b"\n", 0, text.find(OURS)) + 1
+                    end = text.find(b"\n", text.rfind(OURS)) + 1 or len(text)
+                    ending = b"\r\n" if text[begin:end].endswith(b"\r\n") else b"\n"
+                    yield from released()
+                    yield text[:begin]
+                    if is_on:
+                        yield from ours(shaper_off(shaper.flavor, on))
+                    is_on, was_off = False, was_off or is_on
+                    yield text[begin:end]
+                    text = text[end:]
+                held.write(text)
+                if own:
+                    at, is_on = own.end(), True
+                    on.append(own[0])
+                    held.write(own[0])
+        if was_off and not is_on:
+            yield from ours(on)
+        yield from released()
