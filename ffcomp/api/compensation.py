@@ -16,17 +16,14 @@ from ffcomp.compensation.result import CompensatedFile
 from ffcomp.errors import RequestError, missing_extras_explained
 from ffcomp.integrations.slicer import Bed
 from ffcomp.metrics import Track
-from ffcomp.numerics.serialise import to_json
 from ffcomp.request import function
 from gcode.container import read_bytes
-from gcode.embedded import STAMP_REACH, already_processed, find_offset, original
+from gcode.embedded import STAMP_REACH, already_processed, find_offset
 from gcode.text import PART_BYTES
 from models.machine import Machine
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-    from ffcomp.comparison.quickest_plans import Known
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +32,6 @@ class Compensation:
 
     machine: Machine
     file: CompensatedFile  # what was done, print by print
-    if_known: tuple[Known, ...] = ()  # what the quicker print would take if the machine were known better
 
     @property
     def output(self) -> Path | None:
@@ -74,10 +70,7 @@ class Compensation:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the JSON object ffcomp-compensate/1."""
-        answer = self.file.to_dict()
-        if self.if_known:
-            answer["faster"] |= {"if_known": to_json(self.if_known)}
-        return answer
+        return self.file.to_dict()
 
     @missing_extras_explained()
     def plot(self, *, z_mm: float | None = None) -> Figure:
@@ -119,30 +112,13 @@ def compensate_print(
     machine, file = load_machine(request.machine), Path(request.file)
     options = Options.of(request, machine, bed)
     target = None if request.output is None else Path(request.output)
-    data = _original(file) if request.if_known else b""  # the file may be replaced
     jobs = min(request.jobs, max(size_of(file) // PART_BYTES, 1))  # chunks
     with workers(jobs, request.scheduler) as at_once:
         done = compensate_file(
             file, name or str(file), machine, options, target, jobs=at_once, progress=request.progress
         )
     output = str(file) if done.already and done.output == done.path else done.output
-    done = replace(done, path=str(file), output=output, advice=tuple(advice))
-    if not request.if_known or done.already:
-        return Compensation(machine, done)
-    from ffcomp.comparison.quickest_plans import worth_knowing
-    from ffcomp.comparison.sampling import Print
-
-    assert options.bound is not None and options.settings is not None
-    result = done.result
-    printed = Print(data, name or str(file), machine, result.placement.offset, result.flavor.flavor)
-    print_time_s = result.statistics.print_time_s
-    known = worth_knowing(printed, options.settings, options.bound, request.if_known, print_time_s)
-    return Compensation(machine, done, tuple(known))
-
-
-def _original(file: Path) -> bytes:
-    data = read_bytes(file, None)
-    return data if already_processed(data) is None else original(data)
+    return Compensation(machine, replace(done, path=str(file), output=output, advice=tuple(advice)))
 
 
 def _compensate(request: CompensateRequest) -> Compensation:

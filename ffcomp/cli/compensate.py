@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from ffcomp.api.compensation import Compensation
-    from ffcomp.comparison.quickest_plans import Known
     from ffcomp.compensation.job import Options
     from ffcomp.compensation.result import FileResult, QuickerPrint
     from ffcomp.integrations.slicer import Call
@@ -232,8 +231,6 @@ def _report(done: Compensation, quiet: bool) -> None:
         say(limits_in_words(result.faster.limited_by), quiet)
         if line := uncertainty_line(done.machine):
             say(line, quiet)
-        for each in done.if_known:
-            say(_if_known(each), quiet)
     segments = f" in {numbers.segments} segments" if result.steps is None else ""
     speed = numbers.print_time_s / max(result.compute_time_s, 1e-9)
     say(
@@ -331,8 +328,7 @@ def uncertainty_line(machine: Machine) -> str:
 
 NO_GAIN = (
     "That is no gain: as it was sliced, printers as uncertain as the machine file's [uncertainty] says would break the "
-    "bound. Measure yours (ffcomp identify), or allow a larger error; --if-known 2% tells what knowing it better is "
-    "worth."
+    "bound. Measure yours (ffcomp identify), or allow a larger error."
 )
 
 
@@ -346,8 +342,3 @@ def faster_line(quicker: QuickerPrint) -> str:
         f"Faster: {was:.1f} → {now:.1f} s ({100 * (now / was - 1):+.0f} %; nothing can be quicker than {least:.1f} s)"
     )
     return f"{line}{error}.{f' {NO_GAIN}' if slower else ''}"
-
-
-def _if_known(known: Known) -> str:
-    sd, seconds = known.relative_sd, known.print_time_s
-    return f"With the machine known to {100 * sd:.3g} %: {seconds:.1f} s, by slices that stand for the print."

@@ -29,7 +29,7 @@ from ffcomp.comparison.quickest_plans import (
     bound_of,
     seconds_of,
 )
-from ffcomp.comparison.result import FASTER, KNOWN, Family, Party, Piece, Quickest, TimedMethod
+from ffcomp.comparison.result import FASTER, Family, Party, Piece, Quickest, TimedMethod
 from ffcomp.comparison.sampling import Print, PrintSlice, Sampling, check_long_enough
 from ffcomp.faster.bound import Bound
 from ffcomp.faster.program import AS_SLICED, COOLING
@@ -98,7 +98,6 @@ def quickest(
         *(partial(_set, job, partial(every.best_fixed, linear, kind), FEEDS) for kind in request.shapers),
         partial(_set, job, lambda: feeds_kept, KEPT_FEEDS),
         partial(_faster, job),
-        partial(_faster, job, known=True),
     ]
     methods = in_parallel(tasks, "seeking the quickest print", progress)
     return Quickest(
@@ -172,22 +171,18 @@ def _execution(plant: Machine, print_slice: PrintSlice, method: TunedMethod) -> 
     return Execution(print_slice, motion, t, nozzle)
 
 
-def _faster(job: _Job, known: bool = False) -> TimedMethod:
-    """Make every slice as quick as the bound allows for printers as uncertain as the machine file says.
-
-    known : as if it were certain of everything
-    """
+def _faster(job: _Job) -> TimedMethod:
+    """Make every slice as quick as the bound allows for printers as uncertain as the machine file says."""
     robust = replace(job.settings, robust=True)  # as `compensate` does under a bound
-    certain = {"default": 0.0, **dict.fromkeys(job.machine.uncertainty, 0.0)}
-    model = InverseModel(replace(job.machine, uncertainty=certain) if known else job.machine, robust)
+    model = InverseModel(job.machine, robust)
     quick = [_FasterSlice.of(each, model, job) for each in job.bounded_slices]
     estimated = job.whole.from_slices(job.bounded_slices, [each.seconds for each in quick])
     seconds = job.whole.cooled(estimated)
-    name, label = (KNOWN, "ffcomp, faster, machine known") if known else (FASTER, "ffcomp, faster")
-    share = f"{100 * (1 - job.bound.safety):.0f} % of printers as uncertain as the machine file says"
-    whose = "the machine file's printer alone" if known else share
+    whose = f"{100 * (1 - job.bound.safety):.0f} % of printers as uncertain as the machine file says"
     tuning = f"Every move as fast as error, flow and the machine's limits allow; the bound holds for {whose}."
-    timed = _timed_method(job, (name, label, "inversion", tuning), [each.execution for each in quick], seconds)
+    timed = _timed_method(
+        job, (FASTER, "ffcomp, faster", "inversion", tuning), [each.execution for each in quick], seconds
+    )
     limited = _limited(job, quick, estimated, float(seconds.sum() - estimated.sum()))
     warnings = dict.fromkeys(warning for each in quick for warning in each.warnings)
     return replace(timed, limited_by=limited, warnings=tuple(warnings))

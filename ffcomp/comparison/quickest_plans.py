@@ -1,8 +1,7 @@
 """A print at other speeds, as firmware takes them, feeds times a factor and one acceleration, and the quickest of them.
 
 Every method keeps the same rules: the nozzle's flow, the shortest layer time, and the slicer's speed where it is kept
-(bridges, overhangs, the first layer); what is kept may only become slower. The last part says what knowing the machine
-better is worth: the time of a quicker print at other uncertainties.
+(bridges, overhangs, the first layer); what is kept may only become slower.
 """
 
 from __future__ import annotations
@@ -15,11 +14,10 @@ import numpy as np
 
 from ffcomp.comparison.equal_quality import HIGHEST, LOWEST, p99_um
 from ffcomp.comparison.methods import TunedMethod
-from ffcomp.comparison.sampling import Print, PrintSlice, Sampling
+from ffcomp.comparison.sampling import Print, PrintSlice
 from ffcomp.faster.bound import FIRST_LAYER, SHORTEST_LAYER_S, Bound, RaisedLimits, raised_limits, with_slicer_settings
 from ffcomp.faster.program import FasterProgram, actuator_limit_s, faster_program
 from ffcomp.inverse.model import InverseModel
-from ffcomp.inverse.settings import Settings
 from ffcomp.planner.limits import planner_limits
 from ffcomp.planner.lookahead import stops_and_waits
 from ffcomp.planner.program import PlannedProgram, plan_program
@@ -221,41 +219,3 @@ ENDS = 1 << 16  # bytes at both ends of a file, in which slicers say their setti
 def bound_of(printed: Print, bound: Bound) -> Bound:
     """Fill in what the user left open from the slicer's settings in the file."""
     return with_slicer_settings(bound, printed.data[:ENDS], printed.data[-ENDS:])
-
-
-@dataclass(frozen=True, slots=True)
-class Known:
-    """What the print takes if no number of the machine file is less certain than this."""
-
-    relative_sd: float  # with `--if-known`: no number of the machine file is less certain
-    share: float  # of the quicker print's time, measured on slices that stand for it
-    print_time_s: float  # that share of `faster.print_time_s`
-
-
-def worth_knowing(
-    printed: Print, settings: Settings, bound: Bound, known: Sequence[float], print_time_s: float
-) -> list[Known]:
-    """Plan slices that stand for the print at other uncertainties.
-
-    Parameters
-    ----------
-    settings, bound : how the print was compensated
-    known : relative standard deviations that no number of the machine file shall exceed
-    print_time_s : of the quicker print, with the machine file as it is
-    """
-    machine, bound = printed.machine, bound_of(printed, bound)
-    slices, _ = printed.slices(Sampling(), SLICE_S, EVALUATED_S)
-    bounded_slices = [BoundedSlice.of(each, printed.labels.features, bound) for each in slices]
-    whole = WholePrint(printed, bound)
-
-    def seconds(uncertainty: dict[str, float]) -> float:
-        model = InverseModel(replace(machine, uncertainty=uncertainty), replace(settings, robust=True))
-        plans = [each.faster(model, bound)[1].trajectory for each in bounded_slices]
-        return float(whole.cooled(whole.from_slices(bounded_slices, [seconds_of(plan) for plan in plans])).sum())
-
-    as_it_is = seconds(dict(machine.uncertainty))
-    answers = []
-    for sd in known:
-        share = seconds({name: min(value, sd) for name, value in machine.uncertainty.items()}) / as_it_is
-        answers.append(Known(sd, share, share * print_time_s))
-    return answers

@@ -241,7 +241,7 @@ class Comparison:
         return dict(to_json(values))
 
 
-FASTER, KNOWN = "faster", "faster-known"  # names of the prints that ffcomp makes quicker: the second trusts the file
+FASTER = "faster"  # name of the print that ffcomp makes quicker
 
 
 @dataclass(frozen=True, eq=False)
@@ -312,11 +312,6 @@ class Quickest:
         return self.methods[FASTER]
 
     @property
-    def known(self) -> TimedMethod:
-        """The same for a machine that is just as its file says."""
-        return self.methods[KNOWN]
-
-    @property
     def best_shaper(self) -> TimedMethod:
         """The shaper that is quickest at that error; if none keeps it, the one that comes nearest."""
         shapers = [each for each in self.methods.values() if each.family == "best fixed"]
@@ -342,8 +337,7 @@ class Quickest:
             "actuator_limit_s": self.actuator_limit_s,  # what the whole print takes at least, whatever the error
             "best_shaper": self.best_shaper.name,  # the quickest one that keeps the bound, a name in `methods`
             "sliced": self.sliced.to_dict(),  # CONTENDER: the print as it is, without compensation
-            # .* CONTENDER: by name: none, zv, …, fbs-lpv (feeds kept), faster, faster-known (as if the machine file
-            # were certain of everything)
+            # .* CONTENDER: by name: none, zv, …, fbs-lpv (feeds kept), faster
             "methods": {name: each.to_dict() for name, each in self.methods.items()},
             "seconds": self.seconds,  # number [s]: that it took
         }

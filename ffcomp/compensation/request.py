@@ -48,14 +48,6 @@ def parse_errors(texts: Sequence[str]) -> float | dict[str, float]:
     return errors[""] if set(errors) == {""} else errors
 
 
-def parse_shares(text: str) -> tuple[float, ...]:
-    """Read shares in % with commas between them."""
-    try:
-        return tuple(float(each.strip().removesuffix("%")) / 100 for each in text.split(",")) if text else ()
-    except ValueError:
-        raise RequestError(f"--if-known {text!r}: shares in %, with commas between them, e.g. 2%,1%.") from None
-
-
 @dataclass(frozen=True, kw_only=True)
 class CompensateOptions(Request):
     """How prints are compensated."""
@@ -164,15 +156,6 @@ class CompensateOptions(Request):
             high=0.5,
         ),
     ] = 0.05
-    if_known: Annotated[
-        tuple[float, ...],
-        Option(
-            "Also measure, on slices, what the print would take if the machine were known better: 2%,1%.",
-            FASTER,
-            metavar="SHARES",
-            parse=parse_shares,
-        ),
-    ] = ()
     extruder_steps_per_mm: Annotated[
         float | None,
         Option(
@@ -202,16 +185,12 @@ class CompensateOptions(Request):
         if not self.errors_um:
             if limits != (None, None, None) or self.keep_speed or self.change_speed:
                 raise RequestError("A quicker print needs the error that it may have: --max-error-um UM.")
-            if self.if_known:
-                raise RequestError("--if-known is about a quicker print: --max-error-um UM.")
             return
         for um in self.errors_um.values():
             if not 0.1 <= um <= 10_000.0:
                 raise RequestError(f"--max-error-um {um:g}: it is a number of µm from 0.1 to 10000.")
         if "" not in self.errors_um:
             raise RequestError("One --max-error-um without a feature says what holds for all others.")
-        if not all(0.0 <= each <= 1.0 for each in self.if_known):
-            raise RequestError("--if-known: shares in % lie between 0 and 100, e.g. 2%,1%.")
 
 
 @dataclass(frozen=True)
@@ -253,5 +232,3 @@ class CompensateFilesRequest(CompensateOptions):
         super().check()
         if self.output is not None and (len(self.files) > 1 or self.output_dir is not None):
             raise RequestError("-o is for one file; several go into a folder with --output-dir DIR.")
-        if self.if_known and len(self.files) > 1:
-            raise RequestError("--if-known is for one file.")

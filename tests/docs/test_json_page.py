@@ -91,8 +91,6 @@ def test_compensate(page: Page, folder: Path) -> None:
             "-q",
             "--max-error-um",
             "200",
-            "--if-known",
-            "2%",
             "-o",
             folder / "quick.gcode",
         ),

@@ -15,7 +15,6 @@ def made_up_quickest(path: str = "print.gcode") -> Quickest:
         timed("mzv", "MZV, best fixed", "best fixed", 19_000.0, 24.0),
         timed("fbs-lpv", "ffcomp, feeds kept", "inversion", 16_000.0, 20.0),
         timed("faster", "ffcomp, faster", "inversion", 12_000.0, 15.0),
-        timed("faster-known", "ffcomp, faster, machine known", "inversion", 11_000.0, 25.0),
     ]
     return Quickest(
         print_name=path,

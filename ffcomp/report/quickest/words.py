@@ -32,21 +32,13 @@ def sentences(result: Quickest) -> list[str]:
         f"there, and {_flow(result)}, speeds and the carriages' acceleration are kept.",
         limits_in_words(result.faster.limited_by),
         "Shapers are judged on the very printer that they were tuned on; ffcomp's quicker print keeps the bound for "
-        f"printers that are off, too. {_known(result)}",
+        "printers that are off, too.",
         result.mismatch,
         result.sampling,
     ]
     if not result.whole:
         sentence.append("Times of ffcomp's quicker print are estimated from these slices, by kind of line.")
     return [each for each in sentence if each]
-
-
-def _known(result: Quickest) -> str:
-    known = result.known
-    kept = "" if known.reached else f", 99 % within {known.contour_p99_um:.3g} µm"
-    return (
-        f"For a machine that is just as its file says, as on the shapers' terms: {duration(known.print_time_s)}{kept}."
-    )
 
 
 def _flow(result: Quickest) -> str:

@@ -6,22 +6,18 @@ from typing import Any
 
 import pytest
 
-from ffcomp.compensation.request import CompensateRequest, parse_errors, parse_shares
+from ffcomp.compensation.request import CompensateRequest, parse_errors
 from ffcomp.errors import RequestError
 
 
 def test_bounds_and_shares_are_read_from_texts() -> None:
     assert parse_errors(["25"]) == 25.0
     assert parse_errors(["25", "External perimeter=10"]) == {"": 25.0, "External perimeter": 10.0}
-    assert parse_shares("2%, 0.5%") == pytest.approx((0.02, 0.005))
-    assert parse_shares("") == ()
 
 
 @pytest.mark.parametrize(
     ("options", "sentence"),
     [
-        ({"if_known": (0.02,)}, "--max-error-um"),
-        ({"if_known": (2.0,), "max_error_um": 10.0}, "between 0 and 100"),
         ({"keep_speed": ("Bridge",)}, "--max-error-um"),
         ({"max_error_um": 0.01}, "from 0.1"),
         ({"max_error_um": {"Bridge": 10.0}}, "without a feature"),
