@@ -65,8 +65,6 @@ OBJECTS: dict[str, dict[str, str]] = {  # by heading of the page: by place of it
         "peaks.": "ffcomp.comparison.result:Peaks",
     },
     "QUALITY": {"": "ffcomp.comparison.result:EqualQuality"},
-    "ffcomp-equal-quality/1": {"": "ffcomp.comparison.result:Quickest.to_dict ffcomp.cli.compare:_report_quickest"},
-    "CONTENDER": {"": "ffcomp.comparison.result:TimedMethod"},
     "ffcomp-simulate/1": {"": "ffcomp.cli.simulate:simulate ffcomp.simulation.simulation:SimulationResult.to_dict"},
     "ffcomp-frf/1": {
         "": "ffcomp.identification.frf_study:frf_json",

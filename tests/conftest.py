@@ -43,7 +43,6 @@ SLOW = (  # folders and files; single tests have the marker themselves
     "unit/ffcomp/comparison/test_monte_carlo.py",
     "unit/ffcomp/diagnosis/test_separating_moves.py",
     "unit/ffcomp/comparison/test_baselines.py",
-    "unit/ffcomp/comparison/test_quickest.py",
     "unit/ffcomp/compensation/test_gcode_layout.py",
     "unit/ffcomp/diagnosis",
     "unit/ffcomp/record/test_excitation.py",

@@ -7,21 +7,18 @@ import sys
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from statistics import median
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 from ffcomp.cli.command import Shown, verb
 from ffcomp.cli.common import exit_codes, print_json, say
 from ffcomp.cli.progress import Progress
 from ffcomp.comparison.request import CompareRequest
 from ffcomp.errors import RequestError
-from ffcomp.options import CHANGE_SPEED, KEEP_SPEED, MAX_FLOW, MIN_LAYER_TIME, REPORT
-from ffcomp.request import FASTER, OUTPUT, Option, Request
+from ffcomp.options import REPORT
+from ffcomp.request import OUTPUT, Option, Request
 
 if TYPE_CHECKING:
-    from ffcomp.comparison import engine
-    from ffcomp.comparison.quickest import QuickestRequest
-    from ffcomp.comparison.result import Comparison, Quickest, TimedMethod
+    from ffcomp.comparison.result import Comparison
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,32 +31,8 @@ class Pages(Request):
     ] = None
 
 
-@dataclass(frozen=True, kw_only=True)
-class EqualQuality(Request):
-    """Whether every method prints as quickly as it can at the same error, and what all keep."""
-
-    equal_quality: Annotated[
-        bool,
-        Option(
-            "Instead of the table: how long the print takes at the same error (--quality-um) with every shaper, each "
-            "sped up or slowed down as firmware can, and with ffcomp; and what nothing can be quicker than.",
-            FASTER,
-        ),
-    ] = False
-    max_flow_mm3_per_s: Annotated[float | None, MAX_FLOW] = None
-    min_layer_time_s: Annotated[float | None, MIN_LAYER_TIME] = None
-    keep_speed: Annotated[tuple[str, ...], KEEP_SPEED] = ()
-    change_speed: Annotated[tuple[str, ...], CHANGE_SPEED] = ()
-
-    def check(self) -> None:
-        """Check that limits belong to a quicker print."""
-        limits = (self.max_flow_mm3_per_s, self.min_layer_time_s, self.keep_speed, self.change_speed)
-        if not self.equal_quality and limits != (None, None, (), ()):
-            raise RequestError("Limits of a quicker print need --equal-quality.")
-
-
 @verb
-def compare(request: CompareRequest, quality: EqualQuality, pages: Pages, shown: Shown) -> None:
+def compare(request: CompareRequest, pages: Pages, shown: Shown) -> None:
     """Compare ffcomp with every input shaper on your print.
 
     Every method plans its command with --machine and is evaluated on a simulated printer (--plant), never on the
@@ -69,28 +42,22 @@ def compare(request: CompareRequest, quality: EqualQuality, pages: Pages, shown:
 
     Example: ffcomp compare sample_prints/ringing_tower.gcode -m mp-delta-pro --sample 10% --report report.html
     """
-    _refuse_beside(request, quality, pages.figures)
+    if (request.jobs > 1 or request.scheduler) and not request.mismatch:
+        raise RequestError(
+            "--jobs and --scheduler share the printers of --mismatch; all else uses every processor as it is."
+        )
     _check_targets(pages.report, pages.figures)
 
     from ffcomp.api.comparison import comparison_options, evaluate_print
+    from ffcomp.comparison.engine import compare as engine_compare
+    from ffcomp.compensation.batch import workers
 
     options = comparison_options(request)
     tell = partial(_note, quiet=shown.quiet)
     with _ExitWithoutThreads(), exit_codes(), Progress(1.0, shown.quiet, "comparing") as progress:
         request = replace(request, progress=progress.phase)
-        if quality.equal_quality:
-            from ffcomp.comparison.quickest import quickest
-
-            result = evaluate_print(request, quickest, _quickest_request(options, quality), tell)
-        else:
-            from ffcomp.comparison.engine import compare as engine_compare
-            from ffcomp.compensation.batch import workers
-
-            with workers(request.jobs, request.scheduler) as at_once:
-                comparison = evaluate_print(request, partial(engine_compare, jobs=at_once), options, tell)
-    if quality.equal_quality:
-        _report_quickest(result, pages.report, shown.as_json, shown.quiet)
-        return
+        with workers(request.jobs, request.scheduler) as at_once:
+            comparison = evaluate_print(request, partial(engine_compare, jobs=at_once), options, tell)
     written = _write(comparison, pages)
     if shown.as_json:
         names = {
@@ -104,36 +71,6 @@ def compare(request: CompareRequest, quality: EqualQuality, pages: Pages, shown:
 
 def _note(sentence: str, quiet: bool) -> None:
     say(f"ffcomp: {sentence}", quiet)
-
-
-def _refuse_beside(request: CompareRequest, quality: EqualQuality, figures: Path | None) -> None:
-    """Refuse options that say nothing together."""
-    if quality.equal_quality and figures is not None:
-        raise RequestError("--equal-quality has its figures on its page: --report, not --figures.")
-    if quality.equal_quality and not request.quality_um:
-        raise RequestError("--equal-quality needs an error that all may have: --quality-um above 0.")
-    if (request.jobs > 1 or request.scheduler) and (quality.equal_quality or not request.mismatch):
-        raise RequestError(
-            "--jobs and --scheduler share the printers of --mismatch (not those of --equal-quality); "
-            "all else uses every processor as it is."
-        )
-
-
-def _quickest_request(options: engine.Request, quality: EqualQuality) -> QuickestRequest:
-    """Return the request at equal error: the same bound, part of the print and shapers."""
-    from ffcomp.comparison.quickest import QuickestRequest
-    from ffcomp.faster.bound import Bound
-    from ffcomp.shapers.smooth import SHAPERS, USUAL
-
-    bound = Bound(
-        options.quality_bound_um,
-        keep_speed=quality.keep_speed,
-        max_flow_mm3_per_s=quality.max_flow_mm3_per_s,
-        min_layer_time_s=quality.min_layer_time_s,
-        change_speed=quality.change_speed,
-    )
-    shapers = tuple(name for name in options.only if name in SHAPERS)
-    return QuickestRequest(bound, options.sampling, shapers or USUAL, options.mismatch, options.seeds)
 
 
 class _ExitWithoutThreads:
@@ -254,66 +191,3 @@ def _cells(result: Comparison, name: str) -> list[str]:
         sign = ">" if quality.capped else "" if quality.reached else "<"
         cells += [f"{sign}{quality.acceleration_mm_per_s2 / 1e3:.1f}", f"{quality.print_time_s:.0f}"]
     return cells
-
-
-# -- the same error with every method --
-
-
-def _report_quickest(result: Quickest, report: Path | None, as_json: bool, quiet: bool) -> None:
-    """Write the page, and print the answer."""
-    if report is not None:
-        from ffcomp.report.quickest.page import write_quickest
-
-        write_quickest(result, report)
-    if as_json:
-        from ffcomp.report.quickest.words import answer
-
-        print_json(
-            {
-                **result.to_dict(),
-                "answer": answer(result),  # a sentence
-                "report": _text(report),  # text or null: the page that was written
-            }
-        )
-    elif not quiet:
-        _print_quickest(result, report)
-
-
-def _print_quickest(result: Quickest, report: Path | None) -> None:
-    from rich.console import Console
-    from rich.table import Table
-
-    from ffcomp.report.quickest.words import answer, sentences
-
-    console = Console()
-    for sentence in (answer(result), *sentences(result)):
-        console.print(sentence, highlight=False, markup=False)
-    table = Table("method", box=None, padding=(0, 1, 0, 0))
-    for column in ("time, s", "p99", "max", "feeds", "m/s²", *(("off", "worst") if result.mismatch else ())):
-        table.add_column(column, justify="right", no_wrap=True)
-    for each in (result.sliced, *result.methods.values()):
-        table.add_row(*_quickest_cells(each), style="bold" if each.name in (result.best_shaper.name, "faster") else "")
-    table.add_row("limit of the actuators", f"{result.actuator_limit_s:.0f}")
-    console.print(table)
-    off = " off, worst: p99 on printers that are off, median and worst." if result.mismatch else ""
-    console.print(
-        "time: of the whole print ('<': misses the bound even there); p99, max: distance to the path, µm; feeds: times "
-        f"the slicer's; m/s²: the acceleration that the firmware is told.{off}",
-        highlight=False,
-    )
-    if report is not None:
-        console.print(f"Report: {report}", highlight=False, markup=False)
-
-
-def _quickest_cells(each: TimedMethod) -> list[Any]:
-    sign = "" if each.reached or each.name == "sliced" else "<"
-    off = each.off_p99_um
-    return [
-        each.label,
-        f"{sign}{each.print_time_s:.0f}",
-        f"{each.contour_p99_um:.1f}",
-        f"{each.contour_max_um:.0f}",
-        "" if each.feed is None else f"×{each.feed:g}",
-        "" if each.acceleration_mm_per_s2 is None else f"{each.acceleration_mm_per_s2 / 1e3:.1f}",
-        *((f"{median(off):.1f}", f"{max(off):.1f}") if off else ()),
-    ]

@@ -172,11 +172,6 @@ def _p99_um(
     return p99
 
 
-def p99_um(method: TunedMethod, slices: Sequence[PrintSlice], plant: Machine) -> float:
-    """Return the 99th percentile; infinite if the command breaks a carriage's limit."""
-    return _of(execute(plant, _pieces(method, slices), "", lambda what, share: None))
-
-
 def _of(executions: Sequence[Execution]) -> float:
     return contour_statistics(contour(executions), weights(executions)).p99_um if executions else np.inf
 

@@ -28,7 +28,6 @@ from tests.support.containers import archive_3mf
 from tests.support.identification import blank, measured, paper_bench, towers_bench
 from tests.support.json_page import Page
 from tests.support.prints import squares
-from tests.support.quickest import made_up_quickest
 from tests.support.recordings import write_captures
 from tests.support.reference import MACHINE, MACHINE_FILE, REFERENCE, ROOT, SMALL, call, examples
 
@@ -123,15 +122,6 @@ def test_compare(page: Page, folder: Path) -> None:
     print_.write_bytes(squares(1))
     options = ("--only", "mzv", "--mismatch", "5%", "--seeds", "1", "--quality-um", "60", "-q")
     hold(page, "ffcomp-compare/1", told("compare", print_, *MACHINE, *options))
-
-
-def test_equal_quality(page: Page, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of an answer made up: `test_quickest.py` holds a real one."""
-    monkeypatch.setattr("ffcomp.comparison.quickest.quickest", lambda printed, *_, **__: made_up_quickest(printed.path))
-    print_ = folder / "squares.gcode"
-    print_.write_bytes(squares(1))
-    options = ("--only", "mzv", "--equal-quality", "--mismatch", "5%", "--seeds", "1", "--min-layer-time-s", "0", "-q")
-    hold(page, "ffcomp-equal-quality/1", told("compare", print_, *MACHINE, *options, "--change-speed", "first layer"))
 
 
 def test_frf(page: Page, folder: Path, corexy: Path) -> None:

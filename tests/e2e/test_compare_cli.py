@@ -13,12 +13,8 @@ from pathlib import Path
 import pytest
 
 from ffcomp.cli.app import app
-from ffcomp.comparison.quickest import QuickestRequest
-from ffcomp.comparison.result import Quickest
-from ffcomp.comparison.sampling import Print
 from tests.support.cli import CliRunner
 from tests.support.prints import squares
-from tests.support.quickest import made_up_quickest
 
 ROOT = Path(__file__).parents[2]
 
@@ -96,7 +92,7 @@ def test_a_compensated_file_is_compared_as_what_it_was(small: Path, tmp_path: Pa
         (squares(2), ("--mismatch", "ten"), 2, "such as 10%"),
         (squares(2), ("--only", "mzw"), 2, "mzw"),
         (squares(2), ("--jobs", "2"), 2, "--mismatch"),
-        (squares(2), ("--scheduler", "tcp://host:1", "--mismatch", "5%", "--equal-quality"), 2, "--mismatch"),
+        (squares(2), ("--scheduler", "tcp://host:1"), 2, "--mismatch"),
         (squares(2), ("--scheduler", "nowhere", "--mismatch", "5%"), 1, "Dask"),
         (squares(2), ("--plant", "kossel"), 5, "kinematics.arm_lengths_mm is 269"),
         (squares(2), ("--plant", "absent.toml"), 5, "absent.toml"),
@@ -151,34 +147,3 @@ def test_a_short_print_in_inches(tmp_path: Path) -> None:
     assert answer.exit_code == 0, answer.output
     methods = json.loads(answer.stdout)["methods"]
     assert 5 * methods["fbs-lpv"]["contour_rms_um"] < methods["none"]["contour_rms_um"]
-
-
-def test_equal_quality(small: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    asked: list[QuickestRequest] = []
-
-    def found(printed: Print, plant: object, request: QuickestRequest, **_: object) -> Quickest:
-        asked.append(request)
-        return made_up_quickest(printed.path)
-
-    monkeypatch.setattr("ffcomp.comparison.quickest.quickest", found)
-    page = tmp_path / "page.html"
-    options = ("-m", "mp-delta-pro", "--only", "mzv", "--equal-quality", "--max-flow-mm3-per-s", "20", "--layers", "1")
-    answer = call(small, *options, "--mismatch", "5%", "--seeds", "2", "--quality-um", "30", "--report", page)
-    assert answer.exit_code == 0, answer.output
-    (request,) = asked
-    assert (request.bound.max_error_um, request.bound.max_flow_mm3_per_s) == (30.0, 20.0)
-    assert (request.shapers, request.seeds, request.sampling.first_layer) == (("mzv",), 2, 1)
-    assert answer.stdout.startswith("Your 5 h 12 min would take 3 h 20 min")
-    rows = [line for line in answer.stdout.splitlines() if line.startswith(("as sliced", "MZV", "ffcomp", "limit of"))]
-    assert len(rows) == 6 and max(map(len, answer.stdout.splitlines())) <= 80
-    assert "would take" in page.read_text(encoding="utf-8")
-
-
-def test_equal_quality_refuses_what_says_nothing(small: Path, tmp_path: Path) -> None:
-    for options, said in (
-        (("--max-flow-mm3-per-s", "20"), "--equal-quality"),
-        (("--equal-quality", "--quality-um", "0"), "--quality-um"),
-        (("--equal-quality", "--figures", tmp_path), "--report"),
-    ):
-        answer = call(small, "-m", "mp-delta-pro", *options)
-        assert answer.exit_code == 2 and said in answer.output, answer.output

@@ -1,1 +1,0 @@
-"""The page of a comparison at equal error: how long a print would take."""
