@@ -70,7 +70,6 @@ OBJECTS: dict[str, dict[str, str]] = {  # by heading of the page: by place of it
         "": "ffcomp.identification.frf_study:frf_json",
         "measured[].": "ffcomp.identification.frf_study:_compared_answer",
     },
-    "ffcomp-frf-map/1": {"": "ffcomp.identification.frf_study:mode_map_json"},
     "ffcomp-gap/1": {"": "ffcomp.diagnosis.gap:Discrepancy.to_dict"},
     "ffcomp-diagnose/1": {
         "": "ffcomp.diagnosis.verb:result_json ffcomp.diagnosis.verb:Diagnosis.to_dict",
@@ -119,10 +118,6 @@ OBJECTS: dict[str, dict[str, str]] = {  # by heading of the page: by place of it
         "experiments[].": "ffcomp.check.compare:Size",
     },
     "ffcomp-captures/1": {"": "ffcomp.cli.simulate:_write_captures"},
-    "ffcomp-effort/1": {
-        "": "ffcomp.cli.machines:effort",
-        "rates[].": "ffcomp.cli.machines:_effort_json",
-    },
     "ffcomp-machine-diff/1": {
         "": "ffcomp.cli.machines:_print_diff_json",
         "changes[].": "models.file:Difference",

@@ -135,7 +135,6 @@ def _machines() -> Iterator[Run]:
         yield Run(f"machines check {name}", ("machines", "check", name, "--json"), quick=quick)
     yield Run("machines list", ("machines", "list", "--json"))
     yield Run("machines diff", ("machines", "diff", DELTA, "mp-delta-pro-as-printed", "--json"))
-    yield Run("machines effort", ("machines", "effort", QQS, "--json"), quick=False)
     yield Run(
         "machines import",
         ("machines", "import", "examples/printer.cfg", "-o", "imported.toml", "--json"),
@@ -153,9 +152,6 @@ def _machines() -> Iterator[Run]:
         ("effector-alone", ("--with-arms",)),
     ):
         yield Run(f"frf of {of}", ("frf", "-m", DELTA, "--of", of, *more, "--step-hz", "5", "--json"), quick=not more)
-    yield Run(
-        "frf map", ("frf", "-m", DELTA, "--map", "map.json", "--step-hz", "10", "--json"), ("map.json",), quick=False
-    )
     yield Run(
         "frf measured", ("frf", "-m", DELTA, "--at", "0,0", "--measured", "examples/measured.csv", "--step-hz", "10")
     )

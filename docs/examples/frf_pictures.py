@@ -11,11 +11,10 @@ import numpy as np
 from ffcomp.identification.frf_study import View, study, verdict
 from ffcomp.identification.predict import predicted
 from ffcomp.measurement.frf import FrequencyResponse
-from ffcomp.report.model import draw_bode, draw_map
+from ffcomp.report.model import draw_bode
 from models.file import load_machine
 from models.kinds import delta_vibration, with_parts
 from models.machine import Machine
-from models.vibration.mode_map import mode_map
 
 FREQUENCIES_HZ = np.arange(0.5, 125.1, 0.5)
 PLACES = [np.array([0.0, 0.0]), np.array([-80.0, 0.0])]
@@ -23,7 +22,6 @@ PLACES = [np.array([0.0, 0.0]), np.array([-80.0, 0.0])]
 
 def main(folder: Path) -> None:
     machine = load_machine("mp-delta-pro")
-    draw_map(machine, mode_map(delta_vibration(machine)), folder / "frf_map.png")
     found = study(machine, View(), FREQUENCIES_HZ, [], as_if_measured(machine))
     draw_bode(found, folder / "frf_measured.png")
     print(verdict(found))

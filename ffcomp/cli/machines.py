@@ -13,13 +13,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from ffcomp.cli.command import Json, group, verb
-from ffcomp.cli.common import print_json, say
+from ffcomp.cli.common import print_json
 from ffcomp.cli.machines_import import import_machine
-from ffcomp.options import FIGURE
 from ffcomp.request import MACHINE, OUTPUT, Argument, Option, Request
 
 if TYPE_CHECKING:
-    from ffcomp.inverse.settings import EffortCurve
     from models.arrays import FloatArray
     from models.checks import Extreme, PhysicsChecks, Quantity
     from models.file import Difference
@@ -377,71 +375,6 @@ def _or_nothing(value: object) -> str:
     return "nothing" if value is None else str(value)
 
 
-# -- effort --
-
-RATES = (250.0, 500.0)  # segments a second
-
-
-@dataclass(frozen=True)
-class EffortRequest(MachineRequest):
-    """A machine whose bandwidth is looked at."""
-
-    figure: Annotated[Path | None, FIGURE] = None
-
-
-@verb
-def effort(request: EffortRequest, shown: Json) -> None:
-    """Show the inverse's accuracy against the carriage acceleration that it needs.
-
-    ffcomp compensate uses the bandwidth at the knee of this curve.
-
-    Example: ffcomp machines effort mp-delta-pro --figure effort.png
-    """
-    from ffcomp.inverse.settings import effort_curve
-    from models.effects.catalogue import design_machine
-    from models.file import load_machine
-
-    loaded = load_machine(request.machine)
-    curves = {rate: effort_curve(design_machine(loaded)[0], 1 / rate) for rate in RATES}
-    if request.figure is not None:
-        from ffcomp.report.model import draw_effort
-
-        draw_effort(curves, loaded, request.figure)
-        say(f"ffcomp: drawn into {request.figure}.")
-    if shown.as_json:
-        rates = [_effort_json(rate, curve) for rate, curve in curves.items()]
-        print_json(
-            {
-                "schema": "ffcomp-effort/1",
-                "machine": loaded.name,  # its name
-                "sha256": loaded.sha256,
-                "rates": rates,
-            }
-        )
-    else:
-        for rate, curve in curves.items():
-            _print_effort(rate, curve)
-
-
-def _effort_json(rate: float, curve: EffortCurve) -> dict[str, object]:
-    return {
-        "segments_per_second": rate,  # number
-        "bandwidth_hz": curve.bandwidth_hz.tolist(),  # list of numbers
-        "tracking_rms_um": curve.error_um.tolist(),  # list of numbers: at each bandwidth
-        "peak_command_acceleration_mm_per_s2": curve.peak_mm_per_s2.tolist(),  # list of numbers: at each bandwidth
-        "knee_hz": curve.knee_hz,  # what `compensate` takes
-    }
-
-
-def _print_effort(rate: float, curve: EffortCurve) -> None:
-    print(f"{rate:g} segments/s, a square of 8 mm (the plan itself: {curve.plan_mm_per_s2 / 1e3:.1f} m/s²)")
-    print("  bandwidth   tracking rms   peak command")
-    for k in range(len(curve.bandwidth_hz)):
-        mark = "   <- the knee" if k == curve.knee else ""
-        peak = curve.peak_mm_per_s2[k] / 1e3
-        print(f"  {curve.bandwidth_hz[k]:6.1f} Hz   {curve.error_um[k]:9.1f} µm   {peak:7.1f} m/s²{mark}")
-
-
 machines = group(
     "machines",
     "List, show, check, create and compare machine files.",
@@ -451,5 +384,4 @@ machines = group(
     new_machine,
     import_machine,
     diff_machines,
-    effort,
 )

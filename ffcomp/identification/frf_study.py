@@ -476,35 +476,3 @@ def _compared_answer(each: Compared) -> dict[str, Any]:
         "phase_accuracy_percent": each.phase_percent,
         "log_error_db": each.log_error_db,  # root mean square of the log error
     }
-
-
-def mode_map_json(machine: Machine, modes: ModeMap) -> dict[str, Any]:
-    """Return the JSON object ffcomp-frf-map/1.
-
-    Row i, column k belong to the position X = x_mm[i], Y = x_mm[k]; null off the bed.
-    """
-    return {
-        "schema": "ffcomp-frf-map/1",
-        "machine": identity(machine),  # MACHINE
-        "force_map": machine.vibration.describe().force_map,
-        "x_mm": modes.x_mm.tolist(),  # list of numbers: row i of the tables is X = x_mm[i]
-        "y_mm": modes.x_mm.tolist(),  # list of numbers: column k is Y = y_mm[k]
-        "modes": [
-            {
-                "number": mode + 1,  # whole number: from 1
-                "kind": kind,  # what moves most
-                # list of lists of numbers and nulls: null off the bed, or where the mode does not swing
-                "frequency_hz": _rows(modes, modes.frequency_hz[:, :, mode]),
-                "damping_ratio": _rows(modes, modes.damping_ratio[:, :, mode]),  # list of lists of numbers and nulls
-            }
-            for mode, kind in enumerate(modes.kinds)
-        ],
-    }
-
-
-def _rows(modes: ModeMap, table: FloatArray) -> list[list[float | None]]:
-    good = modes.on_bed & np.isfinite(table)
-    return [
-        [round(v, 6) if ok else None for v, ok in zip(*row, strict=True)]
-        for row in zip(table.tolist(), good.tolist(), strict=True)
-    ]

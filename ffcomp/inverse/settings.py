@@ -18,7 +18,6 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ffcomp.planner.limits import EXTRUSION_RATIO, planner_limits
 from ffcomp.planner.segment_merging import MergeLimits
@@ -43,7 +42,6 @@ class EffortCurve:
     bandwidth_hz: FloatArray  # (k,)
     error_um: FloatArray  # (k,) rms over places
     peak_mm_per_s2: FloatArray  # (k,) of the carriages' command, over places
-    plan_mm_per_s2: float  # what the plan itself asks for
 
     @property
     def knee(self) -> int:
@@ -85,11 +83,6 @@ def effort_curve(machine: Machine, segment_s: float) -> EffortCurve:
     count = int(np.log(HIGHEST / segment_s / LOWEST_HZ) / np.log(STEP)) + 1
     bandwidths = np.geomspace(LOWEST_HZ, HIGHEST / segment_s, max(count, 2))
 
-    def acceleration(spectrum: NDArray[np.complex128]) -> float:
-        """Return the peak of the carriages' acceleration under nozzle commands (places, lines, 3)."""
-        second = np.fft.irfft(bend[:, None] * spectrum, axis=1) / segment_s**2
-        return float(np.abs(np.einsum("pij,ptj->pti", to_carriages, second)).max())
-
     errors, peaks = [], []
     for bandwidth in bandwidths.tolist():
         weight = control_weight_at(machine, bandwidth, segment_s) * bend**2
@@ -98,9 +91,9 @@ def effort_curve(machine: Machine, segment_s: float) -> EffortCurve:
         command = np.einsum("pfij,fj->pfi", inverse, wanted)
         error = np.fft.irfft(wanted - np.einsum("pfij,pfj->pfi", frfs, command), axis=1)
         errors.append(float(np.hypot(1e3 * np.sqrt(np.mean(np.sum(error**2, axis=2))), floor_um)))
-        peaks.append(acceleration(command))
-    plan = acceleration(np.broadcast_to(wanted, (len(places), *wanted.shape)))
-    return EffortCurve(bandwidths, np.array(errors), np.array(peaks), plan)
+        acceleration = np.fft.irfft(bend[:, None] * command, axis=1) / segment_s**2
+        peaks.append(float(np.abs(np.einsum("pij,ptj->pti", to_carriages, acceleration)).max()))
+    return EffortCurve(bandwidths, np.array(errors), np.array(peaks))
 
 
 def _square(machine: Machine, segment_s: float) -> FloatArray:

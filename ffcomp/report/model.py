@@ -1,48 +1,32 @@
-"""Draw the model: Bode figures with measured responses beside, the modes over the bed, accuracy against effort.
+"""Draw the model: Bode figures, with measured responses next to the computed ones.
 
-Sizes of Bode figures are inches throughout, so that text keeps its room however many panels there are.
+Sizes are inches throughout, so that text keeps its room however many panels there are.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.patches import Circle
-from matplotlib.patheffects import AbstractPathEffect, withStroke
-from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-from ffcomp.identification.frf_study import RINGS, Compared, NumberedMode, Station, Study, verdict
+from ffcomp.identification.frf_study import Compared, NumberedMode, Station, Study, verdict
 from ffcomp.identification.predict import phases_deg
 from ffcomp.report.drawing import (
-    AFTER,
     BAND_HEIGHT,
-    BEYOND,
     INK,
     PAPER,
-    RC,
     SOFT,
     band,
-    file_of,
-    grid,
-    layout,
     machine_line,
-    plain_decades,
-    room_below,
     write_figure,
 )
-from gcode.atomic_write import replace_atomically
 from models.arrays import FloatArray
 from models.machine import Machine
-from models.vibration.mode_map import ModeMap
-
-if TYPE_CHECKING:
-    from ffcomp.inverse.settings import EffortCurve
 
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#b8860b", "#56b4e9", "#6a4c93", "#222222")
 FAINT = "#a3a9b3"
@@ -275,152 +259,3 @@ def _means(compared: Sequence[Compared]) -> tuple[float, float]:
     """Mean accuracy in magnitude and in phase, %."""
     magnitudes, phases = zip(*((each.magnitude_percent, each.phase_percent) for each in compared), strict=True)
     return float(np.mean(magnitudes)), float(np.mean(phases))
-
-
-# --- Modes over the bed
-
-MAP_SIZE, MAP_ASIDE, MAP_BELOW, MAP_ABOVE = 3.7, 0.85, 1.1, 0.75
-SMALLEST_SPAN = 0.02  # of a frequency
-TICKS = 11  # lines of direction across the bed
-
-
-def draw_map(machine: Machine, modes: ModeMap, target: Path) -> None:
-    """Every mode's frequency (colour), damping ratio (lines) and direction in the plane (strokes) over the bed."""
-    count = len(modes.kinds)
-    columns = min(3, count)
-    rows = -(-count // columns)
-    width = 0.8 + columns * (MAP_SIZE + MAP_ASIDE)
-    height = BAND_HEIGHT + rows * (MAP_ABOVE + MAP_SIZE + MAP_BELOW) + 0.15
-    figure = Figure(figsize=(width, height), facecolor=PAPER)
-    key = "colour: frequency  ·  white lines: damping ratio  ·  strokes: the direction of vibration; none: vertical"
-    figure.text(0.5, 0.17 / height, key, ha="center", va="center", fontsize=8.5, color=SOFT)
-    _band(figure, "Modes over the bed", map_verdict(modes), machine)
-    for mode in range(count):
-        x = 0.8 + (mode % columns) * (MAP_SIZE + MAP_ASIDE)
-        y = height - BAND_HEIGHT - (mode // columns + 1) * (MAP_ABOVE + MAP_SIZE + MAP_BELOW) + MAP_BELOW
-        axes = _axes(figure, x, y, MAP_SIZE, MAP_SIZE)
-        bar = _axes(figure, x + 0.25, y - 0.55, MAP_SIZE - 0.5, 0.1)
-        _map_panel(axes, bar, machine, modes, mode)
-    write_figure(figure, target, dpi=110)
-
-
-def map_verdict(modes: ModeMap) -> str:
-    """Which mode moves most over the bed, in words."""
-    rings = [m for m in range(len(modes.kinds)) if np.nanmean(modes.damping_ratio[:, :, m]) < RINGS]
-    if not rings:
-        return "Nothing rings: every mode is damped by more than 30 %."
-    span = {m: (np.nanmin(modes.frequency_hz[:, :, m]), np.nanmax(modes.frequency_hz[:, :, m])) for m in rings}
-    worst = max(rings, key=lambda m: span[m][1] / span[m][0])
-    low, high = span[worst]
-    return (
-        f"Mode {worst + 1} ({modes.kinds[worst]}) moves most: {low:.0f} to {high:.0f} Hz, by "
-        f"{100 * (high / low - 1):.0f} %; a shaper tuned at one position is wrong at the others."
-        if high / low > 1.05
-        else f"No mode that rings moves by more than {100 * (high / low - 1):.0f} %."
-    )
-
-
-def _map_panel(axes: Axes, bar: Axes, machine: Machine, modes: ModeMap, mode: int) -> None:
-    frequency, damping = modes.frequency_hz[:, :, mode], 100 * modes.damping_ratio[:, :, mode]
-    x, round_bed = modes.x_mm, Circle((0, 0), modes.x_mm[-1], transform=axes.transData)
-    levels = _levels(frequency)
-    colours = axes.contourf(x, x, frequency.T, levels=levels, cmap="viridis")
-    lines = axes.contour(x, x, damping.T, levels=5, colors="#ffffff", linewidths=0.8)
-    dark: list[AbstractPathEffect] = [withStroke(linewidth=1.6, foreground="#00000066")]
-    lines.set(path_effects=dark)
-    for label in axes.clabel(lines, fmt="%.3g %%", fontsize=7):
-        label.set_path_effects(dark)
-        label.set_clip_path(round_bed)
-    for drawn in (colours, lines):
-        drawn.set_clip_path(round_bed)
-    _directions(axes, modes, mode)
-    _towers(axes, machine)
-    digits = max(0, 1 - int(np.floor(np.log10(levels[-1] - levels[0]))))
-    scale = axes.figure.colorbar(colours, cax=bar, orientation="horizontal", format=f"%.{digits}f")
-    scale.locator = MaxNLocator(5)
-    scale.update_ticks()
-    scale.outline.set_visible(False)
-    bar.set_xlabel("frequency, Hz", fontsize=8, color=INK)
-    low, high, zeta = np.nanmin(frequency), np.nanmax(frequency), float(np.nanmean(damping))
-    quiet = "" if zeta < 100 * RINGS else ": hardly rings"
-    axes.text(0, 1.08, f"{mode + 1}  {modes.kinds[mode]}", transform=axes.transAxes, fontsize=12, weight="bold")
-    text = f"{low:.1f}-{high:.1f} Hz, ζ {zeta:.1f} %{quiet}"
-    axes.text(0, 1.025, text, transform=axes.transAxes, fontsize=9, color=SOFT)
-
-
-def _levels(frequency: FloatArray) -> FloatArray:
-    """25 levels of colour, over at least SMALLEST_SPAN, so that a frequency that stays shows one colour."""
-    low, high = float(np.nanmin(frequency)), float(np.nanmax(frequency))
-    half = max(high - low, SMALLEST_SPAN * high) / 2 * (1 + 1e-6)
-    return np.linspace((low + high) / 2 - half, (low + high) / 2 + half, 25)
-
-
-def _towers(axes: Axes, machine: Machine) -> None:
-    reach = machine.kinematics.bed_radius_mm
-    for name, towards in machine.kinematics.tower_directions.items():
-        x, y = 1.1 * reach * towards
-        axes.text(x, y, name, ha="center", va="center", weight="bold", fontsize=11, color=INK)
-    limit = (-1.2 * reach, 1.2 * reach)
-    axes.set(aspect="equal", xlim=limit, ylim=limit)
-    axes.set_xlabel("X, mm", fontsize=8, labelpad=1, color=INK)
-    axes.set_ylabel("Y, mm", fontsize=8, labelpad=1, color=INK)
-
-
-def _directions(axes: Axes, modes: ModeMap, mode: int) -> None:
-    """Strokes along the horizontal part of what moves most, nozzle holder or extruder; a point where it is upright."""
-    every = max(1, len(modes.x_mm) // TICKS)
-    at = np.arange(len(modes.x_mm) // 2 % every, len(modes.x_mm), every)
-    motion = np.where(modes.on_bed[..., None], modes.motion[:, :, mode], np.nan)[np.ix_(at, at)]
-    part = motion[..., 3:] if modes.kinds[mode].startswith("extruder") else motion[..., :3]
-    flat = part[..., :2] * np.exp(-0.5j * np.angle(np.sum(part[..., :2] ** 2, axis=-1, keepdims=True)))  # longest real
-    length = np.linalg.norm(part, axis=-1, keepdims=True)
-    stroke = 0.35 * (modes.x_mm[every] - modes.x_mm[0]) * flat.real / length
-    x, y = np.meshgrid(modes.x_mm[at], modes.x_mm[at], indexing="ij")
-    ends = np.stack([np.stack([x, y], axis=-1) - stroke, np.stack([x, y], axis=-1) + stroke])
-    axes.plot(*ends.reshape(2, -1, 2).transpose(2, 0, 1), color="#00000099", linewidth=1.4, solid_capstyle="round")
-
-
-LINES, MARKS = ("-", "--", ":", "-."), ("o", "s", "^", "D")  # all are ffcomp, so all are blue
-
-
-def draw_effort(curves: Mapping[float, EffortCurve], machine: Machine, path: Path) -> None:
-    """Draw one curve for each number of segments a second into `path`, which ends in .png or .svg."""
-    with matplotlib.rc_context(RC):
-        figure = Figure(figsize=(8.2, 5.6), layout=layout())
-        room_below(figure, band(figure, "Accuracy against effort", effort_verdict(curves), machine_line(machine)))
-        axes = figure.subplots()
-        for number, (rate, curve) in enumerate(curves.items()):
-            _curve(axes, rate, curve, number)
-        limit = machine.limits.carriage_acceleration_mm_per_s2 / 1e3
-        if limit < 2 * axes.get_xlim()[1]:
-            axes.axvline(limit, color=BEYOND, linewidth=1.2, label=f"limit of the machine file: {limit:g} m/s²")
-        for axis in (axes.xaxis, axes.yaxis):
-            plain_decades(axis)
-        axes.set_xlabel("peak acceleration of the carriages' command, m/s²")
-        axes.set_ylabel("tracking error, µm rms")
-        axes.legend(title="circle: the knee, where ffcomp works", frameon=False, alignment="left")
-        grid(axes)
-        replace_atomically(path, [file_of(figure, "svg" if path.suffix == ".svg" else "png")])
-
-
-def effort_verdict(curves: Mapping[float, EffortCurve]) -> str:
-    """Say in a sentence what the knee of the first curve asks for, and what more would win."""
-    rate, curve = next(iter(curves.items()))
-    at, knee = curve.peak_mm_per_s2[curve.knee] / 1e3, curve.error_um[curve.knee]
-    most, least = curve.peak_mm_per_s2.max() / 1e3, curve.error_um.min()
-    at_knee = f"At the knee ({rate:g} segments/s) {at:.1f} m/s² leave {knee:.2g} µm"
-    if least > 0.95 * knee:
-        return f"{at_knee}; more acceleration wins nothing."
-    return f"{at_knee}; up to {most:.0f} m/s² would leave {least:.2g} µm."
-
-
-def _curve(axes: Axes, rate: float, curve: EffortCurve, number: int) -> None:
-    peak, knee = curve.peak_mm_per_s2 / 1e3, curve.knee
-    look = {"linestyle": LINES[number % len(LINES)], "marker": MARKS[number % len(MARKS)]}
-    label = f"{rate:g} segments/s, bandwidth {curve.knee_hz:.0f} Hz"
-    axes.loglog(peak, curve.error_um, color=AFTER, markersize=3.5, linewidth=1.4, label=label, **look)
-    axes.loglog(peak[knee], curve.error_um[knee], "o", ms=11, mfc="none", mew=1.8, color=AFTER)
-    axes.annotate(
-        f"{peak[knee]:.1f} m/s², {curve.error_um[knee]:.2g} µm", (peak[knee], curve.error_um[knee]),
-        xytext=(12, 12 + 13 * number), textcoords="offset points", fontsize=8, color=SOFT,
-    )  # fmt: skip

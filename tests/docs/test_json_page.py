@@ -126,10 +126,9 @@ def test_compare(page: Page, folder: Path) -> None:
 
 def test_frf(page: Page, folder: Path, corexy: Path) -> None:
     files = _measured(folder, towers_bench(-80.0, 0.0, np.arange(4.0, 125.0, 4.0)))
-    answers = [*told("frf", *MACHINE, "--measured", files[0], "--map", folder / "map.json"), *told("frf", *MACHINE)]
+    answers = [*told("frf", *MACHINE, "--measured", files[0]), *told("frf", *MACHINE)]
     alone = told("frf", *MACHINE, "--of", "carriage-alone", "--step-hz", "10")
     hold(page, "ffcomp-frf/1", [*answers, *alone, *told("frf", "-m", corexy, "--step-hz", "10")])
-    hold(page, "ffcomp-frf-map/1", [json.loads((folder / "map.json").read_text(encoding="utf-8"))])
 
 
 def _measured(folder: Path, bench: Any) -> list[Path]:
@@ -293,7 +292,6 @@ def test_machines(page: Page, folder: Path, corexy: Path) -> None:
     checked = [*told("machines", "check", "mp-delta-pro-as-printed"), *told("machines", "check", corexy)]
     hold(page, "ffcomp-machine-check/1", checked)
     hold(page, "ffcomp-machine-diff/1", told("machines", "diff", "mp-delta-pro", "kossel"))
-    hold(page, "ffcomp-effort/1", told("machines", "effort", "mp-delta-pro"))
     bad = folder / "bad.toml"
     bad.write_text(examples(MACHINE_FILE, "toml")[-1], encoding="utf-8")
     hold(page, "ffcomp-machine-error/1", told("machines", "check", bad, code=5))

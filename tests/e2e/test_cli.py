@@ -163,10 +163,8 @@ def test_permissions_and_links_stay(tmp_path: Path, small: Path) -> None:
 
 
 def test_frequency_responses_anywhere(tmp_path: Path) -> None:
-    pictures = [tmp_path / "bode.png", tmp_path / "map.svg"]
-    answer = ffcomp(
-        "frf", "-m", "mp-delta-pro", "--at", "0,0", "--at", "-80,10", "--figure", pictures[0], "--map", pictures[1]
-    )
+    picture = tmp_path / "bode.png"
+    answer = ffcomp("frf", "-m", "mp-delta-pro", "--at", "0,0", "--at", "-80,10", "--figure", picture)
     assert answer.exit_code == 0, answer.stderr
     first, second = (json.loads(line) for line in answer.stdout.splitlines())
     assert first["schema"] == "ffcomp-frf/1" and second["position_mm"] == [-80.0, 10.0, 0.0]
@@ -175,7 +173,7 @@ def test_frequency_responses_anywhere(tmp_path: Path) -> None:
         for j in range(3):  # at 0.5 Hz every carriage does what it is told, and leaves the others alone
             assert first["carriage"][i][j]["magnitude"][0] == pytest.approx(float(i == j), abs=2e-3)
     assert first["carriage"] != second["carriage"]
-    assert pictures[0].read_bytes().startswith(b"\x89PNG") and b"<svg" in pictures[1].read_bytes()
+    assert picture.read_bytes().startswith(b"\x89PNG")
     assert ffcomp("frf", "-m", "mp-delta-pro", "--at", "200,0").exit_code == 2
 
 

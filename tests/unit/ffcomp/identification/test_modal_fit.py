@@ -364,7 +364,6 @@ def test_noise_alone_is_no_machine() -> None:
 @pytest.mark.parametrize(
     ("arguments", "rule"),
     [
-        (("frf", "--map", "bed.png"), "Straight axes answer alike everywhere on the bed"),
         (("frf", "--of", "carriage-alone"), "told by modes, not by carriages"),
         (("identify", "decouple", "x.csv"), "Straight axes carry no effector"),
         (("identify", "fit", "x.csv", "--known", "effector.total_mass_kg=1"), "are for deltas"),

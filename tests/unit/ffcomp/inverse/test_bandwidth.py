@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from ffcomp.cli.app import app
 from ffcomp.inverse.settings import HIGHEST, LOWEST_HZ, _square, control_weight_at, effort_curve, settings_for
 from models.file import load_machine
 from models.kinds import delta_vibration, with_parts
 from models.machine import Machine
-from tests.support.cli import CliRunner
 
 
 @pytest.fixture(scope="module")
@@ -74,14 +70,3 @@ def test_the_square_is_closed_and_keeps_its_acceleration(machine: Machine) -> No
     assert path.max() == pytest.approx(8.0, abs=1e-9)
     second = np.diff(path[:, 0], 2) / 1e-6
     assert np.median(np.abs(second[np.abs(second) > 1])) == pytest.approx(3000, rel=0.01)
-
-
-def test_the_verb_draws_and_tells(tmp_path: Path) -> None:
-    picture = tmp_path / "effort.png"
-    done = CliRunner().invoke(app, ["machines", "effort", "mp-delta-pro", "--figure", str(picture), "--json"])
-    assert done.exit_code == 0, done.output
-    told = json.loads(done.stdout)
-    assert [each["segments_per_second"] for each in told["rates"]] == [250.0, 500.0]
-    assert picture.read_bytes().startswith(b"\x89PNG")
-    plain = CliRunner().invoke(app, ["machines", "effort", "kossel"])
-    assert plain.exit_code == 0 and plain.stdout.count("<- the knee") == 2

@@ -14,11 +14,10 @@ from ffcomp.identification.frf_study import View, study, verdict, view_of
 from ffcomp.identification.predict import predicted
 from ffcomp.measurement.frf import FrequencyResponse
 from ffcomp.measurement.frf_files import write_frf
-from ffcomp.report.model import _spread, draw_bode, draw_map, map_verdict
+from ffcomp.report.model import _spread, draw_bode
 from models.file import load_machine
 from models.kinds import delta_vibration
 from models.machine import Machine
-from models.vibration.mode_map import mode_map
 from models.vibration.substructures import command_frf, with_added_mass
 from tests.support.cli import CliRunner, Result
 
@@ -248,28 +247,6 @@ def test_many_places_keep_one_row_of_numbers(machine: Machine, tmp_path: Path) -
     text = target.read_text(encoding="utf-8")
     assert all(f"at ({10 * k}, 0) mm" in text for k in range(7))
     assert "extruder, mostly x" not in text  # kinds only where there is room
-
-
-def test_the_map_in_pictures_and_numbers(tmp_path: Path) -> None:
-    picture, numbers = tmp_path / "map.png", tmp_path / "map.json"
-    assert run("--step-hz", 50, "--map", picture, "--map", numbers).exit_code == 0
-    assert picture.read_bytes().startswith(PNG)
-    told = json.loads(numbers.read_text())
-    assert told["schema"] == "ffcomp-frf-map/1"
-    half = len(told["x_mm"]) // 2
-    centre = [mode["frequency_hz"][half][half] for mode in told["modes"]]
-    np.testing.assert_allclose(
-        centre, load_machine("mp-delta-pro").vibration.modes_at(np.zeros(2)).frequencies_hz, atol=1e-6
-    )
-    assert told["modes"][0]["frequency_hz"][0][0] is None  # a corner: no bed
-
-
-def test_the_maps_verdict_names_the_mode_that_moves(machine: Machine, tmp_path: Path) -> None:
-    over = mode_map(delta_vibration(machine), 15.0)
-    assert map_verdict(over).startswith("Mode 3 (mostly x) moves most: 39 to 58 Hz")
-    draw_map(machine, over, tmp_path / "map.svg")
-    text = (tmp_path / "map.svg").read_text(encoding="utf-8")
-    assert "hardly rings" in text and "strokes" in text
 
 
 def test_mode_numbers_are_pushed_apart() -> None:
