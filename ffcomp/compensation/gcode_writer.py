@@ -18,7 +18,7 @@ from operator import itemgetter
 import numpy as np
 
 from ffcomp.compensation.gcode_layout import Timeline, tiles, timeline
-from ffcomp.compensation.marlin_segments import MarlinSegments
+from ffcomp.compensation.marlin_segments import FilamentCount, MarlinSegments
 from ffcomp.compensation.plan import Context, PlannedChunk
 from ffcomp.compensation.solve import SolvedSection, keep_inside
 from ffcomp.inverse.model import InverseModel
@@ -67,6 +67,7 @@ class Writer:
         self.machine_limit_commands = machine_limit_commands  # of axes that have limits of their own
         self.offset = offset
         self.marlin = marlin  # whose planner needs segments of its own kind
+        self.filament = None if marlin is None else FilamentCount()
         self.inside = inside  # which points (n, 3) mm the firmware lets a command go to
         self.raw_s = raw_s or {}  # what lines take that go out as they are, by their index
         self.moves = MoveWriter()
@@ -104,10 +105,20 @@ class Writer:
         self.now_s += event.dwell_s + self.raw_s.get(event.line, 0.0)
         self.note_returns([event])
         self._take_frame(event.frame)
+        if self.filament is not None and self.open and (command := self.filament.set_by(line)):
+            yield from self._filament_count(self.filament, command)
         if event.limits is not None:
             note_limits(self.file_limits, event.limits)
             if self.open:
-                yield from self._limits(self._opening())
+                yield from self._ours(self._opening())
+
+    def _filament_count(self, filament: FilamentCount, command: str) -> Iterator[bytes]:
+        frame, place = self.program.frames[self.frame], self.moves.place
+        if command == "G92":
+            filament.begin(frame, place[3])
+            self._set_frame(place)
+        else:
+            yield from self._ours(filament.opening(frame))
 
     def note_returns(self, events: Iterable[Event]) -> None:
         """Note whether the last to have moved the nozzle is a macro that comes back."""
@@ -123,11 +134,18 @@ class Writer:
         """End a block: the file's limits and feed are in force again."""
         if self.open:
             self.open = False
-            yield from self._limits(self._closing())
+            yield from self._ours(self._closing())
             frame = self.program.frames[self.frame]
+            if self.filament is not None:
+                yield from self._ours(self.filament.closing(frame, self.moves.place[3]))
             feed = 60 * frame.feed_mm_per_s / frame.feed_factor / frame.unit_mm
             text = (b"%.3f" % max(feed, 1e-3)).rstrip(b"0").rstrip(b".")  # never an exponent, never zero
             yield b"G1 F" + text + OURS + self.ending
+
+    def cut(self) -> Iterator[bytes]:
+        """End within a block that another writer goes on with: `resume`."""
+        if self.filament is not None:
+            yield from self._ours(self.filament.naming(self.program.frames[self.frame], self.moves.place[3]))
 
     def extrude(self, move: int) -> Iterator[bytes]:
         """Write an extruder-only move as it was, but always with its feed."""
@@ -159,7 +177,7 @@ class Writer:
         self.open, self.begun = True, True
         self.move = move
         self.frame = int(moves.frame[move])
-        self._set_frame(place)
+        self._begin_frame(place)
 
     # -- a run
 
@@ -248,9 +266,12 @@ class Writer:
     def _turns(self, lines: list[tuple[int, _Line]]) -> Iterator[int]:
         frame = self.frame
         for k, (_, line) in enumerate(lines):
-            if isinstance(line, Event) and line.frame != frame:
+            if isinstance(line, Event) and (line.frame != frame or self._counts_filament(line)):
                 frame = line.frame
                 yield k
+
+    def _counts_filament(self, event: Event) -> bool:
+        return self.filament is not None and bool(self.filament.set_by(self.program.lines[event.line]))
 
     def _segments_and_lines(
         self, segments: _Segments, lines: list[tuple[int, _Line]], stated: FloatArray
@@ -311,9 +332,11 @@ class Writer:
         if not self.open:
             self.open = True
             self.frame = int(moves.frame[move])
-            self._set_frame(moves.start[move].tolist())
+            self._begin_frame(moves.start[move].tolist())
             yield from self._return(float(moves.speed[move]))
-            yield from self._limits(self._opening())
+            if self.filament is not None:
+                yield from self._ours(self.filament.opening(self.program.frames[self.frame]))
+            yield from self._ours(self._opening())
         self._take_frame(int(moves.frame[move]))
 
     def _return(self, speed: float) -> Iterator[bytes]:
@@ -347,8 +370,14 @@ class Writer:
             if self.open:
                 self._set_frame(self.moves.place)
 
+    def _begin_frame(self, place: Sequence[float]) -> None:
+        if self.filament is not None:
+            self.filament.begin(self.program.frames[self.frame], place[3])
+        self._set_frame(place)
+
     def _set_frame(self, place: Sequence[float]) -> None:
-        self.moves.reset(self.program.frames[self.frame], place[:3], place[3])
+        frame = self.program.frames[self.frame]
+        self.moves.reset(frame if self.filament is None else self.filament.frame(frame), place[:3], place[3])
 
     def _closing(self) -> list[bytes]:
         if self.marlin is not None:
@@ -369,7 +398,7 @@ class Writer:
         unit_mm = self.program.frames[self.frame].unit_mm
         return [limit_line(self.flavor, each.code, each.words, unit_mm) for each in commands]
 
-    def _limits(self, lines: Iterable[bytes]) -> Iterator[bytes]:
+    def _ours(self, lines: Iterable[bytes]) -> Iterator[bytes]:
         for line in lines:
             yield line.rstrip(b"\n") + OURS + self.ending
 
@@ -552,6 +581,8 @@ class GcodeRenderer:
         if self._extent.end is None:
             yield from self._events_before(len(self._planned.program.moves))
             yield from self._writer.close()
+        else:
+            yield from self._writer.cut()
 
     def _events_before(self, move: int) -> Iterator[bytes]:
         for event in self._events.up_to(move):

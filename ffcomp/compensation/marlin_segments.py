@@ -9,7 +9,7 @@ filament more or less from segment to segment is a jump of its speed, at which E
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import reduce
 
 import numpy as np
@@ -25,7 +25,8 @@ from ffcomp.planner.marlin_queue import (
 )
 from ffcomp.planner.segment_timing import SegmentLimits, SegmentSpeeds
 from ffcomp.planner.settings_in_force import row_after
-from gcode.program import LimitCommand
+from gcode.program import LimitCommand, ModalState
+from gcode.words import commands
 from models.arrays import BoolArray, FloatArray, IntArray
 from models.compiled import kernel
 from models.kinematics.delta import DeltaKinematics
@@ -209,6 +210,51 @@ class MarlinSegments:
         yield LimitCommand("M203", words(raised, speed))
         yield LimitCommand("M204", printing)
         yield LimitCommand("M205", corner)
+
+
+@dataclass(slots=True)
+class FilamentCount:
+    """How E counts within our blocks: Marlin multiplies each block's steps of filament by M221, and rounds again.
+
+    So the factor is in our numbers, and M221 is 100 % as long as a block is open.
+    """
+
+    zero_mm: float = 0.0  # of the filament, where our E is zero
+
+    def begin(self, frame: ModalState, e_mm: float) -> None:
+        """Count on from the file's own E: a block opens, or G92 has named a place of the filament."""
+        self.zero_mm = frame.base[3] if frame.flow == 1.0 else e_mm - _file_e_mm(frame, e_mm)
+
+    def frame(self, frame: ModalState) -> ModalState:
+        """Return how numbers are written within a block."""
+        return replace(frame, base=(*frame.base[:3], self.zero_mm), flow=1.0)
+
+    def opening(self, frame: ModalState) -> list[bytes]:
+        """Return the lines that take the file's factor out."""
+        return [] if frame.flow == 1.0 else [b"M221 S100"]
+
+    def naming(self, frame: ModalState, e_mm: float) -> list[bytes]:
+        """Return the lines that give this place of the filament the name that it has in the file."""
+        if frame.flow == 1.0 and self.zero_mm == frame.base[3]:
+            return []
+        return [b"G92 E%.5f" % (_file_e_mm(frame, e_mm) / frame.unit_mm)]
+
+    def closing(self, frame: ModalState, e_mm: float) -> list[bytes]:
+        """Return the lines that put the file's own count and factor back."""
+        factor = [] if frame.flow == 1.0 else [b"M221 S%.6g" % (100.0 * frame.flow)]
+        return [*self.naming(frame, e_mm), *factor]
+
+    @staticmethod
+    def set_by(line: bytes) -> str:
+        """Return the command of a line that changes how E counts, G92 or M221; empty: another."""
+        if b"92" not in line and b"221" not in line:
+            return ""
+        names = [command.name for command in commands(line, 0)[:1]]
+        return names[0] if names and names[0] in ("G92", "M221") else ""
+
+
+def _file_e_mm(frame: ModalState, e_mm: float) -> float:
+    return (e_mm - frame.base[3]) / frame.flow
 
 
 @kernel

@@ -341,6 +341,19 @@ def test_no_filament_is_lost_where_whole_steps_move_a_cut(monkeypatch: pytest.Mo
     assert result.statistics.slowed and filament[1] == pytest.approx(filament[0], abs=1e-5)
 
 
+def test_marlins_count_of_filament_goes_on_behind_a_cut(monkeypatch: pytest.MonkeyPatch) -> None:
+    """M221 is in our numbers while a block is open, so that the file's own absolute E is named again at each cut."""
+    monkeypatch.setattr("ffcomp.compensation.chunks.LONGEST_S", 8.0)
+    sides = ((60 + 40 * np.cos(k / 9), 60 + 40 * np.sin(k / 9), 0.3 * (k + 1)) for k in range(240))
+    moves = b"".join(b"G1 X%.3f Y%.3f E%.4f F3000\n" % side for side in sides)
+    data = b"G28\nM82\nG92 E0\nM221 S90\nG1 X100 Y60 Z.2 F6000\n" + moves
+    text, _ = compensated(data, load_machine("ender-3"), flavor="marlin", predict=False)
+    made = read_program(text, flavor="marlin").moves
+    assert text.count(b"G92 E") >= 4 and text.count(b"M221 S100") == text.count(b"M221 S90 ; ffcomp")
+    assert made.end[-1, 3] == pytest.approx(0.9 * 72.0, abs=1e-4)
+    assert np.diff(made.end[:, 3]).max() < 0.3 and np.diff(made.end[:, 3]).min() > -1e-4
+
+
 def test_a_cut_that_must_be_slower_is_refused_when_strict(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
     tight = replace(machine, limits=replace(machine.limits, carriage_velocity_mm_per_s=45.0))
     settings = replace(settings_for(tight), strict=True)

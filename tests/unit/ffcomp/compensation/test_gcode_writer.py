@@ -21,6 +21,7 @@ from gcode.embedded import OURS, TIME_WAS, WAS, original, section_times
 from gcode.metadata import tells
 from gcode.program import Program
 from gcode.reader import read_program
+from gcode.words import Command, commands
 from models.file import load_machine
 from models.machine import Machine, RepRapFirmwareSettings
 from tests.support.compensated import compensated as anywhere
@@ -171,6 +172,47 @@ def test_marlins_own_caps_come_back_as_the_file_set_them() -> None:
     opened = max(i for i, line in enumerate(out[:at]) if line.startswith(b"M204 P100000"))
     assert b"M204 P10000 T10000" in closing and opened < at - 9  # the machine's own first,
     assert closing[-4:] == [b"M203 X200 Y200", b"M204 P800 T900", b"M205 X8 Y8", b"M201 X700 Y600"]  # then the file's
+
+
+def marlin_extruder_steps(text: bytes, steps_per_mm: float = 415.0) -> tuple[int, float]:
+    """Steps of the extruder, each block's times M221 and rounded as Marlin does, and where E counts to at the end."""
+    steps, factor, at, place, absolute = 0, 1.0, 0, 0.0, True
+    for line in text.splitlines():
+        (command,) = commands(line, 1)[:1] or [Command("", b"", 1)]
+        words = command.settings()
+        if command.name in ("M82", "M83", "G90", "G91"):
+            absolute = command.name in ("M82", "G90")
+        elif command.name == "M221":
+            factor = words["S"] / 100
+        elif command.name == "G92" and "E" in words:
+            place, at = words["E"], round(words["E"] * steps_per_mm)
+        elif command.name == "G1" and "E" in words:
+            place = words["E"] if absolute else place + words["E"]
+            block = round(place * steps_per_mm) - at
+            at += block
+            steps += int(np.sign(block)) * int(abs(block) * factor + 0.5)
+    return steps, place
+
+
+@pytest.mark.parametrize("percent", [90, 95, 105])
+@pytest.mark.parametrize("mode", ["M83", "M82"])
+def test_marlin_feeds_as_much_filament_as_the_print_at_any_flow(percent: int, mode: str) -> None:
+    """150 mm of lines, with G92 and M221 on the way; then lines that Marlin plans itself, in the file's own numbers."""
+    start, sides = b"G28\nG90\n%b\nG1 Z0.3 F6000\nG1 X10 Y10 F9000\n" % mode.encode(), [(40, 10), (40, 30), (10, 30)]
+    count, body = 0.0, b"M221 S%d\n" % percent
+    for k, (x, y) in enumerate([*sides, (10, 10), *sides]):
+        count = 1.2 if mode == "M83" else count + 1.2
+        if k in (2, 4):
+            count, body = 1.2, body + (b"G92 E0\n" if k == 2 else b"G92 E%.5f\nM221 S%d\n" % (0.0, percent))
+        body += b"G1 X%d Y%d E%.5f F4800\n" % (x, y, count)
+    after = b"M400\nG28\nG1 Z5 F600\nG1 E%.5f\n" % (2.0 if mode == "M83" else count + 2.0)
+    data = start + body + after
+    out = compensated(data, flavor="marlin")
+    steps, place = marlin_extruder_steps(out)
+    assert steps == pytest.approx((7 * 1.2 + 2.0) * percent / 100 * 415, abs=2)
+    if mode == "M82":
+        assert place == count + 2.0
+    assert original(out) == data
 
 
 def test_reprapfirmwares_limits_come_back_axis_by_axis() -> None:
