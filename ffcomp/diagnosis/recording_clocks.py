@@ -44,16 +44,17 @@ def _of_clocks(observations: Sequence[Observation], members: Sequence[int]) -> l
 
 
 def _compared(observations: Sequence[Observation], members: tuple[int, ...], names: tuple[str, ...]) -> Repeats:
-    first, speed = observations[members[0]], np.abs(observations[members[0]].speed)
+    first = observations[members[0]]
     columns = []
     for i in members:
         x = observations[i].measured[:, [observations[i].signals.index(name) for name in names]]
         columns.append(np.column_stack([fill_gaps(column) for column in (x - np.nanmean(x, axis=0)).T]))
     between = compare_repeats(
         columns,
-        speed.max(axis=1) > 1e-3 * float(speed.max()),
+        first.speed,
         first.rate_hz,
         known=np.all([np.isfinite(observations[i].measured).all(axis=1) for i in members], axis=0),
+        units=[name[:3] for name in names],
     )
     return Repeats(
         **vars(between),

@@ -7,7 +7,7 @@
 | a chip whose scale is misread; axes as in a mirror | gravity at rest; its mounting | `wrong_gravity`, `mirrored` |
 | an axis that no chip feels | the command below 20 Hz | `deaf_to` |
 | another motion, a shaken printer | the command, the rest before the motion | `other_motion` |
-| repeats that are copies, lie apart in time, or do not repeat | each other, the rests | `compare_repeats` |
+| repeats that are copies, lie apart in time, or do not repeat | each other, the command | `compare_repeats` |
 | an input shaper left on | what is expected without one | `shaper_of_captures`, `shaper_in_gap` |
 | a clipped sensor, one that holds the gap | a simulation | `clipped_against`, `BadSensor` |
 
@@ -22,6 +22,7 @@ from dataclasses import dataclass
 from functools import cache, partial
 
 import numpy as np
+from scipy.special import chdtri
 
 from ffcomp.measurement.sensors import G
 from ffcomp.numerics.delay import delayed
@@ -274,16 +275,18 @@ def shaper_in_gap(everything: GapSpectra, axes: Mapping[str, GapSpectra], retune
 #
 # What repeats of one experiment differ by is noise only if they were recorded on one clock, and if the printer did the
 # same twice: a repeat that lies a millisecond late, or a printer that warms up, differs by far more than its sensors'
-# noise. The rests before and after the motion show how loud the sensors are.
+# noise. Noise knows nothing of the command, and a machine that changed answers the command in another way: what of the
+# difference is coherent with the command is a change, and the rest of it is the noise, frequency by frequency, coloured
+# and louder in motion as it may be.
 
 LARGE_LAG_S = 1e-4  # by which repeats may lie apart before it is reported, and their delays are fitted
 SEARCHED_LAG_S, LAG_STEP_S = 0.012, 2e-4
 LAG_BAND_HZ, REPEATS_BAND_HZ = (2.0, 60.0), (2.0, 200.0)  # where lags show best; where repeats are compared
 SIGNIFICANT_LAG = 5.0  # standard deviations
-LEAST_REST_S, SETTLED_S = 0.04, 0.15  # of rest; after a motion, until it has rung out
-LARGE_SHARE, SMALL_SHARE = 0.2, 0.03  # of the signals
-TIMES_REST, TIMES_NOISY_REST = 10.0, 2.0
-NOISE_BIN_HZ, LEAST_QUIET_BINS = 5.0, 4  # of the spectrum; without motion, of which the noise is taken
+LARGE_SHARE = 0.1  # of the signals: by that a printer changes whose frequencies move by some 3 %
+FALSE_ALARM, CONFIDENCE_SD = 1e-3, 3.1  # of noise alone; the same in standard deviations of many lines
+LINES = 20  # of a spectrum, over which noise is even and the ratio of response and command nearly a straight line
+SAME_COMMAND = 1e-2  # singular value below which one column of a command says what the others do
 COPY_SHARE = 1e-9  # of the signals: no two measurements are so alike
 REPEATS_REMEDY = (
     "The printer itself changed between them (it warmed up, something is loose, slips or rubs now and then), or they "
@@ -298,10 +301,8 @@ class RepeatComparison:
 
     lag_s: tuple[float, ...]  # of each behind their mean
     lags_significant: bool
-    share: float  # rms by which one differs from their mean, of the signals, lags taken out
-    over_rest: float | None  # the same as a multiple of the noise at rest; None: nothing rests long enough
-    # of the signals, what stands above twice and above ten times the noise at its frequency; None: it is not known
-    beyond: tuple[float, float] | None = None
+    share: float  # rms by which one differs from their mean, of the signals, lags taken out, noise included
+    least_change: float  # the least part of the signals that follows the command in another way, up to FALSE_ALARM
 
     @property
     def apart(self) -> bool:
@@ -310,10 +311,8 @@ class RepeatComparison:
 
     @property
     def differ(self) -> bool:
-        """Whether they differ by more than any noise of sensors."""
-        if self.beyond is None:
-            return self.share > LARGE_SHARE
-        return self.beyond[0] > LARGE_SHARE or self.beyond[1] > SMALL_SHARE
+        """Whether the machine answered the command in another way, by more than noise explains."""
+        return self.least_change > LARGE_SHARE
 
     @property
     def copied(self) -> bool:
@@ -323,47 +322,91 @@ class RepeatComparison:
     @property
     def difference(self) -> str:
         """How much they differ, in words."""
-        rest = "" if self.over_rest is None else f", {self.over_rest:.0f} times what the sensors show at rest"
-        return f"{self.share:.0%} of the signals{rest}"
+        return f"{self.share:.0%} of the signals, and {self.least_change:.0%} at least is not noise"
 
 
 def compare_repeats(
     signals: Sequence[FloatArray],
-    moving: BoolArray,
+    command: FloatArray,
     rate_hz: float,
     known: BoolArray | None = None,
-    scale: FloatArray | None = None,
-    least_noise: float = 0.0,
+    units: Sequence[str] = (),
 ) -> RepeatComparison:
     """Compare repeats of one experiment on one clock.
 
     Parameters
     ----------
     signals : (n, m) each, without their means, gaps bridged
-    moving : (n,) where the command moves
+    command : (n, k) speeds, mm/s
     known : (n,) where all of them were measured
-    scale : (m,) in which signals of several units are compared; None: each in its own standard deviation
-    least_noise : of the signals at rest, in their unit: chips round
+    units : of each signal; none named: all have one
     """
-    if scale is None:
-        scale = np.maximum(np.std(signals[0], axis=0), 1e-12)
+    scale = np.maximum(np.std(signals[0], axis=0), 1e-12)
     weights = scale
     for _ in range(2):  # then signals weigh by what they differ by: of one that feels no motion, noise alone is known
-        lags, significant = _lags([np.fft.rfft(x / weights, axis=0) for x in signals], len(moving), rate_hz)
-        together = np.stack([delayed(x, -lag, rate_hz) for x, lag in zip(signals, lags, strict=True)])
+        lags, significant = _lags([np.fft.rfft(x / weights, axis=0) for x in signals], len(command), rate_hz)
+        moved = lags if significant else [0.0] * len(lags)  # a lag that noise alone makes would be a change
+        together = np.stack([delayed(x, -lag, rate_hz) for x, lag in zip(signals, moved, strict=True)])
         if known is not None:
             together = together * known[:, None]  # what one of them lacks shows nothing
         differences = _in_band(together - together.mean(axis=0), rate_hz) * np.sqrt(len(signals) / (len(signals) - 1))
         weights = np.maximum(np.sqrt(np.mean(differences**2, axis=(0, 1))), 1e-9 * scale)
-    size = float(np.sqrt(np.mean(_in_band(np.stack(signals), rate_hz) ** 2)))
-    share = float(np.sqrt(np.mean(differences**2)) / max(size, 1e-12))
-    rest = _rest_power(differences / scale, moving, rate_hz, least_noise / scale)
-    loud = float(np.mean((differences / scale)[:, moving] ** 2)) if moving.any() else 0.0
-    over_rest = None if rest is None else float(np.sqrt(loud / max(rest, 1e-30)))
-    # as they are: of a sensor that feels nothing of the motion, noise is all there is
-    rest = _rest_power(differences, moving, rate_hz, np.full(len(scale), least_noise))
-    beyond = _beyond_noise(differences, together, moving, rate_hz, rest)
-    return RepeatComparison(tuple(lags), significant, share, over_rest, beyond)
+    powers = np.mean(_in_band(np.stack(signals), rate_hz) ** 2, axis=(0, 1))
+    of_unit = [[k for k in range(len(scale)) if not units or units[k] == unit] for unit in dict.fromkeys(units or "1")]
+    apart = np.mean(differences**2, axis=(0, 1))
+    share = np.sqrt(np.mean([apart[k].sum() / max(powers[k].sum(), 1e-24) for k in of_unit]))
+    changes = [_least_change(together[:, :, k], command, rate_hz) for k in of_unit]
+    return RepeatComparison(tuple(lags), significant, float(share), max(changes))
+
+
+def _least_change(signals: FloatArray, command: FloatArray, rate_hz: float) -> float:
+    """Return the least share of signals (r, n, m) in one unit by which their responses to a command (n, k) differ.
+
+    The spectra of r - 1 contrasts between the repeats are regressed on the command's, over LINES lines at a time, with
+    complex gains that are straight lines over frequency. What is explained beyond the part that noise explains by
+    chance is the change, and what is left is the noise. Lines count by the share of their power that is no noise
+    (Wiener), or those without any motion would drown the change. The mean of the repeats stands beside the contrasts
+    as row 0.
+    """
+    r, n = signals.shape[:2]
+    frequency = np.fft.rfftfreq(n, 1 / rate_hz)
+    inside = np.flatnonzero((frequency >= REPEATS_BAND_HZ[0]) & (frequency <= REPEATS_BAND_HZ[1]))
+    contrasts = np.linalg.qr(np.column_stack([np.ones(r), np.eye(r)[:, 1:]]))[0].T  # orthonormal; 0: the mean's
+    spectra = np.einsum("cr,rkm->kcm", contrasts, np.fft.rfft(signals, axis=1)[:, inside])
+    commanded = np.fft.rfft(command, axis=0)[inside]
+    change, chance, of_chance, of_change, power = np.zeros(5)
+    for lines in np.array_split(np.arange(len(inside)), max(len(inside) // LINES, 1)):
+        basis, part = _basis(commanded[lines]), spectra[lines]
+        p = basis.shape[1]
+        free = len(lines) - p
+        if free < 1:
+            continue
+        total = np.sum(np.abs(part) ** 2, axis=0)
+        explained = np.sum(np.abs(np.einsum("kp,kcm->pcm", basis.conj(), part)) ** 2, axis=0)
+        noise = ((total - explained) / free)[1:]  # of a line
+        excess = explained[1:] - p * noise
+        signal = np.maximum(total[0] - len(lines) * noise.mean(axis=0), 0.0)
+        weight = signal / np.maximum(total[0], 1e-300)
+        change += np.sum(weight * excess)
+        chance += np.sum(weight * p * noise)
+        of_chance += np.sum((weight * noise) ** 2) * free / (free + 1) * (p + p**2 / free)
+        of_change += np.sum(weight**2 * 2 * noise * np.maximum(excess, 0.0))
+        power += np.sum(weight * signal)
+    if change <= 0.0:
+        return 0.0
+    freedom = max(2 * chance**2 / max(of_chance, 1e-300), 1e-3)  # of the chi-square of this mean and variance
+    by_chance = chance * (chdtri(freedom, FALSE_ALARM) / freedom - 1)
+    least = (change - np.hypot(by_chance, CONFIDENCE_SD * np.sqrt(of_change))) / (r - 1) / max(power / r, 1e-300)
+    return float(np.sqrt(max(least, 0.0)))
+
+
+def _basis(commanded: ComplexArray) -> ComplexArray:
+    """Return an orthonormal basis (l, p) of spectra (l, k) of commands, times straight lines over frequency."""
+    along = np.linspace(-1.0, 1.0, len(commanded))[:, None]
+    columns = np.hstack([commanded, commanded * along])
+    size = np.linalg.norm(columns, axis=0)
+    left, values, _ = np.linalg.svd(columns / np.maximum(size, 1e-300), full_matrices=False)
+    return np.asarray(left[:, values > SAME_COMMAND * max(float(values.max(initial=0.0)), 1e-300)])
 
 
 def _lags(spectra: Sequence[ComplexArray], n: int, rate_hz: float) -> tuple[list[float], bool]:
@@ -396,53 +439,6 @@ def _in_band(x: FloatArray, rate_hz: float) -> FloatArray:
     frequency = np.fft.rfftfreq(x.shape[-2], 1 / rate_hz)
     inside = (frequency >= REPEATS_BAND_HZ[0]) & (frequency <= REPEATS_BAND_HZ[1])
     return np.asarray(np.fft.irfft(np.fft.rfft(x, axis=-2) * inside[:, None], x.shape[-2], axis=-2))
-
-
-def _rest_power(differences: FloatArray, moving: BoolArray, rate_hz: float, least: FloatArray) -> float | None:
-    """Return the mean square of differences (r, n, m) at rest, in the band; None where nothing rests long enough."""
-    if not moving.any():
-        return None
-    n, (first, last) = len(moving), np.flatnonzero(moving)[[0, -1]]
-    edge = round(0.01 * rate_hz)
-    resting = np.zeros(n, dtype=bool)
-    resting[edge : max(first - edge, edge)] = True
-    resting[min(last + round(SETTLED_S * rate_hz), n) : max(n - edge, 0)] = True
-    if resting.sum() < LEAST_REST_S * rate_hz:
-        return None
-    return float(np.mean(np.maximum(np.mean(differences[:, resting] ** 2, axis=(0, 1)), least**2)))
-
-
-def _beyond_noise(
-    differences: FloatArray, signals: FloatArray, moving: BoolArray, rate_hz: float, rest: float | None
-) -> tuple[float, float] | None:
-    """Return what of differences (r, n, m) is no noise, as shares of the signals (r, n, m), frequency by frequency.
-
-    Noise is what the sensors show at rest; and, as sensors that count or rub are louder in motion, what they show at
-    the frequencies at which the motion has nothing.
-    """
-    if not moving.any():
-        return None
-    frequency = np.fft.rfftfreq(int(moving.sum()), 1 / rate_hz)
-    low, high = REPEATS_BAND_HZ
-    inside = np.flatnonzero((frequency >= low) & (frequency <= min(high, 0.5 * rate_hz)))
-    if not len(inside):
-        return None
-    bins = ((frequency[inside] - low) // NOISE_BIN_HZ).astype(np.int64)
-
-    def powers(x: FloatArray) -> FloatArray:
-        square = np.mean(np.abs(np.fft.rfft(x[:, moving], axis=1)) ** 2, axis=(0, 2))[inside]
-        return np.asarray(2.0 * np.bincount(bins, square) / moving.sum() ** 2)
-
-    apart, power = powers(differences), powers(signals)
-    quiet = power < TIMES_NOISY_REST**2 * apart
-    width = np.bincount(bins) / len(inside)
-    if rest is None and quiet.sum() < LEAST_QUIET_BINS:
-        return None
-    white = float(np.median(apart[quiet] / width[quiet])) if quiet.sum() >= LEAST_QUIET_BINS else 0.0
-    noise = width * max(white, rest or 0.0)
-    size = max(float(power.sum()), 1e-300)
-    shares = [np.maximum(apart - times**2 * noise, 0.0).sum() / size for times in (TIMES_NOISY_REST, TIMES_REST)]
-    return float(np.sqrt(shares[0])), float(np.sqrt(shares[1]))
 
 
 # ---- sensors against a simulation ----------------------------------------------------------------

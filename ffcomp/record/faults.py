@@ -27,9 +27,6 @@ from ffcomp.record.axes import turn_of
 from ffcomp.record.clock import Expectation, without_gaps
 from ffcomp.record.plan import run_name
 from ffcomp.record.result import Joined, Refused
-from models.arrays import FloatArray
-
-LEAST_NOISE_M_PER_S2 = 0.01  # of chips that round
 
 
 def shapers_left_on(recorded: Sequence[tuple[Joined, Expectation]]) -> list[ShapersLeftOn]:
@@ -125,11 +122,5 @@ def _compared(first: Joined, second: Joined) -> RepeatComparison:
         rows = np.column_stack([each.recording.acceleration[f"acc_{axis}"] for axis in "xyz"])
         rows = without_gaps(each.recording.time_s, rows)[cut : cut + n]
         signals.append(rows - rows.mean(axis=0))
-    speed: FloatArray = np.abs(np.gradient(first.recording.command[cuts[0] : cuts[0] + n], axis=0)).max(axis=1)
-    return compare_repeats(
-        signals,
-        speed > 1e-3 * speed.max(),
-        rate,
-        scale=np.ones(3),
-        least_noise=LEAST_NOISE_M_PER_S2,
-    )
+    speed = rate * np.gradient(first.recording.command[cuts[0] : cuts[0] + n], axis=0)
+    return compare_repeats(signals, speed, rate)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -67,7 +68,7 @@ def test_good_repeats_stay_as_they_are() -> None:
     both = [observed(motion(), n) for n in (1, 2, 3)]
     (found,) = repeats_of(both)
     assert not found.apart and not found.differ
-    assert found.share < 0.05 and found.over_rest == pytest.approx(1.0, abs=0.3)
+    assert found.share < 0.05 and found.least_change < 0.01
     assert aligned(both, [found]) == both
     check_repeating([found])
 
@@ -83,7 +84,7 @@ def test_missing_samples_of_one_are_no_difference() -> None:
     holes = motion()
     holes[600:1500:100] = holes[601:1501:100] = np.nan
     (found,) = repeats_of([observed(motion(), 1), observed(holes, 2)])
-    assert not found.apart and not found.differ and found.over_rest == pytest.approx(1.0, abs=0.3)
+    assert not found.apart and not found.differ and found.least_change < 0.01
 
 
 def test_repeats_that_do_not_repeat_are_refused_with_files_and_remedy() -> None:
@@ -97,17 +98,80 @@ def test_repeats_that_do_not_repeat_are_refused_with_files_and_remedy() -> None:
 
 
 def test_loud_sensors_are_no_reason_to_refuse() -> None:
-    """A third of the signals, but as much at rest."""
     loud = [
         replace(o, measured=motion() + 12 * (o.measured - motion())) for o in (observed(motion(), n) for n in (1, 2))
     ]
     (found,) = repeats_of(loud)
     assert found.share > 0.2 and not found.differ
-    without_rest = [replace(o, speed=np.ones_like(o.speed)) for o in loud]
-    (found,) = repeats_of(without_rest)  # the noise is then what is left where the motion has no frequencies
-    assert found.over_rest is None and not found.differ
     stiffer = replace(loud[1], measured=loud[1].measured - 0.6 * motion() * [0.0, 1.0])
-    assert repeats_of([without_rest[0], replace(stiffer, speed=np.ones_like(stiffer.speed))])[0].differ
+    assert repeats_of([loud[0], stiffer])[0].differ
+
+
+def strokes(rng: np.random.Generator, mm_per_s: tuple[float, float], mm_per_s2: float, many: int) -> np.ndarray:
+    """Speeds (n, 2) mm/s of strokes there and back, 4 s in all and from rest to rest."""
+    t, speed = np.arange(round(4 * RATE_HZ)) / RATE_HZ, np.zeros((round(4 * RATE_HZ), 2))
+    lasting = 3.4 / many
+    for i in range(many):
+        size, angle, t0 = rng.uniform(*mm_per_s), rng.uniform(0.0, 2 * np.pi), 0.3 + lasting * i
+        ramp = np.clip(np.minimum(t - t0, t0 + lasting - t) * mm_per_s2 / size, 0.0, 1.0)
+        speed += np.outer((-1) ** i * size * ramp, [np.cos(angle), np.sin(angle)])
+    return speed
+
+
+def felt(speed: np.ndarray, hz: tuple[float, float], slack_mm: float = 0.0) -> np.ndarray:
+    """Acceleration (n, 2) m/s² of two axes with one mode each, of which a slack belt plays by so much."""
+    out, fine = np.zeros_like(speed), 4
+    h = 1 / (fine * RATE_HZ)
+    for axis, f in enumerate(hz):
+        w, x, v = 2 * np.pi * f, 0.0, 0.0
+        at = np.repeat(speed[:, axis], fine)
+        place = np.cumsum(at) * h
+        for n, (target, pace) in enumerate(zip(place.tolist(), at.tolist(), strict=True)):
+            stretch = target - x
+            taut = stretch - min(max(stretch, -slack_mm), slack_mm)
+            a = w * w * taut + 2 * 0.05 * w * (pace - v)
+            v += h * a
+            x += h * v
+            if n % fine == 0:
+                out[n // fine, axis] = 1e-3 * a
+    return out
+
+
+def repeats(speed: np.ndarray, rows: tuple[np.ndarray, np.ndarray], seed: int, level: float = 0.1) -> Repeats:
+    """Two recordings with noise of so many m/s², of which half is in a band of 25 Hz."""
+    rng, found = np.random.default_rng(seed), []
+    low = rng.uniform(20.0, 60.0)
+    f = np.fft.rfftfreq(len(speed), 1 / RATE_HZ)
+    band = ((f > low) & (f < low + 25.0)) * np.sqrt(RATE_HZ / 2 / 25.0)
+    for n, row in enumerate(rows, 1):
+        white, other = rng.standard_normal((2, *row.shape))
+        coloured = np.fft.irfft(np.fft.rfft(other, axis=0) * band[:, None], len(row), axis=0)
+        measured = row + level * np.sqrt(0.5) * (white + coloured)
+        found.append(Observation(f"x-{n}.csv", "x", (0.0,), RATE_HZ, ("acc_x", "acc_y"), measured, speed))
+    (compared,) = repeats_of(found)
+    return compared
+
+
+SLOW, USUAL = ((5.0, 15.0), 500.0), ((60.0, 150.0), 3000.0)
+
+
+@pytest.mark.parametrize("many", [1, 4])
+def test_a_slow_motion_below_its_noise_repeats(many: int) -> None:
+    """Upper limit of Wilson's interval of 0 false alarms in 100 at 95 %: 3.7 %; both cases together: 1.9 %."""
+    speed = strokes(np.random.default_rng(many), *SLOW, many)
+    rows = felt(speed, (52.0, 43.0))
+    found = [repeats(speed, (rows, rows), seed) for seed in range(100)]
+    assert np.median([each.share for each in found]) > 0.5  # noise, as a share of the signals
+    assert sum(each.differ for each in found) == 0
+
+
+@pytest.mark.parametrize("other", [{"hz": (46.8, 38.7)}, {"hz": (52.0, 43.0), "slack_mm": 0.05}])
+def test_a_printer_that_changed_is_refused_at_usual_speeds(other: dict[str, Any]) -> None:
+    """Its frequencies fell by 10 %, or its belts came loose."""
+    for seed in range(5):
+        speed = strokes(np.random.default_rng(seed), *USUAL, 8)
+        found = repeats(speed, (felt(speed, (52.0, 43.0)), felt(speed, **other)), seed)
+        assert found.differ and 0.5 * found.share < found.least_change < 1.1 * found.share
 
 
 def test_sensors_that_count_are_silent_at_rest_and_repeat_nevertheless() -> None:
@@ -130,7 +194,7 @@ def test_a_clock_in_doubt_gets_parameters() -> None:
     assert delay_parameters([recording()], [one], []) == []
     found = {p.name: p.sd for p in delay_parameters([recording(delay_sd_s="3e-4", drift_sd="5e-5")], [one], [])}
     assert found == {"recording.x.delay_s": 3e-4, "recording.x.drift": 5e-5}
-    apart = Repeats((-1e-3, 1e-3), True, 0.01, 1.0, experiment="y", members=(1, 2), files=("y-1.csv", "y-2.csv"))
+    apart = Repeats((-1e-3, 1e-3), True, 0.01, 0.0, experiment="y", members=(1, 2), files=("y-1.csv", "y-2.csv"))
     (by_hand,) = delay_parameters([recording()], [one], [apart])
     assert 1e-3 < by_hand.sd < 3e-3
     late = as_recorded({"recording.x.delay_s": 1e-3}, one, motion())
