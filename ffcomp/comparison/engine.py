@@ -304,7 +304,7 @@ def _predicted(printed: Print, settings: Settings) -> dict[str, Track]:
         return {}
     options = Options(offset=printed.offset, flavor=printed.flavor, settings=settings, predict=False)
     written = b"".join(Job(printed.data, printed.path, printed.machine, options).lines())
-    return read_again(written, printed.path, printed.machine, printed.offset, printed.flavor)
+    return dict(read_again(written, printed.path, printed.machine, printed.offset, printed.flavor).tracks)
 
 
 def _layers(printed: Print, method: Method) -> tuple[Layer, ...]:

@@ -9,7 +9,7 @@ from os.path import realpath
 from pathlib import Path
 
 from ffcomp.compensation.job import Job, Options
-from ffcomp.compensation.prediction import read_again
+from ffcomp.compensation.prediction import forecast, read_again
 from ffcomp.compensation.result import CompensatedFile, Result, already_compensated
 from ffcomp.compensation.text_stream import Stream
 from ffcomp.errors import LimitsError
@@ -100,23 +100,27 @@ def _write(
     else:
         with replacing(target) as file:
             container.write(file, texts)
+            file.flush()
+            results = _forecast(todo, streams, Path(file.name), str(target))
             check()
             for name, job in todo.items():
                 if job.settings.strict and (missed := streams[name].value.bound_missed):
                     raise LimitsError(missed[0])
-    (name, *others) = todo
+        return results
+    return {name: stream.value for name, stream in streams.items()}
+
+
+def _forecast(
+    todo: Mapping[str, Job], streams: Mapping[str, Stream[Result]], draft: Path, target: str
+) -> dict[str, Result]:
+    """Return the prints' results; of a single one that was not predicted on the way, predicted from the new file."""
     results = {name: stream.value for name, stream in streams.items()}
-    if not others and target is not None:
-        results[name] = _predicted_again(todo[name], results[name], target)
-    return results
-
-
-def _predicted_again(job: Job, result: Result, target: Path) -> Result:
-    """Predict what was not predicted on the way, from the file that was written."""
-    numbers = result.statistics
-    if not job.predicts_again or not numbers.segments or numbers.predicted is not None:
-        return result
-    return replace(result, read_again=read_again(read_bytes(target), str(target), job.machine, job.offset, job.flavor))
+    (name, *others) = todo
+    job, numbers = todo[name], results[name].statistics
+    if others or not job.predicts_again or not numbers.segments or numbers.predicted is not None:
+        return results
+    predicted = forecast(lambda: read_again(read_bytes(draft), target, job.machine, job.offset, job.flavor))
+    return {name: replace(results[name], forecast=predicted)}
 
 
 def _streams(

@@ -23,7 +23,7 @@ from ffcomp.compensation.gcode_writer import GcodeRenderer
 from ffcomp.compensation.own_shaper import OwnShaper, own_shaper, with_shaper_off
 from ffcomp.compensation.placement import NOWHERE, Footprint, Offset, Placement, advice, choose_offset, footprint_of
 from ffcomp.compensation.plan import Context, plan_chunk
-from ffcomp.compensation.prediction import LONGEST_S, READ_AGAIN_S
+from ffcomp.compensation.prediction import LONGEST_S, NO_FORECAST, READ_AGAIN_S, Forecast, forecast
 from ffcomp.compensation.program import compensate
 from ffcomp.compensation.request import CompensateOptions
 from ffcomp.compensation.result import Result
@@ -212,6 +212,7 @@ class Job:
             stack.callback(sink.close)
             statistics = self._stepped(split, context, StepStream(sink), steps.plain, progress)
             statistics += Statistics(warnings=reach.warnings)
+            predicted = _forecast(statistics)
             totals = sink.finish()
         self.model.save_cache()
         return Result(
@@ -223,6 +224,7 @@ class Job:
             time.perf_counter() - started,
             totals,
             robust=self._robust,
+            forecast=predicted,
         )
 
     def _sink(self, target: Path, steps: StepOutput) -> StepSink | MotionSink:
@@ -347,6 +349,7 @@ class Job:
             embedded=embedded,
             robust=self._robust,
             shaper=self._shaper,
+            forecast=_forecast(body.value),
         )
 
     def _body(self, progress: Progress) -> Lines:
@@ -473,6 +476,12 @@ def _work(chunk: Chunk, context: Context) -> tuple[list[bytes], Statistics]:
 def _again(text: list[bytes], statistics: Statistics) -> Lines:
     yield from text
     return statistics
+
+
+def _forecast(statistics: Statistics) -> Forecast:
+    """Evaluate what was predicted on the way."""
+    samples = statistics.predicted
+    return NO_FORECAST if samples is None else forecast(samples.forecast)
 
 
 def _drained(lines: Lines) -> Statistics:

@@ -8,7 +8,7 @@ lines state them; long prints are sampled section by section, evenly, and the re
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -26,6 +26,31 @@ from models.machine import Machine
 LONGEST_S = 100.0  # of print time that is simulated for the prediction
 READ_AGAIN_S = 120.0  # of print time, at most, of a file that is read again
 SAMPLE_S = 1e-3  # about
+
+
+@dataclass(frozen=True, slots=True)
+class Forecast:
+    """The errors that are predicted for a print."""
+
+    tracks: Mapping[str, Track] = field(default_factory=dict)  # "uncompensated" and "compensated"; empty: none
+    over_s: float = 0.0  # print time that it covers
+    failed: str = ""  # why there is none, in a sentence
+
+
+NO_FORECAST = Forecast()
+
+
+def forecast(predict: Callable[[], Forecast]) -> Forecast:
+    """Predict; whatever goes wrong in a prediction is said, and never fails the print that it is of."""
+    try:
+        return predict()
+    except Exception as error:
+        return Forecast(failed=_failure(error))
+
+
+def _failure(error: Exception) -> str:
+    why = f"{type(error).__name__}: {error}".rstrip(".")
+    return f"The errors of this print could not be predicted ({why}). The print itself is complete; please report this."
 
 
 @dataclass
@@ -49,6 +74,7 @@ class Samples:
     path: list[FloatArray] = field(default_factory=list)  # (k, 3) mm
     before: _Motion = field(default_factory=_Motion)
     after: _Motion = field(default_factory=_Motion)
+    failed: str = ""  # why nothing is predicted, in a sentence
 
     def __add__(self, later: Samples) -> Samples:
 
@@ -69,27 +95,28 @@ class Samples:
             path=self.path + moved(later.path),
             before=before,
             after=after,
+            failed=self.failed or later.failed,
         )
 
-    def tracks(self) -> dict[str, Track]:
-        """Evaluate the sampled sections, "uncompensated" and "compensated"."""
-        if not self.reference:
-            return {}
+    def forecast(self) -> Forecast:
+        """Evaluate the sampled sections."""
+        if self.failed or not self.reference:
+            return Forecast(failed=self.failed)
         reference = np.concatenate(self.reference)
         t = self.sample_s * np.arange(1, len(reference) + 1, dtype=np.float64)
         path_t, path = np.concatenate(self.path_t), np.concatenate(self.path)
-        return {
+        tracks = {
             name: track(t, reference, np.concatenate(motion.actual), path_t, path, motion.peak)
             for name, motion in (("uncompensated", self.before), ("compensated", self.after))
         }
+        return Forecast(tracks, self.covered_s)
 
 
-def read_again(
-    written: bytes, path: str, machine: Machine, offset: tuple[float, float], flavor: str
-) -> dict[str, Track]:
-    """Return the errors "uncompensated" and "compensated" of a compensated file itself."""
+def read_again(written: bytes, path: str, machine: Machine, offset: tuple[float, float], flavor: str) -> Forecast:
+    """Predict the errors of a compensated file itself."""
     seen = preview(written, path, machine, offset, flavor)
-    return {"uncompensated": seen.before.track, "compensated": seen.after.track}
+    tracks = {"uncompensated": seen.before.track, "compensated": seen.after.track}
+    return Forecast(tracks, tracks["uncompensated"].print_time_s)
 
 
 class Prediction:
@@ -108,10 +135,16 @@ class Prediction:
         length = reference.knots * self.model.settings.segment_s
         due = self.samples.covered_s <= self.share * self.seen_s
         self.seen_s += length
-        return due
+        return due and not self.samples.failed
 
     def add(self, solved: SolvedSection, written: Sequence[TimedSegments] = ()) -> None:
         """Take one compensated section in; `written`: its segments, where they are other than the solved ones."""
+        try:
+            self._add(solved, written)
+        except Exception as error:
+            self.samples.failed = _failure(error)
+
+    def _add(self, solved: SolvedSection, written: Sequence[TimedSegments]) -> None:
         model, s, samples, every = self.model, self.model.settings, self.samples, self.every
         reference, result = solved.reference, solved.solution
         length = reference.knots * s.segment_s
@@ -155,4 +188,6 @@ class Prediction:
         corners = np.vstack([trajectory.origin[part, :3], reference.nozzle(np.array([run.end_t]))])
         due = np.append(trajectory.start_t[part], run.end_t)
         samples.path.append(corners + shift)
-        samples.path_t.append(samples.clock + due - reference.t0)
+        # by rounding a path may end after its last knot, where the next run begins
+        length = reference.knots * self.model.settings.segment_s
+        samples.path_t.append(samples.clock + np.clip(due - reference.t0, 0.0, length))

@@ -7,13 +7,13 @@ import traceback
 from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import BrokenExecutor
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 from ffcomp.compensation.faster import P99_LEVEL
 from ffcomp.compensation.own_shaper import OwnShaper
 from ffcomp.compensation.placement import Placement
+from ffcomp.compensation.prediction import NO_FORECAST, Forecast
 from ffcomp.compensation.statistics import Statistics, shortened, warning_lines
 from ffcomp.errors import INPUT_ERRORS, explain, interrupts_restored
 from ffcomp.inverse.robust import PLAIN, RobustChoice
@@ -61,7 +61,7 @@ class Result:
     embedded: bool = True  # whether the G-code holds its original
     robust: RobustChoice = PLAIN
     shaper: OwnShaper | None = None  # None: step timings, which cannot switch it
-    read_again: Mapping[str, Track] = field(default_factory=dict)  # errors of the file as it was written
+    forecast: Forecast = NO_FORECAST  # made before any file is replaced
 
     @property
     def warnings(self) -> list[str]:
@@ -85,7 +85,9 @@ class Result:
     def _general_warnings(self) -> list[str]:
         numbers = self.statistics
         shaper = self.shaper.warnings if self.shaper else []
-        return [*self.no_gain, *numbers.shares.warnings(), *numbers.warnings, *self.bound_missed, *shaper]
+        failed = [self.forecast.failed] if self.forecast.failed else []
+        general = [*self.no_gain, *failed, *numbers.shares.warnings(), *numbers.warnings]
+        return [*general, *self.bound_missed, *shaper]
 
     @property
     def no_gain(self) -> list[str]:
@@ -114,19 +116,10 @@ class Result:
             "rests leave 1 to 2 µm, however slow a print is."
         ]
 
-    @cached_property
+    @property
     def predicted(self) -> Mapping[str, Track]:
         """Errors of the uncompensated and of the compensated print; empty: not predicted."""
-        samples = self.statistics.predicted
-        return self.read_again or (samples.tracks() if samples else {})
-
-    @property
-    def predicted_over_s(self) -> float:
-        """Print time that the prediction covers."""
-        if self.read_again:
-            return self.read_again["uncompensated"].print_time_s
-        samples = self.statistics.predicted
-        return samples.covered_s if samples else 0.0
+        return self.forecast.tracks
 
     @property
     def faster(self) -> QuickerPrint | None:
@@ -193,7 +186,7 @@ class Result:
             # way, section by section. `simulate` and `compare` judge by the virtual printer instead, which is not
             # linear: another quantity
             "predicted": self.predicted,
-            "predicted_over_s": self.predicted_over_s,  # how much of the print the prediction is of
+            "predicted_over_s": self.forecast.over_s,  # how much of the print the prediction is of
             **({} if self.faster is None else {"faster": self.faster}),
             **(
                 {

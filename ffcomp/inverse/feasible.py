@@ -235,5 +235,6 @@ def _spliced(trajectory: Trajectory, section: Section, part: Trajectory) -> tupl
         whole = getattr(trajectory, field.name).copy()
         whole[section.first : section.last] = getattr(part, field.name)
         columns[field.name] = whole
-    columns["start_t"][section.last :] += lost
+    # rounding must not let a move begin before the last one ends
+    columns["start_t"][section.last :] = np.maximum(columns["start_t"][section.last :] + lost, part.end_t)
     return replace(trajectory, **columns), lost

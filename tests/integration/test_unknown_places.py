@@ -133,7 +133,7 @@ def test_what_follows_an_unknown_place_begins_where_the_nozzle_is(
         numbers = stream.value.statistics
         longer_s = numbers.print_time_s - numbers.original_print_time_s - numbers.settling_s
         assert not numbers.slowed and longer_s < 0.05
-        errors = read_again(out, "print.gcode", machine, (0.0, 0.0), flavor)
+        errors = read_again(out, "print.gcode", machine, (0.0, 0.0), flavor).tracks
         assert errors["compensated"].contour_rms_um < 0.5 * errors["uncompensated"].contour_rms_um < 50.0
 
 

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 from dataclasses import asdict
 from pathlib import Path
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
+from ffcomp.compensation import file as files
 from ffcomp.compensation.file import compensate_file
 from ffcomp.compensation.job import Job, Options
+from ffcomp.compensation.prediction import Forecast, Prediction
 from ffcomp.report.show import numbers
 from ffcomp.simulation.preview import Preview, preview
 from models.file import load_machine
@@ -25,7 +29,7 @@ def target(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def predicted(target: Path) -> dict[str, dict[str, float]]:
     result = compensate_file(squares(), "squares.gcode", MACHINE, Options(flavor="klipper"), target)
-    assert result.result.predicted_over_s > 3.0
+    assert result.result.forecast.over_s > 3.0
     return dict(result.to_dict()["predicted"])
 
 
@@ -49,3 +53,52 @@ def test_a_prediction_on_the_way_is_of_the_lines_as_they_state_their_places(
     tracks = Job(squares(), "squares.gcode", MACHINE, Options(flavor="klipper")).write(None).to_dict()["predicted"]
     ways = [each["compensated"]["contour_rms_um"] for each in (tracks, predicted)]
     assert ways[0] == pytest.approx(ways[1], rel=0.06)  # rests are not in it
+
+
+def test_rounding_never_lets_a_path_end_after_the_next_one_begins() -> None:
+    rng = np.random.default_rng(1)
+    segment_s = 1.0 / 250.0
+    collector = Prediction(SimpleNamespace(settings=SimpleNamespace(segment_s=segment_s, substeps=4)), 1.0)  # type: ignore[arg-type]
+    for _ in range(200):
+        begin, knots = float(rng.uniform(0.0, 300.0)), int(rng.integers(3, 400))
+        end = begin + (1.0 + rng.uniform(0.0, 1e-9)) * knots * segment_s
+        plan = SimpleNamespace(origin=np.zeros((1, 4)), start_t=np.array([begin]))
+        reference = SimpleNamespace(knots=knots, t0=begin, nozzle=lambda t: np.zeros((1, 3)))
+        run = SimpleNamespace(first=0, last=1, end_t=end)
+        collector._add_path(plan, run, reference, np.zeros(3))  # type: ignore[arg-type]
+        collector.samples.clock += knots * segment_s
+    assert (np.diff(np.concatenate(collector.samples.path_t)) >= 0.0).all()
+
+
+def test_the_file_is_replaced_after_its_prediction(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path, before = tmp_path / "print.gcode", list[bytes]()
+    path.write_bytes(squares())
+
+    def predict(written: bytes, *others: object) -> Forecast:
+        before.append(path.read_bytes())
+        assert written != squares() and b"; Processed by ffcomp" in written
+        return Forecast()
+
+    monkeypatch.setattr(files, "read_again", predict)
+    compensate_file(path, "print.gcode", MACHINE, Options(flavor="klipper"), path)
+    assert before == [squares()] != [path.read_bytes()]
+
+
+@pytest.mark.parametrize("share", ["read again", "on the way"])
+def test_a_prediction_that_fails_is_said_and_fails_no_print(
+    share: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fails(*anything: object) -> Forecast:
+        raise ValueError("A reference path needs times that never fall")
+
+    path = tmp_path / "print.gcode"
+    path.write_bytes(squares())
+    if share == "read again":
+        monkeypatch.setattr(files, "read_again", fails)
+    else:
+        monkeypatch.setattr(Prediction, "_add", fails)
+        monkeypatch.setattr("ffcomp.compensation.job.READ_AGAIN_S", 0.0)
+    done = compensate_file(path, "print.gcode", MACHINE, Options(flavor="klipper"), path)
+    assert b"; Processed by ffcomp" in path.read_bytes() and dict(done.result.predicted) == {}
+    assert "could not be predicted (ValueError: A reference path" in done.result.warnings[0]
+    assert done.to_dict()["warnings"] == done.result.warnings

@@ -12,7 +12,7 @@ import pytest
 
 from ffcomp.compensation.faster import Faster
 from ffcomp.compensation.placement import Placement
-from ffcomp.compensation.prediction import Samples
+from ffcomp.compensation.prediction import Forecast, Samples
 from ffcomp.compensation.result import Result
 from ffcomp.compensation.statistics import (
     MOST_LINES,
@@ -176,7 +176,7 @@ def test_a_print_that_is_predicted_to_become_worse_says_so_first(ender: Machine)
         tracks = {name: Track(0.0, 0.0, rms, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0) for name, rms in errors.items()}
         numbers = Statistics(warnings=("another",), faster=faster)
         chosen, place = FlavorChoice("marlin", ""), Placement((0.0, 0.0), "")
-        return Result("", ender, chosen, place, numbers, 1.0, read_again=tracks)
+        return Result("", ender, chosen, place, numbers, 1.0, forecast=Forecast(tracks))
 
     first, *others = result(3.946, 6.052).warning_lines
     assert "contour error 6.05 µm rms, against 3.95 µm without it. Print the file as it was sliced." in first
