@@ -345,7 +345,7 @@ class Writer:
         A macro that did not come back, or an object that was excluded, is then made up for at travel speed.
         """
         if self.to_return:
-            yield from self._limits(self.moves.here(speed))
+            yield from self._ours(self.moves.here(speed))
         self.to_return = False
 
     def _original(self, line: int) -> bytes:
