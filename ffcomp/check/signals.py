@@ -16,7 +16,6 @@ from scipy.signal import butter, sosfiltfilt
 from ffcomp.errors import MeasurementError
 from ffcomp.measurement.faults import deaf_to
 from ffcomp.record.clock import without_gaps
-from ffcomp.record.faults import LEAST_NOISE_M_PER_S2
 from ffcomp.record.plan import Plan
 from ffcomp.record.result import Joined
 from models.arrays import FloatArray
@@ -26,6 +25,7 @@ RATE_HZ = 400.0
 DEPENDENT = RATE_HZ / (2.0 * (BAND_HZ[1] - BAND_HZ[0]))  # rows for one that is independent
 BEFORE_S = 0.15  # kept of the rest before the motion
 REST_S = 0.05  # before the motion, in which no filter rings yet
+LEAST_NOISE_M_PER_S2 = 0.01  # of chips that round
 SURE_CLOCK_S = 5e-5
 
 
