@@ -41,11 +41,11 @@ from ffcomp.compensation.prediction import READ_AGAIN_S, read_again
 from ffcomp.inverse.robust import choose_robust
 from ffcomp.inverse.settings import Settings, settings_for
 from ffcomp.metrics import Track
-from ffcomp.shapers.apply import FrequencyOfPosition
+from ffcomp.shapers import dominant_frequencies
 from ffcomp.simulation.playback import ROW_S
 from ffcomp.version import __version__
 from gcode.dialects import MARLIN
-from models.effects.catalogue import design_machine
+from models.effects.catalogue import design_machine, effective_machine
 from models.machine import Machine
 
 ON_PLANTS_S = 60.0  # of print time that is executed on every Monte-Carlo plant
@@ -99,7 +99,6 @@ def compare(
     written_method = every.ROBUST if choice.robust else COMPENSATED
     chosen = {*names(request), written_method}
     progress = Stages(progress, _stages(request, len(chosen)))
-    of_place = every.mode_frequencies(plant)
     tuned = _tuned(machine, plant, tuning_slices, settings, chosen, progress)
     labels = {COMPENSATED: every.PLAIN_LABEL, written_method: "ffcomp"}
     tuned = [replace(each, label=labels.get(each.name, each.label)) for each in tuned]
@@ -133,7 +132,7 @@ def compare(
         best_fixed=best,
         compensated=written_method,
         sample_s=SAMPLE_S,
-        bed=_bed(plant, of_place),
+        bed=_bed(plant),
         limits={
             "carriage_velocity_mm_per_s": machine.limits.carriage_velocity_mm_per_s,
             "carriage_acceleration_mm_per_s2": machine.limits.carriage_acceleration_mm_per_s2,
@@ -317,14 +316,16 @@ def _layers(printed: Print, method: Method) -> tuple[Layer, ...]:
     return tuple(layers)
 
 
-def _bed(plant: Machine, of_place: FrequencyOfPosition) -> BedMap:
-    rim = plant.kinematics.rings(1, 72)
+def _bed(plant: Machine) -> BedMap:
+    linear, rim = effective_machine(plant), plant.kinematics.rings(1, 72)
     x, y = (
         np.linspace(low, high, 2 * int(np.ceil((high - low) / 2 / BED_PITCH_MM)) + 1)
         for low, high in zip(rim.min(axis=0).tolist(), rim.max(axis=0).tolist(), strict=True)
     )
     places = np.stack(np.meshgrid(x, y), axis=-1)
-    frequency = of_place(places.reshape(-1, 2)).reshape(places.shape)
     inside = plant.kinematics.contains(places.reshape(-1, 2), 1e-3 * plant.kinematics.bed_radius_mm)
-    frequency[~inside.reshape(frequency.shape[:2])] = np.nan
+    inside = inside.reshape(places.shape[:2])
+    frequency = np.full(places.shape, np.nan)
+    asked = places[inside] if linear.vibration.position_dependent else rim[:1]
+    frequency[inside] = dominant_frequencies(linear, asked)
     return BedMap(x, y, frequency)

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ffcomp import shapers
 from ffcomp.comparison.baselines import SHAPER_NAMES, LinearPrinter, Shaping, shaped
 from ffcomp.comparison.result import Family
 from ffcomp.comparison.sampling import PrintSlice
@@ -23,12 +21,10 @@ from ffcomp.inverse.settings import Settings
 from ffcomp.planner.program import PlannedProgram, known_to_the_firmware, plan_program
 from ffcomp.planner.reach import within_reach
 from ffcomp.planner.trajectory import Trajectory
-from ffcomp.shapers.apply import FrequencyOfPosition
 from ffcomp.shapers.smooth import USUAL
 from ffcomp.simulation.command import Motion, SectionClock, SectionStarts, motion_of, section_starts
 from gcode.reader import read_program
 from models.arrays import FloatArray
-from models.effects.catalogue import effective_machine
 from models.machine import Machine
 
 
@@ -183,9 +179,3 @@ def inversion(machine: Machine, settings: Settings, name: str) -> TunedMethod:
         return segments_motion(segments(file, s.machine, s.before, s.start)), file.statistics
 
     return TunedMethod(name, label, "inversion", tuning, motion)
-
-
-def mode_frequencies(plant: Machine) -> FrequencyOfPosition:
-    """Return the dominant mode's frequency over the plant's bed, along x and along y."""
-    linear_plant = effective_machine(plant)
-    return shapers.over_the_bed(linear_plant, partial(shapers.dominant_frequencies, linear_plant))

@@ -5,7 +5,7 @@ and only then turned into carriage paths, as Klipper does on a delta: taking T̄
 constant speed, so a `Shaper` holds the times with T̄ taken off already.
 """
 
-from ffcomp.shapers.apply import Position, dominant_frequencies, over_the_bed, shape
+from ffcomp.shapers.apply import Position, dominant_frequencies, shape
 from ffcomp.shapers.pulses import (
     DAMPING_RATIO,
     TOLERATED_VIBRATION,
@@ -31,7 +31,6 @@ __all__ = [
     "dominant_frequencies",
     "ei",
     "mzv",
-    "over_the_bed",
     "residual_vibration",
     "shape",
     "three_hump_ei",

@@ -8,11 +8,9 @@ import numpy as np
 
 from ffcomp.shapers.pulses import Shaper
 from models.arrays import FloatArray
-from models.compiled import kernel
 from models.machine import Machine
 
 Position = Callable[[FloatArray], FloatArray]  # t : (k,) s → (k, 3) mm, at any time, resting before and after
-FrequencyOfPosition = Callable[[FloatArray], FloatArray]  # (k, 2) mm, columns X Y → (k, 2) Hz, of the x and y shapers
 
 
 def shape(
@@ -83,48 +81,3 @@ def dominant_frequencies(machine: Machine, xy: FloatArray) -> FloatArray:
         loudness = np.abs(response) / natural[:, None, None] ** 2
         found[k] = natural[np.argmax(loudness[:, [0, 1], [0, 1]], axis=0)]
     return found
-
-
-def over_the_bed(
-    machine: Machine, frequencies_at: Callable[[FloatArray], FloatArray], pitch_mm: float = 10.0
-) -> FrequencyOfPosition:
-    """Tabulate frequencies, (n, 2) mm → (n, 2) Hz, at the nodes of a square grid, and interpolate between them.
-
-    Where the dominant mode changes, its frequency jumps, and with it the shaped position would; between two nodes the
-    interpolation makes a slope of it. Outside the bed the value at the rim's nearest node holds.
-    """
-    reach = machine.kinematics.model_reach_mm
-    if not reach:
-        everywhere = frequencies_at(np.zeros((1, 2)))[0]
-        return lambda xy: np.tile(everywhere, (len(xy), 1))
-    x = np.linspace(-reach, reach, 2 * int(np.ceil(reach / pitch_mm)) + 1)
-    nodes = _inside(np.stack(np.meshgrid(x, x, indexing="ij"), axis=-1).reshape(-1, 2), reach)
-    values = frequencies_at(nodes).reshape(len(x), len(x), 2)
-
-    def of_position(xy: FloatArray) -> FloatArray:
-        return _interpolated(np.ascontiguousarray(_inside(xy, reach)), reach, values)
-
-    return of_position
-
-
-def _inside(xy: FloatArray, reach_mm: float) -> FloatArray:
-    """Move positions (n, 2) mm outside the bed to its rim."""
-    distance = np.hypot(xy[:, 0], xy[:, 1])
-    return xy * (reach_mm / np.maximum(distance, reach_mm))[:, None]
-
-
-@kernel
-def _interpolated(xy: FloatArray, reach_mm: float, values: FloatArray) -> FloatArray:
-    """Interpolate values (n, n, 2) at the nodes of a square grid from -reach_mm to reach_mm, linearly in x and in y."""
-    out = np.empty((len(xy), 2))
-    cells = len(values) - 1
-    for k in range(len(xy)):
-        across, along = ((xy[k, 0] + reach_mm) * cells / (2 * reach_mm), (xy[k, 1] + reach_mm) * cells / (2 * reach_mm))
-        # a position on the rim may round to just outside the grid
-        i, j = min(max(int(across), 0), cells - 1), min(max(int(along), 0), cells - 1)
-        u, v = across - i, along - j
-        for c in range(2):
-            low = (1 - v) * values[i, j, c] + v * values[i, j + 1, c]
-            high = (1 - v) * values[i + 1, j, c] + v * values[i + 1, j + 1, c]
-            out[k, c] = (1 - u) * low + u * high
-    return out

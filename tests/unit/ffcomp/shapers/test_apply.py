@@ -138,20 +138,3 @@ def test_the_mirrored_place_has_the_same_frequencies() -> None:
     left, right, below = shapers.dominant_frequencies(machine, np.array([[-40.0, 30.0], [40.0, 30.0], [40.0, -30.0]]))
     assert left == pytest.approx(right)
     assert left != pytest.approx(below, rel=0.01)
-
-
-def test_between_the_nodes_a_linear_frequency_is_met_and_outside_the_rim_holds() -> None:
-    machine = load_machine("kossel")
-    reach = machine.kinematics.print_radius_mm
-    of_place = shapers.over_the_bed(machine, lambda xy: 50.0 + np.array([0.1, -0.2]) * xy, pitch_mm=20.0)
-    inside = np.array([[3.0, 4.0], [-51.0, 17.0], [0.0, -60.0]])
-    assert of_place(inside) == pytest.approx(50.0 + np.array([0.1, -0.2]) * inside)
-    far = np.column_stack([reach * np.linspace(1.0, 9.0, 4001), np.zeros(4001)])
-    assert of_place(far) == pytest.approx(np.full((4001, 2), [50.0 + 0.1 * reach, 50.0]))
-
-
-def test_the_table_holds_the_machines_frequencies() -> None:
-    machine = load_machine("kossel")
-    of_place = shapers.over_the_bed(machine, lambda xy: shapers.dominant_frequencies(machine, xy), pitch_mm=15.0)
-    places = np.array([[0.0, 0.0], [-22.0, 41.0], [20.0, -64.0]])
-    assert of_place(places) == pytest.approx(shapers.dominant_frequencies(machine, places), rel=0.01)
