@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, TypeVar
+from typing import TYPE_CHECKING, Any, Literal
 
 from ffcomp.api.machines import load_machine
 from ffcomp.comparison import engine
@@ -24,8 +23,6 @@ from gcode.embedded import STAMP_REACH, already_processed, find_offset, original
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-T = TypeVar("T")
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,20 +71,15 @@ class MethodComparison:
         write_report(self.comparison, Path(path))
 
 
-def evaluate_print(
-    request: CompareRequest,
-    evaluate: Callable[..., T],
-    options: Any,
-    note: Callable[[str], None] = lambda sentence: None,
-) -> T:
-    """Let an engine of `ffcomp/comparison` evaluate the print of a request.
+def compare_print(request: CompareRequest, note: Callable[[str], None] = lambda sentence: None) -> Comparison:
+    """Compare every method on the print of a request.
 
     Parameters
     ----------
     request : CompareRequest
-    evaluate, options : the engine and its own request
     note : called with a sentence on what is compared, where that is not the file itself
     """
+    options = _options(request)
     machine = load_machine(request.machine)
     plant = load_machine(request.plant) if request.plant else None
     data, offset = read_bytes(Path(request.file), request.plate), request.offset_mm
@@ -99,10 +91,11 @@ def evaluate_print(
         check_same_kinematics(machine, plant)
     printed = Print(data, str(request.file), machine, offset, request.flavor)
     settings = settings_for(machine, request.max_segments_per_second)
-    return evaluate(printed, plant, options, settings=settings, progress=request.progress)
+    with workers(request.jobs, request.scheduler) as at_once:
+        return engine.compare(printed, plant, options, settings=settings, jobs=at_once, progress=request.progress)
 
 
-def comparison_options(request: CompareRequest) -> engine.Request:
+def _options(request: CompareRequest) -> engine.Request:
     """Return the engine's options; RequestError: there is no such method."""
     seeds = request.seeds if request.mismatch else 0
     sampling = Sampling(*request.layers, request.sample)
@@ -125,9 +118,7 @@ def _compare(request: CompareRequest) -> MethodComparison:
     ------
     GcodeError, MachineFileError, NothingToDo, RequestError
     """
-    options = comparison_options(request)
-    with workers(request.jobs, request.scheduler) as at_once:
-        return MethodComparison(evaluate_print(request, partial(engine.compare, jobs=at_once), options))
+    return MethodComparison(compare_print(request))
 
 
 compare = function(CompareRequest, _compare)

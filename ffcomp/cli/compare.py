@@ -48,16 +48,10 @@ def compare(request: CompareRequest, pages: Pages, shown: Shown) -> None:
         )
     _check_targets(pages.report, pages.figures)
 
-    from ffcomp.api.comparison import comparison_options, evaluate_print
-    from ffcomp.comparison.engine import compare as engine_compare
-    from ffcomp.compensation.batch import workers
+    from ffcomp.api.comparison import compare_print
 
-    options = comparison_options(request)
-    tell = partial(_note, quiet=shown.quiet)
     with _ExitWithoutThreads(), exit_codes(), Progress(1.0, shown.quiet, "comparing") as progress:
-        request = replace(request, progress=progress.phase)
-        with workers(request.jobs, request.scheduler) as at_once:
-            comparison = evaluate_print(request, partial(engine_compare, jobs=at_once), options, tell)
+        comparison = compare_print(replace(request, progress=progress.phase), partial(_note, quiet=shown.quiet))
     written = _write(comparison, pages)
     if shown.as_json:
         names = {
