@@ -113,11 +113,6 @@ def _shown(match: re.Match[bytes]) -> str:
     return " ".join(match.group().decode("ascii", "replace").split())
 
 
-def flavor_by_ends(head: bytes, tail: bytes) -> str:
-    """Detect the flavor by a file's first and last MiB; see `sign_by_ends`."""
-    return sign_by_ends(head, tail).flavor
-
-
 def sign_by_ends(head: bytes, tail: bytes) -> FlavorSign:
     """Find the sign in a file's first and last MiB, say: slicers put start and end scripts and settings there.
 

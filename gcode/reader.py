@@ -106,7 +106,7 @@ def read_parts(
     blocks : bytes of any sizes, cut anywhere
         The file: `iter(lambda: file.read(1 << 20), b"")`.
     flavor : str
-        "klipper", "marlin" or "reprapfirmware"; `gcode.dialects.flavor_by_ends` finds it without the whole file.
+        "klipper", "marlin" or "reprapfirmware"; `gcode.dialects.sign_by_ends` finds it without the whole file.
     part_bytes : int
         Size of a part, but for the rest of its last line. 1 MiB are some 30,000 lines.
 

@@ -35,7 +35,6 @@ class HeldOut:
     filed: float = np.inf  # with the file as it is
     signal: float = np.inf  # with nothing simulated at all
     power: tuple[float, ...] = ()  # in the band: of the error with the file as it is, with the effects; of the signals
-    noise_power: float = 0.0  # of the noise alone, as `power`
 
     def explained(self, tolerance: float) -> bool:
         """Whether little is left; `tolerance` is a share of the noise."""
@@ -114,7 +113,6 @@ def hold_out(
                 filed=excess(estimation, filed, members),
                 signal=excess(estimation, nothing, members),
                 power=power,
-                noise_power=_noise_power(estimation, members),
             )
         )
     return left_out

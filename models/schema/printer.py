@@ -21,7 +21,6 @@ from models.machine import (
 from models.schema.table import FOUR, THREE, TWO, Place, Table, refuse
 
 DEFAULT_LIMITS = MotionLimits(velocity_mm_per_s=0, acceleration_mm_per_s2=0)  # these two have no default
-DEFAULT_STEPS = Steps()
 
 
 class LimitsTable(Table):

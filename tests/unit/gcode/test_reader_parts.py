@@ -14,7 +14,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gcode.dialects import detect_flavor, flavor_by_ends
+from gcode.dialects import detect_flavor, sign_by_ends
 from gcode.errors import GcodeError
 from gcode.program import Moves, Program
 from gcode.reader import read_parts, read_program
@@ -172,11 +172,11 @@ def test_nothing_has_no_parts() -> None:
 @pytest.mark.parametrize("name", [*SAMPLES, *PRINTS, *(f"odd/{name}" for name in ODD)])
 def test_a_flavor_shows_at_the_ends(name: str) -> None:
     data = named(name)
-    assert flavor_by_ends(data[: 1 << 16], data[-1 << 16 :]) == detect_flavor([data])
+    assert sign_by_ends(data[: 1 << 16], data[-1 << 16 :]).flavor == detect_flavor([data])
 
 
 def test_half_a_line_at_the_beginning_of_the_tail_is_no_command() -> None:
-    assert flavor_by_ends(b"G28\n", b"START_PRINT\nG28\n") == "marlin"  # of "; START_PRINT"
+    assert sign_by_ends(b"G28\n", b"START_PRINT\nG28\n").flavor == "marlin"  # of "; START_PRINT"
 
 
 GROWTH = """

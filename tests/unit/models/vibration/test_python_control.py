@@ -12,11 +12,8 @@ from models.kinds import delta_vibration, with_parts
 pytest.importorskip("control", reason="python-control is not installed: pip install 'ffcomp[control]'.")
 
 from models.machine import Machine
-from models.vibration.python_control import carriage_alone, carriage_load, effector_alone, effector_load
-from models.vibration.substructures import command_frf, force_frf, with_added_mass
 
 FREQUENCIES = np.geomspace(0.5, 400, 25)
-S = 2j * np.pi * FREQUENCIES
 PLACES = [(0.0, 0.0), (-80.0, 0.0), (40.0, -69.0), (-30.0, 110.0)]
 
 
@@ -86,22 +83,3 @@ def test_an_ideal_drive_leaves_the_mechanical_poles(printer: Machine) -> None:
     np.testing.assert_allclose(
         upper / (2 * np.pi), machine.vibration.modes_at(np.array(place)).frequencies_hz, rtol=1e-9
     )
-
-
-@pytest.mark.parametrize("with_drive", [True, False])
-@pytest.mark.parametrize("added_kg", [0.0, 0.2])
-def test_sub_model_1(printer: Machine, with_drive: bool, added_kg: float) -> None:
-    machine = variant(printer, "virtual_work", with_drive)
-    wanted = command_frf(with_added_mass(delta_vibration(machine).carriage, added_kg), S)
-    np.testing.assert_allclose(carriage_alone(delta_vibration(machine), added_kg)(S), wanted, rtol=1e-9)
-    np.testing.assert_allclose(
-        carriage_load(delta_vibration(machine))(S), force_frf(delta_vibration(machine).carriage, S), rtol=1e-9
-    )
-
-
-@pytest.mark.parametrize("with_arms", [True, False])
-def test_sub_model_2(printer: Machine, with_arms: bool) -> None:
-    wanted = delta_vibration(printer).struck_frf(S, with_arms)[:, :, None] * np.eye(3)
-    np.testing.assert_allclose(response(effector_alone(delta_vibration(printer), with_arms)), wanted, rtol=1e-9)
-    load = delta_vibration(printer).effector_impedance(S)[:, :, None] * np.eye(3)
-    np.testing.assert_allclose(response(effector_load(delta_vibration(printer))), load, rtol=1e-9)
