@@ -14,6 +14,7 @@ pytest.importorskip("control", reason="python-control is not installed: pip inst
 from models.machine import Machine
 
 FREQUENCIES = np.geomspace(0.5, 400, 25)
+S = 2j * np.pi * FREQUENCIES
 PLACES = [(0.0, 0.0), (-80.0, 0.0), (40.0, -69.0), (-30.0, 110.0)]
 
 
