@@ -18,12 +18,13 @@ from operator import itemgetter
 import numpy as np
 
 from ffcomp.compensation.gcode_layout import Timeline, tiles, timeline
-from ffcomp.compensation.marlin_segments import FilamentCount, MarlinSegments
+from ffcomp.compensation.marlin_segments import Filament, FilamentCount, MarlinSegments
 from ffcomp.compensation.plan import Context, PlannedChunk
 from ffcomp.compensation.solve import SolvedSection, keep_inside
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.settings import CUT, Settings
 from ffcomp.planner.lifts import join_lifts
+from ffcomp.planner.lookahead import stops_and_waits
 from ffcomp.planner.reprapfirmware import reprapfirmware_settings
 from ffcomp.planner.segment_merging import at_most, lengthen, merge, refit
 from ffcomp.planner.segment_timing import TimedSegments, segment_speeds
@@ -78,7 +79,7 @@ class Writer:
         self.file_limits = dict(file_limits or {})  # what the file has set of each limit
         self.ending = b"\r\n" if program.lines and program.lines[0].endswith(b"\r\n") else b"\n"
         self.segments = 0
-        self.late_s = 0.0  # by which they take longer than their knots
+        self.late_s = 0.0  # by which they take longer than their knots, in all
         self.now_s = 0.0  # since the program's beginning, as far as it is written
         self.written: list[TimedSegments] = []  # the section's tiles, as their lines state them; s since its first knot
         self.begun, self.rest = False, 0.0  # whether the run has moved, and for how long it has not since, s
@@ -181,7 +182,9 @@ class Writer:
 
     # -- a run
 
-    def section(self, first: int, vertices: FloatArray, timeline: Timeline) -> Iterator[bytes]:
+    def section(
+        self, first: int, vertices: FloatArray, timeline: Timeline, filament: Filament | None = None
+    ) -> Iterator[bytes]:
         """Write a section, or its next tile: many lines in one bytes object, times apart (`joined`).
 
         Parameters
@@ -189,6 +192,7 @@ class Writer:
         first : the run's first move
         vertices : (n + 1, 3) mm, columns X Y Z, at the knots of the piece and its context
         timeline : the points at which segments may end, and the original's lines between them
+        filament : that moves next, without a rest before it
         """
         if timeline.tile.begin == 0:
             yield from self._begin(first)
@@ -196,7 +200,7 @@ class Writer:
             self.written = []
             self.section_begin = (self.program.first_line + int(self.program.moves.line[first]), timeline.lead_s)
         begins = self.moves.place[:3]
-        segments, timed = self._segments(first, vertices, timeline)
+        segments, timed = self._segments(first, vertices, timeline, filament)
         lines = segments.lines(timeline)
         text: list[bytes] = []
         stated = np.empty_like(segments.points)
@@ -209,7 +213,9 @@ class Writer:
         self.written.append(replace(timed, vertices=np.vstack([begins, stated])))
         yield from joined(text)
 
-    def _segments(self, first: int, vertices: FloatArray, timeline: Timeline) -> tuple[_Segments, TimedSegments]:
+    def _segments(
+        self, first: int, vertices: FloatArray, timeline: Timeline, filament: Filament | None
+    ) -> tuple[_Segments, TimedSegments]:
         """Select the segments of a tile: all where the command bends, few where it runs straight and evenly.
 
         The second of the two is the same for who executes them.
@@ -251,13 +257,13 @@ class Writer:
         slack = np.minimum(SLACK_MM, SLACK_MM_PER_S * np.minimum(lasting, np.append(lasting[1:], 0.0)))
         slack[fixed[1:]] = 0.0  # another writer may go on from there, and the filament must be exact
         if self.marlin is not None:
-            feed, speeds = self.marlin.speeds(points, e, lasting, self.file_limits)
+            feed, speeds = self.marlin.speeds(points, e, lasting, self.file_limits, filament if whole[1] else None)
         else:
             speeds = segment_speeds(points, e[1:] - e[:-1], lasting, s.output)
             feed = speeds.cruise
         begin, end = at.searchsorted([piece.begin, piece.end]).tolist()
         timed = TimedSegments(due, points, speeds).part(begin, end)
-        late_s = np.maximum(speeds.duration - lasting, 0.0)  # lifts may be late
+        late_s = np.where(speeds.duration > 0.0, speeds.duration - lasting, 0.0)  # of whole steps some are early
         self.late_s += float(late_s[begin:end].sum())
         lasting += late_s
         segments = _Segments(kept[:-1], points[1:], e[1:], feed, lasting, slack)
@@ -528,6 +534,8 @@ class GcodeRenderer:
             else (),
         )
         self._events, self._waits_s = EventQueue(program.events), chunk.waits_s
+        stops, waits = stops_and_waits(program)
+        self._rests = stops | (waits > 0.0)  # (n,) before each move
         self._writer.note_returns(chunk.chunk.since)
 
     @property
@@ -570,7 +578,14 @@ class GcodeRenderer:
                 events.e[np.searchsorted(events.at, end)] = (
                     ends + reference.lead_at(np.array([reference.knot_of(t)]))[0]
                 )
-            yield from self._writer.section(section.first, part, events)
+            yield from self._writer.section(section.first, part, events, self._filament_after(section))
+
+    def _filament_after(self, section: Section) -> Filament | None:
+        """Return the filament that moves behind a section, if the firmware's queue holds it while the section ends."""
+        moves, k = self._planned.program.moves, section.last
+        if k >= len(moves) or self._rests[k] or k in self._waits_s or np.any(moves.end[k, :3] != moves.start[k, :3]):
+            return None
+        return Filament(float(moves.end[k, 3] - moves.start[k, 3]), float(moves.speed[k]))
 
     def written(self) -> Sequence[TimedSegments]:
         """Return the last section's segments, piece by piece."""

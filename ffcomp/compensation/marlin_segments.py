@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import reduce
+from typing import NamedTuple
 
 import numpy as np
 
@@ -40,6 +41,13 @@ SWEEPS = 2  # of the speeds that make durations exact
 MOST_FASTER = 4.0  # times what a segment's length takes in its time, that a sweep may ask for
 FLICKER_STEPS, FLICKER_S = 2.0, 0.004  # of the filament in a segment, of which E's jerk must let the speed jump
 LONGEST_DEVIATION_MM = 0.3  # that M205 J takes
+
+
+class Filament(NamedTuple):
+    """A move of the filament alone."""
+
+    mm: float
+    mm_per_s: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,7 +99,12 @@ class MarlinSegments:
         return _shortened(lasting, np.where(aside, self.longest_s, np.inf))
 
     def speeds(
-        self, points: FloatArray, e: FloatArray, lasting: FloatArray, file_limits: Mapping[str, LimitCommand]
+        self,
+        points: FloatArray,
+        e: FloatArray,
+        lasting: FloatArray,
+        file_limits: Mapping[str, LimitCommand],
+        filament: Filament | None = None,
     ) -> tuple[FloatArray, SegmentSpeeds]:
         """Return the speeds to ask for, (n,) mm/s, and how Marlin then executes the segments.
 
@@ -101,6 +114,7 @@ class MarlinSegments:
         e : (n + 1,) mm of filament
         lasting : (n,) s that each segment should take
         file_limits : the file's own in effect (`gcode.program`), which hold where the header opens none
+        filament : that moves next, without a rest before it: the last segment need not end at rest
         """
         row = reduce(row_after, [*file_limits.values(), *self.opening(file_limits)], self.row)
         motors = np.column_stack([self.steps.motors(points) / self.row[STEPS][:3], e])
@@ -110,8 +124,15 @@ class MarlinSegments:
         mm = np.linalg.norm(change[:, :3], axis=1) if by_motors else straight
         meant = np.maximum(np.where(mm > 0.0, mm, straight), 1e-6) / lasting
         feed = meant.copy()
+        if filament is not None:
+            motors = np.vstack([motors, motors[-1] + [0.0, 0.0, 0.0, filament.mm]])
         for sweep in range(SWEEPS + 1):
-            duration = self._durations(motors, straight if not by_motors else np.full(len(mm), np.nan), feed, row)
+            lengths = np.full(len(mm), np.nan) if by_motors else straight
+            if filament is None:
+                duration = self._durations(motors, lengths, feed, row)
+            else:
+                more = np.append(lengths, np.nan), np.append(feed, filament.mm_per_s)
+                duration = self._durations(motors, *more, row)[:-1]
             if sweep < SWEEPS:
                 feed = np.clip(feed * np.where(duration > 0.0, duration / lasting, 1.0), meant, MOST_FASTER * meant)
         executed = np.where(duration > 0.0, duration, lasting)
