@@ -41,24 +41,22 @@ RADII_MM = (0.0, 20.0, 40.0, 60.0, 80.0, 100.0, 120.0)
 Section = Callable[[Path], Any]  # where it may keep parts of an answer → its numbers, as JSON has them
 
 SECTIONS: Mapping[str, Section] = {
-    "ways": lambda keep: ways.side_by_side(rounds=25, exact_rounds=3, seconds=ways.TOGETHER_S),
-    "accuracy": lambda keep: ways.accuracy(),
+    "ways": lambda keep: ways.side_by_side(rounds=25, seconds=ways.TOGETHER_S),
     "prints": lambda keep: prints.as_they_are(rounds=3),
     "lengths": lambda keep: prints.by_length(prints.LENGTHS_S, rounds_s=3600.0),
     "two": lambda keep: prints.two_processes(prints.SIDE_BY_SIDE_S),
-    "place": lambda keep: ways.over_the_bed(RADII_MM, rounds=50, exact_rounds=3, seconds=40.0),
+    "place": lambda keep: ways.over_the_bed(RADII_MM, rounds=50, seconds=40.0),
     "where": lambda keep: where.where(rounds=5),
     "steps": lambda keep: {path.stem: [asdict(row) for row in steps.measured(path)] for path in steps.PRINTS},
     "first": lambda keep: prints.first_runs(prints.SMALL_S),
     "effects": lambda keep: effects_compensated.effects(effects_compensated.SECONDS, keep / "effects-parts.json"),
 }
 QUICK: Mapping[str, Section] = {
-    "ways": lambda keep: ways.side_by_side(rounds=1, exact_rounds=1, seconds=6.0, names=ways.PRINTS[:1]),
-    "accuracy": lambda keep: ways.accuracy(ways.PRINTS[1:2]),
+    "ways": lambda keep: ways.side_by_side(rounds=1, seconds=6.0, names=ways.PRINTS[:1]),
     "prints": lambda keep: prints.as_they_are(rounds=1, limit=3),
     "lengths": lambda keep: prints.by_length((60.0, 180.0, 600.0), rounds_s=600.0),
     "two": lambda keep: prints.two_processes(120.0),
-    "place": lambda keep: ways.over_the_bed(RADII_MM[::3], rounds=2, exact_rounds=1, seconds=8.0),
+    "place": lambda keep: ways.over_the_bed(RADII_MM[::3], rounds=2, seconds=8.0),
     "where": lambda keep: where.where(rounds=1),
     "first": lambda keep: prints.first_runs(20.0),
     "steps": lambda keep: {steps.PRINTS[1].stem: [asdict(row) for row in steps.measured(steps.PRINTS[1], rounds=1)]},

@@ -7,9 +7,9 @@ from numpy.typing import NDArray
 
 from ffcomp.comparison.methods import TunedMethod
 from ffcomp.comparison.sampling import PrintSlice
+from ffcomp.inverse.limited_window import WindowProblem
 from ffcomp.inverse.model import InverseModel, Iterate
 from ffcomp.inverse.reference import Reference
-from ffcomp.inverse.windowed_qr import WindowProblem
 from ffcomp.planner.program import PlannedProgram
 from ffcomp.planner.trajectory import Section
 from ffcomp.simulation.command import Motion
@@ -131,7 +131,7 @@ def knots(stretch: PrintSlice) -> FloatArray:
 
 
 def whole_run(planned: PlannedProgram, run: Section, inverter: InverseModel) -> WindowProblem:
-    """The exact inverse's own window over a whole run from rest, all of its knots unknown."""
+    """One window over a whole run from rest, all of its knots unknown."""
     playing = Iterate(inverter, Reference(planned.trajectory, run, inverter.settings))
     state = inverter.machine.equilibrium(planned.trajectory.origin[run.first, :3])
     return WindowProblem(playing, 0, state, playing.last, playing.last - 1, playing.n)

@@ -14,7 +14,7 @@ from benchmarks import steps
 from benchmarks.performance_methods import REACH, SAMPLE_S
 from benchmarks.performance_prints import LARGEST, REPEATED, SMALL_S
 from benchmarks.performance_verdicts import VERDICTS
-from benchmarks.performance_ways import COMPENSATED, DENSE, EXACT, MACHINE, MORE_CORRECTIONS, PLAIN_EXACT, ZERO_PHASE
+from benchmarks.performance_ways import COMPENSATED, DENSE, MACHINE, ZERO_PHASE
 from benchmarks.performance_where import ONCE, REST
 from models.vibration.scheduled import SAME_MM
 from studies.effects_compensated import LAYERS, PRINT, SECONDS, as_table
@@ -22,7 +22,6 @@ from studies.prose import WIDTH
 
 Numbers = Mapping[str, Any]
 
-AIM_RATIO, AIM_RMS_UM, AIM_MAX_UM = 100.0, 1.0, 3.0
 AIM_MEMORY_MB, AIM_SPEED, AIM_FIRST_S, AIM_STEPS = 500.0, 300.0, 40.0, 5.0
 ZERO_PHASE_SHOWN = ("us_per_segment", "contour_um", "tracking_no_delay_um", "peak_m_per_s2")
 
@@ -60,9 +59,7 @@ carriage is asked for over 4 ms.
 
 """
     yield listed(f"""
-- **exact scheduled FBS**: `--inverse exact` with 40 segments of preview and two corrections; the reference.
-  **exact, as deep as ours**: with 24 and one.
-- **ours**: the fast inverse, as `ffcomp compensate` uses it. **FBS, one model**: the same with the model of the bed's
+- **ours**: the inverse as `ffcomp compensate` uses it. **FBS, one model**: the same with the model of the bed's
   middle.
 - **zero-phase-error tracking** (Tomizuka 1987): the inverse of the three towers' sampled model, from 4 ms to 4 ms, one
   for every 10 mm of the bed. Six of its zeros lie outside the unit circle (three near 14: the drive's own right
@@ -71,7 +68,7 @@ carriage is asked for over 4 ms.
   effort, knows no limit and no J̇ q̇.
 - **shapers**: the frequency and damping ratio that serve these very stretches best, one for the bed or following the
   mode.
-- The first four go the whole way: G-code text, read again and planned as the firmware plans it, with its ramps. The
+- The first two go the whole way: G-code text, read again and planned as the firmware plans it, with its ramps. The
   others are played as computed, which flatters them. Computing: from the plan to the nozzle's command at every
   segment's end; not the plan, and not the text. A firmware's shaper costs nothing before the print.
 """)
@@ -83,16 +80,12 @@ carriage is asked for over 4 ms.
 
 
 def one_table(rows: list[Numbers]) -> Iterator[str]:
-    exact = next(r for r in rows if r["name"] == EXACT)["us_per_segment"]
-    yield (
-        "| way | µs a segment | print-seconds a second | times faster than exact | tracking (no delay) | contour "
-        "| peak m/s² |"
-    )
-    yield "|---|---|---|---|---|---|---|"
+    yield "| way | µs a segment | print-seconds a second | tracking (no delay) | contour | peak m/s² |"
+    yield "|---|---|---|---|---|---|"
     for r in rows:
         yield (
             f"| {r['label']} | {r['us_per_segment']:.3g} | {r['print_s_per_s']:,.0f} "
-            f"| {between([exact / r['us_per_segment']])} | {r['tracking_um']:.1f} ({r['tracking_no_delay_um']:.2f}) "
+            f"| {r['tracking_um']:.1f} ({r['tracking_no_delay_um']:.2f}) "
             f"| {r['contour_um']:.2f} | {r['peak_m_per_s2']:.1f} |"
         )
     yield ""
@@ -101,44 +94,9 @@ def one_table(rows: list[Numbers]) -> Iterator[str]:
 def dense_words(d: Numbers) -> Iterator[str]:
     yield f"""
 *Dense, by cvxpy* (CLARABEL): all {d["unknowns"]:.0f} unknowns of one run of {d["run_s"]:.1f} s in one problem, and
-again for each of two corrections: {d["dense_us"]:,.0f} µs a segment, where the exact one takes {d["exact_us"]:.0f} and
-ours {d["ours_us"]:.1f} ({d["dense_us"] / d["ours_us"]:,.0f} times less). Its command and the exact one differ by
-{d["dense_to_exact_um"]:.3f} µm at most, its command and ours by {d["dense_to_ours_um"]:.3f} µm.
+again for each of two corrections: {d["dense_us"]:,.0f} µs a segment, where ours takes {d["ours_us"]:.1f}
+({d["dense_us"] / d["ours_us"]:,.0f} times less). The two commands differ by {d["dense_to_ours_um"]:.3f} µm at most.
 """
-
-
-# ---- ours against exact --------------------------------------------------------------------------
-
-
-def accuracy(found: Numbers) -> Iterator[str]:
-    yield f"""Where the nozzle goes with either command, by the design model, at every millisecond of every run of the
-whole prints. Aims: {AIM_RMS_UM:g} µm rms, {AIM_MAX_UM:g} µm at most. The file's own park moves, after the last line of
-plastic, stand apart.
-
-| print | runs | seconds | rms µm | max µm | command, max µm | runs at a limit |
-|---|---|---|---|---|---|---|"""
-    for name, each in found.items():
-        for part, what in (("printing", ""), ("parking", ", park moves")):
-            if each[part]["runs"]:
-                yield _apart_row(name + what, each[part])
-    worst = max(each["printing"]["max_um"] for each in found.values())
-    rms = max(each["printing"]["rms_um"] for each in found.values())
-    met = "Both aims are met" if rms <= AIM_RMS_UM and worst <= AIM_MAX_UM else "The aims are not met everywhere"
-    yield f"\n{met} while plastic is laid down: {rms:.2f} µm rms and {worst:.2f} µm at the worst."
-    moves = ", ".join(f"{each['passes']['max_um']:.1f} µm ({name})" for name, each in found.items())
-    yield f"""
-Park moves lift Z with the machine's own acceleration, 10 m/s², and no file can raise what the firmware allows Z: the
-ramps of single segments reach that limit, and a little more command no longer brings a little more motion. There the
-passes through what is really played do not settle in either inverse: the exact one by itself, with {MORE_CORRECTIONS}
-corrections in place of two, goes elsewhere by {moves} at the most.
-"""
-
-
-def _apart_row(label: str, p: Numbers) -> str:
-    return (
-        f"| {label} | {p['runs']} | {p['seconds']:.1f} | {p['rms_um']:.3f} | {p['max_um']:.2f} "
-        f"| {p['command_max_um']:.2f} | {p['limited']} |"
-    )
 
 
 # ---- whole prints --------------------------------------------------------------------------------
@@ -210,7 +168,7 @@ load of {found["load"]:.1f} at the end, our own included. Starting a process, it
 
 
 def place(found: Numbers) -> Iterator[str]:
-    ours, exact = np.array(found["ours_us"]), np.array(found["exact_us"])
+    ours = np.array(found["ours_us"])
     yield f"""Rings and zigzags 14 mm across, {found["print_s"][0]:.0f} s of them, at growing distance from the bed's
 middle.
 
@@ -219,10 +177,9 @@ middle.
 | radius, mm | {" | ".join(f"{r:g}" for r in found["radius_mm"])} |
 |---|{"---|" * len(found["radius_mm"])}
 | ours, µs a segment | {" | ".join(f"{us:.2f}" for us in ours)} |
-| exact, µs a segment | {" | ".join(f"{us:.0f}" for us in exact)} |
 
-From least to most ours varies by {100 * np.ptp(ours) / ours.mean():.0f} % and the exact one by
-{100 * np.ptp(exact) / exact.mean():.0f} %, without a trend: what depends on the place is looked up, never searched.
+From least to most it varies by {100 * np.ptp(ours) / ours.mean():.0f} %, without a trend: what depends on the place is
+looked up, never searched.
 """
 
 
@@ -293,8 +250,6 @@ multiplication and addition after the other, each waiting for the last, {peaks["
 
 def limits(found: Numbers) -> Iterator[str]:
     lengths_, work, tables = found["lengths"], floor(found), found["ways"].values()
-    deep = [_us(t["rows"], EXACT) / _us(t["rows"], COMPENSATED) for t in tables]
-    plain = [_us(t["rows"], PLAIN_EXACT) / _us(t["rows"], COMPENSATED) for t in tables]
     cheaper, contour, tracking, peak = (zero_phase(tables, what) for what in ZERO_PHASE_SHOWN)
     yield listed(f"""
 - **The arithmetic itself**: the kernels, with all their passes over it, need {work["operations"]:,.0f}
@@ -309,10 +264,6 @@ def limits(found: Numbers) -> Iterator[str]:
 - **Around the kernels**: they are {100 * work["kernel_share"]:.0f} % of a job on a sample print;
   {100 * work["once_share"]:.0f} % is done once for a machine and the places a print comes by, and the largest of all
   other stages, "{work["largest"]}", is {100 * work["largest_share"]:.0f} %.
-- **Against the exact one**: {between(deep)} times faster than the exact inverse with 40 segments of preview and two
-  corrections, {between(plain)} times than with 24 and one. The aim, {AIM_RATIO:g} times,
-  {"is met" if min(deep) >= AIM_RATIO else "is not met"}. The exact one is not slow by itself: it shares the
-  simulation, the ramps and the kinematics with ours, and solves 64 segments at a time.
 - **Short prints**: {lengths_["once_s"]:.2f} s go to what is done once, and a process takes more than a second to start
   (the first run on a machine has its own section): that is most of what one waits for.
 - **What is cheaper**: shapers, and zero-phase-error tracking, which costs {between(cheaper)} of ours. Its contour error
@@ -473,7 +424,6 @@ def _named(names: Iterable[str]) -> str:
 
 WRITERS: Mapping[str, tuple[str, Callable[[Numbers], Iterator[str]]]] = {
     "ways": ("Ways to a command, side by side", side_by_side),
-    "accuracy": ("Ours against the exact one", accuracy),
     "prints": ("Whole prints, end to end", whole_prints),
     "lengths": ("Time and memory against length", lengths),
     "two": ("Two processes", two),

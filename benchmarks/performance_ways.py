@@ -1,4 +1,4 @@
-"""Every way to a command, side by side: what it costs, and what it is worth. And how near ours is to the exact one."""
+"""Every way to a command, side by side: what it costs, and what it is worth."""
 
 from __future__ import annotations
 
@@ -26,9 +26,8 @@ from ffcomp.comparison.sampling import Print, PrintSlice, Sampling
 from ffcomp.compensation.solve import SolvedSection, solutions
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.settings import Settings, settings_for
-from ffcomp.inverse.solve import Solution, solve
+from ffcomp.inverse.solve import solve
 from ffcomp.planner.program import PlannedProgram, plan_program
-from ffcomp.planner.trajectory import Section
 from ffcomp.simulation.playback import simulate_nozzles
 from gcode.reader import read_program
 from models.file import load_machine
@@ -40,13 +39,10 @@ ROOT = Path(__file__).parents[1]
 MACHINE = "mp-delta-pro"
 PRINTS = ("ringing_tower", "lobed_vase", "far_star")
 SHAPERS = ("zv", "mzv", "ei", "2hump_ei", "3hump_ei")
-EXACT, PLAIN_EXACT, DENSE = "exact", "exact-plain", "dense"
+DENSE = "dense"
 PIECE_S, TOGETHER_S = 10.0, 30.0
-MORE_CORRECTIONS = 6  # does the exact one stay where it is?
 DENSE_S = (2.0, 3.0)  # how long the path of the dense formulation is
 LABELS = {
-    EXACT: "exact scheduled FBS",
-    PLAIN_EXACT: "exact, as deep as ours",
     COMPENSATED: "**ours**",
     ONE_MODEL: "FBS, one model",
     ZERO_PHASE: "zero-phase-error tracking, scheduled",
@@ -80,11 +76,6 @@ class Row:
     peak_m_per_s2: float
 
 
-def exact_settings(machine: Machine) -> Settings:
-    """The reference: with more preview, and a pass more through the plant, than a window of it needs by itself."""
-    return replace(settings_for(machine), inverse="exact", preview=40, corrections=2)
-
-
 def sample_print(name: str, machine: Machine) -> Print:
     path = ROOT / "sample_prints" / f"{name}.gcode"
     return Print(path.read_bytes(), path.name, machine)
@@ -93,20 +84,17 @@ def sample_print(name: str, machine: Machine) -> Print:
 # ---- side by side --------------------------------------------------------------------------------
 
 
-def side_by_side(rounds: int, exact_rounds: int, seconds: float, names: Sequence[str] = PRINTS) -> dict[str, Any]:
+def side_by_side(rounds: int, seconds: float, names: Sequence[str] = PRINTS) -> dict[str, Any]:
     """A table for each print: rows, and what was looked at."""
     machine = load_machine(MACHINE)
-    return {name: table(name, machine, rounds, exact_rounds, seconds) for name in names}
+    return {name: table(name, machine, rounds, seconds) for name in names}
 
 
-def table(name: str, machine: Machine, rounds: int, exact_rounds: int, seconds: float) -> dict[str, Any]:
+def table(name: str, machine: Machine, rounds: int, seconds: float) -> dict[str, Any]:
     printed = sample_print(name, machine)
     stretches, told = printed.slices(Sampling(), min(PIECE_S, seconds), seconds)
     methods = every_method(machine, stretches)
-    times = least(
-        {m.way.name: partial(m.commands, stretches) for m in methods},
-        {m.way.name: exact_rounds if m.way.name.startswith(EXACT) else rounds for m in methods},
-    )
+    times = least({m.way.name: partial(m.commands, stretches) for m in methods}, rounds)
     lasting = sum(each.motion.end_t - each.motion.begin_t for each in stretches)
     rows = [row(m.way, stretches, machine, *times[m.way.name], lasting) for m in methods]
     return {"told": told, "rows": [asdict(each) for each in rows], DENSE: dense_row(printed.planned, machine)}
@@ -115,10 +103,7 @@ def table(name: str, machine: Machine, rounds: int, exact_rounds: int, seconds: 
 def every_method(machine: Machine, stretches: Sequence[PrintSlice]) -> list[Method]:
     usual = settings_for(machine)
     linear = LinearPrinter(machine, stretches)
-    plain = replace(usual, inverse="exact")
     found = [
-        inverting(machine, exact_settings(machine), EXACT),
-        inverting(machine, plain, PLAIN_EXACT),
         inverting(machine, usual, COMPENSATED),
         inverting(machine, usual, ONE_MODEL),
         sampling(zero_phase(machine)),
@@ -153,18 +138,17 @@ def sampling(way: TunedMethod) -> Method:
     return Method(way, command)
 
 
-def least(works: dict[str, Callable[[], int]], rounds: dict[str, int]) -> dict[str, tuple[int, float]]:
+def least(works: dict[str, Callable[[], int]], rounds: int) -> dict[str, tuple[int, float]]:
     """What each returns, and its shortest CPU time, s. One after the other in every round, after one that is not kept:
     so the load of other jobs is shared alike."""
     for work in works.values():
         work()
     found = dict.fromkeys(works, (0, np.inf))
-    for k in range(max(rounds.values())):
+    for _ in range(rounds):
         for name, work in works.items():
-            if k < rounds[name]:
-                began = time.process_time()
-                answer = work()
-                found[name] = (answer, min(found[name][1], time.process_time() - began))
+            began = time.process_time()
+            answer = work()
+            found[name] = (answer, min(found[name][1], time.process_time() - began))
     return found
 
 
@@ -193,115 +177,40 @@ def row(
 
 
 def dense_row(planned: PlannedProgram, machine: Machine) -> dict[str, float] | None:
-    """The dense formulation on one run, exact and ours on the same; None if no run is of that length."""
+    """The dense formulation and ours on one run, each corrected twice; None if no run is of that length."""
     runs = [r for r in planned.sections if r.travels and DENSE_S[0] <= r.end_t - r.begin_t <= DENSE_S[1]]
     if not runs:
         return None
-    exact, ours = InverseModel(machine, exact_settings(machine)), InverseModel(machine, settings_for(machine))
-    commands: dict[str, FloatArray] = {}
-
-    def told(name: str, command: Callable[[], FloatArray]) -> Callable[[], int]:
-        def work() -> int:
-            commands[name] = command()
-            return len(commands[name]) - 1
-
-        return work
-
-    def by(inverter: InverseModel) -> Callable[[], FloatArray]:
-        return lambda: solve(inverter, whole_run(planned, runs[0], inverter).iterate.reference, start.state).vertices
-
-    start = whole_run(planned, runs[0], exact)
-    works = {EXACT: told(EXACT, by(exact)), COMPENSATED: told(COMPENSATED, by(ours))}
-    times = least(works, {EXACT: 2, COMPENSATED: 5})
+    ours = InverseModel(machine, replace(settings_for(machine), corrections=2))
+    start = whole_run(planned, runs[0], ours)
+    reference, state = start.iterate.reference, start.state
+    command = solve(ours, reference, state).vertices
+    knots_n, ours_s = least({COMPENSATED: lambda: len(solve(ours, reference, state).vertices) - 1}, 5)[COMPENSATED]
     began = time.process_time()
-    knots_n = told(DENSE, lambda: dense(whole_run(planned, runs[0], exact)))()
+    wanted = dense(start)
     seconds = time.process_time() - began
     return {
         "run_s": runs[0].end_t - runs[0].begin_t,
         "unknowns": 3.0 * (knots_n - 1),
         "dense_us": 1e6 * seconds / knots_n,
-        "exact_us": 1e6 * times[EXACT][1] / knots_n,
-        "ours_us": 1e6 * times[COMPENSATED][1] / knots_n,
-        "dense_to_exact_um": 1e3 * float(np.abs(commands[DENSE] - commands[EXACT]).max()),
-        "dense_to_ours_um": 1e3 * float(np.abs(commands[DENSE] - commands[COMPENSATED]).max()),
+        "ours_us": 1e6 * ours_s / knots_n,
+        "dense_to_ours_um": 1e3 * float(np.abs(wanted - command).max()),
     }
-
-
-# ---- ours against the exact one ------------------------------------------------------------------
-
-
-def accuracy(names: Sequence[str] = PRINTS) -> dict[str, Any]:
-    """Where the nozzle goes by the design model: ours against exact, over the whole prints."""
-    machine = load_machine(MACHINE)
-    return {name: apart(sample_print(name, machine).planned, machine) for name in names}
-
-
-def apart(planned: PlannedProgram, machine: Machine) -> dict[str, Any]:
-    deep, usual = (replace(each, time_scaling=False) for each in (exact_settings(machine), settings_for(machine)))
-    exact, ours = InverseModel(machine, deep), InverseModel(machine, usual)
-    more = InverseModel(machine, replace(deep, corrections=MORE_CORRECTIONS))
-    last = last_extruding(planned)
-    while_printing, parking, passes = _Apart(), _Apart(), _Apart()
-    for a, b, c in zip(*(solved(planned, each, True) for each in (exact, ours, more)), strict=True):
-        (while_printing if a.section.first <= last else parking).add(a.section, a.solution, b.solution)
-        if a.section.first > last:
-            passes.add(a.section, a.solution, c.solution)
-    return {"printing": while_printing.told(), "parking": parking.told(), "passes": passes.told()}
-
-
-def last_extruding(planned: PlannedProgram) -> int:
-    """The last move that lays plastic down."""
-    direction = planned.trajectory.direction
-    return int(np.flatnonzero((direction[:, 3] > 0.0) & np.any(direction[:, :3] != 0.0, axis=1))[-1])
-
-
-class _Apart:
-    """Differences of runs, gathered."""
-
-    def __init__(self) -> None:
-        self.runs, self.limited, self.squares, self.samples, self.worst = 0, 0, 0.0, 0, 0.0
-        self.command, self.seconds = 0.0, 0.0
-
-    def add(self, run: Section, one: Solution, other: Solution) -> None:
-        difference = np.linalg.norm(one.response - other.response, axis=1)
-        command = np.linalg.norm(one.vertices - other.vertices, axis=1)
-        self.runs += 1
-        self.limited += bool(one.constrained or other.constrained)
-        self.squares += float((difference**2).sum())
-        self.samples += len(difference)
-        self.worst, self.command = max(self.worst, float(difference.max())), max(self.command, float(command.max()))
-        self.seconds += run.end_t - run.begin_t
-
-    def told(self) -> dict[str, float]:
-        return {
-            "runs": self.runs,
-            "limited": self.limited,
-            "seconds": self.seconds,
-            "rms_um": 1e3 * float(np.sqrt(self.squares / max(self.samples, 1))),
-            "max_um": 1e3 * self.worst,
-            "command_max_um": 1e3 * self.command,
-        }
 
 
 # ---- against the place on the bed ----------------------------------------------------------------
 
 
-def over_the_bed(radii_mm: Sequence[float], rounds: int, exact_rounds: int, seconds: float) -> dict[str, Any]:
+def over_the_bed(radii_mm: Sequence[float], rounds: int, seconds: float) -> dict[str, Any]:
     """The same pattern at growing radius: what a segment costs."""
     machine = load_machine(MACHINE)
-    exact, ours = InverseModel(machine, exact_settings(machine)), InverseModel(machine, settings_for(machine))
+    ours = InverseModel(machine, settings_for(machine))
     plans = {r: plan_program(read_program(pattern(r, seconds), "pattern"), machine) for r in radii_mm}
-    works: dict[str, Callable[[], int]] = {}
-    for radius, plan in plans.items():
-        for name, inverter in ((COMPENSATED, ours), (EXACT, exact)):
-            works[f"{name}-{radius:g}"] = partial(solved_knots, plan, inverter)
-    found = least(works, {name: rounds if name.startswith(COMPENSATED) else exact_rounds for name in works})
-    us = {name: 1e6 * cpu_s / count for name, (count, cpu_s) in found.items()}
+    found = least({f"{radius:g}": partial(solved_knots, plan, ours) for radius, plan in plans.items()}, rounds)
     return {
         "radius_mm": list(radii_mm),
         "print_s": [plan.trajectory.end_t for plan in plans.values()],
-        "ours_us": [us[f"{COMPENSATED}-{r:g}"] for r in radii_mm],
-        "exact_us": [us[f"{EXACT}-{r:g}"] for r in radii_mm],
+        "ours_us": [1e6 * cpu_s / count for count, cpu_s in found.values()],
     }
 
 

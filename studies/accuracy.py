@@ -136,7 +136,6 @@ def tuned(name: str, original: judge.Original, kind: str) -> judge.Tuned:
 ABLATIONS: dict[str, dict[str, Any]] = {
     "as it is": {},
     "model of the centre everywhere": {"one_model": True},
-    "the exact inverse": {"inverse": "exact"},
     "robust inversion": {"robust": True},
     "segments of 5 ms": {"segment_s": 0.005},
     "bandwidth 80 Hz": {"bandwidth_hz": 80.0},

@@ -184,7 +184,6 @@ def _small() -> Iterator[Run]:
     """A print of eleven seconds with every option."""
     source = "examples/print.gcode"
     ways = {
-        "exact": (("--inverse", "exact"), False),
         "robust": (("--robust",), False),
         "offset": (("--offset-mm", "20,-15", "--flavor", "marlin"), True),
         "coarse": (("--max-segments-per-second", "150", "--no-predict", "--tolerance-um", "5"), True),

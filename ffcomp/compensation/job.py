@@ -108,7 +108,6 @@ class Options:
         plain = request.inverse == "none"
         settings = replace(
             settings_for(machine, request.max_segments_per_second),
-            inverse="exact" if request.inverse == "exact" else "fast",
             strict=request.strict,
             tolerance_um=request.tolerance_um,
             embed=request.embed,

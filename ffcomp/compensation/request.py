@@ -102,10 +102,8 @@ class CompensateOptions(Request):
     predict: Annotated[bool, Option("Simulate the print before and after with the design model.", SPEED)] = True
     max_segments_per_second: Annotated[float, SEGMENT_RATE] = 250.0
     inverse: Annotated[
-        Literal["fast", "exact", "none"],
-        Option(
-            "Inverse: fast; exact, the reference, far slower; none, for step timings only.", ADVANCED, metavar="NAME"
-        ),
+        Literal["fast", "none"],
+        Option("Whether to compensate: fast, or none, for step timings only.", ADVANCED, metavar="NAME"),
     ] = "fast"
     robust: Annotated[
         bool | None,

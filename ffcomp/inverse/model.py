@@ -32,6 +32,7 @@ from models.vibration.scheduled import (
 from models.vibration.state_space import DiscretePlant
 
 CONTEXT = 4  # segments before a window that decide how fast it is entered
+IN_SIGHT = 24  # segments after a section's end that an error may still be weighed in
 
 
 class Iterate:
@@ -43,7 +44,7 @@ class Iterate:
     def __init__(self, model: InverseModel, reference: Reference) -> None:
         self.model, self.reference = model, reference
         self.last = reference.knots  # the knot at which the command comes to rest
-        self.n = self.last + model.settings.preview
+        self.n = self.last + IN_SIGHT
         self.gamma = np.zeros((self.n + 1, 3))
         self.vertices = np.empty((self.last + 1, 3))
         known = reference.robust_offset
@@ -190,7 +191,7 @@ class InverseModel:
     def save_cache(self) -> None:
         """Save tables and gains on disk for the next time."""
         cache, robust = self._cache, self.__dict__.get("_robust")
-        places = len(self.gains) if self.settings.inverse == "fast" else 0
+        places = len(self.gains)
         nodes = 0 if robust is None else len(robust.sensitivity)
         if not places or (places == cache.rows("node") and nodes <= cache.rows("sensitivity node")):
             return

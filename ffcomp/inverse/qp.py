@@ -1,4 +1,4 @@
-"""The least squares of `windowed_qr.py` under the hard limits of `command_limits.py`: a quadratic programme.
+"""The least squares of `limited_window.py` under the hard limits of `command_limits.py`: a quadratic programme.
 
 The inverse is a quadratic programme in the change δ of the carriages' heights u at the knots
 

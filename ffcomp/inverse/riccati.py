@@ -1,6 +1,6 @@
 """The preview inverse: the same least squares, solved by dynamic programming with gains that depend on place only.
 
-In error coordinates q_d = q* + N γ the least squares of `windowed_qr.py` over a whole section is an optimal tracking
+In error coordinates q_d = q* + N γ the least squares of `limited_window.py` over a whole section is an optimal tracking
 problem (linear-quadratic, with preview). Its state holds the answer x to γ and the last two coefficients, its control
 is
 

@@ -15,7 +15,6 @@ what is not known: following them as far would ask for up to three times the acc
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Literal
 
 import numpy as np
 
@@ -125,15 +124,12 @@ class Settings:
     segment_s: float = 0.004  # S, one G1
     rows_per_segment: int = 2  # where the error is weighed
     substeps: int = 4  # of the simulation, per segment
-    commit: int = 64  # segments kept of each window of the exact inverse
-    preview: int = 24  # segments looked ahead there, thrown away
     bandwidth_hz: float = 100.0  # where accuracy is given up for a gentler command,
     robust_share: float = 1.0  # and the share of it that robust inversion takes
     lead_s: float = 0.008  # how long before the path's start the command may begin, at most
     tail_s: float = 0.004  # how long after the path's end the command comes to rest, at most
     compliance_s2: tuple[float, float, float] = (1.0, 1.0, 1.0)  # nozzle's lag per acceleration along X Y Z: mm s²/mm
-    corrections: int = 1  # of the exact inverse, by the segments as they are executed
-    inverse: Literal["fast", "exact"] = "fast"
+    corrections: int = 1  # of a window at a limit, by the segments as they are executed
     robust: bool = False  # the robust reference instead of the path
     memory: int = 60  # segments after which the plant has forgotten (1 % is left after 240 ms)
     time_scaling: bool = True  # where limits do not let the nozzle follow, the plan becomes slower

@@ -1,7 +1,7 @@
 """Solve one section: the command whose response, by the linear model, is the reference.
 
-The fast inverse knows no limits. Its command is solved again only around positions where it exceeds one: from left to
-right, it is simulated up to a few knots before; there a window of the least squares of `windowed_qr.py` begins, with
+The inverse itself knows no limits. Its command is solved again only around positions where it exceeds one: from left to
+right, it is simulated up to a few knots before; there a window of the least squares of `limited_window.py` begins, with
 the plant's state, and ends some knots after the command is within its limits again. The errors that follow the window
 are weighed in it as well: so the command after it, found from another state, still fits.
 """
@@ -12,11 +12,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ffcomp.inverse import lq_preview, windowed_qr
+from ffcomp.inverse import lq_preview
 from ffcomp.inverse.command_limits import peak_utilisation, utilisation_from_rest
+from ffcomp.inverse.limited_window import ConstrainedWindow, WindowProblem
 from ffcomp.inverse.model import CONTEXT, InverseModel, Iterate, KnotWindow
 from ffcomp.inverse.reference import Reference
-from ffcomp.inverse.windowed_qr import ConstrainedWindow, WindowProblem
 from models.arrays import BoolArray, FloatArray, IntArray
 
 
@@ -40,7 +40,7 @@ def solve(
     keep_response: bool = False,
     enforce_limits: bool = True,
 ) -> Solution:
-    """Solve one section by the method of the model's settings.
+    """Solve one section.
 
     Parameters
     ----------
@@ -48,7 +48,7 @@ def solve(
     reference : of the section
     state : (18,) of the plant at the section's first knot
     keep_response : return the nozzle's response too
-    enforce_limits : False leaves the fast inverse's command as it is where it exceeds a limit
+    enforce_limits : False leaves the command as it is where it exceeds a limit
 
     Raises
     ------
@@ -56,12 +56,9 @@ def solve(
         When no command within the limits is found.
     """
     iterate, begin, active = Iterate(model, reference), state, list[ConstrainedWindow]()
-    if model.settings.inverse == "exact":
-        response, state, windows, active = windowed_qr.solve(iterate, begin)
-    else:
-        response, state, windows = lq_preview.solve(iterate, begin, keep_response)
+    response, state, windows = lq_preview.solve(iterate, begin, keep_response)
     utilisation = peak_utilisation(iterate.vertices, model.limits)
-    if enforce_limits and utilisation > 1.0 and model.settings.inverse == "fast":
+    if enforce_limits and utilisation > 1.0:
         response, state, active = _enforced(iterate, begin, keep_response)
         utilisation = peak_utilisation(iterate.vertices, model.limits)
     return Solution(iterate.vertices, state, response, windows, utilisation, tuple(active))
@@ -118,9 +115,7 @@ def _window(iterate: Iterate, first: int, last_beyond: int, state: FloatArray) -
     commit_end = last - AFTER if last < whole else last
     if last >= iterate.last - 1:
         commit_end = iterate.last
-    return WindowProblem(
-        iterate, first, state, commit_end, last - first, min(last + FOLLOWING, iterate.n), limited=True
-    )
+    return WindowProblem(iterate, first, state, commit_end, last - first, min(last + FOLLOWING, iterate.n))
 
 
 def play(iterate: Iterate, first: int, last: int, state: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -1,9 +1,8 @@
-"""The exact inverse against brute force, closed forms and a second solver."""
+"""Windows and their limits against brute force, closed forms and a second solver."""
 
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Literal
 
 import cvxpy as cp
 import numpy as np
@@ -17,7 +16,6 @@ from ffcomp.inverse.reference import Reference
 from ffcomp.inverse.riccati import basis_response
 from ffcomp.inverse.settings import Settings
 from ffcomp.inverse.solve import FOLLOWING, solve
-from ffcomp.inverse.windowed_qr import WindowProblem, next_window
 from ffcomp.planner.limits import planner_limits
 from ffcomp.planner.lookahead import plan_moves
 from ffcomp.planner.trajectory import split_sections
@@ -26,11 +24,12 @@ from models.file import load_machine
 from models.kinds import delta_vibration, with_parts
 from models.machine import Machine
 from models.vibration.scheduled import interpolate, models_along
+from tests.support.exact_inverse import FreeWindow, next_window, solve_exactly
 
 FloatArray = NDArray[np.float64]
 
-SETTINGS = Settings(inverse="exact", corrections=0)  # the bare least squares
-EXACT = replace(SETTINGS, corrections=1)
+SETTINGS = Settings(corrections=0)  # the bare least squares
+USUAL = Settings()
 CORNER = b"G1 X-60 Y20 F9000\nG1 X-50 Y20\nG1 X-50 Y24\nG1 X-57 Y26\n"
 
 
@@ -54,7 +53,7 @@ def reference_of(
     return Reference(trajectory, run, settings)
 
 
-def window_of(inverter: InverseModel, reference: Reference) -> WindowProblem:
+def window_of(inverter: InverseModel, reference: Reference) -> FreeWindow:
     run = Iterate(inverter, reference)
     return next_window(run, 0, inverter.machine.equilibrium(reference.at_knots(np.array([0]))[0]))
 
@@ -109,7 +108,7 @@ def test_a_window_is_the_problem_that_cvxpy_solves(inverter: InverseModel, machi
 
 def test_a_run_begins_and_ends_at_rest_on_the_path(inverter: InverseModel, machine: Machine) -> None:
     reference = reference_of(CORNER, machine, SETTINGS)
-    result = solve(inverter, reference, machine.equilibrium(np.array([-60.0, 20, 0.3])))
+    result = solve_exactly(inverter, reference, machine.equilibrium(np.array([-60.0, 20, 0.3])))
     np.testing.assert_allclose(result.vertices[0], [-60, 20, 0.3], atol=1e-10)
     np.testing.assert_allclose(result.vertices[-1], [-57, 26, 0.3], atol=1e-10)
 
@@ -118,45 +117,33 @@ def test_short_windows_give_what_long_ones_give(machine: Machine) -> None:
     """The state that is carried, and the preview, are enough: the cut leaves no trace."""
     answers = []
     for commit in (8, 20, 400):
-        settings = replace(EXACT, commit=commit, preview=40)
-        reference = reference_of(CORNER, machine, settings)
+        reference = reference_of(CORNER, machine, USUAL)
         state = machine.equilibrium(np.array([-60.0, 20, 0.3]))
-        answers.append(solve(InverseModel(machine, settings), reference, state).vertices)
+        answers.append(solve_exactly(InverseModel(machine, USUAL), reference, state, commit, preview=40).vertices)
     np.testing.assert_allclose(answers[0], answers[2], atol=1e-3)  # a µm
     np.testing.assert_allclose(answers[1], answers[2], atol=1e-3)
 
 
-@pytest.mark.parametrize("inverse", ["exact", "fast"])
-def test_the_response_is_the_path(machine: Machine, inverse: Literal["exact", "fast"]) -> None:
-    settings = replace(EXACT, inverse=inverse)
-    inverter = InverseModel(machine, settings)
-    reference = reference_of(CORNER, machine, settings)
+@pytest.mark.parametrize("exact", [True, False])
+def test_the_response_is_the_path(machine: Machine, exact: bool) -> None:
+    inverter = InverseModel(machine, USUAL)
+    reference = reference_of(CORNER, machine, USUAL)
     state = machine.equilibrium(np.array([-60.0, 20, 0.3]))
-    result = solve(inverter, reference, state, keep_response=True)
+    solved = solve_exactly(inverter, reference, state) if exact else None
+    result = solved or solve(inverter, reference, state, keep_response=True)
     nozzle, velocity = reference.substeps(0, reference.knots)
-    plain, _ = inverter.plant.respond(nozzle, velocity, state, settings.substeps)
+    plain, _ = inverter.plant.respond(nozzle, velocity, state, USUAL.substeps)
     error = np.sqrt(np.mean(np.sum((result.response - nozzle[1:]) ** 2, axis=1)))
     without = np.sqrt(np.mean(np.sum((plain - nozzle[1:]) ** 2, axis=1)))
     assert error < without / 60
     assert result.utilisation < 1.0 and len(result.constrained) == 0
 
 
-@pytest.mark.parametrize(
-    ("inverse", "limit"),
-    [
-        ("exact", ACCELERATION),
-        ("fast", ACCELERATION),
-        ("exact", VELOCITY),
-        ("fast", VELOCITY),
-        ("fast", TRAVEL),  # the exact answer goes no higher than the path
-    ],
-)
-def test_a_limit_between_plan_and_free_answer_is_held(
-    machine: Machine, inverse: Literal["exact", "fast"], limit: int
-) -> None:
+@pytest.mark.parametrize("limit", [ACCELERATION, VELOCITY, TRAVEL])
+def test_a_limit_between_plan_and_free_answer_is_held(machine: Machine, limit: int) -> None:
     """The free answer asks for more than the plan; half of that is allowed, and no more is taken at any instant."""
     late_s = 0.008 if limit == VELOCITY else 0.004  # a late start asks for much
-    settings = replace(EXACT, bandwidth_hz=112.0, lead_s=late_s, inverse=inverse)
+    settings = replace(USUAL, bandwidth_hz=112.0, lead_s=late_s)
     state = machine.equilibrium(np.array([-60.0, 20, 0.3]))
     gcode = {VELOCITY: b"G1 X-20 Y0 Z20 F9000\n", TRAVEL: b"G1 X-50 Y20 F9000\n"}.get(limit, CORNER)
     reference = reference_of(gcode, machine, settings)
@@ -183,9 +170,8 @@ def test_a_limit_between_plan_and_free_answer_is_held(
     nozzle, _ = reference.substeps(0, reference.knots)
     assert np.abs(held.response - nozzle[1:]).max() < 0.1  # it still follows
     again = solve(held_inverter, reference, state, enforce_limits=False)
-    if inverse == "fast":
-        assert len(again.constrained) == 0
-        np.testing.assert_array_equal(again.vertices, free.vertices)
+    assert len(again.constrained) == 0
+    np.testing.assert_array_equal(again.vertices, free.vertices)
 
 
 def test_the_solver_finds_the_command_of_the_readable_formulation(
@@ -202,7 +188,7 @@ def test_the_solver_finds_the_command_of_the_readable_formulation(
         cp.Problem(cp.Minimize(1e6 * (0.5 * cp.quad_form(x, cp.psd_wrap(p)) + q @ x)), held).solve(solver=cp.CLARABEL)
         return np.asarray(x.value)
 
-    settings = replace(EXACT, bandwidth_hz=112.0, lead_s=0.004, inverse="fast")
+    settings = replace(USUAL, bandwidth_hz=112.0, lead_s=0.004)
     state, reference = machine.equilibrium(np.array([-60.0, 20, 0.3])), reference_of(CORNER, machine, settings)
     free = solve(InverseModel(machine, settings), reference, state)
     tight = replace(machine.limits, carriage_acceleration_mm_per_s2=0.8 * free.utilisation * 30000.0)
@@ -216,7 +202,7 @@ def test_the_solver_finds_the_command_of_the_readable_formulation(
 
 def test_where_no_limit_binds_nothing_changes_after_a_limited_window(machine: Machine) -> None:
     """The fast answer is solved again at the late start only: what follows is kept to the last bit, and fits."""
-    settings = replace(SETTINGS, corrections=1, bandwidth_hz=112.0, lead_s=0.004, inverse="fast")
+    settings = replace(USUAL, bandwidth_hz=112.0, lead_s=0.004)
     state = machine.equilibrium(np.array([-60.0, 20, 0.3]))
     reference = reference_of(CORNER + b"G1 X-20 Y10\nG1 X-20 Y60\n", machine, settings)
     free = solve(InverseModel(machine, settings), reference, state, keep_response=True)
