@@ -98,9 +98,8 @@ class Writer:
             yield self._escaped(event)
         elif self.open and STILL_MOVE.match(line):  # a G1 that only sets the feed: ours always say theirs
             yield self._original(event.line)
-        elif event.kind is EventKind.RAW_MOVE and any(self.offset):
-            yield self._original(event.line)
-            yield self._shifted(line)
+        elif event.kind is EventKind.RAW_MOVE:
+            yield from self._as_sliced(event.line)
         else:
             yield Timed.at(line, self.now_s) if tells(line) or begins_layer(line) else line
         self.now_s += event.dwell_s + self.raw_s.get(event.line, 0.0)
@@ -139,9 +138,14 @@ class Writer:
             frame = self.program.frames[self.frame]
             if self.filament is not None:
                 yield from self._ours(self.filament.closing(frame, self.moves.place[3]))
-            feed = 60 * frame.feed_mm_per_s / frame.feed_factor / frame.unit_mm
-            text = (b"%.3f" % max(feed, 1e-3)).rstrip(b"0").rstrip(b".")  # never an exponent, never zero
-            yield b"G1 F" + text + OURS + self.ending
+            yield self._feed()
+
+    def _feed(self) -> bytes:
+        """Return the feed that is in force in the file."""
+        frame = self.program.frames[self.frame]
+        feed = 60 * frame.feed_mm_per_s / frame.feed_factor / frame.unit_mm
+        text = (b"%.3f" % max(feed, 1e-3)).rstrip(b"0").rstrip(b".")  # never an exponent, never zero
+        return b"G1 F" + text + OURS + self.ending
 
     def cut(self) -> Iterator[bytes]:
         """End within a block that another writer goes on with: `resume`."""
@@ -155,6 +159,32 @@ class Writer:
         yield from self._begin(move)
         x, y, z, e = moves.end[move]
         yield self._finish(self.moves.move(x, y, z, e, float(moves.speed[move])))
+
+    def sliced(self, section: Section, inside: Iterable[Event]) -> Iterator[bytes]:
+        """Write a section that travels as it was sliced, and the events in it."""
+        moves, lasts_s = self.program.moves, section.end_t - section.begin_t
+        lines = dict.fromkeys(moves.line[section.first : section.last].tolist())
+        yield section_time_line(self.program.first_line + next(iter(lines)), 0.0) + self.ending
+        if self.open:
+            yield from self.close()
+        else:
+            yield self._feed()
+        for number, event in sorted(
+            [*((k, None) for k in lines), *((each.line, each) for each in inside)], key=itemgetter(0)
+        ):
+            yield from self._as_sliced(number) if event is None else self.event(event)
+        self._take_frame(int(moves.frame[section.last - 1]))
+        self.move = section.last - 1
+        self.now_s += lasts_s
+
+    def _as_sliced(self, number: int) -> Iterator[bytes]:
+        """Write a move as it was, where the print lies now."""
+        line = self.program.lines[number]
+        if any(self.offset):
+            yield self._original(number)
+            yield self._shifted(line)
+        else:
+            yield line
 
     def _shifted(self, line: bytes) -> bytes:
         frame = self.program.frames[self.frame]
@@ -586,6 +616,10 @@ class GcodeRenderer:
         if k >= len(moves) or self._rests[k] or k in self._waits_s or np.any(moves.end[k, :3] != moves.start[k, :3]):
             return None
         return Filament(float(moves.end[k, 3] - moves.start[k, 3]), float(moves.speed[k]))
+
+    def sliced(self, section: Section) -> Iterator[bytes]:
+        """Write a section as it was sliced, and the lines in it."""
+        yield from self._writer.sliced(section, self._events.up_to(section.last - 1))
 
     def written(self) -> Sequence[TimedSegments]:
         """Return the last section's segments, piece by piece."""

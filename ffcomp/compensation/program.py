@@ -25,7 +25,7 @@ import numpy as np
 from ffcomp.compensation.plan import Context, PlannedChunk
 from ffcomp.compensation.prediction import Prediction
 from ffcomp.compensation.solve import SolvedSection, solutions
-from ffcomp.compensation.statistics import Statistics, of_section
+from ffcomp.compensation.statistics import Statistics, of_section, of_unsafe
 from ffcomp.errors import LimitsError
 from ffcomp.faster.bound import Bound
 from ffcomp.inverse.model import InverseModel
@@ -55,6 +55,9 @@ class Renderer(Protocol):
 
     def extrude(self, section: Section) -> Iterable[bytes]:
         """Write a section in which only the extruder moves."""
+
+    def sliced(self, section: Section) -> Iterable[bytes]:
+        """Write a section that travels as it was sliced, and what stands in it."""
 
     def section(self, section: Section, solved: SolvedSection) -> Iterable[bytes]:
         """Write a section that travels, and what stands in it."""
@@ -106,6 +109,12 @@ def compensate(
             yield from renderer.extrude(section)
             continue
         solved = next(solved_sections)
+        if solved.fault:
+            yield from renderer.sliced(section)
+            statistics += of_unsafe(section, planned, solved.fault)
+            if prediction is not None:
+                wanted.popleft()
+            continue
         yield from renderer.section(section, solved)
         statistics += of_section(section, solved, planned, extent, model)
         if check is not None:

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from ffcomp.compensation.faster import P99_LEVEL
+from ffcomp.compensation.net import unsafe_sentences
 from ffcomp.compensation.own_shaper import OwnShaper
 from ffcomp.compensation.placement import Placement
 from ffcomp.compensation.prediction import NO_FORECAST, Forecast
@@ -86,7 +87,13 @@ class Result:
         numbers = self.statistics
         shaper = self.shaper.warnings if self.shaper else []
         failed = [self.forecast.failed] if self.forecast.failed else []
-        general = [*self.no_gain, *failed, *numbers.shares.warnings(), *numbers.warnings]
+        general = [
+            *unsafe_sentences(numbers.unsafe),
+            *self.no_gain,
+            *failed,
+            *numbers.shares.warnings(),
+            *numbers.warnings,
+        ]
         return [*general, *self.bound_missed, *shaper]
 
     @property

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ffcomp.compensation.net import SAME_PLACE_MM, fault_of, path_fault
 from ffcomp.errors import LimitsError
 from ffcomp.inverse.feasible import FeasibleSection, SectionRequest, solve_feasible
 from ffcomp.inverse.model import InverseModel
@@ -33,9 +34,7 @@ class SolvedSection:
     solution: Solution
     slowed: tuple[TimeScaling, ...]
     knots: tuple[int, int]  # between which it is written
-
-
-SAME_PLACE_MM = 1e-6  # apart: what rounding may do to the end of one move and the start of the next
+    fault: str = ""  # why it must go out as it was sliced instead; empty: its command is safe
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,7 +92,9 @@ def solutions(
     results = correct_sections(
         model, model.printer, [LinearSolution(s.reference, s.solution, rest) for s, rest in known]
     )
-    yield from (replace(solved, solution=result) for (solved, _), result in zip(known, results, strict=True))
+    for (solved, _), result in zip(known, results, strict=True):
+        whole = solved.knots == (0, solved.reference.knots)
+        yield _checked(replace(solved, solution=result), planned, model, WHOLE if whole else extent)
 
 
 def _linear(
@@ -143,16 +144,38 @@ def _linear(
                 layer_of=layers.of,
             )
             feasible = solve_feasible(model, request)
-            trajectory, later = feasible.trajectory, later + feasible.lost_s
         else:
             result = solve(model, written.reference, state, keep_response=keep_response)
             feasible = FeasibleSection(trajectory, section, written, result)
         reference, *knots = feasible.written
         solved = SolvedSection(
-            trajectory, feasible.section, reference, feasible.solution, feasible.records, (knots[0], knots[1])
+            feasible.trajectory, feasible.section, reference, feasible.solution, feasible.records, (knots[0], knots[1])
         )
+        if before is not None and not moved[section.first] and not before.is_at(start):
+            solved = replace(solved, fault="it begins elsewhere than the last motion has ended")
+        solved = _checked(solved, planned, model, part)
+        if not solved.fault:
+            trajectory, later = feasible.trajectory, later + feasible.lost_s
         yield solved, rest
-        before = Resting.after(solved, planned)
+        before = None if solved.fault else Resting.after(solved, planned)
+
+
+def _checked(solved: SolvedSection, planned: PlannedProgram, model: InverseModel, extent: Extent) -> SolvedSection:
+    """Hold a section against its plan (`net`); what is cut in motion cannot go out as it was sliced, and is refused."""
+    if solved.fault:
+        return solved
+    plan, section, reference, vertices = solved.trajectory, solved.section, solved.reference, solved.solution.vertices
+    if extent == WHOLE:
+        return replace(solved, fault=fault_of(model, planned.program.moves, plan, section, reference, vertices))
+    first, last = solved.knots
+    why = path_fault(model, plan, section, reference, vertices[first : last + 1], first)
+    if why:
+        line = planned.program.first_line + int(planned.program.moves.line[section.first]) + 1
+        raise LimitsError(
+            f"line {line}: the command of the motion that begins here failed its check: {why}. This is a fault of "
+            "ffcomp; print the file as it was sliced, and please report it with the file."
+        )
+    return solved
 
 
 def _moved_before(planned: PlannedProgram) -> dict[int, bool]:

@@ -5,12 +5,13 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from ffcomp.compensation.faster import Faster
+from ffcomp.compensation.net import Unsafe, unsafe_at
 from ffcomp.compensation.prediction import Samples
 from ffcomp.compensation.solve import SolvedSection
 from ffcomp.inverse.command_limits import utilisation_from_rest
@@ -147,6 +148,8 @@ def _because(places: Mapping[Place, Part]) -> str:
     lost = f"{filament_mm:.0f} mm of filament" if filament_mm >= 0.5 else "no filament, travels only"
     if worst.command == BESIDE:
         return f"from line {worst.line} on, moves lie beside the print volume{others}, {lost}."
+    if worst.command == UNSAFE:
+        return f"from line {worst.line} on, commands failed their check{others}, {lost}."
     if not worst.line:
         return f"the file does not say where the nozzle begins ({lost}); home, or name X, Y and Z, before it prints."
     where = f"after {worst.command} in line {worst.line} nobody knows where the nozzle is{others}, {lost}"
@@ -158,6 +161,7 @@ def _because(places: Mapping[Place, Part]) -> str:
     return f"{where}; name X and Y after it."
 
 
+UNSAFE = "command that failed its check"  # in place of a command since which nobody knows the place
 UTILISATION_TOLERANCE = 1.001  # times a limit, above which there is a warning
 
 
@@ -178,6 +182,7 @@ class Statistics:
     settlings: int = 0  # waits until the ringing of what the firmware has moved by itself has died away
     settling_s: float = 0.0
     faster: Faster | None = None  # None: no bound was asked for
+    unsafe: tuple[Unsafe, ...] = ()  # what goes out as it was sliced because its command failed its check
 
     def __add__(self, later: Statistics) -> Statistics:
         """Add what comes after this; a warning is kept once."""
@@ -196,6 +201,7 @@ class Statistics:
             settlings=self.settlings + later.settlings,
             settling_s=self.settling_s + later.settling_s,
             faster=self.faster + later.faster if self.faster and later.faster else self.faster or later.faster,
+            unsafe=self.unsafe + later.unsafe,
         )
 
 
@@ -249,6 +255,15 @@ def of_section(
         warnings=warnings,
         slowed=tuple(each for each in solved.slowed if each.seconds > 0.0),
     )
+
+
+def of_unsafe(section: Section, planned: PlannedProgram, why: str) -> Statistics:
+    """Count a section that goes out as it was sliced: its plan has been counted as compensated."""
+    part = of_moves(some(planned.program.moves, slice(section.first, section.last)))
+    record = unsafe_at(planned.program, section, why)
+    left = replace(part, seconds=section.end_t - section.begin_t)
+    shares = Shares(Part(-part.path_mm, -part.filament_mm), {Place(record.first_line, UNSAFE): left})
+    return Statistics(shares=shares, unsafe=(record,))
 
 
 def _counted_s(section: Section, planned: PlannedProgram, extent: Extent) -> float:

@@ -92,6 +92,10 @@ class StepRenderer:
 
     def extrude(self, section: Section) -> Iterable[bytes]:
         """Write a section in which only the extruder moves."""
+        return self.sliced(section)
+
+    def sliced(self, section: Section) -> Iterable[bytes]:
+        """Write a section as it was planned, and give the lines in it their ticks."""
         self._tell_height(section.first)
         lasts_s = section.end_t - section.begin_t
         n = max(round(lasts_s / SAMPLE_S), 1)
@@ -100,8 +104,10 @@ class StepRenderer:
         position = self._planned.trajectory.position(np.minimum(t, np.nextafter(section.end_t, -np.inf)))
         position[-1] = self._planned.program.moves.end[section.last - 1]
         position = on_grid(position)
-        vertices = np.repeat(position[:1, :3], n + 1, axis=0)
-        self._stream.sink.pieces(knot_pieces(self._stream.clock_s, spacing, vertices, position[:, 3]))
+        for event in self._events.up_to(section.last - 1):
+            due_s = float(self._planned.trajectory.start_t[event.move]) - section.begin_t
+            self._stream.within(self._planned.program, event, due_s)
+        self._stream.sink.pieces(knot_pieces(self._stream.clock_s, spacing, position[:, :3], position[:, 3]))
         self._stream.clock_s += lasts_s
         return ()
 

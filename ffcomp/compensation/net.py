@@ -1,0 +1,118 @@
+"""The net under every command: a section is held against the plan that it came from before any of it is written.
+
+One rule for all machines and firmwares. A section's command is unsafe where
+
+- it begins or ends elsewhere than the plan does, or than the nozzle is;
+- it is further from its path than `FARTHEST_MM`, or than `TIMES` the error that it compensates if that is more: the
+  machine's compliance times the acceleration of the plan;
+- it needs more than `OVER` times a carriage's limit.
+
+An unsafe section goes out as it was sliced, and a warning says so first. The checks take 3 % of the time of solving.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ffcomp.inverse.command_limits import peak_utilisation
+from ffcomp.inverse.model import InverseModel
+from ffcomp.inverse.reference import Reference
+from ffcomp.metrics import contour_error
+from ffcomp.planner.trajectory import Section, Trajectory
+from gcode.program import Moves, Program
+from models.arrays import FloatArray
+
+FARTHEST_MM, TIMES = 0.5, 5.0
+ENDS_MM = 0.01  # of a command from the ends of its path
+OVER = 1.1  # times a carriage's limit
+SAME_PLACE_MM = 1e-6  # apart: what rounding may do to the end of one move and the start of the next
+
+
+@dataclass(frozen=True, slots=True)
+class Unsafe:
+    """A section that goes out as it was sliced."""
+
+    first_line: int  # of the input, from 1
+    last_line: int
+    why: str
+
+
+def fault_of(
+    model: InverseModel,
+    moves: Moves,
+    plan: Trajectory,
+    section: Section,
+    reference: Reference,
+    vertices: FloatArray,
+) -> str:
+    """Return why a whole section's command must not be written; empty: it is safe.
+
+    Parameters
+    ----------
+    moves : of the program
+    plan, section, reference : what the command was solved for
+    vertices : (n + 1, 3) mm, the command at the reference's knots
+    """
+    within = slice(section.first, section.last)
+    gap = float(np.abs(moves.start[within, :3][1:] - moves.end[within, :3][:-1]).max(initial=0.0))
+    if gap > ENDS_MM:
+        return f"its path jumps by {gap:.3g} mm"
+    if why := path_fault(model, plan, section, reference, vertices):
+        return why
+    ends = reference.at_knots(np.array([0, reference.knots]))
+    off = float(np.abs(vertices[[0, -1]] - ends).max())
+    if off > ENDS_MM:
+        return f"it begins or ends {off:.3g} mm beside its path"
+    peak = peak_utilisation(vertices, model.limits)
+    return "" if peak <= OVER else f"it needs {peak:.3g} times a carriage's limit"
+
+
+def path_fault(
+    model: InverseModel,
+    plan: Trajectory,
+    section: Section,
+    reference: Reference,
+    vertices: FloatArray,
+    first: int = 0,
+) -> str:
+    """Return whether a command leaves its path too far; empty: it does not.
+
+    Parameters
+    ----------
+    plan, section, reference : what the command was solved for
+    vertices : (m, 3) mm, the command at the knots from `first` on
+    """
+    if not np.isfinite(vertices).all():
+        return "it is not finite"
+    part = slice(section.first, section.last)
+    compensated_mm = max(model.settings.compliance_s2) * float(plan.acceleration[part].max())
+    most = max(FARTHEST_MM, TIMES * compensated_mm)
+    t = reference.t0 + model.settings.segment_s * np.arange(first, first + len(vertices), dtype=np.float64)
+    due = reference.nozzle(t + model.delay_s)  # a command is ahead by the machine's delay
+    if float(((vertices - due) ** 2).sum(axis=1).max()) <= most * most:
+        return ""  # so near where it is due, it is no further from the path
+    corners = np.vstack([plan.origin[part, :3], reference.at_knots(np.array([reference.knots]))])
+    path_t = np.maximum.accumulate(np.append(plan.start_t[part], section.end_t))
+    away = float(contour_error(path_t, corners, t, vertices).max())
+    return "" if away <= most else f"it leaves its path by {away:.3g} mm, and {most:.2g} mm are allowed"
+
+
+def unsafe_at(program: Program, section: Section, why: str) -> Unsafe:
+    """Return the record of a section that goes out as it was sliced."""
+    first, last = program.moves.line[[section.first, section.last - 1]].tolist()
+    return Unsafe(program.first_line + first + 1, program.first_line + last + 1, why)
+
+
+def unsafe_sentences(unsafe: tuple[Unsafe, ...]) -> list[str]:
+    """Say first what goes out uncompensated because its command was unsafe."""
+    if not unsafe:
+        return []
+    one = len(unsafe) == 1
+    worst = unsafe[0]
+    return [
+        f"{'One motion goes' if one else f'{len(unsafe)} motions go'} out as sliced, without compensation (lines "
+        f"{worst.first_line} to {unsafe[-1].last_line}): the command failed its check. In line {worst.first_line}, "
+        f"{worst.why}. It prints as without ffcomp there. This is a fault of ffcomp: please report it with the file."
+    ]
