@@ -394,7 +394,7 @@ def _blending(n: int, rises: bool, falls: bool) -> FloatArray:
     return share
 
 
-PAYING_SD = (0.02, 0.1)  # of the modes: where the median gains, and peaks of the command stay near the plan's
+PAYING_SD = 0.02  # of the modes: from there on it gains more than it costs on a printer as the file says
 STEP = 0.01  # relative, small: what counts is the slope
 LINES, LOWEST_HZ = 60, 5.0
 BAND_MARGIN = 1.5  # times the bandwidth, up to which the response counts
@@ -418,9 +418,8 @@ def choose_robust(machine: Machine, settings: Settings, requested: bool | None =
         return RobustChoice(requested, f"{'Robust' if requested else 'Plain'} inversion, as it was asked for.")
     sd = mode_sd(machine, settings.robust_share * settings.bandwidth_hz)
     known = f"by its [uncertainty] the machine file knows its modes to {100 * sd:.2g} %"
-    if not PAYING_SD[0] <= sd <= PAYING_SD[1]:
-        least, most = (f"{100 * each:g}" for each in PAYING_SD)
-        return RobustChoice(False, f"Plain inversion: {known}; --robust pays from {least} to {most} %.")
+    if sd < PAYING_SD:
+        return RobustChoice(False, f"Plain inversion: {known}; --robust pays from {100 * PAYING_SD:g} %.")
     return RobustChoice(True, f"Robust inversion: {known}. If the file is exact: --no-robust.")
 
 

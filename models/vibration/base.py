@@ -83,13 +83,17 @@ class ParameterSet:
         )
 
     def scaled(self, deviates: FloatArray, relative_sd: FloatArray | float, least: float = 0.0) -> dict[str, float]:
-        """Return name -> value of one draw: each value times 1 + sd · deviate, at least `least` of it.
+        """Return name -> value of one draw, each at least `least` of its value.
+
+        The number in the file is normal: a value is multiplied by (1 + sd · deviate / power) ** power.
 
         deviates : (columns,) standard normal
         """
-        sd = np.broadcast_to(relative_sd, len(self.parameters))
-        factors = (1.0 + s * deviates[p.column] for p, s in zip(self.parameters, sd.tolist(), strict=True))
-        return {p.name: p.value * max(float(f), least) for p, f in zip(self.parameters, factors, strict=True)}
+        scaled = {}
+        for p, sd in zip(self.parameters, np.broadcast_to(relative_sd, len(self.parameters)).tolist(), strict=True):
+            factor = max(1.0 + sd / p.power * float(deviates[p.column]), 0.0) ** p.power
+            scaled[p.name] = p.value * max(factor, least)
+        return scaled
 
 
 @dataclass(frozen=True)
