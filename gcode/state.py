@@ -19,7 +19,7 @@ AXES = "XYZE"
 FIRST_AXES = {"XY": (0, 1, 2), "ZX": (2, 0, 1), "XZ": (0, 2, 1), "YZ": (1, 2, 0)}
 
 Vector4 = list[float]
-Whereabouts = tuple[Vector4, Vector4, bool, bool]  # position and base, mm; absolute; z_known
+Whereabouts = tuple[tuple[float | None, ...], bool, bool]  # position and base, mm, None: unknown; absolute; z_known
 FrameValues = tuple[tuple[float, float, float, float], float, bool, bool, float, float, float, bool]
 
 
@@ -135,8 +135,10 @@ class Modal:
         self.shift = [*self.offset, 0.0, 0.0]
 
     def whereabouts(self) -> Whereabouts:
-        """Return what a block of lines that may not be run must leave as it is."""
-        return self.position[:], self.base[:], self.absolute, self.z_known
+        """Return what a block of lines that may not be run must leave as it is; relative filament has no place."""
+        axes = 4 if self.is_absolute(3) else 3
+        places = tuple(None if isnan(mm) else mm for mm in (*self.position[:axes], *self.base[:axes]))
+        return places, self.absolute, self.z_known
 
     def scale(self, axis: int) -> float:
         """Return mm of toolhead or filament per unit of the file."""

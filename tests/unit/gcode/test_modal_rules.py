@@ -149,3 +149,17 @@ def test_the_numbers_say_which_marlin_it_is_and_a_warning_tells() -> None:
 def test_a_kept_place_is_reprapfirmwares_alone(firmware: str) -> None:
     program = read("G1 X11 F600\nG1 R1 X0", firmware)
     assert any("R1" in warning for warning in program.warnings)
+
+
+@pytest.mark.parametrize(
+    ("lines", "places"),
+    [
+        ("M83\nM622 J1\nG92 E0\nG1 E-1 F600\nM623", 0),  # filament alone: its relative numbers mean the same
+        ("M82\nM622 J1\nG92 E5\nM623", 1),
+        ("M622 J1\nG1 X30\nM623\nM622 J1\nM971 S11\nM623", 1),  # nothing moves from the unknown place
+        ("M622 J1\nM622 J0\nM623\nM623", 0),
+    ],
+)
+def test_a_condition_in_which_nothing_moves_leaves_the_place(lines: str, places: int) -> None:
+    program = read(f"G1 X20 Y20 F600\n{lines}\n", MARLIN)
+    assert sum(event.moves_itself for event in program.events) == places
