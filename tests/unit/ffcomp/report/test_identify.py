@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from types import SimpleNamespace
-from typing import Any, cast
+from typing import cast
 
 import numpy as np
 import pytest
@@ -14,7 +14,6 @@ from ffcomp.identification.direct import Identified
 from ffcomp.identification.predict import predicted
 from ffcomp.measurement.frf import FrequencyResponse
 from ffcomp.report.identify import fit_figure
-from ffcomp.report.model import effort_verdict
 from ffcomp.shapers import SHAPERS
 from ffcomp.shapers.calibration import TARGET_SMOOTHING_MM, in_words, shaper_advice, smoothing
 from models.file import load_machine
@@ -85,14 +84,3 @@ def test_those_who_stay_with_a_shaper_get_all_three_settings(drawn: Figure) -> N
     most = min(x.max_accel_mm_per_s2, y.max_accel_mm_per_s2)
     assert in_words(advice).endswith(f"max_accel up to {most:.0f} mm/s².") and in_words(()) == ""
     assert "and more" in words(drawn)
-
-
-def test_the_effort_says_where_the_knee_is_and_what_more_would_win() -> None:
-    peaks = np.array([3000.0, 3500.0, 20_000.0])
-
-    def said(last: float) -> str:
-        curve = SimpleNamespace(peak_mm_per_s2=peaks, error_um=np.array([30.0, 1.1, last]), knee=1, knee_hz=100.0)
-        return effort_verdict(cast(Any, {250.0: curve}))
-
-    assert said(1.09) == "At the knee (250 segments/s) 3.5 m/s² leave 1.1 µm; more acceleration wins nothing."
-    assert said(0.5) == "At the knee (250 segments/s) 3.5 m/s² leave 1.1 µm; up to 20 m/s² would leave 0.5 µm."
