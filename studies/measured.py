@@ -31,8 +31,6 @@ from studies.measured_axes import DATA
 from studies.render import REPORTS, results_of, save
 
 FIGURE = REPORTS / "measured.png"
-DATA_WORDS = {"fit": "fitted to", "test": "held out"}
-FILE_WORDS = {"before": "the file", "after": "with the answer"}
 
 
 @dataclass(frozen=True)

@@ -160,31 +160,25 @@ def normalised(frequency_hz: FloatArray, psd: FloatArray) -> Spectrum:
 # ---- the choice ----------------------------------------------------------------------------------
 
 
-def calibrated(
-    x: Spectrum, y: Spectrum, square_corner_velocity: float = 5.0, slack: float = 0.0
-) -> tuple[Calibration, Calibration]:
+def calibrated(x: Spectrum, y: Spectrum, square_corner_velocity: float = 5.0) -> tuple[Calibration, Calibration]:
     """Return the frequency of every kind and the recommended shaper, for x and for y; arguments as of `fit`."""
-    of_x, of_y = (
-        {kind: fit(kind, spectrum, square_corner_velocity, slack) for kind in _CANDIDATES} for spectrum in (x, y)
-    )
+    of_x, of_y = ({kind: fit(kind, spectrum, square_corner_velocity) for kind in _CANDIDATES} for spectrum in (x, y))
     return Calibration(of_x, recommended(of_x.values())), Calibration(of_y, recommended(of_y.values()))
 
 
-def fit(kind: str, spectrum: Spectrum, square_corner_velocity: float = 5.0, slack: float = 0.0) -> Fit:
+def fit(kind: str, spectrum: Spectrum, square_corner_velocity: float = 5.0) -> Fit:
     """Find the frequency of a kind in `SHAPERS` with the lowest score of those that leave hardly more than the best.
 
     Parameters
     ----------
     square_corner_velocity : mm/s
-    slack : vibration that may remain beyond 1.1 times the least: none in Kalico and in Klipper until 2023, 0.0005 in
-        Klipper today
     """
     tried = np.arange(_LOWEST_HZ[kind], _UP_TO_HZ, _STEP_HZ)
     vibration = _remaining(SHAPERS[kind](1.0, DAMPING_RATIO), tried, *_checked(*spectrum))
     smooth = np.array([smoothing(SHAPERS[kind](f, DAMPING_RATIO), square_corner_velocity) for f in tried])
     score = smooth * (vibration**1.5 + 0.2 * vibration + 0.01)
     least = vibration.min()
-    good = (vibration < 1.1 * least + slack) | (vibration == least)
+    good = (vibration < 1.1 * least) | (vibration == least)
     best = int(np.argmin(np.where(good, score, np.inf)))
     return Fit(kind, float(tried[best]), float(vibration[best]), float(smooth[best]), float(score[best]))
 
@@ -252,14 +246,9 @@ class ShaperAdvice:
     max_accel_mm_per_s2: float  # at which it rounds a corner by 0.12 mm, as Klipper allows
 
 
-def shaper_advice(machine: Machine, square_corner_velocity: float | None = None) -> tuple[ShaperAdvice, ...]:
-    """Return what suits x and y, as a firmware's calibration of the machine in the middle of the bed has it.
-
-    square_corner_velocity : mm/s; None: the machine file's
-    """
-    corner = (
-        machine.limits.square_corner_velocity_mm_per_s if square_corner_velocity is None else square_corner_velocity
-    )
+def shaper_advice(machine: Machine) -> tuple[ShaperAdvice, ...]:
+    """Return what suits x and y, as a firmware's calibration of the machine in the middle of the bed has it."""
+    corner = machine.limits.square_corner_velocity_mm_per_s
     tested = effective_machine(machine)
     along_x, along_y = (resonance_test_psd(tested, np.zeros(2), axis) for axis in _XY)
     x, y = calibrated(along_x, along_y, corner)

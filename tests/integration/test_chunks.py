@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
@@ -44,7 +43,6 @@ from validation.invariants import violations
 
 PRINTS = Path(__file__).parents[2] / "sample_prints"
 SMALL = 20_000  # bytes of a part
-OUR_MOVE = re.compile(rb"^G1 .*\n", re.MULTILINE)
 
 
 @pytest.fixture(scope="module")

@@ -82,12 +82,3 @@ class Shaped:
             at = np.clip(t - late, t[0], t[-1])
             found += a * np.column_stack([np.interp(at, t, column) for column in command.T])
         return found
-
-
-def only_sensors(*kept: str) -> Spoil:
-    """Leave out every other channel."""
-
-    def spoil(runs: list[Recorded], rng: np.random.Generator) -> list[Recorded]:
-        return [replace(run, signals={c: run.signals[c] for c in kept}) for run in runs]
-
-    return spoil

@@ -49,10 +49,10 @@ class Position:
     neighbours: list[FloatArray]  # (k, 2) mm each, other lines of the layer
 
 
-def worst_positions(comparison: Comparison, count: int = COUNT) -> list[Position]:
+def worst_positions(comparison: Comparison) -> list[Position]:
     """Find positions, apart from each other, with the largest errors before; on outer walls first."""
     samples = comparison.methods["none"].samples
-    return [_position(comparison, int(k)) for k in _worst(samples, _eligible(comparison, samples), count)]
+    return [_position(comparison, int(k)) for k in _worst(samples, _eligible(comparison, samples))]
 
 
 def _eligible(comparison: Comparison, samples: Samples) -> BoolArray:
@@ -64,11 +64,11 @@ def _eligible(comparison: Comparison, samples: Samples) -> BoolArray:
     return samples.extruding if samples.extruding.any() else np.ones(len(samples.due), dtype=np.bool_)
 
 
-def _worst(samples: Samples, eligible: BoolArray, count: int) -> Iterator[int]:
+def _worst(samples: Samples, eligible: BoolArray) -> Iterator[int]:
     xy = samples.reference[:, :2]
     apart = LEAST_SEPARATION * float(np.ptp(xy[eligible], axis=0).max())
     left = np.where(eligible, samples.contour, -1.0)
-    for _ in range(count):
+    for _ in range(COUNT):
         k = int(np.argmax(left))
         if left[k] < 0.0:
             return

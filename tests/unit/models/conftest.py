@@ -17,8 +17,6 @@ from models.machine import Machine, MotionLimits
 from models.vibration.delta import DeltaVibration
 from models.vibration.substructures import Carriage, Effector
 
-TABLE_I_OFFSET = (10.21, -16.52, 19.31)
-
 
 def geometry(arm: float = 290.0, radius: float = 140.0, angles: tuple[float, ...] = (0, 120, 240)):
     return DeltaKinematics(

@@ -45,7 +45,6 @@ from tests.support.cli import CliRunner
 from validation import kalico
 
 SHORT = ExcitationRequest(directions=TOWERS + AXES, period_s=2.0, periods=1, highest_hz=110.0, places_mm=((0.0, 0.0),))
-BEGINS = re.compile(rb"; (ffcomp-\S+):")
 MOTION = re.compile(rb"\s*(G[0-4]|G9[0-2]|M204|SET_VELOCITY_LIMIT)\b")
 
 

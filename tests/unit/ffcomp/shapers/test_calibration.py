@@ -87,11 +87,6 @@ def test_the_farther_two_modes_are_apart_the_wider_the_shaper() -> None:
     assert alone.recommended.frequency_hz == pytest.approx(45.0, abs=1.0)
 
 
-def test_slack_trades_vibration_for_less_smoothing() -> None:
-    tight, slack = (calibrate.fit("mzv", one_mode(45.0), slack=slack) for slack in (0.0, 0.01))
-    assert slack.smoothing_mm < tight.smoothing_mm and slack.vibration > tight.vibration
-
-
 def test_a_challenger_must_win_clearly() -> None:
     def fit(kind: str, smoothing_mm: float, score: float) -> calibrate.Fit:
         return calibrate.Fit(kind, 50.0, 0.0, smoothing_mm, score)

@@ -15,8 +15,6 @@ from ffcomp.steps.motion import MotionSink
 from tests.support.klipper_host import FOLDER, reader
 from tests.support.step_lookahead import played
 
-FLAT = pytest.approx(0.0, abs=1e-12)
-
 
 def places(n: int, seed: int = 0) -> np.ndarray[Any, np.dtype[np.float64]]:
     """A winding path of n + 1 knots with filament, (n + 1, 4) mm on the grid."""
