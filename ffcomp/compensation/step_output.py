@@ -41,7 +41,7 @@ class StepStream:
         _, waits = stops_and_waits(program)
         due = begun + np.append(trajectory.start_t - waits, trajectory.end_t)
         for event in program.events:
-            self._tell(event, float(due[event.move]), program.lines[event.line])
+            self._tell(program, event, float(due[event.move]))
             due[event.move] += event.dwell_s
         for first, last, known in _by_height(program):
             self.sink.height(known)
@@ -53,17 +53,19 @@ class StepStream:
     def between(self, program: Program, events: Iterable[Event]) -> None:
         """Give the lines that stand between sections to the sink, and wait where they wait."""
         for event in events:
-            self._tell(event, self.clock_s, program.lines[event.line])
+            self._tell(program, event, self.clock_s)
             self.clock_s += event.dwell_s
         self.sink.rest(self.clock_s)
 
     def within(self, program: Program, event: Event, since_s: float) -> None:
         """Give a line inside a section to the sink, at its time since the section's first segment."""
-        self._tell(event, self.clock_s + since_s, program.lines[event.line])
+        self._tell(program, event, self.clock_s + since_s)
 
-    def _tell(self, event: Event, t: float, line: bytes) -> None:
+    def _tell(self, program: Program, event: Event, t: float) -> None:
         """Give a line to the sink; what passes moves nothing, even where it looks like a move."""
-        self.sink.event(t, line, still=event.kind is EventKind.PASS)
+        self.sink.event(t, program.lines[event.line], still=event.kind is EventKind.PASS)
+        frame = program.frames[event.frame]
+        self.sink.factors(t, frame.feed_factor, frame.flow)
 
 
 def _by_height(program: Program) -> list[tuple[int, int, bool]]:

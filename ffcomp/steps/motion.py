@@ -172,6 +172,7 @@ class MotionSink:
         self._events = deque[tuple[float, bytes]]()
         self._clock: float | None = None  # s; None before the first line, rest or motion
         self._feed = b""  # a line, not yet told
+        self._factors = 1.0, 1.0
         self._begin_s = self._rests_until = 0.0
         self._knots_since_rest = 0
         self._rests = self._height_known = self._stopped = True
@@ -201,6 +202,12 @@ class MotionSink:
             self._events.append((t, self._feed))
             self._feed = b""
         self._events.append((t, line + b"\n"))
+
+    def factors(self, t: float, speed: float, flow: float) -> None:
+        """Say which M220 and M221 of the print the motion from t on contains already: the host's count on top."""
+        if (speed, flow) != self._factors:
+            self._factors = speed, flow
+            self._events.append((t, b"FFCOMP_FACTORS SPEED=%a FLOW=%a\n" % (speed, flow)))
 
     def rest(self, until: float) -> None:
         """Note that the nozzle rests where the motion has come to, until a time, s, at least.

@@ -244,6 +244,9 @@ class StepSink:
     def rest(self, until: float) -> None:
         """Do nothing: steps tell by themselves where there are none."""
 
+    def factors(self, t: float, speed: float, flow: float) -> None:
+        """Do nothing: an archive holds the steps that are made."""
+
     def height(self, known: bool) -> None:
         """Do nothing: whoever plays an archive begins where it begins."""
 

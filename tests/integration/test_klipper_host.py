@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from ffcomp.compensation.job import StepOutput
 from ffcomp.steps.archive import MotorSteps, read_steps
 from ffcomp.steps.sink import Board
+from gcode.reader import read_program
 from models.file import load_machine
 from tests.support.compensated import job
 from tests.support.klipper_host import E_STEPS_PER_MM, FOLDER, HOSTS_OWN_S, Place, Played, Steps, play, reader
@@ -181,9 +182,38 @@ def test_babysteps_and_overrides(prints: Prints, whole: Played) -> None:
         assert np.diff(played.steps[motor].time_s).min() > 0.8 * np.diff(whole.steps[motor].time_s).min()
 
 
+@pytest.fixture(scope="module")
+def scaled(tmp_path_factory: pytest.TempPathFactory) -> tuple[Prints, float, float]:
+    """A print with factors of its own; how much filament it pushes, mm, and how long it takes, s."""
+    head, sides = b"G90\nM83\nG1 X-20 Y-5 Z0.2 F9000\nM220 S50\nM221 S90\n", ((10, 0), (10, 10), (0, 10), (0, 0)) * 4
+    body = b"".join(b"G1 X%d Y%d E0.5 F6000\n" % side for side in sides)
+    data = head + body[: len(body) // 2].rsplit(b"\n", 1)[0] + b"\nM221 S110\nM220 S80\n"
+    data += body[len(body) // 2 :].split(b"\n", 1)[1]
+    folder, machine = tmp_path_factory.mktemp("scaled"), load_machine("mp-delta-pro")
+    work = job(data, machine, flavor="klipper", predict=False)
+    path = folder / "compensated.ffm"
+    work.write_steps(path, StepOutput(BOARD, None, False, motion=True))
+    stream, header = reader().open_motion(path)
+    stream.close()
+    filament = float(read_program(data, flavor="klipper").moves.end[-1, 3])
+    return Prints(folder, {"compensated": begin_of(path)}, {}), filament, header["duration_s"]
+
+
+def test_the_prints_own_factors_count_once(scaled: tuple[Prints, float, float]) -> None:
+    """M220 and M221 are in the file's motion; what somebody sets during the print takes their place."""
+    prints, filament, lasts_s = scaled
+    played = prints.play()
+    assert played.result["position"][3] == pytest.approx(filament, abs=1e-3)
+    assert np.sum(played.steps["e"].way) == pytest.approx(filament * E_STEPS_PER_MM, abs=2)
+    assert played.lasts_s == pytest.approx(lasts_s, abs=0.3)
+    changed = prints.play(at=[(1, "M221 S45")])
+    assert changed.result["position"][3] < played.result["position"][3] - 0.5
+
+
 def test_an_emergency_stop_stops(prints: Prints, whole: Played) -> None:
-    played = prints.play(at=[(20, "M112")])
+    played = prints.play(at=[(60, "M112")])
     assert played.result["state"] == "stopped" and "Shutdown due to M112" in played.result["error"]
+    assert "Traceback" not in (prints.folder / "host" / "log").read_text()
     assert len(played.steps["a"].way) < len(whole.steps["a"].way)
 
 

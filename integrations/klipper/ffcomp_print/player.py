@@ -17,6 +17,7 @@ from .text import MotionText
 
 NEAR_MM = 1e-4  # of a place: the same
 SOON_S = 1e-6
+ROUNDING = 1e-9
 OFFSET_MM_PER_S = 2.0  # at which a new Z offset is taken up
 MESH_EVERY = 8  # pieces: between them the mesh's height changes evenly
 
@@ -36,6 +37,7 @@ class Player:
         gcode = self.printer.lookup_object("gcode")
         gcode.register_command("FFCOMP_PRINT", self.cmd_FFCOMP_PRINT, desc="Print a file of motion (ffcomp)")
         gcode.register_command("FFCOMP_MOTION", self.cmd_FFCOMP_MOTION, desc="A part of such a file; not for people")
+        gcode.register_command("FFCOMP_FACTORS", self.cmd_FFCOMP_FACTORS, desc="A part of such a file; not for people")
         self.printer.register_event_handler("klippy:connect", self._connect)
         self._forget()
 
@@ -51,6 +53,7 @@ class Player:
         self.checked = None  # a box, all of which the machine reaches
         self.most_e = self.skipped_retraction = None
         self.last_e = 0.0
+        self.own_speed = self.own_flow = 1.0  # the file's M220 and M221, which its motion contains
 
     # Beginning a print
 
@@ -136,6 +139,10 @@ class Player:
         elif (part := self._after_skipped(record)) is not None:
             self._play(part, gcmd.error)
 
+    def cmd_FFCOMP_FACTORS(self, gcmd):
+        """Note which factors the file's motion contains: the host has them, too, from the file's own lines."""
+        self.own_speed, self.own_flow = gcmd.get_float("SPEED", above=0.0), gcmd.get_float("FLOW", above=0.0)
+
     def _is_excluded(self):
         exclude = self.printer.lookup_object("exclude_object", None)
         return exclude is not None and exclude.current_object in exclude.excluded_objects
@@ -177,13 +184,14 @@ class Player:
             self._queue(Gate(self, opens=True), None)
         places = self._placed(motion, mesh)
         self._check_places(places)
-        flow = self.gcode_move.extrude_factor
+        flow = self.gcode_move.extrude_factor / self.own_flow
         pushed = motion.places[:, 3] - motion.places[0, 3]
         filament = self.toolhead.commanded_pos[3] + (pushed if flow == 1.0 else pushed * flow)
         if flow != 1.0 and places is motion.places:
             places = motion.places[:, :3]  # no longer the file's own
         self._check_filament(filament, error)
-        rate = min(self.gcode_move.speed_factor * 60.0, 1.0)
+        rate = self.gcode_move.speed_factor * 60.0 / self.own_speed
+        rate = 1.0 if rate > 1.0 - ROUNDING else rate
         block = Block(self, motion, places, filament, rate, self.slowing)
         self._queue(block, [*places[-1, :3].tolist(), float(filament[-1])])
         self._note_filament(motion)

@@ -69,10 +69,10 @@ class MotionText:
         return LINE % self._number
 
     def seek(self, place, whence=0):
-        """Go back to a line that was handed out, or to the beginning."""
+        """Go back to a line that was handed out, or to the beginning; the host's log of a shutdown begins anywhere."""
         if whence == 0 and place == self._end:
             self._ahead = 0
-        elif whence == 0 and any(at == place for at, _ in self._delivered):
+        elif whence == 0 and self._delivered and self._delivered[0][0] <= place < self._end:
             self._ahead = sum(at >= place for at, _ in self._delivered)
         elif whence == 0 and place == 0:
             self._restart()
