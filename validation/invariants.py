@@ -11,17 +11,21 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ffcomp.inverse.settings import SEGMENTS_PER_SECOND
+from ffcomp.compensation.net import FARTHEST_MM, TIMES
+from ffcomp.inverse.settings import SEGMENTS_PER_SECOND, nozzle_compliance
+from ffcomp.metrics import contour_error
 from ffcomp.planner.lookahead import stops_and_waits
-from ffcomp.planner.program import known_to_the_firmware, planner_of
-from gcode.embedded import OURS, TIME_WAS, WAS, original
+from ffcomp.planner.program import known_to_the_firmware, plan_program, planner_of
+from gcode.embedded import OURS, TIME_WAS, WAS, original, section_times
 from gcode.metadata import tells
 from gcode.program import Program
 from gcode.reader import read_program
+from models.effects.catalogue import design_machine
 from models.errors import UnreachableError
 from models.machine import Machine
 
@@ -34,6 +38,7 @@ FILAMENT_MM = 1e-4  # how far the whole may be from what it was
 LINE_MM = 5e-3  # how far a line may be from its place: lines that stand close together share a segment's end
 WAY_MM, WAY_SHARE = 2e-3, 1e-5  # of the filament's way there and back: its last decimal may go to and fro
 TURN_MM = 5e-3  # of filament, where it turns back: a segment may hold a little of both ways
+BLOCK_ENDS_MM = 0.02  # of a block from its path: what `net` allows, and the last decimal in inches
 PLACES = 2e-4  # in the file's own unit: how far the print may end from where it did
 VELOCITY_SHARE = 1.02  # of the limit: the file states its numbers with four decimals
 ACCELERATION_SHARE = 1.06
@@ -88,6 +93,7 @@ def violations(
         *_of_lines(read, written, text, bool(any(offset_mm))),
         *_of_filament(read, written),
         *_of_motion(written, text, machine),
+        *_of_path(read, written, text, machine),
     ]
 
 
@@ -147,6 +153,33 @@ def _of_motion(written: Program, text: Text, machine: Machine) -> Iterator[str]:
         yield str(error)
         return
     yield from _of_carriages(written, own, machine)
+
+
+def _of_path(read: Program, written: Program, text: Text, machine: Machine) -> Iterator[str]:
+    """Each section begins and ends where its path does, and never leaves it by more than `net` allows."""
+    plan = plan_program(read, machine)
+    by_line = {int(read.moves.line[each.first]): each for each in plan.sections if each.travels}
+    times = [time for time in section_times(written.lines) if time.line in by_line]
+    own = np.flatnonzero(np.isin(written.moves.line, text.segments))
+    own = own[np.any(written.moves.end[own, :3] != written.moves.start[own, :3], axis=1)]
+    edges = np.searchsorted(written.moves.line[own], [*(time.at for time in times), len(written.lines)])
+    compliance_s2 = max(nozzle_compliance(design_machine(machine)[0]))
+    for time, (first, last) in zip(times, pairwise(edges), strict=True):
+        if first == last:
+            continue
+        section = by_line[time.line]
+        within = slice(section.first, section.last)
+        path = np.vstack([read.moves.start[within, :3], read.moves.end[section.last - 1, :3]])
+        ends = written.moves.end[own[first:last], :3]
+        places = np.vstack([written.moves.start[own[first], :3], ends])
+        due = np.arange(len(path), dtype=np.float64)
+        away = contour_error(due, path, np.zeros(len(places)), places, np.inf)
+        most = max(FARTHEST_MM, TIMES * compliance_s2 * float(plan.trajectory.acceleration[within].max()))
+        if away.max() > most:
+            yield f"line {time.line + 1}: a segment is {away.max():.3f} mm from the path; {most:.2g} mm are allowed."
+        begun, ended = (float(np.abs(places[k] - path[k]).max()) for k in (0, -1))
+        if max(begun, ended) > BLOCK_ENDS_MM:
+            yield f"line {time.line + 1}: the block begins {begun:.4f} mm and ends {ended:.4f} mm beside its path."
 
 
 def _of_carriages(written: Program, own: NDArray[np.bool_], machine: Machine) -> Iterator[str]:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ffcomp.compensation.net import SAME_PLACE_MM, fault_of, path_fault
+from ffcomp.compensation.net import ENDS_MM, fault_of, path_fault
 from ffcomp.errors import LimitsError
 from ffcomp.inverse.feasible import FeasibleSection, SectionRequest, solve_feasible
 from ffcomp.inverse.model import InverseModel
@@ -54,7 +54,7 @@ class Resting:
 
     def is_at(self, nozzle: FloatArray) -> bool:
         """Return whether the command rests at a place, (3,) mm."""
-        return float(np.abs(self.nozzle - nozzle).max()) <= SAME_PLACE_MM
+        return float(np.abs(self.nozzle - nozzle).max()) <= ENDS_MM
 
 
 def solutions(

@@ -192,12 +192,12 @@ def settings_for(machine: Machine, segments_per_second: float = SEGMENTS_PER_SEC
         segment_s=segment_s,
         bandwidth_hz=curve.knee_hz,
         robust_share=1.0 if coupled else curve.knee_above(FLOOR_UM) / curve.knee_hz,
-        compliance_s2=_nozzle_compliance(design),
+        compliance_s2=nozzle_compliance(design),
         pressure=machine.pressure,
     )
 
 
-def _nozzle_compliance(machine: Machine) -> tuple[float, float, float]:
+def nozzle_compliance(machine: Machine) -> tuple[float, float, float]:
     """Return by how much the nozzle lags at most per acceleration along X, Y and Z, s²."""
     positions = np.stack(list(machine.kinematics.sample_positions.values()))
     jacobian = machine.vibration.jacobian(positions)

@@ -108,6 +108,7 @@ def word(line: bytes, letter: bytes, change: Callable[[float], float]) -> bytes:
     ("change", "sentence"),
     [
         (lambda line: word(line, b"X", lambda x: x + 400), "outside"),
+        (lambda line: word(line, b"X", lambda x: x + 10), "mm from the path; "),
         (lambda line: word(word(line, b"X", lambda x: x + 50), b"F", lambda f: 20 * f), "velocity"),
         (lambda line: word(line, b"E", lambda e: e + 0.5), "There and back"),
         (lambda line: line.replace(b"E", b"E" + b"0" * 90), "too long"),
@@ -134,6 +135,13 @@ def test_a_fan_that_comes_late_is_found() -> None:
     assert any(
         "M106 S200" in each or "not those" in each for each in violations(PRINT, b"".join(lines), inverter().machine)
     )
+
+
+def test_a_block_that_begins_beside_its_path_is_found() -> None:
+    lines = safe().splitlines(keepends=True)
+    at = next(i for i, line in enumerate(lines) if line.startswith(b";section line=14 "))
+    lines.insert(at, b"G1 X38.05\n")
+    assert any("the block begins 0.0500 mm" in each for each in violations(PRINT, b"".join(lines), inverter().machine))
 
 
 def test_missing_filament_is_found() -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cache, reduce
 from operator import xor
 
@@ -37,14 +37,61 @@ def random_print(seed: int) -> bytes:
     return _Print(np.random.default_rng(seed)).text()
 
 
+BEDS = {  # middle X and Y, radius that is printed on, mm: a delta, a CoreXY, and two bed slingers
+    "mp-delta-pro": (0.0, 0.0, 100.0),
+    "voron-300": (150.0, 150.0, 120.0),
+    "ender-3": (117.0, 117.0, 95.0),
+    "prusa-mini": (90.0, 90.0, 65.0),
+}
+IN_A_ROW = 100  # prints for one machine, whose model is made once
+
+
+@dataclass(frozen=True)
+class Case:
+    """A random print with unknown places, the same for the same number, and what it is compensated for."""
+
+    machine: str
+    flavor: str
+    longest_s: float  # of motion in a chunk
+    data: bytes
+
+    @staticmethod
+    def of(seed: int) -> Case:
+        """Draw a case."""
+        rng = np.random.default_rng(seed)
+        name = list(BEDS)[seed // IN_A_ROW % len(BEDS)]
+        drawn = _Print(rng, *BEDS[name], places=True)
+        return Case(name, drawn.flavor, float(rng.choice([0.05, 0.3, 1.0, 5.0, 300.0])), drawn.text())
+
+    def violations(self) -> list[str]:
+        """Compensate it, and return what is wrong with it in sentences."""
+        own = _model(self.machine)
+        options = Options(predict=False, settings=own.settings, flavor=self.flavor, offset=(0.0, 0.0))
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr("ffcomp.compensation.chunks.LONGEST_S", self.longest_s)
+            stream = Job(self.data, "print.gcode", own.machine, options).lines()
+            out = b"".join(stream)
+        unsafe = [f"line {each.first_line}: {each.why}." for each in stream.value.statistics.unsafe]
+        return [*unsafe, *violations(self.data, out, own.machine, flavor=self.flavor)]
+
+
+@cache
+def _model(name: str) -> InverseModel:
+    return _inverter(load_machine(name))
+
+
 class _Print:
     """Writes lines, and follows only what it must: where the file's numbers have the nozzle."""
 
-    def __init__(self, rng: np.random.Generator) -> None:
+    def __init__(
+        self, rng: np.random.Generator, x: float = 0.0, y: float = 0.0, radius: float = RADIUS_MM, places: bool = False
+    ) -> None:
         self.rng, self.lines = rng, list[str]()
         self.flavor = str(rng.choice(sorted(FLAVORS)))
-        self.at = np.array([0.0, 0.0, 5.0])  # mm of the toolhead
-        self.name = np.zeros(3)  # mm, what G92 has added to the file's numbers
+        self.at = np.array([0.0, 0.0, 5.0])  # mm of the toolhead, from the middle of the bed
+        self.middle, self.radius = np.array([x, y, 0.0]), radius
+        self.sections = [*_SECTIONS, *(8 * [_Print.unknown_place])] if places else _SECTIONS
+        self.name = self.middle  # mm, what is added to it in the file's numbers: by G92, too
         self.unit, self.relative, self.relative_e = 1.0, False, bool(rng.random() < 0.7)
         self.e = 0.0  # of the file, while it is absolute
 
@@ -54,7 +101,7 @@ class _Print:
         self.lines += [f"; gcode_flavor = {self.flavor}", "G28", "G90", "M83" if self.relative_e else "M82"]
         self.go(self.at, feed=True)
         for _ in range(rng.integers(2, 9)):
-            _SECTIONS[rng.choice(len(_SECTIONS))](self)
+            self.sections[rng.choice(len(self.sections))](self)
         self.print_lines()
         ending = rng.choice(["\n", "\n", "\r\n"])
         return (ending.join(self.lines) + rng.choice([ending, ""])).encode()
@@ -64,7 +111,7 @@ class _Print:
     def go(
         self, to: FloatArray, filament: float = 0.0, feed: bool = False, command: str = "G1", words: Sequence[str] = ()
     ) -> None:
-        to = to * min(1.0, RADIUS_MM / max(float(np.hypot(*to[:2])), 1e-9))
+        to = to * min(1.0, self.radius / max(float(np.hypot(*to[:2])), 1e-9))
         to[2] = np.clip(to[2], 0.1, 60.0)
         shown = (to - self.at if self.relative else to + self.name) / self.unit
         words = [command, *(f"{axis}{value:.5f}" for axis, value in zip("XYZ", shown, strict=True)), *words]
@@ -122,7 +169,7 @@ class _Print:
         self.go(self.at + half, filament=FLOW * np.pi * radius, command=turn, words=centre)
 
     def travel(self) -> None:
-        angle, radius = self.rng.uniform(0, 7), self.rng.uniform(5, RADIUS_MM)
+        angle, radius = self.rng.uniform(0, 7), self.rng.uniform(5, self.radius)
         self.go(np.array([radius * np.cos(angle), radius * np.sin(angle), self.at[2]]), feed=True, command="G0")
 
     def retraction(self) -> None:
@@ -187,10 +234,32 @@ class _Print:
     def homing(self) -> None:
         """After it, or a macro, nobody knows the place: the next move passes through."""
         self.lines.append(str(self.rng.choice(["G28", "PRIME_LINE", "M600", "G28 X Y"])))
-        self.name = np.zeros(3) if self.lines[-1].startswith("G28") else self.name
+        self.name = self.middle if self.lines[-1].startswith("G28") else self.name
         self.go(self.at, feed=True)
 
+    def unknown_place(self) -> None:
+        """A tool or spool is changed, motors are off, a macro runs: then a travel, and filament alone, in any order."""
+        rng = self.rng
+        if back := rng.random() < 0.7:
+            self.lines.append(f"G1 E{self._filament(-0.8):.5f} F2400")
+        for _ in range(rng.integers(1, 4)):
+            self.lines.append(str(rng.choice(_UNKNOWN)))
+            self.name = self.middle if self.lines[-1].startswith("G28") else self.name
+        order = [self.travel, self.dwell, self.aside, self.purge]
+        for k in rng.permutation(len(order))[: rng.integers(1, len(order) + 1)]:
+            order[k]()
+        if rng.random() < 0.7:
+            self.travel()
+        if back:
+            self.lines.append(f"G1 E{self._filament(0.8):.5f} F2400")
+        if rng.random() < 0.7:
+            self.print_lines()
 
+    def purge(self) -> None:
+        self.lines.append(f"G1 E{self._filament(float(self.rng.uniform(0.1, 3.0))):.5f} F600")
+
+
+_UNKNOWN = ("T1", "T0", "G28", "G28 X", "M84", "MY_TOOL_CHANGE", "M600", "M620 S1A", "M621 S1A", "M623", "CLEAN_NOZZLE")
 _ASIDE = (
     "M106 S127",
     "M107",
@@ -255,6 +324,12 @@ def test_no_random_print_is_harmed(seeds: range) -> None:
         data = random_print(seed)
         out = compensated(data, inverter())
         assert violations(data, out, inverter().machine) == [], f"random_print({seed})"
+
+
+@pytest.mark.parametrize("seeds", [range(begin, begin + 10) for begin in range(0, 400, IN_A_ROW)], ids=BEDS)
+def test_no_print_with_unknown_places_is_harmed(seeds: range) -> None:
+    for seed in seeds:
+        assert Case.of(seed).violations() == [], f"Case.of({seed})"
 
 
 def test_what_is_read_can_be_written_and_read_again() -> None:
