@@ -15,6 +15,7 @@ from ffcomp.identification.from_resonances import Resonance
 from ffcomp.identification.resonance_tests import BeltTest, TestFile, no_test, read_test
 from ffcomp.measurement.capture import Capture
 from ffcomp.measurement.estimators import periodic_frf
+from ffcomp.measurement.faults import lost_samples
 from ffcomp.measurement.frf import AXES, FrequencyResponse
 from ffcomp.measurement.frf_files import read_frfs
 from ffcomp.measurement.klipper import Resonances
@@ -101,6 +102,11 @@ def gather(
             raise MeasurementError(str(path), [_NEEDS_PLAN])
         else:
             tests += read_vibrations(path)
+    gathered.skipped += [
+        f"{Path(each.source).name}: {lost_samples(each.overflows)}"
+        for each in tests
+        if isinstance(each, Capture) and each.overflows
+    ]
     for test, axis in _with_axes(tests, list(shaken_axis), gathered.skipped):
         _take(test, axis, machine, column or _named_column(test, shaken_axis), band_hz, gathered)
     if not machine.vibration.position_dependent:

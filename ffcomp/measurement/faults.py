@@ -5,6 +5,7 @@
 | a sensor that is dead, clipped or in another unit; gravity left in | its column, and the command | `sensors.py` |
 | sensors swapped, reversed, turned, late or stuck | the command below 20 Hz | `sensors.py` |
 | a chip whose scale is misread; axes as in a mirror | gravity at rest; its mounting | `wrong_gravity`, `mirrored` |
+| samples that the chip lost | what the file says of itself | `lost_samples` |
 | an axis that no chip feels | the command below 20 Hz | `deaf_to` |
 | another motion, a shaken printer | the command, the rest before the motion | `other_motion` |
 | repeats that are copies, lie apart in time, or do not repeat | each other, the command | `compare_repeats` |
@@ -493,6 +494,14 @@ def clipped_against(measured: FloatArray, simulated: FloatArray) -> bool:
 
 
 # ---- captures ------------------------------------------------------------------------------------
+
+
+def lost_samples(overflows: int) -> str:
+    """Report that a chip lost samples, of which nobody knows where."""
+    return (
+        f"The chip lost samples ({overflows} overflows or drops), so its times are wrong. Record it again, with less "
+        "load on the printer's host, or at a lower rate of the chip."
+    )
 
 
 def wrong_gravity(gravity: FloatArray, may_be_removed: bool) -> str:

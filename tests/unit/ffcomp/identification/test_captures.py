@@ -31,3 +31,13 @@ def test_captures_of_a_recording_give_responses(tmp_path: Path) -> None:
         assert r.clock == f"place-{place}" and r.position_mm is not None
         error = np.sqrt(np.sum(np.abs(r.value - model) ** 2) / np.sum(np.abs(model) ** 2))
         assert error < 0.15, (r.input, r.output)
+
+
+@pytest.mark.parametrize("lost", [0, 4])
+def test_samples_that_reprapfirmware_lost_are_reported(tmp_path: Path, lost: int) -> None:
+    rows = np.random.default_rng(1).normal((0.0, 0.0, 1.0), 0.2, (4000, 3))
+    text = "".join(f"{n},{x:.4f},{y:.4f},{z:.4f}\n" for n, (x, y, z) in enumerate(rows.tolist()))
+    path = tmp_path / "0_2026-11-22.csv"
+    path.write_text(f"Sample,X,Y,Z\n{text}Rate 1344, overflows {lost}\n")
+    found = gather([path], load_machine("voron-300"), band_hz=(10.0, 120.0), shaken_axis=["x"])
+    assert any("lost samples (4 overflows" in each for each in found.skipped) == bool(lost)
