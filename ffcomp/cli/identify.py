@@ -255,7 +255,7 @@ def _print_page(result: ScanFit) -> None:
         for (x, y), modes in fit.modes.items():
             words = "; ".join(f"{_interval(f)} Hz, ζ {_interval(d)}" for f, d in modes)
             print(f"at {x:.0f}, {y:.0f} mm: {words}")
-    _print_numbers(fit.estimates, fit.kept)
+    _print_numbers(fit.estimates)
     if fit.friction:
         print("Dry friction of the guides is in the file too, and a compensation takes it into account.")
     noise = sorted(1e3 * line.noise_mm for line in fit.lines)[len(fit.lines) // 2]

@@ -240,7 +240,8 @@ class ScanFit(MachineFit):
             "places": places,
             # .* ESTIMATE: what else shapes lines: dry friction of the guides (N; m/s² where the file has no masses),
             # over which way contacts bend or at which speed they creep, how far the bead lags behind the nozzle (mm),
-            # rounds its path (mm) and is shifted along a line (mm), and how much it follows as on a string (0 to 1)
+            # rounds its path (mm) and is shifted along a line (mm), how much it follows as on a string (0 to 1), and
+            # how much x and y ring as a share of what the file's modes would (more than 1: there is another mode)
             "bead": estimates(fit.bead),
             "explained": fit.explained,  # number: share of the power of the lines' waves that the machine explains
             "lines": len(fit.lines),  # whole number: that were read
@@ -385,7 +386,7 @@ def scan_file_text(origin: Origin, result: PageFit) -> str:
         {f"effects.coulomb_friction.{key}": value for key, value in result.friction.items()},
         lines=len(result.lines),
         explained_share=float(f"{result.explained:.3g}"),
-        kept_from_the_starting_file=list(result.kept),
+        hardly_determined=list(result.kept),
     )
 
 

@@ -8,9 +8,11 @@ is, it is seen between its edges, which lie aside of its path where that bends a
 what each line's place on the page leaves open: an offset, a slope, a bow, and a small shift along it. z are θ and β in
 standard deviations of their priors; θ are logarithms. β has the dry friction of each guide too, which makes small waves
 die sooner and, where contacts bend, ring quicker: without it, dampings came out 8 to 30 % high on drawn deltas. Its law
-near a reversal is one of two; the likelier counts, and the other widens the intervals as far as it is likely too. σ is
-what is left of a line, or around a place of it, times its correlation (effective sample size), and more where a bead
-may fold; covariances are at least as wide as lines differ.
+near a reversal is one of two; the likelier counts, and the other widens the intervals as far as it is likely too. How
+much an axis rings is free by a tenth: without that, a second mode that moves against the first one passes for less
+damping. Where roughness leaves much unexplained, rings and speeds are free altogether, which shows input shapers and
+speed factors. σ is the rms residual of a line, or around a place of it, times its correlation (effective sample size),
+and more where a bead may fold; covariances are at least as wide as by leaving out strokes.
 The steps are those of `ffcomp/numerics/least_squares.py`.
 """
 
@@ -28,8 +30,9 @@ from scipy.signal import lfilter
 from ffcomp.errors import MeasurementError
 from ffcomp.identification.page_lines import STEP_MM, ReadLine
 from ffcomp.identification.uncertainty import Estimate, Joint, lognormal, normal, through
-from ffcomp.numerics.least_squares import BatchedProblem, Iterate, minimise_batched
+from ffcomp.numerics.least_squares import BatchedProblem, Iterate, differences, minimise_batched
 from ffcomp.numerics.stages import Stage
+from ffcomp.record.plan import Experiment
 from models.arrays import FloatArray
 from models.compiled import kernel
 from models.effects.catalogue import key_in_file
@@ -48,15 +51,26 @@ FRICTION_SD, LEAST_FRICTION = 1.0, 1e-3  # in units of it: without any, bristles
 LAWS = {"presliding_mm": (0.003, 1.0), "creep_mm_per_s": (0.5, 1.0)}  # near a reversal: contacts bend, or creep
 # middle, sd (of the logarithm); taut: 0, the bead follows in proportion to how far it is behind, 1: as on a string
 BEAD = {"drag_mm": (0.15, 0.7), "rounding_mm": (0.12, 0.5), "shift_mm": (0.0, 0.015), "taut": (0.5, 0.7)}
+# of a print; 1: as planned. Speeds in the lines' directions; how much of what the zigzags excite rings along x, y: more
+# than 1 where a quicker mode moves against the one that rings, less with an input shaper
+PLANNED = {"speed": (1.0, 0.0), "ring_x": (1.0, 0.1), "ring_y": (1.0, 0.1)}
+OVERRIDDEN = {"speed": (1.0, 0.2), "ring_x": (1.0, 1.0), "ring_y": (1.0, 1.0)}
+SPEEDS = (0.7, 0.8, 0.9, 1.1, 1.25, 1.4)  # of an override, where to begin
+SAME_SPEED, SAME_RING = 0.04, 0.85  # of the logarithm: less is no override; a shaper leaves less than this share
 RADIUS = (0.53, 0.2)  # of a line, in its widths on the page: a first layer is squeezed
 LINE_SHIFT_MM = 0.04  # sd of a line's own place along it
 FINE_MM = 0.025
 EARLIEST_MM, BEFORE_MM = 0.1, 1.5  # of a line; of the way before it: where the bead begins to be simulated
-LEAST_EXPLAINED, LEAST_GAIN = 0.2, 60.0  # of the waves' power; of χ² by the waves, correlated roughness allowed for
-FLAT, SHAPED = 0.15, 0.35  # of the expected waves: less, at once or where hardly any are explained: shaped away
+LEAST_GAIN = 60.0  # of χ² by the waves, correlated roughness allowed for
+DOUBTFUL, MOST_UNEXPLAINED = (
+    0.1,
+    0.3,
+)  # of the waves' power that neither the machine explains nor the roughness of lines
+FLAT = 0.15  # of the expected waves: less, and a shaper took them away
 WORST_HELD = 0.5  # posterior over prior: a number that the picture leaves so wide stays as it was
 REWEIGHTED, LOCAL_MM = 2, 0.5  # passes; of a line, around a place
 STEEP, STEEP_MM, STEEP_TIMES = 0.5, 1.0, 5.0  # of a slope where a bead may fold; around it; of σ there
+STUDENT = 1.15  # Student's 90 % interval over the normal one, of about ten strokes a direction with their own numbers
 TOWERS = 0.007  # of the logarithm of a frequency at one place: towers that differ by 2 %, and are fitted as one
 FLOOR, DAMPING_FLOOR = 0.004, 0.1  # of the logarithms: towers that differ
 MASS_FLOOR = 0.12  # of a carriage's: it shows along z, which lines hardly do, and is up to a fifth off
@@ -105,7 +119,14 @@ class Unknown:
 class _Page:
     """The lines, the commands that drew them, and what a machine would have drawn."""
 
-    def __init__(self, machine: Machine, lines: Sequence[ReadLine], law: str, width_mm: float) -> None:
+    def __init__(
+        self,
+        machine: Machine,
+        lines: Sequence[ReadLine],
+        law: str,
+        width_mm: float,
+        conditions: Mapping[str, tuple[float, float]] = PLANNED,
+    ) -> None:
         self.machine, self.lines = machine, lines
         names = [line.stroke.name for line in lines]
         self.copies = np.sqrt([names.count(name) for name in names])  # pictures of a stroke share its roughness
@@ -122,12 +143,13 @@ class _Page:
         self.of_machine = len(of_machine)
         rubbing = FRICTION if machine.vibration.position_dependent else FRICTION[:2]
         self.law = law
-        nuisances = dict.fromkeys(rubbing, (0.0, FRICTION_SD)) | {law: LAWS[law]} | BEAD
+        nuisances = dict.fromkeys(rubbing, (0.0, FRICTION_SD)) | {law: LAWS[law]} | BEAD | dict(conditions)
         nuisances["radius_mm"] = (RADIUS[0] * width_mm, RADIUS[1])
         self.unknowns = [*of_machine, *(Unknown(n, m, sd) for n, (m, sd) in nuisances.items())]
         self.low = np.array([LEAST_FRICTION if each.name in FRICTION else -FARTHEST for each in self.unknowns])
         high = np.full(len(self.unknowns), FARTHEST)
-        self.problem = BatchedProblem(self.residuals, self.low, high)
+        known = np.array([each.sd == 0.0 for each in self.unknowns])
+        self.problem = BatchedProblem(self.residuals, np.where(known, 0.0, self.low), np.where(known, 0.0, high))
         self.splines = Splines()
 
     def values(self, z: FloatArray) -> dict[str, float]:
@@ -211,7 +233,8 @@ def machine_unknowns(machine: Machine) -> list[Unknown]:
 def _laid(line: ReadLine, path: FloatArray, bead: Mapping[str, float]) -> FloatArray:
     """Return the bead of a nozzle's path (n, 2) mm at the places where the line was read, (n,) mm across."""
     away = path - line.line.foot
-    sy = np.column_stack([away @ line.line.along, away @ line.line.across])
+    along = _at_speed(away @ line.line.along, line.stroke, bead["speed"])
+    sy = np.column_stack([along, away @ line.line.across])
     before = np.flatnonzero(sy[:, 0] < EARLIEST_MM)
     way = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(sy, axis=0), axis=1)))
     way -= way[before[-1]] if len(before) else 0.0
@@ -222,7 +245,20 @@ def _laid(line: ReadLine, path: FloatArray, bead: Mapping[str, float]) -> FloatA
     lagged = lfilter([1 - decay], [1, -decay], nozzle, axis=0, zi=decay * nozzle[:1])[0]
     laid = lagged + bead["taut"] * (_pulled(nozzle, bead["drag_mm"]) - lagged)
     bent = gaussian_filter1d(laid, bead["rounding_mm"] / FINE_MM, axis=0, mode="nearest")
-    return _swept(bent, bead["radius_mm"], line.s_mm[0] + bead["shift_mm"], len(line.s_mm), STEP_MM)
+    ring = bead["ring_x"] if abs(line.line.across[0]) > 0.5 else bead["ring_y"]
+    return ring * _swept(bent, bead["radius_mm"], line.s_mm[0] + bead["shift_mm"], len(line.s_mm), STEP_MM)
+
+
+def _at_speed(s: FloatArray, stroke: Experiment, factor: float) -> FloatArray:
+    """Return where (n,) mm along its line a nozzle is that would be at s, (n,) mm, were the speed not overridden.
+
+    The line begins at rest with the acceleration a, which no override changes, up to the speed v: after the ramp
+    s = v t − v²/2a, and f v t − f² v²/2a at the speed f v.
+    """
+    v, a = float(stroke.motion.speed[-1]), stroke.motion.limits.acceleration_mm_per_s2
+    ramp = v**2 / (2 * a)
+    t = np.where(s < ramp, np.sqrt(2 * np.maximum(s, 0.0) / a), (s + ramp) / v)
+    return np.where(s <= 0.0, s, np.where(t < factor * v / a, 0.5 * a * t**2, factor * v * t - factor**2 * ramp))
 
 
 @kernel
@@ -262,7 +298,7 @@ def fit_page(
         If the lines do not ring as any such machine would.
     """
     bends, creeps = (_Page(machine, lines, law, width_mm) for law in LAWS)
-    _check_waves(bends, FLAT)
+    _check_waves(bends)
     progress(Stage(2, "seeking where to begin"))
     start = _start(bends)
     progress(Stage(3, f"fitting {bends.of_machine} numbers to {len(lines)} lines"))
@@ -274,6 +310,7 @@ def fit_page(
         again = np.concatenate([old / new for old, new in zip(before, bends.sigma, strict=True)])
         fitted = minimise_batched(bends.problem, fitted.z, again[:, None] * fitted.jacobian, iterations=12)
     creeps.sigma = bends.sigma
+    _check_conditions(bends, _Page(machine, lines, bends.law, width_mm, OVERRIDDEN), start, fitted)
     other = minimise_batched(creeps.problem, fitted.z, fitted.jacobian, iterations=12)
     if other.cost < fitted.cost:
         return _result(creeps, other, fitted)
@@ -293,6 +330,19 @@ def _start(page: _Page) -> FloatArray:
             alike[int(along_y), j] += min(gain, 2.0) * float(seen @ model)
     best = {name: float(FACTORS[int(np.argmax(row))]) for name, row in zip(groups, alike, strict=True)}
     return _scaled(page, best)
+
+
+def _start_of_speed(page: _Page, start: FloatArray) -> FloatArray:
+    """Return the start, or one with waves as long at another speed."""
+    at_rest = _scaled(page, {"all": 1.0})
+    trials = [start]
+    for factor in SPEEDS:
+        shifted = start + _scaled(page, {"all": factor}) - at_rest
+        i = [each.name for each in page.unknowns].index("speed")
+        shifted[i] = np.log(factor) / page.unknowns[i].sd
+        trials.append(page.problem.clip(shifted))
+    costs = [float(r @ r) for r in page.problem.residuals(trials)]
+    return trials[int(np.argmin(costs))]
 
 
 def _scaled(page: _Page, factors: Mapping[str, float]) -> FloatArray:
@@ -334,18 +384,34 @@ def _reweight(page: _Page, drawn: Sequence[FloatArray]) -> None:
         page.sigma[k] = page.copies[k] * steep * np.maximum(here, everywhere) * np.sqrt(times)
 
 
-def _result(page: _Page, fitted: Iterate, other: Iterate) -> PageFit:
-    (drawn,) = page.drawn([fitted.z])
+@dataclass(frozen=True, eq=False)
+class _Shown:
+    """A page's lines against the fitted ones."""
+
+    seen: list[FloatArray]  # (n,) mm each, without what a line's place leaves open
+    fitted: list[FloatArray]
+    explained: float  # share of the waves' power, weighted
+    gain: float  # of χ²
+    unexplained: float  # share of the waves' power beyond the lines' roughness
+
+
+def _shown(page: _Page, z: FloatArray) -> _Shown:
+    (drawn,) = page.drawn([z])
     seen, model = [], []
     for k, (line, y) in enumerate(page.along(drawn)):
         _, free = page.apart(k, line.across_mm, y)
         bow = y - _without_bow(y)
         seen.append(line.across_mm - free - bow)
         model.append(y - bow)
-    left = sum(float(np.sum(((a - b) / s) ** 2)) for s, a, b in zip(page.sigma, seen, model, strict=True))
-    power = sum(float(np.sum((a / s) ** 2)) for s, a in zip(page.sigma, seen, strict=True))
-    explained = 1.0 - left / power
-    _check(page, seen, explained, power - left)
+    weights = [1 / s**2 for s in page.sigma]
+    left = sum(float(np.sum(w * (a - b) ** 2)) for w, a, b in zip(weights, seen, model, strict=True))
+    power = sum(float(np.sum(w * a**2)) for w, a in zip(weights, seen, strict=True))
+    rough = sum(float(np.sum(w * line.noise_mm**2)) for w, line in zip(weights, page.lines, strict=True))
+    return _Shown(seen, model, 1.0 - left / power, power - left, (left - rough) / power)
+
+
+def _result(page: _Page, fitted: Iterate, other: Iterate) -> PageFit:
+    shown = _shown(page, fitted.z)
     covariance = _covariance(page, fitted)
     # of two laws of friction the likelier one counts, and the other one as far as it is likely too
     apart, odds = other.z - fitted.z, np.exp(min(0.5 * (other.cost - fitted.cost), 50.0))
@@ -355,6 +421,8 @@ def _result(page: _Page, fitted: Iterate, other: Iterate) -> PageFit:
     for i, each in enumerate(page.unknowns):
         spread = float(np.sqrt(covariance[i, i]))
         value = each.value(float(fitted.z[i]))
+        if each.sd == 0.0:
+            continue
         if i >= page.of_machine:
             sd = each.sd * spread
             bead[each.name] = lognormal(value, sd) if each.start else normal(value, sd)
@@ -365,7 +433,7 @@ def _result(page: _Page, fitted: Iterate, other: Iterate) -> PageFit:
         if spread > WORST_HELD:
             kept.append(each.name)
     modes = _modes(page, fitted.z, covariance)
-    return PageFit(machine, estimates, kept, modes, bead, explained, page.lines, seen, model)
+    return PageFit(machine, estimates, kept, modes, bead, shown.explained, page.lines, shown.seen, shown.fitted)
 
 
 def _signed(value: float, relative_sd: float) -> Estimate:
@@ -373,30 +441,60 @@ def _signed(value: float, relative_sd: float) -> Estimate:
     return e if value > 0 else Estimate(value, e.sd, -e.high, -e.low)
 
 
-def _check(page: _Page, seen: Sequence[FloatArray], explained: float, gain: float) -> None:
-    if explained >= LEAST_EXPLAINED and gain >= LEAST_GAIN:
+def _check_conditions(page: _Page, free: _Page, start: FloatArray, fitted: Iterate) -> None:
+    """Refuse a page that was drawn under other conditions than its G-code says, with the probable one.
+
+    Where roughness does not account for the residual, or a step in speed would lessen it, speed and rings are fitted
+    freely: a line shows what rings against its own length and the zigzag's time, which no override of speeds changes.
+    """
+    shown, names = _shown(page, fitted.z), [each.name for each in page.unknowns]
+    free.sigma, i = page.sigma, names.index("speed")
+    z = fitted.z * [b.sd / a.sd for a, b in zip(free.unknowns, page.unknowns, strict=True)]
+    jacobian = fitted.jacobian.copy()
+    jacobian[:, i] = differences(free.problem, z, fitted.residual, [i], central=True)[:, 0]
+    normal, gradient = replace(fitted, jacobian=jacobian).quadratic
+    step = free.unknowns[i].sd * np.linalg.solve(normal, gradient)[i]
+    if shown.unexplained > DOUBTFUL or abs(step) > SAME_SPEED:
+        released = minimise_batched(free.problem, _start_of_speed(free, start), iterations=12)
+        if released.cost < fitted.cost:
+            page, fitted, shown = free, released, _shown(free, released.z)
+    sd = np.sqrt(np.diag(_covariance(page, fitted)))
+    found = {name: lognormal(page.values(fitted.z)[name], page.unknowns[k].sd * sd[k]) for k, name in enumerate(names)}
+    speed = found["speed"]
+    weak = {axis: found[f"ring_{axis}"] for axis in "xy" if found[f"ring_{axis}"].high < SAME_RING}
+    enough = shown.gain >= LEAST_GAIN and shown.unexplained < MOST_UNEXPLAINED
+    if enough and max(np.log(speed.low), -np.log(speed.high)) > SAME_SPEED:
+        reason = (
+            f"The page was drawn at {100 * speed.value:.0f} % ({100 * speed.low:.0f} to {100 * speed.high:.0f}) of its "
+            "speed: a speed factor is set. Set it to 100 % (M220 S100, or on the display), and print the page again."
+        )
+    elif weak:
+        rings = " and ".join(f"{axis} rings {each.value:.2f} times as much" for axis, each in weak.items())
+        reason = (
+            f"{rings} as the zigzags excite: the page was printed with an input shaper on, or with less acceleration. "
+            "Run the page's G-code as it is, without overrides, and let it switch the shaper off."
+        )
+    elif not enough:
+        reason = (
+            f"The machine explains {100 * max(shown.explained, 0.0):.0f} % of the lines' waves, and roughness does "
+            "not account for the rest: this page was drawn by another machine, by other G-code, with an input shaper "
+            "on or speed overrides, or its lines are torn. Check -m and --plan, switch the shaper off, or print the "
+            "page again."
+        )
+    else:
         return
-    _check_waves(page, SHAPED)
-    path = ", ".join(dict.fromkeys(line.picture for line in page.lines))
-    raise MeasurementError(
-        path,
-        [
-            f"The machine explains {100 * max(explained, 0.0):.0f} % of the lines' waves, and "
-            f"{100 * LEAST_EXPLAINED:.0f} % are needed: this page was drawn by another machine, by other G-code, with "
-            "speed overrides, or its lines are torn. Check -m and --plan, or print the page again."
-        ],
-    )
+    raise MeasurementError(", ".join(dict.fromkeys(line.picture for line in page.lines)), [reason])
 
 
-def _check_waves(page: _Page, share: float) -> None:
-    """Refuse lines that wave by less than a share of what the machine file expects."""
+def _check_waves(page: _Page) -> None:
+    """Refuse lines that wave far less than the machine file expects."""
     path = ", ".join(dict.fromkeys(line.picture for line in page.lines))
     rough = float(np.mean([line.noise_mm**2 for line in page.lines]))
     seen = np.concatenate([_without_bow(line.across_mm) for line in page.lines])
     waves = float(np.sqrt(max(float(np.mean(seen**2)) - 2.0 * rough, 0.0)))
     (as_filed,) = page.drawn([page.problem.clip(np.zeros(len(page.unknowns)))])
     expected = float(np.sqrt(np.mean(np.concatenate([_without_bow(y) for y in as_filed]) ** 2)))
-    if waves < share * expected:
+    if waves < FLAT * expected:
         raise MeasurementError(
             path,
             [
@@ -408,17 +506,22 @@ def _check_waves(page: _Page, share: float) -> None:
 
 
 def _covariance(page: _Page, fitted: Iterate) -> FloatArray:
-    """Estimate the covariance (p, p) of z, at least as wide as strokes differ (sandwich, a cluster for each stroke)."""
+    """Estimate the covariance (p, p) of z, at least as wide as by leaving out each stroke (jackknife).
+
+    Without stroke c, to first order, the fit moves by (N − J_cᵀ J_c)⁻¹ J_cᵀ r_c (MacKinnon & White, J. Econometrics 29,
+    1985, for clusters); what a stroke's neighbours do not share, such as a law of friction that is not quite right at
+    its speed, is in that.
+    """
     normal, _ = fitted.quadratic
     bread = np.linalg.inv(normal)
     ends = np.cumsum([len(line.s_mm) for line in page.lines])
-    residual = fitted.residual
-    gradients: dict[str, FloatArray] = {}
+    own: dict[str, tuple[FloatArray, FloatArray]] = {}
     for line, begin, end in zip(page.lines, [0, *ends[:-1]], ends, strict=True):
-        gradient = fitted.jacobian[begin:end].T @ residual[begin:end]
-        gradients[line.stroke.name] = gradients.get(line.stroke.name, 0.0) + gradient
-    meat = np.eye(len(bread)) + sum(np.outer(each, each) for each in gradients.values())
-    wider = np.sqrt(np.maximum(1.0, np.diag(bread @ meat @ bread) / np.diag(bread)))
+        part = fitted.jacobian[begin:end]
+        matrix, gradient = own.get(line.stroke.name, (0.0, 0.0))
+        own[line.stroke.name] = (matrix + part.T @ part, gradient + part.T @ fitted.residual[begin:end])
+    moved = np.array([np.linalg.solve(normal - matrix, gradient) for matrix, gradient in own.values()])
+    wider = np.sqrt(np.maximum(1.0, STUDENT**2 * np.sum(moved**2, axis=0) / np.diag(bread)))
     covariance = np.asarray(bread * np.outer(wider, wider))
     size = np.sum(fitted.jacobian**2, axis=0)
     for i, each in enumerate(page.unknowns[: page.of_machine]):

@@ -21,6 +21,7 @@ from ffcomp.shapers.calibration import shaper_advice
 from models.file import machine_of_text
 from models.machine import Machine
 
+SECOND_MODE = 1.15  # times the expected ring
 FAR = 2.5  # of a prior's standard deviations
 USUAL_S = (4.0, 4.0, 12.0)  # of CPU: reading, where to begin, the fit
 
@@ -81,5 +82,15 @@ def _advice(start: Machine, result: PageFit) -> list[str]:
             "another printer of the same kind: check that the file, the G-code and the page are of one printer."
         )
     if result.kept:
-        sentences.append(f"The picture hardly tells {', '.join(result.kept)}: near the starting file's.")
+        sentences.append(
+            f"The picture hardly determines {', '.join(result.kept)}: their intervals are nearly the starting file's."
+        )
+    for axis in "xy":
+        ring = result.bead[f"ring_{axis}"]
+        if ring.low > SECOND_MODE:
+            sentences.append(
+                f"{axis} rings {ring.value:.2f} times ({ring.low:.2f} to {ring.high:.2f}) as much as the file's modes "
+                "would: it has another, quicker mode, which is strong and hardly shows on the page. Measure it with an "
+                "accelerometer on the nozzle (ffcomp identify fit)."
+            )
     return sentences

@@ -26,7 +26,7 @@ from models.machine import Machine
 STROKE, SLOW, DISC, LABEL, SKIRT = "stroke", "slow-line", "disc", "label", "skirt"  # kinds of drawings
 
 LINE_MM, PITCH_MM, TWIN_MM = 25.0, 4.4, 2.0  # a line; from stroke to stroke; from a stroke to its slow line
-STROKES = 5  # a direction and a cell
+STROKES, CELLS = 5, 4  # a direction and a cell; where there is room
 TUNED_WIDE, HIGHEST_HZ, RINGING = 1.35, 110.0, 0.3  # beyond the file's modes that ring: their damping ratio
 RINGING_MM, MOST_LEGS, ADVANCE_SHARE = 0.3, 8, 0.1  # of a mode without damping; of a leg, along the line
 SPEED_SHARES = (0.8, 0.9, 0.85, 0.95, 1.0)  # of the fastest line, from the slowest zigzag to the quickest
@@ -84,7 +84,7 @@ class _Box:
 def make_page(machine: Machine, request: PageRequest) -> Plan:
     """Lay out a page on the machine's bed; LimitsError where the bed is too small, or a limit is exceeded."""
     limits = _limits(machine, request)
-    cells = _cells(machine.kinematics, 4 if machine.vibration.position_dependent else 2)
+    cells = _cells(machine.kinematics, CELLS)
     rng = np.random.default_rng([request.seed, int(machine.sha256[:8] or "0", 16)])
     discs = _discs(machine.kinematics, cells, rng)
     draw = _Drawer(machine, request, limits)

@@ -29,7 +29,7 @@ from models.file import load_machine, machine_of_text
 from models.machine import Machine, with_values
 from tests.support.json_page import Page
 from tests.support.reference import REFERENCE
-from validation.drawn_page import LEAD_S, SCANNER, Bead, Drawing, draw, photograph, straight_player
+from validation.drawn_page import LEAD_S, SCANNER, Bead, Conditions, Drawing, draw, photograph, straight_player, zv
 from validation.plants.straight_plant import COREXY, Plant
 
 PRINTER = Plant(
@@ -70,7 +70,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory, plan: Plan, scan: NDArray[n
     folder = tmp_path_factory.mktemp("scan")
     save_plan(plan, folder / "page.json")
     Image.fromarray(scan).save(folder / "scan.jpg", quality=92)
-    wide = round(0.7 * scan.shape[1])
+    wide = round(0.58 * scan.shape[1])
     Image.fromarray(scan[:, :wide]).save(folder / "left.jpg", quality=92)
     Image.fromarray(scan[:, -wide:]).save(folder / "right.jpg", quality=92)
     return folder
@@ -93,8 +93,9 @@ def test_a_picture_tells_frequencies_and_damping(machine: Machine, folder: Path)
     for axis, name in enumerate("xy"):
         (frequency,), (damping,), _ = PRINTER.axis_modes(axis)
         f, d = (fit.result.estimates[f"axes.{name}.{key}[0]"] for key in ("frequency_hz", "damping_ratio"))
-        assert f.value == pytest.approx(frequency, rel=0.015)
-        assert abs(np.log(d.value / damping)) < 0.25
+        # five strokes a direction, of the twenty of a page
+        assert f.value == pytest.approx(frequency, rel=0.025)
+        assert abs(np.log(d.value / damping)) < 0.35
         assert abs(f.value - frequency) < 3 * f.sd < 0.05 * frequency
         assert abs(np.log(d.value / damping)) < 3 * d.relative_sd < 0.7
         assert written.vibration.value(f"axes.{name}.frequency_hz[0]") == pytest.approx(f.value, rel=1e-3)
@@ -103,8 +104,8 @@ def test_a_picture_tells_frequencies_and_damping(machine: Machine, folder: Path)
     assert 0.0 < dry.low < 0.4 / 0.55 < dry.high  # per kilogram, for nobody knows the masses
     assert rubbing["force_n"][1] == pytest.approx(dry.value, rel=0.01) and rubbing["force_n"][0] < 0.15
     assert 0.001 < rubbing["presliding_mm"] < 0.02
-    assert fit.advice == []
-    (warning,) = _advice(with_values(machine, {"axes.x.frequency_hz[0]": 35.0}), fit.result)
+    assert all(each.startswith("The picture hardly determines") for each in fit.advice)
+    warning, *_ = _advice(with_values(machine, {"axes.x.frequency_hz[0]": 35.0}), fit.result)
     assert warning.startswith("axes.x.frequency_hz[0]: further from") and "another printer of the same kind" in warning
 
 
@@ -201,7 +202,7 @@ def test_blots_at_the_ends_of_lines_are_no_discs(machine: Machine, plan: Plan, t
 
 
 def test_a_picture_just_too_small_to_be_halved_for_the_search_is_read_alike(plan: Plan, tmp_path: Path) -> None:
-    fine = photograph(draw(plan, commanded, Bead(), seed=1), replace(COARSE, dpi=580.0), seed=2)
+    fine = photograph(draw(plan, commanded, Bead(), seed=1), replace(COARSE, dpi=400.0), seed=2)
     assert COARSE_PX < max(fine.shape) < 2 * COARSE_PX
     Image.fromarray(fine).save(tmp_path / "fine.png", compress_level=1)
     assert len(find_page(read_picture(tmp_path / "fine.png"), plan).discs) == 10
@@ -226,4 +227,24 @@ def test_a_page_drawn_with_a_shaper_on_is_refused(machine: Machine, plan: Plan, 
     save_plan(plan, tmp_path / "page.json")
     Image.fromarray(photograph(drawn, COARSE, seed=2)).save(tmp_path / "scan.jpg")
     with pytest.raises(MeasurementError, match="shaper"):
+        fitted(machine, tmp_path, "scan.jpg")
+
+
+X_HZ, Y_HZ = (PRINTER.axis_modes(axis)[0][0] for axis in range(2))
+CONDITIONS: dict[str, tuple[Conditions, str]] = {
+    "slower": (Conditions(speed_factor=0.8), r"drawn at (7[6-9]|8[0-4]) % .* of its speed"),
+    "quicker": (Conditions(speed_factor=1.15), r"drawn at 1(09|1[0-9]|20) % .* of its speed"),
+    "shaper tuned 30 % too high": (zv((1.3 * X_HZ, 1.3 * Y_HZ)), "rings .* input shaper"),
+}
+
+
+@pytest.mark.parametrize("name", CONDITIONS)
+def test_a_page_drawn_under_other_conditions_is_refused(
+    machine: Machine, plan: Plan, tmp_path: Path, name: str
+) -> None:
+    conditions, words = CONDITIONS[name]
+    drawn = draw(plan, straight_player(PRINTER), Bead(), seed=1, conditions=conditions)
+    save_plan(plan, tmp_path / "page.json")
+    Image.fromarray(photograph(drawn, COARSE, seed=2)).save(tmp_path / "scan.jpg")
+    with pytest.raises(MeasurementError, match=words):
         fitted(machine, tmp_path, "scan.jpg")

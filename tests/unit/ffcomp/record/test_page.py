@@ -34,7 +34,7 @@ def test_everything_lies_on_the_bed_and_under_a_scanner(name: str) -> None:
     assert all(np.all(machine.kinematics.contains(line)) for line in polylines(plan))
     measured = np.concatenate([discs_of(plan), *(each.motion.vertices_mm[:, :2] for each, _ in twins(plan))])
     assert np.ptp(measured, axis=0).max() < LARGEST_MM
-    assert len(twins(plan)) == (40 if machine.vibration.position_dependent else 20)
+    assert len(twins(plan)) == (30 if name == "voron-0" else 40)
 
 
 def test_each_stroke_runs_beside_a_slow_line() -> None:
