@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from operator import attrgetter
 
 import numpy as np
@@ -152,10 +152,10 @@ class _Known:
         return 0
 
     def _at_rest(self, move: int) -> tuple[Chunk, _Known]:
-        ahead, plan = self.ahead, _columns(self.plan, slice(move, None))
+        ahead, plan = self.ahead, self.plan.part(move)
         head, tail = split(ahead.program, move)
         since = _since_travel(head)
-        before = _remembered(head, since, _columns(self.plan, slice(0, move)))
+        before = _remembered(head, since, self.plan.part(0, move))
         layers = ahead.layers + len(layer_starts(head))
         left = Chunk(tail, before, since, limits_in_effect(head, ahead.limits), layers, cuts=ahead.cuts)
         begin_t = float(plan.start_t[0]) - self.splitting.lead_s
@@ -192,7 +192,7 @@ class _Known:
         )
         written = _until(ahead.program, plan, t + around, rest)
         chunk = replace(ahead, program=written, extent=Extent(ahead.extent.begin, place))
-        return chunk, _Known(left, _columns(plan, slice(first, None)), t, self.splitting)
+        return chunk, _Known(left, plan.part(first), t, self.splitting)
 
     def _slowed(self, knots: int, rest: int | None) -> _Known | None:
         """Slow it down around the position where it is to be cut; None: that need not be."""
@@ -201,7 +201,7 @@ class _Known:
             return None
         first, tail = _from(ahead.program, plan, t - self._around_s)
         last = None if rest is None else rest - first
-        around = _until(tail, _columns(plan, slice(first, None)), t + self._around_s, last)
+        around = _until(tail, plan.part(first), t + self._around_s, last)
         place = self._position(knots)
         cut = PathPosition(place.move - first, _far(plan.position([t])[0], around.moves.start[place.move - first]))
         passed = layer_starts(excerpt(ahead.program, 0, first)) if first else []
@@ -244,10 +244,6 @@ def _until(program: Program, plan: Trajectory, t: float, rest: int | None) -> Pr
     head = excerpt(program, 0, move + 1)
     at = max(t, start_t + SHORTEST_S)
     return shortened(head, None, plan.position([at])[0]) if start_t + duration - at > LEAST_CONTEXT_S else head
-
-
-def _columns(plan: Trajectory, which: slice) -> Trajectory:
-    return Trajectory(*(getattr(plan, each.name)[which] for each in fields(Trajectory)))
 
 
 def rests_of(program: Program) -> IntArray:

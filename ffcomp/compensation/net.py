@@ -58,9 +58,9 @@ def fault_of(
     gap = float(np.abs(moves.start[within, :3][1:] - moves.end[within, :3][:-1]).max(initial=0.0))
     if gap > ENDS_MM:
         return f"its path jumps by {gap:.3g} mm"
-    if why := path_fault(model, plan, section, reference, vertices):
+    if why := path_fault(model, moves, plan, section, reference, vertices):
         return why
-    ends = reference.at_knots(np.array([0, reference.knots]))
+    ends = np.stack([moves.start[section.first, :3], moves.end[section.last - 1, :3]])
     off = float(np.abs(vertices[[0, -1]] - ends).max())
     if off > ENDS_MM:
         return f"it begins or ends {off:.3g} mm beside its path"
@@ -70,6 +70,7 @@ def fault_of(
 
 def path_fault(
     model: InverseModel,
+    moves: Moves,
     plan: Trajectory,
     section: Section,
     reference: Reference,
@@ -80,6 +81,7 @@ def path_fault(
 
     Parameters
     ----------
+    moves : of the program
     plan, section, reference : what the command was solved for
     vertices : (m, 3) mm, the command at the knots from `first` on
     """
@@ -89,10 +91,10 @@ def path_fault(
     compensated_mm = max(model.settings.compliance_s2) * float(plan.acceleration[part].max())
     most = max(FARTHEST_MM, TIMES * compensated_mm)
     t = reference.t0 + model.settings.segment_s * np.arange(first, first + len(vertices), dtype=np.float64)
-    due = reference.nozzle(t + model.delay_s)  # a command is ahead by the machine's delay
+    due = plan.part(section.first, section.last).position(t + model.delay_s)[:, :3]  # it is ahead by the delay
     if float(((vertices - due) ** 2).sum(axis=1).max()) <= most * most:
         return ""  # so near where it is due, it is no further from the path
-    corners = np.vstack([plan.origin[part, :3], reference.at_knots(np.array([reference.knots]))])
+    corners = np.vstack([moves.start[part, :3], moves.end[section.last - 1, :3]])
     path_t = np.maximum.accumulate(np.append(plan.start_t[part], section.end_t))
     away = float(contour_error(path_t, corners, t, vertices).max())
     return "" if away <= most else f"it leaves its path by {away:.3g} mm, and {most:.2g} mm are allowed"

@@ -168,7 +168,7 @@ def _checked(solved: SolvedSection, planned: PlannedProgram, model: InverseModel
     if extent == WHOLE:
         return replace(solved, fault=fault_of(model, planned.program.moves, plan, section, reference, vertices))
     first, last = solved.knots
-    why = path_fault(model, plan, section, reference, vertices[first : last + 1], first)
+    why = path_fault(model, planned.program.moves, plan, section, reference, vertices[first : last + 1], first)
     if why:
         line = planned.program.first_line + int(planned.program.moves.line[section.first]) + 1
         raise LimitsError(

@@ -116,6 +116,8 @@ class Reference:
         through : a time of the plan's clock that must be a knot, whose number divides by another
         room : beyond the path; None: what it needs
         """
+        # by rounding, what follows may begin just before the section ends, and somewhere else
+        trajectory = trajectory.part(section.first, section.last)
         room = room or room_of(trajectory, section, settings)
         self.robust_offset: FloatArray | None = None  # (rows, 3) mm, where it is known already
         self.t0 = section.begin_t - room.lead_s  # s on the plan's clock

@@ -7,7 +7,7 @@ executed there.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import NamedTuple
 
 import numpy as np
@@ -54,6 +54,10 @@ class Trajectory:
         if not len(self):
             return 0.0
         return float(self.start_t[-1] + (self.accel_t[-1] + self.cruise_t[-1] + self.decel_t[-1]))
+
+    def part(self, first: int, last: int | None = None) -> Trajectory:
+        """Return the moves first … last - 1, on the same clock: nothing else has a place at any time."""
+        return Trajectory(*(getattr(self, each.name)[first:last] for each in fields(Trajectory)))
 
     def move_at(self, t: ArrayLike) -> IntArray:
         """Return the move under way at each time t, or the last one before it; the first one before it has begun."""
