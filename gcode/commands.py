@@ -362,18 +362,32 @@ def _velocity_limit(modal: Modal, command: Command) -> Effect:
     for key in fields.keys() & _LIMIT_FIELDS.keys():
         _positive(fields[key], command)
     modal.set_limits(**{name: fields[key] for key, name in _LIMIT_FIELDS.items() if key in fields})
-    ratio = fields.get("MINIMUM_CRUISE_RATIO")
-    if ratio is None and "ACCEL_TO_DECEL" in fields:
-        ratio = 1 - _positive(fields["ACCEL_TO_DECEL"], command) / modal.limits.acceleration
-    if ratio is not None and not isnan(ratio):
-        modal.set_limits(minimum_cruise_ratio=min(1.0, max(0.0, ratio)))
-    return _limits(modal, command.name)
+    if (ratio := fields.get("MINIMUM_CRUISE_RATIO")) is not None:
+        if not 0.0 <= ratio < 1.0:
+            rule = "Klipper stops unless it is at least 0 and below 1"
+            raise GcodeError(f"{command.name} has MINIMUM_CRUISE_RATIO={ratio:g}; {rule}.", command.line)
+        modal.set_limits(minimum_cruise_ratio=ratio)
+    return _limits(modal, command.name)._replace(warning=_accel_to_decel_warning(modal, fields))
+
+
+def _accel_to_decel_warning(modal: Modal, fields: dict[str, float]) -> str:
+    """Say where older Klippers go on with another cruise ratio; slicers write ACCEL_TO_DECEL for the default, too."""
+    value, acceleration = fields.get("ACCEL_TO_DECEL"), modal.limits.acceleration
+    if value is None or "MINIMUM_CRUISE_RATIO" in fields or isnan(acceleration):
+        return ""
+    usual = 0.5 if isnan(modal.limits.minimum_cruise_ratio) else modal.limits.minimum_cruise_ratio
+    ratio = 1.0 - min(value / acceleration, 1.0)
+    if abs(ratio - usual) < 0.01:
+        return ""
+    rule = f"only Klippers before 2024 obey it (a cruise ratio of {ratio:.3g}), and the plan has {usual:g}"
+    return f"ACCEL_TO_DECEL={value:g} is not followed: {rule}; set MINIMUM_CRUISE_RATIO instead"
 
 
 _LIMIT_FIELDS = {
     "VELOCITY": "velocity",
     "ACCEL": "acceleration",
     "SQUARE_CORNER_VELOCITY": "square_corner_velocity",
+    "ACCEL_TO_DECEL": "accel_to_decel",
 }
 
 

@@ -16,6 +16,7 @@ from typing import NamedTuple
 from gcode.errors import UnsupportedGcode
 from gcode.program import MotionLimits
 
+HIGHEST_CRUISE_RATIO = 0.999  # that three decimals write: Klipper stops at 1
 KLIPPER, MARLIN, REPRAPFIRMWARE = "klipper", "marlin", "reprapfirmware"
 FLAVORS = frozenset({KLIPPER, MARLIN, REPRAPFIRMWARE})
 
@@ -242,8 +243,11 @@ def _klipper(limits: MotionLimits, axes: str) -> list[bytes]:
         "VELOCITY": limits.velocity,
         "ACCEL": limits.acceleration,
         "SQUARE_CORNER_VELOCITY": limits.square_corner_velocity,
-        "MINIMUM_CRUISE_RATIO": limits.minimum_cruise_ratio,
+        "MINIMUM_CRUISE_RATIO": min(limits.minimum_cruise_ratio, HIGHEST_CRUISE_RATIO),
+        "ACCEL_TO_DECEL": limits.accel_to_decel,
     }
+    if limits.accel_to_decel != limits.accel_to_decel:  # what older Klippers and their forks have for the ratio
+        fields["ACCEL_TO_DECEL"] = limits.acceleration * (1.0 - fields["MINIMUM_CRUISE_RATIO"])
     text = "".join(f" {key}={_number(value)}" for key, value in fields.items() if value == value)
     return [f"SET_VELOCITY_LIMIT{text}\n".encode()] if text else []
 

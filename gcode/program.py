@@ -56,6 +56,7 @@ class MotionLimits:
     minimum_cruise_ratio: float = nan  # -
     travel_acceleration: float = nan  # mm/s², Marlin and RepRapFirmware: of moves that do not extrude; NaN: no other
     filament_velocity: float = nan  # mm/s of filament, likewise
+    accel_to_decel: float = nan  # mm/s², in older Klippers what the cruise ratio is; NaN: by that
 
 
 MACHINE_LIMITS = MotionLimits()
@@ -65,7 +66,7 @@ class LimitCommand(NamedTuple):
     """A command that sets limits of the firmware's planner, in whatever spelling."""
 
     code: str  # M201, M203, M204, M205, M566, SET_VELOCITY_LIMIT, RESET_VELOCITY_LIMIT
-    words: Mapping[str, float]  # mm, mm/s, mm/s²; M205 B in µs; M204 S as P and T; Klipper's are in `after` alone
+    words: Mapping[str, float]  # mm, mm/s, mm/s²; M205 B in µs; M204 S as P and T; Klipper's are in `after`
     after: MotionLimits = MACHINE_LIMITS  # what the file asks for from here on
 
 

@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike
 from gcode.arcs import ARC_TOLERANCE_MM, Arc, arc_by_centre, arc_by_radius
 from gcode.commands import MOVED, PASS, PASSING_M_CODES, Effect, apply
 from gcode.dialects import (
+    KLIPPER,
     MARLIN,
     REPRAPFIRMWARE,
     detect_flavor,
@@ -359,6 +360,17 @@ class _Reader:
     def _motion(self, at: int, command: Command) -> None:
         """Follow a move in any form: unusual spelling, arcs, no displacement, unknown positions."""
         modal = self.modal
+        if not command.name and modal.flavor == KLIPPER:
+            self._warn(
+                "bare", at, f"{shown(command.args)} has no command; Klipper does not know such a line, and stays"
+            )
+            self._event(at, PASS)
+            return
+        if not command.name and modal.flavor == MARLIN:
+            rule = (
+                "it goes on with the last move, as Marlin does if built with GCODE_MOTION_MODES; other builds skip it"
+            )
+            self._warn("bare", at, f"{shown(command.args)} has no command; {rule}")
         words = command.numbers()
         modal.motion = command.name or modal.motion or ("G1" if words.keys() == {"F"} else "")
         if not modal.motion:

@@ -419,7 +419,10 @@ class Writer:
         if self.marlin is not None:
             return self._limit_lines(self.marlin.closing(self.file_limits))
         if self.flavor == KLIPPER:
-            return close_limits(self.flavor, _first_known(self._limits_at(self.move), self.machine_limits))
+            latest = next(reversed(self.file_limits.values()), None)
+            own = MotionLimits() if latest is None else latest.after
+            file = replace(self._limits_at(self.move), accel_to_decel=own.accel_to_decel)
+            return close_limits(self.flavor, _first_known(file, self.machine_limits))
         return self._limit_lines([*self.machine_limit_commands, *self.file_limits.values()])
 
     def _opening(self) -> list[bytes]:

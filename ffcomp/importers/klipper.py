@@ -376,5 +376,13 @@ def _notes(config: KlipperConfig) -> Iterator[str]:
             f"{ratio.origin} = {ratio.number:g}: ffcomp plans with {CRUISE_RATIO:g}; say "
             f"SET_VELOCITY_LIMIT MINIMUM_CRUISE_RATIO={ratio.number:g} in the start G-code."
         )
+    older, most = config.number("printer", "max_accel_to_decel"), config.number("printer", "max_accel")
+    if ratio is None and older is not None and most is not None:
+        in_older = 1.0 - min(older.number / most.number, 1.0)
+        if abs(in_older - CRUISE_RATIO) > 0.01:
+            yield (
+                f"{older.origin} = {older.number:g}: a cruise ratio of {in_older:.3g} in Klippers before 2024, which "
+                f"ffcomp plans with {CRUISE_RATIO:g}; set max_accel_to_decel: {most.number * (1 - CRUISE_RATIO):g}."
+            )
     if (limited := config.text("printer", "kinematics")) and limited.text.startswith("limited_"):
         yield f"{limited.place}: the limits of single axes of {limited.text!r} have no place in a machine file."

@@ -36,7 +36,7 @@ def test_a_refusal_names_the_line_and_the_rule() -> None:
 
 def test_bare_words_after_an_unknown_code_are_not_taken_for_a_move() -> None:
     with pytest.raises(GcodeError, match="has no command"):
-        read_program((START + "G81 X15 Z2 R5\nX20\n").encode())
+        read_program((START + "G81 X15 Z2 R5\nX20\n").encode(), flavor="marlin")
 
 
 def test_marlins_kept_feed_factor() -> None:

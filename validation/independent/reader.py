@@ -273,8 +273,6 @@ class _Reader:
 
             acceleration = number(b"ACCEL", old.acceleration)
             ratio = number(b"MINIMUM_CRUISE_RATIO", old.cruise_ratio)
-            if b"ACCEL_TO_DECEL" in said:
-                ratio = 1.0 - min(float(said[b"ACCEL_TO_DECEL"]) / acceleration, 1.0)
             corner = number(b"SQUARE_CORNER_VELOCITY", old.corner_velocity)
             now.limits = Limits(number(b"VELOCITY", old.velocity), acceleration, corner, ratio)
         elif name == b"SAVE_GCODE_STATE":

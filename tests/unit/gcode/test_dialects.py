@@ -75,7 +75,11 @@ def test_real_files(name: str, flavor: str, slicer: str) -> None:
 
 def test_klipper_limits_as_text() -> None:
     assert open_limits("klipper", 300, 5e4, 100) == [
-        b"SET_VELOCITY_LIMIT VELOCITY=300 ACCEL=50000 SQUARE_CORNER_VELOCITY=100 MINIMUM_CRUISE_RATIO=0\n"
+        b"SET_VELOCITY_LIMIT VELOCITY=300 ACCEL=50000 SQUARE_CORNER_VELOCITY=100 MINIMUM_CRUISE_RATIO=0"
+        b" ACCEL_TO_DECEL=50000\n"
+    ]
+    assert close_limits("klipper", MotionLimits(acceleration=3000, minimum_cruise_ratio=0.9999)) == [
+        b"SET_VELOCITY_LIMIT ACCEL=3000 MINIMUM_CRUISE_RATIO=0.999 ACCEL_TO_DECEL=3\n"  # Klipper stops at 1
     ]
 
 

@@ -218,6 +218,13 @@ def test_bare_words_repeat_the_last_motion() -> None:
         read("X1")
 
 
+def test_klipper_does_not_know_bare_words() -> None:
+    program = read("G1 X1 F600", "X2 Y2 E1", "F60", "G1 X3", flavor="klipper")
+    assert ends(program) == [[1, 0, 0, 0], [3, 0, 0, 0]] and kinds(program) == [EventKind.PASS] * 2
+    assert program.moves.speed.tolist() == [10, 10]
+    assert program.warnings[0].startswith("line 2: 'X2 Y2 E1' has no command; Klipper does not know")
+
+
 @pytest.mark.parametrize(
     "spelling", ["G1 X2 Y3 Z4 E5 F600", "G01X2Y3Z4E5F600", "g1 f600 e5 z4 y3 x2", "G1 Z4 X2 Y3 F600 E5"]
 )
@@ -348,10 +355,20 @@ def test_klipper_limits() -> None:
     )  # fmt: skip
     moves, nan = program.moves, math.nan
     np.testing.assert_equal(moves.acceleration, [nan, 3000, 3000, 500, nan])
-    np.testing.assert_equal(moves.minimum_cruise_ratio, [nan, 0.5, 0, 0, nan])
+    np.testing.assert_equal(moves.minimum_cruise_ratio, [nan, nan, 0, 0, nan])
     np.testing.assert_equal(moves.velocity_limit, [nan, nan, 100, 100, nan])
     np.testing.assert_equal(moves.square_corner_velocity, [nan, nan, 8, 8, nan])
     assert [event.limits is not None for event in program.events] == [True, True, True, True, False, True]
+
+
+def test_accel_to_decel_is_for_older_klippers_alone() -> None:
+    """Klipper's default is half of the acceleration, which slicers write, too; 30 of 3000 would be a ratio of 0.99."""
+    usual = read("SET_VELOCITY_LIMIT ACCEL=3000 ACCEL_TO_DECEL=1500", "G1 X1 F60", flavor="klipper")
+    assert np.isnan(usual.moves.minimum_cruise_ratio).all() and usual.warnings == []
+    gentle = read("SET_VELOCITY_LIMIT ACCEL=3000 ACCEL_TO_DECEL=30", "G1 X1 F60", flavor="klipper")
+    assert np.isnan(gentle.moves.minimum_cruise_ratio).all() and "ratio of 0.99" in gentle.warnings[0]
+    with pytest.raises(GcodeError, match="MINIMUM_CRUISE_RATIO=1; Klipper stops"):
+        read("SET_VELOCITY_LIMIT MINIMUM_CRUISE_RATIO=1", flavor="klipper")
 
 
 def test_marlin_travels_with_its_own_acceleration() -> None:

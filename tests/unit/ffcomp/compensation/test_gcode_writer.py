@@ -164,6 +164,17 @@ def test_a_stop_comes_to_rest_on_the_path_and_the_limits_are_back() -> None:
     assert text[at + 1] == b"G1 Z5 F600"  # nobody knows where homing leaves the nozzle: the firmware plans this
 
 
+def test_older_klippers_get_accel_to_decel_and_back_what_the_print_had() -> None:
+    """Forks that do not know the cruise ratio, such as a Creality K1's, brake short segments without it."""
+    limits = b"SET_VELOCITY_LIMIT ACCEL=3000 ACCEL_TO_DECEL=%d\nM204 S2000\n"
+    for own, back in ((b"", b"ACCEL_TO_DECEL="), (limits % 30, b"ACCEL=2000"), (limits % 30, b"ACCEL_TO_DECEL=30 ")):
+        out = compensated(START + own + b"G1 X30 Y20 F9000\nG28\n").splitlines()
+        opened, closed = (line for line in out if line.startswith(b"SET_VELOCITY_LIMIT V"))
+        words = dict(word.split(b"=") for word in opened.split()[1:5] + opened.split()[5:6])
+        assert words[b"ACCEL_TO_DECEL"] == words[b"ACCEL"] and words[b"MINIMUM_CRUISE_RATIO"] == b"0"
+        assert back in closed and b"MINIMUM_CRUISE_RATIO=0.5" in closed
+
+
 def test_marlins_own_caps_come_back_as_the_file_set_them() -> None:
     limits = b"M201 X500 Y600\nM203 X200 Y200\nM204 P800 T900\nM205 X8 Y8\nM201 X700 Y600\n"
     out = compensated(START + limits + b"G1 X30 Y20 F9000\nG28\n", flavor="marlin").splitlines()
