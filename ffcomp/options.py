@@ -13,8 +13,10 @@ FIGURES = ("", ".png", ".svg", ".pdf")
 FLAVORS = ("klipper", "marlin", "reprapfirmware")
 
 
-def parse_offset(text: str) -> Offset:
-    """Read `X,Y` in mm."""
+def parse_offset(text: str) -> Offset | None:
+    """Read `X,Y` in mm; None for `auto`."""
+    if text == "auto":
+        return None
     try:
         x, y = (float(part) for part in text.split(","))
         if not isfinite(x + y):
@@ -22,11 +24,6 @@ def parse_offset(text: str) -> Offset:
     except ValueError:
         raise RequestError(f"--offset-mm {text!r}: two numbers with a comma between them, in mm.") from None
     return x, y
-
-
-def parse_offset_or_auto(text: str) -> Offset | None:
-    """Read `X,Y` in mm; None for `auto`."""
-    return None if text == "auto" else parse_offset(text)
 
 
 def parse_figure(text: str) -> Path:
@@ -53,12 +50,13 @@ PLANT = Option(
     metavar="NAME",
 )
 OFFSET = Option(
-    "Shift added to every position, for a print whose origin is a corner of the bed, e.g. -110,-110.",
+    "Move the print: a shift added to every position, e.g. -110,-110 for a print whose origin is a corner of the bed. "
+    "auto: none where the print lies inside as it is, else one that brings it inside.",
     MACHINE,
     "--offset-mm",
     metavar="X,Y",
     parse=parse_offset,
-    unset="0,0",
+    unset="auto",
     label="Shift, mm",
 )
 FLAVOR = Option(

@@ -13,6 +13,7 @@ from ffcomp.comparison.request import CompareRequest
 from ffcomp.comparison.result import Comparison
 from ffcomp.comparison.sampling import Print, Sampling
 from ffcomp.compensation.batch import workers
+from ffcomp.compensation.placement import place_print
 from ffcomp.errors import RequestError, missing_extras_explained
 from ffcomp.inverse.settings import settings_for
 from ffcomp.metrics import Track
@@ -85,8 +86,13 @@ def compare_print(request: CompareRequest, note: Callable[[str], None] = lambda 
     data, offset = read_bytes(Path(request.file), request.plate), request.offset_mm
     if already_processed(data) is not None:
         note(f"{request.file} is compensated already: what is compared is the original that it holds.")
-        offset = offset if any(offset) else find_offset(data[:STAMP_REACH])
+        offset = find_offset(data[:STAMP_REACH]) if offset is None else offset
         data = original(data)
+    if offset is None:
+        placed = place_print(data, str(request.file), machine, request.flavor)
+        offset = placed.offset
+        if placed.notable:
+            note(placed.reason)
     if plant is not None:
         check_same_kinematics(machine, plant)
     printed = Print(data, str(request.file), machine, offset, request.flavor)

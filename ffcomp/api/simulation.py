@@ -7,12 +7,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ffcomp.api.machines import load_machine
+from ffcomp.compensation.placement import NOWHERE, Placement, place_print
 from ffcomp.errors import missing_extras_explained
 from ffcomp.request import function
 from ffcomp.simulation.command import Command
 from ffcomp.simulation.request import SimulateRequest
 from ffcomp.simulation.simulation import Request as Part
 from ffcomp.simulation.simulation import SimulationResult, read_command, simulate_command
+from ffcomp.steps.archive import is_step_archive
+from gcode.container import read_bytes
+from gcode.embedded import already_processed
+from gcode.text import check_regular
 from models.arrays import FloatArray
 from models.machine import Machine
 
@@ -45,8 +50,20 @@ def read_simulation(request: SimulateRequest) -> tuple[Command, Machine, Machine
     """Read what is to be simulated: the command, the machine that made it, the printer that moves, and warnings."""
     machine = load_machine(request.machine)
     plant = load_machine(request.plant) if request.plant else machine
-    command, warnings = read_command(request.file, machine, request.offset_mm, request.flavor, request.plate)
-    return command, machine, plant, warnings
+    placed = _placement(request, machine)
+    command, warnings = read_command(request.file, machine, placed.offset, request.flavor, request.plate)
+    return command, machine, plant, [*([placed.reason] if placed.notable else []), *warnings]
+
+
+def _placement(request: SimulateRequest, machine: Machine) -> Placement:
+    """Choose where a sliced print lies; a compensated one and step timings say so themselves."""
+    path = Path(request.file)
+    if request.offset_mm is not None:
+        return Placement(request.offset_mm, "")
+    check_regular(path)
+    if is_step_archive(path) or already_processed(data := read_bytes(path, request.plate)) is not None:
+        return Placement(NOWHERE, "")
+    return place_print(data, str(path), machine, request.flavor)
 
 
 def run_simulation(request: SimulateRequest, command: Command, machine: Machine, plant: Machine) -> Simulation:

@@ -98,7 +98,7 @@ class CompareRequest(Request):
             label="Comparison: methods",
         ),
     ] = ()
-    offset_mm: Annotated[Offset, OFFSET] = (0.0, 0.0)
+    offset_mm: Annotated[Offset | None, OFFSET] = None
     flavor: Annotated[str, FLAVOR] = ""
     max_segments_per_second: Annotated[float, SEGMENT_RATE] = 250.0
     plate: Annotated[int | None, PLATE] = None

@@ -11,12 +11,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ffcomp.integrations.slicer import Bed, between, offset_for, pair, place
+from ffcomp.integrations.slicer import Bed, bed_in, between, offset_for, pair, place
+from ffcomp.planner.program import read_as_planned
 from ffcomp.planner.reach import PartMoves
+from gcode.container import Source, blocks_of, ends_of
+from gcode.dialects import choose_flavor, sign_by_ends
 from gcode.program import Program
 from models.arrays import FloatArray
 from models.compiled import kernel
 from models.kinematics.base import SLACK_MM, Kinematics
+from models.machine import Machine
 
 Offset = tuple[float, float]
 NOWHERE: Offset = (0.0, 0.0)
@@ -81,6 +85,19 @@ def _hull(points: FloatArray) -> FloatArray:
             count += 1
         least = count
     return corners[: count - 1].copy()
+
+
+def place_print(source: Source, path: str, machine: Machine, flavor: str) -> Placement:
+    """Choose the offset of a print that is not compensated yet, as `compensate` does.
+
+    Parameters
+    ----------
+    flavor : "" for what the machine file says, or else the file
+    """
+    head, tail, _ = ends_of(source)
+    stated = choose_flavor(flavor, machine.flavor, sign_by_ends(head, tail), path).flavor
+    programs = read_as_planned(blocks_of(source), path, machine, stated)
+    return choose_offset(machine.kinematics, bed_in(head, tail), lambda: footprint_of(programs))
 
 
 def choose_offset(kinematics: Kinematics, bed: Bed | None, footprint: Callable[[], Footprint | None]) -> Placement:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
+from ffcomp.compensation.placement import Offset, Placement, place_print
 from ffcomp.errors import NothingToDo
 from ffcomp.estimation.statistics import BEFORE, FILAMENT, KINDS, Layer, Statistics, planned_slices
 from ffcomp.numerics.serialise import to_json
@@ -56,7 +57,7 @@ def stamp_of(source: Source) -> Stamp | None:
 
 
 def estimate(
-    source: Source, path: str, machine: Machine, *, flavor: str = "", offset: tuple[float, float] = (0.0, 0.0)
+    source: Source, path: str, machine: Machine, *, flavor: str = "", offset: Offset | None = None
 ) -> Estimate:
     """Plan a file as the firmware does, and add up its times. Memory does not grow with the file.
 
@@ -65,7 +66,8 @@ def estimate(
     source : the file
     path : its name, for errors
     flavor : {"", "klipper", "marlin", "reprapfirmware"}, "" for what the machine file says, or else the file
-    offset : (float, float), added to every position of a print that is not compensated yet, mm
+    offset : (float, float), added to every position of a print that is not compensated yet, mm; None: as `compensate`
+        chooses it
 
     Raises
     ------
@@ -77,7 +79,10 @@ def estimate(
     requested = flavor or (stamp.flavor if stamp else "")
     flavor = choose_flavor(requested, machine.flavor, sign_by_ends(head, tail), path).flavor
     if stamp is None:
-        return Estimate(path, machine, flavor, _statistics(blocks_of(source), path, machine, flavor, offset), None)
+        placed = place_print(source, path, machine, flavor) if offset is None else Placement(offset, "")
+        statistics = _statistics(blocks_of(source), path, machine, flavor, placed.offset)
+        statistics.warnings += [placed.reason] if placed.notable else []
+        return Estimate(path, machine, flavor, statistics, None)
     written = _statistics(blocks_of(source), path, machine, flavor, (0.0, 0.0))
     if not holds_original(head):
         return Estimate(path, machine, flavor, written, None)
@@ -85,9 +90,7 @@ def estimate(
     return Estimate(path, machine, flavor, written, _statistics(before, path, machine, flavor, find_offset(head)))
 
 
-def _statistics(
-    blocks: Iterable[bytes], path: str, machine: Machine, flavor: str, offset: tuple[float, float]
-) -> Statistics:
+def _statistics(blocks: Iterable[bytes], path: str, machine: Machine, flavor: str, offset: Offset) -> Statistics:
     parts = read_as_planned(blocks, path, machine, flavor, offset_mm=offset)
     statistics = Statistics()
     if assumed := settings_sentence(flavor, machine):

@@ -14,7 +14,7 @@ from ffcomp.request import Argument, MachineLike, Request
 class EstimateOptions(Request):
     """How prints are read."""
 
-    offset_mm: Annotated[Offset, OFFSET] = (0.0, 0.0)
+    offset_mm: Annotated[Offset | None, OFFSET] = None
     flavor: Annotated[str, FLAVOR] = ""
 
 

@@ -68,7 +68,7 @@ class SimulateRequest(Request):
         ),
     ] = SIGNALS
     gravity: Annotated[bool, Option("Let the weight deflect the belts and the extruder's mount.", ADVANCED)] = True
-    offset_mm: Annotated[Offset, OFFSET] = (0.0, 0.0)
+    offset_mm: Annotated[Offset | None, OFFSET] = None
     flavor: Annotated[str, FLAVOR] = ""
     plate: Annotated[int | None, PLATE] = None
     progress: Callable[[float], None] = lambda done_s: None

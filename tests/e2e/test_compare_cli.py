@@ -30,11 +30,6 @@ def small(tmp_path: Path) -> Path:
     return path
 
 
-def test_only_compensate_chooses_an_offset() -> None:
-    result = CliRunner().invoke(app, ["compare", "print.gcode", "-m", "kossel", "--offset-mm", "auto"])
-    assert result.exit_code == 2 and "two numbers with a comma between them" in result.output
-
-
 def test_the_whole_way(small: Path, tmp_path: Path) -> None:
     page, pictures = tmp_path / "report.html", tmp_path / "pictures"
     options = ("-m", "mp-delta-pro", "--only", "mzv", "--quality-um", "0", "--report", page, "--figures", pictures)
