@@ -274,7 +274,7 @@ def limits(found: Numbers) -> Iterator[str]:
 
 def step_timings(found: Numbers) -> Iterator[str]:
     slowest = min(row["steps"] / row["cpu_s"] for rows in found.values() for row in rows[:2]) / 1e6
-    yield f"""`--output steps` (exact) and `--output klipper-steps` (compressed): from a print's plan to an archive,
+    yield f"""`--kind steps` (exact) and `--kind klipper-steps` (compressed): from a print's plan to an archive,
 three carriages and the filament. *Sampled* is what one would write in NumPy at first, and it writes no file: the plan
 at every moment, inverse kinematics, whole microsteps, straight lines between. Errors are against the exact
 steps, which are off by half a tick of the board's clock.

@@ -50,7 +50,7 @@ COMMANDS = (
     Command("compensate tower (delta)", "compensate {prints}/ringing_tower.gcode -m mp-delta-pro -o out.gcode -q"),
     Command("compensate vase (delta)", "compensate {prints}/lobed_vase.gcode -m mp-delta-pro -o out.gcode -q"),
     Command("compensate star (delta)", "compensate {prints}/far_star.gcode -m mp-delta-pro -o out.gcode -q"),
-    Command("compensate, steps", "compensate {prints}/lobed_vase.gcode -m mp-delta-pro --output steps -o o.npz -q"),
+    Command("compensate, steps", "compensate {prints}/lobed_vase.gcode -m mp-delta-pro --kind steps -o o.npz -q"),
     Command(
         "compensate tower (cartesian)",
         "compensate {data}/gcode/ender3_ringing_tower.gcode -m ender-3 -o out.gcode -q",

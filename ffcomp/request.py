@@ -10,7 +10,7 @@ To add an option, add a field to the verb's request and use it where the verb do
     @dataclass(frozen=True)
     class RestoreRequest(Request):
         file: Annotated[Path, Argument("Compensated print.", metavar="FILE")]
-        output: Annotated[Path | None, Option("Write here.", OUTPUT, "--output-file", "-o", metavar="FILE")] = None
+        output: Annotated[Path | None, Option("Write here.", OUTPUT, "--output", "-o", metavar="FILE")] = None
         layers: Annotated[int, Option("Layers to restore.", OUTPUT, metavar="N", low=1)] = 1
 
     # ffcomp/cli/restore.py                                its docstring is the help

@@ -176,7 +176,7 @@ def _samples() -> Iterator[Run]:
     for kind in ("steps", "klipper-steps"):
         for name in ("ringing_tower", "far_star"):
             out = f"{name}.{kind}.npz"
-            order = ("compensate", f"samples/{name}.gcode", "-m", DELTA, "--output", kind, *STEPS, "-o", out, "--json")
+            order = ("compensate", f"samples/{name}.gcode", "-m", DELTA, "--kind", kind, *STEPS, "-o", out, "--json")
             yield Run(f"compensate {name} as {kind}", order, (out,), quick=False)
 
 
@@ -196,7 +196,7 @@ def _small() -> Iterator[Run]:
         out = f"small.{kind}.npz"
         yield Run(
             f"small {kind}",
-            ("compensate", source, "-m", DELTA, "--output", kind, *STEPS, "-o", out, "--json"),
+            ("compensate", source, "-m", DELTA, "--kind", kind, *STEPS, "-o", out, "--json"),
             (out,),
         )
         yield Run(
@@ -207,7 +207,7 @@ def _small() -> Iterator[Run]:
         )
     yield Run(
         "small plain steps",
-        ("compensate", source, "-m", DELTA, "--output", "steps", "--inverse", "none", *STEPS, "-o", "plain.npz"),
+        ("compensate", source, "-m", DELTA, "--kind", "steps", "--inverse", "none", *STEPS, "-o", "plain.npz"),
         ("plain.npz",),
         False,
     )
@@ -219,7 +219,7 @@ def _small() -> Iterator[Run]:
     )
     yield Run("no such file", ("compensate", "nothing.gcode", "-m", DELTA, "-o", "n.gcode", "--json"))
     yield Run("no such option", ("compensate", source, "-m", DELTA, "--no-such-option"))
-    yield Run("no extruder steps", ("compensate", source, "-m", DELTA, "--output", "steps", "-o", "n.npz"))
+    yield Run("no extruder steps", ("compensate", source, "-m", DELTA, "--kind", "steps", "-o", "n.npz"))
 
 
 def _odd() -> Iterator[Run]:

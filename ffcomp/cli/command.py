@@ -179,5 +179,6 @@ def _without_auto(words: list[str]) -> list[str]:
 
 def _usage(error: CycloptsError) -> str:
     if isinstance(error, MissingArgumentError) and error.argument is not None and not error.argument.tokens:
-        return f"{error.argument.name} is missing."
+        names = " (a name of ffcomp machines list, or a file)" if error.argument.name == "--machine" else ""
+        return f"{error.argument.name} is missing{names}."
     return str(error).strip()

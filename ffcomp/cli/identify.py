@@ -105,8 +105,9 @@ def scan(request: ScanRequest, shown: Shown) -> None:
 def ringing(request: RingingRequest, shown: Json) -> None:
     """Move a machine's modes to frequencies that you have read off a print, where there is nothing to measure with.
 
-    Print a tower with walls along x and y and a sharp corner before each, the shaper off. The speed of the wall in mm/s
-    over the distance of two waves in mm is the frequency. What is read so is known to 5 %.
+    Print a tower with walls along x and y and a sharp corner before each, the shaper off. Then
+    frequency (Hz) = wall speed (mm/s) × number of waves ÷ distance they span (mm), e.g. 100 × 6 ÷ 12.1 = 49.6 Hz.
+    What is read so is known to 5 %.
 
     Example: ffcomp identify ringing --x-hz 48 --y-hz 37 -m ender-3 -o my-ender.toml
     """

@@ -89,7 +89,7 @@ def check_machine(request: MachineRequest, shown: Json) -> None:
     quantities, sound = redundant_quantities(loaded), check_physics(loaded)
     disagreements = redundancy_problems(loaded)
     problems, notes = _instability(unstable_positions(loaded)), [*disagreements, *_energy_notes(loaded, sound)]
-    notes += [*_assumed(loaded), *still_assumed(loaded.provenance)]
+    notes += [*_assumed(loaded), *still_assumed(loaded.provenance, loaded.flavor)]
     if shown.as_json:
         consistency = [_quantity_json(quantity) for quantity in quantities]
         result = {"problems": problems, "notes": notes, "consistency": consistency, "soundness": asdict(sound)}
@@ -108,7 +108,7 @@ def _check_axes(machine: Machine, problems: list[str], as_json: bool) -> None:
     """Modes of straight axes: no forces, so no energy to keep account of."""
     from ffcomp.importers.builder import still_assumed
 
-    notes = [*_assumed(machine), *still_assumed(machine.provenance)]
+    notes = [*_assumed(machine), *still_assumed(machine.provenance, machine.flavor)]
     if as_json:
         _print_json("machine-check", machine=_identity(machine), problems=problems, notes=notes)
     for problem in problems:

@@ -18,7 +18,7 @@ INCOMPLETE = 5  # the file was written, but it is no machine file yet
 
 @verb
 def import_machine(request: ImportMachineRequest, shown: Json) -> None:
-    """Import a Klipper, Kalico, RepRapFirmware or Marlin configuration. Never overwrites.
+    """Import a Klipper, Kalico, RepRapFirmware or Marlin configuration. Overwrites only what it left incomplete.
 
     ffcomp states the source of each parameter, which ones are assumed, and which are still missing. The file's
     content decides its kind, not its name.
@@ -48,10 +48,11 @@ def import_machine(request: ImportMachineRequest, shown: Json) -> None:
 
 def _write(text: str, path: Path) -> None:
     from ffcomp.cli.common import fail
+    from ffcomp.importers.builder import is_incomplete
 
     path.parent.mkdir(parents=True, exist_ok=True)
     try:
-        with path.open("x", encoding="utf-8") as file:
+        with path.open("w" if is_incomplete(path) else "x", encoding="utf-8") as file:
             file.write(text)
     except FileExistsError:
         fail(f"{path}: this file exists already; give another --output.", 2)
@@ -96,13 +97,15 @@ TITLES = {
 
 
 def _print(made: MachineDraft, path: Path, model_hz: float | None) -> None:
+    from ffcomp.importers.builder import by_hint, by_remedy
     from models.machine import is_assumed
 
     print(f"{path}: a {made.config.kinematics} machine, from a {made.config.firmware} configuration.")
     for how, title in TITLES.items():
         _print_values(title, {key: value for key, value in made.values.items() if value.how == how})
-    _print_remedies("Still missing", made.missing)
-    _print_remedies("How to know better", [key for key, value in made.values.items() if is_assumed(value.origin)])
+    _print_remedies("Still missing", by_remedy(made.missing))
+    assumed = [key for key, value in made.values.items() if is_assumed(value.origin)]
+    _print_remedies("How to know better", by_hint(assumed, made.config.firmware.lower()))
     if made.config.notes:
         print("\nNot in the machine file", *(f"  {note}" for note in made.config.notes), sep="\n")
     if model_hz is not None:
@@ -122,12 +125,10 @@ def _print_values(title: str, values: Mapping[str, Value]) -> None:
         print(f"  {key:<41} {_shown(value.value):<22} {value.origin}")
 
 
-def _print_remedies(title: str, keys: Collection[str]) -> None:
-    from ffcomp.importers.builder import by_hint
-
-    if keys:
+def _print_remedies(title: str, remedies: Mapping[str, Collection[str]]) -> None:
+    if remedies:
         print(f"\n{title}")
-    for what, same in by_hint(keys).items():
+    for what, same in remedies.items():
         print(f"  {', '.join(same)}\n      {what}")
 
 

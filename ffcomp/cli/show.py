@@ -26,7 +26,7 @@ class ShowRequest(Request):
         Option(
             "Picture: .png, .svg or .pdf. Default: FILE.png.",
             OUTPUT,
-            "--output-file",
+            "--output",
             "-o",
             metavar="FILE",
             parse=parse_figure,

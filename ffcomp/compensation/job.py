@@ -160,7 +160,7 @@ def _step_output(request: CompensateOptions, machine: Machine) -> StepOutput | N
     per_mm = request.extruder_steps_per_mm or machine.steps.extruder_steps_per_mm
     if per_mm is None:
         raise RequestError(
-            f"--output {request.kind} needs the extruder's microsteps per mm of filament: --extruder-steps-per-mm N, "
+            f"--kind {request.kind} needs the extruder's microsteps per mm of filament: --extruder-steps-per-mm N, "
             "or extruder_steps_per_mm in [steps] of the machine file."
         )
     return StepOutput(Board(per_mm), ROW_ERROR_S if request.kind == "klipper-steps" else None, plain)

@@ -15,10 +15,10 @@ from ffcomp.options import (
     KEEP_SPEED,
     MAX_FLOW,
     MIN_LAYER_TIME,
+    OFFSET,
     SCHEDULER,
     SEGMENT_RATE,
     Offset,
-    parse_offset_or_auto,
 )
 from ffcomp.request import ACCURACY, ADVANCED, FASTER, MACHINE, OUTPUT, SPEED, Argument, MachineLike, Option, Request
 
@@ -58,22 +58,10 @@ class CompensateOptions(Request):
             "Kind of output: gcode; steps, the time of every step (.npz); klipper-steps, the same compressed into rows "
             "(.npz); host, the motion that the module for Klipper's and Kalico's host plays (.ffm).",
             OUTPUT,
-            "--output",
             metavar="KIND",
         ),
     ] = "gcode"
-    offset_mm: Annotated[
-        Offset | None,
-        Option(
-            "Move the print: a shift added to every position, e.g. -110,-110 for a print whose origin is a corner of "
-            "the bed. auto: none where the print lies inside as it is, else one that brings it inside.",
-            MACHINE,
-            metavar="X,Y",
-            parse=parse_offset_or_auto,
-            unset="auto",
-            label="Shift, mm",
-        ),
-    ] = None
+    offset_mm: Annotated[Offset | None, OFFSET] = None
     flavor: Annotated[str, FLAVOR] = ""
     force: Annotated[
         bool,
@@ -175,7 +163,7 @@ class CompensateOptions(Request):
     def check(self) -> None:
         """Check what several options say together."""
         if self.inverse == "none" and self.kind == "gcode":
-            raise RequestError("--inverse none leaves the G-code as it is; it is for --output steps and host.")
+            raise RequestError("--inverse none leaves the G-code as it is; it is for --kind steps and host.")
         self._check_faster()
 
     def _check_faster(self) -> None:
@@ -217,7 +205,7 @@ class CompensateFilesRequest(CompensateOptions):
     machine: MachineToPrintOn
     output: Annotated[
         Path | None,
-        Option("Write here and leave the input unchanged.", OUTPUT, "--output-file", "-o", metavar="FILE"),
+        Option("Write here and leave the input unchanged.", OUTPUT, "--output", "-o", metavar="FILE"),
     ] = None
     output_dir: Annotated[
         Path | None,

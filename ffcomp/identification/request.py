@@ -171,7 +171,7 @@ class RingingRequest(Request):
     x_hz: Annotated[
         float | None,
         Option(
-            "Frequency along x: the speed of the wall over the distance of two waves. Of a delta's centre: any.",
+            "Frequency along x: wall speed × number of waves ÷ distance they span. Of a delta's centre: any.",
             MACHINE,
             "--x-hz",
             metavar="HZ",

@@ -21,6 +21,7 @@ from ffcomp.importers.klipper import from_klipper, read_klipper
 from ffcomp.importers.marlin import from_marlin
 from ffcomp.importers.reprapfirmware import from_reprapfirmware
 from ffcomp.importers.values import ConfigValues, PrinterConfigError, Value, commands, decoded, farthest_reach
+from models.errors import MachineFileError
 from models.file import LIBRARY, load_machine
 from models.machine import ASSUMED, MotionLimits, Steps, is_assumed
 
@@ -88,6 +89,8 @@ DEFAULTS = {  # optional in a machine file, but written by an import
     "steps.steps_per_mm": Steps().steps_per_mm,
     "steps.full_steps_per_mm": Steps().full_steps_per_mm,
 }
+CARRIAGE_ACCELERATION = "limits.carriage_acceleration_mm_per_s2"
+PEAK = 10.0  # of a command's acceleration over the firmware's, corners included
 FLAVOR = "firmware.flavor"
 USUAL_MICROSTEPS = 16.0
 UNCERTAIN, MEASURED_LENGTH = 0.2, 0.01  # relative standard deviations, as the library's assumed machines have them
@@ -125,7 +128,12 @@ def build_draft(config: ConfigValues, name: str, like: Path | None = None) -> Ma
         values.setdefault(key, value)
     has_arms = any(key in values for key in ARMS)
     required = [key for key in (*REQUIRED[config.kinematics], *REQUIRED_OF_ALL) if not (key in ARMS and has_arms)]
-    return MachineDraft(name, config, values, {key: hint(key) for key in required if key not in values}, stem or None)
+    flavor, start = config.firmware.lower(), ALIKE.get(config.kinematics, "")
+    missing = {key: hint(key, flavor) for key in required if key not in values}
+    for key in missing:
+        if start and not like and key.startswith(("axes.", "kinematics.")):
+            missing[key] = f"to start: --like {start}; better: {missing[key]}"
+    return MachineDraft(name, config, values, missing, stem or None)
 
 
 def _nearest_delta(config: ConfigValues) -> Path:
@@ -165,10 +173,21 @@ def _assumed(config: ConfigValues, lender: Mapping[str, Any], like: str) -> Iter
                 yield key, Value(value, "assumed", f"{ASSUMED}: as the machine {like!r}")
     if config.kinematics == "delta":
         yield from _assumed_reach(config, lender, like)
+    elif lender:
+        for key in (f"{axis}_range_mm" for axis in "xyz"):
+            yield (
+                f"kinematics.{key}",
+                Value(lender["kinematics"][key], "assumed", f"{ASSUMED}: as the machine {like!r}"),
+            )
     if steps := config.values.get("steps.steps_per_mm"):
         full = [each / USUAL_MICROSTEPS for each in steps.numbers]
         rule = f"{ASSUMED}: {USUAL_MICROSTEPS:g} microsteps for each full step"
         yield "steps.full_steps_per_mm", Value(full if len(full) > 1 else full[0], "assumed", rule)
+    if acceleration := config.values.get("limits.acceleration_mm_per_s2"):
+        highest = PEAK * acceleration.number
+        if highest < MotionLimits(0, 0).carriage_acceleration_mm_per_s2:
+            rule = f"{ASSUMED}: {PEAK:g} times the firmware's acceleration"
+            yield CARRIAGE_ACCELERATION, Value(highest, "assumed", rule)
     for key, default in DEFAULTS.items():
         table, _, name = key.partition(".")
         whose = f"as the machine {like!r}" if name in lender.get(table, {}) else "ffcomp's default"
@@ -205,7 +224,7 @@ def machine_text(draft: MachineDraft, source: Path) -> str:
         "A start: what is assumed says so in [provenance]; `ffcomp machines check` lists it.",
     ]
     if draft.missing:
-        heading.append(f"NOT COMPLETE: {', '.join(draft.missing)} must be filled in first.")
+        heading.append(f"{INCOMPLETE}: {', '.join(draft.missing)} must be filled in first.")
     for line in heading:
         document.add(tomlkit.comment(line))
     document.add(tomlkit.nl())
@@ -261,31 +280,58 @@ HINTS = {  # the beginning of a key -> how to get its value
     "carriage.": IDENTIFY,
     "effector.joint_radius_mm": "measure from the effector's centre to the arms' joints",
     "effector.": IDENTIFY,
-    "axes.": "a start: --like voron-300 or ender-3; to measure: resonance tests, or any accelerometer, to identify fit",
     "limits.carriage_": "what the motors do without losing steps",
     "limits.": "from the printer's description, or what it prints with",
     "steps.full_steps_per_mm": "full steps of a motor's turn (200, or 400) over the mm of a turn",
     "steps.": "microsteps of a motor's turn over the mm of a turn",
 }
+INCOMPLETE = "NOT COMPLETE"  # begins the comment in a file that lacks values
 IMPORTED = "imported"  # the entry in [provenance] that an import leaves
 
 
-def hint(key: str) -> str:
-    """Say how to get the value of a key."""
+MEASURE_AXES = {  # flavor -> how to measure the modes of straight axes
+    "klipper": "TEST_RESONANCES AXIS=X OUTPUT=raw_data, the same for Y, then ffcomp identify fit; without a sensor: "
+    "ffcomp identify ringing",
+    "reprapfirmware": f"{IDENTIFY} (a board with M955 records by itself)",
+    "marlin": "a ringing tower and ffcomp identify ringing, or any accelerometer and ffcomp identify fit",
+}
+ALIKE = {"corexy": "voron-300", "cartesian": "ender-3"}  # a common machine of the library, to start from
+
+
+def hint(key: str, flavor: str) -> str:
+    """Say how to get the value of a key, with what the firmware offers."""
+    if key.startswith("axes."):
+        return MEASURE_AXES.get(flavor, IDENTIFY)
     return next(what for beginning, what in HINTS.items() if key.startswith(beginning))
 
 
-def by_hint(keys: Iterable[str]) -> dict[str, list[str]]:
+def by_hint(keys: Iterable[str], flavor: str) -> dict[str, list[str]]:
     """Group keys by hint."""
+    return by_remedy({key: hint(key, flavor) for key in keys})
+
+
+def by_remedy(remedies: Mapping[str, str]) -> dict[str, list[str]]:
+    """Group keys by what there is to do."""
     grouped: dict[str, list[str]] = {}
-    for key in keys:
-        grouped.setdefault(hint(key), []).append(key)
+    for key, remedy in remedies.items():
+        grouped.setdefault(remedy, []).append(key)
     return grouped
 
 
-def still_assumed(provenance: Mapping[str, Any]) -> Iterator[str]:
+def is_incomplete(path: Path) -> bool:
+    """Tell whether an import has left a file incomplete, and nobody has completed it since."""
+    if not path.is_file() or INCOMPLETE not in path.read_text(encoding="utf-8", errors="replace"):
+        return False
+    try:
+        load_machine(path)
+    except MachineFileError:
+        return True
+    return False
+
+
+def still_assumed(provenance: Mapping[str, Any], flavor: str) -> Iterator[str]:
     """Yield a sentence for each group of assumed values of an imported machine file."""
     if IMPORTED not in provenance:
         return
-    for what, keys in by_hint(key for key, origin in provenance.items() if is_assumed(str(origin))).items():
+    for what, keys in by_hint((key for key, origin in provenance.items() if is_assumed(str(origin))), flavor).items():
         yield f"Not measured: {', '.join(keys)}. To know better: {what}."

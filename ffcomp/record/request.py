@@ -17,7 +17,7 @@ CENTRE, LINE_OF_ACTION = "centre", "line-of-action"
 MOVES = ("zigzag", "reversals", "loop", "multisine")
 SIGNALS = ("multisine", "sweep", "log-sweep")
 
-GCODE = Option("G-code to write. The plan is written beside it (.json).", OUTPUT, "--output-file", "-o", metavar="FILE")
+GCODE = Option("G-code to write. The plan is written beside it (.json).", OUTPUT, "--output", "-o", metavar="FILE")
 FLAVOR = Option(
     "Firmware. Default: the machine file's, or klipper.", MACHINE, metavar="NAME", choices=FLAVORS, label="Firmware"
 )

@@ -60,7 +60,7 @@ class Board:
 class MotorTotal:
     """What became of one motor's steps."""
 
-    steps: int  # with `--output steps`: of motors a, b, c, e
+    steps: int  # with `--kind steps`: of motors a, b, c, e
     rows: int  # after compression; 0 without
     swallowed: int  # left out because they turned back at once
     latest_s: float  # the longest that a pulse was put off to keep its distance

@@ -77,7 +77,7 @@ def test_compensate(page: Page, folder: Path) -> None:
     )
     plates = folder / "two.gcode.3mf"
     plates.write_bytes(archive_3mf(SMALL, SMALL))
-    steps = ("--output", "klipper-steps", "--extruder-steps-per-mm", "400", "-o", folder / "small.npz")
+    steps = ("--kind", "klipper-steps", "--extruder-steps-per-mm", "400", "-o", folder / "small.npz")
     answers = [
         *told("compensate", small, *MACHINE, "-q", "--dry-run"),
         *told("compensate", out, *MACHINE, "-q"),

@@ -119,7 +119,7 @@ def test_the_examples_of_measurements_can_be_read(tmp_path: Path) -> None:
 def test_the_arrays_of_a_step_archive_are_told(tmp_path: Path, kind: str) -> None:
     small, target = tmp_path / "small.gcode", tmp_path / "small.npz"
     small.write_bytes(SMALL)
-    options = ("--output", kind, "--extruder-steps-per-mm", "400", "-o", target, "-q", "--no-predict")
+    options = ("--kind", kind, "--extruder-steps-per-mm", "400", "-o", target, "-q", "--no-predict")
     call("compensate", small, *MACHINE, *options)
     told = {row[0].strip("`"): (row[1], row[2]) for row in rows_of(FILES, "Step archive")}
     here = {name for name, (_, where) in told.items() if where in ("both", f"`{kind}`")}

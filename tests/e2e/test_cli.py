@@ -118,7 +118,7 @@ def test_a_dry_run_writes_nothing(small: Path) -> None:
         (SMALL, ["--machine", "mp-delta-por"], 5, "Did you mean"),
         (SMALL, ["--flavor", "marlyn"], 2, "marlyn"),
         (SMALL, ["--offset-mm", "1;2"], 2, "offset"),
-        (SMALL, ["--output", "stone"], 2, "stone"),
+        (SMALL, ["--kind", "stone"], 2, "stone"),
     ],
 )
 def test_what_is_wrong_is_said_and_the_file_untouched(

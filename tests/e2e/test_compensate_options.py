@@ -61,7 +61,7 @@ def test_without_its_original_a_file_is_smaller_and_says_so(printed: Path, tmp_p
 @pytest.mark.parametrize(("kind", "rows"), [("steps", False), ("klipper-steps", True)])
 def test_step_timings_beside_the_print(printed: Path, kind: str, rows: bool) -> None:
     before = printed.read_bytes()
-    done = call(printed, "-m", MACHINE, "--output", kind, "--extruder-steps-per-mm", "400", "--json", "-q")
+    done = call(printed, "-m", MACHINE, "--kind", kind, "--extruder-steps-per-mm", "400", "--json", "-q")
     assert done.exit_code == 0, done.output
     result = json.loads(done.stdout)
     archive = printed.with_suffix(".npz")
@@ -77,7 +77,7 @@ def test_step_timings_beside_the_print(printed: Path, kind: str, rows: bool) -> 
 
 
 def test_steps_of_the_plan_itself(printed: Path, tmp_path: Path) -> None:
-    words = (printed, "-m", MACHINE, "--output", "steps", "--extruder-steps-per-mm", "400", "-o", tmp_path / "p.npz")
+    words = (printed, "-m", MACHINE, "--kind", "steps", "--extruder-steps-per-mm", "400", "-o", tmp_path / "p.npz")
     plain, ours = call(*words, "--inverse", "none", "--json", "-q"), call(*words, "--json", "-q")
     assert plain.exit_code == ours.exit_code == 0
     first, second = json.loads(plain.stdout), json.loads(ours.stdout)
@@ -88,9 +88,9 @@ def test_steps_of_the_plan_itself(printed: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (("--output", "steps"), "extruder_steps_per_mm"),
-        (("--output", "hex"), '"gcode", "steps", "klipper-steps", "host"'),
-        (("--inverse", "none"), "for --output steps"),
+        (("--kind", "steps"), "extruder_steps_per_mm"),
+        (("--kind", "hex"), '"gcode", "steps", "klipper-steps", "host"'),
+        (("--inverse", "none"), "for --kind steps"),
         (("--inverse", "slow"), '"fast", "none"'),
     ],
 )

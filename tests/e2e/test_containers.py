@@ -70,7 +70,7 @@ def test_a_container_says_what_its_text_says(tmp_path: Path) -> None:
     plain, archive = tmp_path / "plain", tmp_path / "archive"
     plain.write_bytes(PRINT)
     archive.write_bytes(archive_3mf(OTHER, PRINT))
-    words = ("-m", MACHINE, "--output", "steps", "--extruder-steps-per-mm", "100")
+    words = ("-m", MACHINE, "--kind", "steps", "--extruder-steps-per-mm", "100")
     refused = call("compensate", archive, *words)
     assert refused.exit_code == 4 and "Step timings are of one print" in refused.output
     gz = tmp_path / "gz"

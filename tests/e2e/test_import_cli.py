@@ -101,3 +101,19 @@ def test_what_cannot_be_read_leaves_no_file(name: str, code: int, run, own_folde
     assert result.exit_code == code, result.output
     assert result.stderr.startswith("ffcomp: ")
     assert not own_folder.exists()
+
+
+M503 = "M92 X80 Y80 Z400 E93\nM201 X500 Y500 Z100 E5000\nM203 X500 Y500 Z5 E25\nM204 P500 R500 T500\nM205 J0.08\n"
+
+
+def test_an_incomplete_import_is_completed_by_the_same_command_with_a_like_machine(run, tmp_path: Path) -> None:
+    source, path = written(tmp_path, M503, "m503.txt"), tmp_path / "mine.toml"
+    words = (source, "-o", path, "--kinematics", "cartesian")
+    first = run(*words)
+    assert first.exit_code == 5 and "--like ender-3" in first.output and "voron" not in first.output
+    assert run(*words, "--like", "ender-3").exit_code == 0
+    machine = load_machine(str(path))
+    assert machine.kinematics.range_mm.tolist() == load_machine("ender-3").kinematics.range_mm.tolist()
+    assert machine.limits.carriage_acceleration_mm_per_s2 == 5000.0, "no motor was asked for 30 m/s² where M201 is 0.5"
+    again = run(*words, "--like", "ender-3")
+    assert again.exit_code == 2 and "exists already" in again.output, "a complete file is never overwritten"

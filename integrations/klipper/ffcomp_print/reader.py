@@ -95,7 +95,7 @@ def read_header(stream):
     """Read what a file says of itself."""
     start = stream.read(len(MAGIC) + 4)
     if start[: len(MAGIC)] != MAGIC or len(start) < len(MAGIC) + 4:
-        raise MotionFileError("This is no file of motion; ffcomp compensate --output host writes one.")
+        raise MotionFileError("This is no file of motion; ffcomp compensate --kind host writes one.")
     (size,) = struct.unpack("<I", start[len(MAGIC) :])
     if size > MOST_HEADER:
         raise MotionFileError("The file's header is damaged.")

@@ -48,18 +48,18 @@ def test_every_value_says_where_it_is_from(tmp_path: Path) -> None:
 def test_numbers_that_are_not_known_are_listed_until_they_are(tmp_path: Path) -> None:
     path = written(tmp_path, Delta().klipper())
     provenance = dict(imported(path).provenance)
-    sentences = list(still_assumed(provenance))
+    sentences = list(still_assumed(provenance, "klipper"))
     assert any(
         "carriage.belt_stiffness_n_per_m" in each and "ffcomp record plan --for identify" in each for each in sentences
     )
     provenance |= {key: "identified" for key in provenance if key.startswith("carriage.")}
-    assert not any("carriage." in each for each in still_assumed(provenance))
-    assert list(still_assumed(load_machine("kossel").provenance)) == [], "only imported machines are asked"
+    assert not any("carriage." in each for each in still_assumed(provenance, "klipper"))
+    assert list(still_assumed(load_machine("kossel").provenance, "klipper")) == [], "only imported machines are asked"
 
 
 def test_a_shapers_frequency_is_not_taken_for_a_measurement(tmp_path: Path) -> None:
     path = written(tmp_path, COREXY + SHAPER)
-    sentences = list(still_assumed(imported(path).provenance))
+    sentences = list(still_assumed(imported(path).provenance, "klipper"))
     assert any("axes.x.frequency_hz, axes.x.damping_ratio, axes.y.frequency_hz" in each for each in sentences)
     assert not any("axes.y.damping_ratio" in each for each in sentences), "the configuration gives this one"
 
@@ -73,7 +73,8 @@ def test_what_is_missing_stays_missing(tmp_path: Path) -> None:
     with pytest.raises(MachineFileError) as refused:
         check_text(text, "x.toml")
     assert [problem.split()[0] for problem in refused.value.problems] == list(made.missing)
-    gap = "# y_range_mm is missing: " + HINTS["kinematics."]
+    gap = "# y_range_mm is missing: " + made.missing["kinematics.y_range_mm"]
+    assert HINTS["kinematics."] in gap
     assert gap in text
     filled = text.replace(gap, "y_range_mm = [0.0, 302.5]")
     for line in filled.splitlines():
