@@ -205,7 +205,7 @@ def errors_of(out: Path, each: Print) -> list[float]:
     """Simulate a print in this checkout; return the contour error for each of `OFF`, µm rms while filament flows."""
     from ffcomp.api.machines import load_machine
     from ffcomp.api.simulation import simulate
-    from ffcomp.comparison.monte_carlo import draw_plants
+    from ffcomp.simulation.expectation import draw_plants
 
     if not each.until_s:
         return []

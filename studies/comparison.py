@@ -24,10 +24,10 @@ from ffcomp.comparison import methods as every
 from ffcomp.comparison.equal_quality import equal_qualities, within_limits
 from ffcomp.comparison.evaluation import SAMPLE_S, Execution, contour, weights
 from ffcomp.comparison.methods import TunedMethod
-from ffcomp.comparison.monte_carlo import draw_plants
 from ffcomp.comparison.sampling import Print, PrintSlice, Sampling
 from ffcomp.inverse.settings import settings_for
 from ffcomp.metrics import contour_error, contour_statistics, peak_acceleration, rms
+from ffcomp.simulation.expectation import draw_plants
 from ffcomp.simulation.linear import STEP_S
 from ffcomp.simulation.playback import simulate_nozzles
 from gcode.dialects import KLIPPER

@@ -25,13 +25,13 @@ from numpy.typing import NDArray
 
 from ffcomp.comparison.evaluation import Execution, contour
 from ffcomp.comparison.methods import COMPENSATED, inversion, none
-from ffcomp.comparison.monte_carlo import draw_plants
 from ffcomp.comparison.sampling import Print, PrintSlice, Sampling
 from ffcomp.diagnosis.diagnosis import diagnose
 from ffcomp.diagnosis.printer_problem import PrinterProblem
 from ffcomp.diagnosis.result import better_file, result_of
 from ffcomp.inverse.settings import settings_for
 from ffcomp.measurement.recording import read_recording
+from ffcomp.simulation.expectation import draw_plants
 from models.file import load_machine, updated_text
 from models.machine import Machine, value_of
 from models.printer.rest import static_deflection

@@ -23,6 +23,8 @@ PAGE = Path(__file__).parents[1] / "docs" / "reference" / "json.md"
 
 OBJECTS: dict[str, dict[str, str]] = {  # by heading of the page: by place of its keys in the object, who makes them
     "TRACK": {"": "ffcomp.metrics:Track"},
+    "EXPECTATION": {"": "ffcomp.simulation.expectation:Expectation"},
+    "EXPECTED": {"": "ffcomp.simulation.expectation:Errors"},
     "MACHINE": {"": "models.machine:identity"},
     "PARTY": {"": "ffcomp.comparison.result:Party"},
     "ESTIMATE": {"": "ffcomp.identification.uncertainty:Estimate"},

@@ -138,7 +138,7 @@ def judge(case: str, seconds: float) -> Iterator[tuple[str, Score, Track]]:
     ).lines()
     written = read(b"".join(lines), machine)
     predicted = lines.value.statistics.predicted
-    tracks = {} if predicted is None else predicted.forecast().tracks
+    tracks = {} if predicted is None else predicted.forecast(machine).tracks
     motion = played(original.program, machine)[1]
     yield "as sliced", score(motion, name, reference_clock(motion), path), tracks["uncompensated"]
     plan, motion = played(written, machine)

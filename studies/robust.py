@@ -23,9 +23,9 @@ import numpy as np
 from ffcomp.comparison.baselines import LinearPrinter
 from ffcomp.comparison.evaluation import Execution, contour
 from ffcomp.comparison.methods import COMPENSATED, ROBUST, TunedMethod, best_fixed, inversion
-from ffcomp.comparison.monte_carlo import draw_plants
 from ffcomp.comparison.sampling import Print, PrintSlice, Sampling
 from ffcomp.inverse.settings import settings_for
+from ffcomp.simulation.expectation import draw_plants
 from ffcomp.simulation.playback import simulate_nozzles
 from models.file import load_machine
 from models.machine import Machine, value_of, with_values

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from ffcomp.compensation.result import FileResult, QuickerPrint
     from ffcomp.integrations.slicer import Call
     from ffcomp.metrics import Track
+    from ffcomp.simulation.expectation import Expectation
     from models.machine import Machine
 
 
@@ -216,8 +217,10 @@ def _report(done: Compensation, quiet: bool) -> None:
     if result.predicted:
         rms = [f"{name} {track.contour_rms_um:.2f} µm" for name, track in result.predicted.items()]
         note(f"predicted contour error, rms: {', '.join(rms)}")
+        if result.forecast.expected is not None:
+            say(result.forecast.expected.headline, quiet)
         if not quiet:
-            _print_table(result.predicted)
+            _print_table(result.predicted, result.forecast.expected)
             if line := late_line(sum(each.seconds for each in numbers.slowed)):
                 print(f"ffcomp: {line}", file=sys.stderr)
     say(result.flavor.reason, quiet)
@@ -258,6 +261,9 @@ def _report_next(done: Compensation, quiet: bool) -> None:
     if result.steps:
         steps = ", ".join(f"{motor.upper()} {total.steps}" for motor, total in result.steps.items())
         say(f"Steps: {steps}.", quiet)
+    expected = result.forecast.expected
+    if expected is not None and expected.next_step:
+        say(expected.next_step, quiet)
     if place:
         next_verb = "simulate" if result.steps else "show"
         say(f"Look at it: ffcomp {next_verb} {place}{_machine_option(done.machine.path, next_verb)}", quiet)
@@ -286,17 +292,22 @@ def _place(file: str, output: str | None) -> str:
     return os.environ.get("SLIC3R_PP_OUTPUT_NAME", "") if to_file else ""
 
 
-def _print_table(predicted: Mapping[str, Track]) -> None:
+def _print_table(predicted: Mapping[str, Track], expected: Expectation | None) -> None:
     from rich.console import Console
     from rich.table import Column, Table
 
-    table = Table(Column(no_wrap=True), "tracking rms", "without delay", "contour rms", "contour p99", "peak command")
+    of_others = [] if expected is None else ["expected rms"]
+    table = Table(
+        Column(no_wrap=True), "tracking rms", "without delay", "contour rms", *of_others, "contour p99", "peak command"
+    )
     for name, track in predicted.items():
+        errors = [] if expected is None else [f"{getattr(expected, name).expected_um:.2f} µm"]
         table.add_row(
             name,
             f"{track.tracking_rms_um:.1f} µm",
             f"{track.tracking_rms_no_delay_um:.1f} µm",
             f"{track.contour_rms_um:.2f} µm",
+            *errors,
             f"{track.contour_p99_um:.1f} µm",
             f"{track.peak_command_acceleration_mm_per_s2 / 1e3:.1f} m/s²",
         )

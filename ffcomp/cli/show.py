@@ -14,6 +14,7 @@ from ffcomp.request import OUTPUT, Argument, Option, Request
 
 if TYPE_CHECKING:
     from ffcomp.report.show import Numbers
+    from ffcomp.simulation.expectation import Expectation
 
 
 @dataclass(frozen=True)
@@ -70,7 +71,8 @@ def show(request: ShowRequest, shown: Json) -> None:
     if shown.as_json:
         print_json(result.to_dict())
     else:
-        print(result.verdict, result.picture, *filter(None, [result.gcode_preview]), sep="\n")
+        expected = [] if result.expected is None else [result.expected.headline, result.expected.next_step]
+        print(*filter(None, [*expected, result.verdict, result.picture, result.gcode_preview]), sep="\n")
     if request.open_it:
         open_picture(str(result.picture))
 
@@ -92,6 +94,7 @@ class ShowResult:
     verdict: str
     uncompensated: Numbers
     compensated: Numbers
+    expected: Expectation | None
 
     def to_dict(self) -> dict[str, Any]:
         """Return the JSON object ffcomp-show/1."""
@@ -108,6 +111,8 @@ class ShowResult:
                 }
             ),
             "verdict": self.verdict,  # a sentence
+            # EXPECTATION or null: on printers that the machine file's `[uncertainty]` allows
+            "expected": self.expected,
             "contour_um": {"uncompensated": self.uncompensated, "compensated": self.compensated},
         }
 
@@ -145,4 +150,4 @@ def _show(request: ShowRequest) -> ShowResult:
     picture = request.output or file.with_name(file.name + ".png")
     draw(seen, f"{file.name} on {machine.name}", footer, picture, request.z_mm)
     measured = numbers(seen.before), numbers(seen.after)
-    return ShowResult(file, identity(machine), picture, target, verdict(seen), *measured)
+    return ShowResult(file, identity(machine), picture, target, verdict(seen), *measured, seen.expected)

@@ -33,7 +33,7 @@ from ffcomp.comparison.evaluation import (
     track,
 )
 from ffcomp.comparison.methods import COMPENSATED, TunedMethod
-from ffcomp.comparison.monte_carlo import ON_PLANTS, TUNING_ON_PLANTS, draw_plants, with_spread
+from ffcomp.comparison.monte_carlo import ON_PLANTS, TUNING_ON_PLANTS, with_spread
 from ffcomp.comparison.result import BedMap, Comparison, Layer, Method, Party, Peaks
 from ffcomp.comparison.sampling import SETTLE_S, SHORTEST_S, Print, PrintSlice, Sampling, check_long_enough
 from ffcomp.compensation.job import Job, Options
@@ -42,6 +42,8 @@ from ffcomp.inverse.robust import choose_robust
 from ffcomp.inverse.settings import Settings, settings_for
 from ffcomp.metrics import Track
 from ffcomp.shapers import dominant_frequencies
+from ffcomp.simulation.expectation import EXCERPT_S, Expectation, draw_plants, expectation, pieces_of
+from ffcomp.simulation.expectation import Piece as ExpectedPiece
 from ffcomp.simulation.playback import ROW_S
 from ffcomp.version import __version__
 from gcode.dialects import MARLIN
@@ -143,6 +145,7 @@ def compare(
         whole=len(slices) == 1 and slices[0].planned is printed.planned,
         predicted=predicted,
         robust=choice,
+        expected=_expected(next(each for each in tuned if each.name == written_method), slices),
     )
 
 
@@ -264,6 +267,15 @@ def _best_fixed(methods: Mapping[str, Method]) -> str:
     flows = any(method.samples.extruding.any() for method in methods.values())
     fixed = [method for method in methods.values() if method.family == "best fixed"]
     return min(fixed, key=lambda m: (m.extruding if flows else m.track).contour_rms_um).name
+
+
+def _expected(method: TunedMethod, slices: Sequence[PrintSlice]) -> Expectation | None:
+    """Return what to expect of a method on printers that the machine file's `[uncertainty]` allows."""
+    pieces = list[ExpectedPiece]()
+    for each in slices:
+        if sum(piece.seconds for piece in pieces) < EXCERPT_S:
+            pieces += pieces_of(each.motion, method.motion(each)[0], each.corners)
+    return expectation(slices[0].machine, pieces)
 
 
 # ---- what was compared -----------------------------------------------------------------------

@@ -11,8 +11,6 @@ from dataclasses import replace
 from functools import partial
 from itertools import chain
 
-import numpy as np
-
 from ffcomp.comparison import methods as every
 from ffcomp.comparison.baselines import LinearPrinter
 from ffcomp.comparison.evaluation import Execution, Piece, Progress, contour, in_parallel, in_processes, weights
@@ -21,27 +19,8 @@ from ffcomp.comparison.result import Method, Spread
 from ffcomp.comparison.sampling import PrintSlice
 from ffcomp.metrics import rms
 from ffcomp.simulation.playback import simulate_nozzles
-from models.machine import Machine, with_values
+from models.machine import Machine
 from models.printer.kernels.record import LANES
-
-TRUNCATION_SD = 2.5  # standard deviations; farther draws are drawn again
-
-
-def draw_plants(machine: Machine, relative_sd: float, seeds: int) -> list[Machine]:
-    """Draw machines whose dynamic parameters are all off, each by a draw from a normal distribution.
-
-    The standard deviation is that of parameter / nominal. Seed k gives machine k, whatever the number of seeds.
-    """
-    parameters = machine.vibration.parameters()
-    plants = []
-    for seed in range(seeds):
-        rng = np.random.default_rng(seed)
-        off = rng.standard_normal(parameters.columns)
-        while np.any(far := np.abs(off) > TRUNCATION_SD):
-            off[far] = rng.standard_normal(int(far.sum()))
-        plants.append(with_values(machine, parameters.scaled(off, relative_sd)))
-    return plants
-
 
 ON_PLANTS, TUNING_ON_PLANTS = "printing on Monte-Carlo plants", "tuning shapers on Monte-Carlo plants"
 COMMANDED_SHARE = 0.2  # of the time on the plants, until the commands are known

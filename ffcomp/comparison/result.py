@@ -10,6 +10,7 @@ import numpy as np
 from ffcomp.inverse.robust import PLAIN, RobustChoice
 from ffcomp.metrics import Track
 from ffcomp.numerics.serialise import to_json
+from ffcomp.simulation.expectation import Expectation
 from models.arrays import BoolArray, FloatArray, IntArray
 from models.machine import Machine, assumed_modes
 
@@ -61,6 +62,11 @@ class Spread:
         return float(np.median(self.contour_rms_um))
 
     @property
+    def mean_um(self) -> float:
+        """Mean over the plants."""
+        return float(np.mean(self.contour_rms_um))
+
+    @property
     def worst_um(self) -> float:
         """Maximum over the plants."""
         return max(self.contour_rms_um)
@@ -68,6 +74,7 @@ class Spread:
     def to_dict(self) -> dict[str, Any]:
         """Return its JSON object."""
         return {
+            "mean_um": self.mean_um,  # over the Monte-Carlo plants
             "median_um": self.median_um,  # over the Monte-Carlo plants
             "worst_um": self.worst_um,  # of the Monte-Carlo plants
             "contour_rms_um": list(self.contour_rms_um),  # list of numbers: one for each
@@ -198,6 +205,7 @@ class Comparison:
     whole: bool = False  # the evaluated part is the whole print, in one piece
     predicted: dict[str, Track] = field(default_factory=dict)  # of the whole print, as `compensate` and `show` say it
     robust: RobustChoice = PLAIN  # of `compensate` with this machine file, unless told otherwise
+    expected: Expectation | None = None  # of what `compensate` writes; None: no piece of the print could be simulated
 
     def to_dict(self) -> dict[str, Any]:
         """Return the JSON object of `ffcomp compare`, without samples (ffcomp-compare/1)."""
@@ -231,6 +239,8 @@ class Comparison:
                 if self.predicted
                 else {}
             ),
+            # EXPECTATION or null: on printers that the machine file's `[uncertainty]` allows
+            "expected": self.expected,
             # true or false: with this machine file `compensate` inverts robustly unless told otherwise
             "robust_by_default": self.robust.robust,
             "robust_reason": self.robust.reason,  # why, or why not

@@ -211,7 +211,7 @@ class Job:
             stack.callback(sink.close)
             statistics = self._stepped(split, context, StepStream(sink), steps.plain, progress)
             statistics += Statistics(warnings=reach.warnings)
-            predicted = _forecast(statistics)
+            predicted = _forecast(statistics, self.machine)
             totals = sink.finish()
         self.model.save_cache()
         return Result(
@@ -348,7 +348,7 @@ class Job:
             embedded=embedded,
             robust=self._robust,
             shaper=self._shaper,
-            forecast=_forecast(body.value),
+            forecast=_forecast(body.value, self.machine),
         )
 
     def _body(self, progress: Progress) -> Lines:
@@ -477,10 +477,10 @@ def _again(text: list[bytes], statistics: Statistics) -> Lines:
     return statistics
 
 
-def _forecast(statistics: Statistics) -> Forecast:
+def _forecast(statistics: Statistics, machine: Machine) -> Forecast:
     """Evaluate what was predicted on the way."""
     samples = statistics.predicted
-    return NO_FORECAST if samples is None else forecast(samples.forecast)
+    return NO_FORECAST if samples is None else forecast(lambda: samples.forecast(machine))
 
 
 def _drained(lines: Lines) -> Statistics:

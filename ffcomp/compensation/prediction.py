@@ -19,6 +19,8 @@ from ffcomp.inverse.reference import Reference
 from ffcomp.metrics import Track, peak_acceleration, track
 from ffcomp.planner.segment_timing import TimedSegments, sample_even_segments
 from ffcomp.planner.trajectory import Section, Trajectory
+from ffcomp.simulation.command import path_corners_with_rests
+from ffcomp.simulation.expectation import EXCERPT_S, Expectation, Piece, expectation, piece_of_segments
 from ffcomp.simulation.preview import preview
 from models.arrays import FloatArray
 from models.machine import Machine
@@ -35,6 +37,7 @@ class Forecast:
     tracks: Mapping[str, Track] = field(default_factory=dict)  # "uncompensated" and "compensated"; empty: none
     over_s: float = 0.0  # print time that it covers
     failed: str = ""  # why there is none, in a sentence
+    expected: Expectation | None = None  # the same on printers that the machine file's `[uncertainty]` allows
 
 
 NO_FORECAST = Forecast()
@@ -74,6 +77,7 @@ class Samples:
     path: list[FloatArray] = field(default_factory=list)  # (k, 3) mm
     before: _Motion = field(default_factory=_Motion)
     after: _Motion = field(default_factory=_Motion)
+    pieces: list[Piece] = field(default_factory=list)  # for what is to be expected of printers that are off
     failed: str = ""  # why nothing is predicted, in a sentence
 
     def __add__(self, later: Samples) -> Samples:
@@ -95,11 +99,12 @@ class Samples:
             path=self.path + moved(later.path),
             before=before,
             after=after,
+            pieces=self.pieces + later.pieces,
             failed=self.failed or later.failed,
         )
 
-    def forecast(self) -> Forecast:
-        """Evaluate the sampled sections."""
+    def forecast(self, machine: Machine) -> Forecast:
+        """Evaluate the sampled sections of a print for a machine."""
         if self.failed or not self.reference:
             return Forecast(failed=self.failed)
         reference = np.concatenate(self.reference)
@@ -109,14 +114,14 @@ class Samples:
             name: track(t, reference, np.concatenate(motion.actual), path_t, path, motion.peak)
             for name, motion in (("uncompensated", self.before), ("compensated", self.after))
         }
-        return Forecast(tracks, self.covered_s)
+        return Forecast(tracks, self.covered_s, expected=expectation(machine, self.pieces))
 
 
 def read_again(written: bytes, path: str, machine: Machine, offset: tuple[float, float], flavor: str) -> Forecast:
     """Predict the errors of a compensated file itself."""
     seen = preview(written, path, machine, offset, flavor)
     tracks = {"uncompensated": seen.before.track, "compensated": seen.after.track}
-    return Forecast(tracks, tracks["uncompensated"].print_time_s)
+    return Forecast(tracks, tracks["uncompensated"].print_time_s, expected=seen.expected)
 
 
 class Prediction:
@@ -163,7 +168,16 @@ class Prediction:
             motion.actual.append(actual[every - 1 :: every] + shift)
             bend = peak_acceleration(model.kinematics.inverse(command), s.segment_s, s.segment_s)
             motion.peak = max(motion.peak, bend)
+        if sum(piece.seconds for piece in samples.pieces) <= EXCERPT_S / LONGEST_S * (samples.covered_s - length):
+            samples.pieces.append(self._piece(solved))
         samples.clock += length
+
+    def _piece(self, solved: SolvedSection) -> Piece:
+        """Return the middle of a section."""
+        reference, segment_s = solved.reference, self.model.settings.segment_s
+        knots_t = reference.t0 + segment_s * np.arange(len(solved.solution.vertices), dtype=np.float64)
+        path = path_corners_with_rests(solved.trajectory)
+        return piece_of_segments(reference.nozzle, knots_t, solved.solution.vertices, path)
 
     def _joining(self, solved: SolvedSection, nozzle: FloatArray, written: Sequence[TimedSegments]) -> FloatArray:
         """Return what the joined segments add to the response, (n, 3) mm: the model is linear in the command."""

@@ -193,6 +193,8 @@ class Result:
             # way, section by section. `simulate` and `compare` judge by the virtual printer instead, which is not
             # linear: another quantity
             "predicted": self.predicted,
+            # EXPECTATION or null: the same on printers that the machine file's `[uncertainty]` allows
+            "expected": self.forecast.expected,
             "predicted_over_s": self.forecast.over_s,  # how much of the print the prediction is of
             **({} if self.faster is None else {"faster": self.faster}),
             **(

@@ -49,7 +49,7 @@ def verdict(preview: Preview) -> str:
     if ratio < 1.0:
         change = f"{1.0 / ratio:.1f} times more: see that -m names the machine it was compensated for"
     return (
-        f"Contour error {before.rms:.1f} → {after.rms:.2f} µm rms ({change}), "
+        f"Contour error on a printer exactly as its file says {before.rms:.1f} → {after.rms:.2f} µm rms ({change}), "
         f"99 % of the print within {before.p99:.0f} → {after.p99:.1f} µm"
     )
 
@@ -68,7 +68,8 @@ def show_figure(preview: Preview, title: str, footer: str = "", z_mm: float | No
     """
     worst = _worst_position(preview.before, z_mm)
     figure = Figure(figsize=(16, 8.4), layout="constrained")
-    figure.suptitle(f"{title}\nWhole print: {verdict(preview)}", fontsize=13, x=0.01, ha="left")
+    expected = f"\n{preview.expected.headline}" if preview.expected else ""
+    figure.suptitle(f"{title}\nWhole print: {verdict(preview)}{expected}", fontsize=13, x=0.01, ha="left")
     rows, heights = _rows(preview)
     rooms = figure.subplot_mosaic(rows, height_ratios=heights)
     _close_up(rooms["close"], preview, worst)

@@ -34,26 +34,19 @@ def _compensate(result: JsonObject) -> Answer:
         return Answer(f"{len(result['prints'])} prints in one file are compensated.")
     assumed = (result.get("machine") or {}).get("assumed")
     warnings = [*([str(assumed)] if assumed else []), *map(str, result.get("warning_lines", []))]
-    return Answer(_error_sentence(result), _print_facts(result), warnings)
-
-
-def _error_sentence(result: JsonObject) -> str:
-    predicted = result.get("predicted") or {}
-    before, after = (predicted.get(name) for name in ("uncompensated", "compensated"))
-    if not before or not after or not after["contour_rms_um"]:
-        return "The print is compensated."
-    was, now = before["contour_rms_um"], after["contour_rms_um"]
-    return (
-        f"Contour error {was:.0f} → {now:.1f} µm rms, {was / now:.0f} times less: predicted with the machine "
-        "file's own model."
-    )
+    expected = result.get("expected") or {}
+    to_do = [str(expected["next_step"])] if expected.get("next_step") else []
+    return Answer(str(expected.get("headline") or "The print is compensated."), _print_facts(result), warnings, to_do)
 
 
 def _print_facts(result: JsonObject) -> list[list[str]]:
     share = result.get("compensated_share") or {}
     facts = [["Print time", f"{clock(result['print_time_s'])}, was {clock(result['original_print_time_s'])}"]]
-    if predicted := (result.get("predicted") or {}).get("compensated"):
-        facts.append(["99 % of it within", f"{predicted['contour_p99_um']:.1f} µm"])
+    predicted = result.get("predicted") or {}
+    if "compensated" in predicted:
+        was, now = predicted["uncompensated"], predicted["compensated"]
+        facts.append(["If the file is exact", f"{was['contour_rms_um']:.1f} → {now['contour_rms_um']:.1f} µm rms"])
+        facts.append(["99 % of it within", f"{now['contour_p99_um']:.1f} µm"])
     if "path" in share:
         facts.append(["Compensated", f"{100 * share['path']:.1f} % of the path"])
     facts += [[name, str(result[key])] for name, key in (("Firmware", "flavor"),) if key in result]
@@ -72,9 +65,10 @@ def _compare(result: JsonObject) -> Answer:
         [f"Best input shaper ({best['label']})", f"{best['contour_rms_um']:.1f} µm rms"],
         ["ffcomp", f"{compensated['contour_rms_um']:.1f} µm rms"],
     ]
-    times = best["contour_rms_um"] / max(compensated["contour_rms_um"], 1e-9)
-    lead = f"ffcomp leaves {times:.1f} times less contour error than the best input shaper, on the simulated printer."
-    return Answer(lead, [*errors, ["Evaluated", str(result["sampling"])]], compensated["warnings"])
+    expected = result.get("expected") or {}
+    lead = str(expected.get("headline") or "Every method was evaluated on the simulated printer.")
+    to_do = [str(expected["next_step"])] if expected.get("next_step") else []
+    return Answer(lead, [*errors, ["Evaluated", str(result["sampling"])]], compensated["warnings"], to_do)
 
 
 def _plan(result: JsonObject) -> Answer:

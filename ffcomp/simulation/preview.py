@@ -24,7 +24,15 @@ from ffcomp.planner.lookahead import stops_and_waits
 from ffcomp.planner.program import PlannedProgram, known_to_the_firmware, planner_of
 from ffcomp.planner.reach import within_reach
 from ffcomp.planner.trajectory import Trajectory, split_sections
-from ffcomp.simulation.command import command_peaks, motion_of, path_corners_with_rests, reference_clock, section_clock
+from ffcomp.simulation.command import (
+    command_peaks,
+    motion_of,
+    path_corners_with_rests,
+    planned_motion,
+    reference_clock,
+    section_clock,
+)
+from ffcomp.simulation.expectation import Expectation, expectation, pieces_of
 from ffcomp.simulation.linear import LinearPlayback, continuous_intervals, simulate_linear
 from gcode.embedded import original_lines
 from gcode.layers import labels, outer_walls
@@ -125,6 +133,7 @@ class Preview:
     after: Curve
     original: Original | None = None
     flows: tuple[Flow, Flow] | None = None  # before and after, on their clocks; None: no pressure in the machine file
+    expected: Expectation | None = None  # None: something else moves the nozzle wherever it was looked at
 
 
 def preview(
@@ -146,7 +155,8 @@ def preview(
     before_t, before = simulate_linear(playback, reference)
     after_t, after = simulate_linear(playback, executed)
     before_reference = reference.position(before_t)[:, :3]
-    after_due = section_clock(compensation, planned).plan_time(after_t)
+    clock = section_clock(compensation, planned)
+    after_due = clock.plan_time(after_t)
     after_reference = reference.position(after_due)[:, :3]
     kinds = _kinds(original, reference)
     peaks = [_peak(machine, plan) for plan in (reference, executed)]
@@ -163,6 +173,7 @@ def preview(
         Curve(after_t, after, after_reference, of_after, *kinds(after_due), peaks[1]),
         Original(original, reference, before_t, after_due),
         flows,
+        expectation(machine, pieces_of(planned_motion(reference), motion_of(executed, clock), (path_t, corners))),
     )
 
 

@@ -61,8 +61,9 @@ def test_the_main_job_and_the_way_back(small: Path) -> None:
     assert again.exit_code == 0 and small.read_bytes() == out
     shown = ffcomp("show", small)
     assert shown.exit_code == 0, shown.stderr
-    verdict, picture = shown.stdout.splitlines()
-    assert "times less" in verdict and Path(picture).read_bytes().startswith(b"\x89PNG")
+    expected, verdict, picture = shown.stdout.splitlines()
+    assert expected.startswith("Expected contour error with modes known to ±") and "times less" in verdict
+    assert Path(picture).read_bytes().startswith(b"\x89PNG")
     refused = ffcomp("show", small, "-o", "picture.gcode")
     assert refused.exit_code == 2 and "picture.gcode: the name of a figure ends in .png, .svg, .pdf" in refused.stderr
     assert ffcomp("restore", small).exit_code == 0

@@ -41,7 +41,7 @@ def page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
 def test_a_print_comes_back_compensated_with_its_picture(page: Any) -> None:
     job = wait_for(page, started(page, "compensate", [uploaded(page, "a.gcode", WIGGLE)], machine="kossel"))
     assert job["state"] == "done", job["error"]
-    assert job["outputs"] == ["a.gcode", "picture.png"] and "times less" in job["answer"]["lead"]
+    assert job["outputs"] == ["a.gcode", "picture.png"] and "(assumed)" in job["answer"]["lead"]
     assert job["answer"]["warnings"][0].startswith("The modes of kossel are assumed")
     got = page.get(f"/api/jobs/{job['id']}/files/a.gcode")
     assert b"; Processed by ffcomp" in got.content and "attachment" in got.headers["content-disposition"]

@@ -34,6 +34,7 @@ from ffcomp.report.compare.samples import contour_vectors, spectrum, unbroken
 from ffcomp.report.compare.sentences import answer, verdict
 from ffcomp.report.compare.words import duration, times, um
 from ffcomp.report.page import coded
+from ffcomp.simulation.expectation import Errors, Expectation
 from gcode.dialects import KLIPPER, MARLIN
 from models.file import load_machine
 from tests.support.browser import Visit, chromium, visit
@@ -83,12 +84,16 @@ def test_bad_news_are_told_as_plainly() -> None:
 
 def test_the_answer_on_top() -> None:
     yes = str(answer(comparison()))
-    assert yes.startswith("Worth it? Yes: at your 5,000 mm/s² (5 m/s²) ffcomp leaves 10 times less error than")
-    assert "100 times less than none, where plastic flows." in yes
+    assert yes.startswith(
+        "Worth it? Yes: at your 5,000 mm/s² (5 m/s²) ffcomp leaves 0.39 µm, the best input shaper (MZV)"
+    )
+    assert "and none 39.0, where plastic flows." in yes
     assert (
         answer(comparison(best_um=3.0)).word == "Hardly" and "a shaper is enough" in answer(comparison(best_um=3.0)).why
     )
-    assert answer(comparison(best_um=2.0)).why.endswith("(MZV) is as good on this print.")
+    assert answer(comparison(best_um=2.0)).why.endswith(
+        "is as good on this print, where plastic flows: 0.39 µm against 0.39."
+    )
     assert answer(comparison(best_um=1.0)).word == "No"
     assert answer(changed(comparison(), "fbs-lpv", peaks=Peaks(250.0, 4.5e4, False))).word == "No"
     assert "your" not in answer(comparison(acceleration_mm_per_s2=None)).why
@@ -96,6 +101,18 @@ def test_the_answer_on_top() -> None:
     fast = changed(fast, "mzv", equal_quality=EqualQuality(2e3, 500.0, 24.9, capped=False))
     said = "within 25 µm up to 40,000 mm/s² (40 m/s²) and more, the fastest shaper (MZV) up to 2,000 mm/s² (2 m/s²)."
     assert answer(fast).why.endswith(said)
+
+
+def test_the_answer_on_top_is_for_printers_that_are_off() -> None:
+    """By the file's uncertainty; with Monte-Carlo plants, by these."""
+    errors = Errors(30.0, 41.0), Errors(1.0, 12.0), Errors(7.0, 8.0)
+    expected = Expectation(0.2, True, 20, 16.0, *errors, "EI, x 40.0 Hz, y 41.0 Hz", "A shaper.", "Measure first: so.")
+    off = replace(comparison(), expected=expected)
+    assert answer(off).word == "No" and "8.00 µm against 12.0. Measure first: so." in answer(off).why
+    assert "±20 % (assumed)" in answer(off).why and "EI, x 40.0 Hz" in answer(off).why
+    for name, mean in (("none", 40.0), ("mzv", 20.0), ("fbs-lpv", 5.0)):
+        off = changed(off, name, spread=Spread((mean - 1.0, mean + 1.0)))
+    assert answer(off).word == "Yes" and "ffcomp leaves 5.00 µm, the best input shaper (MZV) 20.0" in answer(off).why
 
 
 def test_a_variant_of_a_shaper_is_named_as_such() -> None:
@@ -123,7 +140,7 @@ def test_a_file_that_is_inverted_robustly_by_default_is_judged_by_that_row() -> 
     said = " ".join(verdict(found))
     assert "least error of all" not in said
     assert "50 times less" in said and "Robust inversion: why. That leaves 0.39 µm (“ffcomp, plain”) here" in said
-    assert "ffcomp leaves 5.0 times less error" in str(answer(found))
+    assert "ffcomp leaves 0.78 µm" in str(answer(found))
     assert [tile.rms for tile in html._tiles(found)] == ["39.0", "3.90", "0.78"]
 
 
@@ -171,7 +188,7 @@ def test_another_plant_is_named_with_its_effects() -> None:
     ("ours", "tail"),
     [
         ((2.0, 3.0), None),
-        ((2.0, 14.0), "In the median ffcomp is ahead or level, at worst the shaper is better."),
+        ((2.0, 14.0), "On average ffcomp is ahead or level, at worst the shaper is better."),
         ((25.0, 30.0), "With such an uncertainty the shaper is better: measure the machine first."),
     ],
 )

@@ -10,11 +10,12 @@ from ffcomp.comparison import methods as every
 from ffcomp.comparison.baselines import LinearPrinter, shaped
 from ffcomp.comparison.evaluation import Stages
 from ffcomp.comparison.methods import TunedMethod
-from ffcomp.comparison.monte_carlo import ON_PLANTS, TUNING_ON_PLANTS, draw_plants, with_spread
+from ffcomp.comparison.monte_carlo import ON_PLANTS, TUNING_ON_PLANTS, with_spread
 from ffcomp.comparison.result import Spread
 from ffcomp.comparison.sampling import Print, Sampling
 from ffcomp.compensation.batch import workers
 from ffcomp.inverse.settings import settings_for
+from ffcomp.simulation.expectation import draw_plants
 from models.file import load_machine
 from tests.support.comparison import method
 from tests.support.prints import squares

@@ -18,6 +18,7 @@ from ffcomp.report.compare.words import (
     um,
     where_seen,
 )
+from ffcomp.simulation.expectation import condition_of
 
 WORTH_RATIO, TIE_RATIO = 2.0, 1.05  # times less error than the best shaper: below the first, a shaper is enough
 
@@ -35,18 +36,42 @@ class Answer:
 
 def answer(comparison: Comparison) -> Answer:
     """Weigh the compensated print against the best fixed shaper, which owners have for nothing."""
-    ours, best, none = (comparison.methods[name] for name in (comparison.compensated, comparison.best_fixed, "none"))
-    left, theirs, before = (max(contour_rms_um(comparison, method), 1e-9) for method in (ours, best, none))
+    ours = comparison.methods[comparison.compensated]
     if not ours.peaks.within_limits:
         return Answer("No", f"{_at(comparison)}ffcomp asks the carriages for more than the machine file allows.")
+    left, theirs, before, shaper, where = _weighed(comparison, ours)
+    first = comparison.expected.next_step if comparison.expected else ""
+    next_step = f" {first}" if first else ""
     if left >= theirs / TIE_RATIO:
         as_good = "as good" if left <= TIE_RATIO * theirs else "better"
-        return Answer("No", f"{_at(comparison)}the best input shaper ({nick(best)}) is {as_good} on this print.")
-    gain = f"{_at(comparison)}ffcomp leaves {times(theirs / left)} less error than the best input shaper ({nick(best)})"
-    gain += f" and {times(before / left)} less than none, {where_seen(comparison)}.{_faster(comparison, ours)}"
+        sentence = f"{_at(comparison)}the best input shaper ({shaper}) is {as_good} on this print{where}"
+        return Answer("No", f"{sentence}: {um(theirs)} µm against {um(left)}.{next_step}")
+    gain = f"{_at(comparison)}ffcomp leaves {um(left)} µm, the best input shaper ({shaper}) {um(theirs)} and none "
+    gain += f"{um(before)}{where}.{_faster(comparison, ours)}"
     if theirs < WORTH_RATIO * left:
-        return Answer("Hardly", f"{gain} The print is gentle: a shaper is enough.")
-    return Answer("Yes", gain)
+        return Answer("Hardly", f"{gain} The difference is small: a shaper is enough.{next_step}")
+    return Answer("Yes", f"{gain}{next_step}")
+
+
+def _weighed(comparison: Comparison, ours: Method) -> tuple[float, float, float, str, str]:
+    """Return the contour error, µm, of ffcomp, of the best shaper and of none, which shaper that is, and on what.
+
+    Those of the Monte-Carlo plants, or else those to expect by the machine file's `[uncertainty]`, or else those of the
+    virtual printer.
+    """
+    none, best, expected = comparison.methods["none"], comparison.methods[comparison.best_fixed], comparison.expected
+    if ours.spread is not None and none.spread is not None:
+        spreads = [(each.spread.mean_um, nick(each)) for each in shapers(comparison) if each.spread is not None]
+        theirs, shaper = min(spreads)
+        return ours.spread.mean_um, theirs, none.spread.mean_um, shaper, " (mean of printers that are off)"
+    if expected is not None:
+        condition = condition_of(expected.uncertainty, expected.assumed)
+        left, theirs, before = (
+            each.expected_um for each in (expected.compensated, expected.shaper, expected.uncompensated)
+        )
+        return left, theirs, before, expected.shaper_name, f" (expected {condition})"
+    left, theirs, before = (contour_rms_um(comparison, method) for method in (ours, best, none))
+    return left, theirs, before, nick(best), f", {where_seen(comparison)}"
 
 
 def _at(comparison: Comparison) -> str:
@@ -175,20 +200,18 @@ def _mismatch(comparison: Comparison, best: Method, ours: Method) -> list[str]:
     evaluated = [
         (method.spread, f"{method.label}, as tuned") for method in shapers(comparison) if method.spread is not None
     ]
-    against = sorted(evaluated, key=lambda each: each[0].median_um)[:1]
+    against = sorted(evaluated, key=lambda each: each[0].mean_um)[:1]
     if best.retuned is not None:
         against.append((best.retuned, f"{nick(best)} tuned again on each"))
     sentence = (
         f"On {len(our_spread.contour_rms_um)} printers that are not as the machine file says, over all moves: "
-        f"{um(our_spread.median_um)} µm in the median and {um(our_spread.worst_um)} µm at worst with ffcomp"
+        f"{um(our_spread.mean_um)} µm on average and {um(our_spread.worst_um)} µm at worst with ffcomp"
     )
-    sentence += "".join(
-        f"; {um(spread.median_um)} and {um(spread.worst_um)} µm with {name}" for spread, name in against
-    )
-    if any(our_spread.median_um > TIE_RATIO * spread.median_um for spread, _ in against):
+    sentence += "".join(f"; {um(spread.mean_um)} and {um(spread.worst_um)} µm with {name}" for spread, name in against)
+    if any(our_spread.mean_um > TIE_RATIO * spread.mean_um for spread, _ in against):
         return [f"{sentence}. With such an uncertainty the shaper is better: measure the machine first."]
     if any(our_spread.worst_um > TIE_RATIO * spread.worst_um for spread, _ in against):
-        return [f"{sentence}. In the median ffcomp is ahead or level, at worst the shaper is better."]
+        return [f"{sentence}. On average ffcomp is ahead or level, at worst the shaper is better."]
     return [f"{sentence}."]
 
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from ffcomp.comparison.evaluation import in_processes
-from ffcomp.comparison.monte_carlo import TRUNCATION_SD, draw_plants
 from ffcomp.compensation.batch import workers
+from ffcomp.simulation.expectation import TRUNCATION_SD, draw_plants
 from ffcomp.simulation.playback import check_same_kinematics
 from models.arrays import constant
 from models.errors import MachineFileError

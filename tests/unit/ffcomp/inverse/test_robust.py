@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from ffcomp.comparison.baselines import LinearPrinter
 from ffcomp.comparison.evaluation import Execution, contour
 from ffcomp.comparison.methods import COMPENSATED, ROBUST, best_fixed, inversion
-from ffcomp.comparison.monte_carlo import draw_plants
 from ffcomp.comparison.sampling import Print, Sampling
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.robust import (
@@ -33,6 +32,7 @@ from ffcomp.inverse.sensitivity import (
 )
 from ffcomp.inverse.settings import settings_for
 from ffcomp.metrics import contour_error, rms
+from ffcomp.simulation.expectation import draw_plants
 from ffcomp.simulation.playback import simulate_nozzles
 from models.file import load_machine
 from models.machine import Machine, value_of, with_values

@@ -1,0 +1,275 @@
+"""The contour error to expect: on a printer exactly as its file says, and on the printers that `[uncertainty]` allows.
+
+A file's numbers are never exact, and how much a command gains depends on that. So the command is simulated on printers
+drawn from the file's `[uncertainty]`, and so are the plan as sliced and the plan through the firmware's own input
+shaper, which is tuned to the file and of the kind that is best on the drawn printers. All are judged on the same pieces
+of the print by their distance to the path: the root mean square on each printer, and its mean over the printers.
+"""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+
+from ffcomp import shapers
+from ffcomp.inverse.robust import mode_sd
+from ffcomp.metrics import contour_error
+from ffcomp.shapers.apply import shape_samples
+from ffcomp.shapers.search import Scan, search
+from ffcomp.simulation.command import Motion
+from ffcomp.simulation.linear import KEEP_EVERY, STEP_S, SUBSTEPS, LinearPlayback, whole_steps
+from models.arrays import FloatArray
+from models.effects.catalogue import design_machine
+from models.file import machine_paths
+from models.machine import Machine, assumed_modes, with_values
+from models.schema.documents import DEFAULT_UNCERTAINTY
+
+PRINTERS = 20
+EXCERPT_S, PIECE_S = 24.0, 2.4  # of print time that is simulated on each printer, at most; and one piece of it
+MARGIN = 400  # rows, 0.2 s: longer than half of any shaper above 7 Hz
+TRUNCATION_SD = 2.5  # standard deviations; farther draws are drawn again
+SETTLING_S = 0.5  # at the beginning of a piece, not judged: the nozzle comes from anywhere
+JUMP_MM = 1.0  # from row to row: no motor does that
+NEAR_S = 0.5  # around a piece, of its path that is kept: longer than the contour error looks
+LEAST_VALUE = 0.2  # times its value, that a number keeps at least
+KINDS = ("zv", "mzv", "ei", "2hump_ei")
+FACTORS = tuple(np.geomspace(0.8, 1.9, 10).tolist())  # of a shaper's frequencies to those of the modes
+TIE = 1.05  # ratio of expected errors that makes no difference
+UNKNOWN_SD = 0.15  # of the modes: from there on the next step is a measurement
+
+
+def draw_plants(machine: Machine, relative_sd: float | None, count: int) -> list[Machine]:
+    """Draw printers whose numbers are off. Printer k is the same whatever their number.
+
+    Parameters
+    ----------
+    relative_sd : of every number of the machine file; None: what its `[uncertainty]` says of each
+    """
+    parameters = machine.vibration.parameters()
+    stated = machine.uncertainty if relative_sd is None else {"default": relative_sd}
+    spread, plants = parameters.relative_sd(stated), []
+    for seed in range(count):
+        rng = np.random.default_rng(seed)
+        off = rng.standard_normal(parameters.columns)
+        while np.any(far := np.abs(off) > TRUNCATION_SD):
+            off[far] = rng.standard_normal(int(far.sum()))
+        plants.append(with_values(machine, parameters.scaled(off, spread, LEAST_VALUE)))
+    return plants
+
+
+@dataclass(frozen=True, eq=False)
+class Piece:
+    """A piece of a print: its path, its plan and its command. Rows are STEP_S apart."""
+
+    path_t: FloatArray  # (k,) s, when its corners are due on the clock of the plan
+    path: FloatArray  # (k, 3) mm
+    begin_t: float  # s on that clock, of the plan's first row after its margin
+    plan: FloatArray  # (MARGIN + n + 1 + MARGIN, 3) mm
+    due: FloatArray  # (m + 1,) s on that clock, of the command's rows
+    command: FloatArray  # (m + 1, 3) mm
+    settling_s: float = 0.0  # at its beginning, not judged: the nozzle comes from anywhere
+
+    @property
+    def seconds(self) -> float:
+        """Print time that it covers."""
+        return STEP_S * (len(self.plan) - 1 - 2 * MARGIN)
+
+    def squares(self, playback: LinearPlayback, rows: FloatArray, due: FloatArray) -> FloatArray:
+        """Return the squared contour errors (s,) mm² of commanded rows (j + 1, 3) mm that are due at times (j + 1,)."""
+        steps = SUBSTEPS * ((len(rows) - 1) // SUBSTEPS)
+        rows = np.ascontiguousarray(rows[: steps + 1])
+        nozzle, _ = playback.respond(rows, np.gradient(rows, STEP_S, axis=0))
+        judged = slice(round(self.settling_s / STEP_S), None, KEEP_EVERY)
+        return contour_error(self.path_t, self.path, due[1 : steps + 1][judged], nozzle[judged]) ** 2
+
+    def planned(self, playback: LinearPlayback, x: shapers.Shaper | None, y: shapers.Shaper | None) -> FloatArray:
+        """Return the same of the plan through shapers of x and y."""
+        rows = np.ascontiguousarray(shape_samples(self.plan, (x, y, None), STEP_S, MARGIN))
+        return self.squares(playback, rows, self.begin_t + STEP_S * np.arange(len(rows), dtype=np.float64))
+
+    def compensated(self, playback: LinearPlayback) -> FloatArray:
+        """Return the same of the command."""
+        return self.squares(playback, self.command, self.due)
+
+
+def pieces_of(plan: Motion, command: Motion, path: tuple[FloatArray, FloatArray]) -> list[Piece]:
+    """Return pieces spread evenly over a print, without those in which something else moves the nozzle.
+
+    Parameters
+    ----------
+    plan, command : the print as sliced, and compensated
+    path : when its corners are due, (k,) s, and where they are, (k, 3) mm
+    """
+    seconds = plan.end_t - plan.begin_t
+    count = 1 if seconds <= EXCERPT_S else round(EXCERPT_S / PIECE_S)
+    length = seconds if count == 1 else PIECE_S
+    executed = np.arange(command.begin_t, command.end_t, 10 * STEP_S)
+    due = command.clock.plan_time(executed)
+    pieces = []
+    for first in np.linspace(plan.begin_t, plan.end_t - length, count).tolist():
+        begin, end = np.interp([first, first + length], due, executed).tolist()
+        t = begin + STEP_S * np.arange(whole_steps(end - begin) + 1, dtype=np.float64)
+        planned = first + STEP_S * np.arange(-MARGIN, whole_steps(length) + 1 + MARGIN, dtype=np.float64)
+        rows, commanded = plan.position(planned), command.position(t)
+        if max(float(np.abs(np.diff(each, axis=0)).max(initial=0.0)) for each in (rows, commanded)) > JUMP_MM:
+            continue
+        near = _near(path[0], first, first + length)
+        due_then, settling_s = command.clock.plan_time(t), SETTLING_S if first > plan.begin_t else 0.0
+        pieces.append(Piece(path[0][near], path[1][near], first, rows, due_then, commanded, settling_s))
+    return pieces
+
+
+def piece_of_segments(
+    plan: Callable[[FloatArray], FloatArray],
+    knots_t: FloatArray,
+    vertices: FloatArray,
+    path: tuple[FloatArray, FloatArray],
+) -> Piece:
+    """Return the middle of a section whose command is at vertices (k, 3) mm at times (k,) s of the plan's clock.
+
+    plan : the nozzle as sliced, (m,) s → (m, 3) mm;  path : as for `pieces_of`
+    """
+    seconds = min(float(knots_t[-1] - knots_t[0]), PIECE_S)
+    first = 0.5 * float(knots_t[0] + knots_t[-1] - seconds)
+    t = first + STEP_S * np.arange(-MARGIN, whole_steps(seconds) + 1 + MARGIN, dtype=np.float64)
+    inside = t[MARGIN:-MARGIN]
+    command = np.stack([np.interp(inside, knots_t, column) for column in vertices.T], axis=1)
+    near = _near(path[0], first, first + seconds)
+    settling_s = SETTLING_S if first > knots_t[0] else 0.0
+    return Piece(path[0][near], path[1][near], first, plan(t), inside, command, settling_s)
+
+
+@dataclass(frozen=True, slots=True)
+class Errors:
+    """Contour error, rms."""
+
+    exact_um: float  # on a printer that is exactly as the machine file says
+    expected_um: float  # mean over printers that are as uncertain as the file says
+
+
+@dataclass(frozen=True, slots=True)
+class Expectation:
+    """What a print is expected to look like, whatever compensates it."""
+
+    uncertainty: float  # number: relative standard deviation of the modes, by the machine file's `[uncertainty]`
+    # true or false: that is a guess: the modes are assumed, or no number of the file has an uncertainty of its own
+    assumed: bool
+    printers: int  # whole number: that were drawn
+    over_s: float  # of the print that was simulated on each
+    uncompensated: Errors  # EXPECTED
+    compensated: Errors  # EXPECTED
+    shaper: Errors  # EXPECTED: of the firmware's best input shaper
+    shaper_name: str  # that shaper: its kind and frequencies
+
+    headline: str  # what to expect, in a sentence; the shaper first where it is better
+    next_step: str  # that a measurement comes first, with its command; empty: the file is known well enough
+
+    @property
+    def shaper_is_better(self) -> bool:
+        """Whether the firmware's own shaper leaves less."""
+        return _is_better(self.shaper, self.compensated)
+
+
+def _is_better(shaper: Errors, compensated: Errors) -> bool:
+    return compensated.expected_um > TIE * shaper.expected_um
+
+
+class _Tuned(NamedTuple):
+    name: str
+    x: shapers.Shaper
+    y: shapers.Shaper
+
+
+def expectation(machine: Machine, pieces: Sequence[Piece]) -> Expectation | None:
+    """Simulate pieces of a print on the machine and on printers that its `[uncertainty]` allows; None: no piece."""
+    pieces = [piece for piece in pieces if min(len(piece.plan) - 2 * MARGIN, len(piece.command)) > SUBSTEPS]
+    if not pieces:
+        return None
+    plants = draw_plants(machine, None, PRINTERS) if any(machine.uncertainty.values()) else []
+    printers = [LinearPlayback(design_machine(each)[0]) for each in (machine, *plants)]
+
+    def errors(squares: Callable[[Piece, LinearPlayback], FloatArray]) -> Errors:
+        exact, *off = (_rms_um([squares(piece, each) for piece in pieces]) for each in printers)
+        return Errors(exact, float(np.mean(off)) if off else exact)
+
+    def shaped(tuned: _Tuned) -> Errors:
+        return errors(lambda piece, printer: piece.planned(printer, tuned.x, tuned.y))
+
+    each_kind = [(tuned, shaped(tuned)) for tuned in map(partial(_tuned, machine, printers[0], pieces), KINDS)]
+    best, shaper = min(each_kind, key=lambda one: one[1].expected_um)
+    uncompensated = errors(lambda piece, printer: piece.planned(printer, None, None))
+    compensated = errors(Piece.compensated)
+    sd = mode_sd(machine, BAND_HZ) if plants else 0.0
+    assumed = assumed_modes(machine) is not None or machine.uncertainty == {"default": DEFAULT_UNCERTAINTY}
+    better = _is_better(shaper, compensated)
+    return Expectation(
+        uncertainty=sd,
+        assumed=assumed,
+        printers=len(plants),
+        over_s=sum(piece.seconds for piece in pieces),
+        uncompensated=uncompensated,
+        compensated=compensated,
+        shaper=shaper,
+        shaper_name=best.name,
+        headline=_headline(uncompensated, compensated, shaper, best.name, condition_of(sd, assumed)),
+        next_step=_measure_first(machine) if better or (assumed and sd >= UNKNOWN_SD) else "",
+    )
+
+
+def condition_of(sd: float, assumed: bool) -> str:
+    """Say which printers an expectation is of."""
+    if not sd:
+        return "on a printer exactly as its file says"
+    return f"with modes known to ±{100 * sd:.2g} %{' (assumed)' if assumed else ''}"
+
+
+def _headline(uncompensated: Errors, compensated: Errors, shaper: Errors, name: str, condition: str) -> str:
+    first = "The firmware's input shaper is better here: e" if _is_better(shaper, compensated) else "E"
+    return (
+        f"{first}xpected contour error {condition}: {compensated.expected_um:.3g} µm rms, with the best input shaper "
+        f"({name}) {shaper.expected_um:.3g}, without compensation {uncompensated.expected_um:.3g}."
+    )
+
+
+def _measure_first(machine: Machine) -> str:
+    paths = {str(path): name for name, path in machine_paths().items()}
+    options = f"-m {shlex.quote(paths.get(machine.path, machine.path) or machine.name)}"
+    options += f" --flavor {machine.flavor}" if machine.flavor else ""
+    return (
+        f"Measure first: `ffcomp record plan --for identify {options} -o moves.gcode`, then `ffcomp identify fit`; "
+        f"without a sensor `ffcomp record plan --for scan {options} -o page.gcode`, then `ffcomp identify scan`."
+    )
+
+
+def _near(path_t: FloatArray, begin: float, end: float) -> slice:
+    """Return the corners of a path around a time, with those whose moves are in progress."""
+    first, last = np.searchsorted(path_t, [begin - NEAR_S, end + NEAR_S]).tolist()
+    return slice(max(first - 2, 0), last + 2)
+
+
+BAND_HZ = 100.0  # up to which modes count
+
+
+def _tuned(machine: Machine, printer: LinearPlayback, pieces: Sequence[Piece], kind: str) -> _Tuned:
+    """Return a shaper with the frequencies that serve these pieces best on the printer of the machine file."""
+
+    def of(settings: FloatArray) -> tuple[shapers.Shaper, shapers.Shaper]:
+        x, y = (shapers.SHAPERS[kind](hz, shapers.DAMPING_RATIO) for hz in settings.tolist())
+        return x, y
+
+    def cost(settings: FloatArray) -> float:
+        return _rms_um([piece.planned(printer, *of(settings)) for piece in pieces[:: len(pieces) // 2 + 1]])
+
+    centre = np.array([machine.kinematics.centre_mm], dtype=float)
+    modes = shapers.dominant_frequencies(design_machine(machine)[0], centre)[0]
+    best = search(cost, modes, [Scan((0, 1), FACTORS)]).settings
+    return _Tuned(f"{kind.upper()}, x {best[0]:.1f} Hz, y {best[1]:.1f} Hz", *of(best))
+
+
+def _rms_um(squares: Sequence[FloatArray]) -> float:
+    return 1e3 * float(np.sqrt(np.mean(np.concatenate(squares))))

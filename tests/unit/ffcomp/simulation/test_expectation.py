@@ -1,0 +1,52 @@
+"""What to expect of printers that are off: equal to the exact error where nothing is, and honest about a shaper."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ffcomp.comparison.sampling import Print, Sampling
+from ffcomp.simulation.command import planned_motion
+from ffcomp.simulation.expectation import Errors, Expectation, draw_plants, expectation, pieces_of
+from models.file import load_machine
+from models.machine import Machine, value_of
+from tests.support.prints import squares
+
+
+@pytest.fixture(scope="module")
+def machine() -> Machine:
+    return load_machine("ender-3")
+
+
+def uncompensated(machine: Machine) -> Expectation:
+    """What the firmware's plan itself would be, were it a compensation."""
+    (stretch,), _ = Print(squares(1), "squares.gcode", machine, machine.kinematics.centre_mm).slices(Sampling())
+    found = expectation(machine, pieces_of(stretch.motion, planned_motion(stretch.trajectory), stretch.corners))
+    assert found is not None
+    return found
+
+
+def test_the_stated_uncertainty_is_that_of_frequencies(machine: Machine) -> None:
+    plants = draw_plants(replace(machine, uncertainty={"default": 0.2}), None, 400)
+    stiffness = np.array([value_of(each, "axes.x.stiffness[0]") for each in plants])
+    frequency = np.sqrt(stiffness / value_of(machine, "axes.x.stiffness[0]"))
+    assert np.std(frequency) == pytest.approx(0.2, rel=0.1) and np.mean(frequency) == pytest.approx(1.0, abs=0.03)
+
+
+def test_where_the_file_is_certain_the_expected_error_is_the_exact_one(machine: Machine) -> None:
+    found = uncompensated(replace(machine, uncertainty={"default": 0.0}))
+    for errors in (found.compensated, found.uncompensated, found.shaper):
+        assert errors.expected_um == errors.exact_um
+    assert found.compensated.exact_um == pytest.approx(found.uncompensated.exact_um, rel=1e-3)
+    assert found.shaper.exact_um < 0.5 * found.uncompensated.exact_um
+
+
+def test_where_the_shaper_is_better_it_comes_first_and_a_measurement_is_next(machine: Machine) -> None:
+    found = uncompensated(machine)
+    assert found.shaper_is_better and found.assumed and found.uncertainty == pytest.approx(0.2, rel=0.1)
+    assert found.headline.startswith("The firmware's input shaper is better here") and "assumed" in found.headline
+    assert "ffcomp record plan --for identify -m ender-3" in found.next_step
+    assert found.shaper.expected_um > found.shaper.exact_um > 0.0
+    assert not replace(found, compensated=Errors(1.0, 1.0)).shaper_is_better
