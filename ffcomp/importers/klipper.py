@@ -206,7 +206,8 @@ def from_klipper(config: KlipperConfig) -> ConfigValues:
         raise PrinterConfigError(f"{config.name}: the configuration gives no kinematics in [printer].{remarks}")
     if option.text not in KINDS:
         raise PrinterConfigError(
-            f"{option.place}: [printer] kinematics = {option.text!r}: ffcomp has delta, cartesian and corexy machines."
+            f"{option.place}: [printer] kinematics = {option.text!r}: ffcomp has delta, cartesian and corexy machines. "
+            "Others couple the motors in ways that their limits and steps would need: keep the shaper."
         )
     kind, origin = KINDS[option.text], f"{option.place} [printer] kinematics"
     of_kind = _delta(config) if kind == "delta" else _straight(config)
