@@ -27,9 +27,10 @@ from models.machine import Machine, with_values
 ShortArray = NDArray[np.float32]
 ShortComplexArray = NDArray[np.complex64]
 
-DRAWS = 32  # of twice as many the offsets are no better
+DRAWS, DRAWS_WIDE = 32, 128  # of twice as many the offsets are no better; where the uncertainty is wide, they are
 FARTHEST = 2.5  # standard deviations
-DIRECTIONS = 3  # of D over the draws, besides its mean; with six the errors are 1 to 3 % lower
+DIRECTIONS = 3  # of D over the draws, besides its mean; with six the errors are 1 to 3 % lower,
+DIRECTIONS_WIDE = 8  # and where the modes are known to 20 % only, three hold 70 % of the spread and eight 93 %
 PLACES_MM = 15.0  # to which the middle of a span is rounded
 PITCH_MM = 60.0  # half of it gives the same errors to 3 %
 PLACES_KEPT = 24  # of 0.6 MB each
@@ -60,11 +61,19 @@ class Sensitivity:
     """
 
     def __init__(
-        self, machine: Machine, row_s: float, bandwidth_hz: float, control_weight: float, sampled: bool = True
+        self,
+        machine: Machine,
+        row_s: float,
+        bandwidth_hz: float,
+        control_weight: float,
+        sampled: bool = True,
+        wide: bool = False,
     ) -> None:
+        """Choose the printers; wide: more of them, and more directions, for an uncertainty that asks for it."""
         self.machine, self.row_s, self.bandwidth_hz, self.control_weight = machine, row_s, bandwidth_hz, control_weight
-        self._sampled = sampled
-        self._possible = sampled_machines(machine) if sampled else perturbed_machines(machine)
+        self._sampled, self.directions = sampled, DIRECTIONS_WIDE if wide else DIRECTIONS
+        draws = DRAWS_WIDE if wide else DRAWS
+        self._possible = sampled_machines(machine, draws) if sampled else perturbed_machines(machine)
         self._nodes: dict[tuple[int, int], ShortComplexArray] = {}
         self._working = Lock()
 
@@ -86,12 +95,12 @@ class Sensitivity:
         mean = np.full(draws, 1.0 / draws) if self._sampled else np.eye(1, draws)[0]
         apart = (d - np.tensordot(mean, d, axes=1)).reshape(draws, -1)
         product = (apart @ np.conj(apart.T)).real
-        directions = np.linalg.eigh(product)[1][:, ::-1].T[:DIRECTIONS]
+        directions = np.linalg.eigh(product)[1][:, ::-1].T[: self.directions]
         if self._sampled:
             shares = np.concatenate([mean[None], directions / np.sqrt(draws)])
         else:
             shares = np.concatenate([mean[None], directions - directions.sum(axis=1, keepdims=True) * mean])
-        return np.concatenate([shares, np.zeros((1 + DIRECTIONS - len(shares), draws))])  # always as many
+        return np.concatenate([shares, np.zeros((1 + self.directions - len(shares), draws))])  # always as many
 
     def place_of(self, xy: FloatArray) -> tuple[int, int]:
         """Return the number of the place at which all of a span (m, 2) mm is taken: nearly its middle."""
@@ -127,6 +136,8 @@ class Sensitivity:
     def take_up(self, known: Mapping[str, NDArray[Any]]) -> None:
         """Take up D of the same machine that somebody else has worked out."""
         if "sensitivity" in known:
+            if known["sensitivity"].shape[1] != 1 + self.directions:
+                return
             with self._working:
                 for (a, b), response in zip(known["sensitivity node"].tolist(), known["sensitivity"], strict=True):
                     self._nodes.setdefault((a, b), response)
@@ -162,14 +173,16 @@ class Sensitivity:
 
     def tracking_error(self, rows: FloatArray) -> ShortArray:
         """Return D r − r of a path (n + 2 MARGIN, 3) mm, which has so many rows more: (1 + directions, n, 3) mm."""
-        parts = [np.empty((1 + DIRECTIONS, 0, 3), np.float32)]
+        parts = [np.empty((1 + self.directions, 0, 3), np.float32)]
         for first, last in spans_of(len(rows) - 2 * MARGIN):
             span = rows[first : last + 2 * MARGIN]
             length = span_length(len(span))
             response = self.to_steps(self.of_place(*self.place_of(span[:, :2])))[None, :, :, :: ROWS // length]
             lines = lines_of(steps_of(span, length)[None], response.shape[-1])
             error = rows_of(apply(response, lines, length // 2 + 1), length)
-            parts.append(np.moveaxis(error[0, :, MARGIN : len(span) - MARGIN].reshape(1 + DIRECTIONS, 3, -1), 1, 2))
+            parts.append(
+                np.moveaxis(error[0, :, MARGIN : len(span) - MARGIN].reshape(1 + self.directions, 3, -1), 1, 2)
+            )
         return np.concatenate(parts, axis=1)
 
 
