@@ -21,11 +21,12 @@ from ffcomp.inverse.robust import PLAIN, RobustChoice
 from ffcomp.metrics import Track
 from ffcomp.numerics.serialise import to_json
 from ffcomp.steps.sink import MotorTotal
-from gcode.dialects import FlavorChoice
+from gcode.dialects import MARLIN, FlavorChoice
 from gcode.embedded import Stamp
 from models.machine import Machine, identity
 
 SCHEMA = "ffcomp-compensate/1"
+MARLIN_8_BIT_PER_S = 100.0  # segments: 10 ms each to parse and plan
 LISTED = 12  # places that were slowed down, of which each has its sentence
 DIED = "A process that worked at it has died, perhaps for want of memory."
 
@@ -94,7 +95,19 @@ class Result:
             *numbers.shares.warnings(),
             *numbers.warnings,
         ]
-        return [*general, *self.bound_missed, *shaper]
+        return [*general, *self.bound_missed, *shaper, *self.slow_boards]
+
+    @property
+    def slow_boards(self) -> list[str]:
+        """Say which Marlin boards cannot take so many segments: Klipper's hosts and RepRapFirmware's boards all do."""
+        numbers = self.statistics
+        per_s = numbers.segments / max(numbers.print_time_s, 1e-9)
+        if self.flavor.flavor != MARLIN or per_s < MARLIN_8_BIT_PER_S:
+            return []
+        return [
+            f"The file has {per_s:.0f} segments a second. An 8-bit board, or a serial line at 115200 baud (OctoPrint), "
+            "falls behind and the print stutters: print it from the card of a 32-bit board."
+        ]
 
     @property
     def no_gain(self) -> list[str]:

@@ -183,3 +183,13 @@ def test_a_print_that_is_predicted_to_become_worse_says_so_first(ender: Machine)
     assert others == ["another"] and result(3.946, 6.052).warnings == [first, "another"]
     for better in (result(6.052, 3.946), result(3.946, 3.949), result(3.946, 6.052, Faster(bound_um=10.0))):
         assert better.no_gain == []
+
+
+def test_many_segments_warn_of_boards_that_plan_slowly_on_marlin_alone(ender: Machine) -> None:
+    def warned(flavor: str, segments: int) -> list[str]:
+        numbers, place = Statistics(segments=segments, print_time_s=10.0), Placement((0.0, 0.0), "")
+        return Result("", ender, FlavorChoice(flavor, ""), place, numbers, 1.0).warnings
+
+    (sentence,) = warned("marlin", 1650)
+    assert "165 segments a second. An 8-bit board" in sentence and "32-bit board" in sentence
+    assert warned("marlin", 900) == warned("klipper", 2400) == warned("reprapfirmware", 2400) == []
