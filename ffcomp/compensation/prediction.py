@@ -18,7 +18,6 @@ from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.reference import Reference
 from ffcomp.metrics import Track, peak_acceleration, track
 from ffcomp.planner.segment_timing import TimedSegments, sample_even_segments
-from ffcomp.planner.trajectory import Section, Trajectory
 from ffcomp.simulation.command import path_corners_with_rests
 from ffcomp.simulation.expectation import EXCERPT_S, Expectation, Piece, expectation, piece_of_segments
 from ffcomp.simulation.preview import preview
@@ -159,7 +158,7 @@ class Prediction:
         shift = samples.place - nozzle[0]
         samples.reference.append(nozzle[every::every] + shift)
         samples.place = samples.reference[-1][-1]
-        self._add_path(solved.trajectory, solved.section, reference, shift)
+        self._add_path(reference, shift)
         state = model.machine.equilibrium(nozzle[0])
         plain, _ = model.plant.respond(nozzle, velocity, state, s.substeps)
         response = result.response + self._joining(solved, nozzle, written)
@@ -197,11 +196,9 @@ class Prediction:
         response = solved.solution.response
         return kinematics.forward(kinematics.inverse(response) + q) - response
 
-    def _add_path(self, trajectory: Trajectory, run: Section, reference: Reference, shift: FloatArray) -> None:
-        part, samples = slice(run.first, run.last), self.samples
-        corners = np.vstack([trajectory.origin[part, :3], reference.nozzle(np.array([run.end_t]))])
-        due = np.append(trajectory.start_t[part], run.end_t)
-        samples.path.append(corners + shift)
+    def _add_path(self, reference: Reference, shift: FloatArray) -> None:
+        due, corners = reference.path()
+        self.samples.path.append(corners + shift)
         # by rounding a path may end after its last knot, where the next run begins
         length = reference.knots * self.model.settings.segment_s
-        samples.path_t.append(samples.clock + np.clip(due - reference.t0, 0.0, length))
+        self.samples.path_t.append(self.samples.clock + np.clip(due - reference.t0, 0.0, length))

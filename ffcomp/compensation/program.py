@@ -146,15 +146,10 @@ class BoundCheck:
 
     def add(self, solved: SolvedSection, settings: Settings) -> None:
         """Look at a section."""
-        section, trajectory, response = solved.section, solved.trajectory, solved.solution.response
-        t = (
-            solved.reference.t0
-            + np.arange(1, len(response) + 1, dtype=np.float64) * settings.segment_s / settings.substeps
-        )
-        part = slice(section.first, section.last)
-        corners = np.vstack([trajectory.origin[part, :3], solved.reference.nozzle(np.array([section.end_t]))])
-        error = contour_error(np.append(trajectory.start_t[part], section.end_t), corners, t, response)
-        move = np.clip(trajectory.move_at(t), section.first, section.last - 1)
+        section, reference, response = solved.section, solved.reference, solved.solution.response
+        t = reference.t0 + np.arange(1, len(response) + 1, dtype=np.float64) * settings.segment_s / settings.substeps
+        error = contour_error(*reference.path(), t, response)
+        move = np.clip(solved.trajectory.move_at(t), section.first, section.last - 1)
         times = error / self.bound_mm[move]
         worst = int(times.argmax())
         if times[worst] > PEAK_LEVEL:

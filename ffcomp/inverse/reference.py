@@ -141,6 +141,11 @@ class Reference:
         """Return the nozzle (m, 3) mm at times (m,) s of the plan's clock."""
         return np.ascontiguousarray(self._position(t)[:, :3])
 
+    def path(self) -> tuple[FloatArray, FloatArray]:
+        """Return when each corner of the section's path is due, (n + 1,) s, and where it is, (n + 1, 3) mm."""
+        plan, end_t = self._trajectory, self._section.end_t
+        return np.append(plan.start_t, end_t), np.vstack([plan.origin[:, :3], self.nozzle(np.array([end_t]))])
+
     def moving(self, t: FloatArray) -> NDArray[np.bool_]:
         """Return whether the section is under way at times (m,) s of the plan's clock."""
         return np.asarray((t > self._section.begin_t) & (t < self._section.end_t))

@@ -62,10 +62,9 @@ def test_rounding_never_lets_a_path_end_after_the_next_one_begins() -> None:
     for _ in range(200):
         begin, knots = float(rng.uniform(0.0, 300.0)), int(rng.integers(3, 400))
         end = begin + (1.0 + rng.uniform(0.0, 1e-9)) * knots * segment_s
-        plan = SimpleNamespace(origin=np.zeros((1, 4)), start_t=np.array([begin]))
-        reference = SimpleNamespace(knots=knots, t0=begin, nozzle=lambda t: np.zeros((1, 3)))
-        run = SimpleNamespace(first=0, last=1, end_t=end)
-        collector._add_path(plan, run, reference, np.zeros(3))  # type: ignore[arg-type]
+        path = np.array([begin, end]), np.zeros((2, 3))
+        reference = SimpleNamespace(knots=knots, t0=begin, path=lambda path=path: path)
+        collector._add_path(reference, np.zeros(3))  # type: ignore[arg-type]
         collector.samples.clock += knots * segment_s
     assert (np.diff(np.concatenate(collector.samples.path_t)) >= 0.0).all()
 
