@@ -63,7 +63,6 @@ STAGES = {
     "write": (
         "ffcomp.compensation.gcode_writer.timeline",
         "ffcomp.compensation.gcode_writer.tiles",
-        "ffcomp.compensation.gcode_writer.keep_inside",
         "ffcomp.compensation.gcode_writer.Writer.section",
         "ffcomp.compensation.gcode_writer.Writer.event",
         "ffcomp.compensation.gcode_writer.Writer.extrude",

@@ -157,6 +157,10 @@ class Program:
     flavor: str = "klipper"  # the firmware it was read for
     limits: Mapping[str, LimitCommand] = field(default_factory=dict)  # in effect before lines[0] (`limits_in_effect`)
 
+    def line_of(self, move: int) -> int:
+        """Return the line of a move in the file, from 1."""
+        return self.first_line + int(self.moves.line[move]) + 1
+
 
 class EventQueue:
     """Events in the file's order, taken out as the moves go by."""

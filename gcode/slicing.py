@@ -191,7 +191,7 @@ def _event(program: Program, numbers: IntArray, before: int, reason: str) -> Eve
         velocity_limit=float(moves.velocity_limit[first]),
         acceleration=float(moves.acceleration[first]),
         square_corner_velocity=float(moves.square_corner_velocity[first]),
-        cause=(program.first_line + int(moves.line[first]) + 1, reason),
+        cause=(program.line_of(first), reason),
     )
     frame = int(moves.frame[last])
     return Event(int(moves.line[first]), before, EventKind.RAW_MOVE, frame, moves_itself=True, raw=raw)

@@ -101,7 +101,7 @@ def _added(some: Mapping[str, float], more: Mapping[str, float]) -> dict[str, fl
 
 
 def _not_faster(chunk: Chunk) -> str:
-    line = chunk.program.first_line + int(chunk.program.moves.line[0]) + 1
+    line = chunk.program.line_of(0)
     return (
         f"line {line}: the motion from here on does not rest, and too little of it lies between cuts; "
         "it keeps the slicer's speed, and its error is not bounded."
@@ -111,7 +111,7 @@ def _not_faster(chunk: Chunk) -> str:
 def _bound_exceeded(chunk: Chunk, quicker: FasterProgram, bound: Bound) -> tuple[str, ...]:
     if quicker.p99 <= P99_LEVEL:
         return ()
-    line = chunk.program.first_line + int(chunk.program.moves.line[0]) + 1
+    line = chunk.program.line_of(0)
     held = f"{quicker.p99:.2g} times the bound"
     if not bound.of_features_um:
         held = f"{quicker.p99 * bound.max_error_um:.2g} µm, not {bound.max_error_um:g}"
@@ -125,7 +125,7 @@ def _unchanged_moves(chunk: Chunk, quicker: FasterProgram) -> tuple[str, ...]:
     if not quicker.reverted.any():
         return ()
     moves = np.flatnonzero(quicker.reverted)
-    line = chunk.program.first_line + int(chunk.program.moves.line[moves[0]]) + 1
+    line = chunk.program.line_of(moves[0])
     seconds = float(quicker.plan.duration[moves].sum())
     return (
         f"line {line}: {len(moves)} moves from here on ({seconds:.2g} s) keep the slicer's motion: no quicker one was "

@@ -20,7 +20,7 @@ import numpy as np
 from ffcomp.compensation.gcode_layout import Timeline, tiles, timeline
 from ffcomp.compensation.marlin_segments import Filament, FilamentCount, MarlinSegments
 from ffcomp.compensation.plan import Context, PlannedChunk
-from ffcomp.compensation.solve import SolvedSection, keep_inside
+from ffcomp.compensation.solve import SolvedSection
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.settings import CUT, Settings
 from ffcomp.planner.lifts import join_lifts
@@ -228,7 +228,7 @@ class Writer:
             yield from self._begin(first)
             self.rest, self.begun = 0.0, False
             self.written = []
-            self.section_begin = (self.program.first_line + int(self.program.moves.line[first]), timeline.lead_s)
+            self.section_begin = (self.program.line_of(first) - 1, timeline.lead_s)
         begins = self.moves.place[:3]
         segments, timed = self._segments(first, vertices, timeline, filament)
         lines = segments.lines(timeline)
@@ -596,7 +596,7 @@ class GcodeRenderer:
         """Write the segments of a section, tile by tile, and the lines in it."""
         planned, reference, (begin, end) = self._planned, solved.reference, solved.knots
         heights = planned.program.moves.end[section.first : section.last, 2]
-        vertices = keep_inside(self._kinematics, solved.solution.vertices, heights)
+        vertices = self._kinematics.drawn_in(solved.solution.vertices, heights)
         inside = self._events.up_to(section.last - 1)
         if self._extent.begin is not None and section is planned.sections[0]:
             position = [*vertices[begin].tolist(), float(reference.extrusion(begin, begin)[0])]
@@ -608,9 +608,8 @@ class GcodeRenderer:
                 # where whole steps keep a motion that was slowed down from ending at a knot, the next one resumes here
                 t = self._extent.end.time_in(solved.trajectory)
                 ends = float(solved.trajectory.position(np.array([t]))[0, 3])
-                events.e[np.searchsorted(events.at, end)] = (
-                    ends + reference.lead_at(np.array([reference.knot_of(t)]))[0]
-                )
+                lead = reference.lead_at(np.array([reference.knot_of(t)]))
+                events.e[np.searchsorted(events.at, end)] = ends + lead[0]
             yield from self._writer.section(section.first, part, events, self._filament_after(section))
 
     def _filament_after(self, section: Section) -> Filament | None:

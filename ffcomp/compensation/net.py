@@ -21,7 +21,7 @@ from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.reference import Reference
 from ffcomp.metrics import contour_error
 from ffcomp.planner.trajectory import Section, Trajectory
-from gcode.program import Moves, Program
+from gcode.program import Moves
 from models.arrays import FloatArray
 
 FARTHEST_MM, TIMES = 0.5, 5.0
@@ -58,7 +58,7 @@ def fault_of(
     gap = float(np.abs(moves.start[within, :3][1:] - moves.end[within, :3][:-1]).max(initial=0.0))
     if gap > ENDS_MM:
         return f"its path jumps by {gap:.3g} mm"
-    if why := path_fault(model, moves, plan, section, reference, vertices):
+    if why := path_fault(model, moves, plan, section, reference, vertices, (0, reference.knots)):
         return why
     ends = np.stack([moves.start[section.first, :3], moves.end[section.last - 1, :3]])
     off = float(np.abs(vertices[[0, -1]] - ends).max())
@@ -75,22 +75,23 @@ def path_fault(
     section: Section,
     reference: Reference,
     vertices: FloatArray,
-    first: int = 0,
+    knots: tuple[int, int],
 ) -> str:
-    """Return whether a command leaves its path too far; empty: it does not.
+    """Return why a command between two knots, both included, is too far from its path; empty: it is not.
 
     Parameters
     ----------
     moves : of the program
     plan, section, reference : what the command was solved for
-    vertices : (m, 3) mm, the command at the knots from `first` on
+    vertices : (n + 1, 3) mm, the command at the reference's knots
     """
     if not np.isfinite(vertices).all():
         return "it is not finite"
-    part = slice(section.first, section.last)
+    part, (first, last) = slice(section.first, section.last), knots
+    vertices = vertices[first : last + 1]
     compensated_mm = max(model.settings.compliance_s2) * float(plan.acceleration[part].max())
     most = max(FARTHEST_MM, TIMES * compensated_mm)
-    t = reference.t0 + model.settings.segment_s * np.arange(first, first + len(vertices), dtype=np.float64)
+    t = reference.t0 + model.settings.segment_s * np.arange(first, last + 1, dtype=np.float64)
     due = plan.part(section.first, section.last).position(t + model.delay_s)[:, :3]  # it is ahead by the delay
     if float(((vertices - due) ** 2).sum(axis=1).max()) <= most * most:
         return ""  # so near where it is due, it is no further from the path
@@ -98,12 +99,6 @@ def path_fault(
     path_t = np.maximum.accumulate(np.append(plan.start_t[part], section.end_t))
     away = float(contour_error(path_t, corners, t, vertices).max())
     return "" if away <= most else f"it leaves its path by {away:.3g} mm, and {most:.2g} mm are allowed"
-
-
-def unsafe_at(program: Program, section: Section, why: str) -> Unsafe:
-    """Return the record of a section that goes out as it was sliced."""
-    first, last = program.moves.line[[section.first, section.last - 1]].tolist()
-    return Unsafe(program.first_line + first + 1, program.first_line + last + 1, why)
 
 
 def unsafe_sentences(unsafe: tuple[Unsafe, ...]) -> list[str]:

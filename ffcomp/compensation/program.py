@@ -153,7 +153,7 @@ class BoundCheck:
         times = error / self.bound_mm[move]
         worst = int(times.argmax())
         if times[worst] > PEAK_LEVEL:
-            line = self.program.first_line + int(self.program.moves.line[move[worst]]) + 1
+            line = self.program.line_of(move[worst])
             self.beyond.append((float(times[worst]), line, 1e3 * float(error[worst])))
 
     def warnings(self, strict: bool = False) -> tuple[str, ...]:
@@ -184,8 +184,7 @@ class PressureCheck:
         """Look at a section."""
         share = solved.reference.lead.share
         if share < ENOUGH_LEAD:
-            move = int(self.program.moves.line[solved.section.first])
-            self.short.append((share, self.program.first_line + move + 1))
+            self.short.append((share, self.program.line_of(solved.section.first)))
 
     def warnings(self) -> tuple[str, ...]:
         """Say where the extruder cannot follow, and where the file sets the firmware's own pressure advance."""

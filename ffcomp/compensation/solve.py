@@ -20,7 +20,6 @@ from ffcomp.planner.trajectory import Section, Trajectory
 from gcode.layers import LayerLookup
 from gcode.program import EventKind
 from models.arrays import FloatArray
-from models.kinematics.base import Kinematics
 from models.machine import Machine
 
 
@@ -164,13 +163,11 @@ def _checked(solved: SolvedSection, planned: PlannedProgram, model: InverseModel
     """Hold a section against its plan (`net`); what is cut in motion cannot go out as it was sliced, and is refused."""
     if solved.fault:
         return solved
-    plan, section, reference, vertices = solved.trajectory, solved.section, solved.reference, solved.solution.vertices
+    parts = planned.program.moves, solved.trajectory, solved.section, solved.reference, solved.solution.vertices
     if extent == WHOLE:
-        return replace(solved, fault=fault_of(model, planned.program.moves, plan, section, reference, vertices))
-    first, last = solved.knots
-    why = path_fault(model, planned.program.moves, plan, section, reference, vertices[first : last + 1], first)
-    if why:
-        line = planned.program.first_line + int(planned.program.moves.line[section.first]) + 1
+        return replace(solved, fault=fault_of(model, *parts))
+    if why := path_fault(model, *parts, solved.knots):
+        line = planned.program.line_of(solved.section.first)
         raise LimitsError(
             f"line {line}: the command of the motion that begins here failed its check: {why}. This is a fault of "
             "ffcomp; print the file as it was sliced, and please report it with the file."
@@ -187,21 +184,3 @@ def _moved_before(planned: PlannedProgram) -> dict[int, bool]:
         if section.travels:
             moved[section.first], pending, last = pending, False, section.last - 1
     return moved
-
-
-def keep_inside(kinematics: Kinematics, vertices: FloatArray, heights: FloatArray) -> FloatArray:
-    """Move a command to where the firmware lets it go: it aborts a print over a µm outside the radius or below the bed.
-
-    Parameters
-    ----------
-    kinematics : those of the machine
-    vertices : (n, 3), the command at its knots, mm
-    heights : (m,), heights of the path itself, mm
-
-    Raises
-    ------
-    LimitsError: If the command cannot be reached at all.
-    """
-    if not np.isfinite(vertices).all():
-        raise LimitsError("The command leaves the arms' reach; the path runs too close to it.")
-    return kinematics.drawn_in(vertices, heights)

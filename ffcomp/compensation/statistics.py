@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from ffcomp.compensation.faster import Faster
-from ffcomp.compensation.net import Unsafe, unsafe_at
+from ffcomp.compensation.net import Unsafe
 from ffcomp.compensation.prediction import Samples
 from ffcomp.compensation.solve import SolvedSection
 from ffcomp.inverse.command_limits import utilisation_from_rest
@@ -259,11 +259,12 @@ def of_section(
 
 def of_unsafe(section: Section, planned: PlannedProgram, why: str) -> Statistics:
     """Count a section that goes out as it was sliced: its plan has been counted as compensated."""
-    part = of_moves(some(planned.program.moves, slice(section.first, section.last)))
-    record = unsafe_at(planned.program, section, why)
+    program = planned.program
+    part = of_moves(some(program.moves, slice(section.first, section.last)))
+    first, last = program.line_of(section.first), program.line_of(section.last - 1)
     left = replace(part, seconds=section.end_t - section.begin_t)
-    shares = Shares(Part(-part.path_mm, -part.filament_mm), {Place(record.first_line, UNSAFE): left})
-    return Statistics(shares=shares, unsafe=(record,))
+    shares = Shares(Part(-part.path_mm, -part.filament_mm), {Place(first, UNSAFE): left})
+    return Statistics(shares=shares, unsafe=(Unsafe(first, last, why),))
 
 
 def _counted_s(section: Section, planned: PlannedProgram, extent: Extent) -> float:
@@ -285,8 +286,7 @@ def _excesses(solved: SolvedSection, program: Program, model: InverseModel) -> I
     if demand[worst] > UTILISATION_TOLERANCE:
         t = solved.reference.t0 + (begin + worst) * model.settings.segment_s
         move = min(max(int(solved.trajectory.move_at(t)), solved.section.first), solved.section.last - 1)
-        line = program.first_line + int(program.moves.line[move]) + 1
-        yield f"line {line}: the command needs {demand[worst]:.2f} times a carriage's limit here."
+        yield f"line {program.line_of(move)}: the command needs {demand[worst]:.2f} times a carriage's limit here."
 
 
 MOST_LINES = 5

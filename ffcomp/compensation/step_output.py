@@ -13,7 +13,7 @@ from itertools import pairwise
 import numpy as np
 
 from ffcomp.compensation.plan import Context, PlannedChunk
-from ffcomp.compensation.solve import SolvedSection, keep_inside
+from ffcomp.compensation.solve import SolvedSection
 from ffcomp.planner.lookahead import stops_and_waits
 from ffcomp.planner.program import PlannedProgram
 from ffcomp.planner.segment_timing import TimedSegments
@@ -115,15 +115,11 @@ class StepRenderer:
 
     def section(self, section: Section, solved: SolvedSection) -> Iterable[bytes]:
         """Write a section that travels, and give the lines in it their ticks."""
-        run, moves, reference, (first, last) = (
-            solved.section,
-            self._planned.program.moves,
-            solved.reference,
-            solved.knots,
-        )
+        run, reference, (first, last) = solved.section, solved.reference, solved.knots
+        moves = self._planned.program.moves
         self._tell_height(run.first)
         heights = moves.end[run.first : run.last, 2]
-        vertices = keep_inside(self._kinematics, solved.solution.vertices[first : last + 1], heights)
+        vertices = self._kinematics.drawn_in(solved.solution.vertices[first : last + 1], heights)
         filament = reference.extrusion(first, last)
         if last == reference.knots:
             filament[-1] = moves.end[run.last - 1, 3]
