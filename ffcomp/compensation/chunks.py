@@ -177,35 +177,33 @@ class _Known:
         return PathPosition(move, _far(self.plan.position([t])[0], self.ahead.program.moves.start[move]))
 
     def _cut(self, knots: int, rest: int | None) -> tuple[Chunk, _Known]:
-        ahead, plan, around = self.ahead, self.plan, self._around_s
-        t, place = self._t(knots), self._position(knots)
-        first, tail = _from(ahead.program, plan, t - around)
-        begin = PathPosition(place.move - first, _far(plan.position([t])[0], tail.moves.start[place.move - first]))
+        ahead, plan, t = self.ahead, self.plan, self._t(knots)
+        place, (first, tail, begin, layers) = self._position(knots), self._from_before(knots)
         limits = limits_in_effect(excerpt(ahead.program, 0, place.move + 1), ahead.limits)
-        passed = layer_starts(excerpt(ahead.program, 0, first)) if first else []
-        left = Chunk(
-            replace(tail, warnings=[]),
-            limits=limits,
-            layers=ahead.layers + len(passed),
-            extent=Extent(begin),
-            cuts=ahead.cuts + 1,
-        )
-        written = _until(ahead.program, plan, t + around, rest)
+        tail = replace(tail, warnings=[])
+        left = Chunk(tail, limits=limits, layers=layers, extent=Extent(begin), cuts=ahead.cuts + 1)
+        written = _until(ahead.program, plan, t + self._around_s, rest)
         chunk = replace(ahead, program=written, extent=Extent(ahead.extent.begin, place))
         return chunk, _Known(left, plan.part(first), t, self.splitting)
+
+    def _from_before(self, knots: int) -> tuple[int, Program, PathPosition, int]:
+        """Return the first move that must be known around a cut, the program from it, the cut there, layers before."""
+        ahead, plan, t = self.ahead, self.plan, self._t(knots)
+        first, tail = _from(ahead.program, plan, t - self._around_s)
+        move = self._position(knots).move - first
+        passed = layer_starts(excerpt(ahead.program, 0, first)) if first else []
+        cut = PathPosition(move, _far(plan.position([t])[0], tail.moves.start[move]))
+        return first, tail, cut, ahead.layers + len(passed)
 
     def _slowed(self, knots: int, rest: int | None) -> _Known | None:
         """Slow it down around the position where it is to be cut; None: that need not be."""
         ease, ahead, plan, t = self.splitting.ease, self.ahead, self.plan, self._t(knots)
         if ease is None:
             return None
-        first, tail = _from(ahead.program, plan, t - self._around_s)
+        first, tail, cut, layers = self._from_before(knots)
         last = None if rest is None else rest - first
         around = _until(tail, plan.part(first), t + self._around_s, last)
-        place = self._position(knots)
-        cut = PathPosition(place.move - first, _far(plan.position([t])[0], around.moves.start[place.move - first]))
-        passed = layer_starts(excerpt(ahead.program, 0, first)) if first else []
-        slower, records = ease(around, cut, ahead.layers + len(passed))
+        slower, records = ease(around, cut, layers)
         if not records:
             return None
         program = replace(ahead.program, moves=_with(ahead.program.moves, first, slower))

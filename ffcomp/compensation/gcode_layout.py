@@ -43,11 +43,6 @@ class Tile:
     end: int  # and its last one ends here
     last: int  # its context ends here
 
-    @staticmethod
-    def whole(knots: int) -> Tile:
-        """Return the one tile of a section of so many segments."""
-        return Tile(0, 0, knots, knots)
-
 
 def tiles(knots: int, length: int = TILE_KNOTS, begin: int = 0, end: int | None = None) -> list[Tile]:
     """Cut a section, or what lies between two of its knots, into tiles of `length` segments, a multiple of CUT."""
@@ -92,7 +87,7 @@ def timeline(
     reference: Reference,
     vertices: FloatArray,
     inside: list[Event],
-    tile: Tile | None = None,
+    tile: Tile,
 ) -> Timeline:
     """Lay the events inside a run, and its moves, on its knots.
 
@@ -103,9 +98,8 @@ def timeline(
     ----------
     vertices : (n + 1, 3) mm, columns X Y Z, at the knots tile.first … tile.last
     inside : all events of the run, in the file's order
-    tile : what is laid out; by default the whole run
+    tile : what is laid out
     """
-    tile = tile or Tile.whole(reference.knots)
     e = reference.extrusion(tile.first, tile.last)
     if tile.last == reference.knots:
         e[-1] = program.moves.end[run.last - 1, 3]
@@ -114,17 +108,7 @@ def timeline(
     laid.cut[np.searchsorted(laid.at, tile.end)] = True  # where a motion is cut that had to be slowed down
     _meet_the_events(laid, program, run, e, lines, among, reference.lead_at)
     lead_s = run.begin_t - reference.t0
-    return Timeline(
-        tile=tile,
-        at=laid.at,
-        e=laid.e,
-        cut=laid.cut,
-        point=laid.point,
-        line=lines.line,
-        event=lines.event,
-        events=among,
-        lead_s=lead_s,
-    )
+    return Timeline(tile, laid.at, laid.e, laid.cut, laid.point, lines.line, lines.event, among, lead_s)
 
 
 class _Laid(NamedTuple):

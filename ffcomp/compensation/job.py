@@ -213,6 +213,10 @@ class Job:
             statistics += Statistics(warnings=reach.warnings)
             predicted = _forecast(statistics, self.machine)
             totals = sink.finish()
+        result = self._result(statistics, time.perf_counter() - started, predicted)
+        return replace(result, steps=totals, shaper=None)
+
+    def _result(self, statistics: Statistics, seconds: float, predicted: Forecast) -> Result:
         self.model.save_cache()
         return Result(
             self.path,
@@ -220,9 +224,10 @@ class Job:
             self._flavor_choice,
             self._placement,
             statistics,
-            time.perf_counter() - started,
-            totals,
+            seconds,
+            embedded=self.settings.embed,
             robust=self._robust,
+            shaper=self._shaper,
             forecast=predicted,
         )
 
@@ -336,20 +341,8 @@ class Job:
             pieces = with_shaper_off(pieces, self._shaper)
         notes = offset_line(self.offset) + (b"" if self.settings.embed else WITHOUT_ORIGINAL + b"\n")
         yield from stamped(filter(None, pieces), stamp, notes)
-        self.model.save_cache()
-        took_s, embedded = time.perf_counter() - started, self.settings.embed
-        return Result(
-            self.path,
-            self.machine,
-            self._flavor_choice,
-            self._placement,
-            body.value,
-            took_s,
-            embedded=embedded,
-            robust=self._robust,
-            shaper=self._shaper,
-            forecast=_forecast(body.value, self.machine),
-        )
+        seconds = time.perf_counter() - started
+        return self._result(body.value, seconds, _forecast(body.value, self.machine))
 
     def _body(self, progress: Progress) -> Lines:
         reach = Reach(self.machine.kinematics)

@@ -227,12 +227,12 @@ def _regulator(
         k, passes = kind[j - 1], 1
         if begins[j] or j == n - 1:
             passes = SETTLE
-            _fill(p, 0.0)
+            p[:, :] = 0.0
         _across(errors[k], unit[j - 1], across)
         for _ in range(passes):
-            _fill(ahead, 0.0)
+            ahead[:, :] = 0.0
             _add_product(p, forward[k], ahead)
-            _fill(whole, 0.0)
+            whole[:, :] = 0.0
             _add_product(across, across, whole)
             _add_product(forward[k], ahead, whole)
             for i in range(3):
@@ -247,13 +247,6 @@ def _regulator(
                         value -= whole[size + i, r] * gain[j, i, c]
                     p[r, c] = p[c, r] = value
     return gain, cost
-
-
-@kernel
-def _fill(matrix: FloatArray, value: float) -> None:
-    for i in range(matrix.shape[0]):
-        for c in range(matrix.shape[1]):
-            matrix[i, c] = value
 
 
 @kernel

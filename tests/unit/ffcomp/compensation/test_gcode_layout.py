@@ -62,7 +62,7 @@ def written(data: bytes, length: int) -> tuple[bytes, int]:
             continue
         wanted = Reference(planned.trajectory, run, writer.settings)
         command = smoothed(wanted.at_knots(np.arange(wanted.knots + 1)))
-        for tile in tiles(wanted.knots, length) if length else [Tile.whole(wanted.knots)]:
+        for tile in tiles(wanted.knots, length) if length else [Tile(0, 0, wanted.knots, wanted.knots)]:
             vertices = command[tile.first : tile.last + 1]
             events = timeline(program, planned.trajectory, run, wanted, vertices, inside, tile)
             text += writer.section(run.first, vertices, events)
