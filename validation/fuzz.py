@@ -21,6 +21,7 @@ import traceback
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -212,18 +213,8 @@ def failed(keep: Path, name: str, data: bytes) -> None:
 def fuzzed(target: str, seconds: int, seed: int, keep: Path) -> Row:
     """Run a target, and read libFuzzer's account of it."""
     begin, before = time.monotonic(), count(keep, target)
-    command = [
-        sys.executable,
-        "-m",
-        "validation.fuzz",
-        "--within",
-        target,
-        "--seconds",
-        str(seconds),
-        "--seed",
-        str(seed),
-    ]
-    command += ["--keep", str(keep.resolve())]
+    options = {"--within": target, "--seconds": str(seconds), "--seed": str(seed), "--keep": str(keep.resolve())}
+    command = [sys.executable, "-m", "validation.fuzz", *chain.from_iterable(options.items())]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, errors="replace", check=False)
     executions, edges = _DONE.search(done.stderr), _EDGES.findall(done.stderr)
     if executions is None or not edges:
@@ -240,17 +231,16 @@ def count(keep: Path, target: str) -> int:
 
 
 def prints(seconds: int, seed: int, keep: Path) -> Row:
-    """Numbers from seed million on, each a print, every second one with unknown places."""
+    """Numbers from seed million on, each a print, nine in ten of them with unknown places."""
     from tests.fuzz.test_random_programs import IN_A_ROW, Case, compensated, inverter, random_print
     from validation.invariants import violations
 
     begin, number, before = time.monotonic(), 1_000_000 * seed, count(keep, "prints")
     while time.monotonic() - begin < seconds:
-        places = number // (10 * IN_A_ROW) % 10 > 0  # nine in ten
-        case = Case.of(number)
-        data = case.data if places else random_print(number)
+        case = Case.of(number) if number // (10 * IN_A_ROW) % 10 else None
+        data = random_print(number) if case is None else case.data
 
-        def one(data: bytes, case: Case | None = case if places else None) -> None:
+        def one(data: bytes, case: Case | None = case) -> None:
             found = case.violations() if case else violations(data, compensated(data, inverter()), inverter().machine)
             if found:
                 raise AssertionError(found)

@@ -90,7 +90,7 @@ def violations(
     return [
         *found,
         *_of_text(lines, text),
-        *_of_lines(read, written, text, bool(any(offset_mm))),
+        *_of_lines(read, written, text),
         *_of_filament(read, written),
         *_of_motion(written, text, machine),
         *_of_path(read, written, text, machine),
@@ -107,7 +107,7 @@ def _of_text(lines: list[bytes], text: Text) -> Iterator[str]:
             yield f"A segment is too long, or no plain G1: {lines[i]!r}."
 
 
-def _of_lines(read: Program, written: Program, text: Text, shifted: bool) -> Iterator[str]:
+def _of_lines(read: Program, written: Program, text: Text) -> Iterator[str]:
     """Heaters, fans, tools, comments: all that is not a move goes out as it came, where it came."""
     kept = set(text.others)
     mine, theirs = _places(read, set(range(len(read.lines)))), _places(written, kept)

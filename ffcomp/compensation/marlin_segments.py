@@ -18,12 +18,7 @@ import numpy as np
 from ffcomp.compensation.whole_steps import WholeSteps
 from ffcomp.inverse.model import InverseModel
 from ffcomp.planner.marlin import marlin_settings, settings_row
-from ffcomp.planner.marlin_queue import (
-    STEPS,
-    Targets,
-    phases_of,
-    plan_blocks,
-)
+from ffcomp.planner.marlin_queue import STEPS, Targets, phases_of, plan_blocks
 from ffcomp.planner.segment_timing import SegmentLimits, SegmentSpeeds
 from ffcomp.planner.settings_in_force import row_after
 from gcode.program import LimitCommand, ModalState
@@ -124,15 +119,9 @@ class MarlinSegments:
         mm = np.linalg.norm(change[:, :3], axis=1) if by_motors else straight
         meant = np.maximum(np.where(mm > 0.0, mm, straight), 1e-6) / lasting
         feed = meant.copy()
-        if filament is not None:
-            motors = np.vstack([motors, motors[-1] + [0.0, 0.0, 0.0, filament.mm]])
+        lengths = np.full(len(mm), np.nan) if by_motors else straight
         for sweep in range(SWEEPS + 1):
-            lengths = np.full(len(mm), np.nan) if by_motors else straight
-            if filament is None:
-                duration = self._durations(motors, lengths, feed, row)
-            else:
-                more = np.append(lengths, np.nan), np.append(feed, filament.mm_per_s)
-                duration = self._durations(motors, *more, row)[:-1]
+            duration = self._durations(motors, lengths, feed, row, filament)
             if sweep < SWEEPS:
                 feed = np.clip(feed * np.where(duration > 0.0, duration / lasting, 1.0), meant, MOST_FASTER * meant)
         executed = np.where(duration > 0.0, duration, lasting)
@@ -140,17 +129,23 @@ class MarlinSegments:
         junction = np.concatenate([[0.0], np.minimum(played[1:], played[:-1]), [0.0]])
         return feed, SegmentSpeeds(played, junction, np.full(len(mm), self.output.acceleration_mm_per_s2), executed)
 
-    def _durations(self, motors: FloatArray, length: FloatArray, feed: FloatArray, row: FloatArray) -> FloatArray:
-        n = len(feed)
-        if not n:
+    def _durations(
+        self, motors: FloatArray, length: FloatArray, feed: FloatArray, row: FloatArray, filament: Filament | None
+    ) -> FloatArray:
+        segments = len(feed)
+        if not segments:
             return np.zeros(0)
+        if filament is not None:
+            motors = np.vstack([motors, motors[-1] + [0.0, 0.0, 0.0, filament.mm]])
+            length, feed = np.append(length, np.nan), np.append(feed, filament.mm_per_s)
+        n = len(feed)
         start = np.full((n, 4), np.nan)
         start[0] = motors[0]
         nothing, rests = np.zeros(n), np.zeros(n, dtype=np.bool_)
         settings = np.broadcast_to(row.astype(np.float32), (n, len(row)))
         targets = Targets(start, motors[1:], length, feed, nothing, nothing, rests, np.ascontiguousarray(settings))
         blocks = plan_blocks(targets, self.settings.minimum_steps_per_segment, False)
-        return np.bincount(blocks.target, phases_of(blocks).duration, minlength=n).astype(np.float64)
+        return np.bincount(blocks.target, phases_of(blocks).duration, minlength=n)[:segments].astype(np.float64)
 
     @property
     def longest_s(self) -> float:
