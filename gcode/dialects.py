@@ -8,7 +8,7 @@ slicers set its limits for each axis as well, or by P and T.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from math import nan
 from typing import NamedTuple
@@ -187,12 +187,12 @@ def open_limits(flavor: str, velocity: float, acceleration: float, corner: float
 
     axes : whose limits are touched, in firmware that has them for each: a lead screw's must stay what they are
     """
-    return _WRITERS[flavor](MotionLimits(velocity, acceleration, corner, 0.0), axes)
+    return close_limits(flavor, MotionLimits(velocity, acceleration, corner, 0.0), axes)
 
 
 def close_limits(flavor: str, limits: MotionLimits, axes: str = "XYZ") -> list[bytes]:
     """Lines that put limits back; what is NaN is not written, for nobody knows it."""
-    return _WRITERS[flavor](limits, axes)
+    return _klipper(limits) if flavor == KLIPPER else _by_axes(flavor, limits, axes)
 
 
 def limit_line(flavor: str, code: str, words: Mapping[str, float], unit_mm: float = 1.0) -> bytes:
@@ -237,7 +237,7 @@ def shaper_off(flavor: str, on: Iterable[bytes] = ()) -> list[bytes]:
     return [b"M593 F0\n" if flavor == MARLIN else b'M593 P"none"\n']
 
 
-def _klipper(limits: MotionLimits, axes: str) -> list[bytes]:
+def _klipper(limits: MotionLimits) -> list[bytes]:
     """Klipper's limits are the nozzle's; Z has its own besides, which only the configuration sets."""
     fields = {
         "VELOCITY": limits.velocity,
@@ -256,15 +256,8 @@ def _number(value: float) -> str:
     return f"{value:.3f}".rstrip("0").rstrip(".")
 
 
-def _marlin(limits: MotionLimits, axes: str) -> list[bytes]:
-    return _by_axes(MARLIN, limits, axes, corner=("M205", "XY"))
-
-
-def _reprapfirmware(limits: MotionLimits, axes: str) -> list[bytes]:
-    return _by_axes(REPRAPFIRMWARE, limits, axes, corner=("M566", axes))
-
-
-def _by_axes(flavor: str, limits: MotionLimits, axes: str, corner: tuple[str, str]) -> list[bytes]:
+def _by_axes(flavor: str, limits: MotionLimits, axes: str) -> list[bytes]:
+    corner = ("M205", "XY") if flavor == MARLIN else ("M566", axes)
     each = (
         ("M201", axes, limits.acceleration),
         ("M203", axes, limits.velocity),
@@ -272,13 +265,6 @@ def _by_axes(flavor: str, limits: MotionLimits, axes: str, corner: tuple[str, st
         (*corner, limits.square_corner_velocity),
     )
     return [limit_line(flavor, code, dict.fromkeys(of, x)) + b"\n" for code, of, x in each if x == x]
-
-
-_WRITERS: dict[str, Callable[[MotionLimits, str], list[bytes]]] = {
-    KLIPPER: _klipper,
-    MARLIN: _marlin,
-    REPRAPFIRMWARE: _reprapfirmware,
-}
 
 
 REMEDY = "--flavor NAME, or flavor in [firmware] of the machine file, says it"
