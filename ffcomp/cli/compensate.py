@@ -297,15 +297,12 @@ def _print_table(predicted: Mapping[str, Track], expected: Expectation | None) -
     from rich.table import Column, Table
 
     of_others = [] if expected is None else ["expected rms"]
-    table = Table(
-        Column(no_wrap=True), "tracking rms", "without delay", "contour rms", *of_others, "contour p99", "peak command"
-    )
+    table = Table(Column(no_wrap=True), "tracking rms", "contour rms", *of_others, "contour p99", "peak command")
     for name, track in predicted.items():
         errors = [] if expected is None else [f"{getattr(expected, name).expected_um:.2f} µm"]
         table.add_row(
             name,
             f"{track.tracking_rms_um:.1f} µm",
-            f"{track.tracking_rms_no_delay_um:.1f} µm",
             f"{track.contour_rms_um:.2f} µm",
             *errors,
             f"{track.contour_p99_um:.1f} µm",
