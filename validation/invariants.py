@@ -21,6 +21,7 @@ from ffcomp.inverse.settings import SEGMENTS_PER_SECOND, nozzle_compliance
 from ffcomp.metrics import contour_error
 from ffcomp.planner.lookahead import stops_and_waits
 from ffcomp.planner.program import known_to_the_firmware, plan_program, planner_of
+from ffcomp.planner.reach import within_reach
 from gcode.embedded import OURS, TIME_WAS, WAS, original, section_times
 from gcode.metadata import tells
 from gcode.program import Program
@@ -157,6 +158,7 @@ def _of_motion(written: Program, text: Text, machine: Machine) -> Iterator[str]:
 
 def _of_path(read: Program, written: Program, text: Text, machine: Machine) -> Iterator[str]:
     """Each section begins and ends where its path does, and never leaves it by more than `net` allows."""
+    read = within_reach(read, machine.kinematics)  # what lies beside the print volume goes out as sliced
     plan = plan_program(read, machine)
     by_line = {int(read.moves.line[each.first]): each for each in plan.sections if each.travels}
     times = [time for time in section_times(written.lines) if time.line in by_line]

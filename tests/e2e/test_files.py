@@ -72,7 +72,8 @@ def test_a_real_print_comes_through(path: Path) -> None:
     work.machine.kinematics.check_reach(after.moves.end[:, :3])
     assert (after.moves.speed > 0).all()
     assert found.segments < 260 * found.print_time_s
-    assert all("sets the jerk of Z" in each for each in found.warnings)  # for a bed on a screw, not for a tower
+    # a jerk for a bed on a screw, not for a tower; what only old Klippers obey
+    assert all("sets the jerk of Z" in each or "ACCEL_TO_DECEL" in each for each in found.warnings)
 
 
 @needs_data

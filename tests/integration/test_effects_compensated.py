@@ -121,7 +121,7 @@ def test_a_wrong_geometry_is_named_not_compensated() -> None:
     printer = InverseModel(both, settings_for(both)).printer
     assert printer is not None and set(printer.effects) == {"coulomb_friction"}
     plain = job(squares(1), MACHINE, predict=False)
-    assert plain.write(None).warnings == [] and plain.model.machine is MACHINE
+    assert plain.write(None).statistics.warnings == () and plain.model.machine is MACHINE
     assert plain.model.printer is None
 
 
