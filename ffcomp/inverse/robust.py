@@ -65,7 +65,8 @@ from models.arrays import BoolArray, ComplexArray, FloatArray
 from models.compiled import fast_kernel, kernel
 from models.machine import Machine
 
-TANGENT_WEIGHT = 0.002  # ε
+TANGENT_WEIGHT = 0.002  # ε,
+TANGENT_WEIGHT_WIDE = 0.01  # and where modes are known worse than WIDE_SD: a nozzle early or late by 0.8 mm otherwise
 REGULARISATION = 1e-3  # λ
 STEPS = 7  # of conjugate gradients; with more a command asks for more, and printers gain little,
 STEPS_WIDE = 14  # but for modes known worse than
@@ -101,6 +102,7 @@ class RobustReference:
         wide = mode_sd(machine, bandwidth_hz) > WIDE_SD
         self.sensitivity = Sensitivity(machine, row_s, bandwidth_hz, control_weight, wide=wide)
         self._steps = STEPS_WIDE if wide else STEPS
+        self._tangent_weight = TANGENT_WEIGHT_WIDE if wide else TANGENT_WEIGHT
         f = self.sensitivity.frequency[: ROWS // 4]  # of the offset's own samples
         # beyond the bandwidth nothing is commanded: leave the offset alone
         self._low_pass = np.clip(2.0 - f / bandwidth_hz, 0.0, 1.0).astype(np.float32)
@@ -156,7 +158,7 @@ class RobustReference:
         last_energy = np.zeros(len(spans), np.float32)
         error, errors = path_error, np.empty((len(spans), 3 + spread.shape[1], lines), np.complex64)
         for left in reversed(range(self._steps)):
-            normal, weight = normal_errors(rows, directions, error)
+            normal, weight = normal_errors(rows, directions, error, self._tangent_weight)
             np.multiply(rfft(normal)[..., :lines], 0.5, out=errors[:, :3])
             errors[:, 3:] = rfft(weigh(weight, spread))[..., :lines]
             gradient = rows_of(apply_adjoint(of_y, errors, n // 2 + 1), n)
@@ -199,10 +201,13 @@ def directions_of(rows: FloatArray) -> FloatArray:
 
 
 @kernel
-def normal_errors(rows: FloatArray, steps: FloatArray, error: ShortArray) -> tuple[ShortArray, ShortArray]:
+def normal_errors(
+    rows: FloatArray, steps: FloatArray, error: ShortArray, tangent_weight: float
+) -> tuple[ShortArray, ShortArray]:
     """Return n + ε l, and W, for paths (s, m, 3) mm whose positions are missed by (s, 3, m) mm.
 
     steps : (s, m - 1, 4), `directions_of` the rows
+    tangent_weight : ε
 
     Returns
     -------
@@ -224,14 +229,14 @@ def normal_errors(rows: FloatArray, steps: FloatArray, error: ShortArray) -> tup
             if 0.0 < along < length:
                 for at in range(i // 2, (i + 1) // 2 + 1):  # the sample at it, or those on both sides
                     if at < m // 2:
-                        share = (0.5 if 2 * at == i else 0.25) * (1.0 - TANGENT_WEIGHT)
+                        share = (0.5 if 2 * at == i else 0.25) * (1.0 - tangent_weight)
                         weight[s, 0, at] -= share * tx * tx
                         weight[s, 1, at] -= share * ty * ty
                         weight[s, 2, at] -= share * tz * tz
                         weight[s, 3, at] -= share * tx * ty
                         weight[s, 4, at] -= share * tx * tz
                         weight[s, 5, at] -= share * ty * tz
-                along -= TANGENT_WEIGHT * (tx * ex + ty * ey + tz * ez)
+                along -= tangent_weight * (tx * ex + ty * ey + tz * ez)
             normal_error[s, 0, i] = path[i, 0] - path[k, 0] + ex - along * tx
             normal_error[s, 1, i] = path[i, 1] - path[k, 1] + ey - along * ty
             normal_error[s, 2, i] = path[i, 2] - path[k, 2] + ez - along * tz

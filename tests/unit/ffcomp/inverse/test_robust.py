@@ -87,7 +87,7 @@ ALONG_IT, BESIDE_IT = np.array([0.6, 0.8, 0.0]), np.array([-0.8, 0.6, 0.0])
 def errors_of(path: FloatArray, missed: FloatArray) -> tuple[ShortArray, ShortArray]:
     """n + ε l (m, 3) mm of one path, and the entries (6, m/2) of W."""
     error = np.ascontiguousarray(missed.T[None], dtype=np.float32)
-    normal, weight = normal_errors(path[None], directions_of(path[None]), error)
+    normal, weight = normal_errors(path[None], directions_of(path[None]), error, TANGENT_WEIGHT)
     return normal[0].T, weight[0]
 
 
