@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from textwrap import wrap
 from typing import Any
 
 import numpy as np
@@ -19,6 +20,7 @@ from ffcomp.simulation.simulation import SimulationResult
 from ffcomp.version import __version__
 from models.arrays import BoolArray, FloatArray
 
+TITLE_COLUMNS = 150  # letters across the picture
 CLOSE_UP_MM = 2.5  # half the width of the close-up
 LAYER_MM = 0.15  # half the height of what counts as one layer
 TRAVEL_WIDTH = 0.6  # of lines, points: nothing is printed there
@@ -68,8 +70,9 @@ def show_figure(preview: Preview, title: str, footer: str = "", z_mm: float | No
     """
     worst = _worst_position(preview.before, z_mm)
     figure = Figure(figsize=(16, 8.4), layout="constrained")
-    expected = f"\n{preview.expected.headline}" if preview.expected else ""
-    figure.suptitle(f"{title}\nWhole print: {verdict(preview)}{expected}", fontsize=13, x=0.01, ha="left")
+    lines = wrap(preview.expected.headline, TITLE_COLUMNS) if preview.expected else []
+    text = "\n".join([title, *lines, f"Whole print: {verdict(preview)}"])
+    figure.suptitle(text, fontsize=13, x=0.01, ha="left")
     rows, heights = _rows(preview)
     rooms = figure.subplot_mosaic(rows, height_ratios=heights)
     _close_up(rooms["close"], preview, worst)
