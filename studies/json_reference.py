@@ -25,6 +25,7 @@ OBJECTS: dict[str, dict[str, str]] = {  # by heading of the page: by place of it
     "TRACK": {"": "ffcomp.metrics:Track"},
     "EXPECTATION": {"": "ffcomp.simulation.expectation:Expectation"},
     "EXPECTED": {"": "ffcomp.simulation.expectation:Errors"},
+    "ANSWER": {"": "ffcomp.result:Answer"},
     "MACHINE": {"": "models.machine:identity"},
     "PARTY": {"": "ffcomp.comparison.result:Party"},
     "ESTIMATE": {"": "ffcomp.identification.uncertainty:Estimate"},
@@ -35,16 +36,19 @@ OBJECTS: dict[str, dict[str, str]] = {  # by heading of the page: by place of it
     "BODE": {"": "ffcomp.identification.frf_study:_bode"},
     "ffcomp-compensate/1": {
         "": (
-            "ffcomp.compensation.result:CompensatedFile.to_dict "
+            "ffcomp.compensation.result:CompensatedFile.details "
             "ffcomp.compensation.result:Result.to_dict? "
-            "ffcomp.compensation.statistics:Shares.to_dict?"
+            "ffcomp.compensation.statistics:Shares.to_dict? "
+            "ffcomp.result:Result.to_dict"
         ),
         "uncompensated[].": "ffcomp.compensation.statistics:_command_dict",
         "slowed[].": "ffcomp.inverse.time_scaling:TimeScaling",
         "steps.*.": "ffcomp.steps.sink:MotorTotal",
         "faster.": "ffcomp.compensation.result:QuickerPrint?",
     },
-    "ffcomp-compensate-batch/1": {"": "ffcomp.cli.compensate:compensate"},
+    "ffcomp-compensate-batch/1": {
+        "": "ffcomp.compensation.result:CompensatedFiles.details ffcomp.result:Result.to_dict"
+    },
     "FAILED": {"": "ffcomp.compensation.result:FileResult.to_dict"},
     "ffcomp-estimate/1": {"": "ffcomp.estimation.engine:Estimate.to_dict"},
     "ACCOUNT": {

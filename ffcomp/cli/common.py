@@ -7,11 +7,14 @@ stderr only.
 from __future__ import annotations
 
 import os
+import re
 import sys
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from importlib.util import find_spec
 from pathlib import Path
+from shutil import get_terminal_size
+from textwrap import fill
 from typing import TYPE_CHECKING, Any
 
 from ffcomp.cli.log import note
@@ -20,6 +23,7 @@ from ffcomp.numerics.serialise import json_line
 from gcode.atomic_write import drafts_noted, replaced_since
 
 if TYPE_CHECKING:
+    from ffcomp.result import Result
     from models.machine import Machine
 
 
@@ -62,11 +66,6 @@ def fail(sentence: str, code: int) -> None:
 def say(sentence: str, quiet: bool = False) -> None:
     """Print a message on stderr, and keep it in the log; stdout is for results."""
     note(sentence)
-    tell(sentence, quiet)
-
-
-def tell(sentence: str, quiet: bool = False) -> None:
-    """Print a message on stderr that the log has in more detail."""
     if not quiet:
         print(sentence, file=sys.stderr)
 
@@ -77,6 +76,27 @@ def say_assumed(machines: Iterable[Machine], quiet: bool = False) -> None:
 
     for sentence in dict.fromkeys(filter(None, map(assumed_modes, machines))):
         say(f"ffcomp: {sentence}", quiet)
+
+
+def answer(result: Result, as_json: bool) -> None:
+    """Print a result on stdout, as JSON or as text; the log has the text in any case."""
+    lines = list(result.answer.lines())
+    for each in lines:
+        note(each)
+    if as_json:
+        print_json(result.to_dict())
+        return
+    width = get_terminal_size().columns if sys.stdout.isatty() else 0
+    print(*(_wrapped(each, width) for each in lines), sep="\n", flush=True)
+
+
+def _wrapped(line: str, width: int) -> str:
+    """Wrap a line, the rest indented below its value; a fact's value begins after two spaces."""
+    if not 40 <= width < len(line):
+        return line
+    name = re.match(r"  \S.*?  +", line)
+    indent = len(name[0]) if name else 2
+    return fill(line, width, subsequent_indent=" " * indent, break_long_words=False, break_on_hyphens=False)
 
 
 def print_json(result: dict[str, Any]) -> None:

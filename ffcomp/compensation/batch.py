@@ -269,19 +269,20 @@ class _Batch:
             return outcome
         file = self.files[outcome.number]
         if outcome.done.already and (target is None or (target.exists() and target.samefile(file))):
-            return replace(outcome, done=replace(outcome.done, output=str(file)))
+            return replace(outcome, done=replace(outcome.done, output=file))
         if target is None:
             return replace(outcome, done=replace(outcome.done, output=None))
         try:
             if done.text is None:
-                draft = Path(str(outcome.done.output))
+                draft = outcome.done.output
+                assert draft is not None
                 replace_atomically(target, raw_blocks(draft))
                 draft.unlink()
             else:
                 replace_atomically(target, [done.text])
         except OSError as error:
             return self._failed(outcome.number, error)
-        return replace(outcome, done=replace(outcome.done, output=str(target)))
+        return replace(outcome, done=replace(outcome.done, output=target))
 
     def _failed(self, number: int, error: Exception) -> FileResult:
         file = self.files[number]

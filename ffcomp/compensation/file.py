@@ -60,7 +60,7 @@ def compensate_file(
             if again or stamps[name] is None
         }
         if not todo:
-            return already_compensated(path, stamps.values(), _copied(source, target) or path)
+            return already_compensated(path, stamps.values(), _copied(source, target) or Path(path))
         if options.steps is None:
             if target is not None and len(container.prints) == 1 and options.bound is None:
                 todo = {name: replace(job, read_again=True) for name, job in todo.items()}
@@ -70,15 +70,15 @@ def compensate_file(
                 several = ", ".join(todo)
                 raise UnsupportedGcode(f"Step timings are of one print, and the file holds {several}.", path=path)
             results = {name: job.write_steps(target, options.steps, progress) for name, job in todo.items()}
-        return CompensatedFile(path, None if target is None else str(target), results)
+        return CompensatedFile(path, target, results)
 
 
-def _copied(source: bytes | Path, target: Path | None) -> str | None:
+def _copied(source: bytes | Path, target: Path | None) -> Path | None:
     """Write a file as it is to where its result would go, and return where; None: it is there already."""
     if target is None or (isinstance(source, Path) and target.exists() and target.samefile(source)):
         return None
     replace_atomically(target, raw_blocks(source) if isinstance(source, Path) else [source])
-    return str(target)
+    return target
 
 
 def _write(

@@ -2,28 +2,34 @@
 
 from __future__ import annotations
 
+import shlex
 import time
 import traceback
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import BrokenExecutor
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 from ffcomp.compensation.faster import P99_LEVEL
 from ffcomp.compensation.net import unsafe_sentences
 from ffcomp.compensation.own_shaper import OwnShaper
 from ffcomp.compensation.placement import Placement
 from ffcomp.compensation.prediction import NO_FORECAST, Forecast
-from ffcomp.compensation.statistics import Statistics, shortened, warning_lines
+from ffcomp.compensation.statistics import ENOUGH, Statistics, cause_of, shortened, warning_lines
 from ffcomp.errors import INPUT_ERRORS, explain, interrupts_restored
+from ffcomp.faster.bound import limits_in_words
 from ffcomp.inverse.robust import PLAIN, RobustChoice
 from ffcomp.metrics import Track
 from ffcomp.numerics.serialise import to_json
+from ffcomp.result import Fact, clock
+from ffcomp.result import Result as VerbResult
 from ffcomp.steps.sink import MotorTotal
 from gcode.dialects import MARLIN, FlavorChoice
 from gcode.embedded import Stamp
-from models.machine import Machine, identity
+from models.file import machine_paths
+from models.machine import Machine, assumed_modes, identity
+from models.schema.documents import DEFAULT_UNCERTAINTY
 
 SCHEMA = "ffcomp-compensate/1"
 MARLIN_8_BIT_PER_S = 100.0  # segments: 10 ms each to parse and plan
@@ -222,15 +228,15 @@ class Result:
         return dict(to_json(answer))
 
 
-@dataclass(frozen=True, slots=True)
-class CompensatedFile:
+@dataclass(frozen=True, eq=False, repr=False)
+class CompensatedFile(VerbResult):
     """What became of one file.
 
     Attributes
     ----------
     path : str
         The file, as the user named it.
-    output : str or None
+    output : Path or None
         The file that was written; None: nothing was.
     prints : mapping of Result
         By the print's name, which is empty for the only one; none: the file was compensated already.
@@ -238,13 +244,18 @@ class CompensatedFile:
         The sentence that says so.
     advice : tuple of str
         Warnings about how the file was made.
+    seen_at : str
+        Where the user finds the output; empty: where it is written. A slicer moves it.
     """
 
+    drawn_by: ClassVar = {"show": "ffcomp.report.show:compensation_figure"}
+
     path: str
-    output: str | None
+    output: Path | None
     prints: Mapping[str, Result] = field(default_factory=dict)
     already: str = ""
     advice: tuple[str, ...] = ()
+    seen_at: str | None = None
 
     @property
     def result(self) -> Result:
@@ -255,6 +266,89 @@ class CompensatedFile:
         return first
 
     @property
+    def machine(self) -> Machine:
+        """The machine that the print was compensated for."""
+        return self.result.machine
+
+    @property
+    def print_time_s(self) -> float:
+        """Print time of the compensated file in s."""
+        return self.result.statistics.print_time_s
+
+    @property
+    def original_print_time_s(self) -> float:
+        """Print time of the original in s."""
+        return self.result.statistics.original_print_time_s
+
+    @property
+    def segments(self) -> int:
+        """Number of segments written."""
+        return self.result.statistics.segments
+
+    @property
+    def uncompensated(self) -> Track | None:
+        """Predicted errors of the original; None: not predicted."""
+        return self.result.predicted.get("uncompensated")
+
+    @property
+    def compensated(self) -> Track | None:
+        """Predicted errors of the compensated print; None: not predicted."""
+        return self.result.predicted.get("compensated")
+
+    @property
+    def headline(self) -> str:
+        """What contour error to expect, or what was done."""
+        if self.already:
+            return self.already
+        expected = self.result.forecast.expected
+        if expected is not None:
+            return expected.headline
+        many = f"{len(self.prints)} prints in one file are" if len(self.prints) > 1 else "The print is"
+        return f"{many} compensated; the error that is left was not predicted."
+
+    @property
+    def facts(self) -> Sequence[Fact]:
+        """Errors, times, and what was decided with its reason."""
+        return [(name, value) for name, value in self._facts() if value] if self.prints else ()
+
+    def _facts(self) -> Iterator[Fact]:
+        result, numbers = self.result, self.result.statistics
+        if result.predicted:
+            was, now = result.predicted["uncompensated"], result.predicted["compensated"]
+            yield (
+                "If the machine file is exact",
+                f"contour error {was.contour_rms_um:.1f} → {now.contour_rms_um:.2f} µm rms, "
+                f"99 % within {was.contour_p99_um:.0f} → {now.contour_p99_um:.1f} µm",
+            )
+            late = late_line(sum(each.seconds for each in numbers.slowed))
+            yield "Tracking error", f"{was.tracking_rms_um:.1f} → {now.tracking_rms_um:.1f} µm rms. {late}".rstrip()
+            peaks = (each.peak_command_acceleration_mm_per_s2 / 1e3 for each in (was, now))
+            yield "Peak acceleration of a motor", "{:.1f} → {:.1f} m/s²".format(*peaks)
+        yield "Print time", f"{clock(numbers.print_time_s)}, was {clock(numbers.original_print_time_s)}"
+        path, filament = percent(numbers.shares.path), percent(numbers.shares.filament)
+        yield "Compensated", f"{path} of the path, {filament} of the filament"
+        if result.faster is not None:
+            yield "Faster", faster_line(result.faster)
+            yield "Time limited by", limits_in_words(result.faster.limited_by)
+            yield "Uncertainty", uncertainty_line(result.machine)
+        if times := numbers.settlings:
+            yield (
+                "Rests",
+                f"{times}, {numbers.settling_s:.2g} s in all: what the firmware moves by itself stops ringing before "
+                "extrusion begins",
+            )
+        reasons = (result.flavor.reason, result.placement.reason, result.robust.reason)
+        shaper = result.shaper.reason if result.shaper else ""
+        for name, reason in zip(("Firmware", "Place", "Inverse", "Input shaper"), (*reasons, shaper), strict=True):
+            yield name, "" if reason in self.warnings else reason.removeprefix(f"{name}: ")
+        if result.steps:
+            yield "Steps", ", ".join(f"{motor.upper()} {total.steps}" for motor, total in result.steps.items())
+        elif result.steps is None:
+            yield "Segments", f"{numbers.segments} for {numbers.moves} moves"
+        speed = numbers.print_time_s / max(result.compute_time_s, 1e-9)
+        yield "Took", f"{result.compute_time_s:.1f} s, {speed:.0f} times faster than printing"
+
+    @property
     def warnings(self) -> list[str]:
         """All warnings, in sentences."""
         several = len(self.prints) > 1
@@ -263,12 +357,32 @@ class CompensatedFile:
 
     @property
     def warning_lines(self) -> list[str]:
-        """The same for people, in a few lines."""
-        lines = self.result.warning_lines if self.prints else []
-        return shortened([*self.advice, *lines]) if self.advice else lines
+        """The same for people, in a few lines: the cause that an unmeasured machine is comes first."""
+        if not self.prints:
+            return list(self.advice)
+        assumed = assumed_modes(self.machine)
+        return shortened([*([assumed] if assumed else []), *self.advice, *self.result.warning_lines])
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return the JSON object of `compensate`."""
+    @property
+    def next_steps(self) -> Sequence[str]:
+        """What can be done with the output."""
+        return list(self._next_steps()) if self.prints else ()
+
+    def _next_steps(self) -> Iterator[str]:
+        result, place = self.result, str(self.output or "") if self.seen_at is None else self.seen_at
+        if result.steps is None and not result.embedded:
+            yield "The original is not in the file (--no-embed): keep the sliced one, for ffcomp restore cannot."
+        if result.steps is not None and not result.steps:
+            yield f"Play it: FFCOMP_PRINT FILE={Path(place or 'FILE').name} (docs/HOST.md)."
+            return
+        if result.forecast.expected is not None and result.forecast.expected.next_step:
+            yield result.forecast.expected.next_step
+        if place:
+            verb = "simulate" if result.steps else "show"
+            yield f"Look at it: ffcomp {verb} {place}{machine_option(result.machine.path, verb)}"
+
+    def details(self) -> dict[str, Any]:
+        """Return the keys of ffcomp-compensate/1."""
         if not self.prints:
             return {
                 "schema": SCHEMA,
@@ -297,7 +411,57 @@ class CompensatedFile:
         return {**answer, "input": self.path, "output": self.output}
 
 
-def already_compensated(path: str, stamps: Iterable[Stamp | None], output: str) -> CompensatedFile:
+def percent(share: float) -> str:
+    """Return a share in per cent, and 100 only if nothing is missing."""
+    return "100 %" if share == 1.0 else f"{min(100 * share, 99.9):.1f} %"
+
+
+def machine_option(path: str, next_verb: str) -> str:
+    """Return the option that the next command needs; `show` finds machines that have a name."""
+    names = [name for name, known in machine_paths().items() if str(known) == path]
+    if names:
+        return "" if next_verb == "show" else f" -m {names[0]}"
+    return f" -m {shlex.quote(path)}"
+
+
+def late_line(seconds: float) -> str:
+    """Say what slower places do to errors at equal times; empty: there are none."""
+    if not seconds:
+        return ""
+    late = f"{1e3 * seconds:.0f} ms" if seconds < 1.0 else f"{seconds:.1f} s"
+    return (
+        f"Tracking counts as an error that the nozzle comes up to {late} later where the print was slowed down; the "
+        "part does not show that. What is off the path is the contour error."
+    )
+
+
+def uncertainty_line(machine: Machine) -> str:
+    """Say which uncertainty a bound rests on where the machine file states none; empty: it states some."""
+    if machine.uncertainty != {"default": DEFAULT_UNCERTAINTY}:
+        return ""
+    return (
+        f"The bound is for printers of which every number is off by {100 * DEFAULT_UNCERTAINTY:g} % (standard "
+        "deviation): the machine file's [uncertainty] says nothing else."
+    )
+
+
+NO_GAIN = (
+    "That is no gain: as it was sliced, printers as uncertain as the machine file's [uncertainty] says would break the "
+    "bound. Measure yours (ffcomp identify), or allow a larger error."
+)
+
+
+def faster_line(quicker: QuickerPrint) -> str:
+    """Say in a line what the bound has brought."""
+    was, now, least = quicker.original_print_time_s, quicker.print_time_s, quicker.actuator_limit_s
+    limits, p99 = quicker.limited_by, quicker.contour_p99_um
+    slower = now >= was and max(limits, key=lambda name: limits[name]) == "error_bound"
+    error = "" if p99 is None else f", predicted contour error p99 {p99:.1f} µm, max {quicker.contour_max_um:.1f} µm"
+    line = f"{was:.1f} → {now:.1f} s ({100 * (now / was - 1):+.0f} %; nothing can be quicker than {least:.1f} s)"
+    return f"{line}{error}.{f' {NO_GAIN}' if slower else ''}"
+
+
+def already_compensated(path: str, stamps: Iterable[Stamp | None], output: Path) -> CompensatedFile:
     """Return the result of a file that is compensated already; `output` is the file itself, or a copy of it."""
     by = " and ".join(dict.fromkeys(f"ffcomp v{stamp.version} for {stamp.machine}" for stamp in stamps if stamp))
     return CompensatedFile(path, output, already=f"{path}: already processed by {by}; nothing changed.")
@@ -322,6 +486,20 @@ class FileResult:
     done: CompensatedFile | None
     failure: Failure | None = None
 
+    @property
+    def in_short(self) -> str:
+        """Print time and predicted error before → after, and what it took; or that it failed."""
+        if self.done is None:
+            return "failed"
+        if self.done.already:
+            return "already processed"
+        result, numbers = self.done.result, self.done.result.statistics
+        parts = [f"{numbers.original_print_time_s:.1f} → {numbers.print_time_s:.1f} s"]
+        if rms := " → ".join(f"{track.contour_rms_um:.1f}" for track in result.predicted.values()):
+            of_part = "" if numbers.shares.path >= ENOUGH else f" of {percent(numbers.shares.path)}"
+            parts.append(f"contour error {rms} µm rms{of_part}")
+        return f"{', '.join(parts)}; took {self.seconds:.1f} s"
+
     def to_dict(self) -> dict[str, Any]:
         """Return the file's JSON object among those of a batch."""
         if self.done is not None:
@@ -331,6 +509,57 @@ class FileResult:
             "input": str(self.file),  # the file
             "error": self.failure.sentence,  # why it was not compensated
             "exit_code": self.failure.exit_code,  # whole number: that of the file by itself
+        }
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class CompensatedFiles(VerbResult):
+    """The results of several files, in their order."""
+
+    results: Sequence[FileResult]
+
+    @property
+    def failed(self) -> list[FileResult]:
+        """Those that were not compensated."""
+        return [each for each in self.results if each.failure is not None]
+
+    @property
+    def headline(self) -> str:
+        """How many files are done."""
+        lost = f", {len(self.failed)} failed" if self.failed else ""
+        return f"{len(self.results) - len(self.failed)} of {len(self.results)} files are compensated{lost}."
+
+    @property
+    def facts(self) -> Sequence[Fact]:
+        """Of each file its print time, its predicted error, and what it took."""
+        return [(str(each.file), each.in_short) for each in self.results]
+
+    @property
+    def warnings(self) -> list[str]:
+        """Each warning once, of those that differ in numbers only the first, with its files; most files first."""
+        files: dict[str, list[str]] = {}
+        first: dict[str, str] = {}
+        for each in self.results:
+            for warning in each.done.warning_lines if each.done else ():
+                files.setdefault(first.setdefault(cause_of(warning), warning), []).append(str(each.file))
+        most_first = sorted(files.items(), key=lambda each: -len(each[1]))
+        return [
+            f"{names[0]}{f' and {len(names) - 1} more' if len(names) > 1 else ''}: {warning}"
+            for warning, names in most_first
+        ]
+
+    @property
+    def warning_lines(self) -> list[str]:
+        """The same, no more than a person reads."""
+        return shortened(self.warnings)
+
+    def details(self) -> dict[str, Any]:
+        """Return the keys of ffcomp-compensate-batch/1."""
+        objects = [each.to_dict() for each in self.results]
+        return {
+            "schema": "ffcomp-compensate-batch/1",
+            "results": objects,  # [] ffcomp-compensate/1 or FAILED: in the order of the files
+            "failed": len(self.failed),  # whole number: how many files were not compensated
         }
 
 

@@ -18,7 +18,6 @@ and for an upload): ffcomp knows its own files.
 
 import json
 import os
-import re
 import shlex
 import subprocess
 from typing import Any
@@ -64,25 +63,25 @@ def _compensate(ctx: Any, config: dict[str, str]) -> str:
     named = ["--machine", config["machine"]] if config["machine"] else []
     process = subprocess.Popen(
         [config["executable"], "compensate", *named, *shlex.split(config["options"]), ctx.gcode_path],
-        stdout=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         encoding="utf-8",
         errors="replace",
         env=_environment(ctx),
         creationflags=getattr(subprocess, "CREATE_NO_WINDOW", 0),
     )
-    output = _wait(process, ctx).strip()
+    output, errors = _wait(process, ctx)
     if process.returncode:
-        last = re.sub("[│╭╮╰╯─]+", " ", re.split("ffcomp: |╭─ Error ─+╮", output)[-1])  # usage errors come in a frame
+        last = errors.strip().rpartition("ffcomp: ")[2]
         raise ValueError(f"{' '.join(last.split())} (exit code {process.returncode})")
-    return output.rpartition("\n")[2]
+    return output.strip().rpartition("\n")[2]
 
 
-def _wait(process: Any, ctx: Any) -> str:
-    """Return the process's output once it has ended; end it when the user cancels."""
+def _wait(process: Any, ctx: Any) -> tuple[str, str]:
+    """Return what the process has printed, once it has ended; end it when the user cancels."""
     while True:
         try:
-            return process.communicate(timeout=LOOK_S)[1]
+            return process.communicate(timeout=LOOK_S)
         except subprocess.TimeoutExpired:
             if ctx.cancelled():
                 process.terminate()

@@ -14,10 +14,14 @@ from matplotlib.collections import LineCollection
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
+from ffcomp.compensation.result import CompensatedFile
+from ffcomp.errors import RequestError
 from ffcomp.report.drawing import AFTER, BEFORE, NEIGHBOUR, REFERENCE, error_colours, plain_decades, write_figure
-from ffcomp.simulation.preview import Curve, Flow, Preview
+from ffcomp.simulation.preview import Curve, Flow, Preview, preview
 from ffcomp.simulation.simulation import SimulationResult
 from ffcomp.version import __version__
+from gcode.container import read_bytes
+from gcode.embedded import STAMP_REACH, already_processed, find_offset
 from models.arrays import BoolArray, FloatArray
 
 TITLE_COLUMNS = 150  # letters across the picture
@@ -84,6 +88,23 @@ def show_figure(preview: Preview, title: str, footer: str = "", z_mm: float | No
         _flows(rooms["flow"], preview, preview.flows, worst)
     figure.supxlabel(footer, fontsize=8, color="#666666")
     return figure
+
+
+def compensation_figure(done: CompensatedFile, *, z_mm: float | None = None) -> Figure:
+    """Draw the paths of a compensated file; see `show_figure`.
+
+    Raises
+    ------
+    RequestError
+        If no file was written.
+    """
+    if done.output is None:
+        raise RequestError("Nothing was written, so there is nothing to draw: name an output.")
+    data = read_bytes(done.output, None)
+    stamp = already_processed(data)
+    flavor = stamp.flavor if stamp else None
+    seen = preview(data, str(done.output), done.machine, find_offset(data[:STAMP_REACH]), flavor)
+    return show_figure(seen, f"{done.output.name} on {done.machine.name}", z_mm=z_mm)
 
 
 def _rows(preview: Preview) -> tuple[list[Any], list[float]]:

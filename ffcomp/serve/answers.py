@@ -6,6 +6,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from ffcomp.result import clock
+
 JsonObject = Mapping[str, Any]
 
 
@@ -23,38 +25,10 @@ class Answer:
 
 def answer_of(kind: str, result: JsonObject) -> Answer:
     """Return what the page shows of one job."""
+    if told := result.get("answer"):
+        return Answer(told["headline"], told["facts"], told["warnings"], told["next_steps"])
     make = _ANSWERS.get(kind)
     return make(result) if make else Answer()
-
-
-def _compensate(result: JsonObject) -> Answer:
-    if result.get("already"):
-        return Answer(str(result["already"]))
-    if "prints" in result and "print_time_s" not in result:
-        return Answer(f"{len(result['prints'])} prints in one file are compensated.")
-    assumed = (result.get("machine") or {}).get("assumed")
-    warnings = [*([str(assumed)] if assumed else []), *map(str, result.get("warning_lines", []))]
-    expected = result.get("expected") or {}
-    to_do = [str(expected["next_step"])] if expected.get("next_step") else []
-    return Answer(str(expected.get("headline") or "The print is compensated."), _print_facts(result), warnings, to_do)
-
-
-def _print_facts(result: JsonObject) -> list[list[str]]:
-    share = result.get("compensated_share") or {}
-    facts = [["Print time", f"{clock(result['print_time_s'])}, was {clock(result['original_print_time_s'])}"]]
-    predicted = result.get("predicted") or {}
-    if "compensated" in predicted:
-        was, now = predicted["uncompensated"], predicted["compensated"]
-        facts.append(["If the file is exact", f"{was['contour_rms_um']:.1f} → {now['contour_rms_um']:.1f} µm rms"])
-        facts.append(["99 % of it within", f"{now['contour_p99_um']:.1f} µm"])
-    if "path" in share:
-        facts.append(["Compensated", f"{100 * share['path']:.1f} % of the path"])
-    facts += [[name, str(result[key])] for name, key in (("Firmware", "flavor"),) if key in result]
-    if "offset_reason" in result:
-        facts.append(["Place", str(result["offset_reason"])])
-    if "compute_time_s" in result:
-        facts.append(["Took", clock(result["compute_time_s"])])
-    return facts
 
 
 def _compare(result: JsonObject) -> Answer:
@@ -164,7 +138,6 @@ def _import(result: JsonObject) -> Answer:
 
 
 _ANSWERS: dict[str, Callable[[JsonObject], Answer]] = {
-    "compensate": _compensate,
     "compare": _compare,
     "plan": _plan,
     "excite": _plan,
@@ -176,12 +149,3 @@ _ANSWERS: dict[str, Callable[[JsonObject], Answer]] = {
     "update": _update,
     "import": _import,
 }
-
-
-def clock(seconds: float) -> str:
-    """Return a duration as people say it."""
-    if seconds < 60.0:
-        return f"{seconds:.1f} s"
-    minutes, rest = divmod(round(seconds), 60)
-    hours, minutes = divmod(minutes, 60)
-    return f"{hours} h {minutes} min" if hours else f"{minutes} min {rest} s"

@@ -124,9 +124,9 @@ def test_the_slicers_line_needs_no_more_than_a_machine(run: Callable[..., Result
     assert first.exit_code == 0, first.output
     done = temporary.read_bytes()
     assert already_processed(done) and original(done) == SMALL
-    assert "ffcomp show /prints/my vase.gcode" in first.stderr and temporary.name not in first.stderr
+    assert "ffcomp show /prints/my vase.gcode" in first.stdout and temporary.name not in first.output
     second = run("compensate", temporary, **known)
-    assert second.exit_code == 0 and "/prints/my vase.gcode: already processed" in second.stderr
+    assert second.exit_code == 0 and "/prints/my vase.gcode: already processed" in second.stdout
     assert temporary.read_bytes() == done and [path.name for path in temporary.parent.iterdir()] == [temporary.name]
     assert run("compensate", temporary).exit_code == 2
 
@@ -138,7 +138,7 @@ def test_an_upload_names_what_is_on_the_host(run: Callable[..., Result], tempora
     assert refused.exit_code == 4 and "vases/one.gcode:10: " in refused.stderr
     temporary.write_bytes(SMALL)
     done = run("compensate", "-m", "kossel", "--no-predict", temporary, **known)
-    assert done.exit_code == 0 and "ffcomp show" not in done.stderr
+    assert done.exit_code == 0 and "ffcomp show" not in done.output
 
 
 @pytest.mark.parametrize("where", ["in the environment", "in the file"])
@@ -147,8 +147,9 @@ def test_auto_brings_the_print_to_the_machines_middle(run: Callable[..., Result]
     known = {"SLIC3R_PRINTABLE_AREA": "0x0,220x0,220x220,0x220"} if where == "in the environment" else {}
     done = run("compensate", "-m", "kossel", "--no-predict", "--offset-mm", "auto", "--json", temporary, **known)
     assert done.exit_code == 0, done.output
-    assert done.stderr.count("Offset -110,-110: the slicer's bed lies about X110 Y110") == 1
     result = json.loads(done.stdout)
+    said = " ".join(result["answer"]["warnings"])
+    assert said.count("Offset -110,-110: the slicer's bed lies about X110 Y110") == 1
     assert result["offset_mm"] == [-110.0, -110.0] and result["offset_reason"] in result["warnings"]
     end = read_program(temporary.read_bytes()).moves.end[-1]
     assert end[:2] == pytest.approx([128 - 110, 130 - 110], abs=1e-4)
@@ -156,10 +157,10 @@ def test_auto_brings_the_print_to_the_machines_middle(run: Callable[..., Result]
 
 def test_a_bed_in_a_corner_is_warned_of_and_no_bed_is_no_error(run: Callable[..., Result], temporary: Path) -> None:
     nowhere = run("compensate", "-m", "kossel", "--no-predict", temporary)
-    assert nowhere.exit_code == 0 and "Offset 0,0: the print lies inside as it is." in nowhere.stderr
+    assert nowhere.exit_code == 0 and "Offset 0,0: the print lies inside as it is." in nowhere.stdout
     temporary.write_bytes(SMALL + CORNER)
     warned = run("compensate", "-m", "kossel", "--no-predict", "--offset-mm", "0,0", temporary)
-    assert warned.exit_code == 0 and "where --offset-mm -110,-110 puts it" in warned.stderr
+    assert warned.exit_code == 0 and "where --offset-mm -110,-110 puts it" in warned.stdout
 
 
 def test_a_closed_stderr_does_not_spill_into_the_result(tmp_path: Path) -> None:

@@ -6,8 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from ffcomp.cli.compensate import NO_GAIN, faster_line, late_line, uncertainty_line
-from ffcomp.compensation.result import QuickerPrint
+from ffcomp.compensation.result import NO_GAIN, QuickerPrint, faster_line, late_line, uncertainty_line
 from models.file import load_machine
 
 

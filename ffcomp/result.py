@@ -1,0 +1,132 @@
+"""What a verb answers, said once: the terminal, `--json`, the page of `ffcomp serve` and Python show the same words.
+
+A verb's result is a frozen dataclass that inherits from `Result` and says what it has found as properties.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from html import escape
+from importlib import import_module
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from ffcomp.errors import RequestError, missing_extras_explained
+from ffcomp.numerics.serialise import to_json
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+Fact = tuple[str, str]  # a name and a value with its unit
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """What people are shown of a result."""
+
+    headline: str = ""  # the finding in a sentence
+    facts: Sequence[Fact] = ()  # list of lists of text: pairs of a name and a value with its unit
+    warnings: Sequence[str] = ()  # sentences: what is not known, not proven or not compensated, and the remedy
+    next_steps: Sequence[str] = ()  # sentences: what to do next
+
+    def lines(self) -> Iterator[str]:
+        """Return it as text: the warnings first, a line for each fact."""
+        yield from (f"Mind: {each}" for each in self.warnings)
+        if self.headline:
+            yield self.headline
+        width = max((len(name) for name, _ in self.facts), default=0)
+        yield from (f"  {name:{width}}  {value}" for name, value in self.facts)
+        yield from self.next_steps
+
+
+def clock(seconds: float) -> str:
+    """Return a duration as people say it."""
+    if seconds < 60.0:
+        return f"{seconds:.1f} s"
+    minutes, rest = divmod(round(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours} h {minutes} min" if hours else f"{minutes} min {rest} s"
+
+
+class Result:
+    """The result of a verb."""
+
+    drawn_by: ClassVar[
+        Mapping[str, str]
+    ] = {}  # figures: by name, the module and the function that draws it, `module:function`
+
+    @property
+    def headline(self) -> str:
+        """The finding in a sentence."""
+        return ""
+
+    @property
+    def facts(self) -> Sequence[Fact]:
+        """Pairs of a name and a value with its unit."""
+        return ()
+
+    @property
+    def warnings(self) -> Sequence[str]:
+        """Sentences: what is not known, not proven or not compensated, and the remedy."""
+        return ()
+
+    @property
+    def warning_lines(self) -> Sequence[str]:
+        """The same, no more than a person reads."""
+        return self.warnings
+
+    @property
+    def next_steps(self) -> Sequence[str]:
+        """Sentences: what to do next."""
+        return ()
+
+    @property
+    def answer(self) -> Answer:
+        """What people are shown, wherever they look."""
+        return Answer(self.headline, self.facts, self.warning_lines, self.next_steps)
+
+    def figures(self) -> Sequence[str]:
+        """Return the names of the figures that `plot` draws."""
+        return tuple(self.drawn_by)
+
+    @missing_extras_explained()
+    def plot(self, name: str = "", **options: Any) -> Figure:
+        """Draw a figure with Matplotlib.
+
+        Parameters
+        ----------
+        name : one of `figures()`; empty: the first
+        options : of the function that draws it
+
+        Raises
+        ------
+        RequestError
+            If there is no such figure.
+        """
+        names = self.figures()
+        if name not in ("", *names) or not names:
+            raise RequestError(f"There is no figure {name!r} of this result, but {', '.join(names) or 'none'}.")
+        module, _, function = self.drawn_by[name or names[0]].partition(":")
+        figure: Figure = getattr(import_module(module), function)(self, **options)
+        return figure
+
+    def details(self) -> dict[str, Any]:
+        """Return the keys of the JSON object that are this verb's own, `schema` first."""
+        raise NotImplementedError
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the JSON object that `--json` prints."""
+        return {
+            **self.details(),
+            "answer": to_json(self.answer),  # ANSWER: what people are shown, in the same words
+        }
+
+    def __repr__(self) -> str:
+        """Return the headline."""
+        return f"<{type(self).__name__}: {self.headline}>"
+
+    def _repr_html_(self) -> str:
+        """Return the answer as HTML, for notebooks."""
+        facts = "".join(f"<tr><th>{escape(name)}</th><td>{escape(value)}</td></tr>" for name, value in self.facts)
+        others = "".join(f"<li>{escape(each)}</li>" for each in (*self.warning_lines, *self.next_steps))
+        return f"<p><b>{escape(self.headline)}</b></p><table>{facts}</table><ul>{others}</ul>"

@@ -1,0 +1,47 @@
+"""A result is said once: text, JSON, the page of `ffcomp serve`, Python and notebooks hold the same."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import pytest
+
+from ffcomp.errors import RequestError
+from ffcomp.result import Result, clock
+from ffcomp.serve.answers import answer_of
+
+HEADLINE, FACT, WARNING, STEP = "2 < 3 µm.", ("Print time", "1.0 s"), "It may be off.", "Measure."
+
+
+@dataclass(frozen=True, repr=False)
+class Found(Result):
+    number: float = 1.0
+    headline = HEADLINE
+    facts = (FACT,)
+    warnings = (WARNING,)
+    next_steps = (STEP,)
+
+    def details(self) -> dict[str, Any]:
+        return {"schema": "found/1", "number": self.number}
+
+
+def test_everybody_has_the_same_words() -> None:
+    found = Found()
+    assert list(found.answer.lines()) == [f"Mind: {WARNING}", HEADLINE, "  Print time  1.0 s", STEP]
+    told = found.to_dict()
+    assert told["schema"] == "found/1" and told["number"] == 1.0
+    page = answer_of("any", told)
+    assert (page.lead, page.facts, page.warnings, page.to_do) == (HEADLINE, [[*FACT]], [WARNING], [STEP])
+    assert repr(found) == f"<Found: {HEADLINE}>"
+    notebook = found._repr_html_()
+    assert "2 &lt; 3 µm." in notebook and all(each in notebook for each in (*FACT, WARNING, STEP))
+
+
+def test_a_figure_that_there_is_not_is_a_sentence() -> None:
+    with pytest.raises(RequestError, match="no figure 'bode'"):
+        Found().plot("bode")
+
+
+def test_durations_are_as_people_say_them() -> None:
+    assert [clock(s) for s in (11.84, 71.0, 7300.0)] == ["11.8 s", "1 min 11 s", "2 h 1 min"]
