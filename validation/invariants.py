@@ -22,6 +22,7 @@ from ffcomp.metrics import contour_error
 from ffcomp.planner.lookahead import stops_and_waits
 from ffcomp.planner.program import known_to_the_firmware, plan_program, planner_of
 from ffcomp.planner.reach import within_reach
+from gcode.dialects import MARLIN
 from gcode.embedded import OURS, TIME_WAS, WAS, original, section_times
 from gcode.metadata import tells
 from gcode.program import Program
@@ -36,7 +37,8 @@ IntArray = NDArray[np.int64]
 LONGEST_SEGMENT = 96  # bytes: Marlin's MAX_CMD_SIZE, the shortest of the firmwares'
 LONGEST_LINE = 255  # bytes, of Klipper's own commands
 FILAMENT_MM = 1e-4  # how far the whole may be from what it was
-LINE_MM = 5e-3  # how far a line may be from its place: lines that stand close together share a segment's end
+LINE_MM = 5e-3  # how far a line may be from its place: lines that stand close together share a segment's end,
+STEPS_MM = 5e-3  # and as much more where a firmware drops a segment of few steps
 WAY_MM, WAY_SHARE = 2e-3, 1e-5  # of the filament's way there and back: its last decimal may go to and fro
 TURN_MM = 5e-3  # of filament, where it turns back: a segment may hold a little of both ways
 BLOCK_ENDS_MM = 0.02  # of a block from its path: what `net` allows, and the last decimal in inches
@@ -115,8 +117,9 @@ def _of_lines(read: Program, written: Program, text: Text) -> Iterator[str]:
     if [line for line, _ in mine] != [line for line, _ in theirs]:
         yield "The lines that are not moves are not those of the original."
         return
+    most = LINE_MM + (STEPS_MM if read.flavor == MARLIN else 0.0)
     for (line, a), (_, b) in zip(mine, theirs, strict=True):
-        if not abs(a - b) <= LINE_MM:
+        if not abs(a - b) <= most:
             yield f"{line!r} stood after {a:.5f} mm of filament and stands after {b:.5f} mm."
 
 

@@ -106,16 +106,17 @@ class Writer:
         self.note_returns([event])
         self._take_frame(event.frame)
         if self.filament is not None and self.open and (command := self.filament.set_by(line)):
-            yield from self._filament_count(self.filament, command)
+            yield from self._filament_count(self.filament, command, event.move)
         if event.limits is not None:
             note_limits(self.file_limits, event.limits)
             if self.open:
                 yield from self._ours(self._opening())
 
-    def _filament_count(self, filament: FilamentCount, command: str) -> Iterator[bytes]:
-        frame, place = self.program.frames[self.frame], self.moves.place
+    def _filament_count(self, filament: FilamentCount, command: str, move: int) -> Iterator[bytes]:
+        frame, place, moves = self.program.frames[self.frame], self.moves.place, self.program.moves
         if command == "G92":
-            filament.begin(frame, place[3])
+            named = moves.start[move, 3] if move < len(moves) else moves.end[-1, 3]
+            filament.begin(frame, place[3], place[3] - named)
             self._set_frame(place)
         else:
             yield from self._ours(filament.opening(frame))
@@ -276,8 +277,11 @@ class Writer:
             stepped = self.marlin.steps.placed(at, points, fixed)
             points = np.where(self.inside(stepped)[:, None], stepped, points)
         points = _stated(points, frame.base, frame.unit_mm)
+        begin, end = at.searchsorted([piece.begin, piece.end]).tolist()
         if self.marlin is not None:
-            chosen = self.marlin.executed(points, fixed)
+            ends = np.zeros(len(at), dtype=np.bool_)
+            ends[[0, begin, end, -1]] = True
+            chosen = self.marlin.executed(points, fixed, ends)
             at, points, e, kept, fixed = at[chosen], points[chosen], e[chosen], kept[chosen], fixed[chosen]
         lasting = (at[1:] - at[:-1]) * s.segment_s
         due = at * s.segment_s
@@ -463,14 +467,20 @@ class _Segments:
     def lines(self, timeline: Timeline) -> list[tuple[int, _Line]]:
         """Return the original's lines that go out among them, each with the segment it stands before.
 
-        An event has a segment that begins there; a move, which is a comment, stands before the one that it is part of.
+        An event stands at its point, or else at the nearer of the ends around it, by filament and then by time. A move,
+        which is a comment, stands before the segment that it is part of.
         """
-        piece, place = timeline.tile, timeline.at[timeline.point]
+        piece, at, e = timeline.tile, timeline.at, timeline.e
+        place = at[timeline.point]
         within = (place >= piece.begin) & ((place < piece.end) | (piece.end == piece.last))
         points, is_event = timeline.point[within], timeline.event[within] >= 0
-        before = np.where(
-            is_event, np.searchsorted(self.begins, points), np.searchsorted(self.begins, points, side="right") - 1
-        )
+        last = len(self.begins)
+        ends = np.append(self.begins, np.searchsorted(at, piece.end))
+        before = np.searchsorted(ends, points, side="right") - 1
+        behind, ahead = ends[before], ends[np.minimum(before + 1, last)]
+        farther = np.abs(e[ahead] - e[points]) - np.abs(e[behind] - e[points])
+        is_later = (farther < 0.0) | ((farther == 0.0) & (at[ahead] - at[points] < at[points] - at[behind]))
+        before = np.where(is_event, before + (is_later & (behind != points)), np.minimum(before, last - 1))
         before = np.maximum.accumulate(before)  # a move without length that ends the run stays behind the last event
         columns = (before, timeline.line[within], timeline.event[within])
         return [

@@ -36,6 +36,7 @@ SWEEPS = 2  # of the speeds that make durations exact
 MOST_FASTER = 4.0  # times what a segment's length takes in its time, that a sweep may ask for
 FLICKER_STEPS, FLICKER_S = 2.0, 0.004  # of the filament in a segment, of which E's jerk must let the speed jump
 LONGEST_DEVIATION_MM = 0.3  # that M205 J takes
+LEAST_E_MM = 1e-5  # that a file can state
 
 
 class Filament(NamedTuple):
@@ -78,12 +79,13 @@ class MarlinSegments:
         most = min(MOST_KNOTS, self.longest_s / self.knot_s)
         return _lengthened(at, points, self.steps.motors(points), kept, edges, self.steps.enough, most)
 
-    def executed(self, points: FloatArray, edges: BoolArray) -> IntArray:
+    def executed(self, points: FloatArray, edges: BoolArray, ends: BoolArray) -> IntArray:
         """Return which of the points (n, 3) mm may end segments so that Marlin drops none of them, (m,).
 
-        edges : (n,) points that must
+        edges : (n,) points that are left out only for another one of them: a line that stood there moves to it
+        ends : (n,) points that must stay: another writer, or a rest, goes on from there
         """
-        return _executed(np.rint(self.steps.motors(points)), edges, self.settings.minimum_steps_per_segment)
+        return _executed(np.rint(self.steps.motors(points)), edges, ends, self.settings.minimum_steps_per_segment)
 
     def uncut(self, points: FloatArray, lasting: FloatArray) -> FloatArray:
         """Return how long segments (n,) s last if none is to be cut: where one is too long, the next make up for it.
@@ -237,9 +239,14 @@ class FilamentCount:
 
     zero_mm: float = 0.0  # of the filament, where our E is zero
 
-    def begin(self, frame: ModalState, e_mm: float) -> None:
-        """Count on from the file's own E: a block opens, or G92 has named a place of the filament."""
-        self.zero_mm = frame.base[3] if frame.flow == 1.0 else e_mm - _file_e_mm(frame, e_mm)
+    def begin(self, frame: ModalState, e_mm: float, late_mm: float = 0.0) -> None:
+        """Count on from the file's own E: a block opens, or G92 names the place of the filament.
+
+        late_mm : by how much more filament has gone by than when the file names it
+        """
+        named = e_mm - late_mm
+        zero_mm = frame.base[3] if frame.flow == 1.0 else named - _file_e_mm(frame, named)
+        self.zero_mm = zero_mm + late_mm
 
     def frame(self, frame: ModalState) -> ModalState:
         """Return how numbers are written within a block."""
@@ -251,7 +258,7 @@ class FilamentCount:
 
     def naming(self, frame: ModalState, e_mm: float) -> list[bytes]:
         """Return the lines that give this place of the filament the name that it has in the file."""
-        if frame.flow == 1.0 and self.zero_mm == frame.base[3]:
+        if frame.flow == 1.0 and abs(self.zero_mm - frame.base[3]) < LEAST_E_MM:
             return []
         return [b"G92 E%.5f" % (_file_e_mm(frame, e_mm) / frame.unit_mm)]
 
@@ -369,16 +376,18 @@ def _missed2(at: FloatArray, points: FloatArray, first: int, last: int) -> float
 
 
 @kernel
-def _executed(steps: FloatArray, edges: BoolArray, minimum: int) -> IntArray:
+def _executed(steps: FloatArray, edges: BoolArray, ends: BoolArray, minimum: int) -> IntArray:
     n = len(steps)
     kept = np.empty(n, dtype=np.int64)
     kept[0] = 0
     count = 1
     for k in range(1, n):
-        while count > 1 and edges[k] and not edges[kept[count - 1]] and _most(steps, kept[count - 1], k) < minimum:
+        while count > 1 and _most(steps, kept[count - 1], k) < minimum:
+            last = kept[count - 1]
+            if not (edges[k] or ends[k]) or ends[last] or (edges[last] and not ends[k]):
+                break
             count -= 1
-        if not edges[k] and _most(steps, kept[count - 1], k) < minimum:
-            continue
-        kept[count] = k
-        count += 1
+        if ends[k] or _most(steps, kept[count - 1], k) >= minimum:
+            kept[count] = k
+            count += 1
     return kept[:count].copy()

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
 from ffcomp.compensation.job import Job, Options
 from ffcomp.compensation.request import CompensateOptions
+from ffcomp.planner.lookahead import stops_and_waits
+from ffcomp.planner.marlin import cut_for_marlin, planner_of
 from ffcomp.planner.program import plan_program
 from models.file import load_machine
 from studies.marlin import judge, read
+from validation.invariants import told_apart, violations
 
 
 @pytest.mark.parametrize(("case", "better"), [("tower", 3.0), ("star", 3.0)])
@@ -34,3 +38,49 @@ def test_the_stated_time_is_that_of_the_queue(name: str) -> None:
     data = b"".join(written)
     stated = written.value.statistics.print_time_s
     assert stated == pytest.approx(plan_program(read(data, machine), machine).trajectory.end_t, rel=6e-3)
+
+
+@pytest.mark.parametrize(
+    ("name", "middle", "filament"), [("ender-3", 60, "M83"), ("ender-3", 60, "M82\nM221 S90"), ("kossel", 0, "M82")]
+)
+def test_no_segment_is_dropped_before_a_line_of_the_file(name: str, middle: int, filament: str) -> None:
+    """Lines every 0.02 mm, at slow lifts and just before a retraction: all go out where they stood, within six steps.
+
+    What Marlin drops it joins to the next line, which may be a retraction, whose time and acceleration are its own.
+    """
+    lines, e = ["G90", filament, "G28", f"G1 X{middle} Y{middle} Z0.3 F6000"], 0.0
+
+    def fed(mm: float) -> str:
+        nonlocal e
+        e = e + mm if filament.startswith("M82") else mm
+        return f"E{e:.5f}"
+
+    for i in range(0, 12, 2):
+        x, y = middle + 7 * i % 20, middle + 11 * i % 30
+        lines += [f"G1 {fed(0.8)} F2100"]
+        for k in range(24):
+            lines += [f"G1 X{x + 0.02 * k:.2f} Y{y} {fed(0.001)} F{60 * (i + 1)}", f"M106 S{k}"]
+            if k == 7:
+                lines, e = [*lines, "G92 E0"], 0.0
+        lines += [f"G1 X{x + 20} {fed(0.7)} F3000", "M107", f"G1 X{x + 20.03:.2f} {fed(0.001)}", "M106 S9"]
+        lines += [f"G1 X{x + 20.05:.2f}", "M107", f"G1 {fed(-0.8)} F2100"]
+        lines += [
+            "G1 Z0.7 F600",
+            f"G1 X{middle + (7 * i + 14) % 20} Y{middle + (11 * i + 22) % 30} F7200",
+            "G1 Z0.3 F600",
+        ]
+    machine, data = load_machine(name), "\n".join(lines).encode()
+    written = Job(
+        data, "lines", machine, Options.of(CompensateOptions(flavor="marlin", predict=False), machine)
+    ).lines()
+    text = b"".join(written)
+    assert violations(data, text, machine, written.value.placement.offset, flavor="marlin") == []
+    program = cut_for_marlin(read(text, machine), machine)
+    moves, (stops, waits) = program.moves, stops_and_waits(program)
+    blocks, ends = planner_of(program, machine).blocks(moves, stops | (waits > 0.0))
+    executed = np.zeros(len(moves), dtype=np.bool_)
+    executed[ends[blocks.target]] = True
+    ours = np.isin(moves.line, told_apart(text.splitlines(keepends=True)).segments)
+    ours &= np.any(moves.end[:, :3] != moves.start[:, :3], axis=1)
+    assert np.count_nonzero(ours) > 200
+    assert executed[ours].all()
