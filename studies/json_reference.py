@@ -50,7 +50,7 @@ OBJECTS: dict[str, dict[str, str]] = {  # by heading of the page: by place of it
         "": "ffcomp.compensation.result:CompensatedFiles.details ffcomp.result:Result.to_dict"
     },
     "FAILED": {"": "ffcomp.compensation.result:FileResult.to_dict"},
-    "ffcomp-estimate/1": {"": "ffcomp.estimation.engine:Estimate.to_dict"},
+    "ffcomp-estimate/1": {"": "ffcomp.estimation.engine:Estimate.details ffcomp.result:Result.to_dict"},
     "ACCOUNT": {
         "": "ffcomp.estimation.engine:_values",
         "layers[].": "ffcomp.estimation.engine:_layer",
@@ -63,7 +63,8 @@ OBJECTS: dict[str, dict[str, str]] = {  # by heading of the page: by place of it
         "contour_um.compensated.": "ffcomp.report.show:Numbers",
     },
     "ffcomp-compare/1": {
-        "": "ffcomp.comparison.result:Comparison.to_dict ffcomp.cli.compare:compare",
+        "": "ffcomp.comparison.result:Comparison.to_dict ffcomp.api.comparison:MethodComparison.details "
+        "ffcomp.result:Result.to_dict",
         "layers[].": "ffcomp.comparison.result:Layer",
     },
     "METHOD": {
@@ -71,7 +72,7 @@ OBJECTS: dict[str, dict[str, str]] = {  # by heading of the page: by place of it
         "peaks.": "ffcomp.comparison.result:Peaks",
     },
     "QUALITY": {"": "ffcomp.comparison.result:EqualQuality"},
-    "ffcomp-simulate/1": {"": "ffcomp.cli.simulate:simulate ffcomp.simulation.simulation:SimulationResult.to_dict"},
+    "ffcomp-simulate/1": {"": "ffcomp.simulation.simulation:Simulation.details ffcomp.result:Result.to_dict"},
     "ffcomp-frf/1": {
         "": "ffcomp.identification.frf_study:frf_json",
         "measured[].": "ffcomp.identification.frf_study:_compared_answer",

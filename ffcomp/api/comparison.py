@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 from ffcomp.api.machines import load_machine
 from ffcomp.comparison import engine
@@ -17,7 +17,10 @@ from ffcomp.compensation.placement import place_print
 from ffcomp.errors import RequestError, missing_extras_explained
 from ffcomp.inverse.settings import settings_for
 from ffcomp.metrics import Track
+from ffcomp.numerics.serialise import to_json
+from ffcomp.report.compare import sentences
 from ffcomp.request import function
+from ffcomp.result import Fact, Result
 from ffcomp.simulation.playback import check_same_kinematics
 from gcode.container import read_bytes
 from gcode.embedded import STAMP_REACH, already_processed, find_offset, original
@@ -26,11 +29,13 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-@dataclass(frozen=True, eq=False)
-class MethodComparison:
+@dataclass(frozen=True, eq=False, repr=False)
+class MethodComparison(Result):
     """Every method on one print."""
 
     comparison: Comparison
+    report: Path | None = None  # the page that was written
+    written: Sequence[Path] = ()  # figures
 
     @property
     def tracks(self) -> dict[str, Track]:
@@ -38,18 +43,35 @@ class MethodComparison:
         return {name: method.track for name, method in self.comparison.methods.items()}
 
     @property
-    def verdict(self) -> list[str]:
-        """The answer in sentences."""
-        from ffcomp.report.compare.sentences import verdict
+    def headline(self) -> str:
+        """Whether it is worth it, and why."""
+        return str(sentences.answer(self.comparison))
 
-        return list(verdict(self.comparison))
+    @property
+    def facts(self) -> list[Fact]:
+        """What was found, and each method's errors."""
+        written = [("Report", str(self.report))] if self.report else []
+        if self.written:
+            written.append(("Figures", f"{len(self.written)} in {self.written[0].parent}"))
+        errors = sentences.method_facts(self.comparison)
+        return [*sentences.findings(self.comparison), *errors, *written]
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return the JSON object ffcomp-compare/1."""
-        return self.comparison.to_dict()
+    @property
+    def warnings(self) -> list[str]:
+        """What to mind."""
+        return sentences.cautions(self.comparison)
+
+    @property
+    def next_steps(self) -> list[str]:
+        """A measurement, where the machine file knows too little."""
+        return [step] if (expected := self.comparison.expected) and (step := expected.next_step) else []
+
+    def figures(self) -> list[str]:
+        """Return the names of the report's figures; drawing them needs Matplotlib."""
+        return [each.name for each in _report_figures().drawings(self.comparison)]
 
     @missing_extras_explained()
-    def plot(self, name: Literal["close-up", "methods"] | str = "methods") -> Figure:
+    def plot(self, name: str = "methods", **options: Any) -> Figure:
         """Draw one figure of the report.
 
         Raises
@@ -57,12 +79,18 @@ class MethodComparison:
         RequestError
             If the report has no figure of that name.
         """
-        from ffcomp.report.compare.figures import comparison_figures
+        drawn: dict[str, Callable[[], Figure]] = _report_figures().comparison_figures(self.comparison)
+        if name not in drawn:
+            raise RequestError(f"There is no figure {name!r}, but {', '.join(drawn)}.")
+        return drawn[name]()
 
-        figures = comparison_figures(self.comparison)
-        if name not in figures:
-            raise RequestError(f"There is no figure {name!r}, but {', '.join(figures)}.")
-        return figures[name]()
+    def details(self) -> dict[str, Any]:
+        """Return the keys of ffcomp-compare/1."""
+        return {
+            **self.comparison.to_dict(),
+            "report": to_json(self.report),  # text or null: the page that was written
+            "figures": to_json(self.written),  # list of text: the files that were written
+        }
 
     @missing_extras_explained()
     def write_report(self, path: str | Path) -> None:
@@ -70,6 +98,12 @@ class MethodComparison:
         from ffcomp.report.compare.html import write_report
 
         write_report(self.comparison, Path(path))
+
+
+def _report_figures() -> Any:
+    from ffcomp.report.compare import figures  # needs Matplotlib
+
+    return figures
 
 
 def compare_print(request: CompareRequest, note: Callable[[str], None] = lambda sentence: None) -> Comparison:

@@ -2,48 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 from ffcomp.api.machines import load_machine
 from ffcomp.compensation.placement import NOWHERE, Placement, place_print
-from ffcomp.errors import missing_extras_explained
 from ffcomp.request import function
 from ffcomp.simulation.command import Command
 from ffcomp.simulation.request import SimulateRequest
 from ffcomp.simulation.simulation import Request as Part
-from ffcomp.simulation.simulation import SimulationResult, read_command, simulate_command
+from ffcomp.simulation.simulation import Simulation, read_command, simulate_command
 from ffcomp.steps.archive import is_step_archive
 from gcode.container import read_bytes
 from gcode.embedded import already_processed
 from gcode.text import check_regular
-from models.arrays import FloatArray
 from models.machine import Machine
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-
-@dataclass(frozen=True, eq=False)
-class Simulation(SimulationResult):
-    """A simulated command: arrays `time_s`, `reference_mm`, `nozzle_mm` and `error_um`, and their `track`."""
-
-    @missing_extras_explained()
-    def plot(self) -> Figure:
-        """Draw the position of the largest error close up, and the contour error along the time."""
-        from ffcomp.report.show import simulation_figure
-
-        return simulation_figure(self)
-
-    def to_dataframe(self) -> Any:
-        """Return a pandas.DataFrame with a row for each sample; needs pandas."""
-        import pandas as pd
-
-        columns: dict[str, FloatArray] = {"time_s": self.time_s}
-        for name, points in (("reference", self.reference_mm), ("nozzle", self.nozzle_mm)):
-            columns |= {f"{name}_{axis}_mm": points[:, k] for k, axis in enumerate("xyz")}
-        return pd.DataFrame({**columns, "error_um": self.error_um})
 
 
 def read_simulation(request: SimulateRequest) -> tuple[Command, Machine, Machine, list[str]]:
@@ -70,10 +43,9 @@ def run_simulation(request: SimulateRequest, command: Command, machine: Machine,
     """Simulate a command, and record it where that is requested."""
     part = Part(request.rate_hz, request.from_s, request.to_s, request.gravity, request.signals)
     target = None if request.recording is None else Path(request.recording)
-    result = simulate_command(
+    return simulate_command(
         command, machine, plant, part, path=str(request.file), target=target, progress=request.progress
     )
-    return Simulation(**{name: getattr(result, name) for name in SimulationResult.__dataclass_fields__})
 
 
 def _simulate(request: SimulateRequest) -> Simulation:
@@ -87,8 +59,8 @@ def _simulate(request: SimulateRequest) -> Simulation:
     ------
     GcodeError, MachineFileError, NothingToDo, RequestError
     """
-    command, machine, plant, _ = read_simulation(request)
-    return run_simulation(request, command, machine, plant)
+    command, machine, plant, warnings = read_simulation(request)
+    return replace(run_simulation(request, command, machine, plant), warnings=warnings)
 
 
 simulate = function(SimulateRequest, _simulate)

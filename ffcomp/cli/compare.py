@@ -5,12 +5,11 @@ from __future__ import annotations
 import os
 import sys
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from ffcomp.cli.command import Shown, verb
-from ffcomp.cli.common import exit_codes, print_json, say
+from ffcomp.cli.common import answer, exit_codes, say
 from ffcomp.cli.progress import Progress
 from ffcomp.comparison.request import CompareRequest
 from ffcomp.errors import RequestError
@@ -48,23 +47,11 @@ def compare(request: CompareRequest, pages: Pages, shown: Shown) -> None:
         )
     _check_targets(pages.report, pages.figures)
 
-    from ffcomp.api.comparison import compare_print
+    from ffcomp.api.comparison import MethodComparison, compare_print
 
     with _ExitWithoutThreads(), exit_codes(), Progress(1.0, shown.quiet, "comparing") as progress:
-        comparison = compare_print(replace(request, progress=progress.phase), partial(_note, quiet=shown.quiet))
-    written = _write(comparison, pages)
-    if shown.as_json:
-        names = {
-            "report": _text(pages.report),  # text or null: the page that was written
-            "figures": [str(path) for path in written],  # list of text: the files that were written
-        }
-        print_json({**comparison.to_dict(), **names})
-    elif not shown.quiet:
-        _print(comparison, pages.report, written)
-
-
-def _note(sentence: str, quiet: bool) -> None:
-    say(f"ffcomp: {sentence}", quiet)
+        comparison = compare_print(replace(request, progress=progress.phase), lambda text: say(f"ffcomp: {text}"))
+    answer(MethodComparison(comparison, pages.report, _write(comparison, pages)), shown.as_json)
 
 
 class _ExitWithoutThreads:
@@ -104,84 +91,3 @@ def _write(result: Comparison, pages: Pages) -> list[Path]:
 
         write_report(result, report)
     return written
-
-
-def _text(path: Path | None) -> str | None:
-    return None if path is None else str(path)
-
-
-def _print(result: Comparison, report: Path | None, written: list[Path]) -> None:
-    from rich.console import Console
-    from rich.table import Table
-
-    from ffcomp.report.compare.sentences import answer, verdict
-
-    console = Console()
-    console.print(str(answer(result)), highlight=False, markup=False)
-    for sentence in verdict(result):
-        console.print(sentence, highlight=False, markup=False)
-    table = Table("method", box=None, padding=(0, 1, 0, 0))
-    for column in _columns(result):
-        table.add_column(column, justify="right", no_wrap=True)
-    family = ""
-    for method in result.methods.values():
-        if family and method.family != family:
-            table.add_row()
-        family = method.family
-        style = "bold" if method.name in (result.compensated, result.best_fixed) else ""
-        table.add_row(
-            "ffcomp" if method.name == result.compensated else method.name, *_cells(result, method.name), style=style
-        )
-    console.print(table)
-    console.print(_legend(result), highlight=False)
-    if report is not None:
-        console.print(f"Report: {report}", highlight=False, markup=False)
-    if written:
-        console.print(f"{len(written)} figures in {written[0].parent}", highlight=False, markup=False)
-
-
-def _columns(result: Comparison) -> list[str]:
-    columns = ["rms", "p99", "max", "track", "ring", "peak"]
-    if result.mismatch:
-        columns += ["off", "worst"]
-    if result.quality_bound_um:
-        columns += ["m/s²", "time"]
-    return columns
-
-
-def _legend(result: Comparison) -> str:
-    """Explain the columns."""
-    from ffcomp.report.compare.words import where_seen
-
-    parts = [
-        f"µm. rms, p99, max: distance to the reference path, {where_seen(result)}; track: over all moves at equal "
-        "times, constant delay removed, so that it counts what comes late where a limit slows down, and is not off; "
-        "ring: what still swings in straight cruise; peak: m/s² asked of a carriage ('!': beyond its limit)."
-    ]
-    if result.mismatch:
-        parts.append("off, worst: contour rms on Monte-Carlo plants, median and worst.")
-    if result.quality_bound_um:
-        bound = f"{result.quality_bound_um:g} µm"
-        parts.append(f"m/s², time: the highest acceleration that keeps p99 below {bound}, and its print time, s.")
-    return " ".join(parts)
-
-
-def _cells(result: Comparison, name: str) -> list[str]:
-    from ffcomp.report.compare.words import seen
-
-    method = result.methods[name]
-    t, shown, over = method.track, seen(result, method), "" if method.peaks.within_limits else "!"
-    cells = [
-        f"{shown.contour_rms_um:.2f}",
-        f"{shown.contour_p99_um:.1f}",
-        f"{shown.contour_max_um:.0f}",
-        f"{t.tracking_rms_no_delay_um:.1f}",
-        f"{method.residual_rms_um:.1f}",
-        f"{method.peaks.acceleration_mm_per_s2 / 1e3:.1f}{over}",
-    ]
-    if result.mismatch and method.spread is not None:
-        cells += [f"{method.spread.median_um:.1f}", f"{method.spread.worst_um:.1f}"]
-    if (quality := method.equal_quality) is not None:
-        sign = ">" if quality.capped else "" if quality.reached else "<"
-        cells += [f"{sign}{quality.acceleration_mm_per_s2 / 1e3:.1f}", f"{quality.print_time_s:.0f}"]
-    return cells

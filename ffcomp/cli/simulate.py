@@ -7,14 +7,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from ffcomp.cli.command import Shown, verb
-from ffcomp.cli.common import print_json, say, say_assumed
+from ffcomp.cli.common import answer, print_json
 from ffcomp.cli.progress import Progress
 from ffcomp.errors import RequestError
 from ffcomp.request import ADVANCED, OUTPUT, Option, Request
 from ffcomp.simulation.request import SimulateRequest
 
 if TYPE_CHECKING:
-    from ffcomp.api.simulation import Simulation
+    from ffcomp.simulation.simulation import Simulation
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,23 +58,10 @@ def simulate(request: SimulateRequest, captures: CapturesRequest, shown: Shown) 
         result = _write_captures(request, captures, captures.as_captures, shown.quiet)
         if shown.as_json:
             print_json(result)
-        elif not shown.quiet:
+        else:
             print(f"{len(result['captures'])} captures of {result['plan']}: {captures.as_captures}")
         return
-    simulation, warnings = _simulate(request, shown.quiet)
-    if shown.as_json:
-        print_json(
-            {
-                "schema": "ffcomp-simulate/1",
-                "input": str(request.file),
-                # text or null: the run that was written
-                "output": None if request.recording is None else str(request.recording),
-                **simulation.to_dict(),
-                "warnings": warnings,  # list of text
-            }
-        )
-    elif not shown.quiet:
-        _print(simulation, request.recording)
+    answer(_simulate(request, shown.quiet), shown.as_json)
 
 
 def _write_captures(request: SimulateRequest, captures: CapturesRequest, folder: Path, quiet: bool) -> dict[str, Any]:
@@ -107,16 +94,14 @@ def _write_captures(request: SimulateRequest, captures: CapturesRequest, folder:
     }
 
 
-def _simulate(request: SimulateRequest, quiet: bool) -> tuple[Simulation, list[str]]:
-    """Simulate, and return the warnings of reading too."""
+def _simulate(request: SimulateRequest, quiet: bool) -> Simulation:
     from dataclasses import replace
 
     from ffcomp.api.simulation import read_simulation, run_simulation
+    from models.machine import assumed_modes
 
     command, machine, plant, warnings = read_simulation(request)
-    say_assumed([machine, plant], quiet)
-    for warning in warnings:
-        say(f"ffcomp: {warning}", quiet)
+    assumed = dict.fromkeys(filter(None, map(assumed_modes, (machine, plant))))
     parts = command.between(request.from_s, request.to_s)
     if request.recording is not None and len(parts) > 1:
         times = ", ".join(f"{begin:.3f} to {end:.3f} s" for _, begin, end in parts)
@@ -125,28 +110,5 @@ def _simulate(request: SimulateRequest, quiet: bool) -> tuple[Simulation, list[s
             "choose with --from and --to."
         )
     with Progress(sum(end - begin for _, begin, end in parts), quiet, "simulating") as progress:
-        return run_simulation(replace(request, progress=progress), command, machine, plant), warnings
-
-
-def _print(simulation: Simulation, recording: str | Path | None) -> None:
-    track, seconds = simulation.track, simulation.simulated_s
-    print(
-        f"{seconds:.1f} s of motion on {simulation.plant.name} (effects: "
-        f"{', '.join(simulation.plant.effects) or 'none'}), {simulation.seconds:.1f} s: "
-        f"{seconds / simulation.seconds:.0f} times faster than printing."
-    )
-    print(f"Against {simulation.reference}:")
-    print(
-        f"  contour   rms {track.contour_rms_um:.2f} µm, 99 % below {track.contour_p99_um:.1f} µm, "
-        f"largest {track.contour_max_um:.1f} µm"
-    )
-    print(
-        f"  tracking  rms {track.tracking_rms_um:.1f} µm, of it {track.tracking_rms_no_delay_um:.2f} µm beside a "
-        f"delay of {1e3 * track.delay_s:.3f} ms"
-    )
-    print(
-        f"  carriages asked for {simulation.evaluation.peak_actuator_velocity_mm_per_s:.0f} mm/s and "
-        f"{track.peak_command_acceleration_mm_per_s2 / 1e3:.1f} m/s² at most"
-    )
-    if recording is not None:
-        print(f"{simulation.rows} samples at {simulation.request.rate_hz:g} Hz: {recording}")
+        done = run_simulation(replace(request, progress=progress), command, machine, plant)
+    return replace(done, warnings=[*assumed, *warnings])

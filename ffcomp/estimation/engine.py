@@ -5,24 +5,32 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import Any, ClassVar
 
 from ffcomp.compensation.placement import Offset, Placement, place_print
 from ffcomp.errors import NothingToDo
-from ffcomp.estimation.statistics import BEFORE, FILAMENT, KINDS, Layer, Statistics, planned_slices
+from ffcomp.estimation.statistics import BEFORE, FILAMENT, KINDS, Layer, Statistics, Unknown, planned_slices
 from ffcomp.numerics.serialise import to_json
 from ffcomp.planner.program import firmware_plan, planner_of, raw_durations, read_as_planned, settings_sentence
 from ffcomp.planner.reach import Reach
+from ffcomp.result import Fact, Result, clock
 from gcode.container import Source, blocks_of, ends_of
 from gcode.dialects import choose_flavor, sign_by_ends
 from gcode.embedded import Stamp, find_offset, find_stamp, holds_original, original_blocks
 from models.arrays import FloatArray
 from models.machine import Machine, identity
 
+MOST_LINES = 4  # of each command whose time is not known
 
-@dataclass(frozen=True, slots=True)
-class Estimate:
-    """Time and filament of a print on a machine."""
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Estimate(Result):
+    """Time and filament of a print on a machine, as it is written and, of a compensated one, as it was.
+
+    Heating, homing and macros are not in the time: no file says how long they take.
+    """
+
+    drawn_by: ClassVar = {"times": "ffcomp.report.estimate:estimate_figure"}
 
     path: str
     machine: Machine
@@ -35,8 +43,52 @@ class Estimate:
         """Of the file as it is written."""
         return seconds(self.statistics.total)
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return the JSON object of `ffcomp estimate` (ffcomp-estimate/1)."""
+    @property
+    def headline(self) -> str:
+        """The time, the time before compensation, and the slicer's own estimate."""
+        numbers, text = self.statistics, f"{self.path} on {self.machine.name}: {clock(self.time_s)}"
+        text += "" if self.original is None else f", before compensation {clock(seconds(self.original.total))}"
+        return f"{text}{'' if numbers.slicer_s is None else f'; the slicer says {clock(numbers.slicer_s)}'}."
+
+    @property
+    def facts(self) -> list[Fact]:
+        """Time by kind of motion and by feature, layers and filament."""
+        numbers, whole = self.statistics, self.time_s
+
+        def share(spent: float) -> str:
+            return f"{clock(spent)}, {100 * spent / whole:.1f} %"
+
+        kinds = [(kind, share(float(s))) for kind, s in zip(KINDS, numbers.total, strict=False) if s]
+        features = sorted(numbers.features.items(), key=lambda item: -seconds(item[1]))
+        of_features = [(n, f"{share(seconds(row))}, {max(row[FILAMENT], 0.0) / 1e3:.2f} m") for n, row in features]
+        filament = ("filament", f"{numbers.filament_mm / 1e3:.2f} m, {numbers.retractions} retractions")
+        times = sorted((seconds(layer.row), k) for k, layer in numbers.layers.in_order() if k != BEFORE)
+        layers = [("layers", f"{len(times)}")] if times else []
+        if len(times) > 1:
+            (least, low), (most, high) = times[0], times[-1]
+            layers = [("layers", f"{len(times)}, {clock(least)} (layer {low}) to {clock(most)} (layer {high})")]
+        return [*kinds, *of_features, *layers, filament]
+
+    @property
+    def layers(self) -> list[Fact]:
+        """Every layer's height, line in the file, and time."""
+        return [
+            (
+                "before" if k == BEFORE else f"layer {k}",
+                f"z {each.z_mm:.2f} mm, line {each.line}: {clock(seconds(each.row))}",
+            )
+            for k, each in self.statistics.layers.in_order()
+        ]
+
+    @property
+    def warnings(self) -> list[str]:
+        """Commands whose time no file states, and what was assumed."""
+        unknown = [f"{each.what} ({each.command}, {_lines(each)})" for each in self.statistics.unknown.values()]
+        missing = [f"Not in the time, for no file states it: {'; '.join(unknown)}."] if unknown else []
+        return [*missing, *self.statistics.warnings]
+
+    def details(self) -> dict[str, Any]:
+        """Return the keys of ffcomp-estimate/1."""
         values = {
             "schema": "ffcomp-estimate/1",
             "input": self.path,
@@ -48,6 +100,12 @@ class Estimate:
             "original": _values(self.original) if self.original else None,
         }
         return dict(to_json(values))
+
+
+def _lines(unknown: Unknown) -> str:
+    """Where, as far as a sentence can hold it."""
+    first, more = ", ".join(map(str, unknown.lines[:MOST_LINES])), unknown.count - MOST_LINES
+    return f"line{'s' * (unknown.count > 1)} {first}{f' and {more} more' if more > 0 else ''}"
 
 
 def stamp_of(source: Source) -> Stamp | None:

@@ -18,7 +18,7 @@ from ffcomp.compensation.result import CompensatedFile
 from ffcomp.errors import RequestError
 from ffcomp.report.drawing import AFTER, BEFORE, NEIGHBOUR, REFERENCE, error_colours, plain_decades, write_figure
 from ffcomp.simulation.preview import Curve, Flow, Preview, preview
-from ffcomp.simulation.simulation import SimulationResult
+from ffcomp.simulation.simulation import Simulation
 from ffcomp.version import __version__
 from gcode.container import read_bytes
 from gcode.embedded import STAMP_REACH, already_processed, find_offset
@@ -253,7 +253,7 @@ def _lines(
 LEAST_UM = 0.01  # smaller errors are drawn as this
 
 
-def simulation_figure(result: SimulationResult) -> Figure:
+def simulation_figure(result: Simulation) -> Figure:
     """Draw the reference and the nozzle's path where the contour error is largest, and the error along the time."""
     figure = Figure(figsize=(11, 4.4), layout="constrained")
     track = result.track
@@ -272,7 +272,7 @@ def simulation_figure(result: SimulationResult) -> Figure:
     return figure
 
 
-def _simulated_close_up(axes: Axes, result: SimulationResult) -> None:
+def _simulated_close_up(axes: Axes, result: Simulation) -> None:
     worst = int(np.argmax(result.error_um))
     centre = result.reference_mm[worst]
     away = np.abs(result.reference_mm - centre)

@@ -31,20 +31,6 @@ def answer_of(kind: str, result: JsonObject) -> Answer:
     return make(result) if make else Answer()
 
 
-def _compare(result: JsonObject) -> Answer:
-    methods = result["methods"]
-    compensated, best = methods[result["ours"]], methods[result["best_fixed"]]
-    errors = [
-        ["No compensation", f"{methods['none']['contour_rms_um']:.0f} µm rms"],
-        [f"Best input shaper ({best['label']})", f"{best['contour_rms_um']:.1f} µm rms"],
-        ["ffcomp", f"{compensated['contour_rms_um']:.1f} µm rms"],
-    ]
-    expected = result.get("expected") or {}
-    lead = str(expected.get("headline") or "Every method was evaluated on the simulated printer.")
-    to_do = [str(expected["next_step"])] if expected.get("next_step") else []
-    return Answer(lead, [*errors, ["Evaluated", str(result["sampling"])]], compensated["warnings"], to_do)
-
-
 def _plan(result: JsonObject) -> Answer:
     repeats = f", each made {result['repeats']} times" if "repeats" in result else ""
     lead = f"{len(result['experiments'])} experiments, {clock(result['duration_s'])}{repeats}."
@@ -138,7 +124,6 @@ def _import(result: JsonObject) -> Answer:
 
 
 _ANSWERS: dict[str, Callable[[JsonObject], Answer]] = {
-    "compare": _compare,
     "plan": _plan,
     "excite": _plan,
     "diagnose": _diagnose,

@@ -7,13 +7,14 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import inf
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
 from ffcomp.errors import NothingToDo
 from ffcomp.metrics import Track, build_track, contour_error, end_to_end, tracking
 from ffcomp.numerics.serialise import to_json
+from ffcomp.result import Fact, Result, clock
 from ffcomp.simulation.command import Command, CommandSection, command_peaks
 from ffcomp.simulation.command_files import read_gcode, steps_command
 from ffcomp.simulation.playback import Chunk, check_same_kinematics, levelled, play
@@ -157,9 +158,11 @@ class Request:
     kinds: Sequence[str] = KINDS  # of the sensors in the recording
 
 
-@dataclass(frozen=True, eq=False)
-class SimulationResult:
+@dataclass(frozen=True, eq=False, repr=False)
+class Simulation(Result):
     """A simulated command and its evaluation; arrays hold m samples of all sections."""
+
+    drawn_by: ClassVar = {"path": "ffcomp.report.show:simulation_figure"}
 
     machine: Machine  # the one that the command was computed with
     plant: Machine  # the printer that moves
@@ -169,6 +172,9 @@ class SimulationResult:
     simulated_s: float  # print time
     seconds: float  # of computing
     rows: int
+    path: str = ""  # the command's file
+    recording: Path | None = None  # the run that was written
+    warnings: Sequence[str] = ()
 
     @property
     def time_s(self) -> FloatArray:
@@ -195,9 +201,52 @@ class SimulationResult:
         """The TRACK of all samples."""
         return self.evaluation.track
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return the numbers of `ffcomp simulate --json`, without names of files and without samples."""
+    def to_dataframe(self) -> Any:
+        """Return a pandas.DataFrame with a row for each sample; needs pandas."""
+        import pandas as pd
+
+        columns: dict[str, FloatArray] = {"time_s": self.time_s}
+        for name, points in (("reference", self.reference_mm), ("nozzle", self.nozzle_mm)):
+            columns |= {f"{name}_{axis}_mm": points[:, k] for k, axis in enumerate("xyz")}
+        return pd.DataFrame({**columns, "error_um": self.error_um})
+
+    @property
+    def headline(self) -> str:
+        """The contour error on this printer."""
+        track = self.track
+        return (
+            f"{self.plant.name}: contour error {track.contour_rms_um:.2f} µm rms, 99 % below "
+            f"{track.contour_p99_um:.1f} µm, largest {track.contour_max_um:.1f} µm."
+        )
+
+    @property
+    def facts(self) -> list[Fact]:
+        """What was simulated, and what was asked of the carriages."""
+        track, speed = self.track, self.simulated_s / self.seconds
+        fastest = self.evaluation.peak_actuator_velocity_mm_per_s
+        facts = [
+            ("Reference", self.reference),
+            ("Effects", ", ".join(self.plant.effects) or "none"),
+            (
+                "Tracking error",
+                f"{track.tracking_rms_um:.1f} µm rms, of it {track.tracking_rms_no_delay_um:.2f} µm beside a delay of "
+                f"{1e3 * track.delay_s:.3f} ms",
+            ),
+            (
+                "Carriages",
+                f"{fastest:.0f} mm/s and {track.peak_command_acceleration_mm_per_s2 / 1e3:.1f} m/s² at most",
+            ),
+            ("Simulated", f"{clock(self.simulated_s)} in {self.seconds:.1f} s, {speed:.0f} times faster than printing"),
+        ]
+        written = f"{self.rows} samples at {self.request.rate_hz:g} Hz: {self.recording}"
+        return facts if self.recording is None else [*facts, ("Recording", written)]
+
+    def details(self) -> dict[str, Any]:
+        """Return the keys of ffcomp-simulate/1, without samples."""
         return {
+            "schema": "ffcomp-simulate/1",
+            "input": self.path,
+            "output": to_json(self.recording),  # text or null: the run that was written
             "machine": identity(self.machine),  # MACHINE: what the firmware believes
             "plant": identity(self.plant),  # MACHINE: the printer that moved
             "effects": list(self.plant.effects),  # list of text: of the plant
@@ -210,6 +259,7 @@ class SimulationResult:
             "reference": self.reference,  # what the track is evaluated against
             "track": to_json(self.track),  # TRACK
             "peak_carriage_velocity_mm_per_s": self.evaluation.peak_actuator_velocity_mm_per_s,  # of the command
+            "warnings": list(self.warnings),  # list of text
         }
 
 
@@ -245,7 +295,7 @@ def simulate_command(
     path: str = "",
     target: Path | None = None,
     progress: Progress = lambda done_s: None,
-) -> SimulationResult:
+) -> Simulation:
     """Execute a command, evaluate it, and record it.
 
     Raises NothingToDo if the part holds too little motion, MachineFileError if the plant's kinematics are not the
@@ -293,4 +343,4 @@ def simulate_command(
     except UnreachableError as error:
         raise GcodeError(str(error), path=path) from error
     evaluation, seconds = evaluator.evaluation(), time.perf_counter() - started
-    return SimulationResult(machine, plant, request, command.reference, evaluation, simulated_s, seconds, rows)
+    return Simulation(machine, plant, request, command.reference, evaluation, simulated_s, seconds, rows, path, target)

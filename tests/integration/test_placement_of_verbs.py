@@ -29,7 +29,7 @@ def test_a_print_for_another_bed_is_moved_by_every_verb(prints: tuple[Path, Path
     there = {"offset_mm": (-10.0, -10.0)}
     moved, same = ffcomp.estimate(corner, MACHINE), ffcomp.estimate(middle, MACHINE, **there)
     assert moved.time_s == pytest.approx(same.time_s, rel=1e-9)
-    assert any("Offset -120,-120" in sentence for sentence in moved.estimate.to_dict()["warnings"])
+    assert any("Offset -120,-120" in sentence for sentence in moved.to_dict()["warnings"])
     moved, same = (ffcomp.simulate(file, MACHINE, **more) for file, more in ((corner, {}), (middle, there)))
     assert moved.nozzle_mm == pytest.approx(same.nozzle_mm, abs=1e-9)
     errors = [

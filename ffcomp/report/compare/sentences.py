@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 from ffcomp.comparison.result import Comparison, EqualQuality, Method
@@ -13,11 +14,13 @@ from ffcomp.report.compare.words import (
     extrudes,
     fastest_shaper,
     nick,
+    seen,
     shapers,
     times,
     um,
     where_seen,
 )
+from ffcomp.result import Fact
 from ffcomp.simulation.expectation import condition_of
 
 WORTH_RATIO, TIE_RATIO = 2.0, 1.05  # times less error than the best shaper: below the first, a shaper is enough
@@ -40,17 +43,15 @@ def answer(comparison: Comparison) -> Answer:
     if not ours.peaks.within_limits:
         return Answer("No", f"{_at(comparison)}ffcomp asks the carriages for more than the machine file allows.")
     left, theirs, before, shaper, where = _weighed(comparison, ours)
-    first = comparison.expected.next_step if comparison.expected else ""
-    next_step = f" {first}" if first else ""
     if left >= theirs / TIE_RATIO:
         as_good = "as good" if left <= TIE_RATIO * theirs else "better"
         sentence = f"{_at(comparison)}the best input shaper ({shaper}) is {as_good} on this print{where}"
-        return Answer("No", f"{sentence}: {um(theirs)} µm against {um(left)}.{next_step}")
+        return Answer("No", f"{sentence}: {um(theirs)} µm against {um(left)}.")
     gain = f"{_at(comparison)}ffcomp leaves {um(left)} µm, the best input shaper ({shaper}) {um(theirs)} and none "
     gain += f"{um(before)}{where}.{_faster(comparison, ours)}"
     if theirs < WORTH_RATIO * left:
-        return Answer("Hardly", f"{gain} The difference is small: a shaper is enough.{next_step}")
-    return Answer("Yes", f"{gain}{next_step}")
+        return Answer("Hardly", f"{gain} The difference is small: a shaper is enough.")
+    return Answer("Yes", gain)
 
 
 def _weighed(comparison: Comparison, ours: Method) -> tuple[float, float, float, str, str]:
@@ -97,24 +98,52 @@ def _highest(quality: EqualQuality) -> str:
     return f"{acceleration(quality.acceleration_mm_per_s2)}{' and more' if quality.capped else ''}"
 
 
-def verdict(comparison: Comparison) -> list[str]:
-    """Return the sentences, the most important first."""
+def findings(comparison: Comparison) -> list[Fact]:
+    """Return what was found, the most important first, each with its name."""
     ours, none, best = (comparison.methods[name] for name in (comparison.compensated, "none", comparison.best_fixed))
     return [
-        _against_none(comparison, none, ours),
-        _against_best(comparison, best, ours),
-        *_against_all(comparison, ours),
-        *_written(comparison),
-        *_mismatch(comparison, best, ours),
-        *_equal_quality(comparison, none, ours),
-        *_limits(comparison, ours),
-        *(f"Warning: {sentence}" for sentence in dict.fromkeys(ours.warnings)),
-        comparison.sampling,
-        *filter(None, [comparison.settings.get("Marlin")]),
-        *_assumed(comparison),
-        _plant(comparison),
-        *_predicted(comparison),
+        ("Against no compensation", _against_none(comparison, none, ours)),
+        ("Against shapers", _against_best(comparison, best, ours)),
+        *(("Best of all", each) for each in _against_all(comparison, ours)),
+        *(("Inverse", each) for each in _written(comparison)),
+        *(("If the printer is off", each) for each in _mismatch(comparison, best, ours)),
+        *(("At equal quality", each) for each in _equal_quality(comparison, none, ours)),
+        *(("Limits", each) for each in _limits(comparison, ours)),
+        ("Evaluated", comparison.sampling),
+        *(("Marlin", each) for each in filter(None, [comparison.settings.get("Marlin")])),
+        ("Simulated", _plant(comparison)),
+        *(("Predicted", each) for each in _predicted(comparison)),
     ]
+
+
+def cautions(comparison: Comparison) -> list[str]:
+    """Return what to mind: modes that are assumed, and what was odd about the print."""
+    return [*_assumed(comparison), *dict.fromkeys(comparison.methods[comparison.compensated].warnings)]
+
+
+def verdict(comparison: Comparison) -> list[str]:
+    """Return the sentences of a page, the most important first."""
+    found, minded = [sentence for _, sentence in findings(comparison)], cautions(comparison)
+    next_step = comparison.expected.next_step if comparison.expected else ""
+    return [*found[:2], *minded, *found[2:], *filter(None, [next_step])]
+
+
+def method_facts(comparison: Comparison) -> list[Fact]:
+    """Return each method's contour error and, where they were sought, its spread and its speed at equal quality."""
+    return [(method.label, ", ".join(_numbers(comparison, method))) for method in comparison.methods.values()]
+
+
+def _numbers(comparison: Comparison, method: Method) -> Iterator[str]:
+    errors = seen(comparison, method)
+    yield f"{um(errors.contour_rms_um)} µm rms"
+    yield f"99 % within {um(errors.contour_p99_um)}"
+    yield f"largest {um(errors.contour_max_um)}"
+    if method.spread is not None:
+        yield f"on printers that are off {um(method.spread.median_um)} (median), {um(method.spread.worst_um)} at worst"
+    if method.equal_quality is not None:
+        yield _speed(method.equal_quality)
+    if not method.peaks.within_limits:
+        yield "beyond the carriages' limits"
 
 
 def _against_none(comparison: Comparison, none: Method, ours: Method) -> str:
