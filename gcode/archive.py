@@ -1,7 +1,7 @@
 """Zip archives of slicers: `.gcode.3mf` with a print for each plate, `.ufp` with one.
 
-G-code is unpacked as it is read, never to a file of the archive's choosing. When the archive is written anew, whatever
-is not G-code is copied as it is packed: its bytes, its order, its dates.
+G-code is unpacked in memory during reading. When the archive is written, every other member is copied byte for byte:
+packed data, order and dates.
 """
 
 from __future__ import annotations
@@ -34,11 +34,11 @@ _PLATE, _INFO = re.compile(r"plate_(\d+)"), "Metadata/slice_info.config"
 _PLATE_INFO = re.compile(rb"<plate>.*?</plate>", re.DOTALL)
 _INDEX = re.compile(rb'key="index"\s+value="(\d{1,9})"')
 _PREDICTION = re.compile(rb'(key="prediction"\s+value=")(\d{1,12})(?=")')  # s
-_HEAD_BYTES = 1 << 16  # in which BambuStudio and OrcaSlicer state the time
+_HEAD_BYTES = 1 << 16  # BambuStudio and OrcaSlicer state the time within these
 _ENCRYPTED = 1  # a bit of the flags
 _DAMAGED = (BadZipFile, zlib.error, LZMAError, struct.error, EOFError, RuntimeError, ValueError, OSError)
 
-# Of a directory entry (APPNOTE 4.3.12): its fixed size, where its three lengths and its record's place stand in it.
+# Of a directory entry (APPNOTE 4.3.12): its fixed size, and the offsets of its lengths and of its record.
 _RECORD, _DIRECTORY_ENDS = b"PK\3\4", (b"PK\5\6", b"PK\6\6")  # how a record begins, and what follows the directory
 _ENTRY_BYTES, _LENGTHS_AT, _PLACE_AT = 46, 28, 42
 _LARGEST, _MOST_MEMBERS = (1 << 32) - 1, (1 << 16) - 1  # bytes; more (zip64) is for other things than prints
@@ -48,7 +48,7 @@ _Open = Callable[[], BinaryIO]
 
 @dataclass(frozen=True, slots=True)
 class Archive:
-    """Hold the prints by their members' names, and by a print's name the member that says its MD5."""
+    """Hold the prints by member name, and for each the member that holds its MD5."""
 
     prints: Mapping[str, Source]
     checksums: Mapping[str, bytes]
@@ -56,7 +56,7 @@ class Archive:
     path: str
 
     def write(self, file: BinaryIO, texts: Iterable[Iterable[bytes]]) -> None:
-        """Write the archive anew with these texts."""
+        """Write the archive with these texts in place of its prints."""
         with self.reopen() as packed, ZipFile(packed) as old, tempfile.TemporaryFile() as scratch:
             longer_s: dict[int, int] = {}
             with ZipFile(scratch, "w") as new:
@@ -125,7 +125,7 @@ def _damage_as_error(path: str) -> Iterator[None]:
 
 
 def _check(members: Sequence[ZipInfo], path: str) -> None:
-    """Nothing is ever unpacked to where a name says, and yet: an archive with such names was not made by a slicer."""
+    """Refuse names that no slicer writes, although nothing is ever unpacked to the path that a name gives."""
     rooted = all(each.filename.startswith("/") for each in members)  # .ufp: names of parts, not of files
     for each in members:
         name = each.orig_filename
@@ -138,20 +138,20 @@ def _check(members: Sequence[ZipInfo], path: str) -> None:
     counts = Counter(each.filename.casefold() for each in members)
     for each in members:
         if counts[each.filename.casefold()] > 1:
-            raise UnsupportedGcode(f"The zip archive holds two members of the name {each.filename!r}.", path=path)
+            raise UnsupportedGcode(f"The zip archive holds two members named {each.filename!r}.", path=path)
 
 
 def _check_records(archive: ZipFile, file: BinaryIO) -> None:
-    """Check that what is copied as it is lies where the directory says, and nothing else among it."""
+    """Check that the records to copy lie where the directory says, with nothing in between."""
     for place, each in enumerate(sorted(archive.infolist(), key=lambda each: each.header_offset)):
         begins = each.header_offset == 0 if place == 0 else each.header_offset > 0
         if not begins or _at(file, each.header_offset, 4) != _RECORD:
-            raise BadZipFile(f"{each.filename!r} is not where the directory says")
+            raise BadZipFile(f"{each.filename!r} is not at the position in the directory")
     file.seek(archive.start_dir)
     for _ in archive.infolist():
         _entry(file)
     if file.read(4) not in _DIRECTORY_ENDS:
-        raise BadZipFile("the directory does not end where it says")
+        raise BadZipFile("the directory's length is wrong")
 
 
 def _at(file: BinaryIO, place: int, count: int) -> bytes:
@@ -172,17 +172,17 @@ def _check_digest(print_: Source, checksum: bytes, path: str) -> None:
     match = _MD5.search(checksum)
     if match is None or match[0].decode().lower() != digest.hexdigest():
         wrong = checksum.decode("ascii", "replace").strip()
-        rule = f"its MD5 is {digest.hexdigest()}, and {wrong!r} stands beside it; export it again"
-        raise GcodeError(f"The G-code is not what was packed: {rule}.", path=path)
+        rule = f"its MD5 is {digest.hexdigest()}, but the archive states {wrong!r}; export it again"
+        raise GcodeError(f"The G-code was changed after packing: {rule}.", path=path)
 
 
 # -- writing --
 
 
 def _add(new: ZipFile, old: ZipInfo, lines: Iterable[bytes], size: int) -> tuple[str, bytes]:
-    """Add a member with this text, else as the old one (of `size` bytes); return its MD5 and its head."""
+    """Add a member with this text and the old one's attributes (it had `size` bytes); return its MD5 and its head."""
     digest, head = hashlib.md5(usedforsecurity=False), b""
-    with new.open(_like(old), "w", force_zip64=size > _LARGEST // 32) as member:  # what comes is some ten times as much
+    with new.open(_like(old), "w", force_zip64=size > _LARGEST // 32) as member:  # compensated prints grow tenfold
         for piece in lines:
             digest.update(piece)
             member.write(piece)
@@ -192,12 +192,12 @@ def _add(new: ZipFile, old: ZipInfo, lines: Iterable[bytes], size: int) -> tuple
 
 
 def _time_s(head: bytes) -> int:
-    """Read the print time from a print's first lines, whole seconds; zero where they do not say it."""
+    """Read the print time from a print's first lines, whole seconds; zero if they do not state it."""
     return round(slicer_time_s(head[:_HEAD_BYTES].splitlines(keepends=True)) or 0.0)
 
 
 def _with_predictions(info: bytes, longer_s: Mapping[int, int]) -> bytes:
-    """Update the archive's own predictions: each plate takes so much longer."""
+    """Add to the archive's own predictions how much longer each plate takes."""
 
     def plate(match: re.Match[bytes]) -> bytes:
         index = _INDEX.search(match[0])
@@ -208,7 +208,7 @@ def _with_predictions(info: bytes, longer_s: Mapping[int, int]) -> bytes:
 
 
 def _like(old: ZipInfo) -> ZipInfo:
-    """Make a member of the same name, date, rights and way of packing."""
+    """Make a member with the same name, date, permissions and compression."""
     new = ZipInfo(old.filename, old.date_time)
     for name in ("compress_type", "comment", "extra", "create_system", "internal_attr", "external_attr"):
         setattr(new, name, getattr(old, name))
@@ -216,7 +216,7 @@ def _like(old: ZipInfo) -> ZipInfo:
 
 
 def _with_digest(old: bytes, digest: str) -> bytes:
-    """Put another MD5 into the checksum file, in letters of the same size."""
+    """Replace the MD5 in the checksum file and keep its case."""
     was = _MD5.search(old)
     upper = was is not None and was[0] == was[0].upper() != was[0].lower()
     return _MD5.sub((digest.upper() if upper else digest).encode(), old, count=1)
@@ -224,7 +224,7 @@ def _with_digest(old: bytes, digest: str) -> bytes:
 
 @dataclass(frozen=True, slots=True)
 class _Member:
-    """Where a member's record lies in a file, and its entry in the directory."""
+    """The position of a member's record in a file, and its entry in the directory."""
 
     file: BinaryIO
     begin: int
@@ -233,7 +233,7 @@ class _Member:
 
 
 def _members(archive: ZipFile, file: BinaryIO) -> dict[str, _Member]:
-    """In the order of the directory."""
+    """Return the members in the order of the directory."""
     infos = archive.infolist()
     end_of = dict(pairwise([*sorted(each.header_offset for each in infos), archive.start_dir]))
     file.seek(archive.start_dir)
@@ -252,7 +252,7 @@ def _entry(file: BinaryIO) -> bytes:
 def _join(
     out: BinaryIO, kept: Mapping[str, _Member], changed: Mapping[str, _Member], comment: bytes, path: str
 ) -> None:
-    """Write the archive anew: records as they are packed, in the positions and the order that they had."""
+    """Write the archive again with the packed records unchanged and in their old order."""
     places = {}
     for name in sorted(kept, key=lambda name: kept[name].begin):
         places[name] = out.tell()

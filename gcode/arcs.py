@@ -21,9 +21,9 @@ from models.compiled import kernel
 Point2 = tuple[float, float]
 
 ARC_TOLERANCE_MM = 0.005
-MAX_ARC_MM = 1e5  # a hundred metres: a slip of the slicer, and a million chords
+MAX_ARC_MM = 1e5  # a longer arc is a slicer's error, and would make a million chords
 MAX_CHORD_MM = 1.0  # so that very large circles still have vertices where accelerations change
-_COARSEST_ANGLE = tau / 8  # a circle smaller than the tolerance still turns once round
+_COARSEST_ANGLE = tau / 8  # so that a circle smaller than the tolerance stays a circle
 _SAME_POINT_MM = 1e-6
 _OFF_CIRCLE_MM, _OFF_CIRCLE_SHARE, _ROUNDING_MM = 0.5, 0.01, 0.02
 
@@ -52,7 +52,7 @@ class Arc:
 
         Returns
         -------
-        points : (n, 3), columns first axis mm, second axis mm, share of the way (0, 1]
+        points : (n, 3), columns first axis mm, second axis mm, fraction of the arc (0, 1]
         """
         return chords(self.start, self.end, self.centre, self.clockwise, tolerance, longest)
 
@@ -100,7 +100,7 @@ def _chord_count(radius: float, sweep: float, tolerance: float, longest: float) 
 
 @kernel
 def is_sound(start: Point2, end: Point2, centre: Point2, clockwise: bool) -> bool:
-    """Whether `arc_by_centre` has nothing to complain of."""
+    """Whether `arc_by_centre` accepts this arc."""
     first, last = _distance(centre, start), _distance(centre, end)
     length = abs(_sweep(start, end, centre, clockwise)) * max(first, last)
     return first >= _SAME_POINT_MM and length <= MAX_ARC_MM
@@ -121,7 +121,7 @@ def arc_by_radius(start: Point2, end: Point2, radius: float, clockwise: bool, li
         raise GcodeError("An arc given by R ends where it starts; a full circle needs I and J.", line)
     if chord / 2 > abs(radius) + _allowance(abs(radius)):
         raise GcodeError(f"R{radius:g} cannot span {chord:.3f} mm; a radius is at least half the chord.", line)
-    # The centre stands on the chord's bisector, to the left of the way for a short counter-clockwise arc.
+    # The centre stands on the chord's bisector, left of the direction of travel for a short counter-clockwise arc.
     height = copysign(sqrt(max(0.0, radius * radius - chord * chord / 4)), radius) * (-1 if clockwise else 1)
     along = ((end[0] - start[0]) / chord, (end[1] - start[1]) / chord)
     middle = ((start[0] + end[0]) / 2, (start[1] + end[1]) / 2)
@@ -137,5 +137,5 @@ def _checked(arc: Arc, line: int | None) -> Arc:
 
 @kernel
 def _allowance(radius: float) -> float:
-    """How much shorter than half the chord a radius may be: rounding always, 1 % of the radius, never above 0.5 mm."""
+    """Return how much shorter than half the chord a radius may be: rounding plus 1 % of the radius, at most 0.5 mm."""
     return min(_OFF_CIRCLE_MM, max(_ROUNDING_MM, _OFF_CIRCLE_SHARE * radius))

@@ -13,16 +13,16 @@ from typing import BinaryIO, NamedTuple
 
 
 class _Draft(NamedTuple):
-    """A file that is about to take another's place, noted before it does."""
+    """A file that is about to replace another."""
 
-    name: str  # of the other, as the caller gave it
+    name: str  # of the file to replace, as the caller gave it
     target: Path
     device: int
     inode: int
 
     @property
     def in_place(self) -> bool:
-        """Whether it has: the target is this very file."""
+        """Whether the replacement is done: the target is this file."""
         try:
             status = self.target.stat()
         except OSError:
@@ -34,20 +34,20 @@ _drafts: list[_Draft] = []
 
 
 def drafts_noted() -> int:
-    """Return how many files `replacing` has been about to put in place, for `replaced_since`."""
+    """Return how many replacements have begun, for `replaced_since`."""
     return len(_drafts)
 
 
 def replaced_since(noted: int) -> list[str]:
-    """Return the names of the files that are in place, of those noted since; true wherever an interrupt has come."""
+    """Return the names of the files replaced since then; correct even after an interrupt at any point."""
     return list(dict.fromkeys(draft.name for draft in _drafts[noted:] if draft.in_place))
 
 
 @contextmanager
 def replacing(path: str | Path) -> Iterator[BinaryIO]:
-    """Open a new file that takes the place of `path` at the end: that holds the old or the new content at every moment.
+    """Open a new file that replaces `path` on exit, so that `path` always has either the old or the new content.
 
-    A symbolic link stays one (the file behind it is replaced), permission bits stay, failures leave nothing.
+    A symbolic link stays a link (its target is replaced), permissions are kept, and a failure leaves no file behind.
     """
     target = Path(os.path.realpath(path))
     if target.exists() and not target.is_file():
@@ -70,12 +70,12 @@ def replacing(path: str | Path) -> Iterator[BinaryIO]:
 def _created(draft: Path, path: str | Path) -> BinaryIO:
     try:
         return open(draft, "xb")
-    except OSError as error:  # about a name that the user has never heard of
+    except OSError as error:  # it names the draft, which the user does not know
         raise OSError(error.errno, f"It cannot be written: {error.strerror}", str(path)) from None
 
 
 def unchanged(source: bytes | Path) -> Callable[[], None]:
-    """Return a check, to be called later, that a file is still what it is now."""
+    """Return a check, to be called later, that a file has not changed since."""
 
     def seen() -> tuple[int, ...]:
         now = source.stat() if isinstance(source, Path) else None
@@ -85,7 +85,7 @@ def unchanged(source: bytes | Path) -> Callable[[], None]:
 
     def check() -> None:
         if seen() != before:
-            raise OSError(EBUSY, "Something else has changed the file meanwhile; it was left as it is now", str(source))
+            raise OSError(EBUSY, "Another program changed the file; ffcomp did not overwrite it", str(source))
 
     return check
 

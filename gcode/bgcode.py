@@ -1,11 +1,11 @@
-"""`.bgcode`: binary G-code. Its blocks are kept as they are, but for the G-code and the time that it takes.
+"""`.bgcode`: binary G-code. Only the G-code and the print time change; other blocks are copied.
 
 The format is libbgcode's (doc/specifications.md): a header, then blocks with a kind, a compression and a checksum. What
 is in the blocks of G-code (MeatPack, Heatshrink) is unpacked and packed by the codec of the extra `bgcode`. Its text
 has the metadata as comments around the G-code.
 
-MeatPack keeps comments that have a line of their own, no others. Those are put into a line of their own before it
-(`_HELD`), and back behind it when the file is read. Comments between commands that the codec would take for metadata,
+MeatPack keeps only comments that have a line of their own. Trailing comments are moved to a line before their command
+(`_HELD`), and back again when the file is read. Comments between commands that the codec would take for metadata,
 such as `; max_layer_z = 6.2` of a Prusa MK4's end code, are masked (`_MASKED`).
 """
 
@@ -36,7 +36,7 @@ _BLOCK = struct.Struct("<HHL")  # kind, compression, unpacked size; then the pac
 GCODE, _PRINTER, _PRINT, _THUMBNAIL = 1, 3, 4, 5  # kinds of blocks
 _STORED, _DEFLATED = 0, 1  # compressions
 COMPRESSIONS = ("none", "Deflate", "Heatshrink_11_4", "Heatshrink_12_4")
-_WAS = b"ffcomp "  # before the key of a time that was changed, with its old value
+_WAS = b"ffcomp "  # prefix of the key that keeps a changed time's old value
 _PARAMETERS_BYTES = {_THUMBNAIL: 6}  # others: 2, their encoding
 
 
@@ -48,8 +48,8 @@ class Block:
     compression: int
     unpacked: int  # bytes
     encoding: int
-    raw: bytes  # all of it, checksum included
-    data: bytes  # as it is packed
+    raw: bytes  # the complete block, checksum included
+    data: bytes  # still packed
 
 
 def blocks_of(file: BinaryIO, path: str) -> Iterator[Block]:
@@ -91,7 +91,7 @@ def _exactly(file: BinaryIO, count: int, path: str) -> bytes:
 
 
 def with_metadata(block: Block, change: Callable[[dict[bytes, bytes]], dict[bytes, bytes]]) -> bytes:
-    """Return the block with other metadata; as it is, if nothing changes."""
+    """Return the block with other metadata; the same bytes if nothing changes."""
     before = metadata_of(block)
     after = change(before)
     if before == after:
@@ -114,7 +114,7 @@ def metadata_of(block: Block) -> dict[bytes, bytes]:
 
 
 def _inflated(block: Block) -> bytes:
-    """As far as it can be: the codec says what is wrong with it."""
+    """Decompress a block as far as possible; the codec reports errors."""
     try:
         return zlib.decompressobj().decompress(block.data, max(block.unpacked, 1))
     except zlib.error:
@@ -122,12 +122,12 @@ def _inflated(block: Block) -> bytes:
 
 
 def first_times(metadata: Mapping[bytes, bytes]) -> dict[bytes, bytes]:
-    """As the slicer had them."""
+    """Return the metadata with the slicer's own times."""
     return {key: metadata.get(_WAS + key, value) for key, value in metadata.items() if not key.startswith(_WAS)}
 
 
 def with_times(metadata: Mapping[bytes, bytes], times: Mapping[bytes, bytes]) -> dict[bytes, bytes]:
-    """With these times instead, and what they were."""
+    """Return the metadata with these times, and the old ones under other keys."""
     first = first_times(metadata)
     new = {key: times.get(key, value) for key, value in first.items()}
     return new | {_WAS + key: first[key] for key in new if new[key] != first[key]}
@@ -142,20 +142,20 @@ _INLINE = re.compile(rb"([^;\r\n]*[^;\s])([ \t]*;[^\r\n]*)(\r?\n?)")
 _TIME = b"; estimated "  # before a time
 _PLAIN = 0  # encoding of G-code; others are MeatPack
 _REFUSED = 3  # exit code of the codec
-_PATIENCE_S, _SLOWEST_BYTES_PER_S = 30, 100_000  # how long it may take; it does a hundred times more
+_PATIENCE_S, _SLOWEST_BYTES_PER_S = 30, 100_000  # time limit of the codec; it is a hundred times faster
 
 # -- the codec --
 
 
 def _check_codec(path: str) -> None:
     if find_spec("pybgcode") is None:
-        rule = "reading it needs a package more: pip install 'ffcomp[bgcode]'"
+        rule = "to read it, pip install 'ffcomp[bgcode]'"
         slicer = "or switch 'Supports binary G-code' off in the slicer's printer settings"
         raise UnsupportedGcode(f"The file is binary G-code; {rule}, {slicer}.", path=path)
 
 
 def _converted(source: Path, target: Path, path: str, options: Mapping[str, str] | None = None) -> None:
-    """Make one file of another by the codec; `options` are for packing (`gcode.bgcode_codec`), None unpacks."""
+    """Run the codec. `options` are for packing (see `gcode.bgcode_codec`); None unpacks."""
     arguments, size = [] if options is None else [json.dumps(options)], source.stat().st_size
     words = [str(source), str(target), str(most_unpacked(size)), *arguments]
     patience_s = _PATIENCE_S + size // _SLOWEST_BYTES_PER_S
@@ -163,7 +163,7 @@ def _converted(source: Path, target: Path, path: str, options: Mapping[str, str]
     try:
         done = subprocess.run(command, capture_output=True, text=True, timeout=patience_s, check=False)
     except subprocess.TimeoutExpired:
-        raise GcodeError(f"The codec of binary G-code has not come to an end in {patience_s} s.", path=path) from None
+        raise GcodeError(f"The codec of binary G-code did not finish within {patience_s} s.", path=path) from None
     if done.returncode:
         why = done.stdout.strip() if done.returncode == _REFUSED else f"the codec failed (exit {done.returncode})"
         raise GcodeError(f"The binary G-code cannot be converted: {why}.", path=path)
@@ -174,14 +174,14 @@ def _converted(source: Path, target: Path, path: str, options: Mapping[str, str]
 
 @dataclass(frozen=True, slots=True)
 class Bgcode:
-    """Hold the one print, as text in a file of ours."""
+    """Hold the one print as text in a temporary file."""
 
     prints: Mapping[str, Source]
     reopen: _Open
     path: str
 
     def write(self, file: BinaryIO, texts: Iterable[Iterable[bytes]]) -> None:
-        """Write the file anew with this text."""
+        """Write the file with this text in place of its print."""
         (lines,) = texts
         with TemporaryDirectory() as folder, self.reopen() as old:
             text, packed = Path(folder, "text"), Path(folder, "packed")
@@ -194,7 +194,7 @@ class Bgcode:
                 file.writelines(_spliced(old, new, self.path))
 
     def _packing(self) -> dict[str, str]:
-        """As the file was packed, but with comments: they hold the original."""
+        """Return the packing options of the file, with comments kept: they contain the original."""
         with self.reopen() as file:
             _, _, checksum = HEADER.unpack(file.read(HEADER.size))
             file.seek(0)
@@ -237,7 +237,7 @@ def _first(file: BinaryIO, path: str) -> Iterator[bytes]:
 
 
 def _unpack(packed: Path, text: Path, path: str) -> None:
-    """As text, with all comments where they belong."""
+    """Unpack to text and move comments back behind their commands."""
     plain = text.with_name("plain")
     _converted(packed, plain, path)
     _write(text, _together(blocks(plain)))
@@ -275,7 +275,7 @@ def _lines(pieces: Iterable[bytes]) -> Iterator[bytes]:
 
 
 def _introduced(lines: Iterator[bytes]) -> Iterator[bytes]:
-    """Add the one producer whose files the codec packs; its line is left out again."""
+    """Add a PrusaSlicer header, the only producer that the codec accepts; the line is removed again."""
     yield b"; generated by PrusaSlicer 2.8.0 on 2000-01-01 at 00:00:00 UTC\n"
     first = next(lines, b"")
     if not first.startswith(b"; generated by "):
@@ -297,7 +297,7 @@ def _without_old_times(pieces: Iterable[bytes]) -> Iterator[bytes]:
 
 
 def _masked(lines: Iterable[bytes]) -> Iterator[bytes]:
-    """Mask comments that look like metadata, between the print's commands: metadata stands before and after them."""
+    """Mask comments that look like metadatabetween the print's commands; real metadata is before and after them."""
     begun, waiting = False, list[bytes]()
     for line in lines:
         if not line.startswith((b";", b"\r", b"\n")) and not line.rstrip().endswith(OURS):
@@ -312,7 +312,7 @@ def _masked(lines: Iterable[bytes]) -> Iterator[bytes]:
 
 
 def _apart(lines: Iterable[bytes]) -> Iterator[bytes]:
-    """Each comment in a line of its own."""
+    """Put each comment on a line of its own."""
     for line in lines:
         if b";" in line and (match := _INLINE.fullmatch(line)):
             yield _HELD + match[2] + b"\n"
@@ -321,7 +321,7 @@ def _apart(lines: Iterable[bytes]) -> Iterator[bytes]:
 
 
 def _together(pieces: Iterable[bytes]) -> Iterator[bytes]:
-    """Each comment where it was."""
+    """Move each comment back to where it was."""
     held = b""
     for line in _lines(pieces):
         if line.startswith(_HELD):
@@ -345,6 +345,6 @@ def _check_kept(text: Path, packed: Path, again: Path, path: str) -> None:
 
 
 def _commands(text: Path) -> Iterator[bytes]:
-    """Yield the lines that matter: slicers' comments begin with a blank, and the codec moves them about."""
+    """Yield the lines that matter: without slicers' comments, which begin with a blank and which the codec reorders."""
     stripped = (line.strip() for line in _lines(blocks(text)))
     return (line for line in stripped if line.strip(b";") and not line.startswith(b"; "))

@@ -1,8 +1,8 @@
 """Converts binary G-code to text and back, as a program: python bgcode_codec.py SOURCE TARGET BYTES [OPTIONS as JSON].
 
-The codec (pybgcode, AGPL) trusts its input. In a process of its own a file that is made to harm it ends that process,
-not the one that holds the user's print; nor, where the system lets it be told, does it write more than BYTES or take
-more than a gibibyte of memory. Exit codes: 0 done, 3 it cannot be done, and stdout says why.
+The codec (pybgcode, AGPL) trusts its input. It runs in a process of its own so that a malicious file can only crash
+that process. Where the system supports limits, the process may write at most BYTES and use at most 1 GiB of memory.
+Exit codes: 0 done; 3 failed, with the reason on stdout.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ MEMORY_BYTES = 1 << 30
 
 
 def convert(source: str, target: str, options: dict[str, str] | None) -> str:
-    """Convert a file and return nothing, or why not; `options` are for packing, None unpacks."""
+    """Convert a file. Return the reason if it fails, else ""; `options` are for packing, None unpacks."""
     codec = import_module("pybgcode")
     files = [codec.open(source, "rb"), codec.open(target, "wb")]
     try:
@@ -45,7 +45,7 @@ def _limit(written_bytes: int) -> None:
 
         for what, most in ((resource.RLIMIT_FSIZE, written_bytes), (resource.RLIMIT_AS, MEMORY_BYTES)):
             _, hard = resource.getrlimit(what)
-            with suppress(ValueError, OSError):  # macOS takes no limit of memory
+            with suppress(ValueError, OSError):  # macOS has no memory limit
                 resource.setrlimit(what, (most if hard == resource.RLIM_INFINITY else min(most, hard), hard))
 
 

@@ -1,8 +1,8 @@
-"""What each command that is not a move does: to the modal state, and to the motion around it.
+"""The effect of each command that is not a move, on the modal state and on the motion around it.
 
-Read it from the bottom: `EFFECTS` is the table, name → function. A function changes the state it gets and
-says whether the motion may go on through the command (PASS) or must rest (STOP, DWELL); a command after which
-nobody knows the place makes the state forget it.
+Read it from the bottom: `EFFECTS` maps names to functions. A function changes the state and returns whether the
+motion may continue through the command (PASS) or must rest (STOP, DWELL). If the position is unknown after the
+command, the function makes the state forget it.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ class Effect(NamedTuple):
     dwell_s: float = 0.0
     limits: LimitCommand | None = None
     warning: str = ""
-    unknown: bool = False  # nobody knows what the command does; all such codes share a warning
+    unknown: bool = False  # a code that is not in the table; all such codes share a warning
     moves_itself: bool = False
     returns: bool = False
     raw: RawMove | None = None
@@ -37,10 +37,10 @@ class Effect(NamedTuple):
 Handler = Callable[[Modal, Command], Effect]
 
 _TOOL_NAME = re.compile(r"T(-?\d+|\?)")
-_FILAMENT_NAME = re.compile(r"T[0-3]?\d")  # others, as Bambu's T255 and T1000, are no filaments
+_FILAMENT_NAME = re.compile(r"T[0-3]?\d")  # Bambu's T255 and T1000 are not filaments
 _M_CODE = re.compile(r"M\d+(\.\d+)?")
-_STATUS_NAME = re.compile(r"_?STATUS_[A-Z_]+|_?SET_\w*LEDS?\w*")  # Voron's Stealthburner and its like
-_PARK_NAME = re.compile(r"P\d+")  # Prusa XL: the tool that is picked up next comes from the dock
+_STATUS_NAME = re.compile(r"_?STATUS_[A-Z_]+|_?SET_\w*LEDS?\w*")  # Voron's Stealthburner and similar
+_PARK_NAME = re.compile(r"P\d+")  # Prusa XL: the next tool comes from the dock
 
 PASS = Effect(EventKind.PASS)
 STOP = Effect(EventKind.STOP)
@@ -51,7 +51,7 @@ UNKNOWN = Effect(EventKind.STOP, unknown=True, moves_itself=True)
 
 
 def apply(modal: Modal, command: Command) -> Effect:
-    """Apply one command; unknown ones stop the motion, for they may move the machine."""
+    """Apply one command; unknown ones stop the motion, because they may move the machine."""
     if command.name in modal.returns:
         return RETURNED
     if command.name in modal.still:
@@ -75,23 +75,23 @@ def _pass(modal: Modal, command: Command) -> Effect:
 
 
 def _rest(modal: Modal, command: Command) -> Effect:
-    """Rest: the machine waits, or does something at its position."""
+    """Rest: the machine waits or acts without moving."""
     return STOP
 
 
 def _move_away(modal: Modal, command: Command) -> Effect:
-    """Rest and forget: the machine moves by rules of its own."""
+    """Rest and forget the position: the machine moves by itself."""
     modal.forget()
     return MOVED
 
 
 def _come_back(modal: Modal, command: Command) -> Effect:
-    """Rest: the machine may move, and comes back to where it was."""
+    """Rest: the machine may move, and returns to the same position."""
     return RETURNED
 
 
 def _stay(modal: Modal, command: Command) -> Effect:
-    """Rest: the macro moves nothing; should it do so after all, it comes back."""
+    """Rest: the macro moves nothing; if it does after all, it returns."""
     return STAYED
 
 
@@ -103,12 +103,12 @@ def _home(modal: Modal, command: Command) -> Effect:
 def _unknown(modal: Modal, command: Command) -> Effect:
     if not _M_CODE.fullmatch(command.name):
         modal.forget()
-        modal.motion = ""  # it may be one that goes on with bare words
+        modal.motion = ""  # the macro may continue with bare words
     return UNKNOWN
 
 
 def _refuse(modal: Modal, command: Command) -> Effect:
-    if modal.flavor == "klipper":  # it knows none of these: they are messages, or somebody's macros
+    if modal.flavor == "klipper":  # it has none of these: they are messages or a user's macros
         return _unknown(modal, command)
     what = "makes numbers depend on offsets, units, turns or conditions that are not followed"
     raise UnsupportedGcode(f"{command.name} {what}; slice without it.", command.line)
@@ -136,7 +136,7 @@ def _dwell(modal: Modal, command: Command) -> Effect:
 
 
 def _finish_moves(modal: Modal, command: Command) -> Effect:
-    """M400: Bambu's also waits, P ms or S s; RepRapFirmware's S is no time, and Klipper takes none."""
+    """M400: Bambu's also waits, P ms or S s; RepRapFirmware's S is not a time, and Klipper ignores both."""
     words = command.settings() if modal.flavor == "marlin" else {}
     seconds = max(words.get("S", 0.0) + words.get("P", 0.0) / 1000, 0.0)
     return Effect(EventKind.STOP, seconds) if seconds else STOP
@@ -180,7 +180,7 @@ def _push(modal: Modal, command: Command) -> Effect:
 
 
 def _pop(modal: Modal, command: Command) -> Effect:
-    """M121: RepRapFirmware takes back what M120 has kept; Marlin switches endstops off."""
+    """M121: RepRapFirmware restores what M120 saved; Marlin switches endstops off."""
     if modal.flavor == "klipper":
         return UNKNOWN
     if modal.flavor == "reprapfirmware":
@@ -202,12 +202,12 @@ def _rename(modal: Modal, command: Command) -> Effect:
         return PASS
     if any(isnan(number) for number in modal.base):
         rule = "moves pass through uncompensated until the machine homes"
-        return Effect(EventKind.STOP, warning=f"{command.name} names a place that is not known; {rule}")
+        return Effect(EventKind.STOP, warning=f"{command.name} names a position relative to an unknown one; {rule}")
     return STOP
 
 
 def _names_back(modal: Modal, command: Command) -> Effect:
-    """G92.1 takes back what G92 did to X, Y and Z; Klipper does not know it."""
+    """G92.1 undoes G92 for X, Y and Z; Klipper does not have it."""
     if modal.flavor == "klipper":
         return UNKNOWN
     modal.take_names_back()
@@ -215,15 +215,15 @@ def _names_back(modal: Modal, command: Command) -> Effect:
 
 
 def _percent(command: Command) -> float | None:
-    """Return the factor; None: none is set (Bambu's `M221 S` and `M221 Z0` are about its endstops)."""
+    """Return the factor, or None if none is set (Bambu's `M221 S` and `M221 Z0` concern its endstops)."""
     share = command.settings().get("S")
     if share is not None and share <= 0:
-        raise GcodeError(f"{command.name} S{share:g} is no factor; a percentage must be above zero.", command.line)
+        raise GcodeError(f"{command.name} S{share:g} is not a factor; a percentage must be above zero.", command.line)
     return None if share is None else share / 100
 
 
 def _feed_factor(modal: Modal, command: Command) -> Effect:
-    """M220: Marlin's R takes back the factor that an earlier B has kept; S comes last."""
+    """M220: Marlin's R restores the factor that an earlier B saved; S is applied last."""
     letters, in_force = command.letters() if modal.flavor == "marlin" else set(), modal.feed_factor
     if "R" in letters:
         modal.set_feed_factor(modal.kept_feed_factor)
@@ -267,8 +267,8 @@ def _restore_state(modal: Modal, command: Command) -> Effect:
     name = command.fields().get("NAME", "default")
     if name not in modal.saved:
         modal.forget()
-        rule = "it is taken to keep modes and offsets, and nothing is compensated until the file names a place again"
-        warning = f"RESTORE_GCODE_STATE names the state {name!r}, which the file has not saved; {rule}"
+        rule = "modes and offsets are assumed unchanged, and nothing is compensated until the file names a place again"
+        warning = f"RESTORE_GCODE_STATE restores {name!r}, which the file never saved; {rule}"
         return Effect(EventKind.STOP, warning=warning, moves_itself=True)
     modal.restore(modal.saved[name])
     if _moves(command):
@@ -315,7 +315,7 @@ def _smallest_xy(words: dict[str, float], command: Command) -> float | None:
 
 
 def _not_in_klipper(handler: Handler) -> Handler:
-    """Klipper reads these codes and does nothing."""
+    """Klipper ignores these codes."""
 
     def effect(modal: Modal, command: Command) -> Effect:
         return PASS if modal.flavor == "klipper" else handler(modal, command)
@@ -345,7 +345,7 @@ def _axis_velocity(modal: Modal, command: Command) -> Effect:
 def _jerk(modal: Modal, command: Command) -> Effect:
     """M205, M566: at a right angle each axis jumps by the whole speed, so the axis jerk is the corner velocity.
 
-    RepRapFirmware knows both, and Marlin only the first.
+    RepRapFirmware has both, Marlin only M205.
     """
     code, words = command.name, _limit_words(modal, command)
     if modal.flavor == REPRAPFIRMWARE and code == "M205":
@@ -371,7 +371,7 @@ def _velocity_limit(modal: Modal, command: Command) -> Effect:
 
 
 def _accel_to_decel_warning(modal: Modal, fields: dict[str, float]) -> str:
-    """Say where older Klippers go on with another cruise ratio; slicers write ACCEL_TO_DECEL for the default, too."""
+    """Warn where older Klippers would use another cruise ratio; slicers also write ACCEL_TO_DECEL for the default."""
     value, acceleration = fields.get("ACCEL_TO_DECEL"), modal.limits.acceleration
     if value is None or "MINIMUM_CRUISE_RATIO" in fields or isnan(acceleration):
         return ""
@@ -379,7 +379,7 @@ def _accel_to_decel_warning(modal: Modal, fields: dict[str, float]) -> str:
     ratio = 1.0 - min(value / acceleration, 1.0)
     if abs(ratio - usual) < 0.01:
         return ""
-    rule = f"only Klippers before 2024 obey it (a cruise ratio of {ratio:.3g}), and the plan has {usual:g}"
+    rule = f"only Klipper before 2024 obeys it (a cruise ratio of {ratio:.3g}); ffcomp plans with {usual:g}"
     return f"ACCEL_TO_DECEL={value:g} is not followed: {rule}; set MINIMUM_CRUISE_RATIO instead"
 
 
@@ -397,7 +397,7 @@ def _reset_limits(modal: Modal, command: Command) -> Effect:
 
 
 def _motors_off(modal: Modal, command: Command) -> Effect:
-    """M18 and M84: the extruder's motor may be switched off alone, and S only sets when they are."""
+    """M18 and M84: E alone switches off the extruder only, and S only sets the idle timeout."""
     letters = command.letters()
     if letters == {"S"}:
         return PASS
@@ -408,13 +408,13 @@ def _motors_off(modal: Modal, command: Command) -> Effect:
 
 
 def _begin_condition(modal: Modal, command: Command) -> Effect:
-    """Bambu's M622: what stands before its M623 may not be run."""
+    """Bambu's M622: the printer may skip the lines up to its M623."""
     modal.conditions.append(modal.whereabouts())
     return STOP
 
 
 def _end_condition(modal: Modal, command: Command) -> Effect:
-    """M623: only where nothing has moved in between is the place known."""
+    """M623: the position is known only if nothing moved since M622."""
     if not modal.conditions or modal.conditions.pop() != modal.whereabouts():
         return _move_away(modal, command)
     return STOP
@@ -447,7 +447,7 @@ _RESTING = _names("""
     M975 M981 M982.2 M991 M1002 M1003 M1007 M9833.2
     MANUAL_STEPPER SET_INPUT_SHAPER SYNC_EXTRUDER_MOTION TEMPERATURE_WAIT
 """)
-# What comes back to where it was, by what docs/DIALECTS.md says of each group.
+# Macros that return to where they started; docs/DIALECTS.md has the evidence for each group.
 RETURNING_MACROS = {
     "pauses, filament changes: what they move may ring": _names("M0 M1 M25 M226 M600 M601 M602 PAUSE RESUME"),
     "wiping: likewise": _names("""
@@ -455,7 +455,7 @@ RETURNING_MACROS = {
         BRUSH_NOZZLE NOZZLE_BRUSH WIPE BRUSH
     """),
 }
-# These move nothing unless somebody has set them up to, and then come back: timelapse of Moonraker, Mainsail, Creality,
+# These move nothing unless the owner configured it, and then return: timelapse of Moonraker, Mainsail, Creality,
 # Qidi, whose parking is off by default; fans, lamps, states and layer hooks of Voron, Klippain, RatOS, Creality.
 STILL_MACROS = {
     "photographs; list yours under `returns` if it parks the nozzle": _names("""
@@ -478,8 +478,8 @@ STILL_MACROS = {
         CLEAR_DISPLAY DISPLAY_MESSAGE
     """),
 }
-# Firmwares skip the moves of an object that is excluded while printing. The next move then begins elsewhere: at rest,
-# and by the stated place, it is made at travel speed within the file's own limits.
+# Firmware skips the moves of an object that is excluded while printing. The next move then begins elsewhere, at rest.
+# It starts from the stated position and runs at travel speed within the file's own limits.
 _OBJECTS = _names("EXCLUDE_OBJECT_START EXCLUDE_OBJECT_END M486")
 _STILL = _names("""
     SET_TMC_CURRENT SET_TMC_FIELD SET_SMOOTH_TIME SET_EXTRUDER_ROTATION_DISTANCE SET_SERVO SET_DIGIPOT

@@ -1,7 +1,7 @@
-"""Files on disk: what their bytes say they are, and the same container written anew with other text.
+"""Files on disk: detect the container from the first bytes, read its prints, write it back with other text.
 
-A container holds one print or several. Which kind a file is, its first bytes say: plain text, gzip, a zip archive of a
-slicer (`gcode.archive`), binary G-code (`gcode.bgcode`).
+Kinds: plain text, gzip, a slicer's zip archive (`gcode.archive`), binary G-code (`gcode.bgcode`). A container holds one
+print or several.
 """
 
 from __future__ import annotations
@@ -27,14 +27,14 @@ _LEVEL = 6  # that of the gzip command
 
 @dataclass(frozen=True, slots=True)
 class Gzip:
-    """Hold the one print, and the name and time of the packed file as the header says them."""
+    """Hold the one print, and the name and time in the header."""
 
     prints: Mapping[str, Source]
     name: str
     time_s: int
 
     def write(self, file: BinaryIO, texts: Iterable[Iterable[bytes]]) -> None:
-        """Write the file anew with this text."""
+        """Write the file with this text."""
         (lines,) = texts
         with (
             gzip.GzipFile(self.name, "wb", _LEVEL, file, self.time_s) as packed,
@@ -67,7 +67,7 @@ def _unpacked(reopen: Callable[[], BinaryIO], path: str) -> Generator[bytes, Non
 
 
 def _name(header: bytes) -> str:
-    """Return the packed file's name; empty if the header says none."""
+    """Return the packed file's name; empty if the header has none."""
     if not header[3] & _HAS_NAME or header[3] & _HAS_EXTRA:
         return ""
     return header[10:].partition(b"\0")[0].decode("latin-1")
@@ -77,7 +77,7 @@ _Open = Callable[[], BinaryIO]  # the file, from its beginning
 
 
 class Container(Protocol):
-    """What holds prints."""
+    """A file that contains prints."""
 
     @property
     def prints(self) -> Mapping[str, Source]:
@@ -114,7 +114,7 @@ _KINDS: dict[bytes, Callable[[_Open, str], AbstractContextManager[Container]]] =
 
 @contextmanager
 def opened(source: bytes | Path, path: str = "") -> Iterator[Container]:
-    """Open a file, or its content, by what its first bytes say it is.
+    """Open a file, or its content, as the kind that its first bytes show.
 
     path : as the user named it, for messages
     """
@@ -134,9 +134,9 @@ def opened(source: bytes | Path, path: str = "") -> Iterator[Container]:
 
 @contextmanager
 def opened_print(source: Source, plate: int | None = None) -> Iterator[Source]:
-    """Open the plain G-code of a file of any kind. A Text, and bytes, are plain already.
+    """Open the plain G-code of a file of any kind; a Text or bytes are plain already.
 
-    plate : which one, of an archive that holds several
+    plate : which print of an archive that holds several
     """
     if not isinstance(source, Path):
         yield source
@@ -152,7 +152,7 @@ def _chosen(names: list[str], plate: int | None, path: str) -> str:
         if plate is not None and name.endswith(f"/plate_{plate}.gcode"):
             return name
     held = ", ".join(names) if any(names) else "one print, and no plates"
-    rule = "one has to be chosen: --plate N" if plate is None else f"there is no plate {plate}"
+    rule = "choose one with --plate N" if plate is None else f"there is no plate {plate}"
     raise UnsupportedGcode(f"The file holds {held}; {rule}.", path=path)
 
 
@@ -163,7 +163,7 @@ def read_bytes(path: str | Path, plate: int | None = None) -> bytes:
 
 
 def ends_of(source: Source, reach: int = ENDS) -> tuple[bytes, bytes, int]:
-    """Read the first and last bytes of a file's G-code, and its size; of several prints the first's."""
+    """Read the first and last bytes of a file's G-code, and its size; of the first print if there are several."""
     if not isinstance(source, Path):
         return text.ends(source, reach)
     with opened(source) as container:

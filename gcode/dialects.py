@@ -1,8 +1,8 @@
 """Which firmware and slicer a file was made for, and each firmware's words for motion limits.
 
-A slicer's word for the firmware can be wrong (Cura says `FLAVOR:Marlin` to most Klipper printers), a Klipper
-command in the file cannot: commands are believed first. An acceleration told by `M204 S` alone is Klipper's: Marlin's
-slicers set its limits for each axis as well, or by P and T.
+A slicer can state the wrong firmware (Cura writes `FLAVOR:Marlin` for most Klipper printers), so a Klipper command in
+the file outranks the declaration. `M204 S` as the only limit command means Klipper: slicers for Marlin also set limits
+for each axis, or use P and T.
 """
 
 from __future__ import annotations
@@ -16,23 +16,23 @@ from typing import NamedTuple
 from gcode.errors import UnsupportedGcode
 from gcode.program import MotionLimits
 
-HIGHEST_CRUISE_RATIO = 0.999  # that three decimals write: Klipper stops at 1
+HIGHEST_CRUISE_RATIO = 0.999  # the largest with three decimals; Klipper rejects 1
 KLIPPER, MARLIN, REPRAPFIRMWARE = "klipper", "marlin", "reprapfirmware"
 FLAVORS = frozenset({KLIPPER, MARLIN, REPRAPFIRMWARE})
 
-# Of a line, from its beginning. Each is sought by a piece that few lines hold: ten times faster over a long print.
+# Patterns match from the start of a line. Searching for a rare substring first is ten times faster on a long print.
 _KLIPPER_COMMAND = b"_", re.compile(rb"[ \t]*[A-Z]+_[A-Z_]+(?:[ \t\r\n]|\Z)")
 _DECLARED = b"flavor", re.compile(rb";[ \t]*(?:gcode_)?flavor[ \t]*[=:][ \t]*([\w-]+)", re.IGNORECASE)
 _RRF_COMMANDS = tuple(
     (command, re.compile(rb"[ \t]*" + command + rb"(?!\d)")) for command in (b"M566", b"M572", b"M593 P", b"G32")
 )
-_CURA_MARLIN = re.compile(rb";FLAVOR:Marlin\s*\Z")  # Cura's word for all that is not RepRap
+_CURA_MARLIN = re.compile(rb";FLAVOR:Marlin\s*\Z")  # Cura writes it for everything that is not RepRap
 _KLIPPER_ACCELERATION = b"M204", re.compile(rb"[ \t]*M204[ \t]+S[ \t]*\d+")
 _MARLIN_LIMITS = tuple(
     (command, re.compile(rb"[ \t]*" + command + more))
     for command, more in ((b"M204", rb"[^;\n]*[PT]"), (b"M201", rb"[ \t]"), (b"M203", rb"[ \t]"), (b"M900", rb"[ \t]"))
 )
-_PRUSA = b"M862", re.compile(rb"[ \t]*M862(?:\.\d)?[ \t]")  # whose firmware, a Marlin, knows M572 too
+_PRUSA = b"M862", re.compile(rb"[ \t]*M862(?:\.\d)?[ \t]")  # Prusa's firmware, a Marlin, has M572 too
 _JERK = b"M205", re.compile(rb"[ \t]*M205[ \t]")
 _CURA_RRF = b";FLAVOR:RepRap", re.compile(rb";FLAVOR:RepRap\b")  # Cura's name; Slic3r's `reprap` is old Marlin
 _FLAVORS = {
@@ -69,20 +69,20 @@ _BAMBU = b"Bambu"  # in the header, and in the settings, of every print for its 
 
 
 class FlavorSign(NamedTuple):
-    """What in a file says which firmware it is for."""
+    """Evidence in a file for the firmware that it was made for."""
 
     flavor: str
-    text: str = ""  # of the line that says it; empty: no line does
+    text: str = ""  # the line that shows it; empty: no line does
     certain: bool = False
 
 
 def detect_flavor(lines: Iterable[bytes]) -> str:
-    """Detect "klipper", "marlin" or "reprapfirmware"; Marlin's dialect when nothing says otherwise."""
+    """Detect "klipper", "marlin" or "reprapfirmware"; Marlin if there is no evidence."""
     return flavor_sign(lines).flavor
 
 
 def flavor_sign(lines: Iterable[bytes]) -> FlavorSign:
-    """Find what says which firmware the lines are for; Marlin's dialect when nothing says otherwise."""
+    """Find the evidence for a firmware; Marlin if there is none."""
     text = b"".join(lines)
     if command := _first(text, *_KLIPPER_COMMAND):
         return FlavorSign(KLIPPER, _shown(command), certain=True)
@@ -92,7 +92,7 @@ def flavor_sign(lines: Iterable[bytes]) -> FlavorSign:
     if declared is None or by_cura:
         acceleration = _klipper_acceleration(text, by_cura)
         if acceleration is not None:
-            return FlavorSign(KLIPPER, f"{_shown(acceleration)} and no limits in another firmware's words")
+            return FlavorSign(KLIPPER, f"{_shown(acceleration)} and no limits in another firmware's syntax")
     if declared is not None and flavor:
         return FlavorSign(flavor, _shown(declared), certain=not by_cura)
     if check := _first(text, *_PRUSA):
@@ -104,7 +104,7 @@ def flavor_sign(lines: Iterable[bytes]) -> FlavorSign:
 
 
 def _klipper_acceleration(text: bytes, by_cura: bool) -> re.Match[bytes] | None:
-    """Return the `M204 S` of a file in which no other command sets limits, but for the jerk, which Cura always sets."""
+    """Return `M204 S` if no other command of the file sets limits (apart from jerk, which Cura always sets)."""
     acceleration = _first(text, *_KLIPPER_ACCELERATION)
     others = (*_MARLIN_LIMITS, _PRUSA) if by_cura else (*_MARLIN_LIMITS, _PRUSA, _JERK)
     return None if acceleration is None or any(_first(text, *sign) for sign in others) else acceleration
@@ -115,16 +115,16 @@ def _shown(match: re.Match[bytes]) -> str:
 
 
 def sign_by_ends(head: bytes, tail: bytes) -> FlavorSign:
-    """Find the sign in a file's first and last MiB, say: slicers put start and end scripts and settings there.
+    """Find the evidence in a file's first and last MiB, say: slicers put start and end scripts and settings there.
 
-    Only a file whose first sign of a firmware stands in between would be taken for another's.
+    The result is wrong only if the first evidence stands in between.
     """
     _, _, whole_lines = tail.partition(b"\n")
     return flavor_sign([head, b"\n", whole_lines])
 
 
 def _first(text: bytes, sign: bytes, line: re.Pattern[bytes]) -> re.Match[bytes] | None:
-    """Find the first line that matches; all that do hold the sign, in small or in capital letters."""
+    """Find the first line that matches; every match contains `sign`, in lower or upper case."""
     sought = text.lower() if line.flags & re.IGNORECASE else text
     at = sought.find(sign)
     while at >= 0:
@@ -136,23 +136,23 @@ def _first(text: bytes, sign: bytes, line: re.Pattern[bytes]) -> re.Match[bytes]
 
 
 def filament_is_relative(text: bytes) -> bool | None:
-    """Tell how E counts where no line says it; None: a line does, or too few extrude to tell.
+    """Return whether E is relative, inferred from the numbers; None if it states it or extrudes too little.
 
-    Absolute numbers grow from one extruding move to the next, but for wipes; relative ones do so by chance, half the
-    time. Files without M82 and M83 leave it to the printer's start macro.
+    Absolute numbers grow from one extruding move to the next, except for wipes; relative numbers grow half the time.
+    Files without M82 and M83 rely on the printer's start macro.
     """
     growing, others, stated = _filament_trend(text)
     return None if stated or growing + others < _ENOUGH_MOVES else others > _MOST_WIPES * (growing + others)
 
 
 def filament_is_relative_until_stated(text: bytes) -> bool | None:
-    """Tell how E counts by the moves before the next line that says it; None: too few extrude to tell."""
+    """Return whether E is relative, judged by the moves before the next M82 or M83; None if too few extrude."""
     growing, others, _ = _filament_trend(text)
     return None if growing + others < _FEW_MOVES else others > _MOST_WIPES * (growing + others)
 
 
 def _filament_trend(text: bytes) -> tuple[int, int, bool]:
-    """Return of how many moves E is more than before, of how many it is not, and whether a mode has ended the count."""
+    """Return how many moves increase E, how many do not, and whether a mode command ended the count."""
     last, growing, others = nan, 0, 0
     for mode, number, renamed in _FILAMENT.findall(text):
         if mode:
@@ -166,17 +166,17 @@ def _filament_trend(text: bytes) -> tuple[int, int, bool]:
 
 
 def is_for_bambu(text: bytes) -> bool:
-    """Tell whether a print is for a Bambu printer, whose G90 leaves M83 in force."""
+    """Whether a print is for a Bambu printer, where G90 leaves M83 in force."""
     return _BAMBU in text
 
 
 def says_how_filament_counts(text: bytes) -> bool:
-    """Tell whether a line sets absolute or relative E."""
+    """Whether a line sets absolute or relative E."""
     return _FILAMENT_MODE.search(text) is not None
 
 
 def detect_slicer(lines: list[bytes]) -> str:
-    """Return the slicer's name as its header comments say it, or "unknown"."""
+    """Return the slicer's name from its header comments, or "unknown"."""
     comments = [line for line in lines[:_HEAD_LINES] if line.lstrip().startswith(b";")]
     head = b"".join(comments)
     return next((name for name, pattern in _SLICERS.items() if re.search(pattern, head)), "unknown")
@@ -185,13 +185,13 @@ def detect_slicer(lines: list[bytes]) -> str:
 def open_limits(flavor: str, velocity: float, acceleration: float, corner: float, axes: str = "XYZ") -> list[bytes]:
     """Lines that let the firmware follow our segments: mm/s, mm/s², mm/s (right angle); no cruise ratio.
 
-    axes : whose limits are touched, in firmware that has them for each: a lead screw's must stay what they are
+    axes : whose limits to raise, in firmware with limits per axis; a lead screw's must stay
     """
     return close_limits(flavor, MotionLimits(velocity, acceleration, corner, 0.0), axes)
 
 
 def close_limits(flavor: str, limits: MotionLimits, axes: str = "XYZ") -> list[bytes]:
-    """Lines that put limits back; what is NaN is not written, for nobody knows it."""
+    """Lines that restore limits; NaN (unknown) is not written."""
     return _klipper(limits) if flavor == KLIPPER else _by_axes(flavor, limits, axes)
 
 
@@ -199,20 +199,20 @@ def limit_line(flavor: str, code: str, words: Mapping[str, float], unit_mm: floa
     """Return a command that sets limits.
 
     words : letter → mm, mm/s or mm/s² (`gcode.program.LimitCommand`)
-    unit_mm : in which the file states them
+    unit_mm : unit of the file
     """
     numbers = ((letter, value / limit_unit(flavor, code, letter, unit_mm)) for letter, value in words.items())
     return " ".join([code, *(f"{letter}{_number(x)}" for letter, x in numbers)]).encode()
 
 
 def limit_unit(flavor: str, code: str, letter: str, unit_mm: float) -> float:
-    """Return what one in a command on limits is: mm, mm/s or mm/s²; RepRapFirmware's speeds are by the minute."""
+    """Return the unit of a limit command's number in mm, mm/s or mm/s²; RepRapFirmware's speeds are per minute."""
     if (code, letter) in _NO_LENGTHS:
         return 1.0
     return unit_mm / 60.0 if flavor == REPRAPFIRMWARE and code in _PER_MINUTE else unit_mm
 
 
-_NO_LENGTHS = {("M205", "B"), ("M566", "P")}  # µs; RepRapFirmware's policy of jerk
+_NO_LENGTHS = {("M205", "B"), ("M566", "P")}  # µs; RepRapFirmware's jerk policy
 _PER_MINUTE = {"M203", "M566"}
 
 
@@ -221,14 +221,14 @@ _SHAPER_FREQUENCY = re.compile(rb"(?:SHAPER|SMOOTHER)_FREQ_\w", re.IGNORECASE)
 
 
 def shaper_off(flavor: str, on: Iterable[bytes] = ()) -> list[bytes]:
-    """Lines that switch the firmware's own input shaper off; types and damping ratios stay what they are.
+    """Lines that switch the firmware's own input shaper off; types and damping ratios are kept.
 
-    On Klipper this stops the motion for a moment; without an [input_shaper] section the host only says that it does not
-    know the command.
+    On Klipper this stops the motion for a moment. Without an [input_shaper] section the host only reports an unknown
+    command.
 
     Parameters
     ----------
-    on : lines that switch it on, if they are known: on Klipper they name its axes
+    on : lines that switch it on, if known: on Klipper they name its axes
     """
     if flavor == KLIPPER:
         named = _SHAPER_FREQUENCY.findall(b" ".join(on).upper())
@@ -238,7 +238,7 @@ def shaper_off(flavor: str, on: Iterable[bytes] = ()) -> list[bytes]:
 
 
 def _klipper(limits: MotionLimits) -> list[bytes]:
-    """Klipper's limits are the nozzle's; Z has its own besides, which only the configuration sets."""
+    """Klipper limits the nozzle. Z has further limits that only the configuration sets."""
     fields = {
         "VELOCITY": limits.velocity,
         "ACCEL": limits.acceleration,
@@ -246,7 +246,7 @@ def _klipper(limits: MotionLimits) -> list[bytes]:
         "MINIMUM_CRUISE_RATIO": min(limits.minimum_cruise_ratio, HIGHEST_CRUISE_RATIO),
         "ACCEL_TO_DECEL": limits.accel_to_decel,
     }
-    if limits.accel_to_decel != limits.accel_to_decel:  # what older Klippers and their forks have for the ratio
+    if limits.accel_to_decel != limits.accel_to_decel:  # older Klipper and its forks use this instead of the ratio
         fields["ACCEL_TO_DECEL"] = limits.acceleration * (1.0 - fields["MINIMUM_CRUISE_RATIO"])
     text = "".join(f" {key}={_number(value)}" for key, value in fields.items() if value == value)
     return [f"SET_VELOCITY_LIMIT{text}\n".encode()] if text else []
@@ -267,7 +267,7 @@ def _by_axes(flavor: str, limits: MotionLimits, axes: str) -> list[bytes]:
     return [limit_line(flavor, code, dict.fromkeys(of, x)) + b"\n" for code, of, x in each if x == x]
 
 
-REMEDY = "--flavor NAME, or flavor in [firmware] of the machine file, says it"
+REMEDY = "set --flavor NAME, or flavor in [firmware] of the machine file"
 
 
 @dataclass(frozen=True, slots=True)
@@ -275,40 +275,40 @@ class FlavorChoice:
     """A firmware, and why it was chosen."""
 
     flavor: str
-    reason: str  # a sentence for people
-    warning: str = ""  # where the print itself speaks of another
+    reason: str  # a sentence for the user
+    warning: str = ""  # if the print was made for another firmware
 
 
 def choose_flavor(requested: str, stated: str, sign: FlavorSign, path: str = "") -> FlavorChoice:
-    """Choose a firmware: the caller's word goes before the machine file's, and that before what the print shows.
+    """Choose a firmware: the caller's request first, then the machine file, then the evidence in the print.
 
     Parameters
     ----------
     requested : str
-        What the caller asks for; empty: nothing.
+        The caller's request; empty: none.
     stated : str
-        What the machine file states; empty: nothing.
+        The machine file's entry; empty: none.
     sign : FlavorSign
-        What the print shows.
+        The evidence in the print.
     path : str
         The print's name, for errors.
 
     Raises
     ------
     UnsupportedGcode
-        If what is asked for is no flavor.
+        If the requested name is not a flavor.
     """
     flavor = requested or stated
     if not flavor:
         return FlavorChoice(sign.flavor, _reason(sign))
     if flavor not in FLAVORS:
-        raise UnsupportedGcode(f"The flavor {flavor!r} is none of {', '.join(sorted(FLAVORS))}.", path=path)
-    by = "it was asked for" if requested else "the machine file says"
+        raise UnsupportedGcode(f"Unknown flavor {flavor!r}: use {', '.join(sorted(FLAVORS))}.", path=path)
+    by = "requested" if requested else "the machine file says"
     reason = f"Firmware: {flavor}, as {by}."
     if not sign.text or sign.flavor == flavor:
         return FlavorChoice(flavor, reason)
     rule = f"The print is made for {sign.flavor} ({sign.text}), but compensated for {flavor}, as {by}"
-    remedy = f"If the printer runs {sign.flavor}, many segments will come late: --flavor {sign.flavor}"
+    remedy = f"If the printer runs {sign.flavor}, many segments will be late: use --flavor {sign.flavor}"
     return FlavorChoice(flavor, reason, f"{rule}. {remedy}.")
 
 

@@ -1,8 +1,8 @@
-"""The format of a compensated file: its stamp, and comments that keep the original's lines and say when sections begin.
+"""The format of a compensated file: its stamp, the original lines kept in comments, and the start time of each section.
 
 Every line that ffcomp adds is a segment (`G1 ...`), ends in OURS, or begins with TIME_WAS or a stamp. Every line of the
-original is there: as it was, with another time behind a comment TIME_WAS, or as a comment WAS. With `--no-embed` there
-are no such comments, and a line WITHOUT_ORIGINAL in the head says so.
+original is there: unchanged, as a comment WAS, or, if its print time changed, in a comment TIME_WAS. With `--no-embed`
+there are no such comments, and the head has a line WITHOUT_ORIGINAL.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from gcode.errors import UnsupportedGcode
 from gcode.metadata import Timed, with_time
 from gcode.text import whole_lines
 
-STAMP_REACH = 1 << 20  # bytes at either end in which a stamp is looked for
-WITHOUT_ORIGINAL = b"; ffcomp original=none"  # of a file that does not hold the moves it was made of
+STAMP_REACH = 1 << 20  # bytes at either end that are searched for a stamp
+WITHOUT_ORIGINAL = b"; ffcomp original=none"  # in a file without the original moves
 STAMPS = b"; Processed by ffcomp", b"; ffcomp offset_mm=", WITHOUT_ORIGINAL  # how these lines begin
 
 _STAMP = re.compile(
@@ -28,7 +28,7 @@ _STAMP = re.compile(
 
 @dataclass(frozen=True, slots=True)
 class Stamp:
-    """Who has compensated a file, and for what."""
+    """The version, machine and flavor that a file was compensated with."""
 
     version: str
     machine: str
@@ -54,7 +54,7 @@ def already_processed(data: bytes) -> Stamp | None:
 
 
 def offset_line(offset: tuple[float, float]) -> bytes:
-    """Says what was added to every position, so that the original can be laid over the result; empty for nothing."""
+    """Return a comment with the offset added to every position; empty for zero."""
     return b"; ffcomp offset_mm=%.6g,%.6g\n" % offset if any(offset) else b""
 
 
@@ -65,24 +65,24 @@ def find_offset(head: bytes) -> tuple[float, float]:
 
 
 def holds_original(head: bytes) -> bool:
-    """Tell whether a compensated file, which begins like this, holds the file that it was made of."""
+    """Whether a compensated file with this head contains its original."""
     return not any(line.startswith(WITHOUT_ORIGINAL) for line in head.splitlines())
 
 
 OURS = b" ; ffcomp"  # ends every line of ours that is not a move
-WAS = b";~"  # before a line of the original that is now a comment: a move, mostly
+WAS = b";~"  # before a line of the original that is now a comment, usually a move
 CUT_SHORT = b";~~"  # the same before a line that does not end in a newline; the newline behind it is ours
 NOT_HELD = (
-    "The file was compensated with --no-embed and does not hold its original. Use the file that the slicer wrote, or "
-    "compensate that one again without --no-embed."
+    "The file was compensated with --no-embed and does not contain its original. Use the slicer's file, or "
+    "compensate it again without --no-embed."
 )
-TIME_WAS = b"; ffcomp was "  # before a line whose time is ours now: the original's
+TIME_WAS = b"; ffcomp was "  # before the original line, where ours has another time
 
 _SECTION = re.compile(rb";section line=(\d+) t=(-?[\d.]+(?:e-?\d+)?) ; ffcomp")
 
 
 class SectionTime(NamedTuple):
-    """When a section (rest to rest) of the original begins on the compensated file's clock, and on its own."""
+    """When a section (rest to rest) of the original begins, on its own clock and on the compensated file's."""
 
     at: int  # index among the compensated file's lines: the next segment after this line is the section's first
     line: int  # index among the original's lines: of the section's first move
@@ -106,14 +106,14 @@ def section_times(lines: Iterable[bytes]) -> list[SectionTime]:
     Returns
     -------
     list of SectionTime
-        In the file's order; empty for a file that was compensated before these comments were written.
+        In the file's order; empty for a file by an older version without these comments.
     """
     matches = ((at, _SECTION.match(line)) for at, line in enumerate(lines) if line.startswith(b";section "))
     return [SectionTime(at, int(match[1]) - 1, float(match[2])) for at, match in matches if match]
 
 
 def joined(pieces: Iterable[bytes]) -> Iterator[bytes]:
-    """Adjacent pieces as one; lines that tell a time stay apart."""
+    """Join adjacent pieces; lines with a print time stay separate."""
     for kind, group in groupby(pieces, key=type):
         if kind is Timed:
             yield from group
@@ -122,7 +122,7 @@ def joined(pieces: Iterable[bytes]) -> Iterator[bytes]:
 
 
 def original(data: bytes) -> bytes:
-    """Restore the file as it was before compensation."""
+    """Restore the original file."""
     return b"".join(original_lines(data.splitlines(keepends=True)))
 
 
@@ -132,12 +132,12 @@ def original_blocks(blocks: Iterable[bytes]) -> Iterator[bytes]:
 
 
 def original_lines(lines: Iterable[bytes]) -> Iterator[bytes]:
-    """Restore the lines as they were before compensation; stamps are left out.
+    """Restore the original lines, without stamps.
 
     Raises
     ------
     UnsupportedGcode
-        If the file does not hold its original.
+        If the file does not contain its original.
     """
     inside, time = False, None
     for line in lines:
@@ -155,17 +155,17 @@ def original_lines(lines: Iterable[bytes]) -> Iterator[bytes]:
 
 
 def noted(line: bytes) -> bytes | None:
-    """Return the line of the original that this comment keeps, if it keeps one."""
+    """Return the original line that this comment contains, if any."""
     if line.startswith(CUT_SHORT):
         return line[len(CUT_SHORT) :].removesuffix(b"\n")
     return line[len(WAS) :] if line.startswith(WAS) else None
 
 
 def is_ours(line: bytes) -> bool:
-    """Tell whether ffcomp has added this line."""
+    """Whether ffcomp added this line."""
     return line.rstrip().endswith(OURS)
 
 
 def like_ours(line: bytes) -> bool:
-    """Tell whether a line of the original looks like one of ours."""
+    """Whether a line of the original looks like one of ours."""
     return line.startswith((WAS, TIME_WAS, *STAMPS)) or is_ours(line)

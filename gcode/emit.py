@@ -1,9 +1,9 @@
 """Toolhead motion → `G1` lines: few bytes, no jumps, and no error that adds up.
 
 XYZ have up to four decimals (three double Klipper's cost of a short segment), E five, F three. A number is rounded to a
-whole count of its last decimal, or, where the move has slack, to the fewest digits within it. What has not changed in
-counts is left out, and relative numbers are differences of counts, so their sum never strays from the truth by more
-than that. The text is written by compiled functions, many lines at once.
+whole count of its last decimal or, where the move has slack, to the fewest digits within the slack. Words whose count
+has not changed are left out. Relative numbers are differences of counts, so rounding errors never add up. The text is
+written by compiled functions, many lines at once.
 """
 
 from __future__ import annotations
@@ -47,13 +47,13 @@ def write_moves(
     Parameters
     ----------
     xyz : (n, 3) mm;  e : (n,) mm of filament;  speed : (n,) mm/s;  lasting : (n,) s
-    slack : (n,) mm, how far from its place a move may end and, by its time, be; 0: to the last decimal
-    base : mm, what is taken off X Y Z E;  per_mm : counts of the last decimal in a mm
+    slack : (n,) mm, position error that a move may have at its end and, from its timing, on the way; 0: last decimal
+    base : mm, subtracted from X Y Z E;  per_mm : counts of the last decimal in a mm
     f_counts : counts of F's last decimal in a mm/s
     relative : whether X Y Z are differences, and whether E is
-    state : (5,) counts of X Y Z E F that the firmware has; taken along
-    last : (4,) X Y Z, mm, where the last move should have ended, and s, by which its end is late; taken along
-    stated : (n, 3) X Y Z, mm, where each move ends as it is written; filled in
+    state : (5,) counts of X Y Z E F that the firmware has; updated
+    last : (4,) X Y Z, mm, exact end of the last move, and how late it ends, s; updated
+    stated : (n, 3) X Y Z, mm, end of each move after rounding; filled in
     out : (at least n LONGEST_LINE,) bytes
     """
     ends = np.empty(len(e), dtype=np.int64)
@@ -78,7 +78,7 @@ def write_moves(
 
 @kernel
 def _short(counts: float, before: np.int64, slack: float, relative: bool) -> np.int64:
-    """Round to the number with the fewest digits within the slack, best of all to what the firmware has, in counts."""
+    """Round to the number with the fewest digits within the slack, in counts; prefer the one that the firmware has."""
     nearest = np.int64(np.rint(counts))
     if slack < 1.0:
         return nearest
@@ -110,7 +110,7 @@ def _feed(
 ) -> np.int64:
     """Choose F: the last one if the move then ends in time, or else the one with the fewest digits.
 
-    What a move is late or early is made up for by the next one: time does not drift.
+    The next move corrects a move's timing error, so time does not drift.
     """
     demanded, written = 0.0, 0.0
     for i in range(3):
@@ -193,7 +193,7 @@ XYZ_COUNTS, E_COUNTS, F_COUNTS = 10**XYZ_DECIMALS, 10**E_DECIMALS, 10**F_DECIMAL
 
 
 class MoveWriter:
-    """Writes moves in the frame of the file. `reset` first, and after every line that is not ours."""
+    """Writes moves in the frame of the file. Call `reset` first, and after every line that is not ours."""
 
     def __init__(self) -> None:
         self.reset(ModalState(), (0.0, 0.0, 0.0), 0.0)
@@ -212,14 +212,14 @@ class MoveWriter:
 
     @property
     def place(self) -> tuple[float, ...]:
-        """Where the lines written so far have the toolhead: X Y Z E, mm. Given to `reset`, no rounding is lost."""
+        """Position after the lines written so far, X Y Z E in mm. Pass it to `reset` to keep the rounding."""
         counts = self._state.tolist()
         return tuple(counts[i] / self._per_mm[i] + self._base[i] for i in range(4))
 
     def here(self, speed: float) -> list[bytes]:
-        """Lines that state the place itself, but no height that is not known; none in relative mode.
+        """Lines that state the present position, without an unknown height; none in relative mode.
 
-        Nothing moves unless the toolhead was moved away and not back: then it goes over the place first, and then down.
+        Nothing moves unless the toolhead was moved away. In that case it moves in XY first, then down.
         """
         if self._relative[0]:
             return []
@@ -232,7 +232,7 @@ class MoveWriter:
         return self.block(np.array([[x, y, z]]), np.array([e]), np.array([speed]))[0]
 
     def moves(self, points: FloatArray, speeds: FloatArray) -> list[bytes]:
-        """Many lines at once; those that say nothing are left out.
+        """Many lines at once; lines without a change are left out.
 
         points : (n, 4) mm, columns X Y Z E;  speeds : (n,) mm/s
         """
@@ -247,17 +247,17 @@ class MoveWriter:
         slack: FloatArray | None = None,
         stated: FloatArray | None = None,
     ) -> tuple[bytes, IntArray]:
-        """Many lines in one piece, and where each ends in it, (n,) bytes; a line that says nothing is empty.
+        """Return many lines as one text, and (n,) bytes, where each one ends; a line without a change is empty.
 
         Parameters
         ----------
         xyz : (n, 3) mm;  e : (n,) mm of filament;  speeds : (n,) mm/s
         lasting : (n,) s, how long each is to take at that speed; needed with a slack
-        slack : (n,) mm, how far from its place a move may end, and be in between, if that takes fewer digits or words;
-            0, the default: as near as the last decimal lets it
-        stated : (n, 3) mm, filled in with the places where the moves end as they are written
+        slack : (n,) mm, position error that a move may have at its end and on the way, if that saves digits or words;
+            0, the default: the last decimal
+        stated : (n, 3) mm, filled in with the ends of the moves after rounding
         """
-        if self._holds_z:  # a height that is not known is not written
+        if self._holds_z:  # an unknown height is not written
             xyz = np.column_stack([xyz[:, :2], np.full(len(xyz), self.place[2])])
         none = np.zeros(len(e))
         out = np.empty(len(e) * LONGEST_LINE, dtype=np.uint8)

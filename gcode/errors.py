@@ -1,7 +1,7 @@
-"""Define the errors of a G-code file: each names the place and the rule.
+"""The errors of a G-code file: each names the place and the rule.
 
 GcodeError                a line we cannot follow (file, line, rule)
-└── UnsupportedGcode      well-formed, but something we refuse to guess about
+└── UnsupportedGcode      well-formed, but ambiguous
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ class GcodeError(ValueError):
     Parameters
     ----------
     rule : str
-        Full sentence: what is wrong with which value, and the rule it breaks.
+        A sentence with the value and the rule that it breaks.
     line : int or None
         1-based line number in the file.
     path : str
@@ -36,4 +36,4 @@ class GcodeError(ValueError):
 
 
 class UnsupportedGcode(GcodeError):
-    """Well-formed G-code that asks for something ffcomp does not guess about."""
+    """Well-formed G-code whose meaning ffcomp refuses to guess."""

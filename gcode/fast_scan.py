@@ -3,10 +3,10 @@
 That is plain `G0` to `G3`, `G92 E0`, M codes that change nothing, comments, empty lines.
 
 A plain line is `G0` or `G1` with each of the words X Y Z E F at most once, or `G2` or `G3` in the plane XY with those
-and I or J or both, in capitals, as plain decimals of at most 15 digits, 6 of them before the point. It says the same as
-it does to `gcode.words` and `gcode.state`, bit for bit: an integer below 10^15 and a power of ten up to 10^22 are exact
-in binary, so that their quotient is the double nearest to the decimal (Clinger 1990, "How to read floating point
-numbers accurately", section 4), and sums have the same order.
+and I or J or both, in capitals, as plain decimals of at most 15 digits, 6 of them before the point. The result equals
+that of `gcode.words` and `gcode.state` bit for bit: an integer below 10^15 and a power of ten up to 10^22 are exact in
+binary, so their quotient is the double nearest to the decimal (Clinger 1990, "How to read floating point numbers
+accurately", section 4), and sums have the same order.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ _COLUMN[list(_LETTERS)] = range(len(_LETTERS))
 
 
 class Modes(NamedTuple):
-    """What numbers mean: the part of the modal state that no plain line changes."""
+    """The part of the modal state that no plain line changes."""
 
     origin_x: float  # mm, added to an absolute coordinate
     origin_y: float
@@ -53,7 +53,7 @@ class Modes(NamedTuple):
 
 
 class Cursor(NamedTuple):
-    """Where the reading is; every count is of what the tables hold."""
+    """The reading position; counts are of rows in the tables."""
 
     byte: int
     line: int
@@ -65,14 +65,14 @@ class Cursor(NamedTuple):
     y: float
     z: float
     e: float
-    feed: float  # mm/s; NaN: no line has said one yet
+    feed: float  # mm/s; NaN: no line has set one yet
     origin_e: float  # mm, added to an absolute E: what G92 E changes
     motion: int  # of the last plain move followed: 0 to 3; -1: there was none
-    stuck: bool  # the line needs more care than it gets here
+    stuck: bool  # the line needs the general reader
 
 
-# NOTE: A call that hands an array on counts its references, which costs as much as reading a number: hence few and
-# long functions here. Rows are written number by number because a tuple stored whole takes 2 s to compile.
+# NOTE: A call that passes an array counts its references, which costs as much as reading a number. Functions here are
+# few and long for that reason. Rows are written number by number because storing a tuple takes 2 s to compile.
 
 
 @kernel
@@ -80,11 +80,11 @@ def follow(
     text: ByteArray, passing: BoolArray, here: Cursor, modes: Modes, limit: int,
     ends: FloatArray, moves: IntArray, events: IntArray, states: FloatArray,
 ) -> Cursor:  # fmt: skip
-    """Follow quiet lines until one needs more care, `states` is full, or the text ends.
+    """Follow plain lines until one needs the general reader, `states` is full, or the text ends.
 
     Parameters
     ----------
-    text : the bytes of whole lines, and one more newline that belongs to none
+    text : the bytes of whole lines, and an extra newline
     passing : (k,), whether each M code changes nothing
     limit : the number of the limits in force
     ends : (n, 4) mm, columns X Y Z E: where each move ends; rows are written from `here.moves` on. There is room for
@@ -161,7 +161,7 @@ def follow(
 
 @kernel
 def _arc(start: Place, end: Place, clockwise: bool, words: FloatArray, modes: Modes, ends: FloatArray) -> int:
-    """Write an arc's chords into the first rows of `ends`; returns how many, 0 where it needs more care.
+    """Write an arc's chords into the first rows of `ends`; returns how many, 0 where it needs the general reader.
 
     Chords share height and filament evenly: all are equally long.
     """
@@ -185,7 +185,7 @@ def _arc(start: Place, end: Place, clockwise: bool, words: FloatArray, modes: Mo
 
 @kernel
 def _state(states: FloatArray, new_count: int, feed: float, origin_e: float) -> int:
-    """Return the row of this state: one of the last few, for prints go to and fro between feeds, or a new one."""
+    """Return the row of this state: one of the last few, because prints alternate between feeds, or a new one."""
     for row in range(new_count - 1, max(new_count - _RECENT, 0) - 1, -1):
         if states[row, 0] == feed and states[row, 1] == origin_e:
             return row
@@ -195,7 +195,7 @@ def _state(states: FloatArray, new_count: int, feed: float, origin_e: float) -> 
 
 @kernel
 def _read_words(text: ByteArray, at: int, words: FloatArray) -> int:
-    """Numbers of X Y Z E F, NaN for what is not said; returns where the code ends, -1 where it is not plain."""
+    """Read X Y Z E F, NaN where absent; returns where the code ends, or -1 if it is not plain."""
     for column in range(len(words)):
         words[column] = np.nan
     while True:
@@ -242,7 +242,7 @@ def _names_e_only(words: FloatArray) -> bool:
 
 @kernel
 def _read_m_code(text: ByteArray, at: int, passing: BoolArray) -> int:
-    """Where the number of an M code that changes nothing ends, whatever the rest of its line says; -1 for others."""
+    """Return where the number of an M code that changes nothing ends, ignoring the rest of the line; -1 for others."""
     code, digit = 0, _digit(text[at])
     while digit >= 0 and code < len(passing):
         code = 10 * code + digit
@@ -273,7 +273,7 @@ def _coordinate(word: float, unit: float, place: float, origin: float, relative:
 
 
 def _speed_for_filament(steps: FloatArray, most: FloatArray) -> FloatArray:
-    """Return at which speed (n,) filament moves at most so quickly; NaN: it does not move, or may be as quick as it is.
+    """Return the speed (n,) that keeps filament within its limit; NaN: no filament moves, or no limit.
 
     steps : (n, 4) mm, columns X Y Z E;  most : (n,) mm/s of filament
     """
@@ -283,7 +283,7 @@ def _speed_for_filament(steps: FloatArray, most: FloatArray) -> FloatArray:
 
 
 class MoveTable:
-    """Moves as they are read. A move starts where the last one ended, except where `jumps` says otherwise."""
+    """Moves in the order of the file. A move starts where the last one ended, except at `jumps`."""
 
     def __init__(self, capacity: int, start: Vector4) -> None:
         self.count = 0
@@ -308,7 +308,7 @@ class MoveTable:
         self.count += len(ends)
 
     def moves(self, frame_of_state: IntArray, frames: list[ModalState], limits: list[MotionLimits]) -> Moves:
-        """Return the table as arrays; speeds and limits are looked up from the frames and limits in force."""
+        """Return the table as arrays; speeds and limits come from the frames and limits in force."""
         line, state, limit = self.rows[: self.count].T.copy()
         frame = frame_of_state[state]
         columns = np.array(
@@ -353,7 +353,7 @@ class MoveTable:
 
 @dataclass(slots=True)
 class EventTable:
-    """Events as they are read. Nearly all only pass through; what the others do stands in `effects`."""
+    """Events in the order of the file. Nearly all only pass through; `effects` has the others."""
 
     rows: IntArray  # (m, 3), columns line, moves before it, state; one row for every line there may be
     count: int = 0

@@ -1,4 +1,4 @@
-"""What the slicer's comments call each move: its layer, and the kind of line it belongs to."""
+"""Each move's layer and feature, from the slicer's comments."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ _FEATURE = re.compile(rb";\s*(?:TYPE:|FEATURE:|feature )\s*(.+?)\s*$", re.IGNORE
 _OUTER_WALL = re.compile(
     r"(external|outer)[ _-]*(perimeter|wall)|wall[ _-]*outer|overhang (perimeter|wall)", re.IGNORECASE
 )
-FEW_MOVES = 3.0  # a height with fewer moves than this on average is a place on a slope, not a layer
-SLOPE_MM = 0.2  # which is then cut into layers of this height
+FEW_MOVES = 3.0  # with fewer moves per height on average, heights are a slope and not layers
+SLOPE_MM = 0.2  # a slope is cut into layers of this height
 
 
 @dataclass(frozen=True, slots=True)
 class Labels:
-    """What the slicer's comments call each of n moves."""
+    """Layer and feature of n moves."""
 
-    layer: IntArray  # (n,) of each move, from 0; what comes before the first layer counts to it
+    layer: IntArray  # (n,) from 0; moves before the first layer count as its own
     feature: IntArray  # (n,) index into `features`
     features: tuple[str, ...]
 
@@ -38,18 +38,18 @@ class Labels:
 
 
 def is_outer_wall(feature: str) -> bool:
-    """Whether a slicer's name of a feature is that of a wall that is seen from outside."""
+    """Whether a slicer's feature name means an outer wall."""
     return _OUTER_WALL.search(feature) is not None
 
 
 def outer_walls(labels: Labels) -> BoolArray:
-    """Return which of the n moves belong to walls that are seen from outside."""
+    """Return which of the n moves belong to outer walls."""
     named = np.array([is_outer_wall(name) for name in labels.features], dtype=np.bool_)
     return named[labels.feature]
 
 
 def labels(program: Program, at_first: str = UNNAMED) -> Labels:
-    """Layers and features of the moves; without layer comments, layers are the heights at which plastic flows.
+    """Layers and features of the moves; without layer comments, layers are the heights of extruding moves.
 
     at_first : the feature when the program begins
     """
@@ -70,24 +70,24 @@ def labels(program: Program, at_first: str = UNNAMED) -> Labels:
 
 
 def begins_layer(line: bytes) -> bool:
-    """Whether the line is a comment that says so."""
+    """Whether the line is a comment that starts a layer."""
     return line.startswith(b";") and _LAYER.match(line) is not None
 
 
 def begins_feature(line: bytes) -> str:
-    """Return the name of what a comment says is printed from here on; empty if it says nothing of it."""
+    """Return the feature that a comment starts; empty if it starts none."""
     match = _FEATURE.match(line) if line.startswith(b";") else None
     return match[1].decode("utf-8", "replace") if match else ""
 
 
 def last_feature(program: Program) -> str:
-    """Return the name of what is printed when the program ends; empty if its comments say nothing of it."""
+    """Return the feature in force at the end of the program; empty if unknown."""
     names = (begins_feature(program.lines[event.line]) for event in reversed(program.events))
     return next(filter(None, names), "")
 
 
 def layer_starts(program: Program) -> list[int]:
-    """Return the moves before which comments say that a layer begins."""
+    """Return the moves that follow a layer comment."""
     return [event.move for event in program.events if begins_layer(program.lines[event.line])]
 
 
@@ -112,10 +112,10 @@ def _by_height(program: Program) -> IntArray:
 
 
 class LayerLookup:
-    """The layers of a program's moves, worked out when somebody asks."""
+    """The layers of a program's moves, computed on demand."""
 
     def __init__(self, program: Program, before: int) -> None:
-        """Count `before` layers of the file that have begun before this program."""
+        """Start counting after `before` layers of the file."""
         self.program, self.before = program, before
 
     @cached_property

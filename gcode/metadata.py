@@ -1,4 +1,4 @@
-"""What lines say about the whole print: how long it takes, how much of it is left, and that ffcomp has been here."""
+"""Print times in comments and M73: total, first layer, elapsed, left."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from math import floor
 
 
 class Tells(Enum):
-    """Which time a line tells."""
+    """Which time a line states."""
 
     TOTAL = "of the whole print"
     FIRST_LAYER = "of the first layer"
@@ -19,7 +19,7 @@ class Tells(Enum):
 
 
 class Timed(bytes):
-    """A line, and when the print comes to it."""
+    """A line, and the print time when it is reached."""
 
     at_s: float
 
@@ -33,11 +33,11 @@ class Timed(bytes):
 
 @dataclass(frozen=True, slots=True)
 class Durations:
-    """What there is to tell when a print is planned to its end."""
+    """Durations of a print, known once it is planned to the end."""
 
     total_s: float
-    first_layer_s: float | None = None  # None: nothing says where it ends
-    sliced_s: float | None = None  # as it was sliced, where the slicer's times count what no plan knows; else None
+    first_layer_s: float | None = None  # None: no comment marks its end
+    sliced_s: float | None = None  # the slicer's own, if it includes times that no plan has; else None
 
 
 _SHORT_UNITS = {"d": 86400, "h": 3600, "m": 60, "s": 1}
@@ -45,7 +45,7 @@ _PART = re.compile(rb"([\d.]+)\s*([dhms])")
 
 
 def _seconds(text: bytes, bare_s: float) -> float:
-    """`1h 2m 3s`, `1 hour 2 minutes` or a bare number, s. Of several times in a row the last one."""
+    """`1h 2m 3s`, `1 hour 2 minutes` or a bare number, s. The last one if there are several."""
     last = text.rpartition(b":")[2]
     parts = _PART.findall(last)
     return sum(float(n) * _SHORT_UNITS[unit.decode()] for n, unit in parts) if parts else bare_s * float(last)
@@ -68,7 +68,7 @@ def short(seconds: float) -> str:
 
 
 def _words(seconds: float) -> str:
-    """Hours, minutes and their plural are always there: readers look for just this."""
+    """Write hours, minutes and their plural: readers expect exactly this."""
     hours, minutes = _counts(seconds, (3600, 60))
     return f"{hours} hour{'s' * (hours != 1)} {minutes} minutes"
 
@@ -86,12 +86,12 @@ def _model_and_total(seconds: float) -> str:
 
 @dataclass(frozen=True, slots=True)
 class _Form:
-    """How somebody writes a time: group 1 of the pattern, the time, group 3."""
+    """One slicer's way to write a time: group 1 of the pattern, the time, group 3."""
 
     pattern: re.Pattern[bytes]
     tells: Tells
     spell: Callable[[float], str]
-    bare_s: float  # what a number without unit counts
+    bare_s: float  # unit of a bare number
 
 
 def _form(
@@ -145,13 +145,13 @@ def _matched(line: bytes) -> tuple[_Form, re.Match[bytes]] | None:
 
 
 def tells(line: bytes) -> Tells | None:
-    """Which time a line tells; None for nearly all lines."""
+    """Return which time a line states; None for nearly all lines."""
     hit = _matched(line)
     return hit[0].tells if hit else None
 
 
 def slicer_time_s(lines: Iterable[bytes]) -> float | None:
-    """Return the print time as the slicer states it, s; None when it does not."""
+    """Return the slicer's print time, s; None if it states none."""
     for line in lines:
         if (hit := _matched(line)) and hit[0].tells is Tells.TOTAL:
             return _seconds(hit[1][2], hit[0].bare_s)
@@ -166,32 +166,32 @@ _FILAMENT_TIME = re.compile(
 
 
 def filament_change_s(head: bytes, tail: bytes) -> float:
-    """Return what a change of filament takes by the slicer's settings in a file's ends, s; 0: nothing is said."""
+    """Return the duration of a filament change from the slicer's settings in a file's ends, s; 0 if absent."""
     settings = tail if _FILAMENT_TIME.search(tail) else head
     return sum(float(seconds) for seconds in _FILAMENT_TIME.findall(settings))
 
 
 def stated_time(line: bytes) -> bytes:
-    """Return the time in a line that tells one, as it is written there."""
+    """Return the text of the time in a line that has one."""
     hit = _matched(line)
     return hit[1][2] if hit else b""
 
 
 def with_time(line: bytes, time: bytes) -> bytes:
-    """Return the same line with another time; a line that tells none comes back as it is."""
+    """Return the line with another time; a line without one is returned unchanged."""
     hit = _matched(line)
     return hit[1][1] + time + hit[1][3] if hit else line
 
 
 def with_waiting_s(line: bytes) -> float | None:
-    """Return the time of a print by its slicer, s, where that counts homing, heating and probing; else None."""
+    """Return the slicer's print time, s, if it includes homing, heating and probing; else None."""
     return slicer_time_s([line]) if _TOTAL.encode() in stated_time(line) else None
 
 
 def retold(line: Timed, durations: Durations) -> bytes:
-    """Return the line with the time as it is now; what is not known stays.
+    """Return the line with the planned time; unknown times stay.
 
-    Where the slicer's times count what no plan knows, its own number stays, but for what the plan has become longer.
+    Where the slicer's time includes more than any plan (heating, probing), only the difference of the plans is added.
     """
     hit = _matched(line)
     if hit is None:
@@ -211,9 +211,9 @@ def retold(line: Timed, durations: Durations) -> bytes:
 
 
 def _longer(form: _Form, words: bytes, at_s: float, total_s: float, sliced_s: float) -> bytes:
-    """Return a slicer's time with what the print takes longer than it was sliced, in whole or from M73 on.
+    """Return a slicer's time plus the extra time of the compensated print, in total or from M73 on.
 
-    What is left is no less than the plan alone takes.
+    The time left is at least that of the plan.
     """
     if form.tells is Tells.TOTAL:
         return _TOTAL.encode().join(
@@ -230,7 +230,7 @@ def _longer(form: _Form, words: bytes, at_s: float, total_s: float, sliced_s: fl
 
 
 def _progress(words: bytes, at_s: float, total_s: float) -> bytes:
-    """M73's P and R, percent done and minutes left, and Q and S, the same for a silent mode. All are whole numbers.
+    """M73's P and R, percent done and minutes left, and Q and S, the same for a silent mode. All are integers.
 
     A slicer's own 100 % stays: only its end script may follow.
     """

@@ -1,4 +1,4 @@
-"""What a G-code file says, as data: lines byte for byte, moves as column arrays, other lines as events.
+"""A G-code file as data: lines byte for byte, moves as column arrays, other lines as events.
 
 Units, once for the whole package: positions mm, E mm of filament, speeds mm/s, accelerations mm/s², times s.
 Positions are *toolhead* coordinates (G92 offsets, flow and feed factors, units and relative modes resolved);
@@ -23,26 +23,26 @@ ByteArray = NDArray[np.uint8]
 
 
 class EventKind(Enum):
-    """What a line that is not a compensated move does to the motion."""
+    """The effect on the motion of a line that is not a compensated move."""
 
-    PASS = "pass"  # nothing: it goes out at its move's time (comments, fans, temperatures, G92 E, M82, ...)
-    DWELL = "dwell"  # G4: rest for `dwell_s`; the line itself goes out
+    PASS = "pass"  # no effect: it is written at its move's time (comments, fans, temperatures, G92 E, M82, ...)
+    DWELL = "dwell"  # G4: rest for `dwell_s`; the line itself is kept
     STOP = "stop"  # the motion rests before and after it (homing, probing, waits, pauses, unknown macros)
-    RAW_MOVE = "raw move"  # from or to a place not known: passed through, the firmware plans it; also a stop
+    RAW_MOVE = "raw move"  # from or to an unknown position: passed through and planned by the firmware; also a stop
 
 
 class RawMove(NamedTuple):
-    """A move that goes out as it is, as far as it is known: for its time, and for what is not compensated."""
+    """The known part of a move that passes through unchanged, used for the print time and the report."""
 
-    start: tuple[float, ...]  # mm, X Y Z E; where others have moved the nozzle, the last place known before; NaN: none
+    start: tuple[float, ...]  # mm, X Y Z E; after a macro, the last known position; NaN: none
     end: tuple[float, ...]
-    path_mm: float  # of the nozzle's way, 0 where it is not known
-    filament_mm: float  # that is pushed on the way
+    path_mm: float  # of the nozzle; 0 if unknown
+    filament_mm: float  # pushed during the move
     speed: float  # mm/s, requested
     velocity_limit: float  # mm/s; NaN: the machine's own, as below
     acceleration: float  # mm/s²
     square_corner_velocity: float  # mm/s
-    cause: tuple[int, str] = (0, "")  # the line in the file, from 1, and the command since which nobody knows the place
+    cause: tuple[int, str] = (0, "")  # line (from 1) and name of the command after which the position is unknown
     axes: tuple[int, ...] = (0, 1, 2)  # along which it moves, or may
 
 
@@ -51,23 +51,23 @@ class MotionLimits:
     """Limits of the firmware's planner."""
 
     velocity: float = nan  # mm/s
-    acceleration: float = nan  # mm/s²; where travel has its own, of moves that extrude
+    acceleration: float = nan  # mm/s²; of extruding moves, if travel has its own
     square_corner_velocity: float = nan  # mm/s
     minimum_cruise_ratio: float = nan  # -
-    travel_acceleration: float = nan  # mm/s², Marlin and RepRapFirmware: of moves that do not extrude; NaN: no other
+    travel_acceleration: float = nan  # mm/s², Marlin and RepRapFirmware: of moves that do not extrude; NaN: the same
     filament_velocity: float = nan  # mm/s of filament, likewise
-    accel_to_decel: float = nan  # mm/s², in older Klippers what the cruise ratio is; NaN: by that
+    accel_to_decel: float = nan  # mm/s², older Klipper's form of the cruise ratio; NaN: from the ratio
 
 
 MACHINE_LIMITS = MotionLimits()
 
 
 class LimitCommand(NamedTuple):
-    """A command that sets limits of the firmware's planner, in whatever spelling."""
+    """A command that sets limits of the firmware's planner, in any syntax."""
 
     code: str  # M201, M203, M204, M205, M566, SET_VELOCITY_LIMIT, RESET_VELOCITY_LIMIT
     words: Mapping[str, float]  # mm, mm/s, mm/s²; M205 B in µs; M204 S as P and T; Klipper's are in `after`
-    after: MotionLimits = MACHINE_LIMITS  # what the file asks for from here on
+    after: MotionLimits = MACHINE_LIMITS  # limits requested by the file from here on
 
 
 class Event(NamedTuple):
@@ -80,16 +80,16 @@ class Event(NamedTuple):
     dwell_s: float = 0.0
     limits: LimitCommand | None = None  # that the line sets
     moves_itself: bool = False  # the firmware may move, uncompensated: homing, a macro, a pause, a raw move
-    returns: bool = False  # and comes back to where it was
+    returns: bool = False  # and returns to the same position
     raw: RawMove | None = None  # of a RAW_MOVE
-    lasts_s: float = 0.0  # what the slicer says that the machine does by itself: a change of filament
+    lasts_s: float = 0.0  # the slicer's time for a filament change
 
 
 def shifted(
     events: Iterable[Event], line: int, move: int, frame: Mapping[int, int] | Sequence[int] | None = None
 ) -> list[Event]:
-    """Return the events with so many lines and moves added to their numbers, and their frames renumbered."""
-    # named one by one: `_replace` takes twice as long, and every event of a file passes here a few times
+    """Return the events with line and move numbers shifted and frames renumbered."""
+    # positional, because `_replace` takes twice as long and this runs several times for every event
     return [
         Event(
             at + line,
@@ -118,16 +118,16 @@ class ModalState:
     base: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)  # x y z e, mm
     unit_mm: float = 1.0  # 25.4 after G20
     absolute: bool = True  # G90 / G91
-    absolute_e: bool = True  # M82 / M83 (G91 counts as in Klipper: E too is relative then)
+    absolute_e: bool = True  # M82 / M83 (as in Klipper, G91 makes E relative too)
     flow: float = 1.0  # M221
     feed_factor: float = 1.0  # M220
     feed_mm_per_s: float = 25.0  # speed in force, feed factor included (Klipper's default until the first F)
-    z_known: bool = True  # False: Z is only taken to be that of before a macro, and may not be written
+    z_known: bool = True  # False: Z is assumed from before a macro, and may not be written
 
 
 @dataclass(frozen=True, slots=True)
 class Moves:
-    """n moves, arcs as chords. A move begins where `start` says: not always where the last one ended."""
+    """n moves, arcs as chords. A move does not always begin where the last one ended."""
 
     line: IntArray  # (n,) index into Program.lines (the chords of an arc share one)
     start: FloatArray  # (n, 4) mm, columns X Y Z E
@@ -163,13 +163,13 @@ class Program:
 
 
 class EventQueue:
-    """Events in the file's order, taken out as the moves go by."""
+    """Events in the file's order, consumed move by move."""
 
     def __init__(self, events: list[Event]) -> None:
         self._events, self._taken = events, 0
 
     def up_to(self, move: int) -> list[Event]:
-        """Take the events that stand before this move or an earlier one, and have not been taken yet."""
+        """Take the remaining events up to this move."""
         first = self._taken
         while self._taken < len(self._events) and self._events[self._taken].move <= move:
             self._taken += 1
@@ -179,10 +179,10 @@ class EventQueue:
 def limits_in_effect(
     program: Program, before: Mapping[str, LimitCommand], events: int | None = None
 ) -> dict[str, LimitCommand]:
-    """Return what the file has set of each limit at the end of a program, by code, the latest code last.
+    """Return the limits in force at the end of a program, by code, the latest code last.
 
     before : at its beginning
-    events : how many of its events count; None: all
+    events : how many of its events to follow; None: all
     """
     commands = dict(before)
     for event in program.events[:events]:
@@ -192,6 +192,6 @@ def limits_in_effect(
 
 
 def note_limits(commands: dict[str, LimitCommand], command: LimitCommand) -> None:
-    """Put a command last among those in effect; what its code has set before by other letters still holds."""
+    """Put a command last among those in effect; earlier values of its other letters still hold."""
     earlier = commands.pop(command.code, command)
     commands[command.code] = command._replace(words={**earlier.words, **command.words})

@@ -1,7 +1,7 @@
 """Text → Program: one pass over the lines, following the modal state, over the whole file or part by part.
 
-Nearly every line of a print is a plain `G1 X… Y… E…` or a comment; `gcode.fast_scan` follows runs of them straight from
-the bytes (some thirty times faster than the general way, which reads everything else).
+Nearly every line of a print is a plain `G1 X… Y… E…` or a comment. `gcode.fast_scan` follows runs of them straight from
+the bytes, about thirty times faster than the general reader, which handles everything else.
 """
 
 from __future__ import annotations
@@ -37,12 +37,12 @@ from gcode.words import NUMBERED, Command, commands, shown
 MOTIONS = frozenset(("G0", "G1", "G2", "G3"))
 SETTINGS = frozenset(["G17", "G18", "G19", "G20", "G21", "G40", "G49", "G54", "G80", "G90", "G91", "G94", "M82", "M83"])
 _MOTION_WORDS = {"G0": "XYZEF", "G1": "XYZEF", "G2": "XYZEFIJKR", "G3": "XYZEFIJKR"}
-_FOLLOWED_BY_NOBODY = "ABCUVWGMT"  # axes that are not followed, and other commands
+_FOLLOWED_BY_NOBODY = "ABCUVWGMT"  # unsupported axes, and other commands
 _ARC_WORDS = frozenset("XYZIJKR")
-_IGNORED_WORDS = "SPHNO"  # laser power, priorities, endstop flags: they do not change where the nozzle goes
+_IGNORED_WORDS = "SPHNO"  # laser power, priorities, endstop flags: they do not affect the path
 _QUIET_STARTS = (b"G1", b"G0", b"G2", b"G3", b"G92 E", b"M", b";", b"\n", b"\r", b" ", b"\t")
 _STATES_AT_A_TIME = 4096
-_LINES_AHEAD, _BYTES_AHEAD = 2000, 1 << 16  # that tell how E counts
+_LINES_AHEAD, _BYTES_AHEAD = 2000, 1 << 16  # searched to find out whether E is relative
 _NAMED = 6  # codes that a warning lists
 _M_CODE = re.compile(r"M\d+(\.\d+)?")
 _PASSING = np.isin(np.arange(1 + max(PASSING_M_CODES)), list(PASSING_M_CODES))
@@ -51,23 +51,23 @@ LimitState = tuple[MotionLimits, MotionLimits, float]  # own, caps, unit: what a
 
 
 class Settings(TypedDict, total=False):
-    """What a reader is told besides the file."""
+    """Options of the reader."""
 
     start: tuple[float, float, float] | None
-    """Where the nozzle is before the first line, mm; None: not known until the file names a place."""
+    """Position before the first line, mm; None: unknown until the file names one."""
     offset_mm: tuple[float, float]
-    """Added to the toolhead's XY, mm, for prints made for a bed with its origin elsewhere. `ModalState.base` leaves it
-    out: a writer emits the printer's coordinates. Where G92 names a place, that place keeps its name."""
+    """Added to the toolhead's XY, mm, for prints made for a bed with its origin elsewhere. `ModalState.base` does not
+    include it: a writer emits the printer's coordinates. A position named by G92 keeps its name."""
     arc_tolerance_mm: float
     """Largest distance between an arc and its chords."""
     returns: Iterable[str]
-    """Macros after which the nozzle is where it was, besides those that are known to come back."""
+    """Macros that return the nozzle to its position, in addition to the known ones."""
     still: Iterable[str]
-    """Macros that move nothing, besides those that are known not to."""
+    """Macros that move nothing, in addition to the known ones."""
     filament_change_s: float
-    """What a change of filament takes, by itself."""
+    """Duration of a filament change."""
     cut: Callable[[Program], Program] | None
-    """Cuts the moves as the firmware does, where it does; lines stay what they are."""
+    """Cuts moves as the firmware does , if it does; lines are unchanged."""
 
 
 def read_program(data: bytes, path: str = "", *, flavor: str | None = None, **settings: Unpack[Settings]) -> Program:
@@ -78,7 +78,7 @@ def read_program(data: bytes, path: str = "", *, flavor: str | None = None, **se
     path : str
         The file's name, for errors.
     flavor : str or None
-        "klipper", "marlin" or "reprapfirmware"; None: as the file says.
+        "klipper", "marlin" or "reprapfirmware"; None: detect it.
 
     Raises
     ------
@@ -96,11 +96,11 @@ def read_parts(
     part_bytes: int = PART_BYTES,
     **settings: Unpack[Settings],
 ) -> Iterator[Program]:
-    """Read a file of any length in parts: consecutive programs that together say what `read_program` says.
+    """Read a file of any length in parts: consecutive programs that together equal `read_program`'s.
 
-    Each part has only its own lines, moves, events, frames and warnings, and all its indices count from its own
-    beginning; `Program.first_line` says where in the file that is. Its first frame is the one in force there. Errors
-    and warnings name the lines of the file. A file without lines has no parts.
+    Each part has its own lines, moves, events, frames and warnings, with indices from its own beginning;
+    `Program.first_line` is its position in the file. Its first frame is the one in force there. Errors and warnings use
+    the file's line numbers. A file without lines has no parts.
 
     Parameters
     ----------
@@ -111,7 +111,7 @@ def read_parts(
     part_bytes : int
         Size of a part, but for the rest of its last line. 1 MiB are some 30,000 lines.
 
-    Errors are those of `read_program`, and come when their part is read.
+    Errors are those of `read_program`, raised when their part is read.
     """
     reader = _Reader(path, flavor, **settings)
     parts = chain(whole_lines(blocks, part_bytes), [b""])
@@ -120,7 +120,7 @@ def read_parts(
 
 
 class _Reader:
-    """The modal state, which goes on from part to part, and the tables of the part that is read."""
+    """The modal state, which continues from part to part, and the tables of the present part."""
 
     def __init__(
         self,
@@ -145,20 +145,20 @@ class _Reader:
         )
         if start is not None:
             self.modal.position[:3] = [float(coordinate) for coordinate in start]
-        self.warned: set[str] = set()  # what sentences were about
-        self.lost: tuple[int, str] = (0, "")  # line and command since which the place is not known
-        self.unknown: dict[str, int] = {}  # codes that nobody knows, and the line of each, of this part
-        self.e_is_settled = False  # whether a line has said how E counts, or the numbers have told
-        self.g90_keeps_m83: bool | None = None  # in Marlin's relatives; None: nothing has told yet
+        self.warned: set[str] = set()  # subjects of earlier warnings
+        self.lost: tuple[int, str] = (0, "")  # line and command that made the position unknown
+        self.unknown: dict[str, int] = {}  # unknown codes of this part, and the line of each
+        self.e_is_settled = False  # whether E's mode is known, by a command or by the numbers
+        self.g90_keeps_m83: bool | None = None  # in Marlin's forks; None: not known yet
         self.first_line = 0
         self.limit_commands: dict[str, LimitCommand] = {}  # in effect before the part
         self.lines: list[bytes] = []
         self.ahead = b""
-        self.modes: Modes | None = None  # None: to be found anew, for a command may have changed them
+        self.modes: Modes | None = None  # None: compute again, because a command may have changed them
         self.new_states = np.empty((_STATES_AT_A_TIME, 2))
 
     def program(self, data: bytes, ahead: bytes = b"") -> Program:
-        """Read the next part of the file; what comes after it begins with `ahead`."""
+        """Read the next part of the file; `ahead` is the beginning of the rest."""
         self.ahead = ahead
         settled = self._settle_filament(data)
         if self.g90_keeps_m83 is None and is_for_bambu(data):
@@ -179,7 +179,7 @@ class _Reader:
         return program if self.cut is None else self.cut(program)
 
     def _settle_filament(self, data: bytes) -> list[str]:
-        """Where no line says how E counts, see it by the numbers: a start macro has told the printer."""
+        """If no line sets E's mode, infer it from the numbers: the start macro has set it."""
         if self.e_is_settled:
             return []
         relative = filament_is_relative(data)
@@ -189,7 +189,7 @@ class _Reader:
         self.modal.set_e_mode(absolute=False)
         self.modes = None
         rule = "its numbers do not grow, so they are read as relative"
-        return [f"line {self.first_line + 1}: no M82 or M83 says how E counts; {rule}."]
+        return [f"line {self.first_line + 1}: no M82 or M83 sets how E counts; {rule}."]
 
     def _begin(self, data: bytes) -> None:
         self.first_line += len(self.lines)
@@ -222,7 +222,7 @@ class _Reader:
     # -- the fast way --
 
     def _quiet_lines(self, text: ByteArray, at: int, byte: int) -> tuple[int, int, bool]:
-        """Follow quiet lines from line `at`; returns the next line, its byte, and whether it needs more care."""
+        """Follow plain lines from line `at`; returns the next line, its byte, and whether that is `stuck`."""
         modal, first_move, states = self.modal, self.moves.count, len(self.states)
         self.moves.make_room(len(self.lines) - at)
         feed, origin_e = modal.feed if modal.feed_known else nan, modal.base[3] + modal.shift[3]
@@ -248,7 +248,7 @@ class _Reader:
             self._warn_of_default_feed(line)
 
     def _take_states(self, states: list[list[float]], in_force: int) -> None:
-        """States that differ in feed and E's origin only; prints use few feeds many times: frames are remembered."""
+        """Add states that differ only in feed and E's origin. Prints repeat few feeds, so frames are cached."""
         modal = self.modal
         modes = (
             *modal.base[:3],
@@ -281,8 +281,8 @@ class _Reader:
         line = self.lines[at] if self._number(at) > 1 else self.lines[at].removeprefix(BOM)
         line_commands = commands(line, self._number(at))
         if NUMBERED.match(line):
-            rule = "a host that checks the numbers stops where moves have been replaced"
-            self._warn("numbers", at, f"the line has a number, and lines of ffcomp have none; {rule}")
+            rule = "a host that checks line numbers stops at the first replaced move"
+            self._warn("numbers", at, f"the line has a number, but ffcomp writes lines without; {rule}")
         if len(line_commands) > 1:
             self._settings(at, line_commands)
         elif not line_commands:
@@ -295,10 +295,10 @@ class _Reader:
     def _settings(self, at: int, line_commands: list[Command]) -> None:
         """`G17 G21 G90` on one line: RepRapFirmware obeys all, Klipper and Marlin only the first.
 
-        A move among them could not be replaced without losing the rest, so it goes out as it is.
+        A move among them cannot be replaced without losing the rest, so the line passes through unchanged.
         """
         names = [command.name for command in line_commands]
-        self._warn("several", at, f"{' '.join(names)} share a line, of which Klipper and Marlin obey only the first")
+        self._warn("several", at, f"{' '.join(names)} share a line; Klipper and Marlin obey only the first")
         self.modes = None
         obeyed = line_commands if self.modal.flavor == REPRAPFIRMWARE else line_commands[:1]
         if SETTINGS.issuperset(command.name for command in obeyed):
@@ -313,7 +313,7 @@ class _Reader:
             raise UnsupportedGcode(f"The line holds {' and '.join(names)}; {rule}.", self._number(at))
 
     def _limits_as_before(self, at: int) -> bool:
-        """Follow a line that sets limits, if it has been met under the same ones: slicers alternate between few."""
+        """Follow a limit line seen before in the same state: slicers alternate between few limits."""
         modal = self.modal
         known = self.known_limits[self.lines[at]].get((modal.requested, modal.caps, modal.unit))
         if known is not None:
@@ -346,15 +346,15 @@ class _Reader:
     def _settle_e_after_g90(self, at: int) -> None:
         """Decide what G90 after M83 means: Marlin 2 makes E absolute with it, Marlin 1, Prusa's and Bambu's do not.
 
-        The numbers after it tell; where they are too few, it is Marlin 2.
+        The numbers after it decide; if they are too few, Marlin 2 is assumed.
         """
         if self.g90_keeps_m83 is None:
             ahead = b"".join([*self.lines[at + 1 : at + 1 + _LINES_AHEAD], self.ahead])
             self.g90_keeps_m83 = filament_is_relative_until_stated(ahead)
             if self.g90_keeps_m83 is not None:
-                how = "do not grow: relative" if self.g90_keeps_m83 else "grow: absolute"
+                how = "do not grow, so E is relative" if self.g90_keeps_m83 else "grow: absolute"
                 rule = "Marlin 2 makes E absolute by G90, older ones keep M83"
-                self._warn("G90", at, f"no M82 or M83 after this G90 says how E counts; {rule}; the numbers {how}")
+                self._warn("G90", at, f"no M82 or M83 after this G90 sets how E counts; {rule}; the numbers {how}")
         self.modal.absolute_e = not self.g90_keeps_m83
 
     def _motion(self, at: int, command: Command) -> None:
@@ -362,14 +362,12 @@ class _Reader:
         modal = self.modal
         if not command.name and modal.flavor == KLIPPER:
             self._warn(
-                "bare", at, f"{shown(command.args)} has no command; Klipper does not know such a line, and stays"
+                "bare", at, f"{shown(command.args)} has no command; Klipper rejects such a line and does not move"
             )
             self._event(at, PASS)
             return
         if not command.name and modal.flavor == MARLIN:
-            rule = (
-                "it goes on with the last move, as Marlin does if built with GCODE_MOTION_MODES; other builds skip it"
-            )
+            rule = "it repeats the last move command, as in Marlin with GCODE_MOTION_MODES; other builds skip it"
             self._warn("bare", at, f"{shown(command.args)} has no command; {rule}")
         words = command.numbers()
         modal.motion = command.name or modal.motion or ("G1" if words.keys() == {"F"} else "")
@@ -392,9 +390,9 @@ class _Reader:
         self._travel(at, end, self._arc(modal.motion, words, modal.position, end, at) if arc else None)
 
     def _ends_elsewhere(self, words: dict[str, float]) -> str:
-        """Return the word of a move whose end only the firmware knows.
+        """Return the word that makes a move's end known to the firmware only.
 
-        H: towards an endstop, or by single motors; R of RepRapFirmware's G0 and G1: from a place that is kept.
+        H: towards an endstop or with single motors; R of RepRapFirmware's G0 and G1: from a saved position.
         """
         if words.get("H"):
             return "H"
@@ -406,7 +404,7 @@ class _Reader:
         return modal.z_known or "Z" not in words or not modal.is_absolute(2)
 
     def _pass_through(self, at: int, words: dict[str, float]) -> None:
-        """Let the firmware plan a move from or to a place that is not known."""
+        """Let the firmware plan a move from or to an unknown position."""
         modal, limits = self.modal, self.modal.limits
         before = modal.position[:3] if modal.z_known else [*modal.position[:2], nan]
         start, end = modal.pass_through(words)
@@ -428,7 +426,7 @@ class _Reader:
         self._event(at, Effect(EventKind.RAW_MOVE, moves_itself=True, raw=raw))
 
     def _raw_length(self, start: Vector4, end: Vector4, words: dict[str, float], at: int) -> float:
-        """Return the length as far as axes are known at both ends, mm."""
+        """Return the length over the axes known at both ends, mm."""
         known = [b - a for a, b in zip(start[:3], end[:3], strict=True) if not isnan(b - a)]
         straight = hypot(*known)
         if self.modal.motion not in ("G2", "G3") or _ARC_WORDS.isdisjoint(words) or len(known) < 3:
@@ -447,7 +445,7 @@ class _Reader:
                 problem = f"{motion} has the word {letter}{words[letter]:g}"
                 if letter in _FOLLOWED_BY_NOBODY:
                     raise GcodeError(f"{problem}; {rule}.", self._number(at))
-                self._warn(motion + letter, at, f"{problem}, which no firmware heeds; {rule}")
+                self._warn(motion + letter, at, f"{problem}, which firmware ignores; {rule}")
 
     def _travel(self, at: int, end: Vector4, arc: Arc | None) -> None:
         start = self.modal.position
@@ -477,7 +475,7 @@ class _Reader:
         return arc_by_centre(here, there, offset, motion == "G2", self._number(at))
 
     def _chords(self, at: int, start: Vector4, end: Vector4, arc: Arc) -> None:
-        """Chords share height and filament evenly: all are equally long."""
+        """Add an arc's chords; height and filament are spread evenly because all are equally long."""
         u, v, normal = self.modal.arc_axes()
         chords = arc.chords(self.arc_tolerance)
         points = np.empty((len(chords), 4))
@@ -498,7 +496,7 @@ class _Reader:
         self.events.add(at, self.moves.count, len(self.states) - 1, effect)
 
     def _settle(self) -> None:
-        """Give the present frame and limits their numbers."""
+        """Assign numbers to the present frame and limits."""
         self.frame = self._frame_number()
         if self.frame != self.states[-1]:
             self.states.append(self.frame)
@@ -524,19 +522,19 @@ class _Reader:
             self.warnings.append(f"line {self._number(at)}: {sentence}.")
 
     def _warn_of_unknown_codes(self) -> None:
-        """One sentence for all codes that this part is the first to have, and one for those that may move."""
+        """Warn once of all codes that are new in this part, and once of those that may move."""
         still = {name: at for name, at in self.unknown.items() if _M_CODE.fullmatch(name)}
         moving = {name: at for name, at in self.unknown.items() if name not in still}
         self.unknown = {}
         if still:
-            self._warn(f"unknown {still}", min(still.values()), f"{_are(still)} not known; the motion rests meanwhile")
+            self._warn(f"unknown {still}", min(still.values()), f"{_are(still)} not known; the motion stops for them")
         if moving:
-            rule = "the motion rests, and nothing is compensated until the file names a place again"
+            rule = "the motion stops, and nothing is compensated until the file names a position again"
             self._warn(f"unknown {moving}", min(moving.values()), f"{_are(moving)} not known and may move; {rule}")
 
     def _warn_of_default_feed(self, at: int) -> None:
         if not self.modal.feed_known:
-            speed = f"{DEFAULT_FEED_MM_PER_S:g} mm/s are taken until the first F"
+            speed = f"{DEFAULT_FEED_MM_PER_S:g} mm/s is assumed until the first F"
             self._warn("feed", at, f"the first move has no speed; {speed}")
 
 
@@ -552,5 +550,5 @@ def _modes(modal: Modal, arc_tolerance: float) -> Modes:
     x, y, z, _ = (base + shift for base, shift in zip(modal.base, modal.shift, strict=True))
     relative, relative_e = not modal.is_absolute(0), not modal.is_absolute(3)
     arcs = arc_tolerance if modal.plane == "XY" else nan
-    z = z if modal.z_known else nan  # an absolute Z from a height that is not known needs more care
+    z = z if modal.z_known else nan  # an absolute Z from an unknown height needs the general reader
     return Modes(x, y, z, relative, relative_e, modal.scale(0), modal.scale(3), modal.feed_factor, arcs)

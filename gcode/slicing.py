@@ -1,4 +1,4 @@
-"""Parts of a program as programs, two that follow each other joined, and moves let through as they are."""
+"""Split and join programs, and pass moves through uncompensated."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def split(program: Program, move: int) -> tuple[Program, Program]:
 def excerpt(program: Program, first: int, last: int | None = None) -> Program:
     """Return the moves first … last - 1 (one at least), with the lines from that of the first up to that of `last`.
 
-    Begun or ended within an arc, it has the arc's line, and of the arc the chords that are named.
+    If it begins or ends within an arc, it has the arc's line and the chords in the range.
     """
     moves, by_line = program.moves, attrgetter("line")
     last = len(moves) if last is None else last
@@ -49,14 +49,14 @@ def excerpt(program: Program, first: int, last: int | None = None) -> Program:
         lines=program.lines[begin:end],
         moves=replace(moves_within, line=moves_within.line - begin, frame=frame),
         events=shifted(events, -begin, -first, number),
-        frames=[program.frames[each] for each in used] if program.frames else [],  # where they do not matter
+        frames=[program.frames[each] for each in used] if program.frames else [],  # none where they do not matter
         first_line=program.first_line + begin,
         limits=limits_in_effect(program, program.limits, a),
     )
 
 
 def portions(program: Program, longest_s: float) -> Iterator[Program]:
-    """Split a program between lines into ones that follow each other, of so much motion or of one line."""
+    """Split a program between lines into consecutive ones of at most `longest_s` of motion, or of one line."""
     moves = program.moves
     until_s = np.cumsum(np.linalg.norm((moves.end - moves.start)[:, :3], axis=1) / moves.speed)
     if not len(moves) or until_s[-1] <= longest_s:
@@ -73,7 +73,7 @@ def portions(program: Program, longest_s: float) -> Iterator[Program]:
 
 
 def _frame_before(program: Program, move: int, event: int) -> int:
-    """Return the frame in force before the line of a move, and of the event that is the first one after it."""
+    """Return the frame in force before a move's line; `event` is the first one after it."""
     moves, last = program.moves, program.events[event - 1] if event else None
     if not move:
         return 0
@@ -81,7 +81,7 @@ def _frame_before(program: Program, move: int, event: int) -> int:
 
 
 def shortened(program: Program, start: FloatArray | None, end: FloatArray | None) -> Program:
-    """Let the first move begin later on its way, and the last one end earlier: at (4,) mm; None: where it did."""
+    """Begin the first move later and end the last one earlier, at (4,) mm; None: unchanged."""
     moves = program.moves
     starts, ends = moves.start.copy(), moves.end.copy()
     if start is not None:
@@ -92,13 +92,13 @@ def shortened(program: Program, start: FloatArray | None, end: FloatArray | None
 
 
 def join(first: Program, second: Program) -> Program:
-    """One program of two, the second of which begins where the first ends."""
+    """Join two programs; the second begins where the first ends."""
     lines, moves, frames = len(first.lines), len(first.moves), len(first.frames)
     later_moves = second.moves
     later_moves = replace(later_moves, line=later_moves.line + lines, frame=later_moves.frame + frames)
     columns = (each.name for each in fields(Moves))
     both = Moves(**{name: np.concatenate([getattr(first.moves, name), getattr(later_moves, name)]) for name in columns})
-    numbers = range(frames, frames + len(second.frames)) if second.frames else None  # where they do not matter
+    numbers = range(frames, frames + len(second.frames)) if second.frames else None  # none where they do not matter
     later = shifted(second.events, lines, moves, numbers)
     return replace(
         first,
@@ -116,9 +116,9 @@ def some(moves: Moves, which: slice | NDArray[np.bool_]) -> Moves:
 
 
 def part(program: Program, first: int, last: int) -> Program:
-    """Return the moves first..last-1 with their lines and the events between them; frames stay those of the whole.
+    """Return the moves first..last-1 with their lines and the events between them; all frames are kept.
 
-    Arcs must stay whole: neither `first` nor `last` may be a later chord of the same line.
+    Neither `first` nor `last` may be a later chord of an arc.
     """
     moves = program.moves
     begin = int(moves.line[first])
@@ -136,7 +136,7 @@ def part(program: Program, first: int, last: int) -> Program:
 
 
 def preamble(program: Program, move: int) -> bytes:
-    """Return what a reader that knows where the nozzle is must be told to go on from this move: modes, names, feed."""
+    """Return the lines that set the modes, offsets and feed in force before this move."""
     moves = program.moves
     frame = program.frames[int(moves.frame[move])]
     x, y, z = ((moves.start[move, i] - frame.base[i]) / frame.unit_mm for i in range(3))
@@ -151,7 +151,7 @@ def preamble(program: Program, move: int) -> bytes:
 
 
 def passed_through(program: Program, which: NDArray[np.bool_], reason: str) -> Program:
-    """Turn moves into lines that are not compensated; of an arc all chords go, if one does.
+    """Turn moves into lines that are not compensated; one chord takes its arc with it.
 
     Parameters
     ----------
@@ -160,20 +160,20 @@ def passed_through(program: Program, which: NDArray[np.bool_], reason: str) -> P
     which : (n,) bool
         The moves.
     reason : str
-        Why they go out as they are, in place of the command that others have as their cause.
+        Why they are not compensated; it stands where others have the command that caused it.
     """
     moves = program.moves
     if not which.any():
         return program
     gone = np.isin(moves.line, moves.line[which])
-    before = np.concatenate([[0], np.cumsum(~gone)])  # moves that stay before each one
+    before = np.concatenate([[0], np.cumsum(~gone)])  # moves kept before each one
     passing = [_event(program, numbers, int(before[numbers[0]]), reason) for numbers in _lines_of(moves, gone)]
     staying = [event._replace(move=int(before[event.move])) for event in program.events]
     return replace(program, moves=some(moves, ~gone), events=sorted([*staying, *passing], key=lambda event: event.line))
 
 
 def _lines_of(moves: Moves, gone: NDArray[np.bool_]) -> list[IntArray]:
-    """Return the moves that go, line by line."""
+    """Return the removed moves, line by line."""
     numbers = np.flatnonzero(gone)
     return np.split(numbers, np.flatnonzero(np.diff(moves.line[numbers])) + 1)
 

@@ -1,8 +1,8 @@
 """The modal state of a printer that reads G-code: where it is and what the next number means.
 
-The arithmetic is Klipper's: `position` is where the toolhead is, `base` what is added to the file's numbers.
-Where firmwares differ, `tests/unit/gcode/test_modal_rules.py` has the table. A coordinate that nobody knows is NaN and
-stays NaN through every sum, so no rule about unknown places is needed anywhere else.
+The arithmetic is Klipper's: `position` is the toolhead's, and `base` is added to the file's numbers. Where firmwares
+differ, `tests/unit/gcode/test_modal_rules.py` has the table. An unknown coordinate is NaN and stays NaN through every
+sum, so no other rule about unknown positions is needed.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ FrameValues = tuple[tuple[float, float, float, float], float, bool, bool, float,
 
 @dataclass(frozen=True, slots=True)
 class Saved:
-    """What SAVE_GCODE_STATE keeps."""
+    """The state that SAVE_GCODE_STATE saves."""
 
     base: tuple[float, ...]
     shift: tuple[float, ...]
@@ -45,34 +45,34 @@ class Modal:
 
     position: Vector4 = field(default_factory=lambda: [nan, nan, nan, 0.0])
     z_known: bool = True  # False: the position's Z is a guess
-    guess: Vector4 = field(default_factory=lambda: [nan, nan, nan, 0.0])  # for what is NaN in the position
+    guess: Vector4 = field(default_factory=lambda: [nan, nan, nan, 0.0])  # where the position is NaN
     base: Vector4 = field(default_factory=lambda: [0.0, 0.0, 0.0, 0.0])
     offset: tuple[float, float] = (0.0, 0.0)  # from the file's bed to the printer's, mm
-    shift: Vector4 = field(default_factory=lambda: [0.0, 0.0, 0.0, 0.0])  # it, except where G92 named a place
+    shift: Vector4 = field(default_factory=lambda: [0.0, 0.0, 0.0, 0.0])  # the offset, except where G92 set one
     homing: Vector4 = field(default_factory=lambda: [0.0, 0.0, 0.0, 0.0])  # SET_GCODE_OFFSET
     unit: float = 1.0
     absolute: bool = True
     absolute_e: bool = True
-    relative_e_stated: bool = False  # by M83, whatever G90 has made of it since
+    relative_e_stated: bool = False  # by M83, even if G90 changed it since
     flow: float = 1.0
     feed_factor: float = 1.0
     kept_feed_factor: float = 1.0  # M220 B
     feed: float = DEFAULT_FEED_MM_PER_S  # mm/s, feed factor included
     feed_known: bool = False
     plane: str = "XY"
-    motion: str = ""  # the last of G0 G1 G2 G3: what a line of bare words means
+    motion: str = ""  # the last of G0 G1 G2 G3, which a line of bare words repeats
     tool: str = ""
     filament: str = ""  # the last tool that has one
-    filament_change_s: float = 0.0  # what the slicer says that it takes
+    filament_change_s: float = 0.0  # from the slicer
     flavor: str = "klipper"
     limits: MotionLimits = MACHINE_LIMITS
-    requested: MotionLimits = MACHINE_LIMITS  # asked for by the file, before `caps`
+    requested: MotionLimits = MACHINE_LIMITS  # requested by the file, before `caps`
     caps: MotionLimits = MACHINE_LIMITS  # M201 and M203 of Marlin and RepRapFirmware
     saved: dict[str, Saved] = field(default_factory=dict)
     pushed: list[tuple[bool, bool, float, float]] = field(default_factory=list)  # M120: modes, feed, unit
-    returns: frozenset[str] = frozenset()  # macros that come back, besides those of gcode.commands
-    still: frozenset[str] = frozenset()  # and those that move nothing
-    conditions: list[Whereabouts] = field(default_factory=list)  # where each M622 that is open has begun
+    returns: frozenset[str] = frozenset()  # macros that return, in addition to those of gcode.commands
+    still: frozenset[str] = frozenset()  # macros that move nothing
+    conditions: list[Whereabouts] = field(default_factory=list)  # position at each open M622
 
     def __post_init__(self) -> None:
         self.shift = [*self.offset, 0.0, 0.0]
@@ -82,7 +82,7 @@ class Modal:
         return ModalState(*self.frame_values())
 
     def frame_values(self) -> FrameValues:
-        """Return the values of `frame`, in its order: many times quicker to look up than the frame itself."""
+        """Return the values of `frame` in order, a key that is much faster to look up than the frame."""
         x, y, z, e = self.base
         return (
             (x, y, z, e),
@@ -96,29 +96,29 @@ class Modal:
         )
 
     def guessed(self) -> Vector4:
-        """Return the position; where nobody knows it, what is most likely: where it was before a macro."""
+        """Return the position; where unknown, the guess from before the macro."""
         return [guess if isnan(known) else known for known, guess in zip(self.position, self.guess, strict=True)]
 
     def forget(self) -> None:
-        """Nobody knows where the toolhead is: probing, a macro."""
+        """Make the position unknown (probing, a macro), but keep it as a guess."""
         self.guess = self.guessed()
         self.position[:3] = [nan, nan, nan]
         self.z_known = True
 
     def forget_even_roughly(self) -> None:
-        """Nor is it likely to be near where it was: homing, motors off."""
+        """Make the position unknown, without a guess (homing, motors off)."""
         self.forget()
         self.guess[:3] = [nan, nan, nan]
 
     def home(self) -> None:
-        """Homing also takes back what G92 did. On a delta it moves all axes, whichever were named."""
+        """Homing also undoes G92. On a delta it moves all axes, whichever were named."""
         self.take_names_back()
         self.forget_even_roughly()
 
     def pass_through(self, words: dict[str, float]) -> tuple[Vector4, Vector4]:
-        """Follow a move from or to a place that is not known; returns its start and end as far as they can be guessed.
+        """Follow a move from or to an unknown position; returns its start and end as guessed.
 
-        Where X and Y are known after it and Z is not, Z is taken to be the last one: vibration does not depend on it.
+        If X and Y are known after it and Z is not, the last Z is assumed: vibration does not depend on it.
         """
         start, end = self.guessed(), self.target(words)
         self.guess = self.target(words, start)
@@ -130,12 +130,12 @@ class Modal:
         return start, self.guess[:]
 
     def take_names_back(self) -> None:
-        """Coordinates are those of the machine again, but for SET_GCODE_OFFSET: what G92 did is undone."""
+        """Undo G92: coordinates are the machine's again, apart from SET_GCODE_OFFSET."""
         self.base[:3] = self.homing[:3]
         self.shift = [*self.offset, 0.0, 0.0]
 
     def whereabouts(self) -> Whereabouts:
-        """Return what a block of lines that may not be run must leave as it is; relative filament has no place."""
+        """Return the state that a block of lines must not change if it may be skipped; relative E has no position."""
         axes = 4 if self.is_absolute(3) else 3
         places = tuple(None if isnan(mm) else mm for mm in (*self.position[:axes], *self.base[:axes]))
         return places, self.absolute, self.z_known
@@ -145,13 +145,13 @@ class Modal:
         return self.unit * self.flow if axis == 3 else self.unit
 
     def is_absolute(self, axis: int) -> bool:
-        """Tell whether the axis is in absolute mode; Klipper's E is in relative mode too after G91."""
+        """Whether the axis is in absolute mode; in Klipper, G91 makes E relative too."""
         if axis < 3:
             return self.absolute
         return self.absolute_e and (self.absolute or self.flavor != "klipper")
 
     def set_modes(self, absolute: bool) -> None:
-        """G90, G91: Marlin 2 forgets M82 and M83 with them, RepRapFirmware and Klipper do not."""
+        """G90, G91: in Marlin 2 they override M82 and M83, in RepRapFirmware and Klipper they do not."""
         self.absolute = absolute
         if self.flavor == "marlin":
             self.absolute_e = absolute
@@ -165,12 +165,12 @@ class Modal:
         self.pushed.append((self.absolute, self.absolute_e, self.feed, self.unit))
 
     def pop(self) -> None:
-        """M121 of RepRapFirmware; of an empty stack it changes nothing."""
+        """M121 of RepRapFirmware; with an empty stack it changes nothing."""
         if self.pushed:
             self.absolute, self.absolute_e, self.feed, self.unit = self.pushed.pop()
 
     def target(self, words: dict[str, float], start: Vector4 | None = None) -> Vector4:
-        """Where a move with these words ends, from the position or another start."""
+        """Return where a move with these words ends, from the position or another start."""
         start = self.position if start is None else start
         return [self._coordinate(axis, words.get(letter), start[axis]) for axis, letter in enumerate(AXES)]
 
@@ -181,32 +181,32 @@ class Modal:
         return number * self.scale(axis) + origin
 
     def set_feed(self, words: dict[str, float], line: int) -> None:
-        """Take the F word, if there is one."""
-        if "F" not in words or (words["F"] <= 0 and self.flavor != "klipper"):  # others go on with the last feed
+        """Apply the F word, if there is one."""
+        if "F" not in words or (words["F"] <= 0 and self.flavor != "klipper"):  # others keep the last feed
             return
         if words["F"] <= 0:
-            raise GcodeError(f"F{words['F']:g} asks for no speed; a feed must be above zero.", line)
+            raise GcodeError(f"F{words['F']:g} is not a speed; a feed must be above zero.", line)
         self.feed = words["F"] / 60 * self.unit * self.feed_factor
         self.feed_known = True
 
     def rename(self, words: dict[str, float]) -> None:
-        """G92: the place we are at gets these coordinates; where none is named, Klipper sets all to zero."""
+        """G92: give the present position these coordinates; without any, Klipper sets all to zero."""
         named = {axis: words[letter] for axis, letter in enumerate(AXES) if letter in words}
         if not named and self.flavor == "klipper":
             named = dict.fromkeys(range(4), 0.0)
         for axis, number in named.items():
             self.base[axis] = self.position[axis] - number * self.scale(axis)
-            self.shift[axis] = 0.0  # the new name is tied to the true place, shift included
+            self.shift[axis] = 0.0  # the new name refers to the true position, shift included
             if axis == 2:
                 self.z_known = True  # under its new name
 
     def set_feed_factor(self, factor: float) -> None:
-        """M220: also the speed in force changes, as in Klipper."""
+        """M220: the speed in force changes too, as in Klipper."""
         self.feed *= factor / self.feed_factor
         self.feed_factor = factor
 
     def set_flow(self, flow: float) -> None:
-        """M221: E of the file goes on without a jump."""
+        """M221: the file's E continues without a jump."""
         in_file = (self.position[3] - self.base[3]) / self.flow
         self.base[3] = self.position[3] - in_file * flow
         self.flow = flow
@@ -236,13 +236,13 @@ class Modal:
         self.position[:3], self.z_known = saved.position[:3], saved.z_known
 
     def restore(self, saved: Saved) -> None:
-        """RESTORE_GCODE_STATE without its move; E goes on from where it is."""
+        """RESTORE_GCODE_STATE without its move; E continues from its present value."""
         self.base, self.shift, self.homing = list(saved.base), list(saved.shift), list(saved.homing)
         self.base[3] += self.position[3] - saved.position[3]
         self.absolute, self.absolute_e = saved.absolute, saved.absolute_e
         self.feed, self.feed_factor, self.flow = saved.feed, saved.feed_factor, saved.flow
         for axis in range(3):
-            if isnan(self.base[axis]):  # saved while G92 had named an unknown place
+            if isnan(self.base[axis]):  # saved after G92 had named an unknown position
                 self.position[axis] = nan
 
     def arc_axes(self) -> tuple[int, int, int]:
@@ -250,17 +250,17 @@ class Modal:
         return FIRST_AXES[self.plane]
 
     def set_limits(self, **changes: float) -> None:
-        """Limits the file asks for; `caps` still bound them."""
+        """Set the limits that the file requests; `caps` still bound them."""
         self.requested = replace(self.requested, **changes)
         self._bound()
 
     def reset_limits(self) -> None:
-        """Take back the limits that the file has asked for."""
+        """Reset the limits that the file has requested."""
         self.requested = MACHINE_LIMITS
         self._bound()
 
     def set_caps(self, **changes: float) -> None:
-        """Set the caps on what the file may ask for."""
+        """Set the caps on the file's limits."""
         self.caps = replace(self.caps, **changes)
         self._bound()
 
@@ -278,5 +278,5 @@ class Modal:
 
 
 def _smaller(a: float, b: float) -> float:
-    """Return the smaller of two limits; NaN binds nothing."""
+    """Return the smaller of two limits; NaN means no limit."""
     return b if isnan(a) else a if isnan(b) else min(a, b)

@@ -1,4 +1,4 @@
-"""Plain G-code text, wherever it comes from: its ends, its blocks, and what is no G-code at all."""
+"""Plain G-code text, from any source: its ends, its blocks, and checks that it is G-code."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from gcode.errors import GcodeError, UnsupportedGcode
 
 ENDS, BLOCK, PART_BYTES = 1 << 20, 1 << 20, 1 << 20  # bytes
 
-# A long print packs to a fifth. Nothing that a slicer has packed comes near this.
+# A long print packs to a fifth; no slicer's file comes near this ratio.
 UNPACKED_RATIO, UNPACKED_LEAST = 100, 64 << 20  # times the packed size; bytes that are allowed in any case
 
-BOM = b"\xef\xbb\xbf"  # of UTF-8: some editors put it first, and it is no part of the first line
+BOM = b"\xef\xbb\xbf"  # of UTF-8: some editors write it before the first line
 _FOREIGN = {
     b"\xff\xfe": "text in UTF-16, which no firmware reads; save it as UTF-8",
     b"\xfe\xff": "text in UTF-16, which no firmware reads; save it as UTF-8",
-    b"\x89PNG": "a picture (PNG); a sliced print is wanted",
-    b"\xff\xd8\xff": "a picture (JPEG); a sliced print is wanted",
-    b"\x7fELF": "a program (ELF); a sliced print is wanted",
-    b"MZ": "a program (Windows); a sliced print is wanted",
-    b"%PDF": "a document (PDF); a sliced print is wanted",
+    b"\x89PNG": "a picture (PNG); export a sliced print",
+    b"\xff\xd8\xff": "a picture (JPEG); export a sliced print",
+    b"\x7fELF": "a program (ELF); export a sliced print",
+    b"MZ": "a program (Windows); export a sliced print",
+    b"%PDF": "a document (PDF); export a sliced print",
     b"GCDE": "binary G-code within another container; unpack it first",
     b"PK\x03\x04": "a zip archive within another container; unpack it first",
     b"\x1f\x8b": "compressed twice by gzip; unpack it once",
@@ -35,7 +35,7 @@ _FOREIGN = {
 
 @dataclass(frozen=True, slots=True)
 class Text:
-    """Text that is unpacked anew whenever it is read: it never stands in memory, nor on the disk."""
+    """Text that is unpacked each time it is read, so that it needs neither memory nor disk."""
 
     blocks: Callable[[], Iterator[bytes]]
     head: bytes
@@ -44,7 +44,7 @@ class Text:
 
     @classmethod
     def read(cls, blocks: Callable[[], Iterator[bytes]], path: str) -> Text:
-        """Read once, whole: what is damaged is found before anything is done with it."""
+        """Read the whole text once, to find damage before anything else is done."""
         head, tail, size = b"", b"", 0
         for block in blocks():
             head += block[: ENDS - len(head)]
@@ -71,7 +71,7 @@ def ends(source: Source, reach: int = ENDS) -> tuple[bytes, bytes, int]:
 
 
 def blocks(source: Source, block: int = BLOCK) -> Iterator[bytes]:
-    """Plain G-code in pieces cut anywhere."""
+    """Yield plain G-code in pieces cut anywhere."""
     if isinstance(source, bytes):
         yield from (source[at : at + block] for at in range(0, len(source), block))
     elif isinstance(source, Text):
@@ -89,13 +89,13 @@ class Readable(Protocol):
 
 
 def pieces(file: Readable, block: int = BLOCK) -> Iterator[bytes]:
-    """Yield what is left of an open file."""
+    """Yield the rest of an open file."""
     while piece := file.read(block):
         yield piece
 
 
 def limited(unpacked: Generator[bytes, None, None], packed_bytes: int, path: str) -> Iterator[bytes]:
-    """Pass blocks on, but no more than a print can be: archives can be made that fill any disk."""
+    """Pass blocks on up to the size of a possible print: a malicious archive can fill any disk."""
     most, size = most_unpacked(packed_bytes), 0
     with closing(unpacked):
         for block in unpacked:
@@ -113,39 +113,39 @@ def most_unpacked(packed_bytes: int) -> int:
 def too_much(packed_bytes: int, path: str) -> GcodeError:
     """Return the error of a file that unpacks to more than a print can be."""
     most = f"more than {most_unpacked(packed_bytes) >> 20} MiB"
-    return GcodeError(f"The file's {packed_bytes} bytes unpack to {most}, which no sliced print does.", path=path)
+    return GcodeError(f"The file's {packed_bytes} bytes unpack to {most}; no sliced print does that.", path=path)
 
 
 def check_text(head: bytes, path: str) -> None:
-    """Refuse what cannot be G-code, by its first bytes and what they are."""
+    """Refuse a file whose first bytes show that it is not G-code."""
     for magic, what in _FOREIGN.items():
         if head.startswith(magic):
             raise UnsupportedGcode(f"The file is {what}.", 1, path)
     if head.startswith(b"solid") and b"facet normal" in head[:1000]:
         raise UnsupportedGcode("The file is a model (STL); slice it first.", 1, path)
     if (zero := head.find(b"\0")) >= 0:
-        rule = "The file is no text: it holds bytes that are zero; a sliced print is wanted."
+        rule = "The file is not text: it contains zero bytes; export a sliced print."
         raise UnsupportedGcode(rule, head.count(b"\n", 0, zero) + 1, path)
     if not head.removeprefix(BOM).strip():
         raise GcodeError("The file is empty; there is nothing to compensate.", 1, path)
 
 
 def check_regular(path: Path) -> None:
-    """Refuse a pipe: it would make us wait for ever, and cannot be read twice."""
+    """Refuse a pipe: it could block for ever, and cannot be read twice."""
     mode = path.stat().st_mode
-    if not stat.S_ISREG(mode) and not stat.S_ISDIR(mode):  # opening a folder says what it is
-        raise OSError(EINVAL, "This is a pipe or a device, and G-code is read from files only", str(path))
+    if not stat.S_ISREG(mode) and not stat.S_ISDIR(mode):  # opening a folder raises its own error
+        raise OSError(EINVAL, "This is a pipe or a device; G-code is read only from files", str(path))
 
 
 def raw_blocks(path: Path) -> Iterator[bytes]:
-    """Yield the bytes of a file as they are, in pieces cut anywhere."""
+    """Yield the raw bytes of a file, in pieces cut anywhere."""
     check_regular(path)
     with open(path, "rb") as file:
         yield from pieces(file)
 
 
 def whole_lines(blocks: Iterable[bytes], part_bytes: int = PART_BYTES) -> Iterator[bytes]:
-    r"""Parts of about `part_bytes`, cut after the last \n, \r\n or \r that has come; longer where a line is longer."""
+    r"""Yield parts of about `part_bytes`, cut after a \n, \r\n or \r; longer if a line is longer."""
     pending, searched = bytearray(), 0
     for piece in _shorter(blocks, part_bytes):
         pending += piece
@@ -169,5 +169,5 @@ def _shorter(blocks: Iterable[bytes], longest: int) -> Iterator[bytes]:
 
 
 def _after_last_line(text: bytearray, begin: int) -> int:
-    r"""Where the last line that ends after `begin` is over; 0: none does. A last \r may be half of a \r\n."""
+    r"""Return the end of the last complete line after `begin`; 0: none. A last \r may be half of a \r\n."""
     return max(text.rfind(b"\n", begin), text.rfind(b"\r", begin, len(text) - 1)) + 1

@@ -1,8 +1,8 @@
 """One line of G-code as commands and words. Nothing here changes a byte: the line stays in `Program.lines`.
 
 A line is `N12 G1 X10.5 Y2*71 ; comment`, `G0X-5Y0(note)`, `X5.2 Y0.2` (the motion command of the last move
-again), or a Klipper command `SET_VELOCITY_LIMIT ACCEL=3000`. Words are read only when somebody asks for them:
-most M codes pass through unread, so their texts (`M117 Layer 3`) can hold anything.
+again), or a Klipper command `SET_VELOCITY_LIMIT ACCEL=3000`. Words are parsed only on demand:
+most M codes pass through unread, so their text (`M117 Layer 3`) can be anything.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from operator import xor
 
 from gcode.errors import GcodeError
 
-LARGEST_NUMBER = 1e6  # mm: no printer is a kilometre long; beyond it a slip of the slicer is certain
+LARGEST_NUMBER = 1e6  # mm: beyond a kilometre it is certainly a slicer's error
 
 NUMBERED = re.compile(rb"\s*[Nn]\s*\d+")
 _ROUND_COMMENT = re.compile(rb"\([^)]*\)?")
@@ -33,10 +33,10 @@ _FIELD = re.compile(r"(?<!\w)([A-Za-z_]\w*+)\s*+=\s*(\"[^\"]*\"|'[^']*'|\S*)")
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """What a line tells the machine: `name` in its canonical form, the rest unread."""
+    """One command: `name` in its canonical form, the rest unparsed."""
 
     name: str  # G1 (also for G01), G38.2, M104, T0, SET_VELOCITY_LIMIT; "" for a line of bare words
-    args: bytes  # what follows the name, without checksum and `;` comment
+    args: bytes  # the text after the name, without checksum and `;` comment
     line: int  # 1-based, for error sentences
 
     def numbers(self) -> dict[str, float]:
@@ -44,9 +44,9 @@ class Command:
         return numbers(self.args, self.name, self.line)
 
     def settings(self) -> dict[str, float]:
-        """Return the words that have a number, the last of each letter; what cannot be read is left out.
+        """Return the words that have a number, the last of each letter; unreadable ones are left out.
 
-        For commands that only set something: the firmware knows what their other words mean, and no move depends on it.
+        For commands that only set something: no move depends on their other words.
         """
         pairs = _LOOSE_WORD.findall(without_round_comments(self.args))
         values = {letter.decode().upper(): float(number) for letter, number in pairs}
@@ -75,7 +75,7 @@ def _number(text: str) -> float:
 
 
 def comment(line: bytes) -> bytes:
-    """Return what stands behind the first semicolon, without it and without the line ending."""
+    """Return the text after the first semicolon, without the line ending."""
     return line.partition(b";")[2].rstrip(b"\r\n")
 
 
@@ -85,7 +85,7 @@ def without_round_comments(text: bytes) -> bytes:
 
 
 def bounded(value: float, letter: str, line: int) -> float:
-    """Return the value itself when it is a number a printer can use."""
+    """Return the value if a printer can use it, else raise."""
     if not abs(value) <= LARGEST_NUMBER:
         raise GcodeError(f"{letter}{value:g} is out of range; numbers reach ±{LARGEST_NUMBER:,.0f}.", line)
     return value
@@ -95,7 +95,7 @@ def numbers(args: bytes, name: str, line: int) -> dict[str, float]:
     """Words `X1.5 Y-2E.3` as {"X": 1.5, "Y": -2.0, "E": 0.3}."""
     text = without_round_comments(args).strip()
     if _EXPONENT.search(text):
-        raise GcodeError(f"{name} has {shown(text)}: an exponent; G-code numbers are plain decimals.", line)
+        raise GcodeError(f"{name} has an exponent in {shown(text)}; G-code numbers are plain decimals.", line)
     values: dict[str, float] = {}
     at = 0
     while at < len(text):
@@ -106,14 +106,14 @@ def numbers(args: bytes, name: str, line: int) -> dict[str, float]:
         if number is None:
             raise GcodeError(f"{name} has the word {letter} without a number; every word needs one.", line)
         if letter in values:
-            raise GcodeError(f"{name} has the word {letter} twice; each word may stand once.", line)
+            raise GcodeError(f"{name} has the word {letter} twice; each word may appear once.", line)
         values[letter] = bounded(float(number), letter, line)
         at = match.end()
     return values
 
 
 def shown(text: bytes) -> str:
-    """Return a piece of the file, short and printable, for an error sentence."""
+    """Return a piece of the file, short and printable, to quote in errors."""
     readable = text[:40].decode("latin-1")
     return repr(readable + "…" if len(text) > 40 else readable)
 
@@ -148,7 +148,7 @@ def _matched_length(pattern: re.Pattern[bytes], text: bytes) -> int:
 
 
 def _pieces(text: bytes) -> list[bytes]:
-    """Cut before each further G or M; an M code keeps its whole line, for its text may hold anything."""
+    """Cut before each further G or M; an M code keeps its whole line because its text can be anything."""
     if text[:1] in b"Mm" or b'"' in text:
         return [text]
     text = without_round_comments(text)
@@ -166,7 +166,7 @@ def _coded(text: bytes, number: int) -> Command:
 
 
 def _without_number(text: bytes, number: int) -> bytes:
-    """Take off `N12` and `*71`; a checksum that does not fit is an error, for a host would refuse it."""
+    """Strip `N12` and `*71`; a wrong checksum is an error, because a host would reject it."""
     text = text.lstrip(b"\xef\xbb\xbf")  # a UTF-8 byte order mark
     match = NUMBERED.match(text)
     if match is None:
@@ -180,5 +180,5 @@ def _without_number(text: bytes, number: int) -> bytes:
 def _check(body: bytes, stated: bytes, number: int) -> None:
     actual = reduce(xor, body, 0)
     if not stated.isdigit() or int(stated) != actual:
-        rule = f"the exclusive or of the bytes before the star is {actual}"
+        rule = f"the XOR of the bytes before the star is {actual}"
         raise GcodeError(f"The checksum *{stated.decode('latin-1')[:10]} is wrong; {rule}.", number)

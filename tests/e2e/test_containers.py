@@ -89,7 +89,7 @@ def test_a_container_says_what_its_text_says(tmp_path: Path) -> None:
     shown = call("show", archive, "--plate", "2")
     assert shown.exit_code == 0 and f"{archive}.png" in shown.stdout.splitlines()
     vague = call("show", archive)
-    assert vague.exit_code == 4 and "one has to be chosen: --plate N" in vague.output
+    assert vague.exit_code == 4 and "choose one with --plate N" in vague.output
 
 
 def test_one_plate_that_is_done_stays_as_it_is(tmp_path: Path) -> None:

@@ -47,7 +47,7 @@ def test_flavor(lines: list[bytes], flavor: str) -> None:
         (b"START_PRINT BED=60\n", "START_PRINT", True),
         (b"; gcode_flavor = klipper\n", "; gcode_flavor = klipper", True),
         (b";FLAVOR:Marlin\r\n", ";FLAVOR:Marlin", False),
-        (b"M204 S500 ; slowly\n", "M204 S500 and no limits in another firmware's words", False),
+        (b"M204 S500 ; slowly\n", "M204 S500 and no limits in another firmware's syntax", False),
         (b"G28\n", "", False),
     ],
 )

@@ -14,10 +14,10 @@ CURA = FlavorSign("marlin", ";FLAVOR:Marlin")
     ("asked", "stated", "sign", "reason"),
     [
         ("", "", FlavorSign("klipper", "START_PRINT", certain=True), "klipper, because the print holds START_PRINT."),
-        ("", "", CURA, "marlin, because the print holds ;FLAVOR:Marlin. If that is wrong: --flavor NAME, or"),
+        ("", "", CURA, "marlin, because the print holds ;FLAVOR:Marlin. If that is wrong: set --flavor NAME, or"),
         ("", "", FlavorSign("marlin"), "marlin, because nothing in the print names another. If that is wrong:"),
         ("", "klipper", FlavorSign("marlin"), "klipper, as the machine file says."),
-        ("marlin", "klipper", CURA, "marlin, as it was asked for."),
+        ("marlin", "klipper", CURA, "marlin, as requested."),
     ],
 )
 def test_the_reason_is_a_sentence(asked: str, stated: str, sign: FlavorSign, reason: str) -> None:
@@ -29,9 +29,9 @@ def test_a_contradiction_is_a_warning() -> None:
     choice = choose_flavor("", "klipper", CURA)
     assert choice.flavor == "klipper"
     assert choice.warning.startswith("The print is made for marlin (;FLAVOR:Marlin), but compensated for klipper, as")
-    assert choice.warning.endswith("If the printer runs marlin, many segments will come late: --flavor marlin.")
+    assert choice.warning.endswith("If the printer runs marlin, many segments will be late: use --flavor marlin.")
 
 
 def test_a_flavor_that_is_none_is_refused_with_the_file() -> None:
-    with pytest.raises(UnsupportedGcode, match=r"a\.gcode: The flavor 'smoothie' is none of klipper, marlin"):
+    with pytest.raises(UnsupportedGcode, match=r"a\.gcode: Unknown flavor 'smoothie': use klipper, marlin"):
         choose_flavor("smoothie", "klipper", CURA, "a.gcode")

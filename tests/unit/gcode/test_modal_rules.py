@@ -139,8 +139,8 @@ def test_after_these_nobody_knows_the_place(firmware: str, line: str) -> None:
 def test_the_numbers_say_which_marlin_it_is_and_a_warning_tells() -> None:
     program = read(f"M83\nG90\n{SHRINKING}", MARLIN)
     assert program.warnings == [
-        "line 2: no M82 or M83 after this G90 says how E counts; Marlin 2 makes E absolute by G90, older ones keep "
-        "M83; the numbers do not grow: relative."
+        "line 2: no M82 or M83 after this G90 sets how E counts; Marlin 2 makes E absolute by G90, older ones keep "
+        "M83; the numbers do not grow, so E is relative."
     ]
     assert read(f"M83\nG90\nM83\n{SHRINKING}", MARLIN).warnings == []
 

@@ -156,7 +156,7 @@ def test_mistakes_name_the_line_of_the_file() -> None:
         next(parts)
 
 
-NO_SPEED = "the first move has no speed; 25 mm/s are taken until the first F"
+NO_SPEED = "the first move has no speed; 25 mm/s is assumed until the first F"
 
 
 def test_frames_of_a_part_are_its_own() -> None:
