@@ -1,9 +1,9 @@
-"""The pictures of docs/GALLERY.md and of the tutorials, good and bad.
+"""The pictures of docs/TROUBLESHOOTING.md and of the pages to follow, good and bad.
 
     python -m studies.gallery_figures --write [NAME ...]
 
-The tutorials' own commands are run first, so that a reader who follows a page sees the picture that it shows. What goes
-wrong is made beside them: a machine file that is 10 % off, limits that bind, noise, a mode in the wrong place.
+The pages' own commands run first, so a reader who follows a page sees its picture. The bad ones add a fault: a machine
+file that is 10 % off, limits that bind, noise, a mode in the wrong place.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ from tests.support import docs_runner
 from tests.support.browser import chromium, visit
 
 GALLERY = docs_runner.ROOT / "docs" / "gallery"
-TUTORIALS = docs_runner.ROOT / "docs" / "tutorials"
+DOCS = docs_runner.ROOT / "docs"
 WIDTH_PX, LARGEST_BYTES = 1000, 100_000
 COLOURS = (128, 96, 64, 48)  # the most that the size allows
 ROWS = "mzv,ei,2hump_ei"  # of the page that is photographed
@@ -96,9 +96,9 @@ def ffcomp(*words: object) -> None:
     assert code == 0, output
 
 
-def tutorial(name: str, until: str = "") -> None:
-    """Run a tutorial's examples, all or those before the heading that begins so."""
-    page = TUTORIALS / f"{name}.md"
+def follow(name: str, until: str = "") -> None:
+    """Run a page's examples, all or those before the heading that begins so."""
+    page = DOCS / f"{name}.md"
     lines = page.read_text(encoding="utf-8").splitlines()
     last = next((i for i, line in enumerate(lines) if until and line.startswith(until)), len(lines))
     for block in docs_runner.blocks_of(page):
@@ -110,7 +110,7 @@ def tutorial(name: str, until: str = "") -> None:
 
 
 def show_good() -> Image.Image:
-    tutorial("first_print", until="## 4.")
+    follow("start/delta", until="## 5.")
     return Image.open("out.gcode.png")
 
 
@@ -273,13 +273,13 @@ def measured_frf(name: str, real: Machine, noise: float) -> Image.Image:
 
 
 def fit_good() -> Image.Image:
-    tutorial("first_identification", until="## 4.")
+    follow("MEASURE", until="## 4.")
     return three_panels(Image.open("fit.png"))
 
 
 def fit_weak() -> Image.Image:
     """The same captures with twenty times the noise, as of a sensor that hangs on tape."""
-    tutorial("first_identification", until="## 3.")
+    follow("MEASURE", until="## 3.")
     rng = np.random.default_rng(2)
     for path in sorted(Path("captures").glob("adxl345-*.csv")):
         rows = np.loadtxt(path, delimiter=",")
@@ -302,7 +302,7 @@ def three_panels(image: Image.Image) -> Image.Image:
 
 def diagnosis() -> Image.Image:
     """Where the gap is, by frequency, and one stretch of a run, before and after, as in the report."""
-    tutorial("first_diagnosis", until="## 2.")
+    follow("DIAGNOSE", until="## 2.")
     runs = [read_recording(path) for path in sorted(Path("runs").glob("*.csv"))]
     plant = PrinterProblem(load_machine("my-delta.toml"), runs)
     found: DiagnosisSummary = summarise(plant, diagnose(plant))

@@ -7,7 +7,7 @@ the blind bank (validation/blind) while the search was made.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from typing import Any
 
 BANK = "bank"
@@ -113,13 +113,3 @@ class SearchSettings:
 
 
 SETTINGS = SearchSettings()
-
-
-def settings_table(settings: SearchSettings = SETTINGS) -> str:
-    """Return the settings as a Markdown table, as docs and studies print it."""
-    rows = [
-        f"| `{f.name}` | {getattr(settings, f.name):g} | {f.metadata['unit']} | {f.metadata['meaning']} "
-        f"| {f.metadata['origin']} |".replace("|r|", "\\|r\\|")
-        for f in fields(settings)
-    ]
-    return "\n".join(["| setting | value | unit | meaning | origin |", "|---|---|---|---|---|", *rows]) + "\n"

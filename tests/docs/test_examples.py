@@ -113,7 +113,7 @@ def test_tables_have_as_many_rules_as_headings() -> None:
 
 def test_the_gallery_is_what_its_script_makes() -> None:
     """Each picture of the folder is made by the script, small, and shown."""
-    shown = (ROOT / "docs" / "GALLERY.md").read_text(encoding="utf-8")
+    shown = (ROOT / "docs" / "TROUBLESHOOTING.md").read_text(encoding="utf-8")
     pictures = sorted(gallery_figures.GALLERY.glob("*.png"))
     assert [picture.stem for picture in pictures] == sorted(gallery_figures.MADE)
     for picture in pictures:

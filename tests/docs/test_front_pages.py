@@ -11,7 +11,6 @@ from tests.support.docs_runner import ROOT
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 DECIDE = (ROOT / "docs" / "SHAPER_OR_FFCOMP.md").read_text(encoding="utf-8")
 COMPARISON = (ROOT / "studies" / "reports" / "comparison.md").read_text(encoding="utf-8")
-ACCURACY = (ROOT / "docs" / "ACCURACY.md").read_text(encoding="utf-8")
 PRINTS = ("ringing_tower", "lobed_vase", "far_star", "kossel_mks-pwc")
 MOST_WORDS = 900
 Row = list[str]
@@ -64,12 +63,9 @@ def test_the_page_that_decides_has_the_comparisons_numbers(print_: str) -> None:
 
 
 @pytest.mark.parametrize("print_", PRINTS[:3])
-def test_the_readme_has_the_accuracys_numbers(print_: str) -> None:
-    table = rows(ACCURACY, print_)
-    named = {row[1]: float(row[4]) for row in table if len(row) > 4 and re.match(r"[\d.]+$", row[4])}
-    shapers = [value for name, value in named.items() if ", best" in name]
+def test_the_readme_has_the_same_numbers(print_: str) -> None:
     told = row_of(README, print_)
-    assert all(map(rounded, told, (named["none"], min(shapers), named["**ffcomp**"]))), (told, named)
+    assert all(map(rounded, told, compared(print_))), (told, compared(print_))
 
 
 def test_the_readmes_printers_that_are_off() -> None:
