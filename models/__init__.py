@@ -1,1 +1,1 @@
-"""What a machine is: parts, kinematics, vibrations, and the files that describe it. Knows no G-code."""
+"""Machines: parts, kinematics, vibrations, and their files. No G-code here."""

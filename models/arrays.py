@@ -21,5 +21,5 @@ def constant(values: ArrayLike) -> FloatArray:
 
 
 def same_or_each(values: FloatArray) -> Any:
-    """Convert (3,) per tower to one number if all agree, else to a read-only array, as carriages' parameters are."""
+    """Convert (3,) per tower to one number if all agree, else to a read-only array."""
     return float(values[0]) if np.all(values == values[0]) else constant(values)

@@ -50,7 +50,7 @@ class Extreme:
     value: float  # number [of the quantity]: the worst over the bed
     x_mm: float  # where
     y_mm: float  # where
-    frequency_hz: float | None = None  # at which frequency; null if it does not depend on one
+    frequency_hz: float | None = None  # null if the quantity does not depend on frequency
 
 
 @dataclass(frozen=True)
@@ -101,9 +101,9 @@ def check_physics(machine: Machine) -> PhysicsChecks:
 
 
 def unstable_positions(machine: Machine, radii: int = 6, directions: int = 24) -> FloatArray:
-    """Find the positions, on a polar grid over the bed, at which a vibration of the model does not decay.
+    """Find the positions, on a polar grid over the bed, with a vibration that does not decay.
 
-    A free axis may rest anywhere: its pole at zero is no vibration.
+    The pole at zero of a free axis does not count.
 
     Returns
     -------
@@ -351,7 +351,7 @@ REDUNDANT = (
 
 
 def redundant_quantities(machine: Machine) -> list[Quantity]:
-    """List every parameter of the file that the measurements determine too, with each value."""
+    """List every parameter of the file that the measurements also determine, with each value."""
     measured = _usable(machine)
     quantities = [_quantity(each, machine, measured) for each in REDUNDANT if each.applies(measured)]
     return [quantity for quantity in quantities if quantity.others]
@@ -416,12 +416,12 @@ def _unusable(machine: Machine) -> list[str]:
 
 
 def _wrong(key: str, value: object) -> str:
-    """Return why an entry cannot be used; '' if it can."""
+    """Return the problem with an entry; '' if there is none."""
     if key == "hammer_axis":
         return "" if value in AXES else f"provenance.measured.{key} = {value!r} must be one of 'x', 'y', 'z'."
     if key not in MEASURED:
         near = difflib.get_close_matches(key, (*MEASURED, "hammer_axis"), 1)
-        return f"provenance.measured.{key} is not known, nothing is compared with it" + (
+        return f"provenance.measured.{key} is not a known key, so it is ignored" + (
             f"; did you mean {near[0]!r}?" if near else "."
         )
     good = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value) and value > 0

@@ -1,13 +1,13 @@
-"""How numerical loops are compiled: all alike, since the compiler compiles its own functions for every set of options.
+"""How numerical loops are compiled: all with the same options, because each set makes numba compile its own functions.
 
-A literal number as an argument, another memory layout of an array, or one array assigned to a row of another one each
-cost half a second and more of every user's first run (docs/decisions.md, 0010).
+A literal number as an argument, another memory layout, or an array assigned to a row of another array: each costs half
+a second or more of every user's first run (docs/decisions.md, 0010).
 
-Rows of an array are taken by their numbers, `a, b = w[0], w[1]`: unpacked at once, `a, b = w`, no loop over them is
-vectorised, and it takes four to eight times as long.
+Read the rows of an array by index, `a, b = w[0], w[1]`. Unpacking, `a, b = w`, prevents vectorisation and takes four to
+eight times as long.
 
-An installed wheel may hold the loops compiled ahead (`scripts/wheel`): then nothing is compiled, and numba, which takes
-its time, is not imported. Without that, as in a checkout, numba compiles a loop when it is first called.
+An installed wheel may contain loops compiled ahead (`scripts/wheel`). Then nothing is compiled and numba, which is slow
+to import, is not imported. Otherwise, as in a checkout, numba compiles a loop on its first call.
 """
 
 from __future__ import annotations
@@ -23,20 +23,20 @@ from typing import Any
 
 import numpy as np
 
-LIBRARY = "kernels_ahead"  # beside this file: the code, and the table `LIBRARY.json` of the types it is compiled for
-VARIABLE = "FFCOMP_JIT"  # not empty: leave the library alone
+LIBRARY = "kernels_ahead"  # in this folder: the code, and `LIBRARY.json` with the types it was compiled for
+VARIABLE = "FFCOMP_JIT"  # not empty: do not use the library
 _OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
 
-Kind = Any  # hashable: what an argument is, so far as the compiled code depends on it
+Kind = Any  # hashable: the type of an argument, as far as the compiled code depends on it
 
 
 def kernel(function: Callable[..., Any]) -> Any:
-    """Compile a function ahead, or when it is first called."""
+    """Compile a function ahead of time or on its first call."""
     return compiled(function, _OPTIONS)
 
 
 def fast_kernel(function: Callable[..., Any]) -> Any:
-    """Compile a function as `kernel` does, and let the compiler reorder its sums."""
+    """Compile a function as `kernel` does, with sums that the compiler may reorder."""
     return compiled(function, {**_OPTIONS, "fastmath": True})
 
 
@@ -46,7 +46,7 @@ def compiled(function: Callable[..., Any], options: dict[str, Any], sources: str
 
 
 def with_numba(make: Callable[[], Any]) -> Any:
-    """Return what a kernel calls and `make` returns, made when a kernel is compiled that calls it."""
+    """Return a callee for kernels; `make` makes it when a kernel that calls it is compiled."""
     return ByNumba(make) if ahead() else make()
 
 
@@ -61,7 +61,7 @@ def _table() -> dict[str, dict[Kind, str]]:
         table = json.loads(Path(__file__).with_name(f"{LIBRARY}.json").read_text(encoding="ascii"))
     except OSError:
         return {}
-    with suppress(OSError):  # not on Linux: taken to be of the last ten years
+    with suppress(OSError):  # not on Linux: assume a processor of the last ten years
         if not set(table["processor"]) <= set(Path("/proc/cpuinfo").read_text(encoding="utf-8").split()):
             return {}
     return {
@@ -75,10 +75,10 @@ def _kind_of_json(kind: Any) -> Kind:
 
 
 def kind_of(value: Any) -> Kind:
-    """Return what a kernel's code must know of an argument.
+    """Return the kind of an argument, on which a kernel's code depends.
 
-    Of an array type, dimensions, and whether its rows are contiguous; of tuples the kinds of what they hold; else the
-    type's letter as of an array's. A number of Python is one of 64 bits.
+    Arrays: type, dimensions, and whether rows are contiguous. Tuples: the kinds of their elements. Otherwise the
+    letter of the array type; Python numbers have 64 bits.
     """
     if isinstance(value, np.ndarray):
         flags = value.flags
@@ -89,7 +89,7 @@ def kind_of(value: Any) -> Kind:
         return kinds if type(value) is tuple else (type(value).__qualname__, kinds)
     if isinstance(value, np.generic):
         return _name_of(value.dtype)
-    return _SCALARS.get(type(value))  # None: no kernel takes it
+    return _SCALARS.get(type(value))  # None: no kernel accepts it
 
 
 _SCALARS = {float: "f8", int: "i8", bool: "b1", complex: "c16"}
@@ -101,14 +101,14 @@ def _name_of(dtype: np.dtype[Any]) -> str:
 
 
 class ByNumba:
-    """What only numba knows, made when a kernel is compiled that calls it."""
+    """An object that only numba uses, made when a kernel that calls it is compiled."""
 
     def __init__(self, make: Callable[[], Any]) -> None:
         self._make = make
 
     @cached_property
     def made(self) -> Any:
-        """What numba calls."""
+        """The function that numba calls."""
         return self._make()
 
     @property
@@ -138,7 +138,7 @@ class Kernel(ByNumba):
 
 
 def _by_numba(function: Callable[..., Any], options: dict[str, Any], sources: str | None) -> Any:
-    from models.jit import jit  # takes its time to import
+    from models.jit import jit  # slow to import
 
     return jit(function, options, sources)
 

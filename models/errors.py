@@ -1,7 +1,7 @@
-"""Define the errors of a machine: each names the place and the rule.
+"""The errors of a machine: each names the place and the rule.
 
-MachineFileError          a machine file that cannot be used (file, every mistake in it)
-UnreachableError          points the machine cannot go to (their indices, the rule)
+MachineFileError          a machine file that cannot be used (file, all its mistakes)
+UnreachableError          points that the machine cannot reach (indices, rule)
 """
 
 from __future__ import annotations
@@ -40,9 +40,9 @@ class UnreachableError(ValueError):
     Parameters
     ----------
     rule : str
-        Full sentence about the first bad point: where it is and which rule it breaks.
+        A sentence with the first bad point and the rule it breaks.
     indices : (k,) int
-        Every bad point's row in the array that was asked about, so that a caller can name its G-code line.
+        Row of every bad point in the checked array, so that a caller can name its G-code line.
     """
 
     exit_code = 4

@@ -1,10 +1,10 @@
 """Machine files: finding, reading, showing and starting them.
 
-A machine is asked for by name (a file in the user's own folder, then the library) or by path (what ends in
-`.toml` or holds a folder separator). The user's file wins: a machine may be refitted under its old name.
+Machines are named by name (the user's own folder first, then the library) or by path (ends in `.toml` or contains a
+folder separator). The user's file wins, so a machine can be refitted under its old name.
 
-Defaults of what a file may leave out: `[carriage.drive]` an ideal drive; `[effector] force_map` virtual work;
-`[limits]` all but velocity and acceleration, and `[steps]`, as in `MotionLimits` and `Steps`; `[firmware]` not said;
+Defaults: `[carriage.drive]` an ideal drive; `[effector] force_map` virtual work;
+`[limits]` all but velocity and acceleration, and `[steps]`, as in `MotionLimits` and `Steps`; `[firmware]` unknown;
 `[uncertainty] default` 0.02; no effects.
 """
 
@@ -42,7 +42,7 @@ _FORMAT = re.compile(rb"^format[ \t]*=", re.MULTILINE)
 
 
 def find_machine(name_or_path: str | Path) -> Path:
-    """Return the file meant by a name or a path (see the top of this module)."""
+    """Return the file for a name or a path (see the top of this module)."""
     path, name = Path(name_or_path), str(name_or_path)
     if path.suffix == ".toml" or len(path.parts) > 1:
         if not path.is_file():
@@ -58,15 +58,15 @@ def find_machine(name_or_path: str | Path) -> Path:
 
 
 def find_by_sha256(digits: str, name: str, more: Iterable[Path] = ()) -> Path:
-    """Return the file whose hash begins with these digits, known by its name or one of `more`.
+    """Return the file whose hash begins with these digits, among the named ones and `more`.
 
-    `name` only serves to say which one is missing.
+    `name` is for the message if it is missing.
     """
     for path in (*machine_paths().values(), *more):
         try:
             if hashlib.sha256(path.read_bytes()).hexdigest().startswith(digits):
                 return path
-        except OSError:  # gone since it was used
+        except OSError:  # deleted since it was used
             continue
     rule = f"No machine file here has the hash {digits}…; name the file with --machine."
     raise MachineFileError(name, [rule])
@@ -85,7 +85,7 @@ def load_machine(name_or_path: str | Path) -> Machine:
 
 
 def machine_of_text(text: str, path: str) -> Machine:
-    """Return the printer that a machine file's text describes; `path` only serves to say which one.
+    """Return the printer that a machine file's text describes; `path` is for messages.
 
     Raises
     ------
@@ -117,7 +117,7 @@ def _read(name_or_path: str | Path) -> tuple[AnyDocument, str, str]:
 
 def _parsed(data: bytes, path: str) -> AnyDocument:
     if _CONFIGURATION.search(data) and not _FORMAT.search(data):
-        remedy = f"ffcomp machines import {path} -o my-printer.toml makes a machine of it"
+        remedy = f"ffcomp machines import {path} -o my-printer.toml makes a machine file from it"
         raise MachineFileError(path, [f"This is a printer's configuration; {remedy}."])
     try:
         document = tomllib.loads(data.decode("utf-8"))
@@ -131,12 +131,12 @@ def _parsed(data: bytes, path: str) -> AnyDocument:
 
 @dataclass(frozen=True)
 class Entry:
-    """One value of a machine file, with where it is from."""
+    """One value of a machine file, with its provenance."""
 
     key: str  # table.key
     value: Any
     unit: str
-    provenance: str  # 'default' if the file does not give the value, '' if it does not say
+    provenance: str  # 'default' if the file omits the value, '' if its origin is unknown
 
 
 def entries(path: Path) -> list[Entry]:
@@ -156,7 +156,7 @@ def entries(path: Path) -> list[Entry]:
 
 
 def _as_written(key: str, quantities: Quantities) -> str:
-    """Return the key of a value as the file has it: forces of effects may be per kilogram."""
+    """Return the key as written in the file: forces of effects may be per kilogram."""
     table, _, rest = key.partition(".")
     effect, _, parameter = rest.partition(".")
     if table == "effects":
@@ -173,7 +173,7 @@ def _flat(table: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any
 
 
 def starting_text(name: str, source: Path) -> str:
-    """Return the text of a new machine file: `source` under a new name, saying where it began."""
+    """Return the text of a new machine file: `source` under a new name, with a note of its origin."""
     data = source.read_bytes()
     document = tomlkit.parse(data.decode("utf-8"))
     document["name"] = name
@@ -187,7 +187,7 @@ def starting_text(name: str, source: Path) -> str:
 
 
 def check_text(text: str, path: str) -> None:
-    """Refuse a machine file's text that could not be loaded; `path` only serves to say which one.
+    """Refuse a machine file's text that could not be loaded; `path` is for messages.
 
     Raises
     ------
@@ -209,8 +209,8 @@ def updated_text(
 
     Parameters
     ----------
-    values : `table.key` or, for one element of a list, `table.key[i]` -> the new value; in the file's units, or, of an
-        axis with units of its own, in those of the inside.
+    values : `table.key` or, for one element of a list, `table.key[i]` -> the new value; in the file's units, or, for an
+        axis with units of its own, in internal units.
     uncertainty, provenance : entries to add to those tables, replacing what is there under the same key.
     """
     document = tomlkit.parse(source.read_bytes().decode("utf-8"))
@@ -225,7 +225,7 @@ def updated_text(
             table = table.setdefault(part, tomlkit.table())
         if last not in table:
             inside = quantities.inside(last)
-            in_file = inside in table  # a file of what turns may keep the keys of the inside
+            in_file = inside in table  # the file of a rotary axis may use internal keys
             value = quantities.value(last, value)
             last = inside if in_file else quantities.key(last)
         if index:
@@ -244,15 +244,15 @@ class Difference:
     """One key; None where a file does not have it."""
 
     key: str  # `table.key`
-    old: Any  # number or text or list of numbers or null [`unit`]: null: it was not there
-    new: Any  # number or text or list of numbers or null [`unit`]: null: it is gone
+    old: Any  # number or text or list of numbers or null [`unit`]: null: new
+    new: Any  # number or text or list of numbers or null [`unit`]: null: removed
     unit: str
     relative: tuple[float, ...]  # change over the old value; empty where that means nothing
     provenance: str  # of the new value
 
 
 def differences(old: Sequence[Entry], new: Sequence[Entry]) -> Iterator[Difference]:
-    """Every value that is not the same, in the order of the new file, what was removed last."""
+    """Every changed value in the order of the new file; removed ones last."""
     before = {entry.key: entry for entry in old}
     for entry in new:
         was = before.pop(entry.key, None)
@@ -274,7 +274,7 @@ def _relative(old: Any, new: Any) -> tuple[float, ...]:
 
 
 def mode_changes(old: Machine, new: Machine) -> FloatArray:
-    """Natural frequencies at the bed's middle, slowest first, effects included where the linear model has them.
+    """Natural frequencies at the bed's middle, slowest first, with the effects that the linear model includes.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""The machine files that have a name, and what a list says of them; light to import, unlike reading one."""
+"""Named machine files and their entries for a list; quick to import, unlike the reader."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ def user_folder() -> Path:
 
 
 def machine_paths() -> dict[str, Path]:
-    """Every machine that can be asked for by name, in alphabetical order."""
+    """Every named machine, in alphabetical order."""
     paths = {path.stem: path for folder in (LIBRARY, user_folder()) for path in folder.glob("*.toml")}
     return dict(sorted(paths.items()))
 
 
 @dataclass(frozen=True, slots=True)
 class NamedMachine:
-    """What a list says of a machine; None: its file does not."""
+    """One line of a list of machines; None: not in the file."""
 
     name: str
     origin: str  # library or user
@@ -35,7 +35,7 @@ class NamedMachine:
 
 
 def named_machines() -> list[NamedMachine]:
-    """Return every machine that has a name, in alphabetical order."""
+    """List every named machine, in alphabetical order."""
     return [
         NamedMachine(name, "library" if path.parent == LIBRARY else "user", path, *_glanced(path, _changed(path)))
         for name, path in machine_paths().items()
@@ -44,19 +44,19 @@ def named_machines() -> list[NamedMachine]:
 
 @lru_cache(maxsize=512)
 def _glanced(path: Path, changed: int) -> tuple[str | None, str | None]:
-    """Read a file once for each time that it was changed: the page of `ffcomp serve` asks every second."""
+    """Read a file once after each change: the page of `ffcomp serve` polls every second."""
     return glance(path)
 
 
 def _changed(path: Path) -> int:
     try:
         return path.stat().st_mtime_ns
-    except OSError:  # removed meanwhile
+    except OSError:  # removed in the meantime
         return 0
 
 
 def glance(path: Path) -> tuple[str | None, str | None]:
-    """Return what a list needs of a machine file, its `kinematics.type` and `name`, unchecked; None if not there."""
+    """Return `kinematics.type` and `name` of a machine file, unchecked; None if missing."""
     try:
         document = tomllib.loads(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError):

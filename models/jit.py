@@ -16,9 +16,9 @@ from numba.core.runtime import rtsys
 
 
 class KernelCache(_Cache):
-    """Numba's cache of one kernel, made when the kernel is first called: most of 270 never are.
+    """Numba's cache of one kernel, made on its first call: most of the 270 kernels are never called.
 
-    Numba fills its tables of all functions before it loads compiled code, for 0.2 s. Only compiling needs them.
+    Before it loads compiled code, numba fills its function tables (0.2 s). Only compiling needs them.
     """
 
     def __init__(self, function: Callable[..., Any], sources: str = "") -> None:
@@ -39,7 +39,7 @@ class KernelCache(_Cache):
         return str(self.files.cache_path)
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """Load compiled code for these types; None: there is none, and the tables are filled."""
+        """Load compiled code for these types; if there is none, fill the tables and return None."""
         rtsys.initialize(target_context)  # the allocator of arrays, which loaded code calls
         with self.files._guard_against_spurious_io_errors():
             if loaded := self.files._load_overload(sig, target_context):
@@ -69,7 +69,7 @@ def jit(function: Callable[..., Any], options: dict[str, Any], sources: str | No
     Parameters
     ----------
     options : of `numba.njit`
-    sources : keep the code on disk until this changes; empty: until the function's file does; None: keep none
+    sources : keep the code on disk until this changes; empty: until the function's file changes; None: do not keep it
     """
     compiled: Any = njit(**options)(function)
     if sources is not None and hasattr(compiled, "_cache"):  # not with NUMBA_DISABLE_JIT
@@ -78,5 +78,5 @@ def jit(function: Callable[..., Any], options: dict[str, Any], sources: str | No
 
 
 def numba_type(value: Any) -> Any:
-    """Return the type by which a kernel that is being compiled knows something that it calls."""
+    """Return the numba type of a callee of a kernel."""
     return cpu_target.typing_context.resolve_value_type(value)

@@ -1,4 +1,4 @@
-"""What one kind of machine has: the carriages and the effector of a delta; one axis by itself."""
+"""Access to the parts of one kind of machine: a delta's carriages and effector; one axis by itself."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ def delta_vibration(machine: Machine) -> DeltaVibration:
     Raises
     ------
     MachineFileError
-        If the machine's vibrations are told otherwise.
+        If the machine is not a delta.
     """
     if not isinstance(machine.vibration, DeltaVibration):
-        rule = "The machine is no delta (kinematics.type), and this works for deltas only."
+        rule = "The machine is not a delta (kinematics.type); this works for deltas only."
         raise MachineFileError(machine.path or machine.name, [rule])
     return machine.vibration
 
@@ -37,14 +37,14 @@ def with_parts(machine: Machine, *, carriage: Carriage | None = None, effector: 
 
 
 def is_one_axis(machine: Machine) -> bool:
-    """Tell whether the machine is one axis by itself, and no printer."""
+    """Whether the machine is one axis by itself and not a printer."""
     return isinstance(machine.vibration, DrivenAxis)
 
 
 def driven_axis(machine: Machine) -> DrivenAxis:
     """Return the axis of a machine of one axis; MachineFileError for a printer."""
     if not isinstance(machine.vibration, DrivenAxis):
-        rule = "The machine is a printer (kinematics.type), and this works for one axis by itself only."
+        rule = "The machine is a printer (kinematics.type); this works for one axis by itself only."
         raise MachineFileError(machine.path or machine.name, [rule])
     return machine.vibration
 

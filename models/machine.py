@@ -21,28 +21,28 @@ from models.kinematics.base import Kinematics
 from models.vibration.base import VibrationModel
 
 REFERENCE_MM_PER_S = 2.0  # of filament 1.75 mm thick: 4.8 mm³/s, an ordinary print
-CORNER_MM_PER_S = 1.0  # as Klipper's `instantaneous_corner_velocity` where its configuration says nothing
-LEAST_MM_PER_S = 1e-3  # below, the law is a straight line: it would be infinitely steep at rest
+CORNER_MM_PER_S = 1.0  # Klipper's default `instantaneous_corner_velocity`
+LEAST_MM_PER_S = 1e-3  # linear below this: the power law is infinitely steep at rest
 
 
 @dataclass(frozen=True, slots=True)
 class Pressure:
-    """The model, and what the firmware does against it by itself."""
+    """The pressure model, and the firmware's own pressure advance."""
 
     time_constant_s: float
     flow_exponent: float = 1.0  # n
-    reference_mm_per_s: float = REFERENCE_MM_PER_S  # of filament, the flow at which the time constant holds
+    reference_mm_per_s: float = REFERENCE_MM_PER_S  # of filament: the flow where the time constant applies
     firmware_advance_s: float = 0.0  # the firmware's own pressure advance, which stays on
-    corner_velocity_mm_per_s: float = CORNER_MM_PER_S  # by which the extruder's speed may jump between two segments
+    corner_velocity_mm_per_s: float = CORNER_MM_PER_S  # jump of the extruder's speed allowed between two segments
 
     def compressed(self, v: FloatArray) -> FloatArray:
-        """Return the filament (n,) mm that is compressed where it flows at v (n,) mm/s, 0 or more."""
+        """Return the compressed filament (n,) mm at a flow of v (n,) mm/s, at least 0."""
         share = np.maximum(v, LEAST_MM_PER_S) / self.reference_mm_per_s
         law = self.time_constant_s * self.reference_mm_per_s * share**self.flow_exponent
         return np.asarray(law * np.minimum(v / LEAST_MM_PER_S, 1.0))
 
     def flow(self, compressed: FloatArray) -> FloatArray:
-        """Return how fast filament flows, (n,) mm/s, where so much of it is compressed, (n,) mm; none below zero."""
+        """Return the flow (n,) mm/s at this compression (n,) mm; zero below zero."""
         least = float(self.compressed(np.array([LEAST_MM_PER_S]))[0])
         share = np.maximum(compressed, least) / (self.time_constant_s * self.reference_mm_per_s)
         law = self.reference_mm_per_s * share ** (1.0 / self.flow_exponent)
@@ -51,7 +51,7 @@ class Pressure:
 
 @dataclass(frozen=True)
 class MotionLimits:
-    """Of the nozzle, for planning; of the command to each motor, for compensation."""
+    """Limits of the nozzle for planning, and of each motor's command for compensation."""
 
     velocity_mm_per_s: float
     acceleration_mm_per_s2: float
@@ -61,17 +61,17 @@ class MotionLimits:
     z_velocity_mm_per_s: float | None = None  # of the nozzle along Z; None: as in any direction
     z_acceleration_mm_per_s2: float | None = None
     carriage_travel_mm: tuple[float, float] | None = None  # lowest and highest place of a carriage; None: not known
-    step_rate_hz: float | None = None  # of each motor, microsteps; None: whatever its velocity needs
+    step_rate_hz: float | None = None  # of each motor, microsteps; None: no limit
 
 
 @dataclass(frozen=True)
 class Steps:
-    """Of the carriage motors, and of the extruder's."""
+    """Step sizes of the carriage motors and of the extruder."""
 
     steps_per_mm: float | tuple[float, ...] = 80.0  # microsteps; of all motors, or of each
     full_steps_per_mm: float | tuple[float, ...] = 5.0
-    extruder_steps_per_mm: float | None = None  # of filament; None: not said
-    stated: tuple[str, ...] = ()  # keys that the machine file states; the others are what most printers have
+    extruder_steps_per_mm: float | None = None  # of filament; None: unknown
+    stated: tuple[str, ...] = ()  # keys in the machine file; the others are typical values
 
     @property
     def per_motor(self) -> FloatArray:
@@ -100,11 +100,11 @@ class MarlinSettings:
     jerk_mm_per_s: Four = (10.0, 10.0, 0.3, 5.0)  # M205 X Y Z E, of classic jerk
     lowest_speed_mm_per_s: float = 0.0  # M205 S, of moves that extrude
     lowest_travel_speed_mm_per_s: float = 0.0  # M205 T
-    shortest_segment_s: float = 0.02  # M205 B, which SLOWDOWN heeds
+    shortest_segment_s: float = 0.02  # M205 B, used by SLOWDOWN
     minimum_steps_per_segment: int = 6  # MIN_STEPS_PER_SEGMENT
-    slowdown: bool = True  # SLOWDOWN: the first blocks after a rest take longer; no delta has it
+    slowdown: bool = True  # SLOWDOWN: the first blocks after a rest take longer; not on deltas
     segments_per_second: float = 200.0  # DELTA_SEGMENTS_PER_SECOND
-    stated: tuple[str, ...] = ()  # keys that the machine file states; the others are Marlin's defaults
+    stated: tuple[str, ...] = ()  # keys in the machine file; the others are Marlin's defaults
 
     @classmethod
     def within(cls, limits: MotionLimits, towers: bool) -> MarlinSettings:
@@ -134,7 +134,7 @@ class RepRapFirmwareSettings:
     travel_acceleration_mm_per_s2: float  # M204 T
     jerk_policy: int = 0  # M566 P: 0 stops where a move extrudes and its neighbour does not, 1 never for that alone
     queue_moves: int = 40  # M595 P
-    stated: tuple[str, ...] = ()  # keys that the machine file states
+    stated: tuple[str, ...] = ()  # keys in the machine file
 
     @classmethod
     def within(cls, limits: MotionLimits, delta: bool) -> RepRapFirmwareSettings:
@@ -151,7 +151,7 @@ class RepRapFirmwareSettings:
 
 @dataclass(frozen=True, eq=False)
 class Machine:
-    """Everything a machine file says."""
+    """The content of a machine file."""
 
     name: str
     kinematics: Kinematics
@@ -160,15 +160,15 @@ class Machine:
     steps: Steps = Steps()
     effects: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)  # effect name -> its parameters
     uncertainty: Mapping[str, float] = field(default_factory=dict)  # "table.key" or "default" -> relative s.d.
-    provenance: Mapping[str, Any] = field(default_factory=dict)  # "table.key" -> where the number is from; free
+    provenance: Mapping[str, Any] = field(default_factory=dict)  # "table.key" -> source of the number, free text
     sha256: str = ""  # of the file's bytes; empty: made in memory
     path: str = ""
-    returns: tuple[str, ...] = ()  # macros after which the nozzle is where it was
+    returns: tuple[str, ...] = ()  # macros that return the nozzle to its position
     still: tuple[str, ...] = ()  # macros that move nothing
-    input_shaper: tuple[str, ...] | None = None  # commands that switch the firmware's own on; None: not known
-    flavor: str = ""  # of its firmware: "klipper", "marlin" or "reprapfirmware"; empty: not said
-    pressure: Pressure | None = None  # what the hot end keeps back; None: not said
-    marlin: MarlinSettings | None = None  # of its planner; None: not said
+    input_shaper: tuple[str, ...] | None = None  # commands that switch the firmware's own on; None: unknown
+    flavor: str = ""  # of its firmware: "klipper", "marlin" or "reprapfirmware"; empty: unknown
+    pressure: Pressure | None = None  # of the hot end; None: unknown
+    marlin: MarlinSettings | None = None  # None: unknown
     reprapfirmware: RepRapFirmwareSettings | None = None  # likewise
 
     def __post_init__(self) -> None:
@@ -197,20 +197,20 @@ def with_values(machine: Machine, values: Mapping[str, float]) -> Machine:
 
 
 ASSUMED = "assumed"  # beginning of the provenance of an assumed value
-START = "as a start"  # part of the provenance of a value that is only near the true one
+START = "as a start"  # part of the provenance of a rough value
 
-SOURCES = "sources"  # the table in [provenance] of what origins are called by
+SOURCES = "sources"  # the table in [provenance] with the titles of origins
 
 
 def is_assumed(origin: str) -> bool:
-    """Tell whether a provenance marks an assumed value."""
+    """Whether a provenance marks an assumed value."""
     return origin.startswith(ASSUMED) or START in origin
 
 
 def assumed_modes(machine: Machine) -> str | None:
-    """Return the sentence that a machine's modes are assumed, and what to do; None if its file does not say so.
+    """Return a warning that a machine's modes are assumed, with the remedy; None if they are not.
 
-    A compensation can only be as good as the modes it is made for, so everything that uses them says this sentence.
+    A compensation is only as good as its modes, so every command that uses them prints this.
     """
     keys = machine.vibration.frequency_keys
     assumed = [key for key in keys if is_assumed(str(machine.provenance.get(key, "")))]
@@ -219,23 +219,22 @@ def assumed_modes(machine: Machine) -> str | None:
     name = Path(machine.path).stem or machine.name
     part = "" if len(assumed) == len(keys) else f" in part ({', '.join(assumed)})"
     return (
-        f"The modes of {name} are assumed{part}, not measured, so how much less your printer vibrates is not known: "
-        "measure yours with `ffcomp record plan --for identify`, then `ffcomp identify fit`."
+        f"The modes of {name} are assumed{part}, not measured, so the effect on your printer is unknown: "
+        "measure them with `ffcomp record plan --for identify`, then `ffcomp identify fit`."
     )
 
 
 def sources(machine: Machine) -> dict[str, str]:
-    """Return the addresses of the sources that origins begin with, by their titles."""
+    """Return the addresses of the sources by title."""
     named = machine.provenance.get(SOURCES, {})
     return {str(title): str(address) for title, address in named.items()} if isinstance(named, dict) else {}
 
 
 def identity(machine: Machine) -> dict[str, str | None]:
-    """Return the machine as every JSON object names it."""
+    """Return the machine's entry in JSON objects."""
     return {
         "name": machine.name,  # the machine file's `name`
         "sha256": machine.sha256,  # of the file's bytes
-        # text or null, may be missing: the sentence that its modes are assumed, and what to do; null: its file does not
-        # say so
+        # text or null, may be missing: warning that the modes are assumed, with the remedy; null: they are not
         "assumed": assumed_modes(machine),
     }

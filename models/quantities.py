@@ -1,11 +1,11 @@
-"""How a machine's quantities are called: ending and unit of every key of a machine file, and of columns.
+"""Names of a machine's quantities: suffix and unit of every key of a machine file, and of columns.
 
-Inside all is mm, s, N, kg. One axis by itself may turn (rad, N m, kg m²), and the force of a motor whose constant
-nobody knows is stated by its current or voltage (A, V). Its file and its reports then write
+Internally all is mm, s, N, kg. One axis by itself may turn (rad, N m, kg m²), and the force of a motor with an unknown
+constant is given by its current or voltage (A, V). Its file and its reports then write
 
     torque_n_m, inertia_kg_m2, stiffness_n_m_per_rad, pitch_rad        for force_n, mass_kg, stiffness_n_per_m, pitch_mm
 
-and mean the same number; only lengths change, from mm to rad: inside, 1 rad is 1 m.
+for the same number; only lengths change, from mm to rad: internally, 1 rad is 1 m.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Literal
 
-# Ending of a key and its unit: f a force, w a way, l a small way, m what force over acceleration is. A longer ending
-# goes before one that it ends in.
+# Suffix of a key and its unit: f a force, w a length, l a small length, m force over acceleration. Longer suffixes
+# come first.
 _ENDINGS = (
     ("_{m}", "{M}"),
     ("_{f}_s2_per_{w}2", "{F} s²/{W}²"),
@@ -62,16 +62,16 @@ class Quantities:
 
     way: Literal["m", "rad"] = "m"
     force: Literal["N", "A", "V"] = "N"  # an axis that turns has N m for N
-    per_kilogram: bool = False  # forces and masses of effects are, on axes of unknown mass
+    per_kilogram: bool = False  # for forces and masses of effects, on axes of unknown mass
 
     @property
     def plain(self) -> bool:
-        """Tell whether files and reports use the keys and numbers of the inside."""
+        """Whether files and reports use the internal keys and numbers."""
         return self.way == "m" and self.force == "N"
 
     @property
     def turns(self) -> bool:
-        """Tell whether what moves turns."""
+        """Whether the axis is rotary."""
         return self.way == "rad"
 
     @property
@@ -81,7 +81,7 @@ class Quantities:
 
     @property
     def length_unit(self) -> str:
-        """Return the unit of a place."""
+        """Return the unit of a position."""
         return "rad" if self.turns else "mm"
 
     @cached_property
@@ -102,13 +102,13 @@ class Quantities:
         return next((unit for ending, unit in self.endings.items() if key.endswith(ending)), "")
 
     def key(self, name: str) -> str:
-        """Return what files and reports call a key: `axis.mass_kg` is `axis.inertia_kg_m2` of what turns."""
+        """Return the key in files and reports: `axis.mass_kg` is `axis.inertia_kg_m2` on a rotary axis."""
         path, dot, last = name.rpartition(".")
         last, bracket, index = last.partition("[")
         return f"{path}{dot}{self._renamed(last, PLAIN, self)}{bracket}{index}"
 
     def inside(self, key: str) -> str:
-        """Return the key of the inside that a file's key stands for; one of the inside itself is left as it is."""
+        """Return the internal key for a file's key; an internal key is returned unchanged."""
         path, dot, last = key.rpartition(".")
         last, bracket, index = last.partition("[")
         return f"{path}{dot}{self._renamed(last, self, PLAIN)}{bracket}{index}"
@@ -128,39 +128,39 @@ class Quantities:
         return key
 
     def scale(self, name: str) -> float:
-        """Return what a number of the inside is multiplied by in files and reports; `name` as inside."""
+        """Return the factor from internal numbers to files and reports; `name` is internal."""
         ending = next((t for t, _ in _ENDINGS if name.partition("[")[0].endswith(t.format(**PLAIN._parts))), "")
         return RAD_PER_MM ** (ending.count("{l}") * (-1 if "per_{l}" in ending else 1)) if self.turns else 1.0
 
     def signal(self, name: str) -> tuple[str, str, float]:
-        """Return what a signal is, its unit, and what its numbers of the inside are multiplied by in that."""
+        """Return a signal's meaning, its unit, and the factor from internal numbers."""
         kind, unit = next((words for start, words in _SIGNALS.items() if name.startswith(start)))
         return kind, unit.format(**self._parts), RAD_PER_MM if self.turns and "{L}" in unit else 1.0
 
     def value(self, name: str, number: Any) -> Any:
-        """Return a number, or a list of them, as files and reports state it; `name` as inside."""
+        """Return a number, or a list of them, in the units of files and reports; `name` is internal."""
         return _scaled(number, self.scale(name))
 
     def unit(self, unit: str) -> str:
-        """Return the unit of files and reports for a unit of the inside."""
+        """Return the unit in files and reports for an internal unit."""
         same = (template for _, template in _ENDINGS if template.format(**PLAIN._parts) == unit)
         return next(same, unit).format(**self._parts)
 
     def sentence(self, text: str) -> str:
-        """Return a sentence with its keys and units as this machine's file has them."""
+        """Return a sentence with the keys and units of this machine's file."""
         if self.plain:
             return text
         text = _KEY.sub(lambda match: self.key(match[0]), text)
         return re.sub(r"\(([^()]+)\)", lambda match: f"({self.unit(match[1])})", text)
 
     def read(self, table: Mapping[str, Any]) -> dict[str, Any]:
-        """Return a file's table with keys and numbers of the inside; keys of the inside are taken as they are."""
+        """Return a file's table with internal keys and numbers; internal keys are left unchanged."""
         out: dict[str, Any] = {}
         for key, value in table.items():
             name = self.inside(key)
             if isinstance(value, dict):
                 out[key] = self.read(value)
-            elif name == key or name in table:  # stated twice: the reader says which key it does not know
+            elif name == key or name in table:  # stated twice: the reader reports the unknown key
                 out[key] = value
             else:
                 out[name] = _scaled(value, 1.0 / self.scale(name))
@@ -168,7 +168,7 @@ class Quantities:
 
 
 def _scaled(value: Any, scale: float) -> Any:
-    """Return a number or a list of them times a scale; whatever else, as it is."""
+    """Return a number or list times a scale; other values unchanged."""
     if isinstance(value, list):
         return [_scaled(each, scale) for each in value]
     return scale * value if scale != 1.0 and isinstance(value, int | float) and not isinstance(value, bool) else value

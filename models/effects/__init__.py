@@ -1,1 +1,1 @@
-"""Non-ideal behaviour of printers: each effect is one declaration, in the file of its family."""
+"""Non-ideal behaviour of printers: one declaration per effect, in the file of its family."""

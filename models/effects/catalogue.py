@@ -31,25 +31,25 @@ def effect_named(name: str) -> Effect:
         If there is none.
     """
     if name not in CATALOGUE:
-        raise ValueError(f"effects.{name} is not an effect ffcomp knows; it knows {', '.join(CATALOGUE)}.")
+        raise ValueError(f"effects.{name} is not a known effect; known are {', '.join(CATALOGUE)}.")
     return CATALOGUE[name]
 
 
 @lru_cache(maxsize=8)
 def catalogue_of(quantities: Quantities, moves: str) -> Mapping[str, Effect]:
-    """Return the effects by name, in the words, keys and units in which people are told of them on such a machine."""
+    """Return the effects by name, in the words, keys and units for such a machine."""
     if moves != "axis":
         return CATALOGUE
     return {name: effect.on_axis(quantities) if moves in effect.of else effect for name, effect in CATALOGUE.items()}
 
 
 def effects_of(moves: str) -> tuple[str, ...]:
-    """Return the names of the effects of machines whose motors move that (`VibrationModel.moves`)."""
+    """Return the names of the effects of machines with this `VibrationModel.moves`."""
     return tuple(name for name, effect in CATALOGUE.items() if moves in effect.of)
 
 
 def effects_of_printers() -> tuple[str, ...]:
-    """Return the names of the effects that some printer may have."""
+    """Return the names of the effects that printers may have."""
     return tuple(name for name, effect in CATALOGUE.items() if set(effect.of) & {"carriages", "axes"})
 
 
@@ -70,7 +70,7 @@ class HasEffects(Protocol):
 def values_of(machine: HasEffects, name: str) -> dict[str, FloatArray] | None:
     """Return the parameters of one effect of a machine as arrays (see `Parameter.as_array`); None if it is absent.
 
-    An amplitude that is left out has its neutral value, a shape its default; an effect without any amplitude is
+    A missing amplitude has its neutral value, a missing shape its default. An effect without any amplitude is
     absent.
 
     Raises
@@ -88,7 +88,7 @@ def values_of(machine: HasEffects, name: str) -> dict[str, FloatArray] | None:
     if effect.amplitudes and not any(a.name in table for a in effect.amplitudes):
         return None
     if missing := effect.missing(table):
-        raise ValueError(f"effects.{name}.{missing[0]} is missing; without it this effect has no shape.")
+        raise ValueError(f"effects.{name}.{missing[0]} is missing; the effect needs it.")
     return {name: p.as_array(table.get(name, p.absent)) for name, p in effect.by_name.items()}
 
 
@@ -137,7 +137,7 @@ def effective_machine(machine: Machine) -> Machine:
 
 
 def design_machine(machine: Machine) -> tuple[Machine, tuple[str, ...]]:
-    """Return the machine of the linear design model, and the names of the effects that it cannot include.
+    """Return the machine for the linear design model, and the names of the effects that it cannot include.
 
     The geometry stays the firmware's, which converts the nozzle's path to carriage paths. Sensor effects are not part
     of the machine.

@@ -21,20 +21,20 @@ def _heavier_holder(machine: Machine, values: Values) -> Machine:
 
 EFFECTOR_MASS = Effect(
     name="effector_mass",
-    title="More on the nozzle holder",
+    title="More mass on the nozzle holder",
     kind="parameter",
-    physics="A fan, a duct, a probe or a bundle of cables moves along with the nozzle holder.",
+    physics="A fan, a duct, a probe or a bundle of cables moves with the nozzle holder.",
     equation="m₁ → m₁ + Δm",
     parameters=(Parameter("added_kg", "kg", "Δm", (-1, 10), (-0.1, 0.3), 0.01),),
     in_data="Lower resonances, all towers alike; the belts sag a little more.",
     confounded_with={
         "arm_inertia": "Up and down at the centre: there only mass on the holder changes the resonance.",
-        "belt_stiffness": "Two places on the bed: stiffness shifts all modes in one proportion, mass does not.",
-        "effector.extruder_mass_kg": "The mode of the extruder on its mount: mass on the holder lifts it.",
+        "belt_stiffness": "Two places on the bed: stiffness shifts all modes by the same factor, mass does not.",
+        "effector.extruder_mass_kg": "The mode of the extruder on its mount: mass on the holder raises it.",
     },
     fold=_heavier_holder,
     of=("carriages",),
-    remedy="Weigh the effector with all that moves with it (fan, cables, camera) and write that in the file.",
+    remedy="Weigh the effector with everything that moves with it (fan, cables, camera) and write it in the file.",
     corrects_file=True,
 )
 
@@ -48,19 +48,19 @@ def _off_centre(machine: Machine, values: Values) -> Machine:
 
 CENTER_OF_MASS = Effect(
     name="center_of_mass",
-    title="An effector heavier on one side",
+    title="An effector with its mass off centre",
     kind="parameter",
     physics=(
-        "A mass off the middle loads the rods unevenly. Ideal rods carry that among themselves, so by virtual work the "
+        "An off-centre mass loads the rods unevenly. Ideal rods balance that among themselves, so by virtual work the "
         "carriages do not feel it; by the map of Eqs. 22-27 they do."
     ),
     equation="δ → δ + Δδ   (Eq. 20)",
     parameters=(Parameter("offset_mm", "mm", "Δδ, along x, y, z", (-200, 200), (-20, 20), 1.0, size="vector3"),),
     in_data="With force_map 'paper': towers differ. With 'virtual_work': nothing at all.",
-    confounded_with={"force_map": "Which tower is off: a change of map shows on a centred mass too."},
+    confounded_with={"force_map": "Which tower differs: a change of map shows with a centred mass too."},
     fold=_off_centre,
     of=("carriages",),
-    remedy="Weigh where the effector balances, or move what hangs to one side nearer to the middle.",
+    remedy="Find the effector's balance point, or move parts on one side nearer to the middle.",
     corrects_file=True,
 )
 
@@ -82,7 +82,7 @@ def _other_mount(machine: Machine, values: Values) -> Machine:
 
 EXTRUDER_MOUNT = Effect(
     name="extruder_mount",
-    title="The extruder's mount, loose or stiff",
+    title="A loose or stiff extruder mount",
     kind="parameter",
     physics="Screws and printed brackets hold the extruder; they loosen, or are tightened.",
     equation="K → K (1 + r_k), B → B (1 + r_b), per axis",
@@ -92,7 +92,7 @@ EXTRUDER_MOUNT = Effect(
     ),
     in_data="The resonance of one axis of the nozzle shifts or broadens; the carriages hardly notice.",
     confounded_with={
-        "effector.extruder_mass_kg": "The antiresonance and the mode together: mass shifts both, stiffness one."
+        "effector.extruder_mass_kg": "Antiresonance and mode together: mass shifts both, stiffness only one."
     },
     fold=_other_mount,
     of=("carriages",),
@@ -102,7 +102,7 @@ EXTRUDER_MOUNT = Effect(
 
 
 def _mass_along_arms(machine: Machine, values: Values) -> Machine:
-    """Move that share of the arms' mass from their ends to along them."""
+    """Spread that share of the arms' mass along them."""
     carriage = delta_vibration(machine).carriage
     share = carriage.arm_mass_share_at_ends - float(values["share_along"])
     return with_parts(machine, carriage=replace(carriage, arm_mass_share_at_ends=share))
@@ -110,18 +110,20 @@ def _mass_along_arms(machine: Machine, values: Values) -> Machine:
 
 ARM_INERTIA = Effect(
     name="arm_inertia",
-    title="Arms whose mass lies along them",
+    title="Arms with mass along their length",
     kind="parameter",
     physics=(
-        "A file that says nothing else has half of an arm's mass at either end. Mass along the arm moves less than its "
-        "ends do where these move differently: uniform rods are 1, carbon tubes with heavy ends less."
+        "By default half of an arm's mass is at either end. Mass along the arm moves less than the ends when these "
+        "move differently: uniform rods have 1, carbon tubes with heavy ends less."
     ),
     equation="T → T − σ m_f/12 Σ |Ẋ − ẑ q̇_i|²",
-    parameters=(Parameter("share_along", "", "σ: of the arms' mass, more than the file says", (-1, 1), (0, 1), 0.1),),
+    parameters=(
+        Parameter("share_along", "", "σ: fraction of the arms' mass in addition to the file's", (-1, 1), (0, 1), 0.1),
+    ),
     in_data="Higher resonances sideways, more so near the rim; up and down at the centre nothing changes.",
     confounded_with={
-        "effector_mass": "Up and down at the centre: mass on the holder slows that too, mass along the arms does not.",
-        "belt_stiffness": "Up and down at the centre: there only stiffer belts lift the resonance.",
+        "effector_mass": "Up and down at the centre: mass on the holder lowers that too, mass along the arms does not.",
+        "belt_stiffness": "Up and down at the centre: there only stiffer belts raise the resonance.",
     },
     fold=_mass_along_arms,
     of=("carriages",),
@@ -140,14 +142,14 @@ ARM_GEOMETRY = Effect(
     name="arm_geometry",
     title="Arms and towers off their nominal sizes",
     kind="parameter",
-    physics="The carriages are commanded by the nominal geometry and move the nozzle by the true one.",
+    physics="The firmware commands the carriages with the nominal geometry; the nozzle moves with the true one.",
     equation="L → L + ΔL, R → R + ΔR",
     parameters=(
         Parameter("arm_length_mm", "mm", "ΔL", (-50, 50), (-2, 2), 0.2, size="per_tower"),
         Parameter("delta_radius_mm", "mm", "ΔR", (-50, 50), (-2, 2), 0.2, size="per_tower"),
     ),
     in_data="Wrong sizes and a bowed first layer; accelerations change by parts in a thousand.",
-    confounded_with={"sensor_misalignment": "A measured print, not accelerations: they can hardly tell the two."},
+    confounded_with={"sensor_misalignment": "Measure a print: accelerations can hardly separate the two."},
     fold=_other_geometry,
     of=("carriages",),
     remedy="Measure the arms and calibrate the delta (radius, arm length) in the firmware.",
@@ -165,19 +167,19 @@ def _other_map(machine: Machine, values: Values) -> Machine:
 
 FORCE_MAP = Effect(
     name="force_map",
-    title="The effector's load is shared the other way",
+    title="The other force map",
     kind="parameter",
     physics=(
-        "By virtual work the carriages feel the effector's whole load; by Eqs. 22-27 about a third of it. The effect "
-        "says that the machine follows the map its file does not name. It has no parameters: it is there or it is not."
+        "By virtual work the carriages feel the effector's whole load; by Eqs. 22-27 about a third of it. With this "
+        "effect the machine follows the map that its file does not name. It has no parameters."
     ),
     equation="F_q = Jᵀ W X against F_qi = J_iᵀ P_i W X   (Eq. 25)",
     parameters=(),
     in_data="The lowest modes are off by a factor near 1.5, differently over the bed.",
-    confounded_with={"effector_mass": "Three places on the bed: no single mass mends all of them."},
+    confounded_with={"effector_mass": "Three places on the bed: no single mass fits all of them."},
     fold=_other_map,
     of=("carriages",),
-    remedy="Nothing to mend: the machine file distributes the loads otherwise. It is a choice of the model.",
+    remedy="Nothing to repair: the machine file uses the other force map, which is a modelling choice.",
 )
 
 EFFECTS = (EFFECTOR_MASS, CENTER_OF_MASS, EXTRUDER_MOUNT, ARM_INERTIA, ARM_GEOMETRY, FORCE_MAP)

@@ -1,4 +1,4 @@
-"""What lies between a command and its carriage: delay, motor, belt, play."""
+"""Effects between a command and its carriage: delay, motor, belt, backlash."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ USUAL_STRETCH = OnAxis(size=lambda s: 1e3 * USUAL_SHARE * s.stretch_m)
 
 
 def _with_belts(machine: Machine, values: Values) -> Machine:
-    """Scale the belts' stiffness; of an axis by itself, that of its drive where that is meant."""
+    """Scale the belts' stiffness, or the drive's of an axis by itself."""
     change, model = values["relative_change"], machine.vibration
     if float(values["at_drive"]) > 0.5 and isinstance(model, DrivenAxis):
         return replace(machine, vibration=model.with_drive(1 + float(change[0])))
@@ -24,9 +24,9 @@ def _with_belts(machine: Machine, values: Values) -> Machine:
 
 BELT_STIFFNESS = Effect(
     name="belt_stiffness",
-    title="Belts tighter or slacker than the file says",
+    title="Belts tighter or slacker than in the file",
     kind="parameter",
-    physics="Tension, wear and temperature change how much a belt gives way.",
+    physics="Tension, wear and temperature change a belt's stiffness.",
     equation="k → k (1 + r)",
     parameters=(
         Parameter(
@@ -40,9 +40,9 @@ BELT_STIFFNESS = Effect(
             on_axis=OnAxis(size=lambda s: USUAL_SHARE),
         ),
     ),
-    in_data="Resonances shift together; with one tower's belt, those that move this tower.",
+    in_data="Resonances shift together; with one tower's belt, only the modes of that tower.",
     confounded_with={
-        "effector_mass": "Two places on the bed: mass shifts the modes in other proportions.",
+        "effector_mass": "Two places on the bed: mass shifts the modes by other factors.",
         "belt_position_stiffness": "Two heights: only there the shift depends on the carriage's height.",
         "torque_angle": "Two amplitudes: a belt's stiffness is the same for both.",
     },
@@ -54,9 +54,9 @@ BELT_STIFFNESS = Effect(
     corrects_file=True,
     of_motors=True,
     axis_words=AxisWords(
-        title="A drive or coupling stiffer or softer than the file says",
-        physics="Tension, temperature, wear, or a formula that leaves out what else gives way.",
-        remedy="Measure the stiffness again, clamps, shafts and mounts included, and write it in the file.",
+        title="A drive or coupling stiffer or softer than in the file",
+        physics="Tension, temperature, wear, or a formula that omits a compliance.",
+        remedy="Measure the stiffness again, including clamps, shafts and mounts, and write it in the file.",
         confounded_with={
             "coulomb_friction": "Two amplitudes: a stiffness is the same for both.",
             "belt_hardening": "Two amplitudes: a constant stiffness is the same for both.",
@@ -67,18 +67,18 @@ BELT_STIFFNESS = Effect(
 
 BELT_DAMPING = Effect(
     name="belt_damping",
-    title="Belts that hold a part of the damping",
+    title="Damping in the belts",
     kind="parameter",
     physics=(
-        "What damps an axis sits in its belts as well, between motor and carriage, and not only in the guides, between "
-        "carriage and frame. The resonance is as high either way; but belts let a carriage keep up with a steady speed."
+        "Part of an axis' damping is in its belts, between motor and carriage, and not in the guides, between carriage "
+        "and frame. The resonance has the same height, but with damping in the belts the carriage lags less at speed."
     ),
     equation="q/u = (s c λ + k)/(m λ² + c λ + k),  c = 2 ζ ω m",
     parameters=(
         Parameter(
             "share",
             "",
-            "s: of the guides' damping, what is the belts'",
+            "s: fraction of the guides' damping that is in the belts",
             (0, 1),
             (0, 0.6),
             0.1,
@@ -86,25 +86,25 @@ BELT_DAMPING = Effect(
             on_axis=OnAxis(size=lambda s: USUAL_SHARE),
         ),
     ),
-    in_data="Nearly as if all channels were early alike, by 2 ζ s/ω; most of it close to the resonance and above.",
+    in_data="Nearly as if all channels were early by 2 ζ s/ω, mostly near the resonance and above.",
     confounded_with={
-        "sensor_time_offset": "Tones above the resonance: there an offset turns the phase on, belts only once.",
-        "command_delay": "Tones above the resonance: there a delay turns the phase on, belts only once.",
-        "guide_damping": "The resonance: guides change its height, the belts' share does not.",
+        "sensor_time_offset": "Tones above the resonance: there an offset keeps turning the phase, belts do so once.",
+        "command_delay": "Tones above the resonance: there a delay keeps turning the phase, belts do so once.",
+        "guide_damping": "The resonance: guide damping changes its height, the belts' share does not.",
     },
     fold=lambda machine, values: replace(machine, vibration=machine.vibration.with_belt_damping(values["share"])),
     of=("axes", "axis"),
     needs="command",
-    remedy="Nothing to mend: write the share in the file, belt_damping_share of each axis{where}.",
+    remedy="Nothing to repair: set belt_damping_share of each axis{where} in the file.",
     corrects_file=True,
     of_motors=True,
     axis_words=AxisWords(
-        title="Damping across the drive, not against the ground",
-        physics="What damps the motion sits in the belt, the strip or the servo's law, not in bearings.",
-        remedy="Nothing to mend: write it in the file, drive_damping in place of damping.",
+        title="Damping across the drive, not to the ground",
+        physics="The damping is in the belt, the strip or the servo law, not in bearings.",
+        remedy="Nothing to repair: set drive_damping instead of damping in the file.",
         confounded_with={
-            "command_delay": "Tones above the resonance: there a delay turns the phase on, damping only once.",
-            "guide_damping": "A steady speed: only damping against the ground holds back there.",
+            "command_delay": "Tones above the resonance: there a delay keeps turning the phase, damping does so once.",
+            "guide_damping": "A steady speed: only damping to the ground resists there.",
         },
     ),
 )
@@ -112,7 +112,7 @@ BELT_DAMPING = Effect(
 
 BELT_POSITION_STIFFNESS = Effect(
     name="belt_position_stiffness",
-    title="Belts softer the longer their free length",
+    title="Belt stiffness that depends on the free length",
     kind="force",
     physics="The free length of the belt between motor and carriage changes as the carriage travels.",
     equation="k(q) = k / (1 − r (q − q_c)), 4 k at most",
@@ -121,7 +121,7 @@ BELT_POSITION_STIFFNESS = Effect(
         Parameter(
             "q_centre_mm",
             "mm",
-            "q_c: the height at which the file's k holds",
+            "q_c: the height where k is the file's",
             (-1000, 10000),
             (100, 800),
             10.0,
@@ -129,10 +129,10 @@ BELT_POSITION_STIFFNESS = Effect(
             role="shape",
         ),
     ),
-    in_data="Resonances differ between low and high prints at the same place over the bed.",
-    confounded_with={"belt_stiffness": "Two heights: a constant change does not depend on them."},
+    in_data="Resonances differ between low and high prints at the same XY position.",
+    confounded_with={"belt_stiffness": "Two heights: a constant change is the same at both."},
     terms=lambda values, _: {"slope": values["slope_per_m"], "centre": values["q_centre_mm"] / 1e3},
-    remedy="Check the belts' tension at both ends of the travel{where}, and pulleys out of line.",
+    remedy="Check the belts' tension at both ends of the travel{where}, and look for misaligned pulleys.",
     of_motors=True,
 )
 
@@ -154,9 +154,9 @@ def _peak_stretch(stiffness: FloatArray, cubic: FloatArray, quintic: FloatArray)
 
 BELT_HARDENING = Effect(
     name="belt_hardening",
-    title="Belts that harden or soften as they stretch",
+    title="Belts that stiffen or soften as they stretch",
     kind="force",
-    physics="Teeth settle and fibres straighten: the belt's force is not quite in proportion to its stretch.",
+    physics="Teeth settle and fibres straighten, so the belt's force is not quite proportional to its stretch.",
     equation="F = k s + k₃ s³ + k₅ s⁵, s = u − q; constant beyond its peak, if it has one",
     parameters=(
         Parameter(
@@ -168,15 +168,15 @@ BELT_HARDENING = Effect(
             1e11,
             size="per_tower",
             on_axis=OnAxis(size=lambda s: USUAL_SHARE * max(s.stiffness_n_per_m, 1.0) / s.stretch_m**2),
-            on_printers=(0.0, 1e15),  # what softens there to the same third order is a motor's sine
+            on_printers=(0.0, 1e15),  # softening of the same third order is a motor's sine there
         ),
         Parameter(
             "quintic_n_per_m5", "N/m⁵", "k₅", (-1e24, 1e24), (-1e18, 2e18), 1e17, "per_tower", "shape", default=0.0
         ),
     ),
     in_data=(
-        "Resonances shift with amplitude; a sine answers with harmonics: the third, and, as the weight has stretched "
-        "the belts already, the second."
+        "Resonances shift with amplitude. A sine input causes harmonics: the third and, because weight has already "
+        "stretched the belts, the second."
     ),
     confounded_with={
         "torque_angle": "Its cubic part is the same, k₃ = −k/(6a²); only a larger stretch separates the two.",
@@ -186,15 +186,15 @@ BELT_HARDENING = Effect(
     of=("carriages", "axes", "axis"),
     terms=_hardening_terms,
     needs="spring",
-    remedy="Tension the belts{where}: a belt that stiffens as it is pulled hangs loose, or a clamp gives.",
+    remedy="Tension the belts{where}: a belt that stiffens under load is slack, or its clamp yields.",
     of_motors=True,
     axis_words=AxisWords(
-        title="A drive or coupling that stiffens, or softens, as it is stretched",
-        physics="Strips, couplings and springs of magnets are no straight springs.",
-        remedy="Look at what bends: its clamps, its end stops, its preload.",
+        title="A drive or coupling that stiffens or softens as it stretches",
+        physics="Strips, couplings and magnetic springs are not linear.",
+        remedy="Check the flexible parts: clamps, end stops, preload.",
         confounded_with={
             "belt_stiffness": "Two amplitudes: only here the stiffness depends on them.",
-            "pendulum_gravity": "The drive switched off: gravity stays, a drive that softens does not.",
+            "pendulum_gravity": "The drive switched off: gravity stays, a softening drive does not.",
         },
     ),
 )
@@ -207,7 +207,7 @@ def _play_terms(values: Values, printer: Terms) -> Terms:
 
 BELT_BACKLASH = Effect(
     name="belt_backlash",
-    title="Play between motor and carriage",
+    title="Backlash between motor and carriage",
     kind="force",
     physics="A loose pulley or tooth moves freely through a dead band; spring and damper of the belt act outside it.",
     equation="F = k (s − w/2 sgn s) + c ṡ for |s| > w/2, else 0",
@@ -225,7 +225,7 @@ BELT_BACKLASH = Effect(
         Parameter(
             "landing_s_per_m",
             "s/m",
-            "λ: how the flanks damp what lands on them (Hunt & Crossley, 1975)",
+            "λ: damping of an impact on the flanks (Hunt & Crossley, 1975)",
             (0, 100),
             (0, 0.5),
             0.05,
@@ -235,26 +235,26 @@ BELT_BACKLASH = Effect(
         ),
     ),
     in_data=(
-        "Knocks when the belt's force changes sign. A vertical belt always carries the weight: play shows only where "
-        "the motion pushes harder than gravity pulls."
+        "Knocks when the belt's force changes sign. A vertical belt always carries the weight, so backlash shows only "
+        "where the motion pushes harder than gravity pulls."
     ),
     confounded_with={
-        "coulomb_friction": "Friction acts whenever a carriage turns back, play only when the belt's force does.",
+        "coulomb_friction": "Friction acts when a carriage reverses, backlash only when the belt's force does.",
         "torque_angle": "Slack softens small forces, a motor's torque softens large ones.",
     },
     of_axis=(AT_DRIVE,),
     of=("carriages", "axes", "axis"),
     terms=_play_terms,
     needs="spring",
-    remedy="Look for play{where}: loose pulley screws, worn arms or joints, a belt clamp that gives.",
+    remedy="Look for backlash{where}: loose pulley screws, worn arms or joints, a yielding belt clamp.",
     of_motors=True,
     axis_words=AxisWords(
-        title="Play in the drive or coupling",
+        title="Backlash in the drive or coupling",
         physics="Gear, key or joint move freely through a dead band; spring and damper act outside it.",
-        remedy="Look for play: gear teeth, keys, pins, couplings; preload them.",
+        remedy="Look for backlash in gear teeth, keys, pins and couplings; preload them.",
         confounded_with={
-            "coulomb_friction": "Friction acts whenever the motion turns back, play only when the drive's force does.",
-            "belt_hardening": "Small motions: play gives way most there, a hardening spring too, but without a knock.",
+            "coulomb_friction": "Friction acts when the motion reverses, backlash only when the drive's force does.",
+            "belt_hardening": "Small motions: both are softest there, but only backlash knocks.",
         },
     ),
 )
@@ -280,7 +280,7 @@ TORQUE_ANGLE = Effect(
         Parameter(
             "belt_share",
             "",
-            "b: of the give between motor and carriage, what is the belt's and not the motor's",
+            "b: the belt's fraction of the compliance between motor and carriage",
             (0, 0.45),
             (0, 0.3),
             0.05,
@@ -291,10 +291,10 @@ TORQUE_ANGLE = Effect(
     in_data="Nothing at normal current; near the peak force k a, softer resonances and lost steps (slips of 2 π a).",
     confounded_with={
         "belt_hardening": "The same to third order; only a larger stretch separates the two.",
-        "belt_backlash": "Small motions: play softens them, the sine does not.",
+        "belt_backlash": "Small motions: backlash softens them, the sine does not.",
     },
     terms=lambda values, _: {"inverse_amplitude": 1e3 / values["amplitude_mm"], "belt_share": values["belt_share"]},
-    remedy="Raise the motor current within what the motors bear, or lower accelerations.",
+    remedy="Raise the motor current within the motors' rating, or lower accelerations.",
     of_motors=True,
 )
 
@@ -304,16 +304,16 @@ PITCH_SHARES = np.geomspace(1 / 40, 1 / 2, 12)  # of the travel, tried as pitche
 
 COGGING = Effect(
     name="cogging",
-    title="Motors that ripple once per step cycle",
+    title="Motor ripple once per step cycle",
     kind="command",
-    physics="The rotor's equilibrium between full steps is not where an even current split would put it.",
+    physics="Between full steps, the rotor's equilibrium differs from the ideal microstep position.",
     equation="u → u + a (sin θ + s₂ sin 2θ + c₂ cos 2θ),  θ = 2π u_d / p + φ",
     parameters=(
         Parameter("amplitude_mm", "mm", "a", (0, 1), (0.002, 0.05), 0.005, size="per_tower", on_axis=USUAL_STRETCH),
         Parameter(
             "pitch_mm",
             "mm",
-            "p: command from ripple to ripple, as a rule one or four full steps",
+            "p: period of the ripple, usually one or four full steps",
             (0.01, 50),
             (0.1, 1),
             0.01,
@@ -324,7 +324,7 @@ COGGING = Effect(
         Parameter(
             "phase_deg",
             "deg",
-            "φ: where in its cycle a motor stands at height zero",
+            "φ: phase of a motor at height zero",
             (-360, 360),
             (-180, 180),
             5.0,
@@ -336,7 +336,7 @@ COGGING = Effect(
         Parameter(
             "second_sine",
             "",
-            "s₂: of a half of the pitch",
+            "s₂: of half the pitch",
             (-2, 2),
             (-0.3, 0.3),
             0.02,
@@ -346,10 +346,8 @@ COGGING = Effect(
         ),
         Parameter("second_cosine", "", "c₂", (-2, 2), (-0.3, 0.3), 0.02, "per_tower", "shape", default=0.0),
     ),
-    in_data="A line at speed/p that moves with the speed; stripes on the print at a fixed pitch.",
-    confounded_with={
-        "belt_stiffness": "Moves at several speeds: a resonance stays where it is, ripple moves with the speed."
-    },
+    in_data="A spectral line at speed/p that moves with the speed; stripes on the print at a fixed pitch.",
+    confounded_with={"belt_stiffness": "Moves at several speeds: a resonance stays, ripple moves with the speed."},
     of=("carriages", "axes", "axis"),
     terms=lambda values, _: {
         "ripple": values["amplitude_mm"] / 1e3,
@@ -362,21 +360,19 @@ COGGING = Effect(
     remedy="Calibrate the drivers' microsteps or lower the current{where}; stiffer mounts do not help.",
     of_motors=True,
     axis_words=AxisWords(
-        title="A drive that ripples once per cycle of its motor",
-        physics="The rotor's equilibrium between full steps is not where an even current split would put it.",
+        title="Drive ripple once per motor cycle",
+        physics="Between full steps, the rotor's equilibrium differs from the ideal microstep position.",
         remedy="Calibrate the driver's microsteps or its encoder, or lower the current.",
-        confounded_with={
-            "belt_stiffness": "Several speeds: a resonance stays where it is, ripple moves with the speed."
-        },
+        confounded_with={"belt_stiffness": "Several speeds: a resonance stays, ripple moves with the speed."},
     ),
 )
 
 
 COMMAND_DELAY = Effect(
     name="command_delay",
-    title="Motors that follow their command late",
+    title="A delay between command and motor",
     kind="command",
-    physics="Electronics, filters and step pulses take time; the motor plays the command of a moment ago.",
+    physics="Electronics, filters and step pulses take time, so the motor executes the command late.",
     equation="u_d(t) → u_d(t − τ)",
     parameters=(
         Parameter(
@@ -390,25 +386,25 @@ COMMAND_DELAY = Effect(
             on_axis=OnAxis(size=lambda s: USUAL_SHARE / s.highest_hz),
         ),
     ),
-    in_data="The whole answer shifts in time, the phase falls in proportion to frequency.",
+    in_data="The whole response shifts in time; the phase falls in proportion to frequency.",
     confounded_with={
         "guide_damping": "Several speeds and frequencies: damping lowers the resonance, a delay does not.",
         "sensor_time_offset": "A delay of one tower only, or position sensors on the same clock as the command.",
     },
     of=("carriages", "axes", "axis"),
     terms=lambda values, _: {"delay": values["delay_s"]},
-    remedy="Nothing to mend: the firmware or drives act late{where}. With it in the file it is compensated.",
+    remedy="Nothing to repair: the firmware or drives act late{where}. Once in the file, it is compensated.",
     of_motors=True,
     axis_words=AxisWords(
-        title="A drive that acts late",
-        physics="Electronics, filters and buses take time; what drives the axis is what was given a moment ago.",
+        title="A delayed drive",
+        physics="Electronics, filters and buses take time, so the axis is driven by an earlier input.",
         remedy=(
-            "Nothing to mend: drive or sensors are late. With it in the file it is accounted for. Half a sample of a "
-            'recorded force, current, voltage or duty is its controller, which holds it: axis.drive.hold = "steps".'
+            "Nothing to repair: drive or sensors are late. Once in the file, it is accounted for. Half a sample of a "
+            'recorded force, current, voltage or duty is due to a controller that holds it: axis.drive.hold = "steps".'
         ),
         confounded_with={
             "guide_damping": "Several speeds and frequencies: damping lowers a resonance, a delay does not.",
-            "belt_damping": "Tones above the resonance: there a delay turns the phase on, damping only once.",
+            "belt_damping": "Tones above the resonance: there a delay keeps turning the phase, damping does so once.",
             "sensor_lag": "Two sensors of one motion: a late drive is late in both.",
         },
     ),

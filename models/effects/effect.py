@@ -23,43 +23,43 @@ DIRECTIONS: Mapping[str, tuple[tuple[float, float], ...]] = {
     "y": ((0.0, 1.0),),
     "both": ((1.0, 0.0), (0.0, 1.0)),
 }
-PER_KILOGRAM = "_per_kg"  # ending of a key whose force is per kilogram of what moves
+PER_KILOGRAM = "_per_kg"  # suffix of a key for a force per moving kilogram
 UNIT_TOLERANCE = 1e-3  # a unit vector written with four digits is one
-USUAL_SHARE = 0.3  # of the forces on an axis, what a usual effect takes
+USUAL_SHARE = 0.3  # of the forces on an axis: a usual effect
 
-Values = Mapping[str, FloatArray]  # an effect's parameters as a machine file has them
+Values = Mapping[str, FloatArray]  # an effect's parameters as in a machine file
 Terms = Mapping[str, Any]  # numbers of the printers' equations by name, SI: `models/printer/kernels/record.py`
 
 
 @dataclass(frozen=True)
 class MotionScales:
-    """Sizes of a motion of one axis by itself, SI: what is much and what is little of each quantity."""
+    """Magnitudes of a motion of one axis by itself, SI."""
 
     force_n: float
     speed_m_per_s: float
     way_m: float  # rms about the middle
     travel_m: float  # from end to end
-    stretch_m: float  # of the spring at the end; the way, where there is none
+    stretch_m: float  # of the spring at the end; without one, `way_m`
     stiffness_n_per_m: float = 0.0  # of that spring
     highest_hz: float = math.inf  # frequency that is compared
 
 
 @dataclass(frozen=True)
 class OnAxis:
-    """Where a diagnosis of one axis by itself, which may be of any size, looks for a parameter."""
+    """Where a diagnosis looks for a parameter on an axis by itself, which may be of any size."""
 
-    size: Callable[[MotionScales], float] | None = None  # of a usual effect; None: an amplitude that an axis has not
+    size: Callable[[MotionScales], float] | None = None  # of a usual effect; None: an axis does not have this amplitude
     starts: Callable[[MotionScales], Sequence[float]] | None = None  # of the search for a shape
     lowest: float | None = None  # in place of the lower one of `bounds`
-    signals: tuple[str, ...] = ("acc_q",)  # of which each number of a vector is
+    signals: tuple[str, ...] = ("acc_q",)  # one for each number of a vector
 
 
 @dataclass(frozen=True)
 class Parameter:
     """One key of `[effects.name]`.
 
-    The response to an amplitude grows as `value ** power` while it is small, and is zero at `neutral`; every other
-    parameter only shapes the response.
+    The response to an amplitude grows as `value ** power` while small, and is zero at `neutral`. Every other parameter
+    only shapes the response.
     """
 
     name: str
@@ -74,12 +74,12 @@ class Parameter:
     default: float | None = None  # of a shape that is optional in a machine file
     logarithmic: bool = False  # a shape that is known by its order of magnitude only
     starts: tuple[float, ...] = ()  # of a shape: starts of a search, instead of its typical range
-    instead_of: tuple[str, ...] = ()  # other shapes, which have no say where this one is given
+    instead_of: tuple[str, ...] = ()  # other shapes, which are ignored if this one is given
     on_printers: tuple[float, float] | None = None  # where a diagnosis looks for it, if not in all of `bounds`
     on_axis: OnAxis = OnAxis()
 
     def on(self, quantities: Quantities, meaning: str) -> Parameter:
-        """Return the parameter by the keys, units and numbers of an axis; only to tell people of it."""
+        """Return the parameter with the keys, units and numbers of an axis, for display only."""
         scale = quantities.scale(self.name)
         low, high = self.typical
         unit, key = quantities.unit(self.unit), quantities.key(self.name)
@@ -92,17 +92,17 @@ class Parameter:
 
     @property
     def is_pitch(self) -> bool:
-        """Whether it is the way after which something repeats."""
+        """Whether it is the distance after which something repeats."""
         return self.name == "pitch_mm"
 
     @property
     def of_mass(self) -> bool:
-        """Whether it is a force or a mass: per kilogram on axes whose mass nobody knows."""
+        """Whether it is a force or a mass, which is per kilogram on axes of unknown mass."""
         return self.unit.startswith(("N", "kg"))
 
     @property
     def absent(self) -> Any:
-        """The value of a parameter that the file leaves out."""
+        """The value if the file has none."""
         value = self.neutral if self.default is None else self.default
         return [value] * 3 if self.size == "vector3" else value
 
@@ -114,7 +114,7 @@ class Parameter:
         return np.array(np.broadcast_to(value, shape), dtype=np.float64)
 
     def problem(self, value: Any) -> str:
-        """Return the rule that a value in a machine file breaks, as the end of a sentence; '' if none."""
+        """Return the rule that a value breaks, as the end of a sentence; '' if none."""
         if self.size == "direction":
             return "" if _is_direction(value) else "must be 'x', 'y', 'both', or a unit vector [x, y]"
         if not self._has_size(value):
@@ -169,7 +169,7 @@ class Signals:
 
 @dataclass(frozen=True)
 class AxisWords:
-    """What an effect of printers is called on one axis by itself, which has no carriages, belts or rails."""
+    """The words for a printer's effect on one axis by itself, which has no carriages, belts or rails."""
 
     title: str
     physics: str
@@ -180,11 +180,11 @@ class AxisWords:
 
 @dataclass(frozen=True)
 class Effect:
-    """One way in which a printer differs from the model.
+    """One deviation of a printer from the model.
 
-    A `parameter` effect changes the machine's parameters, by `fold`; a `sensor` effect changes the recorded signals of
-    a motion, by `measure`; a `force`, `command` or `frame` effect is a term of `models/printer/kernels`, whose numbers
-    `terms` gives.
+    A `parameter` effect changes the machine's parameters through `fold`. A `sensor` effect changes the recorded signals
+    through `measure`. A `force`, `command` or `frame` effect is a term of `models/printer/kernels` with the numbers of
+    `terms`.
     """
 
     name: str  # of its table in a machine file
@@ -193,24 +193,24 @@ class Effect:
     physics: str
     equation: str
     parameters: tuple[Parameter, ...]
-    in_data: str  # what to look for
-    # confounded effect, or parameter of the machine -> how to tell them apart
+    in_data: str  # its signature
+    # confounded effect, or machine parameter -> how to separate them
     confounded_with: Mapping[str, str] = field(default_factory=dict)
     remedy: str = ""  # what to do to the printer; {where}: ", first of A and B"
     fold: Callable[[Machine, Values], Machine] | None = None
     measure: Callable[[Signals, Values], Signals] | None = None
     terms: Callable[[Values, Terms], Terms] | None = None  # from its values and the printer's terms so far
-    of_axis: tuple[Parameter, ...] = ()  # shapes that only an axis by itself has
-    of_printers: tuple[Parameter, ...] = ()  # shapes that an axis by itself has not
+    of_axis: tuple[Parameter, ...] = ()  # shapes of an axis by itself only
+    of_printers: tuple[Parameter, ...] = ()  # shapes of printers only
     of: tuple[str, ...] = ("carriages", "axes")  # `VibrationModel.moves` of the machines that may have it
-    # how far the nozzle's places must lie apart along x, y, z, over all recordings, to tell it from other numbers
+    # how far positions must be apart along x, y, z, over all recordings, to identify it
     spread_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    # what not every axis by itself has
+    # requirements on an axis by itself
     needs: Literal["", "spring", "command", "freedom", "turning", "accelerometer", "two sensors"] = ""
-    contains: str = ""  # an effect of which it has all numbers, and more
-    corrects_file: bool = False  # it is a number of the machine file that is wrong, and no more
-    axis_words: AxisWords | None = None  # None: its words are of any machine
-    of_motors: bool = False  # its values are of belts and motors, not of carriages or axes
+    contains: str = ""  # an effect that it includes
+    corrects_file: bool = False  # it only corrects a number of the machine file
+    axis_words: AxisWords | None = None  # None: its words suit any machine
+    of_motors: bool = False  # its values belong to belts and motors, not to carriages or axes
     shifts_time: bool = False  # a recorded sample depends on others than itself
 
     def parameter(self, name: str) -> Parameter:
@@ -224,7 +224,7 @@ class Effect:
 
     @cached_property
     def amplitudes(self) -> tuple[Parameter, ...]:
-        """The parameters without which there is no effect."""
+        """The parameters that make the effect."""
         return tuple(parameter for parameter in self.parameters if parameter.role == "amplitude")
 
     @cached_property
@@ -233,7 +233,7 @@ class Effect:
         return tuple(parameter for parameter in self.parameters if parameter.role == "shape")
 
     def on_axis(self, quantities: Quantities) -> Effect:
-        """Return the effect in the words, keys and units of one axis by itself."""
+        """Return the effect with the words, keys and units of one axis by itself."""
         words = self.axis_words or AxisWords(self.title, self.physics, self.remedy, self.confounded_with)
 
         def in_words(parameters: Sequence[Parameter]) -> tuple[Parameter, ...]:
@@ -251,7 +251,7 @@ class Effect:
         )
 
     def missing(self, table: Mapping[str, Any]) -> list[str]:
-        """Name the shapes that a table lacks: with an amplitude, it must give all that have no default."""
+        """Name the missing shapes: with an amplitude, a table needs all that have no default."""
         if not any(amplitude.name in table for amplitude in self.amplitudes):
             return []
         return [shape.name for shape in self.shapes if shape.default is None and shape.name not in table]

@@ -1,4 +1,4 @@
-"""What resists motion: viscous, dry, sticking and elastic friction, and drag."""
+"""Resistance: viscous, dry, static and presliding friction, and drag."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ USUAL_FORCE = OnAxis(size=lambda s: USUAL_SHARE * s.force_n)
 PRESLIDING = Parameter(
     "presliding_mm",
     "mm",
-    "s₀: way in which contacts bend before they slide, in place of creep and hold; 0: those",
+    "s₀: presliding distance, in place of creep and hold; 0: use those",
     (0, 10),
     (0.005, 0.05),
     0.005,
@@ -32,7 +32,7 @@ def reversal_parameters(size: Size) -> tuple[Parameter, Parameter]:
         Parameter(
             "creep_mm_per_s",
             "mm/s",
-            "v₀: much slower than this, friction falls with speed",
+            "v₀: well below this, friction falls with speed",
             (0.05, 1000),
             (0.2, 5),
             0.05,
@@ -44,7 +44,7 @@ def reversal_parameters(size: Size) -> tuple[Parameter, Parameter]:
         Parameter(
             "hold_per_s",
             "1/s",
-            "κ: how quickly it takes hold of what rests; 0: never, all loads creep",
+            "κ: how quickly friction locks at rest; 0: never, all loads creep",
             (0, 1e6),
             (0, 1000),
             5.0,
@@ -58,16 +58,16 @@ def reversal_parameters(size: Size) -> tuple[Parameter, Parameter]:
 
 GUIDE_DAMPING = Effect(
     name="guide_damping",
-    title="Guides with more viscous friction",
+    title="More viscous friction in the guides",
     kind="parameter",
-    physics="Grease shears between carriage and rail: a force in proportion to speed.",
+    physics="Grease shears between carriage and rail: a force proportional to speed.",
     equation="b → b + Δb",
     parameters=(
         Parameter(
             "added_n_s_per_m", "N s/m", "Δb", (-1000, 10000), (-10, 50), 1.0, size="per_tower", on_axis=USUAL_DAMPING
         ),
     ),
-    in_data="Lower, broader resonances, and a carriage that lags in proportion to its speed.",
+    in_data="Lower, broader resonances, and a lag proportional to speed.",
     confounded_with={
         "command_delay": "Several speeds and frequencies: a delay keeps the resonance's height.",
         "coulomb_friction": "Two speeds: dry friction does not grow with speed.",
@@ -77,25 +77,25 @@ GUIDE_DAMPING = Effect(
         machine, vibration=machine.vibration.with_guide_damping(values["added_n_s_per_m"])
     ),
     of=("carriages", "axes", "axis"),
-    remedy="Check the rails{where} for stiff grease and tight carriages; warm grease damps less.",
+    remedy="Check the rails{where} for stiff grease and tight carriages; warm grease has less friction.",
     corrects_file=True,
     axis_words=AxisWords(
         title="More viscous friction",
-        physics="Grease and seals shear: a resistance in proportion to speed.",
-        remedy="Check bearings and gear for stiff grease or tight seals; warm grease damps less.",
+        physics="Grease and seals shear: a resistance proportional to speed.",
+        remedy="Check bearings and gear for stiff grease or tight seals; warm grease has less friction.",
         confounded_with={
             "command_delay": "Several speeds and frequencies: a delay keeps a resonance's height.",
             "coulomb_friction": "Two speeds: dry friction does not grow with speed.",
-            "quadratic_drag": "Two speeds: viscous friction is in proportion to them.",
+            "quadratic_drag": "Two speeds: viscous friction is proportional to speed.",
         },
     ),
 )
 
 
 def _dry_terms(values: Values, printer: Terms) -> Terms:
-    """Return the guides' dry friction, added to what there is: two kinds share v₀ and κ, weighted by their forces.
+    """Return the guides' dry friction added to the printer's terms. Two kinds share v₀ and κ, weighted by their forces.
 
-    Of two that bend, the longer way s₀ counts.
+    Of two presliding distances s₀, the longer counts.
     """
     force, extra = values["force_n"], values.get("extra_force_n", 0.0)
     share = np.maximum(force + extra, LEAST_FORCE_N)
@@ -114,9 +114,9 @@ def _dry_terms(values: Values, printer: Terms) -> Terms:
 
 COULOMB_FRICTION = Effect(
     name="coulomb_friction",
-    title="Dry friction of the carriages on their guides",
+    title="Dry friction in the guides",
     kind="force",
-    physics="The guide holds a carriage back with the same force at every speed, and holds it fast at rest.",
+    physics="The guide resists with the same force at every speed, and locks the carriage at rest.",
     equation="F = F_C sgn(q̇); at rest any |F| ≤ F_C",
     parameters=(
         Parameter(
@@ -124,25 +124,25 @@ COULOMB_FRICTION = Effect(
         ),
         *reversal_parameters("per_tower"),
     ),
-    in_data="Acceleration jumps by up to 2 F_C/m when a carriage turns back; slow moves suffer as much as fast ones.",
+    in_data="Acceleration jumps by up to 2 F_C/m when a carriage reverses, in slow moves as much as in fast ones.",
     confounded_with={
         "stribeck_friction": "Slow moves: only Stribeck friction falls with speed.",
         "guide_damping": "Two speeds: viscous friction grows with speed, dry friction does not.",
-        "belt_backlash": "Play needs the belt's force to change sign, friction the carriage's speed.",
+        "belt_backlash": "Backlash needs the belt's force to change sign, friction the carriage's speed.",
         "joint_friction": "One tower at a time near the centre: the effector moves, two carriages rest.",
     },
     of=("carriages", "axes", "axis"),
     of_printers=(PRESLIDING,),
     terms=_dry_terms,
-    remedy="Clean and oil the rails{where}; check that no belt rubs and no carriage is over-tightened.",
+    remedy="Clean and oil the rails{where}; check that no belt rubs and no carriage is too tight.",
     axis_words=AxisWords(
         title="Dry friction",
-        physics="Bearings, seals and gears hold back alike at every speed, and hold fast at rest.",
-        remedy="Check bearings, seals and gear: their oil and preload.",
+        physics="Bearings, seals and gears resist equally at every speed, and lock at rest.",
+        remedy="Check bearings, seals and gear: lubrication and preload.",
         confounded_with={
             "stribeck_friction": "Slow motions: only Stribeck friction falls with speed.",
             "guide_damping": "Two speeds: viscous friction grows with speed, dry friction does not.",
-            "belt_backlash": "Play needs the drive's force to change sign, friction the speed.",
+            "belt_backlash": "Backlash needs the drive's force to change sign, friction the speed.",
             "friction_by_load": "Two loads at one speed: dry friction is the same for both.",
         },
         meanings={"force_n": "F_C: at any speed"},
@@ -152,16 +152,16 @@ COULOMB_FRICTION = Effect(
 
 STRIBECK_FRICTION = Effect(
     name="stribeck_friction",
-    title="Sticking guides: dry friction with a surplus at rest",
+    title="Guides that stick: more dry friction at rest",
     kind="force",
-    physics="Grease and seals stick at rest; the surplus over dry friction fades as the lubricant is drawn in.",
+    physics="Grease and seals stick at rest; the excess over dry friction fades as the lubricant is drawn in.",
     equation="F = (F_C + F_extra exp(−|q̇/v_s|^δ)) sgn(q̇)   (Armstrong-Hélouvry, Dupont & Canudas de Wit, 1994)",
     parameters=(
         Parameter("force_n", "N", "friction at speed", (0, 200), (0.5, 10), 0.5, size="per_tower", on_axis=USUAL_FORCE),
         Parameter(
             "extra_force_n",
             "N",
-            "surplus at rest",
+            "excess at rest",
             (0, 200),
             (0.2, 5),
             0.5,
@@ -171,7 +171,7 @@ STRIBECK_FRICTION = Effect(
         Parameter(
             "velocity_mm_per_s",
             "mm/s",
-            "speed at which a third of the surplus is left",
+            "speed where the excess falls to a third",
             (0.1, 500),
             (2, 50),
             2.0,
@@ -180,11 +180,11 @@ STRIBECK_FRICTION = Effect(
             on_axis=OnAxis(starts=lambda s: [1e3 * s.speed_m_per_s * share for share in (0.03, 0.1, 0.3)]),
         ),
         Parameter(
-            "exponent", "", "δ: how suddenly it fades", (0.3, 6), (0.5, 2), 0.1, "per_tower", "shape", default=2.0
+            "exponent", "", "δ: how sharply it fades", (0.3, 6), (0.5, 2), 0.1, "per_tower", "shape", default=2.0
         ),
         *reversal_parameters("per_tower"),
     ),
-    in_data="As dry friction, with a spike at each start; very slow moves go in jerks.",
+    in_data="As dry friction, with a spike at each start; very slow moves stick and slip.",
     confounded_with={"coulomb_friction": "Moves slower than v_s: only here the friction rises towards rest."},
     of=("carriages", "axes", "axis"),
     of_printers=(PRESLIDING,),
@@ -195,11 +195,11 @@ STRIBECK_FRICTION = Effect(
         "fading_power": values["exponent"] / 2,
     },
     contains="coulomb_friction",
-    remedy="Clean and oil the rails{where}: they stick at rest; a thinner oil, or fresh bearings, help.",
+    remedy="Clean and oil the rails{where}: they stick at rest; thinner oil or new bearings help.",
     axis_words=AxisWords(
-        title="Dry friction with a surplus at rest",
-        physics="Grease and seals stick at rest; the surplus over dry friction fades as the lubricant is drawn in.",
-        remedy="Check bearings, seals and gear: they stick at rest; a thinner oil, or fresh bearings, help.",
+        title="More dry friction at rest",
+        physics="Grease and seals stick at rest; the excess over dry friction fades as the lubricant is drawn in.",
+        remedy="Check bearings, seals and gear: they stick at rest; thinner oil or new bearings help.",
         confounded_with={"coulomb_friction": "Motions slower than v_s: only here the friction rises towards rest."},
     ),
 )
@@ -207,16 +207,16 @@ STRIBECK_FRICTION = Effect(
 
 BRISTLE_FRICTION = Effect(
     name="bristle_friction",
-    title="Friction that gives like a spring before it slides",
+    title="Presliding: friction that acts like a spring before it slides",
     kind="force",
-    physics="Contacts bend as bristles do before they slide, and what is bent remembers: hysteresis.",
+    physics="Contacts bend like bristles before they slide, which causes hysteresis.",
     equation="F = F_C z,  ż = (q̇ − |q̇| z)/s₀   (Dahl, 1968)",
     parameters=(
         Parameter("force_n", "N", "F_C: once it slides", (0, 1e5), (0.5, 10), 0.5, on_axis=USUAL_FORCE),
         Parameter(
             "presliding_mm",
             "mm",
-            "s₀: way in which it bends",
+            "s₀: presliding distance",
             (1e-6, 1000),
             (0.001, 0.1),
             0.005,
@@ -224,14 +224,14 @@ BRISTLE_FRICTION = Effect(
             on_axis=OnAxis(starts=lambda s: [1e3 * s.way_m * share for share in (0.003, 0.03, 0.3)]),
         ),
     ),
-    in_data="Small motions return on another path than they went; large ones look like dry friction.",
+    in_data="Small motions show hysteresis; large ones look like dry friction.",
     confounded_with={
         "coulomb_friction": "Small motions: only bristles spring back.",
-        "belt_backlash": "The size of motion: play has a width of its own, bristles bend at any.",
+        "belt_backlash": "The size of motion: backlash has a fixed width, bristles bend at any size.",
     },
     of=("axis",),
     terms=lambda values, _: {"bristle_force": values["force_n"], "presliding": values["presliding_mm"] / 1e3},
-    remedy="Nothing to mend: contacts bend before they slide. Seals and wipers bend most.",
+    remedy="Nothing to repair: contacts bend before they slide, seals and wipers most.",
 )
 
 
@@ -242,19 +242,19 @@ def _joint_terms(values: Values, printer: Terms) -> Terms:
 
 JOINT_FRICTION = Effect(
     name="joint_friction",
-    title="Dry friction of the arms' ball joints",
+    title="Dry friction in the arms' ball joints",
     kind="force",
-    physics="Tight or dirty joints hold the effector back with the same force at every speed, against its direction.",
+    physics="Tight or dirty joints resist the effector's motion with the same force at every speed.",
     equation="F = −f Ẋ/|Ẋ|; at rest any |F| ≤ f",
     parameters=(
         Parameter("force_n", "N", "f, on the effector", (0, 200), (0.2, 5), 0.5),
         *reversal_parameters("scalar"),
     ),
     in_data="Jumps of the nozzle's acceleration at reversals of the path, shared by all three towers.",
-    confounded_with={"coulomb_friction": "One tower at a time: guide friction stays on the tower that turns back."},
+    confounded_with={"coulomb_friction": "One tower at a time: guide friction stays on the tower that reverses."},
     of=("carriages",),
     terms=_joint_terms,
-    remedy="Clean and oil the arms' joints; let their springs pull less.",
+    remedy="Clean and oil the arms' joints; use weaker springs.",
 )
 
 
@@ -268,21 +268,21 @@ FRICTION_BY_DIRECTION = Effect(
         Parameter(
             "damping_difference_n_s_per_m",
             "N s/m",
-            "Δb: forwards less backwards",
+            "Δb: forward minus backward",
             (-1e5, 1e5),
             (-50, 50),
             2.0,
             on_axis=USUAL_DAMPING,
         ),
     ),
-    in_data="Forwards and backwards the same speed takes other forces, by more the faster it is.",
+    in_data="The two directions need different forces at the same speed; the difference grows with speed.",
     confounded_with={
         "quadratic_drag": "Both directions: drag is the same in both.",
         "coulomb_friction": "Two speeds: dry friction does not grow with speed.",
     },
     of=("axis",),
     terms=lambda values, _: {"by_direction": values["damping_difference_n_s_per_m"]},
-    remedy="Look for what resists one way only: a cable chain, a wiper's lip, a preload, a slope.",
+    remedy="Look for parts that resist in one direction: a cable chain, a wiper's lip, a preload, a slope.",
 )
 
 
@@ -296,8 +296,8 @@ FRICTION_BY_LOAD = Effect(
     name="friction_by_load",
     title="Dry friction that grows with the load on the drive",
     kind="force",
-    physics="Teeth and screws are pressed together by the force that they pass on, and rub in proportion to it.",
-    equation="F = (μ |F_d| + μ ν |F_g|) sgn(q̇),  F_d = force of the drive,  F_g = what gravity and springs pull",
+    physics="The transmitted force presses teeth and screws together, and friction is proportional to it.",
+    equation="F = (μ |F_d| + μ ν |F_g|) sgn(q̇),  F_d = force of the drive,  F_g = pull of gravity and springs",
     parameters=(
         Parameter(
             "share",
@@ -311,7 +311,7 @@ FRICTION_BY_LOAD = Effect(
         Parameter(
             "held_share",
             "",
-            "ν: how much of it what gravity and springs pull makes, beside",
+            "ν: additional part from the pull of gravity and springs",
             (0, 10),
             (0, 1),
             0.1,
@@ -320,22 +320,22 @@ FRICTION_BY_LOAD = Effect(
         ),
         *reversal_parameters("scalar"),
     ),
-    in_data="The heavier the load, the more force it takes to lift it beyond what it gives back on its way down.",
+    in_data="The difference between the forces for lifting and lowering grows with the load.",
     confounded_with={
         "coulomb_friction": "Two loads at one speed: dry friction is the same for both.",
         "friction_by_direction": "The other side of a pendulum: there its load pulls the other way.",
     },
     of=("axis",),
     terms=_load_terms,
-    remedy="Look at the gear or screw: grease for its load, wear of its teeth; a higher ratio loads it less.",
+    remedy="Look at the gear or screw: the right grease, worn teeth; a higher ratio lowers its load.",
 )
 
 
 QUADRATIC_DRAG = Effect(
     name="quadratic_drag",
-    title="Drag that grows with the speed's square",
+    title="Drag that grows with the square of speed",
     kind="force",
-    physics="Air, oil or coolant that is pushed aside resists with the square of the speed.",
+    physics="Displaced air, oil or coolant resists with the square of the speed.",
     equation="F = d q̇ |q̇|",
     parameters=(
         Parameter(
@@ -347,14 +347,14 @@ QUADRATIC_DRAG = Effect(
             20.0,
             on_axis=OnAxis(
                 size=lambda s: USUAL_SHARE * s.force_n / s.speed_m_per_s**2, lowest=0.0
-            ),  # what pushes would mop up how a damping thins with speed
+            ),  # negative drag would absorb a damping that falls with speed
         ),
     ),
-    in_data="Fast moves take more force than friction in proportion to the speed explains.",
-    confounded_with={"guide_damping": "Two speeds: viscous friction is in proportion to them."},
+    in_data="Fast moves take more force than viscous friction explains.",
+    confounded_with={"guide_damping": "Two speeds: viscous friction is proportional to speed."},
     of=("axis",),
     terms=lambda values, _: {"drag": values["force_n_s2_per_m2"]},
-    remedy="Look for what is pushed aside at speed: air in a closed space, oil, coolant.",
+    remedy="Look for what the motion displaces: air in a closed space, oil, coolant.",
 )
 
 EFFECTS = (

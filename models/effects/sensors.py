@@ -1,4 +1,4 @@
-"""What changes the record of a motion, not the motion."""
+"""Effects of the sensors: they change the record of a motion, not the motion."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def _scaled(true: Signals, values: Values) -> Signals:
 
 SENSOR_GAIN = Effect(
     name="sensor_gain",
-    title="Accelerometers that read too much or too little",
+    title="Accelerometer gain",
     kind="sensor",
     physics="Sensitivities are calibrated to a few percent.",
     equation="a → (1 + g) a, per channel",
@@ -35,12 +35,12 @@ SENSOR_GAIN = Effect(
             on_axis=OnAxis(size=lambda s: 0.1),
         ),
     ),
-    in_data="One channel too large or too small by one factor at all frequencies and places.",
+    in_data="One channel off by the same factor at all frequencies and positions.",
     confounded_with={"effector_mass": "Frequencies: a gain shifts none."},
     measure=_scaled,
     of=("carriages", "axes", "axis"),
     needs="accelerometer",
-    remedy="Nothing to mend on the machine: calibrate the accelerometer, or its unit.",
+    remedy="Nothing to repair on the machine: calibrate the accelerometer, or its unit.",
 )
 
 
@@ -60,48 +60,48 @@ def _turned(true: Signals, values: Values) -> Signals:
 
 SENSOR_MISALIGNMENT = Effect(
     name="sensor_misalignment",
-    title="The nozzle's accelerometer is mounted askew",
+    title="A misaligned nozzle accelerometer",
     kind="sensor",
-    physics="The sensor's axes are turned against the printer's.",
-    equation="a → Rᵀ a, R the turn by the rotation vector φ",
+    physics="The sensor's axes are rotated relative to the printer's.",
+    equation="a → Rᵀ a, R the rotation by the vector φ",
     parameters=(Parameter("angles_deg", "degrees", "φ about x, y, z", (-180, 180), (-5, 5), 1.0, size="vector3"),),
-    in_data="A motion along x shows in y and z, in one proportion at all frequencies.",
-    confounded_with={"arm_geometry": "Several places: a turned sensor errs alike everywhere."},
+    in_data="Motion along x shows in y and z, by the same factor at all frequencies.",
+    confounded_with={"arm_geometry": "Several positions: a misaligned sensor has the same error everywhere."},
     measure=_turned,
-    remedy="Nothing to mend on the printer: mount the accelerometer along the axes.",
+    remedy="Nothing to repair on the printer: mount the accelerometer along the axes.",
 )
 
 
 SENSOR_TIME_OFFSET = Effect(
     name="sensor_time_offset",
-    title="A recording whose clock is off by a constant",
+    title="A constant time offset of the recording",
     kind="sensor",
-    physics="Recorder and motion are started by different hands.",
+    physics="Recorder and motion are started separately.",
     equation="a(t) → a(t − τ)",
     parameters=(Parameter("offset_s", "s", "τ: the record is late", (-10, 10), (-0.01, 0.01), 1e-4),),
-    in_data="All channels late alike.",
+    in_data="All channels are late by the same time.",
     confounded_with={
-        "command_delay": "Alike in every channel: only position sensors on the command's clock can tell.",
-        "belt_damping": "Tones above the resonance: there an offset turns the phase on, belts only once.",
+        "command_delay": "Only position sensors on the command's clock: both shift all accelerations equally.",
+        "belt_damping": "Tones above the resonance: there an offset keeps turning the phase, belts do so once.",
     },
     measure=lambda true, values: resampled(true, true.t_s - float(values["offset_s"])),
     shifts_time=True,
-    remedy="Nothing to mend on the printer: join captures by the firmware's clock (ffcomp record join).",
+    remedy="Nothing to repair on the printer: join captures by the firmware's clock (ffcomp record join).",
 )
 
 
 SENSOR_CLOCK_DRIFT = Effect(
     name="sensor_clock_drift",
-    title="A recorder whose clock is fast or slow",
+    title="A fast or slow recorder clock",
     kind="sensor",
-    physics="Accelerometers sample by their own oscillators, which are right to a percent or two.",
+    physics="Accelerometers sample with their own oscillators, accurate to a percent or two.",
     equation="a(t) → a(t / (1 + ε))",
     parameters=(Parameter("relative_drift", "", "ε: the clock is fast", (-0.2, 0.2), (-0.02, 0.02), 1e-4),),
-    in_data="The offset in time grows along the recording; all frequencies off by one factor.",
+    in_data="The time offset grows along the recording; all frequencies are off by the same factor.",
     confounded_with={"sensor_time_offset": "Beginning and end of one recording: an offset is the same at both."},
     measure=lambda true, values: resampled(true, true.t_s / (1 + float(values["relative_drift"]))),
     shifts_time=True,
-    remedy="Nothing to mend on the printer: join captures by the firmware's clock (ffcomp record join).",
+    remedy="Nothing to repair on the printer: join captures by the firmware's clock (ffcomp record join).",
 )
 
 
@@ -120,7 +120,7 @@ def low_passed(x: FloatArray, rate_hz: float, time_constant_s: float, damping_ra
 
 
 def _lagging(true: Signals, values: Values) -> Signals:
-    """Let the signals of an axis come late, and through a low-pass."""
+    """Delay and low-pass the signals of an axis."""
     columns = np.column_stack([true.position, true.nozzle[:, 0]])
     rate = float((len(true.t_s) - 1) / (true.t_s[-1] - true.t_s[0]))
     for i, (delay, constant) in enumerate(zip(values["delay_s"], values["time_constant_s"], strict=True)):
@@ -135,9 +135,9 @@ def _lagging(true: Signals, values: Values) -> Signals:
 
 SENSOR_LAG = Effect(
     name="sensor_lag",
-    title="Sensors that tell late, or through a low-pass",
+    title="Sensors with a delay or a low-pass",
     kind="sensor",
-    physics="Encoders are read one after another, filters and interfaces take time, and each sensor has its own.",
+    physics="Encoders are read in turn, and filters and interfaces delay each sensor differently.",
     equation="T² ÿ + 2 ζ T ẏ + y = x(t − τ);  ζ = 0: T ẏ + y = x(t − τ)",
     parameters=(
         Parameter("delay_s", "s", "τ of pos_q, pos_motor, acc_q", (0, 10), (0, 0.005), 1e-4, size="vector3"),
@@ -163,13 +163,13 @@ SENSOR_LAG = Effect(
             starts=(0.7,),
         ),
     ),
-    in_data="One sensor's signals come after another's, by a time or with less of what is quick.",
+    in_data="One sensor's signals lag another's or lack high frequencies.",
     confounded_with={"command_delay": "Two sensors of one motion: a late command is late in both."},
     measure=_lagging,
     of=("axis",),
     needs="two sensors",
     shifts_time=True,
-    remedy="Nothing to mend on the axis: state the sensor's lag in the file, or read all sensors at once.",
+    remedy="Nothing to repair on the axis: state the sensor's lag in the file, or read all sensors at once.",
 )
 
 EFFECTS = (SENSOR_LAG, SENSOR_GAIN, SENSOR_MISALIGNMENT, SENSOR_TIME_OFFSET, SENSOR_CLOCK_DRIFT)

@@ -1,4 +1,4 @@
-"""What depends on the place, or moves along: frame, gantry, bed, and forces along an axis."""
+"""Effects of position and of moving structure: frame, gantry, bed, and forces along an axis."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def _frame_terms(values: Values, printer: Terms) -> Terms:
 
 FRAME_MODE = Effect(
     name="frame_mode",
-    title="A frame that sways under the moving effector",
+    title="A frame that sways",
     kind="frame",
     physics=(
         "The reaction to the effector's acceleration pushes the frame with towers, carriages and bed, which stands on "
@@ -31,19 +31,21 @@ FRAME_MODE = Effect(
     ),
     equation="M_f (d̈ + 2 ζ ω ḋ + ω² d) = −F,  F = force of the arms on the effector along d",
     parameters=(
-        Parameter("mass_kg", "kg", "M_f: all that sways, without the effector", (0.1, 1e4), (3, 100), 50.0, power=-1),
+        Parameter(
+            "mass_kg", "kg", "M_f: everything that sways except the effector", (0.1, 1e4), (3, 100), 50.0, power=-1
+        ),
         Parameter("frequency_hz", "Hz", "ω/2π, with the effector off", (0.5, 500), (5, 60), 1.0, role="shape"),
         Parameter("damping_ratio", "", "ζ", (0, 2), (0.01, 0.1), 0.01, role="shape"),
         Parameter(
             "direction", "", "'x', 'y', 'both' alike, or a unit vector", (-1, 1), (-1, 1), 0.1, "direction", "shape"
         ),
     ),
-    in_data="A pair of peak and dip in one horizontal direction, at the same frequency all over the bed.",
+    in_data="A peak and a dip in one horizontal direction, at the same frequency all over the bed.",
     confounded_with={
-        "extruder_mount": "The carriages: a frame shakes the effector whole, the mount only the extruder."
+        "extruder_mount": "The carriages: a frame shakes the whole effector, the mount only the extruder."
     },
     terms=_frame_terms,
-    remedy="Stiffen the frame: tighten its corners, brace it, and stand it on something heavy.",
+    remedy="Stiffen the frame: tighten its corners, brace it, and put it on something heavy.",
 )
 
 
@@ -63,7 +65,7 @@ def _racking_terms(values: Values, printer: Terms) -> Terms:
 
 GANTRY_RACKING = Effect(
     name="gantry_racking",
-    title="A gantry that racks: it yaws under its toolhead",
+    title="Gantry racking (yaw)",
     kind="frame",
     physics=(
         "A toolhead off the gantry's middle lags behind when the gantry accelerates along y, and turns it; belts that "
@@ -76,7 +78,7 @@ GANTRY_RACKING = Effect(
         Parameter(
             "radius_mm",
             "mm",
-            "λ: λ² is the gantry's moment of inertia over the toolhead's mass",
+            "λ: λ² is the gantry's moment of inertia divided by the toolhead's mass",
             (1, 1e5),
             (80, 400),
             400.0,
@@ -97,7 +99,7 @@ GANTRY_RACKING = Effect(
         Parameter(
             "tool_share",
             "",
-            "μ: of the mass that moves along y, the toolhead's",
+            "μ: the toolhead's fraction of the mass that moves along y",
             (0, 1),
             (0.2, 0.8),
             0.05,
@@ -108,7 +110,7 @@ GANTRY_RACKING = Effect(
         Parameter(
             "arm_mm",
             "mm",
-            "a: by which the belts' force along x turns the gantry",
+            "a: lever arm of the belts' force along x on the gantry",
             (-500, 500),
             (-40, 40),
             5.0,
@@ -118,12 +120,12 @@ GANTRY_RACKING = Effect(
             starts=(0.0, 20.0),
         ),
     ),
-    in_data="Off the middle, y rings at a second frequency, of opposite sign on the two sides; moves of x show in y.",
+    in_data="Off the middle, y rings at a second frequency, with opposite sign on the two sides; x moves show in y.",
     confounded_with={
-        "belt_stiffness": "Several x: unequal belts of a CoreXY exchange motion alike everywhere.",
-        "toolhead_mode": "The middle of the gantry: there racking leaves y alone, whatever its mode does.",
-        "sensor_misalignment": "Several x: a turned sensor errs alike everywhere.",
-        "frame_mode": "Several x: a frame sways alike wherever the toolhead is.",
+        "belt_stiffness": "Several x: unequal belts of a CoreXY have the same effect everywhere.",
+        "toolhead_mode": "The middle of the gantry: there racking does not affect y.",
+        "sensor_misalignment": "Several x: a misaligned sensor has the same error everywhere.",
+        "frame_mode": "Several x: a frame sways the same wherever the toolhead is.",
     },
     of=("axes",),
     spread_mm=(40.0, 0.0, 0.0),
@@ -139,39 +141,37 @@ def _toolhead_terms(values: Values, printer: Terms) -> Terms:
 
 TOOLHEAD_MODE = Effect(
     name="toolhead_mode",
-    title="A toolhead whose mode depends on where it is along X",
+    title="A toolhead mode that depends on X",
     kind="force",
     physics=(
-        "The beam that carries the toolhead gives way more in its middle than at its ends, and twists more the "
-        "farther from a guide. Of an axis with several modes this is that of the highest frequency."
+        "The beam that carries the toolhead is softest in its middle, and twists more the farther the toolhead is from "
+        "a guide. On an axis with several modes, this changes the one with the highest frequency."
     ),
     equation="ω² → ω² (1 + r (x − x_c) + h (x − x_c)²)",
     parameters=(
         Parameter("slope_per_m", "1/m", "r, of ω² of the axis' highest mode", (-10, 10), (-2, 2), 0.05, "per_tower"),
         Parameter("curve_per_m2", "1/m²", "h", (-200, 200), (-20, 20), 0.5, "per_tower"),
-        Parameter(
-            "x_centre_mm", "mm", "x_c: where the file's ω holds", (-1000, 1000), (0, 300), 5.0, "scalar", "shape"
-        ),
+        Parameter("x_centre_mm", "mm", "x_c: where ω is the file's", (-1000, 1000), (0, 300), 5.0, "scalar", "shape"),
     ),
-    in_data="Shaken at several x, along x or y, a resonance is found at another frequency each time.",
+    in_data="The frequency of a resonance along x or y depends on x.",
     confounded_with={
-        "belt_position_stiffness": "Shake y at several x: the belts of y do not know where x is.",
-        "gantry_racking": "The middle of the gantry: racking comes from both sides of it, and turns its sign there.",
+        "belt_position_stiffness": "Excite y at several x: the belts of y do not depend on x.",
+        "gantry_racking": "The middle of the gantry: racking changes sign there.",
     },
     of=("axes",),
     spread_mm=(40.0, 0.0, 0.0),
     terms=_toolhead_terms,
-    remedy="Check the screws of the toolhead and of the beam that carries it; a stiffer beam varies less.",
+    remedy="Check the screws of the toolhead and its beam; a stiffer beam varies less.",
 )
 
 
 GROWING_BED = Effect(
     name="growing_bed",
-    title="A bed that grows heavier with the print",
+    title="A bed that gets heavier as it prints",
     kind="force",
     physics=(
-        "What a bed slinger prints rides on the bed: the higher the print, the more mass the belt moves. The file's "
-        "numbers are those of the empty bed. Every mode of the axis slows down alike, which is exact for one mode."
+        "On a bed slinger the print rides on the bed, so the belt moves more mass as the print grows. The file's "
+        "numbers are those of the empty bed. Every mode of the axis slows by the same factor, exact for one mode."
     ),
     equation="M → M (1 + g z),  z = height of the nozzle over the bed",
     parameters=(
@@ -179,20 +179,20 @@ GROWING_BED = Effect(
             "growth_per_m", "1/m", "g, of the mass that an axis moves", (0, 100), (0.2, 4), 0.1, size="per_tower"
         ),
     ),
-    in_data="The resonance of the bed's axis falls from layer to layer, those of the other axes stay.",
-    confounded_with={"belt_stiffness": "Two heights of one print: a slack belt is as slack at the first layer."},
+    in_data="The resonance of the bed's axis falls from layer to layer; the other axes' stay.",
+    confounded_with={"belt_stiffness": "Two heights of one print: a slack belt is the same at both."},
     of=("axes",),
     spread_mm=(0.0, 0.0, 20.0),
     terms=lambda values, _: {"growth": values["growth_per_m"]},
-    remedy="Nothing to mend: a print weighs. With it in the file every layer is compensated for its own mass.",
+    remedy="Nothing to repair: prints have mass. Once in the file, every layer is compensated for its own mass.",
 )
 
 
 GROUND_SPRING = Effect(
     name="ground_spring",
-    title="A spring that pulls the axis to one place",
+    title="A spring that pulls the axis to one position",
     kind="force",
-    physics="Hoses, cables, a bellows or gravity on a curved guide pull harder the farther the axis goes.",
+    physics="Hoses, cables, a bellows or gravity on a curved guide pull harder the farther the axis moves.",
     equation="F = k q",
     parameters=(
         Parameter(
@@ -206,48 +206,55 @@ GROUND_SPRING = Effect(
         ),
     ),
     in_data="The force at rest grows along the axis.",
-    confounded_with={"cogging_force": "The whole travel: a ripple comes back, a spring does not."},
+    confounded_with={"cogging_force": "The whole travel: a ripple repeats, a spring does not."},
     of=("axis",),
     terms=lambda values, _: {"ground": values["stiffness_n_per_m"]},
     needs="freedom",
-    remedy="Look for what pulls to one place: hoses, cables, a bellows, a counterweight.",
+    remedy="Look for parts that pull to one position: hoses, cables, a bellows, a counterweight.",
 )
 
 
 PENDULUM_GRAVITY = Effect(
     name="pendulum_gravity",
-    title="Gravity on an arm that turns",
+    title="Gravity on a rotating arm",
     kind="force",
-    physics="An arm, a load or a rotor out of balance is pulled to where its weight hangs lowest.",
+    physics="Gravity pulls an unbalanced arm, load or rotor to its lowest position.",
     equation="F = m g l sin(q − q₀)",
     parameters=(
         Parameter(
             "force_n",
             "N",
-            "m g l: at a right angle",
+            "m g l: moment at a right angle",
             (-1e6, 1e6),
             (-10, 10),
             0.1,
             on_axis=OnAxis(size=lambda s: USUAL_SHARE * s.force_n / min(s.way_m, 1.0)),
         ),
         Parameter(
-            "angle_deg", "degrees", "q₀: where it hangs down", (-360, 360), (-180, 180), 5.0, role="shape", default=0.0
+            "angle_deg",
+            "degrees",
+            "q₀: angle where it hangs down",
+            (-360, 360),
+            (-180, 180),
+            5.0,
+            role="shape",
+            default=0.0,
         ),
     ),
-    in_data="The force at rest goes as a sine of the angle, to one side of its lowest place and to the other.",
+    in_data="The force at rest is a sine of the angle from the lowest position.",
     confounded_with={
-        "ground_spring": "Angles beyond 60 degrees: there a weight pulls less than a spring, and none at the top.",
-        "belt_hardening": "The drive switched off: gravity stays, a drive that softens does not.",
-        "cogging_force": "A whole turn: gravity comes once, a ripple several times.",
+        "ground_spring": "Angles beyond 60 degrees: a weight pulls less than a spring there.",
+        "belt_hardening": "The drive switched off: gravity stays, a softening drive does not.",
+        "cogging_force": "A whole turn: gravity repeats once, a ripple several times.",
     },
     of=("axis",),
     terms=lambda values, _: {"weight_moment": values["force_n"], "weight_angle": np.radians(values["angle_deg"])},
     needs="turning",
-    remedy="Nothing to mend: a weight hangs at the axis. Balance it, or leave it in the file.",
+    remedy="Nothing to repair: the axis carries a weight. Balance it, or leave it in the file.",
 )
 
 
-TURN_APART = 0.7  # of a turn over the travel, by which pitches of a force are apart: one between them is half seen
+TURN_APART = 0.7  # cycles over the travel between tried pitches; one in between is half detected
 
 
 def _force_pitches(s: MotionScales) -> list[float]:
@@ -262,7 +269,7 @@ COGGING_FORCE = Effect(
     title="A force that repeats along the axis",
     kind="force",
     physics=(
-        "Magnets of a motor, balls of a screw or teeth of a rack pull to and fro, once a pitch. There may be several "
+        "Magnets of a motor, balls of a screw or teeth of a rack push and pull once per pitch. There may be several "
         "lines, each with a pitch: of a motor's poles, slots and their multiples."
     ),
     equation="F = Σ s sin(2π q/p) + c cos(2π q/p)",
@@ -272,7 +279,7 @@ COGGING_FORCE = Effect(
         Parameter(
             "pitch_mm",
             "mm",
-            "p; of N lines a turn, 2π/N rad",
+            "p; 2π/N rad for N lines a turn",
             (0.01, 10_000),
             (1, 50),
             0.5,
@@ -281,13 +288,13 @@ COGGING_FORCE = Effect(
             on_axis=OnAxis(starts=_force_pitches),
         ),
     ),
-    in_data="The force needed at constant speed repeats with the place, whatever the speed.",
-    confounded_with={"ground_spring": "More than one pitch of travel: a spring does not come back."},
+    in_data="The force at constant speed repeats with position, whatever the speed.",
+    confounded_with={"ground_spring": "More than one pitch of travel: a spring does not repeat."},
     of=("axis",),
     terms=lambda values, _: {
         "ripples": np.column_stack([values["sine_n"], values["cosine_n"], 2e3 * np.pi / values["pitch_mm"]])
     },
-    remedy="Look for what repeats along the travel: magnets, a screw's balls, a rack's or a belt's teeth.",
+    remedy="Look for parts that repeat along the travel: magnets, a screw's balls, a rack's or a belt's teeth.",
     of_motors=True,
 )
 

@@ -1,1 +1,1 @@
-"""How carriages move the nozzle, one file per kind of machine."""
+"""Kinematics: one file per kind of machine."""

@@ -1,8 +1,8 @@
-"""Kinematics of a machine: how the nozzle follows from the actuators, where it may go, and how its firmware sees that.
+"""Kinematics of a machine: nozzle position from actuator positions, reach, and the firmware's view of both.
 
-An actuator ("carriage") is what vibrates by itself on its belt, and is commanded: a delta's three carriages, or the
-three axes of a machine whose axes do not disturb each other. A motor is what makes steps: on a delta and on a cartesian
-machine each carriage's own, on CoreXY x and y together.
+An actuator ("carriage") is commanded and vibrates on its belt: a delta's three carriages, or the three axes of a
+machine with independent axes. A motor makes steps: on deltas and cartesian machines each carriage has its own; on
+CoreXY x and y share two.
 
 mm, s; arrays of n points; carriages in the order A B C or X Y Z, motors A B C.
 """
@@ -20,7 +20,7 @@ from models.arrays import BoolArray, FloatArray
 from models.errors import UnreachableError
 
 SLACK_MM = 1e-6  # a point on the rim, written with rounded digits, is inside
-INSIDE_MM = 1e-4  # what a command keeps from the border: one digit of the text
+INSIDE_MM = 1e-4  # margin of a command to the border: the last digit of the text
 
 TOWERS, AXES = ("A", "B", "C"), ("x", "y", "z")
 ALONG: Mapping[str, tuple[str, ...]] = {"xy": AXES[:2], **{axis: (axis,) for axis in AXES}}
@@ -51,9 +51,9 @@ class Kinematics(ABC):
     """One kind of kinematics with its numbers."""
 
     calibration_tolerances: ClassVar[Mapping[str, float]]
-    """Field -> by how much two files may differ in it and still describe one printer."""
+    """Field -> difference that two files of the same printer may have."""
     excitation_directions: ClassVar[Mapping[str, tuple[str, ...]]]
-    """Name of a group -> what is excited by itself, one after the other; the default group is the first."""
+    """Name of a group -> what to excite, one after the other; the first group is the default."""
     raisable_axes: ClassVar[str]
     """Axes whose limits a compensated file may raise above the plan's."""
 
@@ -71,14 +71,14 @@ class Kinematics(ABC):
 
     @abstractmethod
     def jacobian_rate_term(self, xyz: FloatArray, velocity: FloatArray) -> FloatArray:
-        """Return J̇ q̇ (n, 3) mm/s², the part of Ẍ = J q̈ + J̇ q̇ that is there without any carriage acceleration.
+        """Return J̇ q̇ (n, 3) mm/s², the part of Ẍ = J q̈ + J̇ q̇ that remains without carriage acceleration.
 
         xyz : (n, 3) mm; z does not matter.   velocity : (n, 3) mm/s, of the nozzle.
         """
 
     @abstractmethod
     def compiled(self) -> Compiled:
-        """Return the same for loops that cannot wait for arrays of arrays."""
+        """Return the compiled equations, for inner loops."""
 
     @abstractmethod
     def check_reach(self, xyz: FloatArray) -> None:
@@ -97,11 +97,11 @@ class Kinematics(ABC):
 
     @abstractmethod
     def drawn_in(self, xyz: FloatArray, heights: FloatArray) -> FloatArray:
-        """Return a command (n, 3) mm moved to where the firmware lets it go, for a path of these heights (m,) mm."""
+        """Return a command (n, 3) mm clipped to the firmware's limits, for a path with these heights (m,) mm."""
 
     @abstractmethod
     def reachable(self, xyz: FloatArray) -> BoolArray:
-        """Return which of the points (n, 3) mm lie in the print volume, as `check_reach` has it."""
+        """Return which of the points (n, 3) mm lie in the print volume, by the rule of `check_reach`."""
 
     @abstractmethod
     def centring(self, xy: FloatArray) -> tuple[float, float]:
@@ -109,7 +109,7 @@ class Kinematics(ABC):
 
     @abstractmethod
     def widening(self, xyz: FloatArray) -> str:
-        """Say how the machine file would describe a printer that reaches these points (n, 3) mm; empty: it cannot."""
+        """Return the machine-file keys that would make these points (n, 3) mm reachable; empty if none would."""
 
     @abstractmethod
     def rings(self, radii: int, directions: int) -> FloatArray:
@@ -152,7 +152,7 @@ class Kinematics(ABC):
     @property
     @abstractmethod
     def motor_rows(self) -> FloatArray:
-        """Return of each motor (3, 8): tower x y mm, L² mm², base mm, and what of X Y Z E counts.
+        """Return (3, 8), a row per motor: tower x y mm, L² mm², base mm, and weights of X Y Z E.
 
         A motor stands at base + (X Y Z E) · its last four + √(L² − |xy − tower|²); without an arm L² is zero.
         """
@@ -169,7 +169,7 @@ class Kinematics(ABC):
 
     @property
     def slow_zones(self) -> SlowZones | None:
-        """Return the lengths by which the firmware slows down near the border; None: it does not."""
+        """Return the lengths where the firmware slows down near the border; None: it does not."""
         return None
 
     @property
@@ -179,18 +179,18 @@ class Kinematics(ABC):
 
     @property
     def sample_positions(self) -> Mapping[str, FloatArray]:
-        """Return name -> position (2,) mm: the few that show how the vibrations change over the bed."""
+        """Return name -> position (2,) mm: the few that show how vibrations change over the bed."""
         return {"centre": np.array(self.centre_mm)}
 
     @property
     @abstractmethod
     def actuator_names(self) -> tuple[str, str, str]:
-        """Return what people call what the limits of carriages or motors A B C are of."""
+        """Return the names of carriages or motors A B C in messages about limits."""
 
     @property
     @abstractmethod
     def setup_notes(self) -> list[str]:
-        """Return lines of a list: what must be so on the printer before its vibrations are measured."""
+        """Return a checklist for the printer before its vibrations are measured."""
 
     def recalibrated(self, arm_length_mm: FloatArray, delta_radius_mm: FloatArray) -> Kinematics | None:
         """Return these kinematics with changes (3,) mm added to arms and radii; None without arms."""
@@ -202,7 +202,7 @@ class Kinematics(ABC):
 
 
 def require(good: BoolArray, points: FloatArray, sentence: str) -> None:
-    """Raise UnreachableError unless all are good; `sentence` is filled in with the first bad point."""
+    """Raise UnreachableError unless all are good; `sentence` is formatted with the first bad point."""
     bad = np.flatnonzero(~good)
     if bad.size:
         raise UnreachableError(sentence.format(*points[bad[0]]), bad)

@@ -1,7 +1,7 @@
-"""Cartesian and CoreXY machines: three straight axes that do not disturb each other.
+"""Cartesian and CoreXY machines: three independent straight axes.
 
-What vibrates are the axes, so the axes are the carriages, and J is the identity. The two kinds differ in what their
-motors do: one axis each, or x + y and x − y (https://www.corexy.com/theory.html).
+The axes vibrate, so the axes are the carriages, and J is the identity. The two kinds differ in their motors: one per
+axis, or x + y and x − y (https://www.corexy.com/theory.html).
 
 mm, s; arrays of n points, axes in the order X Y Z.
 """
@@ -52,7 +52,7 @@ class CartesianKinematics(Kinematics):
         return np.tile(np.eye(3), (len(xy), 1, 1))
 
     def compiled(self) -> Compiled:
-        """Return the same for loops that cannot wait for arrays of arrays."""
+        """Return the compiled equations, for inner loops."""
         return self
 
     def check_reach(self, xyz: FloatArray) -> None:
@@ -74,12 +74,12 @@ class CartesianKinematics(Kinematics):
         return f"is {', '.join(ranges)} mm"
 
     def drawn_in(self, xyz: FloatArray, heights: FloatArray) -> FloatArray:
-        """Return a command (n, 3) mm moved to where the firmware lets it go, for a path of these heights (m,) mm."""
+        """Return a command (n, 3) mm clipped to the firmware's limits, for a path with these heights (m,) mm."""
         low, high = self.range_mm.T
         return np.asarray(np.clip(xyz, np.where(high > low, low + INSIDE_MM, low), high - INSIDE_MM))
 
     def reachable(self, xyz: FloatArray) -> BoolArray:
-        """Return which of the points (n, 3) mm lie in the print volume, as `check_reach` has it."""
+        """Return which of the points (n, 3) mm lie in the print volume, by the rule of `check_reach`."""
         return self.contains(xyz, SLACK_MM)
 
     def centring(self, xy: FloatArray) -> tuple[float, float]:
@@ -88,7 +88,7 @@ class CartesianKinematics(Kinematics):
         return x, y
 
     def widening(self, xyz: FloatArray) -> str:
-        """Say how the machine file would describe a printer that reaches these points (n, 3) mm."""
+        """Return the machine-file keys that would make these points (n, 3) mm reachable."""
         low = np.minimum(self.range_mm[:, 0], np.floor(10 * xyz.min(axis=0)) / 10)
         high = np.maximum(self.range_mm[:, 1], np.ceil(10 * xyz.max(axis=0)) / 10)
         changed = np.flatnonzero((low < self.range_mm[:, 0]) | (high > self.range_mm[:, 1])).tolist()
@@ -117,13 +117,13 @@ class CartesianKinematics(Kinematics):
 
     @property
     def actuator_names(self) -> tuple[str, str, str]:
-        """Return what people call what the limits of carriages or motors A B C are of."""
+        """Return the names of carriages or motors A B C in messages about limits."""
         by_belts = np.array_equal(self.motor_matrix, COREXY)
         return ("motor A", "motor B", "axis Z") if by_belts else ("axis X", "axis Y", "axis Z")
 
     @property
     def setup_notes(self) -> list[str]:
-        """Return lines of a list: what must be so on the printer before its vibrations are measured."""
+        """Return a checklist for the printer before its vibrations are measured."""
         if np.array_equal(self.motor_matrix, COREXY):
             return [
                 "- The firmware's kinematics is CoreXY: the belts of both motors move the nozzle along x and along y."
@@ -141,7 +141,7 @@ class CartesianKinematics(Kinematics):
 
     @property
     def centre_mm(self) -> tuple[float, float]:
-        """Return the middle of the bed; of an axis that may go anywhere, its origin."""
+        """Return the middle of the bed; the origin of an unlimited axis."""
         bed = self.range_mm[:2]
         x, y = bed.mean(axis=1).tolist() if np.isfinite(bed).all() else (0.0, 0.0)
         return x, y
@@ -168,5 +168,5 @@ class CartesianKinematics(Kinematics):
 
     @property
     def motor_rows(self) -> FloatArray:
-        """Return of each motor (3, 8): tower x y mm, L² mm², base mm, and what of X Y Z E counts."""
+        """Return (3, 8), a row per motor: tower x y mm, L² mm², base mm, and weights of X Y Z E."""
         return np.hstack([np.zeros((3, 4)), self.motor_matrix, np.zeros((3, 1))])

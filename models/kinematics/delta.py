@@ -6,7 +6,7 @@ s_i = (x − i_x, y − i_y, −h_i) of the arms i, where
 
     h_i = √(L_i² − (x − i_x)² − (y − i_y)²)
 
-is how far the carriage joint stands above the effector joint. Everything but the carriages' heights depends
+is the height of the carriage joint above the effector joint. Everything but the carriages' heights depends
 on (x, y) only.
 
 mm, s; arrays of n points, arms in the order A, B, C.
@@ -66,7 +66,7 @@ class DeltaKinematics(Kinematics):
 
     @property
     def towers_mm(self) -> FloatArray:
-        """Return (3, 2) mm, columns X Y: where each arm's carriage joint stands, seen from the effector's centre."""
+        """Return (3, 2) mm, columns X Y: each arm's carriage joint relative to the effector's centre."""
         angles = self.tower_angles_rad
         return self.delta_radii_mm[:, None] * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
 
@@ -87,12 +87,12 @@ class DeltaKinematics(Kinematics):
 
     @property
     def slow_zones(self) -> SlowZones:
-        """Return the lengths by which the firmware slows down near the border; None: it does not."""
+        """Return the lengths where the firmware slows down near the border."""
         return SlowZones(float(self.delta_radii_mm.max()), float(self.arm_lengths_mm.min()))
 
     @property
     def tower_directions(self) -> Mapping[str, FloatArray]:
-        """Return the unit vectors (2,) from the centre to each tower; empty without towers."""
+        """Return the unit vectors (2,) from the centre to each tower."""
         return dict(zip(TOWERS, self.towers_mm / self.delta_radii_mm[:, None], strict=True))
 
     @property
@@ -104,12 +104,12 @@ class DeltaKinematics(Kinematics):
 
     @property
     def actuator_names(self) -> tuple[str, str, str]:
-        """Return what people call what the limits of carriages or motors A B C are of."""
+        """Return the names of carriages or motors A B C in messages about limits."""
         return "carriage A", "carriage B", "carriage C"
 
     @property
     def setup_notes(self) -> list[str]:
-        """Return lines of a list: what must be so on the printer before its vibrations are measured."""
+        """Return a checklist for the printer before its vibrations are measured."""
         return [
             "- The firmware's arm lengths, delta radius and tower angles are those of the machine file:",
             f"  L {_listed(self.arm_lengths_mm)}, R {_listed(self.delta_radii_mm)} mm, "
@@ -128,19 +128,19 @@ class DeltaKinematics(Kinematics):
 
     @property
     def motor_rows(self) -> FloatArray:
-        """Return of each motor (3, 8): tower x y mm, L² mm², base mm, and what of X Y Z E counts."""
+        """Return (3, 8), a row per motor: tower x y mm, L² mm², base mm, and weights of X Y Z E."""
         up = np.array([0.0, 0.0, 1.0, 0.0])
         heights = np.full((3, 1), self.effector_height_mm)
         return np.hstack([self.towers_mm, self.arm_lengths_mm[:, None] ** 2, heights, np.tile(up, (3, 1))])
 
     def compiled(self) -> Compiled:
-        """Return the same for loops that cannot wait for arrays of arrays."""
-        from models.kinematics.delta_kernels import FastDelta  # numba takes its time
+        """Return the compiled equations, for inner loops."""
+        from models.kinematics.delta_kernels import FastDelta  # numba is slow to import
 
         return FastDelta(self.towers_mm, self.arm_lengths_mm, self.effector_height_mm)
 
     def recalibrated(self, arm_length_mm: FloatArray, delta_radius_mm: FloatArray) -> DeltaKinematics:
-        """Return these kinematics with changes (3,) mm added to arms and radii; None without arms."""
+        """Return these kinematics with changes (3,) mm added to arms and radii."""
         return replace(
             self,
             arm_lengths_mm=constant(self.arm_lengths_mm + arm_length_mm),
@@ -216,12 +216,12 @@ class DeltaKinematics(Kinematics):
         -------
         (n, 3, 3) mm/mm, rows X Y Z, columns A B C.
         """
-        if len(xy) == 1:  # a fit asks for the same place thousands of times
+        if len(xy) == 1:  # a fit needs the same position thousands of times
             return _jacobian_at(self, float(xy[0, 0]), float(xy[0, 1])).copy()
         return self._jacobian(xy)
 
     def jacobian_rate_term(self, xyz: FloatArray, velocity: FloatArray) -> FloatArray:
-        """Return J̇ q̇, the part of Ẍ = J q̈ + J̇ q̇ that is there without any carriage acceleration.
+        """Return J̇ q̇, the part of Ẍ = J q̈ + J̇ q̇ that remains without carriage acceleration.
 
         Differentiating s_i·(Ẋ − ẑ q̇_i) = 0 once more: s_i·(Ẍ − ẑ q̈_i) + |Ẋ − ẑ q̇_i|² = 0, so
         J̇ q̇ = −S⁻¹ |ṡ_i|². NOTE: Eq. 13 of the paper has the opposite sign; finite differences agree with ours.
@@ -268,7 +268,7 @@ class DeltaKinematics(Kinematics):
         return f"has a radius of {self.print_radius_mm:g} mm and a height of {self.print_height_mm:g} mm"
 
     def drawn_in(self, xyz: FloatArray, heights: FloatArray) -> FloatArray:
-        """Return a command (n, 3) mm moved to where the firmware lets it go, for a path of these heights (m,) mm."""
+        """Return a command (n, 3) mm clipped to the firmware's limits, for a path with these heights (m,) mm."""
         radius = np.hypot(xyz[:, 0], xyz[:, 1])
         shrink = np.minimum(1.0, (self.print_radius_mm - INSIDE_MM) / np.maximum(radius, 1e-9))
         floor, ceiling = min(0.0, float(heights.min())), max(self.print_height_mm, float(heights.max()))
@@ -277,7 +277,7 @@ class DeltaKinematics(Kinematics):
         return np.asarray(inside)
 
     def reachable(self, xyz: FloatArray) -> BoolArray:
-        """Return which of the points (n, 3) mm lie in the print volume, as `check_reach` has it."""
+        """Return which of the points (n, 3) mm lie in the print volume, by the rule of `check_reach`."""
         z = xyz[:, 2]
         inside = np.hypot(xyz[:, 0], xyz[:, 1]) <= self.print_radius_mm + SLACK_MM
         return np.asarray(inside & (z <= self.print_height_mm + SLACK_MM) & (z >= LOWEST_Z_MM - SLACK_MM))
@@ -285,7 +285,7 @@ class DeltaKinematics(Kinematics):
     def centring(self, xy: FloatArray) -> tuple[float, float]:
         """Return the shift, whole mm, that puts points (n, 2) mm in the middle of the bed.
 
-        The smallest circle round all of them, by steps towards the farthest (Badoiu & Clarkson, 2003).
+        Centre of the smallest enclosing circle, by steps towards the farthest point (Badoiu & Clarkson, 2003).
         """
         places = np.unique(np.round(xy, 1), axis=0)
         centre = 0.5 * (places.min(axis=0) + places.max(axis=0))
@@ -296,7 +296,7 @@ class DeltaKinematics(Kinematics):
         return x, y
 
     def widening(self, xyz: FloatArray) -> str:
-        """Say how the machine file would describe a printer that reaches these points; empty: it cannot."""
+        """Return the machine-file keys that would make these points reachable; empty if none would."""
         radius, height = float(np.ceil(np.hypot(*xyz[:, :2].T).max())), float(np.ceil(xyz[:, 2].max()))
         keys = [f"print_radius_mm = {radius:g}"] if radius > self.print_radius_mm else []
         keys += [f"print_height_mm = {height:g}"] if height > self.print_height_mm else []
@@ -323,7 +323,7 @@ class DeltaKinematics(Kinematics):
         require(
             np.all(squared > 0, axis=1),
             xy,
-            "The point X = {:.3f}, Y = {:.3f} mm is farther from a tower than its arm is long.",
+            "The point X = {:.3f}, Y = {:.3f} mm is farther from a tower than the length of its arm.",
         )
         heights = np.sqrt(squared)
         return np.concatenate([across, -heights[:, :, None]], axis=-1), heights

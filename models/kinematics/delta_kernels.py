@@ -1,4 +1,4 @@
-"""The delta's equations compiled, for loops that cannot wait for arrays of arrays. See `delta.py` for the maths.
+"""The delta's equations compiled, for inner loops. See `delta.py` for the maths.
 
 `towers` (3, 2) mm are DeltaKinematics.towers_mm, `arms_squared` (3,) mm². Points out of reach become NaN.
 """

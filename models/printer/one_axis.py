@@ -17,14 +17,14 @@ from models.printer.kernels.motors import slopes
 from models.printer.kernels.one_axis import AXIS_PARAMETERS, AxisInput, integrate_axis
 
 LONGEST_STEP_S = 0.002
-STEP_RAD = 0.25  # may the fastest mode turn in a step
-COARSE_STEP_RAD = 0.7  # where effects are only ranked: a resonance is a thousandth off
-HARDENED = 2.0  # times the frequency at rest, of a spring that hardens under a loud motion
+STEP_RAD = 0.25  # phase of the fastest mode per step
+COARSE_STEP_RAD = 0.7  # for ranking effects: resonances are off by a thousandth
+HARDENED = 2.0  # frequency factor of a hardening spring under a large motion
 STEEPEST = 2.0  # the same, where a step can be no shorter: friction then falls with speed below that of one step
-STABLE = 1.5  # a step times the rate at which friction stops what moves: the method is stable up to 2.8
+STABLE = 1.5  # step times the decay rate by friction; the method is stable up to 2.8
 MOST_SUBSTEPS = 60
 MOST_FOR_FRICTION = 16  # of them for dry friction of what is light: more would resolve speeds far below its own
-NEUTRAL = {"fading_power": 1.0, "creep": 1.0, "presliding": 1.0}  # what is not zero where an effect is absent
+NEUTRAL = {"fading_power": 1.0, "creep": 1.0, "presliding": 1.0}  # values of absent effects that are not zero
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,13 +49,13 @@ class AxisMotion:
 
 
 def axis_effects(machine: Machine) -> tuple[str, ...]:
-    """Return the effects that this axis may have: what needs a spring or a command is not of one without."""
+    """Return the effects that this axis may have; some need a spring or a commanded position."""
     axis = driven_axis(machine)
     has = {
         "spring": axis.last_stiffness > 0.0,
         "command": not axis.by_force,
         "freedom": axis.free or not axis.by_force,
-        "turning": axis.unit != "mm",  # a file that does not say may have written 1 rad as 1 m
+        "turning": axis.unit != "mm",  # a file without a unit may have written 1 rad as 1 m
     }
     return tuple(name for name in effects_of(axis.moves) if has.get(CATALOGUE[name].needs, True))
 
@@ -76,20 +76,20 @@ def simulate_axis(
 
     Parameters
     ----------
-    drive : (n,) the input: N, A, V or a duty, straight between samples, or held where the file says so; or mm of the
+    drive : (n,) the input: N, A, V or a duty, linear between samples, or held (see the file); or mm of the
         commanded position, a cubic spline between them.
-    shot : samples after which the motion begins anew; 0: never.
+    shot : samples after which the motion restarts; 0: never.
     begin : (shots, 4) mm and mm/s of the last mass and of the first one at each beginning, NaN where one is not
         known; None: at rest where the input holds them.
-    substeps : integration steps a sample; 0: as many as the axis needs.
-    coarse : then only as many as it needs where effects are ranked.
+    substeps : integration steps a sample; 0: automatic.
+    coarse : automatic for ranking effects.
     supply_v : (n,) V, of a voltage or a duty; None: the file's.
-    extra : (n,) N that are known to push beside the drive; None: none.
+    extra : (n,) N, known extra force; None: none.
 
     Raises
     ------
     ValueError
-        If the motion goes to infinity, or an effect is not complete.
+        If the motion diverges, or an effect is incomplete.
     """
     (p, ripples), axis = axis_parameters(machine), driven_axis(machine)
     samples = np.ascontiguousarray(axis.force_of(drive, supply_v) if axis.by_force else 1e-3 * drive, float)
@@ -104,7 +104,7 @@ def simulate_axis(
     inputs, gentler = AxisInput(samples, slope, beside, dt_s, held), with_stable_friction(p, dt_s / steps, loudest)
     out = integrate_axis(inputs, steps, shot or len(drive) + 1, np.ascontiguousarray(first), gentler, ripples)
     if not np.all(np.isfinite(out)):
-        raise ValueError("With these numbers the axis moves to infinity.")
+        raise ValueError("With these numbers the motion of the axis diverges.")
     t = np.asarray(dt_s * np.arange(len(drive)), dtype=np.float64)
     return AxisMotion(t, 1e3 * out[:, 1], 1e3 * out[:, 0], out[:, 2], 1e3 * out[:, 3], out[:, 4], steps * len(drive))
 
@@ -118,7 +118,7 @@ def load_of(p: FloatArray, samples: FloatArray) -> float:
 
 
 def with_stable_friction(p: FloatArray, step_s: float, load_n: float) -> FloatArray:
-    """Return the numbers with a creep speed that is as large as a step needs: dry friction must not overshoot rest."""
+    """Return the parameters with a creep speed large enough that dry friction does not overshoot rest."""
     v = dict(zip(AXIS_PARAMETERS, p.tolist(), strict=True))
     least = (v["dry"] + v["sticking"] + load_n) * step_s / (STEEPEST * v["mass"])
     if least <= v["creep"]:
@@ -146,7 +146,7 @@ def substeps_of(p: FloatArray, dt_s: float, step_rad: float = STEP_RAD, load_n: 
 
 @lru_cache(maxsize=8)
 def axis_parameters(machine: Machine) -> tuple[FloatArray, FloatArray]:
-    """Return the kernel's numbers of an axis with its effects, SI: shared by its runs, not to be written to.
+    """Return the kernel's numbers of an axis with its effects, SI: shared between runs, read-only.
 
     Returns
     -------

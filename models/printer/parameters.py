@@ -18,7 +18,7 @@ NEUTRAL = {
     "peak_stretch": np.inf,
     "creep": np.ones(3),
     "joint_creep": 1.0,
-}  # what is not zero where an effect is absent
+}  # values of absent effects that are not zero
 
 
 def printer_parameters(machine: Machine, *, gravity: bool = True) -> PrinterParameters:
@@ -41,7 +41,7 @@ def printer_parameters(machine: Machine, *, gravity: bool = True) -> PrinterPara
 
 
 class ConvertedPrinter(NamedTuple):
-    """A machine with its effects as the kernels take it."""
+    """A machine with its effects, in the kernels' form."""
 
     parameters: PrinterParameters
     modes: FloatArray  # (n, 7, 3)

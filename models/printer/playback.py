@@ -1,6 +1,6 @@
-"""Play long commands: whole prints chunk by chunk, of which only one is held, and sections of a print in windows.
+"""Play long commands: whole prints chunk by chunk with one chunk in memory, and sections of a print in windows.
 
-Printers, or windows, go side by side in the lanes of the processor's vectors, and groups of them in threads.
+Printers, or windows, run in the lanes of the processor's vectors, and groups of them in threads.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ def play(
     ----------
     machines : sequence of Machine
     rows : callable, or a sequence of one for each machine
-        Carriage positions, columns A B C. A cubic hold asks for some rows behind the last, and for one command.
+        Carriage positions, columns A B C. A cubic hold reads some rows past the last, and takes one command only.
     count : int
         Rows that are played, at least two.
     row_s : float
@@ -53,7 +53,7 @@ def play(
         Intervals of a chunk.
     threads : int
     substeps : int, optional
-        Integration steps from row to row. None: as many as each printer asks for.
+        Integration steps from row to row. None: automatic for each printer.
 
     Yields
     ------
@@ -65,7 +65,7 @@ def play(
     UnreachableError
         If a nozzle leaves the reach of its arms.
     ValueError
-        If the command or the effects of a machine are not complete, or a printer cannot rest.
+        If the command or the effects of a machine are incomplete, or a printer has no rest position.
     """
     ahead = SPLINE_ROWS if hold == "cubic" else 0
     each = [rows] if callable(rows) else list(rows)
@@ -136,7 +136,7 @@ def simulate_batch(
     observe : callable
         The observed quantity of a motion.
     delay_s : float
-        Time by which the observation is later than the command, s.
+        Delay of the observation, s.
 
     Returns
     -------

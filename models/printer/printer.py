@@ -35,7 +35,7 @@ KINKED_STEP_S = 1 / 12800  # with backlash or dry friction; with strong friction
 FINEST_STEP_S = 1 / 25600
 SPLINE_ROWS = 24  # a cubic spline forgets a row's neighbours by 0.27 a row: 1e-14 after these
 
-WELL_FOLLOWED, RESOLVED = 0.6, 2.5  # step x the quickest mode's ω; step x a rigid axis' pole, below 2.78
+WELL_FOLLOWED, RESOLVED = 0.6, 2.5  # step x the fastest mode's ω; step x a rigid axis' pole, below 2.78
 
 # friction / (speed x inertia) x step; guides and joints together below 2.78, where a Runge-Kutta step of order 4 grows
 GUIDE_STIFFNESS, JOINT_STIFFNESS = 1.9, 0.8
@@ -49,7 +49,7 @@ Hold = Literal["cubic", "linear"]
 
 @dataclass(frozen=True, eq=False)
 class PrinterState:
-    """The state at the end of a simulation, from which it can be continued."""
+    """The state at the end of a simulation, to continue from."""
 
     t_s: float
     values: FloatArray  # SI: (30,), see `kernels.record`; of straight axes (rows, 3), see `kernels.axes`
@@ -95,10 +95,10 @@ def simulate_printer(
         machine's own, nominal geometry (an `arm_geometry` effect is not known to the firmware). Before the first
         row, the printer rests under it.
     start : the `state` of the chunk before, whose last row is this chunk's first. None: from rest.
-    substeps : integration steps from row to row. None: as many as `longest_step` asks for.
+    substeps : integration steps from row to row. None: from `longest_step`.
     hold : how the command runs between rows: "cubic" spline, or "linear" for executed straight segments.
     ahead : (k, 3) mm, rows of the command that follow this chunk. A cubic spline needs some 20 of them to run over
-        the border as if there were none.
+        the border without an error.
 
     Raises
     ------
@@ -247,7 +247,7 @@ class _Task:
 
     printer: _Ready
     cubics: FloatArray  # (n, 3, 4), see `kernels.motors.Commands`
-    first: int  # row of the command at which it begins
+    first: int  # first row of the command
     begin_s: float
     values: FloatArray  # state there, see `PrinterState`; empty of a delta at rest, see `_settled`
     history: FloatArray  # (k, 3) mm, see `PrinterState`
@@ -263,7 +263,7 @@ def _task(command: FloatArray, cubics: FloatArray, printer: _Ready, start: Print
 
 
 def _settled(tasks: Mapping[int, _Task]) -> dict[int, FloatArray | ValueError]:
-    """Return the states in which deltas begin at rest under the first row of their commands, or why there is none."""
+    """Return the rest state of each delta under the first row of its command, or the error if there is none."""
     commands = np.array([1e3 * task.cubics[0, :, 3] for task in tasks.values()]).reshape(-1, 3)
     printers = [task.printer.parameters for task in tasks.values()]
     states = deltas_at_rest([task.printer.kinematics for task in tasks.values()], commands, printers)
@@ -305,7 +305,7 @@ def _simulate(tasks: Sequence[_Task], dt_s: float, splines: Splines) -> list[Pri
 
 
 def longest_step(p: PrinterParameters, modes: FloatArray) -> float:
-    """Return the longest step, s, for this printer: shorter with backlash, and with dry friction at its reversals."""
+    """Return the longest stable step, s: shorter with backlash and dry friction."""
     friction = float(np.max(p.dry + p.sticking))
     smooth = min(SMOOTH_STEP_S, longest_of_modes(modes))
     if friction == p.joint_dry == np.max(p.half_backlash) == 0:
@@ -336,7 +336,7 @@ def _limit_stiffness(p: PrinterParameters, step_s: float) -> PrinterParameters:
 
 
 def _is_rigid(modes: FloatArray) -> BoolArray:
-    """Tell which of the modes (n, 7, 3) stand for axes that do not vibrate: their belts alone overdamp them."""
+    """Return which of the modes (n, 7, 3) stand for axes that do not vibrate: their belts alone overdamp them."""
     return np.asarray(modes[:, BELT_DAMPING] ** 2 > 3.0 * modes[:, FREQUENCY2])
 
 

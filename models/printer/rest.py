@@ -1,4 +1,4 @@
-"""Printers at rest: where belts and modes settle under a command, and what weight does to the nozzle there."""
+"""Printers at rest: equilibrium under a command, and the nozzle's deflection by weight."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def _settled(commands: FloatArray, printers: Sequence[PrinterParameters]) -> lis
     states = np.zeros((len(commands), STATES))
     states[:, V : V + 3] = states[:, Q : Q + 3] = commands / 1e3
     moved = find_equilibrium(states, parameter_table(printers))
-    rule = "The printer cannot rest with its carriages at {} mm: its motors do not hold it."
+    rule = "The printer has no equilibrium with its carriages at {} mm: its motors cannot hold it."
     return [
         state if m < EQUILIBRIUM_TOLERANCE_M else ValueError(rule.format(command))
         for state, m, command in zip(states, moved, commands, strict=True)
@@ -94,7 +94,7 @@ _RINGS, _ANGLES = 9, 18
 def static_deflection(plant: Machine, nozzle: FloatArray) -> FloatArray:
     """Compute the static deflection at positions (m, 3) mm → (m, 3) mm.
 
-    Zero for cartesian and CoreXY axes, whose weight rests on the frame and not on what vibrates.
+    Zero for cartesian and CoreXY axes, whose weight does not load the belts.
     """
     if not plant.vibration.gravity_loaded:
         return np.zeros((len(nozzle), 3))

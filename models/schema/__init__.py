@@ -1,4 +1,4 @@
-"""What a machine file may say: its tables, ranges and rules, and every mistake as a sentence.
+"""The schema of machine files: tables, ranges and rules, with every mistake as a sentence.
 
 pydantic finds the mistakes; it is imported nowhere else.
 """

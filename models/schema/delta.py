@@ -32,11 +32,11 @@ class KinematicsTable(Table):
     def _possible(self) -> KinematicsTable:
         if self.arms_mm is not None and self.radii_mm is not None:
             refuse([*_tower_problems(self), *_arm_problems(self)])
-        return self  # a missing length is found by missing_lengths, together with all else that is wrong
+        return self  # a missing length is found by missing_lengths, together with all other mistakes
 
     @property
     def arms_mm(self) -> list[float] | None:
-        """Of each tower; the numbers per tower go before the one for all."""
+        """Return the arm of each tower; numbers per tower override the common one."""
         return self.arm_lengths_mm or (self.arm_length_mm and [self.arm_length_mm] * 3) or None
 
     @property
@@ -100,7 +100,7 @@ class EffectorTable(Table):
 
 
 def missing_lengths(document: Mapping[str, Any]) -> list[str]:
-    """Return sentences about lengths of which neither the one for all nor those of each tower are there."""
+    """Return sentences about lengths that are given neither for all towers nor for each."""
     table = document.get("kinematics")
     if not isinstance(table, dict):
         return []

@@ -1,6 +1,6 @@
-"""What each kind of machine file holds, the rules of its effects, and the check of a whole file.
+"""The content of each kind of machine file, the rules of its effects, and the check of a whole file.
 
-`KINDS` is the one place that knows all kinds of machines.
+`KINDS` lists all kinds of machines; nothing else does.
 """
 
 from __future__ import annotations
@@ -32,19 +32,19 @@ def refuse_others(effects: Mapping[str, Mapping[str, Any]], moves: str, kind: st
     """Refuse effects, and keys of effects, that this kind of machine cannot have."""
     able = effects_of(moves)
     refuse(
-        f"effects.{name} is none of {kind}. Known there: {', '.join(able)}."
+        f"effects.{name} does not apply to {kind}. Possible effects: {', '.join(able)}."
         for name in effects
         if name in CATALOGUE and name not in able
     )
     refuse(
-        f"effects.{name}.{key.name} is of one axis by itself: it tells which of two springs is meant."
+        f"effects.{name}.{key.name} is only for one axis by itself: it selects one of two springs."
         for name, table in effects.items()
         if name in able and moves != "axis"
         for key in CATALOGUE[name].of_axis
         if key.name in table
     )
     refuse(
-        f"effects.{name}.{key.name} is of printers: on one axis by itself friction that bends is bristle_friction."
+        f"effects.{name}.{key.name} is only for printers: on one axis by itself use bristle_friction."
         for name, table in effects.items()
         if name in able and moves == "axis"
         for key in CATALOGUE[name].of_printers
@@ -53,7 +53,7 @@ def refuse_others(effects: Mapping[str, Mapping[str, Any]], moves: str, kind: st
 
 
 def mass_problems(name: str, table: Any, weighed: bool) -> Iterator[str]:
-    """Yield what is wrong with the keys of forces of an effect on axes whose mass is stated, or is not."""
+    """Yield the mistakes in an effect's force keys, for axes with or without a stated mass."""
     if name not in CATALOGUE or not isinstance(table, dict):
         return
     for key in table:
@@ -61,16 +61,16 @@ def mass_problems(name: str, table: Any, weighed: bool) -> Iterator[str]:
         if plain not in CATALOGUE[name].by_name or not CATALOGUE[name].parameter(plain).of_mass:
             continue
         if weighed and plain != key:
-            yield f"effects.{name}.{key}: the axes state their mass_kg, so this is {plain}."
+            yield f"effects.{name}.{key}: use {plain}, because the axes state their mass_kg."
         elif not weighed and plain == key:
             yield (
                 f"effects.{name}.{key}: no axis states its mass. State axes.x.mass_kg and axes.y.mass_kg, "
-                f"or give {key}{PER_KILOGRAM}, per kilogram of what the axis moves."
+                f"or give {key}{PER_KILOGRAM}, per moving kilogram."
             )
 
 
 def plain_keys(table: Any) -> Any:
-    """Return an effect's table with its keys as they are where masses are stated."""
+    """Return an effect's table with the keys for axes of known mass."""
     if not isinstance(table, dict):
         return table
     return {key.removesuffix(PER_KILOGRAM): value for key, value in table.items()}
@@ -93,9 +93,9 @@ def _with_pitch(table: Any) -> Any:
 
 
 def effect_problems(name: str, table: Mapping[str, Any]) -> Iterator[str]:
-    """Yield what is wrong with the table of an effect."""
+    """Yield the mistakes in the table of an effect."""
     if name not in CATALOGUE:
-        yield f"effects.{name} is not an effect ffcomp knows.{did_you_mean(name, CATALOGUE)}"
+        yield f"effects.{name} is not a known effect.{did_you_mean(name, CATALOGUE)}"
         return
     effect = CATALOGUE[name]
     for key, value in table.items():
@@ -126,7 +126,7 @@ NO_PRINTER = (
 
 
 class Document(Table):
-    """What every kind of machine has."""
+    """The tables of every kind of machine."""
 
     moves: ClassVar[str]  # as in `Effect.of`
     format: Literal["ffcomp-machine/1"]
@@ -143,7 +143,7 @@ class Document(Table):
     def _known_numbers(cls, uncertainty: dict[str, float]) -> dict[str, float]:
         known = ["default", *number_keys(cls), *effect_keys()]
         refuse(
-            f'uncertainty."{key}" names no number of this file.{did_you_mean(key, known)}'
+            f'uncertainty."{key}" is not a number of this file.{did_you_mean(key, known)}'
             for key in uncertainty
             if key not in known
         )
@@ -162,19 +162,19 @@ class Document(Table):
 
     @classmethod
     def missing(cls, document: Mapping[str, Any]) -> list[str]:
-        """Return sentences about tables' keys of which one or another must be there."""
+        """Return sentences about missing alternatives, where one of several keys is required."""
         return []
 
 
 NO_EFFECT_OF: Mapping[str, str] = {
     "carriages": "a delta: it has no straight axes",
     "axes": "a machine with straight axes: they have no arms and no effector",
-    "axis": "one axis by itself: it is no printer",
+    "axis": "one axis by itself, which is not a printer",
 }
 
 
 class PrinterDocument(Document):
-    """What every printer has."""
+    """The tables of every printer."""
 
     limits: LimitsTable
     steps: StepsTable = StepsTable()
@@ -231,7 +231,7 @@ class DeltaDocument(PrinterDocument):
 
     @classmethod
     def missing(cls, document: Mapping[str, Any]) -> list[str]:
-        """Return sentences about lengths that are not there."""
+        """Return sentences about missing lengths."""
         return missing_lengths(document)
 
     def machine_parts(self) -> tuple[Kinematics, VibrationModel]:
@@ -254,9 +254,7 @@ class StraightDocument(PrinterDocument):
     @model_validator(mode="after")
     def _exchange_needs_common_belts(self) -> StraightDocument:
         if self.axes.exchange and not self.kinematics.geometry().shares_motors:
-            refuse(
-                ["axes.exchange is of belts that move x and y together, as a CoreXY's: this machine has no such belts."]
-            )
+            refuse(["axes.exchange is only for belts that move x and y together, as on a CoreXY."])
         return self
 
     @property
@@ -289,7 +287,7 @@ class AxisDocument(Document):
     @model_validator(mode="before")
     @classmethod
     def _inside(cls, document: Any) -> Any:
-        """Read an axis that turns, or whose force is a current, by the keys and numbers of the inside."""
+        """Read an axis that turns, or whose force is a current, with the internal keys and numbers."""
         quantities, out = quantities_of(document), dict(document)
         tables = {name: table for name, table in document.items() if isinstance(table, dict)}
         if "axis" in tables:
@@ -318,14 +316,14 @@ class AxisDocument(Document):
         )
 
     def printer(self, sha256: str, path: str) -> Machine:
-        """Refuse: there is no printer in it."""
+        """Refuse: it is not a printer."""
         raise MachineFileError(path or self.name, [NO_PRINTER])
 
 
 AnyDocument = DeltaDocument | StraightDocument | AxisDocument
 
 
-# kinematics.type -> what a file of this kind holds; of any other, a delta's mistakes are told
+# kinematics.type -> document; files of an unknown kind are checked as a delta
 KINDS: Mapping[str, type[AnyDocument]] = {
     "delta": DeltaDocument,
     "cartesian": StraightDocument,

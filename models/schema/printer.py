@@ -1,4 +1,4 @@
-"""Tables that every printer may have, whatever moves its nozzle: limits, steps, extruder, firmware, macros."""
+"""Tables of any printer, whatever its kinematics: limits, steps, extruder, firmware, macros."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ class StepsTable(Table):
 
 
 class ExtruderTable(Table):
-    """`[extruder]`: what the hot end keeps back."""
+    """`[extruder]`: pressure in the hot end."""
 
     pressure_time_constant_s: float = Field(gt=0, le=2)
     pressure_flow_exponent: float = Field(1.0, ge=0.2, le=2)
@@ -91,7 +91,7 @@ class ExtruderTable(Table):
     corner_velocity_mm_per_s: float = Field(CORNER_MM_PER_S, ge=0.01, le=1000)
 
     def pressure(self) -> Pressure:
-        """Return the model of the pressure."""
+        """Return the pressure model."""
         return Pressure(
             self.pressure_time_constant_s,
             self.pressure_flow_exponent,
@@ -117,7 +117,7 @@ def _stated(table: Table, settings: _Settings) -> _Settings:
 
 
 class MarlinTable(Table):
-    """`[firmware.marlin]`: what M503 says of the planner, and what the firmware was built with."""
+    """`[firmware.marlin]`: the planner's settings from M503, and build options."""
 
     speed_mm_per_s: Speeds | None = None
     acceleration_mm_per_s2: Accelerations | None = None
@@ -134,7 +134,7 @@ class MarlinTable(Table):
     segments_per_second: float | None = Field(None, ge=1, le=1000)
 
     def settings(self, limits: MotionLimits, towers: bool) -> MarlinSettings:
-        """Return the settings; speeds, accelerations and jerk that the file does not state are those of its `[limits]`.
+        """Return the settings; speeds, accelerations and jerk missing from the file come from its `[limits]`.
 
         towers : of a delta
         """
@@ -142,7 +142,7 @@ class MarlinTable(Table):
 
 
 class RepRapFirmwareTable(Table):
-    """`[firmware.reprapfirmware]`: what config.g says of the planner."""
+    """`[firmware.reprapfirmware]`: the planner's settings from config.g."""
 
     speed_mm_per_s: Speeds | None = None
     acceleration_mm_per_s2: Accelerations | None = None
@@ -153,7 +153,7 @@ class RepRapFirmwareTable(Table):
     queue_moves: int | None = Field(None, ge=2, le=1000)
 
     def settings(self, limits: MotionLimits, delta: bool) -> RepRapFirmwareSettings:
-        """Return the settings; what the file does not state is by its `[limits]`."""
+        """Return the settings; missing ones come from its `[limits]`."""
         return _stated(self, RepRapFirmwareSettings.within(limits, delta))
 
 
@@ -170,7 +170,7 @@ def _shaper_command(text: str) -> str:
 
 
 class FirmwareTable(Table):
-    """`[firmware]`: which one the printer runs, and its own input shaper."""
+    """`[firmware]`: the printer's firmware and its own input shaper."""
 
     flavor: Literal["klipper", "marlin", "reprapfirmware"] | None = None
     input_shaper: list[Annotated[str, AfterValidator(_shaper_command)]] | None = None
@@ -182,7 +182,7 @@ MacroName = Annotated[str, Field(pattern=r"^@?[A-Za-z_]\w*$")]
 
 
 class MacrosTable(Table):
-    """`[macros]`: what is known of the printer's own."""
+    """`[macros]`: the printer's own macros."""
 
     returns: list[MacroName] | None = None
     still: list[MacroName] | None = None

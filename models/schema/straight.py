@@ -39,7 +39,7 @@ class StraightTable(Table):
 
 
 class AxisTable(Table):
-    """`[axes.x]` and its like: the modes of one axis."""
+    """`[axes.x]` and similar: the modes of one axis."""
 
     frequency_hz: Annotated[list[Annotated[float, Field(ge=1, le=1000)]], MODES]
     damping_ratio: Annotated[list[Annotated[float, Field(ge=0, lt=1)]], MODES]
@@ -61,7 +61,7 @@ class AxisTable(Table):
 
 
 class AxesTable(Table):
-    """How each axis answers to its command; one that is left out is rigid."""
+    """Modes of the axes; an axis that is left out is rigid."""
 
     x: AxisTable | None = None
     y: AxisTable | None = None
@@ -83,7 +83,7 @@ class AxesTable(Table):
         return self
 
     def model(self) -> ModalAxes:
-        """Return the model of the three axes X Y Z, and of what x and y exchange."""
+        """Return the model of the three axes X Y Z, and of the exchange between x and y."""
         axes = [Axis() if table is None else table.axis() for table in (self.x, self.y, self.z)]
         return ModalAxes.of(axes, self.exchange or 0.0)
 
@@ -93,13 +93,13 @@ def _axis_problems(name: str, table: AxisTable) -> Iterator[str]:
     if len(table.damping_ratio) != modes or len(table.share or table.frequency_hz) != modes:
         yield f"axes.{name}: frequency_hz, damping_ratio and share must have as many numbers each, one for each mode."
     elif table.share is None and modes > 1:
-        yield f"axes.{name}.share is missing; of several modes it says how much each takes of the response at rest."
+        yield f"axes.{name}.share is missing; with several modes it is each mode's share of the static response."
     elif table.share is not None and abs(sum(table.share) - 1.0) > 1e-3:
-        yield f"axes.{name}.share = {table.share} must sum to 1: at rest an axis stands where it is told to."
+        yield f"axes.{name}.share = {table.share} must sum to 1, because at rest the axis is at its commanded position."
     elif table.mount_frequency_hz is not None and not _is_between(table, table.mount_frequency_hz):
         yield (
             f"axes.{name}.mount_frequency_hz = {table.mount_frequency_hz:g} must lie between the frequencies of two "
-            "modes, of which the higher one has a share below zero."
+            "modes, and the higher mode's share must be negative."
         )
 
 
@@ -154,7 +154,7 @@ class DrivenAxisTable(Table):
 
 
 def quantities_of(document: Mapping[str, Any]) -> Quantities:
-    """Return how a file, checked or not, names and scales its numbers; printers' words of anything odd."""
+    """Return how a file, checked or not, names and scales its numbers; the printers' way if it is malformed."""
     table = document.get("axis")
     axis: Mapping[str, Any] = table if isinstance(table, Mapping) else {}
     drive = axis.get("drive")
@@ -167,7 +167,7 @@ def quantities_of(document: Mapping[str, Any]) -> Quantities:
 def _driven_problems(table: DrivenAxisTable) -> Iterator[str]:
     yield from _drive_problems(table)
     if table.stiffness_n_per_m is None and not table.drive.gain_v_per_m:
-        yield "axis.stiffness_n_per_m is missing (0 where nothing holds the axis)."
+        yield "axis.stiffness_n_per_m is missing (0 if nothing holds the axis)."
     elif table.input == "position" and not table.stiffness_n_per_m and not table.drive.gain_v_per_m:
         yield (
             "axis.stiffness_n_per_m = 0: nothing ties the axis to its commanded position. Give the stiffness of its "
@@ -175,9 +175,9 @@ def _driven_problems(table: DrivenAxisTable) -> Iterator[str]:
             'resistance_ohm), or input = "force".'
         )
     if (table.load_mass_kg is None) != (table.coupling_stiffness_n_per_m is None):
-        yield "axis.load_mass_kg and axis.coupling_stiffness_n_per_m belong together: a load hangs at a coupling."
+        yield "axis.load_mass_kg and axis.coupling_stiffness_n_per_m belong together: state both, or neither."
     if table.load_mass_kg is None and table.coupling_damping_n_s_per_m:
-        yield "axis.coupling_damping_n_s_per_m is of a coupling; give axis.load_mass_kg and its stiffness, or neither."
+        yield "axis.coupling_damping_n_s_per_m needs axis.load_mass_kg and axis.coupling_stiffness_n_per_m."
 
 
 def _drive_problems(table: DrivenAxisTable) -> Iterator[str]:
@@ -188,14 +188,14 @@ def _drive_problems(table: DrivenAxisTable) -> Iterator[str]:
         (drive.force_constant_n_per_a is None) != (drive.resistance_ohm is None)
     ):
         yield (
-            "axis.drive.force_constant_n_per_a and axis.drive.resistance_ohm belong together where a voltage drives: "
+            "axis.drive.force_constant_n_per_a and axis.drive.resistance_ohm belong together with a voltage input: "
             "state both, or neither, and all forces per volt."
         )
     if by == "duty" and drive.force_constant_n_per_a is not None and drive.supply_v is None:
-        yield "axis.drive.supply_v is missing: a duty is a share of it. A column supply_v of a run goes before it."
+        yield "axis.drive.supply_v is missing; a duty is a fraction of it. A column supply_v of a run overrides it."
     if drive.current_limit_a is not None and by != "current":
-        yield 'axis.drive.current_limit_a is of input = "current"; state axis.drive.force_limit_n.'
+        yield 'axis.drive.current_limit_a needs input = "current"; else state axis.drive.force_limit_n.'
     if drive.hold == "steps" and by == "position":
-        yield 'axis.drive.hold = "steps" is of a force, a current, a voltage or a duty; a position is a cubic spline.'
+        yield 'axis.drive.hold = "steps" needs a force, current, voltage or duty input; a position is a cubic spline.'
     if drive.rate_gain_v_s_per_m and not drive.gain_v_per_m:
-        yield "axis.drive.rate_gain_v_s_per_m is of a servo law; axis.drive.gain_v_per_m is missing."
+        yield "axis.drive.rate_gain_v_s_per_m needs axis.drive.gain_v_per_m."

@@ -1,6 +1,6 @@
-"""What every table of a machine file has: units and ranges of its numbers, no unknown keys; its mistakes as sentences.
+"""The base of every table of a machine file: units, ranges, no unknown keys, and mistakes as sentences.
 
-The ranges hold any printer, and catch most numbers in a wrong unit. pydantic finds the mistakes.
+The ranges admit any printer and catch most numbers in a wrong unit. pydantic finds the mistakes.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from models.quantities import PLAIN
 
 
 def unit_of(key: str) -> str:
-    """Return the unit a key's name ends in, '' if none."""
+    """Return the unit in a key's suffix, '' if none."""
     return PLAIN.unit_of(key)
 
 
@@ -60,7 +60,7 @@ def number_keys(table: type[BaseModel]) -> Iterator[str]:
 
 
 def refuse(problems: Iterable[str]) -> None:
-    """Tell pydantic, which carries the text to `sentences`."""
+    """Raise through pydantic, which passes the text on to `sentences`."""
     text = "\n".join(problems)
     if text:
         raise ValueError(text)
@@ -90,7 +90,7 @@ PAIRS = ("limits.carriage_travel_mm", *(f"kinematics.{axis}_range_mm" for axis i
 
 
 def sentences(error: Mapping[str, Any], kind: type[Table]) -> list[str]:
-    """One of pydantic's errors in our words (a validator of ours may have found several mistakes)."""
+    """Return one of pydantic's errors in our words; a validator of ours may report several mistakes."""
     context = {**error.get("ctx", {}), "document": kind}
     if error["type"] == "value_error":
         return str(context["error"]).split("\n")

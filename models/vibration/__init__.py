@@ -1,1 +1,1 @@
-"""Linear models of how a machine vibrates."""
+"""Linear vibration models of machines."""

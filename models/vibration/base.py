@@ -1,8 +1,8 @@
 """The interface of a linear model of a machine's vibrations: commanded actuators in, real actuators and nozzle out.
 
-Two models implement it: `DeltaVibration` (carriages that carry an effector) and `ModalAxes` (axes that vibrate by
-themselves). A model is frozen; it knows the kinematics it works with (`on`). Positions are (x, y) in mm, since nothing
-depends on z; small motion around a position is linear.
+`DeltaVibration` (carriages that carry an effector) and `ModalAxes` (independent axes) implement it. A model is frozen
+and bound to its kinematics (`on`). Positions are (x, y) in mm, since nothing depends on z; small motion around a
+position is linear.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ if TYPE_CHECKING:
 
 SWINGING = 1e-6  # imaginary part of a pole over its size; below, rounding alone keeps two real poles from meeting
 
-Output = Literal["carriage", "nozzle", "acceleration"]  # what responds; acceleration: of the nozzle, s² X
-Input = Literal["carriage", "nozzle"]  # what is commanded: three actuators, or the nozzle's three axes
+Output = Literal["carriage", "nozzle", "acceleration"]  # the output; acceleration: of the nozzle, s² X
+Input = Literal["carriage", "nozzle"]  # the command: three actuators, or the nozzle's three axes
 PrinterFields = dict[str, FloatArray | float | bool]  # fields of the nonlinear printer's record, SI
 
 
@@ -41,7 +41,7 @@ class Modes:
 
 @dataclass(frozen=True)
 class Parameter:
-    """One number that decides how a machine vibrates.
+    """One number of a vibration model.
 
     `column` is which of a draw's normal deviates moves it: parameters of one column move together. Its relative
     standard deviation is that of `file_key` in `[uncertainty]`, times `power` (a stiffness is a frequency squared).
@@ -50,7 +50,7 @@ class Parameter:
     name: str  # "carriage.belt_stiffness_n_per_m", "effector.extruder_stiffness_n_per_m[2]"
     value: float
     column: int
-    file_key: str = ""  # '' if no entry of the file tells how well it is known: exact
+    file_key: str = ""  # '' if no entry gives its uncertainty: exact
     power: float = 1.0
 
 
@@ -101,7 +101,7 @@ class Description:
     """Words for headings and results."""
 
     heading: str  # "load map virtual_work", "straight axes"
-    force_map: str | None  # how a load is shared among the actuators; None: there is none
+    force_map: str | None  # sharing of a load among the actuators; None: there is none
 
 
 class VibrationModel(ABC):
@@ -112,11 +112,11 @@ class VibrationModel(ABC):
     channels: ClassVar[tuple[str, str, str]]
     """Names of the actuators."""
     gravity_loaded: ClassVar[bool]
-    """Whether weight stretches what vibrates."""
+    """Whether weight loads the vibrating springs."""
     diagnosable: ClassVar[bool] = True
-    """Whether `gap` and `diagnose` know what its printer feels."""
+    """Whether `gap` and `diagnose` support it."""
     moves: ClassVar[Literal["carriages", "axes", "axis"]] = "carriages"
-    """What the motors move, and with it which effects there may be."""
+    """What the motors move, which decides the possible effects."""
 
     @property
     @abstractmethod
@@ -129,7 +129,7 @@ class VibrationModel(ABC):
 
     @abstractmethod
     def parameters(self) -> ParameterSet:
-        """Return the numbers that decide how the machine vibrates; its geometry is calibrated, not guessed."""
+        """Return the uncertain numbers of the model; the geometry is calibrated and not among them."""
 
     @abstractmethod
     def value(self, name: str) -> float:
@@ -214,15 +214,15 @@ class VibrationModel(ABC):
 
     @abstractmethod
     def steady_motion(self, q: FloatArray, qd: FloatArray) -> FloatArray:
-        """Return the state with the actuators at (3,) mm, in motion at (3,) mm/s since long."""
+        """Return the state with the actuators at (3,) mm, in steady motion at (3,) mm/s."""
 
     @abstractmethod
     def undriven(self) -> Self:
-        """Return the model behind ideal drives: motors stand where they are told to."""
+        """Return the model with ideal drives: motors follow their command exactly."""
 
     @abstractmethod
     def printer_parameters(self, gravity_m_per_s2: float) -> PrinterFields:
-        """Return what the nonlinear printer's kernels need of the model, SI."""
+        """Return the model's numbers for the nonlinear printer's kernels, SI."""
 
     def printer_modes(self) -> FloatArray:
         """Return the modes of straight axes, (n, 7, 3), see `models/printer/kernels/axes.py`; none of other models."""
@@ -230,7 +230,7 @@ class VibrationModel(ABC):
 
     @property
     def per_kilogram(self) -> bool:
-        """Return whether forces are per kilogram of what moves, because its mass is not known."""
+        """Return whether forces are per moving kilogram, because the mass is unknown."""
         return False
 
     @property
@@ -245,7 +245,7 @@ class VibrationModel(ABC):
 
     @property
     def guessed(self) -> Mapping[str, float]:
-        """Return what of `tunable` the file does not state, with the standard deviation of the guess, as a share."""
+        """Return the entries of `tunable` missing from the file, with the relative standard deviation of the guess."""
         return {}
 
     @abstractmethod
@@ -258,11 +258,11 @@ class VibrationModel(ABC):
 
     def with_moved_mass(self, added_kg: FloatArray) -> Self:
         """Return the model with so much more (3,) on its actuators."""
-        raise ValueError("This machine's carriages have a mass of their own; moved_mass is of straight axes.")
+        raise ValueError("moved_mass is only for straight axes; this machine's file has the carriages' mass.")
 
     def with_belt_damping(self, share: FloatArray) -> Self:
         """Return the model with so much (3,) of its guides' damping in its belts instead."""
-        raise ValueError("This machine's belts have a damping of their own; belt_damping is of straight axes.")
+        raise ValueError("belt_damping is only for straight axes; this machine's file has the belts' damping.")
 
     @abstractmethod
     def describe(self) -> Description:
@@ -277,7 +277,7 @@ class VibrationModel(ABC):
 
 
 def _vibrations(pole: ComplexArray, shape: ComplexArray) -> tuple[FloatArray, FloatArray, ComplexArray]:
-    """Return frequencies, ratios and shapes of those of m poles (m,) with shapes (m/2, m) that swing."""
+    """Return frequencies, ratios and shapes of the oscillating ones of m poles (m,) with shapes (m/2, m)."""
     upper = np.flatnonzero(pole.imag > SWINGING * np.abs(pole))
     upper = upper[np.argsort(np.abs(pole[upper]))]
     natural = np.abs(pole[upper])
@@ -286,7 +286,7 @@ def _vibrations(pole: ComplexArray, shape: ComplexArray) -> tuple[FloatArray, Fl
     return natural / (2 * np.pi), -pole[upper].real / natural, swinging / length
 
 
-# -- python-control, which takes seconds to import --
+# -- python-control, slow to import --
 
 AXES = ("x", "y", "z")
 KINDS = {"carriage": "pos", "nozzle": "pos", "acceleration": "acc"}
@@ -320,8 +320,8 @@ def to_control(
     if output == "acceleration":
         if np.any(slope):
             raise ValueError(
-                "The acceleration is no state space of the command: a drive is ideal and its belt is damped, so the "
-                "acceleration follows the command's slope at once; give the machine a drive, or ask for 'nozzle' and "
+                "The acceleration has no state space of the command: a drive is ideal and its belt is damped, so the "
+                "acceleration follows the command's slope at once; give the machine a drive, or use 'nozzle' and "
                 "differentiate."
             )
         rate = jacobian @ (c @ a)

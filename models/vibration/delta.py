@@ -14,8 +14,8 @@ The centripetal term f = J̇ q̇ of the planned motion is a known input. Only ac
 the effector enter, so the model holds for large motion. k, c and b may be three numbers, A B C. mm for lengths;
 stiffness N/m over mass kg is 1/s² all the same.
 
-The paper's arms are half masses at their ends. Mass that lies evenly along an arm of which one end moves with Ẋ and the
-other with ẑ q̇_i has less kinetic energy, m_f/6 (|Ẋ|² + Ẋ·ẑ q̇_i + q̇_i²): with the share of it that acts at the ends,
+The paper's arms are half masses at their ends. If mass is spread evenly along an arm whose ends move with Ẋ and ẑ q̇_i,
+the kinetic energy is lower, m_f/6 (|Ẋ|² + Ẋ·ẑ q̇_i + q̇_i²). With the share that acts at the ends,
 
     T = … − ½ ν Σ |Ẋ − ẑ q̇_i|²,   ν = (1 − share) m_f/6   so that M and the forces lose
     ν Σ R_iᵀ R_i and ν Σ R_iᵀ f,   R_i = J − ẑ e_iᵀ        whatever Γ is: it is of the effector
@@ -116,7 +116,7 @@ class DeltaVibration(VibrationModel):
     # ---- parameters
 
     def parameters(self) -> ParameterSet:
-        """Return the numbers that decide how the machine vibrates; its geometry is calibrated, not guessed."""
+        """Return the uncertain numbers of the model; the geometry is calibrated and not among them."""
         names = []
         for key in CARRIAGE:  # three of them, where an effect has made towers differ
             several = np.ndim(getattr(self.carriage, key)) > 0
@@ -166,13 +166,13 @@ class DeltaVibration(VibrationModel):
         return np.einsum("nai,iab->nib", j, load_distribution(self.kinematics.tower_angles_rad, self.effector))
 
     def arm_inertia(self, j: FloatArray) -> FloatArray:
-        """Return ν Σ R_iᵀ R_i, by which mass along the arms lightens the carriages; j and result (n, 3, 3), kg."""
+        """Return ν Σ R_iᵀ R_i, the mass along the arms that the carriages do not feel; j and result (n, 3, 3), kg."""
         rise = j[:, 2]  # of the nozzle, by each carriage
         both = rise[:, :, None] + rise[:, None, :]
         return np.asarray(self.carriage.arm_inertia_kg * (3 * j.transpose(0, 2, 1) @ j - both + np.eye(3)))
 
     def carriage_impedance(self, xy: FloatArray, s: ComplexArray) -> ComplexArray:
-        """Return what of Z the effector has no part in, carriages and mass along the arms.
+        """Return the part of Z without the effector: carriages and mass along the arms.
 
         Parameters
         ----------
@@ -318,7 +318,7 @@ class DeltaVibration(VibrationModel):
         return state
 
     def steady_motion(self, q: FloatArray, qd: FloatArray) -> FloatArray:
-        """Return the state with the actuators at (3,) mm, in motion at (3,) mm/s since long."""
+        """Return the state with the actuators at (3,) mm, in steady motion at (3,) mm/s."""
         state = np.zeros(STATES)
         state[Q], state[QD] = q, qd
         drive = self.carriage.drive
@@ -329,13 +329,13 @@ class DeltaVibration(VibrationModel):
         return state
 
     def undriven(self) -> DeltaVibration:
-        """Return the model behind ideal drives: motors stand where they are told to."""
+        """Return the model with ideal drives: motors follow their command exactly."""
         return replace(self, carriage=replace(self.carriage, drive=None))
 
     # ---- the nonlinear printer
 
     def printer_parameters(self, gravity_m_per_s2: float) -> PrinterFields:
-        """Return what the nonlinear printer's kernels need of the model, SI."""
+        """Return the model's numbers for the nonlinear printer's kernels, SI."""
         carriage, effector = self.carriage, self.effector
         paper = effector.force_map == "paper"
         return {

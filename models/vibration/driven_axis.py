@@ -3,7 +3,7 @@
     m q̈ = F + F₀ − b q̇ − k (q − u) − c_d (q̇ − u̇) + (k_c (q_l − q) + c (q̇_l − q̇))
     M q̈_l = −k_c (q_l − q) − c (q̇_l − q̇)
 
-Without a load there is no coupling; where a force drives, u = 0 and c_d = 0, where a position does, F = 0. An electric
+Without a load there is no coupling. A force input has u = 0 and c_d = 0, a position input F = 0. An electric
 motor gives F = k_t i from a current, F = k_t/R (V − k_t q̇) from a voltage, and V = g (u − q) + h (u̇ − q̇) in a servo:
 its back EMF damps, and its law is a spring and a damper.
 
@@ -43,12 +43,12 @@ Hold = Literal["straight", "steps"]
 
 @dataclass(frozen=True)
 class Drive:
-    """`[axis.drive]`: how a motor makes a force of what it is given."""
+    """`[axis.drive]`: how a motor makes a force from its input."""
 
     force_constant_n_per_a: float | None = None  # k_t; None: forces are per ampere, or per volt
     resistance_ohm: float | None = None  # R, for voltages
-    supply_v: float | None = None  # no voltage is higher; what a duty is a share of
-    gain_v_per_m: float = 0.0  # g of a servo: voltage for each metre that it is off
+    supply_v: float | None = None  # the highest voltage; a duty is a fraction of it
+    gain_v_per_m: float = 0.0  # g of a servo: volts per metre of error
     rate_gain_v_s_per_m: float = 0.0  # h
     current_limit_a: float | None = None
     force_limit_n: float | None = None  # of any drive
@@ -61,11 +61,11 @@ class Drive:
 
     @property
     def back_emf(self) -> float:
-        """Return k_t²/R, the damping by what the motor itself induces, N s/m."""
+        """Return k_t²/R, the motor's own damping, N s/m."""
         return 0.0 if self.resistance_ohm is None else self.force_per_volt * (self.force_constant_n_per_a or 0.0)
 
     def stiffer(self, factor: float) -> Drive:
-        """Return the drive with a servo law that is so many times as stiff."""
+        """Return the drive with a servo law stiffer by this factor."""
         return replace(self, gain_v_per_m=factor * self.gain_v_per_m)
 
 
@@ -77,12 +77,12 @@ class DrivenAxis(VibrationModel):
     mass_kg: float  # of the motor's side, or of all
     stiffness_n_per_m: float  # to the commanded position, or to the ground where a force drives; 0: none
     damping_n_s_per_m: float  # of the first mass against the ground
-    load_mass_kg: float | None = None  # of a second mass that hangs at the first
+    load_mass_kg: float | None = None  # of a second mass on the first
     coupling_stiffness_n_per_m: float | None = None
     coupling_damping_n_s_per_m: float = 0.0
-    offset_n: float = 0.0  # a force that is always there: a slope, or the zero of the force's sensor
+    offset_n: float = 0.0  # a constant force: a slope, or the offset of the force sensor
     drive_damping_n_s_per_m: float = 0.0  # across the spring to the commanded position
-    unit: Literal["", "mm", "rad"] = ""  # of its way; '': not stated, mm
+    unit: Literal["", "mm", "rad"] = ""  # of its position; '': not stated, mm
     drive: Drive = Drive()
 
     position_dependent: ClassVar[bool] = False
@@ -92,7 +92,7 @@ class DrivenAxis(VibrationModel):
 
     @property
     def by_force(self) -> bool:
-        """Tell whether a force drives the axis, or what a motor makes one of, and not a position."""
+        """Whether the input is a force or a motor's electrical input, and not a position."""
         return self.input != "position"
 
     @property
@@ -104,7 +104,7 @@ class DrivenAxis(VibrationModel):
 
     @property
     def spring_n_per_m(self) -> float:
-        """Return the stiffness of its drive or of its spring to the ground, of a servo law too."""
+        """Return the stiffness of its drive or of its spring to the ground; a servo law counts."""
         return self.stiffness_n_per_m + self.drive.gain_v_per_m * self.drive.force_per_volt
 
     @property
@@ -149,17 +149,17 @@ class DrivenAxis(VibrationModel):
 
     @property
     def free(self) -> bool:
-        """Tell whether nothing holds the axis at a place."""
+        """Whether nothing holds the axis at a position."""
         return self.spring_n_per_m == 0.0
 
     @property
     def moved_kg(self) -> float:
-        """Return the mass of all that moves."""
+        """Return the total moving mass."""
         return self.mass_kg + (self.load_mass_kg or 0.0)
 
     @property
     def last_stiffness(self) -> float:
-        """Return the stiffness of the spring at the end, which may have play and may harden; 0: there is none."""
+        """Return the stiffness of the spring at the end, which may have backlash and may harden; 0: there is none."""
         return self.coupling_stiffness_n_per_m or self.spring_n_per_m
 
     # ---- parameters
@@ -244,7 +244,7 @@ class DrivenAxis(VibrationModel):
         )
 
     def carriage_response(self, xy: FloatArray, s: ComplexArray) -> ComplexArray:
-        """Return the last mass' motion to the command at s (k,) 1/s: (k, 3, 3), of which [0, 0] alone is not zero."""
+        """Return the last mass' motion to the command at s (k,) 1/s: (k, 3, 3), only [0, 0] is not zero."""
         plant = self.state_space(np.zeros((1, 2)))
         resolvent = s[:, None, None] * np.eye(len(plant.a[0])) - plant.a[0]
         return np.asarray(
@@ -266,9 +266,9 @@ class DrivenAxis(VibrationModel):
         return np.tile(self.state_space(xy[:1]).carriage[:, ::2], (len(xy), 1, 1))
 
     def low_frequency(self, xy: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return τ and C of the series G⁻¹(s) = I + τ s + C s² + …; ValueError where nothing is commanded a place."""
+        """Return τ and C of the series G⁻¹(s) = I + τ s + C s² + …; ValueError for a force input."""
         if self.by_force:
-            raise ValueError("A force drives this axis: it follows no commanded position.")
+            raise ValueError("This axis is driven by a force, so it follows no commanded position.")
         tau, bend = np.zeros(3), np.zeros((3, 3))
         k, c, b = self.spring_n_per_m, self.spring_damping, self.ground_damping
         tau[0] = b / k
@@ -282,15 +282,15 @@ class DrivenAxis(VibrationModel):
         return self.steady_motion(q, np.zeros(3))
 
     def steady_motion(self, q: FloatArray, qd: FloatArray) -> FloatArray:
-        """Return the state with the actuators at (3,) mm, in motion at (3,) mm/s since long."""
+        """Return the state with the actuators at (3,) mm, in steady motion at (3,) mm/s."""
         return np.tile([float(q[0]), float(qd[0])], 2 if self.load_mass_kg else 1)
 
     def undriven(self) -> DrivenAxis:
-        """Return the model behind ideal drives: motors stand where they are told to."""
+        """Return the model with ideal drives: motors follow their command exactly."""
         return self
 
     def printer_parameters(self, gravity_m_per_s2: float) -> PrinterFields:
-        """Return what the nonlinear kernels need of the axis, SI."""
+        """Return the axis' numbers for the nonlinear kernels, SI."""
         return {
             "mass": self.mass_kg,
             "stiffness": self.spring_n_per_m,

@@ -1,17 +1,17 @@
-"""Axes that vibrate by themselves, told by their modes: the numbers that a shaper calibration or an FRF gives.
+"""Independent axes described by their modes, the numbers that a shaper calibration or an FRF gives.
 
 An axis q with commanded position u is the sum of oscillators side by side, q = Σ p_i, with shares Σ σ_i = 1:
 
     m_i p̈_i = k_i (σ_i u − p_i) + c_i (σ_i u̇ − ṗ_i) − b_i ṗ_i
     q/u = Σ σ_i (c_i s + k_i)/(m_i s² + (c_i + b_i) s + k_i)
 
-A mode of natural frequency ω and damping ratio ζ has k = ω² m and b + c = 2 ζ ω m, of which the belts hold c; only
-ratios to the modal mass matter. A rigid axis is one stiff oscillator, damped by c, which does not make it lag. The
+A mode of natural frequency ω and damping ratio ζ has k = ω² m and b + c = 2 ζ ω m, where c is in the belts; only ratios
+to the modal mass matter. A rigid axis is one stiff oscillator, damped by c, which causes no lag. The
 states are (p_i, ṗ_i) of every oscillator, those of x first. mm, s.
 
-Where the same belts drive x and y, they may exchange motion by δ (`belt_stiffness` in `models/effects`): in place of u,
-the springs of each axis follow u + δ (w − q_d), with the w and the driven point q_d of the other axis. Else nothing
-couples the axes.
+If the same belts drive x and y, they may exchange motion by δ (`belt_stiffness` in `models/effects`). Instead of u,
+the springs of each axis follow u + δ (w − q_d), with the other axis' w and driven point q_d. Otherwise the axes are
+independent.
 """
 
 from __future__ import annotations
@@ -32,8 +32,8 @@ AXES = ("x", "y", "z")
 KINDS = ("mass", "stiffness", "belt_damping", "damping")
 FILE_KINDS = ("frequency_hz", "damping_ratio", "share")
 MOUNT = re.compile(r"axes\.(?P<axis>[xyz])\.mount_frequency_hz")
-EDGE = 1e-3  # of the way from one mode to the other: a mount is no nearer to either
-LEAST_WEIGHT = 1e-6  # of the belt's force, that a mode takes
+EDGE = 1e-3  # fraction of the distance between two modes: a mount is no closer to either
+LEAST_WEIGHT = 1e-6  # smallest part of the belt's force on a mode
 NAME = re.compile(r"axes\.(?P<axis>[xyz])\.(?P<kind>\w+)\[(?P<mode>\d+)\]")
 # what a draw of 20 deviates moves, as when an axis had exactly two oscillators: the same seeds give the same machines
 COLUMNS = 20
@@ -42,18 +42,18 @@ SECOND_MASS, SECOND_STIFFNESS, SECOND_DAMPING = 13, 14, 17
 
 @dataclass(frozen=True)
 class Axis:
-    """One axis as a machine file tells it; without modes it is rigid."""
+    """One axis of a machine file; without modes it is rigid."""
 
     frequency_hz: Sequence[float] = ()  # undamped
     damping_ratio: Sequence[float] = ()
     share: Sequence[float] = (1.0,)
     mass_kg: float | None = None  # all that the belt moves; None: forces are per kilogram of it
-    mount_frequency_hz: float | None = None  # of the nozzle on what the belt drives, that held; None: not known
-    belt_damping_share: float = 0.0  # of the damping, what the belts hold and not the guides
+    mount_frequency_hz: float | None = None  # of the nozzle with the driven point held; None: unknown
+    belt_damping_share: float = 0.0  # fraction of the damping in the belts, not in the guides
 
     @property
     def oscillators(self) -> tuple[Oscillator, ...]:
-        """Return the axis' modes; the last one takes what share the others leave."""
+        """Return the axis' modes; the last one takes the remaining share."""
         if not self.frequency_hz:
             omega = 2 * np.pi * RIGID_HZ
             return (Oscillator(omega**2, 0.0, 2 * RIGID_DAMPING * omega, rigid=True),)
@@ -119,18 +119,18 @@ class ModalAxes(VibrationModel):
     """Three straight axes with one or more modes each, the same at every position."""
 
     axes: tuple[tuple[Oscillator, ...], tuple[Oscillator, ...], tuple[Oscillator, ...]]
-    masses_kg: tuple[float | None, ...] = (None, None, None)  # M of each axis, where it is known
-    exchange: float = 0.0  # δ of what moves x and y together, such as the belts of a CoreXY
-    mounts_hz: tuple[float | None, ...] = (None, None, None)  # where the driven point of each axis stands still
+    masses_kg: tuple[float | None, ...] = (None, None, None)  # M of each axis, if known
+    exchange: float = 0.0  # δ between x and y, such as by the belts of a CoreXY
+    mounts_hz: tuple[float | None, ...] = (None, None, None)  # frequency where each axis' driven point stands still
 
     position_dependent: ClassVar[bool] = False
     channels: ClassVar[tuple[str, str, str]] = AXES
-    gravity_loaded: ClassVar[bool] = False  # weight stands on the frame, not on what vibrates
+    gravity_loaded: ClassVar[bool] = False  # weight does not load the belts
     moves: ClassVar[Literal["carriages", "axes", "axis"]] = "axes"
 
     @classmethod
     def of(cls, axes: Sequence[Axis], exchange: float = 0.0) -> ModalAxes:
-        """Return the model of three axes X Y Z, of which x and y exchange motion."""
+        """Return the model of three axes X Y Z, with the exchange between x and y."""
         x, y, z = (axis.oscillators for axis in axes)
         mounts = tuple(axis.mount_frequency_hz for axis in axes)
         guided = cls((x, y, z), tuple(axis.mass_kg for axis in axes), exchange, mounts)
@@ -151,7 +151,7 @@ class ModalAxes(VibrationModel):
     # ---- parameters
 
     def parameters(self) -> ParameterSet:
-        """Return the numbers that decide how the machine vibrates; its geometry is calibrated, not guessed."""
+        """Return the uncertain numbers of the model; the geometry is calibrated and not among them."""
         parameters = [
             Parameter(
                 f"axes.{AXES[axis]}.{kind}[{i}]", getattr(mode, kind), _column(axis, i, known), *_of_file(axis, known)
@@ -203,7 +203,7 @@ class ModalAxes(VibrationModel):
 
     @property
     def guessed(self) -> Mapping[str, float]:
-        """Return what of `tunable` no file has stated, with the standard deviation of the guess, as a share of it."""
+        """Return the entries of `tunable` missing from the file, with the relative standard deviation of the guess."""
         return {
             f"axes.{AXES[axis]}.mount_frequency_hz": _apart(modes) / (4 * _middle(modes))
             for axis, modes in enumerate(self.axes)
@@ -219,7 +219,7 @@ class ModalAxes(VibrationModel):
 
     @property
     def moved_kg(self) -> FloatArray:
-        """Return M of each axis, (3,) kg; 1 where it is not known."""
+        """Return M of each axis, (3,) kg; 1 if unknown."""
         return np.array([1.0 if mass is None else mass for mass in self.masses_kg])
 
     @property
@@ -234,8 +234,8 @@ class ModalAxes(VibrationModel):
     def _weights(self, axis: int) -> FloatArray:
         """Return how much of the driven point's motion at rest each mode has, (modes,), together 1.
 
-        The belt drives mode i, of unit mass, by φ_i = √(w_i ω_i²/k). In a chain of two masses, of which the belt drives
-        the first, that one stands still at the mount's frequency ω_m, so that w_i = σ_i (1 − ω_i²/ω_m²).
+        The belt drives mode i, of unit mass, by φ_i = √(w_i ω_i²/k). In a chain of two masses where the belt drives
+        the first, the first stands still at the mount's frequency ω_m, so that w_i = σ_i (1 − ω_i²/ω_m²).
         """
         modes, mount = self.axes[axis], self.mounts_hz[axis]
         share = np.array([o.share for o in modes])
@@ -247,7 +247,7 @@ class ModalAxes(VibrationModel):
 
     @property
     def per_kilogram(self) -> bool:
-        """Return whether forces are per kilogram of what moves, because its mass is not known."""
+        """Return whether forces are per moving kilogram, because the mass is unknown."""
         return all(mass is None for mass in self.masses_kg)
 
     def with_belts(self, relative_change: FloatArray, motors: FloatArray) -> ModalAxes:
@@ -267,9 +267,9 @@ class ModalAxes(VibrationModel):
     def _damped_by_belts(self, axis: int, share: float) -> tuple[Oscillator, ...]:
         """Return the modes of an axis with this share of the damping, of the mode that they move most, in its belts.
 
-        A belt's damper c lies beside its spring k, and pulls at every mode by c/k of what the spring does: each mode
-        follows the rate of the motor in proportion to its stiffness. Of the loss it has w of that, as of the spring's
-        motion; a mode that it drives more than it damps gets the difference back.
+        A belt's damper c is parallel to its spring k and acts on every mode with c/k of the spring's effect: each mode
+        follows the motor's rate in proportion to its stiffness. The loss goes by w, as for the spring's motion; a mode
+        that it drives more than it damps gets the difference back.
         """
         if not share:
             return self.axes[axis]
@@ -308,7 +308,7 @@ class ModalAxes(VibrationModel):
         return response
 
     def _by_springs_and_dampers(self, s: ComplexArray) -> ComplexArray:
-        """Return what springs make of w, then what dampers make of u, in q and in q_d of each axis: (2, 2, k, 3)."""
+        """Return the springs' response to w, then the dampers' to u, in q and q_d of each axis: (2, 2, k, 3)."""
         parts = np.zeros((2, 2, len(s), 3), dtype=np.complex128)
         for axis, i, o in self._each():
             mode = o.share / (o.mass * s**2 + (o.belt_damping + o.damping) * s + o.stiffness)
@@ -318,7 +318,7 @@ class ModalAxes(VibrationModel):
         return parts
 
     def _part(self, axis: int, i: int) -> float:
-        """Return how much of a mode's p is in q_d: w/σ."""
+        """Return the part of a mode's p in q_d: w/σ."""
         share = self.axes[axis][i].share
         return float(self._weights(axis)[i] / share) if share else 0.0
 
@@ -392,7 +392,7 @@ class ModalAxes(VibrationModel):
         return self.steady_motion(q, np.zeros(3))
 
     def steady_motion(self, q: FloatArray, qd: FloatArray) -> FloatArray:
-        """Return the state with the actuators at (3,) mm, in motion at (3,) mm/s since long."""
+        """Return the state with the actuators at (3,) mm, in steady motion at (3,) mm/s."""
         tau, _ = self.low_frequency(np.zeros((1, 2)))
         u = q + tau * qd
         states = [
@@ -402,13 +402,13 @@ class ModalAxes(VibrationModel):
         return np.array(states).ravel()
 
     def undriven(self) -> ModalAxes:
-        """Return the model behind ideal drives: motors stand where they are told to."""
+        """Return the model with ideal drives: motors follow their command exactly."""
         return self
 
     # ---- the nonlinear printer
 
     def printer_parameters(self, gravity_m_per_s2: float) -> PrinterFields:
-        """Return what the nonlinear printer's kernels need of the model, SI."""
+        """Return the model's numbers for the nonlinear printer's kernels, SI."""
         k = self.drive_stiffness
         mobility = [
             sum(w * o.stiffness / o.mass for w, o in zip(self._weights(axis), modes, strict=True))
@@ -430,7 +430,7 @@ class ModalAxes(VibrationModel):
         ω², b/m, c/m, σ, part of q_d, N s²/m of the frame's reaction, and 1 for the axis' highest mode.
         """
         table = np.zeros((max(map(len, self.axes)), 7, 3))
-        table[:, 0] = table[:, 1] = 1.0  # of a mode that takes no part
+        table[:, 0] = table[:, 1] = 1.0  # for an idle mode
         for axis, (modes, k) in enumerate(zip(self.axes, self.drive_stiffness, strict=True)):
             for i, (o, weight) in enumerate(zip(modes, self._weights(axis), strict=True)):
                 omega2, part = o.stiffness / o.mass, weight / o.share if o.share else 0.0
@@ -445,7 +445,7 @@ class ModalAxes(VibrationModel):
 
 
 def _is_chain(modes: Sequence[Oscillator]) -> bool:
-    """Tell whether an axis may be two masses, one behind the other: in the higher mode they move against each other."""
+    """Whether an axis may be two masses in series: in the higher mode they move against each other."""
     if len(modes) != 2:
         return False
     low, high = sorted(modes, key=lambda mode: mode.frequency_hz)
@@ -453,12 +453,12 @@ def _is_chain(modes: Sequence[Oscillator]) -> bool:
 
 
 def _middle(modes: Sequence[Oscillator]) -> float:
-    """Guess where the first of two masses stands still, Hz: where the belt drives both modes as much."""
+    """Guess where the first of two masses stands still, Hz: the belt then drives both modes equally."""
     return float(np.sqrt(np.mean([o.frequency_hz**2 for o in modes])))
 
 
 def _within(modes: Sequence[Oscillator], mount_hz: float | None) -> float | None:
-    """Return a mount's frequency between those of the modes, where alone two masses can have it."""
+    """Return a mount's frequency limited to between the modes: two masses allow no other."""
     if mount_hz is None or not _is_chain(modes):
         return mount_hz
     low, high = sorted(o.frequency_hz for o in modes)
@@ -477,7 +477,7 @@ def _with_forces(
     """Return the modes of an axis with k (1 + stiffer), and with more damping and mass at its driven point.
 
     In coordinates of unit mass the belt drives mode i by φ_i, φ_i² = w_i ω_i²/k, and K + r k φφᵀ and 1 + Δm φφᵀ have
-    new modes. They keep their own damping only: the rest of the damping matrix would couple them. A rigid axis has no
+    new modes. Each keeps its own damping; the rest of the damping matrix would couple them. A rigid axis has no
     numbers that a file could change.
     """
     if modes[0].rigid:
@@ -515,7 +515,7 @@ def _column(axis: int, mode: int, kind: str) -> int:
 
 
 def _of_file(axis: int, kind: str) -> tuple[str, float]:
-    """Return the file's key that tells how well a parameter is known, and its power in it."""
+    """Return the file's key with a parameter's uncertainty, and its power in it."""
     powers = {"stiffness": ("frequency_hz", 2.0), "damping": ("damping_ratio", 1.0)}
     key, power = powers.get(kind, ("", 1.0))
     return (f"axes.{AXES[axis]}.{key}" if key else ""), power

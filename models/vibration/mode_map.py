@@ -1,9 +1,9 @@
 """Which vibration is which: what a mode moves, and one mode followed over the whole bed.
 
-Over the bed modes approach, veer and cross, so their order by frequency says little. Here a mode is followed by its
+Over the bed modes approach, veer and cross, so their order by frequency means little. Here a mode is followed by its
 shape: neighbouring places are matched by the modal assurance criterion (R. Allemang, "The modal assurance criterion",
 Sound and Vibration, 2003), from the centre outwards, the surest pair of neighbours first. So a doubtful step, at a
-place where two modes meet, is only taken where no other way leads round it.
+place where two modes meet, is taken only if no other way leads around it.
 """
 
 from __future__ import annotations
@@ -20,22 +20,22 @@ from models.vibration.base import Modes
 from models.vibration.delta import DeltaVibration
 
 Node = tuple[int, int]  # a place on the grid
-Matched = list[int | None]  # where the centre's modes are among a place's; None: it does not swing there
+Matched = list[int | None]  # indices of the centre's modes at a place; None: overdamped there
 
 AXES = "xyz"
-DOMINANT_SHARE = 0.7  # of a mode's energy: more than this along one axis, and it is said to be along that axis
-MINOR_SHARE = 0.15  # of a mode's energy: less than this along an axis is not worth a word
+DOMINANT_SHARE = 0.7  # of a mode's energy: a mode with more than this along one axis is named after it
+MINOR_SHARE = 0.15  # of a mode's energy: less than this along an axis is not mentioned
 CLOSE_MODES_SHARE = (
     0.1  # of a frequency: modes closer than this are doubtful, even where symmetry keeps their shapes apart
 )
-DEGENERATE_SHARE = 1e-3  # of a frequency: closer modes are the two of a symmetric printer
+DEGENERATE_SHARE = 1e-3  # of a frequency: closer modes are the pair of a symmetric printer
 
 
 @dataclass(frozen=True, eq=False)
 class ModeMap:
     """The m modes of the centre, followed over a square grid of k × k places, first axis X.
 
-    Just off the bed stand the values of the nearest place on its rim, so that maps can be drawn round; NaN farther out
+    Just off the bed, values repeat the nearest place on the rim, so that maps can be drawn round; NaN farther out
     and where a mode does not swing.
     """
 
@@ -44,7 +44,7 @@ class ModeMap:
     frequency_hz: FloatArray  # (k, k, m)
     damping_ratio: FloatArray  # (k, k, m)
     motion: ComplexArray  # (k, k, m, 6) √mass times motion: nozzle side X Y Z, extruder X Y Z; length 1
-    kinds: tuple[str, ...]  # (m,) what each one moves, on the average over the inner half of the bed
+    kinds: tuple[str, ...]  # (m,) description of each, averaged over the inner half of the bed
 
 
 def kinds(model: DeltaVibration, xy: FloatArray, modes: Modes) -> list[str]:

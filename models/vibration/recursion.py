@@ -21,7 +21,7 @@ def recursion(rows: int, of_state: int, of_input: int) -> Any:
     """Return a compiled function step(matrices, at, state, given, k).
 
     matrices (g, of_state + of_input, rows): the matrix is number `at`, its columns one after the other.
-    state (rows,): of which the first `of_state` are multiplied with; overwritten with the product.
+    state (rows,): the first `of_state` enter the product, which overwrites it.
     given (n, of_input): row k is the input.   All of one type, each contiguous.
     """
 
@@ -48,7 +48,7 @@ def sized_recursion(of_input: int) -> Any:
 
 
 def _emitter(rows: int, of_state: int, of_input: int, dtype: Any, before: int) -> Any:
-    """Return what writes the step's code; its own arguments follow `before` others."""
+    """Return the code generator of the step; its own arguments follow `before` others."""
 
     def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         where = [
@@ -66,7 +66,7 @@ def _emitter(rows: int, of_state: int, of_input: int, dtype: Any, before: int) -
         kind = ir.FunctionType(column, [column] * 3)
         multiply_add = cgutils.get_or_insert_function(builder.module, kind, name)
         sums: list[Any] = [None] * SUMS
-        # what the state does not decide comes first: it need not wait for the step before
+        # inputs first: they need not wait for the previous step
         for turn, c in enumerate([*range(of_state, of_state + of_input), *range(of_state)]):
             source, i = (where[1], c) if c < of_state else (inputs, c - of_state)
             factor = _spread(builder, builder.load(builder.gep(source, [_number(i)])), rows)

@@ -1,6 +1,6 @@
-"""The plant scheduled along a path, and what it answers to a command.
+"""The plant scheduled along a path, and its response to a command.
 
-Models are looked up once an interval (4 ms: the nozzle moves less than a millimetre) and interpolated on the table over
+Models are looked up every interval (4 ms: the nozzle moves less than a millimetre) and interpolated on the table over
 the bed; inside an interval the discrete model is exact for a command that is linear between samples. mm, s.
 """
 
@@ -20,7 +20,7 @@ from models.vibration.base import VibrationModel
 from models.vibration.state_space import DiscretePlant, discretise
 
 PITCH_MM = 10.0  # of the table over the bed
-SAME_MM = 1.0  # so near to a place its model still serves
+SAME_MM = 1.0  # a model is valid within this distance
 
 
 @with_numba
@@ -41,7 +41,7 @@ class PlantTable:
     jacobian: FloatArray  # (nodes², 3, 3)
 
     def frozen(self) -> PlantTable:
-        """Return the table with the plant of the middle of the bed everywhere; the kinematics stay what they are."""
+        """Return the table with the plant of the middle of the bed everywhere; the kinematics are unchanged."""
         middle = len(self.jacobian) // 2
         values = {each.name: getattr(self.plant, each.name) for each in fields(self.plant)}
         same: dict[str, Any] = {
@@ -52,7 +52,7 @@ class PlantTable:
         return replace(self, plant=replace(self.plant, **same))
 
     def arrays(self) -> dict[str, FloatArray | IntArray]:
-        """Return all of it, to be kept."""
+        """Return all arrays, for a cache."""
         p = self.plant
         grid = np.array([self.x0_mm, self.pitch_mm, self.nodes, p.step_s, p.drive_states])
         plant = (p.a, p.b0, p.b1, p.b_centripetal, p.carriage, p.oscillators)
@@ -110,11 +110,11 @@ class Schedule:
 
         Parameters
         ----------
-        place : (n, 2) mm, where the nozzle is meant to be in the middle of each knot interval
-        centripetal : (n·substeps + 1, 3) mm/s², J̇ q̇ of the motion that is meant, at the table's steps
+        place : (n, 2) mm, planned nozzle position in the middle of each knot interval
+        centripetal : (n·substeps + 1, 3) mm/s², J̇ q̇ of the planned motion, at the table's steps
         command : (n·substeps + 1, 3) mm, carriage heights, linear between the steps
         state : (s,) at the first sample
-        substeps : steps for which one model serves
+        substeps : steps per model
 
         Returns
         -------
@@ -132,7 +132,7 @@ class Schedule:
     def respond(
         self, nozzle: FloatArray, velocity: FloatArray, state: FloatArray, substeps: int
     ) -> tuple[FloatArray, FloatArray]:
-        """Where the nozzle goes when it is told to go along `nozzle`, (n·substeps, 3) mm, and the state it ends in."""
+        """Return the nozzle's actual path under the command `nozzle`, (n·substeps, 3) mm, and the final state."""
         nozzle = np.ascontiguousarray(nozzle)
         centripetal = self.delta.rate_term(nozzle, np.ascontiguousarray(velocity))
         place = np.ascontiguousarray(nozzle[substeps // 2 :: substeps, :2][: (len(nozzle) - 1) // substeps])
@@ -141,7 +141,7 @@ class Schedule:
 
 
 def _exchanging(plant: DiscretePlant) -> bool:
-    """Tell whether oscillators act on each other."""
+    """Whether oscillators are coupled."""
     diagonal = np.kron(np.eye(len(plant.oscillators)), np.ones((2, 2))) == 1.0
     return bool(len(plant.oscillators)) and bool(np.any(plant.a[0][~diagonal] != 0.0))
 
@@ -151,7 +151,7 @@ def _packed(table: PlantTable) -> tuple[FloatArray, FloatArray]:
 
     Returns
     -------
-    (nodes², 27, 12): for the twelve states behind the drives, the columns of the other states (behind the drives first,
+    (nodes², 27, 12): for the twelve states after the drives, the columns of the states (after the drives first,
         then the drives'), of u(t), u(t + h) and J̇ q̇
     (3, 8): of each tower's drive (w, ẇ): both rows of A, then of B₀ and B₁
     """
@@ -220,7 +220,7 @@ def simulate(
     """Run the scheduled plant over n intervals of `substeps` steps each.
 
     mechanics (nodes², 27, 12), drive (3, 8): see `_packed`.   place (n, 2) mm, of the intervals.
-    state (18,): at the first sample.   command (n·substeps + 1, 3) mm: carriage heights asked for, linear between.
+    state (18,): at the first sample.   command (n·substeps + 1, 3) mm: commanded carriage heights.
     centripetal (n·substeps + 1, 3) mm/s²: J̇ q̇ of the planned motion.
     Returns carriages (n·substeps, 3) mm after every step, and the states (n + 1, 18) at the knots.
     """
@@ -300,10 +300,10 @@ def simulate_oscillators(
     state: FloatArray,
     command: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
-    """Run oscillators that nothing couples over n intervals of `substeps` steps each, the same at every position.
+    """Run uncoupled oscillators over n intervals of `substeps` steps each, the same at every position.
 
     axes (m,): of each pair of states.   a (2 m, 2 m), b0 b1 (2 m, 3): the discrete plant.   state (2 m,).
-    command (n·substeps + 1, 3) mm: positions asked for, linear between.
+    command (n·substeps + 1, 3) mm: commanded positions, linear between samples.
     Returns axes (n·substeps, 3) mm after every step, and the states (n + 1, 2 m) at the knots.
     """
     kept, knots = np.zeros((n * substeps, 3)), np.empty((n + 1, len(state)))

@@ -26,7 +26,7 @@ class StateSpace:
     b_centripetal: FloatArray  # (g, n, 3), of J̇ q̇, mm/s²
     carriage: FloatArray  # (3, n), C
     names: tuple[str, ...]  # (n,) of the states
-    drive_states: int = 0  # the first so many states are the drives': nothing acts back on them
+    drive_states: int = 0  # number of leading states that are the drives': nothing acts back on them
     oscillators: IntArray = field(
         default_factory=_none
     )  # (n/2,) axis of each pair of states (p, ṗ), of oscillators that are the same at every position
@@ -48,7 +48,7 @@ class DiscretePlant:
 
 def discretise(plant: StateSpace, step_s: float) -> DiscretePlant:
     """First-order hold by one matrix exponential a position (Franklin, Powell & Workman, Digital Control, 6.3.2)."""
-    from scipy.linalg import expm  # 0.3 s to import: only when a plant is really built
+    from scipy.linalg import expm  # 0.3 s to import
 
     g, n = plant.a.shape[:2]
     block = np.zeros((g, n + 9, n + 9))

@@ -42,7 +42,7 @@ class Carriage:
 
     @property
     def arm_inertia_kg(self) -> float:
-        """Return ν = (1 − share at the ends) m_f/6: what the kinetic energy lacks, per arm pair, is ½ ν |Ẋ − ẑ q̇|²."""
+        """Return ν = (1 − share at the ends) m_f/6: the kinetic energy is lower per arm pair by ½ ν |Ẋ − ẑ q̇|²."""
         return (1.0 - self.arm_mass_share_at_ends) * self.arm_pair_mass_kg / 6
 
     @property
@@ -57,7 +57,7 @@ def with_added_mass(carriage: Carriage, added_mass_kg: float) -> Carriage:
 
 
 def damping(carriage: Carriage) -> float:
-    """Return c + b, N s/m: belt and guide, which the carriage feels as one."""
+    """Return c + b, N s/m: belt and guide, which act on the carriage as one."""
     return carriage.belt_damping_n_s_per_m + carriage.guide_damping_n_s_per_m
 
 
@@ -67,7 +67,7 @@ def impedance(carriage: Carriage, s: ComplexArray) -> ComplexArray:
 
 
 def belt(carriage: Carriage, s: ComplexArray) -> ComplexArray:
-    """Return c s + k, N/m: what the motor's motion does to the carriage (numerator of Eq. 32)."""
+    """Return c s + k, N/m: the motor's action on the carriage (numerator of Eq. 32)."""
     return carriage.belt_damping_n_s_per_m * s + carriage.belt_stiffness_n_per_m
 
 
@@ -102,7 +102,7 @@ class Effector:
 
 
 def apparent_mass(effector: Effector, nozzle_side_kg: float, s: ComplexArray) -> ComplexArray:
-    """Return W(s)/s², (k, 3) kg: the mass the effector appears to have when it is excited.
+    """Return W(s)/s², (k, 3) kg: the effector's apparent mass.
 
     W(s) = M₁s² + Bs + K − (Bs+K)(M₂s²+Bs+K)⁻¹(Bs+K) (Eq. 61), for three uncoupled axes.
     """

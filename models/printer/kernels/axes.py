@@ -10,7 +10,7 @@ over its stiffness,
 so that an axis whose belts are linear and whose guides do not rub is the linear model itself. A rigid axis has damping
 c between motor and driven point instead of b; it is off where a belt is slack.
 
-What moves, pushes back: with f_i = p̈_i so far, N_i f_i summed is the force on the frame (d, along D) and on the yaw θ
+Reactions: with f_i = p̈_i so far, N_i f_i summed is the force on the frame (d, along D) and on the yaw θ
 of a gantry with the toolhead at x from its axis, whose inertia is λ² and whose share of the mass along y is μ:
 
     d̈ = −ω² d − 2 ζ ω ḋ − Dᵀ Σ N_i f_i/M_f,   (λ² + (1 − μ) x²) θ̈ = −λ² (ω² θ + 2 ζ ω θ̇) − x f_y + a f_x
@@ -19,7 +19,7 @@ of a gantry with the toolhead at x from its axis, whose inertia is λ² and whos
 where a is the arm of the force along x. A mass that grows with the height z divides all f of its axis by 1 + g z; ω² of
 an axis' highest mode may depend on x.
 
-`axes_step.py` does the same, more quickly, for what most machines are. The state, three rows for each entry, is the
+`axes_step.py` does the same faster for most machines. The state, three rows for each entry, is the
 strain of dry friction, (θ, θ̇, nothing), d, ḋ, then p_i, ṗ_i of every mode.
 """
 
@@ -95,19 +95,19 @@ class AxesState(NamedTuple):
 
 @compiled
 def is_swaying(m: FloatArray) -> bool:
-    """Tell whether there is a frame that sways, or a gantry that yaws, in any lane."""
+    """Whether there is a frame that sways, or a gantry that yaws, in any lane."""
     return any_nonzero(m, FRAME, ONE) or any_nonzero(m, YAW_INERTIA, ONE)
 
 
 @compiled
 def is_growing(m: FloatArray) -> bool:
-    """Tell whether the mass depends on the nozzle's height, in any lane."""
+    """Whether the mass depends on the nozzle's height, in any lane."""
     return any_nonzero(m, GROWTH, THREE)
 
 
 @compiled
 def depends_on_place(m: FloatArray) -> bool:
-    """Tell whether a mode depends on x, in any lane."""
+    """Whether a mode depends on x, in any lane."""
     return any_nonzero(m, BY_X, THREE) or any_nonzero(m, BY_X_SQUARED, THREE)
 
 
@@ -165,7 +165,7 @@ def _mix(m: FloatArray, matrix: Row, x: Row, x_rate: Row, to: Row, to_rate: Row)
 
 @compiled
 def _belts(m: FloatArray) -> None:
-    """Evaluate the motors, which are where they are told to be, and how far and how fast they stretch the belts.
+    """Evaluate the ideal motors and the stretch of the belts and its rate.
 
     The stretch is less the backlash, and up to that of the peak force.
     """
@@ -236,7 +236,7 @@ def _by_place(m: FloatArray) -> None:
 
 @compiled
 def _reactions(m: FloatArray, s: AxesState) -> None:
-    """Let frame and gantry move, and take what they do to the modes off: PULL, one acceleration an axis."""
+    """Move frame and gantry, and subtract their effect on the modes: PULL, one acceleration per axis."""
     for n in range(WIDTH):
         m[PULL * LANES + n] = 0.0
     for l in range(LANES):
@@ -278,7 +278,7 @@ def _motion(m: FloatArray, s: AxesState) -> None:
 
 @compiled
 def _yawed(m: FloatArray, s: AxesState) -> None:
-    """Add what a gantry's yaw moves the nozzle along y."""
+    """Add the nozzle's motion along y from the gantry's yaw."""
     for l in range(LANES):
         if at(m, YAW_INERTIA, l) > 0.0:
             x, xd = at(m, X, l) - at(m, YAW_CENTRE, l), at(m, XD, l)

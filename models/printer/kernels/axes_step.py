@@ -183,9 +183,9 @@ Axes: TypeAlias = tuple[Axis, Axis, Axis, Sway]
 def step_lanes(m: FloatArray, h: float, has: ActiveEffects, springs: bool, swaying: bool, odd: bool) -> None:
     """Step all lanes by h, by the classical Runge-Kutta method of order 4, and go on from the motors at its end.
 
-    The motion at the step's beginning is left in MOTION. Without friction and `springs`, belts pull in proportion;
-    without anything `swaying`, neither frame nor gantry moves, and modes depend on no place. What is `odd` needs a
-    sine or a power: motors' torque, friction that fades otherwise than by the square.
+    The motion at the step's beginning is left in MOTION. Without friction and `springs`, belts are linear. Unless
+    `swaying`, neither frame nor gantry moves, and modes do not depend on position. `odd` enables sines and powers: the
+    motors' torque, and friction that fades with another power than the square.
     """
     lanes = len(m) // ALL_ROWS  # LANES, which the compiler is not to know: it would write each lane out
     if odd and not (swaying or has.guides):

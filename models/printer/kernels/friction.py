@@ -1,4 +1,4 @@
-"""Evaluate what rubs on guides and joints: all that a new force on a guide touches here is `guide_force`."""
+"""Friction of guides and joints. To add a force on a guide, change only `guide_force` here."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def sliding_level(dry: float, sticking: float, power: float) -> float:
 
 @compiled
 def guides_rub(m: FloatArray) -> bool:
-    """Tell whether there is a force on a guide, in any lane."""
+    """Whether there is a force on a guide, in any lane."""
     return any_nonzero(m, DRY, THREE) or any_nonzero(m, STICKING, THREE)
 
 
@@ -79,7 +79,7 @@ def stribeck(m: FloatArray) -> None:
 
 @compiled
 def has_powers(m: FloatArray) -> bool:
-    """Tell whether friction near rest fades otherwise than by the square of the speed, in any lane."""
+    """Whether friction near rest fades otherwise than by the square of the speed, in any lane."""
     uneven = False
     for n in range(3 * LANES):
         uneven |= at(m, STICKING, n) != 0.0 and at(m, FADING_POWER, n) != 1.0

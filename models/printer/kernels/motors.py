@@ -106,7 +106,7 @@ def command_times(m: FloatArray, dt: float, substeps: int) -> tuple[FloatArray, 
 
 
 class Commands(NamedTuple):
-    """The commands of all lanes, with the time at which the motors execute them."""
+    """The commands of all lanes, and when the motors execute them."""
 
     cubics: FloatArray  # (n, 3, 4) cubics of each row and tower, m, highest power first
     ranges: Rows  # (k, 2) first cubic of each lane's command, and the one after its last
@@ -190,7 +190,7 @@ def motors(m: FloatArray) -> None:
 
 @inlined
 def effective_stretch(m: FloatArray, n: int, stretch: float) -> float:
-    """Return what of a belt's stretch pulls: less the backlash, and up to that of the peak force."""
+    """Return the effective stretch of a belt: less the backlash, and limited to the peak-force stretch."""
     half_backlash, peak = at(m, HALF_BACKLASH, n), at(m, PEAK_STRETCH, n)
     stretch -= min(max(stretch, -half_backlash), half_backlash)
     return min(max(stretch, -peak), peak)
@@ -248,7 +248,7 @@ def drive_of_axes(
 
 @compiled
 def has_springs(m: FloatArray) -> bool:
-    """Tell whether any belt of straight axes has play, or pulls other than in proportion to its stretch."""
+    """Whether any belt of straight axes has play, or pulls other than in proportion to its stretch."""
     springs = any_nonzero(m, HALF_BACKLASH, THREE) or any_nonzero(m, LANDING, THREE) or any_nonzero(m, SLOPE, THREE)
     return springs or any_nonzero(m, HARDENING, THREE) or any_nonzero(m, QUINTIC, THREE)
 

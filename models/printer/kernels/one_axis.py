@@ -3,16 +3,15 @@
     m q̈ = F + F₀ − b q̇ − R(q, q̇) − D + (S_c(q_l − q) + c ẇ)          D = S(q − u) + c_d (q̇ − u̇),  ẇ = q̇_l − q̇
     M q̈_l = −S_c(q_l − q) − c ẇ                                      without a load neither S_c nor c
 
-Force in: F is the input, its delay late, and u = 0. Position in: u is the input, its delay late, with a ripple, and F
-is only what is known to push beside. A drive gives no more than its limit: it holds F, or D. R holds all that resists,
-by the laws of the printers' guides (`friction.py`), and what only an axis has: bristles beside dry friction, what
-depends on the direction or on the drive's force, drag, forces that repeat along the axis, a spring, a pendulum. S is
-the drive, S_c the coupling, by the law of the printers' belts (`motors.py`); one of them may have play, and one may
-harden: S_c if there is a load and nothing else is said. SI units; of an axis that turns, rad for m and N m for N.
+Force input: F is the delayed input, and u = 0. Position input: u is the delayed input with a ripple, and F is only the
+known extra force. The drive's limit bounds F, or D. R is all resistance: the friction of the printers' guides
+(`friction.py`), bristles in addition to dry friction, friction by direction or by the drive's force, drag, forces that
+repeat along the axis, a spring, a pendulum. S is the drive and S_c the coupling, by the law of the printers' belts
+(`motors.py`). One of them may have backlash, and one may harden:
+by default S_c if there is a load. SI units; of an axis that turns, rad for m and N m for N.
 
-It has an integrator of its own because its motion begins anew at every shot, its input may be a force that is straight
-between samples, or held, and simulations come one at a time: lanes of eight printers with three motors each would
-compute 24 axes for one.
+It has its own integrator because the motion restarts at every shot, the input may be a force (linear between samples,
+or held), and simulations come one at a time: lanes of eight printers with three motors would compute 24 axes for one.
 """
 
 from __future__ import annotations
@@ -117,7 +116,7 @@ def _drive(q: float, v: float, value: float, value_rate: float, p: FloatArray) -
 
 @inlined
 def _rates(x: State, value: float, value_rate: float, extra: float, p: FloatArray, ripples: FloatArray) -> State:
-    """Return the state's rate under an input and its rate, and a force that is known to push beside it."""
+    """Return the state's rate under an input, its rate, and a known extra force."""
     q, v, q_load, v_load, strain, bent = x
     drive, spring = _drive(q, v, value, value_rate, p)
     resistance, strained, bending = _resistance(q, v, strain, bent, drive, p, ripples)
@@ -153,7 +152,7 @@ class AxisInput(NamedTuple):
 
     samples: FloatArray  # (n,) N or m
     slope: FloatArray  # (n,) its rate by sample, where it is a cubic between samples; (0,) where it is straight
-    extra: FloatArray  # (n,) N, what is known to push beside it; (0,): nothing
+    extra: FloatArray  # (n,) N, known extra force; (0,): none
     dt: float  # s
     held: bool  # from each sample to the next, instead of straight
 
@@ -169,7 +168,7 @@ def _driven_by(inputs: AxisInput, at: float, begun: float, p: FloatArray) -> tup
 
 @inlined
 def _until_jump(inputs: AxisInput, at: float, p: FloatArray) -> float:
-    """Return for how many samples an input goes on as it does; one that is held jumps at each, its delay late."""
+    """Return for how many samples an input stays smooth; a held one jumps at each, after its delay."""
     since = at - p[DELAY] / inputs.dt + ROUNDING
     return 1.0 - (since - math.floor(since)) + ROUNDING if inputs.held else math.inf
 
@@ -229,13 +228,13 @@ def _begin(x: State, at: FloatArray, drive: float, p: FloatArray) -> State:
 def integrate_axis(
     inputs: AxisInput, substeps: int, shot: int, begin: FloatArray, p: FloatArray, ripples: FloatArray
 ) -> FloatArray:
-    """Integrate an axis whose motion begins anew every so many samples.
+    """Integrate an axis whose motion restarts every `shot` samples.
 
     Parameters
     ----------
     shot : samples from one beginning to the next; n or more: there is one.
-    begin : (shots, 4) m and m/s of the last mass and of the first one at each beginning, NaN where nothing is known
-        of one of them; what bends by friction goes on.
+    begin : (shots, 4) m and m/s of the last mass and of the first one at each beginning, NaN where one
+        is unknown; the friction's strain continues.
     p : in the order of `AXIS_PARAMETERS`.
     ripples : (k, 3) forces that repeat along the axis: of the sine and of the cosine, N, and rad/m.
 

@@ -73,7 +73,7 @@ PARAMETERS = np.dtype(
         ("creep", "f8", 3),  # m/s, v₀ of the guides; larger where the integration step requires it
         ("hold", "f8", 3),  # 1/s, κ of the guides
         ("bristles", "f8", 3),  # 1/m, 1/s₀ of guides whose friction bends bristles; 0: it creeps and holds instead
-        ("bristle_lag", "f8", 3),  # s, by which they follow later: what the integration step requires
+        ("bristle_lag", "f8", 3),  # s, lag of the bristles that the integration step requires
         ("joint_dry", "f8"),  # N, joint_friction
         ("joint_creep", "f8"),  # m/s
         ("joint_hold", "f8"),  # 1/s
@@ -91,7 +91,7 @@ PARAMETERS = np.dtype(
         ("yaw_inertia", "f8"),  # m², the gantry's inertia over the toolhead's mass; 0: no yaw
         ("yaw_share", "f8"),  # of the mass that moves along y, the toolhead's
         ("yaw_centre", "f8"),  # m, x of the axis of yaw
-        ("yaw_arm", "f8"),  # m, by which the force along x turns the gantry
+        ("yaw_arm", "f8"),  # m, lever arm of the force along x on the gantry
         ("by_x", "f8", 3),  # 1/m, of ω² of each axis' highest mode by x, toolhead_mode
         ("by_x_squared", "f8", 3),  # 1/m²
         ("by_x_centre", "f8"),  # m

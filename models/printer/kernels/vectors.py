@@ -21,8 +21,8 @@ SOURCES = hashlib.sha256(b"".join(path.read_bytes() for path in sorted(Path(__fi
 def compiled(function: Callable[..., Any]) -> Any:
     """Compile a kernel and cache it on disk until any file of this folder changes.
 
-    Numba compares its cache with the function's own file only, and would go on with the old code of what the function
-    calls in the others.
+    Numba compares its cache with the function's own file only, and would keep old code of functions called from other
+    files.
     """
     return how.compiled(function, _OPTIONS, SOURCES)
 
@@ -41,7 +41,7 @@ def at(m: FloatArray, row: Row, l: int) -> float:
 
 @compiled
 def any_nonzero(m: FloatArray, row: Row, rows: int) -> bool:
-    """Tell whether so many rows hold anything in any lane."""
+    """Whether any of these rows is nonzero in any lane."""
     nonzero = False
     for n in range(row * LANES, (row + rows) * LANES):
         nonzero |= m[n] != 0.0
@@ -124,7 +124,7 @@ E2, E3, E4, E5, E6, E7, E8 = (1.0 / math.factorial(n) for n in range(2, 9))
 
 @inlined
 def sine_cosine(x: float) -> tuple[float, float]:
-    """Compute sin x and cos x to 1e-14 and what rounding x costs, without branches.
+    """Compute sin x and cos x to 1e-14 plus the rounding of x, without branches.
 
     With x within half a turn of zero, Taylor polynomials at a = x/3, then sin 3a = 3 sin a − 4 sin³ a and
     cos 3a = 4 cos³ a − 3 cos a.

@@ -162,15 +162,15 @@ def test_a_file_may_list_effects(load) -> None:
         ("[effects.center_of_mass]\noffset_mm = 1", "offset_mm = 1 must be a list of three finite numbers (mm)."),
         ("[effects.frame_mode]\ndirection = [1, 1]", "direction = [1, 1] must be 'x', 'y', 'both', or a unit vector"),
         ("[effects.frame_mode]\ndirection = 'z'", "direction = 'z' must be 'x', 'y', 'both', or a unit vector [x, y]."),
-        ("[effects.cogging]\namplitude_mm = 0.1", "effects.cogging.pitch_mm is missing; p: command from ripple"),
+        ("[effects.cogging]\namplitude_mm = 0.1", "effects.cogging.pitch_mm is missing; p: period of the ripple"),
         ("[effects.force_map]\nshare = 0.3", "effects.force_map.share is not a parameter of this effect."),
         (
             "[effects.frame_mod]\nmass_kg = 1",
-            "effects.frame_mod is not an effect ffcomp knows. Did you mean 'frame_mode'?",
+            "effects.frame_mod is not a known effect. Did you mean 'frame_mode'?",
         ),
         (
             "[effects.growing_bed]\ngrowth_per_m = 1.0",
-            "effects.growing_bed is none of a delta: it has no straight axes.",
+            "effects.growing_bed does not apply to a delta: it has no straight axes.",
         ),
     ],
 )
@@ -187,7 +187,7 @@ def test_uncertainty_may_name_any_parameter(tmp_path: Path) -> None:
 
 
 def test_mistakes_in_memory_are_refused(printer: Machine) -> None:
-    with pytest.raises(ValueError, match=r"effects\.friction is not an effect"):
+    with pytest.raises(ValueError, match=r"effects\.friction is not a known effect"):
         with_effect(printer, "friction", force_n=1.0)
     with pytest.raises(ValueError, match=r"cogging\.pitch_mm is missing"):
         values_of(with_effect(printer, "cogging", amplitude_mm=0.1), "cogging")

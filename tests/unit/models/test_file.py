@@ -224,7 +224,7 @@ def test_mistakes_are_named_with_key_value_and_rule(problems, old: str, new: str
         ("[steps]\nsteps_per_mm = 4", "full_steps_per_mm = 5 must not exceed steps_per_mm = 4"),
         (
             "[effects.coulom_friction]\nforce_n = 1",
-            "not an effect ffcomp knows. Did you mean 'coulomb_friction'?",
+            "not a known effect. Did you mean 'coulomb_friction'?",
         ),
         (
             "[effects.belt_backlash]\nwidht_mm = 1",
@@ -234,7 +234,7 @@ def test_mistakes_are_named_with_key_value_and_rule(problems, old: str, new: str
         ("[effects]\nbelt_backlash = 1", "effects.belt_backlash = 1 must be a table."),
         (
             "[uncertainty]\n'carriage.mas_kg' = 0.1",
-            "names no number of this file. Did you mean 'carriage.mass_kg'?",
+            "is not a number of this file. Did you mean 'carriage.mass_kg'?",
         ),
         ("[firmware]\nflavor = 'kliper'", "firmware.flavor = 'kliper' must be"),
         ("[macros]\nreturns = ['G 1']", "macros.returns[0] = 'G 1' must be a name"),

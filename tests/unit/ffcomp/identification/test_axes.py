@@ -113,7 +113,7 @@ def crossed(model: ModalAxes) -> FloatArray:
 @pytest.mark.parametrize(
     ("change", "problem"),
     [
-        (('"corexy"', '"cartesian"'), "axes.exchange is of belts that move x and y together"),
+        (('"corexy"', '"cartesian"'), "axes.exchange is only for belts that move x and y together"),
         (("exchange = 0.05", "exchange = 0.7"), "axes.exchange = 0.7 must be at most 0.5"),
     ],
 )

@@ -370,5 +370,5 @@ def test_a_printer_has_no_effect_of_an_axis(tmp_path: Path) -> None:
         load_machine(path)
     assert CATALOGUE["ground_spring"].of == ("axis",)
     path.write_text(text + "\n[effects.belt_stiffness]\nrelative_change = 0.1\nat_drive = 1\n")
-    with pytest.raises(MachineFileError, match="at_drive is of one axis by itself"):
+    with pytest.raises(MachineFileError, match="at_drive is only for one axis by itself"):
         load_machine(path)

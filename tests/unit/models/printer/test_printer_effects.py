@@ -256,7 +256,7 @@ def test_a_motor_that_is_too_weak_does_not_hold(printer: Machine) -> None:
     soft = with_effect(printer, "belt_hardening", cubic_n_per_m3=-1e13)
     weak = with_effect(printer, "torque_angle", amplitude_mm=0.9e3 * weight(printer) / 1.039e5)
     for machine in (weak, soft):
-        with pytest.raises(ValueError, match="its motors do not hold it"):
+        with pytest.raises(ValueError, match="its motors cannot hold it"):
             rest_stretch(machine)
 
 

@@ -151,7 +151,7 @@ def test_the_virtual_printer_plays_the_same_modes() -> None:
         (
             "frequency_hz = [40.0]\ndamping_ratio = [0.1]\nmass_kg = 0.4\n[effects.belt_hardening]\n"
             "cubic_n_per_m3_per_kg = 1e9",
-            "the axes state their mass_kg, so this is cubic_n_per_m3",
+            "use cubic_n_per_m3, because the axes state their mass_kg",
         ),
         (
             "frequency_hz = [40.0]\ndamping_ratio = [0.1]\nmass_kg = 0.4\n[axes.y]\nfrequency_hz = [40.0]\n"
