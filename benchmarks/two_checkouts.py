@@ -145,7 +145,7 @@ PRINTS = (
     Print("{data}/gcode/makreeltje_cura_slicer.gcode", "mp-delta-pro"),
     Print("{data}/gcode/makreeltje_orca_slicer.gcode", "mp-delta-pro"),
 )
-WAYS = {"as usual": "", "plain": "--no-robust"}
+WAYS = {"as usual": "", "plain": "--robust off"}
 OFF, PLANTS = (0.0, 0.05, 0.10), 4  # relative standard deviation, and machines of each
 
 

@@ -184,7 +184,7 @@ def _small() -> Iterator[Run]:
     """A print of eleven seconds with every option."""
     source = "examples/print.gcode"
     ways = {
-        "robust": (("--robust",), False),
+        "robust": (("--robust", "on"), False),
         "offset": (("--offset-mm", "20,-15", "--flavor", "marlin"), True),
         "coarse": (("--max-segments-per-second", "150", "--no-predict", "--tolerance-um", "5"), True),
         "shaper-off": (("--no-keep-shaper",), False),

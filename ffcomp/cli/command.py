@@ -154,7 +154,6 @@ def paragraphs(text: str) -> str:
 
 def run(app: App, words: list[str]) -> None:
     """Run the command line; wrong usage ends with a sentence and exit code 2."""
-    words = _without_auto(words)
     try:
         _, apps, rest = app.parse_commands(words)
         if not rest and apps[-1].default_command is None:
@@ -164,17 +163,6 @@ def run(app: App, words: list[str]) -> None:
     except CycloptsError as error:
         say(f"ffcomp: {_usage(error)} See: {' '.join(['ffcomp', *(error.command_chain or ())])} --help.")
         raise SystemExit(2) from None
-
-
-def _without_auto(words: list[str]) -> list[str]:
-    """Leave out `--robust auto`, which is the same as nothing."""
-    kept: list[str] = []
-    for word in words:
-        if word == "auto" and kept[-1:] == ["--robust"]:
-            kept.pop()
-        elif word != "--robust=auto":
-            kept.append(word)
-    return kept
 
 
 def _usage(error: CycloptsError) -> str:

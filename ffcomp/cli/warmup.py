@@ -93,7 +93,7 @@ def _steps(printers: subprocess.Popen[bytes]) -> Iterator[tuple[str, Callable[[]
     """Yield what compiles, each with its name."""
     for kind, machine in MACHINES.items():
         yield f"compensate, {kind}", partial(_in_a_folder, _compensate, machine)
-        yield f"compensate --robust, {kind}", partial(_in_a_folder, _compensate_robustly, machine)
+        yield f"compensate --robust on, {kind}", partial(_in_a_folder, _compensate_robustly, machine)
     yield "estimate", partial(_in_a_folder, _estimate, MACHINES["a delta"])
     yield "virtual printers", printers.wait
     for kind, machine in MACHINES.items():
@@ -118,7 +118,7 @@ def _compensate(file: Path, machine: str) -> None:
 def _compensate_robustly(file: Path, machine: str) -> None:
     from ffcomp import compensate
 
-    compensate(file, machine, file.with_suffix(".out"), robust=True, predict=False)
+    compensate(file, machine, file.with_suffix(".out"), robust="on", predict=False)
 
 
 def _simulate(file: Path, machine: str) -> None:

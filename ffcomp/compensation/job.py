@@ -113,10 +113,10 @@ class Options:
             embed=request.embed,
         )
         bound = _bound_of(request)
-        if request.robust is None and (plain or bound is not None):
+        if request.robust == "auto" and (plain or bound is not None):
             choice = PLAIN
         else:
-            choice = choose_robust(machine, settings, request.robust)
+            choice = choose_robust(machine, settings, {"on": True, "off": False}.get(request.robust))
         return cls(
             offset=request.offset_mm,
             flavor=request.flavor,

@@ -94,14 +94,15 @@ class CompensateOptions(Request):
         Option("Whether to compensate: fast, or none, for step timings only.", ADVANCED, metavar="NAME"),
     ] = "fast"
     robust: Annotated[
-        bool | None,
+        Literal["auto", "on", "off"],
         Option(
-            "Minimise the expected contour error over the machine file's uncertainties. Without either, or with "
-            "--robust auto: where its [uncertainty] makes it pay.",
+            "Minimise the expected contour error over the machine file's uncertainties; auto: where its [uncertainty] "
+            "makes it pay.",
             ACCURACY,
+            metavar="WHEN",
             label="Robust to what the machine file does not know",
         ),
-    ] = None
+    ] = "auto"
     strict: Annotated[bool, Option("Stop with exit code 6 where a limit would slow the print down.", ACCURACY)] = False
     tolerance_um: Annotated[
         float,

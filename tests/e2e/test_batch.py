@@ -39,7 +39,7 @@ def a_print(size: int) -> bytes:
 
 
 def compensate(*arguments: str | Path, cwd: Path | None = None) -> Result:
-    return ffcomp("compensate", "-m", "mp-delta-pro", "--no-robust", *arguments, cwd=cwd)
+    return ffcomp("compensate", "-m", "mp-delta-pro", "--robust", "off", *arguments, cwd=cwd)
 
 
 @pytest.fixture(scope="module")
@@ -283,7 +283,7 @@ def test_an_interrupt_leaves_what_is_finished(prints: list[Path], alone: list[by
     long = tmp_path / "long.gcode"
     moves = b"".join(b"G1 X%d Y%d E.1\n" % (k % 40, k * 7 % 40) for k in range(5_000))
     long.write_bytes(HEAD + moves)
-    words = ("compensate", "-m", "mp-delta-pro", "--no-robust", "-j", "2")
+    words = ("compensate", "-m", "mp-delta-pro", "--robust", "off", "-j", "2")
     command = [sys.executable, "-c", MAIN, *words, prints[0], long]
     process = subprocess.Popen(
         command,

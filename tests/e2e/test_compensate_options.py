@@ -118,7 +118,7 @@ def test_a_limit_slows_down_or_stops(printed: Path, tmp_path: Path) -> None:
 def test_robust_is_an_option(printed: Path, tmp_path: Path) -> None:
     """The library's file is off by 10 %, so it is inverted robustly unless it is told not to."""
     texts, chosen = [], []
-    for words in ((), ("--robust",), ("--robust", "auto"), ("--no-robust",)):
+    for words in ((), ("--robust", "on"), ("--robust", "auto"), ("--robust=off",)):
         target = tmp_path / "out.gcode"
         done = call(printed, "-m", MACHINE, "-q", "--no-predict", "--json", "-o", target, *words)
         assert done.exit_code == 0, done.output

@@ -19,7 +19,9 @@ def compensated(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPat
     name = str(request.param)
     folder = tmp_path_factory.mktemp(name)
     (folder / "square.gcode").write_text(SQUARE.format(*MACHINES[name]), encoding="utf-8")
-    done = call("compensate", folder / "square.gcode", "-m", name, "-o", folder / "out.gcode", "--json", "--no-robust")
+    done = call(
+        "compensate", folder / "square.gcode", "-m", name, "-o", folder / "out.gcode", "--json", "--robust", "off"
+    )
     return name, folder / "out.gcode", done.stdout, done.stderr
 
 

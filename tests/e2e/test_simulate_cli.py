@@ -91,7 +91,7 @@ def test_a_compensated_file_is_judged_against_its_original(
     """As the design model predicts it, and against the path that the slicer wanted."""
     target = tmp_path / "out.gcode"
     klipper = ("--flavor", "klipper")  # in Marlin the command's segments come late by some ms, which is no contour
-    words = ("-o", target, "--quiet", "--no-robust", *klipper, *options)  # a robust reference is early or late
+    words = ("-o", target, "--quiet", "--robust", "off", *klipper, *options)  # a robust reference is early or late
     predicted = good("compensate", square, "-m", "mp-delta-pro", *words)["predicted"]
     before, after = (good("simulate", path, "-m", "mp-delta-pro", "--quiet", *klipper) for path in (square, target))
     assert "original" in after["reference"]
@@ -213,7 +213,7 @@ def test_effects_of_straight_machines_are_compensated(machine: str, effect: str,
     known.write_text((LIBRARY / f"{machine}.toml").read_text(encoding="utf-8") + f"\n{effect}\n", encoding="utf-8")
     for believed in (machine, known):
         out = tmp_path / f"{Path(believed).stem}.gcode"
-        good("compensate", square, "-m", believed, "-o", out, "--quiet", "--no-robust", *klipper)
+        good("compensate", square, "-m", believed, "-o", out, "--quiet", "--robust", "off", *klipper)
         errors.append(good("simulate", out, "-m", believed, "--plant", known, *klipper)["track"]["contour_rms_um"])
     assert errors[1] < 1.0 < 0.2 * errors[0]
 

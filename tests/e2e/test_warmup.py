@@ -39,7 +39,7 @@ def test_after_warming_up_no_run_compiles(tmp_path: Path) -> None:
     assert result.exit_code == 0, result.output
     assert (
         "[8/8] simulate" in result.output
-        and "compensate --robust, straight axes" in result.output
+        and "compensate --robust on, straight axes" in result.output
         and "Ready after" in result.output
     )
     after = CliRunner().invoke(app, [*COMPENSATE, "-o", str(tmp_path / "out.gcode")])

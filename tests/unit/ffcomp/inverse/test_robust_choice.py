@@ -52,7 +52,7 @@ def test_a_rough_file_is_inverted_robustly_and_a_good_one_plainly(delta: Machine
         choice = choose_robust(unsure(machine, default=sd), settings_for(machine))
         assert choice.robust == robust
         assert "[uncertainty]" in choice.reason
-        assert ("--no-robust" if robust else f"from {100 * PAYING_SD:g} %") in choice.reason
+        assert ("--robust off" if robust else f"from {100 * PAYING_SD:g} %") in choice.reason
 
 
 @pytest.mark.parametrize("asked", [True, False])

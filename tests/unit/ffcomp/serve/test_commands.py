@@ -14,7 +14,15 @@ from ffcomp.serve.uploads import Refused
 
 OUT = Path("out")
 INPUTS = {"compensate": ("a.gcode",), "compare": ("a.gcode",), "import": ("printer.cfg",), "diagnose": ("a.csv",)}
-NAMED = {"flavor": "klipper", "kinematics": "corexy", "only": "mzv", "sample": "10%", "at": "0,0", "offset_mm": "1,2"}
+NAMED = {
+    "robust": "on",
+    "flavor": "klipper",
+    "kinematics": "corexy",
+    "only": "mzv",
+    "sample": "10%",
+    "at": "0,0",
+    "offset_mm": "1,2",
+}
 
 
 def words_of(kind: str, options: dict[str, Any], *inputs: str) -> list[tuple[str, ...]]:
@@ -30,9 +38,9 @@ def test_a_print_is_compensated_and_drawn() -> None:
 
 
 @pytest.mark.parametrize(
-    ("value", "words"), [("", ()), (None, ()), ("yes", ("--robust",)), (True, ("--robust",)), ("no", ("--no-robust",))]
+    ("value", "words"), [("", ()), (None, ()), ("auto", ()), ("on", ("--robust=on",)), ("off", ("--robust=off",))]
 )
-def test_a_choice_of_three_is_a_switch_or_nothing(value: Any, words: tuple[str, ...]) -> None:
+def test_a_choice_is_a_word_or_nothing(value: Any, words: tuple[str, ...]) -> None:
     assert words_of("compensate", {"robust": value}, "a.gcode")[0][7:] == words
 
 
@@ -105,4 +113,4 @@ def test_a_form_says_what_the_request_says() -> None:
     assert (seconds["kind"], seconds["low"], seconds["high"], seconds["step"]) == ("number", 2.0, 20.0, "any")
     assert seconds["help"].startswith("Duration of an experiment") and flavor["choices"][0] == "klipper"
     assert {each["name"] for each in forms()["excite"]} == set(fields) - {"seconds"}
-    assert next(each for each in forms()["compensate"] if each["name"] == "robust")["choices"] == ["yes", "no"]
+    assert next(each for each in forms()["compensate"] if each["name"] == "robust")["choices"][1:] == ["on", "off"]
