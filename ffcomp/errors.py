@@ -15,7 +15,7 @@ The whole tree; each class has its exit code as the attribute `exit_code`:
     │   └── StepsError          4  a step archive that cannot be executed (ffcomp/steps/archive.py)
     ├── MachineFileError        5  a machine file that cannot be used (models/errors.py)
     └── UnreachableError        4  points out of the machine's reach; raised again as a GcodeError with its line
-    OSError                     2  a file that cannot be opened or written (Python's own)
+    OSError                     2  a file that cannot be opened or written; one that is missing, whatever its kind
 """
 
 from __future__ import annotations
@@ -134,7 +134,8 @@ def explain(error: FfcompError | GcodeError | MachineFileError | OSError, path: 
     """
     if isinstance(error, OSError):
         return f"{error.filename or path}: {error.strerror or error}.", 2
-    return str(error), error.exit_code
+    missing = isinstance(error.__cause__ or error.__context__, FileNotFoundError)
+    return str(error), 2 if missing else error.exit_code
 
 
 @contextmanager

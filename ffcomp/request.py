@@ -244,7 +244,7 @@ class Request:
     def __post_init__(self) -> None:
         for each in declared(type(self)):
             value = getattr(self, each.field)
-            if value is not None and value != each.default:
+            if value is not None and (value == each.default) is not True:  # an array is compared one by one
                 each.check(value)
         self.check()
 
@@ -282,16 +282,26 @@ def function(request: Callable[P, Q], work: Callable[[Q], R]) -> Callable[P, R]:
     call.__module__ = work.__module__
     hints, signature = get_type_hints(request), inspect.signature(request)
     plain = [each.replace(annotation=hints[name]) for name, each in signature.parameters.items()]
-    call.__signature__ = signature.replace(parameters=plain)  # type: ignore[attr-defined]
+    returned = get_type_hints(work)["return"]
+    call.__signature__ = signature.replace(parameters=plain, return_annotation=returned)  # type: ignore[attr-defined]
     text, _, python_only = inspect.cleandoc(work.__doc__ or "").partition("Parameters\n----------\n")
     if not python_only:
         text, heading, rest = text.partition("Raises\n")
         python_only = f"\n{heading}{rest}"
     rows = [f"{each.field} : {each.option.help}" for each in declared(request)]  # type: ignore[arg-type]
-    call.__doc__ = "\n".join([f"{text}Parameters", "----------", *rows, python_only])
+    own, heading, raised = python_only.partition("Raises\n")
+    what = inspect.cleandoc(returned.__doc__ or "").replace("\n", "\n    ")
+    returns = ["Returns", "-------", returned.__name__, f"    {what}", ""]
+    call.__doc__ = "\n".join([f"{text}Parameters", "----------", *rows, own, *returns, heading + raised])
     return call
 
 
 def paths_of(files: Sequence[str | Path] | str | Path) -> list[Path]:
     """Return the paths of one file or several."""
     return [Path(files)] if isinstance(files, str | Path) else [Path(file) for file in files]
+
+
+def check_files(files: Any) -> None:
+    """Raise RequestError where there is no file."""
+    if isinstance(files, Sequence) and not files:
+        raise RequestError("There are no recordings: name at least one file.")

@@ -46,7 +46,7 @@ def find_machine(name_or_path: str | Path) -> Path:
     path, name = Path(name_or_path), str(name_or_path)
     if path.suffix == ".toml" or len(path.parts) > 1:
         if not path.is_file():
-            raise MachineFileError(name, ["There is no such file."])
+            raise MachineFileError(name, ["There is no such file."]) from FileNotFoundError(name)
         return path
     known = machine_paths()
     if name not in known and path.is_file():

@@ -157,6 +157,10 @@ def _compare(request: CompareRequest) -> MethodComparison:
     Raises
     ------
     GcodeError, MachineFileError, NothingToDo, RequestError
+
+    Examples
+    --------
+    >>> ffcomp.compare("print.gcode", "mp-delta-pro", only=["mzv"]).headline
     """
     return MethodComparison(compare_print(request))
 

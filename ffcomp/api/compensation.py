@@ -52,6 +52,11 @@ def _compensate(request: CompensateRequest) -> CompensatedFile:
     Raises
     ------
     GcodeError, MachineFileError, LimitsError, SolverError, NothingToDo, RequestError
+
+    Examples
+    --------
+    >>> result = ffcomp.compensate("print.gcode", "mp-delta-pro", "out.gcode")
+    >>> result.print_time_s, result.compensated.contour_rms_um
     """
     done = compensate_print(request)
     if done.already:

@@ -18,6 +18,10 @@ def _estimate(request: EstimateRequest) -> estimation.Estimate:
     Raises
     ------
     GcodeError, MachineFileError, NothingToDo
+
+    Examples
+    --------
+    >>> ffcomp.estimate("print.gcode", "mp-delta-pro").time_s
     """
     with opened(Path(request.file)) as container:
         source, machine = next(iter(container.prints.values())), load_machine(request.machine)

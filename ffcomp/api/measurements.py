@@ -20,12 +20,16 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Identification:
     """A machine's parameters as measurements give them."""
 
     fit: MachineFit
     output: Path | None  # of the machine file; None: not written
+
+    def __repr__(self) -> str:
+        """Return the machine, the method and the file."""
+        return f"<Identification: {self.fit.name}, {self.fit.method}, {self.output or 'not written'}>"
 
     def to_dict(self) -> dict[str, Any]:
         """Return the JSON object ffcomp-identify-fit/1."""
@@ -58,6 +62,10 @@ def _identify(request: IdentifyRequest) -> Identification:
     Raises
     ------
     MeasurementError, MachineFileError, RequestError
+
+    Examples
+    --------
+    >>> ffcomp.identify(["carriage.csv"], "mp-delta-pro", "my.toml")
     """
     output, plan = (None if each is None else Path(each) for each in (request.output, request.plan))
     request = replace(request, output=output, plan=plan)

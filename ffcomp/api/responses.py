@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class FrequencyResponses:
     """Frequency responses of a machine at some positions: carriages A B C or nozzle axes X Y Z, as was requested."""
 
@@ -34,6 +34,11 @@ class FrequencyResponses:
     rows: tuple[str, ...]  # names of the outputs
     columns: tuple[str, ...]  # and of the inputs
     study: Study
+
+    def __repr__(self) -> str:
+        """Return machine, shape and range."""
+        low, high = self.frequency_hz[0], self.frequency_hz[-1]
+        return f"<FrequencyResponses: {self.machine.name}, {self.values.shape}, {low:g} to {high:g} Hz>"
 
     def to_dict(self) -> list[dict[str, Any]]:
         """Return an object ffcomp-frf/1 for each position."""
@@ -61,7 +66,9 @@ def study_responses(request: FrfRequest) -> Study:
     measured = [response for path in request.measured for response in read_frfs(path)]
     view = _view(request, machine, measured)
     centre_x, centre_y = machine.kinematics.centre_mm
-    positions = request.positions_mm or (() if measured else [(centre_x, centre_y)])
+    positions = _places(request.positions_mm)
+    if not len(positions) and not measured:
+        positions = np.array([[centre_x, centre_y]])
     for x, y in positions:
         try:
             machine.kinematics.check_reach(np.array([[x, y, 0.0]]))
@@ -70,9 +77,18 @@ def study_responses(request: FrfRequest) -> Study:
     frequencies = request.frequency_hz
     if frequencies is None:
         frequencies = np.arange(request.start_hz, request.highest_hz + 0.5 * request.step_hz, request.step_hz)
-    places = [np.array(xy, dtype=float) for xy in positions]
     masses = list(request.added_mass_kg)
-    return study(machine, view, np.asarray(frequencies, dtype=float), places, measured, masses, request.with_arms)
+    return study(
+        machine, view, np.asarray(frequencies, dtype=float), list(positions), measured, masses, request.with_arms
+    )
+
+
+def _places(positions_mm: Any) -> FloatArray:
+    """Return positions as (n, 2) mm: of one X, Y or of several."""
+    places: FloatArray = np.array(positions_mm, dtype=np.float64).reshape(-1, np.shape(positions_mm)[-1] or 2)
+    if places.shape[1] != 2:
+        raise RequestError(f"positions_mm has {places.shape[1]} numbers a position: two are needed, X and Y in mm.")
+    return places
 
 
 def _view(request: FrfRequest, machine: Machine, measured: Sequence[FrequencyResponse]) -> View:
@@ -99,11 +115,16 @@ def _frf(request: FrfRequest) -> FrequencyResponses:
 
     Parameters
     ----------
-    frequency_hz : (k,) array; None: from the lowest to the highest in steps
+    positions_mm : X, Y in mm, or an (n, 2) array of them; none: the middle of the bed
+    frequency_hz : (k,) array, Hz; None: from the lowest to the highest in steps
 
     Raises
     ------
     MachineFileError, MeasurementError, RequestError
+
+    Examples
+    --------
+    >>> ffcomp.frf("mp-delta-pro", (0, 0)).values.shape
     """
     result = study_responses(request)
     values = np.stack([station.value for station in result.stations])

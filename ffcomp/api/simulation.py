@@ -58,6 +58,10 @@ def _simulate(request: SimulateRequest) -> Simulation:
     Raises
     ------
     GcodeError, MachineFileError, NothingToDo, RequestError
+
+    Examples
+    --------
+    >>> ffcomp.simulate("out.gcode", "mp-delta-pro", to_s=4.0).error_um.max()
     """
     command, machine, plant, warnings = read_simulation(request)
     return replace(run_simulation(request, command, machine, plant), warnings=warnings)

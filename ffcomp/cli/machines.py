@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from ffcomp.cli.command import Json, group, verb
 from ffcomp.cli.common import print_json
 from ffcomp.cli.machines_import import import_machine
+from ffcomp.errors import explain
 from ffcomp.request import MACHINE, OUTPUT, Argument, Option, Request
 
 if TYPE_CHECKING:
@@ -170,7 +171,7 @@ def _machine_errors(as_json: bool = False) -> Iterator[None]:
         print(error, file=sys.stderr)
         if as_json:
             _print_json("machine-error", path=error.path, problems=error.problems)
-        raise SystemExit(BAD_MACHINE) from None
+        raise SystemExit(explain(error)[1]) from None
 
 
 def _assumed(machine: Machine) -> list[str]:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from ffcomp.options import CAPTURE_AXES, MACHINE_NAME, MOVES_PLAN, RUNS
-from ffcomp.request import ACCURACY, OUTPUT, Option, Request
+from ffcomp.request import ACCURACY, OUTPUT, Option, Request, check_files
 
 if TYPE_CHECKING:
     from ffcomp.diagnosis.problems import Recorded
@@ -35,6 +35,10 @@ class GapRequest(Request):
     plan: Annotated[Path | None, MOVES_PLAN] = None
     axes_map: Annotated[str | None, CAPTURE_AXES] = None
     progress: Callable[[str], None] = silent
+
+    def check(self) -> None:
+        """Check that there are recordings."""
+        check_files(self.recordings)
 
 
 @dataclass(frozen=True)
@@ -70,3 +74,7 @@ class DiagnoseRequest(Request):
         ),
     ] = False
     progress: Callable[[str], None] = silent
+
+    def check(self) -> None:
+        """Check that there are recordings."""
+        check_files(self.recordings)

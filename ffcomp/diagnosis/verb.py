@@ -41,7 +41,7 @@ from models.file import check_text
 from models.machine import Machine, with_values
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class Diagnosis:
     """The effects that a machine file lacks, if any.
 
@@ -66,6 +66,10 @@ class Diagnosis:
     def verdict(self) -> str:
         """Return "effects", "none" or "unknown"."""
         return self.result.verdict
+
+    def __repr__(self) -> str:
+        """Return the finding."""
+        return f"<Diagnosis: {summary_sentences(self.result)[0]}>"
 
     def better_file(self) -> str:
         """Return the text of the improved machine file."""

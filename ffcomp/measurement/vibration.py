@@ -238,7 +238,7 @@ def kind_of(path: Path) -> FileKind:
         If it cannot be read, or is of no known kind.
     """
     if not path.is_file():
-        raise MeasurementError(str(path), ["There is no such file."])
+        raise MeasurementError(str(path), ["There is no such file."]) from FileNotFoundError(str(path))
     if is_stdata(path) or is_motion_log(path) or is_closed_loop(path):
         return "vibration"
     if is_universal(path):

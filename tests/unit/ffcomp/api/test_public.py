@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -44,6 +45,7 @@ def test_every_name_is_a_documented_function(name: str) -> None:
     described = function.__doc__.split("Parameters")[1]
     assert all(parameter in described for parameter in parameters - {"progress"}), name
     assert name in dir(ffcomp)
+    assert inspect.signature(function).return_annotation not in (None, inspect.Signature.empty)
 
 
 def test_an_unknown_name_is_an_attribute_error() -> None:
@@ -98,3 +100,17 @@ def test_frequency_responses_are_those_of_the_model() -> None:
     control = found.to_control()[0]
     assert np.asarray(control(2j * np.pi * 40.0)) == pytest.approx(found.values[0, 1])
     assert found.plot().get_axes()
+
+
+def test_one_position_is_enough() -> None:
+    for given in ((0, 0), [0.0, 0.0], np.zeros(2), np.zeros((1, 2))):
+        found = ffcomp.frf("mp-delta-pro", given, frequency_hz=[10.0, 40.0])
+        assert found.positions_mm.tolist() == [[0.0, 0.0]] and len(repr(found)) < 200
+    with pytest.raises(RequestError, match="3 numbers"):
+        ffcomp.frf("mp-delta-pro", (0, 0, 0))
+
+
+@pytest.mark.parametrize("verb", [ffcomp.diagnose, ffcomp.gap])
+def test_no_recordings_are_a_sentence(verb: Callable[..., object]) -> None:
+    with pytest.raises(RequestError, match="no recordings"):
+        verb([], "mp-delta-pro")
