@@ -11,7 +11,7 @@ its height the lowest point is an end, the highest an end or the one place where
 
 Checked are the height, the velocity, and the acceleration as change of velocity over the time of one segment, for any
 beginning inside one: (q̇(t + S) − q̇(t)) / S. It holds the jump at the knot and the curvature between. Both ends of the
-range of t are looked at; in between it can be higher by S |q⃛ − q⃛'| / 8 only, less than a mm/s². The ramps by which
+range of t are checked; in between it can be higher by S |q⃛ − q⃛'| / 8 only, less than a mm/s². The ramps with which
 firmware rounds the knots are not part of it.
 """
 
@@ -27,7 +27,7 @@ from models.machine import Machine
 
 VELOCITY, ACCELERATION, TRAVEL = 0, 1, 2
 NAMES = ("velocity", "acceleration", "travel")
-TOLERANCE = 1.03  # times a limit: a path that asks for no more is held under it all the same
+TOLERANCE = 1.03  # times a limit: a path within this is held under the limit all the same
 
 
 @dataclass(frozen=True, slots=True)

@@ -35,8 +35,8 @@ from gcode.program import Moves, Program
 from gcode.slicing import some
 from models.arrays import BoolArray, FloatArray
 
-ENDS = 6  # knots of a command at either end, that answer for where it begins and ends to move
-STEEP = 1.4  # times the accelerations of its path and its middle, that ends may ask for
+ENDS = 6  # knots of a command at either end, where its motion begins and ends
+STEEP = 1.4  # times the accelerations of its path and its middle: limit for the ends
 SCALED = 0.75  # share of the context of a cut that may become slower before the cut
 NO_TOLERANCE_MM = 0.0  # around a cut: where no limit is active, both sides find the same command
 
@@ -61,7 +61,7 @@ class SectionRequest:
 class FeasibleSection:
     """A section within the limits, and its command."""
 
-    trajectory: Trajectory  # the whole plan; what comes after the section is later by `lost_s`
+    trajectory: Trajectory  # the whole plan; `lost_s` later after the section
     section: Section
     written: WrittenReference
     solution: Solution
@@ -119,9 +119,9 @@ def solve_feasible(model: InverseModel, request: SectionRequest) -> FeasibleSect
 
 
 def _with_less_room(model: InverseModel, request: SectionRequest) -> FeasibleSection | None:
-    """Solve a section with less time before and after its path than it needs; None where its ends would ask for more.
+    """Solve a section with less time before and after its path than needed; None if its ends exceed the limit.
 
-    They may ask for a little more than its path and its middle do, but not for more than the nozzle's own acceleration.
+    They may slightly exceed its path and its middle, but not the nozzle's own acceleration.
     """
     s, section, plan = model.settings, request.section, request.trajectory
     if request.extent != WHOLE or s.robust:
@@ -144,7 +144,7 @@ def _with_less_room(model: InverseModel, request: SectionRequest) -> FeasibleSec
 
 
 def _accelerations(model: InverseModel, vertices: FloatArray) -> FloatArray:
-    """Return the largest share of a carriage's acceleration limit that every knot of a command asks for."""
+    """Return the largest fraction of a carriage's acceleration limit at every knot of a command."""
     return np.asarray(utilisation_from_rest(vertices, model.limits)[:, ACCELERATION].max(axis=1))
 
 
@@ -188,7 +188,7 @@ def scale_around_cut(
 
     Parameters
     ----------
-    program : planned from rest to rest; moves near its ends stay as they are
+    program : planned from rest to rest; moves near its ends are unchanged
     limits, replan, layer_of : as in `SectionRequest`; the plan has trapezoids
 
     Returns
@@ -223,7 +223,7 @@ def _refuse(records: tuple[TimeScaling, ...]) -> None:
 
 
 def _exceeds(model: InverseModel, written: WrittenReference, solution: Solution, late: BoolArray) -> bool:
-    # what is not finite is out of reach, which is nothing that speed could help
+    # not finite means out of reach, where a lower speed does not help
     return peak_utilisation(model, written, solution) > 1.0 or bool(late[written.first : written.last].any())
 
 

@@ -7,7 +7,7 @@ the spline), a window minimises
     ‖ e₀ − Φ γ ‖² + ρ ‖ D² γ ‖²                                 Φ = J G N: the basis filtered through the plant
 
 under the limits of `command_limits.py`. e₀ is the nozzle's error with γ = 0 from the state at the window's first knot;
-D² γ S⁻² is the acceleration asked for beyond the plan's. Then the very segments are executed through the plant (ramps,
+D² γ S⁻² is the acceleration beyond the plan's. Then the actual segments are executed through the plant (ramps,
 chords, J̇ q̇), and the same problem is solved for the remaining error. γ is zero at both ends of a section.
 
 Duan, Yoon & Okwudire, A limited-preview filtered B-spline approach to tracking control, Mechatronics 56 (2018) 287-296.
@@ -28,7 +28,7 @@ from models.vibration.scheduled import interpolate, models_along
 
 @dataclass(frozen=True, slots=True)
 class ConstrainedWindow:
-    """A window in which a limit is active."""
+    """A window with an active limit."""
 
     first: int  # knots of the section
     last: int
@@ -36,7 +36,7 @@ class ConstrainedWindow:
 
 
 class WindowProblem:
-    """One least-squares problem: `unknowns` knots after `at`, for the error up to `end`, kept up to `commit_end`."""
+    """A least-squares problem: `unknowns` knots after `at`, for the error up to `end`, kept up to `commit_end`."""
 
     def __init__(
         self,
@@ -53,7 +53,7 @@ class WindowProblem:
         self._left_mm = 0.0
 
     def held(self) -> ConstrainedWindow:
-        """Record the part that is kept, as it was solved."""
+        """Return the committed part."""
         return ConstrainedWindow(self.at, self.commit_end, self._left_mm)
 
     def solve(self) -> tuple[FloatArray, FloatArray]:

@@ -18,8 +18,8 @@ from models.compiled import kernel
 
 STRETCH = 512  # knots solved at a time
 MOST_PASSES = 5
-CONVERGENCE_MM = 5e-3  # a change of the command so small leaves a tenth of it to the next
-SIGHT = 32  # knots in sight after them: what comes later asks for a hundred-thousandth now
+CONVERGENCE_MM = 5e-3  # after so small a change, the next is a tenth of it
+PREVIEW_KNOTS = 32  # knots of preview: later errors affect the command by a hundred-thousandth
 
 
 def solve(iterate: Iterate, state: FloatArray, keep_response: bool) -> tuple[FloatArray, FloatArray, int]:
@@ -27,11 +27,11 @@ def solve(iterate: Iterate, state: FloatArray, keep_response: bool) -> tuple[Flo
 
     Returns
     -------
-    the nozzle's response (n·substeps, 3) mm, empty if not asked for; the state (18,) at the end; windows solved
+    the nozzle's response (n·substeps, 3) mm, empty if not requested; the state (18,) at the end; windows solved
     """
     responses, at, stretches = [np.empty((0, 3))], 0, 0
     while at < iterate.last:
-        stop = at + STRETCH if iterate.last - at > STRETCH + SIGHT else iterate.last
+        stop = at + STRETCH if iterate.last - at > STRETCH + PREVIEW_KNOTS else iterate.last
         part = _Part(iterate, at, stop)
         response, state = part.solve(state, keep_response)
         responses.append(response)
@@ -45,7 +45,7 @@ class _Part:
     def __init__(self, iterate: Iterate, at: int, stop: int, begin: bool = True) -> None:
         self.iterate, self.at, self.stop = iterate, at, stop
         whole = stop == iterate.last
-        self.stretch = KnotWindow(iterate, at, stop + (REST_ROWS if whole else SIGHT))
+        self.stretch = KnotWindow(iterate, at, stop + (REST_ROWS if whole else PREVIEW_KNOTS))
         gains = iterate.model.gains
         self.node, self.steady = gains.at(self.stretch.place)
         self.ending = _to_rest(gains, self.node, len(self.steady.backward)) if whole else no_gains(gains.size)

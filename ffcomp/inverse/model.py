@@ -43,7 +43,7 @@ class Iterate:
 
     def __init__(self, model: InverseModel, reference: Reference) -> None:
         self.model, self.reference = model, reference
-        self.last = reference.knots  # the knot at which the command comes to rest
+        self.last = reference.knots  # the knot where the command comes to rest
         self.n = self.last + IN_SIGHT
         self.gamma = np.zeros((self.n + 1, 3))
         self.vertices = np.empty((self.last + 1, 3))
@@ -104,7 +104,7 @@ class KnotWindow:
         return sample_even_segments(vertices, extrusion, s.segment_s, s.output, s.substeps)[before * s.substeps :]
 
 
-GEOMETRY = "arm_geometry"  # a delta is calibrated, not compensated: at rest the nozzle must be where it is said to be
+GEOMETRY = "arm_geometry"  # calibrated, not compensated: the nozzle's rest position must be the commanded one
 
 
 @dataclass(frozen=True, eq=False)
@@ -279,7 +279,7 @@ class _Cache:
     """The arrays of one machine on disk."""
 
     name: str
-    arrays: disk_cache.Arrays  # as they were loaded or saved, but for gains that are taken up; empty: there are none
+    arrays: disk_cache.Arrays  # as loaded or saved, apart from gains in use; empty: none
 
     def rows(self, name: str) -> int:
         """Return how many rows an array has; 0: there is none."""

@@ -8,7 +8,7 @@ command takes the answer up:
 
 Each step is mixed with the ones before it (Anderson's acceleration), and smoothed where it would break a limit. The
 effect of a command is over after some ten segments: at the end, the best command at each position is put together and
-simulated too. A section ends with the best command that was simulated whole.
+simulated too. The result is the best fully simulated command.
 
 What the weight bends is left to bed levelling. A delay that all motors share is left to the clock: the nozzle comes
 late along the right path.
@@ -21,7 +21,7 @@ points x_i and their answers f_i, which ought to vanish, the next point is
 With one point before it, this is the secant method. Around each knot the answers have their own weights.
 
 Friction and backlash feedforward: a belt pulls as far as its motor is ahead of its carriage, F = k s. Dry friction of
-the wanted motion asks for a force more. Play takes half of its width w on the side to which the belt pulls, and as much
+the wanted motion adds a force. Backlash takes half of its width w on the side to which the belt pulls, and as much
 on the other once it pulls there:
 
     e = F(q̇*)/k + (w/2) sat((s + F(q̇*)/k)/ε)            sat x: x, but within ±1
@@ -63,7 +63,7 @@ Tried = tuple[FloatArray, FloatArray]  # a point and its answer, (n, 3) mm
 JUDGED_KNOTS, BLENDED_KNOTS = (
     16,
     8,
-)  # knots on either side: by which a place is judged, and over which one command becomes another
+)  # knots on either side: window of the error, and of blending two commands
 RIDGE, LEAST_MM2 = 1e-2, 1e-12  # what keeps the weights small: of the squares, and where nothing moves
 
 
@@ -198,7 +198,7 @@ SMOOTHINGS, SMOOTHED_KNOTS, KEPT_SHARE = (
     60,
     4,
     0.9,
-)  # of a change that breaks a limit: how often, knots around, what is left each time
+)  # of a change that breaks a limit: tries, knots around, remaining factor
 
 
 @dataclass(frozen=True, slots=True)
@@ -212,11 +212,11 @@ class LinearSolution:
 
 @dataclass
 class _Round:
-    """One section: what is simulated next, the last commands that were, the best, and the one put together."""
+    """The state of one section: next, last, best and blended command."""
 
-    iterate: Iterate  # its γ: what is executed next
+    iterate: Iterate  # its γ is executed next
     rest_rows: int | None  # since the section before it
-    most: float  # times the limits that a command may ask for
+    most: float  # times the limits allowed for a command
     best: FloatArray  # γ (n + 1, 3) mm of the best that was executed
     feedforward: FloatArray  # γ beyond the linear inverse; no control weight is counted for it
     rms: float = np.inf  # of the best one's error, mm
@@ -324,7 +324,7 @@ def _put_together(each: _Round, local: FloatArray) -> None:
         each.gamma, each.local = each.iterate.gamma.copy(), local
         return
     better = local < each.local
-    taken = around(better.astype(np.float64), BLENDED_KNOTS)[:, None]  # eased, for the command must not jump
+    taken = around(better.astype(np.float64), BLENDED_KNOTS)[:, None]  # smoothed, so that the command does not jump
     each.gamma = taken * each.iterate.gamma + (1.0 - taken) * each.gamma
     each.local = np.where(better, local, each.local)
 

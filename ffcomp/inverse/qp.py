@@ -23,8 +23,8 @@ from models.arrays import FloatArray
 from models.kinematics.base import Compiled
 
 SOLVER_TOLERANCE = 1e-5  # of scaled numbers
-SMALLEST_SIZE = 1e-12  # of a programme that asks for nothing
-MARGIN = 2e-3  # kept from the limits: for what o, c and m change, and for the solver's own accuracy
+SMALLEST_SIZE = 1e-12  # of an empty programme
+MARGIN = 2e-3  # distance to the limits, for changes of o, c and m and for the solver's accuracy
 ROOM = (1.0, 1.1, 1.3, 1.7, 2.5)  # times the limit, where given knots on both sides leave no room for less
 
 
@@ -44,7 +44,7 @@ def constrained_step(
     ----------
     hessian : (3 n, 3 n);  gradient : (3 n,), of the unknown knots, carriages A B C inside
     command : (n + 4, 3) mm, carriage heights as they stand, with two given knots on either side
-    plan : (n + 4, 3) mm, what the path itself asks for
+    plan : (n + 4, 3) mm, the path's own command
 
     Returns
     -------
@@ -91,7 +91,7 @@ class _Rows:
     def _between(
         self, order: int, now: FloatArray, plan: FloatArray, room: float, limit: FloatArray
     ) -> tuple[sparse.csr_matrix, FloatArray, FloatArray]:
-        """now, plan (rows, 3, 2): what is asked for at both ends of a range; it may be within ± the ceiling."""
+        """now, plan (rows, 3, 2): demand at both ends of a range, allowed within ± the ceiling."""
         planned = np.abs(plan).max(axis=2)
         ceiling = np.maximum(room * (1.0 - MARGIN) * limit, np.where(planned > TOLERANCE * limit, planned, 0.0))
         n = len(self._command) - 4

@@ -29,7 +29,7 @@ from models.machine import Pressure
 EDGE_EFFECT_S = 0.03  # of motion, that a command feels which begins too late or ends too early
 JUMP_MM = {True: (0.03, 0.1), False: (0.05, 0.12)}  # by whether filament flows there; see `room_of`
 LEAST_NEED = 0.7  # of the time that a command needs, that it gets at least
-LEAST_S, LITTLE = 0.003, 0.02  # the same where its ends ask for little, and share of a section's time not worth it
+LEAST_S, LITTLE = 0.003, 0.02  # the same for gentle ends, and negligible share of a section's time
 MOST_SHARE = 0.05  # of a section's time, that is spent beyond its path
 ALL_ROOM_FROM_S = 5.0
 ROUNDING = 1e-6  # of a segment
@@ -96,7 +96,7 @@ def _segments_of(duration_s: float, segment_s: float) -> int:
 class Reference:
     """The reference motion of one section on its own knots, S seconds apart; sampled on demand.
 
-    Knot 0 lies before the section begins, for the plant answers late and the command may have to start before the path;
+    Knot 0 lies before the section begins, because the plant lags and the command may have to start before the path;
     the last knot lies after its end. Outside the section the nozzle rests.
     """
 
@@ -112,11 +112,11 @@ class Reference:
 
         Parameters
         ----------
-        trajectory, section, settings : what is sampled, and how
+        trajectory, section, settings : input and its sampling
         through : a time of the plan's clock that must be a knot, whose number divides by another
         room : beyond the path; None: what it needs
         """
-        # by rounding, what follows may begin just before the section ends, and somewhere else
+        # by rounding, the next section may begin just before this one ends, and elsewhere
         trajectory = trajectory.part(section.first, section.last)
         room = room or room_of(trajectory, section, settings)
         self.robust_offset: FloatArray | None = None  # (rows, 3) mm, where it is known already
@@ -164,7 +164,7 @@ class Reference:
 
     @cached_property
     def _filament(self) -> FloatArray:
-        """The filament at all knots, (n + 1,) mm: asked for when a section is solved, timed and written."""
+        """The filament at all knots, (n + 1,) mm; needed to solve, time and write a section."""
         return self._position(self._knots_t)[:, 3] + self.lead.mm
 
     @property
@@ -201,7 +201,7 @@ class Lead:
     """How far the filament is ahead at n + 1 knots."""
 
     mm: FloatArray  # (n + 1,)
-    share: float  # of what the model asks for; below 1 where the firmware's extruder cannot follow
+    share: float  # of the model's demand; below 1 where the firmware's extruder cannot follow
 
 
 def lead_of(trajectory: Trajectory, begin_s: float, end_s: float, knots_t: FloatArray, pressure: Pressure) -> Lead:

@@ -8,9 +8,9 @@ is
 
 and the cost of one interval ‖ē_k − C̄ z_k − D̄ w_k‖² + ρ ‖w_k + d_k‖², with ē the nozzle's error at the interval's
 rows and d the second difference that the command already has. Because J depends on the place alone, the Riccati
-equation is solved once for every place of a grid. What is left for each knot is one product with a 33 × 27 matrix
-backwards (the preview: what the errors to come ask for now) and one with 27 × 24 forwards. At a section's end the
-command must rest: there the gains are those of the finite problem, counted from the end, for the place where it ends.
+equation is solved once for every place of a grid. Each knot then needs one product with a 33 × 27 matrix
+backwards (the preview of the errors to come) and one with 27 × 24 forwards. At a section's end the
+command must rest: there the gains are those of the finite problem, counted from the end, at its end position.
 
     s_k = (𝒜 − ℬF)ᵀ s_{k+1} + (C̄ − D̄F)ᵀ ē_k + ρ Fᵀ d_k         ψ_k = R⁻¹ (ℬᵀ s_{k+1} + D̄ᵀ ē_k − ρ d_k)
     w_k = ψ_k − F z_k                                           R = ρ I + D̄ᵀD̄ + ℬᵀPℬ,  F = R⁻¹ (D̄ᵀC̄ + ℬᵀP𝒜)
@@ -222,7 +222,7 @@ def riccati_backwards(
 def _best_of(
     value_matrix: FloatArray, interval: FloatArray, control_weight: float, f: FloatArray, preview: FloatArray
 ) -> None:
-    """Find F (3, N) and the rows of ψ (3, N + 9) for which a form (N + 3, N + 3) of (z, w) is least."""
+    """Find F (3, N) and the rows of ψ (3, N + 9) that minimise a form (N + 3, N + 3) of (z, w)."""
     state = len(value_matrix) - 3
     r = value_matrix[state:, state:]
     inverse, determinant = np.empty((3, 3)), 0.0
@@ -250,7 +250,7 @@ VECTOR = 16  # the products of the backward gains are filled up to a multiple of
 PITCH_MM = 5.0  # of the grid: what the nearest node misses, the correction finds
 AT_A_TIME = 256  # places
 DOUBLINGS = 9  # 512 knots: a state is forgotten by then, whatever places are worked out together
-TO_THE_END = 40  # knots before a section's end from which on the end is felt
+TO_THE_END = 40  # knots before a section's end that the end affects
 ENDS_KEPT = 64  # places, 0.8 MB each
 REST_ROWS = 24  # knots after the end whose ringing counts
 
@@ -421,7 +421,7 @@ def _riccati(p: Problem, control_weight: float) -> FloatArray:
     g = p.b @ np.linalg.solve(r, _t(p.b))
     size = p.a.shape[-1]
     eye = np.eye(size)
-    for _ in range(DOUBLINGS):  # a: what is left of a state after 1, 2, 4, … knots
+    for _ in range(DOUBLINGS):  # a: the remainder of a state after 1, 2, 4, … knots
         solved = np.linalg.solve(eye + g @ h, np.concatenate([a, g @ _t(a)], axis=2))
         ahead, spread = solved[..., :size], solved[..., size:]
         h = h + _t(a) @ h @ ahead
@@ -432,7 +432,7 @@ def _riccati(p: Problem, control_weight: float) -> FloatArray:
 
 
 def _gains(p: Problem, value: FloatArray, control_weight: float) -> Gains:
-    """At g places, for what an interval's end is worth, P (g, 24, 24)."""
+    """Return the gains at g places for the terminal cost P (g, 24, 24)."""
     ahead = _t(p.b) @ value
     r = control_weight * np.eye(AXES) + _t(p.d) @ p.d + ahead @ p.b
     f: Any = np.linalg.solve(r, _t(p.d) @ p.c + ahead @ p.a)

@@ -1,9 +1,9 @@
 """Robust reference modification under parameter uncertainty.
 
 The numbers of a machine file have standard deviations (its `[uncertainty]`), so its FRF G is one draw of many, and so
-is D = G K₀ with the plain inverse K₀: what comes of the path r if it is wanted as it is. Near a lightly damped mode D
-is not I, what is wanted there comes out wrong, and it is better to want something else, r + d. A print is judged by its
-distance to the path alone: at what time the nozzle is where is free along a line, but not at a corner. So
+is D = G K₀ with the plain inverse K₀, the response to the path r as reference. Near a lightly damped mode D
+is not I, and another reference, r + d, gives a smaller error. A print is judged by its
+distance to the path alone: timing along a line is free, but not at a corner. So
 
     d = argmin  E [ |n|² + ε |l|² ] + λ |F⁻¹ d|²      D (r + d) = q + n        l = T Tᵀ (D (r + d) − r)
 
@@ -12,16 +12,16 @@ is early or late, T being the path's direction at q. So d speeds up and slows do
 would ring of it, by about a tenth of a millimetre at most in practice, and leaves out what else would come out wrong.
 It keeps the plan's clock. F is a low pass: nothing of d is beyond twice the bandwidth.
 
-D is its mean M₀ and its principal directions M₁, M₂, … over the possible printers (`sensitivity.py`). With T as it is
-for the mean, the expectation is a sum of squares, each of one direction's response:
+D is its mean M₀ and its principal directions M₁, M₂, … over the possible printers (`sensitivity.py`). With the T of
+the mean, the expectation is a sum of squares, each of one direction's response:
 
     E |P D (r + d) − P r|² = |P (M₀ (r + d) − r)|² + Σ |P Mₖ (r + d)|²        P² = W = I − (1 − ε) T Tᵀ
 
 So it costs one problem of the nominal size with a few more rows, whatever the number of printers. The minimum over
 y = F⁻¹ d is sought by nonlinear conjugate gradients, in spans of a second or two which overlap, many at a time. At each
-step nearest points are sought anew, as in Gauss-Newton's method, and the gradient is preconditioned with a lower weight
-along the path, for a change along it alters little. The search ends after a few steps, for what the next ones add is
-acceleration above all: after seven a command's peaks are 1.5 times those of a plain one at most. An offset has half as
+step nearest points are updated, as in Gauss-Newton's method, and the gradient is preconditioned with a lower weight
+along the path, because a change along it alters little. The search ends after a few steps: later ones add
+mostly acceleration. After seven a command's peaks are 1.5 times those of a plain one at most. An offset has half as
 many samples as the path has rows; W there is its average over the rows around, so that the moment of a corner counts
 and not only which samples are before it.
 
@@ -68,7 +68,7 @@ from models.machine import Machine
 TANGENT_WEIGHT = 0.002  # ε,
 TANGENT_WEIGHT_WIDE = 0.01  # and where modes are known worse than WIDE_SD: a nozzle early or late by 0.8 mm otherwise
 REGULARISATION = 1e-3  # λ
-STEPS = 7  # of conjugate gradients; with more a command asks for more, and printers gain little,
+STEPS = 7  # of conjugate gradients; more steps cost acceleration and gain little,
 STEPS_WIDE = 14  # but for modes known worse than
 WIDE_SD = 0.11  # this: there a longer search over more directions takes 8 to 14 % off the expected error
 ALONG = 10.0  # times as far along the path as across it: what they are preconditioned with
@@ -417,14 +417,14 @@ class RobustChoice:
     reason: str
 
 
-PLAIN = RobustChoice(False, "Plain inversion: nothing else was asked for.")
+PLAIN = RobustChoice(False, "Plain inversion: the default.")
 BOUNDED = RobustChoice(True, "Robust inversion, as always under a bound on the error.")
 
 
 def choose_robust(machine: Machine, settings: Settings, requested: bool | None = None) -> RobustChoice:
     """Choose for a machine. requested : by the user; None: by the machine file."""
     if requested is not None:
-        return RobustChoice(requested, f"{'Robust' if requested else 'Plain'} inversion, as it was asked for.")
+        return RobustChoice(requested, f"{'Robust' if requested else 'Plain'} inversion, as requested.")
     sd = mode_sd(machine, settings.robust_share * settings.bandwidth_hz)
     known = f"by its [uncertainty] the machine file knows its modes to {100 * sd:.2g} %"
     if sd < PAYING_SD:
@@ -433,7 +433,7 @@ def choose_robust(machine: Machine, settings: Settings, requested: bool | None =
 
 
 def mode_sd(machine: Machine, bandwidth_hz: float) -> float:
-    """Return the relative standard deviation of all modes together that makes the response as uncertain as it is."""
+    """Return the relative standard deviation of all modes together that gives the same uncertainty of the response."""
     most = max(machine.uncertainty.values(), default=0.0)
     if most == 0.0:
         return 0.0

@@ -55,7 +55,7 @@ def span_length(rows: int) -> int:
 
 
 class Sensitivity:
-    """D = G K₀ over the bed: its mean over the draws, and the directions in which it differs most.
+    """D = G K₀ over the bed: its mean over the draws, and its principal directions.
 
     Without draws: the machine's own D, and the directions over its parameters, each off by one standard deviation.
     """
@@ -69,7 +69,7 @@ class Sensitivity:
         sampled: bool = True,
         wide: bool = False,
     ) -> None:
-        """Choose the printers; wide: more of them, and more directions, for an uncertainty that asks for it."""
+        """Choose the printers; wide: more of them, and more directions, for a large uncertainty."""
         self.machine, self.row_s, self.bandwidth_hz, self.control_weight = machine, row_s, bandwidth_hz, control_weight
         self._sampled, self.directions = sampled, DIRECTIONS_WIDE if wide else DIRECTIONS
         draws = DRAWS_WIDE if wide else DRAWS
@@ -103,7 +103,7 @@ class Sensitivity:
         return np.concatenate([shares, np.zeros((1 + self.directions - len(shares), draws))])  # always as many
 
     def place_of(self, xy: FloatArray) -> tuple[int, int]:
-        """Return the number of the place at which all of a span (m, 2) mm is taken: nearly its middle."""
+        """Return the index of the place that represents a span (m, 2) mm: nearly its middle."""
         i, j = np.round(xy.mean(axis=0) / PLACES_MM).astype(np.int64).tolist()
         return i, j
 
@@ -120,7 +120,7 @@ class Sensitivity:
         return np.asarray(known[..., before] + share * (known[..., before + 1] - known[..., before]))
 
     def __len__(self) -> int:
-        """Nodes at which D is known."""
+        """Return the number of nodes."""
         return len(self._nodes)
 
     def known(self) -> dict[str, NDArray[Any]]:
@@ -261,7 +261,7 @@ def sampled_machines(machine: Machine, count: int = DRAWS) -> list[Machine]:
 
 
 def perturbed_machines(machine: Machine) -> list[Machine]:
-    """Return the machine, and those of which one parameter is off by one standard deviation."""
+    """Return the machine, and those with one parameter off by one standard deviation."""
     parameters = machine.vibration.parameters()
     spread = parameters.relative_sd(machine.uncertainty)
     deviates = np.concatenate([np.zeros((1, parameters.columns)), np.eye(parameters.columns)])

@@ -9,7 +9,7 @@ square with sharp corners at seven places of the bed, line by line of frequency:
 The knee is where error times peak^1.5 is least: from there on a percent more of peak acceleration takes less than one
 and a half percent of the error away. To the error belongs a floor, what other things leave anyway: without it a step
 would always pay. On straight axes, whose model is the same everywhere, little else is left, but of a robust inverse
-what is not known: following them as far would ask for up to three times the acceleration and leave as much.
+the unknown part: following them as far would need up to three times the acceleration for the same error.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ class EffortCurve:
 
 
 def control_weight_at(machine: Machine, bandwidth_hz: float, segment_s: float, rows: int = 1) -> float:
-    """Return ρ for which accuracy and effort weigh alike at the bandwidth: ρ |D²(ω)|² = mean |G(ω)|² at the centre."""
+    """Return the ρ that balances accuracy and effort at the bandwidth: ρ |D²(ω)|² = mean |G(ω)|² at the centre."""
     g = machine.vibration.frequency_response(np.zeros(2), np.array([bandwidth_hz]), "nozzle", "nozzle")[0]
     hat = np.sinc(bandwidth_hz * segment_s) ** 2  # the hats' own spectrum
     second_difference = (2 * np.sin(np.pi * bandwidth_hz * segment_s)) ** 2
@@ -113,7 +113,7 @@ def _square(machine: Machine, segment_s: float) -> FloatArray:
 
 
 SEGMENTS_PER_SECOND = 250.0
-LIFT_LAG_MM = 0.02  # of the nozzle in a lift, that is left as it is
+LIFT_LAG_MM = 0.02  # of the nozzle in a lift, not compensated
 CUT = 256  # knots: no segment is joined across a knot whose number is a multiple of it
 
 
@@ -129,15 +129,15 @@ class Settings:
     lead_s: float = 0.008  # how long before the path's start the command may begin, at most
     tail_s: float = 0.004  # how long after the path's end the command comes to rest, at most
     compliance_s2: tuple[float, float, float] = (1.0, 1.0, 1.0)  # nozzle's lag per acceleration along X Y Z: mm s²/mm
-    corrections: int = 1  # of a window at a limit, by the segments as they are executed
+    corrections: int = 1  # of a window at a limit, by the executed segments
     robust: bool = False  # the robust reference instead of the path
     memory: int = 60  # segments after which the plant has forgotten (1 % is left after 240 ms)
     time_scaling: bool = True  # where limits do not let the nozzle follow, the plan becomes slower
-    tolerance_um: float = 25.0  # by which an active limit may take the nozzle off its path before that
+    tolerance_um: float = 25.0  # path error that an active limit may cause before that
     strict: bool = False  # an error instead
     one_model: bool = False  # that of the bed's middle everywhere
     merge_um: float = 1.0  # segments are joined while they miss the command by less than this across its direction,
-    merge_along_um: float = 3.0  # than this along it: the nozzle is early or late, not beside its path,
+    merge_along_um: float = 3.0  # than this along it: the nozzle is early or late, not off its path,
     merge_filament_um: float = 0.2  # and than this in filament;
     longest_merged_s: float = 0.25  # and no longer than this
     shortest_um: float = 10.6  # no segment is shorter than this, as rounded numbers may take 1 µm of it,
@@ -153,7 +153,7 @@ class Settings:
 
     @property
     def joins_lifts(self) -> bool:
-        """Whether the nozzle follows a lift so well that it is written as it was planned, in one segment."""
+        """Whether the nozzle follows a lift well enough to write it as planned, in one segment."""
         return self.compliance_s2[2] * self.output.z_acceleration_mm_per_s2 <= LIFT_LAG_MM
 
     @property
@@ -170,7 +170,7 @@ class Settings:
 
     @property
     def shortest_knots(self) -> float:
-        """The shortest segment that a line of the file may ask for, in knots; never more than one."""
+        """The shortest segment that a line of the file may need, in knots; at most one."""
         return min(self.shortest_s / self.segment_s, 1.0)
 
 

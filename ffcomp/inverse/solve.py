@@ -26,10 +26,10 @@ class Solution:
 
     vertices: FloatArray  # (n + 1, 3) mm: the nozzle command at the knots
     state: FloatArray  # (18,): of the plant at the last knot
-    response: FloatArray  # (n·substeps, 3) mm: the nozzle's position by the design model; empty if not asked for
+    response: FloatArray  # (n·substeps, 3) mm: the nozzle's position by the design model; empty if not requested
     windows: int  # solved
     utilisation: float  # peak demand on a carriage over its limit; up to 1 is allowed
-    constrained: tuple[ConstrainedWindow, ...] = ()  # windows in which a limit is active
+    constrained: tuple[ConstrainedWindow, ...] = ()  # windows with an active limit
 
 
 def solve(
@@ -48,7 +48,7 @@ def solve(
     reference : of the section
     state : (18,) of the plant at the section's first knot
     keep_response : return the nozzle's response too
-    enforce_limits : False leaves the command as it is where it exceeds a limit
+    enforce_limits : False leaves a command above a limit unchanged
 
     Raises
     ------
@@ -64,7 +64,7 @@ def solve(
     return Solution(iterate.vertices, state, response, windows, utilisation, tuple(active))
 
 
-BEFORE, AFTER = 32, 32  # knots: what lies further away asks for less than a ten-thousandth here
+BEFORE, AFTER = 32, 32  # knots: farther errors affect the command by less than a ten-thousandth
 LONGEST = 120  # knots of a window; the last AFTER of a longer stretch are solved again by the next one
 FOLLOWING = 16  # knots after the unknown ones whose errors count
 AT_A_TIME = 512  # knots played
@@ -77,7 +77,7 @@ def _enforced(
 
     Returns
     -------
-    the nozzle's response (n·substeps, 3) mm, empty if not asked for; the state (18,) at the end; the windows
+    the nozzle's response (n·substeps, 3) mm, empty if not requested; the state (18,) at the end; the windows
     """
     begin, at, held = state, 0, list[ConstrainedWindow]()
     too_much = _too_much(iterate, 0, iterate.last)

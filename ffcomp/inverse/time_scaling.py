@@ -1,21 +1,21 @@
 """Time scaling: slow the plan down where, and only where, the machine cannot follow it within its limits.
 
-A section whose command keeps all limits is taken as it is. Otherwise, in a few rounds:
+A section whose command keeps all limits is unchanged. Otherwise, in a few rounds:
 
     the path itself demands more than a limit, and so does its command     → those moves become slower
     the command can be constrained, but the nozzle leaves the path         → those moves become slower
     segments that the firmware cannot execute in their time                → those moves become slower
     none of these                                                          → done
 
-Lifts, and the travel beside them, may come a few ms late instead: that costs less, and the print time counts it.
+Lifts, and the travel next to them, may be a few ms late instead: that costs less, and the print time counts it.
 
 Speed follows a velocity limit in proportion. Acceleration and the speed of corners follow an acceleration limit in
 proportion; where the nozzle keeps its speed, in curves and far from the middle, it is v² that does.
 
 A section that is cut in motion (`ffcomp/compensation/chunks.py`) is scaled on either side of the cut by whoever writes
 that side. Both must pass the cut in the same way: moves near it keep their speed, for `scale_around_cut` has scaled
-them before, once for both. What is written must be whole segments again: the rest of it becomes slower by as little as
-that takes.
+them before, once for both. The result must be whole segments again: the rest is slowed by as little as
+possible.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ Replan = Callable[[Moves, float], Trajectory]  # the moves of a section, when it
 LayerOf = Callable[[int], int | None]  # move of the program → its layer
 
 ROUNDS = 8
-PHASES = 4  # of the knots, at which a path is looked at
+PHASES = 4  # of the knots, where a path is sampled
 APART = 8  # moves: scaled ones that lie closer share a record
 LATE_MM = 1e-3  # how far a segment may fall behind
 LATE_TRAVEL_MM = 50e-3  # and how far in XY where no filament flows, on a machine that joins lifts
@@ -88,7 +88,7 @@ class TimeScaling:
         lines = f"{self.first_line}" + (f"-{self.last_line}" if self.last_line != self.first_line else "")
         layer = "" if self.layer is None else f" (layer {self.layer})"
         if self.limit:
-            why = f"carriage {self.carriage} was asked for {self.asked:.2f} times its {self.limit} limit"
+            why = f"carriage {self.carriage} needs {self.asked:.2f} times its {self.limit} limit"
         else:
             why = "the firmware's own acceleration limit leaves too little for its segments"
         percent = f"{100 * self.factor:.0f}" if self.factor < 0.995 else f"{100 * self.factor:.2f}"  # never to 100 %
@@ -142,7 +142,7 @@ class ScaledSection:
         self.section = Section(0, len(self.moves), True, self.begin_t, self.plan.end_t)
 
     def solve(self, tolerance_mm: float, first: Free) -> tuple[WrittenReference, Solution]:
-        """Return the first plan in a few rounds that can be followed, and its command. first : of the plan as it is."""
+        """Return the first feasible plan of a few rounds, and its command. first : of the original plan."""
         moves, plan = self.moves, self.plan
         written, solution = self.scale(tolerance_mm, first)
         if self.reasons and self.extent.end is not None:

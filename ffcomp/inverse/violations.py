@@ -21,7 +21,7 @@ from models.arrays import BoolArray, FloatArray
 
 TARGET_UTILISATION = 0.98  # of a limit, that a slowed move aims at
 GENTLEST, SLOWEST = 0.95, 0.4  # factors of one round
-BINDING_UTILISATION = 0.85  # utilisation of a command from which on its path is made slower
+BINDING_UTILISATION = 0.85  # utilisation of a command above which its path is slowed
 COMMAND_REACH_KNOTS = 10  # knots between what a path demands and what its command demands because of it
 TIMING = len(NAMES)  # the kind of violation that is none of the carriages' limits
 SOLVER_ACCURACY = 1e-3  # over a limit

@@ -2,8 +2,8 @@
 
 A segment is executed with ramps at the firmware's acceleration, and passes its ends no faster than its neighbours: a
 ramp in several segments needs twice the acceleration that it has itself. A printer's own acceleration of Z is often no
-more than the plan's, and no G-code file can raise it. But while only Z moves and no filament flows, it does not matter
-when exactly the nozzle is at which height: one segment with the firmware's own ramps takes the time of the plan.
+more than the plan's, and no G-code file can raise it. But while only Z moves and no filament flows, the
+height's timing does not matter: one segment with the firmware's own ramps takes the planned time.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy as np
 from models.arrays import BoolArray, FloatArray, IntArray
 from models.compiled import kernel
 
-FLOWS_MM = 1e-6  # filament per segment from which on it flows
+FLOWS_MM = 1e-6  # filament per segment that counts as flow
 
 
 @kernel
@@ -27,7 +27,7 @@ def even_wipes(e: FloatArray, vertices: FloatArray, first: int, cut: int) -> Non
 
     Parameters
     ----------
-    e : (n + 1,) mm of filament at the knots, the first of which has the number `first`
+    e : (n + 1,) mm of filament at the knots, the first has the number `first`
     vertices : (n + 1, 3) mm
     cut : nothing is shared across a knot whose number is a multiple of it
     """

@@ -18,7 +18,7 @@ from models.compiled import kernel
 from models.kinematics.base import Kinematics
 from models.machine import CORNER_MM_PER_S, Machine, Steps
 
-SHORTEST_TRAVEL_MM = 1e-9  # what moves the nozzle less than this counts as extruder-only
+SHORTEST_TRAVEL_MM = 1e-9  # a shorter nozzle move counts as extruder-only
 NOZZLE_MM, FILAMENT_MM = 0.4, 1.75  # diameters
 EXTRUSION_RATIO = 16.0 * NOZZLE_MM**2 / (math.pi * FILAMENT_MM**2)  # of path to filament, four nozzle squares thick
 SLOW_RATIOS = ((3.0, 0.5), (6.0, 0.25))  # beyond this carriage speed / nozzle speed, this share is allowed
@@ -32,7 +32,7 @@ class DeltaSlowZones(NamedTuple):
     half_step_mm: float  # half the carriage travel of one step, the smallest of the three
 
     def radius_of_ratio(self, ratio: float) -> float:
-        """Distance from the centre where a carriage can be asked for `ratio` times the nozzle's speed, mm.
+        """Distance from the centre where a carriage may need `ratio` times the nozzle's speed, mm.
 
         A carriage stands sqrt(L² - rho²) above the lower joint of an arm that leans out by rho. The chord of
         slope `ratio` over one step in rho has its centre at ratio sqrt(L²/(ratio² + 1) - half²), its far end
@@ -74,8 +74,8 @@ class Bounds:
 
     speed: FloatArray  # (n,) mm/s
     acceleration: FloatArray  # (n,) mm/s²
-    smooth_acceleration: FloatArray  # (n,) mm/s², for the pass that keeps a minimum of cruising
-    junction_deviation: FloatArray  # (n,) mm, how far a corner may be cut: what makes a square corner's speed
+    smooth_acceleration: FloatArray  # (n,) mm/s², for the pass with the minimum cruise ratio
+    junction_deviation: FloatArray  # (n,) mm, from the square corner velocity
 
 
 def lines_of(moves: Moves) -> Lines:

@@ -4,7 +4,7 @@ Everything is solved in squared speeds: at constant acceleration a they grow lin
 v² = v0² + 2 a d. The rules are Klipper's and Kalico's, checked against the running host in the tests:
 
     corner   what the angle at a junction allows
-    start    what is left of it when 2 a d is all a move can gain (sweep forwards) and lose (sweep backwards)
+    start    the same, limited by 2 a d, the most that a move can gain (forward sweep) and lose (backward sweep)
     ceiling  how high each hill of speed may rise: the top of the same profile under the smooth acceleration,
              which keeps a minimum of cruising on every hill
 """
@@ -114,7 +114,7 @@ def phases_from_corners(
 ) -> FloatArray:
     """Return the trapezoids of n moves that pass their corners as fast as looking ahead allows, (7, n): `Phases`.
 
-    kept, corner : (m,) of the moves that go somewhere: their indices, and the highest v² at which each may begin
+    kept, corner : (m,) indices of the moves with a length, and the highest v² at their starts
     """
     # NOTE: loops, not expressions of whole arrays: those take seconds to compile
     m = len(kept)
@@ -155,7 +155,7 @@ def timed(moves: Moves, lines: Lines, phases: Phases, wait_before: FloatArray, s
 
 
 def corners(lines: Lines, bounds: Bounds, limits: PlannerLimits, stop_before: BoolArray) -> tuple[IntArray, FloatArray]:
-    """Return the moves that go somewhere, (m,), and the highest v² at which each may follow the last, (m,).
+    """Return the moves with a length, (m,), and the highest v² at their starts, (m,).
 
     stop_before : (n,) the motion comes to rest before the move, or before what goes nowhere in front of it
     """

@@ -55,7 +55,7 @@ CHORD_MM = (0.1, 1.0)  # but none shorter or longer than this (MIN_ARC_SEGMENT_M
 EXTRUDER_STEPS_PER_MM = 93.0  # where the machine file states none
 SAME_PLACE = 1e-6  # of an arc's length
 STRAIGHT = 1.0 - 1e-9  # cosine between two pieces of a line that is no arc
-ROUND_MM = 1e-3  # by which the vertices of an arc in the plane may leave its circle
+ROUND_MM = 1e-3  # distance of an arc's vertices from its circle at most
 WHOLE_CHORD = 1e-3  # of a chord that is not missed
 EVEN_MM = 1e-4  # between the pieces of a line that is no arc
 LOW_JERK = 0.25  # of x's and y's: below it a tower's jerk was meant for a lead screw
@@ -89,7 +89,7 @@ class MarlinPlanner:
     machine: Machine
     settings: MarlinSettings
     in_force: SettingsInForce
-    filament_zeros: FloatArray  # (frames,) mm of the filament where each frame has E0; empty: it is not told
+    filament_zeros: FloatArray  # (frames,) mm of filament at each frame's E0; empty: unknown
 
     def __call__(
         self,
@@ -114,7 +114,7 @@ class MarlinPlanner:
         return Trajectory(np.cumsum(since), *Phases(*columns), moves.start, lines.direction)
 
     def blocks(self, moves: Moves, rests: BoolArray, within: bool = False) -> tuple[Blocks, IntArray]:
-        """Return what Marlin's queue makes of moves, and at the end of which move each of its targets lies.
+        """Return Marlin's queue for these moves, and for each target the move that ends there.
 
         rests : (n,) the queue is empty before the move
         """
@@ -224,7 +224,7 @@ def _shared_out(
 ) -> FloatArray:
     """Share each block out among the moves that it covers, by their lengths: (7, n), rows as `lookahead.Phases`.
 
-    What Marlin never gets to, for nothing follows that would take it along, counts at its own speed.
+    Moves that Marlin never executes, because nothing follows, count at their own speed.
 
     reached : (m,) the move at whose end each block ends
     """
@@ -292,7 +292,7 @@ def settings_row(machine: Machine) -> FloatArray:
 def cut_for_marlin(program: Program, machine: Machine) -> Program:
     """Cut moves where Marlin begins another block: a delta's lines by time, arcs by length and turn.
 
-    Another firmware's program is returned as it is.
+    Another firmware's program is returned unchanged.
     """
     moves = program.moves
     if program.flavor != MARLIN or not len(moves):
@@ -347,7 +347,7 @@ def _low_jerk_warning(program: Program, machine: Machine) -> str:
 
 
 def _in_equal_parts(begin: int, end: int, count: IntArray) -> tuple[IntArray, FloatArray]:
-    """Return the pieces of the moves begin..end-1: of which move each is, and how much of that is done at its end."""
+    """Return the pieces of the moves begin..end-1: their moves, and the fraction of the move done at each end."""
     count = count[begin:end]
     move = np.repeat(np.arange(begin, end), count)
     nth = np.arange(len(move)) - np.repeat(np.cumsum(count) - count, count) + 1
@@ -397,7 +397,7 @@ class _Chords(NamedTuple):
 
     last: IntArray  # the move at whose end each one lies
     length: FloatArray  # mm
-    radius: FloatArray  # mm of the arc at a joint of which it begins; 0: none
+    radius: FloatArray  # mm, of the arc with a joint at its start; 0: none
     arc_left: FloatArray  # mm of the arc after it; 0: none
 
 

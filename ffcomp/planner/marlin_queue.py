@@ -49,11 +49,11 @@ _WIDTH = 22
 class Targets:
     """n targets as Marlin's motion queue gets them, each with the settings in force."""
 
-    start: FloatArray  # (n, 4) mm of the motors, where the place is named anew; NaN: where the last one ended
+    start: FloatArray  # (n, 4) mm of the motors, after G92; NaN: where the last one ended
     end: FloatArray  # (n, 4) mm of the motors, columns X Y Z E (or A B C E)
     length: FloatArray  # (n,) mm that the block shall count as long; NaN: by its motors
     speed: FloatArray  # (n,) mm/s
-    radius: FloatArray  # (n,) mm of the arc at a joint of which it begins; 0: none
+    radius: FloatArray  # (n,) mm, of the arc with a joint at its start; 0: none
     arc_left: FloatArray  # (n,) mm of the arc that follow and are not queued yet; 0: none
     rests: BoolArray  # (n,) the queue is empty before it
     settings: Singles  # (n, COLUMNS)
@@ -99,7 +99,7 @@ def plan_blocks(targets: Targets, minimum_steps: int, slowdown: bool) -> Blocks:
     """Plan targets as Marlin's queue does.
 
     targets : in order; the first one says where it starts
-    minimum_steps : what has fewer steps of every motor is joined to what follows
+    minimum_steps : moves with fewer steps of every motor are joined to the next
     slowdown : moves are stretched while the queue fills
     """
     t = targets
@@ -286,7 +286,7 @@ def _jerk(
     s: Singles,
     joined: bool,
 ) -> tuple[np.float32, np.float32]:
-    """Return the highest speed at the joint by classic jerk, and from which this block may stop or start at once."""
+    """Return the highest speed at the joint by classic jerk, and the speed of an instant stop or start."""
     safe, limited, one = v, False, np.float32(1.0)
     for k in range(4):
         jump, most = abs(axis_v[k]), s[_JERK + k]

@@ -41,7 +41,7 @@ class PlannedProgram:
 
 
 class Planner(Protocol):
-    """A firmware's planner, with what a program and the machine file say of its settings."""
+    """A firmware's planner with its settings from the program and the machine file."""
 
     def __call__(
         self, moves: Moves, *, stop_before: BoolArray, wait_before: FloatArray, start_t: float = 0.0
@@ -123,7 +123,7 @@ def _from_rest_to_rest(planner: Planner, moves: Moves, begin_t: float) -> Trajec
 
 
 def raw_durations(events: Iterable[Event], planner: Planner) -> dict[int, float]:
-    """Return how long each move that goes out as it is takes, s, by its line's index.
+    """Return the duration of each move passed through unchanged, s, by its line's index.
 
     Coordinates that are not known do not move. Consecutive moves are planned together, from rest to rest.
     """

@@ -1,8 +1,8 @@
-"""What of a print lies outside the machine's print volume: the part must not, and what else does goes out as it is.
+"""Moves outside the print volume: an error in the part, passed through unchanged elsewhere.
 
-Start and end code parks, wipes and purges beside the bed, where many machine files have the print volume end and the
-printer does not: a purge line at X-2, say. Such a move is not compensated and not refused. The firmware gets it as it
-was, and knows best whether it can go there. What is extruded in the layers must lie inside.
+Start and end code parks, wipes and purges outside the print volume of many machine files, where the printer still
+reaches: a purge line at X-2, say. Such a move is neither compensated nor refused. It is passed through unchanged, and
+the firmware decides whether it is reachable. Extrusion in layers must lie inside.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from models.arrays import BoolArray
 from models.errors import UnreachableError
 from models.kinematics.base import Kinematics
 
-BESIDE = "beside the print volume"  # why moves go out as they are
+BESIDE = "beside the print volume"  # why moves pass through unchanged
 PURGE_MOVES = 20  # extruding moves at the beginning of a print without layer comments that may be a purge line …
 PART_MOVES = 100  # … if so many are in sight
 
@@ -48,16 +48,16 @@ class PartMoves:
 
 
 class Reach:
-    """Passes the moves beside the print volume through, program after program of a file."""
+    """Passes the moves outside the print volume through, program by program."""
 
     def __init__(self, kinematics: Kinematics) -> None:
         self._kinematics, self._part = kinematics, PartMoves()
-        self._lines, self._left = 0, 0  # that go out as they are; moves that stay
-        self._points = np.empty((0, 3))  # mm, where those lines go beside the volume
+        self._lines, self._left = 0, 0  # passed through unchanged; moves kept
+        self._points = np.empty((0, 3))  # mm, points of those lines outside the volume
         self._first: GcodeError | None = None  # about the first of them
 
     def of(self, program: Program) -> Program:
-        """Return the program without the moves beside the volume, which become lines that go out as they are.
+        """Return the program with the moves outside the volume passed through unchanged.
 
         Raises
         ------
@@ -79,20 +79,20 @@ class Reach:
         return passed_through(program, outside, BESIDE)
 
     def whole(self, parts: Iterable[Program]) -> Iterator[Program]:
-        """Yield a file's programs, one after the other, as `of` returns them; a file of which nothing is left fails."""
+        """Yield a file's programs in order, through `of`; raise if no move is left."""
         yield from map(self.of, parts)
         if self._first is not None and not self._left:
             raise self._first
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Say once for the whole file what goes out as it is, and what would change that."""
+        """Warn once per file of the moves passed through unchanged, with the remedy."""
         if self._first is None:
             return ()
         others = f", and so do {self._lines - 1} more lines" if self._lines > 1 else ""
         widening = self._kinematics.widening(self._points)
         remedy = f" If the printer reaches it, {widening}; the firmware decides in any case." if widening else ""
-        rule = f"{self._first.rule.rstrip('.')}{others}: not of the part, so it goes out as it was, uncompensated."
+        rule = f"{self._first.rule.rstrip('.')}{others}: not part of the print, so it passes through uncompensated."
         return (f"line {self._first.line}: {rule}{remedy}",)
 
 
@@ -101,7 +101,7 @@ class OutOfReach(GcodeError):
 
 
 def within_reach(program: Program, kinematics: Kinematics) -> Program:
-    """Return a whole file's program without the moves beside the print volume; see `Reach`."""
+    """Return a whole file's program without the moves outside the print volume; see `Reach`."""
     (inside,) = Reach(kinematics).whole([program])
     return inside
 
@@ -115,7 +115,7 @@ def check_moves(program: Program, kinematics: Kinematics) -> None:
 
 
 def _about(kinematics: Kinematics, program: Program, at_end: BoolArray, at_start: BoolArray) -> OutOfReach | None:
-    """Return what is said of the first of the moves that end or start outside; None: none does."""
+    """Return the error of the first move that ends or starts outside, if any."""
     moves, which = program.moves, at_end if at_end.any() else at_start
     if not which.any():
         return None

@@ -2,13 +2,13 @@
 
     speed          F, and M203 of each axis by its share of the path
     acceleration   M201 likewise; where X or Y moves also M204 P (extruding) or T (travel)
-    corner         the speed of both moves' lower top at which no axis jumps by more than M566: |u - u'| v <= jerk; a
+    corner         the lower top speed of both moves, with no axis jump above M566: |u - u'| v <= jerk; a
                    stop where only one of both extrudes, or only one moves X or Y, unless M566 P1 allows jumps there
-    look-ahead     as many moves as the queue holds (M595), the last of which ends at rest
+    look-ahead     as many moves as the queue holds (M595); the last one ends at rest
 
 u is the direction of a move, mm of X Y Z E per mm of path. Along X and Y a delta keeps to the lower of both axes'
-limits in every direction, and CoreXY to those at which no motor exceeds its own. Nothing of this was compared with the
-firmware itself; what is assumed is in docs/explanation/firmware_planners.md.
+limits in every direction, and CoreXY to those that keep each motor within its own. This was not compared with the
+firmware itself; the assumptions are in docs/explanation/firmware_planners.md.
 """
 
 from __future__ import annotations
@@ -105,7 +105,7 @@ def phases_by_axes(
 ) -> Phases:
     """Plan n lines from rest to rest.
 
-    speed : (n,) mm/s asked for
+    speed : (n,) mm/s, requested
     settings : (n, COLUMNS) in force
     rests : (n,) the motion comes to rest before the line
     sharing : of X and Y, `sharing_of`
@@ -155,7 +155,7 @@ def _most(u: FloatArray, s: Singles, first: int, sharing: int) -> float:
 def _corners(
     direction: FloatArray, length: FloatArray, top: FloatArray, settings: Singles, rests: BoolArray
 ) -> tuple[IntArray, FloatArray]:
-    """Return the lines that go somewhere, (m,), and the highest v² at which each may follow the last, (m,)."""
+    """Return the lines with a length, (m,), and the highest v² at their starts, (m,)."""
     kept, corner = np.empty(len(length), dtype=np.int64), np.zeros(len(length))
     m, last, stops = 0, 0, True
     for i in range(len(length)):

@@ -1,7 +1,7 @@
 """Which points of a command become the ends of segments: as few as the accuracy allows, none too close to the last.
 
-Between two points that are kept, the command as it is written runs straight and at one speed. What it misses by that
-is told apart: across its direction, where it bends the path, and along it, where the nozzle is only early or late.
+Between two kept points, the written command is straight and has one speed. Its error has two parts: across the
+direction it bends the path; along it the nozzle is only early or late.
 """
 
 from __future__ import annotations
@@ -16,24 +16,24 @@ from models.compiled import kernel
 MOST_KNOTS_AHEAD, MOST_KNOTS_BEHIND = (
     2.0,
     0.5,
-)  # knots by which time may be ahead of the segments, one a knot, or behind them
-FIRST_KNOTS_AHEAD = 1.0  # by which it is ahead after a cut
+)  # knots that time may be ahead of or behind one segment per knot
+FIRST_KNOTS_AHEAD = 1.0  # the lead after a cut
 KNOT_ROUNDING = 1e-9  # of a knot
 WIDEST_TOLERANCE = 4.0  # times the tolerance, where time is behind
 CUT_SHORT_KNOTS = 0.6  # a segment shorter than that was cut by a line
-MOST_SHIFT = 0.03  # of such a segment, by which its end is moved
-COARSE_SHARE = 0.5  # of the shortest segment: what may be missed for it
+MOST_SHIFT = 0.03  # of such a segment: shift of its end
+COARSE_SHARE = 0.5  # of the shortest segment: error allowed for it
 
 
 @dataclass(frozen=True, slots=True)
 class MergeLimits:
     """What a segment may be."""
 
-    across_mm: float  # by which the command may be missed across its direction,
+    across_mm: float  # error allowed across the command's direction,
     along_mm: float  # and along it
     filament_mm: float
     longest: float  # in knots
-    shortest: float  # in knots, wherever lines of the file do not ask for a shorter one
+    shortest: float  # in knots, unless lines of the file need a shorter one
     shortest_mm: float
 
 
@@ -51,8 +51,8 @@ def merge(
     at : (n,) times of the points, in knots
     points : (n, 3) mm;  e : (n,) mm of filament
     pinned : (n,) points that must stay
-    limits : what a segment may be
-    cut : what is kept after a knot whose number divides by it does not depend on what was kept before
+    limits : bounds of a segment
+    cut : the result after a knot whose number divides by it is independent of the earlier ones
 
     Returns
     -------
@@ -95,7 +95,7 @@ def refit(at: FloatArray, points: FloatArray, kept: IntArray, fixed: BoolArray) 
             missed[j + 1, i] += right
     for j in range(m):
         if fixed[j] or weight[j] <= 0.0:
-            weight[j], beside[j], beside[j - 1] = 1.0, 0.0, 0.0  # the last one has none beside it: j - 1 of the first
+            weight[j], beside[j], beside[j - 1] = 1.0, 0.0, 0.0  # the last one has no neighbour: j - 1 of the first
             missed[j, 0], missed[j, 1], missed[j, 2] = 0.0, 0.0, 0.0
     _solve_tridiagonal(weight, beside, missed)
     for j in range(1, m - 1):

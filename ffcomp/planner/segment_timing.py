@@ -1,7 +1,7 @@
 """The firmware's execution of our G1 segments, in closed form.
 
 A segment of length d must last S seconds. The firmware enters it at the junction speed, ramps at its acceleration to
-the segment's own speed c (its F), and ramps down to the next junction. Distance d in time S asks for
+the segment's own speed c (its F), and ramps down to the next junction. Distance d in time S needs
 
     d = c S − [(c − v₀)² + (c − v₁)²] / 2a                     v₀, v₁ <= c the junction speeds, a the acceleration
 
@@ -21,7 +21,7 @@ from models.compiled import kernel
 from models.machine import CORNER_MM_PER_S
 
 SWEEPS = 12  # at most, of the fixed point between neighbouring speeds; it contracts by about Δv/(a S), 0.1 or less
-SETTLED_MM_PER_S = 1e-9  # a junction that moves less no longer moves the segments beside it
+SETTLED_MM_PER_S = 1e-9  # a smaller change of a junction does not affect its segments
 
 _Numbers = tuple[
     float, float, float, float, float, float
@@ -57,7 +57,7 @@ class SegmentLimits:
 class SegmentSpeeds:
     """Speeds of n segments as the firmware will execute them."""
 
-    cruise: FloatArray  # (n,) mm/s: what F asks for
+    cruise: FloatArray  # (n,) mm/s: requested by F
     junction: FloatArray  # (n + 1,) mm/s
     acceleration: FloatArray  # (n,) mm/s²
     duration: FloatArray  # (n,) s; S wherever the acceleration allows it

@@ -31,7 +31,7 @@ _XYZE = "XYZE"
 
 @dataclass(frozen=True, slots=True)
 class SettingsInForce:
-    """The rows of settings of a program, and from which of its lines on each holds."""
+    """The rows of settings of a program, and the line where each begins."""
 
     lines: IntArray  # (k,) rising
     rows: FloatArray  # (k, COLUMNS)
@@ -59,7 +59,7 @@ class SettingsInForce:
         return cls(np.array(lines, dtype=np.int64), np.array(rows), np.array(as_read), own)
 
     def at(self, moves: Moves) -> NDArray[np.float32]:
-        """Return the settings in force at each move, (n, COLUMNS): gentler where a move asks for less than the file.
+        """Return the settings in force at each move, (n, COLUMNS): lower where a move requests less than the file.
 
         Only time scaling does (`ffcomp.inverse.time_scaling`), for limits of the machine itself.
         """

@@ -1,1 +1,1 @@
-"""Step timings: from a nozzle path to the moments at which motors step, and to files and back."""
+"""Step timings: from a nozzle path to step times, and to files and back."""

@@ -7,7 +7,7 @@ For each motor m in a, b, c (and e, which moves no carriage and is only checked)
     m_interval, m_count, m_add, m_direction    or rows of steps: step j = 1 … count of a row comes
                              j interval + add j (j − 1)/2 ticks after the last step of the row before (or after tick 0)
 
-and once `clock_hz`; where there are rows, `error_s`, by which none of their steps is farther off. Lines of G-code to
+and once `clock_hz`; where there are rows, `error_s`, the bound on their steps' error. Lines of G-code to
 run meanwhile: events_tick, events_line.
 """
 
@@ -97,7 +97,7 @@ def number_npy(value: float) -> Iterator[bytes]:
 
 
 def write_archive(target: Path, members: Mapping[str, Iterator[bytes]]) -> None:
-    """Arrays, each as the bytes of a `.npy` file, into one archive, which is replaced whole or not at all."""
+    """Arrays, each as the bytes of a `.npy` file, into one archive, which is replaced atomically."""
     replace_atomically(target, _zipped(members))
 
 
@@ -113,7 +113,7 @@ def _zipped(members: Mapping[str, Iterator[bytes]]) -> Iterator[bytes]:
 
 
 class _Drain:
-    """A file that can only be written: what was written is taken away."""
+    """A write-only file that hands on its content."""
 
     def __init__(self) -> None:
         self._blocks: list[bytes] = []

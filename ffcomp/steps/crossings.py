@@ -267,7 +267,7 @@ def _phases(trajectory: Trajectory, part: slice, shift_t: float) -> Pieces:
 
 
 def on_grid(places: FloatArray) -> FloatArray:
-    """Round coordinates to the grid of commands: a file of motion and step timings then tell of the same path."""
+    """Round coordinates to the grid of commands: a motion file and step timings then describe the same path."""
     return np.rint(places / GRID_MM) * GRID_MM
 
 

@@ -4,8 +4,8 @@ The file holds the command itself, not the steps: the host's own kinematics make
 docs/reference/files.md has its bytes. Memory does not grow with the print.
 
 Knots lie on a grid and are equally far apart in time, so that of each coordinate only the second difference is kept:
-small whole numbers, whose bytes are sorted by their weight before `zlib` takes them. What is no knot (the ramps of an
-uncompensated plan) is kept as it is, in double precision.
+small whole numbers, whose bytes are sorted by their weight before `zlib` takes them. Other points (the ramps of an
+uncompensated plan) are kept in double precision.
 """
 
 from __future__ import annotations
@@ -171,7 +171,7 @@ class MotionSink:
         self._chunk, self._extremes = Chunk(), _Extremes()
         self._events = deque[tuple[float, bytes]]()
         self._clock: float | None = None  # s; None before the first line, rest or motion
-        self._feed = b""  # a line, not yet told
+        self._feed = b""  # a line not written yet
         self._factors = 1.0, 1.0
         self._begin_s = self._rests_until = 0.0
         self._knots_since_rest = 0
@@ -188,7 +188,7 @@ class MotionSink:
         """Add a G-code line to run at the time t, s; still: nothing moves by it.
 
         Comments and waits are left out: the motion has the waits. So are moves that go nowhere, whose place the grid
-        has not exactly; their feed is told before the next line by which the host moves by itself.
+        cannot represent; their feed is written before the next line that makes the host move by itself.
         """
         self._begin(t)
         line = line.strip()
@@ -313,7 +313,7 @@ class MotionSink:
         self._records += 1
 
     def _make_room(self) -> None:
-        """Begin a new chunk, if need be, but only before motion: the last record may yet be told to end at rest."""
+        """Begin a new chunk if needed, but only before motion: the last record may still be marked to end at rest."""
         if self._chunk.size > FULL_BYTES:
             self._flush()
 

@@ -49,7 +49,7 @@ class Board:
     pulse_spacing_s: float = 2e-6  # 1 µs high and 1 µs low, as an A4988 asks; a DRV8825 needs 3.8 µs, a TMC 0.2
     direction_setup_s: float = 5e-6  # from the last step one way to the first one the other way
     shortest_turn_s: float = 750e-6  # a step taken back sooner is left out, as Klipper does
-    most_late_s: float = 25e-6  # by which a pulse may be put off for its spacing, before that is an error
+    most_late_s: float = 25e-6  # delay of a pulse for its spacing that is allowed
 
     def ticks(self, seconds: float) -> int:
         """Convert seconds to ticks of the board's clock."""
@@ -58,7 +58,7 @@ class Board:
 
 @dataclass(frozen=True, slots=True)
 class MotorTotal:
-    """What became of one motor's steps."""
+    """Totals of one motor's steps."""
 
     steps: int  # with `--kind steps`: of motors a, b, c, e
     rows: int  # after compression; 0 without
@@ -67,7 +67,7 @@ class MotorTotal:
 
 
 class _Part:
-    """Where one motor's steps go: every step as it is, or rows of them."""
+    """Output of one motor's steps: each step, or compressed rows."""
 
     def __init__(self, folder: Path, compressor: Compressor | None) -> None:
         types: dict[str, DTypeLike] = {"tick": np.int64, "direction": np.int8}
@@ -122,7 +122,7 @@ class _Motor:
         late, most = self._state[LATEST] / self._board.clock_hz, self._board.most_late_s
         if late > most:
             at, rate = self._state[LATEST_TICK] / self._board.clock_hz, 1.0 / self._board.pulse_spacing_s
-            problem = f"Motor {self.name} is asked for more than {rate:.0f} steps a second at t = {at:.3f} s"
+            problem = f"Motor {self.name} needs more than {rate:.0f} steps a second at t = {at:.3f} s"
             raise LimitsError(
                 f"{problem}: a pulse would come {late * 1e6:.0f} µs late, at most {most * 1e6:.0f} µs are allowed. "
                 f"Use fewer microsteps than {1.0 / self.step_mm:g} a millimetre, or a shorter pulse spacing."
@@ -242,7 +242,7 @@ class StepSink:
         self._event_line.append(line.rstrip(b"\r\n"))
 
     def rest(self, until: float) -> None:
-        """Do nothing: steps tell by themselves where there are none."""
+        """Do nothing: a rest has no steps."""
 
     def factors(self, t: float, speed: float, flow: float) -> None:
         """Do nothing: an archive holds the steps that are made."""

@@ -129,7 +129,7 @@ WRONG = {
     ),
     r"t = -0.0080000 s, before 0.0": (StepsError, [knots((0, 0, 5), (1, 0, 5), begin_s=-0.008)]),
     "farther from a tower than the length of its arm": (UnreachableError, [knots((0, 0, 5), (300, 300, 5))]),
-    "Motor a is asked for more than 500000 steps": (LimitsError, [knots((0, 0, 5), (0, 0, 105), spacing_s=0.01)]),
+    "Motor a needs more than 500000 steps": (LimitsError, [knots((0, 0, 5), (0, 0, 105), spacing_s=0.01)]),
 }
 
 
