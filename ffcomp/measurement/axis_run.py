@@ -1,7 +1,7 @@
 """A run of one axis by itself: what drove it and what was measured, on one uniform clock.
 
 Columns: `t_s`; what drove it, `cmd_q_mm`, `force_n`, `current_a`, `voltage_v` or `duty`; any of `pos_q_mm`,
-`pos_motor_mm`, `vel_q_mm_per_s`, `acc_q_m_per_s2`, and of an axis that a position drives `force_n`, measured; beside,
+`pos_motor_mm`, `vel_q_mm_per_s`, `acc_q_m_per_s2`, and the measured `force_n` of a position-driven axis; optionally,
 `supply_v` and `extra_force_n`, a known force. Of what turns: `pos_q_rad`, `torque_n_m` and so on, or degrees. An empty
 field or NaN is a gap of a sensor; what drives the axis has none.
 """
@@ -42,8 +42,8 @@ SENSORS = {
 }
 BESIDE = {"supply_v": ("supply", 1.0), "extra_force_n": ("extra", 1.0), "extra_torque_n_m": ("extra", 1.0)}
 LOWEST_RATE_HZ = 20.0
-SPEED_OFF = 0.01  # of its signal: so far a measured speed may be from that of the position
-OF_POWER = 0.95  # of a measured speed: lines of frequency from the lowest on, by which the two are compared
+SPEED_OFF = 0.01  # of its signal: tolerance of a measured speed against the position's
+OF_POWER = 0.95  # of a measured speed: the lowest frequency lines with this power are compared
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,8 +61,8 @@ class AxisRun(Run):
     other: dict[str, FloatArray] = field(default_factory=dict)  # "vel_q" -> (n,) mm/s, "force" -> (n,) N
     input: Input | None = None  # None: a force or a position, as `by_force` says
     supply_v: FloatArray | None = None  # (n,) V of the drive
-    extra: FloatArray | None = None  # (n,) N, known to push beside the drive
-    remarks: tuple[str, ...] = ()  # what was left out, in sentences
+    extra: FloatArray | None = None  # (n,) N, known extra force
+    remarks: tuple[str, ...] = ()  # omissions, in sentences
 
     @property
     def signals(self) -> dict[str, FloatArray]:
@@ -86,7 +86,7 @@ def read_axis_run(path: str | Path, drive: Input | None = None) -> AxisRun:
 
     Parameters
     ----------
-    drive : what drives the axis (`axis.input` of its machine file), for files that tell of several; None: the one told.
+    drive : what drives the axis (`axis.input` of its machine file), for files with several; None: the only one.
     """
     table = read_table(path, read_text(path))
     chosen, problems = _driving(table.columns, drive)
@@ -148,7 +148,7 @@ def _driving(columns: tuple[str, ...], drive: Input | None) -> tuple[str, list[s
         known = "pos_q_mm, pos_motor_mm, vel_q_mm_per_s, acc_q_m_per_s2 (or rad, deg)"
         problems.append(f"No sensor column is there; a run needs at least one of {known}.{_mistyped(columns, sensors)}")
     names = [sensors[name][0] for name in columns if name in sensors]
-    problems += [f"{name} is told in two units; give one column of it." for name in set(names) if names.count(name) > 1]
+    problems += [f"{name} has two units; give one column of it." for name in set(names) if names.count(name) > 1]
     return chosen[0], problems
 
 
@@ -192,7 +192,7 @@ def _late_speed(signals: dict[str, FloatArray], clock: Clock) -> str:
     band = (np.cumsum(power) <= OF_POWER * power.sum()) & (omega * step < np.pi / 4)
     omega, measured, power = omega[band], measured[band], power[band]
     slope = np.gradient(place, step)
-    # a central difference tells sin(ω h)/(ω h) of the speed
+    # a central difference gives sin(ω h)/(ω h) of the speed
     true = np.fft.rfft(window * (slope - slope.mean()))[1:][band] * omega * step / np.sin(omega * step)
     off, moved = float(np.sum(np.abs(measured - true) ** 2)), float(np.sum(np.abs(true) ** 2))
     if off <= SPEED_OFF**2 * np.sum(power) or not moved:
@@ -204,7 +204,7 @@ def _late_speed(signals: dict[str, FloatArray], clock: Clock) -> str:
         return ""  # no filter does that
     return (
         f"the measured speed comes {1e3 * delay_s:.3g} ms after that of the position and is {gain:.3g} times as large, "
-        "as through a filter; it is left out, for the position tells the same motion."
+        "as if filtered; it is ignored, because the position has the same motion."
     )
 
 

@@ -83,12 +83,12 @@ def _implausible(acceleration: FloatArray) -> list[str]:
         return []
     return [
         f"The acceleration is {rms:.3g} m/s² rms; a sensor on Earth measures between {low:g} and {high:g}. Are the "
-        "numbers in another unit than the file's format asks for?"
+        "numbers in a unit other than the file format's?"
     ]
 
 
 def _same_columns(acceleration: FloatArray) -> list[str]:
-    """Report axes (n, 3) that hold the same numbers: what was exported is not what was measured."""
+    """Report axes (n, 3) that hold the same numbers: an error of the export."""
     known = acceleration[np.isfinite(acceleration).all(axis=1)]
     return [
         f"The columns of {first} and {second} are the same in every row: one axis was exported twice. Export all three."

@@ -18,7 +18,7 @@ _NEGLIGIBLE_JITTER = 0.01  # of a sample period: 0.5° of phase at 200 Hz and 16
 
 
 class Uniform:
-    """What was taken at a constant rate."""
+    """Samples at a constant rate."""
 
     time_s: FloatArray  # (n,) s, uniform
 
@@ -117,7 +117,7 @@ def _bad_rate(period_s: float, count: int, length_s: float, lowest_hz: float) ->
 
 
 def _other_unit(rate_hz: float) -> str:
-    """Name the unit in which the rate would be right, in a sentence; '' if none."""
+    """Name the unit that would make the rate plausible, in a sentence; '' if none."""
     for unit, per_second in _UNITS.items():
         if LOWEST_RATE_HZ * 0.999 <= rate_hz * per_second <= HIGHEST_RATE_HZ * 1.001:
             return f" It looks as if the time were in {unit}, not in s: multiply it by {1 / per_second:g}."

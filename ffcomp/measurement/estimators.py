@@ -4,7 +4,7 @@ Two estimators, by excitation: `periodic_frf` for whole periods of a multisine o
 sweep or any record that is not periodic.
 
 Records are samples of smooth signals: the command is what its samples say if its spectrum ends below half the rate,
-so spectra of samples are divided as they are. Acceleration outputs need no integration: the response of the position
+so spectra of samples are divided directly. Acceleration outputs need no integration: the response of the position
 is that of the acceleration divided by (jω)².
 
 Axes, everywhere: e experiments, n samples, i inputs, o outputs, k frequency lines.
@@ -136,7 +136,7 @@ def lines_of_dft(samples: int, rate_hz: float) -> FloatArray:
 
 
 def _excited(mean_u: ComplexArray) -> IntArray:
-    """Find the lines where all inputs can be told apart, (e, k, i) -> indices."""
+    """Find the lines where all inputs can be separated, (e, k, i) -> indices."""
     singular = np.linalg.svd(mean_u.transpose(1, 0, 2), compute_uv=False)  # (k, i)
     strongest, weakest = singular[:, 0], singular[:, -1]
     nearby = maximum_filter1d(strongest, _AROUND, mode="nearest")

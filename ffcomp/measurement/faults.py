@@ -1,15 +1,15 @@
-"""What is wrong with a recording, not with the machine: every fault is one sentence with its remedy.
+"""Faults of a recording, not of the machine: every fault is one sentence with its remedy.
 
 | fault | known by | function |
 |---|---|---|
 | a sensor that is dead, clipped or in another unit; gravity left in | its column, and the command | `sensors.py` |
 | sensors swapped, reversed, turned, late or stuck | the command below 20 Hz | `sensors.py` |
 | a chip whose scale is misread; axes as in a mirror | gravity at rest; its mounting | `wrong_gravity`, `mirrored` |
-| samples that the chip lost | what the file says of itself | `lost_samples` |
+| samples that the chip lost | the file's header | `lost_samples` |
 | an axis that no chip feels | the command below 20 Hz | `deaf_to` |
 | another motion, a shaken printer | the command, the rest before the motion | `other_motion` |
 | repeats that are copies, lie apart in time, or do not repeat | each other, the command | `compare_repeats` |
-| an input shaper left on | what is expected without one | `shaper_of_captures`, `shaper_in_gap` |
+| an input shaper left on | the response expected without one | `shaper_of_captures`, `shaper_in_gap` |
 | a clipped sensor, one that holds the gap | a simulation | `clipped_against`, `BadSensor` |
 
 Captures are judged before their machine file is fitted, so sizes stay free there; a diagnosis knows its noise floor and
@@ -33,7 +33,7 @@ from models.arrays import BoolArray, ComplexArray, FloatArray
 
 SHAPER_REMEDY = (
     "It must be off: the plan's G-code switches it off (Klipper: SET_INPUT_SHAPER SHAPER_FREQ_X=0 SHAPER_FREQ_Y=0; "
-    'RepRapFirmware: M593 P"none"; Marlin: M593 F0). Run that file as it is, and record again.'
+    'RepRapFirmware: M593 P"none"; Marlin: M593 F0). Run that file unchanged, and record again.'
 )
 
 # ---- input shapers -------------------------------------------------------------------------------
@@ -70,7 +70,7 @@ class ShapersLeftOn:
 
     @property
     def claim(self) -> str:
-        """What was on, and how well it shows."""
+        """The shaper that was on, and the evidence."""
         alone = "" if self.without is None else f", and {self.without:.0%} are explained without it"
         return (
             f"The firmware's input shaper was on: {', and '.join(map(str, self.shapers))} (it explains "
@@ -113,7 +113,7 @@ def residual_power(
 ) -> FloatArray:
     """Return Σ |Y − H X g|² of each hypothesis H, (h,), with the gains g of the columns fitted, or all one.
 
-    late_s : (d,) delays, of which each hypothesis has the best
+    late_s : (d,) delays, each hypothesis has the best
     """
     normal: FloatArray | float = 0.0
     right: FloatArray | float = 0.0
@@ -280,7 +280,7 @@ def shaper_in_gap(everything: GapSpectra, axes: Mapping[str, GapSpectra], retune
 # difference is coherent with the command is a change, and the rest of it is the noise, frequency by frequency, coloured
 # and louder in motion as it may be.
 
-LARGE_LAG_S = 1e-4  # by which repeats may lie apart before it is reported, and their delays are fitted
+LARGE_LAG_S = 1e-4  # lag between repeats above which it is reported and fitted
 SEARCHED_LAG_S, LAG_STEP_S = 0.012, 2e-4
 LAG_BAND_HZ, REPEATS_BAND_HZ = (2.0, 60.0), (2.0, 200.0)  # where lags show best; where repeats are compared
 SIGNIFICANT_LAG = 5.0  # standard deviations
@@ -302,7 +302,7 @@ class RepeatComparison:
 
     lag_s: tuple[float, ...]  # of each behind their mean
     lags_significant: bool
-    share: float  # rms by which one differs from their mean, of the signals, lags taken out, noise included
+    share: float  # rms difference of one from their mean, of the signals, lags taken out, noise included
     least_change: float  # the least part of the signals that follows the command in another way, up to FALSE_ALARM
 
     @property
@@ -361,7 +361,7 @@ def compare_repeats(
 
 
 def _least_change(signals: FloatArray, command: FloatArray, rate_hz: float) -> float:
-    """Return the least share of signals (r, n, m) in one unit by which their responses to a command (n, k) differ.
+    """Return the least share of signals (r, n, m) in one unit of the difference of their responses to a command (n, k).
 
     The spectra of r - 1 contrasts between the repeats are regressed on the command's, over LINES lines at a time, with
     complex gains that are straight lines over frequency. What is explained beyond the part that noise explains by
@@ -445,7 +445,7 @@ def _in_band(x: FloatArray, rate_hz: float) -> FloatArray:
 # ---- sensors against a simulation ----------------------------------------------------------------
 
 BEYOND, LEAST_ROWS = 1.4, 40  # times a sensor's largest value; rows of a simulation beyond that: it is clipped
-FLATNESS = 0.15  # of that value by which it may vary there
+FLATNESS = 0.15  # of that value: variation allowed there
 DWELLING = 0.45  # of the rows near a level: of a resonance a third, of what is clipped three fifths and more
 FOLLOWING = 0.75  # of a row's share of its simulation: by so much what is not clipped grows with it
 
@@ -497,7 +497,7 @@ def clipped_against(measured: FloatArray, simulated: FloatArray) -> bool:
 
 
 def lost_samples(overflows: int) -> str:
-    """Report that a chip lost samples, of which nobody knows where."""
+    """Report that a chip lost samples at unknown times."""
     return (
         f"The chip lost samples ({overflows} overflows or drops), so its times are wrong. Record it again, with less "
         "load on the printer's host, or at a lower rate of the chip."
@@ -534,7 +534,7 @@ def deaf_to(axis: str, all_needed: bool) -> str:
             f"{start}, and a check compares all axes: give the captures of both chips, on the toolhead and on the bed."
         )
     return (
-        f"{start}, so nothing is said of it. A bed slinger's bed needs a chip of its own: give `ffcomp record plan` "
+        f"{start}, so it is not judged. A bed slinger's bed needs a chip of its own: give `ffcomp record plan` "
         "both (--chip adxl345 --chip bed), and here the captures of both."
     )
 

@@ -253,7 +253,7 @@ def _sets(path: str) -> dict[int, dict[str, Any]]:
 
 
 def _function(one: Mapping[str, Any]) -> int:
-    """Return the set's function type; a general one is only ours if its ID lines say so."""
+    """Return the set's function type; a general one is only ours by its ID lines."""
     kind = int(one["func_type"])
     return kind if kind != _GENERAL or "input" in _labels(one) else -1
 
@@ -293,7 +293,7 @@ def _labels(one: Mapping[str, Any]) -> dict[str, str]:
 
 
 def _signal(one: Mapping[str, Any], end: str, kinds: Mapping[int, str], kind: int) -> str:
-    """Name a signal by its node, direction and data type; '' if they do not tell."""
+    """Name a signal by its node, direction and data type; '' if they do not name it."""
     node, direction = int(one[f"{end}_node"]), abs(int(one[f"{end}_dir"]))
     if kind not in kinds or direction not in (1, 2, 3):
         return ""

@@ -65,7 +65,7 @@ class Resonances:
     axis: str | None = None
     position_mm: tuple[float, float, float] | None = None
     accel_per_hz: float | None = None  # mm/s² per Hz, if the file says it
-    by_axis: bool = False  # its header says so, psd_x and so on; else columns may be anything
+    by_axis: bool = False  # its header has psd_x and so on; else columns may be anything
 
     def power(self, name: str) -> tuple[FloatArray, FloatArray]:
         """Return frequencies (k,) Hz and power spectral density (k,) (mm/s²)²/Hz, the normalisation undone."""
@@ -83,7 +83,7 @@ class Resonances:
         return powers[0][0], np.sum([power for _, power in powers], axis=0)
 
     def chosen(self, name: str | None) -> str:
-        """Return the name of the spectrum to be used: the one that is asked for, or that no rule leaves in doubt.
+        """Return the name of the spectrum to use: the requested one, or the only candidate.
 
         Raises
         ------

@@ -78,7 +78,7 @@ class ModeFit:
     misfit: float  # rms of ln(power / fitted) where there is power
     verdict: str  # a sentence
     swept: SweptBand | None = None  # None: not known
-    axis: str = ""  # that was excited, as far as it is known
+    axis: str = ""  # excited, if known
 
 
 def modes_of(path: str | Path, signal: str | None = None) -> ModeFit:
@@ -90,7 +90,7 @@ def modes_in(test: Capture | Resonances, signal: str | None = None, axis: str | 
     """Fit the modes in spectra or in a capture; `signal` x, y, z, xyz or a set's name, `axis` the excited one.
 
     Without `signal` it is the excited axis, if the file states it, else the sum of all; of several spectra that no
-    rule tells apart none is taken. A capture with a sweep in it was excited with a power that grows with f², within
+    rule separates none is taken. A capture with a sweep in it was excited with a power that grows with f², within
     the sweep's band; any other counts as excited evenly.
 
     Raises
@@ -321,7 +321,7 @@ def _verdict(modes: tuple[Mode, ...], misfit: float, swept: SweptBand | None) ->
     quality = "well" if misfit < _GOOD_MISFIT else f"only to a factor of {np.exp(misfit):.1f}"
     if not clear:
         kind = "a narrow tone (a motor, a fan)" if all(mode.tone for mode in modes) else "too uncertain to be used"
-        return f"No clear mode: what stands out is {kind}. The spectrum is fitted {quality}."
+        return f"No clear mode: the largest peak is {kind}. The spectrum is fitted {quality}."
     return f"Clear: {listed}; {len(modes) - len(clear)} more are uncertain or tones. The spectrum is fitted {quality}."
 
 

@@ -1,6 +1,6 @@
 """Read logs that a printer's firmware keeps: motion and sensors (Klipper), one motor and its encoder (RepRapFirmware).
 
-**Klipper's data logger** writes a log, `NAME.json.gz`, and beside it an index, `NAME.index.gz`. Both are gzip streams
+**Klipper's data logger** writes a log, `NAME.json.gz`, and next to it an index, `NAME.index.gz`. Both are gzip streams
 of JSON objects with a byte 3 behind each. The first object of the index holds the status of the whole printer, its
 configuration included. Of the log's messages `{"q": ID, "params": {...}}` these are read:
 
@@ -13,7 +13,7 @@ configuration included. Of the log's messages `{"q": ID, "params": {...}}` these
 All times are print times. A log that was cut off is read as far as it goes.
 
 **RepRapFirmware's closed loop** (`M569.5 P… S… R… D7 A1`) writes one file of one motor. The header is
-`Sample,Timestamp,Raw Encoder Reading,Measured Motor Steps,Target Motor Steps`, as far as `D` asks for the columns, and
+`Sample,Timestamp,Raw Encoder Reading,Measured Motor Steps,Target Motor Steps`, with the columns that `D` selects, and
 others behind. The time is in ms. Behind the rows the firmware says in words what went wrong.
 """
 
@@ -108,7 +108,7 @@ def is_index(path: str | Path) -> bool:
 
 
 def read_motion_log(path: str | Path) -> MotionLog:
-    """Read a log, and the index beside it if there is one.
+    """Read a log, and the index next to it if there is one.
 
     Raises
     ------
@@ -183,7 +183,7 @@ def _steps(messages: list[dict[str, Any]]) -> Steps:
     times, positions = [], []
     for each in messages:
         rows = np.array(each["data"], dtype=np.float64)[:, :3]
-        if not rows[:, 1].all():  # the position was set anew, as homing does
+        if not rows[:, 1].all():  # the position was set, as in homing
             continue
         clocks = _clocks(float(each["first_clock"]), rows)
         span = max(float(each["last_clock"]) - float(each["first_clock"]), 1.0)
@@ -259,7 +259,7 @@ def read_closed_loop(path: str | Path) -> MotorLog:
     lines = text.splitlines()
     columns = tuple(name.strip().lower() for name in lines[0].split(","))
     if missing := [name for name in (_TIME, _MEASURED, _TARGET) if name not in columns]:
-        rule = f"It holds no column {', '.join(missing)!r}. Record it with D7, which asks for all that is needed."
+        rule = f"It holds no column {', '.join(missing)!r}. Record it with D7, which selects all columns needed."
         raise MeasurementError(str(path), [rule])
     if lines[1:] and not text.endswith(("\n", "\r")) and lines[-1].count(",") + 1 < len(columns):
         del lines[-1]  # of a copy that was cut off

@@ -25,7 +25,7 @@ from ffcomp.measurement.table import Table, closest, read_table, read_text, repe
 from models.arrays import FloatArray
 
 CommandSpace = Literal["carriage", "nozzle"]
-CLOCKS = "clocks"  # the comment that tells columns of several chips apart
+CLOCKS = "clocks"  # the comment that assigns columns to several chips
 AXES: dict[CommandSpace, str] = {"carriage": "ABC", "nozzle": "xyz"}
 
 _LONGEST_COMMAND_GAP_S = 0.02  # a cubic through a longer hole would invent motion
@@ -34,7 +34,7 @@ _CAPTURES = ("#time,accel_x", "##", "sample,x,y,z")  # Klipper's, the same of 20
 _NO_COMMAND = (
     "It is an accelerometer's capture without a command; a recording holds both. Give the plan of its moves with "
     "--plan (`ffcomp record plan` writes moves and plan); or put its accelerations (in m/s², without gravity, along "
-    "the printer's axes) beside the command at the same times."
+    "the printer's axes) next to the command at the same times."
 )
 
 
@@ -132,12 +132,12 @@ def _holes(table: Table, clock: Clock | None) -> list[str]:
     row = table.row[np.isfinite(table.column("t_s"))][k + 1]
     return [
         f"The time jumps from {clock.time_s[k]:.6g} s to {clock.time_s[k + 1]:.6g} s at row {row}; rows may be missing "
-        f"for at most {_LONGEST_COMMAND_GAP_S:g} s, for the command there cannot be known. Cut the recording there."
+        f"for at most {_LONGEST_COMMAND_GAP_S:g} s, because the command there is unknown. Cut the recording there."
     ]
 
 
 def _signals(table: Table) -> list[str]:
-    """List the columns of signals, without those of axes that are told to rest and do so to the last digit."""
+    """List the columns of signals, without those of axes that are commanded to rest and do so to the last digit."""
     return [
         name for name in dict.fromkeys(table.columns) if signal_of(name) and name != "t_s" and not _at_rest(name, table)
     ]
@@ -265,4 +265,4 @@ def _wrong_unit(name: str, kind: str, axis: str, unit: str) -> str:
     factor = factors.get(_SPELLINGS.get(unit, unit))
     how = f" and multiply its numbers by {factor}" if factor else ""
     named = f"names the unit {unit!r}" if unit else "names no unit"
-    return f"Column {name!r} {named}; the format asks for {needed!r}: rename it{how}."
+    return f"Column {name!r} {named}; the format needs {needed!r}: rename it{how}."

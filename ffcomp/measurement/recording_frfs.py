@@ -1,7 +1,7 @@
 """From recordings to frequency responses: select the estimator, its inputs, units and repeats.
 
 Recordings with one and the same command are repeats: they are averaged. Recordings with different commands, at one
-position, are the experiments that tell the inputs apart.
+position, are the experiments that separate the inputs.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""Checks of sensors: alive, within range, free of gravity, in the unit of their name, and moving as they are named.
+"""Checks of sensors: alive, within range, free of gravity, and true to the unit and the axis of their name.
 
 Below 20 Hz any printer follows its command. Swapped and reversed columns, a sensor turned against the axes, a dead one
 and a late record look like huge effects of the machine, and no model explains them. Errors that low frequencies do not
-show are left to the diagnosis. What is wrong with whole recordings stands in `faults.py`.
+show are left to the diagnosis. Faults of whole recordings are in `faults.py`.
 """
 
 from __future__ import annotations
@@ -35,10 +35,10 @@ _BAND_HZ = (2.0, 20.0)  # no offsets and drifts, and far below the first mode
 _LEAST_CORRELATION = 0.6  # with its command
 _REVERSED = -0.9
 _ANOTHERS = 0.95  # correlation with another's command, if it is not its own
-_DISTINCT = 0.8  # correlation of two commands from which they cannot be told apart
+_DISTINCT = 0.8  # correlation above which two commands cannot be separated
 _EXPLAINED = 0.95  # of a sensor's square, by all commands of its kind together
 _DEAD = 0.02  # of the expected motion
-_LOUD = 0.3  # of the command that moves most, from which a sensor's own must show
+_LOUD = 0.3  # of the largest command, above which a sensor's own must show
 _STUCK_S, _STUCK_MARGIN_S = 0.1, 0.025  # of one and the same value; its ends are not checked
 _STUCK_MOTION = 0.3  # of its whole range must the command move in that time
 _LATE_S, _LATE_CORRELATION = 0.025, 0.9  # from when a record is late and no sensor slow; how well it must fit then
@@ -99,7 +99,7 @@ def wrong_scale(
 
     Below 20 Hz the machine follows its command: a carriage its own, any other sensor a linear combination of all
     three with coefficients of order one, or less: in a plane a sensor of z feels nearly nothing. So too small is only
-    what has a command of its own that moves it. Where a sensor follows none (noise, a command too fast or at rest),
+    a sensor with its own command that moves it. Where a sensor follows none (noise, a command too fast or at rest),
     nothing is reported.
 
     Parameters
@@ -121,7 +121,7 @@ def wrong_scale(
 
 
 def _moving_with(name: str, inputs: Sequence[str], commanded: FloatArray) -> tuple[FloatArray, bool]:
-    """Select the sensor's own command, if it moves much; else all of them, and tell which."""
+    """Select the sensor's own command if it moves much, else all; return which was taken."""
     size = commanded.std(axis=0)
     j = list(inputs).index(name) if name in inputs else -1
     alone = j >= 0 and bool(size[j] > _LOUD * float(size.max()))
@@ -131,7 +131,7 @@ def _moving_with(name: str, inputs: Sequence[str], commanded: FloatArray) -> tup
 def _gain(measured: FloatArray, basis: FloatArray, lowest: float) -> float | None:
     """Compute how many times as large as its command a sensor is; None where that is plausible, or unclear.
 
-    lowest : from which it is plausible; 0 where commands may leave a sensor still that works.
+    lowest : least plausible value; 0 if a working sensor may rest under the commands.
     """
     coefficients = np.linalg.lstsq(basis, measured, rcond=_SINGULAR)[0]
     explained = float((basis @ coefficients).var()) / max(float(measured.var()), 1e-300)
@@ -185,7 +185,7 @@ def _second_derivative(position: FloatArray, rate_hz: float) -> FloatArray:
 
 
 def misplaced(measured: Mapping[str, FloatArray], expected: Mapping[str, FloatArray], rate_hz: float) -> list[str]:
-    """Report the sensors that do not move as they are named, in full sentences.
+    """Report the sensors that do not move along the axis of their name, in full sentences.
 
     Parameters
     ----------
@@ -302,7 +302,7 @@ def _late(signals: Mapping[str, FloatArray], reference: Mapping[str, FloatArray]
         return ""
     return (
         f"The sensors fit the command best {abs(lag):.4g} s {'late' if lag > 0 else 'early'} (correlation "
-        f"{curve.max():.2f} against {curve[len(expected) - 1]:.2f} as they are): shift their columns by so much."
+        f"{curve.max():.2f} against {curve[len(expected) - 1]:.2f} unshifted): shift their columns by so much."
     )
 
 

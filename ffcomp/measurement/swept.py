@@ -23,9 +23,9 @@ _MOST_WINDOWS = 240
 _FEWEST_WINDOWS = 12  # about three seconds
 _LOWEST_HZ, _HIGHEST_HZ = 3.0, 210.0
 _COARSE_WINDOWS = 80
-_STANDS_OUT = 2.0  # ln of the power over its median, from which a window counts for the ridge
+_STANDS_OUT = 2.0  # ln of the power over its median, above which a window counts for the ridge
 _AT_MOST = 3.0  # beyond it, what one window can count
-_OVERHANG = 20  # lines, by which a ridge may begin below 0 Hz: the printer still rests
+_OVERHANG = 20  # lines that a ridge may begin below 0 Hz: the printer still rests
 _LEAST_SCORE = 1.0  # average over all windows; noise has 0.1, real tests have 2.3 and more
 _LEAST_WIDTH_HZ = 10.0
 _NEAR_LINES = 3  # from the coarse line to the ridge
@@ -34,7 +34,7 @@ _BELOW = 0.3  # of the power over f² in the band, behind the end of a sweep
 _LOWEST_END_HZ = 20.0
 _UNTOUCHED_HZ = 10.0  # spectra of firmware are attenuated below
 _HIGHEST_END_HZ = 125.0  # firmware's own tests end at 133 Hz
-_EDGE_LINES = 2.0  # beside the ends of a sweep that the window blurs
+_EDGE_LINES = 2.0  # next to the ends of a sweep, blurred by the window
 _STILL_HIGH = 0.8  # of a peak's power, at the end of a sweep that cuts it off
 
 
@@ -51,10 +51,10 @@ class SweptBand:
 
     @property
     def remedy(self) -> str:
-        """A sentence: what was swept, and what to sweep."""
+        """A sentence with the swept band and the band to sweep."""
         return (
-            f"The test swept {self.low_hz:.0f} to {self.high_hz:.0f} Hz; sweep to 133 Hz, which is what firmware does "
-            "unless it is told otherwise (Klipper: TEST_RESONANCES AXIS=X OUTPUT=raw_data, without FREQ_END)."
+            f"The test swept {self.low_hz:.0f} to {self.high_hz:.0f} Hz; sweep to 133 Hz, as firmware does "
+            "by default (Klipper: TEST_RESONANCES AXIS=X OUTPUT=raw_data, without FREQ_END)."
         )
 
 
@@ -121,7 +121,7 @@ def _scores(prominence: FloatArray, lines: FloatArray) -> FloatArray:
 
 
 def _refined(time_s: FloatArray, frequency: FloatArray, prominence: FloatArray, line: FloatArray) -> FloatArray:
-    """Fit a straight line to the highest points beside the coarse one."""
+    """Fit a straight line to the highest points near the coarse one."""
     near = np.rint(line).astype(int)[:, None] + np.arange(-_NEAR_LINES, _NEAR_LINES + 1)
     rows = np.arange(len(line))
     value = prominence[rows[:, None], np.clip(near, 0, len(frequency) - 1)]

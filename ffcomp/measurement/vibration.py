@@ -9,8 +9,8 @@
 | any other table with a time and three accelerations, such as a phone's or a laboratory's | a capture |
 
 The columns of such a table are found by their names: a time (`t`, `t_s`, `Time (s)`, `timestamp_ms`, …) and one
-acceleration for each of x, y and z (`ax`, `acc_x`, `Acceleration x (m/s^2)`, …). The unit stands in the name, or
-gravity tells it.
+acceleration for each of x, y and z (`ax`, `acc_x`, `Acceleration x (m/s^2)`, …). The unit is in the name, or
+is inferred from gravity.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ def read_vibration(path: str | Path) -> Capture | Resonances:
     Raises
     ------
     MeasurementError
-        With every mistake; for a file that holds several captures.
+        With every mistake; also for a file with several captures.
     """
     first, *others = read_vibrations(path)
     if others:
@@ -126,14 +126,14 @@ _FAILED = re.compile(r"^(failed .*|.*\bfailed\b.*|.*\btimed? ?out\b.*)$", re.IGN
 
 
 def _reprapfirmware_capture(path: str, text: str) -> Capture:
-    """Read a capture in g; its last line holds the rate, for the rows hold no time: `Rate 1344, overflows 0`."""
+    """Read a capture in g; its last line has the rate, because the rows have no time: `Rate 1344, overflows 0`."""
     lines = [line for line in text.splitlines() if line.strip()]
     failed = next((line.strip() for line in lines[1:] if _FAILED.match(line)), None)
     if failed is not None:
         raise MeasurementError(path, [f"The firmware says in it: {failed!r}. Check M955, and record it again."])
     tail = _TAIL.match(lines[-1].strip())
     if tail is None:
-        rule = "The last line must say 'Rate 1344, overflows 0', for the rows hold no time"
+        rule = "The last line must be 'Rate 1344, overflows 0', because the rows have no time"
         raise MeasurementError(
             path, [f"{rule}, but it is {lines[-1].strip()[:60]!r}: the recording was cut short. Record it again."]
         )
@@ -220,7 +220,7 @@ def _by_gravity(path: str, values: FloatArray) -> float:
     raise MeasurementError(
         path,
         [
-            f"The unit of the accelerations is not stated, and gravity does not tell it: at rest they measure "
+            f"The unit of the accelerations is not stated, and gravity does not show it: at rest they measure "
             f"{size:.4g}. Write the unit into the columns' names, as in 't_s,ax_m_per_s2,ay_m_per_s2,az_m_per_s2'."
         ],
     )

@@ -19,7 +19,7 @@ def bounded_minimum(cost: Callable[[float], float], low: float, high: float, tol
 
     Parameters
     ----------
-    tolerance : of the result, beside a relative one of 1.5e-8
+    tolerance : of the result, in addition to a relative one of 1.5e-8
 
     Raises
     ------

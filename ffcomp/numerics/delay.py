@@ -15,7 +15,7 @@ def delayed(x: FloatArray, late_s: float, rate_hz: float, drift: float = 0.0) ->
 
     Parameters
     ----------
-    drift : share by which their clock is slow, about the middle: to first order, for it is small.
+    drift : relative lag of their clock about the middle, to first order because it is small.
     """
     if late_s == 0.0 and drift == 0.0:
         return x

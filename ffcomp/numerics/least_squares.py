@@ -169,10 +169,10 @@ def minimise_batched(
     ----------
     start : (p,).
     jacobian : (rows, p) to begin with; None: take all of it, by central differences.
-    renew : columns to take anew at every step: those of unknowns that act nonlinearly.
+    renew : columns to recompute at every step: those of nonlinear unknowns.
     small_gain : the share of the cost that must still be gained for another step.
-    renew_all : where no step helps, take all columns anew and go on.
-    exact : take all of the Jacobian by central differences, with steps as fine as the given one asks for.
+    renew_all : if no step helps, recompute all columns and continue.
+    exact : take all of the Jacobian by central differences, with steps as fine as the given one needs.
     """
     here, fresh = _begin(problem, start, jacobian, exact)
     everything: Sequence[int] = range(len(here.z))
@@ -196,7 +196,7 @@ def minimise_batched(
 def _begin(
     problem: BatchedProblem, start: FloatArray, jacobian: FloatArray | None, exact: bool
 ) -> tuple[Iterate, bool]:
-    """Evaluate the start; also tell whether its Jacobian is fresh."""
+    """Evaluate the start, and return whether its Jacobian is fresh."""
     z = problem.clip(start)
     residual = problem.at(z)
     if jacobian is not None and not exact:

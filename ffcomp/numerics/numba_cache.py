@@ -1,6 +1,6 @@
 """Choose the folders of numba's compiled code and of ffcomp's own cache.
 
-Numba caches beside our files or in the user's cache, and fails if both are read-only, as for a service without a home.
+Numba caches next to our files or in the user's cache, and fails if both are read-only, as for a service without a home.
 Then a temporary folder serves. This must happen before numba is imported.
 """
 

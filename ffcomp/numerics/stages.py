@@ -1,4 +1,4 @@
-"""What long work says while it goes on: sentences, of which some begin a stage and some hold only for now."""
+"""Progress of long work as sentences: some begin a stage, some are temporary."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class Stage(str):
 
 
 class Now(str):
-    """A sentence on what is being tried: for a display that replaces it, not for a log."""
+    """A sentence on the present trial, for a display that replaces it and not for a log."""
 
 
 class Pace:

@@ -1,6 +1,6 @@
 """A command over time, whatever its source, the reference path of the nozzle, and the clock that aligns both.
 
-A comment before each section of a compensated file tells its time on the original's clock. Files of an old ffcomp have
+A comment before each section of a compensated file has its time on the original's clock. Files of an old ffcomp have
 none: there the notes that stand where each line of the original was tie the moves of both together.
 
 mm, s. Actuators in the order A, B, C.
@@ -162,7 +162,7 @@ FEWEST_HZ, MOST_HZ = 125.0, 500.0  # of segments
 
 @dataclass(frozen=True, slots=True)
 class SectionStarts:
-    """The m sections of the original that begin in a compensated file, as its comments tell."""
+    """The m sections of the original that begin in a compensated file, from its comments."""
 
     move: IntArray  # (m,) first travelling move of each in the compensated file
     plan_t: FloatArray  # (m,) s on the original's clock when that move begins
@@ -226,10 +226,10 @@ def section_clock(compensated: PlannedProgram, original: PlannedProgram) -> Sect
 
 
 def _noted_clock(compensated: PlannedProgram, original: PlannedProgram) -> SectionClock:
-    """Align by where each section's first move is noted: all that a file of an old ffcomp tells.
+    """Align by the notes of each section's first move, for files of an old ffcomp.
 
     The note stands at the knot at or before the section's beginning, `lead_s` after the first knot. NOTE: where both
-    fall together, rounding may have put it one knot early; the time left until the section's end tells.
+    fall together, rounding may have put it one knot early; the time left until the section's end decides.
     """
     sections, note_t, executed_end_t = _noted_sections(compensated, original)
     begin_t, end_t = np.array([s.begin_t for s in sections]), np.array([s.end_t for s in sections])
@@ -276,7 +276,7 @@ def _moving_lines(compensated: Program, original: Program) -> IntArray:
 
 
 def _segment_s(compensated: PlannedProgram) -> float:
-    """Return the time of a segment: the most frequent one, of those that can be asked for."""
+    """Return the time of a segment: the most frequent one of the possible ones."""
     a_second = np.round(1 / np.maximum(compensated.trajectory.duration, 1e-9), 1)
     rate, count = np.unique(a_second[(a_second >= FEWEST_HZ) & (a_second <= MOST_HZ)], return_counts=True)
     return 1 / float(rate[int(count.argmax())]) if len(rate) else Settings().segment_s

@@ -48,7 +48,7 @@ def draw_plants(machine: Machine, relative_sd: float | None, count: int) -> list
 
     Parameters
     ----------
-    relative_sd : of every number of the machine file; None: what its `[uncertainty]` says of each
+    relative_sd : of every number of the machine file; None: from its `[uncertainty]`
     """
     parameters = machine.vibration.parameters()
     stated = machine.uncertainty if relative_sd is None else {"default": relative_sd}
@@ -98,7 +98,7 @@ class Piece:
 
 
 def pieces_of(plan: Motion, command: Motion, path: tuple[FloatArray, FloatArray]) -> list[Piece]:
-    """Return pieces spread evenly over a print, without those in which something else moves the nozzle.
+    """Return pieces spread evenly over a print, without those where something else moves the nozzle.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
-"""A small G-code for viewers: the moves as they were sliced, with the contour error in place of the features' colours.
+"""A small G-code for viewers: the sliced moves, coloured by contour error instead of by feature.
 
-Viewers of slicers and hosts colour lines by the feature that a comment names. Here the name tells how large the error
-is; moves are cut where it changes. Nothing heats, homes or waits: it is to be looked at, not printed.
+Viewers of slicers and hosts colour lines by the feature that a comment names. Here the name is the size of the
+error; moves are cut where it changes. Nothing heats, homes or waits: it is to be looked at, not printed.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ def gcode_preview(
     Parameters
     ----------
     due : (m,) s, when the original's plan is at the reference of each sample of the curve
-    offset : by which the print was shifted, mm: the preview lies where the slicer had it
+    offset : shift of the print, mm: the preview is at the slicer's position
     """
     program = original.program
     slicer = detect_slicer(program.lines)

@@ -12,7 +12,7 @@ from models.machine import Machine
 from models.vibration.scheduled import Schedule, plant_table
 
 STEP_S = 5e-4
-SUBSTEPS = 8  # steps for which one model serves
+SUBSTEPS = 8  # steps per model
 CHUNK_STEPS = 8000
 KEEP_EVERY = 2  # samples of 1 ms are enough
 JUMP_MM = 1e-3  # a move that begins elsewhere: something else has moved the nozzle, and it starts from rest
@@ -57,7 +57,7 @@ def simulate_linear(playback: LinearPlayback, trajectory: Trajectory) -> tuple[F
 
 
 def continuous_intervals(trajectory: Trajectory) -> list[tuple[float, float]]:
-    """Return begin and end, s, of the intervals in which every move begins where the last one ended.
+    """Return begin and end, s, of the intervals without jumps between moves.
 
     An interval that others have begun or ended begins or ends with a move that travels.
     """

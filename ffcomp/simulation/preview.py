@@ -100,7 +100,7 @@ class Curve:
 
     @property
     def track(self) -> Track:
-        """The TRACK over the whole print; where others have moved the nozzle, its motion begins anew."""
+        """The TRACK over the whole print; its motion restarts where something else moved the nozzle."""
         step = float(np.median(np.diff(self.t)))
         begins = np.flatnonzero(np.abs(np.diff(self.t) - step) > 0.5 * step) + 1
         joined = end_to_end(np.split(self.reference, begins), np.split(self.nozzle, begins))
@@ -115,7 +115,7 @@ class Curve:
 
 @dataclass(frozen=True, slots=True)
 class Original:
-    """What was compensated, within reach, and when its plan is at the references of both curves."""
+    """The original within reach, and when its plan is at the references of both curves."""
 
     program: Program
     plan: Trajectory
@@ -141,7 +141,7 @@ def preview(
 ) -> Preview:
     """Simulate the original and the compensated print, both in one file, with the design model.
 
-    offset : by which the original's positions were shifted, mm
+    offset : shift of the original's positions, mm
     """
     lines = data.splitlines(keepends=True)
     firmware = known_to_the_firmware(machine)

@@ -1,4 +1,4 @@
-"""What `simulate` can be asked for."""
+"""The request of `simulate`."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def parse_signals(text: str) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class SimulateRequest(Request):
-    """A command to be simulated: by which machine it was made, on which printer, and which part of it."""
+    """A command to simulate: its machine file, the printer, and the part of the print."""
 
     file: Annotated[
         str | Path, Argument("Print (sliced or compensated) or step-timing archive (.npz).", metavar="FILE")

@@ -36,7 +36,7 @@ FEWEST_SAMPLES = 4
 
 @dataclass(frozen=True, eq=False)
 class Evaluation:
-    """What was executed against its reference, at m samples of all sections, and its statistics."""
+    """The executed path against its reference at m samples of all sections, and its statistics."""
 
     time_s: FloatArray  # (m,) on the command's clock
     reference_mm: FloatArray  # (m, 3) where the nozzle should be
@@ -221,7 +221,7 @@ class Simulation(Result):
 
     @property
     def facts(self) -> list[Fact]:
-        """What was simulated, and what was asked of the carriages."""
+        """The simulated motion, and the demand on the carriages."""
         track, speed = self.track, self.simulated_s / self.seconds
         fastest = self.evaluation.peak_actuator_velocity_mm_per_s
         facts = [
@@ -305,7 +305,7 @@ def simulate_command(
     ----------
     machine, plant : the one that the command was computed with, and the printer that moves
     path : the command's file, as the user named it
-    target : the recording, which is replaced whole or not at all. None: nothing is recorded
+    target : the recording, replaced atomically. None: nothing is recorded
     progress : called with the print seconds done so far
     """
     check_same_kinematics(machine, plant)

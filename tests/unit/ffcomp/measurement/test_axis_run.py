@@ -35,4 +35,4 @@ def test_a_speed_that_comes_through_a_filter_is_left_out_with_its_lag(tmp_path: 
     assert "vel_q" not in run.signals
     late_ms = float(run.remarks[0].split("comes ")[1].split(" ms")[0])
     assert late_ms == pytest.approx(8.0, rel=0.03)
-    assert "left out, for the position tells the same motion" in run.remarks[0]
+    assert "ignored, because the position has the same motion" in run.remarks[0]

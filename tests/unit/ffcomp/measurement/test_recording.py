@@ -71,10 +71,10 @@ def test_jitter_is_resampled(columns: Columns, written: Written) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
-        ("t_s", "t_ms", "'t_ms' names the unit 'ms'; the format asks for 't_s': rename it and multiply"),
+        ("t_s", "t_ms", "'t_ms' names the unit 'ms'; the format needs 't_s': rename it and multiply"),
         ("acc_A_m_per_s2", "acc_A_g", "multiply its numbers by 9.80665"),
         ("acc_A_m_per_s2", "acc_A_mm_s2", "multiply its numbers by 0.001"),
-        ("acc_A_m_per_s2", "acc_A", "'acc_A' names no unit; the format asks for 'acc_A_m_per_s2'"),
+        ("acc_A_m_per_s2", "acc_A", "'acc_A' names no unit; the format needs 'acc_A_m_per_s2'"),
         ("acc_A_m_per_s2", "acc_a_m_per_s2", "did you mean 'acc_A_m_per_s2'?"),
         ("cmd_B_mm", "comand_B_mm", "did you mean 'cmd_B_mm'?"),
         ("cmd_B_mm", "temperature", "'temperature' is unknown; the format has no such column."),
