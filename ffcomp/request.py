@@ -244,7 +244,8 @@ class Request:
     def __post_init__(self) -> None:
         for each in declared(type(self)):
             value = getattr(self, each.field)
-            if value is not None and (value == each.default) is not True:  # an array is compared one by one
+            array = hasattr(value, "shape")  # it is compared number by number, and has no range here
+            if value is not None and not array and value != each.default:
                 each.check(value)
         self.check()
 
