@@ -19,7 +19,8 @@ from gcode.text import whole_lines
 
 STAMP_REACH = 1 << 20  # bytes at either end that are searched for a stamp
 WITHOUT_ORIGINAL = b"; ffcomp original=none"  # in a file without the original moves
-STAMPS = b"; Processed by ffcomp", b"; ffcomp offset_mm=", WITHOUT_ORIGINAL  # how these lines begin
+FORECAST = b"; ffcomp forecast="  # in the tail: the predicted errors, one JSON object
+STAMPS = b"; Processed by ffcomp", b"; ffcomp offset_mm=", FORECAST, WITHOUT_ORIGINAL  # how these lines begin
 
 _STAMP = re.compile(
     rb"^; Processed by ffcomp v(\S+), machine (.*) sha256:([0-9a-f]+), flavor (\w+)[ \t]*\r?$", re.MULTILINE
@@ -62,6 +63,12 @@ def find_offset(head: bytes) -> tuple[float, float]:
     """Read the offset that `offset_line` wrote; zero if it wrote none."""
     match = re.search(rb"^; ffcomp offset_mm=([-+.\de]+),([-+.\de]+)", head, re.MULTILINE)
     return (float(match[1]), float(match[2])) if match else (0.0, 0.0)
+
+
+def find_forecast_text(tail: bytes) -> bytes:
+    """Return the forecast in a file's tail; empty: there is none."""
+    begin = tail.rfind(b"\n" + FORECAST)
+    return b"" if begin < 0 else tail[begin + 1 + len(FORECAST) :].split(b"\n", 1)[0].rstrip()
 
 
 def holds_original(head: bytes) -> bool:

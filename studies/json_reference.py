@@ -24,7 +24,6 @@ PAGE = Path(__file__).parents[1] / "docs" / "reference" / "json.md"
 OBJECTS: dict[str, dict[str, str]] = {  # by heading of the page: by place of its keys in the object, who makes them
     "TRACK": {"": "ffcomp.metrics:Track"},
     "EXPECTATION": {"": "ffcomp.simulation.expectation:Expectation"},
-    "EXPECTED": {"": "ffcomp.simulation.expectation:Errors"},
     "ANSWER": {"": "ffcomp.result:Answer"},
     "MACHINE": {"": "models.machine:identity"},
     "PARTY": {"": "ffcomp.comparison.result:Party"},
@@ -38,6 +37,7 @@ OBJECTS: dict[str, dict[str, str]] = {  # by heading of the page: by place of it
         "": (
             "ffcomp.compensation.result:CompensatedFile.details "
             "ffcomp.compensation.result:Result.to_dict? "
+            "ffcomp.simulation.forecast:Forecast.to_dict? "
             "ffcomp.compensation.statistics:Shares.to_dict? "
             "ffcomp.result:Result.to_dict"
         ),
@@ -58,9 +58,7 @@ OBJECTS: dict[str, dict[str, str]] = {  # by heading of the page: by place of it
     },
     "ffcomp-estimate-batch/1": {"": "ffcomp.cli.estimate:estimate"},
     "ffcomp-show/1": {
-        "": "ffcomp.cli.show:ShowResult.to_dict",
-        "contour_um.uncompensated.": "ffcomp.report.show:Numbers",
-        "contour_um.compensated.": "ffcomp.report.show:Numbers",
+        "": "ffcomp.cli.show:ShowResult.to_dict ffcomp.simulation.forecast:Forecast.to_dict",
     },
     "ffcomp-compare/1": {
         "": "ffcomp.comparison.result:Comparison.to_dict ffcomp.api.comparison:MethodComparison.details "

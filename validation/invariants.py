@@ -47,7 +47,7 @@ VELOCITY_SHARE = 1.02  # of the limit: the file states its numbers with four dec
 ACCELERATION_SHARE = 1.06
 SEGMENT_S = 1.0 / SEGMENTS_PER_SECOND
 
-_STAMPS = b"; Processed by ffcomp", b"; ffcomp offset_mm="
+_STAMPS = b"; Processed by ffcomp", b"; ffcomp offset_mm=", b"; ffcomp forecast="
 _SEGMENT = re.compile(rb"G1(?: [XYZEF]-?(?:\d+(?:\.\d+)?|\.\d+))+")
 _MOVE = re.compile(rb"\s*(?:N\d+\s*)?G0*[0-3](?!\d)|\s*[XYZEFIJKR]\s*[-+.\d]", re.IGNORECASE)
 _NOT_A_NUMBER = re.compile(rb"nan|inf|\d[eE][-+]?\d", re.IGNORECASE)

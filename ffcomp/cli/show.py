@@ -13,8 +13,10 @@ from ffcomp.options import PLATE, STAMPED_MACHINE, parse_figure
 from ffcomp.request import OUTPUT, Argument, Option, Request
 
 if TYPE_CHECKING:
-    from ffcomp.report.show import Numbers
-    from ffcomp.simulation.expectation import Expectation
+    from ffcomp.simulation.forecast import Forecast
+
+
+COMPUTED = "The file keeps no prediction for this machine: these errors were computed now."
 
 
 @dataclass(frozen=True)
@@ -63,7 +65,8 @@ class ShowRequest(Request):
 def show(request: ShowRequest, shown: Json) -> None:
     """Draw a compensated print: reference, uncompensated and compensated path.
 
-    ffcomp simulates both prints with the design model. The picture and its numbers come from these simulations.
+    ffcomp simulates both prints with the design model. The errors are those that `ffcomp compensate` predicted and kept
+    in the file, or if it holds none, those of the simulation.
 
     Example: ffcomp show out.gcode
     """
@@ -71,8 +74,10 @@ def show(request: ShowRequest, shown: Json) -> None:
     if shown.as_json:
         print_json(result.to_dict())
     else:
-        expected = [] if result.expected is None else [result.expected.headline, result.expected.next_step]
-        print(*filter(None, [*expected, result.verdict, result.picture, result.gcode_preview]), sep="\n")
+        expected = result.forecast.expected
+        said = [] if expected is None else [expected.headline, expected.next_step]
+        source = "" if result.kept else COMPUTED
+        print(*filter(None, [*said, result.forecast.verdict, source, result.picture, result.gcode_preview]), sep="\n")
     if request.open_it:
         open_picture(str(result.picture))
 
@@ -91,10 +96,8 @@ class ShowResult:
     machine: dict[str, str | None]  # as of `identity`
     picture: Path
     gcode_preview: Path | None
-    verdict: str
-    uncompensated: Numbers
-    compensated: Numbers
-    expected: Expectation | None
+    forecast: Forecast
+    kept: bool  # in the file; False: computed
 
     def to_dict(self) -> dict[str, Any]:
         """Return the JSON object ffcomp-show/1."""
@@ -110,17 +113,18 @@ class ShowResult:
                     "gcode_preview": self.gcode_preview  # with `--gcode-preview`: the G-code for viewers
                 }
             ),
-            "verdict": self.verdict,  # a sentence
-            # EXPECTATION or null: on printers that the machine file's `[uncertainty]` allows
-            "expected": self.expected,
-            "contour_um": {"uncompensated": self.uncompensated, "compensated": self.compensated},
+            **self.forecast.to_dict(),
+            # text: whether the file keeps them, as `compensate` has predicted: "file"; "computed": it keeps none for
+            # this machine
+            "source": "file" if self.kept else "computed",
         }
 
 
 def _show(request: ShowRequest) -> ShowResult:
     from ffcomp.cli.machine_files import machine_of
     from ffcomp.errors import NothingToDo
-    from ffcomp.report.show import draw, numbers, verdict
+    from ffcomp.report.show import draw
+    from ffcomp.simulation.forecast import forecast_in
     from ffcomp.simulation.gcode_preview import gcode_preview
     from ffcomp.simulation.preview import preview
     from ffcomp.version import __version__
@@ -148,6 +152,6 @@ def _show(request: ShowRequest) -> ShowResult:
         curve = (seen.before, original.before_due) if of_original else (seen.after, original.after_due)
         replace_atomically(target, gcode_preview(original, *curve, offset))
     picture = request.output or file.with_name(file.name + ".png")
-    draw(seen, f"{file.name} on {machine.name}", footer, picture, request.z_mm)
-    measured = numbers(seen.before), numbers(seen.after)
-    return ShowResult(file, identity(machine), picture, target, verdict(seen), *measured, seen.expected)
+    predicted, kept = forecast_in(data[-STAMP_REACH:], stamp, machine, lambda: seen.forecast(machine))
+    draw(seen, predicted, f"{file.name} on {machine.name}", footer, picture, request.z_mm)
+    return ShowResult(file, identity(machine), picture, target, predicted, kept)

@@ -37,21 +37,21 @@ from ffcomp.comparison.monte_carlo import ON_PLANTS, TUNING_ON_PLANTS, with_spre
 from ffcomp.comparison.result import BedMap, Comparison, Layer, Method, Party, Peaks
 from ffcomp.comparison.sampling import SETTLE_S, SHORTEST_S, Print, PrintSlice, Sampling, check_long_enough
 from ffcomp.compensation.job import Job, Options
-from ffcomp.compensation.prediction import READ_AGAIN_S, read_again
 from ffcomp.inverse.robust import choose_robust
 from ffcomp.inverse.settings import Settings, settings_for
-from ffcomp.metrics import Track
 from ffcomp.shapers import dominant_frequencies
 from ffcomp.simulation.expectation import EXCERPT_S, Expectation, draw_plants, expectation, pieces_of
 from ffcomp.simulation.expectation import Piece as ExpectedPiece
+from ffcomp.simulation.forecast import NO_FORECAST, Forecast
 from ffcomp.simulation.playback import ROW_S
 from ffcomp.version import __version__
 from gcode.dialects import MARLIN
-from models.effects.catalogue import design_machine, effective_machine
+from models.effects.catalogue import effective_machine
 from models.machine import Machine
 
 ON_PLANTS_S = 60.0  # of print time that is executed on every Monte-Carlo plant
 TUNING_S, TUNING_PIECE_S = 30.0, 5.0  # on which shapers are tuned and accelerations tried
+WHOLE_S = 120.0  # of print time, at most, of a print that is predicted as `compensate` does
 BED_PITCH_MM = 10.0
 ALL = "all"  # alone: every method that there is
 TUNING, PLANNING, PRINTING = "tuning every method", "planning with every method", "printing with every method"
@@ -104,7 +104,7 @@ def compare(
     tuned = _tuned(machine, plant, tuning_slices, settings, chosen, progress)
     labels = {COMPENSATED: every.PLAIN_LABEL, written_method: "ffcomp"}
     tuned = [replace(each, label=labels.get(each.name, each.label)) for each in tuned]
-    predicted = _predicted(printed, replace(settings, robust=choice.robust)) if request.predict else {}
+    predicted = _predicted(printed, replace(settings, robust=choice.robust)) if request.predict else NO_FORECAST
     evaluated = _evaluated(tuned, slices, plant, printed.labels.features, progress)
     best = _best_fixed(evaluated)
     if request.seeds:
@@ -143,9 +143,9 @@ def compare(
         seconds=time.perf_counter() - started,
         acceleration_mm_per_s2=printed.acceleration_mm_per_s2,
         whole=len(slices) == 1 and slices[0].planned is printed.planned,
-        predicted=predicted,
+        predicted=predicted.tracks,
         robust=choice,
-        expected=_expected(next(each for each in tuned if each.name == written_method), slices),
+        expected=predicted.expected or _expected(next(m for m in tuned if m.name == written_method), slices),
     )
 
 
@@ -309,13 +309,12 @@ MARLINS_STEPS = (
 )
 
 
-def _predicted(printed: Print, settings: Settings) -> dict[str, Track]:
-    """Predict the whole print as `compensate` does, and `show`; nothing of what they would predict in another way."""
-    if printed.print_time_s > READ_AGAIN_S or design_machine(printed.machine)[1]:
-        return {}
-    options = Options(offset=printed.offset, flavor=printed.flavor, settings=settings, predict=False)
-    written = b"".join(Job(printed.data, printed.path, printed.machine, options).lines())
-    return dict(read_again(written, printed.path, printed.machine, printed.offset, printed.flavor).tracks)
+def _predicted(printed: Print, settings: Settings) -> Forecast:
+    """Predict the whole print as `compensate` does; nothing of a long one."""
+    if printed.print_time_s > WHOLE_S:
+        return NO_FORECAST
+    options = Options(offset=printed.offset, flavor=printed.flavor, settings=settings)
+    return Job(printed.data, printed.path, printed.machine, options).write(None).forecast
 
 
 def _layers(printed: Print, method: Method) -> tuple[Layer, ...]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
@@ -203,7 +204,7 @@ class Comparison:
     seconds: float = 0.0  # that the comparison took
     acceleration_mm_per_s2: float | None = None  # of the print: most of its outer walls, or of all that extrudes
     whole: bool = False  # the evaluated part is the whole print, in one piece
-    predicted: dict[str, Track] = field(default_factory=dict)  # of the whole print, as `compensate` and `show` say it
+    predicted: Mapping[str, Track] = field(default_factory=dict)  # of the whole print, as `compensate` states it
     robust: RobustChoice = PLAIN  # of `compensate` with this machine file, unless told otherwise
     expected: Expectation | None = None  # of what `compensate` writes; None: no piece of the print could be simulated
 

@@ -4,17 +4,15 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 from os.path import realpath
 from pathlib import Path
 
 from ffcomp.compensation.job import Job, Options
-from ffcomp.compensation.prediction import forecast, read_again
 from ffcomp.compensation.result import CompensatedFile, Result, already_compensated
 from ffcomp.compensation.text_stream import Stream
 from ffcomp.errors import LimitsError
 from gcode.atomic_write import replace_atomically, replacing, unchanged
-from gcode.container import Container, blocks_of, ends_of, opened, read_bytes
+from gcode.container import Container, blocks_of, ends_of, opened
 from gcode.embedded import find_stamp
 from gcode.errors import UnsupportedGcode
 from gcode.text import raw_blocks
@@ -62,8 +60,6 @@ def compensate_file(
         if not todo:
             return already_compensated(path, stamps.values(), _copied(source, target) or Path(path))
         if options.steps is None:
-            if target is not None and len(container.prints) == 1 and options.bound is None:
-                todo = {name: replace(job, read_again=True) for name, job in todo.items()}
             results = _write(container, todo, target, progress, still_the_same)
         else:
             if len(todo) > 1:
@@ -100,27 +96,11 @@ def _write(
     else:
         with replacing(target) as file:
             container.write(file, texts)
-            file.flush()
-            results = _forecast(todo, streams, Path(file.name), str(target))
             check()
             for name, job in todo.items():
                 if job.settings.strict and (missed := streams[name].value.bound_missed):
                     raise LimitsError(missed[0])
-        return results
     return {name: stream.value for name, stream in streams.items()}
-
-
-def _forecast(
-    todo: Mapping[str, Job], streams: Mapping[str, Stream[Result]], draft: Path, target: str
-) -> dict[str, Result]:
-    """Return the prints' results; of a single one that was not predicted on the way, predicted from the new file."""
-    results = {name: stream.value for name, stream in streams.items()}
-    (name, *others) = todo
-    job, numbers = todo[name], results[name].statistics
-    if others or not job.predicts_again or not numbers.segments or numbers.predicted is not None:
-        return results
-    predicted = forecast(lambda: read_again(read_bytes(draft), target, job.machine, job.offset, job.flavor))
-    return {name: replace(results[name], forecast=predicted)}
 
 
 def _streams(

@@ -23,7 +23,7 @@ from ffcomp.compensation.gcode_writer import GcodeRenderer
 from ffcomp.compensation.own_shaper import OwnShaper, own_shaper, with_shaper_off
 from ffcomp.compensation.placement import NOWHERE, Footprint, Offset, Placement, advice, choose_offset, footprint_of
 from ffcomp.compensation.plan import Context, plan_chunk
-from ffcomp.compensation.prediction import LONGEST_S, NO_FORECAST, READ_AGAIN_S, Forecast, forecast
+from ffcomp.compensation.prediction import LONGEST_S
 from ffcomp.compensation.program import compensate
 from ffcomp.compensation.request import CompensateOptions
 from ffcomp.compensation.result import Result
@@ -42,6 +42,7 @@ from ffcomp.planner.limits import lines_of, planner_limits
 from ffcomp.planner.program import firmware_plan, read_as_planned, section_planner, settings_sentence
 from ffcomp.planner.reach import OutOfReach, Reach
 from ffcomp.planner.trajectory import PathPosition
+from ffcomp.simulation.forecast import NO_FORECAST, Forecast, forecast
 from ffcomp.steps.motion import MotionSink
 from ffcomp.steps.sink import Board, StepSink
 from ffcomp.version import __version__
@@ -52,7 +53,6 @@ from gcode.embedded import WITHOUT_ORIGINAL, Stamp, find_offset, joined, offset_
 from gcode.layers import LayerLookup
 from gcode.metadata import Timed, filament_change_s
 from gcode.program import Moves, Program
-from models.effects.catalogue import design_machine
 from models.machine import Machine
 
 ROW_ERROR_S = 12.5e-6  # of a step of compressed rows, early or late: half of what Klipper allows itself
@@ -176,7 +176,6 @@ class Job:
     options: Options = Options()
     restore: bool = False  # the file is a compensated one: take the original that it keeps
     jobs: int = 1  # processes that work at it
-    read_again: bool = False  # what is written is predicted from the file itself (`reading`), if that is short
 
     def write(self, target: Path | None, progress: Progress = lambda share: None) -> Result:
         """Compensate into `target` (None: nowhere), which is replaced whole at the end or not at all.
@@ -282,11 +281,6 @@ class Job:
         return ends_of(self.source)
 
     @property
-    def predicts_again(self) -> bool:
-        """Whether the file, once it is written, is read again for its prediction if there is none yet."""
-        return self.read_again and self.options.predict and self.settings.embed
-
-    @property
     def size(self) -> int:
         """Bytes of the print."""
         return self._ends[2]
@@ -340,9 +334,15 @@ class Job:
         if self._shaper.state != "kept":
             pieces = with_shaper_off(pieces, self._shaper)
         notes = offset_line(self.offset) + (b"" if self.settings.embed else WITHOUT_ORIGINAL + b"\n")
-        yield from stamped(filter(None, pieces), stamp, notes)
-        seconds = time.perf_counter() - started
-        return self._result(body.value, seconds, _forecast(body.value, self.machine))
+        predicted = NO_FORECAST
+
+        def at_end() -> bytes:
+            nonlocal predicted
+            predicted = _forecast(body.value, self.machine)
+            return predicted.line()
+
+        yield from stamped(filter(None, pieces), stamp, notes, at_end)
+        return self._result(body.value, time.perf_counter() - started, predicted)
 
     def _body(self, progress: Progress) -> Lines:
         reach = Reach(self.machine.kinematics)
@@ -399,13 +399,10 @@ class Job:
         return self._chunks(chain(first, parts), plain), context
 
     def _share(self, first: Program) -> float:
-        """Return how much of the print is simulated while it is compensated; none of what is read again."""
+        """Return how much of the print is simulated while it is compensated; above 1: all of it."""
         first_s = float((lines_of(first.moves).length / first.moves.speed).sum())
         quickest_s = first_s * self.size / max(_size(first), 1)
-        left_out = design_machine(self.machine)[1]  # effects that are not in the model by which a file is read again
-        if self.predicts_again and quickest_s <= READ_AGAIN_S and not left_out:
-            return 0.0
-        return min(1.0, LONGEST_S / max(quickest_s, 1e-9))
+        return LONGEST_S / max(quickest_s, 1e-9)
 
     def _parts(self, reach: Reach) -> Iterator[Program]:
         """Read the print; what lies beside the print volume goes out as it is, unless it is the part."""

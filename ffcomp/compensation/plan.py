@@ -32,7 +32,7 @@ class Context:
     settings: Settings
     flavor: str
     offset: tuple[float, float] = (0.0, 0.0)  # mm, by which the program's positions were shifted when they were read
-    share: float = 0.0  # of the print that is simulated for the prediction, 0 to 1
+    share: float = 0.0  # of the print that is simulated for the prediction; above 1: all of it
     plain: bool = False  # written uncompensated: it waits for nothing
     bound: Bound | None = None  # on the error, under which the print is as quick as can be; None: as it was sliced
 
@@ -114,7 +114,7 @@ def _is_simulated(chunk: Chunk, share: float) -> bool:
     """Tell whether some of it is. Of a motion in several chunks, only as many of them as are a share of it."""
     if chunk.extent == WHOLE:
         return share > 0.0
-    return ceil(share * (chunk.cuts + 1)) > ceil(share * chunk.cuts)
+    return ceil(min(share, 1.0) * (chunk.cuts + 1)) > ceil(min(share, 1.0) * chunk.cuts)
 
 
 RESIDUAL_MM = 1e-3  # of vibration, when the first compensated extrusion begins

@@ -1,14 +1,13 @@
-"""Predict a print's errors without and with compensation by the design model.
+"""Predict a print's errors without and with compensation by the design model, while it is compensated.
 
 This is a prediction by the model that the command was designed with, not a proof: an independent plant evaluates in the
-tests and in `compare`. A short print is predicted from the file that was written, read again (`read_again`): it is the
-number that `show` finds. Others are predicted while they are compensated (`Prediction`), from the segments as their
-lines state them; long prints are sampled section by section, evenly, and the result states their share.
+tests and in `compare`. It is of the segments as their lines state them. Long prints are sampled section by section,
+evenly, and the result states how much it covers.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -16,43 +15,17 @@ import numpy as np
 from ffcomp.compensation.solve import SolvedSection
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.reference import Reference
-from ffcomp.metrics import Track, peak_acceleration, track
+from ffcomp.metrics import peak_acceleration, track
 from ffcomp.planner.segment_timing import TimedSegments, sample_even_segments
 from ffcomp.simulation.command import path_corners_with_rests
-from ffcomp.simulation.expectation import EXCERPT_S, Expectation, Piece, expectation, piece_of_segments
-from ffcomp.simulation.preview import preview
+from ffcomp.simulation.expectation import EXCERPT_S, Piece, expectation, pieces_of_segments
+from ffcomp.simulation.forecast import WAYS, Forecast, failure
 from models.arrays import FloatArray
 from models.machine import Machine
 
 LONGEST_S = 100.0  # of print time that is simulated for the prediction
-READ_AGAIN_S = 120.0  # of print time, at most, of a file that is read again
 SAMPLE_S = 1e-3  # about
-
-
-@dataclass(frozen=True, slots=True)
-class Forecast:
-    """The errors that are predicted for a print."""
-
-    tracks: Mapping[str, Track] = field(default_factory=dict)  # "uncompensated" and "compensated"; empty: none
-    over_s: float = 0.0  # print time that it covers
-    failed: str = ""  # why there is none, in a sentence
-    expected: Expectation | None = None  # the same on printers that the machine file's `[uncertainty]` allows
-
-
-NO_FORECAST = Forecast()
-
-
-def forecast(predict: Callable[[], Forecast]) -> Forecast:
-    """Predict; whatever goes wrong in a prediction is said, and never fails the print that it is of."""
-    try:
-        return predict()
-    except Exception as error:
-        return Forecast(failed=_failure(error))
-
-
-def _failure(error: Exception) -> str:
-    why = f"{type(error).__name__}: {error}".rstrip(".")
-    return f"The errors of this print could not be predicted ({why}). The print itself is complete; please report this."
+GOLDEN = 0.5 * (5.0**0.5 - 1.0)  # its multiples fall evenly between whole numbers, whatever a print repeats
 
 
 @dataclass
@@ -111,28 +84,25 @@ class Samples:
         path_t, path = np.concatenate(self.path_t), np.concatenate(self.path)
         tracks = {
             name: track(t, reference, np.concatenate(motion.actual), path_t, path, motion.peak)
-            for name, motion in (("uncompensated", self.before), ("compensated", self.after))
+            for name, motion in zip(WAYS, (self.before, self.after), strict=True)
         }
         return Forecast(tracks, self.covered_s, expected=expectation(machine, self.pieces))
-
-
-def read_again(written: bytes, path: str, machine: Machine, offset: tuple[float, float], flavor: str) -> Forecast:
-    """Predict the errors of a compensated file itself."""
-    seen = preview(written, path, machine, offset, flavor)
-    tracks = {"uncompensated": seen.before.track, "compensated": seen.after.track}
-    return Forecast(tracks, tracks["uncompensated"].print_time_s, expected=seen.expected)
 
 
 class Prediction:
     """Collects samples of runs while they are compensated."""
 
     def __init__(self, model: InverseModel, share: float) -> None:
-        """Simulate this share of the print, 0 to 1."""
+        """Simulate this share of the print; above 1, all of it.
+
+        On the printers that the file allows, less is simulated: EXCERPT_S in LONGEST_S.
+        """
         self.model, self.share = model, share
         s = model.settings
         self.every = max(1, round(SAMPLE_S * s.substeps / s.segment_s))  # substeps from sample to sample
         self.samples = Samples(self.every * s.segment_s / s.substeps)
         self.seen_s = 0.0
+        self.sections = 0  # that were taken in
 
     def wants(self, reference: Reference) -> bool:
         """Tell whether it is this section's turn; to be asked once for each."""
@@ -146,7 +116,7 @@ class Prediction:
         try:
             self._add(solved, written)
         except Exception as error:
-            self.samples.failed = _failure(error)
+            self.samples.failed = failure(error)
 
     def _add(self, solved: SolvedSection, written: Sequence[TimedSegments]) -> None:
         model, s, samples, every = self.model, self.model.settings, self.samples, self.every
@@ -167,16 +137,18 @@ class Prediction:
             motion.actual.append(actual[every - 1 :: every] + shift)
             bend = peak_acceleration(model.kinematics.inverse(command), s.segment_s, s.segment_s)
             motion.peak = max(motion.peak, bend)
-        if sum(piece.seconds for piece in samples.pieces) <= EXCERPT_S / LONGEST_S * (samples.covered_s - length):
-            samples.pieces.append(self._piece(solved))
+        samples.pieces += self._pieces(solved)
         samples.clock += length
 
-    def _piece(self, solved: SolvedSection) -> Piece:
-        """Return the middle of a section."""
+    def _pieces(self, solved: SolvedSection) -> list[Piece]:
+        """Return its share of a section, or all of it if the print is short."""
         reference, segment_s = solved.reference, self.model.settings.segment_s
         knots_t = reference.t0 + segment_s * np.arange(len(solved.solution.vertices), dtype=np.float64)
+        share = EXCERPT_S / LONGEST_S * max(self.share, 1.0)
+        self.sections += 1
+        lot = GOLDEN * self.sections % 1.0
         path = path_corners_with_rests(solved.trajectory)
-        return piece_of_segments(reference.nozzle, knots_t, solved.solution.vertices, path)
+        return pieces_of_segments(reference.nozzle, knots_t, solved.solution.vertices, path, share, lot)
 
     def _joining(self, solved: SolvedSection, nozzle: FloatArray, written: Sequence[TimedSegments]) -> FloatArray:
         """Return what the joined segments add to the response, (n, 3) mm: the model is linear in the command."""

@@ -15,15 +15,16 @@ from ffcomp.compensation.faster import P99_LEVEL
 from ffcomp.compensation.net import unsafe_sentences
 from ffcomp.compensation.own_shaper import OwnShaper
 from ffcomp.compensation.placement import Placement
-from ffcomp.compensation.prediction import NO_FORECAST, Forecast
 from ffcomp.compensation.statistics import ENOUGH, Statistics, cause_of, shortened, warning_lines
 from ffcomp.errors import INPUT_ERRORS, explain, interrupts_restored
 from ffcomp.faster.bound import limits_in_words
 from ffcomp.inverse.robust import PLAIN, RobustChoice
 from ffcomp.metrics import Track
+from ffcomp.numerics.digits import um
 from ffcomp.numerics.serialise import to_json
 from ffcomp.result import Fact, clock
 from ffcomp.result import Result as VerbResult
+from ffcomp.simulation.forecast import NO_FORECAST, WAYS, Forecast
 from ffcomp.steps.sink import MotorTotal
 from gcode.dialects import MARLIN, FlavorChoice
 from gcode.embedded import Stamp
@@ -120,7 +121,7 @@ class Result:
         """Say that the print as it was sliced is predicted to be the better one, unless it was to be quicker."""
         if not self.predicted or self.statistics.faster is not None:
             return []
-        before, after = (f"{self.predicted[name].contour_rms_um:.2f}" for name in ("uncompensated", "compensated"))
+        before, after = (um(self.predicted[name].contour_rms_um) for name in WAYS)
         if float(after) <= float(before):
             return []
         return [
@@ -206,15 +207,7 @@ class Result:
             "warnings": self.warnings,
             "warning_lines": self.warning_lines,
             "slowed": numbers.slowed,
-            # .* TRACK: uncompensated: of the design model over all moves, the same numbers as `show`'s `contour_um`;
-            # compensated: of the written file, read again as `show` does. Nothing with `--no-predict`. Prints beyond
-            # 10 minutes, step timings and machines with effects that are not in the linear model are predicted on the
-            # way, section by section. `simulate` and `compare` judge by the virtual printer instead, which is not
-            # linear: another quantity
-            "predicted": self.predicted,
-            # EXPECTATION or null: the same on printers that the machine file's `[uncertainty]` allows
-            "expected": self.forecast.expected,
-            "predicted_over_s": self.forecast.over_s,  # how much of the print the prediction is of
+            **self.forecast.to_dict(),
             **({} if self.faster is None else {"faster": self.faster}),
             **(
                 {
@@ -314,14 +307,10 @@ class CompensatedFile(VerbResult):
     def _facts(self) -> Iterator[Fact]:
         result, numbers = self.result, self.result.statistics
         if result.predicted:
-            was, now = result.predicted["uncompensated"], result.predicted["compensated"]
-            yield (
-                "If the machine file is exact",
-                f"contour error {was.contour_rms_um:.1f} → {now.contour_rms_um:.2f} µm rms, "
-                f"99 % within {was.contour_p99_um:.0f} → {now.contour_p99_um:.1f} µm",
-            )
+            was, now = (result.predicted[name] for name in WAYS)
+            yield "If the machine file is exact", result.forecast.exact
             late = late_line(sum(each.seconds for each in numbers.slowed))
-            yield "Tracking error", f"{was.tracking_rms_um:.1f} → {now.tracking_rms_um:.1f} µm rms. {late}".rstrip()
+            yield "Tracking error", f"{um(was.tracking_rms_um)} → {um(now.tracking_rms_um)} µm rms. {late}".rstrip()
             peaks = (each.peak_command_acceleration_mm_per_s2 / 1e3 for each in (was, now))
             yield "Peak acceleration of a motor", "{:.1f} → {:.1f} m/s²".format(*peaks)
         yield "Print time", f"{clock(numbers.print_time_s)}, was {clock(numbers.original_print_time_s)}"
@@ -495,7 +484,7 @@ class FileResult:
             return "already processed"
         result, numbers = self.done.result, self.done.result.statistics
         parts = [f"{numbers.original_print_time_s:.1f} → {numbers.print_time_s:.1f} s"]
-        if rms := " → ".join(f"{track.contour_rms_um:.1f}" for track in result.predicted.values()):
+        if rms := " → ".join(um(track.contour_rms_um) for track in result.predicted.values()):
             of_part = "" if numbers.shares.path >= ENOUGH else f" of {percent(numbers.shares.path)}"
             parts.append(f"contour error {rms} µm rms{of_part}")
         return f"{', '.join(parts)}; took {self.seconds:.1f} s"

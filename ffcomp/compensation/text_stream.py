@@ -96,8 +96,13 @@ def _retold(line: Timed, durations: Durations, embed: bool) -> bytes:
     return new if new == line or not embed else TIME_WAS + stated_time(line) + ending + new
 
 
-def stamped(pieces: Iterator[bytes], stamp: bytes, notes: bytes) -> Iterator[bytes]:
-    """Put the stamp after the first line (slicers are known by it) and before a last line without newline."""
+def stamped(
+    pieces: Iterator[bytes], stamp: bytes, notes: bytes, at_end: Callable[[], bytes] = lambda: b""
+) -> Iterator[bytes]:
+    """Put the stamp after the first line (slicers are known by it) and before a last line without newline.
+
+    notes : lines behind the first stamp;  at_end : asked after the last piece for lines behind the second one
+    """
     kept = next(pieces, b"")
     begin = kept.find(b"\n") + 1
     if b"\r" in kept[:begin].removesuffix(b"\r\n"):
@@ -110,5 +115,5 @@ def stamped(pieces: Iterator[bytes], stamp: bytes, notes: bytes) -> Iterator[byt
         yield kept
         kept = piece
     end = kept.rfind(b"\n") + 1
-    yield kept[:end] + stamp
+    yield kept[:end] + stamp + at_end().replace(b"\n", ending)
     yield kept[end:]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from textwrap import wrap
 from typing import Any
@@ -17,6 +16,7 @@ from matplotlib.figure import Figure
 from ffcomp.compensation.result import CompensatedFile
 from ffcomp.errors import RequestError
 from ffcomp.report.drawing import AFTER, BEFORE, NEIGHBOUR, REFERENCE, error_colours, plain_decades, write_figure
+from ffcomp.simulation.forecast import Forecast
 from ffcomp.simulation.preview import Curve, Flow, Preview, preview
 from ffcomp.simulation.simulation import Simulation
 from ffcomp.version import __version__
@@ -32,50 +32,27 @@ RETIMED_SHARE = 0.02  # share of its time, by which a print is shorter or longer
 SETTLE_S = 0.5  # at the beginning: the nozzle may come from anywhere
 
 
-@dataclass(frozen=True, slots=True)
-class Numbers:
-    """Contour error, µm."""
-
-    rms: float  # number [µm]: contour error on the design model
-    p99: float  # number [µm]
-    worst: float  # number [µm]
-
-
-def numbers(curve: Curve) -> Numbers:
-    """Return the contour error over the whole print."""
-    error = curve.statistics
-    return Numbers(error.rms_um, error.p99_um, error.max_um)
-
-
-def verdict(preview: Preview) -> str:
-    """State the improvement in one sentence."""
-    before, after = numbers(preview.before), numbers(preview.after)
-    ratio = before.rms / after.rms
-    change = f"{ratio:.0f} times less"
-    if ratio < 1.0:
-        change = f"{1.0 / ratio:.1f} times more: see that -m names the machine it was compensated for"
-    return (
-        f"Contour error on a printer exactly as its file says {before.rms:.1f} → {after.rms:.2f} µm rms ({change}), "
-        f"99 % of the print within {before.p99:.0f} → {after.p99:.1f} µm"
-    )
-
-
-def draw(preview: Preview, title: str, footer: str, target: Path, z_mm: float | None = None) -> None:
+def draw(
+    preview: Preview, forecast: Forecast, title: str, footer: str, target: Path, z_mm: float | None = None
+) -> None:
     """Write the picture; the suffix of `target` names the format. See `show_figure`."""
-    write_figure(show_figure(preview, title, footer, z_mm), target, dpi=100)
+    write_figure(show_figure(preview, forecast, title, footer, z_mm), target, dpi=100)
 
 
-def show_figure(preview: Preview, title: str, footer: str = "", z_mm: float | None = None) -> Figure:
+def show_figure(
+    preview: Preview, forecast: Forecast, title: str, footer: str = "", z_mm: float | None = None
+) -> Figure:
     """Draw the reference, the uncompensated and the compensated path.
 
     Parameters
     ----------
+    forecast : the errors that stand above the figure
     z_mm : the layer to show; None: the one with the largest error before, on an outer wall if there is any
     """
     worst = _worst_position(preview.before, z_mm)
     figure = Figure(figsize=(16, 8.4), layout="constrained")
-    lines = wrap(preview.expected.headline, TITLE_COLUMNS) if preview.expected else []
-    text = "\n".join([title, *lines, f"Whole print: {verdict(preview)}"])
+    lines = wrap(forecast.expected.headline, TITLE_COLUMNS) if forecast.expected else []
+    text = "\n".join([title, *lines, forecast.verdict])
     figure.suptitle(text, fontsize=13, x=0.01, ha="left")
     rows, heights = _rows(preview)
     rooms = figure.subplot_mosaic(rows, height_ratios=heights)
@@ -104,7 +81,7 @@ def compensation_figure(done: CompensatedFile, *, z_mm: float | None = None) -> 
     stamp = already_processed(data)
     flavor = stamp.flavor if stamp else None
     seen = preview(data, str(done.output), done.machine, find_offset(data[:STAMP_REACH]), flavor)
-    return show_figure(seen, f"{done.output.name} on {done.machine.name}", z_mm=z_mm)
+    return show_figure(seen, done.result.forecast, f"{done.output.name} on {done.machine.name}", z_mm=z_mm)
 
 
 def _rows(preview: Preview) -> tuple[list[Any], list[float]]:

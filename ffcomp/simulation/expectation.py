@@ -1,4 +1,4 @@
-"""The contour error to expect: on a printer exactly as its file says, and on the printers that `[uncertainty]` allows.
+"""The contour error to expect on the printers that a machine file's `[uncertainty]` allows.
 
 A file's numbers are never exact, and how much a command gains depends on that. So the command is simulated on printers
 drawn from the file's `[uncertainty]`, and so are the plan as sliced and the plan through the firmware's own input
@@ -9,16 +9,16 @@ of the print by their distance to the path: the root mean square on each printer
 from __future__ import annotations
 
 import shlex
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
 from ffcomp import shapers
 from ffcomp.inverse.robust import mode_sd
 from ffcomp.metrics import contour_error
+from ffcomp.numerics.digits import um
 from ffcomp.shapers.apply import shape_samples
 from ffcomp.shapers.search import Scan, search
 from ffcomp.simulation.command import Motion
@@ -62,6 +62,16 @@ def draw_plants(machine: Machine, relative_sd: float | None, count: int) -> list
     return plants
 
 
+class Printer(Protocol):
+    """A printer that can be simulated."""
+
+    def respond(self, nozzle: FloatArray, velocity: FloatArray) -> tuple[FloatArray, Any]:
+        """Play rows STEP_S apart, positions mm and velocities mm/s (n + 1, 3), from rest.
+
+        Returns the nozzle after every step, (n, 3) mm, and whatever else there is.
+        """
+
+
 @dataclass(frozen=True, eq=False)
 class Piece:
     """A piece of a print: its path, its plan and its command. Rows are STEP_S apart."""
@@ -79,7 +89,7 @@ class Piece:
         """Print time that it covers."""
         return STEP_S * (len(self.plan) - 1 - 2 * MARGIN)
 
-    def squares(self, playback: LinearPlayback, rows: FloatArray, due: FloatArray) -> FloatArray:
+    def squares(self, playback: Printer, rows: FloatArray, due: FloatArray) -> FloatArray:
         """Return the squared contour errors (s,) mm² of commanded rows (j + 1, 3) mm that are due at times (j + 1,)."""
         steps = SUBSTEPS * ((len(rows) - 1) // SUBSTEPS)
         rows = np.ascontiguousarray(rows[: steps + 1])
@@ -87,12 +97,12 @@ class Piece:
         judged = slice(round(self.settling_s / STEP_S), None, KEEP_EVERY)
         return contour_error(self.path_t, self.path, due[1 : steps + 1][judged], nozzle[judged]) ** 2
 
-    def planned(self, playback: LinearPlayback, x: shapers.Shaper | None, y: shapers.Shaper | None) -> FloatArray:
+    def planned(self, playback: Printer, x: shapers.Shaper | None, y: shapers.Shaper | None) -> FloatArray:
         """Return the same of the plan through shapers of x and y."""
         rows = np.ascontiguousarray(shape_samples(self.plan, (x, y, None), STEP_S, MARGIN))
         return self.squares(playback, rows, self.begin_t + STEP_S * np.arange(len(rows), dtype=np.float64))
 
-    def compensated(self, playback: LinearPlayback) -> FloatArray:
+    def compensated(self, playback: Printer) -> FloatArray:
         """Return the same of the command."""
         return self.squares(playback, self.command, self.due)
 
@@ -124,18 +134,38 @@ def pieces_of(plan: Motion, command: Motion, path: tuple[FloatArray, FloatArray]
     return pieces
 
 
-def piece_of_segments(
+def pieces_of_segments(
     plan: Callable[[FloatArray], FloatArray],
     knots_t: FloatArray,
     vertices: FloatArray,
     path: tuple[FloatArray, FloatArray],
-) -> Piece:
-    """Return the middle of a section whose command is at vertices (k, 3) mm at times (k,) s of the plan's clock.
+    share: float,
+    lot: float,
+) -> list[Piece]:
+    """Return pieces of a section whose command is at vertices (k, 3) mm at times (k,) s of the plan's clock.
 
     plan : the nozzle as sliced, (m,) s → (m, 3) mm;  path : as for `pieces_of`
+    share : of the print that is wanted; 1 or more: all of it
+    lot : 0 to 1, evenly drawn for each section. So short ones, travel mostly, get their share like long ones
     """
-    seconds = min(float(knots_t[-1] - knots_t[0]), PIECE_S)
-    first = 0.5 * float(knots_t[0] + knots_t[-1] - seconds)
+    begin, seconds = float(knots_t[0]), float(knots_t[-1] - knots_t[0])
+    if share >= 1.0 or seconds <= PIECE_S:
+        wanted = share + lot >= 1.0
+        return [_piece_of_segments(plan, knots_t, vertices, path, begin, seconds)] if wanted else []
+    count = min(int(share * seconds / PIECE_S + lot), int(seconds / PIECE_S))
+    pitch = seconds / max(count, 1)
+    firsts = (begin + (k + 0.5) * pitch - 0.5 * PIECE_S for k in range(count))
+    return [_piece_of_segments(plan, knots_t, vertices, path, first, PIECE_S) for first in firsts]
+
+
+def _piece_of_segments(
+    plan: Callable[[FloatArray], FloatArray],
+    knots_t: FloatArray,
+    vertices: FloatArray,
+    path: tuple[FloatArray, FloatArray],
+    first: float,
+    seconds: float,
+) -> Piece:
     t = first + STEP_S * np.arange(-MARGIN, whole_steps(seconds) + 1 + MARGIN, dtype=np.float64)
     inside = t[MARGIN:-MARGIN]
     command = np.stack([np.interp(inside, knots_t, column) for column in vertices.T], axis=1)
@@ -145,25 +175,17 @@ def piece_of_segments(
 
 
 @dataclass(frozen=True, slots=True)
-class Errors:
-    """Contour error, rms."""
-
-    exact_um: float  # on a printer that is exactly as the machine file says
-    expected_um: float  # mean over printers that are as uncertain as the file says
-
-
-@dataclass(frozen=True, slots=True)
 class Expectation:
-    """What a print is expected to look like, whatever compensates it."""
+    """What a print is expected to look like, whatever compensates it: contour errors, rms, mean over the printers."""
 
     uncertainty: float  # number: relative standard deviation of the modes, by the machine file's `[uncertainty]`
     # true or false: that is a guess: the modes are assumed, or no number of the file has an uncertainty of its own
     assumed: bool
-    printers: int  # whole number: that were drawn
+    printers: int  # whole number: that were drawn; 0: the file is certain, and the printer is as it says
     over_s: float  # of the print that was simulated on each
-    uncompensated: Errors  # EXPECTED
-    compensated: Errors  # EXPECTED
-    shaper: Errors  # EXPECTED: of the firmware's best input shaper
+    uncompensated_um: float  # as sliced
+    compensated_um: float
+    shaper_um: float  # with the firmware's best input shaper
     shaper_name: str  # that shaper: its kind and frequencies
 
     headline: str  # what to expect, in a sentence; the shaper first where it is better
@@ -172,53 +194,93 @@ class Expectation:
     @property
     def shaper_is_better(self) -> bool:
         """Whether the firmware's own shaper leaves less."""
-        return _is_better(self.shaper, self.compensated)
+        return _shaper_is_better(self.compensated_um, self.shaper_um)
 
 
-def _is_better(shaper: Errors, compensated: Errors) -> bool:
-    return compensated.expected_um > TIE * shaper.expected_um
+def _shaper_is_better(compensated_um: float, shaper_um: float) -> bool:
+    return compensated_um > TIE * shaper_um
 
 
-class _Tuned(NamedTuple):
+class Tuned(NamedTuple):
+    """An input shaper with the frequencies that serve a print best."""
+
     name: str
     x: shapers.Shaper
     y: shapers.Shaper
 
 
 def expectation(machine: Machine, pieces: Sequence[Piece]) -> Expectation | None:
-    """Simulate pieces of a print on the machine and on printers that its `[uncertainty]` allows; None: no piece."""
+    """Simulate pieces of a print on printers that the machine's `[uncertainty]` allows; None: no piece is long enough.
+
+    Without any uncertainty the printer is the machine itself.
+    """
     pieces = [piece for piece in pieces if min(len(piece.plan) - 2 * MARGIN, len(piece.command)) > SUBSTEPS]
     if not pieces:
         return None
     plants = draw_plants(machine, None, PRINTERS) if any(machine.uncertainty.values()) else []
-    printers = [LinearPlayback(design_machine(each)[0]) for each in (machine, *plants)]
-
-    def errors(squares: Callable[[Piece, LinearPlayback], FloatArray]) -> Errors:
-        exact, *off = (_rms_um([squares(piece, each) for piece in pieces]) for each in printers)
-        return Errors(exact, float(np.mean(off)) if off else exact)
-
-    def shaped(tuned: _Tuned) -> Errors:
-        return errors(lambda piece, printer: piece.planned(printer, tuned.x, tuned.y))
-
-    each_kind = [(tuned, shaped(tuned)) for tuned in map(partial(_tuned, machine, printers[0], pieces), KINDS)]
-    best, shaper = min(each_kind, key=lambda one: one[1].expected_um)
-    uncompensated = errors(lambda piece, printer: piece.planned(printer, None, None))
-    compensated = errors(Piece.compensated)
-    sd = mode_sd(machine, BAND_HZ) if plants else 0.0
-    assumed = assumed_modes(machine) is not None or machine.uncertainty == {"default": DEFAULT_UNCERTAINTY}
-    better = _is_better(shaper, compensated)
-    return Expectation(
-        uncertainty=sd,
-        assumed=assumed,
+    printers = playbacks(plants or [machine])
+    name, shaper = best_shaper(shaped_errors(pieces, printers, tuned_shapers(machine, pieces)))
+    return expectation_of(
+        machine,
+        uncertainty=mode_sd(machine, BAND_HZ) if plants else 0.0,
+        assumed=assumed_modes(machine) is not None or machine.uncertainty == {"default": DEFAULT_UNCERTAINTY},
         printers=len(plants),
         over_s=sum(piece.seconds for piece in pieces),
-        uncompensated=uncompensated,
-        compensated=compensated,
-        shaper=shaper,
-        shaper_name=best.name,
-        headline=_headline(uncompensated, compensated, shaper, best.name, condition_of(sd, assumed)),
-        next_step=_measure_first(machine) if better or (assumed and sd >= UNKNOWN_SD) else "",
+        uncompensated_um=_mean(errors_um(pieces, printers, lambda piece, each: piece.planned(each, None, None))),
+        compensated_um=_mean(errors_um(pieces, printers, Piece.compensated)),
+        shaper_um=_mean(shaper),
+        shaper_name=name,
     )
+
+
+def playbacks(machines: Sequence[Machine]) -> list[LinearPlayback]:
+    """Return the linear model of each machine, ready to be simulated."""
+    return [LinearPlayback(design_machine(each)[0]) for each in machines]
+
+
+def errors_um(
+    pieces: Sequence[Piece],
+    printers: Sequence[Printer],
+    squares: Callable[[Piece, Printer], FloatArray],
+) -> FloatArray:
+    """Return the contour error, rms over all pieces, on each printer: (printers,) µm."""
+    return np.array([_rms_um([squares(piece, each) for piece in pieces]) for each in printers])
+
+
+def tuned_shapers(machine: Machine, pieces: Sequence[Piece]) -> list[Tuned]:
+    """Return the best shaper of each kind for these pieces on the printer of the machine file."""
+    (printer,) = playbacks([machine])
+    return [_tuned(machine, printer, pieces, kind) for kind in KINDS]
+
+
+def shaped_errors(
+    pieces: Sequence[Piece], printers: Sequence[Printer], tuned: Sequence[Tuned]
+) -> dict[str, FloatArray]:
+    """Return the errors of the plan through each shaper, (printers,) µm, by the shaper's name."""
+
+    def errors(shaper: Tuned) -> FloatArray:
+        return errors_um(pieces, printers, lambda piece, printer: piece.planned(printer, shaper.x, shaper.y))
+
+    return {each.name: errors(each) for each in tuned}
+
+
+def best_shaper(errors: Mapping[str, FloatArray]) -> tuple[str, FloatArray]:
+    """Return the shaper with the least mean error, and its errors."""
+    return min(errors.items(), key=lambda one: _mean(one[1]))
+
+
+def expectation_of(machine: Machine, **numbers: Any) -> Expectation:
+    """Add what follows from an expectation's numbers, the fields of `Expectation`: its headline, and the next step."""
+    sd, assumed, name = numbers["uncertainty"], numbers["assumed"], numbers["shaper_name"]
+    before, after, shaper = (numbers[f"{way}_um"] for way in ("uncompensated", "compensated", "shaper"))
+    better = _shaper_is_better(after, shaper)
+    first = "The firmware's input shaper is better here: e" if better else "E"
+    headline = (
+        f"{first}xpected contour error {condition_of(sd, assumed)}: {um(after)} µm rms, with the best input shaper "
+        f"({name}) {um(shaper)}, without compensation {um(before)}."
+    )
+    next_step = _measure_first(machine) if better or (assumed and sd >= UNKNOWN_SD) else ""
+    return Expectation(**numbers, headline=headline, next_step=next_step)
 
 
 def condition_of(sd: float, assumed: bool) -> str:
@@ -226,14 +288,6 @@ def condition_of(sd: float, assumed: bool) -> str:
     if not sd:
         return "on a printer exactly as its file says"
     return f"with modes known to ±{100 * sd:.2g} %{' (assumed)' if assumed else ''}"
-
-
-def _headline(uncompensated: Errors, compensated: Errors, shaper: Errors, name: str, condition: str) -> str:
-    first = "The firmware's input shaper is better here: e" if _is_better(shaper, compensated) else "E"
-    return (
-        f"{first}xpected contour error {condition}: {compensated.expected_um:.3g} µm rms, with the best input shaper "
-        f"({name}) {shaper.expected_um:.3g}, without compensation {uncompensated.expected_um:.3g}."
-    )
 
 
 def _measure_first(machine: Machine) -> str:
@@ -255,7 +309,7 @@ def _near(path_t: FloatArray, begin: float, end: float) -> slice:
 BAND_HZ = 100.0  # up to which modes count
 
 
-def _tuned(machine: Machine, printer: LinearPlayback, pieces: Sequence[Piece], kind: str) -> _Tuned:
+def _tuned(machine: Machine, printer: Printer, pieces: Sequence[Piece], kind: str) -> Tuned:
     """Return a shaper with the frequencies that serve these pieces best on the printer of the machine file."""
 
     def of(settings: FloatArray) -> tuple[shapers.Shaper, shapers.Shaper]:
@@ -268,7 +322,11 @@ def _tuned(machine: Machine, printer: LinearPlayback, pieces: Sequence[Piece], k
     centre = np.array([machine.kinematics.centre_mm], dtype=float)
     modes = shapers.dominant_frequencies(design_machine(machine)[0], centre)[0]
     best = search(cost, modes, [Scan((0, 1), FACTORS)]).settings
-    return _Tuned(f"{kind.upper()}, x {best[0]:.1f} Hz, y {best[1]:.1f} Hz", *of(best))
+    return Tuned(f"{kind.upper()}, x {best[0]:.1f} Hz, y {best[1]:.1f} Hz", *of(best))
+
+
+def _mean(errors: FloatArray) -> float:
+    return float(np.mean(errors))
 
 
 def _rms_um(squares: Sequence[FloatArray]) -> float:

@@ -6,17 +6,15 @@ restored from the comments that keep it, and the two clocks are aligned where th
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from ffcomp.metrics import (
-    ContourStatistics,
     Track,
     build_track,
     contour_error,
-    contour_statistics,
     end_to_end,
     tracking,
 )
@@ -32,7 +30,8 @@ from ffcomp.simulation.command import (
     reference_clock,
     section_clock,
 )
-from ffcomp.simulation.expectation import Expectation, expectation, pieces_of
+from ffcomp.simulation.expectation import Piece, expectation, pieces_of
+from ffcomp.simulation.forecast import WAYS, Forecast
 from ffcomp.simulation.linear import LinearPlayback, continuous_intervals, simulate_linear
 from gcode.embedded import original_lines
 from gcode.layers import labels, outer_walls
@@ -107,11 +106,6 @@ class Curve:
         seconds = float(self.t[-1] - self.t[0])
         return build_track(tracking(*joined, step), self.contour, seconds, self.peak)
 
-    @property
-    def statistics(self) -> ContourStatistics:
-        """The contour error over the whole print."""
-        return contour_statistics(self.contour)
-
 
 @dataclass(frozen=True, slots=True)
 class Original:
@@ -133,7 +127,12 @@ class Preview:
     after: Curve
     original: Original | None = None
     flows: tuple[Flow, Flow] | None = None  # before and after, on their clocks; None: no pressure in the machine file
-    expected: Expectation | None = None  # None: something else moves the nozzle wherever it was looked at
+    pieces: Sequence[Piece] = ()  # of both, without those in which something else moves the nozzle
+
+    def forecast(self, machine: Machine) -> Forecast:
+        """Evaluate both prints, for a file that keeps no forecast."""
+        tracks = dict(zip(WAYS, (self.before.track, self.after.track), strict=True))
+        return Forecast(tracks, self.before.track.print_time_s, expected=expectation(machine, self.pieces))
 
 
 def preview(
@@ -173,7 +172,7 @@ def preview(
         Curve(after_t, after, after_reference, of_after, *kinds(after_due), peaks[1]),
         Original(original, reference, before_t, after_due),
         flows,
-        expectation(machine, pieces_of(planned_motion(reference), motion_of(executed, clock), (path_t, corners))),
+        pieces_of(planned_motion(reference), motion_of(executed, clock), (path_t, corners)),
     )
 
 

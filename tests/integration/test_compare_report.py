@@ -23,6 +23,7 @@ from ffcomp.comparison.engine import _settings
 from ffcomp.comparison.result import Comparison, EqualQuality, Party, Peaks, Samples, Spread
 from ffcomp.inverse.robust import RobustChoice
 from ffcomp.inverse.settings import settings_for
+from ffcomp.numerics.digits import um
 from ffcomp.report.compare import html
 from ffcomp.report.compare import html as table
 from ffcomp.report.compare import words as parts
@@ -32,9 +33,9 @@ from ffcomp.report.compare.figures import drawings, svg, write_figures
 from ffcomp.report.compare.html import write_report
 from ffcomp.report.compare.samples import contour_vectors, spectrum, unbroken
 from ffcomp.report.compare.sentences import answer, verdict
-from ffcomp.report.compare.words import duration, times, um
+from ffcomp.report.compare.words import duration, times
 from ffcomp.report.page import coded
-from ffcomp.simulation.expectation import Errors, Expectation
+from ffcomp.simulation.expectation import Expectation
 from gcode.dialects import KLIPPER, MARLIN
 from models.file import load_machine
 from tests.support.browser import Visit, chromium, visit
@@ -105,7 +106,7 @@ def test_the_answer_on_top() -> None:
 
 def test_the_answer_on_top_is_for_printers_that_are_off() -> None:
     """By the file's uncertainty; with Monte-Carlo plants, by these."""
-    errors = Errors(30.0, 41.0), Errors(1.0, 12.0), Errors(7.0, 8.0)
+    errors = 41.0, 12.0, 8.0
     expected = Expectation(0.2, True, 20, 16.0, *errors, "EI, x 40.0 Hz, y 41.0 Hz", "A shaper.", "Measure first: so.")
     off = replace(comparison(), expected=expected)
     assert answer(off).word == "No" and "8.00 µm against 12.0." in answer(off).why

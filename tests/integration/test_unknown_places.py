@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from ffcomp.compensation.job import Job, Options
-from ffcomp.compensation.prediction import read_again
 from ffcomp.importers.builder import build_draft, machine_text, read_printer_config
 from ffcomp.metrics import contour_error
 from ffcomp.planner.program import known_to_the_firmware
+from ffcomp.simulation.preview import preview
 from gcode.embedded import OURS, original
 from gcode.reader import read_program
 from models.file import load_machine
@@ -133,8 +133,8 @@ def test_what_follows_an_unknown_place_begins_where_the_nozzle_is(
         numbers = stream.value.statistics
         longer_s = numbers.print_time_s - numbers.original_print_time_s - numbers.settling_s
         assert not numbers.slowed and longer_s < 0.05
-        errors = read_again(out, "print.gcode", machine, (0.0, 0.0), flavor).tracks
-        assert errors["compensated"].contour_rms_um < 0.5 * errors["uncompensated"].contour_rms_um < 50.0
+        seen = preview(out, "print.gcode", machine, flavor=flavor)
+        assert seen.after.track.contour_rms_um < 0.5 * seen.before.track.contour_rms_um < 50.0
 
 
 def farthest_mm(data: bytes, out: bytes, machine: Machine, flavor: str) -> float:

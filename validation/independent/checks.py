@@ -28,7 +28,7 @@ IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
 KEPT, KEPT_CUT, OURS, TIME_WAS = b";~", b";~~", b"; ffcomp", b"; ffcomp was "
-STAMPS = b"; Processed by ffcomp", b"; ffcomp offset_mm="
+STAMPS = b"; Processed by ffcomp", b"; ffcomp offset_mm=", b"; ffcomp forecast="
 FILAMENT_MM, LINE_MM, PLACE_MM, REACH_MM = 1e-3, 5e-3, 2.0, 2e-3  # what is found wrong from where on
 NARROWER = 4 * 0.4**2 / (np.pi * (1.75 / 2) ** 2)  # the widest bead that Klipper expects, over the filament
 NEAR_MM, MOVE_MM, WINDOW = 0.2, 1.0, 400  # the last in moves of the result

@@ -15,6 +15,7 @@ from matplotlib.ticker import MaxNLocator
 from scipy.ndimage import distance_transform_edt
 
 from ffcomp.comparison.result import Comparison, EqualQuality, Family, Method, Spread
+from ffcomp.numerics.digits import um
 from ffcomp.report.compare.samples import HIGHEST_HZ, resonance_band, spectrum
 from ffcomp.report.compare.words import (
     FAMILY_NAMES,
@@ -25,7 +26,6 @@ from ffcomp.report.compare.words import (
     layer_errors,
     seen,
     shown,
-    um,
     where_seen,
 )
 from ffcomp.report.drawing import (

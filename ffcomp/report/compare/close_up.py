@@ -12,8 +12,9 @@ from matplotlib.figure import Figure, SubFigure
 from numpy.typing import NDArray
 
 from ffcomp.comparison.result import Comparison, Method, Samples
+from ffcomp.numerics.digits import um
 from ffcomp.report.compare.charts import colour_of
-from ffcomp.report.compare.words import clipped, nick, shown, um
+from ffcomp.report.compare.words import clipped, nick, shown
 from ffcomp.report.drawing import NEIGHBOUR, REFERENCE, grid, plain_decades
 from gcode.layers import is_outer_wall
 from models.arrays import BoolArray, FloatArray

@@ -11,6 +11,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from ffcomp.comparison.result import Comparison
+from ffcomp.numerics.digits import um
 from ffcomp.report.compare import charts
 from ffcomp.report.compare.charts import comparison_band
 from ffcomp.report.compare.close_up import Position, draw_places, worst_positions
@@ -21,7 +22,6 @@ from ffcomp.report.compare.words import (
     fastest_shaper,
     nick,
     shown,
-    um,
     where_seen,
 )
 from ffcomp.report.drawing import RC, Box, Drawing, file_of, layout, svg

@@ -14,6 +14,7 @@ from pathlib import Path
 from markupsafe import Markup
 
 from ffcomp.comparison.result import Comparison, EqualQuality, Family, Method, Spread
+from ffcomp.numerics.digits import um
 from ffcomp.report.compare.charts import colour_of
 from ffcomp.report.compare.figures import HOW_TO_READ, close_ups, drawings, panels
 from ffcomp.report.compare.sentences import GLOSSARY, answer, verdict
@@ -29,7 +30,6 @@ from ffcomp.report.compare.words import (
     rms_um,
     shown,
     thousands,
-    um,
     where_seen,
 )
 from ffcomp.report.drawing import ON_DARK, panel

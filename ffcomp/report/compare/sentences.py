@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from ffcomp.comparison.result import Comparison, EqualQuality, Method
+from ffcomp.numerics.digits import um
 from ffcomp.report.compare.words import (
     acceleration,
     contour_p99_um,
@@ -17,7 +18,6 @@ from ffcomp.report.compare.words import (
     seen,
     shapers,
     times,
-    um,
     where_seen,
 )
 from ffcomp.result import Fact
@@ -67,9 +67,7 @@ def _weighed(comparison: Comparison, ours: Method) -> tuple[float, float, float,
         return ours.spread.mean_um, theirs, none.spread.mean_um, shaper, " (mean of printers that are off)"
     if expected is not None:
         condition = condition_of(expected.uncertainty, expected.assumed)
-        left, theirs, before = (
-            each.expected_um for each in (expected.compensated, expected.shaper, expected.uncompensated)
-        )
+        left, theirs, before = expected.compensated_um, expected.shaper_um, expected.uncompensated_um
         return left, theirs, before, expected.shaper_name, f" (expected {condition})"
     left, theirs, before = (contour_rms_um(comparison, method) for method in (ours, best, none))
     return left, theirs, before, nick(best), f", {where_seen(comparison)}"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 
@@ -11,6 +10,7 @@ import numpy as np
 from ffcomp.comparison.evaluation import contour_numbers
 from ffcomp.comparison.result import Comparison, Error, Family, Method
 from ffcomp.metrics import Track
+from ffcomp.numerics.digits import um
 from gcode.layers import is_outer_wall
 from models.arrays import IntArray
 
@@ -20,14 +20,6 @@ FAMILY_NAMES: dict[Family, str] = {
     "best fixed": "shaper, best fixed",
     "inversion": "ffcomp",
 }
-
-
-def um(value: float) -> str:
-    """Format with three digits at most: 0.31, 4.82, 62.3, 416."""
-    if math.isnan(value):
-        return "–"
-    digits = 2 if value < 9.995 else 1 if value < 99.95 else 0
-    return f"{value:.{digits}f}"
 
 
 def times(ratio: float) -> str:

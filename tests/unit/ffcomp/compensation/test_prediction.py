@@ -1,58 +1,58 @@
-"""One number in `compensate` and `show`: what is predicted is the file as it was written."""
+"""What is predicted of the segments as they are written, and how a prediction that fails is stated."""
 
 from __future__ import annotations
 
-from dataclasses import asdict
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from ffcomp.compensation import file as files
 from ffcomp.compensation.file import compensate_file
-from ffcomp.compensation.job import Job, Options
-from ffcomp.compensation.prediction import Forecast, Prediction
-from ffcomp.report.show import numbers
-from ffcomp.simulation.preview import Preview, preview
+from ffcomp.compensation.job import Options
+from ffcomp.compensation.prediction import Prediction
+from ffcomp.simulation.expectation import PIECE_S, Piece, pieces_of_segments
+from ffcomp.simulation.preview import preview
 from models.file import load_machine
 from tests.support.prints import squares
 
 MACHINE = load_machine("mp-delta-pro")
 
 
-@pytest.fixture(scope="module")
-def target(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return tmp_path_factory.mktemp("predicted") / "out.gcode"
+@pytest.mark.parametrize("layers", [3, 12], ids=["whole", "excerpt"])
+def test_it_is_near_what_the_whole_file_does_when_it_is_read_again(layers: int, tmp_path: Path) -> None:
+    """Rests are not in it, nor what rings across them."""
+    target = tmp_path / "out.gcode"
+    done = compensate_file(squares(layers), "squares.gcode", MACHINE, Options(flavor="klipper"), target)
+    found = done.result.forecast
+    again = preview(target.read_bytes(), "out.gcode", MACHINE, flavor="klipper").forecast(MACHINE)
+    assert 3.0 < found.over_s <= again.over_s and found.expected is not None and again.expected is not None
+    for name, near in (("uncompensated", 0.1), ("compensated", 0.06)):
+        assert found.tracks[name].contour_rms_um == pytest.approx(again.tracks[name].contour_rms_um, rel=near)
+    assert found.tracks["compensated"].tracking_rms_no_delay_um < 10.0
+    for name in ("uncompensated_um", "compensated_um", "shaper_um"):
+        assert getattr(found.expected, name) == pytest.approx(getattr(again.expected, name), rel=0.25)
 
 
-@pytest.fixture(scope="module")
-def predicted(target: Path) -> dict[str, dict[str, float]]:
-    result = compensate_file(squares(), "squares.gcode", MACHINE, Options(flavor="klipper"), target)
-    assert result.result.forecast.over_s > 3.0
-    return dict(result.to_dict()["predicted"])
+def pieces(seconds: float, share: float, lot: float) -> list[Piece]:
+    t = np.arange(0.0, seconds + 1e-9, 0.004)
+    vertices = np.outer(t, [10.0, 0.0, 0.0])
+    return pieces_of_segments(lambda t: np.outer(t, [10.0, 0.0, 0.0]), t, vertices, (t, vertices), share, lot)
 
 
-@pytest.fixture(scope="module")
-def seen(target: Path, predicted: object) -> Preview:
-    return preview(target.read_bytes(), "out.gcode", MACHINE, flavor="klipper")
+@pytest.mark.parametrize("seconds", [0.1, 2.0, 3.1, 20.0])
+def test_sections_of_any_length_get_their_share(seconds: float) -> None:
+    lots = (np.arange(200) + 0.5) / 200
+    covered = [sum(each.seconds for each in pieces(seconds, 0.3, lot)) for lot in lots.tolist()]
+    assert np.mean(covered) == pytest.approx(0.3 * seconds, rel=0.1)
+    (whole,) = pieces(seconds, 1.0, 0.0)
+    assert whole.seconds == pytest.approx(seconds, abs=0.01)
 
 
-def test_show_states_the_number_of_compensate(predicted: dict[str, dict[str, float]], seen: Preview) -> None:
-    for name, curve in (("uncompensated", seen.before), ("compensated", seen.after)):
-        shown, track = numbers(curve), predicted[name]
-        assert [shown.rms, shown.p99, shown.worst] == [track[f"contour_{key}_um"] for key in ("rms", "p99", "max")]
-        assert asdict(curve.track) == track
-    assert predicted["compensated"]["tracking_rms_no_delay_um"] < 10.0  # its clock is the file's, section by section
-
-
-def test_a_prediction_on_the_way_is_of_the_lines_as_they_state_their_places(
-    predicted: dict[str, dict[str, float]],
-) -> None:
-    """Numbers are written in few digits, which costs a seventh more error; what is predicted has it too."""
-    tracks = Job(squares(), "squares.gcode", MACHINE, Options(flavor="klipper")).write(None).to_dict()["predicted"]
-    ways = [each["compensated"]["contour_rms_um"] for each in (tracks, predicted)]
-    assert ways[0] == pytest.approx(ways[1], rel=0.06)  # rests are not in it
+def test_pieces_of_a_section_are_spread_evenly() -> None:
+    several = pieces(20.0, 0.36, 0.0)
+    assert [each.seconds for each in several] == pytest.approx(3 * [PIECE_S], abs=0.01)
+    assert [each.begin_t + PIECE_S / 2 for each in several] == pytest.approx([20 / 6, 10.0, 100 / 6], abs=0.01)
 
 
 def test_rounding_never_lets_a_path_end_after_the_next_one_begins() -> None:
@@ -69,35 +69,15 @@ def test_rounding_never_lets_a_path_end_after_the_next_one_begins() -> None:
     assert (np.diff(np.concatenate(collector.samples.path_t)) >= 0.0).all()
 
 
-def test_the_file_is_replaced_after_its_prediction(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    path, before = tmp_path / "print.gcode", list[bytes]()
-    path.write_bytes(squares())
-
-    def predict(written: bytes, *others: object) -> Forecast:
-        before.append(path.read_bytes())
-        assert written != squares() and b"; Processed by ffcomp" in written
-        return Forecast()
-
-    monkeypatch.setattr(files, "read_again", predict)
-    compensate_file(path, "print.gcode", MACHINE, Options(flavor="klipper"), path)
-    assert before == [squares()] != [path.read_bytes()]
-
-
-@pytest.mark.parametrize("share", ["read again", "on the way"])
-def test_a_prediction_that_fails_is_said_and_fails_no_print(
-    share: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def fails(*anything: object) -> Forecast:
+def test_a_prediction_that_fails_is_said_and_fails_no_print(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fails(*anything: object) -> None:
         raise ValueError("A reference path needs times that never fall")
 
     path = tmp_path / "print.gcode"
     path.write_bytes(squares())
-    if share == "read again":
-        monkeypatch.setattr(files, "read_again", fails)
-    else:
-        monkeypatch.setattr(Prediction, "_add", fails)
-        monkeypatch.setattr("ffcomp.compensation.job.READ_AGAIN_S", 0.0)
+    monkeypatch.setattr(Prediction, "_add", fails)
     done = compensate_file(path, "print.gcode", MACHINE, Options(flavor="klipper"), path)
-    assert b"; Processed by ffcomp" in path.read_bytes() and dict(done.result.predicted) == {}
+    assert b"; Processed by ffcomp" in path.read_bytes() and b"; ffcomp forecast=" not in path.read_bytes()
+    assert dict(done.result.predicted) == {} and done.to_dict()["verdict"] == ""
     assert "could not be predicted (ValueError: A reference path" in done.result.warnings[0]
     assert done.to_dict()["warnings"] == done.result.warnings

@@ -12,7 +12,7 @@ import pytest
 
 from ffcomp.compensation.faster import Faster
 from ffcomp.compensation.placement import Placement
-from ffcomp.compensation.prediction import Forecast, Samples
+from ffcomp.compensation.prediction import Samples
 from ffcomp.compensation.result import Result
 from ffcomp.compensation.statistics import (
     MOST_LINES,
@@ -29,6 +29,7 @@ from ffcomp.compensation.statistics import (
 from ffcomp.compensation.text_stream import Stream
 from ffcomp.inverse.time_scaling import TimeScaling
 from ffcomp.metrics import Track
+from ffcomp.simulation.forecast import Forecast
 from gcode.dialects import FlavorChoice
 from gcode.reader import read_program
 from models.file import load_machine

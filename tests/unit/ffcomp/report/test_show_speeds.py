@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from ffcomp.report.show import retimed, show_figure
+from ffcomp.simulation.forecast import NO_FORECAST
 from ffcomp.simulation.preview import Curve, Preview
 
 
@@ -22,7 +23,8 @@ def test_speeds_are_drawn_of_a_print_that_is_quicker() -> None:
     same = Preview(np.array([[0.0, 0.0, 0.2], [40.0, 0.0, 0.2]]), np.array([0.0, 2.0]), drawn(2.0), drawn(2.0))
     quicker = replace(same, after=drawn(1.0))
     assert not retimed(same) and retimed(quicker)
-    assert [axes.get_ylabel() for axes in show_figure(same, "same").axes].count("speed, mm/s") == 0
-    (speeds,) = (axes for axes in show_figure(quicker, "quicker").axes if axes.get_ylabel() == "speed, mm/s")
+    assert [axes.get_ylabel() for axes in show_figure(same, NO_FORECAST, "same").axes].count("speed, mm/s") == 0
+    figure = show_figure(quicker, NO_FORECAST, "quicker")
+    (speeds,) = (axes for axes in figure.axes if axes.get_ylabel() == "speed, mm/s")
     before, after = (np.median(np.asarray(line.get_ydata())) for line in speeds.get_lines())
     np.testing.assert_allclose([before, after], [20.0, 40.0], rtol=1e-6)

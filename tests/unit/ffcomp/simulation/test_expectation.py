@@ -9,7 +9,7 @@ import pytest
 
 from ffcomp.comparison.sampling import Print, Sampling
 from ffcomp.simulation.command import planned_motion
-from ffcomp.simulation.expectation import Errors, Expectation, draw_plants, expectation, pieces_of
+from ffcomp.simulation.expectation import Expectation, draw_plants, expectation, pieces_of
 from models.file import load_machine
 from models.machine import Machine, value_of
 from tests.support.prints import squares
@@ -35,12 +35,11 @@ def test_the_stated_uncertainty_is_that_of_frequencies(machine: Machine) -> None
     assert np.std(frequency) == pytest.approx(0.2, rel=0.1) and np.mean(frequency) == pytest.approx(1.0, abs=0.03)
 
 
-def test_where_the_file_is_certain_the_expected_error_is_the_exact_one(machine: Machine) -> None:
+def test_where_the_file_is_certain_the_printer_is_as_it_says(machine: Machine) -> None:
     found = uncompensated(replace(machine, uncertainty={"default": 0.0}))
-    for errors in (found.compensated, found.uncompensated, found.shaper):
-        assert errors.expected_um == errors.exact_um
-    assert found.compensated.exact_um == pytest.approx(found.uncompensated.exact_um, rel=1e-3)
-    assert found.shaper.exact_um < 0.5 * found.uncompensated.exact_um
+    assert found.printers == 0 and found.uncertainty == 0.0
+    assert found.compensated_um == pytest.approx(found.uncompensated_um, rel=1e-3)
+    assert found.shaper_um < 0.5 * found.uncompensated_um
 
 
 def test_where_the_shaper_is_better_it_comes_first_and_a_measurement_is_next(machine: Machine) -> None:
@@ -48,5 +47,5 @@ def test_where_the_shaper_is_better_it_comes_first_and_a_measurement_is_next(mac
     assert found.shaper_is_better and found.assumed and found.uncertainty == pytest.approx(0.2, rel=0.1)
     assert found.headline.startswith("The firmware's input shaper is better here") and "assumed" in found.headline
     assert "ffcomp record plan --for identify -m ender-3" in found.next_step
-    assert found.shaper.expected_um > found.shaper.exact_um > 0.0
-    assert not replace(found, compensated=Errors(1.0, 1.0)).shaper_is_better
+    assert found.shaper_um > uncompensated(replace(machine, uncertainty={"default": 0.0})).shaper_um > 0.0
+    assert not replace(found, compensated_um=1.0).shaper_is_better

@@ -9,6 +9,7 @@ import pytest
 
 from ffcomp.planner.program import plan_program
 from ffcomp.report.show import show_figure
+from ffcomp.simulation.forecast import NO_FORECAST
 from ffcomp.simulation.preview import STEP_S, flow_of, preview
 from gcode.reader import read_program
 from models.file import load_machine
@@ -38,5 +39,6 @@ def test_show_draws_the_flow_where_the_machine_file_states_the_pressure() -> Non
     with_flow = preview(file.text, "squares", replace(machine, pressure=FREE))
     without = preview(file.text, "squares", machine)
     assert without.flows is None and with_flow.flows is not None
-    labels = [[axes.get_ylabel() for axes in show_figure(each, "squares").axes] for each in (without, with_flow)]
+    drawn = [show_figure(each, NO_FORECAST, "squares") for each in (without, with_flow)]
+    labels = [[axes.get_ylabel() for axes in figure.axes] for figure in drawn]
     assert ["filament, mm/s" in each for each in labels] == [False, True]

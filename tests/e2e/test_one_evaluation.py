@@ -1,0 +1,69 @@
+"""One print has one number: on the terminal, as JSON, on the page, in `show` and on its picture."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from ffcomp.numerics.digits import um
+from ffcomp.report.show import show_figure
+from ffcomp.serve.answers import answer_of
+from ffcomp.simulation.forecast import NO_FORECAST, forecast_in
+from ffcomp.simulation.preview import preview
+from gcode.embedded import already_processed, find_offset
+from models.file import load_machine
+from tests.support.cli import ffcomp
+from tests.support.prints import squares
+
+KEYS = ("predicted", "predicted_over_s", "expected", "verdict")
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A print beyond the length of what is simulated on every printer."""
+    path = tmp_path_factory.mktemp("one") / "print.gcode"
+    path.write_bytes(squares(layers=12))
+    return path
+
+
+def drawn(target: Path, name: str) -> str:
+    """What stands above the picture that `show` draws of a file."""
+    data, machine = target.read_bytes(), load_machine(name)
+    stamp = already_processed(data)
+    assert stamp is not None
+    seen = preview(data, str(target), machine, find_offset(data), stamp.flavor)
+    forecast, _ = forecast_in(data, stamp, machine, lambda: NO_FORECAST)
+    return str(show_figure(seen, forecast, "a print").get_suptitle())
+
+
+def test_every_surface_states_the_same_numbers(written: Path) -> None:
+    target = written.with_name("out.gcode")
+    call = ("compensate", written, "-m", "mp-delta-pro", "--flavor", "klipper", "-o", target)
+    done, people = ffcomp(*call, "--json"), ffcomp(*call)
+    shown = ffcomp("show", target, "--json")
+    assert done.exit_code == shown.exit_code == 0, done.stderr + shown.stderr
+    made, seen = json.loads(done.stdout), json.loads(shown.stdout)
+    assert [made[key] for key in KEYS] == [seen[key] for key in KEYS] and seen["source"] == "file"
+    headline, verdict = made["expected"]["headline"], made["verdict"]
+    exact = verdict.removeprefix("If the machine file is exact: ")
+    page = answer_of("compensate", made)
+    assert page.lead == headline and ["If the machine file is exact", exact] in page.facts
+    terminal = " ".join(people.stdout.split())
+    assert headline in terminal and exact in terminal
+    said = ffcomp("show", target).stdout.splitlines()
+    assert said[0] == headline and verdict in said
+    picture = drawn(target, "mp-delta-pro")
+    assert headline in picture.replace("\n", " ") and verdict in picture
+    assert all(um(track["contour_rms_um"]) in exact for track in made["predicted"].values())
+    assert all(um(made["expected"][f"{way}_um"]) in headline for way in made["predicted"])
+
+
+def test_a_file_without_its_numbers_is_evaluated_and_says_so(written: Path) -> None:
+    target = written.with_name("unpredicted.gcode")
+    done = ffcomp("compensate", written, "-m", "mp-delta-pro", "--flavor", "klipper", "-o", target, "--no-predict")
+    shown = ffcomp("show", target)
+    assert done.exit_code == shown.exit_code == 0, done.stderr + shown.stderr
+    assert "The file keeps no prediction for this machine: these errors were computed now." in shown.stdout
+    assert b"; ffcomp forecast=" not in target.read_bytes() and "times less" in shown.stdout
