@@ -39,6 +39,7 @@ SPANS = (256, 384, 512, 768, 1024, 1536)  # rows worked on at a time, margins in
 MARGIN = 128  # rows in sight on either side: a quarter of a second
 ROWS = 3072  # whose lines of frequency are those of every span
 NODE_ROWS = 1024  # whose lines D is worked out at; between them it is interpolated
+SLOWEST_WEIGHED_HZ = 5.0  # from where on a draw's D is compared with one
 SLOWEST_HZ = 0.1  # stands for zero where a line of frequency would be divided by it
 
 
@@ -92,15 +93,31 @@ class Sensitivity:
         """(1 + directions, draws): the draws' shares in their mean, and in each direction at the bed's middle."""
         d, draws = self._of_draws(np.zeros(2)), len(self._possible)
         # the first of machines that are off one at a time is the machine itself, and no draw
-        mean = np.full(draws, 1.0 / draws) if self._sampled else np.eye(1, draws)[0]
-        apart = (d - np.tensordot(mean, d, axes=1)).reshape(draws, -1)
-        product = (apart @ np.conj(apart.T)).real
-        directions = np.linalg.eigh(product)[1][:, ::-1].T[: self.directions]
+        mean, scale = np.eye(1, draws)[0], np.ones(draws)
         if self._sampled:
-            shares = np.concatenate([mean[None], directions / np.sqrt(draws)])
-        else:
-            shares = np.concatenate([mean[None], directions - directions.sum(axis=1, keepdims=True) * mean])
+            mean = self._weights(d)
+            scale = np.sqrt(mean)
+        apart = scale[:, None] * (d - np.tensordot(mean, d, axes=1)).reshape(draws, -1)
+        directions = scale * np.linalg.eigh((apart @ np.conj(apart.T)).real)[1][:, ::-1].T[: self.directions]
+        shares = np.concatenate([mean[None], directions - directions.sum(axis=1, keepdims=True) * mean])
         return np.concatenate([shares, np.zeros((1 + self.directions - len(shares), draws))])  # always as many
+
+    def _weights(self, d: ComplexArray) -> FloatArray:
+        """Return the weight (draws,) of each draw, whose D is (draws, lines, 3, 3); their sum is one.
+
+        Printers are judged by the mean of their errors, and the search adds up squares. A sum of squares divided by the
+        errors is a sum of errors (iteratively reweighted least squares: Holland & Welsch, Commun. Stat. 6 (1977)
+        813-827). How large they are is foretold by how far D is from one, for accelerations of all frequencies, plus
+        as much as the median draw for what the search leaves on every printer. Without weights a few far printers,
+        which no command serves, decide.
+        """
+        f = self._lines(NODE_ROWS)
+        apart = np.sum(np.abs(d - np.eye(3)) ** 2, axis=(2, 3)) * (f >= SLOWEST_WEIGHED_HZ) / f**4
+        errors = np.sqrt(np.trapezoid(apart, f, axis=1))
+        if not errors.any():
+            return np.full(len(d), 1.0 / len(d))
+        weight = 1.0 / (errors + np.median(errors))
+        return np.asarray(weight / weight.sum())
 
     def place_of(self, xy: FloatArray) -> tuple[int, int]:
         """Return the index of the place that represents a span (m, 2) mm: nearly its middle."""

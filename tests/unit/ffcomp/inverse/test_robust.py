@@ -24,6 +24,7 @@ from ffcomp.inverse.robust import (
 from ffcomp.inverse.sensitivity import (
     MARGIN,
     NODE_ROWS,
+    Sensitivity,
     ShortArray,
     apply,
     apply_adjoint,
@@ -32,7 +33,7 @@ from ffcomp.inverse.sensitivity import (
 )
 from ffcomp.inverse.settings import settings_for
 from ffcomp.metrics import contour_error, rms
-from ffcomp.simulation.expectation import draw_plants
+from ffcomp.simulation.expectation import Piece, draw_plants, errors_um, pieces_of, playbacks
 from ffcomp.simulation.playback import simulate_nozzles
 from models.file import load_machine
 from models.machine import Machine, value_of, with_values
@@ -158,15 +159,18 @@ def test_a_path_is_a_wish_that_need_not_end_where_it_begins(softening: RobustRef
 
 
 def test_directions_hold_the_spread_of_the_draws(softening: RobustReference) -> None:
-    """Σ |M_k|² over the directions, against the variance of printers that were not among the draws."""
+    """Σ |M_k|² over the directions, against the weighted variance of printers that were not among the draws."""
     sensitivity, xy = softening.sensitivity, np.zeros(2)
     known = sensitivity._node((0, 0)).astype(np.complex128)
     f = np.fft.rfftfreq(NODE_ROWS, sensitivity.row_s)[30:140:10]  # 15 to 65 Hz
     plain = np.linalg.inv(sensitivity.machine.vibration.frequency_response(xy, f, "nozzle", "nozzle"))
     plants = draw_plants(sensitivity.machine, 0.1, 100)
-    plants = np.array([each.vibration.frequency_response(xy, f, "nozzle", "nozzle") for each in plants]) @ plain
+    off = np.array([each.vibration.frequency_response(xy, f, "nozzle", "nozzle") for each in plants]) @ plain
+    sizes = np.abs(off - np.eye(3)).max(axis=(1, 2, 3))
+    weight = 1.0 / (sizes + np.median(sizes))
+    variance = np.average(np.abs(off - np.average(off, axis=0, weights=weight)) ** 2, axis=0, weights=weight)
     held = np.sum(np.abs(known[1:, 0, 0, 30:140:10]) ** 2, axis=0)
-    assert 0.5 < np.sum(held) / np.sum(plants.var(axis=0)[:, 0, 0]) < 1.4
+    assert 0.5 < np.sum(held) / np.sum(variance[:, 0, 0]) < 1.4
 
 
 # ---- what is wanted ------------------------------------------------------------------------------
@@ -249,6 +253,25 @@ def test_printers_that_are_off_print_better_on_average(machine: Machine) -> None
         means.append(float(np.mean(squared)))
         np.testing.assert_allclose(motion.position(np.array([motion.end_t]))[0], stretch.corners[1][-1], atol=2e-4)
     assert means[1] < 0.55 * means[0]
+
+
+def test_a_far_printer_does_not_decide_for_all(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Weighed by its error, it costs the near ones less, and the mean of all errors hardly changes."""
+    monkeypatch.setenv("FFCOMP_CACHE", "off")
+    believed = unsure(load_machine("ender-3"), 0.2)
+    (stretch,), _ = Print(squares(1), "squares.gcode", believed, believed.kinematics.centre_mm).slices(Sampling())
+    plants = [believed, *draw_plants(believed, None, 40)]
+
+    def errors() -> FloatArray:
+        motion, _ = inversion(believed, finely_joined(believed), ROBUST).motion(stretch)
+        (piece,) = pieces_of(stretch.motion, motion, stretch.corners)
+        return errors_um([piece], playbacks(plants), Piece.compensated)
+
+    weighed = errors()
+    monkeypatch.setattr(Sensitivity, "_weights", lambda self, d: np.full(len(d), 1.0 / len(d)))
+    alike = errors()
+    assert weighed[0] < 0.85 * alike[0] and np.median(weighed) < 0.9 * np.median(alike)
+    assert weighed[1:].mean() < 1.05 * alike[1:].mean()
 
 
 def test_at_twenty_percent_the_best_shaper_leaves_more() -> None:
