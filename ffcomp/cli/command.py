@@ -15,6 +15,7 @@ from cyclopts import App, CycloptsError, Group, MissingArgumentError, Parameter
 
 from ffcomp.cli.common import exit_codes, require, say
 from ffcomp.cli.compiled import VERBS, first_run, note_compiled, sentence
+from ffcomp.cli.progress import Event
 from ffcomp.request import GROUPS, OUTPUT, Declared, Option, Request, declared
 
 HELP_FLAGS = ("--help", "-h")
@@ -70,6 +71,7 @@ def command(
             compiles = name in VERBS and first_run(name)
             if compiles:
                 say(f"ffcomp: {sentence(name)}", bool(values.get("quiet")))
+                Event(sentence(name).removesuffix(".")).write()
             work()
             if compiles:
                 note_compiled(name)

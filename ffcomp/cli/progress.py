@@ -1,11 +1,17 @@
-"""How far a verb is: on a terminal a bar, elsewhere (a slicer's log) lines, nothing if quiet."""
+"""How far a verb is: on a terminal a bar, elsewhere (a slicer's log) lines, nothing if quiet.
+
+The environment variable FFCOMP_EVENTS names a file for programs: an `Event` in every line, and none is printed.
+"""
 
 from __future__ import annotations
 
+import json
 import os
 import sys
 import time
 from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import asdict, dataclass
 from types import TracebackType
 from typing import TYPE_CHECKING, Self
 
@@ -17,7 +23,25 @@ if TYPE_CHECKING:
     from rich.progress import Progress as Bar
     from rich.progress import ProgressColumn, TaskID
 
+STEADY_S = 5.0  # of work, before which nothing is said about the time left
 ROUND_S = ((60.0, 5.0), (300.0, 15.0), (float("inf"), 60.0))  # up to so many seconds, to multiples of these
+
+
+@dataclass(frozen=True, slots=True)
+class Event:
+    """How far a verb is, for programs: a JSON line of FFCOMP_EVENTS."""
+
+    stage: str  # what is being done
+    share: float | None = None  # that is done, 0 to 1; None: not known
+    left_s: float | None = None  # time left, s; None: not known yet
+
+    def write(self) -> bool:
+        """Append it to the file of FFCOMP_EVENTS; return whether there is one. A full disk stops no work."""
+        path = os.environ.get("FFCOMP_EVENTS", "")
+        if path:
+            with suppress(OSError), open(path, "a", encoding="utf-8") as file:
+                file.write(json.dumps(asdict(self), ensure_ascii=False) + "\n")
+        return bool(path)
 
 
 def new_bar(*columns: ProgressColumn) -> Bar:
@@ -63,34 +87,45 @@ class Progress(Shown):
         super().__init__(quiet)
         self.total_s, self.what = max(total_s, 1e-9), what
         self.tenths = 0
+        self.steady: tuple[float, float] | None = None  # when the first share was told, and what was done then
 
     def make(self) -> tuple[Bar, TaskID]:
         """Make a bar with the share that is done and the time left."""
-        from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
+        from rich.progress import BarColumn, TextColumn
 
-        share = TextColumn("{task.percentage:3.0f} %")
-        bar = new_bar(TextColumn("{task.description}"), BarColumn(), share, TimeRemainingColumn())
-        return bar, bar.add_task(self.what, total=self.total_s)
+        share, left = TextColumn("{task.percentage:3.0f} %"), TextColumn("{task.fields[left]}")
+        bar = new_bar(TextColumn("{task.description}"), BarColumn(), share, left)
+        return bar, bar.add_task(self.what, total=self.total_s, left="")
+
+    def left_s(self, done_s: float) -> float | None:
+        """Return the time left by the pace since the first share: what was compiled before it does not count."""
+        now = time.monotonic()
+        self.steady = self.steady or (now, done_s)
+        since, before = self.steady
+        if now - since < STEADY_S or done_s <= before:
+            return None
+        return (now - since) * max(self.total_s - done_s, 0.0) / (done_s - before)
 
     def __call__(self, done_s: float) -> None:
         """Show how much is done."""
+        left_s, tenth = self.left_s(done_s), int(10 * done_s / self.total_s)
+        left = "" if left_s is None else f", {left_s:.0f} s left"
         if self.live:
-            self.bar.update(self.task, completed=done_s)
-            return
-        tenth = int(10 * done_s / self.total_s)
-        if tenth > self.tenths and not self.quiet:
+            self.bar.update(self.task, completed=done_s, left=left.removeprefix(", "))
+        elif not Event(self.what, min(done_s / self.total_s, 1.0), left_s).write() and tenth > self.tenths:
             self.tenths = tenth
-            left = (time.monotonic() - self.begun) * (self.total_s / done_s - 1)
-            print(f"ffcomp: {min(10 * tenth, 100)} %, {max(left, 0):.0f} s left", file=sys.stderr)
+            if not self.quiet:
+                print(f"ffcomp: {min(10 * tenth, 100)} %{left}", file=sys.stderr)
 
     def phase(self, what: str, share: float) -> None:
         """Show the current stage in words, and the share of the whole that is done (0 to 1)."""
         if self.live:
             self.bar.update(self.task, completed=share * self.total_s, description=what)
             return
-        if what != self.what and not self.quiet:
+        if what != self.what:
             self.what = what
-            print(f"ffcomp: {what} …", file=sys.stderr)
+            if not Event(what, share).write() and not self.quiet:
+                print(f"ffcomp: {what} …", file=sys.stderr)
         self(share * self.total_s)
 
 
@@ -118,11 +153,12 @@ class SearchProgress(Shown):
         now_s = time.monotonic() - self.begun
         if isinstance(sentence, Stage):
             self.pace.begin(sentence.number, now_s)
+        done = now_s / max(self.pace.whole_s(now_s), 1e-9)
         if not self.live:
+            Event(str(sentence), done, self.pace.whole_s(now_s) - now_s if now_s > STEADY_S else None).write()
             if not isinstance(sentence, Now):
                 say(f"ffcomp: {sentence}", self.quiet)
             return
-        done = now_s / max(self.pace.whole_s(now_s), 1e-9)
         if isinstance(sentence, Stage):
             note(f"ffcomp: {sentence}")
             stage = f"{sentence.number}/{self.pace.stages}"
@@ -134,8 +170,10 @@ class SearchProgress(Shown):
             self.bar.console.print(f"ffcomp: {sentence}", markup=False, highlight=False)
 
     def left(self) -> str:
-        """Return the time left in words: `about 40 s left`."""
+        """Return the time left in words: `about 40 s left`; nothing at the beginning."""
         now_s = time.monotonic() - self.begun
+        if now_s < STEADY_S:
+            return ""
         left_s = self.pace.whole_s(now_s) - now_s
         step = next(step for most, step in ROUND_S if left_s < most)
         seconds = max(step * round(left_s / step), step)

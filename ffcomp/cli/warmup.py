@@ -16,6 +16,7 @@ from pathlib import Path
 from ffcomp.cli.command import verb
 from ffcomp.cli.common import say
 from ffcomp.cli.compiled import WARMED, collect_rarely, note_compiled
+from ffcomp.cli.progress import Event
 
 PRINT = """\
 G28
@@ -57,6 +58,7 @@ def warmup() -> None:
         say("Compiling once; what is compiled is kept.")
         for number, (name, step) in enumerate(steps, 1):
             since = time.perf_counter()
+            Event(f"compiling once: {name}", (number - 1) / len(steps)).write()
             step()
             say(f"[{number}/{len(steps)}] {name}: {time.perf_counter() - since:.1f} s")
         for name in WARMED:

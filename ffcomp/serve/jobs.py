@@ -1,7 +1,7 @@
 """Jobs as they are kept: one folder each, so that they outlive the page, the browser and the server.
 
 In it, `job.json` is the job, replaced as a whole; `in/` holds the files that it was given, `out/` those that it makes;
-`N.json` is what step N printed on stdout, and `log.txt` what all steps said.
+`N.json` is what step N printed on stdout, `N.events` how far it was, and `log.txt` what all steps said.
 """
 
 from __future__ import annotations

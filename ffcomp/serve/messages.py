@@ -1,15 +1,14 @@
-"""What a process says on stderr, read as progress while it runs and as the reason when it fails."""
+"""What a process says: its events while it runs, and what it printed on stderr when it fails."""
 
 from __future__ import annotations
 
+import json
 import os
-import re
+from contextlib import suppress
 from pathlib import Path
 
 TAIL = 1 << 16  # bytes of the log that are read
 OURS = "ffcomp: "
-_SHARE = re.compile(r"^ffcomp: (\d+) %, (\d+) s left$")
-_STEP = re.compile(r"^\[(\d+)/(\d+)\] ")
 _KILLED = (
     "The process was killed from outside (signal {signal}). Often that means that there was not enough memory. "
     "Nothing of yours was changed: start it again."
@@ -39,19 +38,16 @@ def without_folder(text: str, place: Path) -> str:
     return text
 
 
-def progress(text: str, doing: str) -> tuple[float | None, str]:
-    """Return the share that is done, 0 to 1, if the last line that tells says so, and what is being done.
+def progress(events: Path, doing: str) -> tuple[float | None, str]:
+    """Return the share that is done, 0 to 1, where it is known, and what is being done, with the time left.
 
-    text : the end of a log
-    doing : what the step is called, where the log says nothing better
+    events : the file of a step's events
+    doing : what the step is called, where none was told yet
     """
-    for line in reversed(text.splitlines()):
-        if match := _SHARE.match(line):
-            return int(match[1]) / 100, f"{doing}, {match[2]} s left"
-        if match := _STEP.match(line):
-            return int(match[1]) / int(match[2]), doing
-        if line.startswith(OURS):
-            return None, line.removeprefix(OURS)
+    with suppress(IndexError, ValueError, KeyError):
+        event = json.loads(tail(events).rstrip("\n").rsplit("\n", 1)[-1])
+        left = "" if event["left_s"] is None else f", {event['left_s']:.0f} s left"
+        return event["share"], f"{event['stage']}{left}"
     return None, doing
 
 
@@ -60,7 +56,6 @@ def why_failed(code: int, text: str) -> str:
     if code < 0 or code in (137, 9):
         return _KILLED.format(signal=abs(code) if code < 0 else 9)
     lines = [line.removeprefix(OURS) for line in text.splitlines() if line.startswith(OURS)]
-    lines = [line for line in lines if not _SHARE.match(OURS + line) and not line.endswith("…")]
     if code == 1 and "Traceback" in text:
         return _FAULT
     usage = [line.removeprefix("Error: ") for line in text.splitlines() if line.startswith("Error: ")]

@@ -216,8 +216,9 @@ class Runner:
     def _step(self, id_: str, step: Step, place: Path, number: int) -> int:
         """Run one process to its end, and return its exit code."""
         doing = step.doing
+        events = place / f"{number}.events"
+        events.unlink(missing_ok=True)
         with open(place / f"{number}.json", "wb") as out, open(place / "log.txt", "ab") as log:
-            began = log.tell()  # before the process shares this position, and moves it
             with self._changed:
                 if self._jobs[id_].state != RUNNING or self._stopping:
                     return 1
@@ -227,15 +228,15 @@ class Runner:
                     stdout=out,
                     stderr=log,
                     cwd=place / "out",
-                    env=_environment(),
+                    env=_environment(events),
                     start_new_session=True,
                 )
                 self._processes[id_] = process
                 self._keep(replace(self._jobs[id_], pid=process.pid, doing=doing, share=None))
             _be_nice(process.pid)
             while process.poll() is None:
-                text = messages.log_end(place) if os.fstat(log.fileno()).st_size > began else ""
-                share, now = messages.progress(text, doing)
+                share, now = messages.progress(events, doing)
+                now = messages.without_folder(now, place)
                 with self._changed:
                     if self._jobs[id_].state == RUNNING:
                         self._jobs[id_] = replace(self._jobs[id_], share=share, doing=now)
@@ -288,10 +289,10 @@ def _answer(job: Job, place: Path) -> Answer:
     return Answer()
 
 
-def _environment() -> dict[str, str]:
-    """Return the environment of a process: without what a slicer may have left in it."""
+def _environment(events: Path) -> dict[str, str]:
+    """Return the environment of a process: where it tells its events, without what a slicer may have left in it."""
     kept = {name: value for name, value in os.environ.items() if not name.startswith("SLIC3R_PP")}
-    return kept | {"COLUMNS": "200", "PYTHONUNBUFFERED": "1"}
+    return kept | {"COLUMNS": "200", "PYTHONUNBUFFERED": "1", "FFCOMP_EVENTS": str(events)}
 
 
 def _be_nice(pid: int) -> None:

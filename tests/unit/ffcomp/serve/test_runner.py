@@ -29,10 +29,13 @@ source, target = words[1], words[words.index("-o") + 1]
 what = open(source).read()
 if "Gcode" in what: print(f"ffcomp: {source}: line 3: it cannot be.", file=sys.stderr); sys.exit(4)
 if "crash" in what: raise RuntimeError("a bug")
-print("ffcomp: 40 %, 7 s left", file=sys.stderr, flush=True)
+def tell(stage):
+    with open(os.environ["FFCOMP_EVENTS"], "a") as file:
+        file.write(json.dumps({"stage": stage, "share": 0.4, "left_s": 7.0}) + chr(10))
+tell("compensating")
 if "slow" in what: time.sleep(60)
 if "stubborn" in what:
-    import signal; signal.signal(signal.SIGTERM, signal.SIG_IGN); print("ffcomp: deaf", file=sys.stderr, flush=True)
+    import signal; signal.signal(signal.SIGTERM, signal.SIG_IGN); tell("deaf")
     time.sleep(60)
 open(target, "w").write("; compensated")
 answer = {"headline": "It is done.", "facts": [["Print time", "1m 0s"]], "warnings": [], "next_steps": []}
@@ -119,10 +122,10 @@ def test_progress_is_seen_while_it_runs_and_cancel_ends_the_process(tmp_path: Pa
 
 def test_what_a_process_says_at_once_is_seen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     log: list[Path] = []
-    monkeypatch.setattr("ffcomp.serve.runner._be_nice", lambda pid: until(lambda: log[0].stat().st_size > 0))
+    monkeypatch.setattr("ffcomp.serve.runner._be_nice", lambda pid: until(log[0].exists))
     with runner(tmp_path) as made:
         job = Job(new_id(), "compensate", "a.gcode", "kossel", ("a.gcode",))
-        log.append(made.kept.place(job.id) / "log.txt")
+        log.append(made.kept.place(job.id) / "0.events")
         made.add(job, lambda place: (place / "a.gcode").write_text("slow") and None)
         running(made, job.id)
 
