@@ -147,10 +147,13 @@ def path_corners(trajectory: Trajectory) -> tuple[FloatArray, FloatArray]:
 
 
 def path_corners_with_rests(trajectory: Trajectory) -> tuple[FloatArray, FloatArray]:
-    """Return when each straight move begins and ends (2 n,) s, and where (2 n, 3) mm: a rest is a corner twice."""
+    """Return when each straight move begins and ends (2 n,) s, and where (2 n, 3) mm: a rest is a corner twice.
+
+    By rounding a move may end just after the next one begins; its corner is then both.
+    """
     end_t = trajectory.start_t + trajectory.duration
     ends = trajectory.position(np.nextafter(end_t, -np.inf))[:, :3]
-    t = np.stack([trajectory.start_t, end_t], axis=1).ravel()
+    t = np.maximum.accumulate(np.stack([trajectory.start_t, end_t], axis=1).ravel())
     return t, np.stack([trajectory.origin[:, :3], ends], axis=1).reshape(-1, 3)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -11,8 +12,11 @@ import pytest
 from ffcomp.compensation.file import compensate_file
 from ffcomp.compensation.job import Options
 from ffcomp.compensation.prediction import Prediction
+from ffcomp.planner.program import plan_program
+from ffcomp.simulation.command import path_corners_with_rests
 from ffcomp.simulation.expectation import PIECE_S, Piece, pieces_of_segments
 from ffcomp.simulation.preview import preview
+from gcode.reader import read_program
 from models.file import load_machine
 from tests.support.prints import squares
 
@@ -81,3 +85,12 @@ def test_a_prediction_that_fails_is_said_and_fails_no_print(tmp_path: Path, monk
     assert dict(done.result.predicted) == {} and done.to_dict()["verdict"] == ""
     assert "could not be predicted (ValueError: A reference path" in done.result.warnings[0]
     assert done.to_dict()["warnings"] == done.result.warnings
+
+
+def test_corners_of_a_path_never_go_back_in_time() -> None:
+    """Where a plan was made slower, a move may by rounding begin just before the last one has ended."""
+    plan = plan_program(read_program(squares(), flavor="klipper"), MACHINE).trajectory
+    early = replace(plan, start_t=plan.start_t - 1e-12 * np.arange(len(plan.start_t)))
+    t, corners = path_corners_with_rests(early)
+    assert (np.diff(t) >= 0.0).all() and len(t) == len(corners)
+    np.testing.assert_allclose(t[1::2], plan.start_t + plan.duration, atol=1e-9)
