@@ -371,7 +371,7 @@ def late_segments(model: InverseModel, written: WrittenReference, vertices: Floa
     """Find the segments (n,) that the firmware cannot execute in their time, where that matters."""
     s = model.settings
     e, stay = written.reference.extrusion(), np.arange(len(vertices))
-    even_wipes(e, vertices, 0, CUT)
+    even_wipes(e, vertices, stay % CUT == 0)
     if s.joins_lifts:
         stay = join_lifts(vertices, e, stay % CUT == 0).stay
     step, filament, lasting = np.diff(vertices[stay], axis=0), np.diff(e[stay]), np.diff(stay) * s.segment_s

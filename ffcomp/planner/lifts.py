@@ -19,7 +19,7 @@ FLOWS_MM = 1e-6  # filament per segment that counts as flow
 
 
 @kernel
-def even_wipes(e: FloatArray, vertices: FloatArray, first: int, cut: int) -> None:
+def even_wipes(e: FloatArray, vertices: FloatArray, known: BoolArray) -> None:
     """Share out filament that is pulled back while the nozzle moves by the command's path, in place.
 
     When exactly a retraction pulls does not matter; but firmwares hold its acceleration down and slow down wherever it
@@ -27,15 +27,15 @@ def even_wipes(e: FloatArray, vertices: FloatArray, first: int, cut: int) -> Non
 
     Parameters
     ----------
-    e : (n + 1,) mm of filament at the knots, the first has the number `first`
+    e : (n + 1,) mm of filament at the knots
     vertices : (n + 1, 3) mm
-    cut : nothing is shared across a knot whose number is a multiple of it
+    known : (n + 1,) knots across which nothing is shared
     """
     n = len(e) - 1
     begin = 0
     while begin < n:
         end = begin
-        while end < n and e[end + 1] - e[end] < -FLOWS_MM and (end == begin or (first + end) % cut):
+        while end < n and e[end + 1] - e[end] < -FLOWS_MM and (end == begin or not known[end]):
             end += 1
         if end > begin + 1:
             gone = np.zeros(end - begin + 1)

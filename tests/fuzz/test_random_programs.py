@@ -332,6 +332,12 @@ def test_no_print_with_unknown_places_is_harmed(seeds: range) -> None:
         assert Case.of(seed).violations() == [], f"Case.of({seed})"
 
 
+@pytest.mark.parametrize("seed", [2327])
+def test_what_once_was_harmed_is_not(seed: int) -> None:
+    """2327: G92 E between two wipes of which the first takes less than a knot."""
+    assert Case.of(seed).violations() == []
+
+
 def test_what_is_read_can_be_written_and_read_again() -> None:
     """The moves that were read, written plainly in millimetres, are the same moves."""
     writer = MoveWriter()

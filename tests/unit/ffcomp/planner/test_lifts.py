@@ -76,24 +76,25 @@ def test_one_segment_takes_the_time_of_the_plan_where_many_cannot() -> None:
     assert one.duration.sum() == pytest.approx(n * S, rel=1e-9)
 
 
+NOWHERE = np.zeros(5, dtype=np.bool_)
 POINTS = np.array([[0.0, 0, 0], [1, 0, 0], [3, 0, 0], [4, 0, 0], [6, 0, 0]])
 
 
 def test_a_wipe_pulls_by_the_way() -> None:
     e = np.array([0.0, -0.5, -0.6, -0.7, -1.2])
-    even_wipes(e, POINTS, 0, 256)
+    even_wipes(e, POINTS, NOWHERE)
     np.testing.assert_allclose(e, -1.2 * POINTS[:, 0] / 6.0)
 
 
 def test_filament_that_is_pushed_stays() -> None:
     e = np.array([0.0, 0.5, 0.6, 0.7, 1.2])
     before = e.copy()
-    even_wipes(e, POINTS, 0, 256)
+    even_wipes(e, POINTS, NOWHERE)
     np.testing.assert_array_equal(e, before)
 
 
 def test_nothing_is_shared_across_a_cut() -> None:
     e = np.array([0.0, -0.5, -0.6, -0.7, -1.2])
-    even_wipes(e, POINTS, 254, 256)
+    even_wipes(e, POINTS, np.arange(len(e)) == 2)
     assert e[2] == -0.6
     np.testing.assert_allclose(e, [0.0, -0.2, -0.6, -0.8, -1.2])
