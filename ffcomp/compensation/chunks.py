@@ -12,6 +12,7 @@ from __future__ import annotations
 from bisect import bisect_right
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from operator import attrgetter
 
 import numpy as np
@@ -258,10 +259,22 @@ def rests_of(program: Program) -> IntArray:
 
 
 def _since_travel(chunk: Program) -> tuple[Event, ...]:
-    """Return the events after a chunk's last move that travels, their lines and moves counted back from its end."""
-    travelling = np.flatnonzero(lines_of(chunk.moves).travels)
+    """Return the events after a chunk's last move that travels, their lines and moves counted back from its end.
+
+    Where filament moves alone after one of them, a pause of its own counts that: what rings settles meanwhile.
+    """
+    lines = lines_of(chunk.moves)
+    travelling = np.flatnonzero(lines.travels)
     last = int(travelling[-1]) if len(travelling) else -1
-    events = chunk.events[bisect_right(chunk.events, last, key=attrgetter("move")) :]
+    found = chunk.events[bisect_right(chunk.events, last, key=attrgetter("move")) :]
+    quickest = lines.length / chunk.moves.speed
+    events = list[Event]()
+    for event, end in pairwise([*found, None]):
+        assert event is not None
+        events.append(event)
+        until = len(chunk.moves) if end is None else end.move
+        if alone_s := float(quickest[event.move : until].sum()):
+            events.append(Event(int(chunk.moves.line[until - 1]), until - 1, EventKind.PASS, event.frame, alone_s))
     return tuple(shifted(events, -len(chunk.lines), -len(chunk.moves)))
 
 

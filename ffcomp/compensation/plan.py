@@ -117,7 +117,7 @@ def _is_simulated(chunk: Chunk, share: float) -> bool:
     return ceil(min(share, 1.0) * (chunk.cuts + 1)) > ceil(min(share, 1.0) * chunk.cuts)
 
 
-RESIDUAL_MM = 1e-3  # of vibration, when the first compensated extrusion begins
+RESIDUAL_MM = 5e-3  # of vibration, when the first compensated extrusion begins: less than its own error is at first
 EXCITED_SHARE = 0.05  # of the largest nozzle motion in a mode: less along an axis does not excite the mode
 SHORTEST_S = 0.002  # not worth a line
 

@@ -42,15 +42,15 @@ def oscillator(w: float, damping: float, acceleration: float, brake_s: float, re
 
 
 @pytest.mark.parametrize("brake_s", [0.005, 0.0116, 0.02, 0.05])
-def test_no_more_than_a_micrometre_is_left_by_an_independent_integration(brake_s: float) -> None:
+def test_no_more_is_left_than_stated_by_an_independent_integration(brake_s: float) -> None:
     for axis, acceleration in ((0, 3000.0), (1, 10000.0)):
         (modes,) = VORON.vibration.modes(XY[None])
         mode = int(np.abs(modes.nozzle[:, axis]).argmax())
         w, damping = 2 * math.pi * float(modes.frequencies_hz[mode]), float(modes.damping_ratios[mode])
         rest_s = ringing_s(VORON, XY, acceleration, [axis])
-        assert 0.1 < rest_s < 0.5
+        assert 0.05 < rest_s < 0.5
         assert oscillator(w, damping, acceleration, brake_s, rest_s) < 1.02 * RESIDUAL_MM
-        assert oscillator(w, damping, acceleration, brake_s, 0.0) > 5 * RESIDUAL_MM
+        assert oscillator(w, damping, acceleration, brake_s, 0.0) > 2 * RESIDUAL_MM
 
 
 def test_a_move_along_a_rigid_axis_rings_nowhere() -> None:
