@@ -1,8 +1,9 @@
-"""A section's command within all limits of machine and firmware: with more room where that helps, else more time."""
+"""A section's command within all limits of machine and firmware: less of what is robust, or else more time."""
 
 from __future__ import annotations
 
 import math
+from copy import copy
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
@@ -13,7 +14,6 @@ from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.reference import (
     WHOLE,
     Extent,
-    Room,
     WrittenReference,
     context_s,
     room_in,
@@ -37,6 +37,7 @@ from models.arrays import BoolArray, FloatArray
 
 ENDS = 6  # knots of a command at either end, where its motion begins and ends
 STEEP = 1.4  # times the accelerations of its path and its middle: limit for the ends
+CALMED = 3  # rounds in which more and more is inverted plainly
 SCALED = 0.75  # share of the context of a cut that may become slower before the cut
 NO_TOLERANCE_MM = 0.0  # around a cut: where no limit is active, both sides find the same command
 
@@ -88,8 +89,9 @@ def solve_feasible(model: InverseModel, request: SectionRequest) -> FeasibleSect
     late = late_segments(model, written, solution.vertices)
     if not _exceeds(model, written, solution, late):
         return FeasibleSection(trajectory, section, written, solution)
-    roomy = _with_more_room(model, request, written, solution)
-    if isinstance(roomy, FeasibleSection):
+    if (calm := _calmer(model, request, solution)) is not None:
+        return calm
+    if (roomy := _with_more_room(model, request)) is not None:
         return roomy
     moves = some(request.program.moves, slice(section.first, section.last))
     scaled = ScaledSection(
@@ -103,7 +105,7 @@ def solve_feasible(model: InverseModel, request: SectionRequest) -> FeasibleSect
         request.program.first_line,
         keep_response=keep,
     )
-    written, solution = scaled.solve(settings.tolerance_um * 1e-3, roomy)
+    written, solution = scaled.solve(settings.tolerance_um * 1e-3, Free(written, solution))
     if not scaled.reasons:
         return FeasibleSection(trajectory, section, written, solution)
     spliced, lost = _spliced(trajectory, section, scaled.plan)
@@ -124,10 +126,11 @@ def _with_less_room(model: InverseModel, request: SectionRequest) -> FeasibleSec
     They may slightly exceed its path and its middle, but not the nozzle's own acceleration.
     """
     s, section, plan = model.settings, request.section, request.trajectory
-    if request.extent != WHOLE or s.robust:
+    if request.extent != WHOLE:
         return None
     for room in tighter_rooms(section, request.written.reference.knots, s):
         written = request.extent.written(plan, section, s, room)
+        written.reference.take_offset_of(request.written.reference)
         solution = solve(
             model, written.reference, request.state, keep_response=request.keep_response, enforce_limits=False
         )
@@ -143,37 +146,47 @@ def _with_less_room(model: InverseModel, request: SectionRequest) -> FeasibleSec
     return None
 
 
+def _calmer(model: InverseModel, request: SectionRequest, robust: Solution) -> FeasibleSection | None:
+    """Invert a section plainly where its robust command exceeds a limit; None where that does not help."""
+    written, solution = request.written, robust
+    if request.extent != WHOLE or written.reference.robust_offset is None or not len(written.reference.robust_offset):
+        return None
+    written = written._replace(reference=copy(written.reference))
+    for _ in range(CALMED):
+        beyond = utilisation_from_rest(solution.vertices, model.limits)[1:-1].max(axis=(1, 2)) > 1.0
+        written.reference.calm(beyond | late_segments(model, written, solution.vertices))
+        solution = solve(
+            model, written.reference, request.state, keep_response=request.keep_response, enforce_limits=False
+        )
+        if not _exceeds(model, written, solution, late_segments(model, written, solution.vertices)):
+            return FeasibleSection(request.trajectory, request.section, written, solution)
+    return None
+
+
 def _accelerations(model: InverseModel, vertices: FloatArray) -> FloatArray:
     """Return the largest fraction of a carriage's acceleration limit at every knot of a command."""
     return np.asarray(utilisation_from_rest(vertices, model.limits)[:, ACCELERATION].max(axis=1))
 
 
-def _with_more_room(
-    model: InverseModel, request: SectionRequest, tight: WrittenReference, solution: Solution
-) -> FeasibleSection | Free:
+def _with_more_room(model: InverseModel, request: SectionRequest) -> FeasibleSection | None:
     """Solve a section with more time before and after its path, at most all that a command may have.
 
-    A few ms there are less than what slower moves would take. Too little: return the last command, without limits.
+    A few ms there are less than what slower moves would take. None where even all of it is too little.
     """
-    s, section, free = model.settings, request.section, Free(tight, solution)
+    s, section = model.settings, request.section
     if request.extent != WHOLE:
-        return free
+        return None
     most = math.ceil((section.end_t - section.begin_t + s.lead_s + s.tail_s) / s.segment_s)
-    rooms = [
-        room_in(section, segments, s, s.lead_s / (s.lead_s + s.tail_s))
-        for segments in range(tight.reference.knots + 1, most)
-    ]
-    if tight.reference.t0 != section.begin_t - s.lead_s:
-        rooms.append(Room(s.lead_s, s.tail_s))
-    for room in rooms:
+    for segments in range(request.written.reference.knots + 1, most + 1):
+        room = room_in(section, segments, s, s.lead_s / (s.lead_s + s.tail_s))
         written = request.extent.written(request.trajectory, section, s, room)
+        written.reference.take_offset_of(request.written.reference)
         solution = solve(
             model, written.reference, request.state, keep_response=request.keep_response, enforce_limits=False
         )
         if not _exceeds(model, written, solution, late_segments(model, written, solution.vertices)):
             return FeasibleSection(request.trajectory, section, written, solution)
-        free = Free(written, solution)
-    return free
+    return None
 
 
 def scale_around_cut(

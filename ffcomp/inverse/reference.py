@@ -33,6 +33,7 @@ LEAST_S, LITTLE = 0.003, 0.02  # the same for gentle ends, and negligible share 
 MOST_SHARE = 0.05  # of a section's time, that is spent beyond its path
 ALL_ROOM_FROM_S = 5.0
 ROUNDING = 1e-6  # of a segment
+CALM_KNOTS = 10  # on either side of what a robust command asks for too much, that are inverted plainly
 
 
 class Room(NamedTuple):
@@ -178,6 +179,28 @@ class Reference:
             return Lead(np.zeros(self.knots + 1), 1.0)
         section = self._section
         return lead_of(self._trajectory, section.begin_t, section.end_t, self._knots_t, self._pressure)
+
+    def take_offset_of(self, other: Reference) -> None:
+        """Take the robust offset of the same section on other knots: it is smooth."""
+        if other.robust_offset is None or not len(other.robust_offset):
+            self.robust_offset = other.robust_offset
+            return
+        rows = len(other.robust_offset) // other.knots
+        mine, theirs = (
+            each.t0 + each._segment_s / rows * np.arange(1, each.knots * rows + 1, dtype=np.float64)
+            for each in (self, other)
+        )
+        offset = np.column_stack([np.interp(mine, theirs, axis) for axis in other.robust_offset.T])
+        self.robust_offset = np.where(self.moving(mine)[:, None], offset, 0.0)
+
+    def calm(self, segments: NDArray[np.bool_]) -> None:
+        """Take the robust offset away around some of the segments (n,)."""
+        assert self.robust_offset is not None
+        window = np.hanning(2 * CALM_KNOTS + 1)
+        near = np.convolve(segments, np.ones(2 * CALM_KNOTS + 1), mode="full")[CALM_KNOTS:-CALM_KNOTS] > 0.5
+        padded = np.pad(near.astype(np.float64), CALM_KNOTS, mode="edge")
+        left = 1.0 - np.convolve(padded, window / window.sum(), mode="valid")
+        self.robust_offset = self.robust_offset * np.repeat(left, len(self.robust_offset) // self.knots)[:, None]
 
     def lead_at(self, knots: FloatArray) -> FloatArray:
         """Return how far the filament is ahead at places (m,) in knots, (m,) mm."""

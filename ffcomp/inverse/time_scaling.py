@@ -34,7 +34,6 @@ from ffcomp.inverse.reference import (
     WHOLE,
     Extent,
     Reference,
-    Room,
     WrittenReference,
     context_s,
 )
@@ -219,9 +218,20 @@ class ScaledSection:
     def _free(self) -> Free:
         """Solve on the plan as it stands, without limits."""
         settings = self.model.settings
-        all_room = Room(settings.lead_s, settings.tail_s)
-        written = self.extent.written(self.plan, self.section, settings, all_room)
+        written = self.extent.written(self.plan, self.section, settings)
+        (offset,) = self.model.robust_offsets([written.reference])
+        written.reference.robust_offset = offset
+        if len(offset) and self.reasons and self.extent == WHOLE:
+            written.reference.calm(self._slower_segments(written.reference))
         return Free(written, self._solve(written, enforce_limits=False))
+
+    def _slower_segments(self, reference: Reference) -> BoolArray:
+        """Find the segments (n,) in which moves that became slower are under way."""
+        slower = np.zeros(len(self.moves), dtype=np.bool_)
+        slower[list(self.reasons)] = True
+        t = reference.t0 + (np.arange(reference.knots, dtype=np.float64) + 0.5) * self.model.settings.segment_s
+        within = np.clip(t, self.section.begin_t, self.section.end_t - 1e-9)
+        return np.asarray(slower[self.plan.move_at(within)])
 
     def _attempt(self, tolerance_mm: float, command: Free) -> _Attempt:
         """List the violations in the written part of a command; where its limits alone are exceeded, with them kept."""

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import pytest
 
+from ffcomp.compensation.job import Job, Options
 from ffcomp.inverse.robust import PAYING_SD, choose_robust, mode_sd
 from ffcomp.inverse.settings import settings_for
 from models.file import load_machine
@@ -59,3 +60,29 @@ def test_a_rough_file_is_inverted_robustly_and_a_good_one_plainly(delta: Machine
 def test_who_asks_is_answered(delta: Machine, asked: bool) -> None:
     choice = choose_robust(delta, settings_for(delta), asked)
     assert choice.robust == asked and "asked for" in choice.reason
+
+
+def test_robust_inversion_costs_no_print_time_on_short_hard_strokes() -> None:
+    """Lifts, travels and corners at 300 mm/s, each from rest: what asks for too much there is inverted plainly."""
+    lines = [
+        "; gcode_flavor = klipper",
+        "G28",
+        "G90",
+        "M83",
+        "M204 S40000",
+        "G1 X-57 Y-28 Z.2 F6000",
+        "G1 X-56 E.1 F4800",
+    ]
+    for k in range(6):
+        x = -57 + 0.6 * k
+        lines += ["G1 E-1 F6000", "G1 Z.4 F60000", f"G0 X{x:.1f} Y-28 F60000", "G1 Z.2 F60000", "G1 E1 F6000"]
+        lines += [f"G1 X{x + 21.2:.1f} Y-6.8 E1 F18000", f"G1 X{x:.1f} Y14.4 E1"]
+    machine = load_machine("flsun-t1")
+    longer_s = []
+    for robust in (False, True):
+        options = Options(predict=False, settings=replace(settings_for(machine), robust=robust))
+        stream = Job("\n".join(lines).encode(), "strokes.gcode", machine, options).lines()
+        b"".join(stream)
+        found = stream.value.statistics
+        longer_s.append(found.print_time_s - found.original_print_time_s - found.settling_s)
+    assert longer_s[1] < 1.3 * longer_s[0]
