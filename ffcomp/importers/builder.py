@@ -41,7 +41,7 @@ def read_printer_config(path: Path, kinematics: str | None = None, alone: bool =
 
     Parameters
     ----------
-    kinematics : for Marlin, which does not tell: "cartesian" or "corexy"
+    kinematics : for Marlin, whose M503 lacks it: "cartesian" or "corexy"
     alone : read no file that this one includes or runs: it comes from somebody who may not name files here
     """
     text = decoded(path)
@@ -221,7 +221,7 @@ def machine_text(draft: MachineDraft, source: Path) -> str:
     document, config = tomlkit.document(), draft.config
     heading = [
         f"{draft.name}, imported from the {config.firmware} configuration {source.name}.",
-        "A start: what is assumed says so in [provenance]; `ffcomp machines check` lists it.",
+        "A start: [provenance] marks assumed values; `ffcomp machines check` lists it.",
     ]
     if draft.missing:
         heading.append(f"{INCOMPLETE}: {', '.join(draft.missing)} must be filled in first.")
@@ -319,7 +319,7 @@ def by_remedy(remedies: Mapping[str, str]) -> dict[str, list[str]]:
 
 
 def is_incomplete(path: Path) -> bool:
-    """Tell whether an import has left a file incomplete, and nobody has completed it since."""
+    """Whether an import left a file incomplete that is not completed yet."""
     if not path.is_file() or INCOMPLETE not in path.read_text(encoding="utf-8", errors="replace"):
         return False
     try:

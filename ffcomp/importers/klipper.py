@@ -47,7 +47,7 @@ MOST_FILES = 1000
 class Option:
     """One option of a section."""
 
-    lines: list[str]  # what follows the name, and indented lines below
+    lines: list[str]  # the text after the name, and indented lines below
     place: str  # file:line
 
     @property

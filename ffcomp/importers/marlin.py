@@ -1,7 +1,7 @@
 """Values of Marlin's answer to M503, with M115's answer if it is in the same text.
 
-The text may come from a terminal: `Recv:`, `echo:` and times before the commands do no harm. M503 tells neither
-whether a machine without towers is Cartesian or CoreXY, nor its range: M211 and M115 tell the latter.
+The text may come from a terminal: `Recv:`, `echo:` and times before the commands do no harm. M503 states neither
+whether a machine without towers is Cartesian or CoreXY, nor its range: M211 and M115 state the latter.
 """
 
 from __future__ import annotations
@@ -54,9 +54,9 @@ Settings = Mapping[tuple[str, str], Value]
 
 
 def from_marlin(path: Path, kinematics: str | None) -> ConfigValues:
-    """Collect all values of the answer that a machine file can hold; the kinematics where M503 does not tell them.
+    """Collect all values of the answer that a machine file can hold; the kinematics if M503 does not state them.
 
-    Raises PrinterConfigError where a number is none, the units are inches, or nobody says which kinematics it has.
+    Raises PrinterConfigError for a malformed number, inches, or unknown kinematics.
     """
     text = decoded(path)
     settings = {key: value for command in _received(text, path.name) for key, value in _words(command)}
@@ -65,7 +65,7 @@ def from_marlin(path: Path, kinematics: str | None) -> ConfigValues:
     if kind != "delta":
         values = known({**_straight(settings, _places(text, path.name)), **limits})
         return ConfigValues("Marlin", kind, origin, values)
-    note = "M503 does not tell DELTA_RADIUS_TRIM_TOWER: if the firmware was built with it, give delta_radii_mm."
+    note = "M503 does not state DELTA_RADIUS_TRIM_TOWER: if the firmware was built with it, give delta_radii_mm."
     frequencies = (settings.get((f"M593 {axis.upper()}", "F")) for axis in AXES)
     shaper_hz = tuple(each.number for each in frequencies if each is not None and each.number > 0)
     return ConfigValues("Marlin", kind, origin, known({**_delta(settings), **limits}), (note,), shaper_hz)
@@ -104,10 +104,10 @@ def _kinematics(settings: Settings, stated: str | None, path: Path) -> tuple[str
         return "delta", settings["M665", "R"].origin
     if stated is None:
         raise PrinterConfigError(
-            f"{path}: M503 does not tell whether the machine is Cartesian or CoreXY; say --kinematics cartesian or "
+            f"{path}: M503 does not state whether the machine is Cartesian or CoreXY; set --kinematics cartesian or "
             "--kinematics corexy."
         )
-    return stated, "as asked for with --kinematics"
+    return stated, "from --kinematics"
 
 
 # --- Deltas

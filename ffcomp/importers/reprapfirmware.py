@@ -43,7 +43,7 @@ KINDS = {
     "3": "delta",
     "lineardelta": "delta",
 }
-KEPT = {  # letters that are kept until a later command gives them anew
+KEPT = {  # letters that hold until a later command sets them
     "M201": "XYZE",
     "M203": "XYZE",
     "M204": "PT",
@@ -161,7 +161,7 @@ def _apply(command: Command, settings: Settings) -> None:
 
 
 def _m92(command: Command, settings: Settings) -> None:
-    """Set steps per mm, for the microsteps in effect or those of S."""
+    """Set steps per mm, at the microsteps in effect or at S."""
     meant = command.number("S", above=0)
     for letter in "XYZE":
         steps = command.number(letter, above=0)

@@ -1,4 +1,4 @@
-"""What `ffcomp machines import` can be asked for."""
+"""The request of `ffcomp machines import`."""
 
 from __future__ import annotations
 
@@ -36,5 +36,5 @@ class ImportMachineRequest(Request):
         ),
     ] = None
     alone: Annotated[
-        bool, Option("Read this file only, none that it includes: for a configuration from somebody else.", MACHINE)
+        bool, Option("Read this file only and ignore its includes, for a configuration from somebody else.", MACHINE)
     ] = False

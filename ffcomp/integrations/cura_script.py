@@ -1,7 +1,7 @@
-"""Cura's post-processing script: the print through ffcomp, or as it was with a comment that says why.
+"""Cura's post-processing script: compensate the print, or return it unchanged with a comment that gives the reason.
 
 `ffcomp integrations install cura` puts it, as Ffcomp.py, where Cura looks for scripts. Cura hands a print over as a
-list of pieces (header, start, layers, end) and goes on with what it had if a script fails, so failures must be told in
+list of pieces (header, start, layers, end) and keeps the old pieces if a script fails, so failures must be reported in
 the print itself. Runs within Cura: standard library only.
 """
 
@@ -52,7 +52,7 @@ class Ffcomp(Script):
         """Compensate the print that Cura hands over."""
         try:
             text, warnings = self._compensated("".join(data))
-        except Exception as error:  # whatever it is: Cura would save the print as it was, without a word
+        except Exception as error:  # any error: Cura would save the unchanged print silently
             return _failed(data, " ".join(str(error).split()) or repr(error))
         if warnings:
             _tell("\n".join(warnings))
@@ -119,7 +119,7 @@ def _pieces(text: str, data: list[str]) -> list[str]:
 
 
 def _failed(data: list[str], why: str) -> list[str]:
-    """Return the print as it was, but for a comment below its first line, and show a message."""
+    """Return the print with only a comment added below its first line, and show a message."""
     _tell(f"The print is NOT compensated. {why}")
     first, newline, rest = data[0].partition("\n") if data else ("", "", "")
     return [f"{first}{newline or chr(10)};ffcomp FAILED, this print is NOT compensated: {why}\n{rest}", *data[1:]]

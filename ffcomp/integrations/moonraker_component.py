@@ -8,7 +8,7 @@
     timeout: 600
 
 Moonraker itself has no section for file processors: components register them. It logs a processor that fails, and the
-print stays as it was uploaded; its metadata then lack "ffcomp" among `file_processors`.
+print stays as uploaded; its metadata then lack "ffcomp" among `file_processors`.
 """
 
 from __future__ import annotations

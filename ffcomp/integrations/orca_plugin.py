@@ -86,7 +86,7 @@ def _wait(process: Any, ctx: Any) -> tuple[str, str]:
             if ctx.cancelled():
                 process.terminate()
                 process.communicate()
-                raise ValueError("Cancelled; the file is as it was.") from None
+                raise ValueError("Cancelled; the file is unchanged.") from None
 
 
 def _environment(ctx: Any) -> dict[str, str]:

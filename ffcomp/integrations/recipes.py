@@ -1,4 +1,4 @@
-"""How each slicer and host is told to use ffcomp, and the wrappers with where they go."""
+"""How to use ffcomp from each slicer and host, and where their wrappers go."""
 
 from __future__ import annotations
 
@@ -137,7 +137,7 @@ ffcomp integrations install cura --machine {quoted}
 
 It puts Ffcomp.py into Cura's scripts folder. Restart Cura; then Extensions > Post Processing > Modify G-Code > Add a
 script > ffcomp: compensate vibration, the last in the list. It runs when you save or send, and Cura waits for it.
-If it fails, Cura shows a message, and the print, NOT compensated, says so in its second line.""",
+If it fails, Cura shows a message, and the second line of the print states that it is NOT compensated.""",
             "cura_script.py",
             "Ffcomp.py",
             cura_folders,
@@ -164,7 +164,7 @@ It puts ffcomp.py among Moonraker's components. In moonraker.conf:
 machine: {machine}
 
 Restart Moonraker. A compensated print has "ffcomp" among file_processors of its metadata. One that could not be
-compensated stays as it was, and can be printed so; moonraker.log says why. The better place is the slicer: it is
+compensated is unchanged and can be printed; moonraker.log has the reason. The better place is the slicer: it is
 faster there, and a failure stops the print from being sent.""",
             "moonraker_component.py",
             "ffcomp.py",
@@ -187,7 +187,7 @@ OctoPrint's estimate and the progress of M73 follow the file, which says its new
             """\
 {line} print.gcode
 
-The file is changed in place; -o FILE leaves it. Exit code 0: done, or done before; else the file is as it was.""",
+The file is changed in place; -o FILE leaves it. Exit code 0: done, or done before; else the file is unchanged.""",
         ),
     )
 }

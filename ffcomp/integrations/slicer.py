@@ -1,4 +1,4 @@
-"""What a slicer says of a print: to the programs that it calls, as `SLIC3R_…`, and in the settings within the file.
+"""A slicer's information on a print: `SLIC3R_…` variables for post-processing scripts, and settings in the file.
 
 PrusaSlicer, OrcaSlicer and BambuStudio (all after Slic3r) put every setting into the environment of a post-processing
 script, besides `SLIC3R_PP_HOST` and `SLIC3R_PP_OUTPUT_NAME`, and write the settings into the file as comments.
@@ -46,14 +46,14 @@ class Call:
     """The call of a slicer; all empty when it is none."""
 
     host: str = ""  # File, PrusaLink, OctoPrint, …
-    output_name: str = ""  # what the user asked for: a path for a File, else a name on the host
+    output_name: str = ""  # the requested output: a path for a File, else a name on the host
     bed: Bed | None = None
     flavor: str = ""
     later: tuple[str, ...] = ()  # scripts that the slicer runs after us
 
 
 def read_call(environment: Mapping[str, str]) -> Call:
-    """Read what the environment says of the print."""
+    """Read the slicer's environment variables."""
     bed = environment.get("SLIC3R_BED_SHAPE") or environment.get("SLIC3R_PRINTABLE_AREA") or ""
     return Call(
         environment.get("SLIC3R_PP_HOST", ""),

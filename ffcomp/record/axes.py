@@ -1,6 +1,6 @@
 """Which axis of the printer each axis of a sensor measures: stated by the user, or found in the captures.
 
-Gravity tells which of the sensor's axes is vertical, and the commanded motion below 20 Hz which of the others is x.
+Gravity shows which of the sensor's axes is vertical, and the commanded motion below 20 Hz which of the others is x.
 What gravity is then still off the vertical is the sensor's tilt, and is turned away.
 """
 
@@ -67,7 +67,7 @@ def find_turn(matches: Sequence[Matches], gravity: FloatArray) -> FloatArray:
 
 
 def best_score(matches: Matches, turn: FloatArray) -> tuple[float, tuple[float, float]]:
-    """Return the correlation of the turned sensor, and the clock (offset, ratio) at which it is highest."""
+    """Return the correlation of the turned sensor, and the clock (offset, ratio) that maximises it."""
     scores = np.einsum("sij,ji->s", matches.correlation, turn)
     best = int(scores.argmax())
     return float(scores[best]), matches.starts[best]
@@ -76,7 +76,7 @@ def best_score(matches: Matches, turn: FloatArray) -> tuple[float, tuple[float, 
 def tilt(gravity: FloatArray) -> FloatArray:
     """Return the rotation (3, 3) that brings gravity (3,), along the printer's axes, upright; identity without gravity.
 
-    The smallest one: what a chip is turned about the vertical, gravity cannot tell.
+    The smallest one, because gravity does not show a rotation about the vertical.
     """
     size = float(np.linalg.norm(gravity))
     if abs(size / G - 1.0) > NEARLY_G or gravity[2] < UPRIGHT * size:

@@ -45,7 +45,7 @@ class Expectation:
 def expectation(motion: Commanded, machine: Machine, lead_s: float, with_signatures: bool = True) -> Expectation:
     """Simulate an experiment's motion on the machine file's printer, at rest for `lead_s` before it.
 
-    Without signatures, for a clock whose delay stays free in what is fitted next, only the plain motion is simulated.
+    Without signatures, for a clock whose delay is still fitted later, only the plain motion is simulated.
     Raises UnreachableError if the machine cannot execute the motion.
     """
     t = np.arange(-lead_s, motion.duration_s + TAIL_S, 1 / RATE_HZ)
@@ -95,7 +95,7 @@ CYCLES_OF_CLOCK_STEP = 0.1  # of the band's middle, between two ratios that are 
 BLOCKS = 24  # for an uncertainty that holds with coloured residuals
 ITERATIONS = 12
 STARTS, APART_S = 4, 0.02  # offsets that are tried for each ratio
-LOUD = 0.05  # of the loudest axis' power: less, and a motion does not tell whether a chip feels an axis
+LOUD = 0.05  # of the loudest axis' power: below it, a motion does not show whether a chip feels an axis
 DEAF = 0.3  # of the motion that the command makes along an axis
 
 
@@ -157,7 +157,7 @@ def without_gaps(time_s: FloatArray, measured: FloatArray) -> FloatArray:
 
 
 def long_gaps(time_s: FloatArray, measured: FloatArray) -> BoolArray:
-    """Tell which rows of (n, m) are missing (NaN) with too many beside them for a bridge."""
+    """Return which rows of (n, m) are missing (NaN) in gaps too long to bridge."""
     missing = ~np.isfinite(measured).all(axis=1)
     bridged = int(BRIDGED_S * (len(time_s) - 1) / float(time_s[-1] - time_s[0]))
     return np.asarray(binary_opening(missing, np.ones(bridged + 1, dtype=np.bool_)))
@@ -207,7 +207,7 @@ def fit_clock(
 def _linear(values: list[FloatArray], audible: BoolArray) -> FloatArray:
     """Build the columns whose sizes are free, (3 k, 3 + s): each axis by itself, each signature on all together.
 
-    A signature has no share of an axis that the chip does not feel: friction beside a chip on the bed is the bed's.
+    A signature leaves out axes that the chip does not feel: friction at a chip on the bed is the bed's.
     """
     expected, *signatures = values
     axes = [np.where(np.arange(3) == axis, expected, 0.0).ravel() for axis in range(3)]

@@ -1,8 +1,8 @@
 """What a file holds of a plan: executions of its experiments, each with what its sensor is expected to feel.
 
-A capture tells its execution by its name. One that holds several, or bears no name of the plan (a phone or a logger
+A capture's name identifies its execution. One that holds several, or bears no name of the plan (a phone or a logger
 that ran all the time, a file that was renamed), is searched for every experiment's motion below 20 Hz, whichever way
-the sensor is turned, in the plan's order. In a log of Klipper's data logger the commanded nozzle tells,
+the sensor is turned, in the plan's order. In a log of Klipper's data logger the commanded nozzle identifies it,
 exactly in time; there the motors' steps are the authority on the command: where they differ, a shaper was on.
 """
 
@@ -104,7 +104,7 @@ def _task(each: Execution, plan: Plan, expected: Expected) -> Task:
 
 
 def _executions(capture: Capture, plan: Plan, expected: Expected, taken: set[str]) -> list[Execution]:
-    """Tell by name or motion which of the plan's executions a capture holds, of which chip."""
+    """Identify the executions of the plan in a capture, and its chip, by name or motion."""
     stem = capture.name or Path(capture.source).stem
     named = _named(stem, plan)
     if named is not None:
@@ -139,7 +139,7 @@ def stated(capture: Capture, plan: Plan, experiment: Experiment) -> tuple[float,
     """Return between which times of the experiment the firmware has the first row, s.
 
     The first row is the first one at or after the beginning of the rest, the last row the last one at or before the end
-    of the rest behind: two intervals of one sample, of which the common part is what is left.
+    of the rest after it: the result is the common part of two intervals of one sample.
     """
     period = 1.0 / capture.sample_rate_hz
     low, high = -plan.rest_before_s, -plan.rest_before_s + period
@@ -152,7 +152,7 @@ def stated(capture: Capture, plan: Plan, experiment: Experiment) -> tuple[float,
 # Captures without a name of the plan
 
 LEAST_LIKENESS = 0.8  # of a place in the record and an experiment, 0 to 1
-RATIOS = 1.0 + 0.03 * np.linspace(-1.0, 1.0, 11)  # of clocks that nobody has set
+RATIOS = 1.0 + 0.03 * np.linspace(-1.0, 1.0, 11)  # of clocks that run free
 MARGIN_S = 0.05  # kept from what comes before the rest and after it
 
 
@@ -273,7 +273,7 @@ def _cut(capture: Capture, place: _Place, repeat: int, plan: Plan) -> Execution:
 REST_S = 0.3  # between two motions
 NEAR_MM = 0.05  # of the plan's nozzle to the log's
 MOST_STEPS = 1.0  # rms, of the motors to the nozzle's plan: more is a shaper
-PER_SECOND = 200.0  # places at which nozzles are compared
+PER_SECOND = 200.0  # samples where nozzles are compared
 SETTLES_S = 0.01  # a motor reaches its rest after its last step
 RATE_HZ, SMOOTH_HZ = 3200.0, 400.0  # of a command from steps
 STEPPERS = (("stepper_a", "stepper_b", "stepper_c"), ("stepper_x", "stepper_y", "stepper_z"))
@@ -322,7 +322,7 @@ def executions(log: MotionLog, plan: Plan, machine: Machine) -> tuple[list[Execu
 
 
 def _beginnings(log: MotionLog) -> list[float]:
-    """List the print times at which the nozzle begins to move after a rest."""
+    """List the print times when the nozzle begins to move after a rest."""
     nozzle = log.nozzle
     moving = (nozzle.speed != 0) | (nozzle.acceleration != 0)
     begin, end = nozzle.begin_s[moving], (nozzle.begin_s + nozzle.lasts_s)[moving]
@@ -354,7 +354,7 @@ def _played(
     """Return the command from the steps where they differ from the plan, and a sentence; None: they do not."""
     steppers = next(([log.steps[n] for n in names] for names in STEPPERS if all(n in log.steps for n in names)), None)
     if steppers is None:
-        return None, "the log holds no steps, so nobody can tell whether the input shaper was on."
+        return None, "the log holds no steps, so it is unknown whether the input shaper was on."
     t = np.arange(-plan.rest_before_s, experiment.duration_s + plan.rest_after_s, 1 / RATE_HZ)
     planned = kinematics.inverse(experiment.motion.nozzle(t)) @ kinematics.motors.T
     done = np.column_stack([_position(each, begin + t, planned[:, i]) for i, each in enumerate(steppers)])
@@ -399,7 +399,7 @@ def differences(log: MotionLog, machine: Machine) -> list[str]:
     """Say where the printer's configuration contradicts the machine file."""
     settings = log.settings
     if not settings:
-        return ["there is no index beside the log, so the printer's configuration cannot be compared."]
+        return ["there is no index next to the log, so the printer's configuration cannot be compared."]
     sentences = []
     steps = machine.steps.per_motor
     for names in STEPPERS:

@@ -81,7 +81,7 @@ class Firmware:
         return [*kept, *(line.decode().rstrip() for line in shaper_off(self.flavor))]
 
     def shaper_on(self) -> list[str]:
-        """Return the lines that switch it on again, as far as it is known how it was."""
+        """Return the lines that switch it on again, if its settings are known."""
         if self.flavor == REPRAPFIRMWARE:
             return list(_BACK) if self.switches_shaper else []
         known = [] if self.shaper is None else [_SHAPER_ON[self.flavor].format(*self.shaper)]
@@ -116,7 +116,7 @@ _SHAPER_ON = {
     MARLIN: "M593 X F{:g}\nM593 Y F{:g}",
 }
 _STAYS_OFF = (
-    "The input shaper stays off until then or until the firmware restarts, for the file does not know its "
+    "The input shaper stays off until then or until the firmware restarts, because the file does not know its "
     "frequencies: --shaper X,Y (Hz) states them."
 )
 _RESTORES: Mapping[str, str] = {
@@ -155,7 +155,7 @@ def _recorded(
 ) -> Iterator[bytes]:
     """Yield one experiment from rest to rest, between the start and the end of its capture.
 
-    Klipper counts a capture from where its queue of moves ends. After M400 the queue is empty, and begins anew a
+    Klipper counts a capture from where its queue of moves ends. After M400 the queue is empty, and restarts a
     quarter of a second after whatever the host is doing: the first rest gives the host time in hand, so that the
     capture begins exactly `rest_before_s` before the first move.
     """
@@ -184,7 +184,7 @@ def moves_within_limits(
 ) -> Iterator[bytes]:
     """Yield the moves of an experiment, around them lines before and after, around these its limits and the machine's.
 
-    axes : in which the limits are raised
+    axes : axes with raised limits
     """
     limits, usual = motion.limits, machine.limits
     velocity, acceleration = limits.velocity_mm_per_s, limits.acceleration_mm_per_s2

@@ -44,7 +44,7 @@ FARTHEST_S = 2e-3  # a firmware's clock from what the motion says
 LATEST_S, ALIKE_S, LEAST_ALIKE = 8e-3, 1e-3, 4  # a machine that follows late does so in all of several captures
 WORST_RATIO = 1e-3  # of a firmware's clock: beyond it, speeds were overridden
 BIAS_SD_S = 1.5e-4  # of a clock that is fitted, by what the machine file lacks
-REPEATS_SD_S, SURE = 3e-5, 2.0  # by which the motion tells two repeats apart at best; standard deviations
+REPEATS_SD_S, SURE = 3e-5, 2.0  # best resolution of the motion between two repeats; standard deviations
 LOWEST_RATE_HZ = 800.0  # of a recording
 
 
@@ -128,7 +128,7 @@ def load_recordings(
 
     Parameters
     ----------
-    plan : the file that `ffcomp record plan` wrote beside its G-code, or a print with the commands of captures; None:
+    plan : the file that `ffcomp record plan` wrote next to its G-code, or a print with the commands of captures; None:
         there are no captures
     turn : as of `join_captures`
     progress : called with what is read, joined, and refused
@@ -154,11 +154,11 @@ def load_recordings(
 
 @dataclass(frozen=True)
 class _Clock:
-    """What the motion says of a clock, and in which interval the firmware has its offset, if it has."""
+    """A clock estimated from the motion, and the firmware's interval of its offset, if known."""
 
     fit: ClockFit
     stated: tuple[float, float] | None  # s
-    late_s: float = 0.0  # by which the motion begins after the plan's
+    late_s: float = 0.0  # start of the motion after the plan's
     ratio: float = 1.0  # of its clock, if that were free and the motion is late
 
 
@@ -183,14 +183,14 @@ def _clock(task: Task, plan: Plan, axes: FloatArray) -> _Clock:
 
 def _displaced(task: Task, clock: _Clock) -> Refused:
     """Refuse a capture that begins elsewhere than the plan has it."""
-    pace = ""  # of the motion or of the clock: nothing tells them apart
+    pace = ""  # of the motion or of the clock: the two cannot be separated
     if abs(clock.ratio - 1.0) >= WORST_RATIO:
         pace = f"; by its clock it runs at {clock.ratio:.1%} of the plan's pace"
     return Refused(
         task.capture.source,
         f"The motion in it begins {1e3 * clock.late_s:+.1f} ms from where the plan has it, and may be "
         f"{1e3 * FARTHEST_S:g} ms off{pace}: it is of another motion, or the printer did not run the "
-        "plan's G-code as it is. Run the file again, from its beginning, with a speed factor of 100 %.",
+        "plan's G-code unchanged. Run the file again, from its beginning, with a speed factor of 100 %.",
     )
 
 
@@ -273,7 +273,7 @@ def _joined(task: Task, clock: ClockFit, axes: FloatArray, rate_hz: float) -> Jo
 
 
 def _on_grid(tau: FloatArray, measured: FloatArray, grid: FloatArray, factor: int) -> FloatArray:
-    """Interpolate rows (n, 3) at times (n,) to a grid (k,); NaN beside rows that no bridge stands for."""
+    """Interpolate rows (n, 3) at times (n,) to a grid (k,); NaN next to gaps too long to bridge."""
     missing = long_gaps(tau, measured)
     at, rows = tau, without_gaps(tau, measured)
     if factor > 1:  # a slow sensor: more rows of the same spectrum
@@ -339,7 +339,7 @@ def _with_axis(best: Joined, source: Joined, column: str) -> Recording:
 
 
 def _without_deaf_axes(joined: Sequence[Joined], machine: Machine) -> tuple[list[Joined], list[str]]:
-    """Leave out axes that no chip feels, on a machine whose bed may be what moves; and say so."""
+    """Leave out axes that no chip feels, on a machine whose bed may move, and report it."""
     deaf = [f"acc_{axis}" for axis, share in _median_shares(joined, machine).items() if share < DEAF]
     notes = [deaf_to(column[-1], all_needed=False) for column in deaf]
     return [_without(each, deaf) for each in joined] if deaf else list(joined), notes
@@ -353,7 +353,7 @@ def _median_shares(joined: Sequence[Joined], machine: Machine) -> dict[str, floa
 
 
 def _without_lacking_runs(joined: Sequence[Joined], machine: Machine) -> tuple[list[Joined], list[str]]:
-    """Leave out runs that lack the one chip that feels an axis: the others would say that it rests; and say so."""
+    """Leave out runs that lack the one chip that feels an axis: the others would show it at rest; report them."""
     audible = [axis for axis, share in _median_shares(joined, machine).items() if share >= DEAF]
     lacking = {
         each.name: axis

@@ -1,4 +1,4 @@
-"""The executions of a plan in a log of one motor: found by the motor's commanded steps, which also tell the motor.
+"""The executions of a plan in a log of one motor: found by the motor's commanded steps, which also identify the motor.
 
 The log counts steps from anywhere, in either direction, microsteps or full ones; its clock is fitted to the command.
 """
@@ -25,7 +25,7 @@ from models.machine import Machine
 
 MOST_STEPS = 2.0  # microsteps rms, of the log's target to the plan
 MOST_SPREAD_S = 7e-4  # of the target against the plan: rounding makes 0.2 ms, a shaper of 150 Hz 0.7 to 1.7 ms
-OTHER_SIZE = 5e-3  # share by which steps/mm differ, and are others
+OTHER_SIZE = 5e-3  # relative difference that makes steps/mm distinct
 LEAST_LIKENESS = 0.98  # correlation of a place in the log with a motor's motion, squared
 COARSE_HZ, FINE_HZ = 200.0, 2000.0
 PADDED_S = 0.5  # the motor rests before the log begins and after it ends
@@ -75,7 +75,7 @@ def motor_runs(log: MotorLog, plan: Plan, machine: Machine, before: Sequence[Joi
 
     if not np.array_equal(machine.kinematics.motors, np.eye(3)):
         raise refusal(
-            f"The motors of {machine.name} move its axes together, and one motor's log does not tell where an axis is.",
+            f"The motors of {machine.name} move its axes together, and one motor's log does not show an axis' place.",
             "Record this printer with an accelerometer.",
         )
     if not set(SIZES) & set(machine.steps.stated):
@@ -196,7 +196,7 @@ def _uncertainty(
 ) -> tuple[tuple[float, float], float]:
     """Return the standard deviations of offset and ratio, and the spread of the target, s.
 
-    Pulses with a spread of σ, as a shaper has them, add σ²/2 times the acceleration to a motion, beside a delay.
+    Pulses with a spread of σ, as a shaper has them, add σ²/2 times the acceleration to a motion, plus a delay.
     """
     tau = estimate[0] + estimate[1] * since
     speed, acceleration = estimate[2] * way(tau, 1), estimate[2] * way(tau, 2)

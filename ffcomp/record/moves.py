@@ -9,7 +9,7 @@
 
 Moves are relative to the place of the experiment, and return to where they began. Each is sampled from a seed, so that
 no stretch of it repeats: a capture then fits at one time only. Every place gets three of the four kinds, so that each
-kind is made at three places of four: what is estimated at some places can then be tested at others.
+kind is made at three places of four: an estimate from some places can then be tested at others.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Signals that excite one coordinate of a printer, as firmware executes them: polylines, a knot every S seconds.
 
-Straight lines between knots pass a frequency f on by sinc²(f S), for what happens between the knots is a convolution
+Straight lines between knots pass a frequency f on by sinc²(f S), because linear interpolation is a convolution
 with a triangle of that width. Twice differentiating in steps of S has the same gain: a sine of amplitude A at the
 knots is executed, at its own frequency, as one of amplitude sinc²(f S) A, and
 
@@ -26,7 +26,7 @@ from models.arrays import FloatArray, IntArray
 
 HIGHEST_SHARE = 0.45  # of the segments' rate: nearer to half of it, the image at 1/S − f is as strong as the signal
 FASTEST_RATE = 500.0  # segments a second that firmwares' hosts follow
-MARKER_S, QUIET_S = 1.0, 0.4  # the chirp a capture is aligned by; the rest after a chirp, in which modes decay
+MARKER_S, QUIET_S = 1.0, 0.4  # the chirp that aligns a capture; the rest after a chirp, while modes decay
 RAMP_S = 0.5  # over which a signal that never rests is faded in and out
 EDGE_S = 0.25  # the same for chirps
 CREST_PASSES = 150
@@ -232,7 +232,7 @@ class Lines:
     """The frequencies of a periodic command: Σ amplitude cos(2π f t + phase), t from the start of a period."""
 
     frequency_hz: FloatArray  # (m,)
-    amplitude_mm: FloatArray  # (m,) as it is executed
+    amplitude_mm: FloatArray  # (m,) as executed
     phase_rad: FloatArray  # (m,)
 
 

@@ -1,8 +1,8 @@
-"""A page that a printer draws, so that a picture of it tells how the machine vibrates: its layout and its G-code.
+"""A page that a printer draws, to measure its vibrations from a picture of the page: layout and G-code.
 
 A stroke is a short zigzag along one axis and then a straight, unhurried line along the other one. What the zigzag has
 set ringing is written into that line as a wave, whose length is speed over frequency. Beside each stroke there is the
-same line drawn slowly: scanner, lens and paper shift both alike, so their difference is the machine's. Discs tell where
+same line drawn slowly: scanner, lens and paper shift both alike, so their difference is the machine's. Discs mark where
 the page is. They are scattered by a seed and the machine's hash, so that no two pages have them at the same places.
 """
 
@@ -255,7 +255,7 @@ class _Drawer:
         self.digits(number, f"{number + 1}", text)
 
     def stroke(self, place: int, i: int, corner: FloatArray, excited: FloatArray, along: FloatArray) -> None:
-        """Draw a zigzag that ends at the line's foot, its line, and the slow line beside it."""
+        """Draw a zigzag that ends at the line's foot, its line, and the slow line next to it."""
         tuned = self.tuned_hz[2 * i + place % 2]  # cells share the band
         length, legs = self.zigzag(float(tuned))
         advance = ADVANCE_SHARE * length
@@ -291,7 +291,7 @@ class _Drawer:
 
 
 def page_lines(plan: Plan, machine: Machine, firmware: Firmware) -> Iterator[bytes]:
-    """Yield the G-code of a page line by line; the bed mesh stays as it is, the shaper is off until the end."""
+    """Yield the G-code of a page line by line; the bed mesh is unchanged, the shaper is off until the end."""
     page, (travel, rising) = plan.page, travel_feeds(machine)
     assert page is not None
     height = plan.experiments[0].position_mm[2]
@@ -354,7 +354,7 @@ def last_line(motion: Motion) -> Line:
 
 
 def twins(plan: Plan) -> list[tuple[Experiment, Experiment]]:
-    """Return each stroke with the slow line beside it."""
+    """Return each stroke with its slow line."""
     named = {each.name: each for each in plan.experiments}
     strokes = [each for each in plan.experiments if each.kind == STROKE]
     return [(each, named[each.name.replace(STROKE, SLOW)]) for each in strokes]

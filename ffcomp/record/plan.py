@@ -91,7 +91,7 @@ def plain_motion(vertices_mm: FloatArray, speed: FloatArray, limits: PlannerLimi
 
 
 def segment_motion(vertices_mm: FloatArray, segment_s: float, output: SegmentLimits) -> Motion:
-    """Build the motion through (n + 1, 3) mm in which every segment lasts S, as the firmware executes it.
+    """Build the motion through (n + 1, 3) mm with segments of S, as the firmware executes it.
 
     Raises LimitsError for knots that the firmware's acceleration cannot reach in time.
     """
@@ -145,7 +145,7 @@ class Excitation:
     marker_knots: int  # segments of the marker, which begins at 0, and of its rest
     first_knot: int  # where the first whole period begins that is not transient
     periods: int
-    lines: Lines = field(repr=False)  # of the excited coordinate in one measured period, as it is executed
+    lines: Lines = field(repr=False)  # of the excited coordinate in one measured period, as executed
 
 
 @dataclass(frozen=True, eq=False)
@@ -304,7 +304,7 @@ def load_plan(path: str | Path) -> Plan:
         raise MeasurementError(str(path), [f"The plan cannot be read: {error.strerror}."]) from None
     except (json.JSONDecodeError, UnicodeDecodeError) as error:
         raise MeasurementError(
-            str(path), [f"This is not JSON: {error}. Give the .json file beside the G-code."]
+            str(path), [f"This is not JSON: {error}. Give the .json file next to the G-code."]
         ) from None
     except KeyError as error:
         raise MeasurementError(str(path), [f"The key {error} is missing; it belongs to a plan ({SCHEMA})."]) from None

@@ -1,4 +1,4 @@
-"""`ffcomp record plan`: from a request to the G-code of experiments and the plan beside it."""
+"""`ffcomp record plan`: from a request to the G-code of experiments and the plan next to it."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ class PlanResult:
                 f"In {count} experiments rounding to microsteps spoils the upper half of the band; most in "
                 f"{worst.name}, where the error is {worst.rounding:.0%} of the command. A larger "
                 "--amplitude-mm-per-s2, a lower --highest-hz or finer microsteps make it smaller; where the firmware's "
-                "limit in Z stands against the amplitude, raise it there and say so with --z-acceleration-mm-per-s2."
+                "limit in Z bounds the amplitude, raise it there and state it with --z-acceleration-mm-per-s2."
             ]
         return [
             f"In {count} experiments rounding to microsteps is more than {MOST_ROUNDING:.0%} of the command; most in "
@@ -79,7 +79,7 @@ class PlanResult:
 
     @property
     def missing_places_mm(self) -> list[Place]:
-        """Places that would tell more."""
+        """More informative places."""
         planned = {each.position_mm[:2] for each in self.plan.experiments}
         return [place for place in self.recommended_places_mm if place not in planned]
 
@@ -129,7 +129,7 @@ class PlanResult:
 
 
 def plan_recording(request: PlanRequest) -> PlanResult:
-    """Plan experiments, and write their G-code with the plan beside it.
+    """Plan experiments, and write their G-code with the plan next to it.
 
     Raises RequestError for options that contradict each other, LimitsError for motion that the machine cannot execute.
     """

@@ -41,7 +41,7 @@ def plan_print(path: Path, machine: Machine, flavor: str) -> tuple[Plan, Program
     data = read_bytes(path)
     if TOGGLE.search(data):
         raise NothingToDo(
-            f"{path.name} holds the commands of captures already: print it as it is, and give it to ffcomp record "
+            f"{path.name} holds the commands of captures already: print it unchanged, and give it to ffcomp record "
             "print with the captures."
         )
     program = read_program(data, str(path), flavor=flavor or None)

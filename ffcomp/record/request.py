@@ -1,4 +1,4 @@
-"""What `ffcomp record plan`, `record join`, `record print` and `record check` can be asked for."""
+"""The requests of `ffcomp record plan`, `record join`, `record print` and `record check`."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ CENTRE, LINE_OF_ACTION = "centre", "line-of-action"
 MOVES = ("zigzag", "reversals", "loop", "multisine")
 SIGNALS = ("multisine", "sweep", "log-sweep")
 
-GCODE = Option("G-code to write. The plan is written beside it (.json).", OUTPUT, "--output", "-o", metavar="FILE")
+GCODE = Option("G-code to write. The plan is written next to it (.json).", OUTPUT, "--output", "-o", metavar="FILE")
 FLAVOR = Option(
     "Firmware. Default: the machine file's, or klipper.", MACHINE, metavar="NAME", choices=FLAVORS, label="Firmware"
 )
@@ -66,7 +66,7 @@ _OPTIONS_OF: dict[Purpose, set[str]] = {
 
 @dataclass(frozen=True, kw_only=True)
 class PlanRequest(Request):
-    """What is to be recorded, and where it is written. None: the purpose's default."""
+    """Purpose of the recording, and the output file. None: the purpose's default."""
 
     machine: Annotated[str, MACHINE_NAME]
     output: Annotated[Path, GCODE]
@@ -243,7 +243,7 @@ class PlanRequest(Request):
 
     @property
     def plan_file(self) -> Path:
-        """Where the plan is written, beside the G-code."""
+        """The plan's path, next to the G-code."""
         return self.output.with_suffix(".json")
 
     def check(self) -> None:
@@ -297,9 +297,7 @@ class JoinRequest(Request):
 class PrintRequest(Request):
     """Captures to be joined with the print that was made meanwhile."""
 
-    print_file: Annotated[
-        Path, Argument("The G-code as it was printed, with the commands of its captures.", metavar="PRINT")
-    ]
+    print_file: Annotated[Path, Argument("The printed G-code, with the commands of its captures.", metavar="PRINT")]
     captures: Annotated[tuple[Path, ...], Argument("Captures that were made meanwhile.", metavar="CAPTURES...")]
     machine: Annotated[str, MACHINE_NAME]
     output: Annotated[Path, RUNS_FOLDER]
@@ -309,7 +307,7 @@ class PrintRequest(Request):
 
 @dataclass(frozen=True, kw_only=True)
 class CheckRequest(Request):
-    """A check of a printer: the G-code that is to be written for it, or its captures."""
+    """A check of a printer: the G-code to write, or its captures."""
 
     machine: Annotated[str, MACHINE_NAME]
     captures: Annotated[
@@ -321,7 +319,7 @@ class CheckRequest(Request):
     history: Annotated[
         Path | None,
         Option(
-            "Earlier checks; this one is added. Default: beside the machine file, .checks.jsonl.",
+            "Earlier checks; this one is added. Default: next to the machine file, .checks.jsonl.",
             OUTPUT,
             metavar="FILE",
         ),
@@ -338,13 +336,13 @@ class CheckRequest(Request):
         if bool(self.captures) == bool(self.output):
             raise RequestError("Either -o check.gcode, to write the G-code; or its captures, with --plan check.json.")
         if self.captures and self.plan is None:
-            raise RequestError("Captures need --plan: the .json file that was written beside the check's G-code.")
+            raise RequestError("Captures need --plan: the .json file written next to the check's G-code.")
         if self.figure is not None and self.figure.exists() and not self.force:
             raise RequestError(f"{self.figure} exists already; give another --figure, or --force.")
 
     @property
     def history_file(self) -> Path:
-        """The history: beside the machine file unless stated, or here for a machine of the library."""
+        """The history: by default next to the machine file, or here for a library machine."""
         machine = Path(self.machine)
         beside = machine.with_suffix(".checks.jsonl") if machine.is_file() else Path(f"{machine.name}.checks.jsonl")
         return self.history or beside

@@ -1,4 +1,4 @@
-"""What became of the captures of a recording: joined ones with their clocks, and refused ones with the reason."""
+"""The result of a recording: joined captures with their clocks, and refused ones with the reason."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ class Refused:
 
 @dataclass(frozen=True, eq=False)
 class JoinResult:
-    """What became of the captures."""
+    """The joined and the refused captures."""
 
     joined: tuple[Joined, ...]
     refused: tuple[Refused, ...]
@@ -63,7 +63,7 @@ class JoinResult:
 
     @property
     def recordings(self) -> list[Recording]:
-        """The recordings, repeats beside each other."""
+        """The recordings, repeats next to each other."""
         return [each.recording for each in self.joined]
 
     @property

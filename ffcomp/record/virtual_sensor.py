@@ -1,7 +1,7 @@
 """Captures that the virtual printer's own accelerometer would write of a plan, in its firmware's format.
 
-Gravity, noise, counts of 3.9 mg (an ADXL345), a tilt, a clock that is up to 1 % off: as owners have them. Nobody tells
-the join where the motion begins, nor how the chip sits.
+Gravity, noise, counts of 3.9 mg (an ADXL345), a tilt, a clock that is up to 1 % off: as on owners' printers. The
+join gets neither the start of the motion nor the chip's orientation.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ from models.printer.printer import simulate_printer
 
 COUNT = 3.9e-3 * G  # of an ADXL345, m/s²
 WORST_RATE = 0.01  # of the chip's clock
-LATEST_S = 0.15  # by which RepRapFirmware begins later than it was told
-STATED = 3e-3  # by which the rate that it states may be off
+LATEST_S = 0.15  # delay of RepRapFirmware's start
+STATED = 3e-3  # error of its stated rate
 SPARE_S = 0.4  # simulated beyond a capture
 PLAYED_HZ = 3200.0
 NAMES = {KLIPPER: "adxl345-{}.csv", REPRAPFIRMWARE: "{}.csv"}

@@ -182,9 +182,8 @@ class AxisWords:
 class Effect:
     """One deviation of a printer from the model.
 
-    A `parameter` effect changes the machine's parameters through `fold`. A `sensor` effect changes the recorded signals
-    through `measure`. A `force`, `command` or `frame` effect is a term of `models/printer/kernels` with the numbers of
-    `terms`.
+    A `parameter` effect changes the machine's parameters (`fold`), a `sensor` effect the recorded signals (`measure`).
+    A `force`, `command` or `frame` effect is a term of `models/printer/kernels` with the numbers of `terms`.
     """
 
     name: str  # of its table in a machine file

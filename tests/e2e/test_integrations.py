@@ -314,7 +314,7 @@ def test_orca_can_cancel(orca: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPa
     slow.write_text("#!/bin/sh\nexec sleep 60\n")
     slow.chmod(0o755)
     monkeypatch.setattr(Capability, "config", json.dumps({"executable": str(slow)}))
-    assert orca.execute(Context(path, cancelled=True)) == ("recoverable", "Cancelled; the file is as it was.")
+    assert orca.execute(Context(path, cancelled=True)) == ("recoverable", "Cancelled; the file is unchanged.")
 
 
 # -- Moonraker --

@@ -117,7 +117,7 @@ def test_a_log_that_was_cut_off_is_read_as_far_as_it_goes(
     cut.write_bytes(logged.read_bytes()[:-400])
     assert read_motion_log(cut).nozzle.begin_s[0] == BEGIN_S
     found = join_captures([cut], plan, machine)
-    assert "there is no index beside the log" in " ".join(found.remarks)
+    assert "there is no index next to the log" in " ".join(found.remarks)
 
 
 def test_logs_without_what_is_needed_are_refused(plan: Plan, machine: Machine, tmp_path: Path) -> None:
