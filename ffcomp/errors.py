@@ -8,7 +8,7 @@ The whole tree; each class has its exit code as the attribute `exit_code`:
     ├── MeasurementError        5  a measurement that cannot be used (also a ValueError)
     ├── PrinterConfigError      5  a printer's configuration that cannot be read (ffcomp/importers/values.py)
     ├── LimitsError             6  a limit of the machine cannot be met
-    └── SolverError             7  a solver has not found the answer it was asked for
+    └── SolverError             7  a solver has not found a solution
     ValueError
     ├── GcodeError              4  G-code that cannot be followed (gcode/errors.py)
     │   ├── UnsupportedGcode    4  well-formed G-code about which ffcomp does not guess
@@ -73,7 +73,7 @@ class LimitsError(FfcompError):
 
 
 class SolverError(FfcompError):
-    """A solver that has not found the answer it was asked for."""
+    """A solver that has not found a solution."""
 
     exit_code = 7
 

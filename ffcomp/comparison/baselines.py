@@ -68,7 +68,7 @@ class Shaping:
 
     @property
     def scans(self) -> tuple[Scan, ...]:
-        """What is tried before the search steps along each setting."""
+        """The trials before the search steps along each setting."""
         frequencies = Scan(range(len(self.axes)), COMMON_FACTORS)
         return (frequencies,) if self.kind in KERNELS else (frequencies, Scan([len(self.axes)], DAMPING_FACTORS))
 

@@ -278,7 +278,7 @@ def _expected(method: TunedMethod, slices: Sequence[PrintSlice]) -> Expectation 
     return expectation(slices[0].machine, pieces)
 
 
-# ---- what was compared -----------------------------------------------------------------------
+# ---- result ----------------------------------------------------------------------------------
 
 
 def _mismatch(plant: Machine, request: Request) -> str:

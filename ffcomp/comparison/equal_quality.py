@@ -1,4 +1,4 @@
-"""The highest acceleration at which a method's contour error stays below a bound."""
+"""The highest acceleration that keeps a method's contour error below a bound."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from ffcomp.metrics import contour_statistics
 from models.machine import Machine
 
 LOWEST, HIGHEST, USUAL = 250.0, 40_000.0, 3000.0  # mm/s²
-BRACKET_RATIO = 1.03  # ratio of what is too fast to what is not, at which the search ends
+BRACKET_RATIO = 1.03  # ratio of too fast to acceptable where the search ends
 ROUNDS, USUAL_ROUNDS = 10, 5
 QUALITY = "seeking equal quality"  # the stage
 LEAST_STEP, LARGEST_STEP = 1.02, 12.0  # factors, until the bound is found from both sides
@@ -92,7 +92,7 @@ class Search:
 
     @property
     def done(self) -> bool:
-        """Whether more trials would tell no more."""
+        """Whether more trials would add nothing."""
         if self.bad is None:
             return self.capped
         if self.good is None:
@@ -112,12 +112,12 @@ class Search:
             return self._between()
         last = self.good or self.bad or (self.first, np.inf)
         step = float(np.clip(self._ratio(last) * OVERSHOOT ** (1 if self.good else -1), 1 / LARGEST_STEP, LARGEST_STEP))
-        least = LEAST_STEP ** (4**self.alike)  # what was expected in vain is looked for farther and farther off
+        least = LEAST_STEP ** (4**self.alike)  # after misses, look farther and farther away
         step = max(step, least) if self.good else min(step, 1 / least)
         return float(min(max(last[0] * step, LOWEST), HIGHEST))
 
     def _ratio(self, last: tuple[float, float]) -> float:
-        """Return by which factor the acceleration must change to meet the bound, as the last two errors have it."""
+        """Return the factor of acceleration that meets the bound, from the last two errors."""
         if not np.isfinite(last[1]):
             return 0.5
         others = [each for each in self.tried if each[0] != last[0] and np.isfinite(each[1])]

@@ -26,7 +26,7 @@ from models.arrays import BoolArray, FloatArray, IntArray
 from models.machine import Machine
 
 T = TypeVar("T")
-Progress = Callable[[str, float], None]  # what is being done, and how much is done (0 to 1)
+Progress = Callable[[str, float], None]  # the present stage, and the fraction done (0 to 1)
 
 
 class Stages:
@@ -142,9 +142,7 @@ def evaluate(executions: Sequence[Execution]) -> MethodEvaluation:
     """Evaluate one method over all slices; NothingToDo if every slice is shorter than SETTLE_S."""
     executions = [each for each in executions if each.counted.any()]
     if not executions:
-        raise NothingToDo(
-            f"The part of the print that was asked for lasts less than {SETTLE_S} s: nothing to evaluate."
-        )
+        raise NothingToDo(f"The requested part of the print lasts less than {SETTLE_S} s: nothing to evaluate.")
     times = [each.t[each.counted] for each in executions]
     nozzle = [each.nozzle[each.counted] for each in executions]
     reference = [each.reference(t) for each, t in zip(executions, times, strict=True)]

@@ -1,7 +1,7 @@
-"""Every method, as it was tuned, on Monte-Carlo plants: printers whose parameters are all a little off.
+"""Every tuned method on Monte-Carlo plants: printers whose parameters are all a little off.
 
 A task is one method on LANES plants, in one thread: its numbers do not depend on who computes it. Methods hold what
-cannot be sent cheaply, so each commands its slices here, once; what is sent is the commanded motions.
+cannot be sent cheaply, so each commands its slices here, once, and only the commanded motions are sent.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ def with_spread(
     jobs: int,
     progress: Progress,
 ) -> dict[str, Method]:
-    """Execute every method, as it was tuned, on the Monte-Carlo plants; tune the best fixed shaper anew on each too."""
+    """Execute every tuned method on the Monte-Carlo plants; also retune the best fixed shaper on each."""
     with_plants = dict(methods)
     for name, spread in _spreads(tuned, slices, plants, jobs, progress).items():
         with_plants[name] = replace(methods[name], spread=spread)

@@ -1,4 +1,4 @@
-"""What `compare` can be asked for."""
+"""The request of `compare`."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ class CompareRequest(Request):
     quality_um: Annotated[
         float,
         Option(
-            "Find the highest acceleration at which each method keeps 99 % of its contour error below this. 0: skip.",
+            "Find the highest acceleration that keeps 99 % of each method's contour error below this. 0: skip.",
             ACCURACY,
             metavar="UM",
             low=0.0,
@@ -88,7 +88,7 @@ class CompareRequest(Request):
     only: Annotated[
         tuple[str, ...],
         Option(
-            "Evaluate only these methods beside none and ffcomp, e.g. mzv,ei-calibrated. Shapers: zv, mzv, zvd, ei, "
+            "Evaluate none, ffcomp and only these methods, e.g. mzv,ei-calibrated. Shapers: zv, mzv, zvd, ei, "
             "2hump_ei, 3hump_ei, and, compared only when named, zvdd, zvddd (Marlin), smooth_zv, smooth_mzv, "
             "smooth_ei, smooth_2hump_ei, smooth_zvd_ei, smooth_si (Kalico's other branches); each also with "
             "-z (z shaped too), and each of these with -calibrated; fbs-lti, fbs-robust; all.",

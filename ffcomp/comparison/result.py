@@ -46,7 +46,7 @@ class Error:
 class Peaks:
     """The largest demand on any carriage, and whether the machine file allows it."""
 
-    velocity_mm_per_s: float  # the most that a carriage is asked for
+    velocity_mm_per_s: float  # the highest demand on a carriage
     acceleration_mm_per_s2: float  # the same
     within_limits: bool  # of the machine file
 
@@ -84,9 +84,9 @@ class Spread:
 
 @dataclass(frozen=True, slots=True)
 class EqualQuality:
-    """The highest acceleration at which the contour error's p99 stays below a bound, and the print time then."""
+    """The highest acceleration that keeps the contour error's p99 below a bound, and the print time then."""
 
-    acceleration_mm_per_s2: float  # the highest at which 99 % of the contour error is below the bound
+    acceleration_mm_per_s2: float  # the highest with 99 % of the contour error below the bound
     print_time_s: float  # of the whole print at that acceleration
     p99_um: float  # at that acceleration
     capped: bool  # it was still good at the highest that was tried
@@ -100,7 +100,7 @@ class Method:
     name: str  # the key in JSON: none, zv, …, zv-calibrated, …, fbs-lti, fbs-robust, fbs-lpv
     label: str  # for people
     family: Family
-    tuning: str  # a sentence: what was chosen, and how
+    tuning: str  # a sentence: the chosen parameters, and how
     track: Track  # over all samples
     extruding: Track  # where plastic flows
     by_layer: dict[int, Error]
@@ -109,7 +109,7 @@ class Method:
     peaks: Peaks
     samples: Samples
     spread: Spread | None = None
-    retuned: Spread | None = None  # shapers only: tuned anew on every Monte-Carlo plant
+    retuned: Spread | None = None  # shapers only: retuned on every Monte-Carlo plant
     equal_quality: EqualQuality | None = None
     warnings: tuple[str, ...] = ()
 
@@ -119,7 +119,7 @@ class Method:
             **to_json(self.track),  # … TRACK: its keys stand here too, of all samples
             "label": self.label,  # for people
             "family": self.family,  # none, calibrated, best fixed or inversion
-            "tuning": self.tuning,  # what was chosen, and how
+            "tuning": self.tuning,  # the chosen parameters, and how
             "extruding": self.extruding,  # TRACK: where plastic flows only
             "by_layer": self.by_layer,  # .* ERROR: by the layer's number
             "by_feature": self.by_feature,  # .* ERROR: by the slicer's feature names
@@ -158,7 +158,7 @@ class Party:
 
     @classmethod
     def of(cls, machine: Machine) -> Party:
-        """Take over what a machine file says of itself."""
+        """Copy a machine file's identity."""
         return cls(machine.name, machine.sha256, tuple(machine.effects), assumed_modes(machine))
 
 
@@ -188,7 +188,7 @@ class Comparison:
     machine: Party  # the one that every method uses
     plant: Party  # the one that evaluated them
     mismatch: str  # a sentence, empty without Monte-Carlo plants
-    settings: dict[str, str]  # name → value, as they were used
+    settings: dict[str, str]  # name → value, as used
     version: str
     layers: tuple[Layer, ...]  # those that were evaluated
     features: tuple[str, ...]
@@ -205,7 +205,7 @@ class Comparison:
     acceleration_mm_per_s2: float | None = None  # of the print: most of its outer walls, or of all that extrudes
     whole: bool = False  # the evaluated part is the whole print, in one piece
     predicted: Mapping[str, Track] = field(default_factory=dict)  # of the whole print, as `compensate` states it
-    robust: RobustChoice = PLAIN  # of `compensate` with this machine file, unless told otherwise
+    robust: RobustChoice = PLAIN  # default of `compensate` with this machine file
     expected: Expectation | None = None  # of what `compensate` writes; None: no piece of the print could be simulated
 
     def to_dict(self) -> dict[str, Any]:
@@ -219,7 +219,7 @@ class Comparison:
             "plant": self.plant,  # PARTY: what evaluated them
             "sampling": self.sampling,  # what part of the print was evaluated
             "mismatch": self.mismatch,  # which Monte-Carlo plants; empty without `--mismatch`
-            "settings": self.settings,  # .* text: as they were used
+            "settings": self.settings,  # .* text: as used
             "limits": self.limits,  # .* number [mm/s, mm/s²]: of the carriages' commands
             "print_time_s": self.print_time_s,  # of the whole print
             # number or null: of most of the outer walls, or of all that extrudes; null if the print sets none
@@ -242,7 +242,7 @@ class Comparison:
             ),
             # EXPECTATION or null: on printers that the machine file's `[uncertainty]` allows
             "expected": self.expected,
-            # true or false: with this machine file `compensate` inverts robustly unless told otherwise
+            # true or false: whether `compensate` inverts robustly by default with this machine file
             "robust_by_default": self.robust.robust,
             "robust_reason": self.robust.reason,  # why, or why not
             # .* METHOD: by name: none, zv, …, zv-calibrated, …, fbs-lti, fbs-robust, fbs-lpv

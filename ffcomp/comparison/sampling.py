@@ -2,7 +2,7 @@
 
 For slices a print is partitioned three times: by kind of line (the slicer's feature, extruding or not), by height and
 by place. Of all slices that could be taken, those are chosen whose shares together come nearest to the print's, outer
-walls counting double. What is over- or underrepresented still is weighted (post-stratification by kind of line; W. G.
+walls counting double. Remaining imbalance is corrected by weights (post-stratification by kind of line; W. G.
 Cochran, Sampling Techniques, 3rd ed. 1977, 5A.9).
 """
 
@@ -101,7 +101,7 @@ def choose(amounts: FloatArray, target: FloatArray, begin_t: FloatArray, end_t: 
 
 @dataclass(frozen=True, eq=False)
 class _Choice:
-    """What can be chosen."""
+    """The candidates."""
 
     amounts: FloatArray  # (j, s) s
     target: FloatArray  # (s,) shares
@@ -109,7 +109,7 @@ class _Choice:
     end_t: FloatArray  # (j,) s
 
     def nearest(self, chosen: list[int]) -> int | None:
-        """Return the slice with which the shares come nearest to the target's; None if none is free."""
+        """Return the slice that brings the shares nearest to the target's; None if none is free."""
         free = self._free(chosen)
         if not free.any():
             return None
@@ -164,7 +164,7 @@ class PrintSlice:
 
     @cached_property
     def corners(self) -> tuple[FloatArray, FloatArray]:
-        """Times (n + 1,) s at which the corners of the path are due, and the corners (n + 1, 3) mm."""
+        """Due times (n + 1,) s of the path's corners, and the corners (n + 1, 3) mm."""
         return path_corners(self.trajectory)
 
     @cached_property

@@ -1,4 +1,4 @@
-"""Estimate the time of one file, as it is written and of the original that a compensated file keeps."""
+"""Estimate the time of one file, as written, and of the original in a compensated file."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ MOST_LINES = 4  # of each command whose time is not known
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Estimate(Result):
-    """Time and filament of a print on a machine, as it is written and, of a compensated one, as it was.
+    """Time and filament of a print on a machine, as written and, for a compensated file, of the original.
 
     Heating, homing and macros are not in the time: no file says how long they take.
     """
@@ -35,12 +35,12 @@ class Estimate(Result):
     path: str
     machine: Machine
     flavor: str
-    statistics: Statistics  # of the file as it is written
+    statistics: Statistics  # of the file as written
     original: Statistics | None  # of the print before its compensation; None: the file is no compensated one
 
     @property
     def time_s(self) -> float:
-        """Of the file as it is written."""
+        """Of the file as written."""
         return seconds(self.statistics.total)
 
     @property
@@ -84,7 +84,7 @@ class Estimate(Result):
     def warnings(self) -> list[str]:
         """Commands whose time no file states, and what was assumed."""
         unknown = [f"{each.what} ({each.command}, {_lines(each)})" for each in self.statistics.unknown.values()]
-        missing = [f"Not in the time, for no file states it: {'; '.join(unknown)}."] if unknown else []
+        missing = [f"Not included (duration unknown): {'; '.join(unknown)}."] if unknown else []
         return [*missing, *self.statistics.warnings]
 
     def details(self) -> dict[str, Any]:
@@ -95,8 +95,8 @@ class Estimate(Result):
             "machine": identity(self.machine),  # MACHINE
             "flavor": self.flavor,
             "compensated": self.original is not None,  # true or false
-            **_values(self.statistics),  # … ACCOUNT: its keys stand here too, of the file as it is
-            # ACCOUNT or null: of a compensated file: the print as it was
+            **_values(self.statistics),  # … ACCOUNT: its keys are here too, of the file as written
+            # ACCOUNT or null: of a compensated file: the original
             "original": _values(self.original) if self.original else None,
         }
         return dict(to_json(values))
@@ -156,7 +156,7 @@ def _statistics(blocks: Iterable[bytes], path: str, machine: Machine, flavor: st
     for part in planned_slices(Reach(machine.kinematics).whole(parts), partial(firmware_plan, machine=machine)):
         statistics.add(part, raw_durations(part.events, planner_of(part.program, machine)))
     if not statistics.moves:
-        raise NothingToDo(f"{path}: no move whose start is known; there is no time to tell.")
+        raise NothingToDo(f"{path}: no move has a known start, so there is no time to estimate.")
     return statistics
 
 

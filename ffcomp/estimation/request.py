@@ -1,4 +1,4 @@
-"""What `estimate` can be asked for."""
+"""The request of `estimate`."""
 
 from __future__ import annotations
 

@@ -30,7 +30,7 @@ PlanOf = Callable[[Program], Trajectory]
 
 @dataclass(frozen=True, slots=True)
 class PlannedSlice:
-    """A planned program, of which the moves first … last - 1 and the lines between them are counted."""
+    """A planned program; its moves first … last - 1 and the lines between them count."""
 
     program: Program
     plan: Trajectory | None  # None: nothing in it moves
@@ -53,7 +53,7 @@ class PlannedSlice:
 
 
 def planned_slices(parts: Iterable[Program], plan_of: PlanOf) -> Iterator[PlannedSlice]:
-    """Join programs that follow each other, and cut them anew where the nozzle rests.
+    """Join programs that follow each other, and cut them again where the nozzle rests.
 
     A print without rests, a vase in one spiral, is cut in motion: the moves of some seconds around the cut are planned
     twice, from rest on either side, which the moves at the cut no longer feel.
@@ -88,8 +88,8 @@ def _line_begun(program: Program, plan: Trajectory, t: float) -> int:
     return int(np.searchsorted(line, line[int(plan.move_at(t))]))
 
 
-BEFORE = -1  # what comes before the first layer
-_STEP_MM = 1e-3  # in which heights are counted: so a spiral vase has only so many
+BEFORE = -1  # lines before the first layer
+_STEP_MM = 1e-3  # unit of counted heights, so that a spiral vase has a limited number
 _NOWHERE = -(1 << 40)  # the height before anything is extruded
 
 
@@ -122,7 +122,7 @@ class Layers:
     _height: int = _NOWHERE  # of the last extruding move
 
     def leave(self, begun: int) -> None:
-        """End a slice in which so many layers have begun."""
+        """End a slice; `layers` is how many have begun."""
         self.number += begun
 
     def wait(self, begun: int, row: FloatArray, line: int) -> None:
@@ -228,7 +228,7 @@ _FROM_NOWHERE = "a move from a place not known"
 class Unknown:
     """Lines with one command that may take time."""
 
-    what: str  # what takes a time that no file tells: homing, heating, …
+    what: str  # a process of unknown duration: homing, heating, …
     command: str
     count: int = 0
     lines: list[int] = field(default_factory=list)  # of the file, from 1
@@ -297,7 +297,7 @@ class Statistics:
 
         Parameters
         ----------
-        raw_s : mapping, what moves from a place not known take, s, by their line's index
+        raw_s : mapping, durations of moves from an unknown position, s, by their line's index
         """
         marks = self._read(part, raw_s)
         if part.plan is not None and part.last > part.first:

@@ -26,12 +26,12 @@ SHORTEST_LAYER_S = 5.0  # where neither the user nor the slicer says
 
 @dataclass(frozen=True, slots=True)
 class Bound:
-    """The error bound of a print, and the limits beside the machine's own."""
+    """The error bound of a print, and limits in addition to the machine's own."""
 
     max_error_um: float
     of_features_um: tuple[tuple[str, float], ...] = ()  # by feature, where it is another
     keep_speed: tuple[str, ...] = ()  # features that keep the slicer's motion
-    max_flow_mm3_per_s: float | None = None  # None: the largest that the print has as it was sliced
+    max_flow_mm3_per_s: float | None = None  # None: the largest in the sliced print
     max_speed_mm_per_s: float | None = None  # None: the machine's
     min_layer_time_s: float | None = None  # None: what the slicer's settings say
     change_speed: tuple[str, ...] = ()  # of what keeps the slicer's motion otherwise; `FIRST_LAYER` is one of them
@@ -98,7 +98,7 @@ def limits_in_words(limited_by: Mapping[str, float]) -> str:
     seconds = sorted(limited_by.items(), key=lambda each: -each[1])
     whole = max(sum(s for _, s in seconds), 1e-9)
     parts = [f"{LIMITS[name]} {100 * s / whole:.0f} %" for name, s in seconds if s >= LEAST_SHARE * whole]
-    return f"What limits it, in shares of its time: {', '.join(parts)}." if parts else ""
+    return f"Limited, in shares of its time, by: {', '.join(parts)}." if parts else ""
 
 
 PROBE_STEP_MM = 0.01
@@ -158,7 +158,7 @@ def raised_limits(
 
 
 def selected_limits(ones: Moves, others: Moves, which: BoolArray) -> Moves:
-    """Return the others' limits, but those of the ones where `which` says so, (n,)."""
+    """Return (n,) limits, from `ones` where `which` is true, else from the others."""
     names = ("speed", "velocity_limit", "acceleration", "square_corner_velocity", "minimum_cruise_ratio")
     return replace(others, **{name: np.where(which, getattr(ones, name), getattr(others, name)) for name in names})
 

@@ -1,8 +1,8 @@
 """Predict the contour error of a motion at a quantile over the printers that the machine file allows.
 
 The response of a printer that is a little off is that of the machine file's printer and, nearly, a sum of changes, one
-for each independent direction in which its parameters may be off. A few of them are computed: those of the directions
-in which the printer's answer changes most, by one standard deviation each. The ensemble sums them with a fixed sample
+for each independent direction of its parameters' errors. A few of them are computed, for the directions
+that change the printer's response most, by one standard deviation each. The ensemble sums them with a fixed sample
 of deviates. What counts is a printer's whole print, its 99th percentile over time; and of that, over printers, the
 quantile that the user's safety states.
 
@@ -38,7 +38,7 @@ ShortArray = NDArray[np.float32]
 SAMPLES = 127
 EXCEEDANCE = 0.01  # share of the time that a printer's error may be above the bound
 BIN_WIDTH, BINS = 0.02, 400  # times the bound: what errors are counted in
-LEAST_COUNTED = 0.3  # times the bound: below it nothing is told apart
+LEAST_COUNTED = 0.3  # times the bound: smaller errors are not resolved
 FARTHEST_SD = 3.0  # standard deviations, in all directions together
 
 
@@ -140,7 +140,7 @@ STANDSTILL_MM = 2e-3  # from row to row: below, a motion has no direction, and a
 def forecast_error(
     sensitivity: Sensitivity, plan: Trajectory, begin_t: float, end_t: float
 ) -> tuple[FloatArray, FloatArray, ShortArray]:
-    """Forecast the error of a section whose path is inverted as it is.
+    """Forecast the error of a section whose path is inverted unchanged.
 
     Returns
     -------
@@ -176,9 +176,9 @@ def _normal_error(error: ShortArray, velocity: FloatArray, standing: float) -> t
     return nominal, changes
 
 
-DIRECTIONS = 4  # of the parameters, in which a printer's answer changes most: 98 % of the variance on a delta
+DIRECTIONS = 4  # of the parameters that change a printer's response most: 98 % of the variance on a delta
 LEAST_VALUE = 0.2  # of a parameter's nominal value
-TABLE_PITCH_MM = 30.0  # of their tables over the bed: coarser than the machine's own, for only their difference counts
+TABLE_PITCH_MM = 30.0  # of their tables over the bed: coarser than the machine's, since only differences count
 SENSITIVITY_PLACES_MM = ((0.0, 0.0), (40.0, 0.0), (0.0, 40.0))  # where the directions are found
 LOWEST_HZ, FREQUENCIES = 2.0, 60  # of the frequencies there
 SUBSTEP_STRIDE = 2  # substeps: often enough for what rings

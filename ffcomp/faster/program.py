@@ -56,7 +56,7 @@ def faster_program(
     Parameters
     ----------
     layers_before : layers of the file that have begun before this program
-    feature : what is printed when it begins
+    feature : the feature at its start
     kept : (n,), moves that keep the slicer's motion whatever they are
     """
     limits, moves = planner_limits(model.machine), program.moves

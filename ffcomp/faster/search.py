@@ -3,11 +3,11 @@
 The error goes with acceleration, and with the speed of corners; both go together. A low-fidelity forecast finds where
 the error would be the bound; the inverse is solved there and the response predicted (`predicted_error.py`) for a third
 of the sections, then for all, by the secant method, until at the wanted quantile over printers the error is below the
-bound for 99 % of the time and hardly more. What is beyond a limit of the carriages, or a spot's bound, then becomes
+bound for 99 % of the time and hardly more. Parts beyond a limit of the carriages, or a spot's bound, then become
 slower by itself.
 
-One acceleration for all gave shorter prints than one for each move by its own peak of the error: for what is above the
-bound for a hundredth of the time may be far above, and a peak has many moves that might be at fault.
+One acceleration for all gave shorter prints than one for each move by its own peak of the error: an error above
+the bound for a hundredth of the time may be far above it, and a peak has many moves that might be at fault.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ INFLUENCE_S = (0.03, 0.012)  # moves are held responsible for what comes so much
 
 @dataclass(frozen=True, slots=True)
 class Demand:
-    """What each move asks for, as a share of what it may, (n,)."""
+    """Return each move's demand as a fraction of its limit, (n,)."""
 
     acceleration: FloatArray  # the error, acceleration and travel
     speed: FloatArray
@@ -100,7 +100,7 @@ INITIAL_ACCELERATION = 8000.0  # mm/s²
 ACCELERATION_RANGE = (50.0, 1e6)  # mm/s²
 FORECAST_POWER, PREDICTION_POWER = 0.8, 1.2  # of the acceleration, that the forecast and the error go with: usual,
 POWER_RANGE = (0.5, 2.5)  # and at least and at most
-LEAST_LOG_STEP = 0.02  # in the acceleration's logarithm: what is nearer tells nothing of its power
+LEAST_LOG_STEP = 0.02  # in the acceleration's logarithm: closer points do not determine the power
 FORECAST_GAIN = 0.62  # of the forecast is there
 CORNER_TIME_S = 1.6e-3  # square corner velocity for an acceleration: so much rings as little of the one as of the other
 PEAK_LEVEL = 2.5  # times the bound, that single spots may have
@@ -108,7 +108,7 @@ TARGET = 0.98  # of the bound and of the limits
 SLOWED_TO = 0.92  # of a limit, that a move comes down to which is beyond it
 LEAST_FACTOR = 0.55  # of one round
 DEMAND_TOLERANCE = 1.04  # demand that passes: the solution's time scaling slows down what is a little beyond a limit
-SLOWING_ROUNDS = 8  # rounds in which a section alone becomes slower where it is beyond a limit or a spot's bound
+SLOWING_ROUNDS = 8  # rounds that slow a single section where it is beyond a limit or a spot's bound
 REVERSION_ROUNDS = 4  # to give some moves the slicer's motion
 
 
@@ -120,7 +120,7 @@ class SectionSearch:
     ) -> None:
         self.model, self.ensemble, self.limits = model, ensemble, limits
         self.slicers, self.ceiling, self.free = slicers, ceiling, ~ceiling.kept
-        self.top = ceiling.moves.acceleration  # of each move, as far as it is known
+        self.top = ceiling.moves.acceleration  # of each move, if known
         self.reverted = np.zeros(len(slicers), dtype=np.bool_)
         self.state = model.machine.equilibrium(slicers.start[0, :3])
         self.predicted: SectionPrediction | None = None  # the last one; of the same moves once all is done
@@ -185,7 +185,7 @@ class SectionSearch:
     def settle(self, level: float) -> None:
         """Slow down what is beyond the level or a limit; give the slicer's motion back where a spot stays above it.
 
-        What is beyond a limit still, the solution's own time scaling slows down.
+        The solution's own time scaling slows any remaining violation.
         """
         for _ in range(SLOWING_ROUNDS):
             demand = self._verified.demand(level)
@@ -291,9 +291,9 @@ class _CommonAcceleration:
 
 
 def _secant(known: Sequence[tuple[float, float]], usual: float) -> float:
-    """Return the acceleration at which the percentile would be the bound.
+    """Return the acceleration where the percentile meets the bound.
 
-    known : accelerations and percentiles; the last two tell with which power of the one the other goes, if they can
+    known : accelerations and percentiles; the last two give the exponent between them, if they can
     """
     now, p99 = known[-1]
     power = usual

@@ -37,7 +37,7 @@ SWEPT_HZ = (5.0, 135.0)
 HZ_PER_S = 1.0
 RATE_HZ = 800  # of the answer: four times the highest frequency looked at
 
-_FINE_RATE_HZ = 3200  # at which the command is averaged
+_FINE_RATE_HZ = 3200  # rate of the averaged command
 _SETTLE_S = 2.0  # at rest after the test: nothing rings on into its beginning, which follows its end for an FFT
 _WINDOW_S = 0.5  # at least; as many samples as the next power of two
 _KAISER_BETA = 6.0
@@ -53,7 +53,7 @@ _LOWEST_HZ = {  # where a print could still accelerate by about 1.5 m/s²
 _CANDIDATES = ("zv", "mzv", "ei", "2hump_ei", "3hump_ei")  # in the order of choice; zvd is never recommended
 _UP_TO_HZ, _STEP_HZ = 150.0, 0.2
 _TEST_DAMPING_RATIOS = (0.075, 0.1, 0.15)
-_REDUCTION = 20.0  # what is this many times below the peak does not count
+_REDUCTION = 20.0  # power below the peak divided by this does not count
 _TEST_ACCELERATION = 5000.0  # mm/s²
 TARGET_SMOOTHING_MM = 0.12  # at a corner, at most
 _MANY_PULSES, _TABLE = 10, 8000  # of a kernel; lines, so that the table is exact to 1e-5
@@ -65,7 +65,7 @@ class Fit:
 
     kind: str
     frequency_hz: float
-    vibration: float  # V, what remains of the measured power
+    vibration: float  # V, remaining part of the measured power
     smoothing_mm: float
     score: float
 
@@ -151,7 +151,7 @@ def _density(acceleration: FloatArray) -> Spectrum:
 
 
 def normalised(frequency_hz: FloatArray, psd: FloatArray) -> Spectrum:
-    """Divide a density in mm²/s⁴/Hz by the frequency, for the test's excitation is proportional to it."""
+    """Divide a density in mm²/s⁴/Hz by the frequency, because the test's excitation is proportional to it."""
     fade = np.exp(1 - (_NOISY_HZ / (frequency_hz + _NORMALISING_HZ)) ** 2)
     weight = np.where(frequency_hz < _NOISY_HZ, fade, 1.0)
     return frequency_hz, psd / (frequency_hz + _NORMALISING_HZ) * weight
@@ -243,7 +243,7 @@ class ShaperAdvice:
     shaper: str  # zv, mzv, ei, 2hump_ei or 3hump_ei
     frequency_hz: float
     remaining_vibration: float  # share of the measured power that it leaves
-    max_accel_mm_per_s2: float  # at which it rounds a corner by 0.12 mm, as Klipper allows
+    max_accel_mm_per_s2: float  # that rounds a corner by 0.12 mm, Klipper's tolerance
 
 
 def shaper_advice(machine: Machine) -> tuple[ShaperAdvice, ...]:
@@ -260,7 +260,7 @@ def shaper_advice(machine: Machine) -> tuple[ShaperAdvice, ...]:
 
 
 def highest_acceleration(fit: Fit, corner: float) -> float:
-    """Return the highest acceleration, mm/s², at which corners are rounded as little as Klipper tolerates."""
+    """Return the highest acceleration, mm/s², that keeps the rounding of corners within Klipper's tolerance."""
     low, high, step = 0.0, 100_000.0, 100.0
     while high - low > step / 10:
         middle = (low + high) / 2

@@ -66,7 +66,7 @@ def _along(cost: Cost, best: Optimum, index: int, step: float) -> Optimum:
 
 
 def _least(cost: Cost, tried: Sequence[FloatArray], so_far: Optimum) -> Optimum:
-    """Return the best of all; what was best so far wins a tie."""
+    """Return the best of all; the earlier best wins a tie."""
     return min([so_far, *(Optimum(each, cost(each)) for each in tried)], key=lambda optimum: optimum.cost)
 
 

@@ -4,7 +4,7 @@
 
 Kernels and supports are those published by their author for Klipper and Kalico (smooth_zv to smooth_si), made for a
 damping ratio of 0.1; they do not change with it. The integral is a Gauss-Legendre sum, so that a smooth shaper is a
-`Shaper` with many pulses, and everything that shapes, calibrates and searches takes it as it is.
+`Shaper` with many pulses, so shaping, calibration and search accept it unchanged.
 """
 
 from __future__ import annotations
