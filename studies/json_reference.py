@@ -77,7 +77,7 @@ OBJECTS: dict[str, dict[str, str]] = {  # by heading of the page: by place of it
     },
     "ffcomp-gap/1": {"": "ffcomp.diagnosis.gap:Discrepancy.to_dict"},
     "ffcomp-diagnose/1": {
-        "": "ffcomp.diagnosis.verb:result_json ffcomp.diagnosis.verb:Diagnosis.to_dict",
+        "": "ffcomp.diagnosis.verb:result_json ffcomp.diagnosis.verb:Diagnosis.details ffcomp.result:Result.to_dict",
         "effects[].": "ffcomp.diagnosis.verb:_effect_json",
         "separate[].": "ffcomp.diagnosis.separation:Separation.to_dict",
     },

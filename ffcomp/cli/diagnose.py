@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 from ffcomp.cli.command import Shown, verb
-from ffcomp.cli.common import print_json, say
+from ffcomp.cli.common import answer, say
 from ffcomp.diagnosis.request import DiagnoseRequest
 from ffcomp.errors import RequestError
 from ffcomp.options import FORCE, REPORT
@@ -53,10 +53,7 @@ def diagnose(request: DiagnoseRequest, page: Page, shown: Shown) -> None:
         files[page.report] = _page(diagnosis)
     for path, content in files.items():  # all are complete before the first is written
         replace_atomically(path, [content])
-    if shown.as_json:
-        print_json(diagnosis.to_dict())
-    else:
-        _print(diagnosis)
+    answer(diagnosis, shown.as_json)
 
 
 def _check_targets(output: Path | None, report: Path | None, force: bool) -> None:
@@ -95,36 +92,3 @@ def _page(diagnosis: Diagnosis) -> bytes:
     summary = summarise(problem, diagnosis.search)
     sentence = "" if gain is None else gain.sentence()
     return page.page(ReportInput(diagnosis.result, diagnosis.search, summary, diagnosis.proposals(), origin, sentence))
-
-
-def _digits(value: Any) -> str:
-    if isinstance(value, list):
-        return f"[{', '.join(_digits(x) for x in value)}]"
-    return value if isinstance(value, str) else f"{value:.4g}"
-
-
-def _print(diagnosis: Diagnosis) -> None:
-    from ffcomp.diagnosis.sentences import summary_sentences, what_to_do
-
-    result, written = diagnosis.result, diagnosis.output
-    named = result.named
-    first, *others = summary_sentences(result)
-    print(first)
-    for name in named:
-        print(f"  {name}: {result.names.catalogue[name].title.lower()}")
-        for key, e in result.parameters(name).items():
-            print(f"    {key} = {_digits(e['value'])}   (90 %: {_digits(e['low'])} to {_digits(e['high'])})")
-    print(*others, sep="\n", end="\n" if others else "")
-    for name, how in result.confounded_with if named else ():
-        print(f"Looks alike: {name}. To tell them apart: {how}")
-    if result.invisible:
-        print(f"These runs could not show: {', '.join(result.invisible)}.")
-    print("What to do:")
-    for step in what_to_do(result):
-        print(f"  - {step}")
-    if diagnosis.print_gain is not None:
-        print(diagnosis.print_gain.sentence())
-    if written:
-        print(f"{written}: written. Compare with new runs: ffcomp gap NEW-RUNS --machine {written}")
-    if diagnosis.report:
-        print(f"Report: {diagnosis.report}")

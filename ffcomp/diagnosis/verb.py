@@ -32,6 +32,8 @@ from ffcomp.inverse.model import GEOMETRY
 from ffcomp.numerics.stages import Progress
 from ffcomp.record.axes import turn_of
 from ffcomp.request import paths_of
+from ffcomp.result import Fact
+from ffcomp.result import Result as Answered
 from ffcomp.simulation.simulation import Request, read_command, simulate_command
 from gcode.atomic_write import replace_atomically
 from gcode.errors import GcodeError
@@ -42,7 +44,7 @@ from models.machine import Machine, with_values
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
-class Diagnosis:
+class Diagnosis(Answered):
     """The effects that a machine file lacks, if any.
 
     Attributes
@@ -67,9 +69,41 @@ class Diagnosis:
         """Return "effects", "none" or "unknown"."""
         return self.result.verdict
 
-    def __repr__(self) -> str:
-        """Return the finding."""
-        return f"<Diagnosis: {summary_sentences(self.result)[0]}>"
+    @property
+    def headline(self) -> str:
+        """The finding."""
+        return summary_sentences(self.result)[0]
+
+    @property
+    def facts(self) -> list[Fact]:
+        """The effects' parameters, the gap before and after, and what was written."""
+        result, gap, gain = self.result, self.result.gap, self.print_gain
+        facts = [
+            (f"{name}.{key}", f"{_digits(e['value'])} (90 %: {_digits(e['low'])} to {_digits(e['high'])})")
+            for name in result.named
+            for key, e in result.parameters(name).items()
+        ]
+        left = f"{100 * gap.before.nrms:.0f} % → {100 * gap.after.nrms:.0f} %; noise alone {100 * gap.noise:.0f} %"
+        facts.append(("Disagreement", left))
+        if gain is not None:
+            errors = f"{digits(gain.before_um, 2)} → {digits(gain.after_um, 2)} µm rms with the better file"
+            facts.append(("A sample print", f"{errors}, {digits(gain.uncompensated_um, 2)} without compensation"))
+        written = (("Better file", self.output), ("Report", self.report))
+        return [*facts, *((name, str(path)) for name, path in written if path is not None)]
+
+    @property
+    def warnings(self) -> list[str]:
+        """What the finding rests on, and what limits it."""
+        result = self.result
+        alike = [f"Looks alike: {name}. To tell them apart: {how}" for name, how in result.confounded_with]
+        hidden = [f"These runs could not show: {', '.join(result.invisible)}."] if result.invisible else []
+        return [*summary_sentences(result)[1:], *(alike if result.named else ()), *hidden]
+
+    @property
+    def next_steps(self) -> list[str]:
+        """What to do to the printer, to its file, and what to record next."""
+        then = [f"Compare with new runs: ffcomp gap NEW-RUNS --machine {self.output}"] if self.output else []
+        return [*what_to_do(self.result), *then]
 
     def better_file(self) -> str:
         """Return the text of the improved machine file."""
@@ -83,8 +117,8 @@ class Diagnosis:
         """Propose the moves that tell competing hypotheses apart; of an axis none, for it takes no G-code."""
         return propose(self.problem, self.search) if isinstance(self.problem, PrinterProblem) else []
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return the JSON object ffcomp-diagnose/1."""
+    def details(self) -> dict[str, Any]:
+        """Return the keys of ffcomp-diagnose/1."""
         return {
             **result_json(self.result, self.print_gain),
             # text or null: the better machine file, if one was written
@@ -92,6 +126,12 @@ class Diagnosis:
             "report": None if self.report is None else str(self.report),  # text or null: the page, if one was written
             "seconds": self.seconds,  # number [s]: that it took
         }
+
+
+def _digits(value: Any) -> str:
+    if isinstance(value, list):
+        return f"[{', '.join(_digits(x) for x in value)}]"
+    return value if isinstance(value, str) else f"{value:.4g}"
 
 
 def result_json(result: DiagnosisResult, gain: PrintGain | None = None) -> dict[str, Any]:

@@ -19,7 +19,6 @@ class Answer:
     facts: Sequence[Sequence[str]] = ()  # pairs of a name and a value
     warnings: Sequence[str] = ()
     to_do: Sequence[str] = ()  # sentences
-    machine: bool = False  # whether the job has made a machine file that can be kept
     kept: str = ""  # the name of one that was kept
 
 
@@ -46,22 +45,6 @@ def _plan(result: JsonObject) -> Answer:
     return Answer(lead, facts, list(result["warnings"]), to_do)
 
 
-def _diagnose(result: JsonObject) -> Answer:
-    sentences = [str(each) for each in result["said"]]
-    gap = result["gap"]
-    facts = [
-        ["Disagreement before", f"{100 * gap['before']:.0f} %"],
-        ["after", f"{100 * gap['after']:.0f} %"],
-        ["of noise alone", f"{100 * gap['noise']:.0f} %"],
-    ]
-    if gain := result.get("print_gain"):
-        facts.append(
-            ["A sample print", f"{gain['before_um']:.0f} → {gain['after_um']:.0f} µm rms with the better file"]
-        )
-    lead = sentences[0] if sentences else ""
-    return Answer(lead, facts, sentences[1:], list(result["to_do"]), bool(result["machine"]))
-
-
 def _fit(result: JsonObject) -> Answer:
     numbers = [
         [key, _interval(each)] for key, each in (result.get("numbers") or {}).items() if isinstance(each, Mapping)
@@ -69,7 +52,7 @@ def _fit(result: JsonObject) -> Answer:
     axes = [fact for axis, each in (result.get("axes") or {}).items() for fact in _axis_facts(axis, each)]
     lead = "The machine file is fitted to the measurements." if result["output"] else "Nothing could be fitted."
     warnings = [*map(str, result["skipped"]), *map(str, result["advice"])]
-    return Answer(lead, numbers + axes, warnings, machine=bool(result["output"]))
+    return Answer(lead, numbers + axes, warnings)
 
 
 def _page(result: JsonObject) -> Answer:
@@ -91,7 +74,7 @@ def _update(result: JsonObject) -> Answer:
         f"its motion is left; with the file as it was {100 * held['before']:.2g} %."
     )
     kept = [f"The print does not tell {', '.join(result['kept'])}."] if result["kept"] else []
-    return Answer(lead, numbers, kept, machine=True)
+    return Answer(lead, numbers, kept)
 
 
 def _axis_facts(axis: str, result: JsonObject) -> list[list[str]]:
@@ -126,7 +109,6 @@ def _import(result: JsonObject) -> Answer:
 _ANSWERS: dict[str, Callable[[JsonObject], Answer]] = {
     "plan": _plan,
     "excite": _plan,
-    "diagnose": _diagnose,
     "fit": _fit,
     "scan": _fit,
     "ringing": _fit,

@@ -75,7 +75,8 @@ class JobFolder:
             try:
                 kept = json.loads((place / "job.json").read_text(encoding="utf-8"))
                 names = {name: tuple(kept[name]) for name in ("inputs", "outputs")}
-                yield Job(**kept | names | {"answer": Answer(**kept["answer"])})
+                answer = {name: each for name, each in kept["answer"].items() if name in Answer.__slots__}
+                yield Job(**kept | names | {"answer": Answer(**answer)})
             except (OSError, ValueError, TypeError, KeyError):
                 shutil.rmtree(place, ignore_errors=True)
 

@@ -17,7 +17,7 @@ from ffcomp.diagnosis.gap import ResidualBreakdown, ResidualSize
 from ffcomp.diagnosis.held_out import OtherMotion
 from ffcomp.diagnosis.result import DiagnosisResult, FileNumbers, Gap, Rest
 from ffcomp.diagnosis.separation import Separation
-from ffcomp.diagnosis.verb import PrintGain, result_json
+from ffcomp.diagnosis.verb import Diagnosis, PrintGain
 from ffcomp.identification.uncertainty import normal
 from ffcomp.measurement.frf_files import write_frf
 from models.file import LIBRARY, load_machine
@@ -164,12 +164,16 @@ def test_diagnose(page: Page) -> None:
         page,
         "ffcomp-diagnose/1",
         [
-            {
-                **result_json(_outcome(why), PrintGain(90.0, 30.0, 3.0)),
-                "machine": None,
-                "report": "page.html",
-                "seconds": 1.0,
-            }
+            Diagnosis(
+                result=_outcome(why),
+                problem=None,
+                search=None,
+                runs=(),
+                print_gain=PrintGain(90.0, 30.0, 3.0),
+                output=None,
+                report=Path("page.html"),
+                seconds=1.0,
+            ).to_dict()
             for why in ("effects", "unexplained", "dominant")
         ],
     )

@@ -91,7 +91,7 @@ function buttons(job, page) {
   if (["queued", "running"].includes(job.state)) { act("cancel", "Cancel"); return row; }
   if (job.state === "done") {
     if (job.outputs.includes("report.html")) row.append(make("a", { className: "button main", href: file(job, "report.html", true), target: "_blank", rel: "noopener", textContent: "Open the report" }));
-    if (job.answer.machine) row.append(keeping(job, page));
+    if (job.outputs.includes("better.toml")) row.append(keeping(job, page));
     if (job.answer.kept) row.append(make("button", { textContent: "Use it", className: "main", onclick: () => { page.choose(job.answer.kept); document.querySelector("#tab-prints").click(); scrollTo(0, 0); } }));
     for (const name of job.outputs.filter((each) => !["picture.png", "report.html"].includes(each)))
       row.append(make("a", { className: /\.(toml|json)$/.test(name) ? "button" : "button main", href: file(job, name, false), download: name, textContent: `Download ${job.kind === "compensate" ? "the print" : name}` }));
