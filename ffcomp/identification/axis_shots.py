@@ -30,6 +30,8 @@ WINDOWS, LEAST_ROWS = 6, 200  # of time, in a run; rows of a window
 MOST_OF_POWER, BEYOND = 0.998, 1.25  # of the signals: the band ends so much beyond the frequency that holds it
 LAST = 0.4  # of the sample rate: there every band ends
 LEAST_REST, STILL, CERTAIN = 8, 1e-6, 4.0  # samples at rest; share of the way that is none; standard deviations
+HOLDING = frozenset({"pendulum_gravity", "ground_spring"})  # effects that hold an axis, where they pull it back
+PULL, STILL_PULLS = 0.1, 0.3  # of the acceleration, that a pull explains; of the pull near its middle, at the end
 SPANS = (5, 7, 11, 15, 21, 31, 45, 63)  # samples over which a speed may be taken
 
 
@@ -107,18 +109,37 @@ def checked(machine: Machine, runs: Sequence[AxisRun]) -> None:
 
 
 def shots_of(machine: Machine, runs: Sequence[AxisRun]) -> list[Shots]:
-    """Choose where the simulation of each run restarts; one length for all.
-
-    The machine file's effects have no say in it: gravity holds an arm that hangs but not one that stands up, and the
-    gaps of two files are compared only where both are simulated over the same shots.
-    """
+    """Choose where the simulation of each run restarts; one length for all."""
     checked(machine, runs)
     mean = [_mean(runs, i) for i in range(len(runs))]
     speeds = [_speed(_bridged(_place(run)), run.sample_rate_hz) for run in mean]
-    needed = driven_axis(machine).free and any(run.position for run in runs)
+    held = not driven_axis(machine).free or (HOLDING & machine.effects.keys() and _pulled_back(mean, speeds))
+    needed = not held and any(run.position for run in runs)
     seconds = max(_shot_s(runs, speeds), PERIODS * _period_s(driven_axis(machine))) if needed else 0.0
     result = [_shots(*each, seconds) for each in zip(runs, mean, speeds, strict=True)]
     return [replace(one, began=_began(machine, one)) for one in result]
+
+
+def _pulled_back(runs: Sequence[AxisRun], speeds: Sequence[FloatArray]) -> bool:
+    """Tell whether the motion is pulled back to one place, as an arm that hangs is and one that stands up is not.
+
+    The acceleration is regressed on drive, speed and place, with a cube of the place: the pull must explain a part of
+    it, and still pull back at the farthest place.
+    """
+    drive = np.concatenate([run.drive for run in runs])
+    speed = np.concatenate(speeds)
+    change = np.concatenate([np.gradient(v, 1 / run.sample_rate_hz) for v, run in zip(speeds, runs, strict=True)])
+    place = np.concatenate([_bridged(_place(run)) for run in runs])
+    place = (place - place.mean()) / max(float(np.abs(place - place.mean()).max()), 1e-12)
+    without = np.column_stack([np.ones(len(drive)), drive, speed])
+    columns = np.column_stack([without, place, place**3])
+    found = np.linalg.lstsq(columns, change, rcond=1e-12)[0]
+    near, far = float(found[-2]), float(found[-2] + found[-1])
+    left, alone = (
+        float(np.sum((change - each @ np.linalg.lstsq(each, change, rcond=1e-12)[0]) ** 2))
+        for each in (columns, without)
+    )
+    return near < 0.0 and far < STILL_PULLS * near and left < (1 - PULL) * alone
 
 
 def _began(machine: Machine, one: Shots) -> dict[str, FloatArray]:
