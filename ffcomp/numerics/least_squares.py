@@ -25,7 +25,7 @@ STEP = 0.01  # of a prior's standard deviation, for differences: simulations hav
 MOST_CHANGE, SMALLEST_STEP = 30.0, 1e-5  # a step is smaller where it would change the residual by more than this
 RIDGE = 1e-12  # of the diagonal: keeps the normal matrix of confounded unknowns regular
 COST_TOLERANCE = 0.3  # of the cost, times the misfit: a fit ends when less than this can be gained
-SMALL_GAIN = 1e-7  # or less than this share of the cost
+SMALL_GAIN = 1e-7  # or less than this share of what stands above the noise
 TRUSTED_GAIN = 0.3  # of its predicted gain must a step reach, or the kept columns of the Jacobian are too old
 DAMPINGS = (10.0, 100.0, 1e3, 1e4, 1e5)  # tried at once, times the last one, where a step does not help
 SMALLEST_DAMPING = 1e-3
@@ -170,7 +170,7 @@ def minimise_batched(
     start : (p,).
     jacobian : (rows, p) to begin with; None: take all of it, by central differences.
     renew : columns to recompute at every step: those of nonlinear unknowns.
-    small_gain : the share of the cost that must still be gained for another step.
+    small_gain : the share of the cost beyond noise, of one a row, that must still be gained for another step.
     renew_all : if no step helps, recompute all columns and continue.
     exact : take all of the Jacobian by central differences, with steps as fine as the given one needs.
     """
@@ -178,7 +178,8 @@ def minimise_batched(
     everything: Sequence[int] = range(len(here.z))
     damping = 0.0
     for _ in range(iterations):
-        least = max(COST_TOLERANCE * max(1.0, here.cost / len(here.residual)), small_gain * here.cost)
+        excess = max(here.cost - len(here.residual), 0.0)  # beyond noise, which no step can take off
+        least = max(COST_TOLERANCE * max(1.0, here.cost / len(here.residual)), small_gain * excess)
         predicted = predicted_gain(problem, here)
         better = None if predicted < least else _damped_step(problem, here, damping)
         if better is None and (fresh or not renew_all):
