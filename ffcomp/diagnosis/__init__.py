@@ -12,10 +12,10 @@ settings       the numbers of the search
 fit            parameter values in, whitened residual out; fits with priors, their evidence and intervals
 score_test     screen candidates: one simulation each
 hypotheses     effects with all parameters fitted, and how hypotheses are compared
-fidelity       fits from cheap to exact, and warm starts between them
-moves          add, drop, swap or reshape an effect
-search         the floating search over hypotheses
-acceptance     tests before an effect is named
+fidelity       full fits, exact fits, and excerpts of the recordings
+trace          every fit and decision of a search
+search         the beam search over hypotheses
+acceptance, dominance    tests before an effect is named, alone or with a rest
 diagnosis      all stages together
 request, verb  the options of `gap` and `diagnose`; from files to answers
 

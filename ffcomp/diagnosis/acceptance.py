@@ -6,11 +6,10 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from ffcomp.diagnosis.fit import Fit, superfluous
-from ffcomp.diagnosis.held_out import HeldOut
+from ffcomp.diagnosis.fit import EstimationProblem, Fit, superfluous
+from ffcomp.diagnosis.held_out import HeldOut, to_explain
 from ffcomp.diagnosis.hypotheses import FILE_CHANGES, Hypothesis, implausible, moved_numbers
 from ffcomp.diagnosis.problem import Parameter
-from ffcomp.diagnosis.settings import SETTINGS
 from ffcomp.identification.uncertainty import Estimate
 
 AT_BOUND = 1e-6  # of a parameter's range: no nearer to its end is at it
@@ -18,32 +17,33 @@ NARROW = 0.1  # of a number: a range that leaves no more open determines it
 
 
 def rejections(
+    estimation: EstimationProblem,
     base: Fit,
     best: Hypothesis,
     held_out: Sequence[HeldOut],
     intervals: Mapping[str, Estimate],
-    tolerance: float,
-    signal: float = np.inf,
 ) -> list[str]:
     """List the acceptance tests that a hypothesis fails, in words; none if it is accepted.
 
-    Parameters
-    ----------
-    signal : the discrepancy with nothing simulated at all; a worse one of the base is no measure.
+    What counts is the prediction where it was left out of the fit, all places or windows together: one with little
+    motion has little to explain, and weighs as little.
     """
-    failed, whole = [], min(base.discrepancy, signal)
-    if (base.evidence - best.fit.evidence) / best.fit.misfit < SETTINGS.significant:
+    settings, failed = estimation.settings, []
+    if (base.evidence - best.fit.evidence) / best.fit.overdispersion < settings.significant:
         failed.append("it is not significantly better than retuning alone")
-    if best.discrepancy > max(SETTINGS.left * whole, tolerance):
-        failed.append(f"{100 * best.discrepancy / whole:.0f} % of the discrepancy is left")
-    failed += [_unexplained(one, tolerance) for one in contradicting(held_out, tolerance)]
     # where retuning alone explains the data as well, but by implausible parameters, there is nothing to gain
     if not held_out:
         failed.append("it was tested nowhere else: there is one experiment only")
-    elif not implausible(base) and sum((one.before - one.after) * one.rows for one in held_out) < SETTINGS.significant:
-        failed.append("data left out of the fit are simulated no better with it")
+    else:
+        rows = sum(one.rows for one in held_out)
+        gained = sum((one.before - one.after) * one.rows for one in held_out)
+        left = sum(max(one.after, 0.0) * one.rows for one in held_out)
+        if not implausible(base) and gained < settings.significant:
+            failed.append("data left out of the fit are simulated no better with it")
+        elif left / rows > estimation.tolerance and (share := left / max(to_explain(held_out), 1e-300)) > settings.left:
+            failed.append(f"{100 * share:.0f} % of the discrepancy is left where it was left out of the fit")
     failed += out_of_reach(best)
-    if len(best.effects) == SETTINGS.most_effects and set(best.names) <= FILE_CHANGES:
+    if len(best.effects) == settings.most_effects and set(best.names) <= FILE_CHANGES:
         failed.append(
             "three of the machine file's own numbers would have to be far off at once, as in the file of another "
             "machine: measure this one (ffcomp identify)"
@@ -90,28 +90,7 @@ def _open(n: Parameter, interval: Estimate) -> bool:
     return at_high or at_low or (wide and interval.low <= n.low and interval.high >= n.high)
 
 
-def contradicting(held_out: Sequence[HeldOut], tolerance: float) -> list[HeldOut]:
-    """Return what was left out and contradicts a hypothesis.
-
-    Shapes are never exactly ours: a place, or a window of little motion, that holds a small part of all that has to be
-    explained, and that it does not explain, says that it is unproven there, no more; unless it makes things worse there
-    by a good part of that.
-    """
-    minor = SETTINGS.minor_place * sum(max(one.before, 0.0) * one.rows for one in held_out)
-
-    def weighs(one: HeldOut) -> bool:
-        worse = one.after > max(SETTINGS.worse_place * one.before, tolerance)
-        return one.after * one.rows > (minor / 4 if worse else minor)
-
-    return [one for one in held_out if not one.explained(tolerance) and weighs(one)]
-
-
-def unproven(held_out: Sequence[HeldOut], tolerance: float) -> list[HeldOut]:
-    """Return what was left out and is not explained."""
-    return [one for one in held_out if not one.explained(tolerance)]
-
-
-def _unexplained(one: HeldOut, tolerance: float) -> str:
-    if one.before <= tolerance:
-        return f"at {one.label}, left out of the fit, it makes things worse"
-    return f"at {one.label}, left out of the fit, {100 * one.after / one.before:.0f} % remains"
+def unproven(estimation: EstimationProblem, held_out: Sequence[HeldOut]) -> list[HeldOut]:
+    """Return what was left out and is not explained: an effect is unproven there."""
+    settings = estimation.settings
+    return [one for one in held_out if one.after > max(settings.left * one.before, estimation.tolerance)]

@@ -24,9 +24,9 @@ import numpy as np
 from scipy.ndimage import uniform_filter1d
 
 from ffcomp.diagnosis.candidates import axis_candidates, effect_tables, machine_parameters
+from ffcomp.diagnosis.noise import SIMULATION_ERROR
 from ffcomp.diagnosis.observations import quick_length
 from ffcomp.diagnosis.problem import InfeasibleParameters, MachineNames, Observation, Parameter, Problem
-from ffcomp.diagnosis.settings import SETTINGS
 from ffcomp.identification.axis_shots import Shots, band_of, noise_sd, scales_of, shots_of, windows
 from ffcomp.measurement.axis_run import AxisRun
 from models.arrays import ComplexArray, FloatArray
@@ -38,6 +38,9 @@ from models.printer.one_axis import axis_parameters, simulate_axis
 from models.vibration.driven_axis import DrivenAxis
 
 OFFSET = "axis.offset_n"
+FORCE_OFFSET = 0.1  # of the force, by which the zero of a measured force may be off
+MOST_LINES = 6  # of a force that repeats along an axis
+MOST_PITCHES = 4  # at which a search for a ripple begins
 KEPT = 6  # motions that are held
 HEAVY_KG = 1e9  # of a mass that forces leave where it is
 STEP_COST = 2.0  # of a printer's steps: these take no lanes
@@ -73,7 +76,7 @@ class AxisProblem(Problem):
         scales = replace(scales_of(machine, self.shots), highest_hz=self.band_hz[1])
         self.parameters = tuple(machine_parameters(machine))
         if not self.commanded:  # the zero of a measured force may be off
-            sd = SETTINGS.force_offset * scales.force_n
+            sd = FORCE_OFFSET * scales.force_n
             self.parameters += (Parameter(OFFSET, driven_axis(machine).offset_n, sd),)
         signals = sorted({name for run in runs for name in run.signals})
         self._same = [_first_equal(self.shots, i) for i in range(len(runs))]
@@ -82,9 +85,9 @@ class AxisProblem(Problem):
         if RIPPLES & set(names):
             distinct = [self.shots[i] for i in sorted(set(self._same))]
             if any(one.length for one in self.shots):  # it begins anew all the time, and leaves too little of a ripple
-                lines = pitches_of_force(machine, distinct, SETTINGS.most_lines)
+                lines = pitches_of_force(machine, distinct, MOST_LINES)
             else:
-                pitches = likely_pitches(machine, distinct, self.band_hz, SETTINGS.most_pitches)
+                pitches = likely_pitches(machine, distinct, self.band_hz, MOST_PITCHES)
         self.candidates = axis_candidates(machine, scales, signals, names, pitches, lines)
         self.least_density = self._least_density(signals)
         self._kept: dict[_Key, dict[str, FloatArray]] = {}
@@ -109,7 +112,7 @@ class AxisProblem(Problem):
                 for one in shots
             ]
             motion = float(np.sqrt(np.mean([np.nanmean(x**2) for x in moved])))
-            error = (SETTINGS.simulation_error * motion) ** 2 / (self.band_hz[1] - self.band_hz[0])
+            error = (SIMULATION_ERROR * motion) ** 2 / (self.band_hz[1] - self.band_hz[0])
             density[name] = 2 * sensor**2 / rate + error
         return density
 

@@ -15,8 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from ffcomp.diagnosis.problem import Candidate, Parameter
-from ffcomp.diagnosis.settings import SETTINGS
+from ffcomp.diagnosis.problem import REACH_SD, Candidate, Parameter
 from models.arrays import FloatArray
 from models.effects.catalogue import CATALOGUE, effects_of
 from models.effects.effect import AT_DRIVE, Effect, MotionScales
@@ -26,6 +25,7 @@ from models.machine import Machine, value_of
 from models.printer.one_axis import axis_effects
 
 BOTH = 9.0  # in place of an angle: alike in x and y
+PROBE = 0.1  # of a usual size, with which the signature of an axis' effect is taken
 WHOLE = "whole"  # the one parameter of an effect that is there or not
 EFFECT_KEY = re.compile(r"effects\.(?P<effect>\w+)\.(?P<parameter>\w+)(\[(?P<index>\d)\])?")
 
@@ -43,9 +43,9 @@ def machine_parameters(machine: Machine) -> list[Parameter]:
         relative = machine.vibration.guessed.get(name, stated)
         if value and relative:
             sd = relative * abs(value)
-            low = value - SETTINGS.reach_sd * sd
+            low = value - REACH_SD * sd
             parameters.append(
-                Parameter(name, value, sd, low if value < 0 else max(low, 0.05 * value), value + SETTINGS.reach_sd * sd)
+                Parameter(name, value, sd, low if value < 0 else max(low, 0.05 * value), value + REACH_SD * sd)
             )
     return parameters
 
@@ -263,7 +263,7 @@ def _with_lines(candidate: Candidate, effect: Effect, scales: MotionScales, pitc
     names = [_full(effect, p, i) for i in lines for p in effect.shapes]
     shapes = tuple(Parameter(n, p, 0.003 * p, 0.97 * p, 1.03 * p) for n, p in zip(names, pitches, strict=True))
     grid = (dict(zip(names, pitches, strict=True)),)
-    probe = {a.name: SETTINGS.probe * a.sd for a in amplitudes}
+    probe = {a.name: PROBE * a.sd for a in amplitudes}
     return replace(candidate, other=Candidate(effect.name, amplitudes, probe, shapes, grid))
 
 
@@ -290,7 +290,7 @@ def _axis_candidate(
         starts |= {p.name: list(pitches) for p in searched if p.is_pitch}
         shapes = tuple(_near(n, pitches) if p.is_pitch else n for n, p in zip(shapes, searched, strict=True))
     grid = _grid((_full(effect, p), starts[p.name]) for p in searched)
-    probe = {a.name: SETTINGS.probe * a.sd for a in amplitudes}
+    probe = {a.name: PROBE * a.sd for a in amplitudes}
     return Candidate(effect.name, amplitudes, probe, shapes, grid, _finer_of(effect))
 
 

@@ -19,6 +19,8 @@ import numpy as np
 from ffcomp.diagnosis.acceptance import out_of_reach, rejections, unproven
 from ffcomp.diagnosis.dominance import Dominant, dominant_effect
 from ffcomp.diagnosis.fidelity import (
+    LARGE,
+    QUICK_GAIN,
     continue_fit,
     excerpt_of,
     fit_in_excerpt,
@@ -27,7 +29,16 @@ from ffcomp.diagnosis.fidelity import (
     linearised,
     parsimonious_fit,
 )
-from ffcomp.diagnosis.fit import EstimationProblem, Fit, estimation_problem, fit, intervals_of, wide_intervals_of
+from ffcomp.diagnosis.fit import (
+    EstimationProblem,
+    Fit,
+    by_deviance,
+    estimation_problem,
+    fit,
+    intervals_of,
+    superfluous,
+    wide_intervals_of,
+)
 from ffcomp.diagnosis.held_out import HeldOut, OtherMotion, hold_out, other_motions
 from ffcomp.diagnosis.hypotheses import (
     FILE_CHANGES,
@@ -38,17 +49,21 @@ from ffcomp.diagnosis.hypotheses import (
     significant,
     worth,
 )
-from ffcomp.diagnosis.moves import Search
 from ffcomp.diagnosis.noise import NoiseFloor, at_least, noise_floor, noise_share, scaled, whitener
 from ffcomp.diagnosis.problem import Parameter, Problem
 from ffcomp.diagnosis.recording_clocks import belongs_to_recording
 from ffcomp.diagnosis.recording_faults import Fault, fault_of_recordings, odd_signal
 from ffcomp.diagnosis.score_test import Screened, confounded_with, screen
-from ffcomp.diagnosis.search import Selection, find_best, finish, on_all_data
-from ffcomp.diagnosis.settings import SETTINGS
+from ffcomp.diagnosis.search import Search, Selection, find_best, finish, on_all_data
+from ffcomp.diagnosis.settings import SETTINGS, SearchSettings
+from ffcomp.diagnosis.trace import Trace
 from ffcomp.identification.uncertainty import Estimate
 from ffcomp.numerics.stages import Progress, Stage
 
+BUDGET_STEPS = 2.4e8  # integration steps of a printer, after which nothing more is tried: 90 s of CPU in 2026
+LOOSENED = 5.0  # times the uncertainties, in the fit of the file's numbers that may all be wrong
+AS_LOOSE = 1.5  # times the mean square that the effects leave: such a fit explains as much
+FEW_MOTIONS = 3  # that do not tell how far a value scatters (Student's t)
 USUAL_S = (1.0, 15.0, 9.0, 11.0, 6.0, 4.0, 6.0)  # of CPU, in each stage of a search that names one effect
 
 FINDINGS = {
@@ -92,7 +107,7 @@ class Diagnosis:
     @property
     def unproven(self) -> list[HeldOut]:
         """What was left out of the fit, and is not explained there."""
-        return [] if self.best is None else unproven(self.held_out, self.estimation.tolerance)
+        return [] if self.best is None else unproven(self.estimation, self.held_out)
 
     def behind(self, h: Hypothesis) -> float:
         """Return by how much −2 ln Z of all data a hypothesis that was tried is less likely than the best."""
@@ -116,7 +131,10 @@ class Diagnosis:
     @property
     def floor_is_wrong(self) -> bool:
         """Whether less is left than the noise, by a floor that is as it was measured or guessed."""
-        return self.estimation.whiten.floor is self.noise and mean_square(self.final) - 1 < SETTINGS.wrong_floor
+        return (
+            self.estimation.whiten.floor is self.noise
+            and mean_square(self.final) - 1 < self.estimation.settings.wrong_floor
+        )
 
 
 def mean_square(fitted: Fit) -> float:
@@ -124,22 +142,35 @@ def mean_square(fitted: Fit) -> float:
     return fitted.chi_squared / len(fitted.residual)
 
 
-def diagnose(problem: Problem, progress: Progress = lambda _: None, budget: float = SETTINGS.budget_steps) -> Diagnosis:
+def diagnose(
+    problem: Problem,
+    progress: Progress = lambda _: None,
+    budget: float | None = None,
+    settings: SearchSettings = SETTINGS,
+    trace: Trace | None = None,
+) -> Diagnosis:
     """Find the effects that are missing from the problem's machine, if any.
 
     Parameters
     ----------
-    budget : integration steps after which nothing more is tried; the best by then is put to the tests.
+    budget : integration steps after which nothing more is tried; the best by then is put to the tests. None: 90 s of
+        CPU of a printer.
+    trace : collects every fit and decision.
     """
+    budget = BUDGET_STEPS if budget is None else budget
+    asked = _Asked(settings, Trace() if trace is None else trace, progress)
     problem.work.begin(budget)
-    result = _diagnosed(problem, noise_floor(problem), problem.least_density, progress)
+    result = _diagnosed(problem, noise_floor(problem), problem.least_density, asked)
     guessed = not result.noise.from_repeats and result.fault is None
     if guessed and result.floor_is_wrong:
         progress("less is left than the guessed noise: what is left is taken for it, and the search begins anew")
         problem.work.begin(budget)
         same = result.estimation.problem
-        result = _diagnosed(same, scaled(result.noise, mean_square(result.final)), {}, progress)
-    return replace(_concluded(result), cut_short=problem.work.cut)
+        result = _diagnosed(same, scaled(result.noise, mean_square(result.final)), {}, asked)
+    concluded = replace(_concluded(result), cut_short=problem.work.cut)
+    names = concluded.best.names if concluded.best is not None else ()
+    asked.trace.add("verdict", names, left=concluded.final.discrepancy, outcome=concluded.finding)
+    return concluded
 
 
 def _spread(estimation: EstimationProblem) -> float:
@@ -169,23 +200,35 @@ class _Searched:
         return self.estimation.share
 
 
-def _diagnosed(problem: Problem, noise: NoiseFloor, density: Mapping[str, float], progress: Progress) -> Diagnosis:
+@dataclass(frozen=True, eq=False)
+class _Asked:
+    """How a search is done, and where it reports to."""
+
+    settings: SearchSettings
+    trace: Trace
+    progress: Progress
+
+
+def _diagnosed(problem: Problem, noise: NoiseFloor, density: Mapping[str, float], asked: _Asked) -> Diagnosis:
+    settings, progress = asked.settings, asked.progress
     progress(Stage(1, "estimating the noise"))
     if not (noise.from_repeats or noise.of_sensors):
         progress("no repeats: the noise floor is taken from above the model's band")
     floor = at_least(noise, problem.observations, problem.band_hz, density)
-    estimation = estimation_problem(problem, whitener(problem.observations, floor, problem.band_hz))
-    chance = SETTINGS.chance_sd * _spread(estimation) if noise.from_repeats else 0.0
+    estimation = estimation_problem(
+        problem, whitener(problem.observations, floor, problem.band_hz), settings, asked.trace
+    )
+    chance = settings.chance_sd * _spread(estimation) if noise.from_repeats else 0.0
     estimation = replace(estimation, tolerance=max(estimation.tolerance, chance))
-    least = max(SETTINGS.exists, chance) if noise.from_repeats else estimation.tolerance
+    least = max(settings.exists, chance) if noise.from_repeats else estimation.tolerance
     progress(Stage(2, "fitting the machine's own parameters"))
     filed = _as_filed(estimation)
-    base = fit(estimation, filed.parameters, filed.z, filed.jacobian, (), 12, SETTINGS.quick_gain / 10)
+    base = fit(estimation, filed.parameters, filed.z, filed.jacobian, (), 12, QUICK_GAIN / 10)
     base = _fitted_to_the_end(estimation, base, least)
     still = float(estimation.measured @ estimation.measured) / len(estimation.measured) - 1
     if base.discrepancy > still and (balance := problem.balance()) is not None:
         progress("simulated from its force, the axis is further off than one that stands still: forces are compared")
-        return _diagnosed(balance, noise_floor(balance), {}, progress)
+        return _diagnosed(balance, noise_floor(balance), {}, asked)
     times = float(np.sqrt(max(1.0 + base.discrepancy, 0.0)))
     progress(f"the machine's own parameters alone: the error that is left is {times:.4g} times the noise")
     none = Diagnosis(verdict="none", finding="nothing", base=base, final=base, estimation=estimation, noise=noise)
@@ -197,7 +240,8 @@ def _diagnosed(problem: Problem, noise: NoiseFloor, density: Mapping[str, float]
     if searched is None:
         progress(Stage(3, f"screening {len(problem.candidates)} effects"))
         screened = screen(replace(estimation, coarse=True), base, list(problem.candidates))
-        if small and not implausible(base) and (not screened or screened[0].evidence > -SETTINGS.promising):
+        hint = noise.from_repeats and screened and screened[0].evidence < -3 * settings.significant
+        if small and not implausible(base) and not hint:
             return replace(none, screened=screened)
         search = Search(estimation, _bases(estimation, filed, base, screened, small), base, progress)
         selection = find_best(search)
@@ -207,7 +251,7 @@ def _diagnosed(problem: Problem, noise: NoiseFloor, density: Mapping[str, float]
     none, best = replace(none, screened=searched.screened), searched.selection.best
     progress(Stage(7, "testing it at places that were left out of the fit"))
     retuned = _retuned(estimation, best, least)
-    if retuned.discrepancy < least and not _needed(best, retuned, noise):
+    if retuned.discrepancy < least and not _needed(estimation, best, retuned):
         return replace(none, base=retuned, final=retuned)
     tested = _tested(none, searched, searched.selection.best, progress)
     if tested.rejections and not small:
@@ -232,7 +276,7 @@ def _bases(
     if small and not implausible(base):
         return [(base, screened)]
     from_file = (filed, screen(replace(estimation, coarse=True), filed, list(estimation.problem.candidates)))
-    if implausible(base) and base.discrepancy < SETTINGS.large:
+    if implausible(base) and base.discrepancy < LARGE:
         return [from_file]  # implausible parameters explain all: with them every effect looks as good
     return [from_file, (base, screened)]
 
@@ -262,7 +306,11 @@ def _retuned(estimation: EstimationProblem, best: Hypothesis, least: float) -> F
     """Fit the machine's parameters alone, from where the best hypothesis took them: perhaps they need no effect."""
     z, jacobian = best.fit.z[: best.machine_count], best.machine_jacobian
     retuned = fit(estimation, best.machine_parameters, z, jacobian, iterations=4)
-    return _fitted_to_the_end(estimation, retuned, least) if significant(best.fit, retuned, 0.0) else retuned
+    return (
+        _fitted_to_the_end(estimation, retuned, least)
+        if significant(best.fit, retuned, estimation.settings, 0.0)
+        else retuned
+    )
 
 
 def _fitted_to_the_end(estimation: EstimationProblem, fitted: Fit, least: float) -> Fit:
@@ -277,13 +325,13 @@ def _fitted_to_the_end(estimation: EstimationProblem, fitted: Fit, least: float)
     return min(fitted, ended, key=lambda each: each.evidence)
 
 
-def _needed(best: Hypothesis, retuned: Fit, floor: NoiseFloor) -> bool:
+def _needed(estimation: EstimationProblem, best: Hypothesis, retuned: Fit) -> bool:
     """Tell whether effects are needed, where the machine's parameters alone leave nothing.
 
     Numbers far beyond what the file says explain nothing, if an effect does better without: by any noise.
     """
-    astray = implausible(retuned) and best.plausible and significant(best.fit, retuned, 0.0)
-    return astray or worth(best.fit, retuned, floor, 0.0)
+    astray = implausible(retuned) and best.plausible and significant(best.fit, retuned, estimation.settings, 0.0)
+    return astray or worth(estimation, best.fit, retuned, 0.0)
 
 
 # ---- the verdict ---------------------------------------------------------------------------------
@@ -309,11 +357,11 @@ def _tested(none: Diagnosis, searched: _Searched, best: Hypothesis, progress: Pr
     best = _believable(none, best, progress)
     final = parsimonious_fit(estimation, best)
     intervals = intervals_of(estimation, best.fit, final.values)
-    wide = wide_intervals_of(estimation, best.fit, final.values)
-    few = len(set(estimation.problem.motions)) <= SETTINGS.few_motions
+    wide = _proven_intervals(none, best, wide_intervals_of(estimation, best.fit, final.values), progress)
+    few = len(set(estimation.problem.motions)) <= FEW_MOTIONS
     held_out = hold_out(estimation, none.base, best.fit)
-    signal = float(estimation.measured @ estimation.measured) / len(estimation.measured) - 1
-    failed = tuple(rejections(none.base, best, held_out, intervals, estimation.tolerance, signal))
+    failed = tuple(rejections(estimation, none.base, best, held_out, wide))
+    estimation.trace.add("accept", best.names, outcome="refused" if failed else "kept", reason="; ".join(failed))
     there = searched.best
     if best.names != there.names:  # a smaller rival, or fewer effects
         there = next((h for h in likeliest(tried) if h.names == best.names), there)
@@ -327,7 +375,7 @@ def _tested(none: Diagnosis, searched: _Searched, best: Hypothesis, progress: Pr
         searched=there,
         share=searched.share,
         tried=ranked,
-        competing=competing_with(there, ranked, searched.share, none.base.discrepancy),
+        competing=competing_with(there, ranked, estimation.settings, searched.share, none.base.discrepancy),
         held_out=held_out,
         rejections=failed,
         intervals=wide,
@@ -335,6 +383,18 @@ def _tested(none: Diagnosis, searched: _Searched, best: Hypothesis, progress: Pr
             name for name, e in wide.items() if few and e.sd > 2 * np.sqrt(best.fit.misfit) * intervals[name].sd
         ],
     )
+
+
+def _proven_intervals(
+    none: Diagnosis, best: Hypothesis, intervals: dict[str, Estimate], progress: Progress
+) -> dict[str, Estimate]:
+    """Return the intervals, narrowed where they include no effect although the fit without it is far worse."""
+    for c in best.effects:
+        if superfluous(c, intervals):
+            rest = best.without(c)
+            without = continue_fit(none.estimation, rest, progress).fit if rest.effects else none.base
+            intervals = by_deviance(none.estimation, c, best.fit, without, intervals)
+    return intervals
 
 
 def _believable(none: Diagnosis, best: Hypothesis, progress: Progress) -> Hypothesis:
@@ -345,8 +405,8 @@ def _believable(none: Diagnosis, best: Hypothesis, progress: Progress) -> Hypoth
     if not out_of_reach(best):
         return best
     held = fit_within_uncertainty(none.estimation, best, progress)
-    little = max(SETTINGS.little * none.base.discrepancy, none.estimation.tolerance)
-    return held if held.discrepancy < little else best
+    share = none.estimation.settings.reshaped_share
+    return best if significant(best.fit, held.fit, none.estimation.settings, share) else held
 
 
 def _concluded(result: Diagnosis) -> Diagnosis:
@@ -360,7 +420,7 @@ def _concluded(result: Diagnosis) -> Diagnosis:
     if result.verdict == "none":
         return _nothing(result)
     base, best = result.base, result.best
-    explained = best is not None and _explained(base, best) > SETTINGS.mostly
+    explained = best is not None and _explained(base, best) > 1 - result.estimation.settings.left
     # where an effect explains the gap, though not surely, one axis acts on one signal alone
     fits = [] if explained else [base] if best is None else [base, best.fit]
     fault = odd_signal(result.estimation, fits)
@@ -378,7 +438,7 @@ def _others(result: Diagnosis) -> Sequence[OtherMotion]:
 def _nothing(result: Diagnosis) -> Diagnosis:
     """Say `none` only where noise leaves room to see something; test what was retuned where it was not fitted."""
     estimation = result.estimation
-    if noise_share(estimation.whiten, result.noise) > SETTINGS.loud_noise:
+    if noise_share(estimation.whiten, result.noise) > estimation.settings.loud_noise:
         return replace(result, verdict="unknown", finding="cannot_tell")
     return replace(result, held_out=hold_out(estimation, result.base, result.base))
 
@@ -394,13 +454,13 @@ def _file_off(result: Diagnosis) -> Fit | None:
     A stiffness or a mass may be named because another of the file's numbers is wrong, and where several are, nothing
     known explains it: only its owner knows how well they are known.
     """
-    best, base, looser = result.best, result.base, SETTINGS.loosened
+    best, base, looser = result.best, result.base, LOOSENED
     if best is None or (result.named is not None and not set(result.named.names) <= FILE_CHANGES):
         return None
     loose = tuple(_loosened(n, looser) for n in base.parameters)
     alone = fit(result.estimation, loose, base.z / looser, base.jacobian * looser, iterations=6)
     rows = len(alone.residual)
-    enough = max(SETTINGS.as_loose * best.fit.chi_squared / rows - 1, result.estimation.tolerance)
+    enough = max(AS_LOOSE * best.fit.chi_squared / rows - 1, result.estimation.tolerance)
     return alone if mean_square(alone) - 1 < enough else None
 
 

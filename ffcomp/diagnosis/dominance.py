@@ -21,8 +21,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from ffcomp.diagnosis.acceptance import out_of_reach, undetermined, unfounded
-from ffcomp.diagnosis.fidelity import continue_fit, fit_within_uncertainty
-from ffcomp.diagnosis.fit import EstimationProblem, Fit, derivatives, fit, intervals_of, values_at, wide_intervals_of
+from ffcomp.diagnosis.fidelity import fit_within_uncertainty
+from ffcomp.diagnosis.fit import (
+    EstimationProblem,
+    Fit,
+    derivatives,
+    fit,
+    intervals_of,
+    solved,
+    values_at,
+    wide_intervals_of,
+)
 from ffcomp.diagnosis.held_out import (
     Groups,
     HeldOut,
@@ -33,12 +42,13 @@ from ffcomp.diagnosis.held_out import (
     simulate_left_out,
     to_explain,
 )
-from ffcomp.diagnosis.hypotheses import LAW_GROUPS, Hypothesis, likeliest, moved_numbers
+from ffcomp.diagnosis.hypotheses import IMPLAUSIBLE, LAW_GROUPS, Hypothesis, likeliest, moved_numbers
 from ffcomp.diagnosis.recording_clocks import belongs_to_recording
-from ffcomp.diagnosis.settings import SETTINGS
 from ffcomp.numerics.stages import Progress
 from models.arrays import FloatArray
 from models.effects.catalogue import CATALOGUE
+
+MOST_FAMILIES = 3  # that are compared
 
 
 @dataclass(frozen=True)
@@ -82,16 +92,18 @@ def dominant_effect(
     parts = motions_or_groups(estimation.problem)
     if not contenders or len(parts) < 2:
         return None
-    if min(h.discrepancy for h in contenders) > (1 - SETTINGS.dominant / 2) * base.discrepancy:
+    if min(h.discrepancy for h in contenders) > (1 - estimation.settings.dominant / 2) * base.discrepancy:
         return None  # even where they were fitted, none explains half of what one must elsewhere
     progress("nothing explains all of it: looking for what explains most")
     sound = [h for h in (_fitted(estimation, h, progress) for h in contenders) if _sound(estimation, h)]
     if not sound:
         return None
     held_out = hold_out(estimation, base, base, parts, retuned=by_place(estimation))
-    whole = to_explain(held_out)
+    whole, ahead = to_explain(held_out), estimation.settings.ahead
     ranked = sorted((_tested(estimation, h, parts) for h in sound), key=lambda each: float(each.left.sum()))
-    first = _simplest([each for each in ranked if _law_group(each.hypothesis) == _law_group(ranked[0].hypothesis)])
+    first = _simplest(
+        [each for each in ranked if _law_group(each.hypothesis) == _law_group(ranked[0].hypothesis)], ahead
+    )
     others = [each for each in ranked if _law_group(each.hypothesis) != _law_group(first.hypothesis)]
     explained = [1 - float(each.left.sum()) / whole for each in (first, *others)]
     for each in ranked:
@@ -101,11 +113,11 @@ def dominant_effect(
             f"{100 * each.alike:.0f} % of the rest looks like it"
         )
     if (
-        explained[0] < SETTINGS.dominant
-        or _better_without(best, first.hypothesis)
-        or first.alike > SETTINGS.signature
-        or not all(_ahead(first, other.left) for other in others)
-        or not _everywhere(first, held_out, whole)
+        explained[0] < estimation.settings.dominant
+        or _better_without(best, first.hypothesis, ahead)
+        or first.alike > estimation.settings.signature
+        or not all(_ahead(first, other.left, ahead) for other in others)
+        or not _everywhere(first, held_out, whole, ahead)
     ):
         return None
     rivals = tuple(Rival(o.hypothesis.names, x) for o, x in zip(others, explained[1:], strict=True))
@@ -119,25 +131,25 @@ def _contenders(tried: Sequence[Hypothesis]) -> list[Hypothesis]:
         if len(h.effects) == 1:
             best.setdefault(h.names[0], h)
     ranked = sorted(best.values(), key=lambda h: h.discrepancy)
-    groups = list(dict.fromkeys(_law_group(h) for h in ranked))[: SETTINGS.by_simulation]
+    groups = list(dict.fromkeys(_law_group(h) for h in ranked))[:MOST_FAMILIES]
     laws = [h for h in ranked if groups and _law_group(h) == groups[0]]
     return [*laws, *(next(h for h in ranked if _law_group(h) == each) for each in groups[1:])]
 
 
-def _better_without(best: Hypothesis, first: Hypothesis) -> bool:
+def _better_without(best: Hypothesis, first: Hypothesis, ahead: float) -> bool:
     """Tell whether the best explanation does without the family, and leaves far less."""
     without = _law_group(first) not in {LAW_GROUPS.get(name, name) for name in best.names}
-    return without and SETTINGS.ahead * best.discrepancy < first.discrepancy
+    return without and ahead * best.discrepancy < first.discrepancy
 
 
 def _law_group(h: Hypothesis) -> str:
     return LAW_GROUPS.get(h.names[0], h.names[0])
 
 
-def _simplest(laws: Sequence[_Tested]) -> _Tested:
+def _simplest(laws: Sequence[_Tested], ahead: float) -> _Tested:
     """Return the law of fewest numbers that no other leaves far behind; `laws` : the one that leaves least first."""
     few = sorted(laws, key=lambda each: _needed(each.hypothesis))
-    return next(each for each in few if each.left.sum() <= SETTINGS.ahead * laws[0].left.sum())
+    return next(each for each in few if each.left.sum() <= ahead * laws[0].left.sum())
 
 
 def _needed(h: Hypothesis) -> int:
@@ -146,9 +158,8 @@ def _needed(h: Hypothesis) -> int:
 
 
 def _fitted(estimation: EstimationProblem, h: Hypothesis, progress: Progress) -> Hypothesis:
-    """Fit to the end, with the file's numbers no further off than the file says: the rest would bend them."""
-    fitted = continue_fit(estimation, h, progress)
-    return fit_within_uncertainty(estimation, fitted, progress) if out_of_reach(fitted) else fitted
+    """Hold the file's numbers to what the file says of them: the rest would bend them."""
+    return fit_within_uncertainty(estimation, h, progress) if out_of_reach(h) else h
 
 
 def _tested(estimation: EstimationProblem, h: Hypothesis, parts: Groups) -> _Tested:
@@ -171,22 +182,22 @@ def _explained_by(h: Hypothesis, rows: FloatArray, residual: FloatArray) -> floa
 
     columns, machine = h.fit.jacobian[rows][:, h.machine_count :], h.fit.jacobian[rows][:, : h.machine_count]
     information = np.eye(h.machine_count) + machine.T @ machine
-    projected = columns - machine @ np.linalg.solve(information, machine.T @ columns)
+    projected = columns - machine @ solved(information, machine.T @ columns)
     part = projected @ lstsq(projected, residual, cond=1e-6)[0]
     by_chance = len(projected.T) / len(rows) * float(residual @ residual)
     return max(float(part @ part) - by_chance, 0.0)
 
 
-def _ahead(first: _Tested, left: FloatArray) -> bool:
+def _ahead(first: _Tested, left: FloatArray, ahead: float) -> bool:
     """Tell whether something else leaves far more, (groups,), whichever group is not counted."""
-    apart = left - SETTINGS.ahead * first.left
+    apart = left - ahead * first.left
     return bool(np.all(apart.sum() - apart > 0.0))
 
 
-def _everywhere(first: _Tested, held_out: Sequence[HeldOut], whole: float) -> bool:
+def _everywhere(first: _Tested, held_out: Sequence[HeldOut], whole: float, ahead: float) -> bool:
     """Tell whether it is as far ahead of retuning alone, which leaves `whole`, whichever group is not counted."""
     before = np.array([max(one.before, 0.0) * one.rows for one in held_out])
-    return _ahead(first, before * whole / max(before.sum(), 1e-300))
+    return _ahead(first, before * whole / max(before.sum(), 1e-300), ahead)
 
 
 def _sound(estimation: EstimationProblem, h: Hypothesis) -> bool:
@@ -198,10 +209,10 @@ def _sound(estimation: EstimationProblem, h: Hypothesis) -> bool:
     Its interval may include no effect where only ratios of forces show, as of a servo whose stiffness is a guess.
     """
     squares = [z**2 for _, z in moved_numbers(h.fit, h.machine_count)]
-    if sum(squares) > SETTINGS.implausible * len(squares) * (1 + 1e-9):  # what is held there is not beyond it
+    if sum(squares) > IMPLAUSIBLE * len(squares) * (1 + 1e-9):  # what is held there is not beyond it
         return False
-    ends = sum(square > SETTINGS.implausible * (1 - 1e-9) for square in squares)
-    bent = ends > max(len(squares) / 2, SETTINGS.most_effects)
+    ends = sum(square > IMPLAUSIBLE * (1 - 1e-9) for square in squares)
+    bent = ends > max(len(squares) / 2, estimation.settings.most_effects)
     if bent and not (_holds_most_as_filed(estimation, h) and _any_determined(estimation, h)):
         return False
     return not unfounded(h, intervals_of(estimation, h.fit, h.fit.values, scatter=True))
@@ -222,4 +233,4 @@ def _holds_most_as_filed(estimation: EstimationProblem, h: Hypothesis) -> bool:
     begun = there.residual(values_at(h.effect_parameters, h.effect_z))
     columns = derivatives(there, h.effect_parameters, h.effect_z, begun, every)
     alone = fit(there, h.effect_parameters, h.effect_z, columns, every, 6)
-    return alone.chi_squared < (1 - SETTINGS.dominant) * float(without @ without)
+    return alone.chi_squared < (1 - estimation.settings.dominant) * float(without @ without)

@@ -16,9 +16,11 @@ import numpy as np
 
 from ffcomp.diagnosis.noise import Whitener, whitener
 from ffcomp.diagnosis.problem import Candidate, InfeasibleParameters, Parameter, Problem
-from ffcomp.diagnosis.settings import SETTINGS
+from ffcomp.diagnosis.settings import SETTINGS, SearchSettings
+from ffcomp.diagnosis.trace import Trace
 from ffcomp.identification.uncertainty import NINETY_PERCENT, Estimate
 from ffcomp.numerics.least_squares import (
+    RIDGE,
     SMALL_GAIN,
     BatchedProblem,
     bounded_step,
@@ -27,6 +29,7 @@ from ffcomp.numerics.least_squares import (
 )
 from models.arrays import FloatArray
 
+BLOCK_HZ = 5.0  # over which the residual of a wrong shape keeps its sign
 INFEASIBLE_SD = 1e6  # standard deviations, each entry of the residual of infeasible parameters
 DERIVATIVE_RTOL = 1e-4  # combinations of derivatives that cancel to less are not determined
 
@@ -64,6 +67,8 @@ class EstimationProblem:
     measured: FloatArray  # (rows,) whitened
     coarse: bool = False  # quicker simulations
     fixed: Mapping[str, float] = field(default_factory=dict)  # values of parameters that are not fitted
+    settings: SearchSettings = SETTINGS
+    trace: Trace = field(default_factory=Trace)  # shared by all derived from this one
     tolerance: float = SETTINGS.known_noise  # of the noise: a smaller discrepancy counts as none
     share: float = 1.0  # of all data
     only: tuple[int, ...] | None = None  # observations that are simulated; None: all
@@ -84,12 +89,19 @@ class EstimationProblem:
 
     def _evaluated(self, many: Sequence[Mapping[str, float]]) -> Iterator[FloatArray]:
         infeasible = np.full(len(self.measured), INFEASIBLE_SD)
+        self.trace.evaluations += len(many)
         for simulated in self.problem.simulate_many(many, self.only, coarse=self.coarse):
             if isinstance(simulated, InfeasibleParameters):
                 yield infeasible
             else:
                 residual = self.measured - self.whiten(simulated, self.only)
                 yield residual if np.isfinite(residual @ residual) else infeasible
+
+    @cached_property
+    def block_rows(self) -> float:
+        """Rows in a block of 5 Hz of one observation, on average."""
+        frequency, rows = self.whiten.frequencies(), self.whiten.rows
+        return len(frequency) / sum(len(np.unique(frequency[part] // BLOCK_HZ)) for part in rows)
 
     @property
     def may_go_on(self) -> bool:
@@ -119,10 +131,18 @@ class EstimationProblem:
         return replace(self, problem=problem, whiten=whiten, measured=measured, share=share, cache=ResidualCache())
 
 
-def estimation_problem(problem: Problem, whiten: Whitener) -> EstimationProblem:
+def estimation_problem(
+    problem: Problem, whiten: Whitener, settings: SearchSettings = SETTINGS, trace: Trace | None = None
+) -> EstimationProblem:
     """Whiten the measurements; the tolerance follows from how well the noise is known."""
-    tolerance = SETTINGS.known_noise if whiten.floor.from_repeats else SETTINGS.guessed_noise
-    return EstimationProblem(problem, whiten, whiten([o.measured for o in problem.observations]), tolerance=tolerance)
+    return EstimationProblem(
+        problem,
+        whiten,
+        whiten([o.measured for o in problem.observations]),
+        settings=settings,
+        trace=trace or Trace(),
+        tolerance=settings.known_noise if whiten.floor.from_repeats else settings.guessed_noise,
+    )
 
 
 # ---- a fit and its evidence ----------------------------------------------------------------------
@@ -136,6 +156,7 @@ class Fit:
     z: FloatArray  # (p,)
     residual: FloatArray  # (rows,)
     jacobian: FloatArray  # (rows, p), of the *simulation* by z
+    block_rows: float = 1.0  # rows over which the residual of a wrong shape keeps its sign
 
     @property
     def values(self) -> dict[str, float]:
@@ -172,12 +193,18 @@ class Fit:
 
     @property
     def misfit(self) -> float:
-        """The mean square of the whitened residual, at least one.
-
-        Evidence is divided by it: the model's shapes are never exactly the machine's, so where a misfit is left, a
-        difference in evidence says that much less.
-        """
+        """The mean square of the whitened residual, at least one."""
         return max(1.0, self.chi_squared / len(self.residual))
+
+    @property
+    def overdispersion(self) -> float:
+        """The factor by which noise and model error together scatter −2 ln Z more than the noise alone.
+
+        The shapes of the model are never exactly those of the machine. Of a misfit v, 1/v is noise, which is white,
+        and the rest is model error, which keeps its sign over a block of rows: quasi-likelihood with correlated errors
+        (McCullagh & Nelder, Generalized Linear Models, 1989, chapter 9). Differences in evidence are divided by it.
+        """
+        return self.misfit * (1 + (self.block_rows - 1) * (1 - 1 / self.misfit))
 
     @cached_property
     def slope(self) -> FloatArray:
@@ -244,15 +271,15 @@ class Fit:
     def _without(self, left_out: Sequence[slice]) -> FloatArray:
         """Return the step (p,) from the optimum to the one without some rows, to first order."""
         parts = [self.jacobian[part] for part in left_out]
-        slope = sum(j.T @ self.residual[part] for j, part in zip(parts, left_out, strict=True))
-        return np.asarray(-np.linalg.solve(self.information - sum(j.T @ j for j in parts), slope))
+        slopes = [j.T @ self.residual[part] for j, part in zip(parts, left_out, strict=True)]
+        return -solved(self.information - np.sum([j.T @ j for j in parts], axis=0), np.sum(slopes, axis=0))
 
     def _slopes(self, frequency_hz: FloatArray, rows: Sequence[slice], same: Sequence[int]) -> list[FloatArray]:
         """Return Jᵀr of each motion by blocks of 5 Hz, (blocks, p) each."""
         by_motion: dict[int, FloatArray] = {}
-        blocks = int(frequency_hz.max() // SETTINGS.block_hz) + 1
+        blocks = int(frequency_hz.max() // BLOCK_HZ) + 1
         for part, motion in zip(rows, same, strict=True):
-            block = (frequency_hz[part] // SETTINGS.block_hz).astype(np.int64)
+            block = (frequency_hz[part] // BLOCK_HZ).astype(np.int64)
             sums = by_motion.setdefault(motion, np.zeros((blocks, len(self.z))))
             np.add.at(sums, block, self.jacobian[part] * self.residual[part][:, None])
         return list(by_motion.values())
@@ -263,6 +290,14 @@ def student_share(freedom: int) -> float:
     from scipy.special import stdtrit
 
     return float(stdtrit(freedom, 0.95)) / NINETY_PERCENT
+
+
+def solved(matrix: FloatArray, right: FloatArray) -> FloatArray:
+    """Solve matrix x = right, symmetric and positive definite: scaled, for its diagonal may span twenty decades."""
+    scale = 1 / np.sqrt(np.diag(matrix))
+    regular = matrix * np.outer(scale, scale) + RIDGE * np.eye(len(scale))
+    scaled = np.linalg.solve(regular, scale * right if right.ndim == 1 else scale[:, None] * right)
+    return np.asarray(scale * scaled if right.ndim == 1 else scale[:, None] * scaled)
 
 
 def values_at(parameters: Sequence[Parameter], z: FloatArray) -> dict[str, float]:
@@ -329,7 +364,7 @@ def fit(
         renew_all=renew_all,
         exact=exact,
     )
-    return Fit(tuple(parameters), best.z, best.residual, best.jacobian)
+    return Fit(tuple(parameters), best.z, best.residual, best.jacobian, estimation.block_rows)
 
 
 def _batched(estimation: EstimationProblem, parameters: Sequence[Parameter], rough: int = 0) -> BatchedProblem:
@@ -371,6 +406,25 @@ def wide_intervals_of(estimation: EstimationProblem, fitted: Fit, values: Mappin
     Review 40, 1932) comes on top of what they show.
     """
     return intervals_of(estimation, fitted, values, scatter=True, wider=float(np.sqrt(fitted.misfit)))
+
+
+def by_deviance(
+    estimation: EstimationProblem, c: Candidate, fitted: Fit, without: Fit, intervals: Mapping[str, Estimate]
+) -> dict[str, Estimate]:
+    """Return the intervals with those of an effect's amplitudes no wider than the fit without the effect allows.
+
+    Where an effect is far from linear, the quadratic interval may include no effect although that explains far less.
+    The root of the deviance says how many standard deviations away it is (as profile likelihoods do: Venzon &
+    Moolgavkar, Applied Statistics 37, 1988).
+    """
+    deviance = (without.cost - fitted.cost) / fitted.overdispersion
+    z = dict(zip((n.name for n in fitted.parameters), fitted.z, strict=True))
+    length = float(np.linalg.norm([z[a.name] for a in c.amplitudes]))
+    spread = length / np.sqrt(max(deviance, 1e-12))
+    return {**intervals} | {
+        a.name: _interval(a, intervals[a.name].value, a.sd * min(spread, intervals[a.name].sd / a.sd))
+        for a in c.amplitudes
+    }
 
 
 def _interval(n: Parameter, value: float, spread: float) -> Estimate:

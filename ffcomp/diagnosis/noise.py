@@ -16,10 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ffcomp.diagnosis.problem import Observation, Problem
-from ffcomp.diagnosis.settings import SETTINGS
 from models.arrays import ComplexArray, FloatArray
 
 BAND_HZ = (1.0, 200.0)
+SIMULATION_ERROR = 3e-3  # of the signals: no simulation is nearer, however quiet sensors are
 TAPER_S = 0.1  # faded in and out at both ends
 SEGMENT_S = 0.64  # of the averaged spectra: 1.6 Hz lines
 SMOOTHING_HZ = 5.0
@@ -41,7 +41,7 @@ class NoiseFloor:
         if self.from_repeats:
             return "repeats"
         if self.of_sensors:
-            return f"the encoder, and {100 * SETTINGS.simulation_error:g} % of the motion: no simulation is nearer"
+            return f"the encoder, and {100 * SIMULATION_ERROR:g} % of the motion: no simulation is nearer"
         return "the spectrum above the model's band, which is weaker than repeats"
 
     def at(self, signal: str, frequency_hz: FloatArray) -> FloatArray:
@@ -149,7 +149,7 @@ def at_least(
         floor = replace(floor, density=held)
     powers = _powers(whitener(observations, floor, band_hz), floor)
     factors = {  # positions are nearly the command: no share of them says how exact a simulation is
-        name: SETTINGS.simulation_error**2 * signal / max(noise, 1e-300)
+        name: SIMULATION_ERROR**2 * signal / max(noise, 1e-300)
         for name, (signal, noise) in powers.items()
         if name[:3] == "acc"
     }

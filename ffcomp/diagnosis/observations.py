@@ -16,7 +16,6 @@ import numpy as np
 
 from ffcomp.diagnosis.noise import fill_gaps
 from ffcomp.diagnosis.problem import Observation
-from ffcomp.diagnosis.settings import SETTINGS
 from ffcomp.errors import MeasurementError
 from ffcomp.measurement.recording import Recording
 from ffcomp.measurement.sensors import command_unit, misplaced, wrong_scale
@@ -26,6 +25,11 @@ from models.machine import Machine
 from models.printer.playback import START_S, gentle_start
 
 LEAST_RATE_HZ = 1500.0  # more than seven times the band's end; faster recordings are thinned to at least this
+PLACES_APART_MM = 20.0  # from which two places count as two
+EXCERPT_S = 1.2  # of each motion in an excerpt
+EXCERPT_LEAD_S = 0.4  # simulated before, from a gentle start: vibrations decay
+MANY_MOTIONS = 8  # from which an excerpt holds only some, each recorded once
+EXCERPT_MOTIONS = 6  # that it then holds
 MARGIN_MM = 25.0  # around the print volume, in which a nozzle may still be commanded
 
 
@@ -94,7 +98,7 @@ def clustered(positions: Sequence[Position]) -> list[Position]:
     label = list(range(len(positions)))
     for i, a in enumerate(positions):
         for k in range(i):
-            near = a == positions[k] if len(a) == 1 else math.dist(a, positions[k]) < SETTINGS.places_apart_mm
+            near = a == positions[k] if len(a) == 1 else math.dist(a, positions[k]) < PLACES_APART_MM
             if near and label[i] != label[k]:
                 old, new = max(label[i], label[k]), min(label[i], label[k])
                 label = [new if x == old else x for x in label]
@@ -198,13 +202,13 @@ def informative_recordings(observations: Sequence[Observation], same_command: Se
     later motion than the one before: that covers every place and every kind of motion soonest.
     """
     distinct = sorted(set(same_command))
-    if len(distinct) < SETTINGS.many_motions:
+    if len(distinct) < MANY_MOTIONS:
         return list(range(len(observations)))
     by_place: dict[tuple[float, ...], list[int]] = {}
     for i, place in zip(distinct, clustered([observations[i].position for i in distinct]), strict=True):
         by_place.setdefault(place, []).append(i)
     rotated = [runs[n % len(runs) :] + runs[: n % len(runs)] for n, runs in enumerate(by_place.values())]
-    turns = [i for turn in zip_longest(*rotated) for i in turn if i is not None][: SETTINGS.excerpt_motions]
+    turns = [i for turn in zip_longest(*rotated) for i in turn if i is not None][:EXCERPT_MOTIONS]
     chosen: dict[tuple[int, tuple[str, ...]], int] = {}
     for i, first in enumerate(same_command):
         if first in turns:
@@ -233,8 +237,8 @@ def first_seconds(observation: Observation, command: FloatArray, seconds: float)
 
 
 def _part(observation: Observation, late: bool) -> Part:
-    rows = quick_length(round(SETTINGS.excerpt_s * observation.rate_hz))
-    lead = round(SETTINGS.excerpt_lead_s * observation.rate_hz)
+    rows = quick_length(round(EXCERPT_S * observation.rate_hz))
+    lead = round(EXCERPT_LEAD_S * observation.rate_hz)
     starts = len(observation.measured) - rows
     if starts <= 2 * lead:
         return Part(0, len(observation.measured), 0)

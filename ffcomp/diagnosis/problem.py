@@ -17,6 +17,7 @@ from models.effects.catalogue import CATALOGUE
 from models.effects.effect import Effect
 from models.quantities import PLAIN, Quantities
 
+REACH_SD = 5.0  # standard deviations, by which the file's numbers may be retuned
 TOWERS = ("tower A", "tower B", "tower C")
 
 

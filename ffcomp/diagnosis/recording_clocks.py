@@ -15,8 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from ffcomp.diagnosis.noise import fill_gaps
-from ffcomp.diagnosis.problem import Candidate, Observation, Parameter, Repeats
-from ffcomp.diagnosis.settings import SETTINGS
+from ffcomp.diagnosis.problem import REACH_SD, Candidate, Observation, Parameter, Repeats
 from ffcomp.measurement.faults import compare_repeats
 from ffcomp.measurement.recording import Recording
 from ffcomp.numerics.delay import moved_columns
@@ -115,7 +114,7 @@ def with_stated_clock(candidate: Candidate, recordings: Sequence[Recording]) -> 
 
 
 def _parameter(name: str, sd: float) -> Parameter:
-    return Parameter(name, 0.0, sd, -SETTINGS.reach_sd * sd, SETTINGS.reach_sd * sd)
+    return Parameter(name, 0.0, sd, -REACH_SD * sd, REACH_SD * sd)
 
 
 def _spread_s(repeats: Sequence[Repeats]) -> float:

@@ -12,7 +12,6 @@ from pathlib import Path
 import numpy as np
 
 from ffcomp.diagnosis.fit import EstimationProblem, Fit
-from ffcomp.diagnosis.settings import SETTINGS
 from ffcomp.measurement.faults import (
     BadSensor,
     GapSpectra,
@@ -24,6 +23,9 @@ from ffcomp.measurement.faults import (
 from models.arrays import FloatArray
 
 Fault = ShapersLeftOn | BadSensor
+
+SHAPED = 3.0  # noise power: discrepancy from which an input shaper is looked for
+ONE_SIGNAL = 0.85  # of the discrepancy, in one signal of three or more: its sensor is at fault
 
 
 def fault_of_recordings(estimation: EstimationProblem, simulated: Sequence[FloatArray], retuned: Fit) -> Fault | None:
@@ -41,7 +43,7 @@ def shaper_on(estimation: EstimationProblem, simulated: Sequence[FloatArray], re
     if not estimation.problem.commanded:
         return None
     filed = estimation.measured - estimation.whiten(simulated)
-    if min(float(filed @ filed), retuned.chi_squared) < (1 + SETTINGS.shaped) * len(filed):
+    if min(float(filed @ filed), retuned.chi_squared) < (1 + SHAPED) * len(filed):
         return None
     names = frozenset(name for o in estimation.whiten.observations for name in o.signals)
     axes = {axis: frozenset(name for name in names if name.endswith(f"_{axis}")) for axis in "xy"}
@@ -88,10 +90,10 @@ def odd_signal(estimation: EstimationProblem, fits: Sequence[Fit]) -> BadSensor 
     Not where the last of the fits explains most of its excess: there an effect acts on its axis.
     """
     name, share = max((_share(estimation, fit) for fit in fits), key=lambda each: each[1], default=("", 0.0))
-    if share <= SETTINGS.one_signal:
+    if share <= ONE_SIGNAL:
         return None
     first, last = (_excess(estimation, fit)[name] for fit in (fits[0], fits[-1]))
-    return BadSensor(name, "holds the gap", share) if last > (1 - SETTINGS.dominant) * first else None
+    return BadSensor(name, "holds the gap", share) if last > (1 - estimation.settings.dominant) * first else None
 
 
 def _excess(estimation: EstimationProblem, fit: Fit) -> dict[str, float]:

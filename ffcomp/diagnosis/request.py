@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
+from ffcomp.diagnosis.settings import SETTINGS, SearchSettings
 from ffcomp.options import CAPTURE_AXES, MACHINE_NAME, MOVES_PLAN, RUNS
 from ffcomp.request import ACCURACY, OUTPUT, Option, Request, check_files
 
@@ -73,6 +74,11 @@ class DiagnoseRequest(Request):
             "Try everything, for as long as it takes. Else a search ends at a budget of work, and says so.", ACCURACY
         ),
     ] = False
+    trace: Annotated[
+        Path | None,
+        Option("Write every fit and decision of the search to this JSON file.", OUTPUT, metavar="FILE"),
+    ] = None
+    settings: SearchSettings = SETTINGS  # of the search; from Python
     progress: Callable[[str], None] = silent
 
     def check(self) -> None:

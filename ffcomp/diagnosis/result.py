@@ -301,7 +301,7 @@ def _confidence(diagnosis: Diagnosis, effect: str) -> float:
     fitted = diagnosis.best.fit
     behind = [diagnosis.behind(h) for h in diagnosis.tried if effect not in h.names]
     nearest = min([*behind, diagnosis.base.evidence - fitted.evidence])
-    sure = float(1 / (1 + np.exp(-np.clip(nearest / fitted.misfit / 2, -50, 50))))
+    sure = float(1 / (1 + np.exp(-np.clip(nearest / fitted.overdispersion / 2, -50, 50))))
     # tested at one place, or wrong numbers of the file would explain as much: at most so sure
     tested = 1.0 if _left_out(diagnosis) in ("places", "windows") else 0.9
     return min(sure, tested, 1.0 if diagnosis.file_off is None else 0.5)

@@ -17,14 +17,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ffcomp.diagnosis.fit import EstimationProblem, Fit, step_within
+from ffcomp.diagnosis.fit import EstimationProblem, Fit, solved, step_within
 from ffcomp.diagnosis.problem import Candidate, Parameter
-from ffcomp.diagnosis.settings import SETTINGS
 from models.arrays import FloatArray
 from models.effects.catalogue import CATALOGUE
 from models.effects.effect import Effect
 
 Shape = Mapping[str, float]
+SUBSET_SHARE = 0.5  # of |r|², that the motions of a subset hold
+MOST_SHAPES = 2  # of each candidate, that are scored in every motion
+CONFOUNDED = 0.8  # cos² of projected signatures, from which effects are confounded
 
 
 # ---- a subset of the motions ---------------------------------------------------------------------
@@ -44,7 +46,7 @@ def subset_of(estimation: EstimationProblem, fitted: Fit) -> Subset | None:
         return None  # it is one already
     chosen = loudest_motions(estimation, fitted.residual)
     motions = estimation.problem.motions
-    if len(chosen) > SETTINGS.subset_worth * len(set(motions)):
+    if len(chosen) > estimation.settings.subset_worth * len(set(motions)):
         return None
     members = [i for i, motion in enumerate(motions) if motion in chosen]
     rows = estimation.rows_of(members)
@@ -55,7 +57,8 @@ def subset_of(estimation: EstimationProblem, fitted: Fit) -> Subset | None:
 def loudest_motions(estimation: EstimationProblem, residual: FloatArray) -> Sequence[int]:
     """Return as few motions as hold most of a residual, two or more, those that hold most of it first."""
     squares = squares_by_motion(estimation, residual)
-    ranked, enough = sorted(squares, key=lambda motion: -squares[motion]), SETTINGS.subset_share * sum(squares.values())
+    ranked = sorted(squares, key=lambda motion: -squares[motion])
+    enough = SUBSET_SHARE * sum(squares.values())
     for n in range(2, len(ranked)):
         if sum(squares[motion] for motion in ranked[:n]) >= enough:
             return ranked[:n]
@@ -85,11 +88,7 @@ class Screened:
     evidence: float  # change of −2 ln Z, to first order: negative is better
     strength: float  # standard deviations by which an effect of a usual size stands out, retuning allowed
     projected: FloatArray  # (rows,) the best combination of the signature, less what retuning can do, length one
-
-    @property
-    def visible(self) -> bool:
-        """Whether these recordings would show a usual size."""
-        return self.strength > SETTINGS.visible_sd
+    visible: bool = False  # whether these recordings would show a usual size
 
 
 def screen(estimation: EstimationProblem, base: Fit, candidates: Sequence[Candidate]) -> list[Screened]:
@@ -100,20 +99,15 @@ def screen(estimation: EstimationProblem, base: Fit, candidates: Sequence[Candid
     other = _best(base, _signatures(estimation, base, _likely(subset, forms)))
     best = [min((x[c.name] for x in (shared, other) if c.name in x), key=lambda s: s.evidence) for c in candidates]
     whole = 1 / np.sqrt(estimation.share)  # an excerpt shows less than what these recordings could
-    return sorted((replace(s, strength=float(whole * s.strength)) for s in best), key=lambda s: s.evidence)
-
-
-def screen_in_subset(estimation: EstimationProblem, base: Fit, candidates: Sequence[Candidate]) -> list[Screened]:
-    """Score candidates in a subset of the motions only: enough to choose those that are fitted."""
-    subset = subset_of(estimation, base) or Subset(estimation, base)
-    return screen(subset.estimation, subset.fit, candidates)
+    limit = estimation.settings.visible_sd / whole
+    return sorted((replace(s, visible=s.strength > limit) for s in best), key=lambda s: s.evidence)
 
 
 def _likely(
     subset: Subset | None, shapes: Sequence[tuple[Candidate, Sequence[Shape]]]
 ) -> list[tuple[Candidate, Shape]]:
     """List candidates with the shapes to try: of many only the best, as the motions of a subset show them."""
-    few = SETTINGS.swaps
+    few = MOST_SHAPES
     many = [(c, shape) for c, grid in shapes for shape in grid if len(grid) > few]
     if subset is None or not many:
         return [(c, shape) for c, grid in shapes for shape in grid]
@@ -191,7 +185,7 @@ def _probe(candidate: Candidate, amplitude: str, shape: Shape) -> dict[str, floa
 def _scored(base: Fit, candidate: Candidate, shape: Shape, signature: FloatArray) -> _Scored:
     cross = base.jacobian.T @ signature
     added = np.eye(signature.shape[1]) + signature.T @ signature
-    schur = added - cross.T @ np.linalg.solve(base.information, cross)
+    schur = added - cross.T @ solved(base.information, cross)
     step, gain = _joint_step(base, signature, cross, added)
     evidence = -gain + float(np.linalg.slogdet(schur)[1])
     strength = float(np.sqrt(max(np.trace(schur) - len(schur), 0.0)))
@@ -204,7 +198,7 @@ def _screened(base: Fit, one: _Scored) -> Screened:
     explained = one.signature @ estimate
     # (1 − J (I + JᵀJ)⁻¹ Jᵀ)(S e + J s) = S e + J (s − (I + JᵀJ)⁻¹ Jᵀ (S e + J s))
     retuned = base.jacobian.T @ explained + (base.information - np.eye(len(step))) @ step
-    left = explained + base.jacobian @ (step - np.linalg.solve(base.information, retuned))
+    left = explained + base.jacobian @ (step - solved(base.information, retuned))
     length = float(np.linalg.norm(left))
     projected = np.asarray(left / length if length else left)
     return Screened(one.candidate, one.shape, one.signature, estimate, one.gain, one.evidence, one.strength, projected)
@@ -223,20 +217,13 @@ def _joint_step(base: Fit, signature: FloatArray, cross: FloatArray, added: Floa
     return step, float(2 * gradient @ step - step @ normal @ step) - base.predicted_gain
 
 
-def overlap(a: Screened, b: Screened) -> float:
-    """Return cos² between two signatures as they are: retuning may tell apart what does much the same."""
-    ours, theirs = a.signature @ a.estimate, b.signature @ b.estimate
-    length = float((ours @ ours) * (theirs @ theirs))
-    return float(ours @ theirs) ** 2 / length if length else 0.0
-
-
 def similarity(a: Screened, b: Screened) -> float:
     """Return cos² between two projected signatures: 1 where the effects are fully confounded."""
     return float(a.projected @ b.projected) ** 2
 
 
 def confounded_with(
-    names: Sequence[str], screened: Sequence[Screened], limit: float = SETTINGS.confounded
+    names: Sequence[str], screened: Sequence[Screened], limit: float = CONFOUNDED
 ) -> list[tuple[str, float]]:
     """List candidates whose signature is like that of a named effect: name and cos², the most similar first."""
     named = [s for s in screened if s.candidate.name in names]
@@ -251,12 +238,3 @@ def separated_by(ours: Sequence[str], theirs: Sequence[str], catalogue: Mapping[
         catalogue[a].confounded_with.get(b) or catalogue[b].confounded_with.get(a) for a in ours for b in theirs
     )
     return next(filter(None, sentences), "")
-
-
-def pair_evidence(base: Fit, pair: Sequence[Screened]) -> float:
-    """Predict the change of −2 ln Z by two effects together, to first order."""
-    signature = np.hstack([s.signature for s in pair])
-    cross = base.jacobian.T @ signature
-    schur = np.eye(signature.shape[1]) + signature.T @ signature - cross.T @ np.linalg.solve(base.information, cross)
-    slope = signature.T @ base.residual
-    return float(-slope @ np.linalg.solve(schur, slope) + np.linalg.slogdet(schur)[1])

@@ -1,66 +1,89 @@
-"""Sequential floating search for the effects of a machine: forward selection with steps back.
+"""Beam search for the effects that a machine file lacks.
 
-    begin     quick fits of the promising candidates, full fits of the contenders, their best shapes
-    round     add the effect that helps most, reshape, swap for what is alike, keep the simplest; while significant
-    restart   where too little is explained: a warm start on a short horizon, and rounds from there
-    float     swap each effect for what helps most beside the rest, for a richer model, add a change of the file
-    finish    exact derivatives; drop what is superfluous; a smaller rival; free shapes
+    expand    score every effect next to each hypothesis of the beam, simulate the promising ones at several sizes,
+              and fit the best of these starts quickly: in coarse simulations of the loudest motions
+    fit       fit the likeliest fully, in the form of each effect that pays
+    prune     keep the likeliest few; stop when a level gains nothing that is significant
+    finish    fit the best and its nearest rival with exact derivatives, drop what neither needs
 
-Sequential floating forward selection: Pudil, Novovičová & Kittler, Pattern Recognition Letters 15, 1994. Every step is
-accepted by the evidence of nonlinear fits (`hypotheses.significant`), never by a prediction.
+Adding, dropping and swapping effects need no moves of their own: hypotheses with other effects stand next to each other
+in the beam, those with fewer on the level before. Every comparison is by the evidence of nonlinear fits.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 
 from ffcomp.diagnosis.fidelity import (
+    QUICK_GAIN,
+    RENEWED,
     continue_fit,
     fit_exactly,
-    from_short_horizon,
-    grow,
     hypothesis_in_whole,
-    refit,
-    select_starts,
-    straightened,
+    predicted_without,
 )
-from ffcomp.diagnosis.fit import fit
+from ffcomp.diagnosis.fit import EstimationProblem, Fit, clipped, derivatives, fit, solved, values_at
+from ffcomp.diagnosis.held_out import left_elsewhere
 from ffcomp.diagnosis.hypotheses import (
+    FILE_CHANGES,
     NESTED,
     Hypothesis,
     comparable,
-    competing_with,
     distinct,
-    incomplete,
     leaves_excess,
     likeliest,
-    nested,
-    prefer_plausible,
+    log_fit,
+    log_try,
+    may_join,
+    moved_numbers,
     significant,
-    simplest,
-    smaller_rivals,
-    with_a_plausible,
+    worth,
 )
-from ffcomp.diagnosis.moves import (
-    Search,
-    add,
-    add_file_change,
-    drop,
-    fit_fully,
-    free_shapes,
-    reshape,
-    reshape_thoroughly,
-    swap,
-    swap_for_alike,
-    swap_for_law_within,
-    swap_for_nested,
-)
-from ffcomp.diagnosis.score_test import overlap
-from ffcomp.diagnosis.settings import SETTINGS
-from ffcomp.numerics.stages import Stage
+from ffcomp.diagnosis.problem import Candidate, Parameter, stem_of
+from ffcomp.diagnosis.score_test import Screened, Subset, screen, subset_of
+from ffcomp.diagnosis.settings import SearchSettings
+from ffcomp.numerics.stages import Progress, Stage
+from models.arrays import FloatArray
+
+SIZES = (1.0, 0.3, 0.1, 0.03, 0.01, -0.01, -0.03, -0.1, -0.3, -1.0)  # of a usual size, where fits may begin
+ESTIMATES = (1.0, 0.4, 0.15)  # of the linear estimate
+ADDED_SIZES = (0.1, 0.3, 1.0)  # of the usual size of what a richer form adds
+SAME = 0.999  # cos² of two derivatives, from which they are of the same number
+SHIFTS = (0.0, 1.0, 2.0, 3.0, 4.0)  # standard deviations from the usual, where a new shape may begin
+
+
+@dataclass(frozen=True, eq=False)
+class Search:
+    """What a search works with."""
+
+    estimation: EstimationProblem
+    bases: Sequence[tuple[Fit, Sequence[Screened]]]  # fits of the machine's parameters, with what was screened there
+    retuned: Fit  # the machine's parameters alone, at their best
+    progress: Progress
+
+    @property
+    def settings(self) -> SearchSettings:
+        """How broad the search is, and what it keeps."""
+        return self.estimation.settings
+
+    @property
+    def may_go_on(self) -> bool:
+        """Whether the budget allows to try anything more."""
+        return self.estimation.may_go_on
+
+    @property
+    def quick(self) -> EstimationProblem:
+        """The same problem, simulated coarsely."""
+        return replace(self.estimation, coarse=True)
+
+    @property
+    def candidates(self) -> Sequence[Candidate]:
+        """The effects that are looked for."""
+        return self.estimation.problem.candidates
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,44 +92,397 @@ class Selection:
 
     best: Hypothesis
     tried: tuple[Hypothesis, ...]
-    left_nothing: bool = False  # the rounds ended because there was nothing left to explain
-    shaped: bool = False  # the best one's shapes are those that pay
+    left_nothing: bool = False  # the search ended because there was nothing left to explain
 
 
 def find_best(search: Search) -> Selection:
     """Run the search up to its final fits."""
-    selection = _rounds(search, _begin(search))
-    best = selection.best
-    if best.discrepancy > max(SETTINGS.large, search.little) or not best.plausible:
-        if search.estimation.problem.short_horizon(SETTINGS.horizon_s) is not None:
-            search.estimation.problem.work.extend(SETTINGS.restart_steps)
-        warm = from_short_horizon(search.estimation, search.bases[0][1], best, search.progress)
-        if warm is not None and warm.fit.evidence <= best.fit.evidence:
-            selection = _rounds(search, Selection(warm, (*selection.tried, warm)))
-    return _floating(search, selection)
+    search.progress(Stage(4, "fitting the most promising effects"))
+    settings = search.settings
+    children = [h for base, screened in search.bases for h in _quick_fits(search, Hypothesis((), base), screened)]
+    beam = _level(search, children)
+    best, tried = beam[0], beam
+    while len(best.effects) < settings.most_effects and incomplete(search, best) and search.may_go_on:
+        search.progress(Stage(5, f"looking for one effect more than {' + '.join(best.names)}"))
+        near = [h for h in beam if comparable(h, best, settings.near, settings)]
+        beam = _level(search, [child for h in near for child in _expanded(search, h)])
+        tried = [*tried, *beam]
+        if not beam or not _gains(search, beam[0], best):
+            break
+        best = beam[0]
+    return Selection(best, tuple(tried), left_nothing=not incomplete(search, best))
+
+
+def _gains(search: Search, larger: Hypothesis, smaller: Hypothesis) -> bool:
+    """Tell whether a larger hypothesis is better, also where it was not fitted: more numbers always fit better."""
+    estimation = search.estimation
+    here = significant(larger.fit, smaller.fit, search.settings)
+    nothing = estimation.tolerance * len(estimation.measured)  # is left there
+    elsewhere = here and left_elsewhere(estimation, larger.fit) < max(left_elsewhere(estimation, smaller.fit), nothing)
+    reason = "" if elsewhere else "no better where it was left out" if here else "not significant"
+    outcome = "kept" if elsewhere else "dropped"
+    estimation.trace.add("level", larger.names, evidence=larger.fit.evidence, outcome=outcome, reason=reason)
+    return elsewhere
+
+
+def incomplete(search: Search, h: Hypothesis) -> bool:
+    """Tell whether a discrepancy is left somewhere, or a number of the file is oddly far off."""
+    odd = any(z > search.settings.odd_sd for _, z in moved_numbers(h.fit, h.machine_count))
+    return odd or not h.plausible or leaves_excess(search.estimation, h.fit)
+
+
+# ---- expand --------------------------------------------------------------------------------------
+
+
+def _expanded(search: Search, h: Hypothesis) -> list[Hypothesis]:
+    """Score the other effects next to a hypothesis, and fit the most promising ones with it quickly."""
+    if not search.may_go_on:
+        return []
+    part = _loudest(search, h.fit)
+    others = [c for c in search.candidates if may_join(c.name, h.names)]
+    return _quick_fits(search, h, screen(part.estimation, part.fit, others))
+
+
+def _loudest(search: Search, fitted: Fit) -> Subset:
+    """Return the motions that hold most of a fit's residual, simulated coarsely."""
+    return subset_of(search.quick, fitted) or Subset(search.quick, fitted)
+
+
+def _quick_fits(search: Search, h: Hypothesis, screened: Sequence[Screened]) -> list[Hypothesis]:
+    """Fit a hypothesis quickly with one effect more, from the most promising starts."""
+    part, grown = _loudest(search, h.fit), list[Hypothesis]()
+    for start in _starts(search, part, h, screened):
+        if grown and not search.may_go_on:
+            break
+        grown.append(_grown(search, part, h, start))
+    return grown
+
+
+@dataclass(frozen=True, eq=False)
+class _Start:
+    """An effect in one of its forms, with the numbers at which a fit begins."""
+
+    effect: Candidate
+    z: FloatArray  # (k,) of its parameters
+    cost: float  # |r|² + |z|² there, with the machine's parameters retuned to first order
+
+
+def _starts(search: Search, part: Subset, h: Hypothesis, screened: Sequence[Screened]) -> list[_Start]:
+    """Return where fits begin: of the effects that promise most, the best few of all forms and sizes.
+
+    An effect is not linear in its size, so that the score test may miss it, and the size that helps most before
+    anything is retuned is not the one to begin with. So each size is simulated, and what retuning explains of the
+    residual is projected out.
+    """
+    tries = [(s, form, z) for s in screened if s.visible for form in _first_forms(s.candidate) for z in _sizes(s, form)]
+    points = [{**h.fit.values, **values_at(form.parameters, z)} for _, form, z in tries]
+    retuned = _retuned_cost(part.fit)
+    costs = [retuned(r) for r in part.estimation.residuals(points)]
+    best: dict[str, list[_Start]] = {}
+    most = 1 if h.effects else search.settings.starts  # next to others it is begun from where it helps most
+    for cost, (s, form, z) in sorted(zip(costs, tries, strict=True), key=lambda each: each[0]):
+        starts = best.setdefault(s.candidate.name, [])
+        if len(starts) < most and not any(_alike(form, z, other) for other in starts):
+            starts.append(_Start(form, z, cost))
+    by_size = sorted(best, key=lambda name: best[name][0].cost)[: search.settings.tried]
+    by_score = [s.candidate.name for s in screened if s.candidate.name in best][: search.settings.tried // 2]
+    return [start for name in dict.fromkeys([*by_size, *by_score]) for start in best[name]]
+
+
+def _alike(form: Candidate, z: FloatArray, other: _Start) -> bool:
+    """Tell whether a fit from there would hardly differ: the same form, at a size within a factor of two and a half."""
+    if form is not other.effect:
+        return False
+    ours, theirs = (each[: len(form.amplitudes)] for each in (z, other.z))
+    return bool(np.all(ours * theirs > 0) and np.all(np.abs(np.log(np.abs(ours / theirs))) < np.log(2.5)))
+
+
+def _retuned_cost(fitted: Fit) -> Callable[[FloatArray], float]:
+    """Return what is left of |r|² + |z|² once the parameters of a fit follow, to first order."""
+
+    def left(r: FloatArray) -> float:
+        slope = fitted.jacobian.T @ r - fitted.z
+        gain = slope @ solved(fitted.information, slope)
+        return float(r @ r + fitted.z @ fitted.z - gain)
+
+    return left
+
+
+def _first_forms(c: Candidate) -> list[Candidate]:
+    """Return an effect as it is, and in its other form unless that only has a number for each tower or axis."""
+    by_tower = c.other is not None and len(c.other.amplitudes) > len(c.amplitudes) and c.other.grid == c.grid
+    return [c] if c.other is None or by_tower else [c, c.other]
+
+
+def _sizes(s: Screened, form: Candidate) -> list[FloatArray]:
+    """Return the z, (k,) each, to try: parts of the linear estimate, and of a usual size."""
+    shapes = np.array([(s.shape.get(n.name, n.start) - n.start) / n.sd for n in form.shapes])
+    if form.switch:
+        return [np.ones(1)]
+    sizes = [np.full(len(form.amplitudes), size) for size in SIZES]
+    if form is s.candidate:
+        sizes += [scale * np.clip(s.estimate, -2.0, 2.0) for scale in ESTIMATES]
+    tries = [clipped(form.parameters, np.concatenate([a, shapes])) for a in sizes]
+    return _distinct(z for z in tries if np.any(z[: len(form.amplitudes)]))
+
+
+def _distinct(tries: Iterable[FloatArray]) -> list[FloatArray]:
+    kept: list[FloatArray] = []
+    for z in tries:
+        if not any(np.array_equal(z, before) for before in kept):
+            kept.append(z)
+    return kept
+
+
+def _grown(search: Search, part: Subset, h: Hypothesis, start: _Start) -> Hypothesis:
+    """Fit a hypothesis with one effect more, everything together: a few steps in the loudest motions."""
+    effects = (*h.effects, start.effect)
+    log_try(effects, search.progress)
+    parameters, z = (*h.fit.parameters, *start.effect.parameters), np.concatenate([h.fit.z, start.z])
+    residual, every = part.estimation.residual(values_at(parameters, z)), range(len(parameters))
+    new = every[len(h.fit.parameters) :]
+    if start.effect.name in FILE_CHANGES:
+        columns = derivatives(part.estimation, parameters, z, residual, every)
+        parameters, z = _as_filed(parameters, z, columns, h.machine_count, len(h.fit.parameters))
+    else:
+        columns = np.hstack([part.fit.jacobian, derivatives(part.estimation, parameters, z, residual, new)])
+    renewed = new if len(new) <= RENEWED else ()
+    fitted = fit(part.estimation, parameters, z, columns, renewed, 6, QUICK_GAIN, renew_all=False)
+    return log_fit(search.estimation, Hypothesis(effects, fitted), search.progress, ", quickly")
+
+
+def _as_filed(
+    parameters: tuple[Parameter, ...], z: FloatArray, columns: FloatArray, machine: int, known: int
+) -> tuple[tuple[Parameter, ...], FloatArray]:
+    """Hold the file's numbers that do what a new effect does where the file has them: both at once are one number.
+
+    Parameters
+    ----------
+    machine, known : how many of the parameters are the machine's, and how many there were without the effect.
+    """
+    new, held, z = columns[:, known:], list(parameters), z.copy()
+    for i in range(machine):
+        column = columns[:, i]
+        part = new @ np.linalg.lstsq(new, column, rcond=1e-9)[0]
+        if float(part @ part) > SAME * float(column @ column) > 0.0:
+            held[i] = replace(held[i], low=held[i].start, high=held[i].start)
+            z[i] = 0.0
+    return tuple(held), z
+
+
+# ---- fit -----------------------------------------------------------------------------------------
+
+
+def _level(search: Search, children: Sequence[Hypothesis]) -> list[Hypothesis]:
+    """Fit the likeliest children fully, each in the form that pays: the beam, the likeliest first.
+
+    At least one keeps the file's numbers plausible, if any does.
+    """
+    ranked = distinct(sorted(children, key=_quick_rank))
+    far = search.settings.near**2  # of quick fits, which are rough
+    chosen = [h for h in ranked[: search.settings.width] if comparable(h, ranked[0], far, search.settings)]
+    if not any(h.plausible for h in chosen):
+        chosen = [*chosen, *[h for h in ranked if h.plausible][:1]]
+    for h in ranked:
+        outcome, reason = ("kept", "") if h in chosen else ("dropped", "others leave less of the loudest motions")
+        search.estimation.trace.add(
+            "prune", h.names, left=h.discrepancy, evidence=h.fit.evidence, outcome=outcome, reason=reason
+        )
+    fitted: list[Hypothesis] = []
+    for h in chosen:
+        if not fitted or search.may_go_on:
+            fitted.append(_fitted(search, h))
+    fitted, near = likeliest(fitted), search.settings.near
+    return likeliest([reshape(search, h) if comparable(h, fitted[0], near, search.settings) else h for h in fitted])
+
+
+def _fitted(search: Search, h: Hypothesis) -> Hypothesis:
+    """Fit fully; with exact derivatives where only the prior of the file's numbers is left to gain.
+
+    Numbers that make up for each other drift along flat directions, which only exact derivatives show.
+    """
+    h = continue_fit(search.estimation, h, search.progress)
+    drifted = incomplete(search, h) and not leaves_excess(search.estimation, h.fit)
+    return fit_exactly(search.estimation, h, search.progress) if drifted else h
+
+
+def _quick_rank(h: Hypothesis) -> float:
+    """Rank quick fits by evidence a row: those of different parents may be of other motions."""
+    return h.fit.evidence / len(h.fit.residual)
+
+
+def reshape(search: Search, h: Hypothesis) -> Hypothesis:
+    """Go over to richer forms of the effects while something is left and they pay.
+
+    A form has other numbers free: its usual shape, a number for each tower, a law that contains it.
+    """
+    share = search.settings.reshaped_share
+    while incomplete(search, h) and search.may_go_on:
+        best = h
+        for start in _forms(search, h, richer=True):
+            fitted = continue_fit(search.estimation, start, search.progress, ", in another form", h.machine_jacobian)
+            if significant(fitted.fit, best.fit, search.settings, share):
+                best = fitted
+        if best is h:
+            break
+        h = best
+    return h
+
+
+def _forms(search: Search, h: Hypothesis, *, richer: bool) -> list[Hypothesis]:
+    """Return the most promising starts with one effect in another form, with more numbers or with fewer.
+
+    What a form adds begins where it helps most, with everything else retuned to first order; one that promises less
+    than half of what it must bring is left out.
+    """
+    part, begun, settings = _loudest(search, h.fit), list[tuple[float, Hypothesis]](), search.settings
+    retuned = _retuned_cost(part.fit)
+    for effects in _other_forms(search, h, richer=richer):
+        start = _mapped(effects, h)
+        tries = _placed(start, h)
+        costs = [retuned(r) for r in part.estimation.residuals([values_at(start.fit.parameters, z) for z in tries])]
+        least = int(np.argmin(costs))
+        begun.append((costs[least], replace(start, fit=replace(start.fit, z=tries[least]))))
+    excess = max(part.fit.cost - len(part.fit.residual), 0.0)
+    enough = part.fit.cost - settings.reshaped_share * excess / 2 if richer else settings.near * part.fit.cost
+    return [start for cost, start in sorted(begun, key=lambda each: each[0])[: settings.forms] if cost < enough]
+
+
+def _other_forms(search: Search, h: Hypothesis, *, richer: bool) -> list[tuple[Candidate, ...]]:
+    """Return the effects with one of them in another form: with more numbers, or with fewer."""
+    by_name = {c.name: c for c in search.candidates}
+    found: list[tuple[Candidate, ...]] = []
+    for effect in h.effects:
+        laws = [effect.name, *(n for n, simpler in NESTED.items() if simpler == effect.name), NESTED.get(effect.name)]
+        firsts = [by_name[name] for name in laws if name in by_name]
+        kinds = [
+            form for c in firsts for each in (c, c.other or c) for form in (each, each.shaped, each.of_alternative_kind)
+        ]
+        different = {frozenset(n.name for n in form.parameters): form for form in kinds}
+        for form in different.values():
+            more = len(form.parameters) - len(effect.parameters)
+            if (more > 0) is richer and more != 0:
+                found.append(tuple(form if c is effect else c for c in h.effects))
+    return found
+
+
+def _mapped(effects: tuple[Candidate, ...], h: Hypothesis) -> Hypothesis:
+    """Take over the present values for other forms of the effects: of all towers, or the mean of the towers'."""
+    parameters = (*h.machine_parameters, *(n for c in effects for n in c.parameters))
+    known = {_key(n.name): h.fit.values[n.name] for n in h.fit.parameters}
+
+    def z_of(n: Parameter) -> float:
+        own = _key(n.name)
+        if (x := known.get(own, known.get(stem_of(own)))) is not None:
+            return (x - n.start) / n.sd
+        parts = [x for name, x in known.items() if stem_of(name) == stem_of(own)]
+        return (float(np.mean(parts)) - n.start) / n.sd if parts else 0.0
+
+    z = clipped(parameters, np.array([z_of(n) for n in parameters]))
+    return Hypothesis(effects, Fit(parameters, z, h.fit.residual, np.zeros((len(h.fit.residual), len(z)))))
+
+
+def _key(name: str) -> str:
+    """Return an effect's parameter without its law: a richer law has the numbers of the simpler one."""
+    first, _, rest = name.partition(".")
+    law, _, own = rest.partition(".")
+    return f"{NESTED.get(law, law)}.{own}" if first == "effects" else name
+
+
+def _placed(start: Hypothesis, h: Hypothesis) -> list[FloatArray]:
+    """Return the z (p,) at which the numbers that a form adds may begin: sizes and shapes, on a grid."""
+    known = {stem_of(_key(n.name)) for n in h.fit.parameters}
+    new = [i for i, n in enumerate(start.fit.parameters) if stem_of(_key(n.name)) not in known]
+    sizes = {n.name for c in start.effects for n in c.amplitudes}
+    amplitudes = [i for i in new if start.fit.parameters[i].name in sizes]
+    shapes = [i for i in new if i not in amplitudes]
+    steps = SHIFTS if len(shapes) < 3 else SHIFTS[::2]
+    tries = []
+    for size, shift in product(ADDED_SIZES if amplitudes else (0.0,), product(steps, repeat=len(shapes))):
+        z = start.fit.z.copy()
+        z[amplitudes] = size
+        z[shapes] += shift
+        tries.append(clipped(start.fit.parameters, z))
+    return _distinct(tries)
+
+
+# ---- finish --------------------------------------------------------------------------------------
 
 
 def finish(search: Search, selection: Selection) -> Selection:
-    """Fit the best hypothesis exactly, drop what it can do without, and set its shapes free where the data need it."""
-    best = drop(search, fit_exactly(search.estimation, selection.best, search.progress))
-    for rival in smaller_rivals(best, selection.tried, search.candidates)[:1]:
-        smaller = fit_exactly(search.estimation, rival, search.progress)
-        best = best if significant(best.fit, smaller.fit) else smaller
-    best = _likelier_at_the_end(search, best, selection)
-    best = swap_for_law_within(search, best)
-    return replace(selection, best=free_shapes(search.estimation, best, search.progress))
+    """Fit the best hypothesis and its nearest rival with exact derivatives; keep the simpler of equally likely ones.
 
-
-def _likelier_at_the_end(search: Search, best: Hypothesis, selection: Selection) -> Hypothesis:
-    """Fit a rival that was nearly as likely exactly as well: which of the two is likelier shows at the end.
-
-    What was likelier already was passed over for a reason.
+    One that leaves too much to be named, even with a rest, stays as it is.
     """
-    near = likeliest(competing_with(selection.best, selection.tried))
-    behind = [h for h in near if h.plausible and h.fit.evidence > selection.best.fit.evidence]
-    for rival in [h for h in behind if len(h.effects) == len(best.effects) and not _is_richer(h, best)][:1]:
-        equal = fit_exactly(search.estimation, rival, search.progress)
-        best = equal if equal.plausible and equal.fit.evidence < best.fit.evidence else best
+    if selection.best.discrepancy > (1 - search.settings.dominant) * search.retuned.discrepancy:
+        search.estimation.trace.add("finish", selection.best.names, outcome="as it is", reason="it leaves too much")
+        return selection
+    best = _without_idle(search, fit_exactly(search.estimation, selection.best, search.progress), selection.tried)
+    for rival in rivals(search, best, selection)[:1]:
+        if search.may_go_on:
+            best = _preferred(search, best, fit_exactly(search.estimation, rival, search.progress))
+            search.estimation.trace.add("rival", rival.names, outcome=f"{' + '.join(best.names)} is preferred")
+    return replace(selection, best=_simplified(search, best))
+
+
+def rivals(search: Search, best: Hypothesis, selection: Selection) -> list[Hypothesis]:
+    """List hypotheses of other effects, no more of them, that were nearly as likely, the likeliest first."""
+    here = selection.best
+    return [
+        h
+        for h in likeliest(selection.tried)
+        if h.names not in (best.names, here.names)
+        and len(h.effects) <= len(best.effects)
+        and (h.fit.evidence - here.fit.evidence) / here.fit.overdispersion < 2 * search.settings.significant
+    ]
+
+
+def _preferred(search: Search, best: Hypothesis, rival: Hypothesis) -> Hypothesis:
+    """Return the likelier of two; the one with fewer numbers, unless the other is significantly better."""
+    if rival.plausible != best.plausible:
+        return rival if rival.plausible else best
+    smaller, larger = sorted((best, rival), key=lambda h: len(h.fit.parameters))
+    if len(smaller.fit.parameters) == len(larger.fit.parameters):
+        return min(best, rival, key=lambda h: h.fit.evidence)
+    return larger if significant(larger.fit, smaller.fit, search.settings, 0.0) else smaller
+
+
+def _without_idle(search: Search, best: Hypothesis, tried: Sequence[Hypothesis]) -> Hypothesis:
+    """Drop the effects that the others can do without: predicted from those that were tried, else fitted."""
+    estimation, known = search.estimation, [h.names for h in tried]
+    while len(best.effects) > 1:
+        without = {c.name: predicted_without(best, c) for c in best.effects}
+        smaller: Hypothesis | None = None
+        for c in sorted(best.effects, key=lambda c: without[c.name].evidence):
+            rest = best.without(c)
+            if significant(best.fit, without[c.name], search.settings) and rest.names in known:
+                continue
+            fitted = continue_fit(estimation, rest, search.progress)
+            kept = worth(estimation, best.fit, fitted.fit)
+            reason = f"without {c.name}"
+            estimation.trace.add("drop", fitted.names, outcome="refused" if kept else "kept", reason=reason)
+            if not kept:
+                smaller = fitted
+                break
+        if smaller is None:
+            return best
+        best = fit_exactly(estimation, smaller, search.progress)
+    return best
+
+
+def _simplified(search: Search, best: Hypothesis) -> Hypothesis:
+    """Go over to forms with fewer numbers where that loses nothing."""
+    while search.may_go_on:
+        for start in _forms(search, best, richer=False):
+            smaller = continue_fit(search.estimation, start, search.progress, ", in a simpler form")
+            if not comparable(smaller, best, 2.0, search.settings):
+                continue
+            smaller = fit_exactly(search.estimation, smaller, search.progress)
+            if not worth(search.estimation, best.fit, smaller.fit, search.settings.reshaped_share):
+                best = smaller
+                break
+        else:
+            break
     return best
 
 
@@ -114,175 +490,13 @@ def on_all_data(search: Search, selection: Selection) -> Selection | None:
     """Fit to all data what an excerpt selected; None if that leaves something that the excerpt did not show."""
 
     def on_all(h: Hypothesis) -> Hypothesis:
-        return continue_fit(
-            search.estimation, hypothesis_in_whole(search.estimation.problem, h), search.progress, ", on all data"
-        )
+        whole = hypothesis_in_whole(search.estimation.problem, h)
+        return continue_fit(search.estimation, whole, search.progress, ", on all data")
 
     best = on_all(selection.best)
-    tolerant = replace(search.estimation, tolerance=max(search.estimation.tolerance, search.trace))
-    missed = incomplete(tolerant, best) and selection.left_nothing
-    if missed and len(best.effects) < SETTINGS.most_effects and search.may_go_on:
+    trace = search.settings.trace * search.retuned.discrepancy
+    tolerant = replace(search, estimation=replace(search.estimation, tolerance=max(search.estimation.tolerance, trace)))
+    if selection.left_nothing and incomplete(tolerant, best) and len(best.effects) < search.settings.most_effects:
         return None
-    rivals = smaller_rivals(selection.best, selection.tried, search.candidates)[:1]
-    return Selection(best, tuple(on_all(h) for h in rivals))
-
-
-# ---- begin ---------------------------------------------------------------------------------------
-
-
-def _begin(search: Search) -> Selection:
-    """Fit the candidates quickly, the contenders fully, and those nearly as good as the best in their best shape."""
-    search.progress(Stage(4, "fitting the most promising effects"))
-    ranked = _initial_fits(search)
-    near = [h for h in ranked[: SETTINGS.by_simulation] if comparable(h, ranked[0], SETTINGS.keep_initial)]
-    contenders = with_a_plausible(near, ranked)
-    fitted = fit_fully(search, contenders)
-    best = min(fitted, key=lambda h: h.fit.evidence)
-    tried = (*_shaped(search, fitted, best), *(h for h in ranked if h not in contenders))
-    best = straightened(search.estimation, min(tried, key=lambda h: h.fit.evidence), search.progress)
-    best = prefer_plausible(best, (best, *tried), max(search.little, search.estimation.tolerance))
-    return Selection(simplest(best, tried, search.candidates), tried)
-
-
-def _initial_fits(search: Search) -> list[Hypothesis]:
-    """Fit the promising candidates quickly, from every base; one hypothesis a candidate, the likeliest first."""
-    quick, fitted = search.quick, list[Hypothesis]()
-    for base, screened in search.bases:
-        for start in select_starts(quick, base, screened, base.discrepancy > SETTINGS.large):
-            if fitted and not search.may_go_on:
-                break
-            bar = min((h.discrepancy for h in fitted), default=np.inf)
-            fitted.append(grow(quick, Hypothesis((), base), start, search.progress, bar))
-    ranked = distinct(likeliest(fitted))
-    held = [h for h in ranked if h.plausible]  # what needs implausible numbers is no measure for what does not
-    near = [*ranked[: SETTINGS.by_score], *held[:1]]
-
-    def pursued(h: Hypothesis) -> Hypothesis:
-        """Take a few steps more with a contender."""
-        best = held[0] if h in held else ranked[0]
-        if h not in near or not comparable(h, best, SETTINGS.keep_initial):
-            return h
-        further = fit(quick, h.fit.parameters, h.fit.z, h.fit.jacobian, (), 6, SETTINGS.quick_gain, renew_all=False)
-        return Hypothesis(h.effects, further)
-
-    return likeliest([pursued(h) for h in ranked])
-
-
-def _shaped(search: Search, fitted: Sequence[Hypothesis], best: Hypothesis) -> list[Hypothesis]:
-    """Reshape those nearly as good as the best, the smallest first.
-
-    What is another effect with more numbers stays as it is where that one leaves nothing in its best shape, and so does
-    what one in its best shape leaves far behind.
-    """
-    shaped: list[Hypothesis] = []
-    for h in sorted(fitted, key=lambda each: each.effect_count):
-        simpler = [x for x in shaped if len(x.effects) == len(h.effects) == 1 and nested(*x.names, *h.names)]
-        needless = any(not incomplete(search.estimation, x) for x in simpler)
-        nearly = comparable(h, best, SETTINGS.keep_fitted) and not needless
-        rivals = [x for x in shaped if x.plausible or not h.plausible]
-        nearly = nearly and all(comparable(h, x, SETTINGS.keep_initial) for x in rivals)
-        shaped.append(reshape_thoroughly(search, h) if nearly else h)
-    return shaped
-
-
-# ---- rounds --------------------------------------------------------------------------------------
-
-
-def _rounds(search: Search, selection: Selection) -> Selection:
-    """Add effects to the best hypothesis, round by round, until none is significant or nothing is left."""
-    best, tried, shaped = selection.best, selection.tried, selection.shaped
-    while len(best.effects) < SETTINGS.most_effects and incomplete(search.estimation, best):
-        best = straightened(search.estimation, refit(search.estimation, best, search.progress), search.progress)
-        if not incomplete(search.estimation, best) or not search.may_go_on:
-            break
-        larger, more = _larger(search, best)
-        tried = (*tried, *more)
-        if larger is None:
-            return Selection(best, tried, shaped=shaped)
-        best = larger
-        if search.may_go_on:
-            best = reshape_thoroughly(search, best)
-        reshaped = best
-        if search.may_go_on:
-            best, tried = _swapped(search, best, tried)
-        if search.may_go_on:
-            best = simplest(best, tried, search.candidates)
-        shaped = best is reshaped
-        if not search.may_go_on:
-            break
-    return Selection(best, tried, left_nothing=not incomplete(search.estimation, best), shaped=shaped)
-
-
-def _swapped(
-    search: Search, best: Hypothesis, tried: tuple[Hypothesis, ...]
-) -> tuple[Hypothesis, tuple[Hypothesis, ...]]:
-    """Swap effects for what is alike; one that is likelier beyond doubt takes their place at once."""
-    alike = swap_for_alike(search, best, tried)
-    return accepted(best, [h for h in alike if h.plausible or not best.plausible]), (*tried, *alike)
-
-
-def _larger(search: Search, best: Hypothesis) -> tuple[Hypothesis | None, list[Hypothesis]]:
-    """Add the effect that helps most; None if none is significant; and all that were tried."""
-    search.progress(Stage(5, f"looking for one effect more than {' + '.join(best.names)}"))
-    possible = more = add(search, best)
-    trace = best.discrepancy < search.trace and best.plausible
-    if trace:
-        possible = [h for h in possible if not _is_shape(search, best, h)]
-    if not leaves_excess(search.estimation, best.fit):  # only the file's numbers are implausible: that is to be cured
-        possible = [h for h in possible if h.plausible]
-    larger = min(possible, key=lambda h: h.fit.evidence, default=best)
-    share = SETTINGS.added_share_of_trace if trace else SETTINGS.added_share
-    return (larger if significant(larger.fit, best.fit, share) else None), more
-
-
-def _is_shape(search: Search, best: Hypothesis, larger: Hypothesis) -> bool:
-    """Tell whether what a larger hypothesis adds does much the same as an effect of the best one.
-
-    Where no more is left than the error of a shape, it is the shape of that effect: how its friction thins with speed.
-    """
-    signatures = {s.candidate.name: s for s in search.bases[0][1]} if search.bases else {}
-    added = [signatures[n] for n in larger.names if n in signatures and n not in best.names]
-    named = [signatures[n] for n in best.names if n in signatures]
-    return any(overlap(a, b) > SETTINGS.alike for a in added for b in named)
-
-
-# ---- floating ------------------------------------------------------------------------------------
-
-
-def _floating(search: Search, selection: Selection) -> Selection:
-    """Swap effects that were added one after the other, and add one for a number of the file that is implausible."""
-    estimation, best, others = search.estimation, selection.best, list[Hypothesis]()
-    if len(best.effects) > 1 and not selection.shaped and incomplete(estimation, best) and search.may_go_on:
-        best = reshape(estimation, best, search.progress)  # one that replaced another as simpler has its first shape
-    if len(best.effects) > 1 and incomplete(estimation, best):
-        others += swap(search, best, selection.tried)
-        best = accepted(best, others)
-    if leaves_excess(estimation, best.fit):
-        pairs = [h for h in likeliest(selection.tried) if len(h.effects) == 2 and set(best.names) < set(h.names)]
-        others += [richer for h in (best, *pairs[:1]) for richer in swap_for_nested(search, h)]
-        best = accepted(best, others)
-    if not best.plausible and len(best.effects) < SETTINGS.most_effects:
-        others += add_file_change(search, best)
-        best = accepted(best, others)
-    return replace(selection, best=best, tried=(*selection.tried, *others))
-
-
-def accepted(best: Hypothesis, tried: Sequence[Hypothesis]) -> Hypothesis:
-    """Return another hypothesis of as many effects that is likelier beyond doubt, or of one more.
-
-    One more must take a good share of what is left, or make the file's numbers plausible. One that has an effect with
-    more numbers in place of the same with fewer must take a good share of what is left, as anything that is added:
-    there is always something for more numbers to explain.
-    """
-    as_many = [h for h in tried if len(h.effects) == len(best.effects)]
-    as_many = [h for h in as_many if not _is_richer(h, best) or significant(h.fit, best.fit)]
-    more = [h for h in tried if len(h.effects) == len(best.effects) + 1]
-    more = [h for h in more if significant(h.fit, best.fit) or (h.plausible and not best.plausible)]
-    likelier = min([*as_many, *more], key=lambda h: h.fit.evidence, default=best)
-    gain = (best.fit.evidence - likelier.fit.evidence) / likelier.fit.misfit
-    return likelier if gain > SETTINGS.significant else best
-
-
-def _is_richer(h: Hypothesis, best: Hypothesis) -> bool:
-    """Tell whether a hypothesis has all effects of another, one of them with more numbers."""
-    return [NESTED.get(name) for name in set(h.names) - set(best.names)] == [*(set(best.names) - set(h.names))]
+    near = [on_all(h) for h in rivals(search, selection.best, selection)[:1]]
+    return Selection(best, (best, *near))

@@ -27,7 +27,6 @@ from ffcomp.diagnosis.next_experiment import blank_recording, linear_estimate
 from ffcomp.diagnosis.noise import whitener
 from ffcomp.diagnosis.printer_problem import PrinterProblem
 from ffcomp.diagnosis.score_test import confounded_with, separated_by
-from ffcomp.diagnosis.settings import SETTINGS
 from ffcomp.diagnosis.words import digits, joined
 from ffcomp.errors import FfcompError
 from ffcomp.record.moves import KINDS, Request, default_places, make_plan
@@ -57,7 +56,7 @@ class Separation:
     @property
     def tells(self) -> bool:
         """Tell whether the recording separates them."""
-        return not self.command or self.there > max(SETTINGS.separates_rms, 2.0 * self.now)
+        return not self.command or self.there > max(SEPARATES_RMS, 2.0 * self.now)
 
     def sentence(self) -> str:
         """Say what to record, and what it promises; or that no move does."""
@@ -106,6 +105,7 @@ def _without(names: Sequence[str], others: Sequence[str]) -> list[str]:
 
 
 OUTPUT = "separate.gcode"
+SEPARATES_RMS = 0.3  # of the noise, between predictions: tells them apart in 1000 rows
 
 Values = Mapping[str, float]
 
@@ -163,7 +163,7 @@ def rivals_of(diagnosis: Diagnosis) -> list[Rival]:
     too little to be named; then effects of a like signature, whether they were never fitted or fit less well.
     """
     best = diagnosis.best
-    if best is None or best.discrepancy > (1 - SETTINGS.mostly) * diagnosis.base.discrepancy:
+    if best is None or best.discrepancy > diagnosis.estimation.settings.left * diagnosis.base.discrepancy:
         return []
     fitted = [h for h in diagnosis.competing if h.names != best.names] + _likelier_with_one_more(diagnosis)
     rivals = [Rival(h.names, h.fit.values) for h in fitted]
@@ -179,9 +179,9 @@ def rivals_of(diagnosis: Diagnosis) -> list[Rival]:
 
 def _likelier_with_one_more(diagnosis: Diagnosis) -> list[Hypothesis]:
     assert diagnosis.best is not None
-    ours, scale = set(diagnosis.best.names), diagnosis.best.fit.misfit
+    ours, scale = set(diagnosis.best.names), diagnosis.best.fit.overdispersion
     larger = [h for h in diagnosis.tried if ours < set(h.names) and len(h.names) == len(ours) + 1]
-    likelier = [h for h in larger if diagnosis.behind(h) / scale < -SETTINGS.significant]
+    likelier = [h for h in larger if diagnosis.behind(h) / scale < -diagnosis.estimation.settings.significant]
     return sorted(likelier, key=diagnosis.behind)[:1]
 
 
@@ -215,7 +215,7 @@ def _played(
             continue
         virtual = _virtual(problem, diagnosis, experiment)
         apart = _differences(
-            virtual, diagnosis.best.fit, rivals, diagnosis.best.fit.information / diagnosis.best.fit.misfit
+            virtual, diagnosis.best.fit, rivals, diagnosis.best.fit.information / diagnosis.best.fit.overdispersion
         )
         yield _Trial(request, experiment.position_mm, tuple(apart))
 
@@ -228,7 +228,7 @@ def _virtual(problem: PrinterProblem, diagnosis: Diagnosis, experiment: Experime
     )
     virtual = PrinterProblem(problem.machine, [recording], ())
     whiten = whitener(virtual.observations, diagnosis.noise, virtual.band_hz)
-    return replace(estimation_problem(virtual, whiten), coarse=True)
+    return replace(estimation_problem(virtual, whiten, diagnosis.estimation.settings), coarse=True)
 
 
 def _differences(

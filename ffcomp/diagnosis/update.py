@@ -31,9 +31,8 @@ from ffcomp.diagnosis.fit import EstimationProblem, Fit, estimation_problem, fit
 from ffcomp.diagnosis.held_out import groups, hold_out
 from ffcomp.diagnosis.noise import NoiseFloor, at_least, noise_floor, noise_share, raised_to_residual, whitener
 from ffcomp.diagnosis.printer_problem import PrinterProblem
-from ffcomp.diagnosis.problem import Parameter, stem_of
+from ffcomp.diagnosis.problem import REACH_SD, Parameter, stem_of
 from ffcomp.diagnosis.recording_clocks import belongs_to_recording
-from ffcomp.diagnosis.settings import SETTINGS
 from ffcomp.errors import MeasurementError, NothingToDo, RequestError
 from ffcomp.identification.machine_fit import estimates, hash_of
 from ffcomp.identification.page_fit import SCALE
@@ -275,7 +274,7 @@ def _prior(n: Parameter, machine: Machine, known: Mapping[str, float], request: 
     assumed = times if stem_of(n.name) not in machine.uncertainty else 1.0
     sd = known.get(n.name, assumed * n.sd)
     sd = float(np.hypot(sd, times * request.drift * np.sqrt(request.prints) * abs(n.start)))
-    edges = n.start - SETTINGS.reach_sd * sd, n.start + SETTINGS.reach_sd * sd
+    edges = n.start - REACH_SD * sd, n.start + REACH_SD * sd
     least = 0.05 * n.start
     return replace(n, sd=sd, low=max(edges[0], least) if n.start > 0 else edges[0], high=edges[1])
 

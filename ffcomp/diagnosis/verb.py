@@ -24,7 +24,7 @@ from ffcomp.diagnosis.request import DiagnoseRequest
 from ffcomp.diagnosis.result import DiagnosisResult, better_file, result_of
 from ffcomp.diagnosis.sentences import summary_sentences, what_to_do
 from ffcomp.diagnosis.separation import separations
-from ffcomp.diagnosis.settings import SETTINGS
+from ffcomp.diagnosis.trace import Trace
 from ffcomp.diagnosis.words import digits
 from ffcomp.errors import FfcompError
 from ffcomp.identification.machine_fit import hash_of
@@ -253,8 +253,11 @@ def diagnose_files(request: DiagnoseRequest, search_progress: Progress | None = 
     recordings = recordings_of(plant, runs, request.plan, turn_of(request.axes_map), request.progress)
     problem = problem_of(plant, recordings)
     check_recordings(problem, recordings, request.without_repeats)
-    budget = inf if request.thorough else SETTINGS.budget_steps
-    search = diagnose(problem, search_progress or request.progress, budget)
+    trace = Trace()
+    budget = inf if request.thorough else None
+    search = diagnose(problem, search_progress or request.progress, budget, request.settings, trace)
+    if request.trace is not None:
+        trace.write(request.trace)
     problem = search.estimation.problem
     result, gain = result_of(problem, search), None
     if isinstance(problem, PrinterProblem):  # one axis takes no G-code, prints nothing

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
 
-from ffcomp.diagnosis.acceptance import rejections, unfounded
+from ffcomp.diagnosis.acceptance import rejections, unfounded, unproven
 from ffcomp.diagnosis.fit import Fit
 from ffcomp.diagnosis.held_out import HeldOut
 from ffcomp.diagnosis.hypotheses import Hypothesis
 from ffcomp.diagnosis.problem import Candidate, Parameter
+from ffcomp.diagnosis.settings import SETTINGS
 from ffcomp.identification.uncertainty import Estimate
 
 OWN = (Parameter("carriage.mass_kg", 0.2, 0.004), Parameter("recording.zigzag-0.delay_s", 0.0, 3e-4))
+ESTIMATION: Any = SimpleNamespace(settings=SETTINGS, tolerance=0.05)
 EFFECT = Parameter("effects.effector_mass.added_kg", 0.0, 0.1)
 
 
@@ -27,7 +32,7 @@ def test_numbers_of_the_file_may_not_move_far_beyond_what_it_says(z: tuple[float
     """A recording's delay may: it is no number of the file."""
     base = Fit(OWN, np.zeros(2), np.full(1000, 10.0), np.zeros((1000, 2)))
     held_out = [HeldOut(place, "", rows=500, before=99.0, after=0.0) for place in ((0.0, 0.0), (55.0, 20.0))]
-    found = rejections(base, named(z), held_out, {EFFECT.name: Estimate(0.12, 0.01, 0.1, 0.14)}, 0.05)
+    found = rejections(ESTIMATION, base, named(z), held_out, {EFFECT.name: Estimate(0.12, 0.01, 0.1, 0.14)})
     assert any("carriage.mass_kg by 4.9 times its uncertainty" in text for text in found) == said
 
 
@@ -48,7 +53,7 @@ def test_where_three_of_the_files_numbers_are_far_off_it_is_of_another_machine(
     effects = tuple(Candidate(name, (own,), {own.name: 0.1}) for name, own in zip(names, sizes, strict=True))
     held_out = [HeldOut(place, "", rows=500, before=99.0, after=0.0) for place in ((0.0, 0.0), (55.0, 20.0))]
     intervals = {own.name: Estimate(0.12, 0.01, 0.1, 0.14) for own in sizes}
-    found = rejections(base, Hypothesis(effects, fitted), held_out, intervals, 0.05)
+    found = rejections(ESTIMATION, base, Hypothesis(effects, fitted), held_out, intervals)
     assert any("the file of another machine" in text for text in found) == said
 
 
@@ -57,8 +62,24 @@ def test_an_effect_must_explain_more_than_its_number_is_worth(residual: float, n
     """A thousand rows of 1.004 are 8 more in χ² than a thousand of 1: less than the 10 that a number must bring."""
     base = Fit(OWN, np.zeros(2), np.full(1000, residual), np.zeros((1000, 2)))
     held_out = [HeldOut(place, "", rows=500, before=99.0, after=0.0) for place in ((0.0, 0.0), (55.0, 20.0))]
-    reasons = rejections(base, named((0.0, 0.0)), held_out, {EFFECT.name: Estimate(0.12, 0.01, 0.1, 0.14)}, 0.05)
+    reasons = rejections(ESTIMATION, base, named((0.0, 0.0)), held_out, {EFFECT.name: Estimate(0.12, 0.01, 0.1, 0.14)})
     assert ("it is not significantly better than retuning alone" not in reasons) == named_it
+
+
+@pytest.mark.parametrize(("quiet", "loud", "refused"), [(1.1, 0.05, False), (40.0, 0.05, True), (1.0, 0.3, True)])
+def test_a_place_weighs_as_much_as_there_is_to_explain_in_it(quiet: float, loud: float, refused: bool) -> None:
+    """The share that is left is of all places together: one with little motion, left as it was, refuses nothing."""
+    base = Fit(OWN, np.zeros(2), np.full(1000, 10.0), np.zeros((1000, 2)))
+    held_out = [
+        HeldOut((0.0, 0.0), "", rows=500, before=100.0, after=100.0 * loud),
+        HeldOut((55.0, 20.0), "", rows=500, before=1.0, after=quiet),
+    ]
+    intervals = {EFFECT.name: Estimate(0.12, 0.01, 0.1, 0.14)}
+    found = rejections(ESTIMATION, base, named((0.0, 0.0)), held_out, intervals)
+    assert any("where it was left out" in text for text in found) == refused
+    assert [one.position for one in unproven(ESTIMATION, held_out)] == [
+        one.position for one in held_out if one.after > 0.15 * one.before
+    ]
 
 
 @pytest.mark.parametrize(("frequency_hz", "said"), [(0.5, 1), (18.0, 0)])

@@ -15,11 +15,11 @@ from ffcomp.diagnosis.diagnosis import Diagnosis, diagnose
 from ffcomp.diagnosis.fidelity import linearised
 from ffcomp.diagnosis.fit import estimation_problem
 from ffcomp.diagnosis.hypotheses import Hypothesis
-from ffcomp.diagnosis.moves import Search, swap_for_law_within
 from ffcomp.diagnosis.noise import noise_floor, whitener
 from ffcomp.diagnosis.problem import InfeasibleParameters
 from ffcomp.diagnosis.problems import check_alike, with_folders
 from ffcomp.diagnosis.result import result_of
+from ffcomp.diagnosis.search import Search, Selection, finish
 from ffcomp.errors import MeasurementError
 from ffcomp.identification.axis_shots import shots_of
 from ffcomp.measurement.axis_run import AxisRun, read_axis_run
@@ -194,7 +194,7 @@ def test_a_law_gives_way_to_the_simpler_one_that_it_contains() -> None:
     base = linearised(estimation, rich.parameters, np.zeros(len(rich.parameters)))
     search = Search(estimation, (), base, lambda _: None)
     best = Hypothesis((law,), linearised(estimation, parameters, z))
-    simple = swap_for_law_within(search, best)
+    simple = finish(search, Selection(best, (best,))).best
     assert simple.names == ("coulomb_friction",)
     assert simple.fit.values["effects.coulomb_friction.force_n"] == pytest.approx(5.0, rel=0.03)
 

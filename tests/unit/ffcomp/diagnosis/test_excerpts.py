@@ -12,6 +12,8 @@ from ffcomp.diagnosis.fit import EstimationProblem, Fit, estimation_problem
 from ffcomp.diagnosis.hypotheses import Hypothesis
 from ffcomp.diagnosis.noise import noise_floor, whitener
 from ffcomp.diagnosis.observations import (
+    EXCERPT_MOTIONS,
+    EXCERPT_S,
     clustered,
     first_seconds,
     informative_recordings,
@@ -19,7 +21,6 @@ from ffcomp.diagnosis.observations import (
 )
 from ffcomp.diagnosis.printer_problem import PrinterProblem
 from ffcomp.diagnosis.problem import Observation
-from ffcomp.diagnosis.settings import SETTINGS
 from ffcomp.measurement.recording import Recording
 from models.file import load_machine
 
@@ -58,7 +59,7 @@ def test_an_excerpt_is_simulated_as_the_whole_is(values: dict[str, float], toler
     assert part is not None
     for long, short, rows in zip(whole.simulate(values), part.simulate(values), part.parts, strict=True):
         there = long[rows.first : rows.last]
-        assert len(short) == rows.last - rows.first == pytest.approx(SETTINGS.excerpt_s * RATE_HZ, rel=0.02)
+        assert len(short) == rows.last - rows.first == pytest.approx(EXCERPT_S * RATE_HZ, rel=0.02)
         np.testing.assert_allclose(short, there, atol=tolerance * np.abs(there).max())
 
 
@@ -101,7 +102,7 @@ def test_only_a_discrepancy_that_stands_out_is_searched_in_an_excerpt() -> None:
     estimation = whitened(problem())
     part = excerpt_of(estimation, 100.0)
     assert part is not None
-    assert part.share == pytest.approx(SETTINGS.excerpt_s / SECONDS, rel=0.05)
+    assert part.share == pytest.approx(EXCERPT_S / SECONDS, rel=0.05)
     assert len(part.measured) == part.share * len(estimation.measured)
     assert excerpt_of(estimation, 1.5 * estimation.tolerance) is None
     assert excerpt_of(part, 100.0) is None  # what is short already is not cut again
@@ -122,7 +123,7 @@ def of_a_plan(kinds: str, repeats: int = 2) -> tuple[list[Observation], list[int
 def test_of_many_motions_a_few_of_every_place_and_kind_are_searched_in() -> None:
     runs, same = of_a_plan("abc")
     chosen = informative_recordings(runs, same)
-    assert len(chosen) == SETTINGS.excerpt_motions and all(same[i] == i for i in chosen)  # no repeats
+    assert len(chosen) == EXCERPT_MOTIONS and all(same[i] == i for i in chosen)  # no repeats
     assert {runs[i].repeat_of[0] for i in chosen} == set("abc")
     assert len(set(clustered([runs[i].position for i in chosen]))) == 3
 
@@ -159,7 +160,7 @@ def test_delays_of_recordings_that_an_excerpt_leaves_out_come_back_as_nothing() 
     part = excerpt_of(whitened(many_motions()), 100.0)
     assert part is not None
     names, left = [[n.name for n in p.parameters] for p in (many_motions(), part.problem)]
-    assert set(left) < set(names) and len(names) - len(left) == MOTIONS_MADE - SETTINGS.excerpt_motions
+    assert set(left) < set(names) and len(names) - len(left) == MOTIONS_MADE - EXCERPT_MOTIONS
     assert [n for n in names if not n.startswith("recording.")] == [n for n in left if not n.startswith("recording.")]
     z = 0.1 * np.arange(len(names), dtype=np.float64)
     filed = Fit(tuple(many_motions().parameters), z, np.zeros(1), np.zeros((1, len(z))))

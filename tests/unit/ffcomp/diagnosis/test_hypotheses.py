@@ -15,13 +15,10 @@ from ffcomp.diagnosis.hypotheses import (
     competing_with,
     implausible,
     leaves_excess,
-    prefer_plausible,
     significant,
-    simplest,
-    with_a_plausible,
 )
 from ffcomp.diagnosis.problem import Candidate, Parameter
-from ffcomp.diagnosis.search import accepted
+from ffcomp.diagnosis.settings import SETTINGS
 
 SHORT, LONG = 200, 20_000
 
@@ -30,7 +27,7 @@ def estimation(*lengths: int) -> Any:
     """A problem of observations of so many rows."""
     ends = np.cumsum(lengths)
     rows = [slice(b - n, b) for b, n in zip(ends, lengths, strict=True)]
-    return SimpleNamespace(tolerance=0.1, whiten=SimpleNamespace(rows=rows))
+    return SimpleNamespace(tolerance=0.1, settings=SETTINGS, whiten=SimpleNamespace(rows=rows))
 
 
 def fitted(residual: np.ndarray) -> Fit:
@@ -72,65 +69,8 @@ def test_an_effect_that_says_what_a_number_of_the_file_may_say_is_not_needed() -
         Fit((own, belt, shape), z, rng.standard_normal(LONG), columns),
     )
     belt_only, shape_only = best.effects
-    assert not significant(best.fit, predicted_without(best, belt_only))
-    assert significant(best.fit, predicted_without(best, shape_only))
-
-
-def test_a_freer_shape_is_no_reason_to_name_another_effect() -> None:
-    """A sine with its belt's share freed fits a little better than a softening belt: both need one number."""
-
-    def needing(name: str, *shapes: str) -> Candidate:
-        own = tuple(Parameter(f"effects.{name}.{each}", 0.0, 1.0) for each in ("size", *shapes))
-        return Candidate(name, own[:1], {}, own[1:])
-
-    def explained(candidate: Candidate, left: float, finer: int = 0) -> Hypothesis:
-        count = len(candidate.parameters) + finer
-        parameters = tuple(Parameter(f"{candidate.name} {i}", 0.0, 1.0) for i in range(count))
-        residual = np.full(LONG, np.sqrt(1 + left))
-        return Hypothesis((candidate,), Fit(parameters, np.zeros(count), residual, np.zeros((LONG, count))))
-
-    candidates = [needing("belt"), needing("sine"), needing("stribeck", "extra", "speed")]
-    belt, sine, stribeck = (explained(c, *a) for c, a in zip(candidates, [(0.121,), (0.118, 1), (0.118,)], strict=True))
-    assert simplest(sine, [belt, sine], candidates) is sine
-    assert simplest(stribeck, [belt, stribeck], candidates) is belt  # it needs more, and explains hardly more
-
-
-def test_more_numbers_of_the_same_effect_are_no_exchange_unless_they_take_a_good_share() -> None:
-    """On a measured stage (EMPS) friction that fades with speed took a twentieth more than dry friction."""
-
-    def beside_drag(name: str, left: float) -> Hypothesis:
-        effects = tuple(Candidate(n, (Parameter(f"{n} size", 0.0, 1.0),), {}) for n in ("drag", name))
-        parameters = tuple(n for c in effects for n in c.parameters)
-        residual = np.full(LONG, np.sqrt(1 + left))
-        return Hypothesis(effects, Fit(parameters, np.zeros(2), residual, np.zeros((LONG, 2))))
-
-    dry, most = beside_drag("coulomb_friction", 1.0), beside_drag("stribeck_friction", 0.1)
-    fading, ripple = (beside_drag(name, 0.95) for name in ("stribeck_friction", "cogging_force"))
-    assert accepted(dry, [fading]) is dry
-    assert accepted(dry, [ripple]) is ripple  # another effect need only be likelier
-    assert accepted(dry, [most]) is most
-
-
-def bending(name: str, file_z: float, left: float, clock_z: float = 0.0) -> Hypothesis:
-    """An effect of the size 1, with a number of the file and a recording's clock so many uncertainties off."""
-    own = Parameter("axes.y.frequency_hz[0]", 29.0, 0.6), Parameter("recording.loop.delay_s", 0.0, 1e-4)
-    effect = Parameter(f"effects.{name}.size", 0.0, 1.0)
-    residual = np.full(LONG, np.sqrt(1 + left))
-    z = np.array([file_z, clock_z, 1.0])
-    return Hypothesis((Candidate(name, (effect,), {}),), Fit((*own, effect), z, residual, np.zeros((LONG, 3))))
-
-
-def test_an_effect_that_is_a_number_of_the_file_does_not_lose_to_bending_it() -> None:
-    """A softer belt, fitted roughly, beside guides that damp more and a frequency five uncertainties too low."""
-    guides, frame = bending("guide_damping", 5.0, 0.0), bending("frame_mode", 4.0, 0.01)
-    rough, belt = bending("belt_stiffness", 1.0, 1.7), bending("belt_stiffness", 1.0, 0.01, clock_z=5.0)
-    assert with_a_plausible([guides, frame], [guides, frame, rough, belt]) == [guides, frame, rough]
-    assert with_a_plausible([guides, belt], [guides, belt, rough]) == [guides, belt]
-    assert with_a_plausible([guides], [guides, frame]) == [guides]
-    assert guides.fit.evidence < belt.fit.evidence  # and yet
-    assert prefer_plausible(guides, [guides, frame, belt], 0.05) is belt
-    assert prefer_plausible(guides, [guides, frame, rough], 0.05) is guides  # which leaves too much
-    assert prefer_plausible(belt, [rough, belt], 0.05) is belt
+    assert not significant(best.fit, predicted_without(best, belt_only), SETTINGS)
+    assert significant(best.fit, predicted_without(best, shape_only), SETTINGS)
 
 
 def leaving(name: str, left: float) -> Hypothesis:
@@ -143,6 +83,6 @@ def test_a_trace_of_a_loud_gap_rules_nothing_out() -> None:
     """Of a gap 770 times the noise a sine leaves 0.14, a softening belt 0.03: either may be it."""
     best, sine, far = leaving("belt_hardening", 0.03), leaving("torque_angle", 0.14), leaving("cogging", 40.0)
     tried = [best, sine, far]
-    assert competing_with(best, tried) == []
-    assert competing_with(best, tried, gap=770.0) == [sine]
-    assert competing_with(best, tried, gap=20.0) == []  # there it is seven thousandths
+    assert competing_with(best, tried, SETTINGS) == []
+    assert competing_with(best, tried, SETTINGS, gap=770.0) == [sine]
+    assert competing_with(best, tried, SETTINGS, gap=20.0) == []  # there it is seven thousandths

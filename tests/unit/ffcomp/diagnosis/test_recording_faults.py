@@ -6,9 +6,7 @@ import numpy as np
 import pytest
 from scipy.signal import butter, sosfilt
 
-from ffcomp.diagnosis.acceptance import contradicting
 from ffcomp.diagnosis.fit import EstimationProblem, Fit
-from ffcomp.diagnosis.held_out import HeldOut
 from ffcomp.diagnosis.noise import NoiseFloor, at_least, noise_share, whitener
 from ffcomp.diagnosis.observations import clustered
 from ffcomp.diagnosis.problem import Observation
@@ -172,18 +170,6 @@ def test_places_count_as_two_from_20_mm_on() -> None:
     assert clustered([(0.0, 0.0), (5.0, 0.0), (30.0, 0.0)]) == [(0.0, 0.0), (0.0, 0.0), (30.0, 0.0)]
     assert len(set(clustered([(0.0, 0.0), (36.0, 0.0), (18.0, 0.0)]))) == 1  # a chain is one place
     assert clustered([(0.0,), (4.0,)]) == [(0.0,), (4.0,)]  # windows of time
-
-
-def test_a_quiet_place_does_not_veto_what_explains_the_others() -> None:
-    loud, quiet = (HeldOut(at, "", 1000, before, after) for at, before, after in PLACES)
-    assert contradicting([loud, quiet], 0.1) == []
-    worse = HeldOut((55.0, 20.0), "", 1000, 37.0, 80.0)
-    assert contradicting([loud, worse], 0.1) == [worse]
-    wrong = HeldOut((0.0, 0.0), "", 1000, 900.0, 500.0)
-    assert contradicting([wrong, quiet], 0.1) == [wrong]
-
-
-PLACES = (((0.0, 0.0), 970.0, 60.0), ((55.0, 20.0), 37.0, 38.0))
 
 
 @pytest.mark.parametrize("late_s", [5e-4, 2e-3, 6e-3])

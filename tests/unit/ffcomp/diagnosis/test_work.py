@@ -10,13 +10,11 @@ import pytest
 
 from ffcomp.diagnosis.axis_problem import STEP_COST, AxisProblem
 from ffcomp.diagnosis.diagnosis import Diagnosis, diagnose
-from ffcomp.diagnosis.fidelity import USUAL_SIZES, best_start
 from ffcomp.diagnosis.fit import EstimationProblem, Fit, estimation_problem
 from ffcomp.diagnosis.noise import noise_from_repeats, whitener
 from ffcomp.diagnosis.problem import Work
 from ffcomp.diagnosis.result import result_of
-from ffcomp.diagnosis.score_test import loudest_motions, screen, subset_of
-from ffcomp.diagnosis.settings import SETTINGS
+from ffcomp.diagnosis.score_test import loudest_motions, subset_of
 from ffcomp.diagnosis.verb import result_json
 from ffcomp.measurement.axis_run import AxisRun
 from models.effects.catalogue import with_effects
@@ -58,7 +56,7 @@ def unexplained(of: EstimationProblem) -> Fit:
 
 
 @cache
-def searched(budget: float) -> tuple[AxisProblem, Diagnosis]:
+def searched(budget: float | None) -> tuple[AxisProblem, Diagnosis]:
     asked = problem()
     return asked, diagnose(asked, budget=budget)
 
@@ -86,38 +84,21 @@ def test_a_glimpse_is_of_the_motions_that_hold_most_of_the_residual() -> None:
     assert len(evenly) == 2 and evenly[0] == 0  # the one that was recorded twice holds a third
 
 
-def test_shapes_and_starts_are_ranked_in_a_glimpse(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The same candidate comes first, of nearly the same size, for about half of the work."""
-
-    def ranked() -> tuple[str, float, float]:
-        whole = estimation(("coulomb_friction", "cogging"))
-        base, before = unexplained(whole), whole.problem.work.steps
-        first, *_ = screen(whole, base, list(whole.problem.candidates))
-        start = best_start(whole, base, (first,), USUAL_SIZES, USUAL_SIZES)
-        return first.candidate.name, float(start.z[0]), whole.problem.work.steps - before
-
-    name, size, steps = ranked()
-    for module in ("score_test", "fidelity"):
-        monkeypatch.setattr(f"ffcomp.diagnosis.{module}.subset_of", lambda *_: None)
-    assert ranked()[:2] == (name, pytest.approx(size, rel=0.2)) and name == "coulomb_friction"
-    assert steps < 0.6 * ranked()[2]
-
-
 def test_a_small_case_is_named_within_few_steps() -> None:
-    asked, found = searched(SETTINGS.budget_steps)
+    asked, found = searched(None)
     assert found.verdict == "effects" and found.named is not None and found.named.names == ("coulomb_friction",)
     assert found.final.values[FRICTION] == pytest.approx(4.0, rel=0.05)
     assert not found.cut_short
-    assert asked.work.steps < 2.9 * MILLION * STEP_COST
+    assert asked.work.steps < 3.6 * MILLION * STEP_COST
 
 
 def test_a_search_ends_at_its_budget_and_says_so() -> None:
     asked, found = searched(0.1 * MILLION)
     assert found.cut_short
-    assert asked.work.steps < 0.7 * searched(SETTINGS.budget_steps)[0].work.steps
+    assert asked.work.steps < 0.7 * searched(None)[0].work.steps
     told = result_json(result_of(asked, found))
     assert told["cut_short"] and any("--thorough" in sentence for sentence in told["said"])
-    whole = result_json(result_of(*searched(SETTINGS.budget_steps)))
+    whole = result_json(result_of(*searched(None)))
     assert not whole["cut_short"] and not any("--thorough" in sentence for sentence in whole["said"])
 
 

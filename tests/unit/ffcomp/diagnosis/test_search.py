@@ -1,0 +1,78 @@
+"""The beam search: what it fits, what it keeps, and what its trace says of it."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ffcomp.diagnosis.diagnosis import Diagnosis, diagnose
+from ffcomp.diagnosis.fit import Fit, solved
+from ffcomp.diagnosis.problem import Parameter
+from ffcomp.diagnosis.search import _as_filed
+from ffcomp.diagnosis.settings import SETTINGS, SearchSettings
+from ffcomp.diagnosis.trace import Trace
+from tests.unit.ffcomp.diagnosis.test_work import problem
+
+NAMES = ("coulomb_friction", "belt_hardening", "guide_damping")
+
+
+@cache
+def asked(settings: SearchSettings = SETTINGS) -> tuple[Diagnosis, Trace]:
+    trace = Trace()
+    return diagnose(problem(NAMES), settings=settings, trace=trace), trace
+
+
+def test_every_fit_and_every_decision_is_in_the_trace(tmp_path: Path) -> None:
+    found, trace = asked()
+    assert found.named is not None and found.named.names == ("coulomb_friction",)
+    fits = [r for r in trace.records if r.step.startswith("fit")]
+    assert {"coulomb_friction", "guide_damping"} <= {name for r in fits for name in r.effects}
+    assert all(r.evidence is not None and r.left is not None and r.parameters for r in fits)
+    assert sum(r.evaluations for r in trace.records) > 100
+    pruned = [r for r in trace.records if r.step == "prune"]
+    assert {r.outcome for r in pruned} == {"kept", "dropped"}
+    assert [(r.effects, r.outcome) for r in trace.records if r.step == "accept"] == [(("coulomb_friction",), "kept")]
+    trace.write(tmp_path / "trace.json")
+    written = json.loads((tmp_path / "trace.json").read_text(encoding="utf-8"))
+    assert len(written) == len(trace.records) and written[-1]["effects"] == ["coulomb_friction"]
+
+
+def test_settings_are_an_argument_and_a_narrower_search_fits_less() -> None:
+    _, broad = asked()
+    _, narrow = asked(replace(SETTINGS, tried=1, starts=1, width=1, forms=0))
+    counts = [sum(r.step.startswith("fit") for r in trace.records) for trace in (narrow, broad)]
+    assert counts[0] < 0.7 * counts[1]
+    assert SearchSettings() == SETTINGS
+
+
+def test_a_number_of_the_file_is_held_where_an_effect_is_the_same_number() -> None:
+    """A belt 16 % softer and the file's own stiffness are one number: fitted together, neither is determined."""
+    rng = np.random.default_rng(3)
+    own = (Parameter("belt", 1e5, 5e3, 5e4, 2e5), Parameter("mass", 1.0, 0.05))
+    effect = Parameter("effects.belt_stiffness.relative_change", 0.0, 0.3)
+    belt, mass = rng.normal(size=(2, 500))
+    columns = np.column_stack([belt, mass, 6.0 * belt + 1e-4 * mass])
+    held, z = _as_filed((*own, effect), np.array([2.0, 0.5, -0.5]), columns, 2, 2)
+    assert held[0].low == held[0].high == 1e5 and held[1:] == (own[1], effect)
+    assert z.tolist() == [0.0, 0.5, -0.5]
+
+
+def test_the_normal_equations_of_columns_twenty_decades_apart_are_solved() -> None:
+    scale = 10.0 ** np.array([-9.0, 0.0, 9.0])
+    correlated = np.array([[1.0, 0.5, 0.0], [0.5, 1.0, 0.5], [0.0, 0.5, 1.0]])
+    x = np.array([3.0, -2.0, 1.0]) / scale
+    matrix = correlated * np.outer(scale, scale)
+    assert solved(matrix, matrix @ x) == pytest.approx(x, rel=1e-9)
+
+
+@pytest.mark.parametrize(("left", "expected"), [(1.0, 1.0), (0.5, 1.0), (4.0, 4.0 * (1 + 9 * 0.75)), (1e6, 1e7)])
+def test_model_error_counts_by_blocks_and_noise_by_rows(left: float, expected: float) -> None:
+    """At the noise nothing is divided; far above it, a block of ten rows says as much as one row."""
+    rows = np.full(100, np.sqrt(left))
+    fitted = Fit((), np.zeros(0), rows, np.zeros((100, 0)), block_rows=10.0)
+    assert fitted.overdispersion == pytest.approx(expected, rel=1e-5)
