@@ -246,7 +246,7 @@ class Fit:
         rows : of each observation.
         same : of each observation the one whose motion it repeats: repeats share the model's error.
         """
-        bread = np.linalg.inv(self._certain_information)
+        bread = solved(self._certain_information, np.eye(len(self.z)))
         meat = np.eye(len(self.z)) + sum(sums.T @ sums for sums in self._slopes(frequency_hz, rows, same))
         wide = np.diag(bread @ meat @ bread) / np.diag(bread)
         wider = np.sqrt(np.maximum(1.0, wide))
