@@ -1,0 +1,7 @@
+"""One engine that estimates: a problem, one fit, one covariance and one noise model for every kind of measurement.
+
+    Observation ─┐
+    Unknown ─────┴─ EstimationProblem ── fit ── FitResult (values, covariance, evidence, status, history)
+
+`ffcomp.estimation` is something else: the time that a print takes.
+"""

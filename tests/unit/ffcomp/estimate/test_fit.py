@@ -1,0 +1,170 @@
+"""The engine: known minima, bounds, priors, how a fit ended, model errors, clusters, and evidence in closed form."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ffcomp.estimate.covariance import clustered_covariance
+from ffcomp.estimate.fit import FitResult, Settings, Status, best_of, fit
+from ffcomp.estimate.problem import EstimationProblem, Observation, Unknown
+from models.arrays import FloatArray
+
+T = np.linspace(0.0, 1.0, 40)
+NOISE = np.full(len(T), 1e-4)
+
+
+class Decay(EstimationProblem):
+    """a e^(−b t), measured once or several times; its derivatives exact, or by differences."""
+
+    def __init__(self, observations: Sequence[Observation], unknowns: Sequence[Unknown], exact: bool) -> None:
+        self.observations, self.unknowns, self.exact = observations, unknowns, exact
+        self.count = 0
+
+    def simulate(self, lanes: Sequence[FloatArray]) -> Iterator[FloatArray]:
+        for a, b in lanes:
+            self.count += 1
+            yield np.tile(a * np.exp(-b * T), len(self.observations))
+
+    def slopes(self, values: FloatArray) -> FloatArray | None:
+        a, b = values
+        once = np.column_stack([np.exp(-b * T), -a * T * np.exp(-b * T)])
+        return np.tile(once, (len(self.observations), 1)) if self.exact else None
+
+
+def decay(truth: tuple[float, float] = (2.0, 3.0), exact: bool = True, **b: float) -> Decay:
+    seen = Observation(truth[0] * np.exp(-truth[1] * T), NOISE)
+    return Decay([seen], [Unknown("a"), Unknown("b", **b)], exact)
+
+
+class Line(EstimationProblem):
+    """Measurements that are linear in the unknowns: everything is known in closed form."""
+
+    def __init__(self, matrix: FloatArray, observations: Sequence[Observation], unknowns: Sequence[Unknown]) -> None:
+        self.matrix, self.observations, self.unknowns = matrix, observations, unknowns
+
+    def simulate(self, lanes: Sequence[FloatArray]) -> Iterator[FloatArray]:
+        return (self.matrix @ x for x in lanes)
+
+
+@pytest.mark.parametrize(("exact", "keep"), [(True, False), (False, False), (False, True)])
+def test_a_known_minimum_is_found(exact: bool, keep: bool) -> None:
+    problem = decay(exact=exact)
+    found = fit(problem, np.ones(2), Settings(keep=keep, exact_end=True, gain=1e-6))
+    assert found.status is Status.CONVERGED and found.doubt("it") == []
+    np.testing.assert_allclose(found.values, [2.0, 3.0], rtol=1e-4)
+    np.testing.assert_allclose(found.jacobian, 100 * decay().slopes(found.values), rtol=1e-5, atol=1e-5)
+    assert found.n_evaluations == problem.count
+    assert list(found.history) == sorted(found.history, reverse=True)
+
+
+def test_derivatives_that_are_kept_cost_fewer_simulations() -> None:
+    renewed, kept = decay(exact=False), decay(exact=False)
+    fit(renewed, np.ones(2), Settings(gain=1e-6))
+    fit(kept, np.ones(2), Settings(gain=1e-6, keep=True))
+    assert kept.count < renewed.count
+
+
+def test_running_out_of_steps_is_not_converging() -> None:
+    found = fit(decay(), np.array([1.0, 20.0]), Settings(steps=2))
+    assert found.status is Status.RAN_OUT and len(found.history) == 2
+    (sentence,) = found.doubt("the decay")
+    assert "the decay ran out of steps" in sentence
+
+
+def test_a_bound_holds_and_the_rest_fits_as_well_as_it_can() -> None:
+    found = fit(decay(high=2.0), np.ones(2))
+    assert found.status is Status.CONVERGED and found["b"] == 2.0
+    column = np.exp(-2.0 * T)
+    assert found["a"] == pytest.approx(float(column @ (2 * np.exp(-3 * T)) / (column @ column)), rel=1e-4)
+
+
+def test_a_prior_pulls_as_much_as_it_is_sure() -> None:
+    y, sd, prior = 3.0, 0.5, Unknown("x", mean=1.0, sd=2.0)
+    found = fit(Line(np.eye(1), [Observation(np.array([y]), np.array([sd**2]))], [prior]), np.zeros(1))
+    precision = sd**-2 + prior.sd**-2
+    assert found.values[0] == pytest.approx((y / sd**2 + 1.0 / prior.sd**2) / precision)
+    assert found.covariance[0, 0] == pytest.approx(1 / precision)
+
+
+def test_evidence_is_that_of_the_marginal_distribution() -> None:
+    """Linear and normal: y ~ N(A mean, A P Aᵀ + R), and Laplace's approximation is exact."""
+    rng = np.random.default_rng(0)
+    matrix, y, noise = rng.normal(size=(6, 2)), rng.normal(size=6), rng.uniform(0.5, 2.0, 6)
+    unknowns = [Unknown("a", 0.5, 2.0), Unknown("b", -1.0, 0.3)]
+    found = fit(Line(matrix, [Observation(y, noise)], unknowns), np.zeros(2), Settings(exact_end=True))
+    spread = matrix @ np.diag([4.0, 0.09]) @ matrix.T + np.diag(noise)
+    off = y - matrix @ [0.5, -1.0]
+    assert found.evidence == pytest.approx(off @ np.linalg.solve(spread, off) + np.linalg.slogdet(spread)[1])
+
+
+def test_the_best_start_wins_and_a_good_one_ends_the_search() -> None:
+    tried = []
+
+    def fits() -> Iterator[object]:
+        for b in (300.0, 1.0, 2.0):
+            tried.append(b)
+            yield fit(decay(low=-1.0), np.array([1.0, b]), Settings(steps=8))
+
+    best = best_of(fits(), lambda found: found.cost < 1e-3)  # type: ignore[arg-type]
+    assert best["b"] == pytest.approx(3.0, abs=1e-3) and tried == [300.0, 1.0]
+
+
+# ---- what the model gets wrong -------------------------------------------------------------------
+
+
+def recordings(seed: int, wrong: float) -> list[Observation]:
+    """Four recordings of a constant, off by a share that keeps its sign in each of 30 blocks of ten rows."""
+    rng, seen, blocks = np.random.default_rng(seed), [], np.repeat(np.arange(30), 10)
+    for _ in range(4):
+        y = 5.0 * (1 + wrong * rng.normal(size=30)[blocks]) + 0.01 * rng.normal(size=300)
+        seen.append(Observation(y, np.full(300, 1e-4), np.full(300, 25.0), blocks))
+    return seen
+
+
+def constant(seen: Sequence[Observation]) -> FitResult[Line]:
+    return fit(Line(np.ones((1200, 1)), seen, [Unknown("x")]), np.zeros(1), Settings(rounds=10))
+
+
+def test_the_models_own_error_is_estimated_and_noise_alone_has_none() -> None:
+    off, exact = constant(recordings(0, 0.03)), constant(recordings(0, 0.0))
+    assert off.status is exact.status is Status.CONVERGED
+    assert 0.02 < off.errors.min() < off.errors.max() < 0.04
+    assert not exact.errors.any()
+    assert exact.covariance[0, 0] == pytest.approx(1e-4 / 1200)
+
+
+def test_intervals_hold_the_truth_where_rows_err_alike() -> None:
+    """90 % of 200 are 180, with a standard deviation of 4; as if rows were independent, 40 % would."""
+    held = 0
+    for seed in range(200):
+        found = constant(recordings(seed, 0.03))
+        held += abs(found.values[0] - 5.0) < 1.645 * np.sqrt(found.covariance[0, 0])
+    assert 166 <= held <= 194
+
+
+def test_a_cluster_that_is_left_out_moves_the_fit_as_the_covariance_says() -> None:
+    rng = np.random.default_rng(1)
+    jacobian, clusters = rng.normal(size=(60, 3)), np.repeat(np.arange(12), 5)
+    residual = rng.normal(size=60) + 3.0 * rng.normal(size=12)[clusters]
+    precision = np.array([0.0, 1.0, 4.0])
+    residual -= jacobian @ np.linalg.solve(jacobian.T @ jacobian + np.diag(precision), jacobian.T @ residual)
+    moved = []
+    for c in range(12):
+        kept = clusters != c
+        normal = jacobian[kept].T @ jacobian[kept] + np.diag(precision)
+        moved.append(np.linalg.solve(normal, jacobian[~kept].T @ residual[~kept]))
+    bread = np.linalg.inv(jacobian.T @ jacobian + np.diag(precision))
+    expected = np.sum(np.square(moved), axis=0) + np.diag(bread @ np.diag(precision) @ bread)
+    found = clustered_covariance(jacobian, residual, clusters, precision)
+    np.testing.assert_allclose(np.diag(found), np.maximum(expected, np.diag(bread)), rtol=1e-6)
+
+
+def test_recordings_of_one_motion_err_alike() -> None:
+    """The same recording four times: no more is known than by one of them."""
+    once = recordings(3, 0.03)[:1]
+    apart, together = (constant([replace(each, motion=motion) for each in once * 4]) for motion in (None, "same"))
+    assert together.covariance[0, 0] == pytest.approx(4 * apart.covariance[0, 0], rel=0.1)
