@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import date
 from pathlib import Path
@@ -11,21 +11,22 @@ from typing import Any
 import numpy as np
 
 from ffcomp.errors import RequestError
+from ffcomp.estimate.fit import Settings, fit
+from ffcomp.estimate.problem import EstimationProblem, Observation, Unknown
 from ffcomp.identification.axis_shots import Shots, scales_of, shots_of
 from ffcomp.identification.machine_fit import MachineFit, estimates, hash_of
 from ffcomp.identification.uncertainty import Estimate, Joint
 from ffcomp.measurement.axis_run import AxisRun, read_axis_run
-from ffcomp.numerics.least_squares import minimise
 from ffcomp.numerics.stages import Stage
-from models.arrays import FloatArray, IntArray
+from models.arrays import FloatArray
 from models.file import updated_text
 from models.kinds import driven_axis
 from models.machine import Machine, value_of, with_values
 
 MASS, OFFSET, OFFSET_SHARE = "axis.mass_kg", "axis.offset_n", 0.1
-EVALUATIONS = 60
+FINAL = Settings(rounds=5)
 BLOCKS = 60  # of a run: what is left is alike within one, and independent of the others
-FAR = 1e3  # times its signal is the error of an axis that moves to infinity
+NOISE = 1e-6  # of a signal: less is not resolved
 LOWEST, HIGHEST = 1e-3, 1e3  # times the file's value
 WEAK = 0.1  # relative, from which a number is said to be weak
 
@@ -37,6 +38,7 @@ class AxisFitted:
     estimates: Mapping[str, Estimate]
     before: float  # rms of the error over that of the signals' own motion
     after: float
+    doubt: tuple[str, ...] = ()  # a sentence if the fit has not converged
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -87,6 +89,7 @@ def fit_axis(
         name=name,
         text=_text(start, result, name, hashes),
         advice=[
+            *result.doubt,
             *(f"{key} is known to ±{100 * result.estimates[key].relative_sd:.0f} % only." for key in weak),
             *(f"{key} stays as it was: where a position drives, only ratios show. Weigh it (--known)." for key in kept),
         ],
@@ -107,33 +110,64 @@ def fitted_axis(start: Machine, runs: Sequence[AxisRun], known: Mapping[str, tup
     unknown = [key for key in known if key not in names]
     if unknown:
         raise RequestError(f"--known {unknown[0]}: this axis has {', '.join(names)}.")
-    names = [n for n in names if n not in kept_of(start, known)]
-    first = np.array([value_of(start, n) for n in names])
-    scale = np.array(
-        [OFFSET_SHARE * scales_of(start, shots).force_n if n == OFFSET else value_of(start, n) for n in names]
+    problem = _Problem(start, shots, [n for n in names if n not in kept_of(start, known)], known)
+    first = np.array([value_of(start, n) for n in problem.names]) / problem.scale
+    found = fit(problem, first, FINAL)
+    joint = Joint(
+        tuple(problem.names),
+        found.values * problem.scale,
+        found.covariance * np.outer(problem.scale, problem.scale),
     )
-    sizes = _sizes(shots)
-    blocks = _blocks(shots)
-
-    def error(x: FloatArray) -> FloatArray:
-        values = dict(zip(names, (x * scale).tolist(), strict=True))
-        simulated = np.concatenate([_error(one, with_values(start, values), sizes) for one in shots])
-        beside = [(values[key] - value) / sd for key, (value, sd) in known.items()]
-        return np.concatenate([simulated / noise, beside])
-
-    noise = 1.0
-    positive = np.array([n != OFFSET for n in names])
-    bounds = np.where(positive, LOWEST, -np.inf), np.where(positive, HIGHEST, np.inf)
-    solved = minimise(error, first / scale, evaluations=EVALUATIONS, bounds=bounds)
-    noise = float(np.sqrt(np.mean(solved.residual[: len(blocks)] ** 2)))
-    if known:  # weighed against what is left
-        solved = minimise(error, solved.x, evaluations=EVALUATIONS, bounds=bounds)
-    covariance = _covariance(solved.jacobian, solved.residual, blocks)
-    joint = Joint(tuple(names), solved.x * scale, covariance * np.outer(scale, scale))
     before, after = (
-        float(np.sqrt(np.nanmean((noise * error(x)[: len(blocks)]) ** 2))) for x in (first / scale, solved.x)
+        float(np.sqrt(np.mean(simulated[: -len(known) or None] ** 2)))
+        for simulated in (problem.measured - each for each in problem.simulate([first, found.values]))
     )
-    return AxisFitted(joint.estimates(), before, after)
+    return AxisFitted(joint.estimates(), before, after, tuple(found.doubt(start.name)))
+
+
+class _Problem(EstimationProblem):
+    """Unknowns are the axis' numbers in the file's own values; measured are signals over the size of their motion."""
+
+    def __init__(
+        self,
+        start: Machine,
+        shots: Sequence[Shots],
+        names: Sequence[str],
+        known: Mapping[str, tuple[float, float]],
+    ) -> None:
+        self.start, self.shots, self.names, self.known = start, shots, names, known
+        offset = OFFSET_SHARE * scales_of(start, shots).force_n
+        self.scale = np.array([offset if n == OFFSET else value_of(start, n) for n in names])  # (p,)
+        low, high = (
+            np.where(np.array(names) == OFFSET, far, near) for far, near in ((-np.inf, LOWEST), (np.inf, HIGHEST))
+        )
+        self.unknowns = [Unknown(n, low=a, high=b) for n, a, b in zip(names, low.tolist(), high.tolist(), strict=True)]
+        self.sizes = _sizes(shots)
+        certain = [Observation(np.array([value]), np.array([sd**2])) for value, sd in known.values()]
+        self.observations = [*(self._observed(one) for one in shots), *certain]
+
+    def _observed(self, one: Shots) -> Observation:
+        measured = np.concatenate([np.nan_to_num(x) / self.sizes[name] for name, x in one.run.signals.items()])
+        n = len(one.run.drive)
+        blocks = np.tile(np.arange(n) * BLOCKS // n, len(one.run.signals))
+        return Observation(measured, np.full(len(measured), NOISE**2), np.ones(len(measured)), blocks)
+
+    def simulate(self, lanes: Sequence[FloatArray]) -> Iterator[FloatArray]:
+        """Simulate all runs, then the known numbers; gaps are zero."""
+        for x in lanes:
+            values = dict(zip(self.names, (x * self.scale).tolist(), strict=True))
+            machine = with_values(self.start, values)
+            yield np.concatenate([*(self._one(one, machine) for one in self.shots), [values[n] for n in self.known]])
+
+    def _one(self, one: Shots, machine: Machine) -> FloatArray:
+        try:
+            simulated = one.simulate(machine).sensed(machine)
+        except ValueError:  # it moves to infinity
+            return np.full(len(one.run.drive) * len(one.run.signals), np.nan)
+        signals = one.run.signals.items()
+        return np.concatenate(
+            [np.where(np.isfinite(x), simulated[name], 0.0) / self.sizes[name] for name, x in signals]
+        )
 
 
 def _sizes(shots: Sequence[Shots]) -> dict[str, float]:
@@ -141,35 +175,6 @@ def _sizes(shots: Sequence[Shots]) -> dict[str, float]:
     names = {name for one in shots for name in one.run.signals}
     squares = {n: [np.nanmean(one.forced_motion(n) ** 2) for one in shots if n in one.run.signals] for n in names}
     return {name: max(float(np.sqrt(np.mean(x))), 1e-12) for name, x in squares.items()}
-
-
-def _error(one: Shots, machine: Machine, sizes: Mapping[str, float]) -> FloatArray:
-    """Return measured − simulated of a run's signals, over their size: (rows,); gaps are zero."""
-    try:
-        simulated = one.simulate(machine).sensed(machine)
-    except ValueError:
-        return np.full(len(one.run.drive) * len(one.run.signals), FAR)
-    return np.concatenate([np.nan_to_num(x - simulated[name]) / sizes[name] for name, x in one.run.signals.items()])
-
-
-def _blocks(shots: Sequence[Shots]) -> IntArray:
-    """Return the block of each row of the error, (rows,)."""
-    blocks: list[IntArray] = []
-    for k, one in enumerate(shots):
-        n = len(one.run.drive)
-        blocks += [BLOCKS * k + np.arange(n) * BLOCKS // n for _ in one.run.signals]
-    return np.concatenate(blocks)
-
-
-def _covariance(jacobian: FloatArray, residual: FloatArray, blocks: IntArray) -> FloatArray:
-    """Return the sandwich covariance (Liang and Zeger, 1986): what is left is alike within a block."""
-    count = int(blocks.max()) + 1
-    scores = np.zeros((count, jacobian.shape[1]))
-    np.add.at(scores, blocks, jacobian[: len(blocks)] * residual[: len(blocks), None])
-    beside = jacobian[len(blocks) :]
-    inverse = np.linalg.pinv(jacobian.T @ jacobian)
-    middle = scores.T @ scores * count / max(count - jacobian.shape[1], 1) + beside.T @ beside
-    return np.asarray(inverse @ middle @ inverse)
 
 
 def _text(start: Machine, result: AxisFitted, name: str, hashes: Sequence[str]) -> str:
