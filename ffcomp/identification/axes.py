@@ -147,7 +147,7 @@ class _Crossed:
     @property
     def deviation(self) -> FloatArray:
         """(2 k,) of real, then imaginary parts."""
-        return np.sqrt(self.answer.variance(MODEL_ERROR).reshape(2, -1)[:, self.lines].ravel())
+        return np.sqrt(self.answer.observed.variance(MODEL_ERROR).reshape(2, -1)[:, self.lines].ravel())
 
 
 def find_exchange(axes: Sequence[AxisFit], answers: Sequence[Response]) -> Exchange | None:

@@ -13,10 +13,11 @@ from pathlib import Path
 
 import numpy as np
 
+from ffcomp.estimate.problem import Observation
 from ffcomp.measurement.frf import AXES, CARRIAGES, FrequencyResponse
-from ffcomp.measurement.modal import SMALLEST_ERROR, WindowedPower, single_modes, slopes_of_modes
+from ffcomp.measurement.modal import WindowedPower, single_modes, slopes_of_modes
 from ffcomp.measurement.swept import SweptBand, cut_off
-from models.arrays import ComplexArray, FloatArray
+from models.arrays import ComplexArray, FloatArray, IntArray
 
 NO_FLOOR = 10.0  # ln of a share of the smallest power
 LONGEST_DELAY_MS = 100.0
@@ -24,6 +25,7 @@ DELAYS_MS = np.linspace(-40.0, 40.0, 161)  # tried: a capture that is upside dow
 USUAL_AVERAGES = 400  # segments of half a second or so, half overlapping, of a test that takes two minutes
 FLOOR_SHARE = 0.1
 COARSE = 0.3  # model error while the modes are looked for
+BLOCK_HZ = 5.0  # a model's error keeps its sign over about so wide a band
 WRONG_SCALE = 0.15  # of a sensor's gain
 
 
@@ -39,6 +41,23 @@ def closed_form_slopes(modes: FloatArray, frequency_hz: FloatArray) -> ComplexAr
         return by_shape
     first, second = single_modes(modes[:, 0], modes[:, 1], frequency_hz)
     return np.concatenate([by_shape, (first - second)[None]])
+
+
+def blocks_of(frequency_hz: FloatArray) -> IntArray:
+    """Return the block of each line, (k,), within which a model errs alike."""
+    return np.asarray((frequency_hz // BLOCK_HZ).astype(np.int64))
+
+
+def observed_response(response: FrequencyResponse) -> Observation:
+    """Return real, then imaginary parts, (2 k,), each with half of the variance."""
+    power = np.abs(response.value) ** 2
+    noise = response.variance + 1e-16 * np.mean(power)  # noise-free data: finite weights all the same
+    return Observation(
+        measured=np.concatenate([response.value.real, response.value.imag]),
+        noise=np.tile(noise / 2, 2),
+        size=np.tile(power / 2, 2),
+        blocks=np.tile(blocks_of(response.frequency_hz), 2),
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,32 +96,37 @@ class Spectrum:
         """Estimate ln g and ln c with given modes."""
         floor = float(np.log(self.value.min())) - 1.0
         ratio = np.log(self.value / self.model(modes, np.array([0.0, -100.0])))
-        return np.array([np.average(ratio, weights=1 / self.variance(1.0)), floor])
+        return np.array([np.average(ratio, weights=1 / self.observed.variance(1.0)), floor])
 
     def model(self, modes: FloatArray, nuisance: FloatArray) -> FloatArray:
         """Predict the power through the window."""
         power = self._lines.power(closed_form(modes, self._lines.fine_hz))
         return np.asarray(np.exp(nuisance[0]) * power + np.exp(nuisance[1]))
 
-    def residual(self, modes: FloatArray, nuisance: FloatArray) -> FloatArray:
-        """Compare logarithms: (k,)."""
-        return np.log(self.value / self.model(modes, nuisance))
+    @cached_property
+    def observed(self) -> Observation:
+        """The logarithms of the spectrum, (k,), and how far they may be off."""
+        answer = self.value / self.frequency_hz**2  # of the axis to even accelerations
+        noise = self.value.min() / self.value  # at most: it is even, and there is some motion everywhere
+        return Observation(
+            measured=np.log(self.value),
+            noise=(2 * noise + noise**2) / self.averages,
+            size=1 + FLOOR_SHARE * answer.max() / answer,
+            blocks=blocks_of(self.frequency_hz),
+        )
+
+    def rows(self, modes: FloatArray, nuisance: FloatArray) -> FloatArray:
+        """Predict the logarithms: (k,)."""
+        return np.log(self.model(modes, nuisance))
 
     def slopes(self, modes: FloatArray, nuisance: FloatArray) -> FloatArray:
-        """Differentiate the residual: (k, p)."""
+        """Differentiate the prediction: (k, p)."""
         fine = self._lines.fine_hz
         response, slopes = closed_form(modes, fine), closed_form_slopes(modes, fine)
         gain, floor = np.exp(nuisance)
         power, by_modes = gain * self._lines.power(response), gain * self._lines.slopes(response, slopes)
         columns = np.stack([*by_modes, power, np.full_like(power, floor)], axis=1)
-        return np.asarray(-columns / (power + floor)[:, None])
-
-    def variance(self, error: float) -> FloatArray:
-        """Return the variance of ln S, (k,)."""
-        answer = self.value / self.frequency_hz**2  # of the axis to even accelerations
-        noise = self.value.min() / self.value  # at most: it is even, and there is some motion everywhere
-        model = max(error, SMALLEST_ERROR) ** 2 * (1 + FLOOR_SHARE * answer.max() / answer)
-        return np.asarray(model + (2 * noise + noise**2) / self.averages)
+        return np.asarray(columns / (power + floor)[:, None])
 
     def remarks(self, nuisance: FloatArray) -> list[str]:
         """Pass on the remark made while reading."""
@@ -175,7 +199,7 @@ class Response:
     def begin(self, modes: FloatArray) -> FloatArray:
         """Estimate gain and delay with given modes."""
         h = self.model(modes, np.array([1.0, 0.0]))
-        weight = 1 / self.variance(COARSE)[: len(h)]
+        weight = 1 / self.observed.variance(COARSE)[: len(h)]
         turned = np.exp(1e-3 * np.outer(DELAYS_MS, self.measured.s))
         gain = (turned @ (weight * h.conj() * self.value)).real / float(np.sum(weight * np.abs(h) ** 2))
         best = int(np.argmax(np.abs(gain)))
@@ -187,23 +211,22 @@ class Response:
         h = closed_form(modes, self.frequency_hz) * (s**2 if self._accelerates else 1.0)
         return np.asarray(nuisance[0] * np.exp(-1e-3 * nuisance[1] * s) * h)
 
-    def residual(self, modes: FloatArray, nuisance: FloatArray) -> FloatArray:
-        """Compare real, then imaginary parts: (2 k,)."""
-        error = self.value - self.model(modes, nuisance)
-        return np.concatenate([error.real, error.imag])
+    @cached_property
+    def observed(self) -> Observation:
+        """Real, then imaginary parts, (2 k,), and how far they may be off."""
+        return observed_response(self.measured)
+
+    def rows(self, modes: FloatArray, nuisance: FloatArray) -> FloatArray:
+        """Predict real, then imaginary parts: (2 k,)."""
+        h = self.model(modes, nuisance)
+        return np.concatenate([h.real, h.imag])
 
     def slopes(self, modes: FloatArray, nuisance: FloatArray) -> FloatArray:
-        """Differentiate the residual: (2 k, p)."""
+        """Differentiate the prediction: (2 k, p)."""
         model, h = self.model(modes, nuisance), closed_form(modes, self.frequency_hz)
         by_modes = model / h * closed_form_slopes(modes, self.frequency_hz)
         columns = np.stack([*by_modes, model / nuisance[0], -1e-3 * self.measured.s * model], axis=1)
-        return -np.concatenate([columns.real, columns.imag])
-
-    def variance(self, error: float) -> FloatArray:
-        """Return the variance of real, then imaginary parts, (2 k,)."""
-        size = np.abs(self.value) ** 2
-        v = self.measured.variance + max(error, SMALLEST_ERROR) ** 2 * size + 1e-16 * np.mean(size)
-        return np.tile(v / 2, 2)
+        return np.concatenate([columns.real, columns.imag])
 
     def beyond(self, frequency_hz: float, damping_ratio: float) -> str:
         """Say nothing: phase and gain show where the mode lies."""

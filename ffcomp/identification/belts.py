@@ -12,18 +12,19 @@ fitted is the power of all the sensor's axes together, which does not depend on 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
 from ffcomp.errors import MeasurementError
+from ffcomp.estimate.fit import FitResult, Settings, best_of, fit
+from ffcomp.estimate.problem import EstimationProblem, Observation, Unknown
 from ffcomp.identification.axis_spectra import COARSE
 from ffcomp.identification.resonance_tests import BeltTest
 from ffcomp.identification.uncertainty import NINETY_PERCENT, Estimate, normal
-from ffcomp.measurement.modal import WindowedPower, independent_share, model_error, single_modes
-from ffcomp.numerics.least_squares import central_differences, minimise
+from ffcomp.measurement.modal import WindowedPower, single_modes
+from ffcomp.numerics.least_squares import central_differences
 from models.arrays import FloatArray
 from models.machine import Machine
 
@@ -31,6 +32,7 @@ ALIKE = 0.03  # relative stiffness: less is nothing to act upon
 SAME_DIRECTION = 0.95  # cosine
 REPEATABLE_SD = 0.01  # of a stiffness, by what changes from test to test
 START_DAMPING = 0.06
+FREQUENCY_LIMITS, DAMPING_LIMITS = (5.0, 250.0), (0.005, 0.5)  # Hz
 FREQUENCIES = np.geomspace(18.0, 110.0, 7)  # Hz, where a search begins
 RATIOS = (1.0, 1.6, 2.5)  # of the moving masses along y and x, where a search begins
 LOG_RATIO_SD = 0.7
@@ -38,7 +40,7 @@ LOG_STIFFNESS_SD = 0.3  # weak prior: belts of one machine
 LOG_DAMPING_SD = 0.7
 POOR = 0.6  # model error of ln S from which nothing is said
 TRIED = 3  # of the starts
-ROUNDS = 5
+AS_IT_IS, SEARCHED, REFINED = Settings(steps=0), Settings(steps=15, gain=1e-2), Settings(rounds=10, gain=1e-4)
 STEP = 1e-5
 
 
@@ -71,35 +73,40 @@ def compare_belts(machine: Machine, tests: Sequence[BeltTest]) -> BeltComparison
         If a direction is missing, or the tests show no resonance.
     """
     problem = _problem(machine, tests)
-    coarse = np.full(len(tests), COARSE)
-    starts = sorted(_starts(problem), key=lambda at: _cost(problem, at, coarse))[:TRIED]
-    theta = min((_solved(problem, start, coarse, 15) for start in starts), key=lambda at: _cost(problem, at, coarse))
-    errors = coarse
-    for _ in range(ROUNDS):
-        theta = _solved(problem, theta, errors, 40)
-        pairs = zip(problem.residuals(theta), problem.tests, strict=True)
-        errors = np.array([model_error(r, t.spectrum.variance, 3) for r, t in pairs])
-    return _result(problem, theta, errors)
+    coarse = np.full(len(problem.observations), COARSE)
+    starts = sorted(
+        (fit(problem, at, AS_IT_IS, errors=coarse) for at in _starts(problem)), key=lambda found: found.cost
+    )
+    begun = best_of(fit(problem, at.values, SEARCHED, errors=coarse) for at in starts[:TRIED])
+    return _result(problem, fit(problem, begun.values, REFINED, errors=coarse))
 
 
 # ---- the model -----------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, eq=False)
-class _Problem:
+class _Problem(EstimationProblem):
     """θ: ln f, ln r, ln ζ₁, ln ζ₂, ln of the stiffness of all but the last belt, then ln g and ln c of each test."""
 
-    kind: str
-    names: tuple[str, ...]
-    rows: FloatArray  # (m, 2) motion of each motor or carriage by x and y
-    free_ratio: bool  # of the masses along y and x
-    tests: tuple[BeltTest, ...]
-
-    @cached_property
-    def lines(self) -> tuple[WindowedPower, ...]:
-        """How each test's spectrum shows a response."""
-        grids = (test.spectrum.frequency_hz for test in self.tests)
-        return tuple(WindowedPower(grid, float(grid[1] - grid[0])) for grid in grids)
+    def __init__(
+        self, kind: str, names: tuple[str, ...], rows: FloatArray, free_ratio: bool, tests: tuple[BeltTest, ...]
+    ) -> None:
+        self.kind, self.names, self.tests = kind, names, tests
+        self.rows = rows  # (m, 2) motion of each motor or carriage by x and y
+        self.free_ratio = free_ratio  # of the masses along y and x
+        grids = (test.spectrum.frequency_hz for test in tests)
+        self.lines = tuple(WindowedPower(grid, float(grid[1] - grid[0])) for grid in grids)
+        (lowest, highest), (least, most) = np.log(FREQUENCY_LIMITS), np.log(DAMPING_LIMITS)
+        damping = Unknown("ln damping", float(np.log(START_DAMPING)), LOG_DAMPING_SD, float(least), float(most), STEP)
+        self.unknowns = [
+            Unknown("ln f", low=float(lowest), high=float(highest), step=STEP),
+            Unknown("ln ratio", sd=LOG_RATIO_SD, step=STEP),
+            damping,
+            damping,
+            *[Unknown("ln stiffness", sd=LOG_STIFFNESS_SD, step=STEP)] * (len(rows) - 1),
+            *(Unknown("gain or floor", low=a, high=b) for t in tests for a, b in t.spectrum.limits.tolist()),
+        ]
+        of_last = Observation(np.zeros(1), np.full(1, LOG_STIFFNESS_SD**2))  # the prior of the last belt's stiffness
+        self.observations = [*(test.spectrum.observed for test in tests), of_last]
 
     @property
     def shared(self) -> int:
@@ -130,18 +137,25 @@ class _Problem:
         gain, floor = theta[self.shared + 2 * number : self.shared + 2 * number + 2]
         return np.exp(gain) * self.power(number, theta) + np.exp(floor)
 
-    def residuals(self, theta: FloatArray) -> list[FloatArray]:
-        """Compare logarithms, (k,) each."""
-        return [np.log(t.spectrum.value / self.model(n, theta)) for n, t in enumerate(self.tests)]
+    def simulate(self, lanes: Sequence[FloatArray]) -> Iterator[FloatArray]:
+        for theta in lanes:
+            each = [np.log(self.model(n, theta)) for n in range(len(self.tests))]
+            yield np.concatenate([*each, np.log(self.stiffness(theta)[-1:])])
 
-    def prior(self, theta: FloatArray) -> FloatArray:
-        return np.concatenate(
-            [
-                [theta[1] / LOG_RATIO_SD],
-                (theta[2:4] - np.log(START_DAMPING)) / LOG_DAMPING_SD,
-                np.log(self.stiffness(theta)) / LOG_STIFFNESS_SD,
-            ]
-        )
+    def slopes(self, values: FloatArray) -> FloatArray:
+        """Differentiate by the shared unknowns numerically, by each test's own in closed form."""
+        count = self.shared
+
+        def of_shared(shared: FloatArray) -> FloatArray:
+            return next(self.simulate([np.concatenate([shared, values[count:]])]))
+
+        left = central_differences(of_shared, values[:count], np.full(count, STEP))
+        right = np.zeros((len(left), len(values) - count))
+        for n, end in enumerate(self.ends[:-1]):
+            rows = slice(end - len(self.observations[n].measured), end)
+            floor = np.exp(values[count + 2 * n + 1]) / self.model(n, values)
+            right[rows, 2 * n], right[rows, 2 * n + 1] = 1 - floor, floor
+        return np.hstack([left, right])
 
 
 def _problem(machine: Machine, tests: Sequence[BeltTest]) -> _Problem:
@@ -189,78 +203,15 @@ def _starts(problem: _Problem) -> list[FloatArray]:
     return starts
 
 
-# ---- the fit -------------------------------------------------------------------------------------
-
-
-def _weighted(problem: _Problem, theta: FloatArray, weights: Sequence[FloatArray]) -> FloatArray:
-    """Stack the residuals of all tests, each times its weights, and of the prior."""
-    each = [w * r for w, r in zip(weights, problem.residuals(theta), strict=True)]
-    return np.concatenate([*each, problem.prior(theta)])
-
-
-def _weights(problem: _Problem, errors: FloatArray) -> list[FloatArray]:
-    return [1 / np.sqrt(t.spectrum.variance(float(e))) for t, e in zip(problem.tests, errors, strict=True)]
-
-
-def _slopes(problem: _Problem, theta: FloatArray, weights: Sequence[FloatArray]) -> FloatArray:
-    """Differentiate the weighted residuals: by the shared parameters numerically, by each test's own in closed form."""
-    count = problem.shared
-
-    def of_shared(shared: FloatArray) -> FloatArray:
-        return _weighted(problem, np.concatenate([shared, theta[count:]]), weights)
-
-    left = central_differences(of_shared, theta[:count], np.full(count, STEP))
-    right = np.zeros((len(left), len(theta) - count))
-    at = 0
-    for number, weight in enumerate(weights):
-        floor = np.exp(theta[count + 2 * number + 1]) / problem.model(number, theta)
-        rows = slice(at, at + len(weight))
-        right[rows, 2 * number], right[rows, 2 * number + 1] = weight * (floor - 1), -weight * floor
-        at += len(weight)
-    return np.hstack([left, right])
-
-
-def _cost(problem: _Problem, theta: FloatArray, errors: FloatArray) -> float:
-    return float(np.sum(_weighted(problem, theta, _weights(problem, errors)) ** 2))
-
-
-def _solved(problem: _Problem, start: FloatArray, errors: FloatArray, steps: int) -> FloatArray:
-    low, high = np.full(len(start), -np.inf), np.full(len(start), np.inf)
-    low[0], high[0] = np.log([5.0, 250.0])
-    low[2:4], high[2:4] = np.log([0.005, 0.5])
-    for number, test in enumerate(problem.tests):
-        lowest = float(np.log(test.spectrum.value.min()))
-        low[problem.shared + 2 * number + 1], high[problem.shared + 2 * number + 1] = lowest - 10, lowest + 1
-    weights = _weights(problem, errors)
-    return minimise(
-        lambda at: _weighted(problem, at, weights),
-        np.clip(start, low + 1e-9, high - 1e-9),
-        lambda at: _slopes(problem, at, weights),
-        evaluations=steps,
-        bounds=(low, high),
-    ).x
-
-
-def _covariance(problem: _Problem, theta: FloatArray, errors: FloatArray) -> FloatArray:
-    """(p, p); neighbouring lines are correlated, and count as fewer."""
-    shares = [
-        independent_share(r, len(t.spectrum.frequency_hz))
-        for r, t in zip(problem.residuals(theta), problem.tests, strict=True)
-    ]
-    weights = [share * w for share, w in zip(shares, _weights(problem, errors), strict=True)]
-    j = _slopes(problem, theta, weights)
-    return np.asarray(np.linalg.pinv(j.T @ j, rcond=1e-13, hermitian=True))
-
-
 # ---- the result ----------------------------------------------------------------------------------
 
 
-def _result(problem: _Problem, theta: FloatArray, errors: FloatArray) -> BeltComparison:
-    tests = problem.tests
+def _result(problem: _Problem, found: FitResult[_Problem]) -> BeltComparison:
+    tests, theta, covariance = problem.tests, found.values, found.covariance
+    errors = found.errors[: len(tests)]
     frequency, _ = problem.modes(theta)
     damping = np.exp(theta[2:4])
     _check_resonance(problem, float(frequency.mean()), float(damping.mean()), errors)
-    covariance = _covariance(problem, theta, errors)
     stiffness = tuple(_relative(problem, theta, covariance, i) for i in range(len(problem.rows)))
     sd = [float(np.sqrt(covariance[0, 0])) * f for f in frequency]
     return BeltComparison(

@@ -21,8 +21,8 @@ WEAK_SCALE = 0.05  # relative sd of all masses, stiffnesses and dampings togethe
 SCALED = ("carriage.mass_kg", "carriage.belt_stiffness_n_per_m", "effector.nozzle_mass_kg")
 TURNED_DEG = 0.5  # from which it is worth a sentence
 FAR = 0.10  # model error of a response from which the other force map is tried
-FORCE_MAP_COSTS = 100.0  # BIC
-DRIVE_COSTS = 10.0  # BIC by which a drive filter must be better than an ideal drive to be kept
+FORCE_MAP_COSTS = 100.0  # of −2 ln of the evidence
+DRIVE_COSTS = 10.0  # the same, by which a drive filter must be better than an ideal drive to be kept
 NEUTRAL_DRIVE = Drive(4.0e5, 0.0, 250.0)  # 100 Hz, where a search for a drive begins
 MASSES = ("carriage.mass_kg", "effector.nozzle_mass_kg", "effector.extruder_mass_kg")
 
@@ -69,7 +69,7 @@ def identify(
     has_drive = delta_vibration(start).carriage.drive is not None
     before = {name: value_of(start, name) for name in kept if name not in DRIVE or has_drive}
     restored = replace(fitted, machine=with_values(fitted.machine, before))
-    advice = [*_other_force_map(fitted, known, progress), *advice_on(restored, kept)]
+    advice = [*fitted.doubt, *_other_force_map(fitted, known, progress), *advice_on(restored, kept)]
     return Identified(restored, kept, tuple(advice))
 
 
@@ -85,7 +85,7 @@ def _other_force_map(
     progress(f"the same with force_map = {other!r}")
     turned = with_parts(fitted.machine, effector=replace(effector, force_map=other))
     tried = fit_machine(turned, fitted.responses, known, progress=progress)
-    if tried.bic > fitted.bic - FORCE_MAP_COSTS:
+    if tried.evidence > fitted.evidence - FORCE_MAP_COSTS:
         return []
     return [
         f"With force_map = {other!r} in the starting file the responses are met far better (their errors fall from "
@@ -108,7 +108,7 @@ def _with_drive(
     progress(Stage(5, "the same without a drive filter"))
     values = {name: e.value for name, e in fitted.estimates.items() if name not in (*DRIVE, TOTAL_MASS)}
     ideal = fit_machine(start, responses, known, starts=[values, {}], progress=progress)
-    return fitted if fitted.bic < ideal.bic - DRIVE_COSTS else ideal
+    return fitted if fitted.evidence < ideal.evidence - DRIVE_COSTS else ideal
 
 
 # ---- advice --------------------------------------------------------------------------------------

@@ -20,9 +20,8 @@ could be.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -30,22 +29,24 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.signal import find_peaks
 
 from ffcomp.errors import MeasurementError
+from ffcomp.estimate.fit import FitResult, Settings, best_of, fit
+from ffcomp.estimate.problem import EstimationProblem, Unknown
 from ffcomp.identification.axis_spectra import COARSE, Datum, Response, Spectrum
 from ffcomp.identification.uncertainty import NINETY_PERCENT, Estimate, lognormal, normal
-from ffcomp.measurement.modal import SMALLEST_ERROR, independent_share, model_error, single_modes
-from ffcomp.numerics.least_squares import minimise
+from ffcomp.measurement.modal import independent_share, single_modes
 from models.arrays import ComplexArray, FloatArray
 
 START_DAMPING = 0.06
 DAMPINGS = (0.002, 0.7)
 SHARES = (0.01, 0.99)  # searched
 SMALLEST_SHARE = 0.02  # accepted
-SEARCHED = 12  # steps of least squares from each start
+SEARCHED = Settings(steps=8, gain=0.05)  # from each start
+REFINED = Settings(rounds=10, gain=1e-4)
+AS_IT_IS = Settings(steps=0, rounds=1)  # errors and derivatives where another fit has ended
 START_SHARE = 0.8  # of the first of two modes
 STARTS, PEAKS = 6, 2  # frequencies tried for each mode: evenly over the band, and where the data stand highest
 OUTSIDE = 1.3  # how far beyond the band a mode may be looked for, a factor
 BROADEST = 0.4  # damping ratio of a resonance
-ROUNDS = 10  # of fitting and reweighting
 BETTER_BIC = 2.0  # by which a second mode must win
 MANY_MODES = 0.2  # model error from which there are more modes than two
 PEAK_BAND = 1.45  # the band around a peak that is fitted by itself, a factor to each side
@@ -82,46 +83,74 @@ class AxisFit:
 # ---- the fit of one axis -------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, eq=False)
-class _Fit:
-    data: Sequence[Datum]
-    theta: FloatArray  # ln f, ln ζ of each mode, then the first's share if there are two, then two of each datum
-    count: int  # of modes
-    errors: FloatArray  # (d,)
+class _Problem(EstimationProblem):
+    """θ: ln f and ln ζ of each mode, the first's share if there are two, then two nuisance parameters of each datum."""
 
-    @property
-    def modes(self) -> FloatArray:
-        return _modes(self.theta, self.count)
+    def __init__(self, data: Sequence[Datum], count: int) -> None:
+        self.data, self.count = data, count
+        self.of_modes = 3 * count - 1
+        (bottom, top), dampings = _band(data), np.log(DAMPINGS)
+        shapes = [
+            Unknown(name, low=float(low), high=float(high))
+            for _ in range(count)
+            for name, low, high in (
+                ("ln f", np.log(bottom / OUTSIDE), np.log(top * OUTSIDE)),
+                ("ln damping", dampings[0], dampings[1]),
+            )
+        ]
+        shares = [Unknown("share", low=SHARES[0], high=SHARES[1])] * (count - 1)
+        own = [Unknown("nuisance", low=low, high=high) for datum in data for low, high in datum.limits.tolist()]
+        self.unknowns = [*shapes, *shares, *own]
+        self.observations = [datum.observed for datum in data]
 
-    @property
-    def nuisances(self) -> FloatArray:
+    def modes(self, theta: FloatArray) -> FloatArray:
+        """(m, 3) frequency, damping ratio, share."""
+        shares = [1.0] if self.count == 1 else [theta[4], 1 - theta[4]]
+        return np.column_stack([np.exp(theta[: 2 * self.count].reshape(self.count, 2)), shares])
+
+    def nuisances(self, theta: FloatArray) -> FloatArray:
         """(d, 2) nuisance parameters of each datum."""
-        return self.theta[_of_modes(self.count) :].reshape(-1, 2)
+        return theta[self.of_modes :].reshape(-1, 2)
 
-    @cached_property
-    def residuals(self) -> list[FloatArray]:
-        """Of each datum, over the standard deviation."""
-        return _residuals(self.data, self.theta, self.count, self.errors)
+    def begin(self, shapes: FloatArray) -> FloatArray:
+        """Return (p,) with the nuisance parameters that suit the modes' own numbers, (3 m − 1,)."""
+        modes = self.modes(shapes)
+        return np.concatenate([shapes, *(datum.begin(modes) for datum in self.data)])
 
-    @cached_property
-    def independent(self) -> FloatArray:
-        """(d,) the share of each datum's residuals that is independent."""
-        return np.array(
-            [independent_share(r, len(d.frequency_hz)) for r, d in zip(self.residuals, self.data, strict=True)]
-        )
+    def simulate(self, lanes: Sequence[FloatArray]) -> Iterator[FloatArray]:
+        for theta in lanes:
+            modes, nuisances = self.modes(theta), self.nuisances(theta)
+            with np.errstate(divide="ignore", over="ignore", invalid="ignore"):  # of a step too far
+                yield np.concatenate([d.rows(modes, each) for d, each in zip(self.data, nuisances, strict=True)])
 
-    @cached_property
-    def covariance(self) -> FloatArray:
-        """(p, p) of theta."""
-        rows = np.concatenate([np.full(len(r), n) for r, n in zip(self.residuals, self.independent, strict=True)])
-        j = _jacobian(self.data, self.theta, self.count, self.errors)
-        return np.linalg.pinv((j * rows[:, None]).T @ j, rcond=1e-13, hermitian=True)
+    def slopes(self, values: FloatArray) -> FloatArray:
+        modes, nuisances, blocks = self.modes(values), self.nuisances(values), []
+        for i, (datum, each) in enumerate(zip(self.data, nuisances, strict=True)):
+            slopes, own = datum.slopes(modes, each), self.of_modes + 2 * i
+            block = np.zeros((len(slopes), len(values)))
+            block[:, : self.of_modes], block[:, own : own + 2] = slopes[:, : self.of_modes], slopes[:, self.of_modes :]
+            blocks.append(block)
+        return np.concatenate(blocks)
 
-    def deviance(self, shares: FloatArray) -> float:
-        """Return −2 ln likelihood, each datum's residuals counted by its share (d,)."""
-        variances = [d.variance(e) for d, e in zip(self.data, self.errors, strict=True)]
-        each = [float(np.sum(r**2 + np.log(v))) for r, v in zip(self.residuals, variances, strict=True)]
-        return float(shares @ np.array(each))
+
+_Fit = FitResult[_Problem]
+
+
+def _modes(found: _Fit) -> FloatArray:
+    return found.problem.modes(found.values)
+
+
+def _independent(found: _Fit) -> FloatArray:
+    """Return the share of each datum's residuals that is independent, (d,)."""
+    parts = np.split(found.residual, found.problem.ends[:-1])
+    pairs = zip(parts, found.problem.data, strict=True)
+    return np.array([independent_share(r, len(d.frequency_hz)) for r, d in pairs])
+
+
+def _deviance(found: _Fit, shares: FloatArray) -> float:
+    """Return −2 ln likelihood, each datum's residuals counted by its share (d,)."""
+    rows = np.split(found.residual**2 + 2 * np.log(found.sd), found.problem.ends[:-1])
+    return float(shares @ [np.sum(each) for each in rows])
 
 
 def fit_axis(name: str, data: Sequence[Datum]) -> AxisFit:
@@ -136,14 +165,12 @@ def fit_axis(name: str, data: Sequence[Datum]) -> AxisFit:
     accepted, verdict = _at_the_peak(name, accepted, verdict)
     _within(name, accepted)
     modes, disagreement = _with_scatter(name, _estimated(accepted), accepted)
-    remarks = [
-        text for datum, nuisances in zip(data, accepted.nuisances, strict=True) for text in datum.remarks(nuisances)
-    ]
-    fitted = tuple(
-        datum.model(accepted.modes, nuisances) for datum, nuisances in zip(data, accepted.nuisances, strict=True)
-    )
-    errors = tuple(float(e) if e > SMALLEST_ERROR else 0.0 for e in accepted.errors)
-    advice = (*disagreement, *_weak(name, modes, errors), *remarks, *_about_belts(name, accepted))
+    own = list(zip(data, accepted.problem.nuisances(accepted.values), strict=True))
+    remarks = [text for datum, nuisances in own for text in datum.remarks(nuisances)]
+    fitted = tuple(datum.model(_modes(accepted), nuisances) for datum, nuisances in own)
+    errors = tuple(accepted.errors.tolist())
+    doubt = accepted.doubt(f"the modes of {name}")
+    advice = (*doubt, *disagreement, *_weak(name, modes, errors), *remarks, *_about_belts(name, accepted))
     return AxisFit(name, modes, tuple(data), fitted, errors, verdict, advice)
 
 
@@ -152,7 +179,7 @@ def _one_or_two(name: str, data: Sequence[Datum]) -> tuple[_Fit, str]:
     peaks = _peaks(data)
     starts = [*peaks, *_even(data)]
     one = _refined(_searched(data, starts, 1))
-    firsts = [np.log(one.modes[:, :2]), *peaks]
+    firsts = [np.log(_modes(one)[:, :2]), *peaks]
     two = _refined(_searched(data, [np.vstack([first, second]) for first in firsts for second in starts], 2))
     return _accepted(name, one, two)
 
@@ -163,32 +190,29 @@ def _at_the_peak(name: str, wide: _Fit, verdict: str) -> tuple[_Fit, str]:
     Otherwise what is left of other modes pulls the main one off its peak, by up to a tenth. The errors stay those of
     the whole band.
     """
-    spectra = [datum for datum in wide.data if isinstance(datum, Spectrum)]
-    if len(spectra) < len(wide.data) or wide.errors.max() < MANY_MODES:
+    data = wide.problem.data
+    spectra = [datum for datum in data if isinstance(datum, Spectrum)]
+    if len(spectra) < len(data) or wide.errors.max() < MANY_MODES:
         return wide, verdict
     near = [spectrum.around_peak(PEAK_BAND) for spectrum in spectra]
     if min(len(spectrum.frequency_hz) for spectrum in near) < FEWEST_AT_PEAK:
         return wide, verdict
     local, _ = _one_or_two(name, near)
     low, high = _band(near)
-    if not low < local.modes[np.argmax(local.modes[:, 2]), 0] < high:
+    if not low < _main(local)[0] < high:
         return wide, verdict
-    theta = np.concatenate([local.theta[: _of_modes(local.count)], *(datum.begin(local.modes) for datum in wide.data)])
+    problem = _Problem(data, local.problem.count)
+    everywhere = fit(problem, problem.begin(local.values[: problem.of_modes]), AS_IT_IS)
     sentence = (
         f"{name} has more modes than two in its band; the highest peak is fitted by itself, {low:.0f} to {high:.0f} Hz."
     )
-    return _Fit(wide.data, theta, local.count, _model_errors(wide.data, theta, local.count)), sentence
+    return replace(everywhere, status=local.status), sentence
 
 
-def _modes(theta: FloatArray, count: int) -> FloatArray:
-    """Return (m, 3) frequency, damping ratio, share."""
-    shares = [1.0] if count == 1 else [theta[4], 1 - theta[4]]
-    return np.column_stack([np.exp(theta[: 2 * count].reshape(count, 2)), shares])
-
-
-def _of_modes(count: int) -> int:
-    """Count the parameters of so many modes."""
-    return 3 * count - 1
+def _main(found: _Fit) -> FloatArray:
+    """Return frequency, damping ratio and share of the mode with the largest share, (3,)."""
+    modes = _modes(found)
+    return modes[np.argmax(modes[:, 2])]
 
 
 def _band(data: Sequence[Datum]) -> tuple[float, float]:
@@ -210,98 +234,36 @@ def _peaks(data: Sequence[Datum]) -> list[FloatArray]:
 
 def _searched(data: Sequence[Datum], starts: Sequence[FloatArray], count: int) -> _Fit:
     """Fit coarsely from each of the modes (m, 2), all files weighted alike; return the best."""
-    equal = np.full(len(data), COARSE)
-    fits = []
-    for start in starts:
-        begin = np.concatenate([start.ravel(), [START_SHARE] * (count - 1)])
-        nuisances = [datum.begin(_modes(begin, count)) for datum in data]
-        fits.append(
-            _Fit(data, _solved(data, np.concatenate([begin, *nuisances]), count, equal, SEARCHED), count, equal)
-        )
-    return min(fits, key=lambda fit: sum(float(r @ r) for r in fit.residuals))
+    problem, equal = _Problem(data, count), np.full(len(data), COARSE)
+    begins = (problem.begin(np.append(start.ravel(), [START_SHARE] * (count - 1))) for start in starts)
+    return best_of(fit(problem, begin, SEARCHED, errors=equal) for begin in begins)
 
 
-def _refined(fit: _Fit) -> _Fit:
+def _refined(found: _Fit) -> _Fit:
     """Fit and reweight until the files' errors converge."""
-    data, theta, count, errors = fit.data, fit.theta, fit.count, fit.errors
-    for _ in range(ROUNDS):
-        theta = _solved(data, theta, count, errors)
-        before, errors = errors, _model_errors(data, theta, count)
-        if np.abs(errors - before).max() < 0.02 * errors.max():
-            break
-    return _Fit(data, theta, count, errors)
-
-
-def _solved(
-    data: Sequence[Datum], theta: FloatArray, count: int, errors: FloatArray, evaluations: int = 60
-) -> FloatArray:
-    limits = np.concatenate([datum.limits for datum in data])
-    free = np.full(_of_modes(count), np.inf)
-    low, high = np.concatenate([-free, limits[:, 0]]), np.concatenate([free, limits[:, 1]])
-    bottom, top = _band(data)
-    for mode in range(count):
-        low[2 * mode : 2 * mode + 2] = np.log([bottom / OUTSIDE, DAMPINGS[0]])
-        high[2 * mode : 2 * mode + 2] = np.log([top * OUTSIDE, DAMPINGS[1]])
-    if count == 2:
-        low[4], high[4] = SHARES
-    with np.errstate(divide="ignore", over="ignore", invalid="ignore"):  # of a step too far, which is taken back
-        solution = minimise(
-            lambda at: np.concatenate(_residuals(data, at, count, errors)),
-            np.clip(theta, low + 1e-9, high - 1e-9),
-            lambda at: _jacobian(data, at, count, errors),
-            evaluations=evaluations,
-            bounds=(low, high),
-        )
-    return solution.x
-
-
-def _residuals(data: Sequence[Datum], theta: FloatArray, count: int, errors: FloatArray) -> list[FloatArray]:
-    modes, nuisances = _modes(theta, count), theta[_of_modes(count) :].reshape(-1, 2)
-    return [
-        d.residual(modes, each) / np.sqrt(d.variance(e)) for d, each, e in zip(data, nuisances, errors, strict=True)
-    ]
-
-
-def _jacobian(data: Sequence[Datum], theta: FloatArray, count: int, errors: FloatArray) -> FloatArray:
-    """Stack the derivatives of all files' residuals, (n, p)."""
-    p = _of_modes(count)
-    modes, nuisances = _modes(theta, count), theta[p:].reshape(-1, 2)
-    blocks = []
-    for i, (datum, each, error) in enumerate(zip(data, nuisances, errors, strict=True)):
-        slopes = datum.slopes(modes, each) / np.sqrt(datum.variance(error))[:, None]
-        block = np.zeros((len(slopes), len(theta)))
-        block[:, :p], block[:, p + 2 * i : p + 2 * i + 2] = slopes[:, :p], slopes[:, p:]
-        blocks.append(block)
-    return np.concatenate(blocks)
-
-
-def _model_errors(data: Sequence[Datum], theta: FloatArray, count: int) -> FloatArray:
-    """Find the ε, (d,), that gives each file's χ² its expected value; the smallest one where noise explains it all."""
-    modes, nuisances = _modes(theta, count), theta[_of_modes(count) :].reshape(-1, 2)
-    used = _of_modes(count) / len(data) + 2
-    return np.array(
-        [model_error(d.residual(modes, each), d.variance, used) for d, each in zip(data, nuisances, strict=True)]
-    )
+    return fit(found.problem, found.values, REFINED, errors=found.errors)
 
 
 # ---- one mode or two -----------------------------------------------------------------------------
 
 
-def _within(name: str, fit: _Fit) -> None:
-    low, high = _band(fit.data)
-    frequency, damping = (float(value) for value in fit.modes[np.argmax(fit.modes[:, 2]), :2])
-    remedies = [datum.beyond(frequency, damping) for datum in fit.data]
+def _within(name: str, found: _Fit) -> None:
+    data = found.problem.data
+    low, high = _band(data)
+    frequency, damping, _ = _main(found).tolist()
+    remedies = [datum.beyond(frequency, damping) for datum in data]
     if low < frequency < high and damping < BROADEST and not all(remedies):
         return
-    sources = ", ".join(dict.fromkeys(Path(d.source).name for d in fit.data))
+    sources = ", ".join(dict.fromkeys(Path(d.source).name for d in data))
     rule = f"No resonance of {name} stands out between {low:.0f} and {high:.0f} Hz: [axes.{name}] stays as it was"
     raise MeasurementError(sources, [f"{rule}. {remedies[0] or 'Try a wider band, or a harder excitation.'}"])
 
 
 def _accepted(name: str, one: _Fit, two: _Fit) -> tuple[_Fit, str]:
     """Return the accepted fit, and why."""
-    lines = float(two.independent @ [len(r) for r in two.residuals])
-    gain = one.deviance(two.independent) - two.deviance(two.independent) - 3 * float(np.log(max(lines, 2.0)))
+    shares = _independent(two)
+    lines = float(shares @ [len(o.measured) for o in two.problem.observations])
+    gain = _deviance(one, shares) - _deviance(two, shares) - 3 * float(np.log(max(lines, 2.0)))
     if gain < BETTER_BIC:
         return one, f"One mode describes {name}: a second one explains no more than chance would."
     problem = _unclear(two)
@@ -313,53 +275,52 @@ def _accepted(name: str, one: _Fit, two: _Fit) -> tuple[_Fit, str]:
 def _unclear(two: _Fit) -> str:
     """Say what is wrong with a second mode; '' if it may be accepted."""
     sd = np.sqrt(np.diag(two.covariance))
-    share, low, high = float(two.theta[4]), *_band(two.data)
+    share, low, high = float(two.values[4]), *_band(two.problem.data)
     other = int(share > 0.5)
-    frequency = float(two.modes[other, 0])
+    frequency = float(_modes(two)[other, 0])
     where = f"at {frequency:.0f} Hz"
     if min(share, 1 - share) < max(SMALLEST_SHARE, SHARP * sd[4]):
         return f"the share of the mode {where} is not known better than {min(share, 1 - share):.2f} ± {sd[4]:.2f}"
-    if max(sd[0], sd[2]) > CLEAR or not low < frequency < high or two.modes[:, 1].max() > BROADEST:
+    if max(sd[0], sd[2]) > CLEAR or not low < frequency < high or _modes(two)[:, 1].max() > BROADEST:
         return f"the one {where} is too uncertain or too broad to be a mode"
     return ""
 
 
-def _estimated(fit: _Fit) -> tuple[AxisMode, ...]:
-    sd = np.sqrt(np.diag(fit.covariance))
-    share_sd = float(sd[4]) if fit.count == 2 else 0.0
+def _estimated(found: _Fit) -> tuple[AxisMode, ...]:
+    sd = np.sqrt(np.diag(found.covariance))
+    share_sd = float(sd[4]) if found.problem.count == 2 else 0.0
     modes = [
         AxisMode(
             lognormal(float(frequency), float(sd[2 * i])),
             lognormal(float(damping), float(sd[2 * i + 1])),
             normal(float(share), share_sd),
         )
-        for i, (frequency, damping, share) in enumerate(fit.modes)
+        for i, (frequency, damping, share) in enumerate(_modes(found))
     ]
     return tuple(sorted(modes, key=lambda mode: -mode.share.value))
 
 
-def _with_scatter(name: str, modes: tuple[AxisMode, ...], fit: _Fit) -> tuple[tuple[AxisMode, ...], list[str]]:
+def _with_scatter(name: str, modes: tuple[AxisMode, ...], found: _Fit) -> tuple[tuple[AxisMode, ...], list[str]]:
     """Fit each file by itself, and widen the main mode's uncertainty to their scatter."""
-    if len(fit.data) < 2:
+    data = found.problem.data
+    if len(data) < 2:
         return modes, []
-    main, files = modes[0].frequency_hz, len(fit.data)
-    alone = [_main_frequency([datum], fit) for datum in fit.data]
+    main, files = modes[0].frequency_hz, len(data)
+    alone = [_main_frequency([datum], found) for datum in data]
     scatter = float(np.std(np.log(alone), ddof=1)) / np.sqrt(files)
     sure = lognormal(main.value, max(main.relative_sd, scatter))
     advice = []
     if max(alone) / min(alone) - 1 > APART:
-        listed = ", ".join(f"{f:.1f} Hz in {Path(d.source).name}" for f, d in zip(alone, fit.data, strict=True))
+        listed = ", ".join(f"{f:.1f} Hz in {Path(d.source).name}" for f, d in zip(alone, data, strict=True))
         advice = [f"The files disagree about {name}: {listed}. Was it the same machine, at one position?"]
     return (replace(modes[0], frequency_hz=sure), *modes[1:]), advice
 
 
-def _main_frequency(data: Sequence[Datum], fit: _Fit) -> float:
+def _main_frequency(data: Sequence[Datum], found: _Fit) -> float:
     """Return the frequency of the mode with the largest share, fitted to one file by itself, Hz."""
-    begin = fit.theta[: _of_modes(fit.count)]
-    theta = np.concatenate([begin, *(datum.begin(fit.modes) for datum in data)])
-    solution = _solved(data, theta, fit.count, np.full(len(data), COARSE))
-    modes = _modes(solution, fit.count)
-    return float(modes[np.argmax(modes[:, 2]), 0])
+    problem = _Problem(data, found.problem.count)
+    begin = problem.begin(found.values[: problem.of_modes])
+    return float(_main(fit(problem, begin, errors=np.full(len(data), COARSE)))[0])
 
 
 def _weak(name: str, modes: Sequence[AxisMode], errors: Sequence[float]) -> list[str]:
@@ -377,11 +338,11 @@ def _weak(name: str, modes: Sequence[AxisMode], errors: Sequence[float]) -> list
     return advice
 
 
-def _about_belts(name: str, fit: _Fit) -> list[str]:
+def _about_belts(name: str, found: _Fit) -> list[str]:
     """Say that the belts' share of the damping stays open, where responses could have shown it."""
-    if not any(isinstance(datum, Response) for datum in fit.data):
+    if not any(isinstance(datum, Response) for datum in found.problem.data):
         return []
-    half = NINETY_PERCENT * belts_share_error(fit)
+    half = NINETY_PERCENT * belts_share_error(found)
     known = (
         "is not determined by these responses: of 0 to 1 they leave all open"
         if half >= 0.5
@@ -393,20 +354,20 @@ def _about_belts(name: str, fit: _Fit) -> list[str]:
     ]
 
 
-def belts_share_error(fit: _Fit) -> float:
+def belts_share_error(found: _Fit) -> float:
     """Return the standard deviation of the belts' share about one half, everything else fitted too (Fisher)."""
-    modes, columns, weights = fit.modes, [], []
-    for datum, nuisances, error, own in zip(fit.data, fit.nuisances, fit.errors, fit.independent, strict=True):
-        slope = np.zeros(len(datum.variance(error)))  # of a spectrum: it has no phase
+    modes, columns, weights = _modes(found), [], []
+    own = zip(found.problem.data, found.problem.nuisances(found.values), _independent(found).tolist(), strict=True)
+    for datum, nuisances, independent in own:
+        slope = np.zeros(len(datum.observed.measured))  # of a spectrum: it has no phase
         if isinstance(datum, Response):
             turned = 2j * modes[:1, 1:2] * datum.frequency_hz / modes[:1, :1]  # as its springs, belts drive all modes
             each = modes[:, 2:] * single_modes(modes[:, 0], modes[:, 1], datum.frequency_hz)
             by_share = (each * turned).sum(axis=0) / (each * (1 + turned / 2)).sum(axis=0)
             column = datum.model(modes, nuisances) * by_share
             slope = np.concatenate([column.real, column.imag])
-        columns.append(slope / np.sqrt(datum.variance(error)))
-        weights.append(np.full(len(slope), own))
-    slope, weight = np.concatenate(columns), np.concatenate(weights)
-    j = _jacobian(fit.data, fit.theta, fit.count, fit.errors)
-    left = slope - j @ (fit.covariance @ (j.T @ (weight * slope)))
+        columns.append(slope)
+        weights.append(np.full(len(slope), independent))
+    slope, weight = np.concatenate(columns) / found.sd, np.concatenate(weights)
+    left = slope - found.jacobian @ (found.covariance @ (found.jacobian.T @ (weight * slope)))
     return float(1 / np.sqrt(max(float(slope @ (weight * left)), 1e-300)))

@@ -17,11 +17,12 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ffcomp.errors import SolverError
+from ffcomp.estimate.fit import FitResult, Settings, best_of, fit
+from ffcomp.estimate.problem import EstimationProblem, Observation, Unknown
+from ffcomp.identification.axis_spectra import observed_response
 from ffcomp.identification.predict import predicted
-from ffcomp.identification.rational import scaled_inverse
 from ffcomp.identification.uncertainty import Estimate, lognormal, normal
 from ffcomp.measurement.frf import FrequencyResponse
-from ffcomp.numerics.least_squares import central_differences, forward_differences, minimise
 from ffcomp.numerics.stages import Now, Stage
 from models.arrays import ComplexArray, FloatArray, IntArray
 from models.kinds import delta_vibration
@@ -50,18 +51,16 @@ SIGNED_UNIT = 100.0  # 1/s, the size of one step of d1
 DELAY_UNIT_S = 1e-3
 ROTATION_SD_DEG = 3.0  # of an accelerometer against the printer's axes
 ROTATION_UNIT = float(np.radians(ROTATION_SD_DEG)) / PRIOR_SD
-BLOCK_HZ = 5.0  # the model's error keeps its sign over about so wide a band
 COARSE = 0.3  # model error of the coarse fit
 FINE = 0.05  # model error with which two near fits are compared
 OTHER_MOUNTS = (0.02, 50.0)  # factors on a mount's stiffness
 NEAR = 0.1  # of the values may be far off where the search for a start ends
 STARTS = (1.0, 0.75, 1.33, 0.6, 1.7)  # factors on every frequency of the starting machine
 RANDOM_STARTS = 30
-STEP = 1e-5  # of central differences: the unknowns are of order one, the error 1e-10
-FORWARD_STEP = 1e-7  # of the differences on the way
-ROUGH_EVALUATIONS, ROUGH_TOLERANCE = 30, 1e-3  # of a start, before it is compared with others
-ROUNDS = 10  # of fitting and reweighting
-SMALLEST_MODEL_ERROR = 1e-4
+STEP = 1e-5  # of differences: the unknowns are of order one
+FAR_SD = 2.0  # coarse standard deviations by which a value is far off
+ROUGH = Settings(steps=30, gain=1e-1, share=1e-3)  # of a start, before it is compared with others
+FINAL = Settings(steps=100, rounds=10, exact_end=True)
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,10 +76,11 @@ class Fitted:
     common_scale_sd: float  # relative, of all masses, stiffnesses and dampings together
     beside_scale: Mapping[str, Estimate]  # the unknowns, that common scale being given
     misfit: float  # χ² by degree of freedom against the measured noise alone
-    bic: float  # Bayesian information criterion: of two models of the same responses the smaller one is preferred
+    evidence: float  # −2 ln of it: of two models of the same responses the smaller one is preferred
     model_errors: FloatArray  # (r,) ε of each response
     responses: Sequence[FrequencyResponse]
     predictions: Sequence[ComplexArray]  # of the fitted machine, delays included
+    doubt: tuple[str, ...] = ()  # a sentence if the fit has not converged
 
     @property
     def model_error(self) -> float:
@@ -113,40 +113,62 @@ def fit_machine(
     SolverError
         If there are fewer values than unknowns, or no start leads anywhere.
     """
-    problem = _problem(start, responses, dict(known or {}), unknowns)
-    if 2 * sum(map(len, problem.values)) <= len(problem.names):
+    problem = _Problem(start, responses, dict(known or {}), unknowns)
+    if problem.count <= len(problem.names):
         raise SolverError("There are fewer measured values than unknown parameters: measure more frequencies.")
     progress(Stage(2, "seeking where to begin"))
     theta = _best_start(problem, starts, progress)
     progress(Stage(4, f"fitting {len(problem.names)} numbers"))
-    epsilon = _model_error(problem, theta, together=True)
-    for _ in range(ROUNDS):
-        theta = _least_squares(problem, theta, epsilon)
-        before, epsilon = epsilon, _model_error(problem, theta, together=False)
-        progress(f"model error {100 * float(np.max(epsilon)):.2f} % at most")
-        if np.all(np.abs(epsilon - before) <= 0.05 * epsilon + 1e-4):
-            break
-    return _result(problem, theta, epsilon)
+    fitted = fit(
+        problem,
+        theta,
+        FINAL,
+        progress=lambda at: progress(f"model error {100 * float(np.max(at.errors)):.2f} % at most"),
+    )
+    if not np.isfinite(fitted.cost):
+        raise SolverError("The output-error fit overflowed: check the measurements' units.")
+    return _result(problem, fitted)
 
 
 # ---- the problem ---------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, eq=False)
-class _Problem:
-    start: Machine
-    responses: Sequence[FrequencyResponse]
-    names: tuple[str, ...]  # unknowns, then one a clock, then three of a rotation where there are captures
-    clocks: tuple[str, ...]
-    values: list[ComplexArray]
-    known: dict[str, tuple[float, float]]
-    weak_mean: FloatArray  # (p,) θ₀ of the weak prior
-    captures: IntArray  # (g, 3) the responses of one accelerometer along x, y, z
+class _Problem(EstimationProblem):
+    """Unknowns are the machine's numbers, then a delay for each clock, then three angles where there are captures."""
+
+    def __init__(
+        self,
+        start: Machine,
+        responses: Sequence[FrequencyResponse],
+        known: dict[str, tuple[float, float]],
+        fitted: Sequence[str],
+    ) -> None:
+        self.start, self.responses, self.known = start, responses, known
+        has_drive = delta_vibration(start).carriage.drive is not None
+        self.names = tuple(name for name in fitted if has_drive or name not in DRIVE)
+        if unknown := sorted(set(known) - {*self.names, TOTAL_MASS}):
+            raise SolverError(
+                f"{unknown[0]!r} is no parameter of this fit; known are {', '.join(self.names)}, {TOTAL_MASS}."
+            )
+        self.clocks = tuple(sorted({r.clock for r in responses} - {""}))
+        self.captures = of_one_capture(responses)  # (g, 3) the responses of one accelerometer along x, y, z
+        angles = "xyz" if len(self.captures) else ""
+        means = {name: _unknown(name, value_of(start, name)) for name in self.names}
+        means |= dict.fromkeys([*(f"delay of {clock}" for clock in self.clocks), *angles], 0.0)
+        self.unknowns = [Unknown(name, mean, PRIOR_SD, step=STEP) for name, mean in means.items()]
+        certain = [Observation(np.array([value]), np.array([sd**2])) for value, sd in known.values()]
+        self.observations = [*map(observed_response, responses), *certain]
+        self.count = 2 * sum(len(r.value) for r in responses)  # of measured values
 
     @property
     def end_of_clocks(self) -> int:
         """Where the rotation's angles begin in θ."""
         return len(self.names) + len(self.clocks)
+
+    @property
+    def mean(self) -> FloatArray:
+        """(p,) the starting machine."""
+        return self.prior[0]
 
     def parameters(self, theta: FloatArray) -> dict[str, float]:
         return {name: _parameter(name, t) for name, t in zip(self.names, theta, strict=False)}
@@ -164,49 +186,13 @@ class _Problem:
             for h, r in zip(responses, self.responses, strict=True)
         ]
 
-    def prior(self, theta: FloatArray) -> FloatArray:
-        """Return the residuals of known parameters, then of the weak prior."""
-        values = self.parameters(theta)
-        values[TOTAL_MASS] = _total_mass(self.start, values)
-        known = [(values[name] - value) / sd for name, (value, sd) in self.known.items()]
-        return np.concatenate([known, (theta - self.weak_mean) / PRIOR_SD])
-
-    def weights(self, epsilon: FloatArray) -> list[FloatArray]:
-        """Return what a residual of each response is multiplied by, at a model error for each."""
-        return [
-            np.sqrt(2 / _variance(response, share)) for response, share in zip(self.responses, epsilon, strict=True)
-        ]
-
-    def residual(self, theta: FloatArray, weights: Sequence[FloatArray]) -> FloatArray:
-        parts = []
-        for h, measured, weight in zip(self.model(theta), self.values, weights, strict=True):
-            error = (h - measured) * weight
-            parts += [error.real, error.imag]
-        return np.concatenate([*parts, self.prior(theta)])
-
-
-def _problem(
-    start: Machine,
-    responses: Sequence[FrequencyResponse],
-    known: dict[str, tuple[float, float]],
-    unknowns: Sequence[str],
-) -> _Problem:
-    names = tuple(name for name in unknowns if delta_vibration(start).carriage.drive is not None or name not in DRIVE)
-    unknown = set(known) - {*names, TOTAL_MASS}
-    if unknown:
-        raise SolverError(
-            f"{sorted(unknown)[0]!r} is no parameter of this fit; known are {', '.join(names)}, {TOTAL_MASS}."
-        )
-    clocks = tuple(sorted({r.clock for r in responses} - {""}))
-    captures = of_one_capture(responses)
-    nuisances = len(clocks) + 3 * bool(len(captures))
-    mean = np.array([_unknown(name, value_of(start, name)) for name in names] + [0.0] * nuisances)
-    return _Problem(start, responses, names, clocks, [r.value for r in responses], known, mean, captures)
-
-
-def _variance(response: FrequencyResponse, epsilon: float) -> FloatArray:
-    floor = 1e-16 * np.mean(np.abs(response.value) ** 2)  # noise-free data: finite weights all the same
-    return response.variance + (epsilon * np.abs(response.value)) ** 2 + floor
+    def simulate(self, lanes: Sequence[FloatArray]) -> Iterator[FloatArray]:
+        """Predict real, then imaginary parts of each response, then the known parameters."""
+        for theta in lanes:
+            values = self.parameters(theta)
+            values[TOTAL_MASS] = _total_mass(self.start, values)
+            parts = [part for h in self.model(theta) for part in (h.real, h.imag)]
+            yield np.concatenate([*parts, [values[name] for name in self.known]])
 
 
 def _unknown(name: str, value: float) -> float:
@@ -221,7 +207,7 @@ def _total_mass(start: Machine, values: Mapping[str, float]) -> float:
     return sum(values.get(name, value_of(start, name)) for name in EFFECTOR_MASSES)
 
 
-# ---- solving -------------------------------------------------------------------------------------
+# ---- where to begin ------------------------------------------------------------------------------
 
 
 def _best_start(
@@ -231,42 +217,40 @@ def _best_start(
 
     The coarse fit weights every value alike (model error 30 %), so that no sharp resonance traps it.
     """
-    tries = [_with(problem, values) for values in starts] or list(_tries(problem))
-    best, least = problem.weak_mean, np.inf
-    for number, start in enumerate(tries, 1):
-        theta = _roughly(problem, start, COARSE)
-        excess = _excess(problem, _errors(problem, theta), COARSE)
-        progress(f"start {number}: {100 * COARSE * np.sqrt(max(excess, 0.0)):.0f} % of the responses unexplained")
-        if excess < least:
-            best, least = theta, excess
-        if not starts and _far_share(problem, best) < NEAR:
-            break
-    return best if starts else _other_mounts(problem, best, progress)
+
+    def fits() -> Iterator[FitResult[_Problem]]:
+        for number, start in enumerate([_with(problem, values) for values in starts] or _tries(problem), 1):
+            found = _roughly(problem, start, COARSE)
+            share = COARSE * float(np.sqrt(np.mean(found.residual[: problem.count] ** 2)))
+            progress(f"start {number}: {100 * share:.0f} % of the responses unexplained")
+            yield found
+
+    def near(found: FitResult[_Problem]) -> bool:
+        return not starts and bool(np.mean(np.abs(found.residual[: problem.count]) > FAR_SD) < NEAR)
+
+    best = best_of(fits(), near)
+    return best.values if starts else _other_mounts(problem, best.values, progress)
 
 
 def _other_mounts(problem: _Problem, best: FloatArray, progress: Callable[[str], None]) -> FloatArray:
     """Try far softer and harder mounts too: a mount taken for one of them is a local optimum that looks fair."""
-    weights = problem.weights(_same(problem, FINE))
-    best = _roughly(problem, best, FINE)
-    least = float(np.sum(problem.residual(best, weights) ** 2))
+    found = _roughly(problem, best, FINE)
     progress(Stage(3, "trying softer and harder mounts"))
     for stiffness, damping in zip(STIFFNESS, DAMPING, strict=True):
         if stiffness not in problem.names:
             continue
         progress(Now(f"another {stiffness}"))
         for factor in OTHER_MOUNTS:
-            trial = best.copy()
+            trial = found.values.copy()
             trial[problem.names.index(stiffness)] += np.log(factor)
             trial[problem.names.index(damping)] += np.log(factor) / 2
-            trial = _roughly(problem, trial, FINE)
-            cost = float(np.sum(problem.residual(trial, weights) ** 2))
-            best, least = (trial, cost) if cost < least else (best, least)
-    return best
+            found = best_of([found, _roughly(problem, trial, FINE)])
+    return found.values
 
 
-def _same(problem: _Problem, share: float) -> FloatArray:
-    """Return one model error for all responses, (r,)."""
-    return np.full(len(problem.responses), share)
+def _roughly(problem: _Problem, theta: FloatArray, error: float) -> FitResult[_Problem]:
+    """Fit well enough to compare where two starts lead, with one model error for all responses."""
+    return fit(problem, theta, ROUGH, errors=np.full(len(problem.observations), error))
 
 
 def _tries(problem: _Problem) -> Iterator[FloatArray]:
@@ -279,27 +263,8 @@ def _tries(problem: _Problem) -> Iterator[FloatArray]:
         yield theta + rng.uniform(-1.0, 1.0, len(theta))
 
 
-def _errors(problem: _Problem, theta: FloatArray) -> list[FloatArray]:
-    """Compute |H − Ĥ|² of each response."""
-    return [np.abs(h - v) ** 2 for h, v in zip(problem.model(theta), problem.values, strict=True)]
-
-
-def _far_share(problem: _Problem, theta: FloatArray) -> float:
-    """Count the share of the values that are off by more than twice the coarse model error and the noise together."""
-    pairs = zip(_errors(problem, theta), problem.responses, strict=True)
-    far = sum(int(np.sum(e > 4 * _variance(r, COARSE))) for e, r in pairs)
-    return far / sum(map(len, problem.values))
-
-
-def _excess(problem: _Problem, errors: Sequence[FloatArray], epsilon: float) -> float:
-    """Average the errors beyond the measured noise, as a share of σ² + ε²|H|²."""
-    pairs = zip(errors, problem.responses, strict=True)
-    over = sum(float(np.sum((e - _variance(r, 0.0)) / _variance(r, epsilon))) for e, r in pairs)
-    return over / sum(map(len, problem.values))
-
-
 def _with(problem: _Problem, values: Mapping[str, float]) -> FloatArray:
-    theta = problem.weak_mean.copy()
+    theta = problem.mean.copy()
     for name, value in values.items():
         theta[problem.names.index(name)] = _unknown(name, value)
     return theta
@@ -307,7 +272,7 @@ def _with(problem: _Problem, values: Mapping[str, float]) -> FloatArray:
 
 def _faster(problem: _Problem, factor: float) -> FloatArray:
     """Multiply every natural frequency of the starting machine; keep the damping ratios."""
-    theta = problem.weak_mean.copy()
+    theta = problem.mean.copy()
     for i, name in enumerate(problem.names):
         if "stiffness" in name or name.endswith("d0_per_s2"):
             theta[i] += 2 * np.log(factor)
@@ -318,67 +283,11 @@ def _faster(problem: _Problem, factor: float) -> FloatArray:
     return theta
 
 
-def _roughly(problem: _Problem, theta: FloatArray, epsilon: float) -> FloatArray:
-    """Fit well enough to compare where two starts lead."""
-    return _least_squares(
-        problem, theta, _same(problem, epsilon), evaluations=ROUGH_EVALUATIONS, tolerance=ROUGH_TOLERANCE
-    )
-
-
-def _least_squares(
-    problem: _Problem, theta: FloatArray, epsilon: FloatArray, *, evaluations: int = 200, tolerance: float = 1e-8
-) -> FloatArray:
-    weights = problem.weights(epsilon)
-
-    def residual(at: FloatArray) -> FloatArray:
-        return problem.residual(at, weights)
-
-    solution = minimise(
-        residual,
-        theta,
-        lambda at: forward_differences(residual, at, FORWARD_STEP),
-        evaluations=evaluations,
-        tolerance=tolerance,
-    )
-    if not np.all(np.isfinite(solution.x)):
-        raise SolverError("The output-error fit overflowed: check the measurements' units.")
-    return solution.x
-
-
-def _model_error(problem: _Problem, theta: FloatArray, together: bool) -> FloatArray:
-    """Find the ε, (r,), that makes Σ|H − Ĥ|²/(σ² + ε²|H|²) its expected value, 0 if the noise explains it already.
-
-    One for all responses to begin with, so that a common fit comes first; then one for each.
-    """
-    errors = _errors(problem, theta)
-    total = sum(map(len, problem.values))
-    used = len(theta) / 2 / total  # of each value, by the unknowns
-    pairs = list(zip(errors, problem.responses, strict=True))
-    if together:
-        return _same(problem, _level(pairs, total * (1 - used)))
-    return np.array([_level([pair], len(pair[0]) * (1 - used)) for pair in pairs])
-
-
-def _level(pairs: Sequence[tuple[FloatArray, FrequencyResponse]], count: float) -> float:
-    def excess(epsilon: float) -> float:
-        return sum(float(np.sum(e / _variance(r, epsilon))) for e, r in pairs) / count - 1
-
-    if excess(0.0) < 4 / np.sqrt(count):
-        return 0.0
-    low, high = SMALLEST_MODEL_ERROR, 10.0
-    if excess(low) < 0:
-        return low
-    for _ in range(60):
-        middle = np.sqrt(low * high)
-        low, high = (middle, high) if excess(middle) > 0 else (low, middle)
-    return float(low)
-
-
 # ---- the result ----------------------------------------------------------------------------------
 
 
-def _result(problem: _Problem, theta: FloatArray, epsilon: FloatArray) -> Fitted:
-    covariance = _covariance(problem, theta, epsilon)
+def _result(problem: _Problem, fitted: FitResult[_Problem]) -> Fitted:
+    theta, covariance = fitted.values, fitted.covariance
     sd = np.sqrt(np.diag(covariance))
     values = problem.parameters(theta)
     estimates = {name: _estimate(name, values[name], sd[i]) for i, name in enumerate(problem.names)}
@@ -387,9 +296,8 @@ def _result(problem: _Problem, theta: FloatArray, epsilon: FloatArray) -> Fitted
     of_clocks = slice(len(problem.names), problem.end_of_clocks)
     clocks = zip(problem.clocks, theta[of_clocks], sd[of_clocks], strict=True)
     scale_sd, beside = _beside_common_scale(problem, values, covariance)
-    errors = _errors(problem, theta)
-    chi = sum(float(np.sum(e / _variance(r, 0.0))) for e, r in zip(errors, problem.responses, strict=True))
-    count = sum(map(len, problem.values))
+    noise = np.concatenate([o.noise for o in problem.observations])
+    chi = np.sum(((fitted.residual * fitted.sd) ** 2 / noise)[: problem.count])
     return Fitted(
         machine=problem.machine(theta),
         estimates=estimates,
@@ -399,11 +307,12 @@ def _result(problem: _Problem, theta: FloatArray, epsilon: FloatArray) -> Fitted
         rotation_deg=_rotation(problem, theta, sd),
         common_scale_sd=scale_sd,
         beside_scale={name: _estimate(name, values[name], beside[i]) for i, name in enumerate(problem.names)},
-        misfit=chi / (count - len(theta) / 2),
-        bic=_deviance(problem, errors, epsilon) + len(theta) * float(np.log(2 * count)),
-        model_errors=epsilon,
+        misfit=float(chi) / (problem.count - len(theta)),
+        evidence=fitted.evidence,
+        model_errors=fitted.errors[: len(problem.responses)],
         responses=problem.responses,
         predictions=problem.model(theta),
+        doubt=tuple(fitted.doubt(f"{len(problem.names)} numbers")),
     )
 
 
@@ -429,44 +338,6 @@ def _beside_common_scale(
     if variance == 0.0:  # the effector's masses are not fitted
         return 0.0, np.sqrt(np.diag(covariance))
     return float(np.sqrt(variance)), np.sqrt(np.maximum(np.diag(covariance) - along**2 / variance, 0.0))
-
-
-def _deviance(problem: _Problem, errors: Sequence[FloatArray], epsilon: FloatArray) -> float:
-    """Return −2 ln of the likelihood of circular complex noise, up to a constant."""
-    pairs = [(e, _variance(r, share)) for e, r, share in zip(errors, problem.responses, epsilon, strict=True)]
-    return 2 * sum(float(np.sum(e / v + np.log(v))) for e, v in pairs)
-
-
-def _covariance(problem: _Problem, theta: FloatArray, epsilon: FloatArray) -> FloatArray:
-    """Estimate the covariance (p, p) of the unknowns.
-
-    Where the model's error is more than noise it is correlated over neighbouring frequencies: the sandwich of Huber and
-    White with blocks of 5 Hz (Liang & Zeger, Biometrika 73, 1986) then widens the inverse information.
-    """
-    weights = problem.weights(epsilon)
-    j = central_differences(lambda at: problem.residual(at, weights), theta, np.full(len(theta), STEP))
-    bread = scaled_inverse(j.T @ j)
-    if not epsilon.any():
-        return bread
-    residual = problem.residual(theta, weights)
-    data = len(residual) - len(problem.known) - len(theta)
-    gradients = [j[rows].T @ residual[rows] for rows in _blocks(problem)]
-    meat = sum((np.outer(g, g) for g in gradients), j[data:].T @ j[data:])
-    wider = np.sqrt(np.maximum(1.0, np.diag(bread @ meat @ bread) / np.diag(bread)))
-    return bread * np.outer(wider, wider)
-
-
-def _blocks(problem: _Problem) -> list[FloatArray]:
-    """List the rows of the residual, both real and imaginary, of each 5 Hz of each response."""
-    rows, at = [], 0
-    for response in problem.responses:
-        k = len(response.frequency_hz)
-        block = (response.frequency_hz // BLOCK_HZ).astype(int)
-        for number in np.unique(block):
-            members = at + np.flatnonzero(block == number)
-            rows.append(np.concatenate([members, members + k]))
-        at += 2 * k
-    return rows
 
 
 def _estimate(name: str, value: float, sd: float) -> Estimate:

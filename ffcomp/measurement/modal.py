@@ -14,15 +14,12 @@ grows with f²: e = f². Nothing known about the excitation: e = 1. A window of 
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 
 from models.arrays import ComplexArray, FloatArray
 
 KAISER_BETA = 6.0  # of the firmwares' window, and ours
 LINES_TO_EACH_SIDE, POINTS_A_LINE = 4, 4  # of the model: beyond four lines, the window is at −44 dB
-SMALLEST_ERROR, LARGEST_ERROR = 1e-4, 10.0  # of a model
 
 
 def single_modes(frequency_hz: FloatArray, damping_ratio: FloatArray, at_hz: FloatArray) -> ComplexArray:
@@ -66,16 +63,6 @@ def window_kernel() -> tuple[FloatArray, FloatArray]:
     power = np.abs(np.fft.fft(np.kaiser(64, KAISER_BETA), 64 * POINTS_A_LINE)) ** 2
     reach = np.arange(-LINES_TO_EACH_SIDE * POINTS_A_LINE, LINES_TO_EACH_SIDE * POINTS_A_LINE + 1)
     return reach / POINTS_A_LINE, power[reach] / power[reach].sum()
-
-
-def model_error(residual: FloatArray, variance: Callable[[float], FloatArray], unknowns: float) -> float:
-    """Find the model's own error ε that gives χ² = Σ r²/v(ε) its expected value; the smallest if noise explains it."""
-    low, high = SMALLEST_ERROR, LARGEST_ERROR
-    for _ in range(40):
-        middle = float(np.sqrt(low * high))
-        excess = float(np.sum(residual**2 / variance(middle))) - (len(residual) - unknowns)
-        low, high = (middle, high) if excess > 0 else (low, middle)
-    return low
 
 
 def independent_share(residual: FloatArray, lines: int) -> float:
