@@ -62,5 +62,5 @@ def test_an_effect_that_changes_numbers_moves_the_frequencies(tmp_path: Path) ->
     assert found["frequencies_hz"][1]["new"] > 1.05 * found["frequencies_hz"][1]["old"]
 
 
-def test_a_file_that_is_not_there_is_exit_code_5() -> None:
-    assert diff("kossel", "absent.toml").exit_code == 5
+def test_a_missing_file_is_exit_code_2() -> None:
+    assert diff("kossel", "absent.toml").exit_code == 2

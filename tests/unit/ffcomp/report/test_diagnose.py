@@ -173,7 +173,7 @@ def test_an_effect_is_told_with_its_size_and_what_it_explains(heavy: Case) -> No
     (effect,) = heavy.result["effects"]
     size = effect["parameters"]["added_kg"]
     told = words.interval(Estimate(size["value"], 0.0, size["low"], size["high"]), "kg")
-    assert f"Missing from the machine file: more on the nozzle holder (effector_mass): {told}." in read
+    assert f"Missing from the machine file: more mass on the nozzle holder (effector_mass): {told}." in read
     assert f"are {words.percent(heavy.result['gap']['held_out']['after'])} off" in read
     assert "The better machine file is better.toml" in read
 
