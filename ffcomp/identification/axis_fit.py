@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 
 from ffcomp.errors import RequestError
-from ffcomp.estimate.fit import Settings, fit
-from ffcomp.estimate.problem import EstimationProblem, Observation, Unknown
 from ffcomp.identification.axis_shots import Shots, scales_of, shots_of
 from ffcomp.identification.machine_fit import MachineFit, estimates, hash_of
 from ffcomp.identification.uncertainty import Estimate, Joint
+from ffcomp.inference.fit import Settings, fit
+from ffcomp.inference.problem import EstimationProblem, Observation, Unknown
 from ffcomp.measurement.axis_run import AxisRun, read_axis_run
 from ffcomp.numerics.stages import Stage
 from models.arrays import FloatArray

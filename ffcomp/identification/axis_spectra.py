@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ffcomp.estimate.problem import Observation
+from ffcomp.inference.problem import Observation
 from ffcomp.measurement.frf import AXES, CARRIAGES, FrequencyResponse
 from ffcomp.measurement.modal import WindowedPower, single_modes, slopes_of_modes
 from ffcomp.measurement.swept import SweptBand, cut_off

@@ -18,11 +18,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from ffcomp.errors import MeasurementError
-from ffcomp.estimate.fit import FitResult, Settings, best_of, fit
-from ffcomp.estimate.problem import EstimationProblem, Observation, Unknown
 from ffcomp.identification.axis_spectra import COARSE
 from ffcomp.identification.resonance_tests import BeltTest
 from ffcomp.identification.uncertainty import NINETY_PERCENT, Estimate, normal
+from ffcomp.inference.fit import FitResult, Settings, best_of, fit
+from ffcomp.inference.problem import EstimationProblem, Observation, Unknown
 from ffcomp.measurement.modal import WindowedPower, single_modes
 from ffcomp.numerics.least_squares import central_differences
 from models.arrays import FloatArray

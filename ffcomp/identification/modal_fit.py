@@ -29,10 +29,10 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.signal import find_peaks
 
 from ffcomp.errors import MeasurementError
-from ffcomp.estimate.fit import FitResult, Settings, best_of, fit
-from ffcomp.estimate.problem import EstimationProblem, Unknown
 from ffcomp.identification.axis_spectra import COARSE, Datum, Response, Spectrum
 from ffcomp.identification.uncertainty import NINETY_PERCENT, Estimate, lognormal, normal
+from ffcomp.inference.fit import FitResult, Settings, best_of, fit
+from ffcomp.inference.problem import EstimationProblem, Unknown
 from ffcomp.measurement.modal import independent_share, single_modes
 from models.arrays import ComplexArray, FloatArray
 

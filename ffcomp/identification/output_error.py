@@ -17,11 +17,11 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ffcomp.errors import SolverError
-from ffcomp.estimate.fit import FitResult, Settings, best_of, fit
-from ffcomp.estimate.problem import EstimationProblem, Observation, Unknown
 from ffcomp.identification.axis_spectra import observed_response
 from ffcomp.identification.predict import predicted
 from ffcomp.identification.uncertainty import Estimate, lognormal, normal
+from ffcomp.inference.fit import FitResult, Settings, best_of, fit
+from ffcomp.inference.problem import EstimationProblem, Observation, Unknown
 from ffcomp.measurement.frf import FrequencyResponse
 from ffcomp.numerics.stages import Now, Stage
 from models.arrays import ComplexArray, FloatArray, IntArray

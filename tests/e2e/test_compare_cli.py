@@ -89,7 +89,7 @@ def test_a_compensated_file_is_compared_as_what_it_was(small: Path, tmp_path: Pa
         (squares(2), ("--scheduler", "tcp://host:1"), 2, "--mismatch"),
         (squares(2), ("--scheduler", "nowhere", "--mismatch", "5%"), 1, "Dask"),
         (squares(2), ("--plant", "kossel"), 5, "kinematics.arm_lengths_mm is 269"),
-        (squares(2), ("--plant", "absent.toml"), 5, "absent.toml"),
+        (squares(2), ("--plant", "absent.toml"), 2, "absent.toml"),
         (squares(2), ("--report", "/no/such/folder/report.html"), 2, "/no/such/folder"),
     ],
 )

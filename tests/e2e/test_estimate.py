@@ -176,7 +176,7 @@ def test_assumed_settings_of_the_firmware_are_said() -> None:
 
 
 def test_nothing_moves() -> None:
-    with pytest.raises(NothingToDo, match="no time to tell"):
+    with pytest.raises(NothingToDo, match="no time to estimate"):
         estimated(b"G28\nG1 X0\nM84\n")
 
 

@@ -142,7 +142,7 @@ def once(do: Callable[[], object]) -> Callable[[float], None]:
 
 def test_a_file_that_is_sliced_again_meanwhile(small: Path) -> None:
     newer = SMALL + b"; newer\n"
-    assert "changed the file meanwhile" in refused(small, progress=once(lambda: small.write_bytes(newer)))
+    assert "Another program changed the file" in refused(small, progress=once(lambda: small.write_bytes(newer)))
     assert small.read_bytes() == newer and names(small.parent) == ["small.gcode"]
 
 
@@ -153,7 +153,7 @@ def test_a_file_that_another_has_taken_the_place_of(small: Path) -> None:
         os.utime(other, ns=(small.stat().st_atime_ns, small.stat().st_mtime_ns))
         other.replace(small)
 
-    assert "changed the file meanwhile" in refused(small, progress=once(replace))
+    assert "Another program changed the file" in refused(small, progress=once(replace))
     assert small.read_bytes() == SMALL and names(small.parent) == ["small.gcode"]
 
 

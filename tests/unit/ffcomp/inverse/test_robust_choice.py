@@ -59,7 +59,7 @@ def test_a_rough_file_is_inverted_robustly_and_a_good_one_plainly(delta: Machine
 @pytest.mark.parametrize("asked", [True, False])
 def test_who_asks_is_answered(delta: Machine, asked: bool) -> None:
     choice = choose_robust(delta, settings_for(delta), asked)
-    assert choice.robust == asked and "asked for" in choice.reason
+    assert choice.robust == asked and "as requested" in choice.reason
 
 
 def test_robust_inversion_costs_no_print_time_on_short_hard_strokes() -> None:

@@ -347,7 +347,10 @@ def test_the_file_of_an_axis(tmp_path: Path) -> None:
         (("2.0e5", "0.0"), "nothing ties the axis to its commanded position"),
         (("damping_n", "load_mass_kg = 1.0\ndamping_n"), "belong together"),
         (("damping_n", "coupling_damping_n_s_per_m = 1.0\ndamping_n"), "needs axis.load_mass_kg and axis.coupling"),
-        (('name = "lift"', 'name = "lift"\n[effects.effector_mass]\nadded_kg = 0.1'), "does not apply to one axis by itself"),
+        (
+            ('name = "lift"', 'name = "lift"\n[effects.effector_mass]\nadded_kg = 0.1'),
+            "does not apply to one axis by itself",
+        ),
         (
             ('name = "lift"', 'name = "lift"\n[effects.coulomb_friction]\nforce_n = 1.0\npresliding_mm = 0.02'),
             "presliding_mm is only for printers",

@@ -3,5 +3,5 @@
     Observation ─┐
     Unknown ─────┴─ EstimationProblem ── fit ── FitResult (values, covariance, evidence, status, history)
 
-`ffcomp.estimation` is something else: the time that a print takes.
+`ffcomp.estimate` and `ffcomp.estimation` are something else: the time that a print takes.
 """

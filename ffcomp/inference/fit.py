@@ -18,8 +18,8 @@ from typing import Generic, TypeVar
 
 import numpy as np
 
-from ffcomp.estimate.covariance import clustered_covariance
-from ffcomp.estimate.problem import SMALLEST_ERROR, EstimationProblem
+from ffcomp.inference.covariance import clustered_covariance
+from ffcomp.inference.problem import SMALLEST_ERROR, EstimationProblem
 from ffcomp.numerics.least_squares import bounded_step
 from models.arrays import FloatArray
 

@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ffcomp.estimate.covariance import clustered_covariance
-from ffcomp.estimate.fit import FitResult, Settings, Status, best_of, fit
-from ffcomp.estimate.problem import EstimationProblem, Observation, Unknown
+from ffcomp.inference.covariance import clustered_covariance
+from ffcomp.inference.fit import FitResult, Settings, Status, best_of, fit
+from ffcomp.inference.problem import EstimationProblem, Observation, Unknown
 from models.arrays import FloatArray
 
 T = np.linspace(0.0, 1.0, 40)
