@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import struct
 import sys
 import time
@@ -24,22 +25,27 @@ def picture() -> bytes:
     return b"\x89PNG\r\n\x1a\n" + b"".join(made)
 
 
+def tell(stage: str, share: float | None = None, left_s: float | None = None) -> None:
+    """Write an event as the verbs do."""
+    with open(os.environ["FFCOMP_EVENTS"], "a", encoding="utf-8") as file:
+        file.write(json.dumps({"stage": stage, "share": share, "left_s": left_s}) + "\n")
+
+
+def answer(headline: str, facts: list[list[str]], warnings: list[str], next_steps: list[str]) -> dict[str, Any]:
+    """Return what every verb's JSON holds of what it found."""
+    return {"answer": {"headline": headline, "facts": facts, "warnings": warnings, "next_steps": next_steps}}
+
+
 def compensate(words: list[str]) -> dict[str, Any]:
     text = Path(words[0]).read_text()
-    print("ffcomp: 40 %, 7 s left", file=sys.stderr, flush=True)
+    tell("compensating", 0.4, 7.0)
     if "slow" in text:
         time.sleep(60)
     if "bad" in text:
         print("ffcomp: a.gcode, line 3: it cannot be followed.", file=sys.stderr)
         raise SystemExit(4)
     Path(value(words, "-o")).write_text("; compensated\n")
-    track = {"contour_rms_um": 88.0, "contour_p99_um": 200.0}
-    return {
-        "print_time_s": 62.0,
-        "original_print_time_s": 61.0,
-        "warning_lines": ["<b>A warning</b> of a line."],
-        "predicted": {"uncompensated": track, "compensated": {"contour_rms_um": 1.1, "contour_p99_um": 4.0}},
-    }
+    return answer("Compensated.", [["Contour error", "88 → 1.1 µm rms"]], ["<b>A warning</b> of a line."], [])
 
 
 def show(words: list[str]) -> dict[str, Any]:
@@ -49,9 +55,7 @@ def show(words: list[str]) -> dict[str, Any]:
 
 def compare(words: list[str]) -> dict[str, Any]:
     Path(value(words, "--report")).write_text(PAGE)
-    errors = {"none": 88.0, "mzv": 20.0, "fbs-lpv": 1.1}
-    methods = {name: {"contour_rms_um": rms, "label": name.upper(), "warnings": []} for name, rms in errors.items()}
-    return {"methods": methods, "ours": "fbs-lpv", "best_fixed": "mzv", "sampling": "all of it"}
+    return answer("FBS-LPV has the lowest error.", [["none", "88 µm"], ["FBS-LPV", "1.1 µm"]], [], [])
 
 
 def record(words: list[str]) -> dict[str, Any]:
@@ -71,16 +75,11 @@ def record(words: list[str]) -> dict[str, Any]:
 
 def diagnose(words: list[str]) -> dict[str, Any]:
     assert Path(value(words, "--plan")).name == "moves.json"
-    print("ffcomp: trying coulomb_friction", file=sys.stderr, flush=True)
+    tell("trying coulomb_friction")
     Path(value(words, "-o")).write_bytes((LIBRARY / "kossel.toml").read_bytes())
     Path(value(words, "--report")).write_text(PAGE)
-    return {
-        "said": ["Coulomb friction is missing.", "2.1 N on every guideway."],
-        "gap": {"before": 0.4, "after": 0.11, "noise": 0.1},
-        "print_gain": {"uncompensated_um": 90.0, "before_um": 20.0, "after_um": 3.0},
-        "to_do": ["Use the better machine file."],
-        "machine": value(words, "-o"),
-    }
+    told = answer("Coulomb friction is missing.", [["force_n", "2.1"]], [], ["Use the better machine file."])
+    return told | {"machine": value(words, "-o")}
 
 
 def identify(words: list[str]) -> dict[str, Any]:
