@@ -282,11 +282,16 @@ def diagnose_request(request: DiagnoseRequest) -> Diagnosis:
 
     Parameters
     ----------
+    settings : how broad the search is and what it keeps, see `ffcomp.diagnosis.settings`
     progress : takes sentences on what is being done
 
     Raises
     ------
     MeasurementError, MachineFileError
+
+    Examples
+    --------
+    >>> ffcomp.diagnose(["a-1.csv", "a-2.csv"], "my.toml", "better.toml")
     """
     diagnosis = diagnose_files(request)
     if diagnosis.output is not None:

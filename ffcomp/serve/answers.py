@@ -25,7 +25,8 @@ class Answer:
 def answer_of(kind: str, result: JsonObject) -> Answer:
     """Return what the page shows of one job."""
     if told := result.get("answer"):
-        return Answer(told["headline"], told["facts"], told["warnings"], told["next_steps"])
+        steps = [each for each in told["next_steps"] if not each.startswith("Look at it: ")]  # the page shows it
+        return Answer(told["headline"], told["facts"], told["warnings"], steps)
     make = _ANSWERS.get(kind)
     return make(result) if make else Answer()
 
