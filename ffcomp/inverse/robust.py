@@ -428,7 +428,7 @@ def choose_robust(machine: Machine, settings: Settings, requested: bool | None =
     sd = mode_sd(machine, settings.robust_share * settings.bandwidth_hz)
     known = f"by its [uncertainty] the machine file knows its modes to {100 * sd:.2g} %"
     if sd < PAYING_SD:
-        return RobustChoice(False, f"Plain inversion: {known}; --robust pays from {100 * PAYING_SD:g} %.")
+        return RobustChoice(False, f"Plain inversion: {known}; --robust on pays from {100 * PAYING_SD:g} %.")
     return RobustChoice(True, f"Robust inversion: {known}. If the file is exact: --robust off.")
 
 
