@@ -106,7 +106,7 @@ class Sensitivity:
         """Return the weight (draws,) of each draw, whose D is (draws, lines, 3, 3); their sum is one.
 
         Printers are judged by the mean of their errors, and the search adds up squares. A sum of squares divided by the
-        errors is a sum of errors (iteratively reweighted least squares: Holland & Welsch, Commun. Stat. 6 (1977)
+        errors is a sum of errors (iteratively reweighted least squares: Holland & Welsch, Communications Stat. 6 (1977)
         813-827). How large they are is foretold by how far D is from one, for accelerations of all frequencies, plus
         as much as the median draw for what the search leaves on every printer. Without weights a few far printers,
         which no command serves, decide.
