@@ -202,7 +202,7 @@ def test_every_run_is_logged(log: Path, temporary: Path, monkeypatch: pytest.Mon
     monkeypatch.setenv("SLIC3R_PP_HOST", "File")
     assert code("compensate", "-m", "kosel", temporary) == 5
     text = log.read_text(encoding="utf-8")
-    said = ["compensate -q -m kossel", "predicted contour error", "Look at it", "exit code 0", "--machine is missing"]
+    said = ["compensate -q -m kossel", "contour error", "Look at it", "exit code 0", "--machine is missing"]
     said += ["exit code 2", "called by a slicer, for File", "Did you mean 'kossel'?", "exit code 5"]
     assert [word for word in said if word not in text] == []
     assert [text.index(word) for word in said] == sorted(text.index(word) for word in said)

@@ -23,9 +23,10 @@ def test_the_first_run_says_that_it_compiles(tmp_path: Path) -> None:
     assert ["Compiling once" in text for text in said] == [True, False]
 
 
-def test_quiet_is_quiet(tmp_path: Path) -> None:
+def test_quiet_hides_the_progress_and_not_the_answer(tmp_path: Path) -> None:
     result = CliRunner().invoke(app, [*COMPENSATE, "-o", str(tmp_path / "out.gcode"), "--quiet"])
-    assert result.exit_code == 0 and result.output == ""
+    assert result.exit_code == 0 and result.stderr == ""
+    assert "contour error" in result.stdout
 
 
 def test_a_run_that_fails_is_not_counted(tmp_path: Path) -> None:
