@@ -208,17 +208,15 @@ class MoveWriter:
         self._holds_z = frame.absolute and not frame.z_known
         counts = [round((at - base[i]) * per_mm[i]) for i, at in enumerate((*xyz, e))]
         self._state = np.array([*counts, -1], dtype=np.int64)  # of X Y Z E F; F has none yet
-        self._begin = list(zip(counts, (*xyz, e), strict=True))  # X Y Z E, counts and mm
+        self._begin = counts[3], e  # of E, counts and mm
         self._last = np.array([*xyz, 0.0])  # X Y Z of the last move, mm, and how late its end is, s
 
     @property
     def place(self) -> tuple[float, ...]:
         """Position after the lines written so far, X Y Z E in mm. Pass it to `reset` to keep the rounding."""
-        counts = self._state.tolist()
-        return tuple(
-            mm if counts[i] == count else counts[i] / self._per_mm[i] + self._base[i]
-            for i, (count, mm) in enumerate(self._begin)
-        )
+        counts, (count, mm) = self._state.tolist(), self._begin
+        x, y, z, e = (counts[i] / self._per_mm[i] + self._base[i] for i in range(4))
+        return x, y, z, mm if counts[3] == count else e  # nothing written: no digits to keep
 
     def here(self, speed: float) -> list[bytes]:
         """Lines that state the present position, without an unknown height; none in relative mode.
