@@ -36,7 +36,8 @@ IntArray = NDArray[np.int64]
 
 LONGEST_SEGMENT = 96  # bytes: Marlin's MAX_CMD_SIZE, the shortest of the firmwares'
 LONGEST_LINE = 255  # bytes, of Klipper's own commands
-FILAMENT_MM = 1e-4  # how far the whole may be from what it was
+FILAMENT_MM = 1e-4  # how far the whole may be from what it was,
+HALF_A_COUNT = 5e-6  # and half of the last decimal in the file's own unit
 LINE_MM = 5e-3  # how far a line may be from its place: lines that stand close together share a segment's end,
 STEPS_MM = 5e-3  # and as much more where a firmware drops a segment of few steps
 WAY_MM, WAY_SHARE = 2e-3, 1e-5  # of the filament's way there and back: its last decimal may go to and fro
@@ -136,12 +137,12 @@ def _places(program: Program, kept: set[int]) -> list[tuple[bytes, float]]:
 def _of_filament(read: Program, written: Program) -> Iterator[str]:
     before, after = (p.moves.end[:, 3] - p.moves.start[:, 3] for p in (read, written))
     way, turns = (np.abs(before).sum(), np.abs(after).sum()), np.count_nonzero(np.diff(np.sign(before[before != 0.0])))
-    if not abs(before.sum() - after.sum()) <= FILAMENT_MM:
+    unit_mm = max(frame.unit_mm for frame in read.frames)
+    if not abs(before.sum() - after.sum()) <= FILAMENT_MM + HALF_A_COUNT * unit_mm:
         yield f"The filament was {before.sum():.5f} mm and is {after.sum():.5f} mm."
     if not abs(way[0] - way[1]) <= WAY_MM + WAY_SHARE * way[0] + TURN_MM * turns:
         yield f"There and back the filament went {way[0]:.5f} mm and goes {way[1]:.5f} mm."
-    near = PLACES * max(frame.unit_mm for frame in read.frames)
-    if not np.abs(read.moves.end[-1] - written.moves.end[-1])[:3].max() <= near:
+    if not np.abs(read.moves.end[-1] - written.moves.end[-1])[:3].max() <= PLACES * unit_mm:
         yield f"The print ended at {read.moves.end[-1, :3]} and ends at {written.moves.end[-1, :3]}."
 
 

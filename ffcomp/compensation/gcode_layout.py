@@ -104,10 +104,7 @@ def timeline(
     if tile.last == reference.knots:
         e[-1] = program.moves.end[run.last - 1, 3]
     lines, among, at = _lines_of(program, trajectory, run, reference, inside, tile)
-    stands = lines.event >= 0
-    filament = program.moves.end[:, 3] - program.moves.start[:, 3]
-    turns = stands & (filament[lines.move - 1] * filament[np.minimum(lines.move, len(filament) - 1)] <= 0.0)
-    laid = _Laid(*_lay_out(at, stands, turns, e, vertices, tile.first, reference.shortest_knots))
+    laid = _Laid(*_lay_out(at, lines.event >= 0, e, vertices, tile.first, reference.shortest_knots))
     laid.cut[np.searchsorted(laid.at, tile.end)] = True  # where a motion is cut that had to be slowed down
     _meet_the_events(laid, program, run, e, lines, among, reference.lead_at)
     lead_s = run.begin_t - reference.t0
@@ -161,7 +158,6 @@ def _before(events: list[Event], move: int) -> int:
 def _lay_out(
     at: FloatArray,
     stands: BoolArray,
-    turns: BoolArray,
     e: FloatArray,
     vertices: FloatArray,
     first: int,
@@ -173,8 +169,8 @@ def _lay_out(
     ----------
     at : (k,) the lines' times in knots
     stands : (k,) whether it stands between moves (an event) or is one
-    turns : (k,) whether it stands where a flow begins, ends or turns back: there the filament is known
-    e : (n + 1,) mm of filament at the knots from `first` on; wipes are evened in place
+    e : (n + 1,) mm of filament at the knots from `first` on; wipes are evened in place, but not across an event, at
+        which the filament is known
     vertices : (n + 1, 3) mm
     shortest : knots that a segment must have
     """
@@ -182,7 +178,7 @@ def _lay_out(
     n = len(e)
     known = (first + np.arange(n)) % CUT == 0
     for k in range(len(place)):
-        if turns[k] and place[k] >= first:
+        if stands[k] and place[k] >= first:
             knot = place[k] - first
             known[int(np.floor(knot))] = known[int(np.ceil(knot))] = True
     even_wipes(e, vertices, known)
