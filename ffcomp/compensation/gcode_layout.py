@@ -206,7 +206,8 @@ def _places(at: FloatArray, stands: BoolArray, e: FloatArray, first: int, shorte
     last = first + len(e) - 1
     latest = pinned = 0.0
     for i in range(len(at)):
-        place = min(max(at[i], 0.0), float(last))
+        # no event is the last line of a run: what moves behind it has a segment of its own
+        place = min(max(at[i], 0.0), last - shortest if stands[i] else float(last))
         place = max(place, np.floor(place + ROUNDING))  # a knot that rounding has put just before itself
         knot = int(place)
         flows = abs(e[min(knot + 1, last) - first] - e[knot - first]) > FLOWS_MM
