@@ -118,6 +118,7 @@ def test_a_batch_of_prints_is_compensated_and_compared(quick: None, browser: Any
     with visit(browser, address(server), width) as seen:
         attached(seen, READY)
         assert seen.page.is_disabled("[data-job=compensate]")
+        assert seen.page.inner_text("#prints .why") == "First choose your printer."
         drop(
             seen, "prints", ("a.gcode", b"G28"), ("b.gcode", b"G28"), ("bad <img src=x onerror=alert(1)>.gcode", b"bad")
         )
@@ -150,7 +151,7 @@ def test_from_a_configuration_to_a_machine_that_is_measured(quick: None, browser
         drop(seen, "config", ("my delta.cfg", CONFIG.read_bytes()))
         assert seen.page.input_value("#machine [name=name]") == "my-delta"
         press(seen, "import")
-        seen.page.click(f"{card('import')} >> text=Use it", timeout=WAIT_MS)
+        seen.page.wait_for_selector("text=Kept among your machines as my-delta, and chosen.", timeout=WAIT_MS)
         assert seen.page.input_value(".machines") == "my-delta"
         seen.page.click("#tab-measure")
         seen.page.click("#sensor summary")
@@ -161,6 +162,7 @@ def test_from_a_configuration_to_a_machine_that_is_measured(quick: None, browser
         drop(seen, "captures", ("adxl345-a-1.csv", b"1"), ("adxl345-a-2.csv", b"2"))
         seen.page.wait_for_selector("[data-job=diagnose]:enabled", timeout=WAIT_MS)
         assert seen.page.is_disabled("[data-job=fit]")  # these moves were made for a diagnosis
+        assert "Fit its numbers: first choose moves to fit the numbers" in seen.page.inner_text("#sensor .why >> nth=1")
         press(seen, "diagnose")
         seen.page.wait_for_selector(card("diagnose"), timeout=WAIT_MS)
         assert "Coulomb friction is missing." in seen.page.inner_text(card("diagnose"))

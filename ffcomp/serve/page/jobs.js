@@ -61,7 +61,7 @@ function found(job) {
   const { lead, facts = [], warnings = [], to_do: toDo = [], kept } = job.answer;
   const parts = [];
   if (lead) parts.push(make("p", { className: "lead", textContent: lead }));
-  if (kept) parts.push(make("p", { className: "read", textContent: `Kept among your machines as ${kept}.` }));
+  if (kept) parts.push(make("p", { className: "read", textContent: `Kept among your machines as ${kept}, and chosen.` }));
   if (facts.length) parts.push(make("table", { className: "facts" }, make("tbody", {}, ...facts.map(([name, value]) => make("tr", {}, make("th", { textContent: name, scope: "row" }), make("td", { textContent: value }))))));
   if (warnings.length) parts.push(list("Mind", warnings));
   if (toDo.length) parts.push(list("To do", toDo));
@@ -92,7 +92,6 @@ function buttons(job, page) {
   if (job.state === "done") {
     if (job.outputs.includes("report.html")) row.append(make("a", { className: "button main", href: file(job, "report.html", true), target: "_blank", rel: "noopener", textContent: "Open the report" }));
     if (job.outputs.includes("better.toml")) row.append(keeping(job, page));
-    if (job.answer.kept) row.append(make("button", { textContent: "Use it", className: "main", onclick: () => { page.choose(job.answer.kept); document.querySelector("#tab-prints").click(); scrollTo(0, 0); } }));
     for (const name of job.outputs.filter((each) => !["picture.png", "report.html"].includes(each)))
       row.append(make("a", { className: /\.(toml|json)$/.test(name) ? "button" : "button main", href: file(job, name, false), download: name, textContent: `Download ${job.kind === "compensate" ? "the print" : name}` }));
     if (page.printer && job.kind === "compensate") act("send", "Put it on the printer");
@@ -114,7 +113,7 @@ function keeping(job, page) {
 
 function log(job) {
   const text = make("pre");
-  const part = make("details", {}, make("summary", { textContent: "What ffcomp said" }), text);
+  const part = make("details", {}, make("summary", { textContent: "Log" }), text);
   part.addEventListener("toggle", async () => {
     if (part.open) text.textContent = await (await fetch(`api/jobs/${job.id}/log`)).text();
   });

@@ -135,16 +135,41 @@ for (const name of ["dragover", "drop"]) addEventListener(name, (event) => event
 const here = (kind) => dropped[kind].filter((entry) => entry.id);
 const arriving = (kind) => dropped[kind].some((entry) => !entry.id && !entry.error);
 
+/** What each job still needs, in words; empty: it can start. */
+function needs() {
+  const machine = machines.value ? "" : "choose your printer";
+  const files = (kind, what) => machine || (arriving(kind) ? "wait for the files" : here(kind).length ? "" : what);
+  const prints = files("prints", "drop a print"), captures = files("captures", "drop the captures");
+  const plan = one("#plans").selectedOptions[0]?.dataset.kind || ""; // captures serve what their moves were made for
+  const recorded = here("captures").filter((entry) => PRINT.test(entry.name)).length; // a recorded print is its own plan
+  const tests = recorded ? "remove the print from the captures" : "";
+  return {
+    compensate: prints, compare: prints, import: here("config").length ? "" : "drop a configuration",
+    plan: machine, excite: machine, page: machine, ringing: machine,
+    scan: files("pictures", "drop the picture") || (one("#pages").value ? "" : "choose the page that you printed"),
+    fit: captures || tests || (plan === "plan" ? "choose moves to fit the numbers, and drop their captures" : ""),
+    diagnose: captures || tests || (plan === "plan" ? "" : "choose moves to find what is missing, and drop their captures"),
+    update: captures || (recorded === 1 && here("captures").length > 1 ? "" : "drop one recorded print together with its captures"),
+  };
+}
+
+/** Enable what can start; below the buttons of each row stands what the others need. */
 function ready() {
-  const machine = machines.value !== "";
-  const prints = here("prints").length > 0 && !arriving("prints") && machine;
-  const captures = here("captures").length > 0 && !arriving("captures") && machine;
-  const plan = one("#plans").selectedOptions[0]?.dataset.kind || ""; // captures of moves serve what the moves were made for
-  const recorded = here("captures").filter((entry) => PRINT.test(entry.name)).length; // a print that holds its captures' commands is a plan itself
-  const pictures = here("pictures").length > 0 && !arriving("pictures") && machine && one("#pages").value !== "";
-  const can = { compensate: prints, compare: prints, import: here("config").length > 0, plan: machine, excite: machine, page: machine, ringing: machine, scan: pictures,
-    diagnose: captures && !recorded && plan === "plan", fit: captures && !recorded && plan !== "plan", update: captures && recorded === 1 && here("captures").length > 1 };
-  all("[data-job]").forEach((button) => { button.disabled = !can[button.dataset.job]; });
+  const needed = needs();
+  for (const row of all("p.do")) {
+    const buttons = all("[data-job]", row), missing = new Map(); // what is needed: the buttons that need it
+    if (!buttons.length) continue;
+    for (const button of buttons) {
+      const why = needed[button.dataset.job];
+      button.disabled = why !== "";
+      if (why) missing.set(why, [...(missing.get(why) || []), button.textContent]);
+    }
+    const enabled = buttons.some((button) => !button.disabled);
+    const sentences = [...missing].map(([why, names]) => (missing.size === 1 && !enabled ? `First ${why}.` : `${names.join(", ")}: first ${why}.`));
+    let note = row.nextElementSibling;
+    if (!note?.classList.contains("why")) row.after((note = make("p", { className: "read why" })));
+    note.textContent = sentences.join(" ");
+  }
 }
 
 let forms = {}; // of each kind of job, as the verbs' requests declare them: {name, label, help, kind, choices, placeholder, low, high, step}
@@ -175,7 +200,13 @@ function options(kind) {
 }
 
 async function start(kind, files, more = {}) {
-  await ask("api/jobs", { kind, machine: machines.value, files, options: options(kind), ...more });
+  const job = await ask("api/jobs", { kind, machine: machines.value, files, options: options(kind), ...more });
+  if (kind === "import") imports.add(job.id);
+}
+
+const imports = new Set(); // that this page has started: their machine is chosen as soon as it is there
+function chooseImported(jobs) {
+  for (const job of jobs) if (imports.has(job.id) && job.answer.kept) { imports.delete(job.id); choose(job.answer.kept); }
 }
 
 const STARTS = {
@@ -264,6 +295,7 @@ async function look() {
     one("#tab-printer").hidden = !state.printer;
     largest = state.largest_mb * 1048576;
     showMachines(state.machines);
+    chooseImported(state.jobs);
     showPlans(state.jobs);
     showJobs(state.jobs, { printer: state.printer, choose, look });
     active = state.jobs.some((job) => ["queued", "running"].includes(job.state));
