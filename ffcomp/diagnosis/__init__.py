@@ -20,6 +20,5 @@ diagnosis      all stages together
 request, verb  the options of `gap` and `diagnose`; from files to answers
 
 Results: result (in the terms of the machine file), sentences (in words), summary (for reports), gap
-(where the residual is), next_experiment (which move separates what is still in question), separation (which recording
-of `ffcomp record plan` tells explanations apart that fit equally), print_gain (of prints, by the better file).
+(where the residual is), next_experiment (which recording of `ffcomp record plan` separates explanations).
 """

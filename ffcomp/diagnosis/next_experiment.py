@@ -1,210 +1,261 @@
-"""The next experiment: the safe move, and its position, that separates competing hypotheses best per second.
+"""The next experiment: the recording that best separates the best explanation from its rivals.
 
-Every move of a small library is G-code within the machine's limits, planned as the firmware plans it, and simulated on
-the virtual printer once for each hypothesis. Two hypotheses are separated by the whitened difference d of the simulated
-sensor signals: |d| standard deviations of the noise. Noise adds up as the square root of time, so moves of different
-length are compared by |d|/√s. Both hypotheses are taken as they were fitted: the next fit may retune part of the
-difference away, so the values are upper bounds.
+Every explanation is played on the virtual printer: each kind of move of `ffcomp record plan` at the bed's centre, then
+the best kind at the plan's other places, higher, and with a quarter of the acceleration. Two explanations differ by d,
+the whitened difference of the simulated sensor signals. The best one may be retuned by δ as far as the given runs
+allow, whose information about its parameters is H (a Gaussian posterior); with J the derivative of the new recording,
+the difference that remains is
+
+    min over δ of |d − Jδ|² + δᵀHδ = |d|² − (Jᵀd)ᵀ (H + JᵀJ)⁻¹ Jᵀd
+
+and its root over the number of rows is promised, in units of the noise. All recordings last equally long.
 """
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from ffcomp.diagnosis.diagnosis import Diagnosis
+from ffcomp.diagnosis.fit import EstimationProblem, Fit, derivatives, estimation_problem
 from ffcomp.diagnosis.noise import whitener
 from ffcomp.diagnosis.printer_problem import PrinterProblem
-from ffcomp.diagnosis.problem import InfeasibleParameters
 from ffcomp.diagnosis.score_test import Screened, confounded_with, separated_by
-from ffcomp.diagnosis.settings import SETTINGS
+from ffcomp.diagnosis.words import digits, joined
+from ffcomp.errors import FfcompError
 from ffcomp.measurement.recording import Recording
-from ffcomp.planner.program import plan_program
-from gcode.reader import read_program
+from ffcomp.record.gcode_writer import DEFAULT_CHIPS, Firmware, gcode_lines
+from ffcomp.record.moves import KINDS, Request, default_places, make_plan
+from ffcomp.record.plan import Experiment, Plan
+from gcode.dialects import KLIPPER
 from models.arrays import FloatArray
-from models.effects.catalogue import CATALOGUE
+from models.finding import machine_paths
 from models.machine import Machine
 
-LOW_MM = 30.0  # height
 BEFORE_S, AFTER_S = 0.12, 0.3  # of rest in the recording: the printer rings for 0.2 s
-
-Point = tuple[float, float, float]
-Lines = Iterator[str]
-
-
-@dataclass(frozen=True)
-class Proposal:
-    """One move that is worth making next."""
-
-    kind: str  # in plain words
-    position_mm: Point
-    seconds: float
-    competing: tuple[str, ...]  # the effects it separates from the best hypothesis; or shows, where there is none
-    sigmas_per_second: float  # standard deviations of the noise after one second; they grow as √seconds
-    text: str  # one sentence for the user
-    gcode: str  # executes it once
+OUTPUT, SECONDS = "separate.gcode", 2.5
+SEPARATES_RMS = 0.3  # of the noise, between predictions: tells them apart in 1000 rows
+INFEASIBLE = 1e11  # square of an entry: the residual of an infeasible printer is a million in every entry
 
 
 @dataclass(frozen=True)
-class Move:
-    """One kind of motion, from rest to rest around a position."""
+class Separation:
+    """Two explanations, and the recording in which their predictions differ most.
 
-    kind: str
-    acceleration: float  # mm/s²; the machine's own, where that is less
-    lines: Callable[[Point], Lines]  # G-code, the nozzle resting at the position before and after
+    Differences are the rms, in units of the noise, over the band of the diagnosis. `there` excludes what retuning the
+    best explanation, as far as the given runs allow, would make up for.
+    """
+
+    ours: tuple[str, ...]  # the effects of the best explanation; empty: the machine file alone
+    other: tuple[str, ...]
+    now: float  # the difference in the given runs
+    there: float  # the difference in the recording that is proposed
+    kind: str = ""  # of `ffcomp record plan`
+    position_mm: tuple[float, ...] = ()
+    command: str = ""  # that plans the recording; "": the given runs tell them apart already
+    gcode: str = ""  # that the command writes
+    otherwise: str = ""  # how to tell them apart by other means
+    alike: bool = True  # both fit the given runs as well
+
+    @property
+    def tells(self) -> bool:
+        """Tell whether the recording separates them."""
+        return not self.command or self.there > max(SEPARATES_RMS, 2.0 * self.now if self.alike else 0.0)
+
+    def sentence(self) -> str:
+        """Say what to record, and what it promises; or that no move does."""
+        question, now, there = self._question(), digits(self.now, 2), digits(self.there, 2)
+        if not self.command:
+            return (
+                f"These runs {question} already, though the signatures are alike: the predictions, each at its best, "
+                f"differ by {now} times the noise."
+            )
+        if not self.tells:
+            return (
+                f"No move of ffcomp record plan can {question}: it shows at most {there} times the noise, beyond what "
+                f"retuning makes up for. {self.otherwise}".rstrip()
+            )
+        return (
+            f"Record {self.command} and give its captures along with these runs, to {question}: there the predictions "
+            f"differ by {there} times the noise; in these runs by {now}."
+        )
+
+    def _question(self) -> str:
+        ours = [name for name in self.ours if name not in self.other]
+        theirs = [name for name in self.other if name not in self.ours]
+        if not self.ours:
+            return f"show {joined(theirs)} of a usual size"
+        if ours and theirs:
+            return f"tell {joined(ours)} from {joined(theirs)}"
+        return f"show whether {joined(ours or theirs)} acts as well"
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the JSON's entry of `separate`."""
+        return {
+            "effects": list(self.ours),  # list of text: the best explanation: names of its effects
+            "other": list(self.other),  # list of text: another one that fits these runs as well
+            "difference_now": self.now,  # number: rms by which their predictions differ in these runs, times the noise
+            # number: the same in the recording that `record` plans, beyond what retuning makes up for
+            "difference_there": self.there,
+            "separates": self.tells,  # true or false: whether that is enough to tell them apart
+            "kind": self.kind,  # of its moves
+            "position_mm": list(self.position_mm),  # list of numbers: where
+            # the command that plans it; empty where these runs tell them apart already, and so are `kind` and
+            # `position_mm`
+            "record": self.command,
+            "said": self.sentence(),  # all of that in a sentence
+        }
 
 
-@dataclass(frozen=True, eq=False)
-class _Question:
-    """Two printers to be separated, as values of their parameters."""
+@dataclass(frozen=True)
+class Rival:
+    """An explanation to be told from the best one."""
 
-    competing: tuple[str, ...]
-    one: Mapping[str, float]
-    other: Mapping[str, float]
-    words: str  # the task of the move: tell a from b
-    sentence: str  # how to tell them apart, if no move does
+    names: tuple[str, ...]
+    values: Mapping[str, float]
+    beaten: bool = False  # it is alike to first order, but fits these runs less well
 
 
 @dataclass(frozen=True, eq=False)
 class _Trial:
-    """A move at a position, and how well it answers a question."""
+    """A recording, and by how much each rival differs there."""
 
-    move: Move
-    position: Point
-    seconds: float
-    rate: float  # |d|/√s
+    request: Request
+    plan: Plan
+    differences: tuple[float, ...]
 
 
-def propose(problem: PrinterProblem, diagnosis: Diagnosis, count: int = 3) -> list[Proposal]:
-    """Propose moves: for each competing hypothesis the best one, then the best other kinds for the nearest of them.
+def separations(problem: PrinterProblem, diagnosis: Diagnosis, *, nearest: bool = False) -> list[Separation]:
+    """Return, for each rival of the best explanation, the recording that separates it best.
 
-    With verdict `unknown` the two nearest hypotheses compete. With `none` the moves are those that would show the
-    effects that these recordings could not show.
+    Parameters
+    ----------
+    nearest : also where nothing fits as well: the explanations that come nearest; with verdict `none` the effects that
+        these runs could not show
     """
-    proposals: list[Proposal] = []
-    spare: list[Proposal] = []
-    for question in _questions(problem, diagnosis)[:count]:
-        best, *others = _ranked(problem, diagnosis, question)
-        proposals.append(_proposal(problem.machine, question, best))
-        spare += [_proposal(problem.machine, question, other) for other in others if _tells(other)]
-    return [*proposals, *spare][:count]
+    alike = rivals_of(diagnosis)
+    everyone = alike or (_nearest(diagnosis) if nearest else [])
+    rivals = [rival for rival in everyone if not rival.beaten][:2]
+    beaten = [rival for rival in everyone if rival.beaten][:2]
+    if not everyone:
+        return []
+    ours, best = ((), diagnosis.base) if diagnosis.best is None else (diagnosis.best.names, diagnosis.best.fit)
+    now = _differences(replace(diagnosis.estimation, coarse=True), best, [*rivals, *beaten], None)
+    trials = _trials(problem, diagnosis, best, rivals) if rivals else []
+    found = []
+    for i, rival in enumerate([*rivals, *beaten]):
+        one = Separation(
+            ours, rival.names, now[i], now[i], otherwise=separated_by(ours, rival.names), alike=bool(alike)
+        )
+        if rival.beaten:
+            found.append(one)
+        elif trials:
+            found.append(_planned(problem.machine, one, max(trials, key=lambda t, i=i: t.differences[i]), i))  # type: ignore[misc]
+    return found
 
 
-# ---- questions ----------------------------------------------------------------------------------
+def _planned(machine: Machine, one: Separation, trial: _Trial, i: int) -> Separation:
+    (experiment,), flavor = trial.plan.experiments, machine.flavor or KLIPPER
+    return replace(
+        one,
+        there=trial.differences[i],
+        kind=experiment.kind,
+        position_mm=experiment.position_mm,
+        command=command_of(machine, trial.request),
+        gcode=b"".join(gcode_lines(trial.plan, machine, Firmware(flavor, DEFAULT_CHIPS[flavor]))).decode(),
+    )
 
 
-def _questions(problem: PrinterProblem, diagnosis: Diagnosis) -> list[_Question]:
+# ---- the rivals ----------------------------------------------------------------------------------
+
+
+def rivals_of(diagnosis: Diagnosis) -> list[Rival]:
+    """Return what fits as well as the best explanation, where that explains most of the discrepancy.
+
+    Other effects that were fitted and are as likely; then the same with one more, where that is likelier but removes
+    too little to be named; then effects of a like signature, whether they were never fitted or fit less well.
+    """
+    best = diagnosis.best
+    if best is None or best.discrepancy > diagnosis.estimation.settings.left * diagnosis.base.discrepancy:
+        return []
+    ours, limit = {*best.names}, -diagnosis.estimation.settings.significant * best.fit.overdispersion
+    larger = [h for h in diagnosis.tried if ours < {*h.names} and len(h.names) == len(ours) + 1]
+    likelier = sorted((h for h in larger if diagnosis.behind(h) < limit), key=diagnosis.behind)[:1]
+    fitted = [h for h in diagnosis.competing if h.names != best.names] + likelier
+    rivals = [Rival(h.names, h.fit.values) for h in fitted]
+    alike = [name for name, _ in confounded_with(best.names, diagnosis.screened)]
+    named = {name for rival in rivals for name in rival.names}
+    replacing = [h for h in diagnosis.tried if len(h.names) == len(best.names) and h.names != best.names]
+    beaten = [next((h for h in replacing if name in h.names), None) for name in alike if name not in named]
+    rivals += [Rival(h.names, h.fit.values, beaten=True) for h in beaten if h is not None]
+    known = {name for h in diagnosis.tried for name in h.names}
+    like = [s for s in diagnosis.screened if s.candidate.name in {*alike} - known and len(best.effects) == 1]
+    return rivals + [Rival((s.candidate.name,), _with(diagnosis, s, s.estimate)) for s in like]
+
+
+def _nearest(diagnosis: Diagnosis) -> list[Rival]:
+    """Return the two explanations next to the best; without any, effects that were not visible, of a usual size."""
     if diagnosis.best is None:
         unseen = sorted((s for s in diagnosis.screened if not s.visible), key=lambda s: -s.strength)
-        return [_shown(diagnosis, s) for s in unseen[:3]]
-    best = diagnosis.best
-    others = [h for h in (*diagnosis.competing, *diagnosis.tried) if h.names != best.names]
-    nearest = list({h.names: h for h in reversed(others)}.items())[::-1]
-    questions = [_separation(diagnosis, names, h.fit.values) for names, h in nearest]
-    confounded = {name for name, _ in confounded_with(best.names, diagnosis.screened)}
-    known = {name for names, _ in nearest for name in names}
-    questions += [
-        _separation(diagnosis, (s.candidate.name,), linear_estimate(diagnosis, s))
-        for s in _named(diagnosis, confounded - known)
-    ]
-    return questions[: 3 if diagnosis.named is not None else 2]
+        return [Rival((s.candidate.name,), _with(diagnosis, s, np.ones(len(s.estimate)))) for s in unseen[:2]]
+    others = {h.names: h for h in (*diagnosis.competing, *diagnosis.tried) if h.names != diagnosis.best.names}
+    return [Rival(names, h.fit.values) for names, h in others.items()][:2]
 
 
-def _named(diagnosis: Diagnosis, names: set[str]) -> list[Screened]:
-    return [s for s in diagnosis.screened if s.candidate.name in names]
+def _with(diagnosis: Diagnosis, screened: Screened, sizes: FloatArray) -> dict[str, float]:
+    """Return the base fit's values with an effect, its amplitudes (a,) in standard deviations of their priors."""
+    amplitudes = {
+        a.name: float(np.clip(a.start + a.sd * x, a.low, a.high))
+        for a, x in zip(screened.candidate.amplitudes, sizes, strict=True)
+    }
+    return {**diagnosis.base.values, **screened.shape, **amplitudes}
 
 
-def _separation(diagnosis: Diagnosis, other: tuple[str, ...], values: Mapping[str, float]) -> _Question:
-    assert diagnosis.best is not None
-    ours = diagnosis.best.names
-    words = _difference([n for n in ours if n not in other], [n for n in other if n not in ours])
-    return _Question(other, diagnosis.best.fit.values, values, words, separated_by(ours, other))
+# ---- the recordings that may be made -------------------------------------------------------------
 
 
-def _difference(ours: Sequence[str], theirs: Sequence[str]) -> str:
-    """Name the effects that two hypotheses do not share, as a task."""
-    a, b = " and ".join(ours), " and ".join(theirs)
-    return f"tell {a} from {b}" if a and b else f"show whether {a or b} acts as well"
-
-
-def _shown(diagnosis: Diagnosis, screened: Screened) -> _Question:
-    """Ask for an effect of a usual size against none."""
-    name = screened.candidate.name
-    usual = {a.name: a.start + a.sd for a in screened.candidate.amplitudes}
-    values = {**diagnosis.base.values, **screened.shape, **usual}
-    in_data = CATALOGUE[name].in_data if name in CATALOGUE else ""
-    return _Question((name,), diagnosis.base.values, values, f"would show {name} of a usual size", in_data)
-
-
-def linear_estimate(diagnosis: Diagnosis, screened: Screened) -> dict[str, float]:
-    """Estimate a confounded effect that was not fitted: as large as its signature says."""
-    amplitudes = screened.candidate.amplitudes
-    sizes = [
-        float(np.clip(a.start + a.sd * x, a.low, a.high)) for a, x in zip(amplitudes, screened.estimate, strict=True)
-    ]
-    return {**diagnosis.base.values, **screened.shape, **dict(zip((a.name for a in amplitudes), sizes, strict=True))}
-
-
-# ---- answers -------------------------------------------------------------------------------------
-
-
-def _ranked(problem: PrinterProblem, diagnosis: Diagnosis, question: _Question) -> list[_Trial]:
-    """Rank the best position of the best kind of move, then the other kinds at the centre, best first."""
+def _trials(problem: PrinterProblem, diagnosis: Diagnosis, best: Fit, rivals: Sequence[Rival]) -> list[_Trial]:
+    """Try every kind at the centre, then the best kind at other places, higher, and softer."""
     machine = problem.machine
-    centre, *around = positions(machine)
-    kinds = _trials(problem, diagnosis, question, [(move, centre) for move in library(machine)])
-    best = max(kinds, key=lambda p: p.rate)
-    tried = _trials(problem, diagnosis, question, [(best.move, position) for position in around])
-    top = max([best, *tried], key=lambda p: p.rate)
-    x, y, _ = top.position
-    high = _trials(problem, diagnosis, question, [(best.move, (x, y, 0.5 * machine.kinematics.height_mm))])
-    top = max([top, *high], key=lambda p: p.rate)
-    return [top, *sorted((p for p in kinds if p.move is not best.move), key=lambda p: -p.rate)]
+    centre, *others = default_places(machine)
+    usual = Request(places_mm=[centre], seconds=SECONDS)
+    trials = [*_played(problem, diagnosis, best, rivals, [replace(usual, kinds=(kind,)) for kind in KINDS])]
+    if not trials:
+        return []
+    top = max(trials, key=lambda trial: min(trial.differences)).request
+    more = [replace(top, places_mm=[place]) for place in others]
+    more.append(replace(top, height_mm=round(0.5 * machine.kinematics.height_mm)))
+    more.append(replace(top, acceleration_mm_per_s2=round(0.25 * machine.limits.acceleration_mm_per_s2)))
+    return [*trials, *_played(problem, diagnosis, best, rivals, more)]
 
 
-def _tells(trial: _Trial) -> bool:
-    return trial.rate * np.sqrt(trial.seconds) > SETTINGS.visible_sd
+def _played(
+    problem: PrinterProblem, diagnosis: Diagnosis, best: Fit, rivals: Sequence[Rival], requests: Sequence[Request]
+) -> Iterator[_Trial]:
+    """Play recordings on every explanation; those that the machine cannot make are left out."""
+    for request in requests:
+        try:
+            plan = make_plan(problem.machine, request)
+        except FfcompError:
+            continue
+        virtual = _virtual(problem, diagnosis, plan.experiments[0])
+        yield _Trial(request, plan, tuple(_differences(virtual, best, rivals, best.information / best.overdispersion)))
 
 
-def _trials(
-    problem: PrinterProblem, diagnosis: Diagnosis, question: _Question, tries: Sequence[tuple[Move, Point]]
-) -> list[_Trial]:
-    """Simulate each move at its position on both printers."""
-    observations = problem.observations
-    signals, rate_hz = observations[0].signals, observations[0].rate_hz
-    recordings = [_blank_recording(problem.machine, move, position, signals, rate_hz) for move, position in tries]
-    virtual = PrinterProblem(problem.machine, recordings, ())
-    whiten = whitener(virtual.observations, diagnosis.noise, virtual.band_hz)
-    try:
-        one, other = (virtual.simulate(values, coarse=True) for values in (question.one, question.other))
-        apart = whiten([a - b for a, b in zip(one, other, strict=True)])
-    except InfeasibleParameters:  # a printer that leaves the arms' reach there: nothing is learnt from it
-        apart = np.zeros(whiten.rows[-1].stop)
-    seconds = [float(recording.time_s[-1]) for recording in recordings]
-    sizes = [float(np.linalg.norm(apart[rows])) for rows in whiten.rows]
-    return [
-        _Trial(move, position, s, size / float(np.sqrt(s)))
-        for (move, position), s, size in zip(tries, seconds, sizes, strict=True)
-    ]
-
-
-def _blank_recording(
-    machine: Machine, move: Move, position: Point, signals: Sequence[str], rate_hz: float
-) -> Recording:
-    """Make the move a recording that holds nothing yet."""
-    text = _text(machine, move, position)
-    trajectory = plan_program(read_program(text.encode(), move.kind), machine).trajectory
-    begin = float(trajectory.start_t[0])
-    return blank_recording(
-        machine,
-        move.kind,
-        lambda t: np.ascontiguousarray(trajectory.position(t + begin)[:, :3]),
-        trajectory.end_t - begin,
-        signals,
-        rate_hz,
+def _virtual(problem: PrinterProblem, diagnosis: Diagnosis, experiment: Experiment) -> EstimationProblem:
+    """Make a problem of a recording that nobody has made yet."""
+    like, motion = problem.observations[0], experiment.motion
+    recording = blank_recording(
+        problem.machine, experiment.name, motion.nozzle, motion.duration_s, like.signals, like.rate_hz
     )
+    virtual = PrinterProblem(problem.machine, [recording], ())
+    whiten = whitener(virtual.observations, diagnosis.noise, virtual.band_hz)
+    return replace(estimation_problem(virtual, whiten, diagnosis.estimation.settings), coarse=True)
 
 
 def blank_recording(
@@ -230,119 +281,32 @@ def blank_recording(
     return Recording(name, t, carriages, "carriage", blank["acc"], blank["pos"], gaps, {})
 
 
-def _proposal(machine: Machine, question: _Question, trial: _Trial) -> Proposal:
-    x, y, z = trial.position
-    sigmas = trial.rate * np.sqrt(trial.seconds)
-    where = f"{trial.move.kind} at ({x:.0f}, {y:.0f}, {z:.0f}) mm"
-    if _tells(trial):
-        size = f"{sigmas:.0f}" if sigmas < 100 else "more than 100"
-        text = f"{where}: {trial.seconds:.1f} s of them {question.words} with {size} standard deviations."
-    else:
-        text = (
-            f"None of the safe moves would {question.words.removeprefix('would ')}: the best, {where.lower()}, "
-            f"has less than {max(sigmas, 1.0):.1f} standard deviations. {question.sentence}".rstrip()
-        )
-    return Proposal(
-        trial.move.kind,
-        trial.position,
-        trial.seconds,
-        question.competing,
-        trial.rate,
-        text[0].upper() + text[1:],
-        _text(machine, trial.move, trial.position),
-    )
+def _differences(
+    estimation: EstimationProblem, best: Fit, rivals: Sequence[Rival], information: FloatArray | None
+) -> list[float]:
+    """Return the rms by which each rival's prediction differs from the best one's; zero where it has none.
+
+    Parameters
+    ----------
+    information : (p, p) that the given runs have of the best one's parameters; None: it is not retuned
+    """
+    ours, *others = estimation.residuals([best.values, *(rival.values for rival in rivals)])
+    apart = [ours - other for other in others]
+    squares = [float(d @ d) for d in apart]
+    if information is not None:
+        columns = derivatives(estimation, best.parameters, best.z, ours, range(len(best.z)))
+        absorbed = np.linalg.inv(information + columns.T @ columns)
+        slopes = [columns.T @ d for d in apart]
+        squares = [max(s - float(g @ absorbed @ g), 0.0) for s, g in zip(squares, slopes, strict=True)]
+    return [float(np.sqrt(s / len(ours))) if s < INFEASIBLE * len(ours) else 0.0 for s in squares]
 
 
-# ---- the moves -----------------------------------------------------------------------------------
-
-
-def positions(machine: Machine) -> list[Point]:
-    """Return the centre, then six positions around it; low."""
-    around = machine.kinematics.around(0.6, margin_mm=12.0)
-    return [(*machine.kinematics.centre_mm, LOW_MM), *((round(x, 1), round(y, 1), LOW_MM) for x, y in around.tolist())]
-
-
-def library(machine: Machine) -> list[Move]:
-    """Return moves that a printer makes anyway, none faster than its limits."""
-    limit = machine.limits.acceleration_mm_per_s2
-    return [
-        Move("slow moves to and fro (8 mm/s)", min(600.0, limit), lambda p: _to_and_fro(p, 3.0, 8.0, 2)),
-        Move("hard single moves, each rung out", min(8000.0, limit), lambda p: _singles(p, 9.0, 150.0)),
-        Move("infill at 50 mm/s", min(3000.0, limit), lambda p: _zigzag(p, 50.0, 6)),
-        Move("infill at 110 mm/s", min(5000.0, limit), lambda p: _zigzag(p, 110.0, 10)),
-        Move("circles up and down", min(5000.0, limit), lambda p: _circles(p, 8.0, 80.0)),
-        Move("ever shorter strokes", min(5000.0, limit), lambda p: _strokes(p, 100.0)),
-    ]
-
-
-def _text(machine: Machine, move: Move, position: Point) -> str:
-    """Write the G-code of a move, with the travel to its position."""
-    x, y, z = position
-    travel = min(50.0, machine.limits.velocity_mm_per_s)
-    return "\n".join(
-        [
-            f"; ffcomp: {move.kind} at ({x:.0f}, {y:.0f}, {z:.0f}) mm. Home first; no filament is used.",
-            "; Record it twice: repeats tell the noise.",
-            "G21",
-            "G90",
-            f"M204 S{move.acceleration:.0f}",
-            _to(position, travel),
-            "G4 P1000",
-            *move.lines(position),
-            "G4 P500",
-            "",
-        ]
-    )
-
-
-def _to(point: Sequence[float], speed: float) -> str:
-    x, y, z = point
-    return f"G1 X{x:.3f} Y{y:.3f} Z{z:.3f} F{60 * speed:.0f}"
-
-
-def _beside(position: Point, *offset: float) -> Point:
-    x, y, z = (float(a + b) for a, b in zip(position, offset, strict=True))
-    return x, y, z
-
-
-def _to_and_fro(position: Point, reach: float, speed: float, times: int) -> Lines:
-    for _ in range(times):
-        for offset in ((reach, 0.0, 0.0), (0.0, reach, 0.0)):
-            yield _to(_beside(position, *offset), speed)
-            yield _to(position, speed)
-
-
-def _singles(position: Point, reach: float, speed: float) -> Lines:
-    for offset in ((reach, 0.0, 0.0), (0.0, reach, 0.0), (-reach, -reach, 0.0), (0.0, 0.0, reach / 3)):
-        yield _to(_beside(position, *offset), speed)
-        yield "G4 P150"  # ms, until the nozzle rests
-        yield _to(position, speed)
-        yield "G4 P150"
-
-
-def _zigzag(position: Point, speed: float, lines: int) -> Lines:
-    """Draw lines of 16 mm, 0.8 mm apart, at 45 degrees."""
-    half, beside = 5.66, 0.57
-    for i in range(lines):
-        side = half * (-1) ** i
-        yield _to(_beside(position, side + beside * i, side - beside * i, 0.0), speed)
-        yield _to(_beside(position, side + beside * (i + 1), side - beside * (i + 1), 0.0), speed)
-    yield _to(position, speed)
-
-
-def _circles(position: Point, radius: float, speed: float) -> Lines:
-    """Draw one turn up, one turn down."""
-    turn = np.linspace(0.0, 2 * np.pi, round(2 * np.pi * radius) + 1)[1:]
-    for rise in (turn, turn[::-1]):
-        for angle, height in zip(turn, rise, strict=True):
-            offset = (radius * np.sin(angle), radius * (1 - np.cos(angle)), height)
-            yield _to(_beside(position, *offset), speed)
-    yield _to(position, speed)
-
-
-def _strokes(position: Point, speed: float) -> Lines:
-    """Shorten strokes from 6 mm to 0.15 mm, along x, then along y: the shorter, the higher the excited frequency."""
-    for axis in np.eye(3)[:2]:
-        for length in np.geomspace(6.0, 0.15, 24):
-            yield _to(_beside(position, *(length * axis)), speed)
-            yield _to(position, speed)
+def command_of(machine: Machine, request: Request) -> str:
+    """Return the command line that plans this recording."""
+    path, (x, y) = Path(machine.path), request.places_mm[0]
+    named = path.stem if machine_paths().get(path.stem) == path else str(path)
+    words = ["ffcomp", "record", "plan", "-m", named, "--kind", request.kinds[0], "--at", f"{x:g},{y:g}"]
+    words += ["--height-mm", f"{request.height_mm:g}"] if request.height_mm != Request().height_mm else []
+    hard = request.acceleration_mm_per_s2
+    words += [] if hard is None else ["--amplitude-mm-per-s2", f"{hard:g}"]
+    return shlex.join([*words, "--seconds", f"{request.seconds:g}", "-o", OUTPUT])

@@ -16,10 +16,10 @@ from ffcomp.diagnosis.diagnosis import Diagnosis
 from ffcomp.diagnosis.fit import Fit
 from ffcomp.diagnosis.gap import ResidualBreakdown, ResidualSize, locate_residual
 from ffcomp.diagnosis.held_out import OtherMotion
+from ffcomp.diagnosis.next_experiment import Separation
 from ffcomp.diagnosis.problem import MachineNames, Problem
 from ffcomp.diagnosis.recording_clocks import belongs_to_recording, delay_of
 from ffcomp.diagnosis.score_test import separated_by
-from ffcomp.diagnosis.separation import Separation
 from ffcomp.identification.uncertainty import Estimate
 from models.effects.catalogue import CATALOGUE, key_in_file
 from models.file import updated_text

@@ -16,14 +16,13 @@ from ffcomp.compensation.job import Options
 from ffcomp.diagnosis.diagnosis import Diagnosis as Search
 from ffcomp.diagnosis.diagnosis import diagnose
 from ffcomp.diagnosis.hypotheses import FAMILIES
-from ffcomp.diagnosis.next_experiment import Proposal, propose
+from ffcomp.diagnosis.next_experiment import Separation, separations
 from ffcomp.diagnosis.printer_problem import PrinterProblem
 from ffcomp.diagnosis.problem import Problem
 from ffcomp.diagnosis.problems import check_recordings, plant_of, problem_of, recordings_of
 from ffcomp.diagnosis.request import DiagnoseRequest
 from ffcomp.diagnosis.result import DiagnosisResult, better_file, result_of
 from ffcomp.diagnosis.sentences import summary_sentences, what_to_do
-from ffcomp.diagnosis.separation import separations
 from ffcomp.diagnosis.trace import Trace
 from ffcomp.diagnosis.words import digits
 from ffcomp.errors import FfcompError
@@ -113,9 +112,11 @@ class Diagnosis(Answered):
         check_text(text, str(self.output))
         return text
 
-    def proposals(self) -> list[Proposal]:
-        """Propose the moves that tell competing hypotheses apart; of an axis none, for it takes no G-code."""
-        return propose(self.problem, self.search) if isinstance(self.problem, PrinterProblem) else []
+    def proposals(self) -> Sequence[Separation]:
+        """Propose recordings, also where nothing fits as well; none of an axis by itself, which takes no G-code."""
+        if self.result.separations or not isinstance(self.problem, PrinterProblem):
+            return self.result.separations
+        return separations(self.problem, self.search, nearest=True)
 
     def details(self) -> dict[str, Any]:
         """Return the keys of ffcomp-diagnose/1."""

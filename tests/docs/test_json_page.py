@@ -15,8 +15,8 @@ import pytest
 from ffcomp.cli.app import app
 from ffcomp.diagnosis.gap import ResidualBreakdown, ResidualSize
 from ffcomp.diagnosis.held_out import OtherMotion
+from ffcomp.diagnosis.next_experiment import Separation
 from ffcomp.diagnosis.result import DiagnosisResult, FileNumbers, Gap, Rest
-from ffcomp.diagnosis.separation import Separation
 from ffcomp.diagnosis.verb import Diagnosis, PrintGain
 from ffcomp.identification.uncertainty import normal
 from ffcomp.measurement.frf_files import write_frf

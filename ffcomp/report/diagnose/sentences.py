@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ffcomp.diagnosis.diagnosis import Diagnosis
-from ffcomp.diagnosis.next_experiment import Proposal
+from ffcomp.diagnosis.next_experiment import Separation
 from ffcomp.diagnosis.result import DiagnosisResult
 from ffcomp.diagnosis.sentences import summary_sentences
 from ffcomp.diagnosis.words import evidence, joined, most_of, percent, times, times_noise, title
@@ -36,7 +36,7 @@ class ReportInput:
     result: DiagnosisResult
     search: Diagnosis
     summary: DiagnosisSummary
-    proposals: Sequence[Proposal]
+    proposals: Sequence[Separation]
     origin: Origin
     gain: str = ""  # how much prints would gain, in a sentence
 

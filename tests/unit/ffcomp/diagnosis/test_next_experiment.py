@@ -1,4 +1,4 @@
-"""What to measure next: proposals are safe, can be played as they are written, and keep their promise."""
+"""What to record next: recordings are safe, separate as promised, and answer the question that is open."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ import pytest
 
 from ffcomp.diagnosis import next_experiment as experiment
 from ffcomp.diagnosis.diagnosis import Diagnosis
-from ffcomp.diagnosis.fit import EstimationProblem, Fit, estimation_problem
+from ffcomp.diagnosis.fit import EstimationProblem, Fit, derivatives, estimation_problem, values_at
 from ffcomp.diagnosis.hypotheses import Hypothesis
-from ffcomp.diagnosis.next_experiment import Proposal, library, positions, propose
+from ffcomp.diagnosis.next_experiment import blank_recording, separations
 from ffcomp.diagnosis.noise import noise_floor, whitener
 from ffcomp.diagnosis.printer_problem import PrinterProblem
 from ffcomp.diagnosis.problem import Parameter
@@ -20,6 +20,7 @@ from ffcomp.diagnosis.score_test import screen
 from ffcomp.measurement.recording import Recording
 from ffcomp.planner.program import plan_program
 from gcode.reader import read_program
+from models.arrays import FloatArray
 from models.file import load_machine
 from models.machine import Machine
 
@@ -35,17 +36,18 @@ def machine() -> Machine:
 
 def recorded(machine: Machine, noise: float) -> list[Recording]:
     """Two repeats of a gentle motion, simulated, with white noise."""
-    t = np.arange(0, 0.9, 1 / 1600)
-    window = np.clip(np.minimum(t, 0.9 - t) / 0.2, 0, 1)
-    nozzle = np.column_stack([window * 2 * np.sin(60 * t), window * np.sin(90 * t), 30 + 0 * t])
-    gaps, names = np.zeros(len(t), dtype=bool), [f"acc_{a}" for a in "ABCxyz"]
-    blank = Recording(
-        "x-1.csv", t, machine.kinematics.inverse(nozzle), "carriage", dict.fromkeys(names, 0 * t), {}, gaps, {}
-    )
+
+    def nozzle(t: FloatArray) -> FloatArray:
+        window = np.clip(np.minimum(t, 0.9 - t) / 0.2, 0, 1)
+        return np.column_stack([window * 2 * np.sin(60 * t), window * np.sin(90 * t), 30 + 0 * t])
+
+    blank = blank_recording(machine, "x-1.csv", nozzle, 0.9, [f"acc_{a}" for a in "ABCxyz"], 1600.0)
     true = PrinterProblem(machine, [blank], ()).simulate({})[0]
+    n = len(true)
+    blank = replace(blank, time_s=blank.time_s[:n], command=blank.command[:n], gaps=blank.gaps[:n])
     hiss = noise * np.random.default_rng(0).standard_normal((2, *true.shape))
     return [
-        replace(blank, source=f"x-{i}.csv", acceleration=dict(zip(names, (true + n).T, strict=True)))
+        replace(blank, source=f"x-{i}.csv", acceleration=dict(zip(blank.acceleration, (true + n).T, strict=True)))
         for i, n in enumerate(hiss, 1)
     ]
 
@@ -56,136 +58,106 @@ def plant(machine: Machine) -> PrinterProblem:
 
 
 def fitted(estimation: EstimationProblem, values: dict[str, float]) -> Fit:
-    """Numbers held at some values."""
-    parameters = tuple(Parameter(name, x, 1.0) for name, x in values.items())
-    residual = estimation.residual(values)
-    return Fit(parameters, np.zeros(len(parameters)), residual, np.zeros((len(residual), len(parameters))))
+    """A fit of the machine's numbers and some more, at the file's values and at these."""
+    own = (Parameter(name, x, abs(x)) for name, x in values.items())
+    parameters, residual = (*estimation.problem.parameters, *own), estimation.residual(values)
+    z = np.zeros(len(parameters))
+    return Fit(parameters, z, residual, derivatives(estimation, parameters, z, residual, range(len(z))))
 
 
-def diagnosed(
-    plant: PrinterProblem, *hypotheses: tuple[Sequence[str], dict[str, float]], named: bool = True
-) -> Diagnosis:
-    """A diagnosis with these hypotheses, the first the best; none if there are none."""
+Explained = tuple[Sequence[str], dict[str, float]]
+LATE: Explained = (("command_delay",), {DELAY: 1e-3})
+DAMPED: Explained = (("guide_damping",), {DAMPING: 12.0})
+SLIGHT: Sequence[Explained] = ((LATE[0], {DELAY: 1e-5}), (DAMPED[0], {DAMPING: 0.12}))
+BOTH: Explained = (("command_delay", "guide_damping"), {DELAY: 1e-3, DAMPING: 3.0})
+
+
+def diagnosed(plant: PrinterProblem, *hypotheses: Explained) -> Diagnosis:
+    """A diagnosis with these hypotheses, the first the best; `none` without any."""
     noise = noise_floor(plant)
     estimation = estimation_problem(plant, whitener(plant.observations, noise, plant.band_hz))
     base = fitted(estimation, {})
-    screened = screen(estimation, base, plant.candidates) if not hypotheses else ()
     kinds = {c.name: c for c in PrinterProblem(plant.machine, plant.recordings).candidates}
     tried = [Hypothesis(tuple(kinds[n] for n in names), fitted(estimation, values)) for names, values in hypotheses]
     best = tried[0] if tried else None
-    verdict = "none" if best is None else "effects" if named else "unknown"
-    final = best.fit if best else base
     return Diagnosis(
-        verdict=verdict,
+        verdict="unknown" if best else "none",
         finding="",
         estimation=estimation,
         noise=noise,
         base=base,
-        final=final,
-        screened=screened,
-        named=best if named else None,
+        final=best.fit if best else base,
+        screened=() if best else screen(estimation, base, plant.candidates),
         best=best,
         tried=tried,
     )
 
 
-LATE = (("command_delay",), {DELAY: 1e-3})
-DAMPED = (("guide_damping",), {DAMPING: 12.0})
-BOTH = (("command_delay", "guide_damping"), {DELAY: 1e-3, DAMPING: 3.0})
-
-
-def check(machine: Machine, proposal: Proposal) -> None:
-    """Inside the machine's volume and limits, and the nozzle ends where it began."""
-    program = read_program(proposal.gcode.encode(), "next.gcode")
-    planned = plan_program(program, machine)
-    assert not program.warnings
-    trajectory, limits = planned.trajectory, machine.limits
-    t = np.linspace(float(trajectory.start_t[0]), trajectory.end_t, 2000)
+def check(machine: Machine, gcode: str) -> None:
+    """The G-code stays inside the machine's volume and speed; a multisine raises the limit of acceleration."""
+    trajectory, limits = plan_program(read_program(gcode.encode(), "next.gcode"), machine).trajectory, machine.limits
+    t = np.linspace(float(trajectory.start_t[0]), trajectory.end_t, 4000)
     nozzle = trajectory.position(t)[:, :3]
     assert np.hypot(*nozzle[:, :2].T).max() < machine.kinematics.print_radius_mm
     assert nozzle[:, 2].min() > 5.0 and nozzle[:, 2].max() < machine.kinematics.print_height_mm
-    np.testing.assert_allclose(nozzle[-1], proposal.position_mm, atol=1e-3)
     assert np.linalg.norm(trajectory.velocity(t)[:, :3], axis=1).max() <= limits.velocity_mm_per_s * (1 + 1e-9)
-    assert np.linalg.norm(trajectory.acceleration_at(t)[:, :3], axis=1).max() <= limits.acceleration_mm_per_s2 * 1.001
-    carriages = np.gradient(machine.kinematics.inverse(nozzle), t, axis=0)
-    assert np.abs(carriages).max() < limits.carriage_velocity_mm_per_s
 
 
-@pytest.mark.parametrize("name", ["mp-delta-pro", "kossel", "flsun-qqs"])
-def test_every_move_is_safe_at_every_place(name: str) -> None:
-    machine = load_machine(name)
-    high = 0.5 * machine.kinematics.print_height_mm
-    for move in library(machine):
-        for place in [*positions(machine), (0.0, 0.0, high)]:
-            gcode = experiment._text(machine, move, place)
-            check(machine, Proposal(move.kind, place, 1.0, (), 0.0, "", gcode))
+def test_the_recording_separates_as_promised(plant: PrinterProblem, monkeypatch: pytest.MonkeyPatch) -> None:
+    kept = []
+    tried = experiment._trials
+    monkeypatch.setattr(experiment, "_trials", lambda *given: kept.extend(tried(*given)) or kept)
+    (one,) = separations(plant, diagnosed(plant, *SLIGHT), nearest=True)
+    assert one.ours == ("command_delay",) and one.other == ("guide_damping",)
+    assert one.there == max(trial.differences[0] for trial in kept)  # no kind or place that was tried is better
+    assert len({trial.plan.experiments[0].kind for trial in kept}) == 4 and len(kept) > 6
+    check(plant.machine, one.gcode)
+
+    # retuned as that recording and the given runs allow, the predictions differ by what was promised
+    best = next(trial for trial in kept if trial.differences[0] == one.there).plan.experiments[0]
+    found = diagnosed(plant, *SLIGHT)
+    assert found.best is not None
+    fit, virtual = found.best.fit, experiment._virtual(plant, found, best)
+    late, damped = (virtual.residual(values) for values in (fit.values, found.tried[1].fit.values))
+    columns = derivatives(virtual, fit.parameters, fit.z, late, range(len(fit.z)))
+    information = fit.information / fit.overdispersion
+    step = np.linalg.solve(information + columns.T @ columns, columns.T @ (late - damped))
+    apart = virtual.residual(values_at(fit.parameters, fit.z + step)) - damped
+    cost = float(apart @ apart + step @ information @ step)
+    assert np.sqrt(cost / len(apart)) == pytest.approx(one.there, rel=0.1)
+    assert one.there < 0.1 * np.sqrt(np.mean((late - damped) ** 2))
 
 
-def test_the_moves_differ_and_last_seconds(plant: PrinterProblem) -> None:
-    kinds = library(plant.machine)
-    recordings = [
-        experiment._blank_recording(plant.machine, move, (0.0, 0.0, 30.0), ("acc_A",), 1600.0) for move in kinds
-    ]
-    assert len({move.kind for move in kinds}) == len(kinds) == 6
-    for recording in recordings:
-        assert 1.0 < recording.time_s[-1] < 5.0
-        rest = round(experiment.BEFORE_S * 1600) - 2
-        assert np.ptp(recording.command[:rest], axis=0).max() < 1e-9  # at rest before and after
-        assert np.ptp(recording.command[-round(experiment.AFTER_S * 1600) :], axis=0).max() < 1e-9
+def test_what_retuning_makes_up_for_is_not_promised(plant: PrinterProblem) -> None:
+    found = diagnosed(plant, LATE)
+    assert found.best is not None
+    fit = found.best.fit
+    z = np.zeros(len(fit.z))
+    z[0] = 0.1  # the best explanation with another of the machine's numbers
+    other = experiment.Rival(("retuned",), values_at(fit.parameters, z))
+    (plain,) = experiment._differences(found.estimation, fit, [other], None)
+    (retuned,) = experiment._differences(found.estimation, fit, [other], np.eye(len(z)))
+    assert retuned < 0.1 * plain
 
 
-def test_a_rival_is_told_apart_by_moves_that_really_differ(plant: PrinterProblem) -> None:
-    found = diagnosed(plant, LATE, DAMPED)
-    first, *others = propose(plant, found, 3)
-    assert first.competing == ("guide_damping",)
-    assert "tell command_delay from guide_damping with" in first.text
-    assert first.text.lower().startswith(f"{first.kind} at (")
-    assert {p.competing for p in others} == {("guide_damping",)}
-    assert len({p.kind for p in (first, *others)}) == 3  # then other kinds of moves
-    check(plant.machine, first)
-
-    # the promise: played once on both printers, the whitened difference is so many standard deviations
-    move = next(m for m in library(plant.machine) if m.kind == first.kind)
-    recording = experiment._blank_recording(
-        plant.machine, move, first.position_mm, plant.observations[0].signals, 1600.0
-    )
-    virtual = PrinterProblem(plant.machine, [recording], ())
-    late, damped = (virtual.simulate(values)[0] for _, values in (LATE, DAMPED))
-    apart = np.linalg.norm(whitener(virtual.observations, found.noise, virtual.band_hz)([late - damped]))
-    assert first.sigmas_per_second * np.sqrt(first.seconds) == pytest.approx(apart, rel=0.02)
-    assert recording.time_s[-1] == pytest.approx(first.seconds)
-
-
-def test_no_other_place_or_kind_at_the_centre_is_better(plant: PrinterProblem) -> None:
-    first = propose(plant, diagnosed(plant, LATE, DAMPED), 1)[0]
-    question = experiment._questions(plant, diagnosed(plant, LATE, DAMPED))[0]
-    kinds = experiment._trials(
-        plant, diagnosed(plant, LATE, DAMPED), question, [(m, (0.0, 0.0, 30.0)) for m in library(plant.machine)]
-    )
-    assert first.sigmas_per_second >= max(p.rate for p in kinds)
-    assert first.kind == max(kinds, key=lambda p: p.rate).move.kind
-
-
-def test_unknown_asks_between_the_two_nearest(plant: PrinterProblem) -> None:
-    found = diagnosed(plant, LATE, DAMPED, BOTH, named=False)
-    assert [p.competing for p in propose(plant, found, 2)] == [("guide_damping",), ("command_delay", "guide_damping")]
-    assert "show whether guide_damping acts as well" in propose(plant, found, 2)[1].text
+def test_unknown_is_asked_between_the_nearest(plant: PrinterProblem) -> None:
+    found = diagnosed(plant, LATE, DAMPED, BOTH)
+    assert separations(plant, found, nearest=True)[0].tells
+    assert [one.other for one in separations(plant, found, nearest=True)] == [DAMPED[0], BOTH[0]]
+    assert "show whether guide_damping acts as well" in separations(plant, found, nearest=True)[1].sentence()
+    assert separations(plant, found) == []  # nothing explains these runs as well
 
 
 def test_none_asks_for_what_could_not_be_seen(machine: Machine) -> None:
     noisy = PrinterProblem(machine, recorded(machine, LOUD), NAMES)
     found = diagnosed(noisy)
     assert found.invisible == ["belt_position_stiffness"]  # of one short, gentle run in so much noise
-    (shown,) = propose(noisy, found, 1)
-    assert shown.competing == ("belt_position_stiffness",)
-    assert "would show belt_position_stiffness of a usual size with" in shown.text
-    assert shown.sigmas_per_second * np.sqrt(shown.seconds) > 3.0
+    (shown,) = separations(noisy, found, nearest=True)
+    assert (shown.ours, shown.other) == ((), ("belt_position_stiffness",))
+    assert "show belt_position_stiffness of a usual size" in shown.sentence()
 
 
-def test_twins_are_said_to_be_twins(plant: PrinterProblem) -> None:
-    """Where nothing differs, no number of standard deviations is promised."""
-    twin = (("guide_damping",), {DELAY: 1e-3})
-    proposals = propose(plant, diagnosed(plant, LATE, twin))
-    assert [p.sigmas_per_second for p in proposals] == [0.0]
-    assert proposals[0].text.startswith("None of the safe moves would tell command_delay from guide_damping")
-    assert proposals[0].text.endswith("Several speeds and frequencies: damping lowers the resonance, a delay does not.")
+def test_twins_are_not_told_apart(plant: PrinterProblem) -> None:
+    (twin,) = separations(plant, diagnosed(plant, LATE, (("guide_damping",), {DELAY: 1e-3})), nearest=True)
+    assert twin.there < 1e-6 and not twin.tells
+    assert twin.sentence().endswith("Several speeds and frequencies: damping lowers the resonance, a delay does not.")

@@ -10,11 +10,10 @@ import numpy as np
 import pytest
 
 from ffcomp.diagnosis.diagnosis import Diagnosis, diagnose
-from ffcomp.diagnosis.next_experiment import blank_recording
+from ffcomp.diagnosis.next_experiment import Separation, blank_recording, separations
 from ffcomp.diagnosis.printer_problem import PrinterProblem
 from ffcomp.diagnosis.result import DiagnosisResult, result_of
 from ffcomp.diagnosis.sentences import what_to_do
-from ffcomp.diagnosis.separation import Separation, separations
 from ffcomp.diagnosis.verb import result_json
 from ffcomp.diagnosis.words import digits
 from ffcomp.measurement.recording import Recording
@@ -123,14 +122,14 @@ def test_a_set_is_told_apart_by_the_recording_that_it_names(machine: Machine) ->
 
 
 def separation(**changed: object) -> Separation:
-    made = Separation(("a",), ("b",), 0.1, 4.0, "loop", (0.0, 0.0, 30.0), "ffcomp record plan", "Weigh it.")
+    made = Separation(("a",), ("b",), 0.1, 4.0, "loop", (0.0, 0.0, 30.0), "ffcomp record plan", otherwise="Weigh it.")
     return replace(made, **changed)  # type: ignore[arg-type]
 
 
 def test_twins_are_said_to_be_twins() -> None:
     twins = separation(there=0.15)
     assert not twins.tells and not twins.to_dict()["separates"]
-    assert twins.sentence().startswith("No move of ffcomp record plan can tell a from b: it shows 0.15 times the noise")
+    assert twins.sentence().startswith("No move of ffcomp record plan can tell a from b: it shows at most 0.15 times")
     assert twins.sentence().endswith("Weigh it.")
     assert not separation(now=3.0).tells  # they differ there hardly more than they do already
 

@@ -16,7 +16,7 @@ import pytest
 from ffcomp.cli.app import app
 from ffcomp.diagnosis import problems, verb, words
 from ffcomp.diagnosis.gap import ResidualSize
-from ffcomp.diagnosis.next_experiment import Proposal
+from ffcomp.diagnosis.next_experiment import Separation
 from ffcomp.diagnosis.printer_problem import PrinterProblem
 from ffcomp.diagnosis.result import DiagnosisResult, Gap
 from ffcomp.identification.uncertainty import Estimate, normal
@@ -34,7 +34,9 @@ from tests.support.undrawn import save_nothing
 
 RATE_HZ, SECONDS, NOISE = 1600.0, 1.2, 0.3
 PLACES = {"centre": (0.0, 0.0, 30.0), "left": (-70.0, 20.0, 30.0), "front": (40.0, -60.0, 30.0)}
-PROPOSAL = Proposal("infill", (0.0, 0.0, 30.0), 2.0, ("guide_damping",), 40.0, "Infill tells them apart.", "G1 X1")
+PROPOSAL = Separation(
+    ("coulomb_friction",), ("guide_damping",), 0.1, 40.0, "loop", (0.0, 0.0, 30.0), "ffcomp record plan", "G1 X1"
+)
 SECTIONS = (
     "verdict",
     "where",
@@ -105,7 +107,7 @@ def made(folder: Path, hidden: dict[str, dict[str, Any]], names: tuple[str, ...]
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(problems, "PrinterProblem", lambda plant, runs, _: PrinterProblem(plant, runs, names))
         patch.setattr(pages, "page", lambda given: told.append(given) or page(given))
-        patch.setattr(verb, "propose", lambda *_: [PROPOSAL])
+        patch.setattr(verb, "separations", lambda *_, nearest=False: [PROPOSAL] if nearest else [])
         if not drawn:
             patch.setattr("matplotlib.figure.Figure.savefig", save_nothing)
         answer = run(runs, "-o", str(folder / "better.toml"), "--report", str(report))
@@ -144,8 +146,7 @@ def found_already(plain: Case, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(verb, "diagnose", lambda *_: plain.told.search)
     monkeypatch.setattr(verb, "result_of", lambda *_: plain.told.result)
     monkeypatch.setattr("ffcomp.report.diagnose.summary.summarise", lambda *_: plain.told.summary)
-    monkeypatch.setattr(verb, "propose", lambda *_: [PROPOSAL])
-    monkeypatch.setattr(verb, "separations", lambda *_: [])
+    monkeypatch.setattr(verb, "separations", lambda *_, **__: [])
 
 
 # ---- the page and the JSON -----------------------------------------------------------------------
