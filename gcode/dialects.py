@@ -8,7 +8,7 @@ for each axis, or use P and T.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from math import nan
 from typing import NamedTuple
@@ -218,6 +218,12 @@ _PER_MINUTE = {"M203", "M566"}
 
 SHAPER_COMMAND = {KLIPPER: b"SET_INPUT_SHAPER", MARLIN: b"M593", REPRAPFIRMWARE: b"M593"}
 _SHAPER_FREQUENCY = re.compile(rb"(?:SHAPER|SMOOTHER)_FREQ_\w", re.IGNORECASE)
+
+
+def shaper_commands(flavor: str, lines: Sequence[str] | None) -> Sequence[str] | None:
+    """Return the lines that switch a firmware's own shaper on; None where they are unknown, or another firmware's."""
+    command = SHAPER_COMMAND[flavor].decode()
+    return lines if lines is not None and all(each.upper().startswith(command) for each in lines) else None
 
 
 def shaper_off(flavor: str, on: Iterable[bytes] = ()) -> list[bytes]:

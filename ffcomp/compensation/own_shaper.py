@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from tempfile import SpooledTemporaryFile
 from typing import Literal
 
-from gcode.dialects import SHAPER_COMMAND, shaper_off
+from gcode.dialects import SHAPER_COMMAND, shaper_commands, shaper_off
 from gcode.embedded import OURS
 from models.machine import Machine
 
@@ -55,9 +55,7 @@ def own_shaper(keep: bool | None, machine: Machine, flavor: str) -> OwnShaper:
     keep : True: leave it alone; False: switch it off, known or not; None: switch it off if the machine file has one
     flavor : of the print's firmware
     """
-    lines = machine.input_shaper
-    if lines is not None and any(not line.upper().startswith(SHAPER_COMMAND[flavor].decode()) for line in lines):
-        lines = None  # of another firmware than the print's
+    lines = shaper_commands(flavor, machine.input_shaper)
     on = tuple(f"{line}\n".encode() for line in lines or ())
     if keep:
         return OwnShaper("kept", KEPT, flavor)

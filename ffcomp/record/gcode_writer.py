@@ -20,9 +20,6 @@ from models.machine import Machine
 
 TRAVEL_SHARE = 0.2  # of the machine's velocity, between experiments
 
-Shaper = tuple[float, float]
-"""Frequencies of the firmware's own input shaper along x and y, Hz."""
-
 FASTEST_HZ, SLOWEST_HZ = 1600.0, 1300.0  # of the chips that RepRapFirmware knows, at the usual settings
 RESTORE = "FFCOMP_RESTORE"
 
@@ -49,7 +46,7 @@ class Firmware:
 
     flavor: str
     chips: Sequence[str]  # Klipper's names; RepRapFirmware's addresses; ignored by Marlin
-    shaper: Shaper | None = None  # to be switched on again; None: not known
+    shaper: Sequence[str] | None = None  # lines that switch its own on again; none: it has none; None: not known
     switches_shaper: bool = True  # off before the experiments
 
     @property
@@ -75,17 +72,16 @@ class Firmware:
 
     def shaper_off(self) -> list[str]:
         """Return the lines that switch the firmware's input shaper off."""
-        if not self.switches_shaper:
+        if not self.switches_shaper or self.shaper == ():
             return []
         kept = _KEEP_SHAPER if self.flavor == REPRAPFIRMWARE else ()
-        return [*kept, *(line.decode().rstrip() for line in shaper_off(self.flavor))]
+        on = (line.encode() for line in self.shaper or ())
+        return [*kept, *(line.decode().rstrip() for line in shaper_off(self.flavor, on))]
 
     def shaper_on(self) -> list[str]:
         """Return the lines that switch it on again, if its settings are known."""
-        if self.flavor == REPRAPFIRMWARE:
-            return list(_BACK) if self.switches_shaper else []
-        known = [] if self.shaper is None else [_SHAPER_ON[self.flavor].format(*self.shaper)]
-        return [*known, *([RESTORE] if self.flavor == KLIPPER else [])]
+        on = _BACK if self.flavor == REPRAPFIRMWARE else self.shaper or ()
+        return [*(on if self.shaper_off() else ()), *([RESTORE] if self.flavor == KLIPPER else [])]
 
     def explained(self) -> list[str]:
         """Return the comments at the head of a file: how everything is put back, with the macro that does it."""
@@ -93,7 +89,7 @@ class Firmware:
 
     def restores(self) -> list[str]:
         """Say in sentences how everything is put back, also after a cancelled run."""
-        shaper_returns = self.shaper or self.flavor == REPRAPFIRMWARE or not self.switches_shaper
+        shaper_returns = self.shaper is not None or self.flavor == REPRAPFIRMWARE or not self.switches_shaper
         return [_RESTORES[self.flavor], *([] if shaper_returns else [_STAYS_OFF])]
 
 
@@ -111,13 +107,9 @@ _CORRECTIONS_OFF: Mapping[str, Sequence[str]] = {
     MARLIN: ("M420 S0",),
 }
 _MESH_ON: Mapping[str, Sequence[str]] = {REPRAPFIRMWARE: ("G29 S1",), MARLIN: ("M420 S1",)}  # Klipper: the macro
-_SHAPER_ON = {
-    KLIPPER: "SET_INPUT_SHAPER SHAPER_FREQ_X={:g} SHAPER_FREQ_Y={:g}",
-    MARLIN: "M593 X F{:g}\nM593 Y F{:g}",
-}
 _STAYS_OFF = (
-    "The input shaper stays off until then or until the firmware restarts, because the file does not know its "
-    "frequencies: --shaper X,Y (Hz) states them."
+    "The input shaper stays off until then or until the firmware restarts: the machine file has no input_shaper in "
+    "[firmware] with which to switch it on again."
 )
 _RESTORES: Mapping[str, str] = {
     KLIPPER: f"The file puts back its limits after every experiment, and calls {RESTORE} at the end. That macro, "

@@ -29,7 +29,7 @@ from ffcomp.record.plan import (
 from ffcomp.record.prints import plan_print, print_lines
 from ffcomp.record.request import CENTRE, LINE_OF_ACTION, PlanRequest, number_pair, one_of
 from gcode.atomic_write import replace_atomically
-from gcode.dialects import KLIPPER
+from gcode.dialects import KLIPPER, shaper_commands
 from models.file import load_machine
 from models.machine import Machine
 
@@ -138,8 +138,8 @@ def plan_recording(request: PlanRequest) -> PlanResult:
     firmware = Firmware(
         flavor,
         request.chip or DEFAULT_CHIPS[flavor],
-        request.shaper,
-        switches_shaper=request.shaper_off is not False,
+        shaper_commands(flavor, machine.input_shaper),
+        switches_shaper=not request.keep_shaper,
     )
     plan, lines = _planned(request, machine, firmware)
     save_plan(plan, request.plan_file)

@@ -40,24 +40,11 @@ def number_pair(option: str, text: str, more: str = "") -> tuple[float, float]:
     return x, y
 
 
-def parse_shaper(text: str) -> tuple[float, float]:
-    """Read the frequencies of a shaper along x and y, Hz."""
-    return number_pair("--shaper", text)
-
-
-SHAPER = Option(
-    "Frequencies of the firmware's input shaper, Hz, to be switched on again at the end. RepRapFirmware knows them by "
-    "itself.",
-    MACHINE,
-    metavar="X,Y",
-    parse=parse_shaper,
-)
-
 _PLACED = {"at", "kind", "repeats", "amplitude_mm_per_s2", "height_mm", "seed"}
 _OPTIONS_OF: dict[Purpose, set[str]] = {
     "identify": _PLACED
     | {"axes", "lowest_hz", "highest_hz", "z_acceleration_mm_per_s2", "period_s", "periods", "realisations"}
-    | {"segments_per_second", "shaper_off"},
+    | {"segments_per_second", "keep_shaper"},
     "diagnose": _PLACED | {"seconds", "print_file"},
     "check": set(),
     "scan": {"amplitude_mm_per_s2", "height_mm", "seed", "pen", "line_width_mm", "nozzle_c", "bed_c"},
@@ -204,10 +191,11 @@ class PlanRequest(Request):
     ] = None
     flavor: Annotated[str, FLAVOR] = ""
     chip: Annotated[tuple[str, ...], CHIP] = ()
-    shaper: Annotated[tuple[float, float] | None, SHAPER] = None
-    shaper_off: Annotated[
+    keep_shaper: Annotated[
         bool | None,
-        Option("For identify: switch the firmware's input shaper off at the beginning. Default: yes.", MACHINE),
+        Option(
+            "For identify: leave the firmware's own input shaper on. Default: off until the end of the file.", MACHINE
+        ),
     ] = None
     print_file: Annotated[
         Path | None,
@@ -326,7 +314,6 @@ class CheckRequest(Request):
     ] = None
     flavor: Annotated[str, FLAVOR] = ""
     chip: Annotated[tuple[str, ...], CHIP] = ()
-    shaper: Annotated[tuple[float, float] | None, SHAPER] = None
     axes_map: Annotated[str | None, CAPTURE_AXES] = None
     figure: Annotated[Path | None, FIGURE] = None
     force: Annotated[bool, FORCE] = False

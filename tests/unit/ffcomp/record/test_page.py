@@ -97,7 +97,10 @@ def test_the_plan_survives_its_file(tmp_path: Path) -> None:
 def test_the_gcode_draws_the_plan_in_one_layer_and_puts_everything_back(flavor: str) -> None:
     machine = load_machine("voron-250")
     plan = make_page(machine, PageRequest())
-    text = b"".join(page_lines(plan, machine, Firmware(flavor, (), (50.0, 40.0))))
+    on = {"klipper": "SET_INPUT_SHAPER SHAPER_FREQ_X=50", "marlin": "M593 X F50", "reprapfirmware": "M593 P{var."}[
+        flavor
+    ]
+    text = b"".join(page_lines(plan, machine, Firmware(flavor, (), (on,))))
     moves = read_program(text, "page.gcode", flavor=flavor).moves
     drawn = (moves.end[:, 3] > moves.start[:, 3]) & np.any(moves.end[:, :2] != moves.start[:, :2], axis=1)
     assert np.allclose(moves.end[drawn, 2], 0.2) and np.allclose(moves.start[drawn, 2], 0.2)
@@ -105,8 +108,7 @@ def test_the_gcode_draws_the_plan_in_one_layer_and_puts_everything_back(flavor: 
     assert np.allclose(moves.end[drawn, :2], expected)
     filament = (moves.end[drawn, 3] - moves.start[drawn, 3]).sum()
     assert filament == pytest.approx(sum(each.motion.ends_mm[-1, 3] for each in plan.experiments), rel=1e-5)
-    shaper = {"klipper": b"SHAPER_FREQ_X=50", "marlin": b"M593 X F50", "reprapfirmware": b"M593 P{var."}[flavor]
-    assert text.index(shaper) > text.rindex(b"G1 X")
+    assert text.index(on.encode()) > text.rindex(b"G1 X")
     accelerations = [line for line in text.splitlines() if line.startswith((b"SET_VELOCITY_LIMIT", b"M204", b"M201"))]
     assert b"3000" in accelerations[-1] or b"3000" in accelerations[-2]
 
