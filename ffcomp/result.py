@@ -31,7 +31,7 @@ class Answer:
 
     def lines(self) -> Iterator[str]:
         """Return it as text: the warnings first, a line for each fact."""
-        yield from (f"Mind: {each}" for each in self.warnings)
+        yield from (f"Warning: {each}" for each in self.warnings)
         if self.headline:
             yield self.headline
         width = max((len(name) for name, _ in self.facts), default=0)

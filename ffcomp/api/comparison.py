@@ -36,6 +36,7 @@ class MethodComparison(Result):
     comparison: Comparison
     report: Path | None = None  # the page that was written
     written: Sequence[Path] = ()  # figures
+    notes: Sequence[str] = ()  # sentences on what is compared, where that is not the file itself
 
     @property
     def tracks(self) -> dict[str, Track]:
@@ -58,8 +59,8 @@ class MethodComparison(Result):
 
     @property
     def warnings(self) -> list[str]:
-        """What to mind."""
-        return sentences.cautions(self.comparison)
+        """What is compared, if not the file itself, and how far the result goes."""
+        return [*self.notes, *sentences.cautions(self.comparison)]
 
     @property
     def next_steps(self) -> list[str]:
@@ -106,33 +107,28 @@ def _report_figures() -> Any:
     return figures
 
 
-def compare_print(request: CompareRequest, note: Callable[[str], None] = lambda sentence: None) -> Comparison:
-    """Compare every method on the print of a request.
-
-    Parameters
-    ----------
-    request : CompareRequest
-    note : called with a sentence on what is compared, where that is not the file itself
-    """
-    options = _options(request)
+def compare_print(request: CompareRequest) -> MethodComparison:
+    """Compare every method on the print of a request."""
+    options, notes = _options(request), list[str]()
     machine = load_machine(request.machine)
     plant = load_machine(request.plant) if request.plant else None
     data, offset = read_bytes(Path(request.file), request.plate), request.offset_mm
     if already_processed(data) is not None:
-        note(f"{request.file} is compensated already: what is compared is the original that it holds.")
+        notes.append(f"{request.file} is compensated already: what is compared is the original that it holds.")
         offset = find_offset(data[:STAMP_REACH]) if offset is None else offset
         data = original(data)
     if offset is None:
         placed = place_print(data, str(request.file), machine, request.flavor)
         offset = placed.offset
         if placed.notable:
-            note(placed.reason)
+            notes.append(placed.reason)
     if plant is not None:
         check_same_kinematics(machine, plant)
     printed = Print(data, str(request.file), machine, offset, request.flavor)
     settings = settings_for(machine, request.max_segments_per_second)
     with workers(request.jobs, request.scheduler) as at_once:
-        return engine.compare(printed, plant, options, settings=settings, jobs=at_once, progress=request.progress)
+        done = engine.compare(printed, plant, options, settings=settings, jobs=at_once, progress=request.progress)
+    return MethodComparison(done, notes=notes)
 
 
 def _options(request: CompareRequest) -> engine.Request:
@@ -162,7 +158,7 @@ def _compare(request: CompareRequest) -> MethodComparison:
     --------
     >>> ffcomp.compare("print.gcode", "mp-delta-pro", only=["mzv"]).headline
     """
-    return MethodComparison(compare_print(request))
+    return compare_print(request)
 
 
 compare = function(CompareRequest, _compare)

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from ffcomp.cli.command import Shown, verb
-from ffcomp.cli.common import answer, exit_codes, say
+from ffcomp.cli.common import answer, exit_codes
 from ffcomp.cli.progress import Progress
 from ffcomp.comparison.request import CompareRequest
 from ffcomp.errors import RequestError
@@ -47,11 +47,11 @@ def compare(request: CompareRequest, pages: Pages, shown: Shown) -> None:
         )
     _check_targets(pages.report, pages.figures)
 
-    from ffcomp.api.comparison import MethodComparison, compare_print
+    from ffcomp.api.comparison import compare_print
 
     with _ExitWithoutThreads(), exit_codes(), Progress(1.0, shown.quiet, "comparing") as progress:
-        comparison = compare_print(replace(request, progress=progress.phase), lambda text: say(f"ffcomp: {text}"))
-    answer(MethodComparison(comparison, pages.report, _write(comparison, pages)), shown.as_json)
+        found = compare_print(replace(request, progress=progress.phase))
+    answer(replace(found, report=pages.report, written=_write(found.comparison, pages)), shown.as_json)
 
 
 class _ExitWithoutThreads:

@@ -178,7 +178,7 @@ def check(request: CheckRequest, shown: Shown) -> None:
     if request.output is not None:
         from ffcomp.record.planning import plan_recording
 
-        same = {name: getattr(request, name) for name in ("machine", "output", "flavor", "chip", "shaper")}
+        same = {name: getattr(request, name) for name in ("machine", "output", "flavor", "chip")}
         report_plan(plan_recording(PlanRequest(purpose="check", **same)), shown.as_json)
     else:
         _compare(request, shown)

@@ -93,7 +93,6 @@ class Result:
     @property
     def _general_warnings(self) -> list[str]:
         numbers = self.statistics
-        shaper = self.shaper.warnings if self.shaper else []
         failed = [self.forecast.failed] if self.forecast.failed else []
         general = [
             *unsafe_sentences(numbers.unsafe),
@@ -102,7 +101,13 @@ class Result:
             *numbers.shares.warnings(),
             *numbers.warnings,
         ]
-        return [*general, *self.bound_missed, *shaper, *self.slow_boards]
+        return [*general, *self.bound_missed, *self.slow_boards]
+
+    @property
+    def unknown(self) -> list[str]:
+        """Say in one line what the machine file does not know of the printer."""
+        sentences = [assumed_modes(self.machine), *(self.shaper.warnings if self.shaper else [])]
+        return [" ".join(filter(None, sentences))] if any(sentences) else []
 
     @property
     def slow_boards(self) -> list[str]:
@@ -329,7 +334,8 @@ class CompensatedFile(VerbResult):
         reasons = (result.flavor.reason, result.placement.reason, result.robust.reason)
         shaper = result.shaper.reason if result.shaper else ""
         for name, reason in zip(("Firmware", "Place", "Inverse", "Input shaper"), (*reasons, shaper), strict=True):
-            yield name, "" if reason in self.warnings else reason.removeprefix(f"{name}: ")
+            said = any(reason in each for each in self.warnings)
+            yield name, "" if said else reason.removeprefix(f"{name}: ")
         if result.steps:
             yield "Steps", ", ".join(f"{motor.upper()} {total.steps}" for motor, total in result.steps.items())
         elif result.steps is None:
@@ -342,15 +348,14 @@ class CompensatedFile(VerbResult):
         """All warnings, in sentences."""
         several = len(self.prints) > 1
         own = [f"{name}: {each}" if several else each for name, r in self.prints.items() for each in r.warnings]
-        return [*self.advice, *own]
+        return [*(self.result.unknown if self.prints else ()), *self.advice, *own]
 
     @property
     def warning_lines(self) -> list[str]:
-        """The same for people, in a few lines: the cause that an unmeasured machine is comes first."""
+        """The same for people, in a few lines: what the machine file does not know comes first."""
         if not self.prints:
             return list(self.advice)
-        assumed = assumed_modes(self.machine)
-        return shortened([*([assumed] if assumed else []), *self.advice, *self.result.warning_lines])
+        return shortened([*self.result.unknown, *self.advice, *self.result.warning_lines])
 
     @property
     def next_steps(self) -> Sequence[str]:

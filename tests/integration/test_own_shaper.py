@@ -53,7 +53,7 @@ def lines_of(machine: Machine, text: str = PRINT, **options: object) -> tuple[li
     job = Job(text.encode(), "print.gcode", machine, Options(predict=False, **options)).lines()
     out = b"".join(job)
     assert original(out) == text.encode()
-    return out.decode().replace(OURS.decode(), "").splitlines(), job.value.warnings
+    return out.decode().replace(OURS.decode(), "").splitlines(), [*job.value.shaper.warnings, *job.value.warnings]
 
 
 def shaper_lines(lines: list[str]) -> list[str]:
@@ -86,7 +86,7 @@ def test_a_part_that_was_not_read_may_hold_the_shaper(tmp_path: Path) -> None:
 def test_a_shaper_that_is_not_known_is_left_alone_and_warned_of() -> None:
     machine = replace(machine_with(), input_shaper=None)
     lines, warnings = lines_of(machine)
-    assert shaper_lines(lines) == [] and any("two compensations disturb each other" in each for each in warnings)
+    assert shaper_lines(lines) == [] and any("which must be off" in each for each in warnings)
     assert shaper_lines(lines_of(machine, keep_shaper=False)[0]) == [OFF["klipper"]]
     assert lines_of(machine_with(), keep_shaper=None)[1] == [], "none: there is nothing to say"
     other = machine_with("M593 X F40")  # of another firmware

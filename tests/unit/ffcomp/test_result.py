@@ -28,7 +28,7 @@ class Found(Result):
 
 def test_everybody_has_the_same_words() -> None:
     found = Found()
-    assert list(found.answer.lines()) == [f"Mind: {WARNING}", HEADLINE, "  Print time  1.0 s", STEP]
+    assert list(found.answer.lines()) == [f"Warning: {WARNING}", HEADLINE, "  Print time  1.0 s", STEP]
     told = found.to_dict()
     assert told["schema"] == "found/1" and told["number"] == 1.0
     page = answer_of("any", told)
