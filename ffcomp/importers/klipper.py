@@ -27,6 +27,7 @@ from ffcomp.importers.values import (
     print_radius,
     shaped_axis,
     together,
+    unsupported,
 )
 
 SAVED_HEAD = (
@@ -205,10 +206,7 @@ def from_klipper(config: KlipperConfig) -> ConfigValues:
         remarks = "".join(f" {sentence}" for sentence in config.remarks)
         raise PrinterConfigError(f"{config.name}: the configuration gives no kinematics in [printer].{remarks}")
     if option.text not in KINDS:
-        raise PrinterConfigError(
-            f"{option.place}: [printer] kinematics = {option.text!r}: ffcomp has delta, cartesian and corexy machines. "
-            "Others couple the motors in ways that their limits and steps would need: keep the shaper."
-        )
+        raise unsupported(option.place, f"[printer] kinematics = {option.text!r}")
     kind, origin = KINDS[option.text], f"{option.place} [printer] kinematics"
     of_kind = _delta(config) if kind == "delta" else _straight(config)
     values = known({**of_kind, **_limits(config), **_steps(config, TOWERS if kind == "delta" else AXES)})
@@ -290,7 +288,17 @@ def _own_shaper(config: KlipperConfig) -> dict[str, Value]:
             words.append(f"{name}={frequency.number:.10g}")
             sources.append(frequency)
     commands = [" ".join(["SET_INPUT_SHAPER", *words])] if words else []
-    return own_shaper(commands, sources, config.unread, "[input_shaper] sets no frequency: there is no shaper")
+    unread = config.unread or bool(_shaper_macros(config))
+    return own_shaper(commands, sources, unread, "[input_shaper] sets no frequency: there is no shaper")
+
+
+def _shaper_macros(config: KlipperConfig) -> list[str]:
+    """Return the places of macros that set the shaper, but for ours, which puts back what [input_shaper] states."""
+    return [
+        f"{entry.place} [{section}]"
+        for (section, key), entry in config.options.items()
+        if key.endswith("gcode") and "SET_INPUT_SHAPER" in entry.text.upper() and "FFCOMP_" not in section.upper()
+    ]
 
 
 def _shaped_axis(config: KlipperConfig, axis: str) -> dict[str, Value]:
@@ -385,5 +393,10 @@ def _notes(config: KlipperConfig) -> Iterator[str]:
                 f"{older.origin} = {older.number:g}: a cruise ratio of {in_older:.3g} in Klippers before 2024, which "
                 f"ffcomp plans with {CRUISE_RATIO:g}; set max_accel_to_decel: {most.number * (1 - CRUISE_RATIO):g}."
             )
+    for place in _shaper_macros(config):
+        yield (
+            f"{place} sets the input shaper: input_shaper in [firmware] must hold the command that is in force while "
+            "you print, and nothing may run this macro during a compensated print."
+        )
     if (limited := config.text("printer", "kinematics")) and limited.text.startswith("limited_"):
         yield f"{limited.place}: the limits of single axes of {limited.text!r} have no place in a machine file."

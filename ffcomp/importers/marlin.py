@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 
 from ffcomp.importers.values import (
@@ -59,16 +59,18 @@ def from_marlin(path: Path, kinematics: str | None) -> ConfigValues:
     Raises PrinterConfigError for a malformed number, inches, or unknown kinematics.
     """
     text = decoded(path)
-    settings = {key: value for command in _received(text, path.name) for key, value in _words(command)}
+    received = list(_received(text, path.name))
+    settings = {key: value for command in received for key, value in _words(command)}
+    notes = _fixed_time(received)
     kind, origin = _kinematics(settings, kinematics, path)
-    limits = {**_limits(settings), **_steps(settings), **_planner(settings), **_own_shaper(settings)}
+    limits = {**_limits(settings), **_steps(settings), **_planner(settings), **_own_shaper(settings, bool(notes))}
     if kind != "delta":
         values = known({**_straight(settings, _places(text, path.name)), **limits})
-        return ConfigValues("Marlin", kind, origin, values)
+        return ConfigValues("Marlin", kind, origin, values, notes)
     note = "M503 does not state DELTA_RADIUS_TRIM_TOWER: if the firmware was built with it, give delta_radii_mm."
     frequencies = (settings.get((f"M593 {axis.upper()}", "F")) for axis in AXES)
     shaper_hz = tuple(each.number for each in frequencies if each is not None and each.number > 0)
-    return ConfigValues("Marlin", kind, origin, known({**_delta(settings), **limits}), (note,), shaper_hz)
+    return ConfigValues("Marlin", kind, origin, known({**_delta(settings), **limits}), (note, *notes), shaper_hz)
 
 
 def _received(text: str, name: str) -> Iterator[Command]:
@@ -77,6 +79,17 @@ def _received(text: str, name: str) -> Iterator[Command]:
     quiet = [bool(QUIET_MODE.search(before)) for before in ["", *lines[:-1]]]
     kept = ["" if SENT.search(line) or after_quiet else line for line, after_quiet in zip(lines, quiet, strict=True)]
     return commands("\n".join(kept), name)
+
+
+def _fixed_time(received: Iterable[Command]) -> tuple[str, ...]:
+    """Say that fixed-time motion is on, whose shapers a machine file cannot hold."""
+    latest = [command for command in received if command.code == "M493"][-1:]
+    return tuple(
+        f"{command.place}: M493: fixed-time motion is on. ffcomp plans as Marlin does without it, and does not read "
+        "its shapers: send M493 S0 before a compensated print, and set input_shaper = [] in [firmware]."
+        for command in latest
+        if command.words.get("S") != "0"
+    )
 
 
 def _words(command: Command) -> Iterator[tuple[tuple[str, str], Value]]:
@@ -170,11 +183,11 @@ def _shaped_axis(settings: Settings, axis: str) -> dict[str, Value]:
     return shaped_axis(axis, frequency, damping)
 
 
-def _own_shaper(settings: Settings) -> dict[str, Value]:
+def _own_shaper(settings: Settings, unread: bool) -> dict[str, Value]:
     on = {axis: settings.get((f"M593 {axis}", "F")) for axis in "XYZ"}
     shaped = {axis: frequency for axis, frequency in on.items() if frequency is not None and frequency.number > 0}
     commands = [f"M593 {axis} F{frequency.number:.10g}" for axis, frequency in shaped.items()]
-    return own_shaper(commands, list(shaped.values()), False, "M593 is not in the answer: there is no shaper")
+    return own_shaper(commands, list(shaped.values()), unread, "M593 is not in the answer: there is no shaper")
 
 
 # --- Limits and steps

@@ -32,6 +32,7 @@ from ffcomp.importers.values import (
     shaped_axis,
     together,
     tower_angles,
+    unsupported,
     whole,
 )
 
@@ -43,6 +44,8 @@ KINDS = {
     "3": "delta",
     "lineardelta": "delta",
 }
+NAMES = {"2": "CoreXZ", "4": "SCARA", "5": "CoreXYU", "6": "Hangprinter", "7": "polar", "8": "CoreXYUV"}
+NAMES |= {"10": "rotary delta", "11": "MarkForged (hybrid CoreXY)"}
 KEPT = {  # letters that hold until a later command sets them
     "M201": "XYZE",
     "M203": "XYZE",
@@ -205,17 +208,12 @@ def _m669(command: Command, settings: Settings) -> None:
     if "K" in command.words:
         _set_kind(command, command.words["K"].lower(), settings)
     if ":" in command.words.get("X", "") + command.words.get("Y", ""):
-        raise PrinterConfigError(
-            f"{command.place}: this M669 gives a movement matrix: ffcomp has delta, cartesian and corexy machines."
-        )
+        raise unsupported(command.place, "this M669 gives a movement matrix")
 
 
 def _set_kind(command: Command, word: str, settings: Settings) -> None:
     if word not in KINDS:
-        raise PrinterConfigError(
-            f"{command.place}: {command.code} selects kinematics {word!r}: ffcomp has delta (3), cartesian (0) and "
-            "corexy (1) machines."
-        )
+        raise unsupported(command.place, f"{command.code} selects {NAMES.get(word, word)} kinematics")
     settings.kinematics = (KINDS[word], f"{command.place} {command.code}")
 
 

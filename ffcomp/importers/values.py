@@ -33,6 +33,14 @@ class PrinterConfigError(FfcompError, ValueError):
     exit_code = 5
 
 
+def unsupported(place: str, name: str) -> PrinterConfigError:
+    """Return the error of kinematics that ffcomp does not have, with the reason and the remedy."""
+    return PrinterConfigError(
+        f"{place}: {name}: ffcomp has delta, cartesian and corexy machines. Others couple the motors in ways that "
+        "their limits and steps would need: keep the firmware's input shaper."
+    )
+
+
 @dataclass(frozen=True)
 class Value:
     """One value of the machine file."""

@@ -10,6 +10,7 @@ import pytest
 from ffcomp.importers.builder import read_printer_config
 from ffcomp.importers.klipper import read_klipper
 from ffcomp.importers.values import ConfigValues, PrinterConfigError
+from ffcomp.record.gcode_writer import MACRO
 from tests.support.configs import COREXY, SAVED, SHAPER, Delta, imported, written
 
 PLAIN = """
@@ -191,6 +192,16 @@ def test_what_has_no_place_in_a_machine_file_is_said(tmp_path: Path) -> None:
     limited = found(tmp_path, COREXY.replace(": corexy", ": limited_corexy"))
     assert limited.kinematics == "corexy"
     assert "limits of single axes" in limited.notes[0]
+
+
+def test_a_macro_that_sets_the_shaper_is_said(tmp_path: Path) -> None:
+    macro = "[gcode_macro PRINT_START]\ngcode:\n    G28\n    set_input_shaper SHAPER_FREQ_X=50\n"
+    says = found(tmp_path, COREXY + "[input_shaper]\n" + macro)
+    assert "firmware.input_shaper" not in says.values, "it is not known what is in force"
+    assert any("[gcode_macro PRINT_START] sets the input shaper" in note for note in says.notes)
+    ours = found(tmp_path, COREXY + SHAPER + MACRO)
+    assert value(ours, "firmware.input_shaper")[0].startswith("SET_INPUT_SHAPER ")
+    assert not any("sets the input shaper" in note for note in ours.notes)
 
 
 @pytest.mark.parametrize("kind", ["corexz", "hybrid_corexy", "polar", "deltesian", "none", "generic_cartesian", ""])

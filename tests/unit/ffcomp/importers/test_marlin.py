@@ -77,6 +77,13 @@ def test_a_cartesian_printer(tmp_path: Path) -> None:
     assert machine.limits.z_velocity_mm_per_s == 10.0
 
 
+def test_fixed_time_motion_is_said_and_its_shaper_unknown(tmp_path: Path) -> None:
+    says = found(tmp_path, LIMITS + JERK + AREA + "echo:  M493 S1 X1 A37.0\n", "cartesian")
+    assert "firmware.input_shaper" not in says.values and "send M493 S0" in says.notes[0]
+    off = found(tmp_path, LIMITS + JERK + AREA + "echo:  M493 S0\n", "cartesian")
+    assert value(off, "firmware.input_shaper") == [] and not off.notes
+
+
 def test_one_shaper_line_is_for_both_axes_and_zero_is_off(tmp_path: Path) -> None:
     says = found(tmp_path, LIMITS + "echo:  M593 F40.00 D0.15\n", "cartesian")
     assert value(says, "axes.x.frequency_hz") == value(says, "axes.y.frequency_hz") == [40.0]

@@ -147,9 +147,10 @@ def test_kinematics_by_number_and_by_name(command: str, kind: str, tmp_path: Pat
 @pytest.mark.parametrize(
     ("command", "sentence"),
     [
-        ("M669 K2", "config.g:10: M669 selects kinematics '2': ffcomp has delta"),
-        ('M669 K"scara"', "selects kinematics 'scara'"),
-        ("M669 K1 X1:1:0:0 Y1:-1:0:-1", "config.g:10: this M669 gives a movement matrix"),
+        ("M669 K2", "config.g:10: M669 selects CoreXZ kinematics: ffcomp has delta.* couple the motors .* keep the"),
+        ("M669 K11", "selects MarkForged .hybrid CoreXY. kinematics.* keep the"),
+        ('M669 K"scara"', "selects scara kinematics"),
+        ("M669 K1 X1:1:0:0 Y1:-1:0:-1", "config.g:10: this M669 gives a movement matrix.* keep the"),
         ("M92 X8-0", "config.g:10: M92 X = '8-0' must be a plain number"),
         ("M92 X80:", "M92 X = '' must be a plain number"),
         ("M350 X0", "config.g:10: M350 X = '0' must be above 0"),
