@@ -99,6 +99,8 @@ class Option:
         Whether `parse` takes all the texts of an option that may be given again.
     unset : str
         What stands on the command line for a default that has no text of its own.
+    writes : str
+        What the path that it takes is written as: "file" or "folder"; empty: it is no target.
     label : str
         What the page of `ffcomp serve` calls it; none: it is not offered there.
     """
@@ -119,12 +121,13 @@ class Option:
         parse: Callable[[Any], Any] | None = None,
         repeated: bool = False,
         unset: str = "",
+        writes: Literal["", "file", "folder"] = "",
         label: str = "",
     ) -> None:
         self.help, self.group, self.names, self.metavar, self.unit = help, group, names, metavar, unit
         self.low, self.high, self.choices, self.env = low, high, choices, env
         self.parse, self.repeated = parse, repeated
-        self.unset, self.label = unset, label
+        self.unset, self.writes, self.label = unset, writes, label
 
 
 class Argument(Option):
@@ -265,6 +268,41 @@ def _declared(request: type[Any]) -> Iterator[Declared]:
         for option in getattr(hints[field.name], "__metadata__", ()):
             if isinstance(option, Option):
                 yield Declared(field.name, get_args(hints[field.name])[0], field.default, option)
+
+
+FORCE = Option("Overwrite files that exist.", OUTPUT)
+
+
+def check_targets(requests: Sequence[Request]) -> None:
+    """Raise RequestError, before the work, for targets that cannot be written or must not be.
+
+    A target lies in a folder that exists, is no file that is read, and no other target. Where a verb has --force,
+    nothing that exists is overwritten without it.
+    """
+    stated = [(each, getattr(request, each.field)) for request in requests for each in declared(type(request))]
+    read = {path.resolve() for each, value in stated if not each.option.writes for path in _paths_in(each, value)}
+    force = next((value for each, value in stated if each.option is FORCE), True)
+    written = set[Path]()
+    for each, value in stated:
+        for path in _paths_in(each, value) if each.option.writes else ():
+            name, folder = each.names[0], each.option.writes == "folder"
+            if path.exists() and path.is_dir() != folder:
+                raise RequestError(f"{path}: {name} names a {each.option.writes}.")
+            if not folder and not path.resolve().parent.is_dir():
+                raise RequestError(f"{path}: {name} names a file in a folder that exists.")
+            if path.resolve() in read:
+                raise RequestError(f"{path} is read as well; give another {name}.")
+            if path.resolve() in written:
+                raise RequestError(f"{path} is named twice; give another {name}.")
+            if path.exists() and not folder and not force:
+                raise RequestError(f"{path} exists already; give another {name}, or --force.")
+            written.add(path.resolve())
+
+
+def _paths_in(option: Declared, value: Any) -> list[Path]:
+    values = value if isinstance(value, tuple) else (value,)
+    kinds = (str, Path) if option.option.positional or option.option.writes else Path
+    return [Path(each) for each in values if isinstance(each, kinds)]
 
 
 def function(request: Callable[P, Q], work: Callable[[Q], R]) -> Callable[P, R]:

@@ -81,6 +81,11 @@ class Result:
         return ()
 
     @property
+    def failure(self) -> Exception | None:
+        """The error that a command ends with after this answer; None: it ends well."""
+        return None
+
+    @property
     def answer(self) -> Answer:
         """What people are shown, wherever they look."""
         return Answer(self.headline, self.facts, self.warning_lines, self.next_steps)
@@ -120,6 +125,10 @@ class Result:
             **self.details(),
             "answer": to_json(self.answer),  # ANSWER: what people are shown, in the same words
         }
+
+    def objects(self) -> Sequence[dict[str, Any]]:
+        """Return the JSON objects that `--json` prints, one a line."""
+        return [self.to_dict()]
 
     def __repr__(self) -> str:
         """Return the headline."""

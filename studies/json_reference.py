@@ -56,9 +56,10 @@ OBJECTS: dict[str, dict[str, str]] = {  # by heading of the page: by place of it
         "layers[].": "ffcomp.estimation.engine:_layer",
         "unknown[].": "ffcomp.estimation.statistics:Unknown",
     },
-    "ffcomp-estimate-batch/1": {"": "ffcomp.cli.estimate:estimate"},
+    "ffcomp-estimate-batch/1": {"": "ffcomp.cli.estimate:Estimates.details ffcomp.result:Result.to_dict"},
     "ffcomp-show/1": {
-        "": "ffcomp.cli.show:ShowResult.to_dict ffcomp.simulation.forecast:Forecast.to_dict",
+        "": "ffcomp.cli.show:ShowResult.details ffcomp.simulation.forecast:Forecast.to_dict "
+        "ffcomp.result:Result.to_dict",
     },
     "ffcomp-compare/1": {
         "": "ffcomp.comparison.result:Comparison.to_dict ffcomp.api.comparison:MethodComparison.details "
@@ -72,10 +73,10 @@ OBJECTS: dict[str, dict[str, str]] = {  # by heading of the page: by place of it
     "QUALITY": {"": "ffcomp.comparison.result:EqualQuality"},
     "ffcomp-simulate/1": {"": "ffcomp.simulation.simulation:Simulation.details ffcomp.result:Result.to_dict"},
     "ffcomp-frf/1": {
-        "": "ffcomp.identification.frf_study:frf_json",
+        "": "ffcomp.identification.frf_study:frf_json ffcomp.result:Result.to_dict",
         "measured[].": "ffcomp.identification.frf_study:_compared_answer",
     },
-    "ffcomp-gap/1": {"": "ffcomp.diagnosis.gap:Discrepancy.to_dict"},
+    "ffcomp-gap/1": {"": "ffcomp.diagnosis.gap:Discrepancy.details ffcomp.result:Result.to_dict"},
     "ffcomp-diagnose/1": {
         "": "ffcomp.diagnosis.verb:result_json ffcomp.diagnosis.verb:Diagnosis.details ffcomp.result:Result.to_dict",
         "effects[].": "ffcomp.diagnosis.verb:_effect_json",
@@ -85,12 +86,13 @@ OBJECTS: dict[str, dict[str, str]] = {  # by heading of the page: by place of it
     "GAIN": {"": "ffcomp.diagnosis.verb:PrintGain.to_dict"},
     "ffcomp-identify-fit/1": {
         "": (
-            "ffcomp.identification.machine_fit:MachineFit.to_dict "
-            "ffcomp.identification.machine_fit:ParametersFit.details? "
-            "ffcomp.identification.machine_fit:StepwiseFit.details? "
-            "ffcomp.identification.machine_fit:AxesFit.details? "
-            "ffcomp.identification.machine_fit:ResonancesFit.details? "
-            "ffcomp.identification.axis_fit:OneAxisFit.details?"
+            "ffcomp.identification.machine_fit:MachineFit.details "
+            "ffcomp.identification.machine_fit:ParametersFit.own? "
+            "ffcomp.identification.machine_fit:StepwiseFit.own? "
+            "ffcomp.identification.machine_fit:AxesFit.own? "
+            "ffcomp.identification.machine_fit:ResonancesFit.own? "
+            "ffcomp.identification.axis_fit:OneAxisFit.own? "
+            "ffcomp.result:Result.to_dict"
         ),
         "shapers[].": "ffcomp.shapers.calibration:ShaperAdvice",
         "belts.": "ffcomp.identification.machine_fit:_belts?",
@@ -100,35 +102,37 @@ OBJECTS: dict[str, dict[str, str]] = {  # by heading of the page: by place of it
     },
     "ffcomp-identify-scan/1": {
         "": (
-            "ffcomp.identification.machine_fit:MachineFit.to_dict "
-            "ffcomp.identification.machine_fit:ScanFit.details "
+            "ffcomp.identification.machine_fit:MachineFit.details "
+            "ffcomp.identification.machine_fit:ScanFit.own "
+            "ffcomp.result:Result.to_dict "
             "-belts"
         ),
         "shapers[].": "ffcomp.shapers.calibration:ShaperAdvice",
     },
     "ffcomp-identify-decouple/1": {
-        "": "ffcomp.cli.identify:decouple",
+        "": "ffcomp.identification.decoupling:Decoupling.details ffcomp.result:Result.to_dict",
         "places[].": "ffcomp.identification.decoupling:PlaceParts.to_dict",
     },
     "ffcomp-record-plan/1": {
-        "": "ffcomp.record.planning:PlanResult.to_dict",
+        "": "ffcomp.record.planning:PlanResult.details ffcomp.result:Result.to_dict",
         "experiments[].": "ffcomp.record.planning:PlanResult._experiment_dict",
         "experiments[].peaks.": "ffcomp.record.excitation:Peaks",
     },
-    "ffcomp-update/1": {"": "ffcomp.diagnosis.update:Updated.to_dict"},
-    "ffcomp-join/1": {"": "ffcomp.record.result:JoinResult.to_dict"},
+    "ffcomp-update/1": {"": "ffcomp.diagnosis.update:Updated.details ffcomp.result:Result.to_dict"},
+    "ffcomp-join/1": {"": "ffcomp.record.result:JoinedRuns.details ffcomp.result:Result.to_dict"},
     "ffcomp-check/1": {
-        "": "ffcomp.check.compare:CheckResult.to_dict",
+        "": "ffcomp.check.compare:CheckResult.details ffcomp.result:Result.to_dict",
         "named[].": "ffcomp.check.compare:Explanation.to_dict",
         "experiments[].": "ffcomp.check.compare:Size",
     },
-    "ffcomp-captures/1": {"": "ffcomp.cli.simulate:_write_captures"},
+    "ffcomp-captures/1": {"": "ffcomp.cli.simulate:Captures.details ffcomp.result:Result.to_dict"},
     "ffcomp-machine-diff/1": {
-        "": "ffcomp.cli.machines:_print_diff_json",
+        "": "ffcomp.cli.machines:MachineDifference.details ffcomp.result:Result.to_dict",
         "changes[].": "models.file:Difference",
     },
+    "ffcomp-restore/1": {"": "ffcomp.cli.restore:Restored.details ffcomp.result:Result.to_dict"},
     "ffcomp-machine-import/1": {
-        "": "ffcomp.cli.machines_import:_as_json",
+        "": "ffcomp.cli.machines_import:ImportedMachine.details ffcomp.result:Result.to_dict",
         "values.*.": "ffcomp.importers.values:Value",
     },
 }

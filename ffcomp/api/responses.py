@@ -10,11 +10,13 @@ import numpy as np
 
 from ffcomp.api.machines import load_machine
 from ffcomp.errors import RequestError, missing_extras_explained
-from ffcomp.identification.frf_study import Study, View, frf_json, study, view_of
+from ffcomp.identification.frf_study import NumberedMode, Study, View, frf_json, study, verdict, view_of
 from ffcomp.identification.request import FrfRequest
 from ffcomp.measurement.frf import FrequencyResponse
 from ffcomp.measurement.frf_files import read_frfs
+from ffcomp.numerics.serialise import to_json
 from ffcomp.request import function
+from ffcomp.result import Fact, Result
 from models.arrays import ComplexArray, FloatArray
 from models.errors import UnreachableError
 from models.machine import Machine
@@ -24,7 +26,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class FrequencyResponses:
+class FrequencyResponses(Result):
     """Frequency responses of a machine at some positions: carriages A B C or nozzle axes X Y Z, as was requested."""
 
     machine: Machine
@@ -35,14 +37,40 @@ class FrequencyResponses:
     columns: tuple[str, ...]  # and of the inputs
     study: Study
 
-    def __repr__(self) -> str:
-        """Return machine, shape and range."""
-        low, high = self.frequency_hz[0], self.frequency_hz[-1]
-        return f"<FrequencyResponses: {self.machine.name}, {self.values.shape}, {low:g} to {high:g} Hz>"
+    @property
+    def headline(self) -> str:
+        """Where the machine resonates, or how near it comes to what was measured."""
+        return f"{self.machine.name}: {verdict(self.study)}"
 
-    def to_dict(self) -> list[dict[str, Any]]:
+    @property
+    def facts(self) -> list[Fact]:
+        """The modes at each position."""
+        return [(each.label, ", ".join(_mode(mode) for mode in each.modes)) for each in self.study.stations]
+
+    @property
+    def warnings(self) -> Sequence[str]:
+        """Measured responses that are left out."""
+        return self.study.left_out
+
+    def figures(self) -> Sequence[str]:
+        """Return the names of the figures that `plot` draws."""
+        return ("bode",)
+
+    @missing_extras_explained()
+    def plot(self, name: str = "bode", **options: Any) -> Figure:
+        """Draw a Bode figure; `full=True`: all nine responses, not only the diagonal."""
+        from ffcomp.report.model import bode_figure
+
+        return bode_figure(self.study, **options)
+
+    def objects(self) -> list[dict[str, Any]]:
         """Return an object ffcomp-frf/1 for each position."""
-        return [frf_json(self.study, station) for station in self.study.stations]
+        told = to_json(self.answer)
+        return [{**frf_json(self.study, each), "answer": told} for each in self.study.stations]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the object ffcomp-frf/1 of the first position; `objects` has them all."""
+        return self.objects()[0]
 
     @missing_extras_explained()
     def to_control(self) -> list[Any]:
@@ -52,12 +80,9 @@ class FrequencyResponses:
         omega = 2 * np.pi * self.frequency_hz
         return [control.frd(np.moveaxis(value, 0, -1), omega) for value in self.values]
 
-    @missing_extras_explained()
-    def plot(self, *, full: bool = False) -> Figure:
-        """Draw a Bode figure; full : all nine responses, not only the diagonal."""
-        from ffcomp.report.model import bode_figure
 
-        return bode_figure(self.study, full)
+def _mode(mode: NumberedMode) -> str:
+    return f"{mode.frequency_hz:.1f} Hz (ζ {mode.damping_ratio:.3f}, {mode.kind})"
 
 
 def study_responses(request: FrfRequest) -> Study:
@@ -110,7 +135,7 @@ def _view(request: FrfRequest, machine: Machine, measured: Sequence[FrequencyRes
     return view
 
 
-def _frf(request: FrfRequest) -> FrequencyResponses:
+def frf_request(request: FrfRequest) -> FrequencyResponses:
     """Compute frequency responses of the linear model.
 
     Parameters
@@ -133,4 +158,4 @@ def _frf(request: FrfRequest) -> FrequencyResponses:
     return FrequencyResponses(result.machine, result.frequency_hz, places, values, rows, columns, result)
 
 
-frf = function(FrfRequest, _frf)
+frf = function(FrfRequest, frf_request)

@@ -18,6 +18,7 @@ from ffcomp.check.parts import Part, Signatures, fitted
 from ffcomp.check.signals import RATE_HZ, SensorSignal, Weighed, signals_of, weighed
 from ffcomp.record.plan import Plan, plan_dict
 from ffcomp.record.result import JoinResult
+from ffcomp.result import Fact, Result
 from models.arrays import FloatArray
 from models.machine import Machine
 
@@ -267,8 +268,8 @@ class Size:
     difference: float | None
 
 
-@dataclass(frozen=True, eq=False)
-class CheckResult:
+@dataclass(frozen=True, eq=False, repr=False)
+class CheckResult(Result):
     """What a check has found."""
 
     check: Check  # for the history
@@ -280,15 +281,48 @@ class CheckResult:
     first_date: str | None
     known: bool  # the very captures are in the history already
     notes: tuple[str, ...]
+    machine: str = ""  # its name
+    history: Path | None = None  # the file of earlier checks
+    diagnose: str = ""  # the command that searches for what changed
 
-    def to_dict(self, machine: str, history: Path) -> dict[str, Any]:
-        """Return the JSON object ffcomp-check/1."""
+    @property
+    def headline(self) -> str:
+        """Whether the printer moves as last time, and if not, what changed."""
+        since = "" if self.since_first is None else f" But since the first check: {self.since_first.message}"
+        return f"{self.verdict.message}{since}"
+
+    @property
+    def facts(self) -> list[Fact]:
+        """How far each experiment is from the machine file and from the last check."""
+        facts = [("Machine file", f"{self.check.gap:.1%} off; noise alone {self.check.noise:.1%}")]
+        for each in self.experiments:
+            then = "" if each.difference is None else f", {each.difference:.1%} from the last check"
+            facts.append((each.name, f"{each.gap:.1%} from the machine file{then}; noise {each.noise:.1%}"))
+        return facts if self.known or self.history is None else [*facts, ("Added to", str(self.history))]
+
+    @property
+    def warnings(self) -> Sequence[str]:
+        """What limits the comparison."""
+        return self.notes
+
+    @property
+    def next_steps(self) -> list[str]:
+        """What comes next, where something does."""
+        findings = [each.finding for each in (self.verdict, self.since_first) if each is not None]
+        if UNKNOWN in findings:
+            return [f"To search for it: {self.diagnose}"]
+        if self.verdict.named:
+            return ["Repair that, or measure the printer again (ffcomp record plan, then ffcomp diagnose)."]
+        return []
+
+    def details(self) -> dict[str, Any]:
+        """Return the keys of ffcomp-check/1."""
         comparison, since = self.compared, self.since_first
         turned = comparison.turned if comparison else None
         return {
             "schema": "ffcomp-check/1",
             "machine": {
-                "name": machine,
+                "name": self.machine,
                 "sha256": self.check.machine_sha256,  # of the file's bytes
             },
             "date": self.check.date,  # ISO 8601
@@ -316,7 +350,7 @@ class CheckResult:
                 "said": since.message if since else None,  # text or null
             },
             "experiments": self.experiments,
-            "history": str(history),  # the file of earlier checks
+            "history": str(self.history),  # the file of earlier checks
             "added": not self.known,  # true or false: whether this check was added to it
             "notes": self.notes,  # list of text
         }
@@ -364,23 +398,6 @@ def check_result(joined: JoinResult, plan: Plan, machine: Machine, history: Sequ
         known=bool(known),
         notes=tuple(_notes(known, plan, names, last, machine)),
     )
-
-
-def against_file(result: CheckResult) -> str:
-    """Say how far the machine file is from the printer."""
-    return (
-        f"Against the machine file: simulation and measurement differ by {result.check.gap:.1%} of the signals; noise "
-        f"alone would leave {result.check.noise:.1%}."
-    )
-
-
-def to_do(result: CheckResult, captures: str, plan: str, machine: str) -> list[str]:
-    """Say what comes next, where something does."""
-    if result.verdict.finding in (UNKNOWN,) or (result.since_first and result.since_first.finding == UNKNOWN):
-        return [f"To search for it: ffcomp diagnose {captures} --plan {plan} -m {machine}"]
-    if result.verdict.named:
-        return ["Repair that, or measure the machine file anew (ffcomp record plan, then ffcomp diagnose)."]
-    return []
 
 
 def _day(date: str) -> str:

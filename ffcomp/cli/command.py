@@ -7,16 +7,17 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import partial
 from typing import Annotated, Any, get_type_hints
 
 from cyclopts import App, CycloptsError, Group, MissingArgumentError, Parameter
 
-from ffcomp.cli.common import exit_codes, require, say
+from ffcomp.cli.common import answer, exit_codes, machine_errors, quiet, report, require, say
 from ffcomp.cli.compiled import VERBS, first_run, note_compiled, sentence
 from ffcomp.cli.progress import Event
-from ffcomp.request import GROUPS, OUTPUT, Declared, Option, Request, declared
+from ffcomp.request import GROUPS, OUTPUT, Declared, Option, Request, check_targets, declared
+from ffcomp.result import Result
 
 HELP_FLAGS = ("--help", "-h")
 ARGUMENTS = Group("Arguments", sort_key=0)
@@ -25,61 +26,53 @@ OTHER = Group("Other", sort_key=99)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Json(Request):
-    """What a verb prints; only the command line has it."""
+class Shown(Request):
+    """What every verb with an answer prints."""
 
     as_json: Annotated[bool, Option("Print one JSON object on stdout.", OUTPUT, "--json")] = False
+    quiet: Annotated[bool, Option("Print no progress.", OUTPUT, "--quiet", "-q")] = False
 
 
-@dataclass(frozen=True, kw_only=True)
-class Shown(Json):
-    """What a verb with progress prints."""
-
-    quiet: Annotated[bool, Option("Print no progress, and no message but errors.", OUTPUT, "--quiet", "-q")] = False
-
-
-def verb(work: Callable[..., None]) -> App:
-    """Make the command of a function that takes one or more requests.
+def verb(work: Callable[..., Result | None]) -> App:
+    """Make the command of a function that takes one or more requests, and prints the result that it returns.
 
     Its name is the first word of the function's, its help page the function's text.
     """
-    hints = get_type_hints(work)
-    requests: list[type[Request]] = [hints[name] for name in inspect.signature(work).parameters]
-
-    def prepare(values: dict[str, Any]) -> Callable[[], None]:
-        return partial(work, *(_made(request, values) for request in requests))
-
-    options = [each for request in requests for each in declared(request)]
-    return command(work.__name__.partition("_")[0], inspect.cleandoc(work.__doc__ or ""), options, prepare)
-
-
-def command(
-    name: str, text: str, options: list[Declared], prepare: Callable[[dict[str, Any]], Callable[[], None]]
-) -> App:
-    """Make a command of its options.
-
-    prepare : checks the values that are stated, by field, and returns the work to be done
-    """
+    hints, signature = get_type_hints(work), inspect.signature(work)
+    name = work.__name__.partition("_")[0]
+    requests: list[type[Request]] = [hints[name] for name in signature.parameters]
+    shown = [Shown] if hints["return"] is Result else []
+    options = [each for request in (*requests, *shown) for each in declared(request)]
     signature = inspect.Signature([_parameter(each) for each in sorted(options, key=_kind)])
 
     def call(*args: Any, **kwargs: Any) -> None:
         with exit_codes():
             values = signature.bind(*args, **kwargs).arguments
-            work = prepare(values)
+            made = [_made(request, values) for request in requests]
+            check_targets(made)
             if any(values.get(option) for option in ("figure", "report")):
                 require("matplotlib")
-            compiles = name in VERBS and first_run(name)
-            if compiles:
-                say(f"ffcomp: {sentence(name)}", bool(values.get("quiet")))
-                Event(sentence(name).removesuffix(".")).write()
-            work()
-            if compiles:
-                note_compiled(name)
+            with quiet(bool(values.get("quiet"))), compiling(name), machine_errors(bool(values.get("as_json"))):
+                result = work(*made)
+            if result is not None:
+                answer(result, bool(values.get("as_json")))
 
     call.__signature__, call.options = signature, options  # type: ignore[attr-defined]
-    app = App(name=name, help=paragraphs(text), **SETTINGS)
+    app = App(name=name, help=paragraphs(inspect.cleandoc(work.__doc__ or "")), **SETTINGS)
     app.default(call)
     return app
+
+
+@contextmanager
+def compiling(name: str) -> Iterator[None]:
+    """Say that a verb is about to compile, where it is, and remember that it has."""
+    compiles = name in VERBS and first_run(name)
+    if compiles:
+        report(f"ffcomp: {sentence(name)}")
+        Event(sentence(name).removesuffix(".")).write()
+    yield
+    if compiles:
+        note_compiled(name)
 
 
 SETTINGS: dict[str, Any] = {

@@ -9,22 +9,23 @@ from __future__ import annotations
 import os
 import re
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
+from contextvars import ContextVar
 from importlib.util import find_spec
 from pathlib import Path
 from shutil import get_terminal_size
 from textwrap import fill
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from ffcomp.cli.log import note
 from ffcomp.errors import INPUT_ERRORS, explain, interrupts_restored, missing_extras_explained, not_installed
 from ffcomp.numerics.serialise import json_line
 from gcode.atomic_write import drafts_noted, replaced_since
+from models.errors import MachineFileError
 
 if TYPE_CHECKING:
     from ffcomp.result import Result
-    from models.machine import Machine
 
 
 @contextmanager
@@ -41,6 +42,17 @@ def exit_codes() -> Iterator[None]:
         raise SystemExit(141) from None
     except INPUT_ERRORS as error:
         fail(*explain(error))
+
+
+@contextmanager
+def machine_errors(as_json: bool) -> Iterator[None]:
+    """Print what is wrong with a machine file as a JSON object too, where one is wanted."""
+    try:
+        yield
+    except MachineFileError as error:
+        if as_json:
+            print(json_line({"schema": "ffcomp-machine-error/1", "path": error.path, "problems": error.problems}))
+        raise
 
 
 def require(package: str) -> None:
@@ -63,31 +75,45 @@ def fail(sentence: str, code: int) -> None:
     raise SystemExit(code)
 
 
-def say(sentence: str, quiet: bool = False) -> None:
+def say(sentence: str) -> None:
     """Print a message on stderr, and keep it in the log; stdout is for results."""
     note(sentence)
-    if not quiet:
-        print(sentence, file=sys.stderr)
+    print(sentence, file=sys.stderr)
 
 
-def say_assumed(machines: Iterable[Machine], quiet: bool = False) -> None:
-    """Say of each machine whose modes are assumed that they are, once."""
-    from models.machine import assumed_modes
+_hidden: ContextVar[bool] = ContextVar("_hidden", default=False)
 
-    for sentence in dict.fromkeys(filter(None, map(assumed_modes, machines))):
-        say(f"ffcomp: {sentence}", quiet)
+
+@contextmanager
+def quiet(hidden: bool) -> Iterator[None]:
+    """Within it `report` prints nothing, if so."""
+    token = _hidden.set(hidden)
+    yield
+    _hidden.reset(token)
+
+
+def is_quiet() -> bool:
+    """Return whether progress is hidden (--quiet)."""
+    return _hidden.get()
+
+
+def report(sentence: str) -> None:
+    """Say what is being done: in the log, and on stderr unless it is quiet."""
+    note(sentence) if is_quiet() else say(sentence)
 
 
 def answer(result: Result, as_json: bool) -> None:
-    """Print a result on stdout, as JSON or as text; the log has the text in any case."""
+    """Print a result on stdout, as JSON or as text; the log has the text in any case. Then raise what it failed by."""
     lines = list(result.answer.lines())
     for each in lines:
         note(each)
     if as_json:
-        print_json(result.to_dict())
-        return
-    width = get_terminal_size().columns if sys.stdout.isatty() else 0
-    print(*(_wrapped(each, width) for each in lines), sep="\n", flush=True)
+        print(*map(json_line, result.objects()), sep="\n", flush=True)
+    else:
+        width = get_terminal_size().columns if sys.stdout.isatty() else 0
+        print(*(_wrapped(each, width) for each in lines), sep="\n", flush=True)
+    if result.failure is not None:
+        raise result.failure
 
 
 def _wrapped(line: str, width: int) -> str:
@@ -97,11 +123,6 @@ def _wrapped(line: str, width: int) -> str:
     name = re.match(r"  \S.*?  +", line)
     indent = len(name[0]) if name else 2
     return fill(line, width, subsequent_indent=" " * indent, break_long_words=False, break_on_hyphens=False)
-
-
-def print_json(result: dict[str, Any]) -> None:
-    """Print a result as one JSON object on stdout."""
-    print(json_line(result), flush=True)
 
 
 def opened(target: str) -> bool:

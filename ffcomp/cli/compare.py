@@ -8,13 +8,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from ffcomp.cli.command import Shown, verb
-from ffcomp.cli.common import answer, exit_codes
+from ffcomp.cli.command import verb
+from ffcomp.cli.common import exit_codes
 from ffcomp.cli.progress import Progress
 from ffcomp.comparison.request import CompareRequest
 from ffcomp.errors import RequestError
 from ffcomp.options import REPORT
 from ffcomp.request import OUTPUT, Option, Request
+from ffcomp.result import Result
 
 if TYPE_CHECKING:
     from ffcomp.comparison.result import Comparison
@@ -26,12 +27,13 @@ class Pages(Request):
 
     report: Annotated[Path | None, REPORT] = None
     figures: Annotated[
-        Path | None, Option("Write every figure as PNG and SVG into this folder.", OUTPUT, metavar="DIR")
+        Path | None,
+        Option("Write every figure as PNG and SVG into this folder.", OUTPUT, metavar="DIR", writes="folder"),
     ] = None
 
 
 @verb
-def compare(request: CompareRequest, pages: Pages, shown: Shown) -> None:
+def compare(request: CompareRequest, pages: Pages) -> Result:
     """Compare ffcomp with every input shaper on your print.
 
     Every method plans its command with --machine and is evaluated on a simulated printer (--plant), never on the
@@ -45,13 +47,11 @@ def compare(request: CompareRequest, pages: Pages, shown: Shown) -> None:
         raise RequestError(
             "--jobs and --scheduler share the printers of --mismatch; all else uses every processor as it is."
         )
-    _check_targets(pages.report, pages.figures)
-
     from ffcomp.api.comparison import compare_print
 
-    with _ExitWithoutThreads(), exit_codes(), Progress(1.0, shown.quiet, "comparing") as progress:
+    with _ExitWithoutThreads(), exit_codes(), Progress(1.0, "comparing") as progress:
         found = compare_print(replace(request, progress=progress.phase))
-    answer(replace(found, report=pages.report, written=_write(found.comparison, pages)), shown.as_json)
+    return replace(found, report=pages.report, written=_write(found.comparison, pages))
 
 
 class _ExitWithoutThreads:
@@ -64,18 +64,6 @@ class _ExitWithoutThreads:
             sys.stdout.flush()
             sys.stderr.flush()
             os._exit(130)
-
-
-def _check_targets(report: Path | None, figures: Path | None) -> None:
-    """Refuse, before the work, targets that cannot be written."""
-    for path in (report, figures):
-        parent = None if path is None else path.resolve().parent
-        if parent is not None and not parent.is_dir():
-            raise FileNotFoundError(2, "No such folder", str(parent))
-    if figures is not None and figures.exists() and not figures.is_dir():
-        raise NotADirectoryError(20, "Not a folder", str(figures))
-    if report is not None and report.is_dir():
-        raise IsADirectoryError(21, "Is a folder, not a file to write", str(report))
 
 
 def _write(result: Comparison, pages: Pages) -> list[Path]:

@@ -8,10 +8,11 @@ from dataclasses import fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ffcomp.cli.command import Shown, verb
-from ffcomp.cli.common import answer, fail, say
+from ffcomp.cli.command import verb
+from ffcomp.cli.common import fail, say
 from ffcomp.cli.progress import Progress
 from ffcomp.compensation.request import CompensateFilesRequest, CompensateOptions, CompensateRequest
+from ffcomp.result import Result
 
 if TYPE_CHECKING:
     from ffcomp.compensation.job import Options
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
 
 
 @verb
-def compensate(request: CompensateFilesRequest, shown: Shown) -> None:
+def compensate(request: CompensateFilesRequest) -> Result:
     """Compensate a print for your printer's vibration.
 
     ffcomp plans the print as the firmware does, computes the carriage paths and inverts the machine's vibration model
@@ -43,17 +44,10 @@ def compensate(request: CompensateFilesRequest, shown: Shown) -> None:
     remember(machine)
     advice = _advice(request, machine, call)
     if len(request.files) == 1:
-        answer(_compensate_one(request, shown, machine, targets[0], call, advice), shown.as_json)
-        return
+        return _compensate_one(request, machine, targets[0], call, advice)
     for sentence in advice:
         say(f"ffcomp: {sentence}")
-    done = _compensate_all(request, shown, machine, targets, Options.of(request, machine, call.bed))
-    answer(done, shown.as_json)
-    for each in done.failed:
-        if each.failure is not None:
-            say(f"{each.failure.trace}ffcomp: {each.failure.sentence}")
-    if done.failed and done.failed[0].failure:
-        raise SystemExit(done.failed[0].failure.exit_code)
+    return _compensate_all(request, machine, targets, Options.of(request, machine, call.bed))
 
 
 def _advice(request: CompensateFilesRequest, machine: Machine, call: Call) -> list[str]:
@@ -68,7 +62,6 @@ def _advice(request: CompensateFilesRequest, machine: Machine, call: Call) -> li
 
 def _compensate_one(
     request: CompensateFilesRequest,
-    shown: Shown,
     machine: Machine,
     target: Path | None,
     call: Call,
@@ -79,7 +72,7 @@ def _compensate_one(
 
     (file,) = request.files
     options = {each.name: getattr(request, each.name) for each in fields(CompensateOptions)}
-    with Progress(1.0, shown.quiet) as progress:
+    with Progress(1.0) as progress:
         one = CompensateRequest(file, machine, target, progress, **options)
         done = compensate_print(one, call.output_name, advice, call.bed)
     if call.host and done.output == file:
@@ -89,7 +82,6 @@ def _compensate_one(
 
 def _compensate_all(
     request: CompensateFilesRequest,
-    shown: Shown,
     machine: Machine,
     targets: list[Path] | list[None],
     options: Options,
@@ -102,7 +94,7 @@ def _compensate_all(
 
     files, noted = request.files, drafts_noted()
     results: list[FileResult] = []
-    with Progress(sum(map(size_of, files)), shown.quiet) as progress:
+    with Progress(sum(map(size_of, files))) as progress:
         work = compensate_files(
             files,
             machine,

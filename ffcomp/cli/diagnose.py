@@ -6,12 +6,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from ffcomp.cli.command import Shown, verb
-from ffcomp.cli.common import answer, say
+from ffcomp.cli.command import verb
+from ffcomp.cli.common import report
 from ffcomp.diagnosis.request import DiagnoseRequest
-from ffcomp.errors import RequestError
-from ffcomp.options import FORCE, REPORT
-from ffcomp.request import Request
+from ffcomp.options import REPORT
+from ffcomp.request import FORCE, Request
+from ffcomp.result import Result
 
 if TYPE_CHECKING:
     from ffcomp.diagnosis.verb import Diagnosis
@@ -26,7 +26,7 @@ class Page(Request):
 
 
 @verb
-def diagnose(request: DiagnoseRequest, page: Page, shown: Shown) -> None:
+def diagnose(request: DiagnoseRequest, page: Page) -> Result:
     """Find the physical effect that the machine file lacks, and its size.
 
     The answer is one effect or several, none, or unknown. A change of the file's own parameters within their
@@ -37,15 +37,13 @@ def diagnose(request: DiagnoseRequest, page: Page, shown: Shown) -> None:
 
     Example: ffcomp diagnose runs/*.csv --machine my-delta.toml -o better.toml --report diagnosis.html
     """
-    _check_targets(request.output, page.report, page.force)
-
     from ffcomp.cli.progress import SearchProgress
     from ffcomp.diagnosis.diagnosis import USUAL_S
     from ffcomp.diagnosis.verb import diagnose_files
     from gcode.atomic_write import replace_atomically
 
-    request = replace(request, progress=lambda sentence: say(f"ffcomp: {sentence}", shown.quiet))
-    with SearchProgress(shown.quiet, USUAL_S) as search_progress:
+    request = replace(request, progress=lambda sentence: report(f"ffcomp: {sentence}"))
+    with SearchProgress(USUAL_S) as search_progress:
         diagnosis = diagnose_files(request, search_progress)
     diagnosis = replace(diagnosis, report=page.report)
     files = {} if diagnosis.output is None else {diagnosis.output: diagnosis.better_file().encode()}
@@ -53,20 +51,7 @@ def diagnose(request: DiagnoseRequest, page: Page, shown: Shown) -> None:
         files[page.report] = _page(diagnosis)
     for path, content in files.items():  # all are complete before the first is written
         replace_atomically(path, [content])
-    answer(diagnosis, shown.as_json)
-
-
-def _check_targets(output: Path | None, report: Path | None, force: bool) -> None:
-    """Refuse, before the work, targets that cannot be written."""
-    for path, option in ((output, "--output"), (report, "--report")):
-        if path is None:
-            continue
-        if path.is_dir() or not path.resolve().parent.is_dir():
-            raise RequestError(f"{path}: {option} names a file in a folder that exists.")
-        if path.exists() and not force:
-            raise RequestError(f"{path} exists already; give another {option}, or --force.")
-    if output is not None and report is not None and output.resolve() == report.resolve():
-        raise RequestError(f"{report}: --report and --output must be two files.")
+    return diagnosis
 
 
 def _page(diagnosis: Diagnosis) -> bytes:

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
-from ffcomp.cli.command import Json, verb
-from ffcomp.cli.common import answer, print_json
+from ffcomp.cli.command import verb
 from ffcomp.errors import RequestError
 from ffcomp.estimation.request import EstimateFilesRequest
 from ffcomp.options import FIGURE
 from ffcomp.request import OUTPUT, Option, Request
-from ffcomp.result import Answer
+from ffcomp.result import Fact, Result, clock
 
 if TYPE_CHECKING:
     from ffcomp.estimation.engine import Estimate
@@ -30,7 +29,7 @@ class EstimateShown(Request):
 
 
 @verb
-def estimate(request: EstimateFilesRequest, details: EstimateShown, shown: Json) -> None:
+def estimate(request: EstimateFilesRequest, details: EstimateShown) -> Result:
     """Estimate how long a print takes, by layer and by feature.
 
     ffcomp plans the print as the firmware does and adds up the time. No file states how long heating, homing and
@@ -40,24 +39,41 @@ def estimate(request: EstimateFilesRequest, details: EstimateShown, shown: Json)
     """
     if details.figure is not None and len(request.files) > 1:
         raise RequestError("--figure is for one file.")
-    found = [each for file in request.files for each in _estimates(file, request)]
+    found = [replace(each, lists_layers=details.layers) for file in request.files for each in _estimates(file, request)]
     if details.figure is not None:
         from ffcomp.report.estimate import draw
 
         draw(found[0], details.figure)
-    if shown.as_json and len(found) > 1:
-        answers = [each.to_dict() for each in found]
-        print_json(
-            {
-                "schema": "ffcomp-estimate-batch/1",
-                "results": answers,  # [] ffcomp-estimate/1: in the order of the files
-            }
-        )
-        return
-    for each in found:
-        answer(each, shown.as_json)
-        if details.layers and not shown.as_json:
-            print(*Answer(facts=each.layers).lines(), sep="\n")
+    return found[0] if len(found) == 1 else Estimates(found)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Estimates(Result):
+    """Several prints."""
+
+    results: Sequence[Estimate]
+
+    @property
+    def headline(self) -> str:
+        """How long they take together."""
+        return f"{len(self.results)} prints take {clock(sum(each.time_s for each in self.results))}."
+
+    @property
+    def facts(self) -> list[Fact]:
+        """Each of them."""
+        return [fact for each in self.results for fact in ((each.path, each.headline), *each.facts)]
+
+    @property
+    def warnings(self) -> list[str]:
+        """Of each of them."""
+        return [f"{each.path}: {warning}" for each in self.results for warning in each.warnings]
+
+    def details(self) -> dict[str, Any]:
+        """Return the keys of ffcomp-estimate-batch/1."""
+        return {
+            "schema": "ffcomp-estimate-batch/1",
+            "results": [each.to_dict() for each in self.results],  # [] ffcomp-estimate/1: in the order of the files
+        }
 
 
 def _estimates(file: Path, request: EstimateFilesRequest) -> Iterator[Estimate]:

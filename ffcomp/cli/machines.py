@@ -1,46 +1,70 @@
-"""`ffcomp machines`: the machine files there are, what they say, whether that can be right, and new ones.
+"""`ffcomp machines`: list machine files, show them, check them, and make new ones.
 
-Results go to stdout, complaints to stderr. Heavy imports wait inside the functions: `--help` stays quick.
+Heavy imports wait inside the functions: `--help` stays quick.
 """
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from ffcomp.cli.command import Json, group, verb
-from ffcomp.cli.common import print_json
+from ffcomp.cli.command import group, verb
 from ffcomp.cli.machines_import import import_machine
-from ffcomp.errors import explain
+from ffcomp.errors import RequestError
+from ffcomp.numerics.serialise import to_json
 from ffcomp.request import MACHINE, OUTPUT, Argument, Option, Request
+from ffcomp.result import Fact, Result
 
 if TYPE_CHECKING:
     from models.arrays import FloatArray
     from models.checks import Extreme, PhysicsChecks, Quantity
-    from models.file import Difference
+    from models.errors import MachineFileError
+    from models.file import Difference, Entry
+    from models.finding import NamedMachine
     from models.machine import Machine
 
 KINDS = ("delta", "corexy", "cartesian")  # in the order of the list
 UNREADABLE = "?"  # `ffcomp machines check` says why
-USAGE, BAD_MACHINE = 2, 5  # exit codes, the same for the whole program
 
 
 @verb
-def list_machines(shown: Json) -> None:
+def list_machines() -> Result:
     """List the machines that have a name: deltas, CoreXY machines, cartesian ones."""
     from models.finding import named_machines
 
-    rows = named_machines()
-    if shown.as_json:
-        _print_json("machines-list", machines=rows)
-        return
-    rows.sort(key=lambda row: KINDS.index(row.kinematics) if row.kinematics in KINDS else len(KINDS))
-    cells = [[row.name, row.kinematics or UNREADABLE, row.origin, row.printer or UNREADABLE] for row in rows]
-    _print_table(("name", "kinematics", "origin", "printer"), cells)
+    return MachineList(named_machines())
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class MachineList(Result):
+    """The machines that have a name, in alphabetical order."""
+
+    machines: Sequence[NamedMachine]
+
+    @property
+    def headline(self) -> str:
+        """How many there are of each kind."""
+        counts = Counter(each.kinematics or UNREADABLE for each in self._in_groups)
+        return f"{len(self.machines)} machines: {', '.join(f'{count} {kind}' for kind, count in counts.items())}."
+
+    @property
+    def facts(self) -> list[Fact]:
+        """Each with its kind, its origin and its printer."""
+        return [
+            (each.name, f"{each.kinematics or UNREADABLE}, {each.origin}, {each.printer or UNREADABLE}")
+            for each in self._in_groups
+        ]
+
+    @property
+    def _in_groups(self) -> list[NamedMachine]:
+        return sorted(self.machines, key=lambda each: (*KINDS, each.kinematics).index(each.kinematics))
+
+    def details(self) -> dict[str, Any]:
+        """Return the keys of ffcomp-machines-list/1."""
+        return {"schema": "ffcomp-machines-list/1", "machines": to_json(self.machines)}
 
 
 @dataclass(frozen=True)
@@ -51,74 +75,133 @@ class MachineRequest(Request):
 
 
 @verb
-def show_machine(request: MachineRequest, shown: Json) -> None:
+def show_machine(request: MachineRequest) -> Result:
     """Show every parameter of a machine with its provenance, and its modes."""
     from models.file import entries, load_plant
-    from models.machine import assumed_modes, sources
+    from models.machine import sources
 
-    with _machine_errors(shown.as_json):
-        loaded = load_plant(request.machine)
-    values, modes, named = entries(Path(loaded.path)), _modes(loaded), sources(loaded)
-    if shown.as_json:
-        numbers = {e.key: {"value": e.value, "unit": e.unit, "provenance": e.provenance} for e in values}
-        _print_json("machine-show", machine=_identity(loaded), values=numbers, modes=modes, sources=named)
-        return
-    print(f"{loaded.name}\n{loaded.path}\nsha256 {loaded.sha256}\n")
-    rows = [[e.key, _number(e.value), e.unit, e.provenance or "not stated"] for e in values]
-    _print_table(["key", "value", "unit", "provenance"], rows)
-    print()
-    if named:
-        _print_table(["source", "address"], [[*each] for each in named.items()])
-        print()
-    _print_table(["modes at", "Hz (damping ratio)"], [[mode.place, _mode_text(mode)] for mode in modes])
-    if assumed := assumed_modes(loaded):
-        print(f"\n{assumed}")
+    loaded = load_plant(request.machine)
+    return ShownMachine(loaded, entries(Path(loaded.path)), _modes(loaded), sources(loaded))
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class ShownMachine(Result):
+    """A machine's parameters and modes."""
+
+    machine: Machine
+    values: Sequence[Entry]
+    modes: Sequence[ModesAt]
+    sources: Mapping[str, str]
+
+    @property
+    def headline(self) -> str:
+        """Name and modes."""
+        return f"{self.machine.name} has modes at {', '.join(f'{f:.1f}' for f in self.modes[0].frequency_hz)} Hz."
+
+    @property
+    def facts(self) -> list[Fact]:
+        """The file, every parameter with its provenance, sources and modes."""
+        return [
+            ("File", self.machine.path),
+            ("sha256", self.machine.sha256),
+            *(
+                (e.key, f"{_number(e.value)} {e.unit}".rstrip() + f", {e.provenance or 'not stated'}")
+                for e in self.values
+            ),
+            *self.sources.items(),
+            *((f"Modes at {each.place}, Hz (damping ratio)", _mode_text(each)) for each in self.modes),
+        ]
+
+    @property
+    def warnings(self) -> list[str]:
+        """Whether the modes are assumed."""
+        return _assumed(self.machine)
+
+    def details(self) -> dict[str, Any]:
+        """Return the keys of ffcomp-machine-show/1."""
+        return {
+            "schema": "ffcomp-machine-show/1",
+            "machine": _identity(self.machine),
+            "values": {e.key: {"value": e.value, "unit": e.unit, "provenance": e.provenance} for e in self.values},
+            "modes": to_json(self.modes),
+            "sources": dict(self.sources),
+        }
 
 
 @verb
-def check_machine(request: MachineRequest, shown: Json) -> None:
+def check_machine(request: MachineRequest) -> Result:
     """Check a machine file: mistakes, redundant parameters that disagree, stability and passivity."""
     from ffcomp.importers.builder import still_assumed
     from models.checks import check_physics, redundancy_problems, redundant_quantities, unstable_positions
     from models.file import load_plant
 
-    with _machine_errors(shown.as_json):
-        loaded = load_plant(request.machine)
-    if not loaded.vibration.position_dependent:
-        _check_axes(loaded, _instability(unstable_positions(loaded)), shown.as_json)
-        return
-    quantities, sound = redundant_quantities(loaded), check_physics(loaded)
-    disagreements = redundancy_problems(loaded)
-    problems, notes = _instability(unstable_positions(loaded)), [*disagreements, *_energy_notes(loaded, sound)]
-    notes += [*_assumed(loaded), *still_assumed(loaded.provenance, loaded.flavor)]
-    if shown.as_json:
-        consistency = [_quantity_json(quantity) for quantity in quantities]
-        result = {"problems": problems, "notes": notes, "consistency": consistency, "soundness": asdict(sound)}
-        _print_json("machine-check", machine=_identity(loaded), **result)
-    for problem in problems:
-        print(f"{loaded.path}: {problem}", file=sys.stderr)
-    if problems:
-        raise SystemExit(BAD_MACHINE)
-    if not shown.as_json:
-        _print_consistency(quantities)
-        _print_soundness(sound)
-        print(*(f"note: {note}" for note in notes), _verdict(loaded, sound, len(disagreements)), sep="\n")
+    loaded = load_plant(request.machine)
+    problems = _instability(unstable_positions(loaded))
+    notes = [*_assumed(loaded), *still_assumed(loaded.provenance, loaded.flavor)]
+    if not loaded.vibration.position_dependent:  # modes of straight axes: no forces, so no energy to account for
+        return CheckedMachine(loaded, problems, notes)
+    disagreements, sound = redundancy_problems(loaded), check_physics(loaded)
+    notes = [*disagreements, *_energy_notes(loaded, sound), *notes]
+    return CheckedMachine(loaded, problems, notes, redundant_quantities(loaded), sound, len(disagreements))
 
 
-def _check_axes(machine: Machine, problems: list[str], as_json: bool) -> None:
-    """Modes of straight axes: no forces, so no energy to keep account of."""
-    from ffcomp.importers.builder import still_assumed
+@dataclass(frozen=True, eq=False, repr=False)
+class CheckedMachine(Result):
+    """Whether a machine file can be right."""
 
-    notes = [*_assumed(machine), *still_assumed(machine.provenance, machine.flavor)]
-    if as_json:
-        _print_json("machine-check", machine=_identity(machine), problems=problems, notes=notes)
-    for problem in problems:
-        print(f"{machine.path}: {problem}", file=sys.stderr)
-    if problems:
-        raise SystemExit(BAD_MACHINE)
-    if not as_json:
-        verdict = f"{machine.name}: the file is valid, and its vibrations decay."
-        print(*(f"note: {note}" for note in notes), verdict, sep="\n")
+    machine: Machine
+    problems: Sequence[str]
+    notes: Sequence[str]
+    consistency: Sequence[Quantity] = ()  # of deltas
+    soundness: PhysicsChecks | None = None  # of deltas
+    disagreements: int = 0
+
+    @property
+    def headline(self) -> str:
+        """The verdict."""
+        if self.problems:
+            return f"{self.machine.name}: the file cannot be used."
+        if self.soundness is None:
+            return f"{self.machine.name}: the file is valid, and its vibrations decay."
+        count = self.disagreements
+        agreement = f"{count} numbers disagree with measured ones" if count else "no numbers disagree"
+        energy = "it generates no energy" if self.soundness.is_passive else "it can generate energy"
+        return f"{self.machine.name}: the file is valid, its vibrations decay all over the bed, {energy}, {agreement}."
+
+    @property
+    def facts(self) -> list[Fact]:
+        """Each number that can be had in more than one way, and the model's worst values over the bed."""
+        facts = []
+        for quantity in self.consistency:
+            ways = [f"{quantity.of_file:.4g} in the file ({quantity.the_file_uses})"]
+            ways += [f"{way.value:.4g} ({100 * way.difference:+z.1f} %) by {way.equation}" for way in quantity.others]
+            facts.append((f"{quantity.key}, {quantity.unit}", "; ".join(ways)))
+        return facts if self.soundness is None else [*facts, *_soundness_facts(self.soundness)]
+
+    @property
+    def warnings(self) -> Sequence[str]:
+        """What to know about it."""
+        return self.notes
+
+    @property
+    def failure(self) -> MachineFileError | None:
+        """Why it cannot be used."""
+        from models.errors import MachineFileError
+
+        return MachineFileError(self.machine.path, self.problems) if self.problems else None
+
+    def details(self) -> dict[str, Any]:
+        """Return the keys of ffcomp-machine-check/1."""
+        result: dict[str, Any] = {
+            "schema": "ffcomp-machine-check/1",
+            "machine": _identity(self.machine),
+            "problems": list(self.problems),
+            "notes": list(self.notes),
+        }
+        if self.soundness is not None:
+            result["consistency"] = [_quantity_json(quantity) for quantity in self.consistency]
+            result["soundness"] = asdict(self.soundness)
+        return result
 
 
 @dataclass(frozen=True)
@@ -142,36 +225,18 @@ def new_machine(request: NewMachineRequest) -> None:
     from models.finding import user_folder
 
     if Path(request.name).name != request.name:
-        _refuse(f"{request.name!r} cannot be a machine's name: it would name a folder. Give the file with --output.")
-    with _machine_errors():
-        text = starting_text(request.name, Path(load_machine(request.source).path))
+        raise RequestError(
+            f"{request.name!r} cannot be a machine's name: it would name a folder. Give the file with --output."
+        )
+    text = starting_text(request.name, Path(load_machine(request.source).path))
     path = request.output or user_folder() / f"{request.name}.toml"
     path.parent.mkdir(parents=True, exist_ok=True)
     try:
         with path.open("x", encoding="utf-8") as file:
             file.write(text)
     except FileExistsError:
-        _refuse(f"{path}: this file exists already; give another name or another --output.")
+        raise RequestError(f"{path}: this file exists already; give another name or another --output.") from None
     print(path)
-
-
-def _refuse(sentence: str) -> None:
-    print(sentence, file=sys.stderr)
-    raise SystemExit(USAGE)
-
-
-@contextmanager
-def _machine_errors(as_json: bool = False) -> Iterator[None]:
-    """Say what is wrong with a machine file, and leave with its exit code."""
-    from models.errors import MachineFileError
-
-    try:
-        yield
-    except MachineFileError as error:
-        print(error, file=sys.stderr)
-        if as_json:
-            _print_json("machine-error", path=error.path, problems=error.problems)
-        raise SystemExit(explain(error)[1]) from None
 
 
 def _assumed(machine: Machine) -> list[str]:
@@ -185,12 +250,6 @@ def _identity(machine: Machine) -> dict[str, str | None]:
     from models.machine import identity
 
     return {**identity(machine), "path": machine.path}
-
-
-def _verdict(machine: Machine, sound: PhysicsChecks, disagreements: int) -> str:
-    agreement = f"{disagreements} numbers disagree with measured ones" if disagreements else "no numbers disagree"
-    energy = "it makes no energy" if sound.is_passive else "it can make energy"
-    return f"{machine.name}: the file is valid, its vibrations decay all over the bed, {energy}, {agreement}."
 
 
 def _quantity_json(quantity: Quantity) -> dict[str, Any]:
@@ -207,32 +266,15 @@ def _quantity_json(quantity: Quantity) -> dict[str, Any]:
     }
 
 
-def _print_consistency(quantities: Sequence[Quantity]) -> None:
-    """Each number that can be had in more than one way: all of them, and how far apart."""
-    if not quantities:
-        print("Nothing in [provenance.measured] to compare the numbers with.\n")
-        return
-    for quantity in quantities:
-        print(f"{quantity.key}, {quantity.unit}: spread {100 * quantity.spread:.1f} %")
-        rows = [["the file", f"{quantity.of_file:.4g}", "", quantity.the_file_uses]]
-        for way in quantity.others:
-            equation, _, formula = way.equation.partition(": ")
-            rows.append([equation, f"{way.value:.4g}", f"{100 * way.difference:+z.1f} %", formula])
-        _print_table(["  by", "value", "difference", "from"], [["  " + row[0], *row[1:]] for row in rows])
-        print()
-
-
-def _print_soundness(sound: PhysicsChecks) -> None:
+def _soundness_facts(sound: PhysicsChecks) -> list[Fact]:
     load = f"{sound.least_load.value:.3f} to {sound.most_load.value:.3f}"
-    rows = [
-        ["slowest decay", f"{sound.growth_per_s.value:.1f} 1/s", _where(sound.growth_per_s)],
-        ["passive: smallest dissipation", _percent(sound.dissipation), _where(sound.dissipation)],
-        ["reciprocal: largest skew part of Y", _percent(sound.asymmetry), _where(sound.asymmetry)],
-        ["largest skew part of the load", _percent(sound.load_asymmetry), _where(sound.load_asymmetry)],
-        ["load against virtual work's", load, f"{_where(sound.least_load)}; {_where(sound.most_load)}"],
+    return [
+        ("Slowest decay", f"{sound.growth_per_s.value:.1f} 1/s at {_where(sound.growth_per_s)}"),
+        ("Passive: smallest dissipation", f"{_percent(sound.dissipation)} at {_where(sound.dissipation)}"),
+        ("Reciprocal: largest skew part of Y", f"{_percent(sound.asymmetry)} at {_where(sound.asymmetry)}"),
+        ("Largest skew part of the load", f"{_percent(sound.load_asymmetry)} at {_where(sound.load_asymmetry)}"),
+        ("Load against virtual work's", f"{load} at {_where(sound.least_load)} and {_where(sound.most_load)}"),
     ]
-    _print_table(["the model over the bed", "worst", "where"], rows)
-    print()
 
 
 def _percent(extreme: Extreme) -> str:
@@ -301,19 +343,6 @@ def _number(value: Any) -> str:
     return f"{value:g}" if isinstance(value, float) else str(value)
 
 
-def _print_json(schema: str, **result: Any) -> None:
-    print_json({"schema": f"ffcomp-{schema}/1", **result})
-
-
-def _print_table(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    """Aligned text that stays whole when piped; the last column may be long."""
-    lines = [columns, *rows]
-    widths = [max(map(len, cells)) for cells in zip(*lines, strict=True)]
-    for line in lines:
-        cells = (cell.ljust(width) for cell, width in zip(line, widths, strict=True))
-        print("  ".join(cells).rstrip())
-
-
 # -- diff --
 
 
@@ -326,50 +355,61 @@ class DiffMachinesRequest(Request):
 
 
 @verb
-def diff_machines(request: DiffMachinesRequest, shown: Json) -> None:
+def diff_machines(request: DiffMachinesRequest) -> Result:
     """Show the parameters in which two machine files differ, and both sets of natural frequencies.
 
     Example: ffcomp machines diff my-delta.toml better.toml
     """
     from models.file import differences, entries, load_machine, mode_changes
 
-    before, after = load_machine(request.old), load_machine(request.new)
-    changes = list(differences(entries(Path(before.path)), entries(Path(after.path))))
-    frequencies = mode_changes(before, after).tolist()
-    if shown.as_json:
-        _print_diff_json(before.sha256, after.sha256, changes, frequencies)
-    else:
-        _print_diff(changes, frequencies)
+    old, new = load_machine(request.old), load_machine(request.new)
+    changes = list(differences(entries(Path(old.path)), entries(Path(new.path))))
+    return MachineDifference(old, new, changes, mode_changes(old, new).tolist())
 
 
-def _print_diff_json(old: str, new: str, changes: list[Difference], frequencies: list[list[float]]) -> None:
-    print_json(
-        {
+@dataclass(frozen=True, eq=False, repr=False)
+class MachineDifference(Result):
+    """What differs between two machine files."""
+
+    old: Machine
+    new: Machine
+    changes: Sequence[Difference]
+    frequencies_hz: Sequence[Sequence[float]]  # pairs, in the middle of the bed
+
+    @property
+    def headline(self) -> str:
+        """How many parameters differ."""
+        if not self.changes:
+            return "The two files describe the same machine."
+        return f"{len(self.changes)} parameters differ."
+
+    @property
+    def facts(self) -> list[Fact]:
+        """Each of them, and the natural frequencies."""
+        facts = []
+        for each in self.changes:
+            change = ", ".join(f"{relative:+.1%}" for relative in each.relative)
+            note = f", {each.provenance}" if each.provenance not in ("", "default") else ""
+            text = f"{_or_nothing(each.old)} → {_or_nothing(each.new)} {each.unit}".rstrip()
+            facts.append((each.key, f"{text}{f' ({change})' if change else ''}{note}"))
+        modes = ", ".join(f"{before:.1f} → {after:.1f}" for before, after in self.frequencies_hz)
+        return [*facts, ("Natural frequencies at 0, 0, Hz", modes)] if facts else []
+
+    def details(self) -> dict[str, Any]:
+        """Return the keys of ffcomp-machine-diff/1."""
+        return {
             "schema": "ffcomp-machine-diff/1",
-            "old": {"sha256": old},
-            "new": {"sha256": new},
-            "changes": [asdict(each) for each in changes],
+            "old": {"sha256": self.old.sha256},
+            "new": {"sha256": self.new.sha256},
+            "changes": [asdict(each) for each in self.changes],
             "frequencies_hz": [
                 {
                     "old": before,  # number [Hz]: natural frequencies in the middle of the bed
                     "new": after,  # number [Hz]
                 }
-                for before, after in frequencies
+                for before, after in self.frequencies_hz
             ],
         }
-    )
-
-
-def _print_diff(changes: list[Difference], frequencies: list[list[float]]) -> None:
-    if not changes:
-        print("The two files describe the same machine.")
-        return
-    for each in changes:
-        change = ", ".join(f"{relative:+.1%}" for relative in each.relative)
-        note = f"  # {each.provenance}" if each.provenance not in ("", "default") else ""
-        change = f" ({change})" if change else ""
-        print(f"{each.key}: {_or_nothing(each.old)} → {_or_nothing(each.new)} {each.unit}{change}{note}")
-    print("natural frequencies at 0, 0, Hz:", ", ".join(f"{before:.1f} → {after:.1f}" for before, after in frequencies))
 
 
 def _or_nothing(value: object) -> str:

@@ -2,22 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from ffcomp.cli.command import Json, verb
+from ffcomp.cli.command import verb
+from ffcomp.errors import RequestError
 from ffcomp.importers.request import ImportMachineRequest
+from ffcomp.result import Fact, Result
 
 if TYPE_CHECKING:
     from ffcomp.importers.builder import MachineDraft
-    from ffcomp.importers.values import Value
-
-INCOMPLETE = 5  # the file was written, but it is no machine file yet
+    from ffcomp.importers.values import PrinterConfigError
 
 
 @verb
-def import_machine(request: ImportMachineRequest, shown: Json) -> None:
+def import_machine(request: ImportMachineRequest) -> Result:
     """Import a Klipper, Kalico, RepRapFirmware or Marlin configuration. Overwrites only what it left incomplete.
 
     ffcomp states the source of each parameter, which ones are assumed, and which are still missing. The file's
@@ -25,7 +26,6 @@ def import_machine(request: ImportMachineRequest, shown: Json) -> None:
 
     Example: ffcomp machines import printer.cfg -o my-printer.toml
     """
-    from ffcomp.cli.common import fail, print_json
     from ffcomp.importers.builder import build_draft, machine_text, read_printer_config
     from models.file import check_text, find_machine
     from models.finding import user_folder
@@ -37,17 +37,10 @@ def import_machine(request: ImportMachineRequest, shown: Json) -> None:
     if made.is_complete:
         check_text(text, str(request.file))
     _write(text, path)
-    model_hz = _loudest_hz(path) if made.is_complete and made.config.shaper_hz else None
-    if shown.as_json:
-        print_json(_as_json(made, path, model_hz))
-    else:
-        _print(made, path, model_hz)
-    if not made.is_complete:
-        fail(f"{path} is not complete: fill in {', '.join(made.missing)}.", INCOMPLETE)
+    return ImportedMachine(made, path, _loudest_hz(path) if made.is_complete and made.config.shaper_hz else None)
 
 
 def _write(text: str, path: Path) -> None:
-    from ffcomp.cli.common import fail
     from ffcomp.importers.builder import is_incomplete
 
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -55,7 +48,7 @@ def _write(text: str, path: Path) -> None:
         with path.open("w" if is_incomplete(path) else "x", encoding="utf-8") as file:
             file.write(text)
     except FileExistsError:
-        fail(f"{path}: this file exists already; give another --output.", 2)
+        raise RequestError(f"{path}: this file exists already; give another --output.") from None
 
 
 def _loudest_hz(path: Path) -> float:
@@ -69,67 +62,86 @@ def _loudest_hz(path: Path) -> float:
     return float(dominant_frequencies(machine, np.array([machine.kinematics.centre_mm])).min())
 
 
-def _as_json(made: MachineDraft, path: Path, model_hz: float | None) -> dict[str, object]:
-    from dataclasses import asdict
+@dataclass(frozen=True, eq=False, repr=False)
+class ImportedMachine(Result):
+    """A machine file that was made of a configuration."""
 
-    return {
-        "schema": "ffcomp-machine-import/1",
-        "machine": str(path),  # the file that was written
-        "name": made.name,
-        "firmware": made.config.firmware,  # what the configuration is of
-        "kinematics": made.config.kinematics,  # delta, cartesian or corexy
-        "like": made.like,  # text or null: the library machine whose vibration numbers were taken
-        "complete": made.is_complete,  # true or false: false: the file lacks numbers, and the exit code is 5
-        "values": {key: asdict(value) for key, value in made.values.items()},
-        "missing": dict(made.missing),  # .* text: by `table.key`: why it matters, or how to get it
-        "notes": list(made.config.notes),  # list of text: what a machine file cannot hold
-        "shaper_hz": list(made.config.shaper_hz),  # list of numbers: of a delta: the input shaper's frequencies
-        "model_loudest_hz": model_hz,  # number or null: beside them: the loudest vibration of the assumed machine
-    }
+    made: MachineDraft
+    path: Path
+    model_hz: float | None  # the loudest vibration, where the configuration has an input shaper
 
-
-TITLES = {
-    "read": "Taken from the configuration",
-    "converted": "Converted from it",
-    "default": "Not in the configuration, the firmware's default",
-    "assumed": "Assumed, because no firmware knows it",
-}
-
-
-def _print(made: MachineDraft, path: Path, model_hz: float | None) -> None:
-    from ffcomp.importers.builder import by_hint, by_remedy
-    from models.machine import is_assumed
-
-    print(f"{path}: a {made.config.kinematics} machine, from a {made.config.firmware} configuration.")
-    for how, title in TITLES.items():
-        _print_values(title, {key: value for key, value in made.values.items() if value.how == how})
-    _print_remedies("Still missing", by_remedy(made.missing))
-    assumed = [key for key, value in made.values.items() if is_assumed(value.origin)]
-    _print_remedies("How to know better", by_hint(assumed, made.config.firmware.lower()))
-    if made.config.notes:
-        print("\nNot in the machine file", *(f"  {note}" for note in made.config.notes), sep="\n")
-    if model_hz is not None:
-        shaper = " and ".join(f"{frequency:g}" for frequency in made.config.shaper_hz)
-        print(
-            f"\nThe input shaper is set to {shaper} Hz; the machine file's loudest vibration is at {model_hz:.1f} Hz,"
-        )
-        print(
-            "in the middle of the bed. If they are far apart, the assumed numbers do not fit: measure, or try --like."
+    @property
+    def headline(self) -> str:
+        """What was read."""
+        return (
+            f"{self.path}: a {self.made.config.kinematics} machine, from a {self.made.config.firmware} configuration."
         )
 
+    @property
+    def facts(self) -> list[Fact]:
+        """Every value with its source: read, converted, the firmware's default or assumed."""
+        values = sorted(self.made.values.items(), key=lambda item: ORDER.index(item[1].how))
+        return [(key, f"{_shown(value.value)}, {value.how}: {value.origin}") for key, value in values]
 
-def _print_values(title: str, values: Mapping[str, Value]) -> None:
-    if values:
-        print(f"\n{title}")
-    for key, value in values.items():
-        print(f"  {key:<41} {_shown(value.value):<22} {value.origin}")
+    @property
+    def warnings(self) -> list[str]:
+        """What is missing, what the machine file cannot hold, and a shaper that does not suit the assumed modes."""
+        return list(self._warnings())
+
+    def _warnings(self) -> Iterator[str]:
+        from ffcomp.importers.builder import by_remedy
+
+        made = self.made
+        yield from (f"Still missing: {', '.join(keys)}: {what}" for what, keys in by_remedy(made.missing).items())
+        yield from made.config.notes
+        if self.model_hz is not None:
+            shaper = " and ".join(f"{frequency:g}" for frequency in made.config.shaper_hz)
+            yield (
+                f"The input shaper is set to {shaper} Hz; the machine file's loudest vibration is at "
+                f"{self.model_hz:.1f} Hz in the middle of the bed. If they are far apart, the assumed numbers do not "
+                "fit: measure, or try --like."
+            )
+
+    @property
+    def next_steps(self) -> list[str]:
+        """How to measure what is assumed."""
+        from ffcomp.importers.builder import by_hint
+        from models.machine import is_assumed
+
+        assumed = [key for key, value in self.made.values.items() if is_assumed(value.origin)]
+        hints = by_hint(assumed, self.made.config.firmware.lower())
+        return [f"Assumed: {', '.join(keys)}. To measure it: {what}." for what, keys in hints.items()]
+
+    @property
+    def failure(self) -> PrinterConfigError | None:
+        """The file is no machine file yet."""
+        from ffcomp.importers.values import PrinterConfigError
+
+        if self.made.is_complete:
+            return None
+        return PrinterConfigError(f"{self.path} is not complete: fill in {', '.join(self.made.missing)}.")
+
+    def details(self) -> dict[str, Any]:
+        """Return the keys of ffcomp-machine-import/1."""
+        made = self.made
+        return {
+            "schema": "ffcomp-machine-import/1",
+            "machine": str(self.path),  # the file that was written
+            "name": made.name,
+            "firmware": made.config.firmware,  # what the configuration is of
+            "kinematics": made.config.kinematics,  # delta, cartesian or corexy
+            "like": made.like,  # text or null: the library machine whose vibration numbers were taken
+            "complete": made.is_complete,  # true or false: false: the file lacks numbers, and the exit code is 5
+            "values": {key: asdict(value) for key, value in made.values.items()},
+            "missing": dict(made.missing),  # .* text: by `table.key`: why it matters, or how to get it
+            "notes": list(made.config.notes),  # list of text: what a machine file cannot hold
+            "shaper_hz": list(made.config.shaper_hz),  # list of numbers: of a delta: the input shaper's frequencies
+            # number or null: beside them: the loudest vibration of the assumed machine
+            "model_loudest_hz": self.model_hz,
+        }
 
 
-def _print_remedies(title: str, remedies: Mapping[str, Collection[str]]) -> None:
-    if remedies:
-        print(f"\n{title}")
-    for what, same in remedies.items():
-        print(f"  {', '.join(same)}\n      {what}")
+ORDER = ("read", "converted", "default", "assumed")
 
 
 def _shown(value: object) -> str:

@@ -15,7 +15,7 @@ from dataclasses import asdict, dataclass
 from types import TracebackType
 from typing import TYPE_CHECKING, Self
 
-from ffcomp.cli.common import say
+from ffcomp.cli.common import is_quiet, report
 from ffcomp.cli.log import note
 from ffcomp.numerics.stages import Now, Pace, Stage
 
@@ -58,9 +58,8 @@ class Shown:
     bar: Bar
     task: TaskID
 
-    def __init__(self, quiet: bool) -> None:
-        self.quiet = quiet
-        self.live = not quiet and sys.stderr.isatty() and not os.environ.get("SLIC3R_PP_HOST")
+    def __init__(self) -> None:
+        self.live = not is_quiet() and sys.stderr.isatty() and not os.environ.get("SLIC3R_PP_HOST")
         self.begun = time.monotonic()
 
     def make(self) -> tuple[Bar, TaskID]:
@@ -83,8 +82,8 @@ class Shown:
 class Progress(Shown):
     """The share of work whose size is known; elsewhere a line a tenth, with the time left."""
 
-    def __init__(self, total_s: float, quiet: bool, what: str = "compensating") -> None:
-        super().__init__(quiet)
+    def __init__(self, total_s: float, what: str = "compensating") -> None:
+        super().__init__()
         self.total_s, self.what = max(total_s, 1e-9), what
         self.tenths = 0
         self.steady: tuple[float, float] | None = None  # when the first share was told, and what was done then
@@ -114,7 +113,7 @@ class Progress(Shown):
             self.bar.update(self.task, completed=done_s, left=left.removeprefix(", "))
         elif not Event(self.what, min(done_s / self.total_s, 1.0), left_s).write() and tenth > self.tenths:
             self.tenths = tenth
-            if not self.quiet:
+            if not is_quiet():
                 print(f"ffcomp: {min(10 * tenth, 100)} %{left}", file=sys.stderr)
 
     def phase(self, what: str, share: float) -> None:
@@ -124,7 +123,7 @@ class Progress(Shown):
             return
         if what != self.what:
             self.what = what
-            if not Event(what, share).write() and not self.quiet:
+            if not Event(what, share).write() and not is_quiet():
                 print(f"ffcomp: {what} …", file=sys.stderr)
         self(share * self.total_s)
 
@@ -135,9 +134,9 @@ class SearchProgress(Shown):
     How long it takes depends on what is found: the time left is what is usual, corrected by the stages that are over.
     """
 
-    def __init__(self, quiet: bool, usual_s: Sequence[float], first: str = "reading the recordings") -> None:
+    def __init__(self, usual_s: Sequence[float], first: str = "reading the recordings") -> None:
         """Take what each stage usually takes, s, and what is done before the first."""
-        super().__init__(quiet)
+        super().__init__()
         self.first, self.pace = first, Pace(usual_s)
 
     def make(self) -> tuple[Bar, TaskID]:
@@ -157,7 +156,7 @@ class SearchProgress(Shown):
         if not self.live:
             Event(str(sentence), done, self.pace.whole_s(now_s) - now_s if now_s > STEADY_S else None).write()
             if not isinstance(sentence, Now):
-                say(f"ffcomp: {sentence}", self.quiet)
+                report(f"ffcomp: {sentence}")
             return
         if isinstance(sentence, Stage):
             note(f"ffcomp: {sentence}")

@@ -2,24 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from ffcomp.cli.command import Shown, group, verb
-from ffcomp.cli.common import print_json, say
+from ffcomp.cli.command import group, verb
+from ffcomp.cli.common import report
 from ffcomp.errors import RequestError
 from ffcomp.record.request import CheckRequest, JoinRequest, PlanRequest, PrintRequest
-
-if TYPE_CHECKING:
-    from ffcomp.check.compare import CheckResult
-    from ffcomp.record.plan import Plan
-    from ffcomp.record.planning import PlanResult
-    from ffcomp.record.result import JoinResult
+from ffcomp.result import Result
 
 
 @verb
-def plan(request: PlanRequest, shown: Shown) -> None:
+def plan(request: PlanRequest) -> Result:
     """Write the G-code of moves that are worth recording.
 
     For diagnose, at most 12 experiments and 5 minutes: hard zigzags, slow reversals, loops and multisines at several
@@ -32,70 +25,11 @@ def plan(request: PlanRequest, shown: Shown) -> None:
     """
     from ffcomp.record.planning import plan_recording
 
-    report_plan(plan_recording(request), shown.as_json)
-
-
-def report_plan(result: PlanResult, as_json: bool) -> None:
-    """Describe the file and the next steps."""
-    if as_json:
-        print_json(result.to_dict())
-        return
-    from rich.console import Console
-    from rich.table import Table
-
-    console = Console()
-    if result.plan.page is not None:
-        for sentence in _page_sentences(result):
-            console.print(sentence, highlight=False, soft_wrap=True)
-        return
-    peaks = [result.peaks(each) for each in result.plan.experiments]
-    columns = ("carriage mm/s", "m/s²", "nozzle mm/s", "m/s²") if peaks[0] else ("s",)
-    table = Table("ffcomp-", "at, mm", *columns, "microstep error")
-    for each, peak in zip(result.plan.experiments, peaks, strict=True):
-        cells = [f"{each.duration_s:.1f}"]
-        if peak is not None:
-            carriage = peak.carriage_velocity_mm_per_s, peak.carriage_acceleration_mm_per_s2 / 1e3
-            nozzle = peak.nozzle_velocity_mm_per_s, peak.nozzle_acceleration_mm_per_s2 / 1e3
-            cells = [text for v, a in (carriage, nozzle) for text in (f"{v:.0f}", f"{a:.1f}")]
-        table.add_row(
-            each.name.removeprefix("ffcomp-"),
-            "{:g}, {:g}".format(*each.position_mm),
-            *cells,
-            f"{100 * each.rounding:.0f} %",
-        )
-    console.print(table)
-    for sentence in _sentences(result):
-        console.print(sentence, highlight=False, soft_wrap=True)
-
-
-def _page_sentences(result: PlanResult) -> Iterator[str]:
-    from ffcomp.record.page import twins
-
-    strokes, minutes = len(twins(result.plan)), result.plan.duration_s / 60
-    yield f"{result.output}: a page of {strokes} strokes, {minutes:.0f} min. Print it, and keep {result.plan_file}."
-    yield from result.firmware.restores()
-    yield "Scan it at 600 dpi or more, or photograph all of it straight from above, in even light, without flash."
-    yield f"Then: {result.next}"
-
-
-def _sentences(result: PlanResult) -> Iterator[str]:
-    plan, minutes = result.plan, result.plan.duration_s / 60
-    yield from (f"warning: {warning}" for warning in result.warnings)
-    often = f", {plan.repeats} times each" if plan.repeats > 1 else ""
-    yield f"{result.output}: {len(plan.experiments)} experiments{often}, {minutes:.1f} min recorded."
-    if places := result.missing_places_mm:
-        options = " ".join(f"--at {x:g},{y:g}" for x, y in places)
-        yield f"Places that would tell more: {options} (or --at line-of-action)."
-    yield from result.firmware.restores()
-    if result.firmware.records:
-        yield f"Bring back the captures, {len(result.captures)} for each accelerometer, and keep {result.plan_file}."
-    else:
-        yield f"This firmware records nothing: record all of it with a sensor of your own, and keep {result.plan_file}."
-    yield f"Then: {result.next}"
+    return plan_recording(request)
 
 
 @verb
-def join(request: JoinRequest, shown: Shown) -> None:
+def join(request: JoinRequest) -> Result:
     """Join captures with their commands: one measured run for each experiment and repeat.
 
     Klipper's and Kalico's captures are on the clock of the motion already. Others are aligned with it below 20 Hz. What
@@ -103,11 +37,11 @@ def join(request: JoinRequest, shown: Shown) -> None:
 
     Example: ffcomp record join captures/*.csv --plan moves.json -m my-delta.toml -o runs/
     """
-    _join(request, request.plan, shown)
+    return _join(request, request.plan)
 
 
 @verb
-def print_captures(request: PrintRequest, shown: Shown) -> None:
+def print_captures(request: PrintRequest) -> Result:
     """Join captures that were made during a print with the print's own motion: one measured run for each.
 
     The print, compensated or not, holds the commands of the captures: as ffcomp record plan --print writes them, or as
@@ -116,22 +50,21 @@ def print_captures(request: PrintRequest, shown: Shown) -> None:
 
     Example: ffcomp record print recorded.gcode captures/*.csv -m my-delta.toml -o runs/
     """
-    _join(request, request.print_file, shown)
+    return _join(request, request.print_file)
 
 
-def _join(request: JoinRequest | PrintRequest, plan_file: Path, shown: Shown) -> None:
+def _join(request: JoinRequest | PrintRequest, plan_file: Path) -> Result:
     from ffcomp.record.axes import turn_of
     from ffcomp.record.join import join_captures
     from ffcomp.record.prints import plan_of
-    from ffcomp.record.result import recording_lines
+    from ffcomp.record.result import JoinedRuns, recording_lines
     from gcode.atomic_write import replace_atomically
     from models.file import load_machine
 
     machine = load_machine(request.machine)
     plan = plan_of(plan_file, machine)
-    result = join_captures(
-        request.captures, plan, machine, turn_of(request.axes_map), lambda text: say(f"ffcomp: {text}", shown.quiet)
-    )
+    turn = turn_of(request.axes_map)
+    result = join_captures(request.captures, plan, machine, turn, lambda text: report(f"ffcomp: {text}"))
     targets = [request.output / f"{each.name}.csv" for each in result.joined]
     if taken := [path for path in targets if path.exists() and not request.force]:
         raise RequestError(f"{taken[0]} exists already; give another --output, or --force.")
@@ -139,35 +72,11 @@ def _join(request: JoinRequest | PrintRequest, plan_file: Path, shown: Shown) ->
         request.output.mkdir(parents=True, exist_ok=True)
     for each, path in zip(result.joined, targets, strict=True):
         replace_atomically(path, recording_lines(each.recording))
-    if shown.as_json:
-        print_json(result.to_dict([str(path) for path in targets]))
-    else:
-        _report_join(result, request, plan, machine.vibration.diagnosable)
-    for sentence in result.notes(plan, machine):
-        say(f"ffcomp: {sentence}", shown.quiet)
-    result.check()
-
-
-def _report_join(result: JoinResult, request: JoinRequest | PrintRequest, plan: Plan, diagnosable: bool) -> None:
-    for each in result.joined:
-        clock = each.clock
-        print(
-            f"{each.name}: offset {clock.offset_s:.6f} ± {clock.offset_sd_s:.6f} s, ratio {clock.ratio:.6f}, "
-            f"correlation below 20 Hz {clock.correlation:.3f}"
-        )
-    for refused in result.refused:
-        print(f"refused: {refused.file}: {refused.why}")
-    if result.joined:
-        axes = f"; axes {result.joined[0].axes_map}" if result.joined[0].axes_map else ""
-        executions = len({(each.experiment, each.repeat) for each in result.joined})
-        print(f"{executions} of {len(plan.runs())} executions joined in {request.output}{axes}.")
-        if diagnosable:
-            once = "" if plan.repeats > 1 else " --without-repeats"
-            print(f"Then: ffcomp diagnose {request.output}/*.csv -m {request.machine}{once}")
+    return JoinedRuns(result, plan, machine, request.machine, request.output, targets)
 
 
 @verb
-def check(request: CheckRequest, shown: Shown) -> None:
+def check(request: CheckRequest) -> Result:
     """Check in half a minute whether the printer moves as last time, and if not, what changed.
 
     First write the G-code with -o, as ffcomp record plan --for check does, and run it whenever you want to know. Then
@@ -179,12 +88,12 @@ def check(request: CheckRequest, shown: Shown) -> None:
         from ffcomp.record.planning import plan_recording
 
         same = {name: getattr(request, name) for name in ("machine", "output", "flavor", "chip")}
-        report_plan(plan_recording(PlanRequest(purpose="check", **same)), shown.as_json)
-    else:
-        _compare(request, shown)
+        return plan_recording(PlanRequest(purpose="check", **same))
+    return _compare(request)
 
 
-def _compare(request: CheckRequest, shown: Shown) -> None:
+def _compare(request: CheckRequest) -> Result:
+    from dataclasses import replace
     from datetime import datetime
 
     from ffcomp.check.compare import check_result
@@ -198,14 +107,10 @@ def _compare(request: CheckRequest, shown: Shown) -> None:
     plan, machine = load_plan(request.plan), load_machine(request.machine)
     earlier = read_history(request.history_file)
     turn = turn_of(request.axes_map)
-    joined = join_captures(
-        request.captures, plan, machine, turn, lambda text: say(f"ffcomp: {text}", shown.quiet)
-    ).with_accelerations
-    for refused in joined.refused if joined.joined else ():
-        say(f"ffcomp: left out {refused.file}: {refused.why}", shown.quiet)
-    for sentence in joined.notes(plan, machine):
-        say(f"ffcomp: {sentence}", shown.quiet)
+    joined = join_captures(request.captures, plan, machine, turn, lambda text: report(f"ffcomp: {text}"))
+    joined = joined.with_accelerations
     joined.check()
+    left_out = [f"Left out {each.file}: {each.why}" for each in joined.refused]
     result = check_result(joined, plan, machine, earlier, datetime.now().isoformat(timespec="minutes"))
     checks = earlier if result.known else [*earlier, result.check]
     if not result.known:
@@ -215,26 +120,13 @@ def _compare(request: CheckRequest, shown: Shown) -> None:
         from ffcomp.report.drawing import write_figure
 
         write_figure(checks_figure(checks, machine.name), request.figure, dpi=130)
-    if shown.as_json:
-        print_json(result.to_dict(machine.name, request.history_file))
-    else:
-        _report_check(result, request)
-
-
-def _report_check(result: CheckResult, request: CheckRequest) -> None:
-    from ffcomp.check.compare import against_file, to_do
-
-    print(result.verdict.message)
-    if result.since_first is not None:
-        print(f"But since the first check: {result.since_first.message}")
-    print(against_file(result))
-    for each in result.experiments:
-        then = "" if each.difference is None else f", {100 * each.difference:.1f} % from the last check"
-        print(f"  {each.name}: {100 * each.gap:.1f} % from the machine file{then}; noise {100 * each.noise:.1f} %")
-    for sentence in (*result.notes, *to_do(result, "CAPTURES", str(request.plan), request.machine)):
-        print(sentence)
-    if not result.known:
-        print(f"Added to {request.history_file}.")
+    return replace(
+        result,
+        notes=(*left_out, *joined.notes(plan, machine), *result.notes),
+        machine=machine.name,
+        history=request.history_file,
+        diagnose=f"ffcomp diagnose CAPTURES --plan {request.plan} -m {request.machine}",
+    )
 
 
 record = group(

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 from ffcomp.cli.command import verb
-from ffcomp.cli.common import say
 from ffcomp.request import OUTPUT, Argument, Option, Request
+from ffcomp.result import Result
 
 if TYPE_CHECKING:
     from gcode.container import Container
@@ -24,7 +24,7 @@ class RestoreRequest(Request):
 
 
 @verb
-def restore(request: RestoreRequest) -> None:
+def restore(request: RestoreRequest) -> Result:
     """Restore the original of a compensated print, byte for byte.
 
     Example: ffcomp restore out.gcode -o original.gcode
@@ -39,7 +39,28 @@ def restore(request: RestoreRequest) -> None:
         with replacing(output) as target:
             container.write(target, texts)
             still_the_same()
-    say(f"ffcomp: the original is in {output}.")
+    return Restored(file, output)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Restored(Result):
+    """An original that was restored."""
+
+    input: Path
+    output: Path
+
+    @property
+    def headline(self) -> str:
+        """Where it is."""
+        return f"The original is in {self.output}."
+
+    def details(self) -> dict[str, Any]:
+        """Return the keys of ffcomp-restore/1."""
+        return {
+            "schema": "ffcomp-restore/1",
+            "input": str(self.input),  # the compensated print
+            "output": str(self.output),  # its original
+        }
 
 
 def _originals(container: Container, file: Path) -> list[Iterator[bytes]]:

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from ffcomp.cli.command import Json, verb
-from ffcomp.cli.common import opened, print_json, say, say_assumed
-from ffcomp.errors import RequestError
+from ffcomp.cli.command import verb
+from ffcomp.cli.common import opened, say
+from ffcomp.numerics.serialise import to_json
 from ffcomp.options import PLATE, STAMPED_MACHINE, parse_figure
 from ffcomp.request import OUTPUT, Argument, Option, Request
+from ffcomp.result import Fact, Result
 
 if TYPE_CHECKING:
     from ffcomp.simulation.forecast import Forecast
+    from models.machine import Machine
 
 
 COMPUTED = "The file keeps no prediction for this machine: these errors were computed now."
@@ -33,6 +36,7 @@ class ShowRequest(Request):
             "-o",
             metavar="FILE",
             parse=parse_figure,
+            writes="file",
         ),
     ] = None
     machine: Annotated[str, STAMPED_MACHINE] = ""
@@ -47,6 +51,7 @@ class ShowRequest(Request):
             "their contour error. Not for printing.",
             OUTPUT,
             metavar="FILE",
+            writes="file",
         ),
     ] = None
     preview_of: Annotated[
@@ -55,14 +60,9 @@ class ShowRequest(Request):
     ] = "compensated"
     open_it: Annotated[bool, Option("Open the picture when it is made.", OUTPUT, "--open")] = False
 
-    def check(self) -> None:
-        """Check that the preview does not go where the print is."""
-        if self.gcode_preview is not None and self.gcode_preview.resolve() == self.file.resolve():
-            raise RequestError(f"{self.gcode_preview}: --gcode-preview names another file than the print.")
-
 
 @verb
-def show(request: ShowRequest, shown: Json) -> None:
+def show(request: ShowRequest) -> Result:
     """Draw a compensated print: reference, uncompensated and compensated path.
 
     ffcomp simulates both prints with the design model. The errors are those that `ffcomp compensate` predicted and kept
@@ -71,15 +71,9 @@ def show(request: ShowRequest, shown: Json) -> None:
     Example: ffcomp show out.gcode
     """
     result = _show(request)
-    if shown.as_json:
-        print_json(result.to_dict())
-    else:
-        expected = result.forecast.expected
-        said = [] if expected is None else [expected.headline, expected.next_step]
-        source = "" if result.kept else COMPUTED
-        print(*filter(None, [*said, result.forecast.verdict, source, result.picture, result.gcode_preview]), sep="\n")
     if request.open_it:
         open_picture(str(result.picture))
+    return result
 
 
 def open_picture(picture: str) -> None:
@@ -88,32 +82,61 @@ def open_picture(picture: str) -> None:
         say(f"ffcomp: no program here opens pictures; look at {picture} yourself.")
 
 
-@dataclass(frozen=True)
-class ShowResult:
+@dataclass(frozen=True, eq=False, repr=False)
+class ShowResult(Result):
     """What was drawn of a print."""
 
     input: Path
-    machine: dict[str, str | None]  # as of `identity`
+    machine: Machine
     picture: Path
     gcode_preview: Path | None
     forecast: Forecast
     kept: bool  # in the file; False: computed
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return the JSON object ffcomp-show/1."""
+    @property
+    def headline(self) -> str:
+        """What contour error to expect; the same words as `compensate`'s."""
+        expected = self.forecast.expected
+        return self.forecast.verdict if expected is None else expected.headline
+
+    @property
+    def facts(self) -> list[Fact]:
+        """The errors on the machine as its file says, and the files that were drawn."""
+        exact = [("If the machine file is exact", self.forecast.exact)] if self.forecast.tracks else []
+        preview = [("G-code for viewers", str(self.gcode_preview))] if self.gcode_preview else []
+        return [*exact, ("Picture", str(self.picture)), *preview]
+
+    @property
+    def warnings(self) -> list[str]:
+        """Whether the machine's modes are assumed, and the errors computed now."""
+        from models.machine import assumed_modes
+
+        assumed = assumed_modes(self.machine)
+        return [*([assumed] if assumed else []), *([] if self.kept else [COMPUTED])]
+
+    @property
+    def next_steps(self) -> Sequence[str]:
+        """A measurement, where the machine file is not known well enough."""
+        expected = self.forecast.expected
+        return [expected.next_step] if expected is not None and expected.next_step else []
+
+    def details(self) -> dict[str, Any]:
+        """Return the keys of ffcomp-show/1."""
+        from models.machine import identity
+
         return {
             "schema": "ffcomp-show/1",
-            "input": self.input,
-            "machine": self.machine,  # MACHINE
-            "picture": self.picture,  # the file that was drawn
+            "input": str(self.input),
+            "machine": identity(self.machine),  # MACHINE
+            "picture": str(self.picture),  # the file that was drawn
             **(
                 {}
                 if self.gcode_preview is None
                 else {
-                    "gcode_preview": self.gcode_preview  # with `--gcode-preview`: the G-code for viewers
+                    "gcode_preview": str(self.gcode_preview)  # with `--gcode-preview`: the G-code for viewers
                 }
             ),
-            **self.forecast.to_dict(),
+            **to_json(self.forecast.to_dict()),
             # text: whether the file keeps them, as `compensate` has predicted: "file"; "computed": it keeps none for
             # this machine
             "source": "file" if self.kept else "computed",
@@ -132,7 +155,6 @@ def _show(request: ShowRequest) -> ShowResult:
     from gcode.container import read_bytes
     from gcode.embedded import STAMP_REACH, already_processed, find_offset
     from models.file import load_machine
-    from models.machine import identity
 
     file, target = request.file, request.gcode_preview
     data = read_bytes(file, request.plate)
@@ -140,7 +162,6 @@ def _show(request: ShowRequest) -> ShowResult:
     if stamp is None:
         raise NothingToDo(f"{file}: not compensated by ffcomp; first: ffcomp compensate {file} --machine NAME.")
     machine = load_machine(request.machine) if request.machine else machine_of(stamp, file)
-    say_assumed([machine])
     offset = find_offset(data[:STAMP_REACH])
     seen = preview(data, str(file), machine, offset, stamp.flavor)
     footer = (
@@ -154,4 +175,4 @@ def _show(request: ShowRequest) -> ShowResult:
     picture = request.output or file.with_name(file.name + ".png")
     predicted, kept = forecast_in(data[-STAMP_REACH:], stamp, machine, lambda: seen.forecast(machine))
     draw(seen, predicted, f"{file.name} on {machine.name}", footer, picture, request.z_mm)
-    return ShowResult(file, identity(machine), picture, target, predicted, kept)
+    return ShowResult(file, machine, picture, target, predicted, kept)

@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from ffcomp.cli.command import Shown, verb
-from ffcomp.cli.common import answer, print_json
+from ffcomp.cli.command import verb
 from ffcomp.cli.progress import Progress
 from ffcomp.errors import RequestError
 from ffcomp.request import ADVANCED, OUTPUT, Option, Request
+from ffcomp.result import Fact, Result
 from ffcomp.simulation.request import SimulateRequest
 
 if TYPE_CHECKING:
     from ffcomp.simulation.simulation import Simulation
+    from models.machine import Machine
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,6 +29,7 @@ class CapturesRequest(Request):
             "Write what the printer's own accelerometer would record of a plan's G-code (with --plan).",
             OUTPUT,
             metavar="FOLDER",
+            writes="folder",
         ),
     ] = None
     plan: Annotated[
@@ -44,7 +47,7 @@ class CapturesRequest(Request):
 
 
 @verb
-def simulate(request: SimulateRequest, captures: CapturesRequest, shown: Shown) -> None:
+def simulate(request: SimulateRequest, captures: CapturesRequest) -> Result:
     """Simulate a print or step timings on the nonlinear printer.
 
     The printer has full kinematics, weight, drives, extruder and effects. ffcomp plans G-code as the firmware does
@@ -55,17 +58,47 @@ def simulate(request: SimulateRequest, captures: CapturesRequest, shown: Shown) 
     Example: ffcomp simulate sample_prints/ringing_tower.gcode -m mp-delta-pro --from 80 --to 90 -o run.csv
     """
     if captures.as_captures is not None:
-        result = _write_captures(request, captures, captures.as_captures, shown.quiet)
-        if shown.as_json:
-            print_json(result)
-        else:
-            print(f"{len(result['captures'])} captures of {result['plan']}: {captures.as_captures}")
-        return
-    answer(_simulate(request, shown.quiet), shown.as_json)
+        return _write_captures(request, captures, captures.as_captures)
+    return _simulate(request)
 
 
-def _write_captures(request: SimulateRequest, captures: CapturesRequest, folder: Path, quiet: bool) -> dict[str, Any]:
-    """Write captures of a plan, and return the JSON object ffcomp-captures/1."""
+@dataclass(frozen=True, eq=False, repr=False)
+class Captures(Result):
+    """Captures that were written in place of a printer's."""
+
+    input: Path
+    plan: Path
+    plant: Machine
+    flavor: str
+    captures: Sequence[Path]
+
+    @property
+    def headline(self) -> str:
+        """How many there are, and where."""
+        return f"{len(self.captures)} captures of {self.plan} are in {self.captures[0].parent}."
+
+    @property
+    def facts(self) -> list[Fact]:
+        """What they would be of."""
+        return [("Printer", self.plant.name), ("Firmware", self.flavor)]
+
+    def details(self) -> dict[str, Any]:
+        """Return the keys of ffcomp-captures/1."""
+        return {
+            "schema": "ffcomp-captures/1",
+            "input": str(self.input),  # the plan's G-code
+            "plan": str(self.plan),
+            "plant": {
+                "name": self.plant.name,  # the machine file's `name`
+                "sha256": self.plant.sha256,  # of the file's bytes
+                "effects": list(self.plant.effects),  # list of text: its effects
+            },
+            "flavor": self.flavor,  # firmware in whose format the captures are
+            "captures": [str(path) for path in self.captures],  # list of text: the files
+        }
+
+
+def _write_captures(request: SimulateRequest, captures: CapturesRequest, folder: Path) -> Captures:
     from ffcomp.api.machines import load_machine
     from ffcomp.record.virtual_sensor import Sensor, write_captures
     from gcode.dialects import KLIPPER
@@ -78,23 +111,12 @@ def _write_captures(request: SimulateRequest, captures: CapturesRequest, folder:
     assert plan is not None  # the request is checked
     program = read_program(file.read_bytes(), str(file), flavor=flavor)
     sensor = Sensor(request.rate_hz, captures.noise, captures.tilt_deg, captures.seed)
-    with Progress(1.0, quiet, "simulating") as progress:
+    with Progress(1.0, "simulating") as progress:
         written = write_captures(plan, program, machine, plant, folder, sensor, flavor, progress)
-    return {
-        "schema": "ffcomp-captures/1",
-        "input": str(file),  # the plan's G-code
-        "plan": str(plan),
-        "plant": {
-            "name": plant.name,  # the machine file's `name`
-            "sha256": plant.sha256,  # of the file's bytes
-            "effects": list(plant.effects),  # list of text: its effects
-        },
-        "flavor": flavor,  # firmware in whose format the captures are
-        "captures": [str(path) for path in written],  # list of text: the files
-    }
+    return Captures(file, plan, plant, flavor, written)
 
 
-def _simulate(request: SimulateRequest, quiet: bool) -> Simulation:
+def _simulate(request: SimulateRequest) -> Simulation:
     from dataclasses import replace
 
     from ffcomp.api.simulation import read_simulation, run_simulation
@@ -109,6 +131,6 @@ def _simulate(request: SimulateRequest, quiet: bool) -> Simulation:
             f"-o {request.recording}: something else moves the nozzle in between ({times}), and a run is one motion; "
             "choose with --from and --to."
         )
-    with Progress(sum(end - begin for _, begin, end in parts), quiet, "simulating") as progress:
+    with Progress(sum(end - begin for _, begin, end in parts), "simulating") as progress:
         done = run_simulation(replace(request, progress=progress), command, machine, plant)
     return replace(done, warnings=[*assumed, *warnings])

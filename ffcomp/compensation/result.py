@@ -16,7 +16,7 @@ from ffcomp.compensation.net import unsafe_sentences
 from ffcomp.compensation.own_shaper import OwnShaper
 from ffcomp.compensation.placement import Placement
 from ffcomp.compensation.statistics import ENOUGH, Statistics, cause_of, shortened, warning_lines
-from ffcomp.errors import INPUT_ERRORS, explain, interrupts_restored
+from ffcomp.errors import INPUT_ERRORS, FfcompError, explain, interrupts_restored
 from ffcomp.faster.bound import limits_in_words
 from ffcomp.inverse.robust import PLAIN, RobustChoice
 from ffcomp.metrics import Track
@@ -516,6 +516,16 @@ class CompensatedFiles(VerbResult):
     def failed(self) -> list[FileResult]:
         """Those that were not compensated."""
         return [each for each in self.results if each.failure is not None]
+
+    @property
+    def failure(self) -> FfcompError | None:
+        """Every failure with its sentence; the exit code is the first one's."""
+        failures = [each.failure for each in self.results if each.failure is not None]
+        if not failures:
+            return None
+        error = FfcompError("\nffcomp: ".join(f"{each.sentence}\n{each.trace}".rstrip() for each in failures))
+        error.exit_code = failures[0].exit_code
+        return error
 
     @property
     def headline(self) -> str:

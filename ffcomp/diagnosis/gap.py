@@ -16,6 +16,7 @@ from ffcomp.diagnosis.problem import Observation, Problem, Repeats
 from ffcomp.diagnosis.problems import Recorded, check_alike, plant_of, problem_of, recordings_of
 from ffcomp.diagnosis.request import GapRequest
 from ffcomp.record.axes import turn_of
+from ffcomp.result import Fact, Result
 from models.arrays import FloatArray
 from models.machine import Machine
 
@@ -127,8 +128,8 @@ def _by_motion(observations: Sequence[Observation], simulated: Sequence[FloatArr
 # ---- the verb ------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, eq=False)
-class Discrepancy:
+@dataclass(frozen=True, eq=False, repr=False)
+class Discrepancy(Result):
     """The model discrepancy of a machine file on some recordings."""
 
     residual: ResidualBreakdown
@@ -136,8 +137,42 @@ class Discrepancy:
     notes: tuple[str, ...] = ()  # what is wrong with the repeats, in full sentences
     places: Mapping[tuple[float, ...], str] = field(default_factory=dict)  # what people call them
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return the JSON object ffcomp-gap/1."""
+    @property
+    def headline(self) -> str:
+        """How large the disagreement is, and what noise alone would leave."""
+        total = self.residual.total
+        noise = "; that is noise" if self.is_noise else ""
+        return (
+            f"Simulation and measurement differ by {100 * total.nrms:.2f} % of the signals; noise alone would leave "
+            f"{100 * total.noise_nrms:.2f} % (known from {self.floor.origin}){noise}."
+        )
+
+    @property
+    def is_noise(self) -> bool:
+        """Whether there is nothing else."""
+        return self.residual.total.over_noise < 1.1 and not self.notes
+
+    @property
+    def facts(self) -> list[Fact]:
+        """The disagreement by signal and run; where most of it is: bands, places, reversals."""
+        residual = self.residual
+        sizes = [*residual.signals.items(), *residual.recordings.items()]
+        facts = [(name, f"{100 * e.nrms:.2f} %, {e.over_noise:.1f} times the noise") for name, e in sizes]
+        if self.is_noise:
+            return facts
+        loud = sorted(residual.bands, key=lambda band: -band[2])[:3]
+        facts.append(("Bands", ", ".join(f"{low:g}-{high:g} Hz {100 * share:.0f} %" for low, high, share in loud)))
+        places = sorted(residual.positions.items(), key=lambda item: -item[1])
+        facts += [(self.places[place], f"{100 * share:.0f} %") for place, share in places]
+        return [*facts, ("Near reversals and at rest", f"{100 * residual.near_reversals:.0f} %")]
+
+    @property
+    def warnings(self) -> Sequence[str]:
+        """What is wrong with the repeats."""
+        return self.notes
+
+    def details(self) -> dict[str, Any]:
+        """Return the keys of ffcomp-gap/1."""
         residual = self.residual
         return {
             "schema": "ffcomp-gap/1",

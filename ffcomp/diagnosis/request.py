@@ -56,6 +56,7 @@ class DiagnoseRequest(Request):
             "--output",
             "-o",
             metavar="FILE",
+            writes="file",
         ),
     ] = None
     plan: Annotated[Path | None, MOVES_PLAN] = None
@@ -76,7 +77,7 @@ class DiagnoseRequest(Request):
     ] = False
     trace: Annotated[
         Path | None,
-        Option("Write every fit and decision of the search to this JSON file.", OUTPUT, metavar="FILE"),
+        Option("Write every fit and decision of the search to this JSON file.", OUTPUT, metavar="FILE", writes="file"),
     ] = None
     settings: SearchSettings = SETTINGS  # of the search; from Python
     progress: Callable[[str], None] = silent

@@ -34,7 +34,7 @@ from ffcomp.diagnosis.printer_problem import PrinterProblem
 from ffcomp.diagnosis.problem import REACH_SD, Parameter, stem_of
 from ffcomp.diagnosis.recording_clocks import belongs_to_recording
 from ffcomp.errors import MeasurementError, NothingToDo, RequestError
-from ffcomp.identification.machine_fit import estimates, hash_of
+from ffcomp.identification.machine_fit import estimates, hash_of, number_facts
 from ffcomp.identification.page_fit import SCALE
 from ffcomp.identification.request import UpdateRequest
 from ffcomp.identification.uncertainty import Estimate, normal
@@ -42,6 +42,7 @@ from ffcomp.measurement.recording import Recording
 from ffcomp.numerics.stages import Progress, Stage
 from ffcomp.record.axes import turn_of
 from ffcomp.record.join import load_recordings
+from ffcomp.result import Fact, Result
 from gcode.atomic_write import replace_atomically, replacing
 from models.arrays import FloatArray
 from models.file import check_text, load_machine, updated_text
@@ -62,8 +63,8 @@ LEFT = 0.25  # of the signals' power: more that is left is another machine, or s
 CHANCE = 0.02  # of the squares of what is left of layers that were left out: no worse
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Updated:
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
+class Updated(Result):
     """A machine file's numbers before and after some recordings."""
 
     start: Machine
@@ -78,6 +79,28 @@ class Updated:
     prints: int
     data: Sequence[str]  # files with hashes
     date: str
+    output: Path | None = None  # the machine file that was written
+    history: Path | None = None  # the file to which a line was added
+
+    @property
+    def headline(self) -> str:
+        """How well layers that were left out are simulated, before and after."""
+        before, after, noise = (100 * each for each in self.held_out)
+        return (
+            f"Updated by {self.layers} layers. With each left out in turn, the simulation's error is {after:.2g} % of "
+            f"its motion; with the starting file {before:.2g} %, noise alone {noise:.2g} %."
+        )
+
+    @property
+    def facts(self) -> list[Fact]:
+        """Every parameter that moved, and the files."""
+        files = (("Machine file", self.output), ("History", self.history))
+        return [*number_facts(self.after), *((name, str(path)) for name, path in files if path is not None)]
+
+    @property
+    def warnings(self) -> list[str]:
+        """Parameters that the recordings do not determine."""
+        return [f"The recordings do not determine {', '.join(self.kept)}: unchanged."] if self.kept else []
 
     def file_text(self, output: Path) -> str:
         """Write the machine file: numbers, how well they are known, and where that is from."""
@@ -97,8 +120,9 @@ class Updated:
         name = output.stem if source.resolve().parent == LIBRARY.resolve() else None
         return updated_text(source, values, name=name, uncertainty=uncertainty, provenance={"updated": entry})
 
-    def to_dict(self, output: Path, history: Path) -> dict[str, Any]:
-        """Return the JSON object ffcomp-update/1, which is a line of the history too."""
+    def details(self) -> dict[str, Any]:
+        """Return the keys of ffcomp-update/1, which are a line of the history too."""
+        assert self.output is not None
         (chi_squared, degrees, probability), before = self.innovation, estimates(self.before)
         return {
             "schema": SCHEMA,
@@ -128,9 +152,9 @@ class Updated:
                 "after": self.held_out[1],  # number: with what the other layers say
                 "noise": self.held_out[2],  # number: of noise alone
             },
-            "output": str(output),  # the machine file
-            "written_sha256": hashlib.sha256(self.file_text(output).encode()).hexdigest(),  # of it
-            "history": str(history),  # the file to which this object was added
+            "output": str(self.output),  # the machine file
+            "written_sha256": hashlib.sha256(self.file_text(self.output).encode()).hexdigest(),  # of it
+            "history": str(self.history),  # the file to which this object was added
         }
 
 
@@ -150,9 +174,10 @@ def update_files(request: UpdateRequest, progress: Progress = lambda _: None) ->
     turn = turn_of(request.axes_map)
     recordings = load_recordings(request.data, machine, request.plan, turn, progress)
     updated = update(machine, recordings, request, data, progress)
+    updated = replace(updated, output=request.output, history=request.history_file)
     text = updated.file_text(request.output)
     check_text(text, str(request.output))
-    line = json.dumps(updated.to_dict(request.output, request.history_file), ensure_ascii=False)
+    line = json.dumps(updated.details(), ensure_ascii=False)
     earlier = request.history_file.read_bytes() if request.history_file.exists() else b""
     with replacing(request.output) as file:  # which is there when the history is, or neither
         file.write(text.encode())

@@ -37,6 +37,7 @@ class Estimate(Result):
     flavor: str
     statistics: Statistics  # of the file as written
     original: Statistics | None  # of the print before its compensation; None: the file is no compensated one
+    lists_layers: bool = False  # among the facts
 
     @property
     def time_s(self) -> float:
@@ -67,7 +68,7 @@ class Estimate(Result):
         if len(times) > 1:
             (least, low), (most, high) = times[0], times[-1]
             layers = [("layers", f"{len(times)}, {clock(least)} (layer {low}) to {clock(most)} (layer {high})")]
-        return [*kinds, *of_features, *layers, filament]
+        return [*kinds, *of_features, *layers, filament, *(self.layers if self.lists_layers else ())]
 
     @property
     def layers(self) -> list[Fact]:

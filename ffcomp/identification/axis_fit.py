@@ -12,12 +12,13 @@ import numpy as np
 
 from ffcomp.errors import RequestError
 from ffcomp.identification.axis_shots import Shots, scales_of, shots_of
-from ffcomp.identification.machine_fit import MachineFit, estimates, hash_of
+from ffcomp.identification.machine_fit import MachineFit, estimates, hash_of, number_facts
 from ffcomp.identification.uncertainty import Estimate, Joint
 from ffcomp.inference.fit import Settings, fit
 from ffcomp.inference.problem import EstimationProblem, Observation, Unknown
 from ffcomp.measurement.axis_run import AxisRun, read_axis_run
 from ffcomp.numerics.stages import Stage
+from ffcomp.result import Fact
 from models.arrays import FloatArray
 from models.file import updated_text
 from models.kinds import driven_axis
@@ -41,7 +42,7 @@ class AxisFitted:
     doubt: tuple[str, ...] = ()  # a sentence if the fit has not converged
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class OneAxisFit(MachineFit):
     """The numbers of an axis by itself."""
 
@@ -51,8 +52,24 @@ class OneAxisFit(MachineFit):
     kept: Sequence[str]  # numbers that no run can tell
 
     @property
-    def details(self) -> dict[str, Any]:
-        """What the method tells, for the JSON object."""
+    def headline(self) -> str:
+        """How well the axis is simulated now, and was before."""
+        before, after = 100 * self.result.before, 100 * self.result.after
+        return f"The simulation's error is {after:.2g} % of the motion; with the starting file {before:.2g} %."
+
+    @property
+    def found(self) -> list[Fact]:
+        """Every parameter."""
+        return number_facts(self.result.estimates, self.kept)
+
+    @property
+    def next_steps(self) -> list[str]:
+        """Compare the file with the runs."""
+        return [f"Look at it: ffcomp gap RUNS --machine {self.output}"] if self.output else []
+
+    @property
+    def own(self) -> dict[str, Any]:
+        """The keys of the method in the JSON object."""
         return {
             "numbers": estimates(self.result.estimates),
             "nrms": {

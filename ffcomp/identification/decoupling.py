@@ -18,6 +18,7 @@ import numpy as np
 
 from ffcomp.errors import MeasurementError
 from ffcomp.measurement.frf import CARRIAGES, FrequencyResponse
+from ffcomp.result import Fact, Result
 from models.arrays import ComplexArray, FloatArray
 from models.kinds import delta_vibration
 from models.machine import Machine
@@ -158,6 +159,42 @@ class PlaceParts:
         return {
             "position_mm": self.position_mm,  # list of numbers or null
             "parts": parts,
+        }
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Decoupling(Result):
+    """Which parts of a delta's model hold, at each place."""
+
+    machine: Machine
+    places: Sequence[PlaceParts]
+
+    @property
+    def headline(self) -> str:
+        """Which parts are wrong."""
+        wrong = dict.fromkeys(part.name for place in self.places for part in place.parts if not part.holds)
+        return f"Wrong in {self.machine.name}: {', '.join(wrong)}." if wrong else "Every part of the model holds."
+
+    @property
+    def facts(self) -> list[Fact]:
+        """Each part at each place."""
+        return [
+            (
+                f"{part.name} at {x:g}, {y:g} mm",
+                f"{'holds' if part.holds else 'WRONG'}: {100 * part.error:.1f} % off (noise {100 * part.noise:.1f} %), "
+                f"where {part.statement}",
+            )
+            for place in self.places
+            for x, y in [(place.position_mm or (0.0, 0.0))[:2]]
+            for part in place.parts
+        ]
+
+    def details(self) -> dict[str, Any]:
+        """Return the keys of ffcomp-identify-decouple/1."""
+        return {
+            "schema": "ffcomp-identify-decouple/1",
+            "machine": self.machine.name,  # its name
+            "places": [place.to_dict() for place in self.places],
         }
 
 

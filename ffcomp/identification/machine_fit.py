@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
@@ -21,19 +21,21 @@ from ffcomp.identification.page_fit import PageFit
 from ffcomp.identification.paper import PaperIdentification
 from ffcomp.identification.uncertainty import Estimate
 from ffcomp.measurement.modes import ModeFit
-from ffcomp.shapers.calibration import ShaperAdvice
+from ffcomp.result import Fact, Result
+from ffcomp.shapers.calibration import ShaperAdvice, in_words
 from gcode.atomic_write import replace_atomically
 from models.file import check_text, updated_text
 from models.kinds import delta_vibration
 from models.machine import Machine, value_of
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class MachineFit:
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
+class MachineFit(Result):
     """A machine file's parameters as measurements give them."""
 
     method: ClassVar[str] = ""
     schema: ClassVar[str] = "ffcomp-identify-fit/1"
+    drawn_by = {"fit": "ffcomp.report.identify:figure_of"}  # noqa: RUF012 (the base states its type)
 
     start: Machine
     data: Sequence[str]  # files with hashes
@@ -44,14 +46,37 @@ class MachineFit:
     refusal: Sequence[str] = ()  # sentences: why there is no machine file
     belts: BeltComparison | None = None
     shapers: tuple[ShaperAdvice, ...] = ()  # for those who stay with one
+    output: Path | None = None  # the machine file that was written
 
     @property
-    def details(self) -> dict[str, Any]:
-        """What the method tells, for the JSON object."""
+    def found(self) -> Sequence[Fact]:
+        """What the method found."""
+        return ()
+
+    @property
+    def facts(self) -> list[Fact]:
+        """What the method found, about belts and input shapers too, and the file that was written."""
+        facts = [*self.found, *(() if self.belts is None else belt_facts(self.belts))]
+        facts += [("Input shaper", in_words(self.shapers)), ("Machine file", str(self.output or ""))]
+        return [(name, value) for name, value in facts if value not in ("", self.headline)]
+
+    @property
+    def warnings(self) -> list[str]:
+        """What could not be used, what is weak or not determined, and what to measure next."""
+        return list(dict.fromkeys([*self.skipped, *self.advice]))
+
+    @property
+    def next_steps(self) -> list[str]:
+        """Look at the machine file."""
+        return [f"Look at it: ffcomp machines show {self.output}"] if self.output else []
+
+    @property
+    def own(self) -> dict[str, Any]:
+        """The keys of the method in the JSON object."""
         return {}
 
-    def to_dict(self, output: str | None = None) -> dict[str, Any]:
-        """Return the JSON object `schema`; output : path of the machine file that was written."""
+    def details(self) -> dict[str, Any]:
+        """Return the keys of the JSON object `schema`."""
         return {
             "schema": self.schema,
             # MACHINE
@@ -62,14 +87,15 @@ class MachineFit:
             # direct, stepwise, modes (spectra only), axes (of a cartesian or CoreXY machine), axis (one by itself),
             # belts (tests along belts only), or scan (pictures)
             "method": self.method,
-            **self.details,
+            **self.own,
             "advice": list(self.advice),  # list of text: sentences: what is weak or not told, what to measure next
             **({"shapers": [asdict(each) for each in self.shapers]} if self.shapers else {}),
-            "output": output,  # text or null: the machine file, if one was written
+            # text or null: the machine file, if one was written
+            "output": None if self.output is None else str(self.output),
         }
 
-    def write(self, path: Path) -> None:
-        """Write the machine file, whole or not at all.
+    def write(self, path: Path) -> Self:
+        """Write the machine file, whole or not at all, and return the result with its path.
 
         Raises
         ------
@@ -83,9 +109,10 @@ class MachineFit:
             raise MeasurementError(str(path), list(reasons))
         check_text(self.text, str(path))
         replace_atomically(path, [line.encode() for line in self.text.splitlines(keepends=True)])
+        return replace(self, output=path)
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class ParametersFit(MachineFit):
     """All parameters of a delta, fitted to all frequency responses."""
 
@@ -99,8 +126,28 @@ class ParametersFit(MachineFit):
         return self.result.fitted.beside_scale if scale_is_weak(self.result.fitted) else {}
 
     @property
-    def details(self) -> dict[str, Any]:
-        """What the method tells, for the JSON object."""
+    def headline(self) -> str:
+        """How many responses are explained, and which one worst."""
+        fitted = self.result.fitted
+        pairs = [(float(e), i) for i, e in enumerate(fitted.model_errors) if e > 0]
+        count = len(fitted.responses)
+        if not pairs:
+            return f"The model explains all {count} responses to their noise (misfit {fitted.misfit:.2f})."
+        error, i = max(pairs)
+        return (
+            f"The model explains {count - len(pairs)} of {count} responses to their noise, the others to "
+            f"{100 * min(pairs)[0]:.1f}-{100 * error:.1f} % of their values; worst {fitted.responses[i].input} to "
+            f"{fitted.responses[i].output}."
+        )
+
+    @property
+    def found(self) -> list[Fact]:
+        """Every parameter."""
+        return number_facts({**self.result.fitted.estimates, **self.beside_scale}, self.result.kept)
+
+    @property
+    def own(self) -> dict[str, Any]:
+        """The keys of the method in the JSON object."""
         fitted = self.result.fitted
         return {
             "numbers": estimates(fitted.estimates),  # .* ESTIMATE: direct; modes with an output: by `table.key`
@@ -123,7 +170,7 @@ class ParametersFit(MachineFit):
         }
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class StepwiseFit(MachineFit):
     """The same by the paper's method."""
 
@@ -132,8 +179,29 @@ class StepwiseFit(MachineFit):
     result: PaperIdentification
 
     @property
-    def details(self) -> dict[str, Any]:
-        """What the method tells, for the JSON object."""
+    def headline(self) -> str:
+        """How well the steps agree with themselves."""
+        worst = max(self.result.steps, key=lambda step: step.consistency)
+        return (
+            f"{len(self.result.steps)} steps of the paper's method; their redundant equations agree worst in "
+            f"{worst.title} (χ² {worst.consistency:.2f} per degree of freedom)."
+        )
+
+    @property
+    def found(self) -> list[Fact]:
+        """The parameters of each step."""
+        return [
+            fact
+            for step in self.result.steps
+            for fact in (
+                (step.title, f"χ² {step.consistency:.2f} per degree of freedom"),
+                *number_facts(step.joint.estimates()),
+            )
+        ]
+
+    @property
+    def own(self) -> dict[str, Any]:
+        """The keys of the method in the JSON object."""
         steps = [
             {
                 "step": step.title,  # stepwise: each step of the paper
@@ -146,7 +214,7 @@ class StepwiseFit(MachineFit):
         return {"steps": steps}
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class AxesFit(MachineFit):
     """The modes of cartesian and CoreXY axes."""
 
@@ -155,8 +223,23 @@ class AxesFit(MachineFit):
     result: IdentifiedAxes
 
     @property
-    def details(self) -> dict[str, Any]:
-        """What the method tells, for the JSON object."""
+    def headline(self) -> str:
+        """Where each axis resonates."""
+        axes = (
+            f"{axis.name} at {' and '.join(f'{mode.frequency_hz.value:.1f}' for mode in axis.modes)} Hz"
+            for axis in self.result.axes
+            if axis.modes
+        )
+        return f"Resonances: {', '.join(axes)}."
+
+    @property
+    def found(self) -> list[Fact]:
+        """Modes of each axis, and how well they explain its data."""
+        return [fact for axis in self.result.axes for fact in _axis_facts(axis)]
+
+    @property
+    def own(self) -> dict[str, Any]:
+        """The keys of the method in the JSON object."""
         exchange = self.result.exchange
         return {
             "axes": {axis.name: _axis(axis) for axis in self.result.axes},
@@ -165,14 +248,19 @@ class AxesFit(MachineFit):
         }
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class BeltsFit(MachineFit):
     """Belts compared; they make no machine file."""
 
     method = "belts"
 
+    @property
+    def headline(self) -> str:
+        """The finding."""
+        return "" if self.belts is None else self.belts.sentence
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class ResonancesFit(MachineFit):
     """Resonances of a delta where nothing else is known, and a starting file of them."""
 
@@ -182,8 +270,32 @@ class ResonancesFit(MachineFit):
     started: ResonanceStart | None = None
 
     @property
-    def details(self) -> dict[str, Any]:
-        """What the method tells, for the JSON object."""
+    def headline(self) -> str:
+        """Where it resonates."""
+        if self.started is not None:
+            hz = " and ".join(f"{f:.1f}" for f in self.started.predicted_hz)
+            return f"The machine's modes are moved to {hz} Hz."
+        if not self.spectra and self.belts is not None:
+            return self.belts.sentence
+        clear = [mode.frequency_hz for fit in self.spectra for mode in fit.modes if mode.clear]
+        hz = ", ".join(f"{f:.1f}" for f in sorted(clear))
+        return f"Resonances at {hz} Hz." if clear else "These spectra have no clear resonance."
+
+    @property
+    def found(self) -> list[Fact]:
+        """Each spectrum's modes, and the parameters of a starting file."""
+        facts = []
+        for fit in self.spectra:
+            facts.append((f"{Path(fit.source).name}, {fit.signal}", fit.verdict))
+            for mode in fit.modes:
+                damping = f"ζ {mode.damping_ratio:.3f} ± {mode.damping_ratio_sd:.3f}"
+                unsure = "" if mode.clear else " (uncertain)"
+                facts.append(("mode", f"{mode.frequency_hz:.1f} ± {mode.frequency_sd_hz:.1f} Hz, {damping}{unsure}"))
+        return facts if self.started is None else [*facts, *number_facts(self.started.estimates)]
+
+    @property
+    def own(self) -> dict[str, Any]:
+        """The keys of the method in the JSON object."""
         spectra = [
             {
                 "file": fit.source,  # modes: each spectrum
@@ -207,7 +319,7 @@ class ResonancesFit(MachineFit):
         return {"spectra": spectra, **({} if self.started is None else {"numbers": estimates(self.started.estimates)})}
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class ScanFit(MachineFit):
     """A machine's numbers from pictures of a page that it drew."""
 
@@ -217,8 +329,32 @@ class ScanFit(MachineFit):
     result: PageFit
 
     @property
-    def details(self) -> dict[str, Any]:
-        """What the method tells, for the JSON object."""
+    def noise_um(self) -> float:
+        """Roughness of the typical line."""
+        return float(1e3 * np.median([line.noise_mm for line in self.result.lines]))
+
+    @property
+    def headline(self) -> str:
+        """How much of the lines' waves the machine explains."""
+        return (
+            f"The machine explains {100 * self.result.explained:.0f} % of the waves of {len(self.result.lines)} lines, "
+            f"which are rough by {self.noise_um:.0f} µm."
+        )
+
+    @property
+    def found(self) -> list[Fact]:
+        """Modes at each place, and every parameter."""
+        fit, facts = self.result, list[Fact]()
+        if self.start.vibration.position_dependent:
+            for (x, y), modes in fit.modes.items():
+                words = "; ".join(f"{_interval(f)} Hz, ζ {_interval(d)}" for f, d in modes)
+                facts.append((f"at {x:.0f}, {y:.0f} mm", words))
+        facts += number_facts(fit.estimates)
+        return [*facts, ("Friction", "dry friction of the guides is in the file too")] if fit.friction else facts
+
+    @property
+    def own(self) -> dict[str, Any]:
+        """The keys of the method in the JSON object."""
         fit = self.result
         places = [
             {
@@ -245,13 +381,49 @@ class ScanFit(MachineFit):
             "bead": estimates(fit.bead),
             "explained": fit.explained,  # number: share of the power of the lines' waves that the machine explains
             "lines": len(fit.lines),  # whole number: that were read
-            "noise_um": float(1e3 * np.median([line.noise_mm for line in fit.lines])),  # roughness of the typical line
+            "noise_um": self.noise_um,  # roughness of the typical line
         }
 
 
 def estimates(by_name: Mapping[str, Estimate]) -> dict[str, dict[str, float]]:
     """Return value, sd, low and high of each."""
     return {name: {key: float(x) for key, x in asdict(each).items()} for name, each in by_name.items()}
+
+
+def number_facts(numbers: Mapping[str, Estimate], kept: Collection[str] = ()) -> list[Fact]:
+    """Return each parameter with its 90 % interval; kept : parameters that the data do not determine."""
+    facts = []
+    for key, e in numbers.items():
+        percent = f" ± {100 * e.sd / abs(e.value):.2g} %" if e.value else ""
+        remark = ", unchanged: the data do not determine it" if key in kept else ""
+        facts.append((key, f"{e.value:.5g}{percent} (90 %: {e.low:.4g} to {e.high:.4g}){remark}"))
+    return facts
+
+
+def _interval(e: Estimate) -> str:
+    return f"{e.value:.4g} ({e.low:.4g} to {e.high:.4g})"
+
+
+def _axis_facts(axis: AxisFit) -> Iterator[Fact]:
+    for mode in axis.modes:
+        share = f", share {_interval(mode.share)}" if len(axis.modes) > 1 else ""
+        yield f"axes.{axis.name}", f"{_interval(mode.frequency_hz)} Hz, ζ {_interval(mode.damping_ratio)}{share}"
+    yield f"axes.{axis.name}", axis.verdict
+    for datum, error in zip(axis.data, axis.errors, strict=True):
+        explained = f"{100 * error:.1f} %" if error else "its noise"
+        yield Path(datum.source).name, f"explained to {explained} ({len(datum.frequency_hz)} frequencies)"
+
+
+def belt_facts(belts: BeltComparison) -> Iterator[Fact]:
+    """Yield the finding, each belt against the others, and how well each test is explained."""
+    yield "Belts", belts.sentence
+    for name, e in zip(belts.names, belts.stiffness, strict=True):
+        what = f"tower {name}" if belts.kind == "tower" else f"belt of axis={name}"
+        interval = f"90 %: {100 * e.low:+.0f} to {100 * e.high:+.0f} %"
+        yield what, f"{100 * e.value:+.1f} % ({interval}) against the mean of the others"
+    yield "Head", f"resonates at {' and '.join(f'{_interval(e)} Hz' for e in belts.modes_hz)}"
+    for test, error in zip(belts.tests, belts.errors, strict=True):
+        yield test.spectrum.source, f"explained to {100 * error:.1f} %"
 
 
 def hash_of(path: Path) -> str:

@@ -11,7 +11,6 @@ from ffcomp.errors import RequestError
 from ffcomp.options import (
     CAPTURE_AXES,
     FIGURE,
-    FORCE,
     HIGHEST_FITTED,
     LOWEST_FITTED,
     MACHINE_FILE,
@@ -19,7 +18,7 @@ from ffcomp.options import (
     MOVES_PLAN,
     RUNS,
 )
-from ffcomp.request import ACCURACY, ADVANCED, MACHINE, OUTPUT, Argument, MachineLike, Option, Request
+from ffcomp.request import ACCURACY, ADVANCED, FORCE, MACHINE, OUTPUT, Argument, MachineLike, Option, Request
 
 Method = Literal["direct", "stepwise"]
 DATA = (
@@ -118,12 +117,6 @@ class FitRequest(IdentifyRequest):
     figure: Annotated[Path | None, FIGURE] = None
     force: Annotated[bool, FORCE] = False
 
-    def check(self) -> None:
-        """Raise RequestError for what is no axis, and rather than overwrite a file."""
-        super().check()
-        if self.output is not None and self.output.exists() and not self.force:
-            raise RequestError(f"{self.output} exists already; give another --output, or --force.")
-
 
 @dataclass(frozen=True, kw_only=True)
 class DecoupleRequest(Request):
@@ -133,7 +126,6 @@ class DecoupleRequest(Request):
     machine: Annotated[str, MACHINE_NAME]
     lowest_hz: Annotated[float, LOWEST_FITTED] = 2.0
     highest_hz: Annotated[float, HIGHEST_FITTED] = 125.0
-    as_json: Annotated[bool, Option("Print one JSON object on stdout.", OUTPUT, "--json")] = False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -155,12 +147,6 @@ class ScanRequest(Request):
     ] = None
     figure: Annotated[Path | None, FIGURE] = None
     force: Annotated[bool, FORCE] = False
-
-    def check(self) -> None:
-        """Raise RequestError rather than overwrite a file."""
-        for path in (self.output, self.figure):
-            if path is not None and path.exists() and not self.force:
-                raise RequestError(f"{path} exists already; give another, or --force.")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -191,11 +177,9 @@ class RingingRequest(Request):
     force: Annotated[bool, FORCE] = False
 
     def check(self) -> None:
-        """Raise RequestError without a frequency, and rather than overwrite a file."""
+        """Raise RequestError without a frequency."""
         if self.x_hz is None and self.y_hz is None:
             raise RequestError("A frequency is needed: along x, along y, or both.")
-        if self.output.exists() and not self.force:
-            raise RequestError(f"{self.output} exists already; give another --output, or --force.")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,7 @@ from ffcomp.record.excitation import (
 )
 from ffcomp.record.gcode_writer import DEFAULT_CHIPS, Firmware, gcode_lines
 from ffcomp.record.moves import MOST_ROUNDING, Place, Request, make_plan
-from ffcomp.record.page import PageRequest, make_page, page_lines
+from ffcomp.record.page import PageRequest, make_page, page_lines, twins
 from ffcomp.record.plan import (
     Experiment,
     Page,
@@ -28,6 +28,7 @@ from ffcomp.record.plan import (
 )
 from ffcomp.record.prints import plan_print, print_lines
 from ffcomp.record.request import CENTRE, LINE_OF_ACTION, PlanRequest, number_pair, one_of
+from ffcomp.result import Fact, Result
 from gcode.atomic_write import replace_atomically
 from gcode.dialects import KLIPPER, shaper_commands
 from models.file import load_machine
@@ -36,8 +37,8 @@ from models.machine import Machine
 CHECK_KINDS, CHECK_SECONDS, CHECK_REPEATS, CHECK_SEED = ("multisine", "loop", "reversals"), 2.0, 2, 17
 
 
-@dataclass(frozen=True)
-class PlanResult:
+@dataclass(frozen=True, eq=False, repr=False)
+class PlanResult(Result):
     """The plan of a recording, and what becomes of it."""
 
     plan: Plan
@@ -90,8 +91,55 @@ class PlanResult:
         segment_s = experiment.excitation.band.segment_s
         return peaks_of(experiment.motion.vertices_mm, segment_s, self.machine.kinematics)
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return the JSON object ffcomp-record-plan/1."""
+    @property
+    def headline(self) -> str:
+        """What is in the file, and how long it takes."""
+        plan, minutes = self.plan, self.plan.duration_s / 60
+        if plan.page is not None:
+            return f"{self.output}: a page of {len(twins(plan))} strokes, {minutes:.0f} min to print."
+        often = f", {plan.repeats} times each" if plan.repeats > 1 else ""
+        return f"{self.output}: {len(plan.experiments)} experiments{often}, {minutes:.1f} min recorded."
+
+    @property
+    def facts(self) -> list[Fact]:
+        """Every experiment of a recording."""
+        own = [("Firmware", self.firmware.flavor), ("Plan", str(self.plan_file))]
+        return own if self.plan.page is not None else [*own, *map(self._fact, self.plan.experiments)]
+
+    def _fact(self, experiment: Experiment) -> Fact:
+        x, y, *_ = experiment.position_mm
+        words = f"at {x:g}, {y:g} mm, {experiment.duration_s:.1f} s, microstep error {100 * experiment.rounding:.0f} %"
+        if (peak := self.peaks(experiment)) is not None:
+            words += (
+                f", carriage {peak.carriage_velocity_mm_per_s:.0f} mm/s, "
+                f"{peak.carriage_acceleration_mm_per_s2 / 1e3:.1f} m/s²"
+                f", nozzle {peak.nozzle_velocity_mm_per_s:.0f} mm/s, "
+                f"{peak.nozzle_acceleration_mm_per_s2 / 1e3:.1f} m/s²"
+            )
+        return experiment.name.removeprefix("ffcomp-"), words
+
+    @property
+    def next_steps(self) -> list[str]:
+        """How to run the file, and what to do with its captures."""
+        return [*self._next_steps(), *self.firmware.restores(), f"Then: {self.next}"]
+
+    def _next_steps(self) -> Iterator[str]:
+        if self.plan.page is not None:
+            yield f"Print {self.output.name} with the input shaper off, and keep {self.plan_file.name}."
+            yield "Scan it at 600 dpi or more, or photograph all of it straight from above, in even light, no flash."
+            return
+        if places := self.missing_places_mm:
+            options = " ".join(f"--at {x:g},{y:g}" for x, y in places)
+            yield f"More informative places: {options} (or --at line-of-action)."
+        if self.firmware.records:
+            count = f"{len(self.captures)} captures for each accelerometer"
+            yield f"Run it with the accelerometer on the nozzle holder, the heaters off, and bring back {count}."
+        else:
+            yield "This firmware records nothing: record all of it with a sensor of your own."
+        yield f"Keep {self.plan_file}."
+
+    def details(self) -> dict[str, Any]:
+        """Return the keys of ffcomp-record-plan/1."""
         return {
             "schema": "ffcomp-record-plan/1",
             "machine": {"name": self.plan.machine, "sha256": self.plan.machine_sha256},

@@ -9,15 +9,17 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 from ffcomp.errors import RequestError
-from ffcomp.options import CAPTURE_AXES, FIGURE, FLAVORS, FORCE, MACHINE_NAME, MOVES_PLAN
-from ffcomp.request import ACCURACY, ADVANCED, MACHINE, OUTPUT, Argument, Option, Request
+from ffcomp.options import CAPTURE_AXES, FIGURE, FLAVORS, MACHINE_NAME, MOVES_PLAN
+from ffcomp.request import ACCURACY, ADVANCED, FORCE, MACHINE, OUTPUT, Argument, Option, Request
 
 Purpose = Literal["identify", "diagnose", "check", "scan"]
 CENTRE, LINE_OF_ACTION = "centre", "line-of-action"
 MOVES = ("zigzag", "reversals", "loop", "multisine")
 SIGNALS = ("multisine", "sweep", "log-sweep")
 
-GCODE = Option("G-code to write. The plan is written next to it (.json).", OUTPUT, "--output", "-o", metavar="FILE")
+GCODE = Option(
+    "G-code to write. The plan is written next to it (.json).", OUTPUT, "--output", "-o", metavar="FILE", writes="file"
+)
 FLAVOR = Option(
     "Firmware. Default: the machine file's, or klipper.", MACHINE, metavar="NAME", choices=FLAVORS, label="Firmware"
 )
@@ -26,7 +28,7 @@ CHIP = Option(
     MACHINE,
     metavar="NAME",
 )
-RUNS_FOLDER = Option("Folder for the measured runs.", OUTPUT, "--output", "-o", metavar="FOLDER")
+RUNS_FOLDER = Option("Folder for the measured runs.", OUTPUT, "--output", "-o", metavar="FOLDER", writes="folder")
 
 
 def number_pair(option: str, text: str, more: str = "") -> tuple[float, float]:
@@ -243,8 +245,6 @@ class PlanRequest(Request):
                 raise RequestError(f"{option} is for --for {purposes}, not for --for {self.purpose}.")
         if self.plan_file == self.output:
             raise RequestError(f"-o {self.output}: the G-code needs another ending, for .json is that of its plan.")
-        if self.print_file is not None and self.print_file.resolve() == self.output.resolve():
-            raise RequestError(f"-o {self.output}: that is the print itself; give another file.")
         words = (CENTRE, LINE_OF_ACTION) if self.purpose == "identify" else ()
         for place in self.at:
             if place not in words:
@@ -324,8 +324,6 @@ class CheckRequest(Request):
             raise RequestError("Either -o check.gcode, to write the G-code; or its captures, with --plan check.json.")
         if self.captures and self.plan is None:
             raise RequestError("Captures need --plan: the .json file written next to the check's G-code.")
-        if self.figure is not None and self.figure.exists() and not self.force:
-            raise RequestError(f"{self.figure} exists already; give another --figure, or --force.")
 
     @property
     def history_file(self) -> Path:

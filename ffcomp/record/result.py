@@ -14,6 +14,7 @@ from ffcomp.measurement.capture import ClockKind
 from ffcomp.measurement.recording import Recording
 from ffcomp.record.clock import ClockFit
 from ffcomp.record.plan import Commanded, Plan, run_name
+from ffcomp.result import Fact, Result
 from models.arrays import FloatArray
 from models.machine import Machine
 
@@ -73,14 +74,20 @@ class JoinResult:
         refused = (*self.refused, *(Refused(each.source, NO_ACCELERATIONS) for each in motors))
         return replace(self, joined=tuple(each for each in self.joined if each not in motors), refused=refused)
 
-    def check(self) -> None:
-        """Raise a MeasurementError with every reason if nothing could be joined."""
+    @property
+    def failure(self) -> MeasurementError | None:
+        """An error with every reason if nothing could be joined."""
         if self.joined:
-            return
+            return None
         if len({each.file for each in self.refused}) == 1:
-            raise MeasurementError(self.refused[0].file, [each.why for each in self.refused])
+            return MeasurementError(self.refused[0].file, [each.why for each in self.refused])
         reasons = [f"{each.file}: {each.why}" for each in self.refused]
-        raise MeasurementError("captures", ["None of them could be joined.", *reasons])
+        return MeasurementError("captures", ["None of them could be joined.", *reasons])
+
+    def check(self) -> None:
+        """Raise a MeasurementError if nothing could be joined."""
+        if self.failure is not None:
+            raise self.failure
 
     def notes(self, plan: Plan, machine: Machine) -> list[str]:
         """Say in sentences what the user should know, though it is no reason to refuse anything."""
@@ -96,11 +103,62 @@ class JoinResult:
             notes.append(f"No recording of {len(missing)} executions of the plan: {', '.join(missing)}.")
         return notes
 
-    def to_dict(self, files: Sequence[str]) -> dict[str, Any]:
-        """Return the JSON object ffcomp-join/1; files: of the runs, "" where none is written."""
+
+@dataclass(frozen=True, eq=False, repr=False)
+class JoinedRuns(Result):
+    """Captures that were joined with their commands, and the measured runs that were written."""
+
+    result: JoinResult
+    plan: Plan
+    machine: Machine
+    called: str  # how the machine was named
+    folder: Path
+    files: Sequence[Path]  # in the order of what was joined
+
+    @property
+    def headline(self) -> str:
+        """How much of the plan was joined."""
+        joined = self.result.joined
+        executions = len({(each.experiment, each.repeat) for each in joined})
+        axes = f"; axes {joined[0].axes_map}" if joined and joined[0].axes_map else ""
+        return f"{executions} of {len(self.plan.runs())} executions joined in {self.folder}{axes}."
+
+    @property
+    def facts(self) -> list[Fact]:
+        """Each run's clock, and each refused capture's reason."""
+        joined = [
+            (
+                each.name,
+                f"offset {each.clock.offset_s:.6f} ± {each.clock.offset_sd_s:.6f} s, ratio {each.clock.ratio:.6f}, "
+                f"correlation below 20 Hz {each.clock.correlation:.3f}",
+            )
+            for each in self.result.joined
+        ]
+        return [*joined, *((each.file, f"refused: {each.why}") for each in self.result.refused)]
+
+    @property
+    def warnings(self) -> list[str]:
+        """What is wrong with the captures or missing, though something was joined."""
+        return self.result.notes(self.plan, self.machine)
+
+    @property
+    def next_steps(self) -> list[str]:
+        """Diagnose, where the machine can be."""
+        if not self.files or not self.machine.vibration.diagnosable:
+            return []
+        once = "" if self.plan.repeats > 1 else " --without-repeats"
+        return [f"Then: ffcomp diagnose {self.folder}/*.csv -m {self.called}{once}"]
+
+    @property
+    def failure(self) -> MeasurementError | None:
+        """Nothing could be joined."""
+        return self.result.failure
+
+    def details(self) -> dict[str, Any]:
+        """Return the keys of ffcomp-join/1."""
         runs = [
             {
-                "file": file,  # the measured run
+                "file": str(file),  # the measured run
                 "experiment": each.experiment,
                 "repeat": each.repeat,  # whole number
                 "offset_s": each.clock.offset_s,  # time of the capture's first row since the first move began
@@ -112,14 +170,14 @@ class JoinResult:
                 "capture": each.source,
                 "axes_map": each.axes_map,  # the printer's axes in the sensor's own
             }
-            for each, file in zip(self.joined, files, strict=True)
+            for each, file in zip(self.result.joined, self.files, strict=True)
         ]
         refused = [
             {
                 "file": each.file,
                 "why": each.why,  # a sentence
             }
-            for each in self.refused
+            for each in self.result.refused
         ]
         return {"schema": "ffcomp-join/1", "runs": runs, "refused": refused}
 

@@ -15,6 +15,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from scipy.signal import find_peaks
 
+from ffcomp.errors import RequestError
 from ffcomp.identification.axes import IdentifiedAxes
 from ffcomp.identification.axis_spectra import Datum
 from ffcomp.identification.belts import BeltComparison
@@ -41,8 +42,8 @@ from models.arrays import ComplexArray, FloatArray
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")  # told apart by colour-blind people too
 
 
-def figure_of(fit: MachineFit) -> Figure | None:
-    """Draw the measurements beside the fitted model; None where they hold nothing that is drawn."""
+def figure_of(fit: MachineFit) -> Figure:
+    """Draw the measurements next to the fitted model; RequestError where they hold nothing that is drawn."""
     more = in_words(fit.shapers)
     match fit:
         case ScanFit():
@@ -51,7 +52,9 @@ def figure_of(fit: MachineFit) -> Figure | None:
             return fit_figure(fit.result, more)
         case AxesFit():
             return axes_figure(fit.result, fit.name, fit.belts, more)
-    return None if fit.belts is None else belts_figure(fit.belts, fit.name)
+    if fit.belts is None:
+        raise RequestError("These data hold no frequency responses to draw (see: --plan).")
+    return belts_figure(fit.belts, fit.name)
 
 
 def belts_figure(belts: BeltComparison, name: str) -> Figure:

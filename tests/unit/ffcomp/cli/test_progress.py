@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from ffcomp.cli.common import quiet
 from ffcomp.cli.progress import Progress, SearchProgress
 from ffcomp.diagnosis.diagnosis import USUAL_S
 from ffcomp.numerics.stages import Now, Pace, Stage
@@ -16,21 +17,21 @@ from ffcomp.serve.messages import progress as page_progress
 SAID = (Stage(3, "screening 21 effects"), Now("fitting effector_mass"), "effector_mass: 1.2 times the noise")
 
 
-def shown(quiet: bool) -> None:
-    with SearchProgress(quiet, USUAL_S) as progress:
+def shown(hidden: bool) -> None:
+    with quiet(hidden), SearchProgress(USUAL_S) as progress:
         for sentence in SAID:
             progress(sentence)
 
 
 def test_elsewhere_stages_and_results_are_lines(capsys: pytest.CaptureFixture[str]) -> None:
-    shown(quiet=False)
+    shown(hidden=False)
     out, err = capsys.readouterr()
     assert out == ""
     assert err.splitlines() == [f"ffcomp: {SAID[0]}", f"ffcomp: {SAID[2]}"]
 
 
 def test_quiet_says_nothing(capsys: pytest.CaptureFixture[str]) -> None:
-    shown(quiet=True)
+    shown(hidden=True)
     assert capsys.readouterr() == ("", "")
 
 
@@ -48,7 +49,7 @@ def test_a_share_is_a_bar_on_a_terminal_and_lines_elsewhere(
 ) -> None:
     if terminal:
         on_a_terminal(monkeypatch)
-    with Progress(10.0, quiet=False, what="simulating") as progress:
+    with Progress(10.0, "simulating") as progress:
         progress(1.0)
         progress.phase("drawing", 0.5)
     err = capsys.readouterr().err
@@ -60,7 +61,7 @@ def test_on_a_terminal_there_is_a_bar_with_the_stage_and_what_is_tried(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     on_a_terminal(monkeypatch)
-    shown(quiet=False)
+    shown(hidden=False)
     out, err = capsys.readouterr()
     assert out == ""
     assert f"3/{len(USUAL_S)}" in err and all(sentence in err for sentence in SAID)
@@ -82,14 +83,14 @@ def test_the_time_left_is_what_is_usual_then_what_the_stages_before_took() -> No
 def test_the_time_left_is_said_in_round_numbers(monkeypatch: pytest.MonkeyPatch) -> None:
     clock = 100.0
     monkeypatch.setattr("ffcomp.cli.progress.time.monotonic", lambda: clock)
-    shown = SearchProgress(False, (10.0, 30.0))
+    shown = SearchProgress((10.0, 30.0))
     assert shown.left() == ""
     clock = 105.0
     assert shown.left() == "about 35 s left"
     clock = 100.0 + 43.0
     shown(Stage(2, "the rest"))
     assert shown.left() == "about 75 s left"
-    long = SearchProgress(False, (500.0, 400.0))
+    long = SearchProgress((500.0, 400.0))
     clock += 20.0
     assert long.left() == "about 15 min left"
 
@@ -100,7 +101,7 @@ def test_the_time_left_is_the_pace_since_the_first_share(
     """Compiling comes before the first share, and nothing is promised before 5 s of steady work."""
     clock = 0.0
     monkeypatch.setattr("ffcomp.cli.progress.time.monotonic", lambda: clock)
-    with Progress(1.0, quiet=False) as progress:
+    with Progress(1.0) as progress:
         clock = 60.0
         for share in (0.1, 0.2, 0.6):
             progress(share)
@@ -116,7 +117,7 @@ def test_programs_read_events(
     monkeypatch.setattr("ffcomp.cli.progress.time.monotonic", lambda: clock)
     monkeypatch.setenv("FFCOMP_EVENTS", str(events))
     assert page_progress(events, "compensating") == (None, "compensating")
-    with Progress(1.0, quiet=True) as progress:
+    with quiet(True), Progress(1.0) as progress:
         progress(0.25)
         assert page_progress(events, "") == (0.25, "compensating")
         clock = 10.0

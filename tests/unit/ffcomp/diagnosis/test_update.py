@@ -177,7 +177,7 @@ def test_the_verb_updates_the_file_in_place_and_keeps_a_history(files: tuple[Pat
     assert result.exit_code == 0, result.output
     answer, history = json.loads(result.stdout), mine.with_name("mine.updates.jsonl")
     assert value_of(load_machine(str(mine)), KEYS[0]) == pytest.approx(57.0, rel=0.01)
-    assert read_history(history) == [answer]
+    assert read_history(history) == [{key: each for key, each in answer.items() if key != "answer"}]
     assert answer["numbers"][KEYS[0]]["before"]["sd"] > 5 * answer["numbers"][KEYS[0]]["after"]["sd"]
     assert answer["written_sha256"] == load_machine(str(mine)).sha256
     # the same recordings again would count twice

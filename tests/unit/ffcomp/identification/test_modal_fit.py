@@ -222,7 +222,7 @@ def test_from_responses_to_a_machine_file(tmp_path: Path) -> None:
     out = tmp_path / "out.toml"
     assert call("identify", "fit", tmp_path / "x.csv", "-m", start, "-o", out, "-q").exit_code == 0
     assert "share = [1.0]" in out.read_text(encoding="utf-8")
-    drawn = call("frf", "-m", out, "--measured", tmp_path / "x.csv", "--figure", tmp_path / "bode.png")
+    drawn = call("frf", "-m", out, "--measured", tmp_path / "x.csv", "--figure", tmp_path / "bode.png", "--json")
     assert drawn.exit_code == 0 and "100 % accurate in magnitude" in json.loads(drawn.stdout)["verdict"]
 
 

@@ -22,7 +22,7 @@ from ffcomp.record.axes import tilt, turn_of, words
 from ffcomp.record.join import join_captures, load_recordings
 from ffcomp.record.moves import Request, make_plan
 from ffcomp.record.plan import Plan, save_plan
-from ffcomp.record.result import JoinResult, Refused, recording_lines
+from ffcomp.record.result import JoinedRuns, JoinResult, Refused, recording_lines
 from models.file import load_machine
 from models.machine import Machine
 from tests.support.recordings import write_captures
@@ -155,8 +155,9 @@ def test_a_joined_run_reads_back(klipper: JoinResult, tmp_path: Path) -> None:
     np.testing.assert_allclose(again.acceleration["acc_x"], each.recording.acceleration["acc_x"], atol=1e-6)
 
 
-def test_the_json_object_is_the_fixed_one(klipper: JoinResult) -> None:
-    found = klipper.to_dict(["a.csv"] * 4)
+def test_the_json_object_is_the_fixed_one(bench: Bench, klipper: JoinResult) -> None:
+    plan, machine = bench.plan, bench.machine
+    found = JoinedRuns(klipper, plan, machine, "m.toml", Path("runs"), [Path("a.csv")] * 4).to_dict()
     assert found["schema"] == "ffcomp-join/1" and found["refused"] == []
     keys = "file experiment repeat offset_s offset_sd_s clock_ratio clock_sd correlation overflows"
     assert all(set(keys.split()) <= set(run) for run in found["runs"])

@@ -43,7 +43,7 @@ def run(*arguments: object) -> Result:
 
 
 def answers(*arguments: object) -> list[dict]:
-    result = run(*arguments)
+    result = run(*arguments, "--json")
     assert result.exit_code == 0, result.output
     return [json.loads(line) for line in result.stdout.splitlines()]
 
