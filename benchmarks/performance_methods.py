@@ -7,10 +7,10 @@ from numpy.typing import NDArray
 
 from ffcomp.comparison.methods import TunedMethod
 from ffcomp.comparison.sampling import PrintSlice
+from ffcomp.firmware.program import PlannedProgram
 from ffcomp.inverse.limited_window import WindowProblem
 from ffcomp.inverse.model import InverseModel, Iterate
 from ffcomp.inverse.reference import Reference
-from ffcomp.planner.program import PlannedProgram
 from ffcomp.planner.trajectory import Section
 from ffcomp.simulation.command import Motion
 from models.effects.catalogue import design_machine

@@ -24,10 +24,10 @@ from ffcomp.comparison.evaluation import Execution, evaluate, track
 from ffcomp.comparison.methods import COMPENSATED, ONE_MODEL, TunedMethod
 from ffcomp.comparison.sampling import Print, PrintSlice, Sampling
 from ffcomp.compensation.solve import SolvedSection, solutions
+from ffcomp.firmware.program import PlannedProgram, plan_program
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.settings import Settings, settings_for
 from ffcomp.inverse.solve import solve
-from ffcomp.planner.program import PlannedProgram, plan_program
 from ffcomp.simulation.playback import simulate_nozzles
 from gcode.reader import read_program
 from models.file import load_machine

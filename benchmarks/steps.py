@@ -21,7 +21,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ffcomp.planner.program import firmware_plan
+from ffcomp.firmware.program import firmware_plan
 from ffcomp.planner.trajectory import Trajectory
 from ffcomp.steps.archive import MotorSteps, read_steps
 from ffcomp.steps.crossings import trajectory_pieces

@@ -33,15 +33,17 @@ from numpy.typing import NDArray
 
 from ffcomp.compensation.gcode_layout import Timeline, tiles, timeline
 from ffcomp.compensation.gcode_writer import Writer
+from ffcomp.firmware.program import PlannedProgram, plan_program
+from ffcomp.firmware.table import FIRMWARES
+from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.reference import Reference
-from ffcomp.inverse.settings import CUT, Settings, settings_for
-from ffcomp.planner.program import PlannedProgram, plan_program
+from ffcomp.inverse.settings import CUT, settings_for
 from ffcomp.planner.segment_merging import merge
 from ffcomp.planner.segment_timing import segment_speeds
 from ffcomp.planner.trajectory import Section
 from gcode.dialects import detect_flavor
 from gcode.emit import MoveWriter
-from gcode.program import Event, ModalState, MotionLimits
+from gcode.program import Event, ModalState
 from gcode.reader import read_program
 from models.file import load_machine
 from tests.unit.ffcomp.compensation.test_gcode_layout import smoothed
@@ -66,10 +68,10 @@ class Row:
 class Round:
     """The whole print once, with the time each stage takes."""
 
-    def __init__(self, planned: PlannedProgram, settings: Settings) -> None:
-        self.planned, self.settings = planned, settings
-        flavor = detect_flavor(planned.program.lines)
-        self.writer = Writer(planned.program, flavor, MotionLimits(), settings)
+    def __init__(self, planned: PlannedProgram, model: InverseModel) -> None:
+        self.planned, self.settings = planned, model.settings
+        firmware = FIRMWARES[detect_flavor(planned.program.lines)]
+        self.writer = Writer(planned.program, model.settings, firmware.segments(model))
         self.lines = 0
         self.seconds = dict.fromkeys(STAGES, 0.0)
 
@@ -117,8 +119,8 @@ def _runs(planned: PlannedProgram) -> Iterator[tuple[Section, list[Event]]]:
 def measure(path: Path, rounds: int) -> Row:
     machine = load_machine("mp-delta-pro")
     planned = plan_program(read_program(path.read_bytes(), path.name), machine)
-    settings = settings_for(machine)
-    done = [Round(planned, settings).go() for _ in range(rounds)]
+    model = InverseModel(machine, settings_for(machine))
+    done = [Round(planned, model).go() for _ in range(rounds)]
     segments = done[0].writer.segments
     best = {stage: 1e6 * min(each.seconds[stage] for each in done) / segments for stage in STAGES}
     return Row(segments, done[0].lines, best)

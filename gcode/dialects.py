@@ -14,7 +14,7 @@ from math import nan
 from typing import NamedTuple
 
 from gcode.errors import UnsupportedGcode
-from gcode.program import MotionLimits
+from gcode.program import LimitCommand, MotionLimits
 
 HIGHEST_CRUISE_RATIO = 0.999  # the largest with three decimals; Klipper rejects 1
 KLIPPER, MARLIN, REPRAPFIRMWARE = "klipper", "marlin", "reprapfirmware"
@@ -193,6 +193,11 @@ def open_limits(flavor: str, velocity: float, acceleration: float, corner: float
 def close_limits(flavor: str, limits: MotionLimits, axes: str = "XYZ") -> list[bytes]:
     """Lines that restore limits; NaN (unknown) is not written."""
     return _klipper(limits) if flavor == KLIPPER else _by_axes(flavor, limits, axes)
+
+
+def limit_lines(flavor: str, commands: Iterable[LimitCommand], unit_mm: float) -> list[bytes]:
+    """Return commands that set limits as a file with this unit states them: after G20, Marlin takes inches."""
+    return [limit_line(flavor, each.code, each.words, unit_mm) for each in commands]
 
 
 def limit_line(flavor: str, code: str, words: Mapping[str, float], unit_mm: float = 1.0) -> bytes:

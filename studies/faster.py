@@ -23,9 +23,9 @@ from matplotlib.figure import Figure
 from ffcomp.comparison import methods as ours
 from ffcomp.faster.bound import FIRST_LAYER, Bound
 from ffcomp.faster.program import FasterProgram, faster_program
+from ffcomp.firmware.program import plan_program
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.settings import settings_for
-from ffcomp.planner.program import plan_program
 from ffcomp.simulation.command import Motion
 from studies.render import REPORTS, results_of, save
 from validation import judge

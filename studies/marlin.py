@@ -2,9 +2,9 @@
 
     OPENBLAS_NUM_THREADS=1 python -m studies.marlin [tower] [star] [--seconds 60]
 
-The written file is planned by Marlin's own rules (`ffcomp.planner.marlin`, which the tests hold against the real
-planner's blocks), the motors follow the blocks from whole step to whole step, and a plant that shares no equation with
-ffcomp moves the nozzle. Contour error is that to the segments of the path that Marlin plans for the sliced file.
+The written file is planned by Marlin's own rules (`ffcomp.firmware.marlin_planner`, which the tests compare with the
+real planner's blocks), the motors follow the blocks from whole step to whole step, and a plant that shares no equation
+with ffcomp moves the nozzle. Contour error is that to the segments of the path that Marlin plans for the sliced file.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ from numpy.typing import NDArray
 
 from ffcomp.compensation.job import Job, Options
 from ffcomp.compensation.request import CompensateOptions
+from ffcomp.firmware.marlin_planner import planner_of, settings_row
+from ffcomp.firmware.marlin_queue import STEPS, Blocks, phases_of
+from ffcomp.firmware.program import known_to_the_firmware, plan_program
 from ffcomp.metrics import Track, contour_error
 from ffcomp.planner.lookahead import stops_and_waits
-from ffcomp.planner.marlin import planner_of, settings_row
-from ffcomp.planner.marlin_queue import STEPS, Blocks, phases_of
-from ffcomp.planner.program import known_to_the_firmware, plan_program
 from ffcomp.planner.trajectory import Trajectory
 from ffcomp.simulation.command import SectionClock, path_corners, reference_clock, section_starts
 from gcode.program import Program

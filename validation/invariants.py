@@ -17,10 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ffcomp.compensation.net import FARTHEST_MM, TIMES
+from ffcomp.firmware.program import known_to_the_firmware, plan_program, planner_of
 from ffcomp.inverse.settings import SEGMENTS_PER_SECOND, nozzle_compliance
 from ffcomp.metrics import contour_error
 from ffcomp.planner.lookahead import stops_and_waits
-from ffcomp.planner.program import known_to_the_firmware, plan_program, planner_of
 from ffcomp.planner.reach import within_reach
 from gcode.dialects import MARLIN
 from gcode.embedded import OURS, TIME_WAS, WAS, original, section_times

@@ -26,10 +26,10 @@ from ffcomp import shapers
 from ffcomp.comparison import methods as ours
 from ffcomp.comparison.baselines import shaped as shaped_apart
 from ffcomp.comparison.methods import Compensated, Segments, pick
+from ffcomp.firmware.program import PlannedProgram, plan_program
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.settings import Settings, settings_for
 from ffcomp.metrics import contour_error, peak_acceleration, tracking
-from ffcomp.planner.program import PlannedProgram, plan_program
 from ffcomp.planner.trajectory import Trajectory
 from ffcomp.simulation.command import Motion, SectionClock, motion_of, path_corners, planned_motion
 from gcode.program import Program

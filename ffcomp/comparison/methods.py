@@ -16,9 +16,9 @@ from ffcomp.compensation.plan import Context, PlannedChunk
 from ffcomp.compensation.program import compensate
 from ffcomp.compensation.statistics import Statistics
 from ffcomp.compensation.text_stream import Stream
+from ffcomp.firmware.program import PlannedProgram, known_to_the_firmware, plan_program
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.settings import Settings
-from ffcomp.planner.program import PlannedProgram, known_to_the_firmware, plan_program
 from ffcomp.planner.reach import within_reach
 from ffcomp.planner.trajectory import Trajectory
 from ffcomp.shapers.smooth import USUAL

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ffcomp.errors import NothingToDo
-from ffcomp.planner.program import PlannedProgram, known_to_the_firmware, plan_program
+from ffcomp.firmware.program import PlannedProgram, known_to_the_firmware, plan_program
 from ffcomp.planner.reach import within_reach
 from ffcomp.planner.trajectory import Trajectory
 from ffcomp.simulation.command import Motion, path_corners, planned_motion

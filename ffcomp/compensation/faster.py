@@ -12,10 +12,10 @@ from ffcomp.compensation.chunks import Chunk
 from ffcomp.errors import LimitsError
 from ffcomp.faster.bound import Bound, slowed
 from ffcomp.faster.program import AS_SLICED, FasterProgram, faster_program
+from ffcomp.firmware.program import PlannedProgram, firmware_plan, plan_program
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.reference import WHOLE, Extent, context_s
 from ffcomp.inverse.settings import Settings
-from ffcomp.planner.program import PlannedProgram, firmware_plan, plan_program
 from ffcomp.planner.trajectory import Trajectory
 from gcode.layers import labels
 from gcode.program import Program

@@ -18,18 +18,17 @@ from operator import itemgetter
 import numpy as np
 
 from ffcomp.compensation.gcode_layout import Timeline, tiles, timeline
-from ffcomp.compensation.marlin_segments import Filament, FilamentCount, MarlinSegments
 from ffcomp.compensation.plan import Context, PlannedChunk
 from ffcomp.compensation.solve import SolvedSection
+from ffcomp.firmware.base import Filament, FileLimits, Segments
+from ffcomp.firmware.table import FIRMWARES
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.settings import CUT, Settings
 from ffcomp.planner.lifts import join_lifts
 from ffcomp.planner.lookahead import stops_and_waits
-from ffcomp.planner.reprapfirmware import reprapfirmware_settings
 from ffcomp.planner.segment_merging import at_most, lengthen, merge, refit
-from ffcomp.planner.segment_timing import TimedSegments, segment_speeds
+from ffcomp.planner.segment_timing import TimedSegments
 from ffcomp.planner.trajectory import Section
-from gcode.dialects import KLIPPER, MARLIN, REPRAPFIRMWARE, close_limits, limit_line, open_limits
 from gcode.embedded import CUT_SHORT, OURS, WAS, joined, like_ours, section_time_line
 from gcode.emit import MoveWriter
 from gcode.errors import UnsupportedGcode
@@ -38,7 +37,6 @@ from gcode.metadata import Timed, tells
 from gcode.program import Event, EventKind, EventQueue, LimitCommand, MotionLimits, Program, note_limits
 from models.arrays import BoolArray, FloatArray, IntArray
 from models.compiled import kernel
-from models.machine import Machine
 
 _Place = tuple[float, float, float, float]  # X Y Z E, mm
 _Line = int | Event | bytes  # a move of the original (index into its lines), another line of it, a line of ours
@@ -53,22 +51,19 @@ class Writer:
     def __init__(
         self,
         program: Program,
-        flavor: str,
-        limits: MotionLimits,
         settings: Settings,
+        segments: Segments,
         *,
         offset: tuple[float, float] = (0.0, 0.0),
         file_limits: Mapping[str, LimitCommand] | None = None,
         raw_s: Mapping[int, float] | None = None,
         inside: Callable[[FloatArray], BoolArray] = lambda xyz: np.ones(len(xyz), dtype=np.bool_),
-        marlin: MarlinSegments | None = None,
-        machine_limit_commands: Sequence[LimitCommand] = (),
     ) -> None:
-        self.program, self.flavor, self.machine_limits, self.settings = program, flavor, limits, settings
-        self.machine_limit_commands = machine_limit_commands  # of axes that have limits of their own
+        self.program, self.settings, self.firmware = program, settings, segments
+        longest = min(settings.merging.longest, segments.longest_s / settings.segment_s)
+        self.merging = replace(settings.merging, longest=longest)
         self.offset = offset
-        self.marlin = marlin  # whose planner needs segments of its own kind
-        self.filament = None if marlin is None else FilamentCount()
+        self.filament = segments.count()
         self.inside = inside  # which points (n, 3) mm the firmware lets a command go to
         self.raw_s = raw_s or {}  # what lines take that go out as they are, by their index
         self.moves = MoveWriter()
@@ -105,21 +100,21 @@ class Writer:
         self.now_s += event.dwell_s + self.raw_s.get(event.line, 0.0)
         self.note_returns([event])
         self._take_frame(event.frame)
-        if self.filament is not None and self.open and (command := self.filament.set_by(line)):
-            yield from self._filament_count(self.filament, command, event.move)
+        if self.open and (command := self.filament.set_by(line)):
+            yield from self._filament_count(command, event.move)
         if event.limits is not None:
             note_limits(self.file_limits, event.limits)
             if self.open:
-                yield from self._ours(self._opening())
+                yield from self._ours(self.firmware.opening(self._file_limits()))
 
-    def _filament_count(self, filament: FilamentCount, command: str, move: int) -> Iterator[bytes]:
+    def _filament_count(self, command: str, move: int) -> Iterator[bytes]:
         frame, place, moves = self.program.frames[self.frame], self.moves.place, self.program.moves
         if command == "G92":
             named = moves.start[move, 3] if move < len(moves) else moves.end[-1, 3]
-            filament.begin(frame, place[3], place[3] - named)
+            self.filament.begin(frame, place[3], place[3] - named)
             self._set_frame(place)
         else:
-            yield from self._ours(filament.opening(frame))
+            yield from self._ours(self.filament.opening(frame))
 
     def note_returns(self, events: Iterable[Event]) -> None:
         """Note whether the last to have moved the nozzle is a macro that comes back."""
@@ -135,10 +130,8 @@ class Writer:
         """End a block: the file's limits and feed are in force again."""
         if self.open:
             self.open = False
-            yield from self._ours(self._closing())
-            frame = self.program.frames[self.frame]
-            if self.filament is not None:
-                yield from self._ours(self.filament.closing(frame, self.moves.place[3]))
+            yield from self._ours(self.firmware.closing(self._file_limits()))
+            yield from self._ours(self.filament.closing(self.program.frames[self.frame], self.moves.place[3]))
             yield self._feed()
 
     def _feed(self) -> bytes:
@@ -150,8 +143,7 @@ class Writer:
 
     def cut(self) -> Iterator[bytes]:
         """End within a block that another writer goes on with: `resume`."""
-        if self.filament is not None:
-            yield from self._ours(self.filament.naming(self.program.frames[self.frame], self.moves.place[3]))
+        yield from self._ours(self.filament.naming(self.program.frames[self.frame], self.moves.place[3]))
 
     def extrude(self, move: int) -> Iterator[bytes]:
         """Write an extruder-only move as it was, but always with its feed."""
@@ -257,14 +249,9 @@ class Writer:
         stay, pinned = np.arange(len(at)), timeline.cut
         if s.joins_lifts:
             stay, pinned = join_lifts(_stated(points, frame.base, frame.unit_mm), timeline.e, timeline.cut)
-        merging = s.merging
-        if self.marlin is not None:
-            merging = replace(merging, longest=min(merging.longest, self.marlin.longest_s / s.segment_s))
-        chosen = merge(at[stay], points[stay], timeline.e[stay], pinned, merging, CUT)
-        if self.marlin is not None:
-            flow, pinned = np.diff(timeline.e[stay]), pinned.copy()
-            pinned[1:-1] |= flow[1:] * flow[:-1] < 0.0  # where the filament turns back
-            chosen = self.marlin.lengthened(at[stay], points[stay], chosen, pinned)
+        of_points = at[stay], points[stay], timeline.e[stay]
+        chosen = merge(*of_points, pinned, self.merging, CUT)
+        chosen, pinned = self.firmware.chosen(*of_points, chosen, pinned)
         whole = piece.begin == 0, piece.end == piece.last
         chosen = at_most(at[stay], points[stay], chosen, pinned, round(1.0 / s.segment_s) - 1, *whole)
         kept, fixed = stay[chosen], pinned[chosen]
@@ -273,28 +260,16 @@ class Writer:
         points = np.where(self.inside(placed)[:, None], placed, points[kept])
         at, e = at[kept], timeline.e[kept]
         lengthen(at, points, e, fixed, s.shortest_knots, s.merging.shortest_mm)
-        if self.marlin is not None:
-            stepped = self.marlin.steps.placed(at, points, fixed)
-            points = np.where(self.inside(stepped)[:, None], stepped, points)
+        points = self.firmware.placed(at, points, fixed, self.inside)
         points = _stated(points, frame.base, frame.unit_mm)
-        begin, end = at.searchsorted([piece.begin, piece.end]).tolist()
-        if self.marlin is not None:
-            ends = np.zeros(len(at), dtype=np.bool_)
-            ends[[0, begin, end, -1]] = True
-            chosen = self.marlin.executed(points, fixed, ends)
-            at, points, e, kept, fixed = at[chosen], points[chosen], e[chosen], kept[chosen], fixed[chosen]
-        lasting = (at[1:] - at[:-1]) * s.segment_s
-        due = at * s.segment_s
-        if self.marlin is not None:
-            lasting = self.marlin.uncut(points, lasting)
-            due = due[0] + np.append(0.0, np.cumsum(lasting))
+        ends = np.zeros(len(at), dtype=np.bool_)
+        ends[[0, *at.searchsorted([piece.begin, piece.end]), -1]] = True
+        chosen = self.firmware.executed(points, fixed, ends)
+        at, points, e, kept, fixed = at[chosen], points[chosen], e[chosen], kept[chosen], fixed[chosen]
+        due, lasting = self.firmware.times(at, points)
         slack = np.minimum(SLACK_MM, SLACK_MM_PER_S * np.minimum(lasting, np.append(lasting[1:], 0.0)))
         slack[fixed[1:]] = 0.0  # another writer may go on from there, and the filament must be exact
-        if self.marlin is not None:
-            feed, speeds = self.marlin.speeds(points, e, lasting, self.file_limits, filament if whole[1] else None)
-        else:
-            speeds = segment_speeds(points, e[1:] - e[:-1], lasting, s.output)
-            feed = speeds.cruise
+        feed, speeds = self.firmware.speeds(points, e, lasting, self._file_limits(), filament if whole[1] else None)
         begin, end = at.searchsorted([piece.begin, piece.end]).tolist()
         timed = TimedSegments(due, points, speeds).part(begin, end)
         late_s = np.where(speeds.duration > 0.0, speeds.duration - lasting, 0.0)  # of whole steps some are early
@@ -311,7 +286,7 @@ class Writer:
                 yield k
 
     def _counts_filament(self, event: Event) -> bool:
-        return self.filament is not None and bool(self.filament.set_by(self.program.lines[event.line]))
+        return bool(self.filament.set_by(self.program.lines[event.line]))
 
     def _segments_and_lines(
         self, segments: _Segments, lines: list[tuple[int, _Line]], stated: FloatArray
@@ -361,10 +336,11 @@ class Writer:
             return (self._original(line),)
         return (line,) if isinstance(line, bytes) else self.event(line)
 
-    def _limits_at(self, move: int) -> MotionLimits:
+    def _file_limits(self) -> FileLimits:
         moves = self.program.moves
         columns = (moves.velocity_limit, moves.acceleration, moves.square_corner_velocity, moves.minimum_cruise_ratio)
-        return MotionLimits(*(column.item(move) for column in columns))
+        at_move = MotionLimits(*(column.item(self.move) for column in columns))
+        return FileLimits(at_move, self.file_limits, self.program.frames[self.frame].unit_mm)
 
     def _begin(self, move: int) -> Iterator[bytes]:
         moves = self.program.moves
@@ -374,9 +350,8 @@ class Writer:
             self.frame = int(moves.frame[move])
             self._begin_frame(moves.start[move].tolist())
             yield from self._return(float(moves.speed[move]))
-            if self.filament is not None:
-                yield from self._ours(self.filament.opening(self.program.frames[self.frame]))
-            yield from self._ours(self._opening())
+            yield from self._ours(self.filament.opening(self.program.frames[self.frame]))
+            yield from self._ours(self.firmware.opening(self._file_limits()))
         self._take_frame(int(moves.frame[move]))
 
     def _return(self, speed: float) -> Iterator[bytes]:
@@ -411,35 +386,12 @@ class Writer:
                 self._set_frame(self.moves.place)
 
     def _begin_frame(self, place: Sequence[float]) -> None:
-        if self.filament is not None:
-            self.filament.begin(self.program.frames[self.frame], place[3])
+        self.filament.begin(self.program.frames[self.frame], place[3])
         self._set_frame(place)
 
     def _set_frame(self, place: Sequence[float]) -> None:
         frame = self.program.frames[self.frame]
-        self.moves.reset(frame if self.filament is None else self.filament.frame(frame), place[:3], place[3])
-
-    def _closing(self) -> list[bytes]:
-        if self.marlin is not None:
-            return self._limit_lines(self.marlin.closing(self.file_limits))
-        if self.flavor == KLIPPER:
-            latest = next(reversed(self.file_limits.values()), None)
-            own = MotionLimits() if latest is None else latest.after
-            file = replace(self._limits_at(self.move), accel_to_decel=own.accel_to_decel)
-            return close_limits(self.flavor, _first_known(file, self.machine_limits))
-        return self._limit_lines([*self.machine_limit_commands, *self.file_limits.values()])
-
-    def _opening(self) -> list[bytes]:
-        o = self.settings.output
-        if self.marlin is not None:
-            return self._limit_lines(self.marlin.opening(self.file_limits))
-        wide = MotionLimits(o.velocity_mm_per_s, o.acceleration_mm_per_s2, o.square_corner_velocity_mm_per_s)
-        return open_limits(self.flavor, wide.velocity, wide.acceleration, wide.square_corner_velocity, o.raised_axes)
-
-    def _limit_lines(self, commands: Iterable[LimitCommand]) -> list[bytes]:
-        """Return commands as the file states them here: after G20, Marlin takes limits in inches too."""
-        unit_mm = self.program.frames[self.frame].unit_mm
-        return [limit_line(self.flavor, each.code, each.words, unit_mm) for each in commands]
+        self.moves.reset(self.filament.frame(frame), place[:3], place[3])
 
     def _ours(self, lines: Iterable[bytes]) -> Iterator[bytes]:
         for line in lines:
@@ -547,12 +499,6 @@ def _stated(points: FloatArray, base: _Place, unit: float) -> FloatArray:
     return np.asarray(np.rint((points - origin) / unit * counts) / counts * unit + origin)
 
 
-def _first_known(file: MotionLimits, machine: MotionLimits) -> MotionLimits:
-    """Return the file's limits, and the machine's own where the file has set none."""
-    pairs = ((getattr(file, name), getattr(machine, name)) for name in MotionLimits.__dataclass_fields__)
-    return MotionLimits(*(mine if theirs != theirs else theirs for theirs, mine in pairs))
-
-
 REFIT_MM = 1e-3  # so near the border no end of a segment is moved from the command that is inside
 
 
@@ -564,17 +510,12 @@ class GcodeRenderer:
         program, settings = chunk.planned.program, context.settings
         self._writer = Writer(
             program,
-            context.flavor,
-            _machine_limits(context.machine),
             settings,
+            FIRMWARES[context.flavor].segments(model),
             offset=context.offset,
             file_limits=chunk.chunk.limits,
             raw_s=chunk.raw_s,
             inside=partial(self._kinematics.contains, margin_mm=-REFIT_MM),
-            marlin=MarlinSegments.of(context.machine, model) if context.flavor == MARLIN else None,
-            machine_limit_commands=_reprapfirmware_limits(context.machine, settings.output.raised_axes)
-            if context.flavor == REPRAPFIRMWARE
-            else (),
         )
         self._events, self._waits_s = EventQueue(program.events), chunk.waits_s
         stops, waits = stops_and_waits(program)
@@ -648,26 +589,3 @@ class GcodeRenderer:
     def _events_before(self, move: int) -> Iterator[bytes]:
         for event in self._events.up_to(move):
             yield from self._writer.event(event)
-
-
-def _reprapfirmware_limits(machine: Machine, axes: str) -> list[LimitCommand]:
-    """Return what puts RepRapFirmware's limits of some axes back."""
-    s = reprapfirmware_settings(machine)
-
-    def words(values: Sequence[float]) -> dict[str, float]:
-        return {axis: values["XYZ".index(axis)] for axis in axes}
-
-    return [
-        LimitCommand("M201", words(s.acceleration_mm_per_s2)),
-        LimitCommand("M203", words(s.speed_mm_per_s)),
-        LimitCommand("M204", {"P": s.printing_acceleration_mm_per_s2, "T": s.travel_acceleration_mm_per_s2}),
-        LimitCommand("M566", words(s.jerk_mm_per_s)),
-    ]
-
-
-def _machine_limits(machine: Machine) -> MotionLimits:
-    """Return what is put back where the file itself has set nothing."""
-    limits = machine.limits
-    return MotionLimits(
-        limits.velocity_mm_per_s, limits.acceleration_mm_per_s2, limits.square_corner_velocity_mm_per_s, 0.5
-    )

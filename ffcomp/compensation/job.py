@@ -32,6 +32,8 @@ from ffcomp.compensation.step_output import StepRenderer, StepStream
 from ffcomp.compensation.text_stream import Stream, stamped, with_times_retold
 from ffcomp.errors import NothingToDo, RequestError
 from ffcomp.faster.bound import Bound, with_slicer_settings
+from ffcomp.firmware.program import firmware_plan, read_as_planned, section_planner
+from ffcomp.firmware.table import FIRMWARES
 from ffcomp.integrations.slicer import Bed, bed_in, pair
 from ffcomp.inverse.feasible import scale_around_cut
 from ffcomp.inverse.model import InverseModel
@@ -39,7 +41,6 @@ from ffcomp.inverse.robust import BOUNDED, PLAIN, RobustChoice, choose_robust
 from ffcomp.inverse.settings import Settings, settings_for
 from ffcomp.inverse.time_scaling import TimeScaling
 from ffcomp.planner.limits import lines_of, planner_limits
-from ffcomp.planner.program import firmware_plan, read_as_planned, section_planner, settings_sentence
 from ffcomp.planner.reach import OutOfReach, Reach
 from ffcomp.planner.trajectory import PathPosition
 from ffcomp.simulation.forecast import NO_FORECAST, Forecast, forecast
@@ -48,7 +49,7 @@ from ffcomp.steps.sink import Board, StepSink
 from ffcomp.version import __version__
 from gcode.atomic_write import replace_atomically
 from gcode.container import Source, blocks_of, ends_of
-from gcode.dialects import KLIPPER, FlavorChoice, choose_flavor, sign_by_ends
+from gcode.dialects import FlavorChoice, choose_flavor, sign_by_ends
 from gcode.embedded import WITHOUT_ORIGINAL, Stamp, find_offset, joined, offset_line, original_blocks, stamp_line
 from gcode.layers import LayerLookup
 from gcode.metadata import Timed, filament_change_s
@@ -59,9 +60,6 @@ ROW_ERROR_S = 12.5e-6  # of a step of compressed rows, early or late: half of wh
 Progress = Callable[[float], None]  # called with the share that is done, 0 to 1
 Lines = Generator[bytes, None, Statistics]  # a chunk's output, and what was done
 
-QUICKER_BY_KLIPPER = (
-    "What becomes quicker is planned by Klipper's rules of corners: any firmware gets ffcomp's segments."
-)
 MERGED_SHARE = 0.1  # of a bound, that joined segments may miss their path by
 
 
@@ -293,8 +291,9 @@ class Job:
     @cached_property
     def _flavor_choice(self) -> FlavorChoice:
         choice = choose_flavor(self.options.flavor, self.machine.flavor, sign_by_ends(*self._ends[:2]), self.path)
-        assumed = settings_sentence(choice.flavor, self.machine)
-        sought = "" if self.options.bound is None or choice.flavor == KLIPPER else QUICKER_BY_KLIPPER
+        firmware = FIRMWARES[choice.flavor]
+        assumed = firmware.assumed(self.machine)
+        sought = "" if self.options.bound is None else firmware.quicker_note
         return replace(choice, reason=" ".join(each for each in (choice.reason, assumed, sought) if each))
 
     @property

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ffcomp.firmware.program import read_as_planned
 from ffcomp.integrations.slicer import Bed, bed_in, between, offset_for, pair, place
-from ffcomp.planner.program import read_as_planned
 from ffcomp.planner.reach import PartMoves
 from gcode.container import Source, blocks_of, ends_of
 from gcode.dialects import choose_flavor, sign_by_ends

@@ -13,10 +13,10 @@ from ffcomp.compensation.faster import Faster, faster_chunk
 from ffcomp.compensation.solve import Resting, solutions
 from ffcomp.compensation.statistics import Statistics, of_plan, of_raw
 from ffcomp.faster.bound import Bound
+from ffcomp.firmware.program import PlannedProgram, plan_program, planner_of, raw_durations
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.reference import WHOLE
 from ffcomp.inverse.settings import Settings
-from ffcomp.planner.program import PlannedProgram, plan_program, planner_of, raw_durations
 from ffcomp.planner.trajectory import Section
 from gcode.program import Event
 from models.arrays import FloatArray

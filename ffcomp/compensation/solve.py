@@ -9,13 +9,13 @@ import numpy as np
 
 from ffcomp.compensation.net import ENDS_MM, fault_of, path_fault
 from ffcomp.errors import LimitsError
+from ffcomp.firmware.program import PlannedProgram, section_planner
 from ffcomp.inverse.feasible import FeasibleSection, SectionRequest, solve_feasible
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.reference import WHOLE, Extent, Reference
 from ffcomp.inverse.solve import Solution, solve
 from ffcomp.inverse.time_scaling import TimeScaling
 from ffcomp.planner.limits import planner_limits
-from ffcomp.planner.program import PlannedProgram, section_planner
 from ffcomp.planner.trajectory import Section, Trajectory
 from gcode.layers import LayerLookup
 from gcode.program import EventKind

@@ -14,12 +14,12 @@ from ffcomp.compensation.faster import Faster
 from ffcomp.compensation.net import Unsafe
 from ffcomp.compensation.prediction import Samples
 from ffcomp.compensation.solve import SolvedSection
+from ffcomp.firmware.program import PlannedProgram
 from ffcomp.inverse.command_limits import utilisation_from_rest
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.reference import Extent
 from ffcomp.inverse.time_scaling import TimeScaling
 from ffcomp.planner.limits import lines_of
-from ffcomp.planner.program import PlannedProgram
 from ffcomp.planner.reach import BESIDE
 from ffcomp.planner.trajectory import PathPosition, Section, Trajectory
 from gcode.program import Event, Moves, Program

@@ -14,8 +14,8 @@ import numpy as np
 
 from ffcomp.compensation.plan import Context, PlannedChunk
 from ffcomp.compensation.solve import SolvedSection
+from ffcomp.firmware.program import PlannedProgram
 from ffcomp.planner.lookahead import stops_and_waits
-from ffcomp.planner.program import PlannedProgram
 from ffcomp.planner.segment_timing import TimedSegments
 from ffcomp.planner.trajectory import Section
 from ffcomp.steps.crossings import knot_pieces, on_grid, trajectory_pieces

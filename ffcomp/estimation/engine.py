@@ -10,8 +10,9 @@ from typing import Any, ClassVar
 from ffcomp.compensation.placement import Offset, Placement, place_print
 from ffcomp.errors import NothingToDo
 from ffcomp.estimation.statistics import BEFORE, FILAMENT, KINDS, Layer, Statistics, Unknown, planned_slices
+from ffcomp.firmware.program import firmware_plan, planner_of, raw_durations, read_as_planned
+from ffcomp.firmware.table import FIRMWARES
 from ffcomp.numerics.serialise import to_json
-from ffcomp.planner.program import firmware_plan, planner_of, raw_durations, read_as_planned, settings_sentence
 from ffcomp.planner.reach import Reach
 from ffcomp.result import Fact, Result, clock
 from gcode.container import Source, blocks_of, ends_of
@@ -152,7 +153,7 @@ def estimate(
 def _statistics(blocks: Iterable[bytes], path: str, machine: Machine, flavor: str, offset: Offset) -> Statistics:
     parts = read_as_planned(blocks, path, machine, flavor, offset_mm=offset)
     statistics = Statistics()
-    if assumed := settings_sentence(flavor, machine):
+    if assumed := FIRMWARES[flavor].assumed(machine):
         statistics.warnings.append(assumed)
     for part in planned_slices(Reach(machine.kinematics).whole(parts), partial(firmware_plan, machine=machine)):
         statistics.add(part, raw_durations(part.events, planner_of(part.program, machine)))

@@ -17,10 +17,10 @@ from ffcomp.faster.bound import (
 )
 from ffcomp.faster.predicted_error import ensemble_of
 from ffcomp.faster.search import SectionSearch, search
+from ffcomp.firmware.program import planner_of
 from ffcomp.inverse.model import InverseModel
 from ffcomp.planner.limits import PlannerLimits, bounds_of, lines_of, planner_limits
 from ffcomp.planner.lookahead import phases_from_corners, plan_moves, stops_and_waits
-from ffcomp.planner.program import planner_of
 from ffcomp.planner.trajectory import Trajectory, split_sections
 from gcode.dialects import KLIPPER
 from gcode.layers import UNNAMED, LayerLookup, labels

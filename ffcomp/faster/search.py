@@ -26,12 +26,12 @@ from ffcomp.faster.predicted_error import (
     forecast_error,
     histogram,
 )
+from ffcomp.firmware.program import plan_section
 from ffcomp.inverse.command_limits import ACCELERATION, TRAVEL, VELOCITY, utilisation_from_rest
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.reference import WHOLE
 from ffcomp.inverse.solve import solve
 from ffcomp.planner.limits import PlannerLimits
-from ffcomp.planner.program import plan_section
 from ffcomp.planner.trajectory import Section, Trajectory
 from gcode.program import Moves
 from models.arrays import FloatArray, IntArray

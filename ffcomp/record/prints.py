@@ -15,9 +15,9 @@ from typing import NamedTuple
 import numpy as np
 
 from ffcomp.errors import MeasurementError, NothingToDo
+from ffcomp.firmware.program import firmware_plan
 from ffcomp.planner.limits import planner_limits
 from ffcomp.planner.lookahead import stops_and_waits
-from ffcomp.planner.program import firmware_plan
 from ffcomp.planner.trajectory import Section, split_sections
 from ffcomp.record.gcode_writer import Firmware, rest
 from ffcomp.record.moves import MODES_HZ, MOST_EXPERIMENTS, rounding_share

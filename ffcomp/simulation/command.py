@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ffcomp.firmware.program import PlannedProgram
 from ffcomp.inverse.settings import Settings
 from ffcomp.metrics import peak_acceleration, progress_in_order
-from ffcomp.planner.program import PlannedProgram
 from ffcomp.planner.trajectory import Section, Trajectory
 from gcode.embedded import WAS, noted, section_times
 from gcode.program import Program

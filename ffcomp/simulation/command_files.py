@@ -13,7 +13,7 @@ from functools import partial
 import numpy as np
 
 from ffcomp.errors import NothingToDo
-from ffcomp.planner.program import PlannedProgram, known_to_the_firmware, plan_program
+from ffcomp.firmware.program import PlannedProgram, known_to_the_firmware, plan_program
 from ffcomp.planner.reach import within_reach
 from ffcomp.planner.trajectory import Trajectory
 from ffcomp.simulation.command import (

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ffcomp.firmware.program import PlannedProgram, known_to_the_firmware, planner_of
 from ffcomp.metrics import (
     Track,
     build_track,
@@ -19,7 +20,6 @@ from ffcomp.metrics import (
     tracking,
 )
 from ffcomp.planner.lookahead import stops_and_waits
-from ffcomp.planner.program import PlannedProgram, known_to_the_firmware, planner_of
 from ffcomp.planner.reach import within_reach
 from ffcomp.planner.trajectory import Trajectory, split_sections
 from ffcomp.simulation.command import (

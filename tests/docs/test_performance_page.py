@@ -12,9 +12,9 @@ from benchmarks import performance, performance_figures, performance_methods, pe
 from benchmarks.performance_methods import LINES, REACH, ZeroPhase, dense, left_over, sampled, unstable_zeros, whole_run
 from benchmarks.performance_prints import LAYER, repeated
 from benchmarks.performance_ways import LABELS, MACHINE, PRINTS, pattern
+from ffcomp.firmware.program import plan_program
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.settings import Settings
-from ffcomp.planner.program import plan_program
 from gcode.reader import read_program
 from models.file import load_machine
 from models.kinds import delta_vibration

@@ -31,12 +31,12 @@ from ffcomp.estimation.statistics import (
     WAITING,
     Statistics,
 )
+from ffcomp.firmware import program as reading
+from ffcomp.firmware.program import plan_program
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.settings import settings_for
 from ffcomp.options import FLAVORS
-from ffcomp.planner import program as reading
 from ffcomp.planner.lookahead import stops_and_waits
-from ffcomp.planner.program import plan_program
 from gcode.embedded import TIME_WAS, original
 from gcode.metadata import Timed, tells
 from gcode.program import Program

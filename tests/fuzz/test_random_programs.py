@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from ffcomp.compensation.job import Job, Options
 from ffcomp.compensation.solve import SolvedSection, solutions
+from ffcomp.firmware.program import plan_program
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.settings import settings_for
-from ffcomp.planner.program import plan_program
 from ffcomp.planner.trajectory import Trajectory
 from gcode.dialects import FLAVORS
 from gcode.emit import MoveWriter

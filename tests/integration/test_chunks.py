@@ -17,12 +17,12 @@ from ffcomp.compensation.job import StepOutput
 from ffcomp.compensation.plan import _is_simulated
 from ffcomp.errors import LimitsError
 from ffcomp.faster.bound import Bound
+from ffcomp.firmware import program as reading
+from ffcomp.firmware.program import firmware_plan, known_to_the_firmware, plan_program
 from ffcomp.inverse import lq_preview
 from ffcomp.inverse.reference import Extent
 from ffcomp.inverse.settings import settings_for
 from ffcomp.metrics import contour_error
-from ffcomp.planner import program as reading
-from ffcomp.planner.program import firmware_plan, known_to_the_firmware, plan_program
 from ffcomp.planner.trajectory import PathPosition
 from ffcomp.simulation.command import path_corners, path_corners_with_rests, section_starts
 from ffcomp.steps.archive import read_steps

@@ -7,9 +7,9 @@ import pytest
 
 from ffcomp.compensation.job import Job, Options
 from ffcomp.compensation.request import CompensateOptions
+from ffcomp.firmware.marlin_planner import cut_moves, planner_of
+from ffcomp.firmware.program import plan_program
 from ffcomp.planner.lookahead import stops_and_waits
-from ffcomp.planner.marlin import cut_for_marlin, planner_of
-from ffcomp.planner.program import plan_program
 from models.file import load_machine
 from studies.marlin import judge, read
 from validation.invariants import told_apart, violations
@@ -75,7 +75,7 @@ def test_no_segment_is_dropped_before_a_line_of_the_file(name: str, middle: int,
     ).lines()
     text = b"".join(written)
     assert violations(data, text, machine, written.value.placement.offset, flavor="marlin") == []
-    program = cut_for_marlin(read(text, machine), machine)
+    program = cut_moves(read(text, machine), machine)
     moves, (stops, waits) = program.moves, stops_and_waits(program)
     blocks, ends = planner_of(program, machine).blocks(moves, stops | (waits > 0.0))
     executed = np.zeros(len(moves), dtype=np.bool_)

@@ -11,7 +11,7 @@ from ffcomp.compensation.job import StepOutput
 from ffcomp.compensation.result import Result
 from ffcomp.compensation.step_output import BEFORE_S
 from ffcomp.errors import NothingToDo
-from ffcomp.planner.program import plan_program
+from ffcomp.firmware.program import plan_program
 from ffcomp.steps.archive import read_steps
 from ffcomp.steps.sink import Board
 from gcode.reader import read_program

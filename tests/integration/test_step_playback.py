@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 from ffcomp.errors import NothingToDo
-from ffcomp.planner.program import plan_program
+from ffcomp.firmware.program import plan_program
 from ffcomp.simulation.command import Command
 from ffcomp.simulation.command_files import AT_REST_S, gcode_command, smoothed, staircase, steps_command
 from ffcomp.simulation.playback import ROW_S, play

@@ -15,10 +15,10 @@ from scipy.signal import cont2discrete, lfilter
 from ffcomp.comparison import methods as ours
 from ffcomp.compensation.file import compensate_file
 from ffcomp.compensation.job import Options, StepOutput
+from ffcomp.firmware.program import PlannedProgram, plan_program
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.settings import settings_for
 from ffcomp.metrics import contour_error
-from ffcomp.planner.program import PlannedProgram, plan_program
 from ffcomp.simulation.command import Motion, motion_of, path_corners, planned_motion
 from ffcomp.steps.sink import Board
 from gcode.reader import read_program

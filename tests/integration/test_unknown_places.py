@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from ffcomp.compensation.job import Job, Options
+from ffcomp.firmware.program import known_to_the_firmware
 from ffcomp.importers.builder import build_draft, machine_text, read_printer_config
 from ffcomp.metrics import contour_error
-from ffcomp.planner.program import known_to_the_firmware
 from ffcomp.simulation.preview import preview
 from gcode.embedded import OURS, original
 from gcode.reader import read_program

@@ -13,12 +13,13 @@ from numpy.typing import NDArray
 
 from ffcomp.compensation.gcode_layout import CONTEXT_KNOTS, Tile, tiles, timeline
 from ffcomp.compensation.gcode_writer import Writer
+from ffcomp.firmware.program import PlannedProgram, plan_program
+from ffcomp.firmware.table import FIRMWARES
+from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.reference import Reference
 from ffcomp.inverse.settings import CUT, Settings, settings_for
-from ffcomp.planner.program import PlannedProgram, plan_program
 from gcode.dialects import KLIPPER
 from gcode.embedded import original
-from gcode.program import MotionLimits
 from gcode.reader import read_program
 from models.file import load_machine
 from models.machine import Machine
@@ -48,7 +49,8 @@ def written(data: bytes, length: int) -> tuple[bytes, int]:
     """The program with every run cut into pieces of so many knots (0: whole), and how many segments it took."""
     program = read_program(data, "print.gcode", flavor=KLIPPER)
     planned: PlannedProgram = plan_program(program, machine())
-    writer = Writer(program, KLIPPER, MotionLimits(), inverse_settings())
+    model = InverseModel(machine(), inverse_settings())
+    writer = Writer(program, inverse_settings(), FIRMWARES[KLIPPER].segments(model))
     text: list[bytes] = []
     taken = 0
     for run in planned.sections:

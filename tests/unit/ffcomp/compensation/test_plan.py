@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from ffcomp.compensation.plan import RESIDUAL_MM, ringing_s, settling_waits
-from ffcomp.planner.program import PlannedProgram, plan_program, planner_of, raw_durations
+from ffcomp.firmware.program import PlannedProgram, plan_program, planner_of, raw_durations
 from gcode.reader import read_program
 from models.file import load_machine
 

@@ -12,7 +12,7 @@ import pytest
 from ffcomp.compensation.file import compensate_file
 from ffcomp.compensation.job import Options
 from ffcomp.compensation.prediction import Prediction
-from ffcomp.planner.program import plan_program
+from ffcomp.firmware.program import plan_program
 from ffcomp.simulation.command import path_corners_with_rests
 from ffcomp.simulation.expectation import PIECE_S, Piece, pieces_of_segments
 from ffcomp.simulation.preview import preview

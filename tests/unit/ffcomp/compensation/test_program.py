@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from ffcomp.comparison.methods import Compensated, compensated, segments
+from ffcomp.firmware.program import plan_program
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.settings import settings_for
-from ffcomp.planner.program import plan_program
 from gcode.reader import read_program
 from models.arrays import FloatArray
 from models.file import load_machine

@@ -17,8 +17,8 @@ from ffcomp.diagnosis.noise import noise_floor, whitener
 from ffcomp.diagnosis.printer_problem import PrinterProblem
 from ffcomp.diagnosis.problem import Parameter
 from ffcomp.diagnosis.score_test import screen
+from ffcomp.firmware.program import plan_program
 from ffcomp.measurement.recording import Recording
-from ffcomp.planner.program import plan_program
 from gcode.reader import read_program
 from models.arrays import FloatArray
 from models.file import load_machine

@@ -14,12 +14,12 @@ from ffcomp.compensation.job import Job, Options
 from ffcomp.errors import LimitsError
 from ffcomp.faster.bound import Bound, with_slicer_settings
 from ffcomp.faster.program import FasterProgram, faster_program
+from ffcomp.firmware.program import PlannedProgram, plan_program
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.reference import WHOLE
 from ffcomp.inverse.settings import settings_for
 from ffcomp.inverse.solve import solve
 from ffcomp.planner.limits import lines_of
-from ffcomp.planner.program import PlannedProgram, plan_program
 from gcode.program import Program
 from gcode.reader import read_program
 from models.file import load_machine

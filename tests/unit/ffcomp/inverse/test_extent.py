@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from ffcomp.firmware.program import firmware_plan
 from ffcomp.inverse.reference import CRUISE_RATIO, LEAST_CONTEXT_S, SLOWEST_RAMPS, context_s
-from ffcomp.planner.program import firmware_plan
 from ffcomp.planner.trajectory import PathPosition, Trajectory
 from gcode.reader import read_program
 from models.file import load_machine

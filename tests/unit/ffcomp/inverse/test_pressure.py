@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from ffcomp.firmware.program import PlannedProgram, plan_program
 from ffcomp.inverse.reference import Lead, Reference, lead_of
 from ffcomp.inverse.settings import settings_for
-from ffcomp.planner.program import PlannedProgram, plan_program
 from gcode.reader import read_program
 from models.arrays import FloatArray
 from models.file import load_machine

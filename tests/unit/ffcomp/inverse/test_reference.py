@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from ffcomp.firmware.program import PlannedProgram, plan_program
 from ffcomp.inverse.reference import LEAST_NEED, LEAST_S, WHOLE, Extent, Reference, Room, room_of, tighter_rooms
 from ffcomp.inverse.settings import Settings
-from ffcomp.planner.program import PlannedProgram, plan_program
 from ffcomp.planner.trajectory import PathPosition
 from gcode.reader import read_program
 from models.file import load_machine

@@ -11,6 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 from ffcomp.errors import LimitsError
+from ffcomp.firmware.program import PlannedProgram, plan_program, plan_section
 from ffcomp.inverse.feasible import FeasibleSection, SectionRequest, solve_feasible
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.reference import WHOLE, Reference
@@ -19,7 +20,6 @@ from ffcomp.inverse.solve import solve
 from ffcomp.inverse.time_scaling import LayerOf, Replan
 from ffcomp.inverse.violations import widened
 from ffcomp.planner.limits import planner_limits
-from ffcomp.planner.program import PlannedProgram, plan_program, plan_section
 from ffcomp.planner.segment_timing import segment_speeds
 from ffcomp.planner.trajectory import Section
 from gcode.program import Program

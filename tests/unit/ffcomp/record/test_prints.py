@@ -11,7 +11,7 @@ import pytest
 
 from ffcomp.cli.app import app
 from ffcomp.errors import MeasurementError, NothingToDo
-from ffcomp.planner.program import firmware_plan
+from ffcomp.firmware.program import firmware_plan
 from ffcomp.record.gcode_writer import DEFAULT_CHIPS, Firmware
 from ffcomp.record.join import join_captures
 from ffcomp.record.plan import Plan, load_plan, save_plan

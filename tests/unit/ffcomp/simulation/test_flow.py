@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ffcomp.planner.program import plan_program
+from ffcomp.firmware.program import plan_program
 from ffcomp.report.show import show_figure
 from ffcomp.simulation.forecast import NO_FORECAST
 from ffcomp.simulation.preview import STEP_S, flow_of, preview

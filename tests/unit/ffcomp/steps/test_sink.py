@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from ffcomp.errors import LimitsError
-from ffcomp.planner.program import plan_program
+from ffcomp.firmware.program import plan_program
 from ffcomp.planner.trajectory import Trajectory
 from ffcomp.steps import compress, sink
 from ffcomp.steps.archive import StepsError, is_step_archive, read_steps

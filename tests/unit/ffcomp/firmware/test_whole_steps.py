@@ -9,8 +9,9 @@ import pytest
 from numpy.typing import NDArray
 from scipy.signal import cont2discrete, lfilter
 
-from ffcomp.compensation.marlin_segments import MarlinSegments
-from ffcomp.compensation.whole_steps import WholeSteps
+from ffcomp.firmware.marlin import Marlin
+from ffcomp.firmware.marlin_segments import MarlinSegments
+from ffcomp.firmware.whole_steps import WholeSteps
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.settings import CUT, settings_for
 from models.file import load_machine
@@ -95,7 +96,7 @@ def test_a_part_that_begins_at_a_cut_says_what_the_whole_says(delta: WholeSteps)
 def test_a_deltas_segments_are_short_enough_not_to_be_cut() -> None:
     """10 ms and more are two lines' worth at 200 a second; the next segments make up for it, but not for long."""
     machine = load_machine("mp-delta-pro")
-    segments = MarlinSegments.of(machine, InverseModel(machine, settings_for(machine)))
+    segments = MarlinSegments.of(Marlin(), InverseModel(machine, settings_for(machine)))
     points = np.column_stack([np.arange(8.0), np.zeros(8), np.zeros(8)])
     lasting = np.array([4.0, 12.0, 4.0, 8.0, 90.0, 4.0, 8.0]) / 1e3
     expected = np.array([4.0, 9.5, 6.5, 8.0, 9.5, 9.5, 9.5]) / 1e3
@@ -122,4 +123,4 @@ def test_motors_that_are_too_weak_for_it_are_not_moved_to_and_fro() -> None:
     machine = load_machine("mp-delta-pro")
     weak = replace(machine, limits=replace(machine.limits, carriage_acceleration_mm_per_s2=9000.0))
     for each, enough in ((machine, 4), (weak, 7)):
-        assert MarlinSegments.of(each, InverseModel(each, settings_for(each))).steps.enough == enough
+        assert MarlinSegments.of(Marlin(), InverseModel(each, settings_for(each))).steps.enough == enough

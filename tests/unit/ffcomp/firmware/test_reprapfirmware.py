@@ -7,7 +7,8 @@ from math import hypot, sqrt
 
 import pytest
 
-from ffcomp.planner.program import firmware_plan, known_to_the_firmware, settings_sentence
+from ffcomp.firmware.program import firmware_plan, known_to_the_firmware
+from ffcomp.firmware.table import FIRMWARES
 from ffcomp.planner.trajectory import Trajectory
 from gcode.reader import read_program
 from models.file import load_machine
@@ -137,10 +138,10 @@ def test_moves_that_are_to_be_gentler_are() -> None:
 
 def test_unknown_settings_are_said() -> None:
     machine = machine_of(settings=None)
-    assert "config.g" in settings_sentence("reprapfirmware", machine)
+    assert "config.g" in FIRMWARES["reprapfirmware"].assumed(machine)
     stated = ("acceleration_mm_per_s2", "speed_mm_per_s", "jerk_mm_per_s")
     known = machine_of(settings=replace(SETTINGS, stated=stated))
-    assert settings_sentence("reprapfirmware", known) == settings_sentence("klipper", machine) == ""
+    assert FIRMWARES["reprapfirmware"].assumed(known) == FIRMWARES["klipper"].assumed(machine) == ""
     limits = machine.limits
     corner = plan("G1 X60 E2 F6000\nG1 X60 Y60 E2", machine).end_v[0]
     assert corner == pytest.approx(limits.square_corner_velocity_mm_per_s)

@@ -18,9 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ffcomp.planner.limits import lines_of
-from ffcomp.planner.lookahead import Phases
-from ffcomp.planner.marlin_queue import (
+from ffcomp.firmware.marlin_queue import (
     ACCELERATION,
     COLUMNS,
     DEVIATION,
@@ -40,9 +38,10 @@ from ffcomp.planner.marlin_queue import (
     phases_of,
     plan_blocks,
 )
-from ffcomp.planner.settings_in_force import SettingsInForce, assumed_sentence
+from ffcomp.firmware.settings_in_force import SettingsInForce
+from ffcomp.planner.limits import lines_of
+from ffcomp.planner.lookahead import Phases
 from ffcomp.planner.trajectory import Trajectory
-from gcode.dialects import MARLIN
 from gcode.program import Moves, Program
 from models.arrays import BoolArray, FloatArray, IntArray
 from models.compiled import kernel
@@ -66,20 +65,14 @@ def marlin_settings(machine: Machine) -> MarlinSettings:
     return machine.marlin or MarlinSettings.within(machine.limits, isinstance(machine.kinematics, DeltaKinematics))
 
 
-def settings_sentence(machine: Machine) -> str:
-    """Say which settings of Marlin's planner are taken to be Marlin's defaults; empty: none of those that matter."""
-    stated = () if machine.marlin is None else machine.marlin.stated
-    corner = "junction_deviation_mm" if "junction_deviation_mm" in stated else "jerk_mm_per_s"
-    matter = ("acceleration_mm_per_s2", "speed_mm_per_s", "retract_acceleration_mm_per_s2", corner)
-    return assumed_sentence("Marlin", stated, matter, "the printer's answer to M503")
+def planner_of(program: Program, machine: Machine, within: bool = False) -> MarlinPlanner:
+    """Return Marlin's planner, with the settings that are in force at each line of a program.
 
-
-def planner_of(program: Program, machine: Machine) -> MarlinPlanner:
-    """Return Marlin's planner, with the settings that are in force at each line of a program."""
+    within : the moves are part of a motion, so that nothing is slowed because the queue fills
+    """
     zeros = np.array([frame.base[3] for frame in program.frames])
-    return MarlinPlanner(
-        machine, marlin_settings(machine), SettingsInForce.of(program, machine, settings_row(machine)), zeros
-    )
+    in_force = SettingsInForce.of(program, machine, settings_row(machine))
+    return MarlinPlanner(machine, marlin_settings(machine), in_force, zeros, within)
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,21 +83,13 @@ class MarlinPlanner:
     settings: MarlinSettings
     in_force: SettingsInForce
     filament_zeros: FloatArray  # (frames,) mm of filament at each frame's E0; empty: unknown
+    within: bool = False  # the moves are part of a motion
 
     def __call__(
-        self,
-        moves: Moves,
-        *,
-        stop_before: BoolArray,
-        wait_before: FloatArray,
-        start_t: float = 0.0,
-        within: bool = False,
+        self, moves: Moves, *, stop_before: BoolArray, wait_before: FloatArray, start_t: float = 0.0
     ) -> Trajectory:
-        """Plan moves from rest to rest; parameters as of `lookahead.plan_moves`.
-
-        within : they are part of a motion, so that nothing is slowed because the queue fills
-        """
-        blocks, ends = self.blocks(moves, stop_before | (wait_before > 0.0), within)
+        """Plan moves from rest to rest; parameters as of `lookahead.plan_moves`."""
+        blocks, ends = self.blocks(moves, stop_before | (wait_before > 0.0))
         lines = lines_of(moves)
         of_blocks = (blocks.acceleration, blocks.events, tuple(phases_of(blocks)))
         columns = _shared_out(ends[blocks.target], lines.length, moves.speed, *of_blocks)
@@ -113,7 +98,7 @@ class MarlinPlanner:
         since[:1] += start_t
         return Trajectory(np.cumsum(since), *Phases(*columns), moves.start, lines.direction)
 
-    def blocks(self, moves: Moves, rests: BoolArray, within: bool = False) -> tuple[Blocks, IntArray]:
+    def blocks(self, moves: Moves, rests: BoolArray) -> tuple[Blocks, IntArray]:
         """Return Marlin's queue for these moves, and for each target the move that ends there.
 
         rests : (n,) the queue is empty before the move
@@ -139,7 +124,8 @@ class MarlinPlanner:
             self.in_force.at(moves)[last],
         )
         s = self.settings
-        return plan_blocks(targets, s.minimum_steps_per_segment, s.slowdown and not self._delta and not within), last
+        slowdown = s.slowdown and not self._delta and not self.within
+        return plan_blocks(targets, s.minimum_steps_per_segment, slowdown), last
 
     @property
     def _delta(self) -> bool:
@@ -268,10 +254,15 @@ def _rate(
     return level
 
 
+def extruder_steps_per_mm(machine: Machine) -> float:
+    """Return the extruder's steps per mm of filament, usual ones where the machine file states none."""
+    return machine.steps.extruder_steps_per_mm or EXTRUDER_STEPS_PER_MM
+
+
 def settings_row(machine: Machine) -> FloatArray:
     """Return a machine's own settings as one row of numbers, (COLUMNS,)."""
     s, row = marlin_settings(machine), np.zeros(COLUMNS)
-    steps_per_mm = [*machine.steps.per_motor, machine.steps.extruder_steps_per_mm or EXTRUDER_STEPS_PER_MM]
+    steps_per_mm = [*machine.steps.per_motor, extruder_steps_per_mm(machine)]
     row[STEPS], row[SPEED], row[ACCELERATION], row[JERK] = (
         steps_per_mm,
         s.speed_mm_per_s,
@@ -289,13 +280,10 @@ def settings_row(machine: Machine) -> FloatArray:
 # --- How Marlin cuts moves
 
 
-def cut_for_marlin(program: Program, machine: Machine) -> Program:
-    """Cut moves where Marlin begins another block: a delta's lines by time, arcs by length and turn.
-
-    Another firmware's program is returned unchanged.
-    """
+def cut_moves(program: Program, machine: Machine) -> Program:
+    """Cut moves where Marlin begins another block: a delta's lines by time, arcs by length and turn."""
     moves = program.moves
-    if program.flavor != MARLIN or not len(moves):
+    if not len(moves):
         return program
     if isinstance(machine.kinematics, DeltaKinematics) and (warning := _low_jerk_warning(program, machine)):
         program = replace(program, warnings=[*program.warnings, warning])

@@ -5,29 +5,25 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
-from math import hypot, inf, nan
-from typing import Any, Protocol
+from math import hypot, nan
+from typing import Any
 
 import numpy as np
 
 from ffcomp.errors import NothingToDo
-from ffcomp.planner import marlin, reprapfirmware
-from ffcomp.planner.limits import PlannerLimits, planner_limits
+from ffcomp.firmware.base import Firmware, Planner
+from ffcomp.firmware.table import FIRMWARES
+from ffcomp.planner.limits import PlannerLimits
 from ffcomp.planner.lookahead import plan_moves, stops_and_waits
-from ffcomp.planner.marlin import MarlinPlanner, cut_for_marlin
 from ffcomp.planner.reach import check_moves
 from ffcomp.planner.trajectory import Section, Trajectory, split_sections
-from gcode.dialects import MARLIN, REPRAPFIRMWARE
 from gcode.errors import GcodeError
 from gcode.program import Event, EventKind, Moves, Program
 from gcode.reader import read_parts
 from gcode.slicing import portions
-from models.arrays import BoolArray, FloatArray
+from models.arrays import FloatArray
 from models.errors import UnreachableError
-from models.kinematics.delta import DeltaKinematics
 from models.machine import Machine
-
-PART_S = 300.0  # of motion in a part of a file, where Marlin cuts a delta's lines by time
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,46 +36,33 @@ class PlannedProgram:
     firmware_s: float  # what the firmware's own plan takes
 
 
-class Planner(Protocol):
-    """A firmware's planner with its settings from the program and the machine file."""
-
-    def __call__(
-        self, moves: Moves, *, stop_before: BoolArray, wait_before: FloatArray, start_t: float = 0.0
-    ) -> Trajectory:
-        """Plan moves of the program from rest to rest; see `lookahead.plan_moves`."""
+def firmware_of(program: Program) -> Firmware:
+    """Return the firmware that a program was read for."""
+    return FIRMWARES[program.flavor]
 
 
 def planner_of(program: Program, machine: Machine) -> Planner:
     """Return the planner of the firmware that a program was read for."""
-    if program.flavor == MARLIN:
-        return marlin.planner_of(program, machine)
-    if program.flavor == REPRAPFIRMWARE:
-        return reprapfirmware.planner_of(program, machine)
-    return partial(plan_moves, limits=planner_limits(machine))
+    return firmware_of(program).planner(program, machine)
 
 
-def settings_sentence(flavor: str, machine: Machine) -> str:
-    """Say which settings of a firmware's planner are assumed; empty: none that matter."""
-    if flavor == MARLIN:
-        return marlin.settings_sentence(machine)
-    return reprapfirmware.settings_sentence(machine) if flavor == REPRAPFIRMWARE else ""
+def cut_as_planned(program: Program, machine: Machine) -> Program:
+    """Cut moves where the firmware begins another block."""
+    return firmware_of(program).cut(program, machine)
 
 
 def known_to_the_firmware(machine: Machine) -> dict[str, Any]:
     """Return what a G-code reader must know besides the file, as its keyword arguments."""
-    return {"returns": machine.returns, "still": machine.still, "cut": partial(cut_for_marlin, machine=machine)}
+    return {"returns": machine.returns, "still": machine.still, "cut": partial(cut_as_planned, machine=machine)}
 
 
 def read_as_planned(
     blocks: Iterable[bytes], path: str, machine: Machine, flavor: str, **settings: Any
 ) -> Iterator[Program]:
-    """Read a file in parts (`gcode.reader.read_parts`), cut as the firmware cuts its moves.
-
-    Marlin cuts a delta's lines by time, a megabyte of slow text into millions of pieces: there a part has PART_S.
-    """
+    """Read a file in parts (`gcode.reader.read_parts`), cut as the firmware cuts its moves."""
     known = known_to_the_firmware(machine)
     cut = known.pop("cut")
-    longest_s = PART_S if flavor == MARLIN and isinstance(machine.kinematics, DeltaKinematics) else inf
+    longest_s = FIRMWARES[flavor].longest_part_s(machine)
     for program in read_parts(blocks, path, flavor=flavor, **known, **settings):
         yield from map(cut, portions(program, longest_s))
 
@@ -111,10 +94,7 @@ def plan_section(limits: PlannerLimits, moves: Moves, begin_t: float) -> Traject
 
 def section_planner(program: Program, machine: Machine) -> Callable[[Moves, float], Trajectory]:
     """Return what plans the moves of one section of a program again, from a time on (s), from rest to rest."""
-    planner = planner_of(program, machine)
-    if isinstance(planner, MarlinPlanner):
-        planner = partial(planner, within=True)
-    return partial(_from_rest_to_rest, planner)
+    return partial(_from_rest_to_rest, firmware_of(program).planner(program, machine, within=True))
 
 
 def _from_rest_to_rest(planner: Planner, moves: Moves, begin_t: float) -> Trajectory:

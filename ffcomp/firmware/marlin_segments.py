@@ -8,25 +8,25 @@ filament more or less from segment to segment is a jump of its speed, at which E
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import reduce
-from typing import NamedTuple
 
 import numpy as np
 
-from ffcomp.compensation.whole_steps import WholeSteps
+from ffcomp.firmware.base import Filament, FilamentCount, FileLimits, Firmware, Inside, Segments
+from ffcomp.firmware.marlin_limits import MarlinLimits
+from ffcomp.firmware.marlin_planner import marlin_settings, settings_row
+from ffcomp.firmware.marlin_queue import STEPS, Targets, phases_of, plan_blocks
+from ffcomp.firmware.settings_in_force import row_after
+from ffcomp.firmware.whole_steps import WholeSteps
 from ffcomp.inverse.model import InverseModel
-from ffcomp.planner.marlin import marlin_settings, settings_row
-from ffcomp.planner.marlin_queue import STEPS, Targets, phases_of, plan_blocks
-from ffcomp.planner.segment_timing import SegmentLimits, SegmentSpeeds
-from ffcomp.planner.settings_in_force import row_after
-from gcode.program import LimitCommand, ModalState
+from ffcomp.planner.segment_timing import SegmentSpeeds
+from gcode.program import ModalState
 from gcode.words import commands
 from models.arrays import BoolArray, FloatArray, IntArray
 from models.compiled import kernel
 from models.kinematics.delta import DeltaKinematics
-from models.machine import Machine, MarlinSettings
+from models.machine import MarlinSettings
 
 AROUND = 4  # segments on either side of one that is too short, that are chosen anew with it
 MOST_KNOTS = 60.0  # that a segment chosen anew may last
@@ -34,86 +34,63 @@ WHOLE_S = 0.95  # of the time from which on a delta's line is cut in two
 SEGMENT_COST_MM2 = 1e-7  # knots, of one more segment: a third of a µm all along a knot
 SWEEPS = 2  # of the speeds that make durations exact
 MOST_FASTER = 4.0  # times what a segment's length takes in its time, that a sweep may ask for
-FLICKER_STEPS, FLICKER_S = 2.0, 0.004  # of the filament in a segment, of which E's jerk must let the speed jump
-LONGEST_DEVIATION_MM = 0.3  # that M205 J takes
 LEAST_E_MM = 1e-5  # that a file can state
 
 
-class Filament(NamedTuple):
-    """A move of the filament alone."""
-
-    mm: float
-    mm_per_s: float
-
-
 @dataclass(frozen=True, slots=True)
-class MarlinSegments:
-    """How Marlin executes our segments between the limits that the header opens."""
+class MarlinSegments(Segments):
+    """How Marlin executes our segments between the limits that the header raises."""
 
-    machine: Machine
     settings: MarlinSettings
-    output: SegmentLimits
-    knot_s: float
     row: FloatArray  # the machine's own settings (`marlin_queue`)
     steps: WholeSteps
 
     @classmethod
-    def of(cls, machine: Machine, model: InverseModel) -> MarlinSegments:
-        """Return those of a machine and its inverse model."""
-        output = model.settings.output
+    def of(cls, firmware: Firmware, model: InverseModel) -> MarlinSegments:
+        """Return those of a machine's inverse model."""
+        machine, raised = model.machine, model.settings.output
         settings, row = marlin_settings(machine), settings_row(machine)
-        free = np.array([axis in output.raised_axes for axis in "XYZ"])
+        free = np.array([axis in raised.raised_axes for axis in "XYZ"])
         steps = WholeSteps.of(model, row[STEPS][:3], free, settings.minimum_steps_per_segment)
-        return cls(machine, settings, output, model.settings.segment_s, row, steps)
+        return cls(firmware, machine, raised, model.settings.segment_s, settings, row, steps)
 
-    def lengthened(self, at: FloatArray, points: FloatArray, kept: IntArray, edges: BoolArray) -> IntArray:
-        """Choose anew the ends of segments where some have too few steps: so that the command is missed by least.
+    def count(self) -> FilamentCount:
+        """Return a count without the flow factor."""
+        return MarlinFilamentCount()
 
-        Parameters
-        ----------
-        at : (n,) times of the points, in knots
-        points : (n, 3) mm
-        kept : (m,) indices of the points at which segments end
-        edges : (n,) points that must stay: where a line goes out, or another writer goes on
+    def chosen(
+        self, at: FloatArray, points: FloatArray, e: FloatArray, kept: IntArray, pinned: BoolArray
+    ) -> tuple[IntArray, BoolArray]:
+        """Choose again where some segments have too few steps, so that the command is missed by the least.
+
+        Where the filament turns back, a segment ends.
         """
+        flow, pinned = np.diff(e), pinned.copy()
+        pinned[1:-1] |= flow[1:] * flow[:-1] < 0.0
         most = min(MOST_KNOTS, self.longest_s / self.knot_s)
-        return _lengthened(at, points, self.steps.motors(points), kept, edges, self.steps.enough, most)
+        return _lengthened(at, points, self.steps.motors(points), kept, pinned, self.steps.enough, most), pinned
 
-    def executed(self, points: FloatArray, edges: BoolArray, ends: BoolArray) -> IntArray:
-        """Return which of the points (n, 3) mm may end segments so that Marlin drops none of them, (m,).
+    def placed(self, at: FloatArray, points: FloatArray, fixed: BoolArray, inside: Inside) -> FloatArray:
+        """Move the ends of segments to whole steps."""
+        stepped = self.steps.placed(at, points, fixed)
+        return np.where(inside(stepped)[:, None], stepped, points)
 
-        edges : (n,) points that are left out only for another one of them: a line that stood there moves to it
-        ends : (n,) points that must stay: another writer, or a rest, goes on from there
-        """
-        return _executed(np.rint(self.steps.motors(points)), edges, ends, self.settings.minimum_steps_per_segment)
+    def executed(self, points: FloatArray, fixed: BoolArray, ends: BoolArray) -> IntArray:
+        """Leave out the ends of segments that Marlin would drop."""
+        return _executed(np.rint(self.steps.motors(points)), fixed, ends, self.settings.minimum_steps_per_segment)
 
-    def uncut(self, points: FloatArray, lasting: FloatArray) -> FloatArray:
-        """Return how long segments (n,) s last if none is to be cut: where one is too long, the next make up for it.
-
-        points : (n + 1, 3) mm
-        """
+    def times(self, at: FloatArray, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return times such that no segment is cut: where one is too long, the next make up for it."""
         aside = np.any(points[1:, :2] != points[:-1, :2], axis=1)  # what only lifts is not cut
-        return _shortened(lasting, np.where(aside, self.longest_s, np.inf))
+        lasting = _shortened((at[1:] - at[:-1]) * self.knot_s, np.where(aside, self.longest_s, np.inf))
+        return at[0] * self.knot_s + np.append(0.0, np.cumsum(lasting)), lasting
 
     def speeds(
-        self,
-        points: FloatArray,
-        e: FloatArray,
-        lasting: FloatArray,
-        file_limits: Mapping[str, LimitCommand],
-        filament: Filament | None = None,
+        self, points: FloatArray, e: FloatArray, lasting: FloatArray, file: FileLimits, filament: Filament | None
     ) -> tuple[FloatArray, SegmentSpeeds]:
-        """Return the speeds to ask for, (n,) mm/s, and how Marlin then executes the segments.
-
-        Parameters
-        ----------
-        points : (n + 1, 3) mm
-        e : (n + 1,) mm of filament
-        lasting : (n,) s that each segment should take
-        file_limits : the file's own in effect (`gcode.program`), which hold where the header opens none
-        filament : that moves next, without a rest before it: the last segment need not end at rest
-        """
-        row = reduce(row_after, [*file_limits.values(), *self.opening(file_limits)], self.row)
+        """Return the speeds with which Marlin's queue executes each segment in its time."""
+        raised = MarlinLimits(self.machine, self.raised).opening(file.commands)
+        row = reduce(row_after, [*file.commands.values(), *raised], self.row)
         motors = np.column_stack([self.steps.motors(points) / self.row[STEPS][:3], e])
         change = np.diff(np.rint(motors * self.row[STEPS]), axis=0) / self.row[STEPS]
         straight = np.linalg.norm(np.diff(points, axis=0), axis=1)
@@ -129,7 +106,7 @@ class MarlinSegments:
         executed = np.where(duration > 0.0, duration, lasting)
         played = straight / executed
         junction = np.concatenate([[0.0], np.minimum(played[1:], played[:-1]), [0.0]])
-        return feed, SegmentSpeeds(played, junction, np.full(len(mm), self.output.acceleration_mm_per_s2), executed)
+        return feed, SegmentSpeeds(played, junction, np.full(len(mm), self.raised.acceleration_mm_per_s2), executed)
 
     def _durations(
         self, motors: FloatArray, length: FloatArray, feed: FloatArray, row: FloatArray, filament: Filament | None
@@ -162,88 +139,17 @@ class MarlinSegments:
     def _delta(self) -> bool:
         return isinstance(self.machine.kinematics, DeltaKinematics)
 
-    def opening(self, file_limits: Mapping[str, LimitCommand]) -> Iterable[LimitCommand]:
-        """Return what opens the limits our segments need.
 
-        file_limits : the file's own in effect (`gcode.program`)
-        """
-        o = self.output
-        acceleration, corner = o.acceleration_mm_per_s2, o.square_corner_velocity_mm_per_s
-        # of E at which steps that come and go slow nothing: little enough for a retraction
-        flicker = round(FLICKER_STEPS / (FLICKER_S * float(self.row[STEPS][3])), 2)
-        yield from self._lines(
-            self._filament(file_limits),
-            acceleration=(acceleration,) * 4,
-            speed=(o.velocity_mm_per_s,) * 4,
-            printing={"P": acceleration, "T": acceleration},
-            jerk=(corner, corner, corner, max(self.settings.jerk_mm_per_s[3], flicker)),
-            deviation_mm=LONGEST_DEVIATION_MM,
-            shortest_s=0.0,
-        )
-
-    def closing(self, file_limits: Mapping[str, LimitCommand]) -> Iterable[LimitCommand]:
-        """Return what puts back what `opening` has changed, the file's own limits last."""
-        s = self.settings
-        yield from self._lines(
-            self._filament({}),
-            acceleration=s.acceleration_mm_per_s2,
-            speed=s.speed_mm_per_s,
-            printing={"P": s.printing_acceleration_mm_per_s2, "T": s.travel_acceleration_mm_per_s2},
-            jerk=s.jerk_mm_per_s,
-            deviation_mm=s.junction_deviation_mm or LONGEST_DEVIATION_MM,
-            shortest_s=s.shortest_segment_s,
-        )
-        yield from file_limits.values()
-
-    def _filament(self, file_limits: Mapping[str, LimitCommand]) -> set[str]:
-        """Return the commands whose limits of the filament are known, and so can be put back."""
-        known = {code for code, command in file_limits.items() if "E" in command.words}
-        keys = {"M201": "acceleration_mm_per_s2", "M205": "jerk_mm_per_s"}
-        return known | {command for command, key in keys.items() if key in self.settings.stated}
-
-    def _lines(
-        self,
-        filament: set[str],
-        *,
-        acceleration: tuple[float, ...],
-        speed: tuple[float, ...],
-        printing: Mapping[str, float],
-        jerk: tuple[float, ...],
-        deviation_mm: float,
-        shortest_s: float,
-    ) -> Iterable[LimitCommand]:
-        """Return the limits of the axes that may be raised; filament : commands that also set those of E."""
-        raised = self.output.raised_axes
-
-        def words(axes: str, values: tuple[float, ...], command: str = "") -> dict[str, float]:
-            axes += "E" if command in filament else ""
-            return {axis: values["XYZE".index(axis)] for axis in axes}
-
-        corner = words(raised if self._delta else raised.replace("Z", ""), jerk, "M205")
-        if "junction_deviation_mm" in self.settings.stated:
-            corner = {"J": deviation_mm}
-        if self.settings.slowdown and not self._delta:
-            corner["B"] = 1e6 * shortest_s
-        yield LimitCommand("M201", words(raised, acceleration, "M201"))
-        yield LimitCommand("M203", words(raised, speed))
-        yield LimitCommand("M204", printing)
-        yield LimitCommand("M205", corner)
-
-
-@dataclass(slots=True)
-class FilamentCount:
+class MarlinFilamentCount(FilamentCount):
     """How E counts within our blocks: Marlin multiplies each block's steps of filament by M221, and rounds again.
 
     So the factor is in our numbers, and M221 is 100 % as long as a block is open.
     """
 
-    zero_mm: float = 0.0  # of the filament, where our E is zero
+    zero_mm = 0.0  # of the filament, where our E is zero
 
     def begin(self, frame: ModalState, e_mm: float, late_mm: float = 0.0) -> None:
-        """Count on from the file's own E: a block opens, or G92 names the place of the filament.
-
-        late_mm : by how much more filament has gone by than when the file names it
-        """
+        """Continue from the file's own E."""
         named = e_mm - late_mm
         zero_mm = frame.base[3] if frame.flow == 1.0 else named - _file_e_mm(frame, named)
         self.zero_mm = zero_mm + late_mm
@@ -257,19 +163,18 @@ class FilamentCount:
         return [] if frame.flow == 1.0 else [b"M221 S100"]
 
     def naming(self, frame: ModalState, e_mm: float) -> list[bytes]:
-        """Return the lines that give this place of the filament the name that it has in the file."""
+        """Return the lines that give this position of the filament its name in the file."""
         if frame.flow == 1.0 and abs(self.zero_mm - frame.base[3]) < LEAST_E_MM:
             return []
         return [b"G92 E%.5f" % (_file_e_mm(frame, e_mm) / frame.unit_mm)]
 
     def closing(self, frame: ModalState, e_mm: float) -> list[bytes]:
-        """Return the lines that put the file's own count and factor back."""
+        """Return the lines that restore the file's count and factor."""
         factor = [] if frame.flow == 1.0 else [b"M221 S%.6g" % (100.0 * frame.flow)]
         return [*self.naming(frame, e_mm), *factor]
 
-    @staticmethod
-    def set_by(line: bytes) -> str:
-        """Return the command of a line that changes how E counts, G92 or M221; empty: another."""
+    def set_by(self, line: bytes) -> str:
+        """Return the command of a line that changes the count, G92 or M221; empty: another."""
         if b"92" not in line and b"221" not in line:
             return ""
         names = [command.name for command in commands(line, 0)[:1]]

@@ -7,9 +7,9 @@ from functools import partial
 import numpy as np
 import pytest
 
+from ffcomp.firmware.program import planner_of, raw_durations
 from ffcomp.planner.limits import PlannerLimits
 from ffcomp.planner.lookahead import plan_moves, stops_and_waits
-from ffcomp.planner.program import planner_of, raw_durations
 from gcode.reader import read_program
 from gcode.slicing import passed_through
 from models.file import load_machine

@@ -13,14 +13,14 @@ firmware itself; the assumptions are in docs/explanation/firmware_planners.md.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ffcomp.planner.limits import Lines, lines_of
-from ffcomp.planner.lookahead import Phases, check, phases_from_corners, timed
-from ffcomp.planner.marlin_queue import (
+from ffcomp.firmware.base import FileLimits, Firmware
+from ffcomp.firmware.marlin_queue import (
     ACCELERATION,
     COLUMNS,
     DEVIATION,
@@ -32,9 +32,13 @@ from ffcomp.planner.marlin_queue import (
     SPEED,
     TRAVEL,
 )
-from ffcomp.planner.settings_in_force import SettingsInForce, assumed_sentence
+from ffcomp.firmware.settings_in_force import SettingsInForce, assumed_sentence
+from ffcomp.planner.limits import Lines, lines_of
+from ffcomp.planner.lookahead import Phases, check, phases_from_corners, timed
+from ffcomp.planner.segment_timing import SegmentLimits
 from ffcomp.planner.trajectory import Trajectory
-from gcode.program import Moves, Program
+from gcode.dialects import REPRAPFIRMWARE, limit_lines, open_limits
+from gcode.program import LimitCommand, Moves, Program
 from models.arrays import BoolArray, FloatArray, IntArray
 from models.compiled import kernel
 from models.kinematics.delta import DeltaKinematics
@@ -61,17 +65,41 @@ def settings_row(machine: Machine) -> FloatArray:
     return row
 
 
-def settings_sentence(machine: Machine) -> str:
-    """Say which settings of RepRapFirmware's planner are taken to be its defaults; empty: none of those that matter."""
-    stated = () if machine.reprapfirmware is None else machine.reprapfirmware.stated
-    matter = ("acceleration_mm_per_s2", "speed_mm_per_s", "jerk_mm_per_s")
-    return assumed_sentence("RepRapFirmware", stated, matter, "config.g")
+class RepRapFirmware(Firmware):
+    """Plans lines of mm within limits of each axis, as far as its queue holds; executes segments exactly."""
 
+    flavor = REPRAPFIRMWARE
 
-def planner_of(program: Program, machine: Machine) -> RepRapFirmwarePlanner:
-    """Return RepRapFirmware's planner, with the settings that are in force at each line of a program."""
-    in_force = SettingsInForce.of(program, machine, settings_row(machine))
-    return RepRapFirmwarePlanner(sharing_of(machine), reprapfirmware_settings(machine).queue_moves, in_force)
+    def planner(self, program: Program, machine: Machine, within: bool = False) -> RepRapFirmwarePlanner:
+        """Return the planner with the settings in force at each line of a program."""
+        in_force = SettingsInForce.of(program, machine, settings_row(machine))
+        return RepRapFirmwarePlanner(sharing_of(machine), reprapfirmware_settings(machine).queue_moves, in_force)
+
+    def assumed(self, machine: Machine) -> str:
+        """Say which settings are assumed."""
+        stated = () if machine.reprapfirmware is None else machine.reprapfirmware.stated
+        matter = ("acceleration_mm_per_s2", "speed_mm_per_s", "jerk_mm_per_s")
+        return assumed_sentence("RepRapFirmware", stated, matter, "config.g")
+
+    def opening(self, machine: Machine, raised: SegmentLimits, file: FileLimits) -> list[bytes]:
+        """Return M201, M203, M204 and M566 with the raised limits."""
+        v, a, corner = raised.velocity_mm_per_s, raised.acceleration_mm_per_s2, raised.square_corner_velocity_mm_per_s
+        return open_limits(REPRAPFIRMWARE, v, a, corner, raised.raised_axes)
+
+    def closing(self, machine: Machine, raised: SegmentLimits, file: FileLimits) -> list[bytes]:
+        """Return the machine's limits of the raised axes, then the file's own."""
+        s = reprapfirmware_settings(machine)
+
+        def words(values: Sequence[float]) -> dict[str, float]:
+            return {axis: values["XYZ".index(axis)] for axis in raised.raised_axes}
+
+        own = (
+            LimitCommand("M201", words(s.acceleration_mm_per_s2)),
+            LimitCommand("M203", words(s.speed_mm_per_s)),
+            LimitCommand("M204", {"P": s.printing_acceleration_mm_per_s2, "T": s.travel_acceleration_mm_per_s2}),
+            LimitCommand("M566", words(s.jerk_mm_per_s)),
+        )
+        return limit_lines(REPRAPFIRMWARE, (*own, *file.commands.values()), file.unit_mm)
 
 
 def sharing_of(machine: Machine) -> int:

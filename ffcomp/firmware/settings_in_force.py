@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ffcomp.planner.marlin_queue import (
+from ffcomp.firmware.marlin_queue import (
     ACCELERATION,
     DEVIATION,
     JERK,

@@ -10,10 +10,11 @@ from functools import cache
 import numpy as np
 import pytest
 
+from ffcomp.firmware.marlin import PART_S, Marlin
+from ffcomp.firmware.marlin_planner import planner_of
+from ffcomp.firmware.marlin_queue import Blocks, phases_of
+from ffcomp.firmware.program import firmware_plan, known_to_the_firmware, read_as_planned
 from ffcomp.planner.lookahead import stops_and_waits
-from ffcomp.planner.marlin import MarlinPlanner, planner_of, settings_sentence
-from ffcomp.planner.marlin_queue import Blocks, phases_of
-from ffcomp.planner.program import PART_S, firmware_plan, known_to_the_firmware, read_as_planned
 from ffcomp.planner.trajectory import Trajectory
 from gcode.program import LimitCommand, Program, limits_in_effect
 from gcode.reader import read_program
@@ -190,11 +191,9 @@ def test_a_section_planned_by_itself_is_not_slowed_at_its_beginning() -> None:
     machine = machine_of("cj-6-slowdown")
     text = b"".join(b"G1 X%.2f F6000\n" % (0.5 * k) for k in range(1, 60))
     program = read(text, machine)
-    planner = planner_of(program, machine)
-    assert isinstance(planner, MarlinPlanner)
     n = len(program.moves)
     never = {"stop_before": np.zeros(n, dtype=np.bool_), "wait_before": np.zeros(n)}
-    alone, at_rest = (planner(program.moves, **never, within=within).end_t for within in (True, False))
+    alone, at_rest = (planner_of(program, machine, within)(program.moves, **never).end_t for within in (True, False))
     assert alone < at_rest
 
 
@@ -209,9 +208,9 @@ def test_moves_that_are_to_be_gentler_are() -> None:
 
 def test_unknown_settings_are_told() -> None:
     machine = load_machine("prusa-mk3s")
-    assert "M503" in settings_sentence(replace(machine, marlin=None))
+    assert "M503" in Marlin().assumed(replace(machine, marlin=None))
     stated = ("acceleration_mm_per_s2", "speed_mm_per_s", "retract_acceleration_mm_per_s2", "jerk_mm_per_s")
-    assert settings_sentence(replace(machine, marlin=replace(CARTESIAN, stated=stated))) == ""
+    assert Marlin().assumed(replace(machine, marlin=replace(CARTESIAN, stated=stated))) == ""
 
 
 def test_a_lead_screws_jerk_is_named_where_z_is_a_tower() -> None:

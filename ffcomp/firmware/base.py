@@ -1,0 +1,203 @@
+"""What ffcomp must know about a firmware: how it plans, which limits it obeys, and how it executes segments.
+
+Each firmware is one class that implements `Firmware`, listed in `ffcomp.firmware.table`. Defaults suit a firmware that
+executes segments exactly as written.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from math import inf
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+from ffcomp.inverse.model import InverseModel
+from ffcomp.planner.segment_timing import SegmentLimits, SegmentSpeeds, segment_speeds
+from ffcomp.planner.trajectory import Trajectory
+from gcode.program import LimitCommand, ModalState, MotionLimits, Moves, Program
+from models.arrays import BoolArray, FloatArray, IntArray
+from models.machine import Machine
+
+Inside = Callable[[FloatArray], BoolArray]  # which points (n, 3) mm the firmware accepts
+
+
+class Planner(Protocol):
+    """A firmware's planner with its settings from the program and the machine file."""
+
+    def __call__(
+        self, moves: Moves, *, stop_before: BoolArray, wait_before: FloatArray, start_t: float = 0.0
+    ) -> Trajectory:
+        """Plan moves of the program from rest to rest; see `lookahead.plan_moves`."""
+
+
+@dataclass(frozen=True, slots=True)
+class FileLimits:
+    """The limits that a file has set, at one of its lines."""
+
+    at_move: MotionLimits = field(default_factory=MotionLimits)  # NaN: not set
+    commands: Mapping[str, LimitCommand] = field(default_factory=dict)  # in effect (`gcode.program`)
+    unit_mm: float = 1.0  # of the file's numbers
+
+
+class Firmware(Protocol):
+    """One firmware."""
+
+    flavor: str  # its name in options, machine files and stamps
+    quicker_note: str = (
+        "What becomes quicker is planned by Klipper's rules of corners: any firmware gets ffcomp's segments."
+    )
+
+    def planner(self, program: Program, machine: Machine, within: bool = False) -> Planner:
+        """Return the planner with the rules in force at each line of a program.
+
+        within : the moves to plan are part of a motion, so that nothing is slowed because the queue fills
+        """
+
+    def opening(self, machine: Machine, raised: SegmentLimits, file: FileLimits) -> list[bytes]:
+        """Return the lines that raise the limits for our segments."""
+
+    def closing(self, machine: Machine, raised: SegmentLimits, file: FileLimits) -> list[bytes]:
+        """Return the lines that restore the file's limits, or the machine's where the file has set none."""
+
+    def cut(self, program: Program, machine: Machine) -> Program:
+        """Cut moves where the firmware begins another block."""
+        return program
+
+    def longest_part_s(self, machine: Machine) -> float:
+        """Return how much motion may be read at a time, s: less where the firmware cuts moves into many."""
+        return inf
+
+    def assumed(self, machine: Machine) -> str:
+        """Say which settings of the planner are assumed; empty: none that matter."""
+        return ""
+
+    def segments(self, model: InverseModel) -> Segments:
+        """Return how the firmware executes segments of a machine's inverse model."""
+        return Segments(self, model.machine, model.settings.output, model.settings.segment_s)
+
+
+def machine_limits(machine: Machine) -> MotionLimits:
+    """Return the nozzle's limits in the machine file, and the default cruise ratio."""
+    limits = machine.limits
+    return MotionLimits(
+        limits.velocity_mm_per_s, limits.acceleration_mm_per_s2, limits.square_corner_velocity_mm_per_s, 0.5
+    )
+
+
+class Filament(NamedTuple):
+    """A move of the filament alone."""
+
+    mm: float
+    mm_per_s: float
+
+
+class FilamentCount:
+    """How E counts within our blocks: as in the file."""
+
+    def begin(self, frame: ModalState, e_mm: float, late_mm: float = 0.0) -> None:
+        """Continue from the file's own E: a block opens, or G92 renames the position.
+
+        late_mm : how much more filament has passed than when the file renames it
+        """
+
+    def frame(self, frame: ModalState) -> ModalState:
+        """Return how numbers are written within a block."""
+        return frame
+
+    def opening(self, frame: ModalState) -> list[bytes]:
+        """Return the lines that change the count at a block's begin."""
+        return []
+
+    def naming(self, frame: ModalState, e_mm: float) -> list[bytes]:
+        """Return the lines that give this position of the filament its name in the file."""
+        return []
+
+    def closing(self, frame: ModalState, e_mm: float) -> list[bytes]:
+        """Return the lines that restore the file's count."""
+        return []
+
+    def set_by(self, line: bytes) -> str:
+        """Return the command of a line that changes the count; empty: it does not."""
+        return ""
+
+
+@dataclass(frozen=True, slots=True)
+class Segments:
+    """How a firmware executes segments between the limits that `opening` raises: exactly as written."""
+
+    firmware: Firmware
+    machine: Machine
+    raised: SegmentLimits
+    knot_s: float
+
+    @property
+    def longest_s(self) -> float:
+        """The longest segment that the firmware does not cut."""
+        return inf
+
+    def count(self) -> FilamentCount:
+        """Return how E counts within blocks."""
+        return FilamentCount()
+
+    def chosen(
+        self, at: FloatArray, points: FloatArray, e: FloatArray, kept: IntArray, pinned: BoolArray
+    ) -> tuple[IntArray, BoolArray]:
+        """Return the points at which segments end, and which of all points are pinned.
+
+        Parameters
+        ----------
+        at : (n,) times of the points, in knots
+        points : (n, 3) mm
+        e : (n,) mm of filament
+        kept : (m,) indices of the points at which segments end so far
+        pinned : (n,) points that must stay: a line stands there, or another writer continues
+        """
+        return kept, pinned
+
+    def placed(self, at: FloatArray, points: FloatArray, fixed: BoolArray, inside: Inside) -> FloatArray:
+        """Return the ends of segments, (n, 3) mm, moved to places that the firmware reaches exactly.
+
+        fixed : (n,) which of them stay
+        """
+        return points
+
+    def executed(self, points: FloatArray, fixed: BoolArray, ends: BoolArray) -> IntArray:
+        """Return the points (n, 3) mm that may end segments so that the firmware drops none, (m,).
+
+        fixed : (n,) points that are left out only for another one of them: a line that stood there moves to it
+        ends : (n,) points that must stay: another writer, or a rest, continues from there
+        """
+        return np.arange(len(points))
+
+    def times(self, at: FloatArray, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return when segments begin and end, (n + 1,) s, and their durations, (n,) s.
+
+        at : (n + 1,) knots;  points : (n + 1, 3) mm
+        """
+        return at * self.knot_s, (at[1:] - at[:-1]) * self.knot_s
+
+    def speeds(
+        self, points: FloatArray, e: FloatArray, lasting: FloatArray, file: FileLimits, filament: Filament | None
+    ) -> tuple[FloatArray, SegmentSpeeds]:
+        """Return the speeds to request, (n,) mm/s, and how the firmware then executes the segments.
+
+        Parameters
+        ----------
+        points : (n + 1, 3) mm
+        e : (n + 1,) mm of filament
+        lasting : (n,) s that each segment should take
+        file : the file's own limits, which hold where the header raises none
+        filament : the next move, without a rest before it: the last segment need not end at rest
+        """
+        speeds = segment_speeds(points, e[1:] - e[:-1], lasting, self.raised)
+        return speeds.cruise, speeds
+
+    def opening(self, file: FileLimits) -> list[bytes]:
+        """Return the lines that raise the limits."""
+        return self.firmware.opening(self.machine, self.raised, file)
+
+    def closing(self, file: FileLimits) -> list[bytes]:
+        """Return the lines that restore them."""
+        return self.firmware.closing(self.machine, self.raised, file)

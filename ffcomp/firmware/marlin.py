@@ -1,0 +1,56 @@
+"""Marlin: a queue of blocks of whole motor steps (`marlin_planner`), and segments chosen for it (`marlin_segments`)."""
+
+from __future__ import annotations
+
+from math import inf
+
+from ffcomp.firmware.base import FileLimits, Firmware, Segments
+from ffcomp.firmware.marlin_limits import MarlinLimits
+from ffcomp.firmware.marlin_planner import MarlinPlanner, cut_moves, planner_of
+from ffcomp.firmware.marlin_segments import MarlinSegments
+from ffcomp.firmware.settings_in_force import assumed_sentence
+from ffcomp.inverse.model import InverseModel
+from ffcomp.planner.segment_timing import SegmentLimits
+from gcode.dialects import MARLIN, limit_lines
+from gcode.program import Program
+from models.kinematics.delta import DeltaKinematics
+from models.machine import Machine
+
+PART_S = 300.0  # a delta's lines are cut by time: a megabyte of slow text becomes millions of pieces
+
+
+class Marlin(Firmware):
+    """Drops short segments, cuts a delta's lines by time, rounds to whole steps and brakes for the end of its queue."""
+
+    flavor = MARLIN
+
+    def planner(self, program: Program, machine: Machine, within: bool = False) -> MarlinPlanner:
+        """Return the planner with the settings in force at each line of a program."""
+        return planner_of(program, machine, within)
+
+    def cut(self, program: Program, machine: Machine) -> Program:
+        """Cut a delta's lines by time, and arcs by length and turn."""
+        return cut_moves(program, machine)
+
+    def longest_part_s(self, machine: Machine) -> float:
+        """Return PART_S on deltas."""
+        return PART_S if isinstance(machine.kinematics, DeltaKinematics) else inf
+
+    def assumed(self, machine: Machine) -> str:
+        """Say which settings that matter are Marlin's defaults."""
+        stated = () if machine.marlin is None else machine.marlin.stated
+        corner = "junction_deviation_mm" if "junction_deviation_mm" in stated else "jerk_mm_per_s"
+        matter = ("acceleration_mm_per_s2", "speed_mm_per_s", "retract_acceleration_mm_per_s2", corner)
+        return assumed_sentence("Marlin", stated, matter, "the printer's answer to M503")
+
+    def opening(self, machine: Machine, raised: SegmentLimits, file: FileLimits) -> list[bytes]:
+        """Return M201 to M205 with the raised limits."""
+        return limit_lines(MARLIN, MarlinLimits(machine, raised).opening(file.commands), file.unit_mm)
+
+    def closing(self, machine: Machine, raised: SegmentLimits, file: FileLimits) -> list[bytes]:
+        """Return M201 to M205 of the machine, then the file's own."""
+        return limit_lines(MARLIN, MarlinLimits(machine, raised).closing(file.commands), file.unit_mm)
+
+    def segments(self, model: InverseModel) -> Segments:
+        """Return segments that are long enough in steps, and timed by the queue."""
+        return MarlinSegments.of(self, model)
