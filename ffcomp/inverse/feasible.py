@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from copy import copy
 from dataclasses import dataclass, fields, replace
 
@@ -14,11 +15,13 @@ from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.reference import (
     WHOLE,
     Extent,
+    Room,
     WrittenReference,
     context_s,
     room_in,
     tighter_rooms,
 )
+from ffcomp.inverse.settings import Settings
 from ffcomp.inverse.solve import Solution, solve
 from ffcomp.inverse.time_scaling import (
     Free,
@@ -27,8 +30,8 @@ from ffcomp.inverse.time_scaling import (
     ScaledSection,
     TimeScaling,
     late_segments,
-    peak_utilisation,
 )
+from ffcomp.planner.lifts import FLOWS_MM
 from ffcomp.planner.limits import PlannerLimits, lines_of
 from ffcomp.planner.trajectory import PathPosition, Section, Trajectory
 from gcode.program import Moves, Program
@@ -82,17 +85,11 @@ def solve_feasible(model: InverseModel, request: SectionRequest) -> FeasibleSect
         Where the path itself lies beyond a carriage's travel, where no slower plan is found, or when `strict`.
     """
     trajectory, section, settings = request.trajectory, request.section, model.settings
-    if (tight := _with_less_room(model, request)) is not None:
-        return tight
+    for written, gentle in _layouts(model, request):
+        if (found := _within_limits(model, request, written, gentle)) is not None:
+            return found
     written, keep = request.written, request.keep_response
-    solution = solve(model, written.reference, request.state, keep_response=keep, enforce_limits=False)
-    late = late_segments(model, written, solution.vertices)
-    if not _exceeds(model, written, solution, late):
-        return FeasibleSection(trajectory, section, written, solution)
-    if (calm := _calmer(model, request, solution)) is not None:
-        return calm
-    if (roomy := _with_more_room(model, request)) is not None:
-        return roomy
+    solution = _free(model, request, written)
     moves = some(request.program.moves, slice(section.first, section.last))
     scaled = ScaledSection(
         model,
@@ -120,73 +117,74 @@ def solve_feasible(model: InverseModel, request: SectionRequest) -> FeasibleSect
     return FeasibleSection(spliced, section, written, solution, records, lost)
 
 
-def _with_less_room(model: InverseModel, request: SectionRequest) -> FeasibleSection | None:
-    """Solve a section with less time before and after its path than needed; None if its ends exceed the limit.
+def _layouts(model: InverseModel, request: SectionRequest) -> Iterator[tuple[WrittenReference, bool]]:
+    """Yield the section on knots that take more and more time before and after its path, at most all that is allowed.
 
-    They may slightly exceed its path and its middle, but not the nozzle's own acceleration.
+    A few ms there are less than what slower moves would take. With less than a command needs, its ends must be gentle.
     """
-    s, section, plan = model.settings, request.section, request.trajectory
-    if request.extent != WHOLE:
-        return None
-    for room in tighter_rooms(section, request.written.reference.knots, s):
-        written = request.extent.written(plan, section, s, room)
-        written.reference.take_offset_of(request.written.reference)
-        solution = solve(
-            model, written.reference, request.state, keep_response=request.keep_response, enforce_limits=False
-        )
-        path = written.reference.at_knots(np.arange(written.reference.knots + 1))
-        nozzle = np.sqrt((np.diff(path, 2, axis=0) ** 2).sum(axis=1)).max(initial=0.0) / s.segment_s**2
-        asked, by_path = _accelerations(model, solution.vertices), _accelerations(model, path).max()
-        inner = asked[ENDS:-ENDS].max(initial=0.0)
-        most = max(inner, min(STEEP * max(by_path, inner), nozzle / model.limits.acceleration_mm_per_s2))
-        if asked.max() <= most and not _exceeds(
-            model, written, solution, late_segments(model, written, solution.vertices)
-        ):
-            return FeasibleSection(plan, section, written, solution)
-    return None
+    s, section, own = model.settings, request.section, request.written
+    if request.extent == WHOLE:
+        flows = bool((np.diff(own.reference.extrusion()) > FLOWS_MM).any())
+        for room in tighter_rooms(section, own.reference.knots, s, flows):
+            yield _laid_out(request, s, room), True
+    yield own, False
+    if request.extent == WHOLE:
+        most = math.ceil((section.end_t - section.begin_t + s.lead_s + s.tail_s) / s.segment_s)
+        for segments in range(own.reference.knots + 1, most + 1):
+            yield _laid_out(request, s, room_in(section, segments, s, s.lead_s / (s.lead_s + s.tail_s))), False
 
 
-def _calmer(model: InverseModel, request: SectionRequest, robust: Solution) -> FeasibleSection | None:
-    """Invert a section plainly where its robust command exceeds a limit; None where that does not help."""
-    written, solution = request.written, robust
-    if request.extent != WHOLE or written.reference.robust_offset is None or not len(written.reference.robust_offset):
-        return None
-    written = written._replace(reference=copy(written.reference))
-    for _ in range(CALMED):
-        beyond = utilisation_from_rest(solution.vertices, model.limits)[1:-1].max(axis=(1, 2)) > 1.0
-        written.reference.calm(beyond | late_segments(model, written, solution.vertices))
-        solution = solve(
-            model, written.reference, request.state, keep_response=request.keep_response, enforce_limits=False
-        )
-        if not _exceeds(model, written, solution, late_segments(model, written, solution.vertices)):
+def _laid_out(request: SectionRequest, settings: Settings, room: Room) -> WrittenReference:
+    written = request.extent.written(request.trajectory, request.section, settings, room)
+    written.reference.take_offset_of(request.written.reference)
+    return written
+
+
+def _within_limits(
+    model: InverseModel, request: SectionRequest, written: WrittenReference, gentle: bool
+) -> FeasibleSection | None:
+    """Solve a section on its knots, plainly where its robust command exceeds a limit; None if that exceeds one too.
+
+    gentle : its ends must not ask for much more than its path and its middle
+    """
+    offset = written.reference.robust_offset
+    rounds = CALMED if request.extent == WHOLE and offset is not None and len(offset) else 0
+    for left in reversed(range(rounds + 1)):
+        solution = _free(model, request, written)
+        beyond = _beyond(model, written, solution, gentle)
+        if not beyond[written.first : written.last].any():
             return FeasibleSection(request.trajectory, request.section, written, solution)
+        if left:
+            written = written._replace(reference=copy(written.reference))
+            written.reference.calm(beyond)
     return None
 
 
-def _accelerations(model: InverseModel, vertices: FloatArray) -> FloatArray:
-    """Return the largest fraction of a carriage's acceleration limit at every knot of a command."""
-    return np.asarray(utilisation_from_rest(vertices, model.limits)[:, ACCELERATION].max(axis=1))
+def _beyond(model: InverseModel, written: WrittenReference, solution: Solution, gentle: bool) -> BoolArray:
+    """Find the segments (n,) of a command that exceed a limit, or that the firmware cannot execute in their time.
 
-
-def _with_more_room(model: InverseModel, request: SectionRequest) -> FeasibleSection | None:
-    """Solve a section with more time before and after its path, at most all that a command may have.
-
-    A few ms there are less than what slower moves would take. None where even all of it is too little.
+    gentle : nor may the ends exceed the path and the middle by much, or the nozzle's own acceleration
     """
-    s, section = model.settings, request.section
-    if request.extent != WHOLE:
-        return None
-    most = math.ceil((section.end_t - section.begin_t + s.lead_s + s.tail_s) / s.segment_s)
-    for segments in range(request.written.reference.knots + 1, most + 1):
-        room = room_in(section, segments, s, s.lead_s / (s.lead_s + s.tail_s))
-        written = request.extent.written(request.trajectory, section, s, room)
-        written.reference.take_offset_of(request.written.reference)
-        solution = solve(
-            model, written.reference, request.state, keep_response=request.keep_response, enforce_limits=False
-        )
-        if not _exceeds(model, written, solution, late_segments(model, written, solution.vertices)):
-            return FeasibleSection(request.trajectory, section, written, solution)
-    return None
+    # not finite means out of reach, where a lower speed does not help
+    utilisation = utilisation_from_rest(solution.vertices, model.limits)
+    beyond = utilisation.max(axis=(1, 2)) > 1.0
+    if gentle:
+        path = written.reference.at_knots(np.arange(written.reference.knots + 1))
+        nozzle = np.sqrt((np.diff(path, 2, axis=0) ** 2).sum(axis=1)).max(initial=0.0) / model.settings.segment_s**2
+        asked = utilisation[:, ACCELERATION].max(axis=1)
+        inner = asked[ENDS:-ENDS].max(initial=0.0)
+        by_path = utilisation_from_rest(path, model.limits)[:, ACCELERATION].max()
+        most = min(STEEP * max(by_path, inner), nozzle / model.limits.acceleration_mm_per_s2)
+        beyond |= asked > max(inner, most)
+    beyond[1] |= beyond[0]
+    beyond[-2] |= beyond[-1]
+    return np.asarray(beyond[1:-1] | late_segments(model, written, solution.vertices))
+
+
+def _free(model: InverseModel, request: SectionRequest, written: WrittenReference) -> Solution:
+    """Solve a section without limits."""
+    keep = request.keep_response
+    return solve(model, written.reference, request.state, keep_response=keep, enforce_limits=False)
 
 
 def scale_around_cut(
@@ -233,11 +231,6 @@ def scale_around_cut(
 
 def _refuse(records: tuple[TimeScaling, ...]) -> None:
     raise LimitsError(" ".join(record.sentence("would have to be slowed") for record in records))
-
-
-def _exceeds(model: InverseModel, written: WrittenReference, solution: Solution, late: BoolArray) -> bool:
-    # not finite means out of reach, where a lower speed does not help
-    return peak_utilisation(model, written, solution) > 1.0 or bool(late[written.first : written.last].any())
 
 
 def _spliced(trajectory: Trajectory, section: Section, part: Trajectory) -> tuple[Trajectory, float]:

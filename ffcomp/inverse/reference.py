@@ -14,6 +14,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -33,6 +34,7 @@ LEAST_S, LITTLE = 0.003, 0.02  # the same for gentle ends, and negligible share 
 MOST_SHARE = 0.05  # of a section's time, that is spent beyond its path
 ALL_ROOM_FROM_S = 5.0
 ROUNDING = 1e-6  # of a segment
+FLOW_KNOTS = 6  # on either side of late segments, where the filament follows the command
 CALM_KNOTS = 10  # on either side of what a robust command asks for too much, that are inverted plainly
 
 
@@ -72,14 +74,14 @@ def room_of(trajectory: Trajectory, section: Section, settings: Settings) -> Roo
     return room_in(section, segments, settings, lead_s / needed_s if needed_s > 0.0 else 0.5)
 
 
-def tighter_rooms(section: Section, segments: int, settings: Settings) -> Iterator[Room]:
+def tighter_rooms(section: Section, segments: int, settings: Settings, flows: bool) -> Iterator[Room]:
     """Yield less time beyond a section than makes so many segments of it, evenly before and after, the least first.
 
-    None is yielded where that would save next to nothing.
+    None is yielded where that would save next to nothing. A travel needs none: nothing shows where it is late.
     """
     duration_s = section.end_t - section.begin_t
     if segments * settings.segment_s > (1.0 + LITTLE) * duration_s:
-        fewest = _segments_of(duration_s + LEAST_S, settings.segment_s)
+        fewest = _segments_of(duration_s + (LEAST_S if flows else 0.0), settings.segment_s)
         yield from (room_in(section, each, settings, 0.5) for each in range(fewest, segments))
 
 
@@ -121,6 +123,9 @@ class Reference:
         trajectory = trajectory.part(section.first, section.last)
         room = room or room_of(trajectory, section, settings)
         self.robust_offset: FloatArray | None = None  # (rows, 3) mm, where it is known already
+        self._evened_mm: FloatArray | float = (
+            0.0  # (n + 1,) by how much the filament at the knots is ahead; `even_flow`
+        )
         self.t0 = section.begin_t - room.lead_s  # s on the plan's clock
         if through is not None:
             t, multiple = through
@@ -161,7 +166,8 @@ class Reference:
 
     def extrusion(self, first: int = 0, last: int | None = None) -> FloatArray:
         """Return the filament at the knots first … last (all of them), (n,) mm."""
-        return self._filament[first : (self.knots if last is None else last) + 1].copy()
+        last = self.knots if last is None else last
+        return (self._filament + self._evened_mm)[first : last + 1]
 
     @cached_property
     def _filament(self) -> FloatArray:
@@ -180,6 +186,46 @@ class Reference:
         section = self._section
         return lead_of(self._trajectory, section.begin_t, section.end_t, self._knots_t, self._pressure)
 
+    def even_flow(self, vertices: FloatArray, around: NDArray[np.bool_] | None, cuts: tuple[int, int] = (0, 0)) -> None:
+        """Let the filament follow the command's travel around some segments, instead of the plan's.
+
+        A firmware slows down where the filament per mm changes. Near a hard corner the command runs ahead of its path
+        or behind it, so the plan's filament per mm of the command changes. Here each line keeps its filament per mm.
+        The sum around the segments stays the same, and nothing flows where nothing did.
+
+        Parameters
+        ----------
+        vertices : (n + 1, 3) mm, the command at the knots
+        around : (n,) the segments; None: the filament follows the plan again
+        cuts : knots at which the filament stays that of the plan
+        """
+        self._evened_mm = 0.0
+        if around is None:
+            return
+        position = self._position(self._knots_t)
+        planned = np.diff(position[:, 3])
+        way = np.sqrt((np.diff(vertices, axis=0) ** 2).sum(axis=1))
+        by_plan = np.diff(self._travelled(position[:, :3]))
+        goes = np.flatnonzero(by_plan > STANDS_MM)
+        if not len(goes):
+            return
+        nearest = goes[np.minimum(np.searchsorted(goes, np.arange(self.knots)), len(goes) - 1)]
+        by_way = np.where(planned < 0.0, planned, planned[nearest] / by_plan[nearest] * way)
+        weight, change = _near(around, FLOW_KNOTS), np.zeros(self.knots)
+        for part in _stretches(weight > 0.0, cuts):
+            by_way_mm = float(weight[part] @ by_way[part])
+            if by_way_mm > 0.0:
+                scale = float(weight[part] @ planned[part]) / by_way_mm
+                change[part] = weight[part] * (scale * by_way[part] - planned[part])
+        self._evened_mm = np.concatenate([[0.0], np.cumsum(change)])
+
+    def _travelled(self, nozzle: FloatArray) -> FloatArray:
+        """Return how far the nozzle has come along its path where it is at the knots, (n + 1,) mm."""
+        times, corners = self.path()
+        move = np.clip(np.searchsorted(times, self._knots_t, side="right") - 1, 0, len(corners) - 1)
+        until = np.concatenate([[0.0], np.cumsum(np.sqrt((np.diff(corners, axis=0) ** 2).sum(axis=1)))])
+        return until[move] + np.sqrt(((nozzle - corners[move]) ** 2).sum(axis=1))
+
     def take_offset_of(self, other: Reference) -> None:
         """Take the robust offset of the same section on other knots: it is smooth."""
         if other.robust_offset is None or not len(other.robust_offset):
@@ -196,20 +242,33 @@ class Reference:
     def calm(self, segments: NDArray[np.bool_]) -> None:
         """Take the robust offset away around some of the segments (n,)."""
         assert self.robust_offset is not None
-        window = np.hanning(2 * CALM_KNOTS + 1)
-        near = np.convolve(segments, np.ones(2 * CALM_KNOTS + 1), mode="full")[CALM_KNOTS:-CALM_KNOTS] > 0.5
-        padded = np.pad(near.astype(np.float64), CALM_KNOTS, mode="edge")
-        left = 1.0 - np.convolve(padded, window / window.sum(), mode="valid")
+        left = 1.0 - _near(segments, CALM_KNOTS)
         self.robust_offset = self.robust_offset * np.repeat(left, len(self.robust_offset) // self.knots)[:, None]
 
     def lead_at(self, knots: FloatArray) -> FloatArray:
         """Return how far the filament is ahead at places (m,) in knots, (m,) mm."""
-        return np.interp(knots, np.arange(self.knots + 1, dtype=np.float64), self.lead.mm)
+        return np.interp(knots, np.arange(self.knots + 1, dtype=np.float64), self.lead.mm + self._evened_mm)
 
     def _position(self, t: FloatArray) -> FloatArray:
         # at end_t itself the next section may have begun, somewhere else
         last = math.nextafter(self._section.end_t, -math.inf)
         return self._trajectory.position(np.minimum(np.maximum(t, self._section.begin_t), last))
+
+
+def _near(segments: NDArray[np.bool_], knots: int) -> FloatArray:
+    """Return weights (n,): 1 at some of the segments, 0 where none of them is near, smooth between."""
+    window = np.hanning(2 * knots + 1)
+    near = np.convolve(segments, np.ones(2 * knots + 1), mode="full")[knots:-knots] > 0.5
+    padded = np.pad(near.astype(np.float64), knots, mode="edge")
+    return np.convolve(padded, window / window.sum(), mode="valid")
+
+
+def _stretches(marked: NDArray[np.bool_], cuts: tuple[int, int]) -> Iterator[slice]:
+    """Yield the ranges of marked segments; none contains a cut."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], marked, [False]]).astype(np.int8)))
+    for first, after in edges.reshape(-1, 2).tolist():
+        inner = [cut for cut in cuts if first < cut < after]
+        yield from (slice(*ends) for ends in pairwise([first, *inner, after]))
 
 
 LEAD_SUBSTEPS = 4  # of a segment

@@ -60,6 +60,7 @@ Replan = Callable[[Moves, float], Trajectory]  # the moves of a section, when it
 LayerOf = Callable[[int], int | None]  # move of the program → its layer
 
 ROUNDS = 8
+EVENED = 3  # rounds in which more and more of the filament follows the command, before moves become slower
 PHASES = 4  # of the knots, where a path is sampled
 APART = 8  # moves: scaled ones that lie closer share a record
 LATE_MM = 1e-3  # how far a segment may fall behind
@@ -378,7 +379,23 @@ def peak_utilisation(model: InverseModel, written: WrittenReference, solution: S
 
 
 def late_segments(model: InverseModel, written: WrittenReference, vertices: FloatArray) -> BoolArray:
-    """Find the segments (n,) that the firmware cannot execute in their time, where that matters."""
+    """Find the segments (n,) that the firmware cannot execute in their time, where that matters.
+
+    Where they are late with the plan's filament, the reference's filament follows the command instead.
+    """
+    reference, around = written.reference, np.zeros(len(vertices) - 1, dtype=np.bool_)
+    reference.even_flow(vertices, None)
+    late = _late_segments(model, written, vertices)
+    for _ in range(EVENED):
+        if not late.any():
+            return late
+        around = around | late
+        reference.even_flow(vertices, around, (written.first, written.last))
+        late = _late_segments(model, written, vertices)
+    return late
+
+
+def _late_segments(model: InverseModel, written: WrittenReference, vertices: FloatArray) -> BoolArray:
     s = model.settings
     e, stay = written.reference.extrusion(), np.arange(len(vertices))
     even_wipes(e, vertices, stay % CUT == 0)

@@ -78,12 +78,13 @@ def test_around_a_cut_in_motion_the_time_does_not_depend_on_the_plan() -> None:
     assert whole.reference.knots == Reference(plan.trajectory, section, settings).knots
 
 
-def test_less_time_than_a_short_section_needs_is_offered_from_the_least_on() -> None:
+@pytest.mark.parametrize(("flows", "least_s"), [(True, LEAST_S), (False, 0.0)])
+def test_less_time_than_a_short_section_needs_is_offered_from_the_least_on(flows: bool, least_s: float) -> None:
     plan = planned(b"M204 S5000\nG1 X11.1 F6000\n")
     section, settings = plan.sections[0], Settings(compliance_s2=SOFT)
     needed_s, duration_s = sum(room_of(plan.trajectory, section, settings)), section.end_t - section.begin_t
-    offered = list(tighter_rooms(section, round((duration_s + needed_s) / S.segment_s), settings))
-    assert LEAST_S <= sum(offered[0]) < LEAST_S + S.segment_s and sum(offered[-1]) == pytest.approx(
+    offered = list(tighter_rooms(section, round((duration_s + needed_s) / S.segment_s), settings, flows))
+    assert least_s <= sum(offered[0]) < least_s + S.segment_s and sum(offered[-1]) == pytest.approx(
         needed_s - S.segment_s
     )
     assert all(each.lead_s == pytest.approx(each.tail_s) for each in offered)
@@ -91,7 +92,7 @@ def test_less_time_than_a_short_section_needs_is_offered_from_the_least_on() -> 
 
 def test_a_long_section_is_offered_none() -> None:
     section = planned(b"G1 X90 F6000\n").sections[0]
-    assert not list(tighter_rooms(section, round((section.end_t - section.begin_t + 0.012) / S.segment_s), S))
+    assert not list(tighter_rooms(section, round((section.end_t - section.begin_t + 0.012) / S.segment_s), S, True))
 
 
 @pytest.mark.parametrize("early_s", [0.0, 1e-12, 1e-6])

@@ -62,7 +62,7 @@ def test_who_asks_is_answered(delta: Machine, asked: bool) -> None:
     assert choice.robust == asked and "as requested" in choice.reason
 
 
-def test_robust_inversion_costs_little_print_time_on_short_hard_strokes() -> None:
+def test_robust_inversion_costs_no_print_time_on_short_hard_strokes() -> None:
     """Lifts, travels and corners at 300 mm/s, each from rest: what asks for too much there is inverted plainly."""
     lines = [
         "; gcode_flavor = klipper",
@@ -85,4 +85,4 @@ def test_robust_inversion_costs_little_print_time_on_short_hard_strokes() -> Non
         b"".join(stream)
         found = stream.value.statistics
         longer_s.append(found.print_time_s - found.original_print_time_s - found.settling_s)
-    assert longer_s[1] < longer_s[0] + 0.05 * found.original_print_time_s
+    assert longer_s[1] < 1.3 * longer_s[0] < 0.06 * found.original_print_time_s

@@ -275,3 +275,31 @@ def test_a_short_travel_takes_less_time_where_its_ends_then_ask_for_little(name:
     roomy = solve(inverter, full.reference, state, enforce_limits=False)
     assert (feasible.written.reference.knots < full.reference.knots) == saves
     assert feasible.solution.utilisation <= 1.05 * roomy.utilisation
+
+
+STROKES = b"""M204 S40000
+G1 X-40 Y20 E1 F18000
+G1 X-60 Y40 E2
+G1 X-61 Y40
+G1 X-40 Y61 E3
+"""
+
+
+def test_the_extruder_does_not_slow_hard_corners_down() -> None:
+    """The filament follows the command there: its speed jumps by no more than the firmware allows."""
+    machine = load_machine("flsun-t1")
+    planned = plan_program(read_program(STROKES, start=START, flavor="klipper"), machine)
+    inverter, section = inverter_of(machine), planned.sections[0]
+    found = solved(inverter, planned, section, machine)
+    assert found.records == () and found.lost_s == 0.0
+    s, vertices, reference = inverter.settings, found.solution.vertices, found.written.reference
+    filament = reference.extrusion()
+    lasting = np.full(len(vertices) - 1, s.segment_s)
+    played = segment_speeds(vertices, np.diff(filament), lasting, s.output).duration
+    assert played == pytest.approx(lasting, abs=0.01 * s.segment_s)
+    reference.even_flow(vertices, None)
+    by_plan = reference.extrusion()
+    assert np.diff(filament).min() >= 0.0 and filament[[0, -1]] == pytest.approx([0.0, 3.0], abs=1e-9)
+    assert 0.005 < np.abs(filament - by_plan).max() < 0.04  # mm: less than a mm of the line
+    late = segment_speeds(vertices, np.diff(by_plan), lasting, s.output).duration
+    assert late.sum() > 1.01 * lasting.sum()
