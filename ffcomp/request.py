@@ -36,10 +36,12 @@ into `check`.
 from __future__ import annotations
 
 import inspect
+import re
 import types
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import MISSING, dataclass, fields
 from math import isinf
+from os import PathLike
 from pathlib import Path
 from typing import (
     TYPE_CHECKING,
@@ -228,6 +230,41 @@ class Declared:
         """Return the word of the command line that states a value: of a switch, or of a text that `read` takes."""
         return f"{self.names[0]}={value}" if not self.is_switch else self.names[0] if value else self.negative
 
+    def accept(self, value: Any) -> Any:
+        """Return the value as a request keeps it: of several or a pair a tuple, made of a list, an array or one alone.
+
+        Raises
+        ------
+        RequestError
+            If there are too many, too few or none.
+        """
+        plain, single = self.plain_type, isinstance(value, str | PathLike) or not hasattr(value, "__len__")
+        if self.option.parse is None and self.many:
+            if value is None and not self.required:
+                return None
+            values = () if value is None else (value,) if single else tuple(value)
+            if self.required and not values:
+                raise RequestError(f"There are no {self.field}: name at least one file.")
+            return tuple(map(self._path, values))
+        if get_origin(plain) is tuple and not self.many and not single:
+            if len(value) != len(get_args(plain)):
+                raise RequestError(f"{self.names[0]}: it is {len(get_args(plain))} numbers, not {value!r}.")
+            return tuple(map(float, value))
+        if plain in (str, Path) and not single:
+            raise RequestError(f"{self.field} is one {'file' if self.option.positional else 'value'}, not {value!r}.")
+        return self._path(value)
+
+    def _path(self, value: Any) -> Any:
+        return Path(value) if isinstance(value, str) and Path in (self.plain_type, self.item_type) else value
+
+    @property
+    def python_type(self) -> Any:
+        """What the field takes in Python."""
+        if self.many and self.option.parse is None:
+            item = str | Path if self.item_type is Path else self.item_type
+            return item | Sequence[item]  # type: ignore[valid-type]
+        return self.type | str if self.plain_type is Path else self.type
+
     def check(self, value: Any) -> None:
         """Raise RequestError unless the value is in its range or among its choices."""
         if self.choices and value not in self.choices:
@@ -246,7 +283,8 @@ class Request:
 
     def __post_init__(self) -> None:
         for each in declared(type(self)):
-            value = getattr(self, each.field)
+            value = each.accept(getattr(self, each.field))
+            object.__setattr__(self, each.field, value)
             array = hasattr(value, "shape")  # it is compared number by number, and has no range here
             if value is not None and not array and value != each.default:
                 each.check(value)
@@ -262,8 +300,8 @@ def declared(request: type[Any]) -> tuple[Declared, ...]:
     return tuple(sorted(_declared(request), key=lambda each: bool(keyword_only[each.field])))
 
 
-def _declared(request: type[Any]) -> Iterator[Declared]:
-    hints = get_type_hints(request, include_extras=True)
+def _declared(request: Any, types_: dict[str, Any] | None = None) -> Iterator[Declared]:
+    hints = get_type_hints(request, localns=types_, include_extras=True)
     for field in fields(request):
         for option in getattr(hints[field.name], "__metadata__", ()):
             if isinstance(option, Option):
@@ -305,6 +343,18 @@ def _paths_in(option: Declared, value: Any) -> list[Path]:
     return [Path(each) for each in values if isinstance(each, kinds)]
 
 
+class _Silent:
+    """A progress that reports nothing; signatures show it by name."""
+
+    def __call__(self, *progress: Any) -> None: ...
+
+    def __repr__(self) -> str:
+        return "silent"
+
+
+silent = _Silent()
+
+
 def function(request: Callable[P, Q], work: Callable[[Q], R]) -> Callable[P, R]:
     """Make the Python function of a verb: its parameters are the request's, its text is the worker's.
 
@@ -313,34 +363,58 @@ def function(request: Callable[P, Q], work: Callable[[Q], R]) -> Callable[P, R]:
     request : class of the request
     work : takes a request, does the work
     """
+    from models.machine import Machine
+
+    machine = dict.fromkeys(("MachineLike", "MachineOrFile"), str | Path | Machine)
+    hints, signature = get_type_hints(request, localns=machine), inspect.signature(request)
+    hints |= {each.field: each.python_type for each in _declared(request, machine)}
+    returned = get_type_hints(work)["return"]
+    parameters = [each.replace(annotation=hints[name]) for name, each in signature.parameters.items()]
+    signature = signature.replace(parameters=parameters, return_annotation=returned)
+    name = work.__name__.removeprefix("_").removesuffix("_request")
 
     def call(*args: P.args, **kwargs: P.kwargs) -> R:
+        try:
+            signature.bind(*args, **kwargs)
+        except TypeError as error:
+            raise TypeError(f"{name}(): {error}") from None
         return work(request(*args, **kwargs))
 
-    call.__name__ = call.__qualname__ = work.__name__.removeprefix("_").removesuffix("_request")
-    call.__module__ = work.__module__
-    hints, signature = get_type_hints(request), inspect.signature(request)
-    plain = [each.replace(annotation=hints[name]) for name, each in signature.parameters.items()]
-    returned = get_type_hints(work)["return"]
-    call.__signature__ = signature.replace(parameters=plain, return_annotation=returned)  # type: ignore[attr-defined]
-    text, _, python_only = inspect.cleandoc(work.__doc__ or "").partition("Parameters\n----------\n")
-    if not python_only:
-        text, heading, rest = text.partition("Raises\n")
-        python_only = f"\n{heading}{rest}"
-    rows = [f"{each.field} : {each.option.help}" for each in declared(request)]  # type: ignore[arg-type]
-    own, heading, raised = python_only.partition("Raises\n")
-    what = inspect.cleandoc(returned.__doc__ or "").replace("\n", "\n    ")
-    returns = ["Returns", "-------", returned.__name__, f"    {what}", ""]
-    call.__doc__ = "\n".join([f"{text}Parameters", "----------", *rows, own, *returns, heading + raised])
+    call.__name__ = call.__qualname__ = name
+    call.__module__, call.__signature__ = work.__module__, signature  # type: ignore[attr-defined]
+    call.__doc__ = _docstring(inspect.cleandoc(work.__doc__ or ""), signature, declared(request))  # type: ignore[arg-type]
     return call
 
 
-def paths_of(files: Sequence[str | Path] | str | Path) -> list[Path]:
-    """Return the paths of one file or several."""
-    return [Path(files)] if isinstance(files, str | Path) else [Path(file) for file in files]
+def _docstring(text: str, signature: inspect.Signature, options: Sequence[Declared]) -> str:
+    """Complete a worker's docstring in NumPy's format: parameters it does not describe itself, and what it returns."""
+    summary, own, rest = text, "", ""
+    if "Parameters\n----------\n" in text:
+        summary, _, own = text.partition("Parameters\n----------\n")
+        own, _, rest = own.partition("\n\n")
+    elif "Raises\n------" in text:
+        summary, heading, rest = text.partition("Raises\n------")
+        rest = heading + rest
+    described = {row.partition(" : ")[0]: row.partition(" : ")[2] for row in own.splitlines()}
+    helps = {each.field: f"{each.option.help} {each.range and f'[{each.range}]'}".rstrip() for each in options}
+    rows = []
+    for name, parameter in signature.parameters.items():
+        default = "" if parameter.default is parameter.empty else f", default {_short(parameter.default)}"
+        words = described.get(name) or helps.get(name, "").replace(" May be repeated.", "")
+        words = re.sub(r"--[a-z][\w-]+", lambda match: match[0][2:].replace("-", "_"), words)
+        rows += [f"{name} : {_plain(parameter.annotation)}{default}", f"    {words}"]
+    returned = signature.return_annotation
+    what = inspect.cleandoc(returned.__doc__ or "").partition("\n\n")[0].replace("\n", " ")
+    parts = [summary.rstrip(), "", "Parameters", "----------", *rows, "", "Returns", "-------", returned.__name__]
+    return "\n".join([*parts, f"    {what}", "", rest])
 
 
-def check_files(files: Any) -> None:
-    """Raise RequestError where there is no file."""
-    if isinstance(files, Sequence) and not files:
-        raise RequestError("There are no recordings: name at least one file.")
+def _short(value: Any) -> str:
+    text = repr(value)
+    return text if len(text) < 60 else f"{type(value).__name__}()"
+
+
+def _plain(annotation: Any) -> str:
+    """Return a type as people write it."""
+    name = inspect.formatannotation(annotation)
+    return re.sub(r"\b(?:[a-z_]\w*\.)+(?=[A-Z])", "", name)

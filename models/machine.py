@@ -175,6 +175,10 @@ class Machine:
         """Bind the vibration model to the kinematics."""
         object.__setattr__(self, "vibration", self.vibration.on(self.kinematics))
 
+    def __repr__(self) -> str:
+        """Return the name, the kinematics and the file."""
+        return f"<Machine: {self.name}, {type(self.kinematics).__name__}, {self.path or 'made in memory'}>"
+
     def equilibrium(self, nozzle: FloatArray) -> FloatArray:
         """Return the state of the vibration model at rest with the nozzle at (3,) mm."""
         return self.vibration.equilibrium(self.kinematics.inverse(nozzle[None])[0])

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-from pathlib import Path
-
 from ffcomp.diagnosis.gap import gap_request
 from ffcomp.diagnosis.problems import plant_of
 from ffcomp.diagnosis.request import DiagnoseRequest, GapRequest
@@ -30,10 +27,8 @@ def _identify(request: IdentifyRequest) -> MachineFit:
     --------
     >>> ffcomp.identify(["carriage.csv"], "mp-delta-pro", "my.toml")
     """
-    output, plan = (None if each is None else Path(each) for each in (request.output, request.plan))
-    request = replace(request, output=output, plan=plan)
     fit = fit_files(plant_of(request.machine), request, request.progress)
-    return fit if output is None else fit.write(output)
+    return fit if request.output is None else fit.write(request.output)
 
 
 identify = function(IdentifyRequest, _identify)

@@ -99,21 +99,31 @@ def study_responses(request: FrfRequest) -> Study:
             machine.kinematics.check_reach(np.array([[x, y, 0.0]]))
         except UnreachableError as error:
             raise RequestError(f"--at {x:g},{y:g}: {error}") from None
-    frequencies = request.frequency_hz
-    if frequencies is None:
-        frequencies = np.arange(request.start_hz, request.highest_hz + 0.5 * request.step_hz, request.step_hz)
+    frequencies = np.arange(request.start_hz, request.highest_hz + 0.5 * request.step_hz, request.step_hz)
+    if request.frequency_hz is not None:
+        frequencies = np.atleast_1d(_numbers("frequency_hz", request.frequency_hz))
+        if frequencies.ndim != 1 or not frequencies.size or frequencies.min() <= 0.0:
+            raise RequestError("frequency_hz is a list of frequencies above 0 Hz, (k,).")
     masses = list(request.added_mass_kg)
-    return study(
-        machine, view, np.asarray(frequencies, dtype=float), list(positions), measured, masses, request.with_arms
-    )
+    return study(machine, view, frequencies, list(positions), measured, masses, request.with_arms)
 
 
 def _places(positions_mm: Any) -> FloatArray:
     """Return positions as (n, 2) mm: of one X, Y or of several."""
-    places: FloatArray = np.array(positions_mm, dtype=np.float64).reshape(-1, np.shape(positions_mm)[-1] or 2)
-    if places.shape[1] != 2:
-        raise RequestError(f"positions_mm has {places.shape[1]} numbers a position: two are needed, X and Y in mm.")
-    return places
+    places = np.atleast_2d(_numbers("positions_mm", positions_mm))
+    if places.size and (places.ndim != 2 or places.shape[1] != 2):
+        raise RequestError(f"positions_mm has the shape {np.shape(positions_mm)}: it is X, Y in mm, or (n, 2).")
+    return places.reshape(-1, 2)
+
+
+def _numbers(name: str, values: Any) -> FloatArray:
+    try:
+        numbers = np.asarray(values, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise RequestError(f"{name} = {values!r}: it holds numbers.") from None
+    if not np.all(np.isfinite(numbers)):
+        raise RequestError(f"{name}: every number must be finite.")
+    return numbers
 
 
 def _view(request: FrfRequest, machine: Machine, measured: Sequence[FrequencyResponse]) -> View:

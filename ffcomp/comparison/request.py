@@ -9,7 +9,7 @@ from typing import Annotated
 
 from ffcomp.errors import RequestError
 from ffcomp.options import FLAVOR, JOBS, MACHINE_NAME, OFFSET, PLANT, PLATE, SCHEDULER, SEGMENT_RATE, Offset
-from ffcomp.request import ACCURACY, SPEED, Argument, MachineLike, Option, Request
+from ffcomp.request import ACCURACY, SPEED, Argument, MachineLike, Option, Request, silent
 
 Layers = tuple[int, int | None]
 
@@ -104,7 +104,7 @@ class CompareRequest(Request):
     plate: Annotated[int | None, PLATE] = None
     jobs: Annotated[int, JOBS] = 1
     scheduler: Annotated[str, SCHEDULER] = ""
-    progress: Callable[[str, float], None] = lambda step, share: None
+    progress: Callable[[str, float], None] = silent
 
     def check(self) -> None:
         """Check shares and layers."""

@@ -20,7 +20,19 @@ from ffcomp.options import (
     SEGMENT_RATE,
     Offset,
 )
-from ffcomp.request import ACCURACY, ADVANCED, FASTER, MACHINE, OUTPUT, SPEED, Argument, MachineLike, Option, Request
+from ffcomp.request import (
+    ACCURACY,
+    ADVANCED,
+    FASTER,
+    MACHINE,
+    OUTPUT,
+    SPEED,
+    Argument,
+    MachineLike,
+    Option,
+    Request,
+    silent,
+)
 
 Kind = Literal["gcode", "steps", "klipper-steps", "host"]
 MachineToPrintOn = Annotated[
@@ -189,7 +201,7 @@ class CompensateRequest(CompensateOptions):
     output: Annotated[
         str | Path | None, Option("File to write, which may be the print itself; None: nothing is written.", OUTPUT)
     ] = None
-    progress: Callable[[float], None] = lambda share: None
+    progress: Callable[[float], None] = silent
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -219,10 +219,10 @@ def gap_request(request: GapRequest) -> Discrepancy:
     ------
     MeasurementError, MachineFileError
     """
-    plant, several = plant_of(request.machine), request.recordings
-    several = [several] if isinstance(several, str | Path) else several
-    recordings = [each for each in several if not isinstance(each, str | Path)]
-    files = [each for each in several if isinstance(each, str | Path)]
+    plant = plant_of(request.machine)
+    given = cast("tuple[Path | Recorded, ...]", request.recordings)
+    recordings = [each for each in given if not isinstance(each, Path)]
+    files = [each for each in given if isinstance(each, Path)]
     if files:
         recordings += recordings_of(plant, files, request.plan, turn_of(request.axes_map), request.progress)
     return measure_gap(plant, recordings)

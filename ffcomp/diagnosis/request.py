@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from ffcomp.diagnosis.settings import SETTINGS, SearchSettings
 from ffcomp.options import CAPTURE_AXES, MACHINE_NAME, MOVES_PLAN, RUNS
-from ffcomp.request import ACCURACY, OUTPUT, Option, Request, check_files
+from ffcomp.request import ACCURACY, OUTPUT, Option, Request, silent
 
 if TYPE_CHECKING:
     from ffcomp.diagnosis.problems import Recorded
@@ -23,10 +23,6 @@ else:  # as the command line reads them
     MachineOrFile = str
 
 
-def silent(sentence: str) -> None:
-    """Report nothing."""
-
-
 @dataclass(frozen=True)
 class GapRequest(Request):
     """Recordings, and the machine file whose simulation is compared with them."""
@@ -36,10 +32,6 @@ class GapRequest(Request):
     plan: Annotated[Path | None, MOVES_PLAN] = None
     axes_map: Annotated[str | None, CAPTURE_AXES] = None
     progress: Callable[[str], None] = silent
-
-    def check(self) -> None:
-        """Check that there are recordings."""
-        check_files(self.recordings)
 
 
 @dataclass(frozen=True)
@@ -81,7 +73,3 @@ class DiagnoseRequest(Request):
     ] = None
     settings: SearchSettings = SETTINGS  # of the search; from Python
     progress: Callable[[str], None] = silent
-
-    def check(self) -> None:
-        """Check that there are recordings."""
-        check_files(self.recordings)

@@ -9,7 +9,7 @@ from datetime import date
 from math import inf
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import Any, cast
 
 from ffcomp.compensation.file import compensate_file
 from ffcomp.compensation.job import Options
@@ -30,7 +30,6 @@ from ffcomp.identification.machine_fit import hash_of
 from ffcomp.inverse.model import GEOMETRY
 from ffcomp.numerics.stages import Progress
 from ffcomp.record.axes import turn_of
-from ffcomp.request import paths_of
 from ffcomp.result import Fact
 from ffcomp.result import Result as Answered
 from ffcomp.simulation.simulation import Request, read_command, simulate_command
@@ -250,7 +249,11 @@ def diagnose_files(request: DiagnoseRequest, search_progress: Progress | None = 
     ------
     MeasurementError, MachineFileError
     """
-    began, plant, runs = time.monotonic(), plant_of(request.machine), paths_of(request.recordings)
+    began, plant, runs = (
+        time.monotonic(),
+        plant_of(request.machine),
+        cast("tuple[Path, ...]", request.recordings),
+    )
     recordings = recordings_of(plant, runs, request.plan, turn_of(request.axes_map), request.progress)
     problem = problem_of(plant, recordings)
     check_recordings(problem, recordings, request.without_repeats)

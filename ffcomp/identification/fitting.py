@@ -16,7 +16,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from datetime import date
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 import numpy as np
 
@@ -47,7 +47,6 @@ from ffcomp.identification.paper import identify_as_paper
 from ffcomp.identification.request import IdentifyRequest, RingingRequest
 from ffcomp.identification.uncertainty import Estimate, lognormal
 from ffcomp.measurement.modes import Mode, ModeFit
-from ffcomp.request import paths_of
 from ffcomp.shapers.calibration import shaper_advice
 from models.file import machine_of_text
 from models.kinds import is_one_axis
@@ -72,7 +71,7 @@ def fit_files(start: Machine, request: IdentifyRequest, progress: Progress = lam
         If the files hold nothing that can be fitted.
     MachineFileError
     """
-    data = paths_of(request.data)
+    data = cast("tuple[Path, ...]", request.data)
     if is_one_axis(start):
         if request.plan is not None or request.method != "direct":
             raise RequestError("--plan and --method are for printers; an axis by itself is fitted to its runs.")

@@ -18,7 +18,7 @@ from ffcomp.options import (
     MOVES_PLAN,
     RUNS,
 )
-from ffcomp.request import ACCURACY, ADVANCED, FORCE, MACHINE, OUTPUT, Argument, MachineLike, Option, Request
+from ffcomp.request import ACCURACY, ADVANCED, FORCE, MACHINE, OUTPUT, Argument, MachineLike, Option, Request, silent
 
 Method = Literal["direct", "stepwise"]
 DATA = (
@@ -102,7 +102,7 @@ class IdentifyRequest(Request):
     rough: Annotated[
         bool, Option("Write modes too that leave more than 20 % of their measurement unexplained.", ACCURACY)
     ] = False
-    progress: Callable[[str], None] = lambda sentence: None
+    progress: Callable[[str], None] = silent
 
     def check(self) -> None:
         """Raise RequestError for what is no axis."""

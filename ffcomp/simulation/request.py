@@ -10,7 +10,7 @@ from typing import Annotated
 
 from ffcomp.errors import RequestError
 from ffcomp.options import FLAVOR, MACHINE_NAME, OFFSET, PLANT, PLATE, Offset
-from ffcomp.request import ACCURACY, ADVANCED, OUTPUT, SPEED, Argument, MachineLike, Option, Request
+from ffcomp.request import ACCURACY, ADVANCED, OUTPUT, SPEED, Argument, MachineLike, Option, Request, silent
 
 SIGNALS = ("acc", "pos")
 
@@ -71,7 +71,7 @@ class SimulateRequest(Request):
     offset_mm: Annotated[Offset | None, OFFSET] = None
     flavor: Annotated[str, FLAVOR] = ""
     plate: Annotated[int | None, PLATE] = None
-    progress: Callable[[float], None] = lambda done_s: None
+    progress: Callable[[float], None] = silent
 
     def check(self) -> None:
         """Check times, sensors, and that nothing is written over the command."""

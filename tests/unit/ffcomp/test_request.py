@@ -56,7 +56,7 @@ def test_the_command_line_has_it() -> None:
 def test_the_python_function_has_it() -> None:
     call = function(Stirred, stirred)
     assert inspect.signature(call).parameters["stir_hz"].default == 2
-    assert "stir_hz : Stir at this rate." in str(call.__doc__)
+    assert "stir_hz : float, default 2\n    Stir at this rate. [1 to 9]" in str(call.__doc__)
     assert call(files=(Path("a"),), machine="m", stir_hz=5.0) == 5.0
     with pytest.raises(RequestError, match="it must be 1 to 9"):
         call(files=(Path("a"),), machine="m", stir_hz=0.0)

@@ -85,7 +85,7 @@ def test_nothing_is_written_without_an_output(tmp_path: Path) -> None:
 
 
 def test_the_modes_of_cartesian_axes_are_named_after_them() -> None:
-    (answer,) = ffcomp.frf("voron-300", frequency_hz=np.array([10.0, 40.0])).to_dict()
+    (answer,) = ffcomp.frf("voron-300", frequency_hz=np.array([10.0, 40.0])).objects()
     modes = [(mode["frequency_hz"], mode["kind"]) for mode in answer["modes"]]
     assert modes == [(pytest.approx(43.0), "along y"), (pytest.approx(52.0), "along x")]
 
@@ -93,7 +93,7 @@ def test_the_modes_of_cartesian_axes_are_named_after_them() -> None:
 def test_frequency_responses_are_those_of_the_model() -> None:
     found = ffcomp.frf("mp-delta-pro", [(0.0, 0.0), (-80.0, 0.0)], frequency_hz=np.array([10.0, 40.0]))
     assert found.values.shape == (2, 2, 3, 3) and found.positions_mm.tolist() == [[0, 0], [-80, 0]]
-    answers = found.to_dict()
+    answers = found.objects()
     assert [answer["position_mm"][:2] for answer in answers] == [[0, 0], [-80, 0]]
     magnitude = answers[1]["response"]["values"][0][0]["magnitude"]
     assert magnitude == pytest.approx(np.abs(found.values[1, :, 0, 0]))
@@ -106,11 +106,40 @@ def test_one_position_is_enough() -> None:
     for given in ((0, 0), [0.0, 0.0], np.zeros(2), np.zeros((1, 2))):
         found = ffcomp.frf("mp-delta-pro", given, frequency_hz=[10.0, 40.0])
         assert found.positions_mm.tolist() == [[0.0, 0.0]] and len(repr(found)) < 200
-    with pytest.raises(RequestError, match="3 numbers"):
-        ffcomp.frf("mp-delta-pro", (0, 0, 0))
 
 
-@pytest.mark.parametrize("verb", [ffcomp.diagnose, ffcomp.gap])
-def test_no_recordings_are_a_sentence(verb: Callable[..., object]) -> None:
-    with pytest.raises(RequestError, match="no recordings"):
-        verb([], "mp-delta-pro")
+@pytest.mark.parametrize(
+    ("call", "sentence"),
+    [
+        (lambda: ffcomp.diagnose([], "mp-delta-pro"), "no recordings"),
+        (lambda: ffcomp.gap((), "mp-delta-pro"), "no recordings"),
+        (lambda: ffcomp.identify([], "mp-delta-pro"), "no data"),
+        (lambda: ffcomp.compensate([], "mp-delta-pro"), "file is one file"),
+        (lambda: ffcomp.frf("mp-delta-pro", (0, 0, 0)), r"the shape \(3,\)"),
+        (lambda: ffcomp.frf("mp-delta-pro", 5), r"the shape \(\)"),
+        (lambda: ffcomp.frf("mp-delta-pro", "middle"), "holds numbers"),
+        (lambda: ffcomp.frf("mp-delta-pro", (0, np.nan)), "must be finite"),
+        (lambda: ffcomp.frf("mp-delta-pro", frequency_hz=[0.0, 5.0]), "above 0 Hz"),
+        (lambda: ffcomp.estimate(PRINT, "mp-delta-pro", offset_mm=(1.0,)), "it is 2 numbers"),
+    ],
+)
+def test_what_cannot_be_used_is_a_sentence(call: Callable[[], object], sentence: str) -> None:
+    with pytest.raises(RequestError, match=sentence):
+        call()
+
+
+def test_one_value_a_list_and_an_array_are_alike() -> None:
+    alone = [
+        ffcomp.frf("mp-delta-pro", of="carriage-alone", added_mass_kg=each) for each in (0.1, [0.1], np.array([0.1]))
+    ]
+    assert [each.values.shape for each in alone] == [(1, 400, 1, 1)] * 3
+    assert ffcomp.estimate(PRINT, "mp-delta-pro", offset_mm=np.zeros(2)).time_s > 0.0
+
+
+def test_signatures_and_objects_are_short_enough_to_read() -> None:
+    signature = inspect.signature(ffcomp.identify)
+    assert "Machine" in str(signature.parameters["machine"].annotation) and " at 0x" not in str(signature)
+    with pytest.raises(TypeError, match=r"identify\(\): got an unexpected keyword argument 'foo'"):
+        ffcomp.identify("x.csv", "mp-delta-pro", foo=1)  # type: ignore[call-arg]
+    assert len(repr(ffcomp.load_machine("mp-delta-pro"))) < 200
+    assert "Returns\n-------\nMachineFit\n" in str(ffcomp.identify.__doc__)
