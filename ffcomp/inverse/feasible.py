@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
+from bisect import bisect_left
 from collections.abc import Iterator
 from copy import copy
 from dataclasses import dataclass, fields, replace
+from operator import attrgetter
 
 import numpy as np
 
@@ -36,7 +38,7 @@ from ffcomp.planner.limits import PlannerLimits, lines_of
 from ffcomp.planner.trajectory import PathPosition, Section, Trajectory
 from gcode.program import Moves, Program
 from gcode.slicing import some
-from models.arrays import BoolArray, FloatArray
+from models.arrays import BoolArray, FloatArray, IntArray
 
 ENDS = 6  # knots of a command at either end, where its motion begins and ends
 STEEP = 1.4  # times the accelerations of its path and its middle: limit for the ends
@@ -101,6 +103,7 @@ def solve_feasible(model: InverseModel, request: SectionRequest) -> FeasibleSect
         request.state,
         request.program.first_line,
         keep_response=keep,
+        after_events=after_events(request.program, section.first, section.last) - section.first,
     )
     written, solution = scaled.solve(settings.tolerance_um * 1e-3, Free(written, solution))
     if not scaled.reasons:
@@ -148,10 +151,11 @@ def _within_limits(
     gentle : its ends must not ask for much more than its path and its middle
     """
     offset = written.reference.robust_offset
+    events = request.trajectory.start_t[after_events(request.program, request.section.first, request.section.last)]
     rounds = CALMED if request.extent == WHOLE and offset is not None and len(offset) else 0
     for left in reversed(range(rounds + 1)):
         solution = _free(model, request, written)
-        beyond = _beyond(model, written, solution, gentle)
+        beyond = _beyond(model, written, solution, gentle, events)
         if not beyond[written.first : written.last].any():
             return FeasibleSection(request.trajectory, request.section, written, solution)
         if left:
@@ -160,7 +164,9 @@ def _within_limits(
     return None
 
 
-def _beyond(model: InverseModel, written: WrittenReference, solution: Solution, gentle: bool) -> BoolArray:
+def _beyond(
+    model: InverseModel, written: WrittenReference, solution: Solution, gentle: bool, events: FloatArray
+) -> BoolArray:
     """Find the segments (n,) of a command that exceed a limit, or that the firmware cannot execute in their time.
 
     gentle : nor may the ends exceed the path and the middle by much, or the nozzle's own acceleration
@@ -178,7 +184,7 @@ def _beyond(model: InverseModel, written: WrittenReference, solution: Solution, 
         beyond |= asked > max(inner, most)
     beyond[1] |= beyond[0]
     beyond[-2] |= beyond[-1]
-    return np.asarray(beyond[1:-1] | late_segments(model, written, solution.vertices))
+    return np.asarray(beyond[1:-1] | late_segments(model, written, solution.vertices, events))
 
 
 def _free(model: InverseModel, request: SectionRequest, written: WrittenReference) -> Solution:
@@ -221,7 +227,18 @@ def scale_around_cut(
     first, last = np.flatnonzero(inner)[[0, -1]].tolist()
     middle = Extent(PathPosition(first, 0.0), PathPosition(last, float(lines_of(moves).length[last])))
     state = model.machine.equilibrium(moves.start[0, :3])
-    scaled = ScaledSection(model, moves, limits, replan, 0.0, middle, state, program.first_line, fixed=~inner)
+    scaled = ScaledSection(
+        model,
+        moves,
+        limits,
+        replan,
+        0.0,
+        middle,
+        state,
+        program.first_line,
+        fixed=~inner,
+        after_events=after_events(program, 0, len(moves)),
+    )
     scaled.scale(NO_TOLERANCE_MM)
     records = tuple(scaled.records(plan.duration, layer_of)) if scaled.reasons else ()
     if records and model.settings.strict:
@@ -231,6 +248,13 @@ def scale_around_cut(
 
 def _refuse(records: tuple[TimeScaling, ...]) -> None:
     raise LimitsError(" ".join(record.sentence("would have to be slowed") for record in records))
+
+
+def after_events(program: Program, first: int, last: int) -> IntArray:
+    """Return the moves between two of a program before which a line of the file stands, (k,)."""
+    events, key = program.events, attrgetter("move")
+    inside = events[bisect_left(events, first + 1, key=key) : bisect_left(events, last, key=key)]
+    return np.unique(np.array([event.move for event in inside], dtype=np.int64))
 
 
 def _spliced(trajectory: Trajectory, section: Section, part: Trajectory) -> tuple[Trajectory, float]:

@@ -11,7 +11,7 @@ written.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -186,7 +186,7 @@ class Reference:
         section = self._section
         return lead_of(self._trajectory, section.begin_t, section.end_t, self._knots_t, self._pressure)
 
-    def even_flow(self, vertices: FloatArray, around: NDArray[np.bool_] | None, cuts: tuple[int, int] = (0, 0)) -> None:
+    def even_flow(self, vertices: FloatArray, around: NDArray[np.bool_] | None, fixed: Iterable[float] = ()) -> None:
         """Let the filament follow the command's travel around some segments, instead of the plan's.
 
         A firmware slows down where the filament per mm changes. Near a hard corner the command runs ahead of its path
@@ -197,7 +197,7 @@ class Reference:
         ----------
         vertices : (n + 1, 3) mm, the command at the knots
         around : (n,) the segments; None: the filament follows the plan again
-        cuts : knots at which the filament stays that of the plan
+        fixed : times of the plan's clock at which the filament stays that of the plan, s
         """
         self._evened_mm = 0.0
         if around is None:
@@ -212,7 +212,8 @@ class Reference:
         nearest = goes[np.minimum(np.searchsorted(goes, np.arange(self.knots)), len(goes) - 1)]
         by_way = np.where(planned < 0.0, planned, planned[nearest] / by_plan[nearest] * way)
         weight, change = _near(around, FLOW_KNOTS), np.zeros(self.knots)
-        for part in _stretches(weight > 0.0, cuts):
+        knots = sorted({rounded for t in fixed for rounded in _knots_around(self.knot_of(t))})
+        for part in _stretches(weight > 0.0, knots):
             by_way_mm = float(weight[part] @ by_way[part])
             if by_way_mm > 0.0:
                 scale = float(weight[part] @ planned[part]) / by_way_mm
@@ -263,8 +264,13 @@ def _near(segments: NDArray[np.bool_], knots: int) -> FloatArray:
     return np.convolve(padded, window / window.sum(), mode="valid")
 
 
-def _stretches(marked: NDArray[np.bool_], cuts: tuple[int, int]) -> Iterator[slice]:
-    """Yield the ranges of marked segments; none contains a cut."""
+def _knots_around(at: float) -> tuple[int, int]:
+    """Return the knots before and after a place in knots; both the same where it is at one."""
+    return math.floor(at + ROUNDING), math.ceil(at - ROUNDING)
+
+
+def _stretches(marked: NDArray[np.bool_], cuts: list[int]) -> Iterator[slice]:
+    """Yield the ranges of marked segments, none of which contains a cut; cuts : rising knots."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], marked, [False]]).astype(np.int8)))
     for first, after in edges.reshape(-1, 2).tolist():
         inner = [cut for cut in cuts if first < cut < after]

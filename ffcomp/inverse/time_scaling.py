@@ -20,7 +20,7 @@ possible.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -124,6 +124,7 @@ class ScaledSection:
     first_line: int
     keep_response: bool = False
     fixed: BoolArray | None = None  # (n,) the moves that keep their speed; None: those near the section's cuts
+    after_events: IntArray | None = None  # (k,) moves before which a line of the file stands
 
     def __post_init__(self) -> None:
         self.reasons: dict[int, Violation] = {}  # move → why it became slower at first
@@ -241,7 +242,9 @@ class ScaledSection:
         utilisation = utilisation_from_rest(free.vertices, model.limits)[1:-1]
         violations = _among(path_violations(self._path_utilisation(written.reference), utilisation), written)
         if not violations and feasible:
-            violations = _among(timing_violations(late_segments(model, written, free.vertices)), written)
+            violations = _among(
+                timing_violations(late_segments(model, written, free.vertices, self._event_times)), written
+            )
         if violations or feasible:
             return _Attempt(written, free, violations)
         try:
@@ -249,8 +252,14 @@ class ScaledSection:
         except SolverError:  # no command keeps the limits
             return _Attempt(written, free, _among(command_violations(utilisation), written))
         violations = _among(solution_violations(solution, utilisation, tolerance_mm, model.limits), written)
-        violations += _among(timing_violations(late_segments(model, written, solution.vertices)), written)
+        violations += _among(
+            timing_violations(late_segments(model, written, solution.vertices, self._event_times)), written
+        )
         return _Attempt(written, solution, violations)
+
+    @property
+    def _event_times(self) -> FloatArray:
+        return self.plan.start_t[[] if self.after_events is None else self.after_events]
 
     def _path_utilisation(self, reference: Reference) -> FloatArray:
         """Return the path's own utilisation (n, 3, 3), the largest for any phase of the knots.
@@ -378,19 +387,27 @@ def peak_utilisation(model: InverseModel, written: WrittenReference, solution: S
     return float(utilisation_from_rest(solution.vertices, model.limits)[1:-1][inside].max())
 
 
-def late_segments(model: InverseModel, written: WrittenReference, vertices: FloatArray) -> BoolArray:
+def late_segments(
+    model: InverseModel, written: WrittenReference, vertices: FloatArray, events: Iterable[float] = ()
+) -> BoolArray:
     """Find the segments (n,) that the firmware cannot execute in their time, where that matters.
 
     Where they are late with the plan's filament, the reference's filament follows the command instead.
+
+    Parameters
+    ----------
+    events : times of the plan's clock at which lines of the file stand, s: there the filament is that of the plan
     """
     reference, around = written.reference, np.zeros(len(vertices) - 1, dtype=np.bool_)
     reference.even_flow(vertices, None)
     late = _late_segments(model, written, vertices)
+    cuts = (reference.t0 + knot * model.settings.segment_s for knot in (written.first, written.last))
+    fixed = (*cuts, *events)
     for _ in range(EVENED):
         if not late.any():
             return late
         around = around | late
-        reference.even_flow(vertices, around, (written.first, written.last))
+        reference.even_flow(vertices, around, fixed)
         late = _late_segments(model, written, vertices)
     return late
 
