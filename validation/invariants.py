@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ffcomp.compensation.net import FARTHEST_MM, TIMES
+from ffcomp.firmware.marlin_planner import MarlinPlanner
 from ffcomp.firmware.program import known_to_the_firmware, plan_program, planner_of
 from ffcomp.inverse.settings import SEGMENTS_PER_SECOND, nozzle_compliance
 from ffcomp.metrics import contour_error
@@ -39,7 +40,7 @@ LONGEST_LINE = 255  # bytes, of Klipper's own commands
 FILAMENT_MM = 1e-4  # how far the whole may be from what it was,
 HALF_A_COUNT = 5e-6  # and half of the last decimal in the file's own unit
 LINE_MM = 5e-3  # how far a line may be from its place: lines that stand close together share a segment's end,
-STEPS_MM = 5e-3  # and as much more where a firmware drops a segment of few steps
+STEPS_MM = 1e-2  # and more where a firmware drops a segment of few steps: six of them move a delta's nozzle 0.2 mm
 WAY_MM, WAY_SHARE = 2e-3, 1e-5  # of the filament's way there and back: its last decimal may go to and fro
 TURN_MM = 5e-3  # of filament, where it turns back: a segment may hold a little of both ways
 BLOCK_ENDS_MM = 0.02  # of a block from its path: what `net` allows, and the last decimal in inches
@@ -167,7 +168,7 @@ def _of_path(read: Program, written: Program, text: Text, machine: Machine) -> I
     by_line = {int(read.moves.line[each.first]): each for each in plan.sections if each.travels}
     times = [time for time in section_times(written.lines) if time.line in by_line]
     own = np.flatnonzero(np.isin(written.moves.line, text.segments))
-    own = own[np.any(written.moves.end[own, :3] != written.moves.start[own, :3], axis=1)]
+    own = own[np.abs(written.moves.end[own, :3] - written.moves.start[own, :3]).max(axis=1) > PLACES]
     edges = np.searchsorted(written.moves.line[own], [*(time.at for time in times), len(written.lines)])
     compliance_s2 = max(nozzle_compliance(design_machine(machine)[0]))
     for time, (first, last) in zip(times, pairwise(edges), strict=True):
@@ -192,16 +193,23 @@ def _of_carriages(written: Program, own: NDArray[np.bool_], machine: Machine) ->
     """Mean velocities of the segments as the firmware plays them, and their changes."""
     limits, moves = machine.limits, written.moves
     stop_before, wait_before = stops_and_waits(written)
-    plan = planner_of(written, machine)(moves, stop_before=stop_before, wait_before=wait_before)
+    planner = planner_of(written, machine)
+    plan = planner(moves, stop_before=stop_before, wait_before=wait_before)
     low, high = limits.carriage_travel_mm or (-np.inf, np.inf)
     start, end = (machine.kinematics.inverse(places[own, :3]) for places in (moves.start, moves.end))
     if (end < low - PLACES).any() or (end > high + PLACES).any():
         yield f"A carriage goes to {end.min():.3f} … {end.max():.3f} mm; its travel is {low:g} … {high:g} mm."
-    velocity = (end - start) / plan.duration[own, None]
-    follows = np.diff(np.flatnonzero(own)) == 1
-    follows &= ~(stop_before | (wait_before > 0.0))[own][1:]
+    block = np.arange(len(moves))  # that each move is executed in
+    if isinstance(planner, MarlinPlanner):  # it joins a segment of few steps to the next one
+        blocks, ends = planner.blocks(moves, stop_before | (wait_before > 0.0))
+        block = np.minimum(np.searchsorted(ends[blocks.target], block), len(blocks.target) - 1)
+    first = np.flatnonzero(np.diff(block[own], prepend=-1))  # of each block's own segments
+    last, duration = np.append(first[1:], len(start)) - 1, np.add.reduceat(plan.duration[own], first)
+    velocity = (end[last] - start[first]) / duration[:, None]
+    follows = np.flatnonzero(own)[first[1:]] - np.flatnonzero(own)[last[:-1]] == 1
+    follows &= ~(stop_before | (wait_before > 0.0))[own][first[1:]]
     # a change counts over a segment's time, as in `invert/limits.py`: a line of the original may have cut one in two
-    apart = np.maximum(0.5 * (plan.duration[own][1:] + plan.duration[own][:-1]), SEGMENT_S)
+    apart = np.maximum(0.5 * (duration[1:] + duration[:-1]), SEGMENT_S)
     acceleration = (np.diff(velocity, axis=0) / apart[:, None])[follows]
     for name, values, limit, share in (
         ("velocity", velocity, limits.carriage_velocity_mm_per_s, VELOCITY_SHARE),
