@@ -100,11 +100,12 @@ def test_a_deltas_segments_are_short_enough_not_to_be_cut() -> None:
     points = np.column_stack([np.arange(8.0), np.zeros(8), np.zeros(8)])
     lasting = np.array([4.0, 12.0, 4.0, 8.0, 90.0, 4.0, 8.0]) / 1e3
     expected = np.array([4.0, 9.5, 6.5, 8.0, 9.5, 9.5, 9.5]) / 1e3
-    assert segments.uncut(points, lasting) == pytest.approx(expected)
+    at = np.append(0.0, np.cumsum(lasting)) / segments.knot_s
+    assert segments.times(at, points)[1] == pytest.approx(expected)
     often = replace(segments, settings=replace(segments.settings, segments_per_second=600.0))
-    assert np.array_equal(often.uncut(points, lasting), lasting)  # a knot of 4 ms is cut in any case
+    assert often.times(at, points)[1] == pytest.approx(lasting)  # a knot of 4 ms is cut in any case
     lifts = points[:, [1, 2, 0]]
-    assert np.array_equal(segments.uncut(lifts, lasting), lasting)
+    assert segments.times(at, lifts)[1] == pytest.approx(lasting)
 
 
 def test_motors_keep_their_acceleration_before_a_line_that_stays(delta: WholeSteps) -> None:
