@@ -7,10 +7,11 @@ from pathlib import Path
 
 from ffcomp.errors import RequestError
 from ffcomp.request import ADVANCED, FASTER, MACHINE, OUTPUT, SPEED, Argument, Option
+from gcode.dialect import DIALECTS
 
 Offset = tuple[float, float]
 FIGURES = ("", ".png", ".svg", ".pdf")
-FLAVORS = ("klipper", "marlin", "reprapfirmware")
+FLAVORS = tuple(DIALECTS)
 
 
 def parse_offset(text: str) -> Offset | None:

@@ -1,8 +1,8 @@
 """The effect of each command that is not a move, on the modal state and on the motion around it.
 
-Read it from the bottom: `EFFECTS` maps names to functions. A function changes the state and returns whether the
-motion may continue through the command (PASS) or must rest (STOP, DWELL). If the position is unknown after the
-command, the function makes the state forget it.
+Read it from the bottom: `EFFECTS` maps names to functions, `OWN_EFFECTS` those that a firmware treats differently. A
+function changes the state and returns whether the motion may continue through the command (PASS) or must rest (STOP,
+DWELL). If the position is unknown after the command, the function makes the state forget it.
 """
 
 from __future__ import annotations
@@ -13,7 +13,8 @@ from itertools import chain
 from math import isnan
 from typing import NamedTuple
 
-from gcode.dialects import MARLIN, REPRAPFIRMWARE, limit_unit
+from gcode.dialect import KLIPPER, MARLIN, REPRAPFIRMWARE
+from gcode.dialects import limit_unit
 from gcode.errors import GcodeError, UnsupportedGcode
 from gcode.program import EventKind, LimitCommand, RawMove
 from gcode.state import AXES, INCH_MM, Modal
@@ -56,7 +57,8 @@ def apply(modal: Modal, command: Command) -> Effect:
         return RETURNED
     if command.name in modal.still:
         return STAYED
-    if handler := EFFECTS.get(command.name):
+    own = OWN_EFFECTS[modal.dialect.commands]
+    if handler := own.get(command.name) or EFFECTS.get(command.name):
         return handler(modal, command)
     if _TOOL_NAME.fullmatch(command.name):
         return _tool(modal, command)
@@ -100,6 +102,10 @@ def _home(modal: Modal, command: Command) -> Effect:
     return MOVED
 
 
+def _absent(modal: Modal, command: Command) -> Effect:
+    return UNKNOWN
+
+
 def _unknown(modal: Modal, command: Command) -> Effect:
     if not _M_CODE.fullmatch(command.name):
         modal.forget()
@@ -108,7 +114,7 @@ def _unknown(modal: Modal, command: Command) -> Effect:
 
 
 def _refuse(modal: Modal, command: Command) -> Effect:
-    if modal.flavor == "klipper":  # it has none of these: they are messages or a user's macros
+    if not modal.dialect.refuses:
         return _unknown(modal, command)
     what = "makes numbers depend on offsets, units, turns or conditions that are not followed"
     raise UnsupportedGcode(f"{command.name} {what}; slice without it.", command.line)
@@ -127,17 +133,23 @@ def _tool(modal: Modal, command: Command) -> Effect:
 
 def _dwell(modal: Modal, command: Command) -> Effect:
     words = command.settings()
-    seconds = words.get("P", 0.0) / 1000
-    if "S" in words and modal.flavor != "klipper":
-        seconds = words["S"]
+    return _waiting(words["S"] if "S" in words else words.get("P", 0.0) / 1000, command)
+
+
+def _dwell_of_klipper(modal: Modal, command: Command) -> Effect:
+    """Klipper ignores S."""
+    return _waiting(command.settings().get("P", 0.0) / 1000, command)
+
+
+def _waiting(seconds: float, command: Command) -> Effect:
     if seconds < 0:
         raise GcodeError(f"G4 waits {seconds:g} s; a wait cannot be negative.", command.line)
     return Effect(EventKind.DWELL, seconds)
 
 
 def _finish_moves(modal: Modal, command: Command) -> Effect:
-    """M400: Bambu's also waits, P ms or S s; RepRapFirmware's S is not a time, and Klipper ignores both."""
-    words = command.settings() if modal.flavor == "marlin" else {}
+    """M400: Bambu's, which is a Marlin, also waits P ms or S s."""
+    words = command.settings()
     seconds = max(words.get("S", 0.0) + words.get("P", 0.0) / 1000, 0.0)
     return Effect(EventKind.STOP, seconds) if seconds else STOP
 
@@ -171,27 +183,17 @@ def _filament_distances(modal: Modal, command: Command) -> Effect:
 
 
 def _push(modal: Modal, command: Command) -> Effect:
-    """M120: RepRapFirmware keeps modes and feed; Marlin switches endstops on."""
-    if modal.flavor == "klipper":
-        return UNKNOWN
-    if modal.flavor == "reprapfirmware":
-        modal.push()
+    modal.push()
     return PASS
 
 
 def _pop(modal: Modal, command: Command) -> Effect:
-    """M121: RepRapFirmware restores what M120 saved; Marlin switches endstops off."""
-    if modal.flavor == "klipper":
-        return UNKNOWN
-    if modal.flavor == "reprapfirmware":
-        modal.pop()
+    modal.pop()
     return PASS
 
 
 def _plane(modal: Modal, command: Command) -> Effect:
-    """G18's first axis is Z by NIST RS274/NGC, Marlin and RepRapFirmware, X in Klipper: a mirrored arc."""
-    middle = "XZ" if modal.flavor == "klipper" else "ZX"
-    modal.plane = {"G17": "XY", "G18": middle, "G19": "YZ"}[command.name]
+    modal.plane = {"G17": "XY", "G18": modal.dialect.g18_axes, "G19": "YZ"}[command.name]
     return PASS
 
 
@@ -207,9 +209,7 @@ def _rename(modal: Modal, command: Command) -> Effect:
 
 
 def _names_back(modal: Modal, command: Command) -> Effect:
-    """G92.1 undoes G92 for X, Y and Z; Klipper does not have it."""
-    if modal.flavor == "klipper":
-        return UNKNOWN
+    """G92.1 undoes G92 for X, Y and Z."""
     modal.take_names_back()
     return STOP
 
@@ -223,15 +223,19 @@ def _percent(command: Command) -> float | None:
 
 
 def _feed_factor(modal: Modal, command: Command) -> Effect:
-    """M220: Marlin's R restores the factor that an earlier B saved; S is applied last."""
-    letters, in_force = command.letters() if modal.flavor == "marlin" else set(), modal.feed_factor
+    if (factor := _percent(command)) is not None:
+        modal.set_feed_factor(factor)
+    return PASS
+
+
+def _feed_factor_of_marlin(modal: Modal, command: Command) -> Effect:
+    """M220: R restores the factor that an earlier B saved; S is applied last."""
+    letters, in_force = command.letters(), modal.feed_factor
     if "R" in letters:
         modal.set_feed_factor(modal.kept_feed_factor)
     if "B" in letters:
         modal.kept_feed_factor = in_force
-    if (factor := _percent(command)) is not None:
-        modal.set_feed_factor(factor)
-    return PASS
+    return _feed_factor(modal, command)
 
 
 def _flow(modal: Modal, command: Command) -> Effect:
@@ -281,14 +285,22 @@ def _restore_state(modal: Modal, command: Command) -> Effect:
 
 
 def _acceleration(modal: Modal, command: Command) -> Effect:
-    """M204: Klipper takes S, or the smaller of P and T if both are there; others P for printing, T for travel."""
+    """M204: P for printing, T for travel."""
     words = _limit_words(modal, command)
-    if modal.flavor == "klipper":
-        value = words["S"] if "S" in words else min(words["P"], words["T"]) if words.keys() >= {"P", "T"} else None
-        words = {} if value is None else {"P": value}
-    elif "S" in words:
+    if "S" in words:
         both = words.pop("S")
         words = {"P": both, "T": both, **words}
+    return _accelerations(modal, command, words)
+
+
+def _acceleration_of_klipper(modal: Modal, command: Command) -> Effect:
+    """M204: S, or the smaller of P and T if both are there."""
+    words = _limit_words(modal, command)
+    value = words["S"] if "S" in words else min(words["P"], words["T"]) if words.keys() >= {"P", "T"} else None
+    return _accelerations(modal, command, {} if value is None else {"P": value})
+
+
+def _accelerations(modal: Modal, command: Command, words: dict[str, float]) -> Effect:
     named = {"P": "acceleration", "T": "travel_acceleration"}
     modal.set_limits(**{name: _positive(words[letter], command) for letter, name in named.items() if letter in words})
     return _limits(modal, command.name, words)
@@ -297,7 +309,7 @@ def _acceleration(modal: Modal, command: Command) -> Effect:
 def _limit_words(modal: Modal, command: Command) -> dict[str, float]:
     """Return the words of a command that sets limits, mm, mm/s, mm/s²."""
     words = command.settings().items()
-    return {letter: value * limit_unit(modal.flavor, command.name, letter, modal.unit) for letter, value in words}
+    return {letter: value * limit_unit(modal.dialect.name, command.name, letter, modal.unit) for letter, value in words}
 
 
 def _limits(modal: Modal, code: str, words: dict[str, float] | None = None) -> Effect:
@@ -314,16 +326,6 @@ def _smallest_xy(words: dict[str, float], command: Command) -> float | None:
     return min((_positive(words[letter], command) for letter in "XY" if letter in words), default=None)
 
 
-def _not_in_klipper(handler: Handler) -> Handler:
-    """Klipper ignores these codes."""
-
-    def effect(modal: Modal, command: Command) -> Effect:
-        return PASS if modal.flavor == "klipper" else handler(modal, command)
-
-    return effect
-
-
-@_not_in_klipper
 def _axis_acceleration(modal: Modal, command: Command) -> Effect:
     words = _limit_words(modal, command)
     if (value := _smallest_xy(words, command)) is not None:
@@ -331,7 +333,6 @@ def _axis_acceleration(modal: Modal, command: Command) -> Effect:
     return _limits(modal, command.name, words)
 
 
-@_not_in_klipper
 def _axis_velocity(modal: Modal, command: Command) -> Effect:
     words = _limit_words(modal, command)
     if (value := _smallest_xy(words, command)) is not None:
@@ -341,17 +342,18 @@ def _axis_velocity(modal: Modal, command: Command) -> Effect:
     return _limits(modal, command.name, words)
 
 
-@_not_in_klipper
 def _jerk(modal: Modal, command: Command) -> Effect:
-    """M205, M566: at a right angle each axis jumps by the whole speed, so the axis jerk is the corner velocity.
+    """M205, M566: at a right angle each axis jumps by the whole speed, so the axis jerk is the corner velocity."""
+    return _jerks(modal, command, command.name, _limit_words(modal, command))
 
-    RepRapFirmware has both, Marlin only M205.
-    """
-    code, words = command.name, _limit_words(modal, command)
-    if modal.flavor == REPRAPFIRMWARE and code == "M205":
-        code, words = "M566", {axis: words[axis] for axis in AXES if axis in words}
-    elif modal.flavor == MARLIN and code == "M566":
-        return PASS
+
+def _jerk_as_m566(modal: Modal, command: Command) -> Effect:
+    """RepRapFirmware also obeys M205, in mm/s."""
+    words = _limit_words(modal, command)
+    return _jerks(modal, command, "M566", {axis: words[axis] for axis in AXES if axis in words})
+
+
+def _jerks(modal: Modal, command: Command, code: str, words: dict[str, float]) -> Effect:
     if (value := _smallest_xy(words, command)) is not None:
         modal.set_limits(square_corner_velocity=value)
     return _limits(modal, code, words)
@@ -510,7 +512,7 @@ EFFECTS: dict[str, Handler] = {
     **dict.fromkeys(_MOVING_AWAY, _move_away),
     **dict.fromkeys(_REFUSED, _refuse),
     "G4": _dwell,
-    "M400": _finish_moves,
+    "M400": _rest,
     "G10": _retraction_or_tool_setting,
     **dict.fromkeys(("G17", "G18", "G19"), _plane),
     **dict.fromkeys(("G20", "G21"), _unit),
@@ -524,8 +526,7 @@ EFFECTS: dict[str, Handler] = {
     "M201": _axis_acceleration,
     "M203": _axis_velocity,
     "M204": _acceleration,
-    "M120": _push,
-    "M121": _pop,
+    **dict.fromkeys(("M120", "M121"), _pass),  # endstops on and off
     "M205": _jerk,
     "M220": _feed_factor,
     "M221": _flow,
@@ -537,4 +538,15 @@ EFFECTS: dict[str, Handler] = {
     "SAVE_GCODE_STATE": _save_state,
     "SET_GCODE_OFFSET": _gcode_offset,
     "SET_VELOCITY_LIMIT": _velocity_limit,
+}
+# Commands that a firmware treats differently; a dialect names its row (`gcode.dialect`).
+OWN_EFFECTS: dict[str, dict[str, Handler]] = {
+    KLIPPER: {
+        **dict.fromkeys(("G92.1", "M120", "M121"), _absent),
+        **dict.fromkeys(("M201", "M203", "M205", "M566"), _pass),
+        "G4": _dwell_of_klipper,
+        "M204": _acceleration_of_klipper,
+    },
+    MARLIN: {"M220": _feed_factor_of_marlin, "M400": _finish_moves, "M566": _pass},
+    REPRAPFIRMWARE: {"M120": _push, "M121": _pop, "M205": _jerk_as_m566},
 }

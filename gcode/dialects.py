@@ -13,12 +13,11 @@ from dataclasses import dataclass
 from math import nan
 from typing import NamedTuple
 
+from gcode.dialect import DIALECTS, KLIPPER, MARLIN, REPRAPFIRMWARE
 from gcode.errors import UnsupportedGcode
 from gcode.program import LimitCommand, MotionLimits
 
 HIGHEST_CRUISE_RATIO = 0.999  # the largest with three decimals; Klipper rejects 1
-KLIPPER, MARLIN, REPRAPFIRMWARE = "klipper", "marlin", "reprapfirmware"
-FLAVORS = frozenset({KLIPPER, MARLIN, REPRAPFIRMWARE})
 
 # Patterns match from the start of a line. Searching for a rare substring first is ten times faster on a long print.
 _KLIPPER_COMMAND = b"_", re.compile(rb"[ \t]*[A-Z]+_[A-Z_]+(?:[ \t\r\n]|\Z)")
@@ -35,13 +34,7 @@ _MARLIN_LIMITS = tuple(
 _PRUSA = b"M862", re.compile(rb"[ \t]*M862(?:\.\d)?[ \t]")  # Prusa's firmware, a Marlin, has M572 too
 _JERK = b"M205", re.compile(rb"[ \t]*M205[ \t]")
 _CURA_RRF = b";FLAVOR:RepRap", re.compile(rb";FLAVOR:RepRap\b")  # Cura's name; Slic3r's `reprap` is old Marlin
-_FLAVORS = {
-    b"klipper": KLIPPER,
-    b"marlin": MARLIN,
-    b"marlin2": MARLIN,
-    b"reprapfirmware": REPRAPFIRMWARE,
-    b"rrf": REPRAPFIRMWARE,
-}
+_FLAVORS = {declared: dialect.name for dialect in DIALECTS.values() for declared in dialect.declared}
 
 _SLICERS = {
     "OrcaSlicer": rb"OrcaSlicer",
@@ -192,7 +185,7 @@ def open_limits(flavor: str, velocity: float, acceleration: float, corner: float
 
 def close_limits(flavor: str, limits: MotionLimits, axes: str = "XYZ") -> list[bytes]:
     """Lines that restore limits; NaN (unknown) is not written."""
-    return _klipper(limits) if flavor == KLIPPER else _by_axes(flavor, limits, axes)
+    return _by_axes(flavor, limits, axes) if DIALECTS[flavor].jerk[0] else _klipper(limits)
 
 
 def limit_lines(flavor: str, commands: Iterable[LimitCommand], unit_mm: float) -> list[bytes]:
@@ -211,23 +204,19 @@ def limit_line(flavor: str, code: str, words: Mapping[str, float], unit_mm: floa
 
 
 def limit_unit(flavor: str, code: str, letter: str, unit_mm: float) -> float:
-    """Return the unit of a limit command's number in mm, mm/s or mm/s²; RepRapFirmware's speeds are per minute."""
+    """Return the unit of a limit command's number in mm, mm/s or mm/s²."""
     if (code, letter) in _NO_LENGTHS:
         return 1.0
-    return unit_mm / 60.0 if flavor == REPRAPFIRMWARE and code in _PER_MINUTE else unit_mm
+    return unit_mm / 60.0 if code in DIALECTS[flavor].per_minute else unit_mm
 
 
 _NO_LENGTHS = {("M205", "B"), ("M566", "P")}  # µs; RepRapFirmware's jerk policy
-_PER_MINUTE = {"M203", "M566"}
-
-
-SHAPER_COMMAND = {KLIPPER: b"SET_INPUT_SHAPER", MARLIN: b"M593", REPRAPFIRMWARE: b"M593"}
 _SHAPER_FREQUENCY = re.compile(rb"(?:SHAPER|SMOOTHER)_FREQ_\w", re.IGNORECASE)
 
 
 def shaper_commands(flavor: str, lines: Sequence[str] | None) -> Sequence[str] | None:
     """Return the lines that switch a firmware's own shaper on; None where they are unknown, or another firmware's."""
-    command = SHAPER_COMMAND[flavor].decode()
+    command = DIALECTS[flavor].shaper_command.decode()
     return lines if lines is not None and all(each.upper().startswith(command) for each in lines) else None
 
 
@@ -241,11 +230,12 @@ def shaper_off(flavor: str, on: Iterable[bytes] = ()) -> list[bytes]:
     ----------
     on : lines that switch it on, if known: on Klipper they name its axes
     """
-    if flavor == KLIPPER:
+    dialect = DIALECTS[flavor]
+    if not dialect.shaper_off:
         named = _SHAPER_FREQUENCY.findall(b" ".join(on).upper())
         words = dict.fromkeys([b"SHAPER_FREQ_X", b"SHAPER_FREQ_Y", *named])
-        return [b"SET_INPUT_SHAPER %b\n" % b" ".join(word + b"=0" for word in words)]
-    return [b"M593 F0\n" if flavor == MARLIN else b'M593 P"none"\n']
+        return [b"%b %b\n" % (dialect.shaper_command, b" ".join(word + b"=0" for word in words))]
+    return [dialect.shaper_off + b"\n"]
 
 
 def _klipper(limits: MotionLimits) -> list[bytes]:
@@ -268,12 +258,12 @@ def _number(value: float) -> str:
 
 
 def _by_axes(flavor: str, limits: MotionLimits, axes: str) -> list[bytes]:
-    corner = ("M205", "XY") if flavor == MARLIN else ("M566", axes)
+    code, of = DIALECTS[flavor].jerk
     each = (
         ("M201", axes, limits.acceleration),
         ("M203", axes, limits.velocity),
         ("M204", "PT", limits.acceleration),
-        (*corner, limits.square_corner_velocity),
+        (code, "".join(axis for axis in axes if axis in of), limits.square_corner_velocity),
     )
     return [limit_line(flavor, code, dict.fromkeys(of, x)) + b"\n" for code, of, x in each if x == x]
 
@@ -312,8 +302,8 @@ def choose_flavor(requested: str, stated: str, sign: FlavorSign, path: str = "")
     flavor = requested or stated
     if not flavor:
         return FlavorChoice(sign.flavor, _reason(sign))
-    if flavor not in FLAVORS:
-        raise UnsupportedGcode(f"Unknown flavor {flavor!r}: use {', '.join(sorted(FLAVORS))}.", path=path)
+    if flavor not in DIALECTS:
+        raise UnsupportedGcode(f"Unknown flavor {flavor!r}: use {', '.join(sorted(DIALECTS))}.", path=path)
     by = "requested" if requested else "the machine file says"
     reason = f"Firmware: {flavor}, as {by}."
     if not sign.text or sign.flavor == flavor:

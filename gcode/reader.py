@@ -17,10 +17,8 @@ from numpy.typing import ArrayLike
 
 from gcode.arcs import ARC_TOLERANCE_MM, Arc, arc_by_centre, arc_by_radius
 from gcode.commands import MOVED, PASS, PASSING_M_CODES, Effect, apply
+from gcode.dialect import DIALECTS, BareWords
 from gcode.dialects import (
-    KLIPPER,
-    MARLIN,
-    REPRAPFIRMWARE,
     detect_flavor,
     filament_is_relative,
     filament_is_relative_until_stated,
@@ -138,7 +136,7 @@ class _Reader:
         self.path, self.arc_tolerance, self.cut = path, arc_tolerance_mm, cut
         self.modal = Modal(
             offset=offset_mm,
-            flavor=flavor,
+            dialect=DIALECTS[flavor],
             returns=frozenset(map(str.upper, returns)),
             still=frozenset(map(str.upper, still)),
             filament_change_s=filament_change_s,
@@ -174,7 +172,7 @@ class _Reader:
         moves = self.moves.moves(frame_of_state, self.frames, self.limits)
         events = self.events.events(frame_of_state)
         whole = (self.path, self.lines, moves, events, self.frames, self.warnings, self.first_line)
-        program = Program(*whole, self.modal.flavor, self.limit_commands)
+        program = Program(*whole, self.modal.dialect.name, self.limit_commands)
         self.limit_commands = limits_in_effect(program, self.limit_commands)
         return program if self.cut is None else self.cut(program)
 
@@ -300,7 +298,7 @@ class _Reader:
         names = [command.name for command in line_commands]
         self._warn("several", at, f"{' '.join(names)} share a line; Klipper and Marlin obey only the first")
         self.modes = None
-        obeyed = line_commands if self.modal.flavor == REPRAPFIRMWARE else line_commands[:1]
+        obeyed = line_commands if self.modal.dialect.obeys_whole_line else line_commands[:1]
         if SETTINGS.issuperset(command.name for command in obeyed):
             for command in obeyed:
                 apply(self.modal, command)
@@ -327,7 +325,7 @@ class _Reader:
         self.modes = None
         before, limits_before = self.modal.position[:], (self.modal.requested, self.modal.caps, self.modal.unit)
         effect = apply(self.modal, command)
-        if command.name == "G90" and self.modal.flavor == MARLIN and self.modal.relative_e_stated:
+        if command.name == "G90" and self.modal.dialect.g90_sets_e and self.modal.relative_e_stated:
             self._settle_e_after_g90(at)
         if effect.warning:
             self._warn(command.name, at, effect.warning)
@@ -360,15 +358,12 @@ class _Reader:
     def _motion(self, at: int, command: Command) -> None:
         """Follow a move in any form: unusual spelling, arcs, no displacement, unknown positions."""
         modal = self.modal
-        if not command.name and modal.flavor == KLIPPER:
-            self._warn(
-                "bare", at, f"{shown(command.args)} has no command; Klipper rejects such a line and does not move"
-            )
+        bare = modal.dialect.bare_words
+        if not command.name and bare is not BareWords.REPEAT:
+            self._warn("bare", at, f"{shown(command.args)} has no command; {bare.value}")
+        if not command.name and bare is BareWords.REJECTED:
             self._event(at, PASS)
             return
-        if not command.name and modal.flavor == MARLIN:
-            rule = "it repeats the last move command, as in Marlin with GCODE_MOTION_MODES; other builds skip it"
-            self._warn("bare", at, f"{shown(command.args)} has no command; {rule}")
         words = command.numbers()
         modal.motion = command.name or modal.motion or ("G1" if words.keys() == {"F"} else "")
         if not modal.motion:
@@ -396,7 +391,7 @@ class _Reader:
         """
         if words.get("H"):
             return "H"
-        from_kept = "R" in words and self.modal.motion in ("G0", "G1") and self.modal.flavor == REPRAPFIRMWARE
+        from_kept = "R" in words and self.modal.motion in ("G0", "G1") and self.modal.dialect.kept_positions
         return "R" if from_kept else ""
 
     def _z_can_be_followed(self, words: dict[str, float]) -> bool:
@@ -439,7 +434,7 @@ class _Reader:
 
     def _check_words(self, motion: str, words: dict[str, float], at: int) -> None:
         for letter in words:
-            kept_place = letter == "R" and self.modal.flavor == REPRAPFIRMWARE
+            kept_place = letter == "R" and self.modal.dialect.kept_positions
             if letter not in _MOTION_WORDS[motion] and letter not in _IGNORED_WORDS and not kept_place:
                 rule = f"a move has the words {' '.join(_MOTION_WORDS[motion])}"
                 problem = f"{motion} has the word {letter}{words[letter]:g}"

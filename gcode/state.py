@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from math import isnan, nan
 
+from gcode.dialect import DIALECTS, KLIPPER, Dialect
 from gcode.errors import GcodeError
 from gcode.program import MACHINE_LIMITS, ModalState, MotionLimits
 
@@ -64,7 +65,7 @@ class Modal:
     tool: str = ""
     filament: str = ""  # the last tool that has one
     filament_change_s: float = 0.0  # from the slicer
-    flavor: str = "klipper"
+    dialect: Dialect = DIALECTS[KLIPPER]
     limits: MotionLimits = MACHINE_LIMITS
     requested: MotionLimits = MACHINE_LIMITS  # requested by the file, before `caps`
     caps: MotionLimits = MACHINE_LIMITS  # M201 and M203 of Marlin and RepRapFirmware
@@ -145,15 +146,15 @@ class Modal:
         return self.unit * self.flow if axis == 3 else self.unit
 
     def is_absolute(self, axis: int) -> bool:
-        """Whether the axis is in absolute mode; in Klipper, G91 makes E relative too."""
+        """Whether the axis is in absolute mode."""
         if axis < 3:
             return self.absolute
-        return self.absolute_e and (self.absolute or self.flavor != "klipper")
+        return self.absolute_e and (self.absolute or not self.dialect.g91_makes_e_relative)
 
     def set_modes(self, absolute: bool) -> None:
-        """G90, G91: in Marlin 2 they override M82 and M83, in RepRapFirmware and Klipper they do not."""
+        """G90, G91."""
         self.absolute = absolute
-        if self.flavor == "marlin":
+        if self.dialect.g90_sets_e:
             self.absolute_e = absolute
 
     def set_e_mode(self, absolute: bool) -> None:
@@ -182,7 +183,7 @@ class Modal:
 
     def set_feed(self, words: dict[str, float], line: int) -> None:
         """Apply the F word, if there is one."""
-        if "F" not in words or (words["F"] <= 0 and self.flavor != "klipper"):  # others keep the last feed
+        if "F" not in words or (words["F"] <= 0 and self.dialect.zero_feed_keeps):
             return
         if words["F"] <= 0:
             raise GcodeError(f"F{words['F']:g} is not a speed; a feed must be above zero.", line)
@@ -190,9 +191,9 @@ class Modal:
         self.feed_known = True
 
     def rename(self, words: dict[str, float]) -> None:
-        """G92: give the present position these coordinates; without any, Klipper sets all to zero."""
+        """G92: give the present position these coordinates."""
         named = {axis: words[letter] for axis, letter in enumerate(AXES) if letter in words}
-        if not named and self.flavor == "klipper":
+        if not named and self.dialect.bare_g92_is_zero:
             named = dict.fromkeys(range(4), 0.0)
         for axis, number in named.items():
             self.base[axis] = self.position[axis] - number * self.scale(axis)

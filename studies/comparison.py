@@ -30,7 +30,7 @@ from ffcomp.metrics import contour_error, contour_statistics, peak_acceleration,
 from ffcomp.simulation.expectation import draw_plants
 from ffcomp.simulation.linear import STEP_S
 from ffcomp.simulation.playback import simulate_nozzles
-from gcode.dialects import KLIPPER
+from gcode.dialect import KLIPPER
 from models.file import load_machine
 from models.machine import Machine
 from studies.comparison_extruder import extruder_rows

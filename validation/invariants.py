@@ -23,7 +23,7 @@ from ffcomp.inverse.settings import SEGMENTS_PER_SECOND, nozzle_compliance
 from ffcomp.metrics import contour_error
 from ffcomp.planner.lookahead import stops_and_waits
 from ffcomp.planner.reach import within_reach
-from gcode.dialects import MARLIN
+from gcode.dialect import MARLIN
 from gcode.embedded import OURS, TIME_WAS, WAS, original, section_times
 from gcode.metadata import tells
 from gcode.program import Program

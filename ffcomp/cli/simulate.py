@@ -101,7 +101,7 @@ class Captures(Result):
 def _write_captures(request: SimulateRequest, captures: CapturesRequest, folder: Path) -> Captures:
     from ffcomp.api.machines import load_machine
     from ffcomp.record.virtual_sensor import Sensor, write_captures
-    from gcode.dialects import KLIPPER
+    from gcode.dialect import KLIPPER
     from gcode.reader import read_program
 
     machine = load_machine(request.machine)

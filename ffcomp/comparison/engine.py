@@ -45,7 +45,7 @@ from ffcomp.simulation.expectation import Piece as ExpectedPiece
 from ffcomp.simulation.forecast import NO_FORECAST, Forecast
 from ffcomp.simulation.playback import ROW_S
 from ffcomp.version import __version__
-from gcode.dialects import MARLIN
+from gcode.dialect import MARLIN
 from models.effects.catalogue import effective_machine
 from models.machine import Machine
 

@@ -12,7 +12,8 @@ from dataclasses import dataclass
 from tempfile import SpooledTemporaryFile
 from typing import Literal
 
-from gcode.dialects import SHAPER_COMMAND, shaper_commands, shaper_off
+from gcode.dialect import DIALECTS
+from gcode.dialects import shaper_commands, shaper_off
 from gcode.embedded import OURS
 from models.machine import Machine
 
@@ -75,7 +76,7 @@ def with_shaper_off(pieces: Iterator[bytes], shaper: OwnShaper) -> Iterator[byte
     ----------
     pieces : of whole lines
     """
-    command = SHAPER_COMMAND[shaper.flavor]
+    command = DIALECTS[shaper.flavor].shaper_command
     sets_it = re.compile(rb"(?im)^[ \t]*%b\b[^\n]*(?:\n|\Z)" % command)
     on, is_on, was_off, ending = list(shaper.on), shaper.state == "off", False, b"\n"
 

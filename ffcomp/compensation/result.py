@@ -26,7 +26,8 @@ from ffcomp.result import Fact, clock
 from ffcomp.result import Result as VerbResult
 from ffcomp.simulation.forecast import NO_FORECAST, WAYS, Forecast
 from ffcomp.steps.sink import MotorTotal
-from gcode.dialects import MARLIN, FlavorChoice
+from gcode.dialect import MARLIN
+from gcode.dialects import FlavorChoice
 from gcode.embedded import Stamp
 from models.file import machine_paths
 from models.machine import Machine, assumed_modes, identity

@@ -32,7 +32,7 @@ from ffcomp.measurement.recording import Recording
 from ffcomp.record.gcode_writer import DEFAULT_CHIPS, Firmware, gcode_lines
 from ffcomp.record.moves import KINDS, Request, default_places, make_plan
 from ffcomp.record.plan import Experiment, Plan
-from gcode.dialects import KLIPPER
+from gcode.dialect import KLIPPER
 from models.arrays import FloatArray
 from models.finding import machine_paths
 from models.machine import Machine

@@ -22,7 +22,7 @@ from ffcomp.inverse.model import InverseModel
 from ffcomp.planner.limits import PlannerLimits, bounds_of, lines_of, planner_limits
 from ffcomp.planner.lookahead import phases_from_corners, plan_moves, stops_and_waits
 from ffcomp.planner.trajectory import Trajectory, split_sections
-from gcode.dialects import KLIPPER
+from gcode.dialect import KLIPPER
 from gcode.layers import UNNAMED, LayerLookup, labels
 from gcode.program import Moves, Program
 from gcode.slicing import some

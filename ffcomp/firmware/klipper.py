@@ -9,7 +9,8 @@ from ffcomp.firmware.base import FileLimits, Firmware, Planner, machine_limits
 from ffcomp.planner.limits import planner_limits
 from ffcomp.planner.lookahead import plan_moves
 from ffcomp.planner.segment_timing import SegmentLimits
-from gcode.dialects import KLIPPER, close_limits, open_limits
+from gcode.dialect import KLIPPER
+from gcode.dialects import close_limits, open_limits
 from gcode.program import MotionLimits, Program
 from models.machine import Machine
 

@@ -11,7 +11,8 @@ from ffcomp.firmware.marlin_segments import MarlinSegments
 from ffcomp.firmware.settings_in_force import assumed_sentence
 from ffcomp.inverse.model import InverseModel
 from ffcomp.planner.segment_timing import SegmentLimits
-from gcode.dialects import MARLIN, limit_lines
+from gcode.dialect import MARLIN
+from gcode.dialects import limit_lines
 from gcode.program import Program
 from models.kinematics.delta import DeltaKinematics
 from models.machine import Machine

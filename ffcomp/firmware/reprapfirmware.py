@@ -37,7 +37,8 @@ from ffcomp.planner.limits import Lines, lines_of
 from ffcomp.planner.lookahead import Phases, check, phases_from_corners, timed
 from ffcomp.planner.segment_timing import SegmentLimits
 from ffcomp.planner.trajectory import Trajectory
-from gcode.dialects import REPRAPFIRMWARE, limit_lines, open_limits
+from gcode.dialect import REPRAPFIRMWARE
+from gcode.dialects import limit_lines, open_limits
 from gcode.program import LimitCommand, Moves, Program
 from models.arrays import BoolArray, FloatArray, IntArray
 from models.compiled import kernel

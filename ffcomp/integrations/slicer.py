@@ -13,10 +13,10 @@ from math import inf
 from pathlib import Path
 
 from gcode.container import ends_of
-from gcode.dialects import FLAVORS
+from gcode.dialect import DIALECTS
 from models.machine import Machine
 
-KNOWN = FLAVORS | {"marlin2", "reprap"}  # slicers' names; `reprap` is what they write for all that is like old Marlin
+KNOWN = DIALECTS.keys() | {"marlin2", "reprap"}  # slicers' names; they write `reprap` for all that is like old Marlin
 FAR = 0.25  # of the bed: origins in a corner and in the middle differ by a half
 
 _CORNER = re.compile(r"([-+.\d]+)x([-+.\d]+)")

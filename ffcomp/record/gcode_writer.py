@@ -13,7 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ffcomp.record.plan import SETTLE_S, Experiment, Motion, Plan, capture_name, run_name
-from gcode.dialects import KLIPPER, MARLIN, REPRAPFIRMWARE, close_limits, open_limits, shaper_off
+from gcode.dialect import KLIPPER, MARLIN, REPRAPFIRMWARE
+from gcode.dialects import close_limits, open_limits, shaper_off
 from gcode.emit import MoveWriter
 from gcode.program import ModalState, MotionLimits
 from models.machine import Machine

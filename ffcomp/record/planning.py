@@ -30,7 +30,8 @@ from ffcomp.record.prints import plan_print, print_lines
 from ffcomp.record.request import CENTRE, LINE_OF_ACTION, PlanRequest, number_pair, one_of
 from ffcomp.result import Fact, Result
 from gcode.atomic_write import replace_atomically
-from gcode.dialects import KLIPPER, shaper_commands
+from gcode.dialect import KLIPPER
+from gcode.dialects import shaper_commands
 from models.file import load_machine
 from models.machine import Machine
 

@@ -17,7 +17,7 @@ from ffcomp.errors import RequestError
 from ffcomp.measurement.sensors import G
 from ffcomp.record.plan import Experiment, load_plan, run_name
 from gcode.atomic_write import replace_atomically
-from gcode.dialects import KLIPPER, REPRAPFIRMWARE
+from gcode.dialect import KLIPPER, REPRAPFIRMWARE
 from gcode.program import Program
 from models.arrays import FloatArray
 from models.effects.catalogue import measured

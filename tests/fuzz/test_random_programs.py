@@ -18,7 +18,7 @@ from ffcomp.firmware.program import plan_program
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.settings import settings_for
 from ffcomp.planner.trajectory import Trajectory
-from gcode.dialects import FLAVORS
+from gcode.dialect import DIALECTS
 from gcode.emit import MoveWriter
 from gcode.program import ModalState, Moves
 from gcode.reader import read_program
@@ -91,7 +91,7 @@ class _Print:
         self, rng: np.random.Generator, x: float = 0.0, y: float = 0.0, radius: float = RADIUS_MM, places: bool = False
     ) -> None:
         self.rng, self.lines = rng, list[str]()
-        self.flavor = str(rng.choice(sorted(FLAVORS)))
+        self.flavor = str(rng.choice(sorted(DIALECTS)))
         self.at = np.array([0.0, 0.0, 5.0])  # mm of the toolhead, from the middle of the bed
         self.middle, self.radius = np.array([x, y, 0.0]), radius
         self.sections = [*_SECTIONS, *(8 * [_Print.unknown_place])] if places else _SECTIONS

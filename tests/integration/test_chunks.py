@@ -27,7 +27,7 @@ from ffcomp.planner.trajectory import PathPosition
 from ffcomp.simulation.command import path_corners, path_corners_with_rests, section_starts
 from ffcomp.steps.archive import read_steps
 from ffcomp.steps.sink import Board
-from gcode.dialects import KLIPPER, MARLIN
+from gcode.dialect import KLIPPER, MARLIN
 from gcode.embedded import FORECAST, original
 from gcode.errors import GcodeError
 from gcode.layers import LayerLookup

@@ -36,7 +36,7 @@ from ffcomp.report.compare.sentences import answer, verdict
 from ffcomp.report.compare.words import duration, times
 from ffcomp.report.page import coded
 from ffcomp.simulation.expectation import Expectation
-from gcode.dialects import KLIPPER, MARLIN
+from gcode.dialect import KLIPPER, MARLIN
 from models.file import load_machine
 from tests.support.browser import Visit, chromium, visit
 from tests.support.comparison import (

@@ -18,7 +18,7 @@ from ffcomp.firmware.table import FIRMWARES
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.reference import Reference
 from ffcomp.inverse.settings import CUT, Settings, settings_for
-from gcode.dialects import KLIPPER
+from gcode.dialect import KLIPPER
 from gcode.embedded import original
 from gcode.reader import read_program
 from models.file import load_machine

@@ -1,0 +1,83 @@
+"""How firmwares read and write G-code differently: one row for each in `DIALECTS`.
+
+The commands in which they differ are in `OWN_EFFECTS` in `gcode.commands`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import Enum
+
+KLIPPER, MARLIN, REPRAPFIRMWARE = "klipper", "marlin", "reprapfirmware"
+
+
+class BareWords(Enum):
+    """What a line of words without a command does."""
+
+    REJECTED = "Klipper rejects such a line and does not move"
+    OPTIONAL = "it repeats the last move command, as in Marlin with GCODE_MOTION_MODES; other builds skip it"
+    REPEAT = ""  # it repeats the last move command
+
+
+@dataclass(frozen=True, slots=True)
+class Dialect:
+    """The G-code of one firmware."""
+
+    name: str
+    declared: tuple[bytes, ...]  # names that slicers give it, in lower case
+    commands: str  # whose own commands it has: a key of `gcode.commands.OWN_EFFECTS`
+    shaper_command: bytes
+    shaper_off: bytes  # empty: the command names axes
+    jerk: tuple[str, str] = ("", "")  # command that sets jerk, and its axes; empty: limits are not set by axes
+    per_minute: frozenset[str] = frozenset()  # commands that set speeds in mm/min
+    refuses: bool = True  # offsets and conditions that are not followed; else such a word is a macro or a message
+    g18_axes: str = "ZX"  # the first axis is Z by NIST RS274/NGC
+    g91_makes_e_relative: bool = False  # whatever M82 and M83 say
+    g90_sets_e: bool = False  # G90 and G91 override M82 and M83
+    zero_feed_keeps: bool = True  # F0 keeps the last feed; else it is an error
+    bare_g92_is_zero: bool = False  # G92 without words sets all axes to zero
+    bare_words: BareWords = BareWords.REPEAT
+    obeys_whole_line: bool = False  # all commands of a line, not only the first
+    kept_positions: bool = False  # G0 R and G1 R begin at a saved position
+
+
+DIALECTS: Mapping[str, Dialect] = {
+    each.name: each
+    for each in (
+        Dialect(
+            KLIPPER,
+            (b"klipper",),
+            KLIPPER,
+            b"SET_INPUT_SHAPER",
+            b"",
+            refuses=False,
+            g18_axes="XZ",  # a mirrored arc
+            g91_makes_e_relative=True,
+            zero_feed_keeps=False,
+            bare_g92_is_zero=True,
+            bare_words=BareWords.REJECTED,
+        ),
+        Dialect(
+            MARLIN,
+            (b"marlin", b"marlin2"),
+            MARLIN,
+            b"M593",
+            b"M593 F0",
+            ("M205", "XY"),
+            g90_sets_e=True,
+            bare_words=BareWords.OPTIONAL,
+        ),
+        Dialect(
+            REPRAPFIRMWARE,
+            (b"reprapfirmware", b"rrf"),
+            REPRAPFIRMWARE,
+            b"M593",
+            b'M593 P"none"',
+            ("M566", "XYZ"),
+            frozenset({"M203", "M566"}),
+            obeys_whole_line=True,
+            kept_positions=True,
+        ),
+    )
+}
