@@ -35,7 +35,7 @@ from ffcomp.errors import MeasurementError, NothingToDo
 from ffcomp.identification.request import UpdateRequest
 from ffcomp.inverse.robust import mode_sd
 from ffcomp.inverse.settings import settings_for
-from ffcomp.record.gcode_writer import Firmware
+from ffcomp.record.gcode_writer import Recorder
 from ffcomp.record.plan import Experiment
 from ffcomp.record.prints import plan_of, plan_print, print_lines
 from gcode.atomic_write import replace_atomically
@@ -227,7 +227,7 @@ def recorded(printer: Printer, file: Path, print_file: Path, rng: np.random.Gene
     machine, folder = load_machine(str(file)), print_file.parent
     plan, program = plan_print(print_file, machine, "klipper")
     with_captures = folder / f"{print_file.stem}-recorded.gcode"
-    replace_atomically(with_captures, print_lines(plan, program, Firmware("klipper", tuple(printer.chips))))
+    replace_atomically(with_captures, print_lines(plan, program, Recorder("klipper", tuple(printer.chips))))
     plan, captures = plan_of(with_captures, machine), []
     chips = {name: draw_chip(rng, np.eye(3)) for name in printer.chips}
     for each in plan.experiments:

@@ -29,7 +29,7 @@ from ffcomp.diagnosis.score_test import Screened, confounded_with, separated_by
 from ffcomp.diagnosis.words import digits, joined
 from ffcomp.errors import FfcompError
 from ffcomp.measurement.recording import Recording
-from ffcomp.record.gcode_writer import DEFAULT_CHIPS, Firmware, gcode_lines
+from ffcomp.record.gcode_writer import Recorder, gcode_lines
 from ffcomp.record.moves import KINDS, Request, default_places, make_plan
 from ffcomp.record.plan import Experiment, Plan
 from gcode.dialect import KLIPPER
@@ -167,7 +167,7 @@ def _planned(machine: Machine, one: Separation, trial: _Trial, i: int) -> Separa
         kind=experiment.kind,
         position_mm=experiment.position_mm,
         command=command_of(machine, trial.request),
-        gcode=b"".join(gcode_lines(trial.plan, machine, Firmware(flavor, DEFAULT_CHIPS[flavor]))).decode(),
+        gcode=b"".join(gcode_lines(trial.plan, machine, Recorder(flavor))).decode(),
     )
 
 

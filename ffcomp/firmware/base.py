@@ -6,7 +6,7 @@ executes segments exactly as written.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from math import inf
 from typing import NamedTuple, Protocol
@@ -48,6 +48,21 @@ class Firmware(Protocol):
     quicker_note: str = (
         "What becomes quicker is planned by Klipper's rules of corners: any firmware gets ffcomp's segments."
     )
+
+    # when it records with its own accelerometers
+    usual_chips: Sequence[str] = ()  # empty: it has none
+    captures_at: str = "from the printer"
+    corrections_off: Sequence[str] = ()
+    corrections_on: Sequence[str] = ()
+    shaper_kept: Sequence[str] = ()  # lines that keep the settings of its shaper,
+    shaper_back: Sequence[str] = ()  # and restore them; empty: it cannot
+    restore_call: Sequence[str] = ()  # the macro at the end of a recording,
+    restore_macro: Sequence[str] = ()  # and its text
+    restores: str = ""  # how everything is restored, also after a cancelled run
+
+    def capture(self, chips: Sequence[str], name: str, lasting_s: float) -> tuple[list[str], list[str]]:
+        """Return the lines that begin and end a capture, which lasts so long, rests included."""
+        return [], []
 
     def planner(self, program: Program, machine: Machine, within: bool = False) -> Planner:
         """Return the planner with the rules in force at each line of a program.

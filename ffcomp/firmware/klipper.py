@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -14,12 +15,45 @@ from gcode.dialects import close_limits, open_limits
 from gcode.program import MotionLimits, Program
 from models.machine import Machine
 
+RESTORE = "FFCOMP_RESTORE"
+
+MACRO = f"""\
+[gcode_macro {RESTORE}]
+description: Put back what a recording of ffcomp changes. Call it in CANCEL_PRINT as well.
+gcode:
+    {{% set own = printer.configfile.settings %}}
+    SET_VELOCITY_LIMIT VELOCITY={{own.printer.max_velocity}} ACCEL={{own.printer.max_accel}}
+    SET_VELOCITY_LIMIT SQUARE_CORNER_VELOCITY={{own.printer.square_corner_velocity}}
+    SET_VELOCITY_LIMIT MINIMUM_CRUISE_RATIO={{own.printer.minimum_cruise_ratio}}
+    {{% if own.input_shaper is defined %}}
+    SET_INPUT_SHAPER SHAPER_FREQ_X={{own.input_shaper.shaper_freq_x}} SHAPER_FREQ_Y={{own.input_shaper.shaper_freq_y}}
+    {{% endif %}}
+    {{% if printer.bed_mesh is defined and 'default' in printer.bed_mesh.profiles %}}
+    BED_MESH_PROFILE LOAD=default
+    {{% endif %}}
+"""
+
 
 class Klipper(Firmware):
     """Plans lines of mm with a look-ahead that sees the whole print; executes segments exactly."""
 
     flavor = KLIPPER
     quicker_note = ""  # its own rules of corners
+    usual_chips = ("adxl345",)
+    captures_at = "from the temporary folder of the printer's host"
+    corrections_off = ("BED_MESH_CLEAR", "SET_SKEW CLEAR=1")
+    restore_call = (RESTORE,)
+    restore_macro = ("", *MACRO.splitlines())
+    restores = (
+        f"The file puts back its limits after every experiment, and calls {RESTORE} at the end. That macro, printed at "
+        "the head of the file, belongs into printer.cfg: it puts back limits, shaper and bed mesh as printer.cfg "
+        "states them, and does so for a cancelled run too where CANCEL_PRINT calls it. Without it: RESTART."
+    )
+
+    def capture(self, chips: Sequence[str], name: str, lasting_s: float) -> tuple[list[str], list[str]]:
+        """Return ACCELEROMETER_MEASURE for each chip, which begins and ends a capture."""
+        measure = [f"ACCELEROMETER_MEASURE CHIP={chip} NAME={name}" for chip in chips]
+        return measure, measure
 
     def planner(self, program: Program, machine: Machine, within: bool = False) -> Planner:
         """Return the planner; the moves carry the rules in force."""

@@ -24,6 +24,9 @@ class Marlin(Firmware):
     """Drops short segments, cuts a delta's lines by time, rounds to whole steps and brakes for the end of its queue."""
 
     flavor = MARLIN
+    corrections_off = ("M420 S0",)
+    corrections_on = ("M420 S1",)
+    restores = "The file puts back limits and mesh at the end. When the run is cancelled: M501, or a reset."
 
     def planner(self, program: Program, machine: Machine, within: bool = False) -> MarlinPlanner:
         """Return the planner with the settings in force at each line of a program."""

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from math import ceil
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,6 +47,7 @@ from models.kinematics.delta import DeltaKinematics
 from models.machine import Machine, RepRapFirmwareSettings
 
 Singles = NDArray[np.float32]
+FASTEST_HZ, SLOWEST_HZ = 1600.0, 1300.0  # of the accelerometers that it knows, at the usual settings
 SLOWEST_MM_PER_S = 0.5  # of any move, unless the file's M203 I says otherwise
 _AXES, _TOWERS, _BELTS = range(3)  # how X and Y share their limits
 
@@ -70,6 +72,24 @@ class RepRapFirmware(Firmware):
     """Plans lines of mm within limits of each axis, as far as its queue holds; executes segments exactly."""
 
     flavor = REPRAPFIRMWARE
+    usual_chips = ("0",)
+    corrections_off = ("G29 S2",)
+    corrections_on = ("G29 S1",)
+    shaper_kept = (
+        "var ffcompShaper = move.shaping.type",
+        "var ffcompFrequency = move.shaping.frequency",
+        "var ffcompDamping = move.shaping.damping",
+    )
+    shaper_back = ("M593 P{var.ffcompShaper} F{var.ffcompFrequency} S{var.ffcompDamping}",)
+    restores = (
+        "The file puts back limits, shaper and mesh at the end. When the run is cancelled, cancel.g must: "
+        'M98 P"config.g" and G29 S1 in it, or a reset.'
+    )
+
+    def capture(self, chips: Sequence[str], name: str, lasting_s: float) -> tuple[list[str], list[str]]:
+        """Return M956 for each chip; it ends when it has all samples, later the slower the chip."""
+        start = [f'M956 P{chip} S{ceil(lasting_s * FASTEST_HZ)} A0 F"{name}.csv"' for chip in chips]
+        return start, [f"G4 P{ceil(1e3 * lasting_s * (FASTEST_HZ / SLOWEST_HZ - 1.0)) + 200}"]
 
     def planner(self, program: Program, machine: Machine, within: bool = False) -> RepRapFirmwarePlanner:
         """Return the planner with the settings in force at each line of a program."""

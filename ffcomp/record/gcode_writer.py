@@ -6,129 +6,81 @@ end. Klipper and Kalico ignore a command that their configuration does not have,
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from ffcomp.firmware.base import FileLimits, Firmware
+from ffcomp.firmware.table import FIRMWARES
+from ffcomp.planner.segment_timing import SegmentLimits
 from ffcomp.record.plan import SETTLE_S, Experiment, Motion, Plan, capture_name, run_name
-from gcode.dialect import KLIPPER, MARLIN, REPRAPFIRMWARE
-from gcode.dialects import close_limits, open_limits, shaper_off
+from gcode.dialects import shaper_off
 from gcode.emit import MoveWriter
-from gcode.program import ModalState, MotionLimits
+from gcode.program import ModalState
 from models.machine import Machine
 
 TRAVEL_SHARE = 0.2  # of the machine's velocity, between experiments
 
-FASTEST_HZ, SLOWEST_HZ = 1600.0, 1300.0  # of the chips that RepRapFirmware knows, at the usual settings
-RESTORE = "FFCOMP_RESTORE"
-
-MACRO = f"""\
-[gcode_macro {RESTORE}]
-description: Put back what a recording of ffcomp changes. Call it in CANCEL_PRINT as well.
-gcode:
-    {{% set own = printer.configfile.settings %}}
-    SET_VELOCITY_LIMIT VELOCITY={{own.printer.max_velocity}} ACCEL={{own.printer.max_accel}}
-    SET_VELOCITY_LIMIT SQUARE_CORNER_VELOCITY={{own.printer.square_corner_velocity}}
-    SET_VELOCITY_LIMIT MINIMUM_CRUISE_RATIO={{own.printer.minimum_cruise_ratio}}
-    {{% if own.input_shaper is defined %}}
-    SET_INPUT_SHAPER SHAPER_FREQ_X={{own.input_shaper.shaper_freq_x}} SHAPER_FREQ_Y={{own.input_shaper.shaper_freq_y}}
-    {{% endif %}}
-    {{% if printer.bed_mesh is defined and 'default' in printer.bed_mesh.profiles %}}
-    BED_MESH_PROFILE LOAD=default
-    {{% endif %}}
-"""
+_STAYS_OFF = (
+    "The input shaper stays off until then or until the firmware restarts: the machine file has no input_shaper in "
+    "[firmware] with which to switch it on again."
+)
 
 
 @dataclass(frozen=True)
-class Firmware:
-    """How a firmware records, and how its corrections are switched."""
+class Recorder:
+    """How a firmware records with its accelerometers, and how its corrections are switched."""
 
     flavor: str
-    chips: Sequence[str]  # Klipper's names; RepRapFirmware's addresses; ignored by Marlin
+    chips: Sequence[str] | None = None  # Klipper's names; RepRapFirmware's addresses; None: the usual one
     shaper: Sequence[str] | None = None  # lines that switch its own on again; none: it has none; None: not known
     switches_shaper: bool = True  # off before the experiments
 
     @property
+    def firmware(self) -> Firmware:
+        """The firmware."""
+        return FIRMWARES[self.flavor]
+
+    @property
     def records(self) -> bool:
         """Whether the firmware itself records."""
-        return self.flavor in (KLIPPER, REPRAPFIRMWARE)
+        return bool(self.firmware.usual_chips)
 
-    def start(self, name: str, lasting_s: float) -> list[str]:
-        """Return the lines that begin the capture of one execution, which lasts so long, rests included."""
-        if self.flavor == KLIPPER:
-            return [f"ACCELEROMETER_MEASURE CHIP={chip} NAME={name}" for chip in self.chips]
-        if self.flavor == REPRAPFIRMWARE:
-            return [f'M956 P{chip} S{math.ceil(lasting_s * FASTEST_HZ)} A0 F"{name}.csv"' for chip in self.chips]
-        return []
-
-    def stop(self, name: str, lasting_s: float) -> list[str]:
-        """Return the lines that end it."""
-        if self.flavor == KLIPPER:
-            return self.start(name, lasting_s)
-        if self.flavor == REPRAPFIRMWARE:  # it ends when it has all samples, later the slower the chip
-            return [f"G4 P{math.ceil(1e3 * lasting_s * (FASTEST_HZ / SLOWEST_HZ - 1.0)) + 200}"]
-        return []
+    def capture(self, name: str, lasting_s: float) -> tuple[list[str], list[str]]:
+        """Return the lines that begin and end the capture of one execution, which lasts so long, rests included."""
+        chips = self.firmware.usual_chips if self.chips is None else self.chips
+        return self.firmware.capture(chips, name, lasting_s)
 
     def shaper_off(self) -> list[str]:
         """Return the lines that switch the firmware's input shaper off."""
         if not self.switches_shaper or self.shaper == ():
             return []
-        kept = _KEEP_SHAPER if self.flavor == REPRAPFIRMWARE else ()
         on = (line.encode() for line in self.shaper or ())
-        return [*kept, *(line.decode().rstrip() for line in shaper_off(self.flavor, on))]
+        return [*self.firmware.shaper_kept, *(line.decode().rstrip() for line in shaper_off(self.flavor, on))]
 
     def shaper_on(self) -> list[str]:
         """Return the lines that switch it on again, if its settings are known."""
-        on = _BACK if self.flavor == REPRAPFIRMWARE else self.shaper or ()
-        return [*(on if self.shaper_off() else ()), *([RESTORE] if self.flavor == KLIPPER else [])]
+        on = self.firmware.shaper_back or self.shaper or ()
+        return [*(on if self.shaper_off() else ()), *self.firmware.restore_call]
 
     def explained(self) -> list[str]:
-        """Return the comments at the head of a file: how everything is put back, with the macro that does it."""
-        return [*self.restores(), *(["", *MACRO.splitlines()] if self.flavor == KLIPPER else [])]
+        """Return the comments at the head of a file: how everything is restored, with the macro that does it."""
+        return [*self.restores(), *self.firmware.restore_macro]
 
     def restores(self) -> list[str]:
-        """Say in sentences how everything is put back, also after a cancelled run."""
-        shaper_returns = self.shaper is not None or self.flavor == REPRAPFIRMWARE or not self.switches_shaper
-        return [_RESTORES[self.flavor], *([] if shaper_returns else [_STAYS_OFF])]
-
-
-DEFAULT_CHIPS: Mapping[str, Sequence[str]] = {KLIPPER: ("adxl345",), REPRAPFIRMWARE: ("0",), MARLIN: ()}
-
-_KEEP_SHAPER = (
-    "var ffcompShaper = move.shaping.type",
-    "var ffcompFrequency = move.shaping.frequency",
-    "var ffcompDamping = move.shaping.damping",
-)
-_BACK = ("M593 P{var.ffcompShaper} F{var.ffcompFrequency} S{var.ffcompDamping}",)
-_CORRECTIONS_OFF: Mapping[str, Sequence[str]] = {
-    KLIPPER: ("BED_MESH_CLEAR", "SET_SKEW CLEAR=1"),
-    REPRAPFIRMWARE: ("G29 S2",),
-    MARLIN: ("M420 S0",),
-}
-_MESH_ON: Mapping[str, Sequence[str]] = {REPRAPFIRMWARE: ("G29 S1",), MARLIN: ("M420 S1",)}  # Klipper: the macro
-_STAYS_OFF = (
-    "The input shaper stays off until then or until the firmware restarts: the machine file has no input_shaper in "
-    "[firmware] with which to switch it on again."
-)
-_RESTORES: Mapping[str, str] = {
-    KLIPPER: f"The file puts back its limits after every experiment, and calls {RESTORE} at the end. That macro, "
-    "printed at the head of the file, belongs into printer.cfg: it puts back limits, shaper and bed mesh as "
-    "printer.cfg states them, and does so for a cancelled run too where CANCEL_PRINT calls it. Without it: RESTART.",
-    REPRAPFIRMWARE: "The file puts back limits, shaper and mesh at the end. When the run is cancelled, cancel.g must: "
-    'M98 P"config.g" and G29 S1 in it, or a reset.',
-    MARLIN: "The file puts back limits and mesh at the end. When the run is cancelled: M501, or a reset.",
-}
+        """Say in sentences how everything is restored, also after a cancelled run."""
+        shaper_returns = self.shaper is not None or bool(self.firmware.shaper_back) or not self.switches_shaper
+        return [self.firmware.restores, *([] if shaper_returns else [_STAYS_OFF])]
 
 
 # The file
 
 
-def gcode_lines(plan: Plan, machine: Machine, firmware: Firmware) -> Iterator[bytes]:
+def gcode_lines(plan: Plan, machine: Machine, recorder: Recorder) -> Iterator[bytes]:
     """Yield the G-code file line by line; the machine's limits are put back after every experiment."""
-    yield from comments(_instructions(plan, machine, firmware))
-    yield from lines(["G28", "G21", "G90", "M220 S100", *firmware.shaper_off(), *_CORRECTIONS_OFF[firmware.flavor]])
+    yield from comments(_instructions(plan, machine, recorder))
+    yield from lines(["G28", "G21", "G90", "M220 S100", *recorder.shaper_off(), *recorder.firmware.corrections_off])
     travel, rising = travel_feeds(machine)
     # up first: homing may leave the nozzle low
     yield b"G1 Z%.10g F%.10g\n" % (plan.experiments[0].position_mm[2], rising)
@@ -136,15 +88,14 @@ def gcode_lines(plan: Plan, machine: Machine, firmware: Firmware) -> Iterator[by
         name = run_name(experiment.name, repeat)
         of_repeats = f", {repeat} of {plan.repeats}" if plan.repeats > 1 else ""
         yield from comments(["", f"{name}: {_kind(experiment)}, {experiment.duration_s:.1f} s{of_repeats}"])
-        yield from _recorded(experiment, name, plan, machine, firmware, travel)
-    where = "from the temporary folder of the printer's host" if firmware.flavor == KLIPPER else "from the printer"
-    bring = f"Bring back, {where}:" if firmware.records else "Captures:"
+        yield from _recorded(experiment, name, plan, machine, recorder, travel)
+    bring = f"Bring back, {recorder.firmware.captures_at}:" if recorder.records else "Captures:"
     yield from comments(["", "Done.", bring, *(capture_name(each.name, repeat) for each, repeat in plan.runs())])
-    yield from lines([*_MESH_ON.get(firmware.flavor, ()), *firmware.shaper_on()])
+    yield from lines([*recorder.firmware.corrections_on, *recorder.shaper_on()])
 
 
 def _recorded(
-    experiment: Experiment, name: str, plan: Plan, machine: Machine, firmware: Firmware, travel: float
+    experiment: Experiment, name: str, plan: Plan, machine: Machine, recorder: Recorder, travel: float
 ) -> Iterator[bytes]:
     """Yield one experiment from rest to rest, between the start and the end of its capture.
 
@@ -159,18 +110,19 @@ def _recorded(
     there = b"G1 X%.10g Y%.10g Z%.10g F%.10g\n" % (*experiment.motion.start_mm[:3].tolist(), travel)
     yield there
     yield from lines(["M400", f"M117 {name}"])
-    before = [rest(SETTLE_S), *firmware.start(name, duration), rest(plan.rest_before_s)]
+    start, stop = recorder.capture(name, duration)
+    before = [rest(SETTLE_S), *start, rest(plan.rest_before_s)]
     # the place repeated: a reader of the file then knows the position after a command it does not know
     lead = [*lines(before), there]
-    tail = lines([rest(plan.rest_after_s), *firmware.stop(name, duration)])
-    yield from moves_within_limits(experiment.motion, machine, firmware.flavor, axes, lead, tail)
+    tail = lines([rest(plan.rest_after_s), *stop])
+    yield from moves_within_limits(experiment.motion, machine, recorder.firmware, axes, lead, tail)
     yield b"M400\n"
 
 
 def moves_within_limits(
     motion: Motion,
     machine: Machine,
-    flavor: str,
+    firmware: Firmware,
     axes: str,
     lead: Iterable[bytes] = (),
     tail: Iterable[bytes] = (),
@@ -179,18 +131,20 @@ def moves_within_limits(
 
     axes : axes with raised limits
     """
-    limits, usual = motion.limits, machine.limits
-    velocity, acceleration = limits.velocity_mm_per_s, limits.acceleration_mm_per_s2
-    yield from open_limits(flavor, velocity, acceleration, limits.square_corner_velocity_mm_per_s, axes)
+    limits = motion.limits
+    corner = limits.square_corner_velocity_mm_per_s
+    raised = SegmentLimits(limits.velocity_mm_per_s, limits.acceleration_mm_per_s2, corner, raised_axes=axes)
+    yield from _ended(firmware.opening(machine, raised, FileLimits()))
     yield from lead
     moves = MoveWriter()
     moves.reset(ModalState(), motion.start_mm[:3].tolist(), 0.0)
     yield from moves.moves(np.ascontiguousarray(motion.ends_mm), motion.speed)
     yield from tail
-    restored = MotionLimits(
-        usual.velocity_mm_per_s, usual.acceleration_mm_per_s2, usual.square_corner_velocity_mm_per_s, 0.5
-    )
-    yield from close_limits(flavor, restored, axes)
+    yield from _ended(firmware.closing(machine, raised, FileLimits()))
+
+
+def _ended(limits: Iterable[bytes]) -> Iterator[bytes]:
+    return (line.rstrip() + b"\n" for line in limits)
 
 
 def travel_feeds(machine: Machine) -> tuple[float, float]:
@@ -223,7 +177,7 @@ def _kind(experiment: Experiment) -> str:
     return f"{experiment.kind}, {moved} at X{x:g} Y{y:g} Z{z:g}"
 
 
-def _instructions(plan: Plan, machine: Machine, firmware: Firmware) -> list[str]:
+def _instructions(plan: Plan, machine: Machine, recorder: Recorder) -> list[str]:
     """Say what must be so before the file runs, and how everything is put back."""
     runs, identifies = plan.repeats * len(plan.experiments), plan.experiments[0].excitation is not None
     purpose = "identification" if identifies else "diagnosis"
@@ -234,7 +188,7 @@ def _instructions(plan: Plan, machine: Machine, firmware: Firmware) -> list[str]
     return [
         f"Recording for the {purpose} of {plan.machine} (machine file sha256 {plan.machine_sha256[:8]}).",
         f"{len(plan.experiments)} experiments, {plan.repeats} times each: {runs} captures, "
-        f"{plan.duration_s / 60:.1f} min and homing; {firmware.flavor}.",
+        f"{plan.duration_s / 60:.1f} min and homing; {recorder.flavor}.",
         "",
         "Before it runs:",
         "- Warm up the guides: let the printer move for some minutes. Heaters may be off; nothing on the bed.",
@@ -242,9 +196,9 @@ def _instructions(plan: Plan, machine: Machine, firmware: Firmware) -> list[str]
         *machine.kinematics.setup_notes,
         *_z_limits(plan, machine),
         "- Speed override is 100 %. Print the file from the printer's own storage.",
-        *([] if firmware.records else by_hand),
+        *([] if recorder.records else by_hand),
         "",
-        *firmware.explained(),
+        *recorder.explained(),
         "",
     ]
 

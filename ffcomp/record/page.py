@@ -15,7 +15,7 @@ import numpy as np
 
 from ffcomp.errors import LimitsError
 from ffcomp.planner.limits import PlannerLimits, planner_limits
-from ffcomp.record.gcode_writer import Firmware, comments, lines, moves_within_limits, travel_feeds
+from ffcomp.record.gcode_writer import Recorder, comments, lines, moves_within_limits, travel_feeds
 from ffcomp.record.moves import MODES_HZ, carriage_gain, rounding_share
 from ffcomp.record.plan import Experiment, Motion, Page, Plan, plain_motion
 from gcode.emit import XYZ_COUNTS
@@ -290,28 +290,28 @@ class _Drawer:
 # ---- the G-code ----------------------------------------------------------------------------------
 
 
-def page_lines(plan: Plan, machine: Machine, firmware: Firmware) -> Iterator[bytes]:
+def page_lines(plan: Plan, machine: Machine, recorder: Recorder) -> Iterator[bytes]:
     """Yield the G-code of a page line by line; the bed mesh is unchanged, the shaper is off until the end."""
     page, (travel, rising) = plan.page, travel_feeds(machine)
     assert page is not None
     height = plan.experiments[0].position_mm[2]
-    yield from comments((*_instructions(plan, page), *firmware.explained(), ""))
+    yield from comments((*_instructions(plan, page), *recorder.explained(), ""))
     heating = [] if page.pen else [f"M140 S{page.bed_c:g}", f"M104 S{page.nozzle_c:g}"]
     waiting = [] if page.pen else [f"M190 S{page.bed_c:g}", f"M109 S{page.nozzle_c:g}"]
     units = ("G21", "G90", "M82", "M220 S100", "M221 S100")
-    yield from lines((*heating, "G28", *waiting, *units, *firmware.shaper_off()))
+    yield from lines((*heating, "G28", *waiting, *units, *recorder.shaper_off()))
     yield b"G92 E%.10g\nG1 Z%.10g F%.10g\n" % (-RETRACT_MM, height + 5.0, rising)
     for experiment in plan.experiments:
         x, y, z, _ = experiment.motion.start_mm.tolist()
         yield b"; %s\nG1 X%.10g Y%.10g F%.10g\nG1 Z%.10g F%.10g\n" % (experiment.name.encode(), x, y, travel, z, rising)
         if not page.pen:
             yield b"G92 E%.10g\nG1 E0 F%.10g\n" % (-RETRACT_MM, 60 * RETRACT_MM_PER_S)
-        yield from moves_within_limits(experiment.motion, machine, firmware.flavor, machine.kinematics.raisable_axes)
+        yield from moves_within_limits(experiment.motion, machine, recorder.firmware, machine.kinematics.raisable_axes)
         if not page.pen:
             yield b"G92 E0\nG1 E%.10g F%.10g\n" % (-RETRACT_MM, 60 * RETRACT_MM_PER_S)
         yield b"G1 Z%.10g F%.10g\n" % (z + HOP_MM, rising)
     yield b"G1 Z%.10g F%.10g\nM400\n" % (min(height + 50.0, machine.kinematics.height_mm), rising)
-    yield from lines((*([] if page.pen else ["M104 S0", "M140 S0"]), *firmware.shaper_on()))
+    yield from lines((*([] if page.pen else ["M104 S0", "M140 S0"]), *recorder.shaper_on()))
 
 
 def _instructions(plan: Plan, page: Page) -> list[str]:

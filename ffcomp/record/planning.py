@@ -16,7 +16,7 @@ from ffcomp.record.excitation import (
     make_excitation_plan,
     peaks_of,
 )
-from ffcomp.record.gcode_writer import DEFAULT_CHIPS, Firmware, gcode_lines
+from ffcomp.record.gcode_writer import Recorder, gcode_lines
 from ffcomp.record.moves import MOST_ROUNDING, Place, Request, make_plan
 from ffcomp.record.page import PageRequest, make_page, page_lines, twins
 from ffcomp.record.plan import (
@@ -46,7 +46,7 @@ class PlanResult(Result):
     machine: Machine
     output: Path
     plan_file: Path
-    firmware: Firmware
+    recorder: Recorder
     next: str  # command line
     recommended_places_mm: tuple[Place, ...] = ()
 
@@ -104,7 +104,7 @@ class PlanResult(Result):
     @property
     def facts(self) -> list[Fact]:
         """Every experiment of a recording."""
-        own = [("Firmware", self.firmware.flavor), ("Plan", str(self.plan_file))]
+        own = [("Firmware", self.recorder.flavor), ("Plan", str(self.plan_file))]
         return own if self.plan.page is not None else [*own, *map(self._fact, self.plan.experiments)]
 
     def _fact(self, experiment: Experiment) -> Fact:
@@ -122,7 +122,7 @@ class PlanResult(Result):
     @property
     def next_steps(self) -> list[str]:
         """How to run the file, and what to do with its captures."""
-        return [*self._next_steps(), *self.firmware.restores(), f"Then: {self.next}"]
+        return [*self._next_steps(), *self.recorder.restores(), f"Then: {self.next}"]
 
     def _next_steps(self) -> Iterator[str]:
         if self.plan.page is not None:
@@ -132,7 +132,7 @@ class PlanResult(Result):
         if places := self.missing_places_mm:
             options = " ".join(f"--at {x:g},{y:g}" for x, y in places)
             yield f"More informative places: {options} (or --at line-of-action)."
-        if self.firmware.records:
+        if self.recorder.records:
             count = f"{len(self.captures)} captures for each accelerometer"
             yield f"Run it with the accelerometer on the nozzle holder, the heaters off, and bring back {count}."
         else:
@@ -146,13 +146,13 @@ class PlanResult(Result):
             "machine": {"name": self.plan.machine, "sha256": self.plan.machine_sha256},
             "output": str(self.output),  # the G-code
             "plan": str(self.plan_file),  # the file that holds its command, ffcomp-moves/1
-            "flavor": self.firmware.flavor,
+            "flavor": self.recorder.flavor,
             "duration_s": self.plan.duration_s,  # without homing and travel
             "repeats": self.plan.repeats,  # whole number: how often each experiment is made
             "experiments": [self._experiment_dict(each) for each in self.plan.experiments],
             "captures": self.captures,  # list of text: how the captures' files will be called, in the order of the file
             # list of text: sentences: how limits, shaper and bed mesh are put back
-            "restores": self.firmware.restores(),
+            "restores": self.recorder.restores(),
             # list of lists of numbers: for identify: where more could be learnt
             "recommended_places_mm": list(self.recommended_places_mm),
             "warnings": self.warnings,  # list of text
@@ -184,33 +184,33 @@ def plan_recording(request: PlanRequest) -> PlanResult:
     """
     machine = load_machine(request.machine)
     flavor = request.flavor or machine.flavor or KLIPPER
-    firmware = Firmware(
+    recorder = Recorder(
         flavor,
-        request.chip or DEFAULT_CHIPS[flavor],
+        request.chip or None,
         shaper_commands(flavor, machine.input_shaper),
         switches_shaper=not request.keep_shaper,
     )
-    plan, lines = _planned(request, machine, firmware)
+    plan, lines = _planned(request, machine, recorder)
     save_plan(plan, request.plan_file)
     replace_atomically(request.output, lines)
     recommended: tuple[Place, ...] = ()
     if request.purpose == "identify":
         recommended = (machine.kinematics.centre_mm, *line_of_action(machine.kinematics))
     return PlanResult(
-        plan, machine, request.output, request.plan_file, firmware, _next(request, plan, machine), recommended
+        plan, machine, request.output, request.plan_file, recorder, _next(request, plan, machine), recommended
     )
 
 
-def _planned(request: PlanRequest, machine: Machine, firmware: Firmware) -> tuple[Plan, Iterable[bytes]]:
+def _planned(request: PlanRequest, machine: Machine, recorder: Recorder) -> tuple[Plan, Iterable[bytes]]:
     kinematics, amplitude = machine.kinematics, request.amplitude_mm_per_s2
     if request.print_file is not None:
-        plan, program = plan_print(request.print_file, machine, firmware.flavor)
-        return plan, print_lines(plan, program, firmware)
+        plan, program = plan_print(request.print_file, machine, recorder.flavor)
+        return plan, print_lines(plan, program, recorder)
     if request.purpose == "scan":
         page = Page(**_options(request, Page))
         options = _options(request, PageRequest, page=page, acceleration_mm_per_s2=amplitude)
         plan = make_page(machine, PageRequest(**options))
-        return plan, page_lines(plan, machine, firmware)
+        return plan, page_lines(plan, machine, recorder)
     if request.purpose == "identify":
         groups = kinematics.excitation_directions
         axes = request.axes or next(iter(groups))  # the first is the machine's default
@@ -232,7 +232,7 @@ def _planned(request: PlanRequest, machine: Machine, firmware: Firmware) -> tupl
         kinds = list(dict.fromkeys(request.kind)) or None
         options = _options(request, Request, places_mm=places, kinds=kinds, acceleration_mm_per_s2=amplitude)
         plan = make_plan(machine, Request(**options))
-    return plan, gcode_lines(plan, machine, firmware)
+    return plan, gcode_lines(plan, machine, recorder)
 
 
 def _options(request: PlanRequest, cls: type[Any], **others: Any) -> dict[str, Any]:

@@ -19,7 +19,7 @@ from ffcomp.firmware.program import firmware_plan
 from ffcomp.planner.limits import planner_limits
 from ffcomp.planner.lookahead import stops_and_waits
 from ffcomp.planner.trajectory import Section, split_sections
-from ffcomp.record.gcode_writer import Firmware, rest
+from ffcomp.record.gcode_writer import Recorder, rest
 from ffcomp.record.moves import MODES_HZ, MOST_EXPERIMENTS, rounding_share
 from ffcomp.record.plan import LIMIT_COLUMNS, SETTLE_S, Experiment, Motion, Plan, load_plan, run_name
 from gcode.container import read_bytes
@@ -96,22 +96,22 @@ def _hardness(motion: Motion) -> float:
     return float(np.sqrt((motion.trajectory.acceleration_at(t)[:, :2] ** 2).sum(axis=1).mean()))
 
 
-def print_lines(plan: Plan, program: Program, firmware: Firmware) -> Iterator[bytes]:
+def print_lines(plan: Plan, program: Program, recorder: Recorder) -> Iterator[bytes]:
     """Yield the print's lines, with captures around the plan's sections."""
     before: dict[int, list[str]] = {}
     after: dict[int, list[str]] = {}
     for each in plan.experiments:
         first, name, lasting = _first_move(each, program), run_name(each.name, 1), plan.capture_s(each)
-        start, stop = firmware.start(name, lasting), firmware.stop(name, lasting)
+        start, stop = recorder.capture(name, lasting)
         before[int(program.moves.line[first])] = ["M400", rest(SETTLE_S), *start, rest(plan.rest_before_s)]
         after[int(program.moves.line[first + len(each.motion.speed) - 1])] = [rest(plan.rest_after_s), *stop]
-    yield from (f"; {sentence}\n".encode() for sentence in firmware.explained())
-    yield from (f"{line}\n".encode() for line in firmware.shaper_off())
+    yield from (f"; {sentence}\n".encode() for sentence in recorder.explained())
+    yield from (f"{line}\n".encode() for line in recorder.shaper_off())
     for number, line in enumerate(program.lines):
         yield from (f"{text}\n".encode() for text in before.get(number, ()))
         yield line if line.endswith(b"\n") else line + b"\n"
         yield from (f"{text}\n".encode() for text in after.get(number, ()))
-    yield from (f"{line}\n".encode() for line in firmware.shaper_on())
+    yield from (f"{line}\n".encode() for line in recorder.shaper_on())
 
 
 def _first_move(experiment: Experiment, program: Program) -> int:

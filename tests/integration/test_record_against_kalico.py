@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ffcomp.record.gcode_writer import Firmware, gcode_lines
+from ffcomp.record.gcode_writer import Recorder, gcode_lines
 from ffcomp.record.moves import Request, make_plan
 from models.file import load_machine
 from validation.kalico import ARM_LENGTH_MM, RADIUS_MM, kalico_plan, sample
@@ -17,7 +17,7 @@ NOT_MOTION = (b"G28", b"ACCELEROMETER", b"SET_INPUT", b"BED_MESH", b"SET_SKEW", 
 def test_every_experiment_takes_the_time_that_the_join_relies_on() -> None:
     machine = load_machine("kossel")
     plan = make_plan(machine, Request(seconds=2.0, repeats=1, places_mm=[(0.0, 0.0)], height_mm=12.0))
-    lines = [x for x in gcode_lines(plan, machine, Firmware("klipper", ())) if not x.startswith((b";", *NOT_MOTION))]
+    lines = [x for x in gcode_lines(plan, machine, Recorder("klipper", ())) if not x.startswith((b";", *NOT_MOTION))]
     limits = machine.limits
     found = kalico_plan(
         b"".join(lines),

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
+from ffcomp.firmware.klipper import MACRO
 from ffcomp.importers.builder import read_printer_config
 from ffcomp.importers.klipper import read_klipper
 from ffcomp.importers.values import ConfigValues, PrinterConfigError
-from ffcomp.record.gcode_writer import MACRO
 from tests.support.configs import COREXY, SAVED, SHAPER, Delta, imported, written
 
 PLAIN = """

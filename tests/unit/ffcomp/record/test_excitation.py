@@ -32,7 +32,7 @@ from ffcomp.record.excitation import (
     microstep_error,
     peaks_of,
 )
-from ffcomp.record.gcode_writer import DEFAULT_CHIPS, Firmware, gcode_lines
+from ffcomp.record.gcode_writer import Recorder, gcode_lines
 from ffcomp.record.multisine import Lines, lines_of, polyline_gain
 from ffcomp.record.plan import Excitation, Experiment, Plan, load_plan, plan_dict, save_plan, segment_motion
 from gcode.program import EventKind, Program
@@ -80,7 +80,7 @@ def peaks(experiment: Experiment) -> Peaks:
 
 
 def written(plan: Plan, printer: Machine, flavor: str, *chips: str, **options: bool) -> list[bytes]:
-    return list(gcode_lines(plan, printer, Firmware(flavor, chips or DEFAULT_CHIPS[flavor], **options)))
+    return list(gcode_lines(plan, printer, Recorder(flavor, chips or None, **options)))
 
 
 def segment_s(experiment: Experiment) -> float:

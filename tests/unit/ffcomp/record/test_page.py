@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from ffcomp.errors import LimitsError
-from ffcomp.record.gcode_writer import Firmware
+from ffcomp.record.gcode_writer import Recorder
 from ffcomp.record.page import (
     LARGEST_MM,
     STROKE,
@@ -100,7 +100,7 @@ def test_the_gcode_draws_the_plan_in_one_layer_and_puts_everything_back(flavor: 
     on = {"klipper": "SET_INPUT_SHAPER SHAPER_FREQ_X=50", "marlin": "M593 X F50", "reprapfirmware": "M593 P{var."}[
         flavor
     ]
-    text = b"".join(page_lines(plan, machine, Firmware(flavor, (), (on,))))
+    text = b"".join(page_lines(plan, machine, Recorder(flavor, (), (on,))))
     moves = read_program(text, "page.gcode", flavor=flavor).moves
     drawn = (moves.end[:, 3] > moves.start[:, 3]) & np.any(moves.end[:, :2] != moves.start[:, :2], axis=1)
     assert np.allclose(moves.end[drawn, 2], 0.2) and np.allclose(moves.start[drawn, 2], 0.2)
@@ -116,7 +116,7 @@ def test_the_gcode_draws_the_plan_in_one_layer_and_puts_everything_back(flavor: 
 def test_a_pen_draws_without_heat_and_filament() -> None:
     machine = load_machine("kossel")
     plan = make_page(machine, PageRequest(Page(pen=True), height_mm=0.0))
-    text = b"".join(page_lines(plan, machine, Firmware("marlin", ())))
+    text = b"".join(page_lines(plan, machine, Recorder("marlin", ())))
     assert not any(line.startswith((b"M104", b"M109", b"M140", b"M190", b"G1 E")) for line in text.splitlines())
     moves = read_program(text, "page.gcode", flavor="marlin").moves
     assert np.all(moves.end[:, 3] == moves.start[:, 3])

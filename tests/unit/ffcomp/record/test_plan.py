@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 
 from ffcomp.errors import LimitsError, MeasurementError
+from ffcomp.firmware.klipper import RESTORE
 from ffcomp.identification.load import gather
 from ffcomp.planner.limits import PlannerLimits
 from ffcomp.planner.lookahead import plan_moves, stops_and_waits
-from ffcomp.record.gcode_writer import DEFAULT_CHIPS, RESTORE, Firmware, gcode_lines
+from ffcomp.record.gcode_writer import Recorder, gcode_lines
 from ffcomp.record.moves import MOST_ROUNDING, NEAREST_MM, Request, make_plan, schedule
 from ffcomp.record.plan import Plan, load_plan, plan_dict
 from gcode.reader import read_program
@@ -94,7 +95,7 @@ def test_another_file_is_refused(tmp_path: Path, text: str, words: str) -> None:
 
 
 def text_of(plan: Plan, machine: Machine, flavor: str, shaper: tuple[str, ...] | None = None) -> str:
-    return b"".join(gcode_lines(plan, machine, Firmware(flavor, DEFAULT_CHIPS[flavor], shaper))).decode()
+    return b"".join(gcode_lines(plan, machine, Recorder(flavor, None, shaper))).decode()
 
 
 def test_the_gcode_is_the_command(plan: Plan, delta: Machine) -> None:

@@ -12,7 +12,7 @@ import pytest
 from ffcomp.cli.app import app
 from ffcomp.errors import MeasurementError, NothingToDo
 from ffcomp.firmware.program import firmware_plan
-from ffcomp.record.gcode_writer import DEFAULT_CHIPS, Firmware
+from ffcomp.record.gcode_writer import Recorder
 from ffcomp.record.join import join_captures
 from ffcomp.record.plan import Plan, load_plan, save_plan
 from ffcomp.record.prints import plan_of, plan_print, print_lines
@@ -38,7 +38,7 @@ def planned(machine: Machine) -> tuple[Plan, Program]:
 
 
 def text_of(planned: tuple[Plan, Program]) -> list[bytes]:
-    return list(print_lines(*planned, Firmware("klipper", DEFAULT_CHIPS["klipper"])))
+    return list(print_lines(*planned, Recorder("klipper")))
 
 
 def test_the_print_stays_what_it_is(planned: tuple[Plan, Program]) -> None:
