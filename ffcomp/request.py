@@ -246,7 +246,7 @@ class Declared:
             if self.required and not values:
                 raise RequestError(f"There are no {self.field}: name at least one file.")
             return tuple(map(self._path, values))
-        if get_origin(plain) is tuple and not self.many and not single:
+        if get_origin(plain) is tuple and set(get_args(plain)) == {float} and not single:
             if len(value) != len(get_args(plain)):
                 raise RequestError(f"{self.names[0]}: it is {len(get_args(plain))} numbers, not {value!r}.")
             return tuple(map(float, value))
