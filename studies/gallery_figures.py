@@ -31,12 +31,12 @@ from PIL import Image
 
 from ffcomp.diagnosis.diagnosis import diagnose
 from ffcomp.diagnosis.printer_problem import PrinterProblem
+from ffcomp.diagnosis.where import discrepancy
 from ffcomp.identification.predict import predicted
 from ffcomp.measurement.frf import FrequencyResponse
 from ffcomp.measurement.frf_files import write_frf
 from ffcomp.measurement.recording import read_recording
-from ffcomp.report.diagnose import figures
-from ffcomp.report.diagnose.summary import DiagnosisSummary, summarise
+from ffcomp.report.diagnose import overlay, splits
 from ffcomp.report.drawing import Drawing, file_of, layout
 from models.file import load_machine
 from models.machine import Machine
@@ -305,8 +305,8 @@ def diagnosis() -> Image.Image:
     follow("DIAGNOSE", until="## 2.")
     runs = [read_recording(path) for path in sorted(Path("runs").glob("*.csv"))]
     plant = PrinterProblem(load_machine("my-delta.toml"), runs)
-    found: DiagnosisSummary = summarise(plant, diagnose(plant))
-    return side_by_side([figures.overlays(found)[0], figures.spectra(found)[0]])
+    found = discrepancy(plant, diagnose(plant))
+    return side_by_side([overlay(found.overlays[0]), splits(found)[0]])
 
 
 def side_by_side(drawings: list[Drawing]) -> Image.Image:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ffcomp.api.machines import load_machine
-from ffcomp.comparison import engine
+from ffcomp.comparison import engine, sentences
 from ffcomp.comparison.request import CompareRequest
 from ffcomp.comparison.result import Comparison
 from ffcomp.comparison.sampling import Print, Sampling
@@ -18,7 +18,6 @@ from ffcomp.errors import RequestError, missing_extras_explained
 from ffcomp.inverse.settings import settings_for
 from ffcomp.metrics import Track
 from ffcomp.numerics.serialise import to_json
-from ffcomp.report.compare import sentences
 from ffcomp.request import function
 from ffcomp.result import Fact, Result
 from ffcomp.simulation.playback import check_same_kinematics
@@ -46,7 +45,7 @@ class MethodComparison(Result):
     @property
     def headline(self) -> str:
         """Whether it is worth it, and why."""
-        return str(sentences.answer(self.comparison))
+        return sentences.answer_of(self.comparison).headline
 
     @property
     def facts(self) -> list[Fact]:
@@ -54,22 +53,21 @@ class MethodComparison(Result):
         written = [("Report", str(self.report))] if self.report else []
         if self.written:
             written.append(("Figures", f"{len(self.written)} in {self.written[0].parent}"))
-        errors = sentences.method_facts(self.comparison)
-        return [*sentences.findings(self.comparison), *errors, *written]
+        return [*sentences.answer_of(self.comparison).facts, *written]
 
     @property
     def warnings(self) -> list[str]:
         """What is compared, if not the file itself, and how far the result goes."""
-        return [*self.notes, *sentences.cautions(self.comparison)]
+        return [*self.notes, *sentences.answer_of(self.comparison).warnings]
 
     @property
-    def next_steps(self) -> list[str]:
-        """A measurement, where the machine file knows too little."""
-        return [step] if (expected := self.comparison.expected) and (step := expected.next_step) else []
+    def next_steps(self) -> Sequence[str]:
+        """A measurement, where the machine file is not known well enough."""
+        return sentences.answer_of(self.comparison).next_steps
 
     def figures(self) -> list[str]:
         """Return the names of the report's figures; drawing them needs Matplotlib."""
-        return [each.name for each in _report_figures().drawings(self.comparison)]
+        return list(_report().figures(self.comparison))
 
     @missing_extras_explained()
     def plot(self, name: str = "methods", **options: Any) -> Figure:
@@ -80,7 +78,7 @@ class MethodComparison(Result):
         RequestError
             If the report has no figure of that name.
         """
-        drawn: dict[str, Callable[[], Figure]] = _report_figures().comparison_figures(self.comparison)
+        drawn: dict[str, Callable[[], Figure]] = _report().figures(self.comparison)
         if name not in drawn:
             raise RequestError(f"There is no figure {name!r}, but {', '.join(drawn)}.")
         return drawn[name]()
@@ -96,15 +94,13 @@ class MethodComparison(Result):
     @missing_extras_explained()
     def write_report(self, path: str | Path) -> None:
         """Write one HTML page that opens offline."""
-        from ffcomp.report.compare.html import write_report
-
-        write_report(self.comparison, Path(path))
+        _report().write_report(self.comparison, Path(path), self.notes)
 
 
-def _report_figures() -> Any:
-    from ffcomp.report.compare import figures  # needs Matplotlib
+def _report() -> Any:
+    from ffcomp.report import compare  # needs Matplotlib
 
-    return figures
+    return compare
 
 
 def compare_print(request: CompareRequest) -> MethodComparison:

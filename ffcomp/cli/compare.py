@@ -18,7 +18,7 @@ from ffcomp.request import OUTPUT, Option, Request
 from ffcomp.result import Result
 
 if TYPE_CHECKING:
-    from ffcomp.comparison.result import Comparison
+    from ffcomp.api.comparison import MethodComparison
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,7 +51,7 @@ def compare(request: CompareRequest, pages: Pages) -> Result:
 
     with _ExitWithoutThreads(), exit_codes(), Progress(1.0, "comparing") as progress:
         found = compare_print(replace(request, progress=progress.phase))
-    return replace(found, report=pages.report, written=_write(found.comparison, pages))
+    return replace(found, report=pages.report, written=_write(found, pages))
 
 
 class _ExitWithoutThreads:
@@ -66,16 +66,13 @@ class _ExitWithoutThreads:
             os._exit(130)
 
 
-def _write(result: Comparison, pages: Pages) -> list[Path]:
+def _write(found: MethodComparison, pages: Pages) -> list[Path]:
     written: list[Path] = []
-    figures, report = pages.figures, pages.report
-    if figures is not None:
-        from ffcomp.report.compare.figures import write_figures
+    if pages.figures is not None:
+        from ffcomp.report.compare import write_figures
 
-        figures.mkdir(exist_ok=True)
-        written = write_figures(result, figures)
-    if report is not None:
-        from ffcomp.report.compare.html import write_report
-
-        write_report(result, report)
+        pages.figures.mkdir(exist_ok=True)
+        written = write_figures(found.comparison, pages.figures)
+    if pages.report is not None:
+        found.write_report(pages.report)
     return written

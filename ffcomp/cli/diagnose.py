@@ -56,24 +56,7 @@ def diagnose(request: DiagnoseRequest, page: Page) -> Result:
 
 def _page(diagnosis: Diagnosis) -> bytes:
     """Make the report."""
-    from datetime import date
+    from ffcomp.diagnosis.where import discrepancy
+    from ffcomp.report.diagnose import diagnosis_page
 
-    from ffcomp.identification.machine_fit import hash_of
-    from ffcomp.report.diagnose import page
-    from ffcomp.report.diagnose.sentences import Origin, ReportInput
-    from ffcomp.report.diagnose.summary import summarise
-    from ffcomp.version import __version__
-
-    problem, gain = diagnosis.problem, diagnosis.print_gain
-    origin = Origin(
-        machine=problem.name,
-        machine_file=hash_of(Path(problem.path)),
-        runs=[hash_of(path) for path in diagnosis.runs],
-        date=date.today().isoformat(),
-        version=__version__,
-        seconds=diagnosis.seconds,
-        written="" if diagnosis.output is None else diagnosis.output.name,
-    )
-    summary = summarise(problem, diagnosis.search)
-    sentence = "" if gain is None else gain.sentence()
-    return page.page(ReportInput(diagnosis.result, diagnosis.search, summary, diagnosis.proposals(), origin, sentence))
+    return diagnosis_page(diagnosis, discrepancy(diagnosis.problem, diagnosis.search), diagnosis.proposals())

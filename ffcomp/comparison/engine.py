@@ -34,25 +34,22 @@ from ffcomp.comparison.evaluation import (
 )
 from ffcomp.comparison.methods import COMPENSATED, TunedMethod
 from ffcomp.comparison.monte_carlo import ON_PLANTS, TUNING_ON_PLANTS, with_spread
-from ffcomp.comparison.result import BedMap, Comparison, Layer, Method, Party, Peaks
+from ffcomp.comparison.result import Comparison, Layer, Method, Party, Peaks
 from ffcomp.comparison.sampling import SETTLE_S, SHORTEST_S, Print, PrintSlice, Sampling, check_long_enough
 from ffcomp.compensation.job import Job, Options
 from ffcomp.inverse.robust import choose_robust
 from ffcomp.inverse.settings import Settings, settings_for
-from ffcomp.shapers import dominant_frequencies
 from ffcomp.simulation.expectation import EXCERPT_S, Expectation, draw_plants, expectation, pieces_of
 from ffcomp.simulation.expectation import Piece as ExpectedPiece
 from ffcomp.simulation.forecast import NO_FORECAST, Forecast
 from ffcomp.simulation.playback import ROW_S
 from ffcomp.version import __version__
 from gcode.dialect import MARLIN
-from models.effects.catalogue import effective_machine
 from models.machine import Machine
 
 ON_PLANTS_S = 60.0  # of print time that is executed on every Monte-Carlo plant
 TUNING_S, TUNING_PIECE_S = 30.0, 5.0  # on which shapers are tuned and accelerations tried
 WHOLE_S = 120.0  # of print time, at most, of a print that is predicted as `compensate` does
-BED_PITCH_MM = 10.0
 ALL = "all"  # alone: every method that there is
 TUNING, PLANNING, PRINTING = "tuning every method", "planning with every method", "printing with every method"
 
@@ -134,7 +131,6 @@ def compare(
         best_fixed=best,
         compensated=written_method,
         sample_s=SAMPLE_S,
-        bed=_bed(plant),
         limits={
             "carriage_velocity_mm_per_s": machine.limits.carriage_velocity_mm_per_s,
             "carriage_acceleration_mm_per_s2": machine.limits.carriage_acceleration_mm_per_s2,
@@ -325,18 +321,3 @@ def _layers(printed: Print, method: Method) -> tuple[Layer, ...]:
         z = float(np.median(s.reference[s.layer == number, 2]))
         layers.append(Layer(number, z, float(plan.start_t[first]), float(plan.start_t[last] + plan.duration[last])))
     return tuple(layers)
-
-
-def _bed(plant: Machine) -> BedMap:
-    linear, rim = effective_machine(plant), plant.kinematics.rings(1, 72)
-    x, y = (
-        np.linspace(low, high, 2 * int(np.ceil((high - low) / 2 / BED_PITCH_MM)) + 1)
-        for low, high in zip(rim.min(axis=0).tolist(), rim.max(axis=0).tolist(), strict=True)
-    )
-    places = np.stack(np.meshgrid(x, y), axis=-1)
-    inside = plant.kinematics.contains(places.reshape(-1, 2), 1e-3 * plant.kinematics.bed_radius_mm)
-    inside = inside.reshape(places.shape[:2])
-    frequency = np.full(places.shape, np.nan)
-    asked = places[inside] if linear.vibration.position_dependent else rim[:1]
-    frequency[inside] = dominant_frequencies(linear, asked)
-    return BedMap(x, y, frequency)

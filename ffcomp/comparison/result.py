@@ -163,20 +163,6 @@ class Party:
 
 
 @dataclass(frozen=True, eq=False)
-class BedMap:
-    """The lowest well excited resonance along x and y over the bed of the plant."""
-
-    x_mm: FloatArray  # (n,)
-    y_mm: FloatArray  # (n,)
-    frequency_hz: FloatArray  # (n, n, 2), [iy, ix, axis]; NaN outside the bed
-
-    @property
-    def is_round(self) -> bool:
-        """Whether the bed is round; a bed with corners has the same resonances everywhere."""
-        return bool(np.isnan(self.frequency_hz).any())
-
-
-@dataclass(frozen=True, eq=False)
 class Comparison:
     """A comparison: all that the JSON, the report and the figures are made of."""
 
@@ -196,7 +182,6 @@ class Comparison:
     best_fixed: str  # names in `methods`: the fixed shaper with the least contour error
     compensated: str  # name of the method that `compensate` writes with this machine file
     sample_s: float  # time from sample to sample
-    bed: BedMap | None = None
     limits: dict[str, float] = field(
         default_factory=dict
     )  # carriage_velocity_mm_per_s, carriage_acceleration_mm_per_s2

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-import base64
 import io
+import textwrap
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import matplotlib
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure, SubFigure
@@ -20,6 +21,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from ffcomp.version import __version__
 from gcode.atomic_write import replace_atomically
+from models.arrays import BoolArray, FloatArray
 from models.machine import Machine
 
 matplotlib.use("Agg")
@@ -99,7 +101,7 @@ class Drawing:
     name: str  # of the files
     title: str
     finding: str  # its finding in one line
-    how_to_read: str
+    caption: str  # how to read it
     width: float  # inches
     height: float
     draw: Callable[[Box], None]
@@ -123,6 +125,46 @@ def _for_dark_screens(content: bytes) -> bytes:
     return content.replace(b"<defs>", f"<defs>{style}".encode(), 1)
 
 
+def figure_of(drawing: Drawing) -> Figure:
+    """Draw the figure as a file has it: the title and the finding stand above it."""
+    with matplotlib.rc_context(RC):
+        figure = Figure(figsize=(drawing.width, drawing.height + 0.6), layout=layout())
+        drawing.draw(figure)
+        said = textwrap.fill(drawing.finding, int(16 * drawing.width))
+        figure.suptitle(f"{drawing.title}\n{said}", x=0.01, ha="left", fontsize=9, parse_math=False)
+        return figure
+
+
+CLOSEST_MM, WIDEST_MM = 0.4, 2.5  # half the width of a close-up
+WIDTH_IN_ERRORS = 8.0  # half the width, in largest errors
+Line = tuple[FloatArray, BoolArray, str, float, str]  # points (n, 3) mm, those drawn (n,), colour, width, label
+
+
+def half_width(error_mm: float) -> float:
+    """Return half the width of a close-up, mm, that shows an error."""
+    return float(np.clip(WIDTH_IN_ERRORS * error_mm, CLOSEST_MM, WIDEST_MM))
+
+
+def close_up(axes: Axes, at: FloatArray, half: float, lines: Sequence[Line]) -> None:
+    """Draw paths from above, true to scale, with a scale bar.
+
+    Parameters
+    ----------
+    at : (3,) mm, the middle
+    half : half the width, mm
+    """
+    for points, keep, colour, width, label in lines:
+        shown = np.where(keep[:, None], points[:, :2], np.nan)
+        axes.plot(shown[:, 0], shown[:, 1], color=colour, linewidth=width, label=label or "_nolegend_")
+    x, y = at[:2] - 0.92 * half
+    length = max((n for n in (0.02, 0.05, 0.1, 0.2, 0.5, 1.0) if n <= 0.5 * half), default=0.02)
+    axes.plot([x, x + length], [y, y], color=REFERENCE, linewidth=3, solid_capstyle="butt")
+    axes.text(x, y + 0.05 * half, f"{1e3 * length:g} µm", fontsize=8)
+    limits = {"xlim": (at[0] - half, at[0] + half), "ylim": (at[1] - half, at[1] + half)}
+    axes.set(aspect="equal", xticks=[], yticks=[], **limits)
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.02), frameon=False, fontsize=8)
+
+
 def layout() -> ConstrainedLayoutEngine:
     """Return the layout of every figure."""
     return ConstrainedLayoutEngine(w_pad=0.12, h_pad=0.1)
@@ -141,28 +183,6 @@ def write_figure(figure: Figure, target: Path, dpi: float) -> None:
     """Write the figure whole or not at all; the suffix of `target` names the format, without one it becomes .png."""
     named = target if target.suffix else target.with_name(f"{target.name}.png")
     replace_atomically(named, [file_of(figure, named.suffix.removeprefix("."), dpi)])
-
-
-@dataclass(frozen=True, slots=True)
-class Image:
-    """A figure inside a page."""
-
-    title: str
-    finding: str
-    data: str  # base64 of SVG
-    width: int
-    height: int
-
-
-def panel(drawing: Drawing) -> Image:
-    """Draw and embed one panel of a figure."""
-    return image(drawing, svg(drawing))
-
-
-def image(drawing: Drawing, content: bytes) -> Image:
-    """Embed a drawing, given as SVG."""
-    data = base64.b64encode(content).decode("ascii")
-    return Image(drawing.title, drawing.finding, data, round(96 * drawing.width), round(96 * drawing.height))
 
 
 BAND_HEIGHT = 1.05  # inches

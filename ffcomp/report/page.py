@@ -1,47 +1,72 @@
-"""Render pages: one file that opens offline, all text from files escaped, nothing fetched."""
+"""The page of every report: headline, facts, figures and tables in one file that opens offline and fetches nothing."""
 
 from __future__ import annotations
 
+import base64
 import re
-from collections.abc import Callable
-from datetime import UTC, datetime
+from collections.abc import Sequence
+from dataclasses import dataclass
 from importlib.resources import files
-from typing import Any
 
-from jinja2 import Environment, FunctionLoader, StrictUndefined
+from jinja2 import Environment, StrictUndefined
 from markupsafe import Markup, escape
 
-FOLDER = "ffcomp.report"
+from ffcomp.report.drawing import Drawing, svg
+from ffcomp.result import Answer
 
 
-def rendered(report: str, filters: dict[str, Callable[..., str]], **values: Any) -> bytes:
-    """Render one report, `REPORT/report.html.jinja`, with the styles of all pages and its own."""
-    environment = Environment(
-        loader=FunctionLoader(resource),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters |= {"coded": coded} | filters
-    css = Markup(resource("page.css") + resource(f"{report}/report.css"))
-    template = environment.get_template(f"{report}/report.html.jinja")
-    return template.render(css=css, today=datetime.now(UTC).strftime("%Y-%m-%d"), **values).encode()
+@dataclass(frozen=True, slots=True)
+class Table:
+    """A table of text; numbers are formatted by the verb."""
+
+    head: Sequence[str]
+    rows: Sequence[Sequence[str]]
+    title: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Section:
+    """A part of a page."""
+
+    title: str
+    drawings: Sequence[Drawing] = ()
+    tables: Sequence[Table] = ()
+    sentences: Sequence[str] = ()
+    code: str = ""  # text to copy, as it is
+    folded: bool = False  # opened by a click
+
+
+def page(answer: Answer, title: str, about: Sequence[str], sections: Sequence[Section]) -> bytes:
+    """Render a report.
+
+    Parameters
+    ----------
+    answer : what the verb found, in the words of its terminal output and JSON
+    title : what the report is about: a print or a machine
+    about : short facts below the title
+    sections : what follows the answer
+    """
+    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
+    environment.filters |= {"said": said, "picture": picture}
+    template = environment.from_string(resource("page.html.jinja"))
+    css = Markup(resource("page.css"))
+    return template.render(css=css, answer=answer, title=title, about=about, sections=sections).encode()
 
 
 def resource(name: str) -> str:
-    """Read a file of the reports' folder."""
-    return files(FOLDER).joinpath(name).read_text(encoding="utf-8")
+    """Read a file of this package."""
+    return files("ffcomp.report").joinpath(name).read_text(encoding="utf-8")
 
 
-def tied(sentence: str) -> str:
-    """Keep numbers and their units on one line."""
-    return re.sub(r"(?<=\d) (?=(%|µm|mm|kg|N|Hz|mm/s|m/s²|s|min|h)\b|%|m/s²)", "\N{NO-BREAK SPACE}", sentence)
+def picture(drawing: Drawing) -> str:
+    """Return a drawing as the address of an image inside the page."""
+    return f"data:image/svg+xml;base64,{base64.b64encode(svg(drawing)).decode('ascii')}"
 
 
-def coded(sentence: str) -> Markup:
-    """Set what is to be typed, in backticks or an option alone, as code, which CSS keeps on one line."""
-    parts = re.split(r"`([^`]+)`|(?<![\w-])(--[a-z][a-z-]*)", sentence)
+def said(sentence: str) -> Markup:
+    """Keep numbers and their units on one line, and set commands, in backticks or an option alone, as code."""
+    tied = re.sub(r"(?<=\d) (?=(%|µm|mm|kg|N|Hz|mm/s|m/s²|s|min|h)\b|%|m/s²)", "\N{NO-BREAK SPACE}", sentence)
+    parts = re.split(r"`([^`]+)`|(?<![\w-])(--[a-z][a-z-]*)", tied)
     pieces = [escape(parts[0])]
     for quoted, option, after in zip(parts[1::3], parts[2::3], parts[3::3], strict=True):
         pieces += [Markup("<code>{}</code>").format(quoted or option), escape(after)]

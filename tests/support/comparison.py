@@ -13,7 +13,6 @@ import numpy as np
 
 from ffcomp.comparison.evaluation import by, contour_numbers
 from ffcomp.comparison.result import (
-    BedMap,
     Comparison,
     EqualQuality,
     Family,
@@ -25,7 +24,7 @@ from ffcomp.comparison.result import (
     Spread,
 )
 from ffcomp.metrics import Track
-from ffcomp.report.compare.html import write_report
+from ffcomp.report.compare import write_report
 
 SAMPLE_S = 1e-3
 SIDE, SPEED, LAYERS = 40.0, 80.0, 3  # mm, mm/s
@@ -91,14 +90,6 @@ def method(name: str, label: str, family: Family, amplitude_um: float, **about: 
     return Method(name, label, family, samples=s, **(given | about))
 
 
-def bed() -> BedMap:
-    axis = np.linspace(-90.0, 90.0, 19)
-    x, y = np.meshgrid(axis, axis)
-    frequency = np.stack([40 + 0.05 * x, 40 + 0.05 * y], axis=-1)
-    frequency[np.hypot(x, y) > 91] = np.nan
-    return BedMap(axis, axis, frequency)
-
-
 def comparison(
     none_um: float = 200.0, best_um: float = 20.0, ours_um: float = 2.0, name: str = "prints/square.gcode", **about: Any
 ) -> Comparison:
@@ -138,7 +129,7 @@ def changed(found: Comparison, name: str, **about: Any) -> Comparison:
 
 def everything(name: str = "prints/square.gcode") -> Comparison:
     """With all that can be asked for."""
-    found = comparison(name=name, bed=bed(), mismatch="8 plants, each off by 10 %.")
+    found = comparison(name=name, mismatch="8 plants, each off by 10 %.")
     for key, factor in (("none", 1.1), ("mzv-calibrated", 1.4), ("mzv", 1.4), ("fbs-lpv", 2.5)):
         rms = found.methods[key].track.contour_rms_um
         spread = Spread(tuple(factor * rms * (1 + 0.1 * k) for k in range(8)))

@@ -6,8 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from ffcomp.comparison.result import Comparison, EqualQuality, Method
-from ffcomp.numerics.digits import um
-from ffcomp.report.compare.words import (
+from ffcomp.comparison.words import (
     acceleration,
     contour_p99_um,
     contour_rms_um,
@@ -20,15 +19,16 @@ from ffcomp.report.compare.words import (
     times,
     where_seen,
 )
-from ffcomp.result import Fact
+from ffcomp.numerics.digits import um
+from ffcomp.result import Answer, Fact
 from ffcomp.simulation.expectation import condition_of
 
 WORTH_RATIO, TIE_RATIO = 2.0, 1.05  # times less error than the best shaper: below the first, a shaper is enough
 
 
 @dataclass(frozen=True, slots=True)
-class Answer:
-    """One word, and why."""
+class Worth:
+    """Whether it is worth it, in one word, and why."""
 
     word: str  # Yes, Hardly, No
     why: str
@@ -37,21 +37,28 @@ class Answer:
         return f"Worth it? {self.word}: {self.why}"
 
 
-def answer(comparison: Comparison) -> Answer:
+def answer_of(comparison: Comparison) -> Answer:
+    """Return what people are shown of a comparison, wherever they look."""
+    step = comparison.expected.next_step if comparison.expected else ""
+    facts = [*findings(comparison), *method_facts(comparison)]
+    return Answer(str(worth(comparison)), facts, cautions(comparison), [step] if step else [])
+
+
+def worth(comparison: Comparison) -> Worth:
     """Weigh the compensated print against the best fixed shaper, which owners have for nothing."""
     ours = comparison.methods[comparison.compensated]
     if not ours.peaks.within_limits:
-        return Answer("No", f"{_at(comparison)}ffcomp asks the carriages for more than the machine file allows.")
+        return Worth("No", f"{_at(comparison)}ffcomp asks the carriages for more than the machine file allows.")
     left, theirs, before, shaper, where = _weighed(comparison, ours)
     if left >= theirs / TIE_RATIO:
         as_good = "as good" if left <= TIE_RATIO * theirs else "better"
         sentence = f"{_at(comparison)}the best input shaper ({shaper}) is {as_good} on this print{where}"
-        return Answer("No", f"{sentence}: {um(theirs)} µm against {um(left)}.")
+        return Worth("No", f"{sentence}: {um(theirs)} µm against {um(left)}.")
     gain = f"{_at(comparison)}ffcomp leaves {um(left)} µm, the best input shaper ({shaper}) {um(theirs)} and none "
     gain += f"{um(before)}{where}.{_faster(comparison, ours)}"
     if theirs < WORTH_RATIO * left:
-        return Answer("Hardly", f"{gain} The difference is small: a shaper is enough.")
-    return Answer("Yes", gain)
+        return Worth("Hardly", f"{gain} The difference is small: a shaper is enough.")
+    return Worth("Yes", gain)
 
 
 def _weighed(comparison: Comparison, ours: Method) -> tuple[float, float, float, str, str]:
@@ -117,13 +124,6 @@ def findings(comparison: Comparison) -> list[Fact]:
 def cautions(comparison: Comparison) -> list[str]:
     """Return what to mind: modes that are assumed, and what was odd about the print."""
     return [*_assumed(comparison), *dict.fromkeys(comparison.methods[comparison.compensated].warnings)]
-
-
-def verdict(comparison: Comparison) -> list[str]:
-    """Return the sentences of a page, the most important first."""
-    found, minded = [sentence for _, sentence in findings(comparison)], cautions(comparison)
-    next_step = comparison.expected.next_step if comparison.expected else ""
-    return [*found[:2], *minded, *found[2:], *filter(None, [next_step])]
 
 
 def method_facts(comparison: Comparison) -> list[Fact]:
@@ -201,11 +201,11 @@ def _against_all(comparison: Comparison, ours: Method) -> list[str]:
     named = (comparison.compensated, comparison.best_fixed, "none", *(["fbs-lpv"] if comparison.robust.robust else []))
     if first.name in named or ours_um <= TIE_RATIO * least:
         return []
-    return [f"The least error of all has {first.label}: {um(least)} µm."]
+    return [f"{first.label} has the lowest error: {um(least)} µm."]
 
 
 def _written(comparison: Comparison) -> list[str]:
-    """Tell how `compensate` inverts with this machine file, where that is not plain, and what plain leaves."""
+    """State which inverse `compensate` uses with this machine file, if not the plain one, and the plain one's error."""
     plain = comparison.methods.get("fbs-lpv")
     if not comparison.robust.robust or plain is None:
         return []
@@ -215,8 +215,8 @@ def _written(comparison: Comparison) -> list[str]:
         else ""
     )
     return [
-        f"“ffcomp” is what `ffcomp compensate` writes with this machine file. {comparison.robust.reason} That leaves "
-        f"{um(contour_rms_um(comparison, plain))} µm (“{plain.label}”) here{exact}."
+        f"The row “ffcomp” is the file that `ffcomp compensate` writes. {comparison.robust.reason} The plain inverse "
+        f"(“{plain.label}”) leaves {um(contour_rms_um(comparison, plain))} µm here{exact}."
     ]
 
 
@@ -231,7 +231,7 @@ def _mismatch(comparison: Comparison, best: Method, ours: Method) -> list[str]:
     if best.retuned is not None:
         against.append((best.retuned, f"{nick(best)} tuned again on each"))
     sentence = (
-        f"On {len(our_spread.contour_rms_um)} printers that are not as the machine file says, over all moves: "
+        f"On {len(our_spread.contour_rms_um)} printers that differ from the machine file, over all moves: "
         f"{um(our_spread.mean_um)} µm on average and {um(our_spread.worst_um)} µm at worst with ffcomp"
     )
     sentence += "".join(f"; {um(spread.mean_um)} and {um(spread.worst_um)} µm with {name}" for spread, name in against)
@@ -283,11 +283,11 @@ def _limits(comparison: Comparison, ours: Method) -> list[str]:
             f"ffcomp asks the carriages for {ours.peaks.velocity_mm_per_s:.0f} mm/s and "
             f"{acceleration(ours.peaks.acceleration_mm_per_s2)}, "
             f"more than the machine file allows{_allowed(comparison)}: "
-            "its accuracy here is not to be had; lower the print's speed or acceleration."
+            "the real printer cannot reach this accuracy; lower the print's speed or acceleration."
         ]
     if beyond:
-        names = ", ".join(method.label for method in beyond)
-        return [f"Beyond the limits of the carriages{_allowed(comparison)}: {names}. Their accuracy is not to be had."]
+        names = f"{_allowed(comparison)}: {', '.join(method.label for method in beyond)}"
+        return [f"Beyond the limits of the carriages{names}. A real printer cannot reach their accuracy."]
     return []
 
 
@@ -310,9 +310,9 @@ def _predicted(comparison: Comparison) -> list[str]:
     before, after = (um(comparison.predicted[name].contour_rms_um) for name in ("uncompensated", "compensated"))
     part = "" if comparison.whole else ", of the part that was evaluated"
     return [
-        f"`ffcomp compensate` and `ffcomp show` say {before} → {after} µm rms for this print: that is predicted by the "
-        "linear model that ffcomp plans with, over all moves of the whole print, travel too. The errors above are "
-        f"the virtual printer's, which is not linear, {where_seen(comparison)}{part}."
+        f"`ffcomp compensate` and `ffcomp show` predict {before} → {after} µm rms for this print, with the linear "
+        "model that ffcomp plans with and over all moves, travel included. The errors above come from the "
+        f"nonlinear virtual printer, {where_seen(comparison)}{part}."
     ]
 
 
@@ -321,8 +321,8 @@ def _plant(comparison: Comparison) -> str:
     if comparison.plant.sha256 == comparison.machine.sha256:
         hint = "" if comparison.mismatch else "; --mismatch 10% shows by how much"
         return (
-            "All of this is simulated, and the virtual printer has the very numbers of the machine file that ffcomp "
-            f"plans with{effects}. A real printer differs from its file, so in reality it will be less good{hint}."
+            "All of this is simulated, and the virtual printer has exactly the parameters of the machine "
+            f"file{effects}. A real printer differs from its file, so expect larger errors{hint}."
         )
     return (
         f"All of this is simulated: every method uses the model of {comparison.machine.name}, and the virtual printer "
@@ -331,23 +331,20 @@ def _plant(comparison: Comparison) -> str:
 
 
 GLOSSARY = {
-    "contour error": "Distance from the nozzle to the nearest point of the reference path (its straight segments, not "
-    "sampled points) among those due within 50 ms. It is what a print shows: being late on the path costs nothing.",
-    "tracking error": "Distance from the nozzle to where it should be at that moment. It counts delay, which a print "
-    "does not show as long as it is constant; “no delay” takes out the constant delay that explains most of it.",
-    "where plastic flows": "Samples in moves that extrude. Travel moves count only under “all moves”.",
-    "rms, 99 %, max": "Root mean square over time; the value that 99 % of the time stays below; the largest value.",
-    "residual ringing": "Rms of the error where the reference motion is a straight line at constant speed or "
-    "rest, about its mean in each such interval.",
-    "carriage peaks": "Largest speed and acceleration commanded of any carriage, as differences over 4 ms, the time of "
-    "one written segment. Speed and acceleration of the command, not of the vibrating machine.",
-    "best fixed": "For each kind of shaper the frequencies and damping ratio with the least contour error on this very "
-    "print, sought with the virtual printer known. No owner can tune this well: it is the fairest rival.",
-    "calibrated": "What Klipper's resonance test at the middle of the bed would choose on this virtual printer.",
-    "Monte-Carlo plants": "Printers whose masses, stiffnesses, dampings and drives are all off by random shares, "
-    "unknown to every method; “tuned again” is the best fixed shaper with its frequencies sought anew on each of them.",
-    "equal quality": "Every move of the print is planned with one acceleration, raised until 1 % of the contour error "
-    "exceeds the bound or a carriage exceeds its limits. Sought on half a minute of the print.",
-    "virtual printer": "A nonlinear simulation of the printer named under “evaluated on”, apart from the model "
-    "that the inversion uses. It knows nothing of plastic, heat, or loose screws.",
+    "contour error": "Distance from the nozzle to the nearest point of the reference path among those due within "
+    "50 ms. It shows on the print; lag along the path does not.",
+    "tracking error": "Distance from the nozzle to its reference position at that moment. It includes lag; “no delay” "
+    "leaves out the constant delay that explains most of it.",
+    "rms, 99 %, max": "Root mean square over time; the value that 99 % of the samples stay below; the largest value.",
+    "ringing": "Rms of the error about its mean while the reference moves in a straight line at constant speed or "
+    "rests.",
+    "mm/s, mm/s²": "Largest commanded speed and acceleration of any carriage, as differences over 4 ms. ✗: more than "
+    "the machine file allows.",
+    "best fixed": "For each kind of shaper, the frequencies and damping ratio with the lowest contour error on this "
+    "print, found with the printer known. No owner can tune this well.",
+    "calibrated": "The setting that Klipper's resonance test would choose in the middle of the bed.",
+    "equal quality": "Every move has the same acceleration, raised until 1 % of the contour error exceeds the bound or "
+    "a carriage exceeds its limits. Searched on half a minute of the print.",
+    "virtual printer": "A nonlinear simulation of the printer, separate from the model that the inverse uses. Plastic, "
+    "heat and loose screws are not included.",
 }

@@ -1,7 +1,6 @@
-"""What the report draws of a diagnosis: where the residual was and is, curves, spectra, confounding.
+"""Where the discrepancy lies: the excess by frequency, signal, position and motion, and the worst signals.
 
-Excess is the mean square of the whitened error, less one: 0 is noise
-alone, 3 means that the error is twice as large as the noise.
+Excess is the mean square of the whitened error, less one: 0 is noise alone, 3 means that the error is twice the noise.
 """
 
 from __future__ import annotations
@@ -20,14 +19,10 @@ from ffcomp.diagnosis.fit import EstimationProblem
 from ffcomp.diagnosis.gap import EDGES_HZ, SLOW_SHARE
 from ffcomp.diagnosis.noise import lines, taper
 from ffcomp.diagnosis.problem import Problem
-from ffcomp.diagnosis.score_test import similarity
 from models.arrays import FloatArray
-from models.quantities import Quantities
 
-TIME_BINS = 24
 PHASE_BINS = 16
-QUANTILES = (0.0, 0.25, 0.5, 0.75, 0.9, 0.98, 1.0)  # of the size of motion
-SPECTRUM_BANDS = 90
+WORST = 2  # signals that are shown
 
 
 @dataclass(frozen=True)
@@ -59,52 +54,27 @@ class Overlay:
 
 
 @dataclass(frozen=True, eq=False)
-class Spectrum:
-    """Amplitude densities of one kind of signal, unit/√Hz, rms over its signals and recordings."""
-
-    kind: str  # carriages' acceleration, nozzle's position, …
-    unit: str
-    frequency_hz: FloatArray  # (k,) as the others
-    measured: FloatArray
-    before: FloatArray  # of the error
-    after: FloatArray
-    noise: FloatArray
-
-
-@dataclass(frozen=True, eq=False)
-class Confounding:
-    """cos² between the signatures of visible effects beyond retuning: 1 if one can be taken for the other."""
-
-    names: tuple[str, ...]
-    cos2: FloatArray  # (n, n)
-
-
-@dataclass(frozen=True, eq=False)
-class DiagnosisSummary:
-    """Everything that is drawn."""
+class Discrepancy:
+    """Where measurement and simulation differ, before and after the fit."""
 
     band_hz: tuple[float, float]  # where measurement and simulation are compared
     noise_from: str  # in words
     bed_radius_mm: float
     splits: tuple[Split, ...]
     overlays: tuple[Overlay, ...]
-    spectra: tuple[Spectrum, ...]
-    confounding: Confounding
 
 
-def summarise(problem: Problem, diagnosis: Diagnosis) -> DiagnosisSummary:
-    """Collect a report's data: before is the machine file as it is, after is the final fit."""
+def discrepancy(problem: Problem, diagnosis: Diagnosis) -> Discrepancy:
+    """Compare measurement and simulation: before with the machine file, after with the final fit."""
     estimation = diagnosis.estimation
     answers = problem.simulate({}), problem.simulate(diagnosis.final.values)
     before, after = (estimation.measured - estimation.whiten(simulated) for simulated in answers)
-    return DiagnosisSummary(
+    return Discrepancy(
         estimation.whiten.band_hz,
         diagnosis.noise.origin,
         problem.reach_mm,
         tuple(_splits(problem, estimation, before, after)),
         tuple(_overlays(problem, estimation, answers, before)),
-        tuple(_spectra(problem, estimation, answers)),
-        _confounding(diagnosis),
     )
 
 
@@ -181,17 +151,11 @@ def _by(problem: Problem) -> list[tuple[Split, list[NDArray[np.int64]]]]:
         one * np.array([signals.index(s) for s in r.signals]) for one, r in zip(full, observations, strict=True)
     ]
     by_position = [one * positions.index(r.position) for one, r in zip(full, observations, strict=True)]
-    by_run = [one * i for i, one in enumerate(full)]
-    by_time = [one * (np.arange(len(one)) * TIME_BINS // len(one))[:, None] for one in full]
     moved = [_direction(r.speed) for r in observations]
-    sizes = [_size(r.measured) for r in observations]
     return [
         (_named("signal", signals), by_signal),
         (_places(problem, positions), by_position),
-        (_named("run", [Path(r.name).name for r in observations]), by_run),
-        (_shares("share of the run's time", np.linspace(0, 1, TIME_BINS + 1)), by_time),
         (_named("motion", ["backward", "turning back or at rest", "forward"]), moved),
-        (_shares("size of motion", QUANTILES), sizes),
         *_by_phase(problem),
     ]
 
@@ -215,12 +179,6 @@ def _shares(title: str, edges: Sequence[float] | FloatArray) -> Split:
 def _direction(speed: FloatArray) -> NDArray[np.int64]:
     slow = np.abs(speed) < SLOW_SHARE * np.max(np.abs(speed), axis=0)
     return np.where(slow, 1, np.where(speed > 0, 2, 0)).astype(np.int64)
-
-
-def _size(measured: FloatArray) -> NDArray[np.int64]:
-    size = np.abs(np.nan_to_num(measured))
-    edges = np.quantile(size, QUANTILES[1:-1], axis=0)
-    return np.sum(size[None] > edges[:, None], axis=0).astype(np.int64)
 
 
 def _by_phase(problem: Problem) -> list[tuple[Split, list[NDArray[np.int64]]]]:
@@ -247,7 +205,7 @@ def _overlays(problem: Problem, estimation: EstimationProblem, answers: Answers,
     )
     distinct = {problem.observations[i].signals[k]: (i, k) for _, i, k in reversed(ranked)}
     chosen = [(i, k) for _, i, k in ranked if distinct[problem.observations[i].signals[k]] == (i, k)]
-    return [_overlay(problem, estimation, answers, errors[i][:, k], i, k) for i, k in chosen[:4]]
+    return [_overlay(problem, estimation, answers, errors[i][:, k], i, k) for i, k in chosen[:WORST]]
 
 
 def _overlay(
@@ -275,54 +233,3 @@ def _in_band(estimation: EstimationProblem, i: int, x: FloatArray) -> FloatArray
     spectrum = np.zeros((len(keep), x.shape[1]), dtype=complex)
     spectrum[keep] = estimation.whiten.spectrum(observation, x)[0].T
     return np.asarray(np.fft.irfft(spectrum, len(x), axis=0))
-
-
-def _spectra(problem: Problem, estimation: EstimationProblem, answers: Answers) -> list[Spectrum]:
-    kinds = {(s[:3], _whose(s)) for r in estimation.whiten.observations for s in r.signals}
-    return [_spectrum(problem.names.quantities, estimation, answers, *kind) for kind in sorted(kinds)]
-
-
-def _spectrum(
-    quantities: Quantities, estimation: EstimationProblem, answers: Answers, quantity: str, whose: str
-) -> Spectrum:
-    """Average powers in bands that are even on a logarithmic axis; bands that hold no line are left out."""
-    edges = np.geomspace(*estimation.whiten.band_hz, SPECTRUM_BANDS + 1)
-    sums, counts = np.zeros((4, SPECTRUM_BANDS)), np.zeros(SPECTRUM_BANDS)
-    for i, r in enumerate(estimation.whiten.observations):
-        chosen = [k for k, s in enumerate(r.signals) if s.startswith(quantity) and _whose(s) == whose]
-        frequency, densities = _densities(estimation, i, [r.measured, *(r.measured - a[i] for a in answers)])
-        band = np.digitize(frequency, edges[1:-1])
-        counts += len(chosen) * np.bincount(band, minlength=SPECTRUM_BANDS)
-        sums += [np.bincount(band, d[chosen].sum(axis=0), SPECTRUM_BANDS) for d in densities]
-    kept = counts > 0
-    kind, unit, scale = quantities.signal("force" if quantity == "for" else quantity)
-    amplitudes = scale * np.sqrt(sums[:, kept] / counts[kept])
-    return Spectrum(f"{whose} {kind}", unit, np.sqrt(edges[1:] * edges[:-1])[kept], *amplitudes)
-
-
-def _whose(signal: str) -> str:
-    """Name what a signal is of: `carriages'`."""
-    of = signal[4:]
-    return {"q": "axis'", "motor": "motor's", "e": "drive's"}.get(of, "carriages'" if of in "ABC" else "nozzle's")
-
-
-def _densities(
-    estimation: EstimationProblem, i: int, many: Sequence[FloatArray]
-) -> tuple[FloatArray, list[FloatArray]]:
-    """Return (k,) Hz, and the one-sided densities (m, k) of each signal array, unit²/Hz; the noise's last."""
-    observation = estimation.whiten.observations[i]
-    spectra = [estimation.whiten.spectrum(observation, x) for x in many]
-    frequency, scale = spectra[0][1], 2 * estimation.whiten.power(observation)
-    noise = np.stack([estimation.whiten.floor.at(s, frequency) for s in observation.signals])
-    return frequency, [*(np.abs(x) ** 2 / scale for x, _ in spectra), noise]
-
-
-# ---- confounding -----------------------------------------------------------------------------------
-
-
-def _confounding(diagnosis: Diagnosis) -> Confounding:
-    """Compute the similarity of all visible effects, the named ones first."""
-    best = () if diagnosis.best is None else diagnosis.best.names
-    seen = sorted((s for s in diagnosis.screened if s.visible), key=lambda s: s.candidate.name not in best)
-    table = np.array([[similarity(a, b) for b in seen] for a in seen]).reshape(len(seen), len(seen))
-    return Confounding(tuple(s.candidate.name for s in seen), table)

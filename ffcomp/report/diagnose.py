@@ -1,0 +1,382 @@
+"""The report of `ffcomp diagnose`: where measurement and simulation differ, and the evidence, on one page."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.patches import Circle
+from matplotlib.ticker import NullLocator
+
+from ffcomp.diagnosis.diagnosis import Diagnosis as Search
+from ffcomp.diagnosis.fit import intervals_of
+from ffcomp.diagnosis.held_out import HeldOut
+from ffcomp.diagnosis.next_experiment import Separation
+from ffcomp.diagnosis.result import DiagnosisResult, of_machine
+from ffcomp.diagnosis.verb import Diagnosis
+from ffcomp.diagnosis.where import Discrepancy, Overlay, Split
+from ffcomp.diagnosis.words import (
+    digits,
+    evidence,
+    interval,
+    joined,
+    most_of,
+    percent,
+    times,
+    times_noise,
+    title,
+)
+from ffcomp.identification.machine_fit import hash_of
+from ffcomp.report.drawing import AFTER, BEFORE, GROUND, NOISE, REFERENCE, SOFT, Box, Drawing, grid, plain_decades
+from ffcomp.report.page import Section, Table, page
+from ffcomp.version import __version__
+from models.arrays import FloatArray
+
+WIDTH, HEIGHT = 4.6, 2.7  # inches: as wide as a phone
+ROW, AXIS = 0.26, 0.75  # inches of a row, and below the rows
+TITLES = {
+    "frequency": "By frequency",
+    "signal": "By signal",
+    "place": "By position",
+    "window of time": "By window of time",
+    "motion": "By direction, and at reversals",
+    "motor's step cycle": "By the motor's phase",
+}
+FEW_STEPS = 6  # steps, each with its own tick
+LEAST_SHOWN = 0.5  # of the noise
+LONGEST_NAME = 26
+MARGIN_MM = 12.0  # around the bed
+LARGEST_SPOT = 0.2  # of the bed's radius
+SMALL_SCALE = 5.0  # the smallest magnitude that has the largest spot: noise alone stays small
+NEIGHBOUR_SHARE = 0.4  # of it: closer labels need space
+KEY = "Orange: with the machine file. Blue: with the best explanation. Grey: noise."
+
+
+def diagnosis_page(diagnosis: Diagnosis, where: Discrepancy, proposals: Sequence[Separation]) -> bytes:
+    """Render a diagnosis as one HTML file.
+
+    Parameters
+    ----------
+    proposals : experiments that tell competing explanations apart, the best first
+    """
+    result, search = diagnosis.result, diagnosis.search
+    output = None if diagnosis.output is None else Path(diagnosis.output.name)
+    answer = replace(diagnosis, output=output, report=None).answer
+    overlaid = list(map(overlay, where.overlays))
+    sections = [
+        Section("Where they differ", sentences=[KEY], drawings=splits(where)),
+        Section(
+            "Measured and simulated, where they differ most", sentences=[f"Dark: measured. {KEY}"], drawings=overlaid
+        ),
+    ]
+    if search.best is not None and search.held_out:
+        sentence = "Each was left out of the fit in turn, and simulated with the parameters of the others."
+        drawn = [_held_out(search.held_out, result)]
+        sections.append(Section("Left out of the fit", sentences=[sentence], drawings=drawn))
+    if proposals:
+        gcode = next((each.gcode for each in proposals if each.gcode), "")
+        texts = [each.sentence() for each in proposals] + (["The G-code of the first:"] if gcode else [])
+        sections.append(Section("What to record next", sentences=texts, code=gcode))
+    sections += [
+        Section(
+            "Evidence",
+            tables=[_evidence(search, result), _screened(search, result), _retuned(search, result)],
+            folded=True,
+        ),
+        Section("Files", tables=[Table(("", ""), _files(diagnosis, where))], folded=True),
+    ]
+    band = "{:g}-{:g} Hz".format(*where.band_hz)
+    about = [f"verdict: {result.verdict}", f"{len(diagnosis.runs)} runs", band, f"ffcomp {__version__}"]
+    return page(answer, diagnosis.problem.name, about, sections)
+
+
+# ---- tables --------------------------------------------------------------------------------------
+
+
+def _evidence(search: Search, result: DiagnosisResult) -> Table:
+    """List the explanations that were fitted in full, the most likely first."""
+    head = ("explanation", "error, times the noise", "behind, −2 ln Z", "parameters")
+    if search.best is None:
+        return Table(head, [("none was needed", "", "", "")], "Explanations")
+    tried = [(each.names, each.fit, search.behind(each)) for each in search.tried]
+    tried.append(((), search.base, search.base.evidence - search.best.fit.evidence))
+    rows = [
+        (
+            joined([f"{title(name, result.names.catalogue)} ({name})" for name in names])
+            or "nothing added, only retuned",
+            digits(times_noise(fit.discrepancy)),
+            evidence(behind),
+            str(len(fit.parameters)),
+        )
+        for names, fit, behind in sorted(tried, key=lambda each: each[2])
+    ]
+    return Table(head, rows, "Explanations")
+
+
+def _screened(search: Search, result: DiagnosisResult) -> Table:
+    rows = [
+        (
+            f"{title(each.candidate.name, result.names.catalogue)} ({each.candidate.name})",
+            evidence(-each.evidence),
+            "yes" if each.visible else "no",
+        )
+        for each in sorted(search.screened, key=lambda each: (not each.visible, each.evidence))
+    ]
+    return Table(("effect", "gain to first order, −2 ln Z", "visible in these runs"), rows, "Screening")
+
+
+def _retuned(search: Search, result: DiagnosisResult) -> Table:
+    """List the machine file's parameters, those that moved furthest first."""
+    full = search.base if search.best is None else search.best.fit
+    intervals = search.intervals or intervals_of(search.estimation, full, search.final.values)
+    moved = [(n, (intervals[n.name].value - n.start) / n.sd) for n in full.parameters if of_machine(n.name)]
+    rows = [
+        (
+            result.names.quantities.key(n.name),
+            digits(n.start, 5),
+            percent(n.sd / abs(n.start)) if n.start else digits(n.sd),
+            interval(intervals[n.name]),
+            f"{sds:+.1f}",
+        )
+        for n, sds in sorted(moved, key=lambda each: -abs(each[1]))
+    ]
+    return Table(("parameter", "in the file", "allowed, ±", "now (90 %)", "moved by, sd"), rows, "Retuning")
+
+
+def _files(diagnosis: Diagnosis, where: Discrepancy) -> list[tuple[str, str]]:
+    return [
+        ("machine file", hash_of(Path(diagnosis.problem.path))),
+        *(("run", hash_of(path)) for path in diagnosis.runs),
+        ("noise", f"from {where.noise_from}"),
+        ("computing time", f"{diagnosis.seconds:.0f} s"),
+    ]
+
+
+# ---- figures -------------------------------------------------------------------------------------
+
+
+def splits(where: Discrepancy) -> list[Drawing]:
+    """Return a figure for each quantity that the excess may depend on; positions as a map of the bed."""
+    return [_bed(where, split) if split.at else _split(split) for split in where.splits]
+
+
+def _split(split: Split) -> Drawing:
+    height = HEIGHT if split.spans else ROW * len(split.labels) + AXIS
+    return Drawing("where", TITLES[split.title], stands_out(split), "", WIDTH, height, partial(draw_split, split=split))
+
+
+def _bed(where: Discrepancy, split: Split) -> Drawing:
+    draw = partial(draw_bed, split=split, radius_mm=where.bed_radius_mm)
+    return Drawing("where", TITLES[split.title], stands_out(split), "", WIDTH, 4.0, draw)
+
+
+def overlay(each: Overlay) -> Drawing:
+    """Return the figure of one signal, measured and simulated."""
+    draw = partial(draw_overlay, overlay=each, unit=each.unit)
+    sizes = [float(((each.measured - x) ** 2).mean()) ** 0.5 / each.noise_rms for x in (each.before, each.after)]
+    said = f"The error is {times(sizes[0])} the noise before, {times(sizes[1])} after."
+    return Drawing("overlay", f"{each.signal} in {Path(each.recording).name}", said, "", WIDTH, 3.6, draw)
+
+
+def _held_out(places: Sequence[HeldOut], result: DiagnosisResult) -> Drawing:
+    labels = [p.label if p.experiment or len(p.position) == 1 else f"{p.label} mm" for p in places]
+    label, worst = max(zip(labels, places, strict=True), key=lambda pair: pair[1].after)
+    finding = (
+        f"At the worst of them, {label}, the error is {times(times_noise(worst.before))} the noise before and "
+        f"{times(times_noise(worst.after))} after."
+    )
+    what = "Experiments" if result.gap.left_out == "experiments" else "Positions"
+    draw = partial(draw_held_out, places=places, labels=labels)
+    return Drawing("held-out", what, finding, "", WIDTH, ROW * len(labels) + AXIS + 0.3, draw)
+
+
+def draw_split(box: Box, split: Split) -> None:
+    """Draw the error before and after by the labels of one split."""
+    axes = box.subplots()
+    before, after = (np.maximum([times_noise(x) for x in part], LEAST_SHOWN) for part in (split.before, split.after))
+    if split.spans:
+        _steps(axes, split, before, after)
+    else:
+        _dumbbells(axes, split.labels, before, after)
+
+
+def draw_held_out(box: Box, places: Sequence[HeldOut], labels: Sequence[str]) -> None:
+    """Draw the error before and after at positions left out of the fit."""
+    before, after = (
+        np.maximum([times_noise(getattr(p, what)) for p in places], LEAST_SHOWN) for what in ("before", "after")
+    )
+    _dumbbells(box.subplots(), labels, before, after)
+
+
+def _steps(axes: Axes, split: Split, before: FloatArray, after: FloatArray) -> None:
+    """Labels that follow one another, all equally wide; their edges are the ticks."""
+    at = np.arange(len(before) + 1)
+    axes.axhline(1.0, color=NOISE, linewidth=4, zorder=0)
+    axes.stairs(before, at, baseline=None, color=BEFORE, linewidth=2)
+    axes.stairs(after, at, baseline=None, color=AFTER, linewidth=2)
+    edges = [split.spans[0][0], *(b for _, b in split.spans)]
+    every = 1 if len(before) <= FEW_STEPS else 2 if len(before) <= 2 * FEW_STEPS else len(before) // 4
+    axes.set_xticks(at[::every], [f"{edge:g}" for edge in edges[::every]])
+    axes.set(xlabel=f"{split.title}, {split.unit}", ylabel="error, times the noise", xlim=(0, at[-1]))
+    _times_scale(axes, "y", before, after)
+
+
+def _dumbbells(axes: Axes, labels: Sequence[str], before: FloatArray, after: FloatArray) -> None:
+    rows = np.arange(len(labels))
+    axes.axvline(1.0, color=NOISE, linewidth=4, zorder=0)
+    axes.hlines(rows, np.minimum(before, after), np.maximum(before, after), color=SOFT, linewidth=1, alpha=0.6)
+    axes.plot(before, rows, "o", color=BEFORE, markersize=7)
+    axes.plot(after, rows, "o", color=AFTER, markersize=7)
+    axes.set_yticks(rows, [_short(label) for label in labels], parse_math=False)
+    axes.set(xlabel="error, times the noise", ylim=(len(labels) - 0.5, -0.5))
+    axes.tick_params(axis="y", length=0)
+    _times_scale(axes, "x", before, after)
+
+
+def _short(label: str) -> str:
+    return label if len(label) <= LONGEST_NAME else f"…{label[1 - LONGEST_NAME :]}"
+
+
+def _times_scale(axes: Axes, which: str, *values: FloatArray) -> None:
+    """Logarithmic, and never so fine that chance looks like a difference."""
+    low, high = min(float(v.min()) for v in values), max(float(v.max()) for v in values)
+    limits = (min(0.8 * low, 0.7), max(1.3 * high, 2.0))
+    axes.set(**{f"{which}scale": "log", f"{which}lim": limits})
+    axis = getattr(axes, f"{which}axis")
+    plain_decades(axis)
+    axis.set_minor_locator(NullLocator())
+    grid(axes)
+
+
+def draw_bed(box: Box, split: Split, radius_mm: float) -> None:
+    """Draw a circle a position, its radius growing with the logarithm of the error: before around after."""
+    axes = box.subplots()
+    axes.add_patch(Circle((0, 0), radius_mm, facecolor=GROUND, edgecolor=NOISE, linewidth=1.5))
+    axes.plot(0, 0, "+", color=SOFT, markersize=10)
+    both = [[times_noise(x) for x in part] for part in (split.before, split.after)]
+    scale = LARGEST_SPOT * radius_mm / max(SMALL_SCALE, *(_magnitude(x) for part in both for x in part))
+    for (x, y, *_), before, after in sorted(zip(split.at, *both, strict=True), key=lambda each: -each[1]):
+        for value, colour, alpha in ((before, BEFORE, 0.55), (after, AFTER, 1.0)):
+            axes.add_patch(Circle((x, y), scale * _magnitude(value), color=colour, alpha=alpha, linewidth=0))
+        below = any(np.hypot(x - u, y - v) < NEIGHBOUR_SHARE * radius_mm and (v, u) > (y, x) for u, v, *_ in split.at)
+        spot = scale * _magnitude(max(before, after))
+        _label(axes, (x, y - spot if below else y + spot), f"{digits(before, 2)} → {digits(after, 2)}", below)
+    reach = max(radius_mm, *(abs(c) for place in split.at for c in place[:2])) + MARGIN_MM
+    axes.set(aspect="equal", xlim=(-reach, reach), ylim=(-reach, reach), xlabel="X, mm", ylabel="Y, mm")
+    grid(axes)
+
+
+def _label(axes: Axes, at: tuple[float, float], text: str, below: bool) -> None:
+    axes.annotate(
+        text,
+        at,
+        (0, -2 if below else 2),
+        textcoords="offset points",
+        ha="center",
+        va="top" if below else "bottom",
+        fontsize=8,
+        bbox={"facecolor": "#ffffffb0", "edgecolor": "none", "pad": 1},
+    )
+
+
+def _magnitude(times: float) -> float:
+    """Of the circle's radius: 1 for the noise, one more for each doubling."""
+    return 1.0 + max(np.log2(max(times, 1.0)), 0.0)
+
+
+def draw_overlay(box: Box, overlay: Overlay, unit: str) -> None:
+    """Draw measured and simulated signals, and below their difference, with the noise's rms as a band."""
+    above, below = box.subplots(2, 1, sharex=True, height_ratios=(1.4, 1))
+    t = overlay.time_s
+    above.plot(t, overlay.before, color=BEFORE, linewidth=1.2)
+    above.fill_between(t, *_around(overlay.measured, overlay.noise_rms), color=NOISE, linewidth=0)
+    above.plot(t, overlay.measured, color=REFERENCE, linewidth=2.2)
+    above.plot(t, overlay.after, color=AFTER, linewidth=1.2, linestyle=(0, (4, 2)))
+    below.axhspan(-overlay.noise_rms, overlay.noise_rms, color=NOISE, linewidth=0)
+    below.plot(t, overlay.measured - overlay.before, color=BEFORE, linewidth=1.2)
+    below.plot(t, overlay.measured - overlay.after, color=AFTER, linewidth=1.2)
+    above.set(ylabel=unit, xlim=(t[0], t[-1]))
+    below.set(xlabel="time in the run, s", ylabel=f"error, {unit}")
+    for axes in (above, below):
+        grid(axes)
+
+
+def _around(x: FloatArray, half: float) -> tuple[FloatArray, FloatArray]:
+    return x - half, x + half
+
+
+# ---- findings of the splits ----------------------------------------------------------------------
+
+NO_EXCESS = 0.1  # excess, of the noise, on the mean: there is nothing to split
+HIGH_RATIO = 1.5  # times the mean excess
+TELLING_SHARE = 0.25  # of the excess
+LOW_RATIO = 0.1  # times the mean excess
+MOST_NAMED = 4  # labels in one sentence
+
+WHERE = {
+    "frequency": "at {}",
+    "signal": "in {}",
+    "place": "at {}",
+    "window of time": "in the window {}",
+    "motion": "while what is measured is {}",
+    "motor's step cycle": "at {} of the cycle",
+}
+MOTIONS = {"backward": "moving backward", "forward": "moving forward"}
+SPREAD = {
+    "frequency": "no band holds more than its part",
+    "signal": "all signals have their part",
+    "place": "all positions contribute",
+    "window of time": "all windows of time have their part",
+    "motion": "forward, backward and turning back alike",
+    "motor's step cycle": "no phase of the cycle holds much more than its part",
+}
+
+
+def stands_out(split: Split) -> str:
+    """Return `81 % of the excess lies at 60-80 Hz (10 % of what was compared).`."""
+    excess, weight = np.maximum(split.before, 0.0), np.array(split.weight)
+    mean = float(excess @ weight)
+    if mean < NO_EXCESS:
+        return "No excess here: the error is as large as the noise."
+    if len(excess) == 1:
+        return f"There is only one: {split.labels[0]}, where the error is {times(times_noise(mean))} the noise."
+    hot = _hot(excess, mean, bool(split.spans))
+    share = float(excess[hot] @ weight[hot]) / mean
+    if not hot or share < TELLING_SHARE:
+        return _spread(split, excess, mean)
+    where = WHERE[split.title].format(_named(split, hot))
+    most, compared = most_of(share), percent(float(weight[hot].sum()))
+    return f"{most[0].upper()}{most[1:]} of the excess lies {where} ({compared} of what was compared)."
+
+
+def _spread(split: Split, excess: np.ndarray, mean: float) -> str:
+    """State that the excess is everywhere, or nearly."""
+    spared = [] if split.spans else [int(i) for i in np.argsort(excess) if excess[i] < LOW_RATIO * mean]
+    if not spared:
+        return f"Nothing stands out: {SPREAD[split.title]}."
+    return f"It is everywhere but {WHERE[split.title].format(_named(split, spared))}."
+
+
+def _hot(excess: np.ndarray, mean: float, in_a_row: bool) -> list[int]:
+    """Labels whose excess is high; of labels in a row those around the highest."""
+    high = excess > HIGH_RATIO * mean
+    if not in_a_row:
+        return [int(i) for i in np.argsort(-excess) if high[i]]
+    first = last = int(excess.argmax())
+    while first > 0 and high[first - 1]:
+        first -= 1
+    while last < len(excess) - 1 and high[last + 1]:
+        last += 1
+    return list(range(first, last + 1)) if high[first] else []
+
+
+def _named(split: Split, hot: Sequence[int]) -> str:
+    if split.spans:
+        return f"{split.spans[hot[0]][0]:.0f}-{split.spans[hot[-1]][1]:.0f} {split.unit}"
+    names = [MOTIONS.get(split.labels[i], split.labels[i]) for i in hot[:MOST_NAMED]]
+    more = len(hot) - MOST_NAMED
+    return joined([*names, f"{more} more"] if more > 0 else names)
