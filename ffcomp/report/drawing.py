@@ -182,7 +182,8 @@ def file_of(figure: Figure, form: str, dpi: float = DPI) -> bytes:
 def write_figure(figure: Figure, target: Path, dpi: float) -> None:
     """Write the figure whole or not at all; the suffix of `target` names the format, without one it becomes .png."""
     named = target if target.suffix else target.with_name(f"{target.name}.png")
-    replace_atomically(named, [file_of(figure, named.suffix.removeprefix("."), dpi)])
+    content = file_of(figure, named.suffix.removeprefix("."), dpi)
+    replace_atomically(named, [_for_dark_screens(content) if named.suffix == ".svg" else content])
 
 
 BAND_HEIGHT = 1.05  # inches

@@ -43,6 +43,7 @@ from models.effects.catalogue import design_machine
 from models.machine import Machine, Pressure
 
 STEP_S = 5e-4
+HEIGHT_MM = 0.05  # heights that differ by less are one layer
 SMOOTHED_S = 8e-3  # segments are steps of flow, which the plastic evens out
 
 
@@ -96,6 +97,12 @@ class Curve:
     extruding: BoolArray  # (m,) plastic flows
     outer_wall: BoolArray  # (m,) and it is a wall that is seen from outside
     peak: float = 0.0  # mm/s², largest acceleration of a carriage's command
+
+    def by_height(self) -> tuple[FloatArray, FloatArray]:
+        """Return Z (n,) mm and the contour error there where plastic flows, (n,) µm rms, from the bottom up."""
+        z, which = np.unique(np.round(self.reference[self.extruding, 2] / HEIGHT_MM), return_inverse=True)
+        squares = np.bincount(which, (1e3 * self.contour[self.extruding]) ** 2) / np.bincount(which)
+        return HEIGHT_MM * z, np.sqrt(squares)
 
     @property
     def track(self) -> Track:

@@ -54,7 +54,8 @@ def test_every_surface_states_the_same_numbers(written: Path) -> None:
     assert headline in terminal and exact in terminal
     assert seen["answer"]["headline"] == headline and ["If the machine file is exact", exact] in seen["answer"]["facts"]
     picture = drawn(target, "mp-delta-pro")
-    assert headline in picture.replace("\n", " ") and verdict in picture
+    picture = picture.replace("\n", " ")
+    assert headline in picture and verdict in picture
     assert all(um(track["contour_rms_um"]) in exact for track in made["predicted"].values())
     assert all(um(made["expected"][f"{way}_um"]) in headline for way in made["predicted"])
 

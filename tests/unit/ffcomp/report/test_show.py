@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from ffcomp.cli.show import open_picture
-from ffcomp.report.drawing import ERROR, NEIGHBOUR
+from ffcomp.report.drawing import ERROR
 from ffcomp.report.show import show_figure
 from ffcomp.simulation.forecast import Forecast
 from ffcomp.simulation.preview import Curve, Preview
@@ -32,26 +32,36 @@ def drawn(z_mm: float | None = None) -> Any:
     return show_figure(Preview(before.reference, before.t, before, after), predicted, "a print", z_mm=z_mm)
 
 
-def test_it_shows_the_worst_of_the_outer_walls() -> None:
-    assert drawn().axes[0].get_title() == "Largest error on an outer wall: X 40.0, Y 0.0, Z 0.20 mm"
+def test_it_shows_the_worst_of_the_outer_walls_from_near() -> None:
+    close = drawn().axes[0]
+    assert close.get_title("left") == "Largest error on an outer wall:\nX 40.0, Y 0.0, Z 0.20 mm"
+    low, high = close.get_xlim()
+    assert high - low == pytest.approx(2 * 8 * 0.1, rel=0.01)  # 0.1 mm off: 1.6 mm are shown, not the whole line
 
 
-def test_every_axis_has_a_label_with_its_unit_and_every_panel_says_its_layer() -> None:
+def test_the_numbers_of_the_print_stand_once_and_every_panel_has_units() -> None:
     figure = drawn()
-    close, before, after, time, bar = figure.axes
-    assert all(axes.get_xlabel() == "X, mm" and axes.get_ylabel() == "Y, mm" for axes in (close, before, after))
-    assert (time.get_xlabel(), time.get_ylabel()) == ("time in this layer, s", "contour error, µm")
-    assert bar.get_ylabel() == "contour error where plastic flows, µm"
-    assert before.get_title() == "Layer at Z 0.20 mm, without compensation"
-    assert "If the machine file is exact: contour error" in figure.get_suptitle()  # and nowhere else
-    assert [text.get_text() for text in time.get_legend().get_texts()] == ["without compensation", "with compensation"]
+    _, layers, before, after, bar = figure.axes
+    assert all(axes.get_xlabel() == "X, mm" and axes.get_ylabel() == "Y, mm" for axes in (before, after))
+    assert (layers.get_xlabel(), layers.get_ylabel()) == ("contour error where plastic flows, µm rms", "Z, mm")
+    assert bar.get_ylabel() == "contour error, µm"
+    assert before.get_title("left") == "Z 0.20 mm, without compensation"
+    assert "If the machine file is exact: contour error" in figure.get_suptitle()
 
 
-def test_travel_is_thin_and_grey_and_plastic_has_the_colours_of_an_error() -> None:
-    before = drawn().axes[1]
-    (travel,), (plastic,) = before.get_lines(), before.collections
-    assert travel.get_color() == NEIGHBOUR and travel.get_linewidth() < 0.6 * plastic.get_linewidths()[0]
-    assert np.nanmin(travel.get_ydata()) > 20.0  # the third line only
+def test_the_error_by_layer_is_that_of_plastic() -> None:
+    (z,), (error,) = curve(1.0).by_height()
+    ramp = np.linspace(0.5, 1.0, COUNT)
+    assert z == pytest.approx(0.2)
+    assert error == pytest.approx(np.sqrt(np.mean([(100 * ramp) ** 2, (300 * ramp) ** 2])))
+    before, after = drawn().axes[1].get_lines()
+    assert before.get_xdata()[0] == pytest.approx(100 * after.get_xdata()[0])
+
+
+def test_maps_show_plastic_only_in_the_colours_of_an_error() -> None:
+    before = drawn().axes[2]
+    (plastic,) = before.collections
+    assert not before.get_lines() and before.get_ylim()[1] < 15.0  # travel, at 20 mm, is left out
     assert len(plastic.get_segments()) == 2 * COUNT - 1
     assert plastic.get_cmap()(0.0)[:3] == pytest.approx([int(ERROR[0][k : k + 2], 16) / 255 for k in (1, 3, 5)])
 
