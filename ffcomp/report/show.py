@@ -70,9 +70,8 @@ def show_figure(
         text = "\n".join(fill(line, LETTERS) for line in lines if line)
         figure.suptitle(text, fontsize=10, x=0.01, ha="left", parse_math=False)
         heights = [1.1, 1.0, *(0.45 for _ in more)]
-        panels = figure.subplot_mosaic(
-            [["close", "layers"], ["before", "after"], *([name] * 2 for name in more)], height_ratios=heights
-        )
+        rows: list[Any] = [["close", "layers"], ["before", "after"], *([name] * 2 for name in more)]
+        panels = figure.subplot_mosaic(rows, height_ratios=heights)
         _close_up(panels["close"], preview, at, half_width(error_mm))
         _by_layer(panels["layers"], preview)
         _maps(figure, panels["before"], panels["after"], preview, at)

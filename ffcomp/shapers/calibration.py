@@ -275,3 +275,16 @@ def in_words(advice: tuple[ShaperAdvice, ...]) -> str:
     each = ", ".join(f"{one.axis} {one.shaper.upper()} at {one.frequency_hz:.1f} Hz" for one in advice)
     most = min(one.max_accel_mm_per_s2 for one in advice)
     return f"With an input shaper instead (middle of the bed): {each}, max_accel up to {most:.0f} mm/s²."
+
+
+def klipper_block(advice: tuple[ShaperAdvice, ...]) -> str:
+    """Return the settings as Klipper's configuration has them, to copy; empty without advice."""
+    if not advice:
+        return ""
+    lines = [
+        line
+        for one in advice
+        for line in (f"shaper_type_{one.axis}: {one.shaper}", f"shaper_freq_{one.axis}: {one.frequency_hz:.1f}")
+    ]
+    most = min(one.max_accel_mm_per_s2 for one in advice)
+    return "\n".join(["[input_shaper]", *lines, f"# [printer] max_accel: at most {most:.0f}"])
