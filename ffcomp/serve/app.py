@@ -37,7 +37,7 @@ PAGE = {
     "/asking.js": ("asking.js", "text/javascript; charset=utf-8"),
     "/page.css": ("serve.css", "text/css; charset=utf-8"),
 }
-INLINE = {".png": "image/png", ".html": "text/html; charset=utf-8"}
+INLINE = {".svg": "image/svg+xml", ".html": "text/html; charset=utf-8"}
 
 
 class Server:

@@ -41,12 +41,12 @@ def page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
 def test_a_print_comes_back_compensated_with_its_picture(page: Any) -> None:
     job = wait_for(page, started(page, "compensate", [uploaded(page, "a.gcode", WIGGLE)], machine="kossel"))
     assert job["state"] == "done", job["error"]
-    assert job["outputs"] == ["a.gcode", "picture.png"] and "(assumed)" in job["answer"]["lead"]
+    assert job["outputs"] == ["a.gcode", "picture.svg"] and "(assumed)" in job["answer"]["lead"]
     assert job["answer"]["warnings"][0].startswith("The modes of kossel are assumed")
     got = page.get(f"/api/jobs/{job['id']}/files/a.gcode")
     assert b"; Processed by ffcomp" in got.content and "attachment" in got.headers["content-disposition"]
-    seen = page.get(f"/api/jobs/{job['id']}/files/picture.png?view=1")
-    assert seen.content.startswith(b"\x89PNG") and seen.headers["content-type"] == "image/png"
+    seen = page.get(f"/api/jobs/{job['id']}/files/picture.svg?view=1")
+    assert b"<svg" in seen.content and seen.headers["content-type"].startswith("image/svg+xml")
     assert seen.headers["content-security-policy"].startswith("sandbox")
     assert page.post(f"/api/jobs/{job['id']}/remove", json={}).status_code == 200
     assert page.get(f"/api/jobs/{job['id']}/files/a.gcode").status_code == 404

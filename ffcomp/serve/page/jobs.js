@@ -2,6 +2,7 @@
 import { ask, attempt, make } from "./asking.js";
 
 const WORDS = { queued: "waits", running: "runs", done: "done", failed: "failed", cancelled: "cancelled" };
+const MOST_FACTS = 8; // more are folded: the picture and the finding come first
 const drawn = new Map(); // id -> {text, card}
 
 /** Draw the jobs; a card asks the page by {printer, choose, look} to choose a machine and to look again. */
@@ -40,7 +41,6 @@ function cardOf(job, page) {
   if (job.state === "failed") card.append(make("p", { className: "error", textContent: job.error }));
   if (job.state === "done" || job.answer.lead) card.append(...found(job));
   card.append(buttons(job, page));
-  if (job.state === "done" && job.outputs.includes("picture.png")) card.append(picture(job));
   if (job.state !== "queued") card.append(log(job));
   return card;
 }
@@ -58,19 +58,25 @@ function underway(job) {
 }
 
 function found(job) {
-  const { lead, facts = [], warnings = [], to_do: toDo = [], kept } = job.answer;
+  const { lead, facts = [], warnings = [], to_do: toDo = [], kept, code } = job.answer;
   const parts = [];
   if (lead) parts.push(make("p", { className: "lead", textContent: lead }));
+  if (job.state === "done" && job.outputs.includes("picture.svg")) parts.push(picture(job));
   if (kept) parts.push(make("p", { className: "read", textContent: `Kept among your machines as ${kept}, and chosen.` }));
-  if (facts.length) parts.push(make("table", { className: "facts" }, make("tbody", {}, ...facts.map(([name, value]) => make("tr", {}, make("th", { textContent: name, scope: "row" }), make("td", { textContent: value }))))));
+  if (facts.length) {
+    const rows = facts.map(([name, value]) => make("tr", {}, make("th", { textContent: name, scope: "row" }), make("td", { textContent: value })));
+    const table = make("table", { className: "facts" }, make("tbody", {}, ...rows));
+    parts.push(facts.length > MOST_FACTS ? make("details", {}, make("summary", { textContent: `All ${facts.length} numbers` }), table) : table);
+  }
+  if (code) parts.push(make("p", { className: "read", textContent: "For those who stay with an input shaper, in printer.cfg:" }), make("pre", { textContent: code }));
   if (warnings.length) parts.push(list("Mind", warnings));
   if (toDo.length) parts.push(list("To do", toDo));
   return parts;
 }
 
 function picture(job) {
-  const source = file(job, "picture.png", true);
-  return make("a", { href: source, target: "_blank", rel: "noopener" }, make("img", { src: source, loading: "lazy", alt: `Before and after: ${job.answer.lead || job.title}` }));
+  const source = file(job, "picture.svg", true);
+  return make("a", { href: source, target: "_blank", rel: "noopener" }, make("img", { src: source, loading: "lazy", alt: job.answer.lead || job.title }));
 }
 
 function list(title, sentences) {
@@ -92,7 +98,7 @@ function buttons(job, page) {
   if (job.state === "done") {
     if (job.outputs.includes("report.html")) row.append(make("a", { className: "button main", href: file(job, "report.html", true), target: "_blank", rel: "noopener", textContent: "Open the report" }));
     if (job.outputs.includes("better.toml")) row.append(keeping(job, page));
-    for (const name of job.outputs.filter((each) => !["picture.png", "report.html"].includes(each)))
+    for (const name of job.outputs.filter((each) => !["picture.svg", "report.html"].includes(each)))
       row.append(make("a", { className: /\.(toml|json)$/.test(name) ? "button" : "button main", href: file(job, name, false), download: name, textContent: `Download ${job.kind === "compensate" ? "the print" : name}` }));
     if (page.printer && job.kind === "compensate") act("send", "Put it on the printer");
   } else act("again", "Again");
