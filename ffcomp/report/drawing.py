@@ -16,13 +16,10 @@ from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
-from matplotlib.patches import Rectangle
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-from ffcomp.version import __version__
 from gcode.atomic_write import replace_atomically
 from models.arrays import BoolArray, FloatArray
-from models.machine import Machine
 
 matplotlib.use("Agg")
 
@@ -184,39 +181,3 @@ def write_figure(figure: Figure, target: Path, dpi: float) -> None:
     named = target if target.suffix else target.with_name(f"{target.name}.png")
     content = file_of(figure, named.suffix.removeprefix("."), dpi)
     replace_atomically(named, [_for_dark_screens(content) if named.suffix == ".svg" else content])
-
-
-BAND_HEIGHT = 1.05  # inches
-TITLE, FINDING, ABOUT = "#ffffff", "#ffd08a", "#b9c2cf"
-
-
-def machine_line(machine: Machine) -> str:
-    """Name the machine file and its model."""
-    return f"{machine.name}  ·  machine file sha256 {machine.sha256[:12]}  ·  {machine.vibration.describe().heading}"
-
-
-def band(figure: Figure, title: str, finding: str, about: str, more: str = "") -> float:
-    """Draw a band with title, finding and, below, what it is about, over the figure; return its height in inches.
-
-    more : a second line of the finding
-    """
-    width, height = figure.get_size_inches()
-    inches = BAND_HEIGHT + (0.27 if more else 0.0)
-    share = inches / height
-    figure.add_artist(Rectangle((0, 1 - share), 1, share, color=BAND, transform=figure.transFigure, zorder=-1))
-    lines = [(0.31, title, 14, "bold", TITLE), (0.6, finding, 11, "normal", FINDING)]
-    if more:
-        lines.append((0.86, more, 10, "normal", TITLE))
-    for down, text, size, weight, colour in (
-        *lines,
-        (inches - 0.2, f"{about}  ·  ffcomp {__version__}", 8.5, "normal", ABOUT),
-    ):
-        figure.text(0.35 / width, 1 - down / height, text, fontsize=size, weight=weight, color=colour, va="center")
-    return inches
-
-
-def room_below(figure: Figure, band_inches: float) -> None:
-    """Keep what a layout arranges below the band."""
-    engine = figure.get_layout_engine()
-    if isinstance(engine, ConstrainedLayoutEngine):
-        engine.set(rect=(0.0, 0.0, 1.0, 1.0 - (band_inches + 0.08) / float(figure.get_size_inches()[1])))
