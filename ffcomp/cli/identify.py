@@ -2,25 +2,36 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
 from ffcomp.cli.command import group, verb
 from ffcomp.cli.common import report
 from ffcomp.identification.request import DecoupleRequest, FitRequest, RingingRequest, ScanRequest, UpdateRequest
+from ffcomp.options import REPORT
+from ffcomp.request import Request
 from ffcomp.result import Result
 
 if TYPE_CHECKING:
     from ffcomp.identification.machine_fit import MachineFit
 
 
+@dataclass(frozen=True, kw_only=True)
+class FitPage(Request):
+    """The page of a fit; only the command line has it."""
+
+    report: Annotated[Path | None, REPORT] = None
+
+
 @verb
-def fit(request: FitRequest) -> Result:
+def fit(request: FitRequest, page: FitPage) -> Result:
     """Fit a machine file's parameters to measurements, with their uncertainties.
 
     ffcomp states each parameter with its 90 % interval and names those that the data leave weak.
 
     Example: ffcomp identify fit carriage.csv hammer.uff centre-*.csv -m mp-delta-pro
-    --known effector.total_mass_kg=0.651±0.001 -o my-printer.toml --figure fit.png
+    --known effector.total_mass_kg=0.651±0.001 -o my-printer.toml --report fit.html
 
     A cartesian or CoreXY machine: ffcomp identify fit raw_data_x_*.csv raw_data_y_*.csv -m voron-300 -o my.toml
 
@@ -32,8 +43,14 @@ def fit(request: FitRequest) -> Result:
 
     start = load_plant(str(request.machine))
     with SearchProgress(USUAL_S, "reading the files") as progress:
-        result = fit_files(start, request, progress)
-    return _deliver(result, request)
+        result = _deliver(fit_files(start, request, progress), request)
+    if page.report is not None:
+        from ffcomp.report.identify import fit_page
+        from gcode.atomic_write import replace_atomically
+
+        replace_atomically(page.report, [fit_page(result)])
+        report(f"ffcomp: {page.report}")
+    return result
 
 
 @verb

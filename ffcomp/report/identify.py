@@ -5,8 +5,9 @@ Blue is the model and dark the measurement, as everywhere.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from textwrap import fill
 from typing import Any
@@ -22,7 +23,8 @@ from ffcomp.identification.direct import Identified
 from ffcomp.identification.frf_study import View, study
 from ffcomp.identification.machine_fit import AxesFit, MachineFit, ParametersFit, ScanFit
 from ffcomp.measurement.frf import FrequencyResponse
-from ffcomp.report.drawing import AFTER, BAND, NOISE, RC, REFERENCE, SOFT, grid, plain_decades
+from ffcomp.report.drawing import AFTER, BAND, NOISE, RC, REFERENCE, SOFT, Box, Drawing, grid, plain_decades
+from ffcomp.report.page import Section, page
 from ffcomp.shapers.calibration import klipper_block
 from ffcomp.version import __version__
 from models.arrays import ComplexArray, FloatArray
@@ -39,9 +41,9 @@ def figure_of(fit: MachineFit) -> Figure:
         case ScanFit():
             return page_figure(fit)
         case ParametersFit():
-            return fit_figure(fit.result, fit.headline, klipper_block(fit.shapers))
+            return three_panels(fit.name, fit.headline, panels_of(fit.result), klipper_block(fit.shapers))
         case AxesFit():
-            return axes_figure(fit, klipper_block(fit.shapers))
+            return three_panels(fit.name, fit.headline, _panels_of_axes(fit), klipper_block(fit.shapers), fit.belts)
     if fit.belts is None:
         raise RequestError("These data hold no frequency responses to draw (see: --plan).")
     return belts_figure(fit.belts, fit.name)
@@ -69,34 +71,66 @@ class Trace:
 Mode = tuple[float, float, float, float, str]  # frequency, its 90 % interval, Hz, damping ratio, name
 
 
-def fit_figure(identified: Identified, headline: str, block: str = "") -> Figure:
-    """Draw the fit of a delta: its worst response, its modes at the centre, and the residual of all responses.
+@dataclass(frozen=True, eq=False)
+class Panels:
+    """What the three panels show."""
 
-    Parameters
-    ----------
-    block : settings of an input shaper, to copy
-    """
-    fitted = identified.fitted
+    shown: Sequence[Trace]
+    modes: Sequence[Mode]
+    every: Sequence[Trace]
+
+    def draw(self, response: Axes, modes: Axes, residual: Axes) -> None:
+        """Draw all three."""
+        _responses(response, self.shown)
+        _modes(modes, self.modes)
+        _residuals(residual, self.every)
+
+    def drawings(self) -> list[Drawing]:
+        """Return them one by one, for a page."""
+        each: list[tuple[str, Callable[[Axes, Any], None], Any]] = [
+            ("Measured and fitted", _responses, self.shown),
+            ("Modes", _modes, self.modes),
+            ("Residual", _residuals, self.every),
+        ]
+        return [Drawing("", title, "", "", 4.6, 3.4, partial(_alone, draw, of)) for title, draw, of in each]
+
+
+def _alone(draw: Callable[[Axes, Any], None], of: Any, box: Box) -> None:
+    draw(box.subplots(), of)
+
+
+def fit_page(fit: MachineFit) -> bytes:
+    """Render a fit as one HTML file: the answer, the three panels, and settings of an input shaper to copy."""
+    if isinstance(fit, ParametersFit):
+        drawings = panels_of(fit.result).drawings()
+    elif isinstance(fit, AxesFit):
+        drawings = _panels_of_axes(fit).drawings()
+    else:
+        raise RequestError("A report shows frequency responses; these data hold none (see: --plan).")
+    if fit.belts is not None:
+        draw = partial(_alone, belts_panel, fit.belts)
+        drawings.append(Drawing("", "Belts", fit.belts.sentence.partition(". ")[0], "", 4.6, 3.4, draw))
+    sections = [Section("The fit", drawings=drawings)]
+    if block := klipper_block(fit.shapers):
+        sections.append(Section("If you stay with an input shaper", sentences=["Paste into printer.cfg:"], code=block))
+    return page(replace(fit, output=None).answer, fit.name, [f"method {fit.method}", f"ffcomp {__version__}"], sections)
+
+
+def panels_of(identified: Identified) -> Panels:
+    """Return the panels of a delta: its worst response, its modes at the centre, and the residual of all responses."""
+    fitted, machine = identified.fitted, identified.machine
     traces = [
         Trace(_title(r), r.frequency_hz, r.value, model, float(error), np.sqrt(r.variance), _unit(r))
         for r, model, error in zip(fitted.responses, fitted.predictions, fitted.model_errors, strict=True)
     ]
-    machine = identified.machine
     station = study(machine, View(), traces[0].frequency_hz, [np.array(machine.kinematics.centre_mm)]).stations[0]
-    modes = [
-        (m.frequency_hz, m.frequency_hz, m.frequency_hz, m.damping_ratio, m.kind) for m in station.modes if m.rings
-    ]
-    worst = max(traces, key=lambda trace: trace.error)
-    return _three(machine.name, headline, [worst], modes, traces, None, block)
+    ringing = [mode for mode in station.modes if mode.rings]
+    modes = [(m.frequency_hz, m.frequency_hz, m.frequency_hz, m.damping_ratio, m.kind) for m in ringing]
+    return Panels([max(traces, key=lambda trace: trace.error)], modes, traces)
 
 
-def axes_figure(fit: AxesFit, block: str = "") -> Figure:
-    """Draw the fit of straight axes: the worst response of each, their modes, and the residual of all.
-
-    Parameters
-    ----------
-    block : settings of an input shaper, to copy
-    """
+def _panels_of_axes(fit: AxesFit) -> Panels:
+    """Return the panels of straight axes: the worst response of each, their modes, and the residual of all."""
     shown, every, modes = list[Trace](), list[Trace](), list[Mode]()
     for axis in fit.result.axes:
         traces = [
@@ -108,28 +142,27 @@ def axes_figure(fit: AxesFit, block: str = "") -> Figure:
         for mode in axis.modes:
             f = mode.frequency_hz
             modes.append((f.value, f.low, f.high, mode.damping_ratio.value, axis.name))
-    return _three(fit.name, fit.headline, shown, modes, every, fit.belts, block)
+    return Panels(shown, modes, every)
 
 
-def _three(
-    name: str,
-    headline: str,
-    shown: Sequence[Trace],
-    modes: Sequence[Mode],
-    every: Sequence[Trace],
-    belts: BeltComparison | None,
-    block: str,
+def three_panels(
+    name: str, headline: str, panels: Panels, block: str = "", belts: BeltComparison | None = None
 ) -> Figure:
+    """Draw a fit in one figure.
+
+    Parameters
+    ----------
+    block : settings of an input shaper, to copy
+    belts : compared in a panel of their own
+    """
     with matplotlib.rc_context(RC):
         figure = Figure(figsize=(WIDTH, 7.0 + (3.2 if belts else 0.0)), dpi=200, layout="constrained")
         rows: list[Any] = [["response"] * 2, ["modes", "residual"], *([["belts"] * 2] if belts else [])]
-        panels: dict[str, Axes] = figure.subplot_mosaic(rows)
+        axes: dict[str, Axes] = figure.subplot_mosaic(rows)
         figure.suptitle(f"{name}\n{fill(headline, LETTERS)}", x=0.01, ha="left", fontsize=10, parse_math=False)
-        _responses(panels["response"], shown)
-        _modes(panels["modes"], modes)
-        _residuals(panels["residual"], every)
+        panels.draw(axes["response"], axes["modes"], axes["residual"])
         if belts is not None:
-            belts_panel(panels["belts"], belts)
+            belts_panel(axes["belts"], belts)
         below = f"{block}\n" if block else ""
         figure.supxlabel(f"{below}ffcomp {__version__}", fontsize=7, color=SOFT, x=0.01, ha="left", family="monospace")
     return figure

@@ -82,8 +82,8 @@ def diagnose(task: Task) -> list[Step]:
 
 def fit(task: Task) -> list[Step]:
     """Fit the machine file's parameters to captures of a plan."""
-    figure = ("--figure", str(task.out / PICTURE))
-    return [Step(_measured(task, "identify", "fit", *figure), "fitting the machine file")]
+    drawn = ("--figure", str(task.out / PICTURE), "--report", str(task.out / REPORT))
+    return [Step(_measured(task, "identify", "fit", *drawn), "fitting the machine file")]
 
 
 def scan(task: Task) -> list[Step]:

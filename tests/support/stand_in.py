@@ -76,6 +76,7 @@ def identify(words: list[str]) -> dict[str, Any]:
         return answer("3 layers: 5 % of their motion is unexplained.", [["a", "48"]], [], [])
     if words[0] == "fit":
         Path(value(words, "--figure")).write_bytes(PICTURE)
+        Path(value(words, "--report")).write_text(PAGE)
     shaper = {"shaper": "mzv", "frequency_hz": 48.0, "remaining_vibration": 0.01, "max_accel_mm_per_s2": 9000.0}
     numbers = [[f"carriage.number_{k}", "48 (46.4 to 49.6)"] for k in range(16)]
     warnings = ["The mass is weak. Weigh it: --known effector.total_mass_kg=0.3."]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 from typing import cast
 
@@ -11,9 +12,11 @@ import pytest
 from matplotlib.figure import Figure
 
 from ffcomp.identification.direct import Identified
+from ffcomp.identification.machine_fit import ParametersFit
 from ffcomp.identification.predict import predicted
+from ffcomp.identification.uncertainty import normal
 from ffcomp.measurement.frf import FrequencyResponse
-from ffcomp.report.identify import fit_figure
+from ffcomp.report.identify import fit_page, panels_of, three_panels
 from ffcomp.shapers import SHAPERS
 from ffcomp.shapers.calibration import TARGET_SMOOTHING_MM, in_words, klipper_block, shaper_advice, smoothing
 from models.file import load_machine
@@ -34,8 +37,10 @@ def identified(errors: float, inputs: str = "ABC") -> Identified:
     responses = [replace(each, value=1.01 * value) for each, value in zip(blank, values, strict=True)]
     model_errors = np.full(len(blank), errors)
     model_errors[0] = 0.0
-    fitted = SimpleNamespace(responses=responses, predictions=values, model_errors=model_errors, misfit=1.1)
-    return cast(Identified, SimpleNamespace(fitted=fitted, machine=MACHINE))
+    about = {"model_errors": model_errors, "misfit": 1.1, "common_scale_sd": 0.0}
+    mass = {"carriage.mass_kg": normal(0.3, 0.01)}
+    fitted = SimpleNamespace(responses=responses, predictions=values, estimates=mass, beside_scale=mass, **about)
+    return cast(Identified, SimpleNamespace(fitted=fitted, machine=MACHINE, kept=()))
 
 
 def words(figure: Figure) -> list[str]:
@@ -45,7 +50,7 @@ def words(figure: Figure) -> list[str]:
 
 @pytest.fixture(scope="module")
 def drawn() -> Figure:
-    return fit_figure(identified(0.013), "It fits.", klipper_block(shaper_advice(MACHINE)))
+    return three_panels("mine", "It fits.", panels_of(identified(0.013)), klipper_block(shaper_advice(MACHINE)))
 
 
 def test_a_fit_is_three_panels_with_their_units(drawn: Figure) -> None:
@@ -58,6 +63,18 @@ def test_a_fit_is_three_panels_with_their_units(drawn: Figure) -> None:
     left = np.asarray(residual.get_lines()[0].get_ydata())
     trace = identified(0.013).fitted
     assert left == pytest.approx(np.maximum(np.abs(0.01 * trace.predictions[0]) / 1e-3, 1e-2))
+
+
+def test_the_page_has_the_answer_three_panels_and_settings_to_paste() -> None:
+    fit = ParametersFit(
+        **{"start": MACHINE, "data": [], "skipped": ["one.csv"], "name": "mine", "advice": ["Weigh it."], "text": ""},
+        result=identified(0.013),
+        shapers=shaper_advice(MACHINE),
+        output=Path("folder/better.toml"),
+    )
+    text = fit_page(fit).decode()
+    assert text.count("<img ") == 3 and "Weigh it." in text and "The model explains" in text
+    assert f"<pre>{klipper_block(fit.shapers)}</pre>" in text and "folder/" not in text
 
 
 def test_modes_have_their_frequency(drawn: Figure) -> None:
