@@ -45,12 +45,7 @@ _HIGHEST_HZ = 200.0  # of the spectrum
 _NORMALISING_HZ = 0.1
 _NOISY_HZ = 10.0  # below, the spectrum is faded out
 
-_LOWEST_HZ = {  # where a print could still accelerate by about 1.5 m/s²
-    **{"zv": 21.0, "mzv": 23.0, "zvd": 29.0, "zvdd": 35.0, "zvddd": 40.0, "ei": 29.0, "2hump_ei": 39.0},
-    **{"3hump_ei": 48.0, "smooth_zv": 18.0, "smooth_mzv": 20.0, "smooth_ei": 21.0, "smooth_2hump_ei": 21.5},
-    **{"smooth_zvd_ei": 26.0, "smooth_si": 21.5},
-}
-_CANDIDATES = ("zv", "mzv", "ei", "2hump_ei", "3hump_ei")  # in the order of choice; zvd is never recommended
+_CANDIDATES = [name for name, kind in SHAPERS.items() if kind.recommended]  # in the order of choice
 _UP_TO_HZ, _STEP_HZ = 150.0, 0.2
 _TEST_DAMPING_RATIOS = (0.075, 0.1, 0.15)
 _REDUCTION = 20.0  # power below the peak divided by this does not count
@@ -173,7 +168,7 @@ def fit(kind: str, spectrum: Spectrum, square_corner_velocity: float = 5.0) -> F
     ----------
     square_corner_velocity : mm/s
     """
-    tried = np.arange(_LOWEST_HZ[kind], _UP_TO_HZ, _STEP_HZ)
+    tried = np.arange(SHAPERS[kind].lowest_hz, _UP_TO_HZ, _STEP_HZ)
     vibration = _remaining(SHAPERS[kind](1.0, DAMPING_RATIO), tried, *_checked(*spectrum))
     smooth = np.array([smoothing(SHAPERS[kind](f, DAMPING_RATIO), square_corner_velocity) for f in tried])
     score = smooth * (vibration**1.5 + 0.2 * vibration + 0.01)

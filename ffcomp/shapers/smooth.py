@@ -121,16 +121,32 @@ def smooth(name: str, frequency_hz: float, damping_ratio: float = DAMPING_RATIO)
     return KERNELS[name].shaper(name, frequency_hz)
 
 
-SHAPERS: dict[str, Callable[[float, float], Shaper]] = {
-    "zv": zv,
-    "mzv": mzv,
-    "zvd": zvd,
-    "zvdd": zvdd,
-    "zvddd": zvddd,
-    "ei": ei,
-    "2hump_ei": two_hump_ei,
-    "3hump_ei": three_hump_ei,
-    **{name: partial(smooth, name) for name in KERNELS},
+@dataclass(frozen=True, slots=True)
+class ShaperKind:
+    """A kind of shaper: all that calibration, search and comparison must know of it."""
+
+    make: Callable[[float, float], Shaper]  # from frequency, Hz, and damping ratio
+    lowest_hz: float  # that a calibration tries: there a print could still accelerate by about 1.5 m/s²
+    usual: bool = False  # most printers have it: it is compared unless others are named
+    recommended: bool = False  # calibrations choose among these
+
+    def __call__(self, frequency_hz: float, damping_ratio: float) -> Shaper:
+        """Return the shaper of a mode."""
+        return self.make(frequency_hz, damping_ratio)
+
+
+_SMOOTH_LOWEST_HZ = {"smooth_mzv": 20.0, "smooth_ei": 21.0, "smooth_2hump_ei": 21.5, "smooth_zvd_ei": 26.0}
+_SMOOTH_LOWEST_HZ |= {"smooth_zv": 18.0, "smooth_si": 21.5}
+SHAPERS: dict[str, ShaperKind] = {
+    "zv": ShaperKind(zv, 21.0, usual=True, recommended=True),
+    "mzv": ShaperKind(mzv, 23.0, usual=True, recommended=True),
+    "zvd": ShaperKind(zvd, 29.0, usual=True),
+    "zvdd": ShaperKind(zvdd, 35.0),
+    "zvddd": ShaperKind(zvddd, 40.0),
+    "ei": ShaperKind(ei, 29.0, usual=True, recommended=True),
+    "2hump_ei": ShaperKind(two_hump_ei, 39.0, usual=True, recommended=True),
+    "3hump_ei": ShaperKind(three_hump_ei, 48.0, usual=True, recommended=True),
+    **{name: ShaperKind(partial(smooth, name), _SMOOTH_LOWEST_HZ[name]) for name in KERNELS},
 }
 
-USUAL = ("zv", "mzv", "zvd", "ei", "2hump_ei", "3hump_ei")  # what most printers have
+USUAL = tuple(name for name, kind in SHAPERS.items() if kind.usual)

@@ -6,12 +6,15 @@ import os
 import re
 from dataclasses import replace
 from pathlib import Path
+from typing import get_type_hints
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from ffcomp import shapers
+from ffcomp.comparison.methods import NAMES as COMPARED
+from ffcomp.comparison.request import CompareRequest
 from ffcomp.measurement.klipper import Resonances
 from ffcomp.measurement.vibration import read_vibration
 from ffcomp.shapers import calibration as calibrate
@@ -74,6 +77,15 @@ def test_twice_the_frequency_is_twice_the_shaper(kind: str) -> None:
     """Where smoothing hardly counts: V depends on the ratio of frequencies alone."""
     first, second = (calibrate.fit(kind, one_mode(hz)).frequency_hz for hz in (40.0, 60.0))
     assert second / first == pytest.approx(1.5, rel=0.06)
+
+
+@pytest.mark.parametrize("kind", shapers.SHAPERS)
+def test_every_kind_can_be_calibrated_and_compared(kind: str) -> None:
+    """A row of the table is all that a new shaper needs."""
+    only = get_type_hints(CompareRequest, include_extras=True)["only"].__metadata__[0]
+    assert calibrate.fit(kind, one_mode(60.0)).frequency_hz >= shapers.SHAPERS[kind].lowest_hz
+    assert {kind, f"{kind}-z", f"{kind}-calibrated"} <= set(COMPARED)
+    assert re.search(rf"\b{kind}\b", only.help)
 
 
 def both(first: calibrate.Spectrum, second: calibrate.Spectrum) -> calibrate.Spectrum:
