@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ffcomp.errors import MeasurementError
-from ffcomp.identification.axis_spectra import Datum, Response, Spectrum, closed_form, usable
+from ffcomp.identification.axis_spectra import Datum, Response, Spectrum, closed_form, observed_response, usable
 from ffcomp.identification.modal_fit import AxisFit, fit_axis
 from ffcomp.identification.uncertainty import Estimate, normal
+from ffcomp.inference.fit import Settings, fit
+from ffcomp.inference.problem import EstimationProblem, Unknown
 from ffcomp.measurement.frf import AXES, FrequencyResponse
-from ffcomp.measurement.modal import independent_share
 from ffcomp.numerics.stages import Stage
 from models.arrays import ComplexArray, FloatArray
 
@@ -93,6 +94,7 @@ def _exchanged(
         f"x and y exchange motion: axes.exchange = {delta.value:.3f} ({delta.low:.3f} to {delta.high:.3f}) is written, "
         f"so that it is compensated. One belt is stiffer than the other by about {100 * belt:.0f} %: make "
         "their tensions equal and measure again.",
+        *exchange.doubt,
         *sentences,
     ]
 
@@ -118,7 +120,6 @@ def _crossing(answers: Sequence[Response], axes: Sequence[AxisFit]) -> list[str]
 
 
 OTHER = {"x": "y", "y": "x"}
-MODEL_ERROR = 0.1  # of a crossed response, in the weights
 WEAKEST = 0.03  # of its largest value: where an axis answers less to its command, its response divides by noise
 
 
@@ -129,25 +130,37 @@ class Exchange:
     delta: Estimate
     turned_rad: dict[str, float]  # of each crossed response, by its name
     left: float  # amplitude of what is left of the crossed responses beyond noise, over the direct ones'
+    doubt: tuple[str, ...] = ()  # of a fit that has not converged
 
 
 @dataclass(frozen=True, eq=False)
 class _Crossed:
-    """One crossed response, and what δ = 1 and κ = 1 would show in it."""
+    """One crossed response at the lines that count, and what δ = 1 and κ = 1 would show in it, (k,) each."""
 
-    answer: Response
-    lines: FloatArray  # of the response, those that count
+    measured: FrequencyResponse
     exchanged: ComplexArray
     turned: ComplexArray
 
-    @property
-    def value(self) -> ComplexArray:
-        return np.asarray(self.answer.value[self.lines])
+    def shown(self, delta: float, turn: float) -> ComplexArray:
+        """Predict the response (k,): a turned sensor feels less of the axis' own motion, and some of the other's."""
+        across = delta * self.exchanged / self.turned
+        return self.turned * (turn + across * (1 + turn**2) / (1 - turn * across))
 
-    @property
-    def deviation(self) -> FloatArray:
-        """(2 k,) of real, then imaginary parts."""
-        return np.sqrt(self.answer.observed.variance(MODEL_ERROR).reshape(2, -1)[:, self.lines].ravel())
+
+class _Exchanging(EstimationProblem):
+    """δ, then κ of each crossed response; the model errs by a share of the motion that crosses."""
+
+    def __init__(self, pairs: Sequence[_Crossed]) -> None:
+        names = [f"{pair.measured.input} to {pair.measured.output}" for pair in pairs]
+        self.pairs, self.unknowns = pairs, [Unknown("δ"), *map(Unknown, names)]
+        self.observations = [
+            replace(observed_response(pair.measured), size=np.tile(np.abs(pair.turned) ** 2 / 2, 2)) for pair in pairs
+        ]
+
+    def simulate(self, lanes: Sequence[FloatArray]) -> Iterator[FloatArray]:
+        for delta, *turns in lanes:
+            rows = [pair.shown(delta, turn) for pair, turn in zip(self.pairs, turns, strict=True)]
+            yield np.concatenate([part for row in rows for part in (row.real, row.imag)])
 
 
 def find_exchange(axes: Sequence[AxisFit], answers: Sequence[Response]) -> Exchange | None:
@@ -180,7 +193,10 @@ def _crossed(fitted: dict[str, AxisFit], answers: Sequence[Response], crossed: R
     lines = np.abs(f_moved) > WEAKEST * np.abs(f_moved).max()
     exchanged = f_shown * (1 - closed_form(_driven(moved), direct.frequency_hz)) / f_moved
     sign = _sign(fitted[to], shown) * _sign(fitted[of], moved)
-    return _Crossed(crossed, lines, (sign * exchanged * direct.value)[lines], direct.value[lines])
+    shows, size = crossed.measured, np.abs(crossed.value / direct.value) ** 2
+    variance = shows.variance + size * direct.measured.variance  # to first order: the direct response is noisy too
+    kept = replace(shows, frequency_hz=shows.frequency_hz[lines], value=shows.value[lines], variance=variance[lines])
+    return _Crossed(kept, (sign * exchanged * direct.value)[lines], direct.value[lines])
 
 
 def _modes(axis: AxisFit) -> FloatArray:
@@ -201,39 +217,14 @@ def _sign(axis: AxisFit, modes: FloatArray) -> float:
 
 
 def _fitted(pairs: Sequence[_Crossed]) -> Exchange:
-    """Solve for δ and every κ by weighted least squares."""
-    columns, rows = [], []
-    for i, pair in enumerate(pairs):
-        block = np.zeros((2 * len(pair.value), 1 + len(pairs)))
-        block[:, 0], block[:, 1 + i] = _parts(pair.exchanged), _parts(pair.turned)
-        columns.append(block / pair.deviation[:, None])
-        rows.append(_parts(pair.value) / pair.deviation)
-    a, b = np.concatenate(columns), np.concatenate(rows)
-    solved = np.asarray(np.linalg.lstsq(a, b, rcond=None)[0], dtype=np.float64)
-    residual = b - a @ solved
-    independent = _independent(residual, pairs)
-    scatter = max(float(residual @ residual) / max(len(b) - a.shape[1], 1), 1.0)
-    covariance = np.linalg.pinv(a.T @ a) * scatter / independent
-    names = [f"{pair.answer.measured.input} to {pair.answer.measured.output}" for pair in pairs]
-    turns = dict(zip(names, solved[1:].tolist(), strict=True))
-    return Exchange(normal(float(solved[0]), float(np.sqrt(covariance[0, 0]))), turns, _left(solved, pairs))
-
-
-def _parts(value: ComplexArray) -> FloatArray:
-    return np.concatenate([value.real, value.imag])
-
-
-def _independent(residual: FloatArray, pairs: Sequence[_Crossed]) -> float:
-    """Return the least share of independent residuals among the responses."""
-    ends = np.cumsum([2 * len(pair.value) for pair in pairs])[:-1]
-    return min(independent_share(part, len(part) // 2) for part in np.split(residual, ends))
-
-
-def _left(solved: FloatArray, pairs: Sequence[_Crossed]) -> float:
-    """Return the amplitude that is left beyond noise, over that of the direct responses."""
+    """Fit δ and every κ, and compare what is left of the crossed responses beyond noise with the direct ones."""
+    problem = _Exchanging(pairs)
+    found = fit(problem, np.zeros(len(problem.unknowns)), Settings(rounds=5))
+    delta = normal(float(found.values[0]), float(np.sqrt(found.covariance[0, 0])))
     left = direct = 0.0
-    for pair, turn in zip(pairs, solved[1:], strict=True):
-        error = pair.value - solved[0] * pair.exchanged - turn * pair.turned
-        left += float(np.sum(np.maximum(np.abs(error) ** 2 - pair.answer.measured.variance[pair.lines], 0)))
+    for pair, error in zip(pairs, np.split(found.residual * found.sd, problem.ends[:-1]), strict=True):
+        power = np.sum(error.reshape(2, -1) ** 2, axis=0)
+        left += float(np.sum(np.maximum(power - pair.measured.variance, 0)))
         direct += float(np.sum(np.abs(pair.turned) ** 2))
-    return float(np.sqrt(left / direct))
+    turns = dict(zip([u.name for u in problem.unknowns[1:]], found.values[1:].tolist(), strict=True))
+    return Exchange(delta, turns, float(np.sqrt(left / direct)), tuple(found.doubt("what x and y exchange")))

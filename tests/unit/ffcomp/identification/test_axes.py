@@ -72,6 +72,13 @@ def test_exchange_is_found_whether_or_not_the_sensor_is_turned(delta: float, tur
     assert found.left < 0.03
 
 
+@pytest.mark.parametrize("delta", [0.05, -0.03, 0.12])
+def test_other_motion_across_the_axes_hardly_moves_the_exchange(delta: float) -> None:
+    found = found_in(delta, 0.0, 0.02, 0.3)
+    assert found.delta.value == pytest.approx(delta, abs=0.006)
+    assert found.delta.low < delta < found.delta.high
+
+
 def test_a_sensor_on_a_bed_feels_it_the_other_way_round() -> None:
     upright, turned = measured(0.05), []
     for each in upright:
