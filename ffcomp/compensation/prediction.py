@@ -131,38 +131,50 @@ class Prediction:
         self._add_path(reference, shift)
         state = model.machine.equilibrium(nozzle[0])
         plain, _ = model.plant.respond(nozzle, velocity, state, s.substeps)
-        response = result.response + self._joining(solved, nozzle, written)
+        solved_for, executed = self._commands(solved, written)
+        response = result.response + self._joining(solved, nozzle, solved_for, executed)
         knots = nozzle[:: s.substeps]
         for motion, actual, command in ((samples.before, plain, knots), (samples.after, response, result.vertices)):
             motion.actual.append(actual[every - 1 :: every] + shift)
             bend = peak_acceleration(model.kinematics.inverse(command), s.segment_s, s.segment_s)
             motion.peak = max(motion.peak, bend)
-        samples.pieces += self._pieces(solved)
+        samples.pieces += self._pieces(solved, executed)
         samples.clock += length
 
-    def _pieces(self, solved: SolvedSection) -> list[Piece]:
+    def _pieces(self, solved: SolvedSection, executed: FloatArray) -> list[Piece]:
         """Return its share of a section, or all of it if the print is short."""
-        reference, segment_s = solved.reference, self.model.settings.segment_s
-        knots_t = reference.t0 + segment_s * np.arange(len(solved.solution.vertices), dtype=np.float64)
+        reference = solved.reference
+        times = reference.t0 + self._step_s * np.arange(len(executed), dtype=np.float64)
         share = EXCERPT_S / LONGEST_S * max(self.share, 1.0)
         self.sections += 1
         lot = GOLDEN * self.sections % 1.0
         path = path_corners_with_rests(solved.trajectory)
-        return pieces_of_segments(reference.nozzle, knots_t, solved.solution.vertices, path, share, lot)
+        return pieces_of_segments(reference.nozzle, times, executed, path, share, lot)
 
-    def _joining(self, solved: SolvedSection, nozzle: FloatArray, written: Sequence[TimedSegments]) -> FloatArray:
-        """Return what the joined segments add to the response, (n, 3) mm: the model is linear in the command."""
-        model, s, vertices = self.model, self.model.settings, solved.solution.vertices
+    @property
+    def _step_s(self) -> float:
+        return self.model.settings.segment_s / self.model.settings.substeps
+
+    def _commands(self, solved: SolvedSection, written: Sequence[TimedSegments]) -> tuple[FloatArray, FloatArray]:
+        """Return the command that was solved for, and that of the segments as they are written: (n, 3) mm each."""
+        s = self.model.settings
         filament = np.diff(solved.reference.extrusion())
-        command = sample_even_segments(vertices, filament, s.segment_s, s.output, s.substeps)
-        joined = command.copy()
-        times = np.arange(len(command), dtype=np.float64) * (s.segment_s / s.substeps)
+        command = sample_even_segments(solved.solution.vertices, filament, s.segment_s, s.output, s.substeps)
+        executed = command.copy()
+        times = np.arange(len(command), dtype=np.float64) * self._step_s
         for piece in written:
             rows = slice(*times.searchsorted([piece.due[0], piece.due[-1]]).tolist())
-            joined[rows] = piece.positions(times[rows])
+            executed[rows] = piece.positions(times[rows])
+        return command, executed
+
+    def _joining(
+        self, solved: SolvedSection, nozzle: FloatArray, command: FloatArray, executed: FloatArray
+    ) -> FloatArray:
+        """Return what the segments as written add to the response, (n, 3) mm: the model is linear in the command."""
+        model, s = self.model, self.model.settings
         kinematics, still = model.kinematics, np.zeros_like(command)
-        added = kinematics.inverse(joined) - kinematics.inverse(command)
-        place = np.ascontiguousarray(nozzle[s.substeps // 2 :: s.substeps, :2][: len(vertices) - 1])
+        added = kinematics.inverse(executed) - kinematics.inverse(command)
+        place = np.ascontiguousarray(nozzle[s.substeps // 2 :: s.substeps, :2][: len(command) // s.substeps])
         at_rest = np.zeros_like(model.machine.equilibrium(nozzle[0]))
         q, _ = model.plant.play(place, still, added, at_rest, s.substeps)
         response = solved.solution.response

@@ -142,7 +142,7 @@ def pieces_of_segments(
     share: float,
     lot: float,
 ) -> list[Piece]:
-    """Return pieces of a section whose command is at vertices (k, 3) mm at times (k,) s of the plan's clock.
+    """Return pieces of a section whose command passes points (k, 3) mm at times (k,) s of the plan's clock.
 
     plan : the nozzle as sliced, (m,) s → (m, 3) mm;  path : as for `pieces_of`
     share : of the print that is wanted; 1 or more: all of it

@@ -37,7 +37,7 @@ class Forecast:
         if not self.tracks:
             return ""
         before, after = (self.tracks[way] for way in WAYS)
-        ratio = before.contour_rms_um / max(after.contour_rms_um, 1e-9)
+        ratio = before.contour_rms_um / max(after.contour_rms_um, 0.01)  # the last digit that is shown
         change = f"{ratio:.0f} times less"
         if ratio < 1.0:
             change = f"{1.0 / ratio:.1f} times more: see that -m names the machine it was compensated for"

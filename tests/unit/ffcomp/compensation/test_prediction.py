@@ -38,6 +38,17 @@ def test_it_is_near_what_the_whole_file_does_when_it_is_read_again(layers: int, 
         assert getattr(found.expected, name) == pytest.approx(getattr(again.expected, name), rel=0.25)
 
 
+@pytest.mark.parametrize("name", ["ender-3", "voron-300"])
+def test_a_certain_file_is_expected_to_do_what_is_predicted(name: str, tmp_path: Path) -> None:
+    """Of the segments as they are written: Marlin's whole steps are most of what is left of a gentle print."""
+    data = b"G28\nG90\nM83\nG1 X100 Y100 Z5 F6000\nG1 X105 Y100 E.3 F1800\nG1 X105 Y103 E.2\n"
+    certain = replace(load_machine(name), uncertainty={})
+    found = compensate_file(data, "p.gcode", certain, Options(offset=(0.0, 0.0)), tmp_path / "out.gcode")
+    forecast = found.result.forecast
+    assert forecast.expected is not None and forecast.expected.printers == 0
+    assert forecast.expected.compensated_um == pytest.approx(forecast.tracks["compensated"].contour_rms_um, rel=0.1)
+
+
 def pieces(seconds: float, share: float, lot: float) -> list[Piece]:
     t = np.arange(0.0, seconds + 1e-9, 0.004)
     vertices = np.outer(t, [10.0, 0.0, 0.0])
@@ -84,7 +95,7 @@ def test_a_prediction_that_fails_is_said_and_fails_no_print(tmp_path: Path, monk
     assert b"; Processed by ffcomp" in path.read_bytes() and b"; ffcomp forecast=" not in path.read_bytes()
     assert dict(done.result.predicted) == {} and done.to_dict()["verdict"] == ""
     assert "could not be predicted (ValueError: A reference path" in done.result.warnings[0]
-    assert done.to_dict()["warnings"] == done.result.warnings
+    assert done.to_dict()["warnings"] == [*done.result.unknown, *done.result.warnings]
 
 
 def test_corners_of_a_path_never_go_back_in_time() -> None:
