@@ -174,7 +174,7 @@ def _against_best(comparison: Comparison, best: Method, ours: Method) -> str:
         asked, by_ours = best.peaks.acceleration_mm_per_s2, ours.peaks.acceleration_mm_per_s2
         harder = ""
         if asked > TIE_RATIO * by_ours:
-            harder = f" if the carriages can do {acceleration(asked)}, where ffcomp asks for {acceleration(by_ours)}"
+            harder = f" if the carriages can do {acceleration(asked)}, where ffcomp needs {acceleration(by_ours)}"
         return f"{sentence}: {times(ours_um / best_um)} less than ffcomp. Use the shaper{harder}.{usual}"
     if best_um <= TIE_RATIO * ours_um:
         return f"{sentence}, the same as ffcomp.{usual}"

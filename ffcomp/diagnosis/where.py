@@ -227,7 +227,7 @@ def _overlay(
 
 
 def _in_band(estimation: EstimationProblem, i: int, x: FloatArray) -> FloatArray:
-    """Filter signals (n, m) of observation i to the band, as they are compared."""
+    """Filter signals (n, m) of observation i to the compared band."""
     observation = estimation.whiten.observations[i]
     _, keep = lines(observation, estimation.whiten.band_hz)
     spectrum = np.zeros((len(keep), x.shape[1]), dtype=complex)

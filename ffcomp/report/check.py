@@ -14,7 +14,7 @@ from ffcomp.report.drawing import BAND, RC, SOFT, grid
 from ffcomp.version import __version__
 
 SHOWN = 30  # checks, the last ones
-GAP, CHANGE = "#0072b2", "#d55e00"  # told apart by colour-blind people too
+GAP, CHANGE = "#0072b2", "#d55e00"  # distinct for colour-blind readers
 MARKED = {CHANGED: "changed", UNKNOWN: "changed", SENSOR: "sensor"}
 WORDS = {SAME: "as last time", **MARKED}
 

@@ -61,7 +61,7 @@ def diagnosis_page(diagnosis: Diagnosis, where: Discrepancy, proposals: Sequence
 
     Parameters
     ----------
-    proposals : experiments that tell competing explanations apart, the best first
+    proposals : experiments that separate competing explanations, the best first
     """
     result, search = diagnosis.result, diagnosis.search
     output = None if diagnosis.output is None else Path(diagnosis.output.name)

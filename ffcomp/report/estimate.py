@@ -34,7 +34,7 @@ def estimate_figure(estimate: Estimate) -> Figure:
         _features(right, estimate.statistics)
         title = f"{Path(estimate.path).name} on {estimate.machine.name}: {short(estimate.time_s)}"
         figure.suptitle(title, x=0.01, ha="left", fontweight="bold")
-        note = f"planned as the firmware does; heating, homing and macros left out; ffcomp v{__version__}"
+        note = f"planned like the firmware; without heating, homing and macros; ffcomp v{__version__}"
         figure.supxlabel(note, x=0.99, ha="right", fontsize=7)
         return figure
 
@@ -49,7 +49,7 @@ def _layers(axes: Axes, statistics: Statistics) -> None:
         if column.any():
             axes.stairs(below + column, edges, baseline=below, fill=True, color=colour, label=kind, lw=0)
             below = below + column
-    axes.set_xlabel("layer (-1: what comes before the first)" if number[0] == BEFORE else "layer")
+    axes.set_xlabel("layer (-1: start of the file)" if number[0] == BEFORE else "layer")
     axes.set_ylabel("minutes")
     axes.set_title("by layer")
     axes.legend(frameon=False)

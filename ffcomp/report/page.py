@@ -32,7 +32,7 @@ class Section:
     drawings: Sequence[Drawing] = ()
     tables: Sequence[Table] = ()
     sentences: Sequence[str] = ()
-    code: str = ""  # text to copy, as it is
+    code: str = ""  # text to copy
     folded: bool = False  # opened by a click
 
 
@@ -41,10 +41,10 @@ def page(answer: Answer, title: str, about: Sequence[str], sections: Sequence[Se
 
     Parameters
     ----------
-    answer : what the verb found, in the words of its terminal output and JSON
-    title : what the report is about: a print or a machine
+    answer : of the verb: the same words as in the terminal and JSON
+    title : the print or the machine
     about : short facts below the title
-    sections : what follows the answer
+    sections : after the answer
     """
     environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
     environment.filters |= {"said": said, "picture": picture}

@@ -1,4 +1,4 @@
-"""The server's interface: what the page asks, answered. Each handler is a few lines; the work is elsewhere."""
+"""The server's HTTP interface."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What each kind of job runs: command lines of ffcomp, made of options that the verb's request declares and checks.
+"""The command lines of each kind of job, from options that the verb's request declares and checks.
 
 The page offers the options that have a label; a value is read, checked and written as on the command line.
 """
@@ -42,7 +42,7 @@ class Step:
 
 @dataclass(frozen=True, slots=True)
 class Task:
-    """What a job is to do, with paths that the server has chosen."""
+    """One job, with paths that the server has chosen."""
 
     machine: str  # path of its file
     inputs: tuple[Path, ...]
@@ -69,14 +69,14 @@ def compare(task: Task) -> list[Step]:
 
 
 def plan(task: Task, purpose: str) -> list[Step]:
-    """Write moves that are worth recording."""
+    """Write moves to record."""
     target = str(task.out / MOVES)
     words = ("record", "plan", "--for", purpose, "-m", task.machine, "-o", target, "--json", *task.words)
     return [Step(words, "planning moves")]
 
 
 def diagnose(task: Task) -> list[Step]:
-    """Find what the machine file lacks, from captures of a plan."""
+    """Find effects that the machine file lacks, from captures of a plan."""
     return [Step(_measured(task, "diagnose", "--report", str(task.out / REPORT)), "reading the captures")]
 
 
@@ -93,7 +93,7 @@ def scan(task: Task) -> list[Step]:
 
 
 def update(task: Task) -> list[Step]:
-    """Update the machine file by captures of a print; what was learnt before goes on."""
+    """Update the machine file by captures of a print; earlier updates are kept."""
     history = Path(task.machine).with_suffix(UPDATES)
     if history.exists():
         shutil.copyfile(history, (task.out / BETTER).with_suffix(UPDATES))
@@ -107,7 +107,7 @@ def ringing(task: Task) -> list[Step]:
 
 
 def read_machine(task: Task) -> list[Step]:
-    """Make a machine file of a printer's configuration, or check one that is a machine file already."""
+    """Make a machine file from a printer's configuration, or check a machine file."""
     (source,) = task.inputs
     if source.suffix.lower() == ".toml":
         return [Step(("machines", "check", str(source), "--json"), "checking the machine file")]
@@ -135,19 +135,19 @@ def _measured(task: Task, *verb: str) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class Called(Request):
-    """The machine that an import makes; only the page asks for it."""
+    """The name of an imported machine; only the page has this option."""
 
     name: Annotated[str, Option("Its name: letters, digits, - and _.", label="Call it")] = "my-printer"
 
     def check(self) -> None:
-        """Raise RequestError for what is no name of a file everywhere."""
+        """Raise RequestError for a name that some file system refuses."""
         if not NAME.fullmatch(self.name):
             raise RequestError("A machine's name has letters, digits, - and _ only, 60 at most.")
 
 
 @dataclass(frozen=True)
 class Weighed(Request):
-    """What a kitchen scale tells a fit; only the page asks for it."""
+    """The effector's mass on a kitchen scale; only the page has this option."""
 
     known_mass_kg: Annotated[
         float | None,
@@ -285,7 +285,7 @@ def _read(each: Declared, value: bool | str) -> Any:
 
 
 def task_of(kind: str, options: Mapping[str, Any], machine: str, inputs: tuple[Path, ...], out: Path) -> Task:
-    """Return what a job is to do: its options as words of the command line."""
+    """Return a job's task, its options as words of the command line."""
     form = KINDS[kind].form
     words = tuple(form[name].word(value) for name, value in options.items() if name in form and name != "name")
     return Task(machine, inputs, out, words, options.get("name", Called.name))

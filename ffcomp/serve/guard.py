@@ -79,7 +79,7 @@ def token_of(headers: dict[str, str]) -> str:
 
 
 def matches(token: str, settings: Settings) -> bool:
-    """Compare a token without telling by the time it takes how much of it is right."""
+    """Compare a token in constant time."""
     return not settings.token or hmac.compare_digest(token.encode(), settings.token.encode())
 
 
@@ -111,7 +111,7 @@ class Guard:
         if refused is None and not matches(token_of(headers), self.settings):
             if await self._let_in(scope, send):
                 return
-            refused = 401, "This server asks for its token: open the address that it printed when it started."
+            refused = 401, "This server needs its token: open the address that it printed when it started."
         if refused is not None:
             await _say(send, *refused)
             return

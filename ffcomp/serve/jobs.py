@@ -1,7 +1,7 @@
-"""Jobs as they are kept: one folder each, so that they outlive the page, the browser and the server.
+"""Stored jobs: one folder each, so that they outlive the page, the browser and the server.
 
 In it, `job.json` is the job, replaced as a whole; `in/` holds the files that it was given, `out/` those that it makes;
-`N.json` is what step N printed on stdout, `N.events` how far it was, and `log.txt` what all steps said.
+`N.json` is the stdout of step N, `N.events` its progress, and `log.txt` the stderr of all steps.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class Job:
     started: float = 0.0
     ended: float = 0.0
     state: str = QUEUED
-    share: float | None = None  # that is done, 0 to 1; None where nobody knows
+    share: float | None = None  # that is done, 0 to 1; None: unknown
     doing: str = ""
     error: str = ""  # why it failed, in a sentence
     outputs: tuple[str, ...] = ()  # names of the files in `out/`
@@ -64,7 +64,7 @@ class JobFolder:
         return self.folder / id_
 
     def write(self, job: Job) -> None:
-        """Keep a job as it is now."""
+        """Store a job."""
         replace_atomically(self.place(job.id) / "job.json", [json.dumps(asdict(job)).encode()])
 
     def read_all(self) -> Iterator[Job]:

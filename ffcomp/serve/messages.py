@@ -1,4 +1,4 @@
-"""What a process says: its events while it runs, and what it printed on stderr when it fails."""
+"""A process's events while it runs, and the reason for its failure from stderr."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from pathlib import Path
 TAIL = 1 << 16  # bytes of the log that are read
 OURS = "ffcomp: "
 _KILLED = (
-    "The process was killed from outside (signal {signal}). Often that means that there was not enough memory. "
-    "Nothing of yours was changed: start it again."
+    "The process was killed (signal {signal}), often because memory ran out. "
+    "None of your files was changed: start it again."
 )
-_FAULT = "This is a fault of ffcomp's own; what led to it is in its log, below."
+_FAULT = "Internal error. See the log below."
 
 
 def tail(log: Path) -> str:
@@ -27,22 +27,22 @@ def tail(log: Path) -> str:
 
 
 def log_end(place: Path) -> str:
-    """Return the end of what a job's processes have said, files named as the user named them."""
+    """Return the end of a job's log, with the user's file names."""
     return without_folder(tail(place / "log.txt"), place)
 
 
 def without_folder(text: str, place: Path) -> str:
-    """Take the server's folders out of a text: nobody else needs to know them."""
+    """Remove the server's folders from a text."""
     for folder in (place / "in", place / "out", place):
         text = text.replace(f"{folder}{os.sep}", "")
     return text
 
 
 def progress(events: Path, doing: str) -> tuple[float | None, str]:
-    """Return the share that is done, 0 to 1, where it is known, and what is being done, with the time left.
+    """Return the share that is done, 0 to 1 or None, and the stage with the time left.
 
     events : the file of a step's events
-    doing : what the step is called, where none was told yet
+    doing : the step's name, used before its first event
     """
     with suppress(IndexError, ValueError, KeyError):
         event = json.loads(tail(events).rstrip("\n").rsplit("\n", 1)[-1])

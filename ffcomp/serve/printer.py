@@ -63,7 +63,7 @@ class Printer:
             yield from answer.iter_bytes(PIECE)
 
     def write(self, source: Path, beside: str) -> str:
-        """Put a file beside another one on the printer, under a name of its own, and return its path."""
+        """Upload a file to the folder of another one on the printer, under a new name, and return its path."""
         folder = PurePosixPath(beside).parent if beside else PurePosixPath(".")
         name = _free_name(source.name, folder, {each.path for each in self.files()})
         fields = {"root": "gcodes", "path": "" if str(folder) == "." else str(folder), "print": "false"}
@@ -85,7 +85,7 @@ class Printer:
 
     @contextmanager
     def _answers(self) -> Iterator[None]:
-        """Say in a sentence how the printer failed to answer."""
+        """Turn an HTTP failure into a sentence."""
         try:
             yield
         except httpx.HTTPStatusError as error:
@@ -97,7 +97,7 @@ class Printer:
 
 
 def _free_name(name: str, folder: PurePosixPath, taken: set[str]) -> str:
-    """Return a name that no file of the printer has: the slicer's print stays there as it is."""
+    """Return a name that no file of the printer has: the slicer's print is not replaced."""
     stem, dot, kind = re.sub(r'["\r\n]', "_", name).partition(".")
     names = [f"{stem}{SUFFIX}{number}{dot}{kind}" for number in ("", *range(2, 1000))]
     return next(each for each in names if str(folder / each) not in taken)

@@ -41,7 +41,7 @@ class Runner:
     find_machine : callable
         Gives a machine file's path for its name.
     ended : callable
-        Called with each job that has ended well, and returns it, perhaps with more in its answer.
+        Called with each job that is done; returns it, perhaps with a longer answer.
     """
 
     def __init__(
@@ -270,7 +270,7 @@ def _sentence(error: Exception) -> str:
         return error.sentence
     if isinstance(error, OSError):
         return f"{error.strerror or error}: {error.filename or 'a file'}."
-    return f"This is a fault of ffcomp's own: {error!r}."
+    return f"Internal error: {error!r}."
 
 
 def _why(code: int, place: Path) -> str:
@@ -290,13 +290,13 @@ def _answer(job: Job, place: Path) -> Answer:
 
 
 def _environment(events: Path) -> dict[str, str]:
-    """Return the environment of a process: where it tells its events, without what a slicer may have left in it."""
+    """Return a process's environment, with the file for its events and without a slicer's variables."""
     kept = {name: value for name, value in os.environ.items() if not name.startswith("SLIC3R_PP")}
     return kept | {"COLUMNS": "200", "PYTHONUNBUFFERED": "1", "FFCOMP_EVENTS": str(events)}
 
 
 def _be_nice(pid: int) -> None:
-    """Let everything else go first, and let a computer that runs out of memory end this process before others."""
+    """Lower the priority, and let this process be the first to end when memory runs out."""
     if hasattr(os, "setpriority"):
         with suppress(OSError):
             os.setpriority(os.PRIO_PROCESS, pid, NICENESS)
@@ -323,7 +323,7 @@ def _signal(pid: int, number: int) -> None:
 
 
 def _end_left_over(pid: int, place: str) -> None:
-    """End the process of a server that is gone, if it is still this job's: numbers are given anew."""
+    """End the process of a server that is gone, if it is still this job's: process numbers are reused."""
     with suppress(OSError):
         if pid > 0 and place.encode() in Path(f"/proc/{pid}/cmdline").read_bytes():
             _signal(pid, signal.SIGTERM)

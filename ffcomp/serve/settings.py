@@ -1,4 +1,4 @@
-"""What a server was asked to be, in one frozen object."""
+"""The settings of a server."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ class Settings:
     jobs: int = 1  # that run at the same time
     largest_bytes: int = 1024 * MEGABYTE  # of a file that is taken
     room_bytes: int = 20 * 1024 * MEGABYTE  # for all files of the folder together
-    keep_days: float = 14.0  # age at which jobs that have ended are removed
-    names: tuple[str, ...] = ()  # beside those that `guard` knows, by which the server is reached
+    keep_days: float = 14.0  # after which finished jobs are removed
+    names: tuple[str, ...] = ()  # of the server, in addition to those that `guard` knows
     frames: tuple[str, ...] = ()  # origins of pages that may show this one in a frame, e.g. `http://mainsailos.local`
     token: str = ""  # that a visitor needs; empty: none
     moonraker: str = ""  # address of the printer's Moonraker; empty: none

@@ -1,4 +1,4 @@
-"""Files that come in: written piece by piece, never more than the limits, under names of the server's choosing."""
+"""Uploads: written piece by piece, within the limits, under names that the server chooses."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class Refused(Exception):
 
 @dataclass(frozen=True, slots=True)
 class Upload:
-    """One file that has come in whole."""
+    """One complete upload."""
 
     id: str
     name: str
@@ -49,13 +49,13 @@ def safe_name(name: str, default: str = "file") -> str:
     """Return the last part of a name, of letters that no file system or command line takes for anything else."""
     last = re.split(r"[/\\]", name)[-1]
     kept = re.sub(r"[^\w.,=+ -]", "_", last).strip(" .-")
-    if len(kept) > LONGEST_NAME:  # what tells the kind stands at the end
+    if len(kept) > LONGEST_NAME:  # keep the suffix
         kept = kept[: LONGEST_NAME - 20] + kept[-20:]
     return kept or default
 
 
 def is_full(error: BaseException) -> bool:
-    """Tell whether the disk is what had no room."""
+    """Tell whether the disk is full."""
     return isinstance(error, OSError) and error.errno in (ENOSPC, EDQUOT)
 
 
