@@ -167,6 +167,7 @@ class Machine:
     still: tuple[str, ...] = ()  # macros that move nothing
     input_shaper: tuple[str, ...] | None = None  # commands that switch the firmware's own on; None: unknown
     flavor: str = ""  # of its firmware: "klipper", "marlin" or "reprapfirmware"; empty: unknown
+    firmware_version: tuple[int, ...] = ()  # its numbers, such as (2, 1, 2); empty: unknown
     pressure: Pressure | None = None  # of the hot end; None: unknown
     marlin: MarlinSettings | None = None  # None: unknown
     reprapfirmware: RepRapFirmwareSettings | None = None  # likewise

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
@@ -15,6 +16,7 @@ from gcode.dialects import close_limits, open_limits
 from gcode.program import MotionLimits, Program
 from models.machine import Machine
 
+CRUISE_RATIO_ALONE = (2026, 7)  # Kalico since then has no ACCEL_TO_DECEL
 RESTORE = "FFCOMP_RESTORE"
 
 MACRO = f"""\
@@ -62,13 +64,20 @@ class Klipper(Firmware):
     def opening(self, machine: Machine, raised: SegmentLimits, file: FileLimits) -> list[bytes]:
         """Return SET_VELOCITY_LIMIT with the raised limits."""
         velocity, acceleration = raised.velocity_mm_per_s, raised.acceleration_mm_per_s2
-        return open_limits(KLIPPER, velocity, acceleration, raised.square_corner_velocity_mm_per_s)
+        return _obeyed(machine, open_limits(KLIPPER, velocity, acceleration, raised.square_corner_velocity_mm_per_s))
 
     def closing(self, machine: Machine, raised: SegmentLimits, file: FileLimits) -> list[bytes]:
         """Return SET_VELOCITY_LIMIT with the limits of the last move."""
         after = [command.after for command in file.commands.values()] or [MotionLimits()]
         stated = replace(file.at_move, accel_to_decel=after[-1].accel_to_decel)
-        return close_limits(KLIPPER, _first_known(stated, machine_limits(machine)))
+        return _obeyed(machine, close_limits(KLIPPER, _first_known(stated, machine_limits(machine))))
+
+
+def _obeyed(machine: Machine, lines: list[bytes]) -> list[bytes]:
+    """Leave out the word that the firmware no longer knows."""
+    if machine.firmware_version < CRUISE_RATIO_ALONE:
+        return lines
+    return [re.sub(rb" ACCEL_TO_DECEL=[\d.]+", b"", line) for line in lines]
 
 
 def _first_known(file: MotionLimits, machine: MotionLimits) -> MotionLimits:

@@ -18,6 +18,11 @@ from models.kinematics.delta import DeltaKinematics
 from models.machine import Machine
 
 PART_S = 300.0  # a delta's lines are cut by time: a megabyte of slow text becomes millions of pieces
+KNOWN = (2, 1, 2)  # the version whose planner this is
+NEWER_JERK = (
+    "The print is planned as Marlin 2.1.2 does. Later versions have another classic jerk: short programs took 16 % "
+    "less to 9 % more time than planned."
+)
 
 
 class Marlin(Firmware):
@@ -45,7 +50,10 @@ class Marlin(Firmware):
         stated = () if machine.marlin is None else machine.marlin.stated
         corner = "junction_deviation_mm" if "junction_deviation_mm" in stated else "jerk_mm_per_s"
         matter = ("acceleration_mm_per_s2", "speed_mm_per_s", "retract_acceleration_mm_per_s2", corner)
-        return assumed_sentence("Marlin", stated, matter, "the printer's answer to M503")
+        sentence = assumed_sentence("Marlin", stated, matter, "the printer's answer to M503")
+        if machine.firmware_version[:3] > KNOWN and "junction_deviation_mm" not in stated:
+            sentence = f"{sentence} {NEWER_JERK}".strip()
+        return sentence
 
     def opening(self, machine: Machine, raised: SegmentLimits, file: FileLimits) -> list[bytes]:
         """Return M201 to M205 with the raised limits."""

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator, Mapping
 from typing import Annotated, Any, ClassVar, Literal
 
@@ -211,6 +212,7 @@ class PrinterDocument(Document):
             still=tuple(self.macros.still or ()),
             input_shaper=None if self.firmware.input_shaper is None else tuple(self.firmware.input_shaper),
             flavor=self.firmware.flavor or "",
+            firmware_version=tuple(map(int, re.findall(r"\d+", self.firmware.version or ""))),
             marlin=None
             if self.firmware.marlin is None
             else self.firmware.marlin.settings(self.limits.limits(), self.moves == "carriages"),

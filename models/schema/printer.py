@@ -173,6 +173,7 @@ class FirmwareTable(Table):
     """`[firmware]`: the printer's firmware and its own input shaper."""
 
     flavor: Literal["klipper", "marlin", "reprapfirmware"] | None = None
+    version: Annotated[str, Field(pattern=r"^v?\d+(\.\d+)*$")] | None = None
     input_shaper: list[Annotated[str, AfterValidator(_shaper_command)]] | None = None
     marlin: MarlinTable | None = None
     reprapfirmware: RepRapFirmwareTable | None = None

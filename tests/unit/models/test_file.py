@@ -237,6 +237,7 @@ def test_mistakes_are_named_with_key_value_and_rule(problems, old: str, new: str
             "is not a number of this file. Did you mean 'carriage.mass_kg'?",
         ),
         ("[firmware]\nflavor = 'kliper'", "firmware.flavor = 'kliper' must be"),
+        ("[firmware]\nversion = 'new'", "firmware.version = 'new' must"),
         ("[macros]\nreturns = ['G 1']", "macros.returns[0] = 'G 1' must be a name"),
         ("[firmware]\nflavour = 'klipper'", "firmware.flavour is not a key of a machine file. Did you mean 'flavor'?"),
         ("[uncertainty]\ndefault = -1", "uncertainty.default = -1 must be at least 0."),

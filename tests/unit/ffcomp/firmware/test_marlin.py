@@ -213,6 +213,14 @@ def test_unknown_settings_are_told() -> None:
     assert Marlin().assumed(replace(machine, marlin=replace(CARTESIAN, stated=stated))) == ""
 
 
+@pytest.mark.parametrize(("version", "newer"), [((), False), ((2, 1, 2, 5), False), ((2, 1, 3), True), ((2, 2), True)])
+def test_a_later_version_with_another_classic_jerk_is_named(version: tuple[int, ...], newer: bool) -> None:
+    machine = replace(machine_of("cj-6"), firmware_version=version)
+    assert ("another classic jerk" in Marlin().assumed(machine)) == newer
+    of_deviation = replace(CARTESIAN, stated=(*MarlinSettings.__dataclass_fields__,))
+    assert Marlin().assumed(replace(machine, marlin=of_deviation)) == ""
+
+
 def test_a_lead_screws_jerk_is_named_where_z_is_a_tower() -> None:
     low, even = b"M205 X10 Y10 Z0.2\nG1 X20 F600\n", b"M205 X10 Y10 Z10\nG1 X20 F600\n"
     (warning,) = read(low, machine_of("delta-6")).warnings
