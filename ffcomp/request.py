@@ -324,9 +324,9 @@ def check_targets(requests: Sequence[Request]) -> None:
     for each, value in stated:
         for path in _paths_in(each, value) if each.option.writes else ():
             name, folder = each.names[0], each.option.writes == "folder"
-            if path.exists() and path.is_dir() != folder:
-                raise RequestError(f"{path}: {name} names a {each.option.writes}.")
-            if not folder and not path.resolve().parent.is_dir():
+            if folder and path.exists() and not path.is_dir():
+                raise RequestError(f"{path}: {name} names a folder.")
+            if not folder and (path.is_dir() or not path.resolve().parent.is_dir()):
                 raise RequestError(f"{path}: {name} names a file in a folder that exists.")
             if path.resolve() in read:
                 raise RequestError(f"{path} is read as well; give another {name}.")

@@ -8,6 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from ffcomp.cli.app import app
+from ffcomp.cli.command import commands
 from ffcomp.errors import FfcompError
 from ffcomp.inverse.settings import effort_curve
 from ffcomp.measurement.frf import KEYS
@@ -32,12 +34,14 @@ def test_the_page_of_verbs_is_in_step_with_them() -> None:
 
 
 def test_every_example_of_a_verb_names_options_that_it_has() -> None:
-    shown = [verb for verb in cli_reference.verbs() if verb.example]
-    assert len(shown) > 8
-    for verb in shown:
-        known = {name for each in verb.options for name in (*each.names, each.negative)}
-        assert f"{verb.example} ".startswith(f"ffcomp {verb.name} ")
-        assert set(re.findall(r" (--?[a-z][\w-]*)", verb.example)) <= known
+    shown = 0
+    for path, command, options in commands(app):
+        known = {name for each in options for name in (*each.names, each.negative)} | {"-q", "--quiet", "--json"}
+        for example in re.findall("^Example: (.*)$", command.help, re.MULTILINE):
+            shown += 1
+            assert f"{example} ".startswith(f"ffcomp {' '.join(path)} ")
+            assert set(re.findall(r" (--?[a-z][\w-]*)", example)) <= known
+    assert shown > 8
 
 
 # ---- machine_file.md -----------------------------------------------------------------------------

@@ -493,7 +493,7 @@ def test_the_verb_writes_both_files_and_says_what_to_do_next(tmp_path: Path) -> 
 def test_the_verb_reports_to_people(tmp_path: Path) -> None:
     code, out, _ = run("-o", str(tmp_path / "excite.gcode"))
     assert code == 0
-    for words in ("min recorded", "--at line-of-action", "3 for each", "ffcomp identify fit -m mp-delta-pro"):
+    for words in ("min recorded", "--at line-of-action", "3 captures for each", "ffcomp identify fit -m mp-delta-pro"):
         assert words in out
 
 

@@ -232,7 +232,7 @@ def test_what_cannot_be_written_is_said_at_once(given: str, plain: Case, tmp_pat
 def test_one_file_cannot_be_both(plain: Case, tmp_path: Path) -> None:
     same = str(tmp_path / "both")
     answer = run(plain.runs, "--report", same, "-o", same)
-    assert answer.exit_code == 2 and "must be two files" in answer.output
+    assert answer.exit_code == 2 and "is named twice" in answer.output
 
 
 def test_nothing_is_written_when_the_page_fails(
