@@ -80,6 +80,7 @@ OBJECTS: dict[str, dict[str, str]] = {  # by heading of the page: by place of it
     "ffcomp-diagnose/1": {
         "": "ffcomp.diagnosis.verb:result_json ffcomp.diagnosis.verb:Diagnosis.details ffcomp.result:Result.to_dict",
         "effects[].": "ffcomp.diagnosis.verb:_effect_json",
+        "residual_curves[].": "ffcomp.diagnosis.residual_curves:ResidualCurve.to_dict",
         "separate[].": "ffcomp.diagnosis.next_experiment:Separation.to_dict",
     },
     "DOMINANT": {"": "ffcomp.diagnosis.verb:_effect_json ffcomp.diagnosis.result:Rest.to_dict"},

@@ -6,7 +6,7 @@ Its file states no pitch of a ripple, so pitches are looked for in the data. A r
 a cos(2π u/p) in the order, or in the force. The axis answers it linearly, so that for every pitch the two numbers of
 amplitude and phase follow from one 2 × 2 system (Lomb 1976, for the place in place of the time). From one try to the
 next the ripple shifts by a quarter of a turn over the whole travel, or a short pitch falls between them. Where a
-simulation begins anew all the time, it leaves too little of a ripple. There the force is known, and what of it inertia
+simulation restarts all the time, it leaves too little of a ripple. There the force is known, and what of it inertia
 and friction do not explain is searched line by line (matching pursuit; Mallat and Zhang 1993).
 
 Under feedback a free axis may hardly move while its drive holds all that is missing: simulated from that force alone it
@@ -38,9 +38,9 @@ from models.printer.one_axis import axis_parameters, simulate_axis
 from models.vibration.driven_axis import DrivenAxis
 
 OFFSET = "axis.offset_n"
-FORCE_OFFSET = 0.1  # of the force, by which the zero of a measured force may be off
+FORCE_OFFSET = 0.1  # of the force: error of a measured force's zero
 MOST_LINES = 6  # of a force that repeats along an axis
-MOST_PITCHES = 4  # at which a search for a ripple begins
+MOST_PITCHES = 4  # where a search for a ripple begins
 KEPT = 6  # motions that are held
 HEAVY_KG = 1e9  # of a mass that forces leave where it is
 STEP_COST = 2.0  # of a printer's steps: these take no lanes
@@ -66,6 +66,7 @@ class AxisProblem(Problem):
         self.names = MachineNames(quantities=quantities, catalogue=catalogue_of(quantities, machine.vibration.moves))
         self.commanded = not driven_axis(machine).by_force
         self.shots = shots_of(machine, runs)
+        self.places = [_way(one.run) for one in self.shots]  # (n,) mm, or one NaN: not measured
         self.band_hz = band_of(self.shots)
         self.windows = [
             Window(i, slice(rows.start, rows.start + quick_length(rows.stop - rows.start)))
@@ -84,7 +85,7 @@ class AxisProblem(Problem):
         pitches: list[float] = []
         if RIPPLES & set(names):
             distinct = [self.shots[i] for i in sorted(set(self._same))]
-            if any(one.length for one in self.shots):  # it begins anew all the time, and leaves too little of a ripple
+            if any(one.length for one in self.shots):  # it restarts all the time, and leaves too little of a ripple
                 lines = pitches_of_force(machine, distinct, MOST_LINES)
             else:
                 pitches = likely_pitches(machine, distinct, self.band_hz, MOST_PITCHES)
@@ -148,9 +149,28 @@ class AxisProblem(Problem):
 
     def balance(self) -> ForceBalance | None:
         """Return the same recordings by the force that their motion needs; None where that is not known."""
-        axis = driven_axis(self.machine)
-        known = [one.length and not axis.load_mass_kg and np.isfinite(_way(one.run)).all() for one in self.shots]
-        return ForceBalance(self) if all(known) else None
+        return ForceBalance(self) if self._forces_known and all(one.length for one in self.shots) else None
+
+    @property
+    def _forces_known(self) -> bool:
+        whole = all(bool(np.isfinite(place).all()) for place in self.places)
+        return whole and not driven_axis(self.machine).load_mass_kg
+
+    def by_force(self) -> AxisProblem:
+        """Return the problem of the forces, where the drive's is known."""
+        return ForceBalance(self) if self._forces_known and not self.commanded and not self.forces else self
+
+    def moved(self, i: int) -> Mapping[str, FloatArray]:
+        """Return position, speed, and the drive's force or the acceleration of a window, (n, m) each."""
+        window, axis = self.windows[i], driven_axis(self.machine)
+        one, place, signals = self.shots[window.run], self.places[window.run], len(self.observations[i].signals)
+        moved = {"pos": place, "vel": one.speed}
+        if self.commanded:
+            moved["acc"] = 1e-3 * np.gradient(one.speed, 1 / one.run.sample_rate_hz)
+        else:
+            moved["force"] = axis.force_of(one.run.drive, one.run.supply_v)
+        known = {name: x for name, x in moved.items() if len(x) == len(one.run.drive)}
+        return {name: np.tile(x[window.rows, None], (1, signals)) for name, x in known.items()}
 
     def machine_with(self, values: Mapping[str, float]) -> Machine:
         """Return the machine file's axis with these parameters and effects."""
@@ -163,7 +183,7 @@ class AxisProblem(Problem):
 
 
 class ForceBalance(AxisProblem):
-    """The force of the drive, beside the one that the measured motion needs: at every sample, from its state there."""
+    """The force of the drive next to the one that the measured motion needs: at every sample, from its state there."""
 
     forces = True
 
@@ -262,7 +282,7 @@ class _Part:
 
 
 def likely_pitches(machine: Machine, shots: Sequence[Shots], band_hz: tuple[float, float], most: int) -> list[float]:
-    """Return the pitches, mm, at which a ripple explains most of what the file leaves, the best first.
+    """Return the pitches, mm, whose ripple explains most of what the file leaves, the best first.
 
     Parameters
     ----------

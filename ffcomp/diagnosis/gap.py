@@ -11,6 +11,7 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from ffcomp.diagnosis.fit import estimation_problem, fit
 from ffcomp.diagnosis.noise import NoiseFloor, Whitener, noise_floor, whitener
 from ffcomp.diagnosis.problem import Observation, Problem, Repeats
 from ffcomp.diagnosis.problems import Recorded, check_alike, plant_of, problem_of, recordings_of
@@ -134,16 +135,18 @@ class Discrepancy(Result):
 
     residual: ResidualBreakdown
     floor: NoiseFloor
-    notes: tuple[str, ...] = ()  # what is wrong with the repeats, in full sentences
+    notes: tuple[str, ...] = ()  # faults of the repeats, in full sentences
     places: Mapping[tuple[float, ...], str] = field(default_factory=dict)  # what people call them
+    forces: bool = False  # compared are the drive's force and the one that the measured motion needs
 
     @property
     def headline(self) -> str:
         """How large the disagreement is, and what noise alone would leave."""
         total = self.residual.total
         noise = "; that is noise" if self.is_noise else ""
+        compared = "the drive's forces" if self.forces else "the signals"
         return (
-            f"Simulation and measurement differ by {100 * total.nrms:.2f} % of the signals; noise alone would leave "
+            f"Simulation and measurement differ by {100 * total.nrms:.2f} % of {compared}; noise alone would leave "
             f"{100 * total.noise_nrms:.2f} % (known from {self.floor.origin}){noise}."
         )
 
@@ -168,7 +171,7 @@ class Discrepancy(Result):
 
     @property
     def warnings(self) -> Sequence[str]:
-        """What is wrong with the repeats."""
+        """The faults of the repeats."""
         return self.notes
 
     def details(self) -> dict[str, Any]:
@@ -177,6 +180,8 @@ class Discrepancy(Result):
         return {
             "schema": "ffcomp-gap/1",
             **residual.total.to_dict(),  # … SIZE: its keys stand here too, of all signals of all runs
+            # `signals`; `forces`: as `diagnose` compares, of an axis that is simulated worse than one that stands still
+            "compared": "forces" if self.forces else "signals",
             # true or false: false: an encoder's own, or from the spectrum above the model's band, which is weaker
             "noise_from_repeats": self.floor.from_repeats,
             "notes": list(self.notes),  # list of text: repeats that lie apart in time, or do not repeat: sentences
@@ -238,16 +243,32 @@ def measure_gap(machine: Machine, recordings: Sequence[Recorded]) -> Discrepancy
     """
     problem = problem_of(machine, recordings, ())
     check_alike(recordings)
-    return gap_of(problem)
+    return gap_of(as_compared(problem))
+
+
+def as_compared(problem: Problem) -> Problem:
+    """Return the problem that `diagnose` compares on these recordings.
+
+    Of an axis that is further off than one that stands still, also with its numbers retuned: that of the forces.
+    """
+    balance = problem.balance()
+    if balance is None:
+        return problem
+    estimation = estimation_problem(problem, whitener(problem.observations, noise_floor(problem), problem.band_hz))
+    residual, still = estimation.residual({}), float(estimation.measured @ estimation.measured)
+    if float(residual @ residual) <= still:
+        return problem
+    retuned = fit(estimation, problem.parameters, np.zeros(len(problem.parameters)), iterations=12)
+    return balance if retuned.cost > still else problem
 
 
 def gap_of(problem: Problem) -> Discrepancy:
-    """Compare a problem's observations with its simulation by the file as it is."""
+    """Compare a problem's observations with its simulation by the machine file."""
     simulated = problem.simulate({})
     floor = noise_floor(problem, simulated)
     residual = locate_residual(whitener(problem.observations, floor, problem.band_hz), floor, simulated)
     places = {place: problem.place_name(place) for place in residual.positions}
-    return Discrepancy(residual, floor, tuple(_notes(problem.repeats)), places)
+    return Discrepancy(residual, floor, tuple(_notes(problem.repeats)), places, problem.forces)
 
 
 def _notes(repeats: Sequence[Repeats]) -> list[str]:

@@ -39,13 +39,13 @@ from models.machine import Machine
 
 BEFORE_S, AFTER_S = 0.12, 0.3  # of rest in the recording: the printer rings for 0.2 s
 OUTPUT, SECONDS = "separate.gcode", 2.5
-SEPARATES_RMS = 0.3  # of the noise, between predictions: tells them apart in 1000 rows
+SEPARATES_RMS = 0.3  # of the noise, between predictions: separates them in 1000 rows
 INFEASIBLE = 1e11  # square of an entry: the residual of an infeasible printer is a million in every entry
 
 
 @dataclass(frozen=True)
 class Separation:
-    """Two explanations, and the recording in which their predictions differ most.
+    """Two explanations, and the recording where their predictions differ most.
 
     Differences are the rms, in units of the noise, over the band of the diagnosis. `there` excludes what retuning the
     best explanation, as far as the given runs allow, would make up for.
@@ -57,9 +57,9 @@ class Separation:
     there: float  # the difference in the recording that is proposed
     kind: str = ""  # of `ffcomp record plan`
     position_mm: tuple[float, ...] = ()
-    command: str = ""  # that plans the recording; "": the given runs tell them apart already
+    command: str = ""  # that plans the recording; "": the given runs separate them already
     gcode: str = ""  # that the command writes
-    otherwise: str = ""  # how to tell them apart by other means
+    otherwise: str = ""  # how to separate them by other means
     alike: bool = True  # both fit the given runs as well
 
     @property
@@ -102,10 +102,10 @@ class Separation:
             "difference_now": self.now,  # number: rms by which their predictions differ in these runs, times the noise
             # number: the same in the recording that `record` plans, beyond what retuning makes up for
             "difference_there": self.there,
-            "separates": self.tells,  # true or false: whether that is enough to tell them apart
+            "separates": self.tells,  # true or false: whether that is enough to separate them
             "kind": self.kind,  # of its moves
             "position_mm": list(self.position_mm),  # list of numbers: where
-            # the command that plans it; empty where these runs tell them apart already, and so are `kind` and
+            # the command that plans it; empty where these runs separate them already, and so are `kind` and
             # `position_mm`
             "record": self.command,
             "said": self.sentence(),  # all of that in a sentence
@@ -114,7 +114,7 @@ class Separation:
 
 @dataclass(frozen=True)
 class Rival:
-    """An explanation to be told from the best one."""
+    """An explanation to be separated from the best one."""
 
     names: tuple[str, ...]
     values: Mapping[str, float]
@@ -248,7 +248,7 @@ def _played(
 
 
 def _virtual(problem: PrinterProblem, diagnosis: Diagnosis, experiment: Experiment) -> EstimationProblem:
-    """Make a problem of a recording that nobody has made yet."""
+    """Make a problem of a planned recording."""
     like, motion = problem.observations[0], experiment.motion
     recording = blank_recording(
         problem.machine, experiment.name, motion.nozzle, motion.duration_s, like.signals, like.rate_hz
@@ -284,7 +284,7 @@ def blank_recording(
 def _differences(
     estimation: EstimationProblem, best: Fit, rivals: Sequence[Rival], information: FloatArray | None
 ) -> list[float]:
-    """Return the rms by which each rival's prediction differs from the best one's; zero where it has none.
+    """Return the rms difference of each rival's prediction from the best one's; zero where it has none.
 
     Parameters
     ----------

@@ -219,6 +219,15 @@ class PrinterProblem(Problem):
                 motions[n][i] = motion
         return [_whole(by_run) for by_run in motions]
 
+    def moved(self, i: int) -> Mapping[str, FloatArray]:
+        """Return commanded position, speed and acceleration of the part each signal is measured on, (n, m) each."""
+        o, led = self.observations[i], self.commands[i]
+        command = led[self.parts[i].compared(len(led))]
+        nozzle = self.machine.kinematics.forward(command)
+        parts = {**dict(zip("ABC", command.T, strict=True)), **dict(zip("xyz", nozzle.T, strict=True))}
+        place = np.stack([parts[signal[4:]] for signal in o.signals], axis=1)
+        return {"pos": place, "vel": o.speed, "acc": 1e-3 * np.gradient(o.speed, 1 / o.rate_hz, axis=0)}
+
     def stated(self, values: Mapping[str, float], name: str) -> float:
         """Return what a file states of one of the machine's numbers: a mount lies between the modes of its axis."""
         return value_of(self.machine_with(values), name)

@@ -17,7 +17,7 @@ from models.effects.catalogue import CATALOGUE
 from models.effects.effect import Effect
 from models.quantities import PLAIN, Quantities
 
-REACH_SD = 5.0  # standard deviations, by which the file's numbers may be retuned
+REACH_SD = 5.0  # standard deviations: the range for retuning the file's numbers
 TOWERS = ("tower A", "tower B", "tower C")
 
 
@@ -43,7 +43,7 @@ class Candidate:
 
     name: str
     amplitudes: tuple[Parameter, ...]
-    probe: Mapping[str, float]  # amplitudes at which its signature is taken
+    probe: Mapping[str, float]  # its signature is taken at these amplitudes
     shapes: tuple[Parameter, ...] = ()
     grid: tuple[Mapping[str, float], ...] = ({},)
     finer: tuple[Parameter, ...] = ()  # shapes that have a usual value: fitted only once the effect is chosen
@@ -71,7 +71,7 @@ class Candidate:
 
 @dataclass(frozen=True, eq=False)
 class Observation:
-    """One recording as it is compared: n samples of m signals, NaN where nothing was measured."""
+    """One recording, prepared for comparison: n samples of m signals, NaN where nothing was measured."""
 
     name: str
     repeat_of: str  # observations that share it repeat one experiment
@@ -80,7 +80,7 @@ class Observation:
     signals: tuple[str, ...]
     measured: FloatArray  # (n, m), all in one unit a signal
     speed: FloatArray  # (n, m) of the part each signal is measured on, in the reference motion
-    clocks: tuple[str, ...] = ()  # of which of its clocks each signal is: "" the first; none named: all of one
+    clocks: tuple[str, ...] = ()  # the clock of each signal: "" the first; none named: all of one
 
     @cached_property
     def by_clock(self) -> Mapping[str, list[int]]:
@@ -98,7 +98,7 @@ class Observation:
 
 
 class InfeasibleParameters(ValueError):
-    """Raised for parameters with which the machine cannot be simulated; a fit must not go there."""
+    """Raised for parameters that the machine cannot be simulated with; a fit must not go there."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -126,7 +126,7 @@ class Repeats(RepeatComparison):
 
 @dataclass
 class Work:
-    """What was simulated so far, and how much may be before a search tries nothing more.
+    """The simulations so far, and how much may be before a search tries nothing more.
 
     Integration steps are counted and not seconds, so that the same recordings get the same verdict on every computer,
     however busy.
@@ -186,7 +186,7 @@ class Problem(ABC):
 
     @cached_property
     def work(self) -> Work:
-        """What was simulated so far."""
+        """The simulations so far."""
         return Work()
 
     @property
@@ -195,7 +195,7 @@ class Problem(ABC):
         return range(len(self.observations))
 
     def place_name(self, position: tuple[float, ...]) -> str:
-        """Name a place at which something was recorded."""
+        """Name a place of a recording."""
         return "(" + ", ".join(f"{x:g}" for x in position) + ") mm"
 
     @abstractmethod
@@ -206,7 +206,7 @@ class Problem(ABC):
 
         Parameters
         ----------
-        values : parameters by name; those that are not named stay as they are.
+        values : parameters by name; the others keep their values.
         coarse : quicker, with kinks rounded off: good enough to rank candidates.
 
         Raises
@@ -226,9 +226,13 @@ class Problem(ABC):
         """Return the problem of the forces that the measured motion needs; None if there is none."""
         return None
 
-    def short_horizon(self, seconds: float) -> Problem | None:
-        """Return the problem on so much of each observation from where it begins to move; None if there is none."""
-        return None
+    def by_force(self) -> Problem:
+        """Return the problem whose residual is a force, where force and motion are measured; else this one."""
+        return self
+
+    def moved(self, i: int) -> Mapping[str, FloatArray]:
+        """Return what the residual of an observation may depend on: `pos`, `vel`, `acc` or `force`, (n, m) each."""
+        return {"vel": self.observations[i].speed}
 
     def simulate_many(
         self, many: Sequence[Mapping[str, float]], only: Sequence[int] | None = None, *, coarse: bool = False

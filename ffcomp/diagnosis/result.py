@@ -19,13 +19,14 @@ from ffcomp.diagnosis.held_out import OtherMotion
 from ffcomp.diagnosis.next_experiment import Separation
 from ffcomp.diagnosis.problem import MachineNames, Problem
 from ffcomp.diagnosis.recording_clocks import belongs_to_recording, delay_of
+from ffcomp.diagnosis.residual_curves import ResidualCurve, curves_of
 from ffcomp.diagnosis.score_test import separated_by
 from ffcomp.identification.uncertainty import Estimate
 from models.effects.catalogue import CATALOGUE, key_in_file
 from models.file import updated_text
 
-LATE_S = 1e-4  # from which it is reported that a file lies late
-OFF_SHARE = 0.05  # of a number of the file, from which it is reported that it may be off by so much
+LATE_S = 1e-4  # a later file is reported
+OFF_SHARE = 0.05  # of a number of the file: a larger error is reported
 BEYOND_SD = 3.0  # by chance one of fifteen numbers is so far off in one machine of 25
 
 
@@ -36,7 +37,7 @@ class Gap:
     before: ResidualSize
     after: ResidualSize
     elsewhere: tuple[float, float]  # nrms before and after, at positions that were left out of the fit
-    left_out: str = "places"  # what was left out of the fit in turn: places, experiments, windows, or nothing ("")
+    left_out: str = "places"  # left out of the fit in turn: places, experiments, windows, or nothing ("")
     unproven: Sequence[str] = ()  # places or experiments where it is not explained
     noise_guessed: bool = False  # no motion was repeated, and no sensor shows its own
 
@@ -71,7 +72,7 @@ def _explained(before: float, after: float, noise: float) -> float:
 
 @dataclass(frozen=True, kw_only=True)
 class FileNumbers:
-    """What becomes of the machine file's own numbers."""
+    """Changes of the machine file's own numbers."""
 
     retuned: Mapping[str, tuple[float, float]] = field(default_factory=dict)  # from, to
     off: Mapping[str, tuple[float, float]] = field(default_factory=dict)  # those that alone would explain as much
@@ -128,15 +129,15 @@ class DiagnosisResult:
     evidence: float  # −2 ln Z gained against retuning alone
     others: Sequence[OtherMotion] = ()  # motions of an axis, each simulated with what was fitted to the others
     rejections: Sequence[str] = ()
-    invisible: Sequence[str] = ()  # effects of which the recordings could not show a usual size
-    confounded_with: Sequence[tuple[str, str]] = ()  # effect, how to tell them apart
+    invisible: Sequence[str] = ()  # effects whose usual size the recordings could not show
+    confounded_with: Sequence[tuple[str, str]] = ()  # effect, how to separate them
     separations: Sequence[Separation] = ()  # from what fits as well
     prints_worse: bool = False  # by the better file, as the sample print is predicted
     gap: Gap
     rest: Rest | None = None  # of an effect that is named with a rest
+    curves: Sequence[ResidualCurve] = ()  # of what is not explained
     undetermined: Sequence[str] = ()  # numbers of the effects at their bounds, or open over all of their range
-    # numbers whose intervals are wide because few motions scatter -> as the machine file calls them
-    scattered: Mapping[str, str] = field(default_factory=dict)
+    scattered: Sequence[str] = ()  # numbers whose intervals are wide because few motions scatter
     motions: int = 0  # different ones, in the recordings
     file: FileNumbers
     names: MachineNames = field(default_factory=MachineNames)
@@ -205,7 +206,7 @@ def result_of(problem: Problem, diagnosis: Diagnosis) -> DiagnosisResult:
         confidence={name: _confidence(diagnosis, name) for name in tables},
         evidence=diagnosis.base.evidence - fitted.evidence,
         others=[replace(o, number=key(o.number).removeprefix("effects.")) for o in diagnosis.others],
-        rejections=diagnosis.rejections,
+        rejections=[problem.names.quantities.sentence(each) for each in diagnosis.rejections],
         invisible=diagnosis.invisible,
         confounded_with=[
             (n, separated_by(tuple(tables), [n], catalogue) or f"Runs at {more}.") for n in diagnosis.confounded
@@ -221,14 +222,11 @@ def result_of(problem: Problem, diagnosis: Diagnosis) -> DiagnosisResult:
         rest=None
         if dominant is None
         else Rest(explained=dominant.explained, left=after, rivals=[(r.names, r.explained) for r in dominant.rivals]),
+        curves=curves_of(diagnosis),
         undetermined=[]
         if diagnosis.best is None
-        else [name.removeprefix("effects.") for name in undetermined(diagnosis.best, diagnosis.intervals)],
-        scattered={
-            n.removeprefix("effects."): key(n).removeprefix("effects.")
-            for n in diagnosis.scattered
-            if n.startswith("effects.")
-        },
+        else [key(name).removeprefix("effects.") for name in undetermined(diagnosis.best, diagnosis.intervals)],
+        scattered=[key(name).removeprefix("effects.") for name in diagnosis.scattered if name.startswith("effects.")],
         motions=len(set(problem.motions)),
         file=FileNumbers(
             retuned={key(name): values for name, z, values in moved if z},
@@ -258,7 +256,7 @@ def _left_out(diagnosis: Diagnosis) -> str:
 
 
 def _elsewhere(diagnosis: Diagnosis, noise: float) -> tuple[float, float]:
-    """Compute nrms over all positions, each left out of the fit in turn: with the file as it is, and with the fit."""
+    """Compute nrms over all positions, each left out of the fit in turn: with the original file, and with the fit."""
     if not diagnosis.held_out:
         return noise, noise
     filed, after, signals = np.sum([place.power for place in diagnosis.held_out], axis=0)
@@ -266,7 +264,7 @@ def _elsewhere(diagnosis: Diagnosis, noise: float) -> tuple[float, float]:
 
 
 def _late(problem: Problem, diagnosis: Diagnosis) -> dict[str, float]:
-    """Return how late files lie: what repeats say of each other, and what the fit says of them together."""
+    """Return how late files lie: the lags between repeats plus the fitted delay."""
     values = diagnosis.final.values if diagnosis.best is not None else diagnosis.base.values
     late = {}
     for i, o in enumerate(problem.observations):

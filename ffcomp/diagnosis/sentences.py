@@ -1,4 +1,4 @@
-"""What a diagnosis says, and what to do, in sentences made of its numbers: for the text, the JSON, the report."""
+"""The finding of a diagnosis and the steps to take, in sentences: one text for terminal, JSON and report."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def summary_sentences(result: DiagnosisResult) -> list[str]:
         "recording": lambda result: [f"The recordings are at fault: {result.fault}"],
     }
     said = by_finding.get(result.finding, _unexplained)(result)
-    beside = (forces_compared, other_motions, cut_short, late_files)
+    beside = (forces_compared, other_motions, cut_short, late_files, guessed_noise)
     return [*worse_elsewhere(result), *said, *(sentence for each in beside for sentence in each(result))]
 
 
@@ -63,7 +63,7 @@ def _dominant(result: DiagnosisResult) -> list[str]:
 
 
 def where_left(rest: Rest) -> str:
-    """Say at which frequencies, in which motion and in which files a rest is left."""
+    """Say where a residual lies: frequencies, motion, place."""
     low, high, share = max(rest.left.bands, key=lambda band: band[2])
     place, there = max(rest.left.positions.items(), key=lambda each: each[1])
     where = f"in the window from {place[0]:g} s" if len(place) == 1 else f"at ({place[0]:.0f}, {place[1]:.0f}) mm"
@@ -98,10 +98,9 @@ def few_motions(result: DiagnosisResult) -> list[str]:
     """Say why intervals are wide that would be narrow within each motion."""
     if not result.scattered:
         return []
-    names = joined(list(result.scattered.values()))
     return [
-        f"Of {names} the {result.motions} motions by themselves give different values, and so few do not tell how "
-        "different those of others are: that makes the interval so wide. Record more motions."
+        f"The {result.motions} motions give different values of {joined(list(result.scattered))}, and so few do not "
+        "show how far other motions would scatter, so the interval is wide. Record more motions."
     ]
 
 
@@ -127,7 +126,7 @@ def _shrunk_elsewhere(result: DiagnosisResult) -> str:
     if result.gap.elsewhere[0] <= noise:
         return f"no gap stands above the noise of {percent(noise)} there, so this proves nothing"
     if result.gap.elsewhere[1] <= noise:
-        return f"what is left does not stand above the noise of {percent(noise)}"
+        return f"the residual does not stand above the noise of {percent(noise)}"
     return f"it explains {most_of(result.gap.explained_elsewhere)} of the gap there"
 
 
@@ -158,7 +157,7 @@ def _nothing(result: DiagnosisResult) -> list[str]:
             f"With {len(result.file.retuned)} of the file's numbers retuned, {percent(result.gap.after.nrms)} are "
             f"left; {elsewhere(result)[0].lower()}{elsewhere(result)[1:]}"
         )
-    return [*sentences, *guessed_noise(result)]
+    return sentences
 
 
 def _beyond(result: DiagnosisResult) -> list[str]:
@@ -171,7 +170,7 @@ def _beyond(result: DiagnosisResult) -> list[str]:
         for name, times in list(result.file.beyond.items())[:FEW]
     ]
     return [
-        f"Further off than the file says is {joined(each)}: measure that anew, for what changes it may be an effect, "
+        f"Further off than the file says is {joined(each)}: measure it again, because an effect may have changed it, "
         "or state in the file's [uncertainty] how well it is known."
     ]
 
@@ -181,8 +180,8 @@ def guessed_noise(result: DiagnosisResult) -> list[str]:
     if not result.gap.noise_guessed:
         return []
     return [
-        f"The noise of {percent(result.gap.noise)} is a guess, for no motion was repeated: an effect that does "
-        "no more than that may be hidden in it."
+        f"The noise of {percent(result.gap.noise)} is a guess from above the model's band, because no motion was "
+        "repeated: a smaller effect may be hidden in it."
     ]
 
 
@@ -221,7 +220,7 @@ def _unexplained(result: DiagnosisResult) -> list[str]:
 
 
 def worse_elsewhere(result: DiagnosisResult) -> list[str]:
-    """Say on top in which motions the answer is worse than the file as it is."""
+    """Say first in which motions the answer is worse than the original file."""
     worse = [
         f"{one.name} is {percent(one.filed)} off with the file as it is and {percent(one.after)} with the effects"
         for one in result.others
@@ -247,7 +246,7 @@ def forces_compared(result: DiagnosisResult) -> list[str]:
         return []
     return [
         "The drive's force is compared with the one that the measured motion needs: simulated from its force, this "
-        "axis is further off than one that stands still, for what its drive holds is missing in the file."
+        "axis is further off than one that stands still, because the file lacks the load that its drive holds."
     ]
 
 
@@ -283,14 +282,18 @@ def what_to_do(result: DiagnosisResult) -> list[str]:
     if finding == "dominant":
         return [
             _remedy(result, result.named[0]),
-            "Diagnose again afterwards, or with the better machine file (-o better.toml), in which this effect stands: "
-            "what is left is then looked at by itself.",
+            "Diagnose again afterwards, or with the better machine file (-o better.toml), which contains this effect: "
+            "the residual is then searched by itself.",
             *separating,
         ]
     if finding == "effects":
         return [*(_remedy(result, name) for name in result.effects), *_afterwards(result), *separating]
     if finding == "nothing":
-        return ["Nothing to mend, as far as these recordings go. Record again when prints change."]
+        compare = ["Compare the better machine file (-o better.toml) with new runs (ffcomp gap)."]
+        return [
+            *(compare if result.mends else ["Nothing to mend, as far as these recordings show."]),
+            "Record again when prints change: other motions, speeds and places may show more.",
+        ]
     if finding in ("cannot_tell", "recording"):
         return ["Record again as said above before anything is changed on the printer or in its file."]
     return [
@@ -326,7 +329,8 @@ def _afterwards(result: DiagnosisResult) -> list[str]:
         "Until then, compensate with the file as it is: with the better one the sample print is predicted to be worse. "
         "Compare the better machine file (-o better.toml) with new recordings."
         if result.prints_worse
-        else "Until then, compensate with the better machine file (-o better.toml), and compare it with new recordings."
+        else "Until then, compensate with the better machine file (-o better.toml), and compare it with new recordings "
+        "(ffcomp gap)."
     ]
     if result.gap.left_out != "places":
         steps.append("Record the same motions at two more places, at least 20 mm apart, and diagnose again.")

@@ -83,6 +83,7 @@ class Diagnosis(Answered):
         ]
         left = f"{100 * gap.before.nrms:.0f} % → {100 * gap.after.nrms:.0f} %; noise alone {100 * gap.noise:.0f} %"
         facts.append(("Disagreement", left))
+        facts += [("Not explained", curve.sentence()) for curve in result.curves[:1]]
         if gain is not None:
             errors = f"{digits(gain.before_um, 2)} → {digits(gain.after_um, 2)} µm rms with the better file"
             facts.append(("A sample print", f"{errors}, {digits(gain.uncompensated_um, 2)} without compensation"))
@@ -100,8 +101,7 @@ class Diagnosis(Answered):
     @property
     def next_steps(self) -> list[str]:
         """What to do to the printer, to its file, and what to record next."""
-        then = [f"Compare with new runs: ffcomp gap NEW-RUNS --machine {self.output}"] if self.output else []
-        return [*what_to_do(self.result), *then]
+        return what_to_do(self.result)
 
     def better_file(self) -> str:
         """Return the text of the improved machine file."""
@@ -155,12 +155,15 @@ def result_json(result: DiagnosisResult, gain: PrintGain | None = None) -> dict[
         # DOMINANT or null: the effect that holds most of the gap and leaves a rest; the verdict is then `unknown`,
         # for not all is explained
         "dominant": most,
+        # where not all is explained: the residual against position, speed, and force or acceleration, the
+        # one that holds most of it first
+        "residual_curves": [each.to_dict() for each in result.curves],
         # list of text: numbers of the named effect, or of the nearest, that these runs leave open: at the end of
         # their range, or open over all of it
         "undetermined": list(result.undetermined),
         # REFUSED or null: what came nearest, and why it does not explain all
         "refused": refused if result.rejections else None,
-        "invisible": list(result.invisible),  # list of text: effects of which these runs could not show a usual size
+        "invisible": list(result.invisible),  # list of text: effects whose usual size these runs could not show
         "retuned": {
             key: {
                 "from": a,  # number [of the number]: by `table.key`: numbers of the file that moved
@@ -172,13 +175,13 @@ def result_json(result: DiagnosisResult, gain: PrintGain | None = None) -> dict[
         "confusable_with": [
             {
                 "name": name,  # an effect that looks alike in these runs
-                "separate_by": how,  # how to tell them apart
+                "separate_by": how,  # how to separate them
             }
             for name, how in result.confounded_with
         ],
         # .* number: by file: how late it lies against its command, where that is more than 0.1 ms
         "late_s": dict(result.late_s),
-        # what was left out of the fit in turn: `places` at least 20 mm apart, `experiments` at one place, `windows`
+        # left out of the fit in turn: `places` at least 20 mm apart, `experiments` at one place, `windows`
         # of time of an axis, or nothing (empty)
         "left_out": gap.left_out,
         "unproven_at": list(gap.unproven),  # [] text: places or experiments where it is not explained
@@ -200,7 +203,7 @@ def result_json(result: DiagnosisResult, gain: PrintGain | None = None) -> dict[
         "other_motions": [
             {
                 "recording": one.name,  # text: the file of a motion, to which nothing was fitted
-                "before": one.filed,  # number: nrms with the file as it is
+                "before": one.filed,  # number: nrms with the original file
                 "after": one.after,  # number: nrms with what was fitted to the others
                 # text: an effect's key that is another there, and alone explains a fifth or more of what is left; or
                 # empty
@@ -214,7 +217,7 @@ def result_json(result: DiagnosisResult, gain: PrintGain | None = None) -> dict[
         # from its force is further off than one that stands still
         "compared": "forces" if result.forces else "signals",
         "gap": {
-            "before": gap.before.nrms,  # number: nrms with the file as it is
+            "before": gap.before.nrms,  # number: nrms with the original file
             "after": gap.after.nrms,  # number: nrms with what was found
             "noise": gap.noise,  # number: nrms that noise alone leaves
             "held_out": {
@@ -311,24 +314,16 @@ class PrintGain:
     """Predicted contour errors of the sample, rms in µm, on the printer as the diagnosis found it."""
 
     uncompensated_um: float
-    before_um: float  # compensated with the file as it is
+    before_um: float  # compensated with the original file
     after_um: float  # with the better file
 
     def to_dict(self) -> dict[str, float]:
         """Return the JSON's `print_gain`."""
         return {
             "uncompensated_um": self.uncompensated_um,  # rms
-            "before_um": self.before_um,  # compensated with the file as it is
+            "before_um": self.before_um,  # compensated with the original file
             "after_um": self.after_um,  # compensated with the better file
         }
-
-    def sentence(self) -> str:
-        """Say what prints gain."""
-        return (
-            f"How much prints would gain: the contour error of a small sample print (squares and lines at 100 mm/s) is "
-            f"predicted to be {digits(self.before_um, 2)} µm rms if it is compensated with the file as it is, and "
-            f"{digits(self.after_um, 2)} µm with the better one; uncompensated {digits(self.uncompensated_um, 2)} µm."
-        )
 
 
 def print_gain(machine: Machine, result: DiagnosisResult) -> PrintGain | None:

@@ -16,6 +16,7 @@ from ffcomp.diagnosis.diagnosis import Diagnosis as Search
 from ffcomp.diagnosis.fit import intervals_of
 from ffcomp.diagnosis.held_out import HeldOut
 from ffcomp.diagnosis.next_experiment import Separation
+from ffcomp.diagnosis.residual_curves import ResidualCurve
 from ffcomp.diagnosis.result import DiagnosisResult, of_machine
 from ffcomp.diagnosis.verb import Diagnosis
 from ffcomp.diagnosis.where import Discrepancy, Overlay, Split
@@ -73,6 +74,10 @@ def diagnosis_page(diagnosis: Diagnosis, where: Discrepancy, proposals: Sequence
             "Measured and simulated, where they differ most", sentences=[f"Dark: measured. {KEY}"], drawings=overlaid
         ),
     ]
+    if result.curves:
+        shown = "with the best explanation" if result.named else "with the machine file"
+        sentence = f"Mean residual {shown}, in bins of one quantity. Grey: the 90 % band of each mean."
+        sections.append(Section("Not explained", sentences=[sentence], drawings=list(map(_curve, result.curves))))
     if search.best is not None and search.held_out:
         sentence = "Each was left out of the fit in turn, and simulated with the parameters of the others."
         drawn = [_held_out(search.held_out, result)]
@@ -192,6 +197,23 @@ def _held_out(places: Sequence[HeldOut], result: DiagnosisResult) -> Drawing:
     what = "Experiments" if result.gap.left_out == "experiments" else "Positions"
     draw = partial(draw_held_out, places=places, labels=labels)
     return Drawing("held-out", what, finding, "", WIDTH, ROW * len(labels) + AXIS + 0.3, draw)
+
+
+def _curve(curve: ResidualCurve) -> Drawing:
+    draw = partial(draw_curve, curve=curve)
+    said = curve.sentence()
+    said = f"{said[0].upper()}{said[1:]}."
+    return Drawing("residual", f"{curve.signal} by {curve.against}", said, "", WIDTH, HEIGHT, draw)
+
+
+def draw_curve(box: Box, curve: ResidualCurve) -> None:
+    """Draw the mean residual in each bin with its 90 % band."""
+    axes, mean, half = box.subplots(), np.array(curve.residual), np.array(curve.half_width)
+    axes.axhline(0.0, color=SOFT, linewidth=1)
+    axes.fill_between(curve.at, mean - half, mean + half, color=NOISE, linewidth=0)
+    axes.plot(curve.at, mean, "o-", color=AFTER, linewidth=1.5, markersize=3)
+    axes.set(xlabel=f"{curve.against}, {curve.against_unit}", ylabel=f"residual {curve.signal}, {curve.unit}")
+    grid(axes)
 
 
 def draw_split(box: Box, split: Split) -> None:

@@ -16,6 +16,7 @@ from ffcomp.cli.app import app
 from ffcomp.diagnosis.gap import ResidualBreakdown, ResidualSize
 from ffcomp.diagnosis.held_out import OtherMotion
 from ffcomp.diagnosis.next_experiment import Separation
+from ffcomp.diagnosis.residual_curves import ResidualCurve
 from ffcomp.diagnosis.result import DiagnosisResult, FileNumbers, Gap, Rest
 from ffcomp.diagnosis.verb import Diagnosis, PrintGain
 from ffcomp.identification.uncertainty import normal
@@ -205,6 +206,7 @@ def _outcome(finding: str) -> DiagnosisResult:
             unproven=["(55, 20)"],
         ),
         rest=rest if finding == "dominant" else None,
+        curves=[ResidualCurve("force", "N", "speed", "mm/s", (1.0, 9.0), (0.3, 0.0), (0.1, 0.1), 0.8, "below 5 mm/s")],
         undetermined=["coulomb_friction.force_n"],
         file=FileNumbers(retuned={"carriage.mass_kg": (0.18, 0.181)}, off={"effector.nozzle_mass_kg": (0.5, 0.56)}),
         late_s={"a-1.csv": 2e-3},

@@ -9,6 +9,7 @@ import pytest
 
 from ffcomp.diagnosis.axis_problem import AxisProblem
 from ffcomp.diagnosis.diagnosis import diagnose
+from ffcomp.diagnosis.gap import measure_gap
 from ffcomp.diagnosis.result import result_of
 from ffcomp.diagnosis.sentences import summary_sentences
 from ffcomp.measurement.axis_run import AxisRun
@@ -59,6 +60,8 @@ def test_cogging_is_named_from_the_forces_where_the_motion_hardly_shows_it() -> 
     problem = turned(1)
     found = diagnose(problem)
     told = result_of(found.estimation.problem, found)
+    compared = measure_gap(problem.machine_with(found.final.values), list(problem.recordings))
+    assert compared.forces and compared.residual.total.nrms == pytest.approx(told.gap.after.nrms, rel=0.05)
     assert told.forces and told.named == ("cogging_force",)
     table = told.effects["cogging_force"]
     sizes = {

@@ -125,10 +125,8 @@ def test_a_file_is_written_for_retuning_only_where_it_holds_elsewhere() -> None:
 
 def test_an_interval_that_few_motions_make_wide_is_told_from_a_number_that_nothing_determines() -> None:
     name = "effector_mass.added_kg"
-    sentences = " ".join(
-        summary_sentences(result(undetermined=[name], scattered={name: "effector_mass.added_g"}, motions=2))
-    )
-    assert "Of effector_mass.added_g the 2 motions by themselves give different values" in sentences
+    sentences = " ".join(summary_sentences(result(undetermined=[name], scattered=[name], motions=2)))
+    assert "The 2 motions give different values of effector_mass.added_kg" in sentences
     assert "Record more motions." in sentences and "do not determine" not in sentences
 
 
@@ -175,8 +173,6 @@ def test_prints_gain_by_a_heavier_effector_in_the_file() -> None:
     found = print_gain(machine, replace(result(), file=FileNumbers()))
     assert found is not None
     assert found.after_um < 0.3 * found.before_um < 0.3 * found.uncompensated_um
-    told = [float(x) for x in re.findall(r"([\d.]+) µm", found.sentence())]
-    assert told == pytest.approx([found.before_um, found.after_um, found.uncompensated_um], rel=0.06)
 
 
 def test_a_number_beyond_what_the_file_says_is_named_with_nothing() -> None:
@@ -197,7 +193,7 @@ def test_sensors_and_nothing_gain_nothing() -> None:
 
 @pytest.mark.parametrize(
     ("held_out", "words"),
-    [((0.0045, 0.0041), "this proves nothing"), ((0.37, 0.0041), "what is left does not stand above the noise")],
+    [((0.0045, 0.0041), "this proves nothing"), ((0.37, 0.0041), "the residual does not stand above the noise")],
 )
 def test_no_share_is_told_of_a_gap_that_does_not_stand_above_the_noise(
     held_out: tuple[float, float], words: str
@@ -217,7 +213,7 @@ def test_a_file_by_which_prints_are_predicted_to_be_worse_is_not_compensated_wit
 @pytest.mark.parametrize("guess", [True, False])
 def test_none_by_a_guessed_noise_says_what_may_be_hidden(guess: bool) -> None:
     told = " ".join(summary_sentences(result("nothing", noise_guessed=guess)))
-    assert ("is a guess, for no motion was repeated" in told) == guess
+    assert ("because no motion was repeated" in told) == guess
 
 
 def test_what_speaks_against_an_answer_is_said_first_and_what_changes_beside() -> None:

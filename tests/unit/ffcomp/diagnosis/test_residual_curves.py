@@ -1,0 +1,141 @@
+"""What is not explained is drawn: a hidden law outside the catalogue shows its shape within the curve's band."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ffcomp.diagnosis.axis_problem import AxisProblem
+from ffcomp.diagnosis.diagnosis import diagnose
+from ffcomp.diagnosis.next_experiment import blank_recording
+from ffcomp.diagnosis.printer_problem import PrinterProblem
+from ffcomp.diagnosis.residual_curves import ResidualCurve, curves_of, residual_curves
+from ffcomp.measurement.axis_run import AxisRun
+from models.arrays import FloatArray
+from models.file import load_machine
+from models.kinds import machine_of_axis
+from models.vibration.driven_axis import DrivenAxis
+
+RATE, MASS, DAMPING, NOISE = 500.0, 2.0, 8.0, 0.02
+STAGE = DrivenAxis("force", MASS, 0.0, DAMPING)
+Law = Callable[[FloatArray, FloatArray], FloatArray]  # position mm, speed m/s -> N
+
+
+def slow_drag(_: FloatArray, v: FloatArray) -> FloatArray:
+    """Holds back only near 20 mm/s: no friction law of the catalogue."""
+    return np.asarray(1.5 * np.tanh(v / 0.002) * np.exp(-((np.abs(v) / 0.02) ** 4)))
+
+
+def bump(x: FloatArray, _: FloatArray) -> FloatArray:
+    """A place that pushes, 6 mm wide."""
+    return np.asarray(1.2 * np.exp(-(((x - 15.0) / 6.0) ** 2)))
+
+
+def problem(law: Law, axis: DrivenAxis = STAGE, seed: int = 1) -> AxisProblem:
+    """Three motions whose drive's force holds what the machine file lacks."""
+    rng, t, runs = np.random.default_rng(seed), np.arange(4000) / RATE, []
+    for k in range(3):
+        f, phase = rng.uniform(0.3, 1.6, 4), rng.uniform(0, 6.28, 4)
+        waves = [(0.012 / each, 2 * np.pi * each, p) for each, p in zip(f, phase, strict=True)]
+        q = sum(a * np.sin(w * t + p) for a, w, p in waves)
+        v = sum(a * w * np.cos(w * t + p) for a, w, p in waves)
+        acceleration = sum(-a * w**2 * np.sin(w * t + p) for a, w, p in waves)
+        force = MASS * acceleration + DAMPING * v + law(1e3 * q, v) + NOISE * rng.normal(size=len(t))
+        place = 1e3 * q + 1e-4 * rng.normal(size=len(t))
+        runs.append(AxisRun(f"run{'abc'[k]}.csv", t, force, True, {}, {"pos_q": place}, {}))
+    return AxisProblem(
+        machine_of_axis("stage", axis, uncertainty={"default": 0.05}), runs, ("pendulum_gravity", "ground_spring")
+    )
+
+
+def inside(curve: ResidualCurve, law: FloatArray) -> float:
+    """Share of bins whose 90 % band holds a law's value."""
+    return float(np.mean(np.abs(np.array(curve.residual) - law) <= np.array(curve.half_width)))
+
+
+def test_a_law_of_speed_shows_its_shape_and_its_regime() -> None:
+    curve = residual_curves(problem(slow_drag), {})[0]
+    assert (curve.signal, curve.against, curve.unit, curve.against_unit) == ("force", "speed", "N", "mm/s")
+    speed = np.array(curve.at)
+    assert inside(curve, slow_drag(speed, 1e-3 * speed)) > 0.7
+    assert curve.share > 0.6
+    assert curve.regime.startswith("most of it below ") and curve.regime.endswith(" mm/s")
+    assert 15.0 < float(curve.regime.split()[-2]) < 35.0
+
+
+def test_a_law_of_position_shows_its_shape_and_its_regime() -> None:
+    curve = residual_curves(problem(bump), {})[0]
+    assert curve.against == "position" and curve.share > 0.7
+    place = np.array(curve.at)
+    assert inside(curve, bump(place, place)) > 0.7
+    assert curve.regime.startswith("most of it from ")
+    low, high = float(curve.regime.split()[4]), float(curve.regime.split()[6])
+    assert 5.0 < low < 12.0 and 18.0 < high < 25.0
+
+
+def test_the_band_covers_a_law_as_often_as_it_says() -> None:
+    """Over many recordings, at bins far from where the law is curved within a bin."""
+    held = []
+    for seed in range(12):
+        (curve,) = [
+            c for c in residual_curves(problem(lambda x, _: 0.02 * x, seed=seed), {}) if c.against == "position"
+        ]
+        held.append(inside(curve, 0.02 * np.array(curve.at)))
+    assert 0.8 < np.mean(held) < 0.99
+
+
+def test_noise_alone_has_no_curve() -> None:
+    assert residual_curves(problem(lambda x, v: 0.0 * x), {}) == []
+
+
+def test_an_axis_that_turns_has_its_own_units() -> None:
+    curve = residual_curves(problem(slow_drag, replace(STAGE, unit="rad")), {})[0]
+    assert (curve.unit, curve.against_unit) == ("N m", "rad/s")
+    assert np.max(curve.at) < 1.0
+
+
+def test_the_verdict_unknown_comes_with_the_curve() -> None:
+    found = diagnose(problem(slow_drag))
+    assert found.verdict == "unknown"
+    curves = curves_of(found)
+    assert curves and curves[0].against == "speed"
+    first = curves[0].to_dict()["points"][0]
+    assert first["low"] < first["residual"] < first["high"]
+
+
+def test_of_a_printer_the_residual_acceleration_is_shown() -> None:
+    """Two motions of a bed whose carriages are held back by a law of speed; too few motions give no band."""
+    machine = load_machine("mp-delta-pro")
+    recordings = []
+    for k in range(4):
+        f = np.random.default_rng(k).uniform(4, 20, 3)
+
+        def nozzle(t: FloatArray, f: FloatArray = f) -> FloatArray:
+            window = np.clip(np.minimum(t, 0.8 - t) / 0.2, 0, 1) ** 2
+            waves = [window * np.sum([3 / each * np.sin(6.28 * each * t + p) for each in f], axis=0) for p in (0, 2)]
+            return np.column_stack([*waves, 30 + 0 * t])
+
+        blank = blank_recording(machine, f"{k}.csv", nozzle, 0.8, ("acc_x", "acc_y"), 800.0)
+        true = PrinterProblem(machine, [blank], ()).simulate({})[0]
+        n = len(true)
+        blank = replace(blank, time_s=blank.time_s[:n], command=blank.command[:n], gaps=blank.gaps[:n])
+        plain = PrinterProblem(
+            machine, [replace(blank, acceleration=dict.fromkeys(("acc_x", "acc_y"), np.zeros(n)))], ()
+        )
+        pulled = true - 3.0 * np.sign(plain.moved(0)["vel"])
+        pulled += 0.1 * np.random.default_rng(k).standard_normal(pulled.shape) + [0.2, -0.3]  # m/s², and its zero
+        recordings.append(replace(blank, acceleration=dict(zip(("acc_x", "acc_y"), pulled.T, strict=True))))
+    curve = residual_curves(PrinterProblem(machine, recordings, ()), {})[0]
+    assert (curve.against, curve.unit, curve.against_unit) == ("speed", "m/s²", "mm/s")
+    fast = np.abs(curve.at) > 10.0
+    np.testing.assert_allclose(np.array(curve.residual)[fast], -3.0 * np.sign(np.array(curve.at)[fast]), atol=0.5)
+    assert residual_curves(PrinterProblem(machine, recordings[:2], ()), {}) == []
+
+
+@pytest.mark.parametrize("finding", ["nothing", "effects", "recording", "cannot_tell"])
+def test_what_is_explained_has_no_curve(finding: str) -> None:
+    found = diagnose(problem(lambda x, _: 0.0 * x))
+    assert curves_of(replace(found, finding=finding)) == []
