@@ -25,7 +25,7 @@ from models.machine import Machine, value_of
 from models.printer.one_axis import axis_effects
 
 BOTH = 9.0  # in place of an angle: alike in x and y
-PROBE = 0.1  # of a usual size, with which the signature of an axis' effect is taken
+PROBE = 0.1  # of a usual size: the signature of an axis' effect is taken there
 WHOLE = "whole"  # the one parameter of an effect that is there or not
 EFFECT_KEY = re.compile(r"effects\.(?P<effect>\w+)\.(?P<parameter>\w+)(\[(?P<index>\d)\])?")
 
@@ -81,7 +81,7 @@ def _grid(starts: Iterable[tuple[str, Sequence[float]]]) -> tuple[dict[str, floa
 
 
 def printer_candidates(machine: Machine, commands: Sequence[FloatArray], names: Sequence[str]) -> list[Candidate]:
-    """List the effects that the printer may lack and that these recordings could tell from its own numbers.
+    """List the effects that the printer may lack and that these recordings could separate from its own numbers.
 
     Parameters
     ----------
@@ -96,7 +96,7 @@ def printer_candidates(machine: Machine, commands: Sequence[FloatArray], names: 
 
 
 def _possible_effects(machine: Machine, commands: Sequence[FloatArray]) -> list[str]:
-    """List the effects of this kind of machine that these recordings could tell from its own numbers.
+    """List the effects of this kind of machine that these recordings could separate from its own numbers.
 
     What depends on a place is no more than another number of the file where all is recorded at one place.
     """
@@ -133,7 +133,7 @@ def within_travel(candidate: Candidate, travel_mm: float) -> Candidate | None:
 
 
 def _printer_candidate(machine: Machine, effect: Effect, idle: frozenset[int]) -> Candidate:
-    """Make a candidate of an effect; `idle` : actuators of which nothing can be said."""
+    """Make a candidate of an effect; `idle` : actuators that rested."""
     if not effect.amplitudes:
         name = f"effects.{effect.name}.{WHOLE}"
         return Candidate(effect.name, (Parameter(name, 0.0, 1.0, 1.0, 1.0),), {name: 1.0}, switch=True)
@@ -229,7 +229,7 @@ def axis_candidates(
 
     Parameters
     ----------
-    pitches : mm, at which a search for a ripple begins; none: evenly over the travel.
+    pitches : mm, where a search for a ripple begins; none: evenly over the travel.
     lines : the same, mm, of several lines that were seen in a measured force.
     """
     axis = driven_axis(machine)
@@ -239,7 +239,7 @@ def axis_candidates(
         if name in names
         and name not in machine.effects
         and (CATALOGUE[name].needs != "accelerometer" or "acc_q" in signals)
-        # one sensor alone lags as its drive does; and where an axis begins anew all the time, it remembers nothing
+        # one sensor alone lags as its drive does; and where an axis restarts all the time, it remembers nothing
         and (CATALOGUE[name].needs != "two sensors" or (len(signals) > 1 and not axis.free))
         and (CATALOGUE[name].needs != "turning" or scales.travel_m > 0.5)  # rad; below, a weight pulls as a spring does
         and any(p.on_axis.size is not None for p in CATALOGUE[name].amplitudes)
@@ -309,7 +309,7 @@ def _axis_amplitude(effect: Effect, p: EffectParameter, scales: MotionScales, li
 
 
 def _axis_starts(p: EffectParameter, scales: MotionScales) -> list[float]:
-    """Return the values of a shape at which a search begins."""
+    """Return the values of a shape where a search begins."""
     starts = (p.starts or p.typical) if p.starts or p.on_axis.starts is None else p.on_axis.starts(scales)
     return list(dict.fromkeys(float(np.clip(x, *p.bounds)) for x in starts))
 

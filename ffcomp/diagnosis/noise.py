@@ -1,4 +1,4 @@
-"""The noise floor, and the whitener: a residual in which every entry has variance one if only noise is left.
+"""The noise floor, and the whitener: a residual whose entries have variance one if only noise is left.
 
 Repeats of one experiment differ by noise alone: half the spectrum of their difference is the floor. Without repeats
 it is taken from the residual above the model's band; that is weaker, and users are told so. Whitening happens in the
@@ -37,7 +37,7 @@ class NoiseFloor:
 
     @property
     def origin(self) -> str:
-        """Say what tells the noise."""
+        """Say where the noise is known from."""
         if self.from_repeats:
             return "repeats"
         if self.of_sensors:
@@ -54,12 +54,12 @@ def noise_floor(problem: Problem, simulated: Sequence[FloatArray] | None = None)
 
     Parameters
     ----------
-    simulated : (n, m) an observation with the file as it is, if it is known already.
+    simulated : (n, m) an observation with the machine file, if it is known already.
     """
     floor = noise_from_repeats(problem.observations)
     if floor is not None:
         return floor
-    known = problem.least_density  # of positions: what their sensors and the simulation cannot tell apart
+    known = problem.least_density  # of positions: what their sensors and the simulation cannot separate
     if known and all(name in known for o in problem.observations for name in o.signals):
         return noise_of_sensors(problem.observations, known)
     predicted = problem.simulate({}) if simulated is None else simulated

@@ -1,4 +1,4 @@
-"""Recordings as they are compared: thinned to the band, cut to a quick length, in excerpts where these decide as well.
+"""Recordings prepared for comparison: thinned to the band, cut to a quick length, in excerpts where these suffice.
 
 What a search compares are shares of the discrepancy, and evidence in proportion to the data. With a discrepancy
 thousands of times its own uncertainty, a second of each motion decides between effects as well as all of it does; the
@@ -25,12 +25,12 @@ from models.machine import Machine
 from models.printer.playback import START_S, gentle_start
 
 LEAST_RATE_HZ = 1500.0  # more than seven times the band's end; faster recordings are thinned to at least this
-PLACES_APART_MM = 20.0  # from which two places count as two
+PLACES_APART_MM = 20.0  # two places at least so far apart count as two
 EXCERPT_S = 1.2  # of each motion in an excerpt
 EXCERPT_LEAD_S = 0.4  # simulated before, from a gentle start: vibrations decay
-MANY_MOTIONS = 8  # from which an excerpt holds only some, each recorded once
+MANY_MOTIONS = 8  # with so many, an excerpt holds only some, each recorded once
 EXCERPT_MOTIONS = 6  # that it then holds
-MARGIN_MM = 25.0  # around the print volume, in which a nozzle may still be commanded
+MARGIN_MM = 25.0  # around the print volume: a nozzle may still be commanded there
 
 
 Position = tuple[float, ...]

@@ -131,7 +131,7 @@ def _another_command(first: Recorded, recording: Recorded) -> str:
 
 
 def check_repeats(recordings: Sequence[Recorded]) -> None:
-    """Refuse recordings without repeats, for the noise would be a guess, and repeats that are none.
+    """Refuse recordings without repeats, because the noise would be a guess, and repeats that are none.
 
     Raises
     ------

@@ -84,7 +84,7 @@ def belongs_to_recording(name: str) -> bool:
 def delay_parameters(
     recordings: Sequence[Recording], observations: Sequence[Observation], repeats: Sequence[Repeats]
 ) -> list[Parameter]:
-    """Make a delay for each clock of an experiment that is in doubt, and a drift where the recording says so."""
+    """Make a delay for each clock of an experiment that is in doubt, and a drift where the recording states one."""
     by_hand = _spread_s(repeats)
     parameters: dict[str, Parameter] = {}
     for recording, o in zip(recordings, observations, strict=True):

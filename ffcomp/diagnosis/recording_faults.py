@@ -1,7 +1,7 @@
 """The faults of recordings that make a search pointless: an input shaper left on, a sensor that does not measure.
 
 Both look like huge effects of the machine. What makes a fault, and its sentence, stands in
-`ffcomp.measurement.faults`; no simulation is needed beyond that of the file as it is.
+`ffcomp.measurement.faults`; no simulation is needed beyond that of the machine file.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from models.arrays import FloatArray
 
 Fault = ShapersLeftOn | BadSensor
 
-SHAPED = 3.0  # noise power: discrepancy from which an input shaper is looked for
+SHAPED = 3.0  # noise power: with a larger discrepancy an input shaper is looked for
 ONE_SIGNAL = 0.85  # of the discrepancy, in one signal of three or more: its sensor is at fault
 
 
@@ -33,7 +33,7 @@ def fault_of_recordings(estimation: EstimationProblem, simulated: Sequence[Float
 
     Parameters
     ----------
-    simulated : (n, m) an observation with the machine file as it is.
+    simulated : (n, m) an observation with the machine file.
     """
     return shaper_on(estimation, simulated, retuned) or clipped_sensor(estimation, simulated)
 

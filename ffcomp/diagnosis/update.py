@@ -1,15 +1,15 @@
-"""`identify update`: what recordings of prints say of a machine file's numbers, by Bayes' rule.
+"""`identify update`: a machine file's numbers updated by recordings of prints, by Bayes' rule.
 
     prior        the file's numbers θ₀, as uncertain as its `[uncertainty]` says, and wider by the drift between prints
     posterior    minimise |r(θ)|² + |z|², z = (θ − θ₀)/σ₀, by Gauss-Newton on the output error; r is whitened
     noise        raised to the spectrum of what is left: no model has the machine's shape (Birge, Phys. Rev. 40, 1932)
     intervals    at least as wide as blocks of 5 Hz, and motions that are left out in turn, scatter
-    innovation   zᵀ(I − C)⁻¹z, C the posterior covariance: χ² in the directions that the recordings tell
+    innovation   zᵀ(I − C)⁻¹z, C the posterior covariance: χ² in the directions that the recordings determine
     held out     each layer is left out in turn; what the others say must not simulate it worse than the file does
 
 Between prints numbers drift: a random walk, so that what was learnt long ago counts less and less.
 
-Motion tells combinations of numbers better than each by itself, and `[uncertainty]` has no room for that. So the file
+Motion determines combinations of numbers better than each by itself, and `[uncertainty]` cannot state that. So the file
 states how well each number is known with the others given: of all independent ones these standard deviations are
 nearest to the posterior (mean field: MacKay, Information Theory, Inference, and Learning Algorithms, 2003, 33), and by
 them the modes are as uncertain as they are. The history keeps how well each is known by itself, for the next prior.
@@ -52,13 +52,13 @@ from models.machine import Machine, identity
 SCHEMA = "ffcomp-update/1"
 USUAL_S = (6.0, 2.0, 8.0, 2.0)  # of CPU: reading, where to begin, the fit, layers left out
 HORIZON_S, MOST_LAYERS = 10.0, 12  # of each recording, and of a print, that are fitted
-DAMPING_TIMES = 3.0  # as uncertain, and as quick to drift, as stiffness: nobody knows damping better
+DAMPING_TIMES = 3.0  # as uncertain, and as quick to drift, as stiffness: damping is not known better
 FACTORS = np.exp(np.arange(-0.45, 0.451, 0.03))  # on all frequencies, where to begin
 FARTHEST_START = 2.5  # standard deviations
-TOLD = 0.9  # of the prior's standard deviation: a number that stays wider is left as it was
+TOLD = 0.9  # of the prior's standard deviation: a number that stays wider keeps its value
 FLOOR, DAMPING_FLOOR = 4e-3, 0.04  # relative standard deviations: towers that differ and friction, which no fit knows
 UNLIKELY = 1e-4  # probability of an innovation that is refused
-DETERMINED = 0.2  # 1 − C of a direction that the recordings tell
+DETERMINED = 0.2  # 1 − C of a direction that the recordings determine
 LEFT = 0.25  # of the signals' power: more that is left is another machine, or something is loose
 CHANCE = 0.02  # of the squares of what is left of layers that were left out: no worse
 
@@ -69,9 +69,9 @@ class Updated(Result):
 
     start: Machine
     before: Mapping[str, Estimate]  # the prior, drift included
-    after: Mapping[str, Estimate]  # of the numbers that the recordings tell
+    after: Mapping[str, Estimate]  # of the numbers that the recordings determine
     beside: Mapping[str, float]  # relative standard deviation of each, the others being given
-    kept: Sequence[str]  # numbers that they do not tell
+    kept: Sequence[str]  # numbers that they do not determine
     innovation: tuple[float, int, float]  # χ², its degrees of freedom, the probability of more
     held_out: tuple[float, float, float]  # nrms of layers left out: with the file as it is, updated; of noise alone
     layers: int
@@ -107,7 +107,9 @@ class Updated(Result):
         machine, uncertainty = self.start, dict[str, float]()
         for key, sd in self.beside.items():
             uncertainty[stem_of(key)] = max(uncertainty.get(stem_of(key), 0.0), float(f"{sd:.2g}"))
-        if SCALE in machine.vibration.tunable:  # of all masses, stiffnesses and dampings: motion tells their ratios
+        if (
+            SCALE in machine.vibration.tunable
+        ):  # of all masses, stiffnesses and dampings: motion determines their ratios
             uncertainty[SCALE] = FLOOR
         entry = {
             "date": self.date,
@@ -141,7 +143,7 @@ class Updated(Result):
                 }
                 for key, each in estimates(self.after).items()
             },
-            "kept": list(self.kept),  # list of text: numbers that these recordings do not tell
+            "kept": list(self.kept),  # list of text: numbers that these recordings do not determine
             "innovation": {
                 "chi_squared": chi_squared,  # number: how far the numbers moved, against what the file allowed
                 "degrees_of_freedom": degrees,  # whole number
@@ -361,7 +363,7 @@ def _held_out(estimation: EstimationProblem, fitted: Fit) -> tuple[float, float]
 def _posterior(
     estimation: EstimationProblem, fitted: Fit, of_machine: Sequence[int]
 ) -> tuple[dict[str, Estimate], dict[str, Estimate], dict[str, float]]:
-    """Return the numbers before; those that the recordings tell; and their relative deviations, the others given."""
+    """Return the numbers before; those the recordings determine; and their relative deviations, the others given."""
     whiten, same = estimation.whiten, estimation.problem.motions
     parameters = [fitted.parameters[i] for i in of_machine]
     covariance = fitted.covariance(whiten.frequencies(), whiten.rows, same)[np.ix_(of_machine, of_machine)]
@@ -382,7 +384,7 @@ def _posterior(
 
 
 def _innovation(fitted: Fit, of_machine: Sequence[int]) -> tuple[float, int, float]:
-    """Test how far the numbers moved: before the recordings, z has the covariance I − C where these tell it."""
+    """Test how far the numbers moved: before the recordings, z has the covariance I − C where these determine it."""
     from scipy.stats import chi2
 
     covariance = np.linalg.inv(fitted.information)[np.ix_(of_machine, of_machine)]
