@@ -7,7 +7,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-COMMAND = re.compile(r"\bffcomp [a-z]+ [^ ]|(?<![\w-])--[a-z]")  # text that only the command line understands
+VERBS = (  # "ffcomp leaves 2 µm" is no command
+    "check|compare|compensate|diagnose|estimate|frf|gap|identify|log|machines|record|restore|serve|show|simulate|warmup"
+)
+COMMAND = re.compile(rf"\bffcomp (?:{VERBS})\b|(?<![\w-])--[a-z]")  # text that only the command line understands
 MEASURES = re.compile(r"\bffcomp (?:record|identify) ")
 MEASURE = "Measure the machine: see Know my machine."
 DROPS = {
@@ -36,7 +39,7 @@ def answer_of(kind: str, result: Mapping[str, Any]) -> Answer:
     if any(map(MEASURES.search, told["next_steps"])) and kind in ("compensate", "compare"):
         steps.append(MEASURE)
     drop = DROPS.get("plan" if kind == "excite" else kind)
-    facts = [(name, _without_commands(value) or value) for name, value in told["facts"]]
+    facts = [[name, _without_commands(value) or value] for name, value in told["facts"]]
     warnings = [_without_commands(each) or each for each in told["warnings"]]
     return Answer(told["headline"], facts, warnings, [*steps, *([drop] if drop else [])], code=_settings(result))
 

@@ -45,3 +45,16 @@ def test_a_figure_that_there_is_not_is_a_sentence() -> None:
 
 def test_durations_are_as_people_say_them() -> None:
     assert [clock(s) for s in (11.84, 71.0, 7300.0)] == ["11.8 s", "1 min 11 s", "2 h 1 min"]
+
+
+def test_the_page_leaves_commands_out_and_findings_in() -> None:
+    told = {
+        "headline": "It fits.",
+        "facts": [["Against none", "ffcomp makes this print worse. See ffcomp show out.gcode."]],
+        "warnings": ["Modes are assumed. Measure them: `ffcomp record plan`.", "Give --known mass=1."],
+        "next_steps": ["Look at it: ffcomp show out.gcode", "Print it.", "Measure first: ffcomp identify fit"],
+    }
+    shown = answer_of("compensate", {"answer": told})
+    assert list(shown.facts) == [["Against none", "ffcomp makes this print worse."]]
+    assert list(shown.warnings) == ["Modes are assumed.", "Give --known mass=1."]  # no warning is lost
+    assert list(shown.to_do) == ["Print it.", "Measure the machine: see Know my machine."]
