@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from bisect import bisect_left
 from collections.abc import Iterator
 from copy import copy
@@ -17,13 +16,10 @@ from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.reference import (
     WHOLE,
     Extent,
-    Room,
     WrittenReference,
     context_s,
-    room_in,
-    tighter_rooms,
+    rooms_of,
 )
-from ffcomp.inverse.settings import Settings
 from ffcomp.inverse.solve import Solution, solve
 from ffcomp.inverse.time_scaling import (
     Free,
@@ -121,26 +117,19 @@ def solve_feasible(model: InverseModel, request: SectionRequest) -> FeasibleSect
 
 
 def _layouts(model: InverseModel, request: SectionRequest) -> Iterator[tuple[WrittenReference, bool]]:
-    """Yield the section on knots that take more and more time before and after its path, at most all that is allowed.
+    """Yield the section on knots with more and more time beyond its path, and whether its command must end gently.
 
-    A few ms there are less than what slower moves would take. With less than a command needs, its ends must be gentle.
+    A few ms there are less than what slower moves would take. With all of the time, whatever keeps the limits will do.
     """
     s, section, own = model.settings, request.section, request.written
     if request.extent == WHOLE:
         flows = bool((np.diff(own.reference.extrusion()) > FLOWS_MM).any())
-        for room in tighter_rooms(section, own.reference.knots, s, flows):
-            yield _laid_out(request, s, room), True
+        *less, _ = rooms_of(section, s, flows)
+        for room in less:
+            written = request.extent.written(request.trajectory, section, s, room)
+            written.reference.take_offset_of(own.reference)
+            yield written, True
     yield own, False
-    if request.extent == WHOLE:
-        most = math.ceil((section.end_t - section.begin_t + s.lead_s + s.tail_s) / s.segment_s)
-        for segments in range(own.reference.knots + 1, most + 1):
-            yield _laid_out(request, s, room_in(section, segments, s, s.lead_s / (s.lead_s + s.tail_s))), False
-
-
-def _laid_out(request: SectionRequest, settings: Settings, room: Room) -> WrittenReference:
-    written = request.extent.written(request.trajectory, request.section, settings, room)
-    written.reference.take_offset_of(request.written.reference)
-    return written
 
 
 def _within_limits(

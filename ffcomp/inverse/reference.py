@@ -27,12 +27,8 @@ from models.arrays import FloatArray
 from models.compiled import kernel
 from models.machine import Pressure
 
-EDGE_EFFECT_S = 0.03  # of motion, that a command feels which begins too late or ends too early
-JUMP_MM = {True: (0.03, 0.1), False: (0.05, 0.12)}  # by whether filament flows there; see `room_of`
-LEAST_NEED = 0.7  # of the time that a command needs, that it gets at least
-LEAST_S, LITTLE = 0.003, 0.02  # the same for gentle ends, and negligible share of a section's time
-MOST_SHARE = 0.05  # of a section's time, that is spent beyond its path
-ALL_ROOM_FROM_S = 5.0
+LEAST_S = 0.003  # beyond a section in which filament flows, that its command gets at least
+ALL_ROOM_FROM_S = 5.0  # of motion
 ROUNDING = 1e-6  # of a segment
 FLOW_KNOTS = 6  # on either side of late segments, where the filament follows the command
 CALM_KNOTS = 10  # on either side of what a robust command asks for too much, that are inverted plainly
@@ -45,44 +41,19 @@ class Room(NamedTuple):
     tail_s: float  # after it
 
 
-def room_of(trajectory: Trajectory, section: Section, settings: Settings) -> Room:
-    """Return how much earlier than its path a command must begin, and how much later come to rest.
+def rooms_of(section: Section, settings: Settings, flows: bool) -> Iterator[Room]:
+    """Yield more and more time beyond a section, up to all that the settings allow, in whole segments.
 
-    Where the nozzle starts with an acceleration a, the command must jump by C a, C the machine's compliance. A small
-    jump is made within the path's own time at the cost of 2 % of it in error. The larger it is, the more of the time
-    that the settings allow is spent, and where no filament flows less of it. A short section spends no more than a
-    share of its own time, for prints that rest often would lose much by it. The section becomes a whole number of
-    segments long, and what that leaves is shared out too; a long one gets all of the time: it costs nothing, and where
-    a motion is cut, both sides must find the same knots.
+    A command that begins with its path must jump by what the machine gives way, and the less time it has, the harder it
+    does. A travel may begin without any: nothing shows where it is late. A long section gets all of the time: it costs
+    nothing, and where a motion is cut, both sides must find the same knots.
     """
-    if section.end_t - section.begin_t > ALL_ROOM_FROM_S:
-        return Room(settings.lead_s, settings.tail_s)
-    ends = np.array([section.begin_t, math.nextafter(section.end_t, -math.inf)])
-    inner = np.array([section.begin_t + settings.lead_s, section.end_t - settings.lead_s])
-    speeds = trajectory.velocity(np.clip(inner, *ends))[:, :3]
-    jumps = np.sqrt(((speeds * settings.compliance_s2) ** 2).sum(axis=1)) / settings.lead_s
-    near = np.array([ends[0], ends[0] + EDGE_EFFECT_S, ends[1] - EDGE_EFFECT_S, ends[1]])
-    filament = trajectory.position(np.clip(near, *ends))[:, 3]
-    shares = (
-        float(np.interp(jump, JUMP_MM[bool(flow > 0.0)], (0.0, 1.0)))
-        for jump, flow in zip(jumps, (filament[1] - filament[0], filament[3] - filament[2]), strict=True)
-    )
-    lead_s, tail_s = (share * most_s for share, most_s in zip(shares, (settings.lead_s, settings.tail_s), strict=True))
-    needed_s, duration_s = lead_s + tail_s, section.end_t - section.begin_t
-    affordable_s = max(MOST_SHARE * duration_s - settings.segment_s, LEAST_NEED * needed_s)
-    segments = _segments_of(duration_s + min(needed_s, affordable_s), settings.segment_s)
-    return room_in(section, segments, settings, lead_s / needed_s if needed_s > 0.0 else 0.5)
-
-
-def tighter_rooms(section: Section, segments: int, settings: Settings, flows: bool) -> Iterator[Room]:
-    """Yield less time beyond a section than makes so many segments of it, evenly before and after, the least first.
-
-    None is yielded where that would save next to nothing. A travel needs none: nothing shows where it is late.
-    """
-    duration_s = section.end_t - section.begin_t
-    if segments * settings.segment_s > (1.0 + LITTLE) * duration_s:
+    duration_s, all_of_it = section.end_t - section.begin_t, Room(settings.lead_s, settings.tail_s)
+    if duration_s <= ALL_ROOM_FROM_S:
         fewest = _segments_of(duration_s + (LEAST_S if flows else 0.0), settings.segment_s)
-        yield from (room_in(section, each, settings, 0.5) for each in range(fewest, segments))
+        most = _segments_of(duration_s + sum(all_of_it), settings.segment_s)
+        yield from (room_in(section, each, settings, 0.5) for each in range(fewest, most))
+    yield all_of_it
 
 
 def room_in(section: Section, segments: int, settings: Settings, lead_share: float) -> Room:
@@ -117,11 +88,11 @@ class Reference:
         ----------
         trajectory, section, settings : input and its sampling
         through : a time of the plan's clock that must be a knot, whose number divides by another
-        room : beyond the path; None: what it needs
+        room : beyond the path; None: all that the settings allow
         """
         # by rounding, the next section may begin just before this one ends, and elsewhere
         trajectory = trajectory.part(section.first, section.last)
-        room = room or room_of(trajectory, section, settings)
+        room = room or Room(settings.lead_s, settings.tail_s)
         self.robust_offset: FloatArray | None = None  # (rows, 3) mm, where it is known already
         self._evened_mm: FloatArray | float = (
             0.0  # (n + 1,) by how much the filament at the knots is ahead; `even_flow`
@@ -402,11 +373,9 @@ class Extent(NamedTuple):
     ) -> WrittenReference:
         """Lay the section's knots, one of them where the written part begins, and find those of the written part.
 
-        room : beyond the path; None: what a section that is not cut needs
+        room : beyond the path; None: all that the settings allow
         """
         begin_t, end_t = (None if cut is None else cut.time_in(plan) for cut in self)
-        # both sides of a cut must find the same knots, whatever becomes slower on one of them
-        room = room if self == WHOLE else Room(settings.lead_s, settings.tail_s)
         reference = Reference(plan, section, settings, None if begin_t is None else (begin_t, CUT), room)
         first = 0 if begin_t is None else round(reference.knot_of(begin_t))
         last = reference.knots if end_t is None else round(reference.knot_of(end_t))

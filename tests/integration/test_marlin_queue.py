@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -9,6 +11,7 @@ from ffcomp.compensation.job import Job, Options
 from ffcomp.compensation.request import CompensateOptions
 from ffcomp.firmware.marlin_planner import cut_moves, planner_of
 from ffcomp.firmware.program import plan_program
+from ffcomp.inverse.settings import settings_for
 from ffcomp.planner.lookahead import stops_and_waits
 from models.file import load_machine
 from studies.marlin import judge, read
@@ -38,6 +41,23 @@ def test_the_stated_time_is_that_of_the_queue(name: str) -> None:
     data = b"".join(written)
     stated = written.value.statistics.print_time_s
     assert stated == pytest.approx(plan_program(read(data, machine), machine).trajectory.end_t, rel=6e-3)
+
+
+@pytest.mark.parametrize("robust", [False, True])
+def test_slow_lifts_are_late_rather_than_slower(robust: bool) -> None:
+    """Z may do 100 mm/s² only, and no file can raise it: beside a lift the travel waits, which costs far less."""
+    lines = ["G90", "M83", "G28", "G1 X60 Y60 Z.2 F6000"]
+    for x in range(60, 80):
+        lines += ["G1 E-1 F1800", "G1 Z.6 F600", f"G0 X{x} Y60 F9000", "G1 Z.2 F600", "G1 E1 F1800"]
+        lines += [f"G1 X{x + 10} Y65 E.4 F3000", f"G1 X{x} Y70 E.4"]
+    machine = load_machine("ender-3")
+    options = Options(predict=False, flavor="marlin", settings=replace(settings_for(machine), robust=robust))
+    stream = Job("\n".join(lines).encode(), "lifts", machine, options).lines()
+    for _ in stream:
+        pass
+    found = stream.value.statistics
+    assert not found.slowed
+    assert found.print_time_s - found.settling_s < 1.035 * found.original_print_time_s
 
 
 @pytest.mark.parametrize(
