@@ -20,7 +20,6 @@ from ffcomp.inverse.command_limits import peak_utilisation
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.reference import Reference
 from ffcomp.metrics import contour_error
-from ffcomp.planner.trajectory import Section, Trajectory
 from gcode.program import Moves
 from models.arrays import FloatArray
 
@@ -38,29 +37,21 @@ class Unsafe:
     why: str
 
 
-def fault_of(
-    model: InverseModel,
-    moves: Moves,
-    plan: Trajectory,
-    section: Section,
-    reference: Reference,
-    vertices: FloatArray,
-) -> str:
+def fault_of(model: InverseModel, moves: Moves, reference: Reference, vertices: FloatArray) -> str:
     """Return why a whole section's command must not be written; empty: it is safe.
 
     Parameters
     ----------
-    moves : of the program
-    plan, section, reference : what the command was solved for
+    moves : of the section
+    reference : what the command was solved for
     vertices : (n + 1, 3) mm, the command at the reference's knots
     """
-    within = slice(section.first, section.last)
-    gap = float(np.abs(moves.start[within, :3][1:] - moves.end[within, :3][:-1]).max(initial=0.0))
+    gap = float(np.abs(moves.start[1:, :3] - moves.end[:-1, :3]).max(initial=0.0))
     if gap > ENDS_MM:
         return f"its path jumps by {gap:.3g} mm"
-    if why := path_fault(model, moves, plan, section, reference, vertices, (0, reference.knots)):
+    if why := path_fault(model, reference, vertices, (0, reference.knots)):
         return why
-    ends = np.stack([moves.start[section.first, :3], moves.end[section.last - 1, :3]])
+    ends = np.stack([moves.start[0, :3], moves.end[-1, :3]])
     off = float(np.abs(vertices[[0, -1]] - ends).max())
     if off > ENDS_MM:
         return f"it begins or ends {off:.3g} mm beside its path"
@@ -68,36 +59,21 @@ def fault_of(
     return "" if peak <= OVER else f"it needs {peak:.3g} times a carriage's limit"
 
 
-def path_fault(
-    model: InverseModel,
-    moves: Moves,
-    plan: Trajectory,
-    section: Section,
-    reference: Reference,
-    vertices: FloatArray,
-    knots: tuple[int, int],
-) -> str:
+def path_fault(model: InverseModel, reference: Reference, vertices: FloatArray, knots: tuple[int, int]) -> str:
     """Return why a command between two knots, both included, is too far from its path; empty: it is not.
 
-    Parameters
-    ----------
-    moves : of the program
-    plan, section, reference : what the command was solved for
-    vertices : (n + 1, 3) mm, the command at the reference's knots
+    The parameters are those of `fault_of`.
     """
     if not np.isfinite(vertices).all():
         return "it is not finite"
-    part, (first, last) = slice(section.first, section.last), knots
+    first, last = knots
     vertices = vertices[first : last + 1]
-    compensated_mm = max(model.settings.compliance_s2) * float(plan.acceleration[part].max())
-    most = max(FARTHEST_MM, TIMES * compensated_mm)
+    most = max(FARTHEST_MM, TIMES * max(model.settings.compliance_s2) * reference.acceleration_mm_per_s2)
     t = reference.t0 + model.settings.segment_s * np.arange(first, last + 1, dtype=np.float64)
-    due = plan.part(section.first, section.last).position(t + model.delay_s)[:, :3]  # it is ahead by the delay
+    due = reference.nozzle(t + model.delay_s)  # it is ahead by the delay
     if float(((vertices - due) ** 2).sum(axis=1).max()) <= most * most:
         return ""  # so near where it is due, it is no further from the path
-    corners = np.vstack([moves.start[part, :3], moves.end[section.last - 1, :3]])
-    path_t = np.maximum.accumulate(np.append(plan.start_t[part], section.end_t))
-    away = float(contour_error(path_t, corners, t, vertices).max())
+    away = float(contour_error(*reference.path(), t, vertices).max())
     return "" if away <= most else f"it leaves its path by {away:.3g} mm, and {most:.2g} mm are allowed"
 
 

@@ -19,6 +19,7 @@ from ffcomp.planner.limits import planner_limits
 from ffcomp.planner.trajectory import Section, Trajectory
 from gcode.layers import LayerLookup
 from gcode.program import EventKind
+from gcode.slicing import some
 from models.arrays import FloatArray
 from models.machine import Machine
 
@@ -163,10 +164,11 @@ def _checked(solved: SolvedSection, planned: PlannedProgram, model: InverseModel
     """Hold a section against its plan (`net`); what is cut in motion cannot go out as it was sliced, and is refused."""
     if solved.fault:
         return solved
-    parts = planned.program.moves, solved.trajectory, solved.section, solved.reference, solved.solution.vertices
+    reference, vertices = solved.reference, solved.solution.vertices
     if extent == WHOLE:
-        return replace(solved, fault=fault_of(model, *parts))
-    if why := path_fault(model, *parts, solved.knots):
+        moves = some(planned.program.moves, slice(solved.section.first, solved.section.last))
+        return replace(solved, fault=fault_of(model, moves, reference, vertices))
+    if why := path_fault(model, reference, vertices, solved.knots):
         line = planned.program.line_of(solved.section.first)
         raise LimitsError(
             f"line {line}: the command of the motion that begins here failed its check: {why}. This is a fault of "

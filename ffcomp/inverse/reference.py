@@ -121,7 +121,13 @@ class Reference:
     def path(self) -> tuple[FloatArray, FloatArray]:
         """Return when each corner of the section's path is due, (n + 1,) s, and where it is, (n + 1, 3) mm."""
         plan, end_t = self._trajectory, self._section.end_t
-        return np.append(plan.start_t, end_t), np.vstack([plan.origin[:, :3], self.nozzle(np.array([end_t]))])
+        due = np.maximum.accumulate(np.append(plan.start_t, end_t))  # by rounding they may fall
+        return due, np.vstack([plan.origin[:, :3], self.nozzle(np.array([end_t]))])
+
+    @property
+    def acceleration_mm_per_s2(self) -> float:
+        """The largest acceleration of the path."""
+        return float(self._trajectory.acceleration.max())
 
     def moving(self, t: FloatArray) -> NDArray[np.bool_]:
         """Return whether the section is under way at times (m,) s of the plan's clock."""
