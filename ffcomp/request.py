@@ -1,4 +1,4 @@
-"""Declare a verb once, for every way to call it.
+"""Declare a verb once: command line, Python, web form and reference page use the same declaration.
 
 The request of a verb is one frozen dataclass. A field gives an option's name, type and default, and the `Option` in
 its annotation the rest: one sentence, group, unit, range. The command line, the Python function, the forms of
@@ -70,11 +70,11 @@ R = TypeVar("R")
 
 OUTPUT, MACHINE, ACCURACY, SPEED, ADVANCED = "Output", "Machine and bed", "Accuracy", "Speed", "Advanced"
 FASTER, REACH = "A quicker print", "Who reaches it"
-GROUPS = (REACH, OUTPUT, MACHINE, ACCURACY, FASTER, SPEED, ADVANCED)  # in the order in which they are printed
+GROUPS = (REACH, OUTPUT, MACHINE, ACCURACY, FASTER, SPEED, ADVANCED)  # in printed order
 
 
 class Option:
-    """What a field's name, type and default do not say of an option.
+    """The help, names, range and text form of an option, in addition to its field's name, type and default.
 
     Parameters
     ----------
@@ -85,7 +85,7 @@ class Option:
     names : str
         On the command line; none: `--the-field`.
     metavar : str
-        What stands for the value in help.
+        Placeholder of the value in the help.
     unit : str
         Of a number, where its name does not say it.
     low, high : float
@@ -100,11 +100,11 @@ class Option:
     repeated : bool
         Whether `parse` takes all the texts of an option that may be given again.
     unset : str
-        What stands on the command line for a default that has no text of its own.
+        Text of a default value that has none, e.g. None.
     writes : str
-        What the path that it takes is written as: "file" or "folder"; empty: it is no target.
+        "file" or "folder": the verb writes the path that it takes; empty: it reads it.
     label : str
-        What the page of `ffcomp serve` calls it; none: it is not offered there.
+        Label on the page of `ffcomp serve`; empty: not offered there.
     """
 
     positional = False

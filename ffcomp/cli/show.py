@@ -84,7 +84,7 @@ def open_picture(picture: str) -> None:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ShowResult(Result):
-    """What was drawn of a print."""
+    """The picture of a print, and its predicted errors."""
 
     input: Path
     machine: Machine
