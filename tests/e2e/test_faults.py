@@ -108,6 +108,7 @@ def as_nobody() -> Iterator[None]:
 @pytest.fixture
 def foreign() -> Iterator[Path]:
     """A folder with a print that others may read; pytest's own folders may not be entered by others."""
+    machine()  # nobody may not look for it in this user's folder
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         (folder / "small.gcode").write_bytes(SMALL)
