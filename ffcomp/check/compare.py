@@ -221,7 +221,7 @@ def _sensor(comparison: Difference) -> str | None:
     if abs(gain) > GAINED:
         return (
             f"The accelerometer reads {abs(gain):.0%} {'more' if gain > 0 else 'less'} of the same motion: {explains} "
-            "It is another one, or its range was set anew; the next check will be compared with this one."
+            "It is another one, or its range was changed; the next check will be compared with this one."
         )
     return None
 
@@ -231,7 +231,7 @@ def _explained(comparison: Difference, last: str) -> Verdict:
     changed = f"The printer has changed since {last}: {_differs(comparison)}."
     best = comparison.explanations[0] if comparison.explanations else None
     if best is None or best.share < EXPLAINED:
-        return Verdict(UNKNOWN, f"{changed} No single part explains it, so it cannot be told here what changed.")
+        return Verdict(UNKNOWN, f"{changed} No single part explains it, so the check does not name one.")
     # of a change that noise half hides, the shares themselves are uncertain
     unsure = max(LEAST_LEFT, 3.0 * float(np.sqrt(2.0 / comparison.rows)) / (comparison.times**2 - 1.0))
     left = max(1.0 - best.share, unsure)
@@ -240,7 +240,7 @@ def _explained(comparison: Difference, last: str) -> Verdict:
     ]
     named = (best, *alike)
     words = ", or ".join(each.part.words(each.value) for each in named)
-    unlike = " These, and some of each, cannot be told apart here." if alike else ""
+    unlike = " The check cannot separate these, or a mixture of them." if alike else ""
     return Verdict(
         CHANGED,
         f"{changed} {words[0].upper()}{words[1:]}: that explains {min(best.share, 1.0):.0%} of it.{unlike}",
@@ -295,12 +295,12 @@ class CheckResult(Result):
 
     @property
     def warnings(self) -> Sequence[str]:
-        """What limits the comparison."""
+        """Sentences on the limits of the comparison."""
         return self.notes
 
     @property
     def next_steps(self) -> list[str]:
-        """What comes next, where something does."""
+        """The next step, if there is one."""
         findings = [each.finding for each in (self.verdict, self.since_first) if each is not None]
         if UNKNOWN in findings:
             return [f"To search for it: {self.diagnose}"]
@@ -438,7 +438,7 @@ def _notes(known: Sequence[Check], plan: Plan, names: set[str], last: Check | No
         notes.append(f"These captures are in the history already, of {_day(known[0].date)}; it was not changed.")
     missing = [each.name for each in plan.experiments if each.name not in names]
     if missing:
-        notes.append(f"Without {', '.join(missing)}, of which no capture could be used.")
+        notes.append(f"Left out, because no capture of it could be used: {', '.join(missing)}.")
     if last is not None and last.machine_sha256 != machine.sha256:
         notes.append("The machine file has changed since; the comparison is of motion with motion all the same.")
     return notes

@@ -50,7 +50,7 @@ class Part:
     sentence: str  # with {size} and {way}
     scale: float = 100.0  # of the size in the sentence
     ways: tuple[str, str] = HIGHER
-    worth: float | None = None  # a check that would not see so much tells nothing
+    worth: float | None = None  # a check that would miss so much is inconclusive
     special: bool = False  # a case of another part: one belt of all
 
     def words(self, value: float) -> str:
@@ -132,7 +132,7 @@ def expected_signals(machines: Sequence[Machine], motion: Commanded) -> FloatArr
     return np.array([CubicSpline(t, each)(rows) for each in sensed])
 
 
-UNSEEN = 1e-3  # of the signal, root mean squares: nothing can be said of such a part
+UNSEEN = 1e-3  # of the signal, root mean squares: a part that changes less is left out
 FITS = 2  # of the last check
 
 

@@ -43,7 +43,7 @@ EARLIER = {
 CENTRE_MM = 1.0  # from the centre, within which its symmetry is assumed
 SILENT = 0.05  # of the largest response of an axis: below it a carriage does not take part
 
-SURE_FREEDOM = 5  # degrees of freedom from which a large χ² widens the intervals
+SURE_FREEDOM = 5  # degrees of freedom: with as many, a large χ² widens the intervals
 WEIGHED_SD = 1e-6  # relative, of a weight given without an uncertainty
 
 
@@ -262,7 +262,7 @@ def identify_as_paper(
 
     Parameters
     ----------
-    start : for the kinematics, the arms' mass, limits; its vibration parameters are replaced, never used.
+    start : gives the kinematics, the arms' mass and the limits; its vibration parameters are replaced, never used.
 
     Raises
     ------
