@@ -158,19 +158,17 @@ def _beyond(
 ) -> BoolArray:
     """Find the segments (n,) of a command that exceed a limit, or that the firmware cannot execute in their time.
 
-    gentle : nor may the ends exceed the path and the middle by much, or the nozzle's own acceleration
+    gentle : nor may the ends exceed the path and the middle by much
     """
     # not finite means out of reach, where a lower speed does not help
     utilisation = utilisation_from_rest(solution.vertices, model.limits)
     beyond = utilisation.max(axis=(1, 2)) > 1.0
     if gentle:
         path = written.reference.at_knots(np.arange(written.reference.knots + 1))
-        nozzle = np.sqrt((np.diff(path, 2, axis=0) ** 2).sum(axis=1)).max(initial=0.0) / model.settings.segment_s**2
         asked = utilisation[:, ACCELERATION].max(axis=1)
         inner = asked[ENDS:-ENDS].max(initial=0.0)
         by_path = utilisation_from_rest(path, model.limits)[:, ACCELERATION].max()
-        most = min(STEEP * max(by_path, inner), nozzle / model.limits.acceleration_mm_per_s2)
-        beyond |= asked > max(inner, most)
+        beyond |= asked > STEEP * max(by_path, inner)
     beyond[1] |= beyond[0]
     beyond[-2] |= beyond[-1]
     return np.asarray(beyond[1:-1] | late_segments(model, written, solution.vertices, events))
