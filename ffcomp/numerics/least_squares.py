@@ -21,10 +21,12 @@ FloatArray = NDArray[np.float64]  # as models.arrays, which numerics lies below
 Residual = Callable[[FloatArray], FloatArray]  # (p,) -> (rows,)
 Bounds = tuple[FloatArray, FloatArray]  # lowest and highest, (p,) each
 
-STEP = 0.01  # of a prior's standard deviation, for differences: simulations have no noise of their own
-MOST_CHANGE, SMALLEST_STEP = 30.0, 1e-5  # a step is smaller where it would change the residual by more than this
+# Steps of differences, in a prior's standard deviations, change the residual by about CHANGE: with play or dry friction
+# a simulation jumps by some of it from one parameter value to the next, and a short step would divide that by little.
+FIRST_STEP, CHANGE = 0.01, 100.0
+SMALLEST_STEP, LARGEST_STEP = 1e-5, 0.3
 RIDGE = 1e-12  # of the diagonal: keeps the normal matrix of confounded unknowns regular
-COST_TOLERANCE = 0.3  # of the cost, times the misfit: a fit ends when less than this can be gained
+COST_TOLERANCE = 0.3  # of the cost, times the overdispersion: a fit ends when less than this can be gained
 SMALL_GAIN = 1e-7  # or less than this share of what stands above the noise
 TRUSTED_GAIN = 0.3  # of its predicted gain must a step reach, or the kept columns of the Jacobian are too old
 DAMPINGS = (10.0, 100.0, 1e3, 1e4, 1e5)  # tried at once, times the last one, where a step does not help
@@ -79,6 +81,15 @@ def minimise(
         max_nfev=evaluations,
     )
     return Solution(np.asarray(result.x), result.fun, result.jac, 2.0 * float(result.cost), bool(result.success))
+
+
+def forward_differences(function: Residual, x: FloatArray, step: float) -> FloatArray:
+    """Return ∂function/∂x, (rows, p), off by about half the second derivative times the step.
+
+    Half the cost of central differences, and enough for the steps of a fit: where they lead is set by the residual.
+    """
+    here = function(x)
+    return np.stack([(function(x + shift) - here) / step for shift in step * np.eye(len(x))], axis=1)
 
 
 def central_differences(function: Residual, x: FloatArray, steps: FloatArray) -> FloatArray:
@@ -143,6 +154,22 @@ class Iterate:
         return normal, self.jacobian.T @ self.residual - self.z
 
 
+def overdispersion(misfit: float, block_rows: float) -> float:
+    """Return the factor by which noise and model error together scatter |r|² more than the noise alone.
+
+    The shapes of a model are never exactly those of a machine. Of a misfit v, 1/v is noise, which is white, and the
+    rest is model error, which keeps its sign over a block of rows: quasi-likelihood with correlated errors (McCullagh &
+    Nelder, Generalized Linear Models, 1989, chapter 9).
+
+    Parameters
+    ----------
+    misfit : the mean square of the whitened residual; below one it counts as one.
+    block_rows : rows over which the model's error keeps its sign.
+    """
+    v = max(misfit, 1.0)
+    return v * (1 + (block_rows - 1) * (1 - 1 / v))
+
+
 def minimise_batched(
     problem: BatchedProblem,
     start: FloatArray,
@@ -153,6 +180,7 @@ def minimise_batched(
     small_gain: float = SMALL_GAIN,
     renew_all: bool = True,
     exact: bool = False,
+    block_rows: float = 1.0,
 ) -> Iterate:
     """Minimise |r|² + |z|² from `start`.
 
@@ -164,13 +192,15 @@ def minimise_batched(
     small_gain : the share of the cost beyond noise, of one a row, that must still be gained for another step.
     renew_all : if no step helps, recompute all columns and continue.
     exact : take all of the Jacobian by central differences, with steps as fine as the given one needs.
+    block_rows : see `overdispersion`; no decision depends on a gain far below it.
     """
     here, fresh = _begin(problem, start, jacobian, exact)
     everything: Sequence[int] = range(len(here.z))
     damping = 0.0
     for _ in range(iterations):
         excess = max(here.cost - len(here.residual), 0.0)  # beyond noise, which no step can take off
-        least = max(COST_TOLERANCE * max(1.0, here.cost / len(here.residual)), small_gain * excess)
+        scatter = overdispersion(here.cost / len(here.residual), block_rows)
+        least = max(COST_TOLERANCE * scatter, small_gain * excess)
         predicted = predicted_gain(problem, here)
         better = None if predicted < least else _damped_step(problem, here, damping)
         if better is None and (fresh or not renew_all):
@@ -219,11 +249,11 @@ def differences(
 
     Parameters
     ----------
-    sizes : (p,) about how much the residual changes with each unknown, which sets the steps.
+    sizes : (p,) about how much the residual changes with each unknown, which sets the steps; 0 where that is not known.
     """
-    steps = np.full(len(z), STEP)
-    if sizes is not None:
-        steps = np.clip(MOST_CHANGE / np.maximum(sizes, 1e-300), SMALLEST_STEP, STEP)
+    sizes = np.zeros(len(z)) if sizes is None else sizes
+    fitting = np.clip(CHANGE / np.maximum(sizes, 1e-300), SMALLEST_STEP, LARGEST_STEP)
+    steps = np.where(sizes > 0.0, fitting, FIRST_STEP)
     pairs = {i: _either_side(problem, z, i, steps[i], central) for i in columns}
     rough = [i for i in columns if i < problem.rough] if problem.quick is not None and not central else []
     quotients = _quotients(problem.residuals, z, residual, {i: pair for i, pair in pairs.items() if i not in rough})
