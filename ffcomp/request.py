@@ -1,4 +1,4 @@
-"""Declare a verb once: command line, Python, web form and reference page use the same declaration.
+"""Declare a verb once, for every way to call it.
 
 The request of a verb is one frozen dataclass. A field gives an option's name, type and default, and the `Option` in
 its annotation the rest: one sentence, group, unit, range. The command line, the Python function, the forms of
@@ -70,11 +70,11 @@ R = TypeVar("R")
 
 OUTPUT, MACHINE, ACCURACY, SPEED, ADVANCED = "Output", "Machine and bed", "Accuracy", "Speed", "Advanced"
 FASTER, REACH = "A quicker print", "Who reaches it"
-GROUPS = (REACH, OUTPUT, MACHINE, ACCURACY, FASTER, SPEED, ADVANCED)  # in printed order
+GROUPS = (REACH, OUTPUT, MACHINE, ACCURACY, FASTER, SPEED, ADVANCED)  # in the order in which they are printed
 
 
 class Option:
-    """The help, names, range and text form of an option, in addition to its field's name, type and default.
+    """What a field's name, type and default do not say of an option.
 
     Parameters
     ----------
@@ -85,7 +85,7 @@ class Option:
     names : str
         On the command line; none: `--the-field`.
     metavar : str
-        Placeholder of the value in the help.
+        What stands for the value in help.
     unit : str
         Of a number, where its name does not say it.
     low, high : float
@@ -100,11 +100,11 @@ class Option:
     repeated : bool
         Whether `parse` takes all the texts of an option that may be given again.
     unset : str
-        Text of a default value that has none, e.g. None.
+        What stands on the command line for a default that has no text of its own.
     writes : str
-        "file" or "folder": the verb writes the path that it takes; empty: it reads it.
+        What the path that it takes is written as: "file" or "folder"; empty: it is no target.
     label : str
-        Label on the page of `ffcomp serve`; empty: not offered there.
+        What the page of `ffcomp serve` calls it; none: it is not offered there.
     """
 
     positional = False

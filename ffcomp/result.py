@@ -26,7 +26,7 @@ class Answer:
 
     headline: str = ""  # the finding in a sentence
     facts: Sequence[Fact] = ()  # list of lists of text: pairs of a name and a value with its unit
-    warnings: Sequence[str] = ()  # sentences: anything unknown, unproven or not compensated, and the remedy
+    warnings: Sequence[str] = ()  # sentences: what is not known, not proven or not compensated, and the remedy
     next_steps: Sequence[str] = ()  # sentences: what to do next
 
     def lines(self) -> Iterator[str]:
@@ -67,7 +67,7 @@ class Result:
 
     @property
     def warnings(self) -> Sequence[str]:
-        """Sentences: anything unknown, unproven or not compensated, and the remedy."""
+        """Sentences: what is not known, not proven or not compensated, and the remedy."""
         return ()
 
     @property

@@ -6,7 +6,7 @@ import os
 import secrets
 import shutil
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from errno import EBUSY, EINVAL
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
@@ -64,8 +64,7 @@ def replacing(path: str | Path) -> Iterator[BinaryIO]:
         _drafts.append(_Draft(str(path), target, made.st_dev, made.st_ino))
         os.replace(draft, target)
     finally:
-        with suppress(OSError):  # why it could not be written matters more
-            draft.unlink(missing_ok=True)
+        draft.unlink(missing_ok=True)
 
 
 def _created(draft: Path, path: str | Path) -> BinaryIO:

@@ -57,7 +57,7 @@ class MethodComparison(Result):
 
     @property
     def warnings(self) -> list[str]:
-        """Whether another print than the file is compared, and the limits of the result."""
+        """What is compared, if not the file itself, and how far the result goes."""
         return [*self.notes, *sentences.answer_of(self.comparison).warnings]
 
     @property
@@ -110,7 +110,7 @@ def compare_print(request: CompareRequest) -> MethodComparison:
     plant = load_machine(request.plant) if request.plant else None
     data, offset = read_bytes(Path(request.file), request.plate), request.offset_mm
     if already_processed(data) is not None:
-        notes.append(f"{request.file} is compensated already; the original in it is compared.")
+        notes.append(f"{request.file} is compensated already: what is compared is the original that it holds.")
         offset = find_offset(data[:STAMP_REACH]) if offset is None else offset
         data = original(data)
     if offset is None:

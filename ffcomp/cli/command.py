@@ -135,7 +135,7 @@ def group(name: str, text: str, *verbs: App, **settings: Any) -> App:
 
 
 def commands(app: App, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], App, list[Declared]]]:
-    """Yield the words, the command and the options of every verb; a group has no options."""
+    """Return every verb: what is typed for it, its command and its options; those that hold others have none."""
     yield path, app, getattr(app.default_command, "options", [])
     for name in app:
         if name not in (*HELP_FLAGS, "--version", "--log-path"):

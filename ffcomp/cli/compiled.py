@@ -21,7 +21,7 @@ VERBS = (*WARMED, "compare", "diagnose", "fit")  # all that compile for more tha
 
 
 def first_run(verb: str) -> bool:
-    """Return whether the verb is about to compile; False without a cache."""
+    """Return whether the verb is about to compile; False where no cache can tell."""
     marker = _marker(verb)
     return marker is not None and not marker.exists()
 
@@ -34,7 +34,7 @@ def sentence(verb: str) -> str:
 
 
 def collect_rarely() -> None:
-    """Collect garbage less often: imported modules and compiled code live as long as the process."""
+    """Collect garbage less often, until the process ends: what is imported and compiled stays."""
     gc.set_threshold(NEW_OBJECTS, 50, 100)
 
 
@@ -50,7 +50,7 @@ def _marker(verb: str) -> Path | None:
     from models.compiled import ahead
 
     folder = cache_folder()
-    if ahead() or folder == Path(os.devnull):  # compiled ahead of time, or without a cache
+    if ahead() or folder == Path(os.devnull):  # nothing is to be compiled; no cache is wanted
         return None
     code, compiler = Path(__file__), find_spec("numba")
     if compiler is None or compiler.origin is None:

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class EstimateShown(Request):
-    """How an estimate is shown."""
+    """What is shown of an estimate."""
 
     layers: Annotated[bool, Option("Print a row for every layer.", OUTPUT)] = False
     figure: Annotated[Path | None, FIGURE] = None
@@ -33,8 +33,7 @@ def estimate(request: EstimateFilesRequest, details: EstimateShown) -> Result:
     """Estimate how long a print takes, by layer and by feature.
 
     ffcomp plans the print as the firmware does and adds up the time. No file states how long heating, homing and
-    macros take; they are listed, not guessed. For a compensated print
-    it estimates both times, before and after compensation.
+    macros take; they are listed, not guessed. A compensated print gets both times, as it is and as it was.
 
     Example: ffcomp estimate sample_prints/ringing_tower.gcode --machine mp-delta-pro
     """
@@ -90,7 +89,7 @@ def _estimates(file: Path, request: EstimateFilesRequest) -> Iterator[Estimate]:
 
 
 def _machine(text: Source, path: str, name: str) -> Machine:
-    """Load the requested machine, or the one in the print's stamp."""
+    """Load the machine asked for, or that of the print's stamp."""
     from ffcomp.cli.machine_files import machine_of
     from ffcomp.estimation.engine import stamp_of
     from models.file import load_machine

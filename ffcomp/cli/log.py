@@ -1,4 +1,4 @@
-"""The log: the command line, the messages and the end of every run. Slicers hide a script's output, or show it once.
+"""The log: what every run was asked, what it said, how it ended. Slicers drop what a script prints, or show it once.
 
 It is `ffcomp.log` in the platform's folder for logs (`ffcomp --log-path` says which). The environment variable
 FFCOMP_LOG names another file, and `off` stands for none. A log that cannot be written never stops a run.
@@ -65,7 +65,7 @@ def logged(arguments: list[str]) -> Iterator[None]:
     except BaseException:
         note(traceback.format_exc())
         if log is not None:
-            print(f"ffcomp: Internal error. See {log.baseFilename}.", file=sys.stderr)
+            print(f"ffcomp: This is a fault of ffcomp's own; what led to it is in {log.baseFilename}.", file=sys.stderr)
         raise
     finally:
         note(f"exit code {code} after {time.perf_counter() - started:.1f} s")
@@ -80,7 +80,7 @@ def _folder() -> str:
     try:
         return os.getcwd()
     except OSError as error:
-        return f"an unknown folder ({error.strerror})"
+        return f"a folder that cannot be told ({error.strerror})"
 
 
 class _Log(RotatingFileHandler):

@@ -28,7 +28,7 @@ def remember(machine: Machine) -> None:
 
 
 def machine_of(stamp: Stamp, file: Path) -> Machine:
-    """Return the machine that a stamp names: a known one, one next to the print or here, or one used before.
+    """Return the machine that a stamp names: of the library, the user's, beside the print, here, or used before.
 
     Raises
     ------

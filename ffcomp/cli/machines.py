@@ -356,7 +356,7 @@ class DiffMachinesRequest(Request):
 
 @verb
 def diff_machines(request: DiffMachinesRequest) -> Result:
-    """Show how the parameters and natural frequencies of two machine files differ.
+    """Show the parameters in which two machine files differ, and both sets of natural frequencies.
 
     Example: ffcomp machines diff my-delta.toml better.toml
     """

@@ -72,7 +72,7 @@ class ImportedMachine(Result):
 
     @property
     def headline(self) -> str:
-        """Kinematics and firmware."""
+        """What was read."""
         return (
             f"{self.path}: a {self.made.config.kinematics} machine, from a {self.made.config.firmware} configuration."
         )
@@ -85,7 +85,7 @@ class ImportedMachine(Result):
 
     @property
     def warnings(self) -> list[str]:
-        """Missing parameters, settings without a place in a machine file, and a shaper that contradicts the modes."""
+        """What is missing, what the machine file cannot hold, and a shaper that does not suit the assumed modes."""
         return list(self._warnings())
 
     def _warnings(self) -> Iterator[str]:
@@ -136,7 +136,7 @@ class ImportedMachine(Result):
             "missing": dict(made.missing),  # .* text: by `table.key`: why it matters, or how to get it
             "notes": list(made.config.notes),  # list of text: what a machine file cannot hold
             "shaper_hz": list(made.config.shaper_hz),  # list of numbers: of a delta: the input shaper's frequencies
-            # number or null: the loudest vibration of the assumed machine, to compare
+            # number or null: beside them: the loudest vibration of the assumed machine
             "model_loudest_hz": self.model_hz,
         }
 

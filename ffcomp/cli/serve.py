@@ -37,7 +37,7 @@ class ServeRequest(Request):
     port: Annotated[int, Option("Port to listen on.", REACH, metavar="N", low=0, high=65535)] = 8017
     name: Annotated[
         tuple[str, ...],
-        Option("Another host name of this server. May be repeated.", REACH, metavar="NAME"),
+        Option("Another name by which browsers reach this server. May be repeated.", REACH, metavar="NAME"),
     ] = ()
     frame: Annotated[
         tuple[str, ...],
@@ -52,8 +52,8 @@ class ServeRequest(Request):
     moonraker: Annotated[
         str,
         Option(
-            "The printer's Moonraker, e.g. http://mainsailos.local:7125: lists its prints, and puts the compensated "
-            "ones next to them.",
+            "The printer's Moonraker, e.g. http://mainsailos.local:7125: its prints are listed, and compensated ones "
+            "put beside them.",
             REACH,
             metavar="URL",
         ),
@@ -162,13 +162,13 @@ def _config(app: Guard, request: ServeRequest) -> uvicorn.Config:
 
 
 def _say(settings: Settings) -> None:
-    """Print the address on stdout, warnings on stderr."""
+    """Print the address on stdout; what to mind of it on stderr."""
     print(f"{settings.address}{'?token=' + settings.token if settings.token else ''}", flush=True)
     say(f"ffcomp: Work is kept in {settings.folder}. End with Ctrl-C.")
     if settings.token and not settings.secure:
         say(
-            "ffcomp: Other computers can open this page with the token in the address above. Without HTTPS the token "
-            "and your prints are not encrypted: use it in your own network only, or give --certificate and --key, or "
-            "connect by ssh -L 8017:localhost:8017."
+            "ffcomp: Other computers can reach this page, with the token of the address above. Without HTTPS the token "
+            "and your prints can be read on the way: use it in your own network only, or give --certificate and --key, "
+            "or reach it by ssh -L 8017:localhost:8017."
         )
     sys.stderr.flush()

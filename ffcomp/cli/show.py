@@ -84,7 +84,7 @@ def open_picture(picture: str) -> None:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ShowResult(Result):
-    """The picture of a print, and its predicted errors."""
+    """What was drawn of a print."""
 
     input: Path
     machine: Machine

@@ -16,12 +16,12 @@ from typing import Any
 import numpy as np
 
 from ffcomp.diagnosis.problem import REACH_SD, Candidate, Parameter
-from models.arrays import FloatArray
-from models.effects.catalogue import CATALOGUE, effects_of
+from models.arrays import ComplexArray, FloatArray
+from models.effects.catalogue import CATALOGUE, effective_machine, effects_of, with_effects
 from models.effects.effect import AT_DRIVE, Effect, MotionScales
 from models.effects.effect import Parameter as EffectParameter
 from models.kinds import driven_axis
-from models.machine import Machine, value_of
+from models.machine import Machine, value_of, with_values
 from models.printer.one_axis import axis_effects
 
 BOTH = 9.0  # in place of an angle: alike in x and y
@@ -48,6 +48,42 @@ def machine_parameters(machine: Machine) -> list[Parameter]:
                 Parameter(name, value, sd, low if value < 0 else max(low, 0.05 * value), value + REACH_SD * sd)
             )
     return parameters
+
+
+def with_replaced(machine: Machine, candidate: Candidate) -> Candidate:
+    """Note which of the file's numbers each form of an effect replaces: those that its amplitudes can set one by one.
+
+    A belt that is softer than in the file is one number, and a fit that moves both of them ends anywhere between.
+    """
+    other = None if candidate.other is None else with_replaced(machine, candidate.other)
+    return replace(candidate, other=other, replaces=_replaced(machine, candidate))
+
+
+def _replaced(machine: Machine, candidate: Candidate) -> frozenset[str]:
+    tunable = list(machine.vibration.tunable)
+    if CATALOGUE[candidate.name].kind != "parameter" or candidate.switch or not tunable:
+        return frozenset()
+    unchanged = {n.name: n.start for n in candidate.parameters}
+    filed = {n: value_of(machine, n) for n in tunable}
+    columns = []
+    for a in candidate.amplitudes:
+        tables = effect_tables({**unchanged, a.name: candidate.probe[a.name]})
+        changed = effective_machine(with_effects(machine, tables))
+        if not np.allclose(_response(with_values(changed, filed)), _response(machine), rtol=1e-9):
+            return frozenset()  # it does something else besides
+        columns.append([value_of(changed, n) - x for n, x in filed.items()])
+    span = np.array(columns).T
+    if not np.any(span):
+        return frozenset()
+    span /= np.linalg.norm(span, axis=0).max()
+    projection = span @ np.linalg.pinv(span)
+    return frozenset(n for n, share in zip(tunable, np.diag(projection), strict=True) if share > 1 - 1e-6)
+
+
+def _response(machine: Machine) -> ComplexArray:
+    """Return the response of the machine's model in the middle of its bed: (3, 3, 3), at three frequencies."""
+    centre, hz = np.array(machine.kinematics.centre_mm), np.array([3.0, 30.0, 300.0])
+    return machine.vibration.carriage_response(centre, 2j * np.pi * hz)
 
 
 def _full(effect: Effect, p: EffectParameter, line: int = 0) -> str:
@@ -92,7 +128,7 @@ def printer_candidates(machine: Machine, commands: Sequence[FloatArray], names: 
     effects = [CATALOGUE[n] for n in names if n in possible and n not in machine.effects]
     travel = float(max(np.ptp(command @ machine.kinematics.motors.T, axis=0).max() for command in commands))
     limited = (within_travel(_printer_candidate(machine, effect, idle), travel) for effect in effects)
-    return [candidate for candidate in limited if candidate is not None]
+    return [with_replaced(machine, candidate) for candidate in limited if candidate is not None]
 
 
 def _possible_effects(machine: Machine, commands: Sequence[FloatArray]) -> list[str]:
@@ -249,9 +285,10 @@ def axis_candidates(
         for effect in able
     )
     if not axis.load_mass_kg or axis.free:
-        return candidates
+        return tuple(with_replaced(machine, c) for c in candidates)
     drive = replace(scales, stiffness_n_per_m=axis.stiffness_n_per_m, stretch_m=scales.force_n / axis.stiffness_n_per_m)
-    return tuple(_of_either_spring(c, effect, drive, signals) for c, effect in zip(candidates, able, strict=True))
+    either = [_of_either_spring(c, effect, drive, signals) for c, effect in zip(candidates, able, strict=True)]
+    return tuple(with_replaced(machine, c) for c in either)
 
 
 def _with_lines(candidate: Candidate, effect: Effect, scales: MotionScales, pitches: Sequence[float]) -> Candidate:

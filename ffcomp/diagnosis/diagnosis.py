@@ -304,8 +304,10 @@ def _search_excerpt(estimation: EstimationProblem, base: Fit, progress: Progress
 
 def _retuned(estimation: EstimationProblem, best: Hypothesis, least: float) -> Fit:
     """Fit the machine's parameters alone, from where the best hypothesis took them: perhaps they need no effect."""
-    z, jacobian = best.fit.z[: best.machine_count], best.machine_jacobian
-    retuned = fit(estimation, best.machine_parameters, z, jacobian, iterations=4)
+    z, jacobian, file = best.fit.z[: best.machine_count], best.machine_jacobian, estimation.problem.parameters
+    if any(c.replaces for c in best.effects):
+        jacobian = linearised(estimation, file, z).jacobian
+    retuned = fit(estimation, file, z, jacobian, iterations=4)
     return (
         _fitted_to_the_end(estimation, retuned, least)
         if significant(best.fit, retuned, estimation.settings, 0.0)
@@ -391,7 +393,7 @@ def _proven_intervals(
     """Return the intervals, narrowed where they include no effect although the fit without it is far worse."""
     for c in best.effects:
         if superfluous(c, intervals):
-            rest = best.without(c)
+            rest = best.without(c, none.estimation.problem.parameters)
             without = continue_fit(none.estimation, rest, progress).fit if rest.effects else none.base
             intervals = by_deviance(none.estimation, c, best.fit, without, intervals)
     return intervals

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ffcomp.diagnosis.noise import Whitener, whitener
 from ffcomp.diagnosis.problem import Candidate, InfeasibleParameters, Parameter, Problem
@@ -26,6 +27,7 @@ from ffcomp.numerics.least_squares import (
     bounded_step,
     differences,
     minimise_batched,
+    overdispersion,
 )
 from models.arrays import FloatArray
 
@@ -59,6 +61,28 @@ class ResidualCache:
 
 
 @dataclass(frozen=True, eq=False)
+class Elsewhere:
+    """Data that are not simulated: what it costs there to move what was fitted to all, |root (z − z₀)|².
+
+    Without it, a fit to a few motions moves the machine's numbers to wherever those motions alone are best.
+    """
+
+    parameters: tuple[Parameter, ...]
+    z: FloatArray  # (p,) z₀
+    root: FloatArray  # (p, p)
+
+    def residual(self, values: Mapping[str, float]) -> FloatArray:
+        """Return (p,) rows that stand for these data."""
+        z = np.array([(values.get(n.name, n.start) - n.start) / n.sd for n in self.parameters])
+        return np.asarray(self.root @ (self.z - z))
+
+
+def elsewhere_of(fitted: Fit, rows: NDArray[np.bool_]) -> Elsewhere:
+    """Condense some rows of a fit to as many as it has parameters: JᵀJ = rootᵀ root."""
+    return Elsewhere(fitted.parameters, fitted.z, np.asarray(np.linalg.qr(fitted.jacobian[rows], mode="r")))
+
+
+@dataclass(frozen=True, eq=False)
 class EstimationProblem:
     """A problem with its whitener."""
 
@@ -72,6 +96,7 @@ class EstimationProblem:
     tolerance: float = SETTINGS.known_noise  # of the noise: a smaller discrepancy counts as none
     share: float = 1.0  # of all data
     only: tuple[int, ...] | None = None  # observations that are simulated; None: all
+    elsewhere: Elsewhere | None = None  # the others, where they count
     cache: ResidualCache = field(default_factory=ResidualCache)  # shared by all derived from this one on the same data
 
     def residual(self, values: Mapping[str, float]) -> FloatArray:
@@ -84,8 +109,9 @@ class EstimationProblem:
         keys = [(frozenset(values.items()), self.only, self.coarse) for values in points]
         cached = [self.cache.get(key) for key in keys]
         new = self._evaluated([values for values, known in zip(points, cached, strict=True) if known is None])
-        for key, known in zip(keys, cached, strict=True):
-            yield self.cache.add(key, next(new) if known is None else known)
+        for values, key, known in zip(points, keys, cached, strict=True):
+            residual = self.cache.add(key, next(new) if known is None else known)
+            yield residual if self.elsewhere is None else np.append(residual, self.elsewhere.residual(values))
 
     def _evaluated(self, many: Sequence[Mapping[str, float]]) -> Iterator[FloatArray]:
         infeasible = np.full(len(self.measured), INFEASIBLE_SD)
@@ -198,13 +224,8 @@ class Fit:
 
     @property
     def overdispersion(self) -> float:
-        """The factor by which noise and model error together scatter −2 ln Z more than the noise alone.
-
-        The shapes of the model are never exactly those of the machine. Of a misfit v, 1/v is noise, which is white,
-        and the rest is model error, which keeps its sign over a block of rows: quasi-likelihood with correlated errors
-        (McCullagh & Nelder, Generalized Linear Models, 1989, chapter 9). Differences in evidence are divided by it.
-        """
-        return self.misfit * (1 + (self.block_rows - 1) * (1 - 1 / self.misfit))
+        """The factor by which differences in evidence are divided: see `least_squares.overdispersion`."""
+        return overdispersion(self.misfit, self.block_rows)
 
     @cached_property
     def slope(self) -> FloatArray:
@@ -363,6 +384,7 @@ def fit(
         small_gain=small_gain,
         renew_all=renew_all,
         exact=exact,
+        block_rows=estimation.block_rows,
     )
     return Fit(tuple(parameters), best.z, best.residual, best.jacobian, estimation.block_rows)
 

@@ -93,17 +93,25 @@ class Hypothesis:
         """Whether the file's numbers moved no further than their uncertainties make likely."""
         return not implausible(self.fit, self.machine_count)
 
-    def without(self, dropped: Candidate) -> Hypothesis:
-        """Leave one effect out, everything else as it stands."""
+    def without(self, dropped: Candidate, file: Sequence[Parameter]) -> Hypothesis:
+        """Leave one effect out, everything else as it stands; the numbers of the file that it replaced are free again.
+
+        Parameters
+        ----------
+        file : the machine's parameters, as the problem has them.
+        """
         effects = tuple(c for c in self.effects if c.name != dropped.name)
         keep = [i for i, n in enumerate(self.fit.parameters) if n not in dropped.parameters]
-        parameters = tuple(self.fit.parameters[i] for i in keep)
+        free = {n.name: n for n in file}
+        machine = held([free.get(n.name, n) for n in self.machine_parameters], effects)
+        parameters = (*machine, *(n for n in self.effect_parameters if n not in dropped.parameters))
         return Hypothesis(effects, Fit(parameters, self.fit.z[keep], self.fit.residual, self.fit.jacobian[:, keep]))
 
-    def at_file(self) -> Hypothesis:
-        """Put the machine's parameters where the file has them, the effects as they stand; the fit is to be renewed."""
-        z = np.concatenate([np.zeros(self.machine_count), self.effect_z])
-        return Hypothesis(self.effects, replace(self.fit, z=z))
+
+def held(machine: Sequence[Parameter], effects: Sequence[Candidate]) -> tuple[Parameter, ...]:
+    """Hold the numbers that effects replace where the file has them: a fit that moves both ends anywhere between."""
+    replaced = frozenset[str]().union(*(c.replaces for c in effects))
+    return tuple(replace(n, low=n.start, high=n.start) if n.name in replaced else n for n in machine)
 
 
 def may_join(name: str, names: Sequence[str]) -> bool:

@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ffcomp.diagnosis.fit import EstimationProblem, Fit, solved, step_within
+from ffcomp.diagnosis.fit import EstimationProblem, Fit, elsewhere_of, solved, step_within
 from ffcomp.diagnosis.problem import Candidate, Parameter
 from models.arrays import FloatArray
 from models.effects.catalogue import CATALOGUE
@@ -40,18 +40,26 @@ class Subset:
     fit: Fit
 
 
-def subset_of(estimation: EstimationProblem, fitted: Fit) -> Subset | None:
-    """Return the motions in which most of a fit's residual is; None where that would hardly be quicker."""
+def subset_of(estimation: EstimationProblem, fitted: Fit, chosen: Sequence[int] | None = None) -> Subset | None:
+    """Return the motions in which most of a fit's residual is; None where that would hardly be quicker.
+
+    Parameters
+    ----------
+    chosen : motions to take instead, so that fits of several hypotheses compare.
+    """
     if estimation.only is not None:
         return None  # it is one already
-    chosen = loudest_motions(estimation, fitted.residual)
+    chosen = loudest_motions(estimation, fitted.residual) if chosen is None else chosen
     motions = estimation.problem.motions
     if len(chosen) > estimation.settings.subset_worth * len(set(motions)):
         return None
     members = [i for i, motion in enumerate(motions) if motion in chosen]
-    rows = estimation.rows_of(members)
-    part = Fit(fitted.parameters, fitted.z, fitted.residual[rows], fitted.jacobian[rows])
-    return Subset(estimation.limited_to(members), part)
+    rows, others = estimation.rows_of(members), np.ones(len(fitted.residual), dtype=bool)
+    others[rows] = False
+    rest = elsewhere_of(fitted, others)
+    residual = np.append(fitted.residual[rows], np.zeros(len(rest.root)))
+    part = Fit(fitted.parameters, fitted.z, residual, np.vstack([fitted.jacobian[rows], rest.root]))
+    return Subset(replace(estimation.limited_to(members), elsewhere=rest), part)
 
 
 def loudest_motions(estimation: EstimationProblem, residual: FloatArray) -> Sequence[int]:

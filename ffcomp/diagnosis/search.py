@@ -29,11 +29,11 @@ from ffcomp.diagnosis.fidelity import (
 from ffcomp.diagnosis.fit import EstimationProblem, Fit, clipped, derivatives, fit, solved, values_at
 from ffcomp.diagnosis.held_out import left_elsewhere
 from ffcomp.diagnosis.hypotheses import (
-    FILE_CHANGES,
     NESTED,
     Hypothesis,
     comparable,
     distinct,
+    held,
     leaves_excess,
     likeliest,
     log_fit,
@@ -44,7 +44,7 @@ from ffcomp.diagnosis.hypotheses import (
     worth,
 )
 from ffcomp.diagnosis.problem import Candidate, Parameter, stem_of
-from ffcomp.diagnosis.score_test import Screened, Subset, screen, subset_of
+from ffcomp.diagnosis.score_test import Screened, Subset, loudest_motions, screen, subset_of
 from ffcomp.diagnosis.settings import SearchSettings
 from ffcomp.numerics.stages import Progress, Stage
 from models.arrays import FloatArray
@@ -52,7 +52,6 @@ from models.arrays import FloatArray
 SIZES = (1.0, 0.3, 0.1, 0.03, 0.01, -0.01, -0.03, -0.1, -0.3, -1.0)  # of a usual size, where fits may begin
 ESTIMATES = (1.0, 0.4, 0.15)  # of the linear estimate
 ADDED_SIZES = (0.1, 0.3, 1.0)  # of the usual size of what a richer form adds
-SAME = 0.999  # cos² of two derivatives, from which they are of the same number
 SHIFTS = (0.0, 1.0, 2.0, 3.0, 4.0)  # standard deviations from the usual, where a new shape may begin
 
 
@@ -99,13 +98,19 @@ def find_best(search: Search) -> Selection:
     """Run the search up to its final fits."""
     search.progress(Stage(4, "fitting the most promising effects"))
     settings = search.settings
-    children = [h for base, screened in search.bases for h in _quick_fits(search, Hypothesis((), base), screened)]
+    chosen = _chosen(search, [base for base, _ in search.bases])
+    children = [
+        child
+        for base, screened in search.bases
+        for child in _quick_fits(search, Hypothesis((), base), screened, chosen)
+    ]
     beam = _level(search, children)
     best, tried = beam[0], beam
     while len(best.effects) < settings.most_effects and incomplete(search, best) and search.may_go_on:
         search.progress(Stage(5, f"looking for one effect more than {' + '.join(best.names)}"))
         near = [h for h in beam if comparable(h, best, settings.near, settings)]
-        beam = _level(search, [child for h in near for child in _expanded(search, h)])
+        chosen = _chosen(search, [h.fit for h in near])
+        beam = _level(search, [child for h in near for child in _expanded(search, h, chosen)])
         tried = [*tried, *beam]
         if not beam or not _gains(search, beam[0], best):
             break
@@ -126,31 +131,38 @@ def _gains(search: Search, larger: Hypothesis, smaller: Hypothesis) -> bool:
 
 
 def incomplete(search: Search, h: Hypothesis) -> bool:
-    """Tell whether a discrepancy is left somewhere, or a number of the file is oddly far off."""
+    """Tell whether more is left than an effect's formula may leave, or a number of the file is oddly far off."""
     odd = any(z > search.settings.odd_sd for _, z in moved_numbers(h.fit, h.machine_count))
-    return odd or not h.plausible or leaves_excess(search.estimation, h.fit)
+    inexact = h.discrepancy < search.settings.trace * search.retuned.discrepancy
+    return odd or not h.plausible or (not inexact and leaves_excess(search.estimation, h.fit))
 
 
 # ---- expand --------------------------------------------------------------------------------------
 
 
-def _expanded(search: Search, h: Hypothesis) -> list[Hypothesis]:
+def _chosen(search: Search, parents: Sequence[Fit]) -> Sequence[int]:
+    """Return the motions in which hypotheses of a level are compared: where the likeliest parent leaves most."""
+    likeliest_fit = min(parents, key=lambda each: each.evidence)
+    return loudest_motions(search.estimation, likeliest_fit.residual)
+
+
+def _expanded(search: Search, h: Hypothesis, chosen: Sequence[int]) -> list[Hypothesis]:
     """Score the other effects next to a hypothesis, and fit the most promising ones with it quickly."""
     if not search.may_go_on:
         return []
-    part = _loudest(search, h.fit)
+    part = _loudest(search, h.fit, chosen)
     others = [c for c in search.candidates if may_join(c.name, h.names)]
-    return _quick_fits(search, h, screen(part.estimation, part.fit, others))
+    return _quick_fits(search, h, screen(part.estimation, part.fit, others), chosen)
 
 
-def _loudest(search: Search, fitted: Fit) -> Subset:
-    """Return the motions that hold most of a fit's residual, simulated coarsely."""
-    return subset_of(search.quick, fitted) or Subset(search.quick, fitted)
+def _loudest(search: Search, fitted: Fit, chosen: Sequence[int] | None = None) -> Subset:
+    """Return the motions that hold most of a fit's residual, or chosen ones, simulated coarsely."""
+    return subset_of(search.quick, fitted, chosen) or Subset(search.quick, fitted)
 
 
-def _quick_fits(search: Search, h: Hypothesis, screened: Sequence[Screened]) -> list[Hypothesis]:
+def _quick_fits(search: Search, h: Hypothesis, screened: Sequence[Screened], chosen: Sequence[int]) -> list[Hypothesis]:
     """Fit a hypothesis quickly with one effect more, from the most promising starts."""
-    part, grown = _loudest(search, h.fit), list[Hypothesis]()
+    part, grown = _loudest(search, h.fit, chosen), list[Hypothesis]()
     for start in _starts(search, part, h, screened):
         if grown and not search.may_go_on:
             break
@@ -238,36 +250,15 @@ def _grown(search: Search, part: Subset, h: Hypothesis, start: _Start) -> Hypoth
     """Fit a hypothesis with one effect more, everything together: a few steps in the loudest motions."""
     effects = (*h.effects, start.effect)
     log_try(effects, search.progress)
-    parameters, z = (*h.fit.parameters, *start.effect.parameters), np.concatenate([h.fit.z, start.z])
+    machine = held(h.machine_parameters, effects)
+    parameters = (*machine, *h.effect_parameters, *start.effect.parameters)
+    z = clipped(parameters, np.concatenate([h.fit.z, start.z]))
     residual, every = part.estimation.residual(values_at(parameters, z)), range(len(parameters))
     new = every[len(h.fit.parameters) :]
-    if start.effect.name in FILE_CHANGES:
-        columns = derivatives(part.estimation, parameters, z, residual, every)
-        parameters, z = _as_filed(parameters, z, columns, h.machine_count, len(h.fit.parameters))
-    else:
-        columns = np.hstack([part.fit.jacobian, derivatives(part.estimation, parameters, z, residual, new)])
+    columns = np.hstack([part.fit.jacobian, derivatives(part.estimation, parameters, z, residual, new)])
     renewed = new if len(new) <= RENEWED else ()
     fitted = fit(part.estimation, parameters, z, columns, renewed, 6, QUICK_GAIN, renew_all=False)
     return log_fit(search.estimation, Hypothesis(effects, fitted), search.progress, ", quickly")
-
-
-def _as_filed(
-    parameters: tuple[Parameter, ...], z: FloatArray, columns: FloatArray, machine: int, known: int
-) -> tuple[tuple[Parameter, ...], FloatArray]:
-    """Hold the file's numbers that do what a new effect does where the file has them: both at once are one number.
-
-    Parameters
-    ----------
-    machine, known : how many of the parameters are the machine's, and how many there were without the effect.
-    """
-    new, held, z = columns[:, known:], list(parameters), z.copy()
-    for i in range(machine):
-        column = columns[:, i]
-        part = new @ np.linalg.lstsq(new, column, rcond=1e-9)[0]
-        if float(part @ part) > SAME * float(column @ column) > 0.0:
-            held[i] = replace(held[i], low=held[i].start, high=held[i].start)
-            z[i] = 0.0
-    return tuple(held), z
 
 
 # ---- fit -----------------------------------------------------------------------------------------
@@ -278,7 +269,7 @@ def _level(search: Search, children: Sequence[Hypothesis]) -> list[Hypothesis]:
 
     At least one keeps the file's numbers plausible, if any does.
     """
-    ranked = distinct(sorted(children, key=_quick_rank))
+    ranked = distinct(likeliest(children))
     far = search.settings.near**2  # of quick fits, which are rough
     chosen = [h for h in ranked[: search.settings.width] if comparable(h, ranked[0], far, search.settings)]
     if not any(h.plausible for h in chosen):
@@ -304,11 +295,6 @@ def _fitted(search: Search, h: Hypothesis) -> Hypothesis:
     h = continue_fit(search.estimation, h, search.progress)
     drifted = incomplete(search, h) and not leaves_excess(search.estimation, h.fit)
     return fit_exactly(search.estimation, h, search.progress) if drifted else h
-
-
-def _quick_rank(h: Hypothesis) -> float:
-    """Rank quick fits by evidence a row: those of different parents may be of other motions."""
-    return h.fit.evidence / len(h.fit.residual)
 
 
 def reshape(search: Search, h: Hypothesis) -> Hypothesis:
@@ -417,12 +403,17 @@ def finish(search: Search, selection: Selection) -> Selection:
     if selection.best.discrepancy > (1 - search.settings.dominant) * search.retuned.discrepancy:
         search.estimation.trace.add("finish", selection.best.names, outcome="as it is", reason="it leaves too much")
         return selection
-    best = _without_idle(search, fit_exactly(search.estimation, selection.best, search.progress), selection.tried)
+    best = _finished(search, selection.best, selection.tried)
     for rival in rivals(search, best, selection)[:1]:
         if search.may_go_on:
-            best = _preferred(search, best, fit_exactly(search.estimation, rival, search.progress))
+            best = _preferred(search, best, _finished(search, rival, selection.tried))
             search.estimation.trace.add("rival", rival.names, outcome=f"{' + '.join(best.names)} is preferred")
-    return replace(selection, best=_simplified(search, best))
+    return replace(selection, best=best)
+
+
+def _finished(search: Search, h: Hypothesis, tried: Sequence[Hypothesis]) -> Hypothesis:
+    """Leave out of a hypothesis whatever it does not need, and fit the rest with exact derivatives."""
+    return fit_exactly(search.estimation, _simplified(search, _without_idle(search, h, tried)), search.progress)
 
 
 def rivals(search: Search, best: Hypothesis, selection: Selection) -> list[Hypothesis]:
@@ -448,17 +439,20 @@ def _preferred(search: Search, best: Hypothesis, rival: Hypothesis) -> Hypothesi
 
 
 def _without_idle(search: Search, best: Hypothesis, tried: Sequence[Hypothesis]) -> Hypothesis:
-    """Drop the effects that the others can do without: predicted from those that were tried, else fitted."""
-    estimation, known = search.estimation, [h.names for h in tried]
+    """Drop the effects that do not explain most of what is left without them: predicted, or fitted where nothing was.
+
+    A rest that several formulas explain in part names none of them.
+    """
+    estimation, known, most = search.estimation, [h.names for h in tried], search.settings.dominant
     while len(best.effects) > 1:
         without = {c.name: predicted_without(best, c) for c in best.effects}
         smaller: Hypothesis | None = None
         for c in sorted(best.effects, key=lambda c: without[c.name].evidence):
-            rest = best.without(c)
-            if significant(best.fit, without[c.name], search.settings) and rest.names in known:
+            rest = best.without(c, estimation.problem.parameters)
+            if significant(best.fit, without[c.name], search.settings, most) and rest.names in known:
                 continue
             fitted = continue_fit(estimation, rest, search.progress)
-            kept = worth(estimation, best.fit, fitted.fit)
+            kept = worth(estimation, best.fit, fitted.fit, most)
             reason = f"without {c.name}"
             estimation.trace.add("drop", fitted.names, outcome="refused" if kept else "kept", reason=reason)
             if not kept:
@@ -466,7 +460,7 @@ def _without_idle(search: Search, best: Hypothesis, tried: Sequence[Hypothesis])
                 break
         if smaller is None:
             return best
-        best = fit_exactly(estimation, smaller, search.progress)
+        best = smaller
     return best
 
 
@@ -477,7 +471,6 @@ def _simplified(search: Search, best: Hypothesis) -> Hypothesis:
             smaller = continue_fit(search.estimation, start, search.progress, ", in a simpler form")
             if not comparable(smaller, best, 2.0, search.settings):
                 continue
-            smaller = fit_exactly(search.estimation, smaller, search.progress)
             if not worth(search.estimation, best.fit, smaller.fit, search.settings.reshaped_share):
                 best = smaller
                 break

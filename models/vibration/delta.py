@@ -128,14 +128,14 @@ class DeltaVibration(VibrationModel):
         return ParameterSet(tuple(each), len(names))
 
     def value(self, name: str) -> float:
-        """Return one parameter; KeyError if there is none of this name."""
+        """Return one parameter, the mean where each tower has its own; KeyError if there is none of this name."""
         path, index = _parsed(name)
         part: Any = self
         for key in path:
             part = getattr(part, key, None)
             if part is None:
                 raise KeyError(name)
-        return float(part if index is None else part[index])
+        return float(np.mean(part) if index is None else part[index])
 
     def with_parameters(self, values: Mapping[str, float]) -> DeltaVibration:
         """Return the model with some parameters replaced; KeyError for an unknown name."""
