@@ -203,7 +203,9 @@ def _of_carriages(written: Program, own: NDArray[np.bool_], machine: Machine) ->
     if isinstance(planner, MarlinPlanner):  # it joins a segment of few steps to the next one
         blocks, ends = planner.blocks(moves, stop_before | (wait_before > 0.0))
         block = np.minimum(np.searchsorted(ends[blocks.target], block), len(blocks.target) - 1)
-    first = np.flatnonzero(np.diff(block[own], prepend=-1))  # of each block's own segments
+    jumps = np.append(True, np.abs(start[1:] - end[:-1]).max(axis=1, initial=0.0) > PLACES)[: len(start)]
+    changes = (np.diff(block[own], prepend=-1) != 0) | jumps
+    first = np.flatnonzero(changes)  # of each block's own segments
     last, duration = np.append(first[1:], len(start)) - 1, np.add.reduceat(plan.duration[own], first)
     velocity = (end[last] - start[first]) / duration[:, None]
     follows = np.flatnonzero(own)[first[1:]] - np.flatnonzero(own)[last[:-1]] == 1
