@@ -34,6 +34,7 @@ def page() -> str:
     text = app.generate_docs(output_format="markdown", flatten_commands=True, heading_level=2)
     text = re.sub("^(ffcomp --[a-z-]+) .*$", r"\1", text, flags=re.MULTILINE)  # without the words of this call
     text = re.sub("#ffcomp-(version|log-path)", r"#ffcomp---\1", text)
+    text = text.replace("```console", "```text")  # usage, not an example to run
     verbs = re.sub("^Example: (.*)$", r"Example: `\1`", text[text.index("## Table of Contents") :], flags=re.MULTILINE)
     return f"{HEAD}\n{verbs.rstrip()}\n"
 

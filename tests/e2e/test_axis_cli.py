@@ -35,7 +35,7 @@ def test_an_axis_is_diagnosed_and_its_better_file_closes_the_gap(folder: Path) -
     assert answer["left_out"] == "windows" and answer["print_gain"] is None
     assert answer["effects"][0]["parameters"]["force_n"]["value"] == pytest.approx(4.0, rel=0.05)
     page = unescape(report.read_text())
-    assert "By window of time" in page and "Axis' position" in page
+    assert "By window of time" in page and "Where they differ" in page
     gaps = [json.loads(run("gap", *runs, "-m", file, "--json")[1]) for file in (folder / "slide.toml", better)]
     assert gaps[1]["nrms"] < 0.2 * gaps[0]["nrms"]
     assert gaps[1]["nrms"] == pytest.approx(answer["gap"]["after"], rel=0.01)  # the file is what was fitted

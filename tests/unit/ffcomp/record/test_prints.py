@@ -154,7 +154,7 @@ def test_a_print_keeps_its_file_and_is_recorded_once(tmp_path: Path) -> None:
     path.write_bytes(EXAMPLE.read_bytes())
     words = ["record", "plan", "-m", "mp-delta-pro", "--print", str(path), "-q", "-o"]
     refused = CliRunner().invoke(app, [*words, str(path)])
-    assert refused.exit_code == 2 and "that is the print itself" in refused.output
+    assert refused.exit_code == 2 and "part.gcode is read as well" in refused.output
     assert path.read_bytes() == EXAMPLE.read_bytes()
     path.write_bytes(b"ACCELEROMETER_MEASURE NAME=a\n" + EXAMPLE.read_bytes())
     refused = CliRunner().invoke(app, [*words, str(tmp_path / "out.gcode")])
