@@ -39,8 +39,7 @@ def continue_fit(
     every, machine = range(len(h.fit.parameters)), h.machine_count
     ranked, residual = quickest(estimation, h.fit.values)
     which = every if known is None else every[-h.effect_count :]
-    sizes = np.linalg.norm(h.fit.jacobian, axis=0)
-    columns = derivatives(ranked, h.fit.parameters, h.fit.z, residual, which, sizes=sizes, rough=machine)
+    columns = derivatives(ranked, h.fit.parameters, h.fit.z, residual, which, rough=machine)
     if known is not None:
         columns = np.hstack([known, columns])
     renew = every[-h.effect_count :] if h.effect_count <= RENEWED else ()

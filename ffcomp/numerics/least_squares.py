@@ -21,10 +21,8 @@ FloatArray = NDArray[np.float64]  # as models.arrays, which numerics lies below
 Residual = Callable[[FloatArray], FloatArray]  # (p,) -> (rows,)
 Bounds = tuple[FloatArray, FloatArray]  # lowest and highest, (p,) each
 
-# Steps of differences, in a prior's standard deviations, change the residual by about CHANGE: with play or dry friction
-# a simulation jumps by some of it from one parameter value to the next, and a short step would divide that by little.
-FIRST_STEP, CHANGE = 0.01, 100.0
-SMALLEST_STEP, LARGEST_STEP = 1e-5, 0.3
+STEP = 0.01  # of a prior's standard deviation, for differences
+MOST_CHANGE, SMALLEST_STEP = 30.0, 1e-5  # a step is smaller where it would change the residual by more than this
 RIDGE = 1e-12  # of the diagonal: keeps the normal matrix of confounded unknowns regular
 COST_TOLERANCE = 0.3  # of the cost, times the overdispersion: a fit ends when less than this can be gained
 SMALL_GAIN = 1e-7  # or less than this share of what stands above the noise
@@ -249,11 +247,11 @@ def differences(
 
     Parameters
     ----------
-    sizes : (p,) about how much the residual changes with each unknown, which sets the steps; 0 where that is not known.
+    sizes : (p,) about how much the residual changes with each unknown, which sets the steps.
     """
-    sizes = np.zeros(len(z)) if sizes is None else sizes
-    fitting = np.clip(CHANGE / np.maximum(sizes, 1e-300), SMALLEST_STEP, LARGEST_STEP)
-    steps = np.where(sizes > 0.0, fitting, FIRST_STEP)
+    steps = np.full(len(z), STEP)
+    if sizes is not None:
+        steps = np.clip(MOST_CHANGE / np.maximum(sizes, 1e-300), SMALLEST_STEP, STEP)
     pairs = {i: _either_side(problem, z, i, steps[i], central) for i in columns}
     rough = [i for i in columns if i < problem.rough] if problem.quick is not None and not central else []
     quotients = _quotients(problem.residuals, z, residual, {i: pair for i, pair in pairs.items() if i not in rough})

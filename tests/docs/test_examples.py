@@ -129,7 +129,7 @@ def block(text: str, language: str = "console") -> Block:
 
 
 def test_a_wrong_quote_is_found() -> None:
-    run_block(block("$ ffcomp machines list\n22 machines: 7 delta, 8 corexy, 7 cartesian.\nkossel  delta, library, …\n"))
+    run_block(block("$ ffcomp machines list\n22 machines: 7 delta, 8 corexy, 7 cartesian.\nkossel  delta, …, …"))
     with pytest.raises(AssertionError, match="quotes 'there is no such line'"):
         run_block(block("$ ffcomp machines list\nthere is no such line\n"))
 

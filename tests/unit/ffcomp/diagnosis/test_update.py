@@ -84,7 +84,7 @@ def layers(plants: Sequence[Plant], seed: int = 1) -> list[Recording]:
 
 
 def request(**more: Any) -> UpdateRequest:
-    return UpdateRequest(data=(), machine="m.toml", output=Path("none/of/this.toml"), **more)
+    return UpdateRequest(data=("layers",), machine="m.toml", output=Path("none/of/this.toml"), **more)
 
 
 @pytest.fixture(scope="module")
