@@ -106,7 +106,7 @@ def find_best(search: Search) -> Selection:
     ]
     beam = _level(search, children)
     best, tried = beam[0], beam
-    while len(best.effects) < settings.most_effects and incomplete(search, best) and search.may_go_on:
+    while len(best.effects) < settings.most_effects and _asks_for_more(search, best) and search.may_go_on:
         search.progress(Stage(5, f"looking for one effect more than {' + '.join(best.names)}"))
         near = [h for h in beam if comparable(h, best, settings.near, settings)]
         chosen = _chosen(search, [h.fit for h in near])
@@ -131,10 +131,15 @@ def _gains(search: Search, larger: Hypothesis, smaller: Hypothesis) -> bool:
 
 
 def incomplete(search: Search, h: Hypothesis) -> bool:
-    """Tell whether more is left than an effect's formula may leave, or a number of the file is oddly far off."""
+    """Tell whether a discrepancy is left somewhere, or a number of the file is oddly far off."""
     odd = any(z > search.settings.odd_sd for _, z in moved_numbers(h.fit, h.machine_count))
-    inexact = h.discrepancy < search.settings.trace * search.retuned.discrepancy
-    return odd or not h.plausible or (not inexact and leaves_excess(search.estimation, h.fit))
+    return odd or not h.plausible or leaves_excess(search.estimation, h.fit)
+
+
+def _asks_for_more(search: Search, h: Hypothesis) -> bool:
+    """Tell whether another effect is looked for: more is left than the formulas of those named may leave."""
+    inexact = h.plausible and h.discrepancy < search.settings.trace * search.retuned.discrepancy
+    return incomplete(search, h) and not inexact
 
 
 # ---- expand --------------------------------------------------------------------------------------
@@ -408,12 +413,12 @@ def finish(search: Search, selection: Selection) -> Selection:
         if search.may_go_on:
             best = _preferred(search, best, _finished(search, rival, selection.tried))
             search.estimation.trace.add("rival", rival.names, outcome=f"{' + '.join(best.names)} is preferred")
-    return replace(selection, best=best)
+    return replace(selection, best=_simplified(search, best))
 
 
 def _finished(search: Search, h: Hypothesis, tried: Sequence[Hypothesis]) -> Hypothesis:
-    """Leave out of a hypothesis whatever it does not need, and fit the rest with exact derivatives."""
-    return fit_exactly(search.estimation, _simplified(search, _without_idle(search, h, tried)), search.progress)
+    """Leave out of a hypothesis the effects that it does not need, and fit it with exact derivatives."""
+    return fit_exactly(search.estimation, _without_idle(search, h, tried), search.progress)
 
 
 def rivals(search: Search, best: Hypothesis, selection: Selection) -> list[Hypothesis]:
@@ -471,6 +476,7 @@ def _simplified(search: Search, best: Hypothesis) -> Hypothesis:
             smaller = continue_fit(search.estimation, start, search.progress, ", in a simpler form")
             if not comparable(smaller, best, 2.0, search.settings):
                 continue
+            smaller = fit_exactly(search.estimation, smaller, search.progress)
             if not worth(search.estimation, best.fit, smaller.fit, search.settings.reshaped_share):
                 best = smaller
                 break
