@@ -87,7 +87,7 @@ def test_a_container_says_what_its_text_says(tmp_path: Path) -> None:
     ]
     assert tracks[0] == tracks[1]
     shown = call("show", archive, "--plate", "2")
-    assert shown.exit_code == 0 and f"{archive}.png" in shown.stdout.splitlines()
+    assert shown.exit_code == 0 and f"{archive}.png" in "".join(shown.stdout.split()), shown.stdout
     vague = call("show", archive)
     assert vague.exit_code == 4 and "choose one with --plate N" in vague.output
 

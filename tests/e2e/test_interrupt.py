@@ -57,9 +57,9 @@ def test_after_the_file_has_taken_its_place(printed: Path, monkeypatch: pytest.M
     if moment == "the rename":
         interrupted(monkeypatch, os, "replace", after=True)
     else:
-        from ffcomp.cli import compensate
+        from ffcomp.cli import command
 
-        interrupted(monkeypatch, compensate, "answer", after=False)
+        interrupted(monkeypatch, command, "answer", after=False)
     call = CliRunner().invoke(app, ["compensate", str(printed), "-m", MACHINE, "--no-predict"])
     assert call.exit_code == 130 and "no file was changed" not in call.output
     assert f"Interrupted; {printed} had been written before, and is complete." in call.output
