@@ -104,7 +104,7 @@ def find_best(search: Search) -> Selection:
         for base, screened in search.bases
         for child in _quick_fits(search, Hypothesis((), base), screened, chosen)
     ]
-    beam = _level(search, children)
+    beam = _level(search, children) or [Hypothesis((), search.retuned)]  # there may be no effect to try
     best, tried = beam[0], beam
     while len(best.effects) < settings.most_effects and _asks_for_more(search, best) and search.may_go_on:
         search.progress(Stage(5, f"looking for one effect more than {' + '.join(best.names)}"))

@@ -44,6 +44,11 @@ def test_every_fit_and_every_decision_is_in_the_trace(tmp_path: Path) -> None:
     assert len(written) == len(trace.records) and written[-1]["effects"] == ["coulomb_friction"]
 
 
+def test_a_discrepancy_is_unknown_where_there_is_no_effect_to_try() -> None:
+    found = diagnose(problem(()))
+    assert (found.verdict, found.named) == ("unknown", None) and found.rejections
+
+
 def test_settings_are_an_argument_and_a_narrower_search_fits_less() -> None:
     _, broad = asked()
     _, narrow = asked(replace(SETTINGS, tried=1, starts=1, width=1, forms=0))
