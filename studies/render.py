@@ -70,14 +70,6 @@ def rendered(name: str) -> str:
     return ENVIRONMENT.get_template(f"{name}.md.jinja").render(results_of(name))
 
 
-def print_or_write(page: str, path: Path) -> None:
-    """Print a page that is made from the code, or write it into its file with `--write`."""
-    if sys.argv[1:] == ["--write"]:
-        path.write_text(page, encoding="utf-8")
-    else:
-        print(page, end="")
-
-
 def write_page(name: str) -> None:
     """Render a page into its file."""
     page_of(name).write_text(rendered(name), encoding="utf-8")

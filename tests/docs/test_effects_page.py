@@ -9,7 +9,7 @@ import pytest
 
 from models.effects.catalogue import CATALOGUE, effects_of_printers, values_of
 from models.machine import Machine
-from studies import effect_figures
+from scripts.pages import effects
 
 DOCS = Path(__file__).parents[2] / "docs"
 LARGEST_BYTES = 40_000
@@ -17,19 +17,19 @@ LARGEST_BYTES = 40_000
 
 def test_the_page_is_in_step_with_the_catalogue() -> None:
     written = (DOCS / "EFFECTS.md").read_text(encoding="utf-8")
-    assert written == effect_figures.page(), "python -m studies.effect_figures --write"
+    assert written == effects.page(), "python -m scripts.pages --write"
 
 
 def test_every_effect_has_its_small_figure_and_no_figure_is_left_over() -> None:
     figures = {path.stem: path for path in (DOCS / "effects").glob("*.png")}
-    assert set(figures) == set(effects_of_printers()) == set(effect_figures.SHOWN)
+    assert set(figures) == set(effects_of_printers()) == set(effects.SHOWN)
     assert max(path.stat().st_size for path in figures.values()) < LARGEST_BYTES
 
 
 @pytest.mark.parametrize("name", sorted(effects_of_printers()))
 def test_what_is_shown_may_stand_in_a_machine_file(name: str) -> None:
-    effect, shown = CATALOGUE[name], effect_figures.SHOWN[name]
-    _, machine = effect_figures.machines(effect, shown)
+    effect, shown = CATALOGUE[name], effects.SHOWN[name]
+    _, machine = effects.machines(effect, shown)
     assert isinstance(machine, Machine) and (not effect.amplitudes or values_of(machine, name) is not None)
     for key, value in shown.values.items():
         assert effect.parameter(key).problem(value) == ""
@@ -38,14 +38,14 @@ def test_what_is_shown_may_stand_in_a_machine_file(name: str) -> None:
 @pytest.mark.parametrize("name", ["coulomb_friction", "effector_mass", "cogging", "sensor_gain", "arm_geometry"])
 def test_a_figure_shows_the_effect(name: str) -> None:
     """One of each kind of view: the curve with the effect is another one by more than a tenth of a percent."""
-    shown = effect_figures.SHOWN[name]
-    without, with_it = (shown.panels[0].draw(m) for m in effect_figures.machines(CATALOGUE[name], shown))
+    shown = effects.SHOWN[name]
+    without, with_it = (shown.panels[0].draw(m) for m in effects.machines(CATALOGUE[name], shown))
     np.testing.assert_array_equal(without.x, with_it.x)
     assert np.abs(with_it.y - without.y).max() > 1e-3 * max(float(np.abs(without.y).max()), 1.0)
 
 
 def test_an_effect_that_is_not_declared_there_is_shown_by_its_usual_size(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delitem(effect_figures.SHOWN, "frame_mode")
-    shown = effect_figures.shown(CATALOGUE["frame_mode"])
+    monkeypatch.delitem(effects.SHOWN, "frame_mode")
+    shown = effects.shown(CATALOGUE["frame_mode"])
     assert shown.values["mass_kg"] == 3 and shown.values["direction"] == "both"  # the lightest frame sways most
     assert shown.look == CATALOGUE["frame_mode"].in_data

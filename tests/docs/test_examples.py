@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from studies import gallery_figures
+from scripts.pages import gallery
 from tests.support.docs_runner import (
     COMMANDS,
     ROOT,
@@ -114,10 +114,10 @@ def test_tables_have_as_many_rules_as_headings() -> None:
 def test_the_gallery_is_what_its_script_makes() -> None:
     """Each picture of the folder is made by the script, small, and shown."""
     shown = (ROOT / "docs" / "TROUBLESHOOTING.md").read_text(encoding="utf-8")
-    pictures = sorted(gallery_figures.GALLERY.glob("*.png"))
-    assert [picture.stem for picture in pictures] == sorted(gallery_figures.MADE)
+    pictures = sorted(gallery.GALLERY.glob("*.png"))
+    assert [picture.stem for picture in pictures] == sorted(gallery.MADE)
     for picture in pictures:
-        assert picture.stat().st_size <= gallery_figures.LARGEST_BYTES, picture.name
+        assert picture.stat().st_size <= gallery.LARGEST_BYTES, picture.name
         assert f"(gallery/{picture.name})" in shown, picture.name
 
 

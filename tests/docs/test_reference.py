@@ -19,7 +19,7 @@ from ffcomp.measurement.recording import COLUMNS, check_header
 from models.effects.catalogue import CATALOGUE
 from models.errors import MachineFileError
 from models.file import load_machine, load_plant
-from studies import cli_reference, json_reference, machine_file_reference
+from scripts.pages import cli, machine_file
 from tests.support.reference import MACHINE, MACHINE_FILE, REFERENCE, ROOT, SMALL, call, examples, rows_of
 
 TRUTH = load_machine("mp-delta-pro")
@@ -30,7 +30,7 @@ TRUTH = load_machine("mp-delta-pro")
 
 def test_the_page_of_verbs_is_in_step_with_them() -> None:
     written_page = (REFERENCE / "cli.md").read_text(encoding="utf-8")
-    assert written_page == cli_reference.page(), "python -m studies.cli_reference --write"
+    assert written_page == cli.page(), "python -m scripts.pages --write"
 
 
 def test_every_example_of_a_verb_names_options_that_it_has() -> None:
@@ -47,15 +47,10 @@ def test_every_example_of_a_verb_names_options_that_it_has() -> None:
 # ---- machine_file.md -----------------------------------------------------------------------------
 
 
-def test_the_tables_of_json_are_those_of_the_code() -> None:
-    written_page = json_reference.PAGE.read_text(encoding="utf-8")
-    assert written_page == json_reference.page(), "python -m studies.json_reference --write"
-
-
 def test_the_tables_of_machine_files_are_in_step_with_the_schema() -> None:
     written_page = MACHINE_FILE.read_text(encoding="utf-8")
-    assert written_page == machine_file_reference.page(), "python -m studies.machine_file_reference --write"
-    for section in machine_file_reference.SECTIONS:
+    assert written_page == machine_file.page(), "python -m scripts.pages --write"
+    for section in machine_file.SECTIONS:
         assert all(row[4] for row in rows_of(MACHINE_FILE, section)), f"{section}: a key is not explained"
 
 

@@ -8,22 +8,22 @@ import pytest
 from gcode.embedded import original
 from gcode.errors import GcodeError, UnsupportedGcode
 from gcode.reader import read_program
-from studies import dialects_reference
+from scripts.pages import dialects
 from tests.fuzz.test_random_programs import compensated, inverter
 from validation.invariants import violations
 
-START = dialects_reference.START
+START = dialects.START
 
 
 def test_the_page_says_what_the_code_does() -> None:
-    written = dialects_reference.PAGE.read_text(encoding="utf-8")
-    assert written == dialects_reference.page(), "python -m studies.dialects_reference --write"
-    rows = dialects_reference.rows(written)
-    assert len(rows) > 100 and {row.outcome for row in rows} == dialects_reference.OUTCOMES.keys()
+    written = dialects.PAGE.read_text(encoding="utf-8")
+    assert written == dialects.page(), "python -m scripts.pages --write"
+    rows = dialects.rows(written)
+    assert len(rows) > 100 and {row.outcome for row in rows} == dialects.OUTCOMES.keys()
 
 
 def test_a_refusal_names_the_line_and_the_rule() -> None:
-    for code, flavor, outcome in dialects_reference.rows(dialects_reference.PAGE.read_text(encoding="utf-8")):
+    for code, flavor, outcome in dialects.rows(dialects.PAGE.read_text(encoding="utf-8")):
         if outcome == "refused":
             with pytest.raises(GcodeError) as caught:
                 read_program((START + code).encode(), "print.gcode", flavor=flavor)

@@ -1,6 +1,6 @@
 """The pictures of docs/TROUBLESHOOTING.md and of the pages to follow, good and bad.
 
-    python -m studies.gallery_figures --write [NAME ...]
+    python -m scripts.pages.gallery --write [NAME ...]
 
 The pages' own commands run first, so a reader who follows a page sees its picture. The bad ones add a fault: a machine
 file that is 10 % off, limits that bind, noise, a mode in the wrong place.

@@ -1,6 +1,6 @@
 """What every effect of the catalogue does, drawn, and the page that tells of them all: docs/EFFECTS.md.
 
-    python -m studies.effect_figures --write     some 20 seconds; needs matplotlib
+    python -m scripts.pages.effects --write     some 20 seconds; needs matplotlib
 
 Everything is computed: the library's printer is simulated with the effect and without it. What an effect is shown by
 stands in `SHOWN`; one that is not there is shown by hard moves and by a response.
@@ -28,7 +28,8 @@ from models.printer.printer import simulate_printer
 FloatArray = NDArray[np.float64]
 RealArray = NDArray[np.floating[Any]]
 
-DOCS = Path(__file__).parents[1] / "docs"
+DOCS = Path(__file__).parents[2] / "docs"
+PAGE = DOCS / "EFFECTS.md"
 MACHINE = "mp-delta-pro"
 ROW_S = 1 / 3200
 HEIGHT_MM = 30.0
@@ -482,7 +483,7 @@ s is that of the motor ahead of the driven point (`models/vibration/modal.py`); 
 move. Three effects depend on the nozzle's place on such a machine, `gantry_racking`, `growing_bed` and `toolhead_mode`;
 `ffcomp diagnose` looks for them where the recordings lie 40 mm apart along x, or 20 mm along z.
 
-This page and its figures are written by `python -m studies.effect_figures --write`.
+This page and its figures are written by `python -m scripts.pages.effects --write`.
 """
 KINDS = {
     "parameter": "changes the machine's numbers",
@@ -572,7 +573,7 @@ def main() -> None:
     (DOCS / "effects").mkdir(exist_ok=True)
     for name in given.names or effects_of_printers():
         draw(CATALOGUE[name], DOCS / "effects" / f"{name}.png")
-    (DOCS / "EFFECTS.md").write_text(page(), encoding="utf-8")
+    PAGE.write_text(page(), encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -13,9 +13,8 @@ from gcode.commands import RETURNING_MACROS, STILL_MACROS
 from gcode.errors import GcodeError
 from gcode.program import EventKind, Program
 from gcode.reader import read_program
-from studies.render import print_or_write
 
-PAGE = Path(__file__).parents[1] / "docs" / "DIALECTS.md"
+PAGE = Path(__file__).parents[2] / "docs" / "DIALECTS.md"
 START = "G28\nG90\nM83\nG1 X10 Y10 Z5 F6000\nSAVE_GCODE_STATE NAME=a\nG1 X11 Y10 E.1\n"
 OUTCOMES = {
     "compensated": "replaced by segments",
@@ -87,7 +86,3 @@ def _changes(program: Program, line: int) -> bool:
     frames = {event.line: event.frame for event in program.events}
     frames |= dict(zip(moves.line.tolist(), moves.frame.tolist(), strict=True))
     return frames[line] != frames[line - 1]
-
-
-if __name__ == "__main__":
-    print_or_write(page(), PAGE)

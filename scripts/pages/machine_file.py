@@ -11,9 +11,8 @@ from typing import Any
 
 from models.schema.documents import AxisDocument, DeltaDocument, StraightDocument
 from models.schema.table import unit_of
-from studies.render import print_or_write
 
-PAGE = Path(__file__).parents[1] / "docs" / "reference" / "machine_file.md"
+PAGE = Path(__file__).parents[2] / "docs" / "reference" / "machine_file.md"
 
 SECTIONS = {  # of the page -> path into the JSON schema of a document
     "Top level": (DeltaDocument, ""),
@@ -121,7 +120,3 @@ def _number(value: float) -> str:
         return f"{value:g}"
     digits, _, exponent = f"{value:.9e}".partition("e")
     return f"{float(digits):g}e{int(exponent)}"
-
-
-if __name__ == "__main__":
-    print_or_write(page(), PAGE)

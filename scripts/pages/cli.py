@@ -6,14 +6,13 @@ import re
 from pathlib import Path
 
 from ffcomp.cli.app import app
-from studies.render import print_or_write
 
-PAGE = Path(__file__).parents[1] / "docs" / "reference" / "cli.md"
+PAGE = Path(__file__).parents[2] / "docs" / "reference" / "cli.md"
 
 HEAD = """\
 # Command line
 
-Written by `python -m studies.cli_reference --write` from `ffcomp --help`; a test compares them.
+Written by `python -m scripts.pages --write` from `ffcomp --help`; a test compares them.
 
 What holds for all verbs:
 
@@ -37,7 +36,3 @@ def page() -> str:
     text = text.replace("```console", "```text")  # usage, not an example to run
     verbs = re.sub("^Example: (.*)$", r"Example: `\1`", text[text.index("## Table of Contents") :], flags=re.MULTILINE)
     return f"{HEAD}\n{verbs.rstrip()}\n"
-
-
-if __name__ == "__main__":
-    print_or_write(page(), PAGE)

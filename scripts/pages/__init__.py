@@ -1,0 +1,1 @@
+"""Pages and pictures of the docs that are made from the code."""
