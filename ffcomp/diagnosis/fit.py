@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ffcomp.diagnosis.noise import Whitener, whitener
-from ffcomp.diagnosis.problem import Candidate, InfeasibleParameters, Parameter, Problem
+from ffcomp.diagnosis.problem import Candidate, InfeasibleParameters, Parameter, Problem, carried_over
 from ffcomp.diagnosis.settings import SETTINGS, SearchSettings
 from ffcomp.diagnosis.trace import Trace
 from ffcomp.identification.uncertainty import NINETY_PERCENT, Estimate
@@ -73,8 +73,15 @@ class Elsewhere:
 
     def residual(self, values: Mapping[str, float]) -> FloatArray:
         """Return (p,) rows that stand for these data."""
-        z = np.array([(values.get(n.name, n.start) - n.start) / n.sd for n in self.parameters])
+        z = np.array([(self._value(n, values) - n.start) / n.sd for n in self.parameters])
         return np.asarray(self.root @ (self.z - z))
+
+    @staticmethod
+    def _value(n: Parameter, values: Mapping[str, float]) -> float:
+        """Return a parameter, also where an effect has another form or law; of one that is gone, none of it."""
+        x = values.get(n.name)
+        x = carried_over(values, n.name) if x is None else x
+        return n.start if x is None else x
 
 
 def elsewhere_of(fitted: Fit, rows: NDArray[np.bool_]) -> Elsewhere:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ffcomp.diagnosis.fit import EstimationProblem, Fit
-from ffcomp.diagnosis.problem import Candidate, Parameter
+from ffcomp.diagnosis.problem import SIMPLER, Candidate, Parameter
 from ffcomp.diagnosis.recording_clocks import belongs_to_recording
 from ffcomp.diagnosis.settings import SearchSettings
 from ffcomp.numerics.stages import Now, Progress
@@ -16,7 +16,6 @@ from models.arrays import FloatArray
 from models.effects.catalogue import CATALOGUE
 
 FILE_CHANGES = frozenset(name for name, effect in CATALOGUE.items() if effect.corrects_file)
-NESTED = {name: effect.contains for name, effect in CATALOGUE.items() if effect.contains}
 IMPLAUSIBLE = 3.0  # mean square of the file's numbers, in their variances, beyond which they are implausible
 DRY, PULL = "dry friction", "a pull towards one place"
 FAMILIES = {  # what is told first of an effect with several laws; of any other its name says it
@@ -117,7 +116,7 @@ def held(machine: Sequence[Parameter], effects: Sequence[Candidate]) -> tuple[Pa
 def may_join(name: str, names: Sequence[str]) -> bool:
     """Tell whether an effect is none of these, nor a law of the same thing: friction has one, however it is bent."""
     group = LAW_GROUPS.get(name, name)
-    return not any(group == LAW_GROUPS.get(each, each) or name in (each, NESTED.get(each)) for each in names)
+    return not any(group == LAW_GROUPS.get(each, each) or name in (each, SIMPLER.get(each)) for each in names)
 
 
 # ---- evidence ------------------------------------------------------------------------------------

@@ -17,6 +17,7 @@ from models.effects.catalogue import CATALOGUE
 from models.effects.effect import Effect
 from models.quantities import PLAIN, Quantities
 
+SIMPLER = {name: effect.contains for name, effect in CATALOGUE.items() if effect.contains}  # law that a law contains
 REACH_SD = 5.0  # standard deviations: the range for retuning the file's numbers
 TOWERS = ("tower A", "tower B", "tower C")
 
@@ -35,6 +36,25 @@ class Parameter:
 def stem_of(name: str) -> str:
     """Return a parameter's name without the tower or axis that it is of."""
     return name.partition("[")[0]
+
+
+def number_of(name: str) -> str:
+    """Return an effect's parameter without its law: a richer law has the numbers of the simpler one."""
+    first, _, rest = name.partition(".")
+    law, _, own = rest.partition(".")
+    return f"{SIMPLER.get(law, law)}.{own}" if first == "effects" else name
+
+
+def carried_over(values: Mapping[str, float], name: str) -> float | None:
+    """Return a parameter from values of another form or law of its effect; None if they do not have it.
+
+    One for all towers serves each, and the mean of the towers' serves all.
+    """
+    own = number_of(name)
+    known = {number_of(key): x for key, x in values.items() if stem_of(number_of(key)) == stem_of(own)}
+    if (x := known.get(own, known.get(stem_of(own)))) is not None:
+        return x
+    return float(np.mean(list(known.values()))) if known else None
 
 
 @dataclass(frozen=True)

@@ -29,7 +29,6 @@ from ffcomp.diagnosis.fidelity import (
 from ffcomp.diagnosis.fit import EstimationProblem, Fit, clipped, derivatives, fit, solved, values_at
 from ffcomp.diagnosis.held_out import left_elsewhere
 from ffcomp.diagnosis.hypotheses import (
-    NESTED,
     Hypothesis,
     comparable,
     distinct,
@@ -43,7 +42,7 @@ from ffcomp.diagnosis.hypotheses import (
     significant,
     worth,
 )
-from ffcomp.diagnosis.problem import Candidate, Parameter, stem_of
+from ffcomp.diagnosis.problem import SIMPLER, Candidate, Parameter, carried_over
 from ffcomp.diagnosis.score_test import Screened, Subset, loudest_motions, screen, subset_of
 from ffcomp.diagnosis.settings import SearchSettings
 from ffcomp.numerics.stages import Progress, Stage
@@ -344,7 +343,7 @@ def _other_forms(search: Search, h: Hypothesis, *, richer: bool) -> list[tuple[C
     by_name = {c.name: c for c in search.candidates}
     found: list[tuple[Candidate, ...]] = []
     for effect in h.effects:
-        laws = [effect.name, *(n for n, simpler in NESTED.items() if simpler == effect.name), NESTED.get(effect.name)]
+        laws = [effect.name, *(n for n, simpler in SIMPLER.items() if simpler == effect.name), SIMPLER.get(effect.name)]
         firsts = [by_name[name] for name in laws if name in by_name]
         kinds = [
             form for c in firsts for each in (c, c.other or c) for form in (each, each.shaped, each.of_alternative_kind)
@@ -360,30 +359,19 @@ def _other_forms(search: Search, h: Hypothesis, *, richer: bool) -> list[tuple[C
 def _mapped(effects: tuple[Candidate, ...], h: Hypothesis) -> Hypothesis:
     """Take over the present values for other forms of the effects: of all towers, or the mean of the towers'."""
     parameters = (*h.machine_parameters, *(n for c in effects for n in c.parameters))
-    known = {_key(n.name): h.fit.values[n.name] for n in h.fit.parameters}
+    known = h.fit.values
 
     def z_of(n: Parameter) -> float:
-        own = _key(n.name)
-        if (x := known.get(own, known.get(stem_of(own)))) is not None:
-            return (x - n.start) / n.sd
-        parts = [x for name, x in known.items() if stem_of(name) == stem_of(own)]
-        return (float(np.mean(parts)) - n.start) / n.sd if parts else 0.0
+        x = carried_over(known, n.name)
+        return 0.0 if x is None else (x - n.start) / n.sd
 
     z = clipped(parameters, np.array([z_of(n) for n in parameters]))
     return Hypothesis(effects, Fit(parameters, z, h.fit.residual, np.zeros((len(h.fit.residual), len(z)))))
 
 
-def _key(name: str) -> str:
-    """Return an effect's parameter without its law: a richer law has the numbers of the simpler one."""
-    first, _, rest = name.partition(".")
-    law, _, own = rest.partition(".")
-    return f"{NESTED.get(law, law)}.{own}" if first == "effects" else name
-
-
 def _placed(start: Hypothesis, h: Hypothesis) -> list[FloatArray]:
     """Return the z (p,) at which the numbers that a form adds may begin: sizes and shapes, on a grid."""
-    known = {stem_of(_key(n.name)) for n in h.fit.parameters}
-    new = [i for i, n in enumerate(start.fit.parameters) if stem_of(_key(n.name)) not in known]
+    new = [i for i, n in enumerate(start.fit.parameters) if carried_over(h.fit.values, n.name) is None]
     sizes = {n.name for c in start.effects for n in c.amplitudes}
     amplitudes = [i for i in new if start.fit.parameters[i].name in sizes]
     shapes = [i for i in new if i not in amplitudes]
