@@ -48,15 +48,6 @@ def test_so_it_does_at_eighty_percent_of_the_bed_radius() -> None:
     assert ours.contour_rms_um * TIMES_BETTER < none.contour_rms_um
 
 
-def test_the_far_part_is_far_and_the_near_parts_are_near() -> None:
-    def radius_mm(name: str) -> float:
-        return float(np.hypot(*case_of(name).original.corners[1][:, :2].T).max())
-
-    bed_mm = case_of("far_star").original.machine.kinematics.print_radius_mm
-    assert radius_mm("far_star") > 0.8 * bed_mm
-    assert max(radius_mm("ringing_tower"), radius_mm("lobed_vase")) < 0.3 * bed_mm
-
-
 @pytest.mark.parametrize("name", judge.PRINTS)
 def test_the_command_is_one_that_motors_follow(name: str) -> None:
     none, ours = both(name)
@@ -75,15 +66,6 @@ def test_every_run_takes_the_time_it_was_solved_for(name: str) -> None:
     assert np.abs(knots - np.round(knots)).max() * case.ours.settings.segment_s < 100e-6  # feeds have few digits
 
 
-@pytest.mark.parametrize("name", judge.PRINTS)
-def test_the_parts_are_printed_at_speed(name: str) -> None:
-    """100-200 mm/s at 3-10 m/s²: what is asked for, and what is reached."""
-    original = case_of(name).original
-    asked = np.unique(np.round(original.planned.program.moves.acceleration / 1e3))
-    assert asked.min() >= 3 and asked.max() <= 10
-    assert 100 <= original.trajectory.cruise_v.max() <= 200.01
-
-
 def test_a_wrong_clock_would_be_seen() -> None:
     """The judge itself: the same command, said to be 1 ms later, has a delay of 1 ms and is told off for it."""
     case = case_of("ringing_tower")
@@ -94,16 +76,3 @@ def test_a_wrong_clock_would_be_seen() -> None:
     wrong = judge.judge(case.original, motion_of(case.segments.trajectory, late))
     assert wrong.delay_s == pytest.approx(right.delay_s + 1e-3, abs=2e-5)
     assert wrong.tracking_rms_um > 20 * right.tracking_rms_um
-
-
-def test_a_path_that_is_followed_exactly_has_no_error() -> None:
-    """The judge itself: the wanted motion, taken for the answer, scores zero; moved aside by 10 µm, it scores 10 µm."""
-    original = case_of("lobed_vase").original
-    due = np.arange(1.0, 5.0, 1e-3)
-    wanted = np.ascontiguousarray(original.trajectory.position(due)[:, :3])
-    exact = judge.Answer(due, wanted, wanted, wanted, 0.0, 1.0)
-    assert judge.score(original, exact).contour_max_um < 1e-6
-    lifted = judge.Answer(due, wanted, wanted, wanted + np.array([0.0, 0.0, 0.01]), 0.0, 1.0)
-    found = judge.score(original, lifted)
-    assert found.tracking_rms_um == pytest.approx(10.0)
-    assert found.contour_rms_um == pytest.approx(10.0, rel=0.01)

@@ -48,16 +48,6 @@ def judged(shaper: shapers.Shaper | None) -> metrics.Track:
     return metrics.track(halves[::2], wanted, nozzle, corner_t, CORNERS, metrics.peak_acceleration(command[::2], H))
 
 
-def test_the_planned_motion_stops_in_every_corner() -> None:
-    assert square_with_diagonals(due()) == pytest.approx(CORNERS, abs=1e-9)
-
-
-def test_the_delay_is_that_of_the_slow_limit() -> None:
-    """G → 1 - s ((d₂ - d₁)/d₀ + b/k): 1.74 ms of drive and 0.11 ms of guide damping."""
-    expected = (36.2 + 212.1) / 1.43e5 + 13.4 / 1.21e5
-    assert judged(None).delay_s == pytest.approx(expected, rel=0.02)
-
-
 @pytest.mark.parametrize(("name", "hz"), [("zv", 46), ("mzv", 40), ("ei", 48), ("2hump_ei", 58)])
 def test_every_shaper_at_its_frequency_beats_none(name: str, hz: float) -> None:
     """Seen with these: contour rms 26 µm without, 7.4, 5.0, 4.4 and 4.1 µm with them."""

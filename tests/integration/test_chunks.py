@@ -5,35 +5,30 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from ffcomp.compensation.chunks import LONGEST_S, REMEMBERED_S, Chunk, Splitting, split_chunks
+from ffcomp.compensation.chunks import LONGEST_S, Chunk, Splitting, split_chunks
 from ffcomp.compensation.job import StepOutput
-from ffcomp.compensation.plan import _is_simulated
 from ffcomp.errors import LimitsError
 from ffcomp.faster.bound import Bound
 from ffcomp.firmware import program as reading
 from ffcomp.firmware.program import firmware_plan, known_to_the_firmware, plan_program
 from ffcomp.inverse import lq_preview
-from ffcomp.inverse.reference import Extent
 from ffcomp.inverse.settings import settings_for
 from ffcomp.metrics import contour_error
-from ffcomp.planner.trajectory import PathPosition
 from ffcomp.simulation.command import path_corners, path_corners_with_rests, section_starts
 from ffcomp.steps.archive import read_steps
 from ffcomp.steps.sink import Board
 from gcode.dialect import KLIPPER, MARLIN
-from gcode.embedded import FORECAST, original
+from gcode.embedded import original
 from gcode.errors import GcodeError
-from gcode.layers import LayerLookup
 from gcode.program import Program
 from gcode.reader import read_parts, read_program
-from gcode.slicing import join, split
+from gcode.slicing import join
 from models.file import load_machine
 from models.machine import Machine
 from studies import marlin
@@ -91,27 +86,6 @@ def test_chunks_are_the_program(tower: bytes, machine: Machine) -> None:
         assert together.frames[event.frame] == whole.frames[other.frame]
 
 
-def test_a_chunk_is_planned_as_in_the_whole(tower: bytes, machine: Machine) -> None:
-    whole = plan_program(read_program(tower), machine).trajectory
-    durations = [plan_program(each.program, machine).trajectory.duration for each in cut(tower, machine)]
-    np.testing.assert_allclose(np.concatenate(durations), whole.duration, rtol=0, atol=1e-15)
-
-
-def test_what_is_remembered_is_long_enough(tower: bytes, machine: Machine) -> None:
-    for each in cut(tower, machine)[1:]:
-        assert each.before is not None
-        assert plan_program(each.before, machine).trajectory.end_t >= REMEMBERED_S
-
-
-def test_splitting_and_joining_gives_the_program_again(tower: bytes, machine: Machine) -> None:
-    program = read_program(tower)
-    head, tail = split(program, 700)
-    again = join(head, tail)
-    assert again.lines == program.lines
-    assert [e[:3] for e in again.events] == [e[:3] for e in program.events]
-    np.testing.assert_array_equal(again.moves.end, program.moves.end)
-
-
 def test_the_command_is_the_same_in_chunks(tower: bytes, machine: Machine, small_parts: None) -> None:
     several, cut_result = compensated(tower, machine, predict=False)
     with pytest.MonkeyPatch.context() as patch:
@@ -142,12 +116,6 @@ def test_an_error_names_the_line_of_the_file(tower: bytes, machine: Machine, sma
     with pytest.raises(GcodeError, match=rf"print.gcode:{lines + 1}: ") as error:
         compensated(tower + b"G1 X500 Y0 E1\n", machine, predict=False)
     assert error.value.line == lines + 1
-
-
-def test_not_a_digit_depends_on_the_prediction(tower: bytes, machine: Machine) -> None:
-    beginning = b"".join(tower.splitlines(keepends=True)[:600])
-    predicted, alone = (compensated(beginning, machine, predict=each)[0] for each in (True, False))
-    assert b"".join(line for line in predicted.splitlines(True) if not line.startswith(FORECAST)) == alone
 
 
 @pytest.fixture(scope="module")
@@ -241,12 +209,6 @@ def test_steps_of_a_spiral_cut_in_motion(spiral: bytes, machine: Machine, short_
         assert np.abs(levels[0] - levels[1]).max() <= 1.01 * motors[name].step_mm  # half a step apart may be a step
 
 
-def test_a_print_without_rests_is_one_chunk(machine: Machine) -> None:
-    spiral = b"G28\nG1 X0 Y0 Z1 F6000\n" + b"".join(b"G1 X%d Y%d E%d\n" % (k % 7, k % 5, k) for k in range(3000))
-    (only,) = cut(spiral, machine, 5000)
-    assert only.program.lines == spiral.splitlines(keepends=True)
-
-
 VASE = b"G28\nG90\nM83\nG1 X25 Y0 Z0.3 F6000\nG1 E1 F1800\n"
 
 
@@ -281,38 +243,6 @@ def test_no_chunk_holds_more_than_some_minutes(machine: Machine, data: bytes) ->
         for each, plan in zip(several, plans, strict=True)
     ]
     assert sum(written_s) == pytest.approx(firmware_plan(read_program(data, flavor=KLIPPER), machine).end_t, abs=1e-6)
-
-
-@pytest.mark.parametrize("limits", [b"", b"M204 S60\n", b"SET_VELOCITY_LIMIT ACCEL=200 MINIMUM_CRUISE_RATIO=0.9\n"])
-def test_both_sides_of_a_cut_see_the_same_motion(machine: Machine, limits: bytes) -> None:
-    """Where acceleration is low, a motion remembers for long that it began at rest."""
-    data = vase(6000, 6000.0).replace(b"M83\n", b"M83\n" + limits)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("ffcomp.compensation.chunks.LONGEST_S", 20.0)
-        several = cut(data, machine, 10**6, longest_s=20.0)
-    cuts = [(a, b) for a, b in pairwise(several) if a.extent.end is not None]
-    assert len(cuts) >= 2
-    for before, after in cuts:
-        first, second = (firmware_plan(each.program, machine) for each in (before, after))
-        assert before.extent.end is not None and after.extent.begin is not None
-        t = np.linspace(-0.9, 0.9, 200)
-        t_first, t_second = before.extent.end.time_in(first) + t, after.extent.begin.time_in(second) + t
-        np.testing.assert_allclose(first.position(t_first)[:, :3], second.position(t_second)[:, :3], atol=1e-7)
-        speeds = [np.abs(plan.velocity(at)[:, :3]).max(axis=1) for plan, at in ((first, t_first), (second, t_second))]
-        np.testing.assert_allclose(*speeds, atol=1e-5)
-
-
-def test_one_long_line_is_cut_without_a_trace(machine: Machine) -> None:
-    data = VASE + b"G1 X-25 Y10 E20 F72\nM106 S255\nG1 X0 Y0 F3000\nG1 E-1 F1800\n"
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("ffcomp.compensation.chunks.LONGEST_S", 12.0)
-        text, result = compensated(data, machine, flavor=KLIPPER, predict=False)
-    assert original(text) == data and violations(data, text, machine, flavor=KLIPPER) == []
-    assert result.statistics.moves == 4 and result.statistics.windows >= 4
-    assert result.statistics.original_print_time_s == pytest.approx(
-        plan_program(read_program(data, flavor=KLIPPER), machine).firmware_s, abs=1e-6
-    )
-    assert text.count(b"SET_VELOCITY_LIMIT") <= 8  # none of them in the line
 
 
 def test_limits_are_held_in_a_motion_that_is_cut(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -359,24 +289,6 @@ def test_a_cut_that_must_be_slower_is_refused_when_strict(machine: Machine, monk
     monkeypatch.setattr("ffcomp.compensation.chunks.LONGEST_S", 8.0)
     with pytest.raises(LimitsError, match="would have to be slowed"):
         compensated(vase(1150, 4800.0), tight, predict=False, settings=settings)
-
-
-def test_of_a_motion_in_many_chunks_few_are_simulated(machine: Machine) -> None:
-    (chunk,) = cut(VASE, machine)
-    motion = [replace(chunk, extent=Extent(end=PathPosition(0, 0.0)), cuts=cuts) for cuts in range(200)]
-    assert [_is_simulated(each, 0.02) for each in motion].count(True) == 4 and _is_simulated(motion[0], 0.02)
-    assert _is_simulated(chunk, 0.02)
-
-
-def test_layers_are_counted_through_the_chunks(tower: bytes, machine: Machine) -> None:
-    whole = read_program(tower)
-    of_line = dict(zip(whole.moves.line.tolist(), map(LayerLookup(whole, 0).of, range(len(whole.moves))), strict=True))
-    for each in cut(tower, machine):
-        moves = each.program.moves
-        for move in (0, len(moves) // 2, len(moves) - 1):
-            line = each.program.first_line + int(moves.line[move])
-            assert LayerLookup(each.program, each.layers).of(move) == of_line[line]
-    assert max(of_line.values()) >= 3
 
 
 def test_a_motion_that_is_cut_is_quicker_too(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -89,15 +89,6 @@ def test_the_hidden_effect_is_named_among_rivals(name: str) -> None:
     assert all(place.after < 0.1 for place in diagnosis.held_out)
 
 
-def test_a_belt_of_one_tower_is_named_with_a_number_for_each() -> None:
-    _, diagnosis = found(
-        ("belt_stiffness", "guide_damping"), TWO, belt_stiffness={"relative_change": [-0.25, 0.0, 0.0]}
-    )
-    assert diagnosis.named is not None and diagnosis.named.names == ("belt_stiffness",)
-    values = [diagnosis.final.values[f"effects.belt_stiffness.relative_change[{i}]"] for i in range(3)]
-    np.testing.assert_allclose(values, [-0.25, 0.0, 0.0], atol=0.005)
-
-
 def test_two_hidden_effects_are_both_named() -> None:
     _, diagnosis = found(
         ("belt_stiffness", "guide_damping", "command_delay"),
@@ -128,16 +119,6 @@ def test_what_cannot_be_seen_is_said_to_be_invisible_and_noise_pictures_as_nothi
     for split in discrepancy(plant, diagnosis).splits:
         inner = np.array(split.after[1:-1] if "time" in split.title else split.after)  # the ends are faded out
         assert np.abs(inner).max() < 0.6, split.title  # where an effect is, hundreds
-
-
-def test_friction_keeps_its_name_and_force_when_it_turns_over_in_another_way() -> None:
-    """Creeping friction is not our usual one, which holds; the shape is found once the name is."""
-    hidden = {"force_n": 2.0, "creep_mm_per_s": 2.0, "hold_per_s": 0.0}
-    _, diagnosis = found(("coulomb_friction", "guide_damping"), TWO, coulomb_friction=hidden)
-    assert diagnosis.named is not None and diagnosis.named.names == ("coulomb_friction",)
-    values = {name.rpartition(".")[2]: value for name, value in diagnosis.final.values.items()}
-    assert values["force_n"] == pytest.approx(2.0, rel=0.02)
-    assert np.exp(values["creep_mm_per_s"]) == pytest.approx(2.0, rel=0.1)
 
 
 def test_friction_that_bends_before_it_slides_is_found_with_its_way() -> None:

@@ -21,7 +21,7 @@ from ffcomp.steps.sink import Board
 from gcode.reader import read_program
 from models.file import load_machine
 from tests.support.compensated import job
-from tests.support.klipper_host import E_STEPS_PER_MM, FOLDER, HOSTS_OWN_S, Place, Played, Steps, play, reader
+from tests.support.klipper_host import E_STEPS_PER_MM, FOLDER, Place, Played, Steps, play, reader
 from validation import kalico
 
 pytestmark = pytest.mark.kalico
@@ -142,17 +142,6 @@ def test_twenty_pauses_lose_no_step_and_open_no_limit(prints: Prints, whole: Pla
         assert np.diff(steps.time_s).min() > 0.999 * np.diff(whole.steps[motor].time_s).min()
 
 
-def test_a_pause_may_park_the_nozzle(prints: Prints, whole: Played) -> None:
-    """It comes back to where it left, and after that the steps are those of the whole print."""
-    away = "PAUSE\nG91\nG1 E-2 F1800\nG1 Z5 F600\nG90\nG1 X50 Y50 F6000\nG91\nG1 E2 F1800\nG90\nM400\nRESUME"
-    played = prints.play(at=[(20, away)])
-    assert played.result["position"] == pytest.approx(whole.result["position"], abs=1e-9)
-    assert played.result["steps"] == whole.result["steps"]
-    for motor, steps in played.steps.items():
-        late = steps.time_s[-300:] - whole.steps[motor].time_s[-300:]
-        assert np.ptp(late) < SAME_S
-
-
 def test_cancel_ends_on_the_path(prints: Prints, whole: Played) -> None:
     played = prints.play(at=[(25, "CANCEL_PRINT")])
     assert played.result["state"] == "cancelled" and played.result["limits"] == LIMITS
@@ -230,21 +219,6 @@ def test_what_the_printer_does_not_allow_is_refused(
 ) -> None:
     played = prints.play(more=more, before=before)
     assert why in played.result["error"]
-
-
-def test_a_file_elsewhere_is_refused(prints: Prints) -> None:
-    played = play(prints.folder, "FFCOMP_PRINT FILE=../host.ffm", prints.begin["plain"])
-    assert "must lie in the folder" in played.result["error"]
-
-
-def test_a_starter_in_the_list_of_prints(prints: Prints, whole: Played) -> None:
-    """A G-code file of one line, printed as any other; with the host's own rounding of steps."""
-    (prints.folder / "starter.gcode").write_text("FFCOMP_PRINT FILE=compensated.ffm\n")
-    played = play(
-        prints.folder, "SDCARD_PRINT_FILE FILENAME=starter.gcode", prints.begin["compensated"], error_s=HOSTS_OWN_S
-    )
-    assert played.result["state"] == "complete"
-    assert played.result["steps"] == whole.result["steps"]
 
 
 def test_homing_and_heating_are_lines_of_the_file(prints: Prints) -> None:

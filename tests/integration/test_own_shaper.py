@@ -73,16 +73,6 @@ def test_the_imported_shaper_is_off_for_the_print_and_on_again_after_it(flavor: 
     assert shaper_lines(kept) == []
 
 
-def test_a_part_that_was_not_read_may_hold_the_shaper(tmp_path: Path) -> None:
-    without = KLIPPER_CFG.partition("[input_shaper]")[0]
-    assert stated(tmp_path, without) == []
-    assert stated(tmp_path, f"[include shaper.cfg]\n{without}") is None
-    assert stated(tmp_path, MARLIN_ANSWER) == [] == stated(tmp_path, f"{MARLIN_ANSWER}M593 X F0\nM593 Y F0\n")
-    assert stated(tmp_path, "M669 K1\n") == [] == stated(tmp_path, 'M669 K1\nM593 P"none" F40\n')
-    assert stated(tmp_path, 'M669 K1\nM98 P"shaper.g"\n') is None
-    assert stated(tmp_path, "M669 K1\nif true\n\tM593 F40\n") is None
-
-
 def test_a_shaper_that_is_not_known_is_left_alone_and_warned_of() -> None:
     machine = replace(machine_with(), input_shaper=None)
     lines, warnings = lines_of(machine)

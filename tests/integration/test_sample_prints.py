@@ -28,22 +28,6 @@ def test_a_model_is_a_closed_body_facing_outward(name: str) -> None:
     assert np.einsum("ij,ij->", triangles[:, 0], np.cross(triangles[:, 1], triangles[:, 2])) > 0
 
 
-def test_the_volume_of_a_loft_is_that_of_a_prism() -> None:
-    """A 4 x 4 square, 3 high, with a 2 x 2 hole: (16 - 4) 3."""
-    square = make_models.quarters([(1.0, -1.0)])
-    outer, inner = (np.stack([make_models.at_height(f * square, z) for z in (0.0, 3.0)]) for f in (2, 1))
-    t = make_models.loft(outer, inner)
-    assert np.einsum("ij,ij->", t[:, 0], np.cross(t[:, 1], t[:, 2])) / 6 == pytest.approx(36)
-
-
-def test_the_stl_holds_the_model(tmp_path: Path) -> None:
-    triangles = make_models.far_star()
-    make_models.write_stl(tmp_path / "star.stl", triangles)
-    content = (tmp_path / "star.stl").read_bytes()
-    assert int.from_bytes(content[80:84], "little") == len(triangles) and len(content) == 84 + 50 * len(triangles)
-    assert np.frombuffer(content[96:132], "<f4").reshape(3, 3) == pytest.approx(triangles[0])
-
-
 def extruding_moves(text: str) -> NDArray[np.float64]:
     """x, y mm and feed mm/s : (n, 3) of the moves that print, read without any of our parsers."""
     place, relative, rows = {"X": 0.0, "Y": 0.0, "E": 0.0, "F": 0.0}, "\nM83" in text, []

@@ -114,36 +114,6 @@ def test_from_nothing_to_a_compensated_print_in_five_clicks_and_two_minutes(
     assert times["downloaded"] < 120.0, times
 
 
-def test_a_batch_of_prints_is_compensated_and_compared(quick: None, browser: Any, server: Any) -> None:
-    width = 390
-    with visit(browser, address(server), width) as seen:
-        attached(seen, READY)
-        assert seen.page.is_disabled("[data-job=compensate]")
-        assert seen.page.inner_text("#prints .why") == "First choose your printer."
-        drop(
-            seen, "prints", ("a.gcode", b"G28"), ("b.gcode", b"G28"), ("bad <img src=x onerror=alert(1)>.gcode", b"bad")
-        )
-        seen.page.select_option(".machines", "voron-300")
-        assert "assumed" in seen.page.inner_text(".machine small")
-        press(seen, "compare")
-        press(seen, "compensate")
-        seen.page.wait_for_selector(f":nth-match({card('compensate')}, 2)", timeout=WAIT_MS)
-        seen.page.wait_for_selector(f":nth-match({card('compare')}, 3)", timeout=WAIT_MS)
-        seen.page.wait_for_selector(card("compensate", "failed"), timeout=WAIT_MS)
-        assert "line 3: it cannot be followed" in seen.page.inner_text(card("compensate", "failed"))
-        good = seen.page.inner_text(f"{card('compensate')} >> nth=0")
-        assert "→ 1.1 µm rms" in good and "<b>A warning</b>" in good
-        check(seen, server, width)
-        with seen.page.context.expect_page() as opened:
-            seen.page.click(f"{card('compare')} >> text=Open the report")
-        opened.value.wait_for_selector("#it")
-        assert opened.value.evaluate("document.body.dataset.ran") == "yes"
-        assert opened.value.evaluate("window.origin") == "null"  # its scripts cannot ask this server for anything
-        opened.value.close()
-        seen.page.click(f"{card('compensate', 'failed')} >> text=Remove")
-        seen.page.wait_for_selector(card("compensate", "failed"), state="detached", timeout=WAIT_MS)
-
-
 def test_from_a_configuration_to_a_machine_that_is_measured(quick: None, browser: Any, server: Any) -> None:
     width = 1200
     with visit(browser, address(server), width) as seen:
@@ -263,20 +233,6 @@ def test_too_large_a_file_is_refused_before_it_is_sent(
         drop(seen, "prints", ("a.gcode", b"G1 X1\n" * 200_000))
         assert "Larger than 1.0 MB" in seen.page.inner_text(".files[data-for=prints]")
         assert seen.page.is_disabled("[data-job=compensate]")
-
-
-def test_a_server_that_is_gone_is_said(
-    quick: None, browser: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    with client(tmp_path, monkeypatch) as server:
-        seen_at = address(server)
-        page = browser.new_page()
-        page.goto(seen_at)
-        page.wait_for_selector(READY, state="attached")
-    page.click("#tab-measure")
-    page.evaluate("document.dispatchEvent(new Event('visibilitychange', {bubbles: true}))")  # back on this tab
-    page.wait_for_selector("text=The server does not answer", timeout=WAIT_MS)
-    page.close()
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])

@@ -10,16 +10,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from ffcomp.errors import NothingToDo
 from ffcomp.firmware.program import plan_program
 from ffcomp.simulation.command import Command
-from ffcomp.simulation.command_files import AT_REST_S, gcode_command, smoothed, staircase, steps_command
+from ffcomp.simulation.command_files import AT_REST_S, gcode_command, smoothed, staircase
 from ffcomp.simulation.playback import ROW_S, play
 from ffcomp.simulation.simulation import Request, read_command, simulate_command
-from ffcomp.steps.archive import MotorSteps, StepsError, is_step_archive, read_steps
-from ffcomp.steps.crossings import trajectory_pieces
-from ffcomp.steps.sink import Board, StepSink
-from gcode.errors import GcodeError, UnsupportedGcode
+from ffcomp.steps.archive import MotorSteps, StepsError, read_steps
+from gcode.errors import GcodeError
 from gcode.reader import read_program
 from models.arrays import constant
 from models.file import load_machine
@@ -164,21 +161,6 @@ def test_a_print_as_steps_moves_the_nozzle_as_its_gcode_does(
     assert not warnings
 
 
-@pytest.mark.parametrize("error_s", [None, 12.5e-6])
-def test_the_archive_that_is_written_plays_the_plan(error_s: float | None, tmp_path: Path) -> None:
-    """Through `read_command`, as `ffcomp simulate` does: no more apart than the microsteps are, compressed or not."""
-    trajectory = plan_program(read_program(SHORT, start=kalico.START_MM, flavor="klipper"), MACHINE).trajectory
-    with StepSink(MACHINE, Board(extruder_steps_per_mm=415.0), tmp_path / "steps", error_s) as sink:
-        for pieces in trajectory_pieces(trajectory):
-            sink.pieces(pieces)
-        sink.finish()
-    steps, warnings = read_command(tmp_path / "steps", MACHINE)
-    distance = apart_um(steps, planned())
-    assert distance.max() < 24.0
-    assert np.sqrt(np.mean(distance**2)) < 7.0
-    assert not warnings
-
-
 def compressed(arrays: dict[str, Any]) -> dict[str, Any]:
     """Every step a row of its own, but where four in a row fit one exactly."""
     found = {key: value for key, value in arrays.items() if "tick" not in key and "direction" not in key}
@@ -249,16 +231,6 @@ def test_a_broken_archive_is_refused_with_its_place(sentence: str, arrays: dict[
     assert str(refused.value).startswith(str(path))
 
 
-def test_a_damaged_archive_is_refused(arrays: dict[str, Any], tmp_path: Path) -> None:
-    path = tmp_path / "steps.npz"
-    np.savez_compressed(path, **arrays)
-    data = bytearray(path.read_bytes())
-    data[2000:2100] = bytes(100)
-    path.write_bytes(data)
-    with pytest.raises(StepsError, match="cannot be read"):
-        read_command(path, MACHINE)
-
-
 def test_steps_out_of_reach_are_said_with_their_time(arrays: dict[str, Any], tmp_path: Path) -> None:
     """A metre up with one carriage alone."""
     away = {**arrays, "a_tick": 16_000 * np.arange(1, 80_001), "a_direction": np.ones(80_000, np.int8)}
@@ -267,32 +239,6 @@ def test_steps_out_of_reach_are_said_with_their_time(arrays: dict[str, Any], tmp
     with pytest.raises(GcodeError, match=r"At t = \d.*left the reach") as refused:
         simulate_command(command, MACHINE, MACHINE, Request(), path=str(path))
     assert refused.value.path == str(path)
-
-
-def test_rows_of_no_steps_are_refused(arrays: dict[str, Any], tmp_path: Path) -> None:
-    rows = compressed(arrays)
-    rows["b_count"][2] = 0
-    with pytest.raises(StepsError, match=r"b_count\[2\] is 0"):
-        read_steps(saved(tmp_path, rows))
-
-
-def test_no_steps_at_all_are_nothing_to_do(arrays: dict[str, Any], tmp_path: Path) -> None:
-    none = {**arrays}
-    for motor in "abc":
-        none |= {f"{motor}_tick": np.zeros(0, np.int64), f"{motor}_direction": np.zeros(0, np.int8)}
-    with pytest.raises(NothingToDo, match="no step of a carriage"):
-        steps_command(read_steps(saved(tmp_path, none)), MACHINE)
-
-
-def test_other_zip_archives_are_told_apart(tmp_path: Path) -> None:
-    import zipfile
-
-    path = tmp_path / "print.3mf"
-    with zipfile.ZipFile(path, "w") as project:
-        project.writestr("3D/3dmodel.model", "<model/>")
-    assert not is_step_archive(path)
-    with pytest.raises(UnsupportedGcode, match="zip"):
-        read_command(path, MACHINE)
 
 
 # ---- the real host's steps -----------------------------------------------------------------------

@@ -24,7 +24,6 @@ from ffcomp.steps.sink import Board
 from gcode.reader import read_program
 from models.file import load_machine
 from models.machine import Machine
-from tests.support.compensated import compensated
 from tests.support.configs import STEPS
 from validation.independent.kalico import config_of
 from validation.judge import HOST_KNOWS
@@ -135,10 +134,6 @@ def test_the_real_host_keeps_the_pace(corexy: Machine) -> None:
     assert len(took[1]) / after <= 300
 
 
-def test_only_the_modes_of_the_file_swing(corexy: Machine) -> None:
-    assert corexy.vibration.modes_at(np.zeros(2)).frequencies_hz == pytest.approx([41.0, 58.0, 93.0], rel=1e-3)
-
-
 def test_a_rigid_machine_prints_the_plan(tmp_path: Path) -> None:
     machine = load_machine(made(tmp_path, machine_text("cartesian", rigid=True)))
     planned = plan_program(read_program(print_text(2), flavor="klipper"), machine)
@@ -201,24 +196,3 @@ enable_pin: !gpio43
 microsteps: 16
 rotation_distance: 22.6789
 """
-
-
-HOPS = b"G90\nM83\nM204 S3000\nG1 X0 Y0 Z1 F6000\n" + b"".join(
-    b"G1 X%d Y10 E1 F3000\nG1 E-1 F2400\nG1 Z1.2 F900\nG1 X%d Y0 F9000\nG1 Z1 F900\nG1 E1 F2400\n" % (20 + k, k)
-    for k in range(0, 40, 10)
-)
-
-
-def test_a_hop_is_one_line_at_the_planned_speed(corexy: Machine) -> None:
-    """The lead screw's own acceleration is all the plan asks for: many segments would have to be half as fast."""
-    planned = plan_program(read_program(HOPS), corexy)
-    out, result = compensated(HOPS, corexy, predict=False)
-    statistics = result.statistics
-    assert not statistics.slowed
-    assert statistics.print_time_s - statistics.settling_s < 1.01 * statistics.original_print_time_s
-    played = plan_program(read_program(out), corexy).trajectory
-    assert played.end_t == pytest.approx(statistics.print_time_s, abs=2e-3)
-    lifts = np.abs(played.direction[:, 2]) > 0.9
-    tall = lifts & (played.duration * np.abs(played.cruise_v) > 0.08)
-    assert tall.sum() == np.sum(np.abs(planned.trajectory.direction[:, 2]) > 0.9)
-    assert lifts.sum() <= 4 * tall.sum()  # what is beside them belongs to the travel in XY

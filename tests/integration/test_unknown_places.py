@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +13,7 @@ from ffcomp.firmware.program import known_to_the_firmware
 from ffcomp.importers.builder import build_draft, machine_text, read_printer_config
 from ffcomp.metrics import contour_error
 from ffcomp.simulation.preview import preview
-from gcode.embedded import OURS, original
+from gcode.embedded import original
 from gcode.reader import read_program
 from models.file import load_machine
 from models.machine import Machine
@@ -70,15 +69,6 @@ def test_no_line_of_ours_states_a_place_after_homing(tmp_path: Path, homing: str
     travel = lines.index("G1 X100 Y100 Z0.2 F6000")
     assert not [line for line in lines[:travel] if line.startswith("G1")], "the firmware drives there by itself"
     assert "Z" not in "".join(line for line in lines[travel + 1 :] if line.startswith("G1"))
-
-
-def test_after_a_macro_that_comes_back_the_place_is_stated_once() -> None:
-    machine = replace(load_machine("voron-300"), returns=("MY_PHOTO",))
-    lines = compensated(shifted(HEAD + SQUARE + "MY_PHOTO\n" + SQUARE), machine).splitlines()
-    stated = f"G1 X100.0000 Y100.0000 F6000.000{OURS.decode()}"
-    assert lines.count(stated) == 1 and (at := lines.index(stated)) > lines.index("MY_PHOTO")
-    assert lines[at + 1] == f"G1 Z5.0000{OURS.decode()}", "over the place first, then down"
-    assert "MY_PHOTO" in lines and not any(line == "G1 X120 Y100 E1" for line in lines)
 
 
 def test_waits_are_written_and_counted() -> None:
