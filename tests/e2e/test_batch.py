@@ -14,15 +14,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
-from ffcomp.compensation.batch import _shares, check_targets, compensate_files, targets_in, workers
+from ffcomp.compensation.batch import check_targets, compensate_files, targets_in, workers
 from ffcomp.compensation.file import compensate_file
 from ffcomp.compensation.job import Options
 from ffcomp.compensation.result import Failure, FileResult
 from gcode.embedded import Stamp
-from gcode.text import PART_BYTES
 from models.file import load_machine
 from models.machine import Machine
 from tests.support.cli import Result, ffcomp
@@ -106,20 +103,6 @@ def test_side_by_side_in_place(prints: list[Path], alone: list[bytes], tmp_path:
     assert [path.read_bytes() for path in prints] == alone
 
 
-def test_into_a_folder(prints: list[Path], alone: list[bytes], tmp_path: Path) -> None:
-    originals, folder = [path.read_bytes() for path in prints], tmp_path / "new" / "folder"
-    assert compensate(*prints, "--dry-run", "--output-dir", folder, "-q").exit_code == 0
-    assert not folder.exists()
-    answer = compensate(*prints, "--output-dir", folder, "-q", "--json")
-    assert answer.exit_code == 0 and answer.stderr == ""
-    assert [path.read_bytes() for path in prints] == originals
-    assert names(folder) == {path.name for path in prints}
-    assert [(folder / path.name).read_bytes() for path in prints] == alone
-    assert [result["output"] for result in json.loads(answer.stdout)["results"]] == [
-        str(folder / path.name) for path in prints
-    ]
-
-
 def test_nothing_is_overwritten_by_accident(prints: list[Path], tmp_path: Path) -> None:
     first, second, _ = prints
     other = tmp_path / "other"
@@ -158,57 +141,6 @@ def test_what_is_wrongly_asked_for_is_a_sentence(
     assert answer.exit_code == code, answer.stderr
     assert words in " ".join(answer.stderr.replace("│", " ").split()) and "Traceback" not in answer.stderr
     assert {path: path.read_bytes() for path in tmp_path.iterdir()} == before
-
-
-def test_without_dask_the_package_is_named(prints: list[Path], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delitem(sys.modules, "ffcomp.compensation.dask_backend", raising=False)
-    monkeypatch.setitem(sys.modules, "distributed", None)
-    answer = compensate(*prints, "--scheduler", "tcp://x:1")
-    assert answer.exit_code == 1 and "pip install 'ffcomp[dask]'" in answer.stderr
-
-
-def test_progress_is_of_bytes(prints: list[Path], machine: Machine) -> None:
-    for jobs in (1, 2):
-        seen: list[float] = []
-        targets = [None] * 3
-        done = in_order(compensate_files(prints, machine, targets=targets, jobs=jobs, progress=seen.append))
-        assert [outcome.done is not None and outcome.done.output for outcome in done] == [None] * 3
-        assert seen == sorted(seen) and seen[-1] == sum(path.stat().st_size for path in prints)
-        assert prints[0].read_bytes() == a_print(3)
-
-
-def test_a_file_so_big_that_all_work_at_it(tmp_path: Path, machine: Machine) -> None:
-    big, small = tmp_path / "big.gcode", tmp_path / "small.gcode"
-    padding = b"; nothing is said here, at some length, again and again\n" * (PART_BYTES // 50)
-    big.write_bytes(a_print(3) + padding + a_print(2) + padding + a_print(4))
-    small.write_bytes(a_print(2))
-    answers = []
-    for jobs in (1, 2):
-        folder = tmp_path / str(jobs)
-        folder.mkdir()
-        targets = targets_in(folder, [small, big])
-        order = [outcome.number for outcome in compensate_files([small, big], machine, targets=targets, jobs=jobs)]
-        assert order == ([0, 1] if jobs == 1 else [1, 0])
-        answers.append([target.read_bytes() for target in targets])
-    assert answers[0] == answers[1]
-
-
-@given(st.lists(st.integers(0, 20 * PART_BYTES), min_size=1, max_size=12), st.integers(2, 9))
-def test_shares_hold_every_file_once(sizes: list[int], jobs: int) -> None:
-    alone, together = _shares(sizes, jobs, largest=15 * PART_BYTES)
-    assert sorted(alone + together) == list(range(len(sizes)))
-    assert [sizes[number] for number in alone + together] == sorted(sizes, reverse=True)
-    assert all(sizes[number] <= 15 * PART_BYTES for number in together)
-    assert all(sizes[number] >= PART_BYTES for number in alone)
-
-
-def test_shares() -> None:
-    mega = PART_BYTES
-    assert _shares([mega] * 6, 2, 1e9) == ([], [0, 1, 2, 3, 4, 5])  # one each
-    assert _shares([mega // 4] * 3, 8, 1e9) == ([], [0, 1, 2])  # a chunk is not split
-    assert _shares([20 * mega, mega, mega], 4, 1e9) == ([0], [1, 2])  # nobody waits for the big one
-    assert _shares([20 * mega, 24 * mega], 8, 1e9) == ([1, 0], [])
-    assert _shares([1, 3, 2], 1, 1e9) == ([0, 1, 2], [])  # one process: as given
 
 
 @dataclass(frozen=True)

@@ -18,17 +18,6 @@ from tests.support.cli import PLAIN, ffcomp
 ROOT = Path(__file__).parents[2]
 SMALL = b"G28\nG90\nM83\nG1 Z0.3 F6000\nG1 X10 Y10 F9000\n;LAYER:0\nG1 X30 Y12 E1\nG1 X28 Y30 E1\nM107\n"
 FAR = SMALL.replace(b"X", b"X1").replace(b"Y", b"Y1")  # and no layer comment, which has a Y as well
-TRACK = {
-    "tracking_rms_um",
-    "tracking_max_um",
-    "contour_rms_um",
-    "contour_p99_um",
-    "contour_max_um",
-    "delay_s",
-    "tracking_rms_no_delay_um",
-    "print_time_s",
-    "peak_command_acceleration_mm_per_s2",
-}
 
 
 def as_a_process(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
@@ -67,34 +56,6 @@ def test_the_main_job_and_the_way_back(small: Path) -> None:
     assert refused.exit_code == 2 and "picture.gcode: the name of a figure ends in .png, .svg, .pdf" in refused.stderr
     assert ffcomp("restore", small).exit_code == 0
     assert small.read_bytes() == SMALL
-
-
-def test_json_is_one_object_with_the_documented_keys(small: Path, tmp_path: Path) -> None:
-    target = tmp_path / "out.gcode"
-    answer = ffcomp("compensate", "-m", "mp-delta-pro", small, "-o", target, "--flavor", "klipper", "--json")
-    assert answer.exit_code == 0
-    result = json.loads(answer.stdout)
-    assert result["schema"] == "ffcomp-compensate/1"
-    assert {"input", "output", "machine", "print_time_s", "original_print_time_s", "compute_time_s"} <= result.keys()
-    assert {"moves", "segments", "windows", "limited_windows", "warnings", "predicted"} <= result.keys()
-    assert result["machine"].keys() == {"name", "sha256", "assumed"}
-    for name in ("uncompensated", "compensated"):
-        assert result["predicted"][name].keys() == TRACK
-    before, after = (result["predicted"][name]["contour_rms_um"] for name in ("uncompensated", "compensated"))
-    assert after < before / 20
-    assert small.read_bytes() == SMALL and target.is_file()
-
-
-def test_fewer_segments_and_the_firmwares_shaper(small: Path) -> None:
-    answer = ffcomp(
-        "compensate", "-m", "mp-delta-pro", "--max-segments-per-second", "160", "--no-keep-shaper", "--json", small
-    )
-    assert answer.exit_code == 0, answer.stderr
-    result = json.loads(answer.stdout)
-    assert result["segments"] <= 160 * result["print_time_s"] + 1
-    text = small.read_bytes()
-    assert text.count(b"M593 F0 ; ffcomp\n") == 1 and text.index(b"M593") < text.index(b"M204 P")
-    assert ffcomp("restore", small).exit_code == 0 and small.read_bytes() == SMALL
 
 
 def test_a_dry_run_writes_nothing(small: Path) -> None:
@@ -161,15 +122,6 @@ def test_a_folder_and_a_wrong_machine_file_are_sentences_too(tmp_path: Path, sma
     assert answer.exit_code == 5 and "kinematics" in answer.stderr and "Traceback" not in answer.stderr
 
 
-@pytest.mark.parametrize("spelling", [["--offset-mm=-110,-110"], ["--offset-mm", "-110,-110"]])
-def test_an_offset_can_be_negative(tmp_path: Path, spelling: list[str]) -> None:
-    path = tmp_path / "corner.gcode"
-    path.write_bytes(b"G90\nG1 X110 Y110 Z0.3 F6000\nG1 X130 Y110\n")
-    answer = ffcomp("compensate", "-m", "mp-delta-pro", *spelling, "-q", path)
-    assert answer.exit_code == 0, answer.stderr
-    assert b"X20" in path.read_bytes()
-
-
 def test_permissions_and_links_stay(tmp_path: Path, small: Path) -> None:
     small.chmod(0o640)
     link = tmp_path / "link.gcode"
@@ -177,21 +129,6 @@ def test_permissions_and_links_stay(tmp_path: Path, small: Path) -> None:
     assert ffcomp("compensate", "-m", "mp-delta-pro", "-q", link).exit_code == 0
     assert link.is_symlink() and b"Processed by ffcomp" in small.read_bytes()
     assert stat.S_IMODE(small.stat().st_mode) == 0o640
-
-
-def test_frequency_responses_anywhere(tmp_path: Path) -> None:
-    picture = tmp_path / "bode.png"
-    answer = ffcomp("frf", "-m", "mp-delta-pro", "--at", "0,0", "--at", "-80,10", "--figure", picture, "--json")
-    assert answer.exit_code == 0, answer.stderr
-    first, second = (json.loads(line) for line in answer.stdout.splitlines())
-    assert first["schema"] == "ffcomp-frf/1" and second["position_mm"] == [-80.0, 10.0, 0.0]
-    assert len(first["frequency_hz"]) == 400
-    for i in range(3):
-        for j in range(3):  # at 0.5 Hz every carriage does what it is told, and leaves the others alone
-            assert first["carriage"][i][j]["magnitude"][0] == pytest.approx(float(i == j), abs=2e-3)
-    assert first["carriage"] != second["carriage"]
-    assert picture.read_bytes().startswith(b"\x89PNG")
-    assert ffcomp("frf", "-m", "mp-delta-pro", "--at", "200,0").exit_code == 2
 
 
 def test_an_interrupt_leaves_the_file_whole(tmp_path: Path) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import re
 import signal
 import subprocess
 import sys
@@ -46,17 +45,6 @@ def test_the_whole_way(small: Path, tmp_path: Path) -> None:
     assert sorted(found["figures"]) == sorted(str(path) for path in pictures.iterdir())
     assert small.read_bytes() == squares(2)
     assert "printing on Monte-Carlo plants" in answer.stderr
-
-
-def test_people_get_a_verdict_and_a_table(small: Path) -> None:
-    options = ("-m", "mp-delta-pro", "--only", "ei", "--quality-um", "0", "--layers", "0")
-    answer = call(small, *options, "--quiet")
-    assert answer.exit_code == 0 and answer.stderr == ""
-    assert "Worth it? " in answer.stdout
-    assert "Layers 0 to 0 were evaluated" in answer.stdout and "times less" in answer.stdout
-    errors = re.findall(r"^  (no compensation|EI, best fixed|ffcomp) {2,}([\d.]+) µm rms", answer.stdout, re.MULTILINE)
-    assert [name for name, _ in errors] == ["no compensation", "EI, best fixed", "ffcomp"]
-    assert float(errors[0][1]) > float(errors[1][1]) > float(errors[2][1])
 
 
 def test_a_compensated_file_is_compared_as_what_it_was(small: Path, tmp_path: Path) -> None:
@@ -128,16 +116,3 @@ def test_an_interrupt_is_quick_and_leaves_the_old_report(tmp_path: Path) -> None
     assert "Interrupted" in process.stderr.read()
     process.stderr.close()
     assert page.read_text(encoding="utf-8") == "old" and sorted(tmp_path.iterdir()) == [path, page]
-
-
-def test_a_short_print_in_inches(tmp_path: Path) -> None:
-    """Four decimals of an inch are coarse, and of a few seconds little is left for tuning."""
-    path = tmp_path / "inches.gcode"
-    square = b"".join(
-        b"G1 X%s Y%s E.01\n" % corner for corner in ((b".5", b"0"), (b".5", b".5"), (b"0", b".5"), (b"0", b"0"))
-    )
-    path.write_bytes(b"G20\nG90\nM83\nG1 X0 Y0 Z.2 F200\n" + 3 * square)
-    answer = call(path, "-m", "mp-delta-pro", "--only", "mzv", "--quality-um", "0", "--sample", "60%", "--json")
-    assert answer.exit_code == 0, answer.output
-    methods = json.loads(answer.stdout)["methods"]
-    assert 5 * methods["fbs-lpv"]["contour_rms_um"] < methods["none"]["contour_rms_um"]

@@ -76,15 +76,6 @@ def test_step_timings_beside_the_print(printed: Path, kind: str, rows: bool) -> 
     assert judged.exit_code == 0, judged.output
 
 
-def test_steps_of_the_plan_itself(printed: Path, tmp_path: Path) -> None:
-    words = (printed, "-m", MACHINE, "--kind", "steps", "--extruder-steps-per-mm", "400", "-o", tmp_path / "p.npz")
-    plain, ours = call(*words, "--inverse", "none", "--json", "-q"), call(*words, "--json", "-q")
-    assert plain.exit_code == ours.exit_code == 0
-    first, second = json.loads(plain.stdout), json.loads(ours.stdout)
-    assert first["print_time_s"] == pytest.approx(first["original_print_time_s"])
-    assert second["print_time_s"] > first["print_time_s"]
-
-
 @pytest.mark.parametrize(
     ("words", "said"),
     [
@@ -113,34 +104,6 @@ def test_a_limit_slows_down_or_stops(printed: Path, tmp_path: Path) -> None:
     assert result["slowed"] and result["slowed"][0]["limit"] == "velocity"
     assert any("slowed to" in sentence and "line" in sentence for sentence in result["warnings"])
     assert result["print_time_s"] > 1.05 * result["original_print_time_s"]
-
-
-def test_robust_is_an_option(printed: Path, tmp_path: Path) -> None:
-    """The library's file is off by 10 %, so it is inverted robustly unless it is told not to."""
-    texts, chosen = [], []
-    for words in ((), ("--robust", "on"), ("--robust", "auto"), ("--robust=off",)):
-        target = tmp_path / "out.gcode"
-        done = call(printed, "-m", MACHINE, "-q", "--no-predict", "--json", "-o", target, *words)
-        assert done.exit_code == 0, done.output
-        texts.append(target.read_bytes())
-        chosen.append([(found := json.loads(done.stdout))["robust"], "[uncertainty]" in found["robust_reason"]])
-    assert len(set(texts[:3])) == 1 and len(set(texts)) == 2
-    assert chosen == [[True, True], [True, False], [True, True], [False, False]]
-
-
-def test_people_read_a_line_for_each_cause(printed: Path, tmp_path: Path) -> None:
-    """Places, seconds and the remedy; the log has the lines, `--json` every place."""
-    machine = weak(tmp_path, "step_rate_hz = 4000.0")
-    done = call(printed, "-m", machine, "--no-predict", "--json", "--dry-run")
-    assert done.exit_code == 0, done.output
-    result = json.loads(done.stdout)
-    lines = result["warning_lines"]
-    assert len(lines) <= 5 and lines == result["answer"]["warnings"]
-    (slowed,) = (line for line in lines if "Slowed at" in line)
-    seconds = sum(each["seconds"] for each in result["slowed"])
-    assert f"Slowed at {len(result['slowed'])} place" in slowed and f"{seconds:.2g} s longer in all" in slowed
-    assert "the velocity limit of carriage" in slowed and "or step_rate_hz = 4000" in slowed
-    assert sum("slowed to" in warning for warning in result["warnings"]) >= 1
 
 
 def test_a_quicker_print_says_what_it_has_given(tmp_path: Path) -> None:

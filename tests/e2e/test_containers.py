@@ -12,11 +12,7 @@ from zipfile import ZipFile
 import pytest
 
 from ffcomp.cli.app import app
-from ffcomp.compensation.batch import compensate_files
-from ffcomp.compensation.job import Options
-from gcode.container import read_bytes
 from gcode.metadata import slicer_time_s
-from models.file import load_machine
 from tests.support.cli import CliRunner, Result
 from tests.support.containers import PRINT, archive_3mf, bgcode, contents, gzipped, zipped
 
@@ -65,33 +61,6 @@ def test_the_way_there_and_back(packed: Path) -> None:
     assert [path.name for path in packed.parent.iterdir()] == [packed.name]
 
 
-def test_a_container_says_what_its_text_says(tmp_path: Path) -> None:
-    """Compensated, shown, simulated and turned into steps as the plain file is."""
-    plain, archive = tmp_path / "plain", tmp_path / "archive"
-    plain.write_bytes(PRINT)
-    archive.write_bytes(archive_3mf(OTHER, PRINT))
-    words = ("-m", MACHINE, "--kind", "steps", "--extruder-steps-per-mm", "100")
-    refused = call("compensate", archive, *words)
-    assert refused.exit_code == 4 and "Step timings are of one print" in refused.output
-    gz = tmp_path / "gz"
-    gz.write_bytes(gzipped(PRINT))
-    steps = [call("compensate", path, *words, "-o", tmp_path / f"{path.name}.npz", "-q") for path in (plain, gz)]
-    assert [each.exit_code for each in steps] == [0, 0]
-    assert (tmp_path / "gz.npz").read_bytes() == (tmp_path / "plain.npz").read_bytes()
-    for path in (plain, archive):
-        assert call("compensate", path, "-m", MACHINE, "-q", "--no-predict").exit_code == 0
-    assert read_bytes(archive, 2) == plain.read_bytes()
-    tracks = [
-        json.loads(call("simulate", path, "-m", MACHINE, "--json", "-q", *plate).stdout)["track"]
-        for path, plate in ((plain, ()), (archive, ("--plate", "2")))
-    ]
-    assert tracks[0] == tracks[1]
-    shown = call("show", archive, "--plate", "2")
-    assert shown.exit_code == 0 and f"{archive}.png" in "".join(shown.stdout.split()), shown.stdout
-    vague = call("show", archive)
-    assert vague.exit_code == 4 and "choose one with --plate N" in vague.output
-
-
 def test_one_plate_that_is_done_stays_as_it_is(tmp_path: Path) -> None:
     plain, archive = tmp_path / "plain", tmp_path / "archive"
     plain.write_bytes(PRINT)
@@ -101,17 +70,6 @@ def test_one_plate_that_is_done_stays_as_it_is(tmp_path: Path) -> None:
     assert json.loads(done.stdout)["moves"] == 2
     first, second = contents(archive.read_bytes()).values()
     assert first == plain.read_bytes() and b"Processed by ffcomp" in second
-
-
-def test_many_at_once(tmp_path: Path) -> None:
-    files = [tmp_path / name for name in ("plain", "gz", "3mf", "broken")]
-    for file, content in zip(files, (PRINT, gzipped(PRINT), archive_3mf(PRINT), gzipped(PRINT)[:50]), strict=True):
-        file.write_bytes(content)
-    outcomes = list(compensate_files(files, load_machine(MACHINE), Options(predict=False), jobs=2))
-    failed = [outcome for outcome in outcomes if outcome.failure is not None]
-    assert [(each.file, each.failure.exit_code) for each in failed if each.failure] == [(files[3], 4)]
-    assert files[3].read_bytes() == gzipped(PRINT)[:50]
-    assert len({text for file in files[:3] for text in contents(file.read_bytes()).values()}) == 1
 
 
 @pytest.mark.parametrize("verb", ["compensate", "show", "restore", "simulate", "compare"])

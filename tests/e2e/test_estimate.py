@@ -14,7 +14,6 @@ import numpy as np
 import pytest
 
 from ffcomp.cli.app import app
-from ffcomp.compensation import chunks
 from ffcomp.compensation import text_stream as times
 from ffcomp.compensation.statistics import Statistics as Compensation
 from ffcomp.compensation.text_stream import with_times_retold
@@ -22,7 +21,6 @@ from ffcomp.errors import NothingToDo
 from ffcomp.estimation import statistics as cutting
 from ffcomp.estimation.engine import Estimate, estimate, planned_slices, seconds
 from ffcomp.estimation.statistics import (
-    BEFORE,
     EXTRUDING,
     FILAMENT,
     PRIMING,
@@ -33,11 +31,7 @@ from ffcomp.estimation.statistics import (
 )
 from ffcomp.firmware import program as reading
 from ffcomp.firmware.program import plan_program
-from ffcomp.inverse.model import InverseModel
-from ffcomp.inverse.settings import settings_for
-from ffcomp.options import FLAVORS
 from ffcomp.planner.lookahead import stops_and_waits
-from gcode.embedded import TIME_WAS, original
 from gcode.metadata import Timed, tells
 from gcode.program import Program
 from gcode.reader import read_parts, read_program
@@ -45,7 +39,6 @@ from models.file import load_machine
 from models.machine import Machine
 from tests.support.cli import CliRunner, Result
 from tests.support.compensated import compensated as anywhere
-from tests.support.data import real
 from validation.judge import HOST_KNOWS
 from validation.kalico import kalico_plan
 
@@ -56,11 +49,6 @@ PRINTS = ROOT / "sample_prints"
 @cache
 def machine() -> Machine:
     return load_machine("mp-delta-pro")
-
-
-@cache
-def inverter() -> InverseModel:
-    return InverseModel(machine(), settings_for(machine()))
 
 
 def estimated(data: bytes) -> Estimate:
@@ -101,26 +89,6 @@ def test_layers_and_features_share_all_of_it() -> None:
         assert sum(layer.row[column] for layer in layers.values()) == pytest.approx(statistics.total[column])
     assert statistics.features["Skirt"][WAITING] == 1.5
     assert statistics.features["Infill"][EXTRUDING] == pytest.approx(ramp_s(40, 50, 2000))
-
-
-def test_what_no_file_tells_is_named_with_its_lines() -> None:
-    unknown = estimated(SIMPLE).statistics.unknown.values()
-    assert [(each.what, each.command, each.lines) for each in unknown] == [
-        ("homing", "G28", [1]),
-        ("heating", "M109", [2, 20]),
-        ("a move from a place not known", "G1", [5]),
-        ("a macro or a command not known", "START_FAN_DANCE", [19]),
-    ]
-
-
-def test_layers_by_height_where_no_comment_names_them() -> None:
-    rings = [b"G1 Z%.1f\nG1 X40 E1\nG1 Y40 E1\nG1 X0 E1\nG1 Y0 E1\n" % z for z in (0.3, 0.5, 0.7)]
-    layers = estimated(START + b"".join(rings)).statistics.layers.in_order()
-    assert [number for number, _ in layers] == [BEFORE, 0, 1, 2]
-    assert [layer.z_mm for _, layer in layers[1:]] == [0.3, 0.5, 0.7]
-    slope = b"".join(b"G1 X%.2f Y%.2f Z%.4f E.05\n" % (*spiral(k), 0.3 + 0.002 * k) for k in range(300))
-    sliced = [layer for number, layer in estimated(START + slope).statistics.layers.in_order() if number != BEFORE]
-    assert 3 <= len(sliced) <= 5 and sum(layer.extruding for layer in sliced) == 300
 
 
 def spiral(k: int) -> tuple[float, float]:
@@ -167,12 +135,6 @@ def test_a_spiral_without_rests_is_cut_in_motion(monkeypatch: pytest.MonkeyPatch
 
 def planned(program: Program) -> object:
     return plan_program(program, machine()).trajectory
-
-
-def test_assumed_settings_of_the_firmware_are_said() -> None:
-    text = b"G90\nG1 X0 Y0 Z1 F3000\nG1 X30\n"
-    said = {each: estimate(text, "a.gcode", machine(), flavor=each).to_dict()["warnings"] for each in FLAVORS}
-    assert not said["klipper"] and "config.g" in said["reprapfirmware"][0] and "M503" in said["marlin"][0]
 
 
 def test_nothing_moves() -> None:
@@ -265,15 +227,6 @@ def test_hosts_find_the_new_time_and_only_that() -> None:
     assert [int(seconds) for seconds in first] == [pytest.approx((total_s - LIFT_S) / 3, abs=1.0)]
 
 
-def test_the_original_times_are_kept() -> None:
-    data = timed_print()
-    text, _ = timed()
-    assert text.count(TIME_WAS) > 30
-    assert original(text) == data
-    again, _ = compensated(text, restore=True)
-    assert again == text
-
-
 def test_times_do_not_depend_on_who_works(monkeypatch: pytest.MonkeyPatch) -> None:
     from joblib import parallel_config
 
@@ -286,38 +239,6 @@ def test_times_do_not_depend_on_who_works(monkeypatch: pytest.MonkeyPatch) -> No
     text, total_s = timed()
     assert found.print_time_s == pytest.approx(total_s)
     assert [line for line in one.splitlines() if tells(line)] == [line for line in text.splitlines() if tells(line)]
-
-
-def test_times_of_a_print_that_is_cut_in_motion(monkeypatch: pytest.MonkeyPatch) -> None:
-    places = [b"G1 X%.3f Y%.3f E.05 F6000\n" % spiral(k) for k in range(2000)]
-    places[::50] = [place + b"M73 P1 R1\n" for place in places[::50]]
-    data = START + b"".join(places) + b";TIME:7\n"
-    whole, _ = compensated(data)
-    monkeypatch.setattr(reading, "read_parts", lambda *a, **options: read_parts(*a, **options, part_bytes=9000))
-    monkeypatch.setattr(chunks, "MOST_MOVES", 500)
-    cut, found = compensated(data)
-    assert found.print_time_s == pytest.approx(seconds(account_of(whole).total), abs=0.05)
-    assert [line for line in cut.splitlines() if tells(line)] == [line for line in whole.splitlines() if tells(line)]
-
-
-def test_a_wait_at_the_end_counts() -> None:
-    text, found = compensated(SIMPLE + b"G4 P2500\nM73 P99 R1\n")
-    assert found.original_print_time_s == pytest.approx(estimated(SIMPLE).time_s + 2.5)
-    assert found.print_time_s == pytest.approx(estimated(text).time_s, abs=0.05)
-    assert text.splitlines()[-2] == b"M73 P100 R0"
-
-
-def test_a_real_print_says_its_time() -> None:
-    """Orca's M73 all through the file, on a bed with its origin in a corner."""
-    lines = real("makreeltje_orca_slicer.gcode").splitlines(keepends=True)
-    data = b"".join(lines[:330] + [line for line in lines[-800:] if line.startswith(b";")])
-    text, done = compensated(data, offset=(-150.0, -150.0))
-    found = estimate(text, "print.gcode", machine())
-    assert found.time_s == pytest.approx(done.print_time_s, rel=1e-3)
-    assert found.original is not None
-    assert seconds(found.original.total) == pytest.approx(done.original_print_time_s)
-    assert found.statistics.slicer_s == found.original.slicer_s == 5563
-    assert original(text) == data
 
 
 def test_waiting_for_the_end_keeps_every_byte(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -351,32 +272,3 @@ def test_the_command_tells_both_times(tmp_path: Path) -> None:
     assert result == json.loads(json.dumps(found.to_dict()))
     assert result["compensated"] and result["time_s"] > result["original"]["time_s"] > 10
     assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
-
-
-def test_the_command_in_words(tmp_path: Path) -> None:
-    path = tmp_path / "a.gcode"
-    path.write_bytes(SIMPLE)
-    told = run(path, "-m", "mp-delta-pro", "--layers")
-    assert told.exit_code == 0, told.stderr
-    assert "(M109, lines 2, 20)" in told.stdout
-    assert "Skirt" in told.stdout and "START_FAN_DANCE, line 19)" in told.stdout
-    assert run(path, "-m", "mp-delta-pro", "--flavor", "sailfish").exit_code == 2
-    assert run(path, "-m", "mp-delta-pro", "--figure", "picture.gcode").exit_code == 2
-    lost = run(path)
-    assert lost.exit_code == 2 and "--machine" in lost.stderr
-
-
-def test_moves_that_go_out_as_they_are_count() -> None:
-    """Y is never named, so nothing is compensated but the moves after it; X moves 60 mm at 10 mm/s."""
-    known = "G28\nG1 X0 Y0 Z5 F600\nG1 X60\nG1 X0\n"
-    unknown = "G28\nG1 X0 Z5 F600\nG1 X60\nG1 X0\nG1 Y0\nG1 X1\n"
-    whole, raw = (estimate(text.encode(), "", machine(), flavor="klipper").statistics for text in (known, unknown))
-    assert float(raw.total[:5].sum()) == pytest.approx(float(whole.total[:5].sum()) + 0.1, abs=0.05)
-
-
-def test_marlin_plans_a_file_whose_speeds_and_filament_change(tmp_path: Path) -> None:
-    path = tmp_path / "print.gcode"
-    path.write_text("G28\nG92 E0\nG1 X0 Y0 Z1 F3000\nG1 X10 E0.5 F1200\nG92 E0\nG1 Y10 E0.5 F1800\nG1 X0 F6000\n")
-    answer = CliRunner().invoke(app, ["estimate", str(path), "-m", "voron-300", "--flavor", "marlin", "--json"])
-    assert answer.exit_code == 0, answer.output
-    assert json.loads(answer.stdout)["time_s"] == pytest.approx(10 / 20 + 10 / 30 + 10 / 100, rel=0.05)

@@ -19,7 +19,7 @@ from ffcomp.record.plan import load_plan
 from models.file import LIBRARY, load_machine
 from models.machine import value_of, with_values
 from tests.support.cli import CliRunner, Result
-from tests.support.identification import measured, paper_bench, towers_bench
+from tests.support.identification import measured, towers_bench
 from validation.plants import delta_plant
 from validation.plants.study import PLACES, measure_bench, measure_places, uneven
 
@@ -93,19 +93,6 @@ def test_from_a_plan_through_captures_to_a_machine_file(tmp_path: Path) -> None:
     assert str(found.provenance["identified"]["data"]).count("sha256:") == 3  # type: ignore[index]
 
 
-def test_frequency_responses_both_ways(tmp_path: Path) -> None:
-    files = []
-    for i, response in enumerate(measured(TRUTH, paper_bench(np.arange(2.0, 200.1, 3.0)), 45.0, 0)):
-        files.append(tmp_path / f"{i}.csv")
-        write_frf(files[-1], response)
-    for method in ("direct", "stepwise"):
-        out = tmp_path / f"{method}.toml"
-        good("fit", *files, "-m", TRUTH_FILE, "--known", f"{TOTAL_MASS}=0.651", "-o", out, "--method", method)
-        assert value_of(load_machine(out), "carriage.mass_kg") == pytest.approx(0.179, rel=0.02)
-    again = call("fit", *files, "-m", TRUTH_FILE, "-o", tmp_path / "direct.toml")
-    assert again.exit_code == 2 and "exists already" in again.output
-
-
 def test_the_wrong_force_map_is_found_out(tmp_path: Path) -> None:
     files = []
     for i, response in enumerate(measured(TRUTH, towers_bench(-80.0, 0.0, np.arange(4.0, 125.0, 4.0)), 40.0, 0)):
@@ -151,13 +138,6 @@ def test_tables_two_and_three_of_the_paper() -> None:
 
 
 @pytest.mark.skipif(not VIBRATION, reason="the vibration data from outside are not beside the project")
-def test_a_measurement_at_one_frequency_shows_no_modes() -> None:
-    tone = next(path for path in VIBRATION if path.suffix == ".tsv")
-    refused = call("fit", tone, "-m", "kossel")
-    assert refused.exit_code == 5 and "excited at one frequency" in refused.output
-
-
-@pytest.mark.skipif(not VIBRATION, reason="the vibration data from outside are not beside the project")
 def test_resonances_scale_a_starting_machine(tmp_path: Path) -> None:
     pair = [p for p in VIBRATION if p.name.startswith("v24__resonances")]
     result = good("fit", *pair, "-m", "kossel", "-o", tmp_path / "v24.toml")
@@ -186,9 +166,3 @@ def test_what_cannot_be_used_is_said_with_the_file(tmp_path: Path, content: str,
     assert answer.exit_code == 5, answer.output
     assert "bad.csv" in answer.output and sentence in answer.output.lower().replace("cmd_b", "cmd_B")
     assert not (tmp_path / "out.toml").exists()
-
-
-def test_known_numbers_are_read_or_refused() -> None:
-    assert call("fit", "x.csv", "-m", "kossel", "--known", "mass").exit_code == 2
-    assert "KEY=VALUE" in call("fit", "x.csv", "-m", "kossel", "--known", "mass=heavy").output
-    assert call("fit", "absent.csv", "-m", "kossel").exit_code == 2

@@ -5,13 +5,12 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from ffcomp.cli.machines import machines as app
 from models.file import load_machine
 from tests.support.cli import CliRunner, Result
-from tests.support.configs import COREXY, SHAPER, Delta, written
+from tests.support.configs import Delta, written
 
 
 @pytest.fixture
@@ -39,37 +38,6 @@ def test_a_delta_becomes_a_machine_that_checks_well(run, own_folder: Path, tmp_p
     checked = CliRunner().invoke(app, ["check", str(own_folder / "printer.toml")])
     assert checked.exit_code == 0
     assert "Not measured: carriage.mass_kg" in checked.stdout
-
-
-def test_the_shaper_of_a_delta_is_held_against_the_assumed_model(run, tmp_path: Path) -> None:
-    path = tmp_path / "shaped.toml"
-    told = run(written(tmp_path, Delta().klipper() + SHAPER), "-o", path).stdout
-    found = load_machine(path).vibration.modes_at(np.zeros(2))
-    ringing = found.frequencies_hz[found.damping_ratios < 0.2]
-    assert "The input shaper is set to 61.2 and 43.4 Hz;" in told
-    assert f"loudest vibration is at {ringing[0]:.1f} Hz" in told
-
-
-def test_json_tells_the_same(run, tmp_path: Path) -> None:
-    path = tmp_path / "duet.toml"
-    told = json.loads(run(written(tmp_path, Delta().reprapfirmware()), "-o", path, "--like", "kossel", "--json").stdout)
-    assert told["schema"] == "ffcomp-machine-import/1"
-    assert (told["firmware"], told["kinematics"], told["like"]) == ("RepRapFirmware", "delta", "kossel")
-    assert told["complete"] is True and told["missing"] == {}
-    assert told["values"]["kinematics.delta_radius_mm"] == {"value": 131.25, "how": "read", "origin": "x:2 M665 R"}
-    assert told["machine"] == str(path)
-
-
-def test_gaps_leave_a_file_to_fill_in(run, tmp_path: Path) -> None:
-    path = tmp_path / "corexy.toml"
-    result = run(written(tmp_path, COREXY), "-o", path)
-    assert result.exit_code == 5
-    assert "Still missing: axes.x.frequency_hz" in result.stdout
-    assert "is not complete: fill in axes.x.frequency_hz" in result.stderr
-    assert "# frequency_hz is missing" in path.read_text(encoding="utf-8")
-    assert run(written(tmp_path, COREXY + SHAPER), "-o", tmp_path / "whole.toml").exit_code == 0
-    checked = CliRunner().invoke(app, ["check", str(tmp_path / "whole.toml")])
-    assert "Not measured: axes.x.frequency_hz" in checked.stdout
 
 
 def test_nothing_is_overwritten(run, tmp_path: Path) -> None:

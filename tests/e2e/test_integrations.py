@@ -9,10 +9,8 @@ import configparser
 import enum
 import importlib.util
 import json
-import re
 import shlex
 import sys
-import tomllib
 from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
@@ -22,8 +20,7 @@ import pytest
 
 from ffcomp import __version__
 from ffcomp.cli.integrations import integrations as app
-from ffcomp.integrations.recipes import RECIPES, cura_folders, executable, instructions, joined, wrapper
-from ffcomp.integrations.slicer import Bed, read_bed
+from ffcomp.integrations.recipes import RECIPES, cura_folders, executable, instructions, wrapper
 from gcode.embedded import already_processed, original
 from tests.support.cli import CliRunner
 from tests.support.moonraker import metadata, thumbnail
@@ -170,37 +167,6 @@ def test_a_failure_in_cura_is_seen_and_the_print_stays(
     assert len(told) == 1 and "NOT compensated" in told[0] and why in told[0]
 
 
-def test_a_layer_that_another_script_has_put_a_line_before_stays_a_piece(cura_script: ModuleType) -> None:
-    data = ["G28\n", "\n;LAYER:0\nG1 X1\n", "\n\n;LAYER:1\n", "\n", "M84\n"]
-    text = "".join(data).replace("G1 X1", ";~G1 X1\nG1 X1 F600")
-    first, *layers = cura_script._pieces(text, data)
-    assert first == "G28\n\n" and [layer.partition("\n")[0] for layer in layers] == [";LAYER:0", ";LAYER:1", "M84"]
-    assert first + "".join(layers) == text
-
-
-def test_ffcomp_is_told_what_cura_knows(
-    cura: Callable[..., list[str]], told: list[str], printer: dict[str, Any], tmp_path: Path
-) -> None:
-    stub = tmp_path / "ffcomp"
-    said = '{"warning_lines": ["%s, %s, %s"]}'
-    stub.write_text(f"#!/bin/sh\nprintf '{said}' $SLIC3R_PP_HOST $SLIC3R_PP_OUTPUT_NAME $SLIC3R_PRINTABLE_AREA\n")
-    stub.chmod(0o755)
-    cura(list(CURA), executable=str(stub))
-    printer["machine_center_is_zero"] = True
-    cura(list(CURA), executable=str(stub))
-    beds = [read_bed(text.rpartition(", ")[2]) for text in told]
-    assert all(text.startswith("Cura, CE3_Würfel, ") for text in told)
-    assert beds == [Bed((0.0, 0.0), (220.0, 200.0)), Bed((-110.0, -100.0), (110.0, 100.0))]
-
-
-def test_curas_settings_are_what_it_can_read(cura_script: ModuleType) -> None:
-    settings = json.loads(cura_script.Ffcomp().getSettingDataString())
-    assert settings["key"] == "Ffcomp" and settings["version"] == 2 and settings["metadata"] == {}
-    for setting in settings["settings"].values():
-        assert setting.keys() == {"label", "description", "type", "default_value"} and setting["type"] == "str"
-    assert settings["settings"]["machine"]["default_value"] == "kossel"
-
-
 # -- OrcaSlicer --
 
 SMALL = b"G28\nG90\nM83\nG1 Z0.3 F6000\nG1 X10 Y10 F9000\nG1 X30 Y12 E1\nG1 X28 Y30 E1\nM107\n"
@@ -269,15 +235,6 @@ def orca(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, program: str) -> Any:
     # registered while the file is being read, as the decorator does it
     loaded("ffcomp_plugin", wrapper(RECIPES["orcaslicer"], "", program), tmp_path)
     return registered[0]()
-
-
-def test_orcas_metadata_are_as_pep_723_wants_them(program: str) -> None:
-    text = wrapper(RECIPES["orcaslicer"], "", program)
-    block = re.match(r"# /// script\n((?:#.*\n)+?)# ///\n", text)
-    assert block is not None
-    metadata = tomllib.loads("".join(line[2:] or "\n" for line in block.group(1).splitlines(keepends=True)))
-    plugin = metadata["tool"]["orcaslicer"]["plugin"]
-    assert plugin["name"] == "ffcomp" and plugin["version"] == __version__ and metadata["dependencies"] == []
 
 
 def test_orca_compensates_once_and_twice(orca: Any, tmp_path: Path) -> None:
@@ -359,15 +316,6 @@ def moonraker(tmp_path: Path, program: str) -> Callable[[str], dict[str, Any]]:
     return processor
 
 
-def test_moonraker_is_given_a_processor(moonraker: Callable[[str], dict[str, Any]], program: str) -> None:
-    made = moonraker("machine: my delta.toml\noptions: --keep-shaper --offset-mm '-110, -110'\ntimeout: 90")
-    assert made["command"][:5] == [program, "compensate", "--quiet", "--machine", "my delta.toml"]
-    assert made["command"][5:] == ["--keep-shaper", "--offset-mm", "-110, -110", "{gcode_file_path}"]
-    assert made["name"] == "ffcomp" and made["timeout"] == 90.0 and made["ident"]["location"] == "header"
-    with pytest.raises(ValueError, match="needs a machine"):
-        moonraker("timeout: 90")
-
-
 def test_moonraker_processes_a_print_once_and_reads_it_as_before(
     moonraker: Callable[[str], dict[str, Any]], tmp_path: Path
 ) -> None:
@@ -391,20 +339,7 @@ def test_moonraker_processes_a_print_once_and_reads_it_as_before(
     assert again["file_processors"] == ["ffcomp"] and path.read_bytes() == done
 
 
-def test_moonrakers_sign_is_our_stamp(moonraker: Callable[[str], dict[str, Any]]) -> None:
-    from gcode.embedded import stamp_line
-
-    stamp = stamp_line(__version__, "my delta", "0123456789abcdef", "klipper").decode()
-    found = re.search(moonraker("machine: x")["ident"]["regex"], f"; generated by X\n{stamp}G28\n", re.MULTILINE)
-    assert found is not None and found.groupdict() == {"version": f"v{__version__}"}
-
-
 # -- recipes --
-
-
-@pytest.fixture
-def _windows(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sys, "platform", "win32")
 
 
 @pytest.mark.parametrize("name", RECIPES)
@@ -421,27 +356,6 @@ def test_every_recipe_shows_a_line_that_can_be_pasted(name: str) -> None:
         and answer.stdout == f"{instructions(RECIPES[name], str(Path('my delta.toml').resolve()), executable())}\n"
     )
     assert f"`ffcomp integrations show {name}`" in (ROOT / "docs" / "SLICERS.md").read_text(encoding="utf-8")
-
-
-def test_a_machine_file_is_shown_with_its_full_path_and_a_name_as_it_is() -> None:
-    shown = {
-        machine: CliRunner().invoke(app, ["show", "prusaslicer", "-m", machine]).stdout
-        for machine in ("a.toml", "kossel")
-    }
-    assert f"--machine {Path('a.toml').resolve()}\n" in shown["a.toml"] and "--machine kossel\n" in shown["kossel"]
-
-
-def test_the_line_names_the_ffcomp_that_runs(program: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setenv("PATH", str(tmp_path))
-    assert executable() == "ffcomp"  # nothing better is known: this is pytest
-    monkeypatch.chdir(Path(program).parent)
-    monkeypatch.setattr(sys, "argv", ["./ffcomp", "integrations"])
-    assert executable() == program
-
-
-@pytest.mark.usefixtures("_windows")
-def test_windows_quotes_in_its_own_way() -> None:
-    assert joined([r"C:\Program Files\ffcomp.exe", "compensate"]) == r'"C:\Program Files\ffcomp.exe" compensate'
 
 
 def test_install_puts_a_wrapper_where_cura_looks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

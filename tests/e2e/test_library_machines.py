@@ -40,17 +40,6 @@ def test_a_small_print_is_compensated_and_says_what_is_assumed(compensated: tupl
     assert first.startswith(sentence(name)) and not any("input shaper" in each for each in others)
 
 
-def test_show_and_simulate_say_it_too(compensated: tuple[str, Path, str, str], tmp_path: Path) -> None:
-    name, out, *_ = compensated
-    shown = call("show", out, "-o", tmp_path / "out.png", "--json")
-    simulated = call("simulate", out, "-m", name, "--json")
-    for done in (shown, simulated):
-        told = json.loads(done.stdout)
-        assert told["machine"]["assumed"].startswith(sentence(name))
-        said = [done.stderr, *told.get("answer", {}).get("warnings", [])]
-        assert sum(text.count(sentence(name)) for text in said) == 1
-
-
 def test_a_measured_machine_says_nothing(tmp_path: Path) -> None:
     (tmp_path / "square.gcode").write_text(SQUARE.format(-10, 10), encoding="utf-8")
     done = call("compensate", tmp_path / "square.gcode", "-m", "mp-delta-pro", "--dry-run", "--json")

@@ -34,23 +34,6 @@ def test_a_refusal_names_the_line_and_the_rule() -> None:
 # -- what only shows between lines --
 
 
-def test_bare_words_after_an_unknown_code_are_not_taken_for_a_move() -> None:
-    with pytest.raises(GcodeError, match="has no command"):
-        read_program((START + "G81 X15 Z2 R5\nX20\n").encode(), flavor="marlin")
-
-
-def test_marlins_kept_feed_factor() -> None:
-    moves = read_program(
-        (START + "M220 S50\nM220 B\nM220 S80\nG1 X12\nM220 R\nG1 X13\n").encode(), flavor="marlin"
-    ).moves
-    assert moves.speed[-2:].tolist() == pytest.approx([80.0, 50.0])
-
-
-def test_numbered_lines_are_warned_of_once() -> None:
-    warnings = read_program((START + "N3 G1 X12\nN4 M107\n").encode()).warnings
-    assert [warning.partition(",")[0] for warning in warnings] == ["line 7: the line has a number"]
-
-
 # -- how lines end --
 
 BODY = START + "G1 X20 Y10 E.4\n;LAYER:1\nG1 X20 Y20 E.4\n"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import pytest
@@ -32,13 +31,6 @@ def moves(folder: Path, *more: str) -> tuple[Path, Path]:
     return target, folder / "moves.json"
 
 
-def test_a_plan_for_a_firmware_that_records_nothing_says_so(tmp_path: Path) -> None:
-    for flavor, said in (("marlin", "records nothing"), ("klipper", "for each accelerometer")):
-        target = tmp_path / f"{flavor}.gcode"
-        done = ffcomp("record", "plan", "-m", "ender-3", "-o", target, "--seconds", "2", "--flavor", flavor)
-        assert done.exit_code == 0 and said in done.output, done.output
-
-
 @pytest.mark.parametrize("flavor", ["klipper", "reprapfirmware"])
 def test_captures_of_the_virtual_printer_are_joined(flavor: str, tmp_path: Path) -> None:
     target, plan = moves(tmp_path, "--repeats", "1")
@@ -64,16 +56,6 @@ def test_captures_need_the_plan_of_their_gcode(tmp_path: Path) -> None:
     assert done.exit_code == 2 and "give the file written with it" in done.output
 
 
-def test_a_check_is_the_same_file_every_time_and_names_the_next_command(tmp_path: Path) -> None:
-    texts = []
-    for name in ("a", "b"):
-        done = ffcomp("record", "check", "-m", "ender-3", "-o", tmp_path / f"{name}.gcode")
-        assert done.exit_code == 0, done.output
-        assert f"Then: ffcomp record check CAPTURES --plan {tmp_path / name}.json -m ender-3" in done.output
-        texts.append((tmp_path / f"{name}.gcode").read_bytes())
-    assert texts[0] == texts[1]
-
-
 def test_a_check_wants_captures_with_a_plan_or_a_file_to_write(tmp_path: Path) -> None:
     assert ffcomp("record", "check", "-m", "ender-3").exit_code == 2
     assert ffcomp("record", "check", "a.csv", "-m", "ender-3", "-o", tmp_path / "c.gcode").exit_code == 2
@@ -88,11 +70,3 @@ def test_a_damaged_history_stays_as_it_is(tmp_path: Path) -> None:
     done = ffcomp(*call)
     assert done.exit_code == 5 and "Line 1 of the history is no check of ffcomp" in done.output, done.output
     assert history.read_text(encoding="utf-8") == '{"schema":"ffcomp-check'
-
-
-def test_only_the_kinds_of_moves_that_are_asked_for(tmp_path: Path) -> None:
-    asked = ("--at", "110,110", "--kind", "loop", "--kind", "loop", "--json")
-    done = ffcomp("record", "plan", "-m", "ender-3", "-o", tmp_path / "a.gcode", "--seconds", "2", *asked)
-    assert [each["kind"] for each in json.loads(done.stdout)["experiments"]] == ["loop"]
-    wrong = ffcomp("record", "plan", "-m", "ender-3", "-o", tmp_path / "b.gcode", "--kind", "circle")
-    assert wrong.exit_code == 2 and "zigzag, reversals, loop or multisine" in " ".join(wrong.output.split())

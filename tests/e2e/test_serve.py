@@ -53,14 +53,6 @@ def test_a_print_comes_back_compensated_with_its_picture(page: Any) -> None:
     assert not any(page.server.runner.kept.folder.iterdir())
 
 
-def test_work_may_be_kept_in_a_folder_that_is_named_from_here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("ffcomp.serve.runner.COMMAND", (sys.executable, "-S", stand_in.__file__))
-    monkeypatch.chdir(tmp_path)
-    with client(Path("here"), monkeypatch) as page:
-        job = wait_for(page, started(page, "compensate", [uploaded(page, "a.gcode", WIGGLE)], machine="kossel"))
-        assert job["state"] == "done", job["error"]
-
-
 def test_a_configuration_becomes_a_machine_of_ones_own(page: Any) -> None:
     config = (EXAMPLES / "printer.cfg").read_bytes()
     for name in ("my-delta", "my-delta-2"):  # the second time: never overwritten
@@ -229,12 +221,6 @@ def test_after_installing_it_gets_ready_until_somebody_starts_something(
         id_ = started(page, "compensate", [uploaded(page, "a.gcode", WIGGLE)], machine="kossel")
         wait_for(page, id_, "running")
         assert [each["id"] for each in page.get("/api/state").json()["jobs"]] == [id_]
-
-
-def test_a_missing_package_is_one_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("ffcomp.cli.common.find_spec", lambda package: None)
-    done = CliRunner().invoke(app, ["serve"])
-    assert done.exit_code == 1 and "pip install 'ffcomp[serve]'" in done.output
 
 
 def test_a_port_that_is_taken_and_halves_of_a_pair_are_sentences(page: Any, tmp_path: Path) -> None:

@@ -14,20 +14,12 @@ from ffcomp.measurement.recording import Recording, read_recording
 from ffcomp.simulation import playback as playing
 from ffcomp.simulation.command_files import gcode_command
 from ffcomp.simulation.simulation import Request, read_command, simulate_command
-from models.effects.catalogue import with_effect
 from models.file import LIBRARY, load_machine
 from models.printer.printer import simulate_printer
 from tests.support.cli import CliRunner, Result
 from validation import judge
 
-ROOT = Path(__file__).parents[2]
-TOWER = ROOT / "sample_prints" / "ringing_tower.gcode"
 MACHINE = load_machine("mp-delta-pro")
-TRACK = set(judge.Score.__dataclass_fields__) - {"peak_m_per_s2"} | {
-    "tracking_max_um",
-    "print_time_s",
-    "peak_command_acceleration_mm_per_s2",
-}
 SQUARE = b"G28\nG90\nM83\nG1 X0 Y0 Z0.3 F6000\nG1 X40 Y0 E1 F12000\nG1 X40 Y40 E1\nG1 X0 Y40 E1\nG1 X0 Y0 E1\nM107\n"
 AGAIN = SQUARE + SQUARE.replace(b"X0", b"X-40").replace(b"X40", b"X0")
 
@@ -75,15 +67,6 @@ def test_the_track_is_that_of_an_independent_printer() -> None:
     assert track.peak_command_acceleration_mm_per_s2 / 1e3 == pytest.approx(theirs.peak_m_per_s2, rel=0.01)
 
 
-def test_json_is_one_object_with_the_documented_keys(square: Path) -> None:
-    found = good("simulate", square, "-m", "mp-delta-pro")
-    assert found["schema"] == "ffcomp-simulate/1" and found["track"].keys() == TRACK
-    assert {"input", "output", "machine", "plant", "effects", "reference", "simulated_s"} <= found.keys()
-    assert {"wall_s", "print_s_per_wall_s", "peak_carriage_velocity_mm_per_s", "warnings"} <= found.keys()
-    text = call("simulate", square, "-m", "mp-delta-pro")
-    assert text.exit_code == 0 and "contour" in text.stdout and "times faster than printing" in text.stdout
-
-
 @pytest.mark.parametrize("options", [(), ("--offset-mm", "-20,10"), ("--max-segments-per-second", "160")])
 def test_a_compensated_file_is_judged_against_its_original(
     options: tuple[str, ...], square: Path, tmp_path: Path
@@ -101,18 +84,6 @@ def test_a_compensated_file_is_judged_against_its_original(
     assert after["track"]["tracking_rms_um"] < before["track"]["tracking_rms_um"] / 15
 
 
-def test_rows_are_fine_enough(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The nozzle is 0.1 µm from where rows 16 times finer put it, everywhere, corners of 200 mm/s included."""
-    command, _ = read_command(TOWER, MACHINE)
-
-    def nozzle() -> np.ndarray:
-        return np.concatenate([p.nozzle_mm for p in playing.play(command, MACHINE, 1600.0, 80.0, 82.0)])
-
-    usual = nozzle()
-    monkeypatch.setattr(playing, "ROW_S", playing.ROW_S / 16)
-    assert 1e3 * np.abs(nozzle() - usual).max() < 0.1
-
-
 def test_pieces_have_no_seams(monkeypatch: pytest.MonkeyPatch, square: Path) -> None:
     """However it is cut, and against the whole in one go."""
     command, _ = read_command(square, MACHINE)
@@ -127,24 +98,6 @@ def test_pieces_have_no_seams(monkeypatch: pytest.MonkeyPatch, square: Path) -> 
     t = stretch.begin_s + playing.ROW_S * np.arange(4 * len(whole[0].t_s) - 3)
     direct = simulate_printer(MACHINE, stretch.actuators(t), playing.ROW_S)
     np.testing.assert_allclose(whole[0].nozzle_mm, direct.nozzle_mm[::4], atol=1e-9)
-
-
-def test_a_part_is_that_of_the_whole() -> None:
-    """From the midst of motion too: what came before has rung down, to a µm."""
-    command, _ = read_command(TOWER, MACHINE)
-    times = ((80.0, 83.0), (82.0, 82.3))
-    (whole,), (part,) = (list(playing.play(command, MACHINE, 1600.0, *part)) for part in times)
-    first = int(np.searchsorted(whole.t_s, part.t_s[0] - 1e-9))
-    alike = slice(first, first + len(part.t_s))
-    assert len(part.t_s) == 481
-    np.testing.assert_allclose(part.t_s, whole.t_s[alike], atol=1e-9)
-    np.testing.assert_allclose(part.nozzle_mm, whole.nozzle_mm[alike], atol=1e-3)
-
-
-def test_weight_bends_the_printer_but_is_no_error(square: Path) -> None:
-    heavy, light = (good("simulate", square, "-m", "mp-delta-pro", *flag) for flag in ((), ("--no-gravity",)))
-    assert (heavy["gravity"], light["gravity"]) == (True, False)
-    assert heavy["track"]["contour_rms_um"] == pytest.approx(light["track"]["contour_rms_um"], rel=0.02)
 
 
 def test_where_others_move_the_nozzle_it_starts_from_rest(tmp_path: Path) -> None:
@@ -181,22 +134,6 @@ def test_gap_finds_nothing_but_what_is_hidden(square: Path, tmp_path: Path) -> N
     assert hidden > 0.02
 
 
-@pytest.mark.parametrize("machine", ["ender-3", "voron-250"])
-def test_a_straight_machine_has_runs_and_gaps_too(machine: str, square: Path, tmp_path: Path) -> None:
-    rubbed = tmp_path / "rubbed.toml"
-    text = (LIBRARY / f"{machine}.toml").read_text(encoding="utf-8")
-    rubbed.write_text(f"{text}\n[effects.coulomb_friction]\nforce_n_per_kg = 2.0\n", encoding="utf-8")
-    sizes = []
-    for plant, believed in ((machine, machine), (rubbed, machine), (rubbed, rubbed)):
-        run = tmp_path / "run.csv"
-        good("simulate", square, "-m", machine, "--plant", plant, "-o", run, "--quiet")
-        sizes.append(good("gap", run, "-m", believed)["nrms"])
-    assert set(read_recording(run).acceleration) == {"acc_x", "acc_y"}, "z rests"
-    same, hidden, known = sizes
-    assert same < 1e-3 and known < 2e-3
-    assert hidden > 0.02
-
-
 @pytest.mark.parametrize(
     ("machine", "effect"),
     [
@@ -216,19 +153,6 @@ def test_effects_of_straight_machines_are_compensated(machine: str, effect: str,
         good("compensate", square, "-m", believed, "-o", out, "--quiet", "--robust", "off", *klipper)
         errors.append(good("simulate", out, "-m", believed, "--plant", known, *klipper)["track"]["contour_rms_um"])
     assert errors[1] < 1.0 < 0.2 * errors[0]
-
-
-def test_the_run_says_what_made_it_and_holds_every_sensor(square: Path, tmp_path: Path) -> None:
-    run = written(tmp_path, square, "--rate", "3200")
-    assert run.sample_rate_hz == pytest.approx(3200.0)
-    assert set(run.acceleration) == {f"acc_{axis}" for axis in "ABCxyz"}
-    assert set(run.position) == {f"pos_{axis}" for axis in "ABCxyz"}
-    assert MACHINE.sha256 in run.comments["plant"] and run.comments["effects"] == "none"
-    assert run.comments["command"] == square.name
-    command, _ = read_command(square, MACHINE)
-    np.testing.assert_allclose(run.command, command.sections[0].actuators(run.time_s), atol=1e-6)
-    fewer = written(tmp_path, square, "--signals", "pos")
-    assert not fewer.acceleration and len(fewer.position) == 6
 
 
 def test_the_plants_sensors_are_what_is_written(square: Path, tmp_path: Path) -> None:
@@ -281,34 +205,3 @@ def test_what_cannot_be_done_is_said_in_a_sentence(options: list[str], code: int
     answer = call("simulate", square, "-m", "mp-delta-pro", *(option.format(**places) for option in options))
     assert answer.exit_code == code, answer.output
     assert "Traceback" not in answer.output and square.read_bytes() == SQUARE
-
-
-def test_an_empty_print_is_nothing_to_do(tmp_path: Path) -> None:
-    path = tmp_path / "empty.gcode"
-    path.write_bytes(b"G28\nM107\n")
-    assert call("simulate", path, "-m", "mp-delta-pro").exit_code == 3
-
-
-def test_a_broken_archive_is_a_broken_command(tmp_path: Path) -> None:
-    path = tmp_path / "steps.npz"
-    np.savez(path, clock_hz=1e6, a_tick=np.array([3, 2]))
-    answer = call("simulate", path, "-m", "mp-delta-pro")
-    assert answer.exit_code == 4 and "b_tick" in answer.stderr
-
-
-def test_every_effect_can_be_on(square: Path) -> None:
-    """A late command is as much later with everything else on; friction and a swaying frame are not for free."""
-    plant = with_effect(MACHINE, "command_delay", delay_s=0.002)
-    plant = with_effect(plant, "coulomb_friction", force_n=2.0)
-    plant = with_effect(plant, "belt_backlash", width_mm=0.02)
-    plant = with_effect(plant, "frame_mode", mass_kg=8.0, frequency_hz=18.0, damping_ratio=0.03, direction="both")
-    command, _ = read_command(square, MACHINE)
-    plain, shaken = (simulate_command(command, MACHINE, each, Request()).track for each in (MACHINE, plant))
-    assert shaken.delay_s == pytest.approx(plain.delay_s + 0.002, abs=4e-4)
-
-
-def test_a_plan_alone_is_enough() -> None:
-    """As a library: a planned program, no file."""
-    original = judge.sample_print("ringing_tower", 75.0, 77.0)
-    command = gcode_command(original.planned, MACHINE)
-    assert simulate_command(command, MACHINE, MACHINE, Request()).rows > 1000

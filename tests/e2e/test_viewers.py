@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-from collections import Counter
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +11,7 @@ from ffcomp.cli.app import app
 from gcode.reader import read_program
 from tests.support.cli import CliRunner
 from tests.support.docs_runner import ROOT
-from tests.support.moonraker import metadata, thumbnail
+from tests.support.moonraker import thumbnail
 
 OBJECT = b"EXCLUDE_OBJECT_DEFINE NAME=tower CENTER=0,0\n"
 
@@ -67,46 +65,7 @@ def test_the_preview_is_the_sliced_path_with_another_feature_where_the_error_cha
     )
 
 
-def test_the_worse_print_has_the_worse_features(folder: Path) -> None:
-    worst = b"Internal infill", b"Top solid infill"  # dark red, red
-    shares = {}
-    for name in ("error", "was"):
-        program = read_program((folder / f"{name}.gcode").read_bytes(), name)
-        way = np.linalg.norm((program.moves.end - program.moves.start)[:, :2], axis=1)
-        length: Counter[bytes] = Counter()
-        feature = b""
-        at = iter(sorted(program.events, key=lambda event: event.move))
-        event = next(at, None)
-        for number in range(len(program.moves)):
-            while event is not None and event.move <= number:
-                line = program.lines[event.line]
-                feature = line.strip().removeprefix(b";TYPE:") if line.startswith(b";TYPE:") else feature
-                event = next(at, None)
-            length[feature] += float(way[number])
-        shares[name] = sum(length[each] for each in worst) / sum(length.values())
-    assert shares["was"] > 0.2 and shares["error"] < 0.02
-
-
 def test_nothing_in_a_preview_heats_homes_or_waits(folder: Path) -> None:
     commands = {line.split()[0] for line in (folder / "error.gcode").read_bytes().splitlines() if line[:1] not in b";"}
     assert commands == {b"G1", b"G21", b"G90", b"M83"}
     assert b"NOT FOR PRINTING" in (folder / "error.gcode").read_bytes()[:300]
-
-
-def test_moonraker_reads_the_preview_as_it_reads_the_print(folder: Path) -> None:
-    before, _ = metadata(folder, "tower.gcode", [])
-    after, _ = metadata(folder, "error.gcode", [])
-    same = {"slicer", "slicer_version", "layer_height", "first_layer_height", "nozzle_diameter"}
-    assert same | {"thumbnails"} <= before.keys()
-    assert {key: after.get(key) for key in same} == {key: before[key] for key in same}
-    assert [each["size"] for each in after["thumbnails"]] == [each["size"] for each in before["thumbnails"]]
-
-
-def test_a_preview_is_written_where_it_was_asked_for_and_nowhere_else(folder: Path) -> None:
-    done = folder / "done.gcode"
-    told = run("show", done, "-o", folder / "a.png", "--gcode-preview", folder / "a.gcode", "--json")
-    assert json.loads(told)["gcode_preview"] == str(folder / "a.gcode")
-    before = done.read_bytes()
-    run("show", done, "-o", folder / "a.png", "--gcode-preview", done, code=2)
-    run("show", done, "-o", folder / "a.png", "--gcode-preview", folder / "b.gcode", "--preview-of", "x", code=2)
-    assert done.read_bytes() == before and not (folder / "b.gcode").exists()

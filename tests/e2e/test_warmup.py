@@ -23,18 +23,6 @@ def test_the_first_run_says_that_it_compiles(tmp_path: Path) -> None:
     assert ["Compiling once" in text for text in said] == [True, False]
 
 
-def test_quiet_hides_the_progress_and_not_the_answer(tmp_path: Path) -> None:
-    result = CliRunner().invoke(app, [*COMPENSATE, "-o", str(tmp_path / "out.gcode"), "--quiet"])
-    assert result.exit_code == 0 and result.stderr == ""
-    assert "contour error" in result.stdout
-
-
-def test_a_run_that_fails_is_not_counted(tmp_path: Path) -> None:
-    for _ in range(2):
-        result = CliRunner().invoke(app, ["compensate", str(tmp_path / "nothing.gcode"), "-m", "kossel"])
-        assert result.exit_code == 2 and "Compiling once" in result.output
-
-
 def test_after_warming_up_no_run_compiles(tmp_path: Path) -> None:
     result = CliRunner().invoke(app, ["warmup"])
     assert result.exit_code == 0, result.output
@@ -45,9 +33,3 @@ def test_after_warming_up_no_run_compiles(tmp_path: Path) -> None:
     )
     after = CliRunner().invoke(app, [*COMPENSATE, "-o", str(tmp_path / "out.gcode")])
     assert after.exit_code == 0 and "Compiling" not in after.output
-
-
-def test_without_a_cache_nothing_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("FFCOMP_CACHE", "off")
-    result = CliRunner().invoke(app, [*COMPENSATE, "-o", str(tmp_path / "out.gcode")])
-    assert result.exit_code == 0 and "Compiling" not in result.output

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from functools import cache
 from pathlib import Path
 from typing import TypeVar
 
@@ -23,7 +22,6 @@ from ffcomp.measurement.vibration import read_vibration
 from gcode.errors import GcodeError
 from gcode.reader import read_parts, read_program
 from models.errors import MachineFileError
-from models.file import LIBRARY, load_machine
 from tests.fuzz.test_random_programs import compensated, inverter
 from validation.invariants import violations
 
@@ -48,7 +46,6 @@ WHOLE = (
     "SET_GCODE_OFFSET Z=",
 )
 COMMANDS = st.sampled_from([*CODES.split(), *WHOLE, "M" + "9" * 30, "if {x}", ""])
-ENDS = st.sampled_from(["\n", "\r\n", "\r", "\n\n", ""])
 LINES = st.tuples(
     COMMANDS, st.lists(WORDS, max_size=5).map(" ".join), st.sampled_from(["\n", "\r\n", "\r", "\n\n", ""])
 )
@@ -126,29 +123,6 @@ def test_nothing_takes_for_ever(name: str) -> None:
 
 
 # -- machine files --
-
-LIBRARY_FILES = sorted(LIBRARY.glob("*.toml"))
-ODD_VALUES = """0 -1 1e400 nan inf -inf "text" [] [1,2,3] true {} 1e308 1e-308 [[1]] 1979-05-27 '''x''' [nan,nan,nan]
-[1e200,1e200,1e200] 0x7fffffffffffffffff "\\u0000\" """
-VALUES = st.sampled_from([*ODD_VALUES.split(), "9" * 400, ""])
-
-
-@cache
-def machine_lines() -> list[str]:
-    text = LIBRARY_FILES[0].read_text(encoding="utf-8")
-    return [line for line in text.splitlines() if line.strip() and not line.startswith("#")]
-
-
-@quick
-@given(data=st.data())
-def test_machine_files_with_other_values(tmp_path_factory: pytest.TempPathFactory, data: st.DataObject) -> None:
-    lines = list(machine_lines())
-    for _ in range(data.draw(st.integers(1, 3))):
-        at = data.draw(st.integers(0, len(lines) - 1))
-        key = lines[at].partition("=")[0]
-        changed = [f"{key}= {data.draw(VALUES)}", "", lines[at] * 2, "[" + lines[at], f"x{lines[at]}"]
-        lines[at] = data.draw(st.sampled_from([changed[0]] * 6 + changed))
-    holds(load_machine, "\n".join(lines).encode(), MachineFileError, tmp_path_factory, ".toml")
 
 
 def holds(

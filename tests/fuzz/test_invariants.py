@@ -128,28 +128,11 @@ def test_a_spoiled_segment_is_found(change: Callable[[bytes], bytes], sentence: 
     assert any(sentence in each for each in found), found
 
 
-def test_a_fan_that_comes_late_is_found() -> None:
-    lines = safe().splitlines(keepends=True)
-    lines.remove(b"M106 S200\n")
-    lines.insert(middle() + 30, b"M106 S200\n")
-    assert any(
-        "M106 S200" in each or "not those" in each for each in violations(PRINT, b"".join(lines), inverter().machine)
-    )
-
-
 def test_a_block_that_begins_beside_its_path_is_found() -> None:
     lines = safe().splitlines(keepends=True)
     at = next(i for i, line in enumerate(lines) if line.startswith(b";section line=14 "))
     lines.insert(at, b"G1 X38.05\n")
     assert any("the block begins 0.0500 mm" in each for each in violations(PRINT, b"".join(lines), inverter().machine))
-
-
-def test_missing_filament_is_found() -> None:
-    lines = safe().splitlines(keepends=True)
-    last = max(i for i in told_apart(lines).segments if b" E" in lines[i])
-    lines[last] = word(lines[last].rstrip(), b"E", lambda e: e - 0.01) + b"\n"
-    found = violations(PRINT, b"".join(lines), inverter().machine)
-    assert any(each.startswith("The filament was") for each in found)
 
 
 @pytest.mark.parametrize(
