@@ -42,7 +42,7 @@ from ffcomp.diagnosis.held_out import (
     simulate_left_out,
     to_explain,
 )
-from ffcomp.diagnosis.hypotheses import IMPLAUSIBLE, LAW_GROUPS, Hypothesis, likeliest, moved_numbers
+from ffcomp.diagnosis.hypotheses import IMPLAUSIBLE, Hypothesis, likeliest, moved_numbers
 from ffcomp.diagnosis.recording_clocks import belongs_to_recording
 from ffcomp.numerics.stages import Progress
 from models.arrays import FloatArray
@@ -138,12 +138,12 @@ def _contenders(tried: Sequence[Hypothesis]) -> list[Hypothesis]:
 
 def _better_without(best: Hypothesis, first: Hypothesis, ahead: float) -> bool:
     """Tell whether the best explanation does without the family, and leaves far less."""
-    without = _law_group(first) not in {LAW_GROUPS.get(name, name) for name in best.names}
+    without = _law_group(first) not in {CATALOGUE[name].cause for name in best.names}
     return without and ahead * best.discrepancy < first.discrepancy
 
 
 def _law_group(h: Hypothesis) -> str:
-    return LAW_GROUPS.get(h.names[0], h.names[0])
+    return CATALOGUE[h.names[0]].cause
 
 
 def _simplest(laws: Sequence[_Tested], ahead: float) -> _Tested:

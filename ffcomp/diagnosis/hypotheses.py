@@ -17,26 +17,6 @@ from models.effects.catalogue import CATALOGUE
 
 FILE_CHANGES = frozenset(name for name, effect in CATALOGUE.items() if effect.corrects_file)
 IMPLAUSIBLE = 3.0  # mean square of the file's numbers, in their variances, beyond which they are implausible
-DRY, PULL = "dry friction", "a pull towards one place"
-FAMILIES = {  # what is told first of an effect with several laws; of any other its name says it
-    "coulomb_friction": DRY,
-    "bristle_friction": DRY,
-    "joint_friction": DRY,
-    "stribeck_friction": "dry friction that falls with speed",
-    "friction_by_load": "dry friction that grows with load",
-    "friction_by_direction": "friction that differs by direction",
-    "guide_damping": "viscous friction",
-    "quadratic_drag": "friction that grows with the square of the speed",
-    "pendulum_gravity": PULL,
-    "ground_spring": PULL,
-}
-LAW_GROUPS = {  # laws of one thing, which differ by little: they are no rivals of each other
-    "coulomb_friction": DRY,
-    "bristle_friction": DRY,
-    "stribeck_friction": DRY,
-    "pendulum_gravity": PULL,
-    "ground_spring": PULL,
-}
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,8 +95,8 @@ def held(machine: Sequence[Parameter], effects: Sequence[Candidate]) -> tuple[Pa
 
 def may_join(name: str, names: Sequence[str]) -> bool:
     """Tell whether an effect is none of these, nor a law of the same thing: friction has one, however it is bent."""
-    group = LAW_GROUPS.get(name, name)
-    return not any(group == LAW_GROUPS.get(each, each) or name in (each, SIMPLER.get(each)) for each in names)
+    cause = CATALOGUE[name].cause
+    return not any(cause == CATALOGUE[each].cause or name in (each, SIMPLER.get(each)) for each in names)
 
 
 # ---- evidence ------------------------------------------------------------------------------------

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from ffcomp.diagnosis.hypotheses import FAMILIES
 from ffcomp.diagnosis.result import DiagnosisResult, Rest
 from ffcomp.diagnosis.settings import SETTINGS
 from ffcomp.diagnosis.words import digits, joined, most_of, percent
+from models.effects.catalogue import CATALOGUE
 
 FEW = 4  # numbers or files in one sentence
 
@@ -34,7 +34,8 @@ def _gap(result: DiagnosisResult) -> str:
 
 def in_family(name: str) -> str:
     """Return an effect by its family, then its law: `dry friction that falls with speed, stribeck_friction`."""
-    return f"{FAMILIES[name]}, {name}" if name in FAMILIES else name
+    family = CATALOGUE[name].family
+    return f"{family}, {name}" if family else name
 
 
 def _effects(result: DiagnosisResult) -> list[str]:

@@ -15,7 +15,6 @@ from ffcomp.compensation.file import compensate_file
 from ffcomp.compensation.job import Options
 from ffcomp.diagnosis.diagnosis import Diagnosis as Search
 from ffcomp.diagnosis.diagnosis import diagnose
-from ffcomp.diagnosis.hypotheses import FAMILIES
 from ffcomp.diagnosis.next_experiment import Separation, separations
 from ffcomp.diagnosis.printer_problem import PrinterProblem
 from ffcomp.diagnosis.problem import Problem
@@ -233,7 +232,7 @@ def _effect_json(result: DiagnosisResult, name: str) -> dict[str, Any]:
     return {
         "name": name,  # one of [the effects](../EFFECTS.md); none in `effects` unless that is the verdict
         # what it is, whatever its law: `dry friction`, `dry friction that falls with speed`, … ; or its name
-        "family": FAMILIES.get(name, name),
+        "family": CATALOGUE[name].family or name,
         "parameters": result.parameters(name),  # .* INTERVAL: by the machine file's key
         "confidence": result.confidence[name],  # number: probability against the best explanation without this effect
         # number: −2 ln of the likelihood gained against retuning alone, of all named effects

@@ -206,11 +206,18 @@ class Effect:
     spread_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
     # requirements on an axis by itself
     needs: Literal["", "spring", "command", "freedom", "turning", "accelerometer", "two sensors"] = ""
+    family: str = ""  # the physical cause, whatever the law; printed before the name
+    law_of: str = ""  # laws of one cause differ by little: they never combine and are no rivals of each other
     contains: str = ""  # an effect that it includes
     corrects_file: bool = False  # it only corrects a number of the machine file
     axis_words: AxisWords | None = None  # None: its words suit any machine
     of_motors: bool = False  # its values belong to belts and motors, not to carriages or axes
     shifts_time: bool = False  # a recorded sample depends on others than itself
+
+    @property
+    def cause(self) -> str:
+        """What laws of one cause share; of any other effect its own name."""
+        return self.law_of or self.name
 
     def parameter(self, name: str) -> Parameter:
         """Return the parameter of that name; KeyError if there is none."""

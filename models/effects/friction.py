@@ -59,6 +59,7 @@ def reversal_parameters(size: Size) -> tuple[Parameter, Parameter]:
 GUIDE_DAMPING = Effect(
     name="guide_damping",
     title="More viscous friction in the guides",
+    family="viscous friction",
     kind="parameter",
     physics="Grease shears between carriage and rail: a force proportional to speed.",
     equation="b → b + Δb",
@@ -115,6 +116,8 @@ def _dry_terms(values: Values, printer: Terms) -> Terms:
 COULOMB_FRICTION = Effect(
     name="coulomb_friction",
     title="Dry friction in the guides",
+    family="dry friction",
+    law_of="dry friction",
     kind="force",
     physics="The guide resists with the same force at every speed, and locks the carriage at rest.",
     equation="F = F_C sgn(q̇); at rest any |F| ≤ F_C",
@@ -153,6 +156,8 @@ COULOMB_FRICTION = Effect(
 STRIBECK_FRICTION = Effect(
     name="stribeck_friction",
     title="Guides that stick: more dry friction at rest",
+    family="dry friction that falls with speed",
+    law_of="dry friction",
     kind="force",
     physics="Grease and seals stick at rest; the excess over dry friction fades as the lubricant is drawn in.",
     equation="F = (F_C + F_extra exp(−|q̇/v_s|^δ)) sgn(q̇)   (Armstrong-Hélouvry, Dupont & Canudas de Wit, 1994)",
@@ -208,6 +213,8 @@ STRIBECK_FRICTION = Effect(
 BRISTLE_FRICTION = Effect(
     name="bristle_friction",
     title="Presliding: friction that acts like a spring before it slides",
+    family="dry friction",
+    law_of="dry friction",
     kind="force",
     physics="Contacts bend like bristles before they slide, which causes hysteresis.",
     equation="F = F_C z,  ż = (q̇ − |q̇| z)/s₀   (Dahl, 1968)",
@@ -243,6 +250,7 @@ def _joint_terms(values: Values, printer: Terms) -> Terms:
 JOINT_FRICTION = Effect(
     name="joint_friction",
     title="Dry friction in the arms' ball joints",
+    family="dry friction",
     kind="force",
     physics="Tight or dirty joints resist the effector's motion with the same force at every speed.",
     equation="F = −f Ẋ/|Ẋ|; at rest any |F| ≤ f",
@@ -261,6 +269,7 @@ JOINT_FRICTION = Effect(
 FRICTION_BY_DIRECTION = Effect(
     name="friction_by_direction",
     title="Viscous friction that differs by direction",
+    family="friction that differs by direction",
     kind="force",
     physics="A screw's preload, a cable chain or a seal's lip resists more in one direction than in the other.",
     equation="F = (b + Δb/2 sgn q̇) q̇",
@@ -295,6 +304,7 @@ def _load_terms(values: Values, printer: Terms) -> Terms:
 FRICTION_BY_LOAD = Effect(
     name="friction_by_load",
     title="Dry friction that grows with the load on the drive",
+    family="dry friction that grows with load",
     kind="force",
     physics="The transmitted force presses teeth and screws together, and friction is proportional to it.",
     equation="F = (μ |F_d| + μ ν |F_g|) sgn(q̇),  F_d = force of the drive,  F_g = pull of gravity and springs",
@@ -334,6 +344,7 @@ FRICTION_BY_LOAD = Effect(
 QUADRATIC_DRAG = Effect(
     name="quadratic_drag",
     title="Drag that grows with the square of speed",
+    family="friction that grows with the square of the speed",
     kind="force",
     physics="Displaced air, oil or coolant resists with the square of the speed.",
     equation="F = d q̇ |q̇|",

@@ -191,6 +191,8 @@ GROWING_BED = Effect(
 GROUND_SPRING = Effect(
     name="ground_spring",
     title="A spring that pulls the axis to one position",
+    family="a pull towards one place",
+    law_of="a pull towards one place",
     kind="force",
     physics="Hoses, cables, a bellows or gravity on a curved guide pull harder the farther the axis moves.",
     equation="F = k q",
@@ -217,6 +219,8 @@ GROUND_SPRING = Effect(
 PENDULUM_GRAVITY = Effect(
     name="pendulum_gravity",
     title="Gravity on a rotating arm",
+    family="a pull towards one place",
+    law_of="a pull towards one place",
     kind="force",
     physics="Gravity pulls an unbalanced arm, load or rotor to its lowest position.",
     equation="F = m g l sin(q − q₀)",
