@@ -19,7 +19,6 @@ from gcode.atomic_write import replace_atomically
 from gcode.bgcode import GCODE, Block, blocks_of, metadata_of
 from gcode.container import ends_of, opened, read_bytes
 from gcode.errors import GcodeError, UnsupportedGcode
-from gcode.reader import read_program
 from tests.support.containers import PRINT, archive_3mf, bgcode, contents, gzipped, rewritten, zipped
 
 OTHER = PRINT.replace(b"X30", b"X31").replace(b"1m 1s", b"2m 2s")
@@ -33,10 +32,6 @@ def test_gzip_keeps_name_and_time() -> None:
     new = rewritten(packed, OTHER)
     assert gzip.decompress(new) == OTHER
     assert new[:8] == packed[:8] and new[10:21] == packed[10:21] == b"part.gcode\0"
-
-
-def test_gzip_of_several_members_is_one_print() -> None:
-    assert contents(gzipped(PRINT) + gzipped(OTHER)) == {"": PRINT + OTHER}
 
 
 @pytest.mark.parametrize(
@@ -87,11 +82,6 @@ def test_an_archive_keeps_all_else_byte_for_byte(upper: bool) -> None:
     same = archive_3mf(OTHER, PRINT + b"M84\n", upper=upper)
     for name in ("Metadata/plate_1.gcode.md5", "Metadata/plate_2.gcode.md5"):
         assert after.read(name) == ZipFile(io.BytesIO(same)).read(name)
-
-
-def test_the_same_text_makes_the_same_archive() -> None:
-    packed = archive_3mf(PRINT)
-    assert rewritten(packed, PRINT) == packed
 
 
 def test_one_plate_of_several_has_to_be_chosen(tmp_path: Path) -> None:
@@ -245,13 +235,6 @@ def test_what_is_no_gcode_is_named_with_its_line(tmp_path: Path, content: bytes,
     assert re.match(rf"{re.escape(str(file))}:[13]: The file is ", str(caught.value))
 
 
-def test_a_byte_order_mark_is_read_over(tmp_path: Path) -> None:
-    file = tmp_path / "part.gcode"
-    file.write_bytes(b"\xef\xbb\xbfG1 X1 Y2 Z3 F600\nG1 X2\n")
-    program = read_program(read_bytes(file), start=(0.0, 0.0, 0.0))
-    assert program.moves.end[:, 0].tolist() == [1.0, 2.0] and program.lines[0].startswith(b"\xef\xbb\xbfG1")
-
-
 def test_pipes_and_folders_are_no_files(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe")
     with pytest.raises(OSError, match="pipe or a device"), opened(tmp_path / "pipe"):
@@ -318,8 +301,3 @@ def test_a_failure_leaves_the_old_file_alone(tmp_path: Path) -> None:
         replace_atomically(file, broken())
     assert file.read_bytes() == b"old"
     assert list(tmp_path.iterdir()) == [file]
-
-
-def test_a_new_file_can_be_written(tmp_path: Path) -> None:
-    replace_atomically(tmp_path / "new", [b"x"])
-    assert (tmp_path / "new").read_bytes() == b"x"

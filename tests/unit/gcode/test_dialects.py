@@ -1,10 +1,8 @@
 from __future__ import annotations
 
-import math
-
 import pytest
 
-from gcode.dialects import close_limits, detect_flavor, detect_slicer, flavor_sign, open_limits, shaper_off
+from gcode.dialects import close_limits, detect_flavor, detect_slicer, open_limits
 from gcode.program import MotionLimits
 from gcode.reader import read_program
 from tests.support.data import real
@@ -42,21 +40,6 @@ def test_flavor(lines: list[bytes], flavor: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("line", "text", "certain"),
-    [
-        (b"START_PRINT BED=60\n", "START_PRINT", True),
-        (b"; gcode_flavor = klipper\n", "; gcode_flavor = klipper", True),
-        (b";FLAVOR:Marlin\r\n", ";FLAVOR:Marlin", False),
-        (b"M204 S500 ; slowly\n", "M204 S500 and no limits in another firmware's syntax", False),
-        (b"G28\n", "", False),
-    ],
-)
-def test_what_says_it_is_quoted(line: bytes, text: str, certain: bool) -> None:
-    sign = flavor_sign([b"; a print\n", line])
-    assert (sign.text, sign.certain) == (text, certain)
-
-
-@pytest.mark.parametrize(
     ("name", "flavor", "slicer"),
     [
         ("ender3_ringing_tower.gcode", "klipper", "Simplify3D"),
@@ -73,16 +56,6 @@ def test_real_files(name: str, flavor: str, slicer: str) -> None:
     assert (detect_flavor(lines), detect_slicer(lines)) == (flavor, slicer)
 
 
-def test_klipper_limits_as_text() -> None:
-    assert open_limits("klipper", 300, 5e4, 100) == [
-        b"SET_VELOCITY_LIMIT VELOCITY=300 ACCEL=50000 SQUARE_CORNER_VELOCITY=100 MINIMUM_CRUISE_RATIO=0"
-        b" ACCEL_TO_DECEL=50000\n"
-    ]
-    assert close_limits("klipper", MotionLimits(acceleration=3000, minimum_cruise_ratio=0.9999)) == [
-        b"SET_VELOCITY_LIMIT ACCEL=3000 MINIMUM_CRUISE_RATIO=0.999 ACCEL_TO_DECEL=3\n"  # Klipper stops at 1
-    ]
-
-
 @pytest.mark.parametrize("flavor", ["klipper", "marlin", "reprapfirmware"])
 def test_limits_are_read_back_as_written(flavor: str) -> None:
     head = b"; gcode_flavor = " + flavor.encode() + b"\n"
@@ -93,10 +66,3 @@ def test_limits_are_read_back_as_written(flavor: str) -> None:
     assert moves.velocity_limit.tolist() == [250, 120]
     assert moves.acceleration.tolist() == [40000, 3000]
     assert moves.square_corner_velocity.tolist() == [80, 5]
-
-
-@pytest.mark.parametrize("flavor", ["klipper", "marlin", "reprapfirmware"])
-def test_unknown_limits_are_not_written(flavor: str) -> None:
-    assert close_limits(flavor, MotionLimits()) == []
-    assert all(b"nan" not in line for line in close_limits(flavor, MotionLimits(velocity=1.5, acceleration=math.nan)))
-    assert len(shaper_off(flavor)) == 1

@@ -10,21 +10,6 @@ from gcode.errors import UnsupportedGcode
 CURA = FlavorSign("marlin", ";FLAVOR:Marlin")
 
 
-@pytest.mark.parametrize(
-    ("asked", "stated", "sign", "reason"),
-    [
-        ("", "", FlavorSign("klipper", "START_PRINT", certain=True), "klipper, because the print holds START_PRINT."),
-        ("", "", CURA, "marlin, because the print holds ;FLAVOR:Marlin. If that is wrong: set --flavor NAME, or"),
-        ("", "", FlavorSign("marlin"), "marlin, because nothing in the print names another. If that is wrong:"),
-        ("", "klipper", FlavorSign("marlin"), "klipper, as the machine file says."),
-        ("marlin", "klipper", CURA, "marlin, as requested."),
-    ],
-)
-def test_the_reason_is_a_sentence(asked: str, stated: str, sign: FlavorSign, reason: str) -> None:
-    choice = choose_flavor(asked, stated, sign)
-    assert choice.reason.startswith(f"Firmware: {reason}") and not choice.warning
-
-
 def test_a_contradiction_is_a_warning() -> None:
     choice = choose_flavor("", "klipper", CURA)
     assert choice.flavor == "klipper"

@@ -38,11 +38,6 @@ def test_a_slope_without_comments_is_cut_into_layers() -> None:
     assert np.all(np.diff(found.layer) >= 0)
 
 
-def test_nothing_extruded_is_one_layer() -> None:
-    found = labels(read_program(b"G90\nG1 X0 Y0 Z1 F6000\nG1 X5\nG1 Z3\n"))
-    assert found.layers == 1 and found.features == (UNNAMED,)
-
-
 @pytest.mark.parametrize(
     ("name", "outer"),
     [

@@ -15,7 +15,6 @@ from gcode.metadata import (
     Timed,
     filament_change_s,
     retold,
-    short,
     slicer_time_s,
     stated_time,
     tells,
@@ -60,13 +59,6 @@ def test_every_slicers_total(line: bytes, seconds: float, new: bytes) -> None:
     assert retold(Timed.at(line, 17.0), Durations(93784.6)) == new
 
 
-def test_the_first_layer_and_what_has_gone() -> None:
-    first = Timed.at(b"; estimated first layer printing time (normal mode) = 4m 36s\n", 0.0)
-    assert retold(first, Durations(900.0, 61.0)) == b"; estimated first layer printing time (normal mode) = 1m 1s\n"
-    assert retold(first, Durations(900.0)) == first
-    assert retold(Timed.at(b";TIME_ELAPSED:320.807252\n", 12.5), Durations(900.0)) == b";TIME_ELAPSED:12.500000\n"
-
-
 @pytest.mark.parametrize(
     ("line", "at_s", "new"),
     [
@@ -105,13 +97,6 @@ def test_what_a_slicer_counts_beside_the_moves_is_kept(line: bytes, at_s: float,
     assert retold(Timed.at(line, at_s), Durations(3600.0, sliced_s=3480.0)) == new
 
 
-@pytest.mark.parametrize(
-    "line", [b"M73 L7\n", b"M73.2   R1.0 ;Reset\n", b"M730 P1\n", b"M73 ; P50\n", b"N4 M73 P5*9\n"]
-)
-def test_progress_of_other_kinds_stays(line: bytes) -> None:
-    assert retold(Timed.at(line, 30.0), Durations(60.0)) == line
-
-
 @given(st.lists(st.floats(0, 1e6), min_size=1), st.integers(0, 100))
 def test_progress_never_goes_back(times: list[float], said: int) -> None:
     times = sorted(times)
@@ -121,12 +106,6 @@ def test_progress_never_goes_back(times: list[float], said: int) -> None:
     assert [p for p, _ in numbers] == sorted(p for p, _ in numbers)
     assert [r for _, r in numbers] == sorted((r for _, r in numbers), reverse=True)
     assert numbers[-1] == (100, 0)
-
-
-@given(st.integers(0, 10**7))
-def test_short_times_are_read_back(seconds: int) -> None:
-    line = b"; estimated printing time (normal mode) = %s\n" % short(seconds).encode()
-    assert slicer_time_s([line]) == seconds
 
 
 @pytest.mark.parametrize(
@@ -148,11 +127,6 @@ def test_times_of_real_files(name: str, seconds: float | None, lines_that_tell: 
     assert sum(tells(line) is not None for line in lines) == lines_that_tell
     back = [with_time(new, stated_time(line)) for line, new in zip(lines, changed, strict=True)]
     assert back == lines
-
-
-@given(st.binary(max_size=40).map(lambda text: b"; " + text))
-def test_other_lines_come_back_as_they_are(line: bytes) -> None:
-    assert retold(Timed.at(line, 1.0), Durations(2.0)) == line
 
 
 def test_stamp_round_trip() -> None:

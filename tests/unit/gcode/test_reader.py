@@ -102,22 +102,6 @@ def test_positions_agree_with_a_simple_reading(name: str) -> None:
     assert min(np.abs(simple[k : k + len(travelled)] - travelled).max() for k in range(at + 1)) < 1e-9
 
 
-def test_filament_of_a_relative_print() -> None:
-    data = real("gcodepreview_vase.gcode")
-    numbers = re.findall(rb"(?m)^G1 [^;\n]*E(-?\d*\.?\d+)", data)
-    moves = read_program(data).moves
-    total = (moves.end[:, 3] - moves.start[:, 3]).sum()
-    assert math.isclose(total, sum(map(float, numbers)), abs_tol=5.0)  # purge lines before the first place
-    assert math.isclose(moves.end[-1, 3], sum(map(float, numbers)), abs_tol=1e-6)
-
-
-def test_orca_limits_are_obeyed() -> None:
-    moves = read_program(real("makreeltje_orca_slicer.gcode")).moves
-    asked = set(re.findall(rb"(?m)^SET_VELOCITY_LIMIT.*ACCEL=(\d+)", real("makreeltje_orca_slicer.gcode")))
-    assert set(moves.acceleration[np.isfinite(moves.acceleration)]) <= {float(a) for a in asked}
-    assert np.isfinite(moves.acceleration).mean() > 0.9
-
-
 def test_arcs_of_a_real_print_join_their_neighbours() -> None:
     moves = read_program(real("gcodepreview_benchy_arcs.gcode")).moves
     chords = Counter(moves.line.tolist())
@@ -129,35 +113,6 @@ def test_arcs_of_a_real_print_join_their_neighbours() -> None:
 
 
 # -- modes --
-
-
-def test_absolute_and_relative() -> None:
-    program = read("G1 X10 E1 F600", "G91", "G1 X5 Y-1 E2", "G90", "M83", "G1 X1 E3", "M82", "G1 E1.5")
-    assert ends(program) == [[10, 0, 0, 1], [15, -1, 0, 3], [1, -1, 0, 6], [1, -1, 0, 1.5]]
-    assert [program.frames[f].absolute_e for f in program.moves.frame] == [True, False, False, True]
-
-
-def test_inches_scale_every_length() -> None:
-    program = read("G20", "G1 X1 E0.1 F60", "G2 X1 Y0 I-0.5 J0")
-    assert program.moves.end[0].tolist() == pytest.approx([25.4, 0, 0, 2.54])
-    assert program.moves.speed[0] == pytest.approx(25.4)
-    circle = program.moves.end[program.moves.line == 2, :2]
-    assert np.hypot(*(circle - [12.7, 0]).T) == pytest.approx(12.7)
-
-
-def test_g92_renames_a_place() -> None:
-    program = read("G1 X10 E5 F600", "G92 X0 E0", "G1 X5 E1", "G92 X0 Y0 E0", "G1 X1 Y1 E1")
-    assert ends(program) == [[10, 0, 0, 5], [15, 0, 0, 6], [16, 1, 0, 7]]
-    assert kinds(program) == [EventKind.STOP, EventKind.STOP]
-    assert program.frames[program.moves.frame[1]].base == (10, 0, 0, 5)
-    assert kinds(read("G1 X1 F1", "G92 E0")) == [EventKind.PASS]
-
-
-def test_feed_and_flow_factors() -> None:
-    program = read("G1 X1 E1 F600", "M220 S200", "M221 S50", "G1 X2 E2", "G1 X3 E3 F1200")
-    assert program.moves.speed.tolist() == [10, 20, 40]
-    assert program.moves.end[:, 3].tolist() == [1, 1.5, 2]
-    assert set(kinds(program)) == {EventKind.PASS}
 
 
 @given(st.floats(0.2, 3), st.floats(0.2, 3), st.booleans(), st.booleans(), st.lists(st.integers(-50, 50)))
@@ -201,28 +156,9 @@ def test_saved_states_come_back() -> None:
     assert kinds(unsaved) == [EventKind.STOP, EventKind.RAW_MOVE] and "never saved" in unsaved.warnings[0]
 
 
-def test_an_offset_that_moves_is_followed() -> None:
-    program = read("G1 X1 Z1 F600", "SET_GCODE_OFFSET Z=0.2 MOVE=1", "G1 X2", "G1 Z1")
-    assert program.moves.start[1:, 2] == pytest.approx([1.2])
-    assert ends(program)[1:] == [[2, 0, 1.2, 0]]
-
-
 def test_gcode_offset_is_added_once() -> None:
     program = read("G1 Z1 F600", "SET_GCODE_OFFSET Z=0.2", "G1 Z2", "SET_GCODE_OFFSET Z_ADJUST=0.1", "G1 Z3")
     assert program.moves.end[:, 2].tolist() == pytest.approx([1, 2.2, 3.3])
-
-
-def test_bare_words_repeat_the_last_motion() -> None:
-    assert ends(read("F600", "G1 X1", "Y2", "X3 Y3")) == [[1, 0, 0, 0], [1, 2, 0, 0], [3, 3, 0, 0]]
-    with pytest.raises(GcodeError, match="no command"):
-        read("X1")
-
-
-def test_klipper_does_not_know_bare_words() -> None:
-    program = read("G1 X1 F600", "X2 Y2 E1", "F60", "G1 X3", flavor="klipper")
-    assert ends(program) == [[1, 0, 0, 0], [3, 0, 0, 0]] and kinds(program) == [EventKind.PASS] * 2
-    assert program.moves.speed.tolist() == [10, 10]
-    assert program.warnings[0].startswith("line 2: 'X2 Y2 E1' has no command; Klipper rejects")
 
 
 @pytest.mark.parametrize(
@@ -245,13 +181,6 @@ def test_a_helix_shares_height_and_filament_evenly() -> None:
     assert chords[:, 3] == pytest.approx(np.arange(1, n + 1) * 4 / n)
     assert np.hypot(*chords[:, :2].T) == pytest.approx(5)
     assert chords[-1].tolist() == [5, 0, 2, 4]
-
-
-@pytest.mark.parametrize("tolerance", [0.001, 0.05])
-def test_a_finer_tolerance_has_more_chords(tolerance: float) -> None:
-    program = read("G1 X1 F600", "G2 X-1 R1", arc_tolerance_mm=tolerance)
-    step = 2 * math.acos(1 - tolerance)
-    assert len(program.moves) == 1 + math.ceil(math.pi / step)
 
 
 @pytest.mark.parametrize(("head", "deep"), [("G21", True), ("SET_PIN PIN=a VALUE=1", False)])
@@ -303,45 +232,12 @@ def test_after_homing_moves_pass_until_every_axis_is_named() -> None:
     assert program.moves.speed.tolist() == [5]
 
 
-def test_relative_moves_from_an_unknown_place_stay_unknown() -> None:
-    program = read("G91", "G1 X1 Y1 Z1 F600", "G90", "G1 X1 Y1", "G3 X3 Y1 I1", "G1 Z1", "G1 Z2", start=None)
-    assert len(program.moves) == 1
-    assert kinds(program).count(EventKind.RAW_MOVE) == 4
-
-
-def test_naming_an_unknown_place_says_so_until_homing() -> None:
-    program = read("G92 X0 Y0 Z0", "G1 X1 Y1 Z1 F600", "G1 X2", "G28", "G1 X1 Y1 Z1", "G1 X2", start=None)
-    assert len(program.moves) == 1
-    assert "line 1: G92 names a position relative to an unknown one" in program.warnings[0]
-
-
-def test_another_tool_goes_elsewhere_the_same_does_not() -> None:
-    assert len(read("G1 X1 F60", "T0", "G1 X2", "T0", "G1 X3", "T1", "G1 X4").moves) == 3
-    assert len(read("G1 X1 F60", "T1", "G1 X2").moves) == 1  # firmware begins with T0
-
-
-def test_dwells() -> None:
-    program = read("G4 S2", "G4 P250", "G4", "M572 D0 S0.1")
-    assert [event.dwell_s for event in program.events] == [2, 0.25, 0, 0]
-    assert read("SET_PIN PIN=a", "G4 P250 S9").events[1].dwell_s == 0.25
-    with pytest.raises(GcodeError, match="negative"):
-        read("G4 P-1")
-
-
 def test_unknown_commands_share_a_warning() -> None:
     warnings = read("MY_MACRO", "M9999", "MY_MACRO", "OTHER_MACRO", *(f"G{n}" for n in range(900, 910))).warnings
     assert [warning.partition(";")[0] for warning in warnings] == [
         "line 2: M9999 is not known",
         "line 1: MY_MACRO, OTHER_MACRO, G900, G901, G902, G903 and 6 more are not known and may move",
     ]
-
-
-def test_a_missing_speed_is_told() -> None:
-    program = read("G1 X1", "G1 X2")
-    assert program.moves.speed.tolist() == [25, 25]
-    assert len(program.warnings) == 1 and "25 mm/s" in program.warnings[0]
-    assert read("G92 E0", "G1 X1", "G1 X2 F600").warnings[0].startswith("line 2: ")
-    assert read("G1 F1500", "G92 E1", "G1 X1").warnings == []
 
 
 # -- limits --
@@ -391,11 +287,6 @@ def test_marlin_limits_bound_one_another() -> None:
     moves = program.moves
     assert (moves.acceleration[0], moves.velocity_limit[0], moves.square_corner_velocity[0]) == (1500, 200, 8)
     assert all(event.limits for event in program.events[1:])
-
-
-def test_reprapfirmware_counts_in_minutes() -> None:
-    moves = read("; gcode_flavor = reprapfirmware", "M203 X6000 Y9000", "M566 X600", "G1 X1 F60").moves
-    assert (moves.velocity_limit[0], moves.square_corner_velocity[0]) == (100, 10)
 
 
 # -- mistakes --
@@ -532,19 +423,6 @@ def test_where_only_z_is_not_known_it_is_taken_to_be_the_last() -> None:
         ((5, 6, 5), (5, 7, 9)),
     ]
     assert [program.frames[frame].z_known for frame in program.moves.frame] == [True, False, False, False, True]
-
-
-def test_z_is_not_guessed_where_nobody_has_known_it() -> None:
-    program = read_program(b"G28\nG1 X1 Y1 F600\nG1 X2\nG1 Z1\nG1 X3\n")
-    assert ends(program) == [[3, 1, 1, 0]]
-
-
-def test_what_is_known_of_a_raw_move() -> None:
-    (raw,) = (e.raw for e in read("G1 X1 Y2 Z3 F600", "M204 S500", "MY_MACRO", "G1 X4 Y6 E.5 F1200").events if e.raw)
-    assert raw.path_mm == 5 and raw.filament_mm == 0.5
-    assert (raw.speed, raw.acceleration) == (20, 500)
-    (raw,) = (e.raw for e in read_program(b"G28\nG1 X4 Y6 F1200\n").events if e.raw)
-    assert raw.path_mm == 0, "nobody knows from where"
 
 
 def test_numbers_tell_how_filament_counts_where_no_line_does() -> None:

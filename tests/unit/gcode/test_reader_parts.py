@@ -91,12 +91,6 @@ def test_odd_files(name: str, sizes: list[int], part_bytes: int, known: bool) ->
         assert_parts_say_the_same(data, sizes, part_bytes, start=HOME if known else None)
 
 
-@given(st.sampled_from(SAMPLES), st.integers(0, 1 << 17), sizes, st.integers(1, 300))
-def test_pieces_of_sample_prints(name: str, begin: int, sizes: list[int], part_bytes: int) -> None:
-    """M83 says how E counts: parts of a few lines are too short to tell it by the numbers."""
-    assert_parts_say_the_same(b"M83\n" + named(name)[begin : begin + 2000], sizes, part_bytes, start=HOME)
-
-
 numbers = st.decimals(-200, 200, places=3).map(str)
 moves = st.builds(
     lambda code, words: code + "".join(f" {letter}{number}" for letter, number in words.items()),
@@ -133,11 +127,6 @@ def test_parts_hold_whole_lines(pieces: list[bytes], part_bytes: int) -> None:
     assert [line for part in parts for line in part.splitlines(True)] == data.splitlines(True)
 
 
-def test_parts_are_about_as_long_as_asked() -> None:
-    parts = list(whole_lines([b"G1 X1\n" * 10_000], 600))
-    assert {len(part) for part in parts} == {600}
-
-
 def test_a_part_counts_from_its_own_beginning() -> None:
     text = b"G91\nG1 X1 F600\nG1 X1 F1200\nG1 X1\n; end\n"
     parts = list(read_parts([text], flavor="klipper", start=HOME, part_bytes=26))
@@ -159,24 +148,10 @@ def test_mistakes_name_the_line_of_the_file() -> None:
 NO_SPEED = "the first move has no speed; 25 mm/s is assumed until the first F"
 
 
-def test_frames_of_a_part_are_its_own() -> None:
-    text = b"M82\n" + b"".join(b"G92 E0\nG1 X%d E1 F%d\n" % (k % 7, 100 + k) for k in range(2000))
-    parts = list(read_parts([text], flavor="klipper", start=HOME, part_bytes=2000))
-    assert max(len(part.frames) for part in parts) < 400 < len(read_program(text, start=HOME).frames)
-
-
-def test_nothing_has_no_parts() -> None:
-    assert list(read_parts([b"", b""], flavor="klipper")) == []
-
-
 @pytest.mark.parametrize("name", [*SAMPLES, *PRINTS, *(f"odd/{name}" for name in ODD)])
 def test_a_flavor_shows_at_the_ends(name: str) -> None:
     data = named(name)
     assert sign_by_ends(data[: 1 << 16], data[-1 << 16 :]).flavor == detect_flavor([data])
-
-
-def test_half_a_line_at_the_beginning_of_the_tail_is_no_command() -> None:
-    assert sign_by_ends(b"G28\n", b"START_PRINT\nG28\n").flavor == "marlin"  # of "; START_PRINT"
 
 
 GROWTH = """

@@ -60,14 +60,6 @@ def test_portions_of_little_motion_together_are_the_whole_and_end_with_lines(lon
     assert next(portions(read_program(b"; nothing\n"), 1.0)).lines == [b"; nothing\n"]
 
 
-def test_the_first_frame_is_the_one_in_force_before_a_part() -> None:
-    whole = read_program(MANY_FRAMES)
-    for move in range(1, len(whole.moves)):
-        text = b"".join(whole.lines[: int(whole.moves.line[move])]) + b";now\n"
-        before = read_program(text)
-        assert excerpt(whole, move).frames[0] == before.frames[before.events[-1].frame]
-
-
 def test_an_arc_can_be_cut_between_its_chords() -> None:
     whole = read_program(ARC)
     chords = np.flatnonzero(whole.moves.line == 3)

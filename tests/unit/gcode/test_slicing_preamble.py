@@ -50,16 +50,6 @@ def test_the_middle_of_real_prints_read_alone_goes_the_same_way(name: str, share
     assert_same_way(read_alone(program, first, last), program, first, last)
 
 
-def test_modes_names_and_factors_are_set_before() -> None:
-    text = (
-        b"G91\nM83\nG90\nG1 X10 Y10 Z1 F3000\nG92 X0 Y0 E5\nM220 S50\nM221 S90\nG20\nG91\n"
-        b"G1 X0.1 E0.01\nG4 P500\nG90\nG1 X1 Y1 Z1 F100\nG91\nG1 X0.2 E0.02\nG1 Y0.2 E0.02\n"
-    )
-    program = read_program(text)
-    count = len(program.moves)
-    assert_same_way(read_alone(program, count - 2, count), program, count - 2, count)
-
-
 def test_a_part_keeps_its_own_events_and_no_others() -> None:
     text = b"G90\nM83\nG1 X0 Y0 Z1 F3000\nG1 X1 E1\nM106 S1\nG1 X2 E1\nG4 P100\nG1 X3 E1\nM107\nG1 X4 E1\n"
     program = read_program(text)

@@ -5,11 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gcode.errors import GcodeError
-from gcode.words import commands, comment
-
-
-def names(line: bytes) -> list[str]:
-    return [command.name for command in commands(line, 1)]
+from gcode.words import commands
 
 
 @pytest.mark.parametrize(
@@ -33,28 +29,6 @@ def test_a_line_is_a_name_and_its_numbers(line: bytes, name: str, numbers: dict[
 @pytest.mark.parametrize("line", [b"", b"\r\n", b"  ; G1 X1\n", b"(G1 X1)\n", b"%\n", b"N3 (only a note)\n"])
 def test_lines_without_a_command(line: bytes) -> None:
     assert commands(line, 1) == []
-
-
-def test_several_modes_share_a_line_but_a_text_keeps_its_words() -> None:
-    assert names(b"N1 G17 G20 G90 (G91) G94 G54\n") == ["G17", "G20", "G90", "G94", "G54"]
-    assert names(b"M117 Layer G1 of M2\n") == ["M117"]
-    assert names(b'G29 P"mesh G1.csv"\n') == ["G29"]
-
-
-def test_klipper_fields() -> None:
-    (command,) = commands(b'set_velocity_limit ACCEL=3000 NAME="a b" x=1;y\n', 1)
-    assert command.name == "SET_VELOCITY_LIMIT"
-    assert command.fields() == {"ACCEL": "3000", "NAME": "a b", "X": "1"}
-
-
-def test_macros_whose_names_look_like_words() -> None:
-    assert names(b"E3D_PURGE\n") == ["E3D_PURGE"]
-    assert names(b"G29_FAST A=1\n") == ["G29_FAST"]
-    assert names(b"@pause\n") == ["@PAUSE"]
-
-
-def test_comment_keeps_its_bytes() -> None:
-    assert comment(b"G1 X1 ; caf\xe9;x\r\n") == b" caf\xe9;x"
 
 
 @given(st.integers(0, 99999), st.integers(-999, 999))
