@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from models.arrays import constant
-from models.checks import bed, check_physics, unstable_positions
+from models.checks import check_physics, unstable_positions
 from models.file import LIBRARY, load_machine
 from models.kinds import delta_vibration, with_parts
 from models.machine import Machine
@@ -55,15 +55,6 @@ def test_where_energy_comes_from_it_really_does(as_printed: Machine) -> None:
     assert values[0] / np.linalg.norm(mobility, 2) == pytest.approx(worst.value, rel=1e-3)
 
 
-def test_a_centred_mass_is_a_third_of_the_load(as_printed: Machine) -> None:
-    centred = with_parts(
-        as_printed, effector=replace(delta_vibration(as_printed).effector, center_of_mass_mm=constant([0.0, 0.0, 0.0]))
-    )
-    sound = check_physics(centred)
-    assert sound.least_load.value == pytest.approx(1 / 3) and sound.most_load.value == pytest.approx(1 / 3)
-    assert sound.is_passive and sound.is_reciprocal
-
-
 @pytest.mark.parametrize("name", NAMES)
 def test_vibrations_of_the_library_decay_all_over_the_bed(name: str) -> None:
     machine = load_machine(name)
@@ -79,9 +70,3 @@ def test_a_map_that_conserves_no_energy_can_shake_itself_to_pieces(as_printed: M
     worst = np.array([[sound.growth_per_s.x_mm, sound.growth_per_s.y_mm]])
     assert machine.vibration.poles(worst).real.max() == pytest.approx(sound.growth_per_s.value, rel=1e-3)
     assert len(unstable_positions(with_map(machine, "virtual_work"))) == 0
-
-
-def test_the_bed_is_the_bed(printer: Machine) -> None:
-    xy = bed(printer, radii=4, directions=8)
-    assert xy.shape == (1 + 3 * 8, 2) and not xy[0].any()
-    assert np.hypot(*xy.T).max() == pytest.approx(135.0)

@@ -17,7 +17,6 @@ from models.effects.catalogue import (
     measured,
     values_of,
     with_effect,
-    without_effects,
 )
 from models.effects.effect import Effect, Parameter, Signals
 from models.errors import MachineFileError
@@ -180,12 +179,6 @@ def test_mistakes_are_sentences(load, more: str, sentence: str) -> None:
     assert any(sentence in problem for problem in caught.value.problems)
 
 
-def test_uncertainty_may_name_any_parameter(tmp_path: Path) -> None:
-    path = tmp_path / "printer.toml"
-    path.write_text(MINIMAL.replace("[uncertainty]\n", '[uncertainty]\n"effects.frame_mode.mass_kg" = 0.5\n'))
-    assert load_machine(path).uncertainty["effects.frame_mode.mass_kg"] == 0.5
-
-
 def test_mistakes_in_memory_are_refused(printer: Machine) -> None:
     with pytest.raises(ValueError, match=r"effects\.friction is not a known effect"):
         with_effect(printer, "friction", force_n=1.0)
@@ -196,12 +189,6 @@ def test_mistakes_in_memory_are_refused(printer: Machine) -> None:
 
 
 # --- Folded into the machine
-
-
-def test_without_parameter_effects_the_machine_is_itself(printer: Machine) -> None:
-    assert effective_machine(printer) is printer
-    rough = with_effect(printer, "coulomb_friction", force_n=1.0)
-    assert effective_machine(rough) is rough
 
 
 FOLDED = [
@@ -251,15 +238,6 @@ def test_a_value_per_tower_reaches_the_linear_plant(printer: Machine) -> None:
     np.testing.assert_allclose(after / before, np.tile([1.0, 1.1, 1.0], (3, 1)), rtol=1e-12)
 
 
-def test_other_effects_stay(printer: Machine) -> None:
-    machine = with_effect(
-        with_effect(printer, "effector_mass", added_kg=0.1), "cogging", amplitude_mm=0.1, pitch_mm=1.0
-    )
-    assert list(effective_machine(machine).effects) == ["cogging"]
-    assert list(without_effects(machine, "cogging").effects) == ["effector_mass"]
-    assert without_effects(machine).effects == {}
-
-
 # --- Sensors
 
 
@@ -268,10 +246,6 @@ def signals() -> Signals:
     t = np.arange(0, 0.5, 1 / 3200)
     waves = np.stack([np.sin(60 * t), np.cos(80 * t), np.sin(100 * t)], axis=1)
     return Signals(t, waves, 2 * waves[:, ::-1])
-
-
-def test_perfect_sensors_tell_the_truth(printer: Machine, signals: Signals) -> None:
-    assert measured(printer, signals) is signals
 
 
 def test_gains_are_of_each_channel(printer: Machine, signals: Signals) -> None:
@@ -286,13 +260,6 @@ def test_a_sensor_turned_by_a_right_angle_swaps_axes(printer: Machine, signals: 
     x, y, z = signals.nozzle.T
     np.testing.assert_allclose(seen.nozzle, np.stack([y, -x, z], axis=1), atol=1e-12)
     assert seen.carriage is signals.carriage
-
-
-def test_any_turn_keeps_lengths(printer: Machine, signals: Signals) -> None:
-    seen = measured(with_effect(printer, "sensor_misalignment", angles_deg=[10.0, -20.0, 30.0]), signals)
-    lengths = [np.linalg.norm(s.nozzle, axis=1) for s in (seen, signals)]
-    np.testing.assert_allclose(*lengths, rtol=1e-12)
-    assert np.abs(seen.nozzle - signals.nozzle).max() > 0.1
 
 
 @pytest.mark.parametrize(

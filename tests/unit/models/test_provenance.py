@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from models.file import load_machine
-from models.machine import Machine, assumed_modes, identity, is_assumed
+from models.machine import Machine, assumed_modes, is_assumed
 
 
 @pytest.fixture
@@ -33,23 +33,3 @@ def test_measured_axes_are_told_from_assumed_ones(voron: Machine) -> None:
     assert half is not None
     assert half.startswith("The modes of voron-300 are assumed in part (axes.y.frequency_hz), not measured")
     assert assumed_modes(with_origin(voron, x=measured, y=measured)) is None
-
-
-def test_a_rigid_axis_has_no_mode_to_assume(voron: Machine) -> None:
-    assert voron.vibration.frequency_keys == ("axes.x.frequency_hz", "axes.y.frequency_hz")
-
-
-def test_a_delta_is_told_by_its_belts() -> None:
-    kossel = load_machine("kossel")
-    assert assumed_modes(kossel) is not None
-    fitted = {**kossel.provenance, "carriage.belt_stiffness_n_per_m": "scaled 2026-11-22 by ffcomp identify fit"}
-    assert assumed_modes(replace(kossel, provenance=fitted)) is None
-
-
-def test_a_file_that_does_not_say_is_not_accused(voron: Machine) -> None:
-    assert assumed_modes(replace(voron, provenance={})) is None
-
-
-def test_the_identity_holds_the_sentence(voron: Machine) -> None:
-    assert identity(voron) == {"name": voron.name, "sha256": voron.sha256, "assumed": assumed_modes(voron)}
-    assert identity(load_machine("mp-delta-pro"))["assumed"] is None

@@ -13,7 +13,6 @@ from models.errors import MachineFileError
 from models.file import entries, load_machine, load_plant, updated_text
 from models.kinds import driven_axis, is_one_axis, machine_of_axis
 from models.machine import Machine
-from models.printer.kernels.one_axis import AXIS_PARAMETERS
 from models.printer.one_axis import AxisMotion, axis_effects, axis_parameters, simulate_axis, substeps_of
 from models.vibration.driven_axis import Drive, DrivenAxis
 
@@ -177,18 +176,6 @@ def _with(machine: Machine, given: np.ndarray, name: str, values: dict[str, Any]
     return simulate_axis(own, given, DT), own
 
 
-def test_what_needs_a_spring_or_a_command_is_not_of_a_free_axis() -> None:
-    missing = set(effects_of("axis")) - set(axis_effects(FREE))
-    assert missing == {"belt_backlash", "belt_damping", "belt_hardening", "belt_stiffness", "cogging"}
-    assert set(effects_of("axis")) == set(axis_effects(SPRUNG))
-    tied = machine_of_axis("tied", DrivenAxis("force", 2.0, 1e4, 40.0, unit="mm"))
-    assert set(effects_of("axis")) - set(axis_effects(tied)) == {"belt_damping", "cogging"} | {
-        "ground_spring",
-        "pendulum_gravity",
-    }
-    assert len(AXIS_PARAMETERS) == len(axis_parameters(FREE)[0])
-
-
 SERVO = Drive(0.5, 4.0, 12.0, gain_v_per_m=2e5, rate_gain_v_s_per_m=80.0)
 
 
@@ -286,14 +273,6 @@ def test_several_lines_of_cogging_add_up_and_are_stated_by_pitch_or_by_turn(tmp_
         load_plant(path)
 
 
-def test_a_known_force_pushes_beside_the_drive() -> None:
-    given, extra = np.full(300, 20.0), np.linspace(0.0, 5.0, 300)
-    both = simulate_axis(FREE, given, DT, extra=extra).position_mm
-    np.testing.assert_allclose(both, simulate_axis(FREE, given + extra, DT).position_mm, atol=1e-12)
-    pushed = simulate_axis(SPRUNG, np.zeros(4000), DT, extra=np.full(4000, 8.0)).position_mm[-1]
-    assert pushed == pytest.approx(1e3 * 8.0 / 2e5, rel=1e-6)
-
-
 TURNING = """
 format = "ffcomp-machine/1"
 name = "motor"
@@ -324,11 +303,6 @@ def test_an_axis_that_turns_has_words_of_its_own(tmp_path: Path) -> None:
     path.write_text(TURNING.replace("0.0035", "-1.0"))
     with pytest.raises(MachineFileError, match=r"axis.inertia_a_s2_per_rad = -1.0 must be at least .* \(A s²/rad\)"):
         load_plant(path)
-
-
-def test_an_axis_goes_to_infinity_in_words() -> None:
-    with pytest.raises(ValueError, match="diverges"):
-        moved(FREE, np.full(4000, 1e4), quadratic_drag={"force_n_s2_per_m2": -1e6})
 
 
 def test_the_file_of_an_axis(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from models.effects.catalogue import with_effect
 from models.file import load_machine
 from models.printer import playback
-from models.printer.playback import MEMORY_S, memory_s, simulate_batch
+from models.printer.playback import simulate_batch
 from models.printer.printer import PrinterMotion
 
 FloatArray = NDArray[np.float64]
@@ -59,32 +59,6 @@ def test_a_run_hears_the_one_before_it_and_only_that() -> None:
     assert np.array_equal(joined[0][: len(first)], apart[0][: len(first)])
     ringing = np.abs(joined[1] - apart[1]).max(axis=1)
     assert ringing[:20].max() > 0.01 and ringing[-200:].max() < 1e-3
-
-
-def test_nothing_of_the_next_run_is_seen_in_the_rows_after_one() -> None:
-    first, second = curves(0.5, 1), curves(0.5, 2)
-    second = second + first[-1] - second[0]
-    found = simulate_batch(MACHINE, [first, second], [None, 10], ROW_S, AFTER, carriages)[0]
-    assert len(found) == len(first) + AFTER
-    assert np.array_equal(found[len(first) + 10 :], np.repeat(found[-1:], AFTER - 10, axis=0))
-
-
-def test_a_late_look_is_one_at_later_rows() -> None:
-    command = curves(1.0, 3)
-    now, later = (
-        simulate_batch(MACHINE, [command], [None], ROW_S, AFTER, carriages, late_s)[0] for late_s in (0.0, 2e-3)
-    )
-    assert np.allclose(later[:-2], now[2:])
-
-
-def test_a_frame_that_sways_long_is_remembered_long() -> None:
-    def memory(frequency_hz: float, damping_ratio: float) -> float:
-        frame = {"mass_kg": 8.0, "direction": "x", "frequency_hz": frequency_hz, "damping_ratio": damping_ratio}
-        return memory_s(with_effect(MACHINE, "frame_mode", **frame))
-
-    assert memory_s(MACHINE) == memory(60.0, 0.1) == MEMORY_S
-    assert np.exp(-2 * np.pi * 5.0 * 0.05 * memory(5.0, 0.05)) == pytest.approx(np.exp(-7.0))
-    assert memory(5.0, 1e-6) == pytest.approx(30.0)
 
 
 def test_what_the_printer_cannot_do_is_said() -> None:

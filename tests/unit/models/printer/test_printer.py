@@ -136,17 +136,6 @@ def test_belts_carry_the_weight(printer: Machine) -> None:
     np.testing.assert_allclose(still.motor_mm, still.carriage_mm, atol=1e-9)
 
 
-def test_the_papers_map_carries_a_third_of_a_centred_mass(printer: Machine) -> None:
-    effector = replace(delta_vibration(printer).effector, center_of_mass_mm=constant([0, 0, 0]), force_map="paper")
-    motion = resting(with_parts(printer, effector=effector))
-    load = sag_load(printer) - GRAVITY_M_PER_S2 * delta_vibration(printer).carriage.moving_mass_kg
-    expected = GRAVITY_M_PER_S2 * delta_vibration(printer).carriage.moving_mass_kg + load / 3
-    pull = (
-        delta_vibration(printer).carriage.belt_stiffness_n_per_m * (motion.motor_mm[-1] - motion.carriage_mm[-1]) / 1e3
-    )
-    np.testing.assert_allclose(pull, expected, rtol=1e-9)
-
-
 # --- The linear plant
 
 
@@ -196,12 +185,6 @@ def test_a_turn_of_120_degrees_turns_the_answer(symmetric: Machine, force_map: s
     np.testing.assert_allclose(turned.carriage_mm, np.roll(motion.carriage_mm, 1, axis=1), atol=1e-9)
 
 
-def test_height_does_not_matter(printer: Machine) -> None:
-    command = sweeping(printer.kinematics, 0.3)
-    low, high = (simulate_printer(printer, command + lift, 1 / RATE_HZ) for lift in (0, 100))
-    np.testing.assert_allclose(high.nozzle_mm - [0, 0, 100], low.nozzle_mm, atol=1e-8)
-
-
 # --- Chunks and holds
 
 
@@ -217,13 +200,6 @@ def test_chunks_are_the_whole(printer: Machine, hold) -> None:
             np.testing.assert_allclose(getattr(chunk, field), getattr(whole, field)[first : last + 1], atol=1e-8)
         np.testing.assert_allclose(chunk.t_s, whole.t_s[first : last + 1], atol=1e-12)
         state, first = chunk.state, last
-
-
-def test_a_straight_command_is_both_holds(printer: Machine) -> None:
-    q = printer.kinematics.inverse(np.array([[10.0, 5.0, 20.0]]))
-    command = q + np.arange(100)[:, None] * [0.05, 0.05, 0.05]
-    cubic, linear = (simulate_printer(printer, command, 1e-3, hold=hold) for hold in ("cubic", "linear"))
-    np.testing.assert_allclose(cubic.nozzle_mm, linear.nozzle_mm, atol=1e-9)
 
 
 # --- Refusals

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.interpolate import CubicSpline
 
 from models.arrays import constant
 from models.effects.catalogue import CATALOGUE, effective_machine, with_effect
@@ -80,13 +79,6 @@ def test_dry_friction_takes_4fa_a_cycle(printer: Machine, name: str, share: floa
     second = slice(RATE_HZ // 2, RATE_HZ)
     work = [belt_work(on_z(machine, lift, gravity=False), machine, second) for machine in (rough, printer)]
     assert work[0] - work[1] == pytest.approx(4 * share * 3.0 * 0.010, rel=0.02)
-
-
-@pytest.mark.parametrize("speed", [1.0, 100.0])
-def test_dry_friction_is_the_same_at_every_speed(printer: Machine, speed: float) -> None:
-    rough, smooth = steady(with_effect(printer, "coulomb_friction", force_n=3.0), speed), steady(printer, speed)
-    more = delta_vibration(printer).carriage.belt_stiffness_n_per_m * (stretch_m(rough) - stretch_m(smooth))[-1]
-    np.testing.assert_allclose(more, 3.0, rtol=0.03)
 
 
 @pytest.mark.parametrize(("speed", "strain"), [(0.05, 3 / 1.3), (5.0, 3 / 31), (100.0, 3 / 601)])
@@ -167,15 +159,6 @@ def test_a_belt_is_stiffer_above_its_centre(printer: Machine) -> None:
     )
 
 
-def test_a_belt_is_never_taken_to_be_shorter_than_a_quarter(printer: Machine) -> None:
-    """Beyond its pole the law of its length would push."""
-    q = printer.kinematics.inverse(CENTRE)[0]
-    s = rest_stretch(with_effect(printer, "belt_position_stiffness", slope_per_m=5.0, q_centre_mm=list(q - 300)))
-    np.testing.assert_allclose(
-        weight(printer) / s / delta_vibration(printer).carriage.belt_stiffness_n_per_m, 4.0, rtol=2e-4
-    )
-
-
 def test_play_is_a_hysteresis_of_its_width(printer: Machine) -> None:
     loose = with_effect(printer, "belt_backlash", width_mm=0.1)
     t = times(2.0)
@@ -185,25 +168,12 @@ def test_play_is_a_hysteresis_of_its_width(printer: Machine) -> None:
     np.testing.assert_allclose(more[going_up].mean() - more[going_down].mean(), 0.1, rtol=0.02)
 
 
-def test_play_under_weight_only_moves_the_rest(printer: Machine) -> None:
-    s = rest_stretch(with_effect(printer, "belt_backlash", width_mm=[0.0, 0.1, 0.2]))
-    sag = weight(printer) / delta_vibration(printer).carriage.belt_stiffness_n_per_m
-    np.testing.assert_allclose(s - sag, [0, 0.05e-3, 0.1e-3], atol=1e-7)
-
-
 def test_a_delay_shifts_everything(printer: Machine) -> None:
     rows = 5
     on_time = shaking(printer)
     late = shaking(with_effect(printer, "command_delay", delay_s=rows / RATE_HZ))
     np.testing.assert_allclose(late.nozzle_mm[rows:], on_time.nozzle_mm[:-rows], atol=1e-9)
     np.testing.assert_allclose(late.nozzle_acceleration[rows:], on_time.nozzle_acceleration[:-rows], atol=1e-6)
-
-
-def test_a_delay_of_one_tower_leaves_the_other_motors_alone(printer: Machine) -> None:
-    late = shaking(with_effect(printer, "command_delay", delay_s=[0.0, 0.002, 0.0]))
-    on_time = shaking(printer)
-    same = np.abs(late.motor_mm - on_time.motor_mm).max(axis=0) == 0
-    assert list(same) == [True, False, True]
 
 
 @pytest.mark.parametrize("hold", ["cubic", "linear"])
@@ -229,19 +199,6 @@ def test_cogging_is_a_wave_of_the_motor(printer: Machine) -> None:
     np.testing.assert_allclose(np.diff(rising) / RATE_HZ, 0.8 / 2.0, rtol=0.02)
 
 
-def test_cogging_of_an_ideal_drive_is_a_rippled_command(printer: Machine) -> None:
-    """Fast enough for the belt's damper to feel the rate of the ripple."""
-    direct = with_parts(printer, carriage=replace(delta_vibration(printer).carriage, drive=None))
-    t = np.arange(0, 0.4, 1e-4)
-    q = direct.kinematics.inverse(CENTRE) + (20 * (1 - np.cos(6 * t)))[:, None]
-    rippled = simulate_printer(with_effect(direct, "cogging", amplitude_mm=0.02, pitch_mm=0.8), q, 1e-4)
-    ripple = 0.02 * np.sin(2 * np.pi * q / 0.8)
-    offset = ripple[0]  # so that the command begins where the motor holds
-    commanded = simulate_printer(direct, q + ripple - offset, 1e-4)
-    np.testing.assert_allclose(rippled.motor_mm - offset, commanded.motor_mm, atol=1e-9)
-    np.testing.assert_allclose(rippled.carriage_mm - offset, commanded.carriage_mm, atol=1e-4)
-
-
 def test_a_motors_torque_is_a_sine_of_its_lag(printer: Machine) -> None:
     k, a = delta_vibration(printer).carriage.belt_stiffness_n_per_m, 0.06e-3
     s = rest_stretch(with_effect(printer, "torque_angle", amplitude_mm=1e3 * a))
@@ -250,14 +207,6 @@ def test_a_motors_torque_is_a_sine_of_its_lag(printer: Machine) -> None:
     shared = rest_stretch(with_effect(printer, "torque_angle", amplitude_mm=1e3 * a, belt_share=0.3))
     lag = weight(printer) / (k * a)  # the belt's part of the stretch is in proportion to the force
     np.testing.assert_allclose(shared, a * (0.7 * np.arcsin(lag) + 0.3 * lag), rtol=1e-6)
-
-
-def test_a_motor_that_is_too_weak_does_not_hold(printer: Machine) -> None:
-    soft = with_effect(printer, "belt_hardening", cubic_n_per_m3=-1e13)
-    weak = with_effect(printer, "torque_angle", amplitude_mm=0.9e3 * weight(printer) / 1.039e5)
-    for machine in (weak, soft):
-        with pytest.raises(ValueError, match="its motors cannot hold it"):
-            rest_stretch(machine)
 
 
 def test_a_lost_step_is_a_whole_wave(printer: Machine) -> None:
@@ -271,17 +220,6 @@ def test_a_lost_step_is_a_whole_wave(printer: Machine) -> None:
 
 
 # --- Masses, mounts, geometry
-
-
-def test_more_mass_sags_more(printer: Machine) -> None:
-    heavy = with_effect(printer, "effector_mass", added_kg=0.3)
-    more = rest_stretch(heavy) - rest_stretch(printer)
-    np.testing.assert_allclose(more * 1.039e5, 0.1 * GRAVITY_M_PER_S2, rtol=1e-6)
-
-
-def test_a_softer_belt_sags_more(printer: Machine) -> None:
-    soft = with_effect(printer, "belt_stiffness", relative_change=[-0.2, 0.0, 0.25])
-    np.testing.assert_allclose(rest_stretch(soft) / rest_stretch(printer), [1.25, 1, 0.8], rtol=2e-4)
 
 
 def test_the_true_geometry_places_the_nozzle(printer: Machine) -> None:
@@ -366,18 +304,6 @@ def test_a_free_frame_lightens_the_nozzle(printer: Machine) -> None:
     assert np.argmax(spectrum) * RATE_HZ / (1 << 16) == pytest.approx(expected, rel=0.01)
 
 
-def test_a_frame_sways_only_along_its_direction(printer: Machine) -> None:
-    frame = {"mass_kg": 5.0, "frequency_hz": 15.0, "damping_ratio": 0.05}
-    still = shaking(printer)
-    for direction, axis in (([0.0, 1.0], 1), ("x", 0)):
-        motion = shaking(with_effect(printer, "frame_mode", **frame, direction=direction))
-        on_the_bed = CubicSpline(motion.t_s, motion.nozzle_velocity)(motion.t_s, 1) / 1e3
-        sway = motion.nozzle_acceleration - on_the_bed
-        power = np.sqrt((sway[20:-20] ** 2).mean(axis=0))
-        assert power[axis] > 20 * np.delete(power, axis).max()
-        assert np.abs(motion.nozzle_mm - still.nozzle_mm).max() > 1e-3
-
-
 # --- All of them
 
 TABLES: dict[str, dict[str, Any]] = {
@@ -409,10 +335,6 @@ def everything(printer: Machine) -> Machine:
     for name, table in TABLES.items():
         machine = with_effect(machine, name, **table)
     return machine
-
-
-def test_the_tables_hold_every_effect() -> None:
-    assert set(TABLES) == {effect.name for effect in MOVING}
 
 
 @pytest.mark.parametrize("effect", [effect for effect in MOVING if effect.amplitudes], ids=lambda e: e.name)

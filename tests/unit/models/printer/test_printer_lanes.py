@@ -2,26 +2,21 @@
 
 from __future__ import annotations
 
-import math
 import re
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from scipy.interpolate import CubicSpline
 
 from models.effects.catalogue import with_effect
 from models.errors import UnreachableError
 from models.kinds import delta_vibration, with_parts
 from models.kinematics.delta import DeltaKinematics
 from models.machine import Machine
-from models.printer.kernels import integrate, record, vectors
+from models.printer.kernels import integrate, vectors
 from models.printer.kernels.integrate import find_equilibrium
 from models.printer.kernels.motors import cubic_spline
-from models.printer.kernels.vectors import power, sine_cosine, tanh
 from models.printer.printer import PrinterMotion, Splines, simulate_printer, simulate_printers
 
 RATE_HZ = 1600
@@ -112,12 +107,6 @@ def test_commands_of_all_lengths(mixture: list[Machine]) -> None:
     np.testing.assert_allclose(np.concatenate([ours.nozzle_mm[:-1], onward.nozzle_mm]), expected, atol=1e-9)
 
 
-def test_commands_in_one_array(printer: Machine) -> None:
-    commands = np.stack([swinging(printer.kinematics, 0.05, reach) for reach in range(10, 19)])
-    for command, ours in zip(commands, simulate_printers([printer] * 9, commands, 1 / RATE_HZ), strict=True):
-        assert_alike(ours, simulate_printer(printer, command, 1 / RATE_HZ))
-
-
 def test_a_failure_harms_nobody(printer: Machine) -> None:
     """Lost reach, motors that hold nothing, arms too short, and a command of another shape."""
     good = swinging(printer.kinematics)
@@ -140,33 +129,6 @@ def test_a_failure_harms_nobody(printer: Machine) -> None:
     np.testing.assert_array_equal(bad[0].indices, np.arange(bad[0].indices[0], len(wild)))
 
 
-def test_nothing_to_do() -> None:
-    assert simulate_printers([], [], 1 / RATE_HZ) == []
-
-
-def test_a_machine_without_a_command(printer: Machine) -> None:
-    with pytest.raises(ValueError, match="shorter"):
-        simulate_printers([printer], [], 1 / RATE_HZ)
-
-
-@given(st.floats(allow_nan=False))
-@settings(deadline=None)
-def test_our_hyperbolic_tangent(x: float) -> None:
-    assert tanh(x) == pytest.approx(math.tanh(x), rel=2e-14, abs=1e-300)
-
-
-@given(st.floats(-1e4, 1e4))
-@settings(deadline=None)
-def test_our_sine_and_cosine(x: float) -> None:
-    assert sine_cosine(x) == pytest.approx((math.sin(x), math.cos(x)), abs=1e-11)
-
-
-@given(st.floats(0.0, 1e4), st.floats(0.25, 2.0))
-@settings(deadline=None)
-def test_our_power_is_exact_to_what_fades_with_it(x: float, p: float) -> None:
-    assert math.exp(-power(x, p)) == pytest.approx(math.exp(-(x**p)), abs=1e-12)
-
-
 def test_splines_of_earlier_calls_change_nothing(printer: Machine) -> None:
     """Commands in the same arrays need no second spline; other arrays, and other motors, need their own."""
     kept, first = Splines(), np.column_stack([40 + 3 * np.sin(np.arange(40) / k) for k in (3, 4, 5)])
@@ -176,25 +138,6 @@ def test_splines_of_earlier_calls_change_nothing(printer: Machine) -> None:
         assert isinstance(one, PrinterMotion)
         assert isinstance(other, PrinterMotion)
         np.testing.assert_array_equal(one.nozzle_mm, other.nozzle_mm)
-
-
-@pytest.mark.parametrize("n", [2, 3, 4, 5, 40])
-def test_our_spline(n: int) -> None:
-    rows = np.random.default_rng(n).normal(size=(n, 3))
-    pieces = cubic_spline(rows, 0.3)
-    expected = CubicSpline(0.3 * np.arange(n), rows)
-    np.testing.assert_allclose(pieces[:-1], expected.c.transpose(1, 2, 0), atol=1e-11)
-    end = np.stack([0 * rows[-1], 0 * rows[-1], expected(0.3 * (n - 1), 1), rows[-1]], axis=-1)
-    np.testing.assert_allclose(pieces[-1], end, atol=1e-12)
-
-
-def test_rows_of_the_array_do_not_overlap() -> None:
-    """Every name's rows begin where those of another end."""
-    sizes = {"CUBIC": 12, "J": 9, "BASE": 30, "NOW": 30, "RATE": 30, "SUM": 30, "ARMS": 6}
-    names = "BASE NOW RATE SUM TIME CUBIC COMMAND COMMAND_RATE RIPPLE RIPPLE_RATE MOTOR MOTOR_RATE STRETCH SPRING"
-    names += " LEVEL GUIDES PULL CENTRIPETAL X XD ACC JOINTS F0 RHO J ARMS"
-    ends = [(getattr(record, name), getattr(record, name) + sizes.get(name, 3)) for name in names.split()]
-    assert [end for _, end in ends] == [begin for begin, _ in ends[1:]] + [record.PRINTER]
 
 
 def test_cached_code_depends_on_every_file_of_the_kernels() -> None:

@@ -11,12 +11,11 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from models.arrays import FloatArray, constant
-from models.effects.catalogue import effective_machine, effects_of, with_effect
+from models.effects.catalogue import effective_machine
 from models.kinematics.cartesian import CARTESIAN, COREXY, CartesianKinematics
 from models.machine import Machine, MotionLimits
-from models.printer.printer import simulate_printer, simulate_printers
+from models.printer.printer import simulate_printer
 from models.vibration.modal import Axis, ModalAxes
-from models.vibration.scheduled import Schedule, plant_table
 from models.vibration.state_space import discretise
 
 RATE_HZ = 1600
@@ -74,23 +73,6 @@ def test_unequal_belts_exchange_motion_as_the_response_says() -> None:
     g = effective.frequency_response(np.zeros(2), np.array([30.0]), "nozzle", "nozzle")[0, 1, 0]
     assert abs(g) > 0.05
     np.testing.assert_allclose(found, (g * np.exp(2j * np.pi * 30 * t[t > 1.3])).imag, atol=2e-4)
-
-
-def test_the_schedule_plays_unequal_belts_too() -> None:
-    own = machine(COREXY)
-    vibration = own.vibration.with_belts(np.array([0.2, -0.1, 0.0]), COREXY)
-    played = Schedule(own.kinematics, plant_table(own.kinematics, vibration, 1 / RATE_HZ))
-    command = shaken(0.2)[:301]
-    found, end = played.respond(command, 0 * command, vibration.equilibrium(command[0]), 10)
-    np.testing.assert_allclose(found, linear(replace(own, vibration=vibration), command)[1:], atol=1e-9)
-    assert len(end) == len(vibration.equilibrium(command[0]))
-
-
-def test_stiffer_belts_of_one_mode_are_a_higher_frequency() -> None:
-    own = machine().vibration.with_belts(np.array([0.0, 0.21, 0.0]), CARTESIAN)
-    assert own.value("axes.y.frequency_hz[0]") == pytest.approx(48.0 * 1.1)
-    heavier = machine().vibration.with_moved_mass(np.array([0.0, 0.21, 0.0]))
-    assert heavier.value("axes.y.frequency_hz[0]") == pytest.approx(48.0 / 1.1)
 
 
 @pytest.mark.parametrize("change", ["belts", "mass"])
@@ -169,13 +151,6 @@ def test_slow_motion_lags_by_friction_over_stiffness_and_by_half_the_play() -> N
     plain = simulate_printer(machine(), command, 1 / RATE_HZ).nozzle_mm
     assert (plain - rubbed)[-1, 1] == pytest.approx(1e3 * 4.0 / OMEGA**2, rel=0.01)
     assert (rubbed - simulate_printer(loose, command, 1 / RATE_HZ).nozzle_mm)[-1, 1] == pytest.approx(0.03, rel=0.02)
-
-
-def test_a_stated_mass_turns_newtons_into_newtons_per_kilogram() -> None:
-    heavy = tuple(replace(axis, mass_kg=0.5) for axis in AXES)
-    newtons = simulate_printer(machine(axes=heavy, coulomb_friction={"force_n": 1.0}), shaken(), 1 / RATE_HZ)
-    per_kilogram = simulate_printer(machine(coulomb_friction={"force_n": 2.0}), shaken(), 1 / RATE_HZ)
-    np.testing.assert_allclose(newtons.nozzle_mm, per_kilogram.nozzle_mm, atol=1e-9)
 
 
 def test_what_one_motor_of_a_corexy_does_moves_both_axes() -> None:
@@ -313,18 +288,6 @@ def test_the_quick_step_does_what_the_general_one_does(tables: dict[str, Any]) -
     np.testing.assert_allclose(one.nozzle_acceleration, other.nozzle_acceleration, atol=1e-6)
     np.testing.assert_allclose(one.carriage_acceleration, other.carriage_acceleration, atol=1e-6)
     np.testing.assert_allclose(one.state.values[:4], other.state.values[:4], atol=1e-9)
-
-
-def test_lanes_are_independent_and_every_effect_shows() -> None:
-    """Eight machines at once are as each alone; sensors' effects are not the printer's."""
-    assert set(PROBES) == {name for name in effects_of("axes") if not name.startswith("sensor")}
-    plain = machine(COREXY)
-    several = [plain, *(with_effect(plain, name, **table) for name, table in PROBES.items())]
-    still = simulate_printers(several, [shaken(0.3)] * len(several), 1 / RATE_HZ)
-    for own, together in zip(several, still, strict=True):
-        alone = simulate_printer(own, shaken(0.3), 1 / RATE_HZ)
-        np.testing.assert_array_equal(alone.nozzle_acceleration, together.nozzle_acceleration)
-        assert own is plain or np.abs(alone.nozzle_acceleration - still[0].nozzle_acceleration).max() > 0.01
 
 
 def test_chunks_go_on_where_the_one_before_ended() -> None:

@@ -11,7 +11,7 @@ from models.arrays import constant
 from models.file import load_machine
 from models.kinds import delta_vibration, with_parts
 from models.machine import Machine
-from models.vibration.mode_map import ModeMap, kinds, mode_map, numbers
+from models.vibration.mode_map import ModeMap, kinds, mode_map
 
 
 @pytest.fixture(scope="module")
@@ -39,26 +39,11 @@ def test_every_place_has_the_centres_modes_in_some_order(printer: Machine, over:
         np.testing.assert_allclose(over.damping_ratio[i, k, order], found.damping_ratios, rtol=1e-6)
 
 
-def test_the_centre_is_numbered_by_frequency(over: ModeMap) -> None:
-    half = len(over.x_mm) // 2
-    assert over.x_mm[half] == 0 and np.all(np.diff(over.frequency_hz[half, half]) > 0)
-
-
 @pytest.mark.parametrize("name", ["mp-delta-pro", "kossel", "flsun-qqs"])
 def test_no_mode_jumps_from_place_to_place(name: str) -> None:
     over = mode_map(delta_vibration(load_machine(name)), 8.0)
     assert _largest_step(over.frequency_hz) < 0.07
     assert _largest_step(over.damping_ratio) < 0.35
-
-
-def test_by_order_of_frequency_they_would(over: ModeMap) -> None:
-    """Where the heavily damped extruder overtakes a mode that rings, the damping changes hands."""
-    extruder = over.kinds.index("extruder, mostly y")
-    ranks = np.sum(over.frequency_hz < over.frequency_hz[:, :, [extruder]], axis=2)[over.on_bed]
-    assert len(np.unique(ranks)) > 1
-    assert np.nanmin(over.damping_ratio[:, :, extruder]) > 0.6  # and yet it is one mode
-    order = np.argsort(over.frequency_hz, axis=2)
-    assert _largest_step(np.take_along_axis(over.damping_ratio, order, axis=2)) > 1.0
 
 
 def _largest_step(table: np.ndarray) -> float:
@@ -85,15 +70,6 @@ def _turned(place: tuple[float, float], angle: float) -> np.ndarray:
 def _at(over: ModeMap, xy: np.ndarray, mode: int) -> float:
     i, k = (int(np.abs(over.x_mm - at).argmin()) for at in xy)
     return float(over.frequency_hz[i, k, mode])
-
-
-def test_numbers_of_the_map_at_any_place(printer: Machine, over: ModeMap) -> None:
-    for xy in (np.array([12.0, 47.0]), np.array([-80.0, 0.0]), np.array([95.0, -20.0])):
-        found = printer.vibration.modes_at(xy)
-        which = numbers(delta_vibration(printer), over, xy, found)
-        assert sorted(which) == [1, 2, 3, 4, 5, 6]
-        near = [_at(over, xy, number - 1) for number in which]
-        np.testing.assert_allclose(found.frequencies_hz, near, rtol=0.05)
 
 
 def test_a_mode_that_stops_swinging_leaves_a_hole(printer: Machine) -> None:

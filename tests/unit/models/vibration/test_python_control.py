@@ -68,15 +68,6 @@ def test_an_ideal_drive_on_a_damped_belt_has_no_acceleration(printer: Machine) -
     close(response(machine.vibration.to_control((0.0, 0.0), "acceleration")), wanted)
 
 
-def test_signals_and_states_are_named(printer: Machine) -> None:
-    system = printer.vibration.to_control((0.0, 0.0), "nozzle", "carriage")
-    assert system.input_labels == ["cmd_A", "cmd_B", "cmd_C"]
-    assert system.output_labels == ["pos_x", "pos_y", "pos_z"]
-    assert len(system.state_labels) == 18 and system.state_labels[6] == "pos_A"
-    ideal = variant(printer, "virtual_work", False).vibration.to_control((0.0, 0.0), input="nozzle")
-    assert ideal.input_labels == ["cmd_x", "cmd_y", "cmd_z"] and len(ideal.state_labels) == 12
-
-
 def test_an_ideal_drive_leaves_the_mechanical_poles(printer: Machine) -> None:
     machine, place = variant(printer, "virtual_work", False), (60.0, -70.0)
     found = machine.vibration.to_control(place).poles()
