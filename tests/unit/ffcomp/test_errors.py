@@ -7,7 +7,7 @@ import re
 import pytest
 
 from ffcomp import errors
-from ffcomp.errors import INPUT_ERRORS, explain, interrupts_restored
+from ffcomp.errors import explain, interrupts_restored
 from ffcomp.importers.values import PrinterConfigError
 from ffcomp.steps.archive import StepsError
 from gcode.errors import GcodeError, UnsupportedGcode
@@ -28,11 +28,6 @@ def test_an_error_of_the_input_is_explained() -> None:
     assert explain(MachineFileError("m", ["One.", "Two."])) == ("m: One.\nm: Two.", 5)
     assert explain(OSError(28, "No space left")) == ("A file: No space left.", 2)
     assert explain(OSError(2, "No such file", "x"), "y") == ("x: No such file.", 2)
-
-
-@pytest.mark.parametrize("error", [ValueError("x"), UnreachableError("x", []), KeyError("x")])  # type: ignore[arg-type]
-def test_other_errors_are_faults_of_our_own(error: Exception) -> None:
-    assert not isinstance(error, INPUT_ERRORS)
 
 
 @pytest.mark.parametrize("interrupt", [KeyboardInterrupt(), SystemExit(143)], ids=["Ctrl-C", "SIGTERM"])

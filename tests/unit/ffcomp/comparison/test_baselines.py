@@ -7,8 +7,8 @@ from functools import cache
 import pytest
 
 from ffcomp.comparison.baselines import SHAPER_NAMES, LinearPrinter, Shaping, shaped
-from ffcomp.comparison.engine import Request, compare, names
-from ffcomp.comparison.methods import COMPENSATED, NAMES, USUAL_NAMES
+from ffcomp.comparison.engine import Request, names
+from ffcomp.comparison.methods import NAMES, USUAL_NAMES
 from ffcomp.comparison.sampling import Print, Sampling
 from models.file import load_machine
 from tests.support.prints import squares
@@ -45,12 +45,3 @@ def test_every_shaper_is_a_method_by_name_and_the_usual_ones_are_compared_unless
     assert [name for name in USUAL_NAMES if "-z" in name] == ["mzv-z-calibrated", "mzv-z"]
     assert names(Request(only=("all",))) == NAMES
     assert [Shaping.of(name).name for name in SHAPER_NAMES] == list(SHAPER_NAMES)
-
-
-def test_compare_evaluates_a_shaped_z_like_any_shaper() -> None:
-    request = Request(Sampling(0, 0), quality_bound_um=0.0, only=("mzv-z", "mzv-z-calibrated"), predict=False)
-    found = compare(Print(squares(), "squares.gcode", MACHINE), request=request)
-    rms = {name: method.track.contour_rms_um for name, method in found.methods.items()}
-    assert found.best_fixed == "mzv-z"
-    assert rms[COMPENSATED] < rms["mzv-z"] < rms["none"] and rms["mzv-z-calibrated"] < rms["none"]
-    assert ", z " in found.methods["mzv-z"].tuning

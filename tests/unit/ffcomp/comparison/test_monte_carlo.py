@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 import pytest
 
-from ffcomp.comparison.evaluation import in_processes
-from ffcomp.compensation.batch import workers
 from ffcomp.simulation.expectation import TRUNCATION_SD, draw_plants
 from ffcomp.simulation.playback import check_same_kinematics
 from models.arrays import constant
 from models.errors import MachineFileError
 from models.file import load_machine
-from models.kinds import delta_vibration, with_parts
+from models.kinds import delta_vibration
 from models.machine import value_of
 from tests.support.mismatch import SEEDS, study, tuned
 
@@ -57,22 +54,12 @@ def test_no_dynamic_number_is_forgotten() -> None:
     }
 
 
-def test_a_machine_without_drive_has_none_to_draw() -> None:
-    plain = with_parts(MACHINE, carriage=replace(delta_vibration(MACHINE).carriage, drive=None))
-    assert delta_vibration(draw_plants(plain, 0.1, 1)[0]).carriage.drive is None
-
-
 def test_another_printer_is_refused_by_key_and_rule() -> None:
     other = replace(MACHINE.kinematics, arm_lengths_mm=constant([250.0] * 3), effector_height_mm=20.0)
     with pytest.raises(MachineFileError) as error:
         check_same_kinematics(MACHINE, replace(MACHINE, kinematics=other, path="other.toml"))
     assert len(error.value.problems) == 2
     assert "other.toml: kinematics.arm_lengths_mm is 250, 250, 250, but 300, 300, 300" in str(error.value)
-
-
-def test_a_plant_calibrated_a_little_otherwise_is_the_same_printer() -> None:
-    near = replace(MACHINE.kinematics, delta_radii_mm=constant(MACHINE.kinematics.delta_radii_mm + 0.3))
-    check_same_kinematics(MACHINE, replace(MACHINE, kinematics=near))
 
 
 def test_the_numbers_do_not_depend_on_the_processes() -> None:
@@ -83,8 +70,3 @@ def test_the_numbers_do_not_depend_on_the_processes() -> None:
         assert spread is not None and len(set(spread.contour_rms_um)) == SEEDS  # every plant is its own
     assert alone["mzv"][1] is not None
     assert told == sorted(told) and told[-1] == pytest.approx(1.0)
-
-
-def test_what_fails_in_a_process_is_raised_here() -> None:
-    with workers(2) as at_once, pytest.raises(ZeroDivisionError):
-        in_processes([partial(divmod, 1, k) for k in (2, 1, 0)], at_once, "dividing", lambda what, share: None)

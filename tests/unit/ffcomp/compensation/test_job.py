@@ -8,7 +8,6 @@ from dataclasses import replace
 import pytest
 
 from ffcomp.compensation.job import Job, Options
-from ffcomp.compensation.request import CompensateOptions
 from models.file import load_machine
 from tests.support.compensated import job
 
@@ -24,13 +23,6 @@ def test_the_flavor_asked_for_goes_before_the_machines_and_that_before_the_files
 ) -> None:
     machine = replace(load_machine("mp-delta-pro"), flavor=stated)
     assert Job(MARLIN, "print.gcode", machine, Options(flavor=asked)).flavor == flavor
-
-
-def test_by_whose_rules_a_print_becomes_quicker_is_said() -> None:
-    machine = load_machine("mp-delta-pro")
-    for flavor, said in (("klipper", False), ("reprapfirmware", True)):
-        options = Options.of(CompensateOptions(flavor=flavor, max_error_um=20.0), machine)
-        assert ("Klipper's rules" in Job(MARLIN, "print.gcode", machine, options)._flavor_choice.reason) == said
 
 
 def test_a_print_for_another_firmware_is_compensated_with_a_warning() -> None:

@@ -29,11 +29,6 @@ def box(x0: float, y0: float, x1: float, y1: float, *beside: tuple[float, float]
     return Footprint(part, np.concatenate([part, np.array(beside).reshape(-1, 2)]))
 
 
-def test_beds_that_agree_move_nothing_that_fits(delta: Kinematics) -> None:
-    chosen = choose_offset(delta, MIDDLE, lambda: box(-20.0, -20.0, 20.0, 20.0))
-    assert chosen.offset == (0.0, 0.0) and "lies about where the machine's does" in chosen.reason
-
-
 def test_beds_that_nearly_agree_move_what_does_not_fit(delta: Kinematics) -> None:
     """Beds that centre 28 mm apart: the error named an offset that `auto` had not tried."""
     bed, printed = Bed((-82.0, -110.0), (138.0, 110.0)), box(60.0, -30.0, 118.0, 30.0)
@@ -66,11 +61,6 @@ def test_without_a_bed_the_print_goes_to_the_middle(delta: Kinematics, ender: Ki
     chosen = choose_offset(delta, None, lambda: box(100.0, 95.0, 130.0, 140.0))
     assert chosen.offset == pytest.approx((-115.0, -117.5), abs=1.0) and "in the middle of the bed" in chosen.reason
     assert choose_offset(ender, None, lambda: box(-20.0, -20.0, 20.0, 30.0)).offset == (118.0, 112.0)
-
-
-def test_what_fits_nowhere_stays_and_says_so(delta: Kinematics) -> None:
-    chosen = choose_offset(delta, None, lambda: box(0.0, 0.0, 300.0, 300.0))
-    assert chosen.offset == (0.0, 0.0) and "needs 300 × 300 mm" in chosen.reason and "no offset helps" in chosen.reason
 
 
 def test_an_offset_that_is_offered_brings_every_move_inside(delta: Kinematics) -> None:

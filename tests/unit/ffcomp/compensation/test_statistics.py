@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator
-from dataclasses import FrozenInstanceError, replace
 from functools import reduce
 from operator import add
 
@@ -15,18 +13,13 @@ from ffcomp.compensation.placement import Placement
 from ffcomp.compensation.prediction import Samples
 from ffcomp.compensation.result import Result
 from ffcomp.compensation.statistics import (
-    MOST_LINES,
     Part,
     Place,
     Shares,
     Statistics,
-    grouped,
-    of_moves,
     of_raw,
-    shortened,
     warning_lines,
 )
-from ffcomp.compensation.text_stream import Stream
 from ffcomp.inverse.time_scaling import TimeScaling
 from ffcomp.metrics import Track
 from ffcomp.simulation.forecast import Forecast
@@ -61,28 +54,7 @@ def test_samples_follow_one_another_in_time_and_in_space() -> None:
     assert len(first.predicted.reference) == 1  # what is added stays as it is
 
 
-def test_statistics_cannot_be_changed() -> None:
-    with pytest.raises(FrozenInstanceError):
-        Statistics().moves = 1  # type: ignore[misc]
-
-
-def test_a_stream_keeps_what_its_generator_returns() -> None:
-    def lines() -> Generator[bytes, None, int]:
-        yield b"a"
-        yield b"b"
-        return 7
-
-    stream = Stream(lines())
-    assert not hasattr(stream, "value")
-    assert list(stream) == [b"a", b"b"] and stream.value == 7
-
-
 HOME = (0.0, 0.0, 5.0)
-
-
-def test_moves_that_travel_count_and_retractions_do_not() -> None:
-    moves = read_program(b"M83\nG1 X30 E2 F600\nG1 Y40\nG1 E-5\nG1 E5\nG1 X0 E-1\n", start=HOME).moves
-    assert of_moves(moves) == Part(100.0, 2.0)
 
 
 def test_parts_add_up_by_place_and_command() -> None:
@@ -136,41 +108,6 @@ def test_each_limit_is_a_line_with_places_seconds_and_the_remedy(ender: Machine)
     assert second.startswith("Slowed at 1 place, 0.1 s longer in all (+0.029 %): the velocity limit of axis Z was")
 
 
-@pytest.mark.parametrize(
-    ("name", "who"), [("voron-300", "motor A (1×), axis Z (1×)"), ("kossel", "carriage A (1×), carriage C (1×)")]
-)
-def test_whose_limit_it_is_in_the_words_of_the_machine(name: str, who: str) -> None:
-    (line,) = warning_lines([], [scaled("velocity", "A"), scaled("velocity", "C")], load_machine(name), 10.0)
-    assert f"limit of {who} was" in line
-
-
-def test_a_board_that_makes_too_few_steps_is_named(ender: Machine) -> None:
-    slow = replace(ender, limits=replace(ender.limits, step_rate_hz=4000.0))
-    assert "or step_rate_hz = 4000," in warning_lines([], [scaled("velocity", "A")], slow, 10.0)[0]
-
-
-def test_thousands_of_places_are_a_line(ender: Machine) -> None:
-    exceeded = [f"line {k}: the command needs 1.0{k} times a limit." for k in range(9)]
-    lines = warning_lines(exceeded, [scaled()] * 2117, ender, 4e3)
-    assert len(lines) == 2
-    assert lines[0].startswith("line 0: the command needs 1.00 times a limit. 8 more like this: see --json")
-    assert lines[1].startswith("Slowed at 2117 places, 212 s longer in all (+5.3 %): the firmware's own acceleration")
-
-
-def test_never_more_than_five_lines() -> None:
-    lines = shortened([f"cause {letter}" for letter in "abcdefgh"])
-    assert len(lines) == MOST_LINES == 5 and lines[-1].startswith("4 more kinds of warnings: see --json")
-    assert shortened(["a", "b"]) == ["a", "b"]
-    assert len(shortened([f"cause {letter}" for letter in "abcde"], most=4)) == 4
-
-
-def test_what_differs_in_numbers_only_is_one_cause() -> None:
-    assert grouped(["line 3: odd.", "line 40: odd.", "another"]) == [
-        "line 3: odd. 1 more like this: see --json, or the log (ffcomp --log-path).",
-        "another",
-    ]
-
-
 def test_a_print_that_is_predicted_to_become_worse_says_so_first(ender: Machine) -> None:
     def result(before: float, after: float, faster: Faster | None = None) -> Result:
         errors = {"uncompensated": before, "compensated": after}
@@ -184,13 +121,3 @@ def test_a_print_that_is_predicted_to_become_worse_says_so_first(ender: Machine)
     assert others == ["another"] and result(3.946, 6.052).warnings == [first, "another"]
     for better in (result(6.052, 3.946), result(3.946, 3.949), result(3.946, 6.052, Faster(bound_um=10.0))):
         assert better.no_gain == []
-
-
-def test_many_segments_warn_of_boards_that_plan_slowly_on_marlin_alone(ender: Machine) -> None:
-    def warned(flavor: str, segments: int) -> list[str]:
-        numbers, place = Statistics(segments=segments, print_time_s=10.0), Placement((0.0, 0.0), "")
-        return Result("", ender, FlavorChoice(flavor, ""), place, numbers, 1.0).warnings
-
-    (sentence,) = warned("marlin", 1650)
-    assert "165 segments a second. An 8-bit board" in sentence and "32-bit board" in sentence
-    assert warned("marlin", 900) == warned("klipper", 2400) == warned("reprapfirmware", 2400) == []

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from ffcomp import compensate
-from ffcomp.compensation.job import Job, Options
 from ffcomp.errors import LimitsError
 from ffcomp.faster.bound import Bound, with_slicer_settings
 from ffcomp.faster.program import FasterProgram, faster_program
@@ -42,7 +41,6 @@ G1 X0 Y20 E.7
 ;TYPE:Bridge infill
 G1 X0 Y0 E.7
 """
-MACHINE = load_machine("mp-delta-pro")
 FILAMENT_MM2 = 0.25 * np.pi * 1.75**2
 
 
@@ -80,11 +78,6 @@ def test_it_is_quicker_and_the_response_keeps_the_bound(squares: Program, model:
     assert solution.utilisation <= 1.0
     assert np.percentile(error, 99) < 25e-3
     assert error.max() < 2.5 * 25e-3
-
-
-def test_a_looser_bound_is_quicker(squares: Program, model: InverseModel) -> None:
-    times = [planned(of(squares, model, um), model).trajectory.end_t for um in (5.0, 25.0, 100.0)]
-    assert times[0] > times[1] >= times[2]
 
 
 def test_at_a_wide_bound_the_carriages_limits_are_kept_and_nothing_falls_back(
@@ -131,13 +124,6 @@ def test_a_bound_that_no_speed_holds_is_told_with_what_is_held_and_nothing_is_wr
     assert target.read_text() == "old"
 
 
-def test_a_bound_that_is_held_is_not_complained_of_and_segments_are_joined_as_ever() -> None:
-    options = Options(settings=settings_for(MACHINE), bound=Bound(25.0), keep_shaper=True)
-    job = Job(prints.squares(1), "squares", MACHINE, options)
-    assert not job.write(None).warnings
-    assert (job.settings.merge_um, job.settings.merge_along_um) == (1.0, 3.0)
-
-
 def test_what_keeps_the_slicers_motion_may_miss_the_bound_and_the_program_tells_by_how_much(
     squares: Program, model: InverseModel
 ) -> None:
@@ -151,13 +137,6 @@ def test_first_layer_and_bridges_keep_the_slicers_motion(squares: Program, model
     assert np.array_equal(moves.speed[kept], was.speed[kept])
     assert np.array_equal(moves.acceleration[kept], was.acceleration[kept], equal_nan=True)
     assert (moves.speed[3:7] > was.speed[3:7]).all()
-
-
-def test_a_feature_keeps_its_speed_or_its_own_bound(squares: Program, model: InverseModel) -> None:
-    kept = of(squares, model, 25.0, keep_speed=("external perimeter",)).program.moves
-    assert np.array_equal(kept.speed[5:7], squares.moves.speed[5:7])
-    tight = of(squares, model, 25.0, of_features_um=(("External perimeter", 5.0),)).program.moves
-    assert tight.square_corner_velocity[5] < of(squares, model, 25.0).program.moves.square_corner_velocity[5]
 
 
 def test_the_flow_is_kept(squares: Program, model: InverseModel) -> None:
@@ -182,11 +161,6 @@ def test_the_slicers_settings_fill_in_what_was_not_asked_for() -> None:
     assert (asked.max_flow_mm3_per_s, asked.min_layer_time_s) == (9.0, 1.0)
     uncooled = with_slicer_settings(Bound(25.0), b"; cooling = 0\n", b"; max_volumetric_speed = 0\n")
     assert (uncooled.max_flow_mm3_per_s, uncooled.min_layer_time_s) == (None, 0.0)
-
-
-def test_bridges_and_the_first_layer_change_when_asked(squares: Program, model: InverseModel) -> None:
-    moves = of(squares, model, 25.0, change_speed=("bridge infill", "First layer")).program.moves
-    assert (moves.speed > squares.moves.speed).all()
 
 
 def test_the_time_is_told_by_what_limits_it_and_nothing_is_below_the_least(

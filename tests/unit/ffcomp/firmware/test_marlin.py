@@ -13,7 +13,7 @@ import pytest
 from ffcomp.firmware.marlin import PART_S, Marlin
 from ffcomp.firmware.marlin_planner import planner_of
 from ffcomp.firmware.marlin_queue import Blocks, phases_of
-from ffcomp.firmware.program import firmware_plan, known_to_the_firmware, read_as_planned
+from ffcomp.firmware.program import known_to_the_firmware, read_as_planned
 from ffcomp.planner.lookahead import stops_and_waits
 from ffcomp.planner.trajectory import Trajectory
 from gcode.program import LimitCommand, Program, limits_in_effect
@@ -145,14 +145,6 @@ def test_limits_hold_in_every_spelling(line: str) -> None:
     assert limits_in_effect(program, {})["M201"].words == {"X": 1000.0, "Y": 1000.0}
 
 
-def test_marlin_does_not_know_m566() -> None:
-    """30 mm along x, then along y, with the jerk of the machine at the corner."""
-    machine = machine_of("cj-6")
-    corner = b"G1 X30 F6000\nG1 Y30\n"
-    plain = plan_of(read(corner, machine), machine)
-    assert plan_of(read(b"M566 X60 Y60\n" + corner, machine), machine).end_t == plain.end_t
-
-
 def test_limits_before_a_part_of_a_program_hold_in_it() -> None:
     machine = machine_of("jd-6")
     program = replace(read(b"G1 X60 F9000\n", machine), limits={"M204": LimitCommand("M204", {"T": 500.0})})
@@ -206,31 +198,9 @@ def test_moves_that_are_to_be_gentler_are() -> None:
     assert ratio == pytest.approx(np.sqrt(2.0), rel=0.01)
 
 
-def test_unknown_settings_are_told() -> None:
-    machine = load_machine("prusa-mk3s")
-    assert "M503" in Marlin().assumed(replace(machine, marlin=None))
-    stated = ("acceleration_mm_per_s2", "speed_mm_per_s", "retract_acceleration_mm_per_s2", "jerk_mm_per_s")
-    assert Marlin().assumed(replace(machine, marlin=replace(CARTESIAN, stated=stated))) == ""
-
-
 @pytest.mark.parametrize(("version", "newer"), [((), False), ((2, 1, 2, 5), False), ((2, 1, 3), True), ((2, 2), True)])
 def test_a_later_version_with_another_classic_jerk_is_named(version: tuple[int, ...], newer: bool) -> None:
     machine = replace(machine_of("cj-6"), firmware_version=version)
     assert ("another classic jerk" in Marlin().assumed(machine)) == newer
     of_deviation = replace(CARTESIAN, stated=(*MarlinSettings.__dataclass_fields__,))
     assert Marlin().assumed(replace(machine, marlin=of_deviation)) == ""
-
-
-def test_a_lead_screws_jerk_is_named_where_z_is_a_tower() -> None:
-    low, even = b"M205 X10 Y10 Z0.2\nG1 X20 F600\n", b"M205 X10 Y10 Z10\nG1 X20 F600\n"
-    (warning,) = read(low, machine_of("delta-6")).warnings
-    assert warning.startswith("line 1: M205 sets the jerk of Z to 0.2 mm/s") and "set it to 10 like" in warning
-    assert not read(even, machine_of("delta-6")).warnings
-    assert not read(low, machine_of("cj-6")).warnings
-
-
-def test_a_program_of_another_firmware_is_not_cut() -> None:
-    machine = machine_of("delta-6")
-    known = known_to_the_firmware(machine)
-    program = read_program(b"G1 X20 F600\n", flavor="klipper", start=START, **known)
-    assert len(firmware_plan(program, machine)) == 1

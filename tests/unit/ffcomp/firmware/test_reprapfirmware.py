@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from math import hypot, sqrt
+from math import sqrt
 
 import pytest
 
 from ffcomp.firmware.program import firmware_plan, known_to_the_firmware
-from ffcomp.firmware.table import FIRMWARES
 from ffcomp.planner.trajectory import Trajectory
 from gcode.reader import read_program
 from models.file import load_machine
@@ -88,11 +87,6 @@ def test_limits_that_the_file_sets_hold_from_their_line_on() -> None:
     assert made.duration == pytest.approx(ends, rel=1e-6)
 
 
-def test_nothing_is_slower_than_the_file_says() -> None:
-    made = plan("G1 X60 F6\nM203 I120 ; 2 mm/s\nG1 X120\nG1 X180 F6000")
-    assert made.cruise_v == pytest.approx([0.5, 2.0, 100.0], rel=1e-6)
-
-
 @pytest.mark.parametrize(
     "lines",
     [
@@ -134,15 +128,3 @@ def test_moves_that_are_to_be_gentler_are() -> None:
     program = read_program(text, flavor="reprapfirmware", start=(0.0, 0.0, 10.0), **known)
     moves = replace(program.moves, acceleration=0.5 * program.moves.acceleration)
     assert firmware_plan(replace(program, moves=moves), machine).acceleration == pytest.approx([500.0, 500.0])
-
-
-def test_unknown_settings_are_said() -> None:
-    machine = machine_of(settings=None)
-    assert "config.g" in FIRMWARES["reprapfirmware"].assumed(machine)
-    stated = ("acceleration_mm_per_s2", "speed_mm_per_s", "jerk_mm_per_s")
-    known = machine_of(settings=replace(SETTINGS, stated=stated))
-    assert FIRMWARES["reprapfirmware"].assumed(known) == FIRMWARES["klipper"].assumed(machine) == ""
-    limits = machine.limits
-    corner = plan("G1 X60 E2 F6000\nG1 X60 Y60 E2", machine).end_v[0]
-    assert corner == pytest.approx(limits.square_corner_velocity_mm_per_s)
-    assert hypot(*plan("G1 X30 Y30 F600", machine).velocity([0.5])[0, :2]) == pytest.approx(10.0)

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ffcomp.inverse.nonlinear import BLENDED_KNOTS, JUDGED_KNOTS, around, mixed
+from ffcomp.inverse.nonlinear import BLENDED_KNOTS, JUDGED_KNOTS, mixed
 
 N = 400
 FAR = JUDGED_KNOTS + BLENDED_KNOTS  # knots that a place sees
@@ -32,29 +31,3 @@ def test_every_place_has_its_own_weights() -> None:
     away = np.abs(np.arange(N) - N // 2) > FAR
     assert np.abs(found - wanted)[away].max() < 0.05
     assert np.abs(second - wanted)[away].max() > 1.0
-
-
-def test_the_first_step_takes_its_share() -> None:
-    x, f = np.ones((N, 3)), np.full((N, 3), 0.5)
-    assert mixed([(x, f)], 0.7) == pytest.approx(1.35)
-
-
-def test_what_rests_stays() -> None:
-    still = np.zeros((N, 3))
-    assert np.array_equal(mixed([(still, still)] * 4, 1.0), still)
-
-
-def test_a_change_is_felt_no_further_than_the_windows() -> None:
-    random = np.random.default_rng(2)
-    tried = [tuple(random.normal(size=(2, N, 3))) for _ in range(3)]
-    other = [(x.copy(), f.copy()) for x, f in tried]
-    other[1][1][N // 2] += 1.0
-    moved = np.abs(mixed(tried, 1.0) - mixed(other, 1.0)).max(axis=1) > 1e-9
-    assert moved[N // 2]
-    assert np.ptp(np.flatnonzero(moved)) <= 2 * FAR
-
-
-def test_around_is_the_mean_of_what_is_there() -> None:
-    values = np.arange(10.0)
-    assert around(values, 2)[[0, 5, 9]] == pytest.approx([1.0, 5.0, 8.0])
-    assert np.array_equal(around(np.stack([values, values], axis=1), 3)[:, 0], around(values, 3))

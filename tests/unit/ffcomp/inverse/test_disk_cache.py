@@ -58,26 +58,6 @@ def test_the_next_one_has_the_same_numbers_without_working_them_out(
     np.testing.assert_array_equal(second.gains.end(slot).forward, first.gains.end(slot).forward)
 
 
-def test_two_that_went_elsewhere_keep_both(folder: Path, machine: Machine) -> None:
-    one, other = been_at(machine, HERE), been_at(machine, THERE)
-    one.save_cache()
-    other.save_cache()
-    assert len(InverseModel(machine, settings_for(machine)).gains) == len(HERE) + len(THERE)
-
-
-def test_how_printers_differ_is_kept_too_also_by_a_plain_inverse(
-    folder: Path, machine: Machine, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    robust = replace(settings_for(machine), robust=True)
-    first, second = InverseModel(machine, robust), InverseModel(machine, robust)
-    first.gains.at(HERE)
-    response = first._robust.sensitivity.of_place(1, -2)
-    first.save_cache()
-    been_at(machine, THERE).save_cache()
-    monkeypatch.setattr(second._robust.sensitivity, "_of_draws", None)  # would fail
-    np.testing.assert_array_equal(second._robust.sensitivity.of_place(1, -2), response)
-
-
 def test_another_machine_finds_nothing(folder: Path, machine: Machine) -> None:
     been_at(machine, HERE).save_cache()
     heavier = with_parts(machine, effector=replace(delta_vibration(machine).effector, extruder_mass_kg=0.3))
@@ -101,14 +81,6 @@ def test_a_damaged_file_is_not_there(folder: Path) -> None:
     assert file.read_bytes() == whole
 
 
-def test_a_model_without_a_file_works_its_arrays_out(folder: Path, machine: Machine) -> None:
-    been_at(machine, HERE).save_cache()
-    (file,) = folder.glob("*.npz")
-    file.write_bytes(b"")
-    been_at(machine, HERE).save_cache()
-    assert len(InverseModel(machine, settings_for(machine)).gains) == len(HERE)
-
-
 def test_a_cache_that_cannot_be_written_stops_nobody(
     tmp_path: Path, machine: Machine, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -117,12 +89,3 @@ def test_a_cache_that_cannot_be_written_stops_nobody(
         monkeypatch.setenv(OUR_VARIABLE, said)
         been_at(machine, HERE).save_cache()
         assert len(InverseModel(machine, settings_for(machine)).gains) == 0
-
-
-def test_what_was_used_longest_ago_goes(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(kept, "MOST", 2)
-    for name in ("a", "b", "c"):
-        kept.save(name, {"n": np.arange(3)})
-        if name == "b":
-            assert list(kept.load("a"))
-    assert sorted(file.stem for file in folder.iterdir()) == ["a", "c"]

@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 
 from ffcomp.inverse import qp
 from ffcomp.inverse.command_limits import ACCELERATION, TRAVEL, VELOCITY, peak_utilisation, utilisation_from_rest
-from ffcomp.inverse.model import InverseModel, Iterate, steady_delay
+from ffcomp.inverse.model import InverseModel, Iterate
 from ffcomp.inverse.reference import Reference
-from ffcomp.inverse.riccati import basis_response
 from ffcomp.inverse.settings import Settings
 from ffcomp.inverse.solve import FOLLOWING, solve
 from ffcomp.planner.limits import planner_limits
@@ -111,17 +110,6 @@ def test_a_run_begins_and_ends_at_rest_on_the_path(inverter: InverseModel, machi
     result = solve_exactly(inverter, reference, machine.equilibrium(np.array([-60.0, 20, 0.3])))
     np.testing.assert_allclose(result.vertices[0], [-60, 20, 0.3], atol=1e-10)
     np.testing.assert_allclose(result.vertices[-1], [-57, 26, 0.3], atol=1e-10)
-
-
-def test_short_windows_give_what_long_ones_give(machine: Machine) -> None:
-    """The state that is carried, and the preview, are enough: the cut leaves no trace."""
-    answers = []
-    for commit in (8, 20, 400):
-        reference = reference_of(CORNER, machine, USUAL)
-        state = machine.equilibrium(np.array([-60.0, 20, 0.3]))
-        answers.append(solve_exactly(InverseModel(machine, USUAL), reference, state, commit, preview=40).vertices)
-    np.testing.assert_allclose(answers[0], answers[2], atol=1e-3)  # a µm
-    np.testing.assert_allclose(answers[1], answers[2], atol=1e-3)
 
 
 @pytest.mark.parametrize("exact", [True, False])
@@ -242,34 +230,3 @@ def test_a_machine_turned_by_120_degrees_gives_the_turned_answer(machine: Machin
         answers.append(solve(inverter, reference, round_one.equilibrium(corners[0])).vertices)
     # the table over the bed is square: its interpolation does not turn exactly
     np.testing.assert_allclose(answers[1], answers[0] @ turn.T, atol=2e-3)
-
-
-def test_a_stiff_machine_is_left_alone(machine: Machine) -> None:
-    """Infinite stiffness, ideal drive: the command is the plan, within a µm."""
-    carriage = replace(
-        delta_vibration(machine).carriage, belt_stiffness_n_per_m=1e10, drive=None, guide_damping_n_s_per_m=0.0
-    )
-    stiff = with_parts(machine, carriage=carriage)
-    inverter = InverseModel(stiff, Settings())
-    reference = reference_of(CORNER, stiff, Settings())
-    result = solve(inverter, reference, stiff.equilibrium(np.array([-60.0, 20, 0.3])))
-    plan = reference.at_knots(np.arange(reference.knots + 1))
-    # a polyline cannot follow an accelerating path between its knots: a S²/8, and spreads what it cannot do
-    assert np.abs(result.vertices - plan).max() < 0.06
-
-
-def test_the_steady_delay_is_the_slope_of_the_phase(machine: Machine) -> None:
-    f = 0.01
-    g = machine.vibration.frequency_response(np.array([40.0, -30.0]), np.array([f]), "nozzle", "nozzle")[0]
-    assert -np.angle(g[0, 0]) / (2 * np.pi * f) == pytest.approx(steady_delay(machine), rel=1e-6)
-
-
-def test_phi_needs_no_more_than_its_models() -> None:
-    """A plant that does nothing but pass the command on: Φ is the hats themselves."""
-    a = np.zeros((3, 18, 18))
-    b0, b1 = np.zeros((3, 18, 3)), np.zeros((3, 18, 3))
-    b1[:, 6:9] = np.eye(3)
-    phi = basis_response(a, b0, b1, np.eye(18)[6:9], np.repeat(np.eye(3)[None], 3, axis=0), 2, 2)
-    hat = np.array([0.5, 1, 0.5, 0, 0, 0])
-    np.testing.assert_allclose(phi[0::3, 0], hat)
-    np.testing.assert_allclose(phi[1::3, 4], np.roll(hat, 2))

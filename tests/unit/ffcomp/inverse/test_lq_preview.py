@@ -137,9 +137,3 @@ def test_the_beginning_is_what_a_slow_motion_needs(machine: Machine) -> None:
     found = inverter.compliance_at(place[None])[0]
     np.testing.assert_allclose(found, (np.eye(3) - inverse.real) / s**2, atol=2e-3 * np.abs(found).max())
     np.testing.assert_allclose(np.diag(inverse.imag) / s, inverter.delay_s, rtol=1e-3)
-
-
-def test_one_model_is_the_middle_of_the_bed_everywhere(machine: Machine) -> None:
-    inverter = InverseModel(machine, replace(Settings(), one_model=True))
-    far, near = (inverter._plant_at(np.array([place]))[0] for place in ([90.0, 10.0], [0.0, 0.0]))
-    np.testing.assert_array_equal(far.a, near.a)

@@ -37,11 +37,6 @@ def test_more_and_more_time_is_offered_up_to_all_of_it(way: bytes, flow: bytes, 
     assert segments == pytest.approx(np.rint(segments)) and np.diff(segments) == pytest.approx(np.ones(len(less) - 1))
 
 
-def test_a_long_section_gets_all_of_the_time() -> None:
-    section = planned(b"G1 X90 F600\n").sections[0]
-    assert list(rooms_of(section, S, flows=False)) == [Room(S.lead_s, S.tail_s)]
-
-
 def test_around_a_cut_in_motion_the_time_does_not_depend_on_the_plan() -> None:
     plan = planned(b"M204 S500\nG1 X90 E4 F3000\n")
     section = plan.sections[0]

@@ -14,18 +14,13 @@ from ffcomp.comparison.methods import COMPENSATED, ROBUST, best_fixed, inversion
 from ffcomp.comparison.sampling import Print, Sampling
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.robust import (
-    TANGENT_WEIGHT,
     Path,
     RobustReference,
-    directions_of,
-    normal_errors,
-    weigh,
 )
 from ffcomp.inverse.sensitivity import (
     MARGIN,
     NODE_ROWS,
     Sensitivity,
-    ShortArray,
     apply,
     apply_adjoint,
     lines_of,
@@ -81,54 +76,6 @@ def wish(softening: RobustReference, path: FloatArray) -> FloatArray:
 # ---- what counts ---------------------------------------------------------------------------------
 
 
-LINE = PLACE + np.outer(np.arange(40.0), [0.3, 0.4, 0.0])
-ALONG_IT, BESIDE_IT = np.array([0.6, 0.8, 0.0]), np.array([-0.8, 0.6, 0.0])
-
-
-def errors_of(path: FloatArray, missed: FloatArray) -> tuple[ShortArray, ShortArray]:
-    """n + ε l (m, 3) mm of one path, and the entries (6, m/2) of W."""
-    error = np.ascontiguousarray(missed.T[None], dtype=np.float32)
-    normal, weight = normal_errors(path[None], directions_of(path[None]), error, TANGENT_WEIGHT)
-    return normal[0].T, weight[0]
-
-
-def test_an_error_along_a_line_counts_little() -> None:
-    missed = np.tile(0.8 * ALONG_IT + 0.02 * BESIDE_IT, (40, 1))  # more than a step late
-    normal, weight = errors_of(LINE, missed)
-    inside = slice(2, -2)
-    np.testing.assert_allclose(
-        normal[inside], np.tile(0.02 * BESIDE_IT + 0.8 * TANGENT_WEIGHT * ALONG_IT, (36, 1)), atol=1e-6
-    )
-    weighed = weigh(weight[None], np.ascontiguousarray(missed[::2].T[None], dtype=np.float32))
-    np.testing.assert_allclose(weighed[0].T[2:-2], normal[4:-4:2], atol=1e-6)
-
-
-def test_beyond_a_corner_and_at_rest_all_of_an_error_counts() -> None:
-    corner = PLACE + np.array([[-1.0, 0, 0], [0, 0, 0], [0, 1, 0], [0, 2, 0], [0, 2, 0], [0, 2, 0]])
-    missed = np.zeros((6, 3))
-    missed[1] = [0.3, -0.2, 0.0]  # outside the corner
-    missed[4] = [0.1, 0.2, 0.3]  # beyond the end
-    normal, weight = errors_of(corner, missed)
-    for i in (1, 4):
-        np.testing.assert_allclose(normal[i], missed[i], atol=1e-6)
-    np.testing.assert_allclose(weight[:3, 2], 1.0, atol=1e-6)
-
-
-def test_beside_a_corner_the_nearest_point_may_be_on_the_other_side_of_it() -> None:
-    corner = PLACE + np.array([[-2.0, 0, 0], [-1, 0, 0], [0, 0, 0], [0, 1, 0], [0, 2, 0], [0, 3, 0]])
-    missed = np.zeros((6, 3))
-    missed[1] = [0.9, 0.4, 0.0]
-    np.testing.assert_allclose(errors_of(corner, missed)[0][1, :2], [-0.1, TANGENT_WEIGHT * 0.4], atol=1e-6)
-
-
-def test_a_corner_between_two_samples_counts_for_both_its_sides() -> None:
-    corner = PLACE + np.array([[-2.0, 0, 0], [-1, 0, 0], [0, 0, 0], [0, 1, 0], [0, 2, 0], [0, 3, 0]])
-    missed = np.zeros((6, 3))
-    missed[1, 0], missed[2, 1], missed[3, 1] = 0.1, 0.1, 0.1
-    weight = errors_of(corner, missed)[1]
-    np.testing.assert_allclose(weight[:2, 1], [0.75 + 0.25 * TANGENT_WEIGHT, 0.25 + 0.75 * TANGENT_WEIGHT], atol=1e-6)
-
-
 # ---- what the machine may make of it -------------------------------------------------------------
 
 
@@ -176,10 +123,6 @@ def test_directions_hold_the_spread_of_the_draws(softening: RobustReference) -> 
 # ---- what is wanted ------------------------------------------------------------------------------
 
 
-def test_rest_is_left_alone(softening: RobustReference) -> None:
-    assert np.array_equal(wish(softening, np.repeat(PLACE[None], 50, axis=0)), np.zeros((50, 3)))
-
-
 def test_steady_motion_is_left_alone(softening: RobustReference) -> None:
     path = PLACE + np.arange(MARGIN * 2 + 300.0)[:, None] * np.array([0.05, 0.02, 0.0])
     (offset,) = softening.offsets([Path(path, np.ones(len(path), dtype=np.bool_))])
@@ -218,15 +161,6 @@ def test_the_expected_contour_error_is_lower(softening: RobustReference, machine
     plants = draw_plants(machine, 0.1, 20)
     plainly, robustly = (np.mean([error(plant, r) for plant in plants]) for r in (path, wanted))
     assert robustly < 0.4 * plainly
-
-
-def test_where_a_span_ends_does_not_show(softening: RobustReference) -> None:
-    path = zigzag(2600 + 2 * MARGIN)
-    moving = np.ones(len(path), dtype=np.bool_)
-    later = 700
-    whole, part = softening.offsets([Path(path, moving), Path(path[later:], moving[later:])])
-    apart = np.abs(whole[later + 200 : -200] - part[200:-200])
-    assert apart.max() < 0.1 * np.abs(whole).max()
 
 
 def test_named_uncertainties_count_for_their_numbers_alone(machine: Machine) -> None:

@@ -18,7 +18,6 @@ from ffcomp.inverse.reference import WHOLE, Reference
 from ffcomp.inverse.settings import Settings, settings_for
 from ffcomp.inverse.solve import solve
 from ffcomp.inverse.time_scaling import LayerOf, Replan
-from ffcomp.inverse.violations import widened
 from ffcomp.planner.limits import planner_limits
 from ffcomp.planner.segment_timing import segment_speeds
 from ffcomp.planner.trajectory import Section
@@ -179,16 +178,6 @@ def test_the_rest_of_the_plan_is_later_and_otherwise_the_same(machine: Machine) 
     assert found.records[0].sentence().startswith("line 102-105 (layer 7): slowed to ")
 
 
-def test_the_layer_of_a_record_is_that_of_its_move_in_the_program(machine: Machine) -> None:
-    """Moves of a section are counted from its first one, layers by the program's moves."""
-    before = b"G1 X-58 Y20 F3000\nG1 X-60 Y20\nG4 P500\n"
-    planned = plan_program(read_program(before + CORNERS, start=START, flavor="klipper"), machine)
-    tight = limited(machine, carriage_velocity_mm_per_s=100.0)
-    found = solved(inverter_of(tight), planned, planned.sections[-1], tight, layer_of=lambda move: move)
-    (record,) = found.records
-    assert (record.first_line, record.layer) == (5, 3)
-
-
 def test_strict_refuses_with_the_same_sentence(machine: Machine, planned: PlannedProgram) -> None:
     tight = limited(machine, carriage_velocity_mm_per_s=100.0)
     inverter = inverter_of(tight)
@@ -250,16 +239,6 @@ def test_segments_can_be_played_in_their_time(machine: Machine) -> None:
     assert "firmware's own acceleration" in record.sentence()
     assert 0 < found.lost_s < 0.1
     assert found.solution.utilisation <= 1.0
-
-
-@pytest.mark.parametrize("count", [1, 3, 40])
-def test_marks_are_widened_within_their_stretch(count: int) -> None:
-    """Runs can be shorter than what is widened by."""
-    marked = np.zeros(count, dtype=np.bool_)
-    marked[count // 2] = True
-    found = widened(marked, 5)
-    assert len(found) == count
-    np.testing.assert_array_equal(found, np.abs(np.arange(count) - count // 2) <= 5)
 
 
 @pytest.mark.parametrize(("name", "saves"), [("flsun-v400", True), ("mp-delta-pro", False)])

@@ -44,23 +44,12 @@ def test_a_lift_with_filament_is_left_as_it_is() -> None:
     assert joined(points, 0.01 * np.arange(len(points))) == list(range(len(points)))
 
 
-def test_a_slope_is_left_as_it_is() -> None:
-    points = hop()
-    points[:, 0] = np.linspace(0.0, 5.0, len(points))
-    assert joined(points) == list(range(len(points)))
-
-
 def test_where_the_command_still_moves_aside_the_lift_begins_later() -> None:
     points = hop()
     points[10, 0] += 4 * STRAIGHT_MM
     points[11, 0] += 2 * STRAIGHT_MM
     stay = joined(points)
     assert 11 in stay and 13 not in stay and 21 not in stay
-
-
-def test_up_and_down_are_two_lifts() -> None:
-    z = np.concatenate([np.linspace(0.0, 0.3, 8), np.linspace(0.3, 0.1, 6)[1:]])
-    assert joined(np.stack([0 * z, 0 * z, z], axis=1)) == [0, 7, 12]
 
 
 def test_one_segment_takes_the_time_of_the_plan_where_many_cannot() -> None:
@@ -84,17 +73,3 @@ def test_a_wipe_pulls_by_the_way() -> None:
     e = np.array([0.0, -0.5, -0.6, -0.7, -1.2])
     even_wipes(e, POINTS, NOWHERE)
     np.testing.assert_allclose(e, -1.2 * POINTS[:, 0] / 6.0)
-
-
-def test_filament_that_is_pushed_stays() -> None:
-    e = np.array([0.0, 0.5, 0.6, 0.7, 1.2])
-    before = e.copy()
-    even_wipes(e, POINTS, NOWHERE)
-    np.testing.assert_array_equal(e, before)
-
-
-def test_nothing_is_shared_across_a_cut() -> None:
-    e = np.array([0.0, -0.5, -0.6, -0.7, -1.2])
-    even_wipes(e, POINTS, np.arange(len(e)) == 2)
-    assert e[2] == -0.6
-    np.testing.assert_allclose(e, [0.0, -0.2, -0.6, -0.8, -1.2])

@@ -47,13 +47,6 @@ def test_z_keeps_its_own_limits_on_slanted_moves() -> None:
     assert acceleration == pytest.approx([125.0, 100.0, 3000.0])
 
 
-def test_z_stays_within_the_configured_speed_when_the_file_allows_more() -> None:
-    moves = moves_through([[0, 0, 0], [0, 0, 9]], 1000.0, velocity_limit=900.0, acceleration=9000.0)
-    found = bounds_of(moves, lines_of(moves), LIMITS)
-    assert found.speed[0] == 300.0
-    assert found.acceleration[0] == 3000.0
-
-
 def test_the_smooth_acceleration_is_a_share_of_the_files_not_of_the_moves() -> None:
     limits = PlannerLimits(300.0, 3000.0, minimum_cruise_ratio=0.5, z_acceleration_mm_per_s2=1000.0)
     moves = moves_through([[0, 0, 0], [0, 0, 4], [5, 0, 4]])
@@ -76,14 +69,6 @@ def test_at_the_radius_of_a_ratio_a_carriage_is_that_much_faster_than_the_nozzle
     assert (heights[0] - heights[1]) / 2e-4 == pytest.approx(ratio, rel=1e-6)
 
 
-def test_the_radius_of_a_ratio_allows_for_one_step() -> None:
-    """The chord over one step ends at the radius and has the slope."""
-    reach = DeltaSlowZones(radius_mm=140.0, arm_length_mm=280.0, half_step_mm=0.05)
-    far = reach.radius_of_ratio(3.0) + reach.radius_mm
-    rise = np.sqrt(280.0**2 - (far - 0.1) ** 2) - np.sqrt(280.0**2 - far**2)
-    assert rise / 0.1 == pytest.approx(3.0, rel=1e-9)
-
-
 def test_a_delta_slows_down_where_a_move_begins_or_ends_far_out() -> None:
     reach = DeltaSlowZones(140.0, 280.0, 0.00625)
     slow, slower = reach.radius_of_ratio(3.0), reach.radius_of_ratio(6.0)
@@ -92,10 +77,3 @@ def test_a_delta_slows_down_where_a_move_begins_or_ends_far_out() -> None:
     speed, acceleration = bounds([[0.0, -radius] for radius in radii], limits)
     assert speed == [300.0, 150.0, 150.0, 75.0, 75.0]
     assert acceleration == [3000.0, 1500.0, 1500.0, 750.0, 750.0]
-
-
-def test_less_than_a_millionth_of_a_micrometre_is_extruder_only() -> None:
-    lines = lines_of(moves_through([[0, 0, 0, 0], [9e-10, 0, 0, -2], [1e-3, 0, 0, -2]]))
-    assert lines.travels.tolist() == [False, True]
-    assert lines.direction[0].tolist() == [0.0, 0.0, 0.0, -1.0]
-    assert lines.length[0] == 2.0

@@ -85,12 +85,6 @@ def test_a_hill_that_comes_down_does_not_rise_again_after_a_corner() -> None:
     assert line.cruise_v[0] > 2 * line.start_v[1]
 
 
-def test_no_moves_are_no_motion() -> None:
-    nothing = through([[0, 0]])
-    assert len(nothing) == 0
-    assert nothing.end_t == 0.0
-
-
 def test_an_extruder_only_move_has_the_extruders_limits() -> None:
     line = plan(
         moves_through([[1, 2, 3, 0], [1, 2, 3, -2]]),
@@ -134,16 +128,6 @@ def test_a_reversal_is_a_stop() -> None:
 def test_the_filament_speeds_jump_is_bounded_at_a_junction() -> None:
     line = through([[0, 0, 0, 0], [50, 0, 0, 2.5], [100, 0, 0, 2.5]], 100.0)
     assert line.start_v[1] == pytest.approx(1.0 / 0.05)
-
-
-def test_an_extruder_only_move_stands_between_two_stops() -> None:
-    line = through([[0, 0, 0, 0], [50, 0, 0, 0], [50, 0, 0, 1], [100, 0, 0, 1]])
-    assert line.start_v.tolist() == line.end_v.tolist() == [0.0, 0.0, 0.0]
-
-
-def test_no_square_corner_velocity_stops_at_corners_but_not_on_straight_lines() -> None:
-    line = plan(moves_through([[0, 0], [50, 0], [90, 0], [90, 9]], square_corner_velocity=0.0))
-    assert line.start_v.tolist() == [0.0, 100.0, 0.0]
 
 
 @given(st.lists(st.floats(0.01, 20.0), min_size=1, max_size=8), st.floats(20.0, 300.0), st.floats(0.0, 0.9))
@@ -288,19 +272,6 @@ def test_moves_that_go_nowhere_are_not_noticed(ratio: float) -> None:
     assert line.duration[[0, 3, 4, 6]].tolist() == [0.0] * 4
 
 
-def test_only_moves_that_go_nowhere_take_no_time() -> None:
-    standing = through([[1, 2]] * 4)
-    assert standing.end_t == 0.0
-    assert standing.position([0.0, 1.0])[:, :2].tolist() == [[1, 2], [1, 2]]
-
-
-def test_events_of_the_file_become_stops_and_waits() -> None:
-    text = b"G1 X1 F600\nG4 P200\nG4 P300\nG1 X2\nM106 S9\nG1 X3\nM109 S200\nG1 X4\nG4 S1\n"
-    stops, waits = stops_and_waits(read_program(text, start=(0.0, 0.0, 10.0)))
-    assert stops.tolist() == [False, True, False, True]
-    assert waits.tolist() == [0.0, 0.5, 0.0, 0.0]
-
-
 # What cannot be planned
 
 
@@ -326,8 +297,3 @@ def test_impossible_moves_are_named_with_their_line(column: str, value: float, m
     with pytest.raises(GcodeError) as failure:
         plan(dataclasses.replace(moves, **{column: values}))
     assert str(failure.value) == message
-
-
-def test_a_negative_wait_is_refused() -> None:
-    with pytest.raises(ValueError, match=r"The wait before move 1 is -0\.5 s; it must be finite and not negative\."):
-        plan(moves_through([[0, 0], [1, 0], [2, 0]]), waits=[0.0, -0.5])

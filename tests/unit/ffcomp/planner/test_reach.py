@@ -6,7 +6,7 @@ import pytest
 
 from ffcomp.planner.reach import OutOfReach, Reach, within_reach
 from gcode.program import EventKind
-from gcode.reader import read_parts, read_program
+from gcode.reader import read_program
 from models.file import load_machine
 from models.machine import Machine
 
@@ -38,26 +38,6 @@ def test_a_purge_line_and_parking_go_out_as_they_are(ender: Machine) -> None:
     assert left.moves.line.tolist() == [4, 5]
 
 
-def test_one_warning_names_the_line_itself_and_the_range_that_it_needs(ender: Machine) -> None:
-    (said,) = read(PRINT, ender).warnings
-    assert said.startswith(
-        "line 1: The point X = -2.000, Y = 20.000, Z = 0.300 mm lies outside the range of X, 0 to 235"
-    )
-    assert "and so do 3 more lines" in said
-    assert "write x_range_mm = [-2, 235], y_range_mm = [0, 240] in [kinematics] of the machine file" in said
-
-
-def test_the_first_line_is_named_whichever_axis_it_leaves(ender: Machine) -> None:
-    (said,) = read(
-        PRINT.replace(b"X-2", b"X2").replace(b"Y20", b"Y-4").replace(b"X0 Y240", b"X-9 Y230"), ender
-    ).warnings
-    assert said.startswith("line 1: The point X = 2.000, Y = -4.000")
-
-
-def test_a_print_inside_says_nothing(ender: Machine) -> None:
-    assert read(PRINT.replace(b"X-2", b"X2").replace(b"Y240", b"Y230"), ender).warnings == ()
-
-
 def test_the_part_is_refused_with_its_own_line(ender: Machine) -> None:
     with pytest.raises(OutOfReach, match=r"^a\.gcode:5: The point X = 260\.000, Y = 90\.000"):
         read(PRINT.replace(b"X60 Y90", b"X260 Y90"), ender)
@@ -66,14 +46,6 @@ def test_the_part_is_refused_with_its_own_line(ender: Machine) -> None:
 def test_a_part_that_begins_outside_names_the_line_that_went_there(ender: Machine) -> None:
     with pytest.raises(OutOfReach, match=r"^a\.gcode:3: The point X = 240\.000, Y = 90\.000"):
         read(PRINT.replace(b"X40 Y90", b"X240 Y90"), ender)
-
-
-def test_lines_are_counted_through_the_parts_of_a_file(ender: Machine) -> None:
-    reach = Reach(ender.kinematics)
-    parts = read_parts([PRINT], "a.gcode", flavor="marlin", start=(10.0, 10.0, 5.0), part_bytes=75)
-    left = list(reach.whole(parts))
-    assert len(left) > 1 and sum(len(program.moves) for program in left) == 2
-    assert reach.warnings[0].startswith("line 1: ") and "3 more lines" in reach.warnings[0]
 
 
 def test_without_layer_comments_the_first_extrusions_may_be_a_purge_line(ender: Machine) -> None:
@@ -89,9 +61,3 @@ def test_without_layer_comments_the_first_extrusions_may_be_a_purge_line(ender: 
 def test_a_file_of_which_nothing_lies_inside_is_refused(ender: Machine) -> None:
     with pytest.raises(OutOfReach, match=r"a\.gcode:1: .*outside the range of X"):
         read(b"G1 X-50 F600\nG1 X-60\n", ender)
-
-
-def test_a_delta_names_its_radius() -> None:
-    machine = load_machine("kossel")
-    (said,) = read(PRINT.replace(b"X-2", b"X-120").replace(b"Y240", b"Y90").replace(b"X60", b"X30"), machine).warnings
-    assert "outside the print radius of 115 mm" in said and "write print_radius_mm = 150 in [kinematics]" in said

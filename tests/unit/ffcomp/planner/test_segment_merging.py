@@ -59,22 +59,6 @@ def test_segments_stay_within_the_tolerances(scale: float) -> None:
     assert np.abs(np.interp(np.arange(401), kept, e[kept]) - e).max() <= limits.filament_mm + 1e-12
 
 
-def test_a_ramp_on_a_straight_line_needs_fewer_segments_than_a_bend() -> None:
-    t = np.arange(101.0)
-    far, near = 1e-3 * t**2, np.zeros(101)
-    ramp, bend = np.stack([far, near, near], axis=1), np.stack([t, far, near], axis=1)
-    on_ramp, on_bend = (merge(t, points, near, unpinned(points), LIMITS) for points in (ramp, bend))
-    assert len(on_ramp) < 0.7 * len(on_bend)
-
-
-def test_a_straight_even_line_becomes_as_few_segments_as_allowed() -> None:
-    vertices = np.linspace([0.0, 0, 0], [10.0, 5, 0], 101)
-    limits = replace(LIMITS, longest=25.0)
-    assert merge(np.arange(101.0), vertices, np.linspace(0, 1, 101), unpinned(vertices), limits).tolist() == [
-        *range(0, 101, 25)
-    ]
-
-
 cuts = st.lists(st.integers(1, 399), max_size=60, unique=True)
 
 
@@ -109,21 +93,6 @@ def test_no_turn_is_cut_off_for_the_number_of_segments(quarters: list[int], seed
     assert across <= max(WIDEST_TOLERANCE * LIMITS.across_mm, 0.5 * 0.01) + 1e-9
 
 
-def test_slow_segments_are_long_enough() -> None:
-    t = np.arange(201.0)
-    slow = np.stack([2e-3 * t, np.zeros(201), np.zeros(201)], axis=1) + 1e-4 * np.sin(t)[:, None]
-    kept = merge(t, slow, np.zeros(201), unpinned(slow), replace(LIMITS, longest=1.0, shortest_mm=0.01))
-    assert np.linalg.norm(np.diff(slow[kept], axis=0), axis=1).min() >= 0.01
-
-
-def test_a_turn_on_the_spot_is_not_cut_off() -> None:
-    """Back to where it came from: no chord is long there, and nothing is left out for that."""
-    t = np.arange(41.0)
-    there_and_back = np.stack([0.03 * np.abs(t - 20), np.zeros(41), np.zeros(41)], axis=1)
-    kept = merge(t, there_and_back, np.zeros(41), unpinned(t), replace(LIMITS, shortest_mm=0.01))
-    assert kept.tolist() == [0, 20, 40]
-
-
 def test_what_is_kept_after_a_cut_does_not_depend_on_what_came_before() -> None:
     vertices, e = wave(400)
     t = np.sort(np.append(np.arange(401.0), [3.5, 17.25, 63.75, 64.5, 150.5]))
@@ -146,16 +115,6 @@ def test_the_first_segment_from_rest_is_made_long_enough() -> None:
         assert points[1, axis] == pytest.approx(np.interp(at[1], np.arange(6), before[:, axis]))
     assert e[1] == pytest.approx(0.2 * at[1])
     assert (points[2:] == before[2:]).all()  # too little room between the last ones, which must stay
-
-
-def test_a_loop_that_ends_where_it_began_is_not_left_out() -> None:
-    """From rest to rest: the first point is as near to the last as to the one where the loop began."""
-    way = np.concatenate([[0.0], np.cumsum(np.sin(np.pi * (np.arange(43) + 0.5) / 43))])
-    angle = 2 * np.pi * way / way[-1]
-    points = np.column_stack([0.8 * np.sin(angle), 0.8 - 0.8 * np.cos(angle), np.full(44, 0.2)])
-    limits = MergeLimits(1e-3, 3e-3, 2e-4, 62.5, 0.25, 0.0106)
-    kept = merge(np.arange(44.0), points, 0.01 * way, unpinned(points), limits)
-    assert np.ptp(points[kept], axis=0)[:2] == pytest.approx([1.6, 1.6], abs=0.05)
 
 
 def test_refitted_segments_leave_less_of_what_a_slow_machine_follows() -> None:
@@ -192,28 +151,6 @@ def test_a_refit_is_the_least_squares_over_time() -> None:
         for j in np.flatnonzero(~fixed).tolist():
             hat = np.interp(fine, at[kept], np.eye(len(kept))[j])
             assert np.trapezoid(miss * hat, fine) == pytest.approx(0.0, abs=1e-4)
-
-
-def test_segments_that_leave_nothing_out_stay_where_they_are() -> None:
-    points = np.cumsum(np.random.default_rng(1).normal(size=(30, 3)), axis=0)
-    kept = np.arange(30)
-    np.testing.assert_array_equal(refit(np.arange(30.0), points, kept, unpinned(kept)), points)
-
-
-def test_lines_that_cut_segments_do_not_add_to_their_number() -> None:
-    """277 segments began within one second of a print with many comments; a slow bend makes room for them."""
-    knots = np.arange(101, dtype=np.float64)
-    at = np.sort(np.concatenate([knots, np.arange(20.3, 60.0, 5.0)]))
-    points = np.stack([0.4 * at, 1e-3 * at**2, np.zeros(len(at))], axis=1)
-    pinned = at % 1.0 > 0.0
-    pinned[[0, -1]] = True
-    stays = at_most(at, points, np.arange(len(at)), pinned, 24, begins=False, ends=False)
-    begins = at[stays]
-    for first in range(len(stays) - 24):
-        assert begins[first + 24] - begins[first] >= 25 - 1e-9
-    assert set(np.flatnonzero(pinned)) <= set(stays.tolist()) and len(stays) <= 101
-    missed = np.interp(at, begins, points[stays, 1]) - points[:, 1]
-    assert np.abs(missed).max() < 2e-3
 
 
 @pytest.mark.parametrize("begins", [True, False])

@@ -54,14 +54,6 @@ def test_durations_come_out_exact_under_the_planner(acceleration: float) -> None
     np.testing.assert_allclose(trajectory.position(t)[:, :3], ours[:-1], atol=1e-6)
 
 
-def test_without_the_correction_the_ramps_eat_time() -> None:
-    """The naive F = d/S is late: that is what the quadratic is for."""
-    limits = SegmentLimits(acceleration_mm_per_s2=50_000.0)
-    vertices, e = wave()
-    naive = np.linalg.norm(np.diff(vertices, axis=0), axis=1) / S
-    assert plan(vertices, e, naive, limits).end_t > 200 * S + 2e-4
-
-
 def test_segments_of_different_lengths_keep_their_times() -> None:
     limits = SegmentLimits()
     vertices, e = wave()

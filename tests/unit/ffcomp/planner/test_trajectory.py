@@ -59,39 +59,12 @@ def test_times_in_any_order_give_the_same(motion: Trajectory) -> None:
     assert np.array_equal(motion.acceleration_at(t[mixed]), motion.acceleration_at(t)[mixed])
 
 
-def test_the_path_has_no_jumps(motion: Trajectory) -> None:
-    fastest = np.abs(motion.cruise_v).max()
-    assert motion.position(motion.start_t[1:] - 1e-9) == pytest.approx(motion.origin[1:], abs=2e-9 * fastest)
-
-
 def test_it_rests_before_between_and_after() -> None:
     line = simple([0.3, 0.4])
     t = np.array([-1.0, 0.1, 0.6, 0.89, 1.2, 9.0])
     assert line.position(t)[:, :2] == pytest.approx(np.array([[0, 0], [0, 0], [1, 0], [1, 0], [1, 1], [1, 1]]))
     assert not line.velocity(t).any()
     assert not line.acceleration_at(t).any()
-
-
-def test_rest_is_exactly_zero_speed(motion: Trajectory) -> None:
-    waiting = motion.start_t[1:] - (motion.start_t + motion.duration)[:-1] > 0.02
-    assert waiting.sum() > 3
-    assert not motion.velocity(motion.start_t[1:][waiting] - 0.01).any()
-
-
-def test_the_move_at_a_time() -> None:
-    line = simple([0.3, 0.4])
-    assert line.move_at([0.0, 0.31, 0.6, 0.91, 5.0]).tolist() == [0, 0, 0, 1, 1]
-
-
-def test_no_moves_have_no_place() -> None:
-    nothing = plan_moves(
-        moves_through([[0, 0]]),
-        PlannerLimits(300.0, 3000.0),
-        stop_before=np.zeros(0, bool),
-        wait_before=np.zeros(0),
-    )
-    with pytest.raises(ValueError, match="A trajectory without moves has no place"):
-        nothing.position([0.0])
 
 
 def test_motion_within_a_section_rests_outside_it(motion: Trajectory) -> None:

@@ -51,13 +51,6 @@ def test_samples_are_shaped_as_the_motion_is(name: str) -> None:
     assert np.array_equal(found[:, 1], corner(t[MARGIN:-MARGIN])[:, 1])
 
 
-def test_a_margin_that_is_too_short_holds_the_ends() -> None:
-    t = STEP_S * np.arange(1201)
-    found = shape_samples(corner(t), (shapers.zv(20.0), None, None), STEP_S, 0)
-    assert found.shape == (1201, 3)
-    assert found[-1] == pytest.approx(corner(t[-1:])[0])
-
-
 def test_a_parabola_is_shaped_exactly() -> None:
     shaper = shapers.ei(37.7)
     first, weights = on_grid(shaper, STEP_S)
@@ -81,11 +74,6 @@ def test_the_search_finds_the_least() -> None:
     found = search(bowl, np.array([30.0, 30.0, 0.1]), scans)
     assert found.settings == pytest.approx([47.0, 62.0, 0.13], rel=0.02)
     assert found.cost == bowl(found.settings)
-
-
-def test_what_is_not_free_stays() -> None:
-    found = search(bowl, np.array([30.0, 30.0, 0.1]), free=[1])
-    assert found.settings[[0, 2]].tolist() == [30.0, 0.1] and found.settings[1] == pytest.approx(62.0, rel=0.02)
 
 
 # ---- the machine ---------------------------------------------------------------------------------
@@ -130,11 +118,3 @@ def test_of_two_modes_the_one_dominates_that_moves_the_nozzle_more_for_the_same_
     axis = Axis((40.0, 80.0), (0.05, 0.05), (0.4, 0.6))
     machine = replace(load_machine("voron-300"), vibration=ModalAxes.of([axis] * 3))
     assert shapers.dominant_frequencies(machine, np.zeros((1, 2)))[0] == pytest.approx([40.0, 40.0])
-
-
-def test_the_mirrored_place_has_the_same_frequencies() -> None:
-    """kossel has a tower on the y axis: left and right are alike."""
-    machine = load_machine("kossel")
-    left, right, below = shapers.dominant_frequencies(machine, np.array([[-40.0, 30.0], [40.0, 30.0], [40.0, -30.0]]))
-    assert left == pytest.approx(right)
-    assert left != pytest.approx(below, rel=0.01)

@@ -144,10 +144,6 @@ def test_each_axis_has_its_own_shaper() -> None:
     assert both == pytest.approx(np.column_stack([*alone, parabola(T)[:, 0]]))
 
 
-def test_without_shapers_the_plan_stays() -> None:
-    assert np.array_equal(shapers.shape(parabola, T), parabola(T))
-
-
 @pytest.mark.parametrize(
     ("hz", "zeta", "message"),
     [(0.0, 0.1, "above zero"), (np.nan, 0.1, "above zero"), (40.0, 1.0, r"\[0, 1\)")],

@@ -6,9 +6,7 @@ import numpy as np
 import pytest
 
 from ffcomp import shapers
-from ffcomp.shapers.calibration import fit
 from ffcomp.shapers.smooth import KERNELS
-from models.arrays import FloatArray
 
 SUPPORT_MS_AT_50_HZ = {  # as published, in periods: 0.8025, 0.95625, 1.06625, 1.14875, 1.475, 1.245
     "smooth_zv": 16.05,
@@ -60,18 +58,3 @@ def test_the_sum_is_the_integral_at_a_step_of_acceleration(name: str) -> None:
         exact = acceleration / 2 * (passed(edge) - passed(-0.5))
         late = np.maximum(t - shaper.time, 0.0)
         assert shaper.amplitude @ (acceleration / 2 * late**2) == pytest.approx(exact, abs=1e-4)
-
-
-def test_a_shaped_corner_moves_no_further_than_the_kernel_reaches() -> None:
-    def position(t: FloatArray) -> FloatArray:
-        return np.column_stack([np.clip(t, 0.0, 0.1) * 100.0, np.clip(t - 0.1, 0.0, 0.1) * 100.0, 0.0 * t])
-
-    shaper = shapers.SHAPERS["smooth_ei"](50.0, 0.1)
-    t = np.array([-0.05, 0.05, 0.15, 0.3])
-    np.testing.assert_allclose(shapers.shape(position, t, shaper, shaper), position(t), atol=1e-12)
-
-
-def test_calibration_finds_a_clean_mode() -> None:
-    f = np.linspace(0.5, 200, 400)
-    peak = 1.0 / ((52.0**2 - f**2) ** 2 + (2 * 0.08 * 52.0 * f) ** 2)
-    assert fit("smooth_mzv", (f, peak)).frequency_hz == pytest.approx(52.0, rel=0.1)

@@ -9,7 +9,7 @@ import pytest
 from ffcomp.metrics import Track
 from ffcomp.simulation.expectation import expectation_of
 from ffcomp.simulation.forecast import NO_FORECAST, Forecast, forecast_in, stored_forecast
-from gcode.embedded import Stamp, original
+from gcode.embedded import Stamp
 from models.file import load_machine
 
 MACHINE = load_machine("ender-3")
@@ -37,10 +37,6 @@ def test_it_comes_back_from_the_file_as_it_was(kept: Forecast) -> None:
     assert kept.line().count(b"\n") == 1 and b"record plan" not in kept.line()  # no path of the computer
 
 
-def test_it_is_no_line_of_the_original() -> None:
-    assert original(b"G1 X1\n" + made().line() + b"G1 X2\n") == b"G1 X1\nG1 X2\n"
-
-
 @pytest.mark.parametrize(
     "line", [b"", b"G1 X1", b"; ffcomp forecast={", b"; ffcomp forecast={}", b"; ffcomp forecast=3"]
 )
@@ -54,8 +50,3 @@ def test_a_forecast_is_of_the_machine_that_the_file_was_compensated_for() -> Non
     assert forecast_in(tail, own, MACHINE, lambda: computed) == (made(), True)
     assert forecast_in(b"", own, MACHINE, lambda: computed) == (computed, False)
     assert forecast_in(tail, replace(own, sha256="0" * 8), MACHINE, lambda: computed) == (computed, False)
-
-
-@pytest.mark.parametrize(("after", "change"), [(1.3, "127 → 1.30 µm rms (98 times less)"), (253.5, "2.0 times more")])
-def test_what_became_worse_is_said(after: float, change: str) -> None:
-    assert change in made(after=after).verdict and NO_FORECAST.verdict == ""

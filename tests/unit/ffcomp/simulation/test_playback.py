@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 
 from ffcomp.comparison.methods import segments_motion
-from ffcomp.comparison.sampling import Print
 from ffcomp.metrics import contour_error
 from ffcomp.simulation.command import planned_motion
-from ffcomp.simulation.playback import side_by_side, simulate_nozzles, simulate_side_by_side
+from ffcomp.simulation.playback import simulate_nozzles
 from models.effects.catalogue import with_effect
 from models.file import load_machine
 from models.kinds import delta_vibration
 from models.printer.rest import static_deflection
-from tests.support.prints import squares
 from validation import judge
 
 MACHINE = load_machine("mp-delta-pro")
@@ -42,17 +38,6 @@ def test_the_polynomial_of_the_sag_holds_between_its_places() -> None:
     bent = equilibrium_state(MACHINE, command, printer_parameters(MACHINE))[Q : Q + 3]
     nozzle = MACHINE.kinematics.forward(1e3 * bent[None])
     np.testing.assert_allclose(static_deflection(MACHINE, place), nozzle - place, atol=1e-5)
-
-
-def test_motions_side_by_side_are_those_of_one_after_the_other() -> None:
-    """Of different lengths, and in several chunks."""
-    whole = planned_motion(Print(squares(), "squares.gcode", MACHINE).planned.trajectory)
-    motions = [replace(whole, end_t=whole.begin_t + seconds) for seconds in (0.3, 0.77, 0.5)]
-    assert [sorted(group) for group in side_by_side(motions * 4)] == [[0, 2, 3, 5, 6, 8, 9, 11], [1, 4, 7, 10]]
-    for motion, (t, nozzle) in zip(motions, simulate_side_by_side(MACHINE, motions, MACHINE), strict=True):
-        alone_t, (alone,) = simulate_nozzles([MACHINE], motion, MACHINE)
-        np.testing.assert_array_equal(t, alone_t)
-        np.testing.assert_allclose(nozzle, alone, atol=1e-9)
 
 
 @pytest.mark.slow
@@ -89,14 +74,3 @@ def test_chunks_and_company_change_nothing(monkeypatch: pytest.MonkeyPatch) -> N
     _, (first, second) = simulate_nozzles([MACHINE, stiff], short, MACHINE)
     np.testing.assert_allclose(first, alone, atol=1e-9)
     assert np.abs(second - alone).max() > 1e-3
-
-
-def test_the_peak_is_the_plans_own_acceleration() -> None:
-    """Along z every carriage does what the nozzle does."""
-    from ffcomp.comparison.sampling import Print, Sampling
-
-    text = b"G90\nG1 X0 Y0 Z1 F6000\nM204 S2000\nG1 Z50 F6000\n"
-    (stretch,), _ = Print(text, "z", MACHINE).slices(Sampling())
-    speed, acceleration = stretch.motion.peaks(MACHINE)
-    assert speed == pytest.approx(100.0, rel=1e-6)
-    assert acceleration == pytest.approx(2000.0, rel=1e-6)

@@ -100,15 +100,6 @@ def test_no_row_is_longer_than_16_bits_can_count() -> None:
     assert len(rows[0]) > 20
 
 
-def test_a_step_after_a_long_rest_stands_alone() -> None:
-    tick = np.concatenate([100 * np.arange(1, 9), 5 * FAR_TICKS + 100 * np.arange(1, 9)])
-    interval, count, _, _ = rows_of(tick, np.ones(16, dtype=np.int64))
-    assert count.tolist() == [8, 1, 7]
-    assert abs(int(interval[1]) - 5 * FAR_TICKS) < 1000
-    seldom = 2 * FAR_TICKS * np.arange(1, 6)
-    assert rows_of(seldom, np.ones(5, dtype=np.int64))[1].tolist() == [1] * 5
-
-
 def longest_row(tick: IntArray, first: int, last: int, slack: int) -> int:
     """The most steps, up to 250, that any row with |add| ≤ 1000 could hold, sought by trying all."""
     tick = tick[: first + 250]

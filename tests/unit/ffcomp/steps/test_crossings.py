@@ -133,14 +133,6 @@ def test_a_step_that_turns_back_at_once_is_left_out(peak: float, time_s: float, 
     assert len(tick) == left
 
 
-def test_going_back_in_two_pieces_is_as_soon() -> None:
-    """That the command is still on its way to the microstep it left does not mean that it reached the other one."""
-    speed, rules = STEP_MM / (0.2 * TURN_S), (round(TURN_S * CLOCK_HZ), 1, 1)
-    legs = [(way * UP, speed, 0.0, part * STEP_MM / speed) for way, part in ((-1, 0.6), (1, 0.05), (1, 0.5))]
-    tick, _, state = steps(path(ORIGIN, *legs), rules=rules)
-    assert len(tick) == 0 and state[SWALLOWED] == 2
-
-
 def test_pulses_keep_their_distance() -> None:
     """Twice too fast for ten steps, and the electronics catch up afterwards."""
     spacing = 1000
@@ -215,11 +207,3 @@ def test_chunks_change_nothing(pieces: Pieces, at_once: int) -> None:
     whole, cut = steps(pieces, 1, rules), steps(pieces, 1, rules, at_once)
     for one, other in zip(whole, cut, strict=True):
         np.testing.assert_array_equal(one, other)
-
-
-def test_knots_are_lines_at_constant_speed() -> None:
-    vertices = np.array([[0.0, 0.0, 5.0], [1.0, 2.0, 5.0], [1.0, 2.0, 5.0], [0.5, 2.0, 5.5]])
-    pieces = knot_pieces(0.25, 0.004, vertices, np.array([0.0, 0.1, 0.3, 0.2]))
-    np.testing.assert_allclose(pieces.end[:, :3], vertices[1:], atol=1e-12)
-    np.testing.assert_allclose(pieces.end[:, 3], [0.1, 0.3, 0.2], atol=1e-12)
-    np.testing.assert_allclose(pieces.start_t, [0.25, 0.254, 0.258], atol=1e-15)

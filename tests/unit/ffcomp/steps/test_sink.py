@@ -104,13 +104,6 @@ def knots(*vertices: tuple[float, float, float], begin_s: float = 0.1, spacing_s
     return knot_pieces(begin_s, spacing_s, np.array(vertices), np.zeros(len(vertices)))
 
 
-def test_a_path_of_nothing_is_an_archive_of_no_steps(tmp_path: Path) -> None:
-    with StepSink(MACHINE, BOARD, tmp_path / "steps", 25e-6) as out:
-        out.pieces(knots((1, 2, 5), (1, 2, 5)))
-        assert all(total.steps == 0 for total in out.finish().values())
-    assert all(len(motor.time_s) == 0 for motor in read_steps(tmp_path / "steps").values())
-
-
 def write_all(target: Path, chunks: Iterable[Pieces]) -> None:
     with StepSink(MACHINE, BOARD, target) as out:
         for pieces in chunks:
@@ -153,13 +146,6 @@ def test_an_interruption_leaves_nothing(tmp_path: Path) -> None:
     with pytest.raises(KeyboardInterrupt):
         write_all(tmp_path / "steps", interrupted())
     assert not list(tmp_path.iterdir())
-
-
-def test_events_are_given_in_order(tmp_path: Path) -> None:
-    with StepSink(MACHINE, BOARD, tmp_path / "steps") as out:
-        out.event(2.0, b"M400")
-        with pytest.raises(StepsError, match="at t = 1 s comes after one at 2 s"):
-            out.event(1.0, b"M400")
 
 
 def test_a_little_too_fast_is_put_off_and_reported(tmp_path: Path) -> None:
