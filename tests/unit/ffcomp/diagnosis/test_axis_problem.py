@@ -16,8 +16,6 @@ from ffcomp.diagnosis.fidelity import linearised
 from ffcomp.diagnosis.fit import estimation_problem
 from ffcomp.diagnosis.hypotheses import Hypothesis
 from ffcomp.diagnosis.noise import noise_floor, whitener
-from ffcomp.diagnosis.problem import InfeasibleParameters
-from ffcomp.diagnosis.problems import check_alike, with_folders
 from ffcomp.diagnosis.result import result_of
 from ffcomp.diagnosis.search import Search, Selection, finish
 from ffcomp.errors import MeasurementError
@@ -58,27 +56,6 @@ def found(machine: Machine, *names: str, **effects: Any) -> Diagnosis:
     return diagnose(
         AxisProblem(machine, runs_of(machine, 3, **effects), names or ("coulomb_friction", "belt_hardening"))
     )
-
-
-def test_a_driven_axis_that_rests_does_not_begin_with_a_sensors_noise() -> None:
-    """One sample of a noisy encoder lets a sprung axis ring. Where friction holds it elsewhere, it begins there."""
-    rng, t = np.random.default_rng(4), np.arange(600) / RATE
-    given = 5.0 + np.where(t > 0.2, np.sin(2 * np.pi * 3 * (t - 0.2)), 0.0)
-    for held, expected in ((0.0, 5.0), (0.01, 5.01)):
-        place = given + held + 2e-3 * rng.normal(size=len(t))
-        run = AxisRun("a.csv", t, given, False, {}, {"pos_q": place}, {})
-        place_mm, speed_mm_per_s, *_ = shots_of(DRIVE, [run])[0].begin[0]
-        assert place_mm == pytest.approx(expected, abs=0.0 if held == 0.0 else 1e-3) and speed_mm_per_s == 0.0
-
-
-def test_files_of_one_name_in_two_folders_are_two_experiments() -> None:
-    runs = [replace(r, source=f"{d}/{r.source}") for d in ("empty", "printed") for r in runs_of(DRIVE, 1)]
-    assert [r.repeat_of for r in with_folders(runs)] == ["empty/a", "empty/a", "printed/a", "printed/a"]
-    assert [r.repeat_of for r in with_folders(runs[:2])] == ["a", "a"]
-    moved = [runs[0], replace(runs[2], drive=runs[2].drive + 1.0)]
-    check_alike(with_folders(moved))  # or it would say that the commands of two repeats differ
-    with pytest.raises(MeasurementError, match="repeats have the same command"):
-        check_alike(moved)
 
 
 def test_shots_band_and_windows_come_from_the_data() -> None:
@@ -199,18 +176,6 @@ def test_a_law_gives_way_to_the_simpler_one_that_it_contains() -> None:
     assert simple.fit.values["effects.coulomb_friction.force_n"] == pytest.approx(5.0, rel=0.03)
 
 
-def test_of_two_springs_the_one_that_hardens_is_found() -> None:
-    """What is named after belts may be of the drive or of the coupling, and the file says of which."""
-    axis = DrivenAxis("position", 2.0, 2e4, 30.0, 1.0, 3e4, 5.0)
-    loaded = machine_of_axis("loaded", axis, uncertainty={"default": 0.02})
-    told = found(loaded, "belt_hardening", belt_hardening={"cubic_n_per_m3": 4e9, "at_drive": 1})
-    assert told.named is not None and told.named.names == ("belt_hardening",)
-    assert told.final.values["effects.belt_hardening.at_drive"] == 1.0
-    assert told.final.values["effects.belt_hardening.cubic_n_per_m3"] == pytest.approx(4e9, rel=0.05)
-    there = found(loaded, "belt_hardening", belt_hardening={"cubic_n_per_m3": 1.2e11})
-    assert there.named is not None and "effects.belt_hardening.at_drive" not in there.final.values
-
-
 def test_a_number_of_the_file_is_not_bent_where_an_effect_says_it() -> None:
     """A spring that hardens and is a third stiffer: with the first alone the file's stiffness goes to its bound."""
     names = ("belt_hardening", "belt_stiffness", "coulomb_friction", "guide_damping")
@@ -222,30 +187,6 @@ def test_a_number_of_the_file_is_not_bent_where_an_effect_says_it() -> None:
 @pytest.mark.parametrize("machine", [STAGE, DRIVE])
 def test_nothing_is_named_where_nothing_is_missing(machine: Machine) -> None:
     assert found(machine).verdict == "none"
-
-
-def test_a_force_of_any_pitch_begins_within_half_a_turn_of_one_that_is_tried() -> None:
-    """Over the travel a pitch between two that are tried must not fall out of step, or nothing is seen of it."""
-    problem = AxisProblem(STAGE, runs_of(STAGE, 1), ("cogging_force",))
-    (pitches,) = [np.array([next(iter(point.values())) for point in c.grid]) for c in problem.candidates]
-    travel = 2 * pitches.max()
-    assert np.abs(np.diff(travel / pitches)).max() < 1.0 and travel / pitches.min() > 39.0
-
-
-def test_no_pitch_is_longer_than_half_the_travel() -> None:
-    """A ripple longer than the travel is a spring or a slope; EMPS without its friction was named so once."""
-    problem = AxisProblem(STAGE, runs_of(STAGE, 1))
-    travel = np.ptp(problem.recordings[0].position["pos_q"])  # type: ignore[attr-defined]
-    (ripple,) = (c for c in problem.candidates if c.name == "cogging_force")
-    (pitch,) = ripple.shapes
-    longest = travel / 2 * (1 + 1e-9)
-    assert pitch.high <= longest and all(p[pitch.name] <= longest for p in ripple.grid)
-
-
-def test_forces_that_drive_it_to_infinity_are_infeasible() -> None:
-    problem = AxisProblem(STAGE, runs_of(STAGE, 1))
-    with pytest.raises(InfeasibleParameters):
-        problem.simulate({"effects.quadratic_drag.force_n_s2_per_m2": -1e7})
 
 
 @pytest.mark.parametrize(

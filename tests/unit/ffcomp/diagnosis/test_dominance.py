@@ -11,10 +11,6 @@ import pytest
 from ffcomp.diagnosis.dominance import Dominant, dominant_effect
 from ffcomp.diagnosis.fit import EstimationProblem, Fit, estimation_problem, fit
 from ffcomp.diagnosis.held_out import (
-    HeldOut,
-    explained_elsewhere,
-    groups,
-    motions_or_groups,
     other_motions,
 )
 from ffcomp.diagnosis.hypotheses import Hypothesis
@@ -95,24 +91,6 @@ class OfMany(Linear):
         return [y + more[:, None] for y in super().simulate(values, only)]
 
 
-class Bent(Linear):
-    """The same, whose rest bends a number of the file at every place otherwise, of a motion forty times as large."""
-
-    def __init__(self) -> None:
-        super().__init__((1.0,) * 4, 0.5, (RUBS, BENDS))
-        gains = (1.03, 0.97, 0.97, 1.03)
-        more = [(40 * gains[i // 2] - 1) * tones(5, 23) for i in range(2 * len(PLACES))]
-        self.observations = [
-            replace(o, measured=o.measured + y[:, None]) for o, y in zip(self.observations, more, strict=True)
-        ]
-
-    def simulate(
-        self, values: Mapping[str, float], only: Sequence[int] | None = None, *, coarse: bool = False
-    ) -> list[FloatArray]:
-        more = 39 * values.get("gain", 1.0) * tones(5, 23)
-        return [y + more[:, None] for y in super().simulate(values, only)]
-
-
 def begun(problem: Problem) -> tuple[EstimationProblem, Fit]:
     """The problem with its noise, and its own parameter fitted alone."""
     floor = noise_from_repeats(problem.observations)
@@ -142,21 +120,6 @@ def test_an_effect_that_leaves_a_rest_is_named_with_what_it_explains() -> None:
     assert found.explained == pytest.approx(3 / (3 + 2 * 0.25), abs=0.04)
     assert found.hypothesis.fit.values["effects.coulomb_friction.size"] == pytest.approx(1.0, abs=0.02)
     assert [rival.names for rival in found.rivals] == [(BENDS,)] and found.rivals[0].explained < 0.05
-
-
-def test_what_explains_little_where_it_was_fitted_is_tested_nowhere_else() -> None:
-    problem, said = Linear((1.0, 1.02, 0.98, 1.0), 0.5, (BENDS,)), list[str]()
-    estimation, base = begun(problem)
-    parameters = (*problem.parameters, *problem.candidates[0].parameters)
-    little = Hypothesis((problem.candidates[0],), fit(estimation, parameters, np.zeros(2)))
-    assert dominant_effect(estimation, base, [little], little, said.append) is None and not said
-
-
-def test_numbers_of_the_file_that_a_rest_bends_hide_no_effect() -> None:
-    """A gain from the other places is 4 % off: it leaves more than the effect explains."""
-    found = dominant_of(Bent())
-    assert found is not None and found.hypothesis.names == (RUBS,)
-    assert found.explained == pytest.approx(3 / (3 + 2 * 0.25), abs=0.04)
 
 
 @pytest.mark.parametrize(("off", "named"), [(0.01, True), (0.06, True), (0.5, False)])
@@ -189,29 +152,6 @@ def test_an_effect_none_of_whose_numbers_is_determined_is_not_named(high: float,
 )
 def test_what_is_only_the_nearest_is_not_named(sizes: Sequence[float], rest: float, names: Sequence[str]) -> None:
     assert dominant(sizes, rest, names) is None
-
-
-def test_a_window_with_little_motion_refuses_nothing() -> None:
-    windows = [HeldOut((float(t),), "", 40, before=20000.0, after=300.0) for t in range(5)]
-    quiet = HeldOut((5.0,), "", 40, before=60.0, after=400.0)
-    assert explained_elsewhere([*windows, quiet]) == pytest.approx(0.98, abs=0.005)
-
-
-def test_what_is_worse_than_standing_still_is_no_measure() -> None:
-    """A free axis whose file is far off: 2877 % of the signals are left, then 96 %."""
-    windows = [HeldOut((float(t),), "", 40, before=8.3e4, after=92.0, filed=8.4e4, signal=100.0) for t in range(5)]
-    assert explained_elsewhere(windows) == pytest.approx(0.08)
-
-
-def test_windows_of_an_axis_are_left_out_by_whole_motions_where_there_are_several() -> None:
-    """A window's own motion tells much of it. Of a printer, places take turns, whatever moved there."""
-    problem = Linear((1.0,) * 4, 0.5, (RUBS,))
-    assert list(motions_or_groups(problem).values()) == list(groups(problem).values())
-    problem.observations = [replace(o, position=(float(i // 2 % 2),)) for i, o in enumerate(problem.observations)]
-    assert list(groups(problem).values()) == [[0, 1, 4, 5], [2, 3, 6, 7]]
-    assert list(motions_or_groups(problem).values()) == [[0, 1], [2, 3], [4, 5], [6, 7]]
-    problem.motions = (0,) * 8
-    assert list(motions_or_groups(problem).values()) == list(groups(problem).values())
 
 
 @pytest.mark.parametrize(

@@ -14,13 +14,8 @@ from ffcomp.diagnosis.noise import noise_floor, whitener
 from ffcomp.diagnosis.observations import (
     EXCERPT_MOTIONS,
     EXCERPT_S,
-    clustered,
-    first_seconds,
-    informative_recordings,
-    quick_length,
 )
 from ffcomp.diagnosis.printer_problem import PrinterProblem
-from ffcomp.diagnosis.problem import Observation
 from ffcomp.measurement.recording import Recording
 from models.file import load_machine
 
@@ -78,14 +73,6 @@ def test_beginnings_are_simulated_as_the_whole_is_also_those_of_an_excerpt(value
         assert of.short_horizon(SECONDS) is None
 
 
-def test_a_beginning_is_counted_from_where_a_motion_begins() -> None:
-    observation = seen("a", (0.0, 0.0))
-    rests = np.zeros((1000, 3))
-    rests[600:] = 1.0
-    assert first_seconds(observation, rests, 200 / observation.rate_hz).last == quick_length(800)
-    assert first_seconds(observation, rests[:700], 200 / observation.rate_hz).last == 700
-
-
 def test_excerpts_are_of_both_halves_and_alike_for_repeats() -> None:
     part = problem().excerpt()
     assert part is not None
@@ -96,52 +83,6 @@ def test_excerpts_are_of_both_halves_and_alike_for_repeats() -> None:
     np.testing.assert_array_equal(
         part.observations[1].measured, problem().observations[1].measured[first.first : first.last]
     )
-
-
-def test_only_a_discrepancy_that_stands_out_is_searched_in_an_excerpt() -> None:
-    estimation = whitened(problem())
-    part = excerpt_of(estimation, 100.0)
-    assert part is not None
-    assert part.share == pytest.approx(EXCERPT_S / SECONDS, rel=0.05)
-    assert len(part.measured) == part.share * len(estimation.measured)
-    assert excerpt_of(estimation, 1.5 * estimation.tolerance) is None
-    assert excerpt_of(part, 100.0) is None  # what is short already is not cut again
-
-
-def seen(name: str, place: tuple[float, float], signals: tuple[str, ...] = ("acc_x",)) -> Observation:
-    rows = np.zeros((10, len(signals)))
-    return Observation(f"{name}.csv", name, place, RATE_HZ, signals, rows, rows)
-
-
-def of_a_plan(kinds: str, repeats: int = 2) -> tuple[list[Observation], list[int]]:
-    """Every kind of motion at each of three places, each repeated; nearly at one place, for each is a few mm off."""
-    places = ((0.0, 0.0), (-70.0, -60.0), (60.0, 50.0))
-    runs = [seen(f"{kind}-{at[0]:.0f}", (at[0] + 5 * n, at[1])) for at in places for n, kind in enumerate(kinds)]
-    return [one for one in runs for _ in range(repeats)], [i - i % repeats for i in range(repeats * len(runs))]
-
-
-def test_of_many_motions_a_few_of_every_place_and_kind_are_searched_in() -> None:
-    runs, same = of_a_plan("abc")
-    chosen = informative_recordings(runs, same)
-    assert len(chosen) == EXCERPT_MOTIONS and all(same[i] == i for i in chosen)  # no repeats
-    assert {runs[i].repeat_of[0] for i in chosen} == set("abc")
-    assert len(set(clustered([runs[i].position for i in chosen]))) == 3
-
-
-def test_of_few_motions_all_are_searched_in_with_their_repeats() -> None:
-    runs, same = of_a_plan("ab")
-    assert informative_recordings(runs, same) == list(range(12))
-
-
-def test_a_repeat_that_measured_something_else_is_searched_in_too() -> None:
-    runs, same = of_a_plan("abc")
-    runs[1] = seen("a-0", (0.0, 0.0), ("acc_y",))
-    assert informative_recordings(runs, same)[:2] == [0, 1]
-
-
-def test_lengths_are_transformed_quickly() -> None:
-    assert [quick_length(n) for n in (1, 9601, 7798, 1920, 1910)] == [1, 9600, 7776, 1920, 1904]
-    assert all(len(o.measured) == quick_length(len(o.measured)) for o in problem().observations)
 
 
 def test_one_array_for_two_repeats_is_whitened_as_two_are(monkeypatch: pytest.MonkeyPatch) -> None:

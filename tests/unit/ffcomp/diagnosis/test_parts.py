@@ -15,12 +15,7 @@ from ffcomp.diagnosis.problem import Candidate, Observation, Parameter, Problem
 from ffcomp.diagnosis.problems import check_repeats
 from ffcomp.errors import MeasurementError
 from ffcomp.measurement.recording import Recording
-from models.effects.catalogue import with_effect
 from models.file import load_machine
-from models.printer.kernels import record
-from models.printer.kernels.friction import guide_friction
-from models.printer.kernels.integrate import fill_lanes
-from models.printer.parameters import printer_parameters
 
 # ---- fit -----------------------------------------------------------------------------------------
 
@@ -74,26 +69,6 @@ def test_a_fit_finds_both_parameters() -> None:
 
 
 # ---- dry friction's shapes -----------------------------------------------------------------------
-
-
-def test_friction_that_never_holds_is_a_plain_hyperbolic_tangent() -> None:
-    shape = {"force_n": 2.0, "creep_mm_per_s": 4.0, "hold_per_s": 0.0}
-    machine = with_effect(load_machine("mp-delta-pro"), "coulomb_friction", **shape)
-    m = fill_lanes(np.zeros((1, record.STATES)), record.parameter_table([printer_parameters(machine)]))
-    rows = m.reshape(record.ROWS, record.LANES)
-    for speed in (-0.01, -1e-4, 2e-3, 0.3):
-        rows[record.NOW + record.QD : record.NOW + record.QD + 3, 0] = speed
-        guide_friction(m)
-        assert rows[record.GUIDES + 1, 0] == pytest.approx(2.0 * np.tanh(speed / 4e-3), rel=1e-12)
-        assert rows[record.RATE + record.GUIDE + 1, 0] == 0  # no memory
-
-
-def test_two_kinds_of_friction_turn_over_as_their_forces_weigh() -> None:
-    machine = with_effect(load_machine("mp-delta-pro"), "coulomb_friction", force_n=3.0, creep_mm_per_s=1.0)
-    both = with_effect(
-        machine, "stribeck_friction", force_n=1.0, extra_force_n=0.0, velocity_mm_per_s=5.0, creep_mm_per_s=3.0
-    )
-    np.testing.assert_allclose(printer_parameters(both).creep, 1.5e-3)
 
 
 # ---- what runs must be ---------------------------------------------------------------------------

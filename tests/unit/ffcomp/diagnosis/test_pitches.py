@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ffcomp.diagnosis.axis_problem import AxisProblem, likely_pitches, pitches_of_force
+from ffcomp.diagnosis.axis_problem import likely_pitches, pitches_of_force
 from ffcomp.diagnosis.problems import check_repeats
 from ffcomp.errors import MeasurementError
 from ffcomp.identification.axis_shots import shots_of
@@ -23,13 +23,6 @@ def test_the_pitch_of_a_hidden_ripple_is_the_best_one(pitch: float) -> None:
     assert abs(1 / found[0] - 1 / pitch) < 0.3 / travel  # of the turns that fit into the travel, a part of one
 
 
-def test_without_a_motion_there_is_no_pitch() -> None:
-    runs = [
-        type(run)(run.source, run.time_s, 0 * run.drive, False, run.acceleration, {}, {}) for run in runs_of(DRIVE, 5)
-    ]
-    assert likely_pitches(DRIVE, shots_of(DRIVE, runs), (2.0, 60.0), 3) == []
-
-
 def test_a_force_and_a_speed_show_no_pitch_without_a_place() -> None:
     t = np.arange(800) / 400.0
     run = AxisRun("a.csv", t, np.sin(20 * t), True, {}, {}, {}, other={"vel_q": np.cos(20 * t)})
@@ -37,15 +30,6 @@ def test_a_force_and_a_speed_show_no_pitch_without_a_place() -> None:
     assert likely_pitches(free, shots_of(free, [run]), (2.0, 60.0), 3) == []
     with pytest.raises(MeasurementError, match="an encoder's position tells it as well"):
         check_repeats([run])
-
-
-def test_a_ripple_is_looked_for_at_the_pitches_of_the_data() -> None:
-    runs = runs_of(DRIVE, 5, cogging={"amplitude_mm": 0.004, "pitch_mm": 1.7, "phase_deg": 50.0})
-    problem = AxisProblem(DRIVE, runs, ("cogging",))
-    (cogging,) = problem.candidates
-    pitch = next(n for n in cogging.shapes if n.name.endswith("pitch_mm"))
-    assert abs(1 / pitch.start - 1 / 1.7) < 0.3 / float(np.ptp(runs[0].drive))
-    assert {point[pitch.name] for point in cogging.grid} >= {pitch.start}
 
 
 def test_lines_of_cogging_are_seen_in_the_force_of_what_turns() -> None:

@@ -80,13 +80,6 @@ def test_a_signal_that_feels_nothing_of_the_motion_does_not_shift_the_others() -
         assert 1e6 * (max(found.lag_s) - min(found.lag_s)) < 20.0  # or it would be 60
 
 
-def test_missing_samples_of_one_are_no_difference() -> None:
-    holes = motion()
-    holes[600:1500:100] = holes[601:1501:100] = np.nan
-    (found,) = repeats_of([observed(motion(), 1), observed(holes, 2)])
-    assert not found.apart and not found.differ and found.least_change < 0.01
-
-
 def test_repeats_that_do_not_repeat_are_refused_with_files_and_remedy() -> None:
     stiffer = motion() * [1.0, 0.6]
     (found,) = repeats_of([observed(motion(), 1), observed(stiffer, 2)])
@@ -95,16 +88,6 @@ def test_repeats_that_do_not_repeat_are_refused_with_files_and_remedy() -> None:
         check_repeating([found])
     assert "do not repeat" in str(error.value) and "record both again" in str(error.value)
     assert error.value.exit_code == 5
-
-
-def test_loud_sensors_are_no_reason_to_refuse() -> None:
-    loud = [
-        replace(o, measured=motion() + 12 * (o.measured - motion())) for o in (observed(motion(), n) for n in (1, 2))
-    ]
-    (found,) = repeats_of(loud)
-    assert found.share > 0.2 and not found.differ
-    stiffer = replace(loud[1], measured=loud[1].measured - 0.6 * motion() * [0.0, 1.0])
-    assert repeats_of([loud[0], stiffer])[0].differ
 
 
 def strokes(rng: np.random.Generator, mm_per_s: tuple[float, float], mm_per_s2: float, many: int) -> np.ndarray:
@@ -174,31 +157,9 @@ def test_a_printer_that_changed_is_refused_at_usual_speeds(other: dict[str, Any]
         assert found.differ and 0.5 * found.share < found.least_change < 1.1 * found.share
 
 
-def test_sensors_that_count_are_silent_at_rest_and_repeat_nevertheless() -> None:
-    """Friction lets little through: some counts, which differ by one."""
-    count = 0.05 * float(np.std(motion()))
-    small = [
-        replace(o, measured=count * np.round(0.1 * o.measured / count)) for o in (observed(motion(), n) for n in (1, 2))
-    ]
-    (found,) = repeats_of(small)
-    assert found.share > 0.03 and not found.differ
-
-
 def recording(**comments: str) -> Recording:
     gaps = np.zeros(N, dtype=bool)
     return Recording("x-1.csv", T, np.zeros((N, 3)), "nozzle", {}, {}, gaps, comments)
-
-
-def test_a_clock_in_doubt_gets_parameters() -> None:
-    one = observed(motion(), 1)
-    assert delay_parameters([recording()], [one], []) == []
-    found = {p.name: p.sd for p in delay_parameters([recording(delay_sd_s="3e-4", drift_sd="5e-5")], [one], [])}
-    assert found == {"recording.x.delay_s": 3e-4, "recording.x.drift": 5e-5}
-    apart = Repeats((-1e-3, 1e-3), True, 0.01, 0.0, experiment="y", members=(1, 2), files=("y-1.csv", "y-2.csv"))
-    (by_hand,) = delay_parameters([recording()], [one], [apart])
-    assert 1e-3 < by_hand.sd < 3e-3
-    late = as_recorded({"recording.x.delay_s": 1e-3}, one, motion())
-    np.testing.assert_allclose(late, motion(1e-3), atol=1e-4)
 
 
 def test_signals_of_two_chips_are_on_two_clocks() -> None:

@@ -7,8 +7,7 @@ import pytest
 from scipy.signal import butter, sosfilt
 
 from ffcomp.diagnosis.fit import EstimationProblem, Fit
-from ffcomp.diagnosis.noise import NoiseFloor, at_least, noise_share, whitener
-from ffcomp.diagnosis.observations import clustered
+from ffcomp.diagnosis.noise import NoiseFloor, whitener
 from ffcomp.diagnosis.problem import Observation
 from ffcomp.diagnosis.recording_faults import (
     clipped_sensor,
@@ -145,31 +144,7 @@ def test_the_signal_that_holds_the_gap_is_named() -> None:
     assert odd_signal(bad, []) is None  # an effect explains the gap: no fit is looked at
 
 
-def test_a_trace_in_one_signal_is_no_fault_of_its_sensor() -> None:
-    """What is left of a good fit is noise: whichever signal lies above one by chance holds all of it."""
-    true = [motion()]
-    trace = true[0].copy()
-    trace[:, 2] += 0.0195 * np.sin(2 * np.pi * 62 * np.arange(N) / RATE_HZ)
-    estimation = problem(trace)
-    assert odd_signal(estimation, [left(estimation, true)]) is None
-
-
-def test_sensors_quieter_than_any_simulation_do_not_get_the_weaker_answer() -> None:
-    whiten = problem(motion()).whiten
-    quiet = NoiseFloor(whiten.floor.frequency_hz, {s: d / 1e4 for s, d in whiten.floor.density.items()}, True)
-    raised = at_least(quiet, whiten.observations, whiten.band_hz)
-    assert noise_share(whiten, quiet) < 1e-4
-    assert noise_share(whiten, raised) == pytest.approx(0.003, rel=0.01)
-    assert at_least(whiten.floor, whiten.observations, whiten.band_hz) is whiten.floor
-
-
 # ---- places --------------------------------------------------------------------------------------
-
-
-def test_places_count_as_two_from_20_mm_on() -> None:
-    assert clustered([(0.0, 0.0), (5.0, 0.0), (30.0, 0.0)]) == [(0.0, 0.0), (0.0, 0.0), (30.0, 0.0)]
-    assert len(set(clustered([(0.0, 0.0), (36.0, 0.0), (18.0, 0.0)]))) == 1  # a chain is one place
-    assert clustered([(0.0,), (4.0,)]) == [(0.0,), (4.0,)]  # windows of time
 
 
 @pytest.mark.parametrize("late_s", [5e-4, 2e-3, 6e-3])

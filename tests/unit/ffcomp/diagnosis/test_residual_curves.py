@@ -87,16 +87,6 @@ def test_the_band_covers_a_law_as_often_as_it_says() -> None:
     assert 0.8 < np.mean(held) < 0.99
 
 
-def test_noise_alone_has_no_curve() -> None:
-    assert residual_curves(problem(lambda x, v: 0.0 * x), {}) == []
-
-
-def test_an_axis_that_turns_has_its_own_units() -> None:
-    curve = residual_curves(problem(slow_drag, replace(STAGE, unit="rad")), {})[0]
-    assert (curve.unit, curve.against_unit) == ("N m", "rad/s")
-    assert np.max(curve.at) < 1.0
-
-
 def test_the_verdict_unknown_comes_with_the_curve() -> None:
     found = diagnose(problem(slow_drag))
     assert found.verdict == "unknown"

@@ -12,7 +12,7 @@ import pytest
 
 from ffcomp.diagnosis.candidates import machine_parameters, printer_candidates
 from ffcomp.diagnosis.diagnosis import Diagnosis, diagnose
-from ffcomp.diagnosis.fit import Fit, elsewhere_of, solved
+from ffcomp.diagnosis.fit import Fit, elsewhere_of
 from ffcomp.diagnosis.hypotheses import Hypothesis, held
 from ffcomp.diagnosis.problem import Parameter
 from ffcomp.diagnosis.settings import SETTINGS, SearchSettings
@@ -95,19 +95,3 @@ def test_data_that_are_not_simulated_know_an_effect_in_every_form_and_law() -> N
     assert shared @ shared == pytest.approx(float(np.sum((j @ [0.0, -0.1, 0.1]) ** 2)))
     gone = rest.residual(file)
     assert gone @ gone == pytest.approx(float(np.sum((j @ [0.0, 0.2, 0.4]) ** 2)))
-
-
-def test_the_normal_equations_of_columns_twenty_decades_apart_are_solved() -> None:
-    scale = 10.0 ** np.array([-9.0, 0.0, 9.0])
-    correlated = np.array([[1.0, 0.5, 0.0], [0.5, 1.0, 0.5], [0.0, 0.5, 1.0]])
-    x = np.array([3.0, -2.0, 1.0]) / scale
-    matrix = correlated * np.outer(scale, scale)
-    assert solved(matrix, matrix @ x) == pytest.approx(x, rel=1e-9)
-
-
-@pytest.mark.parametrize(("left", "expected"), [(1.0, 1.0), (0.5, 1.0), (4.0, 4.0 * (1 + 9 * 0.75)), (1e6, 1e7)])
-def test_model_error_counts_by_blocks_and_noise_by_rows(left: float, expected: float) -> None:
-    """At the noise nothing is divided; far above it, a block of ten rows says as much as one row."""
-    rows = np.full(100, np.sqrt(left))
-    fitted = Fit((), np.zeros(0), rows, np.zeros((100, 0)), block_rows=10.0)
-    assert fitted.overdispersion == pytest.approx(expected, rel=1e-5)

@@ -150,20 +150,3 @@ def test_nothing_is_said_of_the_place_where_all_is_recorded_at_one(tmp_path: Pat
         "guide_damping",
     ]
     assert [c.name for c in PrinterProblem(machine, runs[:2], names).candidates] == ["guide_damping"]
-
-
-def test_a_resting_axis_gets_no_value_of_its_own(tmp_path: Path) -> None:
-    problem = PrinterProblem(
-        filed(PLANT, "cartesian", tmp_path), recorded(PLANT), ("coulomb_friction", "joint_friction")
-    )
-    (friction,) = problem.candidates
-    assert friction.other is not None
-    assert [p.name[-3:] for p in friction.other.amplitudes] == ["[0]", "[1]"]
-
-
-def test_a_belt_of_a_printer_only_hardens(tmp_path: Path) -> None:
-    """What softens with the stretch, to the same third order, is a motor's sine."""
-    plant = PLANT
-    problem = PrinterProblem(filed(plant, "corexy", tmp_path), recorded(plant)[:2], ("belt_hardening", "torque_angle"))
-    hardening = next(c for c in problem.candidates if c.name == "belt_hardening")
-    assert [n.low for n in hardening.amplitudes] == [0.0]

@@ -110,13 +110,6 @@ def test_intervals_hold_and_are_ten_times_narrower(updates: list[tuple[tuple[flo
     assert sum(held) >= 4  # of 6, at 90 %: fewer by chance in one of 60
 
 
-def test_the_innovation_of_a_printer_that_the_file_allows_is_likely(
-    updates: list[tuple[tuple[float, float], Updated]],
-) -> None:
-    probability = [updated.innovation[2] for _, updated in updates]
-    assert min(probability) > 1e-3 and np.mean(probability) > 0.1
-
-
 def test_the_file_states_what_was_learnt(updates: list[tuple[tuple[float, float], Updated]]) -> None:
     (x_hz, _), updated = updates[0]
     written = machine_of_text(updated.file_text(Path("out.toml")), "written")
@@ -124,14 +117,6 @@ def test_the_file_states_what_was_learnt(updates: list[tuple[tuple[float, float]
     assert FLOOR <= written.uncertainty["axes.x.frequency_hz"] < 0.01
     assert "axes.z.frequency_hz" not in written.uncertainty  # nothing moved along z
     assert written.name == "two axes"
-
-
-def test_old_prints_are_forgotten_by_the_drift() -> None:
-    """The prior is as wide as the file and the drift of all prints since together."""
-    known = prior(machine(0.01), request(drift=0.02, prints=9))
-    x, damping = known[KEYS[0]], known["axes.x.damping_ratio[0]"]
-    assert x.sd / x.start == pytest.approx(np.hypot(0.01, 0.02 * 3))
-    assert damping.sd / damping.start == pytest.approx(np.hypot(0.03, 0.06 * 3))
 
 
 def prior(known: Machine, asked: UpdateRequest) -> dict[str, Parameter]:
@@ -149,11 +134,6 @@ def test_numbers_that_are_worse_on_layers_left_out_are_not_written() -> None:
     apart = [printer(57.0, 44.6), printer(53.0, 41.4)]
     with pytest.raises(NothingToDo, match="left out of the fit are simulated no better"):
         update(machine(0.05), layers(apart), request())
-
-
-def test_one_layer_is_too_few() -> None:
-    with pytest.raises(MeasurementError, match=r"one layer only.*give captures of two or more"):
-        update(machine(), layers([printer(55.0, 43.0)]), request())
 
 
 # ---- files ---------------------------------------------------------------------------------------

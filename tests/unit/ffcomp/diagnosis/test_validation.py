@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 
 from ffcomp.cli.app import app
 from ffcomp.diagnosis.observations import carriages_of
-from ffcomp.diagnosis.problems import check_alike, check_repeats
-from ffcomp.errors import MeasurementError
+from ffcomp.diagnosis.problems import check_repeats
 from ffcomp.measurement.recording import read_recording
 from ffcomp.measurement.sensors import misplaced
 from models.file import load_machine
@@ -219,12 +218,6 @@ def test_a_file_that_is_no_run_is_refused(refusal: Callable[..., str], content: 
     assert words in refusal(content)
 
 
-def test_a_word_in_a_cell_is_named_with_its_place(refusal: Callable[..., str], sheet: Sheet) -> None:
-    lines = sheet.text().split("\n")
-    lines[40] = ",".join([*lines[40].split(",")[:-1], "n/a"])
-    assert "row 41, column acc_z_m_per_s2: 'n/a'" in refusal("\n".join(lines).encode())
-
-
 def test_runs_of_another_machine_are_refused(refusal: Callable[..., str], sheet: Sheet, tmp_path: Path) -> None:
     said = refusal(sheet, machine="mp-delta-pro")
     assert "Sensor acc_x moves against the command of y" in said  # its towers stand at other angles
@@ -289,20 +282,3 @@ def test_a_sensor_turned_about_z_is_told(degrees: float) -> None:
     felt = {"acc_x": np.cos(turn) * x + np.sin(turn) * y, "acc_y": np.cos(turn) * y - np.sin(turn) * x, "acc_z": z}
     said = misplaced(felt, expected, RATE_HZ)
     assert len(said) == 2 and said[0].startswith("Sensor acc_x moves ") and said[1].startswith("Sensor acc_y moves ")
-
-
-def test_one_axis_that_moves_alone_does_not_accuse_those_that_rest() -> None:
-    """Cross-talk into an axis that is not commanded is an effect, not a swapped column."""
-    x, still = MOVES["acc_A"], np.zeros(3200)
-    expected = {"acc_x": x, "acc_y": still, "acc_z": still}
-    hiss = 0.01 * np.random.default_rng(3).standard_normal(3200)
-    assert misplaced({"acc_x": x, "acc_y": 0.2 * x, "acc_z": hiss}, expected, RATE_HZ) == []
-
-
-def test_check_alike_takes_nozzle_and_carriage_commands_for_different_experiments(sheet: Sheet, tmp_path: Path) -> None:
-    path = tmp_path / "turn-1.csv"
-    path.write_text(sheet.text(), encoding="utf-8")
-    recording = read_recording(path)
-    check_alike([recording, recording])
-    with pytest.raises(MeasurementError, match="one command is of the carriages, the other of the nozzle"):
-        check_alike([recording, replace(recording, command_space="nozzle")])

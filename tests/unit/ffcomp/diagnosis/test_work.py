@@ -10,11 +10,8 @@ import pytest
 
 from ffcomp.diagnosis.axis_problem import STEP_COST, AxisProblem
 from ffcomp.diagnosis.diagnosis import Diagnosis, diagnose
-from ffcomp.diagnosis.fit import EstimationProblem, Fit, estimation_problem
-from ffcomp.diagnosis.noise import noise_from_repeats, whitener
-from ffcomp.diagnosis.problem import Parameter, Work
+from ffcomp.diagnosis.problem import Work
 from ffcomp.diagnosis.result import result_of
-from ffcomp.diagnosis.score_test import loudest_motions, subset_of
 from ffcomp.diagnosis.verb import result_json
 from ffcomp.measurement.axis_run import AxisRun
 from models.effects.catalogue import with_effects
@@ -43,58 +40,10 @@ def problem(names: Sequence[str] = ("coulomb_friction", "belt_hardening", "guide
     return AxisProblem(DRIVE, runs, names)
 
 
-def estimation(names: Sequence[str] = ("coulomb_friction",)) -> EstimationProblem:
-    asked = problem(names)
-    floor = noise_from_repeats(asked.observations)
-    assert floor is not None
-    return estimation_problem(asked, whitener(asked.observations, floor, asked.band_hz))
-
-
-def unexplained(of: EstimationProblem) -> Fit:
-    residual = of.residual({})
-    return Fit((), np.zeros(0), residual, np.zeros((len(residual), 0)))
-
-
 @cache
 def searched(budget: float | None) -> tuple[AxisProblem, Diagnosis]:
     asked = problem()
     return asked, diagnose(asked, budget=budget)
-
-
-def test_a_glimpse_holds_what_all_motions_hold_there() -> None:
-    whole = estimation()
-    base = unexplained(whole)
-    seen = subset_of(whole, base)
-    assert seen is not None and seen.estimation.only is not None
-    rows = whole.rows_of(seen.estimation.only)
-    assert 0.2 < len(rows) / len(base.residual) < 0.7
-    np.testing.assert_array_equal(seen.fit.residual, base.residual[rows])
-    values = {FRICTION: 3.0}
-    np.testing.assert_array_equal(seen.estimation.residual(values), whole.residual(values)[rows])
-    assert subset_of(seen.estimation, seen.fit) is None  # what is short already is not cut again
-
-
-def test_a_glimpse_counts_what_moving_a_fitted_number_costs_elsewhere() -> None:
-    whole, rng = estimation(), np.random.default_rng(2)
-    mass = Parameter("axis.mass_kg", 1.0, 0.1)
-    rows = len(whole.measured)
-    base = Fit((mass,), np.array([0.5]), rng.normal(size=rows), rng.normal(size=(rows, 1)))
-    seen = subset_of(whole, base)
-    assert seen is not None and seen.estimation.elsewhere is not None and seen.estimation.only is not None
-    others = np.setdiff1d(np.arange(rows), whole.rows_of(seen.estimation.only))
-    moved = seen.estimation.elsewhere.residual({mass.name: 1.25})
-    assert moved @ moved == pytest.approx(4.0 * float(np.sum(base.jacobian[others] ** 2)))
-    np.testing.assert_allclose(seen.fit.information, base.information)
-
-
-def test_a_glimpse_is_of_the_motions_that_hold_most_of_the_residual() -> None:
-    whole = estimation()
-    residual = np.ones(len(whole.measured))
-    for window, motion in enumerate(whole.problem.motions):
-        residual[whole.whiten.rows[window]] *= 10.0 if motion in (3, 4) else 1.0
-    assert set(loudest_motions(whole, residual)) == {3, 4}
-    evenly = loudest_motions(whole, np.ones(len(residual)))
-    assert len(evenly) == 2 and evenly[0] == 0  # the one that was recorded twice holds a third
 
 
 def test_a_small_case_is_named_within_few_steps() -> None:
@@ -113,18 +62,6 @@ def test_a_search_ends_at_its_budget_and_says_so() -> None:
     assert told["cut_short"] and any("--thorough" in sentence for sentence in told["said"])
     whole = result_json(result_of(*searched(None)))
     assert not whole["cut_short"] and not any("--thorough" in sentence for sentence in whole["said"])
-
-
-def test_nothing_more_is_allowed_once_the_budget_is_spent() -> None:
-    work = Work()
-    work.begin(10.0)
-    work.add(9.0)
-    assert work.allows() and not work.cut
-    work.add(2.0)
-    assert not work.cut  # until something is left untried
-    assert not work.allows() and work.cut
-    work.begin(5.0)
-    assert work.allows()
 
 
 def test_a_search_that_begins_anew_may_go_on_and_what_was_cut_is_remembered() -> None:
