@@ -8,10 +8,8 @@ from io import StringIO
 import pytest
 from rich.console import Console
 
-from ffcomp.cli.app import VERBS as SENTENCES
 from ffcomp.cli.app import app, command_line
 from ffcomp.cli.command import commands
-from ffcomp.request import GROUPS
 from tests.support.cli import CliRunner
 
 COLUMNS = 80
@@ -36,21 +34,6 @@ def test_names_stand_whole_in_80_columns(path: tuple[str, ...]) -> None:
             assert re.search(rf"(?<![\w-]){re.escape(name)}(?![\w-])", page), name
 
 
-@pytest.mark.parametrize("path", [path for path in VERBS if path], ids=" ".join)
-def test_options_stand_in_groups_and_name_what_they_take(path: tuple[str, ...]) -> None:
-    for each in VERBS[path][1]:
-        assert each.option.help
-        if not each.option.positional:
-            assert each.option.group in GROUPS, each.field
-            assert bool(each.option.metavar) != each.is_switch, f"{each.field}: a switch takes no value, others say it"
-
-
-def test_the_short_flag_says_the_same() -> None:
-    for path in ((), ("compensate",), ("machines",), ("machines", "show")):
-        short, long = (CliRunner().invoke(app, [*path, flag]).output for flag in ("-h", "--help"))
-        assert short == long != ""
-
-
 def test_first_lines_are_imperative_and_plain() -> None:
     first = {" ".join(path): command.help.split("\n\n")[0] for path, (command, _) in VERBS.items()}
     assert first["compensate"] == "Compensate a print for your printer's vibration."
@@ -73,14 +56,6 @@ def test_a_usage_error_is_a_sentence_with_exit_code_2(words: str, sentence: str)
     answer = CliRunner().invoke(app, words.split(), env={"FFCOMP_MACHINE": None})
     assert answer.exit_code == 2 and sentence in answer.stderr and not answer.stdout
     assert answer.stderr.startswith("ffcomp: ") and answer.stderr.count("\n") == 1
-
-
-def test_the_help_of_all_has_a_sentence_of_each() -> None:
-    page = " ".join(help_of(()).replace("│", " ").split())
-    assert {path[0] for path in VERBS if len(path) == 1} == set(SENTENCES)
-    for verb, sentence in SENTENCES.items():
-        assert VERBS[verb,][0].help.split("\n\n")[0] == sentence and sentence in page
-    assert CliRunner().invoke(command_line(overview=True), ["--help"]).output == help_of(())
 
 
 def test_without_a_verb_the_help_is_shown_and_nothing_is_done() -> None:

@@ -11,7 +11,7 @@ import pytest
 from ffcomp.cli.common import quiet
 from ffcomp.cli.progress import Progress, SearchProgress
 from ffcomp.diagnosis.diagnosis import USUAL_S
-from ffcomp.numerics.stages import Now, Pace, Stage
+from ffcomp.numerics.stages import Now, Stage
 from ffcomp.serve.messages import progress as page_progress
 
 SAID = (Stage(3, "screening 21 effects"), Now("fitting effector_mass"), "effector_mass: 1.2 times the noise")
@@ -21,13 +21,6 @@ def shown(hidden: bool) -> None:
     with quiet(hidden), SearchProgress(USUAL_S) as progress:
         for sentence in SAID:
             progress(sentence)
-
-
-def test_elsewhere_stages_and_results_are_lines(capsys: pytest.CaptureFixture[str]) -> None:
-    shown(hidden=False)
-    out, err = capsys.readouterr()
-    assert out == ""
-    assert err.splitlines() == [f"ffcomp: {SAID[0]}", f"ffcomp: {SAID[2]}"]
 
 
 def test_quiet_says_nothing(capsys: pytest.CaptureFixture[str]) -> None:
@@ -67,19 +60,6 @@ def test_on_a_terminal_there_is_a_bar_with_the_stage_and_what_is_tried(
     assert f"3/{len(USUAL_S)}" in err and all(sentence in err for sentence in SAID)
 
 
-def test_the_time_left_is_what_is_usual_then_what_the_stages_before_took() -> None:
-    pace = Pace((10.0, 10.0, 20.0))
-    assert pace.whole_s(0.0) == pytest.approx(40.0) and pace.whole_s(4.0) == pytest.approx(40.0)
-    pace.begin(2, 20.0)  # twice as long as usual
-    assert 60.0 < pace.whole_s(20.0) < 80.0
-    pace.begin(3, 40.0)
-    assert 70.0 < pace.whole_s(40.0) < 80.0
-    assert pace.whole_s(90.0) == 90.0  # it takes longer than expected: no time below zero is left
-    pace.begin(1, 95.0)  # a stage that comes again changes nothing
-    assert pace.whole_s(95.0) == 95.0
-    assert Pace((1.0, 3.0)).whole_s(8.0) == pytest.approx(32.0)  # the first quarter is not over yet
-
-
 def test_the_time_left_is_said_in_round_numbers(monkeypatch: pytest.MonkeyPatch) -> None:
     clock = 100.0
     monkeypatch.setattr("ffcomp.cli.progress.time.monotonic", lambda: clock)
@@ -93,20 +73,6 @@ def test_the_time_left_is_said_in_round_numbers(monkeypatch: pytest.MonkeyPatch)
     long = SearchProgress((500.0, 400.0))
     clock += 20.0
     assert long.left() == "about 15 min left"
-
-
-def test_the_time_left_is_the_pace_since_the_first_share(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """Compiling comes before the first share, and nothing is promised before 5 s of steady work."""
-    clock = 0.0
-    monkeypatch.setattr("ffcomp.cli.progress.time.monotonic", lambda: clock)
-    with Progress(1.0) as progress:
-        clock = 60.0
-        for share in (0.1, 0.2, 0.6):
-            progress(share)
-            clock += 3.0
-    assert capsys.readouterr().err.splitlines() == ["ffcomp: 10 %", "ffcomp: 20 %", "ffcomp: 60 %, 5 s left"]
 
 
 def test_programs_read_events(

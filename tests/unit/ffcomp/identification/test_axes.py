@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -79,31 +78,6 @@ def test_other_motion_across_the_axes_hardly_moves_the_exchange(delta: float) ->
     assert found.delta.low < delta < found.delta.high
 
 
-def test_a_sensor_on_a_bed_feels_it_the_other_way_round() -> None:
-    upright, turned = measured(0.05), []
-    for each in upright:
-        turned.append(replace(each, value=-each.value) if each.output == "acc_y" else each)
-    assert found_between(turned).delta.value == pytest.approx(found_between(upright).delta.value, rel=1e-6)
-
-
-def found_between(measured: list[FrequencyResponse]) -> Exchange:
-    answers, _ = usable(measured)
-    own = {answer.axis: answer for answer in answers if answer.direct}
-    axes = [replace(known(name, axis), data=(own[name],)) for name, axis in zip("xy", AXES[:2], strict=True)]
-    found = find_exchange(axes, answers)
-    assert found is not None
-    return found
-
-
-def test_one_axis_alone_exchanges_nothing() -> None:
-    assert find_exchange([known("x", AXES[0])], usable(measured(0.05))[0]) is None
-
-
-def test_what_it_does_not_explain_is_told_and_not_written() -> None:
-    found = fitted(0.05, 0.3)
-    assert found.exchange is None and any("not compensated" in each for each in found.advice)
-
-
 def test_it_is_written_with_its_interval_and_read_again() -> None:
     found = fitted(0.05)
     text = axes_file_text(Origin(ROOT / "models/library/voron-300.toml", "mine", ["a.csv"], "today"), found)
@@ -131,11 +105,6 @@ def test_a_file_that_cannot_be_is_refused(change: tuple[str, str], problem: str)
     machine_of_text(text, "mine")
     with pytest.raises(MachineFileError, match=problem):
         machine_of_text(text.replace(*change), "mine")
-
-
-def test_of_axes_with_drives_of_their_own_it_is_told_only() -> None:
-    found = identify_axes([], measured(0.15), exchanging=False)
-    assert found.exchange is None and any("not compensated" in each for each in found.advice)
 
 
 def test_the_files_number_is_that_of_one_stiffer_belt() -> None:

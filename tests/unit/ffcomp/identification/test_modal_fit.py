@@ -118,36 +118,6 @@ def test_intervals_hold_the_truth() -> None:
     assert held.min() >= 7
 
 
-def test_how_much_belts_damp_is_not_determined() -> None:
-    """The number is that of a fit of gain, delay, frequencies, dampings and shares at once, by differences."""
-    noise = 0.01
-    slightly, well = (ONE * [1, 0, 1] + [0, damping, 0] for damping in (0.03, 0.1))
-    for modes, word in ((slightly, "is not determined by these responses"), (well, "is not fitted"), (TWO, "±")):
-        (told,) = fit_axis("x", [Response(response(modes, noise=noise, seed=3))]).advice
-        assert word in told and "belt_damping_share" in told
-        if known := re.search(r"±([\d.]+)", told):
-            assert float(known[1]) == pytest.approx(1.645 * share_error(modes, noise), rel=0.2)
-
-
-def share_error(modes: FloatArray, noise: float) -> float:
-    """Belts drive every mode as their springs do, by 1 + s c/k."""
-    n = len(modes)
-
-    def seen(theta: FloatArray) -> FloatArray:
-        (gain, delay, belts), f0, zeta, share = theta[:3], *theta[3 : 3 + 2 * n].reshape(2, n), theta[3 + 2 * n :]
-        damped = 2j * zeta * F[:, None] / f0
-        each = np.append(share, 1 - share.sum()) / (1 - (F[:, None] / f0) ** 2 + damped)
-        h = each.sum(axis=1) * (1 + belts * damped[:, 0])
-        value = gain * np.exp(-2j * np.pi * F * delay) * h * (2 * np.pi * F) ** 2
-        return np.concatenate([value.real, value.imag])
-
-    at = np.concatenate([[1.0, 0.0, 0.5], modes[:, 0], modes[:, 1], modes[:-1, 2]])
-    steps = np.diag(np.concatenate([[1e-4, 1e-7, 1e-3], n * [1e-3], n * [1e-5], (n - 1) * [1e-4]]))
-    slopes = np.column_stack([(seen(at + d) - seen(at - d)) / (2 * d.max()) for d in steps])
-    largest = np.abs(closed_form(modes, F) * (2 * np.pi * F) ** 2).max()
-    return float(noise * largest / np.sqrt(2) * np.sqrt(np.linalg.inv(slopes.T @ slopes)[2, 2]))
-
-
 def test_sensor_scale_sign_and_delay_are_told_and_do_no_harm() -> None:
     true = response(TWO, noise=0.01, seed=1)
     gain = {"gain": lambda r: 1.3 * r.value, "sign": lambda r: -r.value}
@@ -157,30 +127,6 @@ def test_sensor_scale_sign_and_delay_are_told_and_do_no_harm() -> None:
         near(found, TWO)
         told = {"gain": "1.30 times its command", "sign": "against its command", "late": "2.0 ms late"}
         assert told[word] in " ".join(found.advice)
-
-
-def test_files_that_disagree_are_told_and_widen_the_interval() -> None:
-    moved = ONE * [1.1, 1.0, 1.0]
-    both = [Response(response(modes, noise=0.01, seed=1)) for modes in (ONE, moved)]
-    found = fit_axis("x", both)
-    assert "disagree about x: 43.0 Hz in made, 47.3 Hz in made" in found.advice[0]
-    assert found.modes[0].frequency_hz.low < 44 and found.modes[0].frequency_hz.high > 46
-
-
-def test_motion_of_another_axis_is_told() -> None:
-    own, other = response(ONE, noise=0.01, seed=1), response(ONE, noise=0.01, seed=2, output="acc_y")
-    crossed = FrequencyResponse("cmd_x", "acc_y", F, 0.5 * other.value, other.variance)
-    told = identify_axes([], [own, crossed]).advice
-    shown = next(each for each in told if "cmd_x shows in acc_y too (50 % of the direct response)" in each)
-    assert "not compensated" in shown and "belt_stiffness" in shown
-    little, more = (
-        identify_axes([], [own, FrequencyResponse("cmd_x", "acc_y", F, share * other.value, other.variance)]).advice
-        for share in (0.08, 0.13)
-    )
-    assert any("(13 % of the direct response)" in each for each in more) and not any(
-        "shows in" in each for each in little
-    )
-    assert told[-1] == "Nothing was measured along y: [axes.y] stays the starting file's."
 
 
 # ---- from files to a machine file ----------------------------------------------------------------
@@ -224,18 +170,6 @@ def test_from_responses_to_a_machine_file(tmp_path: Path) -> None:
     assert "share = [1.0]" in out.read_text(encoding="utf-8")
     drawn = call("frf", "-m", out, "--measured", tmp_path / "x.csv", "--figure", tmp_path / "bode.png", "--json")
     assert drawn.exit_code == 0 and "100 % accurate in magnitude" in json.loads(drawn.stdout)["verdict"]
-
-
-def test_from_a_simulated_print(tmp_path: Path) -> None:
-    """A few strokes, played on another machine than the file's."""
-    lines = ["G28", "G1 X100 Y100 Z1 F6000", "G1 X130 Y100 E1", "G1 X130 Y140 E2", "G1 X100 Y100 Z1.2", "G1 X125 Y110"]
-    (tmp_path / "print.gcode").write_text("\n".join(lines))
-    run, plant = tmp_path / "run.csv", tmp_path / "plant.toml"
-    plant.write_text(VORON.read_text(encoding="utf-8").replace("[52.0]", "[47.0]"), encoding="utf-8")
-    assert call("simulate", tmp_path / "print.gcode", "-m", VORON, "--plant", plant, "-o", run).exit_code == 0
-    answer = answer_of("identify", "fit", run, "-m", VORON, "--quiet")
-    (mode,) = answer["axes"]["x"]["modes"]
-    assert mode["frequency_hz"]["value"] == pytest.approx(47.0, rel=0.005)
 
 
 # ---- the excitation that ffcomp plans itself -----------------------------------------------------
@@ -340,21 +274,6 @@ def test_files_that_tell_nothing_are_named(tmp_path: Path, name: str, text: str,
     assert refused.exit_code == 5 and "None of the files holds the response of an axis" in refused.output
 
 
-def test_the_axis_may_be_said(tmp_path: Path) -> None:
-    path = resonance_capture(tmp_path, "y_20260101_000000", ONE, 0.1, 2).rename(tmp_path / "shaken.csv")
-    answer = answer_of("identify", "fit", path, "-m", VORON, "--axis", "y", "--quiet")
-    assert list(answer["axes"]) == ["y"]
-
-
-def test_a_sensor_along_other_axes_is_told_and_its_sum_taken(tmp_path: Path) -> None:
-    path = resonance_capture(tmp_path, "x_20260101_000000", ONE, 0.02, 2)
-    rows = np.loadtxt(path, delimiter=",", skiprows=1)
-    np.savetxt(path, rows[:, [0, 3, 2, 1]], fmt="%.5f", delimiter=",", header=HEADER.strip(), comments="")
-    found = spectrum_of(path, None, (2.0, 400.0))
-    assert isinstance(found, Spectrum) and "the sensor's z shows" in found.remark
-    near(fit_axis("x", [found]), ONE)
-
-
 def test_noise_alone_is_no_machine() -> None:
     flat = response(np.array([[900.0, 1.0, 1.0]]), noise=0.02, seed=1)
     with pytest.raises(MeasurementError, match="No resonance of x stands out between 5 and 150 Hz"):
@@ -405,13 +324,3 @@ def test_real_printers_ring_where_the_firmware_shapes(name: str) -> None:
     assert len(fit.modes) == 1
     assert fit.modes[0].frequency_hz.value == pytest.approx(shaper.frequency_hz, rel=0.06)
     assert 0.03 < fit.modes[0].damping_ratio.value < 0.2
-
-
-def test_a_real_printer_with_two_peaks_gets_two_modes() -> None:
-    path = REAL / "ender3__resonances_x_20210821_152037.csv"
-    if not path.is_file():
-        pytest.skip(f"The measured spectra are not here: {path}.")
-    found = spectrum_of(path, None, (2.0, 400.0))
-    assert isinstance(found, Spectrum)
-    frequencies = [mode.frequency_hz.value for mode in fit_axis("x", [found]).modes]
-    assert frequencies == pytest.approx([45.5, 58.5], abs=1.0)  # the peaks that the eye sees

@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from ffcomp.identification.direct import advice_on, scale_is_weak
-from ffcomp.identification.output_error import Fitted, fit_machine, of_one_capture
+from ffcomp.identification.output_error import Fitted, fit_machine
 from ffcomp.identification.predict import predicted
 from ffcomp.measurement.frf import FrequencyResponse
 from models.file import load_machine
@@ -67,13 +67,3 @@ def test_a_weak_common_scale_is_one_sentence() -> None:
     assert any("The accelerometer is turned by +2.0" in text for text in advice)
     stiffness = "carriage.belt_stiffness_n_per_m"
     assert found.beside_scale[stiffness].relative_sd < 0.3 * found.estimates[stiffness].relative_sd
-
-
-def test_repeats_are_captures_of_their_own() -> None:
-    found = of_one_capture([*captures(np.zeros(3)), *captures(np.zeros(3))])
-    assert found.shape == (6, 3) and sorted(found.ravel()) == list(range(18))
-
-
-def test_responses_of_a_laboratory_have_no_rotation() -> None:
-    laboratory = [replace(r, clock="") for r in captures(np.zeros(3))]
-    assert fit_machine(TRUTH, laboratory, starts=[{}]).rotation_deg == {}

@@ -4,11 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from ffcomp.identification.predict import (
-    error_reduction,
     log_error_db,
     mean_absolute_percentage_accuracy,
     phases_deg,
@@ -19,21 +16,10 @@ FREQUENCIES = np.arange(2.0, 125.1, 0.5)  # the paper's 247 lines
 LAG = np.exp(-1j * np.radians(np.linspace(20.0, 320.0, 247)))
 
 
-def test_a_perfect_prediction_is_perfect() -> None:
-    assert mean_absolute_percentage_accuracy(LAG, LAG) == pytest.approx((100.0, 100.0))
-    assert log_error_db(LAG, LAG) == 0.0
-
-
 def test_a_fifth_too_large_is_80_percent() -> None:
     magnitude, phase = mean_absolute_percentage_accuracy(3.0 * LAG, 3.6 * LAG)
     assert (magnitude, phase) == pytest.approx((80.0, 100.0))
     assert log_error_db(3.0 * LAG, 3.6 * LAG) == pytest.approx(20 * np.log10(1.2))
-
-
-def test_magnitude_accuracy_can_be_negative_but_the_log_error_counts_both_ways_alike() -> None:
-    assert mean_absolute_percentage_accuracy(LAG, 4.0 * LAG)[0] == pytest.approx(-200.0)
-    assert mean_absolute_percentage_accuracy(LAG, LAG / 4.0)[0] == pytest.approx(25.0)
-    assert log_error_db(LAG, 4.0 * LAG) == pytest.approx(log_error_db(LAG, LAG / 4.0))
 
 
 def test_phase_errors_are_relative_to_the_measured_phase() -> None:
@@ -41,13 +27,6 @@ def test_phase_errors_are_relative_to_the_measured_phase() -> None:
     phase = np.linspace(20.0, 500.0, 400)
     measured, predicted = (np.exp(-1j * np.radians(factor * phase)) for factor in (1.0, 1.1))
     assert mean_absolute_percentage_accuracy(measured, predicted)[1] == pytest.approx(90.0)
-
-
-def test_a_phase_near_zero_is_judged_in_tenths_of_a_degree() -> None:
-    """1° measured and 2° predicted: 100 % of Eq. 71 verbatim, but 10 % here."""
-    measured, predicted = (np.full(5, np.exp(1j * np.radians(angle))) for angle in (1.0, 2.0))
-    assert mean_absolute_percentage_accuracy(measured, predicted)[1] == pytest.approx(90.0)
-    assert mean_absolute_percentage_accuracy(measured, predicted, smallest_phase_deg=0.0)[1] == pytest.approx(0.0)
 
 
 def test_noise_in_an_antiresonance_does_not_wind_the_phase_up() -> None:
@@ -58,19 +37,3 @@ def test_noise_in_an_antiresonance_does_not_wind_the_phase_up() -> None:
     measured, predicted = phases_deg(noisy, model)
     assert np.abs(measured - predicted).max() <= 180.0
     assert np.abs(np.diff(predicted)).max() < 30.0 and predicted[-1] < -360.0
-
-
-@given(st.floats(0.1, 10.0), st.floats(-0.5, 0.5))
-def test_a_common_factor_changes_nothing(factor: float, off: float) -> None:
-    predicted = LAG * np.exp(off)
-    assert mean_absolute_percentage_accuracy(factor * LAG, factor * predicted) == pytest.approx(
-        mean_absolute_percentage_accuracy(LAG, predicted)
-    )
-
-
-def test_a_model_half_as_wrong_as_the_baseline_reduces_the_error_by_half() -> None:
-    turned = np.exp(-1j * np.radians(np.linspace(20.0, 320.0, 247) * 0.1))
-    halfway = np.exp(-1j * np.radians(np.linspace(20.0, 320.0, 247) * 0.05))
-    reduction = error_reduction(LAG, 1.1 * LAG * halfway, 1.2 * LAG * turned)
-    assert reduction == pytest.approx((50.0, 50.0))
-    assert error_reduction(LAG, 1.2 * LAG * turned, 1.1 * LAG * halfway) == pytest.approx((-100.0, -100.0))

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from ffcomp.cli.app import app
-from ffcomp.identification.resonance_tests import direction_of
 from models.file import load_machine
 from tests.support.cli import CliRunner
 
@@ -45,12 +44,6 @@ def test_several_spectra_are_never_guessed(tmp_path: Path, machine: str) -> None
     assert code == 5 and "no spectrum 'w'; there are x, y, z" in said
 
 
-def test_columns_that_a_header_names_are_taken(tmp_path: Path) -> None:
-    path = spectra(tmp_path / "resonances_y_1.csv", "psd_x,psd_y,psd_z,psd_xyz", 0 * F + 1, PEAK, 0 * F + 1, PEAK + 2)
-    code, said = call(path, "-m", "kossel", "--json", "--quiet")
-    assert code == 0 and json.loads(said)["spectra"][0]["signal"] == "y"
-
-
 def test_a_rough_mode_is_written_only_if_it_is_asked_for(tmp_path: Path) -> None:
     rough = PEAK * np.exp(1.0 * np.random.default_rng(0).normal(size=len(F)))
     path = spectra(tmp_path / "resonances_x_1.csv", "psd_x,psd_y,psd_z,psd_xyz", rough, F * 0, F * 0 + 1, rough)
@@ -75,17 +68,6 @@ def test_the_highest_peak_of_many_is_where_it_is(tmp_path: Path) -> None:
     axis = json.loads(said)["axes"]["x"]
     assert code == 0 and "has more modes than two" in axis["verdict"]
     assert axis["modes"][0]["frequency_hz"]["value"] == pytest.approx(47.0, rel=0.03)
-
-
-def test_directions() -> None:
-    assert direction_of("x") is None and direction_of(None) is None
-    np.testing.assert_allclose(direction_of("axis=1.000,-1.000"), np.array([1, -1]) / np.sqrt(2))
-    np.testing.assert_allclose(direction_of("0.866,-0.5"), [0.866, -0.5], atol=1e-4)
-    for bad in ("w", "1", "0,0", "1,1,1"):
-        with pytest.raises(ValueError, match=r".*"):
-            direction_of(bad)
-    code, said = call("any.csv", "-m", "ender-3", "--axis", "w")
-    assert code == 2 and "a direction of x and y such as 1,-1" in said
 
 
 def test_an_axis_is_said_once_or_for_each(tmp_path: Path) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from pathlib import Path
 
 import pytest
@@ -102,19 +101,6 @@ def test_a_named_machine_fills_the_axes_that_have_no_shaper(tmp_path: Path) -> N
 def test_a_delta_lends_nothing_to_a_corexy_machine(tmp_path: Path) -> None:
     with pytest.raises(PrinterConfigError, match="a delta machine cannot lend values to a corexy machine"):
         drafted(written(tmp_path, COREXY), like=LIBRARY / "kossel.toml")
-
-
-def test_marlins_print_radius_is_the_lenders_share(tmp_path: Path) -> None:
-    made = drafted(written(tmp_path, Delta(radius=100.0).marlin()))
-    assert made.values["kinematics.print_radius_mm"].value == 100.0  # flsun-qqs: 130 of 130
-    assert made.values["kinematics.print_radius_mm"].how == "assumed"
-
-
-def test_a_name_with_quotes_is_written_as_it_is(tmp_path: Path) -> None:
-    path = written(tmp_path, Delta().klipper(), 'my "best" printer.cfg')
-    document = tomllib.loads(machine_text(drafted(path), path))
-    assert document["name"] == 'my "best" printer'
-    assert document["provenance"]["imported"]["from"].startswith('Klipper configuration my "best" printer.cfg sha256:')
 
 
 @pytest.mark.parametrize("flavor", ["klipper", "reprapfirmware", "marlin"])

@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ffcomp.inference.covariance import clustered_covariance
 from ffcomp.inference.fit import FitResult, Settings, Status, best_of, fit
 from ffcomp.inference.problem import EstimationProblem, Observation, Unknown
 from models.arrays import FloatArray
@@ -59,13 +58,6 @@ def test_a_known_minimum_is_found(exact: bool, keep: bool) -> None:
     np.testing.assert_allclose(found.jacobian, 100 * decay().slopes(found.values), rtol=1e-5, atol=1e-5)
     assert found.n_evaluations == problem.count
     assert list(found.history) == sorted(found.history, reverse=True)
-
-
-def test_derivatives_that_are_kept_cost_fewer_simulations() -> None:
-    renewed, kept = decay(exact=False), decay(exact=False)
-    fit(renewed, np.ones(2), Settings(gain=1e-6))
-    fit(kept, np.ones(2), Settings(gain=1e-6, keep=True))
-    assert kept.count < renewed.count
 
 
 def test_running_out_of_steps_is_not_converging() -> None:
@@ -144,23 +136,6 @@ def test_intervals_hold_the_truth_where_rows_err_alike() -> None:
         found = constant(recordings(seed, 0.03))
         held += abs(found.values[0] - 5.0) < 1.645 * np.sqrt(found.covariance[0, 0])
     assert 166 <= held <= 194
-
-
-def test_a_cluster_that_is_left_out_moves_the_fit_as_the_covariance_says() -> None:
-    rng = np.random.default_rng(1)
-    jacobian, clusters = rng.normal(size=(60, 3)), np.repeat(np.arange(12), 5)
-    residual = rng.normal(size=60) + 3.0 * rng.normal(size=12)[clusters]
-    precision = np.array([0.0, 1.0, 4.0])
-    residual -= jacobian @ np.linalg.solve(jacobian.T @ jacobian + np.diag(precision), jacobian.T @ residual)
-    moved = []
-    for c in range(12):
-        kept = clusters != c
-        normal = jacobian[kept].T @ jacobian[kept] + np.diag(precision)
-        moved.append(np.linalg.solve(normal, jacobian[~kept].T @ residual[~kept]))
-    bread = np.linalg.inv(jacobian.T @ jacobian + np.diag(precision))
-    expected = np.sum(np.square(moved), axis=0) + np.diag(bread @ np.diag(precision) @ bread)
-    found = clustered_covariance(jacobian, residual, clusters, precision)
-    np.testing.assert_allclose(np.diag(found), np.maximum(expected, np.diag(bread)), rtol=1e-6)
 
 
 def test_recordings_of_one_motion_err_alike() -> None:

@@ -147,18 +147,6 @@ def test_variance_from_roughness_is_the_noise(tmp_path: Path) -> None:
     assert read.variance[~away].mean() > 0.02**2
 
 
-def test_variance_from_coherence_and_averages(tmp_path: Path) -> None:
-    coherence = {"coherence": np.full(159, 0.8)}
-    (read,) = read_frfs(csv(tmp_path, coherence, "# averages: 10\n"))
-    np.testing.assert_allclose(read.variance, np.abs(read.value) ** 2 * 0.25 / 10)
-
-
-def test_variance_from_coherence_alone_has_the_size_of_the_roughness(tmp_path: Path) -> None:
-    power = np.abs(response(0.0).value) ** 2
-    (read,) = read_frfs(csv(tmp_path, {"coherence": power / (power + 4 * 0.02**2)}))  # four averages of output noise
-    assert np.median(read.variance) == pytest.approx(0.02**2, rel=0.3)
-
-
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [

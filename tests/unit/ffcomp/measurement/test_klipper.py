@@ -99,14 +99,6 @@ def test_a_capture_is_read(tmp_path: Path) -> None:
     assert found.acceleration.mean(axis=0)[2] == pytest.approx(G, abs=0.2)
 
 
-def test_rows_that_a_capture_lost_are_gaps(tmp_path: Path) -> None:
-    lines = capture_text().splitlines(keepends=True)
-    path = tmp_path / "raw_data_x_a.csv"
-    path.write_text("".join(lines[:500] + lines[520:]), encoding="utf-8")
-    found = read_capture(path)
-    assert list(np.flatnonzero(np.isnan(found.acceleration[:, 0]))) == list(range(499, 519))
-
-
 @pytest.mark.parametrize(
     ("text", "words"),
     [
@@ -131,11 +123,6 @@ def test_captures_that_cannot_be_used(tmp_path: Path, text: str, words: str) -> 
     with pytest.raises(MeasurementError) as caught:
         read_capture(path)
     assert words in str(caught.value)
-
-
-def test_spectra_are_no_capture(tmp_path: Path) -> None:
-    with pytest.raises(MeasurementError, match="a record of acceleration in time is needed"):
-        read_capture(spectra(tmp_path / "resonances_x_a.csv", FOUR))
 
 
 def test_real_spectra(data: Path) -> None:

@@ -91,16 +91,6 @@ def raw_data(path: Path, record: np.ndarray) -> Path:
     return path
 
 
-@pytest.mark.slow
-def test_a_swept_capture_and_its_parts_agree(tmp_path: Path) -> None:
-    path = raw_data(tmp_path / "raw_data_x_test.csv", swept([(43.0, 0.05)], 0.5, 3, 80.0))
-    found = modes_of(path)
-    assert found.signal == "x" and found.source == str(path)
-    assert found.modes[0].frequency_hz == pytest.approx(43.0, rel=0.01)
-    assert found.modes[0].damping_ratio == pytest.approx(0.05, rel=0.3)
-    assert 0 < found.modes[0].frequency_sd_hz < 1.0
-
-
 def test_a_capture_full_of_holes_is_refused(tmp_path: Path) -> None:
     path = raw_data(tmp_path / "raw_data_x_test.csv", swept([(43.0, 0.05)], 0.5, 3, 3.0))
     lines = path.read_text(encoding="utf-8").splitlines(keepends=True)
@@ -135,21 +125,3 @@ def test_real_spectra_have_their_main_mode(data: Path, name: str, peak: float) -
     found = modes_in_file(data / "vibration" / "klipper_resonances_bassco" / f"{name}.csv")
     assert found.modes[0].frequency_hz == pytest.approx(peak, rel=0.05)
     assert found.modes[0].clear
-
-
-def test_every_real_file_ends_in_a_verdict(data: Path) -> None:
-    folders = [folder for folder in (data / "vibration").iterdir() if folder.name != "owners"]  # no resonance tests
-    paths = [p for folder in folders for p in folder.glob("*") if p.suffix in (".csv", ".tsv")]
-    assert len(paths) == 21
-    found = [modes_in_file(path) for path in paths]
-    assert all(one.verdict.endswith(".") and np.isfinite(one.misfit) for one in found)
-    spectra = [one for one in found if one.source.endswith(".csv")]
-    assert sum(any(m.clear for m in one.modes) for one in spectra) == 15
-
-
-def test_the_same_machine_twice(data: Path) -> None:
-    """A spectrum as measured and the calibration that Klipper made of it tell of one and the same mode."""
-    folder = data / "vibration" / "klipper_resonances_bassco"
-    raw, normalised = (modes_in_file(folder / f"{name}.csv").modes[0] for name in list(PEAKS)[:2])
-    assert raw.frequency_hz == pytest.approx(normalised.frequency_hz, rel=0.02)
-    assert raw.damping_ratio == pytest.approx(normalised.damping_ratio, rel=0.2)

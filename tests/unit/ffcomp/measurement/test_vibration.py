@@ -32,13 +32,6 @@ def write(path: Path, text: str) -> Path:
     return path
 
 
-def test_klippers_comments_before_the_header_count_what_was_lost(tmp_path: Path) -> None:
-    text = "##drops=3,overflows=2,time_per_sample=0.000312,start_range=0.000068\n#time,accel_x,accel_y,accel_z\n"
-    found = read_capture(write(tmp_path / "adxl345-20200810.csv", text + rows(357.8 + T, FELT * 1e3)))
-    assert (found.overflows, found.clock) == (5, "firmware")
-    np.testing.assert_allclose(found.acceleration, FELT, rtol=1e-5)
-
-
 def test_reprapfirmware_states_its_rate_in_the_last_line(tmp_path: Path) -> None:
     text = "Sample,X,Y,Z\n" + rows(np.arange(COUNT), FELT / G) + "Rate 1344, overflows 4\n"
     found = read_capture(write(tmp_path / "0_2026-11-22.csv", text))
@@ -125,13 +118,6 @@ def test_pythons_own_library_unpacks_frames_and_refuses_the_same() -> None:
         _standard(library, packed[:-3])
     with pytest.raises(ValueError, match="unpacks to more"):
         _standard(library, bz2.compress(bytes(100 << 20)))
-
-
-def test_shake_and_tune_in_pieces_is_refused(tmp_path: Path) -> None:
-    path = stdata(tmp_path / "belts.stdata", ["belt_A_20251203_133943"])
-    path.write_bytes(path.read_bytes()[:2000])
-    with pytest.raises(MeasurementError, match=r"unpacked|cannot be read"):
-        read_captures(path)
 
 
 @pytest.mark.slow

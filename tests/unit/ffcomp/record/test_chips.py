@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -59,16 +58,6 @@ def test_each_axis_comes_from_the_chip_that_feels_it(bench: tuple[list[Path], Pl
     assert all("clocks" not in each.comments for each in joined(False, True).recordings)
 
 
-def test_friction_of_the_bed_is_no_other_motion(bench: tuple[list[Path], Plan, Machine], tmp_path: Path) -> None:
-    """Friction of x, which the bed's chip does not feel, must not be weighed against that of the bed."""
-    _, plan, machine = bench
-    rough = replace(SLINGER.plant, friction_n=(0.7, 3.0), bristle_n_per_m=8e4)
-    once = replace(plan, experiments=tuple(e for e in plan.experiments if e.kind == "reversals"), repeats=1)
-    found = join_captures(as_captures(tmp_path / "rough", once, rough, SLINGER, 30.0), once, machine)
-    assert len(found.joined) == 1 and not found.refused
-    assert min(found.joined[0].felt[:2]) > 0.8
-
-
 def test_an_axis_that_no_chip_feels_is_left_out_and_said(
     bench: tuple[list[Path], Plan, Machine], joined: Joins
 ) -> None:
@@ -91,13 +80,3 @@ def test_a_run_without_the_beds_capture_does_not_say_that_the_bed_rests(
     assert len(found.joined) == 3
     assert not any("zigzag" in each.name and each.name.endswith("1") for each in found.joined)
     assert any("feels y is missing" in sentence for sentence in found.remarks)
-
-
-def test_a_corexy_keeps_every_axis(bench: tuple[list[Path], Plan, Machine]) -> None:
-    """There everything is on the toolhead: a chip that is deaf along y is broken, and its column says so."""
-    captures, plan, machine = bench
-    assert machine.kinematics.bed_may_move
-    crossed = replace(machine, kinematics=load_machine("voron-250").kinematics)
-    assert not crossed.kinematics.bed_may_move
-    found = join_captures([p for p in captures if "-bed-" not in p.name], plan, crossed)
-    assert all(set(each.acceleration) == {"acc_x", "acc_y", "acc_z"} for each in found.recordings)

@@ -27,9 +27,7 @@ from ffcomp.record.excitation import (
     Peaks,
     excited_coordinate,
     limits_of,
-    line_of_action,
     make_excitation_plan,
-    microstep_error,
     peaks_of,
 )
 from ffcomp.record.gcode_writer import Recorder, gcode_lines
@@ -87,10 +85,6 @@ def segment_s(experiment: Experiment) -> float:
     return excited(experiment).band.segment_s
 
 
-def moves_of(experiment: Experiment) -> FloatArray:
-    return np.column_stack([experiment.motion.ends_mm, experiment.motion.speed])
-
-
 def dense(experiment: Experiment) -> FloatArray:
     """Times all over an experiment, not in step with its segments; (k,) s."""
     return np.linspace(0.0, experiment.duration_s, 7 * len(experiment.motion.vertices_mm))
@@ -132,14 +126,6 @@ def test_the_account_is_what_our_planner_makes_of_the_file(kind: str) -> None:
         np.testing.assert_allclose(experiment.motion.nozzle(t), there, atol=1e-6)
 
 
-def test_every_segment_lasts_as_long_as_it_should() -> None:
-    """F has three decimals, and slow segments feel it; what one is late, the next makes up for."""
-    for experiment in short().experiments:
-        wanted = segment_s(experiment) * np.arange(len(experiment.motion.vertices_mm) - 1)
-        assert np.abs(experiment.motion.trajectory.start_t - wanted).max() < 2e-5
-        assert np.abs(experiment.motion.trajectory.duration - segment_s(experiment)).max() < 5e-6
-
-
 @pytest.mark.parametrize("direction", TOWERS)
 def test_the_other_carriages_stand_still(direction: str) -> None:
     """But for the last decimal of the G-code, and chords instead of arcs."""
@@ -157,16 +143,6 @@ def test_the_nozzle_stays_on_its_axis(direction: str) -> None:
     i = AXES.index(direction)
     assert moved[i] > 0.5
     assert np.delete(moved, i).max() < 1.5e-4
-
-
-def test_the_nozzle_rests_outside() -> None:
-    experiment = short().experiments[0]
-    t = np.array([-1.0, 0.0, experiment.duration_s, experiment.duration_s + 1.0])
-    np.testing.assert_allclose(experiment.motion.nozzle(t), np.tile(experiment.position_mm, (4, 1)), atol=2e-4)
-    inside = dense(experiment)
-    np.testing.assert_array_equal(
-        command(experiment, inside), machine().kinematics.inverse(experiment.motion.nozzle(inside))
-    )
 
 
 def test_the_lines_are_those_of_the_polyline_that_quick_ramps_come_near() -> None:
@@ -206,39 +182,6 @@ def test_the_lines_are_what_is_commanded(direction: str) -> None:
     acceleration = lines.amplitude_mm * (2 * np.pi * lines.frequency_hz) ** 2
     assert acceleration.min() / np.median(acceleration) > 0.75
     assert acceleration.max() / np.median(acceleration) < 1.4
-
-
-def test_measured_periods_repeat_exactly() -> None:
-    plan = make_excitation_plan(machine(), replace(SHORT, periods=3, directions=("A", "z")))
-    for experiment in plan.experiments:
-        within = np.linspace(0.0, excited(experiment).band.period_s, 5000)
-        periods = [
-            command(experiment, experiment.measured_from_s + k * excited(experiment).band.period_s + within)
-            for k in (0, 1, 2)
-        ]
-        np.testing.assert_allclose(periods[1], periods[0], atol=2e-4)
-        np.testing.assert_allclose(periods[2], periods[0], atol=2e-4)
-
-
-def test_same_seed_same_file_other_seed_other_phases() -> None:
-    one, again, other = (
-        make_excitation_plan(machine(), replace(SHORT, directions=("A",), seed=seed)) for seed in (1, 1, 2)
-    )
-    assert np.array_equal(moves_of(one.experiments[0]), moves_of(again.experiments[0]))
-    phases = [excited(plan.experiments[0]).lines.phase_rad for plan in (one, other)]
-    assert np.abs(phases[0] - phases[1]).max() > 1.0
-    power = [np.linalg.norm(excited(plan.experiments[0]).lines.amplitude_mm[50:]) for plan in (one, other)]
-    assert power[0] == pytest.approx(power[1], rel=0.05)
-
-
-def test_every_place_realisation_and_direction_has_its_experiment() -> None:
-    request = replace(SHORT, places_mm=((0.0, 0.0), (-80.0, 0.0)), realisations=2, directions=("A", "B"))
-    plan = make_excitation_plan(machine(), request)
-    names = [experiment.name for experiment in plan.experiments]
-    assert names == [f"ffcomp-{d}-{place}-{r}" for place in (0, 1) for r in (0, 1) for d in "AB"]
-    assert {each.position_mm[:2] for each in plan.experiments} == set(request.places_mm)
-    first, second = (excited(plan.experiments[k]).lines for k in (0, 2))
-    assert np.abs(first.phase_rad - second.phase_rad).max() > 1.0
 
 
 def test_a_plant_that_plays_it_shows_its_frequency_response() -> None:
@@ -308,13 +251,6 @@ def _make_until_it_fits(request: ExcitationRequest) -> None:
     make_excitation_plan(machine(), request)
 
 
-def test_the_firmwares_own_limit_in_z_is_the_users_to_tell() -> None:
-    request = replace(SHORT, directions=("z",), acceleration_mm_per_s2=9_000.0, z_acceleration_mm_per_s2=50_000.0)
-    assert peaks(make_excitation_plan(machine(), request).experiments[0]).z_acceleration_mm_per_s2 == pytest.approx(
-        9_000.0, rel=0.02
-    )
-
-
 def test_a_place_at_the_rim_is_refused_with_one_that_fits() -> None:
     request = replace(SHORT, directions=("x",), places_mm=((134.9, 0.0),))
     with pytest.raises(LimitsError, match="reaches") as refused:
@@ -344,24 +280,6 @@ def test_where_the_firmware_slows_down_is_refused() -> None:
     short_arms = replace(machine().kinematics, arm_lengths_mm=constant([250.0] * 3))
     with pytest.raises(LimitsError, match=r"beyond 97\.2 mm a delta's firmware slows down"):
         make_excitation_plan(replace(machine(), kinematics=short_arms), replace(SHORT, places_mm=((100.0, 0.0),)))
-
-
-def test_line_of_action_is_where_the_paper_measured() -> None:
-    assert line_of_action(machine().kinematics) == [(-80.0, 0.0), (40.0, -69.0), (40.0, 69.0)]
-
-
-def test_microsteps_matter_less_the_finer_they_are() -> None:
-    """Ten times finer steps, at most a fifth of the error; steps of a nanometre, none."""
-    experiment = named(short(), "A")
-    band, geometry = excited(experiment).band, machine().kinematics
-    coarse, fine, none = (
-        microstep_error(experiment.motion, band, experiment.measured_from_s, geometry, steps)
-        for steps in (80.0, 800.0, 1e6)
-    )
-    assert experiment.rounding == coarse
-    assert 0.01 < coarse < 0.3
-    assert fine < coarse / 5
-    assert none < 1e-4
 
 
 # Files
@@ -456,13 +374,6 @@ def test_every_capture_is_started_and_stopped_at_rest() -> None:
     assert {i for i, line in enumerate(lines) if line.startswith(b"M400")} <= stops
 
 
-def test_other_firmwares_get_no_klipper_commands() -> None:
-    text = b"".join(written(short(), machine(), "marlin"))
-    assert b"ACCELEROMETER" not in text and b"SET_" not in text
-    assert b"M593 F0" in text
-    assert b"M593" not in b"".join(written(short(), machine(), "marlin", switches_shaper=False))
-
-
 # The command line
 
 
@@ -488,19 +399,6 @@ def test_the_verb_writes_both_files_and_says_what_to_do_next(tmp_path: Path) -> 
     total = sum(len(each.motion.speed) for each in plan.experiments)
     assert sum(each["moves"] for each in result["experiments"]) == total
     assert target.read_bytes().count(b"\nG1 ") == total + 2 * 12 + 1
-
-
-def test_the_verb_reports_to_people(tmp_path: Path) -> None:
-    code, out, _ = run("-o", str(tmp_path / "excite.gcode"))
-    assert code == 0
-    for words in ("min recorded", "--at line-of-action", "3 captures for each", "ffcomp identify fit -m mp-delta-pro"):
-        assert words in out
-
-
-def test_coarse_microsteps_are_warned_of(tmp_path: Path) -> None:
-    _, out, _ = run("-o", str(tmp_path / "excite.gcode"), "--amplitude-mm-per-s2", "100", "--json")
-    warnings = json.loads(out)["warnings"]
-    assert len(warnings) == 1 and "In 3 of 3 experiments rounding to microsteps" in warnings[0]
 
 
 @pytest.mark.parametrize(

@@ -18,11 +18,11 @@ from scipy.interpolate import CubicSpline
 
 from ffcomp.errors import MeasurementError
 from ffcomp.measurement.recording import read_recording
-from ffcomp.record.axes import tilt, turn_of, words
-from ffcomp.record.join import join_captures, load_recordings
+from ffcomp.record.axes import turn_of
+from ffcomp.record.join import join_captures
 from ffcomp.record.moves import Request, make_plan
 from ffcomp.record.plan import Plan, save_plan
-from ffcomp.record.result import JoinedRuns, JoinResult, Refused, recording_lines
+from ffcomp.record.result import JoinResult, Refused, recording_lines
 from models.file import load_machine
 from models.machine import Machine
 from tests.support.recordings import write_captures
@@ -137,14 +137,6 @@ def test_axes_and_tilt_are_found_and_gravity_is_gone(either: Bench) -> None:
             assert np.abs(error.mean()) < 0.02 and error.std() < 0.2 + 0.03 * truth.std(), axis
 
 
-def test_repeats_have_the_same_rows_and_command(klipper: JoinResult) -> None:
-    one, two = klipper.recordings[:2]
-    assert one.repeat_of == two.repeat_of
-    n = min(len(one.time_s), len(two.time_s))
-    np.testing.assert_allclose(one.command[:n], two.command[:n], atol=1e-9)
-    assert not one.time_s[0] and one.sample_rate_hz == pytest.approx(3200, rel=0.02)
-
-
 def test_a_joined_run_reads_back(klipper: JoinResult, tmp_path: Path) -> None:
     each = klipper.joined[0]
     path = tmp_path / f"{each.name}.csv"
@@ -153,14 +145,6 @@ def test_a_joined_run_reads_back(klipper: JoinResult, tmp_path: Path) -> None:
     assert again.comments["joined"].startswith("offset_s -0.99") and again.comments["delay_sd_s"] == "0.0003"
     np.testing.assert_allclose(again.command, each.recording.command, atol=1e-6)
     np.testing.assert_allclose(again.acceleration["acc_x"], each.recording.acceleration["acc_x"], atol=1e-6)
-
-
-def test_the_json_object_is_the_fixed_one(bench: Bench, klipper: JoinResult) -> None:
-    plan, machine = bench.plan, bench.machine
-    found = JoinedRuns(klipper, plan, machine, "m.toml", Path("runs"), [Path("a.csv")] * 4).to_dict()
-    assert found["schema"] == "ffcomp-join/1" and found["refused"] == []
-    keys = "file experiment repeat offset_s offset_sd_s clock_ratio clock_sd correlation overflows"
-    assert all(set(keys.split()) <= set(run) for run in found["runs"])
 
 
 def one(bench: Bench) -> Path:
@@ -212,13 +196,6 @@ def test_a_speed_override_is_refused(bench: Bench, tmp_path: Path, factor: float
     assert any(word in why for word in words_.split("|")), why
 
 
-def test_a_late_motion_is_refused_and_says_how_much(bench: Bench, tmp_path: Path) -> None:
-    lines = one(bench).read_text().splitlines(keepends=True)
-    path = tmp_path / one(bench).name
-    path.write_text("".join([lines[0], *lines[40:]]))  # its first 12 ms are missing
-    assert "-12" in refused(bench, path) or "ms off" in refused(bench, path)
-
-
 def test_lost_samples_are_refused(bench: Bench, tmp_path: Path) -> None:
     path = tmp_path / one(bench).name
     path.write_text("##drops=2,overflows=1,time_per_sample=0.0003\n" + one(bench).read_text())
@@ -235,15 +212,6 @@ def test_a_renamed_capture_is_known_by_its_motion(bench: Bench, tmp_path: Path) 
 def test_wrong_axes_are_refused(bench: Bench) -> None:
     assert "does not fit" in refused(bench, one(bench), "x,y,z")
     assert join_captures([one(bench)], bench.plan, bench.machine, turn_of("-z,-x,y")).joined
-
-
-def test_captures_need_their_plan(bench: Bench, tmp_path: Path) -> None:
-    with pytest.raises(MeasurementError, match=r"Give the plan of its moves with --plan"):
-        load_recordings([one(bench)], bench.machine)
-    save_plan(bench.plan, tmp_path / "moves.json")
-    said: list[str] = []
-    (found,) = load_recordings([one(bench)], bench.machine, tmp_path / "moves.json", progress=said.append)
-    assert found.command_space == "nozzle" and any("No recording of 3 executions" in text for text in said)
 
 
 def test_a_few_lost_rows_are_gaps(bench: Bench, tmp_path: Path) -> None:
@@ -273,11 +241,3 @@ def test_straight_axes_are_joined_too(tmp_path: Path) -> None:
     found = join_captures(captures, plan, machine)
     assert len(found.joined) == 4 and found.joined[0].axes_map == "-x,-y,z"
     assert {name for each in found.recordings for name in each.inputs} == {"cmd_x", "cmd_y", "cmd_z"}
-
-
-def test_a_tilt_is_the_smallest_rotation_that_brings_gravity_upright() -> None:
-    gravity = np.array([0.3, -0.2, 9.79])
-    turned = tilt(gravity) @ gravity
-    np.testing.assert_allclose(turned, [0, 0, np.linalg.norm(gravity)], atol=1e-12)
-    np.testing.assert_allclose(tilt(gravity) @ tilt(gravity).T, np.eye(3), atol=1e-12)
-    assert words(np.array([[0.0, 0, -1], [0, 1, 0], [1, 0, 0]])) == "-z,y,x"

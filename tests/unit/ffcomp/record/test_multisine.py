@@ -18,8 +18,6 @@ from ffcomp.record.multisine import (
     lines_of,
     polyline_gain,
     scaled,
-    second_difference_gain,
-    smooth_step,
 )
 from models.arrays import FloatArray
 
@@ -94,12 +92,6 @@ def test_a_multisine_has_low_peaks() -> None:
         assert np.abs(random).max() > 3 * random.std()
 
 
-def test_seeds_repeat_and_differ() -> None:
-    one, again, other = (scaled("multisine", WIDE, 1.0, 500.0, seed) for seed in (1, 1, 2))
-    np.testing.assert_array_equal(one, again)
-    assert abs(np.corrcoef(one, other)[0, 1]) < 0.5
-
-
 @pytest.mark.parametrize("kind", ["sweep", "log-sweep"])
 def test_sweeps_go_from_rest_to_rest_inside_their_band(kind: str) -> None:
     wave = scaled(kind, WIDE, 4000.0, 500.0, seed=0)
@@ -109,22 +101,6 @@ def test_sweeps_go_from_rest_to_rest_inside_their_band(kind: str) -> None:
     assert np.abs(wave[-quiet + 2 :]).max() == 0.0
     power = np.abs(np.fft.rfft(acceleration)) ** 2
     assert power[WIDE.lines].sum() > 0.99 * power.sum()
-
-
-def test_a_linear_sweep_accelerates_evenly_over_its_band() -> None:
-    lines = lines_of(scaled("sweep", WIDE, 4000.0, 500.0, seed=0), WIDE)
-    acceleration = lines.amplitude_mm * second_difference_gain(lines.frequency_hz, WIDE.segment_s)
-    inner = (lines.frequency_hz > 15.0) & (lines.frequency_hz < 100.0)
-    assert acceleration[inner].min() > 0.7 * acceleration[inner].max()
-
-
-def test_a_log_sweep_gives_each_octave_the_same_power() -> None:
-    """Acceleration's power per line falls as 1/f: equal time for equal factors."""
-    slow = band(5.0, 110.0, 20.0, 250.0)
-    lines = lines_of(scaled("log-sweep", slow, 4000.0, 500.0, seed=0), slow)
-    power = (lines.amplitude_mm * second_difference_gain(lines.frequency_hz, slow.segment_s)) ** 2
-    octaves = [power[(lines.frequency_hz >= f) & (lines.frequency_hz < 2 * f)].sum() for f in (8.0, 16.0, 32.0)]
-    np.testing.assert_allclose(octaves, octaves[0], rtol=0.1)
 
 
 @pytest.mark.parametrize("kind", list(KINDS))
@@ -176,32 +152,3 @@ def test_an_excitation_rests_at_both_ends_and_repeats_between(kind: str) -> None
     np.testing.assert_allclose(second[:-200], first[:-200], atol=1e-12)
     np.testing.assert_allclose(third[:-200], first[:-200], atol=1e-12)
     assert np.abs(np.diff(u, 2)).max() / WIDE.segment_s**2 < 1.01 * 4000.0
-
-
-def test_a_multisine_settles_for_a_whole_period_first() -> None:
-    made, n = excitation("multisine", WIDE, 2, 4000.0, 150.0, seed=1), WIDE.knots
-    u, first = made.displacement_mm, made.first_knot
-    np.testing.assert_allclose(u[first - n : first], u[first : first + n], atol=1e-12)
-
-
-def test_the_marker_is_a_chirp_that_is_seen_once() -> None:
-    """Correlated with the whole command, in acceleration, it stands out."""
-    made = excitation("multisine", WIDE, 2, 4000.0, 150.0, seed=1)
-    acceleration = np.diff(made.displacement_mm, 2)
-    marker = acceleration[: made.marker_knots - 2]
-    likeness = np.abs(np.correlate(acceleration, marker))
-    assert np.argmax(likeness) == 0
-    assert likeness[0] > 2.5 * likeness[20:].max()
-
-
-@given(st.floats(-1.0, 2.0))
-def test_smooth_steps_are_symmetric_and_rise(x: float) -> None:
-    rise = smooth_step(np.array([x, 1.0 - x, x + 0.01]))
-    assert rise[0] + rise[1] == pytest.approx(1.0)
-    assert rise[2] >= rise[0]
-
-
-def test_smooth_steps_begin_gently() -> None:
-    """As x³: neither velocity nor acceleration jumps."""
-    small = np.array([0.01, 0.02])
-    assert np.log2(np.divide(*smooth_step(small)[::-1])) == pytest.approx(3.0, abs=0.05)

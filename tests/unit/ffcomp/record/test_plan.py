@@ -14,7 +14,7 @@ from ffcomp.identification.load import gather
 from ffcomp.planner.limits import PlannerLimits
 from ffcomp.planner.lookahead import plan_moves, stops_and_waits
 from ffcomp.record.gcode_writer import Recorder, gcode_lines
-from ffcomp.record.moves import MOST_ROUNDING, NEAREST_MM, Request, make_plan, schedule
+from ffcomp.record.moves import MOST_ROUNDING, NEAREST_MM, Request, make_plan
 from ffcomp.record.plan import Plan, load_plan, plan_dict
 from gcode.reader import read_program
 from models.file import load_machine
@@ -43,19 +43,6 @@ def test_the_usual_plan_is_short_loud_and_at_four_places(name: str) -> None:
     assert len(places) == 4
     apart = [np.hypot(a[0] - b[0], a[1] - b[1]) for a in places for b in places if a != b]
     assert min(apart) >= NEAREST_MM
-
-
-def test_every_kind_is_made_at_three_of_four_places() -> None:
-    found = schedule(4)
-    assert len(found) == 12 == len(set(found))
-    for kind in ("zigzag", "reversals", "loop", "multisine"):
-        assert len({place for k, place in found if k == kind}) == 3
-
-
-def test_repeats_follow_when_everything_was_made_once(plan: Plan) -> None:
-    names = [(each.name, repeat) for each, repeat in plan.runs()]
-    assert names[: len(plan.experiments)] == [(each.name, 1) for each in plan.experiments]
-    assert len(names) == 24 and len({name for name, _ in names}) == 12
 
 
 def test_each_motion_begins_and_ends_at_its_place(plan: Plan) -> None:
@@ -150,14 +137,6 @@ def test_klipper_restores_by_a_macro_that_the_file_prints(plan: Plan, delta: Mac
     text = text_of(plan, delta, "klipper")
     assert text.endswith(f"\n{RESTORE}\n") and f"; [gcode_macro {RESTORE}]" in text
     assert "SHAPER_FREQ_X=0" in text and "no input_shaper" in text  # says that the shaper would stay off
-
-
-def test_reprapfirmware_records_long_enough_with_a_fast_chip(plan: Plan, delta: Machine) -> None:
-    lines = text_of(plan, delta, "reprapfirmware").splitlines()
-    starts = [line for line in lines if line.startswith("M956")]
-    assert len(starts) == 24 and starts[0].endswith('F"ffcomp-zigzag-0-1.csv"')
-    samples = int(starts[0].split(" S")[1].split()[0])
-    assert samples >= 1600 * (1.5 + plan.experiments[0].duration_s)
 
 
 @pytest.mark.parametrize(

@@ -124,18 +124,6 @@ def test_whole_layers_are_recorded_by_what_a_slicer_puts_between_them(machine: M
     assert waits.wait_before.tolist() == [0.0, 0.0, 0.05, 0.0] and waits.nozzle(np.array([9.0]))[0, 0] == 0.0
 
 
-def test_captures_without_a_number_belong_to_the_print(machine: Machine, tmp_path: Path) -> None:
-    path = tmp_path / "layers.gcode"
-    toggle = "ACCELEROMETER_MEASURE NAME=layer_7\n"
-    moves = "".join(f"G1 X{x} Y{y} F9000\n" for x, y in ((20, 0), (20, 15), (-10, 15), (0, 0)))
-    path.write_text(f"G28\nG90\nG1 X0 Y0 Z5 F3000\n{toggle}G4 P400\n{moves}G4 P300\n{toggle}", encoding="utf-8")
-    save_plan(plan_of(path, machine), tmp_path / "p.json")
-    (capture,) = write_captures(tmp_path / "p.json", machine, tmp_path)
-    named = capture.rename(tmp_path / "adxl345-layer_7.csv")
-    joined = join_captures([named], plan_of(path, machine), machine)
-    assert [each.experiment for each in joined.joined] == ["layer_7"] and not joined.refused
-
-
 @pytest.mark.parametrize(
     ("rest", "sentence"), [("", "no captures between two rests"), (None, "no captures: no ACCELEROMETER_MEASURE")]
 )
@@ -147,18 +135,6 @@ def test_a_print_that_records_nothing_says_what_to_print(
     path.write_text(f"G28\nG90\nG1 X0 Y0 Z5 F3000\n{toggle}G1 X9 F6000\n{toggle}", encoding="utf-8")
     with pytest.raises(MeasurementError, match=rf"{sentence}.*record plan --print plain\.gcode"):
         plan_of(path, machine)
-
-
-def test_a_print_keeps_its_file_and_is_recorded_once(tmp_path: Path) -> None:
-    path = tmp_path / "part.gcode"
-    path.write_bytes(EXAMPLE.read_bytes())
-    words = ["record", "plan", "-m", "mp-delta-pro", "--print", str(path), "-q", "-o"]
-    refused = CliRunner().invoke(app, [*words, str(path)])
-    assert refused.exit_code == 2 and "part.gcode is read as well" in refused.output
-    assert path.read_bytes() == EXAMPLE.read_bytes()
-    path.write_bytes(b"ACCELEROMETER_MEASURE NAME=a\n" + EXAMPLE.read_bytes())
-    refused = CliRunner().invoke(app, [*words, str(tmp_path / "out.gcode")])
-    assert refused.exit_code == 3 and "part.gcode holds the commands of captures already" in refused.output
 
 
 @pytest.fixture(scope="module")

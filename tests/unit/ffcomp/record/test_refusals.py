@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -18,8 +17,6 @@ from ffcomp.record.result import JoinResult
 from ffcomp.shapers.smooth import SHAPERS
 from models.file import load_machine
 from models.machine import Machine
-from studies.straight_proof import KINDS as PROVEN
-from studies.straight_proof import as_captures, machine_text
 from tests.support.recordings import write_captures
 
 KINDS = ("zigzag", "loop")
@@ -71,55 +68,6 @@ def test_a_machine_file_that_is_wrong_is_no_shaper(plan: Plan, machine: Machine,
     assert len(join_captures(captured(once, plant, tmp_path), once, machine).joined) == 2
 
 
-def test_a_machine_that_is_late_is_no_shaper(tmp_path: Path) -> None:
-    """Nor with a file that is off by some percent: a ZVD of 27 Hz explained two thirds of this."""
-    kind = PROVEN["corexy"]
-    (tmp_path / "owner.toml").write_text(machine_text(kind, off=np.random.default_rng(13)), encoding="utf-8")
-    owner = load_machine(tmp_path / "owner.toml")
-    once = replace(make_plan(owner, Request(seconds=2.0, places_mm=[(0.0, 0.0)], kinds=("multisine",))), repeats=1)
-    late = replace(kind.plant, delay_s=1.7e-3)
-    found = join_captures(as_captures(tmp_path / "captures", once, late, kind, 30.0), once, owner)
-    assert len(found.joined) == 1 and not found.refused
-    # the firmware dates the rows, so the delay stays in what is joined
-    assert found.joined[0].clock.offset_s == pytest.approx(-1.0, abs=4e-4)
-
-
-def stretched(captures: Sequence[Path], folder: Path, factor: float) -> list[Path]:
-    """The same captures as if all were executed at another pace."""
-    for path in captures:
-        head, *rows = path.read_text().splitlines()
-        start = float(rows[0].split(",")[0])
-        slow = [f"{start + factor * (float(r.split(',', 1)[0]) - start):.6f},{r.split(',', 1)[1]}" for r in rows]
-        (folder / path.name).write_text("\n".join([head, *slow]) + "\n")
-    return sorted(folder.glob("*.csv"))
-
-
-def test_a_machine_that_is_late_by_milliseconds_makes_no_other_motion(
-    plan: Plan, machine: Machine, captures: Sequence[Path], tmp_path: Path
-) -> None:
-    """It is as late in every capture and keeps their pace; one capture alone, or another pace, is another motion."""
-    late = replace(machine, effects={"command_delay": {"delay_s": [4e-3, 4e-3, 0.0]}})
-    paths = captured(plan, late, tmp_path)
-    found = join_captures(paths, plan, machine)
-    assert len(found.joined) == 4 and not found.refused
-    assert all(each.clock.offset_s == pytest.approx(-1.0, abs=4e-4) for each in found.joined)
-    (alone,) = reasons(join_captures(paths[:1], plan, machine))
-    assert "begins +4." in alone
-    (tmp_path / "slow").mkdir()
-    slower = join_captures(stretched(captures, tmp_path / "slow", 1.003), plan, machine)
-    assert len(slower.refused) == 4 and all("begins +" in why for why in reasons(slower))
-    assert all("at 99.7% of the plan's pace" in why for why in reasons(slower))
-
-
-def test_a_shaper_left_on_is_named_on_a_machine_that_is_late(plan: Plan, machine: Machine, tmp_path: Path) -> None:
-    late = replace(machine, effects={"command_delay": {"delay_s": [1.5e-3, 1.5e-3, 0.0]}})
-    once = replace(plan, repeats=1)
-    found = join_captures(captured(once, late, tmp_path, shapers=(None, SHAPERS["zvd"](40.0, 0.1))), once, machine)
-    assert not found.joined
-    (why,) = set(reasons(found))
-    assert re.search(r"y moved as ZVD at about (3[89]|4[012]) Hz", why) and "x moved" not in why
-
-
 def test_repeats_that_do_not_repeat_are_refused_with_the_number(
     plan: Plan, machine: Machine, captures: Sequence[Path], tmp_path: Path
 ) -> None:
@@ -132,28 +80,6 @@ def test_repeats_that_do_not_repeat_are_refused_with_the_number(
     assert {each.file for each in found.refused} == {str(path) for path in mixed}
     first = next(each.why for each in found.refused if "Repeat 2 of ffcomp-zigzag-0" in each.why)
     assert "differs from repeat 1 by" in first and "% of the signal" in first and "warm up" in first
-
-
-def test_of_three_repeats_the_one_that_differs_is_refused(
-    plan: Plan, machine: Machine, captures: Sequence[Path], tmp_path: Path
-) -> None:
-    thrice = replace(plan, repeats=3)
-    odd = tmp_path / captures[0].name.replace("-1.csv", "-3.csv")
-    head, *rows = captures[0].read_text().splitlines()
-    table = np.array([[float(x) for x in row.split(",")] for row in rows])
-    table[:, 1:] = table[:, 1:].mean(axis=0) + 1.5 * (table[:, 1:] - table[:, 1:].mean(axis=0))
-    odd.write_text("\n".join([head, *(f"{t:.6f},{x:.3f},{y:.3f},{z:.3f}" for t, x, y, z in table)]) + "\n")
-    found = join_captures([*captures, odd], thrice, machine)
-    assert len(found.joined) == 4 and [each.file for each in found.refused] == [str(odd)]
-
-
-def test_a_late_repeat_is_said(plan: Plan, machine: Machine, captures: Sequence[Path], tmp_path: Path) -> None:
-    late = tmp_path / captures[-1].name
-    rows = captures[-1].read_text().splitlines()
-    late.write_text("\n".join([rows[0], *rows[2:]]) + "\n")  # as if it had begun a sample later
-    found = join_captures([*captures[:-1], late], plan, machine)
-    assert len(found.joined) == 4
-    assert found.remarks == () or all("ms" in each for each in found.remarks)
 
 
 def one_file(captures: Sequence[Path], rate_error: float) -> str:

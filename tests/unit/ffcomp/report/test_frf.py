@@ -16,13 +16,10 @@ from ffcomp.measurement.frf import FrequencyResponse
 from ffcomp.measurement.frf_files import write_frf
 from ffcomp.report.model import draw_bode
 from models.file import load_machine
-from models.kinds import delta_vibration
 from models.machine import Machine
-from models.vibration.substructures import command_frf, with_added_mass
 from tests.support.cli import CliRunner, Result
 
 FREQUENCIES = np.arange(2.0, 125.1, 0.5)
-PNG = b"\x89PNG"
 
 
 @pytest.fixture(scope="module")
@@ -83,35 +80,6 @@ def test_responses_of_the_printer(machine: Machine, of, per) -> None:
     np.testing.assert_allclose(np.moveaxis(found, 2, 0), wanted, rtol=1e-9, atol=1e-12 * np.abs(wanted).max())
 
 
-def test_sub_model_1_with_masses(machine: Machine) -> None:
-    found = answers("--of", "carriage-alone", "--added-mass-kg", 0, "--added-mass-kg", 0.2, "--step-hz", 10)
-    assert [each["added_mass_kg"] for each in found] == [0.0, 0.2]
-    s = 2j * np.pi * np.array(found[1]["frequency_hz"])
-    wanted = command_frf(with_added_mass(delta_vibration(machine).carriage, 0.2), s)
-    np.testing.assert_allclose(complex_of(found[1]["response"]["values"][0][0]), wanted, rtol=1e-9)
-    k, m = delta_vibration(machine).carriage.belt_stiffness_n_per_m, 0.395
-    assert found[1]["modes"][0]["frequency_hz"] == pytest.approx(np.sqrt(k / m) / (2 * np.pi))
-    drive = found[1]["modes"][1]
-    assert drive["number"] is None and drive["frequency_hz"] == pytest.approx(np.sqrt(1.43e5) / (2 * np.pi))
-
-
-@pytest.mark.parametrize("arms", [[], ["--with-arms"]])
-def test_sub_model_2(machine: Machine, arms: list[str]) -> None:
-    (answer,) = answers("--of", "effector-alone", *arms, "--step-hz", 10)
-    s = 2j * np.pi * np.array(answer["frequency_hz"])
-    found = complex_of(answer["response"]["values"][2][2])
-    np.testing.assert_allclose(found, delta_vibration(machine).struck_frf(s, bool(arms))[:, 2], rtol=1e-9)
-    assert answer["modes"][2]["kind"] == "along z"
-
-
-def test_modes_carry_the_maps_numbers() -> None:
-    centre, side = answers("--at", "0,0", "--at", "-80,0", "--step-hz", 20)
-    assert [mode["number"] for mode in centre["modes"]] == [1, 2, 3, 4, 5, 6, None]
-    kinds = [mode["kind"] for mode in centre["modes"][:6]]
-    assert [mode["kind"] for mode in side["modes"][:6]] == kinds
-    assert side["modes"][3]["frequency_hz"] < side["modes"][2]["frequency_hz"]  # by order they would be swapped
-
-
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
@@ -170,12 +138,6 @@ def test_every_kind_of_measurement_is_met_by_its_own_machine(machine: Machine, g
     assert each.magnitude_percent == pytest.approx(80.0) and each.phase_percent == pytest.approx(100.0)
 
 
-def test_an_acceleration_may_be_looked_at_as_one(machine: Machine) -> None:
-    response = measured(machine, "cmd_x", "acc_x")
-    found = study(machine, View("acceleration", "nozzle"), FREQUENCIES, [], [response])
-    np.testing.assert_allclose(found.compared[0].measured, response.value)
-
-
 def test_what_does_not_belong_is_said(machine: Machine) -> None:
     responses = [measured(machine, "cmd_x", "pos_x"), measured(machine, "force_x", "acc_x")]
     found = study(machine, View(), FREQUENCIES, [np.zeros(2)], responses)
@@ -191,23 +153,10 @@ def test_a_measurement_off_the_bed_is_refused(tmp_path: Path, machine: Machine) 
     assert result.exit_code == 5 and "print radius" in result.stderr
 
 
-def test_places_and_measured_places_are_joined(machine: Machine) -> None:
-    at = measured(machine, "cmd_A", "pos_A", position_mm=(40.0, 69.0, 30.0))
-    near = measured(machine, "cmd_B", "pos_B", position_mm=(40.2, 69.1, 30.0))
-    found = study(machine, View(), FREQUENCIES, [np.zeros(2)], [at, near])
-    assert [len(station.compared) for station in found.stations] == [0, 2]
-
-
 @pytest.mark.parametrize(("factor", "grade"), [(1.02, "close"), (1.2, "fair"), (1.5, "poor: identify the machine")])
 def test_the_verdict_grades(machine: Machine, factor: float, grade: str) -> None:
     responses = [measured(machine, f"cmd_{c}", f"pos_{c}", factor) for c in "ABC"]
     assert grade in verdict(study(machine, View(), FREQUENCIES, [], responses))
-
-
-def test_the_verdict_on_a_model_names_its_worst_peak(machine: Machine) -> None:
-    said = verdict(study(machine, View(), FREQUENCIES, [np.array([100.0, 0.0])]))
-    g = np.abs(machine.vibration.frequency_response(np.array([100.0, 0.0]), FREQUENCIES)[:, 0, 0])
-    assert f"A answers {g.max():.1f} times its command, at {FREQUENCIES[g.argmax()]:.0f} Hz" in said
 
 
 # --- Pictures
@@ -230,19 +179,3 @@ def test_what_does_not_couple_is_not_drawn_as_noise(machine: Machine, tmp_path: 
     target = tmp_path / "full.svg"
     draw_bode(study(machine, View("nozzle", "nozzle"), FREQUENCIES, [np.zeros(2)]), target, full=True)
     assert target.read_text(encoding="utf-8").count("no response") == 6
-
-
-@pytest.mark.parametrize("suffix", ["png", "pdf"])
-def test_figures_of_the_sub_models(machine: Machine, tmp_path: Path, suffix: str) -> None:
-    for of in ("carriage-alone", "effector-alone"):
-        target = tmp_path / f"{of}.{suffix}"
-        assert run("--of", of, "--figure", target).exit_code == 0
-        assert target.read_bytes().startswith({"png": PNG, "pdf": b"%PDF"}[suffix])
-
-
-def test_every_place_is_named(machine: Machine, tmp_path: Path) -> None:
-    places = [np.array([10.0 * k, 0.0]) for k in range(7)]
-    target = tmp_path / "many.svg"
-    draw_bode(study(machine, View(), FREQUENCIES, places), target)
-    text = target.read_text(encoding="utf-8")
-    assert all(f"at ({10 * k}, 0) mm" in text for k in range(7))

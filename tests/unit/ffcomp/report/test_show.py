@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from ffcomp.cli.show import open_picture
-from ffcomp.report.drawing import ERROR
 from ffcomp.report.show import show_figure
 from ffcomp.simulation.forecast import Forecast
 from ffcomp.simulation.preview import Curve, Preview
@@ -39,16 +38,6 @@ def test_it_shows_the_worst_of_the_outer_walls_from_near() -> None:
     assert high - low == pytest.approx(2 * 8 * 0.1, rel=0.01)  # 0.1 mm off: 1.6 mm are shown, not the whole line
 
 
-def test_the_numbers_of_the_print_stand_once_and_every_panel_has_units() -> None:
-    figure = drawn()
-    _, layers, before, after, bar = figure.axes
-    assert all(axes.get_xlabel() == "X, mm" and axes.get_ylabel() == "Y, mm" for axes in (before, after))
-    assert (layers.get_xlabel(), layers.get_ylabel()) == ("contour error where plastic flows, µm rms", "Z, mm")
-    assert bar.get_ylabel() == "contour error, µm"
-    assert before.get_title("left") == "Z 0.20 mm, without compensation"
-    assert "If the machine file is exact: contour error" in figure.get_suptitle()
-
-
 def test_the_error_by_layer_is_that_of_plastic() -> None:
     (z,), (error,) = curve(1.0).by_height()
     ramp = np.linspace(0.5, 1.0, COUNT)
@@ -56,14 +45,6 @@ def test_the_error_by_layer_is_that_of_plastic() -> None:
     assert error == pytest.approx(np.sqrt(np.mean([(100 * ramp) ** 2, (300 * ramp) ** 2])))
     before, after = drawn().axes[1].get_lines()
     assert before.get_xdata()[0] == pytest.approx(100 * after.get_xdata()[0])
-
-
-def test_maps_show_plastic_only_in_the_colours_of_an_error() -> None:
-    before = drawn().axes[2]
-    (plastic,) = before.collections
-    assert not before.get_lines() and before.get_ylim()[1] < 15.0  # travel, at 20 mm, is left out
-    assert len(plastic.get_segments()) == 2 * COUNT - 1
-    assert plastic.get_cmap()(0.0)[:3] == pytest.approx([int(ERROR[0][k : k + 2], 16) / 255 for k in (1, 3, 5)])
 
 
 def test_the_picture_is_opened_or_it_is_said_where_it_is(

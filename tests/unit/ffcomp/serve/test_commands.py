@@ -31,33 +31,11 @@ def words_of(kind: str, options: dict[str, Any], *inputs: str) -> list[tuple[str
     return [step.words for step in KINDS[kind].steps(task)]
 
 
-def test_a_print_is_compensated_and_drawn() -> None:
-    first, second = words_of("compensate", {"keep_shaper": True, "max_error_um": "25"}, "in/a.gcode")
-    assert first[:6] == ("compensate", "in/a.gcode", "-m", "/machines/kossel.toml", "-o", str(OUT / "a.gcode"))
-    assert first[6:] == ("--json", "--keep-shaper", "--max-error-um=25") and second[0] == "show"
-
-
 @pytest.mark.parametrize(
     ("value", "words"), [("", ()), (None, ()), ("auto", ()), ("on", ("--robust=on",)), ("off", ("--robust=off",))]
 )
 def test_a_choice_is_a_word_or_nothing(value: Any, words: tuple[str, ...]) -> None:
     assert words_of("compensate", {"robust": value}, "a.gcode")[0][7:] == words
-
-
-def test_captures_and_their_plan_are_told_apart() -> None:
-    (words,) = words_of("diagnose", {}, "in/a-1.csv", "in/a-2.csv", "in/moves.json")
-    assert words[:5] == ("diagnose", "--report", str(OUT / "report.html"), "in/a-1.csv", "in/a-2.csv")
-    assert words[words.index("--plan") + 1] == "in/moves.json"
-
-
-def test_a_weighed_effector_is_known_to_the_fit() -> None:
-    (words,) = words_of("fit", {"known_mass_kg": 0.6}, "in/a.csv")
-    assert words[:2] == ("identify", "fit") and words[-1] == "--known=effector.total_mass_kg=0.6"
-
-
-def test_a_machine_file_is_checked_not_imported() -> None:
-    assert words_of("import", {}, "in/my.toml") == [("machines", "check", "in/my.toml", "--json")]
-    assert words_of("import", {"name": "my"}, "in/printer.cfg")[0][4:5] == (str(OUT / "my.toml"),)
 
 
 @pytest.mark.parametrize(

@@ -118,16 +118,6 @@ def test_progress_is_seen_while_it_runs_and_cancel_ends_the_process(tmp_path: Pa
         assert not (tmp_path / "work" / "jobs" / id_).exists()
 
 
-def test_what_a_process_says_at_once_is_seen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    log: list[Path] = []
-    monkeypatch.setattr("ffcomp.serve.runner._be_nice", lambda pid: until(log[0].exists))
-    with runner(tmp_path) as made:
-        job = Job(new_id(), "compensate", "a.gcode", "kossel", ("a.gcode",))
-        log.append(made.kept.place(job.id) / "0.events")
-        made.add(job, lambda place: (place / "a.gcode").write_text("slow") and None)
-        running(made, job.id)
-
-
 def _removed(of: Runner, id_: str) -> bool:
     try:
         of.remove(id_)
@@ -223,13 +213,6 @@ def test_a_full_disk_is_the_jobs_trouble(tmp_path: Path, monkeypatch: pytest.Mon
         job = ended(made, add(made, "G28"))
         assert job.state == FAILED and "MB are free on the disk" in job.error
         monkeypatch.undo()
-
-
-def test_a_disk_that_is_full_for_notes_stops_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    with runner(tmp_path) as made:
-        id_ = add(made, "G28")
-        monkeypatch.setattr(made.kept, "write", lambda job: (_ for _ in ()).throw(OSError(28, "No space left")))
-        assert ended(made, id_).state in (DONE, FAILED)
 
 
 def test_only_what_a_job_names_is_given_out(tmp_path: Path) -> None:

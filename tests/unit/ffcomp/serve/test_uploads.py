@@ -79,13 +79,6 @@ def test_too_large_a_file_is_refused_while_it_comes_and_leaves_nothing(tmp_path:
     assert refused.value.status == 413 and len(sent) == 17 and held(uploads) == []
 
 
-def test_an_empty_file_is_refused(tmp_path: Path) -> None:
-    uploads = Uploads(Settings(tmp_path))
-    with pytest.raises(Refused, match="empty"):
-        take(uploads, "a.gcode")
-    assert held(uploads) == []
-
-
 def test_a_disk_that_fills_up_is_said_and_nothing_is_left(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     uploads = Uploads(Settings(tmp_path))
 
