@@ -185,7 +185,7 @@ def set_of(name: str, keep: Path, data: Path) -> Path | None:
 def _real(folder: Path, effect: str) -> Any:
     """Return the printer with its hidden effect; its owner's file, a little off, is written."""
     from models.file import load_machine
-    from studies.diagnosis_proof import owners_file
+    from tests.support.hidden_delta import owners_file
     from validation.blind.delta.hidden import EFFECTS as HIDE
     from validation.blind.printer.real import Real
 

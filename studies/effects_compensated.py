@@ -40,7 +40,7 @@ from ffcomp.simulation.playback import simulate_nozzles
 from models.effects.catalogue import CATALOGUE, effects_of_printers, with_effect
 from models.file import load_machine
 from models.machine import Machine
-from studies.diagnosis_proof import LAYERS, PRINT, Printer, on_the_real
+from tests.support.hidden_delta import LAYERS, PRINT, Printer, on_the_real
 from validation import judge
 from validation.blind.delta.hidden import EFFECTS
 from validation.blind.printer.real import Real

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import resource
 import subprocess
 import sys
@@ -27,9 +28,9 @@ from ffcomp.diagnosis.gap import gap_of
 from ffcomp.diagnosis.problem import Problem
 from ffcomp.diagnosis.problems import plant_of, problem_of, recordings_of
 from models.file import load_plant
-from studies.measured_axes import DATA
-from studies.render import REPORTS, results_of, save
+from studies.render import REPORTS, ROOT, results_of, save
 
+DATA = Path(os.environ.get("FFCOMP_DATA", ROOT.parent / "shared" / "data"))
 FIGURE = REPORTS / "measured.png"
 
 

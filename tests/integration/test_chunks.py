@@ -31,8 +31,8 @@ from gcode.reader import read_parts, read_program
 from gcode.slicing import join
 from models.file import load_machine
 from models.machine import Machine
-from studies import marlin
 from tests.support.compensated import compensated, job
+from tests.support.marlin_played import played, score
 from tests.support.steps import read_events
 from validation.invariants import violations
 
@@ -172,10 +172,10 @@ def test_marlins_steps_behind_a_cut_leave_the_same_error(machine: Machine, small
             text, result = compensated(data, machine, flavor=MARLIN, predict=False)
         assert original(text) == data and violations(data, text, machine, flavor=MARLIN) == []
         program = read_program(text, flavor=MARLIN, **known_to_the_firmware(machine))
-        plan, motors = marlin.played(program, machine)
+        plan, motors = played(program, machine)
         clock = section_starts(program, planned).clock(plan.start_t)
-        score = marlin.score(motors, "mp-delta-pro", clock, path_corners(planned.trajectory))
-        scores.append((result.statistics.windows, result.statistics.print_time_s, program.moves.end[-1], score))
+        left = score(motors, "mp-delta-pro", clock, path_corners(planned.trajectory))
+        scores.append((result.statistics.windows, result.statistics.print_time_s, program.moves.end[-1], left))
     (windows, print_time_s, end, cut), (fewer, whole_s, whole_end, whole) = scores
     assert windows > fewer  # there were cuts
     assert print_time_s == pytest.approx(whole_s, abs=1e-4)

@@ -1,4 +1,4 @@
-"""Our virtual printer against MuJoCo with the arms as bodies; the whole comparison is `studies/cross_check.py`."""
+"""Our virtual printer against MuJoCo with the arms as bodies."""
 
 from __future__ import annotations
 

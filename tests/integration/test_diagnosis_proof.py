@@ -14,13 +14,13 @@ from ffcomp.diagnosis.result import better_file, result_of
 from ffcomp.measurement.recording import read_recording
 from models.effects.catalogue import with_effect
 from models.file import load_machine
-from studies.diagnosis_proof import Experiment, Printer, hidden, measured_by, owners_file, printed_with, record
+from tests.support.hidden_delta import Motions, Printer, hidden, owners_file, printed_with, record
 from validation import judge
 
 SECONDS, PRINTED_S = 1.2, 3.0
 EXPERIMENTS = (
-    Experiment("multisine", "centre", (0.0, 0.0, 30.0), 1.0, 2),
-    Experiment("multisine", "right", (70.0, 40.0, 60.0), 1.4),
+    Motions("multisine", (0.0, 0.0, 30.0), 1.0, 2),
+    Motions("multisine", (70.0, 40.0, 60.0), 1.4),
 )
 TABLE, REAL = hidden("extruder_mount", 2)  # softer and more damped, in x and y
 
@@ -30,7 +30,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The owner's machine file, and runs of the printer that hides another mount of the extruder."""
     made = tmp_path_factory.mktemp("proof")
     (made / "owner.toml").write_text(owners_file(load_machine(judge.MACHINE_FILE)), encoding="utf-8")
-    record(made / "runs", EXPERIMENTS, measured_by(REAL, REAL.machine["kinematics"], SECONDS), 1, SECONDS)
+    record(made / "runs", EXPERIMENTS, REAL, SECONDS)
     return made
 
 
@@ -59,10 +59,8 @@ def test_the_hidden_effect_is_named_and_the_print_gets_better(folder: Path) -> N
         np.testing.assert_allclose(values, wanted[:2], atol=0.1)
     truth = with_effect(load_machine(judge.MACHINE_FILE), "extruder_mount", **TABLE)
     printer = Printer(REAL, truth)
-    none = printed_with(printer, folder / "owner.toml", compensate=False, seconds=PRINTED_S)
-    old, better = (
-        printed_with(printer, file, seconds=PRINTED_S) for file in (folder / "owner.toml", written(folder, *names))
-    )
+    none = printed_with(printer, folder / "owner.toml", PRINTED_S, compensate=False)
+    old, better = (printed_with(printer, file, PRINTED_S) for file in (folder / "owner.toml", written(folder, *names)))
     assert old < 0.3 * none
     assert better < 0.6 * old
 

@@ -14,7 +14,7 @@ from ffcomp.firmware.program import plan_program
 from ffcomp.inverse.settings import settings_for
 from ffcomp.planner.lookahead import stops_and_waits
 from models.file import load_machine
-from studies.marlin import judge, read
+from tests.support.marlin_played import judge, read
 from validation.invariants import told_apart, violations
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -9,9 +10,8 @@ import pytest
 
 from ffcomp.measurement.recording import read_recording
 from ffcomp.record.plan import load_plan
-from studies.diagnosis import ffcomp
-from studies.diagnosis_proof import hidden
-from studies.owners_loop import as_captures, firmware_plan, worst_offset
+from tests.support.hidden_delta import as_captures, firmware_plan, hidden, worst_offset
+from tests.support.reference import call
 from validation import judge
 
 
@@ -19,13 +19,13 @@ from validation import judge
 def test_captures_of_the_hosts_motion_are_joined_with_their_command(tmp_path: Path) -> None:
     """With 122 g hidden, lost rows, tilt and turned axes: two thirds of a sample at worst."""
     plan, told = tmp_path / "moves.gcode", ("-m", judge.MACHINE_FILE, "--json")
-    made = ffcomp("record", "plan", "-o", plan, "--seconds", "2", "--at", "0,0", "--repeats", "1", *told)
-    assert "why" not in made, made["why"]
+    call("record", "plan", "-o", plan, "--seconds", "2", "--at", "0,0", "--repeats", "1", *told)
     moves = load_plan(plan.with_suffix(".json"))
     _, real = hidden("effector_mass", 5)
-    begun = as_captures(tmp_path / "captures", moves, firmware_plan(plan, moves), real, "klipper")
+    begun = as_captures(tmp_path / "captures", moves, firmware_plan(plan, moves), real)
     captures = [tmp_path / "captures" / name for name in begun]
-    joined = ffcomp("record", "join", *captures, "--plan", plan.with_suffix(".json"), "-o", tmp_path / "runs", *told)
+    options = ("--plan", plan.with_suffix(".json"), "-o", tmp_path / "runs", *told)
+    joined = json.loads(call("record", "join", *captures, *options).stdout)
     assert len(joined["runs"]) == len(captures) == len(moves.runs()) and not joined["refused"], joined
     assert worst_offset(joined, begun) < 2e-4
     run = read_recording(Path(joined["runs"][0]["file"]))

@@ -15,8 +15,8 @@ from ffcomp.measurement.axis_run import AxisRun, read_axis_run
 from models.file import load_plant
 from models.kinds import is_one_axis
 from models.machine import Machine
-from studies import measured_axes
-from studies.measured_axes import BOUC_WEN_HZ, DATA, FINER, NOISE_MM
+from tests.support import measured_axes
+from tests.support.measured_axes import BOUC_WEN_HZ, DATA, FINER, NOISE_MM
 
 TRIED = (
     "coulomb_friction",

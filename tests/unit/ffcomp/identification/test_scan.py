@@ -1,6 +1,6 @@
 """A page that an independent printer has drawn, seen by a scanner and by a phone, and what the pictures tell of it.
 
-To be cheap, the page is the first cell of one, seen at 300 dpi; `studies/scan.py` has whole pages and many printers.
+To be cheap, the page is the first cell of one, seen at 300 dpi.
 """
 
 from __future__ import annotations

@@ -15,19 +15,18 @@ from ffcomp.record.plan import Plan
 from ffcomp.record.result import JoinResult
 from models.file import load_machine
 from models.machine import Machine
-from studies.straight_proof import KINDS, as_captures, machine_text
+from tests.support.straight_printer import as_captures, machine_text
 
-SLINGER = KINDS["cartesian"]
 Joins = Callable[[bool, bool], JoinResult]
 
 
 @pytest.fixture(scope="module")
 def bench(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[Path], Plan, Machine]:
     folder = tmp_path_factory.mktemp("slinger")
-    (folder / "box.toml").write_text(machine_text(SLINGER), encoding="utf-8")
+    (folder / "box.toml").write_text(machine_text(), encoding="utf-8")
     machine = load_machine(folder / "box.toml")
     plan = make_plan(machine, Request(seconds=2.0, places_mm=[(0.0, 0.0)], kinds=("zigzag", "reversals")))
-    return as_captures(folder / "captures", plan, SLINGER.plant, SLINGER, 30.0), plan, machine
+    return as_captures(folder / "captures", plan), plan, machine
 
 
 @pytest.fixture(scope="module")

@@ -1,15 +1,12 @@
-"""What is left of compensation where Marlin plays it: blocks of whole motor steps through independent plants.
+"""What compensation leaves where Marlin plays it: blocks of whole motor steps through independent plants.
 
-    OPENBLAS_NUM_THREADS=1 python -m studies.marlin [tower] [star] [--seconds 60]
-
-The written file is planned by Marlin's own rules (`ffcomp.firmware.marlin_planner`, which the tests compare with the
+The written file is planned by Marlin's own rules (`ffcomp.firmware.marlin_planner`, which other tests compare with the
 real planner's blocks), the motors follow the blocks from whole step to whole step, and a plant that shares no equation
-with ffcomp moves the nozzle. Contour error is that to the segments of the path that Marlin plans for the sliced file.
+with ffcomp moves the nozzle. Contour error is the distance to the path that Marlin plans for the sliced file.
 """
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
@@ -35,7 +32,7 @@ from validation.plants import delta_plant, straight_plant
 
 FloatArray = NDArray[np.float64]
 
-SAMPLES = Path(__file__).parents[1] / "sample_prints"
+SAMPLES = Path(__file__).parents[2] / "sample_prints"
 CASES = {  # file, machine, mm by which it is moved
     "tower": ("ringing_tower", "prusa-mk3s", (125.0, 105.0)),
     "star": ("far_star", "mp-delta-pro", (0.0, 0.0)),
@@ -144,20 +141,3 @@ def judge(case: str, seconds: float) -> Iterator[tuple[str, Score, Track]]:
     plan, motion = played(written, machine)
     clock = section_starts(written, original).clock(plan.start_t)
     yield "compensated", score(motion, name, clock, path), tracks["compensated"]
-
-
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("cases", nargs="*", default=list(CASES), metavar="CASE")
-    parser.add_argument("--seconds", type=float, default=np.inf, help="of each print, from its beginning")
-    arguments = parser.parse_args()
-    print("| print | file | time s | contour rms µm | p99 | largest | predicted rms | p99 |")
-    print("|---|---|---|---|---|---|---|---|")
-    for case in arguments.cases:
-        for which, judged, track in judge(case, arguments.seconds):
-            numbers = (*judged[1:], track.contour_rms_um, track.contour_p99_um)
-            print(f"| {case} | {which} | {judged.seconds:.1f} | {' | '.join(f'{each:.1f}' for each in numbers)} |")
-
-
-if __name__ == "__main__":
-    main()

@@ -1,20 +1,13 @@
-"""Make machine files and runs of axes whose effect is known: EMPS, Silverbox, Bouc-Wen.
-
-    python -m studies.measured_axes FOLDER [--data DATA] [NAME ...]
+"""Axes whose effect is published: EMPS, Silverbox, Bouc-Wen.
 
 EMPS (A. Janot, M. Gautier and M. Brunot, 2019) and Silverbox (T. Wigren and J. Schoukens, 2013) are measured; fetch
-them from nonlinearbenchmark.org into `emps` and `silverbox` of DATA (default: $FFCOMP_DATA). They are not shipped.
-Bouc-Wen (J.-P. Noël and M. Schoukens, 2016) is simulated here by its published equations and parameters: a stand-in
-for the benchmark's own files. Each becomes FOLDER/NAME.toml and FOLDER/NAME-*.csv, for `ffcomp gap` and `diagnose`:
-
-    ffcomp diagnose FOLDER/emps-plain.csv -m FOLDER/emps.toml --without-repeats
+them from nonlinearbenchmark.org into `emps` and `silverbox` of $FFCOMP_DATA. They are not shipped. Bouc-Wen (J.-P. Noël
+and M. Schoukens, 2016) is simulated by its published equations and parameters.
 """
 
 from __future__ import annotations
 
-import argparse
 import os
-from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -25,7 +18,7 @@ from models.kinds import machine_of_axis
 from models.machine import Machine
 from models.vibration.driven_axis import DrivenAxis
 
-DATA = Path(os.environ.get("FFCOMP_DATA", Path(__file__).parents[2] / "shared" / "data"))
+DATA = Path(os.environ.get("FFCOMP_DATA", Path(__file__).parents[3] / "shared" / "data"))
 EMPS_FILES = {"plain": "DATA_EMPS.mat", "pulses": "DATA_EMPS_PULSES.mat"}
 
 SILVERBOX_HZ = 610.35
@@ -58,21 +51,7 @@ damping_n_s_per_m = {damping}
 """
 
 
-def main() -> None:
-    """Write what is asked for."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("folder", type=Path)
-    parser.add_argument("names", nargs="*", metavar="NAME")
-    parser.add_argument("--data", type=Path, default=DATA)
-    given = parser.parse_intermixed_args()
-    if unknown := [name for name in given.names if name not in MAKERS]:
-        parser.error(f"{unknown[0]} is none of {', '.join(MAKERS)}")
-    for name in given.names or MAKERS:
-        written = MAKERS[name](given.folder, given.data)
-        print(f"{name}: {', '.join(str(path) for path in written)}")
-
-
-def emps(folder: Path, data: Path = DATA) -> list[Path]:
+def emps(folder: Path) -> list[Path]:
     """Write EMPS: motor voltage times gain is the force, `qm` the measured position; the file's guesses are rough.
 
     NOTE: the file with pulses holds them once more as `pulses_N`. They are in `vir` already, and in volts: `vir` jumps
@@ -85,7 +64,7 @@ def emps(folder: Path, data: Path = DATA) -> list[Path]:
     text = FILE.format(about=about, name="emps", mass=50.0, stiffness=0.0, damping=100.0, sure=(0.5, 0.5, 1.0))
     written = [_file(folder, "emps", text)]
     for part, name in EMPS_FILES.items():
-        path = data / "emps" / name
+        path = DATA / "emps" / name
         variables = loadmat(path)
         missing = [key for key in ("t", "vir", "qm", "gtau") if key not in variables]
         if missing:
@@ -96,9 +75,9 @@ def emps(folder: Path, data: Path = DATA) -> list[Path]:
     return written
 
 
-def silverbox(folder: Path, data: Path = DATA) -> list[Path]:
+def silverbox(folder: Path) -> list[Path]:
     """Write Silverbox, an electronic mass on a spring that hardens: some of its multisines, in units of our own."""
-    volts = np.genfromtxt(data / "silverbox" / "SNLS80mV.csv", delimiter=",", skip_header=1)[:, :2]
+    volts = np.genfromtxt(DATA / "silverbox" / "SNLS80mV.csv", delimiter=",", skip_header=1)[:, :2]
     about = "Silverbox, with rough guesses, 1 V in = 1 kN and 1 V out = 1 mm: Wigren and Schoukens, 2013"
     text = FILE.format(about=about, name="silverbox", mass=5.0, stiffness=1e6, damping=200.0, sure=(0.2, 0.2, 0.5))
     written = [_file(folder, "silverbox", text)]
@@ -107,23 +86,6 @@ def silverbox(folder: Path, data: Path = DATA) -> list[Path]:
         t = np.arange(len(part)) / SILVERBOX_HZ
         path = folder / f"silverbox-multisine{'abc'[k]}.csv"
         written.append(_run(path, t, NEWTONS_A_VOLT * part[:, 0], MM_A_VOLT * part[:, 1]))
-    return written
-
-
-def bouc_wen(folder: Path, data: Path = DATA) -> list[Path]:
-    """Write a simulated Bouc-Wen oscillator: two multisines, each twice, with the benchmark's noise."""
-    del data
-    about = "Bouc-Wen, simulated by the published equations: Noël and Schoukens, 2016; its stiffness before it slides"
-    stiffness = BOUC_WEN["k"] + BOUC_WEN["alpha"]
-    text = FILE.format(about=about, name="bouc-wen", mass=2.0, stiffness=stiffness, damping=10.0, sure=(0.02, 0.1, 0.2))
-    written, rng = [_file(folder, "bouc-wen", text)], np.random.default_rng(16)
-    for part in "ab":
-        force = multisine(rng)
-        position = 1e3 * simulated_bouc_wen(force)
-        for repeat in (1, 2):
-            measured = position + NOISE_MM * rng.normal(size=len(position))
-            t = np.arange(len(position)) / BOUC_WEN_HZ
-            written.append(_run(folder / f"bouc-wen-{part}-{repeat}.csv", t, force[::FINER], measured))
     return written
 
 
@@ -174,9 +136,3 @@ def _run(path: Path, t: FloatArray, force_n: FloatArray, position_mm: FloatArray
     table = np.column_stack([t, force_n, position_mm])
     np.savetxt(path, table, delimiter=",", header="t_s,force_n,pos_q_mm", comments="", fmt="%.9g")
     return path
-
-
-MAKERS: Mapping[str, Callable[[Path, Path], list[Path]]] = {"emps": emps, "silverbox": silverbox, "bouc-wen": bouc_wen}
-
-if __name__ == "__main__":
-    main()
