@@ -6,7 +6,7 @@ import os
 import secrets
 import shutil
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from errno import EBUSY, EINVAL
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
@@ -64,7 +64,8 @@ def replacing(path: str | Path) -> Iterator[BinaryIO]:
         _drafts.append(_Draft(str(path), target, made.st_dev, made.st_ino))
         os.replace(draft, target)
     finally:
-        draft.unlink(missing_ok=True)
+        with suppress(OSError):  # why it could not be written matters more
+            draft.unlink(missing_ok=True)
 
 
 def _created(draft: Path, path: str | Path) -> BinaryIO:

@@ -50,15 +50,6 @@ class Explanation:
 
 
 @dataclass(frozen=True)
-class Turned:
-    """A sensor that is turned about the vertical, or reads more; fitted to the difference."""
-
-    degrees: float
-    gain: float  # relative change
-    share: float
-
-
-@dataclass(frozen=True)
 class Difference:
     """What differs between two checks."""
 
@@ -67,7 +58,9 @@ class Difference:
     times: float  # the weighed difference, in times the noise
     rows: float  # that are independent
     explanations: tuple[Explanation, ...]  # the best first
-    turned: Turned
+    turned_deg: float  # of the sensor about the vertical, if that and its gain were all that changed
+    gain: float  # of the sensor, relative
+    sensor_share: float  # of the difference, that both explain
 
 
 def pairs_of(today: Sequence[SensorSignal], then: Sequence[SensorSignal]) -> list[tuple[SensorSignal, SensorSignal]]:
@@ -94,6 +87,7 @@ def compare(pairs: Sequence[tuple[SensorSignal, SensorSignal]], around: Signatur
     if left > AS_NOISE**2 * problem.rows:
         tried = [each for each in explanations[:TRIED_AGAIN] if each.share > WORTHWHILE * explanations[0].share]
         explanations[: len(tried)] = _again(problem, around, tried, left, changed)
+    sensor = problem.fit(_of_sensor(problem, pairs))
     signal = np.sqrt(np.mean([felt.size**2 for felt, _ in pairs]))
     apart = np.sqrt(np.mean([(a.size * share_apart(a, b.acceleration)) ** 2 for a, b in pairs]))
     noise = np.sqrt(np.mean([np.mean(a.noise**2 + b.noise**2) for a, b in pairs]))
@@ -103,13 +97,15 @@ def compare(pairs: Sequence[tuple[SensorSignal, SensorSignal]], around: Signatur
         times=float(np.sqrt(left / problem.rows)),
         rows=problem.rows,
         explanations=tuple(sorted(explanations, key=lambda each: -each.share)),
-        turned=_turned(problem, pairs, left, changed),
+        turned_deg=float(np.rad2deg(sensor.values[0])),
+        gain=float(sensor.values[1]),
+        sensor_share=(left - sensor.left) / changed,
     )
 
 
 def _along(problem: Weighed, around: Signatures, part: Part, left: float, changed: float) -> Explanation:
     fit = problem.fit([problem.column(around.of[part])])
-    value = float(np.clip(fit.values[0], part.lowest, part.highest))
+    value = float(np.clip(fit.values[0], part.range.lowest, part.range.highest))
     share = (left - fit.left) / changed if value == fit.values[0] else 0.0
     return Explanation(part, value, float(fit.sd[0]), share)
 
@@ -131,20 +127,18 @@ def _again(
             elif best[part].share > 0.0:  # beyond the best: half of the way back
                 sizes[part] = 0.5 * (sizes[part] + best[part].value)
                 continue
-            sizes[part] = float(np.clip(sizes[part] + step.values[0], part.lowest, part.highest))
+            sizes[part] = float(np.clip(sizes[part] + step.values[0], part.range.lowest, part.range.highest))
         sizes = {part: size for part, size in sizes.items() if abs(size - before[part]) > CONVERGED * abs(size)}
         if not sizes:
             break
     return list(best.values())
 
 
-def _turned(
-    problem: Weighed, pairs: Sequence[tuple[SensorSignal, SensorSignal]], left: float, changed: float
-) -> Turned:
+def _of_sensor(problem: Weighed, pairs: Sequence[tuple[SensorSignal, SensorSignal]]) -> list[FloatArray]:
+    """Return what a sensor shows that is turned about the vertical, and one that reads more."""
     gain = {then.name: then.acceleration for _, then in pairs}
     turn = {name: np.column_stack([felt[:, 1], -felt[:, 0], 0.0 * felt[:, 2]]) for name, felt in gain.items()}
-    fit = problem.fit([problem.column(turn), problem.column(gain)])
-    return Turned(float(np.rad2deg(fit.values[0])), float(fit.values[1]), (left - fit.left) / changed)
+    return [problem.column(turn), problem.column(gain)]
 
 
 EXPLAINED = 0.9  # of the change, by the part that is named
@@ -214,21 +208,20 @@ def _quiet(comparison: Difference, last: str) -> Verdict:
 
 
 def _sensor(comparison: Difference) -> str | None:
-    turned = comparison.turned
+    turned, gain, share = abs(comparison.turned_deg), comparison.gain, comparison.sensor_share
     others = max((each.share for each in comparison.explanations), default=0.0)
-    if turned.share < EXPLAINED or turned.share <= others:
+    if share < EXPLAINED or share <= others:
         return None
-    if abs(turned.degrees) > TURNED_DEG and abs(turned.gain) <= GAINED:
+    explains = f"that explains {min(share, 1.0):.0%} of the change."
+    if turned > TURNED_DEG and abs(gain) <= GAINED:
         return (
-            f"The accelerometer is turned by {abs(turned.degrees):.0f}° about the vertical since then: that explains "
-            f"{min(turned.share, 1.0):.0%} of the change. Fasten it as it was, and check again."
+            f"The accelerometer is turned by {turned:.0f}° about the vertical since then: {explains} Fasten it as it "
+            "was, and check again."
         )
-    if abs(turned.gain) > GAINED:
-        more = "more" if turned.gain > 0 else "less"
+    if abs(gain) > GAINED:
         return (
-            f"The accelerometer reads {abs(turned.gain):.0%} {more} of the same motion: that explains "
-            f"{min(turned.share, 1.0):.0%} of the change. It is another one, or its range was set anew; the next check "
-            "will be compared with this one."
+            f"The accelerometer reads {abs(gain):.0%} {'more' if gain > 0 else 'less'} of the same motion: {explains} "
+            "It is another one, or its range was changed; the next check will be compared with this one."
         )
     return None
 
@@ -238,7 +231,7 @@ def _explained(comparison: Difference, last: str) -> Verdict:
     changed = f"The printer has changed since {last}: {_differs(comparison)}."
     best = comparison.explanations[0] if comparison.explanations else None
     if best is None or best.share < EXPLAINED:
-        return Verdict(UNKNOWN, f"{changed} No single part explains it, so it cannot be told here what changed.")
+        return Verdict(UNKNOWN, f"{changed} No single part explains it, so the check does not name one.")
     # of a change that noise half hides, the shares themselves are uncertain
     unsure = max(LEAST_LEFT, 3.0 * float(np.sqrt(2.0 / comparison.rows)) / (comparison.times**2 - 1.0))
     left = max(1.0 - best.share, unsure)
@@ -247,7 +240,7 @@ def _explained(comparison: Difference, last: str) -> Verdict:
     ]
     named = (best, *alike)
     words = ", or ".join(each.part.words(each.value) for each in named)
-    unlike = " These, and some of each, cannot be told apart here." if alike else ""
+    unlike = " The check cannot separate these, or a mixture of them." if alike else ""
     return Verdict(
         CHANGED,
         f"{changed} {words[0].upper()}{words[1:]}: that explains {min(best.share, 1.0):.0%} of it.{unlike}",
@@ -302,12 +295,12 @@ class CheckResult(Result):
 
     @property
     def warnings(self) -> Sequence[str]:
-        """What limits the comparison."""
+        """Sentences on the limits of the comparison."""
         return self.notes
 
     @property
     def next_steps(self) -> list[str]:
-        """What comes next, where something does."""
+        """The next step, if there is one."""
         findings = [each.finding for each in (self.verdict, self.since_first) if each is not None]
         if UNKNOWN in findings:
             return [f"To search for it: {self.diagnose}"]
@@ -318,7 +311,6 @@ class CheckResult(Result):
     def details(self) -> dict[str, Any]:
         """Return the keys of ffcomp-check/1."""
         comparison, since = self.compared, self.since_first
-        turned = comparison.turned if comparison else None
         return {
             "schema": "ffcomp-check/1",
             "machine": {
@@ -339,9 +331,9 @@ class CheckResult(Result):
             "times_noise": comparison.times if comparison else None,
             "named": [each.to_dict() for each in self.verdict.named],
             # number or null: about the vertical, if that were all that changed
-            "sensor_turned_deg": turned.degrees if turned else None,
+            "sensor_turned_deg": comparison.turned_deg if comparison else None,
             # number or null: relative change, if that were all that changed
-            "sensor_gain": turned.gain if turned else None,
+            "sensor_gain": comparison.gain if comparison else None,
             "axes_map": self.check.axes_map,  # the printer's axes in the sensor's own
             "since_first": {
                 # text or null: of the first check, where the last one says `same` and the first one does not
@@ -446,7 +438,7 @@ def _notes(known: Sequence[Check], plan: Plan, names: set[str], last: Check | No
         notes.append(f"These captures are in the history already, of {_day(known[0].date)}; it was not changed.")
     missing = [each.name for each in plan.experiments if each.name not in names]
     if missing:
-        notes.append(f"Without {', '.join(missing)}, of which no capture could be used.")
+        notes.append(f"Left out, because no capture of it could be used: {', '.join(missing)}.")
     if last is not None and last.machine_sha256 != machine.sha256:
         notes.append("The machine file has changed since; the comparison is of motion with motion all the same.")
     return notes

@@ -53,7 +53,7 @@ class Check:
 
 
 def moves_hash(experiments: Sequence[Mapping[str, Any]]) -> str:
-    """Return what tells the moves of a plan from others; of earlier plans the same as when they were made."""
+    """Return a hash of the moves of a plan; of earlier plans the same as when they were made."""
     moves = [{**each, "limits": {**each["limits"], **HASHED_LIMITS}} for each in experiments]
     return hashlib.sha256(json.dumps(moves, sort_keys=True).encode()).hexdigest()
 
@@ -78,7 +78,7 @@ def read_history(path: Path) -> list[Check]:
             str(path),
             [
                 f"Line {len(checks) + 1} of the history is no check of ffcomp ({error}). Nothing was changed. Give "
-                "another file with --history, or move this one away: checks then begin anew."
+                "another file with --history, or move this one away: checks then start again."
             ],
         ) from error
     return checks

@@ -24,7 +24,7 @@ BAND_HZ = (2.0, 150.0)
 RATE_HZ = 400.0
 DEPENDENT = RATE_HZ / (2.0 * (BAND_HZ[1] - BAND_HZ[0]))  # rows for one that is independent
 BEFORE_S = 0.15  # kept of the rest before the motion
-REST_S = 0.05  # before the motion, in which no filter rings yet
+REST_S = 0.05  # before the motion: no filter rings earlier
 LEAST_NOISE_M_PER_S2 = 0.01  # of chips that round
 SURE_CLOCK_S = 5e-5
 
@@ -36,7 +36,7 @@ class SensorSignal:
     name: str
     acceleration: FloatArray  # (n, 3) m/s² at `rows_of` the experiment, the mean of its repeats
     noise: FloatArray  # (3,) m/s², standard deviations of that mean
-    clock_sd_s: float  # by which all of it may be early or late
+    clock_sd_s: float  # all of it may be early or late by so much
     repeats: int
 
     @property
@@ -98,7 +98,7 @@ def _filtered(each: Joined) -> tuple[FloatArray, FloatArray]:
     return each.begin_s + recording.time_s, in_band(whole, recording.sample_rate_hz)
 
 
-FROM_DAY_TO_DAY = 0.01  # of the signal: no printer repeats better after it was homed anew
+FROM_DAY_TO_DAY = 0.01  # of the signal: no printer repeats better after homing
 
 ByExperiment = Mapping[str, FloatArray]
 

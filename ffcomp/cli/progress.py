@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from rich.progress import Progress as Bar
     from rich.progress import ProgressColumn, TaskID
 
-STEADY_S = 5.0  # of work, before which nothing is said about the time left
+STEADY_S = 5.0  # of work, before the time left is shown
 ROUND_S = ((60.0, 5.0), (300.0, 15.0), (float("inf"), 60.0))  # up to so many seconds, to multiples of these
 
 
@@ -31,7 +31,7 @@ ROUND_S = ((60.0, 5.0), (300.0, 15.0), (float("inf"), 60.0))  # up to so many se
 class Event:
     """How far a verb is, for programs: a JSON line of FFCOMP_EVENTS."""
 
-    stage: str  # what is being done
+    stage: str  # in words
     share: float | None = None  # that is done, 0 to 1; None: not known
     left_s: float | None = None  # time left, s; None: not known yet
 
@@ -86,7 +86,7 @@ class Progress(Shown):
         super().__init__()
         self.total_s, self.what = max(total_s, 1e-9), what
         self.tenths = 0
-        self.steady: tuple[float, float] | None = None  # when the first share was told, and what was done then
+        self.steady: tuple[float, float] | None = None  # time and share of the first report
 
     def make(self) -> tuple[Bar, TaskID]:
         """Make a bar with the share that is done and the time left."""
@@ -97,7 +97,7 @@ class Progress(Shown):
         return bar, bar.add_task(self.what, total=self.total_s, left="")
 
     def left_s(self, done_s: float) -> float | None:
-        """Return the time left by the pace since the first share: what was compiled before it does not count."""
+        """Return the time left by the pace since the first share: compiling comes before it and does not count."""
         now = time.monotonic()
         self.steady = self.steady or (now, done_s)
         since, before = self.steady
@@ -148,7 +148,7 @@ class SearchProgress(Shown):
         return bar, bar.add_task(self.first, total=1.0, stage=f"0/{self.pace.stages}")
 
     def __call__(self, sentence: str) -> None:
-        """Show a stage, what is being tried, or a result."""
+        """Show a stage, a trial or a result."""
         now_s = time.monotonic() - self.begun
         if isinstance(sentence, Stage):
             self.pace.begin(sentence.number, now_s)
@@ -185,7 +185,7 @@ class SearchProgress(Shown):
         left = self.left
 
         class Left(ProgressColumn):
-            """The time left, told anew each time that the bar is drawn."""
+            """The time left, computed each time the bar is drawn."""
 
             def render(self, task: Task) -> Text:
                 return Text(left())

@@ -37,6 +37,7 @@ from ffcomp.comparison.monte_carlo import ON_PLANTS, TUNING_ON_PLANTS, with_spre
 from ffcomp.comparison.result import Comparison, Layer, Method, Party, Peaks
 from ffcomp.comparison.sampling import SETTLE_S, SHORTEST_S, Print, PrintSlice, Sampling, check_long_enough
 from ffcomp.compensation.job import Job, Options
+from ffcomp.firmware.table import FIRMWARES
 from ffcomp.inverse.robust import choose_robust
 from ffcomp.inverse.settings import Settings, settings_for
 from ffcomp.simulation.expectation import EXCERPT_S, Expectation, draw_plants, expectation, pieces_of
@@ -44,7 +45,6 @@ from ffcomp.simulation.expectation import Piece as ExpectedPiece
 from ffcomp.simulation.forecast import NO_FORECAST, Forecast
 from ffcomp.simulation.playback import ROW_S
 from ffcomp.version import __version__
-from gcode.dialect import MARLIN
 from models.machine import Machine
 
 ON_PLANTS_S = 60.0  # of print time that is executed on every Monte-Carlo plant
@@ -296,13 +296,7 @@ def _settings(settings: Settings, flavor: str) -> dict[str, str]:
         "judged": f"{1 / SAMPLE_S:.0f} times a second, but for the first {SETTLE_S:g} s of each slice",
         "shapers tuned on": f"{TUNING_S:.0f} s of the print, contour rms, plant known",
     }
-    return used | ({"Marlin": MARLINS_STEPS} if flavor == MARLIN else {})
-
-
-MARLINS_STEPS = (
-    "The ends of ffcomp's segments are on whole motor steps, as Marlin's are. No other row has that rounding, which a "
-    "real printer adds to each."
-)
+    return used | dict(FIRMWARES[flavor].in_comparisons)
 
 
 def _predicted(printed: Print, settings: Settings) -> Forecast:

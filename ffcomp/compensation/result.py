@@ -18,6 +18,7 @@ from ffcomp.compensation.placement import Placement
 from ffcomp.compensation.statistics import ENOUGH, Statistics, cause_of, shortened, warning_lines
 from ffcomp.errors import INPUT_ERRORS, FfcompError, explain, interrupts_restored
 from ffcomp.faster.bound import limits_in_words
+from ffcomp.firmware.table import FIRMWARES
 from ffcomp.inverse.robust import PLAIN, RobustChoice
 from ffcomp.metrics import Track
 from ffcomp.numerics.digits import um
@@ -26,7 +27,6 @@ from ffcomp.result import Fact, clock
 from ffcomp.result import Result as VerbResult
 from ffcomp.simulation.forecast import NO_FORECAST, WAYS, Forecast
 from ffcomp.steps.sink import MotorTotal
-from gcode.dialect import MARLIN
 from gcode.dialects import FlavorChoice
 from gcode.embedded import Stamp
 from models.file import machine_paths
@@ -34,7 +34,6 @@ from models.machine import Machine, assumed_modes, identity
 from models.schema.documents import DEFAULT_UNCERTAINTY
 
 SCHEMA = "ffcomp-compensate/1"
-MARLIN_8_BIT_PER_S = 100.0  # segments: 10 ms each to parse and plan
 LISTED = 12  # places that were slowed down, of which each has its sentence
 DIED = "A process that worked at it has died, perhaps for want of memory."
 
@@ -112,10 +111,10 @@ class Result:
 
     @property
     def slow_boards(self) -> list[str]:
-        """Say which Marlin boards cannot take so many segments: Klipper's hosts and RepRapFirmware's boards all do."""
+        """Say which boards cannot follow so many segments."""
         numbers = self.statistics
         per_s = numbers.segments / max(numbers.print_time_s, 1e-9)
-        if self.flavor.flavor != MARLIN or per_s < MARLIN_8_BIT_PER_S:
+        if per_s < FIRMWARES[self.flavor.flavor].slow_board_per_s:
             return []
         return [
             f"The file has {per_s:.0f} segments a second. An 8-bit board, or a serial line at 115200 baud (OctoPrint), "

@@ -16,6 +16,7 @@ import numpy as np
 from ffcomp.inverse.model import InverseModel
 from ffcomp.planner.segment_timing import SegmentLimits, SegmentSpeeds, segment_speeds
 from ffcomp.planner.trajectory import Trajectory
+from gcode.dialects import close_limits, limit_lines, open_limits
 from gcode.program import LimitCommand, ModalState, MotionLimits, Moves, Program
 from models.arrays import BoolArray, FloatArray, IntArray
 from models.machine import Machine
@@ -49,6 +50,8 @@ class Firmware(Protocol):
         "What becomes quicker is planned by Klipper's rules of corners: any firmware gets ffcomp's segments."
     )
 
+    slow_board_per_s: float = inf  # segments that its slowest boards cannot follow
+    in_comparisons: Sequence[tuple[str, str]] = ()  # names and sentences of what a comparison must state
     # when it records with its own accelerometers
     usual_chips: Sequence[str] = ()  # empty: it has none
     captures_at: str = "from the printer"
@@ -72,9 +75,13 @@ class Firmware(Protocol):
 
     def opening(self, machine: Machine, raised: SegmentLimits, file: FileLimits) -> list[bytes]:
         """Return the lines that raise the limits for our segments."""
+        v, a, corner = raised.velocity_mm_per_s, raised.acceleration_mm_per_s2, raised.square_corner_velocity_mm_per_s
+        return open_limits(self.flavor, v, a, corner, raised.raised_axes)
 
     def closing(self, machine: Machine, raised: SegmentLimits, file: FileLimits) -> list[bytes]:
         """Return the lines that restore the file's limits, or the machine's where the file has set none."""
+        own = close_limits(self.flavor, machine_limits(machine), raised.raised_axes)
+        return [*own, *limit_lines(self.flavor, file.commands.values(), file.unit_mm)]
 
     def cut(self, program: Program, machine: Machine) -> Program:
         """Cut moves where the firmware begins another block."""
@@ -159,14 +166,14 @@ class Segments:
     def chosen(
         self, at: FloatArray, points: FloatArray, e: FloatArray, kept: IntArray, pinned: BoolArray
     ) -> tuple[IntArray, BoolArray]:
-        """Return the points at which segments end, and which of all points are pinned.
+        """Return where segments end, and which points are pinned.
 
         Parameters
         ----------
         at : (n,) times of the points, in knots
         points : (n, 3) mm
         e : (n,) mm of filament
-        kept : (m,) indices of the points at which segments end so far
+        kept : (m,) indices of the points that end segments so far
         pinned : (n,) points that must stay: a line stands there, or another writer continues
         """
         return kept, pinned

@@ -12,7 +12,7 @@ from ffcomp.planner.limits import planner_limits
 from ffcomp.planner.lookahead import plan_moves
 from ffcomp.planner.segment_timing import SegmentLimits
 from gcode.dialect import KLIPPER
-from gcode.dialects import close_limits, open_limits
+from gcode.dialects import close_limits
 from gcode.program import MotionLimits, Program
 from models.machine import Machine
 
@@ -63,8 +63,7 @@ class Klipper(Firmware):
 
     def opening(self, machine: Machine, raised: SegmentLimits, file: FileLimits) -> list[bytes]:
         """Return SET_VELOCITY_LIMIT with the raised limits."""
-        velocity, acceleration = raised.velocity_mm_per_s, raised.acceleration_mm_per_s2
-        return _obeyed(machine, open_limits(KLIPPER, velocity, acceleration, raised.square_corner_velocity_mm_per_s))
+        return _obeyed(machine, super().opening(machine, raised, file))
 
     def closing(self, machine: Machine, raised: SegmentLimits, file: FileLimits) -> list[bytes]:
         """Return SET_VELOCITY_LIMIT with the limits of the last move."""

@@ -29,6 +29,14 @@ class Marlin(Firmware):
     """Drops short segments, cuts a delta's lines by time, rounds to whole steps and brakes for the end of its queue."""
 
     flavor = MARLIN
+    slow_board_per_s = 100.0  # 8 bits: 10 ms each to parse and plan
+    in_comparisons = (
+        (
+            "Marlin",
+            "The ends of ffcomp's segments are on whole motor steps, as Marlin's are. No other row has that rounding, "
+            "which a real printer adds to each.",
+        ),
+    )
     corrections_off = ("M420 S0",)
     corrections_on = ("M420 S1",)
     restores = "The file puts back limits and mesh at the end. When the run is cancelled: M501, or a reset."

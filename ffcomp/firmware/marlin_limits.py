@@ -11,7 +11,7 @@ from gcode.program import LimitCommand
 from models.kinematics.delta import DeltaKinematics
 from models.machine import Machine, MarlinSettings
 
-FLICKER_STEPS, FLICKER_S = 2.0, 0.004  # of the filament in a segment, of which E's jerk must let the speed jump
+FLICKER_STEPS, FLICKER_S = 2.0, 0.004  # filament in a segment; E's jerk must allow this jump of speed
 LONGEST_DEVIATION_MM = 0.3  # that M205 J takes
 
 
@@ -38,7 +38,7 @@ class MarlinLimits:
         """
         o, settings = self.raised, self.settings
         acceleration, corner = o.acceleration_mm_per_s2, o.square_corner_velocity_mm_per_s
-        # of E at which steps that come and go slow nothing: little enough for a retraction
+        # E's jerk, so that steps that come and go slow nothing: little enough for a retraction
         flicker = round(FLICKER_STEPS / (FLICKER_S * extruder_steps_per_mm(self.machine)), 2)
         yield from self._lines(
             self._filament(commands),

@@ -1,9 +1,9 @@
-"""Segments that Marlin executes as they are meant: long enough in steps, timed by its own queue, within limits of ours.
+"""Segments that Marlin executes exactly: long enough in steps, timed by its own queue, within limits of ours.
 
 Marlin drops what has fewer steps than MIN_STEPS_PER_SEGMENT and joins it to the next line, so that its time is lost;
-it cuts a delta's lines that last 10 ms and more into equal parts, each of which may be too short; it slows the first
+it cuts a delta's lines that last 10 ms and more into equal parts, and each may be too short; it slows the first
 lines after a rest (SLOWDOWN, by `M205 B`); it rounds every end to whole steps (`whole_steps`); and one step of the
-filament more or less from segment to segment is a jump of its speed, at which E's jerk slows the path.
+filament more or less from segment to segment is a jump of its speed, and E's jerk then slows the path.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ from models.compiled import kernel
 from models.kinematics.delta import DeltaKinematics
 from models.machine import MarlinSettings
 
-AROUND = 4  # segments on either side of one that is too short, that are chosen anew with it
-MOST_KNOTS = 60.0  # that a segment chosen anew may last
-WHOLE_S = 0.95  # of the time from which on a delta's line is cut in two
+AROUND = 4  # segments on either side of one that is too short: they are chosen again with it
+MOST_KNOTS = 60.0  # the longest segment of a new choice
+WHOLE_S = 0.95  # of the time beyond which a delta's line is cut in two
 SEGMENT_COST_MM2 = 1e-7  # knots, of one more segment: a third of a µm all along a knot
 SWEEPS = 2  # of the speeds that make durations exact
-MOST_FASTER = 4.0  # times what a segment's length takes in its time, that a sweep may ask for
+MOST_FASTER = 4.0  # the highest speed that a sweep may request, by length over time
 LEAST_E_MM = 1e-5  # that a file can state
 
 
@@ -88,7 +88,7 @@ class MarlinSegments(Segments):
     def speeds(
         self, points: FloatArray, e: FloatArray, lasting: FloatArray, file: FileLimits, filament: Filament | None
     ) -> tuple[FloatArray, SegmentSpeeds]:
-        """Return the speeds with which Marlin's queue executes each segment in its time."""
+        """Return speeds that make Marlin's queue execute each segment in its time."""
         raised = MarlinLimits(self.machine, self.raised).opening(file.commands)
         row = reduce(row_after, [*file.commands.values(), *raised], self.row)
         motors = np.column_stack([self.steps.motors(points) / self.row[STEPS][:3], e])
@@ -242,9 +242,9 @@ def _choose(
     enough: float,
     most: float,
 ) -> None:
-    """Choose the points between two at which segments end, in place: dynamic programming over what they miss.
+    """Choose the points between two that end segments, in place: dynamic programming over what they miss.
 
-    Where there is no choice of which all are long enough, they stay what they are.
+    If no choice makes all of them long enough, nothing changes.
     """
     n = last - first + 1
     best, before = np.full(n, np.inf), np.zeros(n, dtype=np.int64)

@@ -39,7 +39,7 @@ from ffcomp.planner.lookahead import Phases, check, phases_from_corners, timed
 from ffcomp.planner.segment_timing import SegmentLimits
 from ffcomp.planner.trajectory import Trajectory
 from gcode.dialect import REPRAPFIRMWARE
-from gcode.dialects import limit_lines, open_limits
+from gcode.dialects import limit_lines
 from gcode.program import LimitCommand, Moves, Program
 from models.arrays import BoolArray, FloatArray, IntArray
 from models.compiled import kernel
@@ -101,11 +101,6 @@ class RepRapFirmware(Firmware):
         stated = () if machine.reprapfirmware is None else machine.reprapfirmware.stated
         matter = ("acceleration_mm_per_s2", "speed_mm_per_s", "jerk_mm_per_s")
         return assumed_sentence("RepRapFirmware", stated, matter, "config.g")
-
-    def opening(self, machine: Machine, raised: SegmentLimits, file: FileLimits) -> list[bytes]:
-        """Return M201, M203, M204 and M566 with the raised limits."""
-        v, a, corner = raised.velocity_mm_per_s, raised.acceleration_mm_per_s2, raised.square_corner_velocity_mm_per_s
-        return open_limits(REPRAPFIRMWARE, v, a, corner, raised.raised_axes)
 
     def closing(self, machine: Machine, raised: SegmentLimits, file: FileLimits) -> list[bytes]:
         """Return the machine's limits of the raised axes, then the file's own."""

@@ -30,12 +30,12 @@ from models.kinematics.base import Kinematics
 from models.kinematics.delta import DeltaKinematics
 from models.vibration.scheduled import PlantTable
 
-MOST_ROWS = 8  # moments of a segment at which the nozzle's error counts
+MOST_ROWS = 8  # moments of a segment when the nozzle's error counts
 ALONG = 0.3  # of an error along the path, that counts
-MISS_COST = 0.2  # of e², in squares of what a step moves: less of it asks for misses of many steps
+MISS_COST = 0.2  # of e², in squares of what a step moves: with less, misses become many steps
 SETTLE = 12  # segments like the last, after which what follows it is known well enough
 WIDER = 4  # steps beyond the nearest, where there and back in two segments is within the motors' acceleration
-SPARE = 0.9  # of that acceleration, for Marlin's times are not quite ours
+SPARE = 0.9  # of that acceleration, because Marlin's times are not quite ours
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,9 +66,9 @@ class WholeSteps:
 
         Parameters
         ----------
-        at : (n,) times of the points, in knots; at multiples of CUT one begins anew, so that tiles say the same
+        at : (n,) times of the points, in knots; at multiples of CUT one begins again, so that tiles say the same
         points : (n, 3) mm
-        fixed : (n,) which of them stay as they are
+        fixed : (n,) which of them do not move
         """
         steps = self.motors(points)
         t = self.table

@@ -17,7 +17,7 @@ from ffcomp.measurement.frf import AXES, FrequencyResponse
 from ffcomp.numerics.stages import Stage
 from models.arrays import ComplexArray, FloatArray
 
-CROSS_TALK = 0.1  # of the direct response, in amplitude, from which coupling is reported: chips sit a few degrees askew
+CROSS_TALK = 0.1  # amplitude over the direct response's: more is reported as coupling, as chips sit a few degrees askew
 LEAST_EXCHANGE, SHARP = 0.01, 3.0  # of δ, and in standard uncertainties, from which it is written
 MOST_TURNED = np.radians(20)  # of a sensor that was meant to be straight
 

@@ -26,10 +26,10 @@ from models.machine import Machine, value_of, with_values
 
 MASS, OFFSET, OFFSET_SHARE = "axis.mass_kg", "axis.offset_n", 0.1
 FINAL = Settings(rounds=5)
-BLOCKS = 60  # of a run: what is left is alike within one, and independent of the others
+BLOCKS = 60  # of a run: residuals are alike within a block, and independent between blocks
 NOISE = 1e-6  # of a signal: less is not resolved
 LOWEST, HIGHEST = 1e-3, 1e3  # times the file's value
-WEAK = 0.1  # relative, from which a number is said to be weak
+WEAK = 0.1  # relative standard deviation: a number beyond it is called weak
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,7 +116,7 @@ def fit_axis(
 
 
 def kept_of(start: Machine, known: Mapping[str, tuple[float, float]]) -> list[str]:
-    """Return what no run can tell: where a position drives, all numbers may grow alike."""
+    """Return the numbers that no run determines: where a position drives, all may grow in proportion."""
     return [] if driven_axis(start).by_force or known else [MASS]
 
 

@@ -37,7 +37,7 @@ SPANS = (5, 7, 11, 15, 21, 31, 45, 63)  # samples over which a speed may be take
 
 @dataclass(frozen=True, eq=False)
 class Shots:
-    """One run with the states at which its simulation begins anew."""
+    """One run with the states where its simulation restarts."""
 
     run: AxisRun
     length: int  # samples of a shot; 0: there is one
@@ -207,13 +207,13 @@ def _shots(run: AxisRun, mean: AxisRun, speed: FloatArray, seconds: float) -> Sh
 
 
 def _rested(command: FloatArray) -> int:
-    """Count the samples from the first on in which a command stays where it is."""
+    """Count the samples before a command first moves."""
     moved = np.flatnonzero(np.abs(command - command[0]) > STILL * np.ptp(command))
     return int(moved[0]) if len(moved) else len(command)
 
 
 def _resting(commanded: float, place: FloatArray) -> float:
-    """Return where an axis rests, (n,) mm measured: as it was told, unless friction holds it elsewhere.
+    """Return where an axis rests, (n,) mm measured: as commanded, unless friction holds it elsewhere.
 
     A single sample is off by the sensor's noise, with which a sprung axis would begin to ring.
     """
@@ -222,7 +222,7 @@ def _resting(commanded: float, place: FloatArray) -> float:
 
 
 def _place(run: AxisRun) -> FloatArray:
-    """Return where the axis was, (n,) mm: measured; else as it was told, or where it began."""
+    """Return where the axis was, (n,) mm: measured; else as commanded, or where it began."""
     measured = run.position.get("pos_q", run.position.get("pos_motor"))
     if measured is not None:
         return measured
@@ -236,7 +236,7 @@ def _bridged(x: FloatArray) -> FloatArray:
 
 
 def _speed(place: FloatArray, rate: float) -> FloatArray:
-    """Return the speed, (n,) mm/s: the slope over as many samples as the noise asks for and the motion allows.
+    """Return the speed, (n,) mm/s: the slope over as many samples as the noise needs and the motion allows.
 
     The span grows as long as what it changes is explained by the noise of the positions (Lepski's rule).
     """

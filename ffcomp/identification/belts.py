@@ -38,7 +38,7 @@ RATIOS = (1.0, 1.6, 2.5)  # of the moving masses along y and x, where a search b
 LOG_RATIO_SD = 0.7
 LOG_STIFFNESS_SD = 0.3  # weak prior: belts of one machine
 LOG_DAMPING_SD = 0.7
-POOR = 0.6  # model error of ln S from which nothing is said
+POOR = 0.6  # model error of ln S: beyond it there is no verdict
 TRIED = 3  # of the starts
 AS_IT_IS, SEARCHED, REFINED = Settings(steps=0), Settings(steps=15, gain=1e-2), Settings(rounds=10, gain=1e-4)
 STEP = 1e-5
@@ -55,7 +55,7 @@ class BeltComparison:
     modes_hz: tuple[Estimate, Estimate]  # the lower one first
     damping_ratio: tuple[float, float]
     tests: tuple[BeltTest, ...]
-    fitted: tuple[FloatArray, ...]  # (k,) of each test, as it was measured
+    fitted: tuple[FloatArray, ...]  # (k,) of each test, in the units of the measurement
     errors: tuple[float, ...]  # of each test, the model's own
     sentence: str
 

@@ -5,7 +5,7 @@
                     ├─ responses of a delta ──────── identify ─────────── ParametersFit
                     │                             or identify_as_paper ── StepwiseFit
                     └─ spectra alone ─────────────── starting_machine ─── ResonancesFit
-    tests along belts or towers are compared beside that (compare_belts)
+    tests along belts or towers are compared too (compare_belts)
 
 Each fit brings its machine file's text and its JSON object (`machine_fit.py`).
 """
@@ -105,7 +105,7 @@ READ_SD = 0.05  # of a frequency that is read off the waves of a print
 def fit_ringing(start: Machine, request: RingingRequest) -> ResonancesFit:
     """Move a machine's modes to frequencies that are read off the waves of a print.
 
-    Of a delta's towers they tell the belts' stiffness, of straight axes all modes of each, in proportion.
+    They scale the belts' stiffness of a delta, and all modes of a straight axis in proportion.
     """
     read = {axis: hz for axis, hz in (("x", request.x_hz), ("y", request.y_hz)) if hz is not None}
     origin = Origin(Path(start.path), request.name or request.output.stem, (), date.today().isoformat())
@@ -141,7 +141,7 @@ def fit_ringing(start: Machine, request: RingingRequest) -> ResonancesFit:
 
 
 def _with_shapers(fit: F) -> F:
-    """Add what suits those who stay with an input shaper, for the axes that were measured."""
+    """Add advice on input shapers for the axes that were measured."""
     if not fit.text:
         return fit
     measured = {axis.name for axis in fit.result.axes} if isinstance(fit, AxesFit) else {"x", "y"}

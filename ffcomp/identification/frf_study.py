@@ -187,7 +187,7 @@ def study(
 
 
 def _of_axes(response: FrequencyResponse, centre_mm: tuple[float, float]) -> FrequencyResponse:
-    """Of straight axes the carriages are the axes: what is said of A is said of x. And every place is as the centre."""
+    """Rename the carriages of straight axes to the axes, A to x; every place counts as the centre."""
     names = dict(zip(CARRIAGES, AXES, strict=True))
     commanded, answers = (name[:-1] + names.get(name[-1], name[-1]) for name in (response.input, response.output))
     return replace(response, input=commanded, output=answers, position_mm=(*centre_mm, 0.0))

@@ -1,9 +1,9 @@
 """A starting machine file from resonances alone, as Klipper's own test measures them.
 
-Power spectra hold no phase and no force: they cannot tell masses from stiffnesses, nor the parts of the damping. They
-do determine where the nozzle resonates and how sharply. So two parameters of the starting file are scaled: the belts'
-stiffness until the main resonances lie at the measured ones, and the dampings until they are as sharp; the rest stays
-the starting file's, with its uncertainty.
+Power spectra hold no phase and no force: they do not separate masses from stiffnesses, nor the parts of the damping.
+They do determine where the nozzle resonates and how sharply. So two parameters of the starting file are scaled: the
+belts' stiffness until the main resonances lie at the measured ones, and the dampings until they are as sharp; the rest
+stays the starting file's, with its uncertainty.
 """
 
 from __future__ import annotations

@@ -74,7 +74,7 @@ def gather(
 
     Parameters
     ----------
-    plan : the file that `record plan` wrote beside its G-code; None: there are no captures of it.
+    plan : the file that `record plan` wrote with its G-code; None: there are no captures of it.
     axes : the printer's axes in the sensor's own, of captures of a plan. Where the plan is no periodic excitation,
         x, y, z means that they are found.
     shaken_axis : the excited axis of resonance tests whose names do not say it: x, y, z or a direction such as
@@ -138,7 +138,7 @@ def _of_plan(
 
 
 def _with_axes(tests: Sequence[TestFile], stated: list[str], skipped: list[str]) -> list[tuple[TestFile, str | None]]:
-    """Pair each resonance test with its excited axis; what is no test is skipped."""
+    """Pair each resonance test with its excited axis; other files are skipped."""
     usable = []
     for test in tests:
         sentence = no_test(test)
@@ -220,7 +220,7 @@ def resonances_of(spectra: Sequence[ModeFit]) -> tuple[list[Resonance], list[str
             left_out.append(f"{name}: {spectrum.verdict}")
         elif not main.clear:
             left_out.append(
-                f"{name}: it is not used, for its strongest mode is known to {main.frequency_hz:.1f} ± "
+                f"{name}: it is not used, because its strongest mode is known to {main.frequency_hz:.1f} ± "
                 f"{main.frequency_sd_hz:.1f} Hz only. Test it again, excited harder, with the sensor fastened."
             )
         else:
@@ -233,7 +233,7 @@ def resonances_of(spectra: Sequence[ModeFit]) -> tuple[list[Resonance], list[str
 # A capture holds neither the start of the motion nor the command; the plan's file holds the command exactly. The
 # capture is aligned below 20 Hz with the simulated acceleration of the starting machine, brought onto the command's
 # clock, and analysed over the plan's whole periods. The remaining error of the start is a delay that is fitted with the
-# parameters (`FrequencyResponse.clock`): a drive's own delay and a capture's are told apart by resonances, not by
+# parameters (`FrequencyResponse.clock`): resonances separate a drive's own delay from a capture's, not
 # alignment.
 
 
@@ -243,8 +243,8 @@ CLEAR_CORRELATION = 0.4  # of what a rough machine file expects
 BAND_HZ = (5.0, 150.0)  # that such motions excite
 HALF_WIDTH_HZ = 2.0  # zigzags and loops have a few lines in a hertz only
 VARIANCE_FACTOR = 4.0  # polynomials of such wide windows err by twice the noise, measured on simulated captures
-MOST_NOISE = 0.15  # of a response's values: beyond it, as across the axes at the centre, it tells nothing
-COMMANDS = ("cmd_x", "cmd_y")  # z moves too little beside them
+MOST_NOISE = 0.15  # of a response's values: beyond it, as across the axes at the centre, it is not used
+COMMANDS = ("cmd_x", "cmd_y")  # z moves too little
 
 
 def frfs_from_captures(

@@ -41,7 +41,7 @@ class MachineFit(Result):
     data: Sequence[str]  # files with hashes
     name: str  # of the new machine
     text: str = ""  # of the new machine file; empty: the data do not make one
-    skipped: Sequence[str] = ()  # sentences: what was not used
+    skipped: Sequence[str] = ()  # sentences on data that were not used
     advice: Sequence[str] = ()  # sentences
     refusal: Sequence[str] = ()  # sentences: why there is no machine file
     belts: BeltComparison | None = None
@@ -62,7 +62,7 @@ class MachineFit(Result):
 
     @property
     def warnings(self) -> list[str]:
-        """What could not be used, what is weak or not determined, and what to measure next."""
+        """Sentences on data that were not used, on weak numbers, and on the next measurement."""
         return list(dict.fromkeys([*self.skipped, *self.advice]))
 
     @property

@@ -10,11 +10,11 @@ its height against the first one's and from the dip between them.
     minimise  Σ r²/v(ε),   v = (σ² + ε²|H|²)/2 of the real and the imaginary part,   v = ε² (1 + P/S) + σ² of ln S
 
 σ² is the noise, ε the model's own error, chosen for each file such that χ² has its expected value. A second mode is
-accepted only where the Bayesian information criterion asks for it, with correlated residuals counted as fewer, and
+accepted only where the Bayesian information criterion is better, with correlated residuals counted as fewer, and
 where its frequency and its share are sharp.
 
 How much of the damping belts hold is not fitted. A share s multiplies each mode by 1 + 2i ζ_j s f/f_j, to first order a
-delay, which each response has of its own; what is left is about (2 ζ f/f_j)² s. `belts_share_error` says how sharp s
+delay, which each response has of its own; the rest is about (2 ζ f/f_j)² s. `belts_share_error` says how sharp s
 could be.
 """
 
@@ -47,15 +47,15 @@ START_SHARE = 0.8  # of the first of two modes
 STARTS, PEAKS = 6, 2  # frequencies tried for each mode: evenly over the band, and where the data stand highest
 OUTSIDE = 1.3  # how far beyond the band a mode may be looked for, a factor
 BROADEST = 0.4  # damping ratio of a resonance
-BETTER_BIC = 2.0  # by which a second mode must win
-MANY_MODES = 0.2  # model error from which there are more modes than two
+BETTER_BIC = 2.0  # least gain of a second mode
+MANY_MODES = 0.2  # model error: beyond it there are more modes than two
 PEAK_BAND = 1.45  # the band around a peak that is fitted by itself, a factor to each side
 FEWEST_AT_PEAK = 12  # lines
 CLEAR = 0.05  # relative standard uncertainty of a frequency
 SHARP = 2.0  # standard uncertainties that a share must be away from zero
-WEAK_DAMPING = 0.25  # relative standard uncertainty from which the user is warned
-POOR_FIT = 0.35  # model error from which the user is warned
-APART = 0.05  # relative distance of frequencies by which two files disagree
+WEAK_DAMPING = 0.25  # relative standard uncertainty: beyond it the user is warned
+POOR_FIT = 0.35  # model error: beyond it the user is warned
+APART = 0.05  # relative distance of frequencies: beyond it two files disagree
 
 
 @dataclass(frozen=True)
@@ -74,7 +74,7 @@ class AxisFit:
     name: str  # x, y or z
     modes: tuple[AxisMode, ...]  # the larger share first
     data: tuple[Datum, ...]
-    fitted: tuple[FloatArray | ComplexArray, ...]  # of each datum, as it was measured
+    fitted: tuple[FloatArray | ComplexArray, ...]  # of each datum, in the units of the measurement
     errors: tuple[float, ...]  # of each datum, the model's own: 0.1 is 10 %
     verdict: str  # a sentence: why so many modes
     advice: tuple[str, ...]
@@ -154,7 +154,7 @@ def _deviance(found: _Fit, shares: FloatArray) -> float:
 
 
 def fit_axis(name: str, data: Sequence[Datum]) -> AxisFit:
-    """Fit one mode or two, whichever the data ask for.
+    """Fit one mode or two, by the evidence.
 
     Raises
     ------

@@ -52,13 +52,13 @@ DELAY_UNIT_S = 1e-3
 ROTATION_SD_DEG = 3.0  # of an accelerometer against the printer's axes
 ROTATION_UNIT = float(np.radians(ROTATION_SD_DEG)) / PRIOR_SD
 COARSE = 0.3  # model error of the coarse fit
-FINE = 0.05  # model error with which two near fits are compared
+FINE = 0.05  # model error when two near fits are compared
 OTHER_MOUNTS = (0.02, 50.0)  # factors on a mount's stiffness
 NEAR = 0.1  # of the values may be far off where the search for a start ends
 STARTS = (1.0, 0.75, 1.33, 0.6, 1.7)  # factors on every frequency of the starting machine
 RANDOM_STARTS = 30
 STEP = 1e-5  # of differences: the unknowns are of order one
-FAR_SD = 2.0  # coarse standard deviations by which a value is far off
+FAR_SD = 2.0  # coarse standard deviations: beyond it a value is far off
 ROUGH = Settings(steps=30, gain=1e-1, share=1e-3)  # of a start, before it is compared with others
 FINAL = Settings(steps=100, rounds=10, exact_end=True)
 
@@ -327,7 +327,7 @@ def _beside_common_scale(
 ) -> tuple[float, FloatArray]:
     """Return the sd of all masses, stiffnesses and dampings together, and each unknown's (p,) where that is given.
 
-    Without a force or a weight, motion tells their ratios only: so they are uncertain all together. Their scale is
+    Without a force or a weight, motion determines their ratios only: so they are uncertain all together. Their scale is
     taken to be the effector's mass, which is what one can weigh.
     """
     weight = np.zeros(len(covariance))

@@ -22,7 +22,7 @@ import numpy as np
 
 from ffcomp.errors import MeasurementError, SolverError
 from ffcomp.identification.output_error import DAMPING, DRIVE, STIFFNESS, fit_machine
-from ffcomp.identification.rational import RationalFit, fit_rational, scaled_inverse
+from ffcomp.identification.rational import RationalFit, fit_rational
 from ffcomp.identification.uncertainty import Joint
 from ffcomp.measurement.frf import AXES, CARRIAGES, FrequencyResponse
 from ffcomp.numerics.least_squares import minimise
@@ -43,7 +43,7 @@ EARLIER = {
 CENTRE_MM = 1.0  # from the centre, within which its symmetry is assumed
 SILENT = 0.05  # of the largest response of an axis: below it a carriage does not take part
 
-SURE_FREEDOM = 5  # degrees of freedom from which a large χ² widens the intervals
+SURE_FREEDOM = 5  # degrees of freedom: with as many, a large χ² widens the intervals
 WEIGHED_SD = 1e-6  # relative, of a weight given without an uncertainty
 
 
@@ -67,7 +67,7 @@ def carriage_step(alone: FrequencyResponse, loaded: FrequencyResponse) -> Step:
     SolverError
         If the two responses do not show the effect of the added mass.
     """
-    fits = [fit_rational([response], 2, 4) for response in (alone, loaded)]
+    fits = [fit_rational(response, 2, 4) for response in (alone, loaded)]
     added = loaded.added_mass_kg
     start = np.append(_carriage_start(fits[0], fits[1], added), added)
 
@@ -107,7 +107,7 @@ def _carriage_start(alone: RationalFit, loaded: RationalFit, added_kg: float) ->
         )
     m = omega_loaded**2 / (omega**2 - omega_loaded**2) * added_kg  # Eq. 41
     d0, d2 = abs(free[drive]) ** 2, -2 * free[drive].real
-    lead = np.sort(-1 / alone.zeros().real)  # numerator (c s + k)(d1 s + d0): its zeros are −k/c and −d0/d1
+    lead = np.sort(-1 / alone.zeros.real)  # numerator (c s + k)(d1 s + d0): its zeros are −k/c and −d0/d1
     k, total = m * omega**2, -2 * free[1 - drive].real * m  # Eqs. 36 and 35
     c = float(np.clip(lead[-1] * k, 0.02 * total, 0.98 * total))
     return np.array([m, k, c, total - c, d0, lead[0] * d0, d2])
@@ -122,12 +122,12 @@ def hammer_step(struck: FrequencyResponse, total_mass_kg: float, total_sd_kg: fl
     Only the ratio of zero to pole and the weight give the masses, so the hammer needs no calibration; its gain is
     fitted too.
     """
-    fit = fit_rational([struck], 2, 2)
-    zero, pole = abs(fit.zeros()[-1]), abs(fit.poles[-1])
+    fit = fit_rational(struck, 2, 2)
+    zero, pole = abs(fit.zeros[-1]), abs(fit.poles[-1])
     m1 = total_mass_kg * min((zero / pole) ** 2, 0.999)  # Eq. 49
     m2 = total_mass_kg - m1
-    damping = max(-2 * fit.zeros()[-1].real, 1e-3 * zero)
-    start = np.array([m1, m2, damping * m2, zero**2 * m2, fit.numerators[0, 2] * m1])
+    damping = max(-2 * fit.zeros[-1].real, 1e-3 * zero)
+    start = np.array([m1, m2, damping * m2, zero**2 * m2, fit.numerator[2] * m1])
 
     def equations(numbers: FloatArray) -> FloatArray:
         m1, m2, b, k, gain = numbers
@@ -210,8 +210,8 @@ def _solved(
     extra: Callable[[FloatArray], FloatArray],
 ) -> tuple[Joint, float]:
     """Solve coefficients = equations(parameters) by weighted least squares, with further whitened residuals `extra`."""
-    coefficients = np.concatenate([np.append(fit.numerators.ravel(), fit.denominator[:-1]) for fit in fits])
-    whiten = [np.linalg.cholesky(_positive(scaled_inverse(fit.covariance))).T for fit in fits]
+    coefficients = np.concatenate([fit.coefficients for fit in fits])
+    whiten = [np.linalg.cholesky(_positive(_inverse(fit.covariance))).T for fit in fits]
     ends = np.cumsum([0, *(len(w) for w in whiten)])
     unit = np.where(start == 0, 1.0, np.abs(start))
 
@@ -223,11 +223,17 @@ def _solved(
         )
 
     best = minimise(residual, start / unit, evaluations=2000)
-    covariance = scaled_inverse(best.jacobian.T @ best.jacobian) * np.outer(unit, unit)
+    covariance = _inverse(best.jacobian.T @ best.jacobian) * np.outer(unit, unit)
     freedom = len(best.residual) - len(start)
     consistency = best.cost / freedom
     wider = max(1.0, consistency) if freedom >= SURE_FREEDOM else 1.0
     return Joint(tuple(names), best.x * unit, covariance * wider), consistency
+
+
+def _inverse(information: FloatArray) -> FloatArray:
+    """Invert a positive matrix whose rows have very different sizes."""
+    size = np.sqrt(np.maximum(np.diag(information), 1e-300))
+    return np.linalg.pinv(information / np.outer(size, size), hermitian=True, rcond=1e-15) / np.outer(size, size)
 
 
 def _positive(matrix: FloatArray) -> FloatArray:
@@ -256,7 +262,7 @@ def identify_as_paper(
 
     Parameters
     ----------
-    start : for the kinematics, the arms' mass, limits; its vibration parameters are replaced, never used.
+    start : gives the kinematics, the arms' mass and the limits; its vibration parameters are replaced, never used.
 
     Raises
     ------

@@ -1,6 +1,6 @@
-"""Rational fits of measured frequency responses: several responses, one denominator, started from the data.
+"""Rational fit of a measured frequency response, started from the data.
 
-    H_r(s) = (b_r0 + b_r1 s + …)/(a_0 + a_1 s + … + s^n)
+    H(s) = (b_0 + b_1 s + …)/(a_0 + a_1 s + … + s^n)
 
 First the iteratively reweighted linear least squares of Sanathanan & Koerner (IEEE Trans. Autom. Control 8, 1963),
 which needs no start; then nonlinear least squares on the output error from the best of its iterates, which is the
@@ -10,120 +10,126 @@ Identification, 2012, 9.11). Inside, frequencies are scaled to order one; outsid
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ffcomp.errors import SolverError
+from ffcomp.inference.fit import Settings, fit
+from ffcomp.inference.problem import EstimationProblem, Observation, Unknown
 from ffcomp.measurement.frf import FrequencyResponse
-from ffcomp.numerics.least_squares import minimise
 from models.arrays import ComplexArray, FloatArray
 
 ITERATIONS = 30  # of the linear step: it either converges in ten or never
+OUTPUT_ERROR = Settings(steps=200, gain=1e-6)
 
 
 @dataclass(frozen=True, eq=False)
 class RationalFit:
     """The fitted coefficients, all in powers of s, lowest first."""
 
-    numerators: FloatArray  # (r, nb + 1)
+    numerator: FloatArray  # (nb + 1,)
     denominator: FloatArray  # (na + 1,), the last one is 1
-    covariance: FloatArray  # (p, p), p = r (nb + 1) + na: numerators row by row, then the denominator without its 1
+    covariance: FloatArray  # (p, p), p = nb + 1 + na: the numerator, then the denominator without its 1
+
+    @property
+    def coefficients(self) -> FloatArray:
+        """(p,) all but the denominator's 1."""
+        return np.append(self.numerator, self.denominator[:-1])
 
     @property
     def poles(self) -> ComplexArray:
         """(na,) 1/s, slowest first."""
-        roots = np.roots(self.denominator[::-1]).astype(np.complex128)
-        return roots[np.argsort(np.abs(roots))]
+        return _roots(self.denominator)
 
-    def zeros(self, response: int = 0) -> ComplexArray:
-        """Return the zeros of one response, (nb,) 1/s, slowest first."""
-        roots = np.roots(self.numerators[response][::-1]).astype(np.complex128)
-        return roots[np.argsort(np.abs(roots))]
+    @property
+    def zeros(self) -> ComplexArray:
+        """(nb,) 1/s, slowest first."""
+        return _roots(self.numerator)
 
 
-def fit_rational(responses: Sequence[FrequencyResponse], numerator_order: int, denominator_order: int) -> RationalFit:
-    """Fit responses on one frequency grid with a common denominator.
+def _roots(polynomial: FloatArray) -> ComplexArray:
+    roots = np.roots(polynomial[::-1]).astype(np.complex128)
+    return roots[np.argsort(np.abs(roots))]
+
+
+def fit_rational(response: FrequencyResponse, numerator_order: int, denominator_order: int) -> RationalFit:
+    """Fit a response.
 
     Raises
     ------
     SolverError
         If there are fewer measured values than unknowns, or no finite fit.
     """
-    s, value = responses[0].s, np.stack([r.value for r in responses])
-    variance = np.stack([r.variance for r in responses])
-    unknowns = len(value) * (numerator_order + 1) + denominator_order
-    if 2 * value.size < unknowns + 1:
-        raise SolverError(f"{value.size} measured values cannot determine a rational fit of {unknowns} coefficients.")
-    scale = float(np.max(np.abs(s))) / 2
-    floor = 1e-12 * np.mean(np.abs(value) ** 2)  # noise-free data: finite weights all the same
-    problem = _Problem(s / scale, value, np.sqrt(2 / (variance + floor)), numerator_order, denominator_order)
-    theta = start = _linear_start(problem)
-    solution = minimise(problem.residual, start, problem.jacobian, evaluations=400)
-    if solution.converged or solution.cost < np.sum(problem.residual(start) ** 2):
-        theta = solution.x
-    return _unscaled(problem, theta, scale)
+    nb, na, lines = numerator_order, denominator_order, len(response.value)
+    unknowns = nb + 1 + na
+    if 2 * lines < unknowns + 1:
+        raise SolverError(f"{lines} measured values cannot determine a rational fit of {unknowns} coefficients.")
+    scale = float(np.max(np.abs(response.s))) / 2
+    problem = _Problem(response, scale, nb, na)
+    found = fit(problem, _linear_start(problem), OUTPUT_ERROR)
+    back = scale ** (na - np.concatenate([np.arange(nb + 1), np.arange(na)]).astype(float))
+    misfit = max(1.0, found.cost / max(2 * lines - unknowns, 1))
+    values = found.values * back
+    covariance = found.covariance * misfit * np.outer(back, back)
+    return RationalFit(values[:-na], np.append(values[-na:], 1.0), covariance)
 
 
-@dataclass(frozen=True, eq=False)
-class _Problem:
-    """One fit in scaled frequency; unknowns are the numerators row by row, then the denominator without its 1."""
+class _Problem(EstimationProblem):
+    """One fit in scaled frequency; unknowns are the numerator, then the denominator without its 1."""
 
-    x: ComplexArray  # (k,)
-    value: ComplexArray  # (r, k)
-    weight: FloatArray  # (r, k), 1/standard deviation of a real or imaginary part
-    nb: int
-    na: int
+    def __init__(self, response: FrequencyResponse, scale: float, nb: int, na: int) -> None:
+        self.value, self.na = response.value, na
+        self.powers = np.vander(response.s / scale, max(nb, na) + 1, increasing=True)  # (k, ·)
+        self.above, self.below = self.powers[:, : nb + 1], self.powers[:, : na + 1]
+        self.unknowns = [*(Unknown(f"b{i}") for i in range(nb + 1)), *(Unknown(f"a{i}") for i in range(na))]
+        floor = 1e-12 * np.mean(np.abs(response.value) ** 2)  # noise-free data: finite weights all the same
+        self.observations = [Observation(_real(response.value), np.tile((response.variance + floor) / 2, 2))]
 
     def parts(self, theta: FloatArray) -> tuple[ComplexArray, ComplexArray]:
-        """Evaluate N : (r, k) and D : (k,)."""
-        rows = theta[: -self.na].reshape(len(self.value), self.nb + 1)
-        above = rows @ np.vander(self.x, self.nb + 1, increasing=True).T
-        below = np.vander(self.x, self.na + 1, increasing=True) @ np.append(theta[-self.na :], 1.0)
-        return above, below
+        """Evaluate numerator and denominator, (k,) each."""
+        return self.above @ theta[: -self.na], self.below @ np.append(theta[-self.na :], 1.0)
 
-    def residual(self, theta: FloatArray) -> FloatArray:
-        above, below = self.parts(theta)
-        return _real(self.weight * (above / below - self.value)).ravel()
+    def simulate(self, lanes: Sequence[FloatArray]) -> Iterator[FloatArray]:
+        for theta in lanes:
+            above, below = self.parts(theta)
+            yield _real(above / below)
 
-    def jacobian(self, theta: FloatArray) -> FloatArray:
-        above, below = self.parts(theta)
-        return self._columns(self.weight / below, -self.weight * above / below**2)
+    def slopes(self, values: FloatArray) -> FloatArray:
+        above, below = self.parts(values)
+        return _real(self._columns(1 / below, -above / below**2))
 
-    def _columns(self, of_numerator: ComplexArray, of_denominator: ComplexArray) -> FloatArray:
-        """Build (2 r k, p) from the factors of the powers of x in numerator and denominator, (r, k) both."""
-        r, k = self.value.shape
-        powers = np.vander(self.x, max(self.nb + 1, self.na), increasing=True).T  # (·, k)
-        above = np.zeros((r, k, r, self.nb + 1), dtype=np.complex128)
-        for i in range(r):
-            above[i, :, i] = (powers[: self.nb + 1] * of_numerator[i]).T
-        below = np.einsum("pk,rk->rkp", powers[: self.na], of_denominator)
-        joined = np.concatenate([above.reshape(r, k, -1), below], axis=2)
-        return np.stack([joined.real, joined.imag]).reshape(2 * r * k, -1)
+    def _columns(self, of_numerator: ComplexArray, of_denominator: ComplexArray) -> ComplexArray:
+        """Return (k, p) from the factors (k,) of the powers of x in numerator and denominator."""
+        return np.hstack([self.above * of_numerator[:, None], self.below[:, :-1] * of_denominator[:, None]])
 
     def linear_step(self, below: ComplexArray) -> FloatArray:
         """Minimise |w (N − H D)/D_before|: the Sanathanan-Koerner step."""
-        weight = self.weight / np.abs(below)
-        columns = self._columns(weight.astype(np.complex128), -weight * self.value)
-        target = _real(weight * self.value * self.x**self.na).ravel()
+        weight = 1 / (self.deviations(np.zeros(1))[: len(below)] * np.abs(below))
+        columns = _real(self._columns(weight.astype(np.complex128), -weight * self.value))
+        target = _real(weight * self.value * self.powers[:, self.na])
         norm = np.linalg.norm(columns, axis=0)
         norm[norm == 0] = 1.0
         return np.asarray(np.linalg.lstsq(columns / norm, target, rcond=None)[0] / norm)
 
+    def output_error(self, theta: FloatArray) -> float:
+        """Return χ² of the response itself."""
+        (simulated,) = self.simulate([theta])
+        return float(np.sum(self.whitened(simulated, self.deviations(np.zeros(1))) ** 2))
+
 
 def _real(values: ComplexArray) -> FloatArray:
-    return np.stack([values.real, values.imag])
+    return np.concatenate([values.real, values.imag])
 
 
 def _linear_start(problem: _Problem) -> FloatArray:
     """Return the iterate with the smallest output error."""
-    below = np.ones_like(problem.x)
+    below = np.ones_like(problem.value)
     best, least = None, np.inf
     for _ in range(ITERATIONS):
         theta = problem.linear_step(below)
-        cost = float(np.sum(problem.residual(theta) ** 2))
+        cost = problem.output_error(theta)
         if np.isfinite(cost) and cost < least:
             best, least = theta, cost
         below = problem.parts(_stabilised(theta, problem.na))[1]
@@ -137,21 +143,3 @@ def _stabilised(theta: FloatArray, na: int) -> FloatArray:
     roots = np.roots(np.append(theta[-na:], 1.0)[::-1])
     roots = np.where(roots.real > 0, -roots.conj(), roots)
     return np.concatenate([theta[:-na], np.real(np.poly(roots))[::-1][:-1]])
-
-
-def _unscaled(problem: _Problem, theta: FloatArray, scale: float) -> RationalFit:
-    nb, na, r = problem.nb, problem.na, len(problem.value)
-    chi_squared = float(np.sum(problem.residual(theta) ** 2))
-    freedom = 2 * problem.value.size - len(theta)
-    back = scale ** (na - np.concatenate([np.tile(np.arange(nb + 1), r), np.arange(na)]).astype(float))
-    j = problem.jacobian(theta)
-    covariance = scaled_inverse(j.T @ j) * max(1.0, chi_squared / max(freedom, 1)) * np.outer(back, back)
-    coefficients = theta * back
-    numerators = coefficients[:-na].reshape(r, nb + 1)
-    return RationalFit(numerators, np.append(coefficients[-na:], 1.0), covariance)
-
-
-def scaled_inverse(information: NDArray[np.float64]) -> FloatArray:
-    """Invert a positive matrix whose rows have very different sizes."""
-    size = np.sqrt(np.maximum(np.diag(information), 1e-300))
-    return np.linalg.pinv(information / np.outer(size, size), hermitian=True, rcond=1e-15) / np.outer(size, size)

@@ -94,7 +94,7 @@ def read_test(
     Raises
     ------
     MeasurementError
-        If there are several spectra and no rule tells which one.
+        If there are several spectra and no rule selects one.
     """
     name = file_and_name(test)
     if axis is None:
@@ -133,7 +133,7 @@ def axis_spectrum(test: TestFile, axis: str, band_hz: tuple[float, float], colum
     Raises
     ------
     MeasurementError
-        If there are several spectra and no rule tells which one.
+        If there are several spectra and no rule selects one.
     """
     frequency, powers, averages = _powers(test, axis, column)
     return _cut(test, axis, frequency, powers, averages, band_hz)

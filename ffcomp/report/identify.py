@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from pathlib import Path
 from textwrap import fill
 from typing import Any
 
@@ -88,15 +87,17 @@ class Panels:
     def drawings(self) -> list[Drawing]:
         """Return them one by one, for a page."""
         each: list[tuple[str, Callable[[Axes, Any], None], Any]] = [
-            ("Measured and fitted", _responses, self.shown),
+            ("Measured (dots) and fitted, where the fit is worst", _responses, self.shown),
             ("Modes", _modes, self.modes),
-            ("Residual", _residuals, self.every),
+            (f"Residual of {len(self.every)} responses", _residuals, self.every),
         ]
         return [Drawing("", title, "", "", 4.6, 3.4, partial(_alone, draw, of)) for title, draw, of in each]
 
 
 def _alone(draw: Callable[[Axes, Any], None], of: Any, box: Box) -> None:
-    draw(box.subplots(), of)
+    axes = box.subplots()
+    draw(axes, of)
+    axes.set_title("")  # the page has it
 
 
 def fit_page(fit: MachineFit) -> bytes:
@@ -134,7 +135,7 @@ def _panels_of_axes(fit: AxesFit) -> Panels:
     shown, every, modes = list[Trace](), list[Trace](), list[Mode]()
     for axis in fit.result.axes:
         traces = [
-            Trace(f"{axis.name}, {Path(d.source).name}", d.frequency_hz, d.value, model, error, None, d.unit, d.level)
+            Trace(axis.name, d.frequency_hz, d.value, model, error, None, d.unit, d.level)
             for d, model, error in zip(axis.data, axis.fitted, axis.errors, strict=True)
         ]
         shown.append(max(traces, key=lambda trace: trace.error))

@@ -46,8 +46,11 @@ def progress(events: Path, doing: str) -> tuple[float | None, str]:
     """
     with suppress(IndexError, ValueError, KeyError):
         event = json.loads(tail(events).rstrip("\n").rsplit("\n", 1)[-1])
-        left = "" if event["left_s"] is None else f", {event['left_s']:.0f} s left"
-        return event["share"], f"{event['stage']}{left}"
+        left_s = event["left_s"]
+        if left_s is None:
+            return event["share"], event["stage"]
+        left = f"{left_s:.0f} s" if left_s < 100 else f"about {left_s / 60:.0f} min"
+        return event["share"], f"{event['stage']}, {left} left"
     return None, doing
 
 

@@ -108,6 +108,7 @@ def as_nobody() -> Iterator[None]:
 @pytest.fixture
 def foreign() -> Iterator[Path]:
     """A folder with a print that others may read; pytest's own folders may not be entered by others."""
+    machine()  # nobody may not look for it in this user's folder
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         (folder / "small.gcode").write_bytes(SMALL)
@@ -230,6 +231,8 @@ def test_targets_that_cannot_be(small: Path) -> None:
     assert stat.S_ISCHR(os.stat(os.devnull).st_mode) and stat.S_ISFIFO(pipe.stat().st_mode)
     missing = small.parent / "missing" / "out.gcode"
     assert refused(small, missing) == f"{missing}: It cannot be written: {os.strerror(errno.ENOENT)}."
+    below = small / "out.gcode"  # a file where a folder should be
+    assert refused(small, below) == f"{below}: It cannot be written: {os.strerror(errno.ENOTDIR)}."
     pipe.unlink()
     assert names(small.parent) == ["small.gcode"] and small.read_bytes() == SMALL
 

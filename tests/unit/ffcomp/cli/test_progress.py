@@ -91,3 +91,5 @@ def test_programs_read_events(
     assert capsys.readouterr() == ("", "")
     assert json.loads(events.read_text().splitlines()[-1]) == {"stage": "compensating", "share": 0.75, "left_s": 5.0}
     assert page_progress(events, "") == (0.75, "compensating, 5 s left")
+    events.write_text('{"stage": "trying", "share": null, "left_s": 195.0}\n')
+    assert page_progress(events, "") == (None, "trying, about 3 min left")

@@ -61,7 +61,10 @@ def test_a_law_of_speed_shows_its_shape_and_its_regime() -> None:
     assert (curve.signal, curve.against, curve.unit, curve.against_unit) == ("force", "speed", "N", "mm/s")
     speed = np.array(curve.at)
     assert inside(curve, slow_drag(speed, 1e-3 * speed)) > 0.7
-    assert curve.share > 0.6
+    assert curve.share > 0.6 and curve.sentence().startswith("residual force against speed: ")
+    assert (
+        replace(curve, share=0.05).sentence().startswith("residual force depends little on speed: 5.0 % of its power")
+    )
     assert curve.regime.startswith("most of it below ") and curve.regime.endswith(" mm/s")
     assert 15.0 < float(curve.regime.split()[-2]) < 35.0
 

@@ -19,7 +19,7 @@ S = 2j * np.pi * FREQUENCY_HZ
 
 
 def noisy_carriage(seed: int):  # type: ignore[no-untyped-def]
-    return measured(MACHINE, [blank(FREQUENCY_HZ, input="cmd_A", output="pos_A", setup="carriage")], 40.0, seed)
+    return measured(MACHINE, [blank(FREQUENCY_HZ, input="cmd_A", output="pos_A", setup="carriage")], 40.0, seed)[0]
 
 
 def exactly(h: np.ndarray, variance: float) -> FrequencyResponse:
@@ -27,27 +27,27 @@ def exactly(h: np.ndarray, variance: float) -> FrequencyResponse:
 
 
 def test_coefficients_of_a_known_function_come_back_to_all_digits() -> None:
-    fit = fit_rational([exactly(command_frf(CARRIAGE, S), 1e-20)], 2, 4)
+    fit = fit_rational(exactly(command_frf(CARRIAGE, S), 1e-20), 2, 4)
     m, k = CARRIAGE.moving_mass_kg, CARRIAGE.belt_stiffness_n_per_m
     drive = CARRIAGE.drive
     assert drive is not None
     damping = (CARRIAGE.belt_damping_n_s_per_m + CARRIAGE.guide_damping_n_s_per_m) / m
     expected = np.polymul([1, drive.d2_per_s, drive.d0_per_s2], [1, damping, k / m])[::-1]
     np.testing.assert_allclose(fit.denominator, expected, rtol=1e-7)
-    assert max(fit.zeros().real) == pytest.approx(drive.d0_per_s2 / -drive.d1_per_s, rel=1e-6)
+    assert max(fit.zeros.real) == pytest.approx(drive.d0_per_s2 / -drive.d1_per_s, rel=1e-6)
 
 
 @pytest.mark.slow
 def test_uncertainties_are_those_of_sixty_noise_draws() -> None:
     fits = [fit_rational(noisy_carriage(seed), 2, 4) for seed in range(60)]
-    coefficients = np.array([np.append(fit.numerators[0], fit.denominator[:-1]) for fit in fits])
+    coefficients = np.array([fit.coefficients for fit in fits])
     stated = np.mean([np.sqrt(np.diag(fit.covariance)) for fit in fits], axis=0)
     np.testing.assert_allclose(np.std(coefficients, axis=0), stated, rtol=0.3)
-    exact = fit_rational([exactly(command_frf(CARRIAGE, S), 1e-20)], 2, 4)
-    off = np.mean(coefficients, axis=0) - np.append(exact.numerators[0], exact.denominator[:-1])
+    exact = fit_rational(exactly(command_frf(CARRIAGE, S), 1e-20), 2, 4)
+    off = np.mean(coefficients, axis=0) - exact.coefficients
     assert (np.abs(off) < 4 * stated / np.sqrt(60)).all()  # unbiased
 
 
 def test_fewer_values_than_unknowns_are_refused() -> None:
     with pytest.raises(SolverError, match="3 measured values cannot determine a rational fit of 7"):
-        fit_rational([blank(FREQUENCY_HZ[:3], input="cmd_A", output="pos_A")], 2, 4)
+        fit_rational(blank(FREQUENCY_HZ[:3], input="cmd_A", output="pos_A"), 2, 4)
