@@ -40,7 +40,7 @@ class Explanation:
     def to_dict(self) -> dict[str, Any]:
         """Return its JSON object."""
         return {
-            "part": self.part.name,  # what changed: of several, these cannot be told apart
+            "part": self.part.name,  # what changed; where there are several, the check cannot separate them
             "change": self.value,  # number [as `unit` says]
             "sd": self.sd,  # number [as `unit` says]: by the noise
             "unit": self.part.unit,  # empty: a relative change
@@ -201,8 +201,8 @@ def _quiet(comparison: Difference, last: str) -> Verdict:
         hint = f" Perhaps {sure[0].part.words(sure[0].value)}." if sure else ""
         return Verdict(
             CANNOT_TELL,
-            f"Cannot tell whether the printer moves as on {last}: noise is {comparison.noise:.0%} of the signal.{hint} "
-            "Tighten the accelerometer, stop fans and what else shakes, and check again.",
+            f"Cannot tell whether the printer moves as on {last}: noise is {comparison.noise:.0%} of the signal."
+            f"{hint} Tighten the accelerometer, stop fans and other sources of vibration, and check again.",
         )
     return Verdict(SAME, f"As on {last}: {_differs(comparison)}.")
 

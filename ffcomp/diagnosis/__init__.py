@@ -6,7 +6,7 @@ problem        the interface to a machine: observations, parameters, candidate e
 candidates     the catalogue's effects as candidates, and their numbers as tables of a machine file
 printer_problem, axis_problem    a printer, and one axis by itself
 problems       the one that a machine file describes; checks of its recordings
-observations   recordings as they are compared, and excerpts
+observations   recordings prepared for comparison, and excerpts
 noise          the noise floor, and the whitener that puts every signal and frequency on its scale
 settings       the numbers of the search
 fit            parameter values in, whitened residual out; fits with priors, their evidence and intervals

@@ -4,7 +4,7 @@ An axis has one place only; windows of time are held out instead, the same of al
 
 Its file states no pitch of a ripple, so pitches are looked for in the data. A ripple repeats every pitch along the way:
 a cos(2π u/p) in the order, or in the force. The axis answers it linearly, so that for every pitch the two numbers of
-amplitude and phase follow from one 2 × 2 system (Lomb 1976, for the place in place of the time). From one try to the
+amplitude and phase follow from one 2 × 2 system (Lomb 1976, with position in place of time). From one try to the
 next the ripple shifts by a quarter of a turn over the whole travel, or a short pitch falls between them. Where a
 simulation restarts all the time, it leaves too little of a ripple. There the force is known, and what of it inertia
 and friction do not explain is searched line by line (matching pursuit; Mallat and Zhang 1993).
@@ -107,7 +107,7 @@ class AxisProblem(Problem):
             each = [noise_sd(x[np.isfinite(x)]) for x in (one.run.position[name] for one in shots)]
             # of a free axis a quick run's bends would pass for noise, and by that hide what its shots show
             sensor = float(np.median(each) if driven_axis(self.machine).free else np.max(each))
-            # what of a position its shots tell: beyond where each began; or beyond its command
+            # the motion that a position signal adds to the start of each shot, or to its command
             moved = [
                 one.without_beginnings(one.run.signals)[name] if one.length else one.forced_motion(name)
                 for one in shots

@@ -1,6 +1,6 @@
-"""Fits of a hypothesis: full ones, exact ones, and what an excerpt of the recordings hands over to all of them.
+"""Fits of a hypothesis: full ones, exact ones, and the step from an excerpt to all recordings.
 
-full      until a step promises little, kinks as sharp as they are
+full      until a step promises little, kinks at full sharpness
 exact     with central differences: confounded parameters cancel only in those
 """
 
@@ -29,7 +29,7 @@ LARGE = 1.0  # noise power: from this discrepancy effects may be too strong to b
 def continue_fit(
     estimation: EstimationProblem, h: Hypothesis, progress: Progress, note: str = "", known: FloatArray | None = None
 ) -> Hypothesis:
-    """Continue a fit from derivatives taken anew, with every kink as sharp as it is.
+    """Continue a fit with new derivatives and every kink at full sharpness.
 
     Parameters
     ----------
@@ -59,7 +59,7 @@ def _fit_quickly(
     exact: bool = False,
     little: float = -1.0,
 ) -> Fit:
-    """Fit coarsely where that errs by nothing that matters, and more than `little` is left; see `fit`."""
+    """Fit coarsely where the error of coarse steps is negligible and the discrepancy exceeds `little`; see `fit`."""
     ranked, _ = quickest(estimation, values_at(parameters, clipped(parameters, start)), little)
     fitted = fit(ranked, parameters, start, jacobian, renew, iterations, small_gain, exact=exact, rough=rough)
     if ranked is estimation:
@@ -73,7 +73,7 @@ def _fit_quickly(
 def quickest(
     estimation: EstimationProblem, values: Mapping[str, float], little: float = -1.0
 ) -> tuple[EstimationProblem, FloatArray]:
-    """Return the problem, coarse where that errs by nothing that matters beside what is left, and its residual.
+    """Return the problem, coarse where the error of coarse steps is negligible against the residual, and its residual.
 
     Parameters
     ----------
@@ -106,7 +106,7 @@ def fit_exactly(estimation: EstimationProblem, h: Hypothesis, progress: Progress
 
 
 def fit_within_uncertainty(estimation: EstimationProblem, h: Hypothesis, progress: Progress) -> Hypothesis:
-    """Fit with the file's numbers held to what it says of them: what moved them may be an effect's shape."""
+    """Fit with the file's numbers held to their stated uncertainty: an effect's shape may have moved them."""
     log_try(h.effects, progress, " with the file's numbers within reach")
     parameters = (*_held(h.machine_parameters, float(np.sqrt(IMPLAUSIBLE))), *h.effect_parameters)
     start, renew = clipped(parameters, h.fit.z), range(h.machine_count, len(parameters))
@@ -151,7 +151,7 @@ def parsimonious_fit(estimation: EstimationProblem, h: Hypothesis) -> Fit:
         range(len(keep)) if len(keep) <= RENEWED else (),
     )
     fitted = fit(estimation, parameters, z, h.fit.jacobian[:, keep], renew, iterations=4)
-    # where the file is far off, the way there is not linear: then all parameters stay as they were fitted
+    # where the file is far off, the response is nonlinear: then keep the fit of all parameters
     return fitted if fitted.cost - h.fit.cost < estimation.settings.significant * scale * (machine + 1) else h.fit
 
 
@@ -195,9 +195,9 @@ def linearised(estimation: EstimationProblem, parameters: Sequence[Parameter], z
 
 
 def hypothesis_in_whole(problem: Problem, h: Hypothesis) -> Hypothesis:
-    """Give a hypothesis all of a problem's parameters, those that it had none of as they are in the file.
+    """Give a hypothesis all of a problem's parameters; those that it lacked get the file's values.
 
-    What is left and the derivatives have to be computed anew.
+    Its residual and derivatives are then out of date.
     """
     fitted = {n.name: (n, float(z)) for n, z in zip(h.machine_parameters, h.fit.z, strict=False)}
     machine = [fitted.get(n.name, (n, 0.0)) for n in problem.parameters]

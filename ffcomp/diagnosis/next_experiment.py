@@ -91,7 +91,7 @@ class Separation:
         if not self.ours:
             return f"show {joined(theirs)} of a usual size"
         if ours and theirs:
-            return f"tell {joined(ours)} from {joined(theirs)}"
+            return f"separate {joined(ours)} from {joined(theirs)}"
         return f"show whether {joined(ours or theirs)} acts as well"
 
     def to_dict(self) -> dict[str, Any]:
@@ -99,7 +99,7 @@ class Separation:
         return {
             "effects": list(self.ours),  # list of text: the best explanation: names of its effects
             "other": list(self.other),  # list of text: another one that fits these runs as well
-            "difference_now": self.now,  # number: rms by which their predictions differ in these runs, times the noise
+            "difference_now": self.now,  # number: rms difference of their predictions in these runs, times the noise
             # number: the same in the recording that `record` plans, beyond what retuning makes up for
             "difference_there": self.there,
             "separates": self.tells,  # true or false: whether that is enough to separate them
@@ -131,7 +131,7 @@ class _Trial:
 
 
 def separations(problem: PrinterProblem, diagnosis: Diagnosis, *, nearest: bool = False) -> list[Separation]:
-    """Return, for each rival of the best explanation, the recording that separates it best.
+    """Return the recording that best separates each rival from the best explanation.
 
     Parameters
     ----------

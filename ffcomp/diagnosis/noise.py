@@ -1,7 +1,7 @@
 """The noise floor, and the whitener: a residual whose entries have variance one if only noise is left.
 
 Repeats of one experiment differ by noise alone: half the spectrum of their difference is the floor. Without repeats
-it is taken from the residual above the model's band; that is weaker, and users are told so. Whitening happens in the
+it is taken from the residual above the model's band; that is weaker, and reported. Whitening happens in the
 frequency domain, which is zero-phase, holds the band exactly, and treats measurement and simulation alike.
 """
 
@@ -37,7 +37,7 @@ class NoiseFloor:
 
     @property
     def origin(self) -> str:
-        """Say where the noise is known from."""
+        """The source of the noise level, in words."""
         if self.from_repeats:
             return "repeats"
         if self.of_sensors:
@@ -116,7 +116,7 @@ def noise_from_residual(
 
 
 def noise_of_sensors(observations: Sequence[Observation], density: Mapping[str, float]) -> NoiseFloor:
-    """Take white noise of known densities, unit²/Hz; signals without one have none to speak of."""
+    """Take white noise of known densities, unit²/Hz; signals without one have negligible noise."""
     grid = np.arange(0.0, min(r.rate_hz for r in observations) / 2 + 1e-9, 1 / SEGMENT_S)
     signals = sorted({name for r in observations for name in r.signals})
     return NoiseFloor(

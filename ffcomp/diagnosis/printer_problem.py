@@ -93,7 +93,7 @@ class PrinterProblem(Problem):
         return self.same_command
 
     def excerpt(self) -> PrinterProblem | None:
-        """Return the problem on a part of each recording that tells most; None where that would hardly be quicker."""
+        """Return the problem on the most informative part of each recording; None where that is hardly quicker."""
         chosen = informative_recordings(self.observations, self.same_command)
         same = [chosen.index(self.same_command[i]) for i in chosen]
         parts = excerpt_parts([self.observations[i] for i in chosen], same)
@@ -269,7 +269,7 @@ def _longest(printer: ConvertedPrinter, coarse: bool) -> float:
 
 
 def _steps(longest: float, rate_hz: float) -> _Steps:
-    """Return the steps of a recording; rates that only the rounding of times tells apart share the lanes."""
+    """Return the steps of a recording; rates that differ only by rounded times share the lanes."""
     rate_hz = round(rate_hz, 5)  # beyond are 20 ns in three seconds
     return _Steps(1 / rate_hz, math.ceil(1 / rate_hz / longest / 1.03))  # a little longer where that saves one a row
 

@@ -191,7 +191,7 @@ class Problem(ABC):
 
     band_hz: tuple[float, float]  # where measurement and model are compared
     observations: Sequence[Observation]
-    parameters: Sequence[Parameter]  # what may be retuned within its uncertainty: not a missing effect
+    parameters: Sequence[Parameter]  # retuned within their uncertainty: no missing effect
     candidates: Sequence[Candidate]
     name: str  # of the machine
     path: str  # of its file
@@ -236,7 +236,7 @@ class Problem(ABC):
         """
 
     def stated(self, values: Mapping[str, float], name: str) -> float:
-        """Return what a file states of one of the machine's numbers with these values, some of which limit others."""
+        """Return a number of the machine as the file states it; some values limit others."""
         return values[name]
 
     def excerpt(self) -> Problem | None:

@@ -58,7 +58,7 @@ def recordings_of(
 def with_folders(recordings: Sequence[Recorded]) -> list[Recorded]:
     """Let files of two folders that share a name be two experiments: only a trailing -1, -2 names a repeat.
 
-    What was recorded before and after something was changed lies in two folders, and does not repeat.
+    Recordings from before and after a change lie in two folders, and do not repeat each other.
     """
     folders: dict[str, set[Path]] = {}
     for each in recordings:
@@ -145,12 +145,12 @@ def check_repeats(recordings: Sequence[Recorded]) -> None:
         " …" if len(recordings) > 3 else ""
     )
     rule = (
-        f"None of the {len(recordings)} recordings repeats another, but only repeats tell how large the noise is: at "
+        f"None of the {len(recordings)} recordings repeats another, but only repeats show how large the noise is: at "
         "least one experiment must be there twice, in files of the same length whose names differ in a trailing -1, -2 "
         "only."
     )
     if all(isinstance(each, AxisRun) and each.by_force for each in recordings):
-        rule += " Of an axis that a force drives an encoder's position tells it as well."
+        rule += " On an axis driven by a force, an encoder's position shows it too."
     raise MeasurementError(named, [rule + _lengths(recordings)])
 
 

@@ -101,10 +101,10 @@ def delay_parameters(
 
 
 def with_stated_clock(candidate: Candidate, recordings: Sequence[Recording]) -> Candidate:
-    """Take an offset of all recordings to be no larger than they say that their clocks may be off.
+    """Limit an offset of all recordings to the stated uncertainty of their clocks.
 
-    A chip that feels everything late cannot tell its own clock from a late machine. But captures that the firmware
-    dates are joined by its clock, so it is the machine.
+    From the signals alone, a late clock looks like a late machine. But captures that the firmware dates are joined by
+    its clock, so the machine is late.
     """
     stated = [_number(recording, "delay_sd_s") for recording in recordings]
     if candidate.name != OFFSET or min(stated, default=0.0) == 0.0:
@@ -134,7 +134,7 @@ def _number(recording: Recording, key: str) -> float:
 
 
 def as_recorded(values: Mapping[str, float], observation: Observation, simulated: FloatArray) -> FloatArray:
-    """Move what was simulated, (n, m), to the times at which it was recorded."""
+    """Move simulated signals, (n, m), to the clocks of the recording."""
     moved = simulated
     for clock, columns in observation.by_clock.items():
         late_s, drift = (values.get(name, 0.0) for name in _names(observation, clock))

@@ -76,7 +76,7 @@ def clipped_sensor(estimation: EstimationProblem, simulated: Sequence[FloatArray
             if name.startswith("acc"):
                 clipped = clipped_against(o.measured[:, k], y[:, k])
                 tests.setdefault(name, []).append((float(np.max(np.abs(y[:, k]))), Path(o.name).name, clipped))
-    # a range ends somewhere: what is clipped at all is clipped where it is loudest
+    # a sensor that clips does so in its loudest recording
     files = {name: tuple(file for _, file, bad in rows if bad) for name, rows in tests.items() if max(rows)[2]}
     if not files:
         return None

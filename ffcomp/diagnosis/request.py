@@ -64,7 +64,8 @@ class DiagnoseRequest(Request):
     thorough: Annotated[
         bool,
         Option(
-            "Try everything, for as long as it takes. Else a search ends at a budget of work, and says so.", ACCURACY
+            "Try everything, for as long as it takes. By default, a search ends at a budget of work, with a warning.",
+            ACCURACY,
         ),
     ] = False
     trace: Annotated[

@@ -30,7 +30,7 @@ from models.quantities import Quantities
 ROWS_A_BIN, FEWEST, MOST = 100, 6, 40  # bins
 LEAST_CLUSTERS = 3  # with rows in a bin: fewer give no band
 SHOWN_SHARE = 0.02  # of the residual's power: a curve that holds less is not shown
-WEAK_SHARE = 0.1  # with less, the residual is said to depend little on the quantity
+WEAK_SHARE = 0.1  # below it, the residual depends little on the quantity
 IN_REGIME, REGIME_GAIN = 0.75, 0.25  # share of a curve's power in a regime; more than its share of the rows
 SIMPLER = 0.05  # less gain: a regime that takes fewer words is preferred
 NOUNS = {"pos": "position", "vel": "speed", "acc": "acceleration", "force": "the drive's force"}

@@ -190,7 +190,7 @@ def _cannot_tell(result: DiagnosisResult) -> list[str]:
     noise = result.gap.noise
     if noise > SETTINGS.loud_noise:
         return [
-            f"Cannot tell: the noise is {percent(noise)} of the signals, so what is missing may be hidden in it. "
+            f"Cannot tell: the noise is {percent(noise)} of the signals, and may hide a missing effect. "
             "Record louder motions, or fasten the sensor better, and repeat each."
         ]
     return [
@@ -221,9 +221,9 @@ def _unexplained(result: DiagnosisResult) -> list[str]:
 
 
 def worse_elsewhere(result: DiagnosisResult) -> list[str]:
-    """Say first in which motions the answer is worse than the original file."""
+    """List first the motions where the answer is worse than the original file."""
     worse = [
-        f"{one.name} is {percent(one.filed)} off with the file as it is and {percent(one.after)} with the effects"
+        f"{one.name} is {percent(one.filed)} off with the original file and {percent(one.after)} with the effects"
         for one in result.others
         if one.worse
     ]
@@ -327,7 +327,7 @@ def _afterwards(result: DiagnosisResult) -> list[str]:
     if result.gap.left_out == "windows":
         return ["Compare the better machine file (-o better.toml) with new runs (ffcomp gap)."]
     steps = [
-        "Until then, compensate with the file as it is: with the better one the sample print is predicted to be worse. "
+        "Until then, compensate with the original file: with the better one the sample print is predicted to be worse. "
         "Compare the better machine file (-o better.toml) with new recordings."
         if result.prints_worse
         else "Until then, compensate with the better machine file (-o better.toml), and compare it with new recordings "

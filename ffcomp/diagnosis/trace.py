@@ -1,4 +1,4 @@
-"""The trace of a search: what was fitted from where, how it ended, and why it was kept or dropped."""
+"""The trace of a search: each fit with its start and status, and why it was kept or dropped."""
 
 from __future__ import annotations
 

@@ -1,18 +1,18 @@
 """`identify update`: a machine file's numbers updated by recordings of prints, by Bayes' rule.
 
-    prior        the file's numbers θ₀, as uncertain as its `[uncertainty]` says, and wider by the drift between prints
+    prior        the file's numbers θ₀ with its `[uncertainty]`, widened by the drift between prints
     posterior    minimise |r(θ)|² + |z|², z = (θ − θ₀)/σ₀, by Gauss-Newton on the output error; r is whitened
-    noise        raised to the spectrum of what is left: no model has the machine's shape (Birge, Phys. Rev. 40, 1932)
-    intervals    at least as wide as blocks of 5 Hz, and motions that are left out in turn, scatter
+    noise        raised to the residual's spectrum: no model has the machine's shape (Birge, Phys. Rev. 40, 1932)
+    intervals    at least as wide as the scatter of blocks of 5 Hz, and of motions left out in turn
     innovation   zᵀ(I − C)⁻¹z, C the posterior covariance: χ² in the directions that the recordings determine
-    held out     each layer is left out in turn; what the others say must not simulate it worse than the file does
+    held out     each layer is left out in turn; the numbers of the others must not simulate it worse than the file does
 
 Between prints numbers drift: a random walk, so that what was learnt long ago counts less and less.
 
 Motion determines combinations of numbers better than each by itself, and `[uncertainty]` cannot state that. So the file
-states how well each number is known with the others given: of all independent ones these standard deviations are
-nearest to the posterior (mean field: MacKay, Information Theory, Inference, and Learning Algorithms, 2003, 33), and by
-them the modes are as uncertain as they are. The history keeps how well each is known by itself, for the next prior.
+states how well each number is known with the others given: of all independent standard deviations these are nearest to
+the posterior (mean field: MacKay, Information Theory, Inference, and Learning Algorithms, 2003, 33), and they give the
+modes their right uncertainty. The history keeps how well each is known by itself, as the next prior.
 """
 
 from __future__ import annotations
@@ -73,7 +73,7 @@ class Updated(Result):
     beside: Mapping[str, float]  # relative standard deviation of each, the others being given
     kept: Sequence[str]  # numbers that they do not determine
     innovation: tuple[float, int, float]  # χ², its degrees of freedom, the probability of more
-    held_out: tuple[float, float, float]  # nrms of layers left out: with the file as it is, updated; of noise alone
+    held_out: tuple[float, float, float]  # nrms of layers left out: with the starting file, updated; of noise alone
     layers: int
     drift: float
     prints: int
@@ -133,7 +133,7 @@ class Updated(Result):
             "data": list(self.data),  # list of text: recordings and their hashes
             "layers": self.layers,  # whole number: recordings that were fitted
             "prints": self.prints,  # whole number: since the file was last updated
-            "drift": self.drift,  # number: relative standard deviation by which a number drifts from print to print
+            "drift": self.drift,  # number: relative standard deviation of a number's drift from print to print
             "numbers": {
                 key: {
                     "before": before[key],  # ESTIMATE: as uncertain as the file says, and wider by the drift
@@ -150,8 +150,8 @@ class Updated(Result):
                 "probability": probability,  # number: of as much or more by chance
             },
             "held_out": {
-                "before": self.held_out[0],  # number: nrms of layers left out, with the file as it was
-                "after": self.held_out[1],  # number: with what the other layers say
+                "before": self.held_out[0],  # number: nrms of layers left out, with the starting file
+                "after": self.held_out[1],  # number: with the numbers of the other layers
                 "noise": self.held_out[2],  # number: of noise alone
             },
             "output": str(self.output),  # the machine file
@@ -261,7 +261,7 @@ def update(
     _refuse(request, machine, held_out, innovation)
     before, after, beside = _posterior(estimation, fitted, of_machine)
     if not after:
-        raise NothingToDo("The recordings say no more than the file does: nothing is written.")
+        raise NothingToDo("The recordings add nothing to the file: nothing is written.")
     today = date.today().isoformat()
     return Updated(
         start=machine,
@@ -296,7 +296,7 @@ def update_problem(machine: Machine, recordings: Sequence[Recording], request: U
 
 
 def _prior(n: Parameter, machine: Machine, known: Mapping[str, float], request: UpdateRequest) -> Parameter:
-    """Return a number as it is known before these prints: by the history, or by what the file says, and its drift."""
+    """Return the prior of a number before these prints: from the history or the file, widened by its drift."""
     times = DAMPING_TIMES if "damping" in n.name else 1.0
     assumed = times if stem_of(n.name) not in machine.uncertainty else 1.0
     sd = known.get(n.name, assumed * n.sd)
@@ -319,7 +319,7 @@ def _start(estimation: EstimationProblem, machine: Machine) -> FloatArray:
 
 
 def _scaled(parameters: Sequence[Parameter], part: str, factor: float, start: FloatArray) -> FloatArray:
-    """Return z (p,) at which the frequencies of a part of the machine are multiplied."""
+    """Return z (p,) with the frequencies of a part of the machine multiplied."""
     z = start.copy()
     for i, n in enumerate(parameters):
         power = 2.0 if "stiffness" in n.name else 1.0 if "frequency" in n.name or "damping_n" in n.name else 0.0
@@ -353,9 +353,9 @@ def _held_out(estimation: EstimationProblem, fitted: Fit) -> tuple[float, float]
     before = after * float(np.sqrt(squares[0] / squares[1]))
     if squares[1] > (1.0 + CHANCE) * squares[0]:
         raise NothingToDo(
-            f"Layers that were left out of the fit are simulated no better with what the others say ({after:.1%} of "
-            f"the motion is left) than with the file as it is ({before:.1%}): nothing is written. Record more layers, "
-            "or harder motion."
+            f"Layers that were left out of the fit are simulated no better with the numbers of the others ({after:.1%} "
+            f"of the motion is left) than with the starting file ({before:.1%}): nothing is written. Record more "
+            "layers, or harder motion."
         )
     return before, after
 

@@ -91,9 +91,9 @@ class Diagnosis(Answered):
 
     @property
     def warnings(self) -> list[str]:
-        """What the finding rests on, and what limits it."""
+        """The basis of the finding, and its limits."""
         result = self.result
-        alike = [f"Looks alike: {name}. To tell them apart: {how}" for name, how in result.confounded_with]
+        alike = [f"Looks alike: {name}. To separate them: {how}" for name, how in result.confounded_with]
         hidden = [f"These runs could not show: {', '.join(result.invisible)}."] if result.invisible else []
         return [*summary_sentences(result)[1:], *(alike if result.named else ()), *hidden]
 

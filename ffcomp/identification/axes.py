@@ -18,7 +18,7 @@ from ffcomp.numerics.stages import Stage
 from models.arrays import ComplexArray, FloatArray
 
 CROSS_TALK = 0.1  # amplitude over the direct response's: more is reported as coupling, as chips sit a few degrees askew
-LEAST_EXCHANGE, SHARP = 0.01, 3.0  # of δ, and in standard uncertainties, from which it is written
+LEAST_EXCHANGE, SHARP = 0.01, 3.0  # δ is written from this size on, and this many standard uncertainties
 MOST_TURNED = np.radians(20)  # of a sensor that was meant to be straight
 
 
@@ -113,7 +113,7 @@ def _crossing(answers: Sequence[Response], axes: Sequence[AxisFit]) -> list[str]
             sentences.append(
                 f"{cmd} shows in {output} too ({100 * np.sqrt(crossed / direct):.0f} % of the direct response): the "
                 "model does not explain it, so this is not compensated. Are the sensor's axes the "
-                "printer's? If so, ffcomp diagnose tells belts of unequal tension (belt_stiffness) from a racking "
+                "printer's? If so, ffcomp diagnose separates belts of unequal tension (belt_stiffness) from a racking "
                 "gantry (gantry_racking) and a swaying frame (frame_mode); with the effect in the file it is."
             )
     return sentences
@@ -168,7 +168,7 @@ def find_exchange(axes: Sequence[AxisFit], answers: Sequence[Response]) -> Excha
 
     Parameters
     ----------
-    axes : the fitted axes; both x and y must be among them, with responses that tell the sensors' signs.
+    axes : the fitted axes; both x and y must be among them, with responses that show the sensors' signs.
     answers : responses of axes to commands, their own and each other's.
 
     Returns

@@ -49,7 +49,7 @@ class OneAxisFit(MachineFit):
     method = "axis"
 
     result: AxisFitted
-    kept: Sequence[str]  # numbers that no run can tell
+    kept: Sequence[str]  # numbers that no run determines
 
     @property
     def headline(self) -> str:
@@ -73,7 +73,7 @@ class OneAxisFit(MachineFit):
         return {
             "numbers": estimates(self.result.estimates),
             "nrms": {
-                # number: axis: rms of the error over that of the signals' own motion, with the file as it is
+                # number: axis: rms of the error over that of the signals' own motion, with the starting file
                 "before": self.result.before,
                 "after": self.result.after,  # number: axis: the same as fitted
             },
@@ -108,7 +108,7 @@ def fit_axis(
         advice=[
             *result.doubt,
             *(f"{key} is known to ±{100 * result.estimates[key].relative_sd:.0f} % only." for key in weak),
-            *(f"{key} stays as it was: where a position drives, only ratios show. Weigh it (--known)." for key in kept),
+            *(f"{key} is unchanged: where a position drives, only ratios show. Weigh it (--known)." for key in kept),
         ],
         result=result,
         kept=kept,

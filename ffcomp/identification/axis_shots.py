@@ -23,7 +23,7 @@ from models.machine import Machine
 from models.printer.one_axis import AxisMotion, simulate_axis
 from models.vibration.driven_axis import DrivenAxis
 
-SHOT = 0.4  # of the time in which the motion changes its speed by as much as it has of it
+SHOT = 0.4  # of the time that the motion takes to change its speed by its own size
 PERIODS = 2.0  # of a load on its coupling, in a shot: its beginning takes two numbers of each
 SHORTEST, LINES_A_SHOT = 20, 5.0  # samples of a shot; its inverse times that is where the band ends
 WINDOWS, LEAST_ROWS = 6, 200  # of time, in a run; rows of a window
@@ -62,7 +62,7 @@ class Shots:
         )
 
     def without_beginnings(self, signals: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
-        """Return signals, (n,) each, of whose positions is gone in each shot what only tells where it began.
+        """Return signals, (n,) each, with the start of each shot projected out of the positions.
 
         That is measured, and so as noisy as anything: left in what is compared, twenty samples would be wrong by the
         noise of one. It is fitted where the sensors spoke.
@@ -183,7 +183,7 @@ def _without(basis: FloatArray, x: FloatArray, known_rows: NDArray[np.bool_]) ->
 
 
 def _mean(runs: Sequence[AxisRun], i: int) -> AxisRun:
-    """Return the mean of the runs that the same input drives: it tells best where each shot begins."""
+    """Return the mean of the runs that the same input drives: it shows best where each shot begins."""
     run = runs[i]
     same = [r for r in runs if r.repeat_of == run.repeat_of and np.array_equal(r.drive, run.drive)]
     kept = [r for r in same if r.position.keys() == run.position.keys()]
@@ -215,7 +215,7 @@ def _rested(command: FloatArray) -> int:
 def _resting(commanded: float, place: FloatArray) -> float:
     """Return where an axis rests, (n,) mm measured: as commanded, unless friction holds it elsewhere.
 
-    A single sample is off by the sensor's noise, with which a sprung axis would begin to ring.
+    A single sample is off by the sensor's noise, and would set a sprung axis ringing.
     """
     middle = float(place.mean())
     return commanded if abs(middle - commanded) < CERTAIN * float(place.std()) / np.sqrt(len(place)) else middle
@@ -275,7 +275,7 @@ def _shot_s(runs: Sequence[AxisRun], speeds: Sequence[FloatArray]) -> float:
 def _period_s(axis: DrivenAxis) -> float:
     """Return how long a load takes to ring once on its coupling, s; 0 without one.
 
-    What a shorter shot shows of a coupling can hardly be told from a load that began elsewhere than it seemed.
+    In a shorter shot a coupling looks like a load that began elsewhere.
     """
     omega = _coupling(axis)[0]
     return 2 * np.pi / omega if omega else 0.0

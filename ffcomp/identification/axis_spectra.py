@@ -241,7 +241,9 @@ class Response:
         if abs(gain - 1) > WRONG_SCALE:
             return [f"{what}: at rest it answers {gain:.2f} times its command, not once; is the sensor's scale right?"]
         if not self.measured.clock and delay_ms > 0.5:
-            return [f"{what}: it comes {delay_ms:.1f} ms late, which modes do not tell (see the effect command_delay)."]
+            return [
+                f"{what}: it comes {delay_ms:.1f} ms late, which modes do not explain (see the effect command_delay)."
+            ]
         return []
 
 
@@ -255,8 +257,8 @@ def usable(responses: Iterable[FrequencyResponse]) -> tuple[list[Response], list
     for response in map(_of_axes, responses):
         if response.setup != "assembly" or not response.input.startswith("cmd_"):
             left_out.append(
-                f"{response.source}: {response.input} to {response.output} ({response.setup}) tells nothing about an "
-                "axis; what does is the response of the whole printer to a command, such as cmd_x to acc_x."
+                f"{response.source}: {response.input} to {response.output} ({response.setup}) does not describe an "
+                "axis; give the response of the whole printer to a command, such as cmd_x to acc_x."
             )
         elif not any(
             (response.input, response.output) == (other.measured.input, other.measured.output)

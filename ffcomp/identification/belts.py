@@ -6,8 +6,8 @@ A test along one belt excites one motor, but what swings is the head on all belt
 
 x in the plane, v_i the row that makes the motion of motor (or carriage) i from it, r = 1 on a delta. With equal belts
 the tests along mirrored directions show the same spectrum. A softer one moves the peaks apart and makes them unequally
-high, and both follow from the k_i: so all tests are fitted together, each with a gain and a floor of its own. What is
-fitted is the power of all the sensor's axes together, which does not depend on how it is mounted.
+high, and both follow from the k_i: so all tests are fitted together, each with a gain and a floor of its own. The fit
+uses the power of all the sensor's axes together, which does not depend on how it is mounted.
 """
 
 from __future__ import annotations

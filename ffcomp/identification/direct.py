@@ -19,10 +19,10 @@ from models.vibration.substructures import Drive
 UNDETERMINED = 0.25  # of the weak prior's variance: above it the data say next to nothing; the old value is kept
 WEAK_SCALE = 0.05  # relative sd of all masses, stiffnesses and dampings together
 SCALED = ("carriage.mass_kg", "carriage.belt_stiffness_n_per_m", "effector.nozzle_mass_kg")
-TURNED_DEG = 0.5  # from which it is worth a sentence
+TURNED_DEG = 0.5  # a larger angle is reported
 FAR = 0.10  # model error of a response: beyond it the other force map is tried
 FORCE_MAP_COSTS = 100.0  # of −2 ln of the evidence
-DRIVE_COSTS = 10.0  # the same, by which a drive filter must be better than an ideal drive to be kept
+DRIVE_COSTS = 10.0  # the same, that a drive filter must gain over an ideal drive
 NEUTRAL_DRIVE = Drive(4.0e5, 0.0, 250.0)  # 100 Hz, where a search for a drive begins
 MASSES = ("carriage.mass_kg", "effector.nozzle_mass_kg", "effector.extruder_mass_kg")
 
@@ -125,16 +125,17 @@ def advice_on(fitted: Fitted, kept: Sequence[str]) -> list[str]:
         poor -= set(MASSES)
         sentences.append(
             f"All masses, stiffnesses and dampings together are known to ± {100 * fitted.common_scale_sd:.0f} % only: "
-            "motion tells their ratios, and the intervals are those of the ratios. Compensation needs no more. For "
-            f"forces, weigh the effector and say --known {TOTAL_MASS}=KG."
+            "motion shows their ratios, and the intervals are those of the ratios. Compensation needs no more. For "
+            f"forces, weigh the effector and give --known {TOTAL_MASS}=KG."
         )
     if poor & set(MASSES):  # parameters that are weak only with the masses need no measurement of their own
         poor -= {n for n, others in fitted.weak.items() if n not in (*kept, *MASSES) and set(others) & set(MASSES)}
     highest = max(float(r.frequency_hz[-1]) for r in fitted.responses)
     if poor & set(MASSES):
         sentences.append(
-            "The masses are weak: motion alone does not tell a heavy machine on stiff belts from a light one on soft "
-            f"belts. Weigh the effector and say --known {TOTAL_MASS}=KG, or measure a carriage with a known mass added."
+            "The masses are weak: motion alone does not separate a heavy machine on stiff belts from a light one on "
+            f"soft belts. Weigh the effector and give --known {TOTAL_MASS}=KG, or measure a carriage with a known mass "
+            "added."
         )
     for axis, stiffness, damping in zip("xyz", STIFFNESS, DAMPING, strict=True):
         if poor & {stiffness, damping}:

@@ -53,7 +53,7 @@ from models.kinds import is_one_axis
 from models.machine import Machine, value_of, with_values
 
 USUAL_S = (2.0, 1.0, 6.0, 1.0, 2.0)  # of CPU: reading, where to begin, other mounts, the fit, and without a filter
-ROUGH = 0.2  # of the measurement: modes that leave more of it unexplained are written if the user says so
+ROUGH = 0.2  # of the measurement: modes that leave more unexplained are only written on request
 DAMPING_SD = 0.2  # of the towers' damping ratio, which two modes share
 
 Progress = Callable[[str], None]
@@ -129,13 +129,13 @@ def fit_ringing(start: Machine, request: RingingRequest) -> ResonancesFit:
             estimates |= {key: lognormal(value_of(start, key) * hz / main, READ_SD) for key in keys}
         started = ResonanceStart(start, estimates, list(read.values()))
     text = origin.text_of(started.estimates, "ringing", read_hz=read)
-    advice = ["Damping stays as it was: waves on a wall tell how fast it rings, and hardly how long."]
+    advice = ["Damping is unchanged: waves on a wall show how fast it rings, and hardly how long."]
     off = {axis: made / hz - 1 for (axis, hz), made in zip(read.items(), started.predicted_hz, strict=True)}
     if max(map(abs, off.values()), default=0.0) > 2 * READ_SD:
         words = " and ".join(f"{axis} rings at {read[axis] * (1 + share):.1f} Hz" for axis, share in off.items())
         advice.append(
             f"One stiffness of the belts does not make both: with the nearest, {words}. Read the waves again, or print "
-            "a page, which tells masses and mounts too: ffcomp record plan --for scan."
+            "a page, which shows masses and mounts too: ffcomp record plan --for scan."
         )
     return ResonancesFit(start=start, data=(), name=origin.name, text=text, advice=advice, spectra=(), started=started)
 
@@ -198,7 +198,7 @@ class _Task:
 
     def belts_alone(self) -> BeltsFit:
         """Compare belts; they make no machine file."""
-        rule = "Tests along the belts compare these; for the modes of x and y test AXIS=X and AXIS=Y."
+        rule = "Tests along the belts only compare belts. To measure the modes of x and y, test AXIS=X and AXIS=Y."
         return BeltsFit(**self.common, advice=[rule], refusal=[rule])
 
     def resonances(self) -> ResonancesFit:

@@ -49,7 +49,7 @@ class View:
 
     @property
     def answering(self) -> Output:
-        """The output of the whole printer; the carriages, for a sub-model."""
+        """The output of the whole printer; of a sub-model the carriages."""
         return self.of if self.of in ("nozzle", "acceleration") else "carriage"
 
     @property
@@ -197,7 +197,7 @@ def _straight_view(view: View) -> None:
     if view.answering == "carriage" or view.per == "carriage":
         raise MachineFileError(
             f"--of {view.of}",
-            ["This machine's axes are told by modes, not by carriages and an effector: look at --of nozzle."],
+            ["This machine's axes are described by modes, not by carriages and an effector: look at --of nozzle."],
         )
 
 
@@ -348,7 +348,7 @@ class _Model:
 
     def _carriage(self, _: FloatArray, mass: float) -> _Case:
         value = command_frf(with_added_mass(delta_vibration(self.machine).carriage, mass), self._s)[:, None, None]
-        label = f"with {1e3 * mass:g} g more" if mass else "as it is"
+        label = f"with {1e3 * mass:g} g more" if mass else "without added mass"
         return label, value, _carriage_mode(self.machine, mass)
 
     def _effector(self, _: FloatArray, __: float) -> _Case:
@@ -437,8 +437,8 @@ def frf_json(study: Study, station: Station) -> dict[str, Any]:
             "per": view.per if view.depends_on_place else None,
             "unit": view.unit,  # mm/mm, 1/s² or 1/kg
             "rows": list(view.rows),  # list of text: the outputs
-            "columns": list(view.columns),  # list of text: what is commanded
-            # [][] BODE: the response that was asked for
+            "columns": list(view.columns),  # list of text: the inputs
+            # [][] BODE: the requested response
             "values": [[_bode(station.value, phase, i, k) for k in columns] for i in rows],
         },
         "added_mass_kg": station.added_mass_kg,  # on the bare carriage
@@ -448,7 +448,7 @@ def frf_json(study: Study, station: Station) -> dict[str, Any]:
                 "number": m.number,
                 "frequency_hz": m.frequency_hz,  # undamped
                 "damping_ratio": m.damping_ratio,  # number
-                "kind": m.kind,  # what moves most
+                "kind": m.kind,  # the part that moves most
             }
             for m in station.modes
         ],

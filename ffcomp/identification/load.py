@@ -37,7 +37,7 @@ from models.machine import Machine
 _OURS = "ffcomp-"  # in the names that our plans give to captures
 _NEEDS_PLAN = (
     "By its name it is a capture of a plan of ffcomp's, and holds no resonance test. Captures of `record plan` need "
-    "the .json file beside its G-code (--plan)."
+    "the .json file next to its G-code (--plan)."
 )
 POSITION_PITCH_MM = 5.0  # recordings whose middles are nearer than this were made at one position
 LARGEST_MOTION_MM = 25.0  # of the nozzle about its middle: beyond it one linear response does not describe a recording

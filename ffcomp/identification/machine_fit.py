@@ -88,7 +88,9 @@ class MachineFit(Result):
             # belts (tests along belts only), or scan (pictures)
             "method": self.method,
             **self.own,
-            "advice": list(self.advice),  # list of text: sentences: what is weak or not told, what to measure next
+            "advice": list(
+                self.advice
+            ),  # list of text: sentences: numbers that are weak or not determined, and the next measurement
             **({"shapers": [asdict(each) for each in self.shapers]} if self.shapers else {}),
             # text or null: the machine file, if one was written
             "output": None if self.output is None else str(self.output),
@@ -157,7 +159,7 @@ class ParametersFit(MachineFit):
             "common_scale": {
                 # number: direct: of all masses, stiffnesses and dampings together, relative
                 "sd": fitted.common_scale_sd,
-                # .* ESTIMATE: direct: the numbers beside that scale, where it is what is weak
+                # .* ESTIMATE: direct: the numbers with that scale known, where only the scale is weak
                 "numbers": estimates(self.beside_scale),
             },
             "kept": list(self.result.kept),  # list of text: direct, axis: numbers on which the data say nothing
@@ -372,10 +374,10 @@ class ScanFit(MachineFit):
         return {
             # .* ESTIMATE: by `table.key`; the deltas' masses against that of the nozzle holder
             "numbers": estimates(fit.estimates),
-            "kept": list(fit.kept),  # list of text: numbers that the picture hardly tells
+            "kept": list(fit.kept),  # list of text: numbers that the picture hardly determines
             "places": places,
             # .* ESTIMATE: what else shapes lines: dry friction of the guides (N; m/s² where the file has no masses),
-            # over which way contacts bend or at which speed they creep, how far the bead lags behind the nozzle (mm),
+            # how far contacts bend or how fast they creep, how far the bead lags behind the nozzle (mm),
             # rounds its path (mm) and is shifted along a line (mm), how much it follows as on a string (0 to 1), and
             # how much x and y ring as a share of what the file's modes would (more than 1: there is another mode)
             "bead": estimates(fit.bead),
@@ -457,7 +459,7 @@ def _axis(axis: AxisFit) -> dict[str, Any]:
         "verdict": axis.verdict,  # how many modes, and why
         "data": [
             {
-                "source": Path(datum.source).name,  # what was fitted
+                "source": Path(datum.source).name,  # the measured file
                 "lines": len(datum.frequency_hz),  # whole number: frequencies
                 "model_error": error,  # number: 0: explained to its noise
             }

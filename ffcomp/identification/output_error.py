@@ -69,7 +69,7 @@ class Fitted:
 
     machine: Machine
     estimates: Mapping[str, Estimate]  # unknowns by their names in the machine file, and the total mass
-    prior_share: Mapping[str, float]  # 0: the data alone say it … 1: the data say nothing
+    prior_share: Mapping[str, float]  # 0: from the data alone … 1: from the prior alone
     weak: Mapping[str, Mapping[str, float]]  # ill-determined parameter -> the others it is correlated with
     delays_s: Mapping[str, Estimate]  # of each clock
     rotation_deg: Mapping[str, Estimate]  # of the accelerometer about x, y, z; empty: not of captures

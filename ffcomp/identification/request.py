@@ -138,7 +138,7 @@ class ScanRequest(Request):
     ]
     plan: Annotated[
         Path,
-        Option("Plan (.json) that `record plan --for scan` wrote beside the page's G-code.", MACHINE, metavar="FILE"),
+        Option("Plan (.json) that `record plan --for scan` wrote next to the page's G-code.", MACHINE, metavar="FILE"),
     ]
     machine: Annotated[str, MACHINE_NAME]
     output: Annotated[Path | None, MACHINE_FILE] = None
@@ -197,8 +197,8 @@ class UpdateRequest(Request):
     drift: Annotated[
         float,
         Option(
-            "Relative standard deviation by which stiffnesses, masses and frequencies drift from print to print, for "
-            "belts age and spools empty; dampings drift three times as much. The larger, the sooner old prints are "
+            "Relative standard deviation of the drift of stiffnesses, masses and frequencies from print to print: "
+            "belts age and spools empty. Dampings drift three times as much. The larger, the sooner old prints are "
             "forgotten.",
             ACCURACY,
             metavar="SHARE",
@@ -212,7 +212,7 @@ class UpdateRequest(Request):
     history: Annotated[
         Path | None,
         Option(
-            "Earlier updates; this one is added. Default: beside the machine file that is written, .updates.jsonl.",
+            "Earlier updates; this one is added. Default: next to the machine file that is written, .updates.jsonl.",
             OUTPUT,
             metavar="FILE",
         ),

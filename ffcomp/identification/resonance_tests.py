@@ -1,7 +1,7 @@
 """Captures and spectra of a firmware's resonance tests, as data that modes or belts are fitted to.
 
-A test excites x, y, z, or a direction of x and y: a belt of a CoreXY machine, or a tower of a delta. What holds no
-test is left out, with a sentence that says why.
+A test excites x, y, z, or a direction of x and y: a belt of a CoreXY machine, or a tower of a delta. A file
+without a test is left out, with a sentence that says why.
 """
 
 from __future__ import annotations

@@ -364,10 +364,10 @@ def _least_change(signals: FloatArray, command: FloatArray, rate_hz: float) -> f
     """Return the least share of signals (r, n, m) in one unit of the difference of their responses to a command (n, k).
 
     The spectra of r - 1 contrasts between the repeats are regressed on the command's, over LINES lines at a time, with
-    complex gains that are straight lines over frequency. What is explained beyond the part that noise explains by
-    chance is the change, and what is left is the noise. Lines count by the share of their power that is no noise
-    (Wiener), or those without any motion would drown the change. The mean of the repeats stands beside the contrasts
-    as row 0.
+    complex gains that are straight lines over frequency. The part explained beyond the share that noise explains by
+    chance is the change, and the rest is the noise. Lines count by the share of their power that is no noise
+    (Wiener), or those without any motion would drown the change. The mean of the repeats is row 0, followed by
+    the contrasts.
     """
     r, n = signals.shape[:2]
     frequency = np.fft.rfftfreq(n, 1 / rate_hz)

@@ -45,7 +45,7 @@ class Expectation:
 def expectation(motion: Commanded, machine: Machine, lead_s: float, with_signatures: bool = True) -> Expectation:
     """Simulate an experiment's motion on the machine file's printer, at rest for `lead_s` before it.
 
-    Without signatures, for a clock whose delay is still fitted later, only the plain motion is simulated.
+    Without signatures only the plain motion is simulated, which suffices where the clock's delay is fitted later.
     Raises UnreachableError if the machine cannot execute the motion.
     """
     t = np.arange(-lead_s, motion.duration_s + TAIL_S, 1 / RATE_HZ)

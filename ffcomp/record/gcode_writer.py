@@ -24,7 +24,7 @@ TRAVEL_SHARE = 0.2  # of the machine's velocity, between experiments
 
 _STAYS_OFF = (
     "The input shaper stays off until then or until the firmware restarts: the machine file has no input_shaper in "
-    "[firmware] with which to switch it on again."
+    "[firmware], so ffcomp cannot switch it on again."
 )
 
 

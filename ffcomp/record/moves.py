@@ -277,7 +277,7 @@ def _check_reach(machine: Machine, name: str, motion: Motion) -> None:
     radius, widest = float(np.hypot(xyz[:, 0], xyz[:, 1]).max()), zones and zones.radius_of_ratio(SLOW_RATIOS[0][0])
     if widest and radius > widest:
         raise LimitsError(
-            f"{name} reaches {radius:.1f} mm from the centre; beyond {widest:.1f} mm a delta's firmware slows dlimits. "
+            f"{name} reaches {radius:.1f} mm from the centre; beyond {widest:.1f} mm a delta's firmware slows down. "
             "Choose a place farther in."
         )
 

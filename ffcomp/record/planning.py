@@ -94,7 +94,7 @@ class PlanResult(Result):
 
     @property
     def headline(self) -> str:
-        """What is in the file, and how long it takes."""
+        """The contents of the file and its duration."""
         plan, minutes = self.plan, self.plan.duration_s / 60
         if plan.page is not None:
             return f"{self.output}: a page of {len(twins(plan))} strokes, {minutes:.0f} min to print."

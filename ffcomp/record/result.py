@@ -138,7 +138,7 @@ class JoinedRuns(Result):
 
     @property
     def warnings(self) -> list[str]:
-        """What is wrong with the captures or missing, though something was joined."""
+        """Faulty and missing captures, where others were joined."""
         return self.result.notes(self.plan, self.machine)
 
     @property

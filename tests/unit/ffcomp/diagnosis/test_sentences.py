@@ -206,7 +206,7 @@ def test_no_share_is_told_of_a_gap_that_does_not_stand_above_the_noise(
 @pytest.mark.parametrize("worse", [True, False])
 def test_a_file_by_which_prints_are_predicted_to_be_worse_is_not_compensated_with(worse: bool) -> None:
     told = " ".join(what_to_do(result(prints_worse=worse)))
-    assert ("compensate with the file as it is" in told) == worse
+    assert ("compensate with the original file" in told) == worse
     assert ("compensate with the better machine file" in told) != worse
 
 
@@ -222,7 +222,7 @@ def test_what_speaks_against_an_answer_is_said_first_and_what_changes_beside() -
     larger = OtherMotion("c.csv", 0.5, 0.057, "effector_mass.added_kg", 0.051, 0.049)
     first, *rest = summary_sentences(result(others=[OtherMotion("a.csv", 0.5, 0.1), harms, larger]))
     assert (
-        first.endswith("b.csv is 27 % off with the file as it is and 44 % with the effects.") and "a.csv" not in first
+        first.endswith("b.csv is 27 % off with the original file and 44 % with the effects.") and "a.csv" not in first
     )
     (beside,) = (sentence for sentence in rest if sentence not in plain)
     assert shares(beside) == [0.051, 0.049, 0.057] and "c.csv effector_mass.added_kg" in beside and "larger" in beside

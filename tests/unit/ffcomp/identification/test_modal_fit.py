@@ -283,7 +283,7 @@ def test_noise_alone_is_no_machine() -> None:
 @pytest.mark.parametrize(
     ("arguments", "rule"),
     [
-        (("frf", "--of", "carriage-alone"), "told by modes, not by carriages"),
+        (("frf", "--of", "carriage-alone"), "described by modes, not by carriages"),
         (("identify", "decouple", "x.csv"), "Straight axes carry no effector"),
         (("identify", "fit", "x.csv", "--known", "effector.total_mass_kg=1"), "are for deltas"),
         (("identify", "fit", "x.csv", "--axis", "w"), "it is x, y, z, or a direction"),
