@@ -121,7 +121,7 @@ def inverting(machine: Machine, settings: Settings, name: str) -> Method:
 
 
 def solved(planned: PlannedProgram, inverter: InverseModel, keep: bool = False) -> Iterator[SolvedSection]:
-    return solutions(planned, inverter.machine, inverter, None, lambda wanted: keep)
+    return solutions(planned, inverter, keep_responses=keep)
 
 
 def solved_knots(planned: PlannedProgram, inverter: InverseModel) -> int:

@@ -171,11 +171,7 @@ def cost(machine: Machine, seconds: float) -> tuple[float, float, float]:
 
 def solve(inverter: InverseModel, parts: list[PrintSlice]) -> float:
     """The largest share of its limit that a carriage is asked for."""
-    return max(
-        solved.solution.utilisation
-        for part in parts
-        for solved in solutions(part.planned, inverter.machine, inverter, None, lambda wanted: False)
-    )
+    return max(solved.solution.utilisation for part in parts for solved in solutions(part.planned, inverter))
 
 
 def as_table(found: Mapping[str, Any]) -> Iterator[str]:

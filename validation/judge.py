@@ -147,7 +147,7 @@ def shaped(motion: Motion, shaper: shapers.Shaper) -> Motion:
 def compensated(original: Original, settings: Settings | None = None) -> Compensated:
     """The original print, compensated for its machine as the command line does it, in Klipper's flavor."""
     inverter = InverseModel(original.machine, settings or settings_for(original.machine))
-    return ours.compensated(original.planned, original.machine, inverter, "klipper")
+    return ours.compensated(original.planned, inverter, "klipper")
 
 
 def segments(original: Original, found: Compensated) -> Segments:

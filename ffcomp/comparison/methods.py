@@ -13,9 +13,8 @@ from ffcomp.comparison.result import Family
 from ffcomp.comparison.sampling import PrintSlice
 from ffcomp.compensation.gcode_writer import GcodeRenderer
 from ffcomp.compensation.plan import Context, PlannedChunk
-from ffcomp.compensation.program import compensate
+from ffcomp.compensation.program import compensated_sections
 from ffcomp.compensation.statistics import Statistics
-from ffcomp.compensation.text_stream import Stream
 from ffcomp.firmware.program import PlannedProgram, known_to_the_firmware, plan_program
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.settings import Settings
@@ -41,20 +40,16 @@ class Compensated:
 
 def compensated(
     planned: PlannedProgram,
-    machine: Machine,
     model: InverseModel,
     flavor: str,
     offset: tuple[float, float] = (0.0, 0.0),
-    progress: Callable[[float], None] = lambda done_s: None,
 ) -> Compensated:
-    """Compensate a planned program, whose positions were shifted by an offset (mm), as the command line does.
-
-    progress : called with the print seconds done so far
-    """
-    chunk, context = PlannedChunk.whole(planned), Context(machine, model.settings, flavor, offset)
-    lines = Stream(compensate(chunk, context, model, GcodeRenderer(chunk, context, model), progress=progress))
-    text = b"".join(lines)
-    return Compensated(text, planned, model.settings, flavor, lines.value)
+    """Compensate a planned program, whose positions were shifted by an offset (mm), as the command line does."""
+    chunk, context = PlannedChunk.whole(planned), Context(model, flavor, offset)
+    outputs = list(compensated_sections(chunk, context, GcodeRenderer(chunk, context)))
+    text = b"".join(piece for output in outputs for piece in output.text)
+    statistics = sum((output.statistics for output in outputs), Statistics())
+    return Compensated(text, planned, model.settings, flavor, statistics)
 
 
 @dataclass(frozen=True, slots=True)
@@ -175,7 +170,7 @@ def inversion(machine: Machine, settings: Settings, name: str) -> TunedMethod:
     inverse_model = InverseModel(machine, replace(settings, one_model=one_model, robust=robust))
 
     def motion(s: PrintSlice) -> tuple[Motion, Statistics | None]:
-        file = compensated(s.planned, s.machine, inverse_model, s.flavor, s.offset)
+        file = compensated(s.planned, inverse_model, s.flavor, s.offset)
         return segments_motion(segments(file, s.machine, s.before, s.start)), file.statistics
 
     return TunedMethod(name, label, "inversion", tuning, motion)

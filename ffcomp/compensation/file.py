@@ -7,9 +7,8 @@ from collections.abc import Callable, Mapping
 from os.path import realpath
 from pathlib import Path
 
-from ffcomp.compensation.job import Job, Options
+from ffcomp.compensation.job import Job, Lines, Options
 from ffcomp.compensation.result import CompensatedFile, Result, already_compensated
-from ffcomp.compensation.text_stream import Stream
 from ffcomp.errors import LimitsError
 from gcode.atomic_write import replace_atomically, replacing, unchanged
 from gcode.container import Container, blocks_of, ends_of, opened
@@ -103,9 +102,7 @@ def _write(
     return {name: stream.value for name, stream in streams.items()}
 
 
-def _streams(
-    todo: Mapping[str, Job], folder: Path | None, progress: Callable[[float], None]
-) -> dict[str, Stream[Result]]:
+def _streams(todo: Mapping[str, Job], folder: Path | None, progress: Callable[[float], None]) -> dict[str, Lines]:
     """Return each print's compensated lines, which are worked out as they are read."""
     done, whole = 0, max(sum(job.size for job in todo.values()), 1)
     streams = {}

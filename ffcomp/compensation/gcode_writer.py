@@ -22,7 +22,6 @@ from ffcomp.compensation.plan import Context, PlannedChunk
 from ffcomp.compensation.solve import SolvedSection
 from ffcomp.firmware.base import Filament, FileLimits, Segments
 from ffcomp.firmware.table import FIRMWARES
-from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.settings import CUT, Settings
 from ffcomp.planner.lifts import join_lifts
 from ffcomp.planner.lookahead import stops_and_waits
@@ -505,12 +504,12 @@ REFIT_MM = 1e-3  # so near the border no end of a segment is moved from the comm
 class GcodeRenderer:
     """Lines of the compensated file, of one chunk; see `compensate.program.Renderer`."""
 
-    def __init__(self, chunk: PlannedChunk, context: Context, model: InverseModel) -> None:
-        self._planned, self._extent, self._kinematics = chunk.planned, chunk.chunk.extent, context.machine.kinematics
-        program, settings = chunk.planned.program, context.settings
+    def __init__(self, chunk: PlannedChunk, context: Context) -> None:
+        model, program = context.model, chunk.planned.program
+        self._planned, self._extent, self._kinematics = chunk.planned, chunk.chunk.extent, model.full_machine.kinematics
         self._writer = Writer(
             program,
-            settings,
+            model.settings,
             FIRMWARES[context.flavor].segments(model),
             offset=context.offset,
             file_limits=chunk.chunk.limits,

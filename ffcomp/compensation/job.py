@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import pickle
-import threading
 import time
 from collections import deque
-from collections.abc import Callable, Generator, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
@@ -24,19 +22,19 @@ from ffcomp.compensation.own_shaper import OwnShaper, own_shaper, with_shaper_of
 from ffcomp.compensation.placement import NOWHERE, Footprint, Offset, Placement, advice, choose_offset, footprint_of
 from ffcomp.compensation.plan import Context, plan_chunk
 from ffcomp.compensation.prediction import LONGEST_S
-from ffcomp.compensation.program import compensate
+from ffcomp.compensation.program import Output, compensated_sections
 from ffcomp.compensation.request import CompensateOptions
 from ffcomp.compensation.result import Result
 from ffcomp.compensation.statistics import Statistics
 from ffcomp.compensation.step_output import StepRenderer, StepStream
-from ffcomp.compensation.text_stream import Stream, stamped, with_times_retold
+from ffcomp.compensation.text_stream import stamped, with_times_retold
 from ffcomp.errors import NothingToDo, RequestError
 from ffcomp.faster.bound import Bound, with_slicer_settings
 from ffcomp.firmware.program import firmware_plan, read_as_planned, section_planner
 from ffcomp.firmware.table import FIRMWARES
 from ffcomp.integrations.slicer import Bed, bed_in, pair
 from ffcomp.inverse.feasible import scale_around_cut
-from ffcomp.inverse.model import InverseModel
+from ffcomp.inverse.model import InverseModel, model_of
 from ffcomp.inverse.robust import BOUNDED, PLAIN, RobustChoice, choose_robust
 from ffcomp.inverse.settings import Settings, settings_for
 from ffcomp.inverse.time_scaling import TimeScaling
@@ -58,21 +56,8 @@ from models.machine import Machine
 
 ROW_ERROR_S = 12.5e-6  # of a step of compressed rows, early or late: half of what Klipper allows itself
 Progress = Callable[[float], None]  # called with the share that is done, 0 to 1
-Lines = Generator[bytes, None, Statistics]  # a chunk's output, and what was done
 
 MERGED_SHARE = 0.1  # of a bound, that joined segments may miss their path by
-
-
-_per_thread = threading.local()
-
-
-def model_of(machine: Machine, settings: Settings) -> InverseModel:
-    """Return a thread's inverse model, the same one from chunk to chunk and from file to file."""
-    key = pickle.dumps((machine, settings))
-    if getattr(_per_thread, "key", None) != key:
-        _per_thread.model, _per_thread.key = InverseModel(machine, settings), key
-    model: InverseModel = _per_thread.model
-    return model
 
 
 @dataclass(frozen=True, slots=True)
@@ -187,15 +172,15 @@ class Job:
             replace_atomically(target, lines)
         return lines.value
 
-    def lines(self, progress: Progress = lambda share: None, folder: Path | None = None) -> Stream[Result]:
-        """Return the compensated file, stamped in head and tail, in pieces of whole lines, and then the result.
+    def lines(self, progress: Progress = lambda share: None, folder: Path | None = None) -> Lines:
+        """Return the compensated file, stamped in head and tail.
 
         Parameters
         ----------
         progress : called with the share of the file that is done, 0 to 1
-        folder : where what comes after a line that tells the whole print's time may wait for it
+        folder : for a temporary file; None: where the system keeps such files
         """
-        return Stream(self._lines(progress, folder))
+        return Lines(self, progress, folder)
 
     def write_steps(self, target: Path | None, steps: StepOutput, progress: Progress = lambda share: None) -> Result:
         """Write step timings into an archive (None: nowhere), which is replaced whole at the end or not at all."""
@@ -210,10 +195,11 @@ class Job:
             statistics += Statistics(warnings=reach.warnings)
             predicted = _forecast(statistics, self.machine)
             totals = sink.finish()
-        result = self._result(statistics, time.perf_counter() - started, predicted)
+        result = self.result(statistics, time.perf_counter() - started, predicted)
         return replace(result, steps=totals, shaper=None)
 
-    def _result(self, statistics: Statistics, seconds: float, predicted: Forecast) -> Result:
+    def result(self, statistics: Statistics, seconds: float, predicted: Forecast) -> Result:
+        """Save the model's tables for the next print, and return the result after so many seconds of work."""
         self.model.save_cache()
         return Result(
             self.path,
@@ -224,7 +210,7 @@ class Job:
             seconds,
             embedded=self.settings.embed,
             robust=self._robust,
-            shaper=self._shaper,
+            shaper=self.shaper,
             forecast=predicted,
         )
 
@@ -238,15 +224,15 @@ class Job:
     def _stepped(
         self, split: Iterator[Chunk], context: Context, stream: StepStream, plain: bool, progress: Progress
     ) -> Statistics:
-        statistics, done = self._at_first(), 0
+        statistics, done = self.at_first(), 0
         for chunk in split:
-            planned = plan_chunk(chunk, context, self.model)
+            planned = plan_chunk(chunk, context)
             if plain:
                 stream.uncompensated(planned.planned)
                 statistics += planned.statistics
             else:
-                renderer = StepRenderer(stream, planned, context)
-                statistics += _drained(compensate(planned, context, self.model, renderer))
+                outputs = compensated_sections(planned, context, StepRenderer(stream, planned, context))
+                statistics += sum((output.statistics for output in outputs), Statistics())
             done += _size(chunk.program)
             progress(min(done / max(self.size, 1), 1.0))
         return statistics
@@ -311,7 +297,8 @@ class Job:
         return choose_offset(self.machine.kinematics, self._bed, self._footprint)
 
     @property
-    def _shaper(self) -> OwnShaper:
+    def shaper(self) -> OwnShaper:
+        """Whether the firmware's own shaper is switched off."""
         return own_shaper(self.options.keep_shaper, self.machine, self.flavor)
 
     @property
@@ -321,54 +308,12 @@ class Job:
     def _footprint(self) -> Footprint | None:
         return footprint_of(self._programs(NOWHERE))
 
-    def _lines(self, progress: Progress, folder: Path | None) -> Generator[bytes, None, Result]:
-        started = time.perf_counter()
-        stamp = stamp_line(__version__, self.machine.name, self.machine.sha256, self.flavor)
-        body = Stream(self._body(progress))
-
-        def planned_s() -> tuple[float, float]:
-            return body.value.print_time_s, body.value.original_print_time_s
-
-        pieces = with_times_retold(body, planned_s, folder, embed=self.settings.embed)
-        if self._shaper.state != "kept":
-            pieces = with_shaper_off(pieces, self._shaper)
-        notes = offset_line(self.offset) + (b"" if self.settings.embed else WITHOUT_ORIGINAL + b"\n")
-        predicted = NO_FORECAST
-
-        def at_end() -> bytes:
-            nonlocal predicted
-            predicted = _forecast(body.value, self.machine)
-            return predicted.line()
-
-        yield from stamped(filter(None, pieces), stamp, notes, at_end)
-        return self._result(body.value, time.perf_counter() - started, predicted)
-
-    def _body(self, progress: Progress) -> Lines:
-        reach = Reach(self.machine.kinematics)
+    def outputs(self, reach: Reach) -> Iterator[tuple[Iterable[Output], int]]:
+        """Yield the output of each chunk, and its size in bytes of the print."""
         split, context = self._split(reach)
-        statistics, done = self._at_first(), 0
-        for lines, size in (
-            self._in_turn(split, context, progress) if self.jobs == 1 else self._parallel(split, context)
-        ):
-            chunk, begun_s = Stream(lines), statistics.print_time_s
-            yield from (Timed.at(line, begun_s + line.at_s) if isinstance(line, Timed) else line for line in chunk)
-            statistics += chunk.value
-            done += size
-            progress(min(done / max(self.size, 1), 1.0))
-        return statistics + Statistics(warnings=reach.warnings)
-
-    def _in_turn(self, split: Iterator[Chunk], context: Context, progress: Progress) -> Iterator[tuple[Lines, int]]:
-        before = 0
-        for chunk in split:
-            size = _size(chunk.program)
-
-            def within(share: float, before: int = before, size: int = size) -> None:
-                progress(min((before + share * size) / max(self.size, 1), 1.0))
-
-            yield _lines_of(chunk, context, self.model, within), size
-            before += size
-
-    def _parallel(self, split: Iterator[Chunk], context: Context) -> Iterator[tuple[Lines, int]]:
+        if self.jobs == 1:
+            yield from ((_planned_and_compensated(chunk, context), _size(chunk.program)) for chunk in split)
+            return
         from joblib import Parallel, delayed
 
         sizes: deque[int] = deque()
@@ -379,8 +324,7 @@ class Job:
                 yield delayed(_work)(chunk, context)
 
         pool = Parallel(n_jobs=self.jobs, return_as="generator", batch_size=1, pre_dispatch="2 * n_jobs")
-        for text, statistics in pool(tasks()):
-            yield _again(text, statistics), sizes.popleft()
+        yield from (([output], sizes.popleft()) for output in pool(tasks()))
 
     def _split(self, reach: Reach, plain: bool = False) -> tuple[Iterator[Chunk], Context]:
         """Split the print into chunks; plain: to be written uncompensated."""
@@ -394,7 +338,7 @@ class Job:
         bound = self.options.bound
         if bound is not None:
             bound = with_slicer_settings(bound, *self._ends[:2])
-        context = Context(self.machine, self.settings, self.flavor, self.offset, share, plain, bound)
+        context = Context(self.model, self.flavor, self.offset, share, plain, bound)
         return self._chunks(chain(first, parts), plain), context
 
     def _share(self, first: Program) -> float:
@@ -431,51 +375,76 @@ class Job:
         limits, layer_of = planner_limits(self.machine), LayerLookup(around, layers).of
         return scale_around_cut(self.model, around, limits, cut, section_planner(around, self.machine), layer_of)
 
-    def _at_first(self) -> Statistics:
+    def at_first(self) -> Statistics:
+        """Return the warnings about the file as a whole."""
         names = ", ".join(self.model.not_modelled)
         sentence = f"The machine file lists effects that are not compensated: {names}." if names else ""
         moved = self._placement.reason if self._placement.notable else ""
         return Statistics(warnings=tuple(filter(None, (moved, self._flavor_choice.warning, sentence))))
 
 
-def _lines_of(chunk: Chunk, context: Context, model: InverseModel, progress: Progress = lambda share: None) -> Lines:
-    """Plan a chunk and yield its compensated lines; `progress` is called with the share of it that is done."""
-    planned = plan_chunk(chunk, context, model)
-    end_t = planned.planned.trajectory.end_t
-    return (
-        yield from compensate(
-            planned,
-            context,
-            model,
-            GcodeRenderer(planned, context, model),
-            progress=lambda done_s: progress(done_s / max(end_t, done_s)),
-        )
-    )
+class Lines:
+    """A compensated file, in pieces of whole lines."""
+
+    value: Result  # once all of them have been read
+
+    def __init__(self, job: Job, progress: Progress, folder: Path | None) -> None:
+        self._job, self._progress, self._folder = job, progress, folder
+        self._statistics = Statistics()  # so far
+
+    def __iter__(self) -> Iterator[bytes]:
+        job, started = self._job, time.perf_counter()
+        embed, predicted = job.settings.embed, NO_FORECAST
+
+        def planned_s() -> tuple[float, float]:
+            return self._statistics.print_time_s, self._statistics.original_print_time_s
+
+        def at_end() -> bytes:
+            nonlocal predicted
+            predicted = _forecast(self._statistics, job.machine)
+            return predicted.line()
+
+        pieces = with_times_retold(self._body(), planned_s, self._folder, embed=embed)
+        if job.shaper.state != "kept":
+            pieces = with_shaper_off(pieces, job.shaper)
+        stamp = stamp_line(__version__, job.machine.name, job.machine.sha256, job.flavor)
+        notes = offset_line(job.offset) + (b"" if embed else WITHOUT_ORIGINAL + b"\n")
+        yield from stamped(filter(None, pieces), stamp, notes, at_end)
+        self.value = job.result(self._statistics, time.perf_counter() - started, predicted)
+
+    def _body(self) -> Iterator[bytes]:
+        job, reach, done = self._job, Reach(self._job.machine.kinematics), 0
+        self._statistics = job.at_first()
+        for outputs, size in job.outputs(reach):
+            of_chunk, begun_s = Statistics(), self._statistics.print_time_s
+            for output in outputs:
+                yield from (
+                    Timed.at(line, begun_s + line.at_s) if isinstance(line, Timed) else line for line in output.text
+                )
+                of_chunk += output.statistics
+                self._progress(min((done + output.share * size) / max(job.size, 1), 1.0))
+            self._statistics += of_chunk
+            done += size
+        self._statistics += Statistics(warnings=reach.warnings)
 
 
-def _work(chunk: Chunk, context: Context) -> tuple[list[bytes], Statistics]:
-    model = model_of(context.machine, context.settings)
-    lines = Stream(_lines_of(chunk, context, model))
-    text = list(joined(lines))
-    model.save_cache()
-    return text, lines.value
+def _planned_and_compensated(chunk: Chunk, context: Context) -> Iterator[Output]:
+    planned = plan_chunk(chunk, context)
+    yield from compensated_sections(planned, context, GcodeRenderer(planned, context))
 
 
-def _again(text: list[bytes], statistics: Statistics) -> Lines:
-    yield from text
-    return statistics
+def _work(chunk: Chunk, context: Context) -> Output:
+    """Compensate a chunk in another process."""
+    outputs = list(_planned_and_compensated(chunk, context))
+    context.model.save_cache()
+    text = list(joined(chain.from_iterable(output.text for output in outputs)))
+    return Output(text, sum((output.statistics for output in outputs), Statistics()))
 
 
 def _forecast(statistics: Statistics, machine: Machine) -> Forecast:
-    """Evaluate what was predicted on the way."""
+    """Evaluate the sections that were sampled for the prediction."""
     samples = statistics.predicted
     return NO_FORECAST if samples is None else forecast(lambda: samples.forecast(machine))
-
-
-def _drained(lines: Lines) -> Statistics:
-    stream = Stream(lines)
-    deque(stream, maxlen=0)
-    return stream.value
 
 
 def _size(program: Program) -> int:

@@ -16,7 +16,6 @@ from ffcomp.faster.bound import Bound
 from ffcomp.firmware.program import PlannedProgram, plan_program, planner_of, raw_durations
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.reference import WHOLE
-from ffcomp.inverse.settings import Settings
 from ffcomp.planner.trajectory import Section
 from gcode.program import Event
 from models.arrays import FloatArray
@@ -28,8 +27,7 @@ from models.vibration.base import Modes
 class Context:
     """What is the same for every chunk of a file."""
 
-    machine: Machine
-    settings: Settings
+    model: InverseModel
     flavor: str
     offset: tuple[float, float] = (0.0, 0.0)  # mm, by which the program's positions were shifted when they were read
     share: float = 0.0  # of the print that is simulated for the prediction; above 1: all of it
@@ -55,9 +53,9 @@ class PlannedChunk:
         return PlannedChunk(Chunk(planned.program), planned, statistics=of_plan(planned, WHOLE))
 
 
-def plan_chunk(chunk: Chunk, context: Context, model: InverseModel) -> PlannedChunk:
+def plan_chunk(chunk: Chunk, context: Context) -> PlannedChunk:
     """Plan a chunk, and solve the moves before it of which the printer may still ring."""
-    machine = context.machine
+    model, machine = context.model, context.model.full_machine
     faster: Faster | None = None
     if context.bound is None or context.plain:
         planned = plan_program(chunk.program, machine)
@@ -102,7 +100,7 @@ def plan_chunk(chunk: Chunk, context: Context, model: InverseModel) -> PlannedCh
 def _left_behind(chunk: Chunk, past: PlannedProgram, model: InverseModel) -> Resting | None:
     """Return the plant after the moves before a chunk, on the chunk's clock; None: none of them travels."""
     resting = None
-    for solved in solutions(past, model.full_machine, model, None, lambda reference: False):
+    for solved in solutions(past, model):
         resting = Resting.after(solved, past)
     if resting is None:
         return None

@@ -15,21 +15,18 @@ render    compensate.gcode_writer  command and events → text, limits opened an
 from __future__ import annotations
 
 import re
-from collections import deque
-from collections.abc import Callable, Generator, Iterable, Sequence
-from dataclasses import replace
-from typing import Protocol
+from collections.abc import Iterable, Iterator, Sequence
+from itertools import chain
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
 from ffcomp.compensation.plan import Context, PlannedChunk
 from ffcomp.compensation.prediction import Prediction
-from ffcomp.compensation.solve import SolvedSection, solutions
+from ffcomp.compensation.solve import SolvedSection, never, solutions
 from ffcomp.compensation.statistics import Statistics, of_section, of_unsafe
 from ffcomp.errors import LimitsError
 from ffcomp.faster.bound import Bound
-from ffcomp.inverse.model import InverseModel
-from ffcomp.inverse.reference import Reference
 from ffcomp.inverse.settings import Settings
 from ffcomp.metrics import contour_error
 from ffcomp.planner.segment_timing import TimedSegments
@@ -69,69 +66,66 @@ class Renderer(Protocol):
         """Write what stands after the last section."""
 
 
-def compensate(
-    chunk: PlannedChunk,
-    context: Context,
-    model: InverseModel,
-    renderer: Renderer,
-    *,
-    progress: Callable[[float], None] = lambda done_s: None,
-) -> Generator[bytes, None, Statistics]:
-    """Yield a chunk's output in order, pieces of whole lines, and return the statistics.
+class Output(NamedTuple):
+    """The output of a part of a chunk."""
+
+    text: Sequence[bytes]  # pieces of whole lines; none where the renderer writes elsewhere
+    statistics: Statistics  # of this part
+    share: float = 1.0  # of the chunk that is done
+
+
+def compensated_sections(chunk: PlannedChunk, context: Context, renderer: Renderer) -> Iterator[Output]:
+    """Yield a chunk's output section by section; its statistics add up to those of the chunk.
 
     Parameters
     ----------
-    chunk : what is compensated
-    context : the machine, and how much of the print is simulated
-    model : the machine's inverse, with the settings
+    chunk : to be compensated
+    context : of its file
     renderer : writes this chunk
-    progress : called with the print-seconds done so far
     """
-    planned, extent = chunk.planned, chunk.chunk.extent
+    planned, extent, model = chunk.planned, chunk.chunk.extent, context.model
     prediction = Prediction(model, context.share) if chunk.simulated else None
-    check = None
+    checks: list[BoundCheck | PressureCheck] = []
     if context.bound is not None:
-        check = BoundCheck(context.bound, planned.program, chunk.chunk.feature)
-    hot_end = model.settings.pressure
-    pressure = None if hot_end is None else PressureCheck(hot_end, planned.program)
-
-    wanted = deque[bool]()  # by the prediction, of the sections that are solved and not yet written
-
-    def keep(reference: Reference) -> bool:
-        wanted.append(prediction is not None and prediction.wants(reference))
-        return wanted[-1] or check is not None
-
-    solved_sections = solutions(planned, context.machine, model, chunk.before, keep, chunk.chunk.layers, extent)
-    statistics = chunk.statistics
+        checks.append(BoundCheck(context.bound, planned.program, chunk.chunk.feature, model.settings))
+    if model.settings.pressure is not None:
+        checks.append(PressureCheck(model.settings.pressure, planned.program))
+    solved_sections = solutions(
+        planned,
+        model,
+        chunk.before,
+        wants=never if prediction is None else prediction.wants,
+        keep_responses=context.bound is not None,
+        layers_before=chunk.chunk.layers,
+        extent=extent,
+    )
+    yield Output((), chunk.statistics, 0.0)
+    end_t = planned.trajectory.end_t or 1.0
     for section in planned.sections:
-        yield from renderer.before(section)
+        text, statistics = [*renderer.before(section)], Statistics()
         if not section.travels:
-            yield from renderer.extrude(section)
-            continue
-        solved = next(solved_sections)
-        if solved.fault:
-            yield from renderer.sliced(section)
-            statistics += of_unsafe(section, planned, solved.fault)
-            if prediction is not None:
-                wanted.popleft()
-            continue
-        yield from renderer.section(section, solved)
-        statistics += of_section(section, solved, planned, extent, model)
-        if check is not None:
-            check.add(solved, model.settings)
-        if pressure is not None:
-            pressure.add(solved)
-        if prediction is not None and wanted.popleft() and len(solved.solution.response):
-            prediction.add(solved, renderer.written())
-        progress(section.end_t)
-    yield from renderer.finish()
-    if check is not None:
-        statistics += Statistics(warnings=check.warnings(model.settings.strict))
-    if pressure is not None:
-        statistics += Statistics(warnings=pressure.warnings())
-    samples = prediction.samples if prediction is not None else None
-    print_s = statistics.print_time_s + renderer.late_s
-    return replace(statistics, print_time_s=print_s, segments=renderer.segments, predicted=samples)
+            text += renderer.extrude(section)
+        elif (solved := next(solved_sections)).fault:
+            text += renderer.sliced(section)
+            statistics = of_unsafe(section, planned, solved.fault)
+        else:
+            text += renderer.section(section, solved)
+            statistics = of_section(section, solved, planned, extent, model)
+            for check in checks:
+                check.add(solved)
+            if prediction is not None and solved.sampled:
+                prediction.add(solved, renderer.written())
+        yield Output(text, statistics, min(section.end_t / end_t, 1.0))
+    text = [*renderer.finish()]
+    yield Output(
+        text,
+        Statistics(
+            segments=renderer.segments,
+            print_time_s=renderer.late_s,
+            warnings=tuple(chain.from_iterable(check.warnings() for check in checks)),
+            predicted=None if prediction is None else prediction.samples,
+        ),
+    )
 
 
 PEAK_LEVEL = 2.6  # times the bound, that single spots may have: a little more than in the search
@@ -140,13 +134,19 @@ PEAK_LEVEL = 2.6  # times the bound, that single spots may have: a little more t
 class BoundCheck:
     """Compares the response that was solved for, effects included, with the bound, section by section."""
 
-    def __init__(self, bound: Bound, program: Program, feature: str) -> None:
+    def __init__(self, bound: Bound, program: Program, feature: str, settings: Settings) -> None:
         self.program, self.bound_mm = program, bound.errors_mm(labels(program, feature))
+        self.settings = settings
         self.beyond: list[tuple[float, int, float]] = []  # times the bound, line and µm of each section's worst
 
-    def add(self, solved: SolvedSection, settings: Settings) -> None:
+    def add(self, solved: SolvedSection) -> None:
         """Look at a section."""
-        section, reference, response = solved.section, solved.reference, solved.solution.response
+        section, reference, response, settings = (
+            solved.section,
+            solved.reference,
+            solved.solution.response,
+            self.settings,
+        )
         t = reference.t0 + np.arange(1, len(response) + 1, dtype=np.float64) * settings.segment_s / settings.substeps
         error = contour_error(*reference.path(), t, response)
         move = np.clip(solved.trajectory.move_at(t), section.first, section.last - 1)
@@ -156,15 +156,15 @@ class BoundCheck:
             line = self.program.line_of(move[worst])
             self.beyond.append((float(times[worst]), line, 1e3 * float(error[worst])))
 
-    def warnings(self, strict: bool = False) -> tuple[str, ...]:
-        """Say where the bound is not kept; strict: refuse."""
+    def warnings(self) -> tuple[str, ...]:
+        """Say where the bound is not kept; where the settings are strict, refuse."""
         if not self.beyond:
             return ()
         _, line, um = max(self.beyond)
         where = "one section" if len(self.beyond) == 1 else f"{len(self.beyond)} sections"
         above = f"it is above {PEAK_LEVEL:g} times its bound in {where}"
         sentence = f"line {line}: the predicted error is {um:.3g} µm here; {above}."
-        if strict:
+        if self.settings.strict:
             raise LimitsError(sentence)
         return (sentence,)
 

@@ -21,7 +21,6 @@ from gcode.layers import LayerLookup
 from gcode.program import EventKind
 from gcode.slicing import some
 from models.arrays import FloatArray
-from models.machine import Machine
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,6 +34,7 @@ class SolvedSection:
     slowed: tuple[TimeScaling, ...]
     knots: tuple[int, int]  # between which it is written
     fault: str = ""  # why it must go out as it was sliced instead; empty: its command is safe
+    sampled: bool = False  # by the prediction, which needs its response
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,38 +57,44 @@ class Resting:
         return float(np.abs(self.nozzle - nozzle).max()) <= ENDS_MM
 
 
+def never(reference: Reference) -> bool:
+    """Answer that no section is wanted."""
+    return False
+
+
 def solutions(
     planned: PlannedProgram,
-    machine: Machine,
     model: InverseModel,
-    before: Resting | None,
-    keep: Callable[[Reference], bool],
+    before: Resting | None = None,
+    *,
+    wants: Callable[[Reference], bool] = never,
+    keep_responses: bool = False,
     layers_before: int = 0,
     extent: Extent = WHOLE,
 ) -> Iterator[SolvedSection]:
-    """Solve the sections that travel, one after the other: what rings when one ends is known to the next.
+    """Solve the sections that travel in order; each begins with the vibration that the one before it leaves.
 
     Parameters
     ----------
     planned : a chunk's program
-    machine : what it is planned for
     model : the machine's inverse
     before : the plant before the first section; None: others have moved the nozzle, and it is at rest
-    keep : asked once for each section whether its response is needed
+    wants : asked once for each section whether the prediction samples it
+    keep_responses : keep the responses of all sections, not only of those that the prediction samples
     layers_before : layers of the file that have begun before this program
-    extent : what is written of the program, if it begins or ends in motion
+    extent : the part of the program that is written, if it begins or ends in motion
 
     Raises
     ------
     LimitsError: Where a limit cannot be held, and the plan must not or cannot be slowed down.
     """
-    linear = _linear(planned, machine, model, before, keep, layers_before, extent)
+    sections = _linear(planned, model, before, wants, keep_responses, layers_before, extent)
     if model.printer is None:
-        yield from (solved for solved, _ in linear)
+        yield from (solved for solved, _ in sections)
         return
     from ffcomp.inverse.nonlinear import LinearSolution, correct_sections  # with the whole printer: effects only
 
-    known = list(linear)
+    known = list(sections)
     results = correct_sections(
         model, model.printer, [LinearSolution(s.reference, s.solution, rest) for s, rest in known]
     )
@@ -99,15 +105,15 @@ def solutions(
 
 def _linear(
     planned: PlannedProgram,
-    machine: Machine,
     model: InverseModel,
     before: Resting | None,
-    keep: Callable[[Reference], bool],
+    wants: Callable[[Reference], bool],
+    keep_responses: bool,
     layers_before: int,
     extent: Extent,
 ) -> Iterator[tuple[SolvedSection, float | None]]:
     """Solve each section linearly; yield it and how long the nozzle has rested before it (None: others moved it)."""
-    program, trajectory, settings = planned.program, planned.trajectory, model.settings
+    program, trajectory, settings, machine = planned.program, planned.trajectory, model.settings, model.full_machine
     moved, limits = _moved_before(planned), planner_limits(machine)
     replan = section_planner(program, machine)
     layers = LayerLookup(program, layers_before)
@@ -129,7 +135,8 @@ def _linear(
             written = part.written(trajectory, section, settings)
         if written.reference.knots * settings.rows_per_segment == len(offset):
             written.reference.robust_offset = offset
-        keep_response = keep(written.reference)
+        sampled = wants(written.reference)
+        keep_response = sampled or keep_responses
         if settings.time_scaling:
             request = SectionRequest(
                 program=program,
@@ -149,7 +156,13 @@ def _linear(
             feasible = FeasibleSection(trajectory, section, written, result)
         reference, *knots = feasible.written
         solved = SolvedSection(
-            feasible.trajectory, feasible.section, reference, feasible.solution, feasible.records, (knots[0], knots[1])
+            feasible.trajectory,
+            feasible.section,
+            reference,
+            feasible.solution,
+            feasible.records,
+            (knots[0], knots[1]),
+            sampled=sampled,
         )
         if before is not None and not moved[section.first] and not before.is_at(start):
             solved = replace(solved, fault="it begins elsewhere than the last motion has ended")

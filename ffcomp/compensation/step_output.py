@@ -82,7 +82,8 @@ class StepRenderer:
 
     def __init__(self, stream: StepStream, chunk: PlannedChunk, context: Context) -> None:
         self._stream, self._planned, self._extent = stream, chunk.planned, chunk.chunk.extent
-        self._kinematics, self._segment_s = context.machine.kinematics, context.settings.segment_s
+        self._kinematics = context.model.full_machine.kinematics
+        self._segment_s = context.model.settings.segment_s
         self._events, self._waits_s = EventQueue(chunk.planned.program.events), chunk.waits_s
 
     def before(self, section: Section) -> Iterable[bytes]:

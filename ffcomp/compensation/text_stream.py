@@ -7,28 +7,13 @@ longest print costs one more copy of itself on the disk, for that long, and no m
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from tempfile import SpooledTemporaryFile
-from typing import IO, Generic, TypeVar
+from typing import IO
 
 from gcode.embedded import TIME_WAS
 from gcode.metadata import Durations, Tells, Timed, retold, stated_time, tells, with_waiting_s
-
-T = TypeVar("T")
-
-
-class Stream(Generic[T]):
-    """The pieces of a text, and once they have all been read, `value`: what was found on the way."""
-
-    value: T
-
-    def __init__(self, pieces: Generator[bytes, None, T]) -> None:
-        self._pieces = pieces
-
-    def __iter__(self) -> Iterator[bytes]:
-        self.value = yield from self._pieces
-
 
 IN_MEMORY, BLOCK = 4 << 20, 1 << 20  # bytes
 

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import pickle
+import threading
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -113,6 +116,10 @@ class InverseModel:
 
     full_machine: Machine  # with the effects that its file lists
     settings: Settings
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Another process builds its own tables, or reads them from the cache, and keeps them for its next task."""
+        return model_of, (self.full_machine, self.settings)
 
     @cached_property
     def _design(self) -> tuple[Machine, tuple[str, ...]]:
@@ -272,6 +279,18 @@ class InverseModel:
         command = np.repeat(self.kinematics.inverse(nozzle[None]), intervals * s.substeps + 1, axis=0)
         place = np.repeat(nozzle[None, :2], intervals, axis=0)
         return self.plant.play(place, np.zeros_like(command), command, state, s.substeps)[1][-1]
+
+
+_per_thread = threading.local()
+
+
+def model_of(machine: Machine, settings: Settings) -> InverseModel:
+    """Return a thread's inverse model, the same one from chunk to chunk and from file to file."""
+    key = pickle.dumps((machine, settings))
+    if getattr(_per_thread, "key", None) != key:
+        _per_thread.model, _per_thread.key = InverseModel(machine, settings), key
+    model: InverseModel = _per_thread.model
+    return model
 
 
 @dataclass

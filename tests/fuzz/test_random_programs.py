@@ -319,7 +319,7 @@ def compensated(data: bytes, own: InverseModel) -> bytes:
 def solved(data: bytes, own: InverseModel) -> Iterator[SolvedSection]:
     """The answer to each run."""
     planned = plan_program(read_program(data), own.machine)
-    return solutions(planned, own.machine, own, None, lambda wanted: False)
+    return solutions(planned, own)
 
 
 @pytest.mark.parametrize("seeds", [range(begin, begin + 30) for begin in range(0, 120, 30)], ids=str)

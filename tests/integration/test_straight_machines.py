@@ -110,7 +110,7 @@ def corexy(tmp_path_factory: pytest.TempPathFactory) -> Machine:
 
 def test_a_print_is_far_better_on_the_modes_themselves(corexy: Machine) -> None:
     planned = plan_program(read_program(print_text(), flavor="klipper"), corexy)
-    compensated = ours.compensated(planned, corexy, InverseModel(corexy, settings_for(corexy)), "klipper")
+    compensated = ours.compensated(planned, InverseModel(corexy, settings_for(corexy)), "klipper")
     segments = ours.segments(compensated, corexy)
     played = motion_of(segments.trajectory, segments.clock(segments.trajectory.start_t))
     before = contour_rms_um(planned, planned_motion(planned.trajectory))
@@ -123,7 +123,7 @@ def test_a_print_is_far_better_on_the_modes_themselves(corexy: Machine) -> None:
 def test_the_real_host_keeps_the_pace(corexy: Machine) -> None:
     """A cartesian printer whose Z is slow: the host's own plan of both files takes what ours says."""
     planned = plan_program(read_program(print_text(), flavor="klipper"), corexy)
-    compensated = ours.compensated(planned, corexy, InverseModel(corexy, settings_for(corexy)), "klipper")
+    compensated = ours.compensated(planned, InverseModel(corexy, settings_for(corexy)), "klipper")
     config = config_of(tomllib.loads(machine_text())) + EXTRUDER_MOTOR
     took = []
     for text in (print_text(), compensated.text):
@@ -137,7 +137,7 @@ def test_the_real_host_keeps_the_pace(corexy: Machine) -> None:
 def test_a_rigid_machine_prints_the_plan(tmp_path: Path) -> None:
     machine = load_machine(made(tmp_path, machine_text("cartesian", rigid=True)))
     planned = plan_program(read_program(print_text(2), flavor="klipper"), machine)
-    compensated = ours.compensated(planned, machine, InverseModel(machine, settings_for(machine)), "klipper")
+    compensated = ours.compensated(planned, InverseModel(machine, settings_for(machine)), "klipper")
     segments = ours.segments(compensated, machine)
     played = motion_of(segments.trajectory, segments.clock(segments.trajectory.start_t))
     t = np.arange(played.begin_t, played.end_t, 0.01)
@@ -165,7 +165,7 @@ def test_motors_of_a_corexy_are_held_to_their_limits(tmp_path: Path) -> None:
 @pytest.mark.parametrize("flavor", ["marlin", "reprapfirmware"])
 def test_the_limits_of_a_lead_screw_are_never_raised(corexy: Machine, flavor: str) -> None:
     planned = plan_program(read_program(print_text(1), flavor=flavor), corexy)
-    text = ours.compensated(planned, corexy, InverseModel(corexy, settings_for(corexy)), flavor).text
+    text = ours.compensated(planned, InverseModel(corexy, settings_for(corexy)), flavor).text
     limits = re.findall(rb"^(?:M201|M203|M566) .*; ffcomp", text, re.MULTILINE)
     assert limits
     assert not any(b"Z" in line for line in limits)

@@ -29,7 +29,7 @@ def written(pressure: Pressure | None, text: bytes = squares(1)) -> Compensated:
     # the limits that the firmware plans with are the same with and without
     machine = replace(MACHINE, pressure=pressure)
     planned = plan_program(read_program(text, "squares", flavor="klipper"), machine)
-    return compensated(planned, machine, InverseModel(machine, settings_for(machine)), "klipper")
+    return compensated(planned, InverseModel(machine, settings_for(machine)), "klipper")
 
 
 def flows(file: Compensated, pressure: Pressure) -> tuple[FloatArray, FloatArray]:

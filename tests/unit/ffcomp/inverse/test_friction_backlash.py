@@ -90,7 +90,7 @@ def test_friction_that_bends_is_a_spring_that_gives_way() -> None:
 def longest_run() -> Reference:
     """Of a square."""
     (part,), _ = Print(squares(1), "squares.gcode", MACHINE).slices(Sampling())
-    solved = solutions(part.planned, MACHINE, InverseModel(MACHINE, settings_for(MACHINE)), None, lambda wanted: False)
+    solved = solutions(part.planned, InverseModel(MACHINE, settings_for(MACHINE)))
     return max((each.reference for each in solved), key=lambda wanted: wanted.knots)
 
 

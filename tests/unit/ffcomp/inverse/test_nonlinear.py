@@ -35,7 +35,7 @@ def part() -> PrintSlice:
 def solved(machine: Machine, printer: Machine | None = None) -> tuple[InverseModel, list[SolvedSection]]:
     inverter = InverseModel(machine, settings_for(machine))
     vars(inverter)["printer"] = printer or inverter.printer  # a printer that is not the one believed in
-    return inverter, list(solutions(part().planned, inverter.machine, inverter, None, lambda wanted: True))
+    return inverter, list(solutions(part().planned, inverter, keep_responses=True))
 
 
 @cache
