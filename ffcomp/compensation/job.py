@@ -27,7 +27,7 @@ from ffcomp.compensation.request import CompensateOptions
 from ffcomp.compensation.result import Result
 from ffcomp.compensation.statistics import Statistics
 from ffcomp.compensation.step_output import StepRenderer, StepStream
-from ffcomp.compensation.text_stream import stamped, with_times_retold
+from ffcomp.compensation.text_stream import in_order, stamped, with_times_retold
 from ffcomp.errors import NothingToDo, RequestError
 from ffcomp.faster.bound import Bound, with_slicer_settings
 from ffcomp.firmware.program import firmware_plan, read_as_planned, section_planner
@@ -404,12 +404,12 @@ class Lines:
             predicted = _forecast(self._statistics, job.machine)
             return predicted.line()
 
-        pieces = with_times_retold(self._body(), planned_s, self._folder, embed=embed)
+        pieces = with_times_retold(self._body(), planned_s, embed=embed)
         if job.shaper.state != "kept":
             pieces = with_shaper_off(pieces, job.shaper)
         stamp = stamp_line(__version__, job.machine.name, job.machine.sha256, job.flavor)
         notes = offset_line(job.offset) + (b"" if embed else WITHOUT_ORIGINAL + b"\n")
-        yield from stamped(filter(None, pieces), stamp, notes, at_end)
+        yield from stamped(filter(None, in_order(pieces, self._folder)), stamp, notes, at_end)
         self.value = job.result(self._statistics, time.perf_counter() - started, predicted)
 
     def _body(self) -> Iterator[bytes]:

@@ -9,15 +9,14 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from tempfile import SpooledTemporaryFile
 from typing import Literal
 
+from ffcomp.compensation.text_stream import Later, Text
 from gcode.dialect import DIALECTS
 from gcode.dialects import shaper_commands, shaper_off
 from gcode.embedded import OURS
 from models.machine import Machine
 
-IN_MEMORY = 4 << 20  # bytes
 State = Literal["off", "kept", "none", "unknown"]
 
 OFF = "The firmware's input shaper is off during this print and on again at its end. After a cancelled print: {on}."
@@ -66,11 +65,11 @@ def own_shaper(keep: bool | None, machine: Machine, flavor: str) -> OwnShaper:
     return OwnShaper("unknown", UNKNOWN, flavor) if lines is None else OwnShaper("none", "", flavor)
 
 
-def with_shaper_off(pieces: Iterator[bytes], shaper: OwnShaper) -> Iterator[bytes]:
+def with_shaper_off(pieces: Text, shaper: OwnShaper) -> Iterator[bytes | Later]:
     """Switch the firmware's shaper off where our first block opens, and on again after our last line.
 
     Where the print itself sets the shaper, it is switched off again before the next block, and the print's own setting
-    is the one that is in force at the end.
+    is restored at the end.
 
     Parameters
     ----------
@@ -79,38 +78,33 @@ def with_shaper_off(pieces: Iterator[bytes], shaper: OwnShaper) -> Iterator[byte
     command = DIALECTS[shaper.flavor].shaper_command
     sets_it = re.compile(rb"(?im)^[ \t]*%b\b[^\n]*(?:\n|\Z)" % command)
     on, is_on, was_off, ending = list(shaper.on), shaper.state == "off", False, b"\n"
+    restored = Later()  # after our last line
 
-    def ours(lines: Sequence[bytes]) -> Iterator[bytes]:
-        yield from (line.rstrip() + OURS + ending for line in lines)
+    def ours(lines: Sequence[bytes]) -> bytes:
+        return b"".join(line.rstrip() + OURS + ending for line in lines)
 
-    with SpooledTemporaryFile(IN_MEMORY) as held:  # what has come since our last line
-
-        def released() -> Iterator[bytes]:
-            held.seek(0)
-            yield from iter(lambda: held.read(1 << 20), b"")
-            held.seek(0)
-            held.truncate()
-
-        for piece in pieces:
-            at = 0
-            for own in [*(sets_it.finditer(piece) if command in piece.upper() else ()), None]:
-                text = piece[at : own.start() if own else len(piece)]
-                if OURS in text:
-                    begin = text.rfind(b"\n", 0, text.find(OURS)) + 1
-                    end = text.find(b"\n", text.rfind(OURS)) + 1 or len(text)
-                    ending = b"\r\n" if text[begin:end].endswith(b"\r\n") else b"\n"
-                    yield from released()
-                    yield text[:begin]
-                    if is_on:
-                        yield from ours(shaper_off(shaper.flavor, on))
-                    is_on, was_off = False, was_off or is_on
-                    yield text[begin:end]
-                    text = text[end:]
-                held.write(text)
-                if own:
-                    at, is_on = own.end(), True
-                    on.append(own[0])
-                    held.write(own[0])
-        if was_off and not is_on:
-            yield from ours(on)
-        yield from released()
+    for piece in pieces:
+        if isinstance(piece, Later):
+            yield piece
+            continue
+        at = 0
+        for own in [*(sets_it.finditer(piece) if command in piece.upper() else ()), None]:
+            text = piece[at : own.start() if own else len(piece)]
+            if OURS in text:
+                begin = text.rfind(b"\n", 0, text.find(OURS)) + 1
+                end = text.find(b"\n", text.rfind(OURS)) + 1 or len(text)
+                ending = b"\r\n" if text[begin:end].endswith(b"\r\n") else b"\n"
+                yield text[:begin]
+                if is_on:
+                    yield ours(shaper_off(shaper.flavor, on))
+                is_on, was_off = False, was_off or is_on
+                yield text[begin:end]
+                restored.text, restored = b"", Later()
+                yield restored
+                text = text[end:]
+            yield text
+            if own:
+                at, is_on = own.end(), True
+                on.append(own[0])
+                yield own[0]
+    restored.text = ours(on) if was_off and not is_on else b""

@@ -1,13 +1,14 @@
-"""Write the text of a compensated file as it streams: stamp, and times retold when the end is known.
+"""Write the text of a compensated file as it streams: stamp, and lines that are known at the end of the print only.
 
-A file says at its head how long it takes, and with M73 all along how much is left. So from the first such line on,
-what is written waits in a file without a name, and is read out again when the whole print has been planned. The
-longest print costs one more copy of itself on the disk, for that long, and no memory.
+The print time is stated at the head of a file and in every M73, and is known when the whole print has been planned. So
+the text after the first such line waits in a temporary file. The longest print needs one more copy of itself on the
+disk, and no memory.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from tempfile import SpooledTemporaryFile
 from typing import IO
@@ -18,61 +19,82 @@ from gcode.metadata import Durations, Tells, Timed, retold, stated_time, tells, 
 IN_MEMORY, BLOCK = 4 << 20, 1 << 20  # bytes
 
 
-def with_times_retold(
-    pieces: Iterable[bytes],
-    planned_s: Callable[[], tuple[float, float]],
-    folder: Path | None = None,
-    *,
-    embed: bool = True,
-) -> Iterator[bytes]:
-    """Rewrite the lines that tell a time; a comment before each keeps what it was.
+@dataclass(slots=True)
+class Later:
+    """Lines that are known later."""
+
+    text: bytes | None = None  # None: not known yet
+
+
+Text = Iterable[bytes | Later]
+
+
+def in_order(pieces: Text, folder: Path | None = None) -> Iterator[bytes]:
+    """Yield pieces in their order; the text after an unknown line waits in a temporary file.
 
     Parameters
     ----------
-    pieces : with every line that tells a time, or begins a layer, as a `Timed` of its own
-    planned_s : what the print takes, and took as it was sliced, s; asked at the end of the pieces
-    folder : where they may wait; None: where the system keeps such files
+    pieces : every `Later` among them is known when they end
+    folder : for the temporary file; None: where the system keeps such files
+    """
+    waiting: list[tuple[int, Later]] = []  # each with the number of bytes held before it
+    with SpooledTemporaryFile(IN_MEMORY, dir=str(folder) if folder else None) as held:
+        for piece in pieces:
+            if isinstance(piece, Later):
+                waiting.append((held.tell(), piece))
+                known = next(k for k, (_, later) in enumerate(waiting) if later.text is None)
+                if known and waiting[known][0] == held.tell():
+                    yield from _released(held, waiting[:known])
+                    waiting = [(0, later) for _, later in waiting[known:]]
+            elif waiting:
+                held.write(piece)
+            else:
+                yield piece
+        yield from _released(held, waiting)
+
+
+def _released(held: IO[bytes], waiting: Sequence[tuple[int, Later]]) -> Iterator[bytes]:
+    held.seek(0)
+    for until, later in waiting:
+        while size := until - held.tell():
+            yield held.read(min(size, BLOCK))
+        yield later.text or b""
+    while piece := held.read(BLOCK):
+        yield piece
+    held.seek(0)
+    held.truncate()
+
+
+def with_times_retold(
+    pieces: Iterable[bytes], planned_s: Callable[[], tuple[float, float]], *, embed: bool = True
+) -> Iterator[bytes | Later]:
+    """Rewrite the lines that state a time; a comment before each keeps the original time.
+
+    Parameters
+    ----------
+    pieces : with every line that states a time, or begins a layer, as a `Timed` of its own
+    planned_s : returns the planned duration of the print and of the original, s; called after the last piece
     embed : whether the comments are written
     """
     layers: list[float] = []  # when each begins
-    waiting: list[tuple[int, Timed]] = []  # each with how much is held before it
-    with SpooledTemporaryFile(IN_MEMORY, dir=str(folder) if folder else None) as held:
-        for piece in pieces:
-            text, tells_time = piece, tells(piece) if isinstance(piece, Timed) else None
-            if isinstance(piece, Timed) and tells_time is None:
-                layers.append(piece.at_s)
-            elif isinstance(piece, Timed) and tells_time is Tells.ELAPSED:
-                text = _retold(piece, Durations(piece.at_s), embed)
-            elif isinstance(piece, Timed):
-                waiting.append((held.tell(), piece))
-                continue
-            if waiting:
-                held.write(text)
-            else:
-                yield text
-        first_layer_s = layers[1] - layers[0] if len(layers) > 1 else None
-        total_s, sliced_s = planned_s()
-        stated_s = next(filter(None, (with_waiting_s(line) for _, line in waiting)), 0.0)
-        durations = Durations(total_s, first_layer_s, sliced_s if stated_s > sliced_s > 0.0 else None)
-        yield from _released(held, waiting, durations, embed)
-
-
-def _released(held: IO[bytes], waiting: list[tuple[int, Timed]], durations: Durations, embed: bool) -> Iterator[bytes]:
-    held.seek(0)
-    done = 0
-    for until, line in waiting:
-        yield from _read(held, until - done)
-        yield _retold(line, durations, embed)
-        done = until
-    while piece := held.read(BLOCK):
-        yield piece
-
-
-def _read(held: IO[bytes], size: int) -> Iterator[bytes]:
-    while size:
-        piece = held.read(min(size, BLOCK))
-        size -= len(piece)
-        yield piece
+    waiting: list[tuple[Timed, Later]] = []
+    for piece in pieces:
+        if not isinstance(piece, Timed):
+            yield piece
+        elif (stated := tells(piece)) is None:
+            layers.append(piece.at_s)
+            yield piece
+        elif stated is Tells.ELAPSED:
+            yield _retold(piece, Durations(piece.at_s), embed)
+        else:
+            waiting.append((piece, Later()))
+            yield waiting[-1][1]
+    first_layer_s = layers[1] - layers[0] if len(layers) > 1 else None
+    total_s, sliced_s = planned_s()
+    stated_s = next(filter(None, (with_waiting_s(line) for line, _ in waiting)), 0.0)
+    durations = Durations(total_s, first_layer_s, sliced_s if stated_s > sliced_s > 0.0 else None)
+    for line, later in waiting:
+        later.text = _retold(line, durations, embed)
 
 
 def _retold(line: Timed, durations: Durations, embed: bool) -> bytes:

@@ -16,7 +16,7 @@ import pytest
 from ffcomp.cli.app import app
 from ffcomp.compensation import text_stream as times
 from ffcomp.compensation.statistics import Statistics as Compensation
-from ffcomp.compensation.text_stream import with_times_retold
+from ffcomp.compensation.text_stream import in_order, with_times_retold
 from ffcomp.errors import NothingToDo
 from ffcomp.estimation import statistics as cutting
 from ffcomp.estimation.engine import Estimate, estimate, planned_slices, seconds
@@ -247,7 +247,7 @@ def test_waiting_for_the_end_keeps_every_byte(tmp_path: Path, monkeypatch: pytes
     pieces = [b"a\n", Timed.at(b"M73 P5 R1\n", 30.0), b"b" * 100 + b"\n", Timed.at(b";LAYER:0\n", 40.0)]
     pieces += [Timed.at(b";TIME:5", 60.0)]
     total_s: list[float] = []
-    got = with_times_retold(iter(pieces), lambda: (total_s[0], 100.0), tmp_path)
+    got = in_order(with_times_retold(pieces, lambda: (total_s[0], 100.0)), tmp_path)
     assert next(got) == b"a\n"
     total_s.append(120.0)
     rest = b"".join(got)
