@@ -32,7 +32,7 @@ from gcode.text import PART_BYTES, raw_blocks
 from models.machine import Machine
 
 MARK = ".done"  # of the file whose length says how many bytes of its print are done
-LARGEST_SENT = 8 << 20  # bytes of a file that goes to a cluster whole; what comes back is ten times as much
+LARGEST_SENT = 8 << 20  # bytes of a file that is sent to a cluster in one piece; its output is ten times larger
 TELL_S = 0.5  # from one word on progress to the next
 
 
@@ -46,7 +46,7 @@ def compensate_files(
     scheduler: str = "",
     progress: Callable[[float], None] = lambda done: None,
 ) -> Generator[FileResult, None, None]:
-    """Compensate files; what became of each comes as soon as it is known. A file that fails does not stop the others.
+    """Compensate files and yield each result when it is ready. A file that fails does not stop the others.
 
     Parameters
     ----------
@@ -101,7 +101,7 @@ def targets_in(folder: Path, files: Sequence[Path]) -> list[Path]:
 
 
 def targets_of(request: CompensateFilesRequest) -> list[Path] | list[None]:
-    """Choose the target of each file: what is no G-code never replaces any."""
+    """Choose the target of each file: step timings never replace G-code."""
     files = list(request.files)
     targets = files if request.output_dir is None else targets_in(request.output_dir, files)
     if request.kind != "gcode":
@@ -201,7 +201,7 @@ class _Batch:
         )
 
     def under_way(self) -> int:
-        """Return the bytes that are done of the files that are not, as far as their processes tell."""
+        """Return the bytes done so far of the unfinished files, by the progress of their processes."""
         done = 0
         for folder in list(self.folders.values()):
             for mark in folder.glob("*" + MARK):
@@ -251,7 +251,7 @@ class _Batch:
         return delayed(_work)(task, self.machine, self.options)
 
     def _draft(self, number: int) -> Path | None:
-        """In a folder beside the target, which has room for it; one for all files that go there."""
+        """Return the draft's path, on the target's disk; files with one target folder share a folder of drafts."""
         target = self.targets[number]
         if target is None or self.drafts is None:
             return None
@@ -320,7 +320,7 @@ def _work(task: _Task, machine: Machine, options: Options) -> _Done:
 
 
 def _marking(mark: Path, file: Path) -> Callable[[float], None]:
-    """Progress, told to another process by the length of a file: it is never half told."""
+    """Return a progress function that another process can read: it sets the length of a file, which is atomic."""
 
     def progress(share: float) -> None:
         with open(mark, "ab") as mark_file:
@@ -330,7 +330,7 @@ def _marking(mark: Path, file: Path) -> Callable[[float], None]:
 
 
 class _Forwards:
-    """Progress that never goes back, whichever thread tells it."""
+    """Progress that never decreases, whichever thread reports it."""
 
     def __init__(self, tell: Callable[[float], None]) -> None:
         self._tell, self._furthest, self._telling = tell, 0.0, threading.Lock()
@@ -348,7 +348,7 @@ def _share_of(size: int, before: int, tell: Callable[[float], None]) -> Callable
 
 @contextmanager
 def _reporting(done: Callable[[], float], tell: Callable[[float], None]) -> Iterator[None]:
-    """Meanwhile what is done is told now and then, from a thread: we wait for others, who cannot call us."""
+    """Report progress from a thread every `TELL_S` seconds, while this process waits for others that cannot call it."""
     over = threading.Event()
 
     def watch() -> None:
@@ -386,7 +386,7 @@ def _shares(sizes: Sequence[int], jobs: int, largest: float) -> tuple[list[int],
 
 
 def size_of(file: Path) -> int:
-    """In bytes; 0 for a file that cannot be looked at: the error is said when it is that file's turn."""
+    """Return the size in bytes; 0 for a file that cannot be read, whose error follows when it is compensated."""
     try:
         return file.stat().st_size
     except OSError:

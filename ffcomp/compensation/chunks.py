@@ -1,10 +1,10 @@
-"""Split a print of any length into chunks of some minutes, each of which can be planned and compensated alone.
+"""Split a print of any length into chunks of some minutes that can be planned and compensated independently.
 
-Chunks are cut where the nozzle rests. A motion that does not rest for long, a vase in one spiral or a line that takes
-hours, is cut under way, at a knot: both chunks then hold the path around the cut, and each writes its own side of it.
+Chunks are cut where the nozzle rests. A long motion without a rest, such as a vase in one spiral, is cut in motion, at
+a knot. Both chunks then hold the path around the cut, and each writes its own side of it.
 
-A chunk brings along what the ones before it leave behind: the moves of which the printer may still ring, and the limits
-in effect. So chunks can be compensated in parallel, and the result does not depend on how many are.
+A chunk also holds the last moves before it, because the printer may still ring, and the limits in effect. So chunks can
+be compensated in parallel, and the result does not depend on how many are.
 """
 
 from __future__ import annotations
@@ -31,12 +31,12 @@ from models.arrays import FloatArray, IntArray
 PlanOf = Callable[[Program], Trajectory]
 Ease = Callable[
     [Program, PathPosition, int], tuple[Moves, tuple[TimeScaling, ...]]
-]  # what is around a cut, cut, layers before
+]  # program around a cut, cut, layers before
 
 REMEMBERED_S = 0.5  # of motion before a chunk: more than twice what the printer remembers
 LONGEST_S = 300.0  # of motion in a chunk
 MOST_MOVES = 50_000  # moves without a rest, before they are cut in motion
-CUT_CLEARANCE = 0.25  # knots around such a cut in which no line may have its place
+CUT_CLEARANCE = 0.25  # knots around such a cut without a line of the file
 SHORTEST_S = 1.0  # of a move that is left when one is cut
 KNOT_ROUNDING = 1e-6  # of a segment
 
@@ -50,10 +50,10 @@ class Chunk:
     since: tuple[Event, ...] = ()  # after the last move before it that travels; counted back from its beginning
     limits: Mapping[str, LimitCommand] = field(default_factory=dict)  # in effect where it begins (`gcode.program`)
     layers: int = 0  # that have begun before it
-    extent: Extent = WHOLE  # what is written of it
-    slowed: tuple[TimeScaling, ...] = ()  # what had to become slower before its end could be cut
+    extent: Extent = WHOLE  # the part of it that is written
+    slowed: tuple[TimeScaling, ...] = ()  # moves that were slowed down so that its end could be cut
     cuts: int = 0  # in motion, before it
-    feature: str = UNNAMED  # what is printed when it begins
+    feature: str = UNNAMED  # printed at its beginning
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,13 +64,13 @@ class Splitting:
     lead_s: float  # from a section's first knot to the beginning of its path
     plan_of: PlanOf  # the firmware's plan for a program
     longest_s: float = LONGEST_S  # motion without a rest, before it is cut; inf: never
-    ease: Ease | None = None  # makes a motion slower, where that has to be, around the place where it is to be cut
+    ease: Ease | None = None  # slows a motion down around a cut, where limits require it
 
 
 def split_chunks(parts: Iterable[Program], splitting: Splitting) -> Iterator[Chunk]:
-    """Split a file's programs, which follow each other, anew; what is left of one goes together with the next.
+    """Split a file's consecutive programs at other places; the remainder of one is joined to the next.
 
-    Each chunk holds what is printed when it begins, as the comments before it say.
+    Each chunk holds the feature at its beginning, from the last comment before it.
     """
     feature = UNNAMED
     for chunk in _split(parts, splitting):
@@ -95,9 +95,9 @@ def _split(parts: Iterable[Program], splitting: Splitting) -> Iterator[Chunk]:
 
 @dataclass(frozen=True, slots=True)
 class _Known:
-    """What is ahead, with its plan."""
+    """The program that is not cut off yet, with its plan."""
 
-    ahead: Chunk  # what is not cut off yet, and what the chunks before it leave behind
+    ahead: Chunk  # not cut off yet, with the state that the chunks before it leave
     plan: Trajectory  # of its moves; one that is cut begins as if it were whole
     begin_t: float  # s, when the next chunk begins
     splitting: Splitting
@@ -110,7 +110,7 @@ class _Known:
         return _Known(ahead, plan, begin_t, splitting)
 
     def first(self) -> tuple[Chunk, _Known] | None:
-        """Return the next chunk, and what is left; None: what comes after must be known."""
+        """Return the next chunk and the remainder; None: the program that follows must be known."""
         rests = rests_of(self.ahead.program)
         near = rests[self.plan.start_t[rests] <= self.begin_t + LONGEST_S]
         if near.size:
@@ -197,7 +197,7 @@ class _Known:
         return first, tail, cut, ahead.layers + len(passed)
 
     def _slowed(self, knots: int, rest: int | None) -> _Known | None:
-        """Slow it down around the position where it is to be cut; None: that need not be."""
+        """Slow it down around the position of the cut; None: the limits allow its speed."""
         ease, ahead, plan, t = self.splitting.ease, self.ahead, self.plan, self._t(knots)
         if ease is None:
             return None

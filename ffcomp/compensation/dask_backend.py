@@ -22,7 +22,7 @@ CONNECT_S = 10
 
 
 class Cluster(DaskDistributedBackend):
-    """joblib's own backend for Dask waits for ever for a task whose worker has died; this one says so.
+    """joblib's own backend for Dask waits forever for a task whose worker has died; this one raises.
 
     NOTE: seen with joblib 1.6: an error that Dask reports reaches the future, but not the callback that is waited for.
     """
@@ -51,7 +51,7 @@ class Cluster(DaskDistributedBackend):
 @contextmanager
 def cluster(address: str) -> Iterator[Cluster]:
     """Connect to the cluster whose scheduler is at this address, and check its workers."""
-    for name in ("distributed", "distributed.client"):  # what goes wrong is said once, by us
+    for name in ("distributed", "distributed.client"):  # our own errors report it once
         logging.getLogger(name).setLevel(logging.CRITICAL)
     try:
         get_address_host_port(address, strict=True)

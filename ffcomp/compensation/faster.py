@@ -1,4 +1,4 @@
-"""Make a chunk as quick as its bound allows, and count what that gives, by feature."""
+"""Make a chunk as quick as its bound allows, and count the time saved, by feature."""
 
 from __future__ import annotations
 
@@ -22,18 +22,16 @@ from gcode.program import Program
 from models.arrays import BoolArray
 from models.machine import Machine
 
-P99_LEVEL = (
-    1.02  # times the bound, that the 99th percentile may have: what becomes slower at the end may change it a little
-)
+P99_LEVEL = 1.02  # times the bound, that the 99th percentile may have: the last slowed moves may change it a little
 
 
 @dataclass(frozen=True, slots=True)
 class Faster:
-    """What a bound has given: values of chunks that add up."""
+    """Times under a bound; the values of chunks add up."""
 
     original_s: Mapping[str, float] = field(default_factory=dict)  # by feature, as sliced
     planned_s: Mapping[str, float] = field(default_factory=dict)  # by feature, now
-    actuator_limit_s: float = 0.0  # what no plan of the moves can be quicker than
+    actuator_limit_s: float = 0.0  # lower bound of the duration of any plan of the moves
     limited_by: Mapping[str, float] = field(default_factory=dict)  # s, by what limits the motion
     warnings: tuple[str, ...] = ()
     bound_um: float = 0.0  # the largest error that a feature may have
@@ -166,7 +164,7 @@ def in_whole_segments(
 
 
 def _written_s(plan: Trajectory, extent: Extent, settings: Settings) -> float:
-    """Return the duration of what is written, s, up to the cut at its end."""
+    """Return the duration of the written part, s, up to the cut at its end."""
     begin, end = extent
     assert end is not None
     return end.time_in(plan) - (float(plan.start_t[0]) - settings.lead_s if begin is None else begin.time_in(plan))

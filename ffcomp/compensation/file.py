@@ -41,7 +41,7 @@ def compensate_file(
     options : Options
         How it is compensated.
     target : Path or None
-        Is replaced whole at the end or not at all; None: nothing is written.
+        Is replaced at the end or not at all; None: nothing is written.
     jobs : int
         Processes that work at it.
     progress : callable
@@ -69,7 +69,7 @@ def compensate_file(
 
 
 def _copied(source: bytes | Path, target: Path | None) -> Path | None:
-    """Write a file as it is to where its result would go, and return where; None: it is there already."""
+    """Copy a file to its target and return the target; None: the file is the target."""
     if target is None or (isinstance(source, Path) and target.exists() and target.samefile(source)):
         return None
     replace_atomically(target, raw_blocks(source) if isinstance(source, Path) else [source])
@@ -83,7 +83,7 @@ def _write(
     progress: Callable[[float], None],
     check: Callable[[], None],
 ) -> dict[str, Result]:
-    """Write the container anew; prints that are not to be compensated stay as they are.
+    """Rewrite the container; other files in it are copied unchanged.
 
     todo : by the print's name;  check : is called before the target is replaced
     """
@@ -103,7 +103,7 @@ def _write(
 
 
 def _streams(todo: Mapping[str, Job], folder: Path | None, progress: Callable[[float], None]) -> dict[str, Lines]:
-    """Return each print's compensated lines, which are worked out as they are read."""
+    """Return each print's compensated lines, computed on reading."""
     done, whole = 0, max(sum(job.size for job in todo.values()), 1)
     streams = {}
     for name, job in todo.items():

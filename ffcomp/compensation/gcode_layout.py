@@ -25,7 +25,7 @@ from models.compiled import kernel
 
 ROUNDING = 1e-9  # of a segment
 KNOT_TOLERANCE = 0.1  # of a segment: so near to a knot, a line goes out at the knot
-FLOW_CHANGE = 0.1  # by which share the flow may be changed between two lines to meet both
+FLOW_CHANGE = 0.1  # share of the flow that may be changed between two lines to meet both
 SPREAD_SEGMENTS = 10  # segments' worth of flow over which a difference of filament is spread
 CONTEXT_KNOTS = 2 * CUT  # knots on either side of a tile, until which one junction of a wipe leans on the next
 TILE_KNOTS = 64 * CUT
@@ -98,7 +98,7 @@ def timeline(
     ----------
     vertices : (n + 1, 3) mm, columns X Y Z, at the knots tile.first … tile.last
     inside : all events of the run, in the file's order
-    tile : what is laid out
+    tile : the part of the run to lay out
     """
     e = reference.extrusion(tile.first, tile.last)
     if tile.last == reference.knots:
@@ -206,13 +206,13 @@ def _places(at: FloatArray, stands: BoolArray, e: FloatArray, first: int, shorte
     last = first + len(e) - 1
     latest = pinned = 0.0
     for i in range(len(at)):
-        # no event is the last line of a run: what moves behind it has a segment of its own
+        # no event is the last line of a run: the move behind it has a segment of its own
         place = min(max(at[i], 0.0), last - shortest if stands[i] else float(last))
         place = max(place, np.floor(place + ROUNDING))  # a knot that rounding has put just before itself
         knot = int(place)
         flows = abs(e[min(knot + 1, last) - first] - e[knot - first]) > FLOWS_MM
         if not stands[i] or not flows:
-            place = float(knot)  # never later than its time: what follows may need its exact place
+            place = float(knot)  # never later than its time: the next line may need its exact place
         else:
             if 0.0 < place - pinned < shortest:
                 place = pinned if place - pinned < 0.5 * shortest else pinned + shortest
@@ -237,10 +237,10 @@ def _meet_the_events(
     among: list[Event],
     lead_at: Callable[[FloatArray], FloatArray],
 ) -> None:
-    """Give the filament at the points what the original's events say of it, in place.
+    """Restore the original's filament at its events, in place.
 
     e : (n + 1,) mm at the knots, from the first point on
-    lead_at : how far it is ahead at places in knots, for the hot end's pressure
+    lead_at : returns the filament's lead for the hot end's pressure, mm, at places in knots
     """
     events = (lines.event >= 0) & (lines.move > run.first)
     if not events.any():
@@ -322,7 +322,7 @@ def _meet(filament: FloatArray, points: FloatArray, e: FloatArray, at: FloatArra
 
 
 def _usual(flow: FloatArray, cut: int) -> float:
-    """Filament in the middling segment from one cut to the next, mm, of those in which any flows.
+    """Return the median filament, mm, of the segments with flow from one cut to the next.
 
     flow : (n,) mm in each segment;  cut : the first segment after the cut
     """

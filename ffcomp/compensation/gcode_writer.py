@@ -1,4 +1,4 @@
-"""The compensated file, line by line: what is not ours passes through at its move's time, moves become segments.
+"""The compensated file, line by line: moves become segments, and other lines pass through at their move's time.
 
 Our segments stand in blocks. A block opens with the limits our segments need and closes with the limits (and the feed)
 the file had, before anything that moves by itself: homing, macros, waits. Each move that we replace stays in the file
@@ -40,7 +40,7 @@ from models.compiled import kernel
 _Place = tuple[float, float, float, float]  # X Y Z E, mm
 _Line = int | Event | bytes  # a move of the original (index into its lines), another line of it, a line of ours
 SLACK_MM = 5e-4  # how far from its place the end of a segment may be written, if that takes fewer digits,
-SLACK_MM_PER_S = 0.05  # and how much that may change the speeds beside it
+SLACK_MM_PER_S = 0.05  # and how much that may change the neighbouring speeds
 STILL_MOVE = re.compile(rb"\s*(?:N\d+\s*)?G0*[0-3](?!\d)", re.IGNORECASE)
 
 
@@ -64,7 +64,7 @@ class Writer:
         self.offset = offset
         self.filament = segments.count()
         self.inside = inside  # which points (n, 3) mm the firmware lets a command go to
-        self.raw_s = raw_s or {}  # what lines take that go out as they are, by their index
+        self.raw_s = raw_s or {}  # durations of lines that pass through, by their index
         self.moves = MoveWriter()
         self.frame = 0
         self.open = False
@@ -73,20 +73,20 @@ class Writer:
         self.file_limits = dict(file_limits or {})  # what the file has set of each limit
         self.ending = b"\r\n" if program.lines and program.lines[0].endswith(b"\r\n") else b"\n"
         self.segments = 0
-        self.late_s = 0.0  # by which they take longer than their knots, in all
-        self.now_s = 0.0  # since the program's beginning, as far as it is written
+        self.late_s = 0.0  # sum of their delays against their knots
+        self.now_s = 0.0  # since the program's beginning
         self.written: list[TimedSegments] = []  # the section's tiles, as their lines state them; s since its first knot
         self.begun, self.rest = False, 0.0  # whether the run has moved, and for how long it has not since, s
         self.section_begin = (0, 0.0)  # line of its first move in the file, from 0; s from knot 0 to its path
 
-    # -- what is not a run
+    # -- lines between runs
 
     def event(self, event: Event) -> Iterator[bytes]:
         """Write a line that is not a move of ours, between sections."""
         if event.kind in (EventKind.STOP, EventKind.RAW_MOVE):
             yield from self.close()
         line = self.program.lines[event.line]
-        if not line.endswith((b"\n", b"\r")):  # the file's last: what is put behind it would become part of it
+        if not line.endswith((b"\n", b"\r")):  # the file's last: a line after it would become part of it
             yield from self.close()
         if like_ours(line):
             yield self._escaped(event)
@@ -145,7 +145,7 @@ class Writer:
         yield from self._ours(self.filament.naming(self.program.frames[self.frame], self.moves.place[3]))
 
     def extrude(self, move: int) -> Iterator[bytes]:
-        """Write an extruder-only move as it was, but always with its feed."""
+        """Write an extruder-only move unchanged, but always with its feed."""
         moves = self.program.moves
         yield self._original(int(moves.line[move]))
         yield from self._begin(move)
@@ -153,7 +153,7 @@ class Writer:
         yield self._finish(self.moves.move(x, y, z, e, float(moves.speed[move])))
 
     def sliced(self, section: Section, inside: Iterable[Event]) -> Iterator[bytes]:
-        """Write a section that travels as it was sliced, and the events in it."""
+        """Write the original lines of a section that travels."""
         moves, lasts_s = self.program.moves, section.end_t - section.begin_t
         lines = dict.fromkeys(moves.line[section.first : section.last].tolist())
         yield section_time_line(self.program.first_line + next(iter(lines)), 0.0) + self.ending
@@ -170,7 +170,7 @@ class Writer:
         self.now_s += lasts_s
 
     def _as_sliced(self, number: int) -> Iterator[bytes]:
-        """Write a move as it was, where the print lies now."""
+        """Write an original move, shifted by the offset."""
         line = self.program.lines[number]
         if any(self.offset):
             yield self._original(number)
@@ -213,7 +213,7 @@ class Writer:
         ----------
         first : the run's first move
         vertices : (n + 1, 3) mm, columns X Y Z, at the knots of the piece and its context
-        timeline : the points at which segments may end, and the original's lines between them
+        timeline : possible ends of segments, and the original's lines between them
         filament : that moves next, without a rest before it
         """
         if timeline.tile.begin == 0:
@@ -290,7 +290,7 @@ class Writer:
     def _segments_and_lines(
         self, segments: _Segments, lines: list[tuple[int, _Line]], stated: FloatArray
     ) -> list[bytes]:
-        """Segments with the lines between them, of which only the first may change how numbers are written.
+        """Return segments with the lines between them; only the first line may change how numbers are written.
 
         stated : (n, 3) mm, filled in with where the lines say that the segments end
         """
@@ -354,9 +354,9 @@ class Writer:
         self._take_frame(int(moves.frame[move]))
 
     def _return(self, speed: float) -> Iterator[bytes]:
-        """State the place, still within the file's own limits, where the nozzle may have been left elsewhere.
+        """Move to the run's start, within the file's own limits, where the nozzle may be elsewhere.
 
-        A macro that did not come back, or an object that was excluded, is then made up for at travel speed.
+        The nozzle then returns at travel speed after a macro that left it elsewhere, or an excluded object.
         """
         if self.to_return:
             yield from self._ours(self.moves.here(speed))
@@ -402,7 +402,7 @@ class Writer:
 
 @dataclass(frozen=True, slots=True)
 class _Segments:
-    """n segments that are written, and the points of the timeline at which they begin."""
+    """n segments that are written, and the timeline points where they begin."""
 
     begins: IntArray  # (n,) index into Timeline.at
     points: FloatArray  # (n, 3) mm, columns X Y Z, their ends
@@ -538,7 +538,7 @@ class GcodeRenderer:
             yield from self._writer.wait(wait_s)
 
     def extrude(self, section: Section) -> Iterator[bytes]:
-        """Write a section in which only the extruder moves."""
+        """Write a section that moves only the extruder."""
         yield from self._writer.extrude(section.first)
         self._writer.now_s += section.end_t - section.begin_t
 
@@ -570,7 +570,7 @@ class GcodeRenderer:
         return Filament(float(moves.end[k, 3] - moves.start[k, 3]), float(moves.speed[k]))
 
     def sliced(self, section: Section) -> Iterator[bytes]:
-        """Write a section as it was sliced, and the lines in it."""
+        """Write the original lines of a section."""
         yield from self._writer.sliced(section, self._events.up_to(section.last - 1))
 
     def written(self) -> Sequence[TimedSegments]:

@@ -65,9 +65,9 @@ class StepOutput:
     """Step timings instead of G-code."""
 
     board: Board
-    error_s: float | None  # by which a compressed step may be early or late; None: every step, exactly
+    error_s: float | None  # of a compressed step; None: every step is exact
     plain: bool = False  # uncompensated
-    motion: bool = False  # the path itself, for a host that makes the steps
+    motion: bool = False  # the path itself; the host computes the steps
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,16 +78,16 @@ class Options:
     flavor: str = ""  # "": what the machine file says, or else the file
     settings: Settings | None = None  # None: what the machine's limits give
     predict: bool = True
-    keep_shaper: bool | None = None  # the firmware's own; None: off if the machine file has it
+    keep_shaper: bool | None = None  # the firmware's own; None: off if the machine file has one
     force: bool = False  # compensate again what is stamped
     steps: StepOutput | None = None  # None: G-code
     bed: Bed | None = None  # the slicer's, if it has said it otherwise than in the file
-    bound: Bound | None = None  # on the error, under which the print is as quick as can be; None: as it was sliced
+    bound: Bound | None = None  # on the error: the quickest print that keeps it; None: the slicer's speed
     robust: RobustChoice = PLAIN  # which the settings follow, and why
 
     @classmethod
     def of(cls, request: CompensateOptions, machine: Machine, bed: Bed | None = None) -> Options:
-        """Return the options that a request means for a machine."""
+        """Return the options of a request for a machine."""
         plain = request.inverse == "none"
         settings = replace(
             settings_for(machine, request.max_segments_per_second),
@@ -161,7 +161,7 @@ class Job:
     jobs: int = 1  # processes that work at it
 
     def write(self, target: Path | None, progress: Progress = lambda share: None) -> Result:
-        """Compensate into `target` (None: nowhere), which is replaced whole at the end or not at all.
+        """Compensate into `target` (None: nowhere), which is replaced at the end or not at all.
 
         progress : called with the share of the file that is done, 0 to 1
         """
@@ -178,12 +178,12 @@ class Job:
         Parameters
         ----------
         progress : called with the share of the file that is done, 0 to 1
-        folder : for a temporary file; None: where the system keeps such files
+        folder : holds a temporary file; None: the system's folder
         """
         return Lines(self, progress, folder)
 
     def write_steps(self, target: Path | None, steps: StepOutput, progress: Progress = lambda share: None) -> Result:
-        """Write step timings into an archive (None: nowhere), which is replaced whole at the end or not at all."""
+        """Write step timings into an archive (None: nowhere), which is replaced at the end or not at all."""
         started = time.perf_counter()
         reach = Reach(self.machine.kinematics)
         split, context = self._split(reach, steps.plain)
@@ -239,7 +239,7 @@ class Job:
 
     @cached_property
     def settings(self) -> Settings:
-        """The settings asked for, or those of the machine; what is to be quicker is inverted robustly."""
+        """The requested settings, or those of the machine; always robust under a bound on the error."""
         chosen, bound = self.options.settings or settings_for(self.machine), self.options.bound
         if bound is None:
             return chosen
@@ -271,7 +271,7 @@ class Job:
 
     @property
     def flavor(self) -> str:
-        """The firmware asked for, or the one that the file is for."""
+        """The requested firmware, or that of the file."""
         return self._flavor_choice.flavor
 
     @cached_property
@@ -290,7 +290,7 @@ class Job:
     @cached_property
     def _placement(self) -> Placement:
         if self.options.offset is not None:
-            return Placement(self.options.offset, f"Offset {pair(self.options.offset)}, as it was asked for.")
+            return Placement(self.options.offset, f"Offset {pair(self.options.offset)}, as requested.")
         if self.restore:
             offset = find_offset(self._ends[0])
             return Placement(offset, f"Offset {pair(offset)}, as the file was compensated before.")
@@ -348,7 +348,7 @@ class Job:
         return LONGEST_S / max(quickest_s, 1e-9)
 
     def _parts(self, reach: Reach) -> Iterator[Program]:
-        """Read the print; what lies beside the print volume goes out as it is, unless it is the part."""
+        """Read the print; moves outside the print volume pass through unchanged, unless they print the part."""
         try:
             yield from reach.whole(self._programs(self.offset))
         except OutOfReach as error:

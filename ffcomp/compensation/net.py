@@ -1,4 +1,4 @@
-"""The net under every command: a section is held against the plan that it came from before any of it is written.
+"""The safety net: every section's command is checked against its plan before any of it is written.
 
 One rule for all machines and firmwares. A section's command is unsafe where
 
@@ -7,7 +7,7 @@ One rule for all machines and firmwares. A section's command is unsafe where
   machine's compliance times the acceleration of the plan;
 - it needs more than `OVER` times a carriage's limit.
 
-An unsafe section goes out as it was sliced, and a warning says so first. The checks take 3 % of the time of solving.
+An unsafe section keeps its original lines, and the first warning reports it. The checks take 3 % of the solving time.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ OVER = 1.1  # times a carriage's limit
 
 @dataclass(frozen=True, slots=True)
 class Unsafe:
-    """A section that goes out as it was sliced."""
+    """A section that keeps its original lines."""
 
     first_line: int  # of the input, from 1
     last_line: int
@@ -54,7 +54,7 @@ def fault_of(model: InverseModel, moves: Moves, reference: Reference, vertices: 
     ends = np.stack([moves.start[0, :3], moves.end[-1, :3]])
     off = float(np.abs(vertices[[0, -1]] - ends).max())
     if off > ENDS_MM:
-        return f"it begins or ends {off:.3g} mm beside its path"
+        return f"it begins or ends {off:.3g} mm off its path"
     peak = peak_utilisation(vertices, model.limits)
     return "" if peak <= OVER else f"it needs {peak:.3g} times a carriage's limit"
 
@@ -78,7 +78,7 @@ def path_fault(model: InverseModel, reference: Reference, vertices: FloatArray, 
 
 
 def unsafe_sentences(unsafe: tuple[Unsafe, ...]) -> list[str]:
-    """Say first what goes out uncompensated because its command was unsafe."""
+    """Return the first warning: the motions left uncompensated because their command was unsafe."""
     if not unsafe:
         return []
     one = len(unsafe) == 1

@@ -22,9 +22,9 @@ State = Literal["off", "kept", "none", "unknown"]
 OFF = "The firmware's input shaper is off during this print and on again at its end. After a cancelled print: {on}."
 STAYS_OFF = (
     "The firmware's input shaper is switched off and stays off after the print: the machine file has no "
-    "input_shaper in [firmware] with which to switch it on again."
+    "input_shaper in [firmware] to switch it on again."
 )
-KEPT = "The firmware's input shaper stays as it is (--keep-shaper): if it is on, two compensations disturb each other."
+KEPT = "The firmware's input shaper is unchanged (--keep-shaper): if it is on, two compensations disturb each other."
 UNKNOWN = (
     "The machine file does not state whether the firmware has an input shaper, which must be off: import the printer's "
     "configuration, or set input_shaper in [firmware] (none: []); --no-keep-shaper switches it off."

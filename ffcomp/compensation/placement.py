@@ -28,7 +28,7 @@ NOWHERE: Offset = (0.0, 0.0)
 
 @dataclass(frozen=True, slots=True)
 class Footprint:
-    """Where a print's moves go as it is written: corners of what encloses them."""
+    """The convex hull of a print's moves, without an offset."""
 
     part: FloatArray  # (k, 2) mm, of the moves that extrude the part; of all moves where nothing is extruded
     everything: FloatArray  # (k, 2) mm
@@ -117,14 +117,14 @@ def choose_offset(kinematics: Kinematics, bed: Bed | None, footprint: Callable[[
         elsewhere = ""
         if bed is not None:
             elsewhere = f" ({_beds(kinematics, bed)}: --offset-mm {pair(by_bed)} would move it there)"
-        return Placement(NOWHERE, f"Offset 0,0: the print lies inside as it is{elsewhere}.", notable=bool(elsewhere))
+        return Placement(NOWHERE, f"Offset 0,0: the print lies inside without one{elsewhere}.", notable=bool(elsewhere))
     offset = _helping(kinematics, bed, printed)
     if offset is None:
         return Placement(NOWHERE, f"Offset 0,0: {no_offset(kinematics, printed)}.", notable=True)
     if bed is not None and offset == between(bed, kinematics.centre_mm):
         rule = f"{_beds(kinematics, bed)}, and the print would lie outside"
     else:
-        rule = "the print would lie outside as it is, and is put in the middle of the bed"
+        rule = "the print would lie outside without one, and is centred on the bed"
     return Placement(offset, f"Offset {pair(offset)}: {rule}.", notable=True)
 
 
@@ -133,13 +133,13 @@ def advice(kinematics: Kinematics, bed: Bed | None, footprint: Footprint | None,
     if footprint is None:
         return ""
     if _fits(kinematics, footprint.part, refused):
-        return "No offset helps: it does not lie beside the bed, but too high or too low."
+        return "No offset helps: the print is too high or too low."
     offset = _helping(kinematics, bed, footprint)
     if offset is None:
         sentence = no_offset(kinematics, footprint)
         return f"{sentence[:1].upper()}{sentence[1:]}."
     if not _fits(kinematics, footprint.everything, offset):
-        return f"--offset-mm {pair(offset)} brings the part inside; moves beside it would go out as they are."
+        return f"--offset-mm {pair(offset)} brings the part inside; moves outside the volume stay uncompensated."
     return f"A print made for a bed with its origin elsewhere? --offset-mm {pair(offset)} brings it inside."
 
 

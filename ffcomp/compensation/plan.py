@@ -1,4 +1,4 @@
-"""Plan a chunk as the firmware will, and find in which state the printer begins it."""
+"""Plan a chunk as the firmware will, and find the printer's state at its beginning."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ from models.vibration.base import Modes
 
 @dataclass(frozen=True, slots=True)
 class Context:
-    """What is the same for every chunk of a file."""
+    """The same for every chunk of a file."""
 
     model: InverseModel
     flavor: str
-    offset: tuple[float, float] = (0.0, 0.0)  # mm, by which the program's positions were shifted when they were read
+    offset: tuple[float, float] = (0.0, 0.0)  # mm, added to the program's positions when they were read
     share: float = 0.0  # of the print that is simulated for the prediction; above 1: all of it
     plain: bool = False  # written uncompensated: it waits for nothing
-    bound: Bound | None = None  # on the error, under which the print is as quick as can be; None: as it was sliced
+    bound: Bound | None = None  # on the error: the quickest print that keeps it; None: the slicer's speed
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,10 +41,10 @@ class PlannedChunk:
 
     chunk: Chunk
     planned: PlannedProgram
-    before: Resting | None = None  # what the moves before it leave behind; None: others have moved the nozzle
-    simulated: bool = False  # whether some of it is, for the prediction
-    statistics: Statistics = field(default_factory=Statistics)  # what it takes by its plan
-    raw_s: Mapping[int, float] = field(default_factory=dict)  # what lines take that go out as they are: moves, changes
+    before: Resting | None = None  # the plant's state after the moves before it; None: others have moved the nozzle
+    simulated: bool = False  # whether the prediction may sample it
+    statistics: Statistics = field(default_factory=Statistics)  # of its plan
+    raw_s: Mapping[int, float] = field(default_factory=dict)  # durations of raw moves and filament changes
     waits_s: Mapping[int, float] = field(default_factory=dict)  # until ringing dies away, by a section's first move
 
     @staticmethod
@@ -54,7 +54,7 @@ class PlannedChunk:
 
 
 def plan_chunk(chunk: Chunk, context: Context) -> PlannedChunk:
-    """Plan a chunk, and solve the moves before it of which the printer may still ring."""
+    """Plan a chunk, and solve the last moves before it, as the printer may still ring."""
     model, machine = context.model, context.model.full_machine
     faster: Faster | None = None
     if context.bound is None or context.plain:
@@ -86,7 +86,7 @@ def plan_chunk(chunk: Chunk, context: Context) -> PlannedChunk:
     begun = planned.sections if chunk.extent.begin is None else planned.sections[1:]
     waits = {} if context.plain else settling_waits(planned, machine, raw_s, begun, chunk.since)
     by_plan = of_plan(planned, chunk.extent)
-    if faster is not None and chunk.extent != WHOLE:  # what is written takes another time as it was sliced
+    if faster is not None and chunk.extent != WHOLE:  # the written part has another duration at the slicer's speed
         sliced = of_plan(plan_program(chunk.program, machine), chunk.extent)
         by_plan = replace(by_plan, original_print_time_s=sliced.original_print_time_s)
     changing_s, settling_s = sum(changes_s.values()), sum(waits.values())
@@ -109,7 +109,7 @@ def _left_behind(chunk: Chunk, past: PlannedProgram, model: InverseModel) -> Res
 
 
 def _is_simulated(chunk: Chunk, share: float) -> bool:
-    """Tell whether some of it is. Of a motion in several chunks, only as many of them as are a share of it."""
+    """Return whether the prediction may sample it. Of a motion in several chunks, a share of them is sampled."""
     if chunk.extent == WHOLE:
         return share > 0.0
     return ceil(min(share, 1.0) * (chunk.cuts + 1)) > ceil(min(share, 1.0) * chunk.cuts)
@@ -135,7 +135,7 @@ def settling_waits(
     Parameters
     ----------
     machine : its modes say how long it rings
-    raw_s : mapping, how long moves take that go out as they are, s, by their line's index
+    raw_s : durations of moves that pass through, s, by their line's index
     sections : those that are written from their beginning, in order
     earlier : the lines just before the program, after the last move
     """
@@ -191,12 +191,12 @@ def _mode_s(w: float, damping: float, acceleration: float) -> float:
 
 
 def _lasting(events: Iterable[Event], raw_s: Mapping[int, float]) -> list[tuple[Event, float]]:
-    """Return events with what they take, s, as far as it is known."""
+    """Return events with their known durations, s."""
     return [(event, event.dwell_s + raw_s.get(event.line, 0.0)) for event in events]
 
 
 def _needed_s(events: list[tuple[Event, float]], machine: Machine, xy: FloatArray) -> float:
-    """Return how long what these events move still rings after the last of them, s."""
+    """Return how long the printer still rings after the last of these events, s."""
     needed = since = 0.0
     for event, seconds in reversed(events):
         if event.moves_itself:

@@ -38,7 +38,7 @@ class _Motion:
 
 @dataclass
 class Samples:
-    """What was simulated, run after run."""
+    """The simulated sections, one after the other."""
 
     sample_s: float
     clock: float = 0.0  # s
@@ -49,7 +49,7 @@ class Samples:
     path: list[FloatArray] = field(default_factory=list)  # (k, 3) mm
     before: _Motion = field(default_factory=_Motion)
     after: _Motion = field(default_factory=_Motion)
-    pieces: list[Piece] = field(default_factory=list)  # for what is to be expected of printers that are off
+    pieces: list[Piece] = field(default_factory=list)  # to estimate the error on printers with other parameters
     failed: str = ""  # why nothing is predicted, in a sentence
 
     def __add__(self, later: Samples) -> Samples:
@@ -105,7 +105,7 @@ class Prediction:
         self.sections = 0  # that were taken in
 
     def wants(self, reference: Reference) -> bool:
-        """Tell whether it is this section's turn; to be asked once for each."""
+        """Return whether to sample this section; to be called once for each."""
         length = reference.knots * self.model.settings.segment_s
         due = self.samples.covered_s <= self.share * self.seen_s
         self.seen_s += length
@@ -156,7 +156,7 @@ class Prediction:
         return self.model.settings.segment_s / self.model.settings.substeps
 
     def _commands(self, solved: SolvedSection, written: Sequence[TimedSegments]) -> tuple[FloatArray, FloatArray]:
-        """Return the command that was solved for, and that of the segments as they are written: (n, 3) mm each."""
+        """Return the solved command, and that of the written segments: (n, 3) mm each."""
         s = self.model.settings
         filament = np.diff(solved.reference.extrusion())
         command = sample_even_segments(solved.solution.vertices, filament, s.segment_s, s.output, s.substeps)
@@ -170,7 +170,7 @@ class Prediction:
     def _joining(
         self, solved: SolvedSection, nozzle: FloatArray, command: FloatArray, executed: FloatArray
     ) -> FloatArray:
-        """Return what the segments as written add to the response, (n, 3) mm: the model is linear in the command."""
+        """Return the change of the response by the written segments, (n, 3) mm: the model is linear in the command."""
         model, s = self.model, self.model.settings
         kinematics, still = model.kinematics, np.zeros_like(command)
         added = kinematics.inverse(executed) - kinematics.inverse(command)

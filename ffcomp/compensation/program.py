@@ -37,7 +37,7 @@ from models.machine import Pressure
 
 
 class Renderer(Protocol):
-    """What turns a chunk's solved sections into output: pieces of text, or none where it writes elsewhere."""
+    """Turns a chunk's solved sections into output: pieces of text, or none where it writes elsewhere."""
 
     @property
     def segments(self) -> int:
@@ -45,25 +45,25 @@ class Renderer(Protocol):
 
     @property
     def late_s(self) -> float:
-        """By how much what has been written takes longer than its knots, s."""
+        """By how much the written segments take longer than their knots, s."""
 
     def before(self, section: Section) -> Iterable[bytes]:
-        """Write what stands before a section."""
+        """Write the lines before a section."""
 
     def extrude(self, section: Section) -> Iterable[bytes]:
-        """Write a section in which only the extruder moves."""
+        """Write a section that moves only the extruder."""
 
     def sliced(self, section: Section) -> Iterable[bytes]:
-        """Write a section that travels as it was sliced, and what stands in it."""
+        """Write the original lines of a section that travels."""
 
     def section(self, section: Section, solved: SolvedSection) -> Iterable[bytes]:
-        """Write a section that travels, and what stands in it."""
+        """Write a section that travels, and the other lines in it."""
 
     def written(self) -> Sequence[TimedSegments]:
-        """Return the last section's segments where joining made them other than the command; s since its first knot."""
+        """Return the last section's segments where they differ from the command; s since its first knot."""
 
     def finish(self) -> Iterable[bytes]:
-        """Write what stands after the last section."""
+        """Write the lines after the last section."""
 
 
 class Output(NamedTuple):
@@ -197,9 +197,10 @@ class PressureCheck:
         where = "one section" if len(self.short) == 1 else f"{len(self.short)} sections"
         jump = self.pressure.corner_velocity_mm_per_s
         return (
-            f"line {line}: {100 * share:.0f} % of what the hot end's pressure asks for is written here, for the "
-            f"extruder's speed may jump by {jump:g} mm/s only ({where}); let the firmware's own pressure advance do "
-            "most of it (extruder.firmware_advance_s), or raise extruder.corner_velocity_mm_per_s as in the firmware.",
+            f"line {line}: only {100 * share:.0f} % of the lead for the hot end's pressure is written here, because "
+            f"the extruder's speed may jump by {jump:g} mm/s only ({where}); let the firmware's own pressure advance "
+            "do most of it (extruder.firmware_advance_s), or raise extruder.corner_velocity_mm_per_s as in the "
+            "firmware.",
         )
 
     def _others(self) -> tuple[str, ...]:

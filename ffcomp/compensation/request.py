@@ -1,4 +1,4 @@
-"""What `compensate` can be asked for: of one print in Python, of several files on the command line."""
+"""The options of `compensate`: for one print in Python, for several files on the command line."""
 
 from __future__ import annotations
 
@@ -174,9 +174,9 @@ class CompensateOptions(Request):
         return {} if bound is None else {"": float(bound)} if isinstance(bound, int | float) else dict(bound)
 
     def check(self) -> None:
-        """Check what several options say together."""
+        """Check options that depend on each other."""
         if self.inverse == "none" and self.kind == "gcode":
-            raise RequestError("--inverse none leaves the G-code as it is; it is for --kind steps and host.")
+            raise RequestError("--inverse none leaves the G-code unchanged; use it with --kind steps or host.")
         self._check_faster()
 
     def _check_faster(self) -> None:
@@ -227,7 +227,7 @@ class CompensateFilesRequest(CompensateOptions):
     dry_run: Annotated[bool, Option("Do everything, write nothing.", OUTPUT)] = False
 
     def check(self) -> None:
-        """Check what several options say together."""
+        """Check options that depend on each other."""
         super().check()
         if self.output is not None and (len(self.files) > 1 or self.output_dir is not None):
             raise RequestError("-o is for one file; several go into a folder with --output-dir DIR.")

@@ -34,18 +34,17 @@ from models.machine import Machine, assumed_modes, identity
 from models.schema.documents import DEFAULT_UNCERTAINTY
 
 SCHEMA = "ffcomp-compensate/1"
-LISTED = 12  # places that were slowed down, of which each has its sentence
+LISTED = 12  # slowed places with a sentence of their own
 DIED = "A process that worked at it has died, perhaps for want of memory."
 
 
 @dataclass(frozen=True, slots=True)
 class QuickerPrint:
-    """What a bound on the error has brought."""
+    """The print under a bound on the error."""
 
     print_time_s: float  # with `--max-error-um`: of the quicker print
     original_print_time_s: float  # of the original
-    # what no plan of the same moves can be quicker than: corners without slowing down, limits of carriages and
-    # flow
+    # lower bound for any plan of the same moves: no slower corners, only the limits of carriages and flow
     actuator_limit_s: float
     # number [s]: the time by what limits it: `flow`, `error_bound`, `carriage_acceleration`, `speed`,
     # `cooling`, `as_sliced` (kept), `filament_alone`
@@ -105,7 +104,7 @@ class Result:
 
     @property
     def unknown(self) -> list[str]:
-        """Say in one line what the machine file does not know of the printer."""
+        """Return in one line the parameters that the machine file does not know."""
         sentences = [assumed_modes(self.machine), *(self.shaper.warnings if self.shaper else [])]
         return [" ".join(filter(None, sentences))] if any(sentences) else []
 
@@ -123,7 +122,7 @@ class Result:
 
     @property
     def no_gain(self) -> list[str]:
-        """Say that the print as it was sliced is predicted to be the better one, unless it was to be quicker."""
+        """Warn where the original is predicted to print better, unless the print was to be quicker."""
         if not self.predicted or self.statistics.faster is not None:
             return []
         before, after = (um(self.predicted[name].contour_rms_um) for name in WAYS)
@@ -131,12 +130,12 @@ class Result:
             return []
         return [
             f"Compensation makes this print worse by its own prediction: contour error {after} µm rms, against "
-            f"{before} µm without it. Print the file as it was sliced."
+            f"{before} µm without it. Print the original."
         ]
 
     @property
     def bound_missed(self) -> list[str]:
-        """Say what error the print as it is written keeps, where that is not the bound."""
+        """State the predicted error of the written print, where it is not the bound."""
         quicker, faster = self.faster, self.statistics.faster
         if quicker is None or faster is None or quicker.contour_p99_um is None:
             return []
@@ -194,7 +193,7 @@ class Result:
             "robust_reason": self.robust.reason,  # why, in a sentence
             # text or null: the firmware's own: off, kept, none or unknown; null: step timings, which cannot switch it
             "input_shaper": self.shaper.state if self.shaper else None,
-            "input_shaper_reason": self.shaper.reason if self.shaper else "",  # what is done about it, in a sentence
+            "input_shaper_reason": self.shaper.reason if self.shaper else "",  # a sentence
             "print_time_s": numbers.print_time_s,  # of the compensated print, heating and macros not counted
             "original_print_time_s": numbers.original_print_time_s,  # of the original, planned the same way
             "compute_time_s": self.compute_time_s,  # that it took
@@ -228,7 +227,7 @@ class Result:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class CompensatedFile(VerbResult):
-    """What became of one file.
+    """The result of one file.
 
     Attributes
     ----------
@@ -239,7 +238,7 @@ class CompensatedFile(VerbResult):
     prints : mapping of Result
         By the print's name, which is empty for the only one; none: the file was compensated already.
     already : str
-        The sentence that says so.
+        The error, in a sentence.
     advice : tuple of str
         Warnings about how the file was made.
     seen_at : str
@@ -359,7 +358,7 @@ class CompensatedFile(VerbResult):
 
     @property
     def next_steps(self) -> Sequence[str]:
-        """What can be done with the output."""
+        """Return the commands to use the output with."""
         return list(self._next_steps()) if self.prints else ()
 
     def _next_steps(self) -> Iterator[str]:
@@ -380,8 +379,8 @@ class CompensatedFile(VerbResult):
         if not self.prints:
             return {
                 "schema": SCHEMA,
-                "input": self.path,  # the file, as it was given
-                "output": self.output,  # text or null: what was written; null with `--dry-run`
+                "input": self.path,  # the given path
+                "output": self.output,  # text or null: the written file; null with `--dry-run`
                 # text, may be missing: the file is compensated already: by what, in a sentence; nothing else is there
                 "already": self.already,
             }
@@ -419,29 +418,29 @@ def machine_option(path: str, next_verb: str) -> str:
 
 
 def late_line(seconds: float) -> str:
-    """Say what slower places do to errors at equal times; empty: there are none."""
+    """Explain the tracking error of slower places; empty: there are none."""
     if not seconds:
         return ""
     late = f"{1e3 * seconds:.0f} ms" if seconds < 1.0 else f"{seconds:.1f} s"
     return (
-        f"Tracking counts as an error that the nozzle comes up to {late} later where the print was slowed down; the "
-        "part does not show that. What is off the path is the contour error."
+        f"The tracking error includes the delay of up to {late} where the print was slowed down; the part does not "
+        "show it. The contour error is the distance from the path."
     )
 
 
 def uncertainty_line(machine: Machine) -> str:
-    """Say which uncertainty a bound rests on where the machine file states none; empty: it states some."""
+    """State the assumed uncertainty of a bound where the machine file states none; empty: it states some."""
     if machine.uncertainty != {"default": DEFAULT_UNCERTAINTY}:
         return ""
     return (
-        f"The bound is for printers of which every number is off by {100 * DEFAULT_UNCERTAINTY:g} % (standard "
-        "deviation): the machine file's [uncertainty] says nothing else."
+        f"The bound assumes that every parameter of the printer is uncertain by {100 * DEFAULT_UNCERTAINTY:g} % "
+        "(standard deviation): the machine file has no [uncertainty] of its own."
     )
 
 
 NO_GAIN = (
-    "That is no gain: as it was sliced, printers as uncertain as the machine file's [uncertainty] says would break the "
-    "bound. Measure yours (ffcomp identify), or allow a larger error."
+    "That is no gain: with the machine file's [uncertainty], the bound is not kept even at the slicer's speed. Measure "
+    "your printer (ffcomp identify), or allow a larger error."
 )
 
 

@@ -25,15 +25,15 @@ from models.arrays import FloatArray
 
 @dataclass(frozen=True, slots=True)
 class SolvedSection:
-    """A section that travels, and the command whose response it is."""
+    """A section that travels, and its command."""
 
-    trajectory: Trajectory  # the plan, slower than it was before where limits asked for it
+    trajectory: Trajectory  # the plan, slowed down where limits require it
     section: Section
     reference: Reference
     solution: Solution
     slowed: tuple[TimeScaling, ...]
     knots: tuple[int, int]  # between which it is written
-    fault: str = ""  # why it must go out as it was sliced instead; empty: its command is safe
+    fault: str = ""  # why its original lines must be written instead; empty: its command is safe
     sampled: bool = False  # by the prediction, which needs its response
 
 
@@ -174,7 +174,7 @@ def _linear(
 
 
 def _checked(solved: SolvedSection, planned: PlannedProgram, model: InverseModel, extent: Extent) -> SolvedSection:
-    """Hold a section against its plan (`net`); what is cut in motion cannot go out as it was sliced, and is refused."""
+    """Check a section against its plan (`net`); one that is cut in motion cannot keep its original lines: refuse it."""
     if solved.fault:
         return solved
     reference, vertices = solved.reference, solved.solution.vertices
@@ -185,7 +185,7 @@ def _checked(solved: SolvedSection, planned: PlannedProgram, model: InverseModel
         line = planned.program.line_of(solved.section.first)
         raise LimitsError(
             f"line {line}: the command of the motion that begins here failed its check: {why}. This is a fault of "
-            "ffcomp; print the file as it was sliced, and please report it with the file."
+            "ffcomp; print the original, and please report it with the file."
         )
     return solved
 

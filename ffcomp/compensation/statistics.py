@@ -1,4 +1,4 @@
-"""Count what a compensation does, values that add up over sections, chunks and files, and word its warnings."""
+"""Statistics of a compensation, which add up over sections, chunks and files, and its warnings."""
 
 from __future__ import annotations
 
@@ -32,11 +32,11 @@ _MACRO = re.compile(r"@?_?[A-Z][A-Z0-9]*_\w*|[A-Z]{4,}\w*")
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """Some moves: what the nozzle travels, and what is pushed out on the way."""
+    """Length of the path, and of the filament pushed out along it."""
 
     path_mm: float = 0.0
     filament_mm: float = 0.0
-    seconds: float = 0.0  # only of what goes out as it was
+    seconds: float = 0.0  # only of uncompensated moves
 
     def __add__(self, other: Part) -> Part:
         return Part(self.path_mm + other.path_mm, self.filament_mm + other.filament_mm, self.seconds + other.seconds)
@@ -44,7 +44,7 @@ class Part:
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """A command after which nobody knows the place, so that moves went out as they were."""
+    """A command that leaves the nozzle at an unknown place, so that the moves after it were not compensated."""
 
     line: int  # in the file, from 1; 0: its beginning
     command: str
@@ -52,7 +52,7 @@ class Place:
 
 @dataclass(frozen=True, slots=True)
 class Shares:
-    """What is compensated of the moves that a file makes by itself, and what is not."""
+    """The compensated and the uncompensated part of the file's own moves."""
 
     compensated: Part = field(default_factory=Part)
     left: Mapping[Place, Part] = field(default_factory=dict)
@@ -65,7 +65,7 @@ class Shares:
 
     @property
     def uncompensated(self) -> Part:
-        """All that went out as it was."""
+        """The sum of all uncompensated moves."""
         return sum(self.left.values(), Part())
 
     def by_command(self) -> dict[str, dict[Place, Part]]:
@@ -86,7 +86,7 @@ class Shares:
         return _share(self.compensated.filament_mm, self.uncompensated.filament_mm)
 
     def warnings(self) -> tuple[str, ...]:
-        """Say where less than enough is compensated, why, and what helps."""
+        """Warn where too little is compensated, with the reason and the remedy."""
         if min(self.path, self.filament) >= ENOUGH:
             return ()
         shares = (
@@ -101,7 +101,7 @@ class Shares:
             "compensated_share": {
                 # number: 0 to 1, of all moves that the file makes by itself: what the nozzle travels
                 "path": self.path,
-                "filament": self.filament,  # number: what is pushed out on the way
+                "filament": self.filament,  # number: of the filament pushed out along it
             },
             "uncompensated": [_command_dict(places) for places in self.by_command().values()],
         }
@@ -119,12 +119,11 @@ def _command_dict(places: Mapping[Place, Part]) -> dict[str, Any]:
     first, whole = next(iter(places)), sum(places.values(), Part())
     return {
         "line": first.line,  # whole number: its first line in the input, from 1; 0: the beginning
-        # why moves went out as they were: since this command nobody knew the place; empty: since the file's
-        # beginning
+        # after this command the place of the nozzle was unknown; empty: since the file's beginning
         "command": first.command,
         "places": len(places),  # whole number: after how many such commands
         "worst_line": _worst(places).line,  # whole number: the line after which the most of the path went out so
-        "path_mm": whole.path_mm,  # of these moves, as far as it is known
+        "path_mm": whole.path_mm,  # known length of these moves
         "filament_mm": whole.filament_mm,
         "seconds": whole.seconds,  # number [s]: that they take; counted in both print times
     }
@@ -142,32 +141,32 @@ def _share(part: float, rest: float) -> float:
 
 
 def _because(places: Mapping[Place, Part]) -> str:
-    """Say why the moves of one command went out as they were; its line is the one that loses most."""
+    """Say why the moves after one command were not compensated; the line is the one that loses most."""
     worst, filament_mm = _worst(places), sum(part.filament_mm for part in places.values())
     others = "" if len(places) == 1 else f" ({len(places)} places, most after this one)"
     lost = f"{filament_mm:.0f} mm of filament" if filament_mm >= 0.5 else "no filament, travels only"
     if worst.command == BESIDE:
-        return f"from line {worst.line} on, moves lie beside the print volume{others}, {lost}."
+        return f"from line {worst.line} on, moves lie outside the print volume{others}, {lost}."
     if worst.command == UNSAFE:
         return f"from line {worst.line} on, commands failed their check{others}, {lost}."
     if not worst.line:
         return f"the file does not say where the nozzle begins ({lost}); home, or name X, Y and Z, before it prints."
-    where = f"after {worst.command} in line {worst.line} nobody knows where the nozzle is{others}, {lost}"
+    where = f"after {worst.command} in line {worst.line} the place of the nozzle is unknown{others}, {lost}"
     if _MACRO.fullmatch(worst.command):
         return (
-            f"{where}. If it comes back to where it was, say so in the machine file: "
+            f"{where}. If it returns to where it began, declare it in the machine file: "
             f'[macros] returns = ["{worst.command}"]; otherwise name X and Y after it in the slicer.'
         )
     return f"{where}; name X and Y after it."
 
 
-UNSAFE = "command that failed its check"  # in place of a command since which nobody knows the place
+UNSAFE = "command that failed its check"  # in place of a command
 UTILISATION_TOLERANCE = 1.001  # times a limit, above which there is a warning
 
 
 @dataclass(frozen=True, slots=True)
 class Statistics:
-    """What a compensation has done."""
+    """Counts and times of a compensation."""
 
     moves: int = 0
     segments: int = 0
@@ -179,13 +178,13 @@ class Statistics:
     slowed: tuple[TimeScaling, ...] = ()
     predicted: Samples | None = None
     shares: Shares = field(default_factory=Shares)
-    settlings: int = 0  # waits until the ringing of what the firmware has moved by itself has died away
+    settlings: int = 0  # waits until the ringing after the firmware's own moves has died away
     settling_s: float = 0.0
-    faster: Faster | None = None  # None: no bound was asked for
-    unsafe: tuple[Unsafe, ...] = ()  # what goes out as it was sliced because its command failed its check
+    faster: Faster | None = None  # None: without a bound
+    unsafe: tuple[Unsafe, ...] = ()  # uncompensated because their command failed its check
 
     def __add__(self, later: Statistics) -> Statistics:
-        """Add what comes after this; a warning is kept once."""
+        """Add the statistics of a later part; a warning is kept once."""
         samples = [each.predicted for each in (self, later) if each.predicted is not None]
         return Statistics(
             moves=self.moves + later.moves,
@@ -206,7 +205,7 @@ class Statistics:
 
 
 def of_plan(planned: PlannedProgram, extent: Extent) -> Statistics:
-    """Count what a program, or what is written of it, takes by its plan."""
+    """Count the moves of a program, or of its written part, and their planned duration."""
     moves, plan = planned.program.moves, planned.trajectory
     begin = _on(extent.begin, plan, 0.0)
     first = int(np.searchsorted(plan.start_t, begin))
@@ -227,7 +226,7 @@ def _lines(moves: Moves, first: int, last: int) -> int:
 
 
 def of_raw(events: Iterable[Event], seconds: Mapping[int, float]) -> Statistics:
-    """Count moves that go out as they were, which take as long before and after; `seconds` by the line's index."""
+    """Count moves that pass through, whose duration is unchanged; `seconds` by the line's index."""
     left: dict[Place, Part] = {}
     for event in events:
         if event.raw is not None:
@@ -258,7 +257,7 @@ def of_section(
 
 
 def of_unsafe(section: Section, planned: PlannedProgram, why: str) -> Statistics:
-    """Count a section that goes out as it was sliced: its plan has been counted as compensated."""
+    """Count a section that keeps its original lines: its plan has been counted as compensated."""
     program = planned.program
     part = of_moves(some(program.moves, slice(section.first, section.last)))
     first, last = program.line_of(section.first), program.line_of(section.last - 1)

@@ -1,7 +1,7 @@
-"""Render a chunk's commands as times at which the motors step.
+"""Render a chunk's commands as times of motor steps.
 
-Nothing plans the motion again, so it lasts as it was computed: the nozzle goes from knot to knot at constant speed, and
-where the plan rests, so do the motors. A line that is not a move gets the tick of its move.
+Nothing plans the motion again, so it keeps its computed duration: the nozzle moves from knot to knot at constant speed,
+and where the plan rests, so do the motors. A line that is not a move gets the tick of its move.
 """
 
 from __future__ import annotations
@@ -94,11 +94,11 @@ class StepRenderer:
         return ()
 
     def extrude(self, section: Section) -> Iterable[bytes]:
-        """Write a section in which only the extruder moves."""
+        """Write a section that moves only the extruder."""
         return self.sliced(section)
 
     def sliced(self, section: Section) -> Iterable[bytes]:
-        """Write a section as it was planned, and give the lines in it their ticks."""
+        """Write a section by its plan, and give the lines in it their ticks."""
         self._tell_height(section.first)
         lasts_s = section.end_t - section.begin_t
         n = max(round(lasts_s / SAMPLE_S), 1)
@@ -137,7 +137,7 @@ class StepRenderer:
         return ()
 
     def written(self) -> Sequence[TimedSegments]:
-        """Return nothing: steps follow the command as it was solved."""
+        """Return nothing: steps follow the solved command."""
         return ()
 
     def finish(self) -> Iterable[bytes]:

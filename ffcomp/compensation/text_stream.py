@@ -35,7 +35,7 @@ def in_order(pieces: Text, folder: Path | None = None) -> Iterator[bytes]:
     Parameters
     ----------
     pieces : every `Later` among them is known when they end
-    folder : for the temporary file; None: where the system keeps such files
+    folder : holds the temporary file; None: the system's folder
     """
     waiting: list[tuple[int, Later]] = []  # each with the number of bytes held before it
     with SpooledTemporaryFile(IN_MEMORY, dir=str(folder) if folder else None) as held:

@@ -35,7 +35,7 @@ def test_a_command_far_from_its_path_is_refused(off_mm: float, why: str) -> None
     assert path_fault(model, reference, vertices - off_mm * BUMP[: len(vertices)], (110, reference.knots)) == (
         why if np.isnan(off_mm) else ""
     )
-    assert "beside its path" in fault_of(model, moves, reference, vertices + 0.02)
+    assert "off its path" in fault_of(model, moves, reference, vertices + 0.02)
     apart = np.array([[0.0] * 4, [0.1, 0.0, 0.0, 0.0]])
     gap = replace(moves, start=moves.start + apart)
     assert "jumps by 0.1 mm" in fault_of(model, gap, reference, vertices)

@@ -40,7 +40,7 @@ def test_beds_that_nearly_agree_move_what_does_not_fit(delta: Kinematics) -> Non
 @pytest.mark.parametrize("bed", [None, CORNER])
 def test_a_print_inside_stays_where_it_is(delta: Kinematics, bed: Bed | None) -> None:
     chosen = choose_offset(delta, bed, lambda: box(10.0, 10.0, 40.0, 60.0))
-    assert chosen.offset == (0.0, 0.0) and "lies inside as it is" in chosen.reason
+    assert chosen.offset == (0.0, 0.0) and "lies inside without one" in chosen.reason
     assert ("--offset-mm -110,-110 would move it there" in chosen.reason) == (bed is not None)
 
 
@@ -59,7 +59,7 @@ def test_the_slicers_bed_is_laid_over_the_machines(delta: Kinematics) -> None:
 
 def test_without_a_bed_the_print_goes_to_the_middle(delta: Kinematics, ender: Kinematics) -> None:
     chosen = choose_offset(delta, None, lambda: box(100.0, 95.0, 130.0, 140.0))
-    assert chosen.offset == pytest.approx((-115.0, -117.5), abs=1.0) and "in the middle of the bed" in chosen.reason
+    assert chosen.offset == pytest.approx((-115.0, -117.5), abs=1.0) and "centred on the bed" in chosen.reason
     assert choose_offset(ender, None, lambda: box(-20.0, -20.0, 20.0, 30.0)).offset == (118.0, 112.0)
 
 

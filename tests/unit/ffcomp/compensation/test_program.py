@@ -77,7 +77,7 @@ def test_the_motion_and_the_filament_in_all_stay() -> None:
 
 def test_what_cannot_be_done_is_said() -> None:
     said = " ".join(written(Pressure(TAU)).statistics.warnings)
-    assert "of what the hot end's pressure asks for" in said and "extruder.firmware_advance_s" in said
+    assert "of the lead for the hot end's pressure" in said and "extruder.firmware_advance_s" in said
     own = squares(1).replace(b"G21\n", b"G21\nSET_PRESSURE_ADVANCE ADVANCE=0.03\n")
     said = " ".join(written(FREE, own).statistics.warnings)
     assert "line 4" in said and "0.03" in said

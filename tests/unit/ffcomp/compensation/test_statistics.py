@@ -80,7 +80,7 @@ def test_a_low_share_names_the_cause_and_the_remedy() -> None:
     (sentence,) = shares.warnings()
     assert sentence.startswith("Only 24 % of the path and 50 % of the filament are compensated")
     assert (
-        "after MY_PHOTO in line 9 nobody knows where the nozzle is (2 places, most after this one), 10 mm" in sentence
+        "after MY_PHOTO in line 9 the place of the nozzle is unknown (2 places, most after this one), 10 mm" in sentence
     )
     assert '[macros] returns = ["MY_PHOTO"]' in sentence
     assert Shares(Part(96.0, 96.0), {Place(1, "G28"): Part(4.0, 4.0)}).warnings() == ()
@@ -117,7 +117,7 @@ def test_a_print_that_is_predicted_to_become_worse_says_so_first(ender: Machine)
         return Result("", ender, chosen, place, numbers, 1.0, forecast=Forecast(tracks))
 
     first, *others = result(3.946, 6.052).warning_lines
-    assert "contour error 6.05 µm rms, against 3.95 µm without it. Print the file as it was sliced." in first
+    assert "contour error 6.05 µm rms, against 3.95 µm without it. Print the original." in first
     assert others == ["another"] and result(3.946, 6.052).warnings == [first, "another"]
     for better in (result(6.052, 3.946), result(3.946, 3.949), result(3.946, 6.052, Faster(bound_um=10.0))):
         assert better.no_gain == []
