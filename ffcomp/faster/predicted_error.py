@@ -1,7 +1,7 @@
 """Predict the contour error of a motion at a quantile over the printers that the machine file allows.
 
 The response of a printer that is a little off is that of the machine file's printer and, nearly, a sum of changes, one
-for each independent direction of its parameters' errors. A few of them are computed, for the directions
+for each independent direction of its parameters' errors. A few of them are computed: the directions
 that change the printer's response most, by one standard deviation each. The ensemble sums them with a fixed sample
 of deviates. What counts is a printer's whole print, its 99th percentile over time; and of that, over printers, the
 quantile that the user's safety states.

@@ -47,7 +47,7 @@ class Firmware(Protocol):
 
     flavor: str  # its name in options, machine files and stamps
     quicker_note: str = (
-        "What becomes quicker is planned by Klipper's rules of corners: any firmware gets ffcomp's segments."
+        "Quicker moves are planned by Klipper's corner rules, whatever the firmware: it executes ffcomp's segments."
     )
 
     slow_board_per_s: float = inf  # segments that its slowest boards cannot follow

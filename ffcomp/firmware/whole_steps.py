@@ -105,7 +105,7 @@ class WholeSteps:
 
     @property
     def enough(self) -> int:
-        """Steps from which on a segment can be moved to ends that are far enough: each motor may be the one that is."""
+        """Steps of a segment that suffice to find ends far enough apart, whichever motor moves far enough."""
         return self.minimum + 1 - (int(np.count_nonzero(self.free)) if self.wider else 0)
 
     @property
@@ -190,9 +190,9 @@ def _chosen(
 def _reach(
     at: FloatArray, out: FloatArray, j: int, begins: BoolArray, most: FloatArray, low: FloatArray, high: FloatArray
 ) -> None:
-    """Fill in which steps motors reach at point j, by their acceleration from the last segment and into the next.
+    """Fill in the steps that motors reach at point j, by their acceleration from the last segment and into the next.
 
-    What comes next in `out` is the command. Behind a cut the last segment does not count, for its part may be another.
+    The next rows of `out` are the command. Behind a cut the last segment does not count: another tile may hold it.
     """
     last = at[j] - at[j - 1]
     for i in range(3):
@@ -303,7 +303,7 @@ def _nearest(
 ) -> None:
     """Put the whole steps that cost least near `wanted` into row j: of those that motors reach, and are not dropped.
 
-    low, high (3,): what the motors reach.   minimum: steps of one motor from the last row, from which none is dropped.
+    low, high (3,): the reach of the motors.   minimum: steps of one motor since the last row; fewer are dropped.
     """
     least, best = np.inf, -1
     for wider in range(most_wider + 1):

@@ -11,8 +11,8 @@ its height the lowest point is an end, the highest an end or the one place where
 
 Checked are the height, the velocity, and the acceleration as change of velocity over the time of one segment, for any
 beginning inside one: (q̇(t + S) − q̇(t)) / S. It holds the jump at the knot and the curvature between. Both ends of the
-range of t are checked; in between it can be higher by S |q⃛ − q⃛'| / 8 only, less than a mm/s². The ramps with which
-firmware rounds the knots are not part of it.
+range of t are checked; in between it can be higher by S |q⃛ − q⃛'| / 8 only, less than a mm/s². The firmware's ramps
+around the knots are not included.
 """
 
 from __future__ import annotations

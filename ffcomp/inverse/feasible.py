@@ -38,7 +38,7 @@ from models.arrays import BoolArray, FloatArray, IntArray
 
 ENDS = 6  # knots of a command at either end, where its motion begins and ends
 STEEP = 1.4  # times the accelerations of its path and its middle: limit for the ends
-CALMED = 3  # rounds in which more and more is inverted plainly
+CALMED = 3  # rounds; each inverts more of the section plainly
 SCALED = 0.75  # share of the context of a cut that may become slower before the cut
 NO_TOLERANCE_MM = 0.0  # around a cut: where no limit is active, both sides find the same command
 
@@ -137,7 +137,7 @@ def _within_limits(
 ) -> FeasibleSection | None:
     """Solve a section on its knots, plainly where its robust command exceeds a limit; None if that exceeds one too.
 
-    gentle : its ends must not ask for much more than its path and its middle
+    gentle : its ends must not need much more than its path and its middle
     """
     offset = written.reference.robust_offset
     events = request.trajectory.start_t[after_events(request.program, request.section.first, request.section.last)]
@@ -188,7 +188,7 @@ def scale_around_cut(
     replan: Replan,
     layer_of: LayerOf = lambda move: None,
 ) -> tuple[Moves, tuple[TimeScaling, ...]]:
-    """Scale the moves around a position where a motion is to be cut, once for the chunks on both sides.
+    """Scale the moves around a cut in motion, once for the chunks on both sides.
 
     Parameters
     ----------

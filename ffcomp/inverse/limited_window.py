@@ -36,7 +36,7 @@ class ConstrainedWindow:
 
 
 class WindowProblem:
-    """A least-squares problem: `unknowns` knots after `at`, for the error up to `end`, kept up to `commit_end`."""
+    """A least-squares problem: `unknowns` knots after `at`; errors count up to `end`, results up to `commit_end`."""
 
     def __init__(
         self,

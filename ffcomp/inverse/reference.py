@@ -27,22 +27,22 @@ from models.arrays import FloatArray
 from models.compiled import kernel
 from models.machine import Pressure
 
-LEAST_S = 0.003  # beyond a section in which filament flows, that its command gets at least
+LEAST_S = 0.003  # least time of a command beyond a section that extrudes
 ALL_ROOM_FROM_S = 5.0  # of motion
 ROUNDING = 1e-6  # of a segment
 FLOW_KNOTS = 6  # on either side of late segments, where the filament follows the command
-CALM_KNOTS = 10  # on either side of what a robust command asks for too much, that are inverted plainly
+CALM_KNOTS = 10  # inverted plainly on either side of segments where the robust command exceeds a limit
 
 
 class Room(NamedTuple):
-    """What a command needs of time beyond its path."""
+    """The time of a command beyond its path."""
 
     lead_s: float  # before it
     tail_s: float  # after it
 
 
 def rooms_of(section: Section, settings: Settings, flows: bool) -> Iterator[Room]:
-    """Yield more and more time beyond a section, up to all that the settings allow, in whole segments.
+    """Yield increasing time beyond a section, in whole segments, up to the most that the settings allow.
 
     A command that begins with its path must jump by what the machine gives way, and the less time it has, the harder it
     does. A travel may begin without any: nothing shows where it is late. A long section gets all of the time: it costs
@@ -174,7 +174,7 @@ class Reference:
         ----------
         vertices : (n + 1, 3) mm, the command at the knots
         around : (n,) the segments; None: the filament follows the plan again
-        fixed : times of the plan's clock at which the filament stays that of the plan, s
+        fixed : times on the plan's clock where the filament stays that of the plan, s
         """
         self._evened_mm = 0.0
         if around is None:
@@ -247,7 +247,7 @@ def _knots_around(at: float) -> tuple[int, int]:
 
 
 def _stretches(marked: NDArray[np.bool_], cuts: list[int]) -> Iterator[slice]:
-    """Yield the ranges of marked segments, none of which contains a cut; cuts : rising knots."""
+    """Yield the ranges of marked segments, split at the cuts; cuts : rising knots."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], marked, [False]]).astype(np.int8)))
     for first, after in edges.reshape(-1, 2).tolist():
         inner = [cut for cut in cuts if first < cut < after]

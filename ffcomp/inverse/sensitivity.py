@@ -70,7 +70,7 @@ class Sensitivity:
         sampled: bool = True,
         wide: bool = False,
     ) -> None:
-        """Choose the printers; wide: more of them, and more directions, for a large uncertainty."""
+        """Choose the printers; wide: more of them, and more directions, as a large uncertainty needs."""
         self.machine, self.row_s, self.bandwidth_hz, self.control_weight = machine, row_s, bandwidth_hz, control_weight
         self._sampled, self.directions = sampled, DIRECTIONS_WIDE if wide else DIRECTIONS
         draws = DRAWS_WIDE if wide else DRAWS
@@ -180,7 +180,7 @@ class Sensitivity:
         )
 
     def to_steps(self, known: ShortComplexArray) -> ShortComplexArray:
-        """D − 1 of D (1 + directions, 3, 3, lines), for a path's steps from row to row: (3 (1 + directions), 3, lines).
+        """D − 1 of D (1 + directions, 3, 3, lines), applied to a path's steps: (3 (1 + directions), 3, lines).
 
         Steps are nothing at both ends of a span, where the path itself is at different places.
         """

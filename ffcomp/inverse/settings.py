@@ -31,7 +31,7 @@ FLOOR_UM = 1.0  # what other things leave anyway: the path's own facets, the seg
 STRAIGHT_FLOOR_UM = 0.3  # and on straight axes
 KNOTS = 512
 SIDE_MM, SPEED_MM_PER_S, ACCELERATION_MM_PER_S2 = 8.0, 150.0, 3000.0  # as prints are made
-REACH = 0.6  # of the print radius, for the six places around the middle
+REACH = 0.6  # of the print radius: the six places around the middle
 
 
 @dataclass(frozen=True, slots=True)

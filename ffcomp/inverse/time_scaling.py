@@ -60,7 +60,7 @@ Replan = Callable[[Moves, float], Trajectory]  # the moves of a section, when it
 LayerOf = Callable[[int], int | None]  # move of the program → its layer
 
 ROUNDS = 8
-EVENED = 3  # rounds in which more and more of the filament follows the command, before moves become slower
+EVENED = 3  # rounds; in each, more of the filament follows the command, before moves become slower
 PHASES = 4  # of the knots, where a path is sampled
 APART = 8  # moves: scaled ones that lie closer share a record
 LATE_MM = 1e-3  # how far a segment may fall behind
@@ -228,7 +228,7 @@ class ScaledSection:
         return Free(written, self._solve(written, enforce_limits=False))
 
     def _slower_segments(self, reference: Reference) -> BoolArray:
-        """Find the segments (n,) in which moves that became slower are under way."""
+        """Find the segments (n,) of moves that became slower."""
         slower = np.zeros(len(self.moves), dtype=np.bool_)
         slower[list(self.reasons)] = True
         t = reference.t0 + (np.arange(reference.knots, dtype=np.float64) + 0.5) * self.model.settings.segment_s
@@ -396,7 +396,7 @@ def late_segments(
 
     Parameters
     ----------
-    events : times of the plan's clock at which lines of the file stand, s: there the filament is that of the plan
+    events : times of the file's lines on the plan's clock, s: there the filament is that of the plan
     """
     reference, around = written.reference, np.zeros(len(vertices) - 1, dtype=np.bool_)
     reference.even_flow(vertices, None)

@@ -52,7 +52,7 @@ class Forecast:
         return f"If the machine file is exact: {self.exact}" if self.tracks else ""
 
     def to_dict(self) -> dict[str, Any]:
-        """Return what every verb's JSON object says of it."""
+        """Return its part of every verb's JSON object."""
         return {
             # .* TRACK: on the design model: of the print as sliced, and of the segments that are written. Nothing with
             # `--no-predict`. `simulate` and `compare` judge by the virtual printer instead, which is not linear:
@@ -106,7 +106,7 @@ def stored_forecast(tail: bytes, machine: Machine) -> Forecast | None:
 
 
 def forecast(predict: Callable[[], Forecast]) -> Forecast:
-    """Predict; whatever goes wrong in a prediction is said, and never fails the print that it is of."""
+    """Predict; an error is reported in the forecast and never stops the print."""
     try:
         return predict()
     except Exception as error:

@@ -1,7 +1,7 @@
 """A small G-code for viewers: the sliced moves, coloured by contour error instead of by feature.
 
 Viewers of slicers and hosts colour lines by the feature that a comment names. Here the name is the size of the
-error; moves are cut where it changes. Nothing heats, homes or waits: it is to be looked at, not printed.
+error; moves are cut where it changes. Nothing heats, homes or waits: view it, do not print it.
 """
 
 from __future__ import annotations

@@ -161,7 +161,7 @@ def simulate_side_by_side(
     ----------
     motions : at best LANES of them, of about the same length
     believed : the machine whose inverse kinematics the firmware uses
-    coarse : with longer rows, for a search; only of printers that are smooth, others are unchanged
+    coarse : with longer rows, as a search needs; printers that are not smooth keep the short ones
     """
     printer = converted_printer(plant)
     smooth = longest_step(printer.parameters, printer.modes) >= (1 - ROUNDING) * ROW_S  # one step a row is enough

@@ -134,10 +134,10 @@ class Preview:
     after: Curve
     original: Original | None = None
     flows: tuple[Flow, Flow] | None = None  # before and after, on their clocks; None: no pressure in the machine file
-    pieces: Sequence[Piece] = ()  # of both, without those in which something else moves the nozzle
+    pieces: Sequence[Piece] = ()  # of both prints; none where something else moves the nozzle
 
     def forecast(self, machine: Machine) -> Forecast:
-        """Evaluate both prints, for a file that keeps no forecast."""
+        """Evaluate both prints of a file that keeps no forecast."""
         tracks = dict(zip(WAYS, (self.before.track, self.after.track), strict=True))
         return Forecast(tracks, self.before.track.print_time_s, expected=expectation(machine, self.pieces))
 

@@ -229,7 +229,7 @@ class Simulation(Result):
             ("Effects", ", ".join(self.plant.effects) or "none"),
             (
                 "Tracking error",
-                f"{track.tracking_rms_um:.1f} µm rms, of it {track.tracking_rms_no_delay_um:.2f} µm beside a delay of "
+                f"{track.tracking_rms_um:.1f} µm rms; {track.tracking_rms_no_delay_um:.2f} µm without a delay of "
                 f"{1e3 * track.delay_s:.3f} ms",
             ),
             (
