@@ -23,8 +23,9 @@ from ffcomp.comparison.baselines import LinearPrinter
 from ffcomp.comparison.evaluation import Execution, evaluate, track
 from ffcomp.comparison.methods import COMPENSATED, ONE_MODEL, TunedMethod
 from ffcomp.comparison.sampling import Print, PrintSlice, Sampling
-from ffcomp.compensation.solve import SolvedSection, solutions
+from ffcomp.compensation.solve import solutions
 from ffcomp.firmware.program import PlannedProgram, plan_program
+from ffcomp.inverse.feasible import SolvedSection
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.settings import Settings, settings_for
 from ffcomp.inverse.solve import solve

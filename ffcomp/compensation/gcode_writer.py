@@ -19,9 +19,9 @@ import numpy as np
 
 from ffcomp.compensation.gcode_layout import Timeline, tiles, timeline
 from ffcomp.compensation.plan import Context, PlannedChunk
-from ffcomp.compensation.solve import SolvedSection
 from ffcomp.firmware.base import Filament, FileLimits, Segments
 from ffcomp.firmware.table import FIRMWARES
+from ffcomp.inverse.feasible import SolvedSection
 from ffcomp.inverse.settings import CUT, Settings
 from ffcomp.planner.lifts import join_lifts
 from ffcomp.planner.lookahead import stops_and_waits

@@ -25,12 +25,13 @@ from ffcomp.compensation.prediction import LONGEST_S
 from ffcomp.compensation.program import Output, compensated_sections
 from ffcomp.compensation.request import CompensateOptions
 from ffcomp.compensation.result import Result
+from ffcomp.compensation.solve import replanner_of
 from ffcomp.compensation.statistics import Statistics
 from ffcomp.compensation.step_output import StepRenderer, StepStream
 from ffcomp.compensation.text_stream import in_order, stamped, with_times_retold
 from ffcomp.errors import NothingToDo, RequestError
 from ffcomp.faster.bound import Bound, with_slicer_settings
-from ffcomp.firmware.program import firmware_plan, read_as_planned, section_planner
+from ffcomp.firmware.program import firmware_plan, read_as_planned
 from ffcomp.firmware.table import FIRMWARES
 from ffcomp.integrations.slicer import Bed, bed_in, pair
 from ffcomp.inverse.feasible import scale_around_cut
@@ -38,7 +39,7 @@ from ffcomp.inverse.model import InverseModel, model_of
 from ffcomp.inverse.robust import BOUNDED, PLAIN, RobustChoice, choose_robust
 from ffcomp.inverse.settings import Settings, settings_for
 from ffcomp.inverse.time_scaling import TimeScaling
-from ffcomp.planner.limits import lines_of, planner_limits
+from ffcomp.planner.limits import lines_of
 from ffcomp.planner.reach import OutOfReach, Reach
 from ffcomp.planner.trajectory import PathPosition
 from ffcomp.simulation.forecast import NO_FORECAST, Forecast, forecast
@@ -49,7 +50,6 @@ from gcode.atomic_write import replace_atomically
 from gcode.container import Source, blocks_of, ends_of
 from gcode.dialects import FlavorChoice, choose_flavor, sign_by_ends
 from gcode.embedded import WITHOUT_ORIGINAL, Stamp, find_offset, joined, offset_line, original_blocks, stamp_line
-from gcode.layers import LayerLookup
 from gcode.metadata import Timed, filament_change_s
 from gcode.program import Moves, Program
 from models.machine import Machine
@@ -372,8 +372,7 @@ class Job:
         return split_chunks(parts, Splitting(s.segment_s, s.lead_s, plan_of, longest_s, ease))
 
     def _eased(self, around: Program, cut: PathPosition, layers: int) -> tuple[Moves, tuple[TimeScaling, ...]]:
-        limits, layer_of = planner_limits(self.machine), LayerLookup(around, layers).of
-        return scale_around_cut(self.model, around, limits, cut, section_planner(around, self.machine), layer_of)
+        return scale_around_cut(self.model, around, cut, replanner_of(around, self.machine, layers))
 
     def at_first(self) -> Statistics:
         """Return the warnings about the file as a whole."""

@@ -23,10 +23,11 @@ import numpy as np
 
 from ffcomp.compensation.plan import Context, PlannedChunk
 from ffcomp.compensation.prediction import Prediction
-from ffcomp.compensation.solve import SolvedSection, never, solutions
+from ffcomp.compensation.solve import never, solutions
 from ffcomp.compensation.statistics import Statistics, of_section, of_unsafe
 from ffcomp.errors import LimitsError
 from ffcomp.faster.bound import Bound
+from ffcomp.inverse.feasible import SolvedSection
 from ffcomp.inverse.settings import Settings
 from ffcomp.metrics import contour_error
 from ffcomp.planner.segment_timing import TimedSegments

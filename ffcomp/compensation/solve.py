@@ -10,31 +10,17 @@ import numpy as np
 from ffcomp.compensation.net import ENDS_MM, fault_of, path_fault
 from ffcomp.errors import LimitsError
 from ffcomp.firmware.program import PlannedProgram, section_planner
-from ffcomp.inverse.feasible import FeasibleSection, SectionRequest, solve_feasible
+from ffcomp.inverse.feasible import PlannedSection, SolvedSection, solve_feasible
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.reference import WHOLE, Extent, Reference
-from ffcomp.inverse.solve import Solution, solve
-from ffcomp.inverse.time_scaling import TimeScaling
+from ffcomp.inverse.solve import solve
+from ffcomp.inverse.time_scaling import Replanner
 from ffcomp.planner.limits import planner_limits
-from ffcomp.planner.trajectory import Section, Trajectory
 from gcode.layers import LayerLookup
-from gcode.program import EventKind
+from gcode.program import EventKind, Program
 from gcode.slicing import some
 from models.arrays import FloatArray
-
-
-@dataclass(frozen=True, slots=True)
-class SolvedSection:
-    """A section that travels, and its command."""
-
-    trajectory: Trajectory  # the plan, slowed down where limits require it
-    section: Section
-    reference: Reference
-    solution: Solution
-    slowed: tuple[TimeScaling, ...]
-    knots: tuple[int, int]  # between which it is written
-    fault: str = ""  # why its original lines must be written instead; empty: its command is safe
-    sampled: bool = False  # by the prediction, which needs its response
+from models.machine import Machine
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,6 +41,12 @@ class Resting:
     def is_at(self, nozzle: FloatArray) -> bool:
         """Return whether the command rests at a place, (3,) mm."""
         return float(np.abs(self.nozzle - nozzle).max()) <= ENDS_MM
+
+
+def replanner_of(program: Program, machine: Machine, layers_before: int) -> Replanner:
+    """Return the planner of a program's firmware, for some of its moves; so many layers have begun before."""
+    layers = LayerLookup(program, layers_before)
+    return Replanner(planner_limits(machine), section_planner(program, machine), layers.of)
 
 
 def never(reference: Reference) -> bool:
@@ -114,9 +106,7 @@ def _linear(
 ) -> Iterator[tuple[SolvedSection, float | None]]:
     """Solve each section linearly; yield it and how long the nozzle has rested before it (None: others moved it)."""
     program, trajectory, settings, machine = planned.program, planned.trajectory, model.settings, model.full_machine
-    moved, limits = _moved_before(planned), planner_limits(machine)
-    replan = section_planner(program, machine)
-    layers = LayerLookup(program, layers_before)
+    moved, replanner = _moved_before(planned), replanner_of(program, machine, layers_before)
     travels = [section for section in planned.sections if section.travels]
     parts = [extent if section is planned.sections[0] else WHOLE for section in travels]
     # robust offsets of many sections together cost half of what they do one by one
@@ -136,39 +126,20 @@ def _linear(
         if written.reference.knots * settings.rows_per_segment == len(offset):
             written.reference.robust_offset = offset
         sampled = wants(written.reference)
-        keep_response = sampled or keep_responses
+        keep = sampled or keep_responses
         if settings.time_scaling:
-            request = SectionRequest(
-                program=program,
-                trajectory=trajectory,
-                section=section,
-                written=written,
-                state=state,
-                limits=limits,
-                replan=replan,
-                extent=part,
-                keep_response=keep_response,
-                layer_of=layers.of,
+            solved = solve_feasible(
+                model, PlannedSection(program, trajectory, section, written, state, replanner, part, keep)
             )
-            feasible = solve_feasible(model, request)
         else:
-            result = solve(model, written.reference, state, keep_response=keep_response)
-            feasible = FeasibleSection(trajectory, section, written, result)
-        reference, *knots = feasible.written
-        solved = SolvedSection(
-            feasible.trajectory,
-            feasible.section,
-            reference,
-            feasible.solution,
-            feasible.records,
-            (knots[0], knots[1]),
-            sampled=sampled,
-        )
+            result = solve(model, written.reference, state, keep_response=keep)
+            solved = SolvedSection(trajectory, section, written, result)
+        solved = replace(solved, sampled=sampled)
         if before is not None and not moved[section.first] and not before.is_at(start):
             solved = replace(solved, fault="it begins elsewhere than the last motion has ended")
         solved = _checked(solved, planned, model, part)
         if not solved.fault:
-            trajectory, later = feasible.trajectory, later + feasible.lost_s
+            trajectory, later = solved.trajectory, later + solved.lost_s
         yield solved, rest
         before = None if solved.fault else Resting.after(solved, planned)
 

@@ -13,9 +13,9 @@ import numpy as np
 from ffcomp.compensation.faster import Faster
 from ffcomp.compensation.net import Unsafe
 from ffcomp.compensation.prediction import Samples
-from ffcomp.compensation.solve import SolvedSection
 from ffcomp.firmware.program import PlannedProgram
 from ffcomp.inverse.command_limits import utilisation_from_rest
+from ffcomp.inverse.feasible import SolvedSection
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.reference import Extent
 from ffcomp.inverse.time_scaling import TimeScaling

@@ -13,8 +13,8 @@ from itertools import pairwise
 import numpy as np
 
 from ffcomp.compensation.plan import Context, PlannedChunk
-from ffcomp.compensation.solve import SolvedSection
 from ffcomp.firmware.program import PlannedProgram
+from ffcomp.inverse.feasible import SolvedSection
 from ffcomp.planner.lookahead import stops_and_waits
 from ffcomp.planner.segment_timing import TimedSegments
 from ffcomp.planner.trajectory import Section

@@ -16,6 +16,7 @@ from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.reference import (
     WHOLE,
     Extent,
+    Reference,
     WrittenReference,
     context_s,
     rooms_of,
@@ -23,14 +24,13 @@ from ffcomp.inverse.reference import (
 from ffcomp.inverse.solve import Solution, solve
 from ffcomp.inverse.time_scaling import (
     Free,
-    LayerOf,
-    Replan,
+    Replanner,
     ScaledSection,
     TimeScaling,
     late_segments,
 )
 from ffcomp.planner.lifts import FLOWS_MM
-from ffcomp.planner.limits import PlannerLimits, lines_of
+from ffcomp.planner.limits import lines_of
 from ffcomp.planner.trajectory import PathPosition, Section, Trajectory
 from gcode.program import Moves, Program
 from gcode.slicing import some
@@ -44,7 +44,7 @@ NO_TOLERANCE_MM = 0.0  # around a cut: where no limit is active, both sides find
 
 
 @dataclass(frozen=True, slots=True)
-class SectionRequest:
+class PlannedSection:
     """A section to be solved within the machine's limits."""
 
     program: Program  # whose moves the trajectory plans
@@ -52,26 +52,36 @@ class SectionRequest:
     section: Section
     written: WrittenReference  # the section's reference by this plan
     state: FloatArray  # (18,) of the plant at the section's first knot
-    limits: PlannerLimits  # as the trajectory was planned
-    replan: Replan  # as the trajectory was planned
+    replanner: Replanner  # plans as the trajectory was planned
     extent: Extent = WHOLE
     keep_response: bool = False
-    layer_of: LayerOf = lambda move: None
 
 
 @dataclass(frozen=True, slots=True)
-class FeasibleSection:
-    """A section within the limits, and its command."""
+class SolvedSection:
+    """A section that travels, and its command."""
 
     trajectory: Trajectory  # the whole plan; `lost_s` later after the section
     section: Section
     written: WrittenReference
     solution: Solution
-    records: tuple[TimeScaling, ...] = ()
+    slowed: tuple[TimeScaling, ...] = ()
     lost_s: float = 0.0
+    fault: str = ""  # why its original lines must be written instead; empty: its command is safe
+    sampled: bool = False  # by the prediction, which needs its response
+
+    @property
+    def reference(self) -> Reference:
+        """The reference of the command."""
+        return self.written.reference
+
+    @property
+    def knots(self) -> tuple[int, int]:
+        """Between which it is written."""
+        return self.written.first, self.written.last
 
 
-def solve_feasible(model: InverseModel, request: SectionRequest) -> FeasibleSection:
+def solve_feasible(model: InverseModel, request: PlannedSection) -> SolvedSection:
     """Solve a section; where its limits cannot be kept within the tolerance, on a plan that is slower there.
 
     The model's settings say how far the nozzle may leave the path where a limit is active, and whether to refuse
@@ -92,8 +102,7 @@ def solve_feasible(model: InverseModel, request: SectionRequest) -> FeasibleSect
     scaled = ScaledSection(
         model,
         moves,
-        request.limits,
-        request.replan,
+        request.replanner,
         section.begin_t,
         request.extent,
         request.state,
@@ -103,20 +112,21 @@ def solve_feasible(model: InverseModel, request: SectionRequest) -> FeasibleSect
     )
     written, solution = scaled.solve(settings.tolerance_um * 1e-3, Free(written, solution))
     if not scaled.reasons:
-        return FeasibleSection(trajectory, section, written, solution)
+        return SolvedSection(trajectory, section, written, solution)
     spliced, lost = _spliced(trajectory, section, scaled.plan)
     records = tuple(
         scaled.records(
-            trajectory.duration[section.first : section.last], lambda move: request.layer_of(section.first + move)
+            trajectory.duration[section.first : section.last],
+            lambda move: request.replanner.layer_of(section.first + move),
         )
     )
     if settings.strict:
         _refuse(records)
     section = replace(section, end_t=scaled.section.end_t)
-    return FeasibleSection(spliced, section, written, solution, records, lost)
+    return SolvedSection(spliced, section, written, solution, records, lost)
 
 
-def _layouts(model: InverseModel, request: SectionRequest) -> Iterator[tuple[WrittenReference, bool]]:
+def _layouts(model: InverseModel, request: PlannedSection) -> Iterator[tuple[WrittenReference, bool]]:
     """Yield the section on knots with more and more time beyond its path, and whether its command must end gently.
 
     A few ms there are less than what slower moves would take. With all of the time, whatever keeps the limits will do.
@@ -133,8 +143,8 @@ def _layouts(model: InverseModel, request: SectionRequest) -> Iterator[tuple[Wri
 
 
 def _within_limits(
-    model: InverseModel, request: SectionRequest, written: WrittenReference, gentle: bool
-) -> FeasibleSection | None:
+    model: InverseModel, request: PlannedSection, written: WrittenReference, gentle: bool
+) -> SolvedSection | None:
     """Solve a section on its knots, plainly where its robust command exceeds a limit; None if that exceeds one too.
 
     gentle : its ends must not need much more than its path and its middle
@@ -146,7 +156,7 @@ def _within_limits(
         solution = _free(model, request, written)
         beyond = _beyond(model, written, solution, gentle, events)
         if not beyond[written.first : written.last].any():
-            return FeasibleSection(request.trajectory, request.section, written, solution)
+            return SolvedSection(request.trajectory, request.section, written, solution)
         if left:
             written = written._replace(reference=copy(written.reference))
             written.reference.calm(beyond)
@@ -174,7 +184,7 @@ def _beyond(
     return np.asarray(beyond[1:-1] | late_segments(model, written, solution.vertices, events))
 
 
-def _free(model: InverseModel, request: SectionRequest, written: WrittenReference) -> Solution:
+def _free(model: InverseModel, request: PlannedSection, written: WrittenReference) -> Solution:
     """Solve a section without limits."""
     keep = request.keep_response
     return solve(model, written.reference, request.state, keep_response=keep, enforce_limits=False)
@@ -183,17 +193,15 @@ def _free(model: InverseModel, request: SectionRequest, written: WrittenReferenc
 def scale_around_cut(
     model: InverseModel,
     program: Program,
-    limits: PlannerLimits,
     cut: PathPosition,
-    replan: Replan,
-    layer_of: LayerOf = lambda move: None,
+    replanner: Replanner,
 ) -> tuple[Moves, tuple[TimeScaling, ...]]:
     """Scale the moves around a cut in motion, once for the chunks on both sides.
 
     Parameters
     ----------
     program : planned from rest to rest; moves near its ends are unchanged
-    limits, replan, layer_of : as in `SectionRequest`; the plan has trapezoids
+    replanner : its plan has trapezoids
 
     Returns
     -------
@@ -205,7 +213,7 @@ def scale_around_cut(
         As `solve_feasible`.
     """
     moves = program.moves
-    plan = replan(moves, 0.0)
+    plan = replanner.plan(moves, 0.0)
     reach_s = SCALED * context_s(moves, plan)
     t = cut.time_in(plan)
     inner = (plan.start_t >= t - reach_s) & (plan.start_t + plan.duration <= t + reach_s)
@@ -217,8 +225,7 @@ def scale_around_cut(
     scaled = ScaledSection(
         model,
         moves,
-        limits,
-        replan,
+        replanner,
         0.0,
         middle,
         state,
@@ -227,7 +234,7 @@ def scale_around_cut(
         after_events=after_events(program, 0, len(moves)),
     )
     scaled.scale(NO_TOLERANCE_MM)
-    records = tuple(scaled.records(plan.duration, layer_of)) if scaled.reasons else ()
+    records = tuple(scaled.records(plan.duration, replanner.layer_of)) if scaled.reasons else ()
     if records and model.settings.strict:
         _refuse(records)
     return scaled.moves, records

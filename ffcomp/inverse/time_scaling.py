@@ -56,7 +56,6 @@ from ffcomp.planner.trajectory import Section, Trajectory
 from gcode.program import Moves
 from models.arrays import BoolArray, FloatArray, IntArray
 
-Replan = Callable[[Moves, float], Trajectory]  # the moves of a section, when it begins (s) → its plan
 LayerOf = Callable[[int], int | None]  # move of the program → its layer
 
 ROUNDS = 8
@@ -68,6 +67,15 @@ LATE_TRAVEL_MM = 0.2  # and how far in XY where no filament flows, on a machine 
 LATEST_S = 0.1  # that a section may end later than planned because of such segments
 KNOT = 1e-6  # of a segment: nearer is at a knot
 STEADY = 0.02  # relative variation of a speed that counts as constant
+
+
+@dataclass(frozen=True, slots=True)
+class Replanner:
+    """Plans the moves of a section again, as the firmware does."""
+
+    limits: PlannerLimits
+    plan: Callable[[Moves, float], Trajectory]  # moves, and when they begin, s
+    layer_of: LayerOf = lambda move: None
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,8 +124,7 @@ class ScaledSection:
 
     model: InverseModel
     moves: Moves
-    limits: PlannerLimits
-    replan: Replan
+    replanner: Replanner
     begin_t: float
     extent: Extent
     state: FloatArray
@@ -139,7 +146,7 @@ class ScaledSection:
         return near
 
     def _plan_again(self) -> None:
-        self.plan = self.replan(self.moves, self.begin_t)
+        self.plan = self.replanner.plan(self.moves, self.begin_t)
         self.section = Section(0, len(self.moves), True, self.begin_t, self.plan.end_t)
 
     def solve(self, tolerance_mm: float, first: Free) -> tuple[WrittenReference, Solution]:
@@ -329,7 +336,7 @@ class ScaledSection:
 
     def _slower(self, by_speed: FloatArray, by_acceleration: FloatArray) -> Moves:
         """Scale the moves' top speeds by one factor (n,), acceleration and corners by another."""
-        moves, limits = self.moves, self.limits
+        moves, limits = self.moves, self.replanner.limits
         bounds = bounds_of(moves, lines_of(moves), limits)
         set_corner = moves.square_corner_velocity
         corner = np.where(np.isnan(set_corner), limits.square_corner_velocity_mm_per_s, set_corner)

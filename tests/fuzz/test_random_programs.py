@@ -12,9 +12,10 @@ import pytest
 from numpy.typing import NDArray
 
 from ffcomp.compensation.job import Job, Options
-from ffcomp.compensation.solve import SolvedSection, solutions
+from ffcomp.compensation.solve import solutions
 from ffcomp.errors import NothingToDo
 from ffcomp.firmware.program import plan_program
+from ffcomp.inverse.feasible import SolvedSection
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.settings import settings_for
 from ffcomp.planner.trajectory import Trajectory

@@ -12,7 +12,7 @@ import pytest
 from ffcomp.compensation import solve
 from ffcomp.compensation.job import Job, Options, StepOutput
 from ffcomp.errors import LimitsError
-from ffcomp.inverse.feasible import FeasibleSection, SectionRequest
+from ffcomp.inverse.feasible import PlannedSection, SolvedSection
 from ffcomp.inverse.model import InverseModel
 from ffcomp.steps.sink import Board
 from gcode.embedded import original
@@ -57,7 +57,7 @@ def corrupted(patch: pytest.MonkeyPatch, corrupt: Callable[[FloatArray], None]) 
     """Let the solver return a wrong command for the section whose first move has no feed of its own."""
     solved = solve.solve_feasible
 
-    def wrong(model: InverseModel, request: SectionRequest) -> FeasibleSection:
+    def wrong(model: InverseModel, request: PlannedSection) -> SolvedSection:
         right = solved(model, request)
         if request.program.lines[request.program.moves.line[request.section.first]] not in SECOND:
             return right

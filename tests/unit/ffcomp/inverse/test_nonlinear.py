@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 
 from ffcomp.comparison.sampling import Print, PrintSlice, Sampling
-from ffcomp.compensation.solve import SolvedSection, solutions
+from ffcomp.compensation.solve import solutions
 from ffcomp.inverse import nonlinear
 from ffcomp.inverse.command_limits import peak_utilisation
+from ffcomp.inverse.feasible import SolvedSection
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.settings import settings_for
 from ffcomp.inverse.solve import Solution

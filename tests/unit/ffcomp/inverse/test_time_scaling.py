@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -12,16 +13,16 @@ from numpy.typing import NDArray
 
 from ffcomp.errors import LimitsError
 from ffcomp.firmware.program import PlannedProgram, plan_program, plan_section
-from ffcomp.inverse.feasible import FeasibleSection, SectionRequest, solve_feasible
+from ffcomp.inverse.feasible import PlannedSection, SolvedSection, solve_feasible
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.reference import WHOLE, Reference
 from ffcomp.inverse.settings import Settings, settings_for
 from ffcomp.inverse.solve import solve
-from ffcomp.inverse.time_scaling import LayerOf, Replan
+from ffcomp.inverse.time_scaling import LayerOf, Replanner
 from ffcomp.planner.limits import planner_limits
 from ffcomp.planner.segment_timing import segment_speeds
-from ffcomp.planner.trajectory import Section
-from gcode.program import Program
+from ffcomp.planner.trajectory import Section, Trajectory
+from gcode.program import Moves, Program
 from gcode.reader import read_program
 from models.file import load_machine
 from models.machine import Machine
@@ -62,24 +63,22 @@ def solved(
     planned: PlannedProgram,
     run: Section,
     machine: Machine,
-    replan: Replan | None = None,
+    replan: Callable[[Moves, float], Trajectory] | None = None,
     program: Program | None = None,
     layer_of: LayerOf = lambda move: None,
     **options: Any,
-) -> FeasibleSection:
+) -> SolvedSection:
     state, limits = machine.equilibrium(planned.trajectory.origin[run.first, :3]), planner_limits(machine)
     model = InverseModel(machine, replace(inverter.settings, **options)) if options else inverter
     written = WHOLE.written(planned.trajectory, run, model.settings)
-    request = SectionRequest(
+    request = PlannedSection(
         program or planned.program,
         planned.trajectory,
         run,
         written,
         state,
-        limits,
-        replan or partial(plan_section, limits),
+        Replanner(limits, replan or partial(plan_section, limits), layer_of),
         keep_response=True,
-        layer_of=layer_of,
     )
     return solve_feasible(model, request)
 
@@ -96,7 +95,7 @@ def dense_peaks(vertices: FloatArray, machine: Machine, settings: Settings) -> t
     return float(np.abs(velocity).max()), float(np.abs(change).max())
 
 
-def error_um(found: FeasibleSection) -> float:
+def error_um(found: SolvedSection) -> float:
     nozzle, _ = found.written.reference.substeps(0, found.written.reference.knots)
     return 1e3 * float(np.sqrt(((found.solution.response - nozzle[1:]) ** 2).sum(axis=1)).max())
 
@@ -107,7 +106,7 @@ def test_where_nothing_binds_nothing_changes(machine: Machine, planned: PlannedP
     state = machine.equilibrium(np.array(START))
     plain = solve(inverter, found.written.reference, state, keep_response=True)
     assert found.trajectory is planned.trajectory and found.section is run
-    assert found.records == () and found.lost_s == 0.0 and not found.solution.constrained
+    assert found.slowed == () and found.lost_s == 0.0 and not found.solution.constrained
     for name in ("vertices", "state", "response"):
         assert getattr(found.solution, name).tobytes() == getattr(plain, name).tobytes()
 
@@ -135,12 +134,12 @@ def test_limits_below_the_plan_are_held_at_every_instant(
     assert acceleration <= inverter.limits.acceleration_mm_per_s2 * (1 + 1e-4)
     assert found.solution.utilisation <= 1.001
     assert error_um(found) < 25.0
-    assert found.records and {record.limit for record in found.records} <= names
+    assert found.slowed and {record.limit for record in found.slowed} <= names
     assert 0 < found.lost_s < 0.6 * (run.end_t - run.begin_t)
     assert found.section.end_t - run.end_t == pytest.approx(found.lost_s)
-    touched = {line for record in found.records for line in range(record.first_line, record.last_line + 1)}
+    touched = {line for record in found.slowed for line in range(record.first_line, record.last_line + 1)}
     assert touched and touched <= {1, 2, 3, 4, 5, 6}
-    for record in found.records:
+    for record in found.slowed:
         assert record.asked > 1.0 and record.factor < 1.0
         assert f"times its {record.limit} limit" in record.sentence()
 
@@ -149,7 +148,7 @@ def test_only_the_moves_concerned_become_slower(machine: Machine, planned: Plann
     """The gentle lines at both ends keep their speed; every other run of the plan keeps its shape."""
     tight = limited(machine, carriage_velocity_mm_per_s=100.0)
     found = solved(inverter_of(tight), planned, planned.sections[0], tight)
-    (record,) = found.records
+    (record,) = found.slowed
     assert (record.first_line, record.last_line) == (2, 5)
     assert record.sentence().startswith(f"line 2-5: slowed to {100 * record.factor:.0f} %")
     before, after = planned.trajectory, found.trajectory
@@ -175,7 +174,7 @@ def test_the_rest_of_the_plan_is_later_and_otherwise_the_same(machine: Machine) 
     last = planned.sections[-1]
     t = np.linspace(last.begin_t, last.end_t - 1e-6, 50)
     np.testing.assert_allclose(found.trajectory.position(t + found.lost_s), planned.trajectory.position(t), atol=1e-9)
-    assert found.records[0].sentence().startswith("line 102-105 (layer 7): slowed to ")
+    assert found.slowed[0].sentence().startswith("line 102-105 (layer 7): slowed to ")
 
 
 def test_strict_refuses_with_the_same_sentence(machine: Machine, planned: PlannedProgram) -> None:
@@ -184,7 +183,7 @@ def test_strict_refuses_with_the_same_sentence(machine: Machine, planned: Planne
     found = solved(inverter, planned, planned.sections[0], tight)
     with pytest.raises(LimitsError) as caught:
         solved(inverter, planned, planned.sections[0], tight, strict=True)
-    assert str(caught.value) == found.records[0].sentence("would have to be slowed")
+    assert str(caught.value) == found.slowed[0].sentence("would have to be slowed")
     assert caught.value.exit_code == 6
 
 
@@ -197,11 +196,11 @@ def test_a_tolerance_decides_between_an_error_and_a_delay(machine: Machine, plan
     free = solved(InverseModel(machine, settings), planned, run, machine).solution.utilisation
     tight = limited(machine, carriage_acceleration_mm_per_s2=0.7 * free * 30000.0)
     wide = solved(InverseModel(tight, settings), planned, run, tight, tolerance_um=100.0)
-    assert len(wide.solution.constrained) > 0 and wide.records == () and wide.solution.utilisation <= 1.0
+    assert len(wide.solution.constrained) > 0 and wide.slowed == () and wide.solution.utilisation <= 1.0
     worst = 1e3 * max(held.error_mm for held in wide.solution.constrained)
     assert 1.0 < worst < 100.0
     narrow = solved(InverseModel(tight, settings), planned, run, tight, tolerance_um=0.7 * worst)
-    assert narrow.records and narrow.lost_s > 0.0
+    assert narrow.slowed and narrow.lost_s > 0.0
     assert narrow.solution.utilisation <= 1.001
     assert all(1e3 * held.error_mm <= 0.7 * worst for held in narrow.solution.constrained)
 
@@ -233,7 +232,7 @@ def test_segments_can_be_played_in_their_time(machine: Machine) -> None:
     assert behind_um(plain.vertices, wanted) > 10.0
     found = solved(inverter, planned, run, machine)
     assert behind_um(found.solution.vertices, found.written.reference) <= 1.0
-    (record,) = found.records
+    (record,) = found.slowed
     assert (record.first_line, record.carriage) == (2, "")
     assert record.last_line in (2, 3)  # a segment may hold the end of the lift and the beginning of what follows
     assert "firmware's own acceleration" in record.sentence()
@@ -270,7 +269,7 @@ def test_the_extruder_does_not_slow_hard_corners_down() -> None:
     planned = plan_program(read_program(STROKES, start=START, flavor="klipper"), machine)
     inverter, section = inverter_of(machine), planned.sections[0]
     found = solved(inverter, planned, section, machine)
-    assert found.records == () and found.lost_s == 0.0
+    assert found.slowed == () and found.lost_s == 0.0
     s, vertices, reference = inverter.settings, found.solution.vertices, found.written.reference
     filament = reference.extrusion()
     lasting = np.full(len(vertices) - 1, s.segment_s)
