@@ -28,7 +28,7 @@ def test_a_force_and_a_speed_show_no_pitch_without_a_place() -> None:
     run = AxisRun("a.csv", t, np.sin(20 * t), True, {}, {}, {}, other={"vel_q": np.cos(20 * t)})
     free = machine_of_axis("stage", DrivenAxis("force", 1.0, 0.0, 2.0))
     assert likely_pitches(free, shots_of(free, [run]), (2.0, 60.0), 3) == []
-    with pytest.raises(MeasurementError, match="an encoder's position tells it as well"):
+    with pytest.raises(MeasurementError, match="an encoder's position shows it too"):
         check_repeats([run])
 
 

@@ -157,5 +157,5 @@ def test_what_cannot_be_planned_says_what_would_fit(delta: Machine, request_: Re
 def test_its_captures_need_its_plan(delta: Machine, tmp_path: Path) -> None:
     capture = tmp_path / "adxl345-ffcomp-zigzag-0-1.csv"
     capture.write_text("#time,accel_x,accel_y,accel_z\n1,2,3,4\n", encoding="utf-8")
-    with pytest.raises(MeasurementError, match=r"need the .json file beside its G-code"):
+    with pytest.raises(MeasurementError, match=r"need the .json file next to its G-code"):
         gather([capture], delta, band_hz=(2.0, 200.0))
