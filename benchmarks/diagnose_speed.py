@@ -186,8 +186,8 @@ def _real(folder: Path, effect: str) -> Any:
     """Return the printer with its hidden effect; its owner's file, a little off, is written."""
     from models.file import load_machine
     from tests.support.hidden_delta import owners_file
-    from validation.blind.delta.hidden import EFFECTS as HIDE
-    from validation.blind.printer.real import Real
+    from validation.blind.delta import EFFECTS as HIDE
+    from validation.blind.real import Real
 
     (folder / "machine.toml").write_text(owners_file(load_machine(MACHINE)), encoding="utf-8")
     plain = Real(tomllib.loads(MACHINE.read_text(encoding="utf-8")))
@@ -199,10 +199,10 @@ def _real(folder: Path, effect: str) -> Any:
 
 
 def _six(folder: Path, effect: str) -> None:
-    from validation.blind.delta.numbers import carriages_of
-    from validation.blind.delta.real import played
-    from validation.blind.printer.motions import KINDS, Motion
+    from validation.blind.delta import played
+    from validation.blind.motions import KINDS, Motion
     from validation.blind.sensors import columns_of, commands_of, csv_of, draw_sensors
+    from validation.plants.delta_plant import carriages_of
 
     real = _real(folder, effect)
     sensors = draw_sensors(np.random.default_rng(11), "all", RATE_HZ)
@@ -226,8 +226,8 @@ def _joined(folder: Path, effect: str) -> None:
     from ffcomp.record.moves import Request, make_plan
     from ffcomp.record.plan import save_plan
     from models.file import load_machine
-    from validation.blind.delta.real import played
-    from validation.blind.printer.motions import Motion
+    from validation.blind.delta import played
+    from validation.blind.motions import Motion
     from validation.plants.accelerometer import draw_chip, klipper_capture
 
     real = _real(folder, effect)

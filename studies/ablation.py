@@ -21,7 +21,7 @@ from ffcomp.api.measurements import diagnose
 from ffcomp.diagnosis.settings import SETTINGS, SearchSettings
 from ffcomp.errors import FfcompError
 from validation.blind import score
-from validation.blind.seal import opened
+from validation.blind.bank import opened
 
 OFF: Mapping[str, SearchSettings] = {
     "none off": SETTINGS,

@@ -33,11 +33,9 @@ import numpy as np
 from studies.bank_case import LONGEST_S
 from studies.render import results_of, save
 from validation.blind import score
+from validation.blind.bank import FULL, full_bank, label_path, make_case, open_labels, refusal_path, verdict_path
 from validation.blind.kinds import KINDS, MACHINES
-from validation.blind.make import make_case
-from validation.blind.seal import label_path, open_labels, refusal_path, verdict_path
-from validation.blind.strata import FULL, full_bank
-from validation.blind.summary import confusion, miss, rate_of
+from validation.blind.score import confusion_rows, miss, rate_of
 
 ROOT = Path(__file__).parents[1]
 FIGURE = ROOT / "studies" / "reports" / "diagnosis_confusion.png"
@@ -222,7 +220,7 @@ def results(judged: Sequence[score.Judged], options: argparse.Namespace) -> dict
             {"low": low, "high": high, "right": rate.hits, "of": rate.total}
             for low, high, rate in score.power(judged, EDGES)
         ],
-        "confusion": confusion(judged),
+        "confusion": confusion_rows(judged),
         "misses": [miss(j) for j in judged if not score.as_wanted(j)],
     }
 

@@ -42,8 +42,8 @@ from models.file import load_machine
 from models.machine import Machine
 from tests.support.hidden_delta import LAYERS, PRINT, Printer, on_the_real
 from validation import judge
-from validation.blind.delta.hidden import EFFECTS
-from validation.blind.printer.real import Real
+from validation.blind.delta import EFFECTS
+from validation.blind.real import Real
 
 SECONDS = 15.0
 SEEDS = {"belt_stiffness": 1, "coulomb_friction": 4, "guide_damping": 4, "effector_mass": 5}  # of the last proof

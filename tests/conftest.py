@@ -35,7 +35,6 @@ SLOW = (  # folders and files; single tests have the marker themselves
     "fuzz",
     "integration",
     "unit/ffcomp/api/test_public.py",
-    "unit/validation/blind",
     "unit/ffcomp/check",
     "unit/ffcomp/faster",
     "unit/ffcomp/cli/test_help.py",

@@ -49,7 +49,6 @@ PRINTS = ("ringing_tower", "lobed_vase", "far_star")
 
 STEP_S = 1 / 12800  # of the plant's integration
 KEEP_EVERY = 8  # steps between two samples that are judged
-CHUNK_STEPS = 40_000
 SETTLE_S = 0.5
 EFFORT_S = 0.004  # one segment: the span over which accelerations of commands are taken
 EFFORT_SAMPLE_S = 0.001
@@ -217,19 +216,7 @@ def kalico_trajectory(original: Original, text: bytes, own: Trajectory) -> Traje
 
 def play(plant: dict[str, Any], motion: Motion, step_s: float = STEP_S) -> tuple[FloatArray, FloatArray]:
     """The nozzle's answer to a motion, from rest: t (m,) s, nozzle (m, 3) mm."""
-    steps = int((motion.end_t - motion.begin_t) / step_s) // KEEP_EVERY * KEEP_EVERY
-    parts: list[FloatArray] = []
-    state = None
-    for first in range(0, steps, CHUNK_STEPS):
-        count = min(CHUNK_STEPS, steps - first)
-        t = motion.begin_t + (2 * first + np.arange(2 * count + 1, dtype=np.float64)) * (step_s / 2)
-        command = delta_plant.carriages_of(plant, motion.position(t))
-        answer = delta_plant.simulate(plant, command, step_s, keep_every=KEEP_EVERY, start=state)
-        state = answer["state"]
-        parts.append(answer["nozzle_mm"][1:])
-    return motion.begin_t + KEEP_EVERY * step_s * np.arange(
-        1, steps // KEEP_EVERY + 1, dtype=np.float64
-    ), np.concatenate(parts)
+    return delta_plant.followed(plant, motion.position, (motion.begin_t, motion.end_t), step_s, KEEP_EVERY)
 
 
 def peak_m_per_s2(plant: dict[str, Any], motion: Motion) -> float:

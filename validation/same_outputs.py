@@ -32,7 +32,6 @@ import sys
 import tempfile
 import time
 import tomllib
-from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field
 from itertools import zip_longest
 from pathlib import Path
@@ -41,10 +40,9 @@ from typing import Any
 import numpy as np
 
 ROOT = Path(__file__).parents[1]
-DELTA, QQS, KOSSEL, ENDER, VORON = "mp-delta-pro", "flsun-qqs", "kossel", "ender-3", "voron-300"
-MACHINES = (DELTA, "mp-delta-pro-as-printed", QQS, KOSSEL, ENDER, VORON)
+QQS, KOSSEL, ENDER, VORON = "flsun-qqs", "kossel", "ender-3", "voron-300"
+MACHINES = ("mp-delta-pro", "mp-delta-pro-as-printed", QQS, KOSSEL, ENDER, VORON)
 SAMPLES = ("ringing_tower", "lobed_vase", "far_star")
-STEPS = ("--extruder-steps-per-mm", "400")
 
 PRINTS = {  # of others: the machine, the offset, and whether --quick takes it too
     "ender3_ringing_tower.gcode": (ENDER, "0,0", False),
@@ -72,11 +70,7 @@ PRINTS = {  # of others: the machine, the offset, and whether --quick takes it t
     "real/v400_overhang.gcode.gz": (QQS, "0,0", False),
 }
 BASSCO = "data/vibration/klipper_resonances_bassco"
-RESONANCES = {
-    ENDER: (f"{BASSCO}/ender3__resonances_x_20210821_152037.csv", f"{BASSCO}/ender3__resonances_y_20210630_223910.csv"),
-    VORON: (f"{BASSCO}/v24__resonances_x_20230306_224517.csv", f"{BASSCO}/v24__resonances_y_20230306_224919.csv"),
-}
-HIDDEN = ("nothing-hidden", "effector-mass", "coulomb-friction")
+LABELLED = ("nothing-hidden", "effector-mass", "coulomb-friction")
 
 CLOCK = {"compute_time_s", "wall_s", "print_s_per_wall_s", "version", "sha256", "input_sha256"}  # keys left out
 TOOK = re.compile(r"(?:\[\d+\])?\.seconds")  # what the whole answer took; deeper down it is a result
@@ -115,220 +109,109 @@ class Kept:
     files: dict[str, str] = field(default_factory=dict)  # its kind by what was written, `stdout` and `stderr` too
 
 
+# NAME: COMMAND -> FILES that it writes; ~ in front: not with --quick. In an order in which each finds what it reads.
+RUNS = """
+machines list: machines list --json
+machines diff: machines diff mp-delta-pro mp-delta-pro-as-printed --json
+machines import: machines import examples/printer.cfg -o imported.toml --json -> imported.toml
+machines new: machines new mine -o mine.toml --from kossel -> mine.toml
+machines show, unknown: machines show no-such-machine --json
+frf mp-delta-pro: frf -m mp-delta-pro --at 0,0 --at -80,0 --step-hz 2 --json
+frf voron-300: frf -m voron-300 --at 100,150 --step-hz 2 --json
+frf of nozzle: frf -m mp-delta-pro --of nozzle --step-hz 5 --json
+frf of acceleration: frf -m mp-delta-pro --of acceleration --step-hz 5 --json
+~frf of carriage-alone: frf -m mp-delta-pro --of carriage-alone --added-mass-kg 0.1 --step-hz 5 --json
+~frf of effector-alone: frf -m mp-delta-pro --of effector-alone --with-arms --step-hz 5 --json
+frf measured: frf -m mp-delta-pro --at 0,0 --measured examples/measured.csv --step-hz 10
+{samples}
+compensate again: compensate far_star.out.gcode -m mp-delta-pro -o again.gcode --json
+compensate slowly: compensate samples/far_star.gcode -m mp-delta-pro -o s.gcode --json --strict -> s.gcode
+~small robust: {small} -o small.robust.gcode --json --robust on -> small.robust.gcode
+small offset: {small} -o small.offset.gcode --json --offset-mm 20,-15 --flavor marlin -> small.offset.gcode
+small coarse: {small} -o coarse.gcode --json --max-segments-per-second 150 --no-predict --tolerance-um 5 -> coarse.gcode
+small shaper-off: {small} -o small.shaper-off.gcode --json --no-keep-shaper -> small.shaper-off.gcode
+small steps: {small} --kind steps {steps} -o small.steps.npz --json -> small.steps.npz
+simulate small steps: simulate small.steps.npz -m mp-delta-pro --from 4 --to 5 -o steps.csv --json -> steps.csv
+small klipper-steps: {small} --kind klipper-steps {steps} -o small.klipper-steps.npz --json -> small.klipper-steps.npz
+~simulate small klipper-steps: simulate small.klipper-steps.npz -m mp-delta-pro --from 4 --to 5 -o k.csv --json -> k.csv
+~small plain steps: {small} --kind steps --inverse none {steps} -o plain.npz -> plain.npz
+~two at once: compensate examples/print.gcode samples/far_star.gcode -m kossel --output-dir two --json -j 2 -> two
+no such file: compensate nothing.gcode -m mp-delta-pro -o n.gcode --json
+no such option: {small} --no-such-option
+no extruder steps: {small} --kind steps -o n.npz
+odd files on mp-delta-pro: compensate data/gcode/odd/* -m mp-delta-pro --output-dir odd-delta --json -> odd-delta
+odd files on voron-300: compensate data/gcode/odd/* -m voron-300 --output-dir odd-voron --json -> odd-voron
+{prints}
+~further in: compensate data/gcode/real/mk404_vfa.gcode.gz -m voron-300 --offset-mm 78,10 -o vfa.gcode --json -> vfa.gcode
+simulate short: {tower} --to 81 -o short.csv -> short.csv
+~simulate: {tower} --to 90 -o run.csv -> run.csv
+~simulate voron: simulate examples/print.gcode -m voron-300 --offset-mm 150,150 -o voron.csv --json -> voron.csv
+~simulate kossel: simulate examples/print.gcode -m kossel --plant mp-delta-pro --to 4 -o kossel.csv --json -> kossel.csv
+compare short: {compare} --only mzv,fbs-lti --quality-um 0
+~compare robust: {compare} --only mzv,fbs-robust --quality-um 0
+~compare: compare samples/ringing_tower.gcode -m mp-delta-pro --sample 2% --only zv,ei-calibrated --report c.html --json -> c.html
+~compare mismatched: {compare} --only mzv --mismatch 10% --seeds 2
+record plan mp-delta-pro: {plan} mp-delta-pro -o plan-delta.gcode --json --at 0,0 -> plan-delta.gcode plan-delta.json
+record plan voron-300: {plan} voron-300 -o plan-voron.gcode --json --kind sweep -> plan-voron.gcode plan-voron.json
+~record plan, log-sweep: {plan} flsun-qqs -o log.gcode --kind log-sweep {log_sweep} --json -> log.gcode log.json
+identify fit ender-3: identify fit {ender} -m ender-3 -o fit-ender.toml --json -q -> fit-ender.toml
+~identify fit voron-300: identify fit {voron} -m voron-300 -o fit-voron.toml --json -q -> fit-voron.toml
+{hidden}
+~identify fit runs: identify fit {runs}/multisine-centre-?.csv -m {file} -o fit-delta.toml --json -q -> fit-delta.toml
+"""  # noqa: E501
+SAMPLE = """
+compensate {0}: compensate samples/{0}.gcode -m mp-delta-pro -o {0}.out.gcode --json -> {0}.out.gcode
+estimate {0}: estimate samples/{0}.gcode -m mp-delta-pro --json
+~estimate {0} compensated: estimate {0}.out.gcode --json
+restore {0}: restore {0}.out.gcode -o {0}.back.gcode -> {0}.back.gcode
+~show {0}: show {0}.out.gcode -o {0}.png --json -> {0}.png
+~compensate {0} as steps: {steps} --kind steps -o {0}.steps.npz --json -> {0}.steps.npz
+~compensate {0} as klipper-steps: {steps} --kind klipper-steps -o {0}.klipper.npz --json -> {0}.klipper.npz
+"""
+MACHINE = """
+machines show {0}: machines show {0} --json
+machines check {0}: machines check {0} --json
+"""
+HIDDEN = """
+gap {0}: gap data/runs/{0}/runs/*.csv -m data/runs/{0}/machine.toml --json
+~diagnose {0}: diagnose {2}/runs/*.csv -m {2}/machine.toml -o {1}.toml --report {1}.html --json -q -> {1}.toml {1}.html
+"""
+
+
 def all_runs() -> list[Run]:
-    """Every command, in an order in which each finds what it reads."""
-    return [
-        *_machines(),
-        *_samples(),
-        *_small(),
-        *_odd(),
-        *_prints(),
-        *_judged(),
-        *_measured(),
-    ]
-
-
-def _machines() -> Iterator[Run]:
-    for name in MACHINES:
-        quick = name in (DELTA, ENDER)
-        yield Run(f"machines show {name}", ("machines", "show", name, "--json"), quick=quick)
-        yield Run(f"machines check {name}", ("machines", "check", name, "--json"), quick=quick)
-    yield Run("machines list", ("machines", "list", "--json"))
-    yield Run("machines diff", ("machines", "diff", DELTA, "mp-delta-pro-as-printed", "--json"))
-    yield Run(
-        "machines import",
-        ("machines", "import", "examples/printer.cfg", "-o", "imported.toml", "--json"),
-        ("imported.toml",),
-    )
-    yield Run("machines new", ("machines", "new", "mine", "-o", "mine.toml", "--from", KOSSEL), ("mine.toml",))
-    yield Run("machines show, unknown", ("machines", "show", "no-such-machine", "--json"))
-    for name, places in ((DELTA, ("0,0", "-80,0")), (VORON, ("100,150",))):
-        at = tuple(part for place in places for part in ("--at", place))
-        yield Run(f"frf {name}", ("frf", "-m", name, *at, "--step-hz", "2", "--json"))
-    for of, more in (
-        ("nozzle", ()),
-        ("acceleration", ()),
-        ("carriage-alone", ("--added-mass-kg", "0.1")),
-        ("effector-alone", ("--with-arms",)),
-    ):
-        yield Run(f"frf of {of}", ("frf", "-m", DELTA, "--of", of, *more, "--step-hz", "5", "--json"), quick=not more)
-    yield Run(
-        "frf measured", ("frf", "-m", DELTA, "--at", "0,0", "--measured", "examples/measured.csv", "--step-hz", "10")
-    )
-
-
-def _samples() -> Iterator[Run]:
-    """The project's own prints, through all verbs that read a compensated print."""
+    """Return every command."""
+    extruder = "--extruder-steps-per-mm 400"
+    samples = [MACHINE.format(name) for name in MACHINES]
     for name in SAMPLES:
-        source, out = f"samples/{name}.gcode", f"{name}.out.gcode"
-        quick = name != "lobed_vase"
-        yield Run(f"compensate {name}", ("compensate", source, "-m", DELTA, "-o", out, "--json"), (out,))
-        yield Run(f"estimate {name}", ("estimate", source, "-m", DELTA, "--json"), quick=quick)
-        yield Run(f"estimate {name} compensated", ("estimate", out, "--json"), quick=not quick)
-        yield Run(f"restore {name}", ("restore", out, "-o", f"{name}.back.gcode"), (f"{name}.back.gcode",), quick)
-        yield Run(f"show {name}", ("show", out, "-o", f"{name}.png", "--json"), (f"{name}.png",), name == "far_star")
-    yield Run("compensate again", ("compensate", "far_star.out.gcode", "-m", DELTA, "-o", "again.gcode", "--json"))
-    yield Run(
-        "compensate slowly",
-        ("compensate", "samples/far_star.gcode", "-m", DELTA, "-o", "s.gcode", "--json", "--strict"),
-        ("s.gcode",),
-    )
-    for kind in ("steps", "klipper-steps"):
-        for name in ("ringing_tower", "far_star"):
-            out = f"{name}.{kind}.npz"
-            order = ("compensate", f"samples/{name}.gcode", "-m", DELTA, "--kind", kind, *STEPS, "-o", out, "--json")
-            yield Run(f"compensate {name} as {kind}", order, (out,), quick=False)
-
-
-def _small() -> Iterator[Run]:
-    """A print of eleven seconds with every option."""
-    source = "examples/print.gcode"
-    ways = {
-        "robust": (("--robust", "on"), False),
-        "offset": (("--offset-mm", "20,-15", "--flavor", "marlin"), True),
-        "coarse": (("--max-segments-per-second", "150", "--no-predict", "--tolerance-um", "5"), True),
-        "shaper-off": (("--no-keep-shaper",), False),
-    }
-    for name, (options, quick) in ways.items():
-        out = f"small.{name}.gcode"
-        yield Run(f"small {name}", ("compensate", source, "-m", DELTA, "-o", out, "--json", *options), (out,), quick)
-    for kind in ("steps", "klipper-steps"):
-        out = f"small.{kind}.npz"
-        yield Run(
-            f"small {kind}",
-            ("compensate", source, "-m", DELTA, "--kind", kind, *STEPS, "-o", out, "--json"),
-            (out,),
-        )
-        yield Run(
-            f"simulate small {kind}",
-            ("simulate", out, "-m", DELTA, "--from", "4", "--to", "5", "-o", f"{kind}.csv", "--json"),
-            (f"{kind}.csv",),
-            kind == "steps",
-        )
-    yield Run(
-        "small plain steps",
-        ("compensate", source, "-m", DELTA, "--kind", "steps", "--inverse", "none", *STEPS, "-o", "plain.npz"),
-        ("plain.npz",),
-        False,
-    )
-    yield Run(
-        "small on two machines at once",
-        ("compensate", source, "samples/far_star.gcode", "-m", KOSSEL, "--output-dir", "two", "--json", "-j", "2"),
-        ("two",),
-        False,
-    )
-    yield Run("no such file", ("compensate", "nothing.gcode", "-m", DELTA, "-o", "n.gcode", "--json"))
-    yield Run("no such option", ("compensate", source, "-m", DELTA, "--no-such-option"))
-    yield Run("no extruder steps", ("compensate", source, "-m", DELTA, "--kind", "steps", "-o", "n.npz"))
-
-
-def _odd() -> Iterator[Run]:
-    """The odd ones, many of which must be refused, each for its own reason."""
-    for machine in (DELTA, VORON):
-        out = f"odd-{machine}"
-        yield Run(
-            f"odd files on {machine}",
-            ("compensate", "data/gcode/odd/*", "-m", machine, "--output-dir", out, "--json"),
-            (out,),
-        )
-
-
-def _prints() -> Iterator[Run]:
-    """The prints of others."""
+        samples.append(SAMPLE.format(name, steps=f"compensate samples/{name}.gcode -m mp-delta-pro {extruder}"))
+    prints = []
     for name, (machine, offset, quick) in PRINTS.items():
-        source, out = f"data/gcode/{name}", f"print-{Path(name).name}"
-        order = ("compensate", source, "-m", machine, "--offset-mm", offset, "-o", out, "--json")
-        yield Run(f"compensate {name}", order, (out,), quick)
+        given, out = f"data/gcode/{name} -m {machine} --offset-mm {offset}", f"print-{Path(name).name}"
+        prints.append(f"{'' if quick else '~'}compensate {name}: compensate {given} -o {out} --json -> {out}")
         if offset != "auto":
-            yield Run(
-                f"estimate {name}", ("estimate", source, "-m", machine, "--offset-mm", offset, "--json"), quick=False
-            )
-    moved = ("compensate", "data/gcode/real/mk404_vfa.gcode.gz", "-m", VORON, "--offset-mm", "78,10", "-o", "vfa.gcode")
-    yield Run("compensate real/mk404_vfa.gcode.gz further in", (*moved, "--json"), ("vfa.gcode",), False)
+            prints.append(f"~estimate {name}: estimate {given} --json")
+    text = RUNS.format(
+        samples="\n".join(samples),
+        prints="\n".join(prints),
+        hidden="\n".join(HIDDEN.format(name, f"better-{name}", f"data/runs/{name}") for name in LABELLED),
+        small="compensate examples/print.gcode -m mp-delta-pro",
+        steps=extruder,
+        tower="simulate samples/ringing_tower.gcode -m mp-delta-pro --from 80 --json",
+        compare="compare examples/print.gcode -m mp-delta-pro --json --sample 15%",
+        plan="record plan --for identify -m",
+        log_sweep="--flavor marlin --at line-of-action --axes xyz",
+        ender=f"{BASSCO}/ender3__resonances_x_20210821_152037.csv {BASSCO}/ender3__resonances_y_20210630_223910.csv",
+        voron=f"{BASSCO}/v24__resonances_x_20230306_224517.csv {BASSCO}/v24__resonances_y_20230306_224919.csv",
+        runs=f"data/runs/{LABELLED[0]}/runs",
+        file=f"data/runs/{LABELLED[0]}/machine.toml",
+    )
+    return [_run(line) for line in text.splitlines() if line.strip()]
 
 
-def _judged() -> Iterator[Run]:
-    """What plays prints on the nonlinear printer."""
-    begin = ("simulate", "samples/ringing_tower.gcode", "-m", DELTA, "--from", "80", "--json")
-    yield Run("simulate short", (*begin, "--to", "81", "-o", "short.csv"), ("short.csv",))
-    yield Run("simulate", (*begin, "--to", "90", "-o", "run.csv"), ("run.csv",), quick=False)
-    yield Run(
-        "simulate voron",
-        ("simulate", "examples/print.gcode", "-m", VORON, "--offset-mm", "150,150", "-o", "voron.csv", "--json"),
-        ("voron.csv",),
-        False,
-    )
-    yield Run(
-        "simulate kossel compensated",
-        ("simulate", "examples/print.gcode", "-m", KOSSEL, "--plant", DELTA, "--to", "4", "-o", "kossel.csv", "--json"),
-        ("kossel.csv",),
-        False,
-    )
-    small = ("compare", "examples/print.gcode", "-m", DELTA, "--json")
-    yield Run("compare short", (*small, "--only", "mzv,fbs-lti", "--quality-um", "0", "--sample", "15%"))
-    yield Run("compare robust", (*small, "--only", "mzv,fbs-robust", "--quality-um", "0", "--sample", "15%"), (), False)
-    yield Run(
-        "compare",
-        (
-            *("compare", "samples/ringing_tower.gcode", "-m", DELTA, "--sample", "2%", "--only", "zv,ei-calibrated"),
-            *("--report", "compare.html", "--json"),
-        ),
-        ("compare.html",),
-        False,
-    )
-    yield Run(
-        "compare mismatched",
-        (*small, "--only", "mzv", "--sample", "15%", "--mismatch", "10%", "--seeds", "2"),
-        (),
-        False,
-    )
-
-
-def _measured() -> Iterator[Run]:
-    """What reads measurements, and what asks for them."""
-    order: tuple[str, ...]
-    for machine, more in ((DELTA, ("--at", "0,0")), (VORON, ("--kind", "sweep"))):
-        out = f"excite-{machine}"
-        order = ("record", "plan", "--for", "identify", "-m", machine, "-o", f"{out}.gcode", "--json", *more)
-        yield Run(f"identify plan {machine}", order, (f"{out}.gcode", f"{out}.json"))
-    yield Run(
-        "identify plan, log-sweep",
-        (
-            *(
-                "record",
-                "plan",
-                "--for",
-                "identify",
-                "-m",
-                QQS,
-                "-o",
-                "log.gcode",
-                "--kind",
-                "log-sweep",
-                "--flavor",
-                "marlin",
-            ),
-            *("--at", "line-of-action", "--axes", "xyz", "--json"),
-        ),
-        ("log.gcode", "log.json"),
-        False,
-    )
-    for machine, files in RESONANCES.items():
-        out = f"fit-{machine}.toml"
-        order = ("identify", "fit", *files, "-m", machine, "-o", out, "--json", "-q")
-        yield Run(f"identify fit {machine}", order, (out,), machine == ENDER)
-    runs = "data/runs"
-    for folder in HIDDEN:
-        measured, machine = f"{runs}/{folder}/runs/*.csv", f"{runs}/{folder}/machine.toml"
-        yield Run(f"gap {folder}", ("gap", measured, "-m", machine, "--json"), quick=folder == HIDDEN[0])
-        out, page = f"better-{folder}.toml", f"better-{folder}.html"
-        order = ("diagnose", measured, "-m", machine, "-o", out, "--report", page, "--json", "-q")
-        yield Run(f"diagnose {folder}", order, (out, page), False)
-    folder = f"{runs}/{HIDDEN[0]}"
-    order = ("identify", "fit", f"{folder}/runs/multisine-centre-?.csv", "-m", f"{folder}/machine.toml")
-    yield Run(
-        "identify fit a delta's runs", (*order, "-o", "fit-delta.toml", "--json", "-q"), ("fit-delta.toml",), False
-    )
+def _run(line: str) -> Run:
+    name, _, rest = line.removeprefix("~").partition(": ")
+    command, _, files = rest.partition(" -> ")
+    return Run(name, tuple(command.split()), tuple(files.split()), quick=not line.startswith("~"))
 
 
 class Place:

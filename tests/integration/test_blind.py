@@ -21,26 +21,20 @@ from ffcomp.diagnosis.problems import problem_of, recordings_of
 from models.effects.catalogue import measured, with_effect
 from models.file import load_machine, load_plant
 from models.printer.printer import simulate_printer
-from validation.blind import score
+from validation.blind import delta, score, straight
+from validation.blind.bank import SealedError, open_labels, verdict_path, write_case
 from validation.blind.cases import Case, Circumstances, Label, Plan, case, draw
-from validation.blind.delta import equations
-from validation.blind.delta.equations import GRAVITY
-from validation.blind.delta.hidden import EFFECTS
-from validation.blind.delta.machines import draw_machine
-from validation.blind.delta.numbers import FloatArray, Printer, carriages_of, printer_of
-from validation.blind.delta.outside import OUTSIDE
-from validation.blind.delta.real import played
+from validation.blind.delta import EFFECTS, OUTSIDE
 from validation.blind.kinds import KINDS as MACHINES
-from validation.blind.printer.motions import KINDS, Motion
-from validation.blind.printer.real import Reading, Real
-from validation.blind.seal import SealedError, open_labels, verdict_path, write_case
-from validation.blind.straight import machines as straight
-from validation.blind.straight.hidden import effects_of
-from validation.blind.tables import toml_of
+from validation.blind.motions import KINDS, Motion
+from validation.blind.real import FloatArray, Reading, Real, toml_of
+from validation.blind.straight import effects_of
 from validation.blind.visible import (
     Visibility,
     visibility,
 )
+from validation.plants import delta_plant
+from validation.plants.delta_plant import Plant, carriages_of, plant_of
 
 SECONDS = 0.8
 
@@ -51,7 +45,7 @@ def motion(kind: str = "multisine", loudness: float = 1.0) -> Motion:
 
 
 def printer(seed: int = 11, force_map: str = "virtual_work") -> Real:
-    machine = draw_machine(np.random.default_rng(seed))
+    machine = delta.draw_machine(np.random.default_rng(seed))
     machine["effector"]["force_map"] = force_map
     return Real(machine)
 
@@ -68,7 +62,7 @@ def accelerations(reading: Reading) -> FloatArray:
 def unchanged(force_map: str, kind: str, loudness: float) -> FloatArray:
     """What the printer does without anything hidden."""
     real = printer(force_map=force_map)
-    return accelerations(played(real, real.machine["kinematics"], motion(kind, loudness)))
+    return accelerations(delta.played(real, real.machine["kinematics"], motion(kind, loudness)))
 
 
 # ---- the generator -------------------------------------------------------------------------------
@@ -93,7 +87,7 @@ def test_labels_are_in_the_machine_files_terms(name: str, tmp_path: Path) -> Non
         return np.hstack([signals.carriage, signals.nozzle])
 
     plain = unchanged(real.machine["effector"]["force_map"], "multisine", 1.5)
-    ours = [plain[::2], accelerations(played(changed, firmware, told))[::2]]
+    ours = [plain[::2], accelerations(delta.played(changed, firmware, told))[::2]]
     theirs = [tool(False), tool(True)]
     np.testing.assert_allclose(_slow(ours[0]), _slow(theirs[0]), atol=2e-3 * np.abs(ours[0]).max())
     difference, wanted = _slow(theirs[1] - theirs[0]), _slow(ours[1] - ours[0])
@@ -174,7 +168,7 @@ def test_a_seed_is_a_case() -> None:
 
 def test_energy_is_kept_without_dampers() -> None:
     """Frame, cable, hardening belts and all, let go from a stretched position."""
-    machine = draw_machine(np.random.default_rng(2))
+    machine = delta.draw_machine(np.random.default_rng(2))
     machine["carriage"].pop("drive", None)
     machine["carriage"] |= {"belt_damping_n_s_per_m": 0.0, "guide_damping_n_s_per_m": 0.0}
     machine["effector"]["extruder_damping_n_s_per_m"] = [0.0] * 3
@@ -189,35 +183,35 @@ def test_energy_is_kept_without_dampers() -> None:
         "rotor": [2.0] * 3,
         "rotor_k": [4e5] * 3,
     }
-    p = printer_of(machine, fields)
+    p = plant_of(machine, gravity=True, hidden=fields)
     xyz = np.array([[0.02, -0.03, 0.04]])
     command = carriages_of(machine["kinematics"], 1e3 * xyz)[0] / 1e3
-    y = equations.rest(xyz[0], command, p)
+    y = delta_plant.rest(command, p)
     y[:3] += [2e-4, -1e-4, 3e-4]
     before = energy(y, command, p)
     rows = np.tile(command, (2 * 6400 + 1, 1))
-    equations.run(rows, 0 * rows, 1 / 12800, 12800, y, p)
-    at_rest = energy(equations.rest(xyz[0], command, p), command, p)
+    delta_plant.run(rows, 0 * rows, 1 / 12800, 12800, y, p)
+    at_rest = energy(delta_plant.rest(command, p), command, p)
     assert abs(energy(y, command, p) - before) < 1e-5 * (before - at_rest)
 
 
-def energy(y: FloatArray, command: FloatArray, p: Printer) -> float:
+def energy(y: FloatArray, command: FloatArray, p: Plant) -> float:
     """Kinetic and potential, J, written down from the bodies."""
-    x, v, eta, sway = y[:3], y[3:6], y[6:9], np.append(y[equations.SWAYV : equations.SWAYV + 2] @ p.sway_dir, 0.0)
+    x, v, eta, sway = y[:3], y[3:6], y[6:9], np.append(y[delta_plant.SWAYV : delta_plant.SWAYV + 2] @ p.sway_dir, 0.0)
     s = np.sqrt(p.arms**2 - np.sum((x[:2] - p.towers) ** 2, axis=1))
     q, dq = x[2] + p.height + s, v[2] - (x[:2] - p.towers) @ v[:2] / s
-    cable, swing = y[equations.CABLE : equations.CABLE + 2], y[equations.CABLEV : equations.CABLEV + 2]
-    rotor, stretch = y[equations.ROTOR : equations.ROTOR + 3], y[equations.ROTOR : equations.ROTOR + 3] - q
+    cable, swing = y[delta_plant.CABLE : delta_plant.CABLE + 2], y[delta_plant.CABLEV : delta_plant.CABLEV + 2]
+    rotor, stretch = y[delta_plant.ROTOR : delta_plant.ROTOR + 3], y[delta_plant.ROTOR : delta_plant.ROTOR + 3] - q
     moving = p.carriage @ dq**2 + p.holder * np.sum((v + sway) ** 2)
     moving += p.extruder * np.sum((v + sway + y[9:12]) ** 2) + p.cable_mass * np.sum(((v + sway)[:2] + swing) ** 2)
     moving -= p.rods * (3 * v[:2] @ v[:2] + np.sum((v[2] - dq) ** 2))
-    moving += p.rotor @ y[equations.ROTORV : equations.ROTORV + 3] ** 2
-    moving += p.sway_mass @ y[equations.SWAYV : equations.SWAYV + 2] ** 2
+    moving += p.rotor @ y[delta_plant.ROTORV : delta_plant.ROTORV + 3] ** 2
+    moving += p.sway_mass @ y[delta_plant.SWAYV : delta_plant.SWAYV + 2] ** 2
     held = p.belt_k @ stretch**2 + p.cubic @ stretch**4 / 2 + p.mount_k @ eta**2 + p.cable_k * np.sum(cable**2)
     held += p.rotor_k @ (command - rotor) ** 2
-    held += p.sway_k @ y[equations.SWAY : equations.SWAY + 2] ** 2
+    held += p.sway_k @ y[delta_plant.SWAY : delta_plant.SWAY + 2] ** 2
     weight = p.carriage @ q + p.holder * x[2] + p.extruder * (x[2] + eta[2])
-    return float(moving / 2 + held / 2 + GRAVITY * weight)
+    return float(moving / 2 + held / 2 + p.gravity * weight)
 
 
 def test_what_retuning_leaves_in_closed_form() -> None:

@@ -24,14 +24,13 @@ from models.machine import Machine, value_of
 from models.printer.rest import static_deflection
 from tests.support.straight_printer import TURNED, with_lost_rows
 from validation import judge
-from validation.blind.delta.hidden import EFFECTS
-from validation.blind.delta.numbers import carriages_of
-from validation.blind.delta.real import played
-from validation.blind.printer.motions import KINDS, Motion, Place
-from validation.blind.printer.real import Real
+from validation.blind.delta import EFFECTS, played
+from validation.blind.motions import KINDS, Motion, Place
+from validation.blind.real import Real
 from validation.blind.sensors import columns_of, commands_of, csv_of, draw_sensors
 from validation.kalico import kalico_plan, sample
 from validation.plants.accelerometer import draw_chip, klipper_capture
+from validation.plants.delta_plant import carriages_of
 
 FloatArray = NDArray[np.float64]
 Nozzle = Callable[[FloatArray], FloatArray]

@@ -1,1 +1,1 @@
-"""The blind bank: hidden printers, their measurements, sealed labels and the score."""
+"""The blind benchmark: hidden printers, their measurements, sealed labels and the score."""

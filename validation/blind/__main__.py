@@ -16,8 +16,8 @@ from typing import Any
 
 from ffcomp.errors import INPUT_ERRORS, explain
 from ffcomp.numerics.serialise import json_line
+from validation.blind.bank import make_bank, score_bank
 from validation.blind.kinds import MACHINES
-from validation.blind.make import make_bank, score_bank
 
 LONGEST_S, SHORTEST_S = 10.0, 0.8
 """Durations that a run may have."""

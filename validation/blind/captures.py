@@ -22,8 +22,8 @@ from ffcomp.record.plan import Experiment, Plan
 from ffcomp.record.result import recording_lines
 from models.file import load_machine
 from models.machine import Machine
-from validation.blind.printer.motions import Motion
-from validation.blind.printer.real import FloatArray, Reading, Rng, turned
+from validation.blind.motions import Motion
+from validation.blind.real import FloatArray, Reading, Rng, turned
 
 BEFORE_S, AFTER_S = 1.2, 0.7  # of the motion that is simulated around an experiment
 COUNT_M_PER_S2 = 3.9e-3 * 9.80665

@@ -30,10 +30,9 @@ import numpy as np
 from ffcomp.record.result import DELAY_SD_S
 from validation.blind.captures import joined_runs, planned_motions
 from validation.blind.kinds import KINDS, Kind
-from validation.blind.printer.motions import Motion
-from validation.blind.printer.real import FloatArray, Reading, Real, Tables, combined
+from validation.blind.motions import Motion
+from validation.blind.real import FloatArray, Reading, Real, Tables, combined, toml_of
 from validation.blind.sensors import SENSORS, Sensors, commands_of, csv_of, draw_sensors
-from validation.blind.tables import toml_of
 from validation.blind.visible import (
     PROBE,
     Visibility,

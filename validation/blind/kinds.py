@@ -8,22 +8,12 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from validation.blind.delta import machines as delta_machines
-from validation.blind.delta import real as delta
-from validation.blind.delta.hidden import EFFECTS as DELTA_EFFECTS
-from validation.blind.delta.numbers import carriages_of
-from validation.blind.delta.outside import OUTSIDE as DELTA_OUTSIDE
-from validation.blind.printer.motions import KINDS as MOTIONS
-from validation.blind.printer.motions import Motion, Path, Place
-from validation.blind.printer.real import FloatArray, Hide, Labels, Reading, Real, Rng, Tables
+from validation.blind import axis, delta, servo, straight
+from validation.blind.motions import KINDS as MOTIONS
+from validation.blind.motions import Motion, Path, Place
+from validation.blind.real import FloatArray, Hide, Labels, Reading, Real, Rng, Tables
 from validation.blind.sensors import columns_of
-from validation.blind.straight import forced, single, turning
-from validation.blind.straight import machines as straight
-from validation.blind.straight.forced_effects import EFFECTS as FORCED_EFFECTS
-from validation.blind.straight.forced_effects import OUTSIDE as FORCED_OUTSIDE
-from validation.blind.straight.forced_effects import TURNING
-from validation.blind.straight.hidden import damped_by_belts, effects_of
-from validation.blind.straight.outside import OUTSIDE as STRAIGHT_OUTSIDE
+from validation.plants.delta_plant import carriages_of
 
 MEASURED = (  # motion, place, name, loudness
     ("multisine", 0, "centre", 1.0),
@@ -101,109 +91,70 @@ def _held(path: Path, moving: tuple[float, float, float]) -> Path:
     return path if all(moving) else held
 
 
-def _delta(rng: Rng, names: Sequence[str]) -> Tables:
-    machine = delta_machines.draw_machine(rng)
-    if "center_of_mass" in names or ("force_map" in names and rng.random() < 0.5):
-        machine["effector"]["force_map"] = "paper"
-    if "arm_inertia" in names:  # of tubes of steel: of the lightest arms' inertia nothing is seen
-        machine["carriage"]["arm_pair_mass_kg"] = float(rng.uniform(0.08, 0.15))
-    return machine
+def _at_zero(machine: Tables, rng: Rng) -> list[Place]:
+    return [(0.0, 0.0, 0.0)] * 6
 
 
-def _delta_played(real: Real, firmware: Mapping[str, Any], motion: Motion, coarse: bool) -> Reading:
-    return delta.played(real, firmware, motion, *([delta.COARSE_STEP_S] if coarse else []))
-
-
-def _round_places(machine: Tables, rng: Rng) -> list[Place]:
-    reach = 0.62 * machine["kinematics"]["print_radius_mm"]
-    turn = rng.uniform(0, 2 * np.pi)
-    places: list[Place] = [(0.0, 0.0, 30.0)]
-    for n in range(5):
-        angle = turn + 2 * np.pi * n / 5 + rng.uniform(-0.3, 0.3)
-        height = rng.uniform(15, 60) if n % 2 == 0 else rng.uniform(90, 160)
-        places.append((reach * np.cos(angle), reach * np.sin(angle), height))
-    return places
-
-
-def _bed_places(machine: Tables, rng: Rng) -> list[Place]:
-    size = [machine["kinematics"][f"{axis}_range_mm"][1] for axis in "xy"]
-    middle: Place = (size[0] / 2, size[1] / 2, 30.0)
-    shares = [(0.25, 0.7), (0.75, 0.3), (0.3, 0.25), (0.7, 0.72), (0.5, 0.25)]
-    moved = [(x + rng.uniform(-0.05, 0.05), y + rng.uniform(-0.05, 0.05)) for x, y in shares]
-    return [middle, *((size[0] * x, size[1] * y, float(rng.uniform(15, 140))) for x, y in moved)]
+def _kind(module: Any, **more: Any) -> Kind:
+    """Return the kind of machine that a module draws, plays and writes down."""
+    names = {"draw": "draw_machine", **{name: name for name in ("file_of", "played", "probes", "restated")}}
+    return Kind(**{"places": _at_zero, **{key: getattr(module, name) for key, name in names.items()}, **more})
 
 
 def _straight(kind: str, sensors: str) -> Kind:
-    return Kind(
+    return _kind(
+        straight,
         draw=lambda rng, names: straight.draw_machine(rng, kind, names),
-        file_of=straight.file_of,
-        played=straight.played,
-        probes=straight.probes,
-        places=_bed_places,
-        effects=effects_of(kind),
-        outside=STRAIGHT_OUTSIDE,
-        restated=straight.restated,
+        places=straight.places,
+        effects=straight.effects_of(kind),
+        outside=straight.OUTSIDE,
         sensors=sensors,
         axes="xyz",
         moving=(1.0, 1.0, 0.0),
-        damped=damped_by_belts,
+        damped=straight.damped_by_belts,
     )
 
 
-_DELTA = Kind(
-    draw=_delta,
-    file_of=delta_machines.file_of,
-    played=_delta_played,
-    probes=delta_machines.probes,
-    places=_round_places,
-    effects=DELTA_EFFECTS,
-    outside=DELTA_OUTSIDE,
-    restated=delta_machines.restated,
+_DELTA = _kind(
+    delta,
+    places=delta.places,
+    effects=delta.EFFECTS,
+    outside=delta.OUTSIDE,
     sensors="all",
     axes="ABC",
-    damped=delta_machines.damped_by_belts,
-    unknown=dict(zip(delta_machines.DAMPERS, (3, 4), strict=True)),
+    damped=delta.damped_by_belts,
+    unknown=dict(zip(delta.DAMPERS, (3, 4), strict=True)),
 )
-_AXIS = Kind(
-    draw=lambda rng, names: single.draw_machine(rng),
-    file_of=single.file_of,
-    played=straight.played,
-    probes=straight.probes,
-    places=lambda machine, rng: [(0.0, 0.0, 0.0)] * 6,
-    effects=single.EFFECTS,
-    outside=single.OUTSIDE,
-    restated=single.restated,
+_AXIS = _kind(
+    axis,
+    effects=axis.EFFECTS,
+    outside=axis.OUTSIDE,
     sensors="axis",
     axes="q",
     moving=(1.0, 0.0, 0.0),
-    damped=damped_by_belts,
+    damped=straight.damped_by_belts,
 )
-_FORCED = Kind(
-    draw=forced.draw_machine,
-    file_of=forced.file_of,
-    played=forced.played,
-    probes=forced.probes,
-    places=lambda machine, rng: [(0.0, 0.0, 0.0)] * 6,
-    effects=FORCED_EFFECTS,
-    outside=FORCED_OUTSIDE,
-    restated=forced.restated,
+_FORCED = _kind(
+    servo,
+    effects=servo.EFFECTS,
+    outside=servo.OUTSIDE,
     sensors="encoder",
     axes="q",
     moving=(1.0, 0.0, 0.0),
     measured=OF_A_STAGE,
     fresh=FRESH_OF_A_STAGE,
     repeats=1,  # no two runs have the same force
-    force=forced.given,
-    replayed=forced.replayed,
+    force=servo.given,
+    replayed=servo.replayed,
 )
 _TURNING = replace(
     _FORCED,
-    draw=turning.draw_machine,
-    file_of=turning.file_of,
-    effects=TURNING,
-    restated=turning.restated,
-    force=turning.given,
-    columns=turning.columns,
+    draw=servo.turning_draw_machine,
+    file_of=servo.turning_file_of,
+    effects=servo.TURNING,
+    restated=servo.turning_restated,
+    force=servo.turning_given,
+    columns=servo.turning_columns,
 )
 KINDS: Mapping[str, Kind] = {
     "delta": _DELTA,
@@ -214,7 +165,7 @@ KINDS: Mapping[str, Kind] = {
     "axis-by-force": _FORCED,
     "turning": _TURNING,
 }
-MACHINES: Mapping[str, Sequence[str]] = {  # that a bank takes in turn; those of one place in it take turns too
+MACHINES: Mapping[str, Sequence[str]] = {  # that a benchmark takes in turn; those of one place in it take turns too
     **{name: (name,) for name in ("delta", "nozzle", "cartesian", "corexy", "axis")},
     "servo": ("axis-by-force", "turning"),
 }

@@ -1,4 +1,4 @@
-"""Verdicts against labels: rates with Wilson's intervals, the confusion matrix, the numbers' errors.
+"""Verdicts against labels: rates with Wilson's intervals against aims, the confusion matrix, the numbers' errors.
 
 A verdict is the JSON of `ffcomp diagnose --json`; a proof is what `ffcomp gap --json` says of runs the diagnosis never
 saw, with the old machine file and with the better one.
@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from validation.blind.cases import Label
+from validation.blind.cases import CONDITIONS, HIDES, Label
 from validation.blind.kinds import KINDS
 
 FAILED = "failed"  # a verdict that is none: the tool ended with an error
@@ -298,3 +298,75 @@ def power(judged: Sequence[Judged], edges: Sequence[float]) -> list[tuple[float,
 
 def _left(j: Judged) -> float:
     return float(np.sqrt(min(max(v.left, 0.0) / v.rows for v in j.label.visibility.values())))
+
+
+# ---- the score as plain data ---------------------------------------------------------------------
+
+
+def summary(judged: Sequence[Judged]) -> dict[str, Any]:
+    """Return the JSON object ffcomp-bank-score/1."""
+    return {
+        "schema": "ffcomp-bank-score/1",
+        "cases": len(judged),
+        "rates": [rate_of(rate) for rate in rates(judged)],
+        "strata": [
+            *(stratum(name, [j for j in judged if j.label.machine == name]) for name in KINDS),
+            *(stratum(name, [j for j in judged if j.label.hides == name]) for name in HIDES),
+            *(stratum(name, [j for j in judged if j.label.condition == name]) for name in CONDITIONS),
+        ],
+        "confusion": confusion_rows(judged),
+        "misses": [miss(j) for j in judged if not as_wanted(j)],
+    }
+
+
+def rate_of(rate: Rate) -> dict[str, Any]:
+    """Return one rate with its Wilson interval and its aim."""
+    low, high = rate.interval
+    return {
+        "title": rate.title,
+        "hits": rate.hits,
+        "total": rate.total,
+        "low": low,
+        "high": high,
+        "aim": rate.aim,
+        "verdict": rate.verdict,
+    }
+
+
+def stratum(name: str, judged: Sequence[Judged]) -> dict[str, Any]:
+    """Count the cases of a stratum that ended as they should."""
+    hits = sum(as_wanted(j) for j in judged)
+    low, high = wilson(hits, len(judged))
+    return {"name": name, "hits": hits, "total": len(judged), "low": low, "high": high}
+
+
+def confusion_rows(judged: Sequence[Judged]) -> list[dict[str, Any]]:
+    """Return the answers, for everything that was hidden."""
+    return [
+        {"hidden": row, "said": [{"answer": answer, "count": n} for answer, n in counts.most_common()]}
+        for row, counts in sorted(confusion(judged).items())
+    ]
+
+
+def miss(j: Judged) -> dict[str, Any]:
+    """Describe a case that ended otherwise than it should, with what was said about it."""
+    return {
+        "case": j.name,
+        "stratum": j.label.stratum,
+        "hidden": j.question,
+        "left": [math.sqrt(max(v.left, 0.0) / v.rows) for v in j.label.visibility.values()],
+        "visible": j.label.visible,
+        "said": j.answer,
+        "because": _because(j),
+    }
+
+
+def _because(j: Judged) -> str:
+    refused = j.verdict.get("refused") or {}
+    rivals = ", ".join(rival["name"] for rival in j.verdict.get("confusable_with", []))
+    parts = [j.verdict.get("why", "").replace("\n", " ").replace("|", "/")]
+    if refused:
+        parts.append(f"nearest {'+'.join(refused['effects'])}; {'; '.join(refused['because'])}")
+    if rivals:
+        parts.append(f"looks alike: {rivals}")
+    return "; ".join(filter(None, parts))

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from validation.blind.printer.real import FloatArray, Reading
+from validation.blind.real import FloatArray, Reading
 
 SENSORS: Mapping[str, tuple[str, ...]] = {
     "all": ("acc_A", "acc_B", "acc_C", "acc_x", "acc_y", "acc_z"),

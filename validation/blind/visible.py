@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from validation.blind.printer.real import FloatArray, Reading, read_at
+from validation.blind.real import FloatArray, Reading, read_at
 from validation.blind.sensors import Sensors
 
 BAND_HZ = (1.0, 200.0)

@@ -7,7 +7,6 @@ original: each of its moves stands in the result, as itself or as a comment, whe
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -27,7 +26,7 @@ JUDGED_S = 240.0  # of each print, from its first segment on
 SETTLE_S = 0.5  # not judged: what moved before still rings
 SAMPLE_S = 1.0 / 3200
 AROUND = 8  # moves on either side of the one that is due, whose line may be the nearest
-STEP_S, KEEP_EVERY, CHUNK = 1 / 12800, 4, 40_000
+STEP_S, KEEP_EVERY = 1 / 12800, 4
 
 
 def position(moves: Moves, clock: Times, t: FloatArray) -> FloatArray:
@@ -106,8 +105,9 @@ def _played(
 ) -> tuple[FloatArray, FloatArray]:
     """The nozzle from a time on, t (k,) s and (k, 3) mm; it has settled."""
     if machine["kinematics"]["type"] == "delta":
-        parts = list(_delta(machine, moves, clock, begin, end))
-        t, nozzle = (np.concatenate(column) for column in zip(*parts, strict=True))
+        plant = {key: value for key, value in machine.items() if key != "effects"}
+        span = (begin, end)
+        t, nozzle = delta_plant.followed(plant, lambda t: position(moves, clock, t), span, STEP_S, KEEP_EVERY)
     else:
         t = np.arange(begin, end, SAMPLE_S)
         nozzle = position(moves, clock, t)
@@ -128,21 +128,6 @@ def _shaken(command: FloatArray, modes: dict[str, list[float]]) -> FloatArray:
         b, a, _ = cont2discrete(([w**2], [1.0, 2.0 * zeta * w, w**2]), SAMPLE_S, method="foh")
         answer += share * lfilter(b.ravel(), a, command - origin)
     return np.asarray(origin + answer)
-
-
-def _delta(
-    machine: dict[str, Any], moves: Moves, clock: Times, begin: float, end: float
-) -> Iterator[tuple[FloatArray, FloatArray]]:
-    plant = {key: value for key, value in machine.items() if key != "effects"}
-    steps, state = int((end - begin) / STEP_S) // KEEP_EVERY * KEEP_EVERY, None
-    for first in range(0, steps, CHUNK):
-        count = min(CHUNK, steps - first)
-        t = begin + (2 * first + np.arange(2 * count + 1, dtype=np.float64)) * (STEP_S / 2)
-        command = delta_plant.carriages_of(plant, position(moves, clock, t))
-        answer = delta_plant.simulate(plant, command, STEP_S, keep_every=KEEP_EVERY, start=state)
-        state = answer["state"]
-        kept = begin + (first + KEEP_EVERY * np.arange(1, count // KEEP_EVERY + 1, dtype=np.float64)) * STEP_S
-        yield kept, answer["nozzle_mm"][1:]
 
 
 def _apart(path: tuple[FloatArray, FloatArray], due: FloatArray, t: FloatArray, nozzle: FloatArray) -> FloatArray:

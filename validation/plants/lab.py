@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from validation.plants import delta_plant
@@ -78,41 +77,20 @@ def assembly(
 
 def carriage(machine: dict[str, Any], tower: int, added_kg: float, wave: tuple[FloatArray, ...]) -> Record:
     """Command → position of one carriage with the upper halves of its arms, without the effector."""
-    p = delta_plant.plant_of(machine)
-    u = excitation(wave, STEP_S)
+    parts, moved = machine["carriage"], excitation(wave, STEP_S) * 1e3
+    towers = {"carriage_mass_kg": [parts["mass_kg"]] * 3, **machine.get("towers", {})}
+    masses = towers["carriage_mass_kg"] + added_kg * np.eye(3)[tower]
+    command = delta_plant.carriages_of(machine, np.zeros((1, 3))) + moved[:, None] * np.eye(3)[tower]
     every = round(1 / RATE_HZ / STEP_S)
-    q = _carriage(u, STEP_S, every, tower, p.carriage_mass[tower] + added_kg, p)
-    return Record(u[:: 2 * every][:-1], q[:-1, None])
-
-
-@njit(cache=True)
-def _carriage(command: FloatArray, h: float, every: int, i: int, mass: float, p: delta_plant.Plant) -> FloatArray:
-    """Runge-Kutta of (q, q̇, v, v̇); q around its rest."""
-    steps = (len(command) - 1) // 2
-    out = np.empty(steps // every + 1)
-    y = np.zeros(4)
-    y[2] = command[0]
-    for n in range(steps + 1):
-        if n % every == 0:
-            out[n // every] = y[0]
-        if n == steps:
-            break
-        k1 = _carriage_rate(y, command[2 * n], i, mass, p)
-        k2 = _carriage_rate(y + h / 2 * k1, command[2 * n + 1], i, mass, p)
-        k3 = _carriage_rate(y + h / 2 * k2, command[2 * n + 1], i, mass, p)
-        k4 = _carriage_rate(y + h * k3, command[2 * n + 2], i, mass, p)
-        y = y + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
-    return out
-
-
-@njit(cache=True)
-def _carriage_rate(y: FloatArray, command: float, i: int, mass: float, p: delta_plant.Plant) -> FloatArray:
-    d0, d1, d2 = p.drive[0], p.drive[1], p.drive[2]
-    bent = d0 * (command - y[2]) - d2 * y[3]
-    u, du = y[2] + d1 / d0 * y[3], y[3] + d1 / d0 * bent
-    force = p.belt_k[i] * (u - y[0]) + p.belt_c[i] * (du - y[1]) - p.guide_b[i] * y[1]
-    force -= delta_plant._friction(y[1], i, p)
-    return np.array([y[1], force / mass, y[3], bent])
+    found = delta_plant.simulate(
+        {**machine, "towers": {**towers, "carriage_mass_kg": masses}},
+        command,
+        STEP_S,
+        keep_every=every,
+        hidden={"shares": np.zeros((3, 3))},  # of the effector's load
+    )
+    place = found["carriage_mm"][:-1, [tower]] / 1e3
+    return Record(moved[:: 2 * every][:-1] / 1e3, place - (command[0, tower] - moved[0]) / 1e3)
 
 
 # ---- the effector alone --------------------------------------------------------------------------

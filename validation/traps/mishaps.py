@@ -6,13 +6,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.signal import butter, iirnotch, lfilter, sosfilt
+from scipy.signal import butter, lfilter, sosfilt
 
 from ffcomp.record.plan import Experiment
 from ffcomp.shapers.smooth import SHAPERS
-from validation.blind.delta.numbers import FloatArray
+from validation.blind.real import FloatArray
 from validation.plants.accelerometer import GRAVITY_M_PER_S2, Chip
-from validation.traps.captures import ChipOf, Feels, Moved, Nozzle, Run, Taken, Writes, klipper_text, phone_text
+from validation.traps.bench import ChipOf, Feels, Moved, Nozzle, Run, Taken, Writes, klipper_text, phone_text
 
 # ---- the firmware does not move as planned ------------------------------------------------------
 
@@ -68,18 +68,12 @@ def shaped(**kinds: tuple[str, float]) -> Moved:
 
 
 def bent(change: Callable[[FloatArray], FloatArray]) -> Moved:
-    """The path goes elsewhere: a bed mesh, a skew, mirrored axes. (n, 3) mm → (n, 3) mm."""
+    """The path goes elsewhere: a skew, mirrored axes. (n, 3) mm → (n, 3) mm."""
 
     def moved(experiment: Experiment) -> Nozzle:
         return lambda t: change(experiment.motion.nozzle(t))
 
     return moved
-
-
-def over_mesh(xyz: FloatArray) -> FloatArray:
-    """A bed that is 0.6 mm out of flat, waves of 50 mm: the mesh is left on."""
-    waves = 0.3 * np.sin(2 * np.pi * xyz[:, 0] / 50.0) * np.cos(2 * np.pi * xyz[:, 1] / 50.0)
-    return xyz + np.column_stack([np.zeros((len(xyz), 2)), waves])
 
 
 def mirrored(xyz: FloatArray) -> FloatArray:
@@ -117,17 +111,6 @@ def tone(hertz: float, m_per_s2: float) -> Feels:
     def feels(t: FloatArray, felt: FloatArray, run: Run) -> FloatArray:
         phase, share = run.rng.uniform(0, 2 * np.pi, 3), np.array([1.0, 0.7, 0.5])
         return felt + m_per_s2 * share * np.sin(2 * np.pi * hertz * t[:, None] + phase)
-
-    return feels
-
-
-def neighbour(m_per_s2: float) -> Feels:
-    """Another printer works on the same table: the table sways between 8 and 40 Hz."""
-
-    def feels(t: FloatArray, felt: FloatArray, run: Run) -> FloatArray:
-        rng, rate = run.rng, (len(t) - 1) / (t[-1] - t[0])
-        sway = sosfilt(butter(2, (8.0, 40.0), "bandpass", fs=rate, output="sos"), rng.standard_normal(felt.shape), 0)
-        return felt + m_per_s2 * sway / np.std(sway)
 
     return feels
 
@@ -186,16 +169,6 @@ def low_pass(hertz: float) -> Feels:
     return feels
 
 
-def notched(hertz: float) -> Feels:
-    """A notch filter against a fan is on."""
-
-    def feels(t: FloatArray, felt: FloatArray, run: Run) -> FloatArray:
-        b, a = iirnotch(hertz, 2.0, fs=(len(t) - 1) / (t[-1] - t[0]))
-        return np.asarray(lfilter(b, a, felt, axis=0))
-
-    return feels
-
-
 def gains(x: float, y: float, z: float) -> Feels:
     """A clone whose axes measure too much or too little."""
     return lambda t, felt, run: felt * np.array([x, y, z])
@@ -210,13 +183,6 @@ def turned(degrees: float, only_repeat: int | None = None) -> ChipOf:
         return chip if only_repeat not in (None, run.repeat) else replace(chip, turn=about @ chip.turn)
 
     return chip_of
-
-
-def tilted(degrees: float) -> ChipOf:
-    """The chip hangs askew."""
-    c, s = np.cos(np.deg2rad(degrees)), np.sin(np.deg2rad(degrees))
-    about = np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
-    return lambda chip, run: replace(chip, turn=about @ chip.turn)
 
 
 def at_rate(hertz: float) -> ChipOf:

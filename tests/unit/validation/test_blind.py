@@ -12,8 +12,7 @@ import pytest
 from ffcomp.errors import MeasurementError
 from tests.support.json_page import Page
 from validation.blind.__main__ import main
-from validation.blind.answers import read_answers
-from validation.blind.make import make_bank
+from validation.blind.bank import make_bank, read_answers
 
 Told = dict[str, Any]
 PAGE = Path(__file__).parents[3] / "validation/blind/README.md"
@@ -70,7 +69,7 @@ def test_a_bank_goes_on_after_a_case_without_runs(tmp_path: Path, monkeypatch: p
     def refuse(*_: object) -> None:
         raise MeasurementError("captures", ["None of them could be joined."])
 
-    monkeypatch.setattr("validation.blind.make.case", refuse)
+    monkeypatch.setattr("validation.blind.bank.case", refuse)
     progress: list[str] = []
     assert make_bank(tmp_path, 2, 1, 0.8, ["axis"], progress.append) == []
     assert [line.partition(": ")[2] for line in progress] == [

@@ -16,6 +16,7 @@ from scipy.interpolate import CubicSpline
 from validation.plants import delta_plant as plant
 
 FloatArray = NDArray[np.float64]
+V, ETA = slice(3, 6), slice(6, 9)  # of a state
 
 MACHINE: dict[str, Any] = {
     "kinematics": {
@@ -158,7 +159,7 @@ def test_the_weight_stretches_the_belts_by_its_share() -> None:
     """Total weight over three belts, closed form at the centre where the arms share it equally."""
     p = plant.plant_of(MACHINE, gravity=True)
     q = plant.carriages_of(MACHINE, [[0.0, 0.0, 10.0]])[0]
-    sagged = plant.rest_state(p, q / 1e3)[plant.X]
+    sagged = plant.rest(q / 1e3, p)[:3]
     weight = (3 * (0.179 + 0.016) + 0.542 + 3 * 0.016 + 0.109) * p.gravity
     assert sagged == pytest.approx([0.0, 0.0, 0.010 - weight / (3 * 1.21e5)], abs=1e-12)
 
@@ -166,24 +167,24 @@ def test_the_weight_stretches_the_belts_by_its_share() -> None:
 # ---- energy and order ----------------------------------------------------------------------------
 
 
-def energy(p: plant.Plant, state: FloatArray, u: FloatArray) -> float:
+def energy(p: Any, state: FloatArray, u: FloatArray) -> float:
     """½m|q̇|² + ½M|Ẋ|² + ½m₂|Ẋ + η̇|² + ½k|u - q|² + ½ηᵀKη + weight, J; q̇ by differences, not by A."""
 
     def carriages(xyz: FloatArray) -> FloatArray:
         return p.height + xyz[2] + np.sqrt(p.arms**2 - np.sum((xyz[:2] - p.towers) ** 2, axis=1))
 
-    x, v, eta, eta_v = (state[part] for part in (plant.X, plant.V, plant.ETA, plant.ETA_V))
+    x, v, eta, eta_v = state[:12].reshape(4, 3)
     q, dq = carriages(x), (carriages(x + 1e-6 * v) - carriages(x - 1e-6 * v)) / 2e-6
-    kinetic = dq @ (p.carriage_mass * dq) + p.holder_mass * v @ v + p.extruder_mass * (v + eta_v) @ (v + eta_v)
-    strain = (u - q) @ (p.belt_k * (u - q)) + eta @ (p.extruder_k * eta)
-    heights = p.carriage_mass @ q + p.holder_mass * x[2] + p.extruder_mass * (x[2] + eta[2])
+    kinetic = dq @ (p.carriage * dq) + p.holder * v @ v + p.extruder * (v + eta_v) @ (v + eta_v)
+    strain = (u - q) @ (p.belt_k * (u - q)) + eta @ (p.mount_k * eta)
+    heights = p.carriage @ q + p.holder * x[2] + p.extruder * (x[2] + eta[2])
     return float(kinetic / 2 + strain / 2 + p.gravity * heights)
 
 
-def kicked(p: plant.Plant, command: FloatArray) -> FloatArray:
-    state = plant.rest_state(p, command[0] / 1e3)
-    state[plant.V] = [0.9, -0.5, 0.3]
-    state[plant.ETA] += [0.01, 0.02, -0.005]
+def kicked(p: Any, command: FloatArray) -> FloatArray:
+    state = plant.rest(command[0] / 1e3, p)
+    state[V] = [0.9, -0.5, 0.3]
+    state[ETA] += [0.01, 0.02, -0.005]
     return state
 
 
@@ -195,7 +196,7 @@ def test_a_large_free_swing_keeps_its_energy(gravity: bool) -> None:
     start = kicked(p, command)
     played = plant.simulate(CONSERVATIVE, command, 1 / 12800, gravity=gravity, start=start)
     u = command[0] / 1e3
-    moved = p.holder_mass * start[plant.V] @ start[plant.V] / 2
+    moved = p.holder * start[V] @ start[V] / 2
     assert np.max(np.ptp(played["nozzle_mm"], axis=0)) > 60.0
     assert abs(energy(p, played["state"], u) - energy(p, start, u)) < 1e-9 * moved
 
@@ -269,8 +270,8 @@ def test_turning_command_and_towers_by_120_degrees_turns_the_answer() -> None:
 def ring_down_hz(machine: dict[str, Any], direction: FloatArray) -> float:
     """Frequency of the free motion after a tiny push, from its zero crossings."""
     command, h = at_rest(machine, (0.0, 0.0, 10.0), 6400), 1 / 12800
-    state = plant.rest_state(plant.plant_of(machine), command[0] / 1e3)
-    state[plant.V] = 1e-5 * direction
+    state = plant.rest(command[0] / 1e3, plant.plant_of(machine))
+    state[V] = 1e-5 * direction
     along = plant.simulate(machine, command, h, start=state)["nozzle_mm"] @ direction
     along = along - (10.0 * direction[2])
     rises = np.flatnonzero((along[:-1] < 0) & (along[1:] >= 0))
@@ -306,11 +307,11 @@ def closed_form(machine: dict[str, Any], xyz_mm: tuple[float, float, float], s: 
     nudges = 1e-3 * np.vstack([np.eye(3), -np.eye(3)])
     around = plant.carriages_of(machine, np.array(xyz_mm) + nudges)
     jacobian = np.linalg.inv((around[:3] - around[3:]).T / 2e-3)
-    d = p.extruder_b * s + p.extruder_k
-    w = p.holder_mass * s**2 + d - d**2 / (p.extruder_mass * s**2 + d)
-    inertia = np.diag(p.carriage_mass * s**2 + (p.belt_c + p.guide_b) * s + p.belt_k)
+    d = p.mount_b * s + p.mount_k
+    w = p.holder * s**2 + d - d**2 / (p.extruder * s**2 + d)
+    inertia = np.diag(p.carriage * s**2 + (p.belt_c + p.guide_b) * s + p.belt_k)
     d0, d1, d2 = p.drive
-    drive = 1.0 if p.ideal_drive else (d1 * s + d0) / (s**2 + d2 * s + d0)
+    drive = 1.0 if p.ideal else (d1 * s + d0) / (s**2 + d2 * s + d0)
     return np.linalg.inv(inertia + jacobian.T @ np.diag(w) @ jacobian) * ((p.belt_c * s + p.belt_k) * drive)
 
 

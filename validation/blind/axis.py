@@ -1,4 +1,4 @@
-"""One axis by itself, driven by a position: the first axis of `equations`, the other one at rest.
+"""One axis by itself, driven by a position: the first axis of `straight`, the other one at rest.
 
 Its sensors are an encoder and an accelerometer on the load, or on the only mass.
 """
@@ -7,37 +7,27 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 
-from validation.blind.printer.hidden import presliding
-from validation.blind.printer.mishaps import slowed
-from validation.blind.printer.real import FloatArray, Hide, Labels, Real, Rng, Tables, sign
-from validation.blind.printer.shapes import BREAKS, DAHL
-from validation.blind.straight import hidden, outside
-from validation.blind.straight.drawn import masses
+from validation.blind import straight
+from validation.blind.effects import presliding
+from validation.blind.real import FloatArray, Hide, Labels, Real, Rng, Tables, off_by, sign, slowed
+from validation.blind.straight import masses
+from validation.plants.shapes import BREAKS, DAHL, TANH
 
 SMOOTH = ("coulomb_friction", "stribeck_friction")
 SHARED = ("guide_damping", "belt_damping", "belt_hardening", "belt_backlash", "cogging")
-OUTSIDE: Mapping[str, Hide] = {  # its catalogue has notches, a force along the axis, and sensors that are sluggish
-    name: outside.OUTSIDE[name]
-    for name in (
-        "off_centre_pulley",
-        "warming_belt",
-        "slow_driver",
-        "swinging_cable",
-        "fans_tone",
-        "creeping_belt",
-        "heavy_rotor",
-        "one_sided_belt",
-        "clipping_sensor",
-        "loose_load",
-    )
-}
+# its catalogue has notches, a force along the axis, and slow sensors
+_OUTSIDE = """
+    off_centre_pulley warming_belt slow_driver swinging_cable fans_tone creeping_belt heavy_rotor one_sided_belt
+    clipping_sensor loose_load
+"""
+OUTSIDE: Mapping[str, Hide] = {name: straight.OUTSIDE[name] for name in _OUTSIDE.split()}
+played, probes = straight.played, straight.probes
 
 
-def draw_machine(rng: Rng) -> Tables:
+def draw_machine(rng: Rng, names: object = ()) -> Tables:
     """Draw an axis: one mass on its drive, or two with a coupling between them."""
     mass, hertz, two = rng.uniform(0.4, 6.0), rng.uniform(25.0, 60.0), rng.random() < 0.4
     load = mass * rng.uniform(0.2, 0.5) if two else 0.0
@@ -61,7 +51,7 @@ def draw_machine(rng: Rng) -> Tables:
 
 
 def file_of(machine: Tables, error: float, rng: Rng) -> Tables:
-    """Write what its owner's file says: every number off by a normal error."""
+    """Write its owner's file: every number is off by a normal error."""
     plant = machine["plant"]
     axis = {
         "mass_kg": plant["carriage"][0],
@@ -74,13 +64,14 @@ def file_of(machine: Tables, error: float, rng: Rng) -> Tables:
             "coupling_stiffness_n_per_m": plant["mount_k"][0],
             "coupling_damping_n_s_per_m": plant["mount_b"][0],
         }
-    told = {key: value * (1 + error * float(np.clip(rng.standard_normal(), -2.0, 2.0))) for key, value in axis.items()}
-    written: Tables = {"kinematics": {"type": "axis"}, "axis": {"input": "position", **told}}
+    off = off_by(error, rng)
+    numbers = {key: off(value) for key, value in axis.items()}
+    written: Tables = {"kinematics": {"type": "axis"}, "axis": {"input": "position", **numbers}}
     return written | ({"uncertainty": {"default": error}} if error > 0.02 else {})
 
 
 def restated(tables: Labels, real: Tables, file: Tables) -> Labels:
-    """Return the effects in the file's terms: a spring's change counts from what the file says of it, which is off."""
+    """Return the effects in the file's terms: a spring's change counts from the file's number, which is off."""
     if "belt_stiffness" not in tables:
         return tables
     two = real["plant"]["tool"][0] > 0
@@ -92,14 +83,14 @@ def restated(tables: Labels, real: Tables, file: Tables) -> Labels:
 def _alone(name: str) -> Hide:
     """Return an effect of `hidden` with the table of one axis."""
 
-    def hide(rng: Rng, size: float, real: Real) -> tuple[dict[str, Any], Real]:
-        table, changed = hidden.effects_of("cartesian")[name](rng, size, real)
+    def hide(rng: Rng, size: float, real: Real) -> tuple[Tables, Real]:
+        table, changed = straight.effects_of("cartesian")[name](rng, size, real)
         return {key: value[0] if isinstance(value, list) else value for key, value in table.items()}, changed
 
     return hide
 
 
-def belt_stiffness(rng: Rng, size: float, real: Real) -> tuple[dict[str, Any], Real]:
+def belt_stiffness(rng: Rng, size: float, real: Real) -> tuple[Tables, Real]:
     """Hide a drive that is stiffer or softer than the file says."""
     change = size * sign(rng) * rng.uniform(0.12, 0.25)
     machine = copy.deepcopy(real.machine["plant"])
@@ -108,36 +99,36 @@ def belt_stiffness(rng: Rng, size: float, real: Real) -> tuple[dict[str, Any], R
 
 
 def _smooth(name: str) -> Hide:
-    """Return friction that turns over as a tanh: what gives way before it slides has a name of its own here."""
+    """Return friction that turns over as a tanh: friction that bends before it slides has a name of its own here."""
 
-    def hide(rng: Rng, size: float, real: Real) -> tuple[dict[str, Any], Real]:
+    def hide(rng: Rng, size: float, real: Real) -> tuple[Tables, Real]:
         table, changed = _alone(name)(rng, size, real)
-        return table, changed.having(dry_kind=1)
+        return table, changed.having(dry_kind=TANH)
 
     return hide
 
 
-def bristle_friction(rng: Rng, size: float, real: Real) -> tuple[dict[str, Any], Real]:
+def bristle_friction(rng: Rng, size: float, real: Real) -> tuple[Tables, Real]:
     """Hide dry friction that bends before it slides."""
     return presliding_friction(rng, real, size * rng.uniform(1.2, 4.0) * masses(real)[0], rng.uniform(1.5e-5, 6e-5))
 
 
-def presliding_friction(rng: Rng, real: Real, force: float, length: float) -> tuple[dict[str, Any], Real]:
-    """Hide a friction of one of three laws; the way is told of Dahl's only, whose own it is."""
+def presliding_friction(rng: Rng, real: Real, force: float, length: float) -> tuple[Tables, Real]:
+    """Hide a friction of one of three laws; the label has its length for Dahl's only."""
     kind = int(rng.integers(DAHL, BREAKS + 1))
     fields = presliding(rng, np.full(2, force), kind, length)
     table = {"force_n": force} | ({"presliding_mm": 1e3 * length} if kind == DAHL else {})
     return table, real.having(dry=[force, force], dry_kind=kind, **fields)
 
 
-def sensor_lag(rng: Rng, size: float, real: Real) -> tuple[dict[str, Any], Real]:
+def sensor_lag(rng: Rng, size: float, real: Real) -> tuple[Tables, Real]:
     """Hide an accelerometer behind a low-pass of second order."""
     cutoff = rng.uniform(70.0, 130.0) / max(size, 0.05)
     lag = [0.0, 0.0, 1 / (2 * np.pi * cutoff)]
     return {"time_constant_s": lag, "damping_ratio": np.sqrt(0.5)}, real.read_by(slowed(cutoff, size))
 
 
-def command_delay(rng: Rng, size: float, real: Real) -> tuple[dict[str, Any], Real]:
+def command_delay(rng: Rng, size: float, real: Real) -> tuple[Tables, Real]:
     """Hide a drive that is late."""
     delay = size * rng.uniform(4e-4, 2e-3)
 

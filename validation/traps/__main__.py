@@ -1,6 +1,8 @@
-"""Put traps to `ffcomp diagnose`, and judge what it says.
+"""Put traps to `ffcomp record join` and `ffcomp diagnose`, as an owner does, and judge the answers.
 
-python -m validation.traps.run [NAME ...] --keep DIR        all traps if none is named; about a minute of computing each
+    python -m validation.traps [NAME ...] --keep DIR        all traps if none is named; 1 to 2 min of computing each
+
+Results of a whole round are in studies/archive/traps.md.
 """
 
 from __future__ import annotations
@@ -10,20 +12,23 @@ import contextlib
 import io
 import json
 import re
+import shutil
 import sys
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from validation.traps.bench import write
 from validation.traps.catalogue import TRAPS, Trap
-from validation.traps.owners import CaptureTrap
+
+PROGRESS = ("ffcomp: reading", "ffcomp: joining")
 
 
 @dataclass(frozen=True)
 class Answer:
-    """What a diagnosis said: its JSON (empty where it refused), its text, and its exit code."""
+    """The answer of a verb: its JSON (empty where it refused), its messages, its exit code, and CPU seconds."""
 
     found: dict[str, Any]
     text: str
@@ -31,32 +36,49 @@ class Answer:
     cpu_s: float
 
 
-def asked(trap: Trap, keep: Path) -> Answer:
-    """Write the trap's files and diagnose them through the public verb."""
+def joined(trap: Trap, keep: Path) -> Answer:
+    """Write the captures of a trap and join them: `found` is ffcomp-join/1."""
+    folder = keep / trap.name
+    captures = write(trap.bench, trap.sensing, folder, keep / "readings", trap.seed_of_plan)
+    shutil.rmtree(folder / "runs", ignore_errors=True)
+    axes = ["--axes-map", trap.axes_map] if trap.axes_map else []
+    files = ["--plan", folder / "moves.json", "-m", folder / "machine.toml", "-o", folder / "runs"]
+    answer = _called(["record", "join", *captures, *files, *axes, "--json"])
+    refusals = [f"{Path(each['file']).name}: {each['why']}" for each in answer.found.get("refused", ())]
+    return Answer(answer.found, " ".join([*refusals, answer.text]), answer.code, answer.cpu_s)
+
+
+def diagnosed(trap: Trap, keep: Path, before: Answer) -> Answer:
+    """Diagnose what was joined; where nothing was, `before` is the answer."""
+    if before.code:
+        return Answer({}, before.text, before.code, before.cpu_s)
+    folder = keep / trap.name
+    runs, better = sorted((folder / "runs").glob("*.csv")), folder / "better.toml"
+    better.unlink(missing_ok=True)
+    answer = _called(["diagnose", *runs, "-m", folder / "machine.toml", "-o", better, "--json", "-q"])
+    text = " ".join([before.text, answer.text, *answer.found.get("said", ())])
+    return Answer(answer.found, text, answer.code, before.cpu_s + answer.cpu_s)
+
+
+def _called(words: Sequence[object]) -> Answer:
+    """Call a verb in this process."""
     from ffcomp.cli.app import app
     from ffcomp.cli.command import run
 
-    folder = keep / trap.name
-    runs = write(trap.bench, trap.spoils, folder, keep / "readings")
     out, err, code, began = io.StringIO(), io.StringIO(), 0, time.process_time()
-    better = folder / "better.toml"
-    better.unlink(missing_ok=True)
     with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
         try:
-            run(
-                app,
-                ["diagnose", *map(str, runs), "-m", str(folder / "machine.toml"), "-o", str(better), "--json", "-q"],
-            )
-        except BaseException as error:  # typer's exit among them
+            run(app, [str(word) for word in words])
+        except BaseException as error:  # the command line's exit among them
             code = int(getattr(error, "exit_code", getattr(error, "code", 1)) or 0)
             if code == 1:
                 raise
     found = json.loads(out.getvalue()) if out.getvalue().strip() else {}
-    text = " ".join([err.getvalue(), *found.get("said", ())])
-    return Answer(found, text, code, time.process_time() - began)
+    lines = [line for line in err.getvalue().splitlines() if not line.startswith(PROGRESS)]
+    return Answer(found, "\n".join(lines), code, time.process_time() - began)
 
 
-def judged(trap: Trap | CaptureTrap, answer: Answer) -> list[str]:
+def judged(trap: Trap, answer: Answer) -> list[str]:
     """List what was said that must not be, and what was not said that must be."""
     said, found = trap.said, answer.found
     wrong = [f"does not say /{p}/" for p in said.must if not re.search(p, answer.text, re.I)]
@@ -86,8 +108,8 @@ def _reaches(told: dict[str, Any], low: float, high: float) -> bool:
 
 
 def main(arguments: list[str]) -> int:
-    """Run the traps, print a line each, and return 1 if any was answered wrongly."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    """Run the traps, print a line for each, and return 1 if any was answered wrongly."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("names", nargs="*")
     parser.add_argument("--keep", type=Path, required=True)
     given = parser.parse_args(arguments)
@@ -95,17 +117,12 @@ def main(arguments: list[str]) -> int:
     for trap in TRAPS:
         if given.names and trap.name not in given.names:
             continue
-        answer = asked(trap, given.keep)
+        answer = diagnosed(trap, given.keep, joined(trap, given.keep))
         wrong = judged(trap, answer)
         failed += bool(wrong)
         names = "+".join(e["name"] for e in answer.found.get("effects", ()))
-        said = f"{answer.found.get('verdict', 'refused')} {answer.found.get('finding', '')} {names}"
-        print(
-            f"{'WRONG' if wrong else 'right'} {trap.name}: {said}, {answer.cpu_s:.0f} s",
-            *wrong,
-            sep="\n    ",
-            flush=True,
-        )
+        verdict = f"{answer.found.get('verdict', 'refused')} {names}, {answer.cpu_s:.0f} s"
+        print(f"{'WRONG' if wrong else 'right'} {trap.name}: {verdict}", *wrong, sep="\n    ", flush=True)
         (given.keep / trap.name / "answer.json").write_text(json.dumps({"text": answer.text, **answer.found}, indent=1))
     return int(failed > 0)
 

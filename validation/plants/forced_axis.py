@@ -2,7 +2,7 @@
 
     m₁ q̈ = F − guide − g q̇ − what else resists − pull,   m₂ p̈ = pull + (what hangs on the end)
 
-The coupling is a belt whose motor is the first mass (`printer.shapes`); where there is none, all is on the first mass.
+The coupling is a belt whose motor is the first mass (`shapes`); where there is none, all is on the first mass.
 F is what the servo's drive makes of its order: a first-order lag of the current, then whatever is hidden there. The
 servo works at its own pace on an encoder that counts: proportional, integral, a filtered derivative, and the path's
 acceleration fed forward. Classical Runge-Kutta, bristles by an exponential step of their own. SI.
@@ -16,12 +16,10 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-from validation.blind.printer.real import FloatArray
-from validation.blind.printer.shapes import DAHL, belt, bent, guide
-from validation.blind.straight.numbers import NEUTRAL, PRINTER
+from validation.plants.shapes import DAHL, belt, bent, guide
+from validation.plants.straight_plant import NEUTRAL, PRINTER, SLIDES_M_PER_S, Array, record_of
 
 Q, V, END, ENDV, CABLE, CABLEV, LOOSE, STATES = 0, 1, 2, 3, 4, 5, 6, 7
-SLIDES_M_PER_S = 2e-3
 TURNS_M_PER_S = 2e-3  # below which a direction is not quite one
 ONE = (
     "offset drag direction hose hose_at tooth tooth_wave tooth_phase tooth_second delay delay_pace delay_phase fade "
@@ -37,18 +35,12 @@ AT_REST: Mapping[str, Any] = {**NEUTRAL, "hose_at": 1.0, "fade_s": 1.0, "bump_wi
 
 def axis_of(machine: Mapping[str, Any], hidden: Mapping[str, Any]) -> Any:
     """Return the numbers of an axis, with fields of AXIS set by what is hidden."""
-    record = np.zeros(1, dtype=AXIS)
-    for name, value in {**AT_REST, **machine["plant"], **hidden}.items():
-        record[name][0] = value
-    return record.view(np.recarray)[0]
+    return record_of(AXIS, {**AT_REST, **machine["plant"], **hidden})
 
 
 def servo_of(machine: Mapping[str, Any]) -> Any:
     """Return the numbers of its servo."""
-    record = np.zeros(1, dtype=SERVO)
-    for name in SERVO.names or ():
-        record[name][0] = machine["servo"][name]
-    return record.view(np.recarray)[0]
+    return record_of(SERVO, {name: machine["servo"][name] for name in LOOP.split()})
 
 
 @njit(cache=True, error_model="numpy")
@@ -86,7 +78,7 @@ def _resists(q: float, v: float, z: float, acts: float, p: Any) -> float:
 
 
 @njit(cache=True, error_model="numpy")
-def _rate(y: FloatArray, z: float, t: float, force: float, p: Any, dy: FloatArray) -> None:
+def _rate(y: Array, z: float, t: float, force: float, p: Any, dy: Array) -> None:
     """Dy = d(state)/dt. z : the bristle of the guide."""
     acts = _acts(force, y[Q], t, p)
     first = acts + p.offset - _resists(y[Q], y[V], z, acts, p)
@@ -110,7 +102,7 @@ def _rate(y: FloatArray, z: float, t: float, force: float, p: Any, dy: FloatArra
 
 
 @njit(cache=True, error_model="numpy")
-def _late(forces: FloatArray, t: float, h: float, p: Any) -> float:
+def _late(forces: Array, t: float, h: float, p: Any) -> float:
     """Return the force that acts at a time, of those ordered until then."""
     delay = p.delay * (1.0 + 0.01 * np.sin(p.delay_pace * t + p.delay_phase))
     at = max((t - delay) / h, 0.0)
@@ -119,12 +111,12 @@ def _late(forces: FloatArray, t: float, h: float, p: Any) -> float:
 
 
 @njit(cache=True, error_model="numpy")
-def _step(y: FloatArray, z: float, n: int, h: float, forces: FloatArray, p: Any, k: FloatArray) -> float:
+def _step(y: Array, z: float, n: int, h: float, forces: Array, p: Any, k: Array) -> float:
     """Step the state once; returns where the bristle is then. k : (4, STATES), its first row the rate at y."""
     t, half, full = n * h, z, z
     speed = y[V] + h / 2 * k[0, V]
     if p.dry_kind >= DAHL:
-        half, full = bent(z, speed, h / 2, p), bent(z, speed, h, p)
+        half, full = bent(z, speed, h / 2, 0, p), bent(z, speed, h, 0, p)
     middle = _late(forces, t + h / 2, h, p)
     _rate(y + h / 2 * k[0], half, t + h / 2, middle, p, k[1])
     _rate(y + h / 2 * k[1], half, t + h / 2, middle, p, k[2])
@@ -134,7 +126,7 @@ def _step(y: FloatArray, z: float, n: int, h: float, forces: FloatArray, p: Any,
 
 
 @njit(cache=True, error_model="numpy")
-def follow(path: FloatArray, push: FloatArray, noise: FloatArray, h: float, every: int, p: Any, s: Any) -> FloatArray:
+def follow(path: Array, push: Array, noise: Array, h: float, every: int, p: Any, s: Any) -> Array:
     """Let the servo follow a path, (n,) m with accelerations (n,) m/s², from rest; noise : (n,) m, of its encoder.
 
     Returns (m, 4): m of the first mass and of the end, m/s² of the end, and N as the servo's current says.
@@ -167,7 +159,7 @@ def follow(path: FloatArray, push: FloatArray, noise: FloatArray, h: float, ever
 
 
 @njit(cache=True, error_model="numpy")
-def pushed(forces: FloatArray, begin: FloatArray, shot: int, h: float, p: Any) -> FloatArray:
+def pushed(forces: Array, begin: Array, shot: int, h: float, p: Any) -> Array:
     """Push with known forces, (n,) N; the motion begins anew every so many rows at `begin`, (n, 4) m and m/s.
 
     Returns (n, 3): m of the first mass and of the end, m/s² of the end.

@@ -1,0 +1,306 @@
+"""The benchmark as a whole: which cases, where each is written, how its truth stays apart, answers and their score.
+
+DIR/cases/case-001/machine.toml, runs/*.csv   all that a diagnosis is given
+DIR/verdicts/case-001.json, .toml             its verdict, and the machine file it wrote
+DIR/sealed/case-001/label.json, fresh/*.csv   the truth, and runs for the proof
+DIR/seals/case-001.sha256                     SHA-256 of the label, from before the first verdict
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict
+from itertools import combinations
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ffcomp.errors import FfcompError, MeasurementError, RequestError
+from validation.blind.cases import NEVER_TOGETHER, Case, Circumstances, Label, case
+from validation.blind.kinds import KINDS, MACHINES
+from validation.blind.score import Judged, summary
+from validation.blind.visible import Visibility
+
+SCHEMA = "ffcomp-bank-answers/1"
+VERDICTS = ("effects", "none", "unknown", "failed")
+Progress = Callable[[str], None]
+# of six cases on a machine three hide one effect, and one each two, nothing, and what is outside the catalogue
+ROUND = ("single", "nothing", "single", "outside", "single", "pair")
+# in turn, for every machine and what is hidden
+CONDITIONS: Mapping[str, Sequence[str]] = {
+    "delta": ("usual", "free-damping", "rest", "rough-file"),
+    "nozzle": ("free-damping", "usual", "joined", "rest"),
+    "cartesian": ("rest", "free-damping", "usual", "rough-file"),
+    "corexy": ("joined", "rest", "free-damping", "usual"),
+    "axis": ("rough-file", "usual", "rest", "free-damping"),
+    "servo": ("usual", "rest", "rough-file"),
+}
+FULL = 240
+
+
+def full_bank(
+    count: int = FULL, seed: int = 1, machines: Sequence[str] = tuple(MACHINES)
+) -> dict[str, tuple[int, str]]:
+    """Return the name of each case → its seed and stratum; a larger bank begins with the smaller.
+
+    The names tell nothing. Machines come in turn; each goes through ROUND, beginning at another place of it. Where a
+    machine is of several kinds, these take turns in what they hide.
+    """
+    cases: dict[str, tuple[int, str]] = {}
+    kinds = [kind for machine in machines for kind in MACHINES[machine]]
+    names = {(kind, what): _in_turn(kind, what, seed) for kind in kinds for what in set(ROUND)}
+    seen: dict[tuple[str, str], int] = {}
+    for n in range(count):
+        turn, machine = n // len(machines), machines[n % len(machines)]
+        which = list(MACHINES).index(machine)
+        what = ROUND[(turn + which) % len(ROUND)]
+        before = seen.get((machine, what), 0)
+        seen[machine, what] = before + 1
+        several, conditions = MACHINES[machine], CONDITIONS[machine]
+        kind = several[before % len(several)]
+        condition = conditions[before // len(several) % len(conditions)]
+        if condition == "rest" and what != "single":  # a rest is beside one effect
+            condition = "usual"
+        name = hashlib.sha256(f"{seed} {machine} {turn}".encode()).hexdigest()[:8]
+        own = 10000 * seed + 100 * turn + which
+        cases[f"case-{name}"] = (own, f"{kind}/{what}/{condition}:{next(names[kind, what])}")
+    return cases
+
+
+def _choices(machine: str, what: str) -> list[str]:
+    kind = KINDS[machine]
+    if what == "nothing":
+        return ["none"]
+    if what == "outside":
+        return list(kind.outside)
+    if what == "pair":
+        pairs = [{a, b} for a, b in combinations(kind.effects, 2) if {a, b} not in NEVER_TOGETHER]
+        return ["+".join(sorted(pair)) for pair in pairs]
+    return list(kind.effects)
+
+
+def _in_turn(machine: str, what: str, seed: int) -> Iterator[str]:
+    """Each once in a shuffled order, then again in another; the same however many are wanted."""
+    choices = _choices(machine, what)
+    digest = hashlib.sha256(f"{machine} {what}".encode()).digest()
+    rng = np.random.default_rng([seed, int.from_bytes(digest[:4], "big")])
+    for _ in range(math.ceil(10000 / len(choices))):
+        yield from map(str, rng.permutation(choices))
+
+
+# ---- cases and their seals -----------------------------------------------------------------------
+
+
+class SealedError(FfcompError):
+    """The labels may not be read yet, or are not those that were sealed."""
+
+
+def write_case(bank: Path, name: str, made: Case) -> None:
+    """Write the case and its seal; `seals.json` keeps those that are there."""
+    for folder, texts in ((bank / "cases" / name / "runs", made.runs), (bank / "sealed" / name / "fresh", made.fresh)):
+        folder.mkdir(parents=True, exist_ok=True)
+        for file, text in texts.items():
+            (folder / file).write_text(text, encoding="utf-8")
+    (bank / "cases" / name / "machine.toml").write_text(made.machine, encoding="utf-8")
+    text = json.dumps(asdict(made.label), indent=1, default=_plain)
+    label_path(bank, name).write_text(text, encoding="utf-8")
+    seal = bank / "seals" / f"{name}.sha256"
+    seal.parent.mkdir(exist_ok=True)
+    seal.write_text(hashlib.sha256(text.encode()).hexdigest() + "\n", encoding="utf-8")
+
+
+def _plain(value: Any) -> Any:
+    """Return numpy's numbers as Python's."""
+    return value.tolist()
+
+
+def label_path(bank: Path, name: str) -> Path:
+    """Return where a case's label is."""
+    return bank / "sealed" / name / "label.json"
+
+
+def refusal_path(bank: Path, name: str) -> Path:
+    """Return where it is noted why a case has no runs."""
+    return bank / "refused" / f"{name}.json"
+
+
+def verdict_path(bank: Path, name: str) -> Path:
+    """Return where a case's verdict is written."""
+    return bank / "verdicts" / f"{name}.json"
+
+
+def cases_of(bank: Path) -> list[str]:
+    """Return the names of a bank's cases."""
+    return sorted(path.stem for path in (bank / "seals").glob("*.sha256"))
+
+
+def open_labels(bank: Path, names: Sequence[str]) -> dict[str, Label]:
+    """Return the labels of these cases.
+
+    Raises
+    ------
+    SealedError
+        If a verdict is still missing, or a label has been changed since it was sealed.
+    """
+    missing = [name for name in names if not verdict_path(bank, name).exists()]
+    if missing:
+        raise SealedError(f"{len(missing)} verdicts are not written yet, {missing[0]} first; the labels stay sealed.")
+    return opened(bank, names)
+
+
+def opened(bank: Path, names: Sequence[str]) -> dict[str, Label]:
+    """Return labels whose seals are whole, for someone who has all answers.
+
+    Raises
+    ------
+    SealedError
+    """
+    seals = {name: (bank / "seals" / f"{name}.sha256").read_text(encoding="utf-8").strip() for name in names}
+    return {name: _opened(label_path(bank, name), seals[name]) for name in names}
+
+
+def _opened(path: Path, seal: str) -> Label:
+    text = path.read_text(encoding="utf-8")
+    if hashlib.sha256(text.encode()).hexdigest() != seal:
+        raise SealedError(f"{path}: this label is not the one that was sealed.")
+    found = json.loads(text)
+    seen = {name: Visibility(**values) for name, values in found["visibility"].items()}
+    around, alike = Circumstances(**found["around"]), tuple(found["alike"])
+    return Label(**{**found, "visibility": seen, "around": around, "alike": alike})
+
+
+# ---- answers of others ---------------------------------------------------------------------------
+
+
+def read_answers(path: Path) -> dict[str, dict[str, Any]]:
+    """Return the verdict of each case.
+
+    Raises
+    ------
+    MeasurementError
+        With every mistake in the answers.
+    """
+    if path.is_dir():
+        files = [file for file in sorted(path.glob("*.json")) if not file.stem.endswith("-proof")]
+        found = {file.stem: _json(file) for file in files}
+    else:
+        whole = _json(path)
+        if (
+            not isinstance(whole, Mapping)
+            or whole.get("schema") != SCHEMA
+            or not isinstance(whole.get("answers"), dict)
+        ):
+            raise MeasurementError(
+                str(path), [f'It needs "schema": "{SCHEMA}", and "answers" with a verdict for each case by its name.']
+            )
+        found = whole["answers"]
+    problems = [f"{name}: {why}" for name, answer in found.items() if (why := _mistake(answer))]
+    if problems:
+        raise MeasurementError(str(path), problems)
+    return {name: _complete(answer) for name, answer in found.items()}
+
+
+def _json(path: Path) -> Any:
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+        raise MeasurementError(str(path), [f"It is no JSON: {error}."]) from None
+
+
+def _mistake(answer: Any) -> str:
+    """Say what is wrong with one answer; "" if nothing is."""
+    if not isinstance(answer, Mapping) or answer.get("verdict") not in VERDICTS:
+        return f'"verdict" must be one of {", ".join(VERDICTS)}.'
+    named = answer.get("effects", [])
+    if not isinstance(named, list) or not all(isinstance(each, str | Mapping) for each in named):
+        return '"effects" must be a list of names, or of objects with "name" and "parameters".'
+    if any(isinstance(each, Mapping) and not isinstance(each.get("name"), str) for each in named):
+        return 'each of "effects" needs a "name".'
+    if answer["verdict"] == "effects" and not named:
+        return 'the verdict "effects" needs at least one of "effects".'
+    return ""
+
+
+def _complete(answer: Mapping[str, Any]) -> dict[str, Any]:
+    """Return an answer in the form of a verdict: names alone have no parameters."""
+    effects = [each if isinstance(each, Mapping) else {"name": each} for each in answer.get("effects", [])]
+    alike = [each if isinstance(each, Mapping) else {"name": each} for each in answer.get("confusable_with", [])]
+    return {**answer, "effects": [{"parameters": {}, **each} for each in effects], "confusable_with": alike}
+
+
+# ---- make and score ------------------------------------------------------------------------------
+
+
+def make_bank(
+    folder: Path, count: int, seed: int, seconds: float, machines: Sequence[str], progress: Progress = lambda _: None
+) -> list[str]:
+    """Write cases and sealed labels; what is there is kept. Return the names of the cases, in order.
+
+    A case whose captures `record join` refuses has no runs to diagnose: it is left out, and `refused/` says why.
+
+    Raises
+    ------
+    RequestError
+        If the folder holds a bank of other runs.
+    """
+    asked = {"seed": seed, "seconds": seconds, "machines": list(machines)}
+    same_bank(folder, asked)
+    wanted = full_bank(count, seed, machines)
+    for number, (name, (seed_of_case, stratum)) in enumerate(wanted.items(), start=1):
+        if not label_path(folder, name).exists():
+            refusal = make_case(folder, name, seed_of_case, stratum, seconds)
+            progress(f"{name}: {refusal or 'made'}, {number} of {count}")
+    return [name for name in wanted if label_path(folder, name).exists()]
+
+
+def make_case(folder: Path, name: str, seed: int, stratum: str, seconds: float) -> str | None:
+    """Write a case and seal its label, or note and return why `record join` refuses its captures."""
+    try:
+        write_case(folder, name, case(seed, stratum, seconds))
+    except FfcompError as error:
+        refusal_path(folder, name).parent.mkdir(parents=True, exist_ok=True)
+        refusal_path(folder, name).write_text(json.dumps({"why": str(error)}), encoding="utf-8")
+        return f"no case, {str(error)[:200]}"
+    return None
+
+
+def same_bank(folder: Path, asked: dict[str, Any]) -> None:
+    """Note what a bank is made of, or refuse another.
+
+    Raises
+    ------
+    RequestError
+    """
+    made_with = folder / "bank.json"
+    if not made_with.exists():
+        folder.mkdir(parents=True, exist_ok=True)
+        made_with.write_text(json.dumps(asked), encoding="utf-8")
+    if (before := json.loads(made_with.read_text(encoding="utf-8"))) != asked:
+        raise RequestError(f"{folder} holds a bank of {before}, not of {asked}: take the same, or another folder.")
+
+
+def score_bank(folder: Path, answers: Path, partial: bool = False) -> dict[str, Any]:
+    """Open the seals of the answered cases, and score the answers.
+
+    Raises
+    ------
+    MeasurementError, RequestError, SealedError
+    """
+    known, given = cases_of(folder), read_answers(answers)
+    if not known:
+        raise RequestError(f"{folder} holds no bank: python -m validation.blind make -o {folder} makes one.")
+    if strange := sorted(set(given) - set(known)):
+        raise RequestError(f"{answers} answers {strange[0]}, which is no case of {folder}.")
+    missing = [name for name in known if name not in given]
+    if missing and not partial:
+        raise RequestError(
+            f"{len(missing)} of {len(known)} cases are not answered, {missing[0]} first; the labels stay sealed. "
+            "--partial scores the others."
+        )
+    done = [name for name in known if name in given]
+    labels = opened(folder, done)
+    return {**summary([Judged(name, labels[name], given[name]) for name in done]), "unanswered": len(missing)}

@@ -1,1 +1,0 @@
-"""Hidden deltas: equations, numbers and effects of their own."""

@@ -1,1 +1,0 @@
-"""Hidden printers with straight axes: bed slingers and CoreXY, with equations of their own."""
