@@ -1,7 +1,7 @@
 """Many files, on the cores of this computer or on a cluster.
 
-A file is one task for whichever process is free, the biggest first. Where the others would have to wait for a file at
-last, all processes work at it together instead, chunk by chunk. The bytes are those of a single process.
+All processes work at a large file together, chunk by chunk. A small file is one task, the largest first. The bytes are
+those of a single process.
 
 Only the process that was called writes the user's files. The others hand over drafts, which end in one place whatever
 becomes of them, or bytes where they may not see our files.
@@ -9,12 +9,10 @@ becomes of them, or bytes where they may not see our files.
 
 from __future__ import annotations
 
-import math
-import threading
 import warnings
 from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import BrokenExecutor
-from contextlib import ExitStack, closing, contextmanager, suppress
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, field, replace
 from os.path import normcase, realpath
 from pathlib import Path
@@ -31,9 +29,7 @@ from gcode.errors import GcodeError
 from gcode.text import PART_BYTES, raw_blocks
 from models.machine import Machine
 
-MARK = ".done"  # of the file whose length says how many bytes of its print are done
-LARGEST_SENT = 8 << 20  # bytes of a file that is sent to a cluster in one piece; its output is ten times larger
-TELL_S = 0.5  # from one word on progress to the next
+LARGEST = 8 << 20  # bytes of a file that one of several processes works at: a cluster sends ten times as many back
 
 
 def compensate_files(
@@ -75,18 +71,21 @@ def _compensated(
     progress: Callable[[float], None],
 ) -> Generator[FileResult, None, None]:
     sizes, done = [size_of(file) for file in files], 0
-    tell = _Forwards(progress)
     with workers(jobs, scheduler) as at_once, ExitStack() as drafts:
         batch = _Batch(files, targets, machine, options, at_once, None if scheduler else drafts)
-        alone, together = _shares(sizes, at_once, LARGEST_SENT if scheduler else math.inf)
-        for number in alone:
-            yield batch.by_all(number, _share_of(sizes[number], done, tell))
+        large, small = _by_size(sizes, at_once)
+        for number in large:
+
+            def within(share: float, before: int = done, size: int = sizes[number]) -> None:
+                progress(before + share * size)
+
+            yield batch.by_all(number, within)
             done += sizes[number]
-            tell(done)
-        with _reporting(lambda: done + batch.under_way(), tell), closing(batch.side_by_side(together)) as outcomes:
+            progress(done)
+        with closing(batch.side_by_side(small)) as outcomes:
             for outcome in outcomes:
                 done += sizes[outcome.number]
-                tell(done)
+                progress(done)
                 yield outcome
 
 
@@ -200,15 +199,6 @@ class _Batch:
             ),
         )
 
-    def under_way(self) -> int:
-        """Return the bytes done so far of the unfinished files, by the progress of their processes."""
-        done = 0
-        for folder in list(self.folders.values()):
-            for mark in folder.glob("*" + MARK):
-                with suppress(FileNotFoundError):  # done in the meantime
-                    done += mark.stat().st_size
-        return done
-
     def side_by_side(self, numbers: Sequence[int]) -> Generator[FileResult, None, None]:
         """Yield the files' results. When a process dies, those that are left are tried one by one."""
         if not numbers:
@@ -263,8 +253,6 @@ class _Batch:
 
     def _written(self, done: _Done) -> FileResult:
         outcome, target = done.outcome, self.targets[done.outcome.number]
-        for folder in self.folders.values():
-            (folder / f"{outcome.number}{MARK}").unlink(missing_ok=True)
         if outcome.done is None:
             return outcome
         file = self.files[outcome.number]
@@ -302,87 +290,25 @@ def _closing(answers: Generator[_Done, None, None]) -> Iterator[Generator[_Done,
 
 def _work(task: _Task, machine: Machine, options: Options) -> _Done:
 
-    def to(draft: Path | None, progress: Callable[[float], None]) -> FileResult:
+    def to(draft: Path | None) -> FileResult:
         source = task.file if task.data is None else task.data
-        return attempt(
-            task.number,
-            task.file,
-            lambda path: compensate_file(source, str(path), machine, options, draft, progress=progress),
-        )
+        return attempt(task.number, task.file, lambda path: compensate_file(source, str(path), machine, options, draft))
 
-    if task.data is None and task.draft is not None:
-        return _Done(to(task.draft, _marking(task.draft.with_suffix(MARK), task.file)))
     if task.data is None or not task.wanted:
-        return _Done(to(None, lambda share: None))
+        return _Done(to(task.draft))
     with TemporaryDirectory() as folder:
         draft = Path(folder) / "draft"
-        return _Done(to(draft, lambda share: None), draft.read_bytes() if draft.exists() else None)
+        return _Done(to(draft), draft.read_bytes() if draft.exists() else None)
 
 
-def _marking(mark: Path, file: Path) -> Callable[[float], None]:
-    """Return a progress function that another process can read: it sets the length of a file, which is atomic."""
+def _by_size(sizes: Sequence[int], jobs: int) -> tuple[list[int], list[int]]:
+    """Return the files that all processes work at together, and those that are done side by side; the largest first.
 
-    def progress(share: float) -> None:
-        with open(mark, "ab") as mark_file:
-            mark_file.truncate(round(share * file.stat().st_size))
-
-    return progress
-
-
-class _Forwards:
-    """Progress that never decreases, whichever thread reports it."""
-
-    def __init__(self, tell: Callable[[float], None]) -> None:
-        self._tell, self._furthest, self._telling = tell, 0.0, threading.Lock()
-
-    def __call__(self, done: float) -> None:
-        with self._telling:
-            if done > self._furthest:
-                self._furthest = done
-                self._tell(done)
-
-
-def _share_of(size: int, before: int, tell: Callable[[float], None]) -> Callable[[float], None]:
-    return lambda share: tell(before + share * size)
-
-
-@contextmanager
-def _reporting(done: Callable[[], float], tell: Callable[[float], None]) -> Iterator[None]:
-    """Report progress from a thread every `TELL_S` seconds, while this process waits for others that cannot call it."""
-    over = threading.Event()
-
-    def watch() -> None:
-        while not over.wait(TELL_S):
-            tell(done())
-
-    thread = threading.Thread(target=watch, daemon=True)
-    thread.start()
-    try:
-        yield
-    finally:
-        over.set()
-        thread.join()
-
-
-def _shares(sizes: Sequence[int], jobs: int, largest: float) -> tuple[list[int], list[int]]:
-    """Which files all work at together, one after the other, and which are done side by side; the biggest first.
-
-    Of all ways the one that takes least, in bytes: no file side by side is quicker than one process can be, and none
-    that all work at is quicker than a chunk.
+    A file of a few parts is too small to share.
     """
-    if jobs == 1:
-        return list(range(len(sizes))), []
     order = sorted(range(len(sizes)), key=lambda number: -sizes[number])
-    ordered = [sizes[number] for number in order]
-
-    def cost(alone: int) -> float:
-        rest = ordered[alone:]
-        by_all = sum(max(size / jobs, PART_BYTES) for size in ordered[:alone])
-        return by_all + max(sum(rest) / jobs, max(rest, default=0))
-
-    least = sum(size > largest for size in sizes)
-    alone = min(range(least, max(least, min(jobs, len(sizes))) + 1), key=cost)
-    return order[:alone], order[alone:]
+    large = [number for number in order if jobs == 1 or sizes[number] > min(jobs * PART_BYTES, LARGEST)]
+    return large, order[len(large) :]
 
 
 def size_of(file: Path) -> int:
