@@ -23,7 +23,8 @@ from typing import Any
 import numpy as np
 
 from benchmarks.performance_ways import MACHINE, PRINTS, ROOT, sample_print
-from ffcomp.compensation.job import Job, Options
+from ffcomp.compensation.file import compensate_file
+from ffcomp.compensation.job import Options
 from ffcomp.compensation.statistics import Statistics
 from models.file import load_machine
 from tests.e2e.test_files import OFFSETS
@@ -67,7 +68,8 @@ def _compile() -> None:
 def load() -> None:
     """Compensate a small print, for the sake of the compiled code."""
     small = (ROOT / "sample_prints" / f"{REPEATED}.gcode").read_bytes()
-    Job(b"".join(repeated(small, [1.0], 0.0)), "small", load_machine(MACHINE), Options(predict=False)).write(None)
+    part = b"".join(repeated(small, [1.0], 0.0))
+    compensate_file(part, "small", load_machine(MACHINE), Options(predict=False), None)
 
 
 def report(told: str) -> None:
@@ -82,7 +84,8 @@ def report(told: str) -> None:
         nonlocal done
         cpu, wall = time.process_time(), time.perf_counter()
         options = Options(offset=(offset[0], offset[1]), predict=False)
-        done = Job(Path(source), source, machine, options, jobs=jobs).write(Path(target)).statistics
+        found = compensate_file(Path(source), source, machine, options, Path(target), jobs=jobs)
+        done = found.result.statistics
         return time.process_time() - cpu, time.perf_counter() - wall
 
     found = [once() for _ in range(rounds)]

@@ -22,7 +22,8 @@ from numba import njit
 from numpy.typing import NDArray
 
 from benchmarks.performance_ways import MACHINE, PRINTS, ROOT
-from ffcomp.compensation.job import Job, Options
+from ffcomp.compensation.file import compensate_file
+from ffcomp.compensation.job import Options
 from ffcomp.compensation.statistics import Statistics
 from ffcomp.inverse import time_scaling
 from ffcomp.inverse.riccati import AXES, augmented
@@ -175,8 +176,9 @@ def stages_of(name: str, rounds: int) -> dict[str, Any]:
 def compensated(name: str) -> Statistics:
     path = ROOT / "sample_prints" / f"{name}.gcode"
     with TemporaryDirectory() as folder:
-        job = Job(path, path.name, load_machine(MACHINE), Options(predict=False))
-        return job.write(Path(folder, "out.gcode")).statistics
+        target = Path(folder, "out.gcode")
+        done = compensate_file(path, path.name, load_machine(MACHINE), Options(predict=False), target)
+        return done.result.statistics
 
 
 # ---- kernels -------------------------------------------------------------------------------------
@@ -213,7 +215,8 @@ def part_of(name: str) -> None:
     """The beginning of a print, compensated."""
     path = ROOT / "sample_prints" / f"{name}.gcode"
     lines = path.read_bytes().splitlines(keepends=True)
-    Job(b"".join(lines[: len(lines) // 4]), path.name, load_machine(MACHINE), Options(predict=False)).write(None)
+    part = b"".join(lines[: len(lines) // 4])
+    compensate_file(part, path.name, load_machine(MACHINE), Options(predict=False), None)
 
 
 def knots_of(kernel: str, inputs: tuple[Any, ...]) -> int:

@@ -20,7 +20,8 @@ import time
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from ffcomp.compensation.job import Job, Options
+from ffcomp.compensation.file import compensate_file
+from ffcomp.compensation.job import Options
 from models.file import load_machine
 from models.machine import Machine
 
@@ -46,7 +47,8 @@ class Round:
 def compensate_once(name: str, machine: Machine, target: Path) -> Round:
     path = ROOT / "sample_prints" / f"{name}.gcode"
     wall, process = time.perf_counter(), time.process_time()
-    found = Job(path, path.name, machine, Options(predict=False)).write(target).statistics
+    done = compensate_file(path, path.name, machine, Options(predict=False), target)
+    found = done.result.statistics
     wall, process = time.perf_counter() - wall, time.process_time() - process
     return Round(found.original_print_time_s, wall, process, found.segments)
 

@@ -36,7 +36,8 @@ from ffcomp.comparison.methods import COMPENSATED, TunedMethod
 from ffcomp.comparison.monte_carlo import ON_PLANTS, TUNING_ON_PLANTS, with_spread
 from ffcomp.comparison.result import Comparison, Layer, Method, Party, Peaks
 from ffcomp.comparison.sampling import SETTLE_S, SHORTEST_S, Print, PrintSlice, Sampling, check_long_enough
-from ffcomp.compensation.job import Job, Options
+from ffcomp.compensation.file import compensate_file
+from ffcomp.compensation.job import Options
 from ffcomp.firmware.table import FIRMWARES
 from ffcomp.inverse.robust import choose_robust
 from ffcomp.inverse.settings import Settings, settings_for
@@ -303,8 +304,8 @@ def _predicted(printed: Print, settings: Settings) -> Forecast:
     """Predict the whole print as `compensate` does; nothing of a long one."""
     if printed.print_time_s > WHOLE_S:
         return NO_FORECAST
-    options = Options(offset=printed.offset, flavor=printed.flavor, settings=settings)
-    return Job(printed.data, printed.path, printed.machine, options).write(None).forecast
+    options = Options(force=True, offset=printed.offset, flavor=printed.flavor, settings=settings)
+    return compensate_file(printed.data, printed.path, printed.machine, options, None).result.forecast
 
 
 def _layers(printed: Print, method: Method) -> tuple[Layer, ...]:

@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from itertools import chain, islice
 from math import inf
-from os.path import realpath
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -46,7 +45,6 @@ from ffcomp.simulation.forecast import NO_FORECAST, Forecast, forecast
 from ffcomp.steps.motion import MotionSink
 from ffcomp.steps.sink import Board, StepSink
 from ffcomp.version import __version__
-from gcode.atomic_write import replace_atomically
 from gcode.container import Source, blocks_of, ends_of
 from gcode.dialects import FlavorChoice, choose_flavor, sign_by_ends
 from gcode.embedded import WITHOUT_ORIGINAL, Stamp, find_offset, joined, offset_line, original_blocks, stamp_line
@@ -159,18 +157,6 @@ class Job:
     options: Options = Options()
     restore: bool = False  # the file is a compensated one: take the original that it keeps
     jobs: int = 1  # processes that work at it
-
-    def write(self, target: Path | None, progress: Progress = lambda share: None) -> Result:
-        """Compensate into `target` (None: nowhere), which is replaced at the end or not at all.
-
-        progress : called with the share of the file that is done, 0 to 1
-        """
-        lines = self.lines(progress, None if target is None else Path(realpath(target)).parent)
-        if target is None:
-            deque(lines, maxlen=0)
-        else:
-            replace_atomically(target, lines)
-        return lines.value
 
     def lines(self, progress: Progress = lambda share: None, folder: Path | None = None) -> Lines:
         """Return the compensated file, stamped in head and tail.

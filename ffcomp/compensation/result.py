@@ -238,7 +238,7 @@ class CompensatedFile(VerbResult):
     prints : mapping of Result
         By the print's name, which is empty for the only one; none: the file was compensated already.
     already : str
-        The error, in a sentence.
+        Says that it was; empty: it was compensated now.
     advice : tuple of str
         Warnings about how the file was made.
     seen_at : str

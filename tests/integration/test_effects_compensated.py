@@ -21,7 +21,7 @@ from models.file import load_machine
 from models.kinematics.cartesian import CARTESIAN, CartesianKinematics
 from models.machine import Machine, MotionLimits
 from models.vibration.modal import Axis, ModalAxes
-from tests.support.compensated import compensated, job
+from tests.support.compensated import compensated
 from tests.support.prints import squares
 from tests.support.settings import finely_joined
 
@@ -108,9 +108,9 @@ def test_a_wrong_geometry_is_named_not_compensated() -> None:
     both = with_effect(machine, "coulomb_friction", force_n=2.0)
     printer = InverseModel(both, settings_for(both)).printer
     assert printer is not None and set(printer.effects) == {"coulomb_friction"}
-    plain = job(squares(1), MACHINE, predict=False)
-    assert plain.write(None).statistics.warnings == () and plain.model.machine is MACHINE
-    assert plain.model.printer is None
+    plain = InverseModel(MACHINE, settings_for(MACHINE))
+    assert plain.machine is MACHINE and plain.printer is None
+    assert not compensated(squares(1), MACHINE, predict=False)[1].statistics.warnings
 
 
 def test_the_loop_never_makes_a_run_worse(monkeypatch: pytest.MonkeyPatch) -> None:
