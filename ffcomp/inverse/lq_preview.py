@@ -32,69 +32,86 @@ def solve(iterate: Iterate, state: FloatArray, keep_response: bool) -> tuple[Flo
     responses, at, stretches = [np.empty((0, 3))], 0, 0
     while at < iterate.last:
         stop = at + STRETCH if iterate.last - at > STRETCH + PREVIEW_KNOTS else iterate.last
-        part = _Part(iterate, at, stop)
-        response, state = part.solve(state, keep_response)
+        response, state = _solve_stretch(Sweep(iterate, at, stop), state, keep_response)
         responses.append(response)
         at, stretches = stop, stretches + 1
     return np.concatenate(responses), state, stretches
 
 
-class _Part:
-    """The knots at+1 … stop of a section, with those in sight."""
+class Sweep:
+    """The preview sweep over the knots at+1 … stop of a section, with the knots in sight after them."""
 
-    def __init__(self, iterate: Iterate, at: int, stop: int, begin: bool = True) -> None:
+    def __init__(self, iterate: Iterate, at: int, stop: int) -> None:
         self.iterate, self.at, self.stop = iterate, at, stop
         whole = stop == iterate.last
-        self.stretch = KnotWindow(iterate, at, stop + (REST_ROWS if whole else PREVIEW_KNOTS))
+        self.window = KnotWindow(iterate, at, stop + (REST_ROWS if whole else PREVIEW_KNOTS))
         gains = iterate.model.gains
-        self.node, self.steady = gains.at(self.stretch.place)
-        self.ending = _to_rest(gains, self.node, len(self.steady.backward)) if whole else no_gains(gains.size)
-        if begin:
-            self._begin()
+        self._node, self._steady = gains.at(self.window.place)
+        self._ending = _to_rest(gains, self._node, len(self._steady.backward)) if whole else no_gains(gains.size)
 
-    def _begin(self) -> None:
-        """Begin with what a slow motion needs, γ = τ q̇* + C q̈*, where nothing is known yet."""
-        iterate, stretch = self.iterate, self.stretch
-        last = min(stretch.end, iterate.last - 1)
-        n = last - self.at
-        if n > 0:
-            s = iterate.model.settings
-            knots = slice(s.substeps, (n + 1) * s.substeps, s.substeps)
-            ahead = stretch.nozzle[knots] + stretch.velocity[knots] * iterate.model.delay_s
-            edges = iterate.reference.at_knots(np.array([self.at - 1, stretch.end + 1, stretch.end + 2]))
-            q_edges, q_ahead = iterate.model.kinematics.inverse(edges), iterate.model.kinematics.inverse(ahead)
-            compliance = iterate.model.compliance_at(stretch.nozzle[knots, :2])
-            gamma = iterate.gamma[self.at + 1 : last + 1]
-            _slow_motion(q_edges, stretch.reference_q, q_ahead, compliance, 2 * s.segment_s, gamma)
+    def answer(self, residual: FloatArray, gamma: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the change of the command that answers a residual.
 
-    def solve(self, state: FloatArray, keep_response: bool) -> tuple[FloatArray, FloatArray]:
-        iterate, s, kept = self.iterate, self.iterate.model.settings, self.stop - self.at
-        for _ in range(MOST_PASSES):
-            error, states = self.stretch.error_from(state)
-            answer, change = self.improve(error)
-            if change < CONVERGENCE_MM:
-                break
-        iterate.vertices[self.at : self.stop + 1] = self.stretch.vertices()[: kept + 1]
-        after = states[kept] + answer  # the same with and without a response: not a digit may depend on a prediction
-        if keep_response:
-            return self.stretch.respond(state)[0][: kept * s.substeps], after
-        return np.empty((0, 3)), after
-
-    def improve(self, error: FloatArray) -> tuple[FloatArray, float]:
-        """Add to γ the answer to the error (rows, 3) mm that is left.
+        Parameters
+        ----------
+        residual : (rows, 3) mm, the reference less the nozzle at the rows of the window's segments
+        gamma : (n + 1, 3) mm, the section's coefficients that leave it
 
         Returns
         -------
-        what the plant makes of the change, (18,), at the last knot that is kept; the largest change of what is kept, mm
+        the change of γ (knots, 3) mm from the knot at+1 on; the plant's response to it, (18,), at the knot `stop`
         """
-        stretch, steady, ending, kept = self.stretch, self.steady, self.ending, self.stop - self.at
-        gamma = self.iterate.gamma[stretch.at : stretch.end + 1]
-        before = self.iterate.gamma[stretch.at - 1 : stretch.at] if stretch.at else np.zeros((1, 3))
-        rows = error.reshape(stretch.end - stretch.at, -1)
-        psi = sweep_back(steady.backward, ending.backward, self.node, rows, np.concatenate([before, gamma]))
-        change, answer = sweep_forward(steady.forward, ending.forward, self.node, psi, kept)
-        gamma[1:] += change
-        return answer[: self.iterate.model.plant.table.plant.a.shape[1]], float(np.abs(change[:kept]).max())
+        window, kept = self.window, self.stop - self.at
+        before = gamma[window.at - 1 : window.at] if window.at else np.zeros((1, 3))
+        rows = residual.reshape(window.end - window.at, -1)
+        known = np.concatenate([before, gamma[window.at : window.end + 1]])
+        psi = sweep_back(self._steady.backward, self._ending.backward, self._node, rows, known)
+        change, state = sweep_forward(self._steady.forward, self._ending.forward, self._node, psi, kept)
+        return change, state[: self.iterate.model.plant.table.plant.a.shape[1]]
+
+
+def answer(iterate: Iterate, gamma: FloatArray, residual: FloatArray) -> FloatArray:
+    """Return the change (n + 1, 3) mm of a whole section's coefficients (n + 1, 3) mm that answers a residual.
+
+    residual : (rows, 3) mm, of the section and `REST_ROWS` knots after it
+    """
+    change, out = Sweep(iterate, 0, iterate.last).answer(np.ascontiguousarray(residual), gamma)[0], np.zeros_like(gamma)
+    out[1 : len(change) + 1] = change
+    return out
+
+
+def _solve_stretch(sweep: Sweep, state: FloatArray, keep_response: bool) -> tuple[FloatArray, FloatArray]:
+    """Find the coefficients of a stretch from the plant's state (18,); return the response and the state at its end."""
+    iterate, window, kept = sweep.iterate, sweep.window, sweep.stop - sweep.at
+    _begin(sweep)
+    gamma = iterate.gamma[window.at + 1 : window.end + 1]
+    for _ in range(MOST_PASSES):
+        error, states = window.error_from(state)
+        change, answer = sweep.answer(error, iterate.gamma)
+        gamma += change
+        if float(np.abs(change[:kept]).max()) < CONVERGENCE_MM:
+            break
+    iterate.vertices[sweep.at : sweep.stop + 1] = window.vertices()[: kept + 1]
+    after = states[kept] + answer  # the same with and without a response: not a digit may depend on a prediction
+    if keep_response:
+        return window.respond(state)[0][: kept * iterate.model.settings.substeps], after
+    return np.empty((0, 3)), after
+
+
+def _begin(sweep: Sweep) -> None:
+    """Begin with the coefficients of a slow motion, γ = τ q̇* + C q̈*, where none are known yet."""
+    iterate, window = sweep.iterate, sweep.window
+    last = min(window.end, iterate.last - 1)
+    n = last - sweep.at
+    if n > 0:
+        s = iterate.model.settings
+        knots = slice(s.substeps, (n + 1) * s.substeps, s.substeps)
+        ahead = window.nozzle[knots] + window.velocity[knots] * iterate.model.delay_s
+        edges = iterate.reference.at_knots(np.array([sweep.at - 1, window.end + 1, window.end + 2]))
+        q_edges, q_ahead = iterate.model.kinematics.inverse(edges), iterate.model.kinematics.inverse(ahead)
+        compliance = iterate.model.compliance_at(window.nozzle[knots, :2])
+        gamma = iterate.gamma[sweep.at + 1 : last + 1]
+        _slow_motion(q_edges, window.reference_q, q_ahead, compliance, 2 * s.segment_s, gamma)
 
 
 @kernel
@@ -127,13 +144,3 @@ def _to_rest(gains: PreviewGains, node: NDArray[np.int64], steady: int) -> Gains
     ending = gains.end(int(node[-1]))
     node[len(node) - n :] = steady + np.arange(affected - n, affected)
     return ending
-
-
-def answer(iterate: Iterate, gamma: FloatArray, error: FloatArray) -> FloatArray:
-    """Return the change of a command γ (n + 1, 3) mm of a whole section that leaves an error.
-
-    error : (rows, 3) mm, of the section and `REST_ROWS` knots after it
-    """
-    iterate.gamma[:] = gamma
-    _Part(iterate, 0, iterate.last, begin=False).improve(np.ascontiguousarray(error))
-    return iterate.gamma - gamma
