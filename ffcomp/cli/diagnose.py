@@ -56,7 +56,7 @@ def diagnose(request: DiagnoseRequest, page: Page) -> Result:
 
 def _page(diagnosis: Diagnosis) -> bytes:
     """Make the report."""
-    from ffcomp.diagnosis.where import discrepancy
+    from ffcomp.diagnosis.where import drawn_residual
     from ffcomp.report.diagnose import diagnosis_page
 
-    return diagnosis_page(diagnosis, discrepancy(diagnosis.problem, diagnosis.search), diagnosis.proposals())
+    return diagnosis_page(diagnosis, drawn_residual(diagnosis.problem, diagnosis.search), diagnosis.proposals())

@@ -14,13 +14,13 @@ from ffcomp.diagnosis.acceptance import undetermined
 from ffcomp.diagnosis.candidates import WHOLE, effect_tables
 from ffcomp.diagnosis.diagnosis import Diagnosis
 from ffcomp.diagnosis.fit import Fit
-from ffcomp.diagnosis.gap import ResidualBreakdown, ResidualSize, locate_residual
 from ffcomp.diagnosis.held_out import OtherMotion
 from ffcomp.diagnosis.next_experiment import Separation
 from ffcomp.diagnosis.problem import MachineNames, Problem
 from ffcomp.diagnosis.recording_clocks import belongs_to_recording, delay_of
 from ffcomp.diagnosis.residual_curves import ResidualCurve, curves_of
 from ffcomp.diagnosis.score_test import separated_by
+from ffcomp.diagnosis.where import ResidualBreakdown, ResidualSize, locate_residual
 from ffcomp.identification.uncertainty import Estimate
 from models.effects.catalogue import CATALOGUE, key_in_file
 from models.file import updated_text
@@ -187,7 +187,7 @@ def result_of(problem: Problem, diagnosis: Diagnosis) -> DiagnosisResult:
     catalogue = problem.names.catalogue
     more = "more places and at several speeds" if catalogue is CATALOGUE else "several speeds and sizes"
     before, after = (
-        locate_residual(diagnosis.estimation.whiten, diagnosis.noise, problem.simulate(values))
+        locate_residual(problem, diagnosis.estimation.whiten, diagnosis.noise, problem.simulate(values))
         for values in ({}, fitted.values)
     )
     key = problem.names.quantities.key

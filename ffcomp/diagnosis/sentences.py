@@ -66,7 +66,7 @@ def _dominant(result: DiagnosisResult) -> list[str]:
 def where_left(rest: Rest) -> str:
     """Say where a residual lies: frequencies, motion, place."""
     low, high, share = max(rest.left.bands, key=lambda band: band[2])
-    place, there = max(rest.left.positions.items(), key=lambda each: each[1])
+    place, _, there = max(rest.left.places, key=lambda each: each[2])
     where = f"in the window from {place[0]:g} s" if len(place) == 1 else f"at ({place[0]:.0f}, {place[1]:.0f}) mm"
     ways = rest.left.forwards
     parts = [

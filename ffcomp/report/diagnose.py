@@ -19,7 +19,7 @@ from ffcomp.diagnosis.next_experiment import Separation
 from ffcomp.diagnosis.residual_curves import ResidualCurve
 from ffcomp.diagnosis.result import DiagnosisResult, of_machine
 from ffcomp.diagnosis.verb import Diagnosis
-from ffcomp.diagnosis.where import Discrepancy, Overlay, Split
+from ffcomp.diagnosis.where import DrawnResidual, Overlay, Split
 from ffcomp.diagnosis.words import (
     digits,
     evidence,
@@ -57,7 +57,7 @@ NEIGHBOUR_SHARE = 0.4  # of it: closer labels need space
 KEY = "Orange: with the machine file. Blue: with the best explanation. Grey: noise."
 
 
-def diagnosis_page(diagnosis: Diagnosis, where: Discrepancy, proposals: Sequence[Separation]) -> bytes:
+def diagnosis_page(diagnosis: Diagnosis, where: DrawnResidual, proposals: Sequence[Separation]) -> bytes:
     """Render a diagnosis as one HTML file.
 
     Parameters
@@ -152,7 +152,7 @@ def _retuned(search: Search, result: DiagnosisResult) -> Table:
     return Table(("parameter", "in the file", "allowed, ±", "now (90 %)", "moved by, sd"), rows, "Retuning")
 
 
-def _files(diagnosis: Diagnosis, where: Discrepancy) -> list[tuple[str, str]]:
+def _files(diagnosis: Diagnosis, where: DrawnResidual) -> list[tuple[str, str]]:
     return [
         ("machine file", hash_of(Path(diagnosis.problem.path))),
         *(("run", hash_of(path)) for path in diagnosis.runs),
@@ -164,9 +164,9 @@ def _files(diagnosis: Diagnosis, where: Discrepancy) -> list[tuple[str, str]]:
 # ---- figures -------------------------------------------------------------------------------------
 
 
-def splits(where: Discrepancy) -> list[Drawing]:
+def splits(where: DrawnResidual) -> list[Drawing]:
     """Return a figure for each quantity that the excess may depend on; positions as a map of the bed."""
-    return [_bed(where, split) if split.at else _split(split) for split in where.splits]
+    return [_bed(where, split) if split.title == "place" else _split(split) for split in where.splits]
 
 
 def _split(split: Split) -> Drawing:
@@ -174,7 +174,7 @@ def _split(split: Split) -> Drawing:
     return Drawing("where", TITLES[split.title], stands_out(split), "", WIDTH, height, partial(draw_split, split=split))
 
 
-def _bed(where: Discrepancy, split: Split) -> Drawing:
+def _bed(where: DrawnResidual, split: Split) -> Drawing:
     draw = partial(draw_bed, split=split, radius_mm=where.bed_radius_mm)
     return Drawing("where", TITLES[split.title], stands_out(split), "", WIDTH, 4.0, draw)
 

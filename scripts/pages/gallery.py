@@ -31,7 +31,7 @@ from PIL import Image
 
 from ffcomp.diagnosis.diagnosis import diagnose
 from ffcomp.diagnosis.printer_problem import PrinterProblem
-from ffcomp.diagnosis.where import discrepancy
+from ffcomp.diagnosis.where import drawn_residual
 from ffcomp.identification.predict import predicted
 from ffcomp.measurement.frf import FrequencyResponse
 from ffcomp.measurement.frf_files import write_frf
@@ -305,7 +305,7 @@ def diagnosis() -> Image.Image:
     follow("DIAGNOSE", until="## 2.")
     runs = [read_recording(path) for path in sorted(Path("runs").glob("*.csv"))]
     plant = PrinterProblem(load_machine("my-delta.toml"), runs)
-    found = discrepancy(plant, diagnose(plant))
+    found = drawn_residual(plant, diagnose(plant))
     return side_by_side([overlay(found.overlays[0]), splits(found)[0]])
 
 

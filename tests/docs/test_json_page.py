@@ -13,12 +13,12 @@ import numpy as np
 import pytest
 
 from ffcomp.cli.app import app
-from ffcomp.diagnosis.gap import ResidualBreakdown, ResidualSize
 from ffcomp.diagnosis.held_out import OtherMotion
 from ffcomp.diagnosis.next_experiment import Separation
 from ffcomp.diagnosis.residual_curves import ResidualCurve
 from ffcomp.diagnosis.result import DiagnosisResult, FileNumbers, Gap, Rest
 from ffcomp.diagnosis.verb import Diagnosis, PrintGain
+from ffcomp.diagnosis.where import ResidualSize
 from ffcomp.identification.uncertainty import normal
 from ffcomp.measurement.frf_files import write_frf
 from models.file import LIBRARY, load_machine
@@ -31,6 +31,7 @@ from tests.support.json_page import Page
 from tests.support.prints import squares
 from tests.support.recordings import write_captures
 from tests.support.reference import MACHINE, MACHINE_FILE, REFERENCE, ROOT, SMALL, call, examples
+from tests.support.residual import residual_at
 
 TRUTH = load_machine("mp-delta-pro")
 pytestmark = pytest.mark.usefixtures("undrawn")
@@ -183,7 +184,7 @@ def test_diagnose(page: Page) -> None:
 def _outcome(finding: str) -> DiagnosisResult:
     name, verdict = "coulomb_friction", "effects" if finding == "effects" else "unknown"
     size = ResidualSize(0.02, 0.01)
-    left = ResidualBreakdown(size, {}, {"a-1.csv": size}, {(55.0, 20.0): 1.0}, [(1.0, 10.0, 1.0)], 0.6, 0.25)
+    left = residual_at(size, "a-1.csv", {(1.0, 10.0): 1.0}, {(55.0, 20.0): 1.0}, (0.3, 0.6, 0.1))
     rest = Rest(explained=0.83, left=left, rivals=[(("joint_friction",), 0.4)])
     return DiagnosisResult(
         verdict=verdict,

@@ -15,9 +15,9 @@ import pytest
 
 from ffcomp.cli.app import app
 from ffcomp.cli.command import run
-from ffcomp.diagnosis.gap import locate_residual
 from ffcomp.diagnosis.noise import noise_floor, whitener
 from ffcomp.diagnosis.problems import problem_of, recordings_of
+from ffcomp.diagnosis.where import locate_residual
 from models.effects.catalogue import measured, with_effect
 from models.file import load_machine, load_plant
 from models.printer.printer import simulate_printer
@@ -143,7 +143,7 @@ def test_nothing_hidden_leaves_only_the_noise(stratum: str, tmp_path: Path) -> N
     plant = problem_of(machine, recordings_of(machine, sorted((folder / "runs").iterdir())), ())
     simulated = plant.simulate({})
     floor = noise_floor(plant, simulated)
-    found = locate_residual(whitener(plant.observations, floor, plant.band_hz), floor, simulated)
+    found = locate_residual(plant, whitener(plant.observations, floor, plant.band_hz), floor, simulated)
     forced = stratum in ("axis-by-force:none", "turning:none")  # their noise is guessed from the encoder's counts
     assert found.total.nrms < (1.5 if forced else 1.1) * found.total.noise_nrms
     most = 1.5 if forced or stratum == "axis:none" else 1.2  # an axis' shots begin where the noisy encoder says

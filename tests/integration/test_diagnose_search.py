@@ -15,7 +15,7 @@ import pytest
 from ffcomp.diagnosis.diagnosis import Diagnosis, diagnose
 from ffcomp.diagnosis.printer_problem import PrinterProblem
 from ffcomp.diagnosis.result import result_of
-from ffcomp.diagnosis.where import discrepancy
+from ffcomp.diagnosis.where import drawn_residual
 from ffcomp.measurement.recording import Recording
 from models.effects.catalogue import with_effect
 from models.file import load_machine
@@ -104,7 +104,7 @@ def test_two_hidden_effects_are_both_named() -> None:
 def test_what_no_candidate_explains_is_unknown_and_pictured() -> None:
     plant, diagnosis = found(("guide_damping",), TWO, cogging={"amplitude_mm": 0.03, "pitch_mm": 0.8})
     assert diagnosis.verdict == "unknown" and diagnosis.rejections and diagnosis.named is None
-    shown = discrepancy(plant, diagnosis)
+    shown = drawn_residual(plant, diagnosis)
     splits = {split.title: split for split in shown.splits}
     cycle = splits["motor's step cycle"]  # ripple follows the motor's position
     assert len(cycle.labels) == 16 and min(cycle.before) > 10
@@ -116,7 +116,7 @@ def test_what_cannot_be_seen_is_said_to_be_invisible_and_noise_pictures_as_nothi
     plant, diagnosis = found(("center_of_mass", "guide_damping"))
     assert diagnosis.verdict == "none"
     assert diagnosis.invisible == ["center_of_mass"]  # by virtual work the carriages do not feel it
-    for split in discrepancy(plant, diagnosis).splits:
+    for split in drawn_residual(plant, diagnosis).splits:
         inner = np.array(split.after[1:-1] if "time" in split.title else split.after)  # the ends are faded out
         assert np.abs(inner).max() < 0.6, split.title  # where an effect is, hundreds
 

@@ -10,9 +10,9 @@ import pytest
 
 from ffcomp.diagnosis.candidates import effect_tables
 from ffcomp.diagnosis.diagnosis import diagnose
-from ffcomp.diagnosis.gap import locate_residual
 from ffcomp.diagnosis.printer_problem import PrinterProblem
 from ffcomp.diagnosis.result import better_file, result_of
+from ffcomp.diagnosis.where import locate_residual
 from ffcomp.measurement.recording import Recording
 from models.file import LIBRARY, load_machine
 from validation.plants import delta_plant
@@ -71,7 +71,7 @@ def test_hidden_friction_is_named_with_its_force(tmp_path: Path) -> None:
     machine = load_machine(better)
     assert machine.effects["coulomb_friction"]["force_n"] == pytest.approx(3.0, rel=0.1)
     closed = locate_residual(
-        found.estimation.whiten, found.noise, PrinterProblem(machine, plant.recordings, ()).simulate({})
+        plant, found.estimation.whiten, found.noise, PrinterProblem(machine, plant.recordings, ()).simulate({})
     ).total
     assert closed.nrms == pytest.approx(told.gap.after.nrms, rel=0.05)  # the file says what the fit found
 

@@ -10,15 +10,16 @@ import numpy as np
 import pytest
 
 from ffcomp.diagnosis.diagnosis import FINDINGS
-from ffcomp.diagnosis.gap import ResidualBreakdown, ResidualSize
 from ffcomp.diagnosis.held_out import OtherMotion
 from ffcomp.diagnosis.problem import MachineNames
 from ffcomp.diagnosis.result import DiagnosisResult, FileNumbers, Gap, Rest
 from ffcomp.diagnosis.sentences import summary_sentences, what_to_do
 from ffcomp.diagnosis.verb import print_gain
+from ffcomp.diagnosis.where import ResidualSize
 from ffcomp.identification.uncertainty import normal
 from models.effects.catalogue import CATALOGUE
 from models.file import load_machine
+from tests.support.residual import residual_at
 
 NUMBER = r"(?:more than )?([\d.]+) %"
 
@@ -44,8 +45,8 @@ def result(finding: str = "effects", **about: Any) -> DiagnosisResult:
     }
     sizes = ResidualSize(before, noise), ResidualSize(after, noise)
     if finding == "dominant":
-        bands, places = [(1.0, 10.0, 0.8), (10.0, 20.0, 0.2)], {(55.0, 20.0): 0.7, (0.0, 0.0): 0.3}
-        left = ResidualBreakdown(sizes[1], {}, {"a.csv": sizes[1]}, places, bands, near_reversals=0.6, forwards=0.25)
+        bands, places = {(1.0, 10.0): 0.8, (10.0, 20.0): 0.2}, {(55.0, 20.0): 0.7, (0.0, 0.0): 0.3}
+        left = residual_at(sizes[1], "a.csv", bands, places, (0.3, 0.6, 0.1))
         usual["rest"] = Rest(explained=0.83, left=left, rivals=[(("belt_stiffness",), 0.4)])
     gap = Gap(before=sizes[0], after=sizes[1], elsewhere=elsewhere, **of_gap)
     return DiagnosisResult(verdict=verdict, finding=finding, gap=gap, file=file, **(usual | about))

@@ -15,12 +15,11 @@ import pytest
 
 from ffcomp.cli.app import app
 from ffcomp.diagnosis import problems, verb, words
-from ffcomp.diagnosis.gap import ResidualSize
 from ffcomp.diagnosis.next_experiment import Separation
 from ffcomp.diagnosis.printer_problem import PrinterProblem
 from ffcomp.diagnosis.result import Gap
 from ffcomp.diagnosis.verb import Diagnosis
-from ffcomp.diagnosis.where import Discrepancy, Split
+from ffcomp.diagnosis.where import DrawnResidual, ResidualSize, Split
 from ffcomp.identification.uncertainty import normal
 from ffcomp.report import diagnose as pages
 from ffcomp.report.diagnose import diagnosis_page, stands_out
@@ -81,7 +80,7 @@ class Case:
     result: dict[str, Any]
     text: str
     told: Diagnosis
-    where: Discrepancy
+    where: DrawnResidual
 
 
 def made(folder: Path, hidden: dict[str, dict[str, Any]], names: tuple[str, ...], *, drawn: bool = False) -> Case:
@@ -127,7 +126,7 @@ def found_already(plain: Case, monkeypatch: pytest.MonkeyPatch) -> None:
     """The verb without its search: the picture and the answer of a case that was searched before."""
     monkeypatch.setattr(verb, "diagnose", lambda *_: plain.told.search)
     monkeypatch.setattr(verb, "result_of", lambda *_: plain.told.result)
-    monkeypatch.setattr("ffcomp.diagnosis.where.discrepancy", lambda *_: plain.where)
+    monkeypatch.setattr("ffcomp.diagnosis.where.drawn_residual", lambda *_: plain.where)
     monkeypatch.setattr(verb, "separations", lambda *_, **__: [])
 
 
