@@ -40,11 +40,11 @@ class Explanation:
     def to_dict(self) -> dict[str, Any]:
         """Return its JSON object."""
         return {
-            "part": self.part.name,  # what changed; where there are several, the check cannot separate them
-            "change": self.value,  # number [as `unit` says]
-            "sd": self.sd,  # number [as `unit` says]: by the noise
-            "unit": self.part.unit,  # empty: a relative change
-            "explains": min(self.share, 1.0),  # number: share of the change, of its power
+            "part": self.part.name,
+            "change": self.value,
+            "sd": self.sd,
+            "unit": self.part.unit,
+            "explains": min(self.share, 1.0),
             "said": self.part.words(self.value),
         }
 
@@ -313,38 +313,28 @@ class CheckResult(Result):
         comparison, since = self.compared, self.since_first
         return {
             "schema": "ffcomp-check/1",
-            "machine": {
-                "name": self.machine,
-                "sha256": self.check.machine_sha256,  # of the file's bytes
-            },
-            "date": self.check.date,  # ISO 8601
-            # `first`: nothing to compare with; `same`: as last time; `changed`: `named` says what; `unknown`:
-            # changed, and no single part explains it; `sensor`: the accelerometer is turned or another one;
-            # `cannot_tell`: noise
+            "machine": {"name": self.machine, "sha256": self.check.machine_sha256},
+            "date": self.check.date,
             "finding": self.verdict.finding,
-            "said": self.verdict.message,  # the same in sentences
-            "compared_with": self.compared_with,  # text or null: date of the check before
-            "gap": self.check.gap,  # number: to the machine file's printer
-            "noise": self.check.noise,  # number: of the mean of the repeats
-            "difference": self.check.difference,  # number or null: to the check before
-            # number or null: the same, each row by its noise: below 1.25 it is as last time
+            "said": self.verdict.message,
+            "compared_with": self.compared_with,
+            "gap": self.check.gap,
+            "noise": self.check.noise,
+            "difference": self.check.difference,
             "times_noise": comparison.times if comparison else None,
             "named": [each.to_dict() for each in self.verdict.named],
-            # number or null: about the vertical, if that were all that changed
             "sensor_turned_deg": comparison.turned_deg if comparison else None,
-            # number or null: relative change, if that were all that changed
             "sensor_gain": comparison.gain if comparison else None,
-            "axes_map": self.check.axes_map,  # the printer's axes in the sensor's own
+            "axes_map": self.check.axes_map,
             "since_first": {
-                # text or null: of the first check, where the last one says `same` and the first one does not
                 "date": self.first_date if since else None,
-                "finding": since.finding if since else None,  # text or null: compared with that one
-                "said": since.message if since else None,  # text or null
+                "finding": since.finding if since else None,
+                "said": since.message if since else None,
             },
             "experiments": self.experiments,
-            "history": str(self.history),  # the file of earlier checks
-            "added": not self.known,  # true or false: whether this check was added to it
-            "notes": self.notes,  # list of text
+            "history": str(self.history),
+            "added": not self.known,
+            "notes": self.notes,
         }
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, cast
 
@@ -69,36 +69,22 @@ class Discrepancy(Result):
         residual = self.residual
         return {
             "schema": "ffcomp-gap/1",
-            **residual.total.to_dict(),  # … SIZE: its keys stand here too, of all signals of all runs
-            # `signals`; `forces`: as `diagnose` compares, of an axis that is simulated worse than one that stands still
+            **asdict(residual.total),
             "compared": "forces" if self.forces else "signals",
-            # true or false: false: an encoder's own, or from the spectrum above the model's band, which is weaker
             "noise_from_repeats": self.floor.from_repeats,
-            "notes": list(self.notes),  # list of text: repeats that lie apart in time, or do not repeat: sentences
-            # .* SIZE: by sensor: acc_A, acc_x, …
-            "signals": {name: size.to_dict() for name, size in residual.signals.items()},
+            "notes": list(self.notes),
+            "signals": {name: asdict(size) for name, size in residual.signals.items()},
             "where": {
-                "frequency_hz": [
-                    {
-                        "from": low,  # number [Hz]: bands
-                        "to": high,  # number [Hz]
-                        "share": share,  # number: of what lies above the noise
-                    }
-                    for low, high, share in residual.bands
-                ],
-                # .* number: by sensor: times the noise
+                "frequency_hz": [{"from": low, "to": high, "share": share} for low, high, share in residual.bands],
                 "signal": {name: size.over_noise for name, size in residual.signals.items()},
                 "region": [
-                    {
-                        "place_mm": list(position),  # list of numbers: of an axis by itself `from_s`, a window of time
-                        "share": share,  # number
-                    }
+                    {"place_mm": list(position), "share": share}
                     if len(position) > 1
                     else {"from_s": position[0], "share": share}
                     for position, _, share in residual.places
                 ],
-                "near_reversals": residual.near_reversals,  # number: share while a carriage turns back or rests
-                "runs": {name: size.to_dict() for name, size in residual.recordings.items()},  # .* SIZE: by file
+                "near_reversals": residual.near_reversals,
+                "runs": {name: asdict(size) for name, size in residual.recordings.items()},
             },
         }
 

@@ -97,18 +97,15 @@ class Separation:
     def to_dict(self) -> dict[str, Any]:
         """Return the JSON's entry of `separate`."""
         return {
-            "effects": list(self.ours),  # list of text: the best explanation: names of its effects
-            "other": list(self.other),  # list of text: another one that fits these runs as well
-            "difference_now": self.now,  # number: rms difference of their predictions in these runs, times the noise
-            # number: the same in the recording that `record` plans, beyond what retuning makes up for
+            "effects": list(self.ours),
+            "other": list(self.other),
+            "difference_now": self.now,
             "difference_there": self.there,
-            "separates": self.tells,  # true or false: whether that is enough to separate them
-            "kind": self.kind,  # of its moves
-            "position_mm": list(self.position_mm),  # list of numbers: where
-            # the command that plans it; empty where these runs separate them already, and so are `kind` and
-            # `position_mm`
+            "separates": self.tells,
+            "kind": self.kind,
+            "position_mm": list(self.position_mm),
             "record": self.command,
-            "said": self.sentence(),  # all of that in a sentence
+            "said": self.sentence(),
         }
 
 

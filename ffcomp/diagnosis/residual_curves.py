@@ -66,20 +66,14 @@ class ResidualCurve:
         """Return the JSON's entry of `residual_curves`."""
         points = zip(self.at, self.residual, self.half_width, strict=True)
         return {
-            "signal": self.signal,  # whose residual it is: `force`, of an axis, else a sensor's: `acc_x`
+            "signal": self.signal,
             "unit": self.unit,
-            "against": self.against,  # `position`, `speed`, `acceleration` or `the drive's force`
+            "against": self.against,
             "against_unit": self.against_unit,
-            "share": self.share,  # number: of the residual's power that the curve holds, beyond chance
-            "regime": self.regime,  # text: where most of that lies
+            "share": self.share,
+            "regime": self.regime,
             "points": [
-                {
-                    "at": at,  # number: mean of the quantity in a bin
-                    "residual": value,  # number: mean of the residual there
-                    "low": value - half,  # number: of its 90 % band
-                    "high": value + half,  # number
-                }
-                for at, value, half in points
+                {"at": at, "residual": value, "low": value - half, "high": value + half} for at, value, half in points
             ],
         }
 

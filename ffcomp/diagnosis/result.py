@@ -91,28 +91,13 @@ class Rest:
         """Return the JSON's object."""
         left = self.left
         return {
-            # number: share of the gap, in power, that it explains where it was left out of the fit
             "explained": self.explained,
-            "nrms": left.total.nrms,  # number: that is left
-            "frequency_hz": [
-                {
-                    "from": low,  # number [Hz]
-                    "to": high,  # number [Hz]
-                    "share": share,  # number: of what is left, in power
-                }
-                for low, high, share in left.bands
-            ],
-            "near_reversals": left.near_reversals,  # number: share of what is left near reversals and at rest
-            "forwards": left.forwards,  # number: share of the other while what is measured moves forwards
-            # .* number: nrms that is left, by file
+            "nrms": left.total.nrms,
+            "frequency_hz": [{"from": low, "to": high, "share": share} for low, high, share in left.bands],
+            "near_reversals": left.near_reversals,
+            "forwards": left.forwards,
             "runs": {name: size.nrms for name, size in left.recordings.items()},
-            "instead": [
-                {
-                    "effects": list(names),  # list of text: the best effect of another family
-                    "explained": share,  # number: what it would explain there
-                }
-                for names, share in self.rivals
-            ],
+            "instead": [{"effects": list(names), "explained": share} for names, share in self.rivals],
         }
 
 

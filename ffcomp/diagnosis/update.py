@@ -129,34 +129,21 @@ class Updated(Result):
         return {
             "schema": SCHEMA,
             "date": self.date,
-            "machine": identity(self.start),  # MACHINE: that was updated
-            "data": list(self.data),  # list of text: recordings and their hashes
-            "layers": self.layers,  # whole number: recordings that were fitted
-            "prints": self.prints,  # whole number: since the file was last updated
-            "drift": self.drift,  # number: relative standard deviation of a number's drift from print to print
+            "machine": identity(self.start),
+            "data": list(self.data),
+            "layers": self.layers,
+            "prints": self.prints,
+            "drift": self.drift,
             "numbers": {
-                key: {
-                    "before": before[key],  # ESTIMATE: as uncertain as the file says, and wider by the drift
-                    "after": each,  # ESTIMATE
-                    # number: relative standard deviation with the other numbers given, as the file states it
-                    "given_others": self.beside[key],
-                }
+                key: {"before": before[key], "after": each, "given_others": self.beside[key]}
                 for key, each in estimates(self.after).items()
             },
-            "kept": list(self.kept),  # list of text: numbers that these recordings do not determine
-            "innovation": {
-                "chi_squared": chi_squared,  # number: how far the numbers moved, against what the file allowed
-                "degrees_of_freedom": degrees,  # whole number
-                "probability": probability,  # number: of as much or more by chance
-            },
-            "held_out": {
-                "before": self.held_out[0],  # number: nrms of layers left out, with the starting file
-                "after": self.held_out[1],  # number: with the numbers of the other layers
-                "noise": self.held_out[2],  # number: of noise alone
-            },
-            "output": str(self.output),  # the machine file
-            "written_sha256": hashlib.sha256(self.file_text(self.output).encode()).hexdigest(),  # of it
-            "history": str(self.history),  # the file to which this object was added
+            "kept": list(self.kept),
+            "innovation": {"chi_squared": chi_squared, "degrees_of_freedom": degrees, "probability": probability},
+            "held_out": {"before": self.held_out[0], "after": self.held_out[1], "noise": self.held_out[2]},
+            "output": str(self.output),
+            "written_sha256": hashlib.sha256(self.file_text(self.output).encode()).hexdigest(),
+            "history": str(self.history),
         }
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from datetime import date
 from math import inf
 from pathlib import Path
@@ -120,10 +120,9 @@ class Diagnosis(Answered):
         """Return the keys of ffcomp-diagnose/1."""
         return {
             **result_json(self.result, self.print_gain),
-            # text or null: the better machine file, if one was written
             "machine": None if self.output is None else str(self.output),
-            "report": None if self.report is None else str(self.report),  # text or null: the page, if one was written
-            "seconds": self.seconds,  # number [s]: that it took
+            "report": None if self.report is None else str(self.report),
+            "seconds": self.seconds,
         }
 
 
@@ -141,101 +140,52 @@ def result_json(result: DiagnosisResult, gain: PrintGain | None = None) -> dict[
     refused = {"effects": list(result.effects), "because": list(result.rejections)}
     return {
         "schema": "ffcomp-diagnose/1",
-        # `effects`: these are missing; `none`: nothing is; `unknown`: anything else, see `finding`
         "verdict": result.verdict,
-        # `effects`; `nothing`; `unexplained`: nothing known explains the gap; `unproven`: one explanation holds
-        # most of it, but failed a test; `dominant`: one effect holds most of it and leaves a rest, see `dominant`;
-        # `cannot_tell`: the noise is too loud, or repeats differ by more than noise; `recording`: an input shaper
-        # left on, a sensor that does not measure
         "finding": result.finding,
-        # [] text: the answer in sentences: what speaks against its use, if anything does; the finding; the rest
         "said": summary_sentences(result),
         "effects": [_effect_json(result, name) for name in named],
-        # DOMINANT or null: the effect that holds most of the gap and leaves a rest; the verdict is then `unknown`,
-        # for not all is explained
         "dominant": most,
-        # where not all is explained: the residual against position, speed, and force or acceleration, the
-        # one that holds most of it first
         "residual_curves": [each.to_dict() for each in result.curves],
-        # list of text: numbers of the named effect, or of the nearest, that these runs leave open: at the end of
-        # their range, or open over all of it
         "undetermined": list(result.undetermined),
-        # REFUSED or null: what came nearest, and why it does not explain all
         "refused": refused if result.rejections else None,
-        "invisible": list(result.invisible),  # list of text: effects whose usual size these runs could not show
-        "retuned": {
-            key: {
-                "from": a,  # number [of the number]: by `table.key`: numbers of the file that moved
-                "to": b,  # number [of the number]
-            }
-            for key, (a, b) in result.file.retuned.items()
-        },
+        "invisible": list(result.invisible),
+        "retuned": {key: {"from": a, "to": b} for key, (a, b) in result.file.retuned.items()},
         "separate": [each.to_dict() for each in result.separations],
-        "confusable_with": [
-            {
-                "name": name,  # an effect that looks alike in these runs
-                "separate_by": how,  # how to separate them
-            }
-            for name, how in result.confounded_with
-        ],
-        # .* number: by file: how late it lies against its command, where that is more than 0.1 ms
+        "confusable_with": [{"name": name, "separate_by": how} for name, how in result.confounded_with],
         "late_s": dict(result.late_s),
-        # left out of the fit in turn: `places` at least 20 mm apart, `experiments` at one place, `windows`
-        # of time of an axis, or nothing (empty)
         "left_out": gap.left_out,
-        "unproven_at": list(gap.unproven),  # [] text: places or experiments where it is not explained
-        "or_file_off": {
-            key: {
-                # number [of the number]: by `table.key`: numbers of the file that would explain as much if wrong
-                "from": a,
-                "to": b,  # number [of the number]
-            }
-            for key, (a, b) in result.file.off.items()
-        },
-        # true or false: the search ended at its budget of work, so that not everything was tried; `--thorough` goes
-        # on
+        "unproven_at": list(gap.unproven),
+        "or_file_off": {key: {"from": a, "to": b} for key, (a, b) in result.file.off.items()},
         "cut_short": result.cut_short,
-        "to_do": what_to_do(result),  # [] text: steps: to the printer, to its file, what to record next
-        # GAIN or null: what prints gain, where an effect of the machine is named
-        "print_gain": None if gain is None else gain.to_dict(),
-        # of an axis, where several motions were recorded
+        "to_do": what_to_do(result),
+        "print_gain": None if gain is None else asdict(gain),
         "other_motions": [
             {
-                "recording": one.name,  # text: the file of a motion, to which nothing was fitted
-                "before": one.filed,  # number: nrms with the original file
-                "after": one.after,  # number: nrms with what was fitted to the others
-                # text: an effect's key that is another there, and alone explains a fifth or more of what is left; or
-                # empty
+                "recording": one.name,
+                "before": one.filed,
+                "after": one.after,
                 "number": one.number,
-                "changed": one.changed,  # number: by this share of it
-                "refitted": one.refitted,  # number: nrms with it
+                "changed": one.changed,
+                "refitted": one.refitted,
             }
             for one in result.others
         ],
-        # `signals`, or `forces`: the drive's and those that the measured motion needs, where an axis that is simulated
-        # from its force is further off than one that stands still
         "compared": "forces" if result.forces else "signals",
         "gap": {
-            "before": gap.before.nrms,  # number: nrms with the original file
-            "after": gap.after.nrms,  # number: nrms with what was found
-            "noise": gap.noise,  # number: nrms that noise alone leaves
-            "held_out": {
-                "before": gap.elsewhere[0],  # number: at places that were left out of the fit, one after the other
-                "after": gap.elsewhere[1],  # number
-                "noise": gap.noise,  # number
-            },
+            "before": gap.before.nrms,
+            "after": gap.after.nrms,
+            "noise": gap.noise,
+            "held_out": {"before": gap.elsewhere[0], "after": gap.elsewhere[1], "noise": gap.noise},
         },
     }
 
 
 def _effect_json(result: DiagnosisResult, name: str) -> dict[str, Any]:
     return {
-        "name": name,  # one of [the effects](../EFFECTS.md); none in `effects` unless that is the verdict
-        # what it is, whatever its law: `dry friction`, `dry friction that falls with speed`, … ; or its name
+        "name": name,
         "family": CATALOGUE[name].family or name,
-        "parameters": result.parameters(name),  # .* INTERVAL: by the machine file's key
-        "confidence": result.confidence[name],  # number: probability against the best explanation without this effect
-        # number: −2 ln of the likelihood gained against retuning alone, of all named effects
+        "parameters": result.parameters(name),
+        "confidence": result.confidence[name],
         "evidence": result.evidence,
     }
 
@@ -315,14 +265,6 @@ class PrintGain:
     uncompensated_um: float
     before_um: float  # compensated with the original file
     after_um: float  # with the better file
-
-    def to_dict(self) -> dict[str, float]:
-        """Return the JSON's `print_gain`."""
-        return {
-            "uncompensated_um": self.uncompensated_um,  # rms
-            "before_um": self.before_um,  # compensated with the original file
-            "after_um": self.after_um,  # compensated with the better file
-        }
 
 
 def print_gain(machine: Machine, result: DiagnosisResult) -> PrintGain | None:

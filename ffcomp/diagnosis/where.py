@@ -39,14 +39,6 @@ class ResidualSize:
         """How many times the noise it is."""
         return self.nrms / self.noise_nrms
 
-    def to_dict(self) -> dict[str, float]:
-        """Return the JSON's pair of numbers."""
-        return {
-            # number: √(Σ(measured − simulated)² / Σ measured²), both filtered alike to the machine's band
-            "nrms": self.nrms,
-            "noise_nrms": self.noise_nrms,  # number: what noise alone would leave
-        }
-
 
 @dataclass(frozen=True)
 class Split:

@@ -72,11 +72,7 @@ class OneAxisFit(MachineFit):
         """The keys of the method in the JSON object."""
         return {
             "numbers": estimates(self.result.estimates),
-            "nrms": {
-                # number: axis: rms of the error over that of the signals' own motion, with the starting file
-                "before": self.result.before,
-                "after": self.result.after,  # number: axis: the same as fitted
-            },
+            "nrms": {"before": self.result.before, "after": self.result.after},
             "kept": list(self.kept),
         }
 

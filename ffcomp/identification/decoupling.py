@@ -147,19 +147,10 @@ class PlaceParts:
     def to_dict(self) -> dict[str, Any]:
         """Return one of the places of ffcomp-identify-decouple/1."""
         parts = [
-            {
-                "part": p.name,  # of the model
-                "statement": p.statement,  # what should hold if that part is right
-                "error": p.error,  # number: how far it does not
-                "noise": p.noise,  # number: what noise explains
-                "holds": p.holds,  # true or false
-            }
+            {"part": p.name, "statement": p.statement, "error": p.error, "noise": p.noise, "holds": p.holds}
             for p in self.parts
         ]
-        return {
-            "position_mm": self.position_mm,  # list of numbers or null
-            "parts": parts,
-        }
+        return {"position_mm": self.position_mm, "parts": parts}
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -193,7 +184,7 @@ class Decoupling(Result):
         """Return the keys of ffcomp-identify-decouple/1."""
         return {
             "schema": "ffcomp-identify-decouple/1",
-            "machine": self.machine.name,  # its name
+            "machine": self.machine.name,
             "places": [place.to_dict() for place in self.places],
         }
 

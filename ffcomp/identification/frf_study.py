@@ -422,46 +422,33 @@ def frf_json(study: Study, station: Station) -> dict[str, Any]:
     phase, carriage_phase = (np.degrees(np.unwrap(np.angle(g), axis=0)) for g in (station.value, station.carriage))
     return {
         "schema": "ffcomp-frf/1",
-        "machine": identity(study.machine),  # MACHINE
-        # text or null: virtual_work or paper; null of cartesian and CoreXY axes
+        "machine": identity(study.machine),
         "force_map": study.machine.vibration.describe().force_map
         if study.machine.vibration.position_dependent
         else None,
-        "position_mm": [*station.xy.tolist(), 0.0],  # list of numbers: x, y, z
-        "frequency_hz": study.frequency_hz.tolist(),  # list of numbers
-        # [][] BODE: always Eq. 29: 3 × 3, row is the carriage that responds, column the one commanded
+        "position_mm": [*station.xy.tolist(), 0.0],
+        "frequency_hz": study.frequency_hz.tolist(),
         "carriage": [[_bode(station.carriage, carriage_phase, i, k) for k in range(3)] for i in range(3)],
         "response": {
-            "of": view.of,  # the output, as of `--of`
-            # text or null: the input, as of `--per`; null of a sub-model
+            "of": view.of,
             "per": view.per if view.depends_on_place else None,
-            "unit": view.unit,  # mm/mm, 1/s² or 1/kg
-            "rows": list(view.rows),  # list of text: the outputs
-            "columns": list(view.columns),  # list of text: the inputs
-            # [][] BODE: the requested response
+            "unit": view.unit,
+            "rows": list(view.rows),
+            "columns": list(view.columns),
             "values": [[_bode(station.value, phase, i, k) for k in columns] for i in rows],
         },
-        "added_mass_kg": station.added_mass_kg,  # on the bare carriage
+        "added_mass_kg": station.added_mass_kg,
         "modes": [
-            {
-                # whole number or null: the same number is the same mode all over the bed; null: the drive's own
-                "number": m.number,
-                "frequency_hz": m.frequency_hz,  # undamped
-                "damping_ratio": m.damping_ratio,  # number
-                "kind": m.kind,  # the part that moves most
-            }
+            {"number": m.number, "frequency_hz": m.frequency_hz, "damping_ratio": m.damping_ratio, "kind": m.kind}
             for m in station.modes
         ],
         "measured": [_compared_answer(each) for each in station.compared],
-        "verdict": verdict(study),  # a sentence
+        "verdict": verdict(study),
     }
 
 
 def _bode(g: Any, phase: Any, i: int, k: int) -> dict[str, list[float]]:
-    return {
-        "magnitude": abs(g[:, i, k]).tolist(),  # list of numbers [`response.unit`]: at each frequency
-        "phase_deg": phase[:, i, k].tolist(),  # list of numbers: unwrapped
-    }
+    return {"magnitude": abs(g[:, i, k]).tolist(), "phase_deg": phase[:, i, k].tolist()}
 
 
 def _compared_answer(each: Compared) -> dict[str, Any]:

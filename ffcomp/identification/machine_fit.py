@@ -79,20 +79,14 @@ class MachineFit(Result):
         """Return the keys of the JSON object `schema`."""
         return {
             "schema": self.schema,
-            # MACHINE
             "started_from": {"name": self.start.name, "sha256": self.start.sha256},
-            "data": list(self.data),  # list of text: files or pictures, and their hashes
-            "skipped": list(self.skipped),  # list of text: sentences: what could not be used
+            "data": list(self.data),
+            "skipped": list(self.skipped),
             **({} if self.belts is None else {"belts": _belts(self.belts)}),
-            # direct, stepwise, modes (spectra only), axes (of a cartesian or CoreXY machine), axis (one by itself),
-            # belts (tests along belts only), or scan (pictures)
             "method": self.method,
             **self.own,
-            "advice": list(
-                self.advice
-            ),  # list of text: sentences: numbers that are weak or not determined, and the next measurement
+            "advice": list(self.advice),
             **({"shapers": [asdict(each) for each in self.shapers]} if self.shapers else {}),
-            # text or null: the machine file, if one was written
             "output": None if self.output is None else str(self.output),
         }
 
@@ -152,21 +146,13 @@ class ParametersFit(MachineFit):
         """The keys of the method in the JSON object."""
         fitted = self.result.fitted
         return {
-            "numbers": estimates(fitted.estimates),  # .* ESTIMATE: direct; modes with an output: by `table.key`
-            "delays_s": estimates(fitted.delays_s),  # .* ESTIMATE: direct: unknown delays, by clock
-            # .* ESTIMATE: direct: by how much the accelerometer of captures is turned about x, y, z
+            "numbers": estimates(fitted.estimates),
+            "delays_s": estimates(fitted.delays_s),
             "rotation_deg": estimates(fitted.rotation_deg),
-            "common_scale": {
-                # number: direct: of all masses, stiffnesses and dampings together, relative
-                "sd": fitted.common_scale_sd,
-                # .* ESTIMATE: direct: the numbers with that scale known, where only the scale is weak
-                "numbers": estimates(self.beside_scale),
-            },
-            "kept": list(self.result.kept),  # list of text: direct, axis: numbers on which the data say nothing
-            # .* WEAK: direct: numbers known worse than 10 %
+            "common_scale": {"sd": fitted.common_scale_sd, "numbers": estimates(self.beside_scale)},
+            "kept": list(self.result.kept),
             "weak": {key: dict(others) for key, others in fitted.weak.items()},
-            "misfit": fitted.misfit,  # number: direct: χ² a degree of freedom; 1 is noise alone
-            # number: direct: what noise does not explain, as a share of a typical response
+            "misfit": fitted.misfit,
             "model_error": fitted.model_error,
             "responses": _quality(self.result),
         }
@@ -206,10 +192,9 @@ class StepwiseFit(MachineFit):
         """The keys of the method in the JSON object."""
         steps = [
             {
-                "step": step.title,  # stepwise: each step of the paper
-                # number or null: how well redundant equations agree
+                "step": step.title,
                 "chi_squared_per_degree_of_freedom": step.consistency,
-                "numbers": estimates(step.joint.estimates()),  # .* ESTIMATE
+                "numbers": estimates(step.joint.estimates()),
             }
             for step in self.result.steps
         ]
@@ -245,7 +230,6 @@ class AxesFit(MachineFit):
         exchange = self.result.exchange
         return {
             "axes": {axis.name: _axis(axis) for axis in self.result.axes},
-            # ESTIMATE or null: axes: δ of what x and y exchange, where it is sure
             "exchange": None if exchange is None else asdict(exchange.delta),
         }
 
@@ -300,18 +284,18 @@ class ResonancesFit(MachineFit):
         """The keys of the method in the JSON object."""
         spectra = [
             {
-                "file": fit.source,  # modes: each spectrum
+                "file": fit.source,
                 "signal": fit.signal,
                 "verdict": fit.verdict,
-                "misfit": fit.misfit,  # number: what the modes leave unexplained, rms of the power's logarithm
+                "misfit": fit.misfit,
                 "modes": [
                     {
                         "frequency_hz": mode.frequency_hz,
                         "frequency_sd_hz": mode.frequency_sd_hz,
-                        "damping_ratio": mode.damping_ratio,  # number
-                        "damping_ratio_sd": mode.damping_ratio_sd,  # number
-                        "power": mode.power,  # number: as a share of the strongest
-                        "clear": mode.clear,  # true or false
+                        "damping_ratio": mode.damping_ratio,
+                        "damping_ratio_sd": mode.damping_ratio_sd,
+                        "power": mode.power,
+                        "clear": mode.clear,
                     }
                     for mode in fit.modes
                 ],
@@ -359,31 +343,17 @@ class ScanFit(MachineFit):
         """The keys of the method in the JSON object."""
         fit = self.result
         places = [
-            {
-                "position_mm": place,  # list of numbers: where strokes were drawn
-                "modes": [
-                    {
-                        "frequency_hz": asdict(f),  # ESTIMATE: of what rings there
-                        "damping_ratio": asdict(d),  # ESTIMATE
-                    }
-                    for f, d in modes
-                ],
-            }
+            {"position_mm": place, "modes": [{"frequency_hz": asdict(f), "damping_ratio": asdict(d)} for f, d in modes]}
             for place, modes in fit.modes.items()
         ]
         return {
-            # .* ESTIMATE: by `table.key`; the deltas' masses against that of the nozzle holder
             "numbers": estimates(fit.estimates),
-            "kept": list(fit.kept),  # list of text: numbers that the picture hardly determines
+            "kept": list(fit.kept),
             "places": places,
-            # .* ESTIMATE: what else shapes lines: dry friction of the guides (N; m/s² where the file has no masses),
-            # how far contacts bend or how fast they creep, how far the bead lags behind the nozzle (mm),
-            # rounds its path (mm) and is shifted along a line (mm), how much it follows as on a string (0 to 1), and
-            # how much x and y ring as a share of what the file's modes would (more than 1: there is another mode)
             "bead": estimates(fit.bead),
-            "explained": fit.explained,  # number: share of the power of the lines' waves that the machine explains
-            "lines": len(fit.lines),  # whole number: that were read
-            "noise_um": self.noise_um,  # roughness of the typical line
+            "explained": fit.explained,
+            "lines": len(fit.lines),
+            "noise_um": self.noise_um,
         }
 
 
@@ -436,33 +406,21 @@ def hash_of(path: Path) -> str:
 def _belts(belts: BeltComparison) -> dict[str, Any]:
     tests = zip(belts.tests, belts.errors, strict=True)
     return {
-        "kind": belts.kind,  # belt (CoreXY) or tower (delta): tests along each of them were compared
-        "sentence": belts.sentence,  # the finding
-        # .* ESTIMATE: by belt (its axis) or tower, against the mean of the others: -0.08 is 8 % softer
+        "kind": belts.kind,
+        "sentence": belts.sentence,
         "relative_stiffness": estimates(dict(zip(belts.names, belts.stiffness, strict=True))),
-        "modes_hz": [asdict(e) for e in belts.modes_hz],  # [] ESTIMATE: the two resonances of the head on all belts
-        "damping_ratio": list(belts.damping_ratio),  # [] number: of each
-        "tests": [
-            {
-                "file": t.spectrum.source,
-                "axis": t.axis,  # the direction that was excited
-                "model_error": e,  # number: what the two modes leave unexplained
-            }
-            for t, e in tests
-        ],
+        "modes_hz": [asdict(e) for e in belts.modes_hz],
+        "damping_ratio": list(belts.damping_ratio),
+        "tests": [{"file": t.spectrum.source, "axis": t.axis, "model_error": e} for t, e in tests],
     }
 
 
 def _axis(axis: AxisFit) -> dict[str, Any]:
     return {
         "modes": [asdict(mode) for mode in axis.modes],
-        "verdict": axis.verdict,  # how many modes, and why
+        "verdict": axis.verdict,
         "data": [
-            {
-                "source": Path(datum.source).name,  # the measured file
-                "lines": len(datum.frequency_hz),  # whole number: frequencies
-                "model_error": error,  # number: 0: explained to its noise
-            }
+            {"source": Path(datum.source).name, "lines": len(datum.frequency_hz), "model_error": error}
             for datum, error in zip(axis.data, axis.errors, strict=True)
         ],
     }
@@ -476,15 +434,15 @@ def _quality(result: Identified) -> list[dict[str, Any]]:
         size = np.sum(np.abs(r.value) ** 2)
         rows.append(
             {
-                "source": r.source,  # direct: each response that was fitted
+                "source": r.source,
                 "setup": r.setup,
                 "input": r.input,
                 "output": r.output,
-                "position_mm": r.position_mm,  # list of numbers or null
-                "points": len(r.frequency_hz),  # whole number
-                "relative_error": float(np.sqrt(np.sum(np.abs(r.value - h) ** 2) / size)),  # number
-                "relative_noise": float(np.sqrt(np.sum(r.variance) / size)),  # number
-                "model_error": float(share),  # number: 0: explained to its noise
+                "position_mm": r.position_mm,
+                "points": len(r.frequency_hz),
+                "relative_error": float(np.sqrt(np.sum(np.abs(r.value - h) ** 2) / size)),
+                "relative_noise": float(np.sqrt(np.sum(r.variance) / size)),
+                "model_error": float(share),
             }
         )
     return rows

@@ -144,35 +144,29 @@ class PlanResult(Result):
         return {
             "schema": "ffcomp-record-plan/1",
             "machine": {"name": self.plan.machine, "sha256": self.plan.machine_sha256},
-            "output": str(self.output),  # the G-code
-            "plan": str(self.plan_file),  # the file that holds its command, ffcomp-moves/1
+            "output": str(self.output),
+            "plan": str(self.plan_file),
             "flavor": self.recorder.flavor,
-            "duration_s": self.plan.duration_s,  # without homing and travel
-            "repeats": self.plan.repeats,  # whole number: how often each experiment is made
+            "duration_s": self.plan.duration_s,
+            "repeats": self.plan.repeats,
             "experiments": [self._experiment_dict(each) for each in self.plan.experiments],
-            "captures": self.captures,  # list of text: how the captures' files will be called, in the order of the file
-            # list of text: sentences: how limits, shaper and bed mesh are put back
+            "captures": self.captures,
             "restores": self.recorder.restores(),
-            # list of lists of numbers: for identify: where more could be learnt
             "recommended_places_mm": list(self.recommended_places_mm),
-            "warnings": self.warnings,  # list of text
-            "next": self.next,  # the command to go on with
+            "warnings": self.warnings,
+            "next": self.next,
         }
 
     def _experiment_dict(self, experiment: Experiment) -> dict[str, Any]:
         peaks = self.peaks(experiment)
         return {
             "name": experiment.name,
-            # zigzag, reversals, loop or multisine; for identify multisine, sweep or log-sweep; print
             "kind": experiment.kind,
-            # text or null: for identify: A, B or C, a carriage by itself, or x, y, z; else null
             "direction": experiment.excitation and experiment.excitation.direction,
-            "position_mm": experiment.position_mm,  # list of numbers
-            "duration_s": experiment.duration_s,  # from rest to rest
-            "moves": len(experiment.motion.speed),  # whole number
+            "position_mm": experiment.position_mm,
+            "duration_s": experiment.duration_s,
+            "moves": len(experiment.motion.speed),
             "peaks": {each.name: peaks and getattr(peaks, each.name) for each in fields(Peaks)},
-            # number: what rounding to microsteps does to the acceleration, as a share of it; for identify in the
-            # upper half of the band
             "microstep_error": experiment.rounding,
         }
 

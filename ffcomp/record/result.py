@@ -158,27 +158,21 @@ class JoinedRuns(Result):
         """Return the keys of ffcomp-join/1."""
         runs = [
             {
-                "file": str(file),  # the measured run
+                "file": str(file),
                 "experiment": each.experiment,
-                "repeat": each.repeat,  # whole number
-                "offset_s": each.clock.offset_s,  # time of the capture's first row since the first move began
+                "repeat": each.repeat,
+                "offset_s": each.clock.offset_s,
                 "offset_sd_s": each.clock.offset_sd_s,
-                "clock_ratio": each.clock.ratio,  # number: seconds of the command in a second of the capture
-                "clock_sd": each.clock.ratio_sd,  # number
-                "correlation": each.clock.correlation,  # number: of what was measured and what is expected, below 20 Hz
-                "overflows": each.overflows,  # whole number: samples that the chip lost
+                "clock_ratio": each.clock.ratio,
+                "clock_sd": each.clock.ratio_sd,
+                "correlation": each.clock.correlation,
+                "overflows": each.overflows,
                 "capture": each.source,
-                "axes_map": each.axes_map,  # the printer's axes in the sensor's own
+                "axes_map": each.axes_map,
             }
             for each, file in zip(self.result.joined, self.files, strict=True)
         ]
-        refused = [
-            {
-                "file": each.file,
-                "why": each.why,  # a sentence
-            }
-            for each in self.result.refused
-        ]
+        refused = [{"file": each.file, "why": each.why} for each in self.result.refused]
         return {"schema": "ffcomp-join/1", "runs": runs, "refused": refused}
 
 
