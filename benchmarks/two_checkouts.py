@@ -79,10 +79,13 @@ COMMANDS = (
         "-m {data}/runs/nothing-hidden/machine.toml --json",
         "runs/nothing-hidden",
     ),
-    Command(
-        "diagnose (nothing hidden)",
-        "diagnose {runs} -m {data}/runs/nothing-hidden/machine.toml --json -q",
-        "runs/nothing-hidden",
+    *(
+        Command(
+            f"diagnose ({hidden})",
+            f"diagnose {{runs}} -m {{data}}/runs/{hidden}/machine.toml --json -q",
+            f"runs/{hidden}",
+        )
+        for hidden in ("nothing-hidden", "coulomb-friction", "effector-mass")
     ),
 )
 
@@ -109,7 +112,7 @@ def main() -> None:
 
 def row(command: Command, options: argparse.Namespace) -> str:
     """Time one command in both checkouts."""
-    runs = sorted((options.data / "runs" / "nothing-hidden" / "runs").glob("*.csv"))
+    runs = sorted((options.data / command.needs / "runs").glob("*.csv"))
     places = {"prints": options.prints.resolve(), "data": options.data.resolve(), "runs": shlex.join(map(str, runs))}
     arguments = shlex.split(command.arguments.format(**places))
     code = [sys.executable, "-c", RUN if arguments else "import ffcomp", *arguments]
