@@ -5,7 +5,7 @@
     python -m studies.diagnosis --cases 240 --resume DIR --render       the page of what is done so far
     python -m studies.diagnosis --cases 48 --seed 9130 --resume DIR2 --earlier      another bank, told on the same page
 
-The bank is `validation/blind`. Everything is kept in DIR (see `validation/blind/seal.py`; of a cluster, on a disk that
+The bank is `validation/blind`. Everything is kept in DIR (see `validation/blind/bank.py`; of a cluster, on a disk that
 all workers see), so that it can be stopped at any time and continued: a verdict that is there is not asked for again.
 The cases come in an order of which every beginning is balanced. Each is sealed, asked for in a process of its own
 (`bank_case`), and only the labels of answered cases are opened, at the end.

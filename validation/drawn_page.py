@@ -32,7 +32,7 @@ FILAMENT_MM2 = np.pi * 1.75**2 / 4
 
 @dataclass(frozen=True)
 class Bead:
-    """What is between the nozzle's motion and the line on the bed."""
+    """From the nozzle's motion to the line on the bed."""
 
     foot_mm: float = 0.04  # added to the width by the first layer's squeeze
     drag_mm: float = 0.18
@@ -53,13 +53,13 @@ class Drawing:
 
 @dataclass(frozen=True)
 class Conditions:
-    """How the G-code of a page is executed: as it is written, or not."""
+    """How the G-code of a page is executed: by the plan, or not."""
 
     speed_factor: float = 1.0
     pulses: tuple[tuple[tuple[float, float], ...], ...] = (((1.0, 0.0),), ((1.0, 0.0),))  # of x, y: share, delay s
 
     def command(self, experiment: Experiment) -> Any:
-        """Return what the motors are told, in place of the experiment."""
+        """Return the motors' command in place of the experiment's."""
         motion = replace(experiment.motion, speed=experiment.motion.speed * self.speed_factor)
 
         def nozzle(t: Array) -> Array:
@@ -115,7 +115,7 @@ AS_WRITTEN = Conditions()
 def draw(
     plan: Plan, play: Callable[[Any, float], Array], bead: Bead, seed: int, conditions: Conditions = AS_WRITTEN
 ) -> list[Drawing]:
-    """Draw all of a page: strokes and slow lines as the plant moves, everything else as it is commanded."""
+    """Draw all of a page: strokes and slow lines as the plant moves, everything else as commanded."""
     rng = np.random.default_rng(seed)
     drawings = []
     for each in plan.experiments:
@@ -131,7 +131,7 @@ def draw(
 
 
 def _bead(path: Array, volume: Array, height: float, step_s: float, bead: Bead, rng: np.random.Generator) -> Drawing:
-    """Lay the extruded volume (n,) mm³ along the path (n, 2); what is left in the nozzle ends as a blot."""
+    """Lay the extruded volume (n,) mm³ along the path (n, 2); the remainder in the nozzle ends as a blot."""
     laid = _pulled(path, bead.drag_mm)
     out = _lagged(volume, max(bead.pressure_s / step_s, 1.0))
     moved = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(laid, axis=0), axis=1)))

@@ -32,7 +32,7 @@ LONGEST = 4096  # bytes of an input
 TARGETS = "reader", "machine", "run", "frf", "capture", "container", "prints"
 _DONE = re.compile(r"stat::number_of_executed_units:\s+(\d+)")
 _EDGES = re.compile(r"cov: (\d+)")
-# numba reads their bytecode, which must be as it was written
+# numba reads their bytecode, which must stay unchanged
 _COMPILED = ("gcode.fast_scan", "gcode.arcs", "gcode.emit")
 
 

@@ -1,7 +1,7 @@
 """What must hold of every compensated file, whatever went in: `violations` says in sentences what does not.
 
 Text: own lines are short plain decimals; every other line is there, in order, at its place along the filament (but for
-those that tell the print's time, which are ours to change).
+those that state the print's time, which are ours to change).
 Motion: every segment within reach, within the carriages' travel, velocity and acceleration; the filament of the
 original, evenly.
 """
@@ -57,7 +57,7 @@ _NOT_A_NUMBER = re.compile(rb"nan|inf|\d[eE][-+]?\d", re.IGNORECASE)
 
 @dataclass(frozen=True, slots=True)
 class Text:
-    """A compensated file's lines, told apart."""
+    """A compensated file's lines by their kind."""
 
     segments: IntArray  # indices of the lines that are segments of ours
     own: list[bytes]  # all other lines of ours
@@ -163,7 +163,7 @@ def _of_motion(written: Program, text: Text, machine: Machine) -> Iterator[str]:
 
 def _of_path(read: Program, written: Program, text: Text, machine: Machine) -> Iterator[str]:
     """Each section begins and ends where its path does, and never leaves it by more than `net` allows."""
-    read = within_reach(read, machine.kinematics)  # what lies beside the print volume goes out as sliced
+    read = within_reach(read, machine.kinematics)  # moves outside the print volume are passed through unchanged
     plan = plan_program(read, machine)
     by_line = {int(read.moves.line[each.first]): each for each in plan.sections if each.travels}
     times = [time for time in section_times(written.lines) if time.line in by_line]

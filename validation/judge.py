@@ -6,7 +6,7 @@ itself, the plan shaped, the segments of the compensated file as our planner or 
 earlier and end a little later than the path does, and nothing may hide in that.
 
 All methods are judged alike: contour error to the wanted path's segments, tracking raw and with the best constant
-delay removed, and beside them the largest acceleration that any carriage is asked for over one segment's time. The
+delay removed, and also the largest commanded acceleration of any carriage over one segment's time. The
 first `SETTLE_S` of a print are left out: before them the file's own first moves run uncompensated, and still ring.
 """
 
@@ -63,9 +63,9 @@ class Answer:
     due: FloatArray  # (m,) s, when on the wanted plan's clock
     wanted: FloatArray  # (m, 3) mm, the nozzle as planned
     late: FloatArray  # (m, 3) mm, the same `delay_s` earlier: the constant delay that explains most of the error
-    nozzle: FloatArray  # (m, 3) mm, the nozzle as it was
+    nozzle: FloatArray  # (m, 3) mm, the nozzle's actual place
     delay_s: float
-    peak_m_per_s2: float  # largest acceleration any carriage is asked for
+    peak_m_per_s2: float  # largest commanded acceleration of any carriage
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,7 +96,7 @@ class Original:
 
     @property
     def corner_velocity_mm_per_s(self) -> float:
-        """What the file asks for from its first move on, or the machine's (Kalico does not know Marlin's M205)."""
+        """The file's at its first move, or the machine's (Kalico does not know Marlin's M205)."""
         asked = float(self.planned.program.moves.square_corner_velocity[0])
         return self.machine.limits.square_corner_velocity_mm_per_s if np.isnan(asked) else asked
 
@@ -220,7 +220,7 @@ def play(plant: dict[str, Any], motion: Motion, step_s: float = STEP_S) -> tuple
 
 
 def peak_m_per_s2(plant: dict[str, Any], motion: Motion) -> float:
-    """The largest acceleration a carriage is asked for: second difference over one segment's time."""
+    """The largest commanded acceleration of a carriage: second difference over one segment's time."""
     t = np.arange(motion.begin_t, motion.end_t, EFFORT_SAMPLE_S)
     carriages = delta_plant.carriages_of(plant, motion.position(t))
     return peak_acceleration(carriages, EFFORT_SAMPLE_S, EFFORT_S) / 1e3

@@ -6,7 +6,7 @@
 
 Exit codes, the names of the files that are written, G-code, CSV and step archives must be the same to the last byte.
 JSON and TOML must have the same keys (new ones may come) and the same numbers within a relative tolerance. Sentences
-may be worded anew, as long as their numbers stay; error messages may change altogether and are only shown. What depends
+may be reworded, as long as their numbers stay; error messages may change altogether and are only shown. What depends
 on the day, the place or the clock is taken out first: versions, hashes, dates, paths, seconds of computing.
 
 Both must be given the same `--samples` and `--examples`; by default they are those of the checkout this file lies in.
@@ -100,7 +100,7 @@ class Run:
 
 @dataclass(slots=True)
 class Kept:
-    """What became of one command."""
+    """The outcome of one command."""
 
     name: str
     args: list[str]
@@ -487,7 +487,7 @@ def compare_arrays(before: bytes, after: bytes) -> Verdict:
 
 
 def compare_file(kinds: tuple[str, str], verb: str, before: bytes, after: bytes) -> Verdict:
-    """As the kind asks for."""
+    """Compare by kind."""
     if kinds[0] != kinds[1]:
         verdict = Verdict()
         verdict.blame(f"{kinds[0]} | {kinds[1]}")

@@ -30,7 +30,7 @@ VERDICTS = ("effects", "none", "unknown", "failed")
 Progress = Callable[[str], None]
 # of six cases on a machine three hide one effect, and one each two, nothing, and what is outside the catalogue
 ROUND = ("single", "nothing", "single", "outside", "single", "pair")
-# in turn, for every machine and what is hidden
+# in turn, by machine and by what is hidden
 CONDITIONS: Mapping[str, Sequence[str]] = {
     "delta": ("usual", "free-damping", "rest", "rough-file"),
     "nozzle": ("free-damping", "usual", "joined", "rest"),
@@ -47,8 +47,8 @@ def full_bank(
 ) -> dict[str, tuple[int, str]]:
     """Return the name of each case → its seed and stratum; a larger bank begins with the smaller.
 
-    The names tell nothing. Machines come in turn; each goes through ROUND, beginning at another place of it. Where a
-    machine is of several kinds, these take turns in what they hide.
+    The names carry no information. Machines come in turn; each goes through ROUND, from another place of it. Where a
+    machine is of several kinds, they take turns.
     """
     cases: dict[str, tuple[int, str]] = {}
     kinds = [kind for machine in machines for kind in MACHINES[machine]]
@@ -63,7 +63,7 @@ def full_bank(
         several, conditions = MACHINES[machine], CONDITIONS[machine]
         kind = several[before % len(several)]
         condition = conditions[before // len(several) % len(conditions)]
-        if condition == "rest" and what != "single":  # a rest is beside one effect
+        if condition == "rest" and what != "single":  # that condition needs one effect
             condition = "usual"
         name = hashlib.sha256(f"{seed} {machine} {turn}".encode()).hexdigest()[:8]
         own = 10000 * seed + 100 * turn + which
@@ -238,7 +238,7 @@ def _complete(answer: Mapping[str, Any]) -> dict[str, Any]:
 def make_bank(
     folder: Path, count: int, seed: int, seconds: float, machines: Sequence[str], progress: Progress = lambda _: None
 ) -> list[str]:
-    """Write cases and sealed labels; what is there is kept. Return the names of the cases, in order.
+    """Write cases and sealed labels, and keep existing ones. Return the names of the cases, in order.
 
     A case whose captures `record join` refuses has no runs to diagnose: it is left out, and `refused/` says why.
 

@@ -1,8 +1,8 @@
-"""What an owner records: the moves of `ffcomp record plan`, felt by one chip, joined with their plan again.
+"""An owner's recordings: the moves of `ffcomp record plan`, measured by one chip and joined with their plan.
 
-The printer that makes the moves is the bank's own, and so is the chip: counts, noise of which a part is coloured,
-gravity, a tilt, axes turned, a clock that is off, rows that are lost. The plan and the join are ffcomp's, for they are
-what an owner has; what comes out are measured runs like any other.
+The benchmark has its own printer and its own chip, with counts, noise that is partly coloured, gravity, a tilt, turned
+axes, a clock that is off and lost rows. The plan and the join are ffcomp's, as an owner uses them; the results are
+measured runs like any other.
 """
 
 from __future__ import annotations

@@ -13,8 +13,8 @@ for. Conditions:
     weak         at a thirtieth to a third of the size (half, if it is one of the file's numbers)
     sensors      only some of the channels of a delta, or encoders, or a laser
     few          one repeat of one motion
-    free-damping the damping sits anywhere between belts and guides, of which the file knows nothing
-    rest         beside what is hidden something that no entry of the catalogue is meant for, worth 5 to 20 %
+    free-damping the damping is anywhere between belts and guides, and the file does not state where
+    rest         something outside the catalogue in addition, worth 5 to 20 %
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ RESTS = (  # that may be of any size
 )
 WEAK = (0.03, 0.3)  # of the size, drawn evenly in its logarithm
 RATE_HZ = 1600.0
-# what must pass a file's uncertainty before it is an effect comes in weak by half; what is there or not, not at all
+# with `weak`, effects within the file's uncertainty are halved, and those that are there or not stay
 HALVED = (
     "belt_stiffness",
     "guide_damping",
@@ -110,15 +110,15 @@ class Label:
     effects: Mapping[str, Mapping[str, Any]]  # of the catalogue, as tables of a machine file
     outside: str  # "" if nothing outside the catalogue is hidden
     visibility: Mapping[str, Visibility]  # of each, the others present
-    alike: tuple[str, ...]  # names that no sensor can tell from the truth, by construction
+    alike: tuple[str, ...]  # names that no sensor can distinguish from the truth, by construction
     around: Circumstances
-    # what is true as well, and need not be named: damping in the belts
+    # true as well, and need not be named: damping in the belts
     also: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
-    rest: Mapping[str, float] = field(default_factory=dict)  # what no entry is meant for, and what share it is worth
+    rest: Mapping[str, float] = field(default_factory=dict)  # outside the catalogue, and its share
 
     @property
     def stratum(self) -> str:
-        """Machine, what is hidden, and condition."""
+        """Machine, hidden things, and condition."""
         return f"{self.machine}/{self.hides}/{self.condition}"
 
     @property
@@ -169,11 +169,11 @@ class Wanted:
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """What is drawn before anything is simulated."""
+    """A case before anything is simulated."""
 
     kind: Kind
     file: Tables
-    firmware: Tables  # the kinematics by which nozzle paths become commands
+    firmware: Tables  # kinematics that turn nozzle paths into commands
     real: Real
     without: Mapping[str, Real]  # the printer with all that is hidden but this
     plain: Real
@@ -195,7 +195,7 @@ class Plan:
         return (self.kind.repeats, *[1] * (len(self.fresh) - 1))
 
     def judged(self, real: Real, readings: Sequence[Reading], coarse: bool = False) -> list[Reading]:
-        """Return what another printer would have read, in the form in which readings are compared."""
+        """Return what another printer would have read, in the form that is compared."""
         if self.kind.replayed is None:
             return self.readings(real, self.motions, coarse)
         return [self.kind.replayed(real, reading) for reading in readings]
@@ -219,7 +219,7 @@ def case(seed: int, stratum: str, seconds: float = 3.0, short: bool = False) -> 
 
 
 def draw(seed: int, stratum: str, seconds: float = 3.0, short: bool = False) -> Plan:
-    """Every part of a case has its own stream of random numbers: what is hidden does not change the rest."""
+    """Every part of a case has its own stream of random numbers: a hidden effect does not change the rest."""
     wanted = Wanted.parse(stratum)
     kind = KINDS[wanted.machine]
     names = _names(seed, wanted) if wanted.names is None else wanted.names
@@ -346,7 +346,7 @@ def _spreads(kind: Kind, machine: Tables, file: Tables, usual: float) -> tuple[f
 
 
 def _with_rest(plan: Plan, rng: np.random.Generator, seed: int) -> Plan:
-    """Hide something else beside: the first of some that can be worth its share, by the first two motions."""
+    """Hide something else in addition: the first of some that can be worth its share, by the first two motions."""
     wanted, found = rng.uniform(*REST), plan
     for name in map(str, rng.permutation([each for each in plan.kind.outside if each in RESTS])):
         size = 1.0
@@ -362,7 +362,7 @@ def _with_rest(plan: Plan, rng: np.random.Generator, seed: int) -> Plan:
 
 
 def _beside(plan: Plan, name: str, size: float, seed: int) -> tuple[Plan, float]:
-    """Hide something else beside, and return what share of all that is hidden it is worth."""
+    """Hide something else in addition, and return its share of all that is hidden."""
 
     def beside(real: Real) -> Real:
         return plan.kind.outside[name](np.random.default_rng([seed, zlib.crc32(name.encode())]), size, real)[1]
@@ -396,7 +396,7 @@ def _seen(plan: Plan, readings: Sequence[Reading]) -> dict[str, Visibility]:
         return {name: visibility_by_other_clocks(true, o, n, sd_s, told) for name, o in others.items()}
 
     def moved(real: Real, z: FloatArray) -> FloatArray:
-        """Return what a printer would tell whose numbers are off by so many standard deviations, at most by half."""
+        """Return the data of a printer whose numbers are off by so many standard deviations, at most by half."""
         off = np.clip(z * plan.spreads, -0.5, 0.5) / PROBE
         machine = combined(real.machine, list(plan.kind.probes(real.machine, PROBE)), off.tolist())
         return told(plan.judged(replace(real, machine=machine), readings))

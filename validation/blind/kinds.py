@@ -58,8 +58,8 @@ class Kind:
     measured: Sequence[tuple[str, int, str, float]] = MEASURED
     fresh: Sequence[tuple[str, int, str, float]] = FRESH
     repeats: int = 2  # of the first motions
-    force: Given | None = None  # what is recorded of the force that drives it, by column
-    replayed: Replayed | None = None  # another machine under a reading's forces, or the reading itself, as it is judged
+    force: Given | None = None  # the recorded force that drives it, by column
+    replayed: Replayed | None = None  # another machine under a reading's forces, or the reading itself, to compare
     columns: Columns = lambda _, measured: columns_of(measured)
     # the machine with a share of its damping in its belts, and the table of it where a file that says nothing is wrong
     damped: Damped | None = None

@@ -1,4 +1,4 @@
-"""What a printer is told to do while it is measured: nozzle paths over time, drawn from seeds.
+"""Commanded motions of a measurement: nozzle paths over time, drawn from seeds.
 
 A motion is drawn once and then known at every time; it begins and ends at rest. mm, s.
 """

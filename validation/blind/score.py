@@ -1,7 +1,7 @@
 """Verdicts against labels: rates with Wilson's intervals against aims, the confusion matrix, the numbers' errors.
 
-A verdict is the JSON of `ffcomp diagnose --json`; a proof is what `ffcomp gap --json` says of runs the diagnosis never
-saw, with the old machine file and with the better one.
+A verdict is the JSON of `ffcomp diagnose --json`; a proof is that of `ffcomp gap --json` on runs the diagnosis
+never saw, with the old machine file and with the better one.
 """
 
 from __future__ import annotations
@@ -27,13 +27,13 @@ INEXACT = {
     "belt_position_stiffness": ("q_centre_mm",),
     "sensor_lag": ("damping_ratio",),
 }
-# laws of one family, which a verdict tells first where a rest beside hides how they differ
+# laws of one family: a residual can hide how they differ
 FAMILIES = (frozenset({"coulomb_friction", "bristle_friction"}),)  # dry friction, whatever it does before it slides
 
 
 @dataclass(frozen=True)
 class Judged:
-    """A case with what was said about it."""
+    """A case with its answer."""
 
     name: str
     label: Label
@@ -42,7 +42,7 @@ class Judged:
 
     @property
     def named(self) -> frozenset[str]:
-        """Return the names of a verdict that names, without what is true beside and need not be named."""
+        """Return the names of a verdict, without those that are true as well and need not be named."""
         names = {effect["name"] for effect in self.verdict.get("effects", []) if self.verdict["verdict"] == "effects"}
         return frozenset(names - set(self.label.also))
 
@@ -79,14 +79,14 @@ class Judged:
 
     @property
     def right(self) -> bool:
-        """Exactly the truth; or its twin, if the truth is told beside it."""
+        """Exactly the truth; or its twin, if the truth is given as confusable with it."""
         if self.named == self.truth:
             return True
         return self.named <= set(self.label.alike) and self.in_set and bool(self.named)
 
     @property
     def in_set(self) -> bool:
-        """Tell whether the truth is named or told as looking alike."""
+        """Return whether the truth is named, or given as confusable."""
         told = {rival["name"] for rival in self.verdict.get("confusable_with", [])}
         return self.says == "effects" and self.truth <= self.named | told
 
@@ -197,13 +197,13 @@ class Sets:
 
     total: int
     in_set: int  # the truth is one of them
-    recording: int  # of these, the recording that tells them apart is named
-    settled: int  # of these, it is said that the given runs tell them apart already
-    twins: int  # of these, it is said that no move does
+    recording: int  # of these, a recording that separates them is named
+    settled: int  # of these, the given runs separate them already, by the answer
+    twins: int  # of these, no move separates them, by the answer
 
 
 def sets(judged: Sequence[Judged]) -> Sets:
-    """Count the verdicts that name a set, and what they say of telling its members apart."""
+    """Count the verdicts that name a set, and their answers on how to separate its members."""
     several = [j for j in judged if j.named and j.label.visible and j.verdict.get("confusable_with")]
     right = [j for j in several if j.in_set]
     separations = [j.verdict.get("separate", []) for j in right]
@@ -246,7 +246,7 @@ class NumberError:
 
 
 def numbers(judged: Sequence[Judged]) -> list[NumberError]:
-    """Return the numbers of rightly named effects whose truth can be told in the file's terms, and is not zero."""
+    """Return the numbers of rightly named effects whose truth has the file's terms, and is not zero."""
     return [e for j in judged if j.named == j.truth for e in _numbers_of(j)]
 
 
@@ -274,7 +274,7 @@ def _compared(key: str, true: Any, found: Mapping[str, Any], moving: Sequence[fl
 
 
 def confusion(judged: Sequence[Judged]) -> dict[str, Counter[str]]:
-    """Truth → how often each answer was given; pairs are one row, told apart by how many were found."""
+    """Truth → how often each answer was given; pairs are one row, by how many were found."""
     table: dict[str, Counter[str]] = {}
     for j in judged:
         row, answer = j.question, j.answer
@@ -349,7 +349,7 @@ def confusion_rows(judged: Sequence[Judged]) -> list[dict[str, Any]]:
 
 
 def miss(j: Judged) -> dict[str, Any]:
-    """Describe a case that ended otherwise than it should, with what was said about it."""
+    """Describe a case with a wrong answer."""
     return {
         "case": j.name,
         "stratum": j.label.stratum,

@@ -27,7 +27,7 @@ from validation.plants.forced_axis import axis_of, follow, pushed, servo_of
 STEP_S, KEPT_EVERY = 1 / 12800, 2
 SHOT_S = 0.05  # spans over which a hidden effect is compared: in longer ones, a missing force moves the axis far away
 PROBED = ("carriage", "ground", "belt_k", "belt_c", "tool")
-OFFSET_N_PER_KG = 0.15  # by which the zero of a force may be off
+OFFSET_N_PER_KG = 0.15  # error of a force's zero
 OF_COUPLING = ("belt_stiffness", "belt_hardening", "belt_backlash")
 
 
@@ -80,7 +80,7 @@ def file_of(machine: Tables, error: float, rng: Rng) -> Tables:
         }
     off = off_by(error, rng)
     axis = {key: off(value) for key, value in axis.items()}
-    if error == 0.0:  # else nobody has looked at the zero of the force's sensor
+    if error == 0.0:  # otherwise the zero of the force's sensor is unknown
         axis["offset_n"] = plant["offset"]
     written: Tables = {"kinematics": {"type": "axis"}, "axis": {"input": "force", "stiffness_n_per_m": 0.0, **axis}}
     return written | ({"uncertainty": {"default": error}} if error > 0.02 else {})
@@ -135,7 +135,7 @@ def _reading(t: FloatArray, out: FloatArray, force: FloatArray) -> Reading:
 def replayed(real: Real | None, reading: Reading) -> Reading:
     """Return what another axis would do under the same forces, each shot of which begins where the axis really was.
 
-    The best line through each shot's places is taken away, because nobody knows so well where it began. Without another
+    The best line through each shot's places is taken away, because its beginning is not known so well. Without another
     axis the reading itself is returned in this form.
     """
     t, shot = reading.t, round(SHOT_S / (reading.t[1] - reading.t[0]))
@@ -161,7 +161,7 @@ def _bent(places: FloatArray, shot: int) -> FloatArray:
 
 
 def given(machine: Tables, times: FloatArray, reading: Reading, rng: Rng) -> dict[str, FloatArray]:
-    """Return the column of the force as it is recorded, with its own noise."""
+    """Return the column of the recorded force, with its own noise."""
     assert reading.force is not None
     force = reading.force[:: round((len(reading.t) - 1) / (len(times) - 1))]
     noise = machine["servo"]["noise"] * float(np.std(force))
@@ -223,7 +223,7 @@ def _at_rim(file: Tables, rim_m: float) -> float:
 
 
 def turning_given(machine: Tables, times: FloatArray, reading: Reading, rng: Rng) -> dict[str, FloatArray]:
-    """Return the column of the torque, or of the current that makes it, as it is recorded."""
+    """Return the column of the recorded torque, or of the current that makes it."""
     torque = machine["rim_m"] * given(machine, times, reading, rng)["force_n"]
     return {"current_a": torque / machine["n_m_per_a"]} if machine["n_m_per_a"] else {"torque_n_m": torque}
 

@@ -32,9 +32,9 @@ def modes_of(machine: Tables, axis: int) -> dict[str, list[float]]:
 def draw_machine(rng: Rng, kind: str, names: Sequence[str] = ()) -> Tables:
     """Draw a printer: the tables of a machine file, and `plant`, its masses, springs and dampers.
 
-    The dampers are αM + βK, so that its modes stay real: a file with modes can then tell all of it. Where a gantry will
-    rack, its beam give way, or a print ride on the bed, what moves along y is one body, for which the catalogue is
-    exact; the head of a racking one is its lighter part.
+    The dampers are αM + βK, so that its modes stay real and a file with modes can state all of it. Where a gantry will
+    rack, its beam give way, or a print ride on the bed, one body moves along y, because the catalogue is exact for it;
+    the head of a racking gantry is its lighter part.
     """
     slinger, turn = kind == "cartesian", turn_of(kind)
     mass = np.array([rng.uniform(0.3, 0.6), rng.uniform(0.5, 1.2)])
@@ -92,9 +92,9 @@ def file_of(machine: Tables, error: float, rng: Rng) -> Tables:
 
 
 def restated(tables: Labels, real: Tables, file: Tables) -> Labels:
-    """Return the effects in the file's terms: a belt's change counts from what the file says of its axis, which is off.
+    """Return the effects in the file's terms: a belt's change counts from the file's axis, which is off.
 
-    Each belt of a CoreXY pulls along both axes, of which the file may be wrong in opposite ways: there it stays.
+    Each belt of a CoreXY pulls along both axes, and the file may be wrong in opposite ways: there it stays.
     """
     change = tables.get("belt_stiffness", {}).get("relative_change")
     if change is None or real["kinematics"]["type"] == "corexy":
@@ -217,7 +217,7 @@ def damped_by_belts(machine: Tables, share: float) -> tuple[Tables, dict[str, An
     plant |= {"belt_c": belts.tolist(), "guide_b": (left * plant["guide_b"]).tolist()}
     plant["ground"] = (left * plant["ground"]).tolist()
     changed = {**machine, "plant": plant}
-    if machine["kinematics"]["type"] == "axis":  # its file tells of dampers, not of modes
+    if machine["kinematics"]["type"] == "axis":  # its file states dampers, not modes
         return changed, {"share": share}
     return changed, {"share": [*(modes_of(changed, axis)["belt_damping_share"][0] for axis in range(2)), 0.0]}
 
@@ -225,13 +225,13 @@ def damped_by_belts(machine: Tables, share: float) -> tuple[Tables, dict[str, An
 def belt_hardening(rng: Rng, size: float, real: Real) -> tuple[dict[str, Any], Real]:
     """With a fifth power that comes to a tenth of the third where the force is a half more."""
     cubic = size * springs(real) * (0.5 / rng.uniform(0.25e-3, 0.6e-3) ** 2)
-    pulled = np.sum(turn_of(real.machine["kinematics"]["type"]) ** 2, axis=0)  # a file tells of axes, which both pull
+    pulled = np.sum(turn_of(real.machine["kinematics"]["type"]) ** 2, axis=0)  # a file states axes, which both pull
     table = of_belts(real, cubic_n_per_m3=pulled * cubic)
     return table, real.having(cubic=cubic, quintic=0.1 * cubic / 1.6e-7)
 
 
 def of_belts(real: Real, **values: FloatArray) -> dict[str, Any]:
-    """Return forces of belts, (2,) each; those of a CoreXY's belts are told by the mean of both masses."""
+    """Return forces of belts, (2,) each; those of a CoreXY's belts are not stated per mass."""
     if real.machine["masses"] or real.machine["kinematics"]["type"] == "cartesian":
         return of_mass(real, **values)
     return {}
@@ -244,7 +244,7 @@ def sensor_gain(rng: Rng, size: float, real: Real) -> tuple[dict[str, Any], Real
 
 
 def frame_mode(rng: Rng, size: float, real: Real) -> tuple[dict[str, Any], Real]:
-    """As everywhere; a file without masses does not tell the frame's either."""
+    """As everywhere; a file without masses has no frame's mass either."""
     table, changed = effects.frame_mode(AXES, rng, size, real)
     keys = ("frequency_hz", "damping_ratio", *(["mass_kg"] if real.machine["masses"] else []), "direction")
     return {key: table[key] for key in keys}, changed
@@ -259,7 +259,7 @@ def growing_bed(rng: Rng, size: float, real: Real) -> tuple[dict[str, Any], Real
 
 
 def toolhead_mode(rng: Rng, size: float, real: Real) -> tuple[dict[str, Any], Real]:
-    """Hide a beam that gives way most in its middle; how ω² goes with x is told by no number of a file."""
+    """Hide a beam that gives way most in its middle; no number of a file states how ω² goes with x."""
     middle = _middle_mm(real) + rng.uniform(-15.0, 15.0)
     half, beam = 0.5e-3 * real.machine["kinematics"]["x_range_mm"][1] + 0.02, size * rng.uniform(0.5, 1.2)
     return {}, real.having(beam=beam, beam_gain=1 + beam, beam_at=middle / 1e3, beam_half=half)

@@ -25,7 +25,7 @@ MOST_REFITS = 12  # steps; after half of them, half of what is left must be gone
 
 @dataclass(frozen=True)
 class Visibility:
-    """What can be seen of one hidden thing."""
+    """How visible one hidden thing is."""
 
     raw: float
     left: float
@@ -98,7 +98,7 @@ def visibility_by_refit(
 
     Parameters
     ----------
-    moved : what is told where the numbers of the file are off by so many standard deviations, (numbers,).
+    moved : the whitened data where the numbers of the file are off by so many standard deviations, (numbers,).
     """
     first = found = visibility(true - without, n)
     z, base = np.zeros(n.shape[1]), without
@@ -123,7 +123,7 @@ def visibility_by_other_clocks(
 ) -> Visibility:
     """Of what differs from `without`, where each motion's accelerometers may be late by a standard deviation of `sd_s`.
 
-    Gauss-Newton in the delays, for a delay of 0.5 ms is no small one to what moves at 100 Hz. `told` : whitens.
+    Gauss-Newton in the delays, because 0.5 ms is not small for motions of 100 Hz. `told` : whitens.
     """
     plain, late = told(without), np.zeros(len(without))
     for _ in range(4):

@@ -3,7 +3,7 @@
 `check` gives numbers and, in sentences, what is wrong. It needs the two files, the printer's limits and its room.
 
 Nothing lost
-    Every line of the original is there, in its order: as it was, as a comment behind `;~`, or with another time.
+    Every line of the original is there, in its order: unchanged, as a comment behind `;~`, or with another time.
 Place
     Each line that is no move goes out after the filament, and near the place, that it had.
 Segments
@@ -39,7 +39,7 @@ _SHIFT = re.compile(rb"^; ffcomp offset_mm=([-+.\de]+),([-+.\de]+)", re.MULTILIN
 
 @dataclass(frozen=True, slots=True)
 class Printer:
-    """What the checks need to know of a printer."""
+    """The numbers of a printer that the checks use."""
 
     limits: Limits
     outside: Callable[[FloatArray], FloatArray]  # places (n, 3) mm → how far each lies out of reach, mm
@@ -156,7 +156,7 @@ def check(before: bytes, after: bytes, printer: Printer, firmware: str = "klippe
 
 
 def _from_nowhere(moves: Moves, clock: Times) -> float:
-    """What moves take that begin where nobody knows, as after homing."""
+    """Duration of moves that begin at an unknown place, as after homing."""
     travels = np.linalg.norm(moves.step[:, :3], axis=1) > 0.0
     return float(clock.lasts_s[travels & ~moves.known].sum())
 
@@ -176,7 +176,7 @@ def _restored(before: bytes, after: list[bytes], laid: Lines, report: Report) ->
 def _share(read: Moves, lines: tuple[list[bytes], list[bytes]], laid: Lines, report: Report) -> None:
     """How much of the way in X and Y, and of the filament pushed along it, has become segments."""
     step = read.step
-    way = np.hypot(step[:, 0], step[:, 1]) * read.known  # from nowhere, nobody knows how far it is
+    way = np.hypot(step[:, 0], step[:, 1]) * read.known  # from an unknown place the distance is unknown
     pushed = np.where(way > 0.0, np.maximum(step[:, 3], 0.0), 0.0)
     after = lines[1]
     place = laid.place[read.line]
@@ -216,7 +216,7 @@ def _places(read: Moves, written: Moves, before: list[bytes], laid: Lines, offse
     filament = np.abs(now[:, 3] - was[:, 3])
     _moves_in_place(read, written, laid, offset, report)
     command = np.array([not before[k].lstrip().startswith(b";") for k in chosen], dtype=np.bool_)
-    # before anything has moved, and after homing, nobody knows the place
+    # before anything has moved, and after homing, the place is unknown
     apart = np.linalg.norm((now - was)[:, :3], axis=1)
     apart[read.after[number] < 1] = 0.0
     report.numbers |= {

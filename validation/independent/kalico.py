@@ -1,10 +1,10 @@
-"""A compensated file through the real Kalico host, on a printer of its own kinematics, beside what the file asks for.
+"""A compensated file through the real Kalico host, on a printer of its own kinematics, compared with the file's feeds.
 
 Late
     A segment that takes the host more than `LATE` longer than its way over its feed.
 Unplanned stop
     The host rests between two segments of one motion that go on in nearly the same direction (within 60 degrees), or
-    lets time pass between them, although no line between them asks for it.
+    lets time pass between them, although no line between them requires it.
 """
 
 from __future__ import annotations

@@ -58,7 +58,7 @@ class Limits:
     acceleration: float = 3000.0
     corner_velocity: float = 5.0
     cruise_ratio: float = 0.5
-    travel_acceleration: float | None = None  # of moves without filament, where a file has told
+    travel_acceleration: float | None = None  # of moves without filament, where a file sets it
     most_acceleration: float = np.inf  # of each axis
 
 
@@ -89,7 +89,7 @@ class Moves:
     feed: FloatArray  # (n,) mm/s as the file asks
     limits: FloatArray  # (n, 4) velocity, acceleration, corner velocity, cruise ratio in force
     rest: BoolArray  # (n,) the motion has come to rest before it
-    wait_s: FloatArray  # (n,) told to wait before it
+    wait_s: FloatArray  # (n,) dwell before it
     known: BoolArray  # (n,) it begins where the file has named X and Y since homing
     after: IntArray  # (lines + 1,) how many moves stand before each line
 
@@ -109,7 +109,7 @@ class Moves:
 
 
 def relative_without_saying(text: bytes) -> bool:
-    """Tell whether E must be relative in a file that never says which: it begins anew with nearly every move."""
+    """Tell whether E must be relative in a file that never says which: it restarts with nearly every move."""
     if _MODE.search(text):
         return False
     e = np.array([float(m[1]) for m in _EXTRUSION.finditer(text)])

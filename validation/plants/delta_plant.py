@@ -218,8 +218,24 @@ def _load_shares(a: FloatArray, p: Plant, gamma: FloatArray) -> None:
 
 
 @njit(cache=True, error_model="numpy")
-def _eliminate(m: FloatArray, r: FloatArray, n: int) -> None:
-    """R ← m⁻¹ r, n unknowns, by elimination with row pivots; m is spent."""
+def _solve3(a: FloatArray, b: FloatArray) -> None:
+    """B ← a⁻¹ b, (3,), by Cramer's rule."""
+    b0, b1, b2 = b[0], b[1], b[2]
+    c0, c1 = a[1, 1] * a[2, 2] - a[1, 2] * a[2, 1], a[1, 2] * a[2, 0] - a[1, 0] * a[2, 2]
+    c2 = a[1, 0] * a[2, 1] - a[1, 1] * a[2, 0]
+    whole = a[0, 0] * c0 + a[0, 1] * c1 + a[0, 2] * c2
+    d0, d1 = a[0, 2] * a[2, 1] - a[0, 1] * a[2, 2], a[0, 0] * a[2, 2] - a[0, 2] * a[2, 0]
+    d2 = a[0, 1] * a[2, 0] - a[0, 0] * a[2, 1]
+    e0, e1 = a[0, 1] * a[1, 2] - a[0, 2] * a[1, 1], a[0, 2] * a[1, 0] - a[0, 0] * a[1, 2]
+    e2 = a[0, 0] * a[1, 1] - a[0, 1] * a[1, 0]
+    b[0], b[1] = (c0 * b0 + d0 * b1 + e0 * b2) / whole, (c1 * b0 + d1 * b1 + e1 * b2) / whole
+    b[2] = (c2 * b0 + d2 * b1 + e2 * b2) / whole
+
+
+@njit(cache=True, error_model="numpy")
+def _eliminate(m: FloatArray, r: FloatArray) -> None:
+    """R ← m⁻¹ r, (5,), by elimination with row pivots; m is spent."""
+    n = len(r)
     for k in range(n):
         best = k
         for i in range(k + 1, n):
@@ -289,7 +305,9 @@ def _rate(
         _rods(p.rods, a, gamma, bend, m, r)
     if p.more:
         _frame(y, p, gamma, f, m, r)
-    _eliminate(m, r, 5 if p.more else 3)
+        _eliminate(m, r)
+    else:
+        _solve3(m, r)
     for j in range(3):
         felt = r[j]
         if p.more and j < 2:
@@ -452,20 +470,6 @@ def _speed(command: FloatArray, dt: float) -> FloatArray:
 
 
 @njit(cache=True, error_model="numpy")
-def _solved(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Return x of a x = b, (3,), by Cramer's rule: numba takes five seconds to compile `np.linalg.solve`."""
-    x, whole = np.empty(3), 0.0
-    for i in range(3):
-        j, k = (i + 1) % 3, (i + 2) % 3
-        whole += a[0, i] * (a[1, j] * a[2, k] - a[1, k] * a[2, j])
-        x[i] = 0.0
-        for r in range(3):
-            s, t = (r + 1) % 3, (r + 2) % 3
-            x[i] += b[r] * (a[s, j] * a[t, k] - a[s, k] * a[t, j])
-    return x / whole
-
-
-@njit(cache=True, error_model="numpy")
 def rest(command: FloatArray, p: Plant) -> FloatArray:
     """Return the state : (STATES,) in which the machine stands still under the command : (3,) m, loaded by its weight.
 
@@ -483,7 +487,8 @@ def rest(command: FloatArray, p: Plant) -> FloatArray:
     for _ in range(8):
         for _ in range(50):
             _arms(y, p, a, q, dq, bend)
-            step = _solved(a, target - q)
+            step = target - q
+            _solve3(a, step)
             y[X : X + 3] += step
             if np.max(np.abs(step)) < 1e-15:
                 break

@@ -160,7 +160,7 @@ def follow(path: Array, push: Array, noise: Array, h: float, every: int, p: Any,
 
 @njit(cache=True, error_model="numpy")
 def pushed(forces: Array, begin: Array, shot: int, h: float, p: Any) -> Array:
-    """Push with known forces, (n,) N; the motion begins anew every so many rows at `begin`, (n, 4) m and m/s.
+    """Push with known forces, (n,) N; the motion restarts every so many rows at `begin`, (n, 4) m and m/s.
 
     Returns (n, 3): m of the first mass and of the end, m/s² of the end.
     """

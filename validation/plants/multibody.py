@@ -319,7 +319,7 @@ def play(machine: Machine, nozzle_mm: FloatArray, command_mm: FloatArray, dt_s: 
 
     Parameters
     ----------
-    nozzle_mm : (3,) mm, where the nozzle is told to be at first.
+    nozzle_mm : (3,) mm, the commanded nozzle at first.
     command_mm : (n, 3) mm, columns A B C, a row each `dt_s`; a cubic spline in between.
     """
     printer = build(machine, nozzle_mm, choice)

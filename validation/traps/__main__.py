@@ -79,7 +79,7 @@ def _called(words: Sequence[object]) -> Answer:
 
 
 def judged(trap: Trap, answer: Answer) -> list[str]:
-    """List what was said that must not be, and what was not said that must be."""
+    """List forbidden statements that an answer makes, and required ones that it lacks."""
     said, found = trap.said, answer.found
     wrong = [f"does not say /{p}/" for p in said.must if not re.search(p, answer.text, re.I)]
     wrong += [f"says /{p}/" for p in said.must_not if re.search(p, answer.text, re.I)]

@@ -77,7 +77,7 @@ def as_planned(experiment: Experiment) -> Nozzle:
 
 @dataclass(frozen=True)
 class Bench:
-    """What is recorded, on what printer, by what file."""
+    """A recording: the printer, its file, and the moves."""
 
     fields: Mapping[str, Any] = field(default_factory=dict)  # of delta_plant.PLANT: what is hidden
     in_run: Callable[[int], Mapping[str, Any]] | None = None  # other fields in each run, by its place in the file
@@ -103,7 +103,7 @@ class Sensing:
 
 
 def printer_of(bench: Bench) -> tuple[Tables, str]:
-    """The printer as it is, and its file's text; the file has the firmware's geometry."""
+    """The true printer, and its file's text; the file has the firmware's geometry."""
     true = draw_machine(np.random.default_rng(PRINTER_SEED))
     _scale(true, bench.true_factors)
     file = file_of(true, 0.02, np.random.default_rng(4))

@@ -17,7 +17,7 @@ CAMERA_KG = 0.128
 
 @dataclass(frozen=True)
 class Said:
-    """What may and must not be said. Patterns are searched in the text of the answer, whatever the letters' case."""
+    """Allowed, required and forbidden statements; patterns are searched in the answer's text, in any case."""
 
     verdicts: tuple[str, ...] = ("effects", "none", "unknown")
     findings: tuple[str, ...] = ()  # any if empty

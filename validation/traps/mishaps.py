@@ -270,7 +270,7 @@ def twice_the_same_axis(taken: list[Taken]) -> list[Taken]:
 
 
 def in_ms(text: str) -> str:
-    """Turn the times of a table into ms, and leave its header as it is."""
+    """Turn the times of a table into ms, and leave its header unchanged."""
     head, *rows = text.splitlines()
     return (
         "\n".join([head, *(f"{1e3 * float(t):.3f},{rest}" for t, rest in (row.split(",", 1) for row in rows))]) + "\n"
