@@ -3,8 +3,7 @@
 All processes work at a large file together, chunk by chunk. A small file is one task, the largest first. The bytes are
 those of a single process.
 
-Only the process that was called writes the user's files. The others hand over drafts, which end in one place whatever
-becomes of them, or bytes where they may not see our files.
+Only the process that was called writes the user's files. The others return the content of the small ones.
 """
 
 from __future__ import annotations
@@ -12,8 +11,8 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import BrokenExecutor
-from contextlib import ExitStack, closing, contextmanager
-from dataclasses import dataclass, field, replace
+from contextlib import closing, contextmanager
+from dataclasses import dataclass, replace
 from os.path import normcase, realpath
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -29,7 +28,7 @@ from gcode.errors import GcodeError
 from gcode.text import PART_BYTES, raw_blocks
 from models.machine import Machine
 
-LARGEST = 8 << 20  # bytes of a file that one of several processes works at: a cluster sends ten times as many back
+LARGEST = 8 << 20  # bytes of a file that one of several processes works at; its output has ten times as many
 
 
 def compensate_files(
@@ -71,8 +70,8 @@ def _compensated(
     progress: Callable[[float], None],
 ) -> Generator[FileResult, None, None]:
     sizes, done = [size_of(file) for file in files], 0
-    with workers(jobs, scheduler) as at_once, ExitStack() as drafts:
-        batch = _Batch(files, targets, machine, options, at_once, None if scheduler else drafts)
+    with workers(jobs, scheduler) as at_once:
+        batch = _Batch(files, targets, machine, options, at_once, bool(scheduler))
         large, small = _by_size(sizes, at_once)
         for number in large:
 
@@ -159,35 +158,23 @@ def workers(jobs: int, scheduler: str = "") -> Iterator[int]:
 
 
 @dataclass(frozen=True, slots=True)
-class _Task:
-    """A file for another process."""
-
-    number: int
-    file: Path
-    data: bytes | None  # its content, for one that may not see it
-    draft: Path | None  # where the result goes; None: back, if there is `data`, or nowhere
-    wanted: bool  # is there to be a result?
-
-
-@dataclass(frozen=True, slots=True)
 class _Done:
-    """What another process gives back."""
+    """The answer of another process."""
 
     outcome: FileResult
-    text: bytes | None = None
+    output: bytes | None = None  # content of the target; None: nothing to write
 
 
 @dataclass(frozen=True, slots=True)
 class _Batch:
-    """Files and where they go; `drafts` removes the folders of drafts, None where processes may not see our files."""
+    """Files and their targets."""
 
     files: Sequence[Path]
     targets: Sequence[Path | None]
     machine: Machine
     options: Options
     jobs: int
-    drafts: ExitStack | None
-    folders: dict[Path, Path] = field(default_factory=dict)  # of drafts, by the targets' folder
+    far: bool  # whether the processes cannot read our files
 
     def by_all(self, number: int, progress: Callable[[float], None]) -> FileResult:
         """Compensate a file that all processes work at."""
@@ -232,24 +219,12 @@ class _Batch:
         """Return what `Parallel` takes; never raises: its errors would be those of all files."""
         from joblib import delayed
 
-        file = self.files[number]
+        file, wanted = self.files[number], self.targets[number] is not None
         try:
-            data = b"".join(raw_blocks(file)) if self.drafts is None else None
-            task = _Task(number, file, data, self._draft(number), self.targets[number] is not None)
+            source = b"".join(raw_blocks(file)) if self.far else file
         except (OSError, GcodeError) as error:
             return delayed(_Done)(self._failed(number, error))
-        return delayed(_work)(task, self.machine, self.options)
-
-    def _draft(self, number: int) -> Path | None:
-        """Return the draft's path, on the target's disk; files with one target folder share a folder of drafts."""
-        target = self.targets[number]
-        if target is None or self.drafts is None:
-            return None
-        place = target.resolve().parent
-        if place not in self.folders:
-            made = TemporaryDirectory(prefix=".ffcomp-", dir=place, ignore_cleanup_errors=True)
-            self.folders[place] = Path(self.drafts.enter_context(made))
-        return self.folders[place] / str(number)
+        return delayed(_work)(number, file, source, wanted, self.machine, self.options)
 
     def _written(self, done: _Done) -> FileResult:
         outcome, target = done.outcome, self.targets[done.outcome.number]
@@ -258,18 +233,12 @@ class _Batch:
         file = self.files[outcome.number]
         if outcome.done.already and (target is None or (target.exists() and target.samefile(file))):
             return replace(outcome, done=replace(outcome.done, output=file))
-        if target is None:
-            return replace(outcome, done=replace(outcome.done, output=None))
-        try:
-            if done.text is None:
-                draft = outcome.done.output
-                assert draft is not None
-                replace_atomically(target, raw_blocks(draft))
-                draft.unlink()
-            else:
-                replace_atomically(target, [done.text])
-        except OSError as error:
-            return self._failed(outcome.number, error)
+        if target is not None:
+            assert done.output is not None
+            try:
+                replace_atomically(target, [done.output])
+            except OSError as error:
+                return self._failed(outcome.number, error)
         return replace(outcome, done=replace(outcome.done, output=target))
 
     def _failed(self, number: int, error: Exception) -> FileResult:
@@ -288,17 +257,16 @@ def _closing(answers: Generator[_Done, None, None]) -> Iterator[Generator[_Done,
             answers.close()
 
 
-def _work(task: _Task, machine: Machine, options: Options) -> _Done:
-
-    def to(draft: Path | None) -> FileResult:
-        source = task.file if task.data is None else task.data
-        return attempt(task.number, task.file, lambda path: compensate_file(source, str(path), machine, options, draft))
-
-    if task.data is None or not task.wanted:
-        return _Done(to(task.draft))
+def _work(number: int, file: Path, source: Path | bytes, wanted: bool, machine: Machine, options: Options) -> _Done:
+    """Compensate a file in another process."""
     with TemporaryDirectory() as folder:
-        draft = Path(folder) / "draft"
-        return _Done(to(draft), draft.read_bytes() if draft.exists() else None)
+        draft = Path(folder, "draft")
+        outcome = attempt(
+            number,
+            file,
+            lambda path: compensate_file(source, str(path), machine, options, draft if wanted else None),
+        )
+        return _Done(outcome, draft.read_bytes() if draft.exists() else None)
 
 
 def _by_size(sizes: Sequence[int], jobs: int) -> tuple[list[int], list[int]]:
