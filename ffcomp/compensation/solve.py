@@ -81,18 +81,17 @@ def solutions(
     LimitsError: Where a limit cannot be held, and the plan must not or cannot be slowed down.
     """
     sections = _linear(planned, model, before, wants, keep_responses, layers_before, extent)
-    if model.printer is None:
-        yield from (solved for solved, _ in sections)
-        return
-    from ffcomp.inverse.nonlinear import LinearSolution, correct_sections  # with the whole printer: effects only
+    return sections if model.printer is None else _nonlinear(sections, planned, model, model.printer, extent)
 
-    known = list(sections)
-    results = correct_sections(
-        model, model.printer, [LinearSolution(s.reference, s.solution, rest) for s, rest in known]
-    )
-    for (solved, _), result in zip(known, results, strict=True):
+
+def _nonlinear(
+    sections: Iterator[SolvedSection], planned: PlannedProgram, model: InverseModel, printer: Machine, extent: Extent
+) -> Iterator[SolvedSection]:
+    from ffcomp.inverse.nonlinear import correct_sections  # with the whole printer: effects only
+
+    for solved in correct_sections(model, printer, list(sections)):
         whole = solved.knots == (0, solved.reference.knots)
-        yield _checked(replace(solved, solution=result), planned, model, WHOLE if whole else extent)
+        yield _checked(solved, planned, model, WHOLE if whole else extent)
 
 
 def _linear(
@@ -103,8 +102,8 @@ def _linear(
     keep_responses: bool,
     layers_before: int,
     extent: Extent,
-) -> Iterator[tuple[SolvedSection, float | None]]:
-    """Solve each section linearly; yield it and how long the nozzle has rested before it (None: others moved it)."""
+) -> Iterator[SolvedSection]:
+    """Solve each section linearly."""
     program, trajectory, settings, machine = planned.program, planned.trajectory, model.settings, model.full_machine
     moved, replanner = _moved_before(planned), replanner_of(program, machine, layers_before)
     travels = [section for section in planned.sections if section.travels]
@@ -134,13 +133,13 @@ def _linear(
         else:
             result = solve(model, written.reference, state, keep_response=keep)
             solved = SolvedSection(trajectory, section, written, result)
-        solved = replace(solved, sampled=sampled)
+        solved = replace(solved, sampled=sampled, rest_s=rest)
         if before is not None and not moved[section.first] and not before.is_at(start):
             solved = replace(solved, fault="it begins elsewhere than the last motion has ended")
         solved = _checked(solved, planned, model, part)
         if not solved.fault:
             trajectory, later = solved.trajectory, later + solved.lost_s
-        yield solved, rest
+        yield solved
         before = None if solved.fault else Resting.after(solved, planned)
 
 

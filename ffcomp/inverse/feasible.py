@@ -69,6 +69,7 @@ class SolvedSection:
     lost_s: float = 0.0
     fault: str = ""  # why its original lines must be written instead; empty: its command is safe
     sampled: bool = False  # by the prediction, which needs its response
+    rest_s: float | None = None  # since the section before it ended; None: others have moved the nozzle
 
     @property
     def reference(self) -> Reference:

@@ -42,8 +42,8 @@ import numpy as np
 
 from ffcomp.inverse import lq_preview as fast
 from ffcomp.inverse.command_limits import peak_utilisation, utilisation_from_rest
+from ffcomp.inverse.feasible import SolvedSection
 from ffcomp.inverse.model import InverseModel, Iterate, KnotWindow
-from ffcomp.inverse.reference import Reference
 from ffcomp.inverse.riccati import REST_ROWS
 from ffcomp.inverse.solve import Solution
 from models.arrays import FloatArray
@@ -201,15 +201,6 @@ SMOOTHINGS, SMOOTHED_KNOTS, KEPT_SHARE = (
 )  # of a change that breaks a limit: tries, knots around, remaining factor
 
 
-@dataclass(frozen=True, slots=True)
-class LinearSolution:
-    """A section as the linear model has solved it."""
-
-    reference: Reference
-    result: Solution
-    rest_s: float | None  # since the section before it ended; None: others have moved the nozzle, or there was none
-
-
 @dataclass
 class _Round:
     """The state of one section: next, last, best and blended command."""
@@ -227,11 +218,11 @@ class _Round:
     local: FloatArray = field(default_factory=lambda: np.zeros(0))  # mean square of its error around each knot, mm²
 
 
-def correct_sections(model: InverseModel, machine: Machine, runs: Sequence[LinearSolution]) -> list[Solution]:
-    """Correct the sections of a chunk for the printer's nonlinear effects, which `machine` lists."""
-    if not runs:
+def correct_sections(model: InverseModel, machine: Machine, sections: Sequence[SolvedSection]) -> list[SolvedSection]:
+    """Correct the sections of a chunk, solved linearly, for the printer's nonlinear effects, which `machine` lists."""
+    if not sections:
         return []
-    rounds, before = [_begin(model, each) for each in runs], np.inf
+    rounds, before = [_begin(model, each) for each in sections], np.inf
     share = 1.0 if values_of(machine, PLAY) is None else PLAY_RELAXATION
     if any(values_of(machine, name) is not None for name in FEEDFORWARD_EFFECTS):
         _add_feedforward(model, machine, rounds)
@@ -247,18 +238,23 @@ def correct_sections(model: InverseModel, machine: Machine, runs: Sequence[Linea
         for each in rounds:
             _change(each, each.best, each.gamma - each.best)
         _round(model, machine, rounds)
-    return [_result(model, each, ran) for each, ran in zip(rounds, runs, strict=True)]
+    return [
+        replace(section, solution=_result(model, each, section.solution))
+        for each, section in zip(rounds, sections, strict=True)
+    ]
 
 
-def _begin(model: InverseModel, ran: LinearSolution) -> _Round:
-    iterate, s = Iterate(model, ran.reference), model.settings
+def _begin(model: InverseModel, section: SolvedSection) -> _Round:
+    iterate, s = Iterate(model, section.reference), model.settings
     knots = np.arange(iterate.last + 1)
-    iterate.gamma[: iterate.last + 1] = model.kinematics.inverse(ran.result.vertices) - model.kinematics.inverse(
-        ran.reference.at_knots(knots)
+    iterate.gamma[: iterate.last + 1] = model.kinematics.inverse(section.solution.vertices) - model.kinematics.inverse(
+        section.reference.at_knots(knots)
     )
     row_s = s.segment_s / s.substeps
-    rest = None if ran.rest_s is None else max(round(ran.rest_s / row_s), 0)
-    return _Round(iterate, rest, max(1.0, ran.result.utilisation), iterate.gamma.copy(), np.zeros_like(iterate.gamma))
+    rest = None if section.rest_s is None else max(round(section.rest_s / row_s), 0)
+    return _Round(
+        iterate, rest, max(1.0, section.solution.utilisation), iterate.gamma.copy(), np.zeros_like(iterate.gamma)
+    )
 
 
 def _add_feedforward(model: InverseModel, machine: Machine, rounds: Sequence[_Round]) -> None:
@@ -359,9 +355,7 @@ def _vertices(iterate: Iterate, gamma: FloatArray) -> FloatArray:
     return delta.forward(delta.inverse(iterate.reference.at_knots(knots)) + gamma[: iterate.last + 1])
 
 
-def _result(model: InverseModel, each: _Round, ran: LinearSolution) -> Solution:
+def _result(model: InverseModel, each: _Round, linear: Solution) -> Solution:
     vertices = _vertices(each.iterate, each.best)
-    response = each.response if len(ran.result.response) else ran.result.response
-    return replace(
-        ran.result, vertices=vertices, response=response, utilisation=peak_utilisation(vertices, model.limits)
-    )
+    response = each.response if len(linear.response) else linear.response
+    return replace(linear, vertices=vertices, response=response, utilisation=peak_utilisation(vertices, model.limits))
