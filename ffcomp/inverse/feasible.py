@@ -23,7 +23,6 @@ from ffcomp.inverse.reference import (
 )
 from ffcomp.inverse.solve import Solution, solve
 from ffcomp.inverse.time_scaling import (
-    Free,
     Replanner,
     ScaledSection,
     TimeScaling,
@@ -111,7 +110,7 @@ def solve_feasible(model: InverseModel, request: PlannedSection) -> SolvedSectio
         keep_response=keep,
         after_events=after_events(request.program, section.first, section.last) - section.first,
     )
-    written, solution = scaled.solve(settings.tolerance_um * 1e-3, Free(written, solution))
+    written, solution = scaled.solve(settings.tolerance_um * 1e-3, (written, solution))
     if not scaled.reasons:
         return SolvedSection(trajectory, section, written, solution)
     spliced, lost = _spliced(trajectory, section, scaled.plan)

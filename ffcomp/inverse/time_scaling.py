@@ -22,7 +22,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 
@@ -56,6 +55,7 @@ from ffcomp.planner.trajectory import Section, Trajectory
 from gcode.program import Moves
 from models.arrays import BoolArray, FloatArray, IntArray
 
+Command = tuple[WrittenReference, Solution]  # of one plan
 LayerOf = Callable[[int], int | None]  # move of the program → its layer
 
 ROUNDS = 8
@@ -103,21 +103,6 @@ class TimeScaling:
         return f"line {lines}{layer}: {verb} to {percent} %, {self.seconds:.2g} s longer: {why}."
 
 
-class Free(NamedTuple):
-    """One plan's reference, and its command without limits."""
-
-    written: WrittenReference
-    solution: Solution
-
-
-class _Attempt(NamedTuple):
-    """One plan's reference, its command and what keeps the machine from following."""
-
-    written: WrittenReference
-    solution: Solution
-    violations: list[Violation]
-
-
 @dataclass
 class ScaledSection:
     """The moves of one section, while they become slower."""
@@ -149,7 +134,7 @@ class ScaledSection:
         self.plan = self.replanner.plan(self.moves, self.begin_t)
         self.section = Section(0, len(self.moves), True, self.begin_t, self.plan.end_t)
 
-    def solve(self, tolerance_mm: float, first: Free) -> tuple[WrittenReference, Solution]:
+    def solve(self, tolerance_mm: float, first: Command) -> tuple[WrittenReference, Solution]:
         """Return the first feasible plan of a few rounds, and its command. first : of the original plan."""
         moves, plan = self.moves, self.plan
         written, solution = self.scale(tolerance_mm, first)
@@ -160,7 +145,7 @@ class ScaledSection:
             solution = self._constrained(written, solution) if violations else solution
         return written, solution
 
-    def scale(self, tolerance_mm: float, first: Free | None = None) -> tuple[WrittenReference, Solution]:
+    def scale(self, tolerance_mm: float, first: Command | None = None) -> tuple[WrittenReference, Solution]:
         """Do the same without regard to where the written part ends."""
         for _ in range(ROUNDS):
             written, solution, violations = self._attempt(tolerance_mm, first or self._free())
@@ -224,7 +209,7 @@ class ScaledSection:
         first_t = self.begin_t - self.model.settings.lead_s if begin is None else begin.time_in(plan)
         return (self.plan.end_t if end is None else end.time_in(plan)) - first_t
 
-    def _free(self) -> Free:
+    def _free(self) -> Command:
         """Solve on the plan as it stands, without limits."""
         settings = self.model.settings
         written = self.extent.written(self.plan, self.section, settings)
@@ -232,7 +217,7 @@ class ScaledSection:
         written.reference.robust_offset = offset
         if len(offset) and self.reasons and self.extent == WHOLE:
             written.reference.calm(self._slower_segments(written.reference))
-        return Free(written, self._solve(written, enforce_limits=False))
+        return written, self._solve(written, enforce_limits=False)
 
     def _slower_segments(self, reference: Reference) -> BoolArray:
         """Find the segments (n,) of moves that became slower."""
@@ -242,27 +227,21 @@ class ScaledSection:
         within = np.clip(t, self.section.begin_t, self.section.end_t - 1e-9)
         return np.asarray(slower[self.plan.move_at(within)])
 
-    def _attempt(self, tolerance_mm: float, command: Free) -> _Attempt:
+    def _attempt(self, tolerance_mm: float, command: Command) -> tuple[WrittenReference, Solution, list[Violation]]:
         """List the violations in the written part of a command; where its limits alone are exceeded, with them kept."""
-        model, (written, free) = self.model, command
-        feasible = peak_utilisation(model, written, free) <= 1.0
-        utilisation = utilisation_from_rest(free.vertices, model.limits)[1:-1]
+        model, (written, solution) = self.model, command
+        utilisation = utilisation_from_rest(solution.vertices, model.limits)[1:-1]
         violations = _among(path_violations(self._path_utilisation(written.reference), utilisation), written)
-        if not violations and feasible:
-            violations = _among(
-                timing_violations(late_segments(model, written, free.vertices, self._event_times)), written
-            )
-        if violations or feasible:
-            return _Attempt(written, free, violations)
-        try:
-            solution = self._solve(written)
-        except SolverError:  # no command keeps the limits
-            return _Attempt(written, free, _among(command_violations(utilisation), written))
-        violations = _among(solution_violations(solution, utilisation, tolerance_mm, model.limits), written)
-        violations += _among(
-            timing_violations(late_segments(model, written, solution.vertices, self._event_times)), written
-        )
-        return _Attempt(written, solution, violations)
+        if violations:
+            return written, solution, violations
+        if not peak_utilisation(model, written, solution) <= 1.0:  # nor where it is not a number
+            try:
+                solution = self._solve(written)
+            except SolverError:  # no command keeps the limits
+                return written, solution, _among(command_violations(utilisation), written)
+            violations = _among(solution_violations(solution, utilisation, tolerance_mm, model.limits), written)
+        late = late_segments(model, written, solution.vertices, self._event_times)
+        return written, solution, violations + _among(timing_violations(late), written)
 
     @property
     def _event_times(self) -> FloatArray:
