@@ -31,15 +31,15 @@ _MACRO = re.compile(r"@?_?[A-Z][A-Z0-9]*_\w*|[A-Z]{4,}\w*")
 
 
 @dataclass(frozen=True, slots=True)
-class Part:
+class Amount:
     """Length of the path, and of the filament pushed out along it."""
 
     path_mm: float = 0.0
     filament_mm: float = 0.0
     seconds: float = 0.0  # only of uncompensated moves
 
-    def __add__(self, other: Part) -> Part:
-        return Part(self.path_mm + other.path_mm, self.filament_mm + other.filament_mm, self.seconds + other.seconds)
+    def __add__(self, other: Amount) -> Amount:
+        return Amount(self.path_mm + other.path_mm, self.filament_mm + other.filament_mm, self.seconds + other.seconds)
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,23 +54,23 @@ class Place:
 class Shares:
     """The compensated and the uncompensated part of the file's own moves."""
 
-    compensated: Part = field(default_factory=Part)
-    left: Mapping[Place, Part] = field(default_factory=dict)
+    compensated: Amount = field(default_factory=Amount)
+    left: Mapping[Place, Amount] = field(default_factory=dict)
 
     def __add__(self, later: Shares) -> Shares:
         left = dict(self.left)
         for place, part in later.left.items():
-            left[place] = left.get(place, Part()) + part
+            left[place] = left.get(place, Amount()) + part
         return Shares(self.compensated + later.compensated, left)
 
     @property
-    def uncompensated(self) -> Part:
+    def uncompensated(self) -> Amount:
         """The sum of all uncompensated moves."""
-        return sum(self.left.values(), Part())
+        return sum(self.left.values(), Amount())
 
-    def by_command(self) -> dict[str, dict[Place, Part]]:
+    def by_command(self) -> dict[str, dict[Place, Amount]]:
         """Return the places of each command, in the file's order."""
-        grouped: dict[str, dict[Place, Part]] = {}
+        grouped: dict[str, dict[Place, Amount]] = {}
         for place, part in self.left.items():
             grouped.setdefault(place.command, {})[place] = part
         return grouped
@@ -92,7 +92,7 @@ class Shares:
         shares = (
             f"Only {100 * self.path:.0f} % of the path and {100 * self.filament:.0f} % of the filament are compensated"
         )
-        places = max(self.by_command().values(), key=lambda each: _size(sum(each.values(), Part())))
+        places = max(self.by_command().values(), key=lambda each: _size(sum(each.values(), Amount())))
         return (f"{shares}, and errors are stated for these alone: {_because(places)}",)
 
     def to_dict(self) -> dict[str, Any]:
@@ -107,16 +107,16 @@ class Shares:
         }
 
 
-def _size(part: Part) -> tuple[float, float]:
+def _size(part: Amount) -> tuple[float, float]:
     return part.path_mm, part.filament_mm
 
 
-def _worst(places: Mapping[Place, Part]) -> Place:
+def _worst(places: Mapping[Place, Amount]) -> Place:
     return max(places, key=lambda place: _size(places[place]))
 
 
-def _command_dict(places: Mapping[Place, Part]) -> dict[str, Any]:
-    first, whole = next(iter(places)), sum(places.values(), Part())
+def _command_dict(places: Mapping[Place, Amount]) -> dict[str, Any]:
+    first, whole = next(iter(places)), sum(places.values(), Amount())
     return {
         "line": first.line,  # whole number: its first line in the input, from 1; 0: the beginning
         # after this command the place of the nozzle was unknown; empty: since the file's beginning
@@ -129,18 +129,18 @@ def _command_dict(places: Mapping[Place, Part]) -> dict[str, Any]:
     }
 
 
-def of_moves(moves: Moves) -> Part:
+def of_moves(moves: Moves) -> Amount:
     """Count moves that are compensated."""
     lines = lines_of(moves)
     pushed = np.maximum(moves.end[:, 3] - moves.start[:, 3], 0.0)
-    return Part(float(lines.length[lines.travels].sum()), float(pushed[lines.travels].sum()))
+    return Amount(float(lines.length[lines.travels].sum()), float(pushed[lines.travels].sum()))
 
 
 def _share(part: float, rest: float) -> float:
     return 1.0 if rest <= 0.0 else part / (part + rest)
 
 
-def _because(places: Mapping[Place, Part]) -> str:
+def _because(places: Mapping[Place, Amount]) -> str:
     """Say why the moves after one command were not compensated; the line is the one that loses most."""
     worst, filament_mm = _worst(places), sum(part.filament_mm for part in places.values())
     others = "" if len(places) == 1 else f" ({len(places)} places, most after this one)"
@@ -227,13 +227,13 @@ def _lines(moves: Moves, first: int, last: int) -> int:
 
 def of_raw(events: Iterable[Event], seconds: Mapping[int, float]) -> Statistics:
     """Count moves that pass through, whose duration is unchanged; `seconds` by the line's index."""
-    left: dict[Place, Part] = {}
+    left: dict[Place, Amount] = {}
     for event in events:
         if event.raw is not None:
             pushed = max(event.raw.filament_mm, 0.0) if event.raw.path_mm > 0.0 else 0.0
-            part = Part(event.raw.path_mm, pushed, seconds.get(event.line, 0.0))
+            part = Amount(event.raw.path_mm, pushed, seconds.get(event.line, 0.0))
             place = Place(*event.raw.cause)
-            left[place] = left.get(place, Part()) + part
+            left[place] = left.get(place, Amount()) + part
     shares = Shares(left=left)
     lasting_s = shares.uncompensated.seconds
     return Statistics(original_print_time_s=lasting_s, print_time_s=lasting_s, shares=shares)
@@ -262,7 +262,7 @@ def of_unsafe(section: Section, planned: PlannedProgram, why: str) -> Statistics
     part = of_moves(some(program.moves, slice(section.first, section.last)))
     first, last = program.line_of(section.first), program.line_of(section.last - 1)
     left = replace(part, seconds=section.end_t - section.begin_t)
-    shares = Shares(Part(-part.path_mm, -part.filament_mm), {Place(first, UNSAFE): left})
+    shares = Shares(Amount(-part.path_mm, -part.filament_mm), {Place(first, UNSAFE): left})
     return Statistics(shares=shares, unsafe=(Unsafe(first, last, why),))
 
 

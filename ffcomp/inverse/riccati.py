@@ -256,8 +256,8 @@ REST_ROWS = 24  # knots after the end whose ringing counts
 
 
 @dataclass(frozen=True, slots=True)
-class Problem:
-    """One interval at g places: z⁺ = 𝒜 z + ℬ w, rows C̄ z + D̄ w of the nozzle."""
+class SegmentPlant:
+    """The plant over one segment at g places: z⁺ = 𝒜 z + ℬ w, rows C̄ z + D̄ w of the nozzle."""
 
     a: FloatArray  # (g, 24, 24)
     b: FloatArray  # (g, 24, 3)
@@ -330,14 +330,14 @@ class PreviewGains:
             return slot, self._steady
 
     def _work_out(self, node: IntArray) -> None:
-        problem = self.problem(node)
+        problem = self.segment_plant(node)
         self._add(node, _gains(problem, _riccati(problem, self.control_weight), self.control_weight))
 
-    def problem(self, node: IntArray) -> Problem:
+    def segment_plant(self, node: IntArray) -> SegmentPlant:
         """Return the problem that is solved at nodes (g,) of the grid."""
         across = 2 * self._half + 1
         xy = PITCH_MM * (np.stack([node // across, node % across], axis=1) - self._half).astype(np.float64)
-        return _problem(*self._plant_at(xy), self._rows)
+        return _segment_plant(*self._plant_at(xy), self._rows)
 
     def _add(self, node: IntArray, gains: Gains) -> None:
         known, now = len(self._node), len(self._node) + len(node)
@@ -371,12 +371,12 @@ class PreviewGains:
             if slot in self._ends:
                 self._ends.move_to_end(slot)
                 return self._ends[slot]
-            gains = self._ends[slot] = self._finite(self.problem(self._node[slot : slot + 1]))
+            gains = self._ends[slot] = self._finite(self.segment_plant(self._node[slot : slot + 1]))
             if len(self._ends) > ENDS_KEPT:
                 self._ends.popitem(last=False)
             return gains
 
-    def _finite(self, p: Problem) -> Gains:
+    def _finite(self, p: SegmentPlant) -> Gains:
         """From the end on backwards: where the command rests already, then where it still has a choice."""
         states = self.size - 2 * AXES
         feedback = np.zeros((TO_THE_END + REST_ROWS, AXES, self.size))
@@ -388,7 +388,7 @@ class PreviewGains:
         return _packed(p, feedback, preview, self.control_weight)
 
 
-def _problem(p: DiscretePlant, jacobian: FloatArray, rows: int) -> Problem:
+def _segment_plant(p: DiscretePlant, jacobian: FloatArray, rows: int) -> SegmentPlant:
     """Build the interval of `rows` steps of the plant, at all of its positions; jacobian (g, 3, 3)."""
     g, plant_states = p.a.shape[:2]
     size = augmented(plant_states)
@@ -409,10 +409,10 @@ def _problem(p: DiscretePlant, jacobian: FloatArray, rows: int) -> Problem:
     step = np.zeros((g, size, size + AXES))
     step[:, x], step[:, now], step[:, before] = state, last, first
     output = np.concatenate(seen, axis=1)
-    return Problem(step[..., :size], step[..., size:], output[..., :size], output[..., size:])
+    return SegmentPlant(step[..., :size], step[..., size:], output[..., :size], output[..., size:])
 
 
-def _riccati(p: Problem, control_weight: float) -> FloatArray:
+def _riccati(p: SegmentPlant, control_weight: float) -> FloatArray:
     """P (g, 24, 24) of the problem without an end."""
     r = control_weight * np.eye(AXES) + _t(p.d) @ p.d
     cross = np.linalg.solve(r, _t(p.d) @ p.c)
@@ -431,7 +431,7 @@ def _riccati(p: Problem, control_weight: float) -> FloatArray:
     return h
 
 
-def _gains(p: Problem, value: FloatArray, control_weight: float) -> Gains:
+def _gains(p: SegmentPlant, value: FloatArray, control_weight: float) -> Gains:
     """Return the gains at g places for the terminal cost P (g, 24, 24)."""
     ahead = _t(p.b) @ value
     r = control_weight * np.eye(AXES) + _t(p.d) @ p.d + ahead @ p.b
@@ -441,7 +441,7 @@ def _gains(p: Problem, value: FloatArray, control_weight: float) -> Gains:
     return _packed(p, f, psi, control_weight)
 
 
-def _packed(p: Problem, f: FloatArray, psi: FloatArray, control_weight: float) -> Gains:
+def _packed(p: SegmentPlant, f: FloatArray, psi: FloatArray, control_weight: float) -> Gains:
     """F (n, 3, 24) and the rows of ψ (n, 3, 33), each at its own place or all at one."""
     size = p.a.shape[-1]
     gains = no_gains(size, len(f))

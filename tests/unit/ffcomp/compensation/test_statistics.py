@@ -13,7 +13,7 @@ from ffcomp.compensation.placement import Placement
 from ffcomp.compensation.prediction import Samples
 from ffcomp.compensation.result import Result
 from ffcomp.compensation.statistics import (
-    Part,
+    Amount,
     Place,
     Shares,
     Statistics,
@@ -61,7 +61,7 @@ def test_parts_add_up_by_place_and_command() -> None:
     text = "M83\nG1 X10 E1 F600\nMACRO_A\nG1 X20 E1\nG1 Y5\nMACRO_B\nG1 X0 Y0 E9\nMACRO_A\nG1 X5 Y5\n"
     events = read_program(text.encode(), start=HOME).events
     first, second = of_raw(events[:3], {}).shares, of_raw(events[3:], {}).shares
-    shares = Shares(Part(10.0, 1.0)) + first + second
+    shares = Shares(Amount(10.0, 1.0)) + first + second
     lost = {place: (part.path_mm, part.filament_mm) for place, part in shares.left.items()}
     way = 5.0**2 * 17  # 20, 5 and back to 0, 0
     assert lost[Place(3, "MACRO_A")] == pytest.approx((15.0, 1.0))
@@ -75,17 +75,17 @@ def test_parts_add_up_by_place_and_command() -> None:
 
 
 def test_a_low_share_names_the_cause_and_the_remedy() -> None:
-    photos = {Place(3, "MY_PHOTO"): Part(10.0, 2.0), Place(9, "MY_PHOTO"): Part(20.0, 8.0)}
-    shares = Shares(Part(10.0, 10.0), {Place(1, "G28"): Part(1.0, 0.0), **photos})
+    photos = {Place(3, "MY_PHOTO"): Amount(10.0, 2.0), Place(9, "MY_PHOTO"): Amount(20.0, 8.0)}
+    shares = Shares(Amount(10.0, 10.0), {Place(1, "G28"): Amount(1.0, 0.0), **photos})
     (sentence,) = shares.warnings()
     assert sentence.startswith("Only 24 % of the path and 50 % of the filament are compensated")
     assert (
         "after MY_PHOTO in line 9 the place of the nozzle is unknown (2 places, most after this one), 10 mm" in sentence
     )
     assert '[macros] returns = ["MY_PHOTO"]' in sentence
-    assert Shares(Part(96.0, 96.0), {Place(1, "G28"): Part(4.0, 4.0)}).warnings() == ()
+    assert Shares(Amount(96.0, 96.0), {Place(1, "G28"): Amount(4.0, 4.0)}).warnings() == ()
     assert Shares().path == Shares().filament == 1.0
-    (sentence,) = Shares(left={Place(0, ""): Part(30.0, 0.0)}).warnings()
+    (sentence,) = Shares(left={Place(0, ""): Amount(30.0, 0.0)}).warnings()
     assert "no filament, travels only" in sentence and "name X, Y and Z, before it prints" in sentence
 
 

@@ -13,7 +13,7 @@ from ffcomp.firmware.program import plan_program
 from ffcomp.inverse import lq_preview as fast
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.reference import Reference
-from ffcomp.inverse.riccati import REST_ROWS, TO_THE_END, PreviewGains, Problem
+from ffcomp.inverse.riccati import REST_ROWS, TO_THE_END, PreviewGains, SegmentPlant
 from ffcomp.inverse.settings import Settings, settings_for
 from ffcomp.inverse.solve import Solution, solve
 from gcode.reader import read_program
@@ -92,8 +92,8 @@ def test_both_sweeps_are_the_dense_least_squares(machine: Machine, preview: Prev
     knots, place = 30, np.array([[40.0, -30.0]])
     intervals = knots + REST_ROWS
     (slot,), _ = preview.at(place)
-    at = preview.problem(preview.known()["node"][slot : slot + 1])
-    problem = Problem(at.a[0], at.b[0], at.c[0], at.d[0])
+    at = preview.segment_plant(preview.known()["node"][slot : slot + 1])
+    problem = SegmentPlant(at.a[0], at.b[0], at.c[0], at.d[0])
     # γ of the knots 1 … knots-1 are free; z holds x and two coefficients
     free = 3 * (knots - 1)
     gamma = np.zeros((intervals + 1, 3, free))
