@@ -502,7 +502,7 @@ REFIT_MM = 1e-3  # so near the border no end of a segment is moved from the comm
 
 
 class GcodeRenderer:
-    """Lines of the compensated file, of one chunk; see `compensate.program.Renderer`."""
+    """Writes the lines of one chunk; `step_output.StepRenderer` has the same methods."""
 
     def __init__(self, chunk: PlannedChunk, context: Context) -> None:
         model, program = context.model, chunk.planned.program

@@ -15,56 +15,26 @@ render    compensate.gcode_writer  command and events → text, limits opened an
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from itertools import chain
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 
+from ffcomp.compensation.gcode_writer import GcodeRenderer
 from ffcomp.compensation.plan import Context, PlannedChunk
 from ffcomp.compensation.prediction import Prediction
-from ffcomp.compensation.solve import never, solutions
+from ffcomp.compensation.solve import solutions
 from ffcomp.compensation.statistics import Statistics, of_section, of_unsafe
+from ffcomp.compensation.step_output import StepRenderer
 from ffcomp.errors import LimitsError
 from ffcomp.faster.bound import Bound
 from ffcomp.inverse.feasible import SolvedSection
 from ffcomp.inverse.settings import Settings
 from ffcomp.metrics import contour_error
-from ffcomp.planner.segment_timing import TimedSegments
-from ffcomp.planner.trajectory import Section
 from gcode.layers import labels
 from gcode.program import Program
 from models.machine import Pressure
-
-
-class Renderer(Protocol):
-    """Turns a chunk's solved sections into output: pieces of text, or none where it writes elsewhere."""
-
-    @property
-    def segments(self) -> int:
-        """How many segments have been written."""
-
-    @property
-    def late_s(self) -> float:
-        """By how much the written segments take longer than their knots, s."""
-
-    def before(self, section: Section) -> Iterable[bytes]:
-        """Write the lines before a section."""
-
-    def extrude(self, section: Section) -> Iterable[bytes]:
-        """Write a section that moves only the extruder."""
-
-    def sliced(self, section: Section) -> Iterable[bytes]:
-        """Write the original lines of a section that travels."""
-
-    def section(self, section: Section, solved: SolvedSection) -> Iterable[bytes]:
-        """Write a section that travels, and the other lines in it."""
-
-    def written(self) -> Sequence[TimedSegments]:
-        """Return the last section's segments where they differ from the command; s since its first knot."""
-
-    def finish(self) -> Iterable[bytes]:
-        """Write the lines after the last section."""
 
 
 class Output(NamedTuple):
@@ -75,7 +45,9 @@ class Output(NamedTuple):
     share: float = 1.0  # of the chunk that is done
 
 
-def compensated_sections(chunk: PlannedChunk, context: Context, renderer: Renderer) -> Iterator[Output]:
+def compensated_sections(
+    chunk: PlannedChunk, context: Context, renderer: GcodeRenderer | StepRenderer
+) -> Iterator[Output]:
     """Yield a chunk's output section by section; its statistics add up to those of the chunk.
 
     Parameters
@@ -95,7 +67,7 @@ def compensated_sections(chunk: PlannedChunk, context: Context, renderer: Render
         planned,
         model,
         chunk.before,
-        wants=never if prediction is None else prediction.wants,
+        wants=None if prediction is None else prediction.wants,
         keep_responses=context.bound is not None,
         layers_before=chunk.chunk.layers,
         extent=extent,

@@ -49,17 +49,12 @@ def replanner_of(program: Program, machine: Machine, layers_before: int) -> Repl
     return Replanner(planner_limits(machine), section_planner(program, machine), layers.of)
 
 
-def never(reference: Reference) -> bool:
-    """Answer that no section is wanted."""
-    return False
-
-
 def solutions(
     planned: PlannedProgram,
     model: InverseModel,
     before: Resting | None = None,
     *,
-    wants: Callable[[Reference], bool] = never,
+    wants: Callable[[Reference], bool] | None = None,
     keep_responses: bool = False,
     layers_before: int = 0,
     extent: Extent = WHOLE,
@@ -71,7 +66,7 @@ def solutions(
     planned : a chunk's program
     model : the machine's inverse
     before : the plant before the first section; None: others have moved the nozzle, and it is at rest
-    wants : asked once for each section whether the prediction samples it
+    wants : asked once for each section whether the prediction samples it; None: there is no prediction
     keep_responses : keep the responses of all sections, not only of those that the prediction samples
     layers_before : layers of the file that have begun before this program
     extent : the part of the program that is written, if it begins or ends in motion
@@ -98,7 +93,7 @@ def _linear(
     planned: PlannedProgram,
     model: InverseModel,
     before: Resting | None,
-    wants: Callable[[Reference], bool],
+    wants: Callable[[Reference], bool] | None,
     keep_responses: bool,
     layers_before: int,
     extent: Extent,
@@ -124,7 +119,7 @@ def _linear(
             written = part.written(trajectory, section, settings)
         if written.reference.knots * settings.rows_per_segment == len(offset):
             written.reference.robust_offset = offset
-        sampled = wants(written.reference)
+        sampled = wants is not None and wants(written.reference)
         keep = sampled or keep_responses
         if settings.time_scaling:
             solved = solve_feasible(

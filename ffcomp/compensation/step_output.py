@@ -76,7 +76,7 @@ def _by_height(program: Program) -> list[tuple[int, int, bool]]:
 
 
 class StepRenderer:
-    """Steps of one chunk; see `compensate.program.Renderer`. It yields no text."""
+    """Writes the steps of one chunk, with the methods of `gcode_writer.GcodeRenderer`; it yields no text."""
 
     segments, late_s = 0, 0.0  # steps keep any time
 
