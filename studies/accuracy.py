@@ -20,7 +20,7 @@ import numpy as np
 
 from ffcomp import shapers
 from ffcomp.comparison.methods import segments_motion
-from ffcomp.inverse.settings import settings_for
+from ffcomp.inverse.settings import WriterSettings, settings_for
 from ffcomp.planner.trajectory import Trajectory
 from studies.render import save
 from validation import judge
@@ -141,7 +141,7 @@ ABLATIONS: dict[str, dict[str, Any]] = {
     "bandwidth 80 Hz": {"bandwidth_hz": 80.0},
     "bandwidth 110 Hz": {"bandwidth_hz": 110.0},
     "bandwidth 120 Hz": {"bandwidth_hz": 120.0},
-    "no segments joined": {"merge_um": 0.0},
+    "no segments joined": {"writer": WriterSettings(merge_um=0.0)},
 }
 
 

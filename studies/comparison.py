@@ -25,7 +25,7 @@ from ffcomp.comparison.equal_quality import equal_qualities, within_limits
 from ffcomp.comparison.evaluation import SAMPLE_S, Execution, contour, weights
 from ffcomp.comparison.methods import TunedMethod
 from ffcomp.comparison.sampling import Print, PrintSlice, Sampling
-from ffcomp.inverse.settings import settings_for
+from ffcomp.inverse.settings import SlowingSettings, settings_for
 from ffcomp.metrics import contour_error, contour_statistics, peak_acceleration, rms
 from ffcomp.simulation.expectation import draw_plants
 from ffcomp.simulation.linear import STEP_S
@@ -210,7 +210,7 @@ def _off(own: Case, methods: Sequence[TunedMethod], sd: float) -> dict[str, Any]
 
 def _quality(own: Case, methods: Sequence[TunedMethod], p99_um: Mapping[str, float]) -> list[dict[str, Any]]:
     """Return the highest acceleration of each method for the same quality."""
-    keep_time = replace(settings_for(own.machine), time_scaling=False)
+    keep_time = replace(settings_for(own.machine), slowing=SlowingSettings(slow=False))
     tried = [*methods, every.inversion(own.machine, keep_time, every.COMPENSATED)]
     found = equal_qualities(tried, own.printed, own.machine, own.few, BOUND_UM, p99_um, lambda what, done: None)
     return [

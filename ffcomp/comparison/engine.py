@@ -40,7 +40,7 @@ from ffcomp.compensation.file import compensate_file
 from ffcomp.compensation.job import Options
 from ffcomp.firmware.table import FIRMWARES
 from ffcomp.inverse.robust import choose_robust
-from ffcomp.inverse.settings import Settings, settings_for
+from ffcomp.inverse.settings import Settings, SlowingSettings, settings_for
 from ffcomp.simulation.expectation import EXCERPT_S, Expectation, draw_plants, expectation, pieces_of
 from ffcomp.simulation.expectation import Piece as ExpectedPiece
 from ffcomp.simulation.forecast import NO_FORECAST, Forecast
@@ -111,7 +111,7 @@ def compare(
         evaluated = with_spread(evaluated, tuned, best, plant_slices, tuning_slices, plants, jobs, progress)
     if request.quality_bound_um:
         p99 = {name: method.track.contour_p99_um for name, method in evaluated.items()}
-        keep_time = replace(settings, time_scaling=False)  # what a limit would slow is too fast
+        keep_time = replace(settings, slowing=SlowingSettings(slow=False))  # what a limit would slow is too fast
         at_its_time = [every.inversion(machine, keep_time, m.name) if m.family == "inversion" else m for m in tuned]
         quality = equal_qualities(at_its_time, printed, plant, tuning_slices, request.quality_bound_um, p99, progress)
         evaluated = {name: replace(method, equal_quality=quality[name]) for name, method in evaluated.items()}

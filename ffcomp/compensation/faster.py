@@ -56,7 +56,7 @@ def faster_chunk(chunk: Chunk, bound: Bound, model: InverseModel) -> tuple[Plann
     near = _near_cuts(chunk, slicers)
     quicker = faster_program(program, model, bound, chunk.layers, chunk.feature, near)
     warnings = (*_bound_exceeded(chunk, quicker, bound), *_unchanged_moves(chunk, quicker))
-    if warnings and model.settings.strict:
+    if warnings and model.settings.slowing.strict:
         raise LimitsError(warnings[0])
     quick: Program | None = quicker.program
     if near.any():

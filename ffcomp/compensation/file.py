@@ -97,7 +97,7 @@ def _write(
             container.write(file, texts)
             check()
             for name, job in todo.items():
-                if job.settings.strict and (missed := streams[name].value.bound_missed):
+                if job.settings.slowing.strict and (missed := streams[name].value.bound_missed):
                     raise LimitsError(missed[0])
     return {name: stream.value for name, stream in streams.items()}
 

@@ -258,7 +258,7 @@ class Writer:
         placed = refit(at[stay], points[stay], chosen, fixed)
         points = np.where(self.inside(placed)[:, None], placed, points[kept])
         at, e = at[kept], timeline.e[kept]
-        lengthen(at, points, e, fixed, s.shortest_knots, s.merging.shortest_mm)
+        lengthen(at, points, e, fixed, s.merging.shortest, s.merging.shortest_mm)
         points = self.firmware.placed(at, points, fixed, self.inside)
         points = _stated(points, frame.base, frame.unit_mm)
         ends = np.zeros(len(at), dtype=np.bool_)
@@ -365,7 +365,7 @@ class Writer:
     def _original(self, line: int) -> bytes:
         """Keep a line of the original as a comment, if the file shall hold its original."""
         text = self.program.lines[line]
-        if not self.settings.embed:
+        if not self.settings.writer.embed:
             return b""
         return WAS + text if text.endswith(b"\n") else CUT_SHORT + text + b"\n"
 

@@ -36,7 +36,7 @@ from ffcomp.integrations.slicer import Bed, bed_in, pair
 from ffcomp.inverse.feasible import scale_around_cut
 from ffcomp.inverse.model import InverseModel, model_of
 from ffcomp.inverse.robust import BOUNDED, PLAIN, RobustChoice, choose_robust
-from ffcomp.inverse.settings import Settings, settings_for
+from ffcomp.inverse.settings import Settings, SlowingSettings, WriterSettings, settings_for
 from ffcomp.inverse.time_scaling import TimeScaling
 from ffcomp.planner.limits import lines_of
 from ffcomp.planner.reach import OutOfReach, Reach
@@ -89,9 +89,8 @@ class Options:
         plain = request.inverse == "none"
         settings = replace(
             settings_for(machine, request.max_segments_per_second),
-            strict=request.strict,
-            tolerance_um=request.tolerance_um,
-            embed=request.embed,
+            slowing=SlowingSettings(tolerance_um=request.tolerance_um, strict=request.strict),
+            writer=WriterSettings(embed=request.embed),
         )
         bound = _bound_of(request)
         if request.robust == "auto" and (plain or bound is not None):
@@ -194,7 +193,7 @@ class Job:
             self._placement,
             statistics,
             seconds,
-            embedded=self.settings.embed,
+            embedded=self.settings.writer.embed,
             robust=self._robust,
             shaper=self.shaper,
             forecast=predicted,
@@ -233,8 +232,11 @@ class Job:
         return replace(
             chosen,
             robust=True,  # less of what is not known: quicker at the same bound
-            merge_um=min(chosen.merge_um, joined_um),
-            merge_along_um=min(chosen.merge_along_um, 3.0 * joined_um),
+            writer=replace(
+                chosen.writer,
+                merge_um=min(chosen.writer.merge_um, joined_um),
+                merge_along_um=min(chosen.writer.merge_along_um, 3.0 * joined_um),
+            ),
         )
 
     @property
@@ -353,7 +355,7 @@ class Job:
     def _chunks(self, parts: Iterable[Program], plain: bool) -> Iterator[Chunk]:
         s = self.settings
         longest_s = inf if plain else chunks.LONGEST_S  # plain steps are written from rest to rest
-        ease = self._eased if s.time_scaling and not plain else None
+        ease = self._eased if s.slowing.slow and not plain else None
         plan_of = partial(firmware_plan, machine=self.machine)
         return split_chunks(parts, Splitting(s.segment_s, s.lead_s, plan_of, longest_s, ease))
 
@@ -379,7 +381,7 @@ class Lines:
 
     def __iter__(self) -> Iterator[bytes]:
         job, started = self._job, time.perf_counter()
-        embed, predicted = job.settings.embed, NO_FORECAST
+        embed, predicted = job.settings.writer.embed, NO_FORECAST
 
         def planned_s() -> tuple[float, float]:
             return self._statistics.print_time_s, self._statistics.original_print_time_s

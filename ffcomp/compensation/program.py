@@ -137,7 +137,7 @@ class BoundCheck:
         where = "one section" if len(self.beyond) == 1 else f"{len(self.beyond)} sections"
         above = f"it is above {PEAK_LEVEL:g} times its bound in {where}"
         sentence = f"line {line}: the predicted error is {um:.3g} µm here; {above}."
-        if self.settings.strict:
+        if self.settings.slowing.strict:
             raise LimitsError(sentence)
         return (sentence,)
 

@@ -121,7 +121,7 @@ def _linear(
             written.reference.robust_offset = offset
         sampled = wants is not None and wants(written.reference)
         keep = sampled or keep_responses
-        if settings.time_scaling:
+        if settings.slowing.slow:
             solved = solve_feasible(
                 model, PlannedSection(program, trajectory, section, written, state, replanner, part, keep)
             )

@@ -110,7 +110,7 @@ def solve_feasible(model: InverseModel, request: PlannedSection) -> SolvedSectio
         keep_response=keep,
         after_events=after_events(request.program, section.first, section.last) - section.first,
     )
-    written, solution = scaled.solve(settings.tolerance_um * 1e-3, (written, solution))
+    written, solution = scaled.solve(settings.slowing.tolerance_um * 1e-3, (written, solution))
     if not scaled.reasons:
         return SolvedSection(trajectory, section, written, solution)
     spliced, lost = _spliced(trajectory, section, scaled.plan)
@@ -120,7 +120,7 @@ def solve_feasible(model: InverseModel, request: PlannedSection) -> SolvedSectio
             lambda move: request.replanner.layer_of(section.first + move),
         )
     )
-    if settings.strict:
+    if settings.slowing.strict:
         _refuse(records)
     section = replace(section, end_t=scaled.section.end_t)
     return SolvedSection(spliced, section, written, solution, records, lost)
@@ -235,7 +235,7 @@ def scale_around_cut(
     )
     scaled.scale(NO_TOLERANCE_MM)
     records = tuple(scaled.records(plan.duration, replanner.layer_of)) if scaled.reasons else ()
-    if records and model.settings.strict:
+    if records and model.settings.slowing.strict:
         _refuse(records)
     return scaled.moves, records
 

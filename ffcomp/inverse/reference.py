@@ -103,7 +103,7 @@ class Reference:
             self.t0 = t - multiple * int(np.ceil((t - self.t0) / settings.segment_s / multiple)) * settings.segment_s
         length = section.end_t - self.t0 + room.tail_s
         self.knots = _segments_of(length, settings.segment_s)
-        self.shortest_knots = settings.shortest_knots  # that a segment must have
+        self.shortest_knots = settings.merging.shortest  # that a segment must have
         self._trajectory, self._section = trajectory, section
         self._segment_s, self._substep_s = settings.segment_s, settings.segment_s / settings.substeps
         self._substeps, self._pressure = settings.substeps, settings.pressure

@@ -118,8 +118,30 @@ CUT = 256  # knots: no segment is joined across a knot whose number is a multipl
 
 
 @dataclass(frozen=True, slots=True)
+class SlowingSettings:
+    """What happens where limits do not let the nozzle follow."""
+
+    slow: bool = True  # the plan becomes slower
+    tolerance_um: float = 25.0  # path error that an active limit may cause before that
+    strict: bool = False  # an error instead
+
+
+@dataclass(frozen=True, slots=True)
+class WriterSettings:
+    """Segments of the written file."""
+
+    merge_um: float = 1.0  # segments are joined while they miss the command by less than this across its direction,
+    merge_along_um: float = 3.0  # than this along it: the nozzle is early or late, not off its path,
+    merge_filament_um: float = 0.2  # and than this in filament;
+    longest_s: float = 0.25  # and no longer than this
+    shortest_um: float = 10.6  # no segment is shorter than this, as rounded numbers may take 1 µm of it,
+    shortest_s: float = 1e-3  # or than this
+    embed: bool = True  # the file holds its original, as comments
+
+
+@dataclass(frozen=True, slots=True)
 class Settings:
-    """How the inverse is discretised, solved and limited."""
+    """How the inverse is discretised and solved."""
 
     segment_s: float = 0.004  # S, one G1
     rows_per_segment: int = 2  # where the error is weighed
@@ -132,17 +154,9 @@ class Settings:
     corrections: int = 1  # of a window at a limit, by the executed segments
     robust: bool = False  # the robust reference instead of the path
     memory: int = 60  # segments after which the plant has forgotten (1 % is left after 240 ms)
-    time_scaling: bool = True  # where limits do not let the nozzle follow, the plan becomes slower
-    tolerance_um: float = 25.0  # path error that an active limit may cause before that
-    strict: bool = False  # an error instead
     one_model: bool = False  # that of the bed's middle everywhere
-    merge_um: float = 1.0  # segments are joined while they miss the command by less than this across its direction,
-    merge_along_um: float = 3.0  # than this along it: the nozzle is early or late, not off its path,
-    merge_filament_um: float = 0.2  # and than this in filament;
-    longest_merged_s: float = 0.25  # and no longer than this
-    shortest_um: float = 10.6  # no segment is shorter than this, as rounded numbers may take 1 µm of it,
-    shortest_s: float = 1e-3  # or than this
-    embed: bool = True  # the file holds its original, as comments
+    slowing: SlowingSettings = SlowingSettings()
+    writer: WriterSettings = WriterSettings()
     pressure: Pressure | None = None  # of the hot end, which the filament allows for; None: it follows the plan
     output: SegmentLimits = field(default_factory=SegmentLimits)
 
@@ -158,20 +172,16 @@ class Settings:
 
     @property
     def merging(self) -> MergeLimits:
-        """What a segment may be."""
+        """The limits of a written segment."""
+        writer = self.writer
         return MergeLimits(
-            1e-3 * self.merge_um,
-            1e-3 * self.merge_along_um,
-            1e-3 * self.merge_filament_um,
-            self.longest_merged_s / self.segment_s,
-            self.shortest_knots,
-            1e-3 * self.shortest_um,
+            1e-3 * writer.merge_um,
+            1e-3 * writer.merge_along_um,
+            1e-3 * writer.merge_filament_um,
+            writer.longest_s / self.segment_s,
+            min(writer.shortest_s / self.segment_s, 1.0),
+            1e-3 * writer.shortest_um,
         )
-
-    @property
-    def shortest_knots(self) -> float:
-        """The shortest segment that a line of the file may need, in knots; at most one."""
-        return min(self.shortest_s / self.segment_s, 1.0)
 
 
 def settings_for(machine: Machine, segments_per_second: float = SEGMENTS_PER_SECOND) -> Settings:

@@ -18,7 +18,7 @@ from ffcomp.faster.bound import Bound
 from ffcomp.firmware import program as reading
 from ffcomp.firmware.program import firmware_plan, known_to_the_firmware, plan_program
 from ffcomp.inverse import lq_preview
-from ffcomp.inverse.settings import settings_for
+from ffcomp.inverse.settings import SlowingSettings, settings_for
 from ffcomp.metrics import contour_error
 from ffcomp.simulation.command import path_corners, path_corners_with_rests, section_starts
 from ffcomp.steps.archive import read_steps
@@ -285,7 +285,7 @@ def test_marlins_count_of_filament_goes_on_behind_a_cut(monkeypatch: pytest.Monk
 
 def test_a_cut_that_must_be_slower_is_refused_when_strict(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
     tight = replace(machine, limits=replace(machine.limits, carriage_velocity_mm_per_s=45.0))
-    settings = replace(settings_for(tight), strict=True)
+    settings = replace(settings_for(tight), slowing=SlowingSettings(strict=True))
     monkeypatch.setattr("ffcomp.compensation.chunks.LONGEST_S", 8.0)
     with pytest.raises(LimitsError, match="would have to be slowed"):
         compensated(vase(1150, 4800.0), tight, predict=False, settings=settings)

@@ -16,7 +16,7 @@ from ffcomp.firmware.program import PlannedProgram, plan_program, plan_section
 from ffcomp.inverse.feasible import PlannedSection, SolvedSection, solve_feasible
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.reference import WHOLE, Reference
-from ffcomp.inverse.settings import Settings, settings_for
+from ffcomp.inverse.settings import Settings, SlowingSettings, settings_for
 from ffcomp.inverse.solve import solve
 from ffcomp.inverse.time_scaling import LayerOf, Replanner
 from ffcomp.planner.limits import planner_limits
@@ -182,7 +182,7 @@ def test_strict_refuses_with_the_same_sentence(machine: Machine, planned: Planne
     inverter = inverter_of(tight)
     found = solved(inverter, planned, planned.sections[0], tight)
     with pytest.raises(LimitsError) as caught:
-        solved(inverter, planned, planned.sections[0], tight, strict=True)
+        solved(inverter, planned, planned.sections[0], tight, slowing=SlowingSettings(strict=True))
     assert str(caught.value) == found.slowed[0].sentence("would have to be slowed")
     assert caught.value.exit_code == 6
 
@@ -195,11 +195,13 @@ def test_a_tolerance_decides_between_an_error_and_a_delay(machine: Machine, plan
     settings = replace(inverter.settings, bandwidth_hz=112.0, lead_s=0.004, compliance_s2=soft)
     free = solved(InverseModel(machine, settings), planned, run, machine).solution.utilisation
     tight = limited(machine, carriage_acceleration_mm_per_s2=0.7 * free * 30000.0)
-    wide = solved(InverseModel(tight, settings), planned, run, tight, tolerance_um=100.0)
+    wide = solved(InverseModel(tight, settings), planned, run, tight, slowing=SlowingSettings(tolerance_um=100.0))
     assert len(wide.solution.constrained) > 0 and wide.slowed == () and wide.solution.utilisation <= 1.0
     worst = 1e3 * max(held.error_mm for held in wide.solution.constrained)
     assert 1.0 < worst < 100.0
-    narrow = solved(InverseModel(tight, settings), planned, run, tight, tolerance_um=0.7 * worst)
+    narrow = solved(
+        InverseModel(tight, settings), planned, run, tight, slowing=SlowingSettings(tolerance_um=0.7 * worst)
+    )
     assert narrow.slowed and narrow.lost_s > 0.0
     assert narrow.solution.utilisation <= 1.001
     assert all(1e3 * held.error_mm <= 0.7 * worst for held in narrow.solution.constrained)
