@@ -85,6 +85,7 @@ SPEEDS = [
     ("but no travel", (MARLIN,), "M203 E10\nG1 X11 F6000", 100.0),
     ("Klipper reads no M203", (KLIPPER,), "M203 E10\nG1 X11 E-2 F6000", 100.0),
     ("F counts in inches", (MARLIN, DUET), "G20\nG1 X1 F60", 25.4),
+    ("on a line that is read slowly too", (MARLIN, DUET), "G20\nG1 X1 (one) F60", 25.4),
 ]
 
 
