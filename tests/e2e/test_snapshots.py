@@ -1,4 +1,4 @@
-"""What verbs print to people, word by word: files in `snapshots`. FFCOMP_SNAPSHOTS=write writes them; look at the diff."""
+"""What verbs print to people: files in `snapshots`, which FFCOMP_SNAPSHOTS=write writes; then look at the diff."""
 
 from __future__ import annotations
 
