@@ -229,12 +229,12 @@ def test_what_retuning_leaves_in_closed_form() -> None:
 
 
 def test_labels_stay_sealed_until_every_verdict_is_written(tmp_path: Path) -> None:
-    made = case(2, "weak:cogging", SECONDS, short=True)
+    made = case(2, "rough-file:cogging", SECONDS, short=True)
     for name in ("case-001", "case-002"):
         folder = written(made, tmp_path, name)
         assert {p.name for p in folder.iterdir()} == {"machine.toml", "runs"}
         given = "".join(p.read_text(encoding="utf-8") for p in folder.rglob("*.*"))
-        assert "cogging" not in given and "weak" not in given
+        assert "cogging" not in given and "rough" not in given
     verdict_path(tmp_path, "case-001").parent.mkdir()
     verdict_path(tmp_path, "case-001").write_text("{}", encoding="utf-8")
     with pytest.raises(SealedError, match="1 verdicts are not written yet, case-002 first"):

@@ -10,9 +10,6 @@ for. Conditions:
     rough-file   the file off by 5 %, which it says
     joined       captures of one accelerometer, joined with their plan (`captures`): noise, clock, tilt, lost rows
     exact-file   the file right in all numbers
-    weak         at a thirtieth to a third of the size (half, if it is one of the file's numbers)
-    sensors      only some of the channels of a delta, or encoders, or a laser
-    few          one repeat of one motion
     free-damping the damping is anywhere between belts and guides, and the file does not state where
     rest         something outside the catalogue in addition, worth 5 to 20 %
 """
@@ -44,37 +41,15 @@ from validation.blind.visible import (
 )
 
 HIDES = ("nothing", "single", "pair", "outside")
-CONDITIONS = ("usual", "rough-file", "joined", "exact-file", "weak", "sensors", "few", "free-damping", "rest")
+CONDITIONS = ("usual", "rough-file", "joined", "exact-file", "free-damping", "rest")
 REST = (0.05, 0.2)  # of what all that is hidden is worth when the file's numbers are refitted
 LARGEST_REST = 1.5  # times its usual size
-RESTS = (  # that may be of any size
-    "off_centre_pulley",
-    "warming_belt",
-    "swinging_cable",
-    "fans_tone",
-    "notched_wheel",
-    "creeping_belt",
-    "heavy_rotor",
-    "one_sided_belt",
-    "warming_motor",
-    "commutation",
-    "bent_rail",
-    "unbalanced_spindle",
-)
-WEAK = (0.03, 0.3)  # of the size, drawn evenly in its logarithm
+RESTS = """
+    off_centre_pulley warming_belt swinging_cable fans_tone notched_wheel creeping_belt heavy_rotor one_sided_belt
+    warming_motor commutation bent_rail unbalanced_spindle
+"""  # those that may be of any size
 RATE_HZ = 1600.0
-# with `weak`, effects within the file's uncertainty are halved, and those that are there or not stay
-HALVED = (
-    "belt_stiffness",
-    "guide_damping",
-    "effector_mass",
-    "extruder_mount",
-    "arm_geometry",
-    "center_of_mass",
-    "arm_inertia",
-)
-WHOLE = ("force_map",)
-# two that say the same of a machine, or of a record; and what only a printer with the paper's loads can show
+# pairs that do the same to a machine or to a record, and a pair that only a printer with the paper's loads can show
 NEVER_TOGETHER = (
     {"coulomb_friction", "stribeck_friction"},
     {"coulomb_friction", "bristle_friction"},
@@ -231,14 +206,14 @@ def draw(seed: int, stratum: str, seconds: float = 3.0, short: bool = False) -> 
         assert kind.damped is not None
         machine, table = kind.damped(drawn, float(np.clip(own[5].uniform(-0.15, 1.15), 0.0, 1.0)))
         also = {"belt_damping": table} if table else {}
-    around = _circumstances(kind, wanted, own[0], machine)
-    sizes = _sizes(wanted.condition, names, own[0])
+    around = _circumstances(kind, wanted.condition, machine)
+    sizes = dict.fromkeys(names, 1.0)
     real, tables = _hidden(kind, machine, seed, sizes)
     file = kind.file_of(drawn, around.file_error, own[3])
     if free and kind.unknown:
         file["uncertainty"] = {**file.get("uncertainty", {}), **{f'"{key}"': 1.0 for key in kind.unknown}}
     motions, fresh = kind.motions(machine, own[2], seconds, short)
-    repeats = (4 if kind.repeats > 1 else 1, 1) if short else _repeats(wanted.condition, around, motions)
+    repeats = (4 if kind.repeats > 1 else 1, 1) if short else _repeats(around, motions)
     if wanted.condition == "joined":
         motions, repeats = planned_motions(toml_of(file, "the owner's printer"), seed, seconds)
     inside = kind.restated({name: tables[name] for name in names if name in kind.effects}, real.machine, file)
@@ -261,16 +236,7 @@ def draw(seed: int, stratum: str, seconds: float = 3.0, short: bool = False) -> 
     return plan if wanted.condition != "rest" else _with_rest(plan, own[5], seed)
 
 
-def _sizes(condition: str, names: Sequence[str], rng: np.random.Generator) -> dict[str, float]:
-    if condition != "weak":
-        return dict.fromkeys(names, 1.0)
-    size = float(np.exp(rng.uniform(*np.log(WEAK))))
-    return {name: 1.0 if name in WHOLE else 0.5 if name in HALVED else size for name in names}
-
-
-def _repeats(condition: str, around: Circumstances, motions: Sequence[Motion]) -> tuple[int, ...]:
-    if condition == "few":
-        return (around.repeats, *[1] * (len(motions) - 1))
+def _repeats(around: Circumstances, motions: Sequence[Motion]) -> tuple[int, ...]:
     often = [m.name.endswith("centre") or m.name.startswith("infill") for m in motions]
     return tuple(around.repeats if repeated else 1 for repeated in often)
 
@@ -290,12 +256,9 @@ def _names(seed: int, wanted: Wanted) -> tuple[str, ...]:
             return pair
 
 
-def _circumstances(kind: Kind, wanted: Wanted, rng: np.random.Generator, machine: Tables) -> Circumstances:
-    usual = Circumstances(0.02, machine.get("sensors", kind.sensors), kind.repeats, kind.axes)
-    if wanted.condition == "sensors":
-        return replace(usual, sensors=str(rng.choice(["carriages", "effector", "two", "encoders", "laser"])))
-    errors = {"exact-file": 0.0, "rough-file": 0.05}
-    return replace(usual, file_error=errors.get(wanted.condition, usual.file_error))
+def _circumstances(kind: Kind, condition: str, machine: Tables) -> Circumstances:
+    error = {"exact-file": 0.0, "rough-file": 0.05}.get(condition, 0.02)
+    return Circumstances(error, machine.get("sensors", kind.sensors), kind.repeats, kind.axes)
 
 
 def _hidden(
@@ -348,7 +311,7 @@ def _spreads(kind: Kind, machine: Tables, file: Tables, usual: float) -> tuple[f
 def _with_rest(plan: Plan, rng: np.random.Generator, seed: int) -> Plan:
     """Hide something else in addition: the first of some that can be worth its share, by the first two motions."""
     wanted, found = rng.uniform(*REST), plan
-    for name in map(str, rng.permutation([each for each in plan.kind.outside if each in RESTS])):
+    for name in map(str, rng.permutation([each for each in plan.kind.outside if each in RESTS.split()])):
         size = 1.0
         for _ in range(3):
             found, share = _beside(plan, name, size, seed)

@@ -11,16 +11,12 @@ from validation.blind.real import FloatArray, Reading
 
 SENSORS: Mapping[str, tuple[str, ...]] = {
     "all": ("acc_A", "acc_B", "acc_C", "acc_x", "acc_y", "acc_z"),
-    "carriages": ("acc_A", "acc_B", "acc_C"),
     "effector": ("acc_x", "acc_y", "acc_z"),
-    "two": ("acc_A", "acc_x", "acc_y"),
     "head-and-bed": ("acc_x", "acc_y"),
     "axis": ("acc_q", "pos_q"),
     "encoder": ("pos_q",),
     "encoder-and-chip": ("acc_q", "pos_q"),
     "two-encoders": ("pos_motor", "pos_q"),
-    "encoders": ("pos_A", "pos_B", "pos_C", "acc_x", "acc_y", "acc_z"),
-    "laser": ("acc_A", "acc_B", "acc_C", "pos_x", "pos_y", "pos_z"),
 }
 BY_COUNTS = ("encoder", "encoder-and-chip", "two-encoders")  # whose noise is little more than their counts
 UNITS = {"acc": "m_per_s2", "pos": "mm"}

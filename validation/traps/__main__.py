@@ -87,8 +87,6 @@ def judged(trap: Trap, answer: Answer) -> list[str]:
         return wrong if said.refused else [*wrong, f"refused: {answer.text.strip()[:300]}"]
     if found["verdict"] not in said.verdicts:
         wrong.append(f"verdict {found['verdict']}")
-    if said.findings and found.get("finding") not in said.findings:
-        wrong.append(f"finding {found.get('finding')}")
     named = {e["name"]: e for e in found["effects"]}
     if said.names is not None:
         wrong += [f"names {name}" for name in named if name not in said.names]

@@ -83,8 +83,7 @@ class Bench:
     in_run: Callable[[int], Mapping[str, Any]] | None = None  # other fields in each run, by its place in the file
     outside: Callable[..., tuple[dict[str, Any], Real]] | None = None  # of validation.blind.delta
     added_kg: float = 0.0
-    true_factors: Mapping[str, float] = field(default_factory=dict)  # table.key → the printer's number over the usual
-    file_factors: Mapping[str, float] = field(default_factory=dict)  # the file's over the true one
+    file_factors: Mapping[str, float] = field(default_factory=dict)  # table.key → the file's number over the true one
     firmware: Mapping[str, float] = field(default_factory=dict)  # the configuration's geometry over the true one
     orders: tuple[Order, ...] = ()  # what happens to the carriages' command
     orders_in: tuple[int, ...] = ()  # in these runs only; none: in all
@@ -105,7 +104,6 @@ class Sensing:
 def printer_of(bench: Bench) -> tuple[Tables, str]:
     """The true printer, and its file's text; the file has the firmware's geometry."""
     true = draw_machine(np.random.default_rng(PRINTER_SEED))
-    _scale(true, bench.true_factors)
     file = file_of(true, 0.02, np.random.default_rng(4))
     _scale(file, bench.file_factors)
     _scale(file, bench.firmware)

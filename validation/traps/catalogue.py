@@ -20,7 +20,6 @@ class Said:
     """Allowed, required and forbidden statements; patterns are searched in the answer's text, in any case."""
 
     verdicts: tuple[str, ...] = ("effects", "none", "unknown")
-    findings: tuple[str, ...] = ()  # any if empty
     refused: bool = False  # the recordings may be refused (exit code 5); then `must` is searched in the refusal
     names: tuple[str, ...] | None = None  # effects that may be named; None: any
     must: tuple[str, ...] = ()

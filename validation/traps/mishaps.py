@@ -231,14 +231,12 @@ def lost_rows(share: float) -> Writes:
     return _each(change)
 
 
-def by_phone(gravity: bool = True, jitter_s: float = 0.0, change: Callable[[str], str] = lambda text: text) -> Writes:
+def by_phone(gravity: bool = True, change: Callable[[str], str] = lambda text: text) -> Writes:
     """An app's table instead of the firmware's."""
 
     def written(x: Taken, rng: np.random.Generator) -> Taken:
         own = x.values if gravity else x.values - x.values[x.time_s < -0.1].mean(axis=0)
-        t = np.maximum.accumulate(x.time_s + jitter_s * rng.uniform(-1, 1, len(x.time_s)))
-        t = t + 1e-6 * np.arange(len(t))
-        return replace(x, text=change(phone_text(replace(x, values=own, time_s=t))))
+        return replace(x, text=change(phone_text(replace(x, values=own))))
 
     return _each(written)
 
