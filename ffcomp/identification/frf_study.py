@@ -453,13 +453,12 @@ def _bode(g: Any, phase: Any, i: int, k: int) -> dict[str, list[float]]:
 
 def _compared_answer(each: Compared) -> dict[str, Any]:
     return {
-        "source": each.response.source,  # the file
+        "source": each.response.source,
         "input": each.response.input,
         "output": each.response.output,
-        "lines": len(each.frequency_hz),  # whole number: that were compared
-        # list of numbers: the first and the last
+        "lines": len(each.frequency_hz),
         "band_hz": [float(each.frequency_hz[0]), float(each.frequency_hz[-1])],
-        "magnitude_accuracy_percent": each.magnitude_percent,  # 100 less the mean error
+        "magnitude_accuracy_percent": each.magnitude_percent,
         "phase_accuracy_percent": each.phase_percent,
-        "log_error_db": each.log_error_db,  # root mean square of the log error
+        "log_error_db": each.log_error_db,
     }

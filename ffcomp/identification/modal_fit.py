@@ -62,9 +62,9 @@ APART = 0.05  # relative distance of frequencies: beyond it two files disagree
 class AxisMode:
     """One mode of an axis."""
 
-    frequency_hz: Estimate  # ESTIMATE: axes: one or two modes of each axis
-    damping_ratio: Estimate  # ESTIMATE
-    share: Estimate  # ESTIMATE
+    frequency_hz: Estimate
+    damping_ratio: Estimate
+    share: Estimate
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,10 +17,10 @@ NINETY_PERCENT = 1.6449  # standard deviations to each side
 class Estimate:
     """A value, its standard uncertainty, and the 90 % interval."""
 
-    value: float  # number [of the number]
-    sd: float  # number [of the number]: standard uncertainty
-    low: float  # number [of the number]: the 90 % interval begins
-    high: float  # number [of the number]: and ends
+    value: float
+    sd: float  # standard uncertainty
+    low: float  # of the 90 % interval
+    high: float
 
     @property
     def relative_sd(self) -> float:

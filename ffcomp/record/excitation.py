@@ -17,9 +17,9 @@ import numpy as np
 
 from ffcomp.errors import LimitsError
 from ffcomp.inverse.settings import settings_for
-from ffcomp.planner.limits import SLOW_RATIOS, planner_limits
 from ffcomp.planner.segment_timing import SegmentLimits
 from ffcomp.record import multisine
+from ffcomp.record.moves import check_inside
 from ffcomp.record.multisine import Band, always_moving, band, lines_of
 from ffcomp.record.plan import Excitation, Experiment, Motion, Plan, segment_motion
 from gcode.emit import XYZ_COUNTS
@@ -39,11 +39,11 @@ SUBSTEPS = 32  # samples per segment where a spectrum is taken
 class Peaks:
     """The largest speeds and accelerations of a command, or how large they may be."""
 
-    carriage_velocity_mm_per_s: float  # number or null
-    carriage_acceleration_mm_per_s2: float  # number or null
-    nozzle_velocity_mm_per_s: float  # number or null
-    nozzle_acceleration_mm_per_s2: float  # number or null
-    # number or null: of the nozzle; a G-code file cannot raise the firmware's own limit
+    carriage_velocity_mm_per_s: float
+    carriage_acceleration_mm_per_s2: float
+    nozzle_velocity_mm_per_s: float
+    nozzle_acceleration_mm_per_s2: float
+    # of the nozzle; a G-code file cannot raise the firmware's own limit
     z_acceleration_mm_per_s2: float
 
 
@@ -89,7 +89,7 @@ def make_excitation_plan(machine: Machine, request: ExcitationRequest) -> Plan:
         output = replace(output, z_acceleration_mm_per_s2=request.z_acceleration_mm_per_s2)
     allowed = limits_of(machine, output)
     for x, y in request.places_mm:
-        _check_place(machine, x, y, request.height_mm)
+        check_inside(machine, f"The place {x:g},{y:g}", np.array([[x, y, request.height_mm]]))
     experiments = []
     for place, realisation, direction in product(
         range(len(request.places_mm)), range(request.realisations), request.directions
@@ -242,32 +242,11 @@ def peaks_of(vertices_mm: FloatArray, segment_s: float, geometry: Kinematics) ->
 # Checks
 
 
-def _check_place(machine: Machine, x: float, y: float, z: float) -> None:
-    """Check that a place is inside the print volume, and where the firmware does not slow down."""
-    try:
-        machine.kinematics.check_reach(np.array([[x, y, z]]))
-    except UnreachableError as error:
-        raise LimitsError(f"The nozzle cannot be excited there: {error}") from error
-    widest = _widest(machine)
-    if widest is not None and np.hypot(x, y) > widest:
-        raise LimitsError(
-            f"The place X = {x:g}, Y = {y:g} mm lies {np.hypot(x, y):.1f} mm from the centre; beyond {widest:.1f} mm "
-            "a delta's firmware slows down, and segments come too late."
-        )
-
-
-def _widest(machine: Machine) -> float | None:
-    """Return the radius within which a delta's firmware keeps every segment's speed, mm; None: no delta."""
-    reach = planner_limits(machine).delta
-    return None if reach is None else min(reach.radius_of_ratio(SLOW_RATIOS[0][0]), machine.kinematics.bed_radius_mm)
-
-
 def _check_vertices(
     target: _Target, vertices: FloatArray, segment_s: float, acceleration: float, allowed: Peaks
 ) -> None:
     """Check that every vertex is inside, and no peak over its limit."""
     machine = target.machine
-    _check_sideways(target, vertices)
     z, heights = target.position_mm[2], vertices[:, 2]
     lowest, highest, top = float(heights.min()), float(heights.max()), machine.kinematics.height_mm
     if lowest < CLEARANCE_MM or highest > top:
@@ -276,6 +255,7 @@ def _check_vertices(
             f"{target.name} moves the nozzle between {lowest:.2f} and {highest:.2f} mm above the bed, and may between "
             f"{CLEARANCE_MM:g} and {top:g}; a height from {low:.1f} to {high:.1f} mm would fit."
         )
+    check_inside(machine, target.name, vertices)
     peaks = peaks_of(vertices, segment_s, machine.kinematics)
     for name in HARD:
         peak, limit = getattr(peaks, name), getattr(allowed, name)
@@ -286,25 +266,6 @@ def _check_vertices(
                 f"{peak:.0f}, and may at {limit:.0f}; an amplitude of "
                 f"{0.99 * acceleration * limit / peak:.0f} mm/s² would fit."
             )
-
-
-def _check_sideways(target: _Target, vertices: FloatArray) -> None:
-    widest = _widest(target.machine)
-    if widest is None:
-        try:
-            target.machine.kinematics.check_reach(vertices)
-        except UnreachableError as error:
-            raise LimitsError(
-                f"{target.name} leaves the bed: {error} Choose a place farther from its border."
-            ) from error
-        return
-    radius = float(np.hypot(vertices[:, 0], vertices[:, 1]).max())
-    if radius > widest:
-        fits = float(np.hypot(*target.position_mm[:2])) - (radius - widest)
-        raise LimitsError(
-            f"{target.name} reaches {radius:.2f} mm from the centre, and may reach {widest:.2f}; "
-            f"a place not farther out than {fits:.1f} mm would fit."
-        )
 
 
 def microstep_error(

@@ -215,7 +215,7 @@ def make_plan(machine: Machine, request: Request) -> Plan:
         at = np.array([x, y, request.height_mm])
         rng = np.random.default_rng([request.seed, place, list(KINDS).index(kind)])
         motion, rounding = _fitting(machine, kind, at, request, rng)
-        _check_reach(machine, f"ffcomp-{kind}-{place}", motion)
+        check_inside(machine, f"ffcomp-{kind}-{place}", motion.vertices_mm)
         experiments.append(
             Experiment(f"ffcomp-{kind}-{place}", kind, place, (x, y, request.height_mm), motion, rounding)
         )
@@ -254,10 +254,7 @@ def schedule(places: int, kinds: Sequence[str] = tuple(KINDS)) -> list[tuple[str
 
 def _check_places(machine: Machine, places: Sequence[Place], height_mm: float) -> None:
     for x, y in places:
-        try:
-            machine.kinematics.check_reach(np.array([[x, y, height_mm]]))
-        except UnreachableError as error:
-            raise LimitsError(f"The nozzle cannot be moved there: {error}") from error
+        check_inside(machine, f"The place {x:g},{y:g}", np.array([[x, y, height_mm]]))
     for i, (x, y) in enumerate(places):
         for a, b in places[:i]:
             if np.hypot(x - a, y - b) < NEAREST_MM:
@@ -267,19 +264,20 @@ def _check_places(machine: Machine, places: Sequence[Place], height_mm: float) -
                 )
 
 
-def _check_reach(machine: Machine, name: str, motion: Motion) -> None:
-    xyz = motion.vertices_mm
+def check_inside(machine: Machine, name: str, xyz: FloatArray) -> None:
+    """Raise LimitsError for points (n, 3) mm outside the print volume, or where a delta's firmware slows down."""
+    zones, radius = planner_limits(machine).delta, float(np.hypot(xyz[:, 0], xyz[:, 1]).max())
+    if zones is not None:
+        widest = min(zones.radius_of_ratio(SLOW_RATIOS[0][0]), machine.kinematics.bed_radius_mm)
+        if radius > widest:
+            raise LimitsError(
+                f"{name} reaches {radius:.1f} mm from the centre; this delta's firmware keeps its speed up to "
+                f"{widest:.1f} mm. Choose a place {radius - widest + 0.1:.1f} mm farther in."
+            )
     try:
         machine.kinematics.check_reach(xyz)
     except UnreachableError as error:
-        raise LimitsError(f"{name} leaves the bed: {error} Choose a place farther from its border.") from error
-    zones = planner_limits(machine).delta
-    radius, widest = float(np.hypot(xyz[:, 0], xyz[:, 1]).max()), zones and zones.radius_of_ratio(SLOW_RATIOS[0][0])
-    if widest and radius > widest:
-        raise LimitsError(
-            f"{name} reaches {radius:.1f} mm from the centre; beyond {widest:.1f} mm a delta's firmware slows down. "
-            "Choose a place farther in."
-        )
+        raise LimitsError(f"{name} leaves the bed: {error} Choose a place farther inside.") from error
 
 
 # How hard
