@@ -259,17 +259,17 @@ def every_clock(
         else:
             curves = np.stack([fftconvolve(values, record[::-1, [i]], axes=0) for i in range(3)], axis=1)
             likeness = np.linalg.svd(curves, compute_uv=False).sum(axis=1)
-        for best in _peaks(likeness, round(APART_S / (period * ratio))):
+        # loops fit a quarter of a turn later nearly as well
+        for best in peaks(likeness, round(APART_S / (period * ratio)), STARTS):
             starts.append((float(t[0] + (best - len(record) + 1) * period * ratio), float(ratio)))
             tables.append(curves[best] / size)
     return Matches(starts, np.array(tables))
 
 
-def _peaks(likeness: FloatArray, apart: int) -> list[int]:
-    """Return the best lags of (n,), some rows apart: loops fit a quarter of a turn later nearly as well."""
-    left, lags = likeness.copy(), list[int]()
-    for _ in range(STARTS):
-        best = int(left.argmax())
-        lags.append(best)
-        left[max(0, best - apart) : best + apart + 1] = 0.0
-    return lags
+def peaks(likeness: FloatArray, apart: int, most: int | None = None, least: float = 0.0) -> list[int]:
+    """Return the best rows of (n,) that lie `apart` rows from each other, at most so many, none below `least`."""
+    left, rows = likeness.copy(), list[int]()
+    while len(rows) != most and left.max(initial=-1.0) >= least:
+        rows.append(int(left.argmax()))
+        left[max(0, rows[-1] - apart) : rows[-1] + apart + 1] = -1.0
+    return rows

@@ -19,7 +19,7 @@ from ffcomp.errors import LimitsError
 from ffcomp.inverse.settings import settings_for
 from ffcomp.planner.segment_timing import SegmentLimits
 from ffcomp.record import multisine
-from ffcomp.record.moves import check_inside
+from ffcomp.record.moves import check_inside, rounded_to_steps
 from ffcomp.record.multisine import Band, always_moving, band, lines_of
 from ffcomp.record.plan import Excitation, Experiment, Motion, Plan, segment_motion
 from gcode.emit import XYZ_COUNTS
@@ -273,12 +273,10 @@ def microstep_error(
 ) -> float:
     """Compute the rounding to microsteps, at the lines of the band's upper half, as a share of the command there.
 
-    Motors step when the command crosses half a step. One measured period, from `begin_s` on, is compared with itself,
-    rounded so; it is the same in every period, and no averaging takes it away.
+    One measured period, from `begin_s` on, is compared with itself, rounded; the rounding is the same in every period,
+    and no averaging takes it away.
     """
-    carriages = geometry.inverse(motion.nozzle(begin_s + _period(spectrum_band))) @ geometry.motors.T
-    moved = carriages - carriages.mean(axis=0)
-    rounded = np.rint(carriages * steps_per_mm) / steps_per_mm - carriages
+    moved, rounded = rounded_to_steps(motion, begin_s + _period(spectrum_band), geometry, steps_per_mm)
     upper = spectrum_band.lines[len(spectrum_band.lines) // 2 :]
     command, error = (np.fft.rfft(each, axis=0)[upper] for each in (moved, rounded))
     largest = int(np.argmax(np.linalg.norm(command, axis=0)))

@@ -24,7 +24,7 @@ from ffcomp.measurement.faults import lost_samples
 from ffcomp.measurement.printer_logs import MotionLog, Samples, Steps, is_index, is_motion_log, read_motion_log
 from ffcomp.measurement.table import Table
 from ffcomp.measurement.vibration import read_captures
-from ffcomp.record.clock import Matches, Reference, every_clock, expectation, known_clock, thinned
+from ffcomp.record.clock import Matches, Reference, every_clock, expectation, known_clock, peaks, thinned
 from ffcomp.record.plan import Commanded, Experiment, Plan, run_name
 from models.arrays import FloatArray
 from models.kinematics.base import Kinematics
@@ -226,14 +226,8 @@ def _places(
     if len(t) > len(record):
         return []
     likeness = _likeness(record, reference.at(t)[0])
-    places = []
-    for _ in range(2 * repeats):
-        best = int(likeness.argmax())
-        if likeness[best] < LEAST_LIKENESS:
-            break
-        places.append(_Place(experiment, best * period, float(likeness[best]), ratio))
-        likeness[max(0, best - len(t) // 2) : best + len(t) // 2 + 1] = 0.0
-    return places
+    begins = peaks(likeness, len(t) // 2, 2 * repeats, LEAST_LIKENESS)
+    return [_Place(experiment, begin * period, float(likeness[begin]), ratio) for begin in begins]
 
 
 def _likeness(record: FloatArray, expected: FloatArray) -> FloatArray:

@@ -17,7 +17,7 @@ from scipy.signal import fftconvolve
 
 from ffcomp.errors import MeasurementError
 from ffcomp.measurement.printer_logs import MotorLog
-from ffcomp.record.clock import ClockFit
+from ffcomp.record.clock import ClockFit, peaks
 from ffcomp.record.plan import Experiment, Plan, run_name
 from ffcomp.record.result import KEPT_REST_S, Joined, joined_comments, measured_run
 from models.arrays import FloatArray
@@ -135,12 +135,7 @@ def _places(log: MotorLog, way: CubicSpline, duration_s: float) -> list[float]:
     first, second = (each[n:] - each[:-n] for each in sums)
     power = np.maximum(second - first**2 / n, 1e-6 * max(float(target @ target), 1e-300)) * float(planned @ planned)
     likeness = fftconvolve(target, planned[::-1], mode="valid") ** 2 / np.maximum(power, 1e-300)
-    candidates = list[float]()
-    while likeness.max() >= LEAST_LIKENESS:
-        best = int(likeness.argmax())
-        candidates.append(float(at[best]))
-        likeness[max(0, best - n // 2) : best + n // 2 + 1] = 0.0
-    return candidates
+    return at[peaks(likeness, n // 2, least=LEAST_LIKENESS)].tolist()
 
 
 def _fit(

@@ -327,17 +327,24 @@ def carriage_gain(kinematics: Kinematics, at: FloatArray) -> float:
 
 
 def rounding_share(motion: Motion, kinematics: Kinematics, steps_per_mm: FloatArray, highest_hz: float) -> float:
-    """Compute the rounding to microsteps as a share of the command, both as accelerations of the motors in a band.
-
-    Motors step when the command crosses half a step.
-    """
+    """Compute the rounding to microsteps as a share of the command, both as accelerations of the motors in a band."""
     t = np.arange(0.0, motion.duration_s, 1 / RATE_HZ)
-    motors = kinematics.inverse(motion.nozzle(t)) @ kinematics.motors.T
-    rounded = np.rint(motors * steps_per_mm) / steps_per_mm - motors
+    motors, rounded = rounded_to_steps(motion, t, kinematics, steps_per_mm)
     frequency = np.fft.rfftfreq(len(t), 1 / RATE_HZ)
     weight = frequency**2 * ((frequency >= LOWEST_HZ) & (frequency <= highest_hz))
     command, error = (
         float(np.linalg.norm(weight[:, None] * np.fft.rfft(each * np.hanning(len(t))[:, None], axis=0)))
-        for each in (motors - motors.mean(axis=0), rounded)
+        for each in (motors, rounded)
     )
     return error / command
+
+
+def rounded_to_steps(
+    motion: Motion, t_s: FloatArray, kinematics: Kinematics, steps_per_mm: FloatArray | float
+) -> tuple[FloatArray, FloatArray]:
+    """Return the motors' motion about its mean at the times (k,) s, and its rounding: (k, 3) mm both.
+
+    Motors step when the command crosses half a step.
+    """
+    motors = kinematics.inverse(motion.nozzle(t_s)) @ kinematics.motors.T
+    return motors - motors.mean(axis=0), np.rint(motors * steps_per_mm) / steps_per_mm - motors

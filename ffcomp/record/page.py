@@ -363,8 +363,3 @@ def twins(plan: Plan) -> list[tuple[Experiment, Experiment]]:
 def discs_of(plan: Plan) -> FloatArray:
     """Return the middles of a page's discs, (n, 2) mm."""
     return np.array([each.position_mm[:2] for each in plan.experiments if each.kind == DISC])
-
-
-def polylines(plan: Plan) -> list[FloatArray]:
-    """Return everything that is drawn, (k, 2) mm each."""
-    return [each.motion.vertices_mm[:, :2] for each in plan.experiments]

@@ -17,7 +17,6 @@ from ffcomp.record.page import (
     last_line,
     make_page,
     page_lines,
-    polylines,
     twins,
 )
 from ffcomp.record.plan import Page, load_plan, save_plan
@@ -31,7 +30,7 @@ MACHINES = ("mp-delta-pro", "kossel", "voron-0", "ender-3")
 def test_everything_lies_on_the_bed_and_under_a_scanner(name: str) -> None:
     machine = load_machine(name)
     plan = make_page(machine, PageRequest())
-    assert all(np.all(machine.kinematics.contains(line)) for line in polylines(plan))
+    assert all(np.all(machine.kinematics.contains(each.motion.vertices_mm[:, :2])) for each in plan.experiments)
     measured = np.concatenate([discs_of(plan), *(each.motion.vertices_mm[:, :2] for each, _ in twins(plan))])
     assert np.ptp(measured, axis=0).max() < LARGEST_MM
     assert len(twins(plan)) == (30 if name == "voron-0" else 40)
@@ -46,7 +45,8 @@ def test_each_stroke_runs_beside_a_slow_line() -> None:
 
 def test_a_line_is_as_thick_everywhere_and_a_zigzag_is_no_heap() -> None:
     plan = make_page(load_machine("voron-250"), PageRequest())
-    for each, line in zip(plan.experiments, polylines(plan), strict=True):
+    for each in plan.experiments:
+        line = each.motion.vertices_mm[:, :2]
         laid = np.diff(each.motion.ends_mm[:, 3], prepend=0.0) * np.pi * 1.75**2 / 4
         length = np.linalg.norm(np.diff(line, axis=0), axis=1)
         straight = slice(-1, None) if each.kind == STROKE else slice(None)
