@@ -21,7 +21,6 @@ from gcode.atomic_write import replace_atomically
 
 SCHEMA = "ffcomp-check-history/1"
 MOST, WITH_MOTION = 100, 5  # checks; the last ones whose motion is kept, besides the first
-HASHED_LIMITS = {"filament_diameter_mm": 1.75, "nozzle_diameter_mm": 0.4}  # that plans stated, and histories hashed
 MM = 1e3  # accelerations are kept as whole mm/s²
 
 
@@ -53,9 +52,8 @@ class Check:
 
 
 def moves_hash(experiments: Sequence[Mapping[str, Any]]) -> str:
-    """Return a hash of the moves of a plan; of earlier plans the same as when they were made."""
-    moves = [{**each, "limits": {**each["limits"], **HASHED_LIMITS}} for each in experiments]
-    return hashlib.sha256(json.dumps(moves, sort_keys=True).encode()).hexdigest()
+    """Return a hash of the moves of a plan."""
+    return hashlib.sha256(json.dumps(experiments, sort_keys=True).encode()).hexdigest()
 
 
 def read_history(path: Path) -> list[Check]:

@@ -127,8 +127,7 @@ def _as_written(length: FloatArray, speeds: SegmentSpeeds) -> FloatArray:
     return np.array(written)
 
 
-SCHEMA, EARLIER_SCHEMA = "ffcomp-moves/1", "ffcomp-excitation/1"
-FORMER_LIMITS = ("nozzle_diameter_mm", "filament_diameter_mm")  # that plans stated, and nothing needs
+SCHEMA = "ffcomp-moves/1"
 REST_BEFORE_S, REST_AFTER_S = 1.0, 0.5  # in the capture: gravity and noise; ringing
 SETTLE_S = 0.5  # before a capture begins, so that the firmware has time in hand and begins exactly
 
@@ -296,10 +295,9 @@ def load_plan(path: str | Path) -> Plan:
     """Load a plan from its JSON file; MeasurementError for a file that is no such plan, or an incomplete one."""
     try:
         read = json.loads(Path(path).read_text(encoding="utf-8"))
-        schema = read["schema"]
-        if schema not in (SCHEMA, EARLIER_SCHEMA):
-            raise MeasurementError(str(path), [f"The schema is {schema!r}; {SCHEMA!r} is needed."])
-        return _plan(read) if schema == SCHEMA else _earlier_plan(read)
+        if read["schema"] != SCHEMA:
+            raise MeasurementError(str(path), [f"The schema is {read['schema']!r}; {SCHEMA!r} is needed."])
+        return _plan(read)
     except OSError as error:
         raise MeasurementError(str(path), [f"The plan cannot be read: {error.strerror}."]) from None
     except (json.JSONDecodeError, UnicodeDecodeError) as error:
@@ -352,7 +350,7 @@ def _motion(entry: Mapping[str, Any]) -> Motion:
     stops[entry.get("stops", [])] = True
     for index, wait in entry.get("waits_s", {}).items():
         waits[int(index)] = wait
-    limits = {key: value for key, value in entry["limits"].items() if key not in FORMER_LIMITS}
+    limits = dict(entry["limits"])
     if "delta" in limits:
         limits["delta"] = DeltaSlowZones(*limits["delta"])
     return Motion(
@@ -375,19 +373,3 @@ def _excitation(entry: Mapping[str, Any]) -> Excitation:
         periods=int(entry["periods"]),
         lines=Lines(**{key: np.array(value, dtype=np.float64) for key, value in entry["lines"].items()}),
     )
-
-
-def _earlier_plan(read: Mapping[str, Any]) -> Plan:
-    """Read ffcomp-excitation/1 of the former `identify plan`: vertices, the time between them, limits of them all."""
-    output, machine = SegmentLimits(**read["output"]), read["machine"]
-    places = list(dict.fromkeys(tuple(entry["position_mm"]) for entry in read["experiments"]))
-    experiments = []
-    for entry in read["experiments"]:
-        x, y, z = position = tuple(entry["position_mm"])
-        excitation = _excitation(entry)
-        vertices = np.array(entry["vertices_mm"], dtype=np.float64)
-        motion = segment_motion(vertices, excitation.band.segment_s, output)
-        experiments.append(
-            Experiment(entry["name"], read["kind"], places.index(position), (x, y, z), motion, 0.0, excitation)
-        )
-    return Plan(machine["name"], machine["sha256"], tuple(experiments), repeats=1, seed=int(read["seed"]))

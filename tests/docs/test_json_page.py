@@ -318,7 +318,6 @@ def test_the_page_names_every_schema_that_the_code_prints() -> None:
     made |= {f"ffcomp-{name}/1" for name in re.findall(r'_print_json\(\s*"([a-z-]+)"', code)}
     told_of = {name for name in Page(REFERENCE / "json.md").objects if name.startswith("ffcomp-")}
     assert told_of == made - {
-        "ffcomp-excitation/1",  # read only: plans of before
         "ffcomp-machine/1",
         "ffcomp-check-history/1",
         "ffcomp-motion/1",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Callable
-from dataclasses import asdict, replace
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -32,7 +32,7 @@ from ffcomp.record.excitation import (
 )
 from ffcomp.record.gcode_writer import Recorder, gcode_lines
 from ffcomp.record.multisine import Lines, lines_of, polyline_gain
-from ffcomp.record.plan import Excitation, Experiment, Plan, load_plan, plan_dict, save_plan, segment_motion
+from ffcomp.record.plan import Excitation, Experiment, Plan, load_plan, save_plan, segment_motion
 from gcode.program import EventKind, Program
 from gcode.reader import read_program
 from models.arrays import ComplexArray, FloatArray, constant
@@ -301,28 +301,6 @@ def test_a_plan_comes_back_as_it_was(tmp_path: Path) -> None:
     assert (loaded.machine, loaded.machine_sha256, loaded.seed) == (machine().name, machine().sha256, 1)
     assert {each.kind for each in loaded.experiments} == {"multisine"}
     assert_same(short(), loaded)
-
-
-def test_a_plan_of_the_earlier_format_is_read(tmp_path: Path) -> None:
-    """ffcomp-excitation/1 of `identify plan`: one table of limits, and the time between vertices, for all."""
-    new, output = plan_dict(short()), settings_for(machine()).output
-    entries = [
-        {**each["excitation"], **each, "vertices_mm": np.array(each["ends_mm"])[:, :3].tolist()}
-        for each in new["experiments"]
-    ]
-    for entry in entries:
-        entry["vertices_mm"].insert(0, entry["start_mm"][:3])
-    old = {
-        "schema": "ffcomp-excitation/1",
-        "machine": new["machine"],
-        "kind": "multisine",
-        "seed": 1,
-        "output": asdict(output),
-        "experiments": entries,
-    }
-    path = tmp_path / "excite.json"
-    path.write_text(json.dumps(old), encoding="utf-8")
-    assert_same(short(), load_plan(path))
 
 
 @pytest.mark.parametrize(
