@@ -24,8 +24,25 @@ def summary_sentences(result: DiagnosisResult) -> list[str]:
         "recording": lambda result: [f"The recordings are at fault: {result.fault}"],
     }
     said = by_finding.get(result.finding, _unexplained)(result)
-    beside = (forces_compared, other_motions, cut_short, late_files, guessed_noise)
-    return [*worse_elsewhere(result), *said, *(sentence for each in beside for sentence in each(result))]
+    sentences = [*worse_elsewhere(result), *said]
+    if result.forces:
+        sentences.append(
+            "The drive's force is compared with the one that the measured motion needs: simulated from its force, this "
+            "axis is further off than one that stands still, because the file lacks the load that its drive holds."
+        )
+    sentences += other_motions(result)
+    if result.cut_short:
+        sentences.append(
+            "The search ended at its budget of work, so not everything was tried: ffcomp diagnose --thorough goes on "
+            "to the end, for as long as it takes."
+        )
+    sentences += late_files(result)
+    if result.gap.noise_guessed:
+        sentences.append(
+            f"The noise of {percent(result.gap.noise)} is a guess from above the model's band, because no motion was "
+            "repeated: a smaller effect may be hidden in it."
+        )
+    return sentences
 
 
 def _gap(result: DiagnosisResult) -> str:
@@ -44,8 +61,8 @@ def _effects(result: DiagnosisResult) -> list[str]:
         f"The gap of {_gap(result)} shrinks to {percent(result.gap.after.nrms)} with {names}: it explains "
         f"{most_of(result.gap.explained)} of it.",
         elsewhere(result),
-        *undetermined_numbers(result),
-        *unproven_places(result),
+        *open_numbers(result),
+        *([f"It is unproven at {_unproven_at(result)}, where little of the gap is."] if result.gap.unproven else []),
         *file_off(result),
     ]
 
@@ -59,7 +76,7 @@ def _dominant(result: DiagnosisResult) -> list[str]:
         f"A rest of {percent(result.gap.after.nrms)} of {result.compared} stays, which nothing known explains: "
         f"{where_left(rest)}.",
         *instead(rest),
-        *undetermined_numbers(result),
+        *open_numbers(result),
     ]
 
 
@@ -84,25 +101,23 @@ def instead(rest: Rest) -> list[str]:
     return [f"Of other effects {joined(shares)} there."] if shares else []
 
 
-def undetermined_numbers(result: DiagnosisResult) -> list[str]:
-    """Say which numbers these recordings leave open, and which so few motions do."""
-    numbers = [name for name in result.undetermined if name not in result.scattered]
-    if not numbers:
-        return few_motions(result)
-    return [
-        f"These recordings do not determine {joined(numbers)}: any value near the end of its range fits as well.",
-        *few_motions(result),
-    ]
+def open_numbers(result: DiagnosisResult) -> list[str]:
+    """Say which numbers these recordings leave open, and which have wide intervals because few motions scatter."""
+    numbers, sentences = [name for name in result.undetermined if name not in result.scattered], []
+    if numbers:
+        sentences.append(
+            f"These recordings do not determine {joined(numbers)}: any value near the end of its range fits as well."
+        )
+    if result.scattered:
+        sentences.append(
+            f"The {result.motions} motions give different values of {joined(list(result.scattered))}, and so few do "
+            "not show how far other motions would scatter, so the interval is wide. Record more motions."
+        )
+    return sentences
 
 
-def few_motions(result: DiagnosisResult) -> list[str]:
-    """Say why intervals are wide that would be narrow within each motion."""
-    if not result.scattered:
-        return []
-    return [
-        f"The {result.motions} motions give different values of {joined(list(result.scattered))}, and so few do not "
-        "show how far other motions would scatter, so the interval is wide. Record more motions."
-    ]
+def _unproven_at(result: DiagnosisResult) -> str:
+    return joined(list(result.gap.unproven)[:FEW])
 
 
 def elsewhere(result: DiagnosisResult) -> str:
@@ -129,13 +144,6 @@ def _shrunk_elsewhere(result: DiagnosisResult) -> str:
     if result.gap.elsewhere[1] <= noise:
         return f"the residual does not stand above the noise of {percent(noise)}"
     return f"it explains {most_of(result.gap.explained_elsewhere)} of the gap there"
-
-
-def unproven_places(result: DiagnosisResult) -> list[str]:
-    """Say where it is not explained."""
-    if not result.gap.unproven:
-        return []
-    return [f"It is unproven at {joined(list(result.gap.unproven)[:FEW])}, where little of the gap is."]
 
 
 def file_off(result: DiagnosisResult) -> list[str]:
@@ -176,16 +184,6 @@ def _beyond(result: DiagnosisResult) -> list[str]:
     ]
 
 
-def guessed_noise(result: DiagnosisResult) -> list[str]:
-    """Say what a guessed noise may hide."""
-    if not result.gap.noise_guessed:
-        return []
-    return [
-        f"The noise of {percent(result.gap.noise)} is a guess from above the model's band, because no motion was "
-        "repeated: a smaller effect may be hidden in it."
-    ]
-
-
 def _cannot_tell(result: DiagnosisResult) -> list[str]:
     noise = result.gap.noise
     if noise > SETTINGS.loud_noise:
@@ -201,7 +199,7 @@ def _cannot_tell(result: DiagnosisResult) -> list[str]:
 
 
 def _unproven(result: DiagnosisResult) -> list[str]:
-    where = f"; unproven at {joined(list(result.gap.unproven)[:FEW])}" if result.gap.unproven else ""
+    where = f"; unproven at {_unproven_at(result)}" if result.gap.unproven else ""
     return [
         f"There is a gap of {_gap(result)}; {most_of(result.gap.explained)} of it is explained by "
         f"{joined(list(result.effects))}{where}. It is not named because {'; '.join(result.rejections)}.",
@@ -238,26 +236,6 @@ def other_motions(result: DiagnosisResult) -> list[str]:
         f"left there and not {percent(one.after)}. It may change from recording to recording."
         for one in result.others
         if one.number
-    ]
-
-
-def forces_compared(result: DiagnosisResult) -> list[str]:
-    """Say that forces are compared, and why."""
-    if not result.forces:
-        return []
-    return [
-        "The drive's force is compared with the one that the measured motion needs: simulated from its force, this "
-        "axis is further off than one that stands still, because the file lacks the load that its drive holds."
-    ]
-
-
-def cut_short(result: DiagnosisResult) -> list[str]:
-    """Say that not everything was tried."""
-    if not result.cut_short:
-        return []
-    return [
-        "The search ended at its budget of work, so not everything was tried: ffcomp diagnose --thorough goes on to "
-        "the end, for as long as it takes."
     ]
 
 
