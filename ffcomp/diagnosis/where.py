@@ -54,10 +54,10 @@ class Split:
     at: tuple[tuple[float, ...], ...] = ()  # places, where labels are places
 
     @property
-    def shares(self) -> dict[str, float]:
+    def shares(self) -> list[float]:
         """Each label's share of the excess before."""
         parts = np.maximum(self.before, 0.0) * self.weight
-        return dict(zip(self.labels, (parts / max(parts.sum(), 1e-300)).tolist(), strict=True))
+        return list((parts / max(parts.sum(), 1e-300)).tolist())
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,25 +73,28 @@ class ResidualBreakdown:
     def bands(self) -> list[tuple[float, float, float]]:
         """From Hz, to Hz, share of the excess."""
         split = self.splits["frequency"]
-        return [(*span, share) for span, share in zip(split.spans, split.shares.values(), strict=True)]
+        return [(*span, share) for span, share in zip(split.spans, split.shares, strict=True)]
 
     @property
     def places(self) -> list[tuple[tuple[float, ...], str, float]]:
         """Each place, its name, and its share of the excess."""
         split = self.splits.get("place") or self.splits["window of time"]
-        return [(at, *named) for at, named in zip(split.at, split.shares.items(), strict=True)]
+        return list(zip(split.at, split.labels, split.shares, strict=True))
 
     @property
     def near_reversals(self) -> float:
         """Share of the excess while the part that carries the sensor reverses or rests."""
-        return self.splits["motion"].shares.get(SLOW, 0.0)
+        return self._in_motion(SLOW)
 
     @property
     def forwards(self) -> float:
         """Share of the excess while that part moves forwards, of all while it moves."""
-        shares = self.splits["motion"].shares
-        ahead, back = shares.get(FORWARD, 0.0), shares.get(BACKWARD, 0.0)
+        ahead, back = self._in_motion(FORWARD), self._in_motion(BACKWARD)
         return ahead / max(ahead + back, 1e-300)
+
+    def _in_motion(self, label: str) -> float:
+        split = self.splits["motion"]
+        return split.shares[split.labels.index(label)] if label in split.labels else 0.0
 
 
 def locate_residual(
