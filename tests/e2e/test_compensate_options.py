@@ -106,24 +106,6 @@ def test_a_limit_slows_down_or_stops(printed: Path, tmp_path: Path) -> None:
     assert result["print_time_s"] > 1.05 * result["original_print_time_s"]
 
 
-def test_a_quicker_print_says_what_it_has_given(tmp_path: Path) -> None:
-    """Under a bound the whole command: JSON, a line for people, the original kept, and refusals."""
-    print_file = tmp_path / "line.gcode"
-    print_file.write_bytes(b"G28\nG1 X0 Y0 Z.3 F6000\n;LAYER:1\n;LAYER:2\nG1 X40 F1200\nG1 Y40\nG1 X0\nG1 Y0\n")
-    out = tmp_path / "out.gcode"
-    command = [print_file, "-m", MACHINE, "-o", out, "--json", "--flavor", "klipper"]
-    answer = call(*command, "--max-error-um", "100")
-    assert answer.exit_code == 0, answer.output
-    result = json.loads(answer.stdout)
-    faster = result["faster"]
-    assert faster["actuator_limit_s"] < faster["print_time_s"] < 0.8 * faster["original_print_time_s"]
-    assert faster["contour_p99_um"] < 100.0 and set(faster["by_feature"]) == {"other"}
-    assert "nothing can be quicker" in dict(result["answer"]["facts"])["Faster"]
-    assert "faster" not in json.loads(call(*command).stdout)
-    for wrong in (["--max-flow-mm3-per-s", "9"], ["--max-error-um", "x"], ["--max-error-um", "Bridge=20"]):
-        assert call(*command, *wrong).exit_code == 2
-
-
 def test_a_bound_that_is_not_kept_is_told_and_refused(printed: Path, tmp_path: Path) -> None:
     """A feature that keeps its speed cannot keep a tenth of a micrometre: a line says where, exit 6 if strict."""
     bound = ("--max-error-um", "0.1", "--keep-speed", "other", "-o", tmp_path / "out.gcode")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from pathlib import Path
 from typing import Any
 
@@ -25,8 +24,6 @@ from validation.plants.study import PLACES, measure_bench, measure_places, uneve
 
 TRUTH_FILE = LIBRARY / "mp-delta-pro.toml"
 TRUTH = load_machine(TRUTH_FILE)
-DATA = Path(os.environ.get("FFCOMP_DATA", Path(__file__).parents[3] / "shared" / "data"))
-VIBRATION = sorted(p for p in (DATA / "vibration").rglob("*.?sv") if p.parent.name != "owners")  # sweeps
 STEP_S = 1 / 12800
 
 
@@ -135,18 +132,6 @@ def test_tables_two_and_three_of_the_paper() -> None:
     elsewhere = [r for r in responses if r.position_mm != PLACES[0]]
     cells = [error_reduction(r.value, predicted(found, [r])[0], centre[r.input], 1.0) for r in elsewhere]
     assert np.min(cells) > 0  # the paper's worst: -19.8
-
-
-@pytest.mark.skipif(not VIBRATION, reason="the vibration data from outside are not beside the project")
-def test_resonances_scale_a_starting_machine(tmp_path: Path) -> None:
-    pair = [p for p in VIBRATION if p.name.startswith("v24__resonances")]
-    result = good("fit", *pair, "-m", "kossel", "-o", tmp_path / "v24.toml")
-    found = load_machine(tmp_path / "v24.toml")
-    assert value_of(found, "carriage.belt_stiffness_n_per_m") != value_of(
-        load_machine("kossel"), "carriage.belt_stiffness_n_per_m"
-    )
-    assert result["numbers"]["carriage.belt_stiffness_n_per_m"]["sd"] > 0
-    assert result["method"] == "modes" and all(each["verdict"] for each in result["spectra"])
 
 
 @pytest.mark.parametrize(

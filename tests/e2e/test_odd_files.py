@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
 import pytest
 
 from gcode.embedded import original
@@ -64,15 +63,6 @@ def test_a_file_that_has_lost_its_stamp_is_not_compensated_twice() -> None:
 def test_marlin_is_given_its_limits_in_the_units_in_force() -> None:
     out = compensated(b"G20\nG90\nM83\nG1 X0 Y0 Z0.2 F300\nG1 X1 Y0.5 E.01\nG28\n", inverter()).splitlines()
     assert b"M203 X11.811 Y11.811 Z11.811 ; ffcomp" in out  # 300 mm/s
-
-
-def test_filament_is_exact_where_its_place_is_renamed() -> None:
-    """Very short moves with much filament cannot be met in time; but after G92 E0 nobody could make up for it."""
-    blobs = "".join(f"G92 E0\nG1 X{20 + k / 100} E.5\nG1 X{20 + k} Y{k} E.7\n" for k in range(1, 8))
-    data = ("G28\nG90\nM82\nG1 X20 Y0 Z5 F9000\n" + blobs).encode()
-    before, after = (read_program(text).moves for text in (data, compensated(data, inverter())))
-    totals = [float(np.sum(moves.end[:, 3] - moves.start[:, 3])) for moves in (before, after)]
-    assert totals[1] == pytest.approx(totals[0], abs=1e-4)
 
 
 @pytest.mark.parametrize("feed", ["999999.9", "0.0004", "123456.25"])

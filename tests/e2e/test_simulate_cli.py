@@ -21,7 +21,6 @@ from validation import judge
 
 MACHINE = load_machine("mp-delta-pro")
 SQUARE = b"G28\nG90\nM83\nG1 X0 Y0 Z0.3 F6000\nG1 X40 Y0 E1 F12000\nG1 X40 Y40 E1\nG1 X0 Y40 E1\nG1 X0 Y0 E1\nM107\n"
-AGAIN = SQUARE + SQUARE.replace(b"X0", b"X-40").replace(b"X40", b"X0")
 
 
 def call(*arguments: object) -> Result:
@@ -48,8 +47,6 @@ def with_table(folder: Path, name: str, table: str) -> Path:
 
 
 FRICTION = "\n[effects.coulomb_friction]\nforce_n = 2.0\n"
-GAIN = "\n[effects.sensor_gain]\ncarriage_relative_change = 0.05\nnozzle_relative_change = [0.0, 0.1, 0.0]\n"
-LATE = "\n[effects.sensor_time_offset]\noffset_s = 0.00125\n"
 
 
 # ---- the numbers ---------------------------------------------------------------------------------
@@ -67,7 +64,7 @@ def test_the_track_is_that_of_an_independent_printer() -> None:
     assert track.peak_command_acceleration_mm_per_s2 / 1e3 == pytest.approx(theirs.peak_m_per_s2, rel=0.01)
 
 
-@pytest.mark.parametrize("options", [(), ("--offset-mm", "-20,10"), ("--max-segments-per-second", "160")])
+@pytest.mark.parametrize("options", [("--offset-mm", "-20,10", "--max-segments-per-second", "160")])
 def test_a_compensated_file_is_judged_against_its_original(
     options: tuple[str, ...], square: Path, tmp_path: Path
 ) -> None:
@@ -98,19 +95,6 @@ def test_pieces_have_no_seams(monkeypatch: pytest.MonkeyPatch, square: Path) -> 
     t = stretch.begin_s + playing.ROW_S * np.arange(4 * len(whole[0].t_s) - 3)
     direct = simulate_printer(MACHINE, stretch.actuators(t), playing.ROW_S)
     np.testing.assert_allclose(whole[0].nozzle_mm, direct.nozzle_mm[::4], atol=1e-9)
-
-
-def test_where_others_move_the_nozzle_it_starts_from_rest(tmp_path: Path) -> None:
-    """Two prints in one file: twice the same answer, and no run file, which is one motion."""
-    path = tmp_path / "two.gcode"
-    path.write_bytes(AGAIN)
-    command, _ = read_command(path, MACHINE)
-    assert len(command.sections) == 2
-    first, both = (simulate_command(command, MACHINE, MACHINE, Request(to_s=t)) for t in (0.8, np.inf))
-    assert both.simulated_s == pytest.approx(2 * first.simulated_s, rel=0.1)
-    assert both.track.contour_rms_um == pytest.approx(first.track.contour_rms_um, rel=0.1)
-    refused = call("simulate", path, "-m", "mp-delta-pro", "-o", tmp_path / "run.csv")
-    assert refused.exit_code == 2 and not (tmp_path / "run.csv").exists()
 
 
 # ---- the run file --------------------------------------------------------------------------------
@@ -153,15 +137,6 @@ def test_effects_of_straight_machines_are_compensated(machine: str, effect: str,
         good("compensate", square, "-m", believed, "-o", out, "--quiet", "--robust", "off", *klipper)
         errors.append(good("simulate", out, "-m", believed, "--plant", known, *klipper)["track"]["contour_rms_um"])
     assert errors[1] < 1.0 < 0.2 * errors[0]
-
-
-def test_the_plants_sensors_are_what_is_written(square: Path, tmp_path: Path) -> None:
-    true = written(tmp_path, square).acceleration
-    gained = written(tmp_path, square, "--plant", with_table(tmp_path, "gain", GAIN)).acceleration
-    for name, factor in (("acc_A", 1.05), ("acc_x", 1.0), ("acc_y", 1.1)):
-        np.testing.assert_allclose(gained[name], factor * true[name], atol=2e-6)
-    late = written(tmp_path, square, "--plant", with_table(tmp_path, "late", LATE)).acceleration
-    np.testing.assert_allclose(late["acc_x"][2:], true["acc_x"][:-2], atol=2e-6)  # two samples
 
 
 def test_an_interruption_leaves_nothing_half_written(square: Path, tmp_path: Path) -> None:

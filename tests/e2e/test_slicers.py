@@ -16,12 +16,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from ffcomp.cli import app as command_line
 from ffcomp.cli.log import logged, note
-from ffcomp.integrations.slicer import Bed, call_warnings, offset_for, read_call
 from gcode.embedded import already_processed, original
 from gcode.reader import read_program
 from tests.support.cli import CliRunner, Result
@@ -33,32 +30,6 @@ ROUND = "100x0,71x71,0x100,-71x71,-100x0,-71x-71,0x-100,71x-71"
 
 
 # -- what slicers say --
-
-
-coordinates = st.floats(-500, 500)
-sizes = st.floats(50, 500)
-
-
-@given(coordinates, coordinates, sizes, sizes, coordinates, coordinates)
-def test_an_offset_brings_middle_to_middle_or_is_not_needed(
-    x: float, y: float, width: float, depth: float, to_x: float, to_y: float
-) -> None:
-    bed, middle = Bed((x, y), (x + width, y + depth)), (to_x, to_y)
-    dx, dy = offset_for(bed, middle)
-    moved = Bed((x + dx, y + dy), (x + dx + width, y + dy + depth))
-    if (dx, dy) == (0.0, 0.0):
-        assert abs(bed.centre[0] - to_x) <= width / 4 and abs(bed.centre[1] - to_y) <= depth / 4
-    else:
-        assert moved.centre == pytest.approx(middle, abs=1e-9)
-    assert offset_for(moved, middle) == (0.0, 0.0)
-
-
-def test_other_scripts_and_strange_flavors_are_warned_of() -> None:
-    environment = {"SLIC3R_GCODE_FLAVOR": "sailfish", "SLIC3R_POST_PROCESS": '"/b/ffcomp compensate";"/b/arcs"'}
-    flavor, script = call_warnings(read_call(environment))
-    assert "sailfish" in flavor and "/b/arcs" in script
-    fine = {"SLIC3R_GCODE_FLAVOR": "klipper", "SLIC3R_POST_PROCESS": '"/b/arcs\\n/b/ffcomp compensate -m x"'}
-    assert call_warnings(read_call(fine)) == [] and call_warnings(read_call({})) == []
 
 
 # -- what we do then --
@@ -96,13 +67,6 @@ def test_auto_brings_the_print_to_the_machines_middle(run: Callable[..., Result]
     assert result["offset_mm"] == [-110.0, -110.0] and result["offset_reason"] in result["warnings"]
     end = read_program(temporary.read_bytes()).moves.end[-1]
     assert end[:2] == pytest.approx([128 - 110, 130 - 110], abs=1e-4)
-
-
-def test_a_closed_stderr_does_not_spill_into_the_result(tmp_path: Path) -> None:
-    start = "from ffcomp.cli.app import main; main()"
-    command = f'exec {sys.executable} -c "{start}" compensate -m kossel --json {tmp_path}/no.gcode'
-    answer = subprocess.run(["sh", "-c", f"{command} 2>&-"], cwd=ROOT, capture_output=True, check=False)
-    assert (answer.returncode, answer.stdout) == (2, b"")
 
 
 # -- the log --

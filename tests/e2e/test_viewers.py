@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from ffcomp.cli.app import app
-from gcode.reader import read_program
 from tests.support.cli import CliRunner
 from tests.support.docs_runner import ROOT
 from tests.support.moonraker import thumbnail
@@ -48,21 +46,6 @@ def test_a_compensated_print_keeps_what_viewers_read(folder: Path) -> None:
     for begins in ((b";LAYER_CHANGE",), (b";Z:", b";HEIGHT:", b";WIDTH:"), (b";TYPE:",), (b"EXCLUDE_OBJECT",)):
         kept = comments(sliced, *begins)
         assert kept and comments(done, *begins) == kept, begins
-
-
-def test_the_preview_is_the_sliced_path_with_another_feature_where_the_error_changes(folder: Path) -> None:
-    sliced = read_program((folder / "tower.gcode").read_bytes(), "tower.gcode")
-    seen = read_program((folder / "error.gcode").read_bytes(), "error.gcode")
-    corners = {tuple(end) for end in np.round(seen.moves.end[:, :3], 3)}
-    own = {tuple(end) for end in np.round(sliced.moves.end[1:, :3], 3)}
-    assert len(own - corners) <= 2  # nothing is left out but what is beside the print volume
-    ways = [each.moves.end - each.moves.start for each in (sliced, seen)]
-    pushed = [float(way[np.any(way[:, :2] != 0.0, axis=1), 3].clip(0.0).sum()) for way in ways]
-    assert pushed[1] == pytest.approx(pushed[0], rel=2e-3)
-    assert (folder / "error.gcode").stat().st_size < (folder / "done.gcode").stat().st_size / 2
-    assert len(comments(folder / "error.gcode", b";LAYER_CHANGE")) == len(
-        comments(folder / "tower.gcode", b";LAYER_CHANGE")
-    )
 
 
 def test_nothing_in_a_preview_heats_homes_or_waits(folder: Path) -> None:

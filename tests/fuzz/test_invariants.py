@@ -48,7 +48,7 @@ def job(data: bytes, path: Path) -> Job:
     return Job(data, str(path), own.machine, options)
 
 
-@pytest.mark.parametrize("path", [*SAMPLES, *REAL], ids=lambda path: path.name)
+@pytest.mark.parametrize("path", [*SAMPLES[:1], *REAL[::2]], ids=lambda path: path.name)
 def test_real_prints_are_safe(path: Path) -> None:
     data = beginning(path)
     work = job(data, path)

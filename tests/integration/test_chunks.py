@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from ffcomp.compensation.chunks import LONGEST_S, Chunk, Splitting, split_chunks
 from ffcomp.compensation.job import StepOutput
@@ -17,7 +16,6 @@ from ffcomp.errors import LimitsError
 from ffcomp.faster.bound import Bound
 from ffcomp.firmware import program as reading
 from ffcomp.firmware.program import firmware_plan, known_to_the_firmware, plan_program
-from ffcomp.inverse import lq_preview
 from ffcomp.inverse.settings import SlowingSettings, settings_for
 from ffcomp.metrics import contour_error
 from ffcomp.simulation.command import path_corners, path_corners_with_rests, section_starts
@@ -25,10 +23,8 @@ from ffcomp.steps.archive import read_steps
 from ffcomp.steps.sink import Board
 from gcode.dialect import KLIPPER, MARLIN
 from gcode.embedded import original
-from gcode.errors import GcodeError
 from gcode.program import Program
 from gcode.reader import read_parts, read_program
-from gcode.slicing import join
 from models.file import load_machine
 from models.machine import Machine
 from tests.support.compensated import compensated, job
@@ -60,46 +56,9 @@ def cut(data: bytes, machine: Machine, part_bytes: int = SMALL, longest_s: float
     return list(split_chunks(parts, Splitting(0.004, 0.008, partial(firmware_plan, machine=machine), longest_s)))
 
 
-def places(text: bytes) -> NDArray[np.float64]:
-    """Every end of a segment of ours, (n, 4) mm."""
-    moves = read_program(text, flavor=KLIPPER).moves
-    return moves.end[np.any(moves.end[:, :3] != moves.start[:, :3], axis=1)]
-
-
 @pytest.fixture(scope="module")
 def tower() -> bytes:
     return (PRINTS / "ringing_tower.gcode").read_bytes()[:80_000].rpartition(b"\n")[0] + b"\n"
-
-
-def test_chunks_are_the_program(tower: bytes, machine: Machine) -> None:
-    whole, several = read_program(tower), cut(tower, machine)
-    assert len(several) >= 4
-    assert b"".join(line for each in several for line in each.program.lines) == tower
-    together = several[0].program
-    for each in several[1:]:
-        assert each.program.first_line == len(together.lines)
-        together = join(together, each.program)
-    for name in ("line", "start", "end", "speed", "acceleration"):
-        np.testing.assert_array_equal(getattr(together.moves, name), getattr(whole.moves, name))
-    assert [(e.line, e.move, e.kind) for e in together.events] == [(e.line, e.move, e.kind) for e in whole.events]
-    for event, other in zip(together.events, whole.events, strict=True):
-        assert together.frames[event.frame] == whole.frames[other.frame]
-
-
-def test_the_command_is_the_same_in_chunks(tower: bytes, machine: Machine, small_parts: None) -> None:
-    several, cut_result = compensated(tower, machine, predict=False)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(reading, "read_parts", read_parts)
-        whole, result = compensated(tower, machine, predict=False)
-    assert several.count(b"SET_VELOCITY_LIMIT") > whole.count(b"SET_VELOCITY_LIMIT")  # there were chunks
-    assert original(several) == original(whole) == tower
-    assert cut_result.statistics.print_time_s == pytest.approx(result.statistics.print_time_s, abs=1e-9)
-    mine, theirs = places(several), places(whole)
-    # after a cut the state is known but for what the printer has forgotten; corrections may then stop a pass earlier
-    assert len(mine) == len(theirs)
-    apart = np.abs(mine[:, :3] - theirs[:, :3]).max(axis=1)
-    assert apart.max() < lq_preview.CONVERGENCE_MM and np.mean(apart > 5e-4) < 1e-3  # mm
-    np.testing.assert_allclose(mine[:, 3], theirs[:, 3], atol=5e-5)
 
 
 def test_jobs_change_no_byte(tower: bytes, machine: Machine, small_parts: None) -> None:
@@ -109,13 +68,6 @@ def test_jobs_change_no_byte(tower: bytes, machine: Machine, small_parts: None) 
     first, second = one.to_dict(), two.to_dict()
     assert first["predicted"]["compensated"]["contour_rms_um"] > 0
     assert {**first, "compute_time_s": 0} == {**second, "compute_time_s": 0}
-
-
-def test_an_error_names_the_line_of_the_file(tower: bytes, machine: Machine, small_parts: None) -> None:
-    lines = tower.count(b"\n")
-    with pytest.raises(GcodeError, match=rf"print.gcode:{lines + 1}: ") as error:
-        compensated(tower + b"G1 X500 Y0 E1\n", machine, predict=False)
-    assert error.value.line == lines + 1
 
 
 @pytest.fixture(scope="module")

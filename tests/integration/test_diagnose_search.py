@@ -119,13 +119,3 @@ def test_what_cannot_be_seen_is_said_to_be_invisible_and_noise_pictures_as_nothi
     for split in drawn_residual(plant, diagnosis).splits:
         inner = np.array(split.after[1:-1] if "time" in split.title else split.after)  # the ends are faded out
         assert np.abs(inner).max() < 0.6, split.title  # where an effect is, hundreds
-
-
-def test_friction_that_bends_before_it_slides_is_found_with_its_way() -> None:
-    """A bristle's force turns over by the way and not by the speed: the file's damping must not make up for that."""
-    hidden = {"force_n": 2.0, "presliding_mm": 0.03}
-    _, diagnosis = found(("coulomb_friction", "guide_damping"), TWO, coulomb_friction=hidden)
-    assert diagnosis.named is not None and diagnosis.named.names == ("coulomb_friction",)
-    values = {name.rpartition(".")[2]: value for name, value in diagnosis.final.values.items()}
-    assert values["force_n"] == pytest.approx(2.0, rel=0.02)
-    assert np.exp(values["presliding_mm"]) == pytest.approx(0.03, rel=0.05) and "creep_mm_per_s" not in values

@@ -58,12 +58,8 @@ def test_a_file_that_names_the_effect_prints_as_well_as_one_without_it(name: str
 # the effect's numbers, and how much of the error it makes must go: with the whole printer in the loop
 BEYOND = {
     "coulomb_friction": ({"force_n": 2.0}, 0.15),
-    "stribeck_friction": ({"force_n": 1.5, "extra_force_n": 1.0, "velocity_mm_per_s": 10.0}, 0.3),
-    "joint_friction": ({"force_n": 0.5}, 0.4),
-    "belt_hardening": ({"cubic_n_per_m3": 2e12}, 0.4),
     "belt_position_stiffness": ({"slope_per_m": 0.8, "q_centre_mm": 250.0}, 0.6),
     "belt_backlash": ({"width_mm": 0.03}, 0.5),
-    "torque_angle": ({"amplitude_mm": 0.1}, 0.3),
     "cogging": ({"amplitude_mm": 0.01, "pitch_mm": 0.8}, 0.15),
     "command_delay": ({"delay_s": [0.001, 0.002, 0.003]}, 0.1),
     "frame_mode": ({"mass_kg": 8.0, "frequency_hz": 18.0, "damping_ratio": 0.05, "direction": "both"}, 0.4),
@@ -84,7 +80,6 @@ BY_PLACE = {
         {"radius_mm": 150.0, "frequency_hz": 45.0, "damping_ratio": 0.05, "x_centre_mm": -60.0, "arm_mm": 10.0},
         0.3,
     ),
-    "growing_bed": ({"growth_per_m": [0.0, 3.0, 0.0]}, 0.3),
     "toolhead_mode": ({"slope_per_m": [0.0, -4.0, 0.0], "curve_per_m2": 0.0, "x_centre_mm": -60.0}, 0.3),
 }
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ffcomp.firmware.program import plan_program
 from ffcomp.simulation.command import Command
-from ffcomp.simulation.command_files import AT_REST_S, gcode_command, smoothed, staircase
+from ffcomp.simulation.command_files import gcode_command, smoothed, staircase
 from ffcomp.simulation.playback import ROW_S, play
 from ffcomp.simulation.simulation import Request, read_command, simulate_command
 from ffcomp.steps.archive import MotorSteps, StepsError, read_steps
@@ -48,20 +48,6 @@ def rows_until(end_s: float) -> FloatArray:
     return ROW_S * np.arange(int(end_s / ROW_S))
 
 
-@pytest.mark.parametrize("speed", [0.7, 8.0, 93.0, 400.0])
-def test_a_constant_speed_comes_back_without_delay(speed: float) -> None:
-    """Crossings of v t: the mean error is zero, the largest half a microstep, and smoothed there is none."""
-    crossed = (np.arange(400) + 0.5) * STEP_MM
-    motor = steps_of(crossed / speed, crossed)
-    t = rows_until(crossed[-1] / speed)
-    inside = t > 2 * STEP_MM / speed
-    error = staircase(motor, t, ROW_S)[inside] - speed * t[inside]
-    assert np.abs(error).max() <= STEP_MM / 2 + 1e-9
-    assert abs(error.mean()) < STEP_MM / 100
-    exact = smoothed(motor, t)[inside] - speed * t[inside]
-    assert np.abs(exact).max() < (1e-9 if STEP_MM / speed < 2 * AT_REST_S else STEP_MM / 2)
-
-
 def sine_steps(amplitude_mm: float, hertz: float, periods: int) -> MotorSteps:
     """Of A sin(2πft), its crossings in closed form."""
     reached = int(amplitude_mm / STEP_MM - 0.5)
@@ -86,15 +72,6 @@ def test_a_sine_comes_back_without_delay(amplitude_mm: float, hertz: float) -> N
         assert np.abs(error).max() < STEP_MM / 2 + bow * amplitude_mm + 1e-9
         assert abs(error.mean()) < STEP_MM / 100
         assert abs(float(error @ speed) / float(speed @ speed)) < 1e-6
-
-
-def test_a_motor_at_rest_stands_on_its_microstep() -> None:
-    motor = steps_of(np.array([0.1, 0.11, 3.0]), STEP_MM * np.array([0.5, 1.5, 2.5]))
-    t = np.array([0.0, 0.05, 0.5, 2.0, 3.5])
-    expected = STEP_MM * np.array([0.0, 0.0, 2.0, 2.0, 3.0])
-    np.testing.assert_allclose(smoothed(motor, t), expected, atol=1e-12)
-    one_by_one = [staircase(motor, t[k : k + 1], ROW_S)[0] for k in range(len(t))]
-    np.testing.assert_allclose(one_by_one, expected, atol=1e-12)
 
 
 # ---- archives ------------------------------------------------------------------------------------

@@ -102,8 +102,7 @@ G1 X70 Y70 E1
 ONE_MORE = "G1 E-.8 F1800\nG1 X60 Y70 F9000\n"
 
 
-@pytest.mark.parametrize("more", ["", ONE_MORE, 2 * ELSEWHERE], ids=["last", "one more", "two tools more"])
-@pytest.mark.parametrize("unknown", ["T1", "G28", "M84", "MY_MACRO"])
+@pytest.mark.parametrize(("unknown", "more"), [("T1", ""), ("G28", ONE_MORE), ("MY_MACRO", 2 * ELSEWHERE)])
 @pytest.mark.parametrize(
     ("name", "flavor"), [("voron-300", "klipper"), ("ender-3", "marlin"), ("kossel", "reprapfirmware")]
 )

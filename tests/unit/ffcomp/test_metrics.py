@@ -78,15 +78,6 @@ def test_a_polygon_is_off_its_circle_by_at_most_the_sagitta() -> None:
     assert np.max(error[::8]) < 1e-12
 
 
-def test_the_line_next_door_does_not_count() -> None:
-    """Infill lines 0.4 mm apart: 0.35 mm off one's own line is 0.35, not the 0.05 to the next."""
-    t = np.array([0.0, 1.0, 1.01, 2.01])
-    lines = np.array([[0, 0, 0], [100, 0, 0], [100, 0.4, 0], [0, 0.4, 0]], dtype=float)
-    astray = np.array([[50.0, 0.35, 0.0]])
-    assert metrics.contour_error(t, lines, np.array([0.5]), astray) == pytest.approx(0.35)
-    assert metrics.contour_error(t, lines, np.array([0.5]), astray, window_s=2.0) == pytest.approx(0.05)
-
-
 @settings(max_examples=50, deadline=None)
 @given(st.integers(0, 2**32 - 1))
 def test_no_closer_point_of_the_window_exists(seed: int) -> None:
@@ -134,19 +125,6 @@ def test_a_periodic_motion_does_not_trap_the_search() -> None:
         return np.column_stack([20 * np.sin(np.pi * t / 1.8) ** 2 + np.sin(80 * np.pi * t), 0 * t, 0 * t])
 
     assert metrics.tracking(wiggle(t), wiggle(t - 0.008), 1 / 4000).delay_s == pytest.approx(0.008, abs=1e-5)
-
-
-def test_an_error_that_no_delay_explains_stays() -> None:
-    """A sideways offset d: delay 0, and what is left is the error itself."""
-    t = np.arange(8000) / 8000
-    found = metrics.tracking(wave(t), wave(t) + np.array([0.0, 0.0, 0.02]), 1 / 8000)
-    assert found.rms_no_delay_mm == pytest.approx(0.02, rel=1e-3)
-    assert found.max_mm == pytest.approx(0.02)
-
-
-def test_motions_of_different_length_are_refused() -> None:
-    with pytest.raises(ValueError, match="must match"):
-        metrics.tracking(np.zeros((9, 3)), np.zeros((8, 3)), 1e-3)
 
 
 # ---- effort and the whole ------------------------------------------------------------------------

@@ -5,8 +5,6 @@ import io
 import os
 import re
 import stat
-import struct
-import zlib
 from collections.abc import Iterator
 from pathlib import Path
 from zipfile import ZipFile
@@ -17,7 +15,7 @@ from hypothesis import strategies as st
 
 from gcode.atomic_write import replace_atomically
 from gcode.bgcode import GCODE, Block, blocks_of, metadata_of
-from gcode.container import ends_of, opened, read_bytes
+from gcode.container import opened, read_bytes
 from gcode.errors import GcodeError, UnsupportedGcode
 from tests.support.containers import PRINT, archive_3mf, bgcode, contents, gzipped, rewritten, zipped
 
@@ -82,24 +80,6 @@ def test_an_archive_keeps_all_else_byte_for_byte(upper: bool) -> None:
     same = archive_3mf(OTHER, PRINT + b"M84\n", upper=upper)
     for name in ("Metadata/plate_1.gcode.md5", "Metadata/plate_2.gcode.md5"):
         assert after.read(name) == ZipFile(io.BytesIO(same)).read(name)
-
-
-def test_one_plate_of_several_has_to_be_chosen(tmp_path: Path) -> None:
-    file = tmp_path / "two"
-    file.write_bytes(archive_3mf(PRINT, OTHER))
-    with pytest.raises(UnsupportedGcode, match=r"plate_1.gcode, Metadata/plate_2.gcode; choose one with --plate"):
-        read_bytes(file)
-    assert read_bytes(file, 2) == OTHER and ends_of(file)[2] == len(PRINT)
-    with pytest.raises(UnsupportedGcode, match="there is no plate 3"):
-        read_bytes(file, 3)
-    file.write_bytes(PRINT)
-    with pytest.raises(UnsupportedGcode, match="one print, and no plates; there is no plate 1"):
-        read_bytes(file, 1)
-
-
-def test_an_archive_of_ultimaker() -> None:
-    packed = zipped([("/3D/model.gcode", PRINT), ("/Metadata/thumbnail.png", b"\x89PNG")])
-    assert contents(rewritten(packed, OTHER)) == {"/3D/model.gcode": OTHER}
 
 
 def test_other_members_are_never_unpacked() -> None:
@@ -179,17 +159,6 @@ def test_binary_gcode_is_changed_and_restored(tmp_path: Path, encoding: str) -> 
     restored = rewritten(new, text)
     assert contents(restored) == {"": text}
     assert [b.raw for b in _blocks(restored) if b.kind != GCODE] == [b.raw for b in before if b.kind != GCODE]
-
-
-@pytest.mark.parametrize("producer", [b"", b"Producer=OrcaSlicer 2.3.1\n"])
-def test_binary_gcode_of_another_producer(tmp_path: Path, producer: bytes) -> None:
-    packed = bgcode(PRINT, tmp_path)
-    first = _blocks(packed)[0].raw
-    raw = struct.pack("<HHLH", 0, 0, len(producer), 0) + producer
-    other = packed.replace(first, raw + struct.pack("<L", zlib.crc32(raw)) if producer else b"")
-    (text,) = contents(other).values()
-    assert b"PrusaSlicer" not in text
-    assert contents(rewritten(other, text)) == {"": text}
 
 
 def test_binary_gcode_that_cannot_be_read_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -2,10 +2,9 @@ from __future__ import annotations
 
 import pytest
 
-from gcode.dialects import close_limits, detect_flavor, detect_slicer, open_limits
+from gcode.dialects import close_limits, detect_flavor, open_limits
 from gcode.program import MotionLimits
 from gcode.reader import read_program
-from tests.support.data import real
 
 
 @pytest.mark.parametrize(
@@ -37,23 +36,6 @@ from tests.support.data import real
 )
 def test_flavor(lines: list[bytes], flavor: str) -> None:
     assert detect_flavor(lines) == flavor
-
-
-@pytest.mark.parametrize(
-    ("name", "flavor", "slicer"),
-    [
-        ("ender3_ringing_tower.gcode", "klipper", "Simplify3D"),
-        ("gcodepreview_vase.gcode", "marlin", "PrusaSlicer"),
-        ("kossel_mks-pwc.gcode", "marlin", "ideaMaker"),
-        ("makreeltje_cura_slicer.gcode", "klipper", "Cura"),
-        ("makreeltje_orca_slicer.gcode", "klipper", "OrcaSlicer"),
-        ("odd/gp_dialects_multitool-ams-sample.gcode", "marlin", "BambuStudio"),
-        ("odd/gp_dialects_reprap-style-sample.gcode", "reprapfirmware", "unknown"),
-    ],
-)
-def test_real_files(name: str, flavor: str, slicer: str) -> None:
-    lines = real(name).splitlines(keepends=True)
-    assert (detect_flavor(lines), detect_slicer(lines)) == (flavor, slicer)
 
 
 @pytest.mark.parametrize("flavor", ["klipper", "marlin", "reprapfirmware"])

@@ -33,13 +33,6 @@ def test_the_frame_decides_the_numbers() -> None:
     assert writer(ModalState(absolute=False, absolute_e=False)).move(1.0, 0.0, 0.0, 2.0, 1.0) == b"G1 X1 E2 F60\n"
 
 
-def test_reset_says_the_speed_again() -> None:
-    lines = writer()
-    lines.move(1.0, 0.0, 0.0, 0.0, 10.0)
-    lines.reset(ModalState(), (1.0, 0.0, 0.0), 0.0)
-    assert lines.move(2.0, 0.0, 0.0, 0.0, 10.0) == b"G1 X2 F600\n"
-
-
 @given(st.lists(st.floats(-1e-4, 1e-4), min_size=1, max_size=200), st.floats(0, 100))
 def test_relative_filament_never_strays(steps: list[float], first: float) -> None:
     lines = writer(ModalState(absolute_e=False), first)
@@ -61,13 +54,6 @@ frames = st.builds(
     flow=st.floats(0.5, 2),
     feed_factor=st.floats(0.5, 2),
 ).map(lambda f: ModalState(f.base, f.unit_mm, f.absolute, f.absolute, f.flow, f.feed_factor))
-
-
-@given(st.lists(coordinates, min_size=1, max_size=30), frames)
-def test_many_at_once_are_the_same_lines(points: list[list[float]], frame: ModalState) -> None:
-    one, many = writer(frame), writer(frame)
-    single = [line for x, y, z, e in points if (line := one.move(x, y, z, e, 30.0))]
-    assert many.moves(np.array(points), np.full(len(points), 30.0)) == single
 
 
 class Said:

@@ -8,12 +8,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gcode.embedded import Stamp, find_stamp, stamp_line
 from gcode.metadata import (
     Durations,
     Tells,
     Timed,
-    filament_change_s,
     retold,
     slicer_time_s,
     stated_time,
@@ -127,18 +125,3 @@ def test_times_of_real_files(name: str, seconds: float | None, lines_that_tell: 
     assert sum(tells(line) is not None for line in lines) == lines_that_tell
     back = [with_time(new, stated_time(line)) for line, new in zip(lines, changed, strict=True)]
     assert back == lines
-
-
-def test_stamp_round_trip() -> None:
-    line = stamp_line("1.2.3", "MP Delta Pro, direct\ndrive", "abcd1234ef", "klipper")
-    assert line.count(b"\n") == 1
-    stamp = Stamp("1.2.3", "MP Delta Pro, direct drive", "abcd1234", "klipper")
-    assert find_stamp(b"; head\n" + line, b"") == find_stamp(b"", b"M84\n" + line) == stamp
-    assert find_stamp(b"; Processed by another tool\n", b"") is None
-
-
-def test_what_a_change_of_filament_takes_is_in_the_settings() -> None:
-    bambu = b"; machine_load_filament_time = 25\n; machine_unload_filament_time = 29\n"
-    assert filament_change_s(b"G28\n", bambu) == filament_change_s(bambu, b"") == 54.0
-    assert filament_change_s(b"", b"; filament_load_time = 10.5,10.5\n; filament_unload_time = 8.5,8.5\n") == 19.0
-    assert filament_change_s(b"G28\n", b"M84\n") == 0.0

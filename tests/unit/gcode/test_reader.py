@@ -144,18 +144,6 @@ def test_an_offset_moves_the_print_and_not_the_numbers() -> None:
     assert program.frames[program.moves.frame[-1]].base[0] == -9  # a writer's X20 again
 
 
-def test_saved_states_come_back() -> None:
-    program = read(
-        "G1 X1 E1 F600", "SAVE_GCODE_STATE NAME=a", "G91", "G1 X1 E2 F60",
-        "RESTORE_GCODE_STATE NAME=a", "G1 X5 E2", "RESTORE_GCODE_STATE NAME=a MOVE=1", "G1 X2",
-    )  # fmt: skip
-    assert ends(program) == [[1, 0, 0, 1], [2, 0, 0, 3], [5, 0, 0, 4], [2, 0, 0, 4]]
-    assert program.moves.start[3].tolist() == [1, 0, 0, 4], "back to where it was saved"
-    assert program.moves.speed.tolist() == [10, 1, 10, 10]
-    unsaved = read("G1 X1 F600", "RESTORE_GCODE_STATE NAME=b", "G1 Y2")
-    assert kinds(unsaved) == [EventKind.STOP, EventKind.RAW_MOVE] and "never saved" in unsaved.warnings[0]
-
-
 def test_gcode_offset_is_added_once() -> None:
     program = read("G1 Z1 F600", "SET_GCODE_OFFSET Z=0.2", "G1 Z2", "SET_GCODE_OFFSET Z_ADJUST=0.1", "G1 Z3")
     assert program.moves.end[:, 2].tolist() == pytest.approx([1, 2.2, 3.3])
@@ -181,13 +169,6 @@ def test_a_helix_shares_height_and_filament_evenly() -> None:
     assert chords[:, 3] == pytest.approx(np.arange(1, n + 1) * 4 / n)
     assert np.hypot(*chords[:, :2].T) == pytest.approx(5)
     assert chords[-1].tolist() == [5, 0, 2, 4]
-
-
-@pytest.mark.parametrize(("head", "deep"), [("G21", True), ("SET_PIN PIN=a VALUE=1", False)])
-def test_the_middle_plane_turns_as_its_firmware_has_it(head: str, deep: bool) -> None:
-    """From 9 to 12 o'clock, X right and Z up: a quarter in Klipper, the other three quarters by NGC."""
-    program = read(head, "G18", "G2 X1 Z1 I1 K0 F60")
-    assert (program.moves.end[:, 2].min() < -0.9) == deep
 
 
 # -- what stops the motion --
@@ -224,14 +205,6 @@ def test_kinds(line: str, kind: EventKind, known: bool) -> None:
     assert len(program.moves) == (2 if known else 1)
 
 
-def test_after_homing_moves_pass_until_every_axis_is_named() -> None:
-    program = read("G28", "G1 E-1 F600", "G1 X1 Y1", "G1 F300", "G1 Z1", "G1 X2", "G1 X2", start=None)
-    assert kinds(program) == [EventKind.STOP, *[EventKind.RAW_MOVE] * 4, EventKind.PASS]
-    assert program.moves.start.tolist() == [[1, 1, 1, -1]]
-    assert program.moves.end.tolist() == [[2, 1, 1, -1]]
-    assert program.moves.speed.tolist() == [5]
-
-
 def test_unknown_commands_share_a_warning() -> None:
     warnings = read("MY_MACRO", "M9999", "MY_MACRO", "OTHER_MACRO", *(f"G{n}" for n in range(900, 910))).warnings
     assert [warning.partition(";")[0] for warning in warnings] == [
@@ -243,20 +216,6 @@ def test_unknown_commands_share_a_warning() -> None:
 # -- limits --
 
 
-def test_klipper_limits() -> None:
-    program = read(
-        "G1 X1 F60", "SET_VELOCITY_LIMIT ACCEL=3000 ACCEL_TO_DECEL=1500", "G1 X2",
-        "SET_VELOCITY_LIMIT VELOCITY=100 SQUARE_CORNER_VELOCITY=8 MINIMUM_CRUISE_RATIO=0", "G1 X3",
-        "M204 P500 T900", "M204 P100", "M205 X1", "G1 X4", "RESET_VELOCITY_LIMIT", "G1 X5",
-    )  # fmt: skip
-    moves, nan = program.moves, math.nan
-    np.testing.assert_equal(moves.acceleration, [nan, 3000, 3000, 500, nan])
-    np.testing.assert_equal(moves.minimum_cruise_ratio, [nan, nan, 0, 0, nan])
-    np.testing.assert_equal(moves.velocity_limit, [nan, nan, 100, 100, nan])
-    np.testing.assert_equal(moves.square_corner_velocity, [nan, nan, 8, 8, nan])
-    assert [event.limits is not None for event in program.events] == [True, True, True, True, False, True]
-
-
 def test_accel_to_decel_is_for_older_klippers_alone() -> None:
     """Klipper's default is half of the acceleration, which slicers write, too; 30 of 3000 would be a ratio of 0.99."""
     usual = read("SET_VELOCITY_LIMIT ACCEL=3000 ACCEL_TO_DECEL=1500", "G1 X1 F60", flavor="klipper")
@@ -265,14 +224,6 @@ def test_accel_to_decel_is_for_older_klippers_alone() -> None:
     assert np.isnan(gentle.moves.minimum_cruise_ratio).all() and "ratio of 0.99" in gentle.warnings[0]
     with pytest.raises(GcodeError, match="MINIMUM_CRUISE_RATIO=1; Klipper stops"):
         read("SET_VELOCITY_LIMIT MINIMUM_CRUISE_RATIO=1", flavor="klipper")
-
-
-def test_marlin_travels_with_its_own_acceleration() -> None:
-    program = read(
-        "; gcode_flavor = marlin2", "M83", "G1 X0 F60", "M204 P800 T2500", "G1 X1 E1", "G1 X2", "M204 P900", "G1 X3 E1",
-        "M204 T1000", "G1 X4", "M204 S700", "G1 X5", "G1 X6 E1", "M201 X600 Y900", "G1 X7",
-    )  # fmt: skip
-    np.testing.assert_equal(program.moves.acceleration[-7:], [800, 2500, 900, 1000, 700, 700, 600])
 
 
 def test_marlin_limits_bound_one_another() -> None:

@@ -64,10 +64,6 @@ def test_mistakes_are_sentences_with_their_line(line: bytes, rule: str) -> None:
     assert str(caught.value).endswith(".")
 
 
-def test_a_tight_extruder_word_is_no_exponent() -> None:
-    assert commands(b"G1X1Y2E3", 1)[0].numbers() == {"X": 1, "Y": 2, "E": 3}
-
-
 @given(st.binary(max_size=60))
 def test_any_bytes_are_read_or_refused(line: bytes) -> None:
     try:

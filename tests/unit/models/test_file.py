@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import tomllib
 from pathlib import Path
 
 import pytest
 
 from models.errors import MachineFileError
-from models.file import LIBRARY, entries, load_machine, machine_paths, starting_text
+from models.file import LIBRARY, entries, load_machine
 from models.kinds import delta_vibration
 
 LIBRARY_FILES = sorted(LIBRARY.glob("*.toml"))
@@ -69,14 +68,6 @@ def problems(write):
     return problems
 
 
-@pytest.fixture
-def own_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    folder = tmp_path / "own machines"
-    folder.mkdir()
-    monkeypatch.setattr("models.finding.user_folder", lambda: folder)
-    return folder
-
-
 def test_what_a_file_leaves_out_gets_the_documented_defaults(write) -> None:
     machine = load_machine(write(MINIMAL))
     assert delta_vibration(machine).carriage.drive is None
@@ -94,13 +85,6 @@ def test_masses_are_put_together_as_the_paper_says(write) -> None:
     machine = load_machine(write(MINIMAL))
     assert delta_vibration(machine).carriage.moving_mass_kg == pytest.approx(0.195)  # Eq. 30
     assert delta_vibration(machine).nozzle_side_mass_kg == pytest.approx(0.545)  # three lower halves of 0.03 kg
-
-
-def test_lengths_per_tower_go_before_the_common_one(write) -> None:
-    text = MINIMAL.replace("arm_length_mm = 300", "arm_length_mm = 300\narm_lengths_mm = [299, 300, 301]")
-    assert load_machine(write(text)).kinematics.arm_lengths_mm.tolist() == [299, 300, 301]
-    text = MINIMAL.replace("delta_radius_mm = 140", "delta_radii_mm = [139, 140, 141]")
-    assert load_machine(write(text)).kinematics.delta_radii_mm.tolist() == [139, 140, 141]
 
 
 def test_everything_else_a_file_may_say(write) -> None:
@@ -255,35 +239,7 @@ def test_broken_text_is_named_with_its_place(write) -> None:
 # --- Finding
 
 
-def test_ones_own_machine_goes_before_the_librarys(own_folder: Path) -> None:
-    (own_folder / "kossel.toml").write_text(MINIMAL)
-    assert load_machine("kossel").name == "minimal"
-    assert load_machine("mp-delta-pro").path == str(LIBRARY / "mp-delta-pro.toml")
-    assert list(machine_paths()) == sorted(path.stem for path in LIBRARY_FILES)
-
-
 # --- Showing and starting
-
-
-def test_entries_tell_given_from_default_and_stated_from_not(write) -> None:
-    path = write(MINIMAL + '[provenance]\n"carriage.mass_kg" = "scale"\n')
-    found = {entry.key: entry for entry in entries(path)}
-    assert (found["carriage.mass_kg"].value, found["carriage.mass_kg"].unit) == (0.18, "kg")
-    assert found["carriage.mass_kg"].provenance == "scale"
-    assert found["effector.nozzle_mass_kg"].provenance == ""
-    assert found["steps.steps_per_mm"].provenance == "default"
-
-
-def test_a_new_file_is_the_old_one_under_a_new_name(write) -> None:
-    source = LIBRARY / "mp-delta-pro.toml"
-    path = write(starting_text("mine", source))
-    new, old = tomllib.loads(path.read_text()), tomllib.loads(source.read_text())
-    assert new.pop("name") == "mine"
-    assert new["provenance"].pop("started_from") == f"mp-delta-pro sha256:{load_machine(source).sha256}"
-    old.pop("name")
-    assert new == old
-    comments = [line for line in source.read_text().splitlines() if line.startswith("#")]
-    assert all(comment in path.read_text() for comment in comments)
 
 
 # --- The library
@@ -312,17 +268,6 @@ def test_the_library_prints_table_1(as_printed) -> None:
     assert effector.extruder_damping_n_s_per_m.tolist() == [20.4, 40.5, 19.6]
     assert effector.center_of_mass_mm.tolist() == [10.21, -16.52, 19.31]
     assert effector.force_map == "paper"
-
-
-def test_machine_files_made_by_others_load(runs_folder: Path) -> None:
-    paths = sorted(runs_folder.glob("*/machine.toml"))
-    assert paths
-    for path in paths:
-        machine = load_machine(path)
-        document = tomllib.loads(path.read_text())
-        assert delta_vibration(machine).effector.nozzle_mass_kg == document["effector"]["nozzle_mass_kg"]
-        assert delta_vibration(machine).carriage.drive is not None
-        assert machine.steps.steps_per_mm == 80.0
 
 
 # --- House rules

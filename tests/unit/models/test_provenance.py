@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from models.file import load_machine
-from models.machine import Machine, assumed_modes, is_assumed
+from models.machine import Machine, assumed_modes
 
 
 @pytest.fixture
@@ -18,13 +18,6 @@ def voron() -> Machine:
 def with_origin(machine: Machine, **origins: str) -> Machine:
     changed = {f"axes.{axis}.frequency_hz": origin for axis, origin in origins.items()}
     return replace(machine, provenance={**machine.provenance, **changed})
-
-
-def test_a_start_is_assumed_too() -> None:
-    assert is_assumed("assumed: as the machine 'kossel'")
-    assert is_assumed("printer.cfg:12: the shaper's frequency as a start, not a measured resonance")
-    assert not is_assumed("identified 2026-11-22 by ffcomp identify fit")
-    assert not is_assumed("")
 
 
 def test_measured_axes_are_told_from_assumed_ones(voron: Machine) -> None:

@@ -5,15 +5,12 @@ from __future__ import annotations
 import json
 from dataclasses import fields, replace
 from functools import cache
-from itertools import product
 
 import numpy as np
 import pytest
 
-from ffcomp.comparison.baselines import LinearPrinter, Shaping
 from ffcomp.comparison.engine import Request, compare, names
-from ffcomp.comparison.equal_quality import within_limits
-from ffcomp.comparison.methods import COMPENSATED, best_fixed, calibrated
+from ffcomp.comparison.methods import COMPENSATED
 from ffcomp.comparison.result import Comparison
 from ffcomp.comparison.sampling import Print, Sampling
 from ffcomp.metrics import Track
@@ -98,27 +95,6 @@ def test_a_plant_with_an_effect_judges_and_is_named() -> None:
     stuck, free = compare(PRINTED, with_effect(MACHINE, "coulomb_friction", force_n=4.0), FIRST_LAYER), of_first_layer()
     assert stuck.plant.effects == ("coulomb_friction",) and not stuck.machine.effects
     assert stuck.methods[COMPENSATED].track.contour_rms_um > 2 * free.methods[COMPENSATED].track.contour_rms_um
-
-
-def test_the_search_beats_the_calibration_and_its_neighbours() -> None:
-    (stretch,), _ = PRINTED.slices(Sampling())
-    linear = LinearPrinter(MACHINE, [stretch])
-    best = linear.contour_rms_um([best_fixed(linear, "ei").motion(stretch)[0]])
-    assert best < linear.contour_rms_um([calibrated(linear, "ei").motion(stretch)[0]])
-    shaping = Shaping("ei")
-    found = linear.best(shaping)
-    assert best == pytest.approx(found.cost, rel=1e-4)  # the search samples the plan, the print asks it anew
-    for k, factor in product(range(3), (1.05, 0.95)):
-        near = found.settings.copy()
-        near[k] *= factor
-        assert linear.cost(shaping, near) >= found.cost
-
-
-def test_commands_beyond_the_carriages_limits_do_not_count() -> None:
-    own = MACHINE.limits
-    assert within_limits(own.carriage_velocity_mm_per_s, own.carriage_acceleration_mm_per_s2, MACHINE)
-    assert not within_limits(1.01 * own.carriage_velocity_mm_per_s, 1.0, MACHINE)
-    assert not within_limits(1.0, 1.01 * own.carriage_acceleration_mm_per_s2, MACHINE)
 
 
 @pytest.mark.parametrize(("only", "words"), [(("mzw", "mzv"), "'mzw'"), (("fbs-lti",), "at least one shaper")])

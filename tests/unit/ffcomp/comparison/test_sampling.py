@@ -62,17 +62,6 @@ def test_a_long_print_is_sampled_without_being_asked() -> None:
     assert "slices" in sentence
 
 
-def test_layers_are_taken_whole_and_nothing_else() -> None:
-    printed = Print(squares(5), "squares.gcode", MACHINE)
-    (stretch,), sentence = printed.slices(Sampling(1, 3))
-    assert set(stretch.layer) == {1, 2, 3}
-    assert "Layers 1 to 3" in sentence
-    whole = printed.planned.trajectory
-    own = np.flatnonzero((printed.labels.layer >= 1) & (printed.labels.layer <= 3))
-    np.testing.assert_allclose(stretch.trajectory.origin[:, :3], whole.origin[own, :3])
-    assert stretch.begin_t == whole.start_t[own[0]]
-
-
 def test_another_acceleration_changes_the_times_and_not_the_path() -> None:
     (stretch,), _ = Print(squares(), "squares.gcode", MACHINE).slices(Sampling())
     slower = stretch.with_acceleration(500.0)
@@ -81,11 +70,3 @@ def test_another_acceleration_changes_the_times_and_not_the_path() -> None:
     travels = np.any(slower.trajectory.direction[:, :3] != 0, axis=1)
     np.testing.assert_allclose(slower.trajectory.acceleration[travels], 500.0)
     assert stretch.trajectory.acceleration[travels].max() == 5000.0
-
-
-def test_the_acceleration_of_a_print_is_that_of_its_outer_walls() -> None:
-    start = b"G90\nM83\nG1 X0 Y0 Z0.2 F6000\n"
-    infill = b";TYPE:Internal infill\nM204 S8000\nG1 X60 E2\nG1 X0 E2\n"
-    wall = b";TYPE:External perimeter\nM204 S3000\nG1 Y20 E1\n"
-    for data, expected in ((start + infill + wall, 3000.0), (start + infill, 8000.0), (start + b"G1 X20 E1\n", None)):
-        assert Print(data, "lines.gcode", MACHINE).acceleration_mm_per_s2 == expected

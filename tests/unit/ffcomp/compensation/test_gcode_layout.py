@@ -133,23 +133,6 @@ def test_pieces_say_what_the_whole_says(lines: list[bytes]) -> None:
     assert original(whole[0]) == data
 
 
-def test_a_crlf_file_is_cut_as_well() -> None:
-    data = (START + b"".join(spiral(4, 9))).replace(b"\n", b"\r\n")
-    text, _ = written(data, CUT)
-    assert text == written(data, 0)[0] and text.count(b"\r\n") == text.count(b"\n")
-
-
-def test_a_rest_across_a_cut_is_one_rest() -> None:
-    """A crawl of a hundredth of a µm in a segment, none joined: most need no line, before, at and after a cut."""
-    crawl = [b"G1 X%.5f F0.1\n; here\n" % (10 + 1e-5 * k) for k in range(1, 500)]
-    data = START + b"".join(crawl) + b"G1 X30 F6000\n"
-    text, segments = written(data, CUT)
-    assert (text, segments) == written(data, 0)
-    rests = [float(line.split()[1][1:]) for line in text.splitlines() if line.startswith(b"G4")]
-    assert len(rests) > 40 and sum(rests) > 2500.0  # ms, of three seconds
-    assert original(text) == data
-
-
 @pytest.mark.parametrize("knots", [1, CUT - 1, CUT, CUT + 1, 5 * CUT, 5 * CUT + 7])
 def test_pieces_cover_a_run_once(knots: int) -> None:
     cut = tiles(knots, 2 * CUT)

@@ -5,12 +5,10 @@ from __future__ import annotations
 from functools import reduce
 from operator import add
 
-import numpy as np
 import pytest
 
 from ffcomp.compensation.faster import Faster
 from ffcomp.compensation.placement import Placement
-from ffcomp.compensation.prediction import Samples
 from ffcomp.compensation.result import Result
 from ffcomp.compensation.statistics import (
     Amount,
@@ -18,20 +16,13 @@ from ffcomp.compensation.statistics import (
     Shares,
     Statistics,
     of_raw,
-    warning_lines,
 )
-from ffcomp.inverse.time_scaling import TimeScaling
 from ffcomp.metrics import Track
 from ffcomp.simulation.forecast import Forecast
 from gcode.dialects import FlavorChoice
 from gcode.reader import read_program
 from models.file import load_machine
 from models.machine import Machine
-
-
-def samples(clock: float, wanted: float) -> Samples:
-    point = np.full((1, 3), wanted)
-    return Samples(1e-3, clock, clock, point[0], [point], [np.array([0.0])], [point])
 
 
 def test_numbers_add_and_a_warning_is_kept_once() -> None:
@@ -42,16 +33,6 @@ def test_numbers_add_and_a_warning_is_kept_once() -> None:
     ]
     expected = Statistics(5, 2, 3, 1, 2.0, 1.5, ("a", "b"))
     assert reduce(add, parts) == reduce(add, parts, Statistics()) == expected
-
-
-def test_samples_follow_one_another_in_time_and_in_space() -> None:
-    first, second = (Statistics(predicted=samples(clock, 1.0 + clock)) for clock in (2.0, 3.0))
-    both = (first + Statistics() + second).predicted
-    assert both is not None and first.predicted is not None
-    assert both.clock == both.covered_s == 5.0
-    np.testing.assert_array_equal(np.concatenate(both.reference)[:, 0], [3.0, 7.0])
-    np.testing.assert_array_equal(np.concatenate(both.path_t), [0.0, 2.0])
-    assert len(first.predicted.reference) == 1  # what is added stays as it is
 
 
 HOME = (0.0, 0.0, 5.0)
@@ -89,23 +70,9 @@ def test_a_low_share_names_the_cause_and_the_remedy() -> None:
     assert "no filament, travels only" in sentence and "name X, Y and Z, before it prints" in sentence
 
 
-def scaled(limit: str = "", carriage: str = "", seconds: float = 0.1, asked: float = 1.2) -> TimeScaling:
-    return TimeScaling(10, 12, 3, 0.7, seconds, carriage, limit, asked)
-
-
 @pytest.fixture(scope="module")
 def ender() -> Machine:
     return load_machine("ender-3")
-
-
-def test_each_limit_is_a_line_with_places_seconds_and_the_remedy(ender: Machine) -> None:
-    slowed = [scaled("acceleration", "A", 0.5)] * 3 + [scaled("acceleration", "B", 0.25, 1.5), scaled("velocity", "C")]
-    first, second = warning_lines([], slowed, ender, 350.0)
-    assert first.startswith("Slowed at 4 places, 1.8 s longer in all (+0.5 %): the acceleration limit of ")
-    assert "axis X (3×), axis Y (1×) was exceeded up to 1.50 times" in first
-    value = ender.limits.carriage_acceleration_mm_per_s2
-    assert f"carriage_acceleration_mm_per_s2 = {value:g} in [limits]" in first
-    assert second.startswith("Slowed at 1 place, 0.1 s longer in all (+0.029 %): the velocity limit of axis Z was")
 
 
 def test_a_print_that_is_predicted_to_become_worse_says_so_first(ender: Machine) -> None:

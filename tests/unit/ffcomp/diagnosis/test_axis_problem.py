@@ -58,30 +58,6 @@ def found(machine: Machine, *names: str, **effects: Any) -> Diagnosis:
     )
 
 
-def test_shots_band_and_windows_come_from_the_data() -> None:
-    quick = AxisProblem(STAGE, runs_of(STAGE, 1))
-    shot = quick.shots[0].length / RATE
-    assert 0.02 < shot < 1.0
-    assert quick.band_hz[1] == pytest.approx(min(5.0 / shot, 0.4 * RATE), rel=0.05)
-    slow = [AxisRun(r.source, 4 * r.time_s, r.drive, True, {}, r.position, {}) for r in quick.recordings]  # type: ignore[attr-defined]
-    assert AxisProblem(STAGE, slow).shots[0].length / (RATE / 4) == pytest.approx(4 * shot, rel=0.1)
-    run, ringing_hz = quick.recordings[0], 5.0
-    two = DrivenAxis(
-        "force",
-        20.0,
-        0.0,
-        60.0,
-        load_mass_kg=20.0,
-        coupling_stiffness_n_per_m=10.0 * (2 * np.pi * ringing_hz) ** 2,
-        coupling_damping_n_s_per_m=1.0,
-    )
-    coupled = machine_of_axis("coupled", two)
-    assert shots_of(coupled, [run])[0].length == pytest.approx(2 * RATE / ringing_hz, abs=1)  # type: ignore[list-item]
-    driven = AxisProblem(DRIVE, runs_of(DRIVE, 1))
-    assert driven.shots[0].length == 0  # a spring holds it
-    assert len(driven.windows) == 12 and driven.observations[0].position == driven.observations[6].position
-
-
 def test_an_arm_that_stands_up_is_simulated_in_shots_whatever_its_file_says_of_gravity() -> None:
     """In one piece it would fall over: the true file would have a larger gap than one without gravity."""
     arm = machine_of_axis("arm", DrivenAxis("force", 0.2, 0.0, 0.05, unit="rad"))
@@ -99,31 +75,6 @@ def test_an_arm_that_stands_up_is_simulated_in_shots_whatever_its_file_says_of_g
         for one, m in zip(both, (arm, heavy), strict=True)
     ]
     assert np.sqrt(np.mean(errors[1] ** 2)) < 0.05 * np.sqrt(np.mean(errors[0] ** 2))
-
-
-def test_every_shot_begins_where_the_axis_was_measured() -> None:
-    problem = AxisProblem(STAGE, runs_of(STAGE, 1))
-    length = problem.shots[0].length
-    simulated = problem.shots[0].simulate(STAGE).position_mm[::length]
-    both = [run.position["pos_q"][::length] for run in problem.recordings]  # type: ignore[attr-defined]
-    np.testing.assert_allclose(simulated, np.mean(both, axis=0), atol=1e-9)  # repeats begin at their mean
-
-
-def test_an_error_of_where_a_shot_began_is_no_discrepancy() -> None:
-    """A shot's twenty samples would all be wrong by the noise of its first one, and by its speed's times the time."""
-    run = runs_of(STAGE, 1)[0]
-    one = shots_of(STAGE, [run])[0]
-    moved = replace(one, begin=one.begin + np.array([0.01, 0.05, 0.01, 0.05]))
-    places = [each.simulate(STAGE).position_mm for each in (one, moved)]
-    assert np.abs(places[0] - places[1]).min() > 0.009
-    true, off = (one.without_beginnings({"pos_q": place})["pos_q"] for place in places)
-    np.testing.assert_allclose(off, true, atol=1e-4)  # its damping slows it down
-    assert np.abs(true).max() > 0.05 and one.without_beginnings({"acc_q": places[0]})["acc_q"] is places[0]
-    lost = run.position["pos_q"].copy()
-    lost[7::5] = np.nan
-    gaps = shots_of(STAGE, [replace(run, position={"pos_q": lost})])[0]
-    assert np.abs(gaps.without_beginnings({"pos_q": places[0]})["pos_q"] - true).max() < 0.2 * np.abs(true).max()
-    assert np.isnan(gaps.without_beginnings({"pos_q": lost})["pos_q"]).sum() == np.isnan(lost).sum()
 
 
 def test_dry_friction_of_a_free_axis_is_named_with_its_size() -> None:
@@ -224,24 +175,6 @@ def test_a_run_of_what_turns_is_read_compressed_and_says_what_it_leaves_out(tmp_
     assert ["torque_n_m" in read.remarks[0], "temperature_c" in read.remarks[1], len(read.remarks)] == [True, True, 2]
     with pytest.raises(MeasurementError, match="one of them"):
         read_axis_run(tmp_path / "a-2.csv.gz")
-
-
-def test_where_a_position_drives_a_force_is_measured(tmp_path: Path) -> None:
-    """Of a drive's spring the force is k (u − q) + c (u̇ − q̇)."""
-    t = np.arange(400) / RATE
-    u = np.sin(2 * np.pi * 2 * t)
-    drive = machine_of_axis("drive", DrivenAxis("position", 2.0, 2e4, 30.0, drive_damping_n_s_per_m=5.0))
-    motion = simulate_axis(drive, u, 1 / RATE)
-    table = np.column_stack([t, u, motion.position_mm, motion.force])
-    np.savetxt(tmp_path / "a.csv", table, delimiter=",", header="t_s,cmd_q_mm,pos_q_mm,force_n", comments="")
-    read = read_axis_run(tmp_path / "a.csv", "position")
-    rate = np.gradient(u - motion.position_mm, 1 / RATE)
-    expected = 2e4 * (u - motion.position_mm) / 1e3 + 5.0 * rate / 1e3
-    np.testing.assert_allclose(read.signals["force"][9:-9], expected[9:-9], atol=0.01 * np.std(expected))
-    problem = AxisProblem(drive, [read])
-    assert problem.observations[0].signals == ("pos_q", "force")
-    left = problem.simulate({})[-1] - problem.observations[-1].measured  # where it began is measured, and rings out
-    assert np.abs(left).max() < 0.02 * np.abs(problem.observations[-1].measured).max()
 
 
 def test_a_run_is_read_and_must_fit_the_file(tmp_path: Path) -> None:

@@ -73,30 +73,6 @@ def test_beginnings_are_simulated_as_the_whole_is_also_those_of_an_excerpt(value
         assert of.short_horizon(SECONDS) is None
 
 
-def test_excerpts_are_of_both_halves_and_alike_for_repeats() -> None:
-    part = problem().excerpt()
-    assert part is not None
-    first, repeat, other = part.parts
-    middle = len(problem().observations[0].measured) / 2
-    assert first == repeat
-    assert (first.first + first.last) / 2 < middle < (other.first + other.last) / 2
-    np.testing.assert_array_equal(
-        part.observations[1].measured, problem().observations[1].measured[first.first : first.last]
-    )
-
-
-def test_one_array_for_two_repeats_is_whitened_as_two_are(monkeypatch: pytest.MonkeyPatch) -> None:
-    estimation, transformed = whitened(problem()), []
-    rfft = np.fft.rfft
-    monkeypatch.setattr(np.fft, "rfft", lambda many: transformed.append(len(many)) or rfft(many))
-    a, again, b = problem().simulate({})
-    assert a is again
-    once = estimation.whiten([a, a, b])
-    assert sum(transformed) == 2
-    np.testing.assert_array_equal(once, estimation.whiten([a, a.copy(), b]))
-    assert sum(transformed) == 5
-
-
 def test_delays_of_recordings_that_an_excerpt_leaves_out_come_back_as_nothing() -> None:
     part = excerpt_of(whitened(many_motions()), 100.0)
     assert part is not None

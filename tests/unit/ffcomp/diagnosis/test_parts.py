@@ -8,11 +8,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import pytest
 
-from ffcomp.diagnosis.fit import EstimationProblem, derivatives, fit
+from ffcomp.diagnosis.fit import EstimationProblem, derivatives
 from ffcomp.diagnosis.noise import NoiseFloor, whitener
 from ffcomp.diagnosis.observations import carriages_of
 from ffcomp.diagnosis.problem import Candidate, Observation, Parameter, Problem
-from ffcomp.diagnosis.problems import check_repeats
 from ffcomp.errors import MeasurementError
 from ffcomp.measurement.recording import Recording
 from models.file import load_machine
@@ -61,13 +60,6 @@ def test_derivatives_are_exact_where_central_and_zero_for_a_parameter_that_canno
     assert not fine[:, 1].any() and not rough[:, 1].any()
 
 
-def test_a_fit_finds_both_parameters() -> None:
-    estimation = toy(1.2, 0.3)
-    found = fit(estimation, estimation.problem.parameters, np.zeros(2), iterations=12)
-    assert found.values["a"] == pytest.approx(1.2, abs=1e-3)
-    assert found.values["b"] == pytest.approx(0.3, abs=3e-3)
-
-
 # ---- dry friction's shapes -----------------------------------------------------------------------
 
 
@@ -89,10 +81,3 @@ def test_a_run_of_another_machine_is_refused_with_where_and_why() -> None:
         with pytest.raises(MeasurementError, match=words) as error:
             carriages_of(machine, replace(fine, command=fine.command + lift))
         assert "another machine" in str(error.value) and error.value.exit_code == 5
-
-
-def test_runs_without_a_repeat_are_refused() -> None:
-    one, other = recording_at((0, 0, 30), "a-1.csv"), recording_at((0, 0, 30), "b-1.csv")
-    with pytest.raises(MeasurementError, match="None of the 2 recordings repeats another"):
-        check_repeats([one, other])
-    check_repeats([one, recording_at((0, 0, 30), "a-2.csv")])

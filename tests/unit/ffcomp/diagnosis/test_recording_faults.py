@@ -95,21 +95,6 @@ def test_shapers_of_one_axis_are_named_with_it(
     assert found is not None and said in found.sentence()
 
 
-def test_an_axis_that_something_else_is_wrong_with_has_no_shaper() -> None:
-    true = motion()
-    measured = shaped(true, "mzv", 42.0)
-    measured[:, 1] = 0.7 * sosfilt(butter(1, 60, fs=RATE_HZ, output="sos"), true[:, 1])
-    estimation = problem(measured)
-    assert shaper_on(estimation, [true], left(estimation, [true])) is None
-
-
-def test_a_softer_machine_is_no_shaper() -> None:
-    true = [motion()]
-    softer = 0.7 * sosfilt(butter(1, 60, fs=RATE_HZ, output="sos"), true[0], axis=0)
-    estimation = problem(softer)
-    assert shaper_on(estimation, true, left(estimation, true)) is None
-
-
 def test_a_clipped_sensor_is_named_with_its_files_and_a_smaller_motion_is_none() -> None:
     true = [motion(), 0.2 * motion(2)]
     clipped = true[0].copy()

@@ -10,12 +10,9 @@ import pytest
 
 from ffcomp.diagnosis.axis_problem import AxisProblem
 from ffcomp.diagnosis.diagnosis import diagnose
-from ffcomp.diagnosis.next_experiment import blank_recording
-from ffcomp.diagnosis.printer_problem import PrinterProblem
 from ffcomp.diagnosis.residual_curves import ResidualCurve, curves_of, residual_curves
 from ffcomp.measurement.axis_run import AxisRun
 from models.arrays import FloatArray
-from models.file import load_machine
 from models.kinds import machine_of_axis
 from models.vibration.driven_axis import DrivenAxis
 
@@ -97,35 +94,6 @@ def test_the_verdict_unknown_comes_with_the_curve() -> None:
     assert curves and curves[0].against == "speed"
     first = curves[0].to_dict()["points"][0]
     assert first["low"] < first["residual"] < first["high"]
-
-
-def test_of_a_printer_the_residual_acceleration_is_shown() -> None:
-    """Two motions of a bed whose carriages are held back by a law of speed; too few motions give no band."""
-    machine = load_machine("mp-delta-pro")
-    recordings = []
-    for k in range(4):
-        f = np.random.default_rng(k).uniform(4, 20, 3)
-
-        def nozzle(t: FloatArray, f: FloatArray = f) -> FloatArray:
-            window = np.clip(np.minimum(t, 0.8 - t) / 0.2, 0, 1) ** 2
-            waves = [window * np.sum([3 / each * np.sin(6.28 * each * t + p) for each in f], axis=0) for p in (0, 2)]
-            return np.column_stack([*waves, 30 + 0 * t])
-
-        blank = blank_recording(machine, f"{k}.csv", nozzle, 0.8, ("acc_x", "acc_y"), 800.0)
-        true = PrinterProblem(machine, [blank], ()).simulate({})[0]
-        n = len(true)
-        blank = replace(blank, time_s=blank.time_s[:n], command=blank.command[:n], gaps=blank.gaps[:n])
-        plain = PrinterProblem(
-            machine, [replace(blank, acceleration=dict.fromkeys(("acc_x", "acc_y"), np.zeros(n)))], ()
-        )
-        pulled = true - 3.0 * np.sign(plain.moved(0)["vel"])
-        pulled += 0.1 * np.random.default_rng(k).standard_normal(pulled.shape) + [0.2, -0.3]  # m/s², and its zero
-        recordings.append(replace(blank, acceleration=dict(zip(("acc_x", "acc_y"), pulled.T, strict=True))))
-    curve = residual_curves(PrinterProblem(machine, recordings, ()), {})[0]
-    assert (curve.against, curve.unit, curve.against_unit) == ("speed", "m/s²", "mm/s")
-    fast = np.abs(curve.at) > 10.0
-    np.testing.assert_allclose(np.array(curve.residual)[fast], -3.0 * np.sign(np.array(curve.at)[fast]), atol=0.5)
-    assert residual_curves(PrinterProblem(machine, recordings[:2], ()), {}) == []
 
 
 @pytest.mark.parametrize("finding", ["nothing", "effects", "recording", "cannot_tell"])

@@ -10,7 +10,6 @@ import pytest
 
 from ffcomp.diagnosis.axis_problem import STEP_COST, AxisProblem
 from ffcomp.diagnosis.diagnosis import Diagnosis, diagnose
-from ffcomp.diagnosis.problem import Work
 from ffcomp.diagnosis.result import result_of
 from ffcomp.diagnosis.verb import result_json
 from ffcomp.measurement.axis_run import AxisRun
@@ -62,14 +61,3 @@ def test_a_search_ends_at_its_budget_and_says_so() -> None:
     assert told["cut_short"] and any("--thorough" in sentence for sentence in told["said"])
     whole = result_json(result_of(*searched(None)))
     assert not whole["cut_short"] and not any("--thorough" in sentence for sentence in whole["said"])
-
-
-def test_a_search_that_begins_anew_may_go_on_and_what_was_cut_is_remembered() -> None:
-    work = Work()
-    work.begin(10.0)
-    work.add(12.0)
-    assert not work.allows()
-    work.extend(3.0)
-    assert work.allows() and work.cut
-    work.extend(1.0)
-    assert work.limit == 15.0

@@ -16,7 +16,7 @@ from ffcomp.firmware.marlin_queue import Blocks, phases_of
 from ffcomp.firmware.program import known_to_the_firmware, read_as_planned
 from ffcomp.planner.lookahead import stops_and_waits
 from ffcomp.planner.trajectory import Trajectory
-from gcode.program import LimitCommand, Program, limits_in_effect
+from gcode.program import Program, limits_in_effect
 from gcode.reader import read_program
 from models.file import load_machine
 from models.machine import Machine, MarlinSettings, Steps
@@ -145,12 +145,6 @@ def test_limits_hold_in_every_spelling(line: str) -> None:
     assert limits_in_effect(program, {})["M201"].words == {"X": 1000.0, "Y": 1000.0}
 
 
-def test_limits_before_a_part_of_a_program_hold_in_it() -> None:
-    machine = machine_of("jd-6")
-    program = replace(read(b"G1 X60 F9000\n", machine), limits={"M204": LimitCommand("M204", {"T": 500.0})})
-    assert plan_of(program, machine).duration == pytest.approx([60 / 150 + 150 / 500], rel=0.01)
-
-
 def test_what_is_shorter_than_six_steps_is_joined_to_the_next_move() -> None:
     machine = machine_of("jd-6")
     program = read(b"G1 X30 F6000\nG1 X30.05\nG1 X60\n", machine)
@@ -177,25 +171,6 @@ def test_an_arc_is_cut_on_its_circle_where_marlins_chords_meet() -> None:
     program = read(b"G1 X20 Y0 F6000\nG3 X0 Y20 I-20 J0 F4800\n", machine)
     assert np.hypot(*program.moves.end[1:, :2].T) == pytest.approx(20.0, abs=1e-6)
     assert len(blocks_of(program, machine)) == 1 + 32  # chords of 1 mm at most
-
-
-def test_a_section_planned_by_itself_is_not_slowed_at_its_beginning() -> None:
-    machine = machine_of("cj-6-slowdown")
-    text = b"".join(b"G1 X%.2f F6000\n" % (0.5 * k) for k in range(1, 60))
-    program = read(text, machine)
-    n = len(program.moves)
-    never = {"stop_before": np.zeros(n, dtype=np.bool_), "wait_before": np.zeros(n)}
-    alone, at_rest = (planner_of(program, machine, within)(program.moves, **never).end_t for within in (True, False))
-    assert alone < at_rest
-
-
-def test_moves_that_are_to_be_gentler_are() -> None:
-    """Half the acceleration of a move makes a ramp from rest to rest √2 times as long."""
-    machine = machine_of("jd-6")
-    program = read(b"M204 T800\nG1 X20 F12000\n", machine)
-    gentle = replace(program, moves=replace(program.moves, acceleration=np.array([400.0])))
-    ratio = plan_of(gentle, machine).end_t / plan_of(program, machine).end_t
-    assert ratio == pytest.approx(np.sqrt(2.0), rel=0.01)
 
 
 @pytest.mark.parametrize(("version", "newer"), [((), False), ((2, 1, 2, 5), False), ((2, 1, 3), True), ((2, 2), True)])

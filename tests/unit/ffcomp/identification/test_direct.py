@@ -12,7 +12,6 @@ from ffcomp.identification.decoupling import decouple, evaluate_parts
 from ffcomp.identification.output_error import TOTAL_MASS, UNKNOWNS, fit_machine
 from ffcomp.identification.paper import carriage_step, identify_as_paper
 from ffcomp.identification.predict import predicted
-from ffcomp.identification.uncertainty import Joint, through
 from models.file import load_machine
 from models.kinds import delta_vibration, with_parts
 from models.machine import Machine, value_of, with_values
@@ -84,16 +83,6 @@ def test_an_unknown_start_of_the_capture_is_found_with_the_numbers() -> None:
     assert value_of(found.machine, "carriage.belt_stiffness_n_per_m") == pytest.approx(1.039e5, rel=0.03)
 
 
-def test_what_the_model_cannot_say_is_called_its_error() -> None:
-    bench = [
-        replace(r, value=r.value * (1 + 0.03 * np.sin(r.frequency_hz / 7.0)))
-        for r in measured(TRUTH, towers_bench(0.0, 0.0), 60.0, 0)
-    ]
-    found = fit_machine(TRUTH, bench, WEIGHED, starts=[{}])
-    assert 0.01 < found.model_error < 0.04
-    assert found.misfit > 10
-
-
 def test_a_number_nobody_has_is_refused() -> None:
     with pytest.raises(SolverError, match=r"'carriage\.colour' is no parameter of this fit"):
         fit_machine(TRUTH, measured(TRUTH, paper_bench(COARSE), 40.0, 0), {"carriage.colour": (1.0, 0.1)})
@@ -128,18 +117,3 @@ def test_decoupling_shows_which_part_is_wrong() -> None:
 
 
 # ---- uncertainty ---------------------------------------------------------------------------------
-
-
-def test_uncertainty_through_a_formula_is_that_of_a_monte_carlo() -> None:
-    covariance = np.diag([3.0, 4.0, 0.001]) ** 2
-    inputs = Joint(("zero", "pole", "total"), np.array([1519.0, 1674.0, 0.651]), covariance)
-
-    def nozzle_mass(x: np.ndarray) -> np.ndarray:  # Eq. 49
-        return np.array([(x[0] / x[1]) ** 2 * x[2]])
-
-    found = through(nozzle_mass, ["m1"], inputs)
-    draws = np.random.default_rng(0).multivariate_normal(inputs.values, inputs.covariance, 20000)
-    many = np.array([nozzle_mass(x)[0] for x in draws])
-    assert found["m1"] == pytest.approx(0.536, abs=5e-4)
-    assert np.sqrt(found.covariance[0, 0]) == pytest.approx(np.std(many), rel=0.03)
-    assert isinstance(found, Joint)

@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scipy.signal import cont2discrete, lfilter
 
 from ffcomp.cli.app import app
 from ffcomp.errors import MeasurementError
@@ -25,7 +24,6 @@ from ffcomp.measurement.frf import FrequencyResponse
 from ffcomp.measurement.frf_files import write_frf
 from ffcomp.measurement.klipper import Resonances
 from ffcomp.measurement.vibration import read_vibration
-from ffcomp.record.plan import Experiment, load_plan
 from ffcomp.shapers.calibration import calibrated, normalised, resonance_test
 from models.arrays import constant
 from models.file import LIBRARY, load_machine
@@ -41,7 +39,6 @@ VORON = LIBRARY / "voron-300.toml"
 F = np.arange(5.0, 150.1, 0.5)
 ONE = np.array([[43.0, 0.07, 1.0]])  # frequency Hz, damping ratio, share
 TWO = np.array([[52.0, 0.06, 0.8], [84.0, 0.05, 0.2]])
-STEP_S = 1 / 12800
 
 
 def call(*arguments: object) -> Result:
@@ -118,17 +115,6 @@ def test_intervals_hold_the_truth() -> None:
     assert held.min() >= 7
 
 
-def test_sensor_scale_sign_and_delay_are_told_and_do_no_harm() -> None:
-    true = response(TWO, noise=0.01, seed=1)
-    gain = {"gain": lambda r: 1.3 * r.value, "sign": lambda r: -r.value}
-    for word, change in {**gain, "late": lambda r: r.value * np.exp(-r.s * 2e-3)}.items():
-        changed = FrequencyResponse("cmd_x", "acc_x", F, change(true), true.variance, source=word)
-        found = fit_axis("x", [Response(changed)])
-        near(found, TWO)
-        told = {"gain": "1.30 times its command", "sign": "against its command", "late": "2.0 ms late"}
-        assert told[word] in " ".join(found.advice)
-
-
 # ---- from files to a machine file ----------------------------------------------------------------
 
 
@@ -173,65 +159,6 @@ def test_from_responses_to_a_machine_file(tmp_path: Path) -> None:
 
 
 # ---- the excitation that ffcomp plans itself -----------------------------------------------------
-
-
-def nozzle_capture(folder: Path, experiment: Experiment, modes: FloatArray, sign: float, rng: Any) -> Path:
-    """What a sensor writes while the axis plays an experiment: late, its clock off, noisy, with weight."""
-    assert experiment.excitation is not None
-    axis = "xyz".index(experiment.excitation.direction)
-    t = np.arange(-0.6, experiment.duration_s + 0.8, STEP_S)
-    told = experiment.motion.nozzle(np.clip(t, 0.0, experiment.duration_s))[:, axis]
-    answer = sum(_filtered(told - told[0], *mode) for mode in modes)
-    felt = np.zeros((len(t[::4]), 3))
-    felt[:, axis] = sign * 1e-3 * np.gradient(np.gradient(answer, STEP_S), STEP_S)[::4]
-    felt = felt + rng.normal(0, 0.15, felt.shape) + np.array([0.0, 0.0, 9.81])
-    clock = 50.0 + t[::4] * (1 + rng.uniform(-0.01, 0.01))
-    path = folder / f"adxl345-{experiment.name}.csv"
-    rows = np.column_stack([clock, 1e3 * felt])
-    np.savetxt(path, rows, fmt="%.6f", delimiter=",", header="#time,accel_x,accel_y,accel_z", comments="")
-    return path
-
-
-def _filtered(command: FloatArray, frequency_hz: float, damping: float, share: float) -> FloatArray:
-    omega = 2 * np.pi * frequency_hz
-    b, a, _ = cont2discrete(([share * omega**2], [1.0, 2 * damping * omega, omega**2]), STEP_S, method="foh")
-    return np.asarray(lfilter(b.ravel(), a, command))
-
-
-def test_from_a_plan_through_captures(tmp_path: Path) -> None:
-    """The sensor of y sits on a bed that moves against the nozzle."""
-    plan, account = tmp_path / "excite.gcode", tmp_path / "excite.json"
-    ender = LIBRARY / "ender-3.toml"
-    made = answer_of(
-        "record",
-        "plan",
-        "--for",
-        "identify",
-        "-m",
-        ender,
-        "-o",
-        plan,
-        "--period-s",
-        2,
-        "--periods",
-        3,
-        "--highest-hz",
-        110,
-    )
-    assert [e["position_mm"] for e in made["experiments"]] == [[117.5, 117.5, 50.0]] * 2 and not made["warnings"]
-    text = plan.read_text()
-    assert "screwed to the bed" in text and "G1 X117.5 Y117.5 Z50" in text and "max_z_accel" not in text
-    rng = np.random.default_rng(3)
-    experiments = load_plan(account).experiments
-    true = {"x": (TWO * [0.85, 1, 1], 1.0), "y": (ONE * [0.8, 1, 1], -1.0)}
-    files = [nozzle_capture(tmp_path, each, *true[each.excitation.direction], rng) for each in experiments]
-    answer = answer_of("identify", "fit", *files, "-m", ender, "--plan", account, "--quiet")
-    for name, (modes, _) in true.items():
-        table = answer["axes"][name]["modes"]
-        assert [m["frequency_hz"]["value"] for m in table] == pytest.approx(modes[:, 0], rel=0.005)
-        assert [m["damping_ratio"]["value"] for m in table] == pytest.approx(modes[:, 1], rel=0.1)
-        assert [m["share"]["value"] for m in table] == pytest.approx(modes[:, 2], abs=0.05)
-    assert any("against its command" in sentence for sentence in answer["advice"])
 
 
 def test_a_plan_of_a_corexy_stays_within_its_box_and_its_motors(tmp_path: Path) -> None:

@@ -79,13 +79,3 @@ def test_a_damaged_file_is_not_there(folder: Path) -> None:
         assert kept.load("a") == {}
     kept.save("a", {"n": np.arange(10_000)})
     assert file.read_bytes() == whole
-
-
-def test_a_cache_that_cannot_be_written_stops_nobody(
-    tmp_path: Path, machine: Machine, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    (tmp_path / "file").write_bytes(b"")
-    for said in (str(tmp_path / "file" / "below"), "off"):
-        monkeypatch.setenv(OUR_VARIABLE, said)
-        been_at(machine, HERE).save_cache()
-        assert len(InverseModel(machine, settings_for(machine)).gains) == 0

@@ -14,7 +14,7 @@ from ffcomp.inverse.command_limits import ACCELERATION, TRAVEL, VELOCITY, peak_u
 from ffcomp.inverse.model import InverseModel, Iterate
 from ffcomp.inverse.reference import Reference
 from ffcomp.inverse.settings import Settings
-from ffcomp.inverse.solve import FOLLOWING, solve
+from ffcomp.inverse.solve import solve
 from ffcomp.planner.limits import planner_limits
 from ffcomp.planner.lookahead import plan_moves
 from ffcomp.planner.trajectory import split_sections
@@ -186,23 +186,6 @@ def test_the_solver_finds_the_command_of_the_readable_formulation(
     by_cvxpy = solve(held_model, reference, state)
     assert by_cvxpy.constrained and np.abs(by_cvxpy.vertices - free.vertices).max() > 1e-3
     np.testing.assert_allclose(by_osqp.vertices, by_cvxpy.vertices, atol=1e-3)
-
-
-def test_where_no_limit_binds_nothing_changes_after_a_limited_window(machine: Machine) -> None:
-    """The fast answer is solved again at the late start only: what follows is kept to the last bit, and fits."""
-    settings = replace(USUAL, bandwidth_hz=112.0, lead_s=0.004)
-    state = machine.equilibrium(np.array([-60.0, 20, 0.3]))
-    reference = reference_of(CORNER + b"G1 X-20 Y10\nG1 X-20 Y60\n", machine, settings)
-    free = solve(InverseModel(machine, settings), reference, state, keep_response=True)
-    tight = replace(machine.limits, carriage_acceleration_mm_per_s2=0.6 * free.utilisation * 30000.0)
-    held = solve(InverseModel(replace(machine, limits=tight), settings), reference, state, keep_response=True)
-    assert len(held.constrained) == 1 and held.utilisation <= 1.0
-    after = held.constrained[0].last + FOLLOWING + 1
-    assert after < reference.knots - 50
-    np.testing.assert_array_equal(held.vertices[after:], free.vertices[after:])
-    later = after * settings.substeps
-    np.testing.assert_allclose(held.response[later:], free.response[later:], atol=3e-4)
-    np.testing.assert_allclose(held.state, free.state, atol=5e-3)  # played through, and by the sweep's own sum: mm/s
 
 
 def test_a_machine_turned_by_120_degrees_gives_the_turned_answer(machine: Machine) -> None:

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from ffcomp.firmware.program import PlannedProgram, plan_program
-from ffcomp.inverse.reference import Lead, Reference, lead_of
-from ffcomp.inverse.settings import settings_for
+from ffcomp.inverse.reference import Lead, lead_of
 from gcode.reader import read_program
 from models.arrays import FloatArray
 from models.file import load_machine
@@ -96,14 +95,3 @@ def test_where_the_extruder_cannot_follow_less_is_written() -> None:
     lead = lead_of(planned.trajectory, section.begin_t, section.end_t, knots(planned), slow)
     free = lead_of(planned.trajectory, section.begin_t, section.end_t, knots(planned), FREE)
     assert lead.share < 0.9 and np.abs(lead.mm).max() < 0.9 * np.abs(free.mm).max()
-
-
-def test_a_reference_leads_only_where_the_machine_file_says_so() -> None:
-    planned = plan()
-    section = planned.sections[-1]
-    usual = Reference(planned.trajectory, section, settings_for(MACHINE))
-    ahead = Reference(planned.trajectory, section, settings_for(replace(MACHINE, pressure=FREE)))
-    assert not usual.lead.mm.any()
-    middle = usual.knots // 2
-    assert ahead.extrusion()[middle] - usual.extrusion()[middle] == pytest.approx(TAU * 100.0 * RATIO, rel=1e-3)
-    assert ahead.extrusion()[-1] == pytest.approx(usual.extrusion()[-1])

@@ -36,14 +36,6 @@ def test_a_run_is_read(columns: Columns, written: Written) -> None:
     assert not recording.gaps.any() and recording.position == {}
 
 
-def test_a_nozzle_command_and_a_laser(columns: Columns, written: Written) -> None:
-    swap = dict(zip("ABC", "xyz", strict=True))
-    table = {f"cmd_{swap[n[4]]}_mm" if n.startswith("cmd") else n: values for n, values in columns.items()}
-    recording = read_recording(written(table | {"pos_x_mm": columns["cmd_A_mm"]}))
-    assert recording.command_space == "nozzle" and recording.inputs == ("cmd_x", "cmd_y", "cmd_z")
-    np.testing.assert_allclose(recording.position["pos_x"], columns["cmd_A_mm"], rtol=1e-8)
-
-
 def test_empty_fields_and_missing_rows_are_gaps(columns: Columns, written: Written) -> None:
     columns["acc_A_m_per_s2"][100:103] = np.nan
     whole = columns["cmd_A_mm"].copy()
@@ -55,17 +47,6 @@ def test_empty_fields_and_missing_rows_are_gaps(columns: Columns, written: Writt
         recording.acceleration["acc_B"][100]
     )
     np.testing.assert_allclose(recording.command[:, 0], whole, atol=1e-5)
-
-
-def test_jitter_is_resampled(columns: Columns, written: Written) -> None:
-    jittered = columns["t_s"] + 0.2 / RATE * np.random.default_rng(0).uniform(-0.5, 0.5, 1600)
-    columns["cmd_A_mm"] = 300 + 0.5 * np.sin(2 * np.pi * 11 * jittered)
-    columns["t_s"] = jittered
-    recording = read_recording(written(columns))
-    np.testing.assert_allclose(np.diff(recording.time_s), 1 / RATE, rtol=1e-3)
-    np.testing.assert_allclose(
-        recording.command[1:-1, 0], 300 + 0.5 * np.sin(2 * np.pi * 11 * recording.time_s[1:-1]), atol=1e-6
-    )
 
 
 @pytest.mark.parametrize(

@@ -47,12 +47,6 @@ def test_z_keeps_its_own_limits_on_slanted_moves() -> None:
     assert acceleration == pytest.approx([125.0, 100.0, 3000.0])
 
 
-def test_the_smooth_acceleration_is_a_share_of_the_files_not_of_the_moves() -> None:
-    limits = PlannerLimits(300.0, 3000.0, minimum_cruise_ratio=0.5, z_acceleration_mm_per_s2=1000.0)
-    moves = moves_through([[0, 0, 0], [0, 0, 4], [5, 0, 4]])
-    assert bounds_of(moves, lines_of(moves), limits).smooth_acceleration.tolist() == [1000.0, 1500.0]
-
-
 def test_the_file_replaces_the_machines_limits() -> None:
     moves = moves_through([[0, 0], [9, 0], [9, 9]], 1000.0, velocity_limit=[400, np.nan], acceleration=[9000, np.nan])
     found = bounds_of(moves, lines_of(moves), LIMITS)
@@ -67,13 +61,3 @@ def test_at_the_radius_of_a_ratio_a_carriage_is_that_much_faster_than_the_nozzle
     lean = reach.radius_of_ratio(ratio) + reach.radius_mm  # opposite the tower
     heights = np.sqrt(reach.arm_length_mm**2 - (lean + np.array([-1e-4, 1e-4])) ** 2)
     assert (heights[0] - heights[1]) / 2e-4 == pytest.approx(ratio, rel=1e-6)
-
-
-def test_a_delta_slows_down_where_a_move_begins_or_ends_far_out() -> None:
-    reach = DeltaSlowZones(140.0, 280.0, 0.00625)
-    slow, slower = reach.radius_of_ratio(3.0), reach.radius_of_ratio(6.0)
-    limits = PlannerLimits(300.0, 3000.0, delta=reach)
-    radii = [0.0, slow - 0.1, slow + 0.1, 0.0, slower + 0.1, 10.0]
-    speed, acceleration = bounds([[0.0, -radius] for radius in radii], limits)
-    assert speed == [300.0, 150.0, 150.0, 75.0, 75.0]
-    assert acceleration == [3000.0, 1500.0, 1500.0, 750.0, 750.0]

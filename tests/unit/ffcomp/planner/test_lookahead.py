@@ -229,19 +229,6 @@ def test_the_way_back_is_the_same_backwards(path: list[tuple[float, float]], v: 
     assert plan(back).start_v == pytest.approx(plan(there).end_v[::-1], rel=1e-9, abs=1e-6)
 
 
-@given(points, st.floats(0.3, 3.0), st.floats(0.0, 0.9))
-@example([(0.0, -15.1), (0.0, -15.0), (0.0, -16.1)], 1.25, 0.0)
-@settings(deadline=None, max_examples=40)
-def test_the_plan_scales_with_length_and_time(path: list[tuple[float, float]], scale: float, ratio: float) -> None:
-    """k² longer ways at k times the speed and the same acceleration take k times as long."""
-    limits = dataclasses.replace(LIMITS, minimum_cruise_ratio=ratio)
-    larger = dataclasses.replace(limits, velocity_mm_per_s=300.0 * scale, square_corner_velocity_mm_per_s=5.0 * scale)
-    small = through(path, 80.0, limits)
-    large = through(scale**2 * np.array(path), 80.0 * scale, larger)
-    # a turn right back is passed at 0 or, by rounding of its angle, at a third of a µm a second
-    assert large.duration == pytest.approx(scale * small.duration, rel=1e-6, abs=1e-6)
-
-
 # Stops, waits, moves that go nowhere
 
 
@@ -251,13 +238,6 @@ def test_a_wait_stops_the_motion_and_holds_it() -> None:
     assert line.start_t[0] == 0.25
     assert gap == pytest.approx(0.5)
     assert line.position([line.start_t[1] - 0.3, line.start_t[1] - 0.1])[:, 0] == pytest.approx([50, 50])
-
-
-def test_a_stop_before_a_move_is_two_plans() -> None:
-    path = np.array([[0, 0], [50, 0], [100, 1], [120, 30]])
-    whole = plan(moves_through(path), stops=[False, False, True])
-    parts = through(path[:3]), through(path[2:])
-    assert whole.duration == pytest.approx(np.concatenate([part.duration for part in parts]), rel=1e-12)
 
 
 @pytest.mark.parametrize("ratio", [0.0, 0.5])

@@ -48,16 +48,6 @@ def test_a_part_that_begins_outside_names_the_line_that_went_there(ender: Machin
         read(PRINT.replace(b"X40 Y90", b"X240 Y90"), ender)
 
 
-def test_without_layer_comments_the_first_extrusions_may_be_a_purge_line(ender: Machine) -> None:
-    text = PRINT.replace(b";LAYER:0\n", b"")
-    many = b"".join(b"G1 X%d Y50 E%d\n" % (50 + k % 9, 20 + k) for k in range(100))
-    assert "so do 4 more" in read(text + many, ender).warnings[0]
-    with pytest.raises(OutOfReach, match=r"a\.gcode:107: The point X = -3\.000"):
-        read(text + many + b"G1 X-3 E600\n", ender)
-    with pytest.raises(OutOfReach, match=r"a\.gcode:2: The point X = -2\.000"):  # there is nothing but the purge line
-        read(text, ender)
-
-
 def test_a_file_of_which_nothing_lies_inside_is_refused(ender: Machine) -> None:
     with pytest.raises(OutOfReach, match=r"a\.gcode:1: .*outside the range of X"):
         read(b"G1 X-50 F600\nG1 X-60\n", ender)

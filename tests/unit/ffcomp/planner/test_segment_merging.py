@@ -17,8 +17,6 @@ from ffcomp.planner.segment_merging import (
     MOST_KNOTS_BEHIND,
     WIDEST_TOLERANCE,
     MergeLimits,
-    at_most,
-    lengthen,
     merge,
     refit,
 )
@@ -105,37 +103,6 @@ def test_what_is_kept_after_a_cut_does_not_depend_on_what_came_before() -> None:
     assert (whole[whole >= begin] - begin).tolist() == part.tolist()
 
 
-def test_the_first_segment_from_rest_is_made_long_enough() -> None:
-    at, e = np.arange(6.0), np.linspace(0.0, 1.0, 6)
-    points = np.array([[0, 0, 0], [0.002, 0, 0], [0.03, 0.04, 0], [0.06, 0.08, 0], [0.06, 0.083, 0], [0.06, 0.088, 0]])
-    before = points.copy()
-    lengthen(at, points, e, np.array([True, False, False, True, False, True]), 0.25, 0.01)
-    assert np.linalg.norm(points[1]) == pytest.approx(0.01) and 1.0 < at[1] < 1.25
-    for axis in range(3):
-        assert points[1, axis] == pytest.approx(np.interp(at[1], np.arange(6), before[:, axis]))
-    assert e[1] == pytest.approx(0.2 * at[1])
-    assert (points[2:] == before[2:]).all()  # too little room between the last ones, which must stay
-
-
-def test_refitted_segments_leave_less_of_what_a_slow_machine_follows() -> None:
-    """Chords of a bend lie on its inner side; refitted ones miss it to both sides, and the mean error is gone."""
-    at = np.arange(401.0)
-    phase = 2 * np.pi * at / 400
-    points = np.column_stack([20 * np.cos(phase), 20 * np.sin(phase), np.full(401, 0.2)])
-    kept = np.arange(0, 401, 8)
-    fixed = unpinned(kept)
-    fixed[[0, 25, -1]] = True
-
-    def mean_error_um(ends: FloatArray) -> float:
-        played = np.column_stack([np.interp(at, at[kept], ends[:, i]) for i in range(3)])
-        return abs(1e3 * float(np.mean(np.hypot(played[:, 0], played[:, 1]) - 20.0)))
-
-    ends = refit(at, points, kept, fixed)
-    assert mean_error_um(points[kept]) > 20.0 > 10 * mean_error_um(ends)
-    np.testing.assert_array_equal(ends[fixed], points[kept][fixed])
-    np.testing.assert_allclose(ends[:, 2], 0.2, atol=1e-15)
-
-
 def test_a_refit_is_the_least_squares_over_time() -> None:
     """The miss is orthogonal to every hat whose top may move, whatever the steps between the points."""
     rng = np.random.default_rng(5)
@@ -151,29 +118,3 @@ def test_a_refit_is_the_least_squares_over_time() -> None:
         for j in np.flatnonzero(~fixed).tolist():
             hat = np.interp(fine, at[kept], np.eye(len(kept))[j])
             assert np.trapezoid(miss * hat, fine) == pytest.approx(0.0, abs=1e-4)
-
-
-@pytest.mark.parametrize("begins", [True, False])
-def test_no_part_at_a_runs_end_has_more_segments_than_knots(begins: bool) -> None:
-    """So that parts of several runs have no more together."""
-    at = np.sort(np.concatenate([np.arange(60.0), [3.3, 3.7, 55.2, 56.4, 57.7]]))
-    points = np.stack([0.4 * at, 1e-3 * at**2, np.zeros(len(at))], axis=1)
-    pinned = at % 1.0 > 0.0
-    pinned[[0, -1]] = True
-    stays = at_most(at, points, np.arange(len(at)), pinned, 24, begins=begins, ends=not begins)
-    since = at[stays] - at[0] if begins else (at[-1] - at[stays])[::-1]
-    early, other = np.arange(1, 24), 59.0 - since[::-1]
-    assert (since[early] >= early - 1e-9).all() and not (other[early] >= early - 1e-9).all()
-    assert set(np.flatnonzero(pinned)) <= set(stays.tolist())
-
-
-def test_a_segment_cut_short_by_a_line_keeps_its_speed() -> None:
-    """291 mm/s became 180 in a segment of 0.3 ms: its end was moved beside one that must stay."""
-    at = np.sort(np.append(np.arange(0.0, 13.0), 6.08))
-    along = 1.16 * at + 2e-3 * at**2
-    points = np.stack([along, np.zeros_like(at), np.zeros_like(at)], axis=1)
-    kept = np.flatnonzero(np.isin(at, [0.0, 3.0, 6.0, 6.08, 9.0, 12.0]))
-    fixed = np.isin(at[kept], [0.0, 6.08, 12.0])
-    placed = refit(at, points, kept, fixed)
-    speed = np.diff(placed[:, 0]) / np.diff(at[kept])
-    assert np.abs(speed - np.diff(along[kept]) / np.diff(at[kept])).max() < 0.05 * 1.16

@@ -14,26 +14,20 @@ import pytest
 
 from ffcomp.cli.app import app
 from ffcomp.errors import LimitsError, MeasurementError
-from ffcomp.inverse.settings import settings_for
 from ffcomp.planner.limits import planner_limits
 from ffcomp.planner.lookahead import plan_moves, stops_and_waits
 from ffcomp.planner.trajectory import Trajectory
 from ffcomp.record.excitation import (
     AXES,
     CLEARANCE_MM,
-    CONSERVATIVE,
     TOWERS,
     ExcitationRequest,
-    Peaks,
-    excited_coordinate,
-    limits_of,
     make_excitation_plan,
-    peaks_of,
 )
 from ffcomp.record.gcode_writer import Recorder, gcode_lines
 from ffcomp.record.multisine import Lines, lines_of, polyline_gain
-from ffcomp.record.plan import Excitation, Experiment, Plan, load_plan, save_plan, segment_motion
-from gcode.program import EventKind, Program
+from ffcomp.record.plan import Excitation, Experiment, Plan, load_plan, save_plan
+from gcode.program import Program
 from gcode.reader import read_program
 from models.arrays import ComplexArray, FloatArray, constant
 from models.file import load_machine
@@ -71,10 +65,6 @@ def phasors(lines: Lines) -> ComplexArray:
 
 def command(experiment: Experiment, t: FloatArray) -> FloatArray:
     return machine().kinematics.inverse(experiment.motion.nozzle(t))
-
-
-def peaks(experiment: Experiment) -> Peaks:
-    return peaks_of(experiment.motion.vertices_mm, segment_s(experiment), machine().kinematics)
 
 
 def written(plan: Plan, printer: Machine, flavor: str, *chips: str, **options: bool) -> list[bytes]:
@@ -145,29 +135,6 @@ def test_the_nozzle_stays_on_its_axis(direction: str) -> None:
     assert np.delete(moved, i).max() < 1.5e-4
 
 
-def test_the_lines_are_those_of_the_polyline_that_quick_ramps_come_near() -> None:
-    """Ramps between segments take part of the S; the quicker they are, the nearer is what is played to the lines."""
-    experiment = named(short(), "A")
-    band, first = excited(experiment).band, excited(experiment).first_knot
-    period = experiment.motion.vertices_mm[first : first + band.knots]
-    at_knots = phasors(lines_of(machine().kinematics.inverse(period)[:, 0], band))
-    designed = at_knots * polyline_gain(band.frequencies_hz, band.segment_s)
-
-    def error(acceleration: float) -> float:
-        output = replace(settings_for(machine()).output, acceleration_mm_per_s2=acceleration)
-        output = replace(output, z_acceleration_mm_per_s2=acceleration)
-        motion = segment_motion(experiment.motion.vertices_mm, band.segment_s, output)
-        begin, t = motion.trajectory.start_t[first], np.arange(32 * band.knots) * band.segment_s / 32
-        lines = lines_of(excited_coordinate(machine().kinematics, "A", motion, begin + t), band)
-        upper = slice(len(designed) // 2, None)
-        return float(np.linalg.norm((phasors(lines) - designed)[upper]) / np.linalg.norm(designed[upper]))
-
-    own, quick, quicker = error(1e5), error(1e6), error(1e7)
-    assert own < 0.2
-    assert quick < 0.2 * own
-    assert quicker < 0.02
-
-
 @pytest.mark.parametrize("direction", ["B", "z"])
 def test_the_lines_are_what_is_commanded(direction: str) -> None:
     """Their sum is the excited coordinate but for what is played above the band; its acceleration is even."""
@@ -208,16 +175,6 @@ def test_a_plant_that_plays_it_shows_its_frequency_response() -> None:
 
 
 # What the machine can do
-
-
-def test_the_amplitude_chosen_keeps_every_reserve() -> None:
-    limits = limits_of(machine(), settings_for(machine()).output)
-    for experiment in short().experiments:
-        shares = [
-            getattr(peaks(experiment), name) / getattr(limits, name) / getattr(CONSERVATIVE, name)
-            for name in CONSERVATIVE.__dataclass_fields__
-        ]
-        assert 0.9 < max(shares) < 1.03
 
 
 @pytest.mark.parametrize(
@@ -285,24 +242,6 @@ def test_where_the_firmware_slows_down_is_refused() -> None:
 # Files
 
 
-def assert_same(ours: Plan, theirs: Plan) -> None:
-    for a, b in zip(ours.experiments, theirs.experiments, strict=True):
-        t = dense(a)
-        np.testing.assert_array_equal(a.motion.nozzle(t), b.motion.nozzle(t))
-        np.testing.assert_array_equal(excited(a).lines.phase_rad, excited(b).lines.phase_rad)
-        assert (a.name, a.position_mm, a.measured_from_s) == (b.name, b.position_mm, b.measured_from_s)
-        assert (excited(a).band, excited(a).periods) == (excited(b).band, excited(b).periods)
-
-
-def test_a_plan_comes_back_as_it_was(tmp_path: Path) -> None:
-    path = tmp_path / "excite.json"
-    save_plan(short(), path)
-    loaded = load_plan(path)
-    assert (loaded.machine, loaded.machine_sha256, loaded.seed) == (machine().name, machine().sha256, 1)
-    assert {each.kind for each in loaded.experiments} == {"multisine"}
-    assert_same(short(), loaded)
-
-
 @pytest.mark.parametrize(
     ("spoil", "sentence"),
     [
@@ -335,21 +274,6 @@ def test_a_file_moves_nothing_but_the_nozzle_and_puts_limits_back(flavor: str) -
     closed = {"klipper": b"ACCEL=10000 ", "marlin": b"M204 P10000 ", "reprapfirmware": b"M204 P10000 "}[flavor]
     told = [opened in code for code in codes if opened in code or closed in code]
     assert told == [True, False] * len(short().experiments)
-
-
-def test_every_capture_is_started_and_stopped_at_rest() -> None:
-    lines = written(short(), machine(), "klipper", "hotend", "belt_a")
-    toggles = [line for line in lines if line.startswith(b"ACCELEROMETER_MEASURE")]
-    wanted = [
-        b"ACCELEROMETER_MEASURE CHIP=%b NAME=%b-1\n" % (chip, each.name.encode())
-        for each in short().experiments
-        for _ in ("start", "stop")
-        for chip in (b"hotend", b"belt_a")
-    ]
-    assert toggles == wanted
-    program = read_program(b"".join(lines))
-    stops = {event.line for event in program.events if event.kind is EventKind.STOP}
-    assert {i for i, line in enumerate(lines) if line.startswith(b"M400")} <= stops
 
 
 # The command line

@@ -17,12 +17,11 @@ import pytest
 from scipy.interpolate import CubicSpline
 
 from ffcomp.errors import MeasurementError
-from ffcomp.measurement.recording import read_recording
 from ffcomp.record.axes import turn_of
 from ffcomp.record.join import join_captures
 from ffcomp.record.moves import Request, make_plan
 from ffcomp.record.plan import Plan, save_plan
-from ffcomp.record.result import JoinResult, Refused, recording_lines
+from ffcomp.record.result import JoinResult, Refused
 from models.file import load_machine
 from models.machine import Machine
 from tests.support.recordings import write_captures
@@ -137,16 +136,6 @@ def test_axes_and_tilt_are_found_and_gravity_is_gone(either: Bench) -> None:
             assert np.abs(error.mean()) < 0.02 and error.std() < 0.2 + 0.03 * truth.std(), axis
 
 
-def test_a_joined_run_reads_back(klipper: JoinResult, tmp_path: Path) -> None:
-    each = klipper.joined[0]
-    path = tmp_path / f"{each.name}.csv"
-    path.write_bytes(b"".join(recording_lines(each.recording)))
-    again = read_recording(path)
-    assert again.comments["joined"].startswith("offset_s -0.99") and again.comments["delay_sd_s"] == "0.0003"
-    np.testing.assert_allclose(again.command, each.recording.command, atol=1e-6)
-    np.testing.assert_allclose(again.acceleration["acc_x"], each.recording.acceleration["acc_x"], atol=1e-6)
-
-
 def one(bench: Bench) -> Path:
     return bench.paths("klipper")[0]
 
@@ -194,12 +183,6 @@ def test_a_speed_override_is_refused(bench: Bench, tmp_path: Path, factor: float
     path.write_text("\n".join([head, *slower]) + "\n")
     why = refused(bench, path)
     assert any(word in why for word in words_.split("|")), why
-
-
-def test_lost_samples_are_refused(bench: Bench, tmp_path: Path) -> None:
-    path = tmp_path / one(bench).name
-    path.write_text("##drops=2,overflows=1,time_per_sample=0.0003\n" + one(bench).read_text())
-    assert "The chip lost samples (3 overflows or drops)" in refused(bench, path)
 
 
 def test_a_renamed_capture_is_known_by_its_motion(bench: Bench, tmp_path: Path) -> None:

@@ -80,18 +80,6 @@ def test_a_multisine_accelerates_evenly_at_its_lines_and_nowhere_else() -> None:
     assert np.abs(spectrum[others]).max() < 1e-9 * np.abs(spectrum).max()
 
 
-def test_a_multisine_has_low_peaks() -> None:
-    """Its acceleration peaks at less than 1.3 times its rms; random phases alone give more than 3."""
-    for seed in range(3):
-        _, acceleration = differences(scaled("multisine", WIDE, 1.0, 500.0, seed), WIDE.segment_s)
-        assert np.abs(acceleration).max() < 1.3 * acceleration.std()
-        rng = np.random.default_rng(seed)
-        spectrum = np.zeros(WIDE.knots // 2 + 1, dtype=np.complex128)
-        spectrum[WIDE.lines] = np.exp(2j * np.pi * rng.uniform(size=len(WIDE.lines)))
-        random = np.fft.irfft(spectrum)
-        assert np.abs(random).max() > 3 * random.std()
-
-
 @pytest.mark.parametrize("kind", ["sweep", "log-sweep"])
 def test_sweeps_go_from_rest_to_rest_inside_their_band(kind: str) -> None:
     wave = scaled(kind, WIDE, 4000.0, 500.0, seed=0)
@@ -101,15 +89,6 @@ def test_sweeps_go_from_rest_to_rest_inside_their_band(kind: str) -> None:
     assert np.abs(wave[-quiet + 2 :]).max() == 0.0
     power = np.abs(np.fft.rfft(acceleration)) ** 2
     assert power[WIDE.lines].sum() > 0.99 * power.sum()
-
-
-@pytest.mark.parametrize("kind", list(KINDS))
-@pytest.mark.parametrize("velocity", [500.0, 30.0])
-def test_peaks_are_as_asked_for(kind: str, velocity: float) -> None:
-    wave = scaled(kind, WIDE, 4000.0, velocity, seed=1)
-    speed, acceleration = differences(wave, WIDE.segment_s)
-    assert np.abs(acceleration).max() == pytest.approx(4000.0)
-    assert np.abs(speed).max() <= velocity
 
 
 def test_where_speed_is_short_the_low_frequencies_give_way() -> None:

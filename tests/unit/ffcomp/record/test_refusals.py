@@ -68,20 +68,6 @@ def test_a_machine_file_that_is_wrong_is_no_shaper(plan: Plan, machine: Machine,
     assert len(join_captures(captured(once, plant, tmp_path), once, machine).joined) == 2
 
 
-def test_repeats_that_do_not_repeat_are_refused_with_the_number(
-    plan: Plan, machine: Machine, captures: Sequence[Path], tmp_path: Path
-) -> None:
-    values = {each.name: each.value for each in machine.vibration.parameters()}
-    warm = {name: value * (0.85 if "stiffness" in name else 1.0) for name, value in values.items()}
-    later = captured(plan, replace(machine, vibration=machine.vibration.with_parameters(warm)), tmp_path)
-    mixed = [*[path for path in captures if path.stem.endswith("-1")], *[p for p in later if p.stem.endswith("-2")]]
-    found = join_captures(mixed, plan, machine)
-    assert not found.joined and len(found.refused) == 4
-    assert {each.file for each in found.refused} == {str(path) for path in mixed}
-    first = next(each.why for each in found.refused if "Repeat 2 of ffcomp-zigzag-0" in each.why)
-    assert "differs from repeat 1 by" in first and "% of the signal" in first and "warm up" in first
-
-
 def one_file(captures: Sequence[Path], rate_error: float) -> str:
     """Everything in one table as a phone writes it: rests, travel and all, on a clock of its own."""
     rng, parts = np.random.default_rng(3), list[NDArray[np.float64]]()

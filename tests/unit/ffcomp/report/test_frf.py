@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from ffcomp.cli.app import app
-from ffcomp.identification.frf_study import View, study, verdict, view_of
+from ffcomp.identification.frf_study import View, study, view_of
 from ffcomp.identification.predict import predicted
 from ffcomp.measurement.frf import FrequencyResponse
 from ffcomp.measurement.frf_files import write_frf
@@ -50,18 +50,6 @@ def complex_of(bode: dict) -> np.ndarray:
 
 
 # --- JSON
-
-
-def test_the_schema_stays_whatever_is_asked(machine: Machine) -> None:
-    """`carriage` is always Eq. 29 at the place; what --of names stands beside it."""
-    for of in ("carriage", "nozzle", "acceleration", "carriage-alone", "effector-alone"):
-        (answer,) = answers("--of", of, "--at", "0,0", "--step-hz", 5, "--json")
-        assert answer["schema"] == "ffcomp-frf/1"
-        frequency = np.array(answer["frequency_hz"])
-        g = machine.vibration.frequency_response(np.zeros(2), frequency)
-        for i in range(3):
-            np.testing.assert_allclose(complex_of(answer["carriage"][i][i]), g[:, i, i], rtol=1e-9)
-        assert answer["response"]["of"] == of
 
 
 @pytest.mark.parametrize("of", ["carriage", "nozzle", "acceleration"])
@@ -153,12 +141,6 @@ def test_a_measurement_off_the_bed_is_refused(tmp_path: Path, machine: Machine) 
     assert result.exit_code == 5 and "print radius" in result.stderr
 
 
-@pytest.mark.parametrize(("factor", "grade"), [(1.02, "close"), (1.2, "fair"), (1.5, "poor: identify the machine")])
-def test_the_verdict_grades(machine: Machine, factor: float, grade: str) -> None:
-    responses = [measured(machine, f"cmd_{c}", f"pos_{c}", factor) for c in "ABC"]
-    assert grade in verdict(study(machine, View(), FREQUENCIES, [], responses))
-
-
 # --- Pictures
 
 
@@ -173,9 +155,3 @@ def test_bode_figures(machine: Machine, tmp_path: Path) -> None:
     assert "C to B" not in text
     draw_bode(found, target, full=True)
     assert "C to B" in target.read_text(encoding="utf-8")
-
-
-def test_what_does_not_couple_is_not_drawn_as_noise(machine: Machine, tmp_path: Path) -> None:
-    target = tmp_path / "full.svg"
-    draw_bode(study(machine, View("nozzle", "nozzle"), FREQUENCIES, [np.zeros(2)]), target, full=True)
-    assert target.read_text(encoding="utf-8").count("no response") == 6

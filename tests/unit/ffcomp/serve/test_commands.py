@@ -9,7 +9,7 @@ import pytest
 
 from ffcomp.cli.app import app
 from ffcomp.cli.command import commands
-from ffcomp.serve.commands import KINDS, checked, forms, task_of
+from ffcomp.serve.commands import KINDS, checked, task_of
 from ffcomp.serve.uploads import Refused
 
 OUT = Path("out")
@@ -83,12 +83,3 @@ def test_every_option_is_one_of_the_command_line_and_names_no_file(kind: str) ->
         assert {word.split("=")[0] for word in words if word.startswith("-")} <= known
     assert not {"jobs", "scheduler"} & set(form)
     assert not [name for name, each in form.items() if "Path" in str(each.type)]
-
-
-def test_a_form_says_what_the_request_says() -> None:
-    fields = {each["name"]: each for each in forms()["plan"]}
-    seconds, flavor = fields["seconds"], fields["flavor"]
-    assert (seconds["kind"], seconds["low"], seconds["high"], seconds["step"]) == ("number", 2.0, 20.0, "any")
-    assert seconds["help"].startswith("Duration of an experiment") and flavor["choices"][0] == "klipper"
-    assert {each["name"] for each in forms()["excite"]} == set(fields) - {"seconds"}
-    assert next(each for each in forms()["compensate"] if each["name"] == "robust")["choices"][1:] == ["on", "off"]

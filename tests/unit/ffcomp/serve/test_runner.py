@@ -16,7 +16,7 @@ from pathlib import Path
 import pytest
 
 from ffcomp.serve.jobs import CANCELLED, DONE, ENDED, FAILED, QUEUED, RUNNING, Job, JobFolder
-from ffcomp.serve.runner import STOPPED, Runner
+from ffcomp.serve.runner import Runner
 from ffcomp.serve.settings import Settings
 from ffcomp.serve.uploads import Refused, new_id
 
@@ -126,14 +126,6 @@ def _removed(of: Runner, id_: str) -> bool:
     return True
 
 
-@pytest.mark.skipif(not Path("/proc/self/oom_score_adj").exists(), reason="of Linux")
-def test_a_printers_host_goes_before_a_job(tmp_path: Path) -> None:
-    with runner(tmp_path) as made:
-        pid = running(made, add(made, "slow")).pid
-        assert os.getpriority(os.PRIO_PROCESS, pid) == 10
-        assert Path(f"/proc/{pid}/oom_score_adj").read_text().strip() == "800"
-
-
 def test_what_does_not_end_when_asked_is_killed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("ffcomp.serve.runner.PATIENCE_S", 0.2)
     with runner(tmp_path) as made:
@@ -162,18 +154,6 @@ def test_no_more_run_at_a_time_than_allowed(tmp_path: Path) -> None:
         assert [made.find(each).state for each in ids] == [RUNNING, RUNNING, QUEUED, QUEUED, QUEUED]
         made.cancel(ids[3])
         assert made.find(ids[3]).state == CANCELLED  # without ever running
-
-
-def test_a_restart_lists_everything_and_goes_on(tmp_path: Path) -> None:
-    with runner(tmp_path) as made:
-        done, slow, waits = add(made, "G28"), add(made, "slow"), add(made, "G28")
-        pid = running(made, slow).pid
-    assert not alive(pid)
-    with runner(tmp_path) as made:
-        assert made.find(done).state == DONE and made.find(done).answer.facts
-        assert made.find(slow).state == FAILED and made.find(slow).error == STOPPED
-        assert ended(made, waits).state == DONE
-        assert [job.id for job in made.all()] == [waits, slow, done]
 
 
 @pytest.mark.skipif(not Path("/proc/self/cmdline").exists(), reason="only Linux tells what a process is")

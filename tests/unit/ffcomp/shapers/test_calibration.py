@@ -81,10 +81,6 @@ def test_every_kind_can_be_calibrated_and_compared(kind: str) -> None:
     assert re.search(rf"\b{kind}\b", only.help)
 
 
-def both(first: calibrate.Spectrum, second: calibrate.Spectrum) -> calibrate.Spectrum:
-    return first[0], first[1] / first[1].max() + second[1] / second[1].max()
-
-
 @pytest.mark.parametrize("kind", shapers.SHAPERS)
 @pytest.mark.parametrize("through_the_corner", [0.0, 5.0, 150.0])
 def test_smoothing_is_how_far_the_shaped_path_passes_a_corner(kind: str, through_the_corner: float) -> None:
@@ -134,17 +130,6 @@ def undone(spectrum: calibrate.Spectrum) -> calibrate.Spectrum:
     return frequency, psd * (frequency + 0.1)
 
 
-def test_a_stiff_machine_shows_the_pulse_trains_own_spectrum() -> None:
-    """A square wave of amplitude a f has the fundamental 4 a f/π, which stays 1 s in each Hz of the test, and odd
-    harmonics n with 1/n of that amplitude, 1/n as long, at the frequency f/n."""
-    frequency, psd = undone(calibrate.resonance_test_psd(stiff(), np.array([20.0, 10.0]), "x", 60.0))
-    seconds = len(calibrate.resonance_test(stiff(), np.array([20.0, 10.0]), "x")) / calibrate.RATE_HZ
-    harmonics = sum(n**-5 for n in (1, 3, 5))  # (amplitude 1/n · frequency 1/n)² · dwell 1/n
-    expected = (4 / np.pi * 60.0 * frequency) ** 2 / 2 * harmonics / seconds
-    middle = (frequency > 30) & (frequency < 125)
-    assert psd[middle] == pytest.approx(expected[middle], rel=0.02)
-
-
 def test_the_spectrum_is_the_commands_times_the_frequency_response() -> None:
     """Smeared by the window, so only the whole power is compared."""
     machine, place = load_machine("kossel"), np.array([30.0, -40.0])
@@ -155,10 +140,3 @@ def test_the_spectrum_is_the_commands_times_the_frequency_response() -> None:
     )
     swept = frequency > 10
     assert answer[swept].sum() == pytest.approx((gain * command)[swept].sum(), rel=0.03)
-
-
-def test_a_calibrated_machine_has_its_modes_shaped() -> None:
-    """At the centre both sideways modes are one: zv sits on it."""
-    machine = load_machine("kossel")
-    hz = [calibrate.fit("zv", calibrate.resonance_test_psd(machine, np.zeros(2), axis)).frequency_hz for axis in "xy"]
-    assert hz == pytest.approx(shapers.dominant_frequencies(machine, np.zeros((1, 2)))[0], rel=0.01)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +10,7 @@ import pytest
 
 from ffcomp.steps.crossings import Pieces, knot_pieces, on_grid
 from ffcomp.steps.motion import MotionSink
-from tests.support.klipper_host import FOLDER, reader
+from tests.support.klipper_host import reader
 from tests.support.step_lookahead import played
 
 
@@ -93,13 +91,6 @@ def test_waits_before_and_after_the_motion_are_kept(tmp_path: Path) -> None:
     assert header["duration_s"] == pytest.approx(10.1)
 
 
-def test_records_are_short_after_a_rest_and_grow(tmp_path: Path) -> None:
-    write(tmp_path / "x.ffm", (0.1, places(4000)), (17.0, places(4000)[-1:] + places(100)))
-    _, records = read(tmp_path / "x.ffm")
-    counts = [len(record.durations) for record in records if hasattr(record, "places")]
-    assert counts[:6] == [32, 32, 32, 32, 32, 40] and max(counts) == 512 and counts[-4:] == [32, 32, 32, 4]
-
-
 @pytest.mark.parametrize("lines_before", range(5))
 @pytest.mark.parametrize("ahead_s", [None, 0.1, 0.3, 0.6, 0.69, 0.9])
 def test_a_host_that_makes_steps_ahead_never_stops_on_the_path(
@@ -146,41 +137,6 @@ def test_ramps_come_back_exactly(tmp_path: Path, at: int) -> None:
     np.testing.assert_allclose(records[-1].places[-1], pieces.end[-1], atol=1e-12)
     assert header["peak_velocity_mm_per_s"] == pytest.approx(50.0)
     assert header["peak_acceleration_mm_per_s2"] == pytest.approx(5000.0)
-
-
-def test_a_long_print_is_in_parts(tmp_path: Path) -> None:
-    """Flat memory: each part stands on its own, and a rest at its end is not forgotten."""
-    knots = places(40_000)
-    write(tmp_path / "x.ffm", (0.1, knots))
-    data = (tmp_path / "x.ffm").read_bytes()
-    _, records = read(tmp_path / "x.ffm")
-    np.testing.assert_array_equal(records[-1].places[-1], knots[-1])
-    assert records[-1].rests_after and len(data) < 40_000 * 5
-
-
-CARD = """
-import sys
-from ffcomp_print.text import MotionText
-text = MotionText(sys.argv[1])
-whole = "".join(iter(text.read, ""))
-assert len(whole.encode()) == text.size == text.tell(), (len(whole.encode()), text.size)
-lines, place = whole.split("\\n")[:-1], text.size
-for line in reversed(lines[-100:]):
-    place -= len(line.encode()) + 1
-    text.seek(place)
-    assert text.read().split("\\n")[0] == line
-text.seek(0)
-assert "".join(iter(text.read, "")) == whole
-"""
-
-
-def test_the_card_reads_it_as_text(tmp_path: Path) -> None:
-    """As long as it says, for the progress; from any of the last lines again, for a pause; and from the beginning."""
-    events = tuple((0.1 + 0.02 * k, f"M117 línea {k}\u2028x".encode()) for k in range(200))
-    write(tmp_path / "x.ffm", (0.1, places(3000)), events=events)
-    command = [sys.executable, "-c", CARD, str(tmp_path / "x.ffm")]
-    done = subprocess.run(command, cwd=FOLDER, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
 
 
 def test_nothing_is_left_behind_without_finish(tmp_path: Path) -> None:

@@ -13,7 +13,6 @@ from models.effects.catalogue import CATALOGUE, effective_machine, with_effect
 from models.effects.effect import Effect
 from models.kinds import delta_vibration, with_parts
 from models.machine import Machine
-from models.printer.kernels.record import GUIDE
 from models.printer.parameters import GRAVITY_M_PER_S2
 from models.printer.printer import PrinterMotion, simulate_printer
 
@@ -81,13 +80,6 @@ def test_dry_friction_takes_4fa_a_cycle(printer: Machine, name: str, share: floa
     assert work[0] - work[1] == pytest.approx(4 * share * 3.0 * 0.010, rel=0.02)
 
 
-@pytest.mark.parametrize(("speed", "strain"), [(0.05, 3 / 1.3), (5.0, 3 / 31), (100.0, 3 / 601)])
-def test_dry_friction_forgets_its_strain_at_speed(printer: Machine, speed: float, strain: float) -> None:
-    """κ (r − |r| φ/φ_m − r² φ) = 0 at φ = φ_m/(1 + φ_m r), r = speed / 0.5 mm/s: quick reversals are not held back."""
-    rough = steady(with_effect(printer, "coulomb_friction", force_n=1.0), speed, 1.2 if speed > 1 else 4.0)
-    np.testing.assert_allclose(rough.state.values[GUIDE : GUIDE + 3], strain, rtol=0.02)
-
-
 def test_friction_holds_a_carriage_off_its_command(printer: Machine) -> None:
     """After a move up and after a move down to one height the carriages rest apart, and stay there."""
     rough = with_effect(printer, "coulomb_friction", force_n=3.0)
@@ -148,17 +140,6 @@ def test_an_overloaded_soft_belt_keeps_its_peak_force(printer: Machine) -> None:
     assert behind.min() > 10
 
 
-def test_a_belt_is_stiffer_above_its_centre(printer: Machine) -> None:
-    q = printer.kinematics.inverse(CENTRE)[0]
-    s = rest_stretch(
-        with_effect(printer, "belt_position_stiffness", slope_per_m=2.0, q_centre_mm=list(q - [100, 0, -50]))
-    )
-    k = weight(printer) / s
-    np.testing.assert_allclose(
-        k / delta_vibration(printer).carriage.belt_stiffness_n_per_m, [1 / 0.8, 1.0, 1 / 1.1], rtol=2e-4
-    )
-
-
 def test_play_is_a_hysteresis_of_its_width(printer: Machine) -> None:
     loose = with_effect(printer, "belt_backlash", width_mm=0.1)
     t = times(2.0)
@@ -166,14 +147,6 @@ def test_play_is_a_hysteresis_of_its_width(printer: Machine) -> None:
     more = 1e3 * (stretch_m(motion) - stretch_m(tight))[:, 0]
     going_up, going_down = (np.abs(t - centre) < 0.03 for centre in (1 / 3, 2 / 3))
     np.testing.assert_allclose(more[going_up].mean() - more[going_down].mean(), 0.1, rtol=0.02)
-
-
-def test_a_delay_shifts_everything(printer: Machine) -> None:
-    rows = 5
-    on_time = shaking(printer)
-    late = shaking(with_effect(printer, "command_delay", delay_s=rows / RATE_HZ))
-    np.testing.assert_allclose(late.nozzle_mm[rows:], on_time.nozzle_mm[:-rows], atol=1e-9)
-    np.testing.assert_allclose(late.nozzle_acceleration[rows:], on_time.nozzle_acceleration[:-rows], atol=1e-6)
 
 
 @pytest.mark.parametrize("hold", ["cubic", "linear"])
@@ -230,34 +203,6 @@ def test_the_true_geometry_places_the_nozzle(printer: Machine) -> None:
     assert np.abs(motion.nozzle_mm[-1] - CENTRE[0]).max() > 0.1
 
 
-def test_rods_carry_an_offset_mass_among_themselves(printer: Machine) -> None:
-    """By virtual work the carriages cannot feel where the centre of mass is; by Eqs. 22-27 they do."""
-    lopsided = with_effect(printer, "center_of_mass", offset_mm=[15.0, -10.0, 5.0])
-    np.testing.assert_array_equal(shaking(lopsided).nozzle_mm, shaking(printer).nozzle_mm)
-    papers = [with_effect(machine, "force_map") for machine in (lopsided, printer)]
-    there, here = (shaking(machine).nozzle_mm for machine in papers)
-    assert np.abs(there - here).max() > 1e-3
-
-
-def test_a_loose_extruder_rings_slower(printer: Machine) -> None:
-    """The nozzle's own vibration along x, after a jerk, has the frequency the softened mount predicts."""
-    firm = with_parts(
-        printer,
-        carriage=replace(
-            delta_vibration(printer).carriage, belt_stiffness_n_per_m=1e8, belt_damping_n_s_per_m=1e3, drive=None
-        ),
-        effector=replace(delta_vibration(printer).effector, extruder_damping_n_s_per_m=constant([0.5] * 3)),
-    )
-    soft = with_effect(firm, "extruder_mount", relative_stiffness_change=[-0.5, 0.0, 0.0])
-    t = times(0.6)
-    push = firm.kinematics.inverse(CENTRE + np.column_stack([0.5 * np.minimum(t / 0.003, 1), 0 * t, 0 * t]))
-    motion = simulate_printer(soft, push, 1 / RATE_HZ, hold="linear", gravity=False, substeps=16)
-    x = motion.nozzle_acceleration[100:, 0]
-    spectrum = np.abs(np.fft.rfft(x * np.hanning(len(x)), 65536))
-    expected = np.sqrt(0.5 * 3.31e3 / 0.115) / (2 * np.pi)
-    assert np.argmax(spectrum) * RATE_HZ / 65536 == pytest.approx(expected, rel=0.02)
-
-
 # --- The frame
 
 
@@ -282,26 +227,6 @@ def test_the_frame_answers_as_a_mass_on_a_spring(printer: Machine, frequency: fl
     m, sway = delta_vibration(machine).nozzle_side_mass_kg, 2 * 0.05 * omega * s + omega**2
     expected = 4.0 * (s**2 + sway) / ((4.0 + m) * s**2 + 4.0 * sway)
     assert np.sum(motion.nozzle_acceleration[last, 0] * wave) / relative == pytest.approx(expected, rel=2e-3)
-
-
-def test_a_free_frame_lightens_the_nozzle(printer: Machine) -> None:
-    """Sideways the belts swing the reduced mass M₁ M_f/(M₁ + M_f): ω² = k/(m + M σ²), σ² = ⅔ (h/R)² at the centre."""
-    geometry, carriage = printer.kinematics, delta_vibration(printer).carriage
-    effector = replace(
-        delta_vibration(printer).effector, extruder_mass_kg=1e-4, extruder_damping_n_s_per_m=constant([0.1] * 3)
-    )
-    belts = replace(carriage, drive=None, belt_damping_n_s_per_m=0.0, guide_damping_n_s_per_m=0.5)
-    frame = {"mass_kg": 1.0, "frequency_hz": 0.5, "damping_ratio": 0.0, "direction": "both"}
-    machine = with_effect(with_parts(printer, effector=effector, carriage=belts), "frame_mode", **frame)
-    t = times(1.0)
-    push = CENTRE + np.column_stack([0.1 * np.minimum(t / 0.005, 1), 0 * t, 0 * t])
-    motion = simulate_printer(machine, geometry.inverse(push), 1 / RATE_HZ, hold="linear", gravity=False, substeps=16)
-    spectrum = np.abs(np.fft.rfft(motion.nozzle_velocity[50:, 0] * np.hanning(len(t) - 50), 1 << 16))
-    height2 = geometry.arm_lengths_mm[0] ** 2 - geometry.delta_radii_mm[0] ** 2
-    sigma2 = 2 / 3 * height2 / geometry.delta_radii_mm[0] ** 2
-    reduced = delta_vibration(machine).nozzle_side_mass_kg / (delta_vibration(machine).nozzle_side_mass_kg + 1.0)
-    expected = np.sqrt(carriage.belt_stiffness_n_per_m / (carriage.moving_mass_kg + reduced * sigma2)) / (2 * np.pi)
-    assert np.argmax(spectrum) * RATE_HZ / (1 << 16) == pytest.approx(expected, rel=0.01)
 
 
 # --- All of them

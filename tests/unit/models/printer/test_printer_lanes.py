@@ -17,7 +17,7 @@ from models.machine import Machine
 from models.printer.kernels import integrate, vectors
 from models.printer.kernels.integrate import find_equilibrium
 from models.printer.kernels.motors import cubic_spline
-from models.printer.printer import PrinterMotion, Splines, simulate_printer, simulate_printers
+from models.printer.printer import PrinterMotion, simulate_printer, simulate_printers
 
 RATE_HZ = 1600
 FIELDS = (
@@ -85,13 +85,6 @@ def test_neighbours_change_nothing(mixture: list[Machine], hold) -> None:
         assert_alike(ours, simulate_printer(machine, command, 1 / RATE_HZ, hold=hold, substeps=8))
 
 
-def test_each_takes_the_steps_it_would_take_alone(mixture: list[Machine]) -> None:
-    command = swinging(mixture[0].kinematics, 0.1)
-    together = simulate_printers(mixture, [command] * len(mixture), 1 / RATE_HZ, gravity=False)
-    for machine, ours in zip(mixture, together, strict=True):
-        assert_alike(ours, simulate_printer(machine, command, 1 / RATE_HZ, gravity=False))
-
-
 def test_commands_of_all_lengths(mixture: list[Machine]) -> None:
     """The short ones end in the middle of a motion, and can go on from there."""
     lengths = [0.05 + 0.02 * (7 * i % 18) for i in range(len(mixture))]
@@ -127,17 +120,6 @@ def test_a_failure_harms_nobody(printer: Machine) -> None:
             simulate_printer(machine, command, 1 / RATE_HZ)
     assert isinstance(bad[0], UnreachableError)
     np.testing.assert_array_equal(bad[0].indices, np.arange(bad[0].indices[0], len(wild)))
-
-
-def test_splines_of_earlier_calls_change_nothing(printer: Machine) -> None:
-    """Commands in the same arrays need no second spline; other arrays, and other motors, need their own."""
-    kept, first = Splines(), np.column_stack([40 + 3 * np.sin(np.arange(40) / k) for k in (3, 4, 5)])
-    for command in (first, first + 1.0, first):
-        (one,) = simulate_printers([printer], [command], 1 / 1600, splines=kept)
-        (other,) = simulate_printers([printer], [command], 1 / 1600)
-        assert isinstance(one, PrinterMotion)
-        assert isinstance(other, PrinterMotion)
-        np.testing.assert_array_equal(one.nozzle_mm, other.nozzle_mm)
 
 
 def test_cached_code_depends_on_every_file_of_the_kernels() -> None:

@@ -31,14 +31,6 @@ def test_modes_at_the_centre_are_named(printer: Machine) -> None:
     ]
 
 
-def test_every_place_has_the_centres_modes_in_some_order(printer: Machine, over: ModeMap) -> None:
-    for i, k in np.argwhere(over.on_bed)[::11]:
-        found = printer.vibration.modes_at(over.x_mm[[i, k]])
-        np.testing.assert_allclose(np.sort(over.frequency_hz[i, k]), found.frequencies_hz, rtol=1e-9)
-        order = np.argsort(over.frequency_hz[i, k])
-        np.testing.assert_allclose(over.damping_ratio[i, k, order], found.damping_ratios, rtol=1e-6)
-
-
 @pytest.mark.parametrize("name", ["mp-delta-pro", "kossel", "flsun-qqs"])
 def test_no_mode_jumps_from_place_to_place(name: str) -> None:
     over = mode_map(delta_vibration(load_machine(name)), 8.0)

@@ -44,11 +44,6 @@ def test_an_added_mass_is_equation_38(as_printed: Machine) -> None:
     np.testing.assert_allclose(command_frf(loaded, S), expected, rtol=1e-12)
 
 
-def test_a_load_at_rest_stretches_the_belt(printer: Machine) -> None:
-    at_rest = force_frf(delta_vibration(printer).carriage, np.zeros(1, dtype=complex))
-    np.testing.assert_allclose(at_rest, -1 / delta_vibration(printer).carriage.belt_stiffness_n_per_m)
-
-
 # --- Sub-model 2
 
 
@@ -76,13 +71,6 @@ def test_a_struck_effector_is_equation_45(as_printed: Machine, with_arms: bool) 
     np.testing.assert_allclose(delta_vibration(as_printed).struck_frf(S, with_arms), verbatim, rtol=1e-12)
 
 
-def test_with_its_arms_it_is_the_load_of_the_assembly(printer: Machine) -> None:
-    load = delta_vibration(printer).effector_impedance(S)
-    np.testing.assert_allclose(
-        delta_vibration(printer).struck_frf(S, with_arms=True), S[:, None] ** 2 / load, rtol=1e-12
-    )
-
-
 def test_effector_resonates_where_equation_48_says(as_printed: Machine) -> None:
     undamped = replace(delta_vibration(as_printed).effector, extruder_damping_n_s_per_m=constant([0.0] * 3))
     bare = with_parts(
@@ -101,11 +89,6 @@ def test_shares_balance_the_moments(as_printed: Machine) -> None:
     arms = load_distribution(as_printed.kinematics.tower_angles_rad, delta_vibration(as_printed).effector) @ force
     moments = np.cross(joints - delta_vibration(as_printed).effector.center_of_mass_mm, arms)
     np.testing.assert_allclose(moments.sum(axis=0), 0, atol=1e-12)
-
-
-def test_the_papers_map_carries_a_third_of_a_centred_load(rigid, bed: np.ndarray) -> None:
-    paper, work = delta_vibration(rigid("paper")).load_map(bed), delta_vibration(rigid("virtual_work")).load_map(bed)
-    np.testing.assert_allclose(paper, work / 3, atol=1e-14)
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -166,17 +149,6 @@ def test_frf_solves_equation_29(as_printed: Machine, xy: tuple[float, float]) ->
 def test_virtual_work_is_reciprocal(printer: Machine, xy: tuple[float, float]) -> None:
     g = printer.vibration.frequency_response(np.array(xy), FREQUENCIES)
     np.testing.assert_allclose(g, g.transpose(0, 2, 1), atol=1e-11)
-
-
-@pytest.mark.parametrize("xy", PLACES)
-def test_nozzle_and_carriages_tell_the_same_story(printer: Machine, xy: tuple[float, float]) -> None:
-    place = np.array(xy)
-    j = printer.kinematics.jacobian(place[None])[0]
-    nozzle, carriages = (
-        printer.vibration.frequency_response(place, FREQUENCIES, "nozzle", "nozzle"),
-        printer.vibration.frequency_response(place, FREQUENCIES),
-    )
-    np.testing.assert_allclose(nozzle @ j, j @ carriages, atol=1e-11)
 
 
 @pytest.mark.parametrize("xy", PLACES)
@@ -241,19 +213,6 @@ def test_the_frf_blows_up_at_the_poles(printer: Machine, force_map: str) -> None
             own * np.eye(3) + gamma * delta_vibration(machine).effector_impedance(s) @ j, compute_uv=False
         )
         assert singular[-1] < 1e-9 * singular[0] + 1e-5
-
-
-def test_damping_ratios_of_a_carriage_that_carries_nothing(printer: Machine) -> None:
-    """With next to nothing on the effector each carriage vibrates alone: ζ = (c + b)/(2 √(k m)), Eq. 35."""
-    light = replace(delta_vibration(printer).effector, nozzle_mass_kg=1e-9, extruder_mass_kg=1e-9)
-    machine = with_parts(
-        printer, effector=light, carriage=replace(delta_vibration(printer).carriage, arm_pair_mass_kg=0.0)
-    )
-    slow = machine.vibration.modes_at(np.zeros(2))
-    carriage = delta_vibration(machine).carriage
-    zeta = 26.2 / (2 * np.sqrt(carriage.belt_stiffness_n_per_m * carriage.mass_kg))
-    near = np.isclose(slow.damping_ratios, zeta, rtol=1e-4)
-    assert near.sum() == 3
 
 
 @pytest.mark.parametrize("force_map", ["virtual_work", "paper"])
