@@ -9,7 +9,6 @@ FFCOMP_DATA); without them their tables stay as they are.
 
 from __future__ import annotations
 
-import os
 import sys
 import time
 from collections.abc import Mapping, Sequence
@@ -33,13 +32,9 @@ from ffcomp.simulation.playback import simulate_nozzles
 from gcode.dialect import KLIPPER
 from models.file import load_machine
 from models.machine import Machine
-from studies.comparison_extruder import extruder_rows
-from studies.comparison_inverse import SPANS_S
-from studies.comparison_rivals import Pair, inverse_within, inversions, pairs
-from studies.render import results_of, save
+from studies.comparison_rivals import SPANS_S, Pair, inverse_within, inversions, pairs
+from studies.render import DATA, ROOT, results_of, save
 
-ROOT = Path(__file__).parents[1]
-DATA = Path(os.environ.get("FFCOMP_DATA", ROOT.parent / "shared" / "data"))
 CASES = (
     (ROOT / "sample_prints" / "ringing_tower.gcode", "mp-delta-pro"),
     (ROOT / "sample_prints" / "lobed_vase.gcode", "mp-delta-pro"),
@@ -123,7 +118,6 @@ def case(path: Path, machine: Machine, whole: bool) -> dict[str, Any]:
     found["quality"] = _quality(own, chosen[:1], p99)
     _said("quality", began)
     found["whole"] = _whole(own, chosen) if whole else []
-    found["extruder"] = extruder_rows(machine, slices, few) if whole else None
     found["computing_s"] = time.process_time() - began
     _said("all", began)
     return found

@@ -8,7 +8,7 @@
 The bank is `validation/blind`. Everything is kept in DIR (see `validation/blind/bank.py`; of a cluster, on a disk that
 all workers see), so that it can be stopped at any time and continued: a verdict that is there is not asked for again.
 The cases come in an order of which every beginning is balanced. Each is sealed, asked for in a process of its own
-(`bank_case`), and only the labels of answered cases are opened, at the end.
+(`--case`), and only the labels of answered cases are opened, at the end.
 """
 
 from __future__ import annotations
@@ -16,10 +16,12 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import resource
 import signal
 import subprocess
 import sys
 import time
+import traceback
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict
@@ -30,21 +32,26 @@ from typing import Any
 import joblib
 import numpy as np
 
-from studies.bank_case import LONGEST_S
-from studies.render import results_of, save
+from ffcomp.api.measurements import diagnose, gap
+from ffcomp.errors import FfcompError
+from studies.diagnosis_rivals import rivals
+from studies.render import REPORTS, ROOT, results_of, save
 from validation.blind import score
 from validation.blind.bank import FULL, full_bank, label_path, make_case, open_labels, refusal_path, verdict_path
 from validation.blind.kinds import KINDS, MACHINES
 from validation.blind.score import confusion_rows, miss, rate_of
 
-ROOT = Path(__file__).parents[1]
-FIGURE = ROOT / "studies" / "reports" / "diagnosis_confusion.png"
+FIGURE = REPORTS / "diagnosis_confusion.png"
+LONGEST_S = 600  # of CPU: of the answer, and of its rivals
 EDGES = (0.0, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, np.inf)
 METHODS = {"ours": "ffcomp", "sindy": "SINDy", "spike_slab": "spike and slab", "bic": "BIC, one effect"}
 
 
 def main() -> None:
     """Make, ask, open, and write the page."""
+    if sys.argv[1:2] == ["--case"]:
+        folder, out, *fresh = map(Path, sys.argv[2:])
+        return case(folder, out, fresh)
     options = _options()
     bank = Path(options.resume)
     cases = full_bank(options.cases, options.seed, options.machines)
@@ -139,7 +146,15 @@ def asked(bank: Path, name: str) -> None:
     """Let a process of its own answer, and write that it did not."""
     fresh = sorted((bank / "sealed" / name / "fresh").glob("*.csv"))
     out = bank / "verdicts" / name
-    command = [sys.executable, "-m", "studies.bank_case", str(bank / "cases" / name), str(out), *map(str, fresh)]
+    command = [
+        sys.executable,
+        "-m",
+        "studies.diagnosis",
+        "--case",
+        str(bank / "cases" / name),
+        str(out),
+        *map(str, fresh),
+    ]
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "OPENBLAS_NUM_THREADS": "1"}
     answer = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, env=environment, check=False)
     why = f"exit {answer.returncode}: {answer.stderr[-800:]}"
@@ -163,21 +178,6 @@ def _proof_path(bank: Path, name: str) -> Path:
     return bank / "verdicts" / f"{name}-proof.json"
 
 
-def ffcomp(*arguments: str | Path) -> dict[str, Any]:
-    """The answer of the command line as JSON; its last words if it failed."""
-    command = [sys.executable, "-c", "from ffcomp.cli.app import main; main()", *map(str, arguments)]
-    environment = {**os.environ, "PYTHONPATH": str(ROOT), "OPENBLAS_NUM_THREADS": "1"}
-    try:
-        answer = subprocess.run(
-            command, capture_output=True, text=True, cwd=ROOT, env=environment, timeout=LONGEST_S, check=False
-        )
-    except subprocess.TimeoutExpired:
-        return {"verdict": score.FAILED, "why": f"no answer within {LONGEST_S:.0f} s"}
-    if answer.returncode != 0:
-        return {"verdict": score.FAILED, "why": f"exit {answer.returncode}: {answer.stderr[-800:]}"}
-    return dict(json.loads(answer.stdout))
-
-
 def _read(path: Path) -> dict[str, Any]:
     return dict(json.loads(path.read_text(encoding="utf-8")))
 
@@ -187,6 +187,47 @@ def _write(path: Path, content: dict[str, Any]) -> None:
     beside = path.with_suffix(".part")
     beside.write_text(json.dumps(content, indent=1), encoding="utf-8")
     beside.replace(path)
+
+
+# ---- one case, in a process of its own -----------------------------------------------------------
+
+
+def case(folder: Path, out: Path, fresh: Sequence[Path]) -> None:
+    """Ask for the verdict of one sealed case and those of the rivals; nothing here reads a label.
+
+    folder : with machine.toml and runs/
+    out : OUT.json gets the verdict, OUT.toml the better machine file, OUT-proof.json the gap on fresh runs
+    """
+    resource.setrlimit(resource.RLIMIT_CPU, (LONGEST_S, LONGEST_S + 10))
+    runs, better = sorted((folder / "runs").glob("*.csv")), out.with_suffix(".toml")
+    began = time.process_time()
+    try:
+        found = diagnose(runs, folder / "machine.toml", better)
+    except FfcompError as error:
+        _write(out.with_suffix(".json"), {"verdict": "failed", "why": str(error)})
+        return
+    took = time.process_time() - began
+    others = rivals_of(found.search)
+    beside = time.process_time() - began - took
+    proof = {}
+    if better.exists():
+        before, after = (gap(fresh, file).residual.total for file in (folder / "machine.toml", better))
+        proof = {"before": before.nrms, "after": after.nrms, "noise": before.noise_nrms}
+    _write(out.parent / f"{out.stem}-proof.json", proof)
+    tried = [{"effects": list(h.names), "evidence": h.fit.evidence, "left": h.discrepancy} for h in found.search.tried]
+    _write(
+        out.with_suffix(".json"),
+        {**found.to_dict(), "cpu_seconds": took, "rivals_cpu_seconds": beside, "rivals": others, "tried": tried[:8]},
+    )
+
+
+def rivals_of(search: Any) -> dict[str, Any]:
+    """Return the rivals' verdicts; one that fails has none."""
+    try:
+        return rivals(search)
+    except Exception:
+        failed = {"verdict": "failed", "effects": [], "why": traceback.format_exc()[-500:]}
+        return dict.fromkeys(("sindy", "spike_slab", "bic"), failed)
 
 
 # ---- the results ---------------------------------------------------------------------------------

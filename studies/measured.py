@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 import resource
 import subprocess
 import sys
@@ -28,9 +27,8 @@ from ffcomp.diagnosis.gap import gap_of
 from ffcomp.diagnosis.problem import Problem
 from ffcomp.diagnosis.problems import plant_of, problem_of, recordings_of
 from models.file import load_plant
-from studies.render import REPORTS, ROOT, results_of, save
+from studies.render import DATA, REPORTS, results_of, save
 
-DATA = Path(os.environ.get("FFCOMP_DATA", ROOT.parent / "shared" / "data"))
 FIGURE = REPORTS / "measured.png"
 
 

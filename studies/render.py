@@ -14,6 +14,7 @@ import argparse
 import dataclasses
 import json
 import math
+import os
 import platform
 import sys
 import textwrap
@@ -25,6 +26,7 @@ import jinja2
 
 ROOT = Path(__file__).parents[1]
 STUDIES = ROOT / "studies"
+DATA = Path(os.environ.get("FFCOMP_DATA", ROOT.parent / "shared" / "data"))  # of others, not part of the project
 TEMPLATES, RESULTS, REPORTS = STUDIES / "templates", STUDIES / "results", STUDIES / "reports"
 SUMMARIES = {"accuracy": "docs/ACCURACY.md"}
 """Pages that every user may want to read; the others are reports beside the studies."""

@@ -13,7 +13,7 @@ from ffcomp.comparison.baselines import Shaping
 from ffcomp.comparison.sampling import Print, Sampling
 from models.arrays import FloatArray
 from models.file import load_machine
-from studies.comparison_inverse import InversePrinter, ModeInverse, mode_inverse
+from studies.comparison_rivals import InversePrinter, ModeInverse, mode_inverse
 from tests.support.prints import squares
 
 MODE_HZ, ZETA, STEP_S = 45.0, 0.08, 5e-5

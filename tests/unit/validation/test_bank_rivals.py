@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from studies.bank_rivals import Library, sindy, spike_and_slab
+from studies.diagnosis_rivals import Library, sindy, spike_and_slab
 
 ROWS = 2000
 
