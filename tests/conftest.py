@@ -30,6 +30,7 @@ TESTS = Path(__file__).parent
 NOT_SLOW = "not slow"
 SLOW = (  # folders and files; single tests have the marker themselves
     "docs/test_examples.py",
+    "docs/test_json_page.py",
     "docs/test_performance_page.py",
     "e2e",
     "fuzz",
@@ -40,19 +41,22 @@ SLOW = (  # folders and files; single tests have the marker themselves
     "unit/ffcomp/cli/test_help.py",
     "unit/ffcomp/comparison/test_engine.py",
     "unit/ffcomp/comparison/test_monte_carlo.py",
-    "unit/ffcomp/diagnosis/test_separating_moves.py",
     "unit/ffcomp/comparison/test_baselines.py",
     "unit/ffcomp/compensation/test_gcode_layout.py",
+    "unit/ffcomp/compensation/test_gcode_writer.py",
+    "unit/ffcomp/compensation/test_prediction.py",
     "unit/ffcomp/diagnosis",
-    "unit/ffcomp/record/test_excitation.py",
+    "unit/ffcomp/identification/test_captures.py",
     "unit/ffcomp/identification/test_direct.py",
     "unit/ffcomp/identification/test_modal_fit.py",
+    "unit/ffcomp/identification/test_scan.py",
     "unit/ffcomp/inverse/test_nonlinear.py",
     "unit/ffcomp/inverse/test_lq_preview.py",
     "unit/ffcomp/inverse/test_robust.py",
     "unit/ffcomp/inverse/test_time_scaling.py",
     "unit/ffcomp/inverse/test_limited_window.py",
     "unit/ffcomp/measurement/test_modes.py",
+    "unit/ffcomp/measurement/test_swept.py",
     "unit/ffcomp/record",
     "unit/ffcomp/report/test_diagnose.py",
     "unit/ffcomp/report/test_frf.py",
@@ -65,11 +69,22 @@ SLOW = (  # folders and files; single tests have the marker themselves
     "unit/models/vibration/test_receptance.py",
     "unit/validation",
 )
+FAST = (  # in slow folders: every package has a test in each quick run
+    "e2e/test_estimate.py",
+    "unit/ffcomp/check/test_history.py",
+    "unit/ffcomp/diagnosis/test_held_out.py",
+    "unit/ffcomp/diagnosis/test_pitches.py",
+    "unit/ffcomp/faster/test_predicted_error.py",
+    "unit/ffcomp/record/test_motor_logs.py",
+    "unit/ffcomp/record/test_multisine.py",
+)
 SLOW_NAMES = ("test_against_kalico.py",)  # wherever they are
 
 
 def is_slow(path: Path) -> bool:
-    """Return whether a folder or a file of tests is one of SLOW, or in one."""
+    """Return whether a file of tests is one of SLOW, or in one; a folder is not, if it has one of FAST."""
+    if any((TESTS / fast).is_relative_to(path) for fast in FAST):
+        return False
     return path.name in SLOW_NAMES or any(path.is_relative_to(TESTS / slow) for slow in SLOW)
 
 

@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.conftest import TESTS, is_slow
+
 ROOT = Path(__file__).parents[1]
 HEAVY = ("numpy", "scipy", "numba", "matplotlib", "pydantic", "control", "osqp", "cvxpy")
 
@@ -40,3 +42,12 @@ def test_the_readme_names_commands_that_exist() -> None:
 
 def test_ci_runs_the_readmes_test_command() -> None:
     assert "\nscripts/test\n" in (ROOT / ".ci" / "run").read_text(encoding="utf-8")
+
+
+def test_every_package_has_a_test_in_each_quick_run() -> None:
+    """Files that import it and are not among SLOW of tests/conftest.py."""
+    quick = [path.read_text(encoding="utf-8") for path in TESTS.rglob("test_*.py") if not is_slow(path)]
+    packages = [path.parent.name for path in (ROOT / "ffcomp").glob("*/__init__.py")]
+    assert len(packages) > 15
+    without = [name for name in packages if not any(f"from ffcomp.{name}" in text for text in quick)]
+    assert without == ["api"]  # its names are those of ffcomp: test_names.py

@@ -31,23 +31,6 @@ def test_a_print_imports_nothing_that_it_does_not_need(tmp_path: Path) -> None:
     assert python(f"{code}; print(*[m for m in {unneeded!r} if m in sys.modules])") == ""
 
 
-@pytest.mark.parametrize("name", [name for name in ffcomp.__all__ if name != "__version__"])
-def test_every_name_is_a_documented_function(name: str) -> None:
-    function = getattr(ffcomp, name)
-    assert inspect.isfunction(function)
-    assert function.__doc__ and "Parameters" in function.__doc__ and "Raises" in function.__doc__
-    parameters = set(inspect.signature(function).parameters)
-    described = function.__doc__.split("Parameters")[1]
-    assert all(parameter in described for parameter in parameters - {"progress"}), name
-    assert name in dir(ffcomp)
-    assert inspect.signature(function).return_annotation not in (None, inspect.Signature.empty)
-
-
-def test_an_unknown_name_is_an_attribute_error() -> None:
-    with pytest.raises(AttributeError, match="nothing_of_the_kind"):
-        _ = ffcomp.nothing_of_the_kind  # type: ignore[attr-defined]
-
-
 def test_a_print_from_file_to_figure(tmp_path: Path) -> None:
     target = tmp_path / "out.gcode"
     machine = ffcomp.load_machine("mp-delta-pro")

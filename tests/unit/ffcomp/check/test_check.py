@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -12,10 +11,8 @@ import numpy as np
 import pytest
 
 from ffcomp.check.compare import CheckResult, check_result
-from ffcomp.check.history import MOST, WITH_MOTION, Check, read_history, write_history
+from ffcomp.check.history import Check
 from ffcomp.check.parts import Signatures, fitted
-from ffcomp.check.signals import SensorSignal
-from ffcomp.errors import MeasurementError
 from ffcomp.measurement.recording import Recording
 from ffcomp.record.clock import ClockFit
 from ffcomp.record.moves import Request, make_plan
@@ -183,33 +180,3 @@ def test_straight_axes_are_checked_by_their_modes(straight: Bench) -> None:
     rough = replace(HEAD, friction_n=(2.0, 2.0))
     found = straight.check(straight.joined(rough, 5), before).verdict
     assert found.finding == "changed" and "riction of the guides is" in found.message, found.message
-
-
-# ---- the file
-
-
-def light(date: str, plan: str = "p", seed: int = 0) -> Check:
-    felt = SensorSignal("a", np.round(np.random.default_rng(seed).normal(size=(20, 3)), 3), np.full(3, 0.1), 1e-4, 2)
-    return Check(date, plan, "s", AXES, "same", "As before.", 0.1, 0.01, 0.01, (felt,))
-
-
-def test_a_history_keeps_what_it_was_given_and_stays_small(tmp_path: Path) -> None:
-    path = tmp_path / "checks.jsonl"
-    write_history(path, [light(str(k), seed=k) for k in range(MOST + 7)])
-    read = read_history(path)
-    assert [each.date for each in read] == [str(k) for k in range(7, MOST + 7)]
-    assert [bool(each.signals) for each in read] == [True, *[False] * (MOST - 1 - WITH_MOTION), *[True] * WITH_MOTION]
-    assert np.array_equal(read[-1].signals[0].acceleration, light("", seed=MOST + 6).signals[0].acceleration)
-
-
-@pytest.mark.parametrize("damage", ["half", "other", "numbers"])
-def test_a_damaged_history_is_refused_and_not_overwritten(damage: str, tmp_path: Path) -> None:
-    path = tmp_path / "checks.jsonl"
-    write_history(path, [light("1"), light("2")])
-    first, second = path.read_text(encoding="utf-8").splitlines()
-    entry = json.loads(second)
-    entry["experiments"][0]["acceleration_mm_per_s2"][0][3] = None
-    texts = {"half": second[: len(second) // 2], "other": '{"schema": "else"}', "numbers": json.dumps(entry)}
-    path.write_text(f"{first}\n{texts[damage]}\n", encoding="utf-8")
-    with pytest.raises(MeasurementError, match="Line 2 of the history is no check of ffcomp"):
-        read_history(path)
