@@ -25,7 +25,6 @@ from models.kinematics.base import Compiled
 SOLVER_TOLERANCE = 1e-5  # of scaled numbers
 SMALLEST_SIZE = 1e-12  # of an empty programme
 MARGIN = 2e-3  # distance to the limits, for changes of o, c and m and for the solver's accuracy
-ROOM = (1.0, 1.1, 1.3, 1.7, 2.5)  # times the limit, where given knots on both sides leave no room for less
 
 
 def constrained_step(
@@ -53,15 +52,9 @@ def constrained_step(
     Raises
     ------
     SolverError
-        When there is no solution even with the widest margin.
+        When the given knots on both sides leave no room for a solution.
     """
-    rows = _Rows(command, plan, limits, kinematics)
-    for room in ROOM:
-        try:
-            return solve_qp(hessian, -gradient, *rows.within(room))
-        except SolverError as error:
-            failed = error
-    raise failed
+    return solve_qp(hessian, -gradient, *_Rows(command, plan, limits, kinematics).bounded())
 
 
 class _Rows:
@@ -71,29 +64,29 @@ class _Rows:
         self._limits, self._command = limits, command
         self._now, self._plan = (limits.demand(kinematics.forward(each)) for each in (command, plan))
 
-    def within(self, room: float) -> tuple[sparse.csc_matrix, FloatArray, FloatArray]:
+    def bounded(self) -> tuple[sparse.csc_matrix, FloatArray, FloatArray]:
         """Return the rows A and their bounds: low ≤ A δ ≤ high."""
-        parts = [self._velocity(room), self._acceleration(room)]
+        parts = [self._velocity(), self._acceleration()]
         if np.isfinite(self._limits.travel_mm).any():
-            parts.append(self._travel(room))
+            parts.append(self._travel())
         blocks, lows, highs = zip(*parts, strict=True)
         return sparse.csc_matrix(sparse.vstack(blocks)), np.concatenate(lows).ravel(), np.concatenate(highs).ravel()
 
-    def _velocity(self, room: float) -> tuple[sparse.csr_matrix, FloatArray, FloatArray]:
+    def _velocity(self) -> tuple[sparse.csr_matrix, FloatArray, FloatArray]:
         # the first and the last segment lie between given knots
         now, plan = self._now.velocity[1:-1], self._plan.velocity[1:-1]
-        return self._between(1, now, plan, room, self._limits.velocity_mm_per_s)
+        return self._between(1, now, plan, self._limits.velocity_mm_per_s)
 
-    def _acceleration(self, room: float) -> tuple[sparse.csr_matrix, FloatArray, FloatArray]:
+    def _acceleration(self) -> tuple[sparse.csr_matrix, FloatArray, FloatArray]:
         now, plan = (demand.acceleration(self._limits.segment_s) for demand in (self._now, self._plan))
-        return self._between(2, now, plan, room, np.full(3, self._limits.acceleration_mm_per_s2))
+        return self._between(2, now, plan, np.full(3, self._limits.acceleration_mm_per_s2))
 
     def _between(
-        self, order: int, now: FloatArray, plan: FloatArray, room: float, limit: FloatArray
+        self, order: int, now: FloatArray, plan: FloatArray, limit: FloatArray
     ) -> tuple[sparse.csr_matrix, FloatArray, FloatArray]:
         """now, plan (rows, 3, 2): demand at both ends of a range, allowed within ± the ceiling."""
         planned = np.abs(plan).max(axis=2)
-        ceiling = np.maximum(room * (1.0 - MARGIN) * limit, np.where(planned > TOLERANCE * limit, planned, 0.0))
+        ceiling = np.maximum((1.0 - MARGIN) * limit, np.where(planned > TOLERANCE * limit, planned, 0.0))
         n = len(self._command) - 4
         stencil = np.diff(np.eye(n + 4), order, axis=0)
         touched = stencil[np.any(stencil[:, 2:-2] != 0.0, axis=1), 2:-2]
@@ -101,16 +94,16 @@ class _Rows:
         scaled = sparse.csr_matrix(sparse.kron(touched / self._limits.segment_s**order, motors))
         return scaled, (-ceiling - now.min(axis=2)) / limit, (ceiling - now.max(axis=2)) / limit
 
-    def _travel(self, room: float) -> tuple[sparse.csr_matrix, FloatArray, FloatArray]:
-        """Heights in units of a millimetre; the room is added as so many tenths of it."""
+    def _travel(self) -> tuple[sparse.csr_matrix, FloatArray, FloatArray]:
+        """Heights in units of a millimetre."""
         low, high = self._limits.travel_mm
-        every, more = self._command @ self._limits.motors.T, 0.1 * (room - 1.0)
+        every = self._command @ self._limits.motors.T
         heights, ends = every[2:-2], np.maximum(every[:-1], every[1:])
         above = self._now.height[..., 1] - ends
         beside = np.maximum(above[1:-2], above[2:-1])
         planned = self._plan.height[1:-1]
-        floor = np.minimum(low + 1e-3, np.minimum(planned[:-1, :, 0], planned[1:, :, 0])) - more
-        ceiling = np.maximum(high - 1e-3, np.maximum(planned[:-1, :, 1], planned[1:, :, 1])) + more
+        floor = np.minimum(low + 1e-3, np.minimum(planned[:-1, :, 0], planned[1:, :, 0]))
+        ceiling = np.maximum(high - 1e-3, np.maximum(planned[:-1, :, 1], planned[1:, :, 1]))
         matrix = sparse.csr_matrix(sparse.kron(sparse.eye(len(heights)), self._limits.motors))
         return matrix, floor - heights, ceiling - beside - heights
 
