@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from bisect import bisect_left
 from collections.abc import Iterator
 from copy import copy
 from dataclasses import dataclass, fields, replace
-from operator import attrgetter
 
 import numpy as np
 
@@ -26,14 +24,14 @@ from ffcomp.inverse.time_scaling import (
     Replanner,
     ScaledSection,
     TimeScaling,
+    after_events,
     late_segments,
 )
 from ffcomp.planner.lifts import FLOWS_MM
 from ffcomp.planner.limits import lines_of
 from ffcomp.planner.trajectory import PathPosition, Section, Trajectory
 from gcode.program import Moves, Program
-from gcode.slicing import some
-from models.arrays import BoolArray, FloatArray, IntArray
+from models.arrays import BoolArray, FloatArray
 
 ENDS = 6  # knots of a command at either end, where its motion begins and ends
 STEEP = 1.4  # times the accelerations of its path and its middle: limit for the ends
@@ -96,19 +94,18 @@ def solve_feasible(model: InverseModel, request: PlannedSection) -> SolvedSectio
     for written, gentle in _layouts(model, request):
         if (found := _within_limits(model, request, written, gentle)) is not None:
             return found
-    written, keep = request.written, request.keep_response
+    written = request.written
     solution = _free(model, request, written)
-    moves = some(request.program.moves, slice(section.first, section.last))
     scaled = ScaledSection(
         model,
-        moves,
+        request.program,
+        section.first,
+        section.last,
         request.replanner,
         section.begin_t,
         request.extent,
         request.state,
-        request.program.first_line,
-        keep_response=keep,
-        after_events=after_events(request.program, section.first, section.last) - section.first,
+        keep_response=request.keep_response,
     )
     written, solution = scaled.solve(settings.slowing.tolerance_um * 1e-3, (written, solution))
     if not scaled.reasons:
@@ -222,17 +219,7 @@ def scale_around_cut(
     first, last = np.flatnonzero(inner)[[0, -1]].tolist()
     middle = Extent(PathPosition(first, 0.0), PathPosition(last, float(lines_of(moves).length[last])))
     state = model.machine.equilibrium(moves.start[0, :3])
-    scaled = ScaledSection(
-        model,
-        moves,
-        replanner,
-        0.0,
-        middle,
-        state,
-        program.first_line,
-        fixed=~inner,
-        after_events=after_events(program, 0, len(moves)),
-    )
+    scaled = ScaledSection(model, program, 0, len(moves), replanner, 0.0, middle, state, fixed=~inner)
     scaled.scale(NO_TOLERANCE_MM)
     records = tuple(scaled.records(plan.duration, replanner.layer_of)) if scaled.reasons else ()
     if records and model.settings.slowing.strict:
@@ -242,13 +229,6 @@ def scale_around_cut(
 
 def _refuse(records: tuple[TimeScaling, ...]) -> None:
     raise LimitsError(" ".join(record.sentence("would have to be slowed") for record in records))
-
-
-def after_events(program: Program, first: int, last: int) -> IntArray:
-    """Return the moves between two of a program before which a line of the file stands, (k,)."""
-    events, key = program.events, attrgetter("move")
-    inside = events[bisect_left(events, first + 1, key=key) : bisect_left(events, last, key=key)]
-    return np.unique(np.array([event.move for event in inside], dtype=np.int64))
 
 
 def _spliced(trajectory: Trajectory, section: Section, part: Trajectory) -> tuple[Trajectory, float]:

@@ -60,10 +60,7 @@ from models.vibration.scheduled import Schedule, plant_table
 
 Tried = tuple[FloatArray, FloatArray]  # a point and its answer, (n, 3) mm
 
-JUDGED_KNOTS, BLENDED_KNOTS = (
-    16,
-    8,
-)  # knots on either side: window of the error, and of blending two commands
+JUDGED_KNOTS, BLENDED_KNOTS = 16, 8  # on either side: window of the error, and of blending two commands
 RIDGE, LEAST_MM2 = 1e-2, 1e-12  # what keeps the weights small: of the squares, and where nothing moves
 
 
@@ -90,7 +87,7 @@ def around(values: FloatArray, knots: int) -> FloatArray:
 
 PLAY = "belt_backlash"
 FEEDFORWARD_EFFECTS = ("coulomb_friction", "stribeck_friction", PLAY)
-TURNS_MM = 0.004  # ε: some tenths of a newton
+BACKLASH_SMOOTHING_MM = 0.004  # ε: some tenths of a newton
 SWEEPS = 3
 
 
@@ -129,7 +126,7 @@ class FrictionBacklash:
         n = self._numbers
         more = 1e3 * guide_friction(n, q / 1e3, self._row_s) / n.belt_k
         padded = stretch[np.minimum(np.arange(len(q)), len(stretch) - 1)]
-        return np.asarray(more + 1e3 * n.half_backlash * np.clip((padded + more) / TURNS_MM, -1.0, 1.0))
+        return np.asarray(more + 1e3 * n.half_backlash * np.clip((padded + more) / BACKLASH_SMOOTHING_MM, -1.0, 1.0))
 
 
 class _Answer:
@@ -194,11 +191,7 @@ ROUNDS = 16  # of the whole printer at most
 STALL_RATIO = 0.97  # a round that leaves more of the error than this was the last
 TRIED = 4  # rounds whose answers are mixed
 PLAY_RELAXATION = 0.7  # share of an answer that is taken up where there is play: inside it, nothing answers
-SMOOTHINGS, SMOOTHED_KNOTS, KEPT_SHARE = (
-    60,
-    4,
-    0.9,
-)  # of a change that breaks a limit: tries, knots around, remaining factor
+SMOOTHINGS, SMOOTHED_KNOTS, KEPT_SHARE = 60, 4, 0.9  # of a change that breaks a limit: tries, knots around, factor
 
 
 @dataclass

@@ -94,9 +94,7 @@ class Reference:
         trajectory = trajectory.part(section.first, section.last)
         room = room or Room(settings.lead_s, settings.tail_s)
         self.robust_offset: FloatArray | None = None  # (rows, 3) mm, where it is known already
-        self._evened_mm: FloatArray | float = (
-            0.0  # (n + 1,) by how much the filament at the knots is ahead; `even_flow`
-        )
+        self._evened_mm: FloatArray | float = 0.0  # (n + 1,) lead of the filament at the knots; `even_flow`
         self.t0 = section.begin_t - room.lead_s  # s on the plan's clock
         if through is not None:
             t, multiple = through

@@ -20,8 +20,10 @@ possible.
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
+from operator import attrgetter
 
 import numpy as np
 
@@ -52,7 +54,8 @@ from ffcomp.planner.lifts import FLOWS_MM, even_wipes, join_lifts
 from ffcomp.planner.limits import PlannerLimits, bounds_of, lines_of
 from ffcomp.planner.segment_timing import segment_speeds
 from ffcomp.planner.trajectory import Section, Trajectory
-from gcode.program import Moves
+from gcode.program import Moves, Program
+from gcode.slicing import some
 from models.arrays import BoolArray, FloatArray, IntArray
 
 Command = tuple[WrittenReference, Solution]  # of one plan
@@ -108,18 +111,20 @@ class ScaledSection:
     """The moves of one section, while they become slower."""
 
     model: InverseModel
-    moves: Moves
+    program: Program
+    first: int  # move of the program, of the section
+    last: int  # after its last move
     replanner: Replanner
     begin_t: float
     extent: Extent
     state: FloatArray
-    first_line: int
     keep_response: bool = False
     fixed: BoolArray | None = None  # (n,) the moves that keep their speed; None: those near the section's cuts
-    after_events: IntArray | None = None  # (k,) moves before which a line of the file stands
 
     def __post_init__(self) -> None:
         self.reasons: dict[int, Violation] = {}  # move → why it became slower at first
+        self.moves = some(self.program.moves, slice(self.first, self.last))
+        self._after_events = after_events(self.program, self.first, self.last) - self.first
         self._plan_again()
         self._fixed = self._near_cuts() if self.fixed is None else self.fixed
 
@@ -245,7 +250,7 @@ class ScaledSection:
 
     @property
     def _event_times(self) -> FloatArray:
-        return self.plan.start_t[[] if self.after_events is None else self.after_events]
+        return self.plan.start_t[self._after_events]
 
     def _path_utilisation(self, reference: Reference) -> FloatArray:
         """Return the path's own utilisation (n, 3, 3), the largest for any phase of the knots.
@@ -271,7 +276,7 @@ class ScaledSection:
 
     def _line_of(self, reference: Reference, violation: Violation) -> str:
         touched = self._touched(reference, violation)
-        return f"line {self.first_line + int(self.moves.line[touched[0]]) + 1}"
+        return f"line {self.program.first_line + int(self.moves.line[touched[0]]) + 1}"
 
     def _touched(self, reference: Reference, violation: Violation) -> IntArray:
         """Return the moves under way from a segment before the violation to one after it; at least one."""
@@ -349,8 +354,8 @@ class ScaledSection:
             all_moves = slice(group[0], group[-1] + 1)
             before, after = planned_s[all_moves].sum(), self.plan.duration[all_moves].sum()
             yield TimeScaling(
-                self.first_line + int(self.moves.line[group[0]]) + 1,
-                self.first_line + int(self.moves.line[group[-1]]) + 1,
+                self.program.first_line + int(self.moves.line[group[0]]) + 1,
+                self.program.first_line + int(self.moves.line[group[-1]]) + 1,
                 layer_of(int(group[0])),
                 min(float(before / after), 1.0),
                 float(after - before),
@@ -358,6 +363,13 @@ class ScaledSection:
                 "" if worst.limit == TIMING else NAMES[worst.limit],
                 worst.utilisation,
             )
+
+
+def after_events(program: Program, first: int, last: int) -> IntArray:
+    """Return the moves between two of a program before which a line of the file stands, (k,)."""
+    events, key = program.events, attrgetter("move")
+    inside = events[bisect_left(events, first + 1, key=key) : bisect_left(events, last, key=key)]
+    return np.unique(np.array([event.move for event in inside], dtype=np.int64))
 
 
 def _among(violations: Iterator[Violation], written: WrittenReference) -> list[Violation]:
