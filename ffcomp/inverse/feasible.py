@@ -124,9 +124,10 @@ def solve_feasible(model: InverseModel, request: PlannedSection) -> SolvedSectio
 
 
 def _layouts(model: InverseModel, request: PlannedSection) -> Iterator[tuple[WrittenReference, bool]]:
-    """Yield the section on knots with more and more time beyond its path, and whether its command must end gently.
+    """Yield the section on knots with increasing time beyond its path, and whether its command must end gently.
 
-    A few ms there are less than what slower moves would take. With all of the time, whatever keeps the limits will do.
+    Always all of the time makes ten prints 0.67 % longer on average, not 0.44 %, and their contour error no smaller.
+    Without gentle ends a peak of acceleration was 2.3 times as high. With all of the time, they are not required.
     """
     s, section, own = model.settings, request.section, request.written
     if request.extent == WHOLE:
