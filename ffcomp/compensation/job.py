@@ -171,16 +171,15 @@ class Job:
         """Write step timings into an archive (None: nowhere), which is replaced at the end or not at all."""
         started = time.perf_counter()
         reach = Reach(self.machine.kinematics)
-        split, context = self._split(reach, steps.plain)
         with ExitStack() as stack:
             target = target or Path(stack.enter_context(TemporaryDirectory()), "steps.npz")
             sink = self._sink(target, steps)
             stack.callback(sink.close)
-            statistics = self._stepped(split, context, StepStream(sink), steps.plain, progress)
-            statistics += Statistics(warnings=reach.warnings)
-            predicted = _forecast(statistics, self.machine)
+            lines = Lines(self, progress)
+            deque(lines.of(self.outputs(reach, StepStream(sink), steps.plain), reach), maxlen=0)
+            predicted = _forecast(lines.statistics, self.machine)
             totals = sink.finish()
-        result = self.result(statistics, time.perf_counter() - started, predicted)
+        result = self.result(lines.statistics, time.perf_counter() - started, predicted)
         return replace(result, steps=totals, shaper=None)
 
     def result(self, statistics: Statistics, seconds: float, predicted: Forecast) -> Result:
@@ -205,22 +204,6 @@ class Job:
         machine = {"name": self.machine.name, "sha256": self.machine.sha256}
         about = {"ffcomp": __version__, "machine": machine, "source": Path(self.path).name}
         return MotionSink(target, {**about, "compensated": not steps.plain})
-
-    def _stepped(
-        self, split: Iterator[Chunk], context: Context, stream: StepStream, plain: bool, progress: Progress
-    ) -> Statistics:
-        statistics, done = self.at_first(), 0
-        for chunk in split:
-            planned = plan_chunk(chunk, context)
-            if plain:
-                stream.uncompensated(planned.planned)
-                statistics += planned.statistics
-            else:
-                outputs = compensated_sections(planned, context, StepRenderer(stream, planned, context))
-                statistics += sum((output.statistics for output in outputs), Statistics())
-            done += _size(chunk.program)
-            progress(min(done / max(self.size, 1), 1.0))
-        return statistics
 
     @cached_property
     def settings(self) -> Settings:
@@ -296,9 +279,14 @@ class Job:
     def _footprint(self) -> Footprint | None:
         return footprint_of(self._programs(NOWHERE))
 
-    def outputs(self, reach: Reach) -> Iterator[tuple[Iterable[Output], int]]:
-        """Yield the output of each chunk, and its size in bytes of the print."""
-        split, context = self._split(reach)
+    def outputs(
+        self, reach: Reach, steps: StepStream | None = None, plain: bool = False
+    ) -> Iterator[tuple[Iterable[Output], int]]:
+        """Yield the output of each chunk, and its size in bytes of the print; plain: uncompensated steps."""
+        split, context = self._split(reach, plain)
+        if steps is not None:
+            yield from ((_stepped(chunk, context, steps), _size(chunk.program)) for chunk in split)
+            return
         if self.jobs == 1:
             yield from ((_planned_and_compensated(chunk, context), _size(chunk.program)) for chunk in split)
             return
@@ -375,49 +363,59 @@ class Lines:
 
     value: Result  # once all of them have been read
 
-    def __init__(self, job: Job, progress: Progress, folder: Path | None) -> None:
+    def __init__(self, job: Job, progress: Progress, folder: Path | None = None) -> None:
         self._job, self._progress, self._folder = job, progress, folder
-        self._statistics = Statistics()  # so far
+        self.statistics = Statistics()  # so far
 
     def __iter__(self) -> Iterator[bytes]:
         job, started = self._job, time.perf_counter()
         embed, predicted = job.settings.writer.embed, NO_FORECAST
 
         def planned_s() -> tuple[float, float]:
-            return self._statistics.print_time_s, self._statistics.original_print_time_s
+            return self.statistics.print_time_s, self.statistics.original_print_time_s
 
         def at_end() -> bytes:
             nonlocal predicted
-            predicted = _forecast(self._statistics, job.machine)
+            predicted = _forecast(self.statistics, job.machine)
             return predicted.line()
 
-        pieces = with_times_retold(self._body(), planned_s, embed=embed)
+        reach = Reach(job.machine.kinematics)
+        pieces = with_times_retold(self.of(job.outputs(reach), reach), planned_s, embed=embed)
         if job.shaper.state != "kept":
             pieces = with_shaper_off(pieces, job.shaper)
         stamp = stamp_line(__version__, job.machine.name, job.machine.sha256, job.flavor)
         notes = offset_line(job.offset) + (b"" if embed else WITHOUT_ORIGINAL + b"\n")
         yield from stamped(filter(None, in_order(pieces, self._folder)), stamp, notes, at_end)
-        self.value = job.result(self._statistics, time.perf_counter() - started, predicted)
+        self.value = job.result(self.statistics, time.perf_counter() - started, predicted)
 
-    def _body(self) -> Iterator[bytes]:
-        job, reach, done = self._job, Reach(self._job.machine.kinematics), 0
-        self._statistics = job.at_first()
-        for outputs, size in job.outputs(reach):
-            of_chunk, begun_s = Statistics(), self._statistics.print_time_s
-            for output in outputs:
+    def of(self, outputs: Iterable[tuple[Iterable[Output], int]], reach: Reach) -> Iterator[bytes]:
+        """Yield the text of chunks, of some bytes of the print each, and add up their statistics."""
+        job, done = self._job, 0
+        self.statistics = job.at_first()
+        for chunk, size in outputs:
+            of_chunk, begun_s = Statistics(), self.statistics.print_time_s
+            for output in chunk:
                 yield from (
                     Timed.at(line, begun_s + line.at_s) if isinstance(line, Timed) else line for line in output.text
                 )
                 of_chunk += output.statistics
                 self._progress(min((done + output.share * size) / max(job.size, 1), 1.0))
-            self._statistics += of_chunk
+            self.statistics += of_chunk
             done += size
-        self._statistics += Statistics(warnings=reach.warnings)
+        self.statistics += Statistics(warnings=reach.warnings)
 
 
 def _planned_and_compensated(chunk: Chunk, context: Context) -> Iterator[Output]:
     planned = plan_chunk(chunk, context)
     yield from compensated_sections(planned, context, GcodeRenderer(planned, context))
+
+
+def _stepped(chunk: Chunk, context: Context, steps: StepStream) -> Iterable[Output]:
+    planned = plan_chunk(chunk, context)
+    if not context.plain:
+        return compensated_sections(planned, context, StepRenderer(steps, planned, context))
+    steps.uncompensated(planned.planned)
+    return [Output((), planned.statistics)]
 
 
 def _work(chunk: Chunk, context: Context) -> Output:
