@@ -27,7 +27,7 @@ from models.compiled import fast_kernel, kernel
 
 WINDOW_S = 0.05  # a sample belongs to where the path is within this time, not to other lines and layers
 LONGEST_DELAY_S = 0.02
-EFFORT_SPAN_S = 1e-3  # a jump of speed at a corner counts as spread over this time, whatever the sampling
+EFFORT_SPAN_S = 4e-3  # one segment: a jump of speed at a corner is spread over this time, whatever the sampling
 SCAN_SAMPLES = 20_000  # enough to see in which millisecond the best delay lies
 
 

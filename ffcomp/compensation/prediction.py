@@ -136,7 +136,7 @@ class Prediction:
         knots = nozzle[:: s.substeps]
         for motion, actual, command in ((samples.before, plain, knots), (samples.after, response, result.vertices)):
             motion.actual.append(actual[every - 1 :: every] + shift)
-            bend = peak_acceleration(model.kinematics.inverse(command), s.segment_s, s.segment_s)
+            bend = peak_acceleration(model.kinematics.inverse(command), s.segment_s)
             motion.peak = max(motion.peak, bend)
         samples.pieces += self._pieces(solved, executed)
         samples.clock += length

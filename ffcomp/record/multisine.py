@@ -170,7 +170,7 @@ def scaled(kind: str, band: Band, acceleration: float, velocity: float, seed: in
     corner = band.lowest_hz
     while corner <= band.highest_hz:
         wave = KINDS[kind](band, corner, seed)
-        wave *= acceleration / peak_acceleration(wave, band.segment_s)
+        wave *= acceleration / _largest_bend(wave, band.segment_s)
         fastest = float(np.abs(np.diff(wave, append=wave[0])).max()) / band.segment_s
         if fastest <= velocity:
             return wave
@@ -182,7 +182,7 @@ def scaled(kind: str, band: Band, acceleration: float, velocity: float, seed: in
     )
 
 
-def peak_acceleration(wave: FloatArray, segment_s: float) -> float:
+def _largest_bend(wave: FloatArray, segment_s: float) -> float:
     """Return the largest second difference of one period, mm/s²."""
     return float(np.abs(np.roll(wave, -1) - 2.0 * wave + np.roll(wave, 1)).max()) / segment_s**2
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from ffcomp.firmware.program import PlannedProgram
 from ffcomp.inverse.settings import Settings
-from ffcomp.metrics import peak_acceleration, progress_in_order
+from ffcomp.metrics import EFFORT_SPAN_S, peak_acceleration, progress_in_order
 from ffcomp.planner.trajectory import Section, Trajectory
 from gcode.embedded import WAS, noted, section_times
 from gcode.program import Program
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 OfTime = Callable[[FloatArray], FloatArray]  # t : (k,) s → (k, 3) mm
 
-DIFFERENCE_S, SAMPLE_S = 0.004, 0.001  # speeds and accelerations of commands are differences over such a time
+SAMPLE_S = 0.001
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,11 +70,11 @@ def command_peaks(actuators: OfTime, begin_s: float, end_s: float) -> tuple[floa
 
     Both are differences over the time of one segment.
     """
-    span = round(DIFFERENCE_S / SAMPLE_S)
+    span = round(EFFORT_SPAN_S / SAMPLE_S)
     t = begin_s + SAMPLE_S * np.arange(max((end_s - begin_s) / SAMPLE_S, 2 * span) + 1)
     position = actuators(t)
-    speed = float(np.abs(position[span:] - position[:-span]).max()) / DIFFERENCE_S
-    return speed, peak_acceleration(position, SAMPLE_S, DIFFERENCE_S)
+    speed = float(np.abs(position[span:] - position[:-span]).max()) / EFFORT_SPAN_S
+    return speed, peak_acceleration(position, SAMPLE_S)
 
 
 @dataclass(frozen=True, slots=True)
