@@ -10,10 +10,9 @@ import shutil
 import signal
 import subprocess
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -231,44 +230,3 @@ def test_an_export_fails_when_ffcomp_does_and_says_why(slicer: Slicer) -> None:
 
 UNUSED = ["Toolbox", "UpdateChecker", "FirmwareUpdateChecker", "SliceInfoPlugin", "DigitalLibrary", "CuraDrive"]
 UNUSED += ["RemovableDriveOutputDevice", "USBPrinting", "UM3NetworkPrinting"]
-AT_HOME = {  # a Cura that asks nothing of the network and of the desk, and that needs no OpenGL
-    ".config/cura/4.13/cura.cfg": "[general]\nversion = 7\n[view]\nopengl_version_detect = force_modern\n",
-    ".config/cura/4.13/plugins.json": json.dumps({"disabled": UNUSED, "to_install": {}, "to_remove": []}),
-    ".local/share/cura/4.13/plugins/Driver/plugin.json": json.dumps(
-        {"name": "Driver", "author": "ffcomp", "version": "1.0.0", "api": 7, "description": "Uses Cura."}
-    ),
-    ".local/share/cura/4.13/plugins/Driver/__init__.py": (ROOT / "tests" / "support" / "cura_driver.py").read_text(),
-}
-
-
-@pytest.fixture
-def cura(slicer: Slicer) -> Callable[[Sequence[dict[str, Any]]], dict[str, Any]]:
-    """Has a Cura that was never used before slice the box and save it, and gives back what was seen on the way."""
-    home = slicer.folder / "home"
-    data, config, cache = (str(home / name) for name in (".local/share", ".config", ".cache"))
-    environment = {**os.environ, "HOME": str(home), "XDG_DATA_HOME": data, "XDG_CONFIG_HOME": config}
-    environment |= {"XDG_CACHE_HOME": cache, "QT_QPA_PLATFORM": "offscreen"}
-    environment |= {"CURA_JOB": str(slicer.folder / "job.json"), "FFCOMP_LOG": str(slicer.folder / "ffcomp.log")}
-
-    def started(*arguments: str) -> str:
-        answer = subprocess.run(
-            ["cura", *arguments], env=environment, capture_output=True, text=True, timeout=120, check=False
-        )
-        assert answer.returncode == 0, answer.stdout + answer.stderr
-        return answer.stdout
-
-    def use(saves: Sequence[dict[str, Any]]) -> dict[str, Any]:
-        job = {"printer": "kossel_mini", "model": str(slicer.folder / "box.stl"), "saves": saves}
-        (slicer.folder / "job.json").write_text(json.dumps(job))
-        started("--headless")
-        seen: dict[str, Any] = json.loads(slicer.bytes_of("seen.json"))
-        return seen
-
-    if shutil.which("cura") is None or "version: 4.13" not in started("--version"):
-        pytest.skip("no cura 4.13 here to slice with")
-    for name, text in AT_HOME.items():
-        (home / name).parent.mkdir(parents=True, exist_ok=True)
-        (home / name).write_text(text)
-    told = CliRunner().invoke(command_line.app, ["integrations", "install", "cura", "-m", "kossel"], env=environment)
-    assert told.stdout == f"{home / '.local/share/cura/4.13/scripts/Ffcomp.py'}\n"
-    return use
