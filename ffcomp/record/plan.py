@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Literal, Protocol
 
 import numpy as np
 
@@ -193,6 +193,7 @@ class Plan:
     seed: int = 1
     print_file: str = ""  # the print that is the experiment
     page: Page | None = None  # that is drawn, and seen instead of felt
+    shaper: Literal["off", "kept"] = "off"  # kept: as the firmware has it, on perhaps
 
     def runs(self) -> list[tuple[Experiment, int]]:
         """List experiment and repeat, from 1, in the order of the file: a repeat follows when all were made once."""
@@ -237,7 +238,7 @@ def plan_dict(plan: Plan) -> dict[str, Any]:
         "repeats": plan.repeats,
         "rest_before_s": plan.rest_before_s,
         "rest_after_s": plan.rest_after_s,
-        "shaper": "off",
+        "shaper": plan.shaper,
         **({} if plan.page is None else {"page": asdict(plan.page)}),
         "experiments": [_experiment_dict(each) for each in plan.experiments],
         "runs": [

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -185,6 +185,7 @@ def plan_recording(request: PlanRequest) -> PlanResult:
         switches_shaper=not request.keep_shaper,
     )
     plan, lines = _planned(request, machine, recorder)
+    plan = replace(plan, shaper="kept" if request.keep_shaper else "off")
     save_plan(plan, request.plan_file)
     replace_atomically(request.output, lines)
     recommended: tuple[Place, ...] = ()
