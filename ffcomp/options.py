@@ -52,7 +52,7 @@ PLANT = Option(
 )
 OFFSET = Option(
     "Move the print: a shift added to every position, e.g. -110,-110 for a print whose origin is a corner of the bed. "
-    "auto: none where the print lies inside as it is, else one that brings it inside.",
+    "auto: none if the print lies inside the print volume, else one that moves it inside.",
     MACHINE,
     "--offset-mm",
     metavar="X,Y",
@@ -61,7 +61,7 @@ OFFSET = Option(
     label="Shift, mm",
 )
 FLAVOR = Option(
-    "Firmware. Default: what the machine file says, or else the print.",
+    "Firmware. Default: that of the machine file, else that of the print.",
     MACHINE,
     metavar="NAME",
     choices=FLAVORS,

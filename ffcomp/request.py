@@ -1,8 +1,7 @@
-"""Declare a verb once, for every way to call it.
+"""Declare a verb once: command line, Python, browser page and reference are made from the declaration.
 
-The request of a verb is one frozen dataclass. A field gives an option's name, type and default, and the `Option` in
-its annotation the rest: one sentence, group, unit, range. The command line, the Python function, the forms of
-`ffcomp serve` and the reference page are made from that.
+The request of a verb is one frozen dataclass. A field gives an option's name, type and default; the `Option` in its
+annotation gives the rest: help, group, unit and range.
 
 To add an option, add a field to the verb's request and use it where the verb does its work. To add a verb:
 
@@ -26,11 +25,10 @@ To add an option, add a field to the verb's request and use it where the verb do
     # ffcomp/api/…                                         the Python function, with the request's own signature
     restore = function(RestoreRequest, restore_file)
 
-Names: `--the-field` unless the Option names others. A `bool` is a switch; `--no-…` exists where its default is True or
-None. A `tuple[X, ...]` may be given again. A type that words of the command line do not make by themselves has a
-`parse`. The page of `ffcomp serve` offers the options that have a `label`. A field without Option is for Python only.
-Ranges and choices (`Literal`) are checked when the request is made, whoever makes it; what concerns several fields goes
-into `check`.
+Names: `--the-field` unless the Option names others. A `bool` is a switch; `--no-…` exists if its default is True or
+None. A `tuple[X, ...]` may be repeated. A type that cannot be made from text directly has a `parse`. The page of
+`ffcomp serve` offers the options that have a `label`. A field without an Option is for Python only. Ranges and choices
+(`Literal`) are checked whenever a request is made; rules that involve several fields go into `check`.
 """
 
 from __future__ import annotations
@@ -70,11 +68,11 @@ R = TypeVar("R")
 
 OUTPUT, MACHINE, ACCURACY, SPEED, ADVANCED = "Output", "Machine and bed", "Accuracy", "Speed", "Advanced"
 FASTER, REACH = "A quicker print", "Who reaches it"
-GROUPS = (REACH, OUTPUT, MACHINE, ACCURACY, FASTER, SPEED, ADVANCED)  # in the order in which they are printed
+GROUPS = (REACH, OUTPUT, MACHINE, ACCURACY, FASTER, SPEED, ADVANCED)  # in the order of the help
 
 
 class Option:
-    """What a field's name, type and default do not say of an option.
+    """The description of an option, in addition to its field's name, type and default.
 
     Parameters
     ----------
@@ -85,26 +83,26 @@ class Option:
     names : str
         On the command line; none: `--the-field`.
     metavar : str
-        What stands for the value in help.
+        Placeholder for the value in help.
     unit : str
-        Of a number, where its name does not say it.
+        Of a number, if its name does not contain it.
     low, high : float
         Smallest and largest value.
     choices : tuple of str
-        The values that it may have, where its type is no Literal.
+        The allowed values, if its type is not a Literal.
     env : str
-        Environment variable that is read where the command line says nothing.
+        Environment variable that is read if the command line does not set the option.
     parse : callable
-        Makes the value of the text on the command line, or of all its texts where the option may be repeated. It raises
+        Makes the value from the text on the command line, or from all texts of a repeated option. It raises
         RequestError.
     repeated : bool
-        Whether `parse` takes all the texts of an option that may be given again.
+        Whether `parse` takes all the texts of an option that may be repeated.
     unset : str
-        What stands on the command line for a default that has no text of its own.
+        Text for a default that has none of its own.
     writes : str
-        What the path that it takes is written as: "file" or "folder"; empty: it is no target.
+        "file" or "folder" if the option is a path that is written; empty: it is not.
     label : str
-        What the page of `ffcomp serve` calls it; none: it is not offered there.
+        Its name on the page of `ffcomp serve`; none: it is not offered there.
     """
 
     positional = False

@@ -22,11 +22,11 @@ Fact = tuple[str, str]  # a name and a value with its unit
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """What people are shown of a result."""
+    """The part of a result that people read."""
 
     headline: str = ""  # the finding in a sentence
     facts: Sequence[Fact] = ()  # list of lists of text: pairs of a name and a value with its unit
-    warnings: Sequence[str] = ()  # sentences: what is not known, not proven or not compensated, and the remedy
+    warnings: Sequence[str] = ()  # sentences: whatever is unknown, unproven or not compensated, with the remedy
     next_steps: Sequence[str] = ()  # sentences: what to do next
 
     def lines(self) -> Iterator[str]:
@@ -67,12 +67,12 @@ class Result:
 
     @property
     def warnings(self) -> Sequence[str]:
-        """Sentences: what is not known, not proven or not compensated, and the remedy."""
+        """Sentences: whatever is unknown, unproven or not compensated, with the remedy."""
         return ()
 
     @property
     def warning_lines(self) -> Sequence[str]:
-        """The same, no more than a person reads."""
+        """The warnings, shortened to what a person will read."""
         return self.warnings
 
     @property
@@ -82,7 +82,7 @@ class Result:
 
     @property
     def failure(self) -> Exception | None:
-        """The error that a command ends with after this answer; None: it ends well."""
+        """The error that ends the command after this answer; None: success."""
         return None
 
     @property

@@ -1,6 +1,6 @@
 """How firmwares read and write G-code differently: one row for each in `DIALECTS`.
 
-The commands in which they differ are in `OWN_EFFECTS` in `gcode.commands`.
+Commands that differ between firmwares are in `OWN_EFFECTS` in `gcode.commands`.
 """
 
 from __future__ import annotations

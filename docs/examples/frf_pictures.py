@@ -50,7 +50,7 @@ def _noisy(real: Machine, letter: str, place: np.ndarray, generator: np.random.G
         f"cmd_{letter}", f"pos_{letter}", lines, nothing.astype(complex), nothing, position_mm=where
     )
     noise = 0.03 / np.sqrt(2) * (generator.normal(size=len(lines)) + 1j * generator.normal(size=len(lines)))
-    return replace(empty, value=predicted(real, [empty])[0] * (1 + noise), source="made up")
+    return replace(empty, value=predicted(real, [empty])[0] * (1 + noise), source="simulated")
 
 
 if __name__ == "__main__":

@@ -35,7 +35,7 @@ class MethodComparison(Result):
     comparison: Comparison
     report: Path | None = None  # the page that was written
     written: Sequence[Path] = ()  # figures
-    notes: Sequence[str] = ()  # sentences on what is compared, where that is not the file itself
+    notes: Sequence[str] = ()  # sentences on the compared print, if it is not the file itself
 
     @property
     def tracks(self) -> dict[str, Track]:
@@ -49,7 +49,7 @@ class MethodComparison(Result):
 
     @property
     def facts(self) -> list[Fact]:
-        """What was found, and each method's errors."""
+        """The findings, and each method's errors."""
         written = [("Report", str(self.report))] if self.report else []
         if self.written:
             written.append(("Figures", f"{len(self.written)} in {self.written[0].parent}"))
@@ -57,7 +57,7 @@ class MethodComparison(Result):
 
     @property
     def warnings(self) -> list[str]:
-        """What is compared, if not the file itself, and how far the result goes."""
+        """Whether another file is compared, and the limits of the result."""
         return [*self.notes, *sentences.answer_of(self.comparison).warnings]
 
     @property
@@ -110,7 +110,7 @@ def compare_print(request: CompareRequest) -> MethodComparison:
     plant = load_machine(request.plant) if request.plant else None
     data, offset = read_bytes(Path(request.file), request.plate), request.offset_mm
     if already_processed(data) is not None:
-        notes.append(f"{request.file} is compensated already: what is compared is the original that it holds.")
+        notes.append(f"{request.file} is already compensated: the comparison uses the original that it contains.")
         offset = find_offset(data[:STAMP_REACH]) if offset is None else offset
         data = original(data)
     if offset is None:

@@ -17,7 +17,7 @@ def _identify(request: IdentifyRequest) -> MachineFit:
 
     Parameters
     ----------
-    progress : takes sentences on what is being done
+    progress : called with a sentence for each step of the work
 
     Raises
     ------

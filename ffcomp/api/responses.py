@@ -39,7 +39,7 @@ class FrequencyResponses(Result):
 
     @property
     def headline(self) -> str:
-        """Where the machine resonates, or how near it comes to what was measured."""
+        """Where the machine resonates, or how well it agrees with the measurement."""
         return f"{self.machine.name}: {verdict(self.study)}"
 
     @property

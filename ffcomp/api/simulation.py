@@ -20,7 +20,7 @@ from models.machine import Machine
 
 
 def read_simulation(request: SimulateRequest) -> tuple[Command, Machine, Machine, list[str]]:
-    """Read what is to be simulated: the command, the machine that made it, the printer that moves, and warnings."""
+    """Return the command to simulate, the machine that made it, the printer that moves, and warnings."""
     machine = load_machine(request.machine)
     plant = load_machine(request.plant) if request.plant else machine
     placed = _placement(request, machine)
@@ -29,7 +29,7 @@ def read_simulation(request: SimulateRequest) -> tuple[Command, Machine, Machine
 
 
 def _placement(request: SimulateRequest, machine: Machine) -> Placement:
-    """Choose where a sliced print lies; a compensated one and step timings say so themselves."""
+    """Choose the position of a sliced print; compensated prints and step timings contain theirs."""
     path = Path(request.file)
     if request.offset_mm is not None:
         return Placement(request.offset_mm, "")

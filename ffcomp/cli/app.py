@@ -40,7 +40,7 @@ VERBS = {  # with the first sentence of each, so that `ffcomp --help` need not i
 def command_line(overview: bool = False) -> App:
     """Make the command with all verbs, each imported when it is called.
 
-    overview : for its own help page, which imports none
+    overview : only for the overview of verbs; imports none of them
     """
     made = group(
         "ffcomp",

@@ -135,7 +135,7 @@ def group(name: str, text: str, *verbs: App, **settings: Any) -> App:
 
 
 def commands(app: App, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], App, list[Declared]]]:
-    """Return every verb: what is typed for it, its command and its options; those that hold others have none."""
+    """Return the words, the command and the options of every verb; groups have no options."""
     yield path, app, getattr(app.default_command, "options", [])
     for name in app:
         if name not in (*HELP_FLAGS, "--version", "--log-path"):
@@ -143,7 +143,7 @@ def commands(app: App, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, 
 
 
 def paragraphs(text: str) -> str:
-    """Join the lines of each paragraph: how wide a terminal is, cyclopts knows."""
+    """Join the lines of each paragraph; cyclopts wraps them to the terminal's width."""
     return "\n\n".join(" ".join(each.split()) for each in text.split("\n\n"))
 
 

@@ -46,7 +46,7 @@ def exit_codes() -> Iterator[None]:
 
 @contextmanager
 def machine_errors(as_json: bool) -> Iterator[None]:
-    """Print what is wrong with a machine file as a JSON object too, where one is wanted."""
+    """Print the mistakes of a machine file also as a JSON object, with --json."""
     try:
         yield
     except MachineFileError as error:
@@ -98,7 +98,7 @@ def is_quiet() -> bool:
 
 
 def report(sentence: str) -> None:
-    """Say what is being done: in the log, and on stderr unless it is quiet."""
+    """Report progress: in the log, and on stderr unless it is quiet."""
     note(sentence) if is_quiet() else say(sentence)
 
 

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Pages(Request):
-    """What is written of a comparison."""
+    """The files that a comparison writes."""
 
     report: Annotated[Path | None, REPORT] = None
     figures: Annotated[
@@ -39,13 +39,13 @@ def compare(request: CompareRequest, pages: Pages) -> Result:
     Every method plans its command with --machine and is evaluated on a simulated printer (--plant), never on the
     model that made the command. Shapers get the frequencies of the firmware's own calibration, and the best ones that
     a search finds with the printer known. The table shows the contour error and how fast each method could go.
-    With --mismatch, --jobs and --scheduler share the perturbed printers; all else uses every processor as it is.
+    --jobs and --scheduler spread the perturbed printers of --mismatch; everything else uses all processors anyway.
 
     Example: ffcomp compare sample_prints/ringing_tower.gcode -m mp-delta-pro --sample 10% --report report.html
     """
     if (request.jobs > 1 or request.scheduler) and not request.mismatch:
         raise RequestError(
-            "--jobs and --scheduler share the printers of --mismatch; all else uses every processor as it is."
+            "--jobs and --scheduler need --mismatch: they spread its printers; all else uses every processor anyway."
         )
     from ffcomp.api.comparison import compare_print
 

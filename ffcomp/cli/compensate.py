@@ -109,5 +109,5 @@ def _compensate_all(
                 results.extend(work)
         except KeyboardInterrupt:
             done = len(replaced_since(noted))
-            fail(f"Interrupted; {done} of {len(files)} files are done, the others as they were.", 130)
+            fail(f"Interrupted; {done} of {len(files)} files are done, the others are unchanged.", 130)
     return CompensatedFiles(sorted(results, key=lambda each: each.number))

@@ -21,7 +21,7 @@ VERBS = (*WARMED, "compare", "diagnose", "fit")  # all that compile for more tha
 
 
 def first_run(verb: str) -> bool:
-    """Return whether the verb is about to compile; False where no cache can tell."""
+    """Return whether the verb is about to compile; False without a cache."""
     marker = _marker(verb)
     return marker is not None and not marker.exists()
 
@@ -34,12 +34,12 @@ def sentence(verb: str) -> str:
 
 
 def collect_rarely() -> None:
-    """Collect garbage less often, until the process ends: what is imported and compiled stays."""
+    """Collect garbage less often until the process ends: modules and compiled code stay in use anyway."""
     gc.set_threshold(NEW_OBJECTS, 50, 100)
 
 
 def note_compiled(verb: str) -> None:
-    """Remember that the verb has run; where that is not possible, nothing is remembered."""
+    """Remember that the verb has run, if the cache folder can be written."""
     if marker := _marker(verb):
         with suppress(OSError):
             marker.parent.mkdir(parents=True, exist_ok=True)
@@ -50,7 +50,7 @@ def _marker(verb: str) -> Path | None:
     from models.compiled import ahead
 
     folder = cache_folder()
-    if ahead() or folder == Path(os.devnull):  # nothing is to be compiled; no cache is wanted
+    if ahead() or folder == Path(os.devnull):  # everything is compiled, or there is no cache
         return None
     code, compiler = Path(__file__), find_spec("numba")
     if compiler is None or compiler.origin is None:

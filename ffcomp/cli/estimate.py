@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class EstimateShown(Request):
-    """What is shown of an estimate."""
+    """Output of an estimate."""
 
     layers: Annotated[bool, Option("Print a row for every layer.", OUTPUT)] = False
     figure: Annotated[Path | None, FIGURE] = None
@@ -32,8 +32,8 @@ class EstimateShown(Request):
 def estimate(request: EstimateFilesRequest, details: EstimateShown) -> Result:
     """Estimate how long a print takes, by layer and by feature.
 
-    ffcomp plans the print as the firmware does and adds up the time. No file states how long heating, homing and
-    macros take; they are listed, not guessed. A compensated print gets both times, as it is and as it was.
+    ffcomp plans the print as the firmware does and adds up the time. Heating, homing and macros are listed but not
+    included, because no file contains their duration. A compensated print gets a time with and without compensation.
 
     Example: ffcomp estimate sample_prints/ringing_tower.gcode --machine mp-delta-pro
     """
@@ -77,7 +77,7 @@ class Estimates(Result):
 
 
 def _estimates(file: Path, request: EstimateFilesRequest) -> Iterator[Estimate]:
-    """Of each print that a file holds."""
+    """Estimate each print in a file."""
     from ffcomp.estimation.engine import estimate
     from gcode.container import opened
 
@@ -89,7 +89,7 @@ def _estimates(file: Path, request: EstimateFilesRequest) -> Iterator[Estimate]:
 
 
 def _machine(text: Source, path: str, name: str) -> Machine:
-    """Load the machine asked for, or that of the print's stamp."""
+    """Load the named machine, or that of the print's stamp."""
     from ffcomp.cli.machine_files import machine_of
     from ffcomp.estimation.engine import stamp_of
     from models.file import load_machine
@@ -98,5 +98,5 @@ def _machine(text: Source, path: str, name: str) -> Machine:
         return load_machine(name)
     stamp = stamp_of(text)
     if stamp is None:
-        raise RequestError(f"{path} does not say which machine it is for: --machine NAME (ffcomp machines list).")
+        raise RequestError(f"{path} does not name its machine: give --machine NAME (ffcomp machines list).")
     return machine_of(stamp, Path(path))

@@ -16,7 +16,7 @@ from ffcomp.result import Result
 
 @dataclass(frozen=True, kw_only=True)
 class FrfFigures(Request):
-    """What is drawn of frequency responses."""
+    """Picture of frequency responses."""
 
     figure: Annotated[Path | None, FIGURE] = None
     full: Annotated[bool, Option("Draw all nine responses, not only the diagonal.", OUTPUT)] = False

@@ -103,11 +103,11 @@ def scan(request: ScanRequest) -> Result:
 
 @verb
 def ringing(request: RingingRequest) -> Result:
-    """Move a machine's modes to frequencies that you have read off a print, where there is nothing to measure with.
+    """Move a machine's modes to frequencies that you read off a print, if you have no sensor.
 
     Print a tower with walls along x and y and a sharp corner before each, the shaper off. Then
     frequency (Hz) = wall speed (mm/s) × number of waves ÷ distance they span (mm), e.g. 100 × 6 ÷ 12.1 = 49.6 Hz.
-    What is read so is known to 5 %.
+    Such readings are accurate to about 5 %.
 
     Example: ffcomp identify ringing --x-hz 48 --y-hz 37 -m ender-3 -o my-ender.toml
     """
@@ -119,12 +119,12 @@ def ringing(request: RingingRequest) -> Result:
 
 @verb
 def update(request: UpdateRequest) -> Result:
-    """Update a machine file's numbers by recordings of a print, with what the file knew already.
+    """Update a machine file's numbers with recordings of a print; the file's numbers are the prior.
 
-    Each print with the sensor on narrows [uncertainty] and moves the numbers, as far as print and drift allow (Bayes'
-    rule). Each layer is left out in turn: unless what the others say simulates it as well as the file does, nothing is
-    written. What does not fit at all is refused: then ffcomp diagnose tells what has changed. Every update is kept as a
-    line of the history beside the machine file.
+    Each print recorded with the sensor moves the numbers and narrows [uncertainty] (Bayes' rule). Each layer is left
+    out in turn: nothing is written unless the other layers predict it at least as well as the file does. Recordings
+    that do not fit the machine at all are refused; ffcomp diagnose then finds what has changed. Every update adds a
+    line to the history next to the machine file.
 
     Example: ffcomp identify update captures/*.csv --plan recorded.gcode -m my-delta.toml -o my-delta.toml
     """

@@ -76,11 +76,11 @@ def logged(arguments: list[str]) -> Iterator[None]:
 
 
 def _folder() -> str:
-    """Where relative paths begin; it may be gone."""
+    """Return the current folder, which may have been deleted."""
     try:
         return os.getcwd()
     except OSError as error:
-        return f"a folder that cannot be told ({error.strerror})"
+        return f"an unknown folder ({error.strerror})"
 
 
 class _Log(RotatingFileHandler):

@@ -28,7 +28,7 @@ def remember(machine: Machine) -> None:
 
 
 def machine_of(stamp: Stamp, file: Path) -> Machine:
-    """Return the machine that a stamp names: of the library, the user's, beside the print, here, or used before.
+    """Find a stamp's machine: in the library, the user's folder, next to the print, here, or among those used before.
 
     Raises
     ------

@@ -348,7 +348,7 @@ def _number(value: Any) -> str:
 
 @dataclass(frozen=True)
 class DiffMachinesRequest(Request):
-    """Two machine files to be compared."""
+    """Two machine files to compare."""
 
     old: Annotated[str, Argument("A machine's name or the path of its file.", metavar="OLD")]
     new: Annotated[str, Argument("The machine to compare it with.", metavar="NEW")]
@@ -356,7 +356,7 @@ class DiffMachinesRequest(Request):
 
 @verb
 def diff_machines(request: DiffMachinesRequest) -> Result:
-    """Show the parameters in which two machine files differ, and both sets of natural frequencies.
+    """Show the parameters that differ between two machine files, and both sets of natural frequencies.
 
     Example: ffcomp machines diff my-delta.toml better.toml
     """

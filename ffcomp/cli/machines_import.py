@@ -52,7 +52,7 @@ def _write(text: str, path: Path) -> None:
 
 
 def _loudest_hz(path: Path) -> float:
-    """Of the machine that was written, in the middle of its bed: the lower of what is loudest along x and y."""
+    """Return the lower of the loudest frequencies along x and y in the middle of the new machine's bed."""
     import numpy as np
 
     from ffcomp.shapers.apply import dominant_frequencies
@@ -72,7 +72,7 @@ class ImportedMachine(Result):
 
     @property
     def headline(self) -> str:
-        """What was read."""
+        """The file that was written, and its source."""
         return (
             f"{self.path}: a {self.made.config.kinematics} machine, from a {self.made.config.firmware} configuration."
         )
@@ -85,7 +85,7 @@ class ImportedMachine(Result):
 
     @property
     def warnings(self) -> list[str]:
-        """What is missing, what the machine file cannot hold, and a shaper that does not suit the assumed modes."""
+        """Missing values, settings that a machine file cannot contain, and a shaper that contradicts the modes."""
         return list(self._warnings())
 
     def _warnings(self) -> Iterator[str]:
@@ -104,7 +104,7 @@ class ImportedMachine(Result):
 
     @property
     def next_steps(self) -> list[str]:
-        """How to measure what is assumed."""
+        """How to measure the assumed values."""
         from ffcomp.importers.builder import by_hint
         from models.machine import is_assumed
 
@@ -128,15 +128,15 @@ class ImportedMachine(Result):
             "schema": "ffcomp-machine-import/1",
             "machine": str(self.path),  # the file that was written
             "name": made.name,
-            "firmware": made.config.firmware,  # what the configuration is of
+            "firmware": made.config.firmware,  # of the configuration
             "kinematics": made.config.kinematics,  # delta, cartesian or corexy
             "like": made.like,  # text or null: the library machine whose vibration numbers were taken
             "complete": made.is_complete,  # true or false: false: the file lacks numbers, and the exit code is 5
             "values": {key: asdict(value) for key, value in made.values.items()},
             "missing": dict(made.missing),  # .* text: by `table.key`: why it matters, or how to get it
-            "notes": list(made.config.notes),  # list of text: what a machine file cannot hold
+            "notes": list(made.config.notes),  # list of text: settings that a machine file cannot contain
             "shaper_hz": list(made.config.shaper_hz),  # list of numbers: of a delta: the input shaper's frequencies
-            # number or null: beside them: the loudest vibration of the assumed machine
+            # number or null: to compare with shaper_hz: the loudest vibration of the assumed machine
             "model_loudest_hz": self.model_hz,
         }
 

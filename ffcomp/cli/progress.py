@@ -1,6 +1,6 @@
-"""How far a verb is: on a terminal a bar, elsewhere (a slicer's log) lines, nothing if quiet.
+"""Progress of a verb: a bar on a terminal, lines elsewhere (a slicer's log), nothing if quiet.
 
-The environment variable FFCOMP_EVENTS names a file for programs: an `Event` in every line, and none is printed.
+The environment variable FFCOMP_EVENTS names a file for programs: each line is an `Event`, and nothing is printed.
 """
 
 from __future__ import annotations
@@ -23,17 +23,17 @@ if TYPE_CHECKING:
     from rich.progress import Progress as Bar
     from rich.progress import ProgressColumn, TaskID
 
-STEADY_S = 5.0  # of work, before the time left is shown
-ROUND_S = ((60.0, 5.0), (300.0, 15.0), (float("inf"), 60.0))  # up to so many seconds, to multiples of these
+STEADY_S = 5.0  # of work before the first estimate of the time left
+ROUND_S = ((60.0, 5.0), (300.0, 15.0), (float("inf"), 60.0))  # time left below the first is rounded to the second
 
 
 @dataclass(frozen=True, slots=True)
 class Event:
-    """How far a verb is, for programs: a JSON line of FFCOMP_EVENTS."""
+    """Progress of a verb for programs: a JSON line of FFCOMP_EVENTS."""
 
-    stage: str  # in words
-    share: float | None = None  # that is done, 0 to 1; None: not known
-    left_s: float | None = None  # time left, s; None: not known yet
+    stage: str  # current work, in words
+    share: float | None = None  # of the work that is done, 0 to 1; None: unknown
+    left_s: float | None = None  # time left, s; None: unknown so far
 
     def write(self) -> bool:
         """Append it to the file of FFCOMP_EVENTS; return whether there is one. A full disk stops no work."""
@@ -45,7 +45,7 @@ class Event:
 
 
 def new_bar(*columns: ProgressColumn) -> Bar:
-    """Make a bar on stderr that is gone when the work is done."""
+    """Make a bar on stderr that disappears when the work is done."""
     from rich.console import Console
     from rich.progress import Progress
 
@@ -53,7 +53,7 @@ def new_bar(*columns: ProgressColumn) -> Bar:
 
 
 class Shown:
-    """A bar for as long as a `with` lasts, where a person looks at a terminal (`live`)."""
+    """A bar during a `with` block, if stderr is a terminal (`live`)."""
 
     bar: Bar
     task: TaskID
@@ -63,7 +63,7 @@ class Shown:
         self.begun = time.monotonic()
 
     def make(self) -> tuple[Bar, TaskID]:
-        """Make the bar, and what it shows."""
+        """Make the bar and its task."""
         raise NotImplementedError
 
     def __enter__(self) -> Self:
@@ -80,13 +80,13 @@ class Shown:
 
 
 class Progress(Shown):
-    """The share of work whose size is known; elsewhere a line a tenth, with the time left."""
+    """Progress of work of known size: a bar, or a line after each tenth, with the time left."""
 
     def __init__(self, total_s: float, what: str = "compensating") -> None:
         super().__init__()
         self.total_s, self.what = max(total_s, 1e-9), what
         self.tenths = 0
-        self.steady: tuple[float, float] | None = None  # time and share of the first report
+        self.steady: tuple[float, float] | None = None  # time and work done at the first report
 
     def make(self) -> tuple[Bar, TaskID]:
         """Make a bar with the share that is done and the time left."""
@@ -97,7 +97,7 @@ class Progress(Shown):
         return bar, bar.add_task(self.what, total=self.total_s, left="")
 
     def left_s(self, done_s: float) -> float | None:
-        """Return the time left by the pace since the first share: compiling comes before it and does not count."""
+        """Return the time left by the pace since the first report, which leaves out compilation."""
         now = time.monotonic()
         self.steady = self.steady or (now, done_s)
         since, before = self.steady
@@ -117,7 +117,7 @@ class Progress(Shown):
                 print(f"ffcomp: {min(10 * tenth, 100)} %{left}", file=sys.stderr)
 
     def phase(self, what: str, share: float) -> None:
-        """Show the current stage in words, and the share of the whole that is done (0 to 1)."""
+        """Show the current stage in words, and the share of all work that is done (0 to 1)."""
         if self.live:
             self.bar.update(self.task, completed=share * self.total_s, description=what)
             return
@@ -129,18 +129,18 @@ class Progress(Shown):
 
 
 class SearchProgress(Shown):
-    """Take the sentences of a search; nothing is shown if quiet.
+    """Progress of a search, from its sentences; nothing is shown if quiet.
 
-    How long it takes depends on what is found: the time left is what is usual, corrected by the stages that are over.
+    The duration depends on the findings: the time left is the usual one, corrected by the pace of the finished stages.
     """
 
     def __init__(self, usual_s: Sequence[float], first: str = "reading the recordings") -> None:
-        """Take what each stage usually takes, s, and what is done before the first."""
+        """Take the usual time of each stage in s, and the name of the work before the first."""
         super().__init__()
         self.first, self.pace = first, Pace(usual_s)
 
     def make(self) -> tuple[Bar, TaskID]:
-        """Make a bar with the stage, the time left, and what is being tried."""
+        """Make a bar with the stage, the time left and the current trial."""
         from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
 
         columns = (BarColumn(20), TextColumn("{task.fields[stage]}"), TimeElapsedColumn(), self._left())
@@ -185,7 +185,7 @@ class SearchProgress(Shown):
         left = self.left
 
         class Left(ProgressColumn):
-            """The time left, computed each time the bar is drawn."""
+            """The time left, computed each time that the bar is drawn."""
 
             def render(self, task: Task) -> Text:
                 return Text(left())

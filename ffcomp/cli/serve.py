@@ -29,7 +29,7 @@ class ServeRequest(Request):
     host: Annotated[
         str,
         Option(
-            "Address to listen on. Others than this computer's own ask every visitor for a token.",
+            "Address to listen on. Any other than this computer's own requires a token from every visitor.",
             REACH,
             metavar="ADDRESS",
         ),
@@ -37,7 +37,7 @@ class ServeRequest(Request):
     port: Annotated[int, Option("Port to listen on.", REACH, metavar="N", low=0, high=65535)] = 8017
     name: Annotated[
         tuple[str, ...],
-        Option("Another name by which browsers reach this server. May be repeated.", REACH, metavar="NAME"),
+        Option("Another host name of this server. May be repeated.", REACH, metavar="NAME"),
     ] = ()
     frame: Annotated[
         tuple[str, ...],
@@ -52,8 +52,8 @@ class ServeRequest(Request):
     moonraker: Annotated[
         str,
         Option(
-            "The printer's Moonraker, e.g. http://mainsailos.local:7125: its prints are listed, and compensated ones "
-            "put beside them.",
+            "The printer's Moonraker, e.g. http://mainsailos.local:7125. The page lists its prints and uploads the "
+            "compensated ones to it.",
             REACH,
             metavar="URL",
         ),
@@ -162,7 +162,7 @@ def _config(app: Guard, request: ServeRequest) -> uvicorn.Config:
 
 
 def _say(settings: Settings) -> None:
-    """Print the address on stdout; what to mind of it on stderr."""
+    """Print the address on stdout, warnings on stderr."""
     print(f"{settings.address}{'?token=' + settings.token if settings.token else ''}", flush=True)
     say(f"ffcomp: Work is kept in {settings.folder}. End with Ctrl-C.")
     if settings.token and not settings.secure:

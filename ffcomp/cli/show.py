@@ -19,12 +19,12 @@ if TYPE_CHECKING:
     from models.machine import Machine
 
 
-COMPUTED = "The file keeps no prediction for this machine: these errors were computed now."
+COMPUTED = "The file contains no prediction for this machine; these errors were computed now."
 
 
 @dataclass(frozen=True)
 class ShowRequest(Request):
-    """A compensated print to be looked at."""
+    """A compensated print to draw."""
 
     file: Annotated[Path, Argument("Compensated print.", metavar="FILE")]
     output: Annotated[
@@ -65,8 +65,8 @@ class ShowRequest(Request):
 def show(request: ShowRequest) -> Result:
     """Draw a compensated print: reference, uncompensated and compensated path.
 
-    ffcomp simulates both prints with the design model. The errors are those that `ffcomp compensate` predicted and kept
-    in the file, or if it holds none, those of the simulation.
+    ffcomp simulates both prints with the design model. The errors are the prediction that `ffcomp compensate` stored in
+    the file or, without one, those of the simulation.
 
     Example: ffcomp show out.gcode
     """
@@ -77,14 +77,14 @@ def show(request: ShowRequest) -> Result:
 
 
 def open_picture(picture: str) -> None:
-    """Open the picture with the program that the desktop has for it; without one the picture is there all the same."""
+    """Open the picture with the desktop's viewer; if there is none, say where the picture is."""
     if not opened(picture):
-        say(f"ffcomp: no program here opens pictures; look at {picture} yourself.")
+        say(f"ffcomp: Found no program that opens pictures. The picture is {picture}.")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ShowResult(Result):
-    """What was drawn of a print."""
+    """The picture of a print and its errors."""
 
     input: Path
     machine: Machine
@@ -95,7 +95,7 @@ class ShowResult(Result):
 
     @property
     def headline(self) -> str:
-        """What contour error to expect; the same words as `compensate`'s."""
+        """The expected contour error, in the words of `compensate`."""
         expected = self.forecast.expected
         return self.forecast.verdict if expected is None else expected.headline
 

@@ -34,7 +34,7 @@ class CapturesRequest(Request):
     ] = None
     plan: Annotated[
         Path | None,
-        Option("Plan (.json) of --as-captures, as record plan wrote it beside the G-code.", OUTPUT, metavar="FILE"),
+        Option("Plan (.json) for --as-captures, which record plan wrote next to the G-code.", OUTPUT, metavar="FILE"),
     ] = None
     noise: Annotated[float, Option("Noise of captures, m/s² rms.", ADVANCED, metavar="M_PER_S2", low=0.0)] = 0.15
     tilt_deg: Annotated[float, Option("Tilt of the accelerometer, degrees.", ADVANCED, metavar="DEG")] = 2.0

@@ -1,6 +1,6 @@
 """`ffcomp warmup`: compile the numerical code once, after installing, with progress.
 
-The virtual printer's kernels take half of the time. A second process compiles them beside the rest.
+The virtual printer's kernels take half of the time. A second process compiles them in parallel.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ PRINTERS = "from ffcomp.cli.warmup import compile_printers; compile_printers()"
 def warmup() -> None:
     """Compile the numerical code once, so that the first print need not wait.
 
-    Run it after installing or updating. What has been compiled before takes a few seconds.
+    Run it after installing or updating. If everything is compiled already, it takes a few seconds.
 
     Example: ffcomp warmup
     """
@@ -55,7 +55,7 @@ def warmup() -> None:
     with _printers_beside() as printers:
         begin = time.perf_counter()
         steps = list(_steps(printers))
-        say("Compiling once; what is compiled is kept.")
+        say("Compiling once; later runs reuse the result.")
         for number, (name, step) in enumerate(steps, 1):
             since = time.perf_counter()
             Event(f"compiling once: {name}", (number - 1) / len(steps)).write()

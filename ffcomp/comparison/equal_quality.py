@@ -130,7 +130,7 @@ class Search:
         return float((self.bound_um / max(last[1], 1e-9)) ** (1 / power))
 
     def _between(self) -> float:
-        """Interpolate in logarithms, but step over what is near, which closes in on it from both sides.
+        """Interpolate in logarithms and step slightly beyond the root, which brackets it from both sides.
 
         Where one side's error is infinite, and every third time, halve.
         """
@@ -192,7 +192,7 @@ def _pieces(method: TunedMethod, slices: Iterable[PrintSlice]) -> list[Piece]:
 
 
 def within_limits(velocity: float, acceleration: float, machine: Machine) -> bool:
-    """Tell whether the machine file allows its carriages such a command; a thousandth over is rounding."""
+    """Return whether the machine file allows its carriages such a command; a thousandth over is rounding."""
     limits = machine.limits
     return (
         velocity <= 1.001 * limits.carriage_velocity_mm_per_s

@@ -36,7 +36,7 @@ class Stages:
         self._progress, self._shares = progress, shares
 
     def __call__(self, what: str, share: float) -> None:
-        """Tell the stage, its number, and the share of the whole that is done."""
+        """Report the stage, its number, and the share of all work that is done."""
         names = list(self._shares)
         number = names.index(what)
         before = sum(self._shares[name] for name in names[:number])

@@ -69,8 +69,8 @@ def segments(
 ) -> Segments:
     """Read the compensated file as a firmware would, and find the sections in it.
 
-    Of a slice of a print, `before` are lines that set what was in effect where it begins, and `start` is where the
-    nozzle is then, mm.
+    For a slice of a print, the lines `before` restore the state at its beginning, and `start` is the nozzle's position
+    there, mm.
     """
     program = read_program(
         before + file.text, "compensated", start=start, flavor=file.flavor, **known_to_the_firmware(machine)

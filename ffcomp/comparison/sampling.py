@@ -153,9 +153,9 @@ class PrintSlice:
     layer: IntArray  # (n,) of each move
     feature: IntArray  # (n,) of each move
     begin_t: float = 0.0  # s, on the whole print's clock
-    before: bytes = b""  # lines that set what is in effect where it begins
-    start: tuple[float, float, float] | None = None  # mm, where the nozzle is then; None: as the file says
-    weight: FloatArray | None = None  # (n,) of each move's samples, where the slices stand for a whole; None: 1
+    before: bytes = b""  # lines that restore the state at its beginning
+    start: tuple[float, float, float] | None = None  # mm, the nozzle's position there; None: from the file
+    weight: FloatArray | None = None  # (n,) of each move's samples, if the slices represent a print; None: 1
 
     @property
     def trajectory(self) -> Trajectory:

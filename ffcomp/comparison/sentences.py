@@ -104,7 +104,7 @@ def _highest(quality: EqualQuality) -> str:
 
 
 def findings(comparison: Comparison) -> list[Fact]:
-    """Return what was found, the most important first, each with its name."""
+    """Return the named findings, the most important first."""
     ours, none, best = (comparison.methods[name] for name in (comparison.compensated, "none", comparison.best_fixed))
     return [
         ("Against no compensation", _against_none(comparison, none, ours)),
@@ -122,7 +122,7 @@ def findings(comparison: Comparison) -> list[Fact]:
 
 
 def cautions(comparison: Comparison) -> list[str]:
-    """Return what to mind: modes that are assumed, and what was odd about the print."""
+    """Return the caveats: assumed modes, and warnings about the print."""
     return [*_assumed(comparison), *dict.fromkeys(comparison.methods[comparison.compensated].warnings)]
 
 

@@ -67,7 +67,7 @@ def shown(comparison: Comparison) -> list[Method]:
 
 
 def outer_first(names: Iterable[str], share: Mapping[str, float]) -> list[str]:
-    """Sort features: outer walls, which are what is seen, then by their share of the time."""
+    """Sort features: outer walls first, because they are visible, then by their share of the time."""
     return sorted(names, key=lambda name: (not is_outer_wall(name), -share.get(name, 0.0)))
 
 
@@ -89,7 +89,7 @@ def fastest_shaper(comparison: Comparison) -> Method | None:
 
 
 def extrudes(comparison: Comparison) -> bool:
-    """Tell whether any plastic flows in the evaluated part."""
+    """Return whether the evaluated part extrudes."""
     return bool(comparison.methods[comparison.compensated].samples.extruding.any())
 
 

@@ -84,7 +84,7 @@ class Estimate(Result):
 
     @property
     def warnings(self) -> list[str]:
-        """Commands whose time no file states, and what was assumed."""
+        """Commands of unknown duration, and assumptions."""
         unknown = [f"{each.what} ({each.command}, {_lines(each)})" for each in self.statistics.unknown.values()]
         missing = [f"Not included (duration unknown): {'; '.join(unknown)}."] if unknown else []
         return [*missing, *self.statistics.warnings]

@@ -116,7 +116,7 @@ class Layer:
 class Layers:
     """Layers that have been counted so far."""
 
-    number: int = BEFORE  # of the layer at the end of what has been counted
+    number: int = BEFORE  # of the current layer
     _numbered: dict[int, Layer] = field(default_factory=dict)
     _heights: dict[int, Layer] = field(default_factory=dict)  # as long as no comment has begun a layer
     _height: int = _NOWHERE  # of the last extruding move

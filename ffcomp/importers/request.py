@@ -36,5 +36,5 @@ class ImportMachineRequest(Request):
         ),
     ] = None
     alone: Annotated[
-        bool, Option("Read this file only and ignore its includes, for a configuration from somebody else.", MACHINE)
+        bool, Option("Read this file only and ignore its includes. Use it for files that are not yours.", MACHINE)
     ] = False

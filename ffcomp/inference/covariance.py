@@ -1,4 +1,4 @@
-"""The covariance of a fit whose rows err alike within clusters: those of one motion, or of neighbouring lines."""
+"""The covariance of a fit whose errors are correlated within clusters: one motion, or neighbouring lines."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 
 from models.arrays import FloatArray, IntArray
 
-MOST_LEVERAGE = 0.9  # of a cluster: one that decides a value alone does not show how far it is off
+MOST_LEVERAGE = 0.9  # of a cluster: the residual of one that determines a value alone does not show its error
 
 
 def clustered_covariance(
@@ -15,13 +15,13 @@ def clustered_covariance(
     """Estimate the covariance (p, p), at least as wide as by leaving out each cluster (jackknife).
 
     Without cluster c, to first order, the fit moves by (N − J_cᵀ J_c)⁻¹ J_cᵀ r_c with N = JᵀJ + precision (MacKinnon &
-    White, J. Econometrics 29, 1985; for clusters Liang & Zeger, Biometrika 73, 1986): so the model's error is in it,
-    which has one sign all through a cluster. It never falls below N⁻¹, what white noise alone would make.
+    White, J. Econometrics 29, 1985; for clusters Liang & Zeger, Biometrika 73, 1986). It so includes the model's error,
+    which keeps its sign throughout a cluster. It never falls below N⁻¹, the covariance with white noise alone.
 
     Parameters
     ----------
     jacobian, residual : (rows, p), (rows,) in standard deviations.
-    clusters : (rows,) number of each row's cluster; −1: errs by itself, as it is weighed.
+    clusters : (rows,) number of each row's cluster; −1: an independent row, in none.
     precision : (p,) of the prior.
     """
     normal = jacobian.T @ jacobian + np.diag(precision)

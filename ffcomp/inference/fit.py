@@ -1,4 +1,4 @@
-"""Damped least squares for every problem: Levenberg-Marquardt in batches, with the model's own error estimated along.
+"""Damped least squares for every problem: Levenberg-Marquardt in batches that also estimates the model's own error.
 
     minimise  Σ r²/(noise + ε² size) + Σ ((θ − mean)/sd)²   inside bounds
 
@@ -47,16 +47,16 @@ class Settings:
     """How hard a fit tries."""
 
     steps: int = 60  # in each round
-    rounds: int = 0  # of fitting and estimating the model's errors; 0: the errors stay as they are given
+    rounds: int = 0  # of fitting and estimating the model's errors; 0: the given errors are kept
     gain: float = 1e-3  # of χ²: a fit converges where less can be gained,
     share: float = 1e-12  # or less than this share of the cost
     keep: bool = False  # derivatives from step to step: for simulations that cost much
-    exact_end: bool = False  # central differences at the end, for the covariance
+    exact_end: bool = False  # central differences at the end make the covariance exact
 
 
 @dataclass(frozen=True, eq=False)
 class FitResult(Generic[P]):
-    """Values at their optimum, and what is known there."""
+    """The optimum, with its residual and derivatives."""
 
     problem: P
     values: FloatArray  # (p,)
@@ -154,7 +154,7 @@ def fit(
     jacobian: FloatArray | None = None,
     progress: Callable[[FitResult[P]], None] = lambda _: None,
 ) -> FitResult[P]:
-    """Fit the unknowns from `start`, (p,), in rounds if the model's errors are to be estimated.
+    """Fit the unknowns from `start`, (p,), in several rounds if the model's errors are estimated too.
 
     Parameters
     ----------

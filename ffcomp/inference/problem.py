@@ -1,4 +1,4 @@
-"""What is estimated from what: unknowns with priors and bounds, observations with their noise, and a simulation."""
+"""An estimation problem: unknowns with priors and bounds, observations with their noise, and a simulation."""
 
 from __future__ import annotations
 
@@ -29,16 +29,16 @@ class Unknown:
 
 @dataclass(frozen=True, eq=False)
 class Observation:
-    """What one recording measured, as rows that a simulation predicts.
+    """The measurements of one recording, as rows that a simulation predicts.
 
     The variance of a row is noise + ε² size: ε is the model's own relative error in this recording. It is estimated
-    with the fit, so that a loud recording does not count for more than the model is exact.
+    with the fit, so that the model's accuracy limits the weight of a loud recording.
     """
 
     measured: FloatArray  # (n,)
     noise: FloatArray  # (n,) variance
     size: FloatArray | None = None  # (n,) the variance that ε = 1 adds; None: noise is all there is
-    blocks: IntArray | None = None  # (n,) rows of one block err alike; None: every row errs by itself
+    blocks: IntArray | None = None  # (n,) errors are correlated within a block; None: all rows are independent
     motion: Hashable = None  # recordings of one motion share its errors; None: no other one has this motion
 
     def variance(self, error: float) -> FloatArray:
@@ -78,7 +78,7 @@ class EstimationProblem(ABC):
     def simulate(self, lanes: Sequence[FloatArray]) -> Iterator[FloatArray]:
         """Simulate all observations with each of several sets of values (p,), in order: (rows,) each.
 
-        Rows that are not finite mark values with which nothing can be simulated.
+        Rows that are not finite mark values that cannot be simulated.
         """
 
     def slopes(self, values: FloatArray) -> FloatArray | None:
@@ -99,7 +99,7 @@ class EstimationProblem(ABC):
 
         Parameters
         ----------
-        together : one error for all, for the beginning: a common fit comes first.
+        together : estimate one error for all, as the first round does.
         """
         shown = [o for o in self.observations if o.size is not None]
         used = len(self.unknowns) / max(sum(len(o.measured) for o in shown), 1)

@@ -39,7 +39,7 @@ class Solution:
     x: FloatArray  # (p,)
     residual: FloatArray  # (rows,)
     jacobian: FloatArray  # (rows, p), ∂residual/∂x
-    cost: float  # |residual|²; of a robust loss, twice what was minimised
+    cost: float  # |residual|²; with a robust loss, twice the minimised function
     converged: bool  # False where the evaluations ran out
 
 
@@ -63,7 +63,7 @@ def minimise(
     evaluations : of the residual, at most.
     scaled : measure steps by the Jacobian's columns (Moré, 1978), for unknowns of different sizes.
     robust : minimise Σ 2 (√(1 + r²) − 1) in place of Σ r² (soft L1), so that single outliers count less.
-    tolerance : end when a step gains less than this share of what is minimised.
+    tolerance : end when a step gains less than this share of the minimised function.
     """
     from scipy.optimize import least_squares
 
@@ -134,7 +134,7 @@ class BatchedProblem:
 
 @dataclass(frozen=True, eq=False)
 class Iterate:
-    """A point of a batched fit with what is known there."""
+    """A point of a batched fit, with its residual and derivatives."""
 
     z: FloatArray  # (p,)
     residual: FloatArray  # (rows,)
@@ -153,7 +153,7 @@ class Iterate:
 
 
 def overdispersion(misfit: float, block_rows: float) -> float:
-    """Return the factor by which noise and model error together scatter |r|² more than the noise alone.
+    """Return the ratio of the scatter of |r|² from noise and model error to that from noise alone.
 
     The shapes of a model are never exactly those of a machine. Of a misfit v, 1/v is noise, which is white, and the
     rest is model error, which keeps its sign over a block of rows: quasi-likelihood with correlated errors (McCullagh &

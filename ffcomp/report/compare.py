@@ -252,7 +252,7 @@ def write_report(comparison: Comparison, target: Path, notes: Sequence[str] = ()
 
     Parameters
     ----------
-    notes : sentences on what is compared, if not the file itself
+    notes : sentences on the compared print, if it is not the file itself
     """
     replace_atomically(target, [_page(comparison, notes)])
 

@@ -344,7 +344,7 @@ WHERE = {
     "signal": "in {}",
     "place": "at {}",
     "window of time": "in the window {}",
-    "motion": "while what is measured is {}",
+    "motion": "while the motion is {}",
     "motor's step cycle": "at {} of the cycle",
 }
 MOTIONS = {"backward": "moving backward", "forward": "moving forward"}
@@ -359,7 +359,7 @@ SPREAD = {
 
 
 def stands_out(split: Split) -> str:
-    """Return `81 % of the excess lies at 60-80 Hz (10 % of what was compared).`."""
+    """Return `81 % of the excess lies at 60-80 Hz (10 % of the data).`."""
     excess, weight = np.maximum(split.before, 0.0), np.array(split.weight)
     mean = float(excess @ weight)
     if mean < NO_EXCESS:
@@ -372,7 +372,7 @@ def stands_out(split: Split) -> str:
         return _spread(split, excess, mean)
     where = WHERE[split.title].format(_named(split, hot))
     most, compared = most_of(share), percent(float(weight[hot].sum()))
-    return f"{most[0].upper()}{most[1:]} of the excess lies {where} ({compared} of what was compared)."
+    return f"{most[0].upper()}{most[1:]} of the excess lies {where} ({compared} of the data)."
 
 
 def _spread(split: Split, excess: np.ndarray, mean: float) -> str:

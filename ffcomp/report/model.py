@@ -86,7 +86,7 @@ def _marked(axes: Axes, study: Study, pair: tuple[int, int]) -> None:
 
 
 def _said(station: Station) -> Iterator[str]:
-    """Yield a station's name, its modes, and how well the model meets what was measured there."""
+    """Yield a station's name, its modes, and how well the model agrees with its measurement."""
     yield f"{station.label}:"
     for mode in station.modes:
         sign = "D drive" if mode.sign == "D" else mode.sign

@@ -165,7 +165,7 @@ def _maps(figure: Figure, left: Axes, right: Axes, preview: Preview, at: FloatAr
 
 
 def retimed(preview: Preview) -> bool:
-    """Tell whether the print takes another time than its original: then speeds matter too."""
+    """Return whether the print's time differs from the original's: then speeds matter too."""
     before_s, after_s = (float(curve.t[-1] - curve.t[0]) for curve in (preview.before, preview.after))
     return abs(after_s - before_s) > RETIMED_SHARE * before_s
 

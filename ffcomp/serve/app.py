@@ -163,7 +163,7 @@ class Server:
         return asdict(made)
 
     def _stop_warmup(self) -> None:
-        """Let people go first: a job compiles what it needs, and what is compiled already is kept."""
+        """Stop it for a user's job, which compiles its own part; code compiled so far is kept."""
         for job in self.runner.all():
             if job.kind == "warmup":
                 self.runner.cancel(job.id)

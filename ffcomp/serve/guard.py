@@ -30,7 +30,7 @@ REPORT = "/api/jobs/"  # below it stand pages with scripts of their own
 
 
 def known_host(host: str, settings: Settings) -> bool:
-    """Tell whether `Host` is an address or one of the server's names; see the module."""
+    """Return whether `Host` is an address or one of the server's names; see the module."""
     name = (urlsplit(f"//{host}").hostname or "").lower()
     try:
         ipaddress.ip_address(name)
@@ -41,7 +41,7 @@ def known_host(host: str, settings: Settings) -> bool:
 
 
 def same_origin(origin: str | None, host: str) -> bool:
-    """Tell whether a request comes from this server's own page, or from no page at all."""
+    """Return whether a request comes from this server's own page, or from no page at all."""
     return origin is None or urlsplit(origin).netloc.lower() == host.lower()
 
 
@@ -95,7 +95,7 @@ def policy(path: str, settings: Settings) -> str:
 
 
 class Guard:
-    """The outermost layer: refuses what may not pass, and adds the headers that every answer has."""
+    """The outermost layer: refuses forbidden requests, and adds the headers of every answer."""
 
     def __init__(self, app: App, settings: Settings) -> None:
         self.app, self.settings = app, settings

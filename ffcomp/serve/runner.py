@@ -60,7 +60,7 @@ class Runner:
         self._cleaned = time.monotonic()
 
     def start(self) -> None:
-        """Take up what is kept: jobs that waited wait again, those that ran have failed."""
+        """Restore the jobs on disk: waiting ones wait again, running ones have failed."""
         for job in self.kept.read_all():
             if job.state == RUNNING:
                 _end_left_over(job.pid, str(self.kept.place(job.id)))

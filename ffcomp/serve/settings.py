@@ -38,7 +38,7 @@ class Settings:
 
 
 def is_local(host: str) -> bool:
-    """Tell whether only this computer reaches an address."""
+    """Return whether an address is reachable from this computer only."""
     if host == "localhost":
         return True
     try:

@@ -55,7 +55,7 @@ def safe_name(name: str, default: str = "file") -> str:
 
 
 def is_full(error: BaseException) -> bool:
-    """Tell whether the disk is full."""
+    """Return whether an error means that the disk is full."""
     return isinstance(error, OSError) and error.errno in (ENOSPC, EDQUOT)
 
 
@@ -118,12 +118,12 @@ class Uploads:
             raise Refused(404, "There is no such file any more: drop it again.") from None
 
     def remove(self, id_: str) -> None:
-        """Remove a file and what is known of it."""
+        """Remove a file and its record."""
         shutil.rmtree(self.folder / id_, ignore_errors=True)
         (self.folder / f"{id_}.json").unlink(missing_ok=True)
 
     def clean(self, now: float | None = None) -> None:
-        """Remove what no job has taken for a day."""
+        """Remove files that no job has used for a day."""
         oldest = (now or time.time()) - UPLOAD_AGE_S
         for path in list(self.folder.iterdir()):
             with suppress(FileNotFoundError):  # removed with the one before

@@ -109,7 +109,7 @@ def _answer(response: Callable[[FloatArray], ComplexArray], acceleration_per_hz:
     which is the same for accelerations as for positions. The slow sweep that newer firmware adds is left out: it keeps
     friction from sticking, and a linear machine has none.
 
-    response : (k,) Hz → (k, 3), of X Y Z to what is excited, acceleration per acceleration.
+    response : (k,) Hz → (k, 3), of X Y Z to the excitation, acceleration per acceleration.
     """
     time, velocity = pulse_train(acceleration_per_hz)
     grid = np.arange(int(np.ceil(time[-1] + _SETTLE_S)) * _FINE_RATE_HZ + 1) / _FINE_RATE_HZ  # whole seconds

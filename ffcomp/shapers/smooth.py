@@ -123,7 +123,7 @@ def smooth(name: str, frequency_hz: float, damping_ratio: float = DAMPING_RATIO)
 
 @dataclass(frozen=True, slots=True)
 class ShaperKind:
-    """A kind of shaper: all that calibration, search and comparison must know of it."""
+    """A kind of shaper: all that calibration, search and comparison need."""
 
     make: Callable[[float, float], Shaper]  # from frequency, Hz, and damping ratio
     lowest_hz: float  # that a calibration tries: there a print could still accelerate by about 1.5 m/s²

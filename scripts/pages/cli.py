@@ -14,7 +14,7 @@ HEAD = """\
 
 Written by `python -m scripts.pages --write` from `ffcomp --help`; a test compares them.
 
-What holds for all verbs:
+All verbs:
 
 - A **machine** is a name (`ffcomp machines list`) or the path of a TOML file ([its format](machine_file.md)). A name
   that ends in `.toml` or contains a folder separator is a path. Your own machine folder goes before the library.
@@ -23,8 +23,8 @@ What holds for all verbs:
   `--quiet` hides progress, not the result.
 - A file to write must be in a folder that exists, and must not be a file that the verb reads. A verb that has `--force`
   overwrites files with this option only. Otherwise it exits with 2 before any work, as for a missing file.
-- Every run ends with one of a few [exit codes](files.md#exit-codes) and is noted in the log there.
-- Options may stand before or after the files. An option with several values is repeated: `--at 0,0 --at 40,0`.
+- Every run returns one of a few [exit codes](files.md#exit-codes) and adds to the log described there.
+- Options may come before or after the files. Repeat an option to give several values: `--at 0,0 --at 40,0`.
 """
 
 

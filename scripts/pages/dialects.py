@@ -1,6 +1,6 @@
-"""docs/DIALECTS.md: what becomes of each line is what the reader makes of it, and macros that come back are its own.
+"""docs/DIALECTS.md: fill in the outcome of each line and the lists of macros, as the reader treats them.
 
-Which lines the page shows, for which firmware, and what it says of each, is written by hand, in the other columns.
+The snippets, firmwares and notes of its tables are written by hand.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ PAGE = Path(__file__).parents[2] / "docs" / "DIALECTS.md"
 START = "G28\nG90\nM83\nG1 X10 Y10 Z5 F6000\nSAVE_GCODE_STATE NAME=a\nG1 X11 Y10 E.1\n"
 OUTCOMES = {
     "compensated": "replaced by segments",
-    "followed": "goes out as it is, at its move's time, and what comes after is read by it",
-    "passes": "goes out as it is, at its move's time; the motion goes on",
-    "waits": "the motion rests for that long, and the line goes out",
-    "rests": "the motion rests before it; the line goes out as it is",
-    "rests, place unknown": "and moves go out as they are until the file has named X and Y again",
-    "refused": "the file is not changed; exit code 4, with the line and the rule",
+    "followed": "unchanged, at the time of its move; later lines are read accordingly",
+    "passes": "unchanged, at the time of its move; the motion continues",
+    "waits": "unchanged; the motion stops for that time",
+    "rests": "unchanged; the motion stops before it",
+    "rests, place unknown": "likewise, and moves stay uncompensated until the file sets X and Y again",
+    "refused": "no file is written; exit code 4, with the line and the rule",
 }
 _ROW = re.compile(r"^\| `(.+?)` \| (\w*) \| ([\w, ]*?) \|", re.MULTILINE)
 _TABLE = r"(?<=^\| {} \|\n\|---\|---\|\n)(?:\|.*\n)*"
@@ -38,12 +38,12 @@ class Row(NamedTuple):
 
 
 def rows(text: str) -> list[Row]:
-    """Return each row that holds a snippet."""
+    """Return each row with a snippet."""
     return [Row(_code(code), flavor or "marlin", outcome) for code, flavor, outcome in _ROW.findall(text)]
 
 
 def page() -> str:
-    """Return the text of docs/DIALECTS.md, its tables filled in anew."""
+    """Return the text of docs/DIALECTS.md with its tables filled in."""
 
     def row(match: re.Match[str]) -> str:
         return f"| `{match[1]}` | {match[2]} | {outcome(_code(match[1]), match[2] or 'marlin')} |"
@@ -52,7 +52,7 @@ def page() -> str:
     macros = {
         what: " ".join(f"`{name}`" for name in names) for what, names in (RETURNING_MACROS | STILL_MACROS).items()
     }
-    for head, table in (("word | what becomes of the line", OUTCOMES), ("what | names", macros)):
+    for head, table in (("outcome | the line in the output", OUTCOMES), ("kind | names", macros)):
         lines = "".join(f"| {key} | {value} |\n" for key, value in table.items())
         text = re.sub(_TABLE.format(re.escape(head)), lambda _, lines=lines: lines, text, flags=re.MULTILINE)  # type: ignore[misc]
     return text
@@ -63,7 +63,7 @@ def _code(shown: str) -> str:
 
 
 def outcome(snippet: str, flavor: str) -> str:
-    """What becomes of the snippet's last line in a print."""
+    """Return the outcome of the snippet's last line in a print."""
     data = (START + snippet + "\nG1 X12 Y11 Z6 E.1\n").encode()
     try:
         program = read_program(data, flavor=flavor)
@@ -81,7 +81,7 @@ def outcome(snippet: str, flavor: str) -> str:
 
 
 def _changes(program: Program, line: int) -> bool:
-    """Whether the modes, names of places, factors or the feed are others after a line than before it."""
+    """Whether a line changes modes, coordinate offsets, factors or the feed rate."""
     moves = program.moves
     frames = {event.line: event.frame for event in program.events}
     frames |= dict(zip(moves.line.tolist(), moves.frame.tolist(), strict=True))

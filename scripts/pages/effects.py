@@ -228,7 +228,7 @@ BOTH = (response("x", "acc_x", "nozzle"), response("x", "acc_A", "carriage A"))
 SHOWN: dict[str, Shown] = {
     "arm_geometry": Shown(
         {"arm_length_mm": 1.0},
-        "A bowed first layer and another scale of the print, both right in the middle; accelerations hardly tell.",
+        "A bowed first layer and another scale of the print, both right in the middle; accelerations hardly change.",
         (misplacement("z", "bowed"), misplacement("x", "and of another scale")),
     ),
     "arm_inertia": Shown(
@@ -314,7 +314,7 @@ SHOWN: dict[str, Shown] = {
     ),
     "frame_mode": Shown(
         {"mass_kg": 15.0, "frequency_hz": 18.0, "damping_ratio": 0.03, "direction": "x"},
-        "A pair of peak and dip at the frame's frequency, along the direction in which it sways only.",
+        "A pair of peak and dip at the frame's frequency, only along the direction of its sway.",
         (response("x", "acc_x", "along x, where it sways"), response("y", "acc_y", "along y")),
     ),
     "gantry_racking": Shown(
@@ -358,7 +358,7 @@ SHOWN: dict[str, Shown] = {
     "sensor_misalignment": Shown(
         {"angles_deg": [0.0, 0.0, 6.0]},
         "A motion along x shows in y as well, as a small copy of x.",
-        (trace(HARD, "acc_x", 0.03, 0.2, "the move along x"), trace(HARD, "acc_y", 0.03, 0.2, "what is seen in y")),
+        (trace(HARD, "acc_x", 0.03, 0.2, "the move along x"), trace(HARD, "acc_y", 0.03, 0.2, "response in y")),
     ),
     "sensor_time_offset": Shown(
         {"offset_s": 5e-3},
@@ -467,30 +467,30 @@ def _fewer_colours(path: Path) -> None:
 
 HEAD = """# The effects
 
-What may be missing from a machine file: {count} effects, each with its physics, its numbers, how it looks in data and
-what it is taken for. `ffcomp diagnose` names them; a machine file holds them as `[effects.name]`; the virtual printer
-plays them. Every one is one declaration, in the file of its family in `models/effects/`;
-[Where do I change …?](where_do_I_change.md#a-new-effect) tells how to add one.
+Deviations of a printer from the basic model: {count} effects, each with its physics, parameters, signature in data and
+the effects that it is easily confused with. `ffcomp diagnose` finds them, the virtual printer simulates them, and a
+machine file contains them as `[effects.name]`. Each is declared once, in the file of its family in `models/effects/`
+([how to add one](where_do_I_change.md#a-new-effect)).
 
-Figures: the library's `{machine}` at the centre, {height:g} mm over the bed, without the effect (grey) and with it
-(blue), in time also their difference (orange). Accelerations as sensors would feel them; responses are acceleration
-felt for acceleration commanded.
+Figures: the library's `{machine}` at the centre, {height:g} mm above the bed, without the effect (grey) and with it
+(blue); in time also their difference (orange). Accelerations are those of a sensor; frequency responses are measured
+per commanded acceleration.
 
-Cartesian and CoreXY machines have all but those that are marked as of deltas only. There a list of three is of axes
-x, y, z; what acts on motors and belts is of belts A, B and of z on a CoreXY. Where no axis states its `mass_kg`,
-forces, dampings and masses are per kilogram of what the axis moves, and their keys say so: `force_n_per_kg`. A stretch
-s is that of the motor ahead of the driven point (`models/vibration/modal.py`); `frame_mode` sways under all axes that
-move. Three effects depend on the nozzle's place on such a machine, `gantry_racking`, `growing_bed` and `toolhead_mode`;
-`ffcomp diagnose` looks for them where the recordings lie 40 mm apart along x, or 20 mm along z.
+Cartesian and CoreXY machines have all effects except those marked for deltas only. Lists of three are then in the
+order x, y, z; for motors and belts of a CoreXY they are belt A, belt B, z. If no axis has a `mass_kg`, forces, dampings
+and masses are per kilogram of moved mass, with keys that end in `_per_kg`. The stretch s is the motor's lead over the
+driven point (`models/vibration/modal.py`); a `frame_mode` sways under all moving axes. Three effects depend on the
+nozzle's position on such a machine: `gantry_racking`, `growing_bed` and `toolhead_mode`. `ffcomp diagnose` looks for
+them if the recordings lie 40 mm apart along x, or 20 mm along z.
 
-This page and its figures are written by `python -m scripts.pages.effects --write`.
+`python -m scripts.pages.effects --write` writes this page and its figures.
 """
 KINDS = {
     "parameter": "changes the machine's numbers",
     "force": "a force the machine file has no number for",
     "command": "changes what the motors do",
     "frame": "gives the machine something more that moves",
-    "sensor": "changes what is recorded, not the motion: corrected, never compensated",
+    "sensor": "changes the recording, not the motion: corrected, never compensated",
 }
 ONLY = {("carriages", "axes"): "", ("carriages",): "; of deltas only", ("axes",): "; of straight axes only"}
 SIZES = {"scalar": "one", "per_tower": "one, or one a tower", "vector3": "three, x y z", "direction": "a direction"}
@@ -554,7 +554,7 @@ def _rivals(effect: Effect) -> str:
     if not effect.confounded_with:
         return ""
     return "\n".join(
-        ["Taken for, and how to tell:\n", *(f"- {_linked(n)}: {how}" for n, how in effect.confounded_with.items())]
+        ["Easily confused with:\n", *(f"- {_linked(n)}: {how}" for n, how in effect.confounded_with.items())]
     )
 
 

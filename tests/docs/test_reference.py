@@ -62,9 +62,9 @@ def test_every_effect_is_told_with_its_parameters() -> None:
     assert told == {name: [each.name for each in own] for name, own in keys.items()}
     text = MACHINE_FILE.read_text(encoding="utf-8")
     only = [f"`{name}`" for name in sorted(CATALOGUE) if CATALOGUE[name].of == ("carriages",)]
-    assert f"It has every effect but {', '.join(only[:-1])} and {only[-1]}" in " ".join(text.split())
+    assert f"and so none of {', '.join(only[:-1])} and {only[-1]}" in " ".join(text.split())
     axis = [f"`{name}`" for name in sorted(CATALOGUE) if "axis" in CATALOGUE[name].of]
-    assert f"One axis by itself may have {', '.join(axis[:-1])} and {axis[-1]}." in " ".join(text.split())
+    assert f"a single axis may have {', '.join(axis[:-1])} and {axis[-1]}." in " ".join(text.split())
 
 
 def test_the_examples_are_machines_and_the_mistakes_are_found(tmp_path: Path) -> None:
@@ -137,7 +137,7 @@ def test_exit_codes_are_those_of_the_errors() -> None:
     codes = {int(row[0]) for row in rows_of(REFERENCE / "files.md", "Exit codes")}
     errors = [each for each in FfcompError.__subclasses__() if each.__module__ == FfcompError.__module__]
     assert {each.exit_code for each in errors} | {0, 1, 2, 4, 130, 141, 143} == codes
-    table = rows_of(REFERENCE / "python.md", "What can go wrong")
+    table = rows_of(REFERENCE / "python.md", "Errors")
     told = {row[0].strip("`").rpartition(".")[2]: int(row[2]) for row in table}
     ours = {
         each.__name__: each.exit_code for each in FfcompError.__subclasses__() if each.__module__ == "ffcomp.errors"

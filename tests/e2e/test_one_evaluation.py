@@ -65,5 +65,5 @@ def test_a_file_without_its_numbers_is_evaluated_and_says_so(written: Path) -> N
     done = ffcomp("compensate", written, "-m", "mp-delta-pro", "--flavor", "klipper", "-o", target, "--no-predict")
     shown = ffcomp("show", target)
     assert done.exit_code == shown.exit_code == 0, done.stderr + shown.stderr
-    assert "The file keeps no prediction for this machine: these errors were computed now." in shown.stdout
+    assert "The file contains no prediction for this machine; these errors were computed now." in shown.stdout
     assert b"; ffcomp forecast=" not in target.read_bytes() and "times less" in shown.stdout

@@ -258,7 +258,7 @@ def split(before: list[float], **about: Any) -> Split:
 
 
 def test_what_stands_out() -> None:
-    assert stands_out(split([30.0, 1.0, 1.0, 1.0])) == "91 % of the excess lies in a (25 % of what was compared)."
+    assert stands_out(split([30.0, 1.0, 1.0, 1.0])) == "91 % of the excess lies in a (25 % of the data)."
     assert stands_out(split([5.0, 6.0, 5.0, 5.0])) == "Nothing stands out: all signals have their part."
     assert stands_out(split([5.0, 6.0, 0.1, 5.0])) == "It is everywhere but in c."
     assert stands_out(split([0.02, -0.05, 0.01])) == "No excess here: the error is as large as the noise."
