@@ -6,11 +6,11 @@ print shows. Tracking error compares at equal times. Lengths in mm and times in 
 Distances are taken to the path's *segments*: distances to sampled points would put a floor of several µm under every
 figure. A reference path of straight moves is given by its corners, once each.
 
-Where neither clock can be trusted, `progress_in_order` says how far along a path each point is, with the order kept:
-the nearest segment of a whole path may belong to another line, to one that crosses, lies beside it or passes again a
-layer later. All points are assigned at once, to pieces of the path that never go back (Viterbi's algorithm): the sum
-of squared distances is least, and a piece that is left out costs a little. Long motions are worked through in windows,
-of which the first half is kept.
+Where neither clock can be trusted, `progress_in_order` computes how far along a path each point is and keeps the order:
+the nearest segment of the path may belong to a line that crosses, runs parallel, or returns a layer later. All points
+are assigned to pieces of the path in one go and never move backwards (Viterbi's algorithm). The cost is the sum of
+squared distances plus a small penalty for each piece that is skipped. Long motions are processed in windows that
+overlap by half.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from models.compiled import fast_kernel, kernel
 WINDOW_S = 0.05  # a sample belongs to where the path is within this time, not to other lines and layers
 LONGEST_DELAY_S = 0.02
 EFFORT_SPAN_S = 4e-3  # one segment: a jump of speed at a corner is spread over this time, whatever the sampling
-SCAN_SAMPLES = 20_000  # enough to see in which millisecond the best delay lies
+SCAN_SAMPLES = 20_000  # enough to find the best delay to a millisecond
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,14 +55,14 @@ class Track:
     """Evaluation of one motion: the TRACK object of every JSON output."""
 
     tracking_rms_um: float  # nozzle against plan at equal times, root mean square
-    tracking_max_um: float  # the largest of it
+    tracking_max_um: float  # its maximum
     contour_rms_um: float  # distance to the reference path's segments, root mean square: what a print shows
     contour_p99_um: float  # 99 % of the samples are closer
-    contour_max_um: float  # the largest
-    delay_s: float  # by which the nozzle is late, on the whole
-    tracking_rms_no_delay_um: float  # tracking with that delay taken out
-    print_time_s: float  # of what was evaluated
-    # the most that a carriage is asked for: change of its velocity over one segment's time
+    contour_max_um: float  # the maximum
+    delay_s: float  # mean lag of the nozzle
+    tracking_rms_no_delay_um: float  # tracking error after that lag is removed
+    print_time_s: float  # of the part that was evaluated
+    # the highest acceleration commanded to a carriage: change of its velocity over one segment's time
     peak_command_acceleration_mm_per_s2: float
 
 
@@ -118,7 +118,7 @@ def track(
     reference, actual : (m, 3) arrays
         The nozzle at these times in mm.
     path_t : (n,) array
-        Times in s at which the reference path's corners are due.
+        Planned times of the reference path's corners in s.
     path_xyz : (n, 3) array
         These corners in mm.
     peak_command_acceleration : float
@@ -380,7 +380,7 @@ def progress_in_order(
     path : (n + 1, 3) array
         The path's corners in mm.
     points : (m, 3) array
-        In the order in which they are passed, mm.
+        In the order of travel, mm.
     low, high : (m,) arrays
         The segments low ≤ k < high that each point may lie on; neither ever falls.
 
