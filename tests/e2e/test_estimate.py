@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import re
 from functools import cache
@@ -244,3 +245,11 @@ def test_waiting_for_the_end_keeps_every_byte(tmp_path: Path, monkeypatch: pytes
 
 def run(*arguments: str | Path) -> Result:
     return CliRunner().invoke(app, ["estimate", *map(str, arguments)])
+
+
+def test_marlin_plans_a_file_whose_speeds_and_filament_change(tmp_path: Path) -> None:
+    path = tmp_path / "print.gcode"
+    path.write_text("G28\nG92 E0\nG1 X0 Y0 Z1 F3000\nG1 X10 E0.5 F1200\nG92 E0\nG1 Y10 E0.5 F1800\nG1 X0 F6000\n")
+    answer = CliRunner().invoke(app, ["estimate", str(path), "-m", "voron-300", "--flavor", "marlin", "--json"])
+    assert answer.exit_code == 0, answer.output
+    assert json.loads(answer.stdout)["time_s"] == pytest.approx(10 / 20 + 10 / 30 + 10 / 100, rel=0.05)

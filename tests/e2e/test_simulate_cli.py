@@ -180,3 +180,18 @@ def test_what_cannot_be_done_is_said_in_a_sentence(options: list[str], code: int
     answer = call("simulate", square, "-m", "mp-delta-pro", *(option.format(**places) for option in options))
     assert answer.exit_code == code, answer.output
     assert "Traceback" not in answer.output and square.read_bytes() == SQUARE
+
+
+GAIN = "\n[effects.sensor_gain]\ncarriage_relative_change = 0.05\nnozzle_relative_change = [0.0, 0.1, 0.0]\n"
+
+
+LATE = "\n[effects.sensor_time_offset]\noffset_s = 0.00125\n"
+
+
+def test_the_plants_sensors_are_what_is_written(square: Path, tmp_path: Path) -> None:
+    true = written(tmp_path, square).acceleration
+    gained = written(tmp_path, square, "--plant", with_table(tmp_path, "gain", GAIN)).acceleration
+    for name, factor in (("acc_A", 1.05), ("acc_x", 1.0), ("acc_y", 1.1)):
+        np.testing.assert_allclose(gained[name], factor * true[name], atol=2e-6)
+    late = written(tmp_path, square, "--plant", with_table(tmp_path, "late", LATE)).acceleration
+    np.testing.assert_allclose(late["acc_x"][2:], true["acc_x"][:-2], atol=2e-6)  # two samples

@@ -18,6 +18,7 @@ import pytest
 
 from ffcomp.cli import app as command_line
 from ffcomp.cli.log import logged, note
+from ffcomp.integrations.slicer import call_warnings, read_call
 from gcode.embedded import already_processed, original
 from gcode.reader import read_program
 from tests.support.cli import CliRunner, Result
@@ -230,3 +231,11 @@ def test_an_export_fails_when_ffcomp_does_and_says_why(slicer: Slicer) -> None:
 
 UNUSED = ["Toolbox", "UpdateChecker", "FirmwareUpdateChecker", "SliceInfoPlugin", "DigitalLibrary", "CuraDrive"]
 UNUSED += ["RemovableDriveOutputDevice", "USBPrinting", "UM3NetworkPrinting"]
+
+
+def test_other_scripts_and_strange_flavors_are_warned_of() -> None:
+    environment = {"SLIC3R_GCODE_FLAVOR": "sailfish", "SLIC3R_POST_PROCESS": '"/b/ffcomp compensate";"/b/arcs"'}
+    flavor, script = call_warnings(read_call(environment))
+    assert "sailfish" in flavor and "/b/arcs" in script
+    fine = {"SLIC3R_GCODE_FLAVOR": "klipper", "SLIC3R_POST_PROCESS": '"/b/arcs\\n/b/ffcomp compensate -m x"'}
+    assert call_warnings(read_call(fine)) == [] and call_warnings(read_call({})) == []

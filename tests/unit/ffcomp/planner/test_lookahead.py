@@ -277,3 +277,8 @@ def test_impossible_moves_are_named_with_their_line(column: str, value: float, m
     with pytest.raises(GcodeError) as failure:
         plan(dataclasses.replace(moves, **{column: values}))
     assert str(failure.value) == message
+
+
+def test_a_negative_wait_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"The wait before move 1 is -0\.5 s; it must be finite and not negative\."):
+        plan(moves_through([[0, 0], [1, 0], [2, 0]]), waits=[0.0, -0.5])

@@ -162,3 +162,16 @@ def test_a_printer_that_is_shaken_is_told_from_another_motion(
     shaken = tmp_path / captures[0].name
     np.savetxt(shaken, table, "%.6f", ",", header="#time,accel_x,accel_y,accel_z", comments="")
     assert "something else shakes the printer" in reasons(join_captures([shaken], plan, machine))[0]
+
+
+def test_of_three_repeats_the_one_that_differs_is_refused(
+    plan: Plan, machine: Machine, captures: Sequence[Path], tmp_path: Path
+) -> None:
+    thrice = replace(plan, repeats=3)
+    odd = tmp_path / captures[0].name.replace("-1.csv", "-3.csv")
+    head, *rows = captures[0].read_text().splitlines()
+    table = np.array([[float(x) for x in row.split(",")] for row in rows])
+    table[:, 1:] = table[:, 1:].mean(axis=0) + 1.5 * (table[:, 1:] - table[:, 1:].mean(axis=0))
+    odd.write_text("\n".join([head, *(f"{t:.6f},{x:.3f},{y:.3f},{z:.3f}" for t, x, y, z in table)]) + "\n")
+    found = join_captures([*captures, odd], thrice, machine)
+    assert len(found.joined) == 4 and [each.file for each in found.refused] == [str(odd)]
