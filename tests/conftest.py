@@ -29,6 +29,7 @@ settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "same"))
 TESTS = Path(__file__).parent
 NOT_SLOW = "not slow"
 SLOW = (  # folders and files; single tests have the marker themselves
+    "docs/test_compatibility.py",
     "docs/test_examples.py",
     "docs/test_json_page.py",
     "docs/test_performance_page.py",
@@ -46,9 +47,12 @@ SLOW = (  # folders and files; single tests have the marker themselves
     "unit/ffcomp/compensation/test_gcode_writer.py",
     "unit/ffcomp/compensation/test_prediction.py",
     "unit/ffcomp/diagnosis",
+    "unit/ffcomp/identification/test_axes.py",
+    "unit/ffcomp/identification/test_belts.py",
     "unit/ffcomp/identification/test_captures.py",
     "unit/ffcomp/identification/test_direct.py",
     "unit/ffcomp/identification/test_modal_fit.py",
+    "unit/ffcomp/identification/test_resonance_tests.py",
     "unit/ffcomp/identification/test_scan.py",
     "unit/ffcomp/inverse/test_nonlinear.py",
     "unit/ffcomp/inverse/test_lq_preview.py",
@@ -64,9 +68,11 @@ SLOW = (  # folders and files; single tests have the marker themselves
     "unit/gcode/test_reader.py",
     "unit/gcode/test_reader_parts.py",
     "unit/models/printer/test_printer_effects.py",
+    "unit/models/printer/test_straight_axes.py",
     "unit/models/test_effects.py",
     "unit/models/test_file.py",
     "unit/models/vibration/test_receptance.py",
+    "test_packages.py",
     "unit/validation",
 )
 FAST = (  # in slow folders: every package has a test in each quick run
