@@ -213,7 +213,7 @@ def test_on_a_cluster(prints: list[Path], alone: list[bytes], machine: Machine, 
 
 def test_an_interrupt_leaves_what_is_finished(prints: list[Path], alone: list[bytes], tmp_path: Path) -> None:
     long = tmp_path / "long.gcode"
-    moves = b"".join(b"G1 X%d Y%d E.1\n" % (k % 40, k * 7 % 40) for k in range(2_500))
+    moves = b"".join(b"G1 X%d Y%d E.1\n" % (k % 40, k * 7 % 40) for k in range(5_000))
     long.write_bytes(HEAD + moves)
     words = ("compensate", "-m", "mp-delta-pro", "--robust", "off", "-j", "2")
     command = [sys.executable, "-c", MAIN, *words, prints[0], long]

@@ -317,4 +317,4 @@ def test_smoke(stratum: str, tmp_path: Path, capsys: pytest.CaptureFixture[str])
     verdict, names = SMOKE[stratum]
     assert found["verdict"] == verdict
     assert sorted(effect["name"] for effect in found["effects"]) == sorted(names)
-    assert found["dominant"] is None
+    assert not found["dominant"]

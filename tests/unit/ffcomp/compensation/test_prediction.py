@@ -17,7 +17,7 @@ from tests.support.prints import squares
 MACHINE = load_machine("mp-delta-pro")
 
 
-@pytest.mark.parametrize("layers", [3, 7], ids=["whole", "excerpt"])
+@pytest.mark.parametrize("layers", [3, 12], ids=["whole", "excerpt"])
 def test_it_is_near_what_the_whole_file_does_when_it_is_read_again(layers: int, tmp_path: Path) -> None:
     """Rests are not in it, nor what rings across them."""
     target = tmp_path / "out.gcode"
