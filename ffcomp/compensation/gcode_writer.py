@@ -259,7 +259,8 @@ class Writer:
         points = np.where(self.inside(placed)[:, None], placed, points[kept])
         at, e = at[kept], timeline.e[kept]
         lengthen(at, points, e, fixed, s.merging.shortest, s.merging.shortest_mm)
-        points = self.firmware.placed(at, points, fixed, self.inside)
+        due, points = self.firmware.placed(at, points, fixed, self.inside)
+        at, e = due, np.interp(due, at, e)
         points = _stated(points, frame.base, frame.unit_mm)
         ends = np.zeros(len(at), dtype=np.bool_)
         ends[[0, *at.searchsorted([piece.begin, piece.end]), -1]] = True

@@ -178,12 +178,14 @@ class Segments:
         """
         return kept, pinned
 
-    def placed(self, at: FloatArray, points: FloatArray, fixed: BoolArray, inside: Inside) -> FloatArray:
-        """Return the ends of segments, (n, 3) mm, moved to places that the firmware reaches exactly.
+    def placed(
+        self, at: FloatArray, points: FloatArray, fixed: BoolArray, inside: Inside
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return when segments end, (n,) knots, and where, (n, 3) mm: at places that the firmware reaches exactly.
 
         fixed : (n,) which of them stay
         """
-        return points
+        return at, points
 
     def executed(self, points: FloatArray, fixed: BoolArray, ends: BoolArray) -> IntArray:
         """Return the points (n, 3) mm that may end segments so that the firmware drops none, (m,).

@@ -70,10 +70,13 @@ class MarlinSegments(Segments):
         most = min(MOST_KNOTS, self.longest_s / self.knot_s)
         return _lengthened(at, points, self.steps.motors(points), kept, pinned, self.steps.enough, most), pinned
 
-    def placed(self, at: FloatArray, points: FloatArray, fixed: BoolArray, inside: Inside) -> FloatArray:
+    def placed(
+        self, at: FloatArray, points: FloatArray, fixed: BoolArray, inside: Inside
+    ) -> tuple[FloatArray, FloatArray]:
         """Move the ends of segments to whole steps."""
-        stepped = self.steps.placed(at, points, fixed)
-        return np.where(inside(stepped)[:, None], stepped, points)
+        stepped, due = self.steps.placed(at, points, fixed)
+        kept = inside(stepped)
+        return np.where(kept, due, at), np.where(kept[:, None], stepped, points)
 
     def executed(self, points: FloatArray, fixed: BoolArray, ends: BoolArray) -> IntArray:
         """Leave out the ends of segments that Marlin would drop."""

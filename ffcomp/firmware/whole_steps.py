@@ -12,6 +12,9 @@ is a linear-quadratic regulator: e* = −K z, by the Riccati equation backwards 
 of the whole steps around the command and e* the ones are taken whose distance from e* costs least. (The optimal noise
 shaper for a plant: D. E. Quevedo & G. C. Goodwin, IEEE Trans. Automatic Control 50 (2005) 1184-1196.)
 
+An end is due when the command passes its place, not at its own old time: then only its miss beside the command is left
+in e.
+
 The choice is a quantiser with feedback: a command that is 0.1 µm off (windows at limits lie elsewhere where a motion is
 cut) gets other steps until the next beginning, ends of segments up to 65 µm away, and the nozzle's error is as large.
 """
@@ -35,6 +38,8 @@ ALONG = 0.3  # of an error along the path, that counts
 MISS_COST = 0.2  # of e², in squares of what a step moves: with less, misses become many steps
 SETTLE = 12  # segments like the last, after which what follows it is known well enough
 WIDER = 4  # steps beyond the nearest, where there and back in two segments is within the motors' acceleration
+LEAST_KNOTS = 1.0  # that a segment lasts at least whose end becomes due earlier or later, if it did before,
+MOST_SHIFT = 0.4  # and the largest share of its time by which that may be
 SPARE = 0.9  # of that acceleration, because Marlin's times are not quite ours
 
 
@@ -61,8 +66,8 @@ class WholeSteps:
         per_knot = settings.rows_per_segment
         return cls(model.machine.kinematics, model.row_table, per_knot, steps_per_mm, free, minimum, wider, most)
 
-    def placed(self, at: FloatArray, points: FloatArray, fixed: BoolArray) -> FloatArray:
-        """Return the ends of segments where whole steps are, (n, 3) mm.
+    def placed(self, at: FloatArray, points: FloatArray, fixed: BoolArray) -> tuple[FloatArray, FloatArray]:
+        """Return the ends of segments where whole steps are, (n, 3) mm, and when they are due, (n,) knots.
 
         Parameters
         ----------
@@ -78,7 +83,7 @@ class WholeSteps:
         intervals = [self._interval(int(place), int(count)) for place, count in pairs]
         move = np.diff(points, axis=0)
         unit = move / np.maximum(np.linalg.norm(move, axis=1), 1e-9)[:, None]
-        chosen = _chosen(
+        chosen, due = _chosen(
             at,
             steps,
             kind.ravel(),
@@ -96,7 +101,7 @@ class WholeSteps:
         chosen[:, ~self.free] = steps[:, ~self.free]
         k = self.kinematics
         placed = k.forward((chosen / self.steps_per_mm + self._lift_mm) @ np.linalg.inv(k.motors).T)
-        return np.where(fixed[:, None], points, placed)
+        return np.where(fixed[:, None], points, placed), due
 
     def motors(self, points: FloatArray) -> FloatArray:
         """Return the motors' steps, not rounded, at points (n, 3) mm."""
@@ -151,8 +156,8 @@ def _chosen(
     minimum: int,
     wider: int,
     most: FloatArray,
-) -> FloatArray:
-    """Return whole steps (n, 3) for a command in steps (n, 3) at times (n,), in knots.
+) -> tuple[FloatArray, FloatArray]:
+    """Return whole steps (n, 3) for a command in steps (n, 3) at times (n,), in knots, and when they are due.
 
     kind (n - 1,): which of forward (g, N, N + 3) and errors (g, 3 · MOST_ROWS, N + 3) a segment is of.
     unit (n - 1, 3): its direction.   begins (n,): where what was missed before is forgotten.   penalty (3,): of e².
@@ -161,19 +166,30 @@ def _chosen(
     gain, cost = _regulator(kind, unit, begins, forward, errors, penalty)
     z, missed, off, tried = np.zeros(size), np.zeros(size + 3), np.zeros(3), np.zeros(3)
     low, high = np.zeros(3), np.zeros(3)
-    out = np.floor(steps + 0.5)
+    pace = np.zeros(4)  # of the command, steps a knot on average of both segments; and what a turn takes off a shift
+    out, due = np.floor(steps + 0.5), at.copy()
     for j in range(n):
         if j > 0 and not fixed[j]:
             _reach(at, out, j, begins, most, low, high)
+            earlier, later = 0.0, 0.0  # by how many knots it may be
+            if j + 1 < n:
+                earlier = min(max(at[j] - due[j - 1] - LEAST_KNOTS, 0.0), MOST_SHIFT * (at[j] - at[j - 1]))
+                later = min(max(at[j + 1] - at[j] - LEAST_KNOTS, 0.0), MOST_SHIFT * (at[j + 1] - at[j]))
+            pace[3] = 0.0
             for i in range(3):
+                if free[i] and j + 1 < n:
+                    pace[i] = (steps[j + 1, i] - steps[j - 1, i]) / (at[j + 1] - at[j - 1])
+                    turn = (steps[j + 1, i] - steps[j, i]) / (at[j + 1] - at[j]) - pace[i]
+                    pace[3] += pace[i] * pace[i] + turn * turn
                 off[i] = steps[j, i]
                 for c in range(size):
                     off[i] -= gain[j, i, c] * z[c]
                 if np.ceil(low[i]) <= np.floor(high[i]):
                     off[i] = min(max(off[i], np.ceil(low[i])), np.floor(high[i]))
-            _nearest(off, cost[j], j, free, minimum, wider, low, high, tried, out)
+            _nearest(off, cost[j], j, free, minimum, wider, low, high, steps, pace, earlier, later, tried, out)
+            due[j] += _shift(out[j], steps[j], pace, earlier, later)
         for i in range(3):
-            missed[size + i] = out[j, i] - steps[j, i]
+            missed[size + i] = out[j, i] - steps[j, i] - (due[j] - at[j]) * pace[i]
         if j == 0 or begins[j]:
             for i in range(size):
                 z[i] = missed[i + 3] if i >= size - 3 else 0.0
@@ -183,7 +199,23 @@ def _chosen(
         for i in range(size):
             for c in range(size + 3):
                 z[i] += forward[kind[j - 1], i, c] * missed[c]
-    return out
+    return out, due
+
+
+@kernel
+def _shift(place: FloatArray, step: FloatArray, pace: FloatArray, earlier: float, later: float) -> float:
+    """Return by how many knots later an end is due at a place, at most so much earlier or later.
+
+    An end that goes on along a command that turns cuts the turn off. Summed over time that is as much as on a straight
+    command with the average pace of both segments; how much sharper it is, is what keeps an end at its time there.
+
+    place, step (3,): steps, where it is wanted and at its own time.   pace (4,): the command's, and its square with
+    that of the turn
+    """
+    ahead = 0.0
+    for i in range(3):
+        ahead += (place[i] - step[i]) * pace[i]
+    return min(max(ahead / pace[3], -earlier), later) if pace[3] > 0.0 else 0.0
 
 
 @kernel
@@ -298,14 +330,19 @@ def _nearest(
     most_wider: int,
     low: FloatArray,
     high: FloatArray,
+    steps: FloatArray,
+    pace: FloatArray,
+    earlier: float,
+    later: float,
     tried: FloatArray,
     out: FloatArray,
 ) -> None:
     """Put the whole steps that cost least near `wanted` into row j: of those that motors reach, and are not dropped.
 
-    low, high (3,): the reach of the motors.   minimum: steps of one motor since the last row; fewer are dropped.
+    low, high (3,): the reach of the motors.   pace, earlier, later: see `_shift`.   minimum: steps of one motor since
+    the last row; fewer are dropped.
     """
-    least, best = np.inf, -1
+    least, best, missed = np.inf, -1, np.zeros(3)
     for wider in range(most_wider + 1):
         width, farthest = 2 + 2 * wider, 0.0
         for i in range(3):
@@ -326,10 +363,12 @@ def _nearest(
             rank = 2 * int(within) + int(apart >= minimum)
             if not usable or rank < best or (wider > 0 and rank < 3):
                 continue
-            total = 0.0
+            shift, total = _shift(tried, steps[j], pace, earlier, later), 0.0
+            for i in range(3):
+                missed[i] = tried[i] - wanted[i] - shift * pace[i]
             for i in range(3):
                 for c in range(3):
-                    total += (tried[i] - wanted[i]) * cost[i, c] * (tried[c] - wanted[c])
+                    total += missed[i] * cost[i, c] * missed[c]
             if total < least or rank > best:
                 least, best = total, rank
                 for i in range(3):
