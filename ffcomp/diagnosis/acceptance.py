@@ -29,7 +29,7 @@ def rejections(
     motion has little to explain, and weighs as little.
     """
     settings, failed = estimation.settings, []
-    if (base.evidence - best.fit.evidence) / best.fit.overdispersion < settings.significant:
+    if best.fit.ahead_of(base) < settings.significant:
         failed.append("it is not significantly better than retuning alone")
     # where retuning alone explains the data as well, but by implausible parameters, there is nothing to gain
     if not held_out:

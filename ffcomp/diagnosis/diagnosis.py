@@ -37,7 +37,6 @@ from ffcomp.diagnosis.fit import (
     fit,
     intervals_of,
     superfluous,
-    wide_intervals_of,
 )
 from ffcomp.diagnosis.held_out import HeldOut, OtherMotion, hold_out, other_motions
 from ffcomp.diagnosis.hypotheses import (
@@ -110,9 +109,9 @@ class Diagnosis:
         return [] if self.best is None else unproven(self.estimation, self.held_out)
 
     def behind(self, h: Hypothesis) -> float:
-        """Return by how much −2 ln Z of all data a hypothesis that was tried is less likely than the best."""
+        """Return by how much −2 ln Z of all data is larger for a hypothesis that was tried than for the best."""
         best = self.searched or self.best
-        return 0.0 if best is None else (h.fit.evidence - best.fit.evidence) / self.share
+        return 0.0 if best is None else best.fit.ahead_of(h.fit) / self.share
 
     @property
     def invisible(self) -> list[str]:
@@ -324,7 +323,7 @@ def _fitted_to_the_end(estimation: EstimationProblem, fitted: Fit, least: float)
     if min(fitted.discrepancy, fitted.predicted_discrepancy) > least or not implausible(fitted):
         return fitted
     ended = fit(estimation, fitted.parameters, fitted.z, fitted.jacobian, iterations=10, exact=True)
-    return min(fitted, ended, key=lambda each: each.evidence)
+    return fitted if fitted.ahead_of(ended) > 0.0 else ended
 
 
 def _needed(estimation: EstimationProblem, best: Hypothesis, retuned: Fit) -> bool:
@@ -359,7 +358,8 @@ def _tested(none: Diagnosis, searched: _Searched, best: Hypothesis, progress: Pr
     best = _believable(none, best, progress)
     final = parsimonious_fit(estimation, best)
     intervals = intervals_of(estimation, best.fit, final.values)
-    wide = _proven_intervals(none, best, wide_intervals_of(estimation, best.fit, final.values), progress)
+    wide = intervals_of(estimation, best.fit, final.values, scatter=True)
+    wide = _proven_intervals(none, best, wide, progress)
     few = len(set(estimation.problem.motions)) <= FEW_MOTIONS
     held_out = hold_out(estimation, none.base, best.fit)
     failed = tuple(rejections(estimation, none.base, best, held_out, wide))
@@ -381,9 +381,7 @@ def _tested(none: Diagnosis, searched: _Searched, best: Hypothesis, progress: Pr
         held_out=held_out,
         rejections=failed,
         intervals=wide,
-        scattered=[
-            name for name, e in wide.items() if few and e.sd > 2 * np.sqrt(best.fit.misfit) * intervals[name].sd
-        ],
+        scattered=[name for name, e in wide.items() if few and e.sd > 2 * intervals[name].sd],
     )
 
 

@@ -30,7 +30,6 @@ from ffcomp.diagnosis.fit import (
     intervals_of,
     solved,
     values_at,
-    wide_intervals_of,
 )
 from ffcomp.diagnosis.held_out import (
     Groups,
@@ -181,7 +180,7 @@ def _explained_by(h: Hypothesis, rows: FloatArray, residual: FloatArray) -> floa
     from scipy.linalg import lstsq
 
     columns, machine = h.fit.jacobian[rows][:, h.machine_count :], h.fit.jacobian[rows][:, : h.machine_count]
-    information = np.eye(h.machine_count) + machine.T @ machine
+    information = h.fit.overdispersion * np.eye(h.machine_count) + machine.T @ machine
     projected = columns - machine @ solved(information, machine.T @ columns)
     part = projected @ lstsq(projected, residual, cond=1e-6)[0]
     by_chance = len(projected.T) / len(rows) * float(residual @ residual)
@@ -221,7 +220,8 @@ def _sound(estimation: EstimationProblem, h: Hypothesis) -> bool:
 def _any_determined(estimation: EstimationProblem, h: Hypothesis) -> bool:
     """Tell whether the intervals that are told leave any number of the effect less than its whole range."""
     numbers = [n for n in h.effect_parameters if n.low < n.high]
-    return not numbers or len(undetermined(h, wide_intervals_of(estimation, h.fit, h.fit.values))) < len(numbers)
+    intervals = intervals_of(estimation, h.fit, h.fit.values, scatter=True)
+    return not numbers or len(undetermined(h, intervals)) < len(numbers)
 
 
 def _holds_most_as_filed(estimation: EstimationProblem, h: Hypothesis) -> bool:

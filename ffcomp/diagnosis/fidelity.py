@@ -13,7 +13,7 @@ import numpy as np
 
 from ffcomp.diagnosis.fit import EstimationProblem, Fit, clipped, derivatives, fit, solved, values_at
 from ffcomp.diagnosis.hypotheses import IMPLAUSIBLE, Hypothesis, log_fit, log_try
-from ffcomp.diagnosis.problem import Candidate, Parameter, Problem
+from ffcomp.diagnosis.problem import Parameter, Problem
 from ffcomp.diagnosis.recording_clocks import belongs_to_recording
 from ffcomp.numerics.least_squares import SMALL_GAIN
 from ffcomp.numerics.stages import Progress
@@ -100,7 +100,7 @@ def fit_exactly(estimation: EstimationProblem, h: Hypothesis, progress: Progress
     added, columns = h.effect_parameters, h.fit.jacobian[:, h.machine_count :]
     alone = fit(estimation, added, h.effect_z, columns, range(len(added)), 5, renew_all=False)
     from_file = np.concatenate([np.zeros(h.machine_count), alone.z])
-    start = from_file if alone.evidence < h.fit.evidence else h.fit.z
+    start = h.fit.z if h.fit.ahead_of(alone) > 0.0 else from_file
     fitted = _fit_quickly(estimation, h.fit.parameters, start, h.fit.jacobian, (), 5, exact=True, little=LARGE)
     return log_fit(estimation, Hypothesis(h.effects, fitted, exact=True), progress, " at the end")
 
@@ -132,12 +132,13 @@ def parsimonious_fit(estimation: EstimationProblem, h: Hypothesis) -> Fit:
     """
     machine, scale = h.machine_count, h.fit.overdispersion
     chosen, target = list(range(machine, len(h.fit.parameters))), h.fit.residual + h.fit.jacobian @ h.fit.z
-    normal, slope = h.fit.jacobian.T @ h.fit.jacobian, h.fit.jacobian.T @ target
+    normal, slope = h.fit.jacobian.T @ h.fit.jacobian / scale, h.fit.jacobian.T @ target / scale
+    prior = np.diag(h.fit.prior / scale)
 
     def evidence(columns: Sequence[int]) -> float:
-        information = np.eye(len(columns)) + normal[np.ix_(columns, columns)]
+        information = (prior + normal)[np.ix_(columns, columns)]
         gain = slope[columns] @ solved(information, slope[columns])
-        return float(-gain / scale + np.linalg.slogdet(information)[1])
+        return float(-gain + np.linalg.slogdet(information)[1])
 
     for _ in range(machine):
         trials = [(evidence([*chosen, i]), i) for i in range(machine) if i not in chosen]
@@ -145,7 +146,7 @@ def parsimonious_fit(estimation: EstimationProblem, h: Hypothesis) -> Fit:
             break
         chosen.append(min(trials)[1])
     keep = sorted(chosen)
-    z = np.asarray(solved(np.eye(len(keep)) + normal[np.ix_(keep, keep)], slope[keep]))
+    z = np.asarray(solved((prior + normal)[np.ix_(keep, keep)], slope[keep]))
     parameters, renew = (
         [h.fit.parameters[i] for i in keep],
         range(len(keep)) if len(keep) <= RENEWED else (),
@@ -153,14 +154,6 @@ def parsimonious_fit(estimation: EstimationProblem, h: Hypothesis) -> Fit:
     fitted = fit(estimation, parameters, z, h.fit.jacobian[:, keep], renew, iterations=4)
     # where the file is far off, the response is nonlinear: then keep the fit of all parameters
     return fitted if fitted.cost - h.fit.cost < estimation.settings.significant * scale * (machine + 1) else h.fit
-
-
-def predicted_without(h: Hypothesis, effect: Candidate) -> Fit:
-    """Predict the fit of a hypothesis without one of its effects, to first order."""
-    keep = [i for i, n in enumerate(h.fit.parameters) if n not in effect.parameters]
-    columns, target = h.fit.jacobian[:, keep], h.fit.residual + h.fit.jacobian @ h.fit.z
-    z = np.asarray(solved(np.eye(len(keep)) + columns.T @ columns, columns.T @ target), dtype=np.float64)
-    return Fit(tuple(h.fit.parameters[i] for i in keep), z, target - columns @ z, columns)
 
 
 # ---- excerpts ------------------------------------------------------------------------------------
@@ -191,7 +184,8 @@ def fit_in_excerpt(part: EstimationProblem, fitted: Fit) -> Fit:
 def linearised(estimation: EstimationProblem, parameters: Sequence[Parameter], z: FloatArray) -> Fit:
     """Return the fit at z, (p,), with the derivatives there."""
     residual = estimation.residual(values_at(parameters, z))
-    return Fit(tuple(parameters), z, residual, derivatives(estimation, parameters, z, residual, range(len(z))))
+    jacobian = derivatives(estimation, parameters, z, residual, range(len(z)))
+    return Fit(tuple(parameters), z, residual, jacobian, estimation.block_rows)
 
 
 def hypothesis_in_whole(problem: Problem, h: Hypothesis) -> Hypothesis:
@@ -203,4 +197,5 @@ def hypothesis_in_whole(problem: Problem, h: Hypothesis) -> Hypothesis:
     machine = [fitted.get(n.name, (n, 0.0)) for n in problem.parameters]
     parameters = (*(n for n, _ in machine), *h.effect_parameters)
     z = np.array([*(x for _, x in machine), *h.effect_z])
-    return Hypothesis(h.effects, Fit(parameters, z, h.fit.residual, np.zeros((len(h.fit.residual), len(z)))))
+    unknown = np.zeros((len(h.fit.residual), len(z)))
+    return Hypothesis(h.effects, replace(h.fit, parameters=parameters, z=z, jacobian=unknown))

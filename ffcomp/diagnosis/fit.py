@@ -3,7 +3,10 @@
 Parameters are in units of their prior's standard deviation, z = (x − start)/sd, so the prior is |z|². The evidence is
 Laplace's approximation, with J the derivative of the simulation by z (MacKay, Neural Computation 4, 1992):
 
-    −2 ln Z = |r|² + |z|² + ln det(I + JᵀJ)
+    −2 ln Z = |r|²/φ + |z|² + ln det(I + JᵀJ/φ)
+
+With φ, the scatter of |r|² by model error beside noise, the likelihood is tempered: a residual far above the noise
+says little about numbers of the file that hardly change it. The sizes of effects are free.
 """
 
 from __future__ import annotations
@@ -16,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ffcomp.diagnosis.noise import Whitener, whitener
-from ffcomp.diagnosis.problem import Candidate, InfeasibleParameters, Parameter, Problem, carried_over
+from ffcomp.diagnosis.problem import Candidate, InfeasibleParameters, Parameter, Problem
 from ffcomp.diagnosis.settings import SETTINGS, SearchSettings
 from ffcomp.diagnosis.trace import Trace
 from ffcomp.identification.uncertainty import NINETY_PERCENT, Estimate
@@ -61,35 +64,6 @@ class ResidualCache:
 
 
 @dataclass(frozen=True, eq=False)
-class Elsewhere:
-    """Data that are not simulated: what it costs there to move what was fitted to all, |root (z − z₀)|².
-
-    Without it, a fit to a few motions moves the machine's numbers to wherever those motions alone are best.
-    """
-
-    parameters: tuple[Parameter, ...]
-    z: FloatArray  # (p,) z₀
-    root: FloatArray  # (p, p)
-
-    def residual(self, values: Mapping[str, float]) -> FloatArray:
-        """Return (p,) rows that stand for these data."""
-        z = np.array([(self._value(n, values) - n.start) / n.sd for n in self.parameters])
-        return np.asarray(self.root @ (self.z - z))
-
-    @staticmethod
-    def _value(n: Parameter, values: Mapping[str, float]) -> float:
-        """Return a parameter, also where an effect has another form or law; of one that is gone, none of it."""
-        x = values.get(n.name)
-        x = carried_over(values, n.name) if x is None else x
-        return n.start if x is None else x
-
-
-def elsewhere_of(fitted: Fit, rows: NDArray[np.bool_]) -> Elsewhere:
-    """Condense some rows of a fit to as many as it has parameters: JᵀJ = rootᵀ root."""
-    return Elsewhere(fitted.parameters, fitted.z, np.asarray(np.linalg.qr(fitted.jacobian[rows], mode="r")))
-
-
-@dataclass(frozen=True, eq=False)
 class EstimationProblem:
     """A problem with its whitener."""
 
@@ -103,7 +77,6 @@ class EstimationProblem:
     tolerance: float = SETTINGS.known_noise  # of the noise: a smaller discrepancy counts as none
     share: float = 1.0  # of all data
     only: tuple[int, ...] | None = None  # observations that are simulated; None: all
-    elsewhere: Elsewhere | None = None  # the others, where they count
     cache: ResidualCache = field(default_factory=ResidualCache)  # shared by all derived from this one on the same data
 
     def residual(self, values: Mapping[str, float]) -> FloatArray:
@@ -116,9 +89,8 @@ class EstimationProblem:
         keys = [(frozenset(values.items()), self.only, self.coarse) for values in points]
         cached = [self.cache.get(key) for key in keys]
         new = self._evaluated([values for values, known in zip(points, cached, strict=True) if known is None])
-        for values, key, known in zip(points, keys, cached, strict=True):
-            residual = self.cache.add(key, next(new) if known is None else known)
-            yield residual if self.elsewhere is None else np.append(residual, self.elsewhere.residual(values))
+        for key, known in zip(keys, cached, strict=True):
+            yield self.cache.add(key, next(new) if known is None else known)
 
     def _evaluated(self, many: Sequence[Mapping[str, float]]) -> Iterator[FloatArray]:
         infeasible = np.full(len(self.measured), INFEASIBLE_SD)
@@ -208,16 +180,32 @@ class Fit:
 
     @cached_property
     def information(self) -> FloatArray:
-        """(p, p) I + JᵀJ."""
-        return np.eye(len(self.z)) + self.jacobian.T @ self.jacobian
+        """(p, p) JᵀJ and the prior."""
+        return np.diag(self.prior) + self.jacobian.T @ self.jacobian
+
+    @cached_property
+    def prior(self) -> FloatArray:
+        """(p,) weight of each z²: φ of the file's numbers; how large an effect is nobody knows beforehand."""
+        return np.where(believed(self.parameters), self.overdispersion, 1.0)
 
     @property
     def evidence(self) -> float:
-        """−2 ln Z without what all hypotheses share: the smaller the likelier."""
-        logarithm = float(np.linalg.slogdet(self.information)[1])
+        """φ times −2 ln Z, without what all hypotheses share: the smaller the likelier."""
+        return self.evidence_at(self.overdispersion)
+
+    def evidence_at(self, scatter: float) -> float:
+        """Return the evidence with another fit's φ, by which the two compare."""
+        tempered = np.eye(len(self.z)) + self.jacobian.T @ self.jacobian / scatter
+        logarithm = float(np.linalg.slogdet(tempered)[1])
         if not 0.0 <= logarithm < np.inf:  # beyond rounding: no eigenvalue of it is below one
-            logarithm = float(np.sum(np.log(np.maximum(np.linalg.eigvalsh(self.information), 1.0))))
-        return self.cost + logarithm
+            logarithm = float(np.sum(np.log(np.maximum(np.linalg.eigvalsh(tempered), 1.0))))
+        weights = np.where(believed(self.parameters), scatter, 1.0)
+        return self.chi_squared + float(self.z @ (weights * self.z)) + scatter * logarithm
+
+    def ahead_of(self, other: Fit) -> float:
+        """Return by how much −2 ln Z of another fit of the same data is larger, by the model error of this one."""
+        scatter = self.overdispersion
+        return (other.evidence_at(scatter) - self.evidence_at(scatter)) / scatter
 
     @property
     def discrepancy(self) -> float:
@@ -231,7 +219,7 @@ class Fit:
 
     @property
     def overdispersion(self) -> float:
-        """The factor by which differences in evidence are divided: see `least_squares.overdispersion`."""
+        """φ, by which model error scatters |r|² more than noise alone: see `least_squares.overdispersion`."""
         return overdispersion(self.misfit, self.block_rows)
 
     @cached_property
@@ -242,13 +230,13 @@ class Fit:
     @cached_property
     def best_step(self) -> FloatArray:
         """(p,) the step to the optimum inside the bounds if the simulation were linear."""
-        gradient = self.slope - self.z
+        gradient = self.slope - self.prior * self.z
         return step_within(self.parameters, self.z, self.information, gradient)
 
     @cached_property
     def predicted_gain(self) -> float:
-        """The decrease of the cost by the best step."""
-        gradient, step = self.slope - self.z, self.best_step
+        """The decrease of |r|² + φ|z|² by the best step."""
+        gradient, step = self.slope - self.prior * self.z, self.best_step
         return float(2 * gradient @ step - step @ self.information @ step)
 
     @property
@@ -263,7 +251,7 @@ class Fit:
         unit = self.jacobian / length
         squares, vectors = np.linalg.eigh(unit.T @ unit)
         certain = (vectors * np.maximum(squares - len(squares) * DERIVATIVE_RTOL**2, 0.0)) @ vectors.T
-        return np.asarray(np.eye(len(self.z)) + certain * np.outer(length, length))
+        return np.asarray(np.diag(self.prior) + certain * np.outer(length, length))
 
     def covariance(self, frequency_hz: FloatArray, rows: Sequence[slice], same: Sequence[int]) -> FloatArray:
         """Estimate the covariance (p, p) of z: the sandwich over blocks of 5 Hz, never below the inverse information.
@@ -274,8 +262,10 @@ class Fit:
         rows : of each observation.
         same : of each observation the one whose motion it repeats: repeats share the model's error.
         """
-        bread = solved(self._certain_information, np.eye(len(self.z)))
-        meat = np.eye(len(self.z)) + sum(sums.T @ sums for sums in self._slopes(frequency_hz, rows, same))
+        scatter = self.overdispersion
+        bread = scatter * solved(self._certain_information, np.eye(len(self.z)))
+        slopes = self._slopes(frequency_hz, rows, same)
+        meat = np.diag(self.prior / scatter) + sum(sums.T @ sums for sums in slopes) / scatter**2
         wide = np.diag(bread @ meat @ bread) / np.diag(bread)
         wider = np.sqrt(np.maximum(1.0, wide))
         return bread * np.outer(wider, wider)
@@ -311,6 +301,11 @@ class Fit:
             sums = by_motion.setdefault(motion, np.zeros((blocks, len(self.z))))
             np.add.at(sums, block, self.jacobian[part] * self.residual[part][:, None])
         return list(by_motion.values())
+
+
+def believed(parameters: Sequence[Parameter]) -> NDArray[np.bool_]:
+    """Return which parameters, (p,), have a prior that says something: the file's numbers, by their uncertainties."""
+    return np.array([not n.name.startswith("effects.") for n in parameters], dtype=bool)
 
 
 def student_share(freedom: int) -> float:
@@ -392,6 +387,7 @@ def fit(
         renew_all=renew_all,
         exact=exact,
         block_rows=estimation.block_rows,
+        tempered=believed(parameters),
     )
     return Fit(tuple(parameters), best.z, best.residual, best.jacobian, estimation.block_rows)
 
@@ -408,7 +404,7 @@ def _batched(estimation: EstimationProblem, parameters: Sequence[Parameter], rou
 
 
 def intervals_of(
-    estimation: EstimationProblem, fitted: Fit, values: Mapping[str, float], scatter: bool = False, wider: float = 1.0
+    estimation: EstimationProblem, fitted: Fit, values: Mapping[str, float], scatter: bool = False
 ) -> dict[str, Estimate]:
     """Put intervals about the values that are reported, as wide as all parameters together leave them.
 
@@ -416,25 +412,15 @@ def intervals_of(
     ----------
     scatter : at least as wide as the values scatter as one motion after the other is left out. What one motion alone
         shows is not known from the others, and yet it is there: that is no reason to refuse an effect.
-    wider : times as wide.
     """
     whiten, same = estimation.whiten, estimation.problem.motions
     sd = np.sqrt(np.diag(fitted.covariance(whiten.frequencies(), whiten.rows, same)))
     if scatter:
         sd = np.maximum(sd, fitted.scatter(whiten.rows, same))
     return {
-        n.name: _interval(n, values.get(n.name, n.start), wider * n.sd * float(s))
+        n.name: _interval(n, values.get(n.name, n.start), n.sd * float(s))
         for n, s in zip(fitted.parameters, sd, strict=True)
     }
-
-
-def wide_intervals_of(estimation: EstimationProblem, fitted: Fit, values: Mapping[str, float]) -> dict[str, Estimate]:
-    """Put intervals about the values as they are told of an effect: at least as wide as its motions scatter.
-
-    A shape that is not ours is wrong alike in all blocks of frequencies and all motions: Birge's ratio (Physical
-    Review 40, 1932) comes on top of what they show.
-    """
-    return intervals_of(estimation, fitted, values, scatter=True, wider=float(np.sqrt(fitted.misfit)))
 
 
 def by_deviance(

@@ -148,15 +148,17 @@ def _retuned_there(estimation: EstimationProblem, fitted: Fit, z: FloatArray, me
     """Return z (p,) with the file's numbers as these observations have them: two steps, to first order."""
     own = [i for i, n in enumerate(fitted.parameters) if not n.name.startswith("effects.")]
     parameters, j = [fitted.parameters[i] for i in own], fitted.jacobian[estimation.rows_of(members)][:, own]
-    alone, normal = estimation.limited_to(members), np.eye(len(own)) + j.T @ j
+    alone, scatter = estimation.limited_to(members), fitted.overdispersion
+    normal = scatter * np.eye(len(own)) + j.T @ j
     residual = alone.residual(values_at(fitted.parameters, z))
     for _ in range(2):
-        step, least = step_within(parameters, z[own], normal, j.T @ residual - z[own]), _cost(residual, z[own])
+        step = step_within(parameters, z[own], normal, j.T @ residual - scatter * z[own])
+        least = _cost(residual, z[own], scatter)
         for share in (1.0, 0.4, 0.1):
             trial = z.copy()
             trial[own] += share * step
             there = alone.residual(values_at(fitted.parameters, trial))
-            if _cost(there, trial[own]) < least:
+            if _cost(there, trial[own], scatter) < least:
                 z, residual = trial, there
                 break
         else:
@@ -175,13 +177,17 @@ def _fitted_to_others(estimation: EstimationProblem, fitted: Fit, members: Seque
     keep = [i for i, n in enumerate(fitted.parameters) if n.name not in delays]
     free = tuple(fitted.parameters[i] for i in keep)
     j, r = fitted.jacobian[inside][:, keep], fitted.residual[inside]
-    normal, slope = np.eye(len(keep)) + j.T @ j, j.T @ r - fitted.z[keep]
+    prior = fitted.prior[keep]
+    normal, slope = np.diag(prior) + j.T @ j, j.T @ r - prior * fitted.z[keep]
     step, moved = np.zeros(len(fitted.z)), step_within(free, fitted.z[keep], normal, slope)
     step[keep] = moved
     trials = [clipped(fitted.parameters, fitted.z + share * step) for share in (1.0, 0.5, 0.2, 0.05, 0.0)]
     # the whole step, if it brings at least half of what it promises: then there is hardly a better one
     ranked, residual = quickest(estimation, fitted.values)
-    promised, before = float(2 * slope @ moved - moved @ normal @ moved), _cost(residual[inside], fitted.z)
+    promised, before = (
+        float(2 * slope @ moved - moved @ normal @ moved),
+        _cost(residual[inside], fitted.z, fitted.prior),
+    )
     costs = _costs(ranked, fitted, trials[:1], inside)
     if not before - costs[0] > promised / 2:
         costs += _costs(ranked, fitted, trials[1:], inside)
@@ -219,11 +225,11 @@ def _costs(
 ) -> list[float]:
     """Simulate everything with each of these z: the cost of each outside of what is left out."""
     residuals = estimation.residuals([values_at(fitted.parameters, z) for z in trials])
-    return [_cost(x[inside], z) for x, z in zip(residuals, trials, strict=True)]
+    return [_cost(x[inside], z, fitted.prior) for x, z in zip(residuals, trials, strict=True)]
 
 
-def _cost(residual: FloatArray, z: FloatArray) -> float:
-    return float(residual @ residual + z @ z)
+def _cost(residual: FloatArray, z: FloatArray, prior: FloatArray | float) -> float:
+    return float(residual @ residual + z @ (prior * z))
 
 
 def residual_left_out(

@@ -84,7 +84,8 @@ class Hypothesis:
         free = {n.name: n for n in file}
         machine = held([free.get(n.name, n) for n in self.machine_parameters], effects)
         parameters = (*machine, *(n for n in self.effect_parameters if n not in dropped.parameters))
-        return Hypothesis(effects, Fit(parameters, self.fit.z[keep], self.fit.residual, self.fit.jacobian[:, keep]))
+        z, jacobian = self.fit.z[keep], self.fit.jacobian[:, keep]
+        return Hypothesis(effects, replace(self.fit, parameters=parameters, z=z, jacobian=jacobian))
 
 
 def held(machine: Sequence[Parameter], effects: Sequence[Candidate]) -> tuple[Parameter, ...]:
@@ -110,9 +111,8 @@ def significant(larger: Fit, smaller: Fit, settings: SearchSettings, share: floa
     share : of the discrepancy; None: what an added effect removes at least.
     """
     remains = max(smaller.cost - len(smaller.residual), 0.0)
-    gain = (smaller.evidence - larger.evidence) / larger.overdispersion
     enough = settings.added_share if share is None else share
-    return gain > settings.significant and smaller.cost - larger.cost > enough * remains
+    return larger.ahead_of(smaller) > settings.significant and smaller.cost - larger.cost > enough * remains
 
 
 def worth(estimation: EstimationProblem, larger: Fit, smaller: Fit, share: float | None = None) -> bool:
@@ -135,7 +135,8 @@ def comparable(h: Hypothesis, best: Hypothesis, factor: float, settings: SearchS
 
 def likeliest(hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:
     """Sort by evidence, the likeliest first."""
-    return sorted(hypotheses, key=lambda h: h.fit.evidence)
+    scatter = min((h.fit.overdispersion for h in hypotheses), default=1.0)
+    return sorted(hypotheses, key=lambda h: h.fit.evidence_at(scatter))
 
 
 def distinct(ranked: Sequence[Hypothesis]) -> list[Hypothesis]:
@@ -154,13 +155,11 @@ def competing_with(
     gap : the discrepancy without any effect, of the noise. Where it is large, even a small error of an effect's shape
         is significant, and no effect has exactly our shape: what leaves a thousandth of it cannot be ruled out.
     """
-    scale = best.fit.overdispersion * share
     others = [h for h in tried if h.names != best.names and len(h.effects) == len(best.effects)]
     return [
         h
         for h in others
-        if (h.fit.evidence - best.fit.evidence) / scale < 2 * settings.significant
-        or h.discrepancy < settings.trace * gap
+        if best.fit.ahead_of(h.fit) / share < 2 * settings.significant or h.discrepancy < settings.trace * gap
     ]
 
 

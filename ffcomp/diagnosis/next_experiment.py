@@ -180,7 +180,7 @@ def rivals_of(diagnosis: Diagnosis) -> list[Rival]:
     best = diagnosis.best
     if best is None or best.discrepancy > diagnosis.estimation.settings.left * diagnosis.base.discrepancy:
         return []
-    ours, limit = {*best.names}, -diagnosis.estimation.settings.significant * best.fit.overdispersion
+    ours, limit = {*best.names}, -diagnosis.estimation.settings.significant
     larger = [h for h in diagnosis.tried if ours < {*h.names} and len(h.names) == len(ours) + 1]
     likelier = sorted((h for h in larger if diagnosis.behind(h) < limit), key=diagnosis.behind)[:1]
     fitted = [h for h in diagnosis.competing if h.names != best.names] + likelier

@@ -189,7 +189,7 @@ def result_of(problem: Problem, diagnosis: Diagnosis) -> DiagnosisResult:
         effects=tables,
         intervals={n: _in_file_terms(n, e) for n, e in diagnosis.intervals.items() if n.startswith("effects.")},
         confidence={name: _confidence(diagnosis, name) for name in tables},
-        evidence=diagnosis.base.evidence - fitted.evidence,
+        evidence=fitted.ahead_of(diagnosis.base),
         others=[replace(o, number=key(o.number).removeprefix("effects.")) for o in diagnosis.others],
         rejections=[problem.names.quantities.sentence(each) for each in diagnosis.rejections],
         invisible=diagnosis.invisible,
@@ -283,8 +283,8 @@ def _confidence(diagnosis: Diagnosis, effect: str) -> float:
         return 0.0
     fitted = diagnosis.best.fit
     behind = [diagnosis.behind(h) for h in diagnosis.tried if effect not in h.names]
-    nearest = min([*behind, diagnosis.base.evidence - fitted.evidence])
-    sure = float(1 / (1 + np.exp(-np.clip(nearest / fitted.overdispersion / 2, -50, 50))))
+    nearest = min([*behind, fitted.ahead_of(diagnosis.base)])
+    sure = float(1 / (1 + np.exp(-np.clip(nearest / 2, -50, 50))))
     # tested at one place, or wrong numbers of the file would explain as much: at most so sure
     tested = 1.0 if _left_out(diagnosis) in ("places", "windows") else 0.9
     return min(sure, tested, 1.0 if diagnosis.file_off is None else 0.5)

@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ffcomp.diagnosis.fit import EstimationProblem, Fit, elsewhere_of, solved, step_within
+from ffcomp.diagnosis.fit import EstimationProblem, Fit, solved, step_within
 from ffcomp.diagnosis.problem import Candidate, Parameter
 from models.arrays import FloatArray
 from models.effects.catalogue import CATALOGUE
@@ -54,12 +54,9 @@ def subset_of(estimation: EstimationProblem, fitted: Fit, chosen: Sequence[int] 
     if len(chosen) > estimation.settings.subset_worth * len(set(motions)):
         return None
     members = [i for i, motion in enumerate(motions) if motion in chosen]
-    rows, others = estimation.rows_of(members), np.ones(len(fitted.residual), dtype=bool)
-    others[rows] = False
-    rest = elsewhere_of(fitted, others)
-    residual = np.append(fitted.residual[rows], np.zeros(len(rest.root)))
-    part = Fit(fitted.parameters, fitted.z, residual, np.vstack([fitted.jacobian[rows], rest.root]))
-    return Subset(replace(estimation.limited_to(members), elsewhere=rest), part)
+    rows = estimation.rows_of(members)
+    part = replace(fitted, residual=fitted.residual[rows], jacobian=fitted.jacobian[rows])
+    return Subset(estimation.limited_to(members), part)
 
 
 def loudest_motions(estimation: EstimationProblem, residual: FloatArray) -> Sequence[int]:
@@ -205,7 +202,7 @@ def _screened(base: Fit, one: _Scored) -> Screened:
     step, estimate = one.step[: len(base.z)], one.step[len(base.z) :]
     explained = one.signature @ estimate
     # (1 − J (I + JᵀJ)⁻¹ Jᵀ)(S e + J s) = S e + J (s − (I + JᵀJ)⁻¹ Jᵀ (S e + J s))
-    retuned = base.jacobian.T @ explained + (base.information - np.eye(len(step))) @ step
+    retuned = base.jacobian.T @ (explained + base.jacobian @ step)
     left = explained + base.jacobian @ (step - solved(base.information, retuned))
     length = float(np.linalg.norm(left))
     projected = np.asarray(left / length if length else left)
@@ -219,7 +216,7 @@ def _joint_step(base: Fit, signature: FloatArray, cross: FloatArray, added: Floa
     """
     free = tuple(Parameter(f"amplitude {i}", 0.0, 1.0) for i in range(signature.shape[1]))
     normal = np.block([[base.information, cross], [cross.T, added]])
-    gradient = np.concatenate([base.slope - base.z, signature.T @ base.residual])
+    gradient = np.concatenate([base.slope - base.prior * base.z, signature.T @ base.residual])
     z = np.concatenate([base.z, np.zeros(len(free))])
     step = step_within((*base.parameters, *free), z, normal, gradient)
     return step, float(2 * gradient @ step - step @ normal @ step) - base.predicted_gain

@@ -12,7 +12,7 @@ in the beam, those with fewer on the level before. Every comparison is by the ev
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 
@@ -24,7 +24,6 @@ from ffcomp.diagnosis.fidelity import (
     continue_fit,
     fit_exactly,
     hypothesis_in_whole,
-    predicted_without,
 )
 from ffcomp.diagnosis.fit import EstimationProblem, Fit, clipped, derivatives, fit, solved, values_at
 from ffcomp.diagnosis.held_out import left_elsewhere
@@ -180,7 +179,7 @@ class _Start:
 
     effect: Candidate
     z: FloatArray  # (k,) of its parameters
-    cost: float  # |r|² + |z|² there, with the machine's parameters retuned to first order
+    cost: float  # |r|² + φ|z|² there, with the machine's parameters retuned to first order
 
 
 def _starts(search: Search, part: Subset, h: Hypothesis, screened: Sequence[Screened]) -> list[_Start]:
@@ -192,8 +191,7 @@ def _starts(search: Search, part: Subset, h: Hypothesis, screened: Sequence[Scre
     """
     tries = [(s, form, z) for s in screened if s.visible for form in _first_forms(s.candidate) for z in _sizes(s, form)]
     points = [{**h.fit.values, **values_at(form.parameters, z)} for _, form, z in tries]
-    retuned = _retuned_cost(part.fit)
-    costs = [retuned(r) for r in part.estimation.residuals(points)]
+    costs = [_retuned_cost(part.fit, r) for r in part.estimation.residuals(points)]
     best: dict[str, list[_Start]] = {}
     most = 1 if h.effects else search.settings.starts  # next to others it is begun from where it helps most
     for cost, (s, form, z) in sorted(zip(costs, tries, strict=True), key=lambda each: each[0]):
@@ -213,15 +211,11 @@ def _alike(form: Candidate, z: FloatArray, other: _Start) -> bool:
     return bool(np.all(ours * theirs > 0) and np.all(np.abs(np.log(np.abs(ours / theirs))) < np.log(2.5)))
 
 
-def _retuned_cost(fitted: Fit) -> Callable[[FloatArray], float]:
-    """Return what is left of |r|² + |z|² once the parameters of a fit follow, to first order."""
-
-    def left(r: FloatArray) -> float:
-        slope = fitted.jacobian.T @ r - fitted.z
-        gain = slope @ solved(fitted.information, slope)
-        return float(r @ r + fitted.z @ fitted.z - gain)
-
-    return left
+def _retuned_cost(fitted: Fit, r: FloatArray) -> float:
+    """Return what is left of |r|² + φ|z|² once the parameters of a fit follow, to first order."""
+    prior = fitted.prior * fitted.z
+    slope = fitted.jacobian.T @ r - prior
+    return float(r @ r + fitted.z @ prior - slope @ solved(fitted.information, slope))
 
 
 def _first_forms(c: Candidate) -> list[Candidate]:
@@ -326,11 +320,11 @@ def _forms(search: Search, h: Hypothesis, *, richer: bool) -> list[Hypothesis]:
     than half of what it must bring is left out.
     """
     part, begun, settings = _loudest(search, h.fit), list[tuple[float, Hypothesis]](), search.settings
-    retuned = _retuned_cost(part.fit)
     for effects in _other_forms(search, h, richer=richer):
         start = _mapped(effects, h)
         tries = _placed(start, h)
-        costs = [retuned(r) for r in part.estimation.residuals([values_at(start.fit.parameters, z) for z in tries])]
+        points = [values_at(start.fit.parameters, z) for z in tries]
+        costs = [_retuned_cost(part.fit, r) for r in part.estimation.residuals(points)]
         least = int(np.argmin(costs))
         begun.append((costs[least], replace(start, fit=replace(start.fit, z=tries[least]))))
     excess = max(part.fit.cost - len(part.fit.residual), 0.0)
@@ -366,7 +360,8 @@ def _mapped(effects: tuple[Candidate, ...], h: Hypothesis) -> Hypothesis:
         return 0.0 if x is None else (x - n.start) / n.sd
 
     z = clipped(parameters, np.array([z_of(n) for n in parameters]))
-    return Hypothesis(effects, Fit(parameters, z, h.fit.residual, np.zeros((len(h.fit.residual), len(z)))))
+    unknown = np.zeros((len(h.fit.residual), len(z)))
+    return Hypothesis(effects, replace(h.fit, parameters=parameters, z=z, jacobian=unknown))
 
 
 def _placed(start: Hypothesis, h: Hypothesis) -> list[FloatArray]:
@@ -417,7 +412,7 @@ def rivals(search: Search, best: Hypothesis, selection: Selection) -> list[Hypot
         for h in likeliest(selection.tried)
         if h.names not in (best.names, here.names)
         and len(h.effects) <= len(best.effects)
-        and (h.fit.evidence - here.fit.evidence) / here.fit.overdispersion < 2 * search.settings.significant
+        and here.fit.ahead_of(h.fit) < 2 * search.settings.significant
     ]
 
 
@@ -427,32 +422,23 @@ def _preferred(search: Search, best: Hypothesis, rival: Hypothesis) -> Hypothesi
         return rival if rival.plausible else best
     smaller, larger = sorted((best, rival), key=lambda h: len(h.fit.parameters))
     if len(smaller.fit.parameters) == len(larger.fit.parameters):
-        return min(best, rival, key=lambda h: h.fit.evidence)
+        return likeliest([best, rival])[0]
     return larger if significant(larger.fit, smaller.fit, search.settings, 0.0) else smaller
 
 
 def _without_idle(search: Search, best: Hypothesis, tried: Sequence[Hypothesis]) -> Hypothesis:
-    """Drop the effects that do not explain most of what is left without them: predicted, or fitted where nothing was.
-
-    A rest that several formulas explain in part names none of them.
-    """
-    estimation, known, most = search.estimation, [h.names for h in tried], search.settings.dominant
+    """Drop the effects that explain too little of what the others leave, fitted without them."""
+    estimation = search.estimation
     while len(best.effects) > 1:
-        without = {c.name: predicted_without(best, c) for c in best.effects}
-        smaller: Hypothesis | None = None
-        for c in sorted(best.effects, key=lambda c: without[c.name].evidence):
-            rest = best.without(c, estimation.problem.parameters)
-            if significant(best.fit, without[c.name], search.settings, most) and rest.names in known:
-                continue
-            fitted = continue_fit(estimation, rest, search.progress)
-            kept = worth(estimation, best.fit, fitted.fit, most)
-            reason = f"without {c.name}"
-            estimation.trace.add("drop", fitted.names, outcome="refused" if kept else "kept", reason=reason)
-            if not kept:
-                smaller = fitted
-                break
-        if smaller is None:
-            return best
+        rests = [best.without(c, estimation.problem.parameters) for c in best.effects]
+        fitted = [continue_fit(estimation, rest, search.progress) for rest in rests]
+        known = [h for h in tried if h.names in [rest.names for rest in rests]]
+        smaller = likeliest([*fitted, *known])[0]
+        needed = worth(estimation, best.fit, smaller.fit)
+        outcome, reason = "refused" if needed else "kept", f"of {' + '.join(best.names)}"
+        estimation.trace.add("drop", smaller.names, outcome=outcome, reason=reason)
+        if needed:
+            break
         best = smaller
     return best
 

@@ -374,7 +374,7 @@ def _innovation(fitted: Fit, of_machine: Sequence[int]) -> tuple[float, int, flo
     """Test how far the numbers moved: before the recordings, z has the covariance I − C where these determine it."""
     from scipy.stats import chi2
 
-    covariance = np.linalg.inv(fitted.information)[np.ix_(of_machine, of_machine)]
+    covariance = fitted.overdispersion * np.linalg.inv(fitted.information)[np.ix_(of_machine, of_machine)]
     told, directions = np.linalg.eigh(np.eye(len(of_machine)) - covariance)
     moved = directions.T @ fitted.z[list(of_machine)]
     counted = told > DETERMINED

@@ -122,10 +122,9 @@ def test_an_effect_that_leaves_a_rest_is_named_with_what_it_explains() -> None:
     assert [rival.names for rival in found.rivals] == [(BENDS,)] and found.rivals[0].explained < 0.05
 
 
-@pytest.mark.parametrize(("off", "named"), [(0.01, True), (0.06, True), (0.5, False)])
-def test_with_the_file_of_another_machine_nothing_is_named(off: float, named: bool) -> None:
-    """Five of six numbers go as far as they may: off by 6 % they matter less than the effect, by 50 % more."""
-    assert (dominant_of(OfMany(off)) is not None) == named
+@pytest.mark.parametrize("off", [0.01, 0.06])
+def test_a_file_whose_every_number_is_off_hides_no_effect(off: float) -> None:
+    assert dominant_of(OfMany(off)) is not None
 
 
 @pytest.mark.parametrize(

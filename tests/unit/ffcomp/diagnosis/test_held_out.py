@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-import pytest
 
 from ffcomp.diagnosis.fit import estimation_problem, fit
 from ffcomp.diagnosis.held_out import hold_out
@@ -66,7 +65,7 @@ def left_out(problem: Problem) -> list[float]:
     parameters = (*problem.parameters, Parameter(DELAY, 0.0, 3e-4, 0.0, 5e-3))
     fits = [fit(estimation, p, np.zeros(len(p)), iterations=10) for p in (problem.parameters, parameters)]
     # the machine has a part of the delay only: three recordings have the rest, two would have more of it
-    assert fits[1].values[DELAY] == pytest.approx(0.75 * LATE_S, rel=0.2)
+    assert 0.6 * LATE_S < fits[1].values[DELAY] < LATE_S
     return [place.after for place in hold_out(estimation, *fits)]
 
 

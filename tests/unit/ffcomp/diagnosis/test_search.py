@@ -8,13 +8,12 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
-import pytest
 
 from ffcomp.diagnosis.candidates import machine_parameters, printer_candidates
 from ffcomp.diagnosis.diagnosis import Diagnosis, diagnose
-from ffcomp.diagnosis.fit import Fit, elsewhere_of
+from ffcomp.diagnosis.fit import Fit
 from ffcomp.diagnosis.hypotheses import Hypothesis, held
-from ffcomp.diagnosis.problem import Parameter
+from ffcomp.diagnosis.problem import carried_over
 from ffcomp.diagnosis.settings import SETTINGS, SearchSettings
 from ffcomp.diagnosis.trace import Trace
 from models.effects.catalogue import CATALOGUE
@@ -78,20 +77,10 @@ def test_a_number_of_the_file_is_held_where_an_effect_is_the_same_number() -> No
     assert both.without(cogging, file).machine_parameters == machine_held
 
 
-def test_data_that_are_not_simulated_know_an_effect_in_every_form_and_law() -> None:
-    """What Coulomb friction costs there, Stribeck friction of the same force costs as well."""
-    force = [Parameter(f"effects.coulomb_friction.force_n[{i}]", 0.0, 10.0) for i in range(2)]
-    mass = Parameter("effector.mass_kg", 0.5, 0.1)
-    j = np.random.default_rng(1).normal(size=(20, 3))
-    fitted = Fit((mass, *force), np.array([1.0, 0.2, 0.4]), np.zeros(20), j)
-    rest = elsewhere_of(fitted, np.ones(20, dtype=bool))
-    file = {"effector.mass_kg": 0.6}
-    for forces in (
-        {"effects.coulomb_friction.force_n[0]": 2.0, "effects.coulomb_friction.force_n[1]": 4.0},
-        {"effects.stribeck_friction.force_n[0]": 2.0, "effects.stribeck_friction.force_n[1]": 4.0},
-    ):
-        assert rest.residual({**file, **forces}) == pytest.approx(np.zeros(3), abs=1e-12)
-    shared = rest.residual({**file, "effects.stribeck_friction.force_n": 3.0, "effects.stribeck_friction.exponent": 2})
-    assert shared @ shared == pytest.approx(float(np.sum((j @ [0.0, -0.1, 0.1]) ** 2)))
-    gone = rest.residual(file)
-    assert gone @ gone == pytest.approx(float(np.sum((j @ [0.0, 0.2, 0.4]) ** 2)))
+def test_a_number_is_carried_over_to_other_forms_and_laws_of_its_effect() -> None:
+    coulomb = {"effects.coulomb_friction.force_n[0]": 2.0, "effects.coulomb_friction.force_n[1]": 4.0, "mass_kg": 1.0}
+    assert carried_over(coulomb, "effects.stribeck_friction.force_n[1]") == 4.0
+    assert carried_over(coulomb, "effects.stribeck_friction.force_n") == 3.0
+    assert carried_over({"effects.stribeck_friction.force_n": 3.0}, "effects.coulomb_friction.force_n[1]") == 3.0
+    assert carried_over(coulomb, "effects.stribeck_friction.extra_force_n[0]") is None
+    assert carried_over(coulomb, "effects.guide_damping.force_n") is None

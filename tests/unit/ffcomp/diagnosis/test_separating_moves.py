@@ -129,7 +129,9 @@ def separation(**changed: object) -> Separation:
 def test_twins_are_said_to_be_twins() -> None:
     twins = separation(there=0.15)
     assert not twins.tells and not twins.to_dict()["separates"]
-    assert twins.sentence().startswith("No move of ffcomp record plan can tell a from b: it shows at most 0.15 times")
+    assert twins.sentence().startswith(
+        "No move of ffcomp record plan can separate a from b: it shows at most 0.15 times"
+    )
     assert twins.sentence().endswith("Weigh it.")
     assert not separation(now=3.0).tells  # they differ there hardly more than they do already
 
@@ -142,6 +144,6 @@ def test_what_is_alike_but_fits_less_well_needs_no_recording() -> None:
     told = separation(command="", kind="", position_mm=(), now=2.0, there=2.0)
     assert told.tells
     assert told.sentence() == (
-        "These runs tell a from b already, though the signatures are alike: the predictions, each at its best, differ "
-        "by 2.0 times the noise."
+        "These runs separate a from b already, though the signatures are alike: the predictions, each at its best, "
+        "differ by 2.0 times the noise."
     )

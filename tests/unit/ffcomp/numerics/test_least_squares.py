@@ -16,6 +16,7 @@ from ffcomp.numerics.least_squares import (
     differences,
     minimise,
     minimise_batched,
+    overdispersion,
 )
 from models.arrays import FloatArray
 
@@ -87,6 +88,27 @@ def test_a_batched_fit_finds_the_minimum_inside_the_bounds() -> None:
     np.testing.assert_allclose(found.z, [1.5, 0.25], atol=1e-3)
     at_bound = minimise_batched(batched(model(np.array([1.5, 2.0]))), np.zeros(2), iterations=20)
     assert at_bound.z[1] == pytest.approx(0.5)
+
+
+def test_model_error_leaves_an_unknown_that_hardly_matters_at_its_prior() -> None:
+    """A slow wave that no unknown makes, and a second unknown that takes off a thousandth of it for three deviations.
+
+    The minimum of |r|² + φ|z|² is where the normal equations with the φ of its own residual say.
+    """
+    t = np.linspace(0.0, 1.0, 1000)
+    columns = np.stack([1e3 * np.cos(40 * t), 3.0 * np.sin(9 * t)], axis=1)
+    y = columns @ [2.0, 3.0] + 300 * np.sin(7 * t)
+
+    def residuals(points: Sequence[FloatArray]) -> Iterator[FloatArray]:
+        return (y - columns @ z for z in points)
+
+    problem = BatchedProblem(residuals, np.full(2, -5.0), np.full(2, 5.0))
+    assert minimise_batched(problem, np.zeros(2), iterations=30).z[1] == pytest.approx(5.0)
+    found = minimise_batched(problem, np.zeros(2), iterations=30, block_rows=20.0, tempered=np.ones(2, dtype=bool))
+    phi = overdispersion(float(found.residual @ found.residual) / len(t), 20.0)
+    best = np.linalg.solve(phi * np.eye(2) + columns.T @ columns, columns.T @ y)
+    np.testing.assert_allclose(found.z, best, atol=0.1)  # a fit ends when less than 0.3 φ can be gained
+    assert abs(found.z[1]) < 0.5
 
 
 def test_differences_turn_inward_at_a_bound() -> None:
