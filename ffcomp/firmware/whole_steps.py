@@ -39,7 +39,7 @@ MISS_COST = 0.2  # of e², in squares of what a step moves: with less, misses be
 SETTLE = 12  # segments like the last, after which what follows it is known well enough
 WIDER = 4  # steps beyond the nearest, where there and back in two segments is within the motors' acceleration
 LEAST_KNOTS = 1.0  # that a segment lasts at least whose end becomes due earlier or later, if it did before,
-MOST_SHIFT = 0.4  # and the largest share of its time by which that may be
+MOST_SHIFT = 0.4  # of its time: the largest such shift
 SPARE = 0.9  # of that acceleration, because Marlin's times are not quite ours
 
 
@@ -160,7 +160,7 @@ def _chosen(
     """Return whole steps (n, 3) for a command in steps (n, 3) at times (n,), in knots, and when they are due.
 
     kind (n - 1,): which of forward (g, N, N + 3) and errors (g, 3 · MOST_ROWS, N + 3) a segment is of.
-    unit (n - 1, 3): its direction.   begins (n,): where what was missed before is forgotten.   penalty (3,): of e².
+    unit (n - 1, 3): its direction.   begins (n,): where earlier errors no longer count.   penalty (3,): of e².
     """
     n, size = len(steps), forward.shape[1]
     gain, cost = _regulator(kind, unit, begins, forward, errors, penalty)

@@ -184,7 +184,7 @@ def minimise_batched(
 ) -> Iterate:
     """Minimise |r|² + φ|z|² from `start`.
 
-    For unknowns that are tempered φ is the overdispersion of what is left, and falls with it (Grünwald & van Ommen,
+    For unknowns that are tempered φ is the overdispersion of the residual, and falls with it (Grünwald & van Ommen,
     Bayesian Analysis 12, 2017). With φ = 1, as for the others, a residual far above the noise outvotes any prior, and
     unknowns that hardly matter follow the model's error.
 
@@ -197,7 +197,7 @@ def minimise_batched(
     renew_all : if no step helps, recompute all columns and continue.
     exact : take all of the Jacobian by central differences, with steps as fine as the given one needs.
     block_rows : see `overdispersion`; no decision depends on a gain far below it.
-    tempered : (p,) the unknowns with a prior that is to be believed; None: no one.
+    tempered : (p,) which unknowns have a prior that counts; None: none of them.
     """
     here, fresh = _begin(problem, start, jacobian, exact)
     everything: Sequence[int] = range(len(here.z))
