@@ -81,7 +81,7 @@ def test_step_timings_beside_the_print(printed: Path, kind: str, rows: bool) -> 
     [
         (("--kind", "steps"), "extruder_steps_per_mm"),
         (("--kind", "hex"), '"gcode", "steps", "klipper-steps", "host"'),
-        (("--inverse", "none"), "for --kind steps"),
+        (("--inverse", "none"), "use it with --kind steps"),
         (("--inverse", "slow"), '"fast", "none"'),
     ],
 )

@@ -33,11 +33,11 @@ def test_a_print_that_takes_longer_than_it_was_sliced_says_why(seconds: float, l
 
 def test_what_comes_late_is_told_apart_from_what_is_off() -> None:
     assert late_line(0.0) == ""
-    assert "up to 44 ms later" in late_line(0.044) and "up to 1.3 s later" in late_line(1.3)
+    assert "up to 44 ms" in late_line(0.044) and "up to 1.3 s" in late_line(1.3)
 
 
 def test_a_bound_says_which_uncertainty_was_assumed() -> None:
     stated = load_machine("mp-delta-pro")
-    assert "off by 2 % (standard deviation)" in uncertainty_line(replace(stated, uncertainty={"default": 0.02}))
+    assert "uncertain by 2 % (standard deviation)" in uncertainty_line(replace(stated, uncertainty={"default": 0.02}))
     for uncertainty in ({"default": 0.05}, {"default": 0.02, "carriage.mass_kg": 0.1}):
         assert uncertainty_line(replace(stated, uncertainty=uncertainty)) == ""

@@ -56,4 +56,4 @@ def test_the_picture_is_opened_or_it_is_said_where_it_is(
     assert opened == ["out.png"] and capsys.readouterr().err == ""
     monkeypatch.setattr("ffcomp.cli.show.opened", lambda url: False)
     open_picture("out.png")
-    assert "look at out.png yourself" in capsys.readouterr().err
+    assert "The picture is out.png" in capsys.readouterr().err
