@@ -30,7 +30,7 @@ from scipy.signal import lfilter
 from ffcomp.errors import MeasurementError
 from ffcomp.identification.page_lines import STEP_MM, ReadLine
 from ffcomp.identification.uncertainty import Estimate, Joint, lognormal, normal, through
-from ffcomp.numerics.least_squares import BatchedProblem, Iterate, differences, minimise_batched
+from ffcomp.numerics.least_squares import BatchedProblem, Iterate, differences, minimise_batched, predicted_gain
 from ffcomp.numerics.stages import Stage
 from ffcomp.record.plan import Experiment
 from models.arrays import FloatArray
@@ -56,6 +56,7 @@ BEAD = {"drag_mm": (0.15, 0.7), "rounding_mm": (0.12, 0.5), "shift_mm": (0.0, 0.
 PLANNED = {"speed": (1.0, 0.0), "ring_x": (1.0, 0.1), "ring_y": (1.0, 0.1)}
 OVERRIDDEN = {"speed": (1.0, 0.2), "ring_x": (1.0, 1.0), "ring_y": (1.0, 1.0)}
 SPEEDS = (0.7, 0.8, 0.9, 1.1, 1.25, 1.4)  # of an override, where to begin
+OTHER_GAIN = 20.0  # of χ², which another speed promises: then it is fitted
 SAME_SPEED, SAME_RING = 0.04, 0.85  # of the logarithm: less is no override; a shaper leaves less than this share
 RADIUS = (0.53, 0.2)  # of a line, in its widths on the page: a first layer is squeezed
 LINE_SHIFT_MM = 0.04  # sd of a line's own place along it
@@ -310,7 +311,7 @@ def fit_page(
         again = np.concatenate([old / new for old, new in zip(before, bends.sigma, strict=True)])
         fitted = minimise_batched(bends.problem, fitted.z, again[:, None] * fitted.jacobian, iterations=12)
     creeps.sigma = bends.sigma
-    _check_conditions(bends, _Page(machine, lines, bends.law, width_mm, OVERRIDDEN), start, fitted)
+    _check_conditions(bends, _Page(machine, lines, bends.law, width_mm, OVERRIDDEN), fitted)
     other = minimise_batched(creeps.problem, fitted.z, fitted.jacobian, iterations=12)
     if other.cost < fitted.cost:
         return _result(creeps, other, fitted)
@@ -330,19 +331,6 @@ def _start(page: _Page) -> FloatArray:
             alike[int(along_y), j] += min(gain, 2.0) * float(seen @ model)
     best = {name: float(FACTORS[int(np.argmax(row))]) for name, row in zip(groups, alike, strict=True)}
     return _scaled(page, best)
-
-
-def _start_of_speed(page: _Page, start: FloatArray) -> FloatArray:
-    """Return the start, or one with waves as long at another speed."""
-    at_rest = _scaled(page, {"all": 1.0})
-    trials = [start]
-    for factor in SPEEDS:
-        shifted = start + _scaled(page, {"all": factor}) - at_rest
-        i = [each.name for each in page.unknowns].index("speed")
-        shifted[i] = np.log(factor) / page.unknowns[i].sd
-        trials.append(page.problem.clip(shifted))
-    costs = [float(r @ r) for r in page.problem.residuals(trials)]
-    return trials[int(np.argmin(costs))]
 
 
 def _scaled(page: _Page, factors: Mapping[str, float]) -> FloatArray:
@@ -441,21 +429,27 @@ def _signed(value: float, relative_sd: float) -> Estimate:
     return e if value > 0 else Estimate(value, e.sd, -e.high, -e.low)
 
 
-def _check_conditions(page: _Page, free: _Page, start: FloatArray, fitted: Iterate) -> None:
+def _check_conditions(page: _Page, free: _Page, fitted: Iterate) -> None:
     """Refuse a page that was drawn under other conditions than its G-code says, with the probable one.
 
-    Where roughness does not account for the residual, or a step in speed would lessen it, speed and rings are fitted
-    freely: a line shows what rings against its own length and the zigzag's time, which no override of speeds changes.
+    Where roughness does not account for the residual, or another speed promises to lessen it, speed and rings are
+    fitted freely: a line shows what rings against its own length and the zigzag's time, which no override of speeds
+    changes.
     """
     shown, names = _shown(page, fitted.z), [each.name for each in page.unknowns]
     free.sigma, i = page.sigma, names.index("speed")
     z = fitted.z * [b.sd / a.sd for a, b in zip(free.unknowns, page.unknowns, strict=True)]
     jacobian = fitted.jacobian.copy()
     jacobian[:, i] = differences(free.problem, z, fitted.residual, [i], central=True)[:, 0]
-    normal, gradient = replace(fitted, jacobian=jacobian).quadratic
-    step = free.unknowns[i].sd * np.linalg.solve(normal, gradient)[i]
-    if shown.unexplained > DOUBTFUL or abs(step) > SAME_SPEED:
-        released = minimise_batched(free.problem, _start_of_speed(free, start), iterations=12)
+    trials, as_long = [z], _scaled(free, {"all": 1.0})
+    for factor in SPEEDS:  # waves as long, of other frequencies
+        shifted = z + _scaled(free, {"all": factor}) - as_long
+        shifted[i] = np.log(factor) / free.unknowns[i].sd
+        trials.append(free.problem.clip(shifted))
+    here = [Iterate(at, r, jacobian) for at, r in zip(trials, free.problem.residuals(trials), strict=True)]
+    expected = [each.cost - predicted_gain(free.problem, each) for each in here]
+    if shown.unexplained > DOUBTFUL or min(expected) < fitted.cost - OTHER_GAIN:
+        released = minimise_batched(free.problem, here[int(np.argmin(expected))].z, iterations=12)
         if released.cost < fitted.cost:
             page, fitted, shown = free, released, _shown(free, released.z)
     sd = np.sqrt(np.diag(_covariance(page, fitted)))
@@ -463,7 +457,7 @@ def _check_conditions(page: _Page, free: _Page, start: FloatArray, fitted: Itera
     speed = found["speed"]
     weak = {axis: found[f"ring_{axis}"] for axis in "xy" if found[f"ring_{axis}"].high < SAME_RING}
     enough = shown.gain >= LEAST_GAIN and shown.unexplained < MOST_UNEXPLAINED
-    if enough and max(np.log(speed.low), -np.log(speed.high)) > SAME_SPEED:
+    if enough and abs(np.log(speed.value)) > SAME_SPEED and not speed.low <= 1.0 <= speed.high:
         reason = (
             f"The page was drawn at {100 * speed.value:.0f} % ({100 * speed.low:.0f} to {100 * speed.high:.0f}) of its "
             "speed: a speed factor is set. Set it to 100 % (M220 S100, or on the display), and print the page again."

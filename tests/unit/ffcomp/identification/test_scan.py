@@ -233,6 +233,7 @@ def test_a_page_drawn_with_a_shaper_on_is_refused(machine: Machine, plan: Plan, 
 X_HZ, Y_HZ = (PRINTER.axis_modes(axis)[0][0] for axis in range(2))
 CONDITIONS: dict[str, tuple[Conditions, str]] = {
     "slower": (Conditions(speed_factor=0.8), r"drawn at (7[6-9]|8[0-4]) % .* of its speed"),
+    "a little slower": (Conditions(speed_factor=0.9), r"drawn at (8[6-9]|9[0-4]) % .* of its speed"),
     "quicker": (Conditions(speed_factor=1.15), r"drawn at 1(09|1[0-9]|20) % .* of its speed"),
     "shaper tuned 30 % too high": (zv((1.3 * X_HZ, 1.3 * Y_HZ)), "rings .* input shaper"),
 }
