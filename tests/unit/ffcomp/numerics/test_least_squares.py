@@ -108,7 +108,6 @@ def test_model_error_leaves_an_unknown_that_hardly_matters_at_its_prior() -> Non
     phi = overdispersion(float(found.residual @ found.residual) / len(t), 20.0)
     best = np.linalg.solve(phi * np.eye(2) + columns.T @ columns, columns.T @ y)
     np.testing.assert_allclose(found.z, best, atol=0.1)  # a fit ends when less than 0.3 φ can be gained
-    assert abs(found.z[1]) < 0.5
 
 
 def test_differences_turn_inward_at_a_bound() -> None:
