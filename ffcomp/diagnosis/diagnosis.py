@@ -105,7 +105,7 @@ class Diagnosis:
 
     @property
     def unproven(self) -> list[HeldOut]:
-        """What was left out of the fit, and is not explained there."""
+        """The places left out of the fit that are not explained there."""
         return [] if self.best is None else unproven(self.estimation, self.held_out)
 
     def behind(self, h: Hypothesis) -> float:
@@ -410,7 +410,7 @@ def _believable(none: Diagnosis, best: Hypothesis, progress: Progress) -> Hypoth
 
 
 def _concluded(result: Diagnosis) -> Diagnosis:
-    """Judge what a search returned: never more is said than the noise and what was left out allow."""
+    """Judge what a search returned: claim no more than the noise and the places left out allow."""
     if result.fault is not None:
         return result
     if result.noise.from_repeats and result.floor_is_wrong:

@@ -181,7 +181,7 @@ def implausible(fitted: Fit, machine_count: int | None = None) -> bool:
     return sum(z**2 for _, z in moved) > IMPLAUSIBLE * len(moved)
 
 
-# ---- what is left --------------------------------------------------------------------------------
+# ---- the remaining discrepancy -------------------------------------------------------------------
 
 
 def leaves_excess(estimation: EstimationProblem, fitted: Fit) -> bool:
