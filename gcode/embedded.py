@@ -113,7 +113,7 @@ def section_times(lines: Iterable[bytes]) -> list[SectionTime]:
     Returns
     -------
     list of SectionTime
-        In the file's order; empty for a file by an older version without these comments.
+        In the file's order.
     """
     matches = ((at, _SECTION.match(line)) for at, line in enumerate(lines) if line.startswith(b";section "))
     return [SectionTime(at, int(match[1]) - 1, float(match[2])) for at, match in matches if match]

@@ -1,7 +1,6 @@
 """A command over time, whatever its source, the reference path of the nozzle, and the clock that aligns both.
 
-A comment before each section of a compensated file has its time on the original's clock. Files of an old ffcomp have
-none: there the notes that stand where each line of the original was tie the moves of both together.
+A comment before each section of a compensated file has its time on the original's clock.
 
 mm, s. Actuators in the order A, B, C.
 """
@@ -15,10 +14,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ffcomp.firmware.program import PlannedProgram
-from ffcomp.inverse.settings import Settings
 from ffcomp.metrics import EFFORT_SPAN_S, peak_acceleration, progress_in_order
-from ffcomp.planner.trajectory import Section, Trajectory
-from gcode.embedded import WAS, noted, section_times
+from ffcomp.planner.trajectory import Trajectory
+from gcode.embedded import section_times
+from gcode.errors import GcodeError
 from gcode.program import Program
 from models.arrays import BoolArray, FloatArray, IntArray
 from models.machine import Machine
@@ -160,7 +159,6 @@ def path_corners_with_rests(trajectory: Trajectory) -> tuple[FloatArray, FloatAr
 RETIMED_S = 0.02  # a section that ends so much earlier or later by its path than by its clock is on another one,
 ADRIFT_S = 0.04  # and one that is so much early or late anywhere, nearly as far as the contour error's window reaches
 HALVINGS = 18  # of a move's time, until it is known when the plan passes a place on it
-FEWEST_HZ, MOST_HZ = 125.0, 500.0  # of segments
 
 
 @dataclass(frozen=True, slots=True)
@@ -176,8 +174,6 @@ class SectionStarts:
 
     def clock(self, start_t: FloatArray) -> SectionClock:
         """Return the clock if move k of the compensated file begins at start_t[k], whoever planned it."""
-        if not len(self.move):
-            return SectionClock(start_t[self.move], self.plan_t, self.begin_t, self.end_t)
         first = np.searchsorted(self.passing, self.move)
         last = np.append(first[1:], len(self.passing)) - 1
         passed_t = start_t[self.passing]
@@ -189,16 +185,22 @@ class SectionStarts:
 
 
 def section_starts(compensated: Program, original: PlannedProgram) -> SectionStarts:
-    """Read from a compensated file when each section of its original begins; nothing from a file of an old ffcomp."""
+    """Read from a compensated file when each section of its original begins; GcodeError without these comments."""
     program, moves = original.program, compensated.moves
     line_of = program.first_line + program.moves.line
     by_line = {int(line_of[section.first]): section for section in original.sections if section.travels}
     times = [time for time in section_times(compensated.lines) if time.line in by_line]
+    if not times:
+        rule = "No comment `;section line=… t=…` of ffcomp states when a section of the original begins"
+        raise GcodeError(
+            f"{rule}: the file was changed after it was compensated. Compensate the original again.",
+            path=compensated.path,
+        )
     travels = np.flatnonzero(np.any(moves.end[:, :3] != moves.start[:, :3], axis=1))
     after = np.searchsorted(moves.line[travels], [time.at for time in times], side="right")
     begin_t = np.array([by_line[time.line].begin_t for time in times])
     end_t = np.array([by_line[time.line].end_t for time in times])
-    passing = travels[after[0] :] if len(after) else travels[:0]
+    passing = travels[after[0] :]
     section = np.searchsorted(travels[after], passing, side="right") - 1
     due_t = _due(moves.start[passing, :3], begin_t[section], end_t[section], original.trajectory)
     plan_t = begin_t + np.array([time.t for time in times])
@@ -208,8 +210,6 @@ def section_starts(compensated: Program, original: PlannedProgram) -> SectionSta
 def _due(places: FloatArray, begin_t: FloatArray, end_t: FloatArray, plan: Trajectory) -> FloatArray:
     """Return when the plan is at each of the places (k, 3) mm, which lie on sections between these times (k,), s."""
     path_t, path = path_corners_with_rests(plan)
-    if not len(places):
-        return np.empty(0)
     low = np.searchsorted(path_t[1:], begin_t, side="right")
     high = np.maximum(np.searchsorted(path_t[:-1], end_t, side="left"), low + 1)
     segment, share = progress_in_order(path, places, low, high)
@@ -224,62 +224,4 @@ def _due(places: FloatArray, begin_t: FloatArray, end_t: FloatArray, plan: Traje
 
 def section_clock(compensated: PlannedProgram, original: PlannedProgram) -> SectionClock:
     """Align a planned compensated file with its planned original, section by section."""
-    starts = section_starts(compensated.program, original)
-    return starts.clock(compensated.trajectory.start_t) if len(starts.move) else _noted_clock(compensated, original)
-
-
-def _noted_clock(compensated: PlannedProgram, original: PlannedProgram) -> SectionClock:
-    """Align by the notes of each section's first move, for files of an old ffcomp.
-
-    The note stands at the knot at or before the section's beginning, `lead_s` after the first knot. NOTE: where both
-    fall together, rounding may have put it one knot early; the time left until the section's end decides.
-    """
-    sections, note_t, executed_end_t = _noted_sections(compensated, original)
-    begin_t, end_t = np.array([s.begin_t for s in sections]), np.array([s.end_t for s in sections])
-    usual, segment_s = Settings(), _segment_s(compensated)
-    knots = np.ceil((usual.lead_s + (end_t - begin_t) + usual.tail_s) / segment_s - 1e-9)
-    before = np.floor(usual.lead_s / segment_s + 1e-9)
-    early = executed_end_t - note_t > (knots - before + 0.5) * segment_s
-    executed_t = note_t + segment_s * early + (usual.lead_s - before * segment_s)
-    return SectionClock(executed_t, begin_t, begin_t, end_t)
-
-
-def _noted_sections(
-    compensated: PlannedProgram, original: PlannedProgram
-) -> tuple[list[Section], FloatArray, FloatArray]:
-    executed = compensated.trajectory
-    notes, moves = _noted_moves(compensated.program, original.program)
-    note_of = dict(zip(moves.tolist(), notes.tolist(), strict=True))
-    sections = [section for section in original.sections if section.travels and section.first in note_of]
-    note_t = np.append(executed.start_t, executed.end_t)[[note_of[section.first] for section in sections]]
-    ends = np.array([section.end_t for section in compensated.sections if section.travels])
-    return sections, note_t, ends[np.minimum(np.searchsorted(ends, note_t, side="right"), len(ends) - 1)]
-
-
-def _noted_moves(compensated: Program, original: Program) -> tuple[IntArray, IntArray]:
-    """Return the moves of the compensated file before which moves of the original are noted, and those, (k,) each."""
-    notes = np.array([e.move for e in compensated.events if compensated.lines[e.line].startswith(WAS)], dtype=np.int64)
-    first = np.flatnonzero(np.diff(original.moves.line, prepend=-1))  # of each line that moves
-    moving_line = _moving_lines(compensated, original)
-    moves = moving_line >= 0
-    return notes[moves], first[moving_line[moves]]
-
-
-def _moving_lines(compensated: Program, original: Program) -> IntArray:
-    """Return which of the original's moving lines each note stands for; -1 for a line that only sets a feed."""
-    order = {line: i for i, line in enumerate(sorted(set(original.moves.line.tolist())))}
-    texts = [text for line in compensated.lines if (text := noted(line)) is not None]
-    out, at = [], 0
-    for text in texts:
-        while original.lines[at] != text and original.lines[at].rstrip() != text.rstrip():
-            at += 1
-        out.append(order.get(at, -1))
-        at += 1
-    return np.array(out, dtype=np.int64)
-
-
-def _segment_s(compensated: PlannedProgram) -> float:
-    """Return the time of a segment: the most frequent one of the possible ones."""
-    a_second = np.round(1 / np.maximum(compensated.trajectory.duration, 1e-9), 1)
-    rate, count = np.unique(a_second[(a_second >= FEWEST_HZ) & (a_second <= MOST_HZ)], return_counts=True)
-    return 1 / float(rate[int(count.argmax())]) if len(rate) else Settings().segment_s
+    return section_starts(compensated.program, original).clock(compensated.trajectory.start_t)

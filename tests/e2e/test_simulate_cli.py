@@ -79,6 +79,10 @@ def test_a_compensated_file_is_judged_against_its_original(
         for key in ("tracking_rms_um", "contour_rms_um"):
             assert found["track"][key] == pytest.approx(predicted[name][key], rel=0.15, abs=0.25), (name, key)
     assert after["track"]["tracking_rms_um"] < before["track"]["tracking_rms_um"] / 15
+    lines = target.read_bytes().splitlines(keepends=True)
+    target.write_bytes(b"".join(line for line in lines if not line.startswith(b";section ")))
+    refused = call("simulate", target, "-m", "mp-delta-pro", "--quiet")
+    assert refused.exit_code == 4 and "Compensate the original again" in refused.output
 
 
 def test_pieces_have_no_seams(monkeypatch: pytest.MonkeyPatch, square: Path) -> None:
