@@ -37,8 +37,3 @@ def test_an_interrupt_that_compiled_code_has_wrapped_comes_out_as_itself(interru
     with pytest.raises(type(interrupt)) as caught, interrupts_restored():
         raise simulated
     assert caught.value is interrupt
-
-
-def test_a_fault_stays_a_fault() -> None:
-    with pytest.raises(SystemError, match="ours"), interrupts_restored():
-        raise SystemError("ours") from ValueError("why")

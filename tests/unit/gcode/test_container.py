@@ -4,8 +4,6 @@ import gzip
 import io
 import os
 import re
-import stat
-from collections.abc import Iterator
 from pathlib import Path
 from zipfile import ZipFile
 
@@ -13,7 +11,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gcode.atomic_write import replace_atomically
 from gcode.bgcode import GCODE, Block, blocks_of, metadata_of
 from gcode.container import opened, read_bytes
 from gcode.errors import GcodeError, UnsupportedGcode
@@ -245,28 +242,3 @@ def test_random_bytes_are_refused_or_read(magic: bytes, rest: bytes) -> None:
 
 
 # -- replacing --
-
-
-def test_replacing_keeps_permissions_and_links(tmp_path: Path) -> None:
-    file, link = tmp_path / "file", tmp_path / "link"
-    file.write_bytes(b"old")
-    file.chmod(0o640)
-    link.symlink_to(file)
-    replace_atomically(link, [b"n", b"ew"])
-    assert link.is_symlink()
-    assert file.read_bytes() == b"new"
-    assert stat.S_IMODE(file.stat().st_mode) == 0o640
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["file", "link"]
-
-
-def test_a_failure_leaves_the_old_file_alone(tmp_path: Path) -> None:
-    def broken() -> Iterator[bytes]:
-        yield b"half"
-        raise RuntimeError("out of ideas")
-
-    file = tmp_path / "file"
-    file.write_bytes(b"old")
-    with pytest.raises(RuntimeError):
-        replace_atomically(file, broken())
-    assert file.read_bytes() == b"old"
-    assert list(tmp_path.iterdir()) == [file]

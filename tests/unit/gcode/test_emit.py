@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 from gcode.emit import MoveWriter
 from gcode.program import ModalState
 from gcode.reader import read_program
-from tests.support.data import real
 
 
 def writer(frame: ModalState = ModalState(), e: float = 0.0) -> MoveWriter:  # noqa: B008 - frozen
@@ -123,16 +122,3 @@ def test_what_is_written_is_read_back(points: list[list[float]]) -> None:
     if len(moves):
         assert np.abs(moves.end[-1] - points[-1]).max() <= 0.51e-4
         assert moves.speed == pytest.approx(30)
-
-
-def test_a_real_print_survives_writing_and_reading() -> None:
-    moves = read_program(real("makreeltje_cura_slicer.gcode")).moves
-    lines = MoveWriter()
-    lines.reset(ModalState(), moves.start[0, :3].tolist(), float(moves.start[0, 3]))
-    text = b"G92 E%f\n" % moves.start[0, 3] + b"".join(lines.moves(moves.end, moves.speed))
-    again = read_program(text, start=tuple(moves.start[0, :3])).moves
-    assert len(again) == len(moves)
-    assert np.abs(again.end[:, :3] - moves.end[:, :3]).max() < 0.51e-4
-    filament = again.end[:, 3] - again.start[0, 3] - moves.end[:, 3] + moves.start[0, 3]
-    assert np.abs(filament).max() < 0.51e-5
-    assert again.speed == pytest.approx(moves.speed, abs=1e-5)

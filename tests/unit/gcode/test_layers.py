@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gcode.layers import UNNAMED, is_outer_wall, labels
+from gcode.layers import UNNAMED, labels
 from gcode.reader import read_program
 
 PRUSA = (";LAYER_CHANGE\n;Z:0.2\n", ";TYPE:External perimeter\n", "External perimeter")
@@ -36,21 +36,3 @@ def test_a_slope_without_comments_is_cut_into_layers() -> None:
     found = labels(read_program(("G90\nM83\nG1 X10 Y0 Z0.2 F6000\n" + turns).encode()))
     assert 5 <= found.layers <= 6  # 1 mm
     assert np.all(np.diff(found.layer) >= 0)
-
-
-@pytest.mark.parametrize(
-    ("name", "outer"),
-    [
-        ("External perimeter", True),
-        ("Outer wall", True),
-        ("WALL-OUTER", True),
-        ("outer perimeter", True),
-        ("Overhang perimeter", True),
-        ("Inner wall", False),
-        ("WALL-INNER", False),
-        ("Perimeter", False),
-        ("Solid infill", False),
-    ],
-)
-def test_outer_walls_are_known_by_their_slicers_names(name: str, outer: bool) -> None:
-    assert is_outer_wall(name) is outer

@@ -2,8 +2,6 @@ from __future__ import annotations
 
 import math
 import re
-from collections import Counter
-from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -102,16 +100,6 @@ def test_positions_agree_with_a_simple_reading(name: str) -> None:
     assert min(np.abs(simple[k : k + len(travelled)] - travelled).max() for k in range(at + 1)) < 1e-9
 
 
-def test_arcs_of_a_real_print_join_their_neighbours() -> None:
-    moves = read_program(real("gcodepreview_benchy_arcs.gcode")).moves
-    chords = Counter(moves.line.tolist())
-    assert sum(n > 1 for n in chords.values()) > 3000
-    first = np.flatnonzero(np.diff(moves.line, prepend=-1))
-    steps = np.hypot(*(moves.end - moves.start)[:, :2].T)
-    arcs = [steps[a:b] for a, b in pairwise(first) if b - a > 1]
-    assert max(arc.max() for arc in arcs) <= 1.02
-
-
 # -- modes --
 
 
@@ -147,15 +135,6 @@ def test_an_offset_moves_the_print_and_not_the_numbers() -> None:
 def test_gcode_offset_is_added_once() -> None:
     program = read("G1 Z1 F600", "SET_GCODE_OFFSET Z=0.2", "G1 Z2", "SET_GCODE_OFFSET Z_ADJUST=0.1", "G1 Z3")
     assert program.moves.end[:, 2].tolist() == pytest.approx([1, 2.2, 3.3])
-
-
-@pytest.mark.parametrize(
-    "spelling", ["G1 X2 Y3 Z4 E5 F600", "G01X2Y3Z4E5F600", "g1 f600 e5 z4 y3 x2", "G1 Z4 X2 Y3 F600 E5"]
-)
-def test_every_spelling_is_the_same_move(spelling: str) -> None:
-    program = read("G92 X-1 E-2", spelling)
-    assert ends(program) == [[3, 3, 4, 7]]
-    assert program.moves.speed.tolist() == [10]
 
 
 # -- arcs --
@@ -203,14 +182,6 @@ def test_kinds(line: str, kind: EventKind, known: bool) -> None:
     program = read("G1 X1 F600", line, "G1 X2")
     assert program.events[0].kind is kind
     assert len(program.moves) == (2 if known else 1)
-
-
-def test_unknown_commands_share_a_warning() -> None:
-    warnings = read("MY_MACRO", "M9999", "MY_MACRO", "OTHER_MACRO", *(f"G{n}" for n in range(900, 910))).warnings
-    assert [warning.partition(";")[0] for warning in warnings] == [
-        "line 2: M9999 is not known",
-        "line 1: MY_MACRO, OTHER_MACRO, G900, G901, G902, G903 and 6 more are not known and may move",
-    ]
 
 
 # -- limits --
@@ -341,15 +312,6 @@ def agree(lines: list[str], endings: list[str]) -> None:
 def test_a_number_is_the_double_nearest_to_its_decimal(text: bytes) -> None:
     moves = read_program(b"G1 Y1 X" + text + b" F60\n", start=HOME).moves
     assert moves.end[0, 0] == float(text)
-
-
-@given(st.binary(max_size=200))
-def test_any_bytes_are_read_or_refused(data: bytes) -> None:
-    program, error = attempt(data)
-    if program is not None:
-        check_whole(program, data)
-    else:
-        assert error is not None and error.line is not None
 
 
 # -- places that are not known --

@@ -14,11 +14,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gcode.dialects import detect_flavor, sign_by_ends
+from gcode.dialects import detect_flavor
 from gcode.errors import GcodeError
 from gcode.program import Moves, Program
 from gcode.reader import read_parts, read_program
-from gcode.text import whole_lines
 from tests.support.data import ODD, PRINTS, real
 
 ROOT = Path(__file__).parents[3]
@@ -119,25 +118,6 @@ def test_random_programs(
     assert_parts_say_the_same(data, sizes, part_bytes, start=HOME if known else None, offset_mm=offset)
 
 
-@given(st.lists(st.binary(max_size=5) | st.sampled_from([b"\r", b"\n", b"\r\n"])), st.integers(1, 9))
-def test_parts_hold_whole_lines(pieces: list[bytes], part_bytes: int) -> None:
-    data = b"".join(pieces)
-    parts = list(whole_lines(pieces, part_bytes))
-    assert b"".join(parts) == data
-    assert [line for part in parts for line in part.splitlines(True)] == data.splitlines(True)
-
-
-def test_a_part_counts_from_its_own_beginning() -> None:
-    text = b"G91\nG1 X1 F600\nG1 X1 F1200\nG1 X1\n; end\n"
-    parts = list(read_parts([text], flavor="klipper", start=HOME, part_bytes=26))
-    assert [part.lines for part in parts] == [[b"G91\n", b"G1 X1 F600\n"], [b"G1 X1 F1200\n", b"G1 X1\n", b"; end\n"]]
-    assert [part.first_line for part in parts] == [0, 2]
-    assert parts[1].moves.line.tolist() == [0, 1]
-    assert parts[1].moves.start[:, 0].tolist() == [1, 2]
-    assert [(event.line, event.move) for event in parts[1].events] == [(2, 2)]
-    assert [frame.feed_mm_per_s for frame in parts[1].frames] == [10, 20]
-
-
 def test_mistakes_name_the_line_of_the_file() -> None:
     parts = read_parts([b"; first\nG1 X1\nG1 X1 A3\n"], "part.gcode", flavor="klipper", start=HOME, part_bytes=1)
     assert [next(parts).warnings for _ in range(2)] == [[], [f"line 2: {NO_SPEED}."]]
@@ -146,12 +126,6 @@ def test_mistakes_name_the_line_of_the_file() -> None:
 
 
 NO_SPEED = "the first move has no speed; 25 mm/s is assumed until the first F"
-
-
-@pytest.mark.parametrize("name", [*SAMPLES, *PRINTS, *(f"odd/{name}" for name in ODD)])
-def test_a_flavor_shows_at_the_ends(name: str) -> None:
-    data = named(name)
-    assert sign_by_ends(data[: 1 << 16], data[-1 << 16 :]).flavor == detect_flavor([data])
 
 
 GROWTH = """

@@ -11,7 +11,7 @@ import pytest
 
 from gcode.program import Program
 from gcode.reader import read_program
-from gcode.slicing import excerpt, join, portions, shortened
+from gcode.slicing import excerpt, join, portions
 
 MANY_FRAMES = b"G90\nM82\nG1 X0 Y0 Z1 F1200\n" + b"".join(
     b"G1 X%d E%d F%d\n;between\nG92 E0\nG1 E-1 F600\n" % (k % 50, k % 7 + 1, 1000 + k) for k in range(100)
@@ -69,13 +69,3 @@ def test_an_arc_can_be_cut_between_its_chords() -> None:
     assert len(head.moves) + len(tail.moves) == len(whole.moves)
     np.testing.assert_array_equal(head.moves.end[-1], tail.moves.start[0])
     assert [tail.lines[e.line] for e in tail.events] == [b";after\n"]
-
-
-def test_moves_can_be_shortened_at_both_ends() -> None:
-    whole = read_program(b"G90\nG1 X10 F1200\nG1 X10 Y10\n", start=(0.0, 0.0, 1.0))
-    begin, end = np.array([4.0, 0.0, 1.0, 0.0]), np.array([10.0, 3.0, 1.0, 0.0])
-    found = shortened(whole, begin, end)
-    np.testing.assert_array_equal(found.moves.start[0], begin)
-    np.testing.assert_array_equal(found.moves.end[-1], end)
-    np.testing.assert_array_equal(found.moves.end[0], whole.moves.end[0])
-    assert not np.array_equal(whole.moves.start[0], begin)  # what was given stays as it is

@@ -48,12 +48,3 @@ def test_the_middle_of_real_prints_read_alone_goes_the_same_way(name: str, share
     count = len(program.moves)
     first, last = (whole_line(program, int(at * count)) for at in (share, share + 0.05))
     assert_same_way(read_alone(program, first, last), program, first, last)
-
-
-def test_a_part_keeps_its_own_events_and_no_others() -> None:
-    text = b"G90\nM83\nG1 X0 Y0 Z1 F3000\nG1 X1 E1\nM106 S1\nG1 X2 E1\nG4 P100\nG1 X3 E1\nM107\nG1 X4 E1\n"
-    program = read_program(text)
-    alone = part(program, 1, 3)
-    assert b"".join(alone.lines) == b"G1 X2 E1\nG4 P100\nG1 X3 E1\nM107\n"
-    assert [(event.line, event.move) for event in alone.events] == [(1, 1), (3, 2)]
-    assert alone.moves.line.tolist() == [0, 2]

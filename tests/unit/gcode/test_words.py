@@ -62,15 +62,3 @@ def test_mistakes_are_sentences_with_their_line(line: bytes, rule: str) -> None:
         commands(line, 42)[0].numbers()
     assert caught.value.line == 42
     assert str(caught.value).endswith(".")
-
-
-@given(st.binary(max_size=60))
-def test_any_bytes_are_read_or_refused(line: bytes) -> None:
-    try:
-        read = [(command.name, command.numbers(), command.fields()) for command in commands(line, 3)]
-    except GcodeError as error:
-        place = error.line
-    else:
-        place = 3
-        assert all(name or words for name, words, _ in read)
-    assert place == 3

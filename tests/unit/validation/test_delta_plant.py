@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 import os
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -110,58 +109,10 @@ def test_a_labelled_run_leaves_nothing_but_its_noise(nothing_hidden: Path, run: 
     assert rms == pytest.approx(np.full(6, 0.121), rel=0.06)  # truth.toml: 0.121 m/s²
 
 
-def test_the_mean_of_four_repeats_leaves_half_the_noise(nothing_hidden: Path) -> None:
-    """A model error common to the repeats would not average out: it is below a fifth of the noise."""
-    repeats = np.array([residual(nothing_hidden, f"multisine-centre-{i}.csv") for i in range(1, 5)])
-    noise = np.sqrt(np.mean(np.var(repeats, axis=0, ddof=1)))
-    common = np.mean(repeats.mean(axis=0) ** 2) - noise**2 / 4
-    assert noise == pytest.approx(0.121, rel=0.02)
-    assert common < (0.2 * noise) ** 2
-
-
 # ---- kinematics ----------------------------------------------------------------------------------
 
 
-def test_carriage_height_above_the_centre_is_pythagoras() -> None:
-    assert plant.carriages_of(MACHINE, [[0.0, 0.0, 30.0]]) == pytest.approx(80.0 + np.sqrt(300.0**2 - 140.0**2))
-
-
-def test_towers_go_counter_clockwise_from_x() -> None:
-    """Towards tower B the carriage B rises; A and C, equally far, fall alike."""
-    direction = np.array([np.cos(np.radians(120)), np.sin(np.radians(120)), 0.0])
-    a, b, c = (plant.carriages_of(MACHINE, [60 * direction]) - plant.carriages_of(MACHINE, [[0, 0, 0]]))[0]
-    assert b > 0 > a and a == pytest.approx(c)
-
-
-def test_a_nozzle_out_of_reach_is_named_with_its_tower() -> None:
-    with pytest.raises(ValueError, match="farther from tower A than its arm"):
-        plant.carriages_of(MACHINE, [[0.0, 0.0, 0.0], [-200.0, 0.0, 0.0]])
-
-
-def test_each_tower_may_have_its_own_arm_and_radius() -> None:
-    machine = changed(kinematics={"arm_lengths_mm": [300.0, 310.0, 305.0], "delta_radii_mm": [140.0, 141.0, 139.0]})
-    expected = 50.0 + np.sqrt(np.array([300.0, 310.0, 305.0]) ** 2 - np.array([140.0, 141.0, 139.0]) ** 2)
-    assert plant.carriages_of(machine, [[0.0, 0.0, 0.0]])[0] == pytest.approx(expected)
-
-
 # ---- rest and weight -----------------------------------------------------------------------------
-
-
-@DRIVES
-@pytest.mark.parametrize("gravity", [False, True])
-def test_rest_stays_rest(machine: dict[str, Any], gravity: bool) -> None:
-    played = plant.simulate(machine, at_rest(machine, (60.0, -40.0, 10.0), 640), 1 / 12800, gravity=gravity)
-    assert np.max(np.ptp(played["nozzle_mm"], axis=0)) < 1e-9
-    assert np.max(np.abs(played["carriage_acc_m_per_s2"])) < 1e-6
-
-
-def test_the_weight_stretches_the_belts_by_its_share() -> None:
-    """Total weight over three belts, closed form at the centre where the arms share it equally."""
-    p = plant.plant_of(MACHINE, gravity=True)
-    q = plant.carriages_of(MACHINE, [[0.0, 0.0, 10.0]])[0]
-    sagged = plant.rest(q / 1e3, p)[:3]
-    weight = (3 * (0.179 + 0.016) + 0.542 + 3 * 0.016 + 0.109) * p.gravity
-    assert sagged == pytest.approx([0.0, 0.0, 0.010 - weight / (3 * 1.21e5)], abs=1e-12)
 
 
 # ---- energy and order ----------------------------------------------------------------------------
@@ -201,21 +152,6 @@ def test_a_large_free_swing_keeps_its_energy(gravity: bool) -> None:
     assert abs(energy(p, played["state"], u) - energy(p, start, u)) < 1e-9 * moved
 
 
-def test_dissipation_accounts_for_all_the_energy_lost() -> None:
-    """dE/dt = -c|q̇|² - b|q̇|² (no extruder damping), integrated over the kept carriages."""
-    machine = copy.deepcopy(CONSERVATIVE)
-    machine["carriage"].update(belt_damping_n_s_per_m=1.5, guide_damping_n_s_per_m=0.7)
-    command, h = at_rest(machine, (40.0, 20.0, 10.0), 3200), 1 / 12800
-    p = plant.plant_of(machine)
-    start = kicked(p, command)
-    played = plant.simulate(machine, command, h, start=start)
-    dq = CubicSpline(played["t"], played["carriage_mm"] / 1e3).derivative()(played["t"])
-    lost = CubicSpline(played["t"], 2.2 * np.sum(dq**2, axis=1)).integrate(0.0, played["t"][-1])
-    u = command[0] / 1e3
-    assert lost > 0.05
-    assert energy(p, start, u) - energy(p, played["state"], u) == pytest.approx(lost, rel=1e-6)
-
-
 def smooth_command(machine: dict[str, Any], h: float) -> FloatArray:
     t = np.arange(round(0.2 / h) * 2 + 1) * h / 2
     swing = np.sin(np.pi * t / 0.2) ** 4
@@ -234,68 +170,7 @@ def test_halving_the_step_divides_the_error_by_sixteen(machine: dict[str, Any]) 
     assert errors[1] / errors[2] == pytest.approx(16, rel=0.25)
 
 
-@DRIVES
-def test_one_step_of_a_12800th_second_costs_less_than_a_nanometre(machine: dict[str, Any]) -> None:
-    coarse = plant.simulate(machine, smooth_command(machine, 1 / 12800), 1 / 12800)["nozzle_mm"]
-    fine = plant.simulate(machine, smooth_command(machine, 1 / 51200), 1 / 51200, keep_every=4)["nozzle_mm"]
-    assert np.max(np.abs(coarse - fine)) < 1e-6
-
-
-def test_a_command_in_chunks_is_the_command_in_one() -> None:
-    command = smooth_command(MACHINE, 1 / 3200)
-    whole = plant.simulate(MACHINE, command, 1 / 3200)
-    first = plant.simulate(MACHINE, command[:401], 1 / 3200)
-    second = plant.simulate(MACHINE, command[400:], 1 / 3200, start=first["state"])
-    assert np.array_equal(whole["nozzle_mm"][200:], second["nozzle_mm"])
-
-
-def test_turning_command_and_towers_by_120_degrees_turns_the_answer() -> None:
-    """Not with three different extruder springs, which stay where they are: they are made alike here."""
-    machine = changed(
-        effector={
-            "extruder_stiffness_n_per_m": [5e3, 5e3, 1e5],
-            "extruder_damping_n_s_per_m": [30.0, 30.0, 20.0],
-        }
-    )
-    command = smooth_command(machine, 1 / 3200)
-    plain = plant.simulate(machine, command, 1 / 3200)["nozzle_mm"]
-    turned = plant.simulate(machine, np.roll(command, 1, axis=1), 1 / 3200)["nozzle_mm"]
-    c, s = np.cos(2 * np.pi / 3), np.sin(2 * np.pi / 3)
-    assert turned == pytest.approx(plain @ np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]]), abs=1e-9)
-
-
 # ---- small motions against closed forms ----------------------------------------------------------
-
-
-def ring_down_hz(machine: dict[str, Any], direction: FloatArray) -> float:
-    """Frequency of the free motion after a tiny push, from its zero crossings."""
-    command, h = at_rest(machine, (0.0, 0.0, 10.0), 6400), 1 / 12800
-    state = plant.rest(command[0] / 1e3, plant.plant_of(machine))
-    state[V] = 1e-5 * direction
-    along = plant.simulate(machine, command, h, start=state)["nozzle_mm"] @ direction
-    along = along - (10.0 * direction[2])
-    rises = np.flatnonzero((along[:-1] < 0) & (along[1:] >= 0))
-    at = (rises - along[rises] / (along[rises + 1] - along[rises])) * h
-    return float((len(at) - 1) / (at[-1] - at[0]))
-
-
-@pytest.mark.parametrize(
-    ("direction", "sigma2"), [((1, 0, 0), 2 / 3 * (300**2 / 140**2 - 1)), ((0, 0, 1), 1 / 3)], ids=["x", "z"]
-)
-def test_modes_of_a_rigid_effector_at_the_centre(direction: tuple[int, int, int], sigma2: float) -> None:
-    """ω_r = √(k/(m + M σ_r²)), σ² = 1/3 and twice ⅔ (h/R)²: 43.5 and 86 Hz for the 0.651 kg effector."""
-    machine = changed(
-        carriage={
-            "arm_pair_mass_kg": 0.0,
-            "mass_kg": 0.195,
-            "belt_damping_n_s_per_m": 0.0,
-            "guide_damping_n_s_per_m": 0.0,
-            "drive": None,
-        },
-        effector={"nozzle_mass_kg": 0.651, "extruder_mass_kg": 0.0},
-    )
-    expected = np.sqrt(1.21e5 / (0.195 + 0.651 * sigma2)) / (2 * np.pi)
-    assert ring_down_hz(machine, np.array(direction, dtype=float)) == pytest.approx(expected, rel=1e-4)
 
 
 def closed_form(machine: dict[str, Any], xyz_mm: tuple[float, float, float], s: complex) -> NDArray[np.complex128]:
@@ -337,24 +212,3 @@ def test_small_vibrations_are_the_coupled_receptances(machine: dict[str, Any], h
 
 
 # ---- what it refuses -----------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("attempt", "message"),
-    [
-        (lambda: plant.simulate(MACHINE, np.zeros((4, 3)), 1e-4), r"must be \(2 n \+ 1, 3\)"),
-        (lambda: plant.plant_of({**MACHINE, "effects": {"cogging": {}}}), "no effects.*cogging"),
-        (
-            lambda: plant.simulate(
-                MACHINE,
-                at_rest(MACHINE, (0.0, 0.0, 9.0), 400) + np.linspace(0, 1, 801)[:, None] * [900, 0, 0],
-                1e-4,
-            ),
-            "left the arms' reach",
-        ),
-    ],
-    ids=["shape", "effects", "reach"],
-)
-def test_refusals_say_why(attempt: Callable[[], object], message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        attempt()

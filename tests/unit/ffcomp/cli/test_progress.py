@@ -23,11 +23,6 @@ def shown(hidden: bool) -> None:
             progress(sentence)
 
 
-def test_quiet_says_nothing(capsys: pytest.CaptureFixture[str]) -> None:
-    shown(hidden=True)
-    assert capsys.readouterr() == ("", "")
-
-
 def on_a_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("SLIC3R_PP_HOST", raising=False)
     monkeypatch.setenv("TERM", "xterm")

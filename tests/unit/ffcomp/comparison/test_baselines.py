@@ -6,9 +6,7 @@ from functools import cache
 
 import pytest
 
-from ffcomp.comparison.baselines import SHAPER_NAMES, LinearPrinter, Shaping, shaped
-from ffcomp.comparison.engine import Request, names
-from ffcomp.comparison.methods import NAMES, USUAL_NAMES
+from ffcomp.comparison.baselines import LinearPrinter, Shaping, shaped
 from ffcomp.comparison.sampling import Print, Sampling
 from models.file import load_machine
 from tests.support.prints import squares
@@ -38,10 +36,3 @@ def test_the_search_beats_the_calibration() -> None:
     assert ", z " in shaping.settings_text(found.settings) and "damping ratio 0." in shaping.settings_text(
         found.settings
     )
-
-
-def test_every_shaper_is_a_method_by_name_and_the_usual_ones_are_compared_unless_others_are() -> None:
-    assert {"mzv", "mzv-z", "smooth_si-z-calibrated"} <= set(NAMES) and len(set(NAMES)) == len(NAMES)
-    assert [name for name in USUAL_NAMES if "-z" in name] == ["mzv-z-calibrated", "mzv-z"]
-    assert names(Request(only=("all",))) == NAMES
-    assert [Shaping.of(name).name for name in SHAPER_NAMES] == list(SHAPER_NAMES)

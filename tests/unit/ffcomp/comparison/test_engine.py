@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import json
-from dataclasses import fields, replace
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
 import pytest
 
-from ffcomp.comparison.engine import Request, compare, names
+from ffcomp.comparison.engine import Request, compare
 from ffcomp.comparison.methods import COMPENSATED
 from ffcomp.comparison.result import Comparison
 from ffcomp.comparison.sampling import Print, Sampling
-from ffcomp.metrics import Track
 from models.effects.catalogue import with_effect
 from models.file import load_machine
 from tests.support.prints import squares
@@ -82,22 +80,7 @@ def test_equal_quality_holds_its_bound_and_orders_the_methods() -> None:
     assert quality[COMPENSATED].print_time_s < quality["mzv"].print_time_s < quality["none"].print_time_s
 
 
-def test_the_json_is_the_documented_object() -> None:
-    answer = json.loads(json.dumps(found().to_dict(), allow_nan=False))
-    assert answer["schema"] == "ffcomp-compare/1"
-    assert answer["plant"]["sha256"] == MACHINE.sha256
-    for method in answer["methods"].values():
-        assert {each.name for each in fields(Track)} <= method.keys()
-    assert answer["settings"] and answer["sampling"]
-
-
 def test_a_plant_with_an_effect_judges_and_is_named() -> None:
     stuck, free = compare(PRINTED, with_effect(MACHINE, "coulomb_friction", force_n=4.0), FIRST_LAYER), of_first_layer()
     assert stuck.plant.effects == ("coulomb_friction",) and not stuck.machine.effects
     assert stuck.methods[COMPENSATED].track.contour_rms_um > 2 * free.methods[COMPENSATED].track.contour_rms_um
-
-
-@pytest.mark.parametrize(("only", "words"), [(("mzw", "mzv"), "'mzw'"), (("fbs-lti",), "at least one shaper")])
-def test_names_that_make_no_comparison(only: tuple[str, ...], words: str) -> None:
-    with pytest.raises(ValueError, match=words):
-        names(Request(only=only))

@@ -31,10 +31,3 @@ def test_it_finds_the_highest(name: str, first: float) -> None:
     assert 0.95 * highest <= search.good[0] <= highest
     assert search.good[1] == error(search.good[0]) <= 25.0
     assert search.capped == (name == "always good")
-
-
-def test_what_is_never_good_is_said_to_be_so() -> None:
-    search = Search(25.0, 3000.0)
-    while not search.done:
-        search.take(search.next(), 100.0)
-    assert search.good is None and search.bad == (LOWEST, 100.0) and not search.capped

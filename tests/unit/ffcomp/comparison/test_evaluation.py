@@ -5,10 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ffcomp.comparison.evaluation import SAMPLE_S, Execution, by, contour_numbers, evaluate, track
-from ffcomp.comparison.result import Samples
+from ffcomp.comparison.evaluation import SAMPLE_S, Execution, contour_numbers, evaluate, track
 from ffcomp.comparison.sampling import SETTLE_S, Print, PrintSlice, Sampling
-from ffcomp.errors import NothingToDo
 from models.file import load_machine
 from tests.support.prints import squares
 
@@ -69,19 +67,3 @@ def test_slices_are_put_together_and_labelled(stretch: PrintSlice) -> None:
     assert corners[outer & s.extruding].min() > 19.99
     assert set(s.layer) == {0, 1, 2}
     np.testing.assert_allclose(s.reference[s.extruding & (s.layer == 1), 2], 0.4)
-
-
-def test_numbers_by_label() -> None:
-    labels, nothing = np.array([0, 0, 1, 1]), np.zeros(4)
-    contour, weight = np.array([3e-3, 4e-3, 0.0, 1e-3]), np.array([1.0, 1.0, 0.5, 1.5])
-    where = np.zeros((4, 3))
-    samples = Samples(nothing, where, where, contour, labels, labels, labels > 0, weight)
-    found = by(labels, samples)
-    assert found[0].rms_um == pytest.approx(np.sqrt(12.5)) and found[0].max_um == 4.0
-    assert found[1].share == 0.5 and found[1].rms_um == pytest.approx(np.sqrt(0.75))
-
-
-def test_too_short_a_part_is_an_error(stretch: PrintSlice) -> None:
-    short = played(stretch)
-    with pytest.raises(NothingToDo, match=r"less than 0\.5 s"):
-        evaluate([Execution(stretch, short.motion, short.t[:100], short.nozzle[:100])])

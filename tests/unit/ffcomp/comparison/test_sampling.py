@@ -15,13 +15,6 @@ from validation import judge
 MACHINE = load_machine("mp-delta-pro")
 
 
-def test_a_short_print_is_judged_whole() -> None:
-    printed = Print(squares(), "squares.gcode", MACHINE)
-    (stretch,), sentence = printed.slices(Sampling())
-    assert len(stretch.trajectory) == len(printed.program.moves)
-    assert sentence == f"The whole print was evaluated, {printed.print_time_s:.0f} s."
-
-
 def shares(printed: Print, stretches: list[PrintSlice], weighted: bool) -> tuple[FloatArray, FloatArray]:
     """The shares of time of every feature, in the whole print and in what is judged."""
     count = len(printed.labels.features)

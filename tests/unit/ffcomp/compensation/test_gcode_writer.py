@@ -14,10 +14,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from ffcomp.firmware.program import known_to_the_firmware, plan_program, planner_of
-from ffcomp.inverse.settings import settings_for
 from ffcomp.planner.limits import planner_limits
 from ffcomp.planner.lookahead import plan_moves, stops_and_waits
-from gcode.embedded import OURS, TIME_WAS, WAS, original, section_times
+from gcode.embedded import OURS, TIME_WAS, WAS, original
 from gcode.metadata import tells
 from gcode.program import Program
 from gcode.reader import read_program
@@ -102,38 +101,6 @@ def test_any_program_keeps_its_lines_its_filament_and_its_places(body: list[byte
     total = [float(np.sum(p.moves.end[:, 3] - p.moves.start[:, 3])) for p in (before, after)]
     assert total[0] == pytest.approx(total[1], abs=1e-4)
     assert np.isfinite(after.moves.end).all() and (after.moves.speed > 0).all()
-
-
-@settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.too_slow])
-@given(body=lines)
-def test_segments_stand_only_between_opened_limits(body: list[bytes]) -> None:
-    out = compensated(START + b"G1 X20 Y10\n" + b"".join(line for line in body if b"G2 " not in line) + b"M400\n")
-    is_open = False
-    lines = out.splitlines(keepends=True)
-    for line in lines[lines.index(b"G1 X10 Y10 F9000\n") + 1 :]:  # up to here nobody knows where the nozzle is
-        if line.rstrip().endswith(OURS):
-            is_open = not line.startswith(b"G1 F")
-        elif line.startswith(b"G1 ") and re.search(rb"[XYZE]", line):
-            assert is_open, line
-        elif line.startswith(b"M400"):
-            assert not is_open
-
-
-def test_filament_is_exact_between_any_two_lines_of_a_spiral() -> None:
-    """Comments in the middle of an extrusion: what lies between them is kept, though the nozzle never stops."""
-    t = np.linspace(0, 4 * np.pi, 400)
-    x, y = 20 * np.cos(t), 20 * np.sin(t)
-    body = [b"G1 X%.3f Y%.3f Z%.3f E%.5f\n" % (a, b, 0.3 + c / 50, 0.03) for a, b, c in zip(x, y, t, strict=True)]
-    for place in (350, 201, 200, 77):
-        body.insert(place, b";LAYER:%d\n" % place)
-    out = compensated(START + b"".join(body))
-    sums = []
-    for data in (START + b"".join(body), out):
-        program = read_program(data)
-        marks = [e.move for e in program.events if program.lines[e.line].startswith(b";LAYER")]
-        gone = np.concatenate([[0], np.cumsum(program.moves.end[:, 3] - program.moves.start[:, 3])])
-        sums.append(np.diff(gone[marks]))
-    np.testing.assert_allclose(sums[1], sums[0], atol=1e-4)
 
 
 def test_the_file_lasts_as_long_as_it_should() -> None:
@@ -237,24 +204,6 @@ def test_reprapfirmwares_limits_come_back_axis_by_axis() -> None:
     ]  # fmt: skip
 
 
-def test_bytes_that_are_no_text_survive() -> None:
-    odd = b"; caf\xe9 \xc3\xa9 \xff\nM117 \xb5m\n"
-    assert others(compensated(START + odd + b"G1 X20 Y5\n" + odd))[3:] == others(START + odd + odd)[3:]
-
-
-def test_an_offset_moves_every_place_and_is_remembered() -> None:
-    data = START.replace(b"X10 Y10", b"X110 Y120") + b"G1 X140 Y130 E1\n"
-    out = compensated(data, offset=(-120.0, -110.0))
-    assert b"; ffcomp offset_mm=-120,-110\n" in out
-    np.testing.assert_allclose(ends(read_program(out))[:2], [20, 20], atol=1e-4)
-    assert original(out) == data
-
-
-def test_inches_stay_inches() -> None:
-    out = compensated(b"G20\nG90\nG1 X0 Y0 Z0.1 F300\nG1 X1 Y0.5\n")
-    assert read_program(out).moves.end[-1, 0] == pytest.approx(25.4, abs=2e-3)
-
-
 def test_a_wipe_costs_no_time() -> None:
     """Filament pulled back while moving: firmwares hold its acceleration down, so it must flow evenly."""
     wipe = b"G1 X%d Y20 E1 F9000\nG1 X%d Y16 E-.8\nG1 E-1 F2400\nG1 X%d Y18 F9000\nG1 E1.8 F2400\n"
@@ -291,33 +240,6 @@ def test_no_second_has_more_than_250_segments(flavor: str) -> None:
     begin_t = plan.start_t[ours]
     fullest = (np.searchsorted(begin_t, begin_t + 1.0) - np.arange(len(begin_t))).max()
     assert 230 < fullest <= 250
-
-
-def test_the_comment_before_a_section_ties_its_clock_to_the_originals() -> None:
-    zigzag = b"".join(b"G1 X%d Y%d E1 F6000\nG1 E-1 F1800\nG1 E1 F1800\n" % (20 * (k % 3), 5 * k) for k in range(5))
-    data = START + b"G4 P300\n" + zigzag + b"G1 X0\nG1 X0.0000004\n"
-    out = compensated(data)
-    assert original(out) == data
-    marks = section_times(out.splitlines(keepends=True))
-    wanted, played = (plan_program(read_program(text, flavor="klipper"), machine()) for text in (data, out))
-    sections = [section for section in wanted.sections if section.travels]
-    assert [mark.line for mark in marks] == [wanted.program.moves.line[section.first] for section in sections]
-    begins = {event.line: event.move for event in played.program.events}
-    ends = np.array([section.end_t for section in played.sections if section.travels])
-    s = settings_for(machine())
-    for mark, section in zip(marks, sections, strict=True):
-        begin_t = played.trajectory.start_t[begins[mark.at]] - mark.t
-        lasts = ends[np.searchsorted(ends, begin_t)] - begin_t
-        assert -1e-9 <= lasts - (section.end_t - section.begin_t) <= s.tail_s + s.segment_s
-    assert all(-s.lead_s - s.segment_s <= mark.t <= 0.0 for mark in marks) and any(mark.t < 0.0 for mark in marks)
-
-
-def test_segments_that_need_no_line_do_not_shift_the_sections_clock() -> None:
-    """A crawl begins with segments that round to nothing; the comment allows for them."""
-    out = compensated(START + b"G4 P500\nG1 X10.0005 F0.002\n")
-    marks = section_times(out.splitlines(keepends=True))
-    late = marks[-1].t / settings_for(machine()).segment_s  # a crawl needs no time before its path
-    assert late > 0.5 and late == pytest.approx(round(late), abs=1e-6)
 
 
 def test_every_line_stands_at_its_filament_within_five_micrometres() -> None:

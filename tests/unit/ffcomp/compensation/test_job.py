@@ -7,22 +7,10 @@ from dataclasses import replace
 
 import pytest
 
-from ffcomp.compensation.job import Job, Options
 from models.file import load_machine
 from tests.support.compensated import compensated, job
 
 MARLIN = b"; gcode_flavor = marlin\nG1 X1 F60\n"
-
-
-@pytest.mark.parametrize(
-    ("asked", "stated", "flavor"),
-    [("", "", "marlin"), ("", "klipper", "klipper"), ("reprapfirmware", "klipper", "reprapfirmware")],
-)
-def test_the_flavor_asked_for_goes_before_the_machines_and_that_before_the_files(
-    asked: str, stated: str, flavor: str
-) -> None:
-    machine = replace(load_machine("mp-delta-pro"), flavor=stated)
-    assert Job(MARLIN, "print.gcode", machine, Options(flavor=asked)).flavor == flavor
 
 
 def test_a_print_for_another_firmware_is_compensated_with_a_warning() -> None:

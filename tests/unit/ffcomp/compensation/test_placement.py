@@ -19,22 +19,9 @@ def delta() -> Kinematics:
     return load_machine("kossel").kinematics
 
 
-@pytest.fixture(scope="module")
-def ender() -> Kinematics:
-    return load_machine("ender-3").kinematics
-
-
 def box(x0: float, y0: float, x1: float, y1: float, *beside: tuple[float, float]) -> Footprint:
     part = np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]])
     return Footprint(part, np.concatenate([part, np.array(beside).reshape(-1, 2)]))
-
-
-def test_beds_that_nearly_agree_move_what_does_not_fit(delta: Kinematics) -> None:
-    """Beds that centre 28 mm apart: the error named an offset that `auto` had not tried."""
-    bed, printed = Bed((-82.0, -110.0), (138.0, 110.0)), box(60.0, -30.0, 118.0, 30.0)
-    chosen = choose_offset(delta, bed, lambda: printed)
-    assert chosen.offset == (-28.0, 0.0) and "the print would lie outside" in chosen.reason
-    assert f"--offset-mm {chosen.offset[0]:g},{chosen.offset[1]:g}" in advice(delta, bed, printed, (0.0, 0.0))
 
 
 @pytest.mark.parametrize("bed", [None, CORNER])
@@ -44,23 +31,12 @@ def test_a_print_inside_stays_where_it_is(delta: Kinematics, bed: Bed | None) ->
     assert ("--offset-mm -110,-110 would move it there" in chosen.reason) == (bed is not None)
 
 
-def test_a_purge_line_beside_the_bed_moves_nothing(ender: Kinematics) -> None:
-    found = box(131.0, 78.0, 157.0, 136.0, (-2.0, 45.0), (-2.0, 130.0))
-    assert choose_offset(ender, None, lambda: found).offset == (0.0, 0.0)
-
-
 def test_the_slicers_bed_is_laid_over_the_machines(delta: Kinematics) -> None:
     chosen = choose_offset(delta, CORNER, lambda: box(100.0, 95.0, 130.0, 140.0))
     assert chosen.offset == (-110.0, -110.0)
     assert chosen.reason.startswith(
         "Offset -110,-110: the slicer's bed lies about X110 Y110, the machine's about X0 Y0"
     )
-
-
-def test_without_a_bed_the_print_goes_to_the_middle(delta: Kinematics, ender: Kinematics) -> None:
-    chosen = choose_offset(delta, None, lambda: box(100.0, 95.0, 130.0, 140.0))
-    assert chosen.offset == pytest.approx((-115.0, -117.5), abs=1.0) and "centred on the bed" in chosen.reason
-    assert choose_offset(ender, None, lambda: box(-20.0, -20.0, 20.0, 30.0)).offset == (118.0, 112.0)
 
 
 def test_an_offset_that_is_offered_brings_every_move_inside(delta: Kinematics) -> None:

@@ -53,13 +53,6 @@ def test_no_more_is_left_than_stated_by_an_independent_integration(brake_s: floa
         assert oscillator(w, damping, acceleration, brake_s, 0.0) > 2 * RESIDUAL_MM
 
 
-def test_a_move_along_a_rigid_axis_rings_nowhere() -> None:
-    assert ringing_s(VORON, XY, 3000.0, [2]) == 0.0
-    lifted = HEAD + "G1 X120 E1\nMY_MACRO\nG1 X100 Y100\nG1 Z5 F60\n"  # X and Y ring on while Z moves, if it does
-    assert len(waits(lifted + "G1 X120 E1\n")) == 2
-    assert len(waits(lifted.replace("Z5 F60\n", "Z4 F60\n") + "G1 X120 E1\n")) == 1
-
-
 def test_travel_before_the_extrusion_counts() -> None:
     (whole,) = waits(HEAD + "G1 X120 E1\n")
     assert whole == pytest.approx(ringing_s(VORON, XY, 3000.0, [0, 1, 2]), abs=1e-3)

@@ -6,13 +6,8 @@ from typing import Any
 
 import pytest
 
-from ffcomp.compensation.request import CompensateRequest, parse_errors
+from ffcomp.compensation.request import CompensateRequest
 from ffcomp.errors import RequestError
-
-
-def test_bounds_and_shares_are_read_from_texts() -> None:
-    assert parse_errors(["25"]) == 25.0
-    assert parse_errors(["25", "External perimeter=10"]) == {"": 25.0, "External perimeter": 10.0}
 
 
 @pytest.mark.parametrize(

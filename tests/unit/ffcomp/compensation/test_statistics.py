@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from functools import reduce
-from operator import add
-
 import pytest
 
 from ffcomp.compensation.faster import Faster
@@ -23,17 +20,6 @@ from gcode.dialects import FlavorChoice
 from gcode.reader import read_program
 from models.file import load_machine
 from models.machine import Machine
-
-
-def test_numbers_add_and_a_warning_is_kept_once() -> None:
-    parts = [
-        Statistics(moves=1, print_time_s=1.5, warnings=("a",)),
-        Statistics(segments=2, warnings=("b", "a", "b")),
-        Statistics(moves=4, windows=3, limited_windows=1, original_print_time_s=2.0),
-    ]
-    expected = Statistics(5, 2, 3, 1, 2.0, 1.5, ("a", "b"))
-    assert reduce(add, parts) == reduce(add, parts, Statistics()) == expected
-
 
 HOME = (0.0, 0.0, 5.0)
 

@@ -12,12 +12,7 @@ import pytest
 
 from ffcomp.diagnosis.axis_problem import AxisProblem
 from ffcomp.diagnosis.diagnosis import Diagnosis, diagnose
-from ffcomp.diagnosis.fidelity import linearised
-from ffcomp.diagnosis.fit import estimation_problem
-from ffcomp.diagnosis.hypotheses import Hypothesis
-from ffcomp.diagnosis.noise import noise_floor, whitener
 from ffcomp.diagnosis.result import result_of
-from ffcomp.diagnosis.search import Search, Selection, finish
 from ffcomp.errors import MeasurementError
 from ffcomp.identification.axis_shots import shots_of
 from ffcomp.measurement.axis_run import AxisRun, read_axis_run
@@ -84,12 +79,6 @@ def test_dry_friction_of_a_free_axis_is_named_with_its_size() -> None:
     assert told.final.values["effects.coulomb_friction.force_n"] == pytest.approx(6.0, rel=0.03)
 
 
-def test_a_spring_that_hardens_is_named_on_a_driven_axis() -> None:
-    told = found(DRIVE, belt_hardening={"cubic_n_per_m3": 4e9})
-    assert told.named is not None and told.named.names == ("belt_hardening",)
-    assert told.final.values["effects.belt_hardening.cubic_n_per_m3"] == pytest.approx(4e9, rel=0.05)
-
-
 def test_of_two_sensors_the_one_that_lags_is_found_with_its_time() -> None:
     """One sensor alone would lag as its drive does, so that it is not looked for there."""
     lag = {"sensor_lag": {"time_constant_s": [0.0, 0.0, 2e-3], "damping_ratio": 0.7}}
@@ -107,32 +96,6 @@ def test_of_two_sensors_the_one_that_lags_is_found_with_its_time() -> None:
     assert stated["value"] == pytest.approx([0.0, 0.0, 2e-3], abs=1e-4) and stated["high"][1] == 0.0
     alone = AxisProblem(DRIVE, runs_of(DRIVE, 3), names)
     assert {c.name for c in alone.candidates} == {"guide_damping", "command_delay"}
-
-
-def test_a_law_gives_way_to_the_simpler_one_that_it_contains() -> None:
-    """Only the richer one came here, from where the other one would have had to begin."""
-    problem = AxisProblem(DRIVE, runs_of(DRIVE, 3, coulomb_friction={"force_n": 5.0}), ("coulomb_friction",))
-    rich = AxisProblem(DRIVE, problem.recordings, ("coulomb_friction", "stribeck_friction"))  # type: ignore[arg-type]
-    estimation = estimation_problem(rich, whitener(rich.observations, noise_floor(rich), rich.band_hz))
-    law = next(c for c in rich.candidates if c.name == "stribeck_friction")
-    values = {"force_n": 4.6, "extra_force_n": 0.4, "velocity_mm_per_s": 20.0}
-    known = {f"effects.stribeck_friction.{key}": x for key, x in values.items()}
-    parameters = (*rich.parameters, *law.parameters)
-    z = np.array([(known.get(n.name, n.start) - n.start) / n.sd for n in parameters])
-    base = linearised(estimation, rich.parameters, np.zeros(len(rich.parameters)))
-    search = Search(estimation, (), base, lambda _: None)
-    best = Hypothesis((law,), linearised(estimation, parameters, z))
-    simple = finish(search, Selection(best, (best,))).best
-    assert simple.names == ("coulomb_friction",)
-    assert simple.fit.values["effects.coulomb_friction.force_n"] == pytest.approx(5.0, rel=0.03)
-
-
-def test_a_number_of_the_file_is_not_bent_where_an_effect_says_it() -> None:
-    """A spring that hardens and is a third stiffer: with the first alone the file's stiffness goes to its bound."""
-    names = ("belt_hardening", "belt_stiffness", "coulomb_friction", "guide_damping")
-    told = found(DRIVE, *names, belt_hardening={"cubic_n_per_m3": 4e9}, belt_stiffness={"relative_change": 0.15})
-    assert told.named is not None and told.named.names == ("belt_hardening", "belt_stiffness")
-    assert told.final.values["effects.belt_stiffness.relative_change"] == pytest.approx(0.15, abs=0.06)
 
 
 @pytest.mark.parametrize("machine", [STAGE, DRIVE])

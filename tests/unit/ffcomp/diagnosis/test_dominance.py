@@ -10,9 +10,6 @@ import pytest
 
 from ffcomp.diagnosis.dominance import Dominant, dominant_effect
 from ffcomp.diagnosis.fit import EstimationProblem, Fit, estimation_problem, fit
-from ffcomp.diagnosis.held_out import (
-    other_motions,
-)
 from ffcomp.diagnosis.hypotheses import Hypothesis
 from ffcomp.diagnosis.noise import noise_from_repeats, whitener
 from ffcomp.diagnosis.problem import Candidate, Observation, Parameter, Problem
@@ -142,31 +139,3 @@ def test_a_file_whose_every_number_is_off_hides_no_effect(off: float) -> None:
 )
 def test_what_is_only_the_nearest_is_not_named(sizes: Sequence[float], rest: float, names: Sequence[str]) -> None:
     assert dominant(sizes, rest, names) is None
-
-
-@pytest.mark.parametrize(
-    ("sizes", "changed"),
-    [((1.0, 1.0, 1.05, 1.0), 0.05), ((1.0, 1.0, 1.0, 1.0), 0.0), ((1.0, 1.0, 1.6, 1.0), 0.0)],
-)
-def test_a_size_that_is_a_little_larger_in_one_motion_is_told(sizes: Sequence[float], changed: float) -> None:
-    """By a half it is another effect; and none says that what repeats exactly changes."""
-    problem = Linear(sizes, 0.0, (RUBS,))
-    assert other_motions(begun(problem)[0], rubbing(problem)) == []  # places
-    problem.observations = [replace(o, position=(0.0,), name=f"{o.name} from 0 s") for o in problem.observations]
-    told = other_motions(begun(problem)[0], rubbing(problem))
-    assert [one.name for one in told] == [f"{k}-1.csv" for k in range(4)] and not any(one.worse for one in told)
-    assert told[2].changed == pytest.approx(changed, abs=0.01)
-    assert told[2].number == (size_of(RUBS).name if changed else "") and not told[0].number
-
-
-def rubbing(problem: Linear) -> Hypothesis:
-    (candidate,) = problem.candidates
-    parameters = (*problem.parameters, *candidate.parameters)
-    return Hypothesis((candidate,), fit(begun(problem)[0], parameters, np.zeros(2)))
-
-
-def test_what_makes_another_motion_worse_is_said_first() -> None:
-    problem = Linear((1.0, 1.0, -0.8, 1.0), 0.0, (RUBS,))
-    problem.observations = [replace(o, position=(0.0,), name=f"{o.name} from 0 s") for o in problem.observations]
-    told = other_motions(begun(problem)[0], rubbing(problem))
-    assert [one.worse for one in told] == [False, False, True, False]

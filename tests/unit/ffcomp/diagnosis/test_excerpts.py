@@ -58,21 +58,6 @@ def test_an_excerpt_is_simulated_as_the_whole_is(values: dict[str, float], toler
         np.testing.assert_allclose(short, there, atol=tolerance * np.abs(there).max())
 
 
-@pytest.mark.parametrize("values", [{}, {FRICTION: 2.0}])
-def test_beginnings_are_simulated_as_the_whole_is_also_those_of_an_excerpt(values: dict[str, float]) -> None:
-    part = problem().excerpt()
-    assert part is not None
-    whole = problem().simulate(values)
-    for of in (problem(), part):
-        begun = of.short_horizon(0.4)
-        assert begun is not None
-        short = begun.simulate(values)
-        for i, told in zip(of.chosen, short, strict=True):
-            assert len(told) == pytest.approx(0.4 * RATE_HZ, rel=0.02)
-            np.testing.assert_allclose(told, whole[i][: len(told)], atol=1e-6 * np.abs(whole[i]).max())
-        assert of.short_horizon(SECONDS) is None
-
-
 def test_delays_of_recordings_that_an_excerpt_leaves_out_come_back_as_nothing() -> None:
     part = excerpt_of(whitened(many_motions()), 100.0)
     assert part is not None

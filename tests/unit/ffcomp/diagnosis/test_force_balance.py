@@ -15,10 +15,9 @@ from ffcomp.diagnosis.sentences import summary_sentences
 from ffcomp.measurement.axis_run import AxisRun
 from models.arrays import FloatArray
 from models.effects.catalogue import with_effects
-from models.kinds import driven_axis, machine_of_axis
+from models.kinds import machine_of_axis
 from models.machine import Machine
-from models.printer.one_axis import simulate_axis
-from models.vibration.driven_axis import Drive, DrivenAxis
+from models.vibration.driven_axis import DrivenAxis
 
 INERTIA, DAMPING = 0.0035, 0.01
 MOTOR = machine_of_axis(
@@ -86,29 +85,6 @@ def test_the_force_that_a_motion_needs_is_the_models_at_the_measured_states() ->
     t = np.arange(60, 2300) / 400.0
     expected = INERTIA * _acceleration(t, 0.5, 0) + DAMPING * _speed(t, 0.5, 0) + 0.3
     np.testing.assert_allclose(forwards, expected, atol=0.01)
-
-
-def test_of_a_force_that_is_held_the_mean_of_before_and_after_acts_at_a_sample() -> None:
-    t = np.arange(2400) / 400.0
-    force = 0.4 * np.sin(2 * np.pi * 9.0 * t)
-    held = machine_of_axis("held", replace(driven_axis(MOTOR), drive=Drive(hold="steps")))
-    place = simulate_axis(held, force, 1 / 400).position_mm
-    run = AxisRun("run.csv", t, force, True, {}, {"pos_q": place}, {}, input="current")
-    errors = []
-    for machine in (held, MOTOR):
-        balance = AxisProblem(machine, [run], NAMES).balance()
-        assert balance is not None
-        needed = np.concatenate(balance.simulate({}))[60:2300]
-        measured = np.concatenate([o.measured for o in balance.observations])[60:2300]
-        errors.append(float(np.sqrt(np.mean((measured - needed) ** 2))))
-    assert errors[0] < 0.25 * errors[1]  # what is left is the smoothing of the measured speed
-
-
-def test_only_a_free_axis_has_a_balance() -> None:
-    sprung = machine_of_axis("sprung", DrivenAxis("current", INERTIA, 5.0, DAMPING, unit="rad"))
-    assert turned(1, sprung).balance() is None
-    two = DrivenAxis("current", INERTIA, 0.0, DAMPING, load_mass_kg=0.002, coupling_stiffness_n_per_m=30.0, unit="rad")
-    assert turned(1, machine_of_axis("two", two)).balance() is None
 
 
 def test_friction_by_load_is_solved_for_the_force_and_explains_no_force_by_itself() -> None:

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
 
-from ffcomp.diagnosis.fit import Fit, intervals_of, student_share, superfluous
-from ffcomp.diagnosis.problem import Candidate, Parameter
+from ffcomp.diagnosis.fit import Fit, student_share
+from ffcomp.diagnosis.problem import Parameter
 
 
 def test_few_motions_that_disagree_make_an_interval_wider() -> None:
@@ -31,21 +29,6 @@ def test_few_motions_that_disagree_make_an_interval_wider() -> None:
     assert of_shape.scatter(rows, [0] * 8)[0] == 0.0  # one motion scatters about nothing
     sd, apart = (float(np.sqrt(of_shape.covariance(frequency, rows, same)[0, 0])) for same in (repeats, range(8)))
     assert sd == pytest.approx(np.sqrt(2) * apart, rel=0.15) and sd < scatter
-
-
-def test_what_one_motion_alone_shows_is_refused_for_no_scatter() -> None:
-    """Left out, it takes the number back to nothing: the interval says so, the test for an effect does not ask it."""
-    rng = np.random.default_rng(5)
-    rows = [slice(0, 500), slice(500, 1000), slice(1000, 1500)]
-    column = rng.standard_normal(1500) * np.repeat([1.0, 1e-3, 1e-3], 500)
-    size = Parameter("effects.belt_hardening.cubic_n_per_m3", 0.0, 1.0)
-    shown = Fit((size,), np.array([5.0]), 0.3 * rng.standard_normal(1500) + 0.01 * column, column[:, None])
-    whiten = SimpleNamespace(rows=rows, frequencies=lambda: np.tile(np.linspace(1.0, 100.0, 500), 3))
-    estimation: Any = SimpleNamespace(whiten=whiten, problem=SimpleNamespace(motions=range(3)))
-    effect = Candidate("belt_hardening", (size,), {})
-    asked, said = (intervals_of(estimation, shown, shown.values, scatter=s) for s in (False, True))
-    assert not superfluous(effect, asked)
-    assert said[size.name].sd > 2 * asked[size.name].sd
 
 
 def test_derivatives_that_are_alike_beyond_rounding_make_no_fit_certain() -> None:

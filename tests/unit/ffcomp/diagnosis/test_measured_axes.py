@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from ffcomp.diagnosis.axis_problem import AxisProblem
@@ -16,7 +15,7 @@ from models.file import load_plant
 from models.kinds import is_one_axis
 from models.machine import Machine
 from tests.support import measured_axes
-from tests.support.measured_axes import BOUC_WEN_HZ, DATA, FINER, NOISE_MM
+from tests.support.measured_axes import DATA
 
 TRIED = (
     "coulomb_friction",
@@ -66,16 +65,3 @@ def test_silverbox_hardens_and_what_is_left_is_no_less_than_noise(tmp_path: Path
     assert found.named is not None and found.named.names == ("belt_hardening",)
     assert found.final.values["effects.belt_hardening.cubic_n_per_m3"] == pytest.approx(3.79e12, rel=0.1)
     assert left(found) > SETTINGS.wrong_floor  # a gap of −0.8 of the noise is no success: the noise was guessed wrong
-
-
-def test_bouc_wen_is_unknown_or_bends_before_it_slides() -> None:
-    rng = np.random.default_rng(4)
-    force = measured_axes.multisine(rng, 1024)
-    position, t = 1e3 * measured_axes.simulated_bouc_wen(force), np.arange(1024) / BOUC_WEN_HZ
-    runs = [
-        AxisRun(f"a-{k}.csv", t, force[::FINER], True, {}, {"pos_q": position + NOISE_MM * rng.normal(size=1024)}, {})
-        for k in (1, 2)
-    ]
-    axis = measured_axes.bouc_wen_axis()
-    found = diagnose(AxisProblem(axis, runs, TRIED))
-    assert found.named is None or found.named.names == ("bristle_friction",)

@@ -27,12 +27,6 @@ def test_a_pitch_fits_twice_into_the_travel(travel_mm: float, starts: int, most:
         assert (len(each.grid), each.shapes[0].high) == (starts, most)
 
 
-def test_without_two_periods_there_is_no_ripple_to_name() -> None:
-    assert within_travel(COGGING, 0.3) is None
-    friction = replace(COGGING, shapes=(), grid=({},))
-    assert within_travel(friction, 0.3) == friction
-
-
 def test_arms_too_short_for_the_bed_are_infeasible_and_stop_nothing() -> None:
     t = np.arange(400) / 1600.0
     moving = np.column_stack([0.5 * np.sin(40.0 * t) ** 2, np.zeros(400), np.full(400, 30.0)])

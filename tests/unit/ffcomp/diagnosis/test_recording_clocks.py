@@ -64,22 +64,6 @@ def test_a_late_repeat_is_found_and_moved(late_ms: float) -> None:
     assert f"{abs(late_ms):.2g} ms late" in found.late()
 
 
-def test_good_repeats_stay_as_they_are() -> None:
-    both = [observed(motion(), n) for n in (1, 2, 3)]
-    (found,) = repeats_of(both)
-    assert not found.apart and not found.differ
-    assert found.share < 0.05 and found.least_change < 0.01
-    assert aligned(both, [found]) == both
-    check_repeating([found])
-
-
-def test_a_signal_that_feels_nothing_of_the_motion_does_not_shift_the_others() -> None:
-    """By its own noise it would weigh as much as they do; a lag that is none makes resonances differ."""
-    for n in range(1, 9, 2):
-        (found,) = repeats_of([observed(motion() * [1.0, 1e-4], repeat) for repeat in (n, n + 1)])
-        assert 1e6 * (max(found.lag_s) - min(found.lag_s)) < 20.0  # or it would be 60
-
-
 def test_repeats_that_do_not_repeat_are_refused_with_files_and_remedy() -> None:
     stiffer = motion() * [1.0, 0.6]
     (found,) = repeats_of([observed(motion(), 1), observed(stiffer, 2)])

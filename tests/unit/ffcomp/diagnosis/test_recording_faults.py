@@ -130,10 +130,3 @@ def test_the_signal_that_holds_the_gap_is_named() -> None:
 
 
 # ---- places --------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("late_s", [5e-4, 2e-3, 6e-3])
-def test_a_late_machine_is_no_shaper(late_s: float) -> None:
-    true = [motion()]
-    estimation = problem(delayed(true[0], late_s, RATE_HZ))
-    assert shaper_on(estimation, true, left(estimation, true)) is None

@@ -6,7 +6,6 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-import pytest
 
 from ffcomp.diagnosis.axis_problem import AxisProblem
 from ffcomp.diagnosis.diagnosis import diagnose
@@ -24,11 +23,6 @@ Law = Callable[[FloatArray, FloatArray], FloatArray]  # position mm, speed m/s -
 def slow_drag(_: FloatArray, v: FloatArray) -> FloatArray:
     """Holds back only near 20 mm/s: no friction law of the catalogue."""
     return np.asarray(1.5 * np.tanh(v / 0.002) * np.exp(-((np.abs(v) / 0.02) ** 4)))
-
-
-def bump(x: FloatArray, _: FloatArray) -> FloatArray:
-    """A place that pushes, 6 mm wide."""
-    return np.asarray(1.2 * np.exp(-(((x - 15.0) / 6.0) ** 2)))
 
 
 def problem(law: Law, axis: DrivenAxis = STAGE, seed: int = 1) -> AxisProblem:
@@ -66,16 +60,6 @@ def test_a_law_of_speed_shows_its_shape_and_its_regime() -> None:
     assert 15.0 < float(curve.regime.split()[-2]) < 35.0
 
 
-def test_a_law_of_position_shows_its_shape_and_its_regime() -> None:
-    curve = residual_curves(problem(bump), {})[0]
-    assert curve.against == "position" and curve.share > 0.7
-    place = np.array(curve.at)
-    assert inside(curve, bump(place, place)) > 0.7
-    assert curve.regime.startswith("most of it from ")
-    low, high = float(curve.regime.split()[4]), float(curve.regime.split()[6])
-    assert 5.0 < low < 12.0 and 18.0 < high < 25.0
-
-
 def test_the_band_covers_a_law_as_often_as_it_says() -> None:
     """Over many recordings, at bins far from where the law is curved within a bin."""
     held = []
@@ -94,9 +78,3 @@ def test_the_verdict_unknown_comes_with_the_curve() -> None:
     assert curves and curves[0].against == "speed"
     first = curves[0].to_dict()["points"][0]
     assert first["low"] < first["residual"] < first["high"]
-
-
-@pytest.mark.parametrize("finding", ["nothing", "effects", "recording", "cannot_tell"])
-def test_what_is_explained_has_no_curve(finding: str) -> None:
-    found = diagnose(problem(lambda x, _: 0.0 * x))
-    assert curves_of(replace(found, finding=finding)) == []

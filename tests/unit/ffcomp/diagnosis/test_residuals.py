@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from ffcomp.cli.app import app
-from ffcomp.diagnosis.noise import at_least, noise_floor, noise_of_sensors, scaled, whitener
+from ffcomp.diagnosis.noise import noise_floor, whitener
 from ffcomp.diagnosis.printer_problem import PrinterProblem
 from ffcomp.measurement.recording import Recording
 from models.file import load_machine
@@ -78,28 +78,6 @@ def test_whitened_noise_has_variance_one() -> None:
     assert np.var(errors) == pytest.approx(1.0, abs=0.03)
     density = floor.density["acc_A"]
     assert np.median(density) == pytest.approx(0.2**2 / 800, rel=0.06)  # white noise: variance over the Nyquist band
-
-
-def test_without_repeats_the_floor_is_taken_above_the_band() -> None:
-    plant = PrinterProblem(load_machine("mp-delta-pro"), made_recordings(0.2, 1, np.random.default_rng(1)), ())
-    floor = noise_floor(plant)
-    assert not floor.from_repeats
-    assert floor.density["acc_x"][0] == pytest.approx(0.2**2 / 800, rel=0.15)
-    assert "weaker than repeats" in floor.origin
-
-
-def test_an_encoder_that_shows_its_noise_is_no_guess() -> None:
-    plant = PrinterProblem(load_machine("mp-delta-pro"), made_recordings(0.2, 1, np.random.default_rng(1)), ())
-    floor = at_least(noise_of_sensors(plant.observations, {"acc_x": 1e-12}), plant.observations, plant.band_hz)
-    assert floor.of_sensors and "the encoder, and 0.3 % of the motion" in floor.origin
-    assert not scaled(floor, 4.0).of_sensors  # taken from what is left
-
-
-def test_a_run_that_is_none_is_refused(tmp_path: Path) -> None:
-    bad = tmp_path / "run.csv"
-    bad.write_text("t_s,cmd_A_mm\n0,1\n", encoding="utf-8")
-    answer = CliRunner().invoke(app, ["gap", str(bad), "-m", "kossel"])
-    assert answer.exit_code == 5 and "run.csv" in answer.output
 
 
 def test_diagnose_says_none_where_nothing_is_hidden(tmp_path: Path) -> None:

@@ -13,7 +13,6 @@ from ffcomp.diagnosis.candidates import machine_parameters, printer_candidates
 from ffcomp.diagnosis.diagnosis import Diagnosis, diagnose
 from ffcomp.diagnosis.fit import Fit
 from ffcomp.diagnosis.hypotheses import Hypothesis, held
-from ffcomp.diagnosis.problem import carried_over
 from ffcomp.diagnosis.settings import SETTINGS, SearchSettings
 from ffcomp.diagnosis.trace import Trace
 from models.effects.catalogue import CATALOGUE
@@ -44,11 +43,6 @@ def test_every_fit_and_every_decision_is_in_the_trace(tmp_path: Path) -> None:
     assert len(written) == len(trace.records) and written[-1]["effects"] == ["coulomb_friction"]
 
 
-def test_a_discrepancy_is_unknown_where_there_is_no_effect_to_try() -> None:
-    found = diagnose(problem(()))
-    assert (found.verdict, found.named) == ("unknown", None) and found.rejections
-
-
 def test_settings_are_an_argument_and_a_narrower_search_fits_less() -> None:
     _, broad = asked()
     _, narrow = asked(replace(SETTINGS, tried=1, starts=1, width=1, forms=0))
@@ -75,12 +69,3 @@ def test_a_number_of_the_file_is_held_where_an_effect_is_the_same_number() -> No
     both = Hypothesis((belts, cogging), Fit(parameters, z, np.zeros(3), np.zeros((3, len(z)))))
     assert both.without(belts, file).machine_parameters == file
     assert both.without(cogging, file).machine_parameters == machine_held
-
-
-def test_a_number_is_carried_over_to_other_forms_and_laws_of_its_effect() -> None:
-    coulomb = {"effects.coulomb_friction.force_n[0]": 2.0, "effects.coulomb_friction.force_n[1]": 4.0, "mass_kg": 1.0}
-    assert carried_over(coulomb, "effects.stribeck_friction.force_n[1]") == 4.0
-    assert carried_over(coulomb, "effects.stribeck_friction.force_n") == 3.0
-    assert carried_over({"effects.stribeck_friction.force_n": 3.0}, "effects.coulomb_friction.force_n[1]") == 3.0
-    assert carried_over(coulomb, "effects.stribeck_friction.extra_force_n[0]") is None
-    assert carried_over(coulomb, "effects.guide_damping.force_n") is None

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from ffcomp.diagnosis.diagnosis import FINDINGS
-from ffcomp.diagnosis.held_out import OtherMotion
 from ffcomp.diagnosis.problem import MachineNames
 from ffcomp.diagnosis.result import DiagnosisResult, FileNumbers, Gap, Rest
 from ffcomp.diagnosis.sentences import summary_sentences, what_to_do
@@ -80,42 +79,6 @@ def test_what_is_explained_follows_from_the_numbers_beside_it(seed: int) -> None
     assert explained == pytest.approx(share_of(filed, left, told_noise), abs=0.03)
 
 
-def test_nothing_is_said_to_be_explained_by_0_percent_beside_a_gap_that_closed() -> None:
-    """The report of the effector's mass once did: 37 -> 0.51 %, "it explains 0 % of the gap where never fitted"."""
-    assert (
-        "37 % off and are 0.51 % off: it explains more than 99.9 % of the gap there" in summary_sentences(result())[1]
-    )
-
-
-@pytest.mark.parametrize(("left_out", "words"), [("experiments", "One place only"), ("", "One experiment only")])
-def test_one_place_is_not_elsewhere(left_out: str, words: str) -> None:
-    text = " ".join(summary_sentences(result(left_out=left_out)))
-    assert words in text and "not tested elsewhere" in text and "places it was not fitted to" not in text
-    assert "places it was not fitted to" in " ".join(summary_sentences(result()))
-
-
-def test_what_is_not_proven_is_said_with_its_share_and_place() -> None:
-    found = result("unproven", noise=0.005, before=0.45, after=0.0359, unproven=["(55, 20)"])
-    first = summary_sentences(found)[0]
-    assert "99.4 % of it is explained by effector_mass; unproven at (55, 20)" in first
-    assert shares(first)[2] == rounded(share_of(0.45, 0.0359, 0.005))
-    assert "nothing known explains" not in first
-
-
-def test_noise_that_hides_everything_cannot_tell() -> None:
-    loud = summary_sentences(result("cannot_tell", noise=0.22, before=0.23, after=0.22))[0]
-    assert loud.startswith("Cannot tell: the noise is 22 %")
-    wrong = summary_sentences(result("cannot_tell", noise=0.09, before=0.09, after=0.03))[0]
-    assert "repeats differ by 9.0 %" in wrong and "only 3.0 % are left" in wrong
-
-
-def test_files_off_their_command_and_wrong_numbers_are_named() -> None:
-    found = result(late_s={"a-1.csv": 2.1e-3, "a-2.csv": -0.4e-3}, file_off={"effector.nozzle_mass_kg": (0.5, 0.56)})
-    text = " ".join(summary_sentences(found))
-    assert "a-1.csv lies 2.1 ms late and a-2.csv lies 0.40 ms early" in text
-    assert "effector.nozzle_mass_kg by +12 %" in text and "Weigh what moves" in text
-
-
 def test_a_file_is_written_for_retuning_only_where_it_holds_elsewhere() -> None:
     closed = {"noise": 0.005, "before": 0.02, "after": 0.0052}
     assert result("nothing", **closed, held_out=(0.02, 0.006)).mends
@@ -124,33 +87,11 @@ def test_a_file_is_written_for_retuning_only_where_it_holds_elsewhere() -> None:
     assert not result("nothing", **closed, held_out=(0.02, 0.006), late_s={"a.csv": 1e-3}).mends
 
 
-def test_an_interval_that_few_motions_make_wide_is_told_from_a_number_that_nothing_determines() -> None:
-    name = "effector_mass.added_kg"
-    sentences = " ".join(summary_sentences(result(undetermined=[name], scattered=[name], motions=2)))
-    assert "The 2 motions give different values of effector_mass.added_kg" in sentences
-    assert "Record more motions." in sentences and "do not determine" not in sentences
-
-
 @pytest.mark.parametrize("finding", FINDINGS)
 def test_every_finding_has_sentences_and_steps(finding: str) -> None:
     found = result(finding)
     for sentence in [*summary_sentences(found), *what_to_do(found)]:
         assert sentence[0].isupper() and sentence.endswith(".")
-
-
-def test_what_is_named_with_a_rest_says_what_is_left_and_where() -> None:
-    found = result("dominant", before=0.37, after=0.15, undetermined=["effector_mass.added_kg"])
-    first, rest, instead, open_numbers, *_ = summary_sentences(found)
-    assert "effector_mass" in first and "83 % of the gap" in first
-    assert "80 % of it lies at 1 to 10 Hz" in rest and "75 % of the other while it moves backwards" in rest
-    assert "60 % near reversals" in rest and "70 % at (55, 20) mm" in rest and "15 % of the signals stays" in rest
-    assert "belt_stiffness would explain 40 %" in instead and "do not determine effector_mass.added_kg" in open_numbers
-    assert found.mends and found.named == ("effector_mass",) and not result("unproven").mends
-
-
-def test_friction_is_told_as_a_family_first() -> None:
-    found = replace(result(), effects={"stribeck_friction": {"force_n": 1.0}})
-    assert "dry friction that falls with speed, stribeck_friction" in summary_sentences(found)[0]
 
 
 def test_every_effect_has_a_remedy_and_uneven_towers_are_named() -> None:
@@ -186,46 +127,8 @@ def test_a_number_beyond_what_the_file_says_is_named_with_nothing() -> None:
     assert "carriage.mass_kg by 3.7 times its uncertainty (0.18 in the file, 0.181 fits)" in second
 
 
-def test_sensors_and_nothing_gain_nothing() -> None:
-    machine = load_machine("mp-delta-pro")
-    assert print_gain(machine, result("nothing")) is None
-    assert print_gain(machine, replace(result(), effects={"sensor_time_offset": {"offset_s": 1e-3}})) is None
-
-
-@pytest.mark.parametrize(
-    ("held_out", "words"),
-    [((0.0045, 0.0041), "this proves nothing"), ((0.37, 0.0041), "the residual does not stand above the noise")],
-)
-def test_no_share_is_told_of_a_gap_that_does_not_stand_above_the_noise(
-    held_out: tuple[float, float], words: str
-) -> None:
-    sentence = summary_sentences(result(held_out=held_out))[1]
-    assert words in sentence
-    assert "of the gap there" not in sentence
-
-
 @pytest.mark.parametrize("worse", [True, False])
 def test_a_file_by_which_prints_are_predicted_to_be_worse_is_not_compensated_with(worse: bool) -> None:
     told = " ".join(what_to_do(result(prints_worse=worse)))
     assert ("compensate with the original file" in told) == worse
     assert ("compensate with the better machine file" in told) != worse
-
-
-@pytest.mark.parametrize("guess", [True, False])
-def test_none_by_a_guessed_noise_says_what_may_be_hidden(guess: bool) -> None:
-    told = " ".join(summary_sentences(result("nothing", noise_guessed=guess)))
-    assert ("because no motion was repeated" in told) == guess
-
-
-def test_what_speaks_against_an_answer_is_said_first_and_what_changes_beside() -> None:
-    plain = summary_sentences(result())
-    harms = OtherMotion("b.csv", filed=0.266, after=0.442)
-    larger = OtherMotion("c.csv", 0.5, 0.057, "effector_mass.added_kg", 0.051, 0.049)
-    first, *rest = summary_sentences(result(others=[OtherMotion("a.csv", 0.5, 0.1), harms, larger]))
-    assert (
-        first.endswith("b.csv is 27 % off with the original file and 44 % with the effects.") and "a.csv" not in first
-    )
-    (beside,) = (sentence for sentence in rest if sentence not in plain)
-    assert shares(beside) == [0.051, 0.049, 0.057] and "c.csv effector_mass.added_kg" in beside and "larger" in beside
-    smaller = replace(larger, changed=-0.051)
-    assert "smaller" in summary_sentences(result(others=[smaller]))[-1]

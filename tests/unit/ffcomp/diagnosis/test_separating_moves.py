@@ -126,20 +126,6 @@ def separation(**changed: object) -> Separation:
     return replace(made, **changed)  # type: ignore[arg-type]
 
 
-def test_twins_are_said_to_be_twins() -> None:
-    twins = separation(there=0.15)
-    assert not twins.tells and not twins.to_dict()["separates"]
-    assert twins.sentence().startswith(
-        "No move of ffcomp record plan can separate a from b: it shows at most 0.15 times"
-    )
-    assert twins.sentence().endswith("Weigh it.")
-    assert not separation(now=3.0).tells  # they differ there hardly more than they do already
-
-
-def test_a_second_effect_in_doubt_is_asked_for() -> None:
-    assert "to show whether b acts as well: there" in separation(other=("a", "b")).sentence()
-
-
 def test_what_is_alike_but_fits_less_well_needs_no_recording() -> None:
     told = separation(command="", kind="", position_mm=(), now=2.0, there=2.0)
     assert told.tells

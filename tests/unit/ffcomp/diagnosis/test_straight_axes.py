@@ -78,13 +78,6 @@ def test_the_plant_is_our_printer_where_nothing_is_hidden(tmp_path: Path) -> Non
         assert apart.max() < 1e-6
 
 
-def test_nothing_hidden_is_called_none(tmp_path: Path) -> None:
-    problem = PrinterProblem(
-        filed(PLANT, "cartesian", tmp_path), recorded(PLANT), ("coulomb_friction", "command_delay")
-    )
-    assert diagnose(problem).verdict == "none"
-
-
 @pytest.mark.parametrize(
     ("kind", "plant", "hidden", "name", "key", "truth"),
     [

@@ -185,30 +185,6 @@ def test_no_other_file_is_overwritten(files: tuple[Path, list[Path]]) -> None:
         update_files(replace(_of(library, runs), output=library))
 
 
-def test_a_history_of_others_is_left_alone(files: tuple[Path, list[Path]]) -> None:
-    mine, runs = files
-    history = mine.with_name("checks.jsonl")
-    history.write_text('{"schema": "ffcomp-check-history/1"}\n', encoding="utf-8")
-    with pytest.raises(MeasurementError, match="This is no history of updates"):
-        update_files(_of(mine, runs, history=history))
-    assert mine.read_text(encoding="utf-8") == TEXT.format(default=0.05)
-
-
-@pytest.mark.parametrize(
-    ("line", "why"),
-    [
-        ('"data": [], "date": ""', "a line has no 'written_sha256'"),
-        ('"data": 5, "date": "", "written_sha256": "", "numbers": {}', "not iterable"),
-        ('"data": [], "date": "", "written_sha256": "", "numbers": {"a": {"after": 1}}', "not subscriptable"),
-    ],
-)
-def test_a_line_of_the_history_that_lacks_something_is_named(line: str, why: str, tmp_path: Path) -> None:
-    history = tmp_path / "history.jsonl"
-    history.write_text(f'{{"schema": "ffcomp-update/1", {line}}}\n', encoding="utf-8")
-    with pytest.raises(MeasurementError, match=rf"no history of updates \(.*{why}.*--history"):
-        read_history(history)
-
-
 def test_no_machine_file_is_written_without_its_history(files: tuple[Path, list[Path]]) -> None:
     mine, runs = files
     with pytest.raises(OSError, match="cannot be written"):

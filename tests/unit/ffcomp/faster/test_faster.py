@@ -145,13 +145,3 @@ def test_the_slicers_settings_fill_in_what_was_not_asked_for() -> None:
     assert (asked.max_flow_mm3_per_s, asked.min_layer_time_s) == (9.0, 1.0)
     uncooled = with_slicer_settings(Bound(25.0), b"; cooling = 0\n", b"; max_volumetric_speed = 0\n")
     assert (uncooled.max_flow_mm3_per_s, uncooled.min_layer_time_s) == (None, 0.0)
-
-
-def test_the_time_is_told_by_what_limits_it_and_nothing_is_below_the_least(
-    squares: Program, model: InverseModel
-) -> None:
-    found = of(squares, model, 25.0)
-    lasting = planned(found, model).trajectory.end_t
-    assert sum(found.limited_by.values()) == pytest.approx(lasting)
-    assert found.limited_by["as_sliced"] > found.limited_by["flow"] > found.limited_by["error_bound"]
-    assert 0.9 * lasting < found.actuator_limit_s < lasting

@@ -21,16 +21,3 @@ def test_the_percentile_is_that_of_printers_and_not_of_moments() -> None:
     assert found == pytest.approx(np.quantile(each, 0.95), abs=0.02)
     moments = np.percentile(error_at_quantile(nominal, changes, scale, 1.96), 99)
     assert 0.7 * moments < found < 1.2 * moments
-
-
-def test_printers_lie_evenly() -> None:
-    deviates = deviates_in(4)
-    assert abs(deviates.mean(axis=0)).max() < 0.15
-    assert deviates.std(axis=0) == pytest.approx(np.ones(4), abs=0.1)
-
-
-def test_a_certain_machine_is_one_printer() -> None:
-    nominal = np.linspace(0.0, 0.02, 1001)
-    counts = histogram(nominal, np.empty((0, len(nominal), 3), np.float32), np.full(len(nominal), 100.0))
-    assert ensemble_percentile([counts], 0.0, 0.05) == pytest.approx(1.98, abs=0.02)
-    assert ensemble_percentile([counts], 99_000.0, 0.05) < 0.35

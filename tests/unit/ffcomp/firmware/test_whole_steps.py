@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.signal import cont2discrete, lfilter
 
-from ffcomp.firmware.marlin import Marlin
-from ffcomp.firmware.marlin_segments import MarlinSegments
 from ffcomp.firmware.whole_steps import WholeSteps
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.settings import CUT, settings_for
@@ -112,21 +108,6 @@ def test_a_part_that_begins_at_a_cut_says_what_the_whole_says(delta: WholeSteps)
     assert np.array_equal(delta.placed(at[part], points[part], fixed[part])[0], whole)
 
 
-def test_a_deltas_segments_are_short_enough_not_to_be_cut() -> None:
-    """10 ms and more are two lines' worth at 200 a second; the next segments make up for it, but not for long."""
-    machine = load_machine("mp-delta-pro")
-    segments = MarlinSegments.of(Marlin(), InverseModel(machine, settings_for(machine)))
-    points = np.column_stack([np.arange(8.0), np.zeros(8), np.zeros(8)])
-    lasting = np.array([4.0, 12.0, 4.0, 8.0, 90.0, 4.0, 8.0]) / 1e3
-    expected = np.array([4.0, 9.5, 6.5, 8.0, 9.5, 9.5, 9.5]) / 1e3
-    at = np.append(0.0, np.cumsum(lasting)) / segments.knot_s
-    assert segments.times(at, points)[1] == pytest.approx(expected)
-    often = replace(segments, settings=replace(segments.settings, segments_per_second=600.0))
-    assert often.times(at, points)[1] == pytest.approx(lasting)  # a knot of 4 ms is cut in any case
-    lifts = points[:, [1, 2, 0]]
-    assert segments.times(at, lifts)[1] == pytest.approx(lasting)
-
-
 def test_motors_keep_their_acceleration_before_a_line_that_stays(delta: WholeSteps) -> None:
     """A fifth of a knot after a point that goes elsewhere, since six steps are too many at 10 mm/s."""
     at = np.sort(np.append(np.arange(1.0, 240.0), np.arange(9, 230, 11) + 0.2))
@@ -137,10 +118,3 @@ def test_motors_keep_their_acceleration_before_a_line_that_stays(delta: WholeSte
     velocity = np.diff(delta.motors(delta.placed(at, points, fixed)[0]), axis=0) / lasting
     change = np.abs(np.diff(velocity, axis=0)) / np.maximum(0.5 * (lasting[1:] + lasting[:-1]), 1.0)
     assert (change / delta.most).max() < 1.0
-
-
-def test_motors_that_are_too_weak_for_it_are_not_moved_to_and_fro() -> None:
-    machine = load_machine("mp-delta-pro")
-    weak = replace(machine, limits=replace(machine.limits, carriage_acceleration_mm_per_s2=9000.0))
-    for each, enough in ((machine, 4), (weak, 7)):
-        assert MarlinSegments.of(Marlin(), InverseModel(each, settings_for(each))).steps.enough == enough

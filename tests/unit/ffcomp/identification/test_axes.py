@@ -15,7 +15,6 @@ from ffcomp.identification.modal_fit import AxisFit, AxisMode
 from ffcomp.identification.uncertainty import normal
 from ffcomp.measurement.frf import FrequencyResponse
 from models.arrays import FloatArray
-from models.errors import MachineFileError
 from models.file import machine_of_text
 from models.kinematics.cartesian import COREXY
 from models.vibration.modal import Axis, ModalAxes
@@ -71,13 +70,6 @@ def test_exchange_is_found_whether_or_not_the_sensor_is_turned(delta: float, tur
     assert found.left < 0.03
 
 
-@pytest.mark.parametrize("delta", [0.05, -0.03, 0.12])
-def test_other_motion_across_the_axes_hardly_moves_the_exchange(delta: float) -> None:
-    found = found_in(delta, 0.0, 0.02, 0.3)
-    assert found.delta.value == pytest.approx(delta, abs=0.006)
-    assert found.delta.low < delta < found.delta.high
-
-
 def test_it_is_written_with_its_interval_and_read_again() -> None:
     found = fitted(0.05)
     text = axes_file_text(Origin(ROOT / "models/library/voron-300.toml", "mine", ["a.csv"], "today"), found)
@@ -89,22 +81,6 @@ def test_it_is_written_with_its_interval_and_read_again() -> None:
 
 def crossed(model: ModalAxes) -> FloatArray:
     return np.abs(model.frequency_response(np.zeros(2), F)[:, 0, 1])
-
-
-@pytest.mark.parametrize(
-    ("change", "problem"),
-    [
-        (('"corexy"', '"cartesian"'), "axes.exchange is only for belts that move x and y together"),
-        (("exchange = 0.05", "exchange = 0.7"), "axes.exchange = 0.7 must be at most 0.5"),
-    ],
-)
-def test_a_file_that_cannot_be_is_refused(change: tuple[str, str], problem: str) -> None:
-    text = (
-        (ROOT / "models/library/voron-300.toml").read_text().replace("[axes.x]", "[axes]\nexchange = 0.05\n\n[axes.x]")
-    )
-    machine_of_text(text, "mine")
-    with pytest.raises(MachineFileError, match=problem):
-        machine_of_text(text.replace(*change), "mine")
 
 
 def test_the_files_number_is_that_of_one_stiffer_belt() -> None:

@@ -57,11 +57,6 @@ def test_the_softer_belt_of_a_corexy_is_named() -> None:
     np.testing.assert_allclose([e.value for e in found.modes_hz], np.sort(true) / (2 * np.pi), rtol=0.02)
 
 
-def test_belts_that_are_alike_are_called_so() -> None:
-    found = belts([1.0, 1.0], 1.0)
-    assert found.sentence in [f"The two belts are alike within ± {n} %." for n in (3, 4, 5)]
-
-
 def test_a_soft_tower_is_named_and_drawn() -> None:
     tests = [test_of(TOWERS, [1.0, 0.9, 1.0], 1.0, row, n) for n, row in enumerate(TOWERS)]
     found = compare_belts(DELTA, tests)

@@ -8,13 +8,12 @@ import numpy as np
 import pytest
 
 from ffcomp.errors import MeasurementError, SolverError
-from ffcomp.identification.decoupling import decouple, evaluate_parts
 from ffcomp.identification.output_error import TOTAL_MASS, UNKNOWNS, fit_machine
 from ffcomp.identification.paper import carriage_step, identify_as_paper
 from ffcomp.identification.predict import predicted
 from models.file import load_machine
 from models.kinds import delta_vibration, with_parts
-from models.machine import Machine, value_of, with_values
+from models.machine import Machine, value_of
 from models.vibration.substructures import Drive
 from tests.support.identification import blank, measured, paper_bench, towers_bench
 
@@ -95,25 +94,6 @@ def test_a_response_the_model_does_not_have_is_refused() -> None:
 
 
 # ---- decoupling ----------------------------------------------------------------------------------
-
-
-def verdicts(truth: Machine, at: tuple[float, float]) -> dict[str, bool]:
-    bench = measured(truth, towers_bench(*at, np.arange(2.0, 125.1, 0.5)), 40.0, 0)
-    return {part.name: part.holds for part in evaluate_parts(decouple(TRUTH, bench))}
-
-
-@pytest.mark.parametrize("at", [(0.0, 0.0), (-80.0, 0.0), (40.0, 69.0)])
-def test_decoupling_finds_nothing_wrong_with_the_right_model(at: tuple[float, float]) -> None:
-    assert all(verdicts(TRUTH, at).values())
-
-
-def test_decoupling_shows_which_part_is_wrong() -> None:
-    soft = with_values(TRUTH, {"effector.extruder_stiffness_n_per_m[1]": 5000.0})
-    assert [name for name, holds in verdicts(soft, (0.0, 0.0)).items() if not holds] == ["effector y"]
-    heavy = with_values(TRUTH, {"effector.nozzle_mass_kg": 0.65})
-    assert [n for n, holds in verdicts(heavy, (0.0, 0.0)).items() if not holds] == [f"effector {a}" for a in "xyz"]
-    paper = with_parts(TRUTH, effector=replace(delta_vibration(TRUTH).effector, force_map="paper"))
-    assert not verdicts(paper, (-80.0, 0.0))["force map"]
 
 
 # ---- uncertainty ---------------------------------------------------------------------------------

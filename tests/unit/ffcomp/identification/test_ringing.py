@@ -7,12 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ffcomp.cli.app import app
 from ffcomp.identification.fitting import READ_SD, fit_ringing
 from ffcomp.identification.request import RingingRequest
 from models.file import load_machine, machine_of_text
 from models.machine import value_of
-from tests.support.cli import CliRunner
 
 AXES = tuple(f"axes.{axis}.{kind}[0]" for axis in "xy" for kind in ("frequency_hz", "damping_ratio"))
 
@@ -43,13 +41,3 @@ def test_frequencies_that_no_stiffness_makes_both_are_named() -> None:
     start = load_machine("mp-delta-pro")
     result = fit_ringing(start, RingingRequest(machine="mp-delta-pro", x_hz=52.0, y_hz=34.0, output=Path("mine.toml")))
     assert "One stiffness of the belts does not make both: with the nearest, x rings at 4" in result.advice[1]
-
-
-def test_the_verb_writes_the_file_once(tmp_path: Path) -> None:
-    words = ["identify", "ringing", "--x-hz", "48", "--y-hz", "37", "-m", "ender-3", "-o", str(tmp_path / "my.toml")]
-    result = CliRunner().invoke(app, words)
-    assert result.exit_code == 0 and "axes.y.frequency_hz[0]  37" in result.output
-    before = (tmp_path / "my.toml").read_bytes()
-    again = CliRunner().invoke(app, words)
-    assert again.exit_code == 2 and "exists already" in again.output
-    assert (tmp_path / "my.toml").read_bytes() == before

@@ -18,9 +18,8 @@ from PIL import Image, ImageFilter
 
 from ffcomp.errors import MeasurementError, RequestError
 from ffcomp.identification.machine_fit import ScanFit
-from ffcomp.identification.page_fit import _steep, _swept
-from ffcomp.identification.page_lines import _roughness, read_lines
-from ffcomp.identification.page_picture import COARSE_PX, find_page, read_picture
+from ffcomp.identification.page_lines import read_lines
+from ffcomp.identification.page_picture import find_page, read_picture
 from ffcomp.identification.request import ScanRequest
 from ffcomp.identification.scanning import _advice, fit_pictures
 from ffcomp.record.page import DISC, PageRequest, discs_of, make_page
@@ -109,30 +108,6 @@ def test_a_picture_tells_frequencies_and_damping(machine: Machine, folder: Path)
     assert warning.startswith("axes.x.frequency_hz[0]: further from") and "another printer of the same kind" in warning
 
 
-def test_a_wide_line_is_seen_between_its_edges() -> None:
-    s, steepness, radius = np.arange(-2.0, 2.0, 0.01), 0.75, 0.24
-    straight = _swept(np.column_stack([s, steepness * s]), radius, -1.0, 21, 0.1)
-    assert straight == pytest.approx(steepness * np.arange(-1.0, 1.05, 0.1), abs=1e-4)
-    bent = _swept(np.column_stack([s, steepness * np.abs(s)]), radius, -1.0, 21, 0.1)
-    assert bent[10] == pytest.approx(radius * (np.hypot(1.0, steepness) - 1.0) / 2, abs=1e-4)  # above the path's corner
-    assert bent[[0, -1]] == pytest.approx(steepness, abs=1e-4)
-
-
-def test_a_scanners_wobble_is_no_roughness_of_lines_and_a_wave_is_none() -> None:
-    s, rng = np.arange(0.0, 23.0, 0.1), np.random.default_rng(1)
-    ours, theirs = (0.004 * rng.standard_normal(len(s)) for _ in range(2))
-    wave, wobble = 0.2 * np.exp(-s / 2.0) * np.sin(3.0 * s), 0.02 * np.sin(2.0 * s)
-    assert _roughness(ours + wave, theirs, 45) == pytest.approx(0.004, rel=0.15)
-    assert _roughness(ours + wave + wobble, theirs + wobble, 45) == pytest.approx(0.004, rel=0.15)
-    assert _roughness(ours + 0.1 * np.sin(3.0 * s), theirs, 45) == pytest.approx(0.004, rel=0.15)  # rings to the end
-
-
-def test_places_around_steep_waves_count_little() -> None:
-    s = np.arange(-5.0, 5.05, 0.1)
-    steep = _steep(0.3 * np.exp(-2.0 * s**2) * np.sin(4.0 * s))  # in the middle, with a slope of 1.2
-    assert np.all(steep[np.abs(s) < 1.0] > 1.0) and np.all(steep[np.abs(s) > 2.0] == 1.0)
-
-
 Spoil = Callable[[NDArray[np.uint8]], NDArray[np.uint8]]
 SPOILED: dict[str, tuple[Spoil, str]] = {
     "mirrored": (lambda picture: picture[:, ::-1], "mirrored"),
@@ -199,13 +174,6 @@ def test_blots_at_the_ends_of_lines_are_no_discs(machine: Machine, plan: Plan, t
     other = make_page(machine, PageRequest(seed=2))
     with pytest.raises(MeasurementError, match="of another machine"):  # and not: mirrored
         find_page(picture, other)
-
-
-def test_a_picture_just_too_small_to_be_halved_for_the_search_is_read_alike(plan: Plan, tmp_path: Path) -> None:
-    fine = photograph(draw(plan, commanded, Bead(), seed=1), replace(COARSE, dpi=400.0), seed=2)
-    assert COARSE_PX < max(fine.shape) < 2 * COARSE_PX
-    Image.fromarray(fine).save(tmp_path / "fine.png", compress_level=1)
-    assert len(find_page(read_picture(tmp_path / "fine.png"), plan).discs) == 10
 
 
 def test_the_page_of_another_seed_or_machine_is_refused(folder: Path, machine: Machine) -> None:

@@ -28,13 +28,6 @@ def test_the_nearest_arm_lends_its_vibrations(arm: float, like: str, tmp_path: P
     assert machine.uncertainty["default"] == 0.2
 
 
-def test_the_lender_may_be_named(tmp_path: Path) -> None:
-    path = written(tmp_path, Delta().klipper())
-    made = drafted(path, like=LIBRARY / "mp-delta-pro.toml")
-    assert made.values["carriage.drive.d0_per_s2"].origin == "assumed: as the machine 'mp-delta-pro'"
-    assert "carriage.drive.d0_per_s2" not in drafted(path).values
-
-
 def test_every_value_says_where_it_is_from(tmp_path: Path) -> None:
     path = written(tmp_path, Delta().klipper(), "printer.cfg")
     imported(path)
@@ -80,22 +73,6 @@ def test_what_is_missing_stays_missing(tmp_path: Path) -> None:
         if line.startswith("# frequency_hz is missing"):
             filled = filled.replace(line, "frequency_hz = [50.0]\ndamping_ratio = [0.05]")
     check_text(filled, "x.toml")
-
-
-def test_a_named_machine_fills_the_axes_that_have_no_shaper(tmp_path: Path) -> None:
-    lender = written(tmp_path, COREXY + SHAPER, "lender.cfg")
-    imported(lender)
-    text = lender.with_suffix(".toml").read_text(encoding="utf-8")
-    two_modes = "frequency_hz = [50.0, 80.0]\ndamping_ratio = [0.05, 0.04]\nshare = [0.9, 0.1]"
-    start = text.index("[axes.x]\n") + len("[axes.x]\n")
-    other = written(tmp_path, text[:start] + two_modes + "\n" + text[text.index("\n[axes.y]") :], "two.toml")
-    path = written(tmp_path, COREXY, "x.cfg")
-    assert not drafted(path).is_complete
-    made = drafted(path, like=other)
-    assert made.is_complete
-    assert made.values["axes.x.share"].value == [0.9, 0.1]
-    shaped = drafted(written(tmp_path, COREXY + SHAPER, "y.cfg"), like=other)
-    assert "axes.x.share" not in shaped.values, "a shaper's axis is not mixed with another machine's"
 
 
 def test_a_delta_lends_nothing_to_a_corexy_machine(tmp_path: Path) -> None:

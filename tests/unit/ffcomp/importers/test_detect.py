@@ -45,13 +45,6 @@ def test_what_is_none_of_them_is_refused(data: bytes, sentence: str, tmp_path: P
         read_printer_config(written(tmp_path, data))
 
 
-def test_a_file_too_large_is_not_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("ffcomp.importers.values.LARGEST_BYTES", 3_000_000)
-    path = written(tmp_path, "x" * 3_000_001)
-    with pytest.raises(PrinterConfigError, match="at most 3 MB"):
-        read_printer_config(path)
-
-
 LINES = [
     *(COREXY + SHAPER + SAVED + "#*# delta_radius = 9").split("\n"),
     *["M669 K1", "M501", "M208 X0:1", "if x", "  M92 X1", "M593 F{1}", "M350 X0", "G20", "echo: M665 L1 R1"],

@@ -9,9 +9,8 @@ import pytest
 
 from ffcomp.firmware.klipper import MACRO
 from ffcomp.importers.builder import read_printer_config
-from ffcomp.importers.klipper import read_klipper
 from ffcomp.importers.values import ConfigValues, PrinterConfigError
-from tests.support.configs import COREXY, SAVED, SHAPER, Delta, imported, written
+from tests.support.configs import COREXY, SAVED, SHAPER, imported, written
 
 PLAIN = """
 [printer]
@@ -175,12 +174,6 @@ def test_a_corexy_printer(tmp_path: Path) -> None:
     assert list(machine.kinematics.centre_mm) == [147.5, 151.25]
 
 
-def test_a_shaper_that_is_off_says_nothing(tmp_path: Path) -> None:
-    says = found(tmp_path, COREXY + "[input_shaper]\nshaper_freq_x: 0\nsmoother_freq_y: 33\n")
-    assert "axes.x.frequency_hz" not in says.values
-    assert value(says, "axes.y.frequency_hz") == [33.0]
-
-
 def test_what_has_no_place_in_a_machine_file_is_said(tmp_path: Path) -> None:
     text = PLAIN.replace("max_accel: 2500", "max_accel: 2500\nminimum_cruise_ratio: 0")
     notes = " ".join(found(tmp_path, text + SHAPER).notes)
@@ -204,12 +197,6 @@ def test_a_macro_that_sets_the_shaper_is_said(tmp_path: Path) -> None:
     assert not any("sets the input shaper" in note for note in ours.notes)
 
 
-@pytest.mark.parametrize("kind", ["corexz", "hybrid_corexy", "polar", "deltesian", "none", "generic_cartesian", ""])
-def test_other_kinematics_are_refused(kind: str, tmp_path: Path) -> None:
-    with pytest.raises(PrinterConfigError, match=r"printer.cfg:3: \[printer\] kinematics = .* has delta, cart"):
-        found(tmp_path, PLAIN.replace(": delta", f": {kind}"))
-
-
 @pytest.mark.parametrize(
     ("old", "new", "sentence"),
     [
@@ -231,18 +218,3 @@ def test_other_kinematics_are_refused(kind: str, tmp_path: Path) -> None:
 def test_mistakes_are_said_with_their_line(old: str, new: str, sentence: str, tmp_path: Path) -> None:
     with pytest.raises(PrinterConfigError, match=sentence):
         found(tmp_path, PLAIN.replace(old, new, 1))
-
-
-def test_long_lines_and_long_values_take_no_time(tmp_path: Path) -> None:
-    spaces = " " * 300_000
-    path = written(tmp_path, f"{PLAIN}[x]\na{spaces}b: 1\ngcode:\n" + " y\n" * 300_000, "printer.cfg")
-    options = read_klipper(path).options
-    assert ("x", f"a{spaces}b") in options
-    assert len(options["x", "gcode"].text) == 2 * 300_000 - 1
-
-
-def test_towers_of_a_turned_printer(tmp_path: Path) -> None:
-    """Any angles will do, as long as the towers stand around the bed."""
-    turned = Delta(trims=(-90.0, -90.0, -90.0))
-    machine = imported(written(tmp_path, turned.klipper(), "printer.cfg"))
-    assert machine.kinematics.tower_angles_deg.tolist() == [120.0, 240.0, 0.0]

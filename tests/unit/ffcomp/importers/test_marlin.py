@@ -41,11 +41,6 @@ def test_a_delta(tmp_path: Path) -> None:
     assert any("DELTA_RADIUS_TRIM_TOWER" in note for note in says.notes)
 
 
-def test_a_lone_b_is_the_calibration_radius_of_an_older_firmware(tmp_path: Path) -> None:
-    old = "echo:  M665 L271.50 R135.40 H300.0 S80.00 B120.00 X0.00 Y0.00 Z0.00\n"
-    assert value(found(tmp_path, LIMITS + old), "kinematics.arm_length_mm") == 271.5
-
-
 @pytest.mark.parametrize("before", ["", "Recv: ", "17:19:24.459 : ", "12:00:01.2 >> ", "[echo] ", "# RECV: "])
 def test_a_terminal_may_add_its_words(before: str, tmp_path: Path) -> None:
     text = "".join(before + line for line in (LIMITS + JERK + TOWERS).splitlines(keepends=True))
@@ -53,10 +48,6 @@ def test_a_terminal_may_add_its_words(before: str, tmp_path: Path) -> None:
     says = found(tmp_path, text + sent)
     assert value(says, "steps.steps_per_mm") == [80.0, 80.0, 400.0]
     assert value(says, "kinematics.delta_radius_mm") == 141.9439
-
-
-def test_without_echo(tmp_path: Path) -> None:
-    assert found(tmp_path, (LIMITS + JERK + TOWERS).replace("echo:", "")).firmware == "Marlin"
 
 
 def test_who_does_not_tell_must_be_told(tmp_path: Path) -> None:
@@ -84,12 +75,6 @@ def test_fixed_time_motion_is_said_and_its_shaper_unknown(tmp_path: Path) -> Non
     assert value(off, "firmware.input_shaper") == [] and not off.notes
 
 
-def test_one_shaper_line_is_for_both_axes_and_zero_is_off(tmp_path: Path) -> None:
-    says = found(tmp_path, LIMITS + "echo:  M593 F40.00 D0.15\n", "cartesian")
-    assert value(says, "axes.x.frequency_hz") == value(says, "axes.y.frequency_hz") == [40.0]
-    assert "axes.x.frequency_hz" not in found(tmp_path, LIMITS + "echo:  M593 X F0.00 D0.15\n", "cartesian").values
-
-
 def test_a_junction_deviation_is_a_speed_at_a_right_angle(tmp_path: Path) -> None:
     """v² = J a sin(θ/2) / (1 − sin(θ/2)), the rule both planners share, at θ = 90 degrees."""
     says = found(tmp_path, LIMITS + "echo:  M205 B20000.00 S0.00 T0.00 J0.02\n", "cartesian")
@@ -97,18 +82,6 @@ def test_a_junction_deviation_is_a_speed_at_a_right_angle(tmp_path: Path) -> Non
     assert value(says, "limits.square_corner_velocity_mm_per_s") == pytest.approx(
         (0.02 * 1200 * half / (1 - half)) ** 0.5, abs=1e-3
     )
-
-
-def test_soft_endstops(tmp_path: Path) -> None:
-    says = found(
-        tmp_path, LIMITS + "echo:Soft endstops: On  Min: X0.00 Y-2.00 Z0.00   Max: X220.00 Y221.00 Z240.00\n", "corexy"
-    )
-    assert value(says, "kinematics.y_range_mm") == [-2.0, 221.0]
-
-
-def test_the_limits_of_quiet_motors_are_passed_over(tmp_path: Path) -> None:
-    text = LIMITS + "echo:Maximum feedrates - stealth (mm/s):\necho:  M203 X100.00 Y100.00 Z12.00 E120.00\n"
-    assert value(found(tmp_path, text, "cartesian"), "limits.velocity_mm_per_s") == 250.0
 
 
 def test_inches_and_other_firmwares_are_refused(tmp_path: Path) -> None:

@@ -34,11 +34,6 @@ def test_towers_without_their_own_numbers_are_as_the_first(tmp_path: Path) -> No
     assert value(two, "kinematics.delta_radius_mm") == 105.6, "a command changes only what it names"
 
 
-def test_more_than_three_towers_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(PrinterConfigError, match=r"config.g:8 M665 L gives 4 arms"):
-        found(tmp_path, DELTA + "M665 L215:215:215:215\n")
-
-
 def test_m501_loads_the_calibration_that_lies_beside(tmp_path: Path) -> None:
     written(tmp_path, "M665 L215.1:215.2:215.3 R105.937 H250.459 B85.0 X-0.5 Y0.25 Z0\n", "config-override.g")
     assert value(found(tmp_path, DELTA), "kinematics.delta_radius_mm") == 105.6, "nothing runs it"
@@ -129,21 +124,6 @@ def test_a_cartesian_printer_with_one_shaper(tmp_path: Path) -> None:
     assert "axes.x.frequency_hz" not in found(tmp_path, text + "M593 F0\n").values
 
 
-def test_ranges_with_a_colon(tmp_path: Path) -> None:
-    says = found(tmp_path, CARTESIAN + "M208 X-5:240 Z0.5:300\n")
-    assert value(says, "kinematics.x_range_mm") == [-5.0, 240.0]
-    assert value(says, "kinematics.y_range_mm") == [-10.0, 225.0]
-    assert value(says, "kinematics.z_range_mm") == [0.5, 300.0]
-
-
-@pytest.mark.parametrize(
-    ("command", "kind"),
-    [("M669 K1", "corexy"), ("M667 S1", "corexy"), ('M669 K"coreXY"', "corexy"), ("M669 K0", "cartesian")],
-)
-def test_kinematics_by_number_and_by_name(command: str, kind: str, tmp_path: Path) -> None:
-    assert found(tmp_path, CARTESIAN + command + "\n").kinematics == kind
-
-
 @pytest.mark.parametrize(
     ("command", "sentence"),
     [
@@ -159,13 +139,3 @@ def test_kinematics_by_number_and_by_name(command: str, kind: str, tmp_path: Pat
 def test_mistakes_are_said_with_their_line(command: str, sentence: str, tmp_path: Path) -> None:
     with pytest.raises(PrinterConfigError, match=sentence):
         found(tmp_path, CARTESIAN + command + "\n")
-
-
-def test_a_tilted_bed_is_said(tmp_path: Path) -> None:
-    assert any("M666 A = 0.1 % of tilt" in note for note in found(tmp_path, DELTA + "M666 X1 Y2 Z3 A0.1 B0\n").notes)
-
-
-def test_a_print_radius_beyond_the_arms_is_cut(tmp_path: Path) -> None:
-    says = found(tmp_path, DELTA.replace("B85", "B150"))
-    assert value(says, "kinematics.print_radius_mm") == pytest.approx(215 * 12 / 145**0.5 - 105.6, abs=1e-3)
-    assert says.values["kinematics.print_radius_mm"].how == "converted"

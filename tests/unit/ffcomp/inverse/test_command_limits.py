@@ -68,21 +68,6 @@ def test_every_instant_is_within_what_is_said_to_be_asked(machine: Machine, seed
     assert np.abs(changes).max() == pytest.approx(np.abs(bends).max(), rel=1e-3)  # and it is asked for
 
 
-def test_knots_alone_do_not_tell_what_is_asked(machine: Machine) -> None:
-    """Straight past a tower's foot: the carriage turns inside the segment, and is as high at its two ends."""
-    limits = replace(CommandLimits.of(machine, S), travel_mm=(0.0, 400.0))
-    toward, across = np.array([1.0, 0.0]), np.array([0.0, 1.0])  # tower A stands on +x
-    ends = [np.append(60.0 * toward + side * across, 0.0) for side in (-0.6, 0.6)]
-    asked = limits.demand(np.array(ends))
-    geometry = machine.kinematics
-    foot = geometry.effector_height_mm + np.sqrt(
-        geometry.arm_lengths_mm[0] ** 2 - (geometry.delta_radii_mm[0] - 60) ** 2
-    )
-    assert asked.height[0, 0, 1] == pytest.approx(foot, abs=1e-9)
-    assert asked.height[0, 0, 0] < foot - 5e-4
-    assert asked.velocity[0, 0, 0] == pytest.approx(-asked.velocity[0, 0, 1]) and asked.velocity[0, 0, 0] > 0
-
-
 def test_shares_name_the_limit_that_binds(machine: Machine) -> None:
     own = replace(
         machine.limits,

@@ -53,13 +53,6 @@ def test_the_surplus_of_stribeck_fades_with_speed() -> None:
     assert friction(machine, along(200.0))[-1] == pytest.approx(1.0, rel=1e-6)
 
 
-def test_friction_turns_with_the_motion_and_rests_with_it() -> None:
-    machine = with_effect(MACHINE, "coulomb_friction", force_n=[1.0, 2.0, 3.0])
-    q = 5.0 * np.sin(2 * np.pi * 3.0 * ROW_S * np.arange(2000))[:, None] * np.ones(3)
-    assert np.allclose(friction(machine, -q), -friction(machine, q))
-    assert not friction(machine, np.ones((50, 3))).any()
-
-
 def test_it_is_the_force_that_the_printer_feels() -> None:
     """Drawn along slowly, the belts of the virtual printer are longer by F/k than without friction."""
     machine = with_effect(MACHINE, "coulomb_friction", force_n=2.0)
@@ -99,15 +92,6 @@ def foreseen(machine: Machine, stretch: FloatArray) -> tuple[Iterate, FloatArray
     inverter = InverseModel(machine, settings_for(machine))
     run = Iterate(inverter, longest_run())
     return run, FrictionBacklash(inverter, machine).command(run, stretch)
-
-
-def test_twice_the_friction_asks_for_twice_as_much() -> None:
-    (_, once), (run, twice) = (
-        foreseen(with_effect(MACHINE, "coulomb_friction", force_n=force), np.zeros((1, 3))) for force in (1.0, 2.0)
-    )
-    assert np.abs(once).max() > 0.005
-    assert np.allclose(twice, 2.0 * once, atol=1e-2 * np.abs(twice).max())
-    assert not once[0].any() and not once[run.last :].any()
 
 
 def test_play_is_crossed_when_the_belt_turns_to_push() -> None:

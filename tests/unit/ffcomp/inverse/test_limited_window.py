@@ -20,7 +20,6 @@ from ffcomp.planner.lookahead import plan_moves
 from ffcomp.planner.trajectory import split_sections
 from gcode.reader import read_program
 from models.file import load_machine
-from models.kinds import delta_vibration, with_parts
 from models.machine import Machine
 from models.vibration.scheduled import interpolate, models_along
 from tests.support.exact_inverse import FreeWindow, next_window, solve_exactly
@@ -105,13 +104,6 @@ def test_a_window_is_the_problem_that_cvxpy_solves(inverter: InverseModel, machi
     np.testing.assert_allclose(ours, gamma.value[2:-2], atol=2e-5)
 
 
-def test_a_run_begins_and_ends_at_rest_on_the_path(inverter: InverseModel, machine: Machine) -> None:
-    reference = reference_of(CORNER, machine, SETTINGS)
-    result = solve_exactly(inverter, reference, machine.equilibrium(np.array([-60.0, 20, 0.3])))
-    np.testing.assert_allclose(result.vertices[0], [-60, 20, 0.3], atol=1e-10)
-    np.testing.assert_allclose(result.vertices[-1], [-57, 26, 0.3], atol=1e-10)
-
-
 @pytest.mark.parametrize("exact", [True, False])
 def test_the_response_is_the_path(machine: Machine, exact: bool) -> None:
     inverter = InverseModel(machine, USUAL)
@@ -186,30 +178,3 @@ def test_the_solver_finds_the_command_of_the_readable_formulation(
     by_cvxpy = solve(held_model, reference, state)
     assert by_cvxpy.constrained and np.abs(by_cvxpy.vertices - free.vertices).max() > 1e-3
     np.testing.assert_allclose(by_osqp.vertices, by_cvxpy.vertices, atol=1e-3)
-
-
-def test_a_machine_turned_by_120_degrees_gives_the_turned_answer(machine: Machine) -> None:
-    """Towers are alike; only the extruder's axes do not turn, so it is made the same in x and y."""
-    k, b = (
-        delta_vibration(machine).effector.extruder_stiffness_n_per_m,
-        delta_vibration(machine).effector.extruder_damping_n_s_per_m,
-    )
-    round_one = with_parts(
-        machine,
-        effector=replace(
-            delta_vibration(machine).effector,
-            extruder_stiffness_n_per_m=np.array([k[0], k[0], k[2]]),
-            extruder_damping_n_s_per_m=np.array([b[0], b[0], b[2]]),
-        ),
-    )
-    inverter = InverseModel(round_one, Settings())
-    c, s = np.cos(2 * np.pi / 3), np.sin(2 * np.pi / 3)
-    turn = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
-    points = np.array([[-60, 20, 0.3], [-50, 20, 0.3], [-50, 24, 0.3], [-57, 26, 0.3]])
-    answers = []
-    for corners in (points, points @ turn.T):
-        gcode = b"".join(b"G1 X%.9f Y%.9f F9000\n" % (x, y) for x, y, _ in corners[1:])
-        reference = reference_of(gcode, round_one, Settings(), tuple(corners[0]))
-        answers.append(solve(inverter, reference, round_one.equilibrium(corners[0])).vertices)
-    # the table over the bed is square: its interpolation does not turn exactly
-    np.testing.assert_allclose(answers[1], answers[0] @ turn.T, atol=2e-3)

@@ -16,7 +16,6 @@ from ffcomp.inverse.command_limits import peak_utilisation
 from ffcomp.inverse.feasible import SolvedSection
 from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.settings import settings_for
-from ffcomp.inverse.solve import Solution
 from models.effects.catalogue import with_effect
 from models.file import load_machine
 from models.machine import Machine
@@ -74,13 +73,6 @@ def test_friction_and_play_together() -> None:
     assert tracking_um(solved(both)[1]) < 0.1 * linear_um(both)
 
 
-@pytest.mark.parametrize("plant", [PLAY, FRICTION], ids=["play", "friction"])
-def test_what_is_foreseen_is_most_of_it(plant: Machine) -> None:
-    with patch.object(nonlinear, "ROUNDS", 2):
-        begun = tracking_um(solved(plant)[1])
-    assert begun < 0.5 * linear_um(plant)
-
-
 def test_play_too_wide_to_be_crossed_leaves_no_run_worse_than_the_linear_command() -> None:
     wide = with_effect(MACHINE, "belt_backlash", width_mm=1.0)
     with patch.object(nonlinear, "FEEDFORWARD_EFFECTS", ()), patch.object(nonlinear, "ROUNDS", 2):
@@ -101,12 +93,6 @@ def test_no_limit_is_broken_for_an_effect(plant: Machine) -> None:
     assert tracking_um(answers) < 3.0 * tracking_um(answers_of(MACHINE)[0])
 
 
-def test_a_command_begins_and_ends_on_the_path_at_rest() -> None:
-    for each in answers_of(PLAY)[0]:
-        ends = each.reference.at_knots(np.array([0, each.reference.knots]))
-        assert np.abs(each.solution.vertices[[0, -1]] - ends).max() < 1e-9
-
-
 def test_a_printer_without_effects_leaves_the_linear_command() -> None:
     """Played on the printer that the model is made from, what is left is not worth a step."""
     linear, again = answers_of(MACHINE)[0], solved(MACHINE, MACHINE)[1]
@@ -114,9 +100,3 @@ def test_a_printer_without_effects_leaves_the_linear_command() -> None:
         float(np.abs(a.solution.vertices - b.solution.vertices).max()) for a, b in zip(linear, again, strict=True)
     )
     assert far < 0.05
-
-
-def test_no_runs_no_rounds() -> None:
-    inverter = InverseModel(PLAY, settings_for(PLAY))
-    nothing: list[Solution] = []
-    assert nonlinear.correct_sections(inverter, PLAY, []) == nothing

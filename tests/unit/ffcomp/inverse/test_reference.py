@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from ffcomp.firmware.program import PlannedProgram, plan_program
-from ffcomp.inverse.reference import LEAST_S, Extent, Reference, Room, rooms_of
+from ffcomp.inverse.reference import Reference
 from ffcomp.inverse.settings import Settings
-from ffcomp.planner.trajectory import PathPosition
 from gcode.reader import read_program
 from models.file import load_machine
 
@@ -19,29 +18,6 @@ START = (0.0, 0.0, 0.3)
 
 def planned(text: bytes) -> PlannedProgram:
     return plan_program(read_program(text, start=START, flavor="klipper"), load_machine("mp-delta-pro"))
-
-
-S = Settings()
-
-
-@pytest.mark.parametrize(("flow", "least_s"), [(b" E1", LEAST_S), (b"", 0.0)])
-@pytest.mark.parametrize("way", [b"X5", b"X5.3", b"X60"])
-def test_more_and_more_time_is_offered_up_to_all_of_it(way: bytes, flow: bytes, least_s: float) -> None:
-    """From what whole segments need, and a little where filament flows."""
-    section = planned(b"M204 S5000\nG1 %s%s F6000\n" % (way, flow)).sections[0]
-    *less, last = rooms_of(section, S, flows=bool(flow))
-    duration_s = section.end_t - section.begin_t
-    assert last == Room(S.lead_s, S.tail_s) and all(each.lead_s == pytest.approx(each.tail_s) for each in less)
-    assert least_s - 1e-9 <= sum(less[0]) < least_s + S.segment_s and sum(less[-1]) < sum(last)
-    segments = [(duration_s + sum(each)) / S.segment_s for each in less]
-    assert segments == pytest.approx(np.rint(segments)) and np.diff(segments) == pytest.approx(np.ones(len(less) - 1))
-
-
-def test_around_a_cut_in_motion_the_time_does_not_depend_on_the_plan() -> None:
-    plan = planned(b"M204 S500\nG1 X90 E4 F3000\n")
-    section = plan.sections[0]
-    cut = Extent(end=PathPosition(0, 40.0)).written(plan.trajectory, section, S)
-    assert cut.reference.t0 == section.begin_t - S.lead_s
 
 
 @pytest.mark.parametrize("early_s", [0.0, 1e-12, 1e-6])

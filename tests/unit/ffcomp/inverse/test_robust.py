@@ -19,10 +19,8 @@ from ffcomp.inverse.robust import (
 )
 from ffcomp.inverse.sensitivity import (
     MARGIN,
-    NODE_ROWS,
     apply,
     apply_adjoint,
-    lines_of,
 )
 from ffcomp.inverse.settings import settings_for
 from ffcomp.metrics import contour_error, rms
@@ -89,42 +87,7 @@ def test_the_adjoint_is_one() -> None:
     assert not apply(known, lines, 60)[..., 50:].any()
 
 
-def test_a_path_is_a_wish_that_need_not_end_where_it_begins(softening: RobustReference) -> None:
-    """D r − r of a bump by its steps, against D b − b of the bump itself."""
-    sensitivity, t = softening.sensitivity, np.arange(768)[:, None]
-    bump = np.exp(-0.5 * ((t - 350) / 8.0) ** 2) * np.array([1.0, -0.7, 0.1])  # there and back, up to 20 Hz
-    known = sensitivity.of_place(*sensitivity.place_of(PLACE[None, :2]))[..., ::4]
-    error = known.reshape(-1, 3, known.shape[-1])
-    answer = np.fft.irfft(apply(error[None], lines_of(bump.T[None].astype(np.float32), error.shape[-1]), 385)[0], 768)
-    expected = np.moveaxis(answer.reshape(-1, 3, 768), 1, 2)
-    expected[0] -= bump
-    assert np.abs(expected).max() > 5e-3
-    inside = slice(MARGIN, -MARGIN)
-    np.testing.assert_allclose(sensitivity.tracking_error(PLACE + bump), expected[:, inside], atol=4e-4)
-
-
-def test_directions_hold_the_spread_of_the_draws(softening: RobustReference) -> None:
-    """Σ |M_k|² over the directions, against the weighted variance of printers that were not among the draws."""
-    sensitivity, xy = softening.sensitivity, np.zeros(2)
-    known = sensitivity._node((0, 0)).astype(np.complex128)
-    f = np.fft.rfftfreq(NODE_ROWS, sensitivity.row_s)[30:140:10]  # 15 to 65 Hz
-    plain = np.linalg.inv(sensitivity.machine.vibration.frequency_response(xy, f, "nozzle", "nozzle"))
-    plants = draw_plants(sensitivity.machine, 0.1, 100)
-    off = np.array([each.vibration.frequency_response(xy, f, "nozzle", "nozzle") for each in plants]) @ plain
-    sizes = np.abs(off - np.eye(3)).max(axis=(1, 2, 3))
-    weight = 1.0 / (sizes + np.median(sizes))
-    variance = np.average(np.abs(off - np.average(off, axis=0, weights=weight)) ** 2, axis=0, weights=weight)
-    held = np.sum(np.abs(known[1:, 0, 0, 30:140:10]) ** 2, axis=0)
-    assert 0.5 < np.sum(held) / np.sum(variance[:, 0, 0]) < 1.4
-
-
 # ---- what is wanted ------------------------------------------------------------------------------
-
-
-def test_steady_motion_is_left_alone(softening: RobustReference) -> None:
-    path = PLACE + np.arange(MARGIN * 2 + 300.0)[:, None] * np.array([0.05, 0.02, 0.0])
-    (offset,) = softening.offsets([Path(path, np.ones(len(path), dtype=np.bool_))])
-    assert np.abs(offset[100:200]).max() < 1e-3
 
 
 def test_the_expected_contour_error_is_lower(softening: RobustReference, machine: Machine) -> None:

@@ -158,25 +158,6 @@ def test_only_the_moves_concerned_become_slower(machine: Machine, planned: Plann
     assert after.end_t == pytest.approx(before.end_t + found.lost_s)
 
 
-def test_the_rest_of_the_plan_is_later_and_otherwise_the_same(machine: Machine) -> None:
-    planned = plan_program(
-        read_program(CORNERS + b"G1 E1 F600\nG1 X10 Y30 F3000\n", start=START, flavor="klipper"), machine
-    )
-    tight = limited(machine, carriage_velocity_mm_per_s=100.0)
-    found = solved(
-        inverter_of(tight),
-        planned,
-        planned.sections[0],
-        tight,
-        program=replace(planned.program, first_line=100),
-        layer_of=lambda move: 7,
-    )
-    last = planned.sections[-1]
-    t = np.linspace(last.begin_t, last.end_t - 1e-6, 50)
-    np.testing.assert_allclose(found.trajectory.position(t + found.lost_s), planned.trajectory.position(t), atol=1e-9)
-    assert found.slowed[0].sentence().startswith("line 102-105 (layer 7): slowed to ")
-
-
 def test_strict_refuses_with_the_same_sentence(machine: Machine, planned: PlannedProgram) -> None:
     tight = limited(machine, carriage_velocity_mm_per_s=100.0)
     inverter = inverter_of(tight)
@@ -240,21 +221,6 @@ def test_segments_can_be_played_in_their_time(machine: Machine) -> None:
     assert "firmware's own acceleration" in record.sentence()
     assert 0 < found.lost_s < 0.1
     assert found.solution.utilisation <= 1.0
-
-
-@pytest.mark.parametrize(("name", "saves"), [("flsun-v400", True), ("mp-delta-pro", False)])
-def test_a_short_travel_takes_less_time_where_its_ends_then_ask_for_little(name: str, saves: bool) -> None:
-    """On a slow delta, half of the time before a travel doubles what the command asks for, and nothing is saved."""
-    machine = load_machine(name)
-    text = b"M204 S8000\nG1 X-20 Y20 F24000\n"
-    planned = plan_program(read_program(text, start=START, flavor="klipper"), machine)
-    inverter, run = inverter_of(machine), planned.sections[0]
-    feasible = solved(inverter, planned, run, machine)
-    full = WHOLE.written(planned.trajectory, run, inverter.settings)
-    state = machine.equilibrium(planned.trajectory.origin[run.first, :3])
-    roomy = solve(inverter, full.reference, state, enforce_limits=False)
-    assert (feasible.written.reference.knots < full.reference.knots) == saves
-    assert feasible.solution.utilisation <= 1.05 * roomy.utilisation
 
 
 STROKES = b"""M204 S40000

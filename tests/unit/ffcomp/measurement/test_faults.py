@@ -5,7 +5,6 @@ from __future__ import annotations
 from functools import partial
 
 import numpy as np
-import pytest
 
 from ffcomp.measurement.faults import NormalEquations, residual_power, shaper_of_captures, shapers
 
@@ -32,14 +31,6 @@ def test_one_motion_may_show_a_shaper_that_all_together_do_not() -> None:
     (shaper,) = found.shapers
     assert (shaper.axis, shaper.kind) == ("x", "3hump_ei") and abs(shaper.frequency_hz / 75.0 - 1.0) < 0.03
     assert "SET_INPUT_SHAPER SHAPER_FREQ_X=0" in found.sentence()
-
-
-def test_a_shaper_left_on_is_the_same_whichever_capture_comes_first() -> None:
-    """What none explains, a sixtieth here, is a share of what all captures hold; the quiet one holds a hundredth."""
-    on = partial(shapers, kinds=["3hump_ei"], shaper_hz=np.array([75.0]))(FREQUENCY_HZ)[0]
-    quiet, loud = (capture(size * spectrum(1), size * (on * spectrum(1) + 0.05 * spectrum(2))) for size in (0.1, 1.0))
-    shares = [shaper_of_captures({"zigzag-0": pair}, "x") for pair in ([quiet, loud], [loud, quiet])]
-    assert [each and each.explained for each in shares] == [pytest.approx(0.98, abs=0.01)] * 2
 
 
 def test_a_shaper_is_told_apart_whatever_the_delay() -> None:

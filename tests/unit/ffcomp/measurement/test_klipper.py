@@ -55,16 +55,6 @@ def test_the_dialects_of_spectra(tmp_path: Path, header: str, extra: dict[str, i
     np.testing.assert_allclose(power, undone, rtol=1e-3)
 
 
-def test_spectra_of_several_points(tmp_path: Path) -> None:
-    path = tmp_path / "calibration_data_x_now.csv"
-    rows = "\n".join(f"{f:.1f},{p:.3e},{2 * p:.3e},,0.5" for f, p in zip(LINES, PSD, strict=True))
-    names = "resonances_x_1.000_2.000_3.000_now,resonances_x_4.000_5.000_6.000_now"
-    path.write_text(f"freq,{names},shapers:,zv(40.0)\n{rows}\n", encoding="utf-8")
-    found = read_vibration(path)
-    assert isinstance(found, Resonances)
-    assert list(found.psd) == names.split(",") and found.normalised and found.position_mm is None
-
-
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [

@@ -179,28 +179,6 @@ def test_real_runs_in_another_unit_are_found_out(
     assert f"in {'g' if unit < 1 else 'mm/s²'}, not in m/s²" in str(error.value)
 
 
-def test_all_made_runs_are_read(data: Path) -> None:
-    paths = sorted((data / "runs").glob("*/runs/*.csv"))
-    assert len(paths) >= 30
-    for path in paths[::5]:
-        recording = read_recording(path)
-        assert (
-            recording.sample_rate_hz == pytest.approx(1600)
-            and len(recording.acceleration) == 6
-            and not recording.gaps.any()
-        )
-    assert {read_recording(p).repeat_of for p in paths[:2]} == {"infill-centre"}
-
-
-@pytest.mark.parametrize(
-    "content", [b"", b"\n\n", b"# only: comments\n", b"t_s,cmd_A_mm\n", b"\x80\x81", b"a\x00b\n1\n"]
-)
-def test_files_without_a_table(tmp_path: Path, content: bytes) -> None:
-    path = tmp_path / "broken.csv"
-    path.write_bytes(content)
-    complaint(path)
-
-
 GOOD = "t_s,cmd_A_mm,cmd_B_mm,cmd_C_mm,acc_A_m_per_s2\n" + "".join(
     f"{k / 1000:.4f},{k % 7},{k % 5},{k % 3},{(k * k) % 11}\n" for k in range(12)
 )

@@ -51,13 +51,6 @@ def test_every_estimator_and_both_units(comments: dict[str, str]) -> None:
     np.testing.assert_allclose(found[0].value, found[1].value, rtol=1e-6)
 
 
-def test_repeats_are_averaged_and_the_comment_names_the_period() -> None:
-    recordings = [recording(multisine(0), 0.01, seed, period_s="1.0") for seed in range(4)]
-    one, four = (frfs_from_recordings(some, 20, 100)[0] for some in (recordings[:1], recordings))
-    assert four.variance.mean() == pytest.approx(one.variance.mean() / 4, rel=0.3)
-    assert four.source == "r-0.csv, r-1.csv, r-2.csv, r-3.csv"
-
-
 def test_small_gaps_are_bridged_and_large_ones_refused() -> None:
     whole = recording(multisine(0), period_s="1.0")
     holed = whole.acceleration["acc_A"].copy()

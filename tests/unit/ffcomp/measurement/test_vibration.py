@@ -75,13 +75,6 @@ def test_a_unit_that_nothing_tells_is_asked_for(tmp_path: Path) -> None:
         read_capture(path)
 
 
-def test_a_capture_needs_400_rows_a_second(tmp_path: Path) -> None:
-    text = "t_s,ax_m_per_s2,ay_m_per_s2,az_m_per_s2\n"
-    assert read_capture(write(tmp_path / "a.csv", text + rows(T * 8, FELT))).sample_rate_hz == pytest.approx(400)
-    with pytest.raises(MeasurementError, match="The sample rate in column t_s is 200 Hz; it must lie between 400"):
-        read_capture(write(tmp_path / "b.csv", text + rows(T * 16, FELT)))
-
-
 def stdata(path: Path, names: list[str]) -> Path:
     zstandard = pytest.importorskip("zstandard")
     samples = np.column_stack([180 + T, FELT * 1e3]).tolist()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ffcomp.planner.lifts import STRAIGHT_MM, even_wipes, join_lifts
+from ffcomp.planner.lifts import even_wipes
 from ffcomp.planner.segment_timing import SegmentLimits, segment_speeds
 from models.arrays import FloatArray
 
@@ -20,36 +20,6 @@ def hop(n: int = 12, height: float = 0.2) -> FloatArray:
     lift = np.stack([np.zeros(n + 1), np.zeros(n + 1), z], axis=1)
     after = np.stack([np.zeros(10), np.linspace(0.2, 2.0, 10), np.full(10, height)], axis=1)
     return np.concatenate([before, lift[1:], after])
-
-
-def joined(points: FloatArray, e: FloatArray | None = None, pinned: list[int] | None = None) -> list[int]:
-    must = np.zeros(len(points), dtype=np.bool_)
-    must[pinned or []] = True
-    return join_lifts(points, np.zeros(len(points)) if e is None else e, must).stay.tolist()
-
-
-def test_a_lift_is_one_segment() -> None:
-    points = hop()
-    stay, pinned = join_lifts(points, np.zeros(len(points)), np.zeros(len(points), dtype=np.bool_))
-    assert stay.tolist() == [*range(11), *range(22, len(points))]
-    assert stay[pinned].tolist() == [10, 22]
-
-
-def test_a_point_that_must_stay_stays() -> None:
-    assert 15 in joined(hop(), pinned=[15])
-
-
-def test_a_lift_with_filament_is_left_as_it_is() -> None:
-    points = hop()
-    assert joined(points, 0.01 * np.arange(len(points))) == list(range(len(points)))
-
-
-def test_where_the_command_still_moves_aside_the_lift_begins_later() -> None:
-    points = hop()
-    points[10, 0] += 4 * STRAIGHT_MM
-    points[11, 0] += 2 * STRAIGHT_MM
-    stay = joined(points)
-    assert 11 in stay and 13 not in stay and 21 not in stay
 
 
 def test_one_segment_takes_the_time_of_the_plan_where_many_cannot() -> None:

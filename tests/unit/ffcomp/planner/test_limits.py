@@ -47,14 +47,6 @@ def test_z_keeps_its_own_limits_on_slanted_moves() -> None:
     assert acceleration == pytest.approx([125.0, 100.0, 3000.0])
 
 
-def test_the_file_replaces_the_machines_limits() -> None:
-    moves = moves_through([[0, 0], [9, 0], [9, 9]], 1000.0, velocity_limit=[400, np.nan], acceleration=[9000, np.nan])
-    found = bounds_of(moves, lines_of(moves), LIMITS)
-    assert found.speed.tolist() == [400.0, 300.0]
-    assert found.acceleration.tolist() == [9000.0, 3000.0]
-    assert found.smooth_acceleration.tolist() == [4500.0, 1500.0]
-
-
 @pytest.mark.parametrize("ratio", [3.0, 6.0])
 def test_at_the_radius_of_a_ratio_a_carriage_is_that_much_faster_than_the_nozzle(ratio: float) -> None:
     reach = DeltaSlowZones(radius_mm=140.0, arm_length_mm=280.0, half_step_mm=0.0)

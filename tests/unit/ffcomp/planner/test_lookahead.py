@@ -76,25 +76,6 @@ def test_the_cruise_ratio_is_the_share_of_a_short_move_that_cruises(ratio: float
     assert line.cruise_t[0] * line.cruise_v[0] == pytest.approx(ratio * 0.3, abs=1e-12)
 
 
-def test_a_hill_that_comes_down_does_not_rise_again_after_a_corner() -> None:
-    """After the corner the full acceleration would allow a small hill, the smooth one can only just brake."""
-    path = [[0, 0], [20, 0], [20 + 0.4 * math.cos(0.5), 0.4 * math.sin(0.5)]]
-    line = plan(moves_through(path, 300.0, square_corner_velocity=11.0, minimum_cruise_ratio=0.5))
-    assert 2 * 1500 * 0.4 < line.start_v[1] ** 2 < 2 * 3000 * 0.4
-    assert line.cruise_v[1] == line.start_v[1]
-    assert line.cruise_v[0] > 2 * line.start_v[1]
-
-
-def test_an_extruder_only_move_has_the_extruders_limits() -> None:
-    line = plan(
-        moves_through([[1, 2, 3, 0], [1, 2, 3, -2]]),
-        dataclasses.replace(LIMITS, extruder_velocity_mm_per_s=40.0, extruder_acceleration_mm_per_s2=500.0),
-    )
-    assert line.cruise_v[0] == pytest.approx(math.sqrt(2 * 500.0))
-    assert line.direction[0].tolist() == [0, 0, 0, -1]
-    assert line.position([line.end_t])[0] == pytest.approx([1, 2, 3, -2])
-
-
 # Corners
 
 
@@ -119,15 +100,6 @@ def test_many_short_chords_of_a_circle_keep_to_its_centripetal_acceleration() ->
     radius = 20 / math.cos(2 * math.pi / 400)  # a polygon around a circle of 20 mm
     round_trip = through(radius * np.column_stack([np.cos(angle), np.sin(angle)]), 300.0)
     assert round_trip.start_v[150:250] ** 2 / 20 == pytest.approx(3000, rel=1e-6)
-
-
-def test_a_reversal_is_a_stop() -> None:
-    assert through([[0, 0], [10, 0], [0, 0]]).start_v[1] == 0.0
-
-
-def test_the_filament_speeds_jump_is_bounded_at_a_junction() -> None:
-    line = through([[0, 0, 0, 0], [50, 0, 0, 2.5], [100, 0, 0, 2.5]], 100.0)
-    assert line.start_v[1] == pytest.approx(1.0 / 0.05)
 
 
 @given(st.lists(st.floats(0.01, 20.0), min_size=1, max_size=8), st.floats(20.0, 300.0), st.floats(0.0, 0.9))
@@ -210,16 +182,6 @@ def test_every_move_arrives(planned: tuple[Moves, Trajectory]) -> None:
     assert plan.origin + plan.direction * covered[:, None] == pytest.approx(moves.end, abs=1e-9)
 
 
-def test_the_time_is_the_sum_of_moves_and_waits() -> None:
-    program = read_program(random_program(5, 60), start=(0.0, 0.0, 10.0))
-    stops, waits = stops_and_waits(program)
-    motion = plan_moves(program.moves, DELTA, stop_before=stops, wait_before=waits, start_t=3.0)
-    dwells = sum(event.dwell_s for event in program.events if event.move < len(program.moves))
-    assert waits.sum() == pytest.approx(dwells)
-    assert waits.sum() > 1.0
-    assert motion.end_t == pytest.approx(3.0 + motion.duration.sum() + waits.sum(), rel=1e-12)
-
-
 @given(points, speeds)
 @settings(deadline=None, max_examples=40)
 def test_the_way_back_is_the_same_backwards(path: list[tuple[float, float]], v: list[float]) -> None:
@@ -230,26 +192,6 @@ def test_the_way_back_is_the_same_backwards(path: list[tuple[float, float]], v: 
 
 
 # Stops, waits, moves that go nowhere
-
-
-def test_a_wait_stops_the_motion_and_holds_it() -> None:
-    line = plan(moves_through([[0, 0], [50, 0], [100, 0]]), waits=[0.25, 0.5])
-    gap = line.start_t[1] - (line.start_t[0] + line.duration[0])
-    assert line.start_t[0] == 0.25
-    assert gap == pytest.approx(0.5)
-    assert line.position([line.start_t[1] - 0.3, line.start_t[1] - 0.1])[:, 0] == pytest.approx([50, 50])
-
-
-@pytest.mark.parametrize("ratio", [0.0, 0.5])
-def test_moves_that_go_nowhere_are_not_noticed(ratio: float) -> None:
-    path = np.array([[0, 0], [50, 0], [100, 1], [120, 30]])
-    with_standing = path[[0, 0, 1, 2, 2, 2, 3, 3]]
-    moves = moves_through(with_standing, minimum_cruise_ratio=ratio)
-    stops = [False, False, False, False, True, False, False]
-    line = plan(moves, stops=stops)
-    expected = plan(moves_through(path, minimum_cruise_ratio=ratio), stops=[False, False, True])
-    assert line.duration[[1, 2, 5]].tolist() == expected.duration.tolist()
-    assert line.duration[[0, 3, 4, 6]].tolist() == [0.0] * 4
 
 
 # What cannot be planned

@@ -51,22 +51,6 @@ def test_velocity_is_the_slope_of_position(motion: Trajectory) -> None:
     assert motion.acceleration_at(t) == pytest.approx(bend, rel=1e-6, abs=1e-3)
 
 
-def test_times_in_any_order_give_the_same(motion: Trajectory) -> None:
-    t = np.linspace(0.0, motion.end_t + 1.0, 20_001)
-    mixed = np.random.default_rng(0).permutation(len(t))
-    assert np.array_equal(motion.position(t[mixed]), motion.position(t)[mixed])
-    assert np.array_equal(motion.velocity(t[mixed]), motion.velocity(t)[mixed])
-    assert np.array_equal(motion.acceleration_at(t[mixed]), motion.acceleration_at(t)[mixed])
-
-
-def test_it_rests_before_between_and_after() -> None:
-    line = simple([0.3, 0.4])
-    t = np.array([-1.0, 0.1, 0.6, 0.89, 1.2, 9.0])
-    assert line.position(t)[:, :2] == pytest.approx(np.array([[0, 0], [0, 0], [1, 0], [1, 0], [1, 1], [1, 1]]))
-    assert not line.velocity(t).any()
-    assert not line.acceleration_at(t).any()
-
-
 def test_motion_within_a_section_rests_outside_it(motion: Trajectory) -> None:
     """Inside a section it is position and velocity to the last bit; around it the nozzle rests."""
     begin_t, end_t = motion.start_t[[3, 9]].tolist()

@@ -21,7 +21,7 @@ from ffcomp.record.axes import turn_of
 from ffcomp.record.join import join_captures
 from ffcomp.record.moves import Request, make_plan
 from ffcomp.record.plan import Plan, save_plan
-from ffcomp.record.result import JoinResult, Refused
+from ffcomp.record.result import JoinResult
 from models.file import load_machine
 from models.machine import Machine
 from tests.support.recordings import write_captures
@@ -148,21 +148,6 @@ def refused(bench: Bench, path: Path, turn: str | None = None) -> str:
     return " ".join(each.why for each in found.refused)
 
 
-def test_a_refusal_names_each_file_once() -> None:
-    alone = JoinResult((), (Refused("empty.csv", "The file is empty."),))
-    with pytest.raises(MeasurementError) as one_of_one:
-        alone.check()
-    assert str(one_of_one.value) == "empty.csv: The file is empty."
-    both = JoinResult((), (*alone.refused, Refused("x.csv", "It is cut short.")))
-    with pytest.raises(MeasurementError) as neither:
-        both.check()
-    assert str(neither.value).splitlines() == [
-        "captures: None of them could be joined.",
-        "captures: empty.csv: The file is empty.",
-        "captures: x.csv: It is cut short.",
-    ]
-
-
 def test_a_capture_of_another_motion_is_refused(bench: Bench, tmp_path: Path) -> None:
     other = next(path for path in bench.paths("klipper") if "zigzag" in path.name)
     path = tmp_path / one(bench).name
@@ -190,19 +175,6 @@ def test_a_renamed_capture_is_known_by_its_motion(bench: Bench, tmp_path: Path) 
     path.write_bytes(one(bench).read_bytes())
     (found,) = join_captures([path], bench.plan, bench.machine).joined
     assert found.name == one(bench).stem.removeprefix("adxl345-")[:-1] + "1" and found.source == str(path)
-
-
-def test_wrong_axes_are_refused(bench: Bench) -> None:
-    assert "does not fit" in refused(bench, one(bench), "x,y,z")
-    assert join_captures([one(bench)], bench.plan, bench.machine, turn_of("-z,-x,y")).joined
-
-
-def test_a_few_lost_rows_are_gaps(bench: Bench, tmp_path: Path) -> None:
-    lines = one(bench).read_text().splitlines(keepends=True)
-    path = tmp_path / one(bench).name
-    path.write_text("".join(lines[:5000] + lines[5020:]))
-    (found,) = join_captures([path], bench.plan, bench.machine).joined
-    assert 18 <= found.recording.gaps.sum() <= 24
 
 
 def test_single_lost_rows_are_bridged_within_the_noise(bench: Bench, tmp_path: Path) -> None:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -11,7 +9,6 @@ from ffcomp.errors import LimitsError
 from ffcomp.record.gcode_writer import Recorder
 from ffcomp.record.page import (
     LARGEST_MM,
-    STROKE,
     PageRequest,
     discs_of,
     last_line,
@@ -19,7 +16,7 @@ from ffcomp.record.page import (
     page_lines,
     twins,
 )
-from ffcomp.record.plan import Page, load_plan, save_plan
+from ffcomp.record.plan import Page
 from gcode.reader import read_program
 from models.file import load_machine
 
@@ -34,26 +31,6 @@ def test_everything_lies_on_the_bed_and_under_a_scanner(name: str) -> None:
     measured = np.concatenate([discs_of(plan), *(each.motion.vertices_mm[:, :2] for each, _ in twins(plan))])
     assert np.ptp(measured, axis=0).max() < LARGEST_MM
     assert len(twins(plan)) == (30 if name == "voron-0" else 40)
-
-
-def test_each_stroke_runs_beside_a_slow_line() -> None:
-    for stroke, slow in twins(make_page(load_machine("voron-250"), PageRequest())):
-        quick, calm = last_line(stroke.motion), last_line(slow.motion)
-        assert np.allclose(quick.along, calm.along) and abs((calm.foot - quick.foot) @ quick.across) == pytest.approx(2)
-        assert slow.motion.speed[-1] < 0.4 * stroke.motion.speed[-1]
-
-
-def test_a_line_is_as_thick_everywhere_and_a_zigzag_is_no_heap() -> None:
-    plan = make_page(load_machine("voron-250"), PageRequest())
-    for each in plan.experiments:
-        line = each.motion.vertices_mm[:, :2]
-        laid = np.diff(each.motion.ends_mm[:, 3], prepend=0.0) * np.pi * 1.75**2 / 4
-        length = np.linalg.norm(np.diff(line, axis=0), axis=1)
-        straight = slice(-1, None) if each.kind == STROKE else slice(None)
-        assert np.allclose(laid[straight], 0.45 * 0.2 * length[straight], rtol=2e-3)
-        if each.kind == STROKE:
-            covered = np.ptp(line[:-1], axis=0).sum()
-            assert laid[:-1].sum() == pytest.approx(0.45 * 0.2 * covered, rel=0.05)
 
 
 @pytest.mark.parametrize("name", ["voron-250", "ender-3", "mp-delta-pro"])
@@ -72,25 +49,6 @@ def test_zigzags_excite_all_that_a_file_may_be_wrong_about_and_not_too_much(name
                     velocity = np.gradient(stroke.motion.nozzle(times)[:, axis], times)
                     waves.append(abs(np.trapezoid(velocity * np.exp(-1j * omega * times), times)))
             assert 0.2 < max(waves) < 0.7, (name, factor, axis, waves)
-
-
-def test_two_seeds_and_two_machines_scatter_their_discs_differently() -> None:
-    first, machine = discs_of(make_page(load_machine("voron-250"), PageRequest())), load_machine("voron-300")
-    for other in (make_page(load_machine("voron-250"), PageRequest(seed=2)), make_page(machine, PageRequest())):
-        moved = discs_of(other) - discs_of(other).mean(axis=0)
-        gaps = np.linalg.norm(moved[:, None] - (first - first.mean(axis=0))[None], axis=2).min(axis=1)
-        assert (gaps > 3.0).sum() >= 5
-
-
-def test_the_plan_survives_its_file(tmp_path: Path) -> None:
-    plan = make_page(load_machine("kossel"), PageRequest(Page(pen=True, line_width_mm=0.7), height_mm=0.0))
-    save_plan(plan, tmp_path / "page.json")
-    loaded = load_plan(tmp_path / "page.json")
-    assert loaded.page == plan.page and [e.name for e in loaded.experiments] == [e.name for e in plan.experiments]
-    assert all(
-        np.array_equal(a.motion.ends_mm, b.motion.ends_mm)
-        for a, b in zip(plan.experiments, loaded.experiments, strict=True)
-    )
 
 
 @pytest.mark.parametrize("flavor", ["klipper", "marlin", "reprapfirmware"])

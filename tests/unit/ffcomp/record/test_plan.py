@@ -9,7 +9,6 @@ import pytest
 
 from ffcomp.errors import LimitsError, MeasurementError
 from ffcomp.firmware.klipper import RESTORE
-from ffcomp.identification.load import gather
 from ffcomp.planner.limits import PlannerLimits
 from ffcomp.planner.lookahead import plan_moves, stops_and_waits
 from ffcomp.record.gcode_writer import Recorder, gcode_lines
@@ -126,10 +125,3 @@ def test_klipper_restores_by_a_macro_that_the_file_prints(plan: Plan, delta: Mac
 def test_what_cannot_be_planned_says_what_would_fit(delta: Machine, request_: Request, words: str) -> None:
     with pytest.raises(LimitsError, match=words):
         make_plan(delta, request_)
-
-
-def test_its_captures_need_its_plan(delta: Machine, tmp_path: Path) -> None:
-    capture = tmp_path / "adxl345-ffcomp-zigzag-0-1.csv"
-    capture.write_text("#time,accel_x,accel_y,accel_z\n1,2,3,4\n", encoding="utf-8")
-    with pytest.raises(MeasurementError, match=r"need the .json file next to its G-code"):
-        gather([capture], delta, band_hz=(2.0, 200.0))

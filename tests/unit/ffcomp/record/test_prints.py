@@ -166,15 +166,6 @@ def updated(print_file: Path, captures: Sequence[Path], folder: Path) -> tuple[i
     return result.exit_code, result.output
 
 
-def test_captures_of_another_print_are_refused(
-    recorded: tuple[Path, list[Path]], tmp_path_factory: pytest.TempPathFactory, tmp_path: Path
-) -> None:
-    _, others = _recorded(tmp_path_factory.mktemp("other"), "part.gcode", np.random.default_rng(4))
-    code, text = updated(recorded[0], others, tmp_path)
-    assert code == 5 and "None of them could be joined" in text
-    assert text.count("It is of another motion (another plan") == len(others)
-
-
 @pytest.mark.parametrize(
     ("more", "sentence"), [(7, "The file breaks off there: copy it again, or record again"), (0, "Record longer")]
 )

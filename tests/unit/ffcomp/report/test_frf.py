@@ -14,7 +14,6 @@ from ffcomp.identification.frf_study import View, study, view_of
 from ffcomp.identification.predict import predicted
 from ffcomp.measurement.frf import FrequencyResponse
 from ffcomp.measurement.frf_files import write_frf
-from ffcomp.report.model import draw_bode
 from models.file import load_machine
 from models.machine import Machine
 from tests.support.cli import CliRunner, Result
@@ -142,16 +141,3 @@ def test_a_measurement_off_the_bed_is_refused(tmp_path: Path, machine: Machine) 
 
 
 # --- Pictures
-
-
-def test_bode_figures(machine: Machine, tmp_path: Path) -> None:
-    responses = [measured(machine, f"cmd_{c}", f"pos_{c}", 1.1, position_mm=(0.0, 0.0, 30.0)) for c in "ABC"]
-    found = study(machine, View(), FREQUENCIES, [np.array([-80.0, 0.0])], responses)
-    target = tmp_path / "bode.svg"
-    draw_bode(found, target)
-    text = target.read_text(encoding="utf-8")
-    for words in ("A to A", "91 % in magnitude", machine.sha256[:12], "at (-80, 0) mm", "D drive", "ffcomp"):
-        assert words in text
-    assert "C to B" not in text
-    draw_bode(found, target, full=True)
-    assert "C to B" in target.read_text(encoding="utf-8")

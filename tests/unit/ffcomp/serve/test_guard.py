@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -100,9 +99,3 @@ def test_a_visitor_needs_the_token_once(tmp_path: Path, monkeypatch: pytest.Monk
         assert page.get("/api/state").status_code == 200  # the client keeps cookies
         page.cookies.clear()
         assert page.get("/api/state", headers={"Authorization": "Bearer secret"}).status_code == 200
-
-
-def test_a_server_on_this_computer_asks_for_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    with client(tmp_path, monkeypatch) as page:
-        state: dict[str, Any] = page.get("/api/state").json()
-        assert state["jobs"] == [] and {"name", "kinematics", "printer", "own"} == set(state["machines"][0])

@@ -22,7 +22,6 @@ from ffcomp.planner.limits import DeltaSlowZones, PlannerLimits
 from ffcomp.planner.lookahead import plan_moves, stops_and_waits
 from ffcomp.shapers import calibration as calibrate
 from ffcomp.shapers.smooth import USUAL
-from gcode.dialects import shaper_off
 from gcode.reader import read_program
 from models.arrays import constant
 from models.file import load_machine
@@ -164,10 +163,3 @@ def test_the_pulses_are_those_of_the_host(calibrated: Calibrated) -> None:
     time, velocity = calibrate.pulse_train(75.0)
     assert time[1:] == pytest.approx(pulses[:, 0])
     assert np.diff(velocity) / np.diff(time) == pytest.approx(pulses[:, 1])
-
-
-def test_switching_off_a_shaper_that_is_not_there_is_a_message_only() -> None:
-    """The host's printer has no [input_shaper]: it does not know the command, and the print goes on."""
-    (line,) = shaper_off("klipper")
-    moves = kalico.kalico_plan(b"G1 X20 F6000\n" + line + b"G1 X40 Y10\n")["moves"]
-    assert len(moves) == 2 and np.allclose(moves[1, 4:6], (20.0, 0.0))

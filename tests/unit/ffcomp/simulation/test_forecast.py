@@ -8,7 +8,7 @@ import pytest
 
 from ffcomp.metrics import Track
 from ffcomp.simulation.expectation import expectation_of
-from ffcomp.simulation.forecast import NO_FORECAST, Forecast, forecast_in, stored_forecast
+from ffcomp.simulation.forecast import Forecast, forecast_in, stored_forecast
 from gcode.embedded import Stamp
 from models.file import load_machine
 
@@ -35,13 +35,6 @@ def made(before: float = 126.7612345678901, after: float = 2.4512345678901) -> F
 def test_it_comes_back_from_the_file_as_it_was(kept: Forecast) -> None:
     assert stored_forecast(b"G1 X1\n; Processed by ffcomp v1\n" + kept.line() + b"; last", MACHINE) == kept
     assert kept.line().count(b"\n") == 1 and b"record plan" not in kept.line()  # no path of the computer
-
-
-@pytest.mark.parametrize(
-    "line", [b"", b"G1 X1", b"; ffcomp forecast={", b"; ffcomp forecast={}", b"; ffcomp forecast=3"]
-)
-def test_what_cannot_be_read_is_no_forecast(line: bytes) -> None:
-    assert stored_forecast(b"G1 X0\n" + line + b"\n", MACHINE) is None and NO_FORECAST.line() == b""
 
 
 def test_a_forecast_is_of_the_machine_that_the_file_was_compensated_for() -> None:

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from ffcomp.steps.crossings import STATE_SIZE, SWALLOWED, Pieces, _rise, _turn, knot_pieces, last_step, step_times
+from ffcomp.steps.crossings import STATE_SIZE, SWALLOWED, Pieces, knot_pieces, last_step, step_times
 from models.file import load_machine
 
 FloatArray = NDArray[np.float64]
@@ -95,17 +95,6 @@ def test_a_carriage_turns_where_the_nozzle_passes_its_tower() -> None:
     expected = (reach / speed + np.concatenate([-before, before[::-1]])) * CLOCK_HZ
     assert np.abs(tick - expected).max() <= 0.51
     assert np.array_equal(way, np.repeat([1, -1], len(borders)))
-
-
-@given(st.floats(-1.0, 1.0), st.floats(1e-3, 1.0), st.floats(-140.0, 140.0))
-def test_a_carriage_is_highest_at_its_turn(slope: float, a: float, along: float) -> None:
-    """d_z = (b + a s)/g(s) there, and a little before and after it the carriage is lower."""
-    b, g = along * np.sqrt(a), 250.0
-    turn = _turn(slope, a, b, g)
-    height = np.sqrt(g * g - 2 * b * turn - a * turn * turn)
-    assert (b + a * turn) / height == pytest.approx(slope, abs=1e-9)
-    top, aside = _rise(turn, slope, a, b, g), 0.1 * height * np.sqrt(a)
-    assert all(_rise(turn + away, slope, a, b, g) < top for away in (-aside, aside))
 
 
 def test_at_rest_nothing_steps() -> None:

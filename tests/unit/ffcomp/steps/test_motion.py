@@ -139,12 +139,6 @@ def test_ramps_come_back_exactly(tmp_path: Path, at: int) -> None:
     assert header["peak_acceleration_mm_per_s2"] == pytest.approx(5000.0)
 
 
-def test_nothing_is_left_behind_without_finish(tmp_path: Path) -> None:
-    with MotionSink(tmp_path / "x.ffm", {}) as sink:
-        sink.pieces(knot_pieces(0.0, 0.004, places(9)[:, :3], places(9)[:, 3]))
-    assert list(tmp_path.iterdir()) == []
-
-
 @pytest.mark.parametrize("change", [lambda data: data[:-5], lambda data: b"G1 X1\n" + data, lambda data: data[:20]])
 def test_a_damaged_file_is_refused(tmp_path: Path, change: Any) -> None:
     path = tmp_path / "x.ffm"

@@ -12,7 +12,7 @@ from ffcomp.errors import LimitsError
 from ffcomp.firmware.program import plan_program
 from ffcomp.planner.trajectory import Trajectory
 from ffcomp.steps import compress, sink
-from ffcomp.steps.archive import StepsError, is_step_archive, read_steps
+from ffcomp.steps.archive import StepsError, read_steps
 from ffcomp.steps.crossings import Pieces, knot_pieces, trajectory_pieces
 from ffcomp.steps.sink import Board, MotorTotal, StepSink
 from gcode.reader import read_program
@@ -40,22 +40,6 @@ def written(path: Path, error_s: float | None = None, at_once: int = 10_000) -> 
             for first in range(0, len(pieces), at_once):
                 out.pieces(pieces[first : first + at_once])
         return out.finish()
-
-
-@pytest.mark.parametrize("error_s", [None, 12.5e-6])
-def test_the_keys_are_those_of_the_format(error_s: float | None, tmp_path: Path) -> None:
-    path = tmp_path / "steps"
-    written(path, error_s)
-    types = {"direction": np.int8, "start_mm": np.float64, "step_mm": np.float64}
-    times = {"tick": np.int64} if error_s is None else {"interval": np.int64, "count": np.uint16, "add": np.int16}
-    expected = {f"{motor}_{key}": dtype for motor in "abce" for key, dtype in (times | types).items()}
-    expected |= {"clock_hz": np.float64, "events_tick": np.int64, "events_line": np.bytes_}
-    expected |= {} if error_s is None else {"error_s": np.float64}
-    assert is_step_archive(path)
-    with np.load(path, allow_pickle=False) as archive:
-        assert set(archive.files) == set(expected)
-        assert all(np.issubdtype(archive[key].dtype, dtype) for key, dtype in expected.items())
-        assert archive["clock_hz"] == BOARD.clock_hz and archive["e_step_mm"] == 1 / 415.0
 
 
 def test_what_was_written_is_the_plan(tmp_path: Path) -> None:
@@ -158,9 +142,3 @@ def test_a_little_too_fast_is_put_off_and_reported(tmp_path: Path) -> None:
     assert total.steps == 3
     assert total.latest_s == pytest.approx(2 * 0.5 * pace, abs=2e-7)
     assert np.diff(read_steps(tmp_path / "steps")["a"].time_s).min() == pytest.approx(pace)
-
-
-@pytest.mark.parametrize("error_s", [-1e-9, 26e-6])
-def test_the_error_is_that_of_the_format(error_s: float, tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match=r"may be off by 0 to 2\.5e-05 s"):
-        StepSink(MACHINE, BOARD, tmp_path / "steps", error_s)

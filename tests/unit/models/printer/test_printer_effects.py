@@ -101,14 +101,6 @@ def test_sticking_friction_fades_with_speed(printer: Machine) -> None:
         np.testing.assert_allclose(force, expected, rtol=0.04)
 
 
-def test_strong_friction_stays_stable(printer: Machine) -> None:
-    motion = shaking(
-        with_effect(with_effect(printer, "coulomb_friction", force_n=60.0), "joint_friction", force_n=40.0)
-    )
-    assert np.abs(motion.carriage_mm - motion.motor_mm).max() < 5
-    assert np.abs(motion.nozzle_acceleration).max() < 500
-
-
 # --- Belts and motors
 
 

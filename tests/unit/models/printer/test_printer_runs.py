@@ -21,7 +21,6 @@ RUNS = (
     "multisine-left",
     "slow-back",
 )
-CASES = ("nothing-hidden", "coulomb-friction", "effector-mass")
 
 
 def left_over(machine: Machine, run: Path) -> float:
@@ -57,9 +56,3 @@ def test_true_friction_leaves_little_more_than_noise(runs_folder: Path, run: str
     without, with_it = (left_over(m, path) ** 2 - noise**2 for m in (machine, true))
     limit = 0.001 if run.startswith("multisine") else 0.22 if run.startswith("slow") else 0.03
     assert with_it < limit * without
-
-
-@pytest.mark.parametrize("run", RUNS)
-def test_without_the_effect_more_is_left(runs_folder: Path, run: str) -> None:
-    machine, _, noise = told(runs_folder / "effector-mass")
-    assert left_over(machine, runs_folder / "effector-mass" / "runs" / f"{run}.csv") > 1.02 * noise

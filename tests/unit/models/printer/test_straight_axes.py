@@ -56,14 +56,6 @@ def test_it_is_the_linear_model_to_ten_nanometres(motors: FloatArray, stiffer: f
     np.testing.assert_allclose(found, linear(own, shaken()), atol=1e-5)
 
 
-def test_exchange_that_the_file_states_is_the_linear_models() -> None:
-    own = machine(COREXY)
-    own = replace(own, vibration=ModalAxes.of(AXES, 0.08))
-    found = simulate_printer(own, shaken(), 1 / RATE_HZ, hold="linear", substeps=8).nozzle_mm
-    np.testing.assert_allclose(found, linear(own, shaken()), atol=1e-5)
-    assert np.abs(found - linear(machine(COREXY), shaken())).max() > 0.02
-
-
 def test_unequal_belts_exchange_motion_as_the_response_says() -> None:
     own = machine(COREXY, belt_stiffness={"relative_change": [0.2, -0.1, 0.0]})
     t = np.arange(0, 1.5, 1 / RATE_HZ)

@@ -51,14 +51,6 @@ def test_the_assembly_is_its_frequency_response(printer: Machine, force_map, wit
         )
 
 
-@pytest.mark.parametrize("force_map", ["virtual_work", "paper"])
-@pytest.mark.parametrize("per", ["carriage", "nozzle"])
-def test_the_acceleration_too(printer: Machine, force_map: str, per) -> None:
-    machine = variant(printer, force_map, True)
-    wanted = machine.vibration.frequency_response(np.array(PLACES[2]), FREQUENCIES, "acceleration", per)
-    close(response(machine.vibration.to_control(PLACES[2], "acceleration", per)), wanted)
-
-
 def test_an_ideal_drive_on_a_damped_belt_has_no_acceleration(printer: Machine) -> None:
     with pytest.raises(ValueError, match="a drive is ideal and its belt is damped"):
         variant(printer, "virtual_work", False).vibration.to_control((0.0, 0.0), "acceleration")
