@@ -12,7 +12,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from ffcomp.errors import RequestError, missing_extras_explained
-from ffcomp.numerics.serialise import to_json
+from ffcomp.numerics.serialise import json_object, to_json
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -51,9 +51,10 @@ def clock(seconds: float) -> str:
 class Result:
     """The result of a verb."""
 
-    drawn_by: ClassVar[
-        Mapping[str, str]
-    ] = {}  # figures: by name, the module and the function that draws it, `module:function`
+    schema: ClassVar[str] = ""  # of the JSON object, whose other keys are `json_keys`
+    json_keys: ClassVar[Mapping[str, str]] = {}
+    # figures: by name, the module and the function that draws it, `module:function`
+    drawn_by: ClassVar[Mapping[str, str]] = {}
 
     @property
     def headline(self) -> str:
@@ -117,14 +118,11 @@ class Result:
 
     def details(self) -> dict[str, Any]:
         """Return the keys of the JSON object that are this verb's own, `schema` first."""
-        raise NotImplementedError
+        return {"schema": self.schema, **json_object(self)}
 
     def to_dict(self) -> dict[str, Any]:
         """Return the JSON object that `--json` prints."""
-        return {
-            **self.details(),
-            "answer": to_json(self.answer),  # ANSWER: what people are shown, in the same words
-        }
+        return {**self.details(), "answer": to_json(self.answer)}
 
     def objects(self) -> Sequence[dict[str, Any]]:
         """Return the JSON objects that `--json` prints, one a line."""

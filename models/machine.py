@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -153,6 +153,8 @@ class RepRapFirmwareSettings:
 class Machine:
     """The content of a machine file."""
 
+    json_keys: ClassVar = {key: key for key in ("name", "sha256", "path", "assumed")} | {"effects": "effect_names"}
+
     name: str
     kinematics: Kinematics
     vibration: VibrationModel
@@ -175,6 +177,16 @@ class Machine:
     def __post_init__(self) -> None:
         """Bind the vibration model to the kinematics."""
         object.__setattr__(self, "vibration", self.vibration.on(self.kinematics))
+
+    @property
+    def assumed(self) -> str | None:
+        """The warning of `assumed_modes`."""
+        return assumed_modes(self)
+
+    @property
+    def effect_names(self) -> tuple[str, ...]:
+        """Its effects."""
+        return tuple(self.effects)
 
     def __repr__(self) -> str:
         """Return the name, the kinematics and the file."""
@@ -233,13 +245,3 @@ def sources(machine: Machine) -> dict[str, str]:
     """Return the addresses of the sources by title."""
     named = machine.provenance.get(SOURCES, {})
     return {str(title): str(address) for title, address in named.items()} if isinstance(named, dict) else {}
-
-
-def identity(machine: Machine) -> dict[str, str | None]:
-    """Return the machine's entry in JSON objects."""
-    return {
-        "name": machine.name,  # the machine file's `name`
-        "sha256": machine.sha256,  # of the file's bytes
-        # text or null, may be missing: warning that the modes are assumed, with the remedy; null: they are not
-        "assumed": assumed_modes(machine),
-    }

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from ffcomp.api.machines import load_machine
 from ffcomp.comparison import engine, sentences
@@ -17,7 +17,7 @@ from ffcomp.compensation.placement import place_print
 from ffcomp.errors import RequestError, missing_extras_explained
 from ffcomp.inverse.settings import settings_for
 from ffcomp.metrics import Track
-from ffcomp.numerics.serialise import to_json
+from ffcomp.numerics.serialise import ALL_OF, keys
 from ffcomp.request import function
 from ffcomp.result import Fact, Result
 from ffcomp.simulation.playback import check_same_kinematics
@@ -31,6 +31,9 @@ if TYPE_CHECKING:
 @dataclass(frozen=True, eq=False, repr=False)
 class MethodComparison(Result):
     """Every method on one print."""
+
+    schema = "ffcomp-compare/1"
+    json_keys: ClassVar = keys("report", figures="written", **{ALL_OF: "comparison"})
 
     comparison: Comparison
     report: Path | None = None  # the page that was written
@@ -82,14 +85,6 @@ class MethodComparison(Result):
         if name not in drawn:
             raise RequestError(f"There is no figure {name!r}, but {', '.join(drawn)}.")
         return drawn[name]()
-
-    def details(self) -> dict[str, Any]:
-        """Return the keys of ffcomp-compare/1."""
-        return {
-            **self.comparison.to_dict(),
-            "report": to_json(self.report),  # text or null: the page that was written
-            "figures": to_json(self.written),  # list of text: the files that were written
-        }
 
     @missing_extras_explained()
     def write_report(self, path: str | Path) -> None:

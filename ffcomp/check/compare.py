@@ -9,13 +9,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import ClassVar
 
 import numpy as np
 
 from ffcomp.check.history import Check, moves_hash
 from ffcomp.check.parts import Part, Signatures, fitted
 from ffcomp.check.signals import RATE_HZ, SensorSignal, Weighed, signals_of, weighed
+from ffcomp.numerics.serialise import keys
 from ffcomp.record.plan import Plan, plan_dict
 from ffcomp.record.result import JoinResult
 from ffcomp.result import Fact, Result
@@ -32,21 +33,22 @@ CONVERGED = 2e-3  # of the size
 class Explanation:
     """One part, fitted to the difference."""
 
+    json_keys: ClassVar = keys("sd", "explains", "said", part="part.name", change="value", unit="part.unit")
+
     part: Part
     value: float  # of the part's unit
     sd: float
     share: float  # of the difference that is not noise
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return its JSON object."""
-        return {
-            "part": self.part.name,
-            "change": self.value,
-            "sd": self.sd,
-            "unit": self.part.unit,
-            "explains": min(self.share, 1.0),
-            "said": self.part.words(self.value),
-        }
+    @property
+    def explains(self) -> float:
+        """The share of the difference, 0 to 1."""
+        return min(self.share, 1.0)
+
+    @property
+    def said(self) -> str:
+        """The change in words."""
+        return self.part.words(self.value)
 
 
 @dataclass(frozen=True)
@@ -265,6 +267,24 @@ class Size:
 class CheckResult(Result):
     """What a check has found."""
 
+    schema = "ffcomp-check/1"
+    json_keys: ClassVar = keys(
+        *("machine", "compared_with", "since_first", "first_date", "experiments", "history", "notes"),
+        machine_sha256="check.machine_sha256",
+        date="check.date",
+        finding="verdict.finding",
+        said="verdict.message",
+        named="verdict.named",
+        gap="check.gap",
+        noise="check.noise",
+        difference="check.difference",
+        axes_map="check.axes_map",
+        times_noise="compared.times",
+        sensor_turned_deg="compared.turned_deg",
+        sensor_gain="compared.gain",
+        already_known="known",
+    )
+
     check: Check  # for the history
     verdict: Verdict
     experiments: tuple[Size, ...]
@@ -307,35 +327,6 @@ class CheckResult(Result):
         if self.verdict.named:
             return ["Repair that, or measure the printer again (ffcomp record plan, then ffcomp diagnose)."]
         return []
-
-    def details(self) -> dict[str, Any]:
-        """Return the keys of ffcomp-check/1."""
-        comparison, since = self.compared, self.since_first
-        return {
-            "schema": "ffcomp-check/1",
-            "machine": {"name": self.machine, "sha256": self.check.machine_sha256},
-            "date": self.check.date,
-            "finding": self.verdict.finding,
-            "said": self.verdict.message,
-            "compared_with": self.compared_with,
-            "gap": self.check.gap,
-            "noise": self.check.noise,
-            "difference": self.check.difference,
-            "times_noise": comparison.times if comparison else None,
-            "named": [each.to_dict() for each in self.verdict.named],
-            "sensor_turned_deg": comparison.turned_deg if comparison else None,
-            "sensor_gain": comparison.gain if comparison else None,
-            "axes_map": self.check.axes_map,
-            "since_first": {
-                "date": self.first_date if since else None,
-                "finding": since.finding if since else None,
-                "said": since.message if since else None,
-            },
-            "experiments": self.experiments,
-            "history": str(self.history),
-            "added": not self.known,
-            "notes": self.notes,
-        }
 
 
 def check_result(joined: JoinResult, plan: Plan, machine: Machine, history: Sequence[Check], date: str) -> CheckResult:

@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, ClassVar
 
 from ffcomp.cli.command import verb
 from ffcomp.errors import RequestError
 from ffcomp.estimation.request import EstimateFilesRequest
+from ffcomp.numerics.serialise import keys
 from ffcomp.options import FIGURE
 from ffcomp.request import OUTPUT, Option, Request
 from ffcomp.result import Fact, Result, clock
@@ -51,6 +52,9 @@ def estimate(request: EstimateFilesRequest, details: EstimateShown) -> Result:
 class Estimates(Result):
     """Several prints."""
 
+    schema = "ffcomp-estimate-batch/1"
+    json_keys: ClassVar = keys("results")
+
     results: Sequence[Estimate]
 
     @property
@@ -67,13 +71,6 @@ class Estimates(Result):
     def warnings(self) -> list[str]:
         """Of each of them."""
         return [f"{each.path}: {warning}" for each in self.results for warning in each.warnings]
-
-    def details(self) -> dict[str, Any]:
-        """Return the keys of ffcomp-estimate-batch/1."""
-        return {
-            "schema": "ffcomp-estimate-batch/1",
-            "results": [each.to_dict() for each in self.results],  # [] ffcomp-estimate/1: in the order of the files
-        }
 
 
 def _estimates(file: Path, request: EstimateFilesRequest) -> Iterator[Estimate]:

@@ -7,14 +7,14 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 from ffcomp.cli.command import group, verb
 from ffcomp.cli.machines_import import import_machine
 from ffcomp.errors import RequestError
-from ffcomp.numerics.serialise import to_json
+from ffcomp.numerics.serialise import keys
 from ffcomp.request import MACHINE, OUTPUT, Argument, Option, Request
 from ffcomp.result import Fact, Result
 
@@ -42,6 +42,9 @@ def list_machines() -> Result:
 class MachineList(Result):
     """The machines that have a name, in alphabetical order."""
 
+    schema = "ffcomp-machines-list/1"
+    json_keys: ClassVar = keys("machines")
+
     machines: Sequence[NamedMachine]
 
     @property
@@ -61,10 +64,6 @@ class MachineList(Result):
     @property
     def _in_groups(self) -> list[NamedMachine]:
         return sorted(self.machines, key=lambda each: (*KINDS, each.kinematics).index(each.kinematics))
-
-    def details(self) -> dict[str, Any]:
-        """Return the keys of ffcomp-machines-list/1."""
-        return {"schema": "ffcomp-machines-list/1", "machines": to_json(self.machines)}
 
 
 @dataclass(frozen=True)
@@ -87,6 +86,9 @@ def show_machine(request: MachineRequest) -> Result:
 @dataclass(frozen=True, eq=False, repr=False)
 class ShownMachine(Result):
     """A machine's parameters and modes."""
+
+    schema = "ffcomp-machine-show/1"
+    json_keys: ClassVar = keys("machine", "values", "modes", "sources")
 
     machine: Machine
     values: Sequence[Entry]
@@ -117,16 +119,6 @@ class ShownMachine(Result):
         """Whether the modes are assumed."""
         return _assumed(self.machine)
 
-    def details(self) -> dict[str, Any]:
-        """Return the keys of ffcomp-machine-show/1."""
-        return {
-            "schema": "ffcomp-machine-show/1",
-            "machine": _identity(self.machine),
-            "values": {e.key: {"value": e.value, "unit": e.unit, "provenance": e.provenance} for e in self.values},
-            "modes": to_json(self.modes),
-            "sources": dict(self.sources),
-        }
-
 
 @verb
 def check_machine(request: MachineRequest) -> Result:
@@ -148,6 +140,9 @@ def check_machine(request: MachineRequest) -> Result:
 @dataclass(frozen=True, eq=False, repr=False)
 class CheckedMachine(Result):
     """Whether a machine file can be right."""
+
+    schema = "ffcomp-machine-check/1"
+    json_keys: ClassVar = keys("machine", "problems", "notes", "consistency", "soundness")
 
     machine: Machine
     problems: Sequence[str]
@@ -190,19 +185,6 @@ class CheckedMachine(Result):
 
         return MachineFileError(self.machine.path, self.problems) if self.problems else None
 
-    def details(self) -> dict[str, Any]:
-        """Return the keys of ffcomp-machine-check/1."""
-        result: dict[str, Any] = {
-            "schema": "ffcomp-machine-check/1",
-            "machine": _identity(self.machine),
-            "problems": list(self.problems),
-            "notes": list(self.notes),
-        }
-        if self.soundness is not None:
-            result["consistency"] = [_quantity_json(quantity) for quantity in self.consistency]
-            result["soundness"] = asdict(self.soundness)
-        return result
-
 
 @dataclass(frozen=True)
 class NewMachineRequest(Request):
@@ -244,26 +226,6 @@ def _assumed(machine: Machine) -> list[str]:
 
     sentence = assumed_modes(machine)
     return [] if sentence is None else [sentence]
-
-
-def _identity(machine: Machine) -> dict[str, str | None]:
-    from models.machine import identity
-
-    return {**identity(machine), "path": machine.path}
-
-
-def _quantity_json(quantity: Quantity) -> dict[str, Any]:
-    return {
-        "key": quantity.key,
-        "unit": quantity.unit,
-        "of_file": quantity.of_file,
-        "file_uses": quantity.the_file_uses,
-        "values": [
-            {"equation": way.equation, "value": way.value, "difference_percent": 100 * way.difference}
-            for way in quantity.others
-        ],
-        "spread_percent": 100 * quantity.spread,
-    }
 
 
 def _soundness_facts(sound: PhysicsChecks) -> list[Fact]:
@@ -371,6 +333,9 @@ def diff_machines(request: DiffMachinesRequest) -> Result:
 class MachineDifference(Result):
     """What differs between two machine files."""
 
+    schema = "ffcomp-machine-diff/1"
+    json_keys: ClassVar = keys("old", "new", "changes", "frequencies_hz")
+
     old: Machine
     new: Machine
     changes: Sequence[Difference]
@@ -394,22 +359,6 @@ class MachineDifference(Result):
             facts.append((each.key, f"{text}{f' ({change})' if change else ''}{note}"))
         modes = ", ".join(f"{before:.1f} → {after:.1f}" for before, after in self.frequencies_hz)
         return [*facts, ("Natural frequencies at 0, 0, Hz", modes)] if facts else []
-
-    def details(self) -> dict[str, Any]:
-        """Return the keys of ffcomp-machine-diff/1."""
-        return {
-            "schema": "ffcomp-machine-diff/1",
-            "old": {"sha256": self.old.sha256},
-            "new": {"sha256": self.new.sha256},
-            "changes": [asdict(each) for each in self.changes],
-            "frequencies_hz": [
-                {
-                    "old": before,  # number [Hz]: natural frequencies in the middle of the bed
-                    "new": after,  # number [Hz]
-                }
-                for before, after in self.frequencies_hz
-            ],
-        }
 
 
 def _or_nothing(value: object) -> str:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, ClassVar
 
 from ffcomp.cli.command import verb
 from ffcomp.errors import RequestError
 from ffcomp.importers.request import ImportMachineRequest
+from ffcomp.numerics.serialise import keys
 from ffcomp.result import Fact, Result
 
 if TYPE_CHECKING:
@@ -66,6 +67,21 @@ def _loudest_hz(path: Path) -> float:
 class ImportedMachine(Result):
     """A machine file that was made of a configuration."""
 
+    schema = "ffcomp-machine-import/1"
+    json_keys: ClassVar = keys(
+        machine="path",
+        name="made.name",
+        firmware="made.config.firmware",
+        kinematics="made.config.kinematics",
+        like="made.like",
+        complete="made.is_complete",
+        values="made.values",
+        missing="made.missing",
+        notes="made.config.notes",
+        shaper_hz="made.config.shaper_hz",
+        model_loudest_hz="model_hz",
+    )
+
     made: MachineDraft
     path: Path
     model_hz: float | None  # the loudest vibration, where the configuration has an input shaper
@@ -120,25 +136,6 @@ class ImportedMachine(Result):
         if self.made.is_complete:
             return None
         return PrinterConfigError(f"{self.path} is not complete: fill in {', '.join(self.made.missing)}.")
-
-    def details(self) -> dict[str, Any]:
-        """Return the keys of ffcomp-machine-import/1."""
-        made = self.made
-        return {
-            "schema": "ffcomp-machine-import/1",
-            "machine": str(self.path),  # the file that was written
-            "name": made.name,
-            "firmware": made.config.firmware,  # of the configuration
-            "kinematics": made.config.kinematics,  # delta, cartesian or corexy
-            "like": made.like,  # text or null: the library machine whose vibration numbers were taken
-            "complete": made.is_complete,  # true or false: false: the file lacks numbers, and the exit code is 5
-            "values": {key: asdict(value) for key, value in made.values.items()},
-            "missing": dict(made.missing),  # .* text: by `table.key`: why it matters, or how to get it
-            "notes": list(made.config.notes),  # list of text: settings that a machine file cannot contain
-            "shaper_hz": list(made.config.shaper_hz),  # list of numbers: of a delta: the input shaper's frequencies
-            # number or null: to compare with shaper_hz: the loudest vibration of the assumed machine
-            "model_loudest_hz": self.model_hz,
-        }
 
 
 ORDER = ("read", "converted", "default", "assumed")

@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, ClassVar
 
 from ffcomp.cli.command import verb
+from ffcomp.numerics.serialise import keys
 from ffcomp.request import OUTPUT, Argument, Option, Request
 from ffcomp.result import Result
 
@@ -46,6 +47,9 @@ def restore(request: RestoreRequest) -> Result:
 class Restored(Result):
     """An original that was restored."""
 
+    schema = "ffcomp-restore/1"
+    json_keys: ClassVar = keys("input", "output")
+
     input: Path
     output: Path
 
@@ -53,14 +57,6 @@ class Restored(Result):
     def headline(self) -> str:
         """Where it is."""
         return f"The original is in {self.output}."
-
-    def details(self) -> dict[str, Any]:
-        """Return the keys of ffcomp-restore/1."""
-        return {
-            "schema": "ffcomp-restore/1",
-            "input": str(self.input),  # the compensated print
-            "output": str(self.output),  # its original
-        }
 
 
 def _originals(container: Container, file: Path) -> list[Iterator[bytes]]:

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 from ffcomp.cli.command import verb
 from ffcomp.cli.common import opened, say
-from ffcomp.numerics.serialise import to_json
+from ffcomp.numerics.serialise import ALL_OF, keys
 from ffcomp.options import PLATE, STAMPED_MACHINE, parse_figure
 from ffcomp.request import OUTPUT, Argument, Option, Request
 from ffcomp.result import Fact, Result
@@ -86,12 +86,20 @@ def open_picture(picture: str) -> None:
 class ShowResult(Result):
     """The picture of a print and its errors."""
 
+    schema = "ffcomp-show/1"
+    json_keys: ClassVar = keys("input", "machine", "picture", "gcode_preview", "source") | keys(**{ALL_OF: "forecast"})
+
     input: Path
     machine: Machine
     picture: Path
     gcode_preview: Path | None
     forecast: Forecast
     kept: bool  # in the file; False: computed
+
+    @property
+    def source(self) -> str:
+        """Where the errors are from: the prediction in the file, or computed now."""
+        return "file" if self.kept else "computed"
 
     @property
     def headline(self) -> str:
@@ -119,28 +127,6 @@ class ShowResult(Result):
         """A measurement, where the machine file is not known well enough."""
         expected = self.forecast.expected
         return [expected.next_step] if expected is not None and expected.next_step else []
-
-    def details(self) -> dict[str, Any]:
-        """Return the keys of ffcomp-show/1."""
-        from models.machine import identity
-
-        return {
-            "schema": "ffcomp-show/1",
-            "input": str(self.input),
-            "machine": identity(self.machine),  # MACHINE
-            "picture": str(self.picture),  # the file that was drawn
-            **(
-                {}
-                if self.gcode_preview is None
-                else {
-                    "gcode_preview": str(self.gcode_preview)  # with `--gcode-preview`: the G-code for viewers
-                }
-            ),
-            **to_json(self.forecast.to_dict()),
-            # text: whether the file keeps them, as `compensate` has predicted: "file"; "computed": it keeps none for
-            # this machine
-            "source": "file" if self.kept else "computed",
-        }
 
 
 def _show(request: ShowRequest) -> ShowResult:

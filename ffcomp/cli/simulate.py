@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, ClassVar
 
 from ffcomp.cli.command import verb
 from ffcomp.cli.progress import Progress
 from ffcomp.errors import RequestError
+from ffcomp.numerics.serialise import keys
 from ffcomp.request import ADVANCED, OUTPUT, Option, Request
 from ffcomp.result import Fact, Result
 from ffcomp.simulation.request import SimulateRequest
@@ -66,6 +67,9 @@ def simulate(request: SimulateRequest, captures: CapturesRequest) -> Result:
 class Captures(Result):
     """Captures that were written in place of a printer's."""
 
+    schema = "ffcomp-captures/1"
+    json_keys: ClassVar = keys("input", "plan", "plant", "flavor", "captures")
+
     input: Path
     plan: Path
     plant: Machine
@@ -81,21 +85,6 @@ class Captures(Result):
     def facts(self) -> list[Fact]:
         """What they would be of."""
         return [("Printer", self.plant.name), ("Firmware", self.flavor)]
-
-    def details(self) -> dict[str, Any]:
-        """Return the keys of ffcomp-captures/1."""
-        return {
-            "schema": "ffcomp-captures/1",
-            "input": str(self.input),  # the plan's G-code
-            "plan": str(self.plan),
-            "plant": {
-                "name": self.plant.name,  # the machine file's `name`
-                "sha256": self.plant.sha256,  # of the file's bytes
-                "effects": list(self.plant.effects),  # list of text: its effects
-            },
-            "flavor": self.flavor,  # firmware in whose format the captures are
-            "captures": [str(path) for path in self.captures],  # list of text: the files
-        }
 
 
 def _write_captures(request: SimulateRequest, captures: CapturesRequest, folder: Path) -> Captures:

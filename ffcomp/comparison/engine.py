@@ -34,7 +34,7 @@ from ffcomp.comparison.evaluation import (
 )
 from ffcomp.comparison.methods import COMPENSATED, TunedMethod
 from ffcomp.comparison.monte_carlo import ON_PLANTS, TUNING_ON_PLANTS, with_spread
-from ffcomp.comparison.result import Comparison, Layer, Method, Party, Peaks
+from ffcomp.comparison.result import Comparison, Layer, Method, Peaks
 from ffcomp.comparison.sampling import SETTLE_S, SHORTEST_S, Print, PrintSlice, Sampling, check_long_enough
 from ffcomp.compensation.file import compensate_file
 from ffcomp.compensation.job import Options
@@ -121,8 +121,8 @@ def compare(
         print_time_s=printed.print_time_s,
         layers_total=printed.labels.layers,
         sampling=sampled,
-        machine=Party.of(machine),
-        plant=Party.of(plant),
+        machine=machine,
+        plant=plant,
         mismatch=_mismatch(plant, request),
         settings=_settings(settings, printed.flavor),
         version=__version__,

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 
 from ffcomp.inverse.robust import PLAIN, RobustChoice
 from ffcomp.metrics import Track
-from ffcomp.numerics.serialise import to_json
+from ffcomp.numerics.serialise import ALL_OF, keys
 from ffcomp.simulation.expectation import Expectation
 from models.arrays import BoolArray, FloatArray, IntArray
-from models.machine import Machine, assumed_modes
+from models.machine import Machine
 
 Family = Literal["none", "calibrated", "best fixed", "inversion"]
 
@@ -55,6 +55,8 @@ class Peaks:
 class Spread:
     """Contour rms over the Monte-Carlo plants, one value a seed, µm; the tuning stays that of the machine file."""
 
+    json_keys: ClassVar = keys("mean_um", "median_um", "worst_um", "contour_rms_um")
+
     contour_rms_um: tuple[float, ...]
 
     @property
@@ -72,15 +74,6 @@ class Spread:
         """Maximum over the plants."""
         return max(self.contour_rms_um)
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return its JSON object."""
-        return {
-            "mean_um": self.mean_um,  # over the Monte-Carlo plants
-            "median_um": self.median_um,  # over the Monte-Carlo plants
-            "worst_um": self.worst_um,  # of the Monte-Carlo plants
-            "contour_rms_um": list(self.contour_rms_um),  # list of numbers: one for each
-        }
-
 
 @dataclass(frozen=True, slots=True)
 class EqualQuality:
@@ -96,6 +89,14 @@ class EqualQuality:
 @dataclass(frozen=True, eq=False)
 class Method:
     """One method, evaluated."""
+
+    json_keys: ClassVar = keys(
+        *("label", "family", "tuning", "extruding", "by_layer", "by_feature"),
+        *("residual_rms_um", "peaks", "equal_quality", "warnings"),
+        mismatch="spread",
+        mismatch_retuned="retuned",
+        **{ALL_OF: "track"},
+    )
 
     name: str  # the key in JSON: none, zv, …, zv-calibrated, …, fbs-lti, fbs-robust, fbs-lpv
     label: str  # for people
@@ -113,29 +114,6 @@ class Method:
     equal_quality: EqualQuality | None = None
     warnings: tuple[str, ...] = ()
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return the method's object in the JSON of `ffcomp compare`."""
-        values = {
-            **to_json(self.track),  # … TRACK: its keys stand here too, of all samples
-            "label": self.label,  # for people
-            "family": self.family,  # none, calibrated, best fixed or inversion
-            "tuning": self.tuning,  # the chosen parameters, and how
-            "extruding": self.extruding,  # TRACK: where plastic flows only
-            "by_layer": self.by_layer,  # .* ERROR: by the layer's number
-            "by_feature": self.by_feature,  # .* ERROR: by the slicer's feature names
-            # number or null: residual ringing while the reference cruises straight
-            "residual_rms_um": self.residual_rms_um,
-            "peaks": self.peaks,
-            # SPREAD or null: on printers that are not as the file says; null without `--mismatch`
-            "mismatch": None if self.spread is None else self.spread.to_dict(),
-            # SPREAD or null: the same with a shaper's frequencies sought again on each
-            "mismatch_retuned": None if self.retuned is None else self.retuned.to_dict(),
-            # QUALITY or null: how fast the method could go; null with `--quality-um 0`
-            "equal_quality": self.equal_quality,
-            "warnings": self.warnings,  # list of text
-        }
-        return dict(to_json(values))
-
 
 @dataclass(frozen=True, slots=True)
 class Layer:
@@ -147,32 +125,28 @@ class Layer:
     end_t: float  # number [s]
 
 
-@dataclass(frozen=True, slots=True)
-class Party:
-    """A machine file of the comparison."""
-
-    name: str  # the machine file's `name`
-    sha256: str  # of the file's bytes
-    effects: tuple[str, ...] = ()  # its effects
-    assumed: str | None = None  # as of a MACHINE
-
-    @classmethod
-    def of(cls, machine: Machine) -> Party:
-        """Copy a machine file's identity."""
-        return cls(machine.name, machine.sha256, tuple(machine.effects), assumed_modes(machine))
-
-
 @dataclass(frozen=True, eq=False)
 class Comparison:
     """A comparison: all that the JSON, the report and the figures are made of."""
+
+    json_keys: ClassVar = keys(
+        *("version", "machine", "plant", "sampling", "mismatch", "settings", "limits", "print_time_s"),
+        *("acceleration_mm_per_s2", "layers", "best_fixed", "quality_bound_um", "predicted", "expected"),
+        *("methods", "seconds"),
+        input="print_name",
+        input_sha256="print_sha256",
+        ours="compensated",
+        robust_by_default="robust.robust",
+        robust_reason="robust.reason",
+    )
 
     print_name: str
     print_sha256: str
     print_time_s: float  # of the whole print, as the firmware plans it
     layers_total: int
     sampling: str  # a sentence: the part of the print that was evaluated
-    machine: Party  # the one that every method uses
-    plant: Party  # the one that evaluated them
+    machine: Machine  # the one that every method uses
+    plant: Machine  # the one that evaluated them
     mismatch: str  # a sentence, empty without Monte-Carlo plants
     settings: dict[str, str]  # name → value, as used
     version: str
@@ -192,46 +166,3 @@ class Comparison:
     predicted: Mapping[str, Track] = field(default_factory=dict)  # of the whole print, as `compensate` states it
     robust: RobustChoice = PLAIN  # default of `compensate` with this machine file
     expected: Expectation | None = None  # of what `compensate` writes; None: no piece of the print could be simulated
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the JSON object of `ffcomp compare`, without samples (ffcomp-compare/1)."""
-        values = {
-            "schema": "ffcomp-compare/1",
-            "input": self.print_name,
-            "input_sha256": self.print_sha256,  # of the print
-            "version": self.version,  # of ffcomp
-            "machine": self.machine,  # PARTY: what every method believes
-            "plant": self.plant,  # PARTY: what evaluated them
-            "sampling": self.sampling,  # what part of the print was evaluated
-            "mismatch": self.mismatch,  # which Monte-Carlo plants; empty without `--mismatch`
-            "settings": self.settings,  # .* text: as used
-            "limits": self.limits,  # .* number [mm/s, mm/s²]: of the carriages' commands
-            "print_time_s": self.print_time_s,  # of the whole print
-            # number or null: of most of the outer walls, or of all that extrudes; null if the print sets none
-            "acceleration_mm_per_s2": self.acceleration_mm_per_s2,
-            "layers": self.layers,
-            # the fixed shaper with the least contour error where plastic flows, a name in `methods`
-            "best_fixed": self.best_fixed,
-            # the name in `methods` of what `compensate` writes with this machine file: fbs-robust or fbs-lpv
-            "ours": self.compensated,
-            "quality_bound_um": self.quality_bound_um,  # what `equal_quality` holds
-            **(
-                {
-                    # .* TRACK: uncompensated and compensated: of the whole print on the design model, the numbers of
-                    # `compensate` and `show`; missing for prints beyond 10 minutes and with effects that are not in the
-                    # linear model
-                    "predicted": self.predicted
-                }
-                if self.predicted
-                else {}
-            ),
-            # EXPECTATION or null: on printers that the machine file's `[uncertainty]` allows
-            "expected": self.expected,
-            # true or false: whether `compensate` inverts robustly by default with this machine file
-            "robust_by_default": self.robust.robust,
-            "robust_reason": self.robust.reason,  # why, or why not
-            # .* METHOD: by name: none, zv, …, zv-calibrated, …, fbs-lti, fbs-robust, fbs-lpv
-            "methods": {name: method.to_dict() for name, method in self.methods.items()},
-            "seconds": self.seconds,  # number [s]: that it took
-        }
-        return dict(to_json(values))

@@ -30,7 +30,7 @@ from ffcomp.steps.sink import MotorTotal
 from gcode.dialects import FlavorChoice
 from gcode.embedded import Stamp
 from models.file import machine_paths
-from models.machine import Machine, assumed_modes, identity
+from models.machine import Machine, assumed_modes
 from models.schema.documents import DEFAULT_UNCERTAINTY
 
 SCHEMA = "ffcomp-compensate/1"
@@ -183,7 +183,7 @@ class Result:
         answer = {
             "schema": SCHEMA,
             "input": self.path,
-            "machine": identity(self.machine),  # MACHINE
+            "machine": self.machine,
             "flavor": self.flavor.flavor,  # the dialect: klipper, marlin or reprapfirmware
             "flavor_reason": self.flavor.reason,  # why, in a sentence
             "offset_mm": self.placement.offset,  # list of numbers: two: by how much the print was moved, along x and y
@@ -211,7 +211,7 @@ class Result:
             "warnings": self.warnings,
             "warning_lines": self.warning_lines,
             "slowed": numbers.slowed,
-            **self.forecast.to_dict(),
+            **to_json(self.forecast),
             **({} if self.faster is None else {"faster": self.faster}),
             **(
                 {

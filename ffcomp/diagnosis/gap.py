@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, cast
+from typing import ClassVar, cast
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from ffcomp.diagnosis.problem import Problem, Repeats
 from ffcomp.diagnosis.problems import Recorded, check_alike, plant_of, problem_of, recordings_of
 from ffcomp.diagnosis.request import GapRequest
 from ffcomp.diagnosis.where import ResidualBreakdown, locate_residual
+from ffcomp.numerics.serialise import keys
 from ffcomp.record.axes import turn_of
 from ffcomp.result import Fact, Result
 from models.machine import Machine
@@ -24,10 +25,20 @@ from models.machine import Machine
 class Discrepancy(Result):
     """The model discrepancy of a machine file on some recordings."""
 
+    schema = "ffcomp-gap/1"
+    json_keys: ClassVar = keys("compared", "notes", noise_from_repeats="floor.from_repeats") | keys(
+        nrms="residual.total.nrms", noise_nrms="residual.total.noise_nrms", where="residual"
+    )
+
     residual: ResidualBreakdown
     floor: NoiseFloor
     notes: tuple[str, ...] = ()  # faults of the repeats, in full sentences
     forces: bool = False  # compared are the drive's force and the one that the measured motion needs
+
+    @property
+    def compared(self) -> str:
+        """What is compared: the signals, or the drive's forces."""
+        return "forces" if self.forces else "signals"
 
     @property
     def headline(self) -> str:
@@ -63,30 +74,6 @@ class Discrepancy(Result):
     def warnings(self) -> Sequence[str]:
         """The faults of the repeats."""
         return self.notes
-
-    def details(self) -> dict[str, Any]:
-        """Return the keys of ffcomp-gap/1."""
-        residual = self.residual
-        return {
-            "schema": "ffcomp-gap/1",
-            **asdict(residual.total),
-            "compared": "forces" if self.forces else "signals",
-            "noise_from_repeats": self.floor.from_repeats,
-            "notes": list(self.notes),
-            "signals": {name: asdict(size) for name, size in residual.signals.items()},
-            "where": {
-                "frequency_hz": [{"from": low, "to": high, "share": share} for low, high, share in residual.bands],
-                "signal": {name: size.over_noise for name, size in residual.signals.items()},
-                "region": [
-                    {"place_mm": list(position), "share": share}
-                    if len(position) > 1
-                    else {"from_s": position[0], "share": share}
-                    for position, _, share in residual.places
-                ],
-                "near_reversals": residual.near_reversals,
-                "runs": {name: asdict(size) for name, size in residual.recordings.items()},
-            },
-        }
 
 
 def gap_request(request: GapRequest) -> Discrepancy:

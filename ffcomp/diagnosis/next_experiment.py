@@ -17,7 +17,7 @@ import shlex
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import ClassVar
 
 import numpy as np
 
@@ -29,6 +29,7 @@ from ffcomp.diagnosis.score_test import Screened, confounded_with, separated_by
 from ffcomp.diagnosis.words import digits, joined
 from ffcomp.errors import FfcompError
 from ffcomp.measurement.recording import Recording
+from ffcomp.numerics.serialise import keys
 from ffcomp.record.gcode_writer import Recorder, gcode_lines
 from ffcomp.record.moves import KINDS, Request, default_places, make_plan
 from ffcomp.record.plan import Experiment, Plan
@@ -51,6 +52,15 @@ class Separation:
     best explanation, as far as the given runs allow, would make up for.
     """
 
+    json_keys: ClassVar = keys("other", "kind", "position_mm") | keys(
+        effects="ours",
+        difference_now="now",
+        difference_there="there",
+        separates="tells",
+        record="command",
+        said="sentence",
+    )
+
     ours: tuple[str, ...]  # the effects of the best explanation; empty: the machine file alone
     other: tuple[str, ...]
     now: float  # the difference in the given runs
@@ -67,6 +77,7 @@ class Separation:
         """Tell whether the recording separates them."""
         return not self.command or self.there > max(SEPARATES_RMS, 2.0 * self.now if self.alike else 0.0)
 
+    @property
     def sentence(self) -> str:
         """Say what to record, and what it promises; or that no move does."""
         question, now, there = self._question(), digits(self.now, 2), digits(self.there, 2)
@@ -93,20 +104,6 @@ class Separation:
         if ours and theirs:
             return f"separate {joined(ours)} from {joined(theirs)}"
         return f"show whether {joined(ours or theirs)} acts as well"
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the JSON's entry of `separate`."""
-        return {
-            "effects": list(self.ours),
-            "other": list(self.other),
-            "difference_now": self.now,
-            "difference_there": self.there,
-            "separates": self.tells,
-            "kind": self.kind,
-            "position_mm": list(self.position_mm),
-            "record": self.command,
-            "said": self.sentence(),
-        }
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import combinations, pairwise
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,6 +49,7 @@ class ResidualCurve:
     share: float  # of the residual's power that the curve holds, beyond what its uncertainty alone gives
     regime: str  # where most of that lies
 
+    @property
     def sentence(self) -> str:
         """Say where the residual lies."""
         low, high = min(self.residual), max(self.residual)
@@ -61,21 +61,6 @@ class ResidualCurve:
         return (
             f"residual {self.signal} against {self.against}: {percent(self.share)} of its power, {self.regime}; {size}"
         )
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the JSON's entry of `residual_curves`."""
-        points = zip(self.at, self.residual, self.half_width, strict=True)
-        return {
-            "signal": self.signal,
-            "unit": self.unit,
-            "against": self.against,
-            "against_unit": self.against_unit,
-            "share": self.share,
-            "regime": self.regime,
-            "points": [
-                {"at": at, "residual": value, "low": value - half, "high": value + half} for at, value, half in points
-            ],
-        }
 
 
 def residual_curves(

@@ -87,19 +87,6 @@ class Rest:
     left: ResidualBreakdown
     rivals: Sequence[tuple[tuple[str, ...], float]] = ()  # effects of other families, and what they explain there
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return the JSON's object."""
-        left = self.left
-        return {
-            "explained": self.explained,
-            "nrms": left.total.nrms,
-            "frequency_hz": [{"from": low, "to": high, "share": share} for low, high, share in left.bands],
-            "near_reversals": left.near_reversals,
-            "forwards": left.forwards,
-            "runs": {name: size.nrms for name, size in left.recordings.items()},
-            "instead": [{"effects": list(names), "explained": share} for names, share in self.rivals],
-        }
-
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class DiagnosisResult:

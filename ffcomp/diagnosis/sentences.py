@@ -257,7 +257,7 @@ def late_files(result: DiagnosisResult) -> list[str]:
 
 def what_to_do(result: DiagnosisResult) -> list[str]:
     """Return steps in order: to the printer first, then to the file, then what to record."""
-    finding, separating = result.finding, [each.sentence() for each in result.separations]
+    finding, separating = result.finding, [each.sentence for each in result.separations]
     if finding == "dominant":
         return [
             _remedy(result, result.named[0]),

@@ -39,6 +39,7 @@ from ffcomp.identification.page_fit import SCALE
 from ffcomp.identification.request import UpdateRequest
 from ffcomp.identification.uncertainty import Estimate, normal
 from ffcomp.measurement.recording import Recording
+from ffcomp.numerics.serialise import to_json
 from ffcomp.numerics.stages import Progress, Stage
 from ffcomp.record.axes import turn_of
 from ffcomp.record.join import load_recordings
@@ -47,7 +48,7 @@ from gcode.atomic_write import replace_atomically, replacing
 from models.arrays import FloatArray
 from models.file import check_text, load_machine, updated_text
 from models.finding import LIBRARY
-from models.machine import Machine, identity
+from models.machine import Machine
 
 SCHEMA = "ffcomp-update/1"
 USUAL_S = (6.0, 2.0, 8.0, 2.0)  # of CPU: reading, where to begin, the fit, layers left out
@@ -129,7 +130,7 @@ class Updated(Result):
         return {
             "schema": SCHEMA,
             "date": self.date,
-            "machine": identity(self.start),
+            "machine": to_json(self.start),
             "data": list(self.data),
             "layers": self.layers,
             "prints": self.prints,

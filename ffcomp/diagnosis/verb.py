@@ -27,6 +27,7 @@ from ffcomp.diagnosis.words import digits
 from ffcomp.errors import FfcompError
 from ffcomp.identification.machine_fit import hash_of
 from ffcomp.inverse.model import GEOMETRY
+from ffcomp.numerics.serialise import to_json
 from ffcomp.numerics.stages import Progress
 from ffcomp.record.axes import turn_of
 from ffcomp.result import Fact
@@ -82,7 +83,7 @@ class Diagnosis(Answered):
         ]
         left = f"{100 * gap.before.nrms:.0f} % → {100 * gap.after.nrms:.0f} %; noise alone {100 * gap.noise:.0f} %"
         facts.append(("Disagreement", left))
-        facts += [("Not explained", curve.sentence()) for curve in result.curves[:1]]
+        facts += [("Not explained", curve.sentence) for curve in result.curves[:1]]
         if gain is not None:
             errors = f"{digits(gain.before_um, 2)} → {digits(gain.after_um, 2)} µm rms with the better file"
             facts.append(("A sample print", f"{errors}, {digits(gain.uncompensated_um, 2)} without compensation"))
@@ -136,7 +137,7 @@ def result_json(result: DiagnosisResult, gain: PrintGain | None = None) -> dict[
     """Return the JSON object ffcomp-diagnose/1 but for files and time; `gain` : of prints, if it was predicted."""
     gap = result.gap
     named = result.effects if result.verdict == "effects" else {}
-    most = None if result.rest is None else {**_effect_json(result, result.named[0]), **result.rest.to_dict()}
+    most = None if result.rest is None else {**_effect_json(result, result.named[0]), **to_json(result.rest)}
     refused = {"effects": list(result.effects), "because": list(result.rejections)}
     return {
         "schema": "ffcomp-diagnose/1",
@@ -145,12 +146,12 @@ def result_json(result: DiagnosisResult, gain: PrintGain | None = None) -> dict[
         "said": summary_sentences(result),
         "effects": [_effect_json(result, name) for name in named],
         "dominant": most,
-        "residual_curves": [each.to_dict() for each in result.curves],
+        "residual_curves": to_json(result.curves),
         "undetermined": list(result.undetermined),
         "refused": refused if result.rejections else None,
         "invisible": list(result.invisible),
         "retuned": {key: {"from": a, "to": b} for key, (a, b) in result.file.retuned.items()},
-        "separate": [each.to_dict() for each in result.separations],
+        "separate": to_json(result.separations),
         "confusable_with": [{"name": name, "separate_by": how} for name, how in result.confounded_with],
         "late_s": dict(result.late_s),
         "left_out": gap.left_out,

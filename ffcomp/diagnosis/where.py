@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from ffcomp.diagnosis.diagnosis import Diagnosis
 from ffcomp.diagnosis.noise import NoiseFloor, Whitener, lines, taper
 from ffcomp.diagnosis.problem import Problem
+from ffcomp.numerics.serialise import keys
 from models.arrays import FloatArray
 
 EDGES_HZ = (1.0, 10.0, 20.0, 30.0, 40.0, 50.0, 60.0, 80.0, 100.0, 130.0, 160.0, 200.0)
@@ -30,6 +31,8 @@ BACKWARD, SLOW, FORWARD = MOTIONS = ("backward", "turning back or at rest", "for
 @dataclass(frozen=True)
 class ResidualSize:
     """√(Σ(measured − simulated)²/Σ measured²) inside the band, and the same of noise alone."""
+
+    json_keys: ClassVar = keys("nrms", "noise_nrms", "over_noise")
 
     nrms: float
     noise_nrms: float
@@ -63,6 +66,13 @@ class Split:
 @dataclass(frozen=True, eq=False)
 class ResidualBreakdown:
     """The residual of one simulation as a whole and in parts."""
+
+    json_keys: ClassVar = keys(
+        *("total", "signals", "near_reversals", "forwards"),
+        frequency_hz="bands",
+        runs="recordings",
+        region="places",
+    )
 
     total: ResidualSize
     signals: Mapping[str, ResidualSize]

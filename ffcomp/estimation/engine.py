@@ -19,7 +19,7 @@ from gcode.container import Source, blocks_of, ends_of
 from gcode.dialects import choose_flavor, sign_by_ends
 from gcode.embedded import Stamp, find_offset, find_stamp, holds_original, original_blocks
 from models.arrays import FloatArray
-from models.machine import Machine, identity
+from models.machine import Machine
 
 MOST_LINES = 4  # of each command whose time is not known
 
@@ -94,7 +94,7 @@ class Estimate(Result):
         values = {
             "schema": "ffcomp-estimate/1",
             "input": self.path,
-            "machine": identity(self.machine),  # MACHINE
+            "machine": self.machine,
             "flavor": self.flavor,
             "compensated": self.original is not None,  # true or false
             **_values(self.statistics),  # … ACCOUNT: its keys are here too, of the file as written

@@ -12,12 +12,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import ClassVar
 
 import numpy as np
 
 from ffcomp.errors import MeasurementError
 from ffcomp.measurement.frf import CARRIAGES, FrequencyResponse
+from ffcomp.numerics.serialise import keys
 from ffcomp.result import Fact, Result
 from models.arrays import ComplexArray, FloatArray
 from models.kinds import delta_vibration
@@ -89,6 +90,8 @@ def _square(responses: Sequence[FrequencyResponse]) -> tuple[ComplexArray, Float
 class Part:
     """One statement of the model, held against the measured load."""
 
+    json_keys: ClassVar = keys("name", "statement", "error", "noise", "holds")
+
     name: str
     statement: str
     error: float  # the contradiction, as a share of the measured load (rms over frequencies, variance-weighted)
@@ -144,18 +147,13 @@ class PlaceParts:
     position_mm: tuple[float, float, float] | None
     parts: tuple[Part, ...]
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return one of the places of ffcomp-identify-decouple/1."""
-        parts = [
-            {"part": p.name, "statement": p.statement, "error": p.error, "noise": p.noise, "holds": p.holds}
-            for p in self.parts
-        ]
-        return {"position_mm": self.position_mm, "parts": parts}
-
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Decoupling(Result):
     """Which parts of a delta's model hold, at each place."""
+
+    schema = "ffcomp-identify-decouple/1"
+    json_keys: ClassVar = keys("machine", "places")
 
     machine: Machine
     places: Sequence[PlaceParts]
@@ -179,14 +177,6 @@ class Decoupling(Result):
             for x, y in [(place.position_mm or (0.0, 0.0))[:2]]
             for part in place.parts
         ]
-
-    def details(self) -> dict[str, Any]:
-        """Return the keys of ffcomp-identify-decouple/1."""
-        return {
-            "schema": "ffcomp-identify-decouple/1",
-            "machine": self.machine.name,
-            "places": [place.to_dict() for place in self.places],
-        }
 
 
 def parts_of_places(machine: Machine, responses: Sequence[FrequencyResponse]) -> list[PlaceParts]:

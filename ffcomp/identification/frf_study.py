@@ -17,10 +17,11 @@ import numpy as np
 from ffcomp.errors import MeasurementError
 from ffcomp.identification.predict import log_error_db, mean_absolute_percentage_accuracy, predicted
 from ffcomp.measurement.frf import FrequencyResponse
+from ffcomp.numerics.serialise import to_json
 from models.arrays import ComplexArray, FloatArray
 from models.errors import MachineFileError, UnreachableError
 from models.kinds import delta_vibration
-from models.machine import Machine, identity
+from models.machine import Machine
 from models.vibration.base import Modes, Output
 from models.vibration.mode_map import ModeMap, kinds, mode_map, numbers
 from models.vibration.substructures import command_frf, damping, with_added_mass
@@ -422,7 +423,7 @@ def frf_json(study: Study, station: Station) -> dict[str, Any]:
     phase, carriage_phase = (np.degrees(np.unwrap(np.angle(g), axis=0)) for g in (station.value, station.carriage))
     return {
         "schema": "ffcomp-frf/1",
-        "machine": identity(study.machine),
+        "machine": to_json(study.machine),
         "force_map": study.machine.vibration.describe().force_map
         if study.machine.vibration.position_dependent
         else None,

@@ -45,9 +45,7 @@ def unsupported(place: str, name: str) -> PrinterConfigError:
 class Value:
     """One value of the machine file."""
 
-    value: (
-        float | list[float] | list[str]
-    )  # number or text or list of numbers or list of text [as the key says]: by `table.key`
+    value: float | str | list[float] | list[str]  # as the key says
     how: How  # text: read, converted, default or assumed
     origin: str  # a place in the configuration, or the rule
 
@@ -59,7 +57,7 @@ class Value:
     @property
     def number(self) -> float:
         """The value, of one number."""
-        assert not isinstance(self.value, list), "a list is no number"
+        assert not isinstance(self.value, list | str), "it is no number"
         return self.value
 
 

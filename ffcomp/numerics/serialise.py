@@ -1,4 +1,8 @@
-"""Turn results into JSON values: the one serialiser of every verb of the command line."""
+"""Turn results into JSON values: the one serialiser of every verb of the command line.
+
+A dataclass becomes an object of its public fields, or of the keys that its class declares as `json_keys`. The tables of
+docs/reference/json.md are made from the same declarations.
+"""
 
 from __future__ import annotations
 
@@ -10,6 +14,30 @@ from math import isfinite
 from os import PathLike, fspath
 from typing import Any
 
+ALL_OF = "…"  # the key under which the keys of another object stand in the same object
+
+
+def keys(*names: str, **paths: str) -> dict[str, str]:
+    """Return `json_keys`: the same names as attributes, and keys with the path of an attribute, e.g. `plan.repeats`."""
+    return {name: name for name in names} | paths
+
+
+def keys_of(cls: type) -> Mapping[str, str]:
+    """Return the JSON keys of a dataclass, each with the path of its attribute."""
+    public = (each.name for each in fields(cls) if not each.name.startswith("_"))
+    return getattr(cls, "json_keys", None) or keys(*public)
+
+
+def json_object(value: Any) -> dict[str, Any]:
+    """Convert a dataclass to the object of its keys; beyond an attribute that is None everything is None."""
+    made: dict[str, Any] = {}
+    for key, path in keys_of(type(value)).items():
+        at = value
+        for name in path.split("."):
+            at = None if at is None else getattr(at, name)
+        made |= to_json(at) if key == ALL_OF else {key: to_json(at)}
+    return made
+
 
 def to_json(value: Any) -> Any:
     """Convert a result to values that JSON holds.
@@ -17,7 +45,7 @@ def to_json(value: Any) -> Any:
     Parameters
     ----------
     value : dataclass, mapping, array, path, enumeration member or plain value
-        Containers are converted recursively; a dataclass becomes an object of its public fields.
+        Containers are converted recursively; what has a `to_dict` is what that returns.
 
     Returns
     -------
@@ -35,9 +63,10 @@ def to_json(value: Any) -> Any:
         return float(value) if isfinite(value) else None
     if isinstance(value, Enum):
         return to_json(value.value)
+    if hasattr(value, "to_dict"):
+        return to_json(value.to_dict())
     if is_dataclass(value) and not isinstance(value, type):
-        names = (each.name for each in fields(value) if not each.name.startswith("_"))
-        return {name: to_json(getattr(value, name)) for name in names}
+        return json_object(value)
     if isinstance(value, Mapping):
         return {key if isinstance(key, str) else str(to_json(key)): to_json(each) for key, each in value.items()}
     if hasattr(value, "tolist"):  # arrays and scalars of NumPy, which is not imported for this

@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import ClassVar
 
 import numpy as np
 
 from ffcomp.errors import MeasurementError
 from ffcomp.measurement.capture import ClockKind
 from ffcomp.measurement.recording import Recording
+from ffcomp.numerics.serialise import keys
 from ffcomp.record.clock import ClockFit
 from ffcomp.record.plan import Commanded, Plan, run_name
 from ffcomp.result import Fact, Result
@@ -29,6 +30,15 @@ NO_ACCELERATIONS = (
 @dataclass(frozen=True, eq=False)
 class Joined:
     """One execution of an experiment on one clock."""
+
+    json_keys: ClassVar = keys("name", "experiment", "repeat", "overflows", "axes_map") | keys(
+        offset_s="clock.offset_s",
+        offset_sd_s="clock.offset_sd_s",
+        clock_ratio="clock.ratio",
+        clock_sd="clock.ratio_sd",
+        correlation="clock.correlation",
+        capture="source",
+    )
 
     recording: Recording
     experiment: str
@@ -108,6 +118,9 @@ class JoinResult:
 class JoinedRuns(Result):
     """Captures that were joined with their commands, and the measured runs that were written."""
 
+    schema = "ffcomp-join/1"
+    json_keys: ClassVar = keys("files", runs="result.joined", refused="result.refused")
+
     result: JoinResult
     plan: Plan
     machine: Machine
@@ -153,27 +166,6 @@ class JoinedRuns(Result):
     def failure(self) -> MeasurementError | None:
         """Nothing could be joined."""
         return self.result.failure
-
-    def details(self) -> dict[str, Any]:
-        """Return the keys of ffcomp-join/1."""
-        runs = [
-            {
-                "file": str(file),
-                "experiment": each.experiment,
-                "repeat": each.repeat,
-                "offset_s": each.clock.offset_s,
-                "offset_sd_s": each.clock.offset_sd_s,
-                "clock_ratio": each.clock.ratio,
-                "clock_sd": each.clock.ratio_sd,
-                "correlation": each.clock.correlation,
-                "overflows": each.overflows,
-                "capture": each.source,
-                "axes_map": each.axes_map,
-            }
-            for each, file in zip(self.result.joined, self.files, strict=True)
-        ]
-        refused = [{"file": each.file, "why": each.why} for each in self.result.refused]
-        return {"schema": "ffcomp-join/1", "runs": runs, "refused": refused}
 
 
 def measured_run(

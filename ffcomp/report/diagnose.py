@@ -84,7 +84,7 @@ def diagnosis_page(diagnosis: Diagnosis, where: DrawnResidual, proposals: Sequen
         sections.append(Section("Left out of the fit", sentences=[sentence], drawings=drawn))
     if proposals:
         gcode = next((each.gcode for each in proposals if each.gcode), "")
-        texts = [each.sentence() for each in proposals] + (["The G-code of the first:"] if gcode else [])
+        texts = [each.sentence for each in proposals] + (["The G-code of the first:"] if gcode else [])
         sections.append(Section("What to record next", sentences=texts, code=gcode))
     sections += [
         Section(
@@ -201,7 +201,7 @@ def _held_out(places: Sequence[HeldOut], result: DiagnosisResult) -> Drawing:
 
 def _curve(curve: ResidualCurve) -> Drawing:
     draw = partial(draw_curve, curve=curve)
-    said = curve.sentence()
+    said = curve.sentence
     said = f"{said[0].upper()}{said[1:]}."
     return Drawing("residual", f"{curve.signal} by {curve.against}", said, "", WIDTH, HEIGHT, draw)
 

@@ -10,11 +10,11 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import ClassVar
 
 from ffcomp.metrics import Track
 from ffcomp.numerics.digits import um
-from ffcomp.numerics.serialise import json_line, to_json
+from ffcomp.numerics.serialise import json_line, keys, to_json
 from ffcomp.simulation.expectation import Expectation, expectation_of
 from gcode.embedded import FORECAST, Stamp, find_forecast_text
 from models.machine import Machine
@@ -25,6 +25,8 @@ WAYS = "uncompensated", "compensated"
 @dataclass(frozen=True, slots=True)
 class Forecast:
     """The errors that are predicted for a print."""
+
+    json_keys: ClassVar = keys("expected", "verdict", predicted="tracks", predicted_over_s="over_s")
 
     tracks: Mapping[str, Track] = field(default_factory=dict)  # by WAYS; empty: none
     over_s: float = 0.0  # print time that it covers
@@ -50,19 +52,6 @@ class Forecast:
     def verdict(self) -> str:
         """The same as a sentence."""
         return f"If the machine file is exact: {self.exact}" if self.tracks else ""
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return its part of every verb's JSON object."""
-        return {
-            # .* TRACK: on the design model: of the print as sliced, and of the segments that are written. Nothing with
-            # `--no-predict`. `simulate` and `compare` judge by the virtual printer instead, which is not linear:
-            # another quantity
-            "predicted": self.tracks,
-            "predicted_over_s": self.over_s,  # how much of the print the prediction is of
-            # EXPECTATION or null: the same on printers that the machine file's `[uncertainty]` allows
-            "expected": self.expected,
-            "verdict": self.verdict,  # `predicted` in a sentence; empty: not predicted
-        }
 
     def line(self) -> bytes:
         """Return the comment that keeps it in a file; empty: there is nothing to keep."""

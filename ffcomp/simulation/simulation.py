@@ -13,7 +13,7 @@ import numpy as np
 
 from ffcomp.errors import NothingToDo
 from ffcomp.metrics import Track, build_track, contour_error, end_to_end, tracking
-from ffcomp.numerics.serialise import to_json
+from ffcomp.numerics.serialise import keys
 from ffcomp.result import Fact, Result, clock
 from ffcomp.simulation.command import Command, CommandSection, command_peaks
 from ffcomp.simulation.command_files import read_gcode, steps_command
@@ -28,7 +28,7 @@ from models.arrays import FloatArray
 from models.effects.catalogue import CATALOGUE, measured
 from models.effects.effect import Signals
 from models.errors import UnreachableError
-from models.machine import Machine, identity
+from models.machine import Machine
 
 EVALUATED_HZ = 1600.0  # no more samples than that are kept, 0.2 GB for an hour of print
 FEWEST_SAMPLES = 4
@@ -163,6 +163,15 @@ class Simulation(Result):
     """A simulated command and its evaluation; arrays hold m samples of all sections."""
 
     drawn_by: ClassVar = {"path": "ffcomp.report.show:simulation_figure"}
+    schema = "ffcomp-simulate/1"
+    json_keys: ClassVar = keys("machine", "plant", "reference", "track", "simulated_s", "rows", "warnings") | keys(
+        input="path",
+        output="recording",
+        gravity="request.gravity",
+        rate_hz="request.rate_hz",
+        wall_s="seconds",
+        peak_carriage_velocity_mm_per_s="evaluation.peak_actuator_velocity_mm_per_s",
+    )
 
     machine: Machine  # the one that the command was computed with
     plant: Machine  # the printer that moves
@@ -240,27 +249,6 @@ class Simulation(Result):
         ]
         written = f"{self.rows} samples at {self.request.rate_hz:g} Hz: {self.recording}"
         return facts if self.recording is None else [*facts, ("Recording", written)]
-
-    def details(self) -> dict[str, Any]:
-        """Return the keys of ffcomp-simulate/1, without samples."""
-        return {
-            "schema": "ffcomp-simulate/1",
-            "input": self.path,
-            "output": to_json(self.recording),  # text or null: the run that was written
-            "machine": identity(self.machine),  # MACHINE: what the firmware believes
-            "plant": identity(self.plant),  # MACHINE: the printer that moved
-            "effects": list(self.plant.effects),  # list of text: of the plant
-            "gravity": self.request.gravity,  # true or false
-            "rate_hz": self.request.rate_hz,  # of the rows
-            "rows": self.rows,  # whole number
-            "simulated_s": self.simulated_s,  # of motion
-            "wall_s": self.seconds,  # that it took
-            "print_s_per_wall_s": self.simulated_s / self.seconds,  # number: the first over the second
-            "reference": self.reference,  # what the track is evaluated against
-            "track": to_json(self.track),  # TRACK
-            "peak_carriage_velocity_mm_per_s": self.evaluation.peak_actuator_velocity_mm_per_s,  # of the command
-            "warnings": list(self.warnings),  # list of text
-        }
 
 
 def read_command(

@@ -10,12 +10,12 @@ from __future__ import annotations
 
 import sys
 
-from scripts.pages import cli, dialects, effects, machine_file
+from scripts.pages import cli, dialects, effects, json_objects, machine_file
 
 
 def main(arguments: list[str]) -> None:
     stale = []
-    for made in (cli, dialects, effects, machine_file):
+    for made in (cli, dialects, effects, json_objects, machine_file):
         text = made.page()
         if made.PAGE.read_text(encoding="utf-8") != text:
             stale.append(made.PAGE.name)

@@ -22,6 +22,7 @@ from ffcomp.diagnosis.where import ResidualSize
 from ffcomp.identification.uncertainty import normal
 from ffcomp.measurement.frf_files import write_frf
 from models.file import LIBRARY, load_machine
+from scripts.pages import json_objects
 from tests.support.axis import write_axis
 from tests.support.cli import CliRunner
 from tests.support.configs import COREXY, SHAPER, Delta, written
@@ -322,6 +323,10 @@ def test_the_page_names_every_schema_that_the_code_prints() -> None:
         "ffcomp-check-history/1",
         "ffcomp-motion/1",
     }  # files, described on their own pages
+
+
+def test_the_tables_are_those_of_the_classes() -> None:
+    assert (REFERENCE / "json.md").read_text(encoding="utf-8") == json_objects.page(), "python -m scripts.pages --write"
 
 
 def test_the_example_is_such_an_object(page: Page) -> None:

@@ -112,7 +112,7 @@ def test_decoupling_says_which_part_is_wrong(tmp_path: Path) -> None:
         assert answer.exit_code == 0, answer.output
         (place,) = json.loads(answer.stdout)["places"]
         assert place["position_mm"] == [-80.0, 0.0, 30.0]
-        assert [part["part"] for part in place["parts"] if not part["holds"]] == wrong
+        assert [part["name"] for part in place["parts"] if not part["holds"]] == wrong
     few = call("decouple", files[0], "-m", TRUTH_FILE)
     assert few.exit_code == 5 and "nine responses" in few.output
 

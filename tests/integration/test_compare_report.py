@@ -17,12 +17,13 @@ import numpy as np
 import pytest
 
 from ffcomp.comparison import words as parts
-from ffcomp.comparison.result import Comparison, Party, Peaks, Samples, Spread
+from ffcomp.comparison.result import Comparison, Peaks, Samples, Spread
 from ffcomp.comparison.sentences import cautions, findings
 from ffcomp.report.compare import write_report
 from tests.support.browser import Visit, chromium, visit
 from tests.support.comparison import (
     LAYERS,
+    MACHINE,
     NASTY,
     SIDE_N,
     changed,
@@ -98,8 +99,8 @@ def nasty_page(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Every text that a file can give is an attack."""
     found = replace(
         everything("folder/<img src=x onerror=alert(1)>.gcode"),
-        machine=Party(f"$x_1$ {NASTY}", "12" * 32, (NASTY,)),
-        plant=Party(NASTY, "34" * 32, (NASTY,)),
+        machine=replace(MACHINE, name=f"$x_1$ {NASTY}", effects={NASTY: {}}),
+        plant=replace(MACHINE, name=NASTY, effects={NASTY: {}}),
         features=("other", f"</script>{NASTY}", "$\\frac{"),
         settings={NASTY: NASTY},
     )

@@ -28,5 +28,5 @@ def test_captures_of_the_hosts_motion_are_joined_with_their_command(tmp_path: Pa
     joined = json.loads(call("record", "join", *captures, *options).stdout)
     assert len(joined["runs"]) == len(captures) == len(moves.runs()) and not joined["refused"], joined
     assert worst_offset(joined, begun) < 2e-4
-    run = read_recording(Path(joined["runs"][0]["file"]))
+    run = read_recording(Path(joined["files"][0]))
     assert not run.gaps.any() and max(float(np.ptp(x)) for x in run.acceleration.values()) > 5.0

@@ -18,14 +18,15 @@ from ffcomp.comparison.result import (
     Family,
     Layer,
     Method,
-    Party,
     Peaks,
     Samples,
     Spread,
 )
 from ffcomp.metrics import Track
 from ffcomp.report.compare import write_report
+from models.file import load_machine
 
+MACHINE = load_machine("mp-delta-pro")
 SAMPLE_S = 1e-3
 SIDE, SPEED, LAYERS = 40.0, 80.0, 3  # mm, mm/s
 RING_HZ, DECAY_PER_S = 42.0, 12.0
@@ -104,8 +105,8 @@ def comparison(
         "print_time_s": 3725.0,
         "layers_total": LAYERS,
         "sampling": "The whole print was evaluated, 6 s.",
-        "machine": Party("a delta", "12" * 32),
-        "plant": Party("a delta", "12" * 32),
+        "machine": MACHINE,
+        "plant": MACHINE,
         "mismatch": "",
         "settings": {"bandwidth of the inversion": "100 Hz"},
         "version": "9.8.7",

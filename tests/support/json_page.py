@@ -89,6 +89,8 @@ class Page:
         return parts if same is None else {**self._parts(self.objects[same.type]), **parts}
 
     def _of(self, value: Any, node: Node, met: set[str]) -> Iterator[str]:
+        if not node.type and node.optional and value is None:
+            return
         if not node.type and "[]" in node.parts:
             if not isinstance(value, list):
                 yield f"{node.place} is {value!r}, not a list"

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from pathlib import Path
+from typing import ClassVar
 
 import pytest
 
 from ffcomp.errors import RequestError
+from ffcomp.numerics.serialise import keys
 from ffcomp.result import Result, clock
 from ffcomp.serve.answers import answer_of
 
@@ -16,14 +18,16 @@ HEADLINE, FACT, WARNING, STEP = "2 < 3 µm.", ("Print time", "1.0 s"), "It may b
 
 @dataclass(frozen=True, repr=False)
 class Found(Result):
+    schema = "found/1"
+    json_keys: ClassVar = keys("number", place="at.name", unknown="nothing.name")
+
     number: float = 1.0
+    at: Path = Path("folder/here")
+    nothing: None = None
     headline = HEADLINE
     facts = (FACT,)
     warnings = (WARNING,)
     next_steps = (STEP,)
-
-    def details(self) -> dict[str, Any]:
-        return {"schema": "found/1", "number": self.number}
 
 
 def test_everybody_has_the_same_words() -> None:
@@ -31,6 +35,7 @@ def test_everybody_has_the_same_words() -> None:
     assert list(found.answer.lines()) == [f"Warning: {WARNING}", HEADLINE, "  Print time  1.0 s", STEP]
     told = found.to_dict()
     assert told["schema"] == "found/1" and told["number"] == 1.0
+    assert told["place"] == "here" and told["unknown"] is None  # beyond an attribute that is None
     page = answer_of("any", told)
     assert (page.lead, page.facts, page.warnings, page.to_do) == (HEADLINE, [[*FACT]], [WARNING], [STEP])
     assert repr(found) == f"<Found: {HEADLINE}>"

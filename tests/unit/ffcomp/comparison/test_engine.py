@@ -82,5 +82,5 @@ def test_equal_quality_holds_its_bound_and_orders_the_methods() -> None:
 
 def test_a_plant_with_an_effect_judges_and_is_named() -> None:
     stuck, free = compare(PRINTED, with_effect(MACHINE, "coulomb_friction", force_n=4.0), FIRST_LAYER), of_first_layer()
-    assert stuck.plant.effects == ("coulomb_friction",) and not stuck.machine.effects
+    assert list(stuck.plant.effects) == ["coulomb_friction"] and not stuck.machine.effects
     assert stuck.methods[COMPENSATED].track.contour_rms_um > 2 * free.methods[COMPENSATED].track.contour_rms_um

@@ -34,7 +34,7 @@ def test_nothing_hidden_leaves_nothing_but_the_noise() -> None:
     found = gap_of("nothing-hidden")
     assert found["schema"] == "ffcomp-gap/1" and found["noise_from_repeats"]
     assert found["nrms"] == pytest.approx(found["noise_nrms"], rel=0.02)
-    for size in (*found["signals"].values(), *found["where"]["runs"].values()):
+    for size in (*found["where"]["signals"].values(), *found["where"]["runs"].values()):
         assert size["nrms"] < 1.1 * size["noise_nrms"]
 
 
@@ -42,7 +42,7 @@ def test_a_hidden_effect_is_a_gap_and_adding_it_closes_it(tmp_path: Path) -> Non
     case = "coulomb-friction"
     found = gap_of(case)
     assert found["nrms"] > 20 * found["noise_nrms"]
-    assert sum(band["share"] for band in found["where"]["frequency_hz"]) == pytest.approx(1.0)
+    assert sum(share for _, _, share in found["where"]["frequency_hz"]) == pytest.approx(1.0)
     truth = (RUNS / case / "truth.toml").read_text(encoding="utf-8")
     better = tmp_path / "better.toml"
     effect = truth[truth.index("[effects.") :]

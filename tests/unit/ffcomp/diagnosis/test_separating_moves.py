@@ -107,7 +107,7 @@ def test_a_set_is_told_apart_by_the_recording_that_it_names(machine: Machine) ->
     assert {*found.named.names, *found.confounded} == set(NAMES)
     (one,) = told.separations
     assert one.tells and one.there > 10 * one.now and one.position_mm[:2] != HERE
-    sentence = one.sentence()
+    sentence = one.sentence
     assert sentence.startswith("Record ffcomp record plan -m ")
     assert f"there the predictions differ by {digits(one.there, 2)} times the noise; in these runs by 0.0" in sentence
     assert sentence in what_to_do(told)
@@ -129,7 +129,7 @@ def separation(**changed: object) -> Separation:
 def test_what_is_alike_but_fits_less_well_needs_no_recording() -> None:
     told = separation(command="", kind="", position_mm=(), now=2.0, there=2.0)
     assert told.tells
-    assert told.sentence() == (
+    assert told.sentence == (
         "These runs separate a from b already, though the signatures are alike: the predictions, each at its best, "
         "differ by 2.0 times the noise."
     )

@@ -1,0 +1,166 @@
+"""docs/reference/json.md: keys and types come from the classes of the results; what a key means is written by hand.
+
+A table is made where the class of its object is known: a result by its `schema`, others by `SHARED`. A new key gets a
+row that waits for its meaning.
+"""
+
+from __future__ import annotations
+
+import re
+import sys
+import textwrap
+import types
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import is_dataclass
+from functools import reduce
+from importlib import import_module
+from inspect import get_annotations, getsource
+from operator import or_
+from pathlib import Path
+from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
+
+import numpy as np
+
+from ffcomp.comparison.result import EqualQuality, Error, Method, Spread
+from ffcomp.diagnosis.where import ResidualSize
+from ffcomp.identification.uncertainty import Estimate
+from ffcomp.metrics import Track
+from ffcomp.numerics.serialise import ALL_OF, keys_of
+from ffcomp.result import Answer, Result
+from ffcomp.simulation.expectation import Expectation
+from models.checks import Extreme
+from models.machine import Machine
+from models.schema.table import unit_of
+
+ROOT = Path(__file__).parents[2]
+PAGE = ROOT / "docs" / "reference" / "json.md"
+SHARED: dict[type, str] = {
+    Track: "TRACK",
+    Expectation: "EXPECTATION",
+    Answer: "ANSWER",
+    Machine: "MACHINE",
+    Estimate: "ESTIMATE",
+    Error: "ERROR",
+    Spread: "SPREAD",
+    ResidualSize: "SIZE",
+    Extreme: "EXTREME",
+    Method: "METHOD",
+    EqualQuality: "QUALITY",
+}
+PLAIN = {str: "text", Path: "text", float: "number", int: "whole number", bool: "true or false"}
+_TABLE = re.compile(r"^##+ (ffcomp-[\w-]+/\d+|[A-Z]+)\n(?:(?!^##|^\|).*\n)*\|.*\n\|.*\n((?:\|.*\n)+)", re.MULTILINE)
+
+
+def page() -> str:
+    """Return the page, with the tables as the classes have them."""
+    known = classes()
+    return _TABLE.sub(lambda match: _filled(match, known.get(match[1])), PAGE.read_text(encoding="utf-8"))
+
+
+def classes() -> dict[str, type]:
+    """Return the class of each object, by its name on the page."""
+    for path in (ROOT / "ffcomp").rglob("*.py"):
+        if "json_keys: ClassVar" in path.read_text(encoding="utf-8"):
+            import_module(".".join(path.relative_to(ROOT).with_suffix("").parts))
+    found, results = {name: cls for cls, name in SHARED.items()}, [Result]
+    for each in results:
+        results += each.__subclasses__()
+        found |= {each.schema: each} if each.schema and each.details is Result.details else {}
+    return found
+
+
+def _filled(match: re.Match[str], cls: type | None) -> str:
+    if cls is None:
+        return match[0]
+    by_hand = {key: rest for _, key, *rest in (re.split(r" *(?<!\\)\| *", line) for line in match[2].splitlines())}
+    own, text = list(rows_of(cls)), ""
+    for key, kind in [("schema", "text"), *own, ("answer", "ANSWER")] if issubclass(cls, Result) else own:
+        of_key = unit_of(key.rpartition(".")[2].removesuffix("[]"))
+        was, unit, meaning, *_ = by_hand.get(f"`{key}`", (kind, of_key, ""))
+        text += f"| `{key}` | {kind or was} | {unit} | {meaning} |\n".replace("|  |\n", "| |\n")
+    return match[0].removesuffix(match[2]) + text
+
+
+def rows_of(cls: type, prefix: str = "") -> Iterator[tuple[str, str]]:
+    """Yield the keys of an object, and of those in it that have no table of their own, with their types."""
+    for key, path in keys_of(cls).items():
+        kind, optional = cls, False
+        for name in path.split("."):
+            kind, may_be_none = without_none(type_of(kind, name))
+            optional |= may_be_none
+        if key == ALL_OF and kind not in SHARED:
+            yield from rows_of(kind, prefix)
+        else:
+            yield from rows(f"{prefix}{key}", kind, " or null" * optional)
+
+
+def rows(key: str, kind: Any, null: str = "") -> Iterator[tuple[str, str]]:
+    """Yield the rows of one key: one, or those of the objects that it holds."""
+    inside, mark = items_of(kind)
+    if kind in SHARED:
+        yield key, f"{SHARED[kind]}{null}"
+    elif isinstance(kind, type) and issubclass(kind, Result):
+        yield key, kind.schema
+    elif isinstance(kind, type) and is_dataclass(kind):
+        yield from rows_of(kind, f"{key}.")
+    elif mark == ".*" or holds_objects(inside):
+        yield from rows(f"{key}{mark}", inside)
+    else:
+        yield key, "" if kind is Any else f"{words(kind)}{null}"
+
+
+def holds_objects(kind: Any) -> bool:
+    """Whether a list's items are objects, or lists of them."""
+    inside, _ = items_of(kind)
+    return is_dataclass(kind) or (inside is not None and holds_objects(inside))
+
+
+def items_of(kind: Any) -> tuple[Any, str]:
+    """Return the type of the items of a list or of a mapping, and its mark in a key; None: it is neither."""
+    origin, of = get_origin(kind), get_args(kind)
+    if not isinstance(origin, type) or not of or issubclass(origin, np.ndarray):
+        return None, ""
+    if issubclass(origin, Mapping):
+        return without_none(of[1])[0], ".*"
+    return (of[0], "[]") if issubclass(origin, Collection) else (None, "")
+
+
+def words(kind: Any) -> str:
+    """Return a type as the page names it."""
+    inside, _ = items_of(kind)
+    if get_origin(kind) is tuple and len(set(get_args(kind)) - {Ellipsis}) > 1:
+        return "list"
+    if inside is not None:
+        return "list of " + re.sub(r"(number|list|null)(?!s)", r"\1s", words(inside))
+    if get_origin(kind) is np.ndarray:
+        return "list of numbers"
+    if get_origin(kind) in (Union, types.UnionType):
+        return " or ".join(dict.fromkeys(map(words, get_args(kind))))
+    return "text" if get_origin(kind) is Literal else PLAIN[kind]
+
+
+def without_none(kind: Any) -> tuple[Any, bool]:
+    """Return a type without None, and whether it had it."""
+    if get_origin(kind) not in (Union, types.UnionType) or type(None) not in get_args(kind):
+        return kind, False
+    return reduce(or_, (each for each in get_args(kind) if each is not type(None))), True
+
+
+def type_of(cls: type, name: str) -> Any:
+    """Return the type of an attribute: a field or a property."""
+    for owner in cls.__mro__:
+        value = vars(owner).get(name)
+        if isinstance(value, property):
+            return get_type_hints(value.fget, localns=_names(owner))["return"]
+        if name in get_annotations(owner):
+            return get_type_hints(owner, localns=_names(owner))[name]
+    raise ValueError(f"{cls.__name__} has no attribute {name!r} of a stated type.")
+
+
+def _names(owner: type) -> dict[str, Any]:
+    """Return the names of a class's module, those under `if TYPE_CHECKING` included."""
+    module = sys.modules[owner.__module__]
+    names = dict(vars(module))
+    for block in re.findall(r"^if TYPE_CHECKING:\n((?:    .*\n)+)", getsource(module), re.MULTILINE):
+        exec(textwrap.dedent(block), names)
+    return names
