@@ -149,16 +149,7 @@ def _largest(values: FloatArray, xy: FloatArray) -> Extreme:
 REDUNDANCY_RTOL = 0.05  # relative to the file; two careful measurements of one quantity may differ by this much
 SAME_RTOL = 0.005  # relative to the file: the same value, rounded
 
-MEASURED = (
-    "natural_frequency_rad_per_s",
-    "damping_ratio",
-    "added_mass_kg",
-    "loaded_natural_frequency_rad_per_s",
-    "loaded_damping_ratio",
-    "total_effector_mass_kg",
-    "hammer_zero_rad_per_s",
-    "hammer_pole_rad_per_s",
-)
+GIVEN = "the number given"
 AXES = ("x", "y", "z")
 
 
@@ -200,161 +191,100 @@ class Quantity:
 
 
 @dataclass(frozen=True)
-class _Equation:
-    equation: str
-    needs: tuple[str, ...]  # keys of [provenance.measured]
-    value: Callable[..., float]  # (machine, *needs)
+class _InFile:
+    """The file's own values of the quantities in `QUANTITIES`."""
+
+    mass: float  # m
+    stiffness: float  # k
+    damping: float  # c + b
+    both: float  # m_1 + m_2
+    nozzle: float  # m_1
+    extruder: float  # m_2
+    mount: float  # k along the hammer's axis
 
 
 @dataclass(frozen=True)
-class _Redundant:
-    key: str
-    unit: str
-    of_file: Callable[[Machine, int], float]  # (machine, hammer's axis)
-    equations: tuple[_Equation, ...]
-    basis: str = "the number given"
+class _Way:
+    """An equation for a quantity: `value` of the file's own numbers and the measured ones that it needs."""
 
-    def applies(self, measured: Mapping[str, Any]) -> bool:
-        """Return whether the measured numbers determine it."""
-        return any(all(need in measured for need in each.needs) for each in self.equations)
+    quantity: str  # field of `_InFile`
+    equation: str
+    needs: tuple[str, ...]  # keys of [provenance.measured]
+    value: Callable[..., float]
 
 
-def _mass(machine: Machine) -> float:
-    return delta_vibration(machine).carriage.moving_mass_kg
-
-
-def _stiffness(machine: Machine) -> float:
-    return delta_vibration(machine).carriage.belt_stiffness_n_per_m
-
-
-def _masses(machine: Machine) -> tuple[float, float]:
-    return delta_vibration(machine).effector.nozzle_mass_kg, delta_vibration(machine).effector.extruder_mass_kg
-
-
-def _mass_by_frequencies(_: Machine, omega: float, loaded: float, added: float) -> float:
+def _mass_by_frequencies(omega: float, loaded: float, added: float) -> float:
     """Apply Eq. 41; NaN if the load did not slow the carriage down."""
     return loaded**2 / (omega**2 - loaded**2) * added if omega > loaded else math.nan
 
 
-def _series(machine: Machine) -> float:
-    """Return m_1 m_2/(m_1 + m_2), kg."""
-    m1, m2 = _masses(machine)
-    return m1 * m2 / (m1 + m2)
-
-
 _ALONE, _LOADED, _ADDED = "natural_frequency_rad_per_s", "loaded_natural_frequency_rad_per_s", "added_mass_kg"
-_TOTAL, _ZERO, _POLE = "total_effector_mass_kg", "hammer_zero_rad_per_s", "hammer_pole_rad_per_s"
+_ZETA, _LOADED_ZETA, _TOTAL = "damping_ratio", "loaded_damping_ratio", "total_effector_mass_kg"
+_ZERO, _POLE = "hammer_zero_rad_per_s", "hammer_pole_rad_per_s"
+_THREE, _TWO, _BOTH = (_ALONE, _LOADED, _ADDED), (_LOADED, _ADDED), (_ZERO, _POLE)
+MEASURED = (_ALONE, _ZETA, _ADDED, _LOADED, _LOADED_ZETA, _TOTAL, _ZERO, _POLE)
 
-REDUNDANT = (
-    _Redundant(
-        "carriage.mass_kg + arm_pair_mass_kg/2",
-        "kg",
-        lambda machine, _: _mass(machine),
-        (
-            _Equation("Eq. 41: m = ω'_n²/(ω_n² − ω'_n²) m_add", (_ALONE, _LOADED, _ADDED), _mass_by_frequencies),
-            _Equation("Eq. 36: m = k/ω_n²", (_ALONE,), lambda machine, omega: _stiffness(machine) / omega**2),
-            _Equation(
-                "Eq. 40: m = k/ω'_n² − m_add",
-                (_LOADED, _ADDED),
-                lambda machine, loaded, added: _stiffness(machine) / loaded**2 - added,
-            ),
-        ),
-        "Eq. 30: m_c + m_f/2",
+# field of `_InFile` -> key, unit, and how the file determines it
+QUANTITIES: Mapping[str, tuple[str, str, str]] = {
+    "mass": ("carriage.mass_kg + arm_pair_mass_kg/2", "kg", "Eq. 30: m_c + m_f/2"),
+    "stiffness": ("carriage.belt_stiffness_n_per_m", "N/m", GIVEN),
+    "damping": ("carriage.belt_damping_n_s_per_m + guide_damping_n_s_per_m", "N s/m", GIVEN),
+    "both": ("effector.nozzle_mass_kg + extruder_mass_kg", "kg", GIVEN),
+    "nozzle": ("effector.nozzle_mass_kg", "kg", GIVEN),
+    "extruder": ("effector.extruder_mass_kg", "kg", GIVEN),
+    "mount": ("effector.extruder_stiffness_n_per_m[{axis}]", "N/m", GIVEN),
+}
+WAYS = (
+    _Way("mass", "Eq. 41: m = ω'_n²/(ω_n² − ω'_n²) m_add", _THREE, lambda f, *each: _mass_by_frequencies(*each)),
+    _Way("mass", "Eq. 36: m = k/ω_n²", (_ALONE,), lambda f, w: f.stiffness / w**2),
+    _Way("mass", "Eq. 40: m = k/ω'_n² − m_add", _TWO, lambda f, w, added: f.stiffness / w**2 - added),
+    _Way("stiffness", "Eq. 36: k = m ω_n²", (_ALONE,), lambda f, w: f.mass * w**2),
+    _Way("stiffness", "Eq. 40: k = (m + m_add) ω'_n²", _TWO, lambda f, w, added: (f.mass + added) * w**2),
+    _Way(
+        "stiffness",
+        "Eqs. 36, 41: k = m ω_n² with the m of Eq. 41",
+        _THREE,
+        lambda f, w, *more: _mass_by_frequencies(w, *more) * w**2,
     ),
-    _Redundant(
-        "carriage.belt_stiffness_n_per_m",
-        "N/m",
-        lambda machine, _: _stiffness(machine),
-        (
-            _Equation("Eq. 36: k = m ω_n²", (_ALONE,), lambda machine, omega: _mass(machine) * omega**2),
-            _Equation(
-                "Eq. 40: k = (m + m_add) ω'_n²",
-                (_LOADED, _ADDED),
-                lambda machine, loaded, added: (_mass(machine) + added) * loaded**2,
-            ),
-            _Equation(
-                "Eqs. 36, 41: k = m ω_n² with the m of Eq. 41",
-                (_ALONE, _LOADED, _ADDED),
-                lambda machine, omega, loaded, added: _mass_by_frequencies(machine, omega, loaded, added) * omega**2,
-            ),
-        ),
+    _Way("damping", "Eq. 35: c + b = 2 ζ ω_n m", (_ALONE, _ZETA), lambda f, w, zeta: 2 * zeta * w * f.mass),
+    _Way(
+        "damping",
+        "Eq. 39: c + b = 2 ζ' ω'_n (m + m_add)",
+        (_LOADED, _LOADED_ZETA, _ADDED),
+        lambda f, w, zeta, added: 2 * zeta * w * (f.mass + added),
     ),
-    _Redundant(
-        "carriage.belt_damping_n_s_per_m + guide_damping_n_s_per_m",
-        "N s/m",
-        lambda machine, _: damping(delta_vibration(machine).carriage),
-        (
-            _Equation(
-                "Eq. 35: c + b = 2 ζ ω_n m",
-                (_ALONE, "damping_ratio"),
-                lambda machine, omega, zeta: 2 * zeta * omega * _mass(machine),
-            ),
-            _Equation(
-                "Eq. 39: c + b = 2 ζ' ω'_n (m + m_add)",
-                (_LOADED, "loaded_damping_ratio", _ADDED),
-                lambda machine, omega, zeta, added: 2 * zeta * omega * (_mass(machine) + added),
-            ),
-        ),
+    _Way("both", "the scale: m_tot", (_TOTAL,), lambda f, total: total),
+    _Way("nozzle", "Eq. 49: m_1 = (ω_z/ω_p)² (m_1 + m_2)", _BOTH, lambda f, z, p: (z / p) ** 2 * f.both),
+    _Way("nozzle", "Eq. 49: m_1 = (ω_z/ω_p)² m_tot", (*_BOTH, _TOTAL), lambda f, z, p, total: (z / p) ** 2 * total),
+    _Way("extruder", "Eq. 49: m_2 = (1 − (ω_z/ω_p)²) (m_1 + m_2)", _BOTH, lambda f, z, p: (1 - (z / p) ** 2) * f.both),
+    _Way(
+        "extruder",
+        "Eq. 49: m_2 = (1 − (ω_z/ω_p)²) m_tot",
+        (*_BOTH, _TOTAL),
+        lambda f, z, p, total: (1 - (z / p) ** 2) * total,
     ),
-    _Redundant(
-        "effector.nozzle_mass_kg + extruder_mass_kg",
-        "kg",
-        lambda machine, _: sum(_masses(machine)),
-        (_Equation("the scale: m_tot", (_TOTAL,), lambda _, total: total),),
-    ),
-    _Redundant(
-        "effector.nozzle_mass_kg",
-        "kg",
-        lambda machine, _: _masses(machine)[0],
-        (
-            _Equation(
-                "Eq. 49: m_1 = (ω_z/ω_p)² (m_1 + m_2)",
-                (_ZERO, _POLE),
-                lambda machine, zero, pole: (zero / pole) ** 2 * sum(_masses(machine)),
-            ),
-            _Equation(
-                "Eq. 49: m_1 = (ω_z/ω_p)² m_tot",
-                (_ZERO, _POLE, _TOTAL),
-                lambda _, zero, pole, total: (zero / pole) ** 2 * total,
-            ),
-        ),
-    ),
-    _Redundant(
-        "effector.extruder_mass_kg",
-        "kg",
-        lambda machine, _: _masses(machine)[1],
-        (
-            _Equation(
-                "Eq. 49: m_2 = (1 − (ω_z/ω_p)²) (m_1 + m_2)",
-                (_ZERO, _POLE),
-                lambda machine, zero, pole: (1 - (zero / pole) ** 2) * sum(_masses(machine)),
-            ),
-            _Equation(
-                "Eq. 49: m_2 = (1 − (ω_z/ω_p)²) m_tot",
-                (_ZERO, _POLE, _TOTAL),
-                lambda _, zero, pole, total: (1 - (zero / pole) ** 2) * total,
-            ),
-        ),
-    ),
-    _Redundant(
-        "effector.extruder_stiffness_n_per_m",
-        "N/m",
-        lambda machine, axis: float(delta_vibration(machine).effector.extruder_stiffness_n_per_m[axis]),
-        (
-            _Equation("Eq. 47: k = m_2 ω_z²", (_ZERO,), lambda machine, zero: _masses(machine)[1] * zero**2),
-            _Equation(
-                "Eq. 48: k = m_1 m_2/(m_1 + m_2) ω_p²", (_POLE,), lambda machine, pole: _series(machine) * pole**2
-            ),
-        ),
-    ),
+    _Way("mount", "Eq. 47: k = m_2 ω_z²", (_ZERO,), lambda f, z: f.extruder * z**2),
+    _Way("mount", "Eq. 48: k = m_1 m_2/(m_1 + m_2) ω_p²", (_POLE,), lambda f, p: f.nozzle * f.extruder / f.both * p**2),
 )
 
 
 def redundant_quantities(machine: Machine) -> list[Quantity]:
     """List every parameter of the file that the measurements also determine, with each value."""
-    measured = _usable(machine)
-    quantities = [_quantity(each, machine, measured) for each in REDUNDANT if each.applies(measured)]
-    return [quantity for quantity in quantities if quantity.others]
+    measured, model = _usable(machine), delta_vibration(machine)
+    carriage, effector, mount = model.carriage, model.effector, model.effector.extruder_stiffness_n_per_m
+    axis = AXES.index(measured["hammer_axis"]) if "hammer_axis" in measured else int(np.argmax(mount))
+    m1, m2 = effector.nozzle_mass_kg, effector.extruder_mass_kg
+    stiffness, both = carriage.belt_stiffness_n_per_m, damping(carriage)
+    of_file = _InFile(carriage.moving_mass_kg, stiffness, both, m1 + m2, m1, m2, float(mount[axis]))
+    quantities = []
+    for name, (key, unit, basis) in QUANTITIES.items():
+        own: float = getattr(of_file, name)
+        ways = [way for way in WAYS if way.quantity == name and all(need in measured for need in way.needs)]
+        values = [(way.equation, way.value(of_file, *(measured[need] for need in way.needs))) for way in ways]
+        others = tuple(Value(text, value, value / own - 1) for text, value in values if math.isfinite(value))
+        if others:
+            quantities.append(Quantity(key.format(axis=AXES[axis]), unit, own, basis, others))
+    return quantities
 
 
 def redundancy_problems(machine: Machine) -> list[str]:
@@ -371,30 +301,6 @@ def _sentence(quantity: Quantity) -> str:
         f"{quantity.key} = {quantity.of_file:.4g} {quantity.unit}, but the measured numbers give {ways}. "
         f"Together they spread over {100 * quantity.spread:.0f} %."
     )
-
-
-def _quantity(each: _Redundant, machine: Machine, measured: Mapping[str, Any]) -> Quantity:
-    axis = _hammer_axis(machine, measured)
-    of_file = each.of_file(machine, axis)
-    usable = [way for way in each.equations if all(need in measured for need in way.needs)]
-    values = [way.value(machine, *(measured[need] for need in way.needs)) for way in usable]
-    key = f"{each.key}[{AXES[axis]}]" if each.key.endswith("extruder_stiffness_n_per_m") else each.key
-    return Quantity(
-        key,
-        each.unit,
-        of_file,
-        each.basis,
-        tuple(
-            Value(way.equation, value, value / of_file - 1)
-            for way, value in zip(usable, values, strict=True)
-            if math.isfinite(value)
-        ),
-    )
-
-
-def _hammer_axis(machine: Machine, measured: Mapping[str, Any]) -> int:
-    stiffest = int(np.argmax(delta_vibration(machine).effector.extruder_stiffness_n_per_m))
-    return AXES.index(measured["hammer_axis"]) if "hammer_axis" in measured else stiffest
 
 
 def _usable(machine: Machine) -> dict[str, Any]:

@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import Literal
 
 from models.arrays import constant
-from models.effects.effect import Effect, Parameter, Values
+from models.effects.effect import Effect, Values, amplitude
 from models.kinds import delta_vibration, with_parts
 from models.machine import Machine
 
@@ -25,7 +25,7 @@ EFFECTOR_MASS = Effect(
     kind="parameter",
     physics="A fan, a duct, a probe or a bundle of cables moves with the nozzle holder.",
     equation="m₁ → m₁ + Δm",
-    parameters=(Parameter("added_kg", "kg", "Δm", (-1, 10), (-0.1, 0.3), 0.01),),
+    parameters=(amplitude("added_kg", "Δm", (-1, 10), (-0.1, 0.3), 0.01),),
     in_data="Lower resonances, all towers alike; the belts sag a little more.",
     confounded_with={
         "arm_inertia": "Up and down at the centre: there only mass on the holder changes the resonance.",
@@ -55,7 +55,7 @@ CENTER_OF_MASS = Effect(
         "carriages do not feel it; by the map of Eqs. 22-27 they do."
     ),
     equation="δ → δ + Δδ   (Eq. 20)",
-    parameters=(Parameter("offset_mm", "mm", "Δδ, along x, y, z", (-200, 200), (-20, 20), 1.0, size="vector3"),),
+    parameters=(amplitude("offset_mm", "Δδ, along x, y, z", (-200, 200), (-20, 20), 1.0, "vector3"),),
     in_data="With force_map 'paper': towers differ. With 'virtual_work': nothing at all.",
     confounded_with={"force_map": "Which tower differs: a change of map shows with a centred mass too."},
     fold=_off_centre,
@@ -87,8 +87,8 @@ EXTRUDER_MOUNT = Effect(
     physics="Screws and printed brackets hold the extruder; they loosen, or are tightened.",
     equation="K → K (1 + r_k), B → B (1 + r_b), per axis",
     parameters=(
-        Parameter("relative_stiffness_change", "", "r_k, of x, y, z", (-0.95, 20), (-0.5, 0.5), 0.02, size="vector3"),
-        Parameter("relative_damping_change", "", "r_b, of x, y, z", (-1, 50), (-0.5, 1), 0.05, size="vector3"),
+        amplitude("relative_stiffness_change", "r_k, of x, y, z", (-0.95, 20), (-0.5, 0.5), 0.02, "vector3"),
+        amplitude("relative_damping_change", "r_b, of x, y, z", (-1, 50), (-0.5, 1), 0.05, "vector3"),
     ),
     in_data="The resonance of one axis of the nozzle shifts or broadens; the carriages hardly notice.",
     confounded_with={
@@ -118,7 +118,7 @@ ARM_INERTIA = Effect(
     ),
     equation="T → T − σ m_f/12 Σ |Ẋ − ẑ q̇_i|²",
     parameters=(
-        Parameter("share_along", "", "σ: fraction of the arms' mass in addition to the file's", (-1, 1), (0, 1), 0.1),
+        amplitude("share_along", "σ: fraction of the arms' mass in addition to the file's", (-1, 1), (0, 1), 0.1),
     ),
     in_data="Higher resonances sideways, more so near the rim; up and down at the centre nothing changes.",
     confounded_with={
@@ -145,8 +145,8 @@ ARM_GEOMETRY = Effect(
     physics="The firmware commands the carriages with the nominal geometry; the nozzle moves with the true one.",
     equation="L → L + ΔL, R → R + ΔR",
     parameters=(
-        Parameter("arm_length_mm", "mm", "ΔL", (-50, 50), (-2, 2), 0.2, size="per_tower"),
-        Parameter("delta_radius_mm", "mm", "ΔR", (-50, 50), (-2, 2), 0.2, size="per_tower"),
+        amplitude("arm_length_mm", "ΔL", (-50, 50), (-2, 2), 0.2, "per_tower"),
+        amplitude("delta_radius_mm", "ΔR", (-50, 50), (-2, 2), 0.2, "per_tower"),
     ),
     in_data="Wrong sizes and a bowed first layer; accelerations change by parts in a thousand.",
     confounded_with={"sensor_misalignment": "Measure a print: accelerations can hardly separate the two."},

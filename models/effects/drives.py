@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from models.arrays import FloatArray
-from models.effects.effect import AT_DRIVE, USUAL_SHARE, AxisWords, Effect, OnAxis, Parameter, Terms, Values
+from models.effects.effect import AT_DRIVE, USUAL_SHARE, AxisWords, Effect, OnAxis, Terms, Values, amplitude, shape
 from models.machine import Machine
 from models.vibration.driven_axis import DrivenAxis
 
@@ -29,14 +29,13 @@ BELT_STIFFNESS = Effect(
     physics="Tension, wear and temperature change a belt's stiffness.",
     equation="k → k (1 + r)",
     parameters=(
-        Parameter(
+        amplitude(
             "relative_change",
-            "",
             "r, of belt stiffness",
             (-0.9, 10),
             (-0.3, 0.3),
             0.02,
-            size="per_tower",
+            "per_tower",
             on_axis=OnAxis(size=lambda s: USUAL_SHARE),
         ),
     ),
@@ -75,9 +74,8 @@ BELT_DAMPING = Effect(
     ),
     equation="q/u = (s c λ + k)/(m λ² + c λ + k),  c = 2 ζ ω m",
     parameters=(
-        Parameter(
+        amplitude(
             "share",
-            "",
             "s: fraction of the guides' damping that is in the belts",
             (0, 1),
             (0, 0.6),
@@ -117,17 +115,8 @@ BELT_POSITION_STIFFNESS = Effect(
     physics="The free length of the belt between motor and carriage changes as the carriage travels.",
     equation="k(q) = k / (1 − r (q − q_c)), 4 k at most",
     parameters=(
-        Parameter("slope_per_m", "1/m", "r", (-5, 5), (-1, 1), 0.05, size="per_tower"),
-        Parameter(
-            "q_centre_mm",
-            "mm",
-            "q_c: the height where k is the file's",
-            (-1000, 10000),
-            (100, 800),
-            10.0,
-            size="per_tower",
-            role="shape",
-        ),
+        amplitude("slope_per_m", "r", (-5, 5), (-1, 1), 0.05, "per_tower"),
+        shape("q_centre_mm", "q_c: the height where k is the file's", (-1000, 10000), (100, 800), 10.0, "per_tower"),
     ),
     in_data="Resonances differ between low and high prints at the same XY position.",
     confounded_with={"belt_stiffness": "Two heights: a constant change is the same at both."},
@@ -159,20 +148,17 @@ BELT_HARDENING = Effect(
     physics="Teeth settle and fibres straighten, so the belt's force is not quite proportional to its stretch.",
     equation="F = k s + k₃ s³ + k₅ s⁵, s = u − q; constant beyond its peak, if it has one",
     parameters=(
-        Parameter(
+        amplitude(
             "cubic_n_per_m3",
-            "N/m³",
             "k₃; negative softens",
             (-1e15, 1e15),
             (-5e11, 2e12),
             1e11,
-            size="per_tower",
-            on_axis=OnAxis(size=lambda s: USUAL_SHARE * max(s.stiffness_n_per_m, 1.0) / s.stretch_m**2),
+            "per_tower",
             on_printers=(0.0, 1e15),  # softening of the same third order is a motor's sine there
+            on_axis=OnAxis(size=lambda s: USUAL_SHARE * max(s.stiffness_n_per_m, 1.0) / s.stretch_m**2),
         ),
-        Parameter(
-            "quintic_n_per_m5", "N/m⁵", "k₅", (-1e24, 1e24), (-1e18, 2e18), 1e17, "per_tower", "shape", default=0.0
-        ),
+        shape("quintic_n_per_m5", "k₅", (-1e24, 1e24), (-1e18, 2e18), 1e17, "per_tower", default=0.0),
     ),
     in_data=(
         "Resonances shift with amplitude. A sine input causes harmonics: the third and, because weight has already "
@@ -212,25 +198,14 @@ BELT_BACKLASH = Effect(
     physics="A loose pulley or tooth moves freely through a dead band; spring and damper of the belt act outside it.",
     equation="F = k (s − w/2 sgn s) + c ṡ for |s| > w/2, else 0",
     parameters=(
-        Parameter(
-            "width_mm",
-            "mm",
-            "w: the full dead band",
-            (0, 5),
-            (0.01, 0.2),
-            0.02,
-            size="per_tower",
-            on_axis=USUAL_STRETCH,
-        ),
-        Parameter(
+        amplitude("width_mm", "w: the full dead band", (0, 5), (0.01, 0.2), 0.02, "per_tower", on_axis=USUAL_STRETCH),
+        shape(
             "landing_s_per_m",
-            "s/m",
             "λ: damping of an impact on the flanks (Hunt & Crossley, 1975)",
             (0, 100),
             (0, 0.5),
             0.05,
-            size="per_tower",
-            role="shape",
+            "per_tower",
             default=0.0,
         ),
     ),
@@ -267,24 +242,21 @@ TORQUE_ANGLE = Effect(
     physics="A stepper's torque is a sine of the angle between rotor and field: soft near its peak.",
     equation="F = k a sin θ, s = u − q = a ((1 − b) θ + b sin θ)",
     parameters=(
-        Parameter(
+        amplitude(
             "amplitude_mm",
-            "mm",
             "a: a quarter wave is π a / 2; four full steps are 2 π a",
             (0.01, 100),
             (0.1, 2),
             0.5,
-            size="per_tower",
+            "per_tower",
             power=-2,
         ),
-        Parameter(
+        shape(
             "belt_share",
-            "",
             "b: the belt's fraction of the compliance between motor and carriage",
             (0, 0.45),
             (0, 0.3),
             0.05,
-            role="shape",
             default=0.0,
         ),
     ),
@@ -309,42 +281,29 @@ COGGING = Effect(
     physics="Between full steps, the rotor's equilibrium differs from the ideal microstep position.",
     equation="u → u + a (sin θ + s₂ sin 2θ + c₂ cos 2θ),  θ = 2π u_d / p + φ",
     parameters=(
-        Parameter("amplitude_mm", "mm", "a", (0, 1), (0.002, 0.05), 0.005, size="per_tower", on_axis=USUAL_STRETCH),
-        Parameter(
+        amplitude("amplitude_mm", "a", (0, 1), (0.002, 0.05), 0.005, "per_tower", on_axis=USUAL_STRETCH),
+        shape(
             "pitch_mm",
-            "mm",
             "p: period of the ripple, usually one or four full steps",
             (0.01, 50),
             (0.1, 1),
             0.01,
-            size="per_tower",
-            role="shape",
+            "per_tower",
             on_axis=OnAxis(starts=lambda s: (1e3 * s.travel_m * PITCH_SHARES).tolist()),
         ),
-        Parameter(
+        shape(
             "phase_deg",
-            "deg",
             "φ: phase of a motor at height zero",
             (-360, 360),
             (-180, 180),
             5.0,
-            size="per_tower",
-            role="shape",
+            "per_tower",
+            unit="deg",
             default=0.0,
             starts=(0.0, 90.0, 180.0, -90.0),
         ),
-        Parameter(
-            "second_sine",
-            "",
-            "s₂: of half the pitch",
-            (-2, 2),
-            (-0.3, 0.3),
-            0.02,
-            "per_tower",
-            "shape",
-            default=0.0,
-        ),
-        Parameter("second_cosine", "", "c₂", (-2, 2), (-0.3, 0.3), 0.02, "per_tower", "shape", default=0.0),
+        shape("second_sine", "s₂: of half the pitch", (-2, 2), (-0.3, 0.3), 0.02, "per_tower", default=0.0),
+        shape("second_cosine", "c₂", (-2, 2), (-0.3, 0.3), 0.02, "per_tower", default=0.0),
     ),
     in_data="A spectral line at speed/p that moves with the speed; stripes on the print at a fixed pitch.",
     confounded_with={"belt_stiffness": "Moves at several speeds: a resonance stays, ripple moves with the speed."},
@@ -375,14 +334,14 @@ COMMAND_DELAY = Effect(
     physics="Electronics, filters and step pulses take time, so the motor executes the command late.",
     equation="u_d(t) → u_d(t − τ)",
     parameters=(
-        Parameter(
+        amplitude(
             "delay_s",
-            "s",
             "τ",
             (0, 0.1),
             (1e-4, 5e-3),
             1e-4,
-            size="per_tower",
+            "per_tower",
+            unit="s",
             on_axis=OnAxis(size=lambda s: USUAL_SHARE / s.highest_hz),
         ),
     ),

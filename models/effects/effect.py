@@ -12,7 +12,7 @@ import numpy as np
 
 from models.arrays import FloatArray
 from models.machine import Machine
-from models.quantities import Quantities
+from models.quantities import PLAIN, Quantities
 
 Kind = Literal["parameter", "force", "command", "frame", "sensor"]
 Size = Literal["scalar", "per_tower", "vector3", "direction", "lines"]
@@ -138,15 +138,34 @@ class Parameter:
         return f" ({self.unit})" if self.unit else ""
 
 
-AT_DRIVE = Parameter(
-    "at_drive",
-    "",
-    "1: of the drive of an axis with a load; else of its coupling",
-    (0, 1),
-    (0, 1),
-    1.0,
-    role="shape",
-    default=0.0,
+def amplitude(
+    name: str,
+    meaning: str,
+    bounds: tuple[float, float],
+    typical: tuple[float, float],
+    probe: float,
+    size: Size = "scalar",
+    **more: Any,
+) -> Parameter:
+    """Declare an amplitude; its unit is that of its name, if `unit` does not give it."""
+    return Parameter(name, more.pop("unit", PLAIN.unit_of(name)), meaning, bounds, typical, probe, size, **more)
+
+
+def shape(
+    name: str,
+    meaning: str,
+    bounds: tuple[float, float],
+    typical: tuple[float, float],
+    step: float,
+    size: Size = "scalar",
+    **more: Any,
+) -> Parameter:
+    """Declare a shape, as `amplitude` does an amplitude."""
+    return amplitude(name, meaning, bounds, typical, step, size, role="shape", **more)
+
+
+AT_DRIVE = shape(
+    "at_drive", "1: of the drive of an axis with a load; else of its coupling", (0, 1), (0, 1), 1.0, default=0.0
 )
 
 SIZES: Mapping[Size, str] = {

@@ -6,20 +6,29 @@ from dataclasses import replace
 
 import numpy as np
 
-from models.effects.effect import USUAL_SHARE, AxisWords, Effect, OnAxis, Parameter, Size, Terms, Values
+from models.effects.effect import (
+    USUAL_SHARE,
+    AxisWords,
+    Effect,
+    OnAxis,
+    Parameter,
+    Size,
+    Terms,
+    Values,
+    amplitude,
+    shape,
+)
 
 LEAST_FORCE_N = 1e-12  # of a weight
 USUAL_DAMPING = OnAxis(size=lambda s: USUAL_SHARE * s.force_n / s.speed_m_per_s)
 USUAL_FORCE = OnAxis(size=lambda s: USUAL_SHARE * s.force_n)
-PRESLIDING = Parameter(
+PRESLIDING = shape(
     "presliding_mm",
-    "mm",
     "s₀: presliding distance, in place of creep and hold; 0: use those",
     (0, 10),
     (0.005, 0.05),
     0.005,
-    size="per_tower",
-    role="shape",
+    "per_tower",
     default=0.0,
     logarithmic=True,
     instead_of=("creep_mm_per_s", "hold_per_s"),
@@ -29,27 +38,23 @@ PRESLIDING = Parameter(
 def reversal_parameters(size: Size) -> tuple[Parameter, Parameter]:
     """Declare v₀ and κ of F = ℓ tanh(v/v₀ + φ) (`models/printer/kernels`), optional in a machine file."""
     return (
-        Parameter(
+        shape(
             "creep_mm_per_s",
-            "mm/s",
             "v₀: well below this, friction falls with speed",
             (0.05, 1000),
             (0.2, 5),
             0.05,
             size,
-            "shape",
             default=0.5,
             logarithmic=True,
         ),
-        Parameter(
+        shape(
             "hold_per_s",
-            "1/s",
             "κ: how quickly friction locks at rest; 0: never, all loads creep",
             (0, 1e6),
             (0, 1000),
             5.0,
             size,
-            "shape",
             default=50.0,
             logarithmic=True,
         ),
@@ -64,9 +69,7 @@ GUIDE_DAMPING = Effect(
     physics="Grease shears between carriage and rail: a force proportional to speed.",
     equation="b → b + Δb",
     parameters=(
-        Parameter(
-            "added_n_s_per_m", "N s/m", "Δb", (-1000, 10000), (-10, 50), 1.0, size="per_tower", on_axis=USUAL_DAMPING
-        ),
+        amplitude("added_n_s_per_m", "Δb", (-1000, 10000), (-10, 50), 1.0, "per_tower", on_axis=USUAL_DAMPING),
     ),
     in_data="Lower, broader resonances, and a lag proportional to speed.",
     confounded_with={
@@ -122,9 +125,7 @@ COULOMB_FRICTION = Effect(
     physics="The guide resists with the same force at every speed, and locks the carriage at rest.",
     equation="F = F_C sgn(q̇); at rest any |F| ≤ F_C",
     parameters=(
-        Parameter(
-            "force_n", "N", "friction of each guideway", (0, 200), (0.5, 10), 0.5, size="per_tower", on_axis=USUAL_FORCE
-        ),
+        amplitude("force_n", "friction of each guideway", (0, 200), (0.5, 10), 0.5, "per_tower", on_axis=USUAL_FORCE),
         *reversal_parameters("per_tower"),
     ),
     in_data="Acceleration jumps by up to 2 F_C/m when a carriage reverses, in slow moves as much as in fast ones.",
@@ -162,31 +163,26 @@ STRIBECK_FRICTION = Effect(
     physics="Grease and seals stick at rest; the excess over dry friction fades as the lubricant is drawn in.",
     equation="F = (F_C + F_extra exp(−|q̇/v_s|^δ)) sgn(q̇)   (Armstrong-Hélouvry, Dupont & Canudas de Wit, 1994)",
     parameters=(
-        Parameter("force_n", "N", "friction at speed", (0, 200), (0.5, 10), 0.5, size="per_tower", on_axis=USUAL_FORCE),
-        Parameter(
+        amplitude("force_n", "friction at speed", (0, 200), (0.5, 10), 0.5, "per_tower", on_axis=USUAL_FORCE),
+        amplitude(
             "extra_force_n",
-            "N",
             "excess at rest",
             (0, 200),
             (0.2, 5),
             0.5,
-            size="per_tower",
+            "per_tower",
             on_axis=OnAxis(size=lambda s: USUAL_SHARE * s.force_n / 2),
         ),
-        Parameter(
+        shape(
             "velocity_mm_per_s",
-            "mm/s",
             "speed where the excess falls to a third",
             (0.1, 500),
             (2, 50),
             2.0,
-            size="per_tower",
-            role="shape",
+            "per_tower",
             on_axis=OnAxis(starts=lambda s: [1e3 * s.speed_m_per_s * share for share in (0.03, 0.1, 0.3)]),
         ),
-        Parameter(
-            "exponent", "", "δ: how sharply it fades", (0.3, 6), (0.5, 2), 0.1, "per_tower", "shape", default=2.0
-        ),
+        shape("exponent", "δ: how sharply it fades", (0.3, 6), (0.5, 2), 0.1, "per_tower", default=2.0),
         *reversal_parameters("per_tower"),
     ),
     in_data="As dry friction, with a spike at each start; very slow moves stick and slip.",
@@ -219,15 +215,13 @@ BRISTLE_FRICTION = Effect(
     physics="Contacts bend like bristles before they slide, which causes hysteresis.",
     equation="F = F_C z,  ż = (q̇ − |q̇| z)/s₀   (Dahl, 1968)",
     parameters=(
-        Parameter("force_n", "N", "F_C: once it slides", (0, 1e5), (0.5, 10), 0.5, on_axis=USUAL_FORCE),
-        Parameter(
+        amplitude("force_n", "F_C: once it slides", (0, 1e5), (0.5, 10), 0.5, on_axis=USUAL_FORCE),
+        shape(
             "presliding_mm",
-            "mm",
             "s₀: presliding distance",
             (1e-6, 1000),
             (0.001, 0.1),
             0.005,
-            role="shape",
             on_axis=OnAxis(starts=lambda s: [1e3 * s.way_m * share for share in (0.003, 0.03, 0.3)]),
         ),
     ),
@@ -255,7 +249,7 @@ JOINT_FRICTION = Effect(
     physics="Tight or dirty joints resist the effector's motion with the same force at every speed.",
     equation="F = −f Ẋ/|Ẋ|; at rest any |F| ≤ f",
     parameters=(
-        Parameter("force_n", "N", "f, on the effector", (0, 200), (0.2, 5), 0.5),
+        amplitude("force_n", "f, on the effector", (0, 200), (0.2, 5), 0.5),
         *reversal_parameters("scalar"),
     ),
     in_data="Jumps of the nozzle's acceleration at reversals of the path, shared by all three towers.",
@@ -274,9 +268,8 @@ FRICTION_BY_DIRECTION = Effect(
     physics="A screw's preload, a cable chain or a seal's lip resists more in one direction than in the other.",
     equation="F = (b + Δb/2 sgn q̇) q̇",
     parameters=(
-        Parameter(
+        amplitude(
             "damping_difference_n_s_per_m",
-            "N s/m",
             "Δb: forward minus backward",
             (-1e5, 1e5),
             (-50, 50),
@@ -309,24 +302,11 @@ FRICTION_BY_LOAD = Effect(
     physics="The transmitted force presses teeth and screws together, and friction is proportional to it.",
     equation="F = (μ |F_d| + μ ν |F_g|) sgn(q̇),  F_d = force of the drive,  F_g = pull of gravity and springs",
     parameters=(
-        Parameter(
-            "share",
-            "",
-            "μ: of the drive's force",
-            (0, 0.99),
-            (0.02, 0.4),
-            0.05,
-            on_axis=OnAxis(size=lambda s: USUAL_SHARE),
+        amplitude(
+            "share", "μ: of the drive's force", (0, 0.99), (0.02, 0.4), 0.05, on_axis=OnAxis(size=lambda s: USUAL_SHARE)
         ),
-        Parameter(
-            "held_share",
-            "",
-            "ν: additional part from the pull of gravity and springs",
-            (0, 10),
-            (0, 1),
-            0.1,
-            role="shape",
-            default=0.0,
+        shape(
+            "held_share", "ν: additional part from the pull of gravity and springs", (0, 10), (0, 1), 0.1, default=0.0
         ),
         *reversal_parameters("scalar"),
     ),
@@ -349,16 +329,14 @@ QUADRATIC_DRAG = Effect(
     physics="Displaced air, oil or coolant resists with the square of the speed.",
     equation="F = d q̇ |q̇|",
     parameters=(
-        Parameter(
+        amplitude(
             "force_n_s2_per_m2",
-            "N s²/m²",
             "d",
             (-1e7, 1e7),
             (-100, 1000),
             20.0,
-            on_axis=OnAxis(
-                size=lambda s: USUAL_SHARE * s.force_n / s.speed_m_per_s**2, lowest=0.0
-            ),  # negative drag would absorb a damping that falls with speed
+            # negative drag would absorb a damping that falls with speed
+            on_axis=OnAxis(size=lambda s: USUAL_SHARE * s.force_n / s.speed_m_per_s**2, lowest=0.0),
         ),
     ),
     in_data="Fast moves take more force than viscous friction explains.",

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from models.arrays import FloatArray
-from models.effects.effect import USUAL_SHARE, Effect, OnAxis, Parameter, Signals, Values, resampled
+from models.effects.effect import USUAL_SHARE, Effect, OnAxis, Signals, Values, amplitude, resampled, shape
 
 
 def _scaled(true: Signals, values: Values) -> Signals:
@@ -23,15 +23,14 @@ SENSOR_GAIN = Effect(
     physics="Sensitivities are calibrated to a few percent.",
     equation="a → (1 + g) a, per channel",
     parameters=(
-        Parameter("carriage_relative_change", "", "g of A, B, C", (-0.9, 9), (-0.1, 0.1), 0.02, size="per_tower"),
-        Parameter(
+        amplitude("carriage_relative_change", "g of A, B, C", (-0.9, 9), (-0.1, 0.1), 0.02, "per_tower"),
+        amplitude(
             "nozzle_relative_change",
-            "",
             "g of x, y, z",
             (-0.9, 9),
             (-0.1, 0.1),
             0.02,
-            size="vector3",
+            "vector3",
             on_axis=OnAxis(size=lambda s: 0.1),
         ),
     ),
@@ -64,7 +63,7 @@ SENSOR_MISALIGNMENT = Effect(
     kind="sensor",
     physics="The sensor's axes are rotated relative to the printer's.",
     equation="a → Rᵀ a, R the rotation by the vector φ",
-    parameters=(Parameter("angles_deg", "degrees", "φ about x, y, z", (-180, 180), (-5, 5), 1.0, size="vector3"),),
+    parameters=(amplitude("angles_deg", "φ about x, y, z", (-180, 180), (-5, 5), 1.0, "vector3"),),
     in_data="Motion along x shows in y and z, by the same factor at all frequencies.",
     confounded_with={"arm_geometry": "Several positions: a misaligned sensor has the same error everywhere."},
     measure=_turned,
@@ -78,7 +77,7 @@ SENSOR_TIME_OFFSET = Effect(
     kind="sensor",
     physics="Recorder and motion are started separately.",
     equation="a(t) → a(t − τ)",
-    parameters=(Parameter("offset_s", "s", "τ: the record is late", (-10, 10), (-0.01, 0.01), 1e-4),),
+    parameters=(amplitude("offset_s", "τ: the record is late", (-10, 10), (-0.01, 0.01), 1e-4, unit="s"),),
     in_data="All channels are late by the same time.",
     confounded_with={
         "command_delay": "Only position sensors on the command's clock: both shift all accelerations equally.",
@@ -96,7 +95,7 @@ SENSOR_CLOCK_DRIFT = Effect(
     kind="sensor",
     physics="Accelerometers sample with their own oscillators, accurate to a percent or two.",
     equation="a(t) → a(t / (1 + ε))",
-    parameters=(Parameter("relative_drift", "", "ε: the clock is fast", (-0.2, 0.2), (-0.02, 0.02), 1e-4),),
+    parameters=(amplitude("relative_drift", "ε: the clock is fast", (-0.2, 0.2), (-0.02, 0.02), 1e-4),),
     in_data="The time offset grows along the recording; all frequencies are off by the same factor.",
     confounded_with={"sensor_time_offset": "Beginning and end of one recording: an offset is the same at both."},
     measure=lambda true, values: resampled(true, true.t_s / (1 + float(values["relative_drift"]))),
@@ -140,28 +139,18 @@ SENSOR_LAG = Effect(
     physics="Encoders are read in turn, and filters and interfaces delay each sensor differently.",
     equation="T² ÿ + 2 ζ T ẏ + y = x(t − τ);  ζ = 0: T ẏ + y = x(t − τ)",
     parameters=(
-        Parameter("delay_s", "s", "τ of pos_q, pos_motor, acc_q", (0, 10), (0, 0.005), 1e-4, size="vector3"),
-        Parameter(
+        amplitude("delay_s", "τ of pos_q, pos_motor, acc_q", (0, 10), (0, 0.005), 1e-4, "vector3", unit="s"),
+        amplitude(
             "time_constant_s",
-            "s",
             "T of pos_q, pos_motor, acc_q",
             (0, 100),
             (0, 0.1),
             1e-4,
-            size="vector3",
+            "vector3",
+            unit="s",
             on_axis=OnAxis(size=lambda s: USUAL_SHARE / s.highest_hz, signals=("pos_q", "pos_motor", "acc_q")),
         ),
-        Parameter(
-            "damping_ratio",
-            "",
-            "ζ; 0: of first order",
-            (0, 10),
-            (0, 1),
-            0.1,
-            role="shape",
-            default=0.0,
-            starts=(0.7,),
-        ),
+        shape("damping_ratio", "ζ; 0: of first order", (0, 10), (0, 1), 0.1, default=0.0, starts=(0.7)),
     ),
     in_data="One sensor's signals lag another's or lack high frequencies.",
     confounded_with={"command_delay": "Two sensors of one motion: a late command is late in both."},

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from models.effects.effect import USUAL_SHARE, Effect, MotionScales, OnAxis, Parameter, Terms, Values
+from models.effects.effect import USUAL_SHARE, Effect, MotionScales, OnAxis, Terms, Values, amplitude, shape
 
 
 def _frame_terms(values: Values, printer: Terms) -> Terms:
@@ -31,14 +31,10 @@ FRAME_MODE = Effect(
     ),
     equation="M_f (d̈ + 2 ζ ω ḋ + ω² d) = −F,  F = force of the arms on the effector along d",
     parameters=(
-        Parameter(
-            "mass_kg", "kg", "M_f: everything that sways except the effector", (0.1, 1e4), (3, 100), 50.0, power=-1
-        ),
-        Parameter("frequency_hz", "Hz", "ω/2π, with the effector off", (0.5, 500), (5, 60), 1.0, role="shape"),
-        Parameter("damping_ratio", "", "ζ", (0, 2), (0.01, 0.1), 0.01, role="shape"),
-        Parameter(
-            "direction", "", "'x', 'y', 'both' alike, or a unit vector", (-1, 1), (-1, 1), 0.1, "direction", "shape"
-        ),
+        amplitude("mass_kg", "M_f: everything that sways except the effector", (0.1, 1e4), (3, 100), 50.0, power=-1),
+        shape("frequency_hz", "ω/2π, with the effector off", (0.5, 500), (5, 60), 1.0),
+        shape("damping_ratio", "ζ", (0, 2), (0.01, 0.1), 0.01),
+        shape("direction", "'x', 'y', 'both' alike, or a unit vector", (-1, 1), (-1, 1), 0.1, "direction"),
     ),
     in_data="A peak and a dip in one horizontal direction, at the same frequency all over the bed.",
     confounded_with={
@@ -75,47 +71,40 @@ GANTRY_RACKING = Effect(
     ),
     equation="(λ² + (1 − μ) ξ²) θ̈ = −λ² (ω² θ + 2 ζ ω θ̇) − ξ f_y + a f_x,  ξ = x − x_c,  y = y₀ + ξ θ",
     parameters=(
-        Parameter(
+        amplitude(
             "radius_mm",
-            "mm",
             "λ: λ² is the gantry's moment of inertia divided by the toolhead's mass",
             (1, 1e5),
             (80, 400),
             400.0,
             power=-2,
         ),
-        Parameter(
+        shape(
             "frequency_hz",
-            "Hz",
             "ω/2π, with the toolhead in the middle",
             (1, 1000),
             (20, 120),
             2.0,
-            role="shape",
             starts=(60.0, 22.0, 30.0, 41.0, 80.0, 110.0),
         ),
-        Parameter("damping_ratio", "", "ζ", (0, 2), (0.02, 0.12), 0.01, role="shape"),
-        Parameter("x_centre_mm", "mm", "x_c: the gantry's middle", (-1000, 1000), (0, 300), 5.0, "scalar", "shape"),
-        Parameter(
+        shape("damping_ratio", "ζ", (0, 2), (0.02, 0.12), 0.01),
+        shape("x_centre_mm", "x_c: the gantry's middle", (-1000, 1000), (0, 300), 5.0, "scalar"),
+        shape(
             "tool_share",
-            "",
             "μ: the toolhead's fraction of the mass that moves along y",
             (0, 1),
             (0.2, 0.8),
             0.05,
             "scalar",
-            "shape",
             default=0.5,
         ),
-        Parameter(
+        shape(
             "arm_mm",
-            "mm",
             "a: lever arm of the belts' force along x on the gantry",
             (-500, 500),
             (-40, 40),
             5.0,
             "scalar",
-            "shape",
             default=0.0,
             starts=(0.0, 20.0),
         ),
@@ -149,9 +138,9 @@ TOOLHEAD_MODE = Effect(
     ),
     equation="ω² → ω² (1 + r (x − x_c) + h (x − x_c)²)",
     parameters=(
-        Parameter("slope_per_m", "1/m", "r, of ω² of the axis' highest mode", (-10, 10), (-2, 2), 0.05, "per_tower"),
-        Parameter("curve_per_m2", "1/m²", "h", (-200, 200), (-20, 20), 0.5, "per_tower"),
-        Parameter("x_centre_mm", "mm", "x_c: where ω is the file's", (-1000, 1000), (0, 300), 5.0, "scalar", "shape"),
+        amplitude("slope_per_m", "r, of ω² of the axis' highest mode", (-10, 10), (-2, 2), 0.05, "per_tower"),
+        amplitude("curve_per_m2", "h", (-200, 200), (-20, 20), 0.5, "per_tower", unit="1/m²"),
+        shape("x_centre_mm", "x_c: where ω is the file's", (-1000, 1000), (0, 300), 5.0, "scalar"),
     ),
     in_data="The frequency of a resonance along x or y depends on x.",
     confounded_with={
@@ -174,11 +163,7 @@ GROWING_BED = Effect(
         "numbers are those of the empty bed. Every mode of the axis slows by the same factor, exact for one mode."
     ),
     equation="M → M (1 + g z),  z = height of the nozzle over the bed",
-    parameters=(
-        Parameter(
-            "growth_per_m", "1/m", "g, of the mass that an axis moves", (0, 100), (0.2, 4), 0.1, size="per_tower"
-        ),
-    ),
+    parameters=(amplitude("growth_per_m", "g, of the mass that an axis moves", (0, 100), (0.2, 4), 0.1, "per_tower"),),
     in_data="The resonance of the bed's axis falls from layer to layer; the other axes' stay.",
     confounded_with={"belt_stiffness": "Two heights of one print: a slack belt is the same at both."},
     of=("axes",),
@@ -197,9 +182,8 @@ GROUND_SPRING = Effect(
     physics="Hoses, cables, a bellows or gravity on a curved guide pull harder the farther the axis moves.",
     equation="F = k q",
     parameters=(
-        Parameter(
+        amplitude(
             "stiffness_n_per_m",
-            "N/m",
             "k",
             (0, 1e9),
             (10, 1000),
@@ -225,25 +209,15 @@ PENDULUM_GRAVITY = Effect(
     physics="Gravity pulls an unbalanced arm, load or rotor to its lowest position.",
     equation="F = m g l sin(q − q₀)",
     parameters=(
-        Parameter(
+        amplitude(
             "force_n",
-            "N",
             "m g l: moment at a right angle",
             (-1e6, 1e6),
             (-10, 10),
             0.1,
             on_axis=OnAxis(size=lambda s: USUAL_SHARE * s.force_n / min(s.way_m, 1.0)),
         ),
-        Parameter(
-            "angle_deg",
-            "degrees",
-            "q₀: angle where it hangs down",
-            (-360, 360),
-            (-180, 180),
-            5.0,
-            role="shape",
-            default=0.0,
-        ),
+        shape("angle_deg", "q₀: angle where it hangs down", (-360, 360), (-180, 180), 5.0, default=0.0),
     ),
     in_data="The force at rest is a sine of the angle from the lowest position.",
     confounded_with={
@@ -278,17 +252,15 @@ COGGING_FORCE = Effect(
     ),
     equation="F = Σ s sin(2π q/p) + c cos(2π q/p)",
     parameters=(
-        Parameter("sine_n", "N", "s", (-1e5, 1e5), (-5, 5), 0.5, "lines", on_axis=USUAL_RIPPLE),
-        Parameter("cosine_n", "N", "c", (-1e5, 1e5), (-5, 5), 0.5, "lines", on_axis=USUAL_RIPPLE),
-        Parameter(
+        amplitude("sine_n", "s", (-1e5, 1e5), (-5, 5), 0.5, "lines", on_axis=USUAL_RIPPLE),
+        amplitude("cosine_n", "c", (-1e5, 1e5), (-5, 5), 0.5, "lines", on_axis=USUAL_RIPPLE),
+        shape(
             "pitch_mm",
-            "mm",
             "p; 2π/N rad for N lines a turn",
             (0.01, 10_000),
             (1, 50),
             0.5,
             "lines",
-            "shape",
             on_axis=OnAxis(starts=_force_pitches),
         ),
     ),
