@@ -9,7 +9,6 @@ import re
 import shutil
 import subprocess
 import sys
-import tarfile
 import tomllib
 import zipfile
 from importlib.metadata import version
@@ -69,11 +68,6 @@ def test_the_page_lists_the_extras() -> None:
     assert set(OPTIONAL) <= set(re.findall(r"`(\w+)`", page[page.index("## Extras") : page.index("## How much space")]))
 
 
-def test_the_tests_have_every_extra() -> None:
-    told = re.search(r"ffcomp\[([\w,]+)\]", OPTIONAL["test"][0])
-    assert told and set(told[1].split(",")) == set(OPTIONAL) - {"small", "jit", "docs", "test", "dev"}
-
-
 @pytest.fixture(scope="module")
 def wheel(tmp_path_factory: pytest.TempPathFactory) -> zipfile.ZipFile:
     """A wheel of a copy of the sources, so that nothing is left beside them."""
@@ -120,15 +114,6 @@ def test_the_wheel_says_of_itself_what_the_project_says(wheel: zipfile.ZipFile) 
     assert metadata["Description-Content-Type"] == "text/markdown" and metadata["License-Expression"] == "Apache-2.0"
     assert b"ffcomp = ffcomp.cli.app:main" in wheel.read(of["entry_points.txt"])
     assert b"Root-Is-Purelib: true" in wheel.read(of["WHEEL"]) and "LICENSE" in of
-
-
-def test_the_archive_of_sources_has_what_a_build_needs(wheel: zipfile.ZipFile) -> None:
-    archive = next(Path(str(wheel.filename)).parent.glob("*.tar.gz"))
-    with tarfile.open(archive) as sources:
-        names = {name.partition("/")[2] for name in sources.getnames()}
-    assert {"pyproject.toml", "README.md", "LICENSE", "CHANGELOG.md", "SECURITY.md", "CITATION.cff"} <= names
-    assert {name for name in wheel.namelist() if ".dist-info/" not in name} <= names
-    assert not any(name.startswith("tests") for name in names)
 
 
 @WITH_BASH

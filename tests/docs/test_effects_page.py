@@ -7,8 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from models.effects.catalogue import CATALOGUE, effects_of_printers, values_of
-from models.machine import Machine
+from models.effects.catalogue import CATALOGUE, effects_of_printers
 from scripts.pages import effects
 
 DOCS = Path(__file__).parents[2] / "docs"
@@ -26,15 +25,6 @@ def test_every_effect_has_its_small_figure_and_no_figure_is_left_over() -> None:
     assert max(path.stat().st_size for path in figures.values()) < LARGEST_BYTES
 
 
-@pytest.mark.parametrize("name", sorted(effects_of_printers()))
-def test_what_is_shown_may_stand_in_a_machine_file(name: str) -> None:
-    effect, shown = CATALOGUE[name], effects.SHOWN[name]
-    _, machine = effects.machines(effect, shown)
-    assert isinstance(machine, Machine) and (not effect.amplitudes or values_of(machine, name) is not None)
-    for key, value in shown.values.items():
-        assert effect.parameter(key).problem(value) == ""
-
-
 @pytest.mark.parametrize("name", ["coulomb_friction", "effector_mass", "cogging", "sensor_gain", "arm_geometry"])
 def test_a_figure_shows_the_effect(name: str) -> None:
     """One of each kind of view: the curve with the effect is another one by more than a tenth of a percent."""
@@ -42,10 +32,3 @@ def test_a_figure_shows_the_effect(name: str) -> None:
     without, with_it = (shown.panels[0].draw(m) for m in effects.machines(CATALOGUE[name], shown))
     np.testing.assert_array_equal(without.x, with_it.x)
     assert np.abs(with_it.y - without.y).max() > 1e-3 * max(float(np.abs(without.y).max()), 1.0)
-
-
-def test_an_effect_that_is_not_declared_there_is_shown_by_its_usual_size(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delitem(effects.SHOWN, "frame_mode")
-    shown = effects.shown(CATALOGUE["frame_mode"])
-    assert shown.values["mass_kg"] == 3 and shown.values["direction"] == "both"  # the lightest frame sways most
-    assert shown.look == CATALOGUE["frame_mode"].in_data

@@ -19,7 +19,6 @@ from tests.support.docs_runner import (
     blocks_of,
     commands_of,
     environment,
-    first_missing,
     lay_out,
     matches,
     pages,
@@ -134,12 +133,6 @@ def test_a_wrong_quote_is_found() -> None:
         run_block(block("$ ffcomp machines list\nthere is no such line\n"))
 
 
-def test_a_wrong_exit_code_is_found() -> None:
-    run_block(block("$ ffcomp machines show nobody  # exit 5\n"))
-    with pytest.raises(AssertionError, match="exit code 5, not 0"):
-        run_block(block("$ ffcomp machines show nobody\n"))
-
-
 def test_an_unknown_option_is_found() -> None:
     right = "ffcomp identify fit CAPTURES -m my-delta --plan excite.json  # on another day"
     assert usage_error(right) is None
@@ -171,8 +164,3 @@ def test_fences_markers_and_continued_lines(tmp_path: Path) -> None:
 )
 def test_quoted_numbers_may_round_otherwise(quoted: str, actual: str, same: bool) -> None:
     assert matches(quoted, actual) is same
-
-
-def test_quoted_lines_keep_their_order() -> None:
-    assert first_missing(["a", "…", "c"], "a\nb\nc\n") is None
-    assert first_missing(["c", "a"], "a\nb\nc\n") == "a"

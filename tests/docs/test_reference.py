@@ -16,7 +16,6 @@ from ffcomp.measurement.frf import KEYS
 from ffcomp.measurement.frf_files import _COLUMNS as FRF_COLUMNS
 from ffcomp.measurement.frf_files import read_frfs
 from ffcomp.measurement.recording import COLUMNS, check_header
-from models.effects.catalogue import CATALOGUE
 from models.errors import MachineFileError
 from models.file import load_machine, load_plant
 from scripts.pages import cli, machine_file
@@ -52,19 +51,6 @@ def test_the_tables_of_machine_files_are_in_step_with_the_schema() -> None:
     assert written_page == machine_file.page(), "python -m scripts.pages --write"
     for section in machine_file.SECTIONS:
         assert all(row[4] for row in rows_of(MACHINE_FILE, section)), f"{section}: a key is not explained"
-
-
-def test_every_effect_is_told_with_its_parameters() -> None:
-    told = {
-        re.findall(r"`(\w+)`", row[0])[0]: re.findall(r"`(\w+)`", row[1]) for row in rows_of(MACHINE_FILE, "effects")
-    }
-    keys = {name: [*effect.parameters, *effect.of_printers] for name, effect in sorted(CATALOGUE.items())}
-    assert told == {name: [each.name for each in own] for name, own in keys.items()}
-    text = MACHINE_FILE.read_text(encoding="utf-8")
-    only = [f"`{name}`" for name in sorted(CATALOGUE) if CATALOGUE[name].of == ("carriages",)]
-    assert f"and so none of {', '.join(only[:-1])} and {only[-1]}" in " ".join(text.split())
-    axis = [f"`{name}`" for name in sorted(CATALOGUE) if "axis" in CATALOGUE[name].of]
-    assert f"a single axis may have {', '.join(axis[:-1])} and {axis[-1]}." in " ".join(text.split())
 
 
 def test_the_examples_are_machines_and_the_mistakes_are_found(tmp_path: Path) -> None:
@@ -164,8 +150,6 @@ def test_the_tables_of_the_explanation_are_what_comes_out() -> None:
 
 # ---- the map -------------------------------------------------------------------------------------
 
-OURS = [ROOT / "docs" / "README.md", *REFERENCE.glob("*.md"), *(ROOT / "docs" / "explanation").glob("*.md")]
-
 
 def test_every_page_is_on_the_map() -> None:
     docs = ROOT / "docs"
@@ -176,11 +160,3 @@ def test_every_page_is_on_the_map() -> None:
         links = re.findall(r"\]\(([^)#:]+\.md)", page.read_text(encoding="utf-8"))
         ahead |= {path for link in links if (path := (page.parent / link).resolve()).is_relative_to(docs)} - reached
     assert set(docs.rglob("*.md")) - reached == set()
-
-
-@pytest.mark.parametrize("page_", OURS, ids=lambda path: path.name)
-def test_links_into_pages_lead_to_headings(page_: Path) -> None:
-    for target, anchor in re.findall(r"\]\(([\w./-]*)#([^)]+)\)", page_.read_text(encoding="utf-8")):
-        text = (page_.parent / target if target else page_).read_text(encoding="utf-8")
-        headings = re.findall(r"^#+ (.+)$", text, re.MULTILINE)
-        assert anchor in {re.sub(r"[^\w -]", "", heading.lower()).replace(" ", "-") for heading in headings}, target

@@ -29,8 +29,3 @@ def test_what_belongs_to_an_item_is_indented_by_four() -> None:
     text = "one:\n- a\n  b\n- c\n\n  ```\n  d\n    e\n  ```\n\n  f\n- g\n\nend\n  h\n\n1. i\n   j\n"
     told = "one:\n\n- a\n    b\n- c\n\n    ```\n    d\n      e\n    ```\n\n    f\n\n- g\n\nend\n  h\n\n1. i\n    j\n"
     assert indented(text) == told
-
-
-def test_fences_are_left_alone() -> None:
-    text = "```\n- a\n  b\n```\n"
-    assert indented(text) == text

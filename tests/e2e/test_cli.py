@@ -97,23 +97,6 @@ def test_what_is_wrong_is_said_and_the_file_untouched(
     assert sorted(p.name for p in tmp_path.iterdir()) == ([] if content is None else ["print.gcode"])
 
 
-@pytest.mark.parametrize(
-    "words",
-    [
-        "show none.gcode",
-        "gap none.csv -m kossel",
-        "identify fit none.csv -m kossel",
-        "machines show none.toml",
-        "compensate none.gcode -m none.toml",
-        "record join none.csv --plan none.json -m kossel -o runs",
-        "frf -m kossel --measured none.csv",
-    ],
-)
-def test_a_missing_file_has_one_exit_code(words: str, tmp_path: Path) -> None:
-    answer = ffcomp(*words.split(), cwd=tmp_path)
-    assert answer.exit_code == 2 and "none." in answer.stderr.splitlines()[-1]
-
-
 def test_a_folder_and_a_wrong_machine_file_are_sentences_too(tmp_path: Path, small: Path) -> None:
     assert ffcomp("compensate", "-m", "mp-delta-pro", tmp_path).exit_code == 2
     bad = tmp_path / "bad.toml"

@@ -16,12 +16,10 @@ from ffcomp.cli.app import app
 from ffcomp.compensation import text_stream as times
 from ffcomp.compensation.statistics import Statistics as Compensation
 from ffcomp.compensation.text_stream import in_order, with_times_retold
-from ffcomp.errors import NothingToDo
 from ffcomp.estimation import statistics as cutting
 from ffcomp.estimation.engine import Estimate, estimate, planned_slices, seconds
 from ffcomp.estimation.statistics import (
     EXTRUDING,
-    FILAMENT,
     PRIMING,
     RETRACTING,
     TRAVELLING,
@@ -78,18 +76,6 @@ def test_every_kind_of_time_in_closed_form() -> None:
     assert statistics.retractions == 1
 
 
-def test_layers_and_features_share_all_of_it() -> None:
-    statistics = estimated(SIMPLE).statistics
-    layers = dict(statistics.layers.in_order())
-    assert list(layers) == [0, 1]
-    assert [layer.z_mm for layer in layers.values()] == [0.2, 0.4]
-    assert [layer.line for layer in layers.values()] == [9, 16]
-    for column in range(FILAMENT + 1):
-        assert sum(layer.row[column] for layer in layers.values()) == pytest.approx(statistics.total[column])
-    assert statistics.features["Skirt"][WAITING] == 1.5
-    assert statistics.features["Infill"][EXTRUDING] == pytest.approx(ramp_s(40, 50, 2000))
-
-
 def spiral(k: int) -> tuple[float, float]:
     return 20 * math.cos(k / 10), 20 * math.sin(k / 10)
 
@@ -134,11 +120,6 @@ def test_a_spiral_without_rests_is_cut_in_motion(monkeypatch: pytest.MonkeyPatch
 
 def planned(program: Program) -> object:
     return plan_program(program, machine()).trajectory
-
-
-def test_nothing_moves() -> None:
-    with pytest.raises(NothingToDo, match="no time to estimate"):
-        estimated(b"G28\nG1 X0\nM84\n")
 
 
 @pytest.mark.kalico

@@ -5,19 +5,16 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from ffcomp.compensation.gcode_writer import STILL_MOVE
 from ffcomp.compensation.job import Job, Options
 from ffcomp.errors import NothingToDo
 from gcode.container import read_bytes
-from gcode.embedded import already_processed, original
 from gcode.errors import GcodeError
 from gcode.program import Program
 from gcode.reader import read_program
 from models.file import load_machine
-from tests.unit.ffcomp.compensation.test_gcode_writer import others
 
 DATA = Path(os.environ.get("FFCOMP_DATA", Path(__file__).parents[3] / "shared" / "data")) / "gcode"
 OFFSETS = {  # beds with their origin in a corner; the vase's start moves need more room than its bed's centre leaves
@@ -27,7 +24,6 @@ OFFSETS = {  # beds with their origin in a corner; the vase's start moves need m
     "makreeltje_orca_slicer.gcode": (-150.0, -150.0),
     "makreeltje_cura_slicer.gcode": (-150.0, -150.0),
 }
-HEAD, TAIL = 1000, 200  # lines: the whole files take minutes (validation/all_files.py)
 
 needs_data = pytest.mark.skipif(
     not DATA.is_dir(), reason=f"no G-code of others at {DATA}; FFCOMP_DATA names its folder"
@@ -39,41 +35,6 @@ ODD = sorted((DATA / "odd").iterdir()) if DATA.is_dir() else []
 def job(data: bytes, path: Path) -> Job:
     options = Options(offset=OFFSETS.get(path.name, (0.0, 0.0)), predict=False)
     return Job(data, str(path), load_machine("mp-delta-pro"), options)
-
-
-def shortened(path: Path) -> bytes:
-    """The beginning and the end of a file; coordinates are absolute, so what is between can be left out."""
-    lines = path.read_bytes().splitlines(keepends=True)
-    tail = [] if any(line.startswith((b"G2 ", b"G3 ")) for line in lines[-TAIL:]) else lines[-TAIL:]
-    return b"".join(lines if len(lines) < HEAD + TAIL else lines[:HEAD] + tail)  # an arc needs the place before it
-
-
-def layers(program: Program) -> list[float]:
-    """Filament between layer comments, mm."""
-    words = (b";LAYER", b"; layer", b";LAYER_CHANGE", b"; CHANGE_LAYER", b";Z:")
-    marks = [e.move for e in program.events if program.lines[e.line].startswith(words)]
-    gone = np.concatenate([[0.0], np.cumsum(program.moves.end[:, 3] - program.moves.start[:, 3])])
-    return np.diff(gone[[0, *marks, len(gone) - 1]]).tolist()
-
-
-@needs_data
-@pytest.mark.parametrize("path", REAL, ids=lambda p: p.name)
-def test_a_real_print_comes_through(path: Path) -> None:
-    data = shortened(path)
-    work = job(data, path)
-    lines = work.lines()
-    out, found = b"".join(lines), lines.value.statistics
-    assert others(out) == others(data)
-    assert original(out) == data
-    assert already_processed(out) is not None
-    before, after = read_program(data, offset_mm=work.offset), read_program(out)
-    np.testing.assert_allclose(layers(after), layers(before), atol=1e-4)
-    np.testing.assert_allclose(after.moves.end[-1, :3], before.moves.end[-1, :3], atol=1e-4)
-    work.machine.kinematics.check_reach(after.moves.end[:, :3])
-    assert (after.moves.speed > 0).all()
-    assert found.segments < 260 * found.print_time_s
-    # a jerk for a bed on a screw, not for a tower; what only old Klippers obey
-    assert all("sets the jerk of Z" in each or "ACCEL_TO_DECEL" in each for each in found.warnings)
 
 
 @needs_data

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import pytest
@@ -27,14 +26,6 @@ def run(own_folder: Path):
     return run
 
 
-def test_list(run) -> None:
-    run("new", "mine")
-    result = run("list", "--json")
-    machines = {machine["name"]: machine["origin"] for machine in json.loads(result.stdout)["machines"]}
-    assert machines["mine"] == "user"
-    assert machines["mp-delta-pro"] == machines["kossel"] == "library"
-
-
 def test_check_of_a_model_that_does_not_hold_still(run, tmp_path: Path) -> None:
     text = (LIBRARY / "mp-delta-pro-as-printed.toml").read_text()
     path = tmp_path / "unstable.toml"
@@ -50,15 +41,6 @@ def test_new_starts_a_file_that_loads(run, own_folder: Path) -> None:
     machine = load_machine("mine")
     assert machine.name == "mine"
     assert delta_vibration(machine).carriage == delta_vibration(load_machine("kossel")).carriage
-
-
-def test_new_overwrites_nothing(run, tmp_path: Path) -> None:
-    path = tmp_path / "there.toml"
-    path.write_text("precious")
-    result = run("new", "mine", "-o", str(path))
-    assert result.exit_code == 2
-    assert "exists already" in result.stderr
-    assert path.read_text() == "precious"
 
 
 def test_new_stays_in_its_folder(run, own_folder: Path) -> None:

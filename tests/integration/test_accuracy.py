@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from functools import cache
 
-import numpy as np
 import pytest
 
 from ffcomp.comparison.methods import segments_motion
@@ -53,17 +52,6 @@ def test_the_command_is_one_that_motors_follow(name: str) -> None:
     none, ours = both(name)
     assert ours.peak_m_per_s2 <= MACHINE_LIMIT_M_PER_S2
     assert ours.peak_m_per_s2 <= 2 * none.peak_m_per_s2
-
-
-@pytest.mark.parametrize("name", CASES)
-def test_every_run_takes_the_time_it_was_solved_for(name: str) -> None:
-    """Segments that their limits make late shift all that follows: each run must last a whole number of knots."""
-    case = case_of(name)
-    plan, first = case.segments.trajectory, case.segments.starts.move
-    last = np.append(first[1:], len(plan)) - 1
-    lasts_s = plan.start_t[last] + plan.duration[last] - plan.start_t[first]
-    knots = lasts_s / case.ours.settings.segment_s
-    assert np.abs(knots - np.round(knots)).max() * case.ours.settings.segment_s < 100e-6  # feeds have few digits
 
 
 def test_a_wrong_clock_would_be_seen() -> None:

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from ffcomp.comparison import words as parts
-from ffcomp.comparison.result import Comparison, Peaks, Samples, Spread
+from ffcomp.comparison.result import Comparison, Peaks, Samples
 from ffcomp.comparison.sentences import cautions, findings
 from ffcomp.report.compare import write_report
 from tests.support.browser import Visit, chromium, visit
@@ -62,22 +62,6 @@ def test_limits_and_warnings_are_in_the_verdict() -> None:
     assert "Too fast here." in said
     assert "Beyond the limits of the carriages" in " ".join(verdict(changed(comparison(), "mzv", peaks=beyond)))
     assert "allows" not in " ".join(verdict(comparison()))
-
-
-@pytest.mark.parametrize(
-    ("ours", "tail"),
-    [
-        ((2.0, 3.0), None),
-        ((2.0, 14.0), "On average ffcomp is ahead or level, at worst the shaper is better."),
-        ((25.0, 30.0), "With such an uncertainty the shaper is better: measure the machine first."),
-    ],
-)
-def test_mismatch_says_who_wins(ours: tuple[float, ...], tail: str | None) -> None:
-    found = changed(comparison(mismatch="two plants"), "fbs-lpv", spread=Spread(ours))
-    found = changed(found, "mzv", spread=Spread((8.0, 12.0)), retuned=Spread((6.0, 11.0)))
-    (said,) = (sentence for sentence in verdict(found) if sentence.startswith("On 2 printers"))
-    assert "10.0 and 12.0 µm with MZV, best fixed, as tuned; 8.50 and 11.0 µm with MZV tuned again on each" in said
-    assert said.endswith(tail or "on each.")
 
 
 def _cut(s: Samples, count: int) -> Samples:

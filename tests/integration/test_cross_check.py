@@ -87,12 +87,3 @@ def test_it_answers_a_jerk_as_bodies_do(machine: Machine, gravity: bool, arms: A
     assert vibration > 0.1
     assert rms(ours.nozzle_mm - theirs.nozzle_mm[::every]) < 2e-4 * vibration
     assert rms(ours.carriage_mm - theirs.carriage_mm[::every]) < 2e-4 * vibration
-
-
-def test_the_engine_keeps_the_energy_of_a_printer_without_dampers(machine: Machine) -> None:
-    coarse, fine = (
-        multibody.energy_drift(multibody.build(machine, PLACE_MM, Choice(step_s=step, damped=False)), 0.1, 0.2)
-        for step in (2 * multibody.STEP_S, multibody.STEP_S)
-    )
-    assert fine < 2e-4
-    assert fine < coarse / 4

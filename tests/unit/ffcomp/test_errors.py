@@ -7,7 +7,7 @@ import re
 import pytest
 
 from ffcomp import errors
-from ffcomp.errors import explain, interrupts_restored
+from ffcomp.errors import interrupts_restored
 from ffcomp.importers.values import PrinterConfigError
 from ffcomp.steps.archive import StepsError
 from gcode.errors import GcodeError, UnsupportedGcode
@@ -21,13 +21,6 @@ def test_the_tree_names_every_error_with_its_exit_code() -> None:
     drawn = dict(re.findall(r"(\w+) +(\d)  ", errors.__doc__ or ""))
     known = {each.__name__: str(each.exit_code) for each in {*OURS, *ELSEWHERE}}
     assert drawn == {**known, "OSError": "2"}
-
-
-def test_an_error_of_the_input_is_explained() -> None:
-    assert explain(GcodeError("Why.", 3, "a.gcode")) == ("a.gcode:3: Why.", 4)
-    assert explain(MachineFileError("m", ["One.", "Two."])) == ("m: One.\nm: Two.", 5)
-    assert explain(OSError(28, "No space left")) == ("A file: No space left.", 2)
-    assert explain(OSError(2, "No such file", "x"), "y") == ("x: No such file.", 2)
 
 
 @pytest.mark.parametrize("interrupt", [KeyboardInterrupt(), SystemExit(143)], ids=["Ctrl-C", "SIGTERM"])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import pytest
 
@@ -69,13 +69,3 @@ def test_the_page_has_it(form: None) -> None:
     for wrong in ("10", "nan", "x"):
         with pytest.raises(Refused, match="--stir-hz"):
             checked("stir", {"stir_hz": wrong})
-
-
-def test_the_reference_has_it() -> None:
-    assert "* `--stir-hz HZ`: Stir at this rate. [1 to 9] *[default: 2]*" in stir.generate_docs()
-
-
-@pytest.mark.parametrize(("text", "value"), [("3", 3.0), ("1e-3", 0.001)])
-def test_a_text_is_read_as_on_the_command_line(text: str, value: Any) -> None:
-    (each,) = [each for each in declared(Stirred) if each.field == "stir_hz"]
-    assert each.read(text) == value

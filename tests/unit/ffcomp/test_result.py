@@ -6,11 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
 
-import pytest
-
-from ffcomp.errors import RequestError
 from ffcomp.numerics.serialise import keys
-from ffcomp.result import Result, clock
+from ffcomp.result import Result
 from ffcomp.serve.answers import answer_of
 
 HEADLINE, FACT, WARNING, STEP = "2 < 3 µm.", ("Print time", "1.0 s"), "It may be off.", "Measure."
@@ -41,15 +38,6 @@ def test_everybody_has_the_same_words() -> None:
     assert repr(found) == f"<Found: {HEADLINE}>"
     notebook = found._repr_html_()
     assert "2 &lt; 3 µm." in notebook and all(each in notebook for each in (*FACT, WARNING, STEP))
-
-
-def test_a_figure_that_there_is_not_is_a_sentence() -> None:
-    with pytest.raises(RequestError, match="no figure 'bode'"):
-        Found().plot("bode")
-
-
-def test_durations_are_as_people_say_them() -> None:
-    assert [clock(s) for s in (11.84, 71.0, 7300.0)] == ["11.8 s", "1 min 11 s", "2 h 1 min"]
 
 
 def test_the_page_leaves_commands_out_and_findings_in() -> None:

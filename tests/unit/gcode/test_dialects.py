@@ -2,9 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from gcode.dialects import close_limits, detect_flavor, open_limits
-from gcode.program import MotionLimits
-from gcode.reader import read_program
+from gcode.dialects import detect_flavor
 
 
 @pytest.mark.parametrize(
@@ -36,15 +34,3 @@ from gcode.reader import read_program
 )
 def test_flavor(lines: list[bytes], flavor: str) -> None:
     assert detect_flavor(lines) == flavor
-
-
-@pytest.mark.parametrize("flavor", ["klipper", "marlin", "reprapfirmware"])
-def test_limits_are_read_back_as_written(flavor: str) -> None:
-    head = b"; gcode_flavor = " + flavor.encode() + b"\n"
-    text = head + b"".join(open_limits(flavor, 250, 40000, 80)) + b"G1 X1 F60\n"
-    text += b"".join(close_limits(flavor, MotionLimits(120, 3000, 5, 0.5))) + b"G1 X2\n"
-    text = text.replace(b"M204 P40000 T40000", b"M204 S40000")
-    moves = read_program(text, start=(0.0, 0.0, 0.0)).moves
-    assert moves.velocity_limit.tolist() == [250, 120]
-    assert moves.acceleration.tolist() == [40000, 3000]
-    assert moves.square_corner_velocity.tolist() == [80, 5]

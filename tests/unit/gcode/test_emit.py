@@ -18,14 +18,6 @@ def writer(frame: ModalState = ModalState(), e: float = 0.0) -> MoveWriter:  # n
     return made
 
 
-def test_numbers_are_short_and_unchanged_axes_are_left_out() -> None:
-    lines = writer()
-    assert lines.move(10.0, -0.00001, 0.25, 0.00001, 50.0) == b"G1 X10 Z.25 E.00001 F3000\n"
-    assert lines.move(10.0, 0.0, 0.25, 0.00001, 20.0) == b""
-    assert lines.move(10.12344, -0.5, 0.25, 0.00001, 50.0) == b"G1 X10.1234 Y-.5\n"
-    assert lines.move(123456.7891, 0.0, 0.25, 1234.5, 100 / 3) == b"G1 X123456.7891 Y0 E1234.5 F2000\n"
-
-
 def test_the_frame_decides_the_numbers() -> None:
     frame = ModalState(base=(1.0, 0.0, 0.0, 2.0), unit_mm=25.4, flow=0.5, feed_factor=2.0)
     assert writer(frame).move(26.4, 0.0, 25.4, 14.7, 50.8) == b"G1 X1 Z1 E1 F60\n"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
 import pytest
 
 from gcode.layers import UNNAMED, labels
@@ -29,10 +28,3 @@ def test_without_comments_layers_are_heights() -> None:
     square = "G1 X10 E1\nG1 Y10 E1\nG1 X0 E1\nG1 Y0 E1\n"
     text = "G90\nM83\nG1 X0 Y0 Z0.2 F6000\n" + square + "G1 Z0.6\nG1 Z0.4\n" + square
     assert labels(read_program(text.encode())).layer.tolist() == [0, 0, 0, 0, 0, 0, 1, 1, 1, 1]
-
-
-def test_a_slope_without_comments_is_cut_into_layers() -> None:
-    turns = "".join(f"G1 X{10 * np.cos(t):.3f} Y{10 * np.sin(t):.3f} Z{0.2 + t / 60:.4f} E1\n" for t in range(1, 61))
-    found = labels(read_program(("G90\nM83\nG1 X10 Y0 Z0.2 F6000\n" + turns).encode()))
-    assert 5 <= found.layers <= 6  # 1 mm
-    assert np.all(np.diff(found.layer) >= 0)

@@ -60,21 +60,6 @@ def test_every_slicers_total(line: bytes, seconds: float, new: bytes) -> None:
 @pytest.mark.parametrize(
     ("line", "at_s", "new"),
     [
-        (b"M73 P0 R92\n", 0.0, b"M73 P0 R60\n"),
-        (b"M73 P50 R91\n", 36.0, b"M73 P1 R59\n"),
-        (b"M73 Q10 S5 ; x\r\n", 1799.0, b"M73 Q49 S30 ; x\r\n"),
-        (b"M73 P50 R9 C3 D4\n", 3590.0, b"M73 P99 R0 C3 D4\n"),
-        (b"M73 P100 R0\n", 3500.0, b"M73 P100 R2\n"),
-        (b"M73 P12.5\n", 3600.0, b"M73 P100\n"),
-    ],
-)
-def test_progress_in_whole_numbers(line: bytes, at_s: float, new: bytes) -> None:
-    assert retold(Timed.at(line, at_s), Durations(3600.0)) == new
-
-
-@pytest.mark.parametrize(
-    ("line", "at_s", "new"),
-    [
         (
             b"; model printing time: 14m 40s; total estimated time: 2h 4m 0s\n",
             0.0,

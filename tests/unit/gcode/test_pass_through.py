@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
 import pytest
 
 from gcode.program import EventKind
@@ -36,18 +35,3 @@ def test_a_move_becomes_a_line_that_goes_out_as_it_is() -> None:
     assert [event.line for event in left.events] == sorted({0, 2, 3, 5})
     assert len(left.moves) == len(moves) - 1 and left.moves.start[1, 0] == 20.0
     assert [event.move for event in left.events] == [0, 1, 1, len(left.moves) - 1]
-
-
-def test_an_arc_goes_as_a_whole() -> None:
-    program = read_program(TEXT, start=(0.0, 0.0, 1.0))
-    which = np.zeros(len(program.moves), dtype=np.bool_)
-    which[3] = True
-    left = passed_through(program, which, "why")
-    assert np.unique(left.moves.line).tolist() == [1, 3, 6]
-    (raw,) = (event.raw for event in left.events if event.raw is not None)
-    assert raw.path_mm == pytest.approx(5.0 * np.pi, rel=1e-3) and raw.end[0] == 30.0
-
-
-def test_nothing_changes_where_nothing_goes() -> None:
-    program = read_program(TEXT, start=(0.0, 0.0, 1.0))
-    assert passed_through(program, np.zeros(len(program.moves), dtype=np.bool_), "why") is program

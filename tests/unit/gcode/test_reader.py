@@ -125,18 +125,6 @@ def test_a_frame_turns_places_back_into_the_numbers_of_the_file(
         assert 60 * speed / frame.feed_factor / frame.unit_mm == pytest.approx(abs(x) + 1)
 
 
-def test_an_offset_moves_the_print_and_not_the_numbers() -> None:
-    program = read("G1 X100 Y100 F600", "G91", "G1 X1", "G90", "G92 X10", "G1 X20", offset_mm=(-100, -90))
-    assert ends(program) == [[0, 10, 0, 0], [1, 10, 0, 0], [11, 10, 0, 0]]
-    assert program.frames[0].base == (0, 0, 0, 0)
-    assert program.frames[program.moves.frame[-1]].base[0] == -9  # a writer's X20 again
-
-
-def test_gcode_offset_is_added_once() -> None:
-    program = read("G1 Z1 F600", "SET_GCODE_OFFSET Z=0.2", "G1 Z2", "SET_GCODE_OFFSET Z_ADJUST=0.1", "G1 Z3")
-    assert program.moves.end[:, 2].tolist() == pytest.approx([1, 2.2, 3.3])
-
-
 # -- arcs --
 
 
@@ -153,37 +141,6 @@ def test_a_helix_shares_height_and_filament_evenly() -> None:
 # -- what stops the motion --
 
 
-@pytest.mark.parametrize(
-    ("line", "kind", "known"),
-    [
-        ("G28", EventKind.STOP, False),
-        ("G29", EventKind.STOP, False),
-        ("START_PRINT BED=60", EventKind.STOP, False),
-        ("MY_MACRO", EventKind.STOP, False),
-        ("G9999", EventKind.STOP, False),
-        ("M999", EventKind.STOP, True),
-        ("M600", EventKind.STOP, True),
-        ("M109 S200", EventKind.STOP, True),
-        ("TEMPERATURE_WAIT SENSOR=a", EventKind.STOP, True),
-        ("T0", EventKind.STOP, True),
-        ("G10", EventKind.STOP, True),
-        ("G10 P0 S200", EventKind.PASS, True),
-        ("M84", EventKind.STOP, False),
-        ("G4 P500", EventKind.DWELL, True),
-        ("M117 G28 now", EventKind.PASS, True),
-        ("SET_PRESSURE_ADVANCE ADVANCE=0.1", EventKind.PASS, True),
-        ("EXCLUDE_OBJECT_DEFINE NAME=a", EventKind.PASS, True),
-        ("EXCLUDE_OBJECT_START NAME=a", EventKind.STOP, True),
-        ("SET_GCODE_OFFSET Z=1 MOVE=1", EventKind.STOP, True),
-        ("; G28", EventKind.PASS, True),
-    ],
-)
-def test_kinds(line: str, kind: EventKind, known: bool) -> None:
-    program = read("G1 X1 F600", line, "G1 X2")
-    assert program.events[0].kind is kind
-    assert len(program.moves) == (2 if known else 1)
-
-
 # -- limits --
 
 
@@ -195,20 +152,6 @@ def test_accel_to_decel_is_for_older_klippers_alone() -> None:
     assert np.isnan(gentle.moves.minimum_cruise_ratio).all() and "ratio of 0.99" in gentle.warnings[0]
     with pytest.raises(GcodeError, match="MINIMUM_CRUISE_RATIO=1; Klipper stops"):
         read("SET_VELOCITY_LIMIT MINIMUM_CRUISE_RATIO=1", flavor="klipper")
-
-
-def test_marlin_limits_bound_one_another() -> None:
-    program = read(
-        "; gcode_flavor = marlin2",
-        "M204 S2000",
-        "M201 X1500 Y1800 Z100",
-        "M203 X200 Y250",
-        "M205 X8 Y9",
-        "G1 X1 F60",
-    )
-    moves = program.moves
-    assert (moves.acceleration[0], moves.velocity_limit[0], moves.square_corner_velocity[0]) == (1500, 200, 8)
-    assert all(event.limits for event in program.events[1:])
 
 
 # -- mistakes --

@@ -18,7 +18,7 @@ from gcode.dialects import detect_flavor
 from gcode.errors import GcodeError
 from gcode.program import Moves, Program
 from gcode.reader import read_parts, read_program
-from tests.support.data import ODD, PRINTS, real
+from tests.support.data import PRINTS, real
 
 ROOT = Path(__file__).parents[3]
 SAMPLES = sorted(path.name for path in (ROOT / "sample_prints").glob("*.gcode"))
@@ -81,13 +81,6 @@ def test_real_prints(name: str) -> None:
 
 
 sizes = st.lists(st.integers(1, 60), min_size=1, max_size=8)
-
-
-@given(st.sampled_from(ODD), sizes, st.integers(1, 5000), st.booleans())
-def test_odd_files(name: str, sizes: list[int], part_bytes: int, known: bool) -> None:
-    data = real("odd/" + name)
-    if data:
-        assert_parts_say_the_same(data, sizes, part_bytes, start=HOME if known else None)
 
 
 numbers = st.decimals(-200, 200, places=3).map(str)

@@ -58,14 +58,3 @@ def test_portions_of_little_motion_together_are_the_whole_and_end_with_lines(lon
         assert seconds <= longest_s or len(set(moves.line.tolist())) == 1
     assert len(parts) == {0.0: len(set(whole.moves.line.tolist())), 1e9: 1}.get(longest_s, len(parts)) and parts
     assert next(portions(read_program(b"; nothing\n"), 1.0)).lines == [b"; nothing\n"]
-
-
-def test_an_arc_can_be_cut_between_its_chords() -> None:
-    whole = read_program(ARC)
-    chords = np.flatnonzero(whole.moves.line == 3)
-    middle = int(chords[len(chords) // 2])
-    head, tail = excerpt(whole, 0, middle), excerpt(whole, middle)
-    assert head.lines[-1] == tail.lines[0] == whole.lines[3]
-    assert len(head.moves) + len(tail.moves) == len(whole.moves)
-    np.testing.assert_array_equal(head.moves.end[-1], tail.moves.start[0])
-    assert [tail.lines[e.line] for e in tail.events] == [b";after\n"]

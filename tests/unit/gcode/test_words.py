@@ -26,11 +26,6 @@ def test_a_line_is_a_name_and_its_numbers(line: bytes, name: str, numbers: dict[
     assert (command.name, command.numbers()) == (name, numbers)
 
 
-@pytest.mark.parametrize("line", [b"", b"\r\n", b"  ; G1 X1\n", b"(G1 X1)\n", b"%\n", b"N3 (only a note)\n"])
-def test_lines_without_a_command(line: bytes) -> None:
-    assert commands(line, 1) == []
-
-
 @given(st.integers(0, 99999), st.integers(-999, 999))
 def test_checksums_are_checked(number: int, x: int) -> None:
     body = b"N%d G1 X%d" % (number, x)

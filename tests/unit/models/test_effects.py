@@ -5,7 +5,6 @@ from __future__ import annotations
 import importlib
 import pkgutil
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -24,7 +23,6 @@ from models.effects.effect import Effect, Parameter, Signals
 from models.errors import MachineFileError
 from models.file import LIBRARY, load_machine
 from models.machine import Machine, value_of
-from models.printer.kernels import one_axis, record
 from tests.unit.models.printer.test_printer_effects import TABLES
 from validation.blind.delta import EFFECTS as EFFECTS_OF_DELTAS
 from validation.blind.kinds import KINDS
@@ -89,26 +87,6 @@ def test_kind_and_hooks_agree(effect: Effect) -> None:
     assert (effect.terms is not None) == (effect.kind in ("force", "command", "frame"))
     assert effect.amplitudes or not effect.parameters
     assert effect.remedy.format(where="").endswith((".", ")"))
-
-
-@pytest.mark.parametrize("effect", [e for e in CATALOGUE.values() if e.terms is not None])
-def test_the_kernels_know_every_term_of_an_effect(effect: Effect) -> None:
-    assert effect.terms is not None
-    values = {p.name: p.as_array([p.probe] * 3 if p.size == "vector3" else _of(p)) for p in effect.by_name.values()}
-    terms = effect.terms(values, {"motor_k": np.ones(3), "holder_mass": 1.0})
-    assert terms.keys() <= {*(record.PARAMETERS.names or ()), *one_axis.AXIS_PARAMETERS, "ripples"}
-
-
-def _of(p: Parameter) -> object:
-    return "x" if p.size == "direction" else p.probe
-
-
-@pytest.mark.parametrize("effect", EFFECTS)
-def test_rivals_exist(effect: Effect, printer: Machine) -> None:
-    assert effect.name not in effect.confounded_with
-    for rival in effect.confounded_with:
-        if rival not in CATALOGUE:
-            value_of(printer, rival)
 
 
 @pytest.mark.parametrize("parameter", PARAMETERS)
@@ -259,12 +237,3 @@ def test_clocks_shift_and_stretch(printer: Machine, signals: Signals, name: str,
     inside = true_time(signals.t_s) > 0.01
     expected = np.sin(60 * true_time(signals.t_s))
     np.testing.assert_allclose(seen.carriage[inside, 0], expected[inside], atol=1e-6)
-
-
-def test_sensor_effects_act_in_the_order_of_the_file(printer: Machine, signals: Signals) -> None:
-    gain = ("sensor_gain", {"nozzle_relative_change": [1.0, 0.0, 0.0]})
-    turn = ("sensor_misalignment", {"angles_deg": [0.0, 0.0, 90.0]})
-    x, y, _ = signals.nozzle.T
-    for order, expected in (((gain, turn), (y, -2 * x)), ((turn, gain), (2 * y, -x))):
-        machine = replace(printer, effects=dict(order))
-        np.testing.assert_allclose(measured(machine, signals).nozzle.T[:2], expected, atol=1e-12)

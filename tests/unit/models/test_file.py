@@ -81,52 +81,6 @@ def test_what_a_file_leaves_out_gets_the_documented_defaults(write) -> None:
     assert machine.flavor == ""
 
 
-def test_masses_are_put_together_as_the_paper_says(write) -> None:
-    machine = load_machine(write(MINIMAL))
-    assert delta_vibration(machine).carriage.moving_mass_kg == pytest.approx(0.195)  # Eq. 30
-    assert delta_vibration(machine).nozzle_side_mass_kg == pytest.approx(0.545)  # three lower halves of 0.03 kg
-
-
-def test_everything_else_a_file_may_say(write) -> None:
-    machine = load_machine(
-        write(
-            MINIMAL
-            + """
-[steps]
-steps_per_mm = 160
-[firmware]
-flavor = "reprapfirmware"
-[macros]
-returns = ["MY_PHOTO", "nozzle_dance"]
-still = ["MY_LAMP"]
-[carriage.drive]
-d0_per_s2 = 1.4e5
-d1_per_s = -200
-d2_per_s = 36
-[effects.coulomb_friction]
-force_n = [2.1, 2.2, 2.3]
-[effects.frame_mode]
-direction = "both"
-[uncertainty]
-default = 0.03
-"carriage.belt_stiffness_n_per_m" = 0.05
-"carriage.drive.d1_per_s" = 0.2
-"effects.coulomb_friction.force_n" = 0.5
-[provenance]
-"carriage.mass_kg" = "scale"
-who = { name = "me" }
-"""
-        )
-    )
-    assert delta_vibration(machine).carriage.drive is not None
-    assert delta_vibration(machine).carriage.drive.d1_per_s == -200
-    assert machine.effects["coulomb_friction"] == {"force_n": [2.1, 2.2, 2.3]}
-    assert machine.flavor == "reprapfirmware"
-    assert machine.returns == ("MY_PHOTO", "nozzle_dance") and machine.still == ("MY_LAMP",)
-    assert machine.uncertainty["carriage.belt_stiffness_n_per_m"] == 0.05
-    assert machine.provenance["who"] == {"name": "me"}
-
-
 @pytest.mark.parametrize(
     ("old", "new", "problem"),
     [

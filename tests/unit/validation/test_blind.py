@@ -12,7 +12,7 @@ import pytest
 from ffcomp.errors import MeasurementError
 from tests.support.json_page import Page
 from validation.blind.__main__ import main
-from validation.blind.bank import make_bank, read_answers
+from validation.blind.bank import read_answers
 
 Told = dict[str, Any]
 PAGE = Path(__file__).parents[3] / "validation/blind/README.md"
@@ -65,19 +65,6 @@ def test_a_bank_goes_on_as_it_began(bank: Path, capsys: pytest.CaptureFixture[st
     assert make(bank, seconds=1.0) == 2
 
 
-def test_a_bank_goes_on_after_a_case_without_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def refuse(*_: object) -> None:
-        raise MeasurementError("captures", ["None of them could be joined."])
-
-    monkeypatch.setattr("validation.blind.bank.case", refuse)
-    progress: list[str] = []
-    assert make_bank(tmp_path, 2, 1, 0.8, ["axis"], progress.append) == []
-    assert [line.partition(": ")[2] for line in progress] == [
-        f"no case, captures: None of them could be joined., {k} of 2" for k in (1, 2)
-    ]
-    assert len(list(tmp_path.glob("refused/*.json"))) == 2
-
-
 def test_right_and_wrong_answers_are_told_apart(bank: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     right = {
         name: {"verdict": "effects", "effects": list(label["effects"])}
@@ -103,13 +90,6 @@ def test_labels_stay_sealed_until_all_is_answered(
     assert main(["score", str(bank), str(one)]) == 2
     assert "1 of 2 cases are not answered" in capsys.readouterr().err
     assert scored(bank, one, capsys, "--partial")["unanswered"] == 1
-
-
-def test_a_folder_of_verdicts_is_answers_too(bank: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    for name in labels(bank):
-        (tmp_path / f"{name}.json").write_text('{"verdict": "none", "effects": []}', encoding="utf-8")
-    (tmp_path / "case-x-proof.json").write_text("{}", encoding="utf-8")
-    assert scored(bank, tmp_path, capsys)["cases"] == 2
 
 
 @pytest.mark.parametrize(

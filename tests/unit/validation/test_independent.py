@@ -13,7 +13,6 @@ from models.file import load_machine, machine_paths
 from tests.support.compensated import compensated
 from validation.independent import checks, clock, reader
 from validation.independent.checks import Printer, Report, check, printer_of
-from validation.independent.clock import Own
 from validation.independent.kalico import late_and_stops
 from validation.independent.play import contour
 
@@ -109,10 +108,6 @@ def test_a_segment_out_of_reach_is_found(result: bytes, printer: Printer) -> Non
     assert any("out of reach" in wrong for wrong in of(printer, b"".join(lines)).wrong)
 
 
-def test_moves_that_go_out_as_they_were_lower_the_share(printer: Printer) -> None:
-    assert of(printer, PRINT).numbers["share_path"] == 0.0
-
-
 def test_the_nozzle_comes_closer_to_the_path(
     result: bytes, machine: dict[str, dict[str, object]], printer: Printer
 ) -> None:
@@ -120,36 +115,6 @@ def test_the_nozzle_comes_closer_to_the_path(
     before, after = found["judged_contour_um"], found["judged_contour_compensated_um"]
     assert before is not None and after is not None
     assert after < 0.2 * before
-
-
-def test_a_print_that_is_moved_is_judged_where_it_lies(machine: dict[str, dict[str, object]], printer: Printer) -> None:
-    print_ = PRINT.replace(b"G1 X130 Y112 E.5\n", b"G1 X130 Y112 E.5\nG3 X100 Y142 I-30 E2\nG1 X100 Y112 E1\n")
-    result = compensated(print_, load_machine(NAME), flavor="klipper", predict=False, offset=(10.0, 20.0))[0]
-    found = contour(print_, result, machine, printer)
-    before, after = found["judged_contour_um"], found["judged_contour_compensated_um"]
-    assert before is not None and after is not None
-    assert after < 0.3 * before
-
-
-def test_an_arc_that_misses_its_end_goes_straight_there_at_last() -> None:
-    moves = reader.read(b"G1 X-150\nG3 X0 Y-130 I150\n", LIMITS)
-    radius = np.hypot(*(moves.end[1:, :2]).T)
-    assert radius[:-1] == pytest.approx(150.0) and moves.end[-1, :2].tolist() == [0.0, -130.0]
-
-
-def test_a_move_from_rest_to_rest_takes_what_the_formula_says() -> None:
-    moves = reader.read(b"G1 X30 F3600\n", LIMITS)
-    assert clock.times(moves, Own()).end_s == pytest.approx(30 / 60 + 60 / 3000)
-
-
-def test_a_right_angle_is_passed_at_the_corner_velocity() -> None:
-    moves = reader.read(b"G1 X30 F3600\nG1 Y30\n", LIMITS)
-    assert clock.times(moves, Own()).end_v[0] == pytest.approx(5.0)
-
-
-def test_a_lead_screw_is_slow() -> None:
-    moves = reader.read(b"G1 Z10 F3600\n", LIMITS)
-    assert clock.times(moves, Own(z_velocity=5.0, z_acceleration=100.0)).end_s == pytest.approx(2.05)
 
 
 @pytest.mark.parametrize(
@@ -165,12 +130,6 @@ def test_a_lead_screw_is_slow() -> None:
 )
 def test_what_a_file_means(text: bytes, end: tuple[float, ...]) -> None:
     assert reader.read(text, LIMITS).end[-1] == pytest.approx(end)
-
-
-def test_relative_filament_is_seen_where_no_line_says_so() -> None:
-    text = b"".join(b"G1 X%d Y1 E%.3f\n" % (k, 0.1 + 0.05 * (k % 2)) for k in range(40))
-    assert reader.relative_without_saying(text)
-    assert not reader.relative_without_saying(b"M82\n" + text)
 
 
 def test_a_host_that_is_late_and_stops_is_found(result: bytes, printer: Printer) -> None:

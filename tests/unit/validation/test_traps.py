@@ -18,12 +18,6 @@ def kept(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("traps")
 
 
-def test_names_are_unique_and_expectations_are_asked() -> None:
-    assert len(BY_NAME) == len(TRAPS)
-    for trap in TRAPS:
-        assert trap.said != Said(), trap.name
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["clipped", "copied", "overflows", "other-plan", "moved-chip", "all-halved"])
 def test_traps_that_need_no_search_are_answered_rightly(name: str, kept: Path) -> None:
@@ -42,11 +36,3 @@ def test_the_judge_finds_what_must_not_be_said() -> None:
     refused = judged(trap, Answer({}, "late", 5, 1.0))
     assert refused == ["refused: late"]
     assert judged(replace(trap, said=replace(said, refused=True)), Answer({}, "late", 5, 1.0)) == []
-
-
-def test_an_interval_must_reach_what_is_right() -> None:
-    trap = BY_NAME["captures-camera"]
-    for low, wrong in ((0.11, 0), (0.15, 1)):
-        number = {"value": low + 0.01, "low": low, "high": low + 0.02}
-        found = {"verdict": "effects", "effects": [{"name": "effector_mass", "parameters": {"added_kg": number}}]}
-        assert len(judged(trap, Answer(found, "", 0, 1.0))) == wrong

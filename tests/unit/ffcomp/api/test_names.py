@@ -19,8 +19,3 @@ def test_every_name_is_a_documented_function(name: str) -> None:
     assert all(parameter in described for parameter in parameters - {"progress"}), name
     assert name in dir(ffcomp)
     assert inspect.signature(function).return_annotation not in (None, inspect.Signature.empty)
-
-
-def test_an_unknown_name_is_an_attribute_error() -> None:
-    with pytest.raises(AttributeError, match="nothing_of_the_kind"):
-        _ = ffcomp.nothing_of_the_kind  # type: ignore[attr-defined]

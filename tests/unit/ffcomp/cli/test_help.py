@@ -34,13 +34,6 @@ def test_names_stand_whole_in_80_columns(path: tuple[str, ...]) -> None:
             assert re.search(rf"(?<![\w-]){re.escape(name)}(?![\w-])", page), name
 
 
-def test_first_lines_are_imperative_and_plain() -> None:
-    first = {" ".join(path): command.help.split("\n\n")[0] for path, (command, _) in VERBS.items()}
-    assert first["compensate"] == "Compensate a print for your printer's vibration."
-    for verb, line in first.items():
-        assert re.fullmatch(r"[A-Z][a-z]+[ ,].*\.", " ".join(line.split())), verb
-
-
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [

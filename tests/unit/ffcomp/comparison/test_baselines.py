@@ -27,12 +27,3 @@ def test_the_cost_of_settings_is_that_of_their_motion(name: str) -> None:
     assert shaping.name == name and len(settings) == len(shaping.names)
     (motion,) = (shaped(each.motion, *shaping.shapers(settings)) for each in linear().slices)
     assert linear().cost(shaping, settings) == pytest.approx(linear().contour_rms_um([motion]), rel=0.01)
-
-
-def test_the_search_beats_the_calibration() -> None:
-    shaping = Shaping("2hump_ei", shapes_z=True)
-    found = linear().best(shaping)
-    assert found.cost < 0.9 * linear().cost(shaping, linear().calibrated(shaping))
-    assert ", z " in shaping.settings_text(found.settings) and "damping ratio 0." in shaping.settings_text(
-        found.settings
-    )

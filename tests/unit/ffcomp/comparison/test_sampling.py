@@ -48,13 +48,6 @@ def test_a_share_stands_for_the_whole_and_is_said(name: str) -> None:
     assert np.abs(whole - counted).sum() < 0.08
 
 
-def test_a_long_print_is_sampled_without_being_asked() -> None:
-    path = judge.ROOT / "sample_prints" / "far_star.gcode"
-    stretches, sentence = Print(path.read_bytes(), path.name, MACHINE).slices(Sampling())
-    assert 100.0 < sum(each.trajectory.end_t for each in stretches) < 150.0
-    assert "slices" in sentence
-
-
 def test_another_acceleration_changes_the_times_and_not_the_path() -> None:
     (stretch,), _ = Print(squares(), "squares.gcode", MACHINE).slices(Sampling())
     slower = stretch.with_acceleration(500.0)

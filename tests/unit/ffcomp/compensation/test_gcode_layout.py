@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from functools import cache
-from itertools import pairwise
 
 import numpy as np
-import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from ffcomp.compensation.gcode_layout import CONTEXT_KNOTS, Tile, tiles, timeline
+from ffcomp.compensation.gcode_layout import Tile, tiles, timeline
 from ffcomp.compensation.gcode_writer import Writer
 from ffcomp.firmware.program import PlannedProgram, plan_program
 from ffcomp.firmware.table import FIRMWARES
@@ -131,12 +129,3 @@ def test_pieces_say_what_the_whole_says(lines: list[bytes]) -> None:
     for length in (CUT, 3 * CUT):
         assert written(data, length) == whole
     assert original(whole[0]) == data
-
-
-@pytest.mark.parametrize("knots", [1, CUT - 1, CUT, CUT + 1, 5 * CUT, 5 * CUT + 7])
-def test_pieces_cover_a_run_once(knots: int) -> None:
-    cut = tiles(knots, 2 * CUT)
-    assert cut[0].first == cut[0].begin == 0 and cut[-1].end == cut[-1].last == knots
-    assert all(a.end == b.begin for a, b in pairwise(cut))
-    assert all(p.begin < p.end for p in cut)
-    assert all(p.first == max(p.begin - CONTEXT_KNOTS, 0) and p.last == min(p.end + CONTEXT_KNOTS, knots) for p in cut)

@@ -3,22 +3,11 @@
 from __future__ import annotations
 
 import re
-from dataclasses import replace
 
 import pytest
 
 from models.file import load_machine
-from tests.support.compensated import compensated, job
-
-MARLIN = b"; gcode_flavor = marlin\nG1 X1 F60\n"
-
-
-def test_a_print_for_another_firmware_is_compensated_with_a_warning() -> None:
-    machine = replace(load_machine("mp-delta-pro"), flavor="klipper")
-    _, done = compensated(MARLIN + b"G1 X0 Y0 Z1 F600\nG1 X5 F3000\nG1 X0\n", machine, predict=False)
-    answer = done.to_dict()
-    assert answer["flavor_reason"] == "Firmware: klipper, as the machine file says."
-    assert any("made for marlin (; gcode_flavor = marlin)" in warning for warning in answer["warnings"])
+from tests.support.compensated import job
 
 
 def test_changes_of_filament_take_what_the_slicer_says() -> None:

@@ -98,11 +98,6 @@ def test_of_two_sensors_the_one_that_lags_is_found_with_its_time() -> None:
     assert {c.name for c in alone.candidates} == {"guide_damping", "command_delay"}
 
 
-@pytest.mark.parametrize("machine", [STAGE, DRIVE])
-def test_nothing_is_named_where_nothing_is_missing(machine: Machine) -> None:
-    assert found(machine).verdict == "none"
-
-
 @pytest.mark.parametrize(
     ("header", "sentence"),
     [

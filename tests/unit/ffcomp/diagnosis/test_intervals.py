@@ -29,12 +29,3 @@ def test_few_motions_that_disagree_make_an_interval_wider() -> None:
     assert of_shape.scatter(rows, [0] * 8)[0] == 0.0  # one motion scatters about nothing
     sd, apart = (float(np.sqrt(of_shape.covariance(frequency, rows, same)[0, 0])) for same in (repeats, range(8)))
     assert sd == pytest.approx(np.sqrt(2) * apart, rel=0.15) and sd < scatter
-
-
-def test_derivatives_that_are_alike_beyond_rounding_make_no_fit_certain() -> None:
-    """A determinant of nothing would be infinitely likely: a robot's joint had one such hypothesis."""
-    column = 1e9 * np.linspace(1.0, 2.0, 50)
-    alike = Fit(
-        (Parameter("a", 0.0, 1.0), Parameter("b", 0.0, 1.0)), np.zeros(2), np.ones(50), np.stack([column] * 2, 1)
-    )
-    assert alike.evidence - alike.cost == pytest.approx(np.log(2 * column @ column), abs=0.1)

@@ -134,9 +134,3 @@ def test_none_asks_for_what_could_not_be_seen(machine: Machine) -> None:
     (shown,) = separations(noisy, found, nearest=True)
     assert (shown.ours, shown.other) == ((), ("belt_position_stiffness",))
     assert "show belt_position_stiffness of a usual size" in shown.sentence
-
-
-def test_twins_are_not_told_apart(plant: PrinterProblem) -> None:
-    (twin,) = separations(plant, diagnosed(plant, LATE, (("guide_damping",), {DELAY: 1e-3})), nearest=True)
-    assert twin.there < 1e-6 and not twin.tells
-    assert twin.sentence.endswith("Several speeds and frequencies: damping lowers the resonance, a delay does not.")

@@ -8,8 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from ffcomp.diagnosis.axis_problem import AxisProblem
-from ffcomp.diagnosis.diagnosis import diagnose
-from ffcomp.diagnosis.residual_curves import ResidualCurve, curves_of, residual_curves
+from ffcomp.diagnosis.residual_curves import ResidualCurve, residual_curves
 from ffcomp.measurement.axis_run import AxisRun
 from models.arrays import FloatArray
 from models.kinds import machine_of_axis
@@ -67,12 +66,3 @@ def test_the_band_covers_a_law_as_often_as_it_says() -> None:
         ]
         held.append(inside(curve, 0.02 * np.array(curve.at)))
     assert 0.8 < np.mean(held) < 0.99
-
-
-def test_the_verdict_unknown_comes_with_the_curve() -> None:
-    found = diagnose(problem(slow_drag))
-    assert found.verdict == "unknown"
-    curves = curves_of(found)
-    assert curves and curves[0].against == "speed"
-    assert len(curves[0].at) == len(curves[0].residual) == len(curves[0].half_width)
-    assert min(curves[0].half_width) > 0.0

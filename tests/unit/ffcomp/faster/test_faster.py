@@ -11,7 +11,7 @@ import pytest
 
 from ffcomp import compensate
 from ffcomp.errors import LimitsError
-from ffcomp.faster.bound import Bound, with_slicer_settings
+from ffcomp.faster.bound import Bound
 from ffcomp.faster.program import FasterProgram, faster_program
 from ffcomp.firmware.program import PlannedProgram, plan_program
 from ffcomp.inverse.model import InverseModel
@@ -78,21 +78,6 @@ def test_it_is_quicker_and_the_response_keeps_the_bound(squares: Program, model:
     assert error.max() < 2.5 * 25e-3
 
 
-def test_at_a_wide_bound_the_carriages_limits_are_kept_and_nothing_falls_back(
-    squares: Program, model: InverseModel
-) -> None:
-    """What was beyond a limit once had the slicer's motion, so that a wider bound gave a slower print."""
-    found = of(squares, model, 400.0, change_speed=("bridge infill", "First layer"))
-    quick = planned(found, model)
-    (section,) = quick.sections
-    written = WHOLE.written(quick.trajectory, section, model.settings)
-    state = model.machine.equilibrium(squares.moves.start[0, :3])
-    assert solve(model, written.reference, state, enforce_limits=False).utilisation < 1.05
-    assert not found.reverted.any()
-    tighter = of(squares, model, 50.0, change_speed=("bridge infill", "First layer"))
-    assert quick.trajectory.end_t <= 1.01 * planned(tighter, model).trajectory.end_t
-
-
 def test_what_is_not_known_costs_time_and_the_percentile_is_near_the_bound(squares: Program) -> None:
     times = []
     for sd in (0.0, 0.05):
@@ -135,13 +120,3 @@ def test_first_layer_and_bridges_keep_the_slicers_motion(squares: Program, model
     assert np.array_equal(moves.speed[kept], was.speed[kept])
     assert np.array_equal(moves.acceleration[kept], was.acceleration[kept], equal_nan=True)
     assert (moves.speed[3:7] > was.speed[3:7]).all()
-
-
-def test_the_slicers_settings_fill_in_what_was_not_asked_for() -> None:
-    head, tail = b"; filament_max_volumetric_speed = 12,15\n", b"; slow_down_layer_time = 8\n"
-    bound = with_slicer_settings(Bound(25.0), head, tail)
-    assert (bound.max_flow_mm3_per_s, bound.min_layer_time_s) == (12.0, 8.0)
-    asked = with_slicer_settings(Bound(25.0, max_flow_mm3_per_s=9.0, min_layer_time_s=1.0), head, tail)
-    assert (asked.max_flow_mm3_per_s, asked.min_layer_time_s) == (9.0, 1.0)
-    uncooled = with_slicer_settings(Bound(25.0), b"; cooling = 0\n", b"; max_volumetric_speed = 0\n")
-    assert (uncooled.max_flow_mm3_per_s, uncooled.min_layer_time_s) == (None, 0.0)

@@ -49,13 +49,6 @@ def test_numbers_that_are_not_known_are_listed_until_they_are(tmp_path: Path) ->
     assert list(still_assumed(load_machine("kossel").provenance, "klipper")) == [], "only imported machines are asked"
 
 
-def test_a_shapers_frequency_is_not_taken_for_a_measurement(tmp_path: Path) -> None:
-    path = written(tmp_path, COREXY + SHAPER)
-    sentences = list(still_assumed(imported(path).provenance, "klipper"))
-    assert any("axes.x.frequency_hz, axes.x.damping_ratio, axes.y.frequency_hz" in each for each in sentences)
-    assert not any("axes.y.damping_ratio" in each for each in sentences), "the configuration gives this one"
-
-
 def test_what_is_missing_stays_missing(tmp_path: Path) -> None:
     path = written(tmp_path, COREXY.replace("position_max: 302.5", "") + SHAPER.replace("shaper_freq_x: 61.2", ""))
     made = drafted(path)

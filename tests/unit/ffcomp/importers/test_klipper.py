@@ -106,14 +106,6 @@ def test_a_circle_of_includes_is_refused_and_a_diamond_is_not(tmp_path: Path) ->
     assert value(found(tmp_path, "[include a.cfg]\n[include b.cfg]\n" + PLAIN), "kinematics.arm_length_mm") == 280.0
 
 
-def test_includes_that_multiply_end(tmp_path: Path) -> None:
-    for level in range(20):
-        written(tmp_path, f"[include {level + 1}.cfg]\n" * 3, f"{level}.cfg")
-    written(tmp_path, "", "20.cfg")
-    with pytest.raises(PrinterConfigError, match="more than 1000 files are included"):
-        found(tmp_path, "[include 0.cfg]\n" + PLAIN)
-
-
 def test_saved_values_fill_in_what_the_rest_leaves_out(tmp_path: Path) -> None:
     saved = (
         "#*# [printer]\n#*# delta_radius = 131.5\n#*#\n#*# [stepper_a]\n#*# angle = 209.5  # tuned\n"

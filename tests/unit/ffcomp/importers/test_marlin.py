@@ -41,21 +41,6 @@ def test_a_delta(tmp_path: Path) -> None:
     assert any("DELTA_RADIUS_TRIM_TOWER" in note for note in says.notes)
 
 
-@pytest.mark.parametrize("before", ["", "Recv: ", "17:19:24.459 : ", "12:00:01.2 >> ", "[echo] ", "# RECV: "])
-def test_a_terminal_may_add_its_words(before: str, tmp_path: Path) -> None:
-    text = "".join(before + line for line in (LIMITS + JERK + TOWERS).splitlines(keepends=True))
-    sent = before.replace("Recv", "Send").replace("RECV", "SEND") + "M92 X1 Y1 Z1\n" if "ecv" in before.lower() else ""
-    says = found(tmp_path, text + sent)
-    assert value(says, "steps.steps_per_mm") == [80.0, 80.0, 400.0]
-    assert value(says, "kinematics.delta_radius_mm") == 141.9439
-
-
-def test_who_does_not_tell_must_be_told(tmp_path: Path) -> None:
-    with pytest.raises(PrinterConfigError, match="--kinematics cartesian or --kinematics corexy"):
-        found(tmp_path, LIMITS + JERK)
-    assert found(tmp_path, LIMITS + JERK, "corexy").kinematics == "corexy"
-
-
 def test_a_cartesian_printer(tmp_path: Path) -> None:
     says = found(tmp_path, LIMITS + JERK + SHAPER + AREA, "cartesian")
     assert value(says, "kinematics.x_range_mm") == [-5.0, 230.0]

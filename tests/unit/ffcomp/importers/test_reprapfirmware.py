@@ -34,18 +34,6 @@ def test_towers_without_their_own_numbers_are_as_the_first(tmp_path: Path) -> No
     assert value(two, "kinematics.delta_radius_mm") == 105.6, "a command changes only what it names"
 
 
-def test_m501_loads_the_calibration_that_lies_beside(tmp_path: Path) -> None:
-    written(tmp_path, "M665 L215.1:215.2:215.3 R105.937 H250.459 B85.0 X-0.5 Y0.25 Z0\n", "config-override.g")
-    assert value(found(tmp_path, DELTA), "kinematics.delta_radius_mm") == 105.6, "nothing runs it"
-    maybe = found(tmp_path, DELTA + "if var.x\n  M501\n")
-    assert value(maybe, "kinematics.delta_radius_mm") == 105.6
-    assert maybe.notes == ("config.g:9: this M501 stands under a condition and was not read.",)
-    says = found(tmp_path, DELTA + "M501\n")
-    assert value(says, "kinematics.arm_lengths_mm") == [215.1, 215.2, 215.3]
-    assert value(says, "kinematics.tower_angles_deg") == [209.5, 330.25, 90.0]
-    assert says.values["kinematics.delta_radius_mm"].origin == "config-override.g:1 M665 R"
-
-
 def test_macros_run_where_they_are_called(tmp_path: Path) -> None:
     written(tmp_path, "M201 X900 Y900\n", "sys/speed.g")
     written(tmp_path, "M203 X6000 Y9000\n", "macros/fast.g")
@@ -69,17 +57,6 @@ def test_microsteps_after_the_steps_change_them(tmp_path: Path) -> None:
     assert value(before, "steps.full_steps_per_mm") == 1.25
     said = found(tmp_path, DELTA.replace("E420:415", "S16").replace("M92", "M350 X64 Y64 Z64\nM92"))
     assert value(said, "steps.steps_per_mm") == 320.0
-
-
-def test_speeds_are_per_minute_and_the_slowest_counts(tmp_path: Path) -> None:
-    says = found(
-        tmp_path, DELTA + "M203 X18000 Y12000 Z6000\nM201 X1500 Y1600 Z700\nM204 P1400 T3000\nM566 X600 Y900\n"
-    )
-    assert value(says, "limits.velocity_mm_per_s") == 200.0
-    assert value(says, "limits.z_velocity_mm_per_s") == 100.0
-    assert value(says, "limits.acceleration_mm_per_s2") == 1400.0
-    assert value(says, "limits.z_acceleration_mm_per_s2") == 700.0
-    assert value(says, "limits.square_corner_velocity_mm_per_s") == 10.0
 
 
 def test_a_slowest_speed_is_noted(tmp_path: Path) -> None:

@@ -26,15 +26,3 @@ def test_the_knee_lies_above_the_modes_that_ring(name: str) -> None:
     assert curve.knee_hz > slow.max()
     settings = settings_for(machine)
     assert settings.inverse_hz == replace(settings, robust=True).inverse_hz == curve.knee_hz
-
-
-@pytest.mark.parametrize("name", ["ender-3", "voron-300"])
-def test_straight_axes_are_followed_as_far_as_it_costs_little(name: str) -> None:
-    curve = effort_curve(load_machine(name), 0.004)
-    at = int(np.searchsorted(curve.bandwidth_hz, 80.0))  # where a floor of 1 µm would end
-    assert curve.knee_hz > 110.0
-    assert curve.error_um[curve.knee] < 0.75 * curve.error_um[at]
-    assert curve.peak_mm_per_s2[curve.knee] < 1.15 * curve.peak_mm_per_s2[at]
-    settings = settings_for(load_machine(name))
-    assert settings.inverse_hz == curve.knee_hz
-    assert replace(settings, robust=True).inverse_hz < 90.0  # what is not known is left anyway

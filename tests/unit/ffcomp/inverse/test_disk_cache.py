@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +12,6 @@ from ffcomp.inverse.model import InverseModel
 from ffcomp.inverse.settings import settings_for
 from ffcomp.numerics.numba_cache import OUR_VARIABLE
 from models.file import load_machine
-from models.kinds import delta_vibration, with_parts
 from models.machine import Machine
 
 HERE, THERE = np.array([[0.0, 0.0], [12.0, -30.0]]), np.array([[-50.0, 20.0]])
@@ -56,16 +54,6 @@ def test_the_next_one_has_the_same_numbers_without_working_them_out(
     np.testing.assert_array_equal(first.row_table.plant.a, second.row_table.plant.a)
     slot = int(second.gains.at(HERE)[0][1])
     np.testing.assert_array_equal(second.gains.end(slot).forward, first.gains.end(slot).forward)
-
-
-def test_another_machine_finds_nothing(folder: Path, machine: Machine) -> None:
-    been_at(machine, HERE).save_cache()
-    heavier = with_parts(machine, effector=replace(delta_vibration(machine).effector, extruder_mass_kg=0.3))
-    for stranger in (
-        InverseModel(heavier, settings_for(machine)),
-        InverseModel(machine, replace(settings_for(machine), substeps=2)),
-    ):
-        assert len(stranger.gains) == 0
 
 
 def test_a_damaged_file_is_not_there(folder: Path) -> None:

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from ffcomp.inverse import qp
 from ffcomp.inverse.command_limits import ACCELERATION, TRAVEL, VELOCITY, peak_utilisation, utilisation_from_rest
 from ffcomp.inverse.model import InverseModel, Iterate
 from ffcomp.inverse.reference import Reference
@@ -152,29 +151,3 @@ def test_a_limit_between_plan_and_free_answer_is_held(machine: Machine, limit: i
     again = solve(held_inverter, reference, state, enforce_limits=False)
     assert len(again.constrained) == 0
     np.testing.assert_array_equal(again.vertices, free.vertices)
-
-
-def test_the_solver_finds_the_command_of_the_readable_formulation(
-    machine: Machine, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """On the constrained windows of a section: osqp, which stops early, to a micrometre of cvxpy."""
-
-    def readable(p: FloatArray, q: FloatArray, a: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray:
-        x = cp.Variable(len(q))
-        held = [
-            (a @ x)[np.isfinite(low)] >= low[np.isfinite(low)],
-            (a @ x)[np.isfinite(high)] <= high[np.isfinite(high)],
-        ]
-        cp.Problem(cp.Minimize(1e6 * (0.5 * cp.quad_form(x, cp.psd_wrap(p)) + q @ x)), held).solve(solver=cp.CLARABEL)
-        return np.asarray(x.value)
-
-    settings = replace(USUAL, bandwidth_hz=112.0, lead_s=0.004)
-    state, reference = machine.equilibrium(np.array([-60.0, 20, 0.3])), reference_of(CORNER, machine, settings)
-    free = solve(InverseModel(machine, settings), reference, state)
-    tight = replace(machine.limits, carriage_acceleration_mm_per_s2=0.8 * free.utilisation * 30000.0)
-    held_model = InverseModel(replace(machine, limits=tight), settings)
-    by_osqp = solve(held_model, reference, state)
-    monkeypatch.setattr(qp, "solve_qp", readable)
-    by_cvxpy = solve(held_model, reference, state)
-    assert by_cvxpy.constrained and np.abs(by_cvxpy.vertices - free.vertices).max() > 1e-3
-    np.testing.assert_allclose(by_osqp.vertices, by_cvxpy.vertices, atol=1e-3)

@@ -91,12 +91,3 @@ def test_no_limit_is_broken_for_an_effect(plant: Machine) -> None:
     assert max(each.solution.utilisation for each in answers) <= 1.0
     assert all(peak_utilisation(each.solution.vertices, inverter.limits) <= 1.0 for each in answers)
     assert tracking_um(answers) < 3.0 * tracking_um(answers_of(MACHINE)[0])
-
-
-def test_a_printer_without_effects_leaves_the_linear_command() -> None:
-    """Played on the printer that the model is made from, what is left is not worth a step."""
-    linear, again = answers_of(MACHINE)[0], solved(MACHINE, MACHINE)[1]
-    far = max(
-        float(np.abs(a.solution.vertices - b.solution.vertices).max()) for a, b in zip(linear, again, strict=True)
-    )
-    assert far < 0.05

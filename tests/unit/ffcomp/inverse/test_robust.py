@@ -19,8 +19,6 @@ from ffcomp.inverse.robust import (
 )
 from ffcomp.inverse.sensitivity import (
     MARGIN,
-    apply,
-    apply_adjoint,
 )
 from ffcomp.inverse.settings import settings_for
 from ffcomp.metrics import contour_error, rms
@@ -31,7 +29,6 @@ from models.machine import Machine, with_values
 from tests.support.prints import squares
 from tests.support.settings import finely_joined
 
-ComplexArray = NDArray[np.complex64]
 FloatArray = NDArray[np.float64]
 PLACE = np.array([40.0, -30.0, 5.0])
 
@@ -73,18 +70,6 @@ def wish(softening: RobustReference, path: FloatArray) -> FloatArray:
 
 
 # ---- what the machine may make of it -------------------------------------------------------------
-
-
-def test_the_adjoint_is_one() -> None:
-    rng = np.random.default_rng(5)
-
-    def drawn(*shape: int) -> ComplexArray:
-        return (rng.normal(size=shape) + 1j * rng.normal(size=shape)).astype(np.complex64)
-
-    known, lines, errors = drawn(2, 6, 3, 50), drawn(2, 3, 50), drawn(2, 6, 50)
-    answer, adjoint = apply(known, lines, 50), apply_adjoint(known, errors, 50)
-    assert np.vdot(answer, errors) == pytest.approx(np.vdot(lines, adjoint), rel=1e-4)
-    assert not apply(known, lines, 60)[..., 50:].any()
 
 
 # ---- what is wanted ------------------------------------------------------------------------------

@@ -100,17 +100,6 @@ def error_um(found: SolvedSection) -> float:
     return 1e3 * float(np.sqrt(((found.solution.response - nozzle[1:]) ** 2).sum(axis=1)).max())
 
 
-def test_where_nothing_binds_nothing_changes(machine: Machine, planned: PlannedProgram) -> None:
-    inverter, run = inverter_of(machine), planned.sections[0]
-    found = solved(inverter, planned, run, machine)
-    state = machine.equilibrium(np.array(START))
-    plain = solve(inverter, found.written.reference, state, keep_response=True)
-    assert found.trajectory is planned.trajectory and found.section is run
-    assert found.slowed == () and found.lost_s == 0.0 and not found.solution.constrained
-    for name in ("vertices", "state", "response"):
-        assert getattr(found.solution, name).tobytes() == getattr(plain, name).tobytes()
-
-
 @pytest.mark.parametrize(
     ("limits", "names"),
     [
@@ -221,31 +210,3 @@ def test_segments_can_be_played_in_their_time(machine: Machine) -> None:
     assert "firmware's own acceleration" in record.sentence()
     assert 0 < found.lost_s < 0.1
     assert found.solution.utilisation <= 1.0
-
-
-STROKES = b"""M204 S40000
-G1 X-40 Y20 E1 F18000
-G1 X-60 Y40 E2
-G1 X-61 Y40
-G1 X-40 Y61 E3
-"""
-
-
-def test_the_extruder_does_not_slow_hard_corners_down() -> None:
-    """The filament follows the command there: its speed jumps by no more than the firmware allows."""
-    machine = load_machine("flsun-t1")
-    planned = plan_program(read_program(STROKES, start=START, flavor="klipper"), machine)
-    inverter, section = inverter_of(machine), planned.sections[0]
-    found = solved(inverter, planned, section, machine)
-    assert found.slowed == () and found.lost_s == 0.0
-    s, vertices, reference = inverter.settings, found.solution.vertices, found.written.reference
-    filament = reference.extrusion()
-    lasting = np.full(len(vertices) - 1, s.segment_s)
-    played = segment_speeds(vertices, np.diff(filament), lasting, s.output).duration
-    assert played == pytest.approx(lasting, abs=0.01 * s.segment_s)
-    reference.even_flow(vertices, None)
-    by_plan = reference.extrusion()
-    assert np.diff(filament).min() >= 0.0 and filament[[0, -1]] == pytest.approx([0.0, 3.0], abs=1e-9)
-    assert 0.005 < np.abs(filament - by_plan).max() < 0.04  # mm: less than a mm of the line
-    late = segment_speeds(vertices, np.diff(by_plan), lasting, s.output).duration
-    assert late.sum() > 1.01 * lasting.sum()

@@ -23,13 +23,6 @@ def written(folder: Path, lag_s: float, gain: float = 1.0) -> Path:
     return path
 
 
-@pytest.mark.parametrize(("lag_s", "gain"), [(0.0, 1.0), (2e-4, 1.0), (0.0, 1.005)])
-def test_a_speed_as_the_position_tells_it_is_a_sensor(lag_s: float, gain: float, tmp_path: Path) -> None:
-    run = read_axis_run(written(tmp_path, lag_s, gain))
-    assert "vel_q" in run.signals
-    assert run.remarks == ()
-
-
 def test_a_speed_that_comes_through_a_filter_is_left_out_with_its_lag(tmp_path: Path) -> None:
     run = read_axis_run(written(tmp_path, 8e-3))
     assert "vel_q" not in run.signals

@@ -80,15 +80,6 @@ def capture_text(scale: float = 1000.0, rate: float = 3200.0, count: int = 3200,
     return f"#time,accel_x,accel_y,accel_z\n{rows}\n"
 
 
-def test_a_capture_is_read(tmp_path: Path) -> None:
-    path = tmp_path / "raw_data_axis=1.000,-0.500_adxl345_nozzle_0.000_10.000_20.000_test.csv"
-    path.write_text(capture_text(), encoding="utf-8")
-    found = read_capture(path)
-    assert (found.axis, found.position_mm) == ("axis=1.000,-0.500", (0.0, 10.0, 20.0))
-    assert found.sample_rate_hz == pytest.approx(3200, rel=1e-5) and found.time_s[0] == pytest.approx(1000)
-    assert found.acceleration.mean(axis=0)[2] == pytest.approx(G, abs=0.2)
-
-
 @pytest.mark.parametrize(
     ("text", "words"),
     [

@@ -26,16 +26,6 @@ def complaint(path: Path) -> str:
     return str(caught.value)
 
 
-def test_a_run_is_read(columns: Columns, written: Written) -> None:
-    recording = read_recording(written(columns, "square-left-12.csv", "# Operator: me\n# note\n"))
-    assert recording.sample_rate_hz == pytest.approx(RATE)
-    assert recording.command_space == "carriage" and recording.inputs == ("cmd_A", "cmd_B", "cmd_C")
-    assert recording.repeat_of == "square-left" and recording.comments == {"operator": "me"}
-    np.testing.assert_allclose(recording.command[:, 1], columns["cmd_B_mm"], rtol=1e-8)
-    np.testing.assert_allclose(recording.acceleration["acc_C"], columns["acc_C_m_per_s2"], atol=1e-6)
-    assert not recording.gaps.any() and recording.position == {}
-
-
 def test_empty_fields_and_missing_rows_are_gaps(columns: Columns, written: Written) -> None:
     columns["acc_A_m_per_s2"][100:103] = np.nan
     whole = columns["cmd_A_mm"].copy()

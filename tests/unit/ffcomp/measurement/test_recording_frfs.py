@@ -40,17 +40,6 @@ def exact(frequency: np.ndarray) -> np.ndarray:
     return freqz(B, A, worN=2 * np.pi * frequency / RATE)[1]
 
 
-@pytest.mark.parametrize("comments", [{"period_s": "1.0"}, {}])
-def test_every_estimator_and_both_units(comments: dict[str, str]) -> None:
-    command = multisine(0) if comments else np.random.default_rng(1).standard_normal((32_000, 3)) * [1, 0, 0]
-    found = frfs_from_recordings([recording(command, **comments)], 20, 100, position_mm=(0.0, 0.0, 1.0))
-    assert [(one.input, one.output) for one in found] == [("cmd_A", "acc_A"), ("cmd_A", "pos_A")]
-    for one in found:
-        assert one.frequency_hz[0] >= 20 and one.frequency_hz[-1] <= 100 and one.position_mm == (0.0, 0.0, 1.0)
-        np.testing.assert_allclose(one.value, exact(one.frequency_hz), rtol=1e-3)
-    np.testing.assert_allclose(found[0].value, found[1].value, rtol=1e-6)
-
-
 def test_small_gaps_are_bridged_and_large_ones_refused() -> None:
     whole = recording(multisine(0), period_s="1.0")
     holed = whole.acceleration["acc_A"].copy()

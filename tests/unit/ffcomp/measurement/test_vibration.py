@@ -32,13 +32,6 @@ def write(path: Path, text: str) -> Path:
     return path
 
 
-def test_reprapfirmware_states_its_rate_in_the_last_line(tmp_path: Path) -> None:
-    text = "Sample,X,Y,Z\n" + rows(np.arange(COUNT), FELT / G) + "Rate 1344, overflows 4\n"
-    found = read_capture(write(tmp_path / "0_2026-11-22.csv", text))
-    assert found.sample_rate_hz == pytest.approx(1344) and (found.overflows, found.clock) == (4, "free")
-    np.testing.assert_allclose(found.acceleration, FELT, rtol=1e-4, atol=1e-4)
-
-
 @pytest.mark.parametrize(
     ("tail", "words"),
     [("", "the recording was cut short"), ("Failed to start accelerometer\n", "Check M955, and record it again")],

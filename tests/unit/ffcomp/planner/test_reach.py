@@ -46,8 +46,3 @@ def test_the_part_is_refused_with_its_own_line(ender: Machine) -> None:
 def test_a_part_that_begins_outside_names_the_line_that_went_there(ender: Machine) -> None:
     with pytest.raises(OutOfReach, match=r"^a\.gcode:3: The point X = 240\.000, Y = 90\.000"):
         read(PRINT.replace(b"X40 Y90", b"X240 Y90"), ender)
-
-
-def test_a_file_of_which_nothing_lies_inside_is_refused(ender: Machine) -> None:
-    with pytest.raises(OutOfReach, match=r"a\.gcode:1: .*outside the range of X"):
-        read(b"G1 X-50 F600\nG1 X-60\n", ender)

@@ -15,7 +15,6 @@ from ffcomp.planner.segment_merging import (
     FIRST_KNOTS_AHEAD,
     MOST_KNOTS_AHEAD,
     MOST_KNOTS_BEHIND,
-    WIDEST_TOLERANCE,
     MergeLimits,
     merge,
     refit,
@@ -76,19 +75,6 @@ def test_no_second_has_more_segments_than_it_may(quarters: list[int], seed: int,
             <= 50 + MOST_KNOTS_AHEAD + MOST_KNOTS_BEHIND + FIRST_KNOTS_AHEAD
         )
         assert len(kept) < 0.3 * len(at) + 2 * len(lines)
-
-
-@given(cuts, st.integers(0, 3))
-def test_no_turn_is_cut_off_for_the_number_of_segments(quarters: list[int], seed: int) -> None:
-    """However many lines cut segments: what is missed is the tolerance, widened four times at the most."""
-    lines = np.array(sorted(quarters), dtype=float) / 4
-    at = np.unique(np.concatenate([np.arange(101.0), lines]))
-    turn = 0.9 * np.cumsum(np.random.default_rng(seed).normal(0.0, 0.3, len(at)))
-    steps = np.diff(at, prepend=0.0)[:, None] * np.stack([np.cos(turn), np.sin(turn), 0 * turn], axis=1) * 0.2
-    points = np.cumsum(steps, axis=0)
-    kept = merge(at, points, np.zeros(len(at)), np.isin(at, lines), replace(LIMITS, shortest_mm=0.01), 64)
-    across, _ = missed(at, points, kept)
-    assert across <= max(WIDEST_TOLERANCE * LIMITS.across_mm, 0.5 * 0.01) + 1e-9
 
 
 def test_what_is_kept_after_a_cut_does_not_depend_on_what_came_before() -> None:

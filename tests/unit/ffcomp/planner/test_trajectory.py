@@ -49,16 +49,3 @@ def test_velocity_is_the_slope_of_position(motion: Trajectory) -> None:
     assert motion.velocity(t) == pytest.approx(slope, abs=1e-6 * 300)
     bend = (motion.velocity(t + h) - motion.velocity(t - h)) / (2 * h)
     assert motion.acceleration_at(t) == pytest.approx(bend, rel=1e-6, abs=1e-3)
-
-
-def test_motion_within_a_section_rests_outside_it(motion: Trajectory) -> None:
-    """Inside a section it is position and velocity to the last bit; around it the nozzle rests."""
-    begin_t, end_t = motion.start_t[[3, 9]].tolist()
-    t = np.sort(np.concatenate([np.linspace(begin_t - 0.05, end_t + 0.05, 4001), [begin_t, end_t]]))
-    nozzle, velocity = motion.motion_within(t, begin_t, end_t)
-    inside = (t >= begin_t) & (t < end_t)
-    assert np.array_equal(nozzle[inside], motion.position(t[inside])[:, :3])
-    assert np.array_equal(velocity[inside], motion.velocity(t[inside])[:, :3])
-    assert np.any(velocity[inside]) and not np.any(velocity[~inside])
-    at_begin, before_end = motion.position([begin_t, np.nextafter(end_t, -np.inf)])[:, :3]
-    assert (nozzle[t < begin_t] == at_begin).all() and (nozzle[t >= end_t] == before_end).all()

@@ -14,9 +14,6 @@ import pytest
 
 from ffcomp.cli.app import app
 from ffcomp.errors import LimitsError, MeasurementError
-from ffcomp.planner.limits import planner_limits
-from ffcomp.planner.lookahead import plan_moves, stops_and_waits
-from ffcomp.planner.trajectory import Trajectory
 from ffcomp.record.excitation import (
     AXES,
     CLEARANCE_MM,
@@ -92,28 +89,7 @@ def first_segments(program: Program, plan: Plan) -> list[int]:
     return found
 
 
-def planned(program: Program, machine: Machine) -> Trajectory:
-    stops, waits = stops_and_waits(program)
-    return plan_moves(program.moves, planner_limits(machine), stop_before=stops, wait_before=waits)
-
-
 # What is played
-
-
-@pytest.mark.parametrize("kind", ["multisine", "sweep"])
-def test_the_account_is_what_our_planner_makes_of_the_file(kind: str) -> None:
-    plan = make_excitation_plan(machine(), replace(SHORT, kind=kind))
-    text = b"".join(written(plan, machine(), "klipper"))
-    program = read_program(text)
-    trajectory = planned(program, machine())
-    for first, experiment in zip(first_segments(program, plan), plan.experiments, strict=True):
-        last = first + len(experiment.motion.vertices_mm) - 1
-        begins = trajectory.start_t[first]
-        ours = experiment.motion.trajectory.start_t
-        np.testing.assert_allclose(trajectory.start_t[first:last] - begins, ours, atol=1e-8)
-        t = dense(experiment)[:-1]
-        there = trajectory.position(begins + t)[:, :3]
-        np.testing.assert_allclose(experiment.motion.nozzle(t), there, atol=1e-6)
 
 
 def test_a_plant_that_plays_it_shows_its_frequency_response() -> None:

@@ -124,18 +124,6 @@ def test_a_free_clock_is_aligned_within_three_tenths(either: Bench) -> None:
         assert abs(each.clock.ratio - 1.0) < 5e-3
 
 
-def test_axes_and_tilt_are_found_and_gravity_is_gone(either: Bench) -> None:
-    assert {each.axes_map for each in joined(either).joined} == {"-z,-x,y"}
-    for each in joined(either).joined:
-        t = each.recording.time_s - 0.5
-        assert t[0] == pytest.approx(-0.5, abs=1e-3)
-        truth = either.felt[each.experiment](t)
-        for i, axis in enumerate("xyz"):
-            error = each.recording.acceleration[f"acc_{axis}"] - truth[:, i]
-            # the noise, and a tenth of a millisecond of what rings at 43 Hz
-            assert np.abs(error.mean()) < 0.02 and error.std() < 0.2 + 0.03 * truth.std(), axis
-
-
 def one(bench: Bench) -> Path:
     return bench.paths("klipper")[0]
 
@@ -168,24 +156,6 @@ def test_a_speed_override_is_refused(bench: Bench, tmp_path: Path, factor: float
     path.write_text("\n".join([head, *slower]) + "\n")
     why = refused(bench, path)
     assert any(word in why for word in words_.split("|")), why
-
-
-def test_a_renamed_capture_is_known_by_its_motion(bench: Bench, tmp_path: Path) -> None:
-    path = tmp_path / "adxl345-other-1.csv"
-    path.write_bytes(one(bench).read_bytes())
-    (found,) = join_captures([path], bench.plan, bench.machine).joined
-    assert found.name == one(bench).stem.removeprefix("adxl345-")[:-1] + "1" and found.source == str(path)
-
-
-def test_single_lost_rows_are_bridged_within_the_noise(bench: Bench, tmp_path: Path) -> None:
-    lines = one(bench).read_text().splitlines(keepends=True)
-    path = tmp_path / one(bench).name
-    path.write_text("".join(line for k, line in enumerate(lines) if k < 3000 or k % 500))
-    (whole,), (holed,) = (join_captures([p], bench.plan, bench.machine).joined for p in (one(bench), path))
-    assert not holed.recording.gaps.any()
-    for name, expected in whole.recording.acceleration.items():
-        apart = holed.recording.acceleration[name] - expected
-        assert np.sqrt(np.mean(apart**2)) < 0.05 and np.abs(apart).max() < 2.0, name
 
 
 def test_straight_axes_are_joined_too(tmp_path: Path) -> None:

@@ -12,7 +12,6 @@ from ffcomp.record.multisine import (
     KINDS,
     band,
     excitation,
-    lines_of,
     polyline_gain,
     scaled,
 )
@@ -53,20 +52,6 @@ def test_a_multisine_accelerates_evenly_at_its_lines_and_nowhere_else() -> None:
     np.testing.assert_allclose(acceleration, acceleration.mean(), rtol=2e-3)
     others = np.setdiff1d(np.arange(WIDE.knots // 2), WIDE.lines)
     assert np.abs(spectrum[others]).max() < 1e-9 * np.abs(spectrum).max()
-
-
-@pytest.mark.parametrize("kind", list(KINDS))
-def test_lines_say_what_a_period_is(kind: str) -> None:
-    """Their sum is the period but for what lies outside the band."""
-    wave = scaled(kind, WIDE, 4000.0, 500.0, seed=1)
-    lines = lines_of(wave, WIDE)
-    t = WIDE.segment_s * np.arange(WIDE.knots)
-    total = np.cos(2 * np.pi * np.outer(t, lines.frequency_hz) + lines.phase_rad) @ lines.amplitude_mm
-    outside = np.fft.rfft(wave)
-    outside[WIDE.lines] = 0.0
-    np.testing.assert_allclose(wave - total, np.fft.irfft(outside, WIDE.knots), atol=1e-9)
-    if kind == "multisine":
-        assert np.abs(outside).max() < 1e-9
 
 
 @pytest.mark.parametrize("kind", list(KINDS))

@@ -16,7 +16,6 @@ from ffcomp.record.page import (
     page_lines,
     twins,
 )
-from ffcomp.record.plan import Page
 from gcode.reader import read_program
 from models.file import load_machine
 
@@ -69,15 +68,6 @@ def test_the_gcode_draws_the_plan_in_one_layer_and_puts_everything_back(flavor: 
     assert text.index(on.encode()) > text.rindex(b"G1 X")
     accelerations = [line for line in text.splitlines() if line.startswith((b"SET_VELOCITY_LIMIT", b"M204", b"M201"))]
     assert b"3000" in accelerations[-1] or b"3000" in accelerations[-2]
-
-
-def test_a_pen_draws_without_heat_and_filament() -> None:
-    machine = load_machine("kossel")
-    plan = make_page(machine, PageRequest(Page(pen=True), height_mm=0.0))
-    text = b"".join(page_lines(plan, machine, Recorder("marlin", ())))
-    assert not any(line.startswith((b"M104", b"M109", b"M140", b"M190", b"G1 E")) for line in text.splitlines())
-    moves = read_program(text, "page.gcode", flavor="marlin").moves
-    assert np.all(moves.end[:, 3] == moves.start[:, 3])
 
 
 def test_too_hard_strokes_are_refused() -> None:

@@ -8,17 +8,14 @@ import numpy as np
 import pytest
 
 from ffcomp.errors import LimitsError, MeasurementError
-from ffcomp.firmware.klipper import RESTORE
 from ffcomp.planner.limits import PlannerLimits
 from ffcomp.planner.lookahead import plan_moves, stops_and_waits
 from ffcomp.record.gcode_writer import Recorder, gcode_lines
-from ffcomp.record.moves import MOST_ROUNDING, NEAREST_MM, Request, make_plan
+from ffcomp.record.moves import Request, make_plan
 from ffcomp.record.plan import Plan, load_plan, save_plan
 from gcode.reader import read_program
 from models.file import load_machine
 from models.machine import Machine
-
-MACHINES = ("mp-delta-pro", "kossel", "flsun-qqs", "ender-3", "voron-300")
 
 
 @pytest.fixture(scope="module")
@@ -29,18 +26,6 @@ def delta() -> Machine:
 @pytest.fixture(scope="module")
 def plan(delta: Machine) -> Plan:
     return make_plan(delta, Request(seconds=2.0))
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", MACHINES)
-def test_the_usual_plan_is_short_loud_and_at_four_places(name: str) -> None:
-    plan = make_plan(load_machine(name), Request())
-    assert plan.duration_s < 300 and len(plan.experiments) <= 12 and plan.repeats == 2
-    assert max(each.rounding for each in plan.experiments) <= MOST_ROUNDING
-    places = {each.position_mm[:2] for each in plan.experiments}
-    assert len(places) == 4
-    apart = [np.hypot(a[0] - b[0], a[1] - b[1]) for a in places for b in places if a != b]
-    assert min(apart) >= NEAREST_MM
 
 
 def test_the_json_file_holds_the_command(plan: Plan, tmp_path: Path) -> None:
@@ -104,12 +89,6 @@ def test_the_shaper_is_switched_off_and_on_again(plan: Plan, delta: Machine, fla
     first_move = text.index("\nG1 ")
     assert text.index(f"\n{off}\n") < first_move < text.rindex("\nG1 ") < text.index(f"\n{on}\n")
     assert off not in text_of(plan, delta, flavor, ()), "the printer has no shaper"
-
-
-def test_klipper_restores_by_a_macro_that_the_file_prints(plan: Plan, delta: Machine) -> None:
-    text = text_of(plan, delta, "klipper")
-    assert text.endswith(f"\n{RESTORE}\n") and f"; [gcode_macro {RESTORE}]" in text
-    assert "SHAPER_FREQ_X=0" in text and "no input_shaper" in text  # says that the shaper would stay off
 
 
 @pytest.mark.parametrize(

@@ -11,13 +11,11 @@ import pytest
 
 from ffcomp.cli.app import app
 from ffcomp.errors import MeasurementError, NothingToDo
-from ffcomp.firmware.program import firmware_plan
 from ffcomp.record.gcode_writer import Recorder
 from ffcomp.record.join import join_captures
 from ffcomp.record.plan import Plan, load_plan, save_plan
 from ffcomp.record.prints import plan_of, plan_print, print_lines
 from gcode.program import Program
-from gcode.reader import read_program
 from models.file import load_machine
 from models.machine import Machine
 from tests.support.cli import CliRunner
@@ -50,24 +48,6 @@ def test_the_print_stays_what_it_is(planned: tuple[Plan, Program]) -> None:
     starts = sum(line.startswith(b"ACCELEROMETER_MEASURE") for line in lines)
     assert starts == 2 * len(planned[0].experiments) > 0
     assert added < sum(line.startswith(ours) for line in lines) + 1
-
-
-def test_the_plan_is_the_printed_motion(planned: tuple[Plan, Program], machine: Machine) -> None:
-    """Read back, each section between two toggles takes its time, and goes where the plan says."""
-    lines = [
-        line for line in text_of(planned) if not line.startswith(b"ACCELEROMETER_MEASURE")
-    ]  # unknown to our reader
-    program = read_program(b"".join(lines), "recorded.gcode")
-    whole = firmware_plan(program, machine)
-    for each in planned[0].experiments:
-        n = len(each.motion.speed)
-        first = next(
-            k for k in range(len(program.moves)) if np.array_equal(program.moves.end[k : k + n], each.motion.ends_mm)
-        )
-        t = np.linspace(0.0, each.duration_s, 400)
-        np.testing.assert_allclose(
-            whole.position(whole.start_t[first] + t)[:, :3], each.motion.nozzle(t), atol=1e-6, err_msg=each.name
-        )
 
 
 def test_captures_of_a_print_are_joined(planned: tuple[Plan, Program], machine: Machine, tmp_path: Path) -> None:

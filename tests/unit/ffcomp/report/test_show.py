@@ -38,15 +38,6 @@ def test_it_shows_the_worst_of_the_outer_walls_from_near() -> None:
     assert high - low == pytest.approx(2 * 8 * 0.1, rel=0.01)  # 0.1 mm off: 1.6 mm are shown, not the whole line
 
 
-def test_the_error_by_layer_is_that_of_plastic() -> None:
-    (z,), (error,) = curve(1.0).by_height()
-    ramp = np.linspace(0.5, 1.0, COUNT)
-    assert z == pytest.approx(0.2)
-    assert error == pytest.approx(np.sqrt(np.mean([(100 * ramp) ** 2, (300 * ramp) ** 2])))
-    before, after = drawn().axes[1].get_lines()
-    assert before.get_xdata()[0] == pytest.approx(100 * after.get_xdata()[0])
-
-
 def test_the_picture_is_opened_or_it_is_said_where_it_is(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

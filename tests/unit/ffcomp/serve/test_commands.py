@@ -32,13 +32,6 @@ def words_of(kind: str, options: dict[str, Any], *inputs: str) -> list[tuple[str
 
 
 @pytest.mark.parametrize(
-    ("value", "words"), [("", ()), (None, ()), ("auto", ()), ("on", ("--robust=on",)), ("off", ("--robust=off",))]
-)
-def test_a_choice_is_a_word_or_nothing(value: Any, words: tuple[str, ...]) -> None:
-    assert words_of("compensate", {"robust": value}, "a.gcode")[0][7:] == words
-
-
-@pytest.mark.parametrize(
     ("kind", "options"),
     [
         ("destroy", {}),

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import numpy as np
 import pytest
 
 from ffcomp.comparison.sampling import Print, Sampling
 from ffcomp.simulation.command import planned_motion
-from ffcomp.simulation.expectation import Expectation, draw_plants, expectation, pieces_of
+from ffcomp.simulation.expectation import Expectation, expectation, pieces_of
 from models.file import load_machine
-from models.machine import Machine, value_of
+from models.machine import Machine
 from tests.support.prints import squares
 
 
@@ -26,13 +25,6 @@ def uncompensated(machine: Machine) -> Expectation:
     found = expectation(machine, pieces_of(stretch.motion, planned_motion(stretch.trajectory), stretch.corners))
     assert found is not None
     return found
-
-
-def test_the_stated_uncertainty_is_that_of_frequencies(machine: Machine) -> None:
-    plants = draw_plants(replace(machine, uncertainty={"default": 0.2}), None, 400)
-    stiffness = np.array([value_of(each, "axes.x.stiffness[0]") for each in plants])
-    frequency = np.sqrt(stiffness / value_of(machine, "axes.x.stiffness[0]"))
-    assert np.std(frequency) == pytest.approx(0.2, rel=0.1) and np.mean(frequency) == pytest.approx(1.0, abs=0.03)
 
 
 def test_where_the_file_is_certain_the_printer_is_as_it_says(machine: Machine) -> None:

@@ -28,18 +28,6 @@ def test_weight_bends_the_belts_by_the_load_they_carry() -> None:
     np.testing.assert_allclose(static_deflection(MACHINE, np.zeros((1, 3)))[0], [0, 0, expected], atol=2e-4)
 
 
-def test_the_polynomial_of_the_sag_holds_between_its_places() -> None:
-    from models.printer.kernels.record import Q
-    from models.printer.parameters import printer_parameters
-    from models.printer.rest import equilibrium_state
-
-    place = np.array([[37.0, -61.0, 0.0]])
-    command = MACHINE.kinematics.inverse(place)[0]
-    bent = equilibrium_state(MACHINE, command, printer_parameters(MACHINE))[Q : Q + 3]
-    nozzle = MACHINE.kinematics.forward(1e3 * bent[None])
-    np.testing.assert_allclose(static_deflection(MACHINE, place), nozzle - place, atol=1e-5)
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["ringing_tower", "far_star"])
 def test_the_independent_plant_says_the_same(name: str) -> None:

@@ -10,7 +10,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from ffcomp.steps import compress
 from ffcomp.steps.compress import FAR_TICKS, Compressor, Rows
 
 IntArray = NDArray[np.int64]
@@ -70,24 +69,6 @@ def assert_faithful(tick: IntArray, way: IntArray, rows: Rows, slack: int) -> No
 @given(streams(), st.sampled_from([0, 3, SLACK]))
 def test_every_step_is_within_its_window(stream: tuple[IntArray, IntArray], slack: int) -> None:
     assert_faithful(*stream, rows_of(*stream, slack=slack), slack)
-
-
-@settings(max_examples=30, deadline=None)
-@given(streams(), st.integers(1, 700))
-def test_chunks_change_nothing(stream: tuple[IntArray, IntArray], at_once: int) -> None:
-    whole = rows_of(*stream)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(compress, "BATCH_STEPS", 5)
-        cut = rows_of(*stream, at_once=at_once)
-    for one, other in zip(whole, cut, strict=True):
-        np.testing.assert_array_equal(one, other)
-
-
-@pytest.mark.parametrize(("interval", "add"), [(700, 0), (90_000, -120), (250, 3), (40_000, 32_767)])
-def test_an_even_stretch_is_one_row(interval: int, add: int) -> None:
-    tick = np.cumsum(interval + add * np.arange(500))
-    rows = rows_of(tick, np.ones(500, dtype=np.int64))
-    assert len(rows[0]) == 1 and rows[1][0] == 500
 
 
 def test_no_row_is_longer_than_16_bits_can_count() -> None:

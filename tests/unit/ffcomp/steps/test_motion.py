@@ -74,23 +74,6 @@ def test_lines_stand_where_their_moment_is(tmp_path: Path) -> None:
     assert records[7].seconds == pytest.approx(0.2)
 
 
-def test_waits_before_and_after_the_motion_are_kept(tmp_path: Path) -> None:
-    knots = places(25)
-    with MotionSink(tmp_path / "x.ffm", {}) as sink:
-        sink.event(0.1, b"M104 S200\n")
-        sink.event(0.1, b"G4 P5000\n")
-        sink.pieces(knot_pieces(5.1, 0.004, knots[:, :3], knots[:, 3]))
-        sink.event(5.2, b"G4 P2000\n")
-        sink.event(7.2, b"M104 S0\n")
-        sink.event(7.2, b"G4 P3000\n")
-        sink.rest(10.2)
-        sink.finish()
-    header, records = read(tmp_path / "x.ffm")
-    assert kinds(records) == "TWMWTW"
-    assert [record.seconds for record in records if hasattr(record, "seconds")] == pytest.approx([5.0, 2.0, 3.0])
-    assert header["duration_s"] == pytest.approx(10.1)
-
-
 @pytest.mark.parametrize("lines_before", range(5))
 @pytest.mark.parametrize("ahead_s", [None, 0.1, 0.3, 0.6, 0.69, 0.9])
 def test_a_host_that_makes_steps_ahead_never_stops_on_the_path(
@@ -100,20 +83,6 @@ def test_a_host_that_makes_steps_ahead_never_stops_on_the_path(
     lines = tuple((0.1, b"M117 %d" % k) for k in range(lines_before))
     write(tmp_path / "x.ffm", (0.1, places(3000)), events=lines)
     assert played(tmp_path / "x.ffm", ahead_s).stops == 0
-
-
-def test_moves_that_go_nowhere_only_tell_their_feed(tmp_path: Path) -> None:
-    knots = places(100)
-    with MotionSink(tmp_path / "x.ffm", {}) as sink:
-        sink.event(0.01, b"G1 Z0.600 F 9000 ; F1\n", still=True)
-        sink.event(0.02, b"g01 F3600\n", still=True)
-        sink.event(0.03, b"M106 S1\n", still=True)
-        sink.event(0.5, b"G1 X5\n")
-        sink.pieces(knot_pieces(0.0, 0.004, knots[:, :3], knots[:, 3]))
-        sink.finish()
-    _, records = read(tmp_path / "x.ffm")
-    lines = [line for record in records if hasattr(record, "lines") for line in record.lines]
-    assert lines == ["M106 S1", "G1 F3600", "G1 X5"]
 
 
 @pytest.mark.parametrize("at", [0, 3])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +18,6 @@ from ffcomp.steps.sink import Board, MotorTotal, StepSink
 from gcode.reader import read_program
 from models.errors import UnreachableError
 from models.file import load_machine
-from tests.support.steps import read_events
 
 MACHINE = load_machine("mp-delta-pro")
 BOARD = Board(extruder_steps_per_mm=415.0)
@@ -77,13 +76,6 @@ def test_how_the_path_is_cut_changes_no_byte(
     assert (tmp_path / "whole").read_bytes() == (tmp_path / "cut").read_bytes()
 
 
-def test_events_come_back_byte_for_byte(tmp_path: Path) -> None:
-    written(tmp_path / "steps")
-    times, lines = read_events(tmp_path / "steps")
-    np.testing.assert_allclose(times, [t for t, _ in EVENTS], atol=1 / BOARD.clock_hz)
-    assert lines == [line.rstrip(b"\r\n") for _, line in EVENTS]
-
-
 def knots(*vertices: tuple[float, float, float], begin_s: float = 0.1, spacing_s: float = 0.5) -> Pieces:
     return knot_pieces(begin_s, spacing_s, np.array(vertices), np.zeros(len(vertices)))
 
@@ -119,17 +111,6 @@ def test_what_motors_cannot_do_is_said_and_leaves_nothing(sentence: str, tmp_pat
         write_all(target, chunks)
     assert target.read_bytes() == b"old"
     assert [each.name for each in tmp_path.iterdir()] == ["steps"]
-
-
-def interrupted() -> Iterator[Pieces]:
-    yield knots((0, 0, 5), (1, 0, 5))
-    raise KeyboardInterrupt
-
-
-def test_an_interruption_leaves_nothing(tmp_path: Path) -> None:
-    with pytest.raises(KeyboardInterrupt):
-        write_all(tmp_path / "steps", interrupted())
-    assert not list(tmp_path.iterdir())
 
 
 def test_a_little_too_fast_is_put_off_and_reported(tmp_path: Path) -> None:

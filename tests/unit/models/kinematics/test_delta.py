@@ -113,24 +113,11 @@ def test_rate_term_is_what_carriage_accelerations_leave() -> None:
     np.testing.assert_allclose(term, left, atol=1e-3)
 
 
-def test_compiled_equations_are_the_same() -> None:
-    compiled, (x, v, _) = CROOKED.compiled(), _curve(np.linspace(0, 2, 20))
-    np.testing.assert_allclose(compiled.inverse(x), CROOKED.inverse(x), rtol=1e-15)
-    np.testing.assert_allclose(compiled.forward(CROOKED.inverse(x)), x, atol=1e-9)
-    np.testing.assert_allclose(compiled.rate_term(x, v), CROOKED.jacobian_rate_term(x, v), rtol=1e-10)
-
-
 def test_points_too_far_for_an_arm_are_named() -> None:
     xyz = np.array([[0.0, 0.0, 5.0], [0.0, 280.0, 5.0], [1.0, 2.0, 5.0], [-300.0, 0.0, 5.0]])
     with pytest.raises(UnreachableError, match=r"X = 0\.000, Y = 280\.000 .*1 more point") as caught:
         SYMMETRIC.inverse(xyz)
     assert caught.value.indices.tolist() == [1, 3]
-
-
-def test_carriages_too_far_apart_are_named() -> None:
-    with pytest.raises(UnreachableError, match=r"A = 900\.000.* too far apart") as caught:
-        SYMMETRIC.forward(np.array([[300.0, 300.0, 300.0], [900.0, 300.0, 300.0]]))
-    assert caught.value.indices.tolist() == [1]
 
 
 @pytest.mark.parametrize(

@@ -91,19 +91,6 @@ def test_the_order_of_convergence_is_four(printer: Machine) -> None:
     assert errors[2] < 1e-6  # mm, with the step that is chosen for a printer without kinks
 
 
-def test_what_is_moved_is_consistent(printer: Machine) -> None:
-    """Velocities and accelerations are the derivatives of positions; the nozzle hangs on the carriages."""
-    motion = simulate_printer(printer, sweeping(printer.kinematics), 1 / RATE_HZ)
-    for place, velocity, acceleration in (
-        (motion.carriage_mm, motion.carriage_velocity, motion.carriage_acceleration),
-        (motion.nozzle_mm, motion.nozzle_velocity, motion.nozzle_acceleration),
-    ):
-        spline = CubicSpline(motion.t_s, velocity)
-        np.testing.assert_allclose(CubicSpline(motion.t_s, place)(motion.t_s, 1)[9:-9], velocity[9:-9], atol=0.02)
-        np.testing.assert_allclose(spline(motion.t_s, 1)[9:-9] / 1e3, acceleration[9:-9], atol=0.1)
-    np.testing.assert_allclose(printer.kinematics.forward(motion.carriage_mm), motion.nozzle_mm, atol=1e-9)
-
-
 # --- Rest
 
 
@@ -111,13 +98,6 @@ def resting(machine: Machine, seconds: float = 0.05, **options) -> PrinterMotion
     """At the centre of the bed."""
     q = machine.kinematics.inverse(np.array([[0.0, 0.0, 40.0]]))
     return simulate_printer(machine, np.tile(q, (round(seconds * RATE_HZ), 1)), 1 / RATE_HZ, **options)
-
-
-def test_rest_stays_rest(printer: Machine) -> None:
-    for gravity in (True, False):
-        motion = resting(printer, gravity=gravity)
-        assert np.abs(motion.carriage_acceleration).max() < 1e-7
-        assert np.abs(motion.nozzle_acceleration).max() < 1e-7
 
 
 def sag_load(machine: Machine) -> float:

@@ -141,20 +141,6 @@ def test_play_is_a_hysteresis_of_its_width(printer: Machine) -> None:
     np.testing.assert_allclose(more[going_up].mean() - more[going_down].mean(), 0.1, rtol=0.02)
 
 
-@pytest.mark.parametrize("hold", ["cubic", "linear"])
-def test_a_delay_reaches_over_chunks(printer: Machine, hold) -> None:
-    late = with_effect(printer, "command_delay", delay_s=0.0301)
-    t = times(0.3)
-    lift = 5 * np.sin(20 * t) ** 2
-    whole, first = on_z(late, lift, hold=hold), on_z(late, lift[:201], hold=hold, ahead=rows_after(late, lift, 201))
-    second = on_z(late, lift[200:], hold=hold, start=first.state)
-    np.testing.assert_allclose(second.nozzle_mm, whole.nozzle_mm[200:], atol=1e-9)
-
-
-def rows_after(machine: Machine, lift: np.ndarray, row: int) -> np.ndarray:
-    return machine.kinematics.inverse(CENTRE) + lift[row : row + 40, None]
-
-
 def test_cogging_is_a_wave_of_the_motor(printer: Machine) -> None:
     """At 2 mm/s and 0.8 mm a wave, 2.5 Hz, the carriages follow the ripple to 1 %."""
     rippled = steady(with_effect(printer, "cogging", amplitude_mm=0.02, pitch_mm=0.8), 2.0, 1.4)
@@ -308,12 +294,3 @@ def test_a_turn_of_120_degrees_turns_towers_effects_too(printer: Machine, everyt
     turned = simulate_printer(there, np.roll(command, 1, axis=1), 1 / RATE_HZ)
     np.testing.assert_allclose(turned.carriage_mm, np.roll(motion.carriage_mm, 1, axis=1), atol=1e-6)
     np.testing.assert_allclose(np.hypot(*turned.nozzle_mm[:, :2].T), np.hypot(*motion.nozzle_mm[:, :2].T), atol=1e-6)
-
-
-@pytest.mark.parametrize("name", ["coulomb_friction", "belt_backlash", "joint_friction"])
-def test_the_chosen_step_is_fine_enough_for_kinks(printer: Machine, name: str) -> None:
-    machine = with_effect(printer, name, **TABLES[name])
-    chosen, fine = shaking(machine), shaking(machine, substeps=64)
-    assert np.abs(chosen.nozzle_mm - fine.nozzle_mm).max() < 1e-3
-    error = np.sqrt(((chosen.nozzle_acceleration - fine.nozzle_acceleration) ** 2).mean())
-    assert error < 0.02 * np.sqrt((fine.nozzle_acceleration**2).mean())

@@ -85,21 +85,6 @@ def test_neighbours_change_nothing(mixture: list[Machine], hold) -> None:
         assert_alike(ours, simulate_printer(machine, command, 1 / RATE_HZ, hold=hold, substeps=8))
 
 
-def test_commands_of_all_lengths(mixture: list[Machine]) -> None:
-    """The short ones end in the middle of a motion, and can go on from there."""
-    lengths = [0.05 + 0.02 * (7 * i % 18) for i in range(len(mixture))]
-    commands = [swinging(mixture[0].kinematics, seconds, 20.0 + seconds) for seconds in lengths]
-    together = simulate_printers(mixture, commands, 1 / RATE_HZ, substeps=8, hold="linear")
-    for machine, command, ours in zip(mixture, commands, together, strict=True):
-        assert_alike(ours, simulate_printer(machine, command, 1 / RATE_HZ, substeps=8, hold="linear"))
-        assert isinstance(ours, PrinterMotion)
-    ours, rest_of_it = together[0], commands[0][-1] + np.zeros((200, 1))
-    onward = simulate_printer(mixture[0], rest_of_it, 1 / RATE_HZ, start=ours.state, substeps=8, hold="linear")
-    whole = np.concatenate([commands[0], rest_of_it[1:]])
-    expected = simulate_printer(mixture[0], whole, 1 / RATE_HZ, substeps=8, hold="linear").nozzle_mm
-    np.testing.assert_allclose(np.concatenate([ours.nozzle_mm[:-1], onward.nozzle_mm]), expected, atol=1e-9)
-
-
 def test_a_failure_harms_nobody(printer: Machine) -> None:
     """Lost reach, motors that hold nothing, arms too short, and a command of another shape."""
     good = swinging(printer.kinematics)

@@ -280,11 +280,3 @@ def test_the_quick_step_does_what_the_general_one_does(tables: dict[str, Any]) -
     np.testing.assert_allclose(one.nozzle_acceleration, other.nozzle_acceleration, atol=1e-6)
     np.testing.assert_allclose(one.carriage_acceleration, other.carriage_acceleration, atol=1e-6)
     np.testing.assert_allclose(one.state.values[:4], other.state.values[:4], atol=1e-9)
-
-
-def test_chunks_go_on_where_the_one_before_ended() -> None:
-    own = machine(COREXY, coulomb_friction={"force_n": 2.0}, frame_mode=PROBES["frame_mode"])
-    whole = simulate_printer(own, shaken(0.4), 1 / RATE_HZ, hold="linear")
-    first = simulate_printer(own, shaken(0.4)[:300], 1 / RATE_HZ, hold="linear")
-    second = simulate_printer(own, shaken(0.4)[299:], 1 / RATE_HZ, hold="linear", start=first.state)
-    np.testing.assert_allclose(second.nozzle_mm, whole.nozzle_mm[299:], atol=1e-12)

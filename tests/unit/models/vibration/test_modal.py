@@ -111,15 +111,6 @@ def test_the_state_matrices_say_the_same_as_the_responses() -> None:
     assert len(plant.names) == 8, "two states for each mode, a rigid axis among them"
 
 
-def test_the_series_at_zero_frequency_turns_the_response_over() -> None:
-    known = machine(Axis([40.0, 70.0], [0.05, 0.2], [0.7, 0.3]), Axis([33.0], [0.1]))
-    s = 2j * np.pi * np.array([0.5])
-    tau, bend = known.vibration.low_frequency(np.zeros((1, 2)))
-    assert 1.0 / np.diagonal(known.vibration.carriage_response(np.zeros(2), s)[0]) == pytest.approx(
-        1.0 + tau * s[0] + np.diagonal(bend[0]) * s[0] ** 2, abs=1e-6
-    )
-
-
 def test_the_virtual_printer_plays_the_same_modes() -> None:
     """A command of two sines: after its first second, the printer is where the closed form says."""
     x, y = Axis([40.0, 70.0], [0.05, 0.06], [0.7, 0.3]), Axis([33.0], [0.1])

@@ -2,33 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
-from models.arrays import constant
 from models.file import load_machine
-from models.kinds import delta_vibration, with_parts
+from models.kinds import delta_vibration
 from models.machine import Machine
-from models.vibration.mode_map import ModeMap, kinds, mode_map
+from models.vibration.mode_map import ModeMap, mode_map
 
 
 @pytest.fixture(scope="module")
 def over(printer: Machine) -> ModeMap:
     return mode_map(delta_vibration(printer), 10.0)
-
-
-def test_modes_at_the_centre_are_named(printer: Machine) -> None:
-    centre = np.zeros(2)
-    assert kinds(delta_vibration(printer), centre, printer.vibration.modes_at(centre)) == [
-        "extruder, mostly x",
-        "mostly y",
-        "mostly x",
-        "extruder, mostly y",
-        "mostly z",
-        "extruder, mostly z",
-    ]
 
 
 @pytest.mark.parametrize("name", ["mp-delta-pro", "kossel", "flsun-qqs"])
@@ -62,15 +47,3 @@ def _turned(place: tuple[float, float], angle: float) -> np.ndarray:
 def _at(over: ModeMap, xy: np.ndarray, mode: int) -> float:
     i, k = (int(np.abs(over.x_mm - at).argmin()) for at in xy)
     return float(over.frequency_hz[i, k, mode])
-
-
-def test_a_mode_that_stops_swinging_leaves_a_hole(printer: Machine) -> None:
-    """With so much damping along y that its mode is overdamped everywhere, five modes are left, and followed."""
-    damped = constant([20.4, 100.0, 19.6])
-    machine = with_parts(
-        printer, effector=replace(delta_vibration(printer).effector, extruder_damping_n_s_per_m=damped)
-    )
-    over = mode_map(delta_vibration(machine), 20.0)
-    assert over.frequency_hz.shape[2] == 5
-    assert not any(kind == "extruder, mostly y" for kind in over.kinds)
-    assert np.isfinite(over.frequency_hz[over.on_bed]).all()

@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from models.arrays import constant
 from models.kinds import delta_vibration, with_parts
 from models.machine import Machine
 from models.vibration.delta import STATES, Q
@@ -15,8 +14,6 @@ from models.vibration.substructures import (
     command_frf,
     force_frf,
     impedance,
-    load_distribution,
-    with_added_mass,
 )
 
 FREQUENCIES = np.geomspace(0.5, 400, 60)
@@ -36,14 +33,6 @@ def test_carriage_frf_is_equation_33(as_printed: Machine) -> None:
     np.testing.assert_allclose(command_frf(carriage, S), mechanical * electrical, rtol=1e-12)
 
 
-def test_an_added_mass_is_equation_38(as_printed: Machine) -> None:
-    m, k = 0.195 + 0.2, 1.21e5
-    omega, zeta = np.sqrt(k / m), (5.31 + 13.4) / (2 * np.sqrt(k * m))
-    loaded = replace(with_added_mass(delta_vibration(as_printed).carriage, 0.2), drive=None)
-    expected = (5.31 / m * S + omega**2) / (S**2 + 2 * zeta * omega * S + omega**2)
-    np.testing.assert_allclose(command_frf(loaded, S), expected, rtol=1e-12)
-
-
 # --- Sub-model 2
 
 
@@ -56,12 +45,6 @@ def test_effector_impedance_is_equation_61(printer: Machine) -> None:
     np.testing.assert_allclose(delta_vibration(printer).effector_impedance(S), verbatim, rtol=1e-8)
 
 
-def test_slow_motion_feels_every_mass(printer: Machine) -> None:
-    s = np.array([0.01j])
-    total = 0.536 + 0.115 + 1.5 * 0.032
-    np.testing.assert_allclose(delta_vibration(printer).effector_impedance(s) / s**2, [[total] * 3], rtol=1e-4)
-
-
 @pytest.mark.parametrize("with_arms", [True, False])
 def test_a_struck_effector_is_equation_45(as_printed: Machine, with_arms: bool) -> None:
     m1, m2 = 0.542 + 0.048 * with_arms, 0.109
@@ -69,26 +52,6 @@ def test_a_struck_effector_is_equation_45(as_printed: Machine, with_arms: bool) 
     s = S[:, None]
     verbatim = (m2 * s**2 + b * s + k) / (m1 * m2 * s**2 + (m1 + m2) * (b * s + k))
     np.testing.assert_allclose(delta_vibration(as_printed).struck_frf(S, with_arms), verbatim, rtol=1e-12)
-
-
-def test_effector_resonates_where_equation_48_says(as_printed: Machine) -> None:
-    undamped = replace(delta_vibration(as_printed).effector, extruder_damping_n_s_per_m=constant([0.0] * 3))
-    bare = with_parts(
-        as_printed, effector=undamped, carriage=replace(delta_vibration(as_printed).carriage, arm_pair_mass_kg=0.0)
-    )
-    pole = np.sqrt((0.542 + 0.109) * 1.29e5 / (0.542 * 0.109))
-    around = delta_vibration(bare).effector_impedance(1j * pole * np.array([0.9, 1.0]))[:, 2]
-    assert abs(around[1]) < 1e-9 * abs(around[0])
-
-
-def test_shares_balance_the_moments(as_printed: Machine) -> None:
-    """Eq. 19, for any force on the effector."""
-    angles = as_printed.kinematics.tower_angles_rad
-    joints = 39.91 * np.column_stack([np.cos(angles), np.sin(angles), np.zeros(3)])
-    force = np.array([3.0, -5.0, 7.0])
-    arms = load_distribution(as_printed.kinematics.tower_angles_rad, delta_vibration(as_printed).effector) @ force
-    moments = np.cross(joints - delta_vibration(as_printed).effector.center_of_mass_mm, arms)
-    np.testing.assert_allclose(moments.sum(axis=0), 0, atol=1e-12)
 
 
 @pytest.mark.parametrize("seed", range(6))
