@@ -20,7 +20,7 @@ import re
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 
@@ -42,7 +42,6 @@ _FEWEST_LINES = 20
 _UNTOUCHED_HZ = 10.0  # normalised spectra are attenuated below
 _NORMALISING_HZ = 0.1
 _PIECE = 1 << 20  # bytes that are unpacked at a time
-_FED = 256  # packed bytes at a time, where what they unpack to cannot be bounded: some megabytes at most
 _ZSTANDARD = b"\x28\xb5\x2f\xfd"
 _STDATA_AXIS = re.compile(r"(axis_[XYZ]|belt_[AB])(?=_|$)")
 _EXCITED = {
@@ -250,56 +249,28 @@ def _from_samples(path: str, name: str, samples: FloatArray) -> Capture:
 
 
 def _unpacked(path: str | Path) -> bytes:
-    packed = Path(path).read_bytes()
-    for module, unpack in (("compression.zstd", _standard), ("zstandard", _package)):
-        try:
-            library = import_module(module)
-        except ImportError:
-            continue
-        try:
-            return unpack(library, packed)
-        except Exception as error:  # of the library's own kind
-            raise MeasurementError(str(path), [f"It cannot be unpacked: {error}."]) from error
-    raise MeasurementError(
-        str(path),
-        ["Shake&Tune's files are Zstandard archives; to read them, install the extra: pip install 'ffcomp[stdata]'."],
-    )
+    """Unpack with Python's own library (3.14 and later) or the package, up to what a recording may unpack to."""
+    content, most = bytearray(), most_unpacked(Path(path).stat().st_size)
+    try:
+        with Path(path).open("rb") as packed, _stream(str(path), packed) as stream:
+            while piece := stream.read(_PIECE):
+                content += piece
+                if len(content) > most:  # archives can be made that fill any memory
+                    raise ValueError("it unpacks to more than any recording does")
+    except MeasurementError:
+        raise
+    except Exception as error:  # of the library's own kind
+        raise MeasurementError(str(path), [f"It cannot be unpacked: {error}."]) from error
+    return bytes(content)
 
 
-def _standard(library: Any, packed: bytes) -> bytes:
-    """Unpack with Python's own library (3.14 and later), frame by frame."""
-    pieces: list[bytes] = []
-    most = most_unpacked(len(packed))
-    while packed:
-        frame, fed = library.ZstdDecompressor(), packed
-        while not frame.eof:
-            pieces.append(frame.decompress(fed, max_length=_PIECE))
-            fed = b""
-            if not pieces[-1] and frame.needs_input:
-                raise ValueError("the file ends in the middle")
-            most = _left(most, pieces[-1])
-        packed = frame.unused_data
-    return b"".join(pieces)
-
-
-def _package(library: Any, packed: bytes) -> bytes:
-    """Unpack with the package zstandard, frame by frame; a frame need not state its size."""
-    pieces: list[bytes] = []
-    most = most_unpacked(len(packed))
-    while packed:
-        frame, at = library.ZstdDecompressor().decompressobj(), 0
-        while not frame.eof and at < len(packed):
-            pieces.append(frame.decompress(packed[at : at + _FED]))
-            at += _FED
-            most = _left(most, pieces[-1])
-        if not frame.eof:
-            raise ValueError("the file ends in the middle")
-        packed = frame.unused_data + packed[at:]
-    return b"".join(pieces)
-
-
-def _left(most: int, piece: bytes) -> int:
-    """Return how much may still come: archives can be made that fill any memory."""
-    if len(piece) > most:
-        raise ValueError("it unpacks to more than any recording does")
-    return most - len(piece)
+def _stream(path: str, packed: BinaryIO) -> Any:
+    try:
+        return import_module("compression.zstd").ZstdFile(packed)
+    except ImportError:
+        pass
+    try:
+        return import_module("zstandard").ZstdDecompressor().stream_reader(packed, read_across_frames=True)
+    except ImportError as error:
+        rule = "Shake&Tune's files are Zstandard archives; to read them, install the extra"
+        raise MeasurementError(path, [f"{rule}: pip install 'ffcomp[stdata]'."]) from error

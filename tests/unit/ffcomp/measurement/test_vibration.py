@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from ffcomp.errors import MeasurementError
-from ffcomp.measurement.klipper import _standard
+from ffcomp.measurement import klipper
 from ffcomp.measurement.sensors import G
 from ffcomp.measurement.vibration import read_capture, read_captures, read_vibration
 
@@ -95,15 +95,22 @@ def test_an_archive_that_would_fill_the_memory_is_refused(tmp_path: Path) -> Non
         read_capture(path)
 
 
-def test_pythons_own_library_unpacks_frames_and_refuses_the_same() -> None:
+def test_pythons_own_library_unpacks_frames_and_refuses_the_same(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Of Python 3.14; that of bzip2 has the same interface."""
-    library = SimpleNamespace(ZstdDecompressor=bz2.BZ2Decompressor)
-    packed = bz2.compress(b"a" * 5_000_000) + bz2.compress(b"b")
-    assert _standard(library, packed) == b"a" * 5_000_000 + b"b"
-    with pytest.raises((ValueError, EOFError)):
-        _standard(library, packed[:-3])
-    with pytest.raises(ValueError, match="unpacks to more"):
-        _standard(library, bz2.compress(bytes(100 << 20)))
+    monkeypatch.setattr(klipper, "import_module", lambda name: SimpleNamespace(ZstdFile=bz2.BZ2File))
+    lines = [json.dumps({"name": name, "samples": np.column_stack([T, FELT * 1e3]).tolist()}) for name in ("a", "b")]
+    path = tmp_path / "two.stdata"
+    monkeypatch.setattr(klipper, "_ZSTANDARD", b"BZ")
+    path.write_bytes(b"".join(bz2.compress(line.encode() + b"\n") for line in lines))
+    assert [each.name for each in read_captures(path)] == ["a", "b"]
+    path.write_bytes(path.read_bytes()[:-3])
+    with pytest.raises(MeasurementError, match="It cannot be unpacked"):
+        read_captures(path)
+    path.write_bytes(bz2.compress(bytes(100 << 20)))
+    with pytest.raises(MeasurementError, match="unpacks to more"):
+        read_captures(path)
 
 
 @pytest.mark.slow
