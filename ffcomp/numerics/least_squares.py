@@ -81,15 +81,6 @@ def minimise(
     return Solution(np.asarray(result.x), result.fun, result.jac, 2.0 * float(result.cost), bool(result.success))
 
 
-def forward_differences(function: Residual, x: FloatArray, step: float) -> FloatArray:
-    """Return ∂function/∂x, (rows, p), off by about half the second derivative times the step.
-
-    Half the cost of central differences, and enough for the steps of a fit: where they lead is set by the residual.
-    """
-    here = function(x)
-    return np.stack([(function(x + shift) - here) / step for shift in step * np.eye(len(x))], axis=1)
-
-
 def central_differences(function: Residual, x: FloatArray, steps: FloatArray) -> FloatArray:
     """Return ∂function/∂x, (rows, p); a column is zero where its step, of (p,), is zero."""
     columns: dict[int, FloatArray] = {}
