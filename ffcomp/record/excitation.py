@@ -20,7 +20,7 @@ from ffcomp.inverse.settings import settings_for
 from ffcomp.planner.segment_timing import SegmentLimits
 from ffcomp.record import multisine
 from ffcomp.record.moves import check_inside, rounded_to_steps
-from ffcomp.record.multisine import Band, always_moving, band, lines_of
+from ffcomp.record.multisine import Band, always_moving, band
 from ffcomp.record.plan import Excitation, Experiment, Motion, Plan, segment_motion
 from gcode.emit import XYZ_COUNTS
 from models.arrays import FloatArray
@@ -61,16 +61,13 @@ class ExcitationRequest:
     places_mm: Sequence[tuple[float, float]] = ((0.0, 0.0),)
     height_mm: float = 50.0
     directions: Sequence[str] = TOWERS
-    kind: str = "multisine"
     lowest_hz: float = 5.0
     highest_hz: float = 150.0
     period_s: float = 4.0
     periods: int = 6
-    realisations: int = 1  # of the random phases
     z_acceleration_mm_per_s2: float | None = None  # the firmware's own limit; None: the machine file's acceleration
     acceleration_mm_per_s2: float | None = None  # peak of what is excited; None: what the limits allow
     repeats: int = 1
-    segments_per_second: float = 250.0  # or more, if the highest frequency needs them
     seed: int = 1
 
 
@@ -83,7 +80,7 @@ def line_of_action(geometry: Kinematics) -> list[tuple[float, float]]:
 
 def make_excitation_plan(machine: Machine, request: ExcitationRequest) -> Plan:
     """Design every experiment; LimitsError for a motion out of reach, too fast or too hard, with one that would fit."""
-    spectrum_band = band(request.lowest_hz, request.highest_hz, request.period_s, request.segments_per_second)
+    spectrum_band = band(request.lowest_hz, request.highest_hz, request.period_s)
     output = settings_for(machine).output
     if request.z_acceleration_mm_per_s2:
         output = replace(output, z_acceleration_mm_per_s2=request.z_acceleration_mm_per_s2)
@@ -91,17 +88,13 @@ def make_excitation_plan(machine: Machine, request: ExcitationRequest) -> Plan:
     for x, y in request.places_mm:
         check_inside(machine, f"The place {x:g},{y:g}", np.array([[x, y, request.height_mm]]))
     experiments = []
-    for place, realisation, direction in product(
-        range(len(request.places_mm)), range(request.realisations), request.directions
-    ):
+    for place, direction in product(range(len(request.places_mm)), request.directions):
         top_a, top_v = _allowed(machine, request, direction, allowed)
-        signal = multisine.excitation(
-            request.kind, spectrum_band, request.periods, top_a, top_v, request.seed + realisation
-        )
-        position, name = (*request.places_mm[place], request.height_mm), f"ffcomp-{direction}-{place}-{realisation}"
+        signal = multisine.excitation(spectrum_band, request.periods, top_a, top_v, request.seed)
+        position, name = (*request.places_mm[place], request.height_mm), f"ffcomp-{direction}-{place}"
         target = _Target(machine, output, name, direction, position)
         motion = _checked_motion(target, spectrum_band, signal.displacement_mm, top_a, allowed)
-        experiments.append(_experiment(target, motion, request.kind, place, spectrum_band, signal))
+        experiments.append(_experiment(target, motion, place, spectrum_band, signal))
     return Plan(machine.name, machine.sha256, tuple(experiments), request.repeats, seed=request.seed)
 
 
@@ -151,10 +144,9 @@ def _checked_motion(
 
 
 def _experiment(
-    target: _Target, motion: Motion, kind: str, place: int, spectrum_band: Band, signal: multisine.Signal
+    target: _Target, motion: Motion, place: int, spectrum_band: Band, signal: multisine.Signal
 ) -> Experiment:
     begin = float(motion.trajectory.start_t[signal.first_knot])
-    moved = excited_coordinate(target.machine.kinematics, target.direction, motion, begin + _period(spectrum_band))
     rounding = microstep_error(motion, spectrum_band, begin, target.machine.kinematics, target.machine.steps.per_motor)
     excitation = Excitation(
         direction=target.direction,
@@ -162,9 +154,8 @@ def _experiment(
         marker_knots=signal.marker_knots,
         first_knot=signal.first_knot,
         periods=signal.periods,
-        lines=lines_of(moved, spectrum_band),
     )
-    return Experiment(target.name, kind, place, target.position_mm, motion, rounding, excitation)
+    return Experiment(target.name, "multisine", place, target.position_mm, motion, rounding, excitation)
 
 
 def _period(spectrum_band: Band) -> FloatArray:

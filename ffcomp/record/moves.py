@@ -24,6 +24,7 @@ from ffcomp.inverse.settings import settings_for
 from ffcomp.planner.limits import SLOW_RATIOS, PlannerLimits, planner_limits
 from ffcomp.planner.segment_timing import SegmentLimits
 from ffcomp.record.multisine import Band, always_moving, band, scaled, smooth_step
+from ffcomp.record.multisine import multisine as one_period
 from ffcomp.record.plan import Experiment, Motion, Plan, plain_motion, segment_motion
 from gcode.emit import F_COUNTS, XYZ_COUNTS
 from models.arrays import FloatArray
@@ -42,7 +43,7 @@ RISE_MM, RISE_SHARE = 6.0, 0.5  # of a loop; of the velocity limit in Z
 MODES_HZ = 80.0  # below which the main modes of printers lie: there rounding to microsteps is compared
 LOWEST_HZ, HIGHEST_HZ, PERIOD_S = 4.0, 100.0, 2.0  # of a multisine
 AXIS_SHARE = 0.85  # of what the nozzle may, along x and along y: their peaks hardly ever meet
-FADE_S, SEGMENTS_PER_SECOND = 0.4, 250.0
+FADE_S = 0.4
 
 MOST_EXPERIMENTS, KINDS_AT_A_PLACE = 12, 3
 NEAREST_MM, PLACE_RADIUS_SHARE = 40.0, 0.6  # between two places; of the bed's radius
@@ -139,10 +140,10 @@ def loop(place_mm: FloatArray, demand: Demand, seconds: float, rng: np.random.Ge
 
 def multisine(place_mm: FloatArray, demand: Demand, seconds: float, rng: np.random.Generator) -> Motion:
     """Excite a band of frequencies along x and y at once, with phases of their own."""
-    spectrum_band = band(LOWEST_HZ, demand.highest_hz, PERIOD_S, SEGMENTS_PER_SECOND)
+    spectrum_band = band(LOWEST_HZ, demand.highest_hz, PERIOD_S)
     waves = [
         scaled(
-            "multisine",
+            one_period,
             spectrum_band,
             AXIS_SHARE * demand.acceleration_mm_per_s2,
             AXIS_SHARE * demand.velocity_mm_per_s,

@@ -25,10 +25,10 @@ from ffcomp.errors import LimitsError
 from models.arrays import FloatArray, IntArray
 
 HIGHEST_SHARE = 0.45  # of the segments' rate: nearer to half of it, the image at 1/S − f is as strong as the signal
-FASTEST_RATE = 500.0  # segments a second that firmwares' hosts follow
+SEGMENTS_PER_SECOND, FASTEST_RATE = 250.0, 500.0  # the usual rate; what firmwares' hosts follow
 MARKER_S, QUIET_S = 1.0, 0.4  # the chirp that aligns a capture; the rest after a chirp, while modes decay
 RAMP_S = 0.5  # over which a signal that never rests is faded in and out
-EDGE_S = 0.25  # the same for chirps
+EDGE_S = 0.25  # the same for the chirp
 CREST_PASSES = 150
 CLIP_FROM, CLIP_TO = 0.75, 0.97  # of the peak
 CORNER_STEP = 1.1
@@ -60,12 +60,12 @@ class Band:
         return self.lines / self.period_s
 
 
-def band(lowest_hz: float, highest_hz: float, period_s: float, segments_per_second: float) -> Band:
-    """Make a band with the requested number of knots, or more if its highest frequency needs them.
+def band(lowest_hz: float, highest_hz: float, period_s: float) -> Band:
+    """Make a band with the usual rate of knots, or a higher one if its highest frequency needs that.
 
     Raises LimitsError for a band that is empty, or that needs more segments than a firmware's host can follow.
     """
-    rate = max(segments_per_second, highest_hz / HIGHEST_SHARE)
+    rate = max(SEGMENTS_PER_SECOND, highest_hz / HIGHEST_SHARE)
     if rate > FASTEST_RATE:
         raise LimitsError(
             f"{highest_hz:g} Hz needs {rate:.0f} segments a second; firmwares follow {FASTEST_RATE:.0f}, "
@@ -112,27 +112,7 @@ def multisine(band: Band, corner_hz: float, seed: int) -> FloatArray:
     return np.asarray(np.fft.irfft(spectrum, band.knots))
 
 
-def linear_sweep(band: Band, corner_hz: float, seed: int) -> FloatArray:
-    """Sweep a sine with evenly rising frequency, then rest: (knots,). All frequencies get the same time."""
-    t, active_s = _active(band)
-    rise = (band.highest_hz - band.lowest_hz) / active_s
-    frequency = band.lowest_hz + rise * t
-    return _chirp(band, corner_hz, frequency, (band.lowest_hz + 0.5 * rise * t) * t)
-
-
-def log_sweep(band: Band, corner_hz: float, seed: int) -> FloatArray:
-    """Sweep a sine with exponentially rising frequency, then rest: (knots,). Low frequencies get more time."""
-    t, active_s = _active(band)
-    rate = np.log(band.highest_hz / band.lowest_hz) / active_s
-    frequency = band.lowest_hz * np.exp(rate * t)
-    return _chirp(band, corner_hz, frequency, (frequency - band.lowest_hz) / rate)
-
-
-KINDS: dict[str, Callable[[Band, float, int], FloatArray]] = {
-    "multisine": multisine,
-    "sweep": linear_sweep,
-    "log-sweep": log_sweep,
-}
+Shape = Callable[[Band, float, int], FloatArray]
 
 
 def _weight(frequency_hz: FloatArray, corner_hz: float) -> FloatArray:
@@ -140,19 +120,15 @@ def _weight(frequency_hz: FloatArray, corner_hz: float) -> FloatArray:
     return np.minimum(1.0, frequency_hz / corner_hz)
 
 
-def _active(band: Band) -> tuple[FloatArray, float]:
-    """Return the times at the knots of a chirp, clipped at its end, and its duration."""
+def marker(band: Band, corner_hz: float, seed: int) -> FloatArray:
+    """Sweep a sine with evenly rising frequency from rest to rest, then wait: (knots,). It never repeats."""
     active_s = band.period_s - QUIET_S
-    return np.minimum(band.segment_s * np.arange(band.knots), active_s), active_s
-
-
-def _chirp(band: Band, corner_hz: float, frequency_hz: FloatArray, turns: FloatArray) -> FloatArray:
-    """Return the sine of so many turns, from rest to rest."""
-    t, active_s = _active(band)
-    edge_s = min(EDGE_S, 0.4 * active_s)
-    window = smooth_step(t / edge_s) * smooth_step((active_s - t) / edge_s)
-    amplitude = _weight(frequency_hz, corner_hz) / second_difference_gain(frequency_hz, band.segment_s)
-    return window * amplitude * np.sin(2.0 * np.pi * turns)
+    t = np.minimum(band.segment_s * np.arange(band.knots), active_s)
+    rise = (band.highest_hz - band.lowest_hz) / active_s
+    frequency = band.lowest_hz + rise * t
+    window = smooth_step(t / EDGE_S) * smooth_step((active_s - t) / EDGE_S)
+    amplitude = _weight(frequency, corner_hz) / second_difference_gain(frequency, band.segment_s)
+    return window * amplitude * np.sin(2.0 * np.pi * (band.lowest_hz + 0.5 * rise * t) * t)
 
 
 def smooth_step(x: FloatArray) -> FloatArray:
@@ -161,15 +137,15 @@ def smooth_step(x: FloatArray) -> FloatArray:
     return s**3 * (10.0 + s * (6.0 * s - 15.0))
 
 
-def scaled(kind: str, band: Band, acceleration: float, velocity: float, seed: int) -> FloatArray:
-    """Scale one period so that its second difference peaks at `acceleration` mm/s²: (knots,) mm.
+def scaled(shape: Shape, band: Band, acceleration: float, velocity: float, seed: int) -> FloatArray:
+    """Scale one period of a shape so that its second difference peaks at `acceleration` mm/s²: (knots,) mm.
 
     Where its speed would pass `velocity` mm/s, the low frequencies give way: the corner below which velocity and not
     acceleration is even rises until it does not.
     """
     corner = band.lowest_hz
     while corner <= band.highest_hz:
-        wave = KINDS[kind](band, corner, seed)
+        wave = shape(band, corner, seed)
         wave *= acceleration / _largest_bend(wave, band.segment_s)
         fastest = float(np.abs(np.diff(wave, append=wave[0])).max()) / band.segment_s
         if fastest <= velocity:
@@ -200,20 +176,18 @@ class Signal:
     periods: int
 
 
-def excitation(kind: str, band: Band, periods: int, acceleration: float, velocity: float, seed: int) -> Signal:
-    """Join the marker and the signal, whose transient ends before the first of its `periods` begins.
+def excitation(band: Band, periods: int, acceleration: float, velocity: float, seed: int) -> Signal:
+    """Join the marker and a multisine, whose transient ends before the first of its `periods` begins.
 
-    The marker is a chirp and a rest. A multisine is faded in over the end of a period, and one whole period goes by
-    before the first that counts; a sweep rests before and after by itself.
+    It is faded in over the end of a period, and one whole period goes by before the first that counts.
     """
     s = band.segment_s
     knots = round((MARKER_S + QUIET_S) / s)
-    marker = scaled("sweep", replace(band, period_s=knots * s, knots=knots), acceleration, velocity, seed)
-    wave = scaled(kind, band, acceleration, velocity, seed)
-    ramp, settling = (round(RAMP_S / s), band.knots) if kind == "multisine" else (0, 0)
+    chirp = scaled(marker, replace(band, period_s=knots * s, knots=knots), acceleration, velocity, seed)
+    wave, ramp, settling = scaled(multisine, band, acceleration, velocity, seed), round(RAMP_S / s), band.knots
     at = np.arange(-ramp - settling, periods * band.knots + ramp + 1)
-    faded = smooth_step((at - at[0]) / max(ramp, 1)) * smooth_step((at[-1] - at) / max(ramp, 1))
-    return Signal(np.concatenate([marker, faded * wave[at % band.knots]]), knots, knots + ramp + settling, periods)
+    faded = smooth_step((at - at[0]) / ramp) * smooth_step((at[-1] - at) / ramp)
+    return Signal(np.concatenate([chirp, faded * wave[at % band.knots]]), knots, knots + ramp + settling, periods)
 
 
 def always_moving(counts: list[list[int]], axis: int) -> FloatArray:
@@ -225,18 +199,3 @@ def always_moving(counts: list[list[int]], axis: int) -> FloatArray:
         if here == before:
             here[axis] += 1
     return np.array(counts, dtype=np.float64)
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class Lines:
-    """The frequencies of a periodic command: Σ amplitude cos(2π f t + phase), t from the start of a period."""
-
-    frequency_hz: FloatArray  # (m,)
-    amplitude_mm: FloatArray  # (m,) as executed
-    phase_rad: FloatArray  # (m,)
-
-
-def lines_of(moved: FloatArray, band: Band) -> Lines:
-    """Transform one period, (k,) mm in even steps of time, inside its band."""
-    spectrum = 2.0 / len(moved) * np.fft.rfft(moved)[band.lines]
-    return Lines(band.frequencies_hz, np.abs(spectrum), np.angle(spectrum))

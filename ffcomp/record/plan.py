@@ -1,7 +1,7 @@
 """A plan of experiments, the command of each, and the JSON file (ffcomp-moves/1) that keeps both.
 
 Vertices, speeds and limits are those of the G-code, so that planning them gives the command at any time. Derived values
-(durations, spectra, names of captures) are there for other readers, and are not read back.
+(durations, names of captures) are there for other readers, and are not read back.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from ffcomp.planner.limits import DeltaSlowZones, PlannerLimits
 from ffcomp.planner.lookahead import plan_moves
 from ffcomp.planner.segment_timing import SegmentLimits, SegmentSpeeds, segment_speeds
 from ffcomp.planner.trajectory import Trajectory
-from ffcomp.record.multisine import Band, Lines
+from ffcomp.record.multisine import Band
 from gcode.atomic_write import replace_atomically
 from gcode.emit import F_COUNTS
 from gcode.program import Moves
@@ -144,14 +144,13 @@ class Excitation:
     marker_knots: int  # segments of the marker, which begins at 0, and of its rest
     first_knot: int  # where the first whole period begins that is not transient
     periods: int
-    lines: Lines = field(repr=False)  # of the excited coordinate in one measured period, as executed
 
 
 @dataclass(frozen=True, eq=False)
 class Experiment:
     """One motion from rest to rest, and where."""
 
-    name: str  # ffcomp-<kind>-<place>; of an excitation ffcomp-<direction>-<place>-<realisation>
+    name: str  # ffcomp-<kind>-<place>; of an excitation ffcomp-<direction>-<place>
     kind: str
     place: int
     position_mm: tuple[float, float, float]  # of the nozzle at rest
@@ -166,7 +165,7 @@ class Experiment:
 
     @property
     def measured_from_s(self) -> float:
-        """Start of the first period whose response is periodic; its lines' phases count from here."""
+        """Start of the first period whose response is periodic."""
         return 0.0 if self.excitation is None else float(self.motion.trajectory.start_t[self.excitation.first_knot])
 
 
@@ -285,7 +284,6 @@ def _excitation_dict(excitation: Excitation) -> dict[str, Any]:
         "first_knot": excitation.first_knot,
         "periods": excitation.periods,
         "segment_s": excitation.band.segment_s,
-        "lines": {key: value.tolist() for key, value in asdict(excitation.lines).items()},
     }
 
 
@@ -372,5 +370,4 @@ def _excitation(entry: Mapping[str, Any]) -> Excitation:
         marker_knots=int(entry["marker_knots"]),
         first_knot=int(entry["first_knot"]),
         periods=int(entry["periods"]),
-        lines=Lines(**{key: np.array(value, dtype=np.float64) for key, value in entry["lines"].items()}),
     )

@@ -215,7 +215,6 @@ def _planned(request: PlanRequest, machine: Machine, recorder: Recorder) -> tupl
             ExcitationRequest,
             places_mm=_excited_places(request.at or (CENTRE,), machine),
             directions=groups[axes],
-            kind=request.kind[0] if request.kind else None,
             acceleration_mm_per_s2=amplitude,
         )
         plan = make_excitation_plan(machine, ExcitationRequest(**options))

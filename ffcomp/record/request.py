@@ -15,7 +15,6 @@ from ffcomp.request import ACCURACY, ADVANCED, FORCE, MACHINE, OUTPUT, Argument,
 Purpose = Literal["identify", "diagnose", "check", "scan"]
 CENTRE, LINE_OF_ACTION = "centre", "line-of-action"
 MOVES = ("zigzag", "reversals", "loop", "multisine")
-SIGNALS = ("multisine", "sweep", "log-sweep")
 
 GCODE = Option(
     "G-code to write. The plan is written next to it (.json).", OUTPUT, "--output", "-o", metavar="FILE", writes="file"
@@ -42,12 +41,11 @@ def number_pair(option: str, text: str, more: str = "") -> tuple[float, float]:
     return x, y
 
 
-_PLACED = {"at", "kind", "repeats", "amplitude_mm_per_s2", "height_mm", "seed"}
+_PLACED = {"at", "repeats", "amplitude_mm_per_s2", "height_mm", "seed"}
 _OPTIONS_OF: dict[Purpose, set[str]] = {
     "identify": _PLACED
-    | {"axes", "lowest_hz", "highest_hz", "z_acceleration_mm_per_s2", "period_s", "periods", "realisations"}
-    | {"segments_per_second", "keep_shaper"},
-    "diagnose": _PLACED | {"seconds", "print_file"},
+    | {"axes", "lowest_hz", "highest_hz", "z_acceleration_mm_per_s2", "period_s", "periods", "keep_shaper"},
+    "diagnose": _PLACED | {"kind", "seconds", "print_file"},
     "check": set(),
     "scan": {"amplitude_mm_per_s2", "height_mm", "seed", "pen", "line_width_mm", "nozzle_c", "bed_c"},
 }  # those that some purposes have and others have not; the others have fixed values
@@ -84,8 +82,7 @@ class PlanRequest(Request):
     kind: Annotated[
         tuple[str, ...],
         Option(
-            "For diagnose, only such moves: zigzag, reversals, loop or multisine; may be repeated. For identify, the "
-            "excitation: multisine (low peaks, whole periods; default), sweep or log-sweep.",
+            "For diagnose, only such moves: zigzag, reversals, loop or multisine; may be repeated.",
             ADVANCED,
             metavar="NAME",
         ),
@@ -163,25 +160,6 @@ class PlanRequest(Request):
             "Periods to average for identify, after a first one that settles. Default: 6.", ADVANCED, metavar="N", low=1
         ),
     ] = None
-    realisations: Annotated[
-        int | None,
-        Option(
-            "Repetitions of the multisine with other random phases, for identify. Default: 1.",
-            ADVANCED,
-            metavar="N",
-            low=1,
-        ),
-    ] = None
-    segments_per_second: Annotated[
-        float | None,
-        Option(
-            "Segment rate for identify. It rises if the highest frequency needs more. Default: 250.",
-            ADVANCED,
-            metavar="RATE",
-            low=125.0,
-            high=500.0,
-        ),
-    ] = None
     height_mm: Annotated[
         float | None,
         Option(
@@ -249,9 +227,7 @@ class PlanRequest(Request):
         for place in self.at:
             if place not in words:
                 number_pair("--at", place, f", in mm{f', {CENTRE} or {LINE_OF_ACTION}' if words else ''}")
-        one_of("--kind", self.kind, SIGNALS if self.purpose == "identify" else MOVES)
-        if self.purpose == "identify" and len(self.kind) > 1:
-            raise RequestError(f"--kind: an identification has one excitation, not {', '.join(self.kind)}.")
+        one_of("--kind", self.kind, MOVES)
 
 
 def one_of(option: str, values: Iterable[str], choices: Iterable[str]) -> None:

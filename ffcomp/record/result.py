@@ -70,7 +70,7 @@ class JoinResult:
 
     joined: tuple[Joined, ...]
     refused: tuple[Refused, ...]
-    remarks: tuple[str, ...] = ()  # sentences about what was joined
+    remarks: tuple[str, ...] = ()  # sentences about the joined runs
 
     @property
     def recordings(self) -> list[Recording]:
@@ -126,7 +126,7 @@ class JoinedRuns(Result):
     machine: Machine
     called: str  # how the machine was named
     folder: Path
-    files: Sequence[Path]  # in the order of what was joined
+    files: Sequence[Path]  # in the order of the joined runs
 
     @property
     def headline(self) -> str:

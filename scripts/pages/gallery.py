@@ -285,7 +285,7 @@ def fit_weak() -> Image.Image:
         rows = np.loadtxt(path, delimiter=",")
         rows[:, 1:] += 3000.0 * rng.normal(size=(len(rows), 3))
         np.savetxt(f"loose-{path.name}", rows, "%.6f", ",", header="time,accel_x,accel_y,accel_z", comments="#")
-    captures = [f"loose-adxl345-ffcomp-{tower}-0-0.csv" for tower in "ABC"]
+    captures = [f"loose-adxl345-ffcomp-{tower}-0-1.csv" for tower in "ABC"]
     known = ("--known", "effector.total_mass_kg=0.600±0.002")
     options = ("--plan", "excite.json", "-m", "my-delta.toml", *known, "--figure", "weak.png", "--quiet")
     ffcomp("identify", "fit", *captures, *options)
