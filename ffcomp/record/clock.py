@@ -6,7 +6,7 @@ delay. Below, too, 3 N of dry friction unaccounted for look like 0.3 to 1 ms. So
 sizes and to an added mass are simulated as well; their sizes and the gains of the axes are fitted along, and forgotten.
 
 To first order a force F on a carriage with a belt of stiffness k acts as if its motor stood F/k elsewhere: an added
-mass like a command of −q̈, and dry friction, where the machine's model has none, like one of −sgn(q̇).
+mass like a command of −q̈.
 """
 
 from __future__ import annotations
@@ -27,9 +27,7 @@ from models.printer.printer import PrinterMotion, simulate_printers
 RATE_HZ = 1600.0
 TAIL_S = 0.4  # simulated after the motion: the printer rings for 0.2 s
 FRICTION_N = (1.0, 3.0, 8.0)  # of each guide: more holds the carriage fast for longer
-FRICTION_MM, MASS_S2 = 1e-3, 1e-6  # small against every motion; (m/k) of an added mass
-CREEP_MM_PER_S = 5.0  # below which dry friction turns over
-UNFELT_M_PER_S2 = 1e-3
+MASS_S2 = 1e-6  # (m/k) of an added mass, small against every motion
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,8 +51,7 @@ def expectation(motion: Commanded, machine: Machine, lead_s: float, with_signatu
     if not with_signatures:
         (plain,) = _accelerations([machine], [carriages])
         return Expectation(t, plain, np.empty((0, *plain.shape)), motion.duration_s)
-    velocity = np.gradient(carriages, 1 / RATE_HZ, axis=0)
-    massive = carriages - MASS_S2 * np.gradient(velocity, 1 / RATE_HZ, axis=0)
+    massive = carriages - MASS_S2 * np.gradient(np.gradient(carriages, 1 / RATE_HZ, axis=0), 1 / RATE_HZ, axis=0)
     friction = machine.effects.get("coulomb_friction", {})
     usual_n = float(np.mean(friction.get("force_n", 0.0)))
     rubbing = [
@@ -64,11 +61,8 @@ def expectation(motion: Commanded, machine: Machine, lead_s: float, with_signatu
     plain, heavy, *rubbed = _accelerations(
         [machine, machine, *rubbing], [carriages, massive, *[carriages] * len(rubbing)]
     )
-    signatures = [heavy - plain, *(each - plain for each in rubbed)]
-    if np.abs(signatures[-1]).max() < UNFELT_M_PER_S2:  # a model without guides
-        (dragged,) = _accelerations([machine], [carriages - FRICTION_MM * np.tanh(velocity / CREEP_MM_PER_S)])
-        signatures = [heavy - plain, dragged - plain]
-    return Expectation(t, plain, np.array(signatures), motion.duration_s)
+    signatures = np.array([heavy - plain, *(each - plain for each in rubbed)])
+    return Expectation(t, plain, signatures, motion.duration_s)
 
 
 def _accelerations(machines: Sequence[Machine], commands: Sequence[FloatArray]) -> list[FloatArray]:
