@@ -1,6 +1,6 @@
 """Set up all tests: which are slow, no log, one cache for all of them, and the same draws of properties every time.
 
-New draws are sought by `validation/fuzz.py`, and here with HYPOTHESIS_PROFILE=default.
+HYPOTHESIS_PROFILE=default seeks new draws, `validation/fuzz.py` new prints.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Whatever the bytes: a result or a documented error, that names its file and says what is wrong, in a sentence.
 
-`validation/fuzz.py` looks deeper, guided by coverage.
+`HYPOTHESIS_PROFILE=default` draws new inputs at every run.
 """
 
 from __future__ import annotations

@@ -366,19 +366,3 @@ def _carriages_mm(printer: Multibody, qpos: FloatArray) -> FloatArray:
 
 
 # ---- energy --------------------------------------------------------------------------------------
-
-
-def energy_drift(printer: Multibody, push_m_per_s: float, seconds: float) -> float:
-    """Largest change of energy after a push, relative to the push's; for a printer without damping."""
-    model, data = printer.model, _at_rest(printer)
-    mujoco.mj_forward(model, data)
-    constraints = np.array(data.efc_J).reshape(data.nefc, model.nv)
-    data.qvel[model.jnt_dofadr[model.body("effector").jntadr[0]]] = push_m_per_s
-    data.qvel -= np.linalg.lstsq(constraints, constraints @ data.qvel, rcond=None)[0]
-    before = float(np.sum(data.energy))
-    energies = []
-    for _ in range(round(seconds / model.opt.timestep)):
-        mujoco.mj_step(model, data)
-        energies.append(float(np.sum(data.energy)))
-    given = energies[0] - before
-    return float(np.max(np.abs(np.array(energies) - energies[0]))) / given
