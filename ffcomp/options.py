@@ -77,7 +77,6 @@ JOBS = Option("Number of processes. The output is the same.", SPEED, "--jobs", "
 SCHEDULER = Option(
     "Use a Dask cluster, e.g. tcp://host:8786. Its workers need ffcomp but not the files.", SPEED, metavar="ADDRESS"
 )
-REPORT = Option("Write one HTML page that opens offline.", OUTPUT, "--report", "-r", metavar="FILE", writes="file")
 FIGURE = Option("Draw a figure: .png, .svg or .pdf.", OUTPUT, metavar="FILE", parse=parse_figure, writes="file")
 MACHINE_FILE = Option("Machine file to write.", OUTPUT, "--output", "-o", metavar="FILE", writes="file")
 MAX_FLOW = Option(

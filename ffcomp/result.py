@@ -5,17 +5,21 @@ A verb's result is a frozen dataclass that inherits from `Result` and says what 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 from importlib import import_module
-from typing import TYPE_CHECKING, Any, ClassVar
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar, cast
 
 from ffcomp.errors import RequestError, missing_extras_explained
 from ffcomp.numerics.serialise import json_object, to_json
+from gcode.atomic_write import replace_atomically
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+    from ffcomp.report.page import Page
 
 Fact = tuple[str, str]  # a name and a value with its unit
 
@@ -48,6 +52,12 @@ def clock(seconds: float) -> str:
     return f"{hours} h {minutes} min" if hours else f"{minutes} min {rest} s"
 
 
+def named(place: str) -> Callable[..., Any]:
+    """Import a function that is named `module:function`."""
+    module, _, function = place.partition(":")
+    return cast("Callable[..., Any]", getattr(import_module(module), function))
+
+
 class Result:
     """The result of a verb."""
 
@@ -55,6 +65,8 @@ class Result:
     json_keys: ClassVar[Mapping[str, str]] = {}
     # figures: by name, the module and the function that draws it, `module:function`
     drawn_by: ClassVar[Mapping[str, str]] = {}
+    title: ClassVar[str] = ""  # of its page
+    page_by: ClassVar[str] = "ffcomp.report.page:plain"  # the function that makes a Page of it, `module:function`
 
     @property
     def headline(self) -> str:
@@ -112,9 +124,21 @@ class Result:
         names = self.figures()
         if name not in ("", *names) or not names:
             raise RequestError(f"There is no figure {name!r} of this result, but {', '.join(names) or 'none'}.")
-        module, _, function = self.drawn_by[name or names[0]].partition(":")
-        figure: Figure = getattr(import_module(module), function)(self, **options)
+        figure: Figure = named(self.drawn_by[name or names[0]])(self, **options)
         return figure
+
+    @missing_extras_explained()
+    def write_figure(self, path: str | Path, name: str = "", **options: Any) -> None:
+        """Write a figure of `plot`; the suffix of the path names the format."""
+        from ffcomp.report.drawing import write_figure
+
+        write_figure(self.plot(name, **options), Path(path))
+
+    @missing_extras_explained()
+    def write_report(self, path: str | Path) -> None:
+        """Write the answer and its figures as one HTML page that opens offline."""
+        page: Page = named(self.page_by)(self)
+        replace_atomically(Path(path), [page.html(self.answer)])
 
     def details(self) -> dict[str, Any]:
         """Return the keys of the JSON object that are this verb's own, `schema` first."""

@@ -33,10 +33,10 @@ class MethodComparison(Result):
     """Every method on one print."""
 
     schema = "ffcomp-compare/1"
-    json_keys: ClassVar = keys("report", figures="written", **{ALL_OF: "comparison"})
+    page_by = "ffcomp.report.compare:page_of"
+    json_keys: ClassVar = keys(figures="written", **{ALL_OF: "comparison"})
 
     comparison: Comparison
-    report: Path | None = None  # the page that was written
     written: Sequence[Path] = ()  # figures
     notes: Sequence[str] = ()  # sentences on the compared print, if it is not the file itself
 
@@ -53,9 +53,7 @@ class MethodComparison(Result):
     @property
     def facts(self) -> list[Fact]:
         """The findings, and each method's errors."""
-        written = [("Report", str(self.report))] if self.report else []
-        if self.written:
-            written.append(("Figures", f"{len(self.written)} in {self.written[0].parent}"))
+        written = [("Figures", f"{len(self.written)} in {self.written[0].parent}")] if self.written else []
         return [*sentences.answer_of(self.comparison).facts, *written]
 
     @property
@@ -85,11 +83,6 @@ class MethodComparison(Result):
         if name not in drawn:
             raise RequestError(f"There is no figure {name!r}, but {', '.join(drawn)}.")
         return drawn[name]()
-
-    @missing_extras_explained()
-    def write_report(self, path: str | Path) -> None:
-        """Write one HTML page that opens offline."""
-        _report().write_report(self.comparison, Path(path), self.notes)
 
 
 def _report() -> Any:

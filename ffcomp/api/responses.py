@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -21,13 +21,13 @@ from models.arrays import ComplexArray, FloatArray
 from models.errors import UnreachableError
 from models.machine import Machine
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 
 @dataclass(frozen=True, eq=False, repr=False)
 class FrequencyResponses(Result):
     """Frequency responses of a machine at some positions: carriages A B C or nozzle axes X Y Z, as was requested."""
+
+    title = "Frequency responses"
+    drawn_by: ClassVar = {"bode": "ffcomp.report.model:figure_of"}
 
     machine: Machine
     frequency_hz: FloatArray  # (k,)
@@ -36,6 +36,7 @@ class FrequencyResponses(Result):
     rows: tuple[str, ...]  # names of the outputs
     columns: tuple[str, ...]  # and of the inputs
     study: Study
+    full: bool = False  # in the figure: all nine responses, not only the diagonal
 
     @property
     def headline(self) -> str:
@@ -51,17 +52,6 @@ class FrequencyResponses(Result):
     def warnings(self) -> Sequence[str]:
         """Measured responses that are left out."""
         return self.study.left_out
-
-    def figures(self) -> Sequence[str]:
-        """Return the names of the figures that `plot` draws."""
-        return ("bode",)
-
-    @missing_extras_explained()
-    def plot(self, name: str = "bode", **options: Any) -> Figure:
-        """Draw a Bode figure; `full=True`: all nine responses, not only the diagonal."""
-        from ffcomp.report.model import bode_figure
-
-        return bode_figure(self.study, **options)
 
     def objects(self) -> list[dict[str, Any]]:
         """Return an object ffcomp-frf/1 for each position."""

@@ -267,6 +267,8 @@ class Size:
 class CheckResult(Result):
     """What a check has found."""
 
+    title = "Check of the printer"
+    drawn_by: ClassVar = {"history": "ffcomp.report.check:checks_figure"}
     schema = "ffcomp-check/1"
     json_keys: ClassVar = keys(
         *("machine", "compared_with", "since_first", "first_date", "experiments", "history", "notes"),
@@ -296,6 +298,7 @@ class CheckResult(Result):
     notes: tuple[str, ...]
     machine: str = ""  # its name
     history: Path | None = None  # the file of earlier checks
+    checks: Sequence[Check] = ()  # of the history, with this one
     diagnose: str = ""  # the command that searches for what changed
 
     @property

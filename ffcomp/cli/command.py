@@ -9,6 +9,7 @@ import inspect
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Annotated, Any, get_type_hints
 
 from cyclopts import App, CycloptsError, Group, MissingArgumentError, Parameter
@@ -31,6 +32,17 @@ class Shown(Request):
 
     as_json: Annotated[bool, Option("Print one JSON object on stdout.", OUTPUT, "--json")] = False
     quiet: Annotated[bool, Option("Print no progress.", OUTPUT, "--quiet", "-q")] = False
+    report: Annotated[
+        Path | None,
+        Option(
+            "Write answer and figures as one HTML page that opens offline.",
+            OUTPUT,
+            "--report",
+            "-r",
+            metavar="FILE",
+            writes="file",
+        ),
+    ] = None
 
 
 def verb(work: Callable[..., Result | None]) -> App:
@@ -49,12 +61,16 @@ def verb(work: Callable[..., Result | None]) -> App:
         with exit_codes():
             values = signature.bind(*args, **kwargs).arguments
             made = [_made(request, values) for request in requests]
-            check_targets(made)
+            check_targets([*made, *(_made(each, values) for each in shown)])
             if any(values.get(option) for option in ("figure", "report")):
                 require("matplotlib")
             with quiet(bool(values.get("quiet"))), compiling(name), machine_errors(bool(values.get("as_json"))):
                 result = work(*made)
             if result is not None:
+                for option, write in (("figure", result.write_figure), ("report", result.write_report)):
+                    if values.get(option):
+                        write(values[option])
+                        report(f"ffcomp: {values[option]}")
                 answer(result, bool(values.get("as_json")))
 
     call.__signature__, call.options = signature, options  # type: ignore[attr-defined]

@@ -6,26 +6,21 @@ import os
 import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 from ffcomp.cli.command import verb
 from ffcomp.cli.common import exit_codes
 from ffcomp.cli.progress import Progress
 from ffcomp.comparison.request import CompareRequest
 from ffcomp.errors import RequestError
-from ffcomp.options import REPORT
 from ffcomp.request import OUTPUT, Option, Request
 from ffcomp.result import Result
-
-if TYPE_CHECKING:
-    from ffcomp.api.comparison import MethodComparison
 
 
 @dataclass(frozen=True, kw_only=True)
 class Pages(Request):
     """The files that a comparison writes."""
 
-    report: Annotated[Path | None, REPORT] = None
     figures: Annotated[
         Path | None,
         Option("Write every figure as PNG and SVG into this folder.", OUTPUT, metavar="DIR", writes="folder"),
@@ -51,7 +46,12 @@ def compare(request: CompareRequest, pages: Pages) -> Result:
 
     with _ExitWithoutThreads(), exit_codes(), Progress(1.0, "comparing") as progress:
         found = compare_print(replace(request, progress=progress.phase))
-    return replace(found, report=pages.report, written=_write(found, pages))
+    if pages.figures is not None:
+        from ffcomp.report.compare import write_figures
+
+        pages.figures.mkdir(exist_ok=True)
+        found = replace(found, written=write_figures(found.comparison, pages.figures))
+    return found
 
 
 class _ExitWithoutThreads:
@@ -64,15 +64,3 @@ class _ExitWithoutThreads:
             sys.stdout.flush()
             sys.stderr.flush()
             os._exit(130)
-
-
-def _write(found: MethodComparison, pages: Pages) -> list[Path]:
-    written: list[Path] = []
-    if pages.figures is not None:
-        from ffcomp.report.compare import write_figures
-
-        pages.figures.mkdir(exist_ok=True)
-        written = write_figures(found.comparison, pages.figures)
-    if pages.report is not None:
-        found.write_report(pages.report)
-    return written

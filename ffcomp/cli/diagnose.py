@@ -3,30 +3,24 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 from ffcomp.cli.command import verb
 from ffcomp.cli.common import report
 from ffcomp.diagnosis.request import DiagnoseRequest
-from ffcomp.options import REPORT
 from ffcomp.request import FORCE, Request
 from ffcomp.result import Result
 
-if TYPE_CHECKING:
-    from ffcomp.diagnosis.verb import Diagnosis
-
 
 @dataclass(frozen=True, kw_only=True)
-class Page(Request):
-    """The page of a diagnosis; only the command line has it."""
+class Writing(Request):
+    """Whether files are overwritten; only the command line asks."""
 
-    report: Annotated[Path | None, REPORT] = None
     force: Annotated[bool, FORCE] = False
 
 
 @verb
-def diagnose(request: DiagnoseRequest, page: Page) -> Result:
+def diagnose(request: DiagnoseRequest, writing: Writing) -> Result:
     """Find the physical effect that the machine file lacks, and its size.
 
     The answer is one effect or several, none, or unknown. A change of the file's own parameters within their
@@ -45,18 +39,6 @@ def diagnose(request: DiagnoseRequest, page: Page) -> Result:
     request = replace(request, progress=lambda sentence: report(f"ffcomp: {sentence}"))
     with SearchProgress(USUAL_S) as search_progress:
         diagnosis = diagnose_files(request, search_progress)
-    diagnosis = replace(diagnosis, report=page.report)
-    files = {} if diagnosis.output is None else {diagnosis.output: diagnosis.better_file().encode()}
-    if page.report is not None:
-        files[page.report] = _page(diagnosis)
-    for path, content in files.items():  # all are complete before the first is written
-        replace_atomically(path, [content])
+    if diagnosis.output is not None:
+        replace_atomically(diagnosis.output, [diagnosis.better_file().encode()])
     return diagnosis
-
-
-def _page(diagnosis: Diagnosis) -> bytes:
-    """Make the report."""
-    from ffcomp.diagnosis.where import drawn_residual
-    from ffcomp.report.diagnose import diagnosis_page
-
-    return diagnosis_page(diagnosis, drawn_residual(diagnosis.problem, diagnosis.search), diagnosis.proposals())

@@ -41,10 +41,6 @@ def estimate(request: EstimateFilesRequest, details: EstimateShown) -> Result:
     if details.figure is not None and len(request.files) > 1:
         raise RequestError("--figure is for one file.")
     found = [replace(each, lists_layers=details.layers) for file in request.files for each in _estimates(file, request)]
-    if details.figure is not None:
-        from ffcomp.report.estimate import draw
-
-        draw(found[0], details.figure)
     return found[0] if len(found) == 1 else Estimates(found)
 
 

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
 from ffcomp.cli.command import verb
-from ffcomp.cli.common import say
 from ffcomp.identification.request import FrfRequest
 from ffcomp.options import FIGURE
 from ffcomp.request import OUTPUT, Option, Request
@@ -32,10 +31,4 @@ def frf(request: FrfRequest, figures: FrfFigures) -> Result:
     """
     from ffcomp.api.responses import frf_request
 
-    result = frf_request(request)
-    if figures.figure is not None:
-        from ffcomp.report.model import draw_bode
-
-        draw_bode(result.study, figures.figure, figures.full)
-        say(f"ffcomp: {figures.figure}")
-    return result
+    return replace(frf_request(request), full=figures.full)

@@ -2,30 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 from ffcomp.cli.command import group, verb
-from ffcomp.cli.common import report
 from ffcomp.identification.request import DecoupleRequest, FitRequest, RingingRequest, ScanRequest, UpdateRequest
-from ffcomp.options import REPORT
-from ffcomp.request import Request
 from ffcomp.result import Result
 
 if TYPE_CHECKING:
     from ffcomp.identification.machine_fit import MachineFit
 
 
-@dataclass(frozen=True, kw_only=True)
-class FitPage(Request):
-    """The page of a fit; only the command line has it."""
-
-    report: Annotated[Path | None, REPORT] = None
-
-
 @verb
-def fit(request: FitRequest, page: FitPage) -> Result:
+def fit(request: FitRequest) -> Result:
     """Fit a machine file's parameters to measurements, with their uncertainties.
 
     ffcomp states each parameter with its 90 % interval and names those that the data leave weak.
@@ -43,14 +31,7 @@ def fit(request: FitRequest, page: FitPage) -> Result:
 
     start = load_plant(str(request.machine))
     with SearchProgress(USUAL_S, "reading the files") as progress:
-        result = _deliver(fit_files(start, request, progress), request)
-    if page.report is not None:
-        from ffcomp.report.identify import fit_page
-        from gcode.atomic_write import replace_atomically
-
-        replace_atomically(page.report, [fit_page(result)])
-        report(f"ffcomp: {page.report}")
-    return result
+        return _deliver(fit_files(start, request, progress), request)
 
 
 @verb
@@ -155,17 +136,11 @@ identify = group(
 
 
 def _deliver(result: MachineFit, request: FitRequest | ScanRequest) -> MachineFit:
-    """Write the machine file and the figure, if they are wanted."""
+    """Write the machine file, if it is wanted."""
     from models.file import check_text
 
     if request.output is not None:
         result = result.write(request.output)
     elif result.text:  # a later run would write it
         check_text(result.text, result.name)
-    if request.figure is not None:
-        from ffcomp.report.drawing import write_figure
-
-        figure = result.plot()
-        write_figure(figure, request.figure, figure.dpi)
-        report(f"ffcomp: {request.figure}")
     return result

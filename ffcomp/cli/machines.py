@@ -42,6 +42,7 @@ def list_machines() -> Result:
 class MachineList(Result):
     """The machines that have a name, in alphabetical order."""
 
+    title = "Machines"
     schema = "ffcomp-machines-list/1"
     json_keys: ClassVar = keys("machines")
 
@@ -87,6 +88,7 @@ def show_machine(request: MachineRequest) -> Result:
 class ShownMachine(Result):
     """A machine's parameters and modes."""
 
+    title = "Machine"
     schema = "ffcomp-machine-show/1"
     json_keys: ClassVar = keys("machine", "values", "modes", "sources")
 
@@ -141,6 +143,7 @@ def check_machine(request: MachineRequest) -> Result:
 class CheckedMachine(Result):
     """Whether a machine file can be right."""
 
+    title = "Check of a machine file"
     schema = "ffcomp-machine-check/1"
     json_keys: ClassVar = keys("machine", "problems", "notes", "consistency", "soundness")
 
@@ -333,6 +336,7 @@ def diff_machines(request: DiffMachinesRequest) -> Result:
 class MachineDifference(Result):
     """What differs between two machine files."""
 
+    title = "Two machine files"
     schema = "ffcomp-machine-diff/1"
     json_keys: ClassVar = keys("old", "new", "changes", "frequencies_hz")
 

@@ -115,16 +115,12 @@ def _compare(request: CheckRequest) -> Result:
     checks = earlier if result.known else [*earlier, result.check]
     if not result.known:
         write_history(request.history_file, checks)
-    if request.figure is not None:
-        from ffcomp.report.check import checks_figure
-        from ffcomp.report.drawing import write_figure
-
-        write_figure(checks_figure(checks, machine.name), request.figure, dpi=130)
     return replace(
         result,
         notes=(*left_out, *joined.notes(plan, machine), *result.notes),
         machine=machine.name,
         history=request.history_file,
+        checks=tuple(checks),
         diagnose=f"ffcomp diagnose CAPTURES --plan {request.plan} -m {request.machine}",
     )
 

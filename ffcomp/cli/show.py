@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from ffcomp.cli.command import verb
 from ffcomp.cli.common import opened, say
@@ -15,6 +15,8 @@ from ffcomp.request import OUTPUT, Argument, Option, Request
 from ffcomp.result import Fact, Result
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from ffcomp.simulation.forecast import Forecast
     from models.machine import Machine
 
@@ -86,6 +88,7 @@ def open_picture(picture: str) -> None:
 class ShowResult(Result):
     """The picture of a print and its errors."""
 
+    title = "Before and after"
     schema = "ffcomp-show/1"
     json_keys: ClassVar = keys("input", "machine", "picture", "gcode_preview", "source") | keys(**{ALL_OF: "forecast"})
 
@@ -95,6 +98,15 @@ class ShowResult(Result):
     gcode_preview: Path | None
     forecast: Forecast
     kept: bool  # in the file; False: computed
+    figure: Figure
+
+    def figures(self) -> Sequence[str]:
+        """Return the name of its picture."""
+        return ("paths",)
+
+    def plot(self, name: str = "", **options: Any) -> Figure:
+        """Return the picture."""
+        return self.figure
 
     @property
     def source(self) -> str:
@@ -132,7 +144,7 @@ class ShowResult(Result):
 def _show(request: ShowRequest) -> ShowResult:
     from ffcomp.cli.machine_files import machine_of
     from ffcomp.errors import NothingToDo
-    from ffcomp.report.show import draw
+    from ffcomp.report.show import show_figure
     from ffcomp.simulation.forecast import forecast_in
     from ffcomp.simulation.gcode_preview import gcode_preview
     from ffcomp.simulation.preview import preview
@@ -160,5 +172,7 @@ def _show(request: ShowRequest) -> ShowResult:
         replace_atomically(target, gcode_preview(original, *curve, offset))
     picture = request.output or file.with_name(file.name + ".png")
     predicted, kept = forecast_in(data[-STAMP_REACH:], stamp, machine, lambda: seen.forecast(machine))
-    draw(seen, predicted, f"{file.name} on {machine.name}", footer, picture, request.z_mm)
-    return ShowResult(file, machine, picture, target, predicted, kept)
+    figure = show_figure(seen, predicted, f"{file.name} on {machine.name}", footer, request.z_mm)
+    result = ShowResult(file, machine, picture, target, predicted, kept, figure)
+    result.write_figure(picture)
+    return result

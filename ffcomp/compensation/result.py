@@ -245,6 +245,8 @@ class CompensatedFile(VerbResult):
         Where the user finds the output; empty: where it is written. A slicer moves it.
     """
 
+    title = "Compensated print"
+
     drawn_by: ClassVar = {"show": "ffcomp.report.show:compensation_figure"}
 
     path: str

@@ -25,6 +25,7 @@ from models.machine import Machine
 class Discrepancy(Result):
     """The model discrepancy of a machine file on some recordings."""
 
+    title = "Simulation against measurement"
     schema = "ffcomp-gap/1"
     json_keys: ClassVar = keys("compared", "notes", noise_from_repeats="floor.from_repeats") | keys(
         nrms="residual.total.nrms", noise_nrms="residual.total.noise_nrms", where="residual"

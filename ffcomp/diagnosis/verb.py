@@ -23,6 +23,7 @@ from ffcomp.diagnosis.request import DiagnoseRequest
 from ffcomp.diagnosis.result import DiagnosisResult, better_file, result_of
 from ffcomp.diagnosis.sentences import summary_sentences, what_to_do
 from ffcomp.diagnosis.trace import Trace
+from ffcomp.diagnosis.where import DrawnResidual, drawn_residual
 from ffcomp.diagnosis.words import digits
 from ffcomp.errors import FfcompError
 from ffcomp.identification.machine_fit import hash_of
@@ -50,8 +51,10 @@ class Diagnosis(Answered):
     result : verdict, effects with intervals, retuned parameters and the discrepancy before and after
     search : everything that the verdict rests on
     print_gain : what prints gain by the better machine file; None: not predicted
-    output, report : the improved machine file, the page; None: not written
+    output : the improved machine file; None: not written
     """
+
+    page_by = "ffcomp.report.diagnose:page_of"
 
     result: DiagnosisResult
     problem: Problem
@@ -59,7 +62,6 @@ class Diagnosis(Answered):
     runs: Sequence[Path]
     print_gain: PrintGain | None
     output: Path | None
-    report: Path | None = None
     seconds: float
 
     @property
@@ -87,8 +89,7 @@ class Diagnosis(Answered):
         if gain is not None:
             errors = f"{digits(gain.before_um, 2)} → {digits(gain.after_um, 2)} µm rms with the better file"
             facts.append(("A sample print", f"{errors}, {digits(gain.uncompensated_um, 2)} without compensation"))
-        written = (("Better file", self.output), ("Report", self.report))
-        return [*facts, *((name, str(path)) for name, path in written if path is not None)]
+        return facts if self.output is None else [*facts, ("Better file", str(self.output))]
 
     @property
     def warnings(self) -> list[str]:
@@ -111,6 +112,10 @@ class Diagnosis(Answered):
         check_text(text, str(self.output))
         return text
 
+    def where(self) -> DrawnResidual:
+        """Locate the residual before and after."""
+        return drawn_residual(self.problem, self.search)
+
     def proposals(self) -> Sequence[Separation]:
         """Propose recordings, also where nothing fits as well; none of an axis by itself, which takes no G-code."""
         if self.result.separations or not isinstance(self.problem, PrinterProblem):
@@ -122,7 +127,6 @@ class Diagnosis(Answered):
         return {
             **result_json(self.result, self.print_gain),
             "machine": None if self.output is None else str(self.output),
-            "report": None if self.report is None else str(self.report),
             "seconds": self.seconds,
         }
 

@@ -31,6 +31,8 @@ class Estimate(Result):
     Heating, homing and macros are not in the time: no file says how long they take.
     """
 
+    title = "Print time"
+
     drawn_by: ClassVar = {"times": "ffcomp.report.estimate:estimate_figure"}
 
     path: str

@@ -152,6 +152,7 @@ class PlaceParts:
 class Decoupling(Result):
     """Which parts of a delta's model hold, at each place."""
 
+    title = "Parts of the model"
     schema = "ffcomp-identify-decouple/1"
     json_keys: ClassVar = keys("machine", "places")
 

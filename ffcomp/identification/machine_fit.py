@@ -35,6 +35,7 @@ class MachineFit(Result):
 
     method: ClassVar[str] = ""
     schema: ClassVar[str] = "ffcomp-identify-fit/1"
+    page_by = "ffcomp.report.identify:page_of"
     drawn_by = {"fit": "ffcomp.report.identify:figure_of"}  # noqa: RUF012 (the base states its type)
 
     start: Machine

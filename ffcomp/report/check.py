@@ -8,7 +8,7 @@ import matplotlib
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from ffcomp.check.compare import CHANGED, SAME, SENSOR, UNKNOWN
+from ffcomp.check.compare import CHANGED, SAME, SENSOR, UNKNOWN, CheckResult
 from ffcomp.check.history import Check
 from ffcomp.report.drawing import BAND, RC, SOFT, grid
 from ffcomp.version import __version__
@@ -19,16 +19,16 @@ MARKED = {CHANGED: "changed", UNKNOWN: "changed", SENSOR: "sensor"}
 WORDS = {SAME: "as last time", **MARKED}
 
 
-def checks_figure(checks: Sequence[Check], name: str) -> Figure:
+def checks_figure(result: CheckResult) -> Figure:
     """Draw the last checks in one panel, the last finding above it."""
-    shown = list(checks)[-SHOWN:]
+    shown, name = list(result.checks)[-SHOWN:], f"{result.machine} · {len(result.checks)} checks"
     with matplotlib.rc_context(RC):
-        figure = Figure(figsize=(8.4, 4.2), layout="constrained")
+        figure = Figure(figsize=(8.4, 4.2), dpi=130, layout="constrained")
         title = f"Last check: {WORDS.get(shown[-1].finding, shown[-1].finding.replace('_', ' '))}"
         figure.suptitle(title, x=0.01, ha="left", fontsize=12, fontweight="bold", color=BAND)
         axes = figure.add_subplot()
         _panel(axes, shown)
-        axes.set_title(f"{name} · {len(checks)} checks · ffcomp {__version__}", fontsize=8, color=SOFT)
+        axes.set_title(f"{name} · ffcomp {__version__}", fontsize=8, color=SOFT)
     return figure
 
 

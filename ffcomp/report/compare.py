@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -13,8 +12,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
+from ffcomp.api.comparison import MethodComparison
 from ffcomp.comparison.result import Comparison, EqualQuality, Error, Family, Method
-from ffcomp.comparison.sentences import GLOSSARY, answer_of
+from ffcomp.comparison.sentences import GLOSSARY
 from ffcomp.comparison.words import (
     clipped,
     duration,
@@ -49,7 +49,7 @@ from ffcomp.report.drawing import (
     half_width,
     plain_decades,
 )
-from ffcomp.report.page import Section, Table, page
+from ffcomp.report.page import Page, Section, Table
 from gcode.atomic_write import replace_atomically
 from gcode.layers import is_outer_wall
 
@@ -247,22 +247,10 @@ def _rows(axes: Axes, comparison: Comparison, methods: Sequence[Method]) -> None
 # ---- the page ------------------------------------------------------------------------------------
 
 
-def write_report(comparison: Comparison, target: Path, notes: Sequence[str] = ()) -> None:
-    """Write the whole comparison as one HTML file; an old one stays until the new one is complete.
-
-    Parameters
-    ----------
-    notes : sentences on the compared print, if it is not the file itself
-    """
-    replace_atomically(target, [_page(comparison, notes)])
-
-
-def _page(comparison: Comparison, notes: Sequence[str]) -> bytes:
-    about = [
-        f"machine {comparison.machine.name}",
-        f"evaluated on {comparison.plant.name}",
-        f"ffcomp {comparison.version}",
-    ]
+def page_of(result: MethodComparison) -> Page:
+    """Return the page of a comparison."""
+    comparison = result.comparison
+    about = [f"machine {comparison.machine.name}", f"evaluated on {comparison.plant.name}"]
     drawn = drawings(comparison)
     sections = [
         Section("Where it shows", drawings=drawn[:3]),
@@ -271,9 +259,7 @@ def _page(comparison: Comparison, notes: Sequence[str]) -> bytes:
         Section("Glossary", tables=[Table(("term", "meaning"), list(GLOSSARY.items()))], folded=True),
         Section("Settings", tables=[Table(("setting", "value"), _settings(comparison))], folded=True),
     ]
-    answer = answer_of(comparison)
-    answer = replace(answer, warnings=[*notes, *answer.warnings])
-    return page(answer, file_name(comparison), about, sections)
+    return Page(file_name(comparison), about, sections)
 
 
 def _tables(comparison: Comparison) -> Iterator[Table]:

@@ -15,7 +15,6 @@ from matplotlib.ticker import NullLocator
 from ffcomp.diagnosis.diagnosis import Diagnosis as Search
 from ffcomp.diagnosis.fit import intervals_of
 from ffcomp.diagnosis.held_out import HeldOut
-from ffcomp.diagnosis.next_experiment import Separation
 from ffcomp.diagnosis.residual_curves import ResidualCurve
 from ffcomp.diagnosis.result import DiagnosisResult, of_machine
 from ffcomp.diagnosis.verb import Diagnosis
@@ -33,8 +32,7 @@ from ffcomp.diagnosis.words import (
 )
 from ffcomp.identification.machine_fit import hash_of
 from ffcomp.report.drawing import AFTER, BEFORE, GROUND, NOISE, REFERENCE, SOFT, Box, Drawing, grid, plain_decades
-from ffcomp.report.page import Section, Table, page
-from ffcomp.version import __version__
+from ffcomp.report.page import Page, Section, Table
 from models.arrays import FloatArray
 
 WIDTH, HEIGHT = 4.6, 2.7  # inches: as wide as a phone
@@ -57,16 +55,9 @@ NEIGHBOUR_SHARE = 0.4  # of it: closer labels need space
 KEY = "Orange: with the machine file. Blue: with the best explanation. Grey: noise."
 
 
-def diagnosis_page(diagnosis: Diagnosis, where: DrawnResidual, proposals: Sequence[Separation]) -> bytes:
-    """Render a diagnosis as one HTML file.
-
-    Parameters
-    ----------
-    proposals : experiments that separate competing explanations, the best first
-    """
-    result, search = diagnosis.result, diagnosis.search
-    output = None if diagnosis.output is None else Path(diagnosis.output.name)
-    answer = replace(diagnosis, output=output, report=None).answer
+def page_of(diagnosis: Diagnosis) -> Page:
+    """Return the page of a diagnosis."""
+    result, search, where, proposals = diagnosis.result, diagnosis.search, diagnosis.where(), diagnosis.proposals()
     overlaid = list(map(overlay, where.overlays))
     sections = [
         Section("Where they differ", sentences=[KEY], drawings=splits(where)),
@@ -95,8 +86,9 @@ def diagnosis_page(diagnosis: Diagnosis, where: DrawnResidual, proposals: Sequen
         Section("Files", tables=[Table(("", ""), _files(diagnosis, where))], folded=True),
     ]
     band = "{:g}-{:g} Hz".format(*where.band_hz)
-    about = [f"verdict: {result.verdict}", f"{len(diagnosis.runs)} runs", band, f"ffcomp {__version__}"]
-    return page(answer, diagnosis.problem.name, about, sections)
+    about = [f"verdict: {result.verdict}", f"{len(diagnosis.runs)} runs", band]
+    output = None if diagnosis.output is None else Path(diagnosis.output.name)
+    return Page(diagnosis.problem.name, about, sections, replace(diagnosis, output=output).answer)
 
 
 # ---- tables --------------------------------------------------------------------------------------

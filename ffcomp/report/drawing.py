@@ -104,11 +104,14 @@ class Drawing:
     draw: Callable[[Box], None]
 
 
-def svg(drawing: Drawing) -> bytes:
-    """Draw the figure alone, for light and dark screens: on the page, heading and caption are text."""
+def svg(drawing: Drawing | Figure) -> bytes:
+    """Return an image for light and dark screens; the page has a drawing's heading and caption as text."""
     with matplotlib.rc_context(RC):
-        figure = Figure(figsize=(drawing.width, drawing.height), layout=layout())
-        drawing.draw(figure)
+        if isinstance(drawing, Figure):
+            figure = drawing
+        else:
+            figure = Figure(figsize=(drawing.width, drawing.height), layout=layout())
+            drawing.draw(figure)
         return _for_dark_screens(file_of(figure, "svg"))
 
 
@@ -176,8 +179,8 @@ def file_of(figure: Figure, form: str, dpi: float = DPI) -> bytes:
     return file.getvalue()
 
 
-def write_figure(figure: Figure, target: Path, dpi: float) -> None:
+def write_figure(figure: Figure, target: Path) -> None:
     """Write the figure whole or not at all; the suffix of `target` names the format, without one it becomes .png."""
     named = target if target.suffix else target.with_name(f"{target.name}.png")
-    content = file_of(figure, named.suffix.removeprefix("."), dpi)
+    content = file_of(figure, named.suffix.removeprefix("."), figure.dpi)
     replace_atomically(named, [_for_dark_screens(content) if named.suffix == ".svg" else content])

@@ -11,27 +11,21 @@ from matplotlib.figure import Figure
 
 from ffcomp.estimation.engine import Estimate, seconds
 from ffcomp.estimation.statistics import BEFORE, KINDS, WAITING, Statistics
-from ffcomp.report.drawing import RC, file_of, grid, layout
+from ffcomp.report.drawing import RC, grid, layout
 from ffcomp.version import __version__
-from gcode.atomic_write import replace_atomically
 from gcode.metadata import short
 
 COLOURS = ("#0072b2", "#e69f00", "#009e73", "#56b4e9", "#b8bec9")  # as KINDS
 MOST_FEATURES = 14
 
 
-def draw(estimate: Estimate, path: Path) -> None:
-    """Write the figure; `path` ends in .png, .svg or .pdf."""
-    replace_atomically(path, [file_of(estimate_figure(estimate), path.suffix.removeprefix("."))])
-
-
 def estimate_figure(estimate: Estimate) -> Figure:
     """Draw the time by layer and by feature."""
     with matplotlib.rc_context(RC):
-        figure = Figure(figsize=(10.0, 4.6), layout=layout())
-        left, right = figure.subplots(1, 2, width_ratios=(1.7, 1.0))
-        _layers(left, estimate.statistics)
-        _features(right, estimate.statistics)
+        figure = Figure(figsize=(6.4, 6.8), dpi=150, layout=layout())
+        above, below = figure.subplots(2, 1)
+        _layers(above, estimate.statistics)
+        _features(below, estimate.statistics)
         title = f"{Path(estimate.path).name} on {estimate.machine.name}: {short(estimate.time_s)}"
         figure.suptitle(title, x=0.01, ha="left", fontweight="bold")
         note = f"planned like the firmware; without heating, homing and macros; ffcomp v{__version__}"

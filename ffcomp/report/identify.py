@@ -23,7 +23,7 @@ from ffcomp.identification.frf_study import View, study
 from ffcomp.identification.machine_fit import AxesFit, MachineFit, ParametersFit, ScanFit
 from ffcomp.measurement.frf import FrequencyResponse
 from ffcomp.report.drawing import AFTER, BAND, NOISE, RC, REFERENCE, SOFT, Box, Drawing, grid, plain_decades
-from ffcomp.report.page import Section, page
+from ffcomp.report.page import Page, Section, plain
 from ffcomp.shapers.calibration import klipper_block
 from ffcomp.version import __version__
 from models.arrays import ComplexArray, FloatArray
@@ -100,21 +100,21 @@ def _alone(draw: Callable[[Axes, Any], None], of: Any, box: Box) -> None:
     axes.set_title("")  # the page has it
 
 
-def fit_page(fit: MachineFit) -> bytes:
-    """Render a fit as one HTML file: the answer, the three panels, and settings of an input shaper to copy."""
+def page_of(fit: MachineFit) -> Page:
+    """Return the page of a fit: the three panels, and settings of an input shaper to copy."""
     if isinstance(fit, ParametersFit):
         drawings = panels_of(fit.result).drawings()
     elif isinstance(fit, AxesFit):
         drawings = _panels_of_axes(fit).drawings()
     else:
-        raise RequestError("A report shows frequency responses; these data hold none (see: --plan).")
+        return plain(fit)
     if fit.belts is not None:
         draw = partial(_alone, belts_panel, fit.belts)
         drawings.append(Drawing("", "Belts", fit.belts.sentence.partition(". ")[0], "", 4.6, 3.4, draw))
     sections = [Section("The fit", drawings=drawings)]
     if block := klipper_block(fit.shapers):
         sections.append(Section("If you stay with an input shaper", sentences=["Paste into printer.cfg:"], code=block))
-    return page(replace(fit, output=None).answer, fit.name, [f"method {fit.method}", f"ffcomp {__version__}"], sections)
+    return Page(fit.name, [f"method {fit.method}"], sections, replace(fit, output=None).answer)
 
 
 def panels_of(identified: Identified) -> Panels:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from pathlib import Path
 from textwrap import fill
 from typing import Any
 
@@ -13,9 +12,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from ffcomp.api.responses import FrequencyResponses
 from ffcomp.identification.frf_study import Station, Study, verdict
 from ffcomp.identification.predict import phases_deg
-from ffcomp.report.drawing import RC, SOFT, grid, layout, plain_decades, write_figure
+from ffcomp.report.drawing import RC, SOFT, grid, layout, plain_decades
 from ffcomp.version import __version__
 
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#b8860b", "#56b4e9", "#6a4c93", "#222222")
@@ -23,9 +23,9 @@ UNCOUPLED = 1e-9  # of a station's largest response: less is rounding
 WIDTH, ROW, LINE, LETTERS = 7.2, 2.3, 0.17, 88  # inches: readable on a phone, a response, a line of text; its letters
 
 
-def draw_bode(study: Study, target: Path, full: bool = False) -> None:
-    """Write the Bode figure; the suffix of `target` names the format."""
-    write_figure(bode_figure(study, full), target, dpi=200)
+def figure_of(responses: FrequencyResponses, full: bool = False) -> Figure:
+    """Draw all nine responses, or only the diagonal."""
+    return bode_figure(responses.study, full or responses.full)
 
 
 def bode_figure(study: Study, full: bool = False) -> Figure:
@@ -35,7 +35,7 @@ def bode_figure(study: Study, full: bool = False) -> Figure:
     labels = [fill("  ".join(_said(station)), LETTERS) for station in study.stations]
     with matplotlib.rc_context(RC):
         below = LINE * sum(1 + label.count("\n") for label in labels)
-        figure = Figure(figsize=(WIDTH, ROW * len(pairs) + below + 0.9), layout=layout())
+        figure = Figure(figsize=(WIDTH, ROW * len(pairs) + below + 0.9), dpi=200, layout=layout())
         machine = f"{study.machine.name}, machine file sha256 {study.machine.sha256[:12]}, ffcomp {__version__}"
         text = "\n".join(fill(line, LETTERS) for line in (study.view.title, verdict(study), machine))
         figure.suptitle(text, x=0.01, ha="left", fontsize=9, parse_math=False)

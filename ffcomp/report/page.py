@@ -10,9 +10,11 @@ from importlib.resources import files
 
 from jinja2 import Environment, StrictUndefined
 from markupsafe import Markup, escape
+from matplotlib.figure import Figure
 
 from ffcomp.report.drawing import Drawing, svg
-from ffcomp.result import Answer
+from ffcomp.result import Answer, Result
+from ffcomp.version import __version__
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,27 +32,36 @@ class Section:
 
     title: str
     drawings: Sequence[Drawing] = ()
+    figures: Sequence[Figure] = ()  # with a title of their own
     tables: Sequence[Table] = ()
     sentences: Sequence[str] = ()
     code: str = ""  # text to copy
     folded: bool = False  # opened by a click
 
 
-def page(answer: Answer, title: str, about: Sequence[str], sections: Sequence[Section]) -> bytes:
-    """Render a report.
+@dataclass(frozen=True, slots=True)
+class Page:
+    """A page: what stands above and below the answer of a verb."""
 
-    Parameters
-    ----------
-    answer : of the verb: the same words as in the terminal and JSON
-    title : the print or the machine
-    about : short facts below the title
-    sections : after the answer
-    """
-    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
-    environment.filters |= {"said": said, "picture": picture}
-    template = environment.from_string(resource("page.html.jinja"))
-    css = Markup(resource("page.css"))
-    return template.render(css=css, answer=answer, title=title, about=about, sections=sections).encode()
+    title: str  # the print or the machine
+    about: Sequence[str] = ()  # short facts below the title
+    sections: Sequence[Section] = ()
+    answer: Answer | None = None  # in place of the result's own: names of files without their folders
+
+    def html(self, answer: Answer) -> bytes:
+        """Render it; the answer has the same words as in the terminal and JSON."""
+        environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
+        environment.filters |= {"said": said, "picture": picture}
+        template = environment.from_string(resource("page.html.jinja"))
+        about = [*self.about, f"ffcomp {__version__}"]
+        shown = self.answer or answer
+        return template.render(css=Markup(resource("page.css")), answer=shown, page=self, about=about).encode()
+
+
+def plain(result: Result) -> Page:
+    """Return the page of a verb that has no sections of its own: its figures."""
+    figures = [result.plot(name) for name in result.figures()]
+    return Page(result.title, sections=[Section("", figures=figures)] if figures else [])
 
 
 def resource(name: str) -> str:
@@ -58,7 +69,7 @@ def resource(name: str) -> str:
     return files("ffcomp.report").joinpath(name).read_text(encoding="utf-8")
 
 
-def picture(drawing: Drawing) -> str:
+def picture(drawing: Drawing | Figure) -> str:
     """Return a drawing as the address of an image inside the page."""
     return f"data:image/svg+xml;base64,{base64.b64encode(svg(drawing)).decode('ascii')}"
 

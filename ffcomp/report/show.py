@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from textwrap import fill
 from typing import Any
 
@@ -27,7 +26,6 @@ from ffcomp.report.drawing import (
     grid,
     half_width,
     plain_decades,
-    write_figure,
 )
 from ffcomp.simulation.forecast import Forecast
 from ffcomp.simulation.preview import Curve, Flow, Preview, preview
@@ -45,13 +43,6 @@ MAP_GROUND = "#f6f6f8"  # under the colours of the error, on dark screens too
 LEAST_UM = 0.01  # smaller errors are drawn as this
 
 
-def draw(
-    preview: Preview, forecast: Forecast, title: str, footer: str, target: Path, z_mm: float | None = None
-) -> None:
-    """Write the picture; the suffix of `target` names the format. See `show_figure`."""
-    write_figure(show_figure(preview, forecast, title, footer, z_mm), target, dpi=200)
-
-
 def show_figure(
     preview: Preview, forecast: Forecast, title: str, footer: str = "", z_mm: float | None = None
 ) -> Figure:
@@ -65,7 +56,7 @@ def show_figure(
     at, error_mm = _worst(preview.before, z_mm)
     more = [name for name, there in (("speed", retimed(preview)), ("flow", preview.flows is not None)) if there]
     with matplotlib.rc_context(RC):
-        figure = Figure(figsize=(WIDTH, 7.6 + 1.6 * len(more)), layout="constrained")
+        figure = Figure(figsize=(WIDTH, 7.6 + 1.6 * len(more)), dpi=200, layout="constrained")
         lines = [title, forecast.expected.headline if forecast.expected else "", forecast.verdict]
         text = "\n".join(fill(line, LETTERS) for line in lines if line)
         figure.suptitle(text, fontsize=10, x=0.01, ha="left", parse_math=False)

@@ -162,6 +162,8 @@ class Request:
 class Simulation(Result):
     """A simulated command and its evaluation; arrays hold m samples of all sections."""
 
+    title = "Simulated print"
+
     drawn_by: ClassVar = {"path": "ffcomp.report.show:simulation_figure"}
     schema = "ffcomp-simulate/1"
     json_keys: ClassVar = keys("machine", "plant", "reference", "track", "simulated_s", "rows", "warnings") | keys(

@@ -161,6 +161,6 @@ def _names(owner: type) -> dict[str, Any]:
     """Return the names of a class's module, those under `if TYPE_CHECKING` included."""
     module = sys.modules[owner.__module__]
     names = dict(vars(module))
-    for block in re.findall(r"^if TYPE_CHECKING:\n((?:    .*\n)+)", getsource(module), re.MULTILINE):
+    for block in re.findall(r"^if TYPE_CHECKING:\n((?:    .*\n|\n)+)", getsource(module), re.MULTILINE):
         exec(textwrap.dedent(block), names)
     return names

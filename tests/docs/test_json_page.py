@@ -174,7 +174,6 @@ def test_diagnose(page: Page) -> None:
                 runs=(),
                 print_gain=PrintGain(90.0, 30.0, 3.0),
                 output=None,
-                report=Path("page.html"),
                 seconds=1.0,
             ).to_dict()
             for why in ("effects", "unexplained", "dominant")

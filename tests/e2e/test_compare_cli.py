@@ -41,7 +41,7 @@ def test_the_whole_way(small: Path, tmp_path: Path) -> None:
     assert found["ours"] == "fbs-robust" and found["methods"]["fbs-robust"]["label"] == "ffcomp"
     assert found["methods"]["fbs-lpv"]["contour_rms_um"] < found["methods"]["mzv"]["contour_rms_um"]
     assert len(found["methods"]["mzv"]["mismatch"]["contour_rms_um"]) == 2
-    assert found["report"] == str(page) and small.name.split(".")[0] in page.read_text(encoding="utf-8")
+    assert small.name.split(".")[0] in page.read_text(encoding="utf-8")
     assert sorted(found["figures"]) == sorted(str(path) for path in pictures.iterdir())
     assert small.read_bytes() == squares(2)
     assert "printing on Monte-Carlo plants" in answer.stderr

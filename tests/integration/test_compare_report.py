@@ -16,10 +16,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from ffcomp.api.comparison import MethodComparison
 from ffcomp.comparison import words as parts
 from ffcomp.comparison.result import Comparison, Peaks, Samples
 from ffcomp.comparison.sentences import cautions, findings
-from ffcomp.report.compare import write_report
 from tests.support.browser import Visit, chromium, visit
 from tests.support.comparison import (
     LAYERS,
@@ -92,7 +92,7 @@ def nasty_page(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for key, judged in found.methods.items():
         found = changed(found, key, by_feature=dict(zip(found.features[1:], judged.by_feature.values(), strict=True)))
     target = tmp_path_factory.mktemp("nasty") / "report.html"
-    write_report(found, target)
+    MethodComparison(found).write_report(target)
     return target
 
 
@@ -121,7 +121,7 @@ def test_a_failed_report_leaves_the_old_one(tmp_path: Path, monkeypatch: pytest.
 
         monkeypatch.setattr("ffcomp.report.page.svg", stop)
         with pytest.raises(failure):
-            write_report(comparison(), target)
+            MethodComparison(comparison()).write_report(target)
         assert [path.name for path in tmp_path.iterdir()] == ["report.html"] and target.read_text() == "old"
 
 
@@ -140,7 +140,7 @@ def test_odd_comparisons_have_a_page_too(tmp_path: Path) -> None:
     for name in found.methods if (dry := comparison(best_fixed="fbs-lpv")) else ():
         dry = changed(dry, name, samples=still, **_numbers(still))
     for k, odd in enumerate((found, dry)):
-        write_report(odd, tmp_path / f"{k}.html")
+        MethodComparison(odd).write_report(tmp_path / f"{k}.html")
     text = (tmp_path / "1.html").read_text(encoding="utf-8")
     assert "No plastic flows in the evaluated part" in text and "Errors, all moves" in text
 

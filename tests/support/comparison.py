@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from ffcomp.api.comparison import MethodComparison
 from ffcomp.comparison.evaluation import by, contour_numbers
 from ffcomp.comparison.result import (
     Comparison,
@@ -23,7 +24,6 @@ from ffcomp.comparison.result import (
     Spread,
 )
 from ffcomp.metrics import Track
-from ffcomp.report.compare import write_report
 from models.file import load_machine
 
 MACHINE = load_machine("mp-delta-pro")
@@ -143,5 +143,5 @@ def everything(name: str = "prints/square.gcode") -> Comparison:
 def whole_page() -> bytes:
     """The page of a comparison that has everything."""
     with TemporaryDirectory() as folder:
-        write_report(everything(), Path(folder) / "report.html")
+        MethodComparison(everything()).write_report(Path(folder) / "report.html")
         return (Path(folder) / "report.html").read_bytes()

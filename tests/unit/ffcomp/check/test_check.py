@@ -144,7 +144,7 @@ def test_what_creeps_is_compared_with_the_first_check(delta: Bench, history: lis
     found = delta.check(delta.joined(delta_printer(belts=(1.0, 0.9, 1.0)), 8), [*history, slack])
     assert found.verdict.finding == "same" and found.since_first is not None
     assert "elt B is 10 % softer" in found.since_first.message, found.since_first.message
-    axes = checks_figure([*history, slack, found.check], "mine").axes[0]
+    axes = checks_figure(replace(found, checks=(*history, slack, found.check))).axes[0]
     assert [label.get_text() for label in axes.get_xticklabels()] == ["2026-11-15", "2026-11-22", "2026-11-22"]
     assert axes.get_lines()[0].get_ydata()[-1] == pytest.approx(100 * found.check.gap)
 

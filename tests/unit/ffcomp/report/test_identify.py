@@ -16,7 +16,7 @@ from ffcomp.identification.machine_fit import ParametersFit
 from ffcomp.identification.predict import predicted
 from ffcomp.identification.uncertainty import normal
 from ffcomp.measurement.frf import FrequencyResponse
-from ffcomp.report.identify import fit_page, panels_of, three_panels
+from ffcomp.report.identify import page_of, panels_of, three_panels
 from ffcomp.shapers import SHAPERS
 from ffcomp.shapers.calibration import TARGET_SMOOTHING_MM, in_words, klipper_block, shaper_advice, smoothing
 from models.file import load_machine
@@ -60,7 +60,7 @@ def test_the_page_has_the_answer_three_panels_and_settings_to_paste() -> None:
         shapers=shaper_advice(MACHINE),
         output=Path("folder/better.toml"),
     )
-    text = fit_page(fit).decode()
+    text = page_of(fit).html(fit.answer).decode()
     assert text.count("<img ") == 3 and "Weigh it." in text and "The model explains" in text
     assert f"<pre>{klipper_block(fit.shapers)}</pre>" in text and "folder/" not in text
 
