@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -17,7 +17,7 @@ from ffcomp.compensation.placement import place_print
 from ffcomp.errors import RequestError, missing_extras_explained
 from ffcomp.inverse.settings import settings_for
 from ffcomp.metrics import Track
-from ffcomp.numerics.serialise import ALL_OF, keys
+from ffcomp.numerics.serialise import ALL_OF
 from ffcomp.request import function
 from ffcomp.result import Fact, Result
 from ffcomp.simulation.playback import check_same_kinematics
@@ -34,10 +34,9 @@ class MethodComparison(Result):
 
     schema = "ffcomp-compare/1"
     page_by = "ffcomp.report.compare:page_of"
-    json_keys: ClassVar = keys(figures="written", **{ALL_OF: "comparison"})
+    json_keys: ClassVar = {ALL_OF: "comparison"}
 
     comparison: Comparison
-    written: Sequence[Path] = ()  # figures
     notes: Sequence[str] = ()  # sentences on the compared print, if it is not the file itself
 
     @property
@@ -53,8 +52,7 @@ class MethodComparison(Result):
     @property
     def facts(self) -> list[Fact]:
         """The findings, and each method's errors."""
-        written = [("Figures", f"{len(self.written)} in {self.written[0].parent}")] if self.written else []
-        return [*sentences.answer_of(self.comparison).facts, *written]
+        return list(sentences.answer_of(self.comparison).facts)
 
     @property
     def warnings(self) -> list[str]:
@@ -67,28 +65,17 @@ class MethodComparison(Result):
         return sentences.answer_of(self.comparison).next_steps
 
     def figures(self) -> list[str]:
-        """Return the names of the report's figures; drawing them needs Matplotlib."""
-        return list(_report().figures(self.comparison))
+        """Return the names of the figures that `plot` draws; it needs Matplotlib."""
+        from ffcomp.report.compare import drawings
+
+        return [each.name for each in drawings(self.comparison)]
 
     @missing_extras_explained()
     def plot(self, name: str = "methods", **options: Any) -> Figure:
-        """Draw one figure of the report.
+        """Draw one of the figures; RequestError if there is none of that name."""
+        from ffcomp.report.compare import figure
 
-        Raises
-        ------
-        RequestError
-            If the report has no figure of that name.
-        """
-        drawn: dict[str, Callable[[], Figure]] = _report().figures(self.comparison)
-        if name not in drawn:
-            raise RequestError(f"There is no figure {name!r}, but {', '.join(drawn)}.")
-        return drawn[name]()
-
-
-def _report() -> Any:
-    from ffcomp.report import compare  # needs Matplotlib
-
-    return compare
+        return figure(self.comparison, name or "methods")
 
 
 def compare_print(request: CompareRequest) -> MethodComparison:

@@ -4,31 +4,18 @@ from __future__ import annotations
 
 import os
 import sys
-from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import Annotated
+from dataclasses import replace
 
 from ffcomp.cli.command import verb
 from ffcomp.cli.common import exit_codes
 from ffcomp.cli.progress import Progress
 from ffcomp.comparison.request import CompareRequest
 from ffcomp.errors import RequestError
-from ffcomp.request import OUTPUT, Option, Request
 from ffcomp.result import Result
 
 
-@dataclass(frozen=True, kw_only=True)
-class Pages(Request):
-    """The files that a comparison writes."""
-
-    figures: Annotated[
-        Path | None,
-        Option("Write every figure as PNG and SVG into this folder.", OUTPUT, metavar="DIR", writes="folder"),
-    ] = None
-
-
 @verb
-def compare(request: CompareRequest, pages: Pages) -> Result:
+def compare(request: CompareRequest) -> Result:
     """Compare ffcomp with every input shaper on your print.
 
     Every method plans its command with --machine and is evaluated on a simulated printer (--plant), never on the
@@ -45,13 +32,7 @@ def compare(request: CompareRequest, pages: Pages) -> Result:
     from ffcomp.api.comparison import compare_print
 
     with _ExitWithoutThreads(), exit_codes(), Progress(1.0, "comparing") as progress:
-        found = compare_print(replace(request, progress=progress.phase))
-    if pages.figures is not None:
-        from ffcomp.report.compare import write_figures
-
-        pages.figures.mkdir(exist_ok=True)
-        found = replace(found, written=write_figures(found.comparison, pages.figures))
-    return found
+        return compare_print(replace(request, progress=progress.phase))
 
 
 class _ExitWithoutThreads:

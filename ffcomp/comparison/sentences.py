@@ -328,23 +328,3 @@ def _plant(comparison: Comparison) -> str:
         f"All of this is simulated: every method uses the model of {comparison.machine.name}, and the virtual printer "
         f"that evaluates them is {comparison.plant.name}{effects}."
     )
-
-
-GLOSSARY = {
-    "contour error": "Distance from the nozzle to the nearest point of the reference path among those due within "
-    "50 ms. It shows on the print; lag along the path does not.",
-    "tracking error": "Distance from the nozzle to its reference position at that moment. It includes lag; “no delay” "
-    "leaves out the constant delay that explains most of it.",
-    "rms, 99 %, max": "Root mean square over time; the value that 99 % of the samples stay below; the largest value.",
-    "ringing": "Rms of the error about its mean while the reference moves in a straight line at constant speed or "
-    "rests.",
-    "mm/s, mm/s²": "Largest commanded speed and acceleration of any carriage, as differences over 4 ms. ✗: more than "
-    "the machine file allows.",
-    "best fixed": "For each kind of shaper, the frequencies and damping ratio with the lowest contour error on this "
-    "print, found with the printer known. No owner can tune this well.",
-    "calibrated": "The setting that Klipper's resonance test would choose in the middle of the bed.",
-    "equal quality": "Every move has the same acceleration, raised until 1 % of the contour error exceeds the bound or "
-    "a carriage exceeds its limits. Searched on half a minute of the print.",
-    "virtual printer": "A nonlinear simulation of the printer, separate from the model that the inverse uses. Plastic, "
-    "heat and loose screws are not included.",
-}

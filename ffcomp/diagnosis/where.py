@@ -271,7 +271,6 @@ class DrawnResidual:
 
     band_hz: tuple[float, float]  # where measurement and simulation are compared
     noise_from: str  # in words
-    bed_radius_mm: float
     splits: tuple[Split, ...]
     overlays: tuple[Overlay, ...]
 
@@ -284,7 +283,6 @@ def drawn_residual(problem: Problem, diagnosis: Diagnosis) -> DrawnResidual:
     return DrawnResidual(
         estimation.whiten.band_hz,
         diagnosis.noise.origin,
-        problem.reach_mm,
         tuple(split_residual(problem, estimation.whiten, before, after)),
         tuple(_overlays(problem, estimation.whiten, answers, before)),
     )

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,7 +13,6 @@ from matplotlib.ticker import MaxNLocator
 
 from ffcomp.api.comparison import MethodComparison
 from ffcomp.comparison.result import Comparison, EqualQuality, Error, Family, Method
-from ffcomp.comparison.sentences import GLOSSARY
 from ffcomp.comparison.words import (
     clipped,
     duration,
@@ -30,6 +28,7 @@ from ffcomp.comparison.words import (
     thousands,
     where_seen,
 )
+from ffcomp.errors import RequestError
 from ffcomp.numerics.digits import um
 from ffcomp.report.drawing import (
     AFTER,
@@ -44,13 +43,11 @@ from ffcomp.report.drawing import (
     Line,
     close_up,
     figure_of,
-    file_of,
     grid,
     half_width,
     plain_decades,
 )
 from ffcomp.report.page import Page, Section, Table
-from gcode.atomic_write import replace_atomically
 from gcode.layers import is_outer_wall
 
 COLOURS: dict[Family, str] = {"none": BEFORE, "calibrated": CALIBRATED, "best fixed": SHAPER, "inversion": AFTER}
@@ -98,21 +95,12 @@ def _alone(box: Box, draw: Callable[[Axes, Comparison], None], comparison: Compa
         box.legend(handles, labels, loc="outside lower center", ncols=2, frameon=False, fontsize=8)
 
 
-def figures(comparison: Comparison) -> dict[str, Callable[[], Figure]]:
-    """Offer each figure by name; it is drawn when it is called for."""
-    return {each.name: partial(figure_of, each) for each in drawings(comparison)}
-
-
-def write_figures(comparison: Comparison, folder: Path) -> list[Path]:
-    """Write PNG and SVG of each figure into `folder`, and return their paths."""
-    written = []
-    for each in drawings(comparison):
-        figure = figure_of(each)
-        for form in ("png", "svg"):
-            target = folder / f"{each.name}.{form}"
-            replace_atomically(target, [file_of(figure, form)])
-            written.append(target)
-    return written
+def figure(comparison: Comparison, name: str) -> Figure:
+    """Draw one figure by its name; RequestError if there is none."""
+    every = {each.name: each for each in drawings(comparison)}
+    if name not in every:
+        raise RequestError(f"There is no figure {name!r}, but {', '.join(every)}.")
+    return figure_of(every[name])
 
 
 # ---- where the errors are ------------------------------------------------------------------------
@@ -256,7 +244,6 @@ def page_of(result: MethodComparison) -> Page:
         Section("Where it shows", drawings=drawn[:3]),
         Section("Method by method", drawings=drawn[3:], sentences=list(filter(None, [comparison.mismatch]))),
         Section("All numbers", tables=list(_tables(comparison)), folded=True),
-        Section("Glossary", tables=[Table(("term", "meaning"), list(GLOSSARY.items()))], folded=True),
         Section("Settings", tables=[Table(("setting", "value"), _settings(comparison))], folded=True),
     ]
     return Page(file_name(comparison), about, sections)

@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.patches import Circle
 from matplotlib.ticker import NullLocator
 
 from ffcomp.diagnosis.diagnosis import Diagnosis as Search
@@ -24,14 +23,13 @@ from ffcomp.diagnosis.words import (
     evidence,
     interval,
     joined,
-    most_of,
     percent,
     times,
     times_noise,
     title,
 )
 from ffcomp.identification.machine_fit import hash_of
-from ffcomp.report.drawing import AFTER, BEFORE, GROUND, NOISE, REFERENCE, SOFT, Box, Drawing, grid, plain_decades
+from ffcomp.report.drawing import AFTER, BEFORE, NOISE, REFERENCE, SOFT, Box, Drawing, grid, plain_decades
 from ffcomp.report.page import Page, Section, Table
 from models.arrays import FloatArray
 
@@ -48,10 +46,6 @@ TITLES = {
 FEW_STEPS = 6  # steps, each with its own tick
 LEAST_SHOWN = 0.5  # of the noise
 LONGEST_NAME = 26
-MARGIN_MM = 12.0  # around the bed
-LARGEST_SPOT = 0.2  # of the bed's radius
-SMALL_SCALE = 5.0  # the smallest magnitude that has the largest spot: noise alone stays small
-NEIGHBOUR_SHARE = 0.4  # of it: closer labels need space
 KEY = "Orange: with the machine file. Blue: with the best explanation. Grey: noise."
 
 
@@ -157,18 +151,13 @@ def _files(diagnosis: Diagnosis, where: DrawnResidual) -> list[tuple[str, str]]:
 
 
 def splits(where: DrawnResidual) -> list[Drawing]:
-    """Return a figure for each quantity that the excess may depend on; positions as a map of the bed."""
-    return [_bed(where, split) if split.title == "place" else _split(split) for split in where.splits]
+    """Return a figure for each quantity that the excess may depend on."""
+    return [_split(split) for split in where.splits]
 
 
 def _split(split: Split) -> Drawing:
     height = HEIGHT if split.spans else ROW * len(split.labels) + AXIS
-    return Drawing("where", TITLES[split.title], stands_out(split), "", WIDTH, height, partial(draw_split, split=split))
-
-
-def _bed(where: DrawnResidual, split: Split) -> Drawing:
-    draw = partial(draw_bed, split=split, radius_mm=where.bed_radius_mm)
-    return Drawing("where", TITLES[split.title], stands_out(split), "", WIDTH, 4.0, draw)
+    return Drawing("where", TITLES[split.title], "", "", WIDTH, height, partial(draw_split, split=split))
 
 
 def overlay(each: Overlay) -> Drawing:
@@ -266,42 +255,6 @@ def _times_scale(axes: Axes, which: str, *values: FloatArray) -> None:
     grid(axes)
 
 
-def draw_bed(box: Box, split: Split, radius_mm: float) -> None:
-    """Draw a circle a position, its radius growing with the logarithm of the error: before around after."""
-    axes = box.subplots()
-    axes.add_patch(Circle((0, 0), radius_mm, facecolor=GROUND, edgecolor=NOISE, linewidth=1.5))
-    axes.plot(0, 0, "+", color=SOFT, markersize=10)
-    both = [[times_noise(x) for x in part] for part in (split.before, split.after)]
-    scale = LARGEST_SPOT * radius_mm / max(SMALL_SCALE, *(_magnitude(x) for part in both for x in part))
-    for (x, y, *_), before, after in sorted(zip(split.at, *both, strict=True), key=lambda each: -each[1]):
-        for value, colour, alpha in ((before, BEFORE, 0.55), (after, AFTER, 1.0)):
-            axes.add_patch(Circle((x, y), scale * _magnitude(value), color=colour, alpha=alpha, linewidth=0))
-        below = any(np.hypot(x - u, y - v) < NEIGHBOUR_SHARE * radius_mm and (v, u) > (y, x) for u, v, *_ in split.at)
-        spot = scale * _magnitude(max(before, after))
-        _label(axes, (x, y - spot if below else y + spot), f"{digits(before, 2)} → {digits(after, 2)}", below)
-    reach = max(radius_mm, *(abs(c) for place in split.at for c in place[:2])) + MARGIN_MM
-    axes.set(aspect="equal", xlim=(-reach, reach), ylim=(-reach, reach), xlabel="X, mm", ylabel="Y, mm")
-    grid(axes)
-
-
-def _label(axes: Axes, at: tuple[float, float], text: str, below: bool) -> None:
-    axes.annotate(
-        text,
-        at,
-        (0, -2 if below else 2),
-        textcoords="offset points",
-        ha="center",
-        va="top" if below else "bottom",
-        fontsize=8,
-        bbox={"facecolor": "#ffffffb0", "edgecolor": "none", "pad": 1},
-    )
-
-
-def _magnitude(times: float) -> float:
-    """Of the circle's radius: 1 for the noise, one more for each doubling."""
-    return 1.0 + max(np.log2(max(times, 1.0)), 0.0)
-
-
 def draw_overlay(box: Box, overlay: Overlay, unit: str) -> None:
     """Draw measured and simulated signals, and below their difference, with the noise's rms as a band."""
     above, below = box.subplots(2, 1, sharex=True, height_ratios=(1.4, 1))
@@ -321,76 +274,3 @@ def draw_overlay(box: Box, overlay: Overlay, unit: str) -> None:
 
 def _around(x: FloatArray, half: float) -> tuple[FloatArray, FloatArray]:
     return x - half, x + half
-
-
-# ---- findings of the splits ----------------------------------------------------------------------
-
-NO_EXCESS = 0.1  # excess, of the noise, on the mean: there is nothing to split
-HIGH_RATIO = 1.5  # times the mean excess
-TELLING_SHARE = 0.25  # of the excess
-LOW_RATIO = 0.1  # times the mean excess
-MOST_NAMED = 4  # labels in one sentence
-
-WHERE = {
-    "frequency": "at {}",
-    "signal": "in {}",
-    "place": "at {}",
-    "window of time": "in the window {}",
-    "motion": "while the motion is {}",
-    "motor's step cycle": "at {} of the cycle",
-}
-MOTIONS = {"backward": "moving backward", "forward": "moving forward"}
-SPREAD = {
-    "frequency": "no band holds more than its part",
-    "signal": "all signals have their part",
-    "place": "all positions contribute",
-    "window of time": "all windows of time have their part",
-    "motion": "forward, backward and turning back alike",
-    "motor's step cycle": "no phase of the cycle holds much more than its part",
-}
-
-
-def stands_out(split: Split) -> str:
-    """Return `81 % of the excess lies at 60-80 Hz (10 % of the data).`."""
-    excess, weight = np.maximum(split.before, 0.0), np.array(split.weight)
-    mean = float(excess @ weight)
-    if mean < NO_EXCESS:
-        return "No excess here: the error is as large as the noise."
-    if len(excess) == 1:
-        return f"There is only one: {split.labels[0]}, where the error is {times(times_noise(mean))} the noise."
-    hot = _hot(excess, mean, bool(split.spans))
-    share = float(excess[hot] @ weight[hot]) / mean
-    if not hot or share < TELLING_SHARE:
-        return _spread(split, excess, mean)
-    where = WHERE[split.title].format(_named(split, hot))
-    most, compared = most_of(share), percent(float(weight[hot].sum()))
-    return f"{most[0].upper()}{most[1:]} of the excess lies {where} ({compared} of the data)."
-
-
-def _spread(split: Split, excess: np.ndarray, mean: float) -> str:
-    """State that the excess is everywhere, or nearly."""
-    spared = [] if split.spans else [int(i) for i in np.argsort(excess) if excess[i] < LOW_RATIO * mean]
-    if not spared:
-        return f"Nothing stands out: {SPREAD[split.title]}."
-    return f"It is everywhere but {WHERE[split.title].format(_named(split, spared))}."
-
-
-def _hot(excess: np.ndarray, mean: float, in_a_row: bool) -> list[int]:
-    """Labels whose excess is high; of labels in a row those around the highest."""
-    high = excess > HIGH_RATIO * mean
-    if not in_a_row:
-        return [int(i) for i in np.argsort(-excess) if high[i]]
-    first = last = int(excess.argmax())
-    while first > 0 and high[first - 1]:
-        first -= 1
-    while last < len(excess) - 1 and high[last + 1]:
-        last += 1
-    return list(range(first, last + 1)) if high[first] else []
-
-
-def _named(split: Split, hot: Sequence[int]) -> str:
-    if split.spans:
-        return f"{split.spans[hot[0]][0]:.0f}-{split.spans[hot[-1]][1]:.0f} {split.unit}"
-    names = [MOTIONS.get(split.labels[i], split.labels[i]) for i in hot[:MOST_NAMED]]
-    more = len(hot) - MOST_NAMED
-    return joined([*names, f"{more} more"] if more > 0 else names)

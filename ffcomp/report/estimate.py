@@ -46,7 +46,7 @@ def _layers(axes: Axes, statistics: Statistics) -> None:
     axes.set_xlabel("layer (-1: start of the file)" if number[0] == BEFORE else "layer")
     axes.set_ylabel("minutes")
     axes.set_title("by layer")
-    axes.legend(frameon=False)
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=5, frameon=False)
     grid(axes, "y")
 
 

@@ -29,6 +29,7 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
+from ffcomp.api.comparison import compare
 from ffcomp.diagnosis.diagnosis import diagnose
 from ffcomp.diagnosis.printer_problem import PrinterProblem
 from ffcomp.diagnosis.where import drawn_residual
@@ -157,13 +158,13 @@ def compare_close_up() -> Image.Image:
 
 
 def compare_mismatch() -> Image.Image:
-    return compared("mismatch", "--mismatch", "10%", "--seeds", 8)
+    return compared("mismatch", mismatch=0.1, seeds=8)
 
 
-def compared(name: str, *options: object) -> Image.Image:
-    every = ("--only", "mzv,ei,2hump_ei", "--quality-um", 0, *options, "--figures", "compared", "--quiet")
-    ffcomp("compare", "print.gcode", "-m", "mp-delta-pro", *every)
-    return Image.open(f"compared/{name}.png")
+def compared(name: str, **options: Any) -> Image.Image:
+    found = compare("print.gcode", "mp-delta-pro", only=ROWS.split(","), quality_um=0.0, **options)
+    found.write_figure("one.png", name)
+    return Image.open("one.png")
 
 
 # ---- the page of compare -------------------------------------------------------------------------
