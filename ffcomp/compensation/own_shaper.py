@@ -26,8 +26,8 @@ STAYS_OFF = (
 )
 KEPT = "The firmware's input shaper is unchanged (--keep-shaper): if it is on, two compensations disturb each other."
 UNKNOWN = (
-    "The machine file does not state whether the firmware has an input shaper, which must be off: import the printer's "
-    "configuration, or set input_shaper in [firmware] (none: []); --no-keep-shaper switches it off."
+    "The machine file does not state whether the firmware has an input shaper, which must be off. Import the printer's "
+    "configuration, or set input_shaper in [firmware] (none: []). With --no-keep-shaper the print switches it off."
 )
 
 

@@ -162,7 +162,7 @@ def compare_mismatch() -> Image.Image:
 
 
 def compared(name: str, **options: Any) -> Image.Image:
-    found = compare("print.gcode", "mp-delta-pro", only=ROWS.split(","), quality_um=0.0, **options)
+    found = compare("print.gcode", "mp-delta-pro", only=tuple(ROWS.split(",")), quality_um=0.0, **options)
     found.write_figure("one.png", name)
     return Image.open("one.png")
 
