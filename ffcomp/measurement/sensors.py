@@ -53,7 +53,7 @@ def broken_sensor(name: str, values: FloatArray, row: IntArray) -> list[str]:
         return [f"Column {name} is missing in {1 - known.mean():.0%} of the rows; at most half may be."]
     if name.startswith("cmd_"):
         return []  # a command may rest, and has plateaus at its extremes
-    if np.ptp(values[known]) == 0:
+    if known.sum() > 1 and np.ptp(values[known]) == 0:
         same = f"is {values[known][0]:.6g} in all {known.sum()} rows"
         return [f"Column {name} {same}; a sensor that works is never still."]
     return _clipped(name, values[known], row[known]) if name.startswith("acc_") else []

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import gzip
+import re
 import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -121,7 +122,8 @@ def _cell_by_cell(
                 values[i, j] = float(field) if field.strip() else np.nan
             except ValueError:
                 bad_cells.append(f"row {row[i]}, column {columns[j]}: {field.strip()[:20]!r}")
-    problems = [f"A field must be a number or empty, but {_some(bad_cells)}."] if bad_cells else []
+    points = " Write decimal points, not commas." if any(re.search(r"\d,\d", cell) for cell in bad_cells) else ""
+    problems = [f"A field must be a number or empty, but {_some(bad_cells)}.{points}"] if bad_cells else []
     if bad_rows:
         cut_off = len(bad_rows) == 1 and len(body[-1].split(delimiter)) != len(columns)
         remedy = " The file breaks off there: copy it again, or record again." if cut_off else ""

@@ -121,7 +121,7 @@ def read_capture(path: str | Path) -> Capture:
 # ---- RepRapFirmware (M956) -----------------------------------------------------------------------
 
 _RRF_HEADER = ("sample", "x", "y", "z")
-_TAIL = re.compile(r"^Rate\s+(\d+(?:\.\d+)?)\D+overflows\s+(\d+)\s*$", re.IGNORECASE)
+_TAIL = re.compile(r"^Rate\s+(0*[1-9]\d*(?:\.\d+)?)\D+overflows\s+(\d+)\s*$", re.IGNORECASE)
 _FAILED = re.compile(r"^(failed .*|.*\bfailed\b.*|.*\btimed? ?out\b.*)$", re.IGNORECASE)
 
 
@@ -194,6 +194,8 @@ def _plain_capture(path: str, text: str) -> Capture:
     delimiter, places = columns
     names = tuple(name.strip().strip('"') for name in lines[head].strip().lstrip("#").split(delimiter))
     table = rows_of(path, lines, head + 1, names, comments_of(lines[:head]), delimiter)
+    if table.problems:
+        raise MeasurementError(path, table.problems)
     timed = _TIME.fullmatch(names[places["t"]].lower())
     time_s = table.values[:, places["t"]] * _TIME_UNITS[(timed["unit"] or "") if timed else ""]
     raw = table.values[:, [places[axis] for axis in "xyz"]]
@@ -201,7 +203,7 @@ def _plain_capture(path: str, text: str) -> Capture:
     known = [value for value in scale if value is not None]
     factor = known[0] if len(known) == 3 and len(set(known)) == 1 else _by_gravity(path, raw)
     # sentences about the clock name the first column
-    table = Table((names[places["t"]], *table.columns), table.values, table.row, table.comments, table.problems)
+    table = Table((names[places["t"]], *table.columns), table.values, table.row, table.comments)
     return make_capture(path, table, time_s, raw * factor)
 
 

@@ -68,6 +68,24 @@ def test_a_unit_that_nothing_tells_is_asked_for(tmp_path: Path) -> None:
         read_capture(path)
 
 
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (
+            "t;ax;ay;az\n60,1;0,5;0,5;9,8\n60,2;0,4;0,4;9,7\n",
+            "row 2, column t: '60,1'.*Write decimal points, not commas",
+        ),
+        ("#time,accel_x,accel_y,accel_z\n60.0,5,5,9800\n", "needs at least two rows with a time, but there are 1"),
+        ("Sample,X,Y,Z\n0,0.1,0.2,1\n1,0.1,0.2,1\nRate 0, overflows 0\n", "but it is 'Rate 0, overflows 0'"),
+    ],
+    ids=["decimal commas", "one row", "no rate"],
+)
+def test_a_capture_that_cannot_be_used_is_refused_in_one_sentence(tmp_path: Path, text: str, words: str) -> None:
+    with pytest.raises(MeasurementError, match=words) as refused:
+        read_capture(write(tmp_path / "a.csv", text))
+    assert len(refused.value.problems) == 1
+
+
 def stdata(path: Path, names: list[str]) -> Path:
     zstandard = pytest.importorskip("zstandard")
     samples = np.column_stack([180 + T, FELT * 1e3]).tolist()
