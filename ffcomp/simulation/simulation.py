@@ -159,8 +159,8 @@ class Request:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Simulation(Result):
-    """A simulated command and its evaluation; arrays hold m samples of all sections."""
+class Simulation(Evaluation, Result):
+    """A simulated command and its evaluation."""
 
     title = "Simulated print"
 
@@ -172,45 +172,19 @@ class Simulation(Result):
         gravity="request.gravity",
         rate_hz="request.rate_hz",
         wall_s="seconds",
-        peak_carriage_velocity_mm_per_s="evaluation.peak_actuator_velocity_mm_per_s",
+        peak_carriage_velocity_mm_per_s="peak_actuator_velocity_mm_per_s",
     )
 
     machine: Machine  # the one that the command was computed with
     plant: Machine  # the printer that moves
     request: Request
     reference: str  # a sentence: the path that the nozzle is evaluated against
-    evaluation: Evaluation
     simulated_s: float  # print time
     seconds: float  # of computing
     rows: int
     path: str = ""  # the command's file
     recording: Path | None = None  # the run that was written
     warnings: Sequence[str] = ()
-
-    @property
-    def time_s(self) -> FloatArray:
-        """(m,) s, on the command's clock."""
-        return self.evaluation.time_s
-
-    @property
-    def reference_mm(self) -> FloatArray:
-        """(m, 3) mm, where the nozzle should be."""
-        return self.evaluation.reference_mm
-
-    @property
-    def nozzle_mm(self) -> FloatArray:
-        """(m, 3) mm, where it is."""
-        return self.evaluation.nozzle_mm
-
-    @property
-    def error_um(self) -> FloatArray:
-        """(m,) µm, contour error."""
-        return self.evaluation.error_um
-
-    @property
-    def track(self) -> Track:
-        """The TRACK of all samples."""
-        return self.evaluation.track
 
     def to_dataframe(self) -> Any:
         """Return a pandas.DataFrame with a row for each sample; needs pandas."""
@@ -234,7 +208,6 @@ class Simulation(Result):
     def facts(self) -> list[Fact]:
         """The simulated motion, and the demand on the carriages."""
         track, speed = self.track, self.simulated_s / self.seconds
-        fastest = self.evaluation.peak_actuator_velocity_mm_per_s
         facts = [
             ("Reference", self.reference),
             ("Effects", ", ".join(self.plant.effects) or "none"),
@@ -245,7 +218,8 @@ class Simulation(Result):
             ),
             (
                 "Carriages",
-                f"{fastest:.0f} mm/s and {track.peak_command_acceleration_mm_per_s2 / 1e3:.1f} m/s² at most",
+                f"{self.peak_actuator_velocity_mm_per_s:.0f} mm/s and "
+                f"{track.peak_command_acceleration_mm_per_s2 / 1e3:.1f} m/s² at most",
             ),
             ("Simulated", f"{clock(self.simulated_s)} in {self.seconds:.1f} s, {speed:.0f} times faster than printing"),
         ]
@@ -332,5 +306,16 @@ def simulate_command(
             replace_atomically(target, recording_lines(evaluated(), plant, comments, request.kinds))
     except UnreachableError as error:
         raise GcodeError(str(error), path=path) from error
-    evaluation, seconds = evaluator.evaluation(), time.perf_counter() - started
-    return Simulation(machine, plant, request, command.reference, evaluation, simulated_s, seconds, rows, path, target)
+    evaluation, seconds = vars(evaluator.evaluation()), time.perf_counter() - started
+    return Simulation(
+        **evaluation,
+        machine=machine,
+        plant=plant,
+        request=request,
+        reference=command.reference,
+        simulated_s=simulated_s,
+        seconds=seconds,
+        rows=rows,
+        path=path,
+        recording=target,
+    )
