@@ -25,7 +25,7 @@ from ffcomp.measurement.recording_frfs import frfs_from_recordings
 from ffcomp.measurement.vibration import kind_of, read_capture, read_vibrations
 from ffcomp.numerics.stages import Stage
 from ffcomp.record.axes import STRAIGHT, turning
-from ffcomp.record.clock import ClockFit, Reference, every_clock, expectation, fit_clock, thinned
+from ffcomp.record.clock import ClockFit, every_clock, expectation, fit_clock, thinned
 from ffcomp.record.excitation import excited_coordinate
 from ffcomp.record.join import load_recordings
 from ffcomp.record.plan import Experiment, Plan
@@ -306,11 +306,10 @@ def _clock(experiment: Experiment, capture: Capture, measured: FloatArray, machi
     if not np.ptp(measured, axis=0).any():
         raise MeasurementError(capture.source, ["Nothing moves, so nothing can be aligned."])
     expected = expectation(experiment.motion, machine, LEAD_S, with_signatures=False)
-    reference = Reference(expected)
     since, record = thinned(capture.time_s, measured)
-    matches = every_clock(since, record, reference, expected, known_axes=True)
+    matches = every_clock(since, record, expected, known_axes=True)
     start = matches.starts[int(np.abs(matches.correlation).sum(axis=(1, 2)).argmax())]
-    clock = fit_clock(since, record, reference, start, free_ratio=True)
+    clock = fit_clock(since, record, expected, start, free_ratio=True)
     if clock.correlation < CLEAR_CORRELATION:
         raise MeasurementError(
             capture.source,

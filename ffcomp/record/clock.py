@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -38,6 +39,17 @@ class Expectation:
     acceleration: FloatArray  # (N, 3) m/s², columns x y z
     signatures: FloatArray  # (s, N, 3) m/s² of effects of unknown size
     duration_s: float  # of the motion
+
+    @cached_property
+    def _splines(self) -> list[CubicSpline]:
+        """Both between 2 and 20 Hz."""
+        return [CubicSpline(self.time_s, filtered(self.time_s, each)) for each in (self.acceleration, *self.signatures)]
+
+    def at(self, t: FloatArray, derivative: int = 0) -> list[FloatArray]:
+        """Return the acceleration and each signature between 2 and 20 Hz at (n,) s, (n, 3) each; at rest outside."""
+        begin, end = float(self.time_s[0]), float(self.time_s[-1])
+        inside, kept = ((t >= begin) & (t <= end))[:, None], np.clip(t, begin, end)
+        return [np.asarray(spline(kept, derivative) * inside) for spline in self._splines]
 
 
 def expectation(motion: Commanded, machine: Machine, lead_s: float, with_signatures: bool = True) -> Expectation:
@@ -115,22 +127,6 @@ def filtered(time_s: FloatArray, values: FloatArray) -> FloatArray:
     return np.asarray(sosfiltfilt(band, values - values[: max(1, len(values) // 50)].mean(axis=0), axis=0))
 
 
-class Reference:
-    """The expected acceleration and the signatures between 2 and 20 Hz, at any time; at rest outside."""
-
-    def __init__(self, expected: Expectation) -> None:
-        columns = [expected.acceleration, *expected.signatures]
-        self.expected = expected
-        self._begin, self._end = float(expected.time_s[0]), float(expected.time_s[-1])
-        self._splines = [CubicSpline(expected.time_s, filtered(expected.time_s, each)) for each in columns]
-
-    def at(self, t: FloatArray, derivative: int = 0) -> list[FloatArray]:
-        """Return the expectation and each signature at (n,) s: (n, 3) each."""
-        inside = ((t >= self._begin) & (t <= self._end))[:, None]
-        kept = np.clip(t, self._begin, self._end)
-        return [np.asarray(spline(kept, derivative) * inside) for spline in self._splines]
-
-
 def thinned(time_s: FloatArray, measured: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return times from the first row on (k,) s and the signal between 2 and 20 Hz (k, 3), at a tenth of the rows."""
     known = without_gaps(time_s, measured)
@@ -157,27 +153,27 @@ def long_gaps(time_s: FloatArray, measured: FloatArray) -> BoolArray:
     return np.asarray(binary_opening(missing, np.ones(bridged + 1, dtype=np.bool_)))
 
 
-def felt_shares(record: FloatArray, reference: Reference, t: FloatArray) -> tuple[float, ...]:
+def felt_shares(record: FloatArray, expected: Expectation, t: FloatArray) -> tuple[float, ...]:
     """Return how much of the expected motion along x, y, z a record (k, 3) at (k,) s holds; one where there is none."""
-    expected = reference.at(t)[0]
-    power = np.sum(expected**2, axis=0)
-    gains = np.sum(record * expected, axis=0) / np.maximum(power, 1e-300)
+    motion = expected.at(t)[0]
+    power = np.sum(motion**2, axis=0)
+    gains = np.sum(record * motion, axis=0) / np.maximum(power, 1e-300)
     return tuple(np.where(power >= LOUD * power.max(), gains, 1.0).tolist())
 
 
 def fit_clock(
-    since: FloatArray, record: FloatArray, reference: Reference, start: tuple[float, float], free_ratio: bool
+    since: FloatArray, record: FloatArray, expected: Expectation, start: tuple[float, float], free_ratio: bool
 ) -> ClockFit:
     """Refine offset and ratio from a start by Gauss-Newton, the gains of the axes and the signatures eliminated.
 
     The record (k, 3) m/s² is along the printer's axes, at times (k,) s since the capture's first row, as of `thinned`.
     """
     estimate, centre = np.array(start), float(since.mean())
-    audible = np.array(felt_shares(record, reference, start[0] + start[1] * since)) >= DEAF
+    audible = np.array(felt_shares(record, expected, start[0] + start[1] * since)) >= DEAF
     free = 2 if free_ratio else 1
     for _ in range(ITERATIONS):
         t = estimate[0] + estimate[1] * since
-        linear, slope = _linear(reference.at(t), audible), reference.at(t, 1)[0]
+        linear, slope = _linear(expected.at(t), audible), expected.at(t, 1)[0]
         gains, *_ = np.linalg.lstsq(linear, record.ravel(), rcond=1e-9)
         residual = record.ravel() - linear @ gains
         early = (gains[:3] * slope).ravel()
@@ -224,16 +220,14 @@ class Matches:
     correlation: FloatArray  # (starts, 3, 3): sensor axis, printer axis; one in all if everything fits
 
 
-def known_clock(since: FloatArray, record: FloatArray, reference: Reference, start: tuple[float, float]) -> Matches:
+def known_clock(since: FloatArray, record: FloatArray, expected: Expectation, start: tuple[float, float]) -> Matches:
     """Correlate at the clock that the firmware states."""
-    expected = reference.at(start[0] + start[1] * since)[0]
-    size = np.linalg.norm(record) * np.linalg.norm(expected)
-    return Matches([start], (record.T @ expected)[None] / max(float(size), 1e-300))
+    motion = expected.at(start[0] + start[1] * since)[0]
+    size = np.linalg.norm(record) * np.linalg.norm(motion)
+    return Matches([start], (record.T @ motion)[None] / max(float(size), 1e-300))
 
 
-def every_clock(
-    since: FloatArray, record: FloatArray, reference: Reference, expected: Expectation, known_axes: bool = False
-) -> Matches:
+def every_clock(since: FloatArray, record: FloatArray, expected: Expectation, known_axes: bool = False) -> Matches:
     """Correlate at every offset and every ratio of the clocks.
 
     With `known_axes` the record is along the printer's axes, and only their signs are free: a bed moves against the
@@ -244,7 +238,7 @@ def every_clock(
     starts, tables = [], []
     for ratio in 1 + WORST_CLOCK * np.arange(-steps, steps + 1) / max(steps, 1):
         t = np.arange(expected.time_s[0], expected.time_s[-1], period * ratio)
-        values = reference.at(t)[0]
+        values = expected.at(t)[0]
         size = max(float(np.linalg.norm(record) * np.linalg.norm(values)), 1e-300)
         # (lags, sensor axis, printer axis)
         if known_axes:

@@ -11,7 +11,7 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -24,7 +24,7 @@ from ffcomp.measurement.faults import lost_samples
 from ffcomp.measurement.printer_logs import MotionLog, Samples, Steps, is_index, is_motion_log, read_motion_log
 from ffcomp.measurement.table import Table
 from ffcomp.measurement.vibration import read_captures
-from ffcomp.record.clock import Matches, Reference, every_clock, expectation, known_clock, peaks, thinned
+from ffcomp.record.clock import Expectation, Matches, every_clock, known_clock, peaks, thinned
 from ffcomp.record.plan import Commanded, Experiment, Plan, run_name
 from models.arrays import FloatArray
 from models.kinematics.base import Kinematics
@@ -34,35 +34,29 @@ MOST_MISSING = 0.02  # rows in the motion
 LONGEST, LONGER_S = 1.5, 3.0  # a capture of one execution: RepRapFirmware's go on for a while
 
 
-class Expected:
-    """What the experiments of a plan are expected to feel like, computed when first needed."""
-
-    def __init__(self, plan: Plan, machine: Machine) -> None:
-        self._plan, self._machine = plan, machine
-        self._references: dict[str, Reference] = {}
-
-    def of(self, experiment: Experiment, played: Commanded | None = None) -> Reference:
-        """Return it of an experiment, or of the command that was played in its place."""
-        if played is not None:
-            return Reference(expectation(played, self._machine, self._plan.rest_before_s))
-        if experiment.name not in self._references:
-            self._references[experiment.name] = self.of(experiment, experiment.motion)
-        return self._references[experiment.name]
+Expected = Callable[[Commanded], Expectation]  # what an accelerometer feels of a motion
 
 
 @dataclass(frozen=True, eq=False)
-class Task:
-    """A capture and the execution that it belongs to."""
+class Execution:
+    """A capture of one execution of an experiment."""
 
     capture: Capture
     experiment: Experiment
     repeat: int
     chip: str
-    since: FloatArray  # (k,) s, of the thinned record
-    record: FloatArray  # (k, 3) m/s², the sensor's axes
-    matches: Matches
-    motion: Commanded
-    reference: Reference
+    motion: Commanded  # the command: the experiment's, or as the motors executed it
+    start: tuple[float, float] | None = None  # offset and ratio of its clock, about; None: not known
+
+
+@dataclass(frozen=True, eq=False)
+class Task(Execution):
+    """The same with how well it fits its motion."""
+
+    since: FloatArray = field(kw_only=True)  # (k,) s, of the thinned record
+    record: FloatArray = field(kw_only=True)  # (k, 3) m/s², the sensor's axes
+    expected: Expectation = field(kw_only=True)
+    matches: Matches = field(kw_only=True)
 
 
 def read_tasks(
@@ -91,16 +85,11 @@ def _task(each: Execution, plan: Plan, expected: Expected) -> Task:
     if missing > MOST_MISSING:
         reason = f"{missing:.1%} of its rows are missing; {MOST_MISSING:.0%} may be. Record it again."
         raise MeasurementError(capture.source, [reason])
-    reference = expected.of(each.experiment, each.played)
+    felt = expected(each.motion)
     since, record = thinned(capture.time_s, capture.acceleration)
-    if capture.clock == "firmware":
-        matches = known_clock(since, record, reference, (stated(capture, plan, each.experiment)[0], 1.0))
-    elif each.start is not None:
-        matches = known_clock(since, record, reference, each.start)
-    else:
-        matches = every_clock(since, record, reference, reference.expected)
-    motion = each.played or each.experiment.motion
-    return Task(capture, each.experiment, each.repeat, each.chip, since, record, matches, motion, reference)
+    start = (stated(capture, plan, each.experiment)[0], 1.0) if capture.clock == "firmware" else each.start
+    matches = every_clock(since, record, felt) if start is None else known_clock(since, record, felt, start)
+    return Task(**vars(each), since=since, record=record, expected=felt, matches=matches)
 
 
 def _executions(capture: Capture, plan: Plan, expected: Expected, taken: set[str]) -> list[Execution]:
@@ -110,7 +99,7 @@ def _executions(capture: Capture, plan: Plan, expected: Expected, taken: set[str
     if named is not None:
         lasting = plan.capture_s(named[0])
         if capture.time_s[-1] - capture.time_s[0] < LONGEST * lasting + LONGER_S:
-            return [Execution(capture, *named)]
+            return [Execution(capture, *named, named[0].motion)]
     executed = _split(capture, plan, expected, taken)
     if not executed:
         first = run_name(plan.experiments[0].name, 1)
@@ -156,18 +145,6 @@ RATIOS = 1.0 + 0.03 * np.linspace(-1.0, 1.0, 11)  # of clocks that run free
 MARGIN_S = 0.05  # kept from what comes before the rest and after it
 
 
-@dataclass(frozen=True, eq=False)
-class Execution:
-    """A capture of one execution of an experiment."""
-
-    capture: Capture
-    experiment: Experiment
-    repeat: int
-    chip: str
-    start: tuple[float, float] | None = None  # offset and ratio of its clock, about; None: not known
-    played: Commanded | None = None  # the command, where it is not the experiment's
-
-
 @dataclass(frozen=True)
 class _Place:
     """Where an experiment may begin in a record."""
@@ -190,7 +167,8 @@ def _split(capture: Capture, plan: Plan, expected: Expected, taken: set[str]) ->
     tried = []
     for ratio in (1.0,) if capture.clock == "firmware" else RATIOS:
         places = {
-            each.name: _places(each, expected.of(each), since, record, plan.repeats, ratio) for each in plan.experiments
+            each.name: _places(each, expected(each.motion), since, record, plan.repeats, ratio)
+            for each in plan.experiments
         }
         tried.append(_in_order([(repeat, place) for each, repeat in runs for place in places[each.name]], runs))
     chosen = max(tried, key=lambda each: sum(place.likeness for _, place in each))
@@ -218,14 +196,14 @@ def _in_order(places: Sequence[tuple[int, _Place]], runs: Sequence[tuple[Experim
 
 
 def _places(
-    experiment: Experiment, reference: Reference, since: FloatArray, record: FloatArray, repeats: int, ratio: float
+    experiment: Experiment, expected: Expectation, since: FloatArray, record: FloatArray, repeats: int, ratio: float
 ) -> list[_Place]:
     """Find where an experiment fits best, a few times more often than the plan repeats it."""
     period = float(since[1] - since[0])
     t = np.arange(0.0, experiment.duration_s, period * ratio)
     if len(t) > len(record):
         return []
-    likeness = _likeness(record, reference.at(t)[0])
+    likeness = _likeness(record, expected.at(t)[0])
     begins = peaks(likeness, len(t) // 2, 2 * repeats, LEAST_LIKENESS)
     return [_Place(experiment, begin * period, float(likeness[begin]), ratio) for begin in begins]
 
@@ -259,7 +237,7 @@ def _cut(capture: Capture, place: _Place, repeat: int, plan: Plan) -> Execution:
         capture, time_s=capture.time_s[rows], acceleration=capture.acceleration[rows], name=name, clock="free"
     )
     start = place.ratio * float(since[rows.start] - place.begin_s)
-    return Execution(part, experiment, repeat, "", (start, place.ratio))
+    return Execution(part, experiment, repeat, "", experiment.motion, (start, place.ratio))
 
 
 # Logs of Klipper's data logger
@@ -303,7 +281,7 @@ def executions(log: MotionLog, plan: Plan, machine: Machine) -> tuple[list[Execu
         for chip, samples in log.sensors.items():
             capture = _capture(log, samples, begin, experiment, plan, name)
             start = (float(capture.time_s[0]) - begin, 1.0)
-            executed.append(Execution(capture, experiment, repeats[experiment.name], chip, start, played))
+            executed.append(Execution(capture, experiment, repeats[experiment.name], chip, played, start))
     if not executed:
         raise MeasurementError(
             log.source,
@@ -344,11 +322,11 @@ def _capture(log: MotionLog, samples: Samples, begin: float, experiment: Experim
 
 def _played(
     log: MotionLog, begin: float, experiment: Experiment, plan: Plan, kinematics: Kinematics
-) -> tuple[Commanded | None, str]:
-    """Return the command from the steps where they differ from the plan, and a sentence; None: they do not."""
+) -> tuple[Commanded, str]:
+    """Return the plan's command, or that of the steps where they differ from it, and a sentence."""
     steppers = next(([log.steps[n] for n in names] for names in STEPPERS if all(n in log.steps for n in names)), None)
     if steppers is None:
-        return None, "the log holds no steps, so it is unknown whether the input shaper was on."
+        return experiment.motion, "the log holds no steps, so it is unknown whether the input shaper was on."
     t = np.arange(-plan.rest_before_s, experiment.duration_s + plan.rest_after_s, 1 / RATE_HZ)
     planned = kinematics.inverse(experiment.motion.nozzle(t)) @ kinematics.motors.T
     done = np.column_stack([_position(each, begin + t, planned[:, i]) for i, each in enumerate(steppers)])
@@ -356,7 +334,7 @@ def _played(
     moving = (t >= 0) & (t <= experiment.duration_s)
     apart = np.sqrt((((done - planned)[moving] / steps) ** 2).mean(axis=0))
     if apart.max() <= MOST_STEPS:
-        return None, ""
+        return experiment.motion, ""
     smooth = butter(2, SMOOTH_HZ, fs=RATE_HZ, output="sos")
     rounded = sosfiltfilt(smooth, done - done[0], axis=0) + done[0]
     nozzle = kinematics.forward(rounded @ np.linalg.inv(kinematics.motors).T)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
@@ -20,8 +21,17 @@ from ffcomp.measurement.printer_logs import is_closed_loop, read_closed_loop
 from ffcomp.measurement.recording import CLOCKS, Recording, read_recording
 from ffcomp.measurement.vibration import kind_of
 from ffcomp.record.axes import best_score, find_turn, tilt, words
-from ffcomp.record.clock import DEAF, ClockFit, Expectation, felt_shares, fit_clock, long_gaps, without_gaps
-from ffcomp.record.executions import Expected, Task, read_tasks, stated
+from ffcomp.record.clock import (
+    DEAF,
+    ClockFit,
+    Expectation,
+    expectation,
+    felt_shares,
+    fit_clock,
+    long_gaps,
+    without_gaps,
+)
+from ffcomp.record.executions import Task, read_tasks, stated
 from ffcomp.record.faults import check_repeats, left_handed, shapers_left_on, unlike
 from ffcomp.record.motor_runs import BLIND, motor_runs
 from ffcomp.record.plan import Plan, run_name
@@ -60,7 +70,7 @@ def join_captures(
     turn : (3, 3) from the sensor's axes to the printer's; None: to be estimated from the captures
     """
     refused: list[Refused] = []
-    expected, taken = Expected(plan, machine), set[str]()
+    expected, taken = cache(partial(expectation, machine=machine, lead_s=plan.rest_before_s)), set[str]()
     tasks: list[Task] = []
     motors: list[Joined] = []
     notes: list[str] = []
@@ -104,7 +114,7 @@ def _join_chip(tasks: Sequence[Task], plan: Plan, turn: FloatArray | None) -> tu
     joined: list[tuple[Joined, Expectation]] = []
     for task, clock in _narrowed(clocks):
         try:
-            joined.append((_joined(task, clock, turn, rate), task.reference.expected))
+            joined.append((_joined(task, clock, turn, rate), task.expected))
         except MeasurementError as error:
             refused += [Refused(task.capture.source, problem) for problem in error.problems]
     if shapers := shapers_left_on(joined):
@@ -163,19 +173,19 @@ class _Clock:
 
 
 def _clock(task: Task, plan: Plan, axes: FloatArray) -> _Clock:
-    record, reference = task.record @ axes.T, task.reference
+    record = task.record @ axes.T
     if task.capture.clock == "free":
-        fit = fit_clock(task.since, record, reference, best_score(task.matches, axes)[1], free_ratio=True)
+        fit = fit_clock(task.since, record, task.expected, best_score(task.matches, axes)[1], free_ratio=True)
         return _Clock(replace(fit, offset_sd_s=float(np.hypot(fit.offset_sd_s, BIAS_SD_S))), None)
     logged = task.capture.clock == "log"
     interval = (task.matches.starts[0][0],) * 2 if logged else stated(task.capture, plan, task.experiment)
     middle = float(np.mean(interval))
-    fit = fit_clock(task.since, record, reference, (middle, 1.0), free_ratio=False)
+    fit = fit_clock(task.since, record, task.expected, (middle, 1.0), free_ratio=False)
     if fit.correlation < LEAST_CORRELATION:  # refused later, or a shaper is to blame
         return _Clock(replace(fit, offset_s=middle), None)
     late, ratio = middle - fit.offset_s, 1.0
     if abs(late) > FARTHEST_S:
-        ratio = fit_clock(task.since, record, reference, (fit.offset_s, 1.0), free_ratio=True).ratio
+        ratio = fit_clock(task.since, record, task.expected, (fit.offset_s, 1.0), free_ratio=True).ratio
     if logged:
         return _Clock(replace(fit, offset_s=middle, offset_sd_s=DELAY_SD_S["log"]), None, late, ratio)
     return _Clock(fit, interval, late, ratio)
@@ -233,7 +243,7 @@ def _narrowed(clocks: Sequence[tuple[Task, _Clock]]) -> list[tuple[Task, ClockFi
 
 
 def _joined(task: Task, clock: ClockFit, axes: FloatArray, rate_hz: float) -> Joined:
-    capture, duration_s = task.capture, task.reference.expected.duration_s
+    capture, duration_s = task.capture, task.expected.duration_s
     tau = clock.experiment_time(capture.time_s)
     if tau[0] > -LEAST_REST_S or tau[-1] < duration_s:
         reason = (
@@ -268,7 +278,7 @@ def _joined(task: Task, clock: ClockFit, axes: FloatArray, rate_hz: float) -> Jo
         source=capture.source,
         axes_map=words(axes),
         begin_s=float(grid[0]),
-        felt=felt_shares(task.record @ axes.T, task.reference, clock.offset_s + clock.ratio * task.since),
+        felt=felt_shares(task.record @ axes.T, task.expected, clock.offset_s + clock.ratio * task.since),
     )
 
 

@@ -43,6 +43,9 @@ class Commanded(Protocol):
     def nozzle(self, t_s: FloatArray) -> FloatArray:
         """Return the nozzle at the times (k,) s: (k, 3) mm."""
 
+    def __hash__(self) -> int:
+        """By identity."""
+
 
 @dataclass(frozen=True, eq=False)
 class Motion:
