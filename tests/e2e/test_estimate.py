@@ -122,6 +122,7 @@ def planned(program: Program) -> object:
     return plan_program(program, machine()).trajectory
 
 
+@pytest.mark.slow
 @pytest.mark.kalico
 def test_the_real_host_takes_as_long() -> None:
     lines = (PRINTS / "ringing_tower.gcode").read_bytes().splitlines(keepends=True)[:1500]

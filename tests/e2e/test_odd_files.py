@@ -30,9 +30,6 @@ def test_a_refusal_names_the_line_and_the_rule() -> None:
             assert str(caught.value).startswith("print.gcode:") and caught.value.rule.endswith(".")
 
 
-# -- what only shows between lines --
-
-
 # -- how lines end --
 
 BODY = START + "G1 X20 Y10 E.4\n;LAYER:1\nG1 X20 Y20 E.4\n"

@@ -29,9 +29,6 @@ CORNER = b"; bed_shape = 0x0,220x0,220x220,0x220\n"
 ROUND = "100x0,71x71,0x100,-71x71,-100x0,-71x-71,0x-100,71x-71"
 
 
-# -- what slicers say --
-
-
 # -- what we do then --
 
 
@@ -222,9 +219,6 @@ def test_an_export_fails_when_ffcomp_does_and_says_why(slicer: Slicer) -> None:
     answer = slicer.slice("out.gcode", f"{slicer.program} compensate -m mp-delta-por", **KLIPPER)
     assert answer.returncode != 0
     assert "Error code: 5" in answer.stderr and "Did you mean 'mp-delta-pro'?" in answer.stderr
-
-
-# -- Slic3r, really --
 
 
 # -- Cura, really --

@@ -38,6 +38,3 @@ def test_words_are_readable(browser: Any, page: Path, scheme: str) -> None:
     with visit(browser, page) as seen:
         seen.page.emulate_media(color_scheme=scheme)
         assert not hard_to_read(seen)
-
-
-# ---- colours -------------------------------------------------------------------------------------

@@ -1,8 +1,7 @@
-"""Axes whose effect is published: EMPS, Silverbox, Bouc-Wen.
+"""Axes whose effect is published: EMPS and Silverbox.
 
 EMPS (A. Janot, M. Gautier and M. Brunot, 2019) and Silverbox (T. Wigren and J. Schoukens, 2013) are measured; fetch
-them from nonlinearbenchmark.org into `emps` and `silverbox` of $FFCOMP_DATA. They are not shipped. Bouc-Wen (J.-P. Noël
-and M. Schoukens, 2016) is simulated by its published equations and parameters.
+them from nonlinearbenchmark.org into `emps` and `silverbox` of $FFCOMP_DATA. They are not shipped.
 """
 
 from __future__ import annotations
@@ -14,9 +13,6 @@ import numpy as np
 
 from ffcomp.errors import MeasurementError
 from models.arrays import FloatArray
-from models.kinds import machine_of_axis
-from models.machine import Machine
-from models.vibration.driven_axis import DrivenAxis
 
 DATA = Path(os.environ.get("FFCOMP_DATA", Path(__file__).parents[3] / "shared" / "data"))
 EMPS_FILES = {"plain": "DATA_EMPS.mat", "pulses": "DATA_EMPS_PULSES.mat"}
@@ -26,10 +22,6 @@ SILVERBOX_HZ = 610.35
 NEWTONS_A_VOLT, MM_A_VOLT = 1000.0, 1.0
 REALISATION, BEFORE = 8192, 40700  # samples of a multisine, of which ten follow the growing sweep
 PARTS = 3  # multisines that are taken
-
-BOUC_WEN = {"m": 2.0, "c": 10.0, "k": 5e4, "alpha": 5e4, "beta": 1e3, "gamma": 0.8, "delta": -1.1}  # ν = 1
-BOUC_WEN_HZ, BOUC_WEN_BAND_HZ, BOUC_WEN_N, NOISE_MM = 750.0, (5.0, 150.0), 50.0, 8e-3
-FINER = 20  # steps of the simulation a sample
 
 FILE = """# {about}
 format = "ffcomp-machine/1"
@@ -87,42 +79,6 @@ def silverbox(folder: Path) -> list[Path]:
         path = folder / f"silverbox-multisine{'abc'[k]}.csv"
         written.append(_run(path, t, NEWTONS_A_VOLT * part[:, 0], MM_A_VOLT * part[:, 1]))
     return written
-
-
-def bouc_wen_axis() -> Machine:
-    """Return the axis that the file of Bouc-Wen describes."""
-    own = {"axis.stiffness_n_per_m": 0.1, "axis.damping_n_s_per_m": 0.2, "default": 0.02}
-    stiffness = BOUC_WEN["k"] + BOUC_WEN["alpha"]
-    return machine_of_axis("bouc-wen", DrivenAxis("force", BOUC_WEN["m"], stiffness, BOUC_WEN["c"]), uncertainty=own)
-
-
-def multisine(rng: np.random.Generator, samples: int = 2048) -> FloatArray:
-    """Return a random-phase multisine of the benchmark's band and size, at the finer rate, (n,) N."""
-    lines = np.fft.rfftfreq(samples, 1 / BOUC_WEN_HZ)
-    spectrum = np.zeros(samples * FINER // 2 + 1, dtype=complex)
-    inside = np.flatnonzero((lines >= BOUC_WEN_BAND_HZ[0]) & (lines <= BOUC_WEN_BAND_HZ[1]))
-    spectrum[inside] = np.exp(2j * np.pi * rng.random(len(inside)))
-    force = np.fft.irfft(spectrum, samples * FINER)
-    return np.asarray(BOUC_WEN_N * force / force.std())
-
-
-def simulated_bouc_wen(force: FloatArray) -> FloatArray:
-    """Return the position, (n,) m: m ÿ + c ẏ + k y + z = u, ż = α ẏ − β (γ |ẏ| z + δ ẏ |z|), by Heun's method."""
-    p, h = BOUC_WEN, 1 / (BOUC_WEN_HZ * FINER)
-
-    def rate(y: float, v: float, z: float, u: float) -> tuple[float, float, float]:
-        bent = p["alpha"] * v - p["beta"] * (p["gamma"] * abs(v) * z + p["delta"] * v * abs(z))
-        return v, (u - p["c"] * v - p["k"] * y - z) / p["m"], bent
-
-    y = v = z = 0.0
-    found = []
-    for i, u in enumerate(force.tolist()):
-        if i % FINER == 0:
-            found.append(y)
-        now = rate(y, v, z, u)
-        then = rate(y + h * now[0], v + h * now[1], z + h * now[2], float(force[(i + 1) % len(force)]))
-        y, v, z = (x + h / 2 * (a + b) for x, a, b in zip((y, v, z), now, then, strict=True))
-    return np.array(found)
 
 
 def _file(folder: Path, name: str, text: str) -> Path:

@@ -239,6 +239,3 @@ def test_damage_is_found_or_harmless(data: st.DataObject) -> None:
 @given(st.sampled_from([b"", b"\x1f\x8b\x08", b"PK\3\4", b"PK\5\6", b"GCDE\1\0\0\0\1\0"]), st.binary(max_size=300))
 def test_random_bytes_are_refused_or_read(magic: bytes, rest: bytes) -> None:
     assert _read(magic + rest) in (None, {"": magic + rest})
-
-
-# -- replacing --

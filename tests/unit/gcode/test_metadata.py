@@ -91,6 +91,7 @@ def test_progress_never_goes_back(times: list[float], said: int) -> None:
     assert numbers[-1] == (100, 0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "seconds", "lines_that_tell"),
     [

@@ -138,9 +138,6 @@ def test_a_helix_shares_height_and_filament_evenly() -> None:
     assert chords[-1].tolist() == [5, 0, 2, 4]
 
 
-# -- what stops the motion --
-
-
 # -- limits --
 
 

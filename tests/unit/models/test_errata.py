@@ -25,9 +25,6 @@ def with_arms(machine: Machine, length: float) -> Machine:
     return replace(machine, kinematics=replace(machine.kinematics, arm_lengths_mm=constant([length] * 3)))
 
 
-# --- Numbers
-
-
 # --- The drive
 
 

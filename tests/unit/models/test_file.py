@@ -190,12 +190,6 @@ def test_broken_text_is_named_with_its_place(write) -> None:
         load_machine(write(b"name = '\xff'"))
 
 
-# --- Finding
-
-
-# --- Showing and starting
-
-
 # --- The library
 
 

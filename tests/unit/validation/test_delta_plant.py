@@ -15,7 +15,6 @@ from scipy.interpolate import CubicSpline
 from validation.plants import delta_plant as plant
 
 FloatArray = NDArray[np.float64]
-V, ETA = slice(3, 6), slice(6, 9)  # of a state
 
 MACHINE: dict[str, Any] = {
     "kinematics": {
@@ -49,20 +48,6 @@ def changed(**tables: dict[str, Any]) -> dict[str, Any]:
     if machine["carriage"]["drive"] is None:
         del machine["carriage"]["drive"]
     return machine
-
-
-CONSERVATIVE = changed(
-    carriage={
-        "belt_stiffness_n_per_m": 400.0,
-        "belt_damping_n_s_per_m": 0.0,
-        "guide_damping_n_s_per_m": 0.0,
-        "drive": None,
-    },
-    effector={
-        "extruder_stiffness_n_per_m": [90.0, 150.0, 300.0],
-        "extruder_damping_n_s_per_m": [0.0, 0.0, 0.0],
-    },
-)  # so soft that the nozzle swings by centimetres: every nonlinear term is at work
 
 
 IDEAL_DRIVE = changed(carriage={"belt_damping_n_s_per_m": 300.0, "drive": None})  # here the command's speed counts
@@ -109,12 +94,6 @@ def test_a_labelled_run_leaves_nothing_but_its_noise(nothing_hidden: Path, run: 
     assert rms == pytest.approx(np.full(6, 0.121), rel=0.06)  # truth.toml: 0.121 m/s²
 
 
-# ---- kinematics ----------------------------------------------------------------------------------
-
-
-# ---- rest and weight -----------------------------------------------------------------------------
-
-
 # ---- energy and order ----------------------------------------------------------------------------
 
 
@@ -130,26 +109,6 @@ def energy(p: Any, state: FloatArray, u: FloatArray) -> float:
     strain = (u - q) @ (p.belt_k * (u - q)) + eta @ (p.mount_k * eta)
     heights = p.carriage @ q + p.holder * x[2] + p.extruder * (x[2] + eta[2])
     return float(kinetic / 2 + strain / 2 + p.gravity * heights)
-
-
-def kicked(p: Any, command: FloatArray) -> FloatArray:
-    state = plant.rest(command[0] / 1e3, p)
-    state[V] = [0.9, -0.5, 0.3]
-    state[ETA] += [0.01, 0.02, -0.005]
-    return state
-
-
-@pytest.mark.parametrize("gravity", [False, True])
-def test_a_large_free_swing_keeps_its_energy(gravity: bool) -> None:
-    """1 s with swings over 60 mm: without J̇q̇ the books would be out by percents."""
-    command = at_rest(CONSERVATIVE, (40.0, 20.0, 10.0), 12800)
-    p = plant.plant_of(CONSERVATIVE, gravity=gravity)
-    start = kicked(p, command)
-    played = plant.simulate(CONSERVATIVE, command, 1 / 12800, gravity=gravity, start=start)
-    u = command[0] / 1e3
-    moved = p.holder * start[V] @ start[V] / 2
-    assert np.max(np.ptp(played["nozzle_mm"], axis=0)) > 60.0
-    assert abs(energy(p, played["state"], u) - energy(p, start, u)) < 1e-9 * moved
 
 
 def smooth_command(machine: dict[str, Any], h: float) -> FloatArray:
@@ -209,6 +168,3 @@ def test_small_vibrations_are_the_coupled_receptances(machine: dict[str, Any], h
     place = (70.0, -40.0, 10.0)
     expected = closed_form(machine, place, 2j * np.pi * hz)[:, 1]
     assert np.max(np.abs(measured_response(machine, place, hz) - expected)) < 2e-4 * np.max(np.abs(expected))
-
-
-# ---- what it refuses -----------------------------------------------------------------------------

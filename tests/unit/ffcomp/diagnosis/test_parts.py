@@ -60,9 +60,6 @@ def test_derivatives_are_exact_where_central_and_zero_for_a_parameter_that_canno
     assert not fine[:, 1].any() and not rough[:, 1].any()
 
 
-# ---- dry friction's shapes -----------------------------------------------------------------------
-
-
 # ---- what runs must be ---------------------------------------------------------------------------
 
 

@@ -127,6 +127,3 @@ def test_the_signal_that_holds_the_gap_is_named() -> None:
     assert found is not None and found.signal == "acc_z" and found.share > 0.95
     assert odd_signal(good, [left(good, true)]) is None
     assert odd_signal(bad, []) is None  # an effect explains the gap: no fit is looked at
-
-
-# ---- places --------------------------------------------------------------------------------------

@@ -91,9 +91,3 @@ def test_a_response_the_model_does_not_have_is_refused() -> None:
     for wrong in ({"input": "voltage"}, {"output": "pos_Q"}, {"output": "sound_A"}):
         with pytest.raises(MeasurementError, match=r"voltage|Q|sound"):
             predicted(TRUTH, [replace(blank(COARSE, input="cmd_A", output="pos_A"), **wrong)])
-
-
-# ---- decoupling ----------------------------------------------------------------------------------
-
-
-# ---- uncertainty ---------------------------------------------------------------------------------

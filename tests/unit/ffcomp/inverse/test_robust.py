@@ -66,12 +66,6 @@ def wish(softening: RobustReference, path: FloatArray) -> FloatArray:
     return offset
 
 
-# ---- what counts ---------------------------------------------------------------------------------
-
-
-# ---- what the machine may make of it -------------------------------------------------------------
-
-
 # ---- what is wanted ------------------------------------------------------------------------------
 
 

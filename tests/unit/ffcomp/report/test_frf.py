@@ -138,6 +138,3 @@ def test_a_measurement_off_the_bed_is_refused(tmp_path: Path, machine: Machine) 
     write_frf(path, replace(measured(machine, "cmd_A", "pos_A"), position_mm=(134.0, 134.0, 30.0)))
     result = run("--measured", path)
     assert result.exit_code == 5 and "print radius" in result.stderr
-
-
-# --- Pictures
