@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import Literal
 
 from models.arrays import constant
-from models.effects.effect import Effect, Values, amplitude
+from models.effects.effect import EACH, Effect, Values, amplitude
 from models.kinds import delta_vibration, with_parts
 from models.machine import Machine
 
@@ -145,8 +145,8 @@ ARM_GEOMETRY = Effect(
     physics="The firmware commands the carriages with the nominal geometry; the nozzle moves with the true one.",
     equation="L → L + ΔL, R → R + ΔR",
     parameters=(
-        amplitude("arm_length_mm", "ΔL", (-50, 50), (-2, 2), 0.2, "per_tower"),
-        amplitude("delta_radius_mm", "ΔR", (-50, 50), (-2, 2), 0.2, "per_tower"),
+        amplitude("arm_length_mm", "ΔL", (-50, 50), (-2, 2), 0.2, EACH),
+        amplitude("delta_radius_mm", "ΔR", (-50, 50), (-2, 2), 0.2, EACH),
     ),
     in_data="Wrong sizes and a bowed first layer; accelerations change by parts in a thousand.",
     confounded_with={"sensor_misalignment": "Measure a print: accelerations can hardly separate the two."},

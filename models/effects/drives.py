@@ -7,11 +7,22 @@ from dataclasses import replace
 import numpy as np
 
 from models.arrays import FloatArray
-from models.effects.effect import AT_DRIVE, USUAL_SHARE, AxisWords, Effect, OnAxis, Terms, Values, amplitude, shape
+from models.effects.effect import (
+    AT_DRIVE,
+    EACH,
+    USUAL_SHARE,
+    AxisWords,
+    Effect,
+    OnAxis,
+    Terms,
+    Values,
+    amplitude,
+    shape,
+)
 from models.machine import Machine
 from models.vibration.driven_axis import DrivenAxis
 
-USUAL_STRETCH = OnAxis(size=lambda s: 1e3 * USUAL_SHARE * s.stretch_m)
+USUAL_STRETCH = OnAxis(usual=lambda s: 1e3 * USUAL_SHARE * s.stretch_m)
 
 
 def _with_belts(machine: Machine, values: Values) -> Machine:
@@ -30,13 +41,7 @@ BELT_STIFFNESS = Effect(
     equation="k → k (1 + r)",
     parameters=(
         amplitude(
-            "relative_change",
-            "r, of belt stiffness",
-            (-0.9, 10),
-            (-0.3, 0.3),
-            0.02,
-            "per_tower",
-            on_axis=OnAxis(size=lambda s: USUAL_SHARE),
+            "relative_change", "r, of belt stiffness", (-0.9, 10), (-0.3, 0.3), 0.02, EACH, usual=lambda s: USUAL_SHARE
         ),
     ),
     in_data="Resonances shift together; with one tower's belt, only the modes of that tower.",
@@ -80,8 +85,8 @@ BELT_DAMPING = Effect(
             (0, 1),
             (0, 0.6),
             0.1,
-            "per_tower",
-            on_axis=OnAxis(size=lambda s: USUAL_SHARE),
+            EACH,
+            usual=lambda s: USUAL_SHARE,
         ),
     ),
     in_data="Nearly as if all channels were early by 2 ζ s/ω, mostly near the resonance and above.",
@@ -115,8 +120,8 @@ BELT_POSITION_STIFFNESS = Effect(
     physics="The free length of the belt between motor and carriage changes as the carriage travels.",
     equation="k(q) = k / (1 − r (q − q_c)), 4 k at most",
     parameters=(
-        amplitude("slope_per_m", "r", (-5, 5), (-1, 1), 0.05, "per_tower"),
-        shape("q_centre_mm", "q_c: the height where k is the file's", (-1000, 10000), (100, 800), 10.0, "per_tower"),
+        amplitude("slope_per_m", "r", (-5, 5), (-1, 1), 0.05, EACH),
+        shape("q_centre_mm", "q_c: the height where k is the file's", (-1000, 10000), (100, 800), 10.0, EACH),
     ),
     in_data="Resonances differ between low and high prints at the same XY position.",
     confounded_with={"belt_stiffness": "Two heights: a constant change is the same at both."},
@@ -154,11 +159,11 @@ BELT_HARDENING = Effect(
             (-1e15, 1e15),
             (-5e11, 2e12),
             1e11,
-            "per_tower",
+            EACH,
             on_printers=(0.0, 1e15),  # softening of the same third order is a motor's sine there
-            on_axis=OnAxis(size=lambda s: USUAL_SHARE * max(s.stiffness_n_per_m, 1.0) / s.stretch_m**2),
+            usual=lambda s: USUAL_SHARE * max(s.stiffness_n_per_m, 1.0) / s.stretch_m**2,
         ),
-        shape("quintic_n_per_m5", "k₅", (-1e24, 1e24), (-1e18, 2e18), 1e17, "per_tower", default=0.0),
+        shape("quintic_n_per_m5", "k₅", (-1e24, 1e24), (-1e18, 2e18), 1e17, EACH, default=0.0),
     ),
     in_data=(
         "Resonances shift with amplitude. A sine input causes harmonics: the third and, because weight has already "
@@ -198,14 +203,14 @@ BELT_BACKLASH = Effect(
     physics="A loose pulley or tooth moves freely through a dead band; spring and damper of the belt act outside it.",
     equation="F = k (s − w/2 sgn s) + c ṡ for |s| > w/2, else 0",
     parameters=(
-        amplitude("width_mm", "w: the full dead band", (0, 5), (0.01, 0.2), 0.02, "per_tower", on_axis=USUAL_STRETCH),
+        amplitude("width_mm", "w: the full dead band", (0, 5), (0.01, 0.2), 0.02, EACH, on_axis=USUAL_STRETCH),
         shape(
             "landing_s_per_m",
             "λ: damping of an impact on the flanks (Hunt & Crossley, 1975)",
             (0, 100),
             (0, 0.5),
             0.05,
-            "per_tower",
+            EACH,
             default=0.0,
         ),
     ),
@@ -248,7 +253,7 @@ TORQUE_ANGLE = Effect(
             (0.01, 100),
             (0.1, 2),
             0.5,
-            "per_tower",
+            EACH,
             power=-2,
         ),
         shape(
@@ -281,15 +286,15 @@ COGGING = Effect(
     physics="Between full steps, the rotor's equilibrium differs from the ideal microstep position.",
     equation="u → u + a (sin θ + s₂ sin 2θ + c₂ cos 2θ),  θ = 2π u_d / p + φ",
     parameters=(
-        amplitude("amplitude_mm", "a", (0, 1), (0.002, 0.05), 0.005, "per_tower", on_axis=USUAL_STRETCH),
+        amplitude("amplitude_mm", "a", (0, 1), (0.002, 0.05), 0.005, EACH, on_axis=USUAL_STRETCH),
         shape(
             "pitch_mm",
             "p: period of the ripple, usually one or four full steps",
             (0.01, 50),
             (0.1, 1),
             0.01,
-            "per_tower",
-            on_axis=OnAxis(starts=lambda s: (1e3 * s.travel_m * PITCH_SHARES).tolist()),
+            EACH,
+            tried=lambda s: (1e3 * s.travel_m * PITCH_SHARES).tolist(),
         ),
         shape(
             "phase_deg",
@@ -297,13 +302,13 @@ COGGING = Effect(
             (-360, 360),
             (-180, 180),
             5.0,
-            "per_tower",
+            EACH,
             unit="deg",
             default=0.0,
             starts=(0.0, 90.0, 180.0, -90.0),
         ),
-        shape("second_sine", "s₂: of half the pitch", (-2, 2), (-0.3, 0.3), 0.02, "per_tower", default=0.0),
-        shape("second_cosine", "c₂", (-2, 2), (-0.3, 0.3), 0.02, "per_tower", default=0.0),
+        shape("second_sine", "s₂: of half the pitch", (-2, 2), (-0.3, 0.3), 0.02, EACH, default=0.0),
+        shape("second_cosine", "c₂", (-2, 2), (-0.3, 0.3), 0.02, EACH, default=0.0),
     ),
     in_data="A spectral line at speed/p that moves with the speed; stripes on the print at a fixed pitch.",
     confounded_with={"belt_stiffness": "Moves at several speeds: a resonance stays, ripple moves with the speed."},
@@ -335,14 +340,7 @@ COMMAND_DELAY = Effect(
     equation="u_d(t) → u_d(t − τ)",
     parameters=(
         amplitude(
-            "delay_s",
-            "τ",
-            (0, 0.1),
-            (1e-4, 5e-3),
-            1e-4,
-            "per_tower",
-            unit="s",
-            on_axis=OnAxis(size=lambda s: USUAL_SHARE / s.highest_hz),
+            "delay_s", "τ", (0, 0.1), (1e-4, 5e-3), 1e-4, EACH, unit="s", usual=lambda s: USUAL_SHARE / s.highest_hz
         ),
     ),
     in_data="The whole response shifts in time; the phase falls in proportion to frequency.",

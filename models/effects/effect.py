@@ -17,6 +17,7 @@ from models.quantities import PLAIN, Quantities
 Kind = Literal["parameter", "force", "command", "frame", "sensor"]
 Size = Literal["scalar", "per_tower", "vector3", "direction", "lines"]
 MOST_LINES = 8
+EACH: Size = "per_tower"
 
 DIRECTIONS: Mapping[str, tuple[tuple[float, float], ...]] = {
     "x": ((1.0, 0.0),),
@@ -48,8 +49,8 @@ class MotionScales:
 class OnAxis:
     """Where a diagnosis looks for a parameter on an axis by itself, which may be of any size."""
 
-    size: Callable[[MotionScales], float] | None = None  # of a usual effect; None: an axis does not have this amplitude
-    starts: Callable[[MotionScales], Sequence[float]] | None = None  # of the search for a shape
+    usual: Callable[[MotionScales], float] | None = None  # size of a usual effect; None: not on an axis
+    tried: Callable[[MotionScales], Sequence[float]] | None = None  # starts of the search for a shape
     lowest: float | None = None  # in place of the lower one of `bounds`
     signals: tuple[str, ...] = ("acc_q",)  # one for each number of a vector
 
@@ -147,8 +148,11 @@ def amplitude(
     size: Size = "scalar",
     **more: Any,
 ) -> Parameter:
-    """Declare an amplitude; its unit is that of its name, if `unit` does not give it."""
-    return Parameter(name, more.pop("unit", PLAIN.unit_of(name)), meaning, bounds, typical, probe, size, **more)
+    """Declare an amplitude; `more` may have fields of `OnAxis`, and a `unit` where the name does not tell it."""
+    on_axis = {key: more.pop(key) for key in OnAxis.__dataclass_fields__ if key in more}
+    unit = more.pop("unit", PLAIN.unit_of(name))
+    own = {"on_axis": OnAxis(**on_axis)} if on_axis else {}
+    return Parameter(name, unit, meaning, bounds, typical, probe, size, **own, **more)
 
 
 def shape(

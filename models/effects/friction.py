@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from models.effects.effect import (
+    EACH,
     USUAL_SHARE,
     AxisWords,
     Effect,
@@ -20,15 +21,15 @@ from models.effects.effect import (
 )
 
 LEAST_FORCE_N = 1e-12  # of a weight
-USUAL_DAMPING = OnAxis(size=lambda s: USUAL_SHARE * s.force_n / s.speed_m_per_s)
-USUAL_FORCE = OnAxis(size=lambda s: USUAL_SHARE * s.force_n)
+USUAL_DAMPING = OnAxis(usual=lambda s: USUAL_SHARE * s.force_n / s.speed_m_per_s)
+USUAL_FORCE = OnAxis(usual=lambda s: USUAL_SHARE * s.force_n)
 PRESLIDING = shape(
     "presliding_mm",
     "s₀: presliding distance, in place of creep and hold; 0: use those",
     (0, 10),
     (0.005, 0.05),
     0.005,
-    "per_tower",
+    EACH,
     default=0.0,
     logarithmic=True,
     instead_of=("creep_mm_per_s", "hold_per_s"),
@@ -68,9 +69,7 @@ GUIDE_DAMPING = Effect(
     kind="parameter",
     physics="Grease shears between carriage and rail: a force proportional to speed.",
     equation="b → b + Δb",
-    parameters=(
-        amplitude("added_n_s_per_m", "Δb", (-1000, 10000), (-10, 50), 1.0, "per_tower", on_axis=USUAL_DAMPING),
-    ),
+    parameters=(amplitude("added_n_s_per_m", "Δb", (-1000, 10000), (-10, 50), 1.0, EACH, on_axis=USUAL_DAMPING),),
     in_data="Lower, broader resonances, and a lag proportional to speed.",
     confounded_with={
         "command_delay": "Several speeds and frequencies: a delay keeps the resonance's height.",
@@ -125,8 +124,8 @@ COULOMB_FRICTION = Effect(
     physics="The guide resists with the same force at every speed, and locks the carriage at rest.",
     equation="F = F_C sgn(q̇); at rest any |F| ≤ F_C",
     parameters=(
-        amplitude("force_n", "friction of each guideway", (0, 200), (0.5, 10), 0.5, "per_tower", on_axis=USUAL_FORCE),
-        *reversal_parameters("per_tower"),
+        amplitude("force_n", "friction of each guideway", (0, 200), (0.5, 10), 0.5, EACH, on_axis=USUAL_FORCE),
+        *reversal_parameters(EACH),
     ),
     in_data="Acceleration jumps by up to 2 F_C/m when a carriage reverses, in slow moves as much as in fast ones.",
     confounded_with={
@@ -163,15 +162,15 @@ STRIBECK_FRICTION = Effect(
     physics="Grease and seals stick at rest; the excess over dry friction fades as the lubricant is drawn in.",
     equation="F = (F_C + F_extra exp(−|q̇/v_s|^δ)) sgn(q̇)   (Armstrong-Hélouvry, Dupont & Canudas de Wit, 1994)",
     parameters=(
-        amplitude("force_n", "friction at speed", (0, 200), (0.5, 10), 0.5, "per_tower", on_axis=USUAL_FORCE),
+        amplitude("force_n", "friction at speed", (0, 200), (0.5, 10), 0.5, EACH, on_axis=USUAL_FORCE),
         amplitude(
             "extra_force_n",
             "excess at rest",
             (0, 200),
             (0.2, 5),
             0.5,
-            "per_tower",
-            on_axis=OnAxis(size=lambda s: USUAL_SHARE * s.force_n / 2),
+            EACH,
+            usual=lambda s: USUAL_SHARE * s.force_n / 2,
         ),
         shape(
             "velocity_mm_per_s",
@@ -179,11 +178,11 @@ STRIBECK_FRICTION = Effect(
             (0.1, 500),
             (2, 50),
             2.0,
-            "per_tower",
-            on_axis=OnAxis(starts=lambda s: [1e3 * s.speed_m_per_s * share for share in (0.03, 0.1, 0.3)]),
+            EACH,
+            tried=lambda s: [1e3 * s.speed_m_per_s * share for share in (0.03, 0.1, 0.3)],
         ),
-        shape("exponent", "δ: how sharply it fades", (0.3, 6), (0.5, 2), 0.1, "per_tower", default=2.0),
-        *reversal_parameters("per_tower"),
+        shape("exponent", "δ: how sharply it fades", (0.3, 6), (0.5, 2), 0.1, EACH, default=2.0),
+        *reversal_parameters(EACH),
     ),
     in_data="As dry friction, with a spike at each start; very slow moves stick and slip.",
     confounded_with={"coulomb_friction": "Moves slower than v_s: only here the friction rises towards rest."},
@@ -222,7 +221,7 @@ BRISTLE_FRICTION = Effect(
             (1e-6, 1000),
             (0.001, 0.1),
             0.005,
-            on_axis=OnAxis(starts=lambda s: [1e3 * s.way_m * share for share in (0.003, 0.03, 0.3)]),
+            tried=lambda s: [1e3 * s.way_m * share for share in (0.003, 0.03, 0.3)],
         ),
     ),
     in_data="Small motions show hysteresis; large ones look like dry friction.",
@@ -302,9 +301,7 @@ FRICTION_BY_LOAD = Effect(
     physics="The transmitted force presses teeth and screws together, and friction is proportional to it.",
     equation="F = (μ |F_d| + μ ν |F_g|) sgn(q̇),  F_d = force of the drive,  F_g = pull of gravity and springs",
     parameters=(
-        amplitude(
-            "share", "μ: of the drive's force", (0, 0.99), (0.02, 0.4), 0.05, on_axis=OnAxis(size=lambda s: USUAL_SHARE)
-        ),
+        amplitude("share", "μ: of the drive's force", (0, 0.99), (0.02, 0.4), 0.05, usual=lambda s: USUAL_SHARE),
         shape(
             "held_share", "ν: additional part from the pull of gravity and springs", (0, 10), (0, 1), 0.1, default=0.0
         ),
@@ -336,7 +333,8 @@ QUADRATIC_DRAG = Effect(
             (-100, 1000),
             20.0,
             # negative drag would absorb a damping that falls with speed
-            on_axis=OnAxis(size=lambda s: USUAL_SHARE * s.force_n / s.speed_m_per_s**2, lowest=0.0),
+            usual=lambda s: USUAL_SHARE * s.force_n / s.speed_m_per_s**2,
+            lowest=0.0,
         ),
     ),
     in_data="Fast moves take more force than viscous friction explains.",

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from models.arrays import FloatArray
-from models.effects.effect import USUAL_SHARE, Effect, OnAxis, Signals, Values, amplitude, resampled, shape
+from models.effects.effect import EACH, USUAL_SHARE, Effect, Signals, Values, amplitude, resampled, shape
 
 
 def _scaled(true: Signals, values: Values) -> Signals:
@@ -23,15 +23,9 @@ SENSOR_GAIN = Effect(
     physics="Sensitivities are calibrated to a few percent.",
     equation="a → (1 + g) a, per channel",
     parameters=(
-        amplitude("carriage_relative_change", "g of A, B, C", (-0.9, 9), (-0.1, 0.1), 0.02, "per_tower"),
+        amplitude("carriage_relative_change", "g of A, B, C", (-0.9, 9), (-0.1, 0.1), 0.02, EACH),
         amplitude(
-            "nozzle_relative_change",
-            "g of x, y, z",
-            (-0.9, 9),
-            (-0.1, 0.1),
-            0.02,
-            "vector3",
-            on_axis=OnAxis(size=lambda s: 0.1),
+            "nozzle_relative_change", "g of x, y, z", (-0.9, 9), (-0.1, 0.1), 0.02, "vector3", usual=lambda s: 0.1
         ),
     ),
     in_data="One channel off by the same factor at all frequencies and positions.",
@@ -148,9 +142,10 @@ SENSOR_LAG = Effect(
             1e-4,
             "vector3",
             unit="s",
-            on_axis=OnAxis(size=lambda s: USUAL_SHARE / s.highest_hz, signals=("pos_q", "pos_motor", "acc_q")),
+            usual=lambda s: USUAL_SHARE / s.highest_hz,
+            signals=("pos_q", "pos_motor", "acc_q"),
         ),
-        shape("damping_ratio", "ζ; 0: of first order", (0, 10), (0, 1), 0.1, default=0.0, starts=(0.7)),
+        shape("damping_ratio", "ζ; 0: of first order", (0, 10), (0, 1), 0.1, default=0.0, starts=(0.7,)),
     ),
     in_data="One sensor's signals lag another's or lack high frequencies.",
     confounded_with={"command_delay": "Two sensors of one motion: a late command is late in both."},

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from models.effects.effect import USUAL_SHARE, Effect, MotionScales, OnAxis, Terms, Values, amplitude, shape
+from models.effects.effect import EACH, USUAL_SHARE, Effect, MotionScales, OnAxis, Terms, Values, amplitude, shape
 
 
 def _frame_terms(values: Values, printer: Terms) -> Terms:
@@ -138,8 +138,8 @@ TOOLHEAD_MODE = Effect(
     ),
     equation="ω² → ω² (1 + r (x − x_c) + h (x − x_c)²)",
     parameters=(
-        amplitude("slope_per_m", "r, of ω² of the axis' highest mode", (-10, 10), (-2, 2), 0.05, "per_tower"),
-        amplitude("curve_per_m2", "h", (-200, 200), (-20, 20), 0.5, "per_tower", unit="1/m²"),
+        amplitude("slope_per_m", "r, of ω² of the axis' highest mode", (-10, 10), (-2, 2), 0.05, EACH),
+        amplitude("curve_per_m2", "h", (-200, 200), (-20, 20), 0.5, EACH, unit="1/m²"),
         shape("x_centre_mm", "x_c: where ω is the file's", (-1000, 1000), (0, 300), 5.0, "scalar"),
     ),
     in_data="The frequency of a resonance along x or y depends on x.",
@@ -163,7 +163,7 @@ GROWING_BED = Effect(
         "numbers are those of the empty bed. Every mode of the axis slows by the same factor, exact for one mode."
     ),
     equation="M → M (1 + g z),  z = height of the nozzle over the bed",
-    parameters=(amplitude("growth_per_m", "g, of the mass that an axis moves", (0, 100), (0.2, 4), 0.1, "per_tower"),),
+    parameters=(amplitude("growth_per_m", "g, of the mass that an axis moves", (0, 100), (0.2, 4), 0.1, EACH),),
     in_data="The resonance of the bed's axis falls from layer to layer; the other axes' stay.",
     confounded_with={"belt_stiffness": "Two heights of one print: a slack belt is the same at both."},
     of=("axes",),
@@ -183,12 +183,7 @@ GROUND_SPRING = Effect(
     equation="F = k q",
     parameters=(
         amplitude(
-            "stiffness_n_per_m",
-            "k",
-            (0, 1e9),
-            (10, 1000),
-            5.0,
-            on_axis=OnAxis(size=lambda s: USUAL_SHARE * s.force_n / s.way_m),
+            "stiffness_n_per_m", "k", (0, 1e9), (10, 1000), 5.0, usual=lambda s: USUAL_SHARE * s.force_n / s.way_m
         ),
     ),
     in_data="The force at rest grows along the axis.",
@@ -215,7 +210,7 @@ PENDULUM_GRAVITY = Effect(
             (-1e6, 1e6),
             (-10, 10),
             0.1,
-            on_axis=OnAxis(size=lambda s: USUAL_SHARE * s.force_n / min(s.way_m, 1.0)),
+            usual=lambda s: USUAL_SHARE * s.force_n / min(s.way_m, 1.0),
         ),
         shape("angle_deg", "q₀: angle where it hangs down", (-360, 360), (-180, 180), 5.0, default=0.0),
     ),
@@ -239,7 +234,7 @@ def _force_pitches(s: MotionScales) -> list[float]:
     return [1e3 * s.travel_m / turns for turns in np.arange(2.0, 40.0, TURN_APART).tolist()]
 
 
-USUAL_RIPPLE = OnAxis(size=lambda s: USUAL_SHARE * s.force_n / 3)
+USUAL_RIPPLE = OnAxis(usual=lambda s: USUAL_SHARE * s.force_n / 3)
 
 
 COGGING_FORCE = Effect(
@@ -255,13 +250,7 @@ COGGING_FORCE = Effect(
         amplitude("sine_n", "s", (-1e5, 1e5), (-5, 5), 0.5, "lines", on_axis=USUAL_RIPPLE),
         amplitude("cosine_n", "c", (-1e5, 1e5), (-5, 5), 0.5, "lines", on_axis=USUAL_RIPPLE),
         shape(
-            "pitch_mm",
-            "p; 2π/N rad for N lines a turn",
-            (0.01, 10_000),
-            (1, 50),
-            0.5,
-            "lines",
-            on_axis=OnAxis(starts=_force_pitches),
+            "pitch_mm", "p; 2π/N rad for N lines a turn", (0.01, 10_000), (1, 50), 0.5, "lines", tried=_force_pitches
         ),
     ),
     in_data="The force at constant speed repeats with position, whatever the speed.",
