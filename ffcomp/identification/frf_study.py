@@ -424,7 +424,7 @@ def frf_json(study: Study, station: Station) -> dict[str, Any]:
     return {
         "schema": "ffcomp-frf/1",
         "machine": to_json(study.machine),
-        "force_map": study.machine.vibration.describe().force_map
+        "force_map": delta_vibration(study.machine).effector.force_map
         if study.machine.vibration.position_dependent
         else None,
         "position_mm": [*station.xy.tolist(), 0.0],

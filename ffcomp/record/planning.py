@@ -191,9 +191,7 @@ def plan_recording(request: PlanRequest) -> PlanResult:
     recommended: tuple[Place, ...] = ()
     if request.purpose == "identify":
         recommended = (machine.kinematics.centre_mm, *line_of_action(machine.kinematics))
-    return PlanResult(
-        plan, machine, request.output, request.plan_file, recorder, _next(request, plan, machine), recommended
-    )
+    return PlanResult(plan, machine, request.output, request.plan_file, recorder, _next(request, plan), recommended)
 
 
 def _planned(request: PlanRequest, machine: Machine, recorder: Recorder) -> tuple[Plan, Iterable[bytes]]:
@@ -250,7 +248,7 @@ def _excited_places(texts: Sequence[str], machine: Machine) -> list[Place]:
     return list(dict.fromkeys(places))
 
 
-def _next(request: PlanRequest, plan: Plan, machine: Machine) -> str:
+def _next(request: PlanRequest, plan: Plan) -> str:
     of_plan = f"--plan {request.plan_file} -m {request.machine}"
     if request.purpose == "identify":
         return f"ffcomp identify fit -m {request.machine} --plan {request.plan_file} CAPTURES"
@@ -258,6 +256,4 @@ def _next(request: PlanRequest, plan: Plan, machine: Machine) -> str:
         return f"ffcomp identify scan PICTURE {of_plan} -o better.toml"
     if request.purpose == "check":
         return f"ffcomp record check CAPTURES {of_plan}"
-    if not machine.vibration.diagnosable:
-        return f"ffcomp record join CAPTURES {of_plan} -o runs/"
     return f"ffcomp diagnose CAPTURES {of_plan}{'' if plan.repeats > 1 else ' --without-repeats'}"

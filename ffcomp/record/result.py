@@ -156,8 +156,8 @@ class JoinedRuns(Result):
 
     @property
     def next_steps(self) -> list[str]:
-        """Diagnose, where the machine can be."""
-        if not self.files or not self.machine.vibration.diagnosable:
+        """Diagnose the joined files."""
+        if not self.files:
             return []
         once = "" if self.plan.repeats > 1 else " --without-repeats"
         return [f"Then: ffcomp diagnose {self.folder}/*.csv -m {self.called}{once}"]

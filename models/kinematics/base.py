@@ -70,19 +70,21 @@ class Kinematics(ABC):
         """Return J with Ẋ = J q̇ at positions (n, 2) mm; further columns are ignored. (n, 3, 3), rows X Y Z."""
 
     @abstractmethod
-    def jacobian_rate_term(self, xyz: FloatArray, velocity: FloatArray) -> FloatArray:
-        """Return J̇ q̇ (n, 3) mm/s², the part of Ẍ = J q̈ + J̇ q̇ that remains without carriage acceleration.
-
-        xyz : (n, 3) mm; z does not matter.   velocity : (n, 3) mm/s, of the nozzle.
-        """
-
-    @abstractmethod
     def compiled(self) -> Compiled:
         """Return the compiled equations, for inner loops."""
 
     @abstractmethod
+    def volume_rules(self, xyz: FloatArray) -> list[tuple[BoolArray, str]]:
+        """Return which of the points (n, 3) mm obey each rule of the print volume, and where the others lie."""
+
     def check_reach(self, xyz: FloatArray) -> None:
         """Raise UnreachableError if any of the points (n, 3) mm lies outside the print volume."""
+        for good, where in self.volume_rules(xyz):
+            require(good, xyz, f"The point X = {{:.3f}}, Y = {{:.3f}}, Z = {{:.3f}} mm lies {where}.")
+
+    def reachable(self, xyz: FloatArray) -> BoolArray:
+        """Return which of the points (n, 3) mm lie in the print volume."""
+        return np.asarray(np.all([good for good, _ in self.volume_rules(xyz)], axis=0))
 
     @abstractmethod
     def contains(self, xyz: FloatArray, margin_mm: float = 0.0) -> BoolArray:
@@ -98,10 +100,6 @@ class Kinematics(ABC):
     @abstractmethod
     def drawn_in(self, xyz: FloatArray, heights: FloatArray) -> FloatArray:
         """Return a command (n, 3) mm clipped to the firmware's limits, for a path with these heights (m,) mm."""
-
-    @abstractmethod
-    def reachable(self, xyz: FloatArray) -> BoolArray:
-        """Return which of the points (n, 3) mm lie in the print volume, by the rule of `check_reach`."""
 
     @abstractmethod
     def centring(self, xy: FloatArray) -> tuple[float, float]:

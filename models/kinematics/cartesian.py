@@ -16,7 +16,7 @@ from typing import ClassVar
 import numpy as np
 
 from models.arrays import BoolArray, FloatArray, constant
-from models.kinematics.base import ALONG, AXES, INSIDE_MM, SLACK_MM, Compiled, Kinematics, require, rings
+from models.kinematics.base import ALONG, AXES, INSIDE_MM, SLACK_MM, Compiled, Kinematics, rings
 
 CARTESIAN = constant(np.eye(3))
 COREXY = constant([[1.0, 1.0, 0.0], [1.0, -1.0, 0.0], [0.0, 0.0, 1.0]])
@@ -45,8 +45,6 @@ class CartesianKinematics(Kinematics):
         """Return zeros (n, 3): a constant J has no rate."""
         return np.zeros(xyz.shape)
 
-    jacobian_rate_term = rate_term  # the axes are straight
-
     def jacobian(self, xy: FloatArray) -> FloatArray:
         """Return J with Ẋ = J q̇ at positions (n, 2) mm; further columns are ignored. (n, 3, 3), rows X Y Z."""
         return np.tile(np.eye(3), (len(xy), 1, 1))
@@ -55,13 +53,13 @@ class CartesianKinematics(Kinematics):
         """Return the compiled equations, for inner loops."""
         return self
 
-    def check_reach(self, xyz: FloatArray) -> None:
-        """Raise UnreachableError if any of the points (n, 3) mm lies outside the print volume."""
-        for axis, name in enumerate("XYZ"):
-            low, high = self.range_mm[axis]
-            inside = (xyz[:, axis] >= low - SLACK_MM) & (xyz[:, axis] <= high + SLACK_MM)
-            place = "The point X = {:.3f}, Y = {:.3f}, Z = {:.3f} mm lies "
-            require(inside, xyz, f"{place}outside the range of {name}, {low:g} to {high:g} mm.")
+    def volume_rules(self, xyz: FloatArray) -> list[tuple[BoolArray, str]]:
+        """Return which of the points (n, 3) mm obey each rule of the print volume, and where the others lie."""
+        each = zip("XYZ", self.range_mm.tolist(), xyz.T, strict=True)
+        return [
+            ((x >= low - SLACK_MM) & (x <= high + SLACK_MM), f"outside the range of {name}, {low:g} to {high:g} mm")
+            for name, (low, high), x in each
+        ]
 
     def contains(self, xyz: FloatArray, margin_mm: float = 0.0) -> BoolArray:
         """Return which of the points (n, 2) or (n, 3) mm lie over the bed and, if z is given, in the volume."""
@@ -77,10 +75,6 @@ class CartesianKinematics(Kinematics):
         """Return a command (n, 3) mm clipped to the firmware's limits, for a path with these heights (m,) mm."""
         low, high = self.range_mm.T
         return np.asarray(np.clip(xyz, np.where(high > low, low + INSIDE_MM, low), high - INSIDE_MM))
-
-    def reachable(self, xyz: FloatArray) -> BoolArray:
-        """Return which of the points (n, 3) mm lie in the print volume, by the rule of `check_reach`."""
-        return self.contains(xyz, SLACK_MM)
 
     def centring(self, xy: FloatArray) -> tuple[float, float]:
         """Return the shift, whole mm, that puts points (n, 2) mm in the middle of the bed."""

@@ -176,9 +176,6 @@ class DeltaKinematics(Kinematics):
     def forward(self, q: FloatArray) -> FloatArray:
         """Return nozzle positions: the lower of the two points where the arms' spheres meet (Eqs. 3-5, solved exactly).
 
-        With r the effector seen from joint A, differences of the spheres are linear, r_xy = u + v r_z; that makes
-        sphere A a quadratic in r_z.
-
         Parameters
         ----------
         q : (n, 3) mm, columns A B C.
@@ -187,23 +184,10 @@ class DeltaKinematics(Kinematics):
         -------
         (n, 3) mm, columns X Y Z.
         """
-        towers, arms = self.towers_mm, self.arm_lengths_mm
-        to_towers = towers[1:] - towers[0]  # (2, 2), joints B and C seen from A
-        rise = q[:, 1:] - q[:, :1]  # (n, 2)
-        squared = np.sum(to_towers**2, axis=1) + rise**2
-        offset = (squared + arms[0] ** 2 - arms[1:] ** 2) / 2
-        to_plane = np.linalg.inv(to_towers)
-        u, v = offset @ to_plane.T, -rise @ to_plane.T
-        a, b = 1 + np.sum(v**2, axis=1), np.sum(u * v, axis=1)
-        discriminant = b**2 - a * (np.sum(u**2, axis=1) - arms[0] ** 2)
-        require(
-            discriminant >= 0,
-            q,
-            "The carriages at A = {:.3f}, B = {:.3f}, C = {:.3f} mm stand too far apart for the arms to meet.",
-        )
-        rz = -(b + np.sqrt(discriminant)) / a
-        height = q[:, 0] - self.effector_height_mm
-        return np.column_stack([towers[0] + u + v * rz[:, None], height + rz])
+        xyz = self.compiled().forward(q)
+        apart = "The carriages at A = {:.3f}, B = {:.3f}, C = {:.3f} mm stand too far apart for the arms to meet."
+        require(np.isfinite(xyz[:, 2]), q, apart)
+        return xyz
 
     def jacobian(self, xy: FloatArray) -> FloatArray:
         """Return J = −S⁻¹ diag(s_iᵀp), with Ẋ = J q̇ (Eq. 12); rows s_iᵀ of S, p = (0, 0, −1), so s_iᵀp = h_i.
@@ -220,41 +204,15 @@ class DeltaKinematics(Kinematics):
             return _jacobian_at(self, float(xy[0, 0]), float(xy[0, 1])).copy()
         return self._jacobian(xy)
 
-    def jacobian_rate_term(self, xyz: FloatArray, velocity: FloatArray) -> FloatArray:
-        """Return J̇ q̇, the part of Ẍ = J q̈ + J̇ q̇ that remains without carriage acceleration.
-
-        Differentiating s_i·(Ẋ − ẑ q̇_i) = 0 once more: s_i·(Ẍ − ẑ q̈_i) + |Ẋ − ẑ q̇_i|² = 0, so
-        J̇ q̇ = −S⁻¹ |ṡ_i|². NOTE: Eq. 13 of the paper has the opposite sign; finite differences agree with ours.
-
-        Parameters
-        ----------
-        xyz : (n, 3) mm, columns X Y Z; z does not matter.
-        velocity : (n, 3) mm/s, of the nozzle.
-
-        Returns
-        -------
-        (n, 3) mm/s², columns X Y Z.
-        """
-        s, heights = self._arms(xyz)
-        carriage_velocity = -np.einsum("nij,nj->ni", s, velocity) / heights
-        vertical = velocity[:, 2:3] - carriage_velocity
-        rate_squared = velocity[:, 0:1] ** 2 + velocity[:, 1:2] ** 2 + vertical**2  # (n, 3) |ṡ_i|²
-        return -np.linalg.solve(s, rate_squared[:, :, None])[:, :, 0]
-
-    def check_reach(self, xyz: FloatArray) -> None:
-        """Raise UnreachableError if any of the points lies outside the print volume.
-
-        Parameters
-        ----------
-        xyz : (n, 3) mm, columns X Y Z.
-        """
-        z = xyz[:, 2]
-        radius, height = self.print_radius_mm, self.print_height_mm
-        inside = np.hypot(xyz[:, 0], xyz[:, 1]) <= radius + SLACK_MM
-        place = "The point X = {:.3f}, Y = {:.3f}, Z = {:.3f} mm lies "
-        require(inside, xyz, f"{place}outside the print radius of {radius:g} mm.")
-        require(z <= height + SLACK_MM, xyz, f"{place}above the print height of {height:g} mm.")
-        require(z >= LOWEST_Z_MM - SLACK_MM, xyz, f"{place}below the bed, deeper than {LOWEST_Z_MM:g} mm.")
+    def volume_rules(self, xyz: FloatArray) -> list[tuple[BoolArray, str]]:
+        """Return which of the points (n, 3) mm obey each rule of the print volume, and where the others lie."""
+        z, radius, height = xyz[:, 2], self.print_radius_mm, self.print_height_mm
+        inside: BoolArray = np.hypot(xyz[:, 0], xyz[:, 1]) <= radius + SLACK_MM
+        return [
+            (inside, f"outside the print radius of {radius:g} mm"),
+            (z <= height + SLACK_MM, f"above the print height of {height:g} mm"),
+            (z >= LOWEST_Z_MM - SLACK_MM, f"below the bed, deeper than {LOWEST_Z_MM:g} mm"),
+        ]
 
     def contains(self, xyz: FloatArray, margin_mm: float = 0.0) -> BoolArray:
         """Return which of the points (n, 2) or (n, 3) mm lie over the bed and, if z is given, in the volume."""
@@ -275,12 +233,6 @@ class DeltaKinematics(Kinematics):
         inside = xyz * shrink[:, None]
         inside[:, 2] = np.clip(xyz[:, 2], floor, ceiling)
         return np.asarray(inside)
-
-    def reachable(self, xyz: FloatArray) -> BoolArray:
-        """Return which of the points (n, 3) mm lie in the print volume, by the rule of `check_reach`."""
-        z = xyz[:, 2]
-        inside = np.hypot(xyz[:, 0], xyz[:, 1]) <= self.print_radius_mm + SLACK_MM
-        return np.asarray(inside & (z <= self.print_height_mm + SLACK_MM) & (z >= LOWEST_Z_MM - SLACK_MM))
 
     def centring(self, xy: FloatArray) -> tuple[float, float]:
         """Return the shift, whole mm, that puts points (n, 2) mm in the middle of the bed.

@@ -37,7 +37,11 @@ def _inverse(xyz: FloatArray, towers: FloatArray, arms_squared: FloatArray, effe
 
 @kernel
 def _forward(q: FloatArray, towers: FloatArray, arms_squared: FloatArray, effector_height: float) -> FloatArray:
-    """Compute `DeltaKinematics.forward`: two planes for r_xy = u + v r_z seen from joint A, a quadratic in r_z."""
+    """Compute the lower of the two points where the arms' spheres meet (Eqs. 3-5, solved exactly).
+
+    With r the effector seen from joint A, differences of the spheres are linear, r_xy = u + v r_z; that makes sphere A
+    a quadratic in r_z.
+    """
     bx, by = towers[1, 0] - towers[0, 0], towers[1, 1] - towers[0, 1]
     cx, cy = towers[2, 0] - towers[0, 0], towers[2, 1] - towers[0, 1]
     scale = 1.0 / (bx * cy - by * cx)
@@ -58,7 +62,11 @@ def _forward(q: FloatArray, towers: FloatArray, arms_squared: FloatArray, effect
 
 @kernel
 def _rate_term(xyz: FloatArray, velocity: FloatArray, towers: FloatArray, arms_squared: FloatArray) -> FloatArray:
-    """Compute `DeltaKinematics.jacobian_rate_term`: −S⁻¹ |ṡ_i|² by cofactors."""
+    """Compute J̇ q̇, the part of Ẍ = J q̈ + J̇ q̇ that remains without carriage acceleration, by cofactors.
+
+    Differentiating s_i·(Ẋ − ẑ q̇_i) = 0 once more: s_i·(Ẍ − ẑ q̈_i) + |Ẋ − ẑ q̇_i|² = 0, so J̇ q̇ = −S⁻¹ |ṡ_i|². NOTE:
+    Eq. 13 of the paper has the opposite sign; finite differences agree with ours.
+    """
     out = np.empty((len(xyz), 3))
     s, w = np.empty((3, 3)), np.empty(3)
     for n in range(len(xyz)):
@@ -81,7 +89,7 @@ def _rate_term(xyz: FloatArray, velocity: FloatArray, towers: FloatArray, arms_s
 
 
 class FastDelta:
-    """`inverse`, `forward` and `jacobian_rate_term` of one delta, compiled and unchecked: (n, 3) in and out."""
+    """`inverse`, `forward` and J̇ q̇ of one delta, compiled and unchecked: (n, 3) in and out."""
 
     def __init__(self, towers_mm: FloatArray, arm_lengths_mm: FloatArray, effector_height_mm: float) -> None:
         self._towers = np.ascontiguousarray(towers_mm)
@@ -94,8 +102,8 @@ class FastDelta:
 
     def forward(self, q: FloatArray) -> FloatArray:
         """Return nozzle positions of carriages, mm."""
-        return _forward(q, self._towers, self._arms, self._height)
+        return _forward(np.ascontiguousarray(q), self._towers, self._arms, self._height)
 
     def rate_term(self, xyz: FloatArray, velocity: FloatArray) -> FloatArray:
         """Return J̇ q̇, mm/s²."""
-        return _rate_term(xyz, velocity, self._towers, self._arms)
+        return _rate_term(np.ascontiguousarray(xyz), np.ascontiguousarray(velocity), self._towers, self._arms)

@@ -96,14 +96,6 @@ class ParameterSet:
         return scaled
 
 
-@dataclass(frozen=True)
-class Description:
-    """Words for headings and results."""
-
-    heading: str  # "load map virtual_work", "straight axes"
-    force_map: str | None  # sharing of a load among the actuators; None: there is none
-
-
 class VibrationModel(ABC):
     """Linear response of actuators and nozzle to commanded actuator positions."""
 
@@ -113,8 +105,6 @@ class VibrationModel(ABC):
     """Names of the actuators."""
     gravity_loaded: ClassVar[bool]
     """Whether weight loads the vibrating springs."""
-    diagnosable: ClassVar[bool] = True
-    """Whether `gap` and `diagnose` support it."""
     moves: ClassVar[Literal["carriages", "axes", "axis"]] = "carriages"
     """What the motors move, which decides the possible effects."""
 
@@ -139,13 +129,16 @@ class VibrationModel(ABC):
     def with_parameters(self, values: Mapping[str, float]) -> Self:
         """Return the model with some parameters replaced; KeyError for an unknown name."""
 
-    @abstractmethod
     def carriage_response(self, xy: FloatArray, s: ComplexArray) -> ComplexArray:
         """Return G, commanded to real actuator positions, at (2,) mm and s (k,) 1/s: (k, 3, 3)."""
+        plant = self.state_space(xy[None])
+        s = s[:, None, None]
+        resolvent = s * np.eye(len(plant.a[0])) - plant.a[0]
+        return np.asarray(plant.carriage @ np.linalg.solve(resolvent, plant.b_command[0] + s * plant.b_slope[0]))
 
-    @abstractmethod
     def jacobian(self, xy: FloatArray) -> FloatArray:
-        """Return J of the nozzle's motion from the actuators' at (n, 2) mm: (n, 3, 3)."""
+        """Return J of the nozzle's motion from the actuators' at (n, 2) mm: (n, 3, 3); of straight axes 1."""
+        return np.tile(np.eye(3), (len(xy), 1, 1))
 
     def frequency_response(
         self, xy: FloatArray, frequency_hz: FloatArray, output: Output = "carriage", input: Input = "carriage"
@@ -191,13 +184,15 @@ class VibrationModel(ABC):
         """Return the modes at one position (2,) mm."""
         return self.modes(xy[None])[0]
 
-    @abstractmethod
     def mechanics(self, xy: FloatArray) -> FloatArray:
         """Return d/dt of the m/2 coordinates and their rates with the motors held, (n, m, m), at (n, 2) mm."""
+        plant = self.state_space(xy[:1])
+        order = np.arange(plant.a.shape[1]).reshape(-1, 2).T.ravel()  # positions, then rates
+        return np.tile(plant.a[0][np.ix_(order, order)], (len(xy), 1, 1))
 
-    @abstractmethod
     def nozzle_motion(self, xy: FloatArray) -> FloatArray:
         """Return the nozzle's motion from the coordinates', (n, 3, m/2), at positions (n, 2) mm."""
+        return np.tile(self.state_space(xy[:1]).carriage[:, ::2], (len(xy), 1, 1))
 
     @abstractmethod
     def low_frequency(self, xy: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -208,17 +203,17 @@ class VibrationModel(ABC):
         (3,) s, of the actuators; (n, 3, 3) s², at positions (n, 2) mm.
         """
 
-    @abstractmethod
     def equilibrium(self, q: FloatArray) -> FloatArray:
         """Return the state at rest with the actuators at (3,) mm."""
+        return self.steady_motion(q, np.zeros(3))
 
     @abstractmethod
     def steady_motion(self, q: FloatArray, qd: FloatArray) -> FloatArray:
         """Return the state with the actuators at (3,) mm, in steady motion at (3,) mm/s."""
 
-    @abstractmethod
     def undriven(self) -> Self:
         """Return the model with ideal drives: motors follow their command exactly."""
+        return self
 
     @abstractmethod
     def printer_parameters(self, gravity_m_per_s2: float) -> PrinterFields:
@@ -256,17 +251,9 @@ class VibrationModel(ABC):
     def with_guide_damping(self, added_n_s_per_m: FloatArray) -> Self:
         """Return the model with more friction (3,) of the guides, in proportion to speed."""
 
-    def with_moved_mass(self, added_kg: FloatArray) -> Self:
-        """Return the model with so much more (3,) on its actuators."""
-        raise ValueError("moved_mass is only for straight axes; this machine's file has the carriages' mass.")
-
     def with_belt_damping(self, share: FloatArray) -> Self:
         """Return the model with so much (3,) of its guides' damping in its belts instead."""
         raise ValueError("belt_damping is only for straight axes; this machine's file has the belts' damping.")
-
-    @abstractmethod
-    def describe(self) -> Description:
-        """Return the words for headings."""
 
     def to_control(
         self, xy: Sequence[float] | FloatArray, output: Output = "carriage", input: Input = "carriage"

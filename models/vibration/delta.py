@@ -40,7 +40,7 @@ import numpy as np
 from models.arrays import ComplexArray, FloatArray, constant, same_or_each
 from models.kinematics.base import Kinematics
 from models.kinematics.delta import DeltaKinematics
-from models.vibration.base import Description, Parameter, ParameterSet, PrinterFields, VibrationModel
+from models.vibration.base import Parameter, ParameterSet, PrinterFields, VibrationModel
 from models.vibration.state_space import StateSpace
 from models.vibration.substructures import (
     Carriage,
@@ -93,7 +93,6 @@ class DeltaVibration(VibrationModel):
     position_dependent: ClassVar[bool] = True
     channels: ClassVar[tuple[str, str, str]] = ("A", "B", "C")
     gravity_loaded: ClassVar[bool] = True
-    diagnosable: ClassVar[bool] = True
 
     def on(self, kinematics: Kinematics) -> DeltaVibration:
         """Return the model bound to a delta's kinematics; TypeError for any other."""
@@ -309,14 +308,6 @@ class DeltaVibration(VibrationModel):
         first, second = carriage.drive.lag if carriage.drive else (0.0, 0.0)
         return b / k + first, np.asarray(moving + np.diag(second + b / k * first - b * c / k**2))
 
-    def equilibrium(self, q: FloatArray) -> FloatArray:
-        """Return the state at rest with the actuators at (3,) mm."""
-        state = np.zeros(STATES)
-        drive = self.carriage.drive
-        state[W] = q / drive.d0_per_s2 if drive else 0.0
-        state[Q] = q
-        return state
-
     def steady_motion(self, q: FloatArray, qd: FloatArray) -> FloatArray:
         """Return the state with the actuators at (3,) mm, in steady motion at (3,) mm/s."""
         state = np.zeros(STATES)
@@ -383,10 +374,6 @@ class DeltaVibration(VibrationModel):
         """Return the model with more friction (3,) of the guides, in proportion to speed."""
         damping = same_or_each(self.carriage.guide_damping_n_s_per_m + added_n_s_per_m)
         return replace(self, carriage=replace(self.carriage, guide_damping_n_s_per_m=damping))
-
-    def describe(self) -> Description:
-        """Return the words for headings."""
-        return Description(f"load map {self.effector.force_map}", self.effector.force_map)
 
 
 @lru_cache(maxsize=16)

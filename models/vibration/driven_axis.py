@@ -21,9 +21,9 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from models.arrays import ComplexArray, FloatArray
+from models.arrays import FloatArray
 from models.quantities import Quantities
-from models.vibration.base import Description, Parameter, ParameterSet, PrinterFields, VibrationModel
+from models.vibration.base import Parameter, ParameterSet, PrinterFields, VibrationModel
 from models.vibration.state_space import StateSpace
 
 PREFIX = "axis."
@@ -243,28 +243,6 @@ class DrivenAxis(VibrationModel):
             names=("pos", "vel", "pos_load", "vel_load")[:n],
         )
 
-    def carriage_response(self, xy: FloatArray, s: ComplexArray) -> ComplexArray:
-        """Return the last mass' motion to the command at s (k,) 1/s: (k, 3, 3), only [0, 0] is not zero."""
-        plant = self.state_space(np.zeros((1, 2)))
-        resolvent = s[:, None, None] * np.eye(len(plant.a[0])) - plant.a[0]
-        return np.asarray(
-            plant.carriage @ np.linalg.solve(resolvent, plant.b_command[0] + s[:, None, None] * plant.b_slope)
-        )
-
-    def jacobian(self, xy: FloatArray) -> FloatArray:
-        """Return J of the nozzle's motion from the actuators' at (n, 2) mm: (n, 3, 3)."""
-        return np.tile(np.eye(3), (len(xy), 1, 1))
-
-    def mechanics(self, xy: FloatArray) -> FloatArray:
-        """Return d/dt of the m/2 coordinates and their rates with the motors held, (n, m, m), at (n, 2) mm."""
-        plant = self.state_space(xy[:1])
-        order = np.arange(plant.a.shape[1]).reshape(-1, 2).T.ravel()  # positions, then rates
-        return np.tile(plant.a[0][np.ix_(order, order)], (len(xy), 1, 1))
-
-    def nozzle_motion(self, xy: FloatArray) -> FloatArray:
-        """Return the last mass' motion from the coordinates', (n, 3, m/2), at positions (n, 2) mm."""
-        return np.tile(self.state_space(xy[:1]).carriage[:, ::2], (len(xy), 1, 1))
-
     def low_frequency(self, xy: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return τ and C of the series G⁻¹(s) = I + τ s + C s² + …; ValueError for a force input."""
         if self.by_force:
@@ -277,17 +255,9 @@ class DrivenAxis(VibrationModel):
             bend[0, 0] += self.load_mass_kg / (self.coupling_stiffness_n_per_m or np.inf)
         return tau, np.tile(bend, (len(xy), 1, 1))
 
-    def equilibrium(self, q: FloatArray) -> FloatArray:
-        """Return the state at rest with the actuators at (3,) mm."""
-        return self.steady_motion(q, np.zeros(3))
-
     def steady_motion(self, q: FloatArray, qd: FloatArray) -> FloatArray:
         """Return the state with the actuators at (3,) mm, in steady motion at (3,) mm/s."""
         return np.tile([float(q[0]), float(qd[0])], 2 if self.load_mass_kg else 1)
-
-    def undriven(self) -> DrivenAxis:
-        """Return the model with ideal drives: motors follow their command exactly."""
-        return self
 
     def printer_parameters(self, gravity_m_per_s2: float) -> PrinterFields:
         """Return the axis' numbers for the nonlinear kernels, SI."""
@@ -304,7 +274,3 @@ class DrivenAxis(VibrationModel):
             "by_force": self.by_force,
             "motor_k": np.full(3, self.last_stiffness),
         }
-
-    def describe(self) -> Description:
-        """Return the words for headings."""
-        return Description("one axis by itself", None)

@@ -24,7 +24,7 @@ from typing import ClassVar, Literal
 import numpy as np
 
 from models.arrays import ComplexArray, FloatArray
-from models.vibration.base import Description, Parameter, ParameterSet, PrinterFields, VibrationModel
+from models.vibration.base import Parameter, ParameterSet, PrinterFields, VibrationModel
 from models.vibration.state_space import StateSpace
 
 RIGID_HZ, RIGID_DAMPING = 1500.0, 1.1
@@ -278,15 +278,8 @@ class ModalAxes(VibrationModel):
         slower = share * modes[most].damping / (float(weights[most]) * modes[most].stiffness)  # c/k, s
         return tuple(mode.with_belt_damping(slower * mode.stiffness) for mode in modes)
 
-    def with_moved_mass(self, added_kg: FloatArray) -> ModalAxes:
-        """Return the model with so much more (3,) on the axes' driven points."""
-        heavier = self._changed(heavier=added_kg)
-        return replace(heavier, masses_kg=tuple((self.moved_kg + added_kg).tolist()))
-
-    def _changed(
-        self, stiffer: FloatArray | float = 0.0, damped: FloatArray | float = 0.0, heavier: FloatArray | float = 0.0
-    ) -> ModalAxes:
-        changes = np.stack([np.broadcast_to(x, 3) for x in (stiffer, damped, heavier)], axis=1)
+    def _changed(self, stiffer: FloatArray | float = 0.0, damped: FloatArray | float = 0.0) -> ModalAxes:
+        changes = np.stack([np.broadcast_to(x, 3) for x in (stiffer, damped)], axis=1)
         weights = [self._weights(axis) for axis in range(3)]
         each = zip(self.axes, weights, self.drive_stiffness, changes.tolist(), strict=True)
         return self._with_axes(
@@ -294,10 +287,6 @@ class ModalAxes(VibrationModel):
         )
 
     # ---- the equations
-
-    def jacobian(self, xy: FloatArray) -> FloatArray:
-        """Return J of the nozzle's motion from the actuators' at (n, 2) mm: (n, 3, 3)."""
-        return np.tile(np.eye(3), (len(xy), 1, 1))
 
     def axis_frf(self, s: ComplexArray) -> ComplexArray:
         """Return q/u of each axis: (k, 3) for s (k,) 1/s."""
@@ -307,44 +296,16 @@ class ModalAxes(VibrationModel):
             response[:, axis] += o.share * drive / (o.mass * s**2 + (o.belt_damping + o.damping) * s + o.stiffness)
         return response
 
-    def _by_springs_and_dampers(self, s: ComplexArray) -> ComplexArray:
-        """Return the springs' response to w, then the dampers' to u, in q and q_d of each axis: (2, 2, k, 3)."""
-        parts = np.zeros((2, 2, len(s), 3), dtype=np.complex128)
-        for axis, i, o in self._each():
-            mode = o.share / (o.mass * s**2 + (o.belt_damping + o.damping) * s + o.stiffness)
-            for part, force in zip(parts, (o.stiffness * mode, o.belt_damping * s * mode), strict=True):
-                part[0, :, axis] += force
-                part[1, :, axis] += force * self._part(axis, i)
-        return parts
-
     def _part(self, axis: int, i: int) -> float:
         """Return the part of a mode's p in q_d: w/σ."""
         share = self.axes[axis][i].share
         return float(self._weights(axis)[i] / share) if share else 0.0
 
-    @property
-    def _coupling(self) -> FloatArray:
-        """Return C of w = u + C (u − q_d), (3, 3)."""
-        return self.exchange * np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
-
     def carriage_response(self, xy: FloatArray, s: ComplexArray) -> ComplexArray:
         """Return G, commanded to real actuator positions, at (2,) mm and s (k,) 1/s: (k, 3, 3)."""
-        if not self.exchange:
-            return np.asarray(self.axis_frf(s)[:, None, :] * np.eye(3))
-        c, eye = self._coupling, np.eye(3)
-        (sprung, sprung_driven), (damped, damped_driven) = self._by_springs_and_dampers(s)
-        w = np.linalg.solve(eye + c * sprung_driven[:, None, :], eye + c - c * damped_driven[:, None, :])
-        return np.asarray(sprung[:, :, None] * w + damped[:, None, :] * eye)
-
-    def mechanics(self, xy: FloatArray) -> FloatArray:
-        """Return d/dt of the m/2 coordinates and their rates with the motors held, (n, m, m), at (n, 2) mm."""
-        plant = self.state_space(xy[:1])
-        order = np.arange(plant.a.shape[1]).reshape(-1, 2).T.ravel()  # positions, then rates
-        return np.tile(plant.a[0][np.ix_(order, order)], (len(xy), 1, 1))
-
-    def nozzle_motion(self, xy: FloatArray) -> FloatArray:
-        """Return the nozzle's motion from the coordinates', (n, 3, m/2), at positions (n, 2) mm."""
-        return np.tile(np.eye(3)[:, [axis for axis, _, _ in self._each()]], (len(xy), 1, 1))
+        if self.exchange:
+            return super().carriage_response(xy, s)
+        return np.asarray(self.axis_frf(s)[:, None, :] * np.eye(3))
 
     def state_space(self, xy: FloatArray) -> StateSpace:
         """Return the equations of motion frozen at each of the positions (g, 2) mm, in the model's own states."""
@@ -387,10 +348,6 @@ class ModalAxes(VibrationModel):
             bend[axis] += o.share * (o.mass / o.stiffness - lag * (o.belt_damping / o.stiffness + lag))
         return tau, np.tile(np.diag(bend + tau**2), (len(xy), 1, 1))
 
-    def equilibrium(self, q: FloatArray) -> FloatArray:
-        """Return the state at rest with the actuators at (3,) mm."""
-        return self.steady_motion(q, np.zeros(3))
-
     def steady_motion(self, q: FloatArray, qd: FloatArray) -> FloatArray:
         """Return the state with the actuators at (3,) mm, in steady motion at (3,) mm/s."""
         tau, _ = self.low_frequency(np.zeros((1, 2)))
@@ -400,10 +357,6 @@ class ModalAxes(VibrationModel):
             for axis, _, o in self._each()
         ]
         return np.array(states).ravel()
-
-    def undriven(self) -> ModalAxes:
-        """Return the model with ideal drives: motors follow their command exactly."""
-        return self
 
     # ---- the nonlinear printer
 
@@ -439,10 +392,6 @@ class ModalAxes(VibrationModel):
                 table[i, 2:, axis] = o.belt_damping / o.mass, o.share, part, k * part / omega2, highest
         return table
 
-    def describe(self) -> Description:
-        """Return the words for headings."""
-        return Description("straight axes", None)
-
 
 def _is_chain(modes: Sequence[Oscillator]) -> bool:
     """Whether an axis may be two masses in series: in the higher mode they move against each other."""
@@ -472,13 +421,13 @@ def _apart(modes: Sequence[Oscillator]) -> float:
 
 
 def _with_forces(
-    modes: Sequence[Oscillator], weights: FloatArray, k: float, stiffer: float, damped: float, heavier: float
+    modes: Sequence[Oscillator], weights: FloatArray, k: float, stiffer: float, damped: float
 ) -> tuple[Oscillator, ...]:
-    """Return the modes of an axis with k (1 + stiffer), and with more damping and mass at its driven point.
+    """Return the modes of an axis with k (1 + stiffer), and with more damping at its driven point.
 
-    In coordinates of unit mass the belt drives mode i by φ_i, φ_i² = w_i ω_i²/k, and K + r k φφᵀ and 1 + Δm φφᵀ have
-    new modes. Each keeps its own damping; the rest of the damping matrix would couple them. A rigid axis has no
-    numbers that a file could change.
+    In coordinates of unit mass the belt drives mode i by φ_i, φ_i² = w_i ω_i²/k, and K + r k φφᵀ has new modes. Each
+    keeps its own damping; the rest of the damping matrix would couple them. A rigid axis has no numbers that a file
+    could change.
     """
     if modes[0].rigid:
         return tuple(modes)
@@ -487,21 +436,12 @@ def _with_forces(
     phi = np.sqrt(weights * omega2 / k)
     shown = np.divide(share * omega2, k * phi, out=np.zeros_like(phi), where=phi > 0)  # of the nozzle
     more = np.outer(phi, phi)
-    squares, shapes = (
-        _modes(omega2, stiffer * k * more, heavier * more) if stiffer or heavier else (omega2, np.eye(len(phi)))
-    )
+    squares, shapes = np.linalg.eigh(np.diag(omega2) + stiffer * k * more) if stiffer else (omega2, np.eye(len(phi)))
     damping = shapes.T @ (np.diag([o.damping / o.mass for o in modes]) + damped * more) @ shapes
     belts = shapes.T @ np.diag([o.belt_damping / o.mass for o in modes]) @ shapes
     shares = k * (1 + stiffer) * (shapes.T @ phi) * (shapes.T @ shown) / squares
     each = zip(squares.tolist(), np.diag(damping).tolist(), np.diag(belts).tolist(), shares.tolist(), strict=True)
     return tuple(Oscillator(square, guide, belt, share=sigma) for square, guide, belt, sigma in each)
-
-
-def _modes(omega2: FloatArray, stiffer: FloatArray, heavier: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return ω² and the shapes of oscillators of ω² (n,) with stiffness and mass (n, n) added, by unit modal mass."""
-    lower = np.linalg.inv(np.linalg.cholesky(np.eye(len(omega2)) + heavier))
-    squares, vectors = np.linalg.eigh(lower @ (np.diag(omega2) + stiffer) @ lower.T)
-    return squares, lower.T @ vectors
 
 
 def _column(axis: int, mode: int, kind: str) -> int:

@@ -183,20 +183,19 @@ def chain(k1: float, k2: float, m1: float, m2: float) -> tuple[NDArray[np.float6
 
 
 def test_the_frequency_of_the_mount_makes_two_modes_a_chain_of_two_masses() -> None:
-    """A stiffer belt, and what else acts at the mass that it drives, does what it does to the chain."""
+    """A stiffer belt changes both modes as it does those of the chain."""
     k1, k2, m1, m2 = 2e4, 3e4, 0.35, 0.12
     frequency, share = chain(k1, k2, m1, m2)
     mount = float(np.sqrt(k2 / m2) / (2 * np.pi))
     axis = Axis(tuple(frequency), (0.0, 0.0), tuple(share), mass_kg=m1 + m2, mount_frequency_hz=mount)
     model = ModalAxes.of([axis, Axis(), Axis()])
     assert model.drive_stiffness[0] == pytest.approx(k1, rel=1e-9)
-    changes = (
-        (model.with_belts(np.array([0.3, 0.0, 0.0]), np.eye(3)), chain(1.3 * k1, k2, m1, m2)),
-        (model.with_moved_mass(np.array([0.1, 0.0, 0.0])), chain(k1, k2, m1 + 0.1, m2)),
+    changed, (expected, shares) = (
+        model.with_belts(np.array([0.3, 0.0, 0.0]), np.eye(3)),
+        chain(1.3 * k1, k2, m1, m2),
     )
-    for changed, (expected, shares) in changes:
-        assert [o.frequency_hz for o in changed.axes[0]] == pytest.approx(expected, rel=1e-9)
-        assert [o.share for o in changed.axes[0]] == pytest.approx(shares, rel=1e-9)
+    assert [o.frequency_hz for o in changed.axes[0]] == pytest.approx(expected, rel=1e-9)
+    assert [o.share for o in changed.axes[0]] == pytest.approx(shares, rel=1e-9)
     parts = model.printer_modes()[:2, 4, 0]
     still = parts @ (share * frequency**2 / (frequency**2 - mount**2))
     assert still == pytest.approx(
