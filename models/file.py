@@ -75,35 +75,20 @@ def find_by_sha256(digits: str, name: str, more: Iterable[Path] = ()) -> Path:
 def load_machine(name_or_path: str | Path) -> Machine:
     """Return the printer of that name or in that file.
 
-    Raises
-    ------
-    MachineFileError
-        With every mistake in the file, or if it describes one axis by itself.
+    MachineFileError: with every mistake in the file, or if it describes one axis by itself.
     """
     document, sha256, path = _read(name_or_path)
     return document.printer(sha256, path)
 
 
 def machine_of_text(text: str, path: str) -> Machine:
-    """Return the printer that a machine file's text describes; `path` is for messages.
-
-    Raises
-    ------
-    MachineFileError
-        With every mistake in it, or if it describes one axis by itself.
-    """
+    """Return the printer that a machine file's text describes, as `load_machine` does; `path` is for messages."""
     data = text.encode("utf-8")
     return _parsed(data, path).printer(hashlib.sha256(data).hexdigest(), path)
 
 
 def load_plant(name_or_path: str | Path) -> Machine:
-    """Return the machine of that name or in that file: a printer, or one axis by itself.
-
-    Raises
-    ------
-    MachineFileError
-        With every mistake in the file.
-    """
+    """Return the printer or the single axis of that name or in that file; MachineFileError with every mistake in it."""
     document, sha256, path = _read(name_or_path)
     return document.machine(sha256, path)
 
@@ -187,13 +172,7 @@ def starting_text(name: str, source: Path) -> str:
 
 
 def check_text(text: str, path: str) -> None:
-    """Refuse a machine file's text that could not be loaded; `path` is for messages.
-
-    Raises
-    ------
-    MachineFileError
-        With every mistake in it.
-    """
+    """Raise MachineFileError with every mistake in a machine file's text; `path` is for messages."""
     _parsed(text.encode("utf-8"), path)
 
 

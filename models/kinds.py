@@ -16,13 +16,7 @@ from models.vibration.driven_axis import DrivenAxis
 
 
 def delta_vibration(machine: Machine) -> DeltaVibration:
-    """Return the machine's carriages and effector.
-
-    Raises
-    ------
-    MachineFileError
-        If the machine is not a delta.
-    """
+    """Return the carriages and effector of a delta; MachineFileError for another machine."""
     if not isinstance(machine.vibration, DeltaVibration):
         rule = "The machine is not a delta (kinematics.type); this works for deltas only."
         raise MachineFileError(machine.path or machine.name, [rule])

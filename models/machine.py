@@ -198,13 +198,7 @@ class Machine:
 
 
 def value_of(machine: Machine, name: str) -> float:
-    """Return one parameter.
-
-    Raises
-    ------
-    KeyError
-        If the machine has no such parameter.
-    """
+    """Return one parameter; KeyError if the machine has none of this name."""
     return machine.vibration.value(name)
 
 

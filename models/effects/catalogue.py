@@ -13,23 +13,12 @@ from models.effects.effect import PER_KILOGRAM, Effect, Signals, Terms
 from models.machine import Machine
 from models.quantities import Quantities
 
-CATALOGUE: Mapping[str, Effect] = {
-    effect.name: effect
-    for effect in sorted(
-        (effect for family in (delta_parts, drives, friction, sensors, structure) for effect in family.EFFECTS),
-        key=lambda effect: effect.name,
-    )
-}
+_DECLARED = [each for family in (delta_parts, drives, friction, sensors, structure) for each in vars(family).values()]
+CATALOGUE: Mapping[str, Effect] = dict(sorted((each.name, each) for each in _DECLARED if isinstance(each, Effect)))
 
 
 def effect_named(name: str) -> Effect:
-    """Return the effect of that name.
-
-    Raises
-    ------
-    ValueError
-        If there is none.
-    """
+    """Return the effect of that name; ValueError if there is none."""
     if name not in CATALOGUE:
         raise ValueError(f"effects.{name} is not a known effect; known are {', '.join(CATALOGUE)}.")
     return CATALOGUE[name]

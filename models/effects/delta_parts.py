@@ -181,5 +181,3 @@ FORCE_MAP = Effect(
     of=("carriages",),
     remedy="Nothing to repair: the machine file uses the other force map, which is a modelling choice.",
 )
-
-EFFECTS = (EFFECTOR_MASS, CENTER_OF_MASS, EXTRUDER_MOUNT, ARM_INERTIA, ARM_GEOMETRY, FORCE_MAP)

@@ -343,14 +343,3 @@ QUADRATIC_DRAG = Effect(
     terms=lambda values, _: {"drag": values["force_n_s2_per_m2"]},
     remedy="Look for what the motion displaces: air in a closed space, oil, coolant.",
 )
-
-EFFECTS = (
-    GUIDE_DAMPING,
-    COULOMB_FRICTION,
-    STRIBECK_FRICTION,
-    BRISTLE_FRICTION,
-    JOINT_FRICTION,
-    FRICTION_BY_DIRECTION,
-    FRICTION_BY_LOAD,
-    QUADRATIC_DRAG,
-)

@@ -155,5 +155,3 @@ SENSOR_LAG = Effect(
     shifts_time=True,
     remedy="Nothing to repair on the axis: state the sensor's lag in the file, or read all sensors at once.",
 )
-
-EFFECTS = (SENSOR_LAG, SENSOR_GAIN, SENSOR_MISALIGNMENT, SENSOR_TIME_OFFSET, SENSOR_CLOCK_DRIFT)

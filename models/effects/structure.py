@@ -262,5 +262,3 @@ COGGING_FORCE = Effect(
     remedy="Look for parts that repeat along the travel: magnets, a screw's balls, a rack's or a belt's teeth.",
     of_motors=True,
 )
-
-EFFECTS = (FRAME_MODE, GANTRY_RACKING, TOOLHEAD_MODE, GROWING_BED, GROUND_SPRING, PENDULUM_GRAVITY, COGGING_FORCE)

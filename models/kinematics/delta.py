@@ -160,30 +160,12 @@ class DeltaKinematics(Kinematics):
         }
 
     def inverse(self, xyz: FloatArray) -> FloatArray:
-        """Return carriage heights q_i = z + H_ez + h_i (Eqs. 3-5).
-
-        Parameters
-        ----------
-        xyz : (n, 3) mm, columns X Y Z of the nozzle.
-
-        Returns
-        -------
-        (n, 3) mm, columns A B C: height of each carriage joint above the bed.
-        """
+        """Return the heights (n, 3) mm of the carriages' joints above the bed, q_i = z + H_ez + h_i (Eqs. 3-5)."""
         _, heights = self._arms(xyz)
         return xyz[:, 2:3] + self.effector_height_mm + heights
 
     def forward(self, q: FloatArray) -> FloatArray:
-        """Return nozzle positions: the lower of the two points where the arms' spheres meet (Eqs. 3-5, solved exactly).
-
-        Parameters
-        ----------
-        q : (n, 3) mm, columns A B C.
-
-        Returns
-        -------
-        (n, 3) mm, columns X Y Z.
-        """
+        """Return nozzle positions, the lower of the two points where the arms' spheres meet (Eqs. 3-5)."""
         xyz = self.compiled().forward(q)
         apart = "The carriages at A = {:.3f}, B = {:.3f}, C = {:.3f} mm stand too far apart for the arms to meet."
         require(np.isfinite(xyz[:, 2]), q, apart)
@@ -192,13 +174,7 @@ class DeltaKinematics(Kinematics):
     def jacobian(self, xy: FloatArray) -> FloatArray:
         """Return J = −S⁻¹ diag(s_iᵀp), with Ẋ = J q̇ (Eq. 12); rows s_iᵀ of S, p = (0, 0, −1), so s_iᵀp = h_i.
 
-        Parameters
-        ----------
-        xy : (n, 2) mm, columns X Y; further columns are ignored.
-
-        Returns
-        -------
-        (n, 3, 3) mm/mm, rows X Y Z, columns A B C.
+        (n, 3, 3) mm/mm, rows X Y Z, columns A B C, at xy (n, 2) mm; further columns are ignored.
         """
         if len(xy) == 1:  # a fit needs the same position thousands of times
             return _jacobian_at(self, float(xy[0, 0]), float(xy[0, 1])).copy()

@@ -37,18 +37,13 @@ def refuse_others(effects: Mapping[str, Mapping[str, Any]], moves: str, kind: st
         for name in effects
         if name in CATALOGUE and name not in able
     )
+    printer = moves != "axis"
+    whose = "one axis by itself: it selects one of two springs" if printer else "printers: here use bristle_friction"
     refuse(
-        f"effects.{name}.{key.name} is only for one axis by itself: it selects one of two springs."
+        f"effects.{name}.{key.name} is only for {whose}."
         for name, table in effects.items()
-        if name in able and moves != "axis"
-        for key in CATALOGUE[name].of_axis
-        if key.name in table
-    )
-    refuse(
-        f"effects.{name}.{key.name} is only for printers: on one axis by itself use bristle_friction."
-        for name, table in effects.items()
-        if name in able and moves == "axis"
-        for key in CATALOGUE[name].of_printers
+        if name in able
+        for key in (CATALOGUE[name].of_axis if printer else CATALOGUE[name].of_printers)
         if key.name in table
     )
 
@@ -197,11 +192,12 @@ class PrinterDocument(Document):
     def printer(self, sha256: str, path: str) -> Machine:
         """Return the printer that the file describes."""
         kinematics, vibration = self.machine_parts()
+        firmware, limits, towers = self.firmware, self.limits.limits(), self.moves == "carriages"
         return Machine(
             name=self.name,
             kinematics=kinematics,
             vibration=vibration,
-            limits=self.limits.limits(),
+            limits=limits,
             steps=self.steps.steps(),
             effects=self.effects,
             uncertainty={"default": DEFAULT_UNCERTAINTY, **self.uncertainty},
@@ -210,15 +206,13 @@ class PrinterDocument(Document):
             path=path,
             returns=tuple(self.macros.returns or ()),
             still=tuple(self.macros.still or ()),
-            input_shaper=None if self.firmware.input_shaper is None else tuple(self.firmware.input_shaper),
-            flavor=self.firmware.flavor or "",
-            firmware_version=tuple(map(int, re.findall(r"\d+", self.firmware.version or ""))),
-            marlin=None
-            if self.firmware.marlin is None
-            else self.firmware.marlin.settings(self.limits.limits(), self.moves == "carriages"),
+            input_shaper=None if firmware.input_shaper is None else tuple(firmware.input_shaper),
+            flavor=firmware.flavor or "",
+            firmware_version=tuple(map(int, re.findall(r"\d+", firmware.version or ""))),
+            marlin=None if firmware.marlin is None else firmware.marlin.settings(limits, towers),
             reprapfirmware=None
-            if self.firmware.reprapfirmware is None
-            else self.firmware.reprapfirmware.settings(self.limits.limits(), self.moves == "carriages"),
+            if firmware.reprapfirmware is None
+            else firmware.reprapfirmware.settings(limits, towers),
             pressure=None if self.extruder is None else self.extruder.pressure(),
         )
 

@@ -143,16 +143,9 @@ class VibrationModel(ABC):
     def frequency_response(
         self, xy: FloatArray, frequency_hz: FloatArray, output: Output = "carriage", input: Input = "carriage"
     ) -> ComplexArray:
-        """Return G, J G, G J⁻¹ or J G J⁻¹ at one position, for small motion, or one of them times s².
+        """Return G, J G, G J⁻¹ or J G J⁻¹, for small motion around xy (2,) mm, or one of them times s².
 
-        Parameters
-        ----------
-        xy : (2,) mm, columns X Y.
-        frequency_hz : (k,) Hz.
-
-        Returns
-        -------
-        (k, 3, 3) mm/mm, of acceleration 1/s²; rows outputs (actuators or X Y Z), columns inputs.
+        (k, 3, 3) mm/mm, of acceleration 1/s², at (k,) Hz; rows outputs (actuators or X Y Z), columns inputs.
         """
         s = np.asarray(2j * np.pi * frequency_hz, dtype=np.complex128)
         g = self.carriage_response(xy, s)
@@ -196,12 +189,7 @@ class VibrationModel(ABC):
 
     @abstractmethod
     def low_frequency(self, xy: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return τ and C of the series G⁻¹(s) = I + τ s + C s² + ….
-
-        Returns
-        -------
-        (3,) s, of the actuators; (n, 3, 3) s², at positions (n, 2) mm.
-        """
+        """Return τ (3,) s and C (n, 3, 3) s² of G⁻¹(s) = I + τ s + C s² + …, at positions (n, 2) mm."""
 
     def equilibrium(self, q: FloatArray) -> FloatArray:
         """Return the state at rest with the actuators at (3,) mm."""

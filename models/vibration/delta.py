@@ -117,12 +117,9 @@ class DeltaVibration(VibrationModel):
     def parameters(self) -> ParameterSet:
         """Return the uncertain numbers of the model; the geometry is calibrated and not among them."""
         names = []
-        for key in CARRIAGE:  # three of them, where an effect has made towers differ
-            several = np.ndim(getattr(self.carriage, key)) > 0
-            names += [f"carriage.{key}[{i}]" for i in range(3)] if several else [f"carriage.{key}"]
-        if self.carriage.drive is not None:
-            names += [f"carriage.drive.{key}" for key in DRIVE]
-        names += [f"effector.{key}" for key in EFFECTOR] + [f"effector.{key}[{i}]" for key in MOUNT for i in range(3)]
+        for key in self.tunable:  # three numbers, where an effect has made towers differ
+            several = np.ndim(getattr(self.carriage, key.removeprefix("carriage."), 0.0)) > 0
+            names += [f"{key}[{i}]" for i in range(3)] if several else [key]
         each = (Parameter(name, self.value(name), i, name.partition("[")[0]) for i, name in enumerate(names))
         return ParameterSet(tuple(each), len(names))
 
@@ -149,13 +146,7 @@ class DeltaVibration(VibrationModel):
     def load_map(self, xy: FloatArray) -> FloatArray:
         """Return Γ, the share of each carriage: F_q = Γ W X, with Γ = Jᵀ or rows J_iᵀ P_i (Eq. 27).
 
-        Parameters
-        ----------
-        xy : (n, 2) mm, columns X Y.
-
-        Returns
-        -------
-        (n, 3, 3) N/N, rows carriages A B C, columns X Y Z of the force.
+        (n, 3, 3) N/N at (n, 2) mm; rows carriages A B C, columns X Y Z of the force.
         """
         return self._load_map(self.kinematics.jacobian(xy))
 
@@ -171,17 +162,7 @@ class DeltaVibration(VibrationModel):
         return np.asarray(self.carriage.arm_inertia_kg * (3 * j.transpose(0, 2, 1) @ j - both + np.eye(3)))
 
     def carriage_impedance(self, xy: FloatArray, s: ComplexArray) -> ComplexArray:
-        """Return the part of Z without the effector: carriages and mass along the arms.
-
-        Parameters
-        ----------
-        xy : (2,) mm, columns X Y.
-        s : (k,) 1/s.
-
-        Returns
-        -------
-        (k, 3, 3) N/m.
-        """
+        """Return Z without the effector, carriages and mass along the arms: (k, 3, 3) N/m at (2,) mm and s (k,) 1/s."""
         arms = self.arm_inertia(self.kinematics.jacobian(xy[None]))
         return np.asarray(impedance(self.carriage, s)[:, None, None] * np.eye(3) - s[:, None, None] ** 2 * arms)
 
@@ -200,16 +181,9 @@ class DeltaVibration(VibrationModel):
         )
 
     def receptance(self, xy: FloatArray, s: ComplexArray) -> ComplexArray:
-        """Return Z⁻¹ at one position, motors held: forces on the carriages to their positions.
+        """Return Z⁻¹, motors held: from forces on the carriages to their positions.
 
-        Parameters
-        ----------
-        xy : (2,) mm, columns X Y.
-        s : (k,) 1/s.
-
-        Returns
-        -------
-        (k, 3, 3) m/N, rows position of carriage A B C, columns force on carriage A B C.
+        (k, 3, 3) m/N at (2,) mm and s (k,) 1/s; rows positions, columns forces.
         """
         eq, s2 = self.equations(xy[None]), s[:, None] ** 2
         mass = eq.mass[0]
@@ -230,16 +204,9 @@ class DeltaVibration(VibrationModel):
         return np.asarray(s[:, None] ** 2 * apparent_mass(self.effector, self.nozzle_side_mass_kg, s))
 
     def struck_frf(self, s: ComplexArray, with_arms: bool = False) -> ComplexArray:
-        """Return force on the nozzle holder to its acceleration, the effector hanging free, per axis (Eq. 45).
+        """Return acceleration over force of the nozzle holder, hanging free: (k, 3) 1/kg along X Y Z at s (k,) 1/s.
 
-        Parameters
-        ----------
-        s : (k,) 1/s.
-        with_arms : the arms' lower halves ride along, and this is s²/W; else it is Eq. 45, the effector by itself.
-
-        Returns
-        -------
-        (k, 3) 1/kg, columns X Y Z.
+        By default Eq. 45, the effector by itself; `with_arms` their lower halves ride along, and this is s²/W.
         """
         nozzle_side = self.nozzle_side_mass_kg if with_arms else self.effector.nozzle_mass_kg
         return np.asarray(1 / apparent_mass(self.effector, nozzle_side, s))

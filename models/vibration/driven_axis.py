@@ -233,15 +233,8 @@ class DrivenAxis(VibrationModel):
             a[1] += pull / m
             a[2, 3], a[3] = 1.0, -pull / self.load_mass_kg
         last[0, n - 2] = 1.0
-        g = (len(xy), 1, 1)
-        return StateSpace(
-            a=np.tile(a, g),
-            b_command=np.tile(command, g),
-            b_slope=np.tile(slope, g),
-            b_centripetal=np.zeros((len(xy), n, 3)),
-            carriage=last,
-            names=("pos", "vel", "pos_load", "vel_load")[:n],
-        )
+        names = ("pos", "vel", "pos_load", "vel_load")[:n]
+        return StateSpace(a, command, slope, slope, last, names).everywhere(len(xy))
 
     def low_frequency(self, xy: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return τ and C of the series G⁻¹(s) = I + τ s + C s² + …; ValueError for a force input."""

@@ -325,19 +325,9 @@ class ModalAxes(VibrationModel):
                 for k, (of, mode, _) in enumerate(each):
                     if of == other:
                         a[rate, 2 * k] -= command[rate, other] * self._part(of, mode)
-
-        def everywhere(matrix: FloatArray) -> FloatArray:
-            return np.tile(matrix, (len(xy), 1, 1))
-
-        return StateSpace(
-            everywhere(a),
-            everywhere(command),
-            everywhere(slope),
-            everywhere(np.zeros((n, 3))),
-            carriage,
-            tuple(f"{kind}_{AXES[axis]}{i + 1}" for axis, i, _ in each for kind in ("pos", "vel")),
-            oscillators=np.array([axis for axis, _, _ in each]),
-        )
+        names = tuple(f"{kind}_{AXES[axis]}{i + 1}" for axis, i, _ in each for kind in ("pos", "vel"))
+        axes = np.array([axis for axis, _, _ in each])
+        return StateSpace(a, command, slope, slope, carriage, names, oscillators=axes).everywhere(len(xy))
 
     def low_frequency(self, xy: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return τ and C: the sums' series at s = 0, turned over."""

@@ -5,7 +5,7 @@ States are physical coordinates, so that matrices of neighbouring positions can 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import factorial
 
 import numpy as np
@@ -28,9 +28,13 @@ class StateSpace:
     carriage: FloatArray  # (3, n), C
     names: tuple[str, ...]  # (n,) of the states
     drive_states: int = 0  # number of leading states that are the drives': nothing acts back on them
-    oscillators: IntArray = field(
-        default_factory=_none
-    )  # (n/2,) axis of each pair of states (p, ṗ), of oscillators that are the same at every position
+    # (n/2,) axis of each pair of states (p, ṗ), of oscillators that are the same at every position
+    oscillators: IntArray = field(default_factory=_none)
+
+    def everywhere(self, positions: int) -> StateSpace:
+        """Return the plant of one position at so many, without J̇ q̇."""
+        a, command, slope = (np.tile(each, (positions, 1, 1)) for each in (self.a, self.b_command, self.b_slope))
+        return replace(self, a=a, b_command=command, b_slope=slope, b_centripetal=np.zeros_like(command))
 
 
 @dataclass(frozen=True, slots=True)

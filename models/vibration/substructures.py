@@ -116,8 +116,6 @@ def apparent_mass(effector: Effector, nozzle_side_kg: float, s: ComplexArray) ->
 def load_distribution(tower_angles_rad: FloatArray, effector: Effector) -> FloatArray:
     """Return the matrices P_i: arm i's share of the force on the effector, minimum norm (Eqs. 19-23).
 
-    Returns
-    -------
     (3, 3, 3) N/N: arms A B C, rows X Y Z of the arm's force, columns X Y Z of the whole force.
     """
     angles = tower_angles_rad
