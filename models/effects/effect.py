@@ -151,8 +151,9 @@ def amplitude(
     """Declare an amplitude; `more` may have fields of `OnAxis`, and a `unit` where the name does not tell it."""
     on_axis = {key: more.pop(key) for key in OnAxis.__dataclass_fields__ if key in more}
     unit = more.pop("unit", PLAIN.unit_of(name))
-    own = {"on_axis": OnAxis(**on_axis)} if on_axis else {}
-    return Parameter(name, unit, meaning, bounds, typical, probe, size, **own, **more)
+    if on_axis:
+        more["on_axis"] = OnAxis(**on_axis)
+    return Parameter(name, unit, meaning, bounds, typical, probe, size, **more)
 
 
 def shape(

@@ -109,9 +109,13 @@ def simulate_axis(
     return AxisMotion(t, 1e3 * out[:, 1], 1e3 * out[:, 0], out[:, 2], 1e3 * out[:, 3], out[:, 4], steps * len(drive))
 
 
+def _by_name(p: FloatArray) -> dict[str, float]:
+    return dict(zip(AXIS_PARAMETERS, p.tolist(), strict=True))
+
+
 def load_of(p: FloatArray, samples: FloatArray) -> float:
     """Return about the largest force, N, that friction by load grows with; 0 without such friction."""
-    v = dict(zip(AXIS_PARAMETERS, p.tolist(), strict=True))
+    v = _by_name(p)
     drive = float(np.abs(samples).max()) if v["by_force"] else v["stiffness"] * float(np.ptp(samples))
     held = v["held_share"] * (abs(v["weight_moment"]) + abs(v["ground"]) * float(np.ptp(samples)))
     return v["load_share"] * (min(drive, v["drive_limit"]) + held)
@@ -119,7 +123,7 @@ def load_of(p: FloatArray, samples: FloatArray) -> float:
 
 def with_stable_friction(p: FloatArray, step_s: float, load_n: float) -> FloatArray:
     """Return the parameters with a creep speed large enough that dry friction does not overshoot rest."""
-    v = dict(zip(AXIS_PARAMETERS, p.tolist(), strict=True))
+    v = _by_name(p)
     least = (v["dry"] + v["sticking"] + load_n) * step_s / (STEEPEST * v["mass"])
     if least <= v["creep"]:
         return p
@@ -130,7 +134,7 @@ def with_stable_friction(p: FloatArray, step_s: float, load_n: float) -> FloatAr
 
 def substeps_of(p: FloatArray, dt_s: float, step_rad: float = STEP_RAD, load_n: float = 0.0) -> int:
     """Return how many integration steps a sample needs."""
-    v = dict(zip(AXIS_PARAMETERS, p.tolist(), strict=True))
+    v = _by_name(p)
     least = min(v["mass"], v["load"] or v["mass"])
     omega = math.sqrt((v["stiffness"] + v["coupling"] + abs(v["weight_moment"])) / least)
     rate = (v["damping"] + v["drive_damping"] + v["coupling_damping"]) / least

@@ -92,13 +92,7 @@ class ExtruderTable(Table):
 
     def pressure(self) -> Pressure:
         """Return the pressure model."""
-        return Pressure(
-            self.pressure_time_constant_s,
-            self.pressure_flow_exponent,
-            self.pressure_reference_mm_per_s,
-            self.firmware_advance_s,
-            self.corner_velocity_mm_per_s,
-        )
+        return Pressure(**{key.removeprefix("pressure_"): value for key, value in self.model_dump().items()})
 
 
 Speeds = Annotated[list[Annotated[float, Field(ge=0.01, le=5000)]], FOUR]

@@ -50,14 +50,7 @@ class AxisTable(Table):
 
     def axis(self) -> Axis:
         """Return the axis with its modes."""
-        return Axis(
-            self.frequency_hz,
-            self.damping_ratio,
-            self.share or [1.0],
-            self.mass_kg,
-            self.mount_frequency_hz,
-            self.belt_damping_share or 0.0,
-        )
+        return Axis(**self.model_dump(exclude_none=True))
 
 
 class AxesTable(Table):

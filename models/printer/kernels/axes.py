@@ -1,4 +1,4 @@
-"""Evaluate straight axes: their modes (`models/vibration/modal.py`), and what acts on their belts and guides.
+"""Straight axes: their modes (`models/vibration/modal.py`), and what acts on their belts and guides.
 
 Each axis is driven by w, where its motors would have to be for linear belts without friction. With T from the axes to
 the motors (a CoreXY's A = x + y, B = x − y), u the motors, q_d the axes' driven points, and g(s) the force of a belt
@@ -19,273 +19,414 @@ of a gantry with the toolhead at x from its axis, whose inertia is λ² and whos
 where a is the arm of the force along x. A mass that grows with the height z divides all f of its axis by 1 + g z; ω² of
 an axis' highest mode may depend on x.
 
-`axes_step.py` does the same faster for most machines. The state, three rows for each entry, is the
-strain of dry friction, (θ, θ̇, nothing), d, ḋ, then p_i, ṗ_i of every mode.
+A whole step of a lane is one loop, with the state in registers. All that it needs is in rows of one array, after those
+of `record.py`: only so does the compiler see that lanes do not disturb each other, and puts them side by side. The
+modes of an axis are tuples, whose length is part of their type: each number of modes is compiled by itself.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import TypeAlias
 
 import numpy as np
 
 from models.arrays import FloatArray
-from models.printer.kernels.friction import guide_friction, stribeck
-from models.printer.kernels.motors import drive_of_axes, effective_stretch, torque_angle
-from models.printer.kernels.record import (
-    ACC,
-    COMMAND,
-    COMMAND_RATE,
-    F0,
-    GUIDE,
-    GUIDES,
-    LANES,
-    MOTOR,
-    MOTOR_RATE,
-    NOW,
-    ONE,
-    PULL,
-    QD,
-    RATE,
-    RHO,
-    RIPPLE,
-    RIPPLE_RATE,
-    SPRING,
-    STRETCH,
-    THREE,
-    XD,
-    ActiveEffects,
-    J,
-    Q,
-    Row,
-    X,
-    parameter_rows,
-)
-from models.printer.kernels.vectors import any_nonzero, at, compiled, dot, put, vector
+from models.printer.kernels import record as r
+from models.printer.kernels.friction import guide_force, sliding_level
+from models.printer.kernels.motors import drive_of_axes, effective_stretch, rippled, torque
+from models.printer.kernels.record import LANES, NO, ONE, ROWS, THREE, TWO, YES, ZERO, ActiveEffects, Row, Vector
+from models.printer.kernels.vectors import any_nonzero, at, compiled, dot, inlined, power, unrolled, vector
 
-TO_MOTORS, TO_AXES, BELT_K, GROWTH = parameter_rows("motor_matrix", "axis_matrix", "belt_k", "growth")
-DIRECTIONS, FRAME_K, FRAME_B, FRAME = parameter_rows("frame_directions", "frame_k", "frame_b", "frame_inverse_mass")
-YAW_K, YAW_B, YAW_INERTIA = parameter_rows("yaw_k", "yaw_b", "yaw_inertia")
-YAW_SHARE, YAW_CENTRE, YAW_ARM = parameter_rows("yaw_share", "yaw_centre", "yaw_arm")
-BY_X, BY_X_SQUARED, BY_X_CENTRE = parameter_rows("by_x", "by_x_squared", "by_x_centre")
-
-# Rows of m that a delta uses for itself, here between the loops: w and ẇ − q̇_d of the axes, force over stiffness less
-# stretch of the belts, ẇ's of the belts, the force Σ N f; acceleration of q_d; what x adds to ω², relative to it.
-DRIVE, DRIVE_RATE, BEYOND, SLIP, STIFFER = XD, X, PULL, F0, RHO
-LIGHTER, COMPLIANCE = J, J + 3  # the mass over that at this height; 1/k of `drive_stiffness`
 LEAST_STIFFER = -0.9  # of ω², however far x is from the place where the file's holds
-WIDTH = 3 * LANES  # of a row of a state
+
+# A state, three entries a row: strain of dry friction, (θ, θ̇, nothing), d, ḋ, then p_i, ṗ_i of every mode.
 STRAIN, YAW, SWAY, SWAY_RATE, FIRST = np.arange(5)
+# The fields of a mode: `ModalAxes.printer_modes`.
 FREQUENCY2, DAMPING, BELT_DAMPING, SHARE, PART, REACTION, HIGHEST = np.arange(7)
+FIELDS = 7
 
-
-class AxesState(NamedTuple):
-    """The state of all lanes, and the modes' table."""
-
-    base: FloatArray  # (rows * WIDTH,) at the step's start
-    now: FloatArray  # where the rate is evaluated
-    rate: FloatArray
-    sum: FloatArray  # of the step's rates
-    modes: FloatArray  # (n, 7, WIDTH)
-    mixed: bool  # whether a motor moves more than one axis, in any lane
-    swaying: bool  # whether there is a frame that sways, or a gantry that yaws
-    growing: bool  # whether the mass depends on the nozzle's height
-    by_place: bool  # whether a mode depends on x
-
-
-@compiled
-def is_swaying(m: FloatArray) -> bool:
-    """Whether there is a frame that sways, or a gantry that yaws, in any lane."""
-    return any_nonzero(m, FRAME, ONE) or any_nonzero(m, YAW_INERTIA, ONE)
+# Rows after those of `record.py`: the state without its modes; u and u̇ at the beginning, the middle and the end of a
+# step; place, velocity, acceleration of the nozzle at the step's beginning, then of the axes; 1/k of `drive_stiffness`;
+# of each mode its fields, p and ṗ.
+STATE = np.int64(ROWS)
+MOTORS = STATE + 3 * FIRST
+MOTION = MOTORS + 18
+COMPLIANCE = MOTION + 18
+MODES = COMPLIANCE + 3
+PLACES, RATES = MODES + 3 * FIELDS, MODES + 3 * FIELDS + 3
+EACH = np.int64(3 * FIELDS + 6)  # rows of a mode
+WIDTH = 3 * LANES
 
 
 @compiled
-def is_growing(m: FloatArray) -> bool:
-    """Whether the mass depends on the nozzle's height, in any lane."""
-    return any_nonzero(m, GROWTH, THREE)
+def in_rows(m: FloatArray, states: FloatArray, modes: FloatArray) -> FloatArray:
+    """Return m with the rows of this file: k printers' states (k, rows, 3) and modes (k, n, 7, 3).
 
-
-@compiled
-def depends_on_place(m: FloatArray) -> bool:
-    """Whether a mode depends on x, in any lane."""
-    return any_nonzero(m, BY_X, THREE) or any_nonzero(m, BY_X_SQUARED, THREE)
-
-
-@compiled
-def axes_rate(m: FloatArray, s: AxesState, has: ActiveEffects) -> None:
-    """Evaluate the rate of s.now under the command in m, and with it the acceleration (ACC); see `axes_motion`."""
-    _driven_points(m, s)
-    if s.mixed:
-        _mix(m, TO_MOTORS, NOW + Q, NOW + QD, BEYOND, SLIP)
-    _belts(m)
-    if has.torque_angle:
-        torque_angle(m)
-    if has.sticking:
-        stribeck(m)
-    if has.guides:
-        guide_friction(m)
-    _forces(m)
-    if s.mixed:
-        _mix(m, TO_AXES, BEYOND, SLIP, DRIVE, DRIVE_RATE)
-    _modes(m, s)
-    if s.swaying:
-        _reactions(m, s)
-
-
-@compiled
-def axes_motion(m: FloatArray, s: AxesState) -> None:
-    """Evaluate the motion (Q, QD; X, XD, ACC) at s.now, whose rate has been evaluated."""
-    _motion(m, s)
-    if s.swaying:
-        _yawed(m, s)
-
-
-@compiled
-def _driven_points(m: FloatArray, s: AxesState) -> None:
-    """Evaluate q_d and its rate, unmixed also as what the belts hold, and give the friction its strain."""
-    for i in range(len(s.modes)):
-        p, pd = (FIRST + 2 * i) * WIDTH, (FIRST + 2 * i + 1) * WIDTH
-        for n in range(WIDTH):
-            part, q, qd = s.modes[i, PART, n], at(m, NOW + Q, n), at(m, NOW + QD, n)
-            q, qd = (0.0 if i == 0 else q) + part * s.now[p + n], (0.0 if i == 0 else qd) + part * s.now[pd + n]
-            m[(NOW + Q) * LANES + n], m[(NOW + QD) * LANES + n] = q, qd
-            m[BEYOND * LANES + n], m[SLIP * LANES + n] = q, qd
-            m[(NOW + GUIDE) * LANES + n] = s.now[STRAIN * WIDTH + n]
-
-
-@compiled
-def _mix(m: FloatArray, matrix: Row, x: Row, x_rate: Row, to: Row, to_rate: Row) -> None:
-    """Evaluate a matrix times three rows, and times the three of their rates."""
-    for l in range(LANES):
-        q, qd = vector(m, x, l), vector(m, x_rate, l)
-        rows = vector(m, matrix, l), vector(m, matrix + 3, l), vector(m, matrix + 6, l)
-        put(m, to, l, (dot(rows[0], q), dot(rows[1], q), dot(rows[2], q)))
-        put(m, to_rate, l, (dot(rows[0], qd), dot(rows[1], qd), dot(rows[2], qd)))
-
-
-@compiled
-def _belts(m: FloatArray) -> None:
-    """Evaluate the ideal motors and the stretch of the belts and its rate.
-
-    The stretch is less the backlash, and up to that of the peak force.
+    Idle lanes repeat the first printer. A mode of zeros stays at rest.
     """
+    rows = np.zeros((MODES + EACH * modes.shape[1]) * LANES)
+    for n in range(len(m)):
+        rows[n] = m[n]
     for n in range(WIDTH):
-        motor, motor_rate = at(m, COMMAND, n) + at(m, RIPPLE, n), at(m, COMMAND_RATE, n) + at(m, RIPPLE_RATE, n)
-        m[MOTOR * LANES + n], m[MOTOR_RATE * LANES + n] = motor, motor_rate
-        stretch = effective_stretch(m, n, motor - at(m, BEYOND, n))
-        m[STRETCH * LANES + n] = m[SPRING * LANES + n] = stretch
-        m[SLIP * LANES + n] = motor_rate - m[SLIP * LANES + n]
-
-
-@compiled
-def _forces(m: FloatArray) -> None:
-    """Evaluate u + g(s) − s of the belts, with s = u − T q_d, and ẇ; unmixed they are the axes' own."""
-    for n in range(WIDTH):
-        stretch, spring = at(m, STRETCH, n), at(m, SPRING, n)
-        force, slip = drive_of_axes(m, n, at(m, MOTOR, n), at(m, BEYOND, n), stretch, spring, at(m, SLIP, n))
-        m[BEYOND * LANES + n], m[SLIP * LANES + n] = force, slip
-        m[DRIVE * LANES + n], m[DRIVE_RATE * LANES + n] = force, slip
-
-
-@compiled
-def _modes(m: FloatArray, s: AxesState) -> None:
-    """Evaluate f of every mode, Σ N f and Σ f of each axis, and the rate of the friction's strain."""
-    if s.growing:
-        _lighter(m)
-    if s.by_place:
-        _by_place(m)
-    for i in range(len(s.modes)):
-        p, pd = (FIRST + 2 * i) * WIDTH, (FIRST + 2 * i + 1) * WIDTH
-        for n in range(WIDTH):
-            share, place, rate = s.modes[i, SHARE, n], s.now[p + n], s.now[pd + n]
-            drive = share * (m[DRIVE * LANES + n] - at(m, GUIDES, n) * m[COMPLIANCE * LANES + n])
-            follow = share * (m[DRIVE_RATE * LANES + n] + at(m, NOW + QD, n)) - rate
-            square = s.modes[i, FREQUENCY2, n] * (1.0 + s.modes[i, HIGHEST, n] * m[STIFFER * LANES + n])
-            f = square * (drive - place) - s.modes[i, DAMPING, n] * rate + s.modes[i, BELT_DAMPING, n] * follow
-            light = f * m[LIGHTER * LANES + n]
-            force, sum_f, driven = at(m, F0, n), at(m, ACC, n), at(m, RATE + QD, n)
-            m[F0 * LANES + n] = (0.0 if i == 0 else force) + s.modes[i, REACTION, n] * f
-            m[ACC * LANES + n] = (0.0 if i == 0 else sum_f) + light
-            m[(RATE + QD) * LANES + n] = (0.0 if i == 0 else driven) + s.modes[i, PART, n] * light
-            s.rate[p + n], s.rate[pd + n] = rate, light
-            s.rate[STRAIN * WIDTH + n] = m[(RATE + GUIDE) * LANES + n]
-
-
-@compiled
-def fill_rows(m: FloatArray) -> None:
-    """Fill the rows that do not change, unless the mass grows."""
-    for n in range(WIDTH):
-        m[LIGHTER * LANES + n] = 1.0
-        m[COMPLIANCE * LANES + n] = 1.0 / at(m, BELT_K, n)
-
-
-@compiled
-def _lighter(m: FloatArray) -> None:
-    """Evaluate how much lighter than at this height the axes are at the bed."""
-    for n in range(WIDTH):
-        m[LIGHTER * LANES + n] = 1.0 / (1.0 + at(m, GROWTH, n) * at(m, NOW + Q + 2, n % LANES))
-
-
-@compiled
-def _by_place(m: FloatArray) -> None:
-    """Evaluate what x adds to ω² of each axis' highest mode."""
-    for n in range(WIDTH):
-        x = at(m, NOW + Q, n % LANES) - at(m, BY_X_CENTRE, n % LANES)
-        m[STIFFER * LANES + n] = max((at(m, BY_X, n) + at(m, BY_X_SQUARED, n) * x) * x, LEAST_STIFFER)
-
-
-@compiled
-def _reactions(m: FloatArray, s: AxesState) -> None:
-    """Move frame and gantry, and subtract their effect on the modes: PULL, one acceleration per axis."""
-    for n in range(WIDTH):
-        m[PULL * LANES + n] = 0.0
+        rows[COMPLIANCE * LANES + n] = 1.0 / at(m, r.belt_k, n)
     for l in range(LANES):
-        for j in range(2):
-            d, dd = s.now[SWAY * WIDTH + j * LANES + l], s.now[SWAY_RATE * WIDTH + j * LANES + l]
-            along, across = at(m, DIRECTIONS + 2 * j, l), at(m, DIRECTIONS + 2 * j + 1, l)
-            force = along * at(m, F0, l) + across * at(m, F0 + 1, l)
-            sway = -at(m, FRAME_K, l) * d - at(m, FRAME_B, l) * dd - at(m, FRAME, l) * force
-            s.rate[SWAY * WIDTH + j * LANES + l], s.rate[SWAY_RATE * WIDTH + j * LANES + l] = dd, sway
-            m[PULL * LANES + l] += along * sway
-            m[(PULL + 1) * LANES + l] += across * sway
-        inertia = at(m, YAW_INERTIA, l)
-        if inertia > 0.0:
-            x, share = at(m, NOW + Q, l) - at(m, YAW_CENTRE, l), at(m, YAW_SHARE, l)
-            yaw, rate = s.now[YAW * WIDTH + l], s.now[YAW * WIDTH + LANES + l]
-            torque = -inertia * (at(m, YAW_K, l) * yaw + at(m, YAW_B, l) * rate) - x * at(m, RATE + QD + 1, l)
-            torque += at(m, YAW_ARM, l) * at(m, RATE + QD, l)
-            turn = torque / (inertia + (1.0 - share) * x * x)
-            s.rate[YAW * WIDTH + l], s.rate[YAW * WIDTH + LANES + l] = rate, turn
-            m[(PULL + 1) * LANES + l] += share * x * turn
-    for i in range(len(s.modes)):
-        for n in range(WIDTH):
-            s.rate[(FIRST + 2 * i + 1) * WIDTH + n] -= s.modes[i, SHARE, n] * m[PULL * LANES + n]
+        source = l if l < len(states) else 0
+        for a in range(3):
+            for row in range(states.shape[1]):
+                rows[(_state_row(row) + a) * LANES + l] = states[source, row, a]
+            for i in range(modes.shape[1]):
+                for field in range(FIELDS):
+                    rows[(MODES + EACH * i + 3 * field + a) * LANES + l] = modes[source, i, field, a]
+    return rows
+
+
+@inlined
+def _state_row(row: int) -> Row:
+    return STATE + 3 * row if row < FIRST else PLACES + EACH * ((row - FIRST) // 2) + 3 * ((row - FIRST) % 2)
 
 
 @compiled
-def _motion(m: FloatArray, s: AxesState) -> None:
-    """Evaluate every axis and the nozzle: Q and X seen from the frame, ACC from the ground."""
-    for n in range(WIDTH):
-        m[X * LANES + n] = m[XD * LANES + n] = 0.0
-        m[(RATE + QD) * LANES + n] = m[ACC * LANES + n] - (m[PULL * LANES + n] if s.swaying else 0.0)
-    for i in range(len(s.modes)):
-        for n in range(WIDTH):
-            m[X * LANES + n] += s.now[(FIRST + 2 * i) * WIDTH + n]
-            m[XD * LANES + n] += s.now[(FIRST + 2 * i + 1) * WIDTH + n]
-    for n in range(WIDTH):
-        m[(NOW + Q) * LANES + n], m[(NOW + QD) * LANES + n] = m[X * LANES + n], m[XD * LANES + n]
+def keep_state(m: FloatArray, l: int, states: FloatArray) -> None:
+    """Copy the state of lane l to states : (k, rows, 3)."""
+    for row in range(states.shape[1]):
+        for a in range(3):
+            states[l, row, a] = at(m, _state_row(row) + a, l)
 
 
 @compiled
-def _yawed(m: FloatArray, s: AxesState) -> None:
-    """Add the nozzle's motion along y from the gantry's yaw."""
-    for l in range(LANES):
-        if at(m, YAW_INERTIA, l) > 0.0:
-            x, xd = at(m, X, l) - at(m, YAW_CENTRE, l), at(m, XD, l)
-            yaw, rate = s.now[YAW * WIDTH + l], s.now[YAW * WIDTH + LANES + l]
-            m[(X + 1) * LANES + l] += x * yaw
-            m[(XD + 1) * LANES + l] += x * rate + xd * yaw
-            turn = s.rate[YAW * WIDTH + LANES + l]
-            swung = x * turn + 2.0 * xd * rate + at(m, RATE + QD, l) * yaw
-            # the share of its own reaction is in the axis' acceleration seen from the frame
-            m[(ACC + 1) * LANES + l] += swung - at(m, YAW_SHARE, l) * (at(m, NOW + Q, l) - at(m, YAW_CENTRE, l)) * turn
+def sways(m: FloatArray) -> bool:
+    """Whether a frame sways, a gantry yaws, the mass grows with height, or a mode depends on x, in any lane."""
+    moving = (
+        any_nonzero(m, r.frame_inverse_mass, ONE)
+        or any_nonzero(m, r.yaw_inertia, ONE)
+        or any_nonzero(m, r.growth, THREE)
+    )
+    return moving or any_nonzero(m, r.by_x, THREE) or any_nonzero(m, r.by_x_squared, THREE)
+
+
+@compiled
+def keep_motors(m: FloatArray, half: Row) -> None:
+    """Keep where the motors are and how fast, at one of a step's three times."""
+    for n in range(WIDTH):
+        m[(MOTORS + 6 * half) * LANES + n] = at(m, r.COMMAND, n) + at(m, r.RIPPLE, n)
+        m[(MOTORS + 6 * half + 3) * LANES + n] = at(m, r.COMMAND_RATE, n) + at(m, r.RIPPLE_RATE, n)
+
+
+@compiled
+def motors_at(m: FloatArray, half: Row, t: float, ripple: bool) -> None:
+    """Evaluate the motors t seconds after the row whose cubics are loaded, for one of a step's three times."""
+    for n in range(WIDTH):
+        a, b, c = at(m, r.CUBIC, n), at(m, r.CUBIC + 3, n), at(m, r.CUBIC + 6, n)
+        m[(MOTORS + 6 * half) * LANES + n] = ((a * t + b) * t + c) * t + at(m, r.CUBIC + 9, n)
+        m[(MOTORS + 6 * half + 3) * LANES + n] = (3.0 * a * t + 2.0 * b) * t + c
+    if ripple:
+        for n in range(WIDTH):
+            place = (MOTORS + 6 * half) * LANES + n
+            more = rippled(m, n, m[place], m[place + 3 * LANES])
+            m[place], m[place + 3 * LANES] = m[place] + more[0], m[place + 3 * LANES] + more[1]
+
+
+Modes: TypeAlias = tuple[float, ...]  # one number a mode
+Axis: TypeAlias = tuple[float, Modes, Modes]  # strain of its friction, p, ṗ
+Sway: TypeAlias = tuple[float, float, float, float, float, float]  # θ, θ̇; d and ḋ of the frame's two directions
+Two: TypeAlias = tuple[float, float]
+Axes: TypeAlias = tuple[Axis, Axis, Axis, Sway]
+
+
+@unrolled(end=())
+def _loaded(m: FloatArray, row: Row, n: int, like: Modes) -> Modes:
+    """Return a row of each mode."""
+    return (at(m, row, n), *_loaded(m, row + EACH, n, like[1:]))
+
+
+@unrolled(end=0)
+def _store(m: FloatArray, row: Row, n: int, values: Modes) -> int:
+    """Store a row of each mode."""
+    m[row * LANES + n] = values[0]
+    return _store(m, row + EACH, n, values[1:])
+
+
+@unrolled(end=())
+def _plus(by: float, k: Modes, y: Modes) -> Modes:
+    """Return y + by k."""
+    return (y[0] + by * k[0], *_plus(by, k[1:], y[1:]))
+
+
+@unrolled(end=())
+def _without(m: FloatArray, row: Row, n: int, by: float, y: Modes) -> Modes:
+    """Return y less a row of each mode times `by`."""
+    return (y[0] - at(m, row, n) * by, *_without(m, row + EACH, n, by, y[1:]))
+
+
+@unrolled(end=-0.0)
+def _sum(y: Modes) -> float:
+    return y[0] + _sum(y[1:])
+
+
+@unrolled(end=-0.0)
+def _dot(m: FloatArray, row: Row, n: int, y: Modes) -> float:
+    """Return the sum of y times a row of each mode."""
+    return at(m, row, n) * y[0] + _dot(m, row + EACH, n, y[1:])
+
+
+@unrolled(end=())
+def _forces(
+    m: FloatArray, row: Row, n: int, stiffer: float, drive: float, follow: float, rate: Modes, place: Modes
+) -> Modes:
+    """Evaluate the acceleration of each mode by its axis' drive."""
+    share, belt = at(m, row + 3 * SHARE, n), at(m, row + 3 * BELT_DAMPING, n)
+    square = at(m, row + 3 * FREQUENCY2, n) * (1.0 + at(m, row + 3 * HIGHEST, n) * stiffer)
+    force = square * (share * drive - place[0]) - at(m, row + 3 * DAMPING, n) * rate[0]
+    first = force + belt * (share * follow - rate[0])
+    return (first, *_forces(m, row + EACH, n, stiffer, drive, follow, rate[1:], place[1:]))
+
+
+@inlined
+def _driven(m: FloatArray, n: int, y: Modes) -> float:
+    """Return what the modes' places, rates or accelerations make of the driven point's."""
+    return _dot(m, MODES + 3 * PART, n, y)
+
+
+@inlined
+def _yaw_x(m: FloatArray, l: int, x: float) -> float:
+    return x - at(m, r.yaw_centre, l)
+
+
+@inlined
+def _sway_rates(m: FloatArray, l: int, sway: Sway, forces: Two, driven: Two, x: float) -> Sway:
+    """Evaluate the rates of frame and gantry.
+
+    Parameters
+    ----------
+    forces : Σ N f of x and y.
+    driven : accelerations of the driven points of x and y.
+    x : of the driven point, m.
+    """
+    theta, turning, d0, d1, dd0, dd1 = sway
+    off, inertia = _yaw_x(m, l, x), at(m, r.yaw_inertia, l)
+    torque = at(m, r.yaw_arm, l) * driven[0] - off * driven[1]
+    torque -= inertia * (at(m, r.yaw_k, l) * theta + at(m, r.yaw_b, l) * turning)
+    whole = inertia + (1.0 - at(m, r.yaw_share, l)) * off * off
+    turn = torque / whole if inertia > 0.0 else 0.0
+    return turning, turn, dd0, dd1, _swayed(m, ZERO, l, d0, dd0, forces), _swayed(m, ONE, l, d1, dd1, forces)
+
+
+@inlined
+def _swayed(m: FloatArray, j: Row, l: int, d: float, dd: float, forces: Two) -> float:
+    force = at(m, r.frame_directions + 2 * j, l) * forces[0] + at(m, r.frame_directions + 2 * j + 1, l) * forces[1]
+    return -at(m, r.frame_k, l) * d - at(m, r.frame_b, l) * dd - at(m, r.frame_inverse_mass, l) * force
+
+
+@inlined
+def _pull_of(m: FloatArray, l: int, rates: Sway, x: float) -> Two:
+    """Return what the accelerations of frame and gantry take off the modes of x and y, m/s²."""
+    along = at(m, r.frame_directions, l) * rates[4] + at(m, r.frame_directions + 2, l) * rates[5]
+    across = at(m, r.frame_directions + 1, l) * rates[4] + at(m, r.frame_directions + 3, l) * rates[5]
+    return along, across + at(m, r.yaw_share, l) * _yaw_x(m, l, x) * rates[1]
+
+
+@inlined
+def _stiffer(m: FloatArray, n: int, x: float) -> float:
+    """Return what x adds to ω² of the highest mode, relative to it."""
+    off = x - at(m, r.by_x_centre, n % LANES)
+    return max((at(m, r.by_x, n) + at(m, r.by_x_squared, n) * off) * off, LEAST_STIFFER)
+
+
+@compiled
+def step_lanes(m: FloatArray, h: float, like: Modes, has: ActiveEffects, springs: bool, swaying: bool) -> None:
+    """Step all lanes by h, by the classical Runge-Kutta method of order 4, and go on from the motors at its end.
+
+    The motion at the step's beginning is left in MOTION. Without friction and `springs`, belts are linear. Unless
+    `swaying`, neither frame nor gantry moves, and modes do not depend on position. `like` has the length of an axis'
+    modes.
+    """
+    odd = has.torque_angle or has.powers  # sines and powers
+    if odd and not (swaying or has.guides):
+        _steps(m, h, like, YES, NO, NO, NO, YES)
+    elif odd:
+        _steps(m, h, like, YES, YES, YES, YES, YES)
+    elif swaying and (springs or has.guides):
+        _steps(m, h, like, YES, YES, YES, YES, NO)
+    elif swaying:
+        _steps(m, h, like, NO, NO, NO, YES, NO)
+    elif has.sticking:
+        _steps(m, h, like, YES, YES, YES, NO, NO)
+    elif has.guides:
+        _steps(m, h, like, YES, YES, NO, NO, NO)
+    elif springs:
+        _steps(m, h, like, YES, NO, NO, NO, NO)
+    else:
+        _steps(m, h, like, NO, NO, NO, NO, NO)
+    for n in range(2 * WIDTH):
+        m[MOTORS * LANES + n] = m[(MOTORS + 12) * LANES + n]
+
+
+@inlined
+def _steps(
+    m: FloatArray, h: float, like: Modes, springs: bool, rubbing: bool, sticking: bool, swaying: bool, odd: bool
+) -> None:
+    for l in range(min(len(m), LANES)):  # LANES, which the compiler is not to know: it would write each lane out
+        _step(m, l, h, like, springs, rubbing, sticking, swaying, odd)
+
+
+@inlined
+def _step(
+    m: FloatArray, l: int, h: float, like: Modes, springs: bool, rubbing: bool, sticking: bool, swaying: bool, odd: bool
+) -> None:
+    """Step one lane."""
+    y = _axis(m, l, like), _axis(m, LANES + l, like), _axis(m, 2 * LANES + l, like), _sway(m, l)
+    k1 = _rates(m, y, ZERO, l, springs, rubbing, sticking, swaying, odd)
+    _sample(m, l, ZERO, y[0], k1[0])
+    _sample(m, l, ONE, y[1], k1[1])
+    _sample(m, l, TWO, y[2], k1[2])
+    if swaying:
+        _sample_sway(m, l, y, k1, like)
+    k2 = _rates(m, _moved(y, k1, 0.5 * h), ONE, l, springs, rubbing, sticking, swaying, odd)
+    k3 = _rates(m, _moved(y, k2, 0.5 * h), ONE, l, springs, rubbing, sticking, swaying, odd)
+    k4 = _rates(m, _moved(y, k3, h), TWO, l, springs, rubbing, sticking, swaying, odd)
+    end = _moved(_moved(_moved(_moved(y, k1, h / 6.0), k2, h / 3.0), k3, h / 3.0), k4, h / 6.0)
+    _put(m, l, end[0])
+    _put(m, LANES + l, end[1])
+    _put(m, 2 * LANES + l, end[2])
+    if swaying:
+        _put_sway(m, l, end[3])
+
+
+@inlined
+def _sample(m: FloatArray, l: int, a: Row, y: Axis, rates: Axis) -> None:
+    m[(MOTION + a) * LANES + l], m[(MOTION + 3 + a) * LANES + l] = _sum(y[1]), _sum(y[2])
+    m[(MOTION + 6 + a) * LANES + l] = _sum(rates[2])
+
+
+@inlined
+def _sample_sway(m: FloatArray, l: int, y: Axes, rates: Axes, like: Modes) -> None:
+    """Keep the axes' motion, which is seen from the frame, and add to the nozzle's what frame and gantry do."""
+    for n in range(9):
+        m[(MOTION + 9 + n) * LANES + l] = at(m, MOTION + n, l)
+    pull, share = _pull_of(m, l, rates[3], _driven(m, l, y[0][1])), MODES + 3 * SHARE
+    theta, turning, turn = y[3][0], y[3][1], rates[3][1]
+    x, xd, xdd = _yaw_x(m, l, at(m, MOTION, l)), at(m, MOTION + 3, l), at(m, MOTION + 6, l)
+    m[(MOTION + 1) * LANES + l] += x * theta
+    m[(MOTION + 4) * LANES + l] += x * turning + xd * theta
+    m[(MOTION + 6) * LANES + l] += _sum(_loaded(m, share, l, like)) * pull[0]
+    # the share of its own reaction is in the axis' acceleration seen from the frame
+    swung = x * turn + 2.0 * xd * turning + xdd * theta - at(m, r.yaw_share, l) * x * turn
+    swung = swung if at(m, r.yaw_inertia, l) > 0.0 else 0.0
+    m[(MOTION + 7) * LANES + l] += _sum(_loaded(m, share, LANES + l, like)) * pull[1] + swung
+
+
+@inlined
+def _axis(m: FloatArray, n: int, like: Modes) -> Axis:
+    return at(m, STATE, n), _loaded(m, PLACES, n, like), _loaded(m, RATES, n, like)
+
+
+@inlined
+def _put(m: FloatArray, n: int, axis: Axis) -> None:
+    m[STATE * LANES + n] = axis[0]
+    _store(m, PLACES, n, axis[1])
+    _store(m, RATES, n, axis[2])
+
+
+@inlined
+def _sway(m: FloatArray, l: int) -> Sway:
+    yaw, d, dd = STATE + 3 * YAW, STATE + 3 * SWAY, STATE + 3 * SWAY_RATE
+    return at(m, yaw, l), at(m, yaw + 1, l), at(m, d, l), at(m, d + 1, l), at(m, dd, l), at(m, dd + 1, l)
+
+
+@inlined
+def _put_sway(m: FloatArray, l: int, sway: Sway) -> None:
+    yaw, d, dd = STATE + 3 * YAW, STATE + 3 * SWAY, STATE + 3 * SWAY_RATE
+    m[yaw * LANES + l], m[(yaw + 1) * LANES + l] = sway[0], sway[1]
+    m[d * LANES + l], m[(d + 1) * LANES + l] = sway[2], sway[3]
+    m[dd * LANES + l], m[(dd + 1) * LANES + l] = sway[4], sway[5]
+
+
+@inlined
+def _moved(y: Axes, k: Axes, by: float) -> Axes:
+    return _moved_axis(y[0], k[0], by), _moved_axis(y[1], k[1], by), _moved_axis(y[2], k[2], by), _plus(by, k[3], y[3])
+
+
+@inlined
+def _moved_axis(y: Axis, k: Axis, by: float) -> Axis:
+    return y[0] + by * k[0], _plus(by, k[1], y[1]), _plus(by, k[2], y[2])
+
+
+@inlined
+def _rates(
+    m: FloatArray, y: Axes, half: Row, l: int, springs: bool, rubbing: bool, sticking: bool, swaying: bool, odd: bool
+) -> Axes:
+    """Evaluate the rates of one lane's axes with the motors at one half step."""
+    a, b, c = l, LANES + l, 2 * LANES + l
+    q = _driven(m, a, y[0][1]), _driven(m, b, y[1][1]), _driven(m, c, y[2][1])
+    qd = _driven(m, a, y[0][2]), _driven(m, b, y[1][2]), _driven(m, c, y[2][2])
+    u, ud = _mixed(m, r.motor_matrix, l, q), _mixed(m, r.motor_matrix, l, qd)
+    pull_a, pull_b = _pull(m, a, half, u[0], ud[0], springs, odd), _pull(m, b, half, u[1], ud[1], springs, odd)
+    pull_c = _pull(m, c, half, u[2], ud[2], springs, odd)
+    drive = _mixed(m, r.axis_matrix, l, (pull_a[0], pull_b[0], pull_c[0]))
+    rate = _mixed(m, r.axis_matrix, l, (pull_a[1], pull_b[1], pull_c[1]))
+    x = _axis_rate(m, a, q[0], y[0], drive[0], rate[0], qd[0], rubbing, sticking, swaying, odd)
+    y_rate = _axis_rate(m, b, q[0], y[1], drive[1], rate[1], qd[1], rubbing, sticking, swaying, odd)
+    z = _axis_rate(m, c, q[0], y[2], drive[2], rate[2], qd[2], rubbing, sticking, swaying, odd)
+    if not swaying:
+        return x, y_rate, z, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    forces = _dot(m, MODES + 3 * REACTION, a, x[2]), _dot(m, MODES + 3 * REACTION, b, y_rate[2])
+    x, y_rate, z = _heavier(m, a, q[2], x), _heavier(m, b, q[2], y_rate), _heavier(m, c, q[2], z)
+    sway = _sway_rates(m, l, y[3], forces, (_driven(m, a, x[2]), _driven(m, b, y_rate[2])), q[0])
+    pull = _pull_of(m, l, sway, q[0])
+    return _pulled(m, a, x, pull[0]), _pulled(m, b, y_rate, pull[1]), z, sway
+
+
+@inlined
+def _heavier(m: FloatArray, n: int, height: float, rates: Axis) -> Axis:
+    """Return the rates of an axis whose mass is larger than at the bed."""
+    more = at(m, r.growth, n) * height
+    return rates[0], rates[1], _plus(1.0 / (1.0 + more) - 1.0, rates[2], rates[2])
+
+
+@inlined
+def _pulled(m: FloatArray, n: int, rates: Axis, pull: float) -> Axis:
+    """Return the rates of an axis less what frame and gantry take off its modes."""
+    return rates[0], rates[1], _without(m, MODES + 3 * SHARE, n, pull, rates[2])
+
+
+@inlined
+def _mixed(m: FloatArray, matrix: Row, l: int, x: Vector) -> Vector:
+    return dot(vector(m, matrix, l), x), dot(vector(m, matrix + 3, l), x), dot(vector(m, matrix + 6, l), x)
+
+
+@inlined
+def _pull(m: FloatArray, n: int, half: Row, q: float, qd: float, springs: bool, odd: bool) -> tuple[float, float]:
+    """Return what one belt adds to w, and to ẇ less that of its driven point."""
+    motor, motor_rate = at(m, MOTORS + 6 * half, n), at(m, MOTORS + 6 * half + 3, n)
+    if not springs:
+        return motor + at(m, r.uneven, n) * (motor - q), motor_rate - qd
+    stretch = effective_stretch(m, n, motor - q)
+    return drive_of_axes(m, n, motor, q, stretch, torque(m, n, stretch) if odd else stretch, motor_rate - qd)
+
+
+@inlined
+def _axis_rate(
+    m: FloatArray,
+    n: int,
+    x: float,
+    y: Axis,
+    drive: float,
+    drive_rate: float,
+    qd: float,
+    rubbing: bool,
+    sticking: bool,
+    swaying: bool,
+    odd: bool,
+) -> Axis:
+    """Evaluate the rate of one axis: its modes, driven by w and ẇ − q̇_d, and its friction."""
+    strain = 0.0
+    if rubbing:
+        level = at(m, r.dry, n)
+        if sticking:
+            squared = (qd * at(m, r.fading, n)) ** 2
+            faded = power(squared, at(m, r.fading_power, n)) if odd else squared
+            level = sliding_level(level, at(m, r.sticking, n), faded)
+        force, strain = guide_force(m, n, level, qd, y[0])
+        drive -= force * at(m, COMPLIANCE, n)
+    more = _stiffer(m, n, x) if swaying else 0.0
+    return strain, y[2], _forces(m, MODES, n, more, drive, drive_rate + qd, y[2], y[1])

@@ -5,25 +5,9 @@ from __future__ import annotations
 import math
 
 from models.arrays import FloatArray
-from models.printer.kernels.record import (
-    GUIDE,
-    GUIDES,
-    JOINT,
-    JOINTS,
-    LANES,
-    LEVEL,
-    NOW,
-    QD,
-    RATE,
-    THREE,
-    XD,
-    parameter_rows,
-)
+from models.printer.kernels import record as r
+from models.printer.kernels.record import LANES, THREE
 from models.printer.kernels.vectors import add, any_nonzero, at, compiled, dot, inlined, power, put, scale, tanh, vector
-
-DRY, STICKING, FADING, FADING_POWER = parameter_rows("dry", "sticking", "fading", "fading_power")
-CREEP, HOLD, BRISTLES, BRISTLE_LAG = parameter_rows("creep", "hold", "bristles", "bristle_lag")
-JOINT_DRY, JOINT_CREEP, JOINT_HOLD = parameter_rows("joint_dry", "joint_creep", "joint_hold")
 
 MOST_STRAIN = 3.0  # φ_m
 
@@ -51,30 +35,29 @@ def sliding_level(dry: float, sticking: float, power: float) -> float:
 @compiled
 def guides_rub(m: FloatArray) -> bool:
     """Whether there is a force on a guide, in any lane."""
-    return any_nonzero(m, DRY, THREE) or any_nonzero(m, STICKING, THREE)
+    return any_nonzero(m, r.dry, THREE) or any_nonzero(m, r.sticking, THREE)
 
 
 @inlined
 def guide_force(m: FloatArray, n: int, level: float, rate: float, state: float) -> tuple[float, float]:
     """Return the force of a guide and the rate of its state: how far bristles are bent, or the strain."""
-    ratio, bristles = rate / at(m, CREEP, n), at(m, BRISTLES, n)
-    bending = bristle_rate(bristles, at(m, BRISTLE_LAG, n), rate, state)
-    straining = strain_rate(at(m, HOLD, n), ratio, abs(ratio), state)
+    ratio, bristles = rate / at(m, r.creep, n), at(m, r.bristles, n)
+    bending = bristle_rate(bristles, at(m, r.bristle_lag, n), rate, state)
+    straining = strain_rate(at(m, r.hold, n), ratio, abs(ratio), state)
     bent = bristles > 0.0
     return level * (state if bent else tanh(ratio + state)), bending if bent else straining
 
 
 @compiled
-def stribeck(m: FloatArray) -> None:
+def stribeck(m: FloatArray, powers: bool) -> None:
     """Evaluate ℓ with its Stribeck part near rest, exp −|q̇/v_s|^δ."""
-    uneven = has_powers(m)
     for n in range(3 * LANES):
-        m[LEVEL * LANES + n] = (at(m, NOW + QD, n) * at(m, FADING, n)) ** 2
-    if uneven:
+        m[r.LEVEL * LANES + n] = (at(m, r.NOW + r.QD, n) * at(m, r.fading, n)) ** 2
+    if powers:
         for n in range(3 * LANES):
-            m[LEVEL * LANES + n] = power(at(m, LEVEL, n), at(m, FADING_POWER, n))
+            m[r.LEVEL * LANES + n] = power(at(m, r.LEVEL, n), at(m, r.fading_power, n))
     for n in range(3 * LANES):
-        m[LEVEL * LANES + n] = sliding_level(at(m, DRY, n), at(m, STICKING, n), at(m, LEVEL, n))
+        m[r.LEVEL * LANES + n] = sliding_level(at(m, r.dry, n), at(m, r.sticking, n), at(m, r.LEVEL, n))
 
 
 @compiled
@@ -82,7 +65,7 @@ def has_powers(m: FloatArray) -> bool:
     """Whether friction near rest fades otherwise than by the square of the speed, in any lane."""
     uneven = False
     for n in range(3 * LANES):
-        uneven |= at(m, STICKING, n) != 0.0 and at(m, FADING_POWER, n) != 1.0
+        uneven |= at(m, r.sticking, n) != 0.0 and at(m, r.fading_power, n) != 1.0
     return uneven
 
 
@@ -90,19 +73,19 @@ def has_powers(m: FloatArray) -> bool:
 def guide_friction(m: FloatArray) -> None:
     """Evaluate the friction on the carriages, positive when they move up, and the rate of its state."""
     for n in range(3 * LANES):
-        force, rate = guide_force(m, n, at(m, LEVEL, n), at(m, NOW + QD, n), at(m, NOW + GUIDE, n))
-        m[GUIDES * LANES + n] = force
-        m[(RATE + GUIDE) * LANES + n] = rate
+        force, rate = guide_force(m, n, at(m, r.LEVEL, n), at(m, r.NOW + r.QD, n), at(m, r.NOW + r.GUIDE, n))
+        m[r.GUIDES * LANES + n] = force
+        m[(r.RATE + r.GUIDE) * LANES + n] = rate
 
 
 @compiled
 def joint_friction(m: FloatArray) -> None:
     """Evaluate the friction on the nozzle holder, along its motion, and the rate of its strain."""
     for l in range(LANES):
-        strain, hold = vector(m, NOW + JOINT, l), at(m, JOINT_HOLD, l)
-        ratio = scale(1.0 / at(m, JOINT_CREEP, l), vector(m, XD, l))
+        strain, hold = vector(m, r.NOW + r.JOINT, l), at(m, r.joint_hold, l)
+        ratio = scale(1.0 / at(m, r.joint_creep, l), vector(m, r.XD, l))
         along, speed = add(ratio, strain), math.sqrt(dot(ratio, ratio))
         size = math.sqrt(dot(along, along))
-        put(m, JOINTS, l, scale(at(m, JOINT_DRY, l) * tanh(size) / max(size, 1e-300), along))
+        put(m, r.JOINTS, l, scale(at(m, r.joint_dry, l) * tanh(size) / max(size, 1e-300), along))
         for a in range(3):
-            m[(RATE + JOINT + a) * LANES + l] = strain_rate(hold, ratio[a], speed, strain[a])
+            m[(r.RATE + r.JOINT + a) * LANES + l] = strain_rate(hold, ratio[a], speed, strain[a])

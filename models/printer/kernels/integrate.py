@@ -5,33 +5,16 @@ from __future__ import annotations
 import numpy as np
 
 from models.arrays import FloatArray
+from models.printer.kernels import record as r
 from models.printer.kernels.delta import (
-    ARM_INERTIA,
-    EXTRUDER_MASS,
-    GRAVITY,
-    MOUNT_K,
     arm_kinematics,
     effector_and_frame,
     holder_forces,
     mass_along_arms,
     solve_carriages,
 )
-from models.printer.kernels.friction import (
-    DRY,
-    JOINT_DRY,
-    STICKING,
-    guide_friction,
-    guides_rub,
-    joint_friction,
-    stribeck,
-)
+from models.printer.kernels.friction import guide_friction, guides_rub, has_powers, joint_friction, stribeck
 from models.printer.kernels.motors import (
-    BELT_K,
-    COGGING,
-    DELAY,
-    HARDENING,
-    INVERSE_AMPLITUDE,
-    QUINTIC,
     Commands,
     belts,
     cogging,
@@ -41,34 +24,7 @@ from models.printer.kernels.motors import (
     stiffness_by_length,
     torque_angle,
 )
-from models.printer.kernels.record import (
-    ACC,
-    BASE,
-    COMMAND,
-    COUNT,
-    ETA,
-    LANES,
-    LEVEL,
-    MOTOR,
-    NOW,
-    ONE,
-    PRINTER,
-    PULL,
-    QD,
-    RATE,
-    ROWS,
-    STATES,
-    STRETCH,
-    SUM,
-    THREE,
-    XD,
-    ZERO,
-    ActiveEffects,
-    Q,
-    Rows,
-    V,
-    X,
-)
+from models.printer.kernels.record import COUNT, LANES, ONE, PRINTER, ROWS, STATES, THREE, ZERO, ActiveEffects, Rows
 from models.printer.kernels.vectors import any_nonzero, at, compiled
 
 PAGE = 64  # samples are copied by the page: a write at a time would touch too many cache lines
@@ -77,10 +33,10 @@ PAGE = 64  # samples are copied by the page: a write at a time would touch too m
 @compiled
 def active_effects(m: FloatArray) -> ActiveEffects:
     """List the effects that are active in any lane."""
-    sticking, guides, joints = any_nonzero(m, STICKING, THREE), guides_rub(m), any_nonzero(m, JOINT_DRY, ONE)
-    torque_angle, ripple = any_nonzero(m, INVERSE_AMPLITUDE, THREE), any_nonzero(m, COGGING, THREE)
-    delay, arms = any_nonzero(m, DELAY, THREE), any_nonzero(m, ARM_INERTIA, ONE)
-    return ActiveEffects(sticking, guides, joints, torque_angle, ripple, delay, arms)
+    sticking, guides, joints = any_nonzero(m, r.sticking, THREE), guides_rub(m), any_nonzero(m, r.joint_dry, ONE)
+    torque_angle, ripple = any_nonzero(m, r.inverse_amplitude, THREE), any_nonzero(m, r.ripple, THREE)
+    delay, arms = any_nonzero(m, r.delay, THREE), any_nonzero(m, r.arm_inertia, ONE)
+    return ActiveEffects(sticking, has_powers(m), guides, joints, torque_angle, ripple, delay, arms)
 
 
 @compiled
@@ -90,7 +46,7 @@ def rate(m: FloatArray, has: ActiveEffects) -> None:
     if has.torque_angle:
         torque_angle(m)
     if has.sticking:
-        stribeck(m)
+        stribeck(m, has.powers)
     if has.guides:
         guide_friction(m)
     belts(m)
@@ -110,12 +66,12 @@ def fill_lanes(states: FloatArray, parameters: FloatArray) -> FloatArray:
     m = np.zeros(ROWS * LANES)
     for l in range(len(states)):
         for n in range(STATES):
-            m[(BASE + n) * LANES + l] = states[l, n]
-            m[(NOW + n) * LANES + l] = states[l, n]
+            m[(r.BASE + n) * LANES + l] = states[l, n]
+            m[(r.NOW + n) * LANES + l] = states[l, n]
         for n in range(COUNT):
             m[(PRINTER + n) * LANES + l] = parameters[l, n]
     for n in range(3 * LANES):
-        m[LEVEL * LANES + n] = m[DRY * LANES + n]
+        m[r.LEVEL * LANES + n] = m[r.dry * LANES + n]
     return m
 
 
@@ -123,16 +79,16 @@ def fill_lanes(states: FloatArray, parameters: FloatArray) -> FloatArray:
 def _advance(m: FloatArray, weight: float, by: float) -> None:
     """Add the rate with its weight to the step's sum, and move NOW `by` seconds along it."""
     for n in range(STATES * LANES):
-        m[SUM * LANES + n] += weight * m[RATE * LANES + n]
-        m[NOW * LANES + n] = m[BASE * LANES + n] + by * m[RATE * LANES + n]
+        m[r.SUM * LANES + n] += weight * m[r.RATE * LANES + n]
+        m[r.NOW * LANES + n] = m[r.BASE * LANES + n] + by * m[r.RATE * LANES + n]
 
 
 @compiled
 def _finish(m: FloatArray, by: float) -> None:
     """Move BASE and NOW to the end of the step."""
     for n in range(STATES * LANES):
-        y = m[BASE * LANES + n] + by * (m[SUM * LANES + n] + m[RATE * LANES + n])
-        m[BASE * LANES + n], m[NOW * LANES + n], m[SUM * LANES + n] = y, y, 0.0
+        y = m[r.BASE * LANES + n] + by * (m[r.SUM * LANES + n] + m[r.RATE * LANES + n])
+        m[r.BASE * LANES + n], m[r.NOW * LANES + n], m[r.SUM * LANES + n] = y, y, 0.0
 
 
 @compiled
@@ -155,9 +111,13 @@ def _step(m: FloatArray, row: int, half: int, h: float, commands: Commands, has:
 def _sample(m: FloatArray, sample: FloatArray) -> None:
     """Copy the motion to sample : (7, 3 LANES), in the order of `integrate`."""
     for n in range(3 * LANES):
-        sample[0, n], sample[1, n], sample[2, n] = at(m, NOW + Q, n), at(m, NOW + QD, n), at(m, RATE + QD, n)
-        sample[3, n], sample[4, n], sample[5, n] = at(m, X, n), at(m, XD, n), at(m, ACC, n)
-        sample[6, n] = at(m, MOTOR, n)
+        sample[0, n], sample[1, n], sample[2, n] = (
+            at(m, r.NOW + r.Q, n),
+            at(m, r.NOW + r.QD, n),
+            at(m, r.RATE + r.QD, n),
+        )
+        sample[3, n], sample[4, n], sample[5, n] = at(m, r.X, n), at(m, r.XD, n), at(m, r.ACC, n)
+        sample[6, n] = at(m, r.MOTOR, n)
 
 
 @compiled
@@ -187,7 +147,7 @@ def empty_samples(k: int, rows: int) -> tuple[FloatArray, ...]:
 def store_state(m: FloatArray, l: int, states: FloatArray) -> None:
     """Copy the state of lane l to states : (k, STATES)."""
     for n in range(STATES):
-        states[l, n] = at(m, NOW + n, l)
+        states[l, n] = at(m, r.NOW + n, l)
 
 
 @compiled
@@ -245,11 +205,11 @@ def _relax(m: FloatArray, l: int) -> float:
     """Move every carriage by its unbalanced force over its belt's stiffness; return the largest displacement, m."""
     moved = 0.0
     for i in range(3):
-        shorter = stiffness_by_length(m, i * LANES + l, at(m, NOW + Q + i, l))
-        squared = at(m, STRETCH + i, l) ** 2
-        harder = (3.0 * at(m, HARDENING + i, l) + 5.0 * at(m, QUINTIC + i, l) * squared) * squared
-        move = at(m, PULL + i, l) / (at(m, BELT_K + i, l) * max(shorter, 1.0) + max(harder, 0.0))
-        m[(NOW + Q + i) * LANES + l] += move
+        shorter = stiffness_by_length(m, i * LANES + l, at(m, r.NOW + r.Q + i, l))
+        squared = at(m, r.STRETCH + i, l) ** 2
+        harder = (3.0 * at(m, r.cubic + i, l) + 5.0 * at(m, r.quintic + i, l) * squared) * squared
+        move = at(m, r.PULL + i, l) / (at(m, r.belt_k + i, l) * max(shorter, 1.0) + max(harder, 0.0))
+        m[(r.NOW + r.Q + i) * LANES + l] += move
         if not abs(move) <= moved:  # NaN too
             moved = abs(move)
     return moved
@@ -266,10 +226,10 @@ def find_equilibrium(states: FloatArray, parameters: FloatArray) -> FloatArray:
     m, moved = fill_lanes(states, parameters), np.full(len(states), np.inf)
     has = active_effects(m)
     for n in range(3 * LANES):
-        m[COMMAND * LANES + n] = m[(NOW + V) * LANES + n]
+        m[r.COMMAND * LANES + n] = m[(r.NOW + r.V) * LANES + n]
     cogging(m)
     for l in range(len(states)):
-        m[(NOW + ETA + 2) * LANES + l] = -at(m, EXTRUDER_MASS, l) * at(m, GRAVITY, l) / at(m, MOUNT_K + 2, l)
+        m[(r.NOW + r.ETA + 2) * LANES + l] = -at(m, r.extruder_mass, l) * at(m, r.gravity, l) / at(m, r.mount_k + 2, l)
     for _ in range(PASSES):
         rate(m, has)
         for l in range(len(states)):

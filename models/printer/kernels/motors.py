@@ -7,31 +7,8 @@ from typing import NamedTuple
 import numpy as np
 
 from models.arrays import FloatArray
-from models.printer.kernels.record import (
-    COMMAND,
-    COMMAND_RATE,
-    CUBIC,
-    GUIDES,
-    LANES,
-    MOTOR,
-    MOTOR_RATE,
-    NOW,
-    PULL,
-    QD,
-    RATE,
-    RIPPLE,
-    RIPPLE_RATE,
-    SPRING,
-    STRETCH,
-    THREE,
-    TIME,
-    VD,
-    ActiveEffects,
-    Q,
-    Rows,
-    V,
-    parameter_rows,
-)
+from models.printer.kernels import record as r
+from models.printer.kernels.record import LANES, THREE, ActiveEffects, Rows
 from models.printer.kernels.vectors import any_nonzero, at, compiled, inlined, sine_cosine
 
 
@@ -73,15 +50,7 @@ def cubic_spline(rows: FloatArray, dt: float) -> FloatArray:
     return cubics
 
 
-WEIGHT, BELT_K, BELT_C, GUIDE_B = parameter_rows("weight", "belt_k", "belt_c", "guide_b")
-MOTOR_K, UNEVEN = parameter_rows("motor_k", "uneven")  # of straight axes
-IDEAL, D0, LEAD, D2 = parameter_rows("ideal_drive", "d0", "lead", "d2")
-HARDENING, QUINTIC, PEAK_STRETCH = parameter_rows("cubic", "quintic", "peak_stretch")
 SHORTEST = 0.25  # times its length at q_c: no belt is taken to be shorter
-SLOPE, CENTRE, HALF_BACKLASH, LANDING = parameter_rows("slope", "centre", "half_backlash", "landing")
-INVERSE_AMPLITUDE, BELT_SHARE, DELAY = parameter_rows("inverse_amplitude", "belt_share", "delay")
-COGGING, WAVE, PHASE = parameter_rows("ripple", "wave", "phase")
-SECOND_SINE, SECOND_COSINE = parameter_rows("second_sine", "second_cosine")
 
 HALLEY_STEPS = 2  # for a motor's angle: with 0.3 of the give in the belt, exact to 1e-13 up to the peak
 
@@ -97,7 +66,7 @@ def command_times(m: FloatArray, dt: float, substeps: int) -> tuple[FloatArray, 
     elapsed, rows_back = np.empty((2 * substeps + 1, 3 * LANES)), np.zeros((2 * substeps + 1, 3 * LANES), np.int64)
     for half in range(2 * substeps + 1):
         for n in range(3 * LANES):
-            t = 0.5 * half * (dt / substeps) - m[DELAY * LANES + n]
+            t = 0.5 * half * (dt / substeps) - m[r.delay * LANES + n]
             while t < 0.0:
                 t += dt
                 rows_back[half, n] += 1
@@ -132,34 +101,36 @@ def load_cubics(m: FloatArray, row: int, rows_back: Rows, cubics: FloatArray, ra
             interval = ranges[l, 0] + row - rows_back[i * LANES + l]
             cubic = cubics[min(max(interval, ranges[l, 0]), ranges[l, 1] - 1), i]
             for power in range(4):
-                m[(CUBIC + 3 * power + i) * LANES + l] = cubic[power] if interval >= ranges[l, 0] or power == 3 else 0.0
+                m[(r.CUBIC + 3 * power + i) * LANES + l] = (
+                    cubic[power] if interval >= ranges[l, 0] or power == 3 else 0.0
+                )
 
 
 @compiled
 def evaluate_command(m: FloatArray, elapsed: FloatArray) -> None:
     """Evaluate the command and its rate."""
     for n in range(3 * LANES):
-        m[TIME * LANES + n] = elapsed[n]
+        m[r.TIME * LANES + n] = elapsed[n]
     for n in range(3 * LANES):
-        t = at(m, TIME, n)
-        a, b, c = at(m, CUBIC, n), at(m, CUBIC + 3, n), at(m, CUBIC + 6, n)
-        m[COMMAND * LANES + n] = ((a * t + b) * t + c) * t + at(m, CUBIC + 9, n)
-        m[COMMAND_RATE * LANES + n] = (3.0 * a * t + 2.0 * b) * t + c
+        t = at(m, r.TIME, n)
+        a, b, c = at(m, r.CUBIC, n), at(m, r.CUBIC + 3, n), at(m, r.CUBIC + 6, n)
+        m[r.COMMAND * LANES + n] = ((a * t + b) * t + c) * t + at(m, r.CUBIC + 9, n)
+        m[r.COMMAND_RATE * LANES + n] = (3.0 * a * t + 2.0 * b) * t + c
 
 
 @compiled
 def cogging(m: FloatArray) -> None:
     """Evaluate the ripple of the motors' positions, and its rate."""
     for n in range(3 * LANES):
-        ripple = rippled(m, n, at(m, COMMAND, n), at(m, COMMAND_RATE, n))
-        m[RIPPLE * LANES + n], m[RIPPLE_RATE * LANES + n] = ripple
+        ripple = rippled(m, n, at(m, r.COMMAND, n), at(m, r.COMMAND_RATE, n))
+        m[r.RIPPLE * LANES + n], m[r.RIPPLE_RATE * LANES + n] = ripple
 
 
 @inlined
 def rippled(m: FloatArray, n: int, command: float, rate: float) -> tuple[float, float]:
     """Return the ripple of one motor's position under a command, and its rate."""
-    second = at(m, SECOND_SINE, n), at(m, SECOND_COSINE, n)
-    return ripple(at(m, COGGING, n), at(m, WAVE, n), at(m, PHASE, n), second[0], second[1], command, rate)
+    second = at(m, r.second_sine, n), at(m, r.second_cosine, n)
+    return ripple(at(m, r.ripple, n), at(m, r.wave, n), at(m, r.phase, n), second[0], second[1], command, rate)
 
 
 @inlined
@@ -177,21 +148,26 @@ def ripple(
 def motors(m: FloatArray) -> None:
     """Evaluate u, u̇, the drives' rates, and each belt's stretch, less its backlash and up to its peak-force stretch."""
     for n in range(3 * LANES):
-        command, command_rate, v, vd = at(m, COMMAND, n), at(m, COMMAND_RATE, n), at(m, NOW + V, n), at(m, NOW + VD, n)
-        lead, ideal = at(m, LEAD, n), at(m, IDEAL, n) != 0.0
-        vdd = at(m, D0, n) * (command - v) - at(m, D2, n) * vd
-        u = (command if ideal else v + lead * vd) + at(m, RIPPLE, n)
-        ud = (command_rate if ideal else vd + lead * vdd) + at(m, RIPPLE_RATE, n)
-        stretch = effective_stretch(m, n, u - at(m, NOW + Q, n))
-        m[MOTOR * LANES + n], m[MOTOR_RATE * LANES + n] = u, ud
-        m[STRETCH * LANES + n], m[SPRING * LANES + n] = stretch, stretch
-        m[(RATE + V) * LANES + n], m[(RATE + VD) * LANES + n] = vd, vdd
+        command, command_rate, v, vd = (
+            at(m, r.COMMAND, n),
+            at(m, r.COMMAND_RATE, n),
+            at(m, r.NOW + r.V, n),
+            at(m, r.NOW + r.VD, n),
+        )
+        lead, ideal = at(m, r.lead, n), at(m, r.ideal_drive, n) != 0.0
+        vdd = at(m, r.d0, n) * (command - v) - at(m, r.d2, n) * vd
+        u = (command if ideal else v + lead * vd) + at(m, r.RIPPLE, n)
+        ud = (command_rate if ideal else vd + lead * vdd) + at(m, r.RIPPLE_RATE, n)
+        stretch = effective_stretch(m, n, u - at(m, r.NOW + r.Q, n))
+        m[r.MOTOR * LANES + n], m[r.MOTOR_RATE * LANES + n] = u, ud
+        m[r.STRETCH * LANES + n], m[r.SPRING * LANES + n] = stretch, stretch
+        m[(r.RATE + r.V) * LANES + n], m[(r.RATE + r.VD) * LANES + n] = vd, vdd
 
 
 @inlined
 def effective_stretch(m: FloatArray, n: int, stretch: float) -> float:
     """Return the effective stretch of a belt: less the backlash, and limited to the peak-force stretch."""
-    half_backlash, peak = at(m, HALF_BACKLASH, n), at(m, PEAK_STRETCH, n)
+    half_backlash, peak = at(m, r.half_backlash, n), at(m, r.peak_stretch, n)
     stretch -= min(max(stretch, -half_backlash), half_backlash)
     return min(max(stretch, -peak), peak)
 
@@ -200,13 +176,13 @@ def effective_stretch(m: FloatArray, n: int, stretch: float) -> float:
 def torque_angle(m: FloatArray) -> None:
     """Replace the effective stretch s by a sin θ, s = a ((1 − b) θ + b sin θ): a stepper's torque, a belt in series."""
     for n in range(3 * LANES):
-        m[SPRING * LANES + n] = torque(m, n, at(m, STRETCH, n))
+        m[r.SPRING * LANES + n] = torque(m, n, at(m, r.STRETCH, n))
 
 
 @inlined
 def torque(m: FloatArray, n: int, stretch: float) -> float:
     """Return a sin θ of one motor; the stretch itself without the effect."""
-    inverse, share = at(m, INVERSE_AMPLITUDE, n), at(m, BELT_SHARE, n)
+    inverse, share = at(m, r.inverse_amplitude, n), at(m, r.belt_share, n)
     electric = inverse * stretch
     angle = electric
     sine, cosine = sine_cosine(electric)
@@ -220,7 +196,7 @@ def torque(m: FloatArray, n: int, stretch: float) -> float:
 @inlined
 def stiffness_by_length(m: FloatArray, n: int, q: float) -> float:
     """Return k(q)/k of a belt, 1/(1 − r (q − q_c)): a force stretches all of its free length, and that goes with q."""
-    return 1.0 / max(1.0 - at(m, SLOPE, n) * (q - at(m, CENTRE, n)), SHORTEST)
+    return 1.0 / max(1.0 - at(m, r.slope, n) * (q - at(m, r.centre, n)), SHORTEST)
 
 
 @inlined
@@ -238,30 +214,32 @@ def drive_of_axes(
     m: FloatArray, n: int, motor: float, q: float, stretch: float, spring: float, slip: float
 ) -> tuple[float, float]:
     """Return u + g(s) − s of a belt of straight axes, and its part of ẇ; both are those of q where it is slack."""
-    k = at(m, UNEVEN, n) + stiffness_by_length(m, n, q)
+    k = at(m, r.uneven, n) + stiffness_by_length(m, n, q)
     squared = stretch * stretch
-    harder = (at(m, HARDENING, n) + at(m, QUINTIC, n) * squared) * squared * stretch / at(m, MOTOR_K, n)
-    force = k * (spring + abs(stretch) * at(m, LANDING, n) * slip) + harder
-    slack = abs(motor - q) < at(m, HALF_BACKLASH, n)
+    harder = (at(m, r.cubic, n) + at(m, r.quintic, n) * squared) * squared * stretch / at(m, r.motor_k, n)
+    force = k * (spring + abs(stretch) * at(m, r.landing, n) * slip) + harder
+    slack = abs(motor - q) < at(m, r.half_backlash, n)
     return q + (0.0 if slack else force), 0.0 if slack else slip
 
 
 @compiled
 def has_springs(m: FloatArray) -> bool:
     """Whether any belt of straight axes has play, or pulls other than in proportion to its stretch."""
-    springs = any_nonzero(m, HALF_BACKLASH, THREE) or any_nonzero(m, LANDING, THREE) or any_nonzero(m, SLOPE, THREE)
-    return springs or any_nonzero(m, HARDENING, THREE) or any_nonzero(m, QUINTIC, THREE)
+    springs = (
+        any_nonzero(m, r.half_backlash, THREE) or any_nonzero(m, r.landing, THREE) or any_nonzero(m, r.slope, THREE)
+    )
+    return springs or any_nonzero(m, r.cubic, THREE) or any_nonzero(m, r.quintic, THREE)
 
 
 @compiled
 def belts(m: FloatArray) -> None:
     """Sum the forces on the carriages except the effector's: belt, viscous and dry friction, weight."""
     for n in range(3 * LANES):
-        q, qd, stretch = at(m, NOW + Q, n), at(m, NOW + QD, n), at(m, STRETCH, n)
-        k = at(m, BELT_K, n) * stiffness_by_length(m, n, q)
-        slip, landing = at(m, MOTOR_RATE, n) - qd, at(m, LANDING, n)
-        cubic, quintic = at(m, HARDENING, n), at(m, QUINTIC, n)
-        belt = belt_force(k, at(m, BELT_C, n), at(m, SPRING, n), stretch, slip, landing, cubic, quintic)
-        belt = 0.0 if abs(at(m, MOTOR, n) - q) < at(m, HALF_BACKLASH, n) else belt
-        m[PULL * LANES + n] = belt - at(m, GUIDE_B, n) * qd - at(m, GUIDES, n) - at(m, WEIGHT, n)
-        m[(RATE + Q) * LANES + n] = qd
+        q, qd, stretch = at(m, r.NOW + r.Q, n), at(m, r.NOW + r.QD, n), at(m, r.STRETCH, n)
+        k = at(m, r.belt_k, n) * stiffness_by_length(m, n, q)
+        slip, landing = at(m, r.MOTOR_RATE, n) - qd, at(m, r.landing, n)
+        cubic, quintic = at(m, r.cubic, n), at(m, r.quintic, n)
+        belt = belt_force(k, at(m, r.belt_c, n), at(m, r.SPRING, n), stretch, slip, landing, cubic, quintic)
+        belt = 0.0 if abs(at(m, r.MOTOR, n) - q) < at(m, r.half_backlash, n) else belt
+        m[r.PULL * LANES + n] = belt - at(m, r.guide_b, n) * qd - at(m, r.GUIDES, n) - at(m, r.weight, n)
+        m[(r.RATE + r.Q) * LANES + n] = qd

@@ -115,10 +115,12 @@ PRINTER = 204
 ROWS = PRINTER + COUNT
 
 
-def parameter_rows(*names: str) -> list[np.int64]:
-    """Return the first row in m of each of these parameters."""
+def __getattr__(name: str) -> np.int64:
+    """Return the first row in m of a parameter: with this module imported as r, `r.belt_k`."""
     fields: Mapping[str, Any] = PARAMETERS.fields or {}
-    return [np.int64(PRINTER + fields[name][1] // 8) for name in names]
+    if name not in fields:
+        raise AttributeError(name)
+    return np.int64(PRINTER + fields[name][1] // 8)
 
 
 Vector: TypeAlias = tuple[float, float, float]
@@ -135,6 +137,7 @@ class ActiveEffects(NamedTuple):
     """The effects that are active in any lane; the loops of the others are skipped."""
 
     sticking: bool
+    powers: bool  # friction near rest fades otherwise than by the square of the speed
     guides: bool
     joints: bool
     torque_angle: bool

@@ -33,6 +33,32 @@ def inlined(function: Callable[..., Any]) -> Any:
     return how.compiled(function, {**_OPTIONS, "forceinline": True}, sources=None)
 
 
+def unrolled(end: Any) -> Callable[[Callable[..., Any]], Any]:
+    """Compile a function of tuples of any length into every kernel that calls it.
+
+    It works on the first element of its last argument and calls itself with the others; of an empty one it returns
+    `end`. Of a sum that is -0.0, which the compiler leaves out.
+    """
+
+    def declare(function: Callable[..., Any]) -> Any:
+        def callee(*arguments: Any) -> Any:
+            return function(*arguments) if len(arguments[-1]) else end
+
+        def at_end(*arguments: Any) -> Any:
+            return end
+
+        def compiled_in() -> Any:
+            from numba.extending import overload  # slow to import
+
+            options: Any = {**_OPTIONS, "forceinline": True}
+            overload(callee, options, strict=False)(lambda *types: function if len(types[-1]) else at_end)
+            return callee
+
+        return how.with_numba(compiled_in)
+
+    return declare
+
+
 @inlined
 def at(m: FloatArray, row: Row, l: int) -> float:
     """Return a row of lane l."""
